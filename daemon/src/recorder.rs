@@ -298,6 +298,7 @@ impl Recorder {
         let mut timing = self.source.timing.summary();
         timing.iter_mut().for_each(|timing| timing.disk = self.link.progress.longest());
         self.link.progress.set_timing(timing);
+        self.link.progress.set_flagged(self.writer.flagged());
         self.synchroniser.begin(self.writer.sink().synchroniser(), self.as_synced());
         Ok(())
     }

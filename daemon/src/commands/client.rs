@@ -1,4 +1,4 @@
-//! Commands that ask a running service: `start`, `stop`, `status`, `mark`, `note`, `check`, `runs`.
+//! Commands that ask a running service: `start`, `stop`, `status`, `mark`, `note`, `check`, `runs`, `delete`, `restore`, `bin`.
 
 use std::fmt::Write as _;
 use std::io::Read;
@@ -11,7 +11,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use shared::config::DaemonConfig;
 use shared::output::say;
-use shared::recording::SystemDisk;
+use shared::recording::{RunMark, SystemDisk};
 use ureq::http::StatusCode;
 
 use super::Format;
@@ -19,10 +19,10 @@ use super::configuration::Configuration;
 use super::elsewhere::ElsewhereArguments;
 use crate::control::runs::{self, RunLine};
 use crate::control::status::{
-    CheckLine, LastRun, Level, MarkRequest, NoteRequest, Refusal, Reply, RunStatus, StartRequest, Status,
-    StopRequest,
+    CheckLine, DeleteRequest, EmptyBinRequest, IN_SPITE_OF, LastRun, Level, MarkRequest, NoteRequest,
+    Refusal, Reply, RunStatus, StartRequest, Status, StopRequest,
 };
-use crate::control::verdict::Verdict;
+use crate::control::verdict::{Verdict, clock_time};
 use crate::run::About;
 
 /// Longer than the service takes to finish a file on a slow disk.
@@ -44,7 +44,7 @@ pub struct ServiceArguments {
 
 #[derive(Debug, Args)]
 pub struct StartArguments {
-    /// Name of the run and of its file; default: date and time
+    /// Name of the run and of its file, in which spaces and the like become `-`; default: date, robot, bar and a number
     #[arg(long)]
     name: Option<String>,
     /// How long: 90 (seconds), 90s or 2m; default: until stopped
@@ -66,9 +66,35 @@ pub struct AskArguments {
 }
 
 #[derive(Debug, Args)]
+pub struct NameArguments {
+    /// Name of the recording
+    name: String,
+    #[command(flatten)]
+    service: ServiceArguments,
+}
+
+#[derive(Debug, Args)]
+pub struct BinArguments {
+    /// Remove every recording in the bin from the disk for ever
+    #[arg(long)]
+    empty: bool,
+    #[command(flatten)]
+    service: ServiceArguments,
+}
+
+#[derive(Debug, Args)]
+pub struct StatusArguments {
+    /// Also how late the cycles of the run were, and how long they took
+    #[arg(long)]
+    timing: bool,
+    #[command(flatten)]
+    service: ServiceArguments,
+}
+
+#[derive(Debug, Args)]
 pub struct MarkArguments {
-    /// Text of the marker
-    text: String,
+    /// Text of the marker; default: a number
+    text: Option<String>,
     #[command(flatten)]
     service: ServiceArguments,
 }
@@ -117,6 +143,7 @@ pub fn stop(arguments: &AskArguments) -> anyhow::Result<()> {
             if !printed {
                 say(last_run(last))?;
                 verdict.iter().try_for_each(say)?;
+                last.next.iter().try_for_each(|next| say(next_step(&last.name, next)))?;
             }
             if let Some(Verdict { level: Level::Bad, reasons }) = verdict {
                 bail!("run `{}` is of no use: {}", last.name, reasons.join("; "));
@@ -134,7 +161,39 @@ pub fn mark(arguments: &MarkArguments) -> anyhow::Result<()> {
     if arguments.service.format.prints(&reply)? {
         return Ok(());
     }
-    Ok(say(format_args!("marked in run `{}`", reply.run.unwrap_or_default()))?)
+    let Reply { run, mark, .. } = reply;
+    Ok(say(format_args!("marked in run `{}`: {}", run.unwrap_or_default(), mark.unwrap_or_default()))?)
+}
+
+pub fn delete(arguments: NameArguments) -> anyhow::Result<()> {
+    let NameArguments { name, service } = arguments;
+    let reply: Reply = service.post("delete", &DeleteRequest { name })?;
+    if service.format.prints(&reply)? {
+        return Ok(());
+    }
+    let name = reply.run.unwrap_or_default();
+    Ok(say(format_args!("`{name}` is in the bin; `ballbard restore {name}` brings it back"))?)
+}
+
+pub fn restore(arguments: NameArguments) -> anyhow::Result<()> {
+    let NameArguments { name, service } = arguments;
+    let reply: Reply = service.post("restore", &DeleteRequest { name })?;
+    if service.format.prints(&reply)? {
+        return Ok(());
+    }
+    Ok(say(format_args!("`{}` is among the recordings again", reply.run.unwrap_or_default()))?)
+}
+
+pub fn bin(arguments: &BinArguments) -> anyhow::Result<()> {
+    let BinArguments { empty, service } = arguments;
+    if *empty {
+        let reply: Reply = service.post("bin/empty", &EmptyBinRequest {})?;
+        if service.format.prints(&reply)? {
+            return Ok(());
+        }
+        return Ok(say(format_args!("{} recordings removed", reply.removed.unwrap_or_default()))?);
+    }
+    print_list(&service.get::<Vec<RunLine>>("bin")?, "the bin is empty", service.format)
 }
 
 pub fn note(arguments: NoteArguments) -> anyhow::Result<()> {
@@ -146,7 +205,7 @@ pub fn note(arguments: NoteArguments) -> anyhow::Result<()> {
     Ok(say(format_args!("run `{}` has this note now", reply.run.unwrap_or_default()))?)
 }
 
-pub fn status(arguments: &AskArguments) -> anyhow::Result<()> {
+pub fn status(arguments: &StatusArguments) -> anyhow::Result<()> {
     let status: Status = arguments.service.get("status")?;
     if arguments.service.format.prints(&status)? {
         return Ok(());
@@ -158,6 +217,9 @@ pub fn status(arguments: &AskArguments) -> anyhow::Result<()> {
     }
     if let Some(run) = &status.run {
         say(running(run))?;
+        for RunMark { at_s, text } in &run.marks {
+            say(format_args!("  {:>8}  {text}", clock_time(*at_s)))?;
+        }
     }
     say(format_args!("bus {}: {}", status.bus, status.devices.join(", ")))?;
     for encoder in &status.encoders {
@@ -176,11 +238,11 @@ pub fn status(arguments: &AskArguments) -> anyhow::Result<()> {
     }
     if let Some(last) = &status.last {
         say(format_args!("last run: {}", last_run(last)))?;
+        last.next.iter().try_for_each(|next| say(next_step(&last.name, next)))?;
     }
-    let run = status.run.as_ref().and_then(|run| run.timing.as_ref());
-    if let Some(timing) = run.or(status.last.as_ref().and_then(|last| last.timing.as_ref())) {
-        say(timing)?;
-    }
+    let of_run = status.run.as_ref().and_then(|run| run.timing.as_ref());
+    let timing = of_run.or(status.last.as_ref().and_then(|last| last.timing.as_ref()));
+    timing.filter(|_| arguments.timing).iter().try_for_each(say)?;
     Ok(())
 }
 
@@ -206,12 +268,16 @@ pub fn list(arguments: &RunsArguments) -> anyhow::Result<()> {
         Some(directory) => listed_in(directory, None)?,
         None => service.runs()?,
     };
-    if service.format.prints(&lines)? {
+    print_list(&lines, "no recordings", service.format)
+}
+
+fn print_list(lines: &[RunLine], none: &str, format: Format) -> anyhow::Result<()> {
+    if format.prints(&lines)? {
         return Ok(());
     }
     // Where they are, once, as far as it is the same.
     let mut place = None;
-    for line in &lines {
+    for line in lines {
         let parent = line.file.parent();
         if place != parent {
             place = parent;
@@ -220,7 +286,7 @@ pub fn list(arguments: &RunsArguments) -> anyhow::Result<()> {
         say(listed(line))?;
     }
     if lines.is_empty() {
-        say("no recordings")?;
+        say(none)?;
     }
     Ok(())
 }
@@ -393,11 +459,18 @@ pub(super) fn last_run(last: &LastRun) -> String {
     )
 }
 
+/// What comes after a run.
+fn next_step(name: &str, command: &str) -> String {
+    format!("next: save the log of the robot's controller as {name}.csv, then type\n  {command}")
+}
+
 fn listed(line: &RunLine) -> String {
     let started = line.started.map_or(String::from("?"), |at| {
         at.to_datetime().with_timezone(&chrono::Local).format("%Y-%m-%d %H:%M:%S %:z").to_string()
     });
-    let verdict = line.verdict.as_ref().map_or_else(|| line.cause.clone(), ToString::to_string);
+    let verdict = line.verdict.as_ref().map(ToString::to_string);
+    let verdict = verdict.into_iter().chain(Some(line.cause.clone()).filter(|cause| !cause.is_empty()));
+    let verdict = verdict.collect::<Vec<_>>().join("; ");
     let mut text = format!(
         "{:<28} {started:<26}  {:>8.1} s {:>8} cycles  {verdict}",
         line.name, line.length_s, line.cycles
@@ -407,6 +480,14 @@ fn listed(line: &RunLine) -> String {
     }
     if line.recovered {
         text.push_str("  [recovered]");
+    }
+    let (reasons, marks): (Vec<_>, Vec<_>) =
+        line.marks.iter().partition(|mark| mark.text.starts_with(IN_SPITE_OF));
+    for RunMark { text: reason, .. } in reasons {
+        let _ = write!(text, "  [{}]", reason.replace(char::is_control, " "));
+    }
+    if !marks.is_empty() {
+        let _ = write!(text, "  [{} marks]", marks.len());
     }
     if !line.note.is_empty() {
         let _ = write!(text, "  {}", line.note.replace(char::is_control, " "));

@@ -48,7 +48,7 @@ enum Command {
     /// Ask the service to end the run; returns when its file is finished.
     Stop(client::AskArguments),
     /// What the service is doing.
-    Status(client::AskArguments),
+    Status(client::StatusArguments),
     /// Put a marker into the run.
     Mark(client::MarkArguments),
     /// Change the note of a finished run; the recording itself stays as it is.
@@ -57,6 +57,12 @@ enum Command {
     Check(client::AskArguments),
     /// List recordings.
     Runs(client::RunsArguments),
+    /// Move a recording into the bin.
+    Delete(client::NameArguments),
+    /// Move a recording from the bin to the others.
+    Restore(client::NameArguments),
+    /// List the recordings in the bin, or remove all of them.
+    Bin(client::BinArguments),
     /// Record one run and exit.
     Record(record::RecordArguments),
     /// Find the encoders' reference marks and check their order and direction, joint by joint.
@@ -84,6 +90,9 @@ pub fn run(arguments: Arguments) -> anyhow::Result<()> {
         Command::Note(arguments) => client::note(arguments),
         Command::Check(arguments) => client::check(&arguments),
         Command::Runs(arguments) => client::list(&arguments),
+        Command::Delete(arguments) => client::delete(arguments),
+        Command::Restore(arguments) => client::restore(arguments),
+        Command::Bin(arguments) => client::bin(&arguments),
         Command::Record(arguments) => record::run(&arguments),
         Command::Home(arguments) => home::run(arguments),
         Command::Tune(arguments) => tune::run(&arguments),

@@ -12,14 +12,14 @@ use shared::recording::schema::SIMULATED_BUS;
 use super::client::{last_run, unless_blind};
 use super::configuration::{Configuration, State};
 use super::{Format, bus_choice, on_signal};
-use crate::control::status::LastRun;
+use crate::control::status::{LastRun, next_command};
 use crate::recorder::RunSummary;
 use crate::run::{self, About, BusChoice, RunRequest, Stop};
 use crate::segment::faults::FaultWindow;
 
 #[derive(Debug, Args)]
 pub struct RecordArguments {
-    /// Name of the run and of its file; default: date and time
+    /// Name of the run and of its file, in which spaces and the like become `-`; default: date and time
     #[arg(long)]
     name: Option<String>,
     /// How long: 90 (seconds), 90s or 2m; default: until Ctrl-C, or to the end of a replay
@@ -84,9 +84,10 @@ fn request(arguments: &RecordArguments, homing: Option<HomingConfig>) -> anyhow:
         }
         (None, name) => bus_choice(name)?,
     };
-    let name = arguments.name.clone();
+    let name = arguments.name.as_deref().map_or_else(|| Ok(run::name_by_time()), run::typed_name);
+    let name = name.map_err(anyhow::Error::msg)?;
     Ok(RunRequest {
-        name: name.unwrap_or_else(run::name_by_time),
+        name,
         about: arguments.about.clone(),
         duration: arguments.duration,
         bus,
@@ -101,5 +102,6 @@ fn request(arguments: &RecordArguments, homing: Option<HomingConfig>) -> anyhow:
 fn over(name: String, summary: RunSummary) -> LastRun {
     let RunSummary { path, cycles, cycles_valid, cycles_lost, cause, provenance, timing } = summary;
     let file = Some(path.display().to_string());
-    LastRun { name, file, cycles, cycles_valid, cycles_lost, cause, error: None, timing, provenance }
+    let next = file.as_deref().filter(|_| cycles_valid > 0).map(|file| next_command(&name, file));
+    LastRun { name, file, cycles, cycles_valid, cycles_lost, cause, error: None, next, timing, provenance }
 }

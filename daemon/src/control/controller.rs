@@ -11,12 +11,14 @@ use super::bus_link::BusLink;
 use super::homing::Homing;
 use super::live_tap::LiveTap;
 use super::machine::{Action, Answer, Event, Machine, State};
+use super::marks::Marks;
 use super::preflight::{self, Found};
 use super::service::{Connect, Settings};
-use super::status::{CheckLine, LastRun, Status};
+use super::status::{CheckLine, LastRun, Status, next_command};
 use super::tending::Tending;
 use super::view::View;
 use crate::claim::Claim;
+use crate::clock::Clock;
 use crate::recorder::RunSummary;
 use crate::run::{ActiveRun, LEAVES_WITHIN, RunDetails, RunError, Stop, Storage};
 
@@ -37,7 +39,8 @@ pub(super) enum Command {
     /// Answered with how many runs were over when it was asked.
     Stop(String, oneshot::Sender<(Answer, u64)>),
     Home(oneshot::Sender<Answer>),
-    Mark(String, MonoNs, oneshot::Sender<Result<Option<String>, String>>),
+    /// Text (absent: a number) and instant; the answer has run and text, or nothing without a run.
+    Mark(Option<String>, MonoNs, oneshot::Sender<Result<Option<(String, String)>, String>>),
     /// With what was found on disk; none where that did not answer.
     Check(Option<Found>, oneshot::Sender<Vec<CheckLine>>),
     Shutdown(String),
@@ -56,6 +59,7 @@ pub(super) struct Controller {
     /// The run that was asked for last.
     wanted: RunDetails,
     run: Option<ActiveRun>,
+    marks: Marks,
     /// Who asked for the run that is being opened, and what they are told when its file is there.
     asked: Vec<(oneshot::Sender<Answer>, Answer)>,
     tending: Option<Tending>,
@@ -87,6 +91,7 @@ impl Controller {
             homing: None,
             wanted: RunDetails::default(),
             run: None,
+            marks: Marks::default(),
             asked: Vec::new(),
             tending: None,
             claim: None,
@@ -194,12 +199,7 @@ impl Controller {
                 let _ = reply.send(answer.unwrap_or(Answer::Idle));
             }
             Command::Mark(text, at, reply) => {
-                let marked = self.run.as_ref().filter(|run| !run.stop.is_stopped());
-                let _ = reply.send(match marked.map(|run| run.mark(at, text)) {
-                    Some(false) => Err("the disk takes no more markers; see `ballbard status`".into()),
-                    Some(true) => Ok(self.machine.run().map(str::to_owned)),
-                    None => Ok(None),
-                });
+                let _ = reply.send(self.mark(text, at));
             }
             Command::Check(found, reply) => {
                 let view = self.view();
@@ -243,6 +243,18 @@ impl Controller {
         answer
     }
 
+    /// Puts a marker into the run; gives the run and the marker's text.
+    fn mark(&mut self, text: Option<String>, at: MonoNs) -> Result<Option<(String, String)>, String> {
+        let running = self.run.as_ref().filter(|run| !run.stop.is_stopped());
+        let Some((run, name)) = running.zip(self.machine.run()) else { return Ok(None) };
+        let (is_numbered, text) = (text.is_none(), self.marks.text(text));
+        if !run.mark(at, text.clone()) {
+            return Err("the disk takes no more markers; see `ballbard status`".into());
+        }
+        self.marks.add(at, text.clone(), is_numbered);
+        Ok(Some((name.to_owned(), text)))
+    }
+
     fn open(&mut self) -> Result<(), String> {
         let session = self.bus.session().ok_or_else(|| NO_BUS.to_owned());
         let begun = session.and_then(|session| {
@@ -252,6 +264,7 @@ impl Controller {
         match begun {
             Ok(run) => {
                 self.run = Some(run);
+                self.marks = Marks::new(Clock::Real.now());
                 self.cycles_seen = 0;
                 Ok(())
             }
@@ -302,6 +315,8 @@ impl Controller {
             "run is over"
         );
         let count = |of: fn(&RunSummary) -> u64| summary.as_ref().map_or(0, of);
+        let useful = summary.as_ref().filter(|summary| summary.cycles_valid > 0);
+        let next = useful.map(|summary| next_command(&name, &summary.path.display().to_string()));
         self.last = Some(LastRun {
             name,
             cause,
@@ -309,6 +324,7 @@ impl Controller {
             cycles_valid: count(|summary| summary.cycles_valid),
             cycles_lost: count(|summary| summary.cycles_lost),
             error,
+            next,
             file: summary.as_ref().map(|summary| summary.path.display().to_string()),
             provenance: summary.as_ref().map(|summary| summary.provenance.clone()).unwrap_or_default(),
             timing: summary.and_then(|summary| summary.timing),
@@ -384,6 +400,8 @@ impl Controller {
             session: self.bus.session(),
             valid_shares: self.bus.valid_shares(),
             run: self.run.as_ref(),
+            duration: self.wanted.duration,
+            marks: &self.marks,
             homing: self.homing.as_ref(),
             last: self.last.as_ref(),
             runs_over: self.runs_over,

@@ -15,13 +15,14 @@ use shared::config::{EncoderConfig, HomingConfig, bar_joint_name};
 use shared::encoder::{EncoderScale, Unwrapper};
 use shared::recording::Disk;
 use shared::recording::schema::EncoderInfo;
+use shared::recording::schema::required::TRAVEL_MIN_DEG;
 use shared::time::{MonoNs, NS_PER_S};
 use tokio::sync::watch;
 
 use super::preflight::hours_left;
 use super::service::Settings;
 use super::status::{EncoderStatus, Headline, Level, RunStatus, Status};
-use super::verdict::{Content, MOVED_MIN_DEG, Verdict};
+use super::verdict::{Content, Verdict, clock_time};
 use crate::clock::Clock;
 use crate::devices::el5021;
 use crate::homing::MarksFile;
@@ -67,6 +68,19 @@ pub struct Live {
     pub run_s: Option<f64>,
     /// Where the rod has pointed since the run began.
     pub coverage: Coverage,
+    /// Set once angles count from zero again because counters lost their origin; reset when a run begins.
+    pub restarted: Option<Restarted>,
+}
+
+/// Angles count from zero again.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Restarted {
+    /// When, on the host's monotonic clock \[ms\].
+    pub at_ms: i64,
+    /// The same since the run began \[s\].
+    pub run_s: Option<f64>,
+    /// Cells of the sphere that were visited before and are not among those of the coverage.
+    pub cells_before: usize,
 }
 
 /// One encoder.
@@ -86,7 +100,7 @@ pub struct Joint {
     pub level: Level,
     /// What is wrong with it, in a few words.
     pub problem: Option<String>,
-    /// It has moved since the run began, or since it was seen first.
+    /// It has turned as far as a calibration needs, since the run began or since it was seen first.
     pub has_moved: bool,
     /// How far it has turned since then: highest less lowest angle while its counter had one origin \[deg\].
     pub range_deg: f64,
@@ -223,6 +237,7 @@ pub struct Observer {
     begun: MonoNs,
     origin: u32,
     coverage: Visited,
+    restarted: Option<Restarted>,
 }
 
 impl Observer {
@@ -236,6 +251,7 @@ impl Observer {
             begun: MonoNs(0),
             origin: 0,
             coverage: Visited::default(),
+            restarted: None,
         }
     }
 
@@ -245,16 +261,16 @@ impl Observer {
         // A run begins with origin 0 again, and no counter with it.
         if status.origin > self.origin {
             self.tracks.iter_mut().for_each(|track| track.counter = None);
-            // Where the rod was before is not known any more, unless the marks say so.
-            if !self.is_absolute() {
-                self.coverage = Visited::default();
-            }
         }
         self.origin = status.origin;
         let marks = self.marks(status);
+        let mut has_restarted = false;
         for (index, track) in self.tracks.iter_mut().enumerate() {
             let sample = status.encoders.get(index).filter(|encoder| encoder.valid);
-            track.take(sample, status.sampled, marks.get(index).copied().flatten());
+            has_restarted |= track.take(sample, status.sampled, marks.get(index).copied().flatten());
+        }
+        if has_restarted {
+            self.restart(status.run.is_some(), now);
         }
         self.cover(now);
         let run_s = status.run.is_some().then(|| now.seconds_since(self.begun));
@@ -266,19 +282,32 @@ impl Observer {
             .collect();
         let disk_hours =
             status.disk_usable_mb.map(|usable_mb| hours_left(usable_mb * 1_000_000, self.rate_hz));
-        let mut live = Live {
-            at_ms: now.0 / 1_000_000,
-            headline: status.headline(),
-            warnings: Vec::new(),
-            disk_hours,
-            verdict: status.run.as_ref().zip(run_s).and_then(|(run, run_s)| so_far(run, &joints, run_s)),
-            run_s,
-            coverage: self.coverage.told(now, self.is_absolute()),
-            joints,
-            status: without_histograms(status),
-        };
+        let mut live =
+            Live {
+                at_ms: now.0 / 1_000_000,
+                headline: status.headline(),
+                warnings: Vec::new(),
+                disk_hours,
+                verdict: status.run.as_ref().zip(run_s).and_then(|(run, run_s)| {
+                    so_far(run, &joints, run_s, 1.0 / f64::from(self.rate_hz.max(1)))
+                }),
+                run_s,
+                coverage: self.coverage.told(now, self.is_absolute()),
+                restarted: self.restarted,
+                joints,
+                status: without_histograms(status),
+            };
         live.warnings = self.warnings(&live, now);
         live
+    }
+
+    /// Angles count from zero again: where the rod was before is not known any more.
+    fn restart(&mut self, in_run: bool, now: MonoNs) {
+        let before = self.restarted.map_or(0, |restarted| restarted.cells_before);
+        let cells_before = before + self.coverage.count();
+        self.coverage = Visited::default();
+        let run_s = in_run.then(|| now.seconds_since(self.begun));
+        self.restarted = Some(Restarted { at_ms: now.0 / 1_000_000, run_s, cells_before });
     }
 
     /// What is said of a run counts from its beginning.
@@ -287,6 +316,7 @@ impl Observer {
         if run != self.run && run.is_some() {
             self.begun = now;
             self.coverage = Visited::default();
+            self.restarted = None;
             self.tracks.iter_mut().for_each(Track::begin_run);
         }
         self.run = run;
@@ -331,10 +361,20 @@ impl Observer {
             for joint in live.joints.iter().filter(|joint| !joint.has_moved && joint.level == Level::Good) {
                 warn(
                     format!("still {}", joint.joint),
-                    format!("joint {} has not moved since the run began", joint.joint),
+                    format!(
+                        "joint {} has turned by {:.1} degrees since the run began",
+                        joint.joint, joint.range_deg
+                    ),
                     "see whether its coupling has come loose, or let the path turn it",
                 );
             }
+        }
+        if let Some(run_s) = live.run_s.and(self.restarted).and_then(|restarted| restarted.run_s) {
+            warn(
+                "restarted".into(),
+                format!("since {} angles and coverage count from zero again", clock_time(run_s)),
+                "counters lost their origin, as after an outage of the bus; the calibration allows for it",
+            );
         }
         if self.homing.is_some() && !live.status.encoders.is_empty() {
             for joint in live.joints.iter().filter(|joint| !joint.from_mark && joint.angle_deg.is_some()) {
@@ -352,7 +392,7 @@ impl Observer {
             warn(
                 "disk".into(),
                 format!("the disk has room for {hours:.1} hours"),
-                "delete or move recordings before the run needs the space",
+                "move recordings elsewhere, or delete some and empty the bin, before the run needs the space",
             );
         }
         warnings
@@ -370,7 +410,7 @@ fn read(disk: &Arc<dyn Disk>, marks: &MarksFile) -> std::io::Result<Receiver<Opt
 }
 
 /// None before anything is on disk; joints get their time to move.
-fn so_far(run: &RunStatus, joints: &[Joint], run_s: f64) -> Option<Verdict> {
+fn so_far(run: &RunStatus, joints: &[Joint], run_s: f64, period_s: f64) -> Option<Verdict> {
     let has_had_time = run_s > MOVE_WITHIN_S;
     let moved = joints.iter().filter(|_| has_had_time).map(|joint| (joint.joint, joint.range_deg));
     (run.cycles > 0).then(|| {
@@ -378,6 +418,8 @@ fn so_far(run: &RunStatus, joints: &[Joint], run_s: f64) -> Option<Verdict> {
             cycles: run.cycles,
             cycles_valid: run.cycles_valid,
             cycles_lost: run.cycles_lost,
+            period_s,
+            flagged: &run.flagged,
             turned_deg: &moved.collect::<Vec<_>>(),
             ..Content::default()
         })
@@ -432,12 +474,15 @@ impl Track {
         (self.range, self.widest_deg) = (None, 0.0);
     }
 
-    fn take(&mut self, sample: Option<&EncoderStatus>, at: MonoNs, mark: Option<u32>) {
-        let Some(sample) = sample.filter(|_| at.0 != 0 && at != self.taken) else { return };
-        if !self.is_followed(sample.count, at) || mark != self.mark() {
+    /// Takes a sample; whether the angle counts from zero again although it was known before.
+    fn take(&mut self, sample: Option<&EncoderStatus>, at: MonoNs, mark: Option<u32>) -> bool {
+        let Some(sample) = sample.filter(|_| at.0 != 0 && at != self.taken) else { return false };
+        let is_followed = self.is_followed(sample.count, at);
+        let has_restarted = !is_followed && mark.is_none() && self.angle_deg.is_some();
+        if !is_followed || mark != self.mark() {
             self.restart(sample.count, mark);
         }
-        let Some((unwrapper, first)) = &mut self.counter else { return };
+        let Some((unwrapper, first)) = &mut self.counter else { return has_restarted };
         let counts = unwrapper.next(sample.count);
         let from = if self.from_mark { 0 } else { *first - i64::from(self.scale.reference_counts) };
         let angle_deg = self.scale.counts_to_rad(counts - from).to_degrees();
@@ -449,6 +494,7 @@ impl Track {
         let (low, high) = self.range.unwrap_or((angle_deg, angle_deg));
         let (low, high) = (low.min(angle_deg), high.max(angle_deg));
         (self.range, self.widest_deg) = (Some((low, high)), self.widest_deg.max(high - low));
+        has_restarted
     }
 
     /// The joint can have turned so far since the last sample; otherwise the counter has begun anew.
@@ -504,7 +550,7 @@ impl Track {
             speed_deg_per_s: self.speed_deg_per_s().filter(|_| is_fresh),
             level: if is_fresh { Level::Good } else { Level::Bad },
             problem,
-            has_moved: self.widest_deg >= MOVED_MIN_DEG,
+            has_moved: self.widest_deg >= TRAVEL_MIN_DEG,
             range_deg: self.widest_deg,
         }
     }
@@ -605,6 +651,10 @@ impl Visited {
         }
     }
 
+    fn count(&self) -> usize {
+        self.cells.iter().flatten().filter(|visited| **visited).count()
+    }
+
     fn told(&self, now: MonoNs, absolute: bool) -> Coverage {
         let digit = |four: &[bool]| {
             let bits = four.iter().fold(0, |bits, visited| bits << 1 | u32::from(*visited));
@@ -613,7 +663,7 @@ impl Visited {
         let flat: Vec<bool> = self.cells.iter().flatten().copied().collect();
         Coverage {
             cells: flat.chunks(4).map(digit).collect(),
-            visited: flat.iter().filter(|visited| **visited).count(),
+            visited: self.count(),
             newest_s: self.newest.map(|newest| now.seconds_since(newest)),
             here: self.here,
             absolute,
@@ -673,8 +723,8 @@ mod tests {
             };
             let run = run.map(|name| RunStatus {
                 name: name.into(),
-                cycles: 100,
-                cycles_valid: 100,
+                cycles: 2_000,
+                cycles_valid: 2_000,
                 ..RunStatus::default()
             });
             let status = Status {
@@ -769,7 +819,11 @@ mod tests {
         let moving = |step: i32| [20.0, 0.2 * f64::from(step), 1.0, 1.0, 1.0].map(Some);
         let live = (0..160).map(|step| bench.at(moving(step), Some("one"))).last().unwrap();
         assert_eq!(subjects(&live), ["still 1", "still 3", "still 4", "still 5"]);
-        assert_eq!(live.verdict.unwrap().to_string(), "CHECK: joint 1, 3, 4, 5 has not moved");
+        assert_eq!(
+            live.verdict.unwrap().to_string(),
+            "CHECK: joint 1 turned by 0.0\u{b0}, joint 3 turned by 0.0\u{b0}, joint 4 turned by 0.0\u{b0}, joint 5 turned by \
+             0.0\u{b0}; `identify` needs at least 3\u{b0} of each joint"
+        );
     }
 
     #[test]
@@ -817,8 +871,18 @@ mod tests {
         let set: u32 =
             live.coverage.cells.chars().map(|digit| digit.to_digit(16).unwrap().count_ones()).sum();
         assert_eq!((live.coverage.cells.len(), set), (CELLS * CELLS / 4, 9));
-        // With counters that begin anew nobody knows where that was.
+        // Counters that begin anew begin a new map; the cells before it stay counted.
+        assert_eq!(live.restarted, None);
         bench.origin += 1;
-        assert_eq!(bench.at([Some(0.0); 5], Some("one")).coverage.visited, 1);
+        let live = bench.at([Some(0.0); 5], Some("one"));
+        assert_eq!(live.coverage.visited, 1);
+        let restarted = live.restarted.unwrap();
+        assert_eq!((restarted.cells_before, restarted.at_ms), (9, live.at_ms));
+        assert!((restarted.run_s.unwrap() - live.run_s.unwrap()).abs() < 1e-9, "{restarted:?}");
+        assert_eq!(subjects(&live), ["restarted"]);
+        assert!(live.warnings[0].text.contains("since 0:03"), "{:?}", live.warnings);
+        // The next run knows nothing of it.
+        let live = bench.at([Some(0.0); 5], Some("two"));
+        assert_eq!((live.restarted, subjects(&live).len()), (None, 0));
     }
 }

@@ -8,12 +8,19 @@ use serde::{Deserialize, Serialize};
 use shared::encoder::{EncoderScale, Unwrapper};
 use shared::recording::schema::{CycleRecord, EncoderInfo, EncoderSample, Provenance};
 use shared::recording::{
-    ACTIVE_ENDING, Disk, FINISHED_ENDING, OpenFile, Outline, ReadError, RunOverview, is_absent, is_in_use,
+    ACTIVE_ENDING, Disk, FINISHED_ENDING, OpenFile, Outline, ReadError, RunMark, RunOverview, is_absent,
+    is_in_use, run_name,
 };
 use shared::time::UtcNs;
 
 use super::note;
+use super::status::next_command;
 use super::verdict::Verdict;
+
+/// Recordings of one base name.
+const NUMBERS_MAX: u32 = 10_000;
+/// Longest robot or bar in an automatic name.
+const PART_CHARS_MAX: usize = 30;
 
 /// One recording of the list.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -22,8 +29,11 @@ pub struct RunLine {
     pub name: String,
     /// Its file.
     pub file: PathBuf,
-    /// When it began; none where the file does not tell.
+    /// When it began \[ns since 1970\], if the file has it. Exceeds a JavaScript number: see `started_ms`.
     pub started: Option<UtcNs>,
+    /// When it began \[ms since 1970\].
+    #[serde(default)]
+    pub started_ms: Option<i64>,
     /// Length \[s\].
     pub length_s: f64,
     /// Bus cycles in it.
@@ -53,15 +63,50 @@ pub struct RunLine {
     /// Whether it is simulated, or a replay.
     #[serde(flatten)]
     pub provenance: Provenance,
+    /// Its first markers, among them the reason for which it began in spite of a problem.
+    #[serde(default)]
+    pub marks: Vec<RunMark>,
+    /// The command that calibrates with it and the robot's log; absent without valid cycles.
+    #[serde(default)]
+    pub next: Option<String>,
 }
 
 /// Recordings of a directory, the latest first; those that do not tell when they began come last. With those of runs
 /// that had to go on in `spare`.
 pub fn list(disk: &dyn Disk, directory: &Path, spare: Option<&Path>) -> io::Result<Vec<RunLine>> {
-    let files = files(disk, directory, spare)?;
+    Ok(lines(disk, files(disk, directory, spare)?))
+}
+
+/// Those among these files, sorted like [`list`].
+pub(super) fn lines(disk: &dyn Disk, files: Vec<PathBuf>) -> Vec<RunLine> {
     let mut lines: Vec<_> = files.into_iter().filter_map(|file| line(disk, file)).collect();
     lines.sort_by(|one, other| other.started.cmp(&one.started).then_with(|| one.name.cmp(&other.name)));
-    Ok(lines)
+    lines
+}
+
+/// `base` or, where a recording has that name, `base-2` and so on.
+pub(super) fn free_name(disk: &dyn Disk, directory: &Path, base: &str) -> String {
+    let numbered = (2..NUMBERS_MAX).map(|number| format!("{base}-{number}"));
+    let mut names = std::iter::once(base.to_owned()).chain(numbered);
+    names.find(|name| !is_taken(disk, directory, name)).unwrap_or_else(|| base.to_owned())
+}
+
+/// The default name of a run, such as `2026-11-26_irb-2400_short_01`: date, robot, bar and the first free number.
+pub(super) fn automatic_name(disk: &dyn Disk, directory: &Path, robot: &str, bar: &str) -> String {
+    let date = chrono::Local::now().format("%Y-%m-%d").to_string();
+    let parts = [robot, bar].map(|text| {
+        let plain = text.to_lowercase().replace(['.', '+', '_'], " ");
+        run_name(&plain.chars().take(PART_CHARS_MAX).collect::<String>())
+    });
+    let base = std::iter::once(date).chain(parts.into_iter().flatten()).collect::<Vec<_>>().join("_");
+    let mut names = (1..NUMBERS_MAX).map(|number| format!("{base}_{number:02}"));
+    names.find(|name| !is_taken(disk, directory, name)).unwrap_or(base)
+}
+
+/// Whether a recording has this name. Where the disk does not say, the run's file is refused if it has.
+pub(super) fn is_taken(disk: &dyn Disk, directory: &Path, name: &str) -> bool {
+    let is_there = |ending| disk.has(&directory.join(format!("{name}.{ending}"))).unwrap_or(false);
+    [FINISHED_ENDING, ACTIVE_ENDING].into_iter().any(is_there)
 }
 
 /// The finished recording of this name. The name is compared with those that are there and never made a path of.
@@ -94,14 +139,14 @@ pub fn left_behind(disk: &dyn Disk, directory: &Path) -> io::Result<Vec<PathBuf>
 }
 
 /// A directory is made when a run needs it.
-fn list_if_there(disk: &dyn Disk, directory: &Path) -> io::Result<Vec<PathBuf>> {
+pub(super) fn list_if_there(disk: &dyn Disk, directory: &Path) -> io::Result<Vec<PathBuf>> {
     match disk.list(directory) {
         Err(error) if is_absent(&error) => Ok(Vec::new()),
         listed => listed,
     }
 }
 
-fn stem(path: &Path, ending: &str) -> Option<String> {
+pub(super) fn stem(path: &Path, ending: &str) -> Option<String> {
     let name = path.file_name()?.to_str()?;
     Some(name.strip_suffix(ending)?.strip_suffix('.')?.to_owned()).filter(|stem| !stem.is_empty())
 }
@@ -129,11 +174,13 @@ pub fn finished(disk: &dyn Disk, name: String, file: PathBuf) -> RunLine {
             let verdict = Some(Verdict::of_file(&overview));
             let RunOverview { mut run, end } = overview;
             note::apply(disk, &file, &mut run);
+            let next = (end.cycles_valid > 0).then(|| next_command(&name, &file.display().to_string()));
             RunLine {
                 provenance: run.provenance(),
                 name,
                 file,
                 started: Some(run.started),
+                started_ms: Some(run.started.0 / 1_000_000),
                 length_s: end.cycles as f64 * run.cycle_period_ns as f64 * 1e-9,
                 cycles: end.cycles,
                 cycles_valid: end.cycles_valid,
@@ -147,6 +194,8 @@ pub fn finished(disk: &dyn Disk, name: String, file: PathBuf) -> RunLine {
                 bar: run.bar,
                 payload: run.payload,
                 note: run.note,
+                marks: end.marks,
+                next,
             }
         }
         Err(error) => {

@@ -9,7 +9,7 @@ use std::thread;
 use std::time::Duration;
 
 use shared::config::{BallBarConfig, DaemonConfig};
-use shared::recording::{ACTIVE_ENDING, Disk, FINISHED_ENDING, SystemDisk};
+use shared::recording::{Disk, SystemDisk};
 use shared::time::MonoNs;
 use tokio::sync::{Semaphore, oneshot, watch};
 
@@ -18,7 +18,8 @@ use super::live::{self, Minute, Moment, Watched};
 use super::live_tap::LiveTap;
 use super::machine::Answer;
 use super::preflight::Found;
-use super::status::{CheckLine, Refusal, StartRequest, Status};
+use super::runs;
+use super::status::{CheckLine, NameReply, NameRequest, Refusal, StartRequest, Status};
 use crate::clock::Clock;
 use crate::homing::{self, MarksFile};
 use crate::run::{self, BusChoice, RunDetails, RunError, Session, Storage};
@@ -176,8 +177,12 @@ impl Service {
         }
     }
 
-    /// The run that was marked; none if none goes on.
-    pub(super) async fn mark(&self, text: String, ago_ms: u32) -> Result<Option<String>, Refusal> {
+    /// Run and text of the marker; absent between runs.
+    pub(super) async fn mark(
+        &self,
+        text: Option<String>,
+        ago_ms: u32,
+    ) -> Result<Option<(String, String)>, Refusal> {
         let at: MonoNs = Clock::Real.now().plus_ns(-1_000_000 * i64::from(ago_ms));
         let marked = self.ask(|reply| Command::Mark(text, at, reply)).await?;
         marked.map_err(|error| Refusal { error })
@@ -188,6 +193,12 @@ impl Service {
         let (settings, disk) = (Arc::clone(&self.settings), Arc::clone(&self.disk));
         let found = self.look(LOOK_WITHIN, move || Found::now(&settings, &*disk)).await;
         self.ask(|reply| Command::Check(found, reply)).await
+    }
+
+    /// The name that a run would get; absent if the disk does not answer.
+    pub(super) async fn name(&self, request: NameRequest) -> Option<NameReply> {
+        let (settings, disk) = (Arc::clone(&self.settings), Arc::clone(&self.disk));
+        self.look(LOOK_WITHIN, move || name_reply(&request, &*disk, &settings.daemon.directory)).await
     }
 
     /// Where recordings are.
@@ -264,26 +275,30 @@ fn details(request: StartRequest, settings: &Settings, disk: &dyn Disk) -> Resul
             })
         })
         .transpose()?;
-    Ok(RunDetails {
-        about: request.about(),
-        name: request.name.unwrap_or_else(|| free_name(disk, &daemon.directory)),
-        duration,
-        homing,
-    })
+    let about = request.about();
+    let automatic = || runs::automatic_name(disk, &daemon.directory, &about.robot, &about.bar);
+    let name = request.name.map_or_else(|| Ok(automatic()), |typed| run::typed_name(&typed));
+    let name = name.map_err(|error| Refusal { error })?;
+    Ok(RunDetails { name, about, duration, homing })
 }
 
-/// A name of date and time that no file bears.
-fn free_name(disk: &dyn Disk, directory: &Path) -> String {
-    let base = run::name_by_time();
-    let is_there = |file: &Path| disk.has(file).unwrap_or(false);
-    // Where the disk does not say, the run's file is refused if its name is taken.
-    let taken = |name: &str| {
-        [FINISHED_ENDING, ACTIVE_ENDING]
-            .iter()
-            .any(|ending| is_there(&directory.join(format!("{name}.{ending}"))))
-    };
-    let numbered = (2..1000).map(|number| format!("{base}-{number}"));
-    std::iter::once(base.clone()).chain(numbered).find(|name| !taken(name)).unwrap_or(base)
+fn name_reply(
+    NameRequest { name, robot, bar }: &NameRequest,
+    disk: &dyn Disk,
+    directory: &Path,
+) -> NameReply {
+    if name.trim().is_empty() {
+        return NameReply { name: runs::automatic_name(disk, directory, robot, bar), problem: None };
+    }
+    match run::typed_name(name) {
+        Ok(name) => {
+            let taken =
+                || format!("a run {name} is there already and is never overwritten; choose another name");
+            let problem = runs::is_taken(disk, directory, &name).then(taken);
+            NameReply { name, problem }
+        }
+        Err(problem) => NameReply { name: String::new(), problem: Some(problem) },
+    }
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@ use std::fmt;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use shared::recording::schema::Provenance;
-use shared::recording::{DiskTiming, TimingSummary};
+use shared::recording::{DiskTiming, Flagged, RunMark, TimingSummary};
 use shared::time::{MonoNs, UtcNs};
 
 use super::verdict::Verdict;
@@ -31,6 +31,9 @@ pub struct Status {
     pub runs_over: u64,
     /// The homing that goes on, or the last one.
     pub homing: Option<HomingStatus>,
+    /// Name and version of the program.
+    #[serde(default)]
+    pub version: String,
     /// Network interface, or `simulated`.
     pub bus: String,
     /// The encoder counts are made up by a program.
@@ -103,8 +106,20 @@ impl Status {
 pub struct RunStatus {
     /// Its name.
     pub name: String,
-    /// When it began, ns since 1970.
+    /// When it began \[ns since 1970\]. Exceeds a JavaScript number: see `started_ms`.
     pub started: UtcNs,
+    /// When it began \[ms since 1970\].
+    #[serde(default)]
+    pub started_ms: i64,
+    /// How long it is to last \[s\]; none: until stopped.
+    #[serde(default)]
+    pub duration_s: Option<f64>,
+    /// Its markers, the latest 50.
+    #[serde(default)]
+    pub marks: Vec<RunMark>,
+    /// The cycles that are not valid, by joint and reason.
+    #[serde(default)]
+    pub flagged: Vec<Flagged>,
     /// Where it is written; empty until its file is there.
     pub file: String,
     /// Cycles on disk: synchronised, so that a power cut leaves them.
@@ -152,12 +167,35 @@ pub struct LastRun {
     /// Why its file could not be finished in the ordinary way; the cycles are then those that could be saved.
     #[serde(default)]
     pub error: Option<String>,
+    /// The command that calibrates with it and the robot's log; absent without valid cycles.
+    #[serde(default)]
+    pub next: Option<String>,
     /// How well the loop kept its time.
     #[serde(default)]
     pub timing: Option<TimingSummary>,
     /// Whether it is simulated, or a replay.
     #[serde(flatten)]
     pub provenance: Provenance,
+}
+
+/// How the marker begins that states why a run began although a line of the check stops it.
+pub const IN_SPITE_OF: &str = "begun in spite of";
+
+/// The command that follows a run.
+pub fn next_command(name: &str, file: &str) -> String {
+    let quoted = |text: &str| {
+        let is_plain = |c: char| c.is_alphanumeric() || "/._-+".contains(c);
+        if text.chars().all(is_plain) {
+            text.to_owned()
+        } else {
+            format!("'{}'", text.replace('\'', r"'\''"))
+        }
+    };
+    let (file, log) = (quoted(file), quoted(&format!("{name}.csv")));
+    let out = quoted(name);
+    format!(
+        "identify calibrate --recording {file} --robot-log {log} --robot ROBOT.toml --bar ball_bar.toml --out {out}"
+    )
 }
 
 /// How far a homing is.
@@ -212,7 +250,8 @@ pub struct EncoderStatus {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct StartRequest {
-    /// Name of the run and of its file; without one the service makes one of date and time.
+    /// Name of the run and of its file. Characters that a file's name cannot have become `-`; without a name the service
+    /// makes one of date, robot, bar and a number.
     pub name: Option<String>,
     /// Who records.
     pub operator: String,
@@ -255,8 +294,9 @@ pub struct HomeRequest {}
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MarkRequest {
-    /// Text of the marker.
-    pub text: String,
+    /// Text of the marker; without one the service numbers it.
+    #[serde(default)]
+    pub text: Option<String>,
     /// How long ago it happened: who writes a text takes a while \[ms\].
     #[serde(default)]
     pub ago_ms: u32,
@@ -272,7 +312,7 @@ pub struct NoteRequest {
     pub note: String,
 }
 
-/// What is asked for with `delete`: a finished recording.
+/// Body of `delete` (moves a finished recording into the bin) and of `restore` (moves one out of it).
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DeleteRequest {
@@ -280,11 +320,37 @@ pub struct DeleteRequest {
     pub name: String,
 }
 
+/// Body of `bin/empty`, without content.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct EmptyBinRequest {}
+
+/// Body of `name`: for which input a name is wanted.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct NameRequest {
+    /// Name as typed; empty for an automatic name.
+    pub name: String,
+    /// Which robot, for an automatic name.
+    pub robot: String,
+    /// Which bar, for an automatic name.
+    pub bar: String,
+}
+
+/// How a run would be called.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct NameReply {
+    /// Its name; empty where what was typed gives none.
+    pub name: String,
+    /// Why no run can begin under this name, and what to do.
+    pub problem: Option<String>,
+}
+
 /// What became of a request.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Reply {
     /// In one word: `begun`, `running` (a run goes on already), `stopped`, `idle`, `homing` (goes on already, or was what
-    /// there was to stop), `marked`, `noted` or `deleted`.
+    /// there was to stop), `marked`, `noted`, `deleted`, `restored` or `emptied`.
     pub answer: String,
     /// The run that it is about.
     pub run: Option<String>,
@@ -299,6 +365,12 @@ pub struct Reply {
     /// How the homing ended.
     #[serde(default)]
     pub homing: Option<HomingStatus>,
+    /// Text of the marker that was put into the run.
+    #[serde(default)]
+    pub mark: Option<String>,
+    /// Number of recordings that were removed with the bin.
+    #[serde(default)]
+    pub removed: Option<u64>,
 }
 
 /// Why a request was not granted.
@@ -320,4 +392,19 @@ pub struct CheckLine {
     /// No run begins before that is done, unless somebody gives a reason.
     #[serde(default)]
     pub stops: bool,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_next_command_survives_a_shell() {
+        let command = next_command("Prüfling-1", "/data/cell 3/it's/Prüfling-1.mcap");
+        assert!(command.contains(r"--recording '/data/cell 3/it'\''s/Prüfling-1.mcap' "), "{command}");
+        assert!(
+            command.contains("--robot-log Prüfling-1.csv ") && command.ends_with("--out Prüfling-1"),
+            "{command}"
+        );
+    }
 }

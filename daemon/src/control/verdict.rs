@@ -4,7 +4,8 @@ use std::fmt;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use shared::recording::RunOverview;
+use shared::recording::schema::required::{OVERLAP_MIN_S, TRAVEL_MIN_DEG};
+use shared::recording::{Flagged, RunOverview};
 
 use super::status::Level;
 
@@ -13,8 +14,8 @@ use super::status::Level;
 pub const VALID_SHARE_GOOD: f64 = 0.99;
 /// Below this share a run is bad: sigmas are 41 % larger, and what is left lies in pieces.
 pub const VALID_SHARE_BAD: f64 = 0.5;
-/// A joint that turned less has not moved: the play of a coupling is less, any path that calibrates is far more \[deg\].
-pub const MOVED_MIN_DEG: f64 = 1.0;
+/// Causes of invalid cycles that are named one by one.
+const CAUSES_MAX: usize = 3;
 
 /// A word and its reasons.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -34,6 +35,10 @@ pub struct Content<'a> {
     pub cycles_valid: u64,
     /// Cycles that were lost between bus and file.
     pub cycles_lost: u64,
+    /// Time between two cycles \[s\].
+    pub period_s: f64,
+    /// The cycles that are not valid, by joint and reason.
+    pub flagged: &'a [Flagged],
     /// The file was cut short and recovered.
     pub recovered: bool,
     /// Samples may be as old as a cycle.
@@ -43,31 +48,45 @@ pub struct Content<'a> {
 }
 
 impl Verdict {
-    /// Of a run with this content.
+    /// Of a run with this content. What `identify calibrate` refuses by default is not good.
     pub fn of(content: &Content<'_>) -> Self {
-        let Content { cycles, cycles_valid, cycles_lost, recovered, without_clocks, turned_deg } = *content;
+        let Content { cycles, cycles_valid, cycles_lost, recovered, without_clocks, .. } = *content;
         let mut verdict = Self::default();
         if cycles == 0 {
             return Self::bad("it holds no cycle");
         }
         if cycles_valid == 0 {
-            return Self::bad(format!("none of the {cycles} cycles is valid"));
+            return Self::bad(format!("none of the {cycles} cycles is valid{}", content.causes()));
         }
         let (share, flagged) = (cycles_valid as f64 / cycles as f64, cycles.saturating_sub(cycles_valid));
         if share < VALID_SHARE_GOOD {
             let level = if share < VALID_SHARE_BAD { Level::Bad } else { Level::Check };
-            verdict.add(
-                level,
-                format!("{flagged} of {cycles} cycles are flagged ({:.1} %)", 100.0 * (1.0 - share)),
-            );
+            let percent = 100.0 * (1.0 - share);
+            let causes = content.causes();
+            verdict.add(level, format!("{flagged} of {cycles} cycles are flagged ({percent:.1} %){causes}"));
         }
         if cycles_lost > 0 {
             verdict.add(Level::Check, format!("{cycles_lost} cycles were lost on the way to the disk"));
         }
-        let still = turned_deg.iter().filter(|(_, turned_deg)| *turned_deg < MOVED_MIN_DEG);
-        let still: Vec<_> = still.map(|(joint, _)| joint.to_string()).collect();
+        let length_s = cycles as f64 * content.period_s;
+        if length_s < OVERLAP_MIN_S {
+            verdict.add(
+                Level::Check,
+                format!(
+                    "it is {length_s:.1} s long; `identify` needs at least {OVERLAP_MIN_S:.0} s of motion"
+                ),
+            );
+        }
+        let still = content.turned_deg.iter().filter(|(_, turned_deg)| *turned_deg < TRAVEL_MIN_DEG);
+        let still: Vec<_> = still
+            .map(|(joint, turned_deg)| format!("joint {joint} turned by {turned_deg:.1}\u{b0}"))
+            .collect();
         if !still.is_empty() {
-            verdict.add(Level::Check, format!("joint {} has not moved", still.join(", ")));
+            let still = still.join(", ");
+            verdict.add(
+                Level::Check,
+                format!("{still}; `identify` needs at least {TRAVEL_MIN_DEG:.0}\u{b0} of each joint"),
+            );
         }
         if recovered {
             verdict.add(Level::Check, "it was cut short and recovered");
@@ -86,6 +105,8 @@ impl Verdict {
             cycles: end.cycles,
             cycles_valid: end.cycles_valid,
             cycles_lost: end.cycles_lost,
+            period_s: run.cycle_period_ns as f64 * 1e-9,
+            flagged: &end.flagged,
             recovered: end.recovered,
             without_clocks: !run.distributed_clocks,
             turned_deg: &turned_deg,
@@ -101,6 +122,35 @@ impl Verdict {
         self.level = self.level.max(level);
         self.reasons.push(reason.into());
     }
+}
+
+impl Content<'_> {
+    /// Which joint, what, since when and how long, the longest first; such as `: joint 3 signal too low (2.0 s from 0:12 on)`.
+    fn causes(&self) -> String {
+        let mut flagged: Vec<_> = self.flagged.iter().collect();
+        flagged.sort_by_key(|flagged| std::cmp::Reverse(flagged.cycles));
+        let more = flagged.len().saturating_sub(CAUSES_MAX);
+        let of = |flagged: &&Flagged| {
+            let Flagged { joint, reason, first, cycles, periods } = flagged;
+            let who = joint.map_or("all joints".to_owned(), |joint| format!("joint {joint}"));
+            let lasted_s = *cycles as f64 * self.period_s;
+            let begun = clock_time(*first as f64 * self.period_s);
+            let times = if *periods > 1 { format!(" in {periods} periods") } else { String::new() };
+            format!("{who} {reason} ({lasted_s:.1} s{times}, first at {begun})")
+        };
+        let mut causes: Vec<_> = flagged.iter().take(CAUSES_MAX).map(of).collect();
+        if more > 0 {
+            causes.push(format!("{more} more causes"));
+        }
+        if causes.is_empty() { String::new() } else { format!(": {}", causes.join(", ")) }
+    }
+}
+
+/// A time since the beginning of a run, such as 1:02:03 or 0:07.
+pub fn clock_time(seconds: f64) -> String {
+    let whole = seconds.max(0.0) as u64;
+    let (hours, minutes, seconds) = (whole / 3600, whole / 60 % 60, whole % 60);
+    if hours > 0 { format!("{hours}:{minutes:02}:{seconds:02}") } else { format!("{minutes}:{seconds:02}") }
 }
 
 impl fmt::Display for Verdict {
@@ -123,6 +173,8 @@ mod tests {
         cycles: 12_000,
         cycles_valid: 12_000,
         cycles_lost: 0,
+        period_s: 0.01,
+        flagged: &[],
         recovered: false,
         without_clocks: false,
         turned_deg: &MOVED,
@@ -152,11 +204,47 @@ mod tests {
             (Content { cycles_lost: 1, ..WHOLE }, "1 cycles were lost"),
             (Content { recovered: true, ..WHOLE }, "recovered"),
             (Content { without_clocks: true, ..WHOLE }, "distributed clocks"),
-            (Content { turned_deg: &[(1, 40.0), (3, 0.2)], ..WHOLE }, "joint 3 has not moved"),
+            (
+                Content { turned_deg: &[(1, 40.0), (3, 0.2)], ..WHOLE },
+                "joint 3 turned by 0.2\u{b0}; `identify` needs",
+            ),
+            (Content { turned_deg: &[(5, 2.9)], ..WHOLE }, "at least 3\u{b0} of each joint"),
+            (
+                Content { cycles: 990, cycles_valid: 990, ..WHOLE },
+                "it is 9.9 s long; `identify` needs at least 10 s",
+            ),
         ] {
             let told = told(&content);
             assert!(told.starts_with("CHECK: ") && told.contains(why), "{told}");
         }
+    }
+
+    #[test]
+    fn a_run_with_invalid_cycles_names_joint_reason_time_and_length() {
+        let flagged = |joint, reason: &str, first, cycles, periods| Flagged {
+            joint,
+            reason: reason.into(),
+            first,
+            cycles,
+            periods,
+        };
+        let flagged = [
+            flagged(Some(3), "signal too low", 6_500, 900, 2),
+            flagged(None, "bus down", 1_200, 1_100, 1),
+            flagged(Some(1), "no new sample", 5, 2, 1),
+            flagged(Some(2), "no new sample", 5, 1, 1),
+        ];
+        assert_eq!(
+            told(&Content { cycles_valid: 10_000, flagged: &flagged, ..WHOLE }),
+            "CHECK: 2000 of 12000 cycles are flagged (16.7 %): all joints bus down (11.0 s, first at 0:12), \
+             joint 3 signal too low (9.0 s in 2 periods, first at 1:05), joint 1 no new sample (0.0 s, first at 0:00), \
+             1 more causes"
+        );
+        let blind = told(&Content { cycles_valid: 0, flagged: &flagged[..1], ..WHOLE });
+        assert!(
+            blind.starts_with("BAD: none of the 12000 cycles is valid: joint 3 signal too low"),
+            "{blind}"
+        );
     }
 
     #[test]

@@ -1,17 +1,23 @@
 //! What people see of the service: the status from what it holds.
 
+use std::time::Duration;
+
 use shared::recording::schema::MAX_ENCODERS;
 use shared::time::MonoNs;
 
 use super::bus_link::{are_silent, silent_encoders};
 use super::homing::Homing;
 use super::machine::{Machine, State};
+use super::marks::Marks;
 use super::service::Settings;
 use super::status::{EncoderStatus, LastRun, Level, RunStatus, Status};
 use super::tending::Tending;
 use crate::clock::Clock;
 use crate::cycle::link_errors;
 use crate::run::{ActiveRun, BusChoice, Session, Storage, Warning};
+
+/// Name and version of the program, for status and files.
+pub const VERSION: &str = concat!("ballbard ", env!("CARGO_PKG_VERSION"));
 
 /// The service at one moment.
 pub(super) struct View<'a> {
@@ -21,6 +27,10 @@ pub(super) struct View<'a> {
     /// Of each encoder, in the last second.
     pub valid_shares: Option<[f64; MAX_ENCODERS]>,
     pub run: Option<&'a ActiveRun>,
+    /// How long it is to last.
+    pub duration: Option<Duration>,
+    /// Markers of the run.
+    pub marks: &'a Marks,
     pub homing: Option<&'a Homing>,
     pub last: Option<&'a LastRun>,
     pub runs_over: u64,
@@ -78,6 +88,7 @@ impl View<'_> {
             last: self.last.cloned(),
             runs_over: self.runs_over,
             homing: self.homing.map(|homing| homing.status().clone()),
+            version: VERSION.into(),
             bus: bus_name(&self.settings.bus),
             simulated: self.session.map_or(self.settings.bus == BusChoice::Simulated, Session::is_simulated),
             disk_usable_mb: self.storage.usable_bytes().map(|bytes| bytes / 1_000_000),
@@ -95,6 +106,10 @@ impl View<'_> {
         Some(RunStatus {
             name: name.to_owned(),
             started: run.started,
+            started_ms: run.started.0 / 1_000_000,
+            duration_s: self.duration.map(|duration| duration.as_secs_f64()),
+            marks: self.marks.latest(),
+            flagged: progress.flagged,
             file: progress.file.display().to_string(),
             cycles: progress.synced.cycles,
             cycles_valid: progress.synced.cycles_valid,

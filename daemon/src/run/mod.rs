@@ -17,7 +17,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use shared::config::{BallBarConfig, DaemonConfig, HomingConfig};
-use shared::recording::{Leftover, ReadError, Recovery, WriteError, recover_leftovers_on};
+use shared::recording::{Leftover, ReadError, Recovery, WriteError, recover_leftovers_on, run_name};
 
 pub use disk::Storage;
 pub use homing::ActiveHoming;
@@ -117,6 +117,12 @@ impl RunDetails {
 /// A run's name where nobody chose one: the date and time of this place.
 pub fn name_by_time() -> String {
     chrono::Local::now().format("%Y-%m-%d_%H-%M-%S").to_string()
+}
+
+/// The name of a run from what was typed: see [`run_name`].
+pub fn typed_name(typed: &str) -> Result<String, String> {
+    run_name(typed)
+        .ok_or_else(|| format!("run name {typed:?} has no letter or digit; type another, or leave it out"))
 }
 
 /// Longest name, note and so on \[bytes\].

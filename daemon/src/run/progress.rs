@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use shared::recording::schema::{CycleRecord, MAX_ENCODERS, flags};
-use shared::recording::{DiskTiming, RunPlace, TimingSummary};
+use shared::recording::{DiskTiming, Flagged, RunPlace, TimingSummary};
 use shared::time::MonoNs;
 
 use crate::bus::{DEVICES_MAX, PORTS};
@@ -58,6 +58,7 @@ struct OnDisk {
     lost: Option<String>,
     moved: Option<String>,
     timing: Option<TimingSummary>,
+    flagged: Vec<Flagged>,
 }
 
 /// What the disk does before a run has its file, and since when.
@@ -111,6 +112,8 @@ pub struct Snapshot {
     pub warnings: Vec<Warning>,
     /// How well the loop kept its time; none on virtual time.
     pub timing: Option<TimingSummary>,
+    /// The cycles that are written and not valid, by joint and reason.
+    pub flagged: Vec<Flagged>,
 }
 
 /// Something that is wrong with a run's disk.
@@ -143,6 +146,7 @@ impl Progress {
             lost: None,
             moved: None,
             timing: None,
+            flagged: Vec::new(),
         };
         Self { handed, limits, disk: Mutex::new(disk) }
     }
@@ -202,6 +206,11 @@ impl Progress {
     /// How well the loop kept its time so far.
     pub fn set_timing(&self, timing: Option<TimingSummary>) {
         self.disk().timing = timing;
+    }
+
+    /// Which of the cycles that are written are not valid.
+    pub fn set_flagged(&self, flagged: Vec<Flagged>) {
+        self.disk().flagged = flagged;
     }
 
     /// How long the disk kept the recorder waiting so far.
@@ -266,6 +275,7 @@ impl Progress {
             file: disk.place.as_ref().map(|place| place.path().to_owned()).unwrap_or_default(),
             warnings: Vec::new(),
             timing: disk.timing.clone(),
+            flagged: disk.flagged.clone(),
         };
         snapshot.warnings = snapshot.find_warnings(&self.limits, &disk);
         snapshot

@@ -59,11 +59,14 @@ BODIES = {
     "/api/stop": {"cause": "enough"},
     "/api/home": {},
     "/api/note": {"name": "described", "note": "B"},
+    "/api/name": {"name": "", "robot": "IRB 2400", "bar": "short"},
     "/api/delete": {"name": "described"},
+    "/api/restore": {"name": "described"},
+    "/api/bin/empty": {},
 }
 # A run is begun before what is said of it is asked for, and deleted last.
 ORDER = ["/api/start", "/api/mark", "/api/status", "/api/live", "/api/stop"]
-LAST = ["/api/home", "/api/delete"]
+LAST = ["/api/home", "/api/delete", "/api/restore", "/api/bin/empty"]
 paths = [path for path in document["paths"] if path not in ORDER + LAST]
 for path in ORDER + paths + LAST:
     for method, operation in strict["paths"][path].items():

@@ -3,10 +3,10 @@
 use std::time::Duration;
 
 use ballbard::control::runs::RunLine;
-use ballbard::control::status::CheckLine;
+use ballbard::control::status::{CheckLine, Status};
 use serde_json::json;
-use shared::recording::Recording;
 use shared::recording::schema::EventKind;
+use shared::recording::{Recording, RunMark};
 
 use super::rig::{Running, agent, text};
 use crate::support::ballbard;
@@ -166,6 +166,94 @@ fn a_note_is_changed_after_the_run_and_the_recorded_file_is_not() {
     assert_eq!(listed(), "another");
     std::fs::write(&beside, "torn").unwrap();
     assert!(listed().starts_with("another (a later note cannot be read"), "{}", listed());
+}
+
+#[test]
+fn a_deleted_run_lies_in_the_bin_until_it_is_restored_or_the_bin_is_emptied() {
+    let service = Running::start();
+    service.wait_for("waiting");
+    let record = |note: &str| {
+        service.granted("start", &json!({"name": "one", "note": note}));
+        service.wait_for("writing");
+        service.granted("stop", &json!({}));
+    };
+    let names = |path: &str| {
+        let lines = service.get::<Vec<RunLine>>(path).into_iter();
+        lines.map(|line| (line.name, line.note)).collect::<Vec<_>>()
+    };
+    let named = |name: &str, note: &str| (name.to_owned(), note.to_owned());
+    record("first");
+    service.granted("note", &json!({"name": "one", "note": "changed"}));
+    let deleted = service.command(&["delete", "one"]);
+    assert!(text(&deleted).contains("ballbard restore one"), "{}", text(&deleted));
+    assert_eq!((names("runs"), names("bin")), (vec![], vec![named("one", "changed")]));
+    assert_eq!(service.post("delete", &json!({"name": "one"})).0, 404);
+    // Another run gets the name, and goes the same way.
+    record("second");
+    service.granted("delete", &json!({"name": "one"}));
+    assert_eq!(names("bin"), [named("one-2", "second"), named("one", "changed")]);
+    let listed = text(&service.command(&["bin"]));
+    assert!(listed.contains("one-2") && listed.contains("changed"), "{listed}");
+    let restored = service.command(&["restore", "one"]);
+    assert!(restored.status.success(), "{}", text(&restored));
+    assert_eq!(names("runs"), [named("one", "changed")]);
+    assert_eq!(service.recording("one").run.note, "first");
+    for name in ["one", "../one-2", ""] {
+        assert_eq!(service.post("restore", &json!({"name": name})).0, 404, "{name}");
+    }
+    let emptied = service.granted("bin/empty", &json!({}));
+    assert_eq!((emptied.answer.as_str(), emptied.removed), ("emptied", Some(1)));
+    assert_eq!((names("runs"), names("bin")), (vec![named("one", "changed")], vec![]));
+    assert_eq!(std::fs::read_dir(service.directory.path().join(".bin")).unwrap().count(), 0);
+    assert!(text(&service.command(&["bin", "--empty"])).contains("0 recordings removed"));
+}
+
+#[test]
+fn marks_are_numbered_by_the_service_and_stand_in_status_list_and_file() {
+    let service = Running::start();
+    service.wait_for("waiting");
+    let reason = json!({"name": "one", "reason": "the clock is known to be off"});
+    service.granted("start", &reason);
+    service.wait_for("writing");
+    // Whoever asks, page or command: one counts on from the other.
+    assert_eq!(service.granted("mark", &json!({})).mark.as_deref(), Some("mark 1"));
+    assert!(text(&service.command(&["mark"])).contains("mark 2"));
+    assert_eq!(service.granted("mark", &json!({"text": "here"})).mark.as_deref(), Some("here"));
+    assert_eq!(service.granted("mark", &json!({"ago_ms": 0})).mark.as_deref(), Some("mark 3"));
+    let texts = |marks: &[RunMark]| marks.iter().map(|mark| mark.text.clone()).collect::<Vec<_>>();
+    let run = service.get::<Status>("status").run.unwrap();
+    let told = texts(&run.marks);
+    assert!(told[0].contains("reason: the clock is known to be off"), "{told:?}");
+    assert_eq!(told[1..], ["mark 1", "mark 2", "here", "mark 3"]);
+    assert_eq!(run.started_ms, run.started.0 / 1_000_000);
+    let last = service.granted("stop", &json!({})).last.unwrap();
+    assert!(last.next.unwrap().contains("--robot-log one.csv "));
+    let line = service.get::<Vec<RunLine>>("runs").remove(0);
+    assert_eq!((texts(&line.marks), line.started_ms), (told, Some(run.started_ms)));
+    assert!(line.marks.iter().zip(&run.marks).all(|(one, other)| (one.at_s - other.at_s).abs() < 0.5));
+    let listed = text(&service.command(&["runs"]));
+    assert!(listed.contains("the clock is known to be off") && listed.contains("[4 marks]"), "{listed}");
+    service.granted("start", &json!({"name": "two"}));
+    service.wait_for("writing");
+    assert_eq!(
+        service.granted("mark", &json!({})).mark.as_deref(),
+        Some("mark 1"),
+        "numbered from one in each run"
+    );
+}
+
+#[test]
+fn a_run_that_is_cut_off_or_too_short_says_so_in_the_list() {
+    let mut service = Running::start();
+    service.wait_for("waiting");
+    service.granted("start", &json!({"name": "cut"}));
+    service.wait_for("writing");
+    service.signal(nix::sys::signal::Signal::SIGTERM);
+    assert!(service.ended(std::time::Duration::from_secs(10)).success());
+    let mut list = Command::new(env!("CARGO_BIN_EXE_ballbard"));
+    let listed = text(&list.arg("runs").arg(service.directory.path()).output().unwrap());
+    assert!(listed.contains("stopped by SIGTERM") && listed.contains("CHECK"), "{listed}");
+    assert!(listed.contains("`identify` needs at least 10 s"), "{listed}");
 }
 
 #[test]

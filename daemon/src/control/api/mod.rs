@@ -5,6 +5,7 @@
 //! name a loopback host (no rebinding of names), come from no foreign origin, and carry JSON (no plain forms). Whoever
 //! comes from elsewhere shows the token ([`remote`]).
 
+mod bin;
 mod connections;
 mod downloads;
 mod foxglove;
@@ -42,8 +43,9 @@ use super::note;
 use super::runs::{self, Curves, RunLine};
 use super::service::{LIST_WITHIN, Service};
 use super::status::{
-    CheckLine, DeleteRequest, HomeRequest, HomingStatus, LastRun, MarkRequest, NoteRequest, Refusal, Reply,
-    StartRequest, Status, StopRequest,
+    CheckLine, DeleteRequest, EmptyBinRequest, HomeRequest, HomingStatus, IN_SPITE_OF, LastRun, MarkRequest,
+    NameReply, NameRequest, NoteRequest, Refusal, Reply, StartRequest, Status,
+    StopRequest,
 };
 use super::verdict::Verdict;
 use crate::commands::{Layout, write_csv};
@@ -185,7 +187,32 @@ fn operations() -> Vec<(Operation, MethodRouter<Shared>)> {
             ),
             post(change_note),
         ),
-        (Operation::post::<DeleteRequest, Reply>("/delete", "Deletes a finished recording."), post(delete)),
+        (
+            Operation::post::<NameRequest, NameReply>(
+                "/name",
+                "How a run would be called that is begun with this name, and whether it can; changes nothing.",
+            ),
+            post(name),
+        ),
+        (
+            Operation::post::<DeleteRequest, Reply>("/delete", "Moves a finished recording into the bin."),
+            post(bin::delete),
+        ),
+        (Operation::get::<Vec<RunLine>>("/bin", "Recordings in the bin, the latest first."), get(bin::list)),
+        (
+            Operation::post::<DeleteRequest, Reply>(
+                "/restore",
+                "Moves a recording from the bin to the others; answered with the name that it has there.",
+            ),
+            post(bin::restore),
+        ),
+        (
+            Operation::post::<EmptyBinRequest, Reply>(
+                "/bin/empty",
+                "Removes every recording in the bin from the disk.",
+            ),
+            post(bin::empty),
+        ),
     ]
 }
 
@@ -357,14 +384,6 @@ async fn curves(
     Ok(downloads.send(&what, move |sink| Ok(serde_json::to_writer(sink, &runs::curves(&*disk, &file)?)?)))
 }
 
-async fn delete(State(service): State<Service>, body: Body<DeleteRequest>) -> Result<Response, Response> {
-    let DeleteRequest { name } = body.map_err(|rejection| rejected(&rejection))?.0;
-    let (file, name) = found(&service, Ok(extract::Path(name))).await?;
-    tracing::warn!(file = %file.display(), "recording deleted, as somebody asked");
-    on_disk(&service, move |disk| disk.remove(&file).and_then(|()| note::remove(disk, &file))).await?;
-    Ok(reply("deleted", Some(name), None))
-}
-
 async fn change_note(State(service): State<Service>, body: Body<NoteRequest>) -> Result<Response, Response> {
     let NoteRequest { name, note } = body.map_err(|rejection| rejected(&rejection))?.0;
     check_text(&note).map_err(|problem| refusal(StatusCode::UNPROCESSABLE_ENTITY, problem))?;
@@ -377,6 +396,16 @@ async fn change_note(State(service): State<Service>, body: Body<NoteRequest>) ->
 async fn stopping(service: &Service) -> Result<Vec<CheckLine>, Refusal> {
     let lines = service.check().await?;
     Ok(lines.into_iter().filter(|line| line.stops).collect())
+}
+
+async fn name(State(service): State<Service>, body: Body<NameRequest>) -> Response {
+    match body {
+        Ok(Json(request)) => match service.name(request).await {
+            Some(reply) => Json(reply).into_response(),
+            None => refusal(StatusCode::GATEWAY_TIMEOUT, "the disk does not answer; ask for the status"),
+        },
+        Err(rejection) => rejected(&rejection),
+    }
 }
 
 async fn start(State(service): State<Service>, body: Body<StartRequest>) -> Response {
@@ -413,7 +442,7 @@ async fn start(State(service): State<Service>, body: Body<StartRequest>) -> Resp
         let answer = begins.begin(request).await;
         if let (Ok(Answer::Beginning), Some(reason)) = (&answer, reason) {
             let told = if told.is_empty() { "nothing that stops a run" } else { &told };
-            let _ = begins.mark(format!("begun in spite of: {told}; reason: {reason}"), 0).await;
+            let _ = begins.mark(Some(format!("{IN_SPITE_OF}: {told}; reason: {reason}")), 0).await;
         }
         answer
     });
@@ -503,11 +532,14 @@ async fn mark(State(service): State<Service>, body: Body<MarkRequest>) -> Respon
     } else {
         Ok(())
     };
-    if let Err(problem) = some_text(&text).and(when) {
+    if let Err(problem) = text.as_deref().map_or(Ok(()), some_text).and(when) {
         return refusal(StatusCode::UNPROCESSABLE_ENTITY, problem);
     }
     match service.mark(text, ago_ms).await {
-        Ok(Some(run)) => reply("marked", Some(run), None),
+        Ok(Some((run, text))) => {
+            let (answer, run, mark) = ("marked".into(), Some(run), Some(text));
+            Json(Reply { answer, run, mark, ..Reply::default() }).into_response()
+        }
         Ok(None) => refusal(StatusCode::CONFLICT, "no run goes on, so there is nothing to mark"),
         Err(Refusal { error }) => refusal(StatusCode::SERVICE_UNAVAILABLE, &error),
     }

@@ -1,0 +1,59 @@
+//! Deleted recordings: into the bin, out of it, and gone.
+
+use axum::Json;
+use axum::extract::{self, State};
+use axum::http::StatusCode;
+use axum::response::{IntoResponse, Response};
+
+use super::{Body, found, on_disk, places, refusal, rejected, reply};
+use crate::control::bin::{self, Places};
+use crate::control::runs::RunLine;
+use crate::control::service::Service;
+use crate::control::status::{DeleteRequest, EmptyBinRequest, Reply};
+
+fn bins(service: &Service) -> Places {
+    let (directory, spare) = places(service);
+    Places::new(&directory, &spare)
+}
+
+pub(super) async fn list(State(service): State<Service>) -> Result<Json<Vec<RunLine>>, Response> {
+    let bins = bins(&service);
+    on_disk(&service, move |disk| bins.list(disk)).await.map(Json)
+}
+
+pub(super) async fn delete(
+    State(service): State<Service>,
+    body: Body<DeleteRequest>,
+) -> Result<Response, Response> {
+    let DeleteRequest { name } = body.map_err(|rejection| rejected(&rejection))?.0;
+    let (file, _) = found(&service, Ok(extract::Path(name))).await?;
+    tracing::warn!(file = %file.display(), "recording moved into the bin on request");
+    let name = on_disk(&service, move |disk| bin::put(disk, &file)).await?;
+    Ok(reply("deleted", Some(name), None))
+}
+
+pub(super) async fn restore(
+    State(service): State<Service>,
+    body: Body<DeleteRequest>,
+) -> Result<Response, Response> {
+    let DeleteRequest { name } = body.map_err(|rejection| rejected(&rejection))?.0;
+    let bins = bins(&service);
+    match on_disk(&service, move |disk| bins.restore(disk, &name)).await? {
+        Some(name) => Ok(reply("restored", Some(name), None)),
+        None => Err(refusal(
+            StatusCode::NOT_FOUND,
+            "no recording of that name is in the bin; `ballbard bin` lists those that are",
+        )),
+    }
+}
+
+pub(super) async fn empty(
+    State(service): State<Service>,
+    body: Body<EmptyBinRequest>,
+) -> Result<Response, Response> {
+    body.map_err(|rejection| rejected(&rejection))?;
+    let bins = bins(&service);
+    let removed = on_disk(&service, move |disk| bins.empty(disk)).await?;
+    tracing::warn!(removed, "bin emptied on request");
+    Ok(Json(Reply { answer: "emptied".into(), removed: Some(removed), ..Reply::default() }).into_response())
+}

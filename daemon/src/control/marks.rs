@@ -1,0 +1,42 @@
+//! The markers of the current run, numbered in one place for all pages and commands.
+
+use shared::recording::RunMark;
+use shared::time::MonoNs;
+
+/// Markers that a status shows; the file has all.
+const SHOWN_MAX: usize = 50;
+
+/// Markers of one run.
+#[derive(Debug, Default)]
+pub(super) struct Marks {
+    begun: MonoNs,
+    /// Number of markers without a text of their own.
+    numbered: u32,
+    latest: Vec<RunMark>,
+}
+
+impl Marks {
+    /// Of a run that begins now.
+    pub fn new(begun: MonoNs) -> Self {
+        Self { begun, ..Self::default() }
+    }
+
+    /// The text that the next marker gets.
+    pub fn text(&self, text: Option<String>) -> String {
+        text.unwrap_or_else(|| format!("mark {}", self.numbered + 1))
+    }
+
+    /// A marker that was put into the run.
+    pub fn add(&mut self, at: MonoNs, text: String, is_numbered: bool) {
+        self.numbered += u32::from(is_numbered);
+        if self.latest.len() == SHOWN_MAX {
+            self.latest.remove(0);
+        }
+        self.latest.push(RunMark { at_s: at.seconds_since(self.begun).max(0.0), text });
+    }
+
+    /// The latest ones, in the order in which they were set.
+    pub fn latest(&self) -> Vec<RunMark> {
+        self.latest.clone()
+    }
+}
