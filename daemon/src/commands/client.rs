@@ -1,12 +1,14 @@
 //! Commands that ask a running service: `start`, `stop`, `status`, `mark`, `note`, `check`, `runs`, `delete`, `restore`, `bin`.
 
 use std::fmt::Write as _;
-use std::io::Read;
+use std::io::{IsTerminal, Read};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
 use clap::Args;
+use qrcode::QrCode;
+use qrcode::render::unicode::Dense1x2;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use shared::config::DaemonConfig;
@@ -20,7 +22,7 @@ use super::elsewhere::ElsewhereArguments;
 use crate::control::runs::{self, RunLine};
 use crate::control::status::{
     CheckLine, DeleteRequest, EmptyBinRequest, IN_SPITE_OF, LastRun, Level, MarkRequest, NoteRequest,
-    Refusal, Reply, RunStatus, StartRequest, Status, StopRequest,
+    PairReply, PairRequest, PairingLink, Refusal, Reply, RunStatus, StartRequest, Status, StopRequest,
 };
 use crate::control::verdict::{Verdict, clock_time};
 use crate::run::About;
@@ -182,6 +184,27 @@ pub fn restore(arguments: NameArguments) -> anyhow::Result<()> {
         return Ok(());
     }
     Ok(say(format_args!("`{}` is among the recordings again", reply.run.unwrap_or_default()))?)
+}
+
+/// Prints a QR code that lets a phone in.
+pub fn pair(arguments: &AskArguments) -> anyhow::Result<()> {
+    let reply: PairReply = arguments.service.post("pair", &PairRequest {})?;
+    if arguments.service.format.prints(&reply)? {
+        return Ok(());
+    }
+    // On a terminal in black and white, whatever its own colours are.
+    let [begin, end] = if std::io::stdout().is_terminal() { ["\x1b[97;40m", "\x1b[0m"] } else { ["", ""] };
+    for PairingLink { url, .. } in &reply.links {
+        let code = QrCode::new(url).context("no QR code can be made")?;
+        let code = code.render::<Dense1x2>().dark_color(Dense1x2::Light).light_color(Dense1x2::Dark).build();
+        code.lines().try_for_each(|line| say(format_args!("{begin}{line}{end}")))?;
+        say(url)?;
+    }
+    let PairReply { valid_s, fingerprint, .. } = &reply;
+    Ok(say(format_args!(
+        "point the phone's camera at it; it works once, within {} minutes\nSHA-256 of the certificate: {fingerprint}",
+        valid_s / 60
+    ))?)
 }
 
 pub fn bin(arguments: &BinArguments) -> anyhow::Result<()> {

@@ -63,6 +63,8 @@ enum Command {
     Restore(client::NameArguments),
     /// List the recordings in the bin, or remove all of them.
     Bin(client::BinArguments),
+    /// Show a QR code with which a phone opens the service's page without typing the token.
+    Pair(client::AskArguments),
     /// Record one run and exit.
     Record(record::RecordArguments),
     /// Find the encoders' reference marks and check their order and direction, joint by joint.
@@ -93,6 +95,7 @@ pub fn run(arguments: Arguments) -> anyhow::Result<()> {
         Command::Delete(arguments) => client::delete(arguments),
         Command::Restore(arguments) => client::restore(arguments),
         Command::Bin(arguments) => client::bin(&arguments),
+        Command::Pair(arguments) => client::pair(&arguments),
         Command::Record(arguments) => record::run(&arguments),
         Command::Home(arguments) => home::run(arguments),
         Command::Tune(arguments) => tune::run(&arguments),

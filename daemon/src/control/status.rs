@@ -346,6 +346,33 @@ pub struct NameReply {
     pub problem: Option<String>,
 }
 
+/// Body of `pair`, without content.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PairRequest {}
+
+/// Links that let a phone in without typing the token.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct PairReply {
+    /// One for each address of this machine, all with the same code, which works once.
+    pub links: Vec<PairingLink>,
+    /// How long the code is valid \[s\].
+    pub valid_s: u64,
+    /// SHA-256 of the certificate that the phone is shown.
+    pub fingerprint: String,
+}
+
+/// A link with a code in the place of the token.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct PairingLink {
+    /// The address without the code, for people.
+    pub address: String,
+    /// The link with its code.
+    pub url: String,
+    /// The link as a QR code, SVG.
+    pub svg: String,
+}
+
 /// What became of a request.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Reply {

@@ -60,6 +60,7 @@ BODIES = {
     "/api/home": {},
     "/api/note": {"name": "described", "note": "B"},
     "/api/name": {"name": "", "robot": "IRB 2400", "bar": "short"},
+    "/api/pair": {},
     "/api/delete": {"name": "described"},
     "/api/restore": {"name": "described"},
     "/api/bin/empty": {},

@@ -53,6 +53,18 @@ own = f"https://ballbard:{port}"
 status, _, said = asked("/api/stop", "POST", "{}", Cookie=cookie.split(";")[0], Origin=own, Content_Type="application/json")
 assert status == 200, said
 
+# By the code of a phone, which works once and nowhere but on the page.
+status, _, said = asked("/api/pair", "POST", "{}", Authorization=bearer, Content_Type="application/json")
+pairing = json.loads(said)
+assert status == 200 and pairing["fingerprint"] in words and "<svg" in pairing["links"][0]["svg"], said
+link = pairing["links"][0]["url"]
+assert link.startswith(f"https://127.0.0.1:{port}/?pair=") and token not in said, said
+code = link.split("=")[1]
+assert asked(f"/api/status?pair={code}")[0] == 401 and asked(f"/?pair={code[1:]}")[0] == 401
+status, headers, _ = asked(f"/?pair={code}")
+assert status == 200 and headers["Set-Cookie"] == cookie and headers["Refresh"] == "0; url=/", headers
+assert asked(f"/?pair={code}")[0] == 401
+
 # As the description says.
 document = json.loads(asked("/api/openapi.json", Authorization=bearer)[2])
 schemes = document["components"]["securitySchemes"]
@@ -64,7 +76,8 @@ assert (browser["type"], browser["in"]) == ("apiKey", "cookie") and cookie.start
 
 # None: neither the page nor a file of it nor anything that is asked for or done.
 for method, path in [("GET", "/api/status"), ("GET", "/api/events"), ("GET", "/metrics"), ("GET", "/app.js"),
-                     ("GET", "/api/runs/x/mcap"), ("POST", "/api/start"), ("POST", "/api/delete"), ("GET", "/nowhere")]:
+                     ("GET", "/api/runs/x/mcap"), ("POST", "/api/start"), ("POST", "/api/delete"), ("POST", "/api/pair"),
+                     ("GET", "/nowhere")]:
     status, headers, said = asked(path, method, "{}" if method == "POST" else None, Content_Type="application/json")
     assert status == 401 and headers["WWW-Authenticate"] == "Bearer", (path, status)
     assert "missing" in said and "Bearer TOKEN" in said, said

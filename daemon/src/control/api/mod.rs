@@ -11,6 +11,7 @@ mod downloads;
 mod foxglove;
 mod metrics;
 mod openapi;
+mod pairing;
 mod remote;
 
 use std::convert::Infallible;
@@ -35,6 +36,7 @@ use tokio::sync::Semaphore;
 use self::connections::Connections;
 use self::downloads::{Download, Downloads};
 use self::openapi::Operation;
+use self::pairing::Pairing;
 pub use self::remote::{Fingerprint, Remote, RemoteError, RemoteSettings, token_in};
 use self::remote::{Gate, OverTls};
 use super::live::Live;
@@ -44,7 +46,7 @@ use super::runs::{self, Curves, RunLine};
 use super::service::{LIST_WITHIN, Service};
 use super::status::{
     CheckLine, DeleteRequest, EmptyBinRequest, HomeRequest, HomingStatus, IN_SPITE_OF, LastRun, MarkRequest,
-    NameReply, NameRequest, NoteRequest, Refusal, Reply, StartRequest, Status,
+    NameReply, NameRequest, NoteRequest, PairReply, PairRequest, Refusal, Reply, StartRequest, Status,
     StopRequest,
 };
 use super::verdict::Verdict;
@@ -73,9 +75,10 @@ pub async fn serve(
     end: impl Future<Output = ()>,
 ) {
     let words = remote.as_ref().map(|remote| remote.words().to_owned());
+    let pairing = remote.as_ref().and_then(Remote::pairing);
     let (gate, door) = remote.map(Remote::into_parts).unzip();
     let door = door.flatten();
-    let mut connections = Connections::new(routes(service, gate, words));
+    let mut connections = Connections::new(routes(service, gate, words, pairing));
     tokio::pin!(end);
     loop {
         let from_elsewhere = async {
@@ -112,6 +115,7 @@ struct Shared {
     foxgloves: Arc<Semaphore>,
     /// How other machines reach the service.
     remote: Option<String>,
+    pairing: Option<Pairing>,
 }
 
 impl FromRef<Shared> for Service {
@@ -198,6 +202,13 @@ fn operations() -> Vec<(Operation, MethodRouter<Shared>)> {
             Operation::post::<DeleteRequest, Reply>("/delete", "Moves a finished recording into the bin."),
             post(bin::delete),
         ),
+        (
+            Operation::post::<PairRequest, PairReply>(
+                "/pair",
+                "A link and QR code that let a phone in without the token; they work once.",
+            ),
+            post(pairing::pair),
+        ),
         (Operation::get::<Vec<RunLine>>("/bin", "Recordings in the bin, the latest first."), get(bin::list)),
         (
             Operation::post::<DeleteRequest, Reply>(
@@ -218,15 +229,15 @@ fn operations() -> Vec<(Operation, MethodRouter<Shared>)> {
 
 /// All routes, for programs of this machine.
 pub fn router(service: Service) -> Router {
-    routes(service, None, None)
+    routes(service, None, None, None)
 }
 
-fn routes(service: Service, gate: Option<Gate>, remote: Option<String>) -> Router {
+fn routes(service: Service, gate: Option<Gate>, remote: Option<String>, pairing: Option<Pairing>) -> Router {
     let viewers = Arc::new(Semaphore::new(VIEWERS_MAX));
     let foxgloves = Arc::new(Semaphore::new(foxglove::CLIENTS_MAX));
     let origins = service.settings().live_tap.as_ref().map_or_else(Vec::new, |tap| tap.origins().to_vec());
     let admission = Arc::new(Admission { gate, origins });
-    let shared = Shared { service, downloads: Downloads::default(), viewers, foxgloves, remote };
+    let shared = Shared { service, downloads: Downloads::default(), viewers, foxgloves, remote, pairing };
     let operations = operations();
     let (described, handlers): (Vec<_>, Vec<_>) = operations.into_iter().unzip();
     let document = openapi::document(&described);

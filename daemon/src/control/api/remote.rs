@@ -26,6 +26,7 @@ use tokio_rustls::rustls::pki_types::pem::PemObject;
 use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer, pem};
 use tokio_rustls::rustls::{self, ServerConfig};
 
+use super::pairing::Pairing;
 use super::refusal;
 
 /// Where the token is, in the state directory.
@@ -103,7 +104,8 @@ impl Remote {
     pub async fn open(settings: RemoteSettings, state: &Path) -> Result<Self, RemoteError> {
         let RemoteSettings { listen, certificate, proxy_host } = settings;
         let token_file = state.join(TOKEN_FILE);
-        let gate = Gate { token: token(&token_file)?, proxy_host, wrong: Mutex::default() };
+        let mut gate =
+            Gate { token: token(&token_file)?, proxy_host, pairing: None, wrong: Mutex::default() };
         let mut words = Vec::new();
         let door = match listen {
             Some(address) => {
@@ -112,6 +114,7 @@ impl Remote {
                 let address = listener.local_addr().map_err(refused)?;
                 let (acceptor, fingerprint) = tls(certificate, state)?;
                 words.push(format!("https://{address}, certificate SHA-256 {fingerprint}"));
+                gate.pairing = Some(Pairing::new(address, fingerprint));
                 Some(Door { listener, acceptor })
             }
             None => None,
@@ -126,6 +129,11 @@ impl Remote {
         &self.words
     }
 
+    /// Codes for phones, if the service listens for other machines.
+    pub(super) fn pairing(&self) -> Option<Pairing> {
+        self.gate.pairing.clone()
+    }
+
     pub(super) fn into_parts(self) -> (Gate, Option<Door>) {
         (self.gate, self.door)
     }
@@ -135,6 +143,7 @@ impl Remote {
 pub(super) struct Gate {
     token: String,
     proxy_host: Option<String>,
+    pairing: Option<Pairing>,
     /// When the latest wrong tokens came.
     wrong: Mutex<Vec<Instant>>,
 }
@@ -159,7 +168,12 @@ impl Gate {
             ));
         }
         let asks_for_page = request.method() == Method::GET && request.uri().path() == "/";
-        let typed = asks_for_page.then(|| typed_token(request.uri().query().unwrap_or_default())).flatten();
+        let query = request.uri().query().unwrap_or_default();
+        let code = query.split('&').find_map(|pair| pair.strip_prefix("pair=")).filter(|_| asks_for_page);
+        if code.zip(self.pairing.as_ref()).is_some_and(|(code, pairing)| pairing.redeem(code)) {
+            return Some(self.welcome());
+        }
+        let typed = asks_for_page.then(|| typed_token(query)).flatten();
         match typed.or_else(|| sent_token(headers)) {
             Some(token) if bool::from(token.as_bytes().ct_eq(self.token.as_bytes())) => {
                 typed.map(|_| self.welcome())
@@ -352,7 +366,7 @@ fn private(file: &Path, text: &str) -> io::Result<()> {
     fs::rename(&begun, file)
 }
 
-fn hex(bytes: &[u8], between: &str) -> String {
+pub(super) fn hex(bytes: &[u8], between: &str) -> String {
     let digits: Vec<_> = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
     digits.join(between)
 }

@@ -1,0 +1,138 @@
+//! Pairs a phone: a QR code leads to the page with a code that works once, in place of the token.
+
+use std::net::{IpAddr, SocketAddr};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use axum::Json;
+use axum::extract::State;
+use axum::http::StatusCode;
+use axum::response::Response;
+use nix::ifaddrs::getifaddrs;
+use nix::net::if_::InterfaceFlags;
+use nix::sys::socket::SockaddrStorage;
+use qrcode::QrCode;
+use qrcode::render::svg;
+use rand::Rng;
+use subtle::ConstantTimeEq;
+
+use super::remote::{Fingerprint, hex};
+use super::{Body, Shared, refusal, rejected};
+use crate::control::status::{PairReply, PairRequest, PairingLink};
+
+/// Time to take a phone out and to accept its warning of the certificate.
+const VALID: Duration = Duration::from_secs(300);
+/// Codes that wait at a time; the oldest goes.
+const CODES_MAX: usize = 8;
+/// Length of a code: too long to be guessed while it is valid.
+const CODE_BYTES: usize = 16;
+
+/// Gives codes and takes them back. Clones share them.
+#[derive(Debug, Clone)]
+pub(super) struct Pairing(Arc<Inner>);
+
+#[derive(Debug)]
+struct Inner {
+    address: SocketAddr,
+    fingerprint: Fingerprint,
+    codes: Mutex<Vec<(String, Instant)>>,
+}
+
+impl Pairing {
+    /// For clients of this address, where a certificate with this fingerprint is shown.
+    pub fn new(address: SocketAddr, fingerprint: Fingerprint) -> Self {
+        Self(Arc::new(Inner { address, fingerprint, codes: Mutex::default() }))
+    }
+
+    /// A code that is valid from now on.
+    fn code(&self) -> String {
+        let bytes: [u8; CODE_BYTES] = rand::rng().random();
+        let code = hex(&bytes, "");
+        let mut codes = self.0.codes.lock().unwrap_or_else(PoisonError::into_inner);
+        codes.retain(|(_, begun)| begun.elapsed() < VALID);
+        if codes.len() >= CODES_MAX {
+            codes.remove(0);
+        }
+        codes.push((code.clone(), Instant::now()));
+        code
+    }
+
+    /// Whether a code is valid; it is not any more then.
+    pub fn redeem(&self, code: &str) -> bool {
+        let mut codes = self.0.codes.lock().unwrap_or_else(PoisonError::into_inner);
+        codes.retain(|(_, begun)| begun.elapsed() < VALID);
+        let known = codes.iter().position(|(other, _)| bool::from(other.as_bytes().ct_eq(code.as_bytes())));
+        known.map(|index| codes.remove(index)).is_some()
+    }
+
+    /// Where phones reach the service: the address that it listens on, or those of this machine where it listens on all.
+    fn addresses(&self) -> Vec<SocketAddr> {
+        if !self.0.address.ip().is_unspecified() {
+            return vec![self.0.address];
+        }
+        let port = self.0.address.port();
+        of_this_machine().into_iter().map(|ip| SocketAddr::new(ip, port)).collect()
+    }
+
+    fn reply(&self) -> Result<PairReply, String> {
+        let addresses = self.addresses();
+        if addresses.is_empty() {
+            return Err("this machine has no network address; connect it to the network of the phone".into());
+        }
+        let code = self.code();
+        let link = |address: &SocketAddr| {
+            let url = format!("https://{address}/?pair={code}");
+            let svg = QrCode::new(&url).map_err(|error| format!("no QR code can be made: {error}"))?;
+            let svg = svg.render::<svg::Color<'_>>().min_dimensions(240, 240).build();
+            Ok::<_, String>(PairingLink { address: format!("https://{address}"), url, svg })
+        };
+        let links = addresses.iter().map(link).collect::<Result<_, _>>()?;
+        let fingerprint = self.0.fingerprint.to_string();
+        Ok(PairReply { links, valid_s: VALID.as_secs(), fingerprint })
+    }
+}
+
+/// IPv4 addresses of the interfaces that are up, without loopback.
+fn of_this_machine() -> Vec<IpAddr> {
+    let Ok(interfaces) = getifaddrs() else { return Vec::new() };
+    let is_up = |flags: InterfaceFlags| {
+        flags.contains(InterfaceFlags::IFF_UP) && !flags.contains(InterfaceFlags::IFF_LOOPBACK)
+    };
+    let address = |address: SockaddrStorage| address.as_sockaddr_in().map(|known| IpAddr::V4(known.ip()));
+    interfaces
+        .filter(|interface| is_up(interface.flags))
+        .filter_map(|interface| interface.address.and_then(address))
+        .collect()
+}
+
+pub(super) async fn pair(
+    State(Shared { pairing, .. }): State<Shared>,
+    body: Body<PairRequest>,
+) -> Result<Json<PairReply>, Response> {
+    body.map_err(|rejection| rejected(&rejection))?;
+    let Some(pairing) = pairing else {
+        return Err(refusal(
+            StatusCode::CONFLICT,
+            "no phone reaches this service; start it with `--listen ADDRESS:PORT`, such as --listen 0.0.0.0:7312",
+        ));
+    };
+    pairing.reply().map(Json).map_err(|error| refusal(StatusCode::CONFLICT, &error))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_code_is_redeemed_once_and_only_the_latest_are_kept() {
+        let pairing = Pairing::new(([127, 0, 0, 1], 7312).into(), Fingerprint::of(b"certificate"));
+        let PairReply { links, .. } = pairing.reply().unwrap();
+        let [PairingLink { address, url, svg }] = &links[..] else { panic!("{links:?}") };
+        let code = url.strip_prefix("https://127.0.0.1:7312/?pair=").unwrap();
+        assert!(address == "https://127.0.0.1:7312" && svg.contains("<svg"), "{links:?}");
+        assert!(!pairing.redeem("") && !pairing.redeem(&code[1..]));
+        assert!(pairing.redeem(code) && !pairing.redeem(code));
+        let codes: Vec<_> = (0..=CODES_MAX).map(|_| pairing.code()).collect();
+        assert!(!pairing.redeem(&codes[0]) && codes[1..].iter().all(|code| pairing.redeem(code)));
+    }
+}
