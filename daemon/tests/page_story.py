@@ -191,18 +191,60 @@ def live_values(page):
 NOTE = "<img src=x onerror=window.hacked=1>\nsecond line"
 
 
+def focused(page):
+    return page.run("document.activeElement.id")
+
+
+def names(page):
+    """The name of the file is shown at its field before the run begins."""
+    page.type("#run-form [name=name]", "Montag 1/ä")
+    page.wait("document.getElementById('name-hint').textContent === 'is saved as Montag-1-ä'", "the name of the file")
+    page.type("#run-form [name=name]", "???")
+    page.wait("document.querySelector('[name=name]').getAttribute('aria-invalid') === 'true'", "a name that is none")
+    assert "no letter or digit" in page.shown("#name-hint")
+    page.click("#begin")
+    page.wait("document.activeElement.name === 'name'", "the field that is wrong")
+    assert page.shown("#word") == "READY" and page.shown("#said") == ""
+    page.run("(field => { field.value = ''; field.dispatchEvent(new Event('input')); })(document.querySelector('[name=name]'))")
+    page.wait("document.getElementById('name-hint').textContent === ''", "a name without a problem")
+    # Enter in a field begins nothing.
+    for field in ["operator", "name", "minutes"]:
+        page.run(f"document.querySelector('#run-form [name={field}]').focus()")
+        page.key("Enter")
+    time.sleep(1)
+    assert page.shown("#word") == "READY"
+
+
+def marks(page):
+    """Numbered by the service, with Shift or Caps Lock, too; in the list of this run and on the strip."""
+    page.key("m")
+    page.wait("document.getElementById('said').innerText.includes('mark 1')", "the mark")
+    page.key("M")
+    page.wait("document.getElementById('said').innerText.includes('mark 2')", "the mark of a capital letter")
+    assert "mark 1" not in page.shown("#said"), "the message of an earlier action stays"
+    page.wait("document.querySelectorAll('#marks li').length === 2", "the marks in the list")
+    assert page.shown("#marks li:last-child").endswith("mark 2"), page.shown("#marks")
+    page.wait("document.getElementById('strip').ariaLabel.includes('mark 2, ')", "the marks on the strip")
+    page.run("location.reload()")
+    word(page, "RECORDING")
+    page.wait("document.querySelectorAll('#marks li').length === 2", "the marks in the list of another page")
+    page.run("document.activeElement.blur()")
+    page.key("m")
+    page.wait("document.getElementById('said').innerText.includes('mark 3')", "a mark that counts on")
+
+
 def first_run(page, pictures):
     for field, said in [("robot", "IRB 2400"), ("operator", "A. Nilsson"), ("bar", "short"), ("payload", "12 kg"),
                         ("note", NOTE)]:
         page.type(f"#run-form [name={field}]", said)
+    names(page)
     page.pictures(pictures, "ready")
     page.click("#begin")
     word(page, "RECORDING")
     assert page.run("document.title").startswith("RECORDING ") and "SIMULATED" in page.run("document.title")
     assert "SIMULATED" in page.shown("#simulated")
-    page.run("document.activeElement.blur()")
-    page.key("m")
-    page.wait("document.getElementById('said').innerText.includes('mark 1')", "the mark")
+    page.wait("document.activeElement.id === 'progress-title'", "the focus at the run")
+    marks(page)
     # A fault that lasts, seen while it does, and over when it is.
     service("on no-signal:3")
     page.wait("document.getElementById('joint3').dataset.level === 'bad'", "the silent encoder")
@@ -215,6 +257,9 @@ def first_run(page, pictures):
     page.wait("document.getElementById('reason').textContent === ''", "a headline without it")
     service("on gone:3")
     page.wait("document.getElementById('reason').textContent.includes('no samples from')", "the lost terminals in the headline")
+    cut = "(reason => reason.scrollHeight > reason.clientHeight + 1)(document.getElementById('reason'))"
+    assert not page.run(cut), "the remedy is cut"
+    page.pictures(pictures, "lost")
     service("off gone:3")
     page.wait("document.getElementById('reason').textContent === ''", "the bus back")
     page.pictures(pictures, "recording")
@@ -225,8 +270,20 @@ def stop(page):
     name = page.shown("#run-name")
     page.click("#stop")
     page.wait("document.getElementById('ask').open", "the question")
+    # Enter at once does no harm.
+    assert focused(page) == "ask-no"
+    page.key("Enter")
+    page.wait("!document.getElementById('ask').open", "the end of the question")
+    assert page.shown("#word") == "RECORDING"
+    page.click("#stop")
+    page.wait("document.getElementById('ask').open", "the question")
     page.click("#ask-yes")
     word(page, "READY")
+    # What it is worth, and what comes next.
+    page.wait(f"!document.getElementById('after').hidden && document.getElementById('after-title').textContent.startsWith({json.dumps(name)})",
+              "what became of the run")
+    page.wait("document.activeElement.id === 'after-title'", "the focus at what became of the run")
+    assert f"--robot-log {name}.csv" in page.shown("#after-command") and f"{name}.csv" == page.shown("#after-log")
     page.wait(f"document.querySelector('#runs [data-run={json.dumps(name)}] .verdict')", "the run in the list")
     return name
 
@@ -251,19 +308,46 @@ def begin_homing(page):
 def joint_asked_for(page, joint):
     page.wait(f"document.getElementById('homing-joint').textContent.startsWith('Turn joint {joint}:')"
               " && !document.getElementById('homing-now').hidden", f"the question for joint {joint}")
-    assert page.shown("#homing-stop") == "Stop homing" and page.shown("#homing-error") == ""
+    assert page.shown("#homing-stop").startswith("Stop homing") and page.shown("#homing-error") == ""
+    assert page.shown("#homing-close") == "Close here"
 
 
 def homing_ends(page, error):
     """Said in the dialog, which asks for no joint any more and closes."""
-    page.wait("document.getElementById('homing-stop').textContent === 'Close'", "the end of the homing")
+    page.wait("document.getElementById('homing-close').textContent === 'Close'", "the end of the homing")
+    assert page.run("document.getElementById('homing-stop').hidden")
     said = page.shown("#homing-error")
     assert bool(said) == bool(error) and (not error or error in said), said
     assert page.run("document.getElementById('homing').open && document.getElementById('homing-now').hidden")
 
 
-def close_homing(page):
+def stop_homing(page):
     page.click("#homing-stop")
+    page.wait("document.getElementById('ask').open", "the question before a homing is stopped")
+    assert focused(page) == "ask-no"
+    page.click("#ask-yes")
+
+
+def bystander(page):
+    """Another page, as this one is after it was loaded anew: nothing that it presses by mistake ends the homing."""
+    page.run("location.reload()")
+    word(page, "HOMING")
+    page.wait("!document.getElementById('homing-show').hidden", "the button that shows the homing")
+    assert not page.run("document.getElementById('homing').open")
+    page.key("Enter")
+    page.click("#homing-show")
+    joint_asked_for(page, 1)
+    assert focused(page) == "homing-close"
+    page.key("Enter")
+    page.wait("!document.getElementById('homing').open", "a dialog that closes here")
+    time.sleep(1)
+    assert page.shown("#word") == "HOMING" and not page.run("document.getElementById('homing').open")
+    page.click("#homing-show")
+    joint_asked_for(page, 1)
+
+
+def close_homing(page):
+    page.click("#homing-close")
     page.wait("!document.getElementById('homing').open", "a closed dialog")
 
 
@@ -286,7 +370,8 @@ def homing(page, pictures):
     service("hold")
     begin_homing(page)
     joint_asked_for(page, 1)
-    page.click("#homing-stop")
+    bystander(page)
+    stop_homing(page)
     homing_ends(page, "stopped on the page")
     close_homing(page)
     assert "not homed" in page.shown("#checks [data-subject='reference marks']")
@@ -324,6 +409,26 @@ def judged(page, name, reason):
     wanted = "GOOD" if valid >= 0.99 * total else "CHECK" if valid >= 0.5 * total else "BAD"
     assert page.shown(f"#runs [data-run={json.dumps(name)}] .verdict") == wanted and reason in line, line
     return line, wanted, total
+
+
+def to_the_bin_and_back(page, name):
+    row = f"#runs [data-run={json.dumps(name)}]"
+    there = f"document.querySelector({json.dumps(row)})"
+    delete = f"{row} .tools button[aria-label^=Delete]"
+    page.click(delete)
+    page.wait("document.getElementById('ask').open", "the question before a run is deleted")
+    # Twice Enter deletes nothing.
+    page.key("Enter")
+    page.wait("!document.getElementById('ask').open", "the end of the question")
+    assert page.run(f"Boolean({there})")
+    for restore in ["#said button", "#bin-runs button"]:
+        page.click(delete)
+        page.wait("document.getElementById('ask').open", "the question before a run is deleted")
+        page.click("#ask-yes")
+        page.wait(f"!{there} && !document.getElementById('bin').hidden", "a run in the bin")
+        page.run("document.getElementById('bin').open = true")
+        page.click(restore)
+        page.wait(f"{there} && document.getElementById('bin').hidden", "the run back in the list")
 
 
 def downloaded(page, name, counted, readers):
@@ -371,6 +476,9 @@ def main():
             first = first_run(page, pictures)
             assert first.endswith("_irb-2400_short_01"), first
             line, verdict, total = judged(page, first, "cycles are flagged")
+            # Which joint, of what, how long and when.
+            assert re.search(r"joint 3 signal too low \([0-9.]+ s, first at 0:[0-9]{2}\)", line), line
+            assert "mark 3" in line and "stopped on the page" in line, line
             assert verdict != "GOOD"
             assert "IRB 2400" in line and "12 kg" in line and "A. Nilsson" in line, line
             # Text of people is text.
@@ -386,6 +494,7 @@ def main():
             page.click(f"#runs [data-run={json.dumps(second)}] .tools button")
             page.wait("document.querySelector('#plot-chart canvas')", "the plot")
             page.pictures(pictures, "plot")
+            assert "stopped on the page" in page.shown("#plot-text")
             page.run("document.getElementById('plot').close()")
             page.click(f"#runs [data-run={json.dumps(second)}] .tools button[aria-label^=Note]")
             page.wait("document.getElementById('ask').open", "the question for the note")
@@ -400,6 +509,7 @@ def main():
             changed = json.dumps("gripper closed <img>\nat the\nsecond stop")
             page.wait(f"document.querySelector('#runs [data-run={json.dumps(second)}]').innerText.includes({changed})",
                       "the changed note")
+            to_the_bin_and_back(page, second)
             page.type("#search", "nothing like that")
             page.wait("document.querySelectorAll('#runs li').length === 0", "an empty search")
             page.type("#search", f"12 kg {verdict}")
@@ -419,6 +529,12 @@ def main():
             homing_ends(page, "is not known")
             close_homing(page)
             assert page.run("[...document.querySelectorAll('.joint .angle')].every(angle => angle.textContent === 'stale')")
+            # Nothing that is old looks as if it were so now.
+            assert page.run("document.querySelectorAll('.light.on, .joint[data-level=good], #so-far[data-level=good]').length") == 0
+            shown = page.shown("main")
+            assert "signal good" not in shown and "so far" not in shown and "still grows" not in shown, shown
+            page.wait("!document.getElementById('age').hidden", "the age of the newest values")
+            page.pictures(pictures, "silent")
             assert not page.complaints, page.complaints
             print(json.dumps({"first": [first, verdict, total], "second": [second, verdict_too, total_too]}))
         finally:

@@ -1,11 +1,15 @@
 // The page: shows each moment, asks for runs.
 
-import { $, ask, duration, el, listen, text, verdict_word } from "./live.js";
+import { $, ask, duration, el, listen, marked, text, verdict_word } from "./live.js";
 import { Strip, cover } from "./charts.js";
-import { Homing, choose, say } from "./dialogs.js";
-import { names, refresh } from "./runs.js";
+import { Homing, act, choose, hush, say } from "./dialogs.js";
+import { refresh } from "./runs.js";
 
 const CHECK_EVERY_MS = 3000;
+const NAME_AFTER_MS = 300;
+// Older values say so.
+const OLD_S = 1.5;
+const AGE_EVERY_MS = 500;
 const FIELDS = ["robot", "operator", "bar", "payload", "note"];
 const strip = new Strip();
 const homing = new Homing();
@@ -17,11 +21,14 @@ let runs_over;
 // ---- what is shown
 
 function joint_card(joint) {
-  return el("article", { className: "joint", id: `joint${joint.joint}` },
-    el("h2", {}, `Joint ${joint.joint} `, el("span", { textContent: joint.name })),
+  const card = el("article", { className: "joint", id: `joint${joint.joint}` },
+    el("h2", { id: `joint${joint.joint}-name` }, `Joint ${joint.joint} `, el("span", { textContent: joint.name })),
     el("div", { className: "angle" }),
     el("div", { className: "speed figure" }),
-    el("div", { className: "lights" }, el("span", { className: "light health" }), el("span", { className: "light moved" })));
+    el("div", { className: "lights" }, el("span", { className: "light health" }), el("span", { className: "light moved" })),
+    el("div", { className: "from" }));
+  card.setAttribute("aria-labelledby", `joint${joint.joint}-name`);
+  return card;
 }
 
 function show_joints(joints) {
@@ -32,21 +39,24 @@ function show_joints(joints) {
   if (place.children.length !== joints.length) place.replaceChildren(...joints.map(joint_card));
   joints.forEach((joint, index) => {
     const card = place.children[index];
-    const [, angle, speed, lights] = card.children;
+    const [, angle, speed, lights, from] = card.children;
     card.dataset.level = joint.level;
     const degrees = joint.angle_deg;
     // A value that is old is none: nobody reads it as the present.
     text(angle, degrees === null ? "stale" : `${degrees.toFixed(2).replace("-", "−")}°`);
     const per_s = joint.speed_deg_per_s;
     text(speed, per_s === null ? "– °/s" : `${per_s >= 0 ? "+" : "−"}${Math.abs(per_s).toFixed(1)} °/s`);
-    card.title = joint.from_mark ? "from its reference mark" : "from where it was seen first";
+    text(from, joint.from_mark ? "0° is its reference mark" : "0° is where it was seen first");
     const [health, moved] = lights.children;
     health.className = `light health ${joint.level === "good" ? "on" : "off"}`;
     text(health, joint.problem ?? "signal good");
     moved.className = `light moved ${joint.has_moved ? "on" : ""}`;
-    text(moved, joint.has_moved ? "has moved" : "not moved yet");
+    text(moved, joint.has_moved ? `turned by ${Math.floor(joint.range_deg)}°` : "not moved yet");
   });
 }
+
+// The run of this page's last moment; undefined before the first.
+let shown_run;
 
 function show_state({ headline, status, run_s }) {
   const header = $("state");
@@ -59,11 +69,19 @@ function show_state({ headline, status, run_s }) {
   document.title = `${headline.word}${running ? ` ${status.run.name}` : ""}${status.simulated ? " (SIMULATED)" : ""} – ballbard`;
   $("run-facts").hidden = !running;
   $("mark").hidden = $("note").hidden = $("stop").hidden = !running || status.state === "closing";
+  text($("version"), status.version);
+  const at = document.activeElement;
+  const lost_focus = shown_run !== undefined && shown_run !== running
+    && (at === document.body || ["start", "preflight", "progress", "state"].some((id) => $(id).contains(at)));
   $("start").hidden = $("preflight").hidden = running;
   $("progress").hidden = !running;
+  // What had the focus is hidden now: it goes where the run is shown, or what became of it.
+  if (lost_focus) $(running ? "progress-title" : "runs-title").focus({ preventScroll: true });
+  shown_run = running;
   if (!running) return;
   text($("run-name"), status.run.name);
-  text($("run-time"), duration(run_s ?? 0));
+  const until = status.run.duration_s === null ? "" : ` of ${duration(status.run.duration_s)}`;
+  text($("run-time"), `${duration(run_s ?? 0)}${until}`);
   text($("run-disk"), `${status.run.cycles}`);
 }
 
@@ -86,10 +104,16 @@ function show_progress({ status: { run }, verdict, disk_hours }) {
     counter("flagged", `${flagged}`),
     counter("lost", `${run.cycles_lost}`),
     counter("not safe yet", `${run.unsynced_s.toFixed(1)} s`),
-    counter("late, 99 % below", late ? us(late.p99_ns) : "–"),
-    counter("latest", late ? us(late.max_ns) : "–"),
     counter("file", `${(run.bytes / 1e6).toFixed(1)} MB`),
     counter("disk left", hours(disk_hours)));
+  $("timing").replaceChildren(
+    counter("late, 99 % below", late ? us(late.p99_ns) : "–"),
+    counter("latest", late ? us(late.max_ns) : "–"));
+  const marks = run.marks.map(marked);
+  if ($("marks").dataset.said !== marks.join("\n")) {
+    $("marks").dataset.said = marks.join("\n");
+    $("marks").replaceChildren(...marks.map((mark) => el("li", { textContent: mark })));
+  }
   text($("file"), run.file);
 }
 
@@ -109,9 +133,22 @@ function show_warnings(warnings) {
 }
 
 let drawn = 0;
+// When the latest moment came [ms], and how old its values were then [s].
+let came_ms = performance.now();
+let came_old_s = 0;
 
-function show(moment) {
+function show_age() {
+  const age_s = came_old_s + (performance.now() - came_ms) / 1000;
+  $("age").hidden = age_s < OLD_S;
+  text($("age"), `The newest values are ${age_s < 10 ? age_s.toFixed(1) : Math.round(age_s)} s old.`);
+}
+
+function show(moment, age_s) {
   latest = moment;
+  came_ms = performance.now();
+  came_old_s = age_s + Math.max(0, moment.status.sample_age_ms ?? 0) / 1000;
+  show_age();
+  document.body.classList.remove("stale");
   show_state(moment);
   show_joints(moment.joints);
   show_progress(moment);
@@ -120,12 +157,13 @@ function show(moment) {
   strip.add(moment);
   if (moment.at_ms - drawn > 500 || moment.at_ms < drawn) {
     drawn = moment.at_ms;
-    text($("cover-text"), cover(moment.coverage));
+    text($("cover-text"), cover(moment.coverage, moment.restarted));
   }
   show_begin();
   if (moment.status.runs_over !== runs_over) {
     runs_over = moment.status.runs_over;
-    refresh();
+    refresh(moment.status.last);
+    show_name();
   }
 }
 
@@ -137,11 +175,19 @@ function silent() {
   text($("word"), "NO CONNECTION");
   text($("reason"), "The service does not answer: what it does is not known. See whether it runs (ballbard run).");
   document.title = "NO CONNECTION – ballbard";
+  document.body.classList.add("stale");
   for (const card of $("encoders").children) {
-    card.dataset.level = "bad";
+    delete card.dataset.level;
     text(card.children[1], "stale");
     text(card.children[2], "– °/s");
+    for (const light of card.querySelectorAll(".light")) {
+      light.classList.remove("on", "off");
+      text(light, "not known");
+    }
   }
+  delete $("so-far").dataset.level;
+  text($("so-far"), "Not known. The latest known values:");
+  text($("cover-text"), "");
   homing.silent();
   $("mark").hidden = $("note").hidden = $("stop").hidden = true;
   show_begin();
@@ -189,26 +235,51 @@ function show_begin() {
     : red.length ? `stopped by: ${red.map((line) => line.subject).join(", ")}` : "";
   text($("begin-why"), why);
   $("home").disabled = state !== "waiting";
-  form.elements.name.placeholder = automatic_name();
 }
 
-// Date, robot, bar and a number that no recording has.
-function automatic_name() {
-  const plain = (said) => said.normalize("NFD").replace(/[^A-Za-z0-9]+/g, "-").replace(/^-+|-+$/g, "").slice(0, 30).toLowerCase();
-  const now = new Date();
-  const date = [now.getFullYear(), now.getMonth() + 1, now.getDate()].map((n) => String(n).padStart(2, "0")).join("-");
-  const base = [date, plain(form.elements.robot.value), plain(form.elements.bar.value)].filter(Boolean).join("_");
-  const taken = names();
-  for (let number = 1; ; number += 1) {
-    const name = `${base}_${String(number).padStart(2, "0")}`;
-    if (!taken.has(name)) return name;
+// The service says how a run would be called: the rule is the same for commands.
+async function show_name() {
+  const value = (field) => form.elements[field].value.trim();
+  const typed = value("name");
+  let reply;
+  try {
+    reply = await ask("name", { name: typed, robot: value("robot"), bar: value("bar") });
+  } catch {
+    return undefined;
   }
+  // Somebody has typed on.
+  if (value("name") !== typed) return undefined;
+  const { name, problem } = reply;
+  if (!typed) form.elements.name.placeholder = name;
+  form.elements.name.setAttribute("aria-invalid", String(Boolean(problem)));
+  text($("name-hint"), problem ?? (typed && name !== typed ? `is saved as ${name}` : ""));
+  return problem;
 }
 
-form.addEventListener("submit", async (event) => {
-  event.preventDefault();
-  const request = { name: form.elements.name.value.trim() || automatic_name() };
+let naming;
+for (const field of ["name", "robot", "bar"]) {
+  form.elements[field].addEventListener("input", () => {
+    clearTimeout(naming);
+    naming = setTimeout(show_name, NAME_AFTER_MS);
+  });
+}
+
+// Enter in a field begins nothing: only the button does.
+form.addEventListener("submit", (event) => event.preventDefault());
+
+$("begin").addEventListener("click", async () => {
+  hush();
+  if (!form.reportValidity()) return;
+  const request = {};
   for (const field of FIELDS) request[field] = form.elements[field].value.trim();
+  const name = form.elements.name.value.trim();
+  if (name) request.name = name;
+  const minutes = form.elements.minutes.valueAsNumber;
+  if (minutes > 0) request.duration_s = 60 * minutes;
+  if (name && await show_name()) {
+    form.elements.name.focus();
+    return;
+  }
   const red = stopping();
   if (red.length) {
     const reason = await choose({
@@ -222,11 +293,12 @@ form.addEventListener("submit", async (event) => {
   for (const field of FIELDS) localStorage.setItem(`ballbard.${field}`, request[field]);
   $("begin").disabled = true;
   try {
-    const reply = await ask("start", request);
-    form.elements.name.value = "";
+    const reply = await act("start", request);
+    form.elements.name.value = form.elements.minutes.value = "";
+    text($("name-hint"), "");
     if (reply.answer === "running") say("check", `run ${reply.run} goes on already`);
   } catch (error) {
-    say("bad", error.message);
+    if (!await show_name()) say("bad", error.message);
     refresh();
   }
 });
@@ -235,12 +307,12 @@ for (const field of FIELDS) form.elements[field].value = localStorage.getItem(`b
 
 // ---- during a run
 
-let marks = 0;
-
+// Without a text the service numbers it.
 async function put_mark(said, since_ms) {
+  const ago_ms = Math.min(600000, Math.round(performance.now() - since_ms));
   try {
-    const reply = await ask("mark", { text: said, ago_ms: Math.min(600000, Math.round(performance.now() - since_ms)) });
-    say("good", `marked in run ${reply.run}: ${said}`);
+    const reply = await act("mark", { text: said, ago_ms });
+    say("good", `marked in run ${reply.run}: ${reply.mark}`);
   } catch (error) {
     say("bad", error.message);
   }
@@ -250,9 +322,7 @@ const can_mark = () => Boolean(latest?.status.run) && !$("mark").hidden;
 
 // At once: what happened is over before anybody has typed what it was.
 function mark() {
-  if (!can_mark()) return;
-  marks += 1;
-  put_mark(`mark ${marks}`, performance.now());
+  if (can_mark()) put_mark(undefined, performance.now());
 }
 
 // With a text, but of the instant at which it was asked for.
@@ -271,10 +341,7 @@ async function stop() {
   });
   if (!yes) return;
   try {
-    const { last, verdict } = await ask("stop", { cause: "stopped on the page" });
-    if (!last) return;
-    const why = verdict?.reasons.length ? `: ${verdict.reasons.join("; ")}` : "";
-    say(verdict?.level ?? "check", `${last.name} is ${verdict_word(verdict)}${why}. ${last.cycles} cycles, ${last.cycles_valid} valid, in ${last.file}`);
+    await act("stop", { cause: "stopped on the page" });
   } catch (error) {
     say("bad", error.message);
   }
@@ -287,9 +354,11 @@ $("stop").addEventListener("click", stop);
 document.addEventListener("keydown", (event) => {
   const typing = event.target.closest("input, select, textarea, dialog");
   if (typing || event.ctrlKey || event.metaKey || event.altKey) return;
-  if (event.key === "m" || event.key === "n") {
+  // With Shift or Caps Lock, too.
+  const key = event.key.toLowerCase();
+  if (key === "m" || key === "n") {
     event.preventDefault();
-    (event.key === "m" ? mark : note)();
+    (key === "m" ? mark : note)();
   } else if (event.key === "/") {
     event.preventDefault();
     $("search").focus();
@@ -297,5 +366,6 @@ document.addEventListener("keydown", (event) => {
 });
 
 listen((minute) => strip.recall(minute), show, silent);
+setInterval(show_age, AGE_EVERY_MS);
 setInterval(check, CHECK_EVERY_MS);
 setTimeout(check, 400);

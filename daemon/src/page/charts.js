@@ -1,12 +1,13 @@
 // The strip chart of the last minute, a run as a whole, and the part of the sphere that was covered.
 /* global uPlot */
 
-import { $ } from "./live.js";
+import { $, duration } from "./live.js";
 
 const MINUTE_S = 60;
 const CELLS = 36;
 // A gap in the moments is drawn as one [s].
 const GAP_S = 1;
+const RESTARTED = "angles from zero";
 
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
@@ -20,6 +21,30 @@ function resolved(name) {
   return value;
 }
 
+const MARK_CHARS = 24;
+
+// A line across the chart at each marker, with its text.
+function draw_marks({ ctx, bbox, scales, valToPos }, marks) {
+  ctx.save();
+  ctx.strokeStyle = ctx.fillStyle = resolved("--ink");
+  ctx.lineWidth = devicePixelRatio;
+  ctx.setLineDash([4 * devicePixelRatio, 3 * devicePixelRatio]);
+  ctx.font = `${12 * devicePixelRatio}px system-ui, sans-serif`;
+  ctx.textAlign = "left";
+  ctx.textBaseline = "top";
+  marks.filter(({ x }) => x >= scales.x.min && x <= scales.x.max).forEach(({ x, text }, index) => {
+    const left = Math.round(valToPos(x, "x", true));
+    ctx.beginPath();
+    ctx.moveTo(left, bbox.top);
+    ctx.lineTo(left, bbox.top + bbox.height);
+    ctx.stroke();
+    const short = text.length > MARK_CHARS ? `${text.slice(0, MARK_CHARS - 1)}…` : text;
+    // In turn on three lines: neighbours are read, too.
+    ctx.fillText(short, left + 4 * devicePixelRatio, bbox.top + (2 + 15 * (index % 3)) * devicePixelRatio);
+  });
+  ctx.restore();
+}
+
 function options(joints, width, height, time) {
   const axis = { stroke: resolved("--quiet"), grid: { stroke: resolved("--line") }, ticks: { stroke: resolved("--line") } };
   const degrees = (_, value) => (value === null || value === undefined ? "–" : `${value.toFixed(1)}°`);
@@ -27,6 +52,7 @@ function options(joints, width, height, time) {
     width,
     height,
     cursor: { y: false },
+    hooks: { draw: [(drawn) => draw_marks(drawn, time.marks())] },
     legend: { live: time.live },
     scales: { x: { time: false, range: time.range } },
     axes: [{ ...axis, values: (_, splits) => splits.map((s) => `${s} s`) }, { ...axis, size: 60 }],
@@ -61,6 +87,7 @@ function chart(place, joints, time) {
 
 export class Strip {
   points = [];
+  marks = [];
 
   // What was before this page, or before its connection came back.
   recall({ at_ms, angles_deg }) {
@@ -75,7 +102,8 @@ export class Strip {
       this.joints = joints;
       if (this.points[0]?.angles.length !== joints.length) this.points = [];
       this.drawn?.close();
-      this.drawn = chart($("strip"), joints, { live: false, range: [-MINUTE_S, 0] });
+      const marks = () => this.marks.map((mark) => ({ x: mark.at_s - this.points.at(-1).at_s, text: mark.text }));
+      this.drawn = chart($("strip"), joints, { live: false, range: [-MINUTE_S, 0], marks });
     }
     const last = this.points.at(-1);
     if (last && at_s - last.at_s > GAP_S) this.points.push({ at_s: last.at_s + 0.001, angles: joints.map(() => null) });
@@ -84,24 +112,41 @@ export class Strip {
     else if (last && at_s <= last.at_s) return;
     this.points.push({ at_s, angles: moment.joints.map((joint) => joint.angle_deg) });
     while (at_s - this.points[0].at_s > MINUTE_S) this.points.shift();
+    this.mark(moment, at_s);
     if (document.hidden) return;
     this.drawn.show([
       this.points.map((point) => point.at_s - at_s),
       ...joints.map((_, index) => this.points.map((point) => point.angles[index])),
     ]);
   }
+
+  // Markers of the run, also of one that is over, and where angles began to count from zero again.
+  mark({ status, run_s, restarted }, at_s) {
+    if (status.run) {
+      const begun_s = at_s - (run_s ?? 0);
+      this.marks = status.run.marks.map((mark) => ({ at_s: begun_s + mark.at_s, text: mark.text }));
+    } else {
+      this.marks = this.marks.filter((mark) => mark.text !== RESTARTED);
+    }
+    if (restarted) this.marks.push({ at_s: restarted.at_ms / 1000, text: RESTARTED });
+    this.marks = this.marks.filter((mark) => at_s - mark.at_s < MINUTE_S);
+    const texts = this.marks.map((mark) => `${mark.text}, ${Math.round(at_s - mark.at_s)} s ago`);
+    const label = `Angles of all joints.${texts.length ? ` Markers: ${texts.join("; ")}.` : ""}`;
+    if ($("strip").ariaLabel !== label) $("strip").ariaLabel = label;
+  }
 }
 
 // A finished run in a dialog.
-export function plot({ t_s, joints }) {
+export function plot({ t_s, joints }, run_marks) {
+  const marks = () => run_marks.map((mark) => ({ x: mark.at_s, text: mark.text }));
   const place = $("plot-chart");
   const numbers = joints.map((joint) => joint.joint);
-  const drawn = chart(place, numbers, { live: true, range: (_, low, high) => [low, Math.max(high, low + 1)] });
+  const drawn = chart(place, numbers, { live: true, range: (_, low, high) => [low, Math.max(high, low + 1)], marks });
   drawn.show([t_s, ...joints.map((joint) => joint.angle_deg)]);
   $("plot").addEventListener("close", () => drawn.close(), { once: true });
 }
 
-export function cover({ cells, here, visited, newest_s, absolute }) {
+export function cover({ cells, here, visited, newest_s, absolute }, restarted) {
   const canvas = $("cover");
   const context = canvas.getContext("2d");
   const size = canvas.width / CELLS;
@@ -129,5 +174,7 @@ export function cover({ cells, here, visited, newest_s, absolute }) {
   const axes = absolute
     ? "Joint 1 across, joint 2 up, -180 to 180 degrees."
     : "Joint 1 across, joint 2 up; where zero lies is not known (home, and give mark_deg in ball_bar.toml).";
-  return `${visited} cells of 10 degrees. ${newest}\n${axes}`;
+  const since = restarted?.run_s ?? null;
+  const anew = since === null ? "" : ` since the outage at ${duration(since)}; ${restarted.cells_before} before it`;
+  return `${visited} cells of 10 degrees${anew}. ${newest}\n${axes}`;
 }

@@ -4,20 +4,30 @@ import { $, ask, el, text } from "./live.js";
 
 const SAID_MS = 6000;
 
-// A line at the bottom; what is bad stays until it is taken away.
-export function say(level, said) {
-  const line = el("p", { level }, el("span", { textContent: said }));
+// Does what somebody asked for; what was said of earlier actions goes.
+export function act(path, body) {
+  hush();
+  return ask(path, body);
+}
+
+export const hush = () => $("said").replaceChildren();
+
+// A line below the state, with more buttons than the one that takes it away; what is bad stays until the next action.
+export function say(level, said, ...buttons) {
+  const line = el("p", { level }, el("span", { textContent: said }), ...buttons);
   line.append(el("button", { type: "button", textContent: "Close", onclick: () => line.remove() }));
   $("said").append(line);
   if (level !== "bad") setTimeout(() => line.remove(), SAID_MS);
   while ($("said").children.length > 4) $("said").firstChild.remove();
 }
 
-// Enter ends a text of one line, in one of several lines it begins the next; there Ctrl and Enter end it.
+// Enter ends a text of one line, in one of several lines it begins the next; there Ctrl and Enter end it. What is dangerous
+// takes its button.
 $("ask-input").addEventListener("keydown", (event) => {
-  if (event.key !== "Enter" || event.isComposing || ($("ask-input").rows > 1 && !event.ctrlKey && !event.metaKey)) return;
+  const ends = $("ask-input").rows === 1 || event.ctrlKey || event.metaKey;
+  if (event.key !== "Enter" || event.isComposing || !ends) return;
   event.preventDefault();
-  $("ask-yes").click();
+  if ($("ask-yes").className !== "danger") $("ask-yes").click();
 });
 
 // Asks; gives what was typed (or `true` where there is nothing to type), or null.
@@ -35,8 +45,10 @@ export function choose({ title, text: said = "", label, value = "", lines = 1, r
   button.className = danger ? "danger" : "primary";
   const dialog = $("ask");
   dialog.returnValue = "no";
+  hush();
   dialog.showModal();
-  if (label) input.focus();
+  // Enter at once does no harm.
+  (label ? input : $("ask-no")).focus();
   return new Promise((resolve) => {
     dialog.addEventListener("close", () => {
       resolve(dialog.returnValue === "yes" ? (label ? input.value.trim() : true) : null);
@@ -58,13 +70,16 @@ const FORGOTTEN = "The service was started anew: that homing is over. The line o
 
 export class Homing {
   was_over = true;
+  // Begun on this page: its dialog opens by itself. Elsewhere a button opens it.
+  is_mine = false;
   // Why it was not stopped as somebody asked.
   refused = "";
 
   constructor() {
     $("home").addEventListener("click", () => this.begin());
+    $("homing-show").addEventListener("click", () => this.open());
     $("homing-stop").addEventListener("click", () => this.stop());
-    $("homing").addEventListener("cancel", (event) => { if (!this.was_over) event.preventDefault(); });
+    $("homing-close").addEventListener("click", () => $("homing").close());
   }
 
   async begin() {
@@ -75,42 +90,60 @@ export class Homing {
       yes: "Begin",
     });
     if (!yes) return;
+    this.is_mine = true;
     try {
-      await ask("home", {});
+      await act("home", {});
     } catch (error) {
+      this.is_mine = false;
       say("bad", error.message);
     }
   }
 
+  open() {
+    this.refused = "";
+    $("homing").showModal();
+    $("homing-close").focus();
+  }
+
+  // For everybody: whoever looks on has to mean it.
   async stop() {
-    if (this.was_over) {
-      $("homing").close();
-      return;
-    }
+    const yes = await choose({
+      title: "Stop the homing?", text: "It ends for whoever turns the joints, and no reference mark is kept.", yes: "Stop homing",
+      danger: true,
+    });
+    if (!yes || this.was_over) return;
     // What is said elsewhere lies under the dialog.
-    await ask("stop", { cause: "stopped on the page" }).catch((error) => { this.refused = error.message; });
+    await act("stop", { cause: "stopped on the page" }).catch((error) => { this.refused = error.message; });
+  }
+
+  over() {
+    this.was_over = true;
+    text($("homing-close"), "Close");
+    $("homing-stop").hidden = true;
   }
 
   // Nobody is kept in the dialog, or asked to turn a joint, by a service that knows nothing of it.
   lose(why) {
     if (!$("homing").open) return;
-    this.was_over = true;
+    this.over();
     $("homing-now").hidden = true;
     text($("homing-error"), why);
-    text($("homing-stop"), "Close");
   }
 
   silent() {
+    $("homing-show").hidden = true;
     this.lose(UNKNOWN);
   }
 
   show({ state, homing }, joints) {
     const goes_on = state === "homing";
     const dialog = $("homing");
-    if (goes_on && !dialog.open) {
-      this.refused = "";
-      dialog.showModal();
+    if (goes_on && this.is_mine) {
+      // Once: whoever closes it is not shown it again.
+      this.is_mine = false;
+      if (!dialog.open) this.open();
     }
+    $("homing-show").hidden = !goes_on || dialog.open;
     if (!dialog.open) return;
     if (!homing) {
       this.lose(FORGOTTEN);
@@ -132,6 +165,27 @@ export class Homing {
     homing.lines.forEach((line, index) => text(lines.children[index], line));
     if (are_new) lines.scrollTop = lines.scrollHeight;
     text($("homing-error"), homing.error ?? (homing.is_over ? "" : this.refused));
-    text($("homing-stop"), homing.is_over ? "Close" : "Stop homing");
+    if (homing.is_over) {
+      this.over();
+    } else {
+      text($("homing-close"), "Close here");
+      $("homing-stop").hidden = false;
+    }
   }
 }
+
+// A code for the camera of a phone, which then needs no token typed.
+$("pair").addEventListener("click", async () => {
+  try {
+    const { links, valid_s, fingerprint } = await act("pair", {});
+    text($("pairing-minutes"), `${Math.round(valid_s / 60)}`);
+    text($("pairing-fingerprint"), fingerprint ?? "that of the reverse proxy");
+    $("pairing-codes").replaceChildren(...links.map(({ address, svg }) => el("li", {},
+      el("img", { src: `data:image/svg+xml,${encodeURIComponent(svg)}`, alt: `Code for ${address}` }),
+      el("p", { textContent: address }))));
+    $("pairing").showModal();
+  } catch (error) {
+    say("bad", error.message);
+  }
+});
+$("pairing").addEventListener("close", () => $("pairing-codes").replaceChildren());

@@ -5,14 +5,42 @@ const SILENT_MS = 1500;
 const POLL_MS = 1000;
 const RETRY_EVENTS_MS = 15000;
 
-// Calls `on_minute` with the angles of the last minute, `on_moment` with each moment, `on_silence` when none has come for a
-// while.
+// Local time less the service's. The moment that came fastest tells it, and what others took longer is their age.
+let offset_ms = Infinity;
+let bounded_ms = -Infinity;
+const BOUND_EVERY_MS = 5000;
+const OLD_S = 2;
+// A moment may be as old when it is given.
+const PERIOD_MS = 200;
+
+function age_s(at_ms) {
+  const now = performance.now();
+  offset_ms = Math.min(offset_ms, now - at_ms);
+  const age = (now - at_ms - offset_ms) / 1000;
+  if (age > OLD_S && now - bounded_ms > BOUND_EVERY_MS) bound();
+  return age;
+}
+
+// One of both clocks may have stood still, or be another: a request has the service's time between two of ours.
+async function bound() {
+  const asked = bounded_ms = performance.now();
+  try {
+    const { at_ms } = await (await fetch("/api/live")).json();
+    offset_ms = Math.max(asked - PERIOD_MS - at_ms, Math.min(offset_ms, performance.now() - at_ms));
+  } catch {
+    // The silence says it.
+  }
+}
+
+// Calls `on_minute` with the angles of the last minute, `on_moment` with each moment and its age [s], `on_silence` when none
+// has come for a while.
 export function listen(on_minute, on_moment, on_silence) {
   let silence;
   const heard = (text) => {
     clearTimeout(silence);
     silence = setTimeout(on_silence, SILENT_MS);
-    on_moment(JSON.parse(text));
+    const moment = JSON.parse(text);
+    on_moment(moment, age_s(moment.at_ms));
   };
   silence = setTimeout(on_silence, SILENT_MS);
   let polling;
@@ -25,6 +53,7 @@ export function listen(on_minute, on_moment, on_silence) {
     }
   };
   const open = () => {
+    bound();
     clearInterval(polling);
     polling = undefined;
     const events = new EventSource("/api/events");
@@ -79,5 +108,10 @@ export function duration(seconds) {
   const [h, m, s] = [Math.floor(whole / 3600), Math.floor(whole / 60) % 60, whole % 60];
   return h ? `${h}:${two(m)}:${two(s)}` : `${m}:${two(s)}`;
 }
+
+// The reason for which a run began although a check stopped it is a marker, too.
+const IN_SPITE_OF = "begun in spite of";
+export const is_reason = (mark) => mark.text.startsWith(IN_SPITE_OF);
+export const marked = (mark) => `${duration(mark.at_s)}  ${mark.text}`;
 
 export const verdict_word = (verdict) => (verdict ? verdict.level.toUpperCase() : "");

@@ -1,9 +1,19 @@
 //! The technician's page, as it is compiled in: works without a network, and needs no tool to be built.
 
+use std::io::Write;
+use std::sync::Arc;
+
 use axum::Router;
-use axum::http::{HeaderValue, header};
-use axum::response::IntoResponse;
+use axum::body::Bytes;
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
 use axum::routing::get;
+use flate2::Compression;
+use flate2::write::GzEncoder;
+use sha2::{Digest, Sha256};
+
+/// Of the digest of a file, by which a browser's copy is recognised.
+const TAG_BYTES: usize = 16;
 
 /// Path, media type and content of every file.
 const FILES: [(&str, &str, &str); 9] = [
@@ -27,19 +37,65 @@ const POLICY: HeaderValue = HeaderValue::from_static(
      base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
 );
 
-/// A route for each file.
+/// A route for each file. A browser asks each time whether it has changed, so that a new version is seen at once, and is given
+/// it only if it has.
 pub fn routes<S: Clone + Send + Sync + 'static>() -> Router<S> {
     FILES.iter().fold(Router::new(), |router, (path, media_type, text)| {
+        let file = Arc::new(File::new(media_type, text));
+        router.route(path, get(move |headers: HeaderMap| async move { file.answer(&headers) }))
+    })
+}
+
+/// One file, and the same compressed.
+struct File {
+    media_type: &'static str,
+    plain: &'static str,
+    /// Empty where it could not be made.
+    compressed: Bytes,
+    tag: Option<HeaderValue>,
+}
+
+impl File {
+    fn new(media_type: &'static str, plain: &'static str) -> Self {
+        let mut encoder = GzEncoder::new(Vec::new(), Compression::best());
+        let compressed = encoder.write_all(plain.as_bytes()).and_then(|()| encoder.finish());
+        let digest = Sha256::digest(plain.as_bytes());
+        let tag: String = digest.iter().take(TAG_BYTES).map(|byte| format!("{byte:02x}")).collect();
+        Self {
+            media_type,
+            plain,
+            compressed: compressed.unwrap_or_default().into(),
+            tag: HeaderValue::from_str(&format!("\"{tag}\"")).ok(),
+        }
+    }
+
+    fn answer(&self, asked: &HeaderMap) -> Response {
+        let has = |name: HeaderName, wanted: &[u8]| {
+            let values = asked.get_all(name).iter();
+            let mut parts = values.flat_map(|value| value.as_bytes().split(|byte| *byte == b','));
+            parts.any(|part| part.trim_ascii().strip_prefix(b"W/").unwrap_or(part.trim_ascii()) == wanted)
+        };
+        let is_known = self.tag.as_ref().is_some_and(|tag| has(header::IF_NONE_MATCH, tag.as_bytes()));
+        let is_compressed = !self.compressed.is_empty() && has(header::ACCEPT_ENCODING, b"gzip");
         let headers = [
-            (header::CONTENT_TYPE, HeaderValue::from_static(media_type)),
+            (header::CONTENT_TYPE, HeaderValue::from_static(self.media_type)),
             (header::CONTENT_SECURITY_POLICY, POLICY),
             (header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff")),
             (header::REFERRER_POLICY, HeaderValue::from_static("no-referrer")),
-            // A new version is seen at once.
             (header::CACHE_CONTROL, HeaderValue::from_static("no-cache")),
+            (header::VARY, HeaderValue::from_static("accept-encoding")),
         ];
-        router.route(path, get(move || async move { (headers, *text).into_response() }))
-    })
+        let mut response = match (is_known, is_compressed) {
+            (true, _) => (StatusCode::NOT_MODIFIED, headers).into_response(),
+            (_, true) => {
+                let encoding = [(header::CONTENT_ENCODING, HeaderValue::from_static("gzip"))];
+                (headers, encoding, self.compressed.clone()).into_response()
+            }
+            _ => (headers, self.plain).into_response(),
+        };
+        response.headers_mut().extend(self.tag.clone().map(|tag| (header::ETAG, tag)));
+        response
+    }
 }
 
 #[cfg(test)]

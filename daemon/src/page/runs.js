@@ -1,28 +1,33 @@
 // The list of recordings.
 
-import { $, ask, duration, el, text, verdict_word } from "./live.js";
-import { choose, say } from "./dialogs.js";
+import { $, ask, duration, el, is_reason, marked, text, verdict_word } from "./live.js";
+import { act, choose, say } from "./dialogs.js";
 import { plot } from "./charts.js";
 
 const SHOWN_MAX = 100;
 let runs = [];
 let all = false;
 
-export const names = () => new Set(runs.map((run) => run.name));
+let deleted = [];
+// The run that ended last, since the service began.
+let last = null;
 
-export async function refresh() {
+export async function refresh(of_service = last) {
+  last = of_service;
   try {
-    runs = await ask("runs");
+    [runs, deleted] = await Promise.all([ask("runs"), ask("bin")]);
   } catch (error) {
     say("bad", error.message);
   }
   show();
+  show_bin();
+  show_after();
 }
 
 // With the zone: whoever compares it with a robot's log has to know.
-function begun(started_ns) {
-  if (started_ns === null) return "time not known";
-  return new Date(started_ns / 1e6).toLocaleString(undefined, {
+function begun(started_ms) {
+  if (started_ms === null) return "time not known";
+  return new Date(started_ms).toLocaleString(undefined, {
     year: "numeric", month: "2-digit", day: "2-digit", hour: "2-digit", minute: "2-digit", second: "2-digit", timeZoneName: "short",
   });
 }
@@ -30,51 +35,72 @@ function begun(started_ns) {
 function facts(run) {
   const people = [run.robot, run.bar, run.payload, run.operator].filter(Boolean).join(", ");
   const valid = `${run.cycles_valid} of ${run.cycles} cycles valid`;
-  const parts = [begun(run.started), run.cycles ? `${duration(run.length_s)}, ${valid}` : null, people];
+  const parts = [begun(run.started_ms), run.cycles ? `${duration(run.length_s)}, ${valid}` : null, people];
   if (run.recovered) parts.push("recovered");
   if (run.simulated) parts.unshift("SIMULATED");
-  if (run.replay_of) parts.push(`replay of ${run.replay_of.name}, recorded ${begun(run.replay_of.started)} on ${run.replay_of.bus}`);
+  if (run.replay_of) parts.push(`replay of ${run.replay_of.name}, recorded ${begun(run.replay_of.started / 1e6)} on ${run.replay_of.bus}`);
+  if (run.verdict && run.cause) parts.push(run.cause);
   return parts.filter(Boolean).join(" · ");
 }
 
-const with_note = (run) => [facts(run), run.note].filter(Boolean).join("\n");
+const reasons = (run) => run.marks.filter(is_reason).map((mark) => mark.text).join("\n");
+const marks = (run) => run.marks.filter((mark) => !is_reason(mark)).map(marked).join(" · ");
+
+const with_note = (run) => [facts(run), run.note, reasons(run), marks(run)].filter(Boolean).join("\n");
 
 const why = (run) => run.verdict?.reasons.join("; ") || (run.verdict ? "" : run.cause);
 
-async function remove(run) {
-  const yes = await choose({
-    title: `Delete ${run.name}?`,
-    text: `${with_note(run)}\n\n${run.file} is removed from the disk. Nobody can bring it back.`,
-    yes: "Delete", danger: true,
-  });
-  if (!yes) return;
+// Asks the service for something that changes the list.
+async function change(path, body) {
   try {
-    await ask("delete", { name: run.name });
-    say("good", `${run.name} is deleted`);
+    return await act(path, body);
   } catch (error) {
     say("bad", error.message);
+    return null;
+  } finally {
+    refresh();
   }
-  refresh();
+}
+
+async function restore(name) {
+  const reply = await change("restore", { name });
+  if (reply) say("good", `${reply.run} is among the runs again`);
+}
+
+async function remove(run) {
+  const yes = await choose({
+    title: `Delete ${run.name}?`, text: `${with_note(run)}\n\nIt goes into the bin, from which it can be restored.`, yes: "Delete",
+    danger: true,
+  });
+  const reply = yes && await change("delete", { name: run.name });
+  if (!reply) return;
+  const undo = el("button", { type: "button", textContent: "Restore", onclick: () => restore(reply.run) });
+  say("good", `${run.name} is in the bin`, undo);
+}
+
+async function empty_bin() {
+  const size_mb = deleted.reduce((sum, run) => sum + run.bytes, 0) / 1e6;
+  const yes = await choose({
+    title: "Empty the bin?",
+    text: `${deleted.map((run) => run.name).join(", ")}: ${size_mb.toFixed(1)} MB. Nobody can bring them back.`,
+    yes: "Remove for ever", danger: true,
+  });
+  const reply = yes && await change("bin/empty", {});
+  if (reply) say("good", `${reply.removed} recordings removed`);
 }
 
 async function note(run) {
   const said = await choose({ title: `Note of ${run.name}`, label: "Note", value: run.note, lines: 5, yes: "Keep" });
-  if (said === null) return;
-  try {
-    await ask("note", { name: run.name, note: said });
-  } catch (error) {
-    say("bad", error.message);
-  }
-  refresh();
+  if (said !== null) await change("note", { name: run.name, note: said });
 }
 
 async function look(run) {
   try {
     const curves = await ask(`runs/${encodeURIComponent(run.name)}/plot`);
     text($("plot-title"), run.name);
-    text($("plot-text"), `Degrees from the first valid sample of each joint.\n${with_note(run)}\nIt ended: ${run.cause}`);
+    text($("plot-text"), `Degrees from the first valid sample of each joint.\n${with_note(run)}`);
     $("plot").showModal();
-    plot(curves);
+    plot(curves, run.marks);
   } catch (error) {
     say("bad", error.message);
   }
@@ -89,10 +115,13 @@ function row(run) {
   const tool = (label, act) => el("button", { type: "button", textContent: label, ariaLabel: `${label} ${run.name}`, onclick: () => act(run) });
   const tools = run.verdict ? [tool("Plot", look), download("MCAP", "mcap"), download("CSV", "csv"),
     download("CSV;", "csv?excel=true", "for Excel: semicolons and decimal commas"), tool("Note", note), tool("Delete", remove)] : [];
+  tools.at(-1)?.classList.add("apart");
   const item = el("li", { level: run.verdict?.level ?? "check" },
     el("span", { className: "verdict", textContent: verdict_word(run.verdict) || "…" }),
     el("span", { className: "name" }, run.name, why(run) ? el("div", { className: "facts", textContent: why(run) }) : null),
-    el("span", { className: "facts" }, facts(run), run.note ? el("div", { className: "note", textContent: run.note }) : null),
+    el("span", { className: "facts" }, facts(run), run.note ? el("div", { className: "note", textContent: run.note }) : null,
+      reasons(run) ? el("div", { className: "reason", textContent: reasons(run) }) : null,
+      marks(run) ? el("div", { className: "marks", textContent: marks(run) }) : null),
     el("span", { className: "tools" }, ...tools));
   item.dataset.run = run.name;
   return item;
@@ -114,5 +143,37 @@ function show() {
   }
 }
 
+function show_bin() {
+  $("bin").hidden = !deleted.length;
+  text($("bin-count"), `${deleted.length}`);
+  $("bin-runs").replaceChildren(...deleted.map((run) => el("li", {},
+    el("span", { className: "name", textContent: run.name }),
+    el("span", { className: "facts", textContent: facts(run) }),
+    el("button", { type: "button", textContent: "Restore", ariaLabel: `Restore ${run.name}`, onclick: () => restore(run.name) }))));
+}
+
+// What became of the run that has just ended, and what comes next.
+function show_after() {
+  const run = last?.file ? runs.find((one) => one.file === last.file) : undefined;
+  $("after").hidden = !run?.verdict;
+  if (!run?.verdict) return;
+  $("after").dataset.level = run.verdict.level;
+  $("after-title").replaceChildren(`${run.name} is `, el("span", { className: "verdict", textContent: verdict_word(run.verdict) }));
+  text($("after-why"), [run.verdict.reasons.join("; "), run.cause].filter(Boolean).join(" · "));
+  $("after-next").hidden = !run.next;
+  text($("after-log"), `${run.name}.csv`);
+  text($("after-command"), run.next ?? "");
+  if (document.activeElement === $("runs-title")) $("after-title").focus({ preventScroll: true });
+}
+
+$("after-copy").addEventListener("click", async () => {
+  try {
+    await navigator.clipboard.writeText($("after-command").textContent);
+    say("good", "copied");
+  } catch {
+    say("check", "this browser does not let a page copy; select the text");
+  }
+});
+$("bin-empty").addEventListener("click", empty_bin);
 $("search").addEventListener("input", show);
 $("only").addEventListener("change", show);
