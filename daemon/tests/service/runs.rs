@@ -250,7 +250,7 @@ fn a_run_that_is_cut_off_or_too_short_says_so_in_the_list() {
     service.wait_for("writing");
     service.signal(nix::sys::signal::Signal::SIGTERM);
     assert!(service.ended(std::time::Duration::from_secs(10)).success());
-    let mut list = Command::new(env!("CARGO_BIN_EXE_ballbard"));
+    let mut list = ballbard();
     let listed = text(&list.arg("runs").arg(service.directory.path()).output().unwrap());
     assert!(listed.contains("stopped by SIGTERM") && listed.contains("CHECK"), "{listed}");
     assert!(listed.contains("`identify` needs at least 10 s"), "{listed}");

@@ -51,7 +51,7 @@ pub(super) async fn empty(
     State(service): State<Service>,
     body: Body<EmptyBinRequest>,
 ) -> Result<Response, Response> {
-    body.map_err(|rejection| rejected(&rejection))?;
+    let Json(_) = body.map_err(|rejection| rejected(&rejection))?;
     let bins = bins(&service);
     let removed = on_disk(&service, move |disk| bins.empty(disk)).await?;
     tracing::warn!(removed, "bin emptied on request");

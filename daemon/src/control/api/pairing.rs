@@ -109,7 +109,7 @@ pub(super) async fn pair(
     State(Shared { pairing, .. }): State<Shared>,
     body: Body<PairRequest>,
 ) -> Result<Json<PairReply>, Response> {
-    body.map_err(|rejection| rejected(&rejection))?;
+    let Json(_) = body.map_err(|rejection| rejected(&rejection))?;
     let Some(pairing) = pairing else {
         return Err(refusal(
             StatusCode::CONFLICT,
