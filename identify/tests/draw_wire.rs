@@ -169,7 +169,7 @@ impl Watch for Stages {
 
 #[test]
 fn a_calibration_from_rows_reports_its_stages_to_who_watches() {
-    let rows = vec![Rows::from(Measured::Lengths(made_up(200).0))];
+    let rows = vec![Rows::from(Measured::Lengths(made_up(400).0))];
     let (data, stages) = (DataSets { rows, ..DataSets::default() }, Stages::default());
     calibrate(&data, &irb120(), &IdentifyConfig::default(), Some(&stages)).unwrap();
     let stages = stages.0.into_inner().unwrap();

@@ -320,7 +320,7 @@ fn columns_that_are_exchanged_or_reversed_or_in_another_unit_are_named_by_trying
 
 #[test]
 fn a_date_written_as_one_number_is_no_time_in_milliseconds() {
-    let mut csv = String::from("Timestamp;q1;q2;q3;q4;q5;q6;x;y;z\n");
+    let mut csv = String::from("Timestamp;q1;q2;q3;q4;q5;q6;tracker_x;tracker_y;tracker_z\n");
     for row in 0..60 {
         let q: Vec<String> = joints_rad(row).iter().map(|q| format!("{q:.6}")).collect();
         let at = seen(row).translation.vector * 1e3;
