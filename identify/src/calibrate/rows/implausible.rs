@@ -265,13 +265,14 @@ fn misfit_m(rows: &[PoseRow], robot: &Chain) -> Option<f64> {
     Some(figures.position_m.rms.hypot(TOOL_M * figures.rotation_rad.map_or(0.0, |sizes| sizes.rms)))
 }
 
+/// Nominal arms are nearer to rows that are read right \[m\].
+const NEAR_M: f64 = 0.05;
+
 /// The mistake among these that brings the nominal robot to the rows, where one does.
 pub fn likely(rows: &[PoseRow], robot: &Chain, mistakes: &[Mistake]) -> Option<Likely> {
     /// Undoing a mistake leaves less than this part of the distance: what is left is the robot's own error, millimetres
     /// where mistakes make centimetres.
     const LEFT: f64 = 0.3;
-    /// Nominal arms are nearer to rows that are read right \[m\].
-    const NEAR_M: f64 = 0.05;
     // Where no place of the tracker can be found, any is better.
     let as_read_m = misfit_m(rows, robot).unwrap_or(f64::INFINITY);
     let of =
@@ -337,21 +338,27 @@ pub(in crate::calibrate) fn unless_other_unit(
     };
     let left_m = |wire: &Wire, model: &Model| median_size(wire.residuals_m(&model.geometry(&[])).into_iter());
     let (varies_m, as_read_m) = (spread_m(wire), left_m(wire, nominal));
-    if as_read_m < UNEXPLAINED * varies_m {
+    if as_read_m < NEAR_M.min(UNEXPLAINED * varies_m) {
         return Ok(());
+    }
+    let mut start = nominal.clone();
+    for parameter in nominal.parameters() {
+        start.set_value(parameter.id, parameter.nominal)?;
     }
     let undone = |thousandths: &u32| {
         let other = wire.times(f64::from(*thousandths) * 1e-3);
-        let mut run = Run { instrument: Instrument::Wire(other.clone()), model: nominal.clone() };
+        let mut run = Run { instrument: Instrument::Wire(other.clone()), model: start.clone() };
         run.instrument.place(&mut run.model, &[]).ok().filter(|placed| *placed)?;
         estimate(std::slice::from_mut(&mut run), &Plan::new(LossName::Huber, Vec::new())).ok()?;
         let undone_m = left_m(&other, &run.model);
+        let part = undone_m / spread_m(&other);
         let mistake = Mistake::LengthUnit(*thousandths);
-        (undone_m < UNEXPLAINED * spread_m(&other)).then_some(Likely { mistake, as_read_m, undone_m })
+        (undone_m < NEAR_M && part < UNEXPLAINED).then_some((part, Likely { mistake, as_read_m, undone_m }))
     };
-    let Some(likely) = THOUSANDTHS.iter().find_map(undone) else { return Ok(()) };
+    let best = THOUSANDTHS.iter().filter_map(undone).min_by(|a, b| a.0.total_cmp(&b.0));
+    let Some((_, likely)) = best else { return Ok(()) };
     let found = format!(
-        "the lengths vary by {:.3} mm (RMS), and the nominal robot explains nothing of it",
+        "the lengths vary by {:.3} mm (RMS), which the nominal robot does not explain",
         varies_m * 1e3
     );
     Err(CalibrateError::Implausible { found, likely: Some(likely) })
