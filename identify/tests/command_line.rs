@@ -557,6 +557,9 @@ fn a_place_for_results_that_cannot_be_used_is_found_before_any_work() {
         fails(&output, &["--out", &out.display().to_string(), "directory"]);
         assert!(!String::from_utf8_lossy(&output.stderr).contains("missing.csv"));
     }
+    let bar = config("ball_bar.toml");
+    let simulated = identify(&["simulate", "--duration", "2h", "--bar", bar.to_str().unwrap()], IRB, &file);
+    fails(&simulated, &["--out", "give a directory"]);
     // Nothing is left of the trial.
     let out = inputs.path().join("not/yet");
     fails(&calibrate(&experiment().join("recording.mcap"), &missing, &[], &out), &["missing.csv"]);

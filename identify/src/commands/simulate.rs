@@ -8,6 +8,7 @@ use shared::config::{self, BallBarConfig, RobotConfig};
 use shared::output::say;
 use shared::time::parse_duration;
 
+use super::ensure_can_write;
 use crate::instrument::SocketTable;
 use crate::plan::PlannedPath;
 use crate::simulate::contact::{self, ContactExperiment};
@@ -189,6 +190,11 @@ fn within(option: &str, value: f64, limit: f64) -> anyhow::Result<()> {
 }
 
 pub fn run(arguments: &SimulateArguments) -> anyhow::Result<()> {
+    let out = match &arguments.instrument {
+        Instrument::Bar(arguments) => &arguments.out,
+        Instrument::Contact(arguments) => &arguments.out,
+    };
+    ensure_can_write(out)?;
     match &arguments.instrument {
         Instrument::Bar(arguments) => bar(arguments),
         Instrument::Contact(arguments) => contacts(arguments),
