@@ -1,16 +1,15 @@
 //! Logs whose stamps are written as controllers write them: rows get the times of the regular clock behind the stamps.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-use std::path::Path;
-
 use identify::inspect;
 use identify::kinematics::Joints;
-use identify::logs::{RobotLog, Stamps, Stream, read, write};
+use identify::logs::{RobotLog, Stamps, Stream};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
 
 use crate::support::irb2400;
+use crate::support::stamped::stamped;
 
 /// Five joints in smooth motion between rests, for a minute.
 fn log(rate_hz: f64) -> RobotLog {
@@ -26,20 +25,7 @@ fn log(rate_hz: f64) -> RobotLog {
 
 /// The log as it comes back from a file with these stamps \[s\].
 fn read_back(log: &RobotLog, stamps_s: Vec<f64>) -> RobotLog {
-    let mut text = String::from_utf8({
-        let mut bytes = Vec::new();
-        write(log, &irb2400(), &mut bytes).unwrap();
-        bytes
-    })
-    .unwrap();
-    let mut stamps_s = stamps_s.into_iter();
-    let begins = |line: &str| line.starts_with(|first: char| first.is_ascii_digit() || first == '-');
-    let lines = text.lines().map(|line| match line.split_once(',') {
-        Some((_, rest)) if begins(line) => format!("{:.6},{rest}\n", stamps_s.next().unwrap() + 100.0),
-        _ => format!("{line}\n"),
-    });
-    text = lines.collect();
-    read(text.as_bytes(), Path::new("log.csv"), &irb2400()).unwrap()
+    stamped(log, &irb2400(), stamps_s.into_iter().map(|stamp_s| Some(stamp_s + 100.0)), 6)
 }
 
 /// Largest difference of two clocks but for shift and rate, which a calibration finds \[s\].
@@ -150,6 +136,31 @@ fn rows_that_are_missing_leave_the_others_where_they_were() {
     let mean = off.iter().sum::<f64>() / off.len() as f64;
     let rms_s = (off.iter().map(|off| (off - mean).powi(2)).sum::<f64>() / off.len() as f64).sqrt();
     assert!(rms_s < 1e-3, "{rms_s}");
+}
+
+/// Stamps of 4 ms whose clock passes from one to the next once in a minute, rows of 4 ms that are missing, and both.
+#[test]
+fn rounded_stamps_are_no_missing_rows_and_missing_rows_no_rounding() {
+    let noise = Normal::new(0.0, 15e-6).unwrap();
+    for (missing, ppm) in [(0.0, 50.0), (2e-4, 50.0), (0.01, 50.0), (0.05, 50.0), (0.01, 0.0), (0.05, 0.0)] {
+        let mut random = ChaCha8Rng::seed_from_u64(11);
+        let mut whole = log(250.0);
+        // So slow that noise hides a single row.
+        whole.q_rad.iter_mut().flatten().for_each(|q| *q = 0.2 * *q + noise.sample(&mut random));
+        let kept: Vec<bool> = whole.q_rad.iter().map(|_| !random.random_bool(missing)).collect();
+        let kept_row = |row: usize, q: &Joints| kept[row].then_some(*q);
+        let q_rad = whole.q_rad.filter_map(0..whole.q_rad.len(), kept_row);
+        let log = RobotLog { q_rad: q_rad.into(), ..RobotLog::default() };
+        let times_s: Vec<f64> = log.q_rad.t_s.iter().map(|t_s| t_s * (1.0 + ppm * 1e-6)).collect();
+        let stamp = |t_s: &f64| ((t_s + 0.0017) / 0.004).floor() * 0.004;
+        let back = read_back(&log, times_s.iter().map(stamp).collect());
+        let found = if ppm == 0.0 { 0.0 } else { apart_s(&back.q_rad.t_s, &times_s) };
+        assert!(found < 2e-4, "{missing}, {ppm}: {:.3} ms, {:?}", found * 1e3, stamps(&back));
+        let [first, last] = [kept.iter().position(|kept| *kept), kept.iter().rposition(|kept| *kept)];
+        let lost = kept[first.unwrap()..last.unwrap()].iter().filter(|kept| !**kept).count();
+        assert_eq!(stamps(&back).missing, lost, "{missing}, {ppm}");
+        assert!(stamps(&back).steps.is_empty(), "{missing}, {ppm}");
+    }
 }
 
 #[test]

@@ -13,6 +13,7 @@ pub mod minute;
 pub mod other_solver;
 pub mod refused;
 pub mod rows;
+pub mod stamped;
 pub mod tracker_log;
 pub mod truth;
 

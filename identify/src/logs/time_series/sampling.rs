@@ -1,9 +1,15 @@
 //! The regular clock behind the stamps of a log.
 //!
 //! Controllers sample by a clock that is even to microseconds, and stamp by one that may be rounded, read late, or once for
-//! several rows. The stamp of row `k` is `offset + n_k period + steps + jitter`, with whole `n_k` that leaves out lost rows.
-//! How many periods lie between two rows the motion says better than the stamps, as long as the robot moves evenly: a row
-//! that is missing leaves a step of twice the usual size. The rest is least squares with a robust loss.
+//! several rows. The stamp of row `k` is `offset + n_k period + steps + jitter`, rounded to a grid, with whole `n_k` that leaves out
+//! lost rows. The grid is found first: it is common to all stamps. How many periods lie between two rows the motion shows better
+//! than the stamps, as long as the robot moves evenly: a row that is missing leaves a step of twice the usual size. The rest is
+//! least squares with a robust loss.
+//!
+//! Stamps that are whole periods apart have several explanations: they are right and rows are missing, or they were rounded and no
+//! row is missing, or both. The shortest description of the log is taken (minimum description length, [`Numbered::description`]):
+//! each counts what it states beyond the clock, in nats, so that a wrong choice that is preferred by `d` nats has a probability below
+//! `exp(-d)`.
 
 use std::ops::Range;
 
@@ -75,10 +81,18 @@ pub(super) const STEPS_PART: f64 = 0.02;
 const KNOTS_S: f64 = 60.0;
 /// Knots at most.
 const KNOTS_MAX: usize = 200;
-/// Rounded stamps are off by 0.29 of their step, root mean square; where the clock keeps to the steps they are not off at all.
+/// Rounded stamps are off by 0.29 of their grid, root mean square; where the clock keeps to the grid they are not off at all.
 const ROUNDED_SIGMA: f64 = 0.1;
-/// Finer steps of stamps are those of the format \[s\].
-const ROUNDED_S_MIN: f64 = 2e-4;
+/// Finer grids are those of the format \[s\].
+const GRID_S_MIN: f64 = 2e-4;
+/// Stamps are written to microseconds or better \[s\].
+const WRITTEN_S: f64 = 1.5e-6;
+/// Rounding moves two stamps by up to one grid against each other, and the phase of the clock is known to a quarter of it.
+const ROUNDED: f64 = 1.25;
+/// From one knot to the next the rate of a clock changes by this, one standard deviation: a quartz that warms up by 1 K.
+const RATE_CHANGE: f64 = 2e-6;
+/// Steps for each one that the motion miscounts (see [`NEIGHBOURS_WHOLE`]), and the odds that are needed to overrule it.
+const MISCOUNTED: f64 = 1000.0;
 /// Even times are right where they make the motion as smooth as the stamps do, but for this factor. Of 2400 simulated logs (50 to
 /// 1000 Hz, joints with 0.1 to 300 urad of noise, stamps off by 6 to 500 us) none whose clock is even comes above 1.001; where the
 /// stamps are right, even times come to 1.1 and more as soon as they move joints by half of their noise.
@@ -133,78 +147,195 @@ pub(in crate::logs) struct Sampling {
 /// The regular clock behind the stamps, which must not decrease; none where there is none.
 pub(in crate::logs) fn sampling(stamps_s: Vec<f64>, rows: &[Joints]) -> Option<Sampling> {
     let t_s = &*stamps_s;
-    // The motion is asked only where there is something to ask: long logs have millions of rows.
+    // The motion is compared only where it decides: long logs have millions of rows.
     let even = even_already(t_s);
     if let Some((stamps, _)) = even.as_ref().filter(|(stamps, _)| stamps.missing == 0) {
         return Some(Sampling { stamps: stamps.clone(), t_s: stamps_s });
     }
-    let motion = by_motion(rows);
-    let agrees =
-        |periods: &[f64]| motion.iter().zip(periods).all(|(one, other)| one.is_none_or(|one| one == *other));
-    if let Some((stamps, _)) = even.filter(|(_, periods)| agrees(periods)) {
+    let mut motion = by_motion(rows);
+    // Without motion stamps cannot be compared with anything.
+    let moves = motion.iter().flatten().count() >= ROWS_MIN;
+    let contradicted = even.as_ref().map(|(_, periods)| contradicted(&mut motion, periods, rows));
+    let stamped = even.as_ref().map(|(_, periods)| as_stamped(&motion, periods));
+    let grid_s = grid(t_s);
+    let missing = even.as_ref().map_or(0, |(stamps, _)| stamps.missing);
+    let numbered = [Some(&motion), stamped.as_ref()].into_iter().flatten().filter(|_| moves);
+    let numbered = numbered.filter_map(|periods| Numbered::new(t_s, periods, grid_s)).map(|numbered| {
+        let description = numbered.description(missing);
+        (numbered, description)
+    });
+    let shortest = numbered.min_by(|a, b| a.1.total_cmp(&b.1));
+    let right = even.zip(contradicted).filter(|((stamps, periods), contradicted)| {
+        let as_right = places(stamps.missing, periods.len()) + contradicted;
+        shortest.as_ref().is_none_or(|(_, description)| as_right <= *description)
+    });
+    if let Some(((stamps, _), _)) = right {
         return Some(Sampling { stamps, t_s: stamps_s });
     }
-    // Of a robot that hardly moves nobody can tell whether its stamps are right.
-    if motion.iter().flatten().count() < ROWS_MIN {
-        return None;
-    }
-    let period_s = period(t_s, &motion)?;
-    let mut numbers = numbers(t_s, &motion, period_s);
-    let rest = |numbers: &[f64]| -> Vec<f64> {
-        t_s.iter().zip(numbers).map(|(t_s, number)| t_s - period_s * number).collect()
-    };
-    let mut rest_s = rest(&numbers);
-    let mut breaks_at = breaks(&rest_s, period_s)?;
-    let mut fit = Fit::new(&rest_s, &numbers, period_s, &breaks_at)?;
-    if recounted(&mut numbers, t_s, &motion, &breaks_at, &fit.steps_s, period_s) {
-        rest_s = rest(&numbers);
-        breaks_at = breaks(&rest_s, period_s)?;
-        fit = Fit::new(&rest_s, &numbers, period_s, &breaks_at)?;
-    }
-    let rounded_to_s = rounded_to(t_s);
-    // Where the period is a multiple of what stamps are rounded to they step by one such part now and then.
-    let is_step = |by_s: &f64| rounded_to_s.is_none_or(|part_s| (by_s.abs() - part_s).abs() > STEP_S_MIN);
-    if !fit.steps_s.iter().all(is_step) {
-        let mut kept = fit.steps_s.iter().map(is_step);
-        breaks_at.retain(|_| kept.next().unwrap_or(true));
-        fit = Fit::new(&rest_s, &numbers, period_s, &breaks_at)?;
-    }
-    // About a hole of the log the motion says nothing, and where a step is, is known to some rows.
-    let sure = |at: usize| {
-        let about = motion.get(at.saturating_sub(NEIGHBOURS)..at + NEIGHBOURS);
-        about.is_some_and(|about| about.iter().all(Option::is_some))
-    };
-    let (mut steps, mut stays_s) = (Vec::new(), vec![0.0; breaks_at.len()]);
-    for (place, (&at, &by_s)) in breaks_at.iter().zip(&fit.steps_s).enumerate() {
-        // Where the robot stands nobody knows how long: the stamps are believed.
-        if sure(at) { steps.push(StampStep { at_s: t_s[at], by_s }) } else { stays_s[place] = by_s }
-    }
-    let even = |row: usize| {
-        let stays: f64 =
-            breaks_at.iter().zip(&stays_s).filter(|(at, _)| **at <= row).map(|(_, by_s)| by_s).sum();
-        period_s * numbers[row] + fit.smooth_s[row] + stays
-    };
-    let even_s: Vec<f64> = (0..t_s.len()).map(even).collect();
-    let mut scatter_s: Vec<f64> = (0..t_s.len()).map(|row| (rest_s[row] - fit.whole_s[row]).abs()).collect();
-    scatter_s.sort_by(f64::total_cmp);
-    let jitter_s = rms(&scatter_s);
-    let equal = t_s.windows(2).filter(|pair| pair[1] <= pair[0]).count();
-    let stamps = Stamps {
-        evened: jitter_s > EVEN_S || equal > 0 || !steps.is_empty(),
-        period_s: period_s + fit.slope_s,
-        jitter_s,
-        jitter_max_s: scatter_s.last().copied().unwrap_or_default(),
-        rounded_to_s: rounded_to_s.filter(|step_s| jitter_s > ROUNDED_SIGMA * step_s),
-        equal,
-        missing: numbers.windows(2).map(|pair| pair[1] - pair[0] - 1.0).sum::<f64>() as usize,
-        steps,
-    };
+    let (even_s, stamps) = shortest?.0.times(t_s, &motion);
     if !stamps.evened {
         return Some(Sampling { stamps, t_s: stamps_s });
     }
     let increases = even_s.windows(2).all(|pair| pair[1] > pair[0]);
     let is_right = increases && roughness(&even_s, rows) <= AS_SMOOTH * roughness(t_s, rows);
     is_right.then_some(Sampling { t_s: even_s, stamps })
+}
+
+/// Description of the places of some of the rows \[nats\].
+fn places(some: usize, rows: usize) -> f64 {
+    let (some, rows) = (some as f64, rows as f64);
+    if some > 0.0 { some * ((rows / some).ln() + 1.0) } else { 0.0 }
+}
+
+/// Periods from row to row by the motion, by the stamps where that is unknown.
+fn as_stamped(motion: &[Option<f64>], periods: &[f64]) -> Vec<Option<f64>> {
+    motion.iter().zip(periods).map(|(shown, stamped)| shown.or(Some(*stamped))).collect()
+}
+
+/// By how much the motion contradicts stamps that are whole `periods` apart \[nats\]. Where rows would be missing it is compared over
+/// more rows, and `motion` is what that shows.
+fn contradicted(motion: &mut [Option<f64>], periods: &[f64], rows: &[Joints]) -> f64 {
+    let mut numbers = vec![0.0];
+    for periods in as_stamped(motion, periods).into_iter().flatten() {
+        numbers.push(numbers.last().copied().unwrap_or_default() + periods);
+    }
+    let mut nats = 0.0;
+    for (at, (shown, &stamped)) in motion.iter_mut().zip(periods).enumerate() {
+        if *shown == Some(stamped) {
+            continue;
+        }
+        let is_open = stamped > 1.0 && stamped <= PERIODS_MAX;
+        let closer = if is_open { by_curve(rows, &numbers, at, stamped as usize) } else { None };
+        *shown = closer.map(|(periods, _)| periods).or(*shown);
+        if shown.is_some_and(|shown| shown != stamped) {
+            nats += closer.map_or(MISCOUNTED.ln(), |(_, nats)| nats);
+        }
+    }
+    nats
+}
+
+/// Periods, 1 to `most`, from row `at` to the next one for which the rows on both sides are on the smoothest curve, with the
+/// log-likelihood ratio to the second best; none if that is too small.
+fn by_curve(rows: &[Joints], numbers: &[f64], at: usize, most: usize) -> Option<(f64, f64)> {
+    /// Rows of each side that determine a cubic.
+    const SIDE_MIN: usize = 8;
+    const TERMS: usize = 4;
+    let first = (at + 1).saturating_sub(BESIDE);
+    let end = (at + 1 + BESIDE).min(rows.len());
+    if at + 1 < first + SIDE_MIN || end < at + 1 + SIDE_MIN {
+        return None;
+    }
+    let (count, axes) = (end - first, rows[at].len());
+    let shown = DMatrix::from_fn(count, axes, |row, axis| rows[first + row][axis] - rows[at][axis]);
+    let squares = |periods: usize| {
+        let longer = periods as f64 - (numbers[at + 1] - numbers[at]);
+        let since = |row: usize| {
+            let since = numbers[first + row] - numbers[at];
+            (if first + row > at { since + longer } else { since }) / BESIDE as f64
+        };
+        let powers = DMatrix::from_fn(count, TERMS, |row, power| since(row).powi(power as i32));
+        let basis = powers.qr().q();
+        (&shown - &basis * (basis.transpose() * &shown)).norm_squared()
+    };
+    let mut fits: Vec<(usize, f64)> = (1..=most).map(|periods| (periods, squares(periods))).collect();
+    fits.sort_by(|a, b| a.1.total_cmp(&b.1));
+    let [(best, least), (_, second), ..] = fits[..] else { return None };
+    let variance = least / (axes * (count - TERMS)) as f64;
+    let nats = 0.5 * (second - least) / variance;
+    (nats > MISCOUNTED.ln()).then_some((best as f64, nats))
+}
+
+/// Rows numbered on a clock, which may not be that of their stamps.
+struct Numbered {
+    grid_s: Option<f64>,
+    period_s: f64,
+    numbers: Vec<f64>,
+    /// Stamps less their numbers' periods \[s\].
+    rest_s: Vec<f64>,
+    /// First rows after a step of the clock.
+    breaks_at: Vec<usize>,
+    fit: Fit,
+}
+
+impl Numbered {
+    /// Each row follows the one before it, but where the motion or what rounding and jitter do not explain says otherwise.
+    fn new(t_s: &[f64], motion: &[Option<f64>], grid_s: Option<f64>) -> Option<Self> {
+        let apart_s = ROUNDED * grid_s.unwrap_or_default();
+        let period_s = period(t_s, motion)?;
+        let mut numbers = numbers(t_s, motion, period_s, apart_s);
+        let rest = |numbers: &[f64]| -> Vec<f64> {
+            t_s.iter().zip(numbers).map(|(t_s, number)| t_s - period_s * number).collect()
+        };
+        let mut rest_s = rest(&numbers);
+        let mut breaks_at = breaks(&rest_s, period_s, apart_s)?;
+        let mut fit = Fit::new(&rest_s, &numbers, period_s, &breaks_at, grid_s)?;
+        if recounted(&mut numbers, t_s, motion, &breaks_at, &fit.steps_s, period_s) {
+            rest_s = rest(&numbers);
+            breaks_at = breaks(&rest_s, period_s, apart_s)?;
+            fit = Fit::new(&rest_s, &numbers, period_s, &breaks_at, grid_s)?;
+        }
+        Some(Self { grid_s, period_s, numbers, rest_s, breaks_at, fit })
+    }
+
+    fn missing(&self) -> usize {
+        self.numbers.windows(2).map(|pair| pair[1] - pair[0] - 1.0).sum::<f64>() as usize
+    }
+
+    /// How far each stamp is from the clock \[s\].
+    fn scatter_s(&self) -> impl Iterator<Item = f64> {
+        self.rest_s.iter().zip(&self.fit.whole_s).map(|(rest_s, whole_s)| (rest_s - whole_s).abs())
+    }
+
+    /// What a log states beyond its clock \[nats\]: which rows are missing, where the clock was set and by how much, in which cell of
+    /// the grid a stamp is that rounding does not put there, and, against stamps of which `otherwise` rows would be missing, where the
+    /// clock passes from cell to cell, which its phase and its rate decide.
+    fn description(&self, otherwise: usize) -> f64 {
+        /// Differential entropy of a normal distribution of unit deviation, as a number of cells.
+        const CELLS: f64 = 4.13;
+        let rows = self.numbers.len() as f64;
+        let cell_s = self.grid_s.unwrap_or(WRITTEN_S);
+        let beyond_s: Vec<f64> =
+            self.scatter_s().map(|off_s| (off_s - (ROUNDED - 0.5) * cell_s).max(0.0)).collect();
+        let cells = rows * (1.0 + CELLS * rms(&beyond_s) / cell_s).ln();
+        let passed = if self.breaks_at.is_empty() { self.missing().abs_diff(otherwise).min(2) } else { 0 };
+        let once = (passed + 2 * self.breaks_at.len()) as f64 * rows.ln();
+        places(self.missing(), self.numbers.len()) + cells + once
+    }
+
+    /// The times of the clock, where it is not the stamps themselves that are believed, and what the stamps are against it.
+    fn times(&self, t_s: &[f64], motion: &[Option<f64>]) -> (Vec<f64>, Stamps) {
+        let Self { grid_s, period_s, numbers, breaks_at, fit, .. } = self;
+        // Near a hole of the log the motion is unknown, and the place of a step is known to some rows.
+        let sure = |at: usize| {
+            let about = motion.get(at.saturating_sub(NEIGHBOURS)..at + NEIGHBOURS);
+            about.is_some_and(|about| about.iter().all(Option::is_some))
+        };
+        let (mut steps, mut stays_s) = (Vec::new(), vec![0.0; breaks_at.len()]);
+        for (place, (&at, &by_s)) in breaks_at.iter().zip(&fit.steps_s).enumerate() {
+            // How long the robot stands only the stamps show.
+            if sure(at) { steps.push(StampStep { at_s: t_s[at], by_s }) } else { stays_s[place] = by_s }
+        }
+        let even = |row: usize| {
+            let stays: f64 =
+                breaks_at.iter().zip(&stays_s).filter(|(at, _)| **at <= row).map(|(_, by_s)| by_s).sum();
+            period_s * numbers[row] + fit.smooth_s[row] + stays
+        };
+        let even_s: Vec<f64> = (0..t_s.len()).map(even).collect();
+        let scatter_s: Vec<f64> = self.scatter_s().collect();
+        let jitter_s = rms(&scatter_s);
+        let equal = t_s.windows(2).filter(|pair| pair[1] <= pair[0]).count();
+        let stamps = Stamps {
+            evened: jitter_s > EVEN_S || equal > 0 || !steps.is_empty(),
+            period_s: period_s + fit.slope_s,
+            jitter_s,
+            jitter_max_s: scatter_s.into_iter().fold(0.0, f64::max),
+            rounded_to_s: grid_s.filter(|grid_s| jitter_s > ROUNDED_SIGMA * grid_s),
+            equal,
+            missing: self.missing(),
+            steps,
+        };
+        (even_s, stamps)
+    }
 }
 
 /// What stamps are whose distances are all whole multiples of the usual one, and these.
@@ -226,24 +357,30 @@ fn even_already(t_s: &[f64]) -> Option<(Stamps, Vec<f64>)> {
     })
 }
 
-/// The step of which all stamps are multiples, beside one offset.
-fn rounded_to(t_s: &[f64]) -> Option<f64> {
-    /// Stamps are written to microseconds or better.
-    const WRITTEN_S: f64 = 1.5e-6;
+/// The grid on which stamps are \[s\]: all are multiples of it beside one offset, which changes only where the clock is set.
+fn grid(t_s: &[f64]) -> Option<f64> {
     /// Parts that the least distance has at most.
     const PARTS_MAX: u32 = 32;
-    let first_s = *t_s.first()?;
+    /// Grids are multiples of this \[s\], or whole parts of a second: a clock that is even is on no grid, but for a rare rate.
+    const ROUND_S: f64 = 1e-5;
+    /// The offset changes so often at most.
+    const SET_MAX: usize = 3;
     let steps_s = t_s.windows(2).map(|pair| pair[1] - pair[0]).filter(|step_s| *step_s > WRITTEN_S);
     let least_s = steps_s.fold(f64::INFINITY, f64::min);
-    let mut multiples =
-        (1..=PARTS_MAX).map(|part| least_s / f64::from(part)).filter(|step_s| *step_s > ROUNDED_S_MIN);
-    multiples.find_map(|step_s| {
-        // The last stamp of all gives the step as finely as it can be told.
-        let whole_s = (t_s.last()? - first_s) / ((t_s.last()? - first_s) / step_s).round();
-        let off =
-            |t_s: &f64| ((t_s - first_s) / whole_s - ((t_s - first_s) / whole_s).round()).abs() * whole_s;
-        t_s.iter().all(|t_s| off(t_s) < WRITTEN_S).then_some(whole_s)
-    })
+    let is_grid = |grid_s: &f64| {
+        let (mut offset_s, mut set) = (t_s[0], 0);
+        t_s.iter().all(|t_s| {
+            let off_s = t_s - offset_s - ((t_s - offset_s) / grid_s).round() * grid_s;
+            if off_s.abs() > WRITTEN_S {
+                (offset_s, set) = (*t_s, set + 1);
+            }
+            set <= SET_MAX
+        })
+    };
+    let parts_s = (1..=PARTS_MAX).map(|part| least_s / f64::from(part));
+    let round_s = |part_s: f64| [(part_s / ROUND_S).round() * ROUND_S, 1.0 / (1.0 / part_s).round()];
+    let rounded_s = parts_s.take_while(|part_s| *part_s > GRID_S_MIN).flat_map(round_s);
+    rounded_s.filter(|grid_s| grid_s.is_finite()).find(is_grid)
 }
 
 fn rms(values: &[f64]) -> f64 {
@@ -327,8 +464,8 @@ fn period(t_s: &[f64], motion: &[Option<f64>]) -> Option<f64> {
 }
 
 /// Number of each row on the clock, from 0. Where the motion is silent a row follows the one before it, but where it and those
-/// after it are further away than jitter explains. Where it is not, the clock was set there.
-fn numbers(t_s: &[f64], motion: &[Option<f64>], period_s: f64) -> Vec<f64> {
+/// after it are further away than jitter and rounding, by `apart_s`, explain. Where it is not, the clock was set there.
+fn numbers(t_s: &[f64], motion: &[Option<f64>], period_s: f64, apart_s: f64) -> Vec<f64> {
     /// The phase follows the stamps over so many rows: the period is known to a thousandth, so that it lags by less than
     /// half of one, and rows that are missing do not draw it along.
     const PHASE_ROWS: f64 = 200.0;
@@ -351,7 +488,8 @@ fn numbers(t_s: &[f64], motion: &[Option<f64>], period_s: f64) -> Vec<f64> {
     };
     let mut scatters: Vec<f64> = (0..t_s.len()).step_by(LAG).filter_map(scatter_s).collect();
     // Twice the standard deviation: of a normal distribution the mean size is 0.8 of it.
-    let beyond = (2.5 * median(&mut scatters).unwrap_or_default() / period_s).max(0.5);
+    let beyond = (2.5 * median(&mut scatters).unwrap_or_default()).max(apart_s) / period_s;
+    let beyond = beyond.max(0.5);
     let first = t_s.iter().take(lasts).zip(0..).map(|(t_s, number)| t_s - period_s * f64::from(number));
     let mut phase_s = median(&mut first.collect::<Vec<_>>()).unwrap_or_default();
     let mut numbers = vec![0.0];
@@ -392,8 +530,8 @@ fn numbers(t_s: &[f64], motion: &[Option<f64>], period_s: f64) -> Vec<f64> {
     numbers
 }
 
-/// First rows after a step of what the stamps have beside a regular clock; none where it steps all the time.
-fn breaks(rest_s: &[f64], period_s: f64) -> Option<Vec<usize>> {
+/// First rows after a step of more than `apart_s` of the stamps against a regular clock; none if it steps all the time.
+fn breaks(rest_s: &[f64], period_s: f64, apart_s: f64) -> Option<Vec<usize>> {
     /// Part of the largest difference that places near the step have, too.
     const NEARLY: f64 = 0.9;
     let beside = BESIDE.max((BESIDE_S / period_s) as usize);
@@ -407,7 +545,7 @@ fn breaks(rest_s: &[f64], period_s: f64) -> Option<Vec<usize>> {
     let end = (rest_s.len() + 1).saturating_sub(beside);
     let mut scatters: Vec<f64> = (0..end).step_by(beside).map(scatter).collect();
     // Of a normal distribution the mean size is 0.8 standard deviations.
-    let limit_s = (STEP_SIGMAS * 1.25 * median(&mut scatters)?).max(STEP_S_MIN);
+    let limit_s = (STEP_SIGMAS * 1.25 * median(&mut scatters)?).max(STEP_S_MIN).max(apart_s);
     let mut found: Vec<usize> = Vec::new();
     let mut at = beside;
     while at < end {
@@ -470,7 +608,14 @@ struct Fit {
 }
 
 impl Fit {
-    fn new(rest_s: &[f64], numbers: &[f64], period_s: f64, breaks: &[usize]) -> Option<Self> {
+    /// Stamps of one cell of the grid are off together, as long as it takes the clock to pass it.
+    fn new(
+        rest_s: &[f64],
+        numbers: &[f64],
+        period_s: f64,
+        breaks: &[usize],
+        grid_s: Option<f64>,
+    ) -> Option<Self> {
         /// Residuals beyond so many standard deviations are drawn in (Huber).
         const HUBER: f64 = 1.345;
         const ROUNDS: usize = 8;
@@ -514,6 +659,16 @@ impl Fit {
                 for &(i, a) in &all {
                     right[i] += weight * a * rest;
                     all.iter().for_each(|&(j, b)| matrix[(i, j)] += weight * a * b);
+                }
+            }
+            let together = grid_s.unwrap_or_default().powi(2) / 12.0 * rest_s.len() as f64 / pieces as f64;
+            let single = if sigma_s.is_finite() { sigma_s * sigma_s } else { 0.0 };
+            let bend_s = RATE_CHANGE * last * period_s / pieces as f64;
+            let straight = (single + together) / (bend_s * bend_s);
+            for first in 0..pieces.saturating_sub(1) {
+                let bend = [(first, 1.0), (first + 1, -2.0), (first + 2, 1.0)];
+                for (i, a) in bend {
+                    bend.iter().for_each(|&(j, b)| matrix[(i, j)] += straight * a * b);
                 }
             }
             // A piece without rows follows its neighbours.
