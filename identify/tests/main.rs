@@ -60,6 +60,7 @@ mod solver_threads;
 mod split_at_changes;
 mod spoiled_rows;
 mod stamps;
+mod stamps_calibrated;
 mod stations_and_targets;
 mod streams;
 mod studies;

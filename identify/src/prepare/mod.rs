@@ -10,7 +10,7 @@
 //! 3. [`Predictor`]: with these, nominal inverse kinematics of the bar predicts its joints from the robot's log.
 //! 4. [`correlate`]: predicted and measured joint *speeds* know no offsets, signs or configurations, and the root of the sum
 //!    of their squares knows no order either; their cross-correlation gives candidates for the clock difference, whatever
-//!    its size.
+//!    its size. The rate of the clocks is found before, from short parts of the run (`align::rate`).
 //! 5. At each candidate angles are compared: [`find_encoder_map`] finds which encoder is which and which way it counts, then
 //!    offsets and configurations follow, segment by segment between singular poses and origins (`segments`). The shift
 //!    whose angles fit best wins.

@@ -78,6 +78,38 @@ pub fn candidates(first: &Channels, second: &Channels, overlap_min: usize, count
     found.collect()
 }
 
+/// Correlations at all shifts of a short set of signals against a long one.
+pub(in crate::prepare) struct Correlations(Vec<Score>);
+
+/// [`Correlations`] of at least `overlap_min` points.
+pub(in crate::prepare) fn correlations(
+    first: &Channels,
+    second: &Channels,
+    overlap_min: usize,
+) -> Correlations {
+    Correlations(scores(first, second, overlap_min.max(3)))
+}
+
+impl Correlations {
+    fn index(&self, shift: i64) -> Option<usize> {
+        usize::try_from(shift - self.0.first()?.shift).ok().filter(|index| *index < self.0.len())
+    }
+
+    /// At a shift in grid steps; 0 where the signals do not overlap or do not vary.
+    pub fn at(&self, shift: i64) -> f64 {
+        self.index(shift).and_then(|index| self.0[index].correlation).unwrap_or_default()
+    }
+
+    /// The highest positive peak at most `reach` from a shift: where it is, with a fraction, and its correlation.
+    pub fn peak_near(&self, shift: i64, reach: i64) -> Option<(f64, f64)> {
+        let near = (shift - reach..=shift + reach).filter_map(|shift| self.index(shift));
+        let peaks = near.filter(|index| is_peak(&self.0, *index));
+        let highest = peaks.filter_map(|index| Some((index, self.0[index].correlation?)));
+        let (index, correlation) = highest.max_by(|a, b| a.1.total_cmp(&b.1))?;
+        (correlation > 0.0).then(|| (self.0[index].shift as f64 + vertex(&self.0, index), correlation))
+    }
+}
+
 #[derive(Clone, Copy)]
 struct Score {
     shift: i64,

@@ -3,8 +3,9 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use super::clock::ClockFit;
+use super::clock::{ClockFit, SHIFT_SIGMA_S};
 use super::correlate::{Match, candidates};
+use super::rate::rates;
 use super::refine::{Fit, FitSample, refine};
 use super::speeds::{grid_step_s, measured_speeds, predicted_speeds, without_order};
 use super::window::{CANDIDATES, WINDOW_S, liveliest, overlap_min_s, wider};
@@ -92,11 +93,11 @@ impl Search<'_> {
     pub fn run(&self) -> Result<Found, PrepareError> {
         let step_s = grid_step_s(self.log_duration_s);
         let window = self.liveliest();
-        let shifts = self.candidates(&window, step_s)?;
+        let shifts = self.shifts(&window, step_s)?;
         let mut hypotheses = Vec::new();
         let mut refusal = None;
-        for matched in shifts {
-            match self.hypothesis(&window, matched, step_s) {
+        for shift in shifts {
+            match self.hypothesis(&window, shift, step_s) {
                 Ok(hypothesis) => hypotheses.push(hypothesis),
                 Err(error) => {
                     // A slip is the cause wherever it is seen.
@@ -118,7 +119,14 @@ impl Search<'_> {
             let measured = hypothesis.encoder_map.used.measured();
             let settled = self.settled(&window, hypothesis.clock, &hypothesis.encoder_map.used);
             let fit = self.refined(&settled, &measured, hypothesis.clock, None);
-            fitted.extend(fit.map(|fit| (hypothesis, fit)));
+            let Some(fit) = fit else { continue };
+            // Several rates may lead to one clock.
+            let same = fitted.iter_mut().find(|(_, other)| self.is_same(&window, other.clock, fit.clock));
+            match same {
+                Some(same) if same.1.sigma_of_most_rad <= fit.sigma_of_most_rad => {}
+                Some(same) => *same = (hypothesis, fit),
+                None => fitted.push((hypothesis, fit)),
+            }
         }
         // By most of the samples, not by half: another lap fits well wherever it is like the right one.
         retain_sharpest(&mut fitted, |(_, fit)| fit.sigma_of_most_rad);
@@ -158,14 +166,45 @@ impl Search<'_> {
         self.readings.t_s.get(sample).copied().unwrap_or_default()
     }
 
-    /// Shifts at which the speeds match, for times since the window's first sample, in grid steps.
-    fn candidates(&self, window: &Range<usize>, step_s: f64) -> Result<Vec<Match>, PrepareError> {
+    /// Whether two clocks are the same throughout a window, by what the speeds resolve.
+    fn is_same(&self, window: &Range<usize>, one: ClockFit, other: ClockFit) -> bool {
+        let ends_s = [window.start, window.end.saturating_sub(1)].map(|sample| self.time_s(sample));
+        ends_s.into_iter().all(|t_s| (one.tau_s(t_s) - other.tau_s(t_s)).abs() < SHIFT_SIGMA_S)
+    }
+
+    /// Rates less one at which the speeds are compared, and shifts at which they match there, for times since the window's first
+    /// sample, in grid steps.
+    fn shifts(&self, window: &Range<usize>, step_s: f64) -> Result<Vec<(f64, Match)>, PrepareError> {
+        let joints = self.joints();
+        let whole = |step_s| without_order(&self.predicted(step_s));
+        let part = |samples, step_s| {
+            without_order(&measured_speeds(&self.readings.slice(samples), &joints, step_s, 0.0))
+        };
+        let from_robot = self.predicted(step_s);
+        let (mut all, mut refusal) = (Vec::new(), None);
+        for rate in rates(&self.readings.t_s, window, self.log_duration_s, whole, part) {
+            match self.candidates(window, &from_robot, rate, step_s) {
+                Ok(found) => all.extend(found.into_iter().map(|matched| (rate, matched))),
+                Err(error) => refusal = Some(error),
+            }
+        }
+        let refusal = refusal.filter(|_| all.is_empty());
+        refusal.map_or(Ok(all), |refusal| Err(self.jump_between_parts(window, step_s).unwrap_or(refusal)))
+    }
+
+    fn candidates(
+        &self,
+        window: &Range<usize>,
+        from_robot: &Channels,
+        rate: f64,
+        step_s: f64,
+    ) -> Result<Vec<Match>, PrepareError> {
         let readings = self.readings.slice(window.clone());
         let window_s = readings.duration_s();
         let needed_s = overlap_min_s(self.options, window_s, self.log_duration_s);
         let overlap_min = (needed_s / step_s) as usize;
-        let from_bar = measured_speeds(&readings, &self.joints(), step_s);
-        let from_robot = self.predicted(step_s);
+        let from_bar = measured_speeds(&readings, &self.joints(), step_s, rate);
+        let from_robot = from_robot.clone();
         let channels = [[&from_robot, &from_bar].map(without_order), [from_robot, from_bar]];
         let found = each(channels.len(), |number| {
             let [robot, bar] = &channels[number];
@@ -183,7 +222,7 @@ impl Search<'_> {
         }
         if all.is_empty() {
             let other = "recording";
-            let no_match = match best {
+            return Err(match best {
                 Some(Match { correlation, overlap, .. }) => PrepareError::NoMatch {
                     other,
                     correlation,
@@ -191,8 +230,7 @@ impl Search<'_> {
                     needed: self.options.correlation_min,
                 },
                 None => PrepareError::NoSpeeds { other, needed_s },
-            };
-            return Err(self.jump_between_parts(window, step_s).unwrap_or(no_match));
+            });
         }
         Ok(all)
     }
@@ -206,14 +244,15 @@ impl Search<'_> {
         predicted_speeds(self.predictor, self.log_duration_s, &self.joints(), self.margin_rad(), step_s)
     }
 
-    /// What the angles say of a shift.
+    /// What the angles say of a rate and a shift there.
     pub(in crate::prepare) fn hypothesis(
         &self,
         window: &Range<usize>,
-        matched: Match,
+        (skew, matched): (f64, Match),
         step_s: f64,
     ) -> Result<Hypothesis, PrepareError> {
-        let clock = ClockFit { shift_s: matched.shift * step_s - self.time_s(window.start), skew: 0.0 };
+        let at_start = ClockFit { shift_s: matched.shift * step_s, skew };
+        let clock = at_start.counted_from(-self.time_s(window.start));
         let of_samples = self.pairs(window, clock);
         let pairs: Vec<AnglePair> = of_samples.iter().map(|(_, pair)| *pair).collect();
         let timed: Vec<_> = of_samples.iter().map(|(sample, pair)| (self.time_s(*sample), *pair)).collect();

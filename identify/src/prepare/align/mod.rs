@@ -7,6 +7,7 @@ pub(super) mod find;
 pub(super) mod parts;
 pub(super) mod placement;
 pub(super) mod predict;
+mod rate;
 pub(super) mod refine;
 pub(super) mod speeds;
 pub(super) mod tracker;

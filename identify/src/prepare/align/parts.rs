@@ -59,7 +59,7 @@ impl Search<'_> {
             let start_s = *self.readings.t_s.get(start)?;
             let part = self.readings.slice(samples.clone());
             let overlap_min = (OVERLAP * part.duration_s() / step_s) as usize;
-            let from_bar = without_order(&measured_speeds(&part, &joints, step_s));
+            let from_bar = without_order(&measured_speeds(&part, &joints, step_s, 0.0));
             let matched = candidates(&from_robot, &from_bar, overlap_min, 1).pop()?;
             let sure = matched.correlation >= self.options.correlation_min;
             let shift_s = matched.shift * step_s - start_s;
@@ -72,7 +72,7 @@ impl Search<'_> {
     fn side_fits(&self, side: &[Part], step_s: f64) -> bool {
         let (Some(first), Some(last)) = (side.first(), side.last()) else { return false };
         let window = first.samples.start..last.samples.end;
-        let fit = self.hypothesis(&window, first.matched, step_s);
+        let fit = self.hypothesis(&window, (0.0, first.matched), step_s);
         matches!(
             fit,
             Ok(_) | Err(PrepareError::AmbiguousEncoderMap { .. } | PrepareError::OtherEncoderMap { .. })

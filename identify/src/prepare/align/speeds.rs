@@ -18,15 +18,17 @@ const SPEED_RAD_S_MAX: f64 = 4.0;
 /// Angle at each grid point, or none where it is not known.
 type Angles = Vec<Option<[f64; BAR_JOINTS]>>;
 
-/// Measured speeds of `joints` (from 0), from the first reading on, every `step_s`.
+/// Measured speeds of `joints` (from 0), from the first reading on, every `step_s` of a clock that is faster by `rate`.
 pub(in crate::prepare) fn measured_speeds(
     readings: &Stream<BarReading>,
     joints: &[usize],
     step_s: f64,
+    rate: f64,
 ) -> Channels {
-    let steps = if readings.is_empty() { 0 } else { (readings.duration_s() / step_s) as usize + 1 };
+    let own_s = step_s / (1.0 + rate);
+    let steps = if readings.is_empty() { 0 } else { (readings.duration_s() / own_s) as usize + 1 };
     let spline = readings.clone().spline();
-    let angle = |step: usize| Some(spline.as_ref()?.at(step as f64 * step_s)?.value.recorded_rad);
+    let angle = |step: usize| Some(spline.as_ref()?.at(step as f64 * own_s)?.value.recorded_rad);
     let angles: Angles = (0..steps).map(angle).collect();
     of_joints(&angles, joints, step_s)
 }
