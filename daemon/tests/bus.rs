@@ -1,13 +1,15 @@
 //! A bus that is not what the configuration says is refused with the reason.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
+use std::collections::HashSet;
 use std::io;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicI64, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use ballbard::bus::{Bus, BusError, BusPlan, Operational};
 use ballbard::clock::Clock;
+use ballbard::cycle::Acquisition;
 use ballbard::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
 use ballbard::segment::{FRAME_BYTES_MAX, InProcessWire, Wire};
 use shared::config::EncoderConfig;
@@ -196,5 +198,109 @@ fn whichever_frame_is_lost_there_or_back_the_bus_comes_up() {
                 panic!("frame {lost} of {frames}, back {on_the_way_back}: {error}");
             }
         }
+    }
+}
+
+/// A segment whose replies come later, and what was sent to it.
+struct Late {
+    inner: InProcessWire,
+    clock: Clock,
+    delay_ns: Arc<AtomicI64>,
+    reply: Option<(MonoNs, Vec<u8>)>,
+    sent: Arc<Mutex<Vec<Vec<u8>>>>,
+}
+
+impl Wire for Late {
+    fn send(&mut self, frame: &[u8]) -> io::Result<()> {
+        self.sent.lock().unwrap().push(frame.to_vec());
+        self.inner.send(frame)
+    }
+
+    fn receive(&mut self, buffer: &mut [u8; FRAME_BYTES_MAX], until: MonoNs) -> io::Result<Option<usize>> {
+        if self.reply.is_none() {
+            let received = self.inner.receive(buffer, until)?;
+            let at = self.clock.now().plus_ns(self.delay_ns.load(Ordering::Relaxed));
+            self.reply = received.map(|length| (at, buffer[..length].to_vec()));
+        }
+        let Some((_, reply)) = self.reply.take_if(|(at, _)| *at <= until) else {
+            self.clock.sleep_until(until);
+            return Ok(None);
+        };
+        buffer[..reply.len()].copy_from_slice(&reply);
+        Ok(Some(reply.len()))
+    }
+}
+
+#[test]
+fn however_long_a_cyclic_frame_waits_for_its_reply_it_is_sent_once() {
+    const CYCLES: usize = 40;
+    let clock = Clock::virtual_from(UtcNs(0));
+    let (delay_ns, sent) = (Arc::new(AtomicI64::new(0)), Arc::new(Mutex::new(Vec::new())));
+    let wire = Late {
+        inner: InProcessWire::new(segment_with(5), clock.clone()),
+        clock: clock.clone(),
+        delay_ns: Arc::clone(&delay_ns),
+        reply: None,
+        sent: Arc::clone(&sent),
+    };
+    // Twice as long as a frame waits for its reply while the bus comes up.
+    let reply_timeout = Duration::from_millis(40);
+    let cycle_period = Duration::from_millis(100);
+    let plan = BusPlan { cycle_period, sync0_shift: cycle_period / 2, reply_timeout, ..plan(5) };
+    let bus = Bus::new(Box::new(wire), clock.clone(), reply_timeout);
+    let mut acquisition = Acquisition::start(bus, &plan, clock).unwrap();
+    sent.lock().unwrap().clear();
+    delay_ns.store(30_000_000, Ordering::Relaxed);
+    let before = acquisition.wire_counters();
+    (0..CYCLES).for_each(|_| acquisition.idle());
+    let after = acquisition.wire_counters();
+    let sent = sent.lock().unwrap();
+    let different: HashSet<&Vec<u8>> = sent.iter().collect();
+    assert_eq!(different.len(), sent.len(), "a frame was sent again");
+    assert!(after.received - before.received >= CYCLES as u64, "replies in time were not taken: {after:?}");
+}
+
+/// A segment that sets a flag when a number of frames was sent.
+struct Impatient {
+    inner: InProcessWire,
+    frames: Arc<AtomicUsize>,
+    patience: usize,
+    interrupt: Arc<AtomicBool>,
+}
+
+impl Wire for Impatient {
+    fn send(&mut self, frame: &[u8]) -> io::Result<()> {
+        let frames = self.frames.fetch_add(1, Ordering::Relaxed) + 1;
+        self.interrupt.fetch_or(frames >= self.patience, Ordering::Relaxed);
+        self.inner.send(frame)
+    }
+
+    fn receive(&mut self, buffer: &mut [u8; FRAME_BYTES_MAX], until: MonoNs) -> io::Result<Option<usize>> {
+        self.inner.receive(buffer, until)
+    }
+}
+
+#[test]
+fn whenever_somebody_asks_for_the_end_the_bus_is_not_brought_up_any_further() {
+    const PLACES: usize = 40;
+    let bring_up = |patience| {
+        let clock = Clock::virtual_from(UtcNs(0));
+        let (frames, interrupt) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicBool::new(false)));
+        let inner = InProcessWire::new(segment_with(5), clock.clone());
+        let wire =
+            Impatient { inner, frames: Arc::clone(&frames), patience, interrupt: Arc::clone(&interrupt) };
+        let plan = plan(5);
+        let mut bus = Bus::new(Box::new(wire), clock, plan.reply_timeout);
+        bus.interrupt_by(interrupt);
+        (bus.bring_up(&plan).map(|_| ()), frames.load(Ordering::Relaxed))
+    };
+    let (whole, frames) = bring_up(usize::MAX);
+    whole.unwrap();
+    // The last frame is the one that finds all in operation.
+    for place in 0..PLACES {
+        let patience = 1 + place * (frames - 2) / PLACES;
+        let (ended, sent) = bring_up(patience);
+        assert!(matches!(ended, Err(BusError::Interrupted)), "{patience} of {frames}: {ended:?}");
+        assert_eq!(sent, patience, "frames were sent after frame {patience} of {frames}");
     }
 }

@@ -38,10 +38,11 @@ impl Bus {
         };
         // A mailbox whose reply is lost on its way back is empty when it is read again, which ethercrab takes for an error: one
         // lost frame must not be the end.
-        match attempt() {
+        let outcome = match attempt() {
             Err(error) if error.may_be_a_lost_reply() => attempt(),
-            result => result,
-        }
+            outcome => outcome,
+        };
+        outcome.map_err(|error| if self.exchange.is_interrupted() { BusError::Interrupted } else { error })
     }
 
     fn try_bring_up(&mut self, plan: &BusPlan) -> Result<Operational, BusError> {
@@ -206,7 +207,7 @@ impl Bus {
     fn wait_operational(&mut self, operational: &Operational, plan: &BusPlan) -> Result<(), BusError> {
         let period_ns = plan.cycle_period.as_nanos() as i64;
         let deadline = self.clock.now().plus_ns(OPERATIONAL_TIMEOUT_NS);
-        while self.clock.now() < deadline {
+        while self.clock.now() < deadline && !self.exchange.is_interrupted() {
             let cycle = self.exchange(operational);
             if cycle.reply.is_some_and(|reply| reply.all_operational) {
                 return Ok(());

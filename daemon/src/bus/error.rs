@@ -148,6 +148,9 @@ pub enum BusError {
         /// What the stack says.
         error: EtherCatError,
     },
+    /// By whoever ends the run or the program.
+    #[error("stopped while the bus was brought up")]
+    Interrupted,
     /// The stack gave up in a way that it should not.
     #[error("the EtherCAT stack failed unexpectedly: {0}")]
     Panicked(String),

@@ -6,8 +6,11 @@
 
 use std::future::Future;
 use std::pin::{Pin, pin};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::task::{Context, Poll, Waker};
 
+use ethercrab::error::Error as EtherCatError;
 use ethercrab::{PduRx, PduTx, ReceiveAction};
 use shared::time::MonoNs;
 
@@ -33,6 +36,13 @@ pub struct WireCounters {
     pub receive_errors: u64,
 }
 
+impl WireCounters {
+    /// Frames that wait for a reply or had one, whether the wire took them or not.
+    const fn handed_out(&self) -> u64 {
+        self.sent + self.send_errors
+    }
+}
+
 /// Drives the EtherCAT stack over a wire.
 pub struct Exchange {
     /// None once released.
@@ -44,6 +54,7 @@ pub struct Exchange {
     sent_last: MonoNs,
     sent_bytes_last: usize,
     received_last: MonoNs,
+    interrupt: Arc<AtomicBool>,
 }
 
 impl Exchange {
@@ -59,7 +70,18 @@ impl Exchange {
             sent_last: now,
             sent_bytes_last: 0,
             received_last: now,
+            interrupt: Arc::default(),
         }
+    }
+
+    /// From now on [`run`](Self::run) ends once this is set.
+    pub fn interrupt_by(&mut self, interrupt: Arc<AtomicBool>) {
+        self.interrupt = interrupt;
+    }
+
+    /// Whether [`run`](Self::run) ends at once.
+    pub fn is_interrupted(&self) -> bool {
+        self.interrupt.load(Ordering::Acquire)
     }
 
     /// Gives the halves back; nothing is sent or received any more.
@@ -67,21 +89,30 @@ impl Exchange {
         self.halves.take()
     }
 
-    /// Runs a future of the EtherCAT stack to its end, carrying its frames meanwhile.
-    pub fn run<F: Future>(&mut self, future: F) -> F::Output {
+    /// Runs a future of the EtherCAT stack to its end and carries its frames. An interruption is an error of its own.
+    pub fn run<T>(
+        &mut self,
+        future: impl Future<Output = Result<T, EtherCatError>>,
+    ) -> Result<T, EtherCatError> {
         let mut future = pin!(future);
-        loop {
-            if let Some(output) = self.turn(future.as_mut(), None) {
+        while !self.is_interrupted() {
+            if let Some(output) = self.turn(future.as_mut(), None, true) {
                 return output;
             }
         }
+        Err(EtherCatError::Internal)
     }
 
-    /// Like [`run`](Self::run), but gives up at `deadline`; a reply that comes later is rejected.
+    /// Like [`run`](Self::run), but gives up at `deadline`; a reply that comes later is rejected. No frame is sent again: a
+    /// copy would come a cycle late and pass for a fresh sample.
     pub fn run_until<F: Future>(&mut self, future: F, deadline: MonoNs) -> Option<F::Output> {
         let mut future = pin!(future);
+        let before = self.counters;
         loop {
-            let output = self.turn(future.as_mut(), Some(deadline));
+            // One frame follows the other: what the stack offers while one waits for its reply is that one again.
+            let is_answered =
+                self.counters.handed_out() - before.handed_out() <= self.counters.received - before.received;
+            let output = self.turn(future.as_mut(), Some(deadline), is_answered);
             if output.is_some() || self.clock.now() >= deadline {
                 return output;
             }
@@ -89,7 +120,12 @@ impl Exchange {
     }
 
     /// Polls once; if that is not the end, sends what is to be sent and waits for one reply or the next timer.
-    fn turn<F: Future>(&mut self, future: Pin<&mut F>, deadline: Option<MonoNs>) -> Option<F::Output> {
+    fn turn<F: Future>(
+        &mut self,
+        future: Pin<&mut F>,
+        deadline: Option<MonoNs>,
+        sends: bool,
+    ) -> Option<F::Output> {
         timers::use_clock(&self.clock);
         timers::take_earliest_wake();
         if let Poll::Ready(output) = future.poll(&mut Context::from_waker(Waker::noop())) {
@@ -98,7 +134,9 @@ impl Exchange {
         let idle_until = self.clock.now().plus_ns(POLL_PERIOD_NS);
         let waits = [timers::take_earliest_wake(), deadline];
         let until = waits.into_iter().flatten().fold(idle_until, MonoNs::min);
-        self.send_pending();
+        if sends {
+            self.send_pending();
+        }
         self.receive_one(until);
         None
     }

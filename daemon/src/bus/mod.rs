@@ -8,6 +8,8 @@ mod recovery;
 mod stack;
 mod timers;
 
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use ethercrab::subdevice_group::{HasDc, NoDc, Op};
@@ -66,6 +68,7 @@ pub struct BusPlan {
 pub struct Bus {
     exchange: Exchange,
     main: &'static MainDevice<'static>,
+    pdu_timeout: Duration,
     clock: Clock,
     reply_timeout_ns: i64,
     /// What the bus' clock is set to when the bus comes up: the host's monotonic time plus this \[ns\].
@@ -118,14 +121,20 @@ pub struct CyclicExchange {
 impl Bus {
     /// A MainDevice on a wire.
     pub fn new(wire: Box<dyn Wire>, clock: Clock, reply_timeout: Duration) -> Self {
-        let Stack { tx, rx, main } = Stack::take();
+        let Stack { tx, rx, main, pdu_timeout } = Stack::take(reply_timeout);
         Self {
             exchange: Exchange::new(tx, rx, wire, clock.clone()),
             main,
+            pdu_timeout,
             clock,
             reply_timeout_ns: reply_timeout.as_nanos() as i64,
             bus_minus_monotonic_ns: 0,
         }
+    }
+
+    /// From now on bringing the bus up ends once this is set, with [`BusError::Interrupted`].
+    pub fn interrupt_by(&mut self, interrupt: Arc<AtomicBool>) {
+        self.exchange.interrupt_by(interrupt);
     }
 
     /// What went over the wire so far.
@@ -207,7 +216,7 @@ impl Bus {
 impl Drop for Bus {
     fn drop(&mut self) {
         if let Some((tx, rx)) = self.exchange.release() {
-            Stack { tx, rx, main: self.main }.leave();
+            Stack { tx, rx, main: self.main, pdu_timeout: self.pdu_timeout }.leave();
         }
     }
 }

@@ -5,6 +5,7 @@
 //! anew, there are as many stacks as there were buses at the same time.
 
 use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
 
 use ethercrab::{MainDevice, MainDeviceConfig, PduRx, PduStorage, PduTx, RetryBehaviour, Timeouts};
 
@@ -26,13 +27,17 @@ pub(super) struct Stack {
     pub rx: PduRx<'static>,
     /// The MainDevice.
     pub main: &'static MainDevice<'static>,
+    /// How long it waits for a reply before it sends a frame again, or gives it up.
+    pub pdu_timeout: Duration,
 }
 
 impl Stack {
-    /// One that is idle, or a new one.
-    pub fn take() -> Self {
-        let idle = IDLE.lock().unwrap_or_else(PoisonError::into_inner).pop();
-        idle.unwrap_or_else(Self::new)
+    /// One that waits at least `reply_timeout` for a reply: one that is idle, or a new one.
+    pub fn take(reply_timeout: Duration) -> Self {
+        let pdu_timeout = BRING_UP_REPLY_TIMEOUT.max(reply_timeout);
+        let mut idle = IDLE.lock().unwrap_or_else(PoisonError::into_inner);
+        let fitting = idle.iter().position(|stack| stack.pdu_timeout == pdu_timeout);
+        fitting.map(|index| idle.swap_remove(index)).unwrap_or_else(|| Self::new(pdu_timeout))
     }
 
     /// Leaves it to the next bus.
@@ -40,18 +45,17 @@ impl Stack {
         IDLE.lock().unwrap_or_else(PoisonError::into_inner).push(self);
     }
 
-    fn new() -> Self {
+    fn new(pdu_timeout: Duration) -> Self {
         let storage: &'static Storage = Box::leak(Box::new(Storage::new()));
         // Splitting fails only the second time; a storage made here was never split.
         #[allow(clippy::expect_used, reason = "the storage was made one line above")]
         let (tx, rx, pdu_loop) = storage.try_split().expect("fresh storage");
-        // For bringing the bus up; cyclic frames have a time-out of their own and are never repeated: a repeated one
-        // would come a cycle late and pass for a fresh sample.
+        // Retries are for bringing the bus up: `Exchange::run_until` sends none.
         // A device that is asked until it is ready is asked in frames that may be repeated themselves.
-        let repeated = BRING_UP_REPLY_TIMEOUT * (BRING_UP_RETRIES as u32 + 1);
+        let repeated = pdu_timeout * (BRING_UP_RETRIES as u32 + 1);
         let usual = Timeouts::default();
         let timeouts = Timeouts {
-            pdu: BRING_UP_REPLY_TIMEOUT,
+            pdu: pdu_timeout,
             eeprom: usual.eeprom + repeated,
             mailbox_echo: usual.mailbox_echo + repeated,
             ..usual
@@ -60,7 +64,7 @@ impl Stack {
             retry_behaviour: RetryBehaviour::Count(BRING_UP_RETRIES),
             ..MainDeviceConfig::default()
         };
-        Self { tx, rx, main: Box::leak(Box::new(MainDevice::new(pdu_loop, timeouts, config))) }
+        Self { tx, rx, main: Box::leak(Box::new(MainDevice::new(pdu_loop, timeouts, config))), pdu_timeout }
     }
 }
 
@@ -71,11 +75,11 @@ mod tests {
     #[test]
     fn a_stack_that_was_left_is_used_again() {
         // Other tests take and leave stacks meanwhile, but these are held here.
-        let held: Vec<Stack> = (0..3).map(|_| Stack::take()).collect();
+        let held: Vec<Stack> = (0..3).map(|_| Stack::take(Duration::ZERO)).collect();
         let places: Vec<*const MainDevice> =
             held.iter().map(|stack| std::ptr::from_ref(stack.main)).collect();
         held.into_iter().for_each(Stack::leave);
-        let again: Vec<Stack> = (0..32).map(|_| Stack::take()).collect();
+        let again: Vec<Stack> = (0..32).map(|_| Stack::take(Duration::ZERO)).collect();
         let found = again.iter().filter(|stack| places.contains(&std::ptr::from_ref(stack.main))).count();
         again.into_iter().for_each(Stack::leave);
         assert!(found >= 1, "none of three came back");

@@ -15,6 +15,8 @@ mod sampler;
 mod timing;
 
 use std::collections::VecDeque;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use shared::recording::schema::{CycleRecord, DeviceInfo, flags};
@@ -105,6 +107,11 @@ impl Acquisition {
         };
         acquisition.settle();
         Ok(acquisition)
+    }
+
+    /// From now on an attempt to bring up the bus ends once this is set.
+    pub fn interrupt_by(&mut self, interrupt: Arc<AtomicBool>) {
+        self.bus.interrupt_by(interrupt);
     }
 
     /// Devices as they identified themselves.

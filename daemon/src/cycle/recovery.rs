@@ -214,10 +214,11 @@ impl Acquisition {
         }
         self.continuity.resets(self.sample_time(self.next_cycle).utc);
         if self.distributed_clocks {
-            self.bus.set_bus_minus_monotonic(self.bus_minus_monotonic_ns() - self.bus_lead_ns);
+            self.bus.set_bus_minus_monotonic(self.bus_minus_monotonic_ns().wrapping_sub(self.bus_lead_ns));
         }
         match self.bus.bring_up(&self.plan) {
             Ok(operational) => Some(operational),
+            Err(BusError::Interrupted) => None,
             Err(error) => {
                 tracing::warn!(attempt = self.health.attempts, "bus stays down: {error}");
                 (self.health.outage, self.health.answering) = (Some(error), None);

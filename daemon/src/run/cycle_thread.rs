@@ -23,10 +23,28 @@ pub(super) struct Ready {
     pub realtime: Option<RealtimeReport>,
 }
 
+/// What ends an attempt to bring up the bus between two runs; during a run or a homing that job's own stop does.
+#[derive(Clone, Default)]
+pub(super) struct Interrupts {
+    /// Before the bus is in operation for the first time.
+    pub opening: Stop,
+    /// Once the bus has been in operation.
+    pub ending: Stop,
+}
+
 /// What the cycle's thread is asked for.
 pub(super) enum Job {
     Run(RunJob),
     Home(HomingJob),
+}
+
+impl Job {
+    fn stop(&self) -> &Stop {
+        match self {
+            Self::Run(job) => &job.stop,
+            Self::Home(job) => &job.stop,
+        }
+    }
 }
 
 /// One run, as the cycle's thread knows it.
@@ -49,10 +67,12 @@ pub(super) fn run(
     ready: &SyncSender<Result<Ready, RunError>>,
     jobs: &Receiver<Job>,
     live: &Arc<Live>,
+    Interrupts { opening, ending }: &Interrupts,
 ) {
     let Prepared { wire, clock, plan, replay, hand, .. } = prepared;
     let realtime = clock.is_real().then(|| realtime.apply());
-    let bus = Bus::new(wire, clock.clone(), plan.reply_timeout);
+    let mut bus = Bus::new(wire, clock.clone(), plan.reply_timeout);
+    bus.interrupt_by(opening.flag());
     let mut acquisition = match Acquisition::start(bus, &plan, clock.clone()) {
         Ok(acquisition) => acquisition,
         Err(error) => {
@@ -60,6 +80,7 @@ pub(super) fn run(
             return;
         }
     };
+    acquisition.interrupt_by(ending.flag());
     // The first of what others see of the bus.
     acquisition.next_cycle(&mut |record| live.publish(record));
     if let Some((_, first_sample)) = &replay {
@@ -69,10 +90,12 @@ pub(super) fn run(
     let utc_minus_monotonic_ns = acquisition.utc_minus_monotonic_ns();
     let _ = ready.send(Ok(Ready { devices, utc_minus_monotonic_ns, realtime }));
     while let Some(job) = wait_for_job(&mut acquisition, &clock, jobs, live) {
+        acquisition.interrupt_by(job.stop().flag());
         match job {
             Job::Run(job) => serve(&mut acquisition, job, replay.as_ref(), live),
             Job::Home(job) => job.serve(&mut acquisition, &plan.encoders, hand.as_ref(), live),
         }
+        acquisition.interrupt_by(ending.flag());
     }
 }
 

@@ -24,7 +24,7 @@ enum Told {
 
 /// Homing, as the cycle's thread knows it.
 pub(super) struct HomingJob {
-    stop: Stop,
+    pub stop: Stop,
     told: Sender<Told>,
 }
 

@@ -235,7 +235,7 @@ pub fn open(
     storage: &Storage,
 ) -> Result<Session, RunError> {
     let request = RunRequest { bus: bus.clone(), faults: faults.to_vec(), ..RunRequest::default() };
-    Session::open(source::prepare(&request, daemon, bar)?, daemon, bar, storage)
+    Session::open(source::prepare(&request, daemon, bar)?, daemon, bar, storage, &Stop::default())
 }
 
 /// A bus in operation over another wire, for tests of what stands above it.
@@ -246,7 +246,7 @@ pub(crate) fn open_on(
     bar: &BallBarConfig,
     storage: &Storage,
 ) -> Result<Session, RunError> {
-    Session::open(source::on_wire(wire, daemon, bar), daemon, bar, storage)
+    Session::open(source::on_wire(wire, daemon, bar), daemon, bar, storage, &Stop::default())
 }
 
 /// Records one run and returns when its file is finished.
@@ -338,7 +338,7 @@ fn connect(
     let mut said = String::new();
     loop {
         let outcome = source::prepare(request, daemon, bar)
-            .and_then(|prepared| Session::open(prepared, daemon, bar, storage));
+            .and_then(|prepared| Session::open(prepared, daemon, bar, storage, stop));
         let missing = match outcome {
             Err(error) if request.wait && error.may_pass() => error.to_string(),
             outcome => return outcome,

@@ -12,7 +12,7 @@ use shared::recording::{
 };
 use shared::time::{MonoNs, UtcNs};
 
-use super::cycle_thread::{self, Job, Ready, RunJob};
+use super::cycle_thread::{self, Interrupts, Job, Ready, RunJob};
 use super::disk::Storage;
 use super::homing::{self, ActiveHoming};
 use super::progress::{Limits, Live, Progress};
@@ -44,6 +44,7 @@ pub struct Session {
     daemon: DaemonConfig,
     bar: BallBarConfig,
     storage: Storage,
+    ending: Stop,
 }
 
 /// A run that is being recorded.
@@ -59,12 +60,14 @@ pub struct ActiveRun {
 }
 
 impl Session {
-    /// Brings the bus into operation; returns when it is, or why it is not.
+    /// Brings the bus into operation; returns when it is, or why it is not. `opening` ends an
+    /// attempt early.
     pub(super) fn open(
         prepared: Prepared,
         daemon: &DaemonConfig,
         bar: &BallBarConfig,
         storage: &Storage,
+        opening: &Stop,
     ) -> Result<Self, RunError> {
         let (clock, encoders) = (prepared.clock.clone(), prepared.encoders.clone());
         let (bus, period) = (prepared.plan.name.clone(), prepared.plan.cycle_period);
@@ -75,8 +78,11 @@ impl Session {
             RealtimeRequest { core: daemon.realtime.core, fifo_priority: daemon.realtime.fifo_priority };
         let live = Arc::new(Live::default());
         let seen = Arc::clone(&live);
-        let cycle =
-            spawn("cycle", move || cycle_thread::run(prepared, realtime, &ready_tx, &jobs_rx, &seen))?;
+        let interrupts = Interrupts { opening: opening.clone(), ..Interrupts::default() };
+        let ending = interrupts.ending.clone();
+        let cycle = spawn("cycle", move || {
+            cycle_thread::run(prepared, realtime, &ready_tx, &jobs_rx, &seen, &interrupts);
+        })?;
         let Ok(ready) = ready_rx.recv() else {
             join(cycle)?;
             return Err(RunError::Thread("the cycle ended while the bus came up".into()));
@@ -97,6 +103,7 @@ impl Session {
                 daemon,
                 bar,
                 storage,
+                ending,
             }),
             Err(error) => {
                 join(cycle)?;
@@ -239,6 +246,7 @@ impl Session {
 
     /// Ends the cycle.
     pub fn close(self) -> Result<(), RunError> {
+        self.ending.stop("the session is closed");
         drop(self.jobs);
         join(self.cycle)
     }

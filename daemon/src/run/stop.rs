@@ -17,6 +17,11 @@ impl Stop {
         self.stopped.store(true, Ordering::Release);
     }
 
+    /// Set by [`Self::stop`].
+    pub fn flag(&self) -> Arc<AtomicBool> {
+        Arc::clone(&self.stopped)
+    }
+
     /// Whether somebody has asked.
     pub fn is_stopped(&self) -> bool {
         self.stopped.load(Ordering::Acquire)
