@@ -304,3 +304,54 @@ fn whenever_somebody_asks_for_the_end_the_bus_is_not_brought_up_any_further() {
         assert_eq!(sent, patience, "frames were sent after frame {patience} of {frames}");
     }
 }
+
+/// A segment whose clock shows another time by this much.
+struct Shifted {
+    inner: InProcessWire,
+    by_ns: Arc<AtomicI64>,
+}
+
+impl Wire for Shifted {
+    fn send(&mut self, frame: &[u8]) -> io::Result<()> {
+        self.inner.send(frame)
+    }
+
+    fn receive(&mut self, buffer: &mut [u8; FRAME_BYTES_MAX], until: MonoNs) -> io::Result<Option<usize>> {
+        /// The command FRMW, by which the time is read and handed on, and its data.
+        const COMMAND: (usize, u8) = (16, 14);
+        const DATA: std::ops::Range<usize> = 26..34;
+        let received = self.inner.receive(buffer, until)?;
+        if received.is_some() && buffer[COMMAND.0] == COMMAND.1 {
+            let time_ns = i64::from_le_bytes(buffer[DATA].try_into().unwrap());
+            let shown_ns = time_ns.wrapping_add(self.by_ns.load(Ordering::Relaxed));
+            buffer[DATA].copy_from_slice(&shown_ns.to_le_bytes());
+        }
+        Ok(received)
+    }
+}
+
+#[test]
+fn a_bus_clock_that_shows_anything_is_followed_or_doubted_and_overflows_nothing() {
+    let period_ns = 10_000_000;
+    let round = |ns: i64| ns / period_ns * period_ns;
+    // Before and while the bus comes up, and afterwards; the last one overflows while it is cycled.
+    for from_the_beginning in [true, false] {
+        for by_ns in [round(i64::MAX - 1_700_000_000), i64::MAX, i64::MIN, i64::MIN + 1, -round(i64::MAX)] {
+            let clock = Clock::virtual_from(UtcNs(0));
+            let inner = InProcessWire::new(segment_with(5), clock.clone());
+            let shift = Arc::new(AtomicI64::new(if from_the_beginning { by_ns } else { 0 }));
+            let wire = Shifted { inner, by_ns: Arc::clone(&shift) };
+            let plan = plan(5);
+            let bus = Bus::new(Box::new(wire), clock.clone(), plan.reply_timeout);
+            // A clock that is not in step with SYNC0 may be refused.
+            let Ok(mut acquisition) = Acquisition::start(bus, &plan, clock) else { continue };
+            shift.store(by_ns, Ordering::Relaxed);
+            let mut cycles = Vec::new();
+            acquisition.begin_run(|_| ());
+            while cycles.len() < 500 {
+                acquisition.next_cycle(&mut |record| cycles.push(record.cycle));
+            }
+            assert!(cycles.iter().copied().eq(0..cycles.len() as u64), "{by_ns}: a hole");
+        }
+    }
+}

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use ballbard::bus::{Bus, BusPlan};
 use ballbard::clock::Clock;
+use ballbard::cycle::Acquisition;
 use ballbard::segment::InProcessWire;
 use ballbard::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
 use shared::time::{NS_PER_S, UtcNs};
@@ -18,7 +19,6 @@ const CYCLES: usize = 5;
 const BRING_UP_NS_MAX: i64 = 600 * NS_PER_S;
 
 struct Rig {
-    bus: Bus,
     clock: Clock,
     wire: DamagedWire,
 }
@@ -33,25 +33,22 @@ impl Rig {
     fn new() -> Self {
         let clock = Clock::virtual_from(UtcNs(1_790_000_000_000_000_000));
         let wire = DamagedWire::new(segment(&clock));
-        let bus = Bus::new(Box::new(wire.clone()), clock.clone(), Duration::from_millis(4));
-        Self { bus, clock, wire }
+        Self { clock, wire }
     }
 }
 
-/// The bus comes up and is cycled, or is refused with a reason; either way in bounded time.
+/// The bus comes up, its clock is followed and it is cycled, or is refused with a reason; either way in bounded time.
 pub fn any_replies(bytes: &[u8]) {
     thread_local!(static RIG: RefCell<Rig> = RefCell::new(Rig::new()));
     RIG.with_borrow_mut(|rig| {
         rig.wire.exchange_segment(segment(&rig.clock));
         rig.wire.play(Script::of(bytes));
         let begun = rig.clock.now();
-        match rig.bus.bring_up(&plan()) {
-            Ok(operational) => {
-                for _ in 0..CYCLES {
-                    rig.bus.exchange(&operational);
-                    rig.clock.sleep_until(rig.clock.now().plus_ns(10_000_000));
-                }
-            }
+        let plan = plan();
+        // It takes the stack that the one before left.
+        let bus = Bus::new(Box::new(rig.wire.clone()), rig.clock.clone(), plan.reply_timeout);
+        match Acquisition::start(bus, &plan, rig.clock.clone()) {
+            Ok(mut acquisition) => (0..CYCLES).for_each(|_| acquisition.idle()),
             Err(error) => explained(&error),
         }
         assert!(rig.clock.now() < begun.plus_ns(BRING_UP_NS_MAX), "bringing the bus up took for ever");

@@ -150,7 +150,8 @@ impl Acquisition {
     /// Lets cycle 0 of the next run be sampled at `utc` (virtual time only: there UTC is a matter of choice).
     pub fn set_first_sample_time(&mut self, utc: UtcNs) {
         if !self.clock.is_real() {
-            self.utc_minus_monotonic_ns = utc.0 - self.sample_monotonic(self.next_cycle + CYCLES_AHEAD).0;
+            self.utc_minus_monotonic_ns =
+                utc.ns_since(UtcNs(self.sample_monotonic(self.next_cycle + CYCLES_AHEAD).0));
         }
     }
 
@@ -168,7 +169,7 @@ impl Acquisition {
     /// that instant has come.
     pub fn begin_run(&mut self, announce: impl FnOnce(DcNs)) {
         let first = self.next_cycle + CYCLES_AHEAD;
-        let origin_ns = self.origin_ns + first as i64 * self.period_ns;
+        let origin_ns = self.instant_ns(first);
         announce(DcNs(origin_ns));
         // No cycle is left out: a terminal that misses its frame reports a synchronisation error.
         while self.next_cycle < first {
@@ -177,7 +178,7 @@ impl Acquisition {
         // Cycles that were overslept belong to no run.
         let overslept = (self.next_cycle - first) as i64;
         self.next_cycle = 0;
-        self.origin_ns = origin_ns + overslept * self.period_ns;
+        self.origin_ns = origin_ns.wrapping_add(overslept * self.period_ns);
         self.time_last = None;
         self.continuity.begin_run();
         self.health.begin_run();
@@ -252,7 +253,7 @@ impl Acquisition {
         let exchange = self.bus.exchange(operational);
         self.observe_clocks(&exchange);
         self.origin_ns = match exchange.reply.and_then(|reply| reply.dc_time) {
-            Some(time) => (time.0.div_euclid(self.period_ns) + 1) * self.period_ns,
+            Some(time) => time.plus_ns(self.period_ns - time.0.rem_euclid(self.period_ns)).0,
             None => exchange.sent.plus_ns(self.period_ns).0,
         };
         (0..CLOCK_FIT_CYCLES).for_each(|_| self.idle());
@@ -262,7 +263,7 @@ impl Acquisition {
     fn cycle_sampled(&self, exchange: &CyclicExchange) -> u64 {
         match exchange.reply.and_then(|reply| reply.dc_time) {
             Some(dc) => {
-                let since_origin_ns = dc.0 - el5021::DATA_READY_NS - self.origin_ns;
+                let since_origin_ns = dc.plus_ns(-el5021::DATA_READY_NS).ns_since(DcNs(self.origin_ns));
                 since_origin_ns.div_euclid(self.period_ns).max(0) as u64
             }
             None if self.distributed_clocks => self.next_cycle,
@@ -273,28 +274,34 @@ impl Acquisition {
         }
     }
 
+    /// SYNC0 of a cycle on the clock of [`Self::origin_ns`] \[ns\]. A damaged frame can contain any bus time: sums wrap.
+    fn instant_ns(&self, cycle: u64) -> i64 {
+        self.origin_ns.wrapping_add((cycle as i64).wrapping_mul(self.period_ns))
+    }
+
     fn frame_deadline(&self, cycle: u64) -> MonoNs {
+        let instant_ns = self.instant_ns(cycle);
         if self.distributed_clocks {
-            let frame = DcNs(self.origin_ns + cycle as i64 * self.period_ns + self.sync0_shift_ns);
-            self.fit.monotonic_from_dc(frame)
+            self.fit.monotonic_from_dc(DcNs(instant_ns).plus_ns(self.sync0_shift_ns))
         } else {
-            MonoNs(self.origin_ns + cycle as i64 * self.period_ns)
+            MonoNs(instant_ns)
         }
     }
 
     fn sample_monotonic(&self, cycle: u64) -> MonoNs {
+        let instant_ns = self.instant_ns(cycle);
         if self.distributed_clocks {
-            self.fit.monotonic_from_dc(DcNs(self.origin_ns + cycle as i64 * self.period_ns))
+            self.fit.monotonic_from_dc(DcNs(instant_ns))
         } else {
             // The terminal samples between this frame and the one before; the middle errs least.
-            MonoNs(self.origin_ns + cycle as i64 * self.period_ns - self.period_ns / 2)
+            MonoNs(instant_ns).plus_ns(-self.period_ns / 2)
         }
     }
 
     fn sample_time(&self, cycle: u64) -> SampleTime {
         let utc = UtcNs(self.sample_monotonic(cycle).0.saturating_add(self.utc_minus_monotonic_ns));
         if self.distributed_clocks {
-            let dc = DcNs(self.origin_ns + cycle as i64 * self.period_ns);
+            let dc = DcNs(self.instant_ns(cycle));
             SampleTime { utc, uncertainty_ns: self.fit.uncertainty_ns(dc), dc }
         } else {
             // Standard deviation of a uniform distribution one period wide.

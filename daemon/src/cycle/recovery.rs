@@ -15,7 +15,7 @@ use crate::bus::{BusError, CyclicExchange, Lift, Operational, Reply};
 /// A terminal that nobody hears is lost when the cycle after confirms it.
 const LOST_CYCLES: u32 = 2;
 /// A bus time that is this far off and that no delay explains says nothing about its sample \[ns\].
-const MISREAD_NS: i64 = 100_000;
+const MISREAD_NS: u64 = 100_000;
 /// Bad cycles in a row, of any other kind, after which the bus is brought up again.
 const BAD_CYCLES_MAX: u32 = 10;
 /// A terminal that was asked back to OP gets this long \[ns\] ...
@@ -28,7 +28,7 @@ const SILENCE_NS_MAX: i64 = NS_PER_S;
 const LOOK_PERIOD_NS: i64 = NS_PER_S / 20;
 /// A bus that was brought up shows the time that it was set to, but for this \[ns\]: what a few frames take that a busy machine
 /// repeats. A time that is further off was misread, and would be believed for as many cycles as it is ahead.
-const SET_TIME_NS_MAX: i64 = NS_PER_S / 10;
+const SET_TIME_NS_MAX: u64 = NS_PER_S as u64 / 10;
 /// Between two attempts to bring the bus up \[ns\].
 const RETRY_PERIOD_NS: i64 = NS_PER_S / 5;
 
@@ -235,8 +235,9 @@ impl Acquisition {
         if exchange.reply.is_none() || (self.distributed_clocks && bus_time.is_none()) {
             return self.catch_up(self.clock.now(), sink);
         }
-        let off_ns = bus_time.map_or(0, |time| time.0 - exchange.sent.0 - self.bus_minus_monotonic_ns());
-        if off_ns.abs() > SET_TIME_NS_MAX {
+        let set_to = DcNs(exchange.sent.0).plus_ns(self.bus_minus_monotonic_ns());
+        let off_ns = bus_time.map_or(0, |time| time.ns_since(set_to));
+        if off_ns.unsigned_abs() > SET_TIME_NS_MAX {
             tracing::warn!(
                 off_ns,
                 "the bus does not show the time that it was set to; it is brought up again"
@@ -251,7 +252,8 @@ impl Acquisition {
         let before = std::mem::replace(&mut self.fit, restarted);
         self.observe_clocks(&exchange);
         // Setting the bus' clock takes some frames: it comes out a little off. Remembered, so that it does not add up.
-        self.bus_lead_ns += self.bus_minus_monotonic_ns() - difference_ns;
+        let lead_ns = self.bus_minus_monotonic_ns().wrapping_sub(difference_ns);
+        self.bus_lead_ns = self.bus_lead_ns.wrapping_add(lead_ns);
         let sampled = self.cycle_sampled(&exchange);
         let after = std::mem::replace(&mut self.fit, before);
         while self.next_cycle < sampled {
@@ -269,8 +271,8 @@ impl Acquisition {
 
     /// How far the bus' clock is ahead of the host's around now, as the fit has it.
     fn bus_minus_monotonic_ns(&self) -> i64 {
-        let next = DcNs(self.origin_ns + self.next_cycle as i64 * self.period_ns);
-        next.0 - self.fit.monotonic_from_dc(next).0
+        let next = DcNs(self.instant_ns(self.next_cycle));
+        next.0.wrapping_sub(self.fit.monotonic_from_dc(next).0)
     }
 
     /// Gives the cycles that were due before `now`.
@@ -290,7 +292,8 @@ impl Acquisition {
     /// Hands out the record of the next cycle. Time never runs backwards, also where the bus' clock was set anew.
     pub(super) fn emit(&mut self, mut record: CycleRecord, sink: &mut dyn FnMut(&CycleRecord)) {
         if let Some(last) = self.time_last.filter(|last| record.sample_time <= *last) {
-            let behind_ns = u32::try_from(last.ns_since(record.sample_time) + 1).unwrap_or(u32::MAX);
+            let behind_ns =
+                u32::try_from(last.ns_since(record.sample_time).saturating_add(1)).unwrap_or(u32::MAX);
             record.sample_time = last.plus_ns(1);
             record.sample_time_uncertainty_ns = record.sample_time_uncertainty_ns.saturating_add(behind_ns);
             Sampler::invalidate(&mut record, flags::BUS_DOWN);
@@ -323,6 +326,6 @@ impl Acquisition {
 pub(super) fn is_misread(seen: Observation) -> bool {
     match seen {
         Observation::Followed => false,
-        Observation::Doubted(by_ns) | Observation::Stepped(by_ns) => by_ns.abs() > MISREAD_NS,
+        Observation::Doubted(by_ns) | Observation::Stepped(by_ns) => by_ns.unsigned_abs() > MISREAD_NS,
     }
 }

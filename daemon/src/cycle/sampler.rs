@@ -147,7 +147,8 @@ impl Sampler {
         let explained = missing > 0
             && reply.silent & 1 == 0
             && reply.not_operational == reply.silent
-            && reply.working_counter + missing * el5021::WORKING_COUNTER == self.working_counter_expected;
+            && self.working_counter_expected.checked_sub(missing * el5021::WORKING_COUNTER)
+                == Some(reply.working_counter);
         for (index, encoder) in record.encoders.iter_mut().enumerate() {
             encoder.valid &= explained && !absent(index);
         }
@@ -256,6 +257,7 @@ mod tests {
         assert_eq!(valid(rest), [true, false]);
         assert_eq!(valid(Reply { working_counter: 2, ..rest }), [false, false], "somebody else is short");
         assert_eq!(valid(Reply { working_counter: 6, ..rest }), [false, false], "a contradiction");
+        assert_eq!(valid(Reply { working_counter: u16::MAX, ..rest }), [false, false], "a damaged counter");
         assert_eq!(valid(Reply { not_operational: 6, ..rest }), [false, false], "the other is not in OP");
         assert_eq!(valid(Reply { silent: 5, not_operational: 5, ..rest }), [false, false], "no coupler");
     }
