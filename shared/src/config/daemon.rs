@@ -30,7 +30,8 @@ pub struct DaemonConfig {
     /// Seconds of cycles that fit between bus and disk before any is lost \[s\]; see [`DaemonConfig::ring_cycles`].
     pub ring_s: u32,
     /// How often the recording is written and synchronised: a kill of the program loses at most this much, and as long
-    /// as the disk lets a write wait; a power cut what was not synchronised yet \[ms\].
+    /// as the disk lets a write wait; a power cut what was not synchronised yet. 100 or more: cycles wait up to 20 ms in
+    /// the ring before they are written \[ms\].
     pub sync_period_ms: u32,
     /// Space that recordings leave free on their file system: below it none begins, and a running one ends \[MB\].
     #[serde(default = "default_disk_floor_mb")]
@@ -127,7 +128,7 @@ impl Validate for DaemonConfig {
                 "a reply that takes longer than a cycle is of no use; stay below 9/10 of the period",
             ),
             ("ring_s", i64::from(self.ring_s), 1, 3600, "60 s survive any ordinary disk"),
-            ("sync_period_ms", i64::from(self.sync_period_ms), 10, 10_000, "1000 is usual"),
+            ("sync_period_ms", i64::from(self.sync_period_ms), 100, 10_000, "1000 is usual"),
             ("full_fault_s", i64::from(self.full_fault_s), 1, 86_400, "60 s are enough to plug in a cable"),
             ("realtime.fifo_priority", i64::from(self.realtime.fifo_priority), 1, 99, "80 is usual"),
         ];
@@ -161,6 +162,13 @@ mod tests {
     fn the_shipped_file_has_the_defaults() {
         let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../config/daemon.toml");
         assert_eq!(super::super::load::<DaemonConfig>(&file).unwrap(), DaemonConfig::default());
+    }
+
+    #[test]
+    fn a_loss_that_the_recorder_cannot_keep_is_not_promised() {
+        let config = |sync_period_ms| DaemonConfig { sync_period_ms, ..DaemonConfig::default() };
+        assert!(config(99).validate().is_err());
+        assert_eq!(config(100).validate(), Ok(()));
     }
 
     #[test]
