@@ -15,6 +15,7 @@ use std::thread;
 use std::time::Duration;
 
 use nix::sys::socket::{Shutdown, getsockopt, shutdown, sockopt::PeerCredentials};
+use nix::unistd::{Uid, User, geteuid};
 use shared::recording::Disk;
 
 /// How long a holder may take to say what it does.
@@ -42,6 +43,8 @@ fn doing() -> String {
 pub struct Holder {
     /// Process; none where it is in another container.
     pub pid: Option<i32>,
+    /// Its user, if that is another one than this process has: every user of the machine can hold a name.
+    pub user: Option<String>,
     /// What it says of itself.
     pub doing: String,
 }
@@ -49,9 +52,13 @@ pub struct Holder {
 impl fmt::Display for Holder {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.pid {
-            Some(pid) => write!(formatter, "process {pid} ({})", self.doing),
-            None => write!(formatter, "a process of another container ({})", self.doing),
+            Some(pid) => write!(formatter, "process {pid}")?,
+            None => write!(formatter, "a process of another container")?,
         }
+        if let Some(user) = &self.user {
+            write!(formatter, " of user {user}")?;
+        }
+        write!(formatter, " ({})", self.doing)
     }
 }
 
@@ -126,14 +133,20 @@ fn unclaimed(name: &str, error: &io::Error) -> Option<Claim> {
 fn ask(name: &str) -> io::Result<Holder> {
     let stream = UnixStream::connect_addr(&SocketAddr::from_abstract_name(name)?)?;
     stream.set_read_timeout(Some(ANSWER_TIMEOUT))?;
-    let pid = getsockopt(&stream, PeerCredentials).ok().map(|peer| peer.pid()).filter(|pid| *pid > 0);
+    let peer = getsockopt(&stream, PeerCredentials).ok();
+    let pid = peer.map(|peer| peer.pid()).filter(|pid| *pid > 0);
+    let user = peer.map(|peer| Uid::from_raw(peer.uid())).filter(|user| *user != geteuid()).map(name_of);
     let mut answer = Vec::new();
     let answered = stream.take(ANSWER_BYTES_MAX).read_to_end(&mut answer);
     let doing = match answered {
         Ok(_) if !answer.is_empty() => String::from_utf8_lossy(&answer).replace(char::is_control, " "),
         _ => "it does not answer".into(),
     };
-    Ok(Holder { pid, doing })
+    Ok(Holder { pid, user, doing })
+}
+
+fn name_of(user: Uid) -> String {
+    User::from_uid(user).ok().flatten().map_or_else(|| user.to_string(), |known| known.name)
 }
 
 #[cfg(test)]
@@ -155,6 +168,16 @@ mod tests {
     }
 
     #[test]
+    fn a_holder_of_another_user_is_named_with_that_user() {
+        let mut holder = Holder { pid: Some(7), user: Some(name_of(Uid::from_raw(0))), doing: "x".into() };
+        assert_eq!(holder.to_string(), "process 7 of user root (x)");
+        holder.user = Some(name_of(Uid::from_raw(3_999_999_999)));
+        assert_eq!(holder.to_string(), "process 7 of user 3999999999 (x)");
+        holder.user = None;
+        assert_eq!(holder.to_string(), "process 7 (x)");
+    }
+
+    #[test]
     fn one_has_it_at_a_time_and_the_others_get_to_know_who() {
         let directory = tempfile::tempdir().unwrap();
         let elsewhere = tempfile::tempdir().unwrap();
@@ -163,8 +186,8 @@ mod tests {
         std::os::unix::fs::symlink(directory.path(), &same).unwrap();
         for path in [directory.path(), &same] {
             let holder = Claim::directory(&SystemDisk, path).unwrap_err();
-            assert_eq!(holder.pid, i32::try_from(std::process::id()).ok());
-            assert!(holder.doing.contains("ballbard"), "{holder}");
+            assert_eq!((holder.pid, holder.user), (i32::try_from(std::process::id()).ok(), None));
+            assert!(holder.doing.contains("ballbard"), "{}", holder.doing);
         }
         assert!(Claim::directory(&SystemDisk, elsewhere.path()).unwrap().is_some());
         drop(claim);
