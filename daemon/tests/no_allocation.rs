@@ -3,6 +3,7 @@
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
+use std::process::Command;
 
 use crate::support::plan;
 use ballbard::bus::Bus;
@@ -10,8 +11,9 @@ use ballbard::clock::Clock;
 use ballbard::cycle::Acquisition;
 use ballbard::recorder;
 use ballbard::run::Live;
-use ballbard::segment::InProcessWire;
 use ballbard::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
+use ballbard::segment::{EthernetWire, InProcessWire, Wire};
+use nix::sched::{CloneFlags, unshare};
 use shared::time::UtcNs;
 
 /// Counts the calling thread's allocations; other threads of the test runner do not disturb.
@@ -117,4 +119,28 @@ fn on_real_time_a_cycle_allocates_nothing_and_waits_for_its_deadline_and_its_rep
     assert_eq!(calls, 0);
     // And the counters of six devices' ports, which are asked for once a second.
     assert!(waits <= 2 * cycles + 2 * 6, "{waits} waits in {cycles} cycles");
+}
+
+#[test]
+#[ignore = "needs root and iproute2 for a network namespace"]
+fn while_its_interface_is_gone_the_wire_allocates_nothing() {
+    let ip = |arguments: &[&str]| assert!(Command::new("ip").args(arguments).status().unwrap().success());
+    let calls = std::thread::spawn(move || {
+        // This thread's alone.
+        unshare(CloneFlags::CLONE_NEWNET).unwrap();
+        ip(&["link", "add", "near", "up", "type", "veth", "peer", "far"]);
+        ip(&["link", "set", "far", "up"]);
+        let mut wire = EthernetWire::open("near").unwrap();
+        wire.send(&[0; 60]).unwrap();
+        ip(&["link", "delete", "near"]);
+        let clock = Clock::Real;
+        let calls_before = CALLS.get();
+        // It is looked for each tenth of a second.
+        for _ in 0..10 {
+            assert!(wire.send(&[0; 60]).is_err());
+            clock.sleep_until(clock.now().plus_ns(50_000_000));
+        }
+        CALLS.get() - calls_before
+    });
+    assert_eq!(calls.join().unwrap(), 0);
 }

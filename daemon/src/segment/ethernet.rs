@@ -72,7 +72,8 @@ pub struct EthernetWire {
 impl EthernetWire {
     /// Opens an interface by name. Frames then live on real time.
     pub fn open(name: &str) -> Result<Self, OpenError> {
-        let socket = open_socket(name)?;
+        interface_index(name)?;
+        let socket = open_socket(name).map_err(|source| refused(name, source))?;
         let claim =
             Claim::interface(name).map_err(|holder| OpenError::InUse { name: name.to_owned(), holder })?;
         Ok(Self { name: name.to_owned(), socket, clock: Clock::Real, _claim: claim, gone_since: None })
@@ -136,17 +137,23 @@ impl Wire for EthernetWire {
     }
 }
 
-/// A socket on the interface that has this name now.
-fn open_socket(name: &str) -> Result<OwnedFd, OpenError> {
-    let index = if_nametoindex(name)
-        .map_err(|_| OpenError::NoSuchInterface { name: name.to_owned(), available: interfaces() })?;
-    deaf_socket().and_then(|socket| bind(socket, index)).map_err(|source| {
-        if matches!(source.raw_os_error(), Some(libc::EPERM | libc::EACCES)) {
-            OpenError::Permission { name: name.to_owned() }
-        } else {
-            OpenError::System { name: name.to_owned(), source }
-        }
-    })
+/// Number of the interface that has this name now.
+pub fn interface_index(name: &str) -> Result<libc::c_uint, OpenError> {
+    if_nametoindex(name)
+        .map_err(|_| OpenError::NoSuchInterface { name: name.to_owned(), available: interfaces() })
+}
+
+/// A socket on the interface that has this name now. The cycle's thread looks for a lost interface by it: allocates nothing.
+fn open_socket(name: &str) -> io::Result<OwnedFd> {
+    bind(deaf_socket()?, if_nametoindex(name)?)
+}
+
+fn refused(name: &str, source: io::Error) -> OpenError {
+    let name = name.to_owned();
+    match source.raw_os_error() {
+        Some(libc::EPERM | libc::EACCES) => OpenError::Permission { name },
+        _ => OpenError::System { name, source },
+    }
 }
 
 /// Names of the interfaces of this machine, for error messages.

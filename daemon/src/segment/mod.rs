@@ -9,7 +9,7 @@ use std::io;
 
 use shared::time::MonoNs;
 
-pub use ethernet::{EthernetWire, OpenError, interfaces};
+pub use ethernet::{EthernetWire, OpenError, interface_index, interfaces};
 pub use in_process::InProcessWire;
 
 /// Longest Ethernet frame without its checksum.
