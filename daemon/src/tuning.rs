@@ -5,6 +5,7 @@
 use std::fmt;
 use std::path::Path;
 use std::process::Command;
+use std::time::Duration;
 
 use serde::Serialize;
 
@@ -38,6 +39,8 @@ pub struct Finding {
 pub struct Machine {
     /// Core that the cycle's thread is to have.
     pub core: Option<usize>,
+    /// Time between two cycles.
+    pub cycle_period: Duration,
     /// Network interface of the bus.
     pub interface: Option<String>,
     /// `/sys/devices/system/cpu/isolated`
@@ -71,12 +74,13 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// Reads this machine; `root` is `/` outside of tests.
-    pub fn read(root: &Path, core: Option<usize>, interface: Option<&str>) -> Self {
+    /// Reads this machine, for a cycle of this core and period; `root` is `/` outside of tests.
+    pub fn read(root: &Path, core: Option<usize>, cycle_period: Duration, interface: Option<&str>) -> Self {
         let file = |path: &str| std::fs::read_to_string(root.join(path)).ok();
         let of_core = |path: &str| file(&format!("sys/devices/system/cpu/cpu{}/{path}", core.unwrap_or(0)));
         Self {
             core,
+            cycle_period,
             interface: interface.map(str::to_owned),
             isolated: file("sys/devices/system/cpu/isolated"),
             nohz_full: file("sys/devices/system/cpu/nohz_full"),
@@ -95,11 +99,60 @@ impl Machine {
         }
     }
 
-    /// The core to have, or the last one as a proposal.
-    fn core_or_last(&self) -> usize {
-        let last = || cores(self.online.as_deref().unwrap_or("")).last().copied();
-        self.core.or_else(last).unwrap_or(0)
+    /// What this process is permitted, and nothing else.
+    pub fn of_process() -> Self {
+        let file = |name: &str| std::fs::read_to_string(format!("/proc/self/{name}")).ok();
+        Self { limits: file("limits"), status: file("status"), ..Self::default() }
     }
+
+    /// The core to isolate: that of daemon.toml, or the last one. Never core 0, which the kernel needs; none on a machine with
+    /// one core.
+    fn core_to_isolate(&self) -> Option<usize> {
+        let last = cores(self.online.as_deref().unwrap_or("")).last().copied();
+        self.core.filter(|core| *core > 0).or(last).filter(|core| *core > 0)
+    }
+
+    /// Whether all memory of this process can be locked, for as long as it runs.
+    ///
+    /// No finite limit is enough: the kernel compares it with the address space, not with what is used, and refuses every
+    /// later allocation beyond it (mm/mlock.c, mm/mmap.c). In the middle of a run that would end the program.
+    pub fn may_lock_memory(&self) -> Result<(), LockError> {
+        if self.has_capability(CAP_IPC_LOCK) {
+            return Ok(());
+        }
+        match self.limit("Max locked memory").ok_or(LockError::Unknown)?.parse::<u64>() {
+            Ok(bytes) => Err(LockError::Limited { mib: bytes >> 20 }),
+            Err(_) => Ok(()),
+        }
+    }
+
+    fn has_capability(&self, bit: u32) -> bool {
+        let effective = self.status.as_deref().and_then(|text| {
+            let line = text.lines().find_map(|line| line.strip_prefix("CapEff:"))?;
+            u64::from_str_radix(line.trim(), 16).ok()
+        });
+        effective.is_some_and(|effective| effective >> bit & 1 == 1)
+    }
+
+    /// The soft limit of a line of `/proc/self/limits`.
+    fn limit(&self, name: &str) -> Option<&str> {
+        let line = self.limits.as_deref()?.lines().find_map(|line| line.strip_prefix(name))?;
+        line.split_whitespace().next()
+    }
+}
+
+/// Why memory stays unlocked.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum LockError {
+    /// By the limit of locked memory.
+    #[error("at most {mib} MiB may be locked; only an unlimited process can lock its memory safely")]
+    Limited {
+        /// The limit \[MiB\].
+        mib: u64,
+    },
+    /// Neither capabilities nor limits could be read.
+    #[error("limits cannot be read")]
+    Unknown,
 }
 
 fn coalescing_of(interface: &str) -> Option<String> {
@@ -137,6 +190,9 @@ fn unknown(subject: &'static str, says: impl Into<String>, remedy: impl Into<Str
     Finding { subject, verdict: Verdict::Unknown, says: says.into(), remedy: remedy.into() }
 }
 
+/// For so long a kernel without PREEMPT_RT may hold up a real-time thread: in its longest sections without preemption.
+const KERNEL_DELAY: Duration = Duration::from_millis(2);
+
 fn kernel(machine: &Machine) -> Finding {
     let subject = "kernel";
     let says_realtime = machine.realtime.as_deref().is_some_and(|text| text.trim() == "1");
@@ -147,6 +203,14 @@ fn kernel(machine: &Machine) -> Finding {
     let remedy = "sudo apt-get install linux-image-rt-amd64 && sudo reboot";
     if version.is_empty() {
         return unknown(subject, "cannot be read; a PREEMPT_RT kernel bounds every delay", remedy);
+    }
+    // A frame that is late by less than half a period changes nothing.
+    let slack = machine.cycle_period / 2;
+    if slack > KERNEL_DELAY {
+        return fine(
+            subject,
+            format!("{version}: its delays are below the {} ms that a frame may be late", slack.as_millis()),
+        );
     }
     problem(
         subject,
@@ -164,65 +228,75 @@ fn boot_option(options: &str) -> String {
 
 fn own_core(machine: &Machine) -> Finding {
     let subject = "isolated core";
-    let core = machine.core_or_last();
-    let options = format!("isolcpus={core} nohz_full={core} rcu_nocbs={core} irqaffinity=0");
-    let Some(isolated) = machine.isolated.as_deref() else {
-        return unknown(subject, "cannot be read", boot_option(&options));
+    let Some(isolated) = machine.isolated.as_deref().map(cores) else {
+        return unknown(subject, "cannot be read", "");
     };
-    match (machine.core, cores(isolated)) {
-        (Some(core), isolated) if isolated.contains(&core) => {
-            fine(subject, format!("core {core} is isolated"))
+    match (machine.core, isolated.first()) {
+        (Some(core), _) if isolated.contains(&core) => {
+            return fine(subject, format!("core {core} is isolated"));
         }
-        (Some(core), _) => problem(
-            subject,
-            format!("core {core} of daemon.toml is not isolated: other programs run on it"),
-            boot_option(&options),
-        ),
-        (None, isolated) => match isolated.first() {
-            Some(free) => problem(
+        (None, Some(free)) => {
+            return problem(
                 subject,
                 format!("core {free} is isolated, but daemon.toml gives the cycle none"),
                 format!("write `core = {free}` under [realtime] in daemon.toml"),
-            ),
-            None => problem(
-                subject,
-                "none: the cycle shares its core with every other program",
-                format!("{}; write `core = {core}` under [realtime] in daemon.toml", boot_option(&options)),
-            ),
-        },
+            );
+        }
+        _ => {}
     }
+    let Some(core) = machine.core_to_isolate() else {
+        return fine(subject, "none: this machine has one core, which every program shares");
+    };
+    let options = format!("isolcpus={core} nohz_full={core} rcu_nocbs={core} irqaffinity=0");
+    let boot = boot_option(&options);
+    if machine.core == Some(core) {
+        return problem(
+            subject,
+            format!("core {core} of daemon.toml is not isolated: other programs run on it"),
+            boot,
+        );
+    }
+    problem(
+        subject,
+        "none: the cycle shares its core with every other program",
+        format!("{boot}; write `core = {core}` under [realtime] in daemon.toml"),
+    )
 }
 
 fn tickless_core(machine: &Machine) -> Finding {
     let subject = "timer tick";
-    let core = machine.core_or_last();
-    match machine.nohz_full.as_deref() {
-        Some(list) if cores(list).contains(&core) => fine(subject, format!("core {core} has none")),
-        Some(_) => problem(
+    let Some(tickless) = machine.nohz_full.as_deref().map(cores) else {
+        return unknown(subject, "this kernel knows no nohz_full", "");
+    };
+    match machine.core_to_isolate() {
+        None => fine(subject, "periodic; a machine with one core needs it"),
+        Some(core) if tickless.contains(&core) => fine(subject, format!("core {core} has none")),
+        Some(core) => problem(
             subject,
             format!("core {core} has a periodic tick, which costs some microseconds"),
             boot_option(&format!("nohz_full={core}")),
         ),
-        None => unknown(subject, "this kernel knows no nohz_full", ""),
     }
 }
 
 fn siblings(machine: &Machine) -> Finding {
     let subject = "hyper-threading";
-    let core = machine.core_or_last();
-    let Some(text) = machine.siblings.as_deref() else { return unknown(subject, "cannot be read", "") };
-    match cores(text).into_iter().find(|sibling| *sibling != core && machine.core.is_some()) {
-        None if machine.core.is_none() && cores(text).len() > 1 => problem(
+    let Some(siblings) = machine.siblings.as_deref().map(cores) else {
+        return unknown(subject, "cannot be read", "");
+    };
+    let other = machine.core.and_then(|core| Some((core, *siblings.iter().find(|one| **one != core)?)));
+    match other {
+        Some((core, sibling)) => problem(
+            subject,
+            format!("core {sibling} shares its execution units with core {core}"),
+            format!("echo 0 | sudo tee /sys/devices/system/cpu/cpu{sibling}/online"),
+        ),
+        None if machine.core.is_none() && siblings.len() > 1 => problem(
             subject,
             "cores come in pairs that slow each other down",
             "echo off | sudo tee /sys/devices/system/cpu/smt/control",
         ),
         None => fine(subject, "no sibling shares the core"),
-        Some(sibling) => problem(
-            subject,
-            format!("core {sibling} shares its execution units with core {core}"),
-            format!("echo 0 | sudo tee /sys/devices/system/cpu/cpu{sibling}/online"),
-        ),
     }
 }
 
@@ -268,28 +342,14 @@ fn clock_source(machine: &Machine) -> Finding {
 const CAP_IPC_LOCK: u32 = 14;
 const CAP_SYS_NICE: u32 = 23;
 
-fn has_capability(machine: &Machine, bit: u32) -> bool {
-    let effective = machine.status.as_deref().and_then(|text| {
-        let line = text.lines().find_map(|line| line.strip_prefix("CapEff:"))?;
-        u64::from_str_radix(line.trim(), 16).ok()
-    });
-    effective.is_some_and(|effective| effective >> bit & 1 == 1)
-}
-
-/// The soft limit of a line of `/proc/self/limits`.
-fn limit<'a>(machine: &'a Machine, name: &str) -> Option<&'a str> {
-    let line = machine.limits.as_deref()?.lines().find_map(|line| line.strip_prefix(name))?;
-    line.split_whitespace().next()
-}
-
 const GRANT: &str = "sudo setcap cap_net_raw,cap_sys_nice,cap_ipc_lock+ep \"$(command -v ballbard)\"";
 
 fn priority(machine: &Machine) -> Finding {
     let subject = "priority";
-    if has_capability(machine, CAP_SYS_NICE) {
+    if machine.has_capability(CAP_SYS_NICE) {
         return fine(subject, "SCHED_FIFO is permitted (CAP_SYS_NICE)");
     }
-    match limit(machine, "Max realtime priority").map(str::parse::<u32>) {
+    match machine.limit("Max realtime priority").map(str::parse::<u32>) {
         Some(Ok(0)) => {
             problem(subject, "SCHED_FIFO is not permitted: any program may delay the cycle", GRANT)
         }
@@ -300,20 +360,13 @@ fn priority(machine: &Machine) -> Finding {
 }
 
 fn locked_memory(machine: &Machine) -> Finding {
-    /// Program, ring and stacks.
-    const NEEDED_BYTES: u64 = 64 << 20;
     let subject = "locked memory";
-    if has_capability(machine, CAP_IPC_LOCK) {
-        return fine(subject, "permitted (CAP_IPC_LOCK)");
-    }
-    match limit(machine, "Max locked memory").map(str::parse::<u64>) {
-        Some(Ok(bytes)) if bytes < NEEDED_BYTES => problem(
-            subject,
-            format!("only {} MiB may be locked: a page fault would stop the cycle", bytes >> 20),
-            GRANT,
-        ),
-        Some(_) => fine(subject, "permitted"),
-        None => unknown(subject, "limits cannot be read", GRANT),
+    match machine.may_lock_memory() {
+        Ok(()) => fine(subject, "permitted"),
+        Err(error @ LockError::Limited { .. }) => {
+            problem(subject, format!("{error}: a page fault may delay the cycle"), GRANT)
+        }
+        Err(error @ LockError::Unknown) => unknown(subject, error.to_string(), GRANT),
     }
 }
 

@@ -396,11 +396,13 @@ fn commands_without_a_service_answer_programs_too() {
     assert_eq!(recovered["cycles"], kept.cycles.len());
     assert!(recovered["file"] == torn.to_str().unwrap(), "{recovered}");
 
-    let (findings, _) = json(&["tune", "--config", config]);
+    let (findings, code) = json(&["tune", "--config", config]);
     let standing = ["fine", "problem", "unknown"];
     for finding in findings.as_array().unwrap() {
         assert!(standing.contains(&finding["verdict"].as_str().unwrap()), "{finding}");
     }
+    let has_problem = findings.as_array().unwrap().iter().any(|finding| finding["verdict"] == "problem");
+    assert_eq!(code, Some(i32::from(has_problem)));
     assert!(findings.as_array().unwrap().iter().any(|finding| finding["subject"] == "kernel"), "{findings}");
 }
 
@@ -408,10 +410,19 @@ fn commands_without_a_service_answer_programs_too() {
 fn tune_says_how_each_setting_stands() {
     let output = ballbard().args(["tune", "--config"]).arg(config()).output().unwrap();
     let text = String::from_utf8_lossy(&output.stdout);
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert_eq!(output.status.code(), Some(i32::from(text.contains("PROBLEM"))), "{text}");
     for subject in ["kernel", "isolated core", "priority", "locked memory", "interrupt coalescing"] {
         assert!(text.contains(subject), "`{subject}` is missing in: {text}");
     }
+}
+
+#[test]
+fn tune_refuses_an_interface_that_is_not_there() {
+    let output = ballbard().args(["tune", "--interface", "nope", "--config"]).arg(config()).output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert!(text.contains("no network interface `nope`") && text.contains("lo"), "{text}");
+    assert!(output.stdout.is_empty());
 }
 
 /// In an empty directory, where no configuration is.

@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::fs;
+use std::time::Duration;
 
 use ballbard::tuning::{Finding, Machine, Verdict, findings};
 
@@ -11,10 +12,14 @@ const LIMITS: &str = "Limit                     Soft Limit           Hard Limit 
 const COALESCING: &str = "Coalesce parameters for eth1:\nAdaptive RX: off  TX: off\nstats-block-usecs: n/a\n\
     rx-usecs: 3\nrx-frames: n/a\n\ntx-usecs: 0\n";
 
-/// A machine as it comes from the shop.
+/// Of the rate that is usual, at which a frame may be late by 5 ms.
+const PERIOD: Duration = Duration::from_millis(10);
+
+/// A machine as it comes from the shop, and a cycle that leaves it no time.
 fn untuned() -> Machine {
     Machine {
         core: None,
+        cycle_period: Duration::from_millis(1),
         interface: Some("eth1".into()),
         isolated: Some("\n".into()),
         nohz_full: Some("(null)\n".into()),
@@ -37,6 +42,7 @@ fn untuned() -> Machine {
 fn tuned() -> Machine {
     Machine {
         core: Some(3),
+        cycle_period: PERIOD,
         interface: Some("eth1".into()),
         isolated: Some("2-3\n".into()),
         nohz_full: Some("3\n".into()),
@@ -87,6 +93,29 @@ fn every_problem_of_an_untuned_machine_says_what_to_type() {
 }
 
 #[test]
+fn a_usual_kernel_is_good_enough_for_a_usual_cycle() {
+    let finding = find(&Machine { cycle_period: PERIOD, ..untuned() }, "kernel");
+    assert_eq!((finding.verdict, finding.remedy.as_str()), (Verdict::Fine, ""), "{finding}");
+}
+
+#[test]
+fn no_machine_is_told_to_isolate_its_only_core_or_its_first() {
+    let one = Machine { online: Some("0\n".into()), siblings: Some("0\n".into()), ..untuned() };
+    for core in [None, Some(0)] {
+        for subject in ["isolated core", "timer tick"] {
+            let finding = find(&Machine { core, ..one.clone() }, subject);
+            assert_eq!((finding.verdict, finding.remedy.as_str()), (Verdict::Fine, ""), "{finding}");
+        }
+    }
+    let first = Machine { core: Some(0), ..untuned() };
+    for subject in ["isolated core", "timer tick"] {
+        let finding = find(&first, subject);
+        assert!(finding.remedy.contains("nohz_full=3"), "{finding}");
+    }
+    assert!(find(&first, "isolated core").remedy.contains("core = 3"));
+}
+
+#[test]
 fn a_machine_that_says_nothing_is_unknown_not_fine() {
     for finding in findings(&Machine::default()) {
         assert_eq!(finding.verdict, Verdict::Unknown, "{finding}");
@@ -113,6 +142,13 @@ fn limits_without_capabilities_count() {
 }
 
 #[test]
+fn any_limit_of_locked_memory_is_too_low() {
+    let limits = LIMITS.replace("8388608  ", "68719476736");
+    let finding = find(&Machine { limits: Some(limits), ..untuned() }, "locked memory");
+    assert!(finding.verdict == Verdict::Problem && finding.says.contains("65536 MiB"), "{finding}");
+}
+
+#[test]
 fn adaptive_coalescing_and_throttling_are_problems() {
     let adaptive = COALESCING.replace("RX: off", "RX: on").replace("rx-usecs: 3", "rx-usecs: 0");
     let machine = Machine { coalescing: Some(adaptive), rt_runtime_us: Some("500000".into()), ..tuned() };
@@ -134,7 +170,7 @@ fn the_files_of_a_machine_are_read_where_the_kernel_has_them() {
         fs::create_dir_all(path.parent().unwrap()).unwrap();
         fs::write(path, text).unwrap();
     }
-    let machine = Machine::read(root.path(), Some(3), None);
+    let machine = Machine::read(root.path(), Some(3), PERIOD, None);
     for subject in ["kernel", "isolated core", "hyper-threading", "frequency", "swap"] {
         assert_eq!(find(&machine, subject).verdict, Verdict::Fine, "{subject}");
     }

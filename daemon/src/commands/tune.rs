@@ -2,11 +2,13 @@
 
 use std::path::Path;
 
+use anyhow::bail;
 use clap::Args;
 use shared::output::say;
 
 use super::Format;
 use super::configuration::Configuration;
+use crate::segment::interface_index;
 use crate::tuning::{self, Machine, Verdict};
 
 #[derive(Debug, Args)]
@@ -22,13 +24,17 @@ pub struct TuneArguments {
 
 pub fn run(arguments: &TuneArguments) -> anyhow::Result<()> {
     let daemon = arguments.configuration.daemon()?;
-    let machine = Machine::read(Path::new("/"), daemon.realtime.core, arguments.interface.as_deref());
+    let interface = arguments.interface.as_deref();
+    interface.map(interface_index).transpose()?;
+    let machine = Machine::read(Path::new("/"), daemon.realtime.core, daemon.cycle_period(), interface);
     let findings = tuning::findings(&machine);
-    if arguments.format.prints(&findings)? {
-        return Ok(());
+    if !arguments.format.prints(&findings)? {
+        findings.iter().try_for_each(say)?;
     }
-    findings.iter().try_for_each(say)?;
     let count = |verdict| findings.iter().filter(|finding| finding.verdict == verdict).count();
     let (problems, unknown) = (count(Verdict::Problem), count(Verdict::Unknown));
-    Ok(say(format_args!("{problems} problems, {unknown} unknown of {}", findings.len()))?)
+    if problems > 0 {
+        bail!("{problems} of {} settings make the cycle late, {unknown} are unknown", findings.len());
+    }
+    Ok(())
 }

@@ -8,6 +8,8 @@ use nix::sched::{CpuSet, sched_setaffinity};
 use nix::sys::mman::{MlockAllFlags, mlockall};
 use nix::unistd::Pid;
 
+use crate::tuning::Machine;
+
 /// What the cycle's thread should have.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RealtimeRequest {
@@ -36,7 +38,7 @@ impl RealtimeRequest {
             request: self,
             core: self.core.map_or(Ok(()), pin_to_core),
             fifo: set_fifo(self.fifo_priority),
-            memory: mlockall(MlockAllFlags::MCL_CURRENT | MlockAllFlags::MCL_FUTURE).map_err(io::Error::from),
+            memory: lock_memory(),
             _awake: stay_awake(),
         }
     }
@@ -76,11 +78,16 @@ impl fmt::Display for RealtimeReport {
             Err(error) => {
                 write!(
                     f,
-                    ", memory NOT locked ({error}; run as root, or grant CAP_IPC_LOCK or a memlock limit)"
+                    ", memory NOT locked ({error}; run as root, or grant CAP_IPC_LOCK or an unlimited memlock)"
                 )
             }
         }
     }
+}
+
+fn lock_memory() -> io::Result<()> {
+    Machine::of_process().may_lock_memory().map_err(io::Error::other)?;
+    Ok(mlockall(MlockAllFlags::MCL_CURRENT | MlockAllFlags::MCL_FUTURE)?)
 }
 
 /// Asks for wake-ups without delay (Linux, Documentation/power/pm_qos_interface.rst).
