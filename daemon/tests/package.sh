@@ -3,7 +3,7 @@
 #
 # daemon/tests/package.sh [PROFILE], as root. Needs cargo-deb, debootstrap, iproute2 and systemd, and Debian's mirror. CI does not
 # run it: the clean root alone takes minutes. The bus is the simulated segment at the other end of a virtual cable, in a
-# network of its own.
+# network of its own. The unit's system call filter is applied by tests/unit_filter.py.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 if [ "${PACKAGE_TEST:-}" != inside ]; then
@@ -29,11 +29,13 @@ wait_for() { # what, command...
   fail "$what never came"
 }
 
-# The unit's User, AmbientCapabilities, CapabilityBoundingSet, NoNewPrivileges, limits, WorkingDirectory, StateDirectory.
+# The unit's User, AmbientCapabilities, CapabilityBoundingSet, NoNewPrivileges, limits, WorkingDirectory, StateDirectory,
+# SystemCallFilter.
 as_the_unit=(ip netns exec "$network" chroot "$root" "${limits[@]}"
   setpriv --reuid=ballbard --regid=ballbard --clear-groups --no-new-privs
   --bounding-set="-all,$capabilities" --inh-caps="-all,$capabilities" --ambient-caps="-all,$capabilities"
-  env -C /var/lib/ballbard STATE_DIRECTORY=/var/lib/ballbard)
+  env -C /var/lib/ballbard STATE_DIRECTORY=/var/lib/ballbard
+  python3 /tmp/unit_filter.py /tmp/ballbard.service)
 is_ready() { inside ballbard status | grep -q '^READY$'; }
 
 step "a clean root and two packages, the second as an upgrade"
@@ -75,6 +77,8 @@ inside env STATE_DIRECTORY=/var/lib/ballbard ballbard run 2>"$root/tmp/usage.log
 grep -q "/etc/default/ballbard" "$root/tmp/usage.log" || fail "no word of what to set"
 
 step "run with what the unit grants, and no more"
+admin apt-get install -y -qq --no-install-recommends python3 systemd
+cp daemon/tests/unit_filter.py daemon/debian/ballbard.service "$root/tmp/"
 ip -n "$network" link set lo up
 ip -n "$network" link add near type veth peer name far
 ip -n "$network" link set near up
@@ -85,11 +89,12 @@ ip netns exec "$network" chroot "$root" ballbard segment --interface far </dev/n
 service=$!
 wait_for "the bus" is_ready
 grep -q "^CapEff:.$effective\$" "/proc/$service/status" || fail "other capabilities than those"
-check=$(inside ballbard check || true)
+check=$(inside ballbard check) || fail "check: $check"
 echo "$check"
 for subject in bus encoders state disk "real time"; do
   grep -q "^ok *$subject:" <<<"$check" || fail "check: $subject"
 done
+grep -q "clock.*does not report" <<<"$check" && fail "check: clock"
 inside ballbard start --name first
 sleep 3
 inside ballbard stop

@@ -272,15 +272,18 @@ pub fn status(arguments: &StatusArguments) -> anyhow::Result<()> {
 pub fn check(arguments: &AskArguments) -> anyhow::Result<()> {
     let lines: Vec<CheckLine> = arguments.service.get("check")?;
     let printed = arguments.service.format.prints(&lines)?;
-    for CheckLine { subject, finding, remedy, stops: _ } in lines.iter().filter(|_| !printed) {
+    for CheckLine { subject, finding, remedy, stops } in lines.iter().filter(|_| !printed) {
         match remedy {
             None => say(format_args!("ok       {subject}: {finding}")),
-            Some(remedy) => say(format_args!("PROBLEM  {subject}: {finding}\n         {remedy}")),
+            Some(remedy) => {
+                let level = if *stops { "PROBLEM" } else { "warning" };
+                say(format_args!("{level}  {subject}: {finding}\n         {remedy}"))
+            }
         }?;
     }
-    let problems = lines.iter().filter(|line| line.remedy.is_some()).count();
+    let problems = lines.iter().filter(|line| line.stops).count();
     if problems > 0 {
-        bail!("{problems} of {} checks found a problem", lines.len());
+        bail!("{problems} of {} checks found a problem that would cost a run", lines.len());
     }
     Ok(())
 }

@@ -26,8 +26,8 @@ use shared::output::{named, say};
 use shared::recording::schema::SIMULATED_BUS;
 use shared::version::version;
 
-const EXIT_CODES: &str = "Exit codes: 0 done; 1 failure, failed check, or run rated BAD; 2 usage error, such as a run \
-    without --bus.";
+const EXIT_CODES: &str = "Exit codes: 0: success; 1: failure, a check that found what stops a run, a tune that found a \
+    problem, or a run rated BAD; 2: usage error, such as a run without --bus.";
 /// Interfaces that a message lists.
 const INTERFACES_MAX: usize = 8;
 
@@ -53,7 +53,7 @@ enum Command {
     Mark(client::MarkArguments),
     /// Change the note of a finished run; the recording itself stays as it is.
     Note(client::NoteArguments),
-    /// Whether everything is as it should be before a run.
+    /// Run pre-flight checks.
     Check(client::AskArguments),
     /// List recordings.
     Runs(client::RunsArguments),
@@ -69,7 +69,7 @@ enum Command {
     Record(record::RecordArguments),
     /// Find the encoders' reference marks and check their order and direction, joint by joint.
     Home(home::HomeArguments),
-    /// Say what of this machine's settings makes the cycle late, and what to type.
+    /// Check this machine's real-time settings and print the commands that fix them.
     Tune(tune::TuneArguments),
     /// Write a recording as a table.
     Export(export::ExportArguments),

@@ -121,7 +121,7 @@ fn reference_marks(view: &View<'_>, found: Option<&Found>) -> CheckLine {
     let homing = match &found.homing {
         Ok(None) => return good(SUBJECT, "not homed; calibration finds the offsets of this power cycle"),
         Ok(Some(homing)) => homing,
-        Err(error) => return problem(SUBJECT, error.as_str(), "correct the file, or home again"),
+        Err(error) => return stopping(SUBJECT, error.as_str(), "correct the file, or home again"),
     };
     let Some(session) = view.session else { return good(SUBJECT, "to be seen when the bus is in operation") };
     let stale = homing.apply(&mut session.encoders().to_vec(), &session.live().latches());
@@ -189,26 +189,30 @@ fn realtime(view: &View<'_>) -> CheckLine {
 
 fn clock() -> CheckLine {
     const SUBJECT: &str = "clock";
-    if clock_is_synchronised() {
-        good(SUBJECT, "synchronised")
-    } else {
-        problem(
+    match clock_is_synchronised() {
+        Ok(true) => good(SUBJECT, "synchronised"),
+        Ok(false) => problem(
             SUBJECT,
-            "the host's clock is not synchronised, so UTC in the file is only as good as it is",
-            "start chrony or systemd-timesyncd; calibration itself finds clock differences",
-        )
+            "the host's clock is not synchronised: UTC in the file is as accurate as this clock",
+            "start chrony or systemd-timesyncd; without a network ignore it, calibration finds clock differences",
+        ),
+        Err(error) => problem(
+            SUBJECT,
+            format!("the kernel does not report whether the clock is synchronised: {error}"),
+            "allow the system call clock_adjtime in the sandbox of this process",
+        ),
     }
 }
 
 /// As the kernel was told by the NTP or PTP daemon.
 #[allow(unsafe_code, reason = "nix offers no adjtimex")]
-fn clock_is_synchronised() -> bool {
+fn clock_is_synchronised() -> io::Result<bool> {
     // SAFETY: `timex` is a plain C structure for which all zeros mean "change nothing", and it outlives the call.
     let state = unsafe {
         let mut query: libc::timex = std::mem::zeroed();
         libc::adjtimex(&raw mut query)
     };
-    state >= 0 && state != libc::TIME_ERROR
+    if state < 0 { Err(io::Error::last_os_error()) } else { Ok(state != libc::TIME_ERROR) }
 }
 
 fn log() -> CheckLine {

@@ -1,6 +1,7 @@
 //! The service over loopback: idempotent, one run at a time, deaf to nonsense, and always a closed file.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
+mod check;
 mod clients;
 mod disk;
 mod elsewhere;
