@@ -42,7 +42,7 @@ pub struct RunArguments {
     /// Port on 127.0.0.1, 0 for any that is free; default: `port` of daemon.toml
     #[arg(long)]
     port: Option<u16>,
-    /// Let other machines in at this address, over TLS and with the token that is made in the state directory
+    /// Accept remote clients on this address (TLS, token from the state directory)
     #[arg(long, value_name = "ADDRESS:PORT")]
     listen: Option<SocketAddr>,
     /// Certificates for --listen, PEM; default: one that is made once in the state directory
@@ -51,9 +51,10 @@ pub struct RunArguments {
     /// Private key of --certificate, PEM
     #[arg(long, value_name = "FILE", requires = "certificate")]
     key: Option<PathBuf>,
-    /// Let a reverse proxy of this machine in that speaks TLS and is reached under this name; clients show the token
-    #[arg(long, value_name = "HOST[:PORT]")]
-    behind_proxy: Option<String>,
+    /// Accept remote clients through a reverse proxy of this machine, which speaks TLS and passes requests on to this Unix
+    /// socket (token from the state directory)
+    #[arg(long, value_name = "SOCKET", value_parser = socket_path)]
+    behind_proxy: Option<PathBuf>,
     /// Let Foxglove show a run while it goes on, at ws://127.0.0.1:PORT/foxglove (wss:// with --listen)
     #[arg(long)]
     foxglove: bool,
@@ -104,6 +105,16 @@ pub fn run(arguments: &RunArguments) -> anyhow::Result<()> {
     outcome
 }
 
+/// An absolute path: the proxy has another working directory, and a host name is a mistake.
+fn socket_path(text: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(text);
+    if path.is_absolute() {
+        Ok(path)
+    } else {
+        Err("give the path in full, such as /run/ballbard/proxy.sock".into())
+    }
+}
+
 impl RunArguments {
     /// The way in for other machines, where one is asked for.
     async fn remote(&self) -> anyhow::Result<Option<Remote>> {
@@ -112,7 +123,7 @@ impl RunArguments {
         }
         let certificate = self.certificate.clone().zip(self.key.clone());
         let settings =
-            RemoteSettings { listen: self.listen, certificate, proxy_host: self.behind_proxy.clone() };
+            RemoteSettings { listen: self.listen, certificate, proxy_socket: self.behind_proxy.clone() };
         let remote = Remote::open(settings, &self.state.directory()).await?;
         tracing::info!("other machines are let in: {}", remote.words());
         Ok(Some(remote))

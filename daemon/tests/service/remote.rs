@@ -1,11 +1,15 @@
 //! Other machines: nobody without the token, by an independent client and in a real browser.
 
 use std::fs;
+use std::io::{Read, Write};
+use std::net::TcpStream;
 use std::os::unix::fs::PermissionsExt;
+use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::Path;
 use std::process::Command;
 
 use ballbard::control::status::Status;
+use serde_json::json;
 
 use super::rig::{Running, agent, shipped};
 use crate::support::ballbard;
@@ -71,32 +75,112 @@ fn a_browser_that_was_given_the_token_once_shows_the_page() {
     assert!(status.contains("waiting"), "{status}");
 }
 
+/// What a reverse proxy sends, as it is on the wire; status and answer.
+fn passed_on(mut stream: impl Read + Write, request: &str, headers: &[&str], body: &str) -> (u16, String) {
+    let headers: String = headers.iter().map(|header| format!("{header}\r\n")).collect();
+    let length = body.len();
+    write!(stream, "{request}\r\n{headers}Content-Length: {length}\r\n\r\n{body}").unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    let status = answer.split(' ').nth(1).unwrap().parse().unwrap();
+    (status, answer)
+}
+
 #[test]
-fn a_reverse_proxy_is_let_in_under_its_name_and_with_the_token() {
-    let service = open(&["--behind-proxy", "lab.example"]);
+fn through_a_reverse_proxy_nothing_is_reached_without_the_token_whatever_host_it_names() {
+    let directory = tempfile::tempdir().unwrap();
+    let socket = directory.path().join("proxy.sock");
+    // As a service that was killed leaves it.
+    drop(UnixListener::bind(&socket).unwrap());
+    let arguments = ["--behind-proxy", socket.to_str().unwrap()];
+    let mut service = Running::with(directory, &shipped(), &arguments);
     service.wait_for("waiting");
-    let token = token(&service);
-    let asked = |headers: &[(&str, &str)]| {
-        let request = agent().get(service.url("status"));
-        let request = headers.iter().fold(request, |request, (name, value)| request.header(*name, *value));
-        let mut answer = request.call().unwrap();
-        (answer.status().as_u16(), answer.body_mut().read_to_string().unwrap())
+    service.granted("start", &json!({"name": "kept", "duration_s": 0.2}));
+    service.wait_until("the run", |status| status.last.is_some());
+    let delete = |headers: &[&str]| {
+        let stream = UnixStream::connect(&socket).unwrap();
+        let headers = [headers, &["Connection: close", "Content-Type: application/json"]].concat();
+        passed_on(stream, "POST /api/delete HTTP/1.0", &headers, r#"{"name": "kept"}"#)
     };
-    let bearer = format!("Bearer {token}");
-    for (headers, expected) in [
-        (vec![("Host", "lab.example"), ("Authorization", &bearer)], 200),
-        (vec![("Host", "lab.example"), ("Origin", "https://lab.example"), ("Authorization", &bearer)], 200),
-        (vec![("Host", "lab.example")], 401),
-        (vec![("Host", "lab.example"), ("Authorization", "Bearer x")], 401),
-        (vec![("Host", "other.example"), ("Authorization", &bearer)], 403),
-        (vec![("Host", "lab.example"), ("Origin", "https://evil.example"), ("Authorization", &bearer)], 403),
-        (vec![("Host", "lab.example"), ("Origin", "http://lab.example"), ("Authorization", &bearer)], 403),
-    ] {
-        let (status, said) = asked(&headers);
-        assert_eq!(status, expected, "{headers:?}: {said}");
+    let status = |headers: &[&str]| {
+        passed_on(UnixStream::connect(&socket).unwrap(), "GET /api/status HTTP/1.1", headers, "")
+    };
+    // What nginx and Apache make of the Host by default, loopback names among them.
+    for host in ["localhost", "127.0.0.1:7311", "127.0.0.1", "[::1]:7311", "lab.example"] {
+        for origin in [vec![], vec![format!("Origin: https://{host}")]] {
+            let headers = [vec![format!("Host: {host}")], origin].concat();
+            let headers: Vec<&str> = headers.iter().map(String::as_str).collect();
+            let (code, answer) = delete(&headers);
+            assert_eq!(code, 401, "{host}: {answer}");
+        }
     }
-    let (_, said) = asked(&[("Host", "lab.example")]);
-    assert!(said.contains("state directory") && said.contains("?token="), "no remedy in: {said}");
+    assert!(service.directory.path().join("kept.mcap").exists());
+    let bearer = format!("Authorization: Bearer {}", token(&service));
+    for (headers, expected) in [
+        (vec!["Host: lab.example", &bearer], 200),
+        (vec!["Host: localhost", "X-Forwarded-For: 192.0.2.7", &bearer], 200),
+        (vec!["Host: lab.example:8443", "Origin: https://lab.example:8443", &bearer], 200),
+        (vec!["Host: lab.example", "Authorization: Bearer x"], 401),
+        (vec!["Host: lab.example", "Origin: https://evil.example", &bearer], 403),
+        (vec!["Host: lab.example", "Origin: http://lab.example", &bearer], 403),
+        (vec!["Host: 127.0.0.1:7311", "Origin: http://127.0.0.1:7311"], 403),
+    ] {
+        let (code, answer) = status(&headers);
+        assert_eq!(code, expected, "{headers:?}: {answer}");
+    }
+    let (_, answer) = status(&["Host: lab.example"]);
+    assert!(answer.contains("state directory") && answer.contains("?token="), "no remedy in: {answer}");
+    // A proxy that keeps the browser's Host to itself.
+    let (code, answer) = status(&["Host: localhost", "Origin: https://lab.example", &bearer]);
+    assert!(code == 403 && answer.contains("proxy_set_header Host $http_host"), "{answer}");
+    service.signal(nix::sys::signal::Signal::SIGTERM);
+    assert!(service.ended(std::time::Duration::from_secs(10)).success());
+    assert!(!socket.exists(), "the socket is left behind");
+}
+
+#[test]
+fn what_a_reverse_proxy_passes_on_to_the_loopback_port_is_refused_with_the_remedy() {
+    let service = Running::start();
+    service.wait_for("waiting");
+    let ask = |version: &str, header: &str| {
+        let stream = TcpStream::connect(format!("127.0.0.1:{}", service.port)).unwrap();
+        let headers = [&format!("Host: 127.0.0.1:{}", service.port), header];
+        passed_on(stream, &format!("GET /api/status HTTP/{version}"), &headers, "")
+    };
+    for (version, header) in [
+        ("1.1", "X-Forwarded-For: 192.0.2.7"),
+        ("1.1", "x-forwarded-proto: https"),
+        ("1.1", "Forwarded: for=192.0.2.7"),
+        ("1.1", "X-Real-IP: 192.0.2.7"),
+        ("1.1", "Via: 1.1 lab.example"),
+        // All that nginx adds by default, and the version that it speaks.
+        ("1.0", "Connection: close"),
+    ] {
+        let (code, answer) = ask(version, header);
+        assert_eq!(code, 403, "{version} {header}: {answer}");
+        assert!(answer.contains("--behind-proxy"), "{answer}");
+    }
+    assert_eq!(ask("1.1", "Accept: */*").0, 200);
+}
+
+#[test]
+fn a_socket_that_cannot_be_made_is_refused_with_the_remedy() {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("file");
+    fs::write(&file, "kept").unwrap();
+    for (socket, part) in [
+        (file.to_str().unwrap(), "choose another path with --behind-proxy"),
+        ("/no/such/directory/x.sock", "choose another path with --behind-proxy"),
+        ("lab.example", "give the path in full"),
+    ] {
+        let said = refused(directory.path(), &["--behind-proxy", socket]);
+        assert!(said.contains(part), "{said}");
+    }
+    assert_eq!(fs::read_to_string(&file).unwrap(), "kept");
+    let taken = directory.path().join("taken");
+    let _other = UnixListener::bind(&taken).unwrap();
+    let said = refused(directory.path(), &["--behind-proxy", taken.to_str().unwrap()]);
+    assert!(said.contains("in use"), "{said}");
 }
 
 #[test]

@@ -20,14 +20,14 @@ use hyper_util::rt::{TokioIo, TokioTimer};
 use nix::sys::socket::setsockopt;
 use nix::sys::socket::sockopt::TcpUserTimeout;
 use tokio::io::{AsyncRead, AsyncWrite};
-use tokio::net::TcpStream;
+use tokio::net::{TcpStream, UnixStream};
 use tokio::task::JoinHandle;
 use tokio::time::timeout;
 use tokio_rustls::TlsAcceptor;
 use tower::ServiceExt;
 
 use super::refusal;
-use super::remote::OverTls;
+use super::remote::FromElsewhere;
 
 /// Connections at a time: some people and programs, and far fewer than a process may have files.
 const CONNECTIONS_MAX: usize = 64;
@@ -46,8 +46,16 @@ const FAREWELL: Duration = Duration::from_secs(1);
 /// Those that are open, the oldest first.
 pub(super) struct Connections {
     routes: Router,
-    routes_over_tls: Router,
+    routes_from_elsewhere: Router,
     open: Vec<Connection>,
+}
+
+/// One more client, by the way that it came.
+pub(super) enum Client<'a> {
+    /// To the loopback port.
+    Local(TcpStream),
+    Tls(TcpStream, &'a TlsAcceptor),
+    Proxy(UnixStream),
 }
 
 struct Connection {
@@ -58,31 +66,35 @@ struct Connection {
 
 impl Connections {
     pub fn new(routes: Router) -> Self {
-        let routes_over_tls = routes.clone().layer(Extension(OverTls));
-        Self { routes, routes_over_tls, open: Vec::new() }
+        let routes_from_elsewhere = routes.clone().layer(Extension(FromElsewhere));
+        Self { routes, routes_from_elsewhere, open: Vec::new() }
     }
 
     /// Serves one more client. Where there are too many the oldest that has not asked yet goes; where all have
     /// asked, the new one.
-    pub fn add(&mut self, stream: TcpStream, tls: Option<&TlsAcceptor>) {
+    pub fn add(&mut self, client: Client<'_>) {
         self.open.retain(|connection| !connection.task.is_finished());
         if self.open.len() >= CONNECTIONS_MAX {
             let idle = self.open.iter().position(|connection| !connection.has_asked.load(Ordering::Relaxed));
             let Some(idle) = idle else { return };
             self.open.remove(idle).task.abort();
         }
-        // What is sent waits in the kernel, which alone knows whether the client takes it. A stream without it serves, too.
-        let _ = setsockopt(&stream, TcpUserTimeout, &TAKES_NOTHING_MS);
+        if let Client::Local(stream) | Client::Tls(stream, _) = &client {
+            // What is sent waits in the kernel, which alone knows whether the client takes it. A stream without it serves, too.
+            let _ = setsockopt(stream, TcpUserTimeout, &TAKES_NOTHING_MS);
+        }
         let has_asked = Arc::new(AtomicBool::new(false));
         let asked = Arc::clone(&has_asked);
-        let task = match tls {
-            None => tokio::spawn(converse(stream, self.routes.clone(), asked)),
-            Some(tls) => {
-                let (tls, routes) = (tls.clone(), self.routes_over_tls.clone());
+        let elsewhere = self.routes_from_elsewhere.clone();
+        let task = match client {
+            Client::Local(stream) => tokio::spawn(converse(stream, self.routes.clone(), asked)),
+            Client::Proxy(stream) => tokio::spawn(converse(stream, elsewhere, asked)),
+            Client::Tls(stream, tls) => {
+                let tls = tls.clone();
                 tokio::spawn(async move {
                     // Who does not agree on TLS in time goes.
                     if let Ok(Ok(stream)) = timeout(REQUEST_TIMEOUT, tls.accept(stream)).await {
-                        converse(stream, routes, asked).await;
+                        converse(stream, elsewhere, asked).await;
                     }
                 })
             }

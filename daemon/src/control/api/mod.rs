@@ -1,5 +1,5 @@
-//! The service over HTTP on 127.0.0.1: a page for people, JSON for programs; for other machines over TLS where that is
-//! asked for.
+//! The service over HTTP on 127.0.0.1: a page for people, JSON for programs; for other machines over TLS or through a
+//! reverse proxy, if configured.
 //!
 //! Programs of this machine need no token. Web pages of others do not reach it, although a browser runs here: requests must
 //! name a loopback host (no rebinding of names), come from no foreign origin, and carry JSON (no plain forms). Whoever
@@ -22,7 +22,7 @@ use std::time::Duration;
 
 use axum::extract::rejection::{JsonRejection, PathRejection};
 use axum::extract::{self, FromRef, RawQuery, Request, State};
-use axum::http::{HeaderMap, HeaderName, StatusCode, header};
+use axum::http::{HeaderMap, HeaderName, StatusCode, Version, header};
 use axum::middleware::{self, Next};
 use axum::response::sse::{self, Sse};
 use axum::response::{IntoResponse, Response};
@@ -33,12 +33,12 @@ use shared::recording::Disk;
 use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
 
-use self::connections::Connections;
+use self::connections::{Client, Connections};
 use self::downloads::{Download, Downloads};
 use self::openapi::Operation;
 use self::pairing::Pairing;
 pub use self::remote::{Fingerprint, Remote, RemoteError, RemoteSettings, token_in};
-use self::remote::{Gate, OverTls};
+use self::remote::{FromElsewhere, Gate};
 use super::live::Live;
 use super::machine::Answer;
 use super::note;
@@ -76,24 +76,33 @@ pub async fn serve(
 ) {
     let words = remote.as_ref().map(|remote| remote.words().to_owned());
     let pairing = remote.as_ref().and_then(Remote::pairing);
-    let (gate, door) = remote.map(Remote::into_parts).unzip();
-    let door = door.flatten();
+    let (gate, tls, proxy) = remote.map_or((None, None, None), |remote| {
+        let (gate, tls, proxy) = remote.into_parts();
+        (Some(gate), tls, proxy)
+    });
     let mut connections = Connections::new(routes(service, gate, words, pairing));
     tokio::pin!(end);
     loop {
-        let from_elsewhere = async {
-            match &door {
-                Some(door) => (door.listener.accept().await, Some(&door.acceptor)),
+        let over_tls = async {
+            match &tls {
+                Some(door) => door.listener.accept().await.map(|(one, _)| Client::Tls(one, &door.acceptor)),
                 None => std::future::pending().await,
             }
         };
-        let (accepted, tls) = tokio::select! {
+        let by_proxy = async {
+            match &proxy {
+                Some(door) => door.listener.accept().await.map(|(one, _)| Client::Proxy(one)),
+                None => std::future::pending().await,
+            }
+        };
+        let accepted = tokio::select! {
             () = &mut end => break,
-            accepted = listener.accept() => (accepted, None),
-            accepted = from_elsewhere => accepted,
+            accepted = listener.accept() => accepted.map(|(one, _)| Client::Local(one)),
+            accepted = over_tls => accepted,
+            accepted = by_proxy => accepted,
         };
         match accepted {
-            Ok((stream, _)) => connections.add(stream, tls),
+            Ok(client) => connections.add(client),
             Err(error) => {
                 tracing::warn!("a client cannot be served: {error}");
                 tokio::time::sleep(ACCEPT_PAUSE).await;
@@ -102,7 +111,7 @@ pub async fn serve(
         // Requests that are there already are read before many new connections push theirs out.
         tokio::task::yield_now().await;
     }
-    drop((listener, door));
+    drop((listener, tls, proxy));
     connections.finish().await;
 }
 
@@ -605,22 +614,41 @@ struct Admission {
 /// Turns away what a foreign web page could send, and who comes from elsewhere without the token.
 async fn admitted(State(admission): State<Arc<Admission>>, request: Request, next: Next) -> Response {
     let Admission { gate, origins } = &*admission;
-    let origins = if request.uri().path() == foxglove::PATH { origins.as_slice() } else { &[] };
-    if request.extensions().get::<OverTls>().is_none() && is_local(request.headers(), origins) {
-        return next.run(request).await;
-    }
+    let is_foxglove = request.uri().path() == foxglove::PATH;
+    let origins = if is_foxglove { origins.as_slice() } else { &[] };
+    let from_elsewhere = request.extensions().get::<FromElsewhere>().is_some();
     let turned_away = match gate {
-        Some(gate) => gate.turns_away(&request),
-        None if request.uri().path() == foxglove::PATH => Some(refusal(
-            StatusCode::FORBIDDEN,
-            "only programs and pages of this machine may listen; --foxglove-origin names the origin of another",
-        )),
-        None => Some(refusal(StatusCode::FORBIDDEN, "only programs of this machine may use this")),
+        Some(gate) if from_elsewhere => gate.turns_away(&request),
+        _ => (from_elsewhere || !is_local(request.headers(), origins)).then(|| {
+            let error = if is_foxglove {
+                "only programs and pages of this machine may listen; --foxglove-origin names the origin of another"
+            } else {
+                "only programs and pages of this machine may use this"
+            };
+            refusal(StatusCode::FORBIDDEN, error)
+        }),
     };
+    let passed_on = sign_of_a_proxy(&request).filter(|_| !from_elsewhere).map(|sign| {
+        let error = format!(
+            "this request came through a reverse proxy ({sign}), but here no token protects the service; \
+             give the proxy a socket: `ballbard run --behind-proxy SOCKET`"
+        );
+        refusal(StatusCode::FORBIDDEN, &error)
+    });
+    let turned_away = passed_on.or(turned_away);
     match turned_away {
         Some(response) => response,
         None => next.run(request).await,
     }
+}
+
+/// What only a reverse proxy sends, as far as that can be seen: most add a header; nginx by default adds none, but speaks
+/// HTTP/1.0, which programs and browsers have long left.
+fn sign_of_a_proxy(request: &Request) -> Option<&str> {
+    let adds =
+        |name: &&str| ["forwarded", "via", "x-real-ip"].contains(name) || name.starts_with("x-forwarded-");
+    let header = request.headers().keys().map(HeaderName::as_str).find(adds);
+    header.or((request.version() < Version::HTTP_11).then_some("HTTP/1.0"))
 }
 
 /// Comes from this machine, or from one of these origins, to a loopback host.

@@ -118,7 +118,7 @@ pub(super) fn document(operations: &[Operation]) -> Value {
             "version": env!("CARGO_PKG_VERSION"),
             "description": "The acquisition service. Programs of its machine ask 127.0.0.1, under a loopback name, and need no \
                 token. Where it was started with --listen others ask over TLS, and where it was started with --behind-proxy \
-                over a proxy's TLS and under the proxy's name; both show the token. No request comes from a foreign origin; \
+                over a reverse proxy; both show the token. The loopback address accepts nothing that a proxy passed on. No request comes from a foreign origin; \
                 those that change something carry JSON.",
         },
         "paths": paths,

@@ -1,5 +1,8 @@
 //! The way in for others than programs of this machine: TLS and a token, or a reverse proxy and a token.
 //!
+//! A proxy has a Unix socket of its own. On the loopback port its requests would look like those of local programs: a proxy
+//! may send any `Host`, and by default sends 127.0.0.1.
+//!
 //! The token is 256 random bits, so that nobody guesses it; wrong ones are counted to keep answers and log small. No route is
 //! reached without. A browser gets it as a cookie that no script reads and no other site's page sends along.
 
@@ -7,20 +10,21 @@ use std::fmt;
 use std::fs::{self, OpenOptions};
 use std::io::{self, Write};
 use std::net::SocketAddr;
-use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
+use std::os::unix::fs::{FileTypeExt, OpenOptionsExt, PermissionsExt};
+use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use axum::extract::Request;
-use axum::http::{HeaderMap, HeaderName, Method, StatusCode, header};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
 use axum::response::{Html, IntoResponse, Response};
 use rand::Rng;
 use rcgen::{CertifiedKey, generate_simple_self_signed};
 use sha2::{Digest, Sha256};
 use subtle::ConstantTimeEq;
-use tokio::net::TcpListener;
+use tokio::net::{TcpListener, UnixListener};
 use tokio_rustls::TlsAcceptor;
 use tokio_rustls::rustls::pki_types::pem::PemObject;
 use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer, pem};
@@ -50,8 +54,8 @@ pub struct RemoteSettings {
     pub listen: Option<SocketAddr>,
     /// Certificates and key \[PEM\]; absent: what the program makes for itself.
     pub certificate: Option<(PathBuf, PathBuf)>,
-    /// The name under which a reverse proxy of this machine is reached.
-    pub proxy_host: Option<String>,
+    /// Unix socket on which a reverse proxy of this machine passes requests on.
+    pub proxy_socket: Option<PathBuf>,
 }
 
 /// Why nobody else is let in.
@@ -79,35 +83,49 @@ pub enum RemoteError {
     /// The address is not to be had.
     #[error("cannot listen on {0}: {1}; choose another address or port with --listen")]
     Listen(SocketAddr, io::Error),
+    /// The socket cannot be made.
+    #[error("cannot listen on the socket {}: {error}; choose another path with --behind-proxy", path.display())]
+    Socket {
+        /// Of the socket, absolute.
+        path: PathBuf,
+        /// What the system said.
+        error: io::Error,
+    },
 }
 
 /// Who else may come in, and how.
 pub struct Remote {
     gate: Gate,
-    door: Option<Door>,
+    tls: Option<TlsDoor>,
+    proxy: Option<ProxyDoor>,
     /// For people.
     words: String,
 }
 
 /// TLS on an address of its own.
-pub(super) struct Door {
+pub(super) struct TlsDoor {
     pub listener: TcpListener,
     pub acceptor: TlsAcceptor,
 }
 
-/// Came over TLS; everything else came to the loopback address.
+/// The Unix socket of a reverse proxy. Its file goes with it.
+pub(super) struct ProxyDoor {
+    pub listener: UnixListener,
+    path: PathBuf,
+}
+
+/// Came over TLS or through a proxy; everything else came to the loopback port.
 #[derive(Clone, Copy)]
-pub(super) struct OverTls;
+pub(super) struct FromElsewhere;
 
 impl Remote {
     /// Listens, with a token and a certificate that are made once into `state`.
     pub async fn open(settings: RemoteSettings, state: &Path) -> Result<Self, RemoteError> {
-        let RemoteSettings { listen, certificate, proxy_host } = settings;
+        let RemoteSettings { listen, certificate, proxy_socket } = settings;
         let token_file = state.join(TOKEN_FILE);
-        let mut gate =
-            Gate { token: token(&token_file)?, proxy_host, pairing: None, wrong: Mutex::default() };
+        let mut gate = Gate { token: token(&token_file)?, pairing: None, wrong: Mutex::default() };
         let mut words = Vec::new();
-        let door = match listen {
+        let tls = match listen {
             Some(address) => {
                 let refused = |error| RemoteError::Listen(address, error);
                 let listener = TcpListener::bind(address).await.map_err(refused)?;
@@ -115,13 +133,17 @@ impl Remote {
                 let (acceptor, fingerprint) = tls(certificate, state)?;
                 words.push(format!("https://{address}, certificate SHA-256 {fingerprint}"));
                 gate.pairing = Some(Pairing::new(address, fingerprint));
-                Some(Door { listener, acceptor })
+                Some(TlsDoor { listener, acceptor })
             }
             None => None,
         };
-        words.extend(gate.proxy_host.iter().map(|host| format!("https://{host} through a reverse proxy")));
+        let open = |path: PathBuf| {
+            ProxyDoor::open(path.clone()).map_err(|error| RemoteError::Socket { path, error })
+        };
+        let proxy = proxy_socket.map(open).transpose()?;
+        words.extend(proxy.iter().map(|proxy| format!("a reverse proxy on {}", proxy.path.display())));
         let words = format!("{}; the token is in {}", words.join(", and "), token_file.display());
-        Ok(Self { gate, door, words })
+        Ok(Self { gate, tls, proxy, words })
     }
 
     /// Where it is reached, the certificate's fingerprint and where the token is.
@@ -134,37 +156,51 @@ impl Remote {
         self.gate.pairing.clone()
     }
 
-    pub(super) fn into_parts(self) -> (Gate, Option<Door>) {
-        (self.gate, self.door)
+    pub(super) fn into_parts(self) -> (Gate, Option<TlsDoor>, Option<ProxyDoor>) {
+        (self.gate, self.tls, self.proxy)
     }
 }
 
-/// What is asked of each request.
+impl ProxyDoor {
+    fn open(path: PathBuf) -> io::Result<Self> {
+        // A killed service leaves its socket behind, without a listener.
+        let is_socket = fs::symlink_metadata(&path).is_ok_and(|file| file.file_type().is_socket());
+        if is_socket && UnixStream::connect(&path).is_err() {
+            fs::remove_file(&path)?;
+        }
+        let listener = UnixListener::bind(&path)?;
+        // The proxy runs as another user. Nothing is reached without the token.
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o666))?;
+        Ok(Self { listener, path })
+    }
+}
+
+impl Drop for ProxyDoor {
+    fn drop(&mut self) {
+        // One that stays is removed by the next start.
+        let _ = fs::remove_file(&self.path);
+    }
+}
+
+/// Checks each request from elsewhere.
 pub(super) struct Gate {
     token: String,
-    proxy_host: Option<String>,
     pairing: Option<Pairing>,
     /// When the latest wrong tokens came.
     wrong: Mutex<Vec<Instant>>,
 }
 
 impl Gate {
-    /// What a page or program of another machine is answered unless it asks under its name, from no foreign origin, and with
-    /// the token.
+    /// What a page or program of another machine is answered unless it comes from no foreign origin, and with the token.
     pub fn turns_away(&self, request: &Request) -> Option<Response> {
         let headers = request.headers();
-        let host = only(headers, header::HOST).filter(|host| {
-            request.extensions().get::<OverTls>().is_some()
-                || self.proxy_host.as_ref().is_some_and(|proxy| host.eq_ignore_ascii_case(proxy))
-        });
-        let is_own = |host: &str| {
-            let ours = format!("https://{host}");
-            headers.get_all(header::ORIGIN).iter().all(|origin| origin.as_bytes() == ours.as_bytes())
-        };
-        if !host.is_some_and(is_own) {
+        let own = only(headers, header::HOST).map(|host| format!("https://{host}"));
+        let is_own = |origin: &HeaderValue| Some(origin.as_bytes()) == own.as_ref().map(String::as_bytes);
+        if own.is_none() || !headers.get_all(header::ORIGIN).iter().all(is_own) {
             return Some(refusal(
                 StatusCode::FORBIDDEN,
-                "another site's page may not use this; open its own",
+                "another site's page may not use this; open its own (a reverse proxy must pass on the `Host` that the browser \
+                 sent, such as nginx with `proxy_set_header Host $http_host;`)",
             ));
         }
         let asks_for_page = request.method() == Method::GET && request.uri().path() == "/";
@@ -218,12 +254,12 @@ impl Gate {
             response.headers_mut().extend(parts.headers);
             response.headers_mut().remove(header::CONTENT_LENGTH);
             *response.body_mut() = body;
-            const POLICY: header::HeaderValue = header::HeaderValue::from_static(
+            const POLICY: HeaderValue = HeaderValue::from_static(
                 "default-src 'none'; style-src 'unsafe-inline'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'",
             );
             response.headers_mut().insert(header::CONTENT_SECURITY_POLICY, POLICY);
         }
-        response.headers_mut().insert(header::WWW_AUTHENTICATE, header::HeaderValue::from_static("Bearer"));
+        response.headers_mut().insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
         response
     }
 
