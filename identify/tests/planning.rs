@@ -1127,6 +1127,6 @@ fn the_bound_of_a_path_takes_its_poses_bent_as_the_path_is() {
     let planned_m = information.position(&found.normal).with_terms_m;
     let checked = cell.check(&cell.robot_path(&found));
     let least_m = position_m_min(&checked, &constraints, &information);
-    println!("planned {planned_m:.3e} m, bound {least_m:.3e?}");
+    println!("planned {planned_m:.3e} m, bound {least_m:?}");
     assert!(least_m.is_none_or(|least_m| 0.5 * planned_m < least_m && least_m < planned_m));
 }

@@ -11,7 +11,7 @@ use std::process::Command;
 use ballbard::control::status::Status;
 use serde_json::json;
 
-use super::rig::{Running, agent, shipped};
+use super::rig::{Running, shipped};
 use crate::support::ballbard;
 
 fn open(arguments: &[&str]) -> Running {
