@@ -30,8 +30,13 @@ $("ask-input").addEventListener("keydown", (event) => {
   if ($("ask-yes").className !== "danger") $("ask-yes").click();
 });
 
+// Answers the question that was asked last. The event of its end comes late: the next may have been asked by then.
+let finish = () => {};
+$("ask").addEventListener("close", () => { if (!$("ask").open) finish(); });
+
 // Asks; gives what was typed (or `true` where there is nothing to type), or null.
 export function choose({ title, text: said = "", label, value = "", lines = 1, required = false, yes, danger = false }) {
+  finish();
   text($("ask-title"), title);
   text($("ask-text"), said);
   $("ask-label").hidden = !label;
@@ -50,9 +55,10 @@ export function choose({ title, text: said = "", label, value = "", lines = 1, r
   // Enter at once does no harm.
   (label ? input : $("ask-no")).focus();
   return new Promise((resolve) => {
-    dialog.addEventListener("close", () => {
+    finish = () => {
+      finish = () => {};
       resolve(dialog.returnValue === "yes" ? (label ? input.value.trim() : true) : null);
-    }, { once: true });
+    };
   });
 }
 

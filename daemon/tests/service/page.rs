@@ -70,6 +70,22 @@ fn events_come_ten_times_a_second_with_what_moves_and_end_with_the_service() {
 }
 
 #[test]
+fn files_of_the_page_are_compressed_and_sent_again_only_if_they_changed() {
+    let service = Running::start();
+    let url = service.url("").replace("/api/", "/app.js");
+    let mut plain = agent().get(&url).call().unwrap();
+    let tag = plain.headers().get("etag").unwrap().clone();
+    let length = plain.body_mut().read_to_vec().unwrap().len();
+    let mut compressed = agent().get(&url).header("accept-encoding", "br, gzip").call().unwrap();
+    assert_eq!(compressed.headers().get("content-encoding").unwrap(), "gzip");
+    let bytes = compressed.body_mut().read_to_vec().unwrap();
+    assert!(bytes.starts_with(&[0x1f, 0x8b]) && 2 * bytes.len() < length, "{} of {length}", bytes.len());
+    let mut known = agent().get(&url).header("if-none-match", &tag).call().unwrap();
+    assert_eq!((known.status().as_u16(), known.body_mut().read_to_vec().unwrap().len()), (304, 0));
+    assert_eq!(agent().get(&url).header("if-none-match", "\"other\"").call().unwrap().status().as_u16(), 200);
+}
+
+#[test]
 fn clients_that_take_no_event_hold_up_nobody_and_leave_places_for_others() {
     let service = Running::start();
     service.wait_for("waiting");
