@@ -91,6 +91,8 @@ const WRITTEN_S: f64 = 1.5e-6;
 const ROUNDED: f64 = 1.25;
 /// From one knot to the next the rate of a clock changes by this, one standard deviation: a quartz that warms up by 1 K.
 const RATE_CHANGE: f64 = 2e-6;
+/// A cubic follows joints for so long to either side \[s\].
+const CURVE_S: f64 = 0.1;
 /// Steps for each one that the motion miscounts (see [`NEIGHBOURS_WHOLE`]), and the odds that are needed to overrule it.
 const MISCOUNTED: f64 = 1000.0;
 /// Even times are right where they make the motion as smooth as the stamps do, but for this factor. Of 2400 simulated logs (50 to
@@ -152,17 +154,25 @@ pub(in crate::logs) fn sampling(stamps_s: Vec<f64>, rows: &[Joints]) -> Option<S
     if let Some((stamps, _)) = even.as_ref().filter(|(stamps, _)| stamps.missing == 0) {
         return Some(Sampling { stamps: stamps.clone(), t_s: stamps_s });
     }
-    let mut motion = by_motion(rows);
+    let motion = by_motion(rows);
     // Without motion stamps cannot be compared with anything.
     let moves = motion.iter().flatten().count() >= ROWS_MIN;
-    let contradicted = even.as_ref().map(|(_, periods)| contradicted(&mut motion, periods, rows));
-    let stamped = even.as_ref().map(|(_, periods)| as_stamped(&motion, periods));
+    // Where the motion is unknown a row follows the one before it, or the stamps are right.
+    let closer = even.as_ref().map(|(stamps, periods)| {
+        let side = ((CURVE_S / stamps.period_s).round() as usize).min(BESIDE);
+        let (follows, _) = compared(&motion, periods, (rows, side), |_| 1.0);
+        let (mut right, contradicted) = compared(&motion, periods, (rows, side), |stamped| stamped);
+        right.iter_mut().zip(periods).for_each(|(shown, stamped)| *shown = shown.or(Some(*stamped)));
+        ([follows, right], contradicted)
+    });
+    let contradicted = closer.as_ref().map(|(_, contradicted)| *contradicted);
+    let explanations = closer.map_or_else(|| vec![motion.clone()], |(explanations, _)| explanations.into());
     let grid_s = grid(t_s);
     let missing = even.as_ref().map_or(0, |(stamps, _)| stamps.missing);
-    let numbered = [Some(&motion), stamped.as_ref()].into_iter().flatten().filter(|_| moves);
-    let numbered = numbered.filter_map(|periods| Numbered::new(t_s, periods, grid_s)).map(|numbered| {
+    let numbered = explanations.iter().filter(|_| moves).filter_map(|periods| {
+        let numbered = Numbered::new(t_s, periods, grid_s)?;
         let description = numbered.description(missing);
-        (numbered, description)
+        Some((numbered, description))
     });
     let shortest = numbered.min_by(|a, b| a.1.total_cmp(&b.1));
     let right = even.zip(contradicted).filter(|((stamps, periods), contradicted)| {
@@ -187,41 +197,43 @@ fn places(some: usize, rows: usize) -> f64 {
     if some > 0.0 { some * ((rows / some).ln() + 1.0) } else { 0.0 }
 }
 
-/// Periods from row to row by the motion, by the stamps where that is unknown.
-fn as_stamped(motion: &[Option<f64>], periods: &[f64]) -> Vec<Option<f64>> {
-    motion.iter().zip(periods).map(|(shown, stamped)| shown.or(Some(*stamped))).collect()
-}
-
-/// By how much the motion contradicts stamps that are whole `periods` apart \[nats\]. Where rows would be missing it is compared over
-/// more rows, and `motion` is what that shows.
-fn contradicted(motion: &mut [Option<f64>], periods: &[f64], rows: &[Joints]) -> f64 {
+/// Periods from row to row by the motion, which is compared over `side` rows to either side where stamps that are whole `periods` apart have rows
+/// missing, and by how much it contradicts them \[nats\]; `silent` gives the periods where it is unknown.
+fn compared(
+    motion: &[Option<f64>],
+    periods: &[f64],
+    (rows, side): (&[Joints], usize),
+    silent: impl Fn(f64) -> f64,
+) -> (Vec<Option<f64>>, f64) {
     let mut numbers = vec![0.0];
-    for periods in as_stamped(motion, periods).into_iter().flatten() {
-        numbers.push(numbers.last().copied().unwrap_or_default() + periods);
+    for (shown, stamped) in motion.iter().zip(periods) {
+        let before = numbers.last().copied().unwrap_or_default();
+        numbers.push(before + shown.unwrap_or_else(|| silent(*stamped)));
     }
+    let mut motion = motion.to_vec();
     let mut nats = 0.0;
     for (at, (shown, &stamped)) in motion.iter_mut().zip(periods).enumerate() {
         if *shown == Some(stamped) {
             continue;
         }
         let is_open = stamped > 1.0 && stamped <= PERIODS_MAX;
-        let closer = if is_open { by_curve(rows, &numbers, at, stamped as usize) } else { None };
+        let closer = if is_open { by_curve((rows, side), &numbers, at, stamped as usize) } else { None };
         *shown = closer.map(|(periods, _)| periods).or(*shown);
         if shown.is_some_and(|shown| shown != stamped) {
             nats += closer.map_or(MISCOUNTED.ln(), |(_, nats)| nats);
         }
     }
-    nats
+    (motion, nats)
 }
 
-/// Periods, 1 to `most`, from row `at` to the next one for which the rows on both sides are on the smoothest curve, with the
+/// Periods, 1 to `most`, from row `at` to the next one for which `side` rows on both sides are on the smoothest curve, with the
 /// log-likelihood ratio to the second best; none if that is too small.
-fn by_curve(rows: &[Joints], numbers: &[f64], at: usize, most: usize) -> Option<(f64, f64)> {
+fn by_curve((rows, side): (&[Joints], usize), numbers: &[f64], at: usize, most: usize) -> Option<(f64, f64)> {
     /// Rows of each side that determine a cubic.
     const SIDE_MIN: usize = 8;
     const TERMS: usize = 4;
-    let first = (at + 1).saturating_sub(BESIDE);
-    let end = (at + 1 + BESIDE).min(rows.len());
+    let first = (at + 1).saturating_sub(side);
+    let end = (at + 1 + side).min(rows.len());
     if at + 1 < first + SIDE_MIN || end < at + 1 + SIDE_MIN {
         return None;
     }
@@ -231,7 +243,7 @@ fn by_curve(rows: &[Joints], numbers: &[f64], at: usize, most: usize) -> Option<
         let longer = periods as f64 - (numbers[at + 1] - numbers[at]);
         let since = |row: usize| {
             let since = numbers[first + row] - numbers[at];
-            (if first + row > at { since + longer } else { since }) / BESIDE as f64
+            (if first + row > at { since + longer } else { since }) / side as f64
         };
         let powers = DMatrix::from_fn(count, TERMS, |row, power| since(row).powi(power as i32));
         let basis = powers.qr().q();

@@ -113,14 +113,20 @@ impl Search<'_> {
         // The one whose speeds match best is never left out: where laps repeat each other nearly, many fit nearly.
         hypotheses
             .sort_by(|a, b| is_closest(b).cmp(&is_closest(a)).then(a.spread_rad.total_cmp(&b.spread_rad)));
-        hypotheses.truncate(FITTED_MAX);
-        let mut fitted: Vec<(Hypothesis, Fit)> = Vec::new();
+        // Several rates may lead to one clock, here and after a fit.
+        let mut distinct: Vec<Hypothesis> = Vec::new();
         for hypothesis in hypotheses {
+            if !distinct.iter().any(|other| self.is_same(&window, other.clock, hypothesis.clock)) {
+                distinct.push(hypothesis);
+            }
+        }
+        distinct.truncate(FITTED_MAX);
+        let mut fitted: Vec<(Hypothesis, Fit)> = Vec::new();
+        for hypothesis in distinct {
             let measured = hypothesis.encoder_map.used.measured();
             let settled = self.settled(&window, hypothesis.clock, &hypothesis.encoder_map.used);
             let fit = self.refined(&settled, &measured, hypothesis.clock, None);
             let Some(fit) = fit else { continue };
-            // Several rates may lead to one clock.
             let same = fitted.iter_mut().find(|(_, other)| self.is_same(&window, other.clock, fit.clock));
             match same {
                 Some(same) if same.1.sigma_of_most_rad <= fit.sigma_of_most_rad => {}

@@ -2,7 +2,8 @@
 //!
 //! Over a part of some seconds no two clocks drift apart. Over the run the shifts of its parts lie on a line whose slope is the
 //! rate. A part alone may match in several places, all parts together in one: the correlations are summed along lines
-//! ("slant stack") before any peak is chosen.
+//! ("slant stack") before any peak is chosen. A clock that was set in the middle of the run is another explanation of shifts that
+//! differ: two levels instead of a slope. The one that leaves smaller squares is taken.
 
 use std::ops::Range;
 
@@ -96,19 +97,44 @@ fn rate(parts: &[Part], points: usize) -> Option<f64> {
     let matching = stacks.into_iter().flatten().filter(|(.., sum)| *sum > 0.0);
     let (coarse, origin, _) = matching.max_by(|a, b| a.2.total_cmp(&b.2))?;
     // A line through the peaks near it is finer than the steps between lines.
-    let peaks = parts.iter().filter_map(|part| {
-        let line = part.shift(origin, coarse);
-        let (shift, correlation) = part.correlations.peak_near(line.round() as i64, NEAR)?;
-        Some((part.middle, shift - line, correlation))
-    });
-    let (mut sums, mut along, mut squares, mut products) = ([0.0; 2], 0.0, 0.0, 0.0);
-    for (middle, by, weight) in peaks {
-        sums = [sums[0] + weight, sums[1] + weight * by];
-        along += weight * middle;
-        squares += weight * middle * middle;
-        products += weight * middle * by;
-    }
-    let determinant = sums[0] * squares - along * along;
-    let slope = (sums[0] * products - along * sums[1]) / determinant;
-    Some((coarse + slope).clamp(-RATE_MAX, RATE_MAX)).filter(|rate| rate.is_finite())
+    let peak = |part: &Part| {
+        let line = part.shift(origin, coarse).round() as i64;
+        let (shift, weight) = part.correlations.peak_near(line, NEAR)?;
+        Some(Peak { middle: part.middle, later: shift - part.shift(origin, 0.0), weight })
+    };
+    let peaks: Vec<Peak> = parts.iter().filter_map(peak).collect();
+    let (slope, squares) = line(&peaks);
+    let set_at = |at: usize| level(&peaks[..at]) + level(&peaks[at..]);
+    // A clock that is set in between runs as before on both sides.
+    let is_set = (1..peaks.len()).any(|at| set_at(at) < squares);
+    (slope.is_finite() && !is_set).then(|| slope.clamp(-RATE_MAX, RATE_MAX))
+}
+
+/// Where a part matches best.
+struct Peak {
+    /// Middle of the part since the middle of the run, in grid steps.
+    middle: f64,
+    /// Its shift less the one at equal rates, in grid steps.
+    later: f64,
+    weight: f64,
+}
+
+fn mean(peaks: &[Peak], of: impl Fn(&Peak) -> f64) -> f64 {
+    let weights: f64 = peaks.iter().map(|peak| peak.weight).sum();
+    peaks.iter().map(|peak| peak.weight * of(peak)).sum::<f64>() / weights
+}
+
+/// Slope of the line through peaks, and their weighted squares from it.
+fn line(peaks: &[Peak]) -> (f64, f64) {
+    let [middle, later] = [mean(peaks, |peak| peak.middle), mean(peaks, |peak| peak.later)];
+    let product = |peak: &Peak| (peak.middle - middle) * (peak.later - later);
+    let slope = mean(peaks, product) / mean(peaks, |peak| (peak.middle - middle).powi(2));
+    let square = |peak: &Peak| (peak.later - later - slope * (peak.middle - middle)).powi(2);
+    (slope, peaks.iter().map(|peak| peak.weight * square(peak)).sum())
+}
+
+/// Weighted squares of peaks from their mean.
+fn level(peaks: &[Peak]) -> f64 {
+    let later = mean(peaks, |peak| peak.later);
+    peaks.iter().map(|peak| peak.weight * (peak.later - later).powi(2)).sum()
 }

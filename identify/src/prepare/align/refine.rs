@@ -317,7 +317,7 @@ fn model(robot: &Chain, bar: &Chain, base_m: Vector3<f64>, skew: f64) -> Result<
     let roles: Vec<(ParameterId, f64, f64)> = model
         .parameters()
         .iter()
-        .filter_map(|parameter| Some((parameter.id, parameter.nominal, role(parameter.id)?)))
+        .filter_map(|parameter| Some((parameter.id, parameter.value, role(parameter.id)?)))
         .collect();
     for (id, value, sigma) in roles {
         model.set_role(id, Role::Prior { value, sigma })?;
