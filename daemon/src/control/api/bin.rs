@@ -51,11 +51,7 @@ pub(super) async fn empty(
     State(service): State<Service>,
     body: Body<EmptyBinRequest>,
 ) -> Result<Response, Response> {
-<<<<<<< ours
-    let Json(_) = body.map_err(|rejection| rejected(&rejection))?;
-=======
     let EmptyBinRequest {} = body.map_err(|rejection| rejected(&rejection))?.0;
->>>>>>> theirs
     let bins = bins(&service);
     let removed = on_disk(&service, move |disk| bins.empty(disk)).await?;
     tracing::warn!(removed, "bin emptied on request");

@@ -109,11 +109,7 @@ pub(super) async fn pair(
     State(Shared { pairing, .. }): State<Shared>,
     body: Body<PairRequest>,
 ) -> Result<Json<PairReply>, Response> {
-<<<<<<< ours
-    let Json(_) = body.map_err(|rejection| rejected(&rejection))?;
-=======
     let PairRequest {} = body.map_err(|rejection| rejected(&rejection))?.0;
->>>>>>> theirs
     let Some(pairing) = pairing else {
         return Err(refusal(
             StatusCode::CONFLICT,
