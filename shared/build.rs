@@ -10,12 +10,13 @@ const SOURCES: [&str; 6] =
 fn main() {
     println!("cargo::rerun-if-changed=build.rs\ncargo::rerun-if-changed=commit.txt");
     println!("cargo::rerun-if-env-changed=SOURCE_DATE_EPOCH");
+    // To follow every commit and edit would build all crates anew after each: a debug build states the commit of this crate's last build.
+    let is_debug = std::env::var("PROFILE").is_ok_and(|profile| profile != "release");
     let archived = std::fs::read_to_string("commit.txt").ok().filter(|text| !text.starts_with("$Format"));
-    let commit = archived.or_else(commit_of_git).unwrap_or_default();
+    let commit = archived.or_else(|| commit_of_git(!is_debug)).unwrap_or_default();
     let (hash, committed_s) = commit.trim().split_once(' ').unwrap_or_default();
     let date_s = std::env::var("SOURCE_DATE_EPOCH").unwrap_or_else(|_| committed_s.to_owned());
-    let state = if std::env::var("PROFILE").is_ok_and(|profile| profile != "release") {
-        // Of builds that follow every edit: to compare each with its commit would build this crate each time.
+    let state = if is_debug {
         "debug build"
     } else if !hash.is_empty() && is_modified() {
         "modified"
@@ -26,13 +27,14 @@ fn main() {
     println!("cargo::rustc-env=BUILD_STATE={state}");
 }
 
-/// Hash and time \[s\] of the commit that is checked out, unless this directory lies in another project's repository.
-fn commit_of_git() -> Option<String> {
+/// Hash and time \[s\] of the commit that is checked out, unless this directory lies in another project's repository. `follow`: this
+/// crate is built anew after the next commit.
+fn commit_of_git(follow: bool) -> Option<String> {
     if git(&["rev-parse", "--show-prefix"])?.trim() != "shared/" {
         return None;
     }
     // `logs/HEAD` grows with each commit; a path that is missing would build this crate each time.
-    for name in ["HEAD", "logs/HEAD"] {
+    for name in ["HEAD", "logs/HEAD"].iter().filter(|_| follow) {
         let path = git(&["rev-parse", "--git-path", name])?;
         if Path::new(path.trim()).exists() {
             println!("cargo::rerun-if-changed={}", path.trim());
