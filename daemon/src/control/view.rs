@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use shared::recording::schema::MAX_ENCODERS;
 use shared::time::MonoNs;
+use shared::version::software;
 
 use super::bus_link::{are_silent, silent_encoders};
 use super::homing::Homing;
@@ -15,9 +16,6 @@ use super::tending::Tending;
 use crate::clock::Clock;
 use crate::cycle::link_errors;
 use crate::run::{ActiveRun, BusChoice, Session, Storage, Warning};
-
-/// Name and version of the program, for status and files.
-pub const VERSION: &str = concat!("ballbard ", env!("CARGO_PKG_VERSION"));
 
 /// The service at one moment.
 pub(super) struct View<'a> {
@@ -88,7 +86,7 @@ impl View<'_> {
             last: self.last.cloned(),
             runs_over: self.runs_over,
             homing: self.homing.map(|homing| homing.status().clone()),
-            version: VERSION.into(),
+            version: software("ballbard"),
             bus: bus_name(&self.settings.bus),
             simulated: self.session.map_or(self.settings.bus == BusChoice::Simulated, Session::is_simulated),
             disk_usable_mb: self.storage.usable_bytes().map(|bytes| bytes / 1_000_000),
