@@ -3,6 +3,8 @@
 //! Files have more than the arm: a world before it, frames beside it, a gripper behind it. Only what moves decides: links on
 //! which the same joints act are ends of the same arm, and the names of the field choose among them.
 
+use std::cmp::Reverse;
+
 use super::import::ImportError;
 use super::urdf::{Joint, Urdf};
 
@@ -12,7 +14,7 @@ const FLANGES: [&str; 2] = ["tool0", "flange"];
 const TOOLS: [&str; 5] = ["link8", "ee_link", "link_ee", "link_eef", "end_effector"];
 /// Names of a robot's own base.
 const BASES: [&str; 4] = ["base_link", "base", "link0", "link_0"];
-/// Parts of names that joints or links of grippers have.
+/// Parts of names that joints of grippers have.
 const GRIPPERS: [&str; 5] = ["gripper", "finger", "jaw", "knuckle", "thumb"];
 /// An error lists so many links.
 const LISTED_MAX: usize = 12;
@@ -104,7 +106,7 @@ fn find_tip(urdf: &Urdf, base: Option<&str>, left_out: &mut Vec<String>) -> Resu
         }
     }
     let Some(arm) = ends.iter().max_by_key(|end| end.axes.len()) else {
-        let problem = "no joint of an arm moves in it; say --base and --tip, or";
+        let problem = "no joint moves in it, but for those of grippers";
         return Err(ImportError::Wrong(problem.into()));
     };
     let is_parent = |link: &str| urdf.joints.iter().any(|joint| joint.parent == link);
@@ -118,14 +120,16 @@ fn find_tip(urdf: &Urdf, base: Option<&str>, left_out: &mut Vec<String>) -> Resu
         joints.any(|joint| behind.iter().any(|end| end.link == joint.child))
     };
     let tips: Vec<&End<'_>> = behind.iter().copied().filter(|end| !leads_on(end.link)).collect();
-    let named = || {
-        let mut called =
-            TOOLS.iter().map(|name| behind.iter().copied().filter(move |end| is_called(end.link, name)));
-        called.find_map(|mut called| called.next())
-    };
-    let tip = match tips[..] {
-        [tip] => tip,
-        _ => named().ok_or_else(|| several(&tips))?,
+    // Behind the last axis' own link.
+    let fixed = behind
+        .iter()
+        .copied()
+        .filter(|end| urdf.joints.iter().any(|joint| joint.child == end.link && !joint.moves()));
+    let named = TOOLS.iter().find_map(|name| fixed.clone().find(|end| is_called(end.link, name)));
+    let tip = match (named, &tips[..]) {
+        (Some(end), _) => end,
+        (None, [tip]) => *tip,
+        (None, _) => return Err(several(&tips)),
     };
     let first = grippers.first();
     if let Some((end, joint)) = first.and_then(|end| Some((end, end.gripper?))) {
@@ -148,9 +152,11 @@ fn find_base(root: &str, joints: &[&Joint], left_out: &mut Vec<String>) -> Strin
     base.to_owned()
 }
 
+/// Those with most axes first.
 fn several(ends: &[&End<'_>]) -> ImportError {
-    let tips: Vec<String> =
-        ends.iter().map(|end| format!("{} ({} axes)", end.link, end.axes.len())).collect();
+    let mut ends = ends.to_vec();
+    ends.sort_by_key(|end| Reverse(end.axes.len()));
+    let tips: Vec<String> = ends.iter().map(|end| format!("{} ({})", end.link, end.axes.len())).collect();
     ImportError::SeveralTips { tips: listed(&tips) }
 }
 
@@ -171,6 +177,6 @@ fn is_called(link: &str, name: &str) -> bool {
 }
 
 fn is_of_gripper(joint: &Joint) -> bool {
-    let names = [&joint.name, &joint.child].map(|name| name.to_lowercase());
-    GRIPPERS.iter().any(|part| names.iter().any(|name| name.contains(part)))
+    let name = joint.name.to_lowercase();
+    GRIPPERS.iter().any(|part| name.contains(part))
 }

@@ -53,7 +53,9 @@ pub enum ImportError {
         above: String,
     },
     /// The end of the arm has to be said.
-    #[error("it ends in several links; say with --tip which is the flange: {tips}")]
+    #[error(
+        "it ends in several links; say with --tip which is the flange (number of axes before it): {tips}"
+    )]
     SeveralTips {
         /// Links on which nothing hangs.
         tips: String,

@@ -153,9 +153,13 @@ pub(super) fn angle_rad(text: &str) -> Option<f64> {
     let decimals = decimals(text).min(DECIMALS_MAX);
     let step = if decimals >= DECIMALS_FINE { PI / 12.0 } else { FRAC_PI_2 };
     let (exact, unit) = ((written / step).round() * step, 10f64.powi(decimals as i32));
-    // Some files round, others truncate.
+    // Some files round, others truncate; a widespread one has 1.570796325.
     let digits = [(exact * unit).round(), (exact * unit).trunc()];
-    let is_exact = decimals >= 2 && digits.contains(&(written * unit).round());
+    let is_exact = match decimals {
+        0 | 1 => false,
+        2..6 => digits.contains(&(written * unit).round()),
+        _ => ((written - exact) * unit).abs() < 2.0,
+    };
     Some(if is_exact { exact } else { written })
 }
 
