@@ -6,11 +6,12 @@ use crate::solver::Solution;
 
 /// Groups of links' numbers of which the data determine no more than a combination, by name: offsets along parallel axes, whose sum
 /// is all that any data show, and those that follow their tolerance more than they follow these data. A group of one is a number
-/// that the data do not determine. `model` has the solution's first columns.
+/// that the data do not determine. Lengths that were measured apart are neither. `model` has the solution's first columns.
 pub fn not_separated(model: &Model, solution: &Solution) -> Vec<Vec<ParameterId>> {
     let with_tolerance = model.columns().enumerate().filter(|(_, one)| {
         let is_link = matches!(one.id.group(), Group::Link | Group::InPlaceOfAnother);
-        is_link && matches!((one.id, one.role), (ParameterId::Robot { .. }, Role::Prior { .. }))
+        let is_known = ParameterId::KNOWN_LENGTHS.contains(&one.id);
+        is_link && !is_known && matches!((one.id, one.role), (ParameterId::Robot { .. }, Role::Prior { .. }))
     });
     let (columns, ids): (Vec<usize>, Vec<ParameterId>) =
         with_tolerance.map(|(column, one)| (column, one.id)).unzip();
