@@ -120,6 +120,8 @@ fn through_a_reverse_proxy_nothing_is_reached_without_the_token_whatever_host_it
         (vec!["Host: lab.example", &bearer], 200),
         (vec!["Host: localhost", "X-Forwarded-For: 192.0.2.7", &bearer], 200),
         (vec!["Host: lab.example:8443", "Origin: https://lab.example:8443", &bearer], 200),
+        // A scheme has no case (RFC 9110, section 11.1).
+        (vec!["Host: lab.example", &bearer.replace("Bearer", "bearer")], 200),
         (vec!["Host: lab.example", "Authorization: Bearer x"], 401),
         (vec!["Host: lab.example", "Origin: https://evil.example", &bearer], 403),
         (vec!["Host: lab.example", "Origin: http://lab.example", &bearer], 403),

@@ -613,33 +613,33 @@ struct Admission {
 
 /// Turns away what a foreign web page could send, and who comes from elsewhere without the token.
 async fn admitted(State(admission): State<Arc<Admission>>, request: Request, next: Next) -> Response {
-    let Admission { gate, origins } = &*admission;
-    let is_foxglove = request.uri().path() == foxglove::PATH;
-    let origins = if is_foxglove { origins.as_slice() } else { &[] };
-    let from_elsewhere = request.extensions().get::<FromElsewhere>().is_some();
-    let turned_away = match gate {
-        Some(gate) if from_elsewhere => gate.turns_away(&request),
-        _ => (from_elsewhere || !is_local(request.headers(), origins)).then(|| {
-            let error = if is_foxglove {
-                "only programs and pages of this machine may listen; --foxglove-origin names the origin of another"
-            } else {
-                "only programs and pages of this machine may use this"
-            };
-            refusal(StatusCode::FORBIDDEN, error)
-        }),
+    let turned_away = match &admission.gate {
+        Some(gate) if request.extensions().get::<FromElsewhere>().is_some() => gate.turns_away(&request),
+        _ => refused_on_loopback(&request, &admission.origins),
     };
-    let passed_on = sign_of_a_proxy(&request).filter(|_| !from_elsewhere).map(|sign| {
-        let error = format!(
-            "this request came through a reverse proxy ({sign}), but here no token protects the service; \
-             give the proxy a socket: `ballbard run --behind-proxy SOCKET`"
-        );
-        refusal(StatusCode::FORBIDDEN, &error)
-    });
-    let turned_away = passed_on.or(turned_away);
     match turned_away {
         Some(response) => response,
         None => next.run(request).await,
     }
+}
+
+/// What a client of the loopback port is answered that is neither a program nor a page of this machine.
+fn refused_on_loopback(request: &Request, origins: &[String]) -> Option<Response> {
+    let is_foxglove = request.uri().path() == foxglove::PATH;
+    let error: String = if let Some(sign) = sign_of_a_proxy(request) {
+        format!(
+            "this request came through a reverse proxy ({sign}), but here no token protects the service; \
+             give the proxy a socket: `ballbard run --behind-proxy SOCKET`"
+        )
+    } else if is_local(request.headers(), if is_foxglove { origins } else { &[] }) {
+        return None;
+    } else if is_foxglove {
+        "only programs and pages of this machine may listen; --foxglove-origin names the origin of another"
+            .into()
+    } else {
+        "only programs and pages of this machine may use this".into()
+    };
+    Some(refusal(StatusCode::FORBIDDEN, &error))
 }
 
 /// What only a reverse proxy sends, as far as that can be seen: most add a header; nginx by default adds none, but speaks
