@@ -271,10 +271,18 @@ impl<'a> Solver<'a> {
             self.sigmas.fill(UNWEIGHTED);
             let first = self.approach()?;
             self.learn_noise();
-            // Whitening, angles without encoder and the worth of a residual against priors were those of the nominal geometry;
-            // now they are those of the solution.
-            self.sigmas.fill(residual_sigma(cost, &first));
-            self.approach()?;
+            // Whitening, angles without encoder and the weight of a residual against priors were those of the nominal geometry;
+            // now they are those of the solution. A weight that is too small keeps the solution near its priors, where residuals
+            // are large: the weight is repeated until it does not grow any more.
+            let mut sigma = residual_sigma(cost, &first);
+            for _ in 0..ROUNDS_MAX {
+                self.sigmas.fill(sigma);
+                let part = residual_sigma(cost, &self.approach()?);
+                if part > 1.0 - SETTLED {
+                    break;
+                }
+                sigma = (sigma * part).max(SIGMA_MIN);
+            }
             let (columns, mut solution) = self.solve()?;
             // In the unit of the noise that was found.
             let unit = solution.summary.residual_rms_start / first.residual_rms.max(SIGMA_MIN);
