@@ -177,8 +177,9 @@ pub fn of_solution(
     scales: impl Iterator<Item = ScaleFrom>,
 ) -> Vec<Limit> {
     let mut limits: Vec<Limit> = of_disagreement(runs, sigmas, solution.loss).into_iter().collect();
-    limits.extend(strained_priors(model, solution));
+    // A wrong scale strains the priors of all lengths, too.
     limits.extend(of_lengths(model, solution, scales));
+    limits.extend(strained_priors(model, solution));
     limits
 }
 
