@@ -13,6 +13,7 @@ use rand_chacha::rand_core::SeedableRng;
 use shared::config::{BallBarConfig, RobotConfig};
 
 use crate::calibrate::IdentifyConfig;
+use crate::calibrate::selection::links::inseparable_offsets;
 use crate::cost::{AngleNoise, LoopProblem, Residual, WhitenedPose};
 use crate::kinematics::{Chain, Joints, Trace, Tracer};
 use crate::model::{
@@ -317,7 +318,8 @@ impl Information {
         groups.into_iter().map(alone).collect()
     }
 
-    /// Numbers of the robot's links of which the data determine some combination less well than their priors do.
+    /// Numbers of the robot's links of which the data determine no more than a combination: offsets along parallel axes, and those
+    /// of which their priors determine some combination better.
     pub fn not_separated(&self, normal: &Normal) -> Vec<ParameterId> {
         /// A number with a smaller part in such a combination is determined.
         const PART: f64 = 0.1;
@@ -335,7 +337,8 @@ impl Information {
         let columns = self.robot.iter().enumerate().filter(|(row, _)| part(*row) > PART);
         // The plate is what its measurement says, whatever the path.
         let columns = columns.map(|(_, column)| *column).filter(|column| Some(*column) != self.scale);
-        columns.map(|column| ids[column]).collect()
+        let of_axes = inseparable_offsets(&self.model.geometry(&[]).robot).into_iter().flatten();
+        of_axes.chain(columns.map(|column| ids[column])).collect()
     }
 
     /// Name and expected standard deviation of each parameter, SI, in the order of the columns.

@@ -10,6 +10,8 @@ use crate::kinematics::Joints;
 const TRIES: usize = 1500;
 /// Largest change of a joint in one step of a tree \[rad, m\].
 const STEP: f64 = 0.4;
+/// Most ways go round what is in their way by less than this beyond both postures \[rad, m\]: every second random posture lies there.
+const ROUND: f64 = 1.0;
 
 /// Postures that are reached from the first one, each with the one before it.
 struct Tree {
@@ -61,8 +63,15 @@ pub(super) fn round(
 ) -> Option<Vec<Joints>> {
     let [mut one, mut other] = [from, to].map(Tree::new);
     for attempt in 0..TRIES {
-        let joint = |[low, high]: &[f64; 2]| low + (high - low) * random.random::<f64>();
-        let somewhere: Joints = range.iter().map(joint).collect();
+        let somewhere = Joints::from_fn(from.len(), |axis| {
+            let [low, high] = range[axis];
+            let (near_low, near_high) = (from[axis].min(to[axis]) - ROUND, from[axis].max(to[axis]) + ROUND);
+            let [low, high] = match attempt % 4 < 2 {
+                true => [low.max(near_low), high.min(near_high)],
+                false => [low, high],
+            };
+            low + (high - low) * random.random::<f64>()
+        });
         if let Some(reached) = one.grow(&somewhere, &is_clear) {
             while let Some(grown) = other.grow(&reached, &is_clear) {
                 if grown == reached {
