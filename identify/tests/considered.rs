@@ -158,7 +158,8 @@ fn a_rod_that_is_known_gives_the_scale_where_the_plate_does_not() {
         (position_error_m(&run, &found, &robot) * 1e3, claimed.interval_m[1] * 1e3)
     });
     println!("error and claim [mm]: {by_plate:?} by the plate, {by_rod:?} by the rod");
-    assert!(by_plate.0 > 3.0 && by_plate.1 > by_plate.0, "{by_plate:?}");
+    // Links within a millimetre of nominal say something of the scale, too.
+    assert!(by_plate.0 > 1.0 && by_plate.1 > by_plate.0, "{by_plate:?}");
     assert!(by_rod.0 < 0.1 && by_rod.1 < 0.3, "{by_rod:?}");
 }
 
@@ -186,7 +187,8 @@ fn each_contribution_of_the_budget_is_what_its_source_does_to_the_robot() {
         let found = contributions.iter().find(|one| one.source.starts_with(start));
         found.unwrap_or_else(|| panic!("{start} is not in {contributions:?}"))
     };
-    let (noise, plate, link) = (of("errors of the samples"), of("ra6"), of("ralpha3"));
+    let (noise, plate, link) =
+        (of("errors of the samples"), of("length of the offset plate (ra6)"), of("ralpha3"));
     assert_eq!(noise.evaluation, Evaluation::Statistical);
     assert_eq!([plate.evaluation, link.evaluation], [Evaluation::Stated; 2]);
     assert!(

@@ -4,7 +4,7 @@
 use crate::support::{Cell, bar, irb2400};
 use identify::calibrate::ball_bar::{self, BallBarCalibration, RunInput};
 use identify::calibrate::validation::truth::Comparison;
-use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig};
+use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig, SelectionName};
 use identify::cost::SharedColumns;
 use identify::model::{ParameterId, Role};
 use identify::report::result::file::ParameterEntry;
@@ -30,6 +30,7 @@ fn input<'a>(run: &'a Simulated, bar: &'a BallBarConfig) -> RunInput<'a> {
 fn by_data(cost: CostName) -> IdentifyConfig {
     IdentifyConfig {
         cost: Some(cost),
+        selection: SelectionName::AllIdentifiable,
         encoder_harmonics_urad: 0.0,
         joint_terms: JointTermsConfig { candidates: Vec::new(), ..JointTermsConfig::default() },
         ..IdentifyConfig::default()

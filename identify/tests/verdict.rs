@@ -131,10 +131,10 @@ fn a_required_accuracy_is_judged_and_repeated_for_every_instrument() {
         let text = String::from_utf8_lossy(&output.stdout);
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
         assert!(text.starts_with(&format!("verdict {grade}: ")), "{text}");
-        // Verdict, before and after, parts, scale, limits, files, next step; the rest needs --verbose.
+        // Verdict, before and after, parts, scale, limits, what is not separated, files, next step; the rest needs --verbose.
         let fits = |line: &str| line.chars().count() <= 100 || !line.trim().contains(' ');
         assert!(text.lines().all(fits), "{text}");
-        assert_eq!(text.lines().filter(|line| !line.starts_with("  ")).count(), 7, "{text}");
+        assert_eq!(text.lines().filter(|line| !line.starts_with("  ")).count(), 8, "{text}");
         // The number stands first.
         assert!(
             text.starts_with(&format!("verdict {grade}: 0.0"))
