@@ -164,8 +164,8 @@ fn centimetres_are_found_and_told() {
     for (robot, bar, expected) in cases {
         let found = calibrated(&run, &robot, &bar);
         println!("{expected:?} {:.4} mm|mrad, {:.4} otherwise", error(&found), error(&right));
-        // Starting from elsewhere leads to the same robot.
-        assert!(error(&found) < 1.2 * error(&right), "{expected:?}");
+        // Starting from elsewhere leads to the same robot, but for what tolerances about a wrong nominal length pull.
+        assert!(error(&found) < 1.3 * error(&right), "{expected:?}");
         let told = told_of_lengths(&found);
         let same = |(told, expected): (&(String, f64), &(&str, f64))| {
             told.0 == expected.0 && (told.1 - expected.1).abs() < 2.0

@@ -176,7 +176,7 @@ impl<'a, W: Write> Table<'a, W> {
         header.extend(["cycle", "flags", "event"].map(str::to_owned));
         let delimiter = if layout.excel { b';' } else { b',' };
         let mut rows = csv::WriterBuilder::new().delimiter(delimiter).from_writer(sink);
-        rows.write_record(&header)?;
+        rows.write_record(&header).map_err(of_sink)?;
         Ok(Self {
             layout,
             rows,
@@ -222,7 +222,15 @@ impl<'a, W: Write> Table<'a, W> {
             // One line of text per row, for readers that split at line ends.
             texts.join("; ").replace(char::is_control, " "),
         ]);
-        Ok(self.rows.write_record(&row)?)
+        self.rows.write_record(&row).map_err(of_sink)
+    }
+}
+
+/// The error of the sink itself: its kind shows whether the reader has gone.
+fn of_sink(error: csv::Error) -> io::Error {
+    match error.into_kind() {
+        csv::ErrorKind::Io(error) => error,
+        other => io::Error::other(format!("{other:?}")),
     }
 }
 
