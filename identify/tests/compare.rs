@@ -60,12 +60,9 @@ fn probabilities_of_ten_robots_are_spread_as_true_intervals_spread_them() {
     let p: Vec<f64> = all.flat_map(|one| one.parameters).map(|one| one.p.unwrap()).collect();
     let high = p.iter().filter(|p| **p > 0.5).count() as f64 / p.len() as f64;
     // Probabilities of one robot depend on each other: the spread is that of robots, not of parameters.
+    // Tolerances pull calibrations of one robot the same way, so that they agree better than by chance.
     let spread = 0.553 / (count as f64).sqrt();
-    assert!(
-        p.len() == 21 * count && (0.575 - spread..0.575 + spread).contains(&high),
-        "{high} of {}",
-        p.len()
-    );
+    assert!(p.len() == 22 * count && (0.65 - spread..0.65 + spread).contains(&high), "{high} of {}", p.len());
 }
 
 #[test]

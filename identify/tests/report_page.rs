@@ -239,7 +239,7 @@ fn markup_in_a_name_is_shown_and_not_obeyed() {
 #[test]
 fn a_calibration_without_encoders_has_a_page_too() {
     let robot = irb2400();
-    let (_, found) = calibrated(&robot, 1, Some(CostName::Length));
+    let (_, found) = calibrated(&robot, 3, Some(CostName::Length));
     let text = page_text(&found, &evidence_of(&found, &robot), &robot);
     assert!(text.contains("Calibrated") && text.contains("Held-out validation"));
 }

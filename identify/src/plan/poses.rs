@@ -24,7 +24,7 @@ use crate::model::{
     SetUp,
 };
 use crate::solver::{ScaledCholesky, stacked};
-use crate::statistics::{extremes, median};
+use crate::statistics::median;
 
 use super::information::States;
 use super::optimum::optimum;
@@ -247,8 +247,7 @@ pub fn poses(
     let is_clear =
         |from: &Joints, to: &Joints| bodies.is_none_or(|bodies| bodies.is_way_clear(&arm, from, to));
     let order = driven(&chosen, candidates, |a, b| is_clear(&candidates[a], &candidates[b]));
-    let joint = |axis: usize| extremes(candidates.iter().map(|q| q[axis]));
-    let range: Vec<[f64; 2]> = (0..request.robot.axes()).map(joint).collect();
+    let range = request.robot.joint_limits();
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let way = |pair: &[usize]| {
         let ends = [candidates[pair[0]], candidates[pair[1]]];
