@@ -149,9 +149,9 @@ fn a_browser_draws_the_arm_from_pose_to_pose_and_asks_nobody_else() {
         "--draw",
         "60",
         "--link-radius-mm",
-        "40",
+        "30",
         "--count",
-        "12",
+        "8",
         "--measures",
         "positions",
         "--floor",
@@ -161,7 +161,7 @@ fn a_browser_draws_the_arm_from_pose_to_pose_and_asks_nobody_else() {
     let shown = browser::shown(&std::fs::read_to_string(directory.path().join("poses.html")).unwrap());
     // The script writes which pose it draws.
     let pose = shown.document.split_once("id=\"path-shown\">").unwrap().1.split_once('<').unwrap().0;
-    assert!(pose.starts_with("pose ") && pose.ends_with(" of 12"), "{pose:?} {}", shown.stderr);
+    assert!(pose.starts_with("pose ") && pose.ends_with(" of 8"), "{pose:?} {}", shown.stderr);
     assert_eq!(shown.foreign, Vec::<String>::new());
 }
 
