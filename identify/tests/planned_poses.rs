@@ -344,7 +344,7 @@ fn programs_stop_before_a_pose_without_a_free_way_and_drive_through_the_postures
         // Comments are broken into lines of the language.
         let before = text.split_once(stop).unwrap().0.replace(['!', ';', '\n'], " ");
         let is_word =
-            |word: &&str| !word.strip_suffix(':').is_some_and(|number| number.parse::<u32>().is_ok());
+            |word: &&str| word.strip_suffix(':').is_none_or(|number| number.parse::<u32>().is_err());
         let before = before.split_whitespace().filter(is_word).collect::<Vec<_>>().join(" ");
         assert!(before.contains("no free way from pose 2 to pose 3"), "{text}");
     }

@@ -784,7 +784,7 @@ tokens = module.parse_string(text, parse_all=True).as_list()
 assert tokens[:3] == ["MODULE", "BallBarPath", "PROC"], tokens[:3]
 assert tokens[-2:] == ["ENDPROC", "ENDMODULE"], tokens[-2:]
 starts = [i for i, token in enumerate(tokens) if token == "MoveAbsJ"]
-period_s = tokens[starts[1] + 23]
+period_s = tokens[starts[1] + 24]
 for start, end in zip(starts, starts[1:] + [len(tokens) - 2]):
     assert tokens[start + 1:start + 3] == ["[", "["] and tokens[start + 9:start + 11] == ["]", "["]
     assert all(axis == 9e9 for axis in tokens[start + 11:start + 17])

@@ -157,7 +157,7 @@ fn centimetres_are_found_and_told() {
     let two = [(Length::A(1), 0.05), (Length::D(4), -0.05)];
     let cases = [
         (longer(&robot, &[(Length::A(2), 0.05)]), bar.clone(), vec![("ra2", -50.0)]),
-        (longer(&robot, &two), bar.clone(), vec![("ra1", -50.0), ("rd4", 50.0)]),
+        (longer(&robot, &two), bar.clone(), vec![("rd4", 50.0), ("ra1", -50.0)]),
         (robot.clone(), bar_of(0.604), vec![]),
         (robot.clone(), bar_of(0.62), vec![("bd3", -20.0)]),
     ];

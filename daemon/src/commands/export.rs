@@ -86,7 +86,7 @@ pub fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
 enum Source {
     File(PathBuf),
     /// At the service of another machine, which makes the table there.
-    Elsewhere(RunLine),
+    Elsewhere(Box<RunLine>),
 }
 
 impl Source {
@@ -99,7 +99,8 @@ impl Source {
     ) -> anyhow::Result<u64> {
         match self {
             Self::File(file) => write_csv(&SystemDisk, file, layout, sink),
-            Self::Elsewhere(RunLine { name, cycles, .. }) => {
+            Self::Elsewhere(line) => {
+                let RunLine { name, cycles, .. } = &**line;
                 let path = format!("runs/{name}/csv{}", layout.query());
                 service
                     .fetch(&path, |table| Ok(io::copy(table, &mut sink).and_then(|_| sink.flush())?))
@@ -122,7 +123,7 @@ fn find(recording: &Path, service: &ServiceArguments) -> anyhow::Result<(Source,
         bail!("no file and no finished run is called `{name}`; `ballbard runs` lists them")
     };
     let beside = PathBuf::from(format!("{name}.mcap"));
-    let source = if service.is_elsewhere() { Source::Elsewhere(line) } else { Source::File(line.file) };
+    let source = if service.is_elsewhere() { Source::Elsewhere(Box::new(line)) } else { Source::File(line.file) };
     Ok((source, beside))
 }
 
