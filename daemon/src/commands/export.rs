@@ -123,7 +123,8 @@ fn find(recording: &Path, service: &ServiceArguments) -> anyhow::Result<(Source,
         bail!("no file and no finished run is called `{name}`; `ballbard runs` lists them")
     };
     let beside = PathBuf::from(format!("{name}.mcap"));
-    let source = if service.is_elsewhere() { Source::Elsewhere(Box::new(line)) } else { Source::File(line.file) };
+    let source =
+        if service.is_elsewhere() { Source::Elsewhere(Box::new(line)) } else { Source::File(line.file) };
     Ok((source, beside))
 }
 

@@ -138,7 +138,7 @@ impl LossName {
 pub enum Begin {
     /// At the values given, which most samples must be near to.
     Start,
-    /// At what random subsets agree on ([`ransac`]): up to three fifths of the samples may be wrong however far, and the
+    /// At what random subsets agree on ([`ransac()`]): up to three fifths of the samples may be wrong however far, and the
     /// scale of the loss follows the best two fifths.
     Subsets,
 }
