@@ -254,7 +254,9 @@ fn homing_without_a_service_or_a_bus_says_what_to_do() {
     let alone = home(&["--port", "1"]);
     assert!(!alone.status.success());
     assert!(String::from_utf8_lossy(&alone.stderr).contains("ballbard run"), "{alone:?}");
-    let unknown = home(&["--bus", "eth99", "--config", config().to_str().unwrap()]);
+    let state = tempfile::tempdir().unwrap();
+    let state = state.path().to_str().unwrap();
+    let unknown = home(&["--bus", "eth99", "--state", state, "--config", config().to_str().unwrap()]);
     assert!(String::from_utf8_lossy(&unknown.stderr).contains("no network interface"), "{unknown:?}");
     let elsewhere = home(&["--state", "elsewhere"]);
     assert!(String::from_utf8_lossy(&elsewhere.stderr).contains("--state is for --bus"), "{elsewhere:?}");
