@@ -358,10 +358,13 @@ fn marks_that_the_disk_refuses_were_found_but_are_not_kept() {
     let day = Day::begin(None);
     day.wait(Duration::from_secs(15), |status| status.state == "waiting");
     day.wall.strike_next(Call::Replace, Fault::Fails);
-    assert_eq!(day.post("/home", &json!({})).0, 200);
-    let is_over = |status: &Status| status.homing.as_ref().is_some_and(|homing| homing.is_over);
-    let homing = day.wait(Duration::from_secs(40), is_over).homing.unwrap();
-    let error = homing.error.unwrap();
+    let home = || {
+        assert_eq!(day.post("/home", &json!({})).0, 200);
+        let is_over = |status: &Status| status.homing.as_ref().is_some_and(|homing| homing.is_over);
+        day.wait(Duration::from_secs(40), is_over).homing.unwrap().error.unwrap()
+    };
+    // A second without an answer from emulated terminals ends a homing; a busy machine gives such seconds.
+    let error = std::iter::repeat_with(home).find(|error| !error.contains("no valid counts")).unwrap();
     for told in ["of all joints were found, but not kept", "homing.toml", "free space", "home again"] {
         assert!(error.contains(told), "`{told}` is missing in: {error}");
     }

@@ -56,10 +56,11 @@ fn an_encoder_without_signal_is_in_the_headline_before_and_during_a_run() {
     assert_eq!(waiting.state, "waiting");
     let typed = text(&service.command(&["status"]));
     assert!(typed.starts_with("CHECK: no valid sample from joint 2 ("), "{typed}");
-    // Four encoders may be worth a run: somebody has to say why.
+    // Four encoders may be worth a run: somebody has to say why. On a busy machine others miss cycles, and are named as well.
+    let is_named = |text: &str| text.contains("not valid: ") && text.contains("joint 2 (status");
     let (code, refused) = service.post("start", &json!({"name": "four"}));
     let why = refused["error"].as_str().unwrap();
-    assert!(code == 409 && why.contains("not valid: joint 2") && why.contains("`reason`"), "{code}: {why}");
+    assert!(code == 409 && is_named(why) && why.contains("`reason`"), "{code}: {why}");
     service.granted("start", &json!({"name": "four", "reason": "joint 2 is not needed"}));
     assert!(named(&service.wait_for("writing")));
     let again = service.granted("start", &json!({"name": "four"}));
@@ -67,10 +68,7 @@ fn an_encoder_without_signal_is_in_the_headline_before_and_during_a_run() {
     service.granted("stop", &json!({}));
     let events = service.recording("four").events;
     let said = events.iter().find(|event| event.kind == EventKind::Marker).unwrap();
-    assert!(
-        said.text.contains("not valid: joint 2") && said.text.contains("joint 2 is not needed"),
-        "{said:?}"
-    );
+    assert!(is_named(&said.text) && said.text.contains("joint 2 is not needed"), "{said:?}");
 }
 
 #[test]
