@@ -10,7 +10,7 @@ use rand::Rng;
 use rand::seq::index;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use shared::config::RobotConfig;
+use shared::config::{JointKind, RobotConfig};
 
 use super::{Bodies, way};
 use crate::calibrate::IdentifyConfig;
@@ -135,7 +135,7 @@ impl Determined {
 pub struct PlannedPoses {
     /// In the order in which they are driven; places among the candidates.
     pub chosen: Vec<usize>,
-    /// The poses \[rad, m\].
+    /// The poses \[rad, m\]; a joint may be a whole turn further than in the candidate, where no other way leads there.
     pub joints: Vec<Joints>,
     /// RMS position error over the candidates that is expected without a calibration \[m\].
     pub before_m: f64,
@@ -248,30 +248,31 @@ pub fn poses(
         |from: &Joints, to: &Joints| bodies.is_none_or(|bodies| bodies.is_way_clear(&arm, from, to));
     let order = driven(&chosen, candidates, |a, b| is_clear(&candidates[a], &candidates[b]));
     let range = request.robot.joint_limits();
+    let turns: Vec<bool> = request.robot.joint_kinds().map(|kind| kind == JointKind::Revolute).collect();
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let way = |pair: &[usize]| {
-        let ends = [candidates[pair[0]], candidates[pair[1]]];
-        if is_clear(&ends[0], &ends[1]) {
-            return Way::Straight;
-        }
-        way::round(ends, &range, is_clear, &mut random).map_or(Way::Blocked, Way::Through)
-    };
-    let ways = std::iter::once(Way::Straight).chain(order.windows(2).map(way)).collect();
+    let (mut joints, mut ways) = (Vec::with_capacity(count), Vec::with_capacity(count));
+    for &pose in &order {
+        let (to, way) = match joints.last() {
+            None => (candidates[pose], Way::Straight),
+            Some(from) => way::to_posture(*from, candidates[pose], (&range, &turns), is_clear, &mut random),
+        };
+        joints.push(to);
+        ways.push(way);
+    }
     // How backlash is approached follows from the order, as if all moves were straight.
-    let of = |chosen: &[usize]| -> Result<Option<DMatrix<f64>>, PosesError> {
-        let states = standing(chosen.iter().map(|&pose| candidates[pose]));
-        Ok(known.covariance(&known.measured(&states)?))
+    let of = |poses: &mut dyn Iterator<Item = Joints>| -> Result<Option<DMatrix<f64>>, PosesError> {
+        Ok(known.covariance(&known.measured(&standing(poses))?))
     };
     let position_m = |covariance: &DMatrix<f64>| weight.dot(covariance).max(0.0).sqrt();
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut random_m = Vec::new();
     for _ in 0..RANDOM_CHOICES {
         let some = index::sample(&mut random, candidates.len(), count).into_vec();
-        random_m.extend(of(&some)?.as_ref().map(position_m));
+        random_m.extend(of(&mut some.iter().map(|&pose| candidates[pose]))?.as_ref().map(position_m));
     }
-    let covariance = of(&order)?.ok_or(PosesError::NotFinite)?;
+    let covariance = of(&mut joints.iter().copied())?.ok_or(PosesError::NotFinite)?;
     Ok(PlannedPoses {
-        joints: order.iter().map(|&pose| candidates[pose]).collect(),
+        joints,
         before_m: known.robot_only(&weight).max(0.0).sqrt(),
         position_m: position_m(&covariance),
         random_m: median(&mut random_m).unwrap_or(f64::INFINITY),

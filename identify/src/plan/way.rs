@@ -1,13 +1,17 @@
 //! A way of an arm round what is in its way: two trees of postures, one from each end, grow towards random postures and towards each
 //! other until they meet (RRT-Connect, Kuffner and LaValle 2000). Postures that the way does not need are left out.
 
+use std::f64::consts::TAU;
+
 use rand::Rng;
 
-use super::poses::far;
+use super::poses::{Way, far};
 use crate::kinematics::Joints;
 
 /// Random postures that the trees grow towards, at most: where there is no way, the search ends after some seconds.
 const TRIES: usize = 1500;
+/// The same for each posture that is a whole turn from another: where these have a way at all, the first tries find it.
+const TRIES_TURNED: usize = 100;
 /// Largest change of a joint in one step of a tree \[rad, m\].
 const STEP: f64 = 0.4;
 /// Most ways go round what is in their way by less than this beyond both postures \[rad, m\]: every second random posture lies there.
@@ -54,15 +58,59 @@ impl Tree {
     }
 }
 
+/// The way to a posture, or to the same one with joints a whole turn further where no way leads to it: a joint that must not pass an
+/// angle gets there from the other side. Joints stay within `range`; `turns` says which are revolute.
+pub(super) fn to_posture(
+    from: Joints,
+    to: Joints,
+    (range, turns): (&[[f64; 2]], &[bool]),
+    is_clear: impl Fn(&Joints, &Joints) -> bool,
+    random: &mut impl Rng,
+) -> (Joints, Way) {
+    let postures = turned(&from, &to, range, turns);
+    let mut reached = |to: &Joints, tries| match is_clear(&from, to) {
+        true => Some(Way::Straight),
+        false => round([from, *to], range, tries, &is_clear, random).map(Way::Through),
+    };
+    let few = |to: &Joints| Some((*to, reached(to, TRIES_TURNED)?));
+    if let Some(found) = postures.iter().find_map(few) {
+        return found;
+    }
+    (to, reached(&to, TRIES).unwrap_or(Way::Blocked))
+}
+
+/// A posture, and the same one with up to two joints a whole turn further, the nearest first after itself.
+fn turned(from: &Joints, to: &Joints, range: &[[f64; 2]], turns: &[bool]) -> Vec<Joints> {
+    let once = |posture: &Joints| {
+        let axes = (0..posture.len()).filter(|axis| turns[*axis]);
+        let shifted = axes.flat_map(|axis| {
+            [TAU, -TAU].map(|turn| {
+                let mut shifted = *posture;
+                shifted[axis] += turn;
+                shifted
+            })
+        });
+        let is_within = |q: &Joints| q.iter().zip(range).all(|(q, [low, high])| (*low..=*high).contains(q));
+        shifted.filter(is_within).collect::<Vec<_>>()
+    };
+    let mut others = once(to);
+    others.extend(others.clone().iter().flat_map(once));
+    others.retain(|other| other != to);
+    others.sort_by(|one, other| far(from, one).total_cmp(&far(from, other)));
+    others.dedup();
+    std::iter::once(*to).chain(others).collect()
+}
+
 /// Postures between two others, with clear straight ways of the joints all along; joints stay within `range`. None if none was found.
-pub(super) fn round(
+fn round(
     [from, to]: [Joints; 2],
     range: &[[f64; 2]],
+    tries: usize,
     is_clear: impl Fn(&Joints, &Joints) -> bool,
     random: &mut impl Rng,
 ) -> Option<Vec<Joints>> {
     let [mut one, mut other] = [from, to].map(Tree::new);
-    for attempt in 0..TRIES {
+    for attempt in 0..tries {
         let somewhere = Joints::from_fn(from.len(), |axis| {
             let [low, high] = range[axis];
             let (near_low, near_high) = (from[axis].min(to[axis]) - ROUND, from[axis].max(to[axis]) + ROUND);
