@@ -20,16 +20,25 @@ pub enum Kind {
     BallBar,
     /// `daemon.toml`.
     Daemon,
+    /// `measured_pose.toml`.
+    TrackerMapping,
+    /// `measured_length.toml`.
+    WireMapping,
+    /// `contact.toml`.
+    ContactMapping,
 }
 
 /// Kind, name and text of all that is built in.
-const BUILT_IN: [(Kind, &str, &str); 6] = [
+const BUILT_IN: [(Kind, &str, &str); 9] = [
     (Kind::Robot, "irb120_3", include_str!("../../../config/robots/irb120_3.toml")),
     (Kind::Robot, "irb2400_16", include_str!("../../../config/robots/irb2400_16.toml")),
     (Kind::Robot, "nj220_2_7", include_str!("../../../config/robots/nj220_2_7.toml")),
     (Kind::Robot, "ur10", include_str!("../../../config/robots/ur10.toml")),
     (Kind::BallBar, "ball_bar", include_str!("../../../config/ball_bar.toml")),
     (Kind::Daemon, "daemon", include_str!("../../../config/daemon.toml")),
+    (Kind::TrackerMapping, "measured_pose", include_str!("../../../config/measured_pose.toml")),
+    (Kind::WireMapping, "measured_length", include_str!("../../../config/measured_length.toml")),
+    (Kind::ContactMapping, "contact", include_str!("../../../config/contact.toml")),
 ];
 
 /// A configuration that was found.
@@ -152,6 +161,9 @@ impl Kind {
             (Self::Robot, &["links", "log"][..]),
             (Self::BallBar, &["links", "encoders"]),
             (Self::Daemon, &["rate_hz"]),
+            (Self::TrackerMapping, &["position"]),
+            (Self::WireMapping, &["length"]),
+            (Self::ContactMapping, &["socket", "joints"]),
         ];
         let has_all = |keys: &[&str]| keys.iter().all(|key| table.contains_key(*key));
         keys.into_iter().find(|(_, keys)| has_all(keys)).map(|(kind, _)| kind)
@@ -163,6 +175,9 @@ impl Kind {
             Self::Robot => "robot",
             Self::BallBar => "ball-bar",
             Self::Daemon => "daemon",
+            Self::TrackerMapping => "tracker's table",
+            Self::WireMapping => "wire's table",
+            Self::ContactMapping => "table of seated balls",
         }
     }
 
@@ -172,6 +187,9 @@ impl Kind {
             Self::Robot => "--robot",
             Self::BallBar => "--bar",
             Self::Daemon => "--config",
+            Self::TrackerMapping => "`identify calibrate tracker --mapping`",
+            Self::WireMapping => "`identify calibrate wire --mapping`",
+            Self::ContactMapping => "`identify calibrate contact --mapping`",
         }
     }
 }
