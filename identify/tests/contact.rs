@@ -238,7 +238,7 @@ fn a_person_simulates_calibrates_and_repeats_it() {
     let at = directory.path();
     assert!(identify(&["simulate", "contact"], "irb120_3.toml", at).status.success());
     let (done, text) = told(at, "contacts.csv", "sockets.toml");
-    assert!(done && text.contains("verdict green"), "{text}");
+    assert!(done && text.contains("verdict green") && text.contains("SIMULATED"), "{text}");
     assert!(text.contains("socket6_z") && text.contains("robot.urdf"), "{text}");
     let page = std::fs::read_to_string(at.join("out/report.html")).unwrap();
     assert!(page.contains("contact, ") && page.contains("held-out rows, calibrated, RMS"));

@@ -53,14 +53,28 @@ pub use time_series::stream::{Row, Stream};
 pub(crate) use time_series::stream::{ranges, since_first_s, travel, usual_and_longest_step_s};
 pub use time_series::unwrapped::{Unwrapped, UnwrappedPoint};
 
+use std::path::Path;
 use std::sync::Arc;
 
+use self::source::Source;
 use serde::{Deserialize, Serialize};
 
 use crate::kinematics::Joints;
 
 /// Fewest rows that make a log.
 const ROWS_MIN: usize = 50;
+
+/// With this word a simulated table begins after `#`, and the first event of an exported simulation.
+pub(crate) const SIMULATED: &str = "SIMULATED";
+
+/// A table says that it was simulated.
+///
+/// # Errors
+/// [`LogError::Unreadable`].
+pub(crate) fn is_simulated(path: &Path) -> Result<bool, LogError> {
+    let comment = format!("# {SIMULATED}");
+    Ok(Source::open(path)?.beginning().starts_with(comment.as_bytes()))
+}
 
 /// Whether joint values are what the encoders read or what the controller asked for.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]

@@ -55,8 +55,8 @@ pub fn summary(
     lines.into_iter().flatten().map(|line| wrapped(&line) + "\n").collect()
 }
 
-/// What stands above every result of a simulated recording.
-pub(super) const SIMULATED: &str = "SIMULATED: the recording is of the simulated bus, no robot was measured";
+/// What stands above every result of simulated measurements.
+pub(super) const SIMULATED: &str = "SIMULATED: no robot was measured";
 
 /// Numbers of the robot's links that the data determine in combination only, and those that they do not determine at all.
 pub(in crate::report) fn not_separated(file: &CalibrationFile) -> Option<String> {

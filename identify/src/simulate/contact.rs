@@ -16,7 +16,7 @@ use super::effects::{GEAR_PERIODS, Wave};
 use super::{Stream, WriteError, random};
 use crate::instrument::{ContactRow, KnownDistance, PlacedSocket, SocketTable};
 use crate::kinematics::{Chain, DhLink, Joints, Pose, Trace, Tracer, flange_chain};
-use crate::logs::{ContactMapping, CsvLayout, LogError, joint_columns};
+use crate::logs::{ContactMapping, CsvLayout, LogError, SIMULATED, joint_columns};
 use crate::model::{DriveTrain, Model, ParameterId};
 
 /// Centre of the ball in the flange frame \[m\].
@@ -379,7 +379,8 @@ pub fn write(
     robot: &RobotConfig,
 ) -> Result<[PathBuf; 4], WriteError> {
     let mapping = mapping(robot);
-    let mut table = mapping.joints.iter().map(|joint| format!("{},", joint.column)).collect::<String>();
+    let mut table = format!("# {SIMULATED}: identify simulate contact\n");
+    table.extend(mapping.joints.iter().map(|joint| format!("{},", joint.column)));
     table += "socket\n";
     for row in &simulated.rows {
         for (q, joint) in row.joints_rad.iter().zip(&mapping.joints) {

@@ -200,7 +200,7 @@ impl RunFiles<'_> {
     pub(super) fn measured(&self) -> Option<MeasurementEntry> {
         match &*self.recording {
             BarLog::Recording(recording) => Some((&recording.run).into()),
-            BarLog::Other(_) => None,
+            BarLog::Other(other) => MeasurementEntry::of_table(other.simulated),
         }
     }
 }

@@ -24,7 +24,7 @@ use crate::logs::{LogFormat, LogOptions};
 use crate::model::ParameterId;
 use crate::report::page::Measured;
 use crate::report::result::deployments::DeploymentEntry;
-use crate::report::result::file::{CalibrationFile, ParameterEntry, SolveEntry};
+use crate::report::result::file::{CalibrationFile, MeasurementEntry, ParameterEntry, SolveEntry};
 use crate::report::result::validation::RowsEntry;
 use crate::report::rows as of_rows;
 use crate::report::table;
@@ -284,7 +284,12 @@ impl Experiment {
             return Ok(());
         }
         let size = |path: &PathBuf| -> anyhow::Result<u64> {
-            let found = std::fs::metadata(path).with_context(|| format!("cannot read {}", path.display()))?;
+            let file = match Source::find(path) {
+                Source::BuiltIn(_, text) => return Ok(text.len() as u64),
+                Source::File(file) => file,
+            };
+            let found =
+                std::fs::metadata(&file).with_context(|| format!("cannot read {}", path.display()))?;
             Ok(found.len())
         };
         let sizes = |set: &[&PathBuf; 2]| -> anyhow::Result<[u64; 2]> { Ok([size(set[0])?, size(set[1])?]) };
@@ -475,7 +480,8 @@ pub(super) fn calibrate(mut experiment: Experiment, result: &ResultArguments) ->
         .filter_map(|(number, beside)| beside.aligned.as_ref()?.clock(number, &found));
     let mut clocks = of_bars.chain(of_trackers);
     (file.clock, file.other_clocks) = (clocks.next(), clocks.collect());
-    file.measured = bars.iter().filter_map(bar::RunFiles::measured).collect();
+    let of_rows = read.iter().filter_map(|beside| MeasurementEntry::of_table(beside.simulated));
+    file.measured = bars.iter().filter_map(bar::RunFiles::measured).chain(of_rows).collect();
     file.candidates.clone_from(&found.solved.candidates);
     file.deployments = found.deployed.iter().map(DeploymentEntry::from).collect();
     let entry = |(number, ((rows, set), beside)): (usize, ((&Rows, &RowSet), &Beside))| {

@@ -20,7 +20,7 @@ use crate::instrument::{ContactRow, LengthRow, PoseRow, SocketTable};
 use crate::kinematics::flange_chain;
 use crate::logs::{
     ContactMapping, Contacts, LogFormat, LogOptions, MeasuredLengthMapping, MeasuredLengths,
-    MeasuredPoseMapping, MeasuredPoses, TimedPoses, joints_of_robot,
+    MeasuredPoseMapping, MeasuredPoses, TimedPoses, is_simulated, joints_of_robot,
 };
 use crate::model::{JointState, Model, Waves, further};
 use crate::prepare::{AlignedPoses, Alignment, PrepareOptions, align_poses};
@@ -213,6 +213,8 @@ pub(super) struct Beside {
     pub(super) names: BTreeMap<String, Vec<String>>,
     /// How its clock and the robot's were brought together, where rows have times.
     pub(super) aligned: Option<Aligned>,
+    /// It says that it was simulated.
+    pub(super) simulated: bool,
 }
 
 impl Beside {
@@ -250,13 +252,13 @@ pub(super) struct WithLogs<'a> {
 /// The rows of a file, read as the file of its mapping says; `data_set` is its number.
 pub(super) fn read(kind: Kind, of: &RowFile, data_set: usize, with: &WithLogs<'_>) -> anyhow::Result<Read> {
     let robot = with.robot;
-    let (measured, beside) = match (kind, &of.robot_log) {
+    let (measured, mut beside) = match (kind, &of.robot_log) {
         (Kind::Tracker, Some(robot_log)) => timed_poses(of, robot_log, data_set, with)?,
         (Kind::Tracker, None) => {
             let read = poses(&of.file, &of.mapping, robot)?;
             let (rows, lines) = with_lines(&read);
             let names = of_set_ups([("tracker", read.stations), ("probe", read.targets)]);
-            (Measured::Poses(rows), Beside { lines, names, aligned: None })
+            (Measured::Poses(rows), Beside { lines, names, ..Beside::default() })
         }
         (Kind::Wire, _) => {
             let mapping: MeasuredLengthMapping = config::load(&of.mapping)?;
@@ -264,7 +266,7 @@ pub(super) fn read(kind: Kind, of: &RowFile, data_set: usize, with: &WithLogs<'_
             let read = MeasuredLengths::load(&of.file, &mapping)?;
             let (rows, lines) = read.rows.iter().map(|row| (LengthRow::from(row), row.line)).unzip();
             let names = of_set_ups([("anchor", read.anchors), ("attachment", read.attachments)]);
-            (Measured::Lengths(rows), Beside { lines, names, aligned: None })
+            (Measured::Lengths(rows), Beside { lines, names, ..Beside::default() })
         }
         (Kind::Contact, _) => {
             let sockets = of.sockets.as_deref().context("a table of sockets is missing")?;
@@ -276,6 +278,7 @@ pub(super) fn read(kind: Kind, of: &RowFile, data_set: usize, with: &WithLogs<'_
             (Measured::Contacts(rows, table), Beside { lines, ..Beside::default() })
         }
     };
+    beside.simulated = is_simulated(&of.file)?;
     Ok(Read {
         rows: Rows { measured, hold_out: of.hold_out, seed: of.seed, joint_waves: of.joint_waves },
         beside,
@@ -340,7 +343,7 @@ fn timed_poses(
     let is_dated = mapping.time.is_some_and(|time| time.unit.is_dated());
     let names = of_set_ups([("tracker", read.stations), ("probe", read.targets)]);
     let aligned = Some(Aligned { alignment, t_ref, is_dated, stood, left_out });
-    Ok((measured, Beside { lines, names, aligned }))
+    Ok((measured, Beside { lines, names, aligned, ..Beside::default() }))
 }
 
 impl Aligned {

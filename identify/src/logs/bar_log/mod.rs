@@ -82,6 +82,8 @@ pub struct OtherBarLog {
     pub unwrapped: Vec<Unwrapped>,
     /// What the file does not say.
     pub unknown: Vec<&'static str>,
+    /// `ballbard export` wrote it from a recording of the simulated bus.
+    pub simulated: bool,
 }
 
 impl BarLog {

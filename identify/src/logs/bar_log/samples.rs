@@ -205,7 +205,17 @@ impl RawBarLog {
         let (unknown, unwrapped) = (self.unknown(), self.unwrapped(&cycles, &stamps_s));
         let encoders = self.readings.iter().map(|reading| reading.info).collect();
         let quality = self.quality;
-        Ok(OtherBarLog { kind: name, clock, is_dated, encoders, cycles, quality, unwrapped, unknown })
+        Ok(OtherBarLog {
+            kind: name,
+            clock,
+            is_dated,
+            encoders,
+            cycles,
+            quality,
+            unwrapped,
+            unknown,
+            simulated: false,
+        })
     }
 
     fn cycles(&mut self) -> Vec<CycleRecord> {

@@ -9,6 +9,7 @@ use super::mapping::{BarLogMapping, EncoderUnit};
 use super::samples::{Kind, RawBarLog, RawRow, Reading};
 use super::{LogError, OtherBarLog};
 use crate::kinematics::BAR_JOINTS;
+use crate::logs::SIMULATED;
 use crate::logs::source::Source;
 use crate::logs::tables::csv_text::{Column, Row, Table};
 use crate::logs::tables::stamp::{StampColumn, TimeColumn, TimeUnit};
@@ -37,6 +38,7 @@ struct Layout {
     time: StampColumn,
     encoders: Vec<Encoder>,
     flags: Option<Column>,
+    events: Option<Column>,
 }
 
 /// Reads a table.
@@ -69,12 +71,16 @@ pub(super) fn read(
     let readings = layout.encoders.iter().map(|encoder| encoder.reading).collect();
     let mut raw = RawBarLog::new(path, kind, readings);
     let mut row = Row::default();
+    let mut simulated = false;
     while table.next_row(&mut row)? {
         raw.push(layout.read(&table, &row)?)?;
+        let event = layout.events.as_ref().map(|events| table.text(&row, events));
+        simulated |= event.is_some_and(|event| event.starts_with(SIMULATED));
     }
     let declared = table.comment("clock").map(str::to_owned);
     let clock = mapping.and_then(|mapping| mapping.clock.clone()).or(declared);
-    raw.finish(clock.unwrap_or_else(|| layout.time.column.name.clone()))
+    let log = raw.finish(clock.unwrap_or_else(|| layout.time.column.name.clone()))?;
+    Ok(OtherBarLog { simulated, ..log })
 }
 
 /// Whether the header of a text names a counter or angle of the bar.
@@ -120,9 +126,10 @@ fn usual(table: &Table<'_>, path: &Path, bar: &BallBarConfig) -> Result<Layout, 
         });
     }
     encoders.sort_by_key(|encoder| encoder.value.index);
-    let flags = if table.has("flags") { Some(table.column("flags", REMEDY)?) } else { None };
+    let if_there = |name: &str| table.has(name).then(|| table.column(name, REMEDY)).transpose();
+    let (flags, events) = (if_there("flags")?, if_there("event")?);
     let time = StampColumn::new(table.column(time, REMEDY)?, &TimeColumn::new(time, unit));
-    Ok(Layout { time, encoders, flags })
+    Ok(Layout { time, encoders, flags, events })
 }
 
 fn mapped(
@@ -144,7 +151,7 @@ fn mapped(
         });
     }
     let time = StampColumn::new(table.column(&time.column, remedy)?, time);
-    Ok(Layout { time, encoders, flags: None })
+    Ok(Layout { time, encoders, flags: None, events: None })
 }
 
 impl Layout {

@@ -6,7 +6,7 @@
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use shared::config::{Validate, Violation};
+use shared::config::{Kind, Validate, Violation};
 
 use super::pose_rows::{JointColumns, check_joints, mapped, rows};
 use crate::kinematics::Joints;
@@ -28,6 +28,8 @@ pub struct ContactMapping {
 }
 
 impl Validate for ContactMapping {
+    const KIND: Option<Kind> = Some(Kind::ContactMapping);
+
     fn validate(&self) -> Result<(), Violation> {
         self.csv.check()?;
         check_joints(&self.joints)

@@ -6,7 +6,7 @@
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use shared::config::{Validate, Violation};
+use shared::config::{Kind, Validate, Violation};
 
 use super::pose_rows::{
     JointColumns, Names, check_joints, is_zero, mapped, mapped_if_named, rows, uncertainty,
@@ -72,6 +72,8 @@ pub struct MeasuredLengthMapping {
 }
 
 impl Validate for MeasuredLengthMapping {
+    const KIND: Option<Kind> = Some(Kind::WireMapping);
+
     fn validate(&self) -> Result<(), Violation> {
         self.csv.check()?;
         let offset_m = self.length.offset_mm * 1e-3;

@@ -9,7 +9,7 @@ use std::path::Path;
 
 use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
-use shared::config::{AngleUnit, Validate, Violation};
+use shared::config::{AngleUnit, Kind, Validate, Violation};
 
 use super::pose_rows::{JointColumns, Names, check_joints, mapped, mapped_if_named, rows, uncertainty};
 use crate::kinematics::Joints;
@@ -212,6 +212,8 @@ pub struct MeasuredPoseMapping {
 }
 
 impl Validate for MeasuredPoseMapping {
+    const KIND: Option<Kind> = Some(Kind::TrackerMapping);
+
     fn validate(&self) -> Result<(), Violation> {
         self.csv.check()?;
         self.rotation.as_ref().map_or(Ok(()), RotationColumns::check)?;

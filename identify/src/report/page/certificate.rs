@@ -33,7 +33,7 @@ pub(super) fn certificate(file: &CalibrationFile, workspace: &WorkspaceError) ->
     ))
 }
 
-/// The first sheet, with a band across it, on the screen and in print, if the recording is of the simulated bus.
+/// The first sheet, with a band across it, on the screen and in print, if nothing was measured.
 pub(super) fn sheet(simulated: bool, content: &Markup) -> Markup {
     html! {
         section.certificate.simulated[simulated] {

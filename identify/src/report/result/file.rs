@@ -248,7 +248,7 @@ impl SolveEntry {
 }
 
 /// Who measured what, as a recording says; empty where it does not.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct MeasurementEntry {
     /// When it began.
     pub started: String,
@@ -260,9 +260,16 @@ pub struct MeasurementEntry {
     pub bar: String,
     /// What the robot carried beside the bar.
     pub payload: String,
-    /// It was made on the simulated bus: nothing was measured.
+    /// It was simulated: nothing was measured.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub simulated: bool,
+}
+
+impl MeasurementEntry {
+    /// Of a table, which says no more of itself than that it was simulated, if it was.
+    pub fn of_table(simulated: bool) -> Option<Self> {
+        simulated.then(|| Self { simulated, ..Self::default() })
+    }
 }
 
 impl From<&RunMetadata> for MeasurementEntry {
@@ -400,7 +407,7 @@ impl CalibrationFile {
         }
     }
 
-    /// One of the recordings is of the simulated bus.
+    /// One of the measurements was simulated.
     pub fn is_simulated(&self) -> bool {
         self.measured.iter().any(|one| one.simulated)
     }
