@@ -162,6 +162,9 @@ fn a_urdf_that_gives_no_serial_arm_is_refused_with_what_to_do() {
     let refusal = |text: &str, base: Option<&str>, tip: Option<&str>| import(text, base, tip).unwrap_err();
     let ur10 = text("ur10");
     assert!(matches!(refusal("<robot", None, None), ImportError::NotUrdf(_)));
+    assert!(matches!(refusal("rod_m = 0.3", None, None), ImportError::NotUrdf(_)));
+    let binary = refusal("<\u{1}\u{7}></\u{1}\u{7}>", None, None).to_string();
+    assert!(!binary.contains(char::is_control), "{binary:?}");
     let frames = ur10.replace("tool0", "left_frame").replace("ee_link", "right_frame");
     let told = refusal(&frames, None, None).to_string();
     assert!(told.contains("right_frame (6), left_frame (6)") && told.contains("--tip"), "{told}");

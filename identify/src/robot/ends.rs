@@ -105,11 +105,14 @@ fn find_tip(urdf: &Urdf, base: Option<&str>, left_out: &mut Vec<String>) -> Resu
             _ => return Err(several(&called)),
         }
     }
-    let Some(arm) = ends.iter().max_by_key(|end| end.axes.len()) else {
-        let problem = "no joint moves in it, but for those of grippers";
-        return Err(ImportError::Wrong(problem.into()));
-    };
     let is_parent = |link: &str| urdf.joints.iter().any(|joint| joint.parent == link);
+    let Some(arm) = ends.iter().max_by_key(|end| end.axes.len()) else {
+        if !urdf.joints.iter().any(Joint::moves) {
+            return Err(ImportError::Wrong("no joint moves in it".into()));
+        }
+        let tips: Vec<&String> = urdf.links.iter().filter(|link| !is_parent(link)).collect();
+        return Err(ImportError::Gripper { tips: listed(&tips) });
+    };
     if !ends.iter().all(|end| arm.continues(end)) {
         return Err(several(&ends.iter().filter(|end| !is_parent(end.link)).collect::<Vec<_>>()));
     }
@@ -152,10 +155,10 @@ fn find_base(root: &str, joints: &[&Joint], left_out: &mut Vec<String>) -> Strin
     base.to_owned()
 }
 
-/// Those with most axes first.
+/// Those with most axes first, those of grippers last.
 fn several(ends: &[&End<'_>]) -> ImportError {
     let mut ends = ends.to_vec();
-    ends.sort_by_key(|end| Reverse(end.axes.len()));
+    ends.sort_by_key(|end| (end.gripper.is_some(), Reverse(end.axes.len())));
     let tips: Vec<String> = ends.iter().map(|end| format!("{} ({})", end.link, end.axes.len())).collect();
     ImportError::SeveralTips { tips: listed(&tips) }
 }

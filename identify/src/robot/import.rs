@@ -60,6 +60,14 @@ pub enum ImportError {
         /// Links on which nothing hangs.
         tips: String,
     },
+    /// Every joint has a name as those of grippers have.
+    #[error(
+        "each joint that moves is named as a gripper's; if it is an arm, say with --tip which link is its flange: {tips}"
+    )]
+    Gripper {
+        /// Links on which nothing hangs.
+        tips: String,
+    },
     /// A joint that is no axis of a serial arm.
     #[error("joint `{joint}` {problem}; choose --base and --tip so that it is not between them")]
     Joint {

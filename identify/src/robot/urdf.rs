@@ -29,7 +29,9 @@ pub(super) struct Joint {
 
 impl Urdf {
     pub(super) fn read(text: &str) -> Result<Self, ImportError> {
-        let not_urdf = |problem: String| ImportError::NotUrdf(problem);
+        // A binary file has control characters, which are not for a terminal.
+        let not_urdf = |problem: String| ImportError::NotUrdf(problem.escape_debug().to_string());
+        let mut is_begun = false;
         let mut urdf = Self { name: String::new(), links: Vec::new(), joints: Vec::new() };
         let mut reader = Reader::from_str(text);
         let mut open: Vec<String> = Vec::new();
@@ -37,10 +39,14 @@ impl Urdf {
             let event = reader.read_event().map_err(|error| not_urdf(error.to_string()))?;
             match event {
                 Event::Start(tag) => {
+                    is_begun = true;
                     urdf.element(&open, &tag)?;
                     open.push(tag.name().as_ref().to_owned());
                 }
-                Event::Empty(tag) => urdf.element(&open, &tag)?,
+                Event::Empty(tag) => {
+                    is_begun = true;
+                    urdf.element(&open, &tag)?;
+                }
                 Event::End(_) => drop(open.pop()),
                 Event::Eof => break,
                 _ => {}
@@ -48,6 +54,9 @@ impl Urdf {
         }
         if let Some(element) = open.pop() {
             return Err(not_urdf(format!("it ends within <{element}>")));
+        }
+        if !is_begun {
+            return Err(not_urdf("it has no <robot> element".to_owned()));
         }
         for joint in &mut urdf.joints {
             let link = |element: &str| joint.value(element, "link").unwrap_or_default().to_owned();
@@ -67,6 +76,7 @@ impl Urdf {
         match (open.as_slice(), name) {
             ([], "robot") => self.name = attribute(&attributes(tag)?, "name"),
             ([], other) => {
+                let other = other.escape_debug();
                 return Err(ImportError::NotUrdf(format!("its first element is <{other}>, not <robot>")));
             }
             (["robot"], "link") => self.links.push(attribute(&attributes(tag)?, "name")),
