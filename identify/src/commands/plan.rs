@@ -99,8 +99,8 @@ const REACH_M_MAX: f64 = 10.0;
 
 /// Coordinates as typed are finite, and of a size that metres have.
 fn in_metres(option: &str, numbers: &[f64], limit_m: f64) -> anyhow::Result<()> {
-    let list = |factor: f64| {
-        numbers.iter().map(|number| (number * factor).to_string()).collect::<Vec<_>>().join(",")
+    let list = |divisor: f64| {
+        numbers.iter().map(|number| (number / divisor).to_string()).collect::<Vec<_>>().join(",")
     };
     anyhow::ensure!(
         numbers.iter().all(|number| number.is_finite()),
@@ -111,7 +111,7 @@ fn in_metres(option: &str, numbers: &[f64], limit_m: f64) -> anyhow::Result<()> 
         numbers.iter().all(|number| number.abs() <= limit_m),
         "--{option} {} is in metres, and beyond {limit_m} m; if these are millimetres write --{option} {}",
         list(1.0),
-        list(1e-3)
+        list(1e3)
     );
     Ok(())
 }

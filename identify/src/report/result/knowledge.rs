@@ -207,11 +207,14 @@ impl Knowledge {
         let (from, of_95) = (self.sigmas_from, self.sigmas_from.sigmas_of_95());
         let _ = writeln!(text, "sigmas from {from}; 95 % lie within {of_95:.2} of them");
         let o = &self.observability;
-        let _ = writeln!(
-            text,
-            "observability (mm, mrad): O1 {:.2e}  O2 {:.2e}  O3 {:.2e}  O4 {:.2e}  O5 {:.2e}",
-            o.o1, o.o2, o.o3, o.o4, o.o5
-        );
+        // All five are zero where a direction rests on priors alone.
+        if o.o3 > 0.0 {
+            let _ = writeln!(
+                text,
+                "observability (mm, mrad): O1 {:.2e}  O2 {:.2e}  O3 {:.2e}  O4 {:.2e}  O5 {:.2e}",
+                o.o1, o.o2, o.o3, o.o4, o.o5
+            );
+        }
         if !self.correlations.is_empty() {
             let pair = |c: &CorrelationEntry| format!("{}|{} {:+.3}", c.first, c.second, c.correlation);
             let pairs: Vec<String> = self.correlations.iter().take(8).map(pair).collect();
