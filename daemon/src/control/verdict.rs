@@ -140,7 +140,7 @@ impl Content<'_> {
         };
         let mut causes: Vec<_> = flagged.iter().take(CAUSES_MAX).map(of).collect();
         if more > 0 {
-            causes.push(format!("{more} more causes"));
+            causes.push(format!("{more} more cause{}", if more == 1 { "" } else { "s" }));
         }
         if causes.is_empty() { String::new() } else { format!(": {}", causes.join(", ")) }
     }
@@ -238,7 +238,7 @@ mod tests {
             told(&Content { cycles_valid: 10_000, flagged: &flagged, ..WHOLE }),
             "CHECK: 2000 of 12000 cycles are flagged (16.7 %): all joints bus down (11.0 s, first at 0:12), \
              joint 3 signal too low (9.0 s in 2 periods, first at 1:05), joint 1 no new sample (0.0 s, first at 0:00), \
-             1 more causes"
+             1 more cause"
         );
         let blind = told(&Content { cycles_valid: 0, flagged: &flagged[..1], ..WHOLE });
         assert!(
