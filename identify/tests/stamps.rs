@@ -1,6 +1,8 @@
 //! Logs whose stamps are written as controllers write them: rows get the times of the regular clock behind the stamps.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
+use std::collections::BTreeSet;
+
 use identify::inspect;
 use identify::kinematics::Joints;
 use identify::logs::{RobotLog, Stamps, Stream};
@@ -160,6 +162,28 @@ fn rounded_stamps_are_no_missing_rows_and_missing_rows_no_rounding() {
         let lost = kept[first.unwrap()..last.unwrap()].iter().filter(|kept| !**kept).count();
         assert_eq!(stamps(&back).missing, lost, "{missing}, {ppm}");
         assert!(stamps(&back).steps.is_empty(), "{missing}, {ppm}");
+    }
+}
+
+/// Near a rest the motion hardly says whether a row is missing or a clock passes from one multiple of 4 ms to the next.
+#[test]
+fn rows_that_are_lost_near_a_rest_are_missing_rows() {
+    let noise = Normal::new(0.0, 15e-6).unwrap();
+    for (seed, lost) in (0..).zip([1, 1, 1, 1, 1, 1, 1, 1, 2, 2, 3, 3, 6, 6, 20, 20]) {
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let mut whole = log(250.0);
+        whole.q_rad.iter_mut().flatten().for_each(|q| *q += noise.sample(&mut random));
+        let near_rest =
+            |row: &usize| [20.0, 40.0].iter().any(|rest_s| (*row as f64 / 250.0 - rest_s).abs() < 2.5);
+        let near: Vec<usize> = (0..whole.q_rad.len()).filter(near_rest).collect();
+        let missing: BTreeSet<usize> =
+            rand::seq::index::sample(&mut random, near.len(), lost).iter().map(|at| near[at]).collect();
+        let kept_row = |row: usize, q: &Joints| (!missing.contains(&row)).then_some(*q);
+        let q_rad = whole.q_rad.filter_map(0..whole.q_rad.len(), kept_row);
+        let log = RobotLog { q_rad: q_rad.into(), ..RobotLog::default() };
+        let back = read_back(&log, log.q_rad.t_s.clone());
+        let found = stamps(&back);
+        assert!(!found.evened && found.missing == lost, "seed {seed}, {lost} lost: {found:?}");
     }
 }
 

@@ -168,15 +168,17 @@ pub(in crate::logs) fn sampling(stamps_s: Vec<f64>, rows: &[Joints]) -> Option<S
     let contradicted = closer.as_ref().map(|(_, contradicted)| *contradicted);
     let explanations = closer.map_or_else(|| vec![motion.clone()], |(explanations, _)| explanations.into());
     let grid_s = grid(t_s);
-    let missing = even.as_ref().map_or(0, |(stamps, _)| stamps.missing);
+    // Where joints rest, a row that is missing and a clock that passes from cell to cell look the same: they decide nothing.
+    let heard: Vec<bool> = explanations[0].iter().map(Option::is_some).collect();
+    let missing = even.as_ref().map_or(0, |(_, periods)| missing(periods.iter().copied(), &heard));
     let numbered = explanations.iter().filter(|_| moves).filter_map(|periods| {
         let numbered = Numbered::new(t_s, periods, grid_s)?;
-        let description = numbered.description(missing);
+        let description = numbered.description(&heard);
         Some((numbered, description))
     });
     let shortest = numbered.min_by(|a, b| a.1.total_cmp(&b.1));
-    let right = even.zip(contradicted).filter(|((stamps, periods), contradicted)| {
-        let as_right = places(stamps.missing, periods.len()) + contradicted;
+    let right = even.zip(contradicted).filter(|((_, periods), contradicted)| {
+        let as_right = places(missing, periods.len()) + contradicted;
         shortest.as_ref().is_none_or(|(_, description)| as_right <= *description)
     });
     if let Some(((stamps, _), _)) = right {
@@ -189,6 +191,11 @@ pub(in crate::logs) fn sampling(stamps_s: Vec<f64>, rows: &[Joints]) -> Option<S
     let increases = even_s.windows(2).all(|pair| pair[1] > pair[0]);
     let is_right = increases && roughness(&even_s, rows) <= AS_SMOOTH * roughness(t_s, rows);
     is_right.then_some(Sampling { t_s: even_s, stamps })
+}
+
+/// Rows that are missing where the motion is heard, of periods from row to row.
+fn missing(periods: impl Iterator<Item = f64>, heard: &[bool]) -> usize {
+    periods.zip(heard).map(|(periods, heard)| if *heard { periods - 1.0 } else { 0.0 }).sum::<f64>() as usize
 }
 
 /// Description of the places of some of the rows \[nats\].
@@ -211,19 +218,23 @@ fn compared(
         numbers.push(before + shown.unwrap_or_else(|| silent(*stamped)));
     }
     let mut motion = motion.to_vec();
-    let mut nats = 0.0;
+    let mut nats = Vec::new();
+    let mut tests = 0;
     for (at, (shown, &stamped)) in motion.iter_mut().zip(periods).enumerate() {
         if *shown == Some(stamped) {
             continue;
         }
         let is_open = stamped > 1.0 && stamped <= PERIODS_MAX;
+        tests += usize::from(is_open);
         let closer = if is_open { by_curve((rows, side), &numbers, at, stamped as usize) } else { None };
         *shown = closer.map(|(periods, _)| periods).or(*shown);
         if shown.is_some_and(|shown| shown != stamped) {
-            nats += closer.map_or(MISCOUNTED.ln(), |(_, nats)| nats);
+            nats.push(closer.map_or(MISCOUNTED.ln(), |(_, nats)| nats));
         }
     }
-    (motion, nats)
+    // Of many places one contradicts by chance.
+    let by_chance = f64::ln(tests.max(1) as f64);
+    (motion, nats.iter().map(|nats| (nats - by_chance).max(0.0)).sum())
 }
 
 /// Periods, 1 to `most`, from row `at` to the next one for which `side` rows on both sides are on the smoothest curve, with the
@@ -253,7 +264,8 @@ fn by_curve((rows, side): (&[Joints], usize), numbers: &[f64], at: usize, most: 
     fits.sort_by(|a, b| a.1.total_cmp(&b.1));
     let [(best, least), (_, second), ..] = fits[..] else { return None };
     let variance = least / (axes * (count - TERMS)) as f64;
-    let nats = 0.5 * (second - least) / variance;
+    // What a cubic leaves of a motion lasts from row to row: two count as one.
+    let nats = 0.25 * (second - least) / variance;
     (nats > MISCOUNTED.ln()).then_some((best as f64, nats))
 }
 
@@ -299,9 +311,9 @@ impl Numbered {
     }
 
     /// What a log states beyond its clock \[nats\]: which rows are missing, where the clock was set and by how much, in which cell of
-    /// the grid a stamp is that rounding does not put there, and, against stamps of which `otherwise` rows would be missing, where the
-    /// clock passes from cell to cell, which its phase and its rate decide.
-    fn description(&self, otherwise: usize) -> f64 {
+    /// the grid a stamp is that rounding does not put there, and where the clock passes from cell to cell, which its phase and its rate
+    /// decide. Rows count where the motion is `heard`.
+    fn description(&self, heard: &[bool]) -> f64 {
         /// Differential entropy of a normal distribution of unit deviation, as a number of cells.
         const CELLS: f64 = 4.13;
         let rows = self.numbers.len() as f64;
@@ -309,9 +321,10 @@ impl Numbered {
         let beyond_s: Vec<f64> =
             self.scatter_s().map(|off_s| (off_s - (ROUNDED - 0.5) * cell_s).max(0.0)).collect();
         let cells = rows * (1.0 + CELLS * rms(&beyond_s) / cell_s).ln();
-        let passed = if self.breaks_at.is_empty() { self.missing().abs_diff(otherwise).min(2) } else { 0 };
-        let once = (passed + 2 * self.breaks_at.len()) as f64 * rows.ln();
-        places(self.missing(), self.numbers.len()) + cells + once
+        let missing = missing(self.numbers.windows(2).map(|pair| pair[1] - pair[0]), heard);
+        let clock = if self.breaks_at.is_empty() { 2 } else { 0 };
+        let once = (clock + 2 * self.breaks_at.len()) as f64 * rows.ln();
+        places(missing, self.numbers.len()) + cells + once
     }
 
     /// The times of the clock, where it is not the stamps themselves that are believed, and what the stamps are against it.
