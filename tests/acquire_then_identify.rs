@@ -6,7 +6,8 @@ use std::path::Path;
 
 use ballbard::commands::{Layout, write_csv};
 use ballbard::run::{BusChoice, RunRequest};
-use identify::calibrate::ball_bar::{self, CalibrateError};
+use identify::calibrate::CalibrateError;
+use identify::calibrate::ball_bar;
 use identify::calibrate::validation::truth::Comparison;
 use identify::calibrate::{CostName, IdentifyConfig, SelectionName};
 use identify::logs::{self, BarLog};
@@ -51,7 +52,7 @@ fn all_38_parameters_are_recovered_for_both_robots() {
         let calibration =
             ball_bar::calibrate(&recording.cycles, &recording.run.encoders, &log, &robot, &bar, &config)
                 .unwrap();
-        assert_eq!(calibration.cost, CostName::Pose);
+        assert_eq!(calibration.cost(), Some(CostName::Pose));
         let comparison = Comparison::new(&calibration, &truth);
         assert_eq!(comparison.parameters.len(), 38);
         let error = comparison.euclidean_mm_mrad();
@@ -73,7 +74,7 @@ fn the_bar_of_the_thesis_without_encoder_3_calibrates_too() {
     let config = IdentifyConfig { selection: SelectionName::Thesis, ..IdentifyConfig::default() };
     let calibration =
         ball_bar::calibrate(&recording.cycles, &recording.run.encoders, &log, &robot, &bar, &config).unwrap();
-    assert_eq!(calibration.cost, CostName::Pose);
+    assert_eq!(calibration.cost(), Some(CostName::Pose));
     let robot_error = Comparison::new(&calibration, &truth)
         .only(|id| matches!(id, ParameterId::Robot { .. }))
         .euclidean_mm_mrad();

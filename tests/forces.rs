@@ -6,7 +6,8 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use identify::calibrate::ball_bar::{self, BallBarCalibration};
+use identify::calibrate::Calibration;
+use identify::calibrate::ball_bar;
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig};
 use identify::evaluate::{Elongation, PositiveForce};
 use identify::kinematics::{Chain, Joints};
@@ -69,7 +70,7 @@ fn written(directory: &Path, modules: &[&str], kind: &str, rows: &[Row]) -> Path
     path
 }
 
-fn calibrated(run: &Simulated, log: &RobotLog) -> BallBarCalibration {
+fn calibrated(run: &Simulated, log: &RobotLog) -> Calibration {
     let config = IdentifyConfig {
         cost: Some(CostName::Length),
         encoder_harmonics_urad: 0.0,
@@ -80,7 +81,7 @@ fn calibrated(run: &Simulated, log: &RobotLog) -> BallBarCalibration {
 }
 
 /// Error of the force along the bar in the samples of a calibration, whose log counts it by `sign`; root mean square \[N\].
-fn force_error_n(found: &BallBarCalibration, run: &Simulated, sign: f64) -> f64 {
+fn force_error_n(found: &Calibration, run: &Simulated, sign: f64) -> f64 {
     let (start, truth) = (run.truth.clock, run.robot_log.force.as_ref().unwrap());
     let lead_s = (start.robot_at_bar_start_ns - truth.values.first_stamp_ns) as f64 * 1e-9;
     let samples = &found.prepared().unwrap().observations;

@@ -21,11 +21,11 @@ fn file(path: u64, errors: u64) -> CalibrationFile {
     let config = IdentifyConfig { encoder_harmonics_urad: 0.0, ..IdentifyConfig::default() };
     let found =
         ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config).unwrap();
-    let (model, solution) = (&found.model, &found.solution);
+    let (model, solution) = (found.model(), found.solution());
     CalibrationFile::new(
         &robot.name,
         &bar.name,
-        SolveEntry::new(found.cost.name(), &solution.summary, &solution.identifiability),
+        SolveEntry::new(found.cost_name(), &solution.summary, &solution.identifiability),
         None,
         Vec::new(),
         ParameterEntry::all(model, |id| {

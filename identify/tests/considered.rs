@@ -6,7 +6,8 @@ use crate::support::campaign::{fewest, size};
 use crate::support::rows::Alone;
 use crate::support::truth::position_error_m;
 use crate::support::{bar, irb2400, ur10};
-use identify::calibrate::ball_bar::{self, BallBarCalibration};
+use identify::calibrate::Calibration;
+use identify::calibrate::ball_bar;
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig, SelectionName};
 use identify::evaluate::{Budget, Evaluation, Expected, workspace_error};
 use identify::instrument::PoseRow;
@@ -39,7 +40,7 @@ fn calibrated(
     robot: &RobotConfig,
     bar: &BallBarConfig,
     config: &IdentifyConfig,
-) -> BallBarCalibration {
+) -> Calibration {
     ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, robot, bar, config).unwrap()
 }
 
@@ -49,7 +50,7 @@ fn with_the_bar(seed: u64, plate_u_um: f64, config: &IdentifyConfig) -> (f64, Ex
     let off: f64 = StdRng::seed_from_u64(seed).sample(StandardNormal);
     bar = BallBarConfig { plate_m: bar.plate_m + 1e-6 * plate_u_um * off, plate_u_um, ..bar };
     let found = calibrated(&run, &robot, &bar, config);
-    let claimed = workspace_error(&found.model, &found.solution.covariance, &robot.joint_limits()).after;
+    let claimed = workspace_error(found.model(), &found.solution().covariance, &robot.joint_limits()).after;
     (position_error_m(&run, &found, &robot), claimed)
 }
 
@@ -154,7 +155,8 @@ fn a_rod_that_is_known_gives_the_scale_where_the_plate_does_not() {
     let rod = BallBarConfig { length_u_um: Some(20.0), ..plate.clone() };
     let [by_plate, by_rod] = [&plate, &rod].map(|bar| {
         let found = calibrated(&run, &robot, bar, &quick(&[]));
-        let claimed = workspace_error(&found.model, &found.solution.covariance, &robot.joint_limits()).after;
+        let claimed =
+            workspace_error(found.model(), &found.solution().covariance, &robot.joint_limits()).after;
         (position_error_m(&run, &found, &robot) * 1e3, claimed.interval_m[1] * 1e3)
     });
     println!("error and claim [mm]: {by_plate:?} by the plate, {by_rod:?} by the rod");
@@ -164,10 +166,10 @@ fn a_rod_that_is_known_gives_the_scale_where_the_plate_does_not() {
 }
 
 /// RMS distance of two robots' ends over postures within the limits \[m\].
-fn apart_m(one: &BallBarCalibration, other: &BallBarCalibration, robot: &RobotConfig) -> f64 {
+fn apart_m(one: &Calibration, other: &Calibration, robot: &RobotConfig) -> f64 {
     const POSTURES: usize = 400;
     let mut random = StdRng::seed_from_u64(3);
-    let [one, other] = [one, other].map(|found| found.model.geometry(&[]).robot);
+    let [one, other] = [one, other].map(|found| found.model().geometry(&[]).robot);
     let squares = (0..POSTURES).map(|_| {
         let q: Vec<f64> =
             robot.joint_limits().iter().map(|[low, high]| random.random_range(*low..*high)).collect();
@@ -181,7 +183,7 @@ fn each_contribution_of_the_budget_is_what_its_source_does_to_the_robot() {
     let (run, robot, bar) = (simulated(2), irb2400(), bar());
     let (bar, config) = (BallBarConfig { plate_u_um: 100.0, ..bar }, quick(&["ralpha3"]));
     let found = calibrated(&run, &robot, &bar, &config);
-    let claimed = workspace_error(&found.model, &found.solution.covariance, &robot.joint_limits());
+    let claimed = workspace_error(found.model(), &found.solution().covariance, &robot.joint_limits());
     let Budget { contributions, u_m, expanded_m, .. } = &claimed.budget;
     let of = |start: &str| {
         let found = contributions.iter().find(|one| one.source.starts_with(start));

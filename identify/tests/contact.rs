@@ -4,8 +4,9 @@
 
 use std::path::Path;
 
+use identify::calibrate::Calibration;
 use identify::calibrate::IdentifyConfig;
-use identify::calibrate::mix::{DataSets, Measured, MixedCalibration, calibrate};
+use identify::calibrate::mix::{DataSets, Measured, calibrate};
 use identify::instrument::{ContactRow, Instrument, KnownDistance, PlacedSocket, SocketTable, Sockets};
 use identify::kinematics::{LinkParameter, flange_chain};
 use identify::logs::ContactMapping;
@@ -29,7 +30,7 @@ fn simulated(robot: &RobotConfig, seed: u64) -> SimulatedContacts {
     contact::run(&ContactExperiment { robot_seed: seed, seed, ..ContactExperiment::new(robot) }).unwrap()
 }
 
-fn calibrated(robot: &RobotConfig, rows: &[ContactRow], table: &SocketTable) -> MixedCalibration {
+fn calibrated(robot: &RobotConfig, rows: &[ContactRow], table: &SocketTable) -> Calibration {
     let data = DataSets {
         rows: vec![Measured::Contacts(rows.to_vec(), table.clone()).into()],
         ..DataSets::default()

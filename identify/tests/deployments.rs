@@ -69,9 +69,9 @@ fn by_direct_fit(name: &str, robot: &RobotConfig, rows: &[PoseRow]) -> [f64; 2] 
     let Stages { nominal, offsets, links, .. } = found.held_out();
     let um = |m: f64| (m * 1e6).round();
     [(Deployment::Offsets, "offsets", offsets), (Deployment::Dh, "dh", links)].map(|(wanted, word, own)| {
-        let deployed = found.0.deployed.iter().find(|one| one.deployment == wanted).unwrap();
+        let deployed = found.0.deployed(wanted, None).unwrap().unwrap();
         let (ours_m, direct_m, nominal_m) =
-            (apart_m(&deployed.model, others), direct[word], direct["nominal"]);
+            (apart_m(deployed.model(), others), direct[word], direct["nominal"]);
         let written = own.are_surely_better_than(&nominal);
         println!(
             "{name}, {word}: {} um, direct {}, nominal {}{}",

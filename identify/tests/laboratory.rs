@@ -6,7 +6,8 @@
 
 use crate::support::campaign::{is_full, size};
 use crate::support::{bar, irb2400, nj220};
-use identify::calibrate::ball_bar::{self, BallBarCalibration};
+use identify::calibrate::Calibration;
+use identify::calibrate::ball_bar;
 use identify::calibrate::validation::deployment::Deployment;
 use identify::calibrate::validation::held_out::without_each_segment;
 use identify::calibrate::validation::truth::Comparison;
@@ -21,7 +22,7 @@ fn calibrated(
     robot: &RobotConfig,
     bar: &BallBarConfig,
     config: &IdentifyConfig,
-) -> BallBarCalibration {
+) -> Calibration {
     ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, robot, bar, config).unwrap()
 }
 
@@ -35,12 +36,12 @@ struct Score {
 }
 
 impl Score {
-    fn add(&mut self, found: &BallBarCalibration, run: &Simulated) {
+    fn add(&mut self, found: &Calibration, run: &Simulated) {
         let of_robot = Comparison::new(found, &run.truth).only(|id| matches!(id, ParameterId::Robot { .. }));
         self.errors.push(of_robot.euclidean_mm_mrad());
         self.in_sigmas.extend(of_robot.parameters.iter().map(|one| {
-            let column = found.model.column_of(one.id).unwrap();
-            (one.identified - one.truth) / found.solution.covariance.sigma(column).unwrap()
+            let column = found.model().column_of(one.id).unwrap();
+            (one.identified - one.truth) / found.solution().covariance.sigma(column).unwrap()
         }));
     }
 
@@ -158,7 +159,7 @@ fn links_alone_are_a_fit_of_their_own_and_predict_better_than_the_links_of_a_cal
         let config = IdentifyConfig::default();
         let found = calibrated(&run, &robot, &bar(), &config);
         let limits = &robot.joint_limits();
-        let evidence = evidence(&found, limits).with_validation(&found, &config, limits, None).unwrap();
+        let evidence = evidence(&found, limits).with_validation(&found, None).unwrap();
         let [nominal, full, _] = evidence.held_out.as_ref().unwrap().rms().map(|rms| rms.position_m);
         let of = |wanted| {
             let one = evidence.deployed.iter().find(|(deployed, _)| deployed.deployment == wanted);

@@ -404,7 +404,8 @@ fn grid_and_from_grid_to_cubes(grid: &[PoseRow], cubes: &[PoseRow]) -> (Stages, 
     let held_out = [nominal, offsets, links, joints].map(|of| of.position_m.rms);
     assert!(held_out.is_sorted_by(|more, less| more > less), "{held_out:?}");
     let on_cubes = |model: &Model| validate(cubes, &ur10(), model, 1).unwrap()[1].position_m.rms;
-    let [offsets, links] = [0, 1].map(|part| on_cubes(&report.0.deployed[part].model));
+    let [offsets, links] =
+        Deployment::PARTIAL.map(|part| on_cubes(report.0.deployed(part, None).unwrap().unwrap().model()));
     let mut truncated = report.model().clone();
     let terms = truncated.ids();
     for id in terms {

@@ -3,10 +3,11 @@
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
-use identify::calibrate::IdentifyConfig;
+use identify::calibrate::Calibration;
 use identify::calibrate::ball_bar::RunInput;
-use identify::calibrate::mix::{DataSets, Measured, MixedCalibration, calibrate};
+use identify::calibrate::mix::{DataSets, Measured, calibrate};
 use identify::calibrate::validation::agreement::disagreeing;
+use identify::calibrate::{IdentifyConfig, SelectionName};
 use identify::instrument::{ContactRow, LengthRow, PlacedSocket, PoseRow, SocketTable};
 use identify::kinematics::{Chain, DhLink, Joints, Pose, flange_chain, robot_chain, robot_inverse};
 use identify::model::{DriveTrain, Model, ParameterId, Role};
@@ -90,7 +91,7 @@ impl Cell {
         Self { run, poses, lengths, contacts, sockets, truth, bar: BallBarConfig { plate_m, ..bar } }
     }
 
-    fn calibrated(&self, [with_bar, tracker, wire, contact]: [bool; 4]) -> MixedCalibration {
+    fn calibrated(&self, [with_bar, tracker, wire, contact]: [bool; 4]) -> Calibration {
         let (robot, bar) = (irb2400(), &self.bar);
         let run = RunInput {
             cycles: &self.run.cycles,
@@ -130,13 +131,13 @@ impl Cell {
         errors.collect()
     }
 
-    fn error_m(&self, found: &MixedCalibration) -> f64 {
+    fn error_m(&self, found: &Calibration) -> f64 {
         let errors_m = self.errors_m(&found.runs[0].model);
         errors_m.iter().map(|error| error.norm()).sum::<f64>() / errors_m.len() as f64
     }
 
     /// How many coordinates of the wrist are within their 95 % interval, and of how many.
-    fn covered(&self, found: &MixedCalibration) -> [usize; 2] {
+    fn covered(&self, found: &Calibration) -> [usize; 2] {
         const STEP: f64 = 1e-6;
         let (model, covariance) = (&found.runs[0].model, &found.solved.solution.covariance);
         let errors_m = self.errors_m(model);
@@ -246,7 +247,7 @@ fn over_twenty_robots_a_mix_is_nearer_than_each_alone_and_its_intervals_hold() {
 }
 
 /// Data sets that are said to contradict the others.
-fn contradicting(found: &MixedCalibration) -> Vec<usize> {
+fn contradicting(found: &Calibration) -> Vec<usize> {
     let loss = found.solved.solution.loss;
     let all = disagreeing(&found.runs, &found.solved.sigmas, loss);
     println!("{all:?}");
@@ -319,9 +320,9 @@ fn a_plate_that_is_hardly_known_does_not_make_the_robot_smaller() {
 fn options_of_the_ball_bar_alone_are_refused_for_a_mix_by_name() {
     let cell = Cell::new(1);
     let data = DataSets { rows: vec![Measured::Poses(cell.poses.clone()).into()], ..DataSets::default() };
-    let config = IdentifyConfig { ransac: true, ..IdentifyConfig::default() };
+    let config = IdentifyConfig { selection: SelectionName::Thesis, ..IdentifyConfig::default() };
     let said = calibrate(&data, &irb2400(), &config, None).unwrap_err().to_string();
-    assert!(said.contains("`ransac`"), "{said}");
+    assert!(said.contains("`selection`"), "{said}");
     let config = IdentifyConfig { bar_length_um: 0.0, ..IdentifyConfig::default() };
     let said = calibrate(&data, &irb2400(), &config, None).unwrap_err().to_string();
     assert!(said.contains("`bar_length_um`") && said.contains("leave it out"), "{said}");

@@ -7,7 +7,8 @@ use crate::support::campaign::size;
 use crate::support::laboratory::{self, Level};
 use crate::support::truth::position_error_m;
 use crate::support::{bar, irb2400, nj220};
-use identify::calibrate::ball_bar::{self, BallBarCalibration};
+use identify::calibrate::Calibration;
+use identify::calibrate::ball_bar;
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig, NoiseConfig};
 use identify::simulate::{self, Design, Effects, Experiment, Simulated};
 use shared::config::RobotConfig;
@@ -20,7 +21,7 @@ const fn noise(encoder_noise_urad: f64, robot_noise_urad: f64) -> Effects {
     Effects { encoder_noise_urad, robot_noise_urad, ..Effects::NONE }
 }
 
-fn calibrated(run: &Simulated, robot: &RobotConfig, config: &IdentifyConfig) -> BallBarCalibration {
+fn calibrated(run: &Simulated, robot: &RobotConfig, config: &IdentifyConfig) -> Calibration {
     ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, robot, &bar(), config).unwrap()
 }
 

@@ -2,7 +2,8 @@
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
-use identify::calibrate::ball_bar::{self, BallBarCalibration};
+use identify::calibrate::Calibration;
+use identify::calibrate::ball_bar;
 use identify::calibrate::validation::truth::Comparison;
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig};
 use identify::evaluate::{Elongation, evidence};
@@ -22,7 +23,7 @@ use crate::support::truth::{apart_m, position_error_m};
 use crate::support::{bar, irb120, irb2400, nj220};
 use crate::verdict_campaign::judged;
 
-fn calibrated(run: &Simulated, robot: &RobotConfig, config: &IdentifyConfig) -> BallBarCalibration {
+fn calibrated(run: &Simulated, robot: &RobotConfig, config: &IdentifyConfig) -> Calibration {
     ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, robot, &bar(), config).unwrap()
 }
 
@@ -91,10 +92,10 @@ fn intervals_of_single_parameters_hold_where_gears_err_otherwise_than_the_model_
                 phases.iter().zip(q.iter_mut()).for_each(|(phase, q)| *q += 30e-6 * (2.0 * *q + phase).sin());
             }
             let found = calibrated(&run, &robot, &IdentifyConfig::default());
-            let covariance = &found.solution.covariance;
+            let covariance = &found.solution().covariance;
             let of_95 = covariance.sigmas_from.sigmas_of_95();
             for one in Comparison::new(&found, &run.truth).parameters {
-                let Some(sigma) = found.model.column_of(one.id).and_then(|column| covariance.sigma(column))
+                let Some(sigma) = found.model().column_of(one.id).and_then(|column| covariance.sigma(column))
                 else {
                     continue;
                 };

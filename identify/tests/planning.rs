@@ -5,8 +5,9 @@ use std::f64::consts::TAU;
 use std::process::Command;
 use std::time::Duration;
 
+use identify::calibrate::Calibration;
 use identify::calibrate::IdentifyConfig;
-use identify::calibrate::ball_bar::{self, BallBarCalibration};
+use identify::calibrate::ball_bar;
 use identify::kinematics::{Chain, Joints, ball_bar_chain, robot_chain, robot_inverse};
 use identify::logs::{RobotLog, Stream};
 use identify::model::ParameterId;
@@ -93,7 +94,7 @@ impl Cell {
     }
 
     /// A run in the simulated laboratory, and what is made of it.
-    fn calibrated(&self, seed: u64, path: Option<&PlannedPath>) -> (Simulated, BallBarCalibration) {
+    fn calibrated(&self, seed: u64, path: Option<&PlannedPath>) -> (Simulated, Calibration) {
         let mut experiment = Experiment::new(&self.robot, &self.bar);
         experiment.errors = StaticErrors::Drawn { seed };
         experiment.effects = Effects::LABORATORY;
@@ -991,7 +992,7 @@ fn the_error_of_a_calibration_is_the_one_that_was_expected_of_its_path_and_terms
         let (mut squared, mut expected) = (0.0, 0.0);
         for seed in 1..=seeds {
             let (run, calibration) = cell.calibrated(seed, Some(&planned));
-            let taken = calibration.candidates.iter().filter(|candidate| candidate.accepted);
+            let taken = calibration.solved.candidates.iter().filter(|candidate| candidate.accepted);
             let groups: Vec<TermGroup> =
                 taken.map(|candidate| candidate.group).chain([TermGroup::EncoderHarmonics]).collect();
             // The root mean square of an error of equal spread in three directions is 1.085 times its mean (Maxwell).

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use crate::support::{bar, irb2400};
-use identify::calibrate::ball_bar::BallBarCalibration;
+use identify::calibrate::Calibration;
 use identify::calibrate::validation::truth::Comparison;
 use identify::calibrate::{IdentifyConfig, ball_bar};
 use identify::model::ParameterId;
@@ -24,12 +24,12 @@ fn crossing_with(effects: Effects, joint: usize, range_deg: [f64; 2]) -> Simulat
     simulate::run(&Experiment { design, effects, ..Experiment::new(&robot, &bar) }).unwrap()
 }
 
-fn calibrated(run: &Simulated) -> BallBarCalibration {
+fn calibrated(run: &Simulated) -> Calibration {
     let config = IdentifyConfig::default();
     ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &irb2400(), &bar(), &config).unwrap()
 }
 
-fn robot_error(found: &BallBarCalibration, run: &Simulated) -> f64 {
+fn robot_error(found: &Calibration, run: &Simulated) -> f64 {
     let comparison = Comparison::new(found, &run.truth);
     comparison.only(|id| matches!(id, ParameterId::Robot { .. })).euclidean_mm_mrad()
 }

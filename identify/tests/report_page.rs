@@ -5,10 +5,13 @@ use std::sync::OnceLock;
 
 use crate::support::truth::position_error_m;
 use crate::support::{browser, irb2400};
-use identify::calibrate::ball_bar::{self, BallBarCalibration, RunInput};
+use identify::calibrate::Calibration;
+use identify::calibrate::ball_bar::{self, RunInput};
 use identify::calibrate::validation::held_out::without_each_segment;
+use identify::calibrate::validation::truth::Comparison;
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig};
 use identify::evaluate::{Evidence, evidence, held_out, nominals, workspace_error};
+use identify::model::ParameterId;
 use identify::prepare::PrepareOptions;
 use identify::report::page::Page;
 use identify::report::result::file::{CalibrationFile, ParameterEntry, SolveEntry};
@@ -38,7 +41,7 @@ fn simulated(robot: &RobotConfig, seed: u64) -> Simulated {
     simulate::run(&Experiment { seed, errors, effects: NOISE, ..Experiment::new(robot, &bar) }).unwrap()
 }
 
-fn calibrated(robot: &RobotConfig, seed: u64, cost: Option<CostName>) -> (Simulated, BallBarCalibration) {
+fn calibrated(robot: &RobotConfig, seed: u64, cost: Option<CostName>) -> (Simulated, Calibration) {
     let run = simulated(robot, seed);
     let found = ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, robot, &bar(), &config(cost))
         .unwrap();
@@ -46,8 +49,8 @@ fn calibrated(robot: &RobotConfig, seed: u64, cost: Option<CostName>) -> (Simula
 }
 
 /// A calibration by the default cost, with everything that a page can show of it.
-fn validated() -> &'static (Simulated, BallBarCalibration, Evidence) {
-    static VALIDATED: OnceLock<(Simulated, BallBarCalibration, Evidence)> = OnceLock::new();
+fn validated() -> &'static (Simulated, Calibration, Evidence) {
+    static VALIDATED: OnceLock<(Simulated, Calibration, Evidence)> = OnceLock::new();
     VALIDATED.get_or_init(|| {
         let robot = irb2400();
         let (run, found) = calibrated(&robot, 1, None);
@@ -56,25 +59,26 @@ fn validated() -> &'static (Simulated, BallBarCalibration, Evidence) {
     })
 }
 
-fn evidence_of(found: &BallBarCalibration, robot: &RobotConfig) -> Evidence {
+fn evidence_of(found: &Calibration, robot: &RobotConfig) -> Evidence {
     let limits = &robot.joint_limits();
     let seen = evidence(found, limits);
-    seen.with_validation(found, &config(Some(found.cost)), limits, None).unwrap()
+    seen.with_validation(found, None).unwrap()
 }
 
-pub fn page_text(calibration: &BallBarCalibration, evidence: &Evidence, robot: &RobotConfig) -> String {
-    let solution = &calibration.solution;
+pub fn page_text(calibration: &Calibration, evidence: &Evidence, robot: &RobotConfig) -> String {
+    let solution = calibration.solution();
     let file = CalibrationFile::new(
         &robot.name,
         "bar",
-        SolveEntry::new(calibration.cost.name(), &solution.summary, &solution.identifiability),
+        SolveEntry::new(calibration.cost_name(), &solution.summary, &solution.identifiability),
         None,
         Vec::new(),
-        ParameterEntry::of_runs(calibration),
+        ParameterEntry::of_calibration(calibration),
     )
     .with_verdict(&evidence.workspace, &evidence.limits, None);
     let configuration = "cost = \"pose\"";
-    let page = Page { file: &file, calibration, evidence, sources: &[], configuration };
+    let page =
+        Page { file: &file, calibration, evidence, rows: &[], tables: "", sources: &[], configuration };
     page.render().unwrap().into_string()
 }
 
@@ -86,7 +90,8 @@ fn the_error_that_the_page_expects_is_the_error_that_the_robot_has() {
     const SEEDS: u64 = 8;
     for seed in 1..=SEEDS {
         let (run, found) = calibrated(&robot, seed, None);
-        let expected = workspace_error(&found.model, &found.solution.covariance, &robot.joint_limits()).after;
+        let expected =
+            workspace_error(found.model(), &found.solution().covariance, &robot.joint_limits()).after;
         let truth_m = position_error_m(&run, &found, &robot);
         println!(
             "seed {seed}: true {:.4} mm, expected {:.4} ({:.4} to {:.4})",
@@ -143,55 +148,41 @@ fn an_error_that_one_segment_alone_has_shows_where_it_is_held_out() {
 
 #[test]
 fn every_cost_finds_the_true_robot_within_what_it_says_of_itself() {
-    let (run, _, evidence) = validated();
-    let costs = evidence.costs.as_ref().unwrap();
-    let names: Vec<&str> = costs.entries.iter().map(|entry| entry.cost.name()).collect();
-    assert_eq!(names, ["pose", "transform", "position_angles", "position", "length"]);
+    let robot = irb2400();
     let mut sigmas = Vec::new();
-    for entry in &costs.entries {
-        let figures = entry.figures.as_ref().unwrap();
-        let mut squares = Vec::new();
-        for ((name, unit), found) in costs.names.iter().zip(&figures.robot) {
-            let Some((correction, sigma)) = *found else { continue };
-            let nominal = nominal_of(name);
-            // Errors that the truth does not name are zero; `rd3` has that of `rd2`, whose axis is parallel.
-            let of = |name: &str| run.truth.parameters.get(name).copied().unwrap_or_else(|| nominal_of(name));
-            let carried = if name == "rd3" { of("rd2") - nominal_of("rd2") } else { 0.0 };
-            let truth = of(name) + carried;
-            let (off, limit) = (nominal + correction - truth, 5.0 * sigma);
-            assert!(off.abs() < limit, "{} {name}: {off:e} {unit:?}, {limit:e}", entry.cost.name());
-            squares.push((off / sigma).powi(2));
+    for cost in CostName::ALL {
+        let (run, found) = calibrated(&robot, 1, Some(cost));
+        let (mut ratios, mut sizes) = (Vec::new(), Vec::new());
+        for compared in Comparison::new(&found, &run.truth).parameters {
+            let (true, Some(sigma)) =
+                (matches!(compared.id, ParameterId::Robot { .. }), found.sigma(compared.id))
+            else {
+                continue;
+            };
+            let off = compared.identified - compared.truth;
+            assert!(off.abs() < 5.0 * sigma, "{} {}: {off:e}, {sigma:e}", cost.name(), compared.id);
+            ratios.push((off / sigma).powi(2));
+            sizes.push((sigma * compared.id.unit().display_factor()).powi(2));
         }
-        let ratio = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
-        assert!((0.3..2.5).contains(&ratio), "{}: {ratio}", entry.cost.name());
-        sigmas.push(figures.sigma_mm_mrad);
+        let ratio = (ratios.iter().sum::<f64>() / ratios.len() as f64).sqrt();
+        assert!((0.3..2.5).contains(&ratio), "{}: {ratio}", cost.name());
+        sigmas.push((cost, sizes.iter().sum::<f64>().sqrt()));
     }
     // The statistically sound cost knows most, the one without encoders least.
-    assert!(sigmas.iter().all(|sigma| *sigma >= sigmas[0] && *sigma <= sigmas[4]), "{sigmas:?}");
-    let length = costs.entries[4].figures.as_ref().unwrap();
-    assert!(length.not_determined.iter().any(|name| name == "btheta2"), "{:?}", length.not_determined);
-    assert!(length.parameters < costs.entries[0].figures.as_ref().unwrap().parameters);
-}
-
-/// Value of a robot's parameter on the nominal chain.
-fn nominal_of(name: &str) -> f64 {
-    let (_, found, _) = validated();
-    found.model.parameter(name.parse().unwrap()).unwrap().nominal
+    let of = |wanted| sigmas.iter().find(|(cost, _)| *cost == wanted).unwrap().1;
+    let [least, most] = [CostName::Pose, CostName::Length].map(of);
+    assert!(sigmas.iter().all(|(_, sigma)| (least..=most).contains(sigma)), "{sigmas:?}");
 }
 
 #[test]
-fn with_fewer_encoders_only_costs_that_need_no_more_are_compared() {
+fn with_fewer_encoders_no_rotation_is_shown() {
     let robot = irb2400();
     let mut bar = bar();
     bar.encoders.retain(|encoder| encoder.joint != 3);
     let run = simulate::run(&Experiment { effects: NOISE, ..Experiment::new(&robot, &bar) }).unwrap();
     let found = ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &quick());
     let found = found.unwrap();
-    let evidence = evidence_of(&found, &robot);
-    let costs = evidence.costs.as_ref().unwrap();
-    let names: Vec<&str> = costs.entries.iter().map(|entry| entry.cost.name()).collect();
-    assert_eq!(names, ["pose", "position_angles", "position", "length"]);
-    let text = page_text(&found, &evidence, &robot);
+    let text = page_text(&found, &evidence_of(&found, &robot), &robot);
     // Without all encoders the bar's rotation is what the robot says: comparing the two would flatter.
     assert!(text.contains("Position, calibrated without") && !text.contains("Rotation"));
 }

@@ -7,7 +7,8 @@ use std::path::Path;
 use crate::report_page::page_text;
 use crate::support::command::identify;
 use crate::support::{bar, browser, irb2400, repository};
-use identify::calibrate::ball_bar::{self, BallBarCalibration, RunInput};
+use identify::calibrate::Calibration;
+use identify::calibrate::ball_bar::{self, RunInput};
 use identify::calibrate::{IdentifyConfig, JointTermsConfig};
 use identify::evaluate::{WorkspaceError, evidence};
 use identify::prepare::PrepareOptions;
@@ -23,7 +24,7 @@ fn simulated(seed: u64, load: BarLoad) -> Simulated {
         .unwrap()
 }
 
-fn calibrated(runs: &[&Simulated], prepare: PrepareOptions) -> BallBarCalibration {
+fn calibrated(runs: &[&Simulated], prepare: PrepareOptions) -> Calibration {
     let bar = bar();
     let config = IdentifyConfig {
         encoder_harmonics_urad: 0.0,
@@ -42,7 +43,7 @@ fn calibrated(runs: &[&Simulated], prepare: PrepareOptions) -> BallBarCalibratio
     ball_bar::calibrate_runs(&inputs, &irb2400(), &config, None).unwrap()
 }
 
-fn shown(found: &BallBarCalibration) -> String {
+fn shown(found: &Calibration) -> String {
     let robot = irb2400();
     page_text(found, &evidence(found, &robot.joint_limits()), &robot)
 }
@@ -98,7 +99,7 @@ fn each_run_with_a_force_shows_it_and_what_it_left_out() {
     force.values = values.filter_map(0..values.len(), |row, force| keep(&values.t_s[row]).then_some(*force));
     let found = calibrated(&[&rigid, &whole, &holed], PrepareOptions::default());
     let left_out: Vec<Option<usize>> =
-        found.runs().map(|(prepared, _)| prepared.force.map(|_| prepared.counts.no_force)).collect();
+        found.bar_runs().map(|(prepared, _)| prepared.force.map(|_| prepared.counts.no_force)).collect();
     assert!(matches!(left_out[..], [None, Some(0), Some(left_out)] if left_out > 20), "{left_out:?}");
     let text = shown(&found);
     let sections: Vec<&str> =
@@ -123,7 +124,7 @@ fn a_calibration_of_the_bar_alone_expects_of_the_robot_what_it_was_before() {
     let found = ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar(), &config);
     let found = found.unwrap();
     let limits = &robot.joint_limits();
-    let evidence = evidence(&found, limits).with_validation(&found, &config, limits, None).unwrap();
+    let evidence = evidence(&found, limits).with_validation(&found, None).unwrap();
     let WorkspaceError { before, after, .. } = evidence.workspace;
     // Millimetres, as every link may be wrong by its tolerance.
     assert!(before == after && after.mean_m > 1e-3, "{before:?} {after:?}");

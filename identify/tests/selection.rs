@@ -6,7 +6,8 @@ use std::collections::BTreeSet;
 
 use crate::support::laboratory::{self, Level};
 use crate::support::{Cell, bar, irb2400, spread_poses};
-use identify::calibrate::ball_bar::{self, BallBarCalibration};
+use identify::calibrate::Calibration;
+use identify::calibrate::ball_bar;
 use identify::calibrate::selection::structure::identifiable;
 use identify::calibrate::{CostName, IdentifyConfig, SelectionName};
 use identify::evaluate::{evidence, uncalibrated};
@@ -14,7 +15,7 @@ use identify::model::TermGroup;
 use identify::model::{ParameterId, Phase, Role, THESIS_FIXED};
 use identify::simulate::{self, Design, Effects, Experiment};
 
-fn calibrated(effects: Effects, selection: SelectionName) -> BallBarCalibration {
+fn calibrated(effects: Effects, selection: SelectionName) -> Calibration {
     let (robot, bar) = (irb2400(), bar());
     let effects = Effects { robot_noise_urad: 15.0, encoder_noise_urad: 5.0, ..effects };
     let design = Design { duration_s: 60.0, ..Design::for_robot(&robot) };
@@ -22,14 +23,14 @@ fn calibrated(effects: Effects, selection: SelectionName) -> BallBarCalibration 
     let config = IdentifyConfig { selection, ..IdentifyConfig::default() };
     let found =
         ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config).unwrap();
-    for candidate in &found.candidates {
+    for candidate in &found.solved.candidates {
         println!("{effects:?} {candidate:?}");
     }
     found
 }
 
-fn taken(found: &BallBarCalibration) -> BTreeSet<&'static str> {
-    found.candidates.iter().filter(|one| one.accepted).map(|one| one.group.name()).collect()
+fn taken(found: &Calibration) -> BTreeSet<&'static str> {
+    found.solved.candidates.iter().filter(|one| one.accepted).map(|one| one.group.name()).collect()
 }
 
 fn names(ids: &[ParameterId]) -> BTreeSet<String> {
@@ -58,7 +59,7 @@ fn all_identifiable_frees_as_many_as_the_rank_and_leaves_out_what_the_thesis_fix
 fn terms_are_taken_where_the_robot_has_the_error_and_left_out_where_not() {
     let none = calibrated(Effects::default(), SelectionName::Cell);
     assert!(taken(&none).len() <= 1, "{:?}", taken(&none));
-    let offered: Vec<TermGroup> = none.candidates.iter().map(|one| one.group).collect();
+    let offered: Vec<TermGroup> = none.solved.candidates.iter().map(|one| one.group).collect();
     let groups = TermGroup::OF_ROBOT.into_iter().chain([TermGroup::BarLength]);
     for group in groups {
         // There is nothing to find in noise.
@@ -71,7 +72,7 @@ fn terms_are_taken_where_the_robot_has_the_error_and_left_out_where_not() {
     ] {
         let found = calibrated(effects, SelectionName::Cell);
         assert!(taken(&found).contains(group.name()), "{group:?} among {:?}", taken(&found));
-        for candidate in &found.candidates {
+        for candidate in &found.solved.candidates {
             assert!(!candidate.accepted || candidate.held_out_after < candidate.held_out_before);
         }
     }
@@ -82,17 +83,17 @@ fn harmonics_of_encoders_are_found_and_tolerances_that_hold_stay() {
     let effects = Effects { encoder_eccentricity_urad: 40.0, ..Effects::default() };
     let found = calibrated(effects, SelectionName::Cell);
     let wave = |phase| ParameterId::EncoderWave { joint: 0, order: 1, phase };
-    let value = |phase| found.model.parameter(wave(phase)).unwrap().value * 1e6;
+    let value = |phase| found.model().parameter(wave(phase)).unwrap().value * 1e6;
     let amplitude_urad: f64 = f64::hypot(value(Phase::Sine), value(Phase::Cosine));
     assert!((amplitude_urad - 40.0).abs() < 12.0, "{amplitude_urad}");
     // True errors are around 1 mm|mrad.
-    assert!((1.0..=2.0).contains(&found.prior_scale), "{}", found.prior_scale);
+    assert!((1.0..=2.0).contains(&found.solved.prior_scale), "{}", found.solved.prior_scale);
 }
 
 const LOBES: [f64; 6] = [57.0, 31.0, 44.0, 63.0, 52.0, 35.0];
 
 /// The gears have 57, 31, 44 .. lobes; the file that the calibration gets knows of none, or guesses wrongly.
-fn with_lobes(config: &IdentifyConfig) -> BallBarCalibration {
+fn with_lobes(config: &IdentifyConfig) -> Calibration {
     let (mut robot, bar) = (irb2400(), bar());
     robot.drives.cycloid_lobes = LOBES.to_vec();
     let effects =
@@ -106,10 +107,10 @@ fn with_lobes(config: &IdentifyConfig) -> BallBarCalibration {
 fn lobes_of_gears_that_nobody_has_counted_are_found() {
     let found = with_lobes(&IdentifyConfig::default());
     assert!(taken(&found).contains(TermGroup::LineSpectrum.name()), "{:?}", taken(&found));
-    let waves = found.model.columns().filter_map(|parameter| match parameter.id {
+    let waves = found.model().columns().filter_map(|parameter| match parameter.id {
         ParameterId::JointWave { axis, order, phase: Phase::Sine } => {
             let cosine = ParameterId::JointWave { axis, order, phase: Phase::Cosine };
-            let cosine = found.model.parameter(cosine).unwrap().value;
+            let cosine = found.model().parameter(cosine).unwrap().value;
             Some((axis, f64::from(order), parameter.value.hypot(cosine) * 1e6))
         }
         _ => None,
@@ -131,11 +132,11 @@ fn lobes_of_gears_that_nobody_has_counted_are_found() {
 
     // What a calibration is compared with is the robot as its maker sold it.
     let mut nominal = uncalibrated(
-        &found.model,
+        found.model(),
         &found.prepared().unwrap().motion,
         &found.prepared().unwrap().observations,
     );
-    for wave in found.model.ids() {
+    for wave in found.model().ids() {
         if matches!(wave, ParameterId::JointWave { .. }) {
             assert_eq!(nominal.parameter_mut(wave), Some(&mut 0.0), "{wave}");
         }
@@ -150,7 +151,7 @@ fn waves_can_be_freed_and_fixed_by_name() {
     let found =
         with_lobes(&IdentifyConfig { free: free.clone(), fix: fix.clone(), ..IdentifyConfig::default() });
     let [freed, fixed] = [free, fix].map(|names| {
-        let parameter = |name: &String| found.model.parameter(name.parse().unwrap()).unwrap();
+        let parameter = |name: &String| found.model().parameter(name.parse().unwrap()).unwrap();
         let [sine, cosine] = [parameter(&names[0]), parameter(&names[1])];
         assert_eq!(sine.role, cosine.role);
         (sine.role, sine.value.hypot(cosine.value) * 1e6)
@@ -177,8 +178,9 @@ fn how_the_length_of_the_bar_follows_its_direction_is_found() {
     .unwrap();
     assert!(taken(&found).contains(TermGroup::BarLength.name()), "{:?}", taken(&found));
     let amplitude_um = |joint, order| {
-        let of =
-            |phase| found.model.parameter(ParameterId::BarWave { joint, order, phase }).unwrap().value * 1e6;
+        let of = |phase| {
+            found.model().parameter(ParameterId::BarWave { joint, order, phase }).unwrap().value * 1e6
+        };
         of(Phase::Sine).hypot(of(Phase::Cosine))
     };
     for (joint, order, expected_um) in [(0, 2, 15.0), (0, 3, 0.0)] {

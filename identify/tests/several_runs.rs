@@ -2,7 +2,8 @@
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
 use crate::support::{Cell, bar, irb2400};
-use identify::calibrate::ball_bar::{self, BallBarCalibration, RunInput};
+use identify::calibrate::Calibration;
+use identify::calibrate::ball_bar::{self, RunInput};
 use identify::calibrate::validation::truth::Comparison;
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig, SelectionName};
 use identify::cost::SharedColumns;
@@ -37,7 +38,7 @@ fn by_data(cost: CostName) -> IdentifyConfig {
     }
 }
 
-fn calibrated(runs: &[RunInput<'_>], cost: CostName) -> BallBarCalibration {
+fn calibrated(runs: &[RunInput<'_>], cost: CostName) -> Calibration {
     ball_bar::calibrate_runs(runs, &irb2400(), &by_data(cost), None).unwrap()
 }
 
@@ -45,15 +46,15 @@ fn is_robot(id: ParameterId) -> bool {
     matches!(id, ParameterId::Robot { .. })
 }
 
-fn robot_error(found: &BallBarCalibration, run: &Simulated) -> f64 {
+fn robot_error(found: &Calibration, run: &Simulated) -> f64 {
     Comparison::new(found, &run.truth).only(is_robot).euclidean_mm_mrad()
 }
 
 /// Root mean square of the robot's sigmas \[mm|mrad\].
-fn robot_sigma(found: &BallBarCalibration) -> f64 {
-    let sigmas: Vec<f64> = (found.model.columns().enumerate())
+fn robot_sigma(found: &Calibration) -> f64 {
+    let sigmas: Vec<f64> = (found.model().columns().enumerate())
         .filter(|(_, parameter)| is_robot(parameter.id))
-        .map(|(column, _)| found.solution.covariance.sigma(column).unwrap() * 1e3)
+        .map(|(column, _)| found.solution().covariance.sigma(column).unwrap() * 1e3)
         .collect();
     (sigmas.iter().map(|sigma| sigma * sigma).sum::<f64>() / sigmas.len() as f64).sqrt()
 }
@@ -72,14 +73,14 @@ fn two_short_runs_at_two_places_know_the_robot_better_than_either() {
         assert!(with < 0.8 * without, "sigma {with} with both, {without} with one");
     }
     // Each run has a place and a clock of its own, found as if it were alone.
-    let other = &both.others[0];
+    let other = &both.runs[1];
     for (name, truth) in [("ox", "ox"), ("oy", "oy"), ("oz", "oz")] {
         let found = other.model.parameter(name.parse().unwrap()).unwrap().value;
         assert!((found - second.truth.parameters[truth]).abs() < 1e-4, "{name}");
     }
     let skew = other.model.parameter(ParameterId::ClockSkew).unwrap().value;
     assert!((skew - second.truth.clock.skew).abs() < 2e-6, "{skew}");
-    let entries = ParameterEntry::of_runs(&both);
+    let entries = ParameterEntry::of_calibration(&both);
     let entry = |name: &str| entries.iter().find(|entry| entry.name == name);
     assert!(entry("ox@2").is_some_and(|entry| entry.sigma.is_some_and(|sigma| sigma > 0.0)));
     assert!(entry("ra2@2").is_none() && entry("ra2").is_some());
@@ -92,12 +93,12 @@ fn the_same_run_given_twice_gives_the_same_robot() {
     for cost in [CostName::Transform, CostName::Length] {
         let once = calibrated(&[input(&run, &bar)], cost);
         let twice = calibrated(&[input(&run, &bar), input(&run, &bar)], cost);
-        for (column, parameter) in once.model.columns().enumerate() {
-            let again = twice.model.parameter(parameter.id).unwrap().value;
-            let sigma = once.solution.covariance.sigma(column).unwrap();
+        for (column, parameter) in once.model().columns().enumerate() {
+            let again = twice.model().parameter(parameter.id).unwrap().value;
+            let sigma = once.solution().covariance.sigma(column).unwrap();
             assert!((again - parameter.value).abs() < 1e-3 * sigma + 1e-12, "{cost:?} {}", parameter.id);
         }
-        let (first, second) = (&twice.model, &twice.others[0].model);
+        let (first, second) = (twice.model(), &twice.runs[1].model);
         let place: ParameterId = "ox".parse().unwrap();
         let apart = first.parameter(place).unwrap().value - second.parameter(place).unwrap().value;
         assert!(apart.abs() < 1e-9, "{apart}");
@@ -112,7 +113,7 @@ fn another_bar_has_a_length_of_its_own() {
     let second = run(&longer, 2, [1.0, 0.05, 0.35], 86_400_000_000_000);
     let both = calibrated(&[input(&first, &bar), input(&second, &longer)], CostName::Pose);
     let rod: ParameterId = "bd3".parse().unwrap();
-    let lengths = [&both.model, &both.others[0].model].map(|model| model.parameter(rod).unwrap().value);
+    let lengths = [both.model(), &both.runs[1].model].map(|model| model.parameter(rod).unwrap().value);
     for (found, run) in lengths.iter().zip([&first, &second]) {
         assert!((found - run.truth.parameters["bd3"]).abs() < 1e-4, "{found}");
     }

@@ -7,7 +7,7 @@ use crate::support::{Cell, noisy_poses};
 use identify::cost::{LoopProblem, Residual, Transform};
 use identify::model::Selection;
 use identify::solver::{
-    Begin, Block, LossName, Noise, Options, Prior, Problem, SolveError, Termination, minimise_robust, solve,
+    Block, LossName, Noise, Options, Prior, Problem, SolveError, Termination, minimise_robust, solve,
 };
 use levenberg_marquardt::LevenbergMarquardt;
 use nalgebra::{DMatrix, DVector};
@@ -306,7 +306,7 @@ fn robust_losses_ignore_outliers_that_pull_least_squares_away() {
     let problem = Rows::new(3, 40, &row);
     let error = |loss| {
         let start = [1.5, 0.1, 0.0];
-        let (x, _) = minimise_robust(&problem, &start, loss, Begin::Start, &Options::default()).unwrap();
+        let (x, _) = minimise_robust(&problem, &start, loss, &Options::default()).unwrap();
         (x[0] - 2.0).abs() + (x[2] - 0.5).abs()
     };
     let plain = error(LossName::None);

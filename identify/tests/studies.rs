@@ -338,7 +338,7 @@ fn scipy_finds_the_same_from_the_same_angles_and_takes_longer() {
     let found =
         calibrate_prepared(vec![(prepared, &definition.bar)], &definition.robot, &config, None).unwrap();
     let ours_s = began.elapsed().as_secs_f64();
-    let free: Vec<String> = found.model.columns().map(|parameter| parameter.id.to_string()).collect();
+    let free: Vec<String> = found.model().columns().map(|parameter| parameter.id.to_string()).collect();
     let room = tempfile::tempdir().unwrap();
     let file = room.path().join("pairs.json");
     let robot_rad = &pairs.robot_rad[LEAD_ROWS..LEAD_ROWS + pairs.bar_rad.len()];
@@ -355,7 +355,7 @@ fn scipy_finds_the_same_from_the_same_angles_and_takes_longer() {
     let solved: serde_json::Value = serde_json::from_slice(&solved.stdout).unwrap();
     let theirs_s = solved["seconds"].as_f64().unwrap();
     println!("one solve of 1500 pairs: {:.0} ms, scipy {:.0} ms", 1e3 * ours_s, 1e3 * theirs_s);
-    for (parameter, x) in found.model.columns().zip(solved["x"].as_array().unwrap()) {
+    for (parameter, x) in found.model().columns().zip(solved["x"].as_array().unwrap()) {
         let apart = parameter.value - x.as_f64().unwrap();
         assert!(apart.abs() < 1e-8, "{}: {apart:e}", parameter.id);
     }

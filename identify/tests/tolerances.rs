@@ -8,7 +8,8 @@ use std::collections::BTreeSet;
 use crate::support::rows::Alone;
 use crate::support::truth::position_error_m;
 use crate::support::{bar, irb2400, ur10};
-use identify::calibrate::ball_bar::{self, BallBarCalibration};
+use identify::calibrate::Calibration;
+use identify::calibrate::ball_bar;
 use identify::calibrate::{IdentifyConfig, JointTermsConfig};
 use identify::evaluate::{not_separated, workspace_error};
 use identify::instrument::PoseRow;
@@ -37,7 +38,7 @@ fn run(robot: &RobotConfig) -> Simulated {
     simulate::run(&Experiment { seed: 3, errors, effects, design, ..Experiment::new(robot, &bar()) }).unwrap()
 }
 
-fn calibrated(run: &Simulated, robot: &RobotConfig, config: &IdentifyConfig) -> BallBarCalibration {
+fn calibrated(run: &Simulated, robot: &RobotConfig, config: &IdentifyConfig) -> Calibration {
     ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, robot, &bar(), config).unwrap()
 }
 
@@ -79,9 +80,9 @@ fn a_ur10_is_calibrated_with_the_ball_bar_and_what_its_parallel_axes_do_not_sepa
     let run = run(&robot);
     let found = calibrated(&run, &robot, &quick());
     let groups: Vec<String> =
-        not_separated(&found.model, &found.solution).iter().map(|group| names(group)).collect();
+        not_separated(found.model(), found.solution()).iter().map(|group| names(group)).collect();
     assert_eq!(groups, ["rd2|rd3|rd4"]);
-    let claimed = workspace_error(&found.model, &found.solution.covariance, &robot.joint_limits()).after;
+    let claimed = workspace_error(found.model(), &found.solution().covariance, &robot.joint_limits()).after;
     let error_m = position_error_m(&run, &found, &robot);
     println!("{:.3} mm, claimed up to {:.3} mm", error_m * 1e3, claimed.interval_m[1] * 1e3);
     assert!(error_m < 0.2e-3 && error_m < claimed.interval_m[1], "{error_m} {claimed:?}");
@@ -90,7 +91,7 @@ fn a_ur10_is_calibrated_with_the_ball_bar_and_what_its_parallel_axes_do_not_sepa
 #[test]
 fn the_same_numbers_are_free_whichever_instrument_measures_the_robot() {
     let robot = irb2400();
-    let by_bar = with_tolerance(&calibrated(&run(&robot), &robot, &quick()).model);
+    let by_bar = with_tolerance(&calibrated(&run(&robot), &robot, &quick()).model());
     let found = Alone::quick().without_joint_errors().poses(&tracked(&robot, [1.0; 6]), &robot).unwrap();
     assert_eq!(by_bar, with_tolerance(found.model()));
     let named = |parameter| by_bar.contains(&ParameterId::Robot { link: 1, parameter });
@@ -103,10 +104,10 @@ fn only_what_is_fixed_by_name_is_fixed() {
     let robot = ur10();
     let fix = ["rd2", "ra3", "balpha2"].map(str::to_owned).to_vec();
     let found = calibrated(&run(&robot), &robot, &IdentifyConfig { fix, ..quick() });
-    let role = |name: &str| found.model.parameter(name.parse().unwrap()).unwrap().role;
+    let role = |name: &str| found.model().parameter(name.parse().unwrap()).unwrap().role;
     assert_eq!(role("rd2"), Role::Fixed);
     assert_eq!([role("ra3"), role("balpha2")], [Role::Considered { sigma: 1e-3 }; 2]);
-    let fixed = found.model.parameters().iter().filter(|one| {
+    let fixed = found.model().parameters().iter().filter(|one| {
         let of_chains = matches!(one.id, ParameterId::Robot { .. } | ParameterId::Bar { .. });
         let beta = matches!(one.id, ParameterId::Robot { parameter: LinkParameter::Beta, .. });
         of_chains && !beta && !one.role.is_estimated()

@@ -4,7 +4,8 @@
 
 use std::path::Path;
 
-use identify::calibrate::mix::{DataSets, Measured, MixedCalibration, calibrate};
+use identify::calibrate::Calibration;
+use identify::calibrate::mix::{DataSets, Measured, calibrate};
 use identify::logs::{MeasuredPoseMapping, TimedPoses};
 use identify::model::ParameterId;
 use identify::prepare::AlignedPoses;
@@ -14,14 +15,14 @@ use crate::support::rows::Alone;
 use crate::support::tracker_log::{Followed, Sizes};
 use crate::support::ur10;
 
-fn calibrated(measured: Measured) -> MixedCalibration {
+fn calibrated(measured: Measured) -> Calibration {
     let Alone { config, .. } = Alone::default().without_joint_errors();
     let rows = vec![measured.into()];
     calibrate(&DataSets { rows, ..DataSets::default() }, &ur10(), &config, None).unwrap()
 }
 
 /// Error of a calibration, and of one of the same rows with the times at which they were truly taken \[m\].
-fn errors_m(followed: &Followed, aligned: &AlignedPoses, found: &MixedCalibration) -> [f64; 2] {
+fn errors_m(followed: &Followed, aligned: &AlignedPoses, found: &Calibration) -> [f64; 2] {
     let perfect = calibrated(followed.with_perfect_times(aligned));
     [found, &perfect].map(|found| followed.error_m(&found.runs[0].model))
 }

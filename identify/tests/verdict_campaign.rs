@@ -6,8 +6,9 @@
 use std::collections::BTreeMap;
 
 use identify::calibrate::IdentifyConfig;
-use identify::calibrate::ball_bar::{BallBarCalibration, CalibrateError, calibrate};
+use identify::calibrate::ball_bar::calibrate;
 use identify::calibrate::validation::truth::position_errors_m;
+use identify::calibrate::{CalibrateError, Calibration};
 use identify::evaluate::{Expected, WorkspaceError, evidence};
 use identify::kinematics::Joints;
 use identify::report::result::file::{CalibrationFile, ParameterEntry, SolveEntry};
@@ -55,19 +56,19 @@ fn experiment(robot: &RobotConfig, seed: u64) -> (Simulated, BallBarConfig) {
 /// What is claimed over the workspace, the verdict, and what is true: the mean and what 95 % of the postures do not exceed \[m\].
 pub fn judged(
     run: &Simulated,
-    found: &BallBarCalibration,
+    found: &Calibration,
     robot: &RobotConfig,
 ) -> Result<(WorkspaceError, Verdict, [f64; 2]), CalibrateError> {
     let limits = &robot.joint_limits();
     let config = IdentifyConfig::default();
-    let evidence = evidence(found, limits).with_validation(found, &config, limits, None)?;
-    let solution = &found.solution;
-    let solve = SolveEntry::new(found.cost.name(), &solution.summary, &solution.identifiability);
-    let parameters = ParameterEntry::of_runs(found);
+    let evidence = evidence(found, limits).with_validation(found, None)?;
+    let solution = found.solution();
+    let solve = SolveEntry::new(found.cost_name(), &solution.summary, &solution.identifiability);
+    let parameters = ParameterEntry::of_calibration(found);
     let file = CalibrationFile::new(&robot.name, "bar", solve, None, Vec::new(), parameters);
     let file = file.with_knowledge(solution).with_validation(&evidence);
     let file = file.with_verdict(&evidence.workspace, &evidence.limits, None);
-    let (mean_m, p95_m) = position_errors_m(&found.model, &run.truth, robot, [Vector3::zeros(); 2]);
+    let (mean_m, p95_m) = position_errors_m(found.model(), &run.truth, robot, [Vector3::zeros(); 2]);
     Ok((evidence.workspace, file.verdict.unwrap(), [mean_m, p95_m]))
 }
 

@@ -3,7 +3,8 @@
 
 use crate::support::laboratory::of_drive;
 use crate::support::{bar, irb2400, nj220};
-use identify::calibrate::ball_bar::{self, BallBarCalibration};
+use identify::calibrate::Calibration;
+use identify::calibrate::ball_bar;
 use identify::calibrate::validation::truth::Comparison;
 use identify::calibrate::{IdentifyConfig, JointTermsConfig};
 use identify::evaluate::{WorkspaceError, limits};
@@ -82,7 +83,7 @@ fn a_plate_that_is_turned_on_the_flange_is_found_and_told_as_that() {
             for by_deg in [0.0, 2.0, -3.0, 5.0] {
                 let run = laboratory(&with_plate_turned(&robot, by_deg), seed);
                 let found = calibrated(&run, &robot, &bar());
-                let told = limits(&found, &[], &WorkspaceError::default());
+                let told = limits(&found, &WorkspaceError::default());
                 let told = told.iter().find(|limit| limit.sentence.contains("plate is turned"));
                 println!("{}, seed {seed}, {by_deg}: {told:?}", robot.name);
                 let by = format!("{by_deg:+.1} degrees");
@@ -102,7 +103,7 @@ fn a_run_that_is_refused_for_a_turned_plate_says_so() {
             let found =
                 ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar(), &config);
             let told = match found {
-                Ok(found) => limits(&found, &[], &WorkspaceError::default())
+                Ok(found) => limits(&found, &WorkspaceError::default())
                     .into_iter()
                     .find(|limit| limit.sentence.contains("turned"))
                     .map(|limit| limit.sentence),
@@ -122,7 +123,7 @@ fn the_run_of_one_robot_is_no_run_of_the_other() {
     }
 }
 
-fn calibrated(run: &Simulated, robot: &RobotConfig, bar: &BallBarConfig) -> BallBarCalibration {
+fn calibrated(run: &Simulated, robot: &RobotConfig, bar: &BallBarConfig) -> Calibration {
     let config = IdentifyConfig {
         joint_terms: JointTermsConfig { candidates: Vec::new(), ..JointTermsConfig::default() },
         ..IdentifyConfig::default()
@@ -131,8 +132,8 @@ fn calibrated(run: &Simulated, robot: &RobotConfig, bar: &BallBarConfig) -> Ball
 }
 
 /// Names of the lengths that are told to come out far from the configured ones, and by how much \[mm\].
-fn told_of_lengths(found: &BallBarCalibration) -> Vec<(String, f64)> {
-    let told = limits(found, &[], &WorkspaceError::default());
+fn told_of_lengths(found: &Calibration) -> Vec<(String, f64)> {
+    let told = limits(found, &WorkspaceError::default());
     let Some(told) = told.into_iter().find(|limit| limit.sentence.starts_with("Lengths come out")) else {
         return Vec::new();
     };
@@ -152,7 +153,7 @@ fn centimetres_are_found_and_told() {
     let run = laboratory(&robot, 1);
     let right = calibrated(&run, &robot, &bar);
     assert_eq!(told_of_lengths(&right), []);
-    let error = |found: &BallBarCalibration| Comparison::new(found, &run.truth).euclidean_mm_mrad();
+    let error = |found: &Calibration| Comparison::new(found, &run.truth).euclidean_mm_mrad();
     let bar_of = |length_m: f64| BallBarConfig { length_m, ..bar.clone() };
     let two = [(Length::A(1), 0.05), (Length::D(4), -0.05)];
     let cases = [
@@ -190,7 +191,7 @@ fn a_wrong_ratio_contradicts_what_is_expected_and_is_reported_and_expectations_t
         let config = IdentifyConfig::default();
         let found =
             ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config).unwrap();
-        let all = limits(&found, &[], &WorkspaceError::default());
+        let all = limits(&found, &WorkspaceError::default());
         all.into_iter().find(|limit| limit.sentence.starts_with("What was measured contradicts"))
     };
     assert_eq!(told(&run), None);
@@ -212,7 +213,7 @@ fn a_late_drive_and_a_wrong_ratio_are_named_and_taken_out() {
         let found =
             ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar(), &config).unwrap();
         let told: Vec<String> =
-            limits(&found, &[], &WorkspaceError::default()).into_iter().map(|one| one.sentence).collect();
+            limits(&found, &WorkspaceError::default()).into_iter().map(|one| one.sentence).collect();
         let of_robot = Comparison::new(&found, &run.truth).only(|id| matches!(id, ParameterId::Robot { .. }));
         (of_robot.euclidean_mm_mrad(), told.join("\n"))
     };

@@ -5,183 +5,21 @@ use std::collections::BTreeSet;
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 
-use super::change::{self, Changed};
+use super::calibration::Calibration;
+use super::change;
 use super::config::{CostName, IdentifyConfig, SelectionName};
+use super::error::CalibrateError;
 use super::pipeline::{Plan, Solved, estimate};
-use super::rows::{Likely, RowError};
-use super::selection::structure::{StructureError, identifiable};
-use super::selection::terms::Candidate;
-use crate::cost::{CostError, SharedColumns};
+use super::selection::structure::identifiable;
 use crate::instrument::{BallBar, Instrument, Run};
-use crate::kinematics::{BAR_JOINTS, Joints, LinkParameter, ball_bar_chain, robot_chain};
+use crate::kinematics::{BAR_JOINTS, LinkParameter, ball_bar_chain, robot_chain};
 use crate::logs::{RobotLog, Unwrapped};
 use crate::model::{Axis, DriveTrain, Group, Model, ModelError, Parameter, ParameterId, Role};
-use crate::prepare::{PrepareError, Prepared, prepare};
-use crate::solver::{NotConverged, Solution, SolveError, Unidentifiable, Watch};
-
-/// Why there is no calibration.
-#[derive(Debug, thiserror::Error)]
-pub enum CalibrateError {
-    /// The logs do not fit together, or are not enough.
-    #[error("{error}")]
-    Prepare {
-        /// Which run, from 0.
-        run: usize,
-        /// What is wrong with it.
-        error: Box<PrepareError>,
-    },
-    /// A named parameter or prior does not exist.
-    #[error(transparent)]
-    Model(#[from] ModelError),
-    /// The samples do not suit the cost.
-    #[error(transparent)]
-    Cost(#[from] CostError),
-    /// The solve could not start.
-    #[error(transparent)]
-    Solve(#[from] SolveError),
-    /// What the samples determine cannot be found.
-    #[error(transparent)]
-    Structure(#[from] StructureError),
-    /// Nothing was given.
-    #[error("there is no run to calibrate from; give at least one recording with its robot log")]
-    NoRun,
-    /// An option that a mix of instruments cannot follow.
-    #[error(
-        "option `{option}` is for the ball-bar alone; leave it out, or calibrate from runs with the ball-bar only"
-    )]
-    Mixed {
-        /// In the configuration.
-        option: &'static str,
-    },
-    /// An option that has no effect on rows.
-    #[error("option `{option}` is for runs with the ball-bar, and there are none; leave it out")]
-    NoEffect {
-        /// In the configuration.
-        option: &'static str,
-    },
-    /// Where an instrument stands does not follow from its rows.
-    #[error(
-        "data set {data_set}: where the instrument stands does not follow from its rows, which lie in a plane, on a line or \
-         in a point; measure poses further apart"
-    )]
-    NoPlace {
-        /// From 1: ball-bars, trackers, wires, contacts, each in their order.
-        data_set: usize,
-    },
-    /// A tracker's log and the robot's do not fit together.
-    #[error("data set {data_set}: {error}")]
-    Align {
-        /// From 1: ball-bars, trackers, wires, contacts, each in their order.
-        data_set: usize,
-        /// What is wrong with them.
-        error: Box<PrepareError>,
-    },
-    /// Rows that calibrate no robot.
-    #[error("data set {data_set}: {error}")]
-    Rows {
-        /// From 1: ball-bars, trackers, wires, contacts, each in their order.
-        data_set: usize,
-        /// What is wrong with it.
-        error: RowError,
-    },
-    /// No robot like the configured one gives such rows.
-    #[error("{found}; {}", .likely.map_or_else(
-        || "rows, their mapping, the table of sockets or the robot's file are wrong; see `identify inspect --propose`".to_owned(),
-        |likely| format!("most likely {likely}; mend the mapping or the robot's file"),
-    ))]
-    Implausible {
-        /// What gave it away.
-        found: String,
-        /// What went wrong.
-        likely: Option<Likely>,
-    },
-    /// The samples do not determine what is free.
-    #[error(transparent)]
-    Unidentifiable(#[from] Unidentifiable),
-    /// The solve ended elsewhere than at a minimum.
-    #[error(transparent)]
-    NotConverged(#[from] NotConverged),
-}
-
-/// A calibrated robot.
-#[derive(Debug, Clone)]
-pub struct BallBarCalibration {
-    /// Cost that was minimised.
-    pub cost: CostName,
-    /// What was measured in the first run.
-    pub instrument: Instrument,
-    /// Parameters of robot and first run, at the solution. Their columns come first in `solution`.
-    pub model: Model,
-    /// The other runs; the robot is that of `model`.
-    pub others: Vec<Run>,
-    /// Which columns of the solution are whose.
-    pub columns: SharedColumns,
-    /// The solve of all runs.
-    pub solution: Solution,
-    /// Kinds of terms that were tried, and what became of them.
-    pub candidates: Vec<Candidate>,
-    /// Tolerances of the links were multiplied by this.
-    pub prior_scale: f64,
-    /// What a residual of each run is worth against priors, one standard deviation.
-    pub sigmas: Vec<f64>,
-    /// What did not stay during a run, but so little that it is not refused.
-    pub changed: Vec<Changed>,
-}
-
-impl BallBarCalibration {
-    /// Preparation and parameters of each run, the first one first.
-    pub fn runs(&self) -> impl Iterator<Item = (&Prepared, &Model)> {
-        self.instruments().filter_map(|(instrument, model)| Some((&instrument.bar()?.prepared, model)))
-    }
-
-    /// Runs with a ball-bar, the first one first.
-    pub fn bars(&self) -> impl Iterator<Item = &BallBar> {
-        self.instruments().filter_map(|(instrument, _)| instrument.bar())
-    }
-
-    /// How the logs of the first run with a ball-bar were brought together; none without any.
-    pub fn prepared(&self) -> Option<&Prepared> {
-        self.runs().next().map(|(prepared, _)| prepared)
-    }
-
-    /// Bar joints with an encoder in every run.
-    pub fn measured(&self) -> [bool; BAR_JOINTS] {
-        measured(self.runs().map(|(prepared, _)| prepared))
-    }
-
-    /// What the robot reports at each sample of all runs.
-    pub fn poses(&self) -> impl Iterator<Item = Joints> {
-        self.instruments().flat_map(|(instrument, model)| instrument.poses(model))
-    }
-
-    /// Copies of the runs with at most so many samples in all, evenly taken: for figures that need no more.
-    pub(super) fn thinned(&self, samples_max: usize) -> Vec<Run> {
-        let samples: usize = self.instruments().map(|(instrument, _)| instrument.samples()).sum();
-        let every = samples.div_ceil(samples_max.max(1)).max(1);
-        let thinned = |(instrument, model): (&Instrument, &Model)| Run {
-            instrument: instrument.part(&(0..instrument.samples()).step_by(every).collect::<Vec<_>>()),
-            model: model.clone(),
-        };
-        self.instruments().map(thinned).collect()
-    }
-
-    /// Copies of the runs.
-    pub(crate) fn all_runs(&self) -> Vec<Run> {
-        let run = |(instrument, model): (&Instrument, &Model)| Run {
-            instrument: instrument.clone(),
-            model: model.clone(),
-        };
-        self.instruments().map(run).collect()
-    }
-
-    fn instruments(&self) -> impl Iterator<Item = (&Instrument, &Model)> {
-        let others = self.others.iter().map(|run| (&run.instrument, &run.model));
-        std::iter::once((&self.instrument, &self.model)).chain(others)
-    }
-}
+use crate::prepare::{Prepared, prepare};
+use crate::solver::Watch;
 
 /// Bar joints whose encoder all runs have.
-fn measured<'p>(runs: impl Iterator<Item = &'p Prepared>) -> [bool; BAR_JOINTS] {
+pub(super) fn measured<'p>(runs: impl Iterator<Item = &'p Prepared>) -> [bool; BAR_JOINTS] {
     runs.fold([true; BAR_JOINTS], |all, run| std::array::from_fn(|joint| all[joint] && run.measured[joint]))
 }
 
@@ -213,7 +51,7 @@ pub fn calibrate(
     robot: &RobotConfig,
     bar: &BallBarConfig,
     config: &IdentifyConfig,
-) -> Result<BallBarCalibration, CalibrateError> {
+) -> Result<Calibration, CalibrateError> {
     calibrate_runs(&[RunInput { cycles, encoders, unwrapped: None, log, bar }], robot, config, None)
 }
 
@@ -227,7 +65,7 @@ pub fn calibrate_runs(
     robot: &RobotConfig,
     config: &IdentifyConfig,
     watch: Option<&dyn Watch>,
-) -> Result<BallBarCalibration, CalibrateError> {
+) -> Result<Calibration, CalibrateError> {
     solved(prepared_runs(inputs, robot, config)?, config, watch)
 }
 
@@ -240,7 +78,7 @@ pub fn calibrate_prepared(
     robot: &RobotConfig,
     config: &IdentifyConfig,
     watch: Option<&dyn Watch>,
-) -> Result<BallBarCalibration, CalibrateError> {
+) -> Result<Calibration, CalibrateError> {
     solved(runs_at_start(prepared, robot, config)?, config, watch)
 }
 
@@ -248,25 +86,11 @@ fn solved(
     mut runs: Vec<Run>,
     config: &IdentifyConfig,
     watch: Option<&dyn Watch>,
-) -> Result<BallBarCalibration, CalibrateError> {
+) -> Result<Calibration, CalibrateError> {
     let cost = runs.first().and_then(|run| run.instrument.bar()).ok_or(CalibrateError::NoRun)?.cost;
-    let Solved { columns, solution, candidates, prior_scale, sigmas, .. } = solve(&mut runs, config, watch)?;
-    let changed = change::checked(&runs, &sigmas, &config.prepare)?;
-    let mut runs = runs.into_iter();
-    let Run { instrument, model } = runs.next().ok_or(CalibrateError::NoRun)?;
-    let others = runs.collect();
-    Ok(BallBarCalibration {
-        cost,
-        instrument,
-        model,
-        others,
-        columns,
-        solution,
-        candidates,
-        prior_scale,
-        sigmas,
-        changed,
-    })
+    let solved = solve(&mut runs, config, watch)?;
+    let changed = change::checked(&runs, &solved.sigmas, &config.prepare)?;
+    Ok(Calibration { runs, rows: Vec::new(), solved, changed, loss: config.loss_for(cost) })
 }
 
 /// Each run with its logs brought together and its parameters where the preparation found them.
@@ -334,7 +158,6 @@ pub(super) fn solve(
     let groups = config.groups(model, |id| instrument.identifies(id));
     let plan = Plan {
         loss: config.loss_for(cost),
-        ransac: config.ransac,
         groups,
         fix: config.fixed(),
         tolerances: tolerances(runs, config),

@@ -5,12 +5,11 @@ use super::change::Changed;
 use super::config::CostName;
 use super::pipeline::Solved;
 use super::rows::RowSet;
-use super::validation::deployment::Deployed;
 use crate::instrument::{BallBar, Run};
 use crate::kinematics::{BAR_JOINTS, Joints};
 use crate::model::{Model, ParameterId};
 use crate::prepare::Prepared;
-use crate::solver::Solution;
+use crate::solver::{LossName, Solution};
 
 /// A calibrated robot.
 #[derive(Debug, Clone)]
@@ -24,8 +23,8 @@ pub struct Calibration {
     pub solved: Solved,
     /// What did not stay while it was measured, but so little that it is not refused.
     pub changed: Vec<Changed>,
-    /// The best geometry for who applies less than all of it.
-    pub deployed: Vec<Deployed>,
+    /// How much samples counted that do not fit.
+    pub loss: LossName,
 }
 
 impl Calibration {
@@ -48,6 +47,13 @@ impl Calibration {
     /// Cost of the runs with a ball-bar.
     pub fn cost(&self) -> Option<CostName> {
         self.bars().next().map(|bar| bar.cost)
+    }
+
+    /// What was minimised, in reports.
+    pub fn cost_name(&self) -> &'static str {
+        let mut names = self.runs.iter().map(|run| run.instrument.cost());
+        let first = names.next().filter(|first| names.all(|name| name == *first));
+        first.unwrap_or("each instrument's own")
     }
 
     /// Preparation and parameters of each run with a ball-bar, the first one first.

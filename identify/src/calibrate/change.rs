@@ -5,7 +5,7 @@
 
 use std::fmt;
 
-use crate::calibrate::ball_bar::CalibrateError;
+use crate::calibrate::CalibrateError;
 use crate::cost::{DataSets, SharedColumns};
 use crate::instrument::{Instrument, Run};
 use crate::kinematics::{BAR_JOINTS, LinkParameter};

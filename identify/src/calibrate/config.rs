@@ -145,6 +145,21 @@ impl From<NoiseConfig> for AngleNoise {
     }
 }
 
+/// Starts from random subsets of the samples are no longer made; files that say `ransac = false` are still read.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
+#[serde(try_from = "bool")]
+pub struct NoRansac;
+
+impl TryFrom<bool> for NoRansac {
+    type Error = &'static str;
+
+    fn try_from(wanted: bool) -> Result<Self, Self::Error> {
+        let gone = "solves no longer start from random subsets; leave the key out, and write loss = \"geman_mcclure\" where many \
+                    samples are wrong";
+        if wanted { Err(gone) } else { Ok(Self) }
+    }
+}
+
 /// How to calibrate.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -153,9 +168,9 @@ pub struct IdentifyConfig {
     pub cost: Option<CostName>,
     /// Loss; absent: [`CostName::usual_loss`].
     pub loss: Option<LossName>,
-    /// Where more than a fifth of the samples is wrong: start from random subsets of them (RANSAC). The loss is then
-    /// `geman_mcclure` unless another one is asked for.
-    pub ransac: bool,
+    /// What earlier versions had here.
+    #[serde(skip_serializing)]
+    pub ransac: NoRansac,
     /// Free parameters.
     pub selection: SelectionName,
     /// Parameters freed on top of the selection.
@@ -189,7 +204,7 @@ impl Default for IdentifyConfig {
         Self {
             cost: None,
             loss: None,
-            ransac: false,
+            ransac: NoRansac,
             selection: SelectionName::default(),
             free: Vec::new(),
             fix: Vec::new(),
@@ -217,8 +232,7 @@ const fn says_where_frames_are(id: ParameterId) -> bool {
 impl IdentifyConfig {
     /// The loss for a cost.
     pub fn loss_for(&self, cost: CostName) -> LossName {
-        let usual = if self.ransac { LossName::GemanMcclure } else { cost.usual_loss() };
-        self.loss.unwrap_or(usual)
+        self.loss.unwrap_or(cost.usual_loss())
     }
 
     /// Gives every parameter of a model with a ball-bar its role for a cost that identifies what `identifies` says. `identifiable`

@@ -4,11 +4,13 @@
 use shared::config::RobotConfig;
 
 use super::IdentifyConfig;
-use super::ball_bar::{CalibrateError, RunInput, prepared_runs, set_roles, solve, tolerances};
-use super::change::{self, Changed};
+use super::ball_bar::{RunInput, calibrate_runs, prepared_runs, set_roles, tolerances};
+use super::calibration::Calibration;
+use super::change;
+use super::error::CalibrateError;
 use super::pipeline::{Plan, Solved, estimate, refit, waves_per_turn};
 use super::rows::{self, RowSet};
-use super::validation::deployment::{Deployed, Deployment, deployed, fitted};
+use super::validation::deployment::{Deployment, fitted};
 use super::validation::split::HoldOut;
 use crate::instrument::{
     Contact, ContactError, ContactRow, Instrument, LengthRow, PoseRow, Run, SocketTable, Standing, Tracker,
@@ -132,29 +134,6 @@ impl Rows {
     }
 }
 
-/// A robot calibrated from a mix.
-#[derive(Debug, Clone)]
-pub struct MixedCalibration {
-    /// Data sets with their parameters at the solution: runs with the ball-bar, then files of rows, each in their order.
-    pub runs: Vec<Run>,
-    /// What the stages of the calibration say of each file of rows.
-    pub rows: Vec<RowSet>,
-    /// The solve of all.
-    pub solved: Solved,
-    /// What did not stay while it was measured.
-    pub changed: Vec<Changed>,
-    /// The best geometry for who applies less than that.
-    pub deployed: Vec<Deployed>,
-}
-
-impl MixedCalibration {
-    /// Standard deviation of a parameter of the first data set, SI; none where it was fixed.
-    pub fn sigma(&self, id: ParameterId) -> Option<f64> {
-        let column = self.runs.first()?.model.column_of(id)?;
-        self.solved.solution.covariance.sigma(*self.solved.columns.of_run(0).get(column)?)
-    }
-}
-
 /// Options of the ball-bar alone that a mix cannot follow, or rows without any run of it.
 ///
 /// # Errors
@@ -163,10 +142,8 @@ fn check(data: &DataSets<'_>, config: &IdentifyConfig) -> Result<(), CalibrateEr
     let usual = IdentifyConfig::default();
     let first =
         |given: &[(&'static str, bool)]| given.iter().find(|(_, given)| *given).map(|(option, _)| *option);
-    let of_mix =
-        [("selection", config.selection != usual.selection), ("ransac", config.ransac != usual.ransac)];
-    if let Some(option) = first(&of_mix) {
-        return Err(CalibrateError::Mixed { option });
+    if config.selection != usual.selection {
+        return Err(CalibrateError::Mixed { option: "selection" });
     }
     let terms = (&config.joint_terms, &usual.joint_terms);
     let follows_log = data.rows.iter().any(|rows| matches!(rows.measured, Measured::Path(..)));
@@ -208,7 +185,6 @@ fn laid_out<'w>(
     let flange = flange_chain(robot);
     let mut plan = Plan {
         loss: config.loss.unwrap_or(LossName::Huber),
-        ransac: false,
         groups: Vec::new(),
         tolerances: Vec::new(),
         alike: config.alike().collect(),
@@ -278,13 +254,9 @@ pub fn calibrate(
     robot: &RobotConfig,
     config: &IdentifyConfig,
     watch: Option<&dyn Watch>,
-) -> Result<MixedCalibration, CalibrateError> {
+) -> Result<Calibration, CalibrateError> {
     if data.rows.is_empty() {
-        let mut runs = prepared_runs(&data.bars, robot, config)?;
-        let solved = solve(&mut runs, config, watch)?;
-        let changed = change::checked(&runs, &solved.sigmas, &config.prepare)?;
-        let (rows, deployed) = (Vec::new(), Vec::new());
-        return Ok(MixedCalibration { runs, rows, solved, changed, deployed });
+        return calibrate_runs(&data.bars, robot, config, watch);
     }
     let failed = match staged(data, robot, config, true, watch) {
         Err(error) if error.is_of_solve() => error,
@@ -305,7 +277,7 @@ fn staged(
     config: &IdentifyConfig,
     judged: bool,
     watch: Option<&dyn Watch>,
-) -> Result<MixedCalibration, CalibrateError> {
+) -> Result<Calibration, CalibrateError> {
     let flange = flange_chain(robot);
     let LaidOut { mut runs, mut rows, plan } = laid_out(data, robot, config, judged, watch)?;
     let bars = data.bars.len();
@@ -332,8 +304,7 @@ fn staged(
         let times = set.widens(&run.model, sigmas[number])?;
         solution.covariance = solution.covariance.widened(number, times);
     }
-    let deployed = deployed(&runs, plan.loss, watch)?;
     let changed = change::checked(&runs, &sigmas, &config.prepare)?;
     let solved = Solved { columns, solution, without_terms, candidates, prior_scale, sigmas };
-    Ok(MixedCalibration { runs, rows, solved, changed, deployed })
+    Ok(Calibration { runs, rows, solved, changed, loss: plan.loss })
 }

@@ -1,8 +1,10 @@
 //! The way from measurements to a calibration, in one call each.
 
 pub mod ball_bar;
+mod calibration;
 pub mod change;
 mod config;
+mod error;
 pub mod mix;
 pub mod pipeline;
 pub mod refusal;
@@ -10,6 +12,8 @@ pub mod rows;
 pub mod selection;
 pub mod validation;
 
+pub use calibration::Calibration;
 pub use config::{CostName, IdentifyConfig, JointTermsConfig, NoiseConfig, SelectionName};
+pub use error::CalibrateError;
 pub(crate) use validation::repetition::independent_segments;
 pub use validation::split::HoldOut;

@@ -4,9 +4,9 @@
 
 use nalgebra::DMatrix;
 
-use super::ball_bar::CalibrateError;
 use super::change;
 use super::config::CostName;
+use super::error::CalibrateError;
 use super::rows::WAVES_PER_TURN_MAX;
 use super::selection::line_spectrum::{LineSpectrum, Shown};
 use super::selection::terms::{Candidate, CandidateGroup, Offer, mean, prior_scale, select};
@@ -14,8 +14,8 @@ use crate::cost::{CostError, DataSets, SharedColumns};
 use crate::instrument::Run;
 use crate::model::{Group, Model, ModelError, Parameter, ParameterId, Phase, Role, TermGroup};
 use crate::solver::{
-    Begin, Considered, Covariance, GoodShare, Loss, LossName, Normals, Options, Prior, Problem, Solution,
-    Source, Summary, Watch, influence, minimise, minimise_robust, solve,
+    Considered, Covariance, GoodShare, Loss, LossName, Normals, Options, Prior, Problem, Solution, Source,
+    Summary, Watch, influence, minimise, minimise_robust, solve,
 };
 
 /// The thesis' residuals enter as it defines them; `pose` is whitened by itself.
@@ -39,8 +39,6 @@ pub(super) const LEFT_OUT: usize = 30;
 pub struct Plan<'a> {
     /// How much samples count that do not fit.
     pub loss: LossName,
-    /// Start from random subsets of the samples.
-    pub ransac: bool,
     /// Terms that are tried; a line spectrum without parameters is found in what is left.
     pub groups: Vec<CandidateGroup>,
     /// Parameters that stay where they are.
@@ -56,15 +54,7 @@ pub struct Plan<'a> {
 impl Plan<'_> {
     /// Of rows of one instrument.
     pub fn new(loss: LossName, groups: Vec<CandidateGroup>) -> Self {
-        Plan {
-            loss,
-            ransac: false,
-            groups,
-            fix: Vec::new(),
-            tolerances: Vec::new(),
-            alike: Vec::new(),
-            watch: None,
-        }
+        Plan { loss, groups, fix: Vec::new(), tolerances: Vec::new(), alike: Vec::new(), watch: None }
     }
 }
 
@@ -387,10 +377,6 @@ impl<'a> Solver<'a> {
         }
     }
 
-    fn begin(&self) -> Begin {
-        if self.plan.ransac { Begin::Subsets } else { Begin::Start }
-    }
-
     /// Brings the models of runs of ball-bars near their solution: what is left there says what their residuals are worth.
     fn approach(&mut self) -> Result<Summary, CalibrateError> {
         self.adapt();
@@ -398,7 +384,7 @@ impl<'a> Solver<'a> {
         let Plan { loss, watch, .. } = *self.plan;
         let options = Options { cost_tolerance: COST_TOLERANCE, watch, ..Options::default() };
         let problem = problem(self.runs, &columns, &self.sigmas)?;
-        let (x, reached) = minimise_robust(&problem, &self.start(&columns), loss, self.begin(), &options)?;
+        let (x, reached) = minimise_robust(&problem, &self.start(&columns), loss, &options)?;
         drop(problem);
         self.adopt(&columns, &x);
         Ok(reached)
@@ -416,11 +402,8 @@ impl<'a> Solver<'a> {
         let options = Options { cost_tolerance: COST_TOLERANCE_LAST, watch, ..Options::default() };
         let problem = problem(self.runs, &columns, &self.sigmas)?;
         // The noise has settled, and every residual but those of the ball-bar alone is in standard deviations.
-        let loss = if of_bars {
-            loss.settled(&problem, &start, self.begin().good())
-        } else {
-            loss.for_spread(1.0, problem.rows())
-        };
+        let loss =
+            if of_bars { loss.settled(&problem, &start) } else { loss.for_spread(1.0, problem.rows()) };
         let solution = solve(&problem, &start, &Options { loss, ..options });
         drop(problem);
         let mut solution = solution?.identified()?;

@@ -1,6 +1,6 @@
 //! Refusals taken apart: a page says more of them than a line on a terminal.
 
-use super::ball_bar::CalibrateError;
+use super::error::CalibrateError;
 use super::selection::structure::StructureError;
 use crate::cost::CostError;
 use crate::prepare::{Deviations, Place};

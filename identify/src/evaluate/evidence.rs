@@ -2,19 +2,17 @@
 
 use super::limits::gap_m;
 use super::{
-    CostComparison, HeldOut, JointGap, Limit, Quantiles, ShiftCurve, SphereDeviation, WorkspaceError,
-    compare_costs, held_out, joint_gaps, limits, nominals, shift_curve, uncalibrated, workspace_error,
+    HeldOut, JointGap, Limit, Quantiles, ShiftCurve, SphereDeviation, WorkspaceError, held_out, joint_gaps,
+    limits, nominals, shift_curve, uncalibrated, workspace_error,
 };
-use crate::calibrate::IdentifyConfig;
-use crate::calibrate::ball_bar::{BallBarCalibration, CalibrateError};
 use crate::calibrate::validation::deployment::{Deployed, Deployment};
 use crate::calibrate::validation::held_out::without_each_segment;
-use crate::calibrate::validation::other_costs::other_costs;
+use crate::calibrate::{CalibrateError, Calibration};
 use crate::cost::{Closure, closures};
 use crate::model::Model;
 use crate::prepare::Prepared;
 use crate::solver::Watch;
-use crate::threads::{both, each};
+use crate::threads::each;
 
 /// What one run of a calibration shows.
 #[derive(Debug, Clone)]
@@ -76,18 +74,16 @@ pub struct Evidence {
     /// The best fit of each deployment that leaves something out, and its prediction of the same segments, where somebody asked
     /// for it; without those that do not converge.
     pub deployed: Vec<(Deployed, HeldOut)>,
-    /// What the other costs say, where somebody asked for it.
-    pub costs: Option<CostComparison>,
 }
 
 /// Looks at a calibration.
-pub fn evidence(calibration: &BallBarCalibration, joint_limits: &[[f64; 2]]) -> Evidence {
+pub fn evidence(calibration: &Calibration, joint_limits: &[[f64; 2]]) -> Evidence {
     let runs: Vec<RunEvidence> =
-        calibration.runs().map(|(prepared, model)| RunEvidence::new(prepared, model)).collect();
+        calibration.bar_runs().map(|(prepared, model)| RunEvidence::new(prepared, model)).collect();
     let measured = calibration.measured();
     let by_encoders = measured.contains(&true);
     let all = |of: fn(&RunEvidence) -> &Vec<Closure>| runs.iter().flat_map(of);
-    let (model, covariance) = (&calibration.model, &calibration.solution.covariance);
+    let (model, covariance) = (calibration.model(), &calibration.solution().covariance);
     let workspace =
         workspace_error(model, covariance, joint_limits).with_cube(model, covariance, joint_limits);
     Evidence {
@@ -95,67 +91,45 @@ pub fn evidence(calibration: &BallBarCalibration, joint_limits: &[[f64; 2]]) -> 
         rotations: measured == [true; 5],
         gap_before_m: gap_m(all(|run| &run.before), by_encoders),
         gap_after_m: gap_m(all(|run| &run.after), by_encoders),
-        joints: joint_gaps(calibration.model.axes(), all(|run| &run.after)),
-        limits: limits(calibration, &runs, &workspace),
+        joints: joint_gaps(calibration.model().axes(), all(|run| &run.after)),
+        limits: limits(calibration, &workspace),
         spheres: SphereDeviation::all(calibration, &runs),
         runs,
         workspace,
         held_out: None,
         deployed: Vec::new(),
-        costs: None,
     }
 }
 
 impl Evidence {
-    /// Adds the prediction of held-out segments, by the calibration and by its deployments, and what the other costs say: some
-    /// solves more.
+    /// Adds what the calibration and its deployments predict of segments of the ball-bar's runs that no fit has seen: some solves
+    /// more.
     ///
     /// # Errors
     /// [`CalibrateError`] where `watch` ended it.
     pub fn with_validation(
         mut self,
-        calibration: &BallBarCalibration,
-        config: &IdentifyConfig,
-        joint_limits: &[[f64; 2]],
+        calibration: &Calibration,
         watch: Option<&dyn Watch>,
     ) -> Result<Self, CalibrateError> {
         if let Some(watch) = watch {
-            watch.begins("held-out segments, other costs");
+            watch.begins("held-out segments");
         }
-        // None needs the others, and each is as long as the calibration.
-        let costs = || {
-            let others = other_costs(calibration, config, watch)?;
-            Ok::<_, CalibrateError>(compare_costs(calibration, &others, joint_limits))
-        };
-        let (costs, predicted) = both(costs, || Self::predicted(calibration, config, watch));
-        let (held_out, deployed) = predicted?;
-        self.held_out = Some(held_out);
-        self.costs = Some(costs?);
-        self.deployed = deployed;
-        Ok(self)
-    }
-
-    /// What the calibration and each of its deployments predict of segments that no fit has seen.
-    fn predicted(
-        calibration: &BallBarCalibration,
-        config: &IdentifyConfig,
-        watch: Option<&dyn Watch>,
-    ) -> Result<(HeldOut, Vec<(Deployed, HeldOut)>), CalibrateError> {
-        let segments = without_each_segment(calibration, watch)?;
+        let has_bars = calibration.bars().next().is_some();
+        let segments = if has_bars { without_each_segment(calibration, watch)? } else { Vec::new() };
         let nominals = nominals(calibration, &segments);
         let deployed = |deployment| {
-            let found = calibration.deployed(deployment, config.loss_for(calibration.cost))?;
-            let told = |found: BallBarCalibration| {
-                let held_out = held_out(&found, &without_each_segment(&found, watch)?, &nominals);
-                let BallBarCalibration { model, solution, .. } = found;
-                Ok::<_, CalibrateError>((Deployed { deployment, model, solution }, held_out))
+            let found = calibration.deployed(deployment, watch)?;
+            let told = |found: Calibration| {
+                let segments = if has_bars { without_each_segment(&found, watch)? } else { Vec::new() };
+                let held_out = held_out(&found, &segments, &nominals);
+                Ok::<_, CalibrateError>((Deployed::new(deployment, found), held_out))
             };
             found.map(told).transpose()
         };
-        let all = each(Deployment::PARTIAL.len(), |number| deployed(Deployment::PARTIAL[number]));
-        Ok((
-            held_out(calibration, &segments, &nominals),
-            all.into_iter().filter_map(Result::transpose).collect::<Result<_, _>>()?,
-        ))
+        let deployed = each(Deployment::PARTIAL.len(), |number| deployed(Deployment::PARTIAL[number]));
+        self.deployed = deployed.into_iter().filter_map(Result::transpose).collect::<Result<_, _>>()?;
+        self.held_out = has_bars.then(|| held_out(calibration, &segments, &nominals));
+        Ok(self)
     }
 }

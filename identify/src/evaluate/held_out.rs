@@ -2,7 +2,7 @@
 
 use super::nominal::bar_fitted;
 use super::{rms, uncalibrated};
-use crate::calibrate::ball_bar::BallBarCalibration;
+use crate::calibrate::Calibration;
 use crate::calibrate::validation::held_out::Segment;
 use crate::cost::{Closure, closures};
 use crate::kinematics::LinkParameter;
@@ -83,8 +83,8 @@ impl HeldOut {
 }
 
 /// The nominal robot of each segment, the bar fitted to it on the rest of the run; none where the rest could not predict it.
-pub fn nominals(calibration: &BallBarCalibration, segments: &[Segment]) -> Vec<Option<Geometry>> {
-    let runs: Vec<_> = calibration.runs().collect();
+pub fn nominals(calibration: &Calibration, segments: &[Segment]) -> Vec<Option<Geometry>> {
+    let runs: Vec<_> = calibration.bar_runs().collect();
     let nominal = |segment: &Segment| {
         let (prepared, _) = runs.get(segment.run)?;
         Some(uncalibrated(segment.model.as_ref()?, &prepared.motion, &segment.others))
@@ -93,22 +93,18 @@ pub fn nominals(calibration: &BallBarCalibration, segments: &[Segment]) -> Vec<O
 }
 
 /// Looks at each segment with the parameters that were found without it, and with the nominal robot.
-pub fn held_out(
-    calibration: &BallBarCalibration,
-    segments: &[Segment],
-    nominals: &[Option<Geometry>],
-) -> HeldOut {
+pub fn held_out(calibration: &Calibration, segments: &[Segment], nominals: &[Option<Geometry>]) -> HeldOut {
+    let Some(cost) = calibration.cost() else { return HeldOut::default() };
     let measured = calibration.measured();
     let by_encoders = measured.contains(&true);
-    let is_estimated = |link| {
-        calibration.cost.identifies(&measured, ParameterId::Bar { link, parameter: LinkParameter::Theta })
-    };
+    let is_estimated =
+        |link| cost.identifies(&measured, ParameterId::Bar { link, parameter: LinkParameter::Theta });
     // A cost without some of the encoders leaves their offsets as they were: robots are compared, each with its bar fitted.
     let all_estimated = measured.iter().enumerate().all(|(link, measured)| !measured || is_estimated(link));
     let geometry = |model: &Model, motion: &_, observations: &[Observation]| {
         if all_estimated { model.geometry(&[]) } else { bar_fitted(model.clone(), motion, observations) }
     };
-    let runs: Vec<_> = calibration.runs().collect();
+    let runs: Vec<_> = calibration.bar_runs().collect();
     let whole: Vec<Geometry> = runs
         .iter()
         .map(|(prepared, model)| geometry(model, &prepared.motion, &prepared.observations))

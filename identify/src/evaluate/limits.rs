@@ -2,16 +2,17 @@
 
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
+use shared::config::JointKind;
 use shared::output::named;
 use statrs::distribution::{ContinuousCDF, Normal};
 
-use super::{Elongation, PositiveForce, Quantiles, RunEvidence, WorkspaceError};
-use crate::calibrate::ball_bar::BallBarCalibration;
+use super::{Elongation, PositiveForce, Quantiles, WorkspaceError};
+use crate::calibrate::Calibration;
 use crate::calibrate::change::Changed;
 use crate::calibrate::validation::agreement::{Disagreement, disagreeing};
 use crate::cost::Closure;
 use crate::instrument::{Instrument, Run};
-use crate::kinematics::LinkParameter;
+use crate::kinematics::{DhLink, Joints, LinkParameter};
 use crate::model::{JointTerm, Model, ParameterId, Role};
 use crate::prepare::Prepared;
 use crate::solver::{Loss, Solution};
@@ -63,69 +64,76 @@ pub struct Limit {
     pub serious: bool,
 }
 
-/// What limits a calibration, the most important first.
-pub fn limits(
-    calibration: &BallBarCalibration,
-    runs: &[RunEvidence],
-    workspace: &WorkspaceError,
-) -> Vec<Limit> {
+/// What limits a calibration, whatever it was measured with, the most important first.
+pub fn limits(calibration: &Calibration, workspace: &WorkspaceError) -> Vec<Limit> {
     let mut limits = Vec::new();
-    for (number, (prepared, _)) in calibration.runs().enumerate() {
+    for (number, bar) in calibration.bars().enumerate() {
         let place = place(calibration, number);
         limits.extend(
-            of_run(prepared).map(|sentence| Limit { sentence: place.clone() + &sentence, serious: true }),
+            of_run(&bar.prepared)
+                .map(|sentence| Limit { sentence: place.clone() + &sentence, serious: true }),
         );
     }
-    let (model, solution) = (&calibration.model, &calibration.solution);
+    let (model, solution) = (calibration.model(), calibration.solution());
     let reach_m = model.geometry(&[]).robot.reach_m();
     limits.extend(of_changes(&calibration.changed, reach_m, workspace.budget.expanded_m));
     limits.extend(of_drives(model, solution));
-    limits.extend(turned_plate(model, solution));
-    // One alone contradicts nothing, and its copy would be of the whole log.
-    let several = if calibration.others.is_empty() { Vec::new() } else { calibration.all_runs() };
-    let scales = calibration.bars().map(|_| ScaleFrom::Plate);
-    limits.extend(of_solution(model, solution, &several, &calibration.sigmas, scales));
+    // Another instrument takes the turn of what it holds for its own mounting.
+    limits.extend(calibration.bars().next().and_then(|_| turned_plate(model, solution)));
+    limits.extend(of_disagreement(&calibration.runs, &calibration.solved.sigmas, solution.loss));
+    // A wrong scale strains the priors of all lengths, too.
+    let scales = calibration.runs.iter().map(|run| ScaleFrom::from(&run.instrument));
+    limits.extend(of_lengths(model, solution, scales));
+    limits.extend(strained_priors(model, solution));
     limits.extend(lasting_errors(calibration));
-    let mut tell = |serious: bool, sentence: String| limits.push(Limit { sentence, serious });
-    for (joint, travel_deg) in travel_deg(runs).into_iter().enumerate() {
-        if travel_deg < TRAVEL_MIN_DEG {
-            tell(
-                true,
-                format!(
-                    "Joint {} turned by {travel_deg:.0} degrees only; a path that turns it further determines its link better.",
-                    joint + 1
-                ),
-            );
-        }
-    }
-    let weights = &calibration.solution.sample_weights;
+    limits.extend(little_travel(calibration));
+    limits.extend(outliers(solution));
+    limits.extend(weakest(workspace));
+    limits.extend(forces_without_sign(calibration));
+    limits
+}
+
+/// Joints that hardly moved.
+fn little_travel(calibration: &Calibration) -> Vec<Limit> {
+    let little = |(joint, travel_deg): (usize, f64)| Limit {
+        sentence: format!(
+            "Joint {} turned by {travel_deg:.0} degrees only; a path that turns it further determines its link better.",
+            joint + 1
+        ),
+        serious: true,
+    };
+    let travel = travel_deg(calibration).into_iter();
+    travel.filter(|(_, travel_deg)| *travel_deg < TRAVEL_MIN_DEG).map(little).collect()
+}
+
+/// Samples that the loss hardly trusts.
+fn outliers(solution: &Solution) -> Option<Limit> {
+    let weights = &solution.sample_weights;
     // At its scale a loss trusts a sample half, but for the one that trusts it by the square of that.
-    let least = match calibration.solution.loss {
+    let least = match solution.loss {
         Loss::GemanMcClure { .. } => WEIGHT_MIN.powi(2),
         _ => WEIGHT_MIN,
     };
     let outliers = weights.iter().filter(|weight| **weight < least).count();
-    if outliers * 20 > weights.len() {
-        tell(
-            true,
-            format!(
-                "{outliers} of {} samples fit badly and count less: look for a loose joint, slip or collisions in the log.",
-                weights.len()
-            ),
-        );
-    }
-    if !workspace.weakest.is_empty() {
-        let names: Vec<&str> = workspace.weakest.iter().map(|(name, _)| name.as_str()).take(NAMED).collect();
-        tell(
-            false,
-            format!(
-                "The weakest combination of parameters is {}: poses that separate these improve the result most.",
-                names.join(", ")
-            ),
-        );
-    }
-    limits.extend(forces_without_sign(calibration));
-    limits
+    (outliers * 20 > weights.len()).then(|| Limit {
+        sentence: format!(
+            "{outliers} of {} samples fit badly and count less: look for a loose joint, slip or collisions in the log.",
+            weights.len()
+        ),
+        serious: true,
+    })
+}
+
+/// What other poses would improve most.
+fn weakest(workspace: &WorkspaceError) -> Option<Limit> {
+    let names: Vec<&str> = workspace.weakest.iter().map(|(name, _)| name.as_str()).take(NAMED).collect();
+    (!names.is_empty()).then(|| Limit {
+        sentence: format!(
+            "The weakest combination of parameters is {}: poses that separate these improve the result most.",
+            names.join(", ")
+        ),
+        serious: false,
+    })
 }
 
 /// What fixes the scale of all lengths.
@@ -167,22 +175,6 @@ impl ScaleFrom {
     }
 }
 
-/// What a solve of any mix of data sets contradicts: each other, what was expected, the robot's lengths. `model` has the solution's
-/// first columns; `sigmas` are what residuals of each of the runs are worth, `scales` what fixes that of lengths.
-pub fn of_solution(
-    model: &Model,
-    solution: &Solution,
-    runs: &[Run],
-    sigmas: &[f64],
-    scales: impl Iterator<Item = ScaleFrom>,
-) -> Vec<Limit> {
-    let mut limits: Vec<Limit> = of_disagreement(runs, sigmas, solution.loss).into_iter().collect();
-    // A wrong scale strains the priors of all lengths, too.
-    limits.extend(of_lengths(model, solution, scales));
-    limits.extend(strained_priors(model, solution));
-    limits
-}
-
 /// Data sets that contradict each other.
 fn of_disagreement(runs: &[Run], sigmas: &[f64], loss: Loss) -> Option<Limit> {
     let of = |Disagreement { data_set, times }: &Disagreement| {
@@ -217,7 +209,7 @@ fn of_lengths(model: &Model, solution: &Solution, scales: impl Iterator<Item = S
 /// What did not stay while it was measured: serious where the end of an arm of this reach moves by more than a negligible part of what
 /// its geometry is said to be known within. That part is small: a change is in the uncertainty, too, since other samples say other
 /// things.
-pub fn of_changes(changed: &[Changed], reach_m: f64, known_m: f64) -> Option<Limit> {
+fn of_changes(changed: &[Changed], reach_m: f64, known_m: f64) -> Option<Limit> {
     (!changed.is_empty()).then(|| Limit {
         sentence: format!(
             "Something changed while it was measured: {}. The robot is calibrated for what lies between: let it warm up, look at what is \
@@ -229,12 +221,12 @@ pub fn of_changes(changed: &[Changed], reach_m: f64, known_m: f64) -> Option<Lim
 }
 
 /// Of which run something is said, where there are several.
-fn place(calibration: &BallBarCalibration, run: usize) -> String {
-    if calibration.others.is_empty() { String::new() } else { format!("Run {}: ", run + 1) }
+fn place(calibration: &Calibration, run: usize) -> String {
+    if calibration.runs.len() == 1 { String::new() } else { format!("Data set {}: ", run + 1) }
 }
 
 /// Runs of which more is left than noise.
-fn lasting_errors(calibration: &BallBarCalibration) -> impl Iterator<Item = Limit> {
+fn lasting_errors(calibration: &Calibration) -> impl Iterator<Item = Limit> {
     let found = calibration.bars().enumerate().filter_map(|(run, bar)| Some((run, bar.found?)));
     let lasting = found.filter(|(_, found)| {
         found.autocorrelation - BY_CHANCE * found.autocorrelation_sigma > AUTOCORRELATION_MAX
@@ -251,7 +243,7 @@ fn lasting_errors(calibration: &BallBarCalibration) -> impl Iterator<Item = Limi
 }
 
 /// Forces that explain nothing.
-fn forces_without_sign(calibration: &BallBarCalibration) -> impl Iterator<Item = Limit> {
+fn forces_without_sign(calibration: &Calibration) -> impl Iterator<Item = Limit> {
     let without =
         Elongation::all(calibration).into_iter().filter(|one| one.positive == PositiveForce::NotDetermined);
     without.map(|elongation| Limit {
@@ -493,15 +485,15 @@ fn of_run(prepared: &Prepared) -> impl Iterator<Item = String> {
     rewired.into_iter().chain(repeats)
 }
 
-/// Widest range of each robot joint over the samples \[deg\].
-fn travel_deg(runs: &[RunEvidence]) -> Vec<f64> {
-    let first = runs.iter().find_map(|run| run.after.first());
-    let of_joint = |joint: usize| {
-        let angles = runs.iter().flat_map(|run| &run.after).map(|closure| closure.joints.q[joint]);
-        let [low, high] = extremes(angles);
-        (high - low).max(0.0).to_degrees()
+/// Widest range of each revolute joint over the samples \[deg\].
+fn travel_deg(calibration: &Calibration) -> Vec<(usize, f64)> {
+    let poses: Vec<Joints> = calibration.poses().collect();
+    let robot = calibration.model().geometry(&[]).robot;
+    let turned = |(joint, link): (usize, &DhLink)| {
+        let [low, high] = extremes(poses.iter().map(|q| q[joint]));
+        (link.joint == JointKind::Revolute).then(|| (joint, (high - low).max(0.0).to_degrees()))
     };
-    (0..first.map_or(0, |closure| closure.joints.q.len())).map(of_joint).collect()
+    robot.links.iter().enumerate().filter_map(turned).collect()
 }
 
 /// Distances of robot and bar \[m\].

@@ -1,7 +1,6 @@
 //! What a calibration shows when one looks at it: figures for the report, computed from a solve and never fed back.
 
 mod accuracy;
-mod costs;
 mod evidence;
 mod figures;
 mod gaps;
@@ -19,12 +18,11 @@ pub use accuracy::consistency::{Compared, Consistency, ConsistencyError};
 pub use accuracy::cube::CubeError;
 pub use accuracy::validity::Validity;
 pub use accuracy::workspace::{Expected, PlaceError, WorkspaceError, workspace_error};
-pub use costs::{CostComparison, CostEntry, CostFigures, compare_costs};
 pub use evidence::{Evidence, RunEvidence, evidence};
 pub use figures::{Quantiles, rms};
 pub use gaps::{JointGap, joint_gaps};
 pub use held_out::{HeldOut, HeldOutSegment, PoseError, PoseErrorRms, held_out, nominals};
-pub use limits::{Limit, ScaleFrom, limits, of_changes, of_solution};
+pub use limits::{Limit, ScaleFrom, limits};
 pub use nominal::uncalibrated;
 pub use scale::scale_sentence;
 pub use separation::not_separated;

@@ -7,7 +7,8 @@ use nalgebra::Vector3;
 
 use super::figures::rms;
 use super::{Quantiles, RunEvidence};
-use crate::calibrate::ball_bar::BallBarCalibration;
+use crate::calibrate::Calibration;
+use crate::calibrate::pipeline::Solved;
 use crate::cost::Closure;
 use crate::model::{Model, ParameterId};
 use crate::prepare::{BarForces, Prepared};
@@ -92,23 +93,18 @@ pub struct Elongation {
 
 impl Elongation {
     /// Of the first run of a calibration that has a force; none without any.
-    pub fn of(calibration: &BallBarCalibration) -> Option<Self> {
+    pub fn of(calibration: &Calibration) -> Option<Self> {
         Self::all(calibration).into_iter().next()
     }
 
     /// Of each run of a calibration that has a force.
-    pub fn all(calibration: &BallBarCalibration) -> Vec<Self> {
-        let runs = calibration.runs().enumerate();
+    pub fn all(calibration: &Calibration) -> Vec<Self> {
+        let runs = calibration.bar_runs().enumerate();
         runs.filter_map(|(run, (prepared, model))| Self::of_run(calibration, run, prepared, model)).collect()
     }
 
-    fn of_run(
-        calibration: &BallBarCalibration,
-        run: usize,
-        prepared: &Prepared,
-        model: &Model,
-    ) -> Option<Self> {
-        let BallBarCalibration { columns, solution, .. } = calibration;
+    fn of_run(calibration: &Calibration, run: usize, prepared: &Prepared, model: &Model) -> Option<Self> {
+        let Solved { columns, solution, .. } = &calibration.solved;
         let measured = prepared.force?;
         // Play where it explains more than compliance, see the estimate.
         let free = [ParameterId::BarCompliance, ParameterId::BarPlay].into_iter();
@@ -167,7 +163,7 @@ pub struct SphereDeviation {
 
 impl SphereDeviation {
     /// Of each run.
-    pub fn all(calibration: &BallBarCalibration, runs: &[RunEvidence]) -> Vec<Self> {
+    pub fn all(calibration: &Calibration, runs: &[RunEvidence]) -> Vec<Self> {
         let [first, second, ..] = calibration.measured();
         let of_run = |((run, seen), (prepared, model)): ((usize, &RunEvidence), (&Prepared, &Model))| {
             let elongation = Elongation::of_run(calibration, run, prepared, model);
@@ -176,6 +172,6 @@ impl SphereDeviation {
                 .map(|closures| Deviation::of(closures, of_signs, first && second));
             Self { before, after, elongation }
         };
-        runs.iter().enumerate().zip(calibration.runs()).map(of_run).collect()
+        runs.iter().enumerate().zip(calibration.bar_runs()).map(of_run).collect()
     }
 }

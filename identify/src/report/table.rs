@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use super::result::corrections::TO_JOINT;
 use super::result::file::{CalibrationFile, ReadIn, Status};
-use crate::calibrate::mix::MixedCalibration;
+use crate::calibrate::Calibration;
 use crate::calibrate::validation::deployment::Deployment;
 use crate::calibrate::validation::truth::Comparison;
 use crate::inspect::{Inspection, JointLine};
@@ -58,7 +58,7 @@ pub fn calibration(file: &CalibrationFile) -> String {
 }
 
 /// What each data set of a mix is worth: its samples, the noise that the solve gave it, and what is left.
-pub fn data_sets(found: &MixedCalibration) -> String {
+pub fn data_sets(found: &Calibration) -> String {
     let mut text = format!("{:<12}{:>8}{:>24}\n", "instrument", "samples", "noise");
     for (Run { instrument, .. }, sigma) in found.runs.iter().zip(&found.solved.sigmas) {
         let (name, samples) = (instrument.name(), instrument.samples());

@@ -12,7 +12,6 @@ mod loss;
 mod outcome;
 mod panel;
 mod pass;
-mod ransac;
 mod robust;
 mod subset;
 mod watch;
@@ -29,8 +28,7 @@ pub use loss::{Loss, LossName};
 pub use outcome::{NotConverged, Options, Solution, Summary, Termination};
 pub use panel::Block;
 pub use pass::stacked;
-pub use ransac::{RansacOptions, ransac};
-pub use robust::{Begin, GoodShare, Schedule, minimise_robust};
+pub use robust::{GoodShare, Schedule, minimise_robust};
 pub use subset::Subset;
 pub use watch::{Progress, Watch};
 

@@ -313,16 +313,6 @@ pub(super) fn fits<P: Problem>(problem: &P, x: &[f64]) -> Vec<SampleFit> {
     plain(problem, x).run(|| ()).map(|((), fits)| fits).unwrap_or_default()
 }
 
-/// Squared residual norm of each sample that has a value at `x`, without loss. Empty where one is not finite.
-pub(super) fn squared_norms<P: Problem>(problem: &P, x: &[f64]) -> Vec<f64> {
-    squared_norms_of_all(problem, x).into_iter().filter(|squared| squared.is_finite()).collect()
-}
-
-/// The same for all samples: infinite for one without a value.
-pub(super) fn squared_norms_of_all<P: Problem>(problem: &P, x: &[f64]) -> Vec<f64> {
-    fits(problem, x).iter().map(|fit| if fit.present { fit.squared } else { f64::INFINITY }).collect()
-}
-
 /// Residuals and Jacobian of all samples that have a value at `x`, stacked, without loss and priors: for looking at,
 /// and for other solvers. None where one of them is not finite.
 pub fn stacked<P: Problem>(problem: &P, x: &[f64]) -> Option<(DVector<f64>, DMatrix<f64>)> {

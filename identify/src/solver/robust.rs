@@ -6,7 +6,7 @@
 
 use super::loss::squared_norm_quantile;
 use super::pass::fits;
-use super::{Loss, LossName, Options, Problem, RansacOptions, SolveError, Summary, minimise, ransac};
+use super::{Loss, LossName, Options, Problem, SolveError, Summary, minimise};
 
 /// Standard normal quantiles of 0.95 and 0.99: beyond the scale of a loss on the way, and of the last one.
 const ON_THE_WAY: f64 = 1.645;
@@ -28,8 +28,6 @@ pub struct GoodShare {
 impl GoodShare {
     /// Half of the samples may be wrong.
     pub const HALF: Self = Self { share: 0.5, normal: 0.0 };
-    /// More than half may be.
-    pub const TWO_FIFTHS: Self = Self { share: 0.4, normal: -0.2533 };
     /// All but gross outliers.
     pub const NINE_TENTHS: Self = Self { share: 0.9, normal: 1.2816 };
 
@@ -66,9 +64,8 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    const fn of(good: GoodShare) -> Self {
-        Self { good: [good; 2], narrowing: 0.0, sharper: None, rounds_max: 20 }
-    }
+    /// Half of the samples good all along.
+    const USUAL: Self = Self { good: [GoodShare::HALF; 2], narrowing: 0.0, sharper: None, rounds_max: 20 };
 
     /// Parameters and standard deviation of a residual where the spread has settled. `solve` improves parameters with a loss
     /// for that standard deviation ([`LossName::Cauchy`], [`Loss::on_the_way`]).
@@ -125,31 +122,11 @@ impl LossName {
     }
 
     /// The loss with the scale of the residuals at `x`, where the spread has settled already.
-    pub fn settled<P: Problem>(self, problem: &P, x: &[f64], good: GoodShare) -> Loss {
+    pub fn settled<P: Problem>(self, problem: &P, x: &[f64]) -> Loss {
         if self == Self::None {
             return Loss::Squared;
         }
-        self.for_spread(good.spread_at(problem, x), problem.rows())
-    }
-}
-
-/// Where a robust solve begins.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Begin {
-    /// At the values given, which most samples must be near to.
-    Start,
-    /// At what random subsets agree on ([`ransac()`]): up to three fifths of the samples may be wrong however far, and the
-    /// scale of the loss follows the best two fifths.
-    Subsets,
-}
-
-impl Begin {
-    /// Samples that are taken as good.
-    pub const fn good(self) -> GoodShare {
-        match self {
-            Self::Start => GoodShare::HALF,
-            Self::Subsets => GoodShare::TWO_FIFTHS,
-        }
+        self.for_spread(GoodShare::HALF.spread_at(problem, x), problem.rows())
     }
 }
 
@@ -161,20 +138,13 @@ pub fn minimise_robust<P: Problem>(
     problem: &P,
     start: &[f64],
     loss: LossName,
-    begin: Begin,
     options: &Options<'_>,
 ) -> Result<(Vec<f64>, Summary), SolveError> {
-    let good = begin.good();
-    let mut x = start.to_vec();
-    if begin == Begin::Subsets {
-        let choice = RansacOptions { good_share: good.share, ..RansacOptions::default() };
-        x = ransac(problem, start, &choice, options)?;
-    }
     if loss == LossName::None {
-        return minimise(problem, &x, options);
+        return minimise(problem, start, options);
     }
     let spread = |x: &[f64], good: GoodShare| good.spread_at(problem, x);
-    let (x, sigma) = Schedule::of(good).settle(x, spread, |x, sigma| {
+    let (x, sigma) = Schedule::USUAL.settle(start.to_vec(), spread, |x, sigma| {
         let between = Options {
             loss: Loss::on_the_way(sigma, problem.rows()),
             iterations_max: STEPS_BETWEEN,

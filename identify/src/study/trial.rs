@@ -149,7 +149,7 @@ fn by_bar(
         euclidean_mm_mrad: Some(compared.euclidean_mm_mrad()),
         largest_mm_mrad: Some(compared.max_mm_mrad()),
         errors: if with_errors { errors.collect() } else { BTreeMap::new() },
-        ..position(&found.model, &simulated.truth, definition, [Vector3::zeros(); 2])
+        ..position(found.model(), &simulated.truth, definition, [Vector3::zeros(); 2])
     })
 }
 

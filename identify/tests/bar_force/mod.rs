@@ -5,8 +5,9 @@
 mod files;
 
 use crate::support::{bar, irb2400};
-use identify::calibrate::ball_bar::{self, BallBarCalibration, CalibrateError};
+use identify::calibrate::ball_bar;
 use identify::calibrate::validation::truth::Comparison;
+use identify::calibrate::{CalibrateError, Calibration};
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig};
 use identify::evaluate::{Elongation, PositiveForce, evidence};
 use identify::kinematics::{Chain, Joints, Trace, Tracer};
@@ -28,7 +29,7 @@ fn simulated(load: BarLoad, seed: u64) -> Simulated {
     simulate::run(&experiment).unwrap()
 }
 
-fn calibrated(run: &Simulated, cost: CostName) -> Result<BallBarCalibration, CalibrateError> {
+fn calibrated(run: &Simulated, cost: CostName) -> Result<Calibration, CalibrateError> {
     let config = IdentifyConfig {
         cost: Some(cost),
         encoder_harmonics_urad: 0.0,
@@ -38,7 +39,7 @@ fn calibrated(run: &Simulated, cost: CostName) -> Result<BallBarCalibration, Cal
     ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &irb2400(), &bar(), &config)
 }
 
-fn robot_error(found: &BallBarCalibration, run: &Simulated) -> f64 {
+fn robot_error(found: &Calibration, run: &Simulated) -> f64 {
     Comparison::new(found, &run.truth).only(|id| matches!(id, ParameterId::Robot { .. })).euclidean_mm_mrad()
 }
 

@@ -1,7 +1,8 @@
 //! One file of rows, calibrated with nothing beside it.
 
-use identify::calibrate::ball_bar::CalibrateError;
-use identify::calibrate::mix::{DataSets, Measured, MixedCalibration, Rows, calibrate};
+use identify::calibrate::CalibrateError;
+use identify::calibrate::Calibration;
+use identify::calibrate::mix::{DataSets, Measured, Rows, calibrate};
 use identify::calibrate::rows::{RowSet, Stages};
 use identify::calibrate::{HoldOut, IdentifyConfig, JointTermsConfig};
 use identify::instrument::{LengthRow, PoseRow};
@@ -18,7 +19,7 @@ pub struct Alone {
 }
 
 /// Its calibration.
-pub struct Found(pub MixedCalibration);
+pub struct Found(pub Calibration);
 
 impl Alone {
     /// Single rows are held out, and the errors of joints have few waves.

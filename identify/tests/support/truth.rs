@@ -1,6 +1,6 @@
 //! What a calibration is worth when the truth is known.
 
-use identify::calibrate::ball_bar::BallBarCalibration;
+use identify::calibrate::Calibration;
 use identify::calibrate::validation::truth::position_errors_m;
 use identify::kinematics::{Chain, DhLink, Joints};
 use identify::simulate::Simulated;
@@ -10,8 +10,8 @@ use rand::{Rng, SeedableRng};
 use shared::config::RobotConfig;
 
 /// Mean distance between the end of the true robot and that of the identified one over postures within the limits \[m\].
-pub fn position_error_m(run: &Simulated, found: &BallBarCalibration, robot: &RobotConfig) -> f64 {
-    position_errors_m(&found.model, &run.truth, robot, [Vector3::zeros(); 2]).0
+pub fn position_error_m(run: &Simulated, found: &Calibration, robot: &RobotConfig) -> f64 {
+    position_errors_m(found.model(), &run.truth, robot, [Vector3::zeros(); 2]).0
 }
 
 /// Mean distance of two robots' wrists over postures within the limits, one robot moved as a whole to where it fits the other

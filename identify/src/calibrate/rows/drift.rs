@@ -10,7 +10,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::calibrate::ball_bar::CalibrateError;
+use crate::calibrate::CalibrateError;
 use crate::calibrate::selection::terms::{falls, mean};
 use crate::cost::{DataSets, SharedColumns};
 use crate::instrument::{Measures, Wire};

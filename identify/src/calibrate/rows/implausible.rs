@@ -10,7 +10,7 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::tracker::{ROWS_MIN, check_rows, placed};
 use super::{PoseFigures, RowSet, Sizes, is_surely_worse};
-use crate::calibrate::ball_bar::CalibrateError;
+use crate::calibrate::CalibrateError;
 use crate::calibrate::mix::{Measured, Rows};
 use crate::calibrate::pipeline::{Plan, estimate};
 use crate::instrument::{Instrument, PoseError, PoseRow, Run, Standing, Tracker, Wire, standing};

@@ -15,7 +15,7 @@ mod wire;
 
 use std::collections::BTreeMap;
 
-use super::ball_bar::CalibrateError;
+use super::error::CalibrateError;
 use super::mix::Measured;
 use crate::instrument::{
     Instrument, Measures, PoseError, RejectedRow, Rejection, Run, Wire, faulty, gross_rows, without,

@@ -6,8 +6,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::calibrate::ball_bar::{BallBarCalibration, CalibrateError};
-use crate::calibrate::pipeline::refit;
+use crate::calibrate::pipeline::{Solved, refit};
+use crate::calibrate::{CalibrateError, Calibration};
 use crate::cost::SharedColumns;
 use crate::instrument::Run;
 use crate::kinematics::LinkParameter;
@@ -63,42 +63,28 @@ pub struct Deployed {
     pub solution: Solution,
 }
 
-/// The runs, which are at the solution of the full model, solved again for each deployment that leaves something out; without
-/// those whose solve does not converge.
-///
-/// # Errors
-/// [`CalibrateError`].
-pub(in crate::calibrate) fn deployed(
-    runs: &[Run],
-    loss: LossName,
-    watch: Option<&dyn Watch>,
-) -> Result<Vec<Deployed>, CalibrateError> {
-    let one = |deployment| {
-        let found = fitted(runs, deployment, loss, watch)?;
-        let of_first = |Fitted { runs, solution, .. }: Fitted| {
-            let model = runs.into_iter().next()?.model;
-            Some(Deployed { deployment, model, solution })
-        };
-        Ok(found.and_then(of_first))
-    };
-    Deployment::PARTIAL.into_iter().filter_map(|deployment| one(deployment).transpose()).collect()
+impl Deployed {
+    /// Of the calibration for a deployment.
+    pub fn new(deployment: Deployment, found: Calibration) -> Self {
+        Self { deployment, model: found.model().clone(), solution: found.solved.solution }
+    }
 }
 
-impl BallBarCalibration {
+impl Calibration {
     /// The calibration for a deployment: its best fit to the same samples; none where the solve does not converge.
     ///
     /// # Errors
     /// [`CalibrateError`].
-    pub fn deployed(&self, deployment: Deployment, loss: LossName) -> Result<Option<Self>, CalibrateError> {
-        let Some(Fitted { runs, columns, solution, sigmas }) =
-            fitted(&self.all_runs(), deployment, loss, None)?
-        else {
-            return Ok(None);
-        };
-        let mut runs = runs.into_iter();
-        let Run { instrument, model } = runs.next().ok_or(CalibrateError::NoRun)?;
-        let others = runs.collect();
-        Ok(Some(Self { instrument, model, others, columns, solution, sigmas, ..self.clone() }))
+    pub fn deployed(
+        &self,
+        deployment: Deployment,
+        watch: Option<&dyn Watch>,
+    ) -> Result<Option<Self>, CalibrateError> {
+        let found = fitted(&self.runs, deployment, self.loss, watch)?;
+        Ok(found.map(|Fitted { runs, columns, solution, sigmas }| {
+            let solved = Solved { columns, solution, sigmas, ..self.solved.clone() };
+            Self { runs, solved, ..self.clone() }
+        }))
     }
 }
 

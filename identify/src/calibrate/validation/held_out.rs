@@ -3,8 +3,8 @@
 use std::ops::Range;
 
 use super::split::segments;
-use crate::calibrate::ball_bar::{BallBarCalibration, CalibrateError};
-use crate::calibrate::pipeline::problem;
+use crate::calibrate::pipeline::{Solved, problem};
+use crate::calibrate::{CalibrateError, Calibration};
 use crate::cost::SharedColumns;
 use crate::instrument::Run;
 use crate::model::{Model, Observation, ParameterId};
@@ -36,11 +36,11 @@ pub struct Segment {
 /// # Errors
 /// [`CalibrateError`] where `watch` ended it or the samples do not suit the cost.
 pub fn without_each_segment(
-    calibration: &BallBarCalibration,
+    calibration: &Calibration,
     watch: Option<&dyn Watch>,
 ) -> Result<Vec<Segment>, CalibrateError> {
     let runs = calibration.thinned(SAMPLES_MAX);
-    let BallBarCalibration { columns, solution, sigmas, .. } = calibration;
+    let Solved { columns, solution, sigmas, .. } = &calibration.solved;
     let problem = problem(&runs, columns, sigmas)?;
     let count = (SEGMENTS_OF_ALL / runs.len().max(1)).clamp(2, SEGMENTS);
     let segments = segments(problem.starts(), count);

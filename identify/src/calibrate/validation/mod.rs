@@ -1,9 +1,8 @@
-//! What judges a calibration: samples that were held out, controllers that take a part of it, other costs, a simulated truth.
+//! What judges a calibration: samples that were held out, controllers that take a part of it, a simulated truth.
 
 pub mod agreement;
 pub mod deployment;
 pub mod held_out;
-pub mod other_costs;
 pub(in crate::calibrate) mod repetition;
 pub(crate) mod split;
 pub mod truth;

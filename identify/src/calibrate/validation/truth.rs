@@ -3,7 +3,7 @@
 use nalgebra::{Point3, Vector3};
 use shared::config::RobotConfig;
 
-use crate::calibrate::ball_bar::BallBarCalibration;
+use crate::calibrate::Calibration;
 use crate::calibrate::selection::links::inseparable_offsets;
 use crate::kinematics::{LinkParameter, nearest_turn};
 use crate::model::{Model, ParameterId, Unit};
@@ -41,9 +41,9 @@ pub struct Comparison {
 
 impl Comparison {
     /// Sets a calibration beside the truth of its experiment.
-    pub fn new(calibration: &BallBarCalibration, truth: &Truth) -> Self {
+    pub fn new(calibration: &Calibration, truth: &Truth) -> Self {
         let parameters = calibration
-            .model
+            .model()
             .columns()
             .filter(|parameter| {
                 use ParameterId::{Bar, Base, BaseRotation, Robot};
@@ -52,11 +52,11 @@ impl Comparison {
             .map(|parameter| Compared {
                 id: parameter.id,
                 truth: true_value(truth, parameter.id, parameter.value)
-                    + carried_m(&calibration.model, truth, parameter.id),
+                    + carried_m(calibration.model(), truth, parameter.id),
                 identified: parameter.value,
             })
             .collect();
-        let value = |id| calibration.model.parameter(id).map_or(0.0, |parameter| parameter.value);
+        let value = |id| calibration.model().parameter(id).map_or(0.0, |parameter| parameter.value);
         let shift_error_ns = calibration.prepared().map(|prepared| {
             let identified_ns = prepared.clock_difference_ns(value(ParameterId::ClockShift));
             // Both are differences of large numbers: subtract the integers first.

@@ -15,8 +15,9 @@ use super::force_logs::force_logs;
 use super::result::{conclude, limited, write_files};
 use super::sources::sources;
 use super::{CommonArguments, inputs, refused};
-use crate::calibrate::ball_bar::{self, BallBarCalibration, CalibrateError, RunInput};
+use crate::calibrate::ball_bar::{self, RunInput};
 use crate::calibrate::validation::truth::Comparison;
+use crate::calibrate::{CalibrateError, Calibration};
 use crate::calibrate::{CostName, IdentifyConfig, SelectionName};
 use crate::commands::ensure_can_write;
 use crate::commands::on_terminal::OnTerminal;
@@ -86,9 +87,6 @@ pub struct BarArguments {
     /// How much samples count that do not fit; default: huber with pose, none with the others
     #[arg(long)]
     pub(super) loss: Option<LossName>,
-    /// Start from random subsets of the samples: where more than a fifth of them may be wrong
-    #[arg(long)]
-    pub(super) ransac: bool,
     /// Free parameters
     #[arg(long)]
     pub(super) selection: Option<SelectionName>,
@@ -118,7 +116,6 @@ fn identify_config(arguments: &BarArguments) -> anyhow::Result<IdentifyConfig> {
     let mut config: IdentifyConfig = file.map_or_else(|| Ok(IdentifyConfig::default()), config::load)?;
     config.cost = arguments.cost.or(config.cost);
     config.loss = arguments.loss.or(config.loss);
-    config.ransac |= arguments.ransac;
     config.require_mm = arguments.common.result.require.or(config.require_mm);
     config.selection = arguments.selection.unwrap_or(config.selection);
     // What is typed counts more than the file.
@@ -336,7 +333,7 @@ pub(super) fn calibrate(arguments: &BarArguments, experiment: Experiment) -> any
     let limits = &robot.joint_limits();
     let studied = calibration.and_then(|calibration| {
         let evidence = evidence(&calibration, limits);
-        let evidence = evidence.with_validation(&calibration, config, limits, Some(&on_terminal))?;
+        let evidence = evidence.with_validation(&calibration, Some(&on_terminal))?;
         Ok((calibration, evidence))
     });
     on_terminal.finish();
@@ -356,6 +353,8 @@ pub(super) fn calibrate(arguments: &BarArguments, experiment: Experiment) -> any
         file: &file,
         calibration: &calibration,
         evidence: &evidence,
+        rows: &[],
+        tables: "",
         sources: &sources(&runs),
         configuration: &toml::to_string(config)?,
     };
@@ -392,27 +391,27 @@ fn calibration_file(
     inputs: Vec<Input>,
     robot: &RobotConfig,
     runs: &[RunFiles<'_>],
-    calibration: &BallBarCalibration,
+    calibration: &Calibration,
 ) -> CalibrationFile {
-    let solution = &calibration.solution;
+    let solution = calibration.solution();
     let bar = runs.first().map_or("", |run| run.bar.name.as_str());
     let clock = |(run, (files, (prepared, model))): (usize, (&RunFiles<'_>, _))| {
-        files.clock(run, prepared, model, &calibration.columns, &solution.covariance)
+        files.clock(run, prepared, model, &calibration.solved.columns, &solution.covariance)
     };
-    let mut clocks = runs.iter().zip(calibration.runs()).enumerate().map(clock);
+    let mut clocks = runs.iter().zip(calibration.bar_runs()).enumerate().map(clock);
     let mut file = CalibrationFile::new(
         &robot.name,
         bar,
-        SolveEntry::new(calibration.cost.name(), &solution.summary, &solution.identifiability),
+        SolveEntry::new(calibration.cost_name(), &solution.summary, &solution.identifiability),
         clocks.next(),
         inputs,
-        ParameterEntry::of_runs(calibration),
+        ParameterEntry::of_calibration(calibration),
     )
     .with_knowledge(solution)
-    .with_separation(&calibration.model, solution);
+    .with_separation(calibration.model(), solution);
     file.other_clocks = clocks.collect();
     file.measured = runs.iter().filter_map(RunFiles::measured).collect();
-    file.candidates.clone_from(&calibration.candidates);
+    file.candidates.clone_from(&calibration.solved.candidates);
     file.noise = NoiseEntry::all(calibration.bars());
     file
 }

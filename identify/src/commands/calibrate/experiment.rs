@@ -11,20 +11,21 @@ use shared::config::{self, Source, Validate, Violation};
 use super::bar::{self, BarArguments};
 use super::result::Told;
 use super::rows::{self, Aligned, Beside, Kind, Others, Read, RowFile, WithLogs};
+use super::sources::sources;
 use super::{CommonArguments, ResultArguments, inputs, refused};
 use crate::calibrate::IdentifyConfig;
 use crate::calibrate::mix::{self, DataSets, Rows};
 use crate::calibrate::rows::RowSet;
 use crate::commands::on_terminal::OnTerminal;
 use crate::commands::{ensure_can_write, ensure_six_revolute_axes};
-use crate::evaluate::{RunEvidence, ScaleFrom, Validity, of_solution};
+use crate::evaluate::{ScaleFrom, Validity, evidence};
 use crate::instrument::{Instrument, Run};
 use crate::kinematics::flange_chain;
 use crate::logs::{LogFormat, LogOptions};
 use crate::model::ParameterId;
-use crate::report::page::Measured;
-use crate::report::result::deployments::DeploymentEntry;
 use crate::report::result::file::{CalibrationFile, MeasurementEntry, ParameterEntry, SolveEntry};
+use crate::report::result::force::ForceEntry;
+use crate::report::result::knowledge::NoiseEntry;
 use crate::report::result::validation::RowsEntry;
 use crate::report::rows as of_rows;
 use crate::report::table;
@@ -363,7 +364,6 @@ impl Experiment {
             config: None,
             cost: None,
             loss: None,
-            ransac: false,
             selection: None,
             free: Vec::new(),
             fix: Vec::new(),
@@ -452,15 +452,21 @@ pub(super) fn calibrate(mut experiment: Experiment, result: &ResultArguments) ->
         mix::calibrate(&data, robot, config, Some(&on_terminal))
     });
     let data = DataSets { bars: bars.iter().map(bar::RunFiles::input).collect(), rows };
+    let studied = found.and_then(|found| {
+        let evidence = evidence(&found, &robot.joint_limits());
+        let evidence = evidence.with_validation(&found, Some(&on_terminal))?;
+        Ok((found, evidence))
+    });
     on_terminal.finish();
     let files = experiment.files(&bar_arguments);
-    let found = found.map_err(|error| refused::of_rows(&result.out, robot, &files, &experiment, error))?;
+    let (found, evidence) =
+        studied.map_err(|error| refused::of_rows(&result.out, robot, &files, &experiment, error))?;
     let solution = &found.solved.solution;
     let first = found.runs.first().context("there is no data set")?;
     let mut file = CalibrationFile::new(
         &robot.name,
         &instruments(&found.runs),
-        SolveEntry::new(cost(&found.runs), &solution.summary, &solution.identifiability),
+        SolveEntry::new(found.cost_name(), &solution.summary, &solution.identifiability),
         None,
         inputs(&files)?,
         ParameterEntry::of_all(
@@ -483,7 +489,10 @@ pub(super) fn calibrate(mut experiment: Experiment, result: &ResultArguments) ->
     let of_rows = read.iter().filter_map(|beside| MeasurementEntry::of_table(beside.simulated));
     file.measured = bars.iter().filter_map(bar::RunFiles::measured).chain(of_rows).collect();
     file.candidates.clone_from(&found.solved.candidates);
-    file.deployments = found.deployed.iter().map(DeploymentEntry::from).collect();
+    file.noise = NoiseEntry::all(found.bars());
+    let mut forces = ForceEntry::all(&evidence.spheres).into_iter();
+    (file.force, file.other_forces) = (forces.next(), forces.collect());
+    let mut file = file.with_validation(&evidence);
     let entry = |(number, ((rows, set), beside)): (usize, ((&Rows, &RowSet), &Beside))| {
         (!set.errors.held_out.is_empty()).then(|| RowsEntry {
             data_set: number + 1,
@@ -504,15 +513,9 @@ pub(super) fn calibrate(mut experiment: Experiment, result: &ResultArguments) ->
         let name = found.runs[number].instrument.name();
         if found.runs.len() > 1 { format!("{name} (data set {})", number + 1) } else { name.to_owned() }
     };
-    let of_bar = |(number, run): (usize, &Run)| {
-        let bar = run.instrument.bar()?;
-        let evidence = Box::new(RunEvidence::new(&bar.prepared, &run.model));
-        Some((name(number), Measured::Bar { evidence, by_encoders: bar.measured.contains(&true) }))
-    };
-    let mut data_sets: Vec<(String, Measured<'_>)> =
-        found.runs.iter().enumerate().filter_map(of_bar).collect();
+    let mut of_files = Vec::new();
     let mut tables = table::data_sets(&found);
-    let (mut limits, mut asked) = (Vec::new(), String::new());
+    let (mut rows_limits, mut asked) = (Vec::new(), String::new());
     for ((number, set), (beside, others)) in (bars.len()..).zip(&found.rows).zip(read.iter().zip(&others)) {
         let Run { instrument, model } = &found.runs[number];
         let validations = others.judge(robot, &validity, model)?;
@@ -521,40 +524,30 @@ pub(super) fn calibrate(mut experiment: Experiment, result: &ResultArguments) ->
         tables += &format!("\n{}\n{table}", name(number));
         tables += &beside.set_ups();
         tables.extend(beside.aligned.as_ref().map(Aligned::line));
-        limits.extend(of_rows::left_out(set, &name(number), &beside.lines));
+        rows_limits.extend(of_rows::left_out(set, &name(number), &beside.lines));
         if let Instrument::Contact(contact) = instrument {
-            limits.extend(of_rows::contradicted(contact, model));
+            rows_limits.extend(of_rows::contradicted(contact, model));
         }
-        data_sets.push((name(number), Measured::Rows(&set.errors)));
+        of_files.push((name(number), &set.errors));
     }
     tables += &of_rows::waves(&first.model);
     file.validity = Some(validity);
     let scales: Vec<ScaleFrom> = found.runs.iter().map(|run| (&run.instrument).into()).collect();
-    let sigmas = &found.solved.sigmas;
-    limits.extend(of_solution(&first.model, solution, &found.runs, sigmas, scales.iter().copied()));
     let told = Told {
         robot,
         file,
-        model: &first.model,
-        solution,
+        calibration: &found,
+        evidence: &evidence,
+        sources: &sources(&bars),
         bars: bars.iter().map(|run| (&run.bar, run.bar_path)).collect(),
         scales,
-        limits,
-        changed: &found.changed,
-        data_sets,
+        rows_limits,
+        rows: of_files,
         tables,
         asked,
         experiment: experiment.clone(),
     };
     told.write(result)
-}
-
-/// Of one data set its own.
-fn cost(runs: &[Run]) -> &'static str {
-    match runs {
-        [Run { instrument, .. }] => instrument.cost(),
-        _ => "each instrument's own",
-    }
 }
 
 /// For a person: each instrument with how many data sets it has.

@@ -10,7 +10,7 @@ use shared::output::explained;
 use super::bar::{BarArguments, RunFiles, input_files};
 use super::experiment::{self, Experiment};
 use super::{inputs, sources};
-use crate::calibrate::ball_bar::CalibrateError;
+use crate::calibrate::CalibrateError;
 use crate::calibrate::refusal::Refusal;
 use crate::inspect::{self, curves};
 use crate::report::page::{InspectedLog, InspectedRun, RefusedPage, WrittenRefusal};

@@ -8,35 +8,33 @@ use shared::output::{say, show};
 
 use super::ResultArguments;
 use super::experiment::{self, Experiment};
-use crate::calibrate::change::Changed;
+use crate::calibrate::Calibration;
+use crate::calibrate::rows::RowErrors;
 use crate::calibrate::validation::deployment::Deployment;
-use crate::evaluate::{Limit, ScaleFrom, of_changes, scale_sentence, workspace_error};
-use crate::kinematics::flange_chain;
-use crate::model::Model;
-use crate::report::page::{Measured, MeasuredPage};
+use crate::evaluate::{Evidence, Limit, ScaleFrom, scale_sentence};
+use crate::report::page::{Page, Source};
 use crate::report::result::deployments::files;
 use crate::report::result::file::CalibrationFile;
 use crate::report::summary::{summary, wrapped};
 use crate::report::table;
 use crate::report::verdict::Grade;
-use crate::solver::Solution;
 
 /// A calibration with everything that is reported of it.
 pub(super) struct Told<'a> {
     pub(super) robot: &'a RobotConfig,
     pub(super) file: CalibrationFile,
-    /// Of the first data set.
-    pub(super) model: &'a Model,
-    pub(super) solution: &'a Solution,
+    pub(super) calibration: &'a Calibration,
+    pub(super) evidence: &'a Evidence,
+    /// What the logs of each run with a ball-bar say of themselves.
+    pub(super) sources: &'a [Source],
     /// Each run's bar, with the file that states it.
     pub(super) bars: Vec<(&'a BallBarConfig, &'a Path)>,
     /// What fixes the scale, data set by data set.
     pub(super) scales: Vec<ScaleFrom>,
-    /// What limits it.
-    pub(super) limits: Vec<Limit>,
-    /// What did not stay while it was measured.
-    pub(super) changed: &'a [Changed],
-    pub(super) data_sets: Vec<(String, Measured<'a>)>,
+    /// What is wrong with files of rows.
+    pub(super) rows_limits: Vec<Limit>,
+    /// Each file of rows with its name.
+    pub(super) rows: Vec<(String, &'a RowErrors)>,
     /// For the page, and for the terminal where all is printed.
     pub(super) tables: String,
     /// What a person asked for by an option, as lines of a terminal.
@@ -52,37 +50,37 @@ impl Told<'_> {
         let Self {
             robot,
             file,
-            model,
-            solution,
+            calibration,
+            evidence,
+            sources,
             bars,
             scales,
-            mut limits,
-            changed,
-            data_sets,
+            rows_limits: mut all_limits,
+            rows,
             tables,
             asked,
             experiment,
         } = self;
-        let (covariance, limits_of_joints) = (&solution.covariance, robot.joint_limits());
-        let workspace = workspace_error(model, covariance, &limits_of_joints);
-        let workspace = workspace.with_cube(model, covariance, &limits_of_joints);
-        limits.extend(of_changes(changed, flange_chain(robot).reach_m(), workspace.budget.expanded_m));
+        let workspace = &evidence.workspace;
+        all_limits.extend_from_slice(&evidence.limits);
         let mut file =
-            file.with_verdict(&workspace, &limits, experiment.identify.require_mm.map(|mm| mm * 1e-3));
+            file.with_verdict(workspace, &all_limits, experiment.identify.require_mm.map(|mm| mm * 1e-3));
         file.scale = Some(scale_sentence(bars.iter().copied(), scales, &workspace.budget));
         let bar = bars.first().map(|(bar, _)| *bar);
         let written = write_files(&file, robot, bar, &experiment, directory)?;
-        let page = MeasuredPage {
+        let page = Page {
             file: &file,
-            workspace: &workspace,
-            data_sets: &data_sets,
+            calibration,
+            evidence,
+            rows: &rows,
             tables: &tables,
+            sources,
             configuration: &experiment.write(directory)?,
         };
         let page = page.write(directory).with_context(|| directory.display().to_string())?;
         show(wrapped(&asked))?;
         let all = result.verbose.then(|| table::calibration(&file) + "\n" + &tables + &limited(&file));
-        conclude(&file, all.as_deref(), &summary(&file, &workspace, &written, &page), &page)
+        conclude(&file, all.as_deref(), &summary(&file, workspace, &written, &page), &page)
     }
 }
 

@@ -11,9 +11,10 @@ use shared::time::UtcNs;
 use super::bar::load_log;
 use super::experiment::{self, Experiment};
 use super::{CommonArguments, RowArguments};
+use crate::calibrate::CalibrateError;
+use crate::calibrate::Calibration;
 use crate::calibrate::HoldOut;
-use crate::calibrate::ball_bar::CalibrateError;
-use crate::calibrate::mix::{Measured, MixedCalibration, Rows};
+use crate::calibrate::mix::{Measured, Rows};
 use crate::calibrate::rows::{WAVES_PER_TURN_MAX, tracker};
 use crate::evaluate::Validity;
 use crate::instrument::{ContactRow, LengthRow, PoseRow, SocketTable};
@@ -349,7 +350,7 @@ fn timed_poses(
 impl Aligned {
     /// The clocks at the solution of all data sets, of which the tracker's is number `run` from 0: as the solve found them, or as
     /// far as standstills say.
-    pub(super) fn clock(&self, run: usize, found: &MixedCalibration) -> Option<ClockEntry> {
+    pub(super) fn clock(&self, run: usize, found: &Calibration) -> Option<ClockEntry> {
         let solved = ClockEntry::from(SolvedClock {
             run,
             instrument: Kind::Tracker.key(),

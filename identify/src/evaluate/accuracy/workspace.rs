@@ -145,18 +145,6 @@ fn root(covariance: &Covariance, columns: &[(usize, ParameterId)]) -> DMatrix<f6
     &eigen.eigenvectors * DMatrix::from_diagonal(&eigen.eigenvalues.map(|value| value.max(0.0).sqrt()))
 }
 
-/// Mean distance between the positions of two robots, over postures within the joint limits \[m\].
-pub(in crate::evaluate) fn distance_m(one: &Model, other: &Model, joint_limits: &[[f64; 2]]) -> f64 {
-    let [one, other] = [one, other].map(|model| Tracer::new(&model.geometry(&[]).robot));
-    let (mut here, mut there) = (Trace::default(), Trace::default());
-    let distances = random_postures(joint_limits).map(|q| {
-        one.trace(&q, &mut here);
-        other.trace(&q, &mut there);
-        (here.position_m() - there.position_m()).norm()
-    });
-    distances.sum::<f64>() / POSTURES as f64
-}
-
 /// Joint variables evenly spread over the limits \[rad, m\].
 pub(in crate::evaluate) fn random_postures(
     joint_limits: &[[f64; 2]],

@@ -28,7 +28,7 @@ use crate::prepare::{
     AlignedLog, Alignment, Channels, ClockFit, Match, PrepareError, PrepareOptions, candidates, correlate,
     unwrapped_log,
 };
-use crate::solver::{Begin, GoodShare, LossName, Options, minimise_robust};
+use crate::solver::{GoodShare, LossName, Options, minimise_robust};
 
 /// Rows further apart are taken at standstills \[s\]: a tracker that follows a moving target measures faster than once in this
 /// time, and waits longer for one that has to come to rest.
@@ -384,8 +384,7 @@ impl Search<'_> {
         let residual = MeasuredPosition { measured_m: &seen_m, noise, set_ups };
         let problem = LoopProblem::new(&model, &motion, &observations, residual, 1.0).ok()?;
         let start = model.start();
-        let (x, _) =
-            minimise_robust(&problem, &start, LossName::Huber, Begin::Start, &Options::default()).ok()?;
+        let (x, _) = minimise_robust(&problem, &start, LossName::Huber, &Options::default()).ok()?;
         let geometry = model.geometry(&x);
         let (shift_s, skew) = (geometry.clock.shift_s, geometry.clock.skew);
         Some(Fit {

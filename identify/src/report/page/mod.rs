@@ -1,7 +1,6 @@
 //! `report.html`: one file without scripts or links to anything else, that a browser shows and a printer prints.
 
 mod certificate;
-mod costs;
 pub(super) mod drawing;
 mod held_out;
 mod planned;
@@ -18,7 +17,8 @@ use base64::engine::general_purpose::STANDARD;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use sha2::{Digest, Sha256};
 
-use crate::calibrate::ball_bar::BallBarCalibration;
+use crate::calibrate::Calibration;
+use crate::calibrate::rows::RowErrors;
 use crate::evaluate::Evidence;
 use crate::report::result::file::{CalibrationFile, FileError, replace};
 
@@ -29,7 +29,6 @@ pub use drawing::plot::PlotError;
 pub use planned::path::PathPage;
 pub use planned::poses::PosesPage;
 pub use refused::{InspectedLog, InspectedRun, RefusedPage, WrittenRefusal};
-pub use rows::{Measured, MeasuredPage};
 pub use run::inputs::Source;
 pub use study::StudyPage;
 
@@ -39,9 +38,13 @@ pub struct Page<'a> {
     /// Results as they are written.
     pub file: &'a CalibrationFile,
     /// The solve and the preparation.
-    pub calibration: &'a BallBarCalibration,
+    pub calibration: &'a Calibration,
     /// What is drawn.
     pub evidence: &'a Evidence,
+    /// Each file of rows with its name, in the order of the data sets.
+    pub rows: &'a [(String, &'a RowErrors)],
+    /// What the terminal says of these.
+    pub tables: &'a str,
     /// What the logs of each run say of themselves; empty where nobody looked.
     pub sources: &'a [Source],
     /// The whole configuration that was used, as text.
@@ -75,7 +78,18 @@ impl Page<'_> {
     /// [`PlotError`].
     pub fn render(&self) -> Result<Markup, PlotError> {
         let title = format!("Calibration of {}", self.file.robot);
-        let others: Vec<String> = runs::names(self).into_iter().skip(1).flatten().collect();
+        let has_bars = !self.evidence.runs.is_empty();
+        let of_rows = self.rows.iter().map(|(name, _)| name.clone());
+        let (place, others): (_, Vec<String>) = match self.rows.first() {
+            Some((first, _)) if !has_bars => (first.as_str(), of_rows.skip(1).collect()),
+            _ => {
+                let bars = runs::names(self).into_iter().skip(1).flatten();
+                ("Place of the bar, clocks", bars.chain(of_rows).collect())
+            }
+        };
+        let of_bars = |section: fn(&Self) -> Result<Markup, PlotError>| {
+            if has_bars { section(self) } else { Ok(html! {}) }
+        };
         Ok(document(
             &title,
             &html! {
@@ -83,15 +97,15 @@ impl Page<'_> {
                     (certificate::certificate(self.file, &self.evidence.workspace)?)
                     (sections::numbers(self))
                     (held_out::section(self)?)
-                    (runs::gaps(self)?)
-                    (sphere::section(self)?)
-                    (sections::parameters(self.file, "Place of the bar, clocks", &others))
+                    (rows::section(self)?)
+                    (of_bars(runs::gaps)?)
+                    (of_bars(sphere::section)?)
+                    (sections::parameters(self.file, place, &others))
                     (sections::budget(self.file))
                     (sections::candidates(self.file))
-                    (costs::section(self)?)
-                    (sections::joints(self)?)
-                    (sections::coverage(self)?)
-                    (runs::alignments(self)?)
+                    (of_bars(sections::joints)?)
+                    (of_bars(sections::coverage)?)
+                    (of_bars(runs::alignments)?)
                     (sections::dependence(self.file))
                     (inputs::section(self.sources))
                     (sections::origin(self))

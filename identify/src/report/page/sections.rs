@@ -2,9 +2,9 @@
 
 use maud::{Markup, PreEscaped, html};
 
-use super::Page;
 use super::drawing::plot::PlotError;
 use super::drawing::{correlations, figures};
+use super::{Page, rows};
 use crate::evaluate::{Evaluation, Expected, Quantiles};
 use crate::model::{Owner, ParameterId};
 use crate::report::result::file::{CalibrationFile, Input, ParameterEntry, ReadIn, Status};
@@ -56,14 +56,17 @@ pub(super) fn numbers(page: &Page<'_>) -> Markup {
         div.numbers {
             (expected("before", before))
             (expected("after", after))
-            (gap("nominal", &page.evidence.gap_before_m))
-            (gap("calibrated", &page.evidence.gap_after_m))
+            @if !page.evidence.runs.is_empty() {
+                (gap("nominal", &page.evidence.gap_before_m))
+                (gap("calibrated", &page.evidence.gap_after_m))
+            }
+            (rows::numbers(page))
         }
         p.note {
-            "Before: nominal against identified geometry at the point where the bar is bolted on, over all postures within the "
-            "joint limits, so also where the bar did not reach. After: what the covariance of the parameters leaves there. Errors "
-            "that do not depend on the geometry (gears, load, temperature) come on top; what the bar saw of them is in the two "
-            "figures on the right."
+            "Before: nominal against identified geometry at the point where the bar is bolted on, or at the flange, over all postures "
+            "within the joint limits, so also where nothing was measured. After: what the covariance of the parameters leaves there. "
+            "Errors that do not depend on the geometry (gears, load, temperature) come on top; what was seen of them is in the other "
+            "figures."
         }
     }
 }

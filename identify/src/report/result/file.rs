@@ -15,8 +15,8 @@ use super::deployments::DeploymentEntry;
 use super::earlier::remove_page;
 use super::force::ForceEntry;
 use super::knowledge::{CovarianceEntry, ExpectedEntry, Knowledge, NoiseEntry};
-use super::validation::{HeldOutEntry, OtherCostEntry, RowsEntry};
-use crate::calibrate::ball_bar::BallBarCalibration;
+use super::validation::{HeldOutEntry, RowsEntry};
+use crate::calibrate::Calibration;
 use crate::calibrate::selection::terms::Candidate;
 use crate::calibrate::validation::deployment::Deployment;
 use crate::cost::SharedColumns;
@@ -127,10 +127,9 @@ impl ParameterEntry {
     }
 
     /// Those of a calibration: all of the first run, then those that each other run has for itself.
-    pub fn of_runs(calibration: &BallBarCalibration) -> Vec<Self> {
-        let others = calibration.others.iter().map(|run| &run.model);
-        let models = std::iter::once(&calibration.model).chain(others);
-        Self::of_all(models, &calibration.columns, &calibration.solution.covariance)
+    pub fn of_calibration(calibration: &Calibration) -> Vec<Self> {
+        let models = calibration.runs.iter().map(|run| &run.model);
+        Self::of_all(models, &calibration.solved.columns, &calibration.solution().covariance)
     }
 
     /// Those of several models: all of the first one, then what no model before has.
@@ -340,9 +339,6 @@ pub struct CalibrationFile {
     /// How well rows of trackers and wires were predicted that the fit did not see.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub rows: Vec<RowsEntry>,
-    /// What the other costs that the encoders allow say of the same samples.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub other_costs: Vec<OtherCostEntry>,
     /// Every parameter of the model; those of run 2 alone are called `ox@2`.
     pub parameters: Vec<ParameterEntry>,
     /// The robot for who applies only part of the model.
@@ -396,7 +392,6 @@ impl CalibrationFile {
             candidates: Vec::new(),
             held_out: None,
             rows: Vec::new(),
-            other_costs: Vec::new(),
             parameters,
             deployments: Vec::new(),
             validity: None,

@@ -1,4 +1,4 @@
-//! Held-out validation and the other costs, as files and the terminal have them.
+//! Held-out validation, as files and the terminal have it.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -53,25 +53,6 @@ pub struct RowsEntry {
     pub held_out: Stages,
 }
 
-/// What another cost says of the same samples.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct OtherCostEntry {
-    /// Its name.
-    pub cost: String,
-    /// Free parameters, all identified; absent where there is no result.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub parameters: Option<usize>,
-    /// Euclidean norm of the differences of the robot's parameters to this calibration \[mm|mrad\].
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub difference_mm_mrad: Option<f64>,
-    /// Euclidean norm of their sigmas \[mm|mrad\].
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub sigma_mm_mrad: Option<f64>,
-    /// Why there is no result.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub refused: Option<String>,
-}
-
 impl CalibrationFile {
     /// Adds what was validated.
     pub fn with_validation(mut self, evidence: &Evidence) -> Self {
@@ -93,19 +74,6 @@ impl CalibrationFile {
             DeploymentEntry { held_out, ..DeploymentEntry::from(deployed) }
         });
         self.deployments = deployed.collect();
-        let others = evidence.costs.iter().flat_map(|costs| costs.entries.iter().skip(1));
-        self.other_costs = others
-            .map(|entry| {
-                let figures = entry.figures.as_ref().ok();
-                OtherCostEntry {
-                    cost: entry.cost.name().to_owned(),
-                    parameters: figures.map(|figures| figures.parameters),
-                    difference_mm_mrad: figures.map(|figures| figures.difference_mm_mrad),
-                    sigma_mm_mrad: figures.map(|figures| figures.sigma_mm_mrad),
-                    refused: entry.figures.as_ref().err().cloned(),
-                }
-            })
-            .collect();
         self
     }
 }
@@ -127,21 +95,6 @@ pub(in crate::report) fn describe(file: &CalibrationFile) -> String {
             let _ = write!(text, ", {:.4} -> {:.4} mrad", before * 1e3, after * 1e3);
         }
         text.push('\n');
-    }
-    if !file.other_costs.is_empty() {
-        text.push_str("other costs on the same samples (the robot's parameters, Euclidean mm|mrad):\n");
-    }
-    for entry in &file.other_costs {
-        let _ = match (entry.parameters, entry.difference_mm_mrad, entry.sigma_mm_mrad, &entry.refused) {
-            (Some(parameters), Some(difference), Some(sigma), _) => writeln!(
-                text,
-                "  {:<16}{parameters:>4} parameters, differs by {difference:.4}, sigma {sigma:.4}",
-                entry.cost
-            ),
-            (_, _, _, refused) => {
-                writeln!(text, "  {:<16}{}", entry.cost, refused.as_deref().unwrap_or("no result"))
-            }
-        };
     }
     text
 }

@@ -260,7 +260,7 @@ fn capitalised(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::calibrate::ball_bar::CalibrateError;
+    use crate::calibrate::CalibrateError;
     use crate::prepare::PrepareError;
     use crate::solver::Unidentifiable;
 

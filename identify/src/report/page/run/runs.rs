@@ -68,7 +68,7 @@ pub(in crate::report::page) fn alignments(page: &Page<'_>) -> Result<Markup, Plo
     let mut all = Vec::new();
     for (number, name) in names(page).iter().enumerate() {
         all.push(alignment(page, number, name.as_ref())?);
-        let Some((prepared, _)) = page.calibration.runs().nth(number) else { continue };
+        let Some((prepared, _)) = page.calibration.bar_runs().nth(number) else { continue };
         all.push(title("Preparation", name.as_ref()));
         all.push(preparation::section(prepared)?);
     }
@@ -76,7 +76,8 @@ pub(in crate::report::page) fn alignments(page: &Page<'_>) -> Result<Markup, Plo
 }
 
 fn alignment(page: &Page<'_>, number: usize, name: Option<&String>) -> Result<Markup, PlotError> {
-    let Some((run, (prepared, _))) = page.evidence.runs.get(number).zip(page.calibration.runs().nth(number))
+    let Some((run, (prepared, _))) =
+        page.evidence.runs.get(number).zip(page.calibration.bar_runs().nth(number))
     else {
         return Ok(html! {});
     };
