@@ -16,6 +16,7 @@ pub mod devices;
 pub mod homing;
 pub mod log;
 pub mod page;
+pub mod problem;
 pub mod recorder;
 pub mod run;
 pub mod segment;

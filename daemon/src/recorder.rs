@@ -15,7 +15,8 @@ use shared::recording::{RecordingWriter, RunFile, RunSync, TimingSummary, WriteE
 use shared::time::{MonoNs, UtcNs};
 
 use crate::clock::Clock;
-use crate::cycle::{CycleEvent, CycleTiming, TimingSink, TimingSource, timing_ring};
+use crate::cycle::{BusNames, CycleEvent, CycleTiming, TimingSink, TimingSource, timing_ring};
+use crate::problem::{Fact, Problem};
 use crate::run::{Handed, Progress, STACK_BYTES, Storage, Synced};
 
 /// Events that may wait for the recorder; cycles carry their reasons themselves, so that one too many is no harm.
@@ -160,6 +161,9 @@ pub struct Recorder {
     host_offset_ns: i64,
     cycle_period_ns: i64,
     provenance: Provenance,
+    names: BusNames,
+    /// The longest wait for the disk that is among the events \[s\].
+    noted_wait_s: f64,
     lost: u64,
     /// Cycles written when the file was last told how well loop and disk kept their time, and the longest
     /// synchronisation until then.
@@ -200,6 +204,8 @@ impl Recorder {
             utc_minus_monotonic_ns: run.utc_minus_monotonic_ns,
             cycle_period_ns: run.cycle_period_ns as i64,
             provenance: run.provenance(),
+            names: BusNames::new(run),
+            noted_wait_s: 0.0,
             lost: 0,
             timed: (0, 0),
             cut: (0, Instant::now()),
@@ -276,11 +282,10 @@ impl Recorder {
             self.mended(written)?;
         }
         let missing = until - first;
-        let text = format!("{missing} cycles lost: the disk did not keep up and the ring was full");
         let time = lost_at(first).sample_time;
         self.lost += missing;
         self.last = Some(lost_at(until - 1));
-        self.note(Event { time, cycle: first, kind: EventKind::Gap, text });
+        self.note(event(time, first, EventKind::Gap, Fact::CyclesLost { cycles: missing }));
         Ok(())
     }
 
@@ -294,13 +299,30 @@ impl Recorder {
         self.write_timing_if_due()?;
         let written = self.writer.cut();
         self.mended(written)?;
-        self.link.progress.wrote(self.writer.cycles());
+        self.note_wait();
+        self.link.progress.wrote(self.writer.cycles(), self.lost);
         let mut timing = self.source.timing.summary();
         timing.iter_mut().for_each(|timing| timing.disk = self.link.progress.longest());
         self.link.progress.set_timing(timing);
         self.link.progress.set_flagged(self.writer.flagged());
         self.synchroniser.begin(self.writer.sink().synchroniser(), self.as_synced());
         Ok(())
+    }
+
+    /// A disk that kept the cycles waiting is in the file, too: again whenever it did so twice as long.
+    fn note_wait(&mut self) {
+        let late = self.link.progress.get().problems.into_iter().find_map(|problem| match *problem.fact {
+            Fact::DiskBacklog { backlog_s: late_s, .. } | Fact::DiskSlow { unsynced_s: late_s } => {
+                Some((late_s, problem))
+            }
+            _ => None,
+        });
+        let Some((late_s, problem)) = late.filter(|(late_s, _)| *late_s >= 2.0 * self.noted_wait_s) else {
+            return;
+        };
+        self.noted_wait_s = late_s;
+        let time = UtcNs(self.clock.now().0 + self.utc_minus_monotonic_ns);
+        self.note(event(time, self.cycle_at(time), EventKind::Disk, *problem.fact));
     }
 
     /// What will be synchronised if the file is now.
@@ -354,12 +376,12 @@ impl Recorder {
 
     fn has_moved(&mut self, why: &WriteError) {
         let place = self.writer.sink().place().clone();
-        let text = format!("the run goes on in {}, because: {why}", place.path().display());
+        let moved = Fact::FileMoved { file: place.path().to_owned(), error: why.to_string() };
         // The one before may hang on the disk that is gone.
         self.synchroniser = Synchroniser::new(&self.link.progress);
         self.link.progress.moved(place, why.to_string());
         let time = UtcNs(self.clock.now().0 + self.utc_minus_monotonic_ns);
-        self.note(Event { time, cycle: self.cycle_at(time), kind: EventKind::Disk, text });
+        self.note(event(time, self.cycle_at(time), EventKind::Disk, moved));
     }
 
     /// Often at first, so that a short run has it too: whenever it has become twice as long, later in each period; and
@@ -390,12 +412,13 @@ impl Recorder {
         while let Ok(event) = self.source.events.pop() {
             self.counted.extend(event.port_counts().map(|counts| (event.cycle, counts)));
             if event.is_news() {
-                self.note(event.to_event());
+                self.note(event.to_event(&self.names));
             }
         }
         while let Ok(Mark { at, text }) = self.link.marks.try_recv() {
             let time = UtcNs(at.0 + self.utc_minus_monotonic_ns);
-            self.note(Event { time, cycle: self.cycle_at(time), kind: EventKind::Marker, text });
+            let (cycle, code) = (self.cycle_at(time), String::new());
+            self.note(Event { time, cycle, kind: EventKind::Marker, text, code });
         }
     }
 
@@ -429,12 +452,8 @@ impl Recorder {
             return;
         }
         self.host_offset_ns = offset_ns;
-        let text = format!(
-            "host UTC moved by {:.3} ms; sample times keep to the run's first offset",
-            moved_ns as f64 * 1e-6
-        );
         let (cycle, time) = self.last.map_or((0, UtcNs(0)), |last| (last.cycle, last.sample_time));
-        self.note(Event { time, cycle, kind: EventKind::Clock, text });
+        self.note(event(time, cycle, EventKind::Clock, Fact::ClockStepped { by_ns: moved_ns }));
     }
 
     fn finish(mut self, cause: String) -> Result<RunSummary, WriteError> {
@@ -442,6 +461,10 @@ impl Recorder {
         self.fill_lost(due)?;
         self.take_notes();
         self.note_clock_step();
+        if let Some(problem) = self.link.storage.problem() {
+            let time = UtcNs(self.clock.now().0 + self.utc_minus_monotonic_ns);
+            self.note(event(time, self.cycle_at(time), EventKind::Disk, *problem.fact));
+        }
         self.write_notes(UtcNs(i64::MAX))?;
         let timing = self.write_timing()?;
         let (cycles, cycles_valid, cycles_lost) =
@@ -450,7 +473,7 @@ impl Recorder {
         self.link.progress.writing();
         let closed = self.writer.close(&cause, UtcNs(ended.0));
         self.mended(closed)?;
-        self.link.progress.wrote(cycles);
+        self.link.progress.wrote(cycles, cycles_lost);
         let path = loop {
             match self.writer.sink_mut().publish() {
                 Ok(path) => break path,
@@ -460,6 +483,11 @@ impl Recorder {
         self.link.progress.synced(0, Some(self.as_synced()));
         Ok(RunSummary { path, cycles, cycles_valid, cycles_lost, cause, provenance: self.provenance, timing })
     }
+}
+
+fn event(time: UtcNs, cycle: u64, kind: EventKind, fact: Fact) -> Event {
+    let code = fact.code().to_owned();
+    Event { time, cycle, kind, text: Problem::from(fact).text, code }
 }
 
 /// A thread that waits for the disk to have what was written, while more is written. It ends with the recorder.

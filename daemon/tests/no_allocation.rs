@@ -97,7 +97,7 @@ fn cost(clock: &Clock, rate_hz: u64, cycles: u64) -> (u64, u64) {
             sink.push(record);
             live.publish(record);
         });
-        live.publish_bus(&acquisition.bus_state());
+        live.publish_bus(&acquisition.bus_state(), "simulated");
         live.publish_links(acquisition.links());
         sink.push_timing(acquisition.last_timing().unwrap_or_default());
     }

@@ -13,12 +13,14 @@ use super::live_tap::LiveTap;
 use super::machine::{Action, Answer, Event, Machine, State};
 use super::marks::Marks;
 use super::preflight::{self, Found};
+use super::problem_log::ProblemLog;
 use super::service::{Connect, Settings};
-use super::status::{CheckLine, LastRun, Status, next_command};
+use super::status::{CheckLine, LastRun, ServiceState, Status, Totals, next_command};
 use super::tending::Tending;
 use super::view::View;
 use crate::claim::Claim;
 use crate::clock::Clock;
+use crate::problem::{Fact, Problem};
 use crate::recorder::RunSummary;
 use crate::run::{ActiveRun, LEAVES_WITHIN, RunDetails, RunError, Stop, Storage};
 
@@ -28,13 +30,12 @@ const POLL: Duration = Duration::from_millis(100);
 const OPENING_POLL: Duration = Duration::from_millis(5);
 /// Why a run ends when this thread does.
 const CONTROL_DIED: &str = "full fault: the thread of the control has ended; its cause is in the log";
-/// Why nothing begins that was granted.
-const NO_BUS: &str = "the bus is not in operation; `ballbard status` says why";
 /// Without anything new on disk for this long a run is not writing \[sync periods\].
 const STALLED_SYNC_PERIODS: u32 = 3;
 
 /// What somebody asks of the service.
 pub(super) enum Command {
+    /// With whether a person chose the name.
     Start(Box<RunDetails>, bool, oneshot::Sender<Answer>),
     /// Answered with how many runs were over when it was asked.
     Stop(String, oneshot::Sender<(Answer, u64)>),
@@ -49,6 +50,13 @@ pub(super) enum Command {
     Panic,
 }
 
+/// What was counted when it was last looked at.
+#[derive(Debug, Default)]
+struct Counted {
+    cycles: [u64; 3],
+    lost: u64,
+}
+
 /// Does what the machine decides. It never waits for the disk.
 pub(super) struct Controller {
     settings: Arc<Settings>,
@@ -56,9 +64,9 @@ pub(super) struct Controller {
     status: watch::Sender<Status>,
     bus: BusLink,
     homing: Option<Homing>,
-    /// The run that was asked for last.
-    wanted: RunDetails,
     run: Option<ActiveRun>,
+    /// How long it is to last.
+    duration: Option<Duration>,
     marks: Marks,
     /// Who asked for the run that is being opened, and what they are told when its file is there.
     asked: Vec<(oneshot::Sender<Answer>, Answer)>,
@@ -71,6 +79,10 @@ pub(super) struct Controller {
     runs_over: u64,
     storage: Storage,
     cycles_seen: u64,
+    problems: ProblemLog,
+    totals: Totals,
+    /// What the session and the run have counted by now of what `totals` has.
+    counted: Counted,
     exit: bool,
     /// Since when the service has been asked to end.
     leaving: Option<Instant>,
@@ -89,8 +101,8 @@ impl Controller {
             status,
             bus: BusLink::new(connect),
             homing: None,
-            wanted: RunDetails::default(),
             run: None,
+            duration: None,
             marks: Marks::default(),
             asked: Vec::new(),
             tending: None,
@@ -101,6 +113,9 @@ impl Controller {
             runs_over: 0,
             storage,
             cycles_seen: 0,
+            problems: ProblemLog::default(),
+            totals: Totals::default(),
+            counted: Counted::default(),
             exit: false,
             leaving: None,
         }
@@ -122,6 +137,7 @@ impl Controller {
             self.look_at_bus();
             self.look_at_homing();
             self.look_at_run();
+            self.count();
             self.publish();
             if self.is_over() {
                 break Ok(());
@@ -141,7 +157,8 @@ impl Controller {
         }
         let is_over = since.elapsed() > LEAVES_WITHIN;
         if is_over {
-            tracing::warn!("the disk is not waited for: {}", self.view().disk_problem().unwrap_or_default());
+            let problems = self.view().disk_problems();
+            tracing::warn!("the disk is not waited for: {}", Problem::line(&problems));
         }
         is_over
     }
@@ -158,7 +175,9 @@ impl Controller {
     /// After a panic of this thread: nothing is decided any more, but a run's file is finished and states the cause.
     pub fn abandon(&mut self) {
         self.status.send_modify(|status| {
-            (status.state, status.reason) = ("fault".into(), Some(CONTROL_DIED.into()));
+            let problem = Problem::from(Fact::ThreadEnded { thread: "control".into() });
+            (status.state, status.severity) = (ServiceState::Fault, problem.severity);
+            (status.reason, status.problems) = (Some(CONTROL_DIED.into()), vec![problem]);
         });
         if let Some(run) = self.run.take() {
             run.stop.stop(CONTROL_DIED);
@@ -176,9 +195,7 @@ impl Controller {
             Command::Start(details, named, reply) => {
                 // A cable that was pulled since the last look is no bus to begin on.
                 self.look_at_bus();
-                self.wanted = *details;
-                let run = self.wanted.name.clone();
-                let answer = self.handle(Event::Start { run, named }).unwrap_or(Answer::Idle);
+                let answer = self.handle(Event::Start { run: details, named }).unwrap_or(Answer::Idle);
                 self.publish();
                 if self.is_opening() && matches!(answer, Answer::Beginning | Answer::Running(_)) {
                     self.asked.push((reply, answer));
@@ -217,9 +234,9 @@ impl Controller {
         for action in self.machine.handle(event) {
             match action {
                 Action::Answer(given) => answer = answer.or(Some(given)),
-                Action::Open(_) => {
-                    if let Err(refusal) = self.open() {
-                        answer = Some(Answer::Refused(refusal));
+                Action::Open(run) => {
+                    if let Err(problem) = self.open(&run) {
+                        answer = Some(Answer::Refused(problem));
                     }
                 }
                 Action::End(cause) => {
@@ -232,7 +249,7 @@ impl Controller {
                     Some(session) => self.homing = Some(Homing::begin(session)),
                     None => {
                         self.handle(Event::HomingOver);
-                        answer = Some(Answer::Refused(NO_BUS.into()));
+                        answer = Some(Answer::Refused(self.no_bus()));
                     }
                 },
                 Action::EndHoming(cause) => self.homing.iter().for_each(|homing| homing.stop(&cause)),
@@ -249,41 +266,49 @@ impl Controller {
         let Some((run, name)) = running.zip(self.machine.run()) else { return Ok(None) };
         let (is_numbered, text) = (text.is_none(), self.marks.text(text));
         if !run.mark(at, text.clone()) {
-            return Err("the disk takes no more markers; see `ballbard status`".into());
+            return Err("the disk takes no more markers: `ballbard status` shows its state".into());
         }
         self.marks.add(at, text.clone(), is_numbered);
         Ok(Some((name.to_owned(), text)))
     }
 
-    fn open(&mut self) -> Result<(), String> {
-        let session = self.bus.session().ok_or_else(|| NO_BUS.to_owned());
-        let begun = session.and_then(|session| {
-            let tap = self.settings.live_tap.as_ref().map(LiveTap::writer_end);
-            session.begin(&self.wanted, &Stop::default(), tap).map_err(|error| error.to_string())
-        });
+    /// Why nothing begins that was granted.
+    fn no_bus(&self) -> Problem {
+        self.machine.bus_fault().cloned().unwrap_or_else(|| Fact::BusStarting {}.into())
+    }
+
+    fn open(&mut self, details: &RunDetails) -> Result<(), Problem> {
+        let begun = match self.bus.session() {
+            None => Err(self.no_bus()),
+            Some(session) => {
+                let tap = self.settings.live_tap.as_ref().map(LiveTap::writer_end);
+                session.begin(details, &Stop::default(), tap).map_err(|error| error.problem())
+            }
+        };
         match begun {
             Ok(run) => {
                 self.run = Some(run);
+                self.duration = details.duration;
                 self.marks = Marks::new(Clock::Real.now());
-                self.cycles_seen = 0;
+                (self.cycles_seen, self.counted.lost) = (0, 0);
                 Ok(())
             }
-            Err(reason) => {
-                self.handle(Event::OpenFailed(reason.clone()));
-                Err(reason)
+            Err(problem) => {
+                self.handle(Event::OpenFailed(problem.clone()));
+                Err(problem)
             }
         }
     }
 
-    /// Tells who asked for the run that it has its file, or why it gets none.
-    fn opened(&mut self, outcome: Result<(), String>) {
+    /// Answers those who asked for the run: it has its file, or gets none.
+    fn opened(&mut self, outcome: Result<(), Problem>) {
         self.handle(match &outcome {
             Ok(()) => Event::Opened,
-            Err(reason) => Event::OpenFailed(reason.clone()),
+            Err(problem) => Event::OpenFailed(problem.clone()),
         });
         self.publish();
         for (reply, answer) in std::mem::take(&mut self.asked) {
-            let refused = outcome.as_ref().err().map(|reason| Answer::Refused(reason.clone()));
+            let refused = outcome.as_ref().err().map(|problem| Answer::Refused(problem.clone()));
             let _ = reply.send(refused.unwrap_or(answer));
         }
     }
@@ -347,7 +372,7 @@ impl Controller {
     fn look_at_run(&mut self) {
         let Some(run) = &self.run else { return };
         if self.is_opening() && run.progress.is_open() {
-            tracing::info!(run = self.wanted.name, "run begins");
+            tracing::info!(run = self.machine.run(), "run begins");
             self.opened(Ok(()));
         }
         let Some(run) = &self.run else { return };
@@ -372,7 +397,33 @@ impl Controller {
         }
     }
 
+    /// Adds what session and run have counted since the last time, and logs what began or ended.
+    fn count(&mut self) {
+        if let Some(session) = self.bus.session() {
+            let now = session.live().totals();
+            let before = std::mem::replace(&mut self.counted.cycles, now);
+            // A new session counts from zero.
+            let [cycles, valid, late] =
+                std::array::from_fn(|index| now[index].checked_sub(before[index]).unwrap_or(now[index]));
+            self.totals.cycles += cycles;
+            self.totals.cycles_valid += valid;
+            self.totals.cycles_late += late;
+        }
+        if let Some(lost) = self.run.as_ref().map(|run| run.progress.get().lost) {
+            self.count_lost(lost);
+        }
+        let status = self.view().status();
+        self.problems.update(Instant::now(), status.problems.iter().chain(&status.bad_cables));
+        self.totals.problems.clone_from(self.problems.began());
+    }
+
+    fn count_lost(&mut self, lost: u64) {
+        self.totals.cycles_lost += lost.saturating_sub(self.counted.lost);
+        self.counted.lost = lost;
+    }
+
     fn run_is_over(&mut self, run: ActiveRun) {
+        self.count_lost(run.progress.get().lost);
         let outcome = run.join();
         match outcome {
             Ok(summary) => {
@@ -380,15 +431,15 @@ impl Controller {
                 self.summary = Some(summary);
                 self.handle(Event::Closed);
             }
-            Err(error) if self.is_opening() => self.opened(Err(error.to_string())),
+            Err(error) if self.is_opening() => self.opened(Err(error.problem())),
             Err(error) => {
                 tracing::error!("recording failed: {error}");
-                let told = error.to_string();
+                let problem = error.problem();
                 if let RunError::Broken { content, .. } = error {
                     self.summary = content.map(|summary| *summary);
                 }
-                self.failure = Some(told.clone());
-                self.handle(Event::CloseFailed(told));
+                self.failure = Some(problem.text.clone());
+                self.handle(Event::CloseFailed(problem));
             }
         }
     }
@@ -400,13 +451,14 @@ impl Controller {
             session: self.bus.session(),
             valid_shares: self.bus.valid_shares(),
             run: self.run.as_ref(),
-            duration: self.wanted.duration,
+            duration: self.duration,
             marks: &self.marks,
             homing: self.homing.as_ref(),
             last: self.last.as_ref(),
             runs_over: self.runs_over,
             storage: &self.storage,
             tending: self.tending.as_ref(),
+            totals: &self.totals,
         }
     }
 

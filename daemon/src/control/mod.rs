@@ -17,6 +17,7 @@ pub mod machine;
 mod marks;
 pub(crate) mod note;
 pub mod preflight;
+mod problem_log;
 pub mod runs;
 pub mod service;
 pub mod status;

@@ -5,6 +5,7 @@ use std::thread;
 use std::time::Instant;
 
 use crate::claim::Claim;
+use crate::problem::{Fact, Problem};
 use crate::run::{self, RunError, Storage};
 
 /// Work of this kind that goes on.
@@ -41,9 +42,8 @@ impl Tending {
         }
     }
 
-    /// For those who ask why nothing can begin.
-    pub fn text(&self) -> String {
-        let asked_s = self.since.elapsed().as_secs_f64();
-        format!("for {asked_s:.1} s the disk has been asked to recover what earlier runs left")
+    /// Why no run can begin yet.
+    pub fn problem(&self) -> Problem {
+        Fact::DiskRecovering { since_s: Some(self.since.elapsed().as_secs_f64()) }.into()
     }
 }

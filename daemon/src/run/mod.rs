@@ -21,13 +21,14 @@ use shared::recording::{Leftover, ReadError, Recovery, WriteError, recover_lefto
 
 pub use disk::Storage;
 pub use homing::ActiveHoming;
-pub use progress::{BUS_FLAGS, Handed, Limits, Live, LiveEncoder, Progress, Snapshot, Synced, Warning};
+pub use progress::{BUS_FLAGS, Handed, Limits, Live, LiveEncoder, Progress, Snapshot, Synced};
 pub(crate) use session::STACK_BYTES;
 pub use session::{ActiveRun, Session};
 pub use stop::Stop;
 
 use crate::bus::BusError;
 use crate::claim::{Claim, Holder};
+use crate::problem::{Fact, Problem};
 use crate::recorder::RunSummary;
 use crate::segment::OpenError;
 use crate::segment::faults::FaultWindow;
@@ -94,7 +95,7 @@ pub struct RunRequest {
 }
 
 /// One run of a bus that is in operation.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct RunDetails {
     /// Name of the run, and of its file.
     pub name: String,
@@ -187,9 +188,17 @@ pub enum RunError {
     /// The name that was asked for is that of a run that a crash left behind.
     #[error("{}: a run of this name was left behind by a crash and has just been recovered; choose another name", .0.display())]
     NameRecovered(PathBuf),
-    /// The disk is too full to begin.
+    /// The disk does not take a run.
     #[error("{0}")]
-    Disk(String),
+    Disk(Problem),
+    /// Asked to end while the disk had not yet given the run a file.
+    #[error("{cause} before the run had a file; nothing was recorded: {problem}")]
+    NoFile {
+        /// Cause of the end, such as a signal.
+        cause: String,
+        /// What the disk did.
+        problem: Problem,
+    },
     /// The disk refused while the run went on, and so did the spare place.
     #[error("{source}; {saved}")]
     Broken {
@@ -214,6 +223,21 @@ pub enum RunError {
 }
 
 impl RunError {
+    /// As it is reported.
+    pub fn problem(&self) -> Problem {
+        match self {
+            Self::Bus(error) => error.fact().into(),
+            Self::Open(error) => Fact::InterfaceUnusable { error: error.to_string() }.into(),
+            Self::Disk(problem) => problem.clone(),
+            Self::Write(WriteError::Io { path, source }) => {
+                let place = format!("cannot write {}", path.display());
+                Fact::DiskError { place, error: source.to_string() }.into()
+            }
+            Self::Broken { .. } => Fact::FileBroken { error: self.to_string() }.into(),
+            error => Fact::RunRefused { error: error.to_string() }.into(),
+        }
+    }
+
     /// Somebody at the bus can set it right while this program waits: a cable, power, a terminal, an interface.
     fn may_pass(&self) -> bool {
         matches!(
@@ -315,11 +339,9 @@ fn wait(
     while !is_done() {
         let is_stopped = stop.is_stopped().then(|| *stopped.get_or_insert_with(Instant::now));
         if !is_worth_it() && is_stopped.is_some_and(|since| since.elapsed() > LEAVES_WITHIN) {
-            let problem = storage.problem().unwrap_or_else(|| "the disk does not answer".into());
-            let cause = stop.cause();
-            return Err(RunError::Disk(format!(
-                "{cause} before the run had a file; nothing was recorded: {problem}"
-            )));
+            let silent = || Fact::DiskSilent { directory: None, silent_s: None }.into();
+            let problem = storage.problem().unwrap_or_else(silent);
+            return Err(RunError::NoFile { cause: stop.cause(), problem });
         }
         thread::sleep(STOP_PERIOD);
     }

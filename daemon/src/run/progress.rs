@@ -11,6 +11,7 @@ use shared::time::MonoNs;
 
 use crate::bus::{DEVICES_MAX, PORTS};
 use crate::cycle::{BusState, Links, PortErrors};
+use crate::problem::{Fact, Problem};
 
 /// What the cycle handed over, written by it alone.
 #[derive(Debug, Default)]
@@ -45,6 +46,8 @@ pub struct Limits {
 #[derive(Debug)]
 struct OnDisk {
     written: u64,
+    /// Cycles among them that were lost between bus and file.
+    written_lost: u64,
     synced: Synced,
     writing_since: Option<Instant>,
     /// With the number of the synchroniser that is at it.
@@ -109,27 +112,11 @@ pub struct Snapshot {
     /// Where the run is written; empty until its file is there.
     pub file: PathBuf,
     /// What is wrong with the disk.
-    pub warnings: Vec<Warning>,
+    pub problems: Vec<Problem>,
     /// How well the loop kept its time; none on virtual time.
     pub timing: Option<TimingSummary>,
     /// The cycles that are written and not valid, by joint and reason.
     pub flagged: Vec<Flagged>,
-}
-
-/// Something that is wrong with a run's disk.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Warning {
-    /// What, without figures.
-    pub what: &'static str,
-    /// In words, with them.
-    pub text: String,
-}
-
-impl Warning {
-    /// Cycles are lost, or will be if it goes on.
-    pub fn costs_data(&self) -> bool {
-        ["opening", "lost file", "lost cycles", "backlog"].contains(&self.what)
-    }
 }
 
 impl Progress {
@@ -137,6 +124,7 @@ impl Progress {
     pub fn new(handed: Arc<Handed>, limits: Limits) -> Self {
         let disk = OnDisk {
             written: 0,
+            written_lost: 0,
             synced: Synced::default(),
             writing_since: None,
             syncing_since: None,
@@ -178,12 +166,12 @@ impl Progress {
         disk.writing_since = Some(Instant::now());
     }
 
-    /// So many cycles are written; or fewer, where the disk refused.
-    pub fn wrote(&self, cycles: u64) {
+    /// The number of cycles written so far, or fewer where the disk refused, and of those among them that were lost.
+    pub fn wrote(&self, cycles: u64, lost: u64) {
         let mut disk = self.disk();
         disk.longest = disk.longest_now();
         disk.writing_since = None;
-        disk.written = cycles;
+        (disk.written, disk.written_lost) = (cycles, lost);
     }
 
     /// A synchroniser is at it.
@@ -236,7 +224,7 @@ impl Progress {
         self.disk().lost.clone()
     }
 
-    /// The run goes on in another place, and why.
+    /// The run continues in another place, and why.
     pub fn moved(&self, place: RunPlace, why: String) {
         let mut disk = self.disk();
         disk.place = Some(place);
@@ -247,7 +235,9 @@ impl Progress {
 
     fn backlog(&self, disk: &OnDisk) -> u64 {
         let (due, lost) = (self.handed.due.load(Ordering::Acquire), self.handed.lost.load(Ordering::Relaxed));
-        due.saturating_sub(disk.written.saturating_add(lost)).min(self.limits.ring_cycles as u64)
+        // A lost cycle waits for nothing, and once its number is written it is among the written ones.
+        let unwritten_lost = lost.saturating_sub(disk.written_lost);
+        due.saturating_sub(disk.written.saturating_add(unwritten_lost)).min(self.limits.ring_cycles as u64)
     }
 
     fn ns_of(&self, cycles: u64) -> u64 {
@@ -273,11 +263,11 @@ impl Progress {
             unsynced_s: seconds(taken.saturating_sub(synced.cycles)),
             longest: disk.longest_now(),
             file: disk.place.as_ref().map(|place| place.path().to_owned()).unwrap_or_default(),
-            warnings: Vec::new(),
+            problems: Vec::new(),
             timing: disk.timing.clone(),
             flagged: disk.flagged.clone(),
         };
-        snapshot.warnings = snapshot.find_warnings(&self.limits, &disk);
+        snapshot.problems = snapshot.find_problems(&self.limits, &disk);
         snapshot
     }
 }
@@ -304,53 +294,26 @@ const OPENS_WITHIN: Duration = Duration::from_secs(1);
 const WARNING_PERIODS: u32 = 2;
 
 impl Snapshot {
-    fn find_warnings(&self, limits: &Limits, disk: &OnDisk) -> Vec<Warning> {
+    fn find_problems(&self, limits: &Limits, disk: &OnDisk) -> Vec<Problem> {
         let Self { lost, backlog_s, backlog_limit_s, unsynced_s, file, .. } = self;
         let usual_s = (limits.sync_period * WARNING_PERIODS).as_secs_f64();
-        let mut warnings = Vec::new();
-        let mut warn = |what, text| warnings.push(Warning { what, text });
-        let opening = disk.opening.since.elapsed();
-        if disk.place.is_none() && opening > OPENS_WITHIN {
-            let text = format!(
-                "the run has no file yet: for {:.1} s the disk has been asked {}",
-                opening.as_secs_f64(),
-                disk.opening.what
-            );
-            warn("opening", text);
-        }
-        if let Some(why) = &disk.lost {
-            warn("lost file", format!("{why}; what was taken is being brought to another place"));
-        }
-        if let Some(why) = &disk.moved {
-            warn("moved", format!("the run goes on in {}, because: {why}", file.display()));
-        }
-        if *lost > 0 {
-            warn("lost cycles", format!("{lost} cycles are lost: the disk did not take them in time"));
-        }
-        if limits.cycle_waits {
-            return warnings;
-        }
-        if *backlog_s > usual_s {
-            warn(
-                "backlog",
-                format!(
-                    "the disk takes nothing: {backlog_s:.1} s of cycles wait to be written, from {backlog_limit_s:.0} s on \
-                     they are lost; see what keeps it busy"
-                ),
-            );
-        } else if *unsynced_s > usual_s {
-            warn(
-                "slow",
-                format!("the disk is slow: a power cut now would cost the last {unsynced_s:.1} s of the run"),
-            );
-        }
-        warnings
-    }
-
-    /// All that is wrong, in one line.
-    pub fn warning(&self) -> Option<String> {
-        let texts: Vec<_> = self.warnings.iter().map(|warning| warning.text.as_str()).collect();
-        (!texts.is_empty()).then(|| texts.join("; "))
+        let since_opening = disk.opening.since.elapsed();
+        let is_pending = disk.place.is_none() && since_opening > OPENS_WITHIN;
+        let pending = is_pending.then(|| Fact::FilePending {
+            since_s: since_opening.as_secs_f64(),
+            step: disk.opening.what.into(),
+        });
+        let gone = disk.lost.clone().map(|error| Fact::FileLost { error });
+        let moved = disk.moved.clone().map(|error| Fact::FileMoved { file: file.clone(), error });
+        let lost = (*lost > 0).then_some(Fact::CyclesLost { cycles: *lost });
+        let late = if limits.cycle_waits {
+            None
+        } else if *backlog_s > usual_s {
+            Some(Fact::DiskBacklog { backlog_s: *backlog_s, limit_s: *backlog_limit_s })
+        } else {
+            (*unsynced_s > usual_s).then_some(Fact::DiskSlow { unsynced_s: *unsynced_s })
+        };
+        [pending, gone, moved, lost, late].into_iter().flatten().map(Problem::from).collect()
     }
 }
 
@@ -365,13 +328,17 @@ pub struct Live {
     /// Cycles so far, and those of each encoder that were valid.
     counted: AtomicU64,
     counted_valid: [AtomicU64; MAX_ENCODERS],
+    /// Cycles among them in which every encoder was valid, and those that missed their deadline.
+    counted_whole: AtomicU64,
+    counted_late: AtomicU64,
     flags: AtomicU64,
     origin: AtomicU32,
     encoders: [AtomicU64; MAX_ENCODERS],
     latches: [AtomicU32; MAX_ENCODERS],
     /// 0 where no device is missing: before the coupler there is nothing that could stay in use.
     missing_from: AtomicU32,
-    outage: Mutex<Option<String>>,
+    /// Of the bus while it is down, with its number.
+    outage: Mutex<(u32, Option<Fact>)>,
     links_revision: AtomicU64,
     links: [[LivePort; PORTS]; DEVICES_MAX],
 }
@@ -413,7 +380,11 @@ impl Live {
         if record.flags & BUS_FLAGS == 0 {
             self.whole_at_ns.store(record.send_time.0, Ordering::Relaxed);
         }
+        if record.flags & flags::DEADLINE_MISSED != 0 {
+            self.counted_late.fetch_add(1, Ordering::Relaxed);
+        }
         if record.is_valid() {
+            self.counted_whole.fetch_add(1, Ordering::Relaxed);
             for (place, encoder) in self.latches.iter().zip(record.encoders()) {
                 place.store(encoder.latch, Ordering::Relaxed);
             }
@@ -423,15 +394,18 @@ impl Live {
         self.at_ns.store(record.send_time.0, Ordering::Release);
     }
 
-    /// Says how much of the bus is in operation. Wait-free, unless it is down: then nothing can be late.
-    pub fn publish_bus(&self, state: &BusState<'_>) {
+    /// Publishes how much of the bus is in operation. Wait-free, unless it is down: then nothing can be late.
+    pub fn publish_bus(&self, state: &BusState<'_>, bus: &str) {
         let missing_from = match state {
             BusState::Before(from) => (*from).into(),
             BusState::Whole | BusState::Down(_) => 0,
         };
         self.missing_from.store(missing_from, Ordering::Relaxed);
-        if let BusState::Down(why) = state {
-            *self.outage.lock().unwrap_or_else(PoisonError::into_inner) = why.map(ToString::to_string);
+        if let BusState::Down(outage) = state {
+            let mut published = self.outage.lock().unwrap_or_else(PoisonError::into_inner);
+            if published.0 != outage.number || published.1.is_none() {
+                *published = (outage.number, outage.fact(bus));
+            }
         }
     }
 
@@ -468,10 +442,10 @@ impl Live {
         (from != 0).then_some(from as usize)
     }
 
-    /// What the last attempt to bring up a bus that is down met; none if it is not down.
-    pub fn outage(&self) -> Option<String> {
+    /// Why the bus is down; none if it is not.
+    pub fn outage(&self) -> Option<Fact> {
         let is_down = self.flags() & flags::BUS_DOWN != 0;
-        self.outage.lock().unwrap_or_else(PoisonError::into_inner).clone().filter(|_| is_down)
+        self.outage.lock().unwrap_or_else(PoisonError::into_inner).1.clone().filter(|_| is_down)
     }
 
     /// When the latest cycle was, 0 before the first.
@@ -495,6 +469,11 @@ impl Live {
         (self.counted.load(Ordering::Relaxed), valid)
     }
 
+    /// Cycles so far, those in which every encoder was valid, and those that missed their deadline.
+    pub fn totals(&self) -> [u64; 3] {
+        [&self.counted, &self.counted_whole, &self.counted_late].map(|count| count.load(Ordering::Relaxed))
+    }
+
     /// What the terminals' latches showed in the latest cycle in which every encoder was valid, in bus order.
     pub fn latches(&self) -> [u32; MAX_ENCODERS] {
         std::array::from_fn(|index| self.latches[index].load(Ordering::Relaxed))
@@ -516,5 +495,33 @@ impl Live {
             let packed = self.encoders[index].load(Ordering::Relaxed);
             LiveEncoder { count: packed as u32, status: (packed >> 32) as u16, valid: packed >> 48 & 1 == 1 }
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_loss_shortens_no_later_backlog() {
+        let handed = Arc::<Handed>::default();
+        let limits = Limits {
+            cycle_period: Duration::from_millis(10),
+            sync_period: Duration::from_millis(500),
+            ring_cycles: 1000,
+            cycle_waits: false,
+        };
+        let progress = Progress::new(Arc::clone(&handed), limits);
+        let backlog = |due, lost, written, written_lost| {
+            handed.due.store(due, Ordering::Relaxed);
+            handed.lost.store(lost, Ordering::Relaxed);
+            progress.wrote(written, written_lost);
+            (progress.get().backlog_s / 0.01).round()
+        };
+        // 100 written, 50 of the next 100 lost, the other 50 wait.
+        assert_eq!(backlog(200, 50, 100, 0), 50.0);
+        // All of these are written, the lost ones by their numbers; then the disk hangs again.
+        assert_eq!(backlog(200, 50, 200, 50), 0.0);
+        assert_eq!(backlog(300, 50, 200, 50), 100.0);
     }
 }

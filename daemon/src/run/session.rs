@@ -22,6 +22,7 @@ use crate::bus::BusError;
 use crate::claim;
 use crate::clock::Clock;
 use crate::cycle::RealtimeRequest;
+use crate::problem::{Fact, Problem};
 use crate::recorder::{self, Mark, Recorder, RunLink, RunSummary};
 
 /// Locked memory is really there, all of it: several times what these threads use.
@@ -177,11 +178,8 @@ impl Session {
         let mut encoders = self.encoders.clone();
         let stale = details.homing.as_ref().map(|homing| homing.apply(&mut encoders, &self.live.latches()));
         if let Some(stale) = stale.filter(|stale| !stale.is_empty()) {
-            tracing::warn!(
-                joints = ?stale,
-                "reference marks of homing.toml do not hold any more (power was off, or the encoders were configured \
-                 differently); run `ballbard home` if the run needs them"
-            );
+            let problem = Problem::from(Fact::MarksStale { joints: stale });
+            tracing::warn!(code = problem.code(), "{problem}");
         }
         encoders
     }
@@ -206,14 +204,19 @@ impl Session {
         &self.encoders
     }
 
+    /// Name of the bus.
+    pub fn bus(&self) -> &str {
+        &self.bus
+    }
+
     /// The latest sample of each encoder.
     pub fn live(&self) -> &Arc<Live> {
         &self.live
     }
 
-    /// What is known of why the bus does not give whole samples: position, what should be there, what is, what to do.
-    pub fn outage(&self) -> Option<String> {
-        let absent = |from| BusError::absent(&self.bus, &self.ready.devices, from).to_string();
+    /// Why the bus does not give whole samples, as far as it is known.
+    pub fn outage(&self) -> Option<Fact> {
+        let absent = |from| BusError::absent(&self.bus, &self.ready.devices, from).fact();
         self.live.missing_from().map(absent).or_else(|| self.live.outage())
     }
 
@@ -228,8 +231,9 @@ impl Session {
     }
 
     /// What the system did not permit the cycle's thread; none if it has all that it asked for.
-    pub fn realtime_problem(&self) -> Option<String> {
-        self.ready.realtime.as_ref().filter(|report| !report.is_complete()).map(ToString::to_string)
+    pub fn realtime_problem(&self) -> Option<Problem> {
+        let report = self.ready.realtime.as_ref().filter(|report| !report.is_complete())?;
+        Some(Fact::RealtimeDenied { report: report.to_string() }.into())
     }
 
     /// Says in the log what the bus is and how the cycle runs.

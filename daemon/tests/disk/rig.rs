@@ -15,6 +15,7 @@ use std::time::{Duration, Instant};
 
 use ballbard::clock::Clock;
 use ballbard::cycle::CycleTiming;
+use ballbard::problem::Problem;
 use ballbard::recorder::{self, Mark, Recorder, RunLink, RunSummary};
 use ballbard::run::{Limits, Progress, Snapshot, Stop, Storage};
 use shared::config::DaemonConfig;
@@ -46,7 +47,7 @@ pub type Way = fn(&Path);
 pub struct Look {
     pub snapshot: Snapshot,
     /// Of the disk as a place for recordings.
-    pub problem: Option<String>,
+    pub problem: Option<Problem>,
     /// Bytes of the run's file that would have survived a power cut then.
     pub synced_bytes: u64,
     /// Bytes that would have survived a kill.
@@ -88,8 +89,8 @@ impl Outcome {
     /// Whoever looked was told something with this word in it.
     pub fn was_told(&self, word: &str) -> bool {
         let told = |look: &Look| {
-            let warning = look.snapshot.warning().unwrap_or_default();
-            warning.contains(word) || look.problem.as_ref().is_some_and(|problem| problem.contains(word))
+            let is_in = |problem: &Problem| problem.text.contains(word);
+            look.snapshot.problems.iter().chain(&look.problem).any(is_in)
         };
         self.looks.iter().any(told)
     }
@@ -231,7 +232,7 @@ pub fn record(plan: &Plan, wall: impl FnOnce(&Path) -> Wall) -> Outcome {
             // While it moves it is neither here nor there, and a file that was just removed is not missed yet. It is reported
             // lost before another one takes its name, so that this is looked at last.
             let places = |of: &Snapshot| {
-                of.warnings.iter().filter(|one| ["lost file", "moved"].contains(&one.what)).count()
+                of.problems.iter().filter(|one| ["file_lost", "file_moved"].contains(&one.code())).count()
             };
             let is_steady = file.is_some() && places(&progress.get()) == places(&snapshot);
             looks.push(Look { snapshot, problem, synced_bytes, written_bytes, is_steady, at });
