@@ -17,7 +17,7 @@ pub mod homing;
 pub mod log;
 pub mod page;
 pub mod problem;
-pub mod recorder;
+pub mod record;
 pub mod run;
 pub mod segment;
 pub mod tuning;

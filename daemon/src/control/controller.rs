@@ -21,7 +21,7 @@ use super::view::View;
 use crate::claim::Claim;
 use crate::clock::Clock;
 use crate::problem::{Fact, Problem};
-use crate::recorder::RunSummary;
+use crate::record::RunSummary;
 use crate::run::{ActiveRun, LEAVES_WITHIN, RunDetails, RunError, Stop, Storage};
 
 /// How often bus and recorder are looked at while nobody asks for anything.

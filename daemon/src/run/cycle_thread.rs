@@ -6,15 +6,15 @@ use std::sync::mpsc::{Receiver, SyncSender, TryRecvError};
 use shared::recording::schema::DeviceInfo;
 use shared::time::UtcNs;
 
+use super::error::RunError;
 use super::homing::HomingJob;
-use super::progress::Live;
+use super::live::Live;
 use super::source::Prepared;
-use super::{RunError, Stop};
 use crate::bus::Bus;
 use crate::clock::Clock;
 use crate::cycle::{Acquisition, RealtimeReport, RealtimeRequest};
 use crate::problem::flag_names;
-use crate::recorder::CycleSink;
+use crate::record::{CycleSink, Stop};
 use crate::segment::simulated::ReplayHandle;
 
 /// What the cycle's thread reports once the bus is in operation.
@@ -202,7 +202,7 @@ mod tests {
     use shared::config::{self, DaemonConfig};
 
     use super::*;
-    use crate::recorder;
+    use crate::record;
     use crate::run::source;
     use crate::segment::InProcessWire;
     use crate::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
@@ -217,7 +217,7 @@ mod tests {
         let prepared = source::on_wire(wire, &DaemonConfig::default(), &config::load(&bar).unwrap());
         let bus = Bus::new(prepared.wire, clock.clone(), prepared.plan.reply_timeout);
         let mut acquisition = Acquisition::start(bus, &prepared.plan, clock.clone()).unwrap();
-        let (sink, recorder) = recorder::ring(64, &clock);
+        let (sink, recorder) = record::ring(64, &clock);
         drop(recorder);
         let stop = Stop::default();
         let job = RunJob {

@@ -6,11 +6,11 @@ use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use shared::config::EncoderConfig;
 use shared::encoder::Direction;
 
-use super::Stop;
-use super::progress::Live;
+use super::live::Live;
 use crate::claim;
 use crate::cycle::Acquisition;
 use crate::homing::{self, Found, HomingError, HomingStep};
+use crate::record::Stop;
 use crate::segment::simulated::Hand;
 
 /// Why a homing ends that nobody has ended.

@@ -13,20 +13,21 @@ use shared::recording::{
 use shared::time::{MonoNs, UtcNs};
 
 use super::cycle_thread::{self, Interrupts, Job, Ready, RunJob};
-use super::disk::Storage;
+use super::error::RunError;
 use super::homing::{self, ActiveHoming};
-use super::progress::{Limits, Live, Progress};
+use super::live::Live;
+use super::place::finish_leftovers;
+use super::request::RunDetails;
 use super::source::Prepared;
-use super::{RunDetails, RunError, Stop, finish_leftovers};
 use crate::bus::BusError;
 use crate::claim;
 use crate::clock::Clock;
 use crate::cycle::RealtimeRequest;
 use crate::problem::{Fact, Problem};
-use crate::recorder::{self, Mark, Recorder, RunLink, RunSummary};
+use crate::record::{
+    self, Limits, Mark, Progress, Recorder, RunLink, RunSummary, STACK_BYTES, Stop, Storage,
+};
 
-/// Locked memory is really there, all of it: several times what these threads use.
-pub(crate) const STACK_BYTES: usize = 512 << 10;
 /// Markers that may wait for the disk.
 const MARKS_MAX: usize = 1000;
 
@@ -127,7 +128,7 @@ impl Session {
             tracing::warn!(run = metadata.name, "{provenance}");
         }
         let ring_cycles = self.daemon.ring_cycles(self.period);
-        let (sink, ring) = recorder::ring(ring_cycles, &self.clock);
+        let (sink, ring) = record::ring(ring_cycles, &self.clock);
         let (marks, marks_rx) = sync_channel(MARKS_MAX);
         let limits = Limits {
             cycle_period: self.period,

@@ -16,8 +16,9 @@ use std::time::{Duration, Instant};
 use ballbard::clock::Clock;
 use ballbard::cycle::CycleTiming;
 use ballbard::problem::Problem;
-use ballbard::recorder::{self, Mark, Recorder, RunLink, RunSummary};
-use ballbard::run::{Limits, Progress, Snapshot, Stop, Storage};
+use ballbard::record::{
+    self, Limits, Mark, Progress, Recorder, RunLink, RunSummary, Snapshot, Stop, Storage,
+};
 use shared::config::DaemonConfig;
 use shared::encoder::EncoderScale;
 use shared::recording::schema::{CycleRecord, EncoderInfo, EncoderSample, RunMetadata};
@@ -196,7 +197,7 @@ pub fn record(plan: &Plan, wall: impl FnOnce(&Path) -> Wall) -> Outcome {
         Ok(writer) => writer,
         Err(error) => return Outcome { result: Err(error), ..outcome },
     };
-    let (sink, source) = recorder::ring(plan.ring_cycles, &Clock::Real);
+    let (sink, source) = record::ring(plan.ring_cycles, &Clock::Real);
     let limits = Limits {
         cycle_period: plan.period,
         sync_period: plan.sync_period,
@@ -251,7 +252,7 @@ pub fn record(plan: &Plan, wall: impl FnOnce(&Path) -> Wall) -> Outcome {
 fn produce(
     plan: &Plan,
     first: MonoNs,
-    mut sink: recorder::CycleSink,
+    mut sink: record::CycleSink,
     marks: &SyncSender<Mark>,
     stop: &Stop,
     home: &Path,

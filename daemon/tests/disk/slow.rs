@@ -7,8 +7,7 @@ use std::time::Duration;
 
 use ballbard::clock::Clock;
 use ballbard::problem::Problem;
-use ballbard::recorder;
-use ballbard::run::{Limits, Progress, Snapshot, Storage};
+use ballbard::record::{self, Limits, Progress, Snapshot, Storage};
 use nix::fcntl::{AT_FDCWD, RenameFlags, renameat2};
 use shared::config::DaemonConfig;
 use shared::recording::schema::{EventKind, flags};
@@ -214,7 +213,7 @@ fn a_file_or_directory_that_vanishes_is_reported_within_a_second_and_the_run_goe
 fn a_look_that_began_before_a_run_moved_reports_nothing_about_its_new_file() {
     let (directory, period) = (tempfile::tempdir().unwrap(), Duration::from_millis(10));
     let mut writer = RecordingWriter::create(directory.path(), &metadata(period)).unwrap();
-    let (_sink, source) = recorder::ring(10, &Clock::Real);
+    let (_sink, source) = record::ring(10, &Clock::Real);
     let limits = Limits { cycle_period: period, sync_period: period, ring_cycles: 10, cycle_waits: false };
     let progress = Progress::new(Arc::clone(source.handed()), limits);
     let before = writer.sink().place().clone();

@@ -2,6 +2,7 @@
 
 use std::io::Cursor;
 use std::path::Path;
+use std::sync::mpsc::sync_channel;
 
 use shared::config::DaemonConfig;
 use shared::encoder::EncoderScale;
@@ -10,7 +11,7 @@ use shared::recording::{Disk, Recording, SystemDisk, salvage};
 use shared::time::DcNs;
 
 use super::*;
-use crate::run::{Limits, Stop};
+use crate::record::{Limits, Stop};
 
 fn metadata() -> RunMetadata {
     RunMetadata {

@@ -1,23 +1,24 @@
 //! From the ring to the file: a thread that may wait for the disk, so that the cycle never does.
 
 use std::collections::VecDeque;
-use std::io;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering};
-use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
+use std::sync::atomic::Ordering;
+use std::sync::mpsc::Receiver;
 use std::thread;
 use std::time::{Duration, Instant};
 
 use rtrb::{Consumer, Producer, PushError, RingBuffer};
 use shared::recording::schema::{CycleRecord, Event, EventKind, PortCounts, Provenance, RunMetadata};
-use shared::recording::{RecordingWriter, RunFile, RunSync, TimingSummary, WriteError};
+use shared::recording::{RecordingWriter, RunFile, TimingSummary, WriteError};
 use shared::time::{MonoNs, UtcNs};
 
+use super::progress::{Handed, Progress, Synced};
+use super::storage::Storage;
+use super::synchroniser::Synchroniser;
 use crate::clock::Clock;
 use crate::cycle::{BusNames, CycleEvent, CycleTiming, TimingSink, TimingSource, timing_ring};
 use crate::problem::{Fact, Problem};
-use crate::run::{Handed, Progress, STACK_BYTES, Storage, Synced};
 
 /// Events that may wait for the recorder; cycles carry their reasons themselves, so that one too many is no harm.
 const EVENTS_MAX: usize = 1024;
@@ -25,8 +26,6 @@ const EVENTS_MAX: usize = 1024;
 const DRAIN_PERIOD: Duration = Duration::from_millis(20);
 /// Times that a run is taken to another place before it is given up.
 const MOVES_MAX: u32 = 8;
-/// A synchronisation that goes on when its recorder ends may still take this long.
-const LETS_GO_WITHIN: Duration = Duration::from_secs(1);
 /// A synchronisation that takes no longer is not worth a record of its own \[ns\].
 const SYNC_USUAL_NS: u64 = 100_000_000;
 /// How well the loop kept its time is put into the file at least this often, for a run that is killed.
@@ -488,69 +487,6 @@ impl Recorder {
 fn event(time: UtcNs, cycle: u64, kind: EventKind, fact: Fact) -> Event {
     let code = fact.code().to_owned();
     Event { time, cycle, kind, text: Problem::from(fact).text, code }
-}
-
-/// A thread that waits for the disk to have what was written, while more is written. It ends with the recorder.
-struct Synchroniser {
-    jobs: SyncSender<(RunSync, Synced)>,
-    outcomes: Receiver<io::Result<()>>,
-    is_busy: bool,
-}
-
-impl Synchroniser {
-    fn new(progress: &Arc<Progress>) -> Self {
-        static NUMBER: AtomicU32 = AtomicU32::new(1);
-        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
-        let (jobs, waiting) = sync_channel::<(RunSync, Synced)>(1);
-        let (outcome, outcomes) = sync_channel(1);
-        let progress = Arc::clone(progress);
-        let body = move || {
-            while let Ok((file, covered)) = waiting.recv() {
-                progress.syncing(number);
-                let synced = file.sync();
-                progress.synced(number, synced.is_ok().then_some(covered));
-                // Let go of the file before its recorder may.
-                drop(file);
-                if outcome.send(synced).is_err() {
-                    return;
-                }
-            }
-        };
-        // Where there is no thread to be had nobody takes jobs, and each fails.
-        let _ = thread::Builder::new().name("synchroniser".into()).stack_size(STACK_BYTES).spawn(body);
-        Self { jobs, outcomes, is_busy: false }
-    }
-
-    /// Synchronises `file`, unless it is still at it.
-    fn begin(&mut self, file: RunSync, covers: Synced) {
-        if !self.is_busy {
-            self.is_busy = true;
-            let _ = self.jobs.send((file, covers));
-        }
-    }
-
-    /// Why the last synchronisation failed; told once.
-    fn problem(&mut self) -> Option<io::Error> {
-        if !self.is_busy {
-            return None;
-        }
-        let outcome = match self.outcomes.try_recv() {
-            Ok(outcome) => outcome,
-            Err(TryRecvError::Empty) => return None,
-            Err(TryRecvError::Disconnected) => Err(io::Error::other("no thread to synchronise the file")),
-        };
-        self.is_busy = false;
-        outcome.err()
-    }
-}
-
-impl Drop for Synchroniser {
-    /// Whoever recovers the file should find it unlocked; one that hangs is not waited for.
-    fn drop(&mut self) {
-        if self.is_busy {
-            let _ = self.outcomes.recv_timeout(LETS_GO_WITHIN);
-        }
-    }
 }
 
 #[cfg(test)]

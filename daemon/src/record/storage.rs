@@ -10,7 +10,8 @@ use std::time::{Duration, Instant};
 use shared::config::DaemonConfig;
 use shared::recording::{Disk, Space, SystemDisk};
 
-use super::{Progress, Stop};
+use super::progress::Progress;
+use super::stop::Stop;
 use crate::problem::{Fact, Problem};
 
 const BYTES_PER_MB: u64 = 1_000_000;
