@@ -13,8 +13,6 @@ mod signals;
 mod systemd;
 mod tune;
 
-pub use export::{Layout, write_csv};
-
 use self::signals::Signals;
 use crate::run::BusChoice;
 use crate::segment::interfaces;

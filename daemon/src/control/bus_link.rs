@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use shared::recording::schema::MAX_ENCODERS;
 
 use super::machine::Event;
-use super::service::Connect;
+use super::settings::Connect;
 use crate::clock::Clock;
 use crate::problem::{Fact, Problem};
 use crate::run::{BUS_FLAGS, RunError, Session};

@@ -14,7 +14,7 @@ use super::machine::{Action, Answer, Event, Machine, State};
 use super::marks::Marks;
 use super::preflight::{self, Found};
 use super::problem_log::ProblemLog;
-use super::service::{Connect, Settings};
+use super::settings::{Connect, Settings};
 use super::status::{CheckLine, LastRun, ServiceState, Status, Totals, next_command};
 use super::tending::Tending;
 use super::view::View;

@@ -20,7 +20,7 @@ use shared::time::{MonoNs, NS_PER_S};
 use tokio::sync::watch;
 
 use super::preflight::hours_left;
-use super::service::Settings;
+use super::settings::Settings;
 use super::status::{EncoderStatus, Headline, RunStatus, Status};
 use super::verdict::{Content, Verdict};
 use crate::clock::Clock;

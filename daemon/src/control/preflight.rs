@@ -7,7 +7,7 @@ use shared::config::{DaemonConfig, HomingConfig};
 use shared::recording::Disk;
 
 use super::runs;
-use super::service::Settings;
+use super::settings::Settings;
 use super::status::{CheckLine, EncoderStatus, Status};
 use super::verdict::{VALID_SHARE_BAD, VALID_SHARE_GOOD};
 use super::view::View;

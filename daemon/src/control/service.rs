@@ -8,43 +8,21 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
 
-use shared::config::{BallBarConfig, DaemonConfig};
 use shared::recording::{Disk, SystemDisk};
 use shared::time::MonoNs;
 use tokio::sync::{Semaphore, oneshot, watch};
 
 use super::controller::{Command, Controller};
 use super::live::{self, Minute, Moment, Watched};
-use super::live_tap::LiveTap;
 use super::machine::Answer;
 use super::preflight::Found;
 use super::runs;
+use super::settings::Connect;
+pub use super::settings::Settings;
 use super::status::{CheckLine, NameReply, NameRequest, Refusal, StartRequest, Status};
 use crate::clock::Clock;
-use crate::homing::MarksFile;
 use crate::problem::{Fact, Problem};
-use crate::run::{self, BusChoice, RunDetails, RunError, Session, Storage};
-use crate::segment::faults::FaultWindow;
-
-/// What the service is made of.
-#[derive(Debug, Clone)]
-pub struct Settings {
-    /// Which bus.
-    pub bus: BusChoice,
-    /// What goes wrong on the simulated bus, on purpose.
-    pub faults: Vec<FaultWindow>,
-    /// `daemon.toml`.
-    pub daemon: DaemonConfig,
-    /// `ball_bar.toml`.
-    pub bar: BallBarConfig,
-    /// `homing.toml`, which need not be there.
-    pub marks: MarksFile,
-    /// Who else is given a run while it goes on; nobody without.
-    pub live_tap: Option<LiveTap>,
-}
-
-/// Brings the bus into operation; tried again and again until it is.
-pub(crate) type Connect = dyn Fn() -> Result<Session, RunError> + Send + Sync;
+use crate::run::{self, RunDetails, RunError, Storage};
 
 /// The service's thread, and why it has ended.
 type Control = thread::JoinHandle<Result<(), ServiceError>>;
@@ -313,12 +291,14 @@ pub(crate) mod tests {
     use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
     use std::time::Instant;
 
-    use shared::config;
+    use shared::config::{self, DaemonConfig};
     use shared::recording::Recording;
     use shared::time::MonoNs;
 
     use super::*;
     use crate::control::status::ServiceState;
+    use crate::homing::MarksFile;
+    use crate::run::BusChoice;
     use crate::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
     use crate::segment::{FRAME_BYTES_MAX, InProcessWire, Wire};
 

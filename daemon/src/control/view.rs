@@ -10,7 +10,7 @@ use super::bus_link::{are_silent, silent_encoders};
 use super::homing::Homing;
 use super::machine::{Machine, State};
 use super::marks::Marks;
-use super::service::Settings;
+use super::settings::Settings;
 use super::status::{EncoderStatus, LastRun, RunStatus, ServiceState, Status, Totals};
 use super::tending::Tending;
 use crate::clock::Clock;

@@ -8,6 +8,7 @@
 mod bin;
 mod connections;
 mod downloads;
+mod fingerprint;
 mod foxglove;
 mod metrics;
 mod openapi;
@@ -35,10 +36,11 @@ use tokio::sync::Semaphore;
 
 use self::connections::{Client, Connections};
 use self::downloads::{Download, Downloads};
+pub use self::fingerprint::Fingerprint;
 use self::openapi::Operation;
 use self::pairing::Pairing;
-pub use self::remote::{Fingerprint, Remote, RemoteError, RemoteSettings, token_in};
 use self::remote::{FromElsewhere, Gate};
+pub use self::remote::{Remote, RemoteError, RemoteSettings, token_in};
 use super::live::Live;
 use super::machine::Answer;
 use super::note;
@@ -49,8 +51,8 @@ use super::status::{
     MarkRequest, NameReply, NameRequest, NoteRequest, PairReply, PairRequest, Refusal, Reply, ServiceState,
     StartRequest, Status, StopRequest,
 };
+use super::table::{Layout, write_csv};
 use super::verdict::Verdict;
-use crate::commands::{Layout, write_csv};
 use crate::page;
 use crate::problem::{Fact, Problem};
 use crate::run::{About, check_text};
