@@ -15,7 +15,7 @@ use rand::{Rng, SeedableRng, rngs::StdRng};
 pub use text::{FaultSwitch, FaultText, FaultWindow};
 
 use super::FRAME_BYTES_MAX;
-use super::simulated::{MailboxFault, SignalFault, SimulatedSegment};
+use crate::{MailboxFault, SignalFault, SimulatedSegment};
 use replies::Replies;
 
 /// One thing that is wrong. Positions are those on the bus: the coupler is 0, terminals follow. Shares are the
