@@ -164,6 +164,8 @@ facts! {
     RunRefused = "run_refused" { error: String },
     /// The encoders are being homed.
     HomingActive = "homing_active",
+    /// The control's thread takes no requests.
+    ServiceBusy = "service_busy",
     /// The service is ending.
     ServiceEnding = "service_ending",
     /// `homing.toml` cannot be read.
@@ -469,6 +471,9 @@ impl Fact {
                 "the encoders are being homed".into(),
                 "wait until that is done, or end it with `ballbard stop`",
             ),
+            Self::ServiceBusy {} => {
+                ("too many requests wait for the service".into(), "ask again in a second")
+            }
             Self::ServiceEnding {} => ("the service is ending".into(), "start it again: `ballbard run`"),
             Self::MarksUnreadable { error } => (error.clone(), "correct the file, or home again"),
             Self::MarksStale { joints } => (

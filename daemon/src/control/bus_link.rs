@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, TryRecvError, channel};
+use std::sync::mpsc::{Receiver, TryRecvError, sync_channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -152,7 +152,7 @@ impl BusLink {
 
     fn try_to_connect(&mut self, pause: Duration) -> Option<Event> {
         let connect = Arc::clone(&self.connect);
-        let (result, attempt) = channel();
+        let (result, attempt) = sync_channel(1);
         let body = move || {
             // Nobody waits any more if the service has ended meanwhile.
             let _ = result.send(connect());

@@ -44,7 +44,6 @@ pub(super) enum Command {
     Mark(Option<String>, MonoNs, oneshot::Sender<Result<Option<(String, String)>, String>>),
     /// With what was found on disk; none where that did not answer.
     Check(Option<Found>, oneshot::Sender<Vec<CheckLine>>),
-    Shutdown(String),
     /// Takes the thread with it.
     #[cfg(test)]
     Panic,
@@ -83,6 +82,8 @@ pub(super) struct Controller {
     totals: Totals,
     /// What the session and the run have counted by now of what `totals` has.
     counted: Counted,
+    /// Asks the service to end.
+    ending: Stop,
     exit: bool,
     /// Since when the service has been asked to end.
     leaving: Option<Instant>,
@@ -94,8 +95,10 @@ impl Controller {
         connect: Arc<Connect>,
         storage: Storage,
         status: watch::Sender<Status>,
+        ending: Stop,
     ) -> Self {
         Self {
+            ending,
             settings,
             machine: Machine::default(),
             status,
@@ -129,7 +132,10 @@ impl Controller {
             match commands.recv_timeout(poll) {
                 Ok(command) => self.obey(command),
                 Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => self.shutdown("the service was dropped"),
+                Err(RecvTimeoutError::Disconnected) => self.ending.stop("the service was dropped"),
+            }
+            if self.ending.is_stopped() && self.leaving.is_none() {
+                self.shutdown(&self.ending.cause());
             }
             if let Err(error) = self.look_at_place() {
                 break Err(error);
@@ -222,7 +228,6 @@ impl Controller {
                 let view = self.view();
                 let _ = reply.send(preflight::check(&view, &view.status(), found.as_ref()));
             }
-            Command::Shutdown(cause) => self.shutdown(&cause),
             #[cfg(test)]
             Command::Panic => panic!("the test ends this thread"),
         }

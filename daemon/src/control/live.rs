@@ -4,7 +4,7 @@
 //! knows of it. Who watches gets the latest moment and may miss others: nothing is queued.
 
 use std::collections::VecDeque;
-use std::sync::mpsc::{Receiver, channel};
+use std::sync::mpsc::{Receiver, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -365,7 +365,7 @@ impl Observer {
 
 /// Reads `homing.toml` in a thread of its own, because its disk may hang. A file that cannot be read is told by the check.
 fn read(disk: &Arc<dyn Disk>, marks: &MarksFile) -> std::io::Result<Receiver<Option<HomingConfig>>> {
-    let (found, reading) = channel();
+    let (found, reading) = sync_channel(1);
     let (disk, marks) = (Arc::clone(disk), marks.clone());
     thread::Builder::new().name("marks".into()).spawn(move || {
         let _ = found.send(marks.read(&*disk).ok().flatten());

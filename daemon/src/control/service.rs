@@ -3,7 +3,7 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
-use std::sync::mpsc::{Sender, channel};
+use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
@@ -22,7 +22,7 @@ pub use super::settings::Settings;
 use super::status::{CheckLine, NameReply, NameRequest, Refusal, StartRequest, Status};
 use crate::clock::Clock;
 use crate::problem::{Fact, Problem};
-use crate::run::{self, RunDetails, RunError, Storage};
+use crate::run::{self, RunDetails, RunError, Stop, Storage};
 
 /// The service's thread, and why it has ended.
 type Control = thread::JoinHandle<Result<(), ServiceError>>;
@@ -30,7 +30,8 @@ type Control = thread::JoinHandle<Result<(), ServiceError>>;
 /// The way to the service's thread. Clones reach the same service.
 #[derive(Clone)]
 pub struct Service {
-    commands: Sender<Command>,
+    commands: SyncSender<Command>,
+    ending: Stop,
     status: watch::Receiver<Status>,
     live: Watched,
     settings: Arc<Settings>,
@@ -39,6 +40,8 @@ pub struct Service {
     looks: Arc<Semaphore>,
 }
 
+/// Requests that may wait for the control's thread, which takes them within milliseconds; further ones are refused.
+const COMMANDS_MAX: usize = 64;
 /// Questions that may wait for the disk at a time.
 const LOOKS_MAX: usize = 4;
 /// How long each may; after that who asks is told what is known without it.
@@ -85,10 +88,12 @@ impl Service {
     ) -> Result<Self, ServiceError> {
         let disk = storage.disk();
         let settings = Arc::new(settings);
-        let (commands, commands_rx) = channel();
+        let (commands, commands_rx) = sync_channel(COMMANDS_MAX);
+        let ending = Stop::default();
         let (status_tx, status) = watch::channel(Status::default());
         let live = live::watch(Arc::clone(&settings), Arc::clone(&disk), status.clone())?;
-        let mut controller = Controller::new(Arc::clone(&settings), connect, storage, status_tx);
+        let mut controller =
+            Controller::new(Arc::clone(&settings), connect, storage, status_tx, ending.clone());
         let body = move || {
             let outcome = catch_unwind(AssertUnwindSafe(|| controller.run(&commands_rx)));
             outcome.map(|ended| ended.map_err(ServiceError::Run)).unwrap_or_else(|_| {
@@ -99,7 +104,7 @@ impl Service {
         let thread = thread::Builder::new().name("control".into()).spawn(body)?;
         let thread = Arc::new(Mutex::new(Some(thread)));
         let looks = Arc::new(Semaphore::new(LOOKS_MAX));
-        Ok(Self { commands, status, live, settings, disk, thread, looks })
+        Ok(Self { commands, ending, status, live, settings, disk, thread, looks })
     }
 
     /// What it is doing.
@@ -202,8 +207,7 @@ impl Service {
 
     /// Ends a running run with `cause` and its file finished, then the service. Does not wait.
     pub fn shutdown(&self, cause: &str) {
-        // A service that has ended already needs no telling.
-        let _ = self.commands.send(Command::Shutdown(cause.to_owned()));
+        self.ending.stop(cause);
     }
 
     /// Waits for the end of the service; its file is finished then, also where its thread died.
@@ -221,13 +225,16 @@ impl Service {
     /// Ends the thread of the control.
     #[cfg(test)]
     pub(crate) fn kill_control(&self) {
-        let _ = self.commands.send(Command::Panic);
+        let _ = self.commands.try_send(Command::Panic);
     }
 
     async fn ask<T>(&self, command: impl FnOnce(oneshot::Sender<T>) -> Command) -> Result<T, Refusal> {
         let ended = || Refusal::from(Problem::from(Fact::ServiceEnding {}));
         let (reply, answer) = oneshot::channel();
-        self.commands.send(command(reply)).map_err(|_| ended())?;
+        self.commands.try_send(command(reply)).map_err(|error| match error {
+            TrySendError::Full(_) => Refusal::from(Problem::from(Fact::ServiceBusy {})),
+            TrySendError::Disconnected(_) => ended(),
+        })?;
         answer.await.map_err(|_| ended())
     }
 }

@@ -1,6 +1,6 @@
 //! The place for recordings made ready by a thread that may wait for the disk, so that nobody else does.
 
-use std::sync::mpsc::{Receiver, TryRecvError, channel};
+use std::sync::mpsc::{Receiver, TryRecvError, sync_channel};
 use std::thread;
 use std::time::Instant;
 
@@ -17,7 +17,7 @@ pub(super) struct Tending {
 impl Tending {
     /// Claims the place unless that is done, and finishes what earlier runs left there.
     pub fn begin(storage: &Storage, is_claimed: bool) -> Self {
-        let (result, outcome) = channel();
+        let (result, outcome) = sync_channel(1);
         let storage = storage.clone();
         let tend = move || {
             let claimed = if is_claimed { Ok(None) } else { run::claim_directory(&storage) };
