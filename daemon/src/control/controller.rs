@@ -21,7 +21,7 @@ use super::view::View;
 use crate::claim::Claim;
 use crate::clock::Clock;
 use crate::problem::{Fact, Problem};
-use crate::record::RunSummary;
+use crate::record::{RunSummary, Snapshot};
 use crate::run::{ActiveRun, LEAVES_WITHIN, RunDetails, RunError, Stop, Storage};
 
 /// How often bus and recorder are looked at while nobody asks for anything.
@@ -392,12 +392,12 @@ impl Controller {
             self.handle(Event::Ended(cause));
             return;
         }
-        let synced = run.progress.get().synced;
+        let Snapshot { synced, sync_age, .. } = run.progress.get();
         let stalled_after = self.settings.daemon.sync_period() * STALLED_SYNC_PERIODS;
         if synced.cycles > self.cycles_seen {
             self.cycles_seen = synced.cycles;
             self.handle(Event::Synced);
-        } else if synced.at.is_none_or(|at| at.elapsed() > stalled_after) {
+        } else if sync_age.is_none_or(|age| age > stalled_after) {
             self.handle(Event::Stalled);
         }
     }

@@ -120,7 +120,7 @@ impl View<'_> {
             cycles_taken: progress.taken,
             cycles_lost: progress.lost,
             bytes: progress.synced.bytes,
-            sync_age_ms: progress.synced.at.map(|at| at.elapsed().as_millis() as i64),
+            sync_age_ms: progress.sync_age.map(|age| age.as_millis() as i64),
             unsynced_s: progress.unsynced_s,
             backlog_s: progress.backlog_s,
             backlog_limit_s: progress.backlog_limit_s,

@@ -3,10 +3,12 @@
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use shared::recording::{DiskTiming, Flagged, RunPlace, TimingSummary};
+use shared::time::MonoNs;
 
+use crate::clock::Clock;
 use crate::problem::{Fact, Problem};
 
 /// What the cycle handed over, written by it alone.
@@ -23,6 +25,7 @@ pub struct Handed {
 pub struct Progress {
     handed: Arc<Handed>,
     limits: Limits,
+    clock: Clock,
     disk: Mutex<OnDisk>,
 }
 
@@ -45,9 +48,9 @@ struct OnDisk {
     /// Cycles among them that were lost between bus and file.
     written_lost: u64,
     synced: Synced,
-    writing_since: Option<Instant>,
+    writing_since: Option<MonoNs>,
     /// With the number of the synchroniser that is at it.
-    syncing_since: Option<(u32, Instant)>,
+    syncing_since: Option<(u32, MonoNs)>,
     longest: DiskTiming,
     /// What the run waits for before it has a file.
     opening: Opening,
@@ -64,13 +67,7 @@ struct OnDisk {
 #[derive(Debug)]
 struct Opening {
     what: &'static str,
-    since: Instant,
-}
-
-impl Opening {
-    fn now(what: &'static str) -> Self {
-        Self { what, since: Instant::now() }
-    }
+    since: MonoNs,
 }
 
 /// What survives a power cut.
@@ -83,7 +80,7 @@ pub struct Synced {
     /// Length of the file \[bytes\].
     pub bytes: u64,
     /// All that was written before is in it; none before the first time.
-    pub at: Option<Instant>,
+    pub at: Option<MonoNs>,
 }
 
 /// [`Progress`] at one moment.
@@ -103,6 +100,8 @@ pub struct Snapshot {
     pub backlog_limit_s: f64,
     /// What a power cut would cost now \[s\].
     pub unsynced_s: f64,
+    /// Since all that was written then is synchronised; none before the first time.
+    pub sync_age: Option<Duration>,
     /// How long the disk kept the recorder waiting, what it is at included.
     pub longest: DiskTiming,
     /// Where the run is written; empty until its file is there.
@@ -117,7 +116,7 @@ pub struct Snapshot {
 
 impl Progress {
     /// Of a run that has no file yet.
-    pub fn new(handed: Arc<Handed>, limits: Limits) -> Self {
+    pub fn new(handed: Arc<Handed>, limits: Limits, clock: Clock) -> Self {
         let disk = OnDisk {
             written: 0,
             written_lost: 0,
@@ -125,14 +124,14 @@ impl Progress {
             writing_since: None,
             syncing_since: None,
             longest: DiskTiming::default(),
-            opening: Opening::now("to begin with it"),
+            opening: Opening { what: "to begin with it", since: clock.now() },
             place: None,
             lost: None,
             moved: None,
             timing: None,
             flagged: Vec::new(),
         };
-        Self { handed, limits, disk: Mutex::new(disk) }
+        Self { handed, limits, clock, disk: Mutex::new(disk) }
     }
 
     fn disk(&self) -> MutexGuard<'_, OnDisk> {
@@ -141,7 +140,7 @@ impl Progress {
 
     /// What the disk does now so that the run gets its file.
     pub fn opening(&self, what: &'static str) {
-        self.disk().opening = Opening::now(what);
+        self.disk().opening = Opening { what, since: self.clock.now() };
     }
 
     /// The run's file is there.
@@ -159,27 +158,27 @@ impl Progress {
         let mut disk = self.disk();
         let waiting_ns = self.ns_of(self.backlog(&disk));
         disk.longest.backlog_longest_ns = disk.longest.backlog_longest_ns.max(waiting_ns);
-        disk.writing_since = Some(Instant::now());
+        disk.writing_since = Some(self.clock.now());
     }
 
     /// The number of cycles written so far, or fewer where the disk refused, and of those among them that were lost.
     pub fn wrote(&self, cycles: u64, lost: u64) {
         let mut disk = self.disk();
-        disk.longest = disk.longest_now();
+        disk.longest = disk.longest_at(self.clock.now());
         disk.writing_since = None;
         (disk.written, disk.written_lost) = (cycles, lost);
     }
 
     /// A synchroniser is at it.
     pub fn syncing(&self, number: u32) {
-        self.disk().syncing_since = Some((number, Instant::now()));
+        self.disk().syncing_since = Some((number, self.clock.now()));
     }
 
     /// It is done with it, and has synchronised this; none where the disk refused.
     pub fn synced(&self, number: u32, synced: Option<Synced>) {
         let mut disk = self.disk();
         if disk.syncing_since.is_some_and(|(other, _)| other == number) {
-            disk.longest = disk.longest_now();
+            disk.longest = disk.longest_at(self.clock.now());
             disk.syncing_since = None;
         }
         if let Some(synced) = synced.filter(|synced| synced.cycles >= disk.synced.cycles) {
@@ -199,7 +198,7 @@ impl Progress {
 
     /// How long the disk kept the recorder waiting so far.
     pub fn longest(&self) -> DiskTiming {
-        self.disk().longest_now()
+        self.disk().longest_at(self.clock.now())
     }
 
     /// Where the run is written; none before its file is there.
@@ -242,7 +241,7 @@ impl Progress {
 
     /// As of now.
     pub fn get(&self) -> Snapshot {
-        let disk = self.disk();
+        let (disk, now) = (self.disk(), self.clock.now());
         let seconds = |cycles: u64| self.ns_of(cycles) as f64 * 1e-9;
         let (taken, lost) =
             (self.handed.due.load(Ordering::Acquire), self.handed.lost.load(Ordering::Relaxed));
@@ -257,21 +256,22 @@ impl Progress {
             backlog_s: seconds(self.backlog(&disk)),
             backlog_limit_s: seconds(self.limits.ring_cycles as u64),
             unsynced_s: seconds(taken.saturating_sub(synced.cycles)),
-            longest: disk.longest_now(),
+            sync_age: synced.at.map(|at| Duration::from_nanos(now.ns_since(at).max(0) as u64)),
+            longest: disk.longest_at(now),
             file: disk.place.as_ref().map(|place| place.path().to_owned()).unwrap_or_default(),
             problems: Vec::new(),
             timing: disk.timing.clone(),
             flagged: disk.flagged.clone(),
         };
-        snapshot.problems = snapshot.find_problems(&self.limits, &disk);
+        snapshot.problems = snapshot.find_problems(&self.limits, &disk, now);
         snapshot
     }
 }
 
 impl OnDisk {
     /// What the disk is at counts already: it will not become shorter.
-    fn longest_now(&self) -> DiskTiming {
-        let since = |at: Option<Instant>| at.map_or(0, |at| at.elapsed().as_nanos() as u64);
+    fn longest_at(&self, now: MonoNs) -> DiskTiming {
+        let since = |at: Option<MonoNs>| at.map_or(0, |at| now.ns_since(at).max(0) as u64);
         DiskTiming {
             sync_longest_ns: self.longest.sync_longest_ns.max(since(self.syncing_since.map(|(_, at)| at))),
             write_longest_ns: self.longest.write_longest_ns.max(since(self.writing_since)),
@@ -286,15 +286,13 @@ const OPENS_WITHIN: Duration = Duration::from_secs(1);
 const WARNING_PERIODS: u32 = 2;
 
 impl Snapshot {
-    fn find_problems(&self, limits: &Limits, disk: &OnDisk) -> Vec<Problem> {
+    fn find_problems(&self, limits: &Limits, disk: &OnDisk, now: MonoNs) -> Vec<Problem> {
         let Self { lost, backlog_s, backlog_limit_s, unsynced_s, file, .. } = self;
         let usual_s = (limits.sync_period * WARNING_PERIODS).as_secs_f64();
-        let since_opening = disk.opening.since.elapsed();
-        let is_pending = disk.place.is_none() && since_opening > OPENS_WITHIN;
-        let pending = is_pending.then(|| Fact::FilePending {
-            since_s: since_opening.as_secs_f64(),
-            step: disk.opening.what.into(),
-        });
+        let since_s = now.seconds_since(disk.opening.since);
+        let is_late = since_s > OPENS_WITHIN.as_secs_f64() && !limits.cycle_waits;
+        let pending = (is_late && disk.place.is_none())
+            .then(|| Fact::FilePending { since_s, step: disk.opening.what.into() });
         let gone = disk.lost.clone().map(|error| Fact::FileLost { error });
         let moved = disk.moved.clone().map(|error| Fact::FileMoved { file: file.clone(), error });
         let lost = (*lost > 0).then_some(Fact::CyclesLost { cycles: *lost });
@@ -322,7 +320,7 @@ mod tests {
             ring_cycles: 1000,
             cycle_waits: false,
         };
-        let progress = Progress::new(Arc::clone(&handed), limits);
+        let progress = Progress::new(Arc::clone(&handed), limits, Clock::Real);
         let backlog = |due, lost, written, written_lost| {
             handed.due.store(due, Ordering::Relaxed);
             handed.lost.store(lost, Ordering::Relaxed);

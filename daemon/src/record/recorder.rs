@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::sync::mpsc::Receiver;
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use rtrb::{Consumer, Producer, PushError, RingBuffer};
 use shared::recording::schema::{CycleRecord, Event, EventKind, PortCounts, Provenance, RunMetadata};
@@ -168,7 +168,7 @@ pub struct Recorder {
     /// synchronisation until then.
     timed: (u64, u64),
     /// Cycles written when the last chunk was cut, and when that was.
-    cut: (u64, Instant),
+    cut: (u64, MonoNs),
     /// Events and markers that wait for the cycle before which they happened.
     notes: Vec<Event>,
     /// What ports have counted, with the cycle from which on that is so.
@@ -196,6 +196,7 @@ impl Recorder {
             synchroniser: Synchroniser::new(&link.progress),
             writer,
             host_offset_ns: clock.utc_minus_monotonic_ns(),
+            cut: (0, clock.now()),
             clock,
             period,
             // On virtual time, and after a wait, a second of cycles passes in no time at all.
@@ -207,7 +208,6 @@ impl Recorder {
             noted_wait_s: 0.0,
             lost: 0,
             timed: (0, 0),
-            cut: (0, Instant::now()),
             notes: Vec::new(),
             counted: VecDeque::new(),
             moves: 0,
@@ -218,36 +218,42 @@ impl Recorder {
 
     /// Runs until the ring's other end is dropped; `cause` is asked for then.
     pub fn run(mut self, cause: impl FnOnce() -> String) -> Result<RunSummary, WriteError> {
-        loop {
-            // Asked before emptying: what was pushed before the other end was dropped is still taken.
-            let last_round = self.source.ring.is_abandoned();
-            self.take_notes();
-            while let Ok(record) = self.source.ring.pop() {
-                // What happened before it was handed over before it, however many wait here.
-                self.take_notes();
-                self.take(&record)?;
-                if self.writer.cycles() >= self.cut.0 + self.cut_cycles {
-                    self.cut()?;
-                }
-            }
-            self.source.timing.drain();
-            if last_round {
-                break;
-            }
-            if self.cut.1.elapsed() >= self.period {
-                self.cut()?;
-            }
-            if let Some(problem) = self.synchroniser.problem() {
-                self.move_elsewhere(WriteError::Sink(problem))?;
-            }
-            if self.link.progress.lost().is_some()
-                && let Err(lost) = self.writer.sink().place().check()
-            {
-                self.move_elsewhere(lost)?;
-            }
+        while self.poll()? {
             thread::sleep(DRAIN_PERIOD);
         }
         self.finish(cause())
+    }
+
+    /// Takes what waits, and has it written where that is due; false once the ring's other end was dropped and all of it is
+    /// taken. Sleeps nowhere, but waits for the disk.
+    fn poll(&mut self) -> Result<bool, WriteError> {
+        // Asked before emptying: what was pushed before the other end was dropped is still taken.
+        let last_round = self.source.ring.is_abandoned();
+        self.take_notes();
+        while let Ok(record) = self.source.ring.pop() {
+            // What happened before it was handed over before it, however many wait here.
+            self.take_notes();
+            self.take(&record)?;
+            if self.writer.cycles() >= self.cut.0 + self.cut_cycles {
+                self.cut()?;
+            }
+        }
+        self.source.timing.drain();
+        if last_round {
+            return Ok(false);
+        }
+        if self.clock.now().ns_since(self.cut.1) >= self.period.as_nanos() as i64 {
+            self.cut()?;
+        }
+        if let Some(problem) = self.synchroniser.problem() {
+            self.move_elsewhere(WriteError::Sink(problem))?;
+        }
+        if self.link.progress.lost().is_some()
+            && let Err(lost) = self.writer.sink().place().check()
+        {
+            self.move_elsewhere(lost)?;
+        }
+        Ok(true)
     }
 
     fn take(&mut self, record: &CycleRecord) -> Result<(), WriteError> {
@@ -291,7 +297,7 @@ impl Recorder {
     /// Writes what was taken, and has it synchronised unless the disk is still at the time before.
     fn cut(&mut self) -> Result<(), WriteError> {
         // What comes while the disk works waits for the next time, so that the period counts from here.
-        self.cut = (self.writer.cycles(), Instant::now());
+        self.cut = (self.writer.cycles(), self.clock.now());
         self.link.progress.writing();
         self.note_clock_step();
         self.write_notes(self.last.map_or(UtcNs(i64::MIN), |last| last.sample_time))?;
@@ -330,7 +336,7 @@ impl Recorder {
             cycles: self.writer.cycles(),
             cycles_valid: self.writer.cycles_valid(),
             bytes: self.writer.sink().length(),
-            at: Some(Instant::now()),
+            at: Some(self.clock.now()),
         }
     }
 

@@ -136,7 +136,7 @@ impl Session {
             ring_cycles,
             cycle_waits: !self.clock.is_real(),
         };
-        let progress = Arc::new(Progress::new(Arc::clone(ring.handed()), limits));
+        let progress = Arc::new(Progress::new(Arc::clone(ring.handed()), limits, self.clock.clone()));
         self.storage.watch(&progress, stop);
         let link =
             RunLink { marks: marks_rx, progress: Arc::clone(&progress), storage: self.storage.clone() };

@@ -205,7 +205,7 @@ pub fn record(plan: &Plan, wall: impl FnOnce(&Path) -> Wall) -> Outcome {
         cycle_waits: false,
     };
     let place = writer.sink().place().clone();
-    let progress = Arc::new(Progress::new(Arc::clone(source.handed()), limits));
+    let progress = Arc::new(Progress::new(Arc::clone(source.handed()), limits, Clock::Real));
     progress.opened(place);
     let stop = Stop::default();
     storage.watch(&progress, &stop);

@@ -3,6 +3,7 @@
 use std::io::Cursor;
 use std::path::Path;
 use std::sync::mpsc::sync_channel;
+use std::time::Instant;
 
 use shared::config::DaemonConfig;
 use shared::encoder::EncoderScale;
@@ -66,7 +67,7 @@ fn rig(disk: Arc<dyn Disk>, source: CycleSource, daemon: &DaemonConfig, clock: &
         cycle_waits: false,
     };
     let place = writer.sink().place().clone();
-    let progress = Arc::new(Progress::new(Arc::clone(source.handed()), limits));
+    let progress = Arc::new(Progress::new(Arc::clone(source.handed()), limits, clock.clone()));
     progress.opened(place);
     let stop = Stop::default();
     storage.watch(&progress, &stop);
