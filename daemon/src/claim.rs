@@ -2,7 +2,8 @@
 //!
 //! A claim is a listening socket in the kernel's abstract namespace. It needs no file that every user may write, ends
 //! with its process however that ends, and lets others ask the holder. It reaches as far as interface names do: the
-//! network namespace. It is advisory: a MainDevice of another make knows nothing of it.
+//! network namespace. It is advisory: a MainDevice of another make knows nothing of it. A lock on a file would need a
+//! directory that every user may write, and could not state what its holder does now.
 
 use std::fmt;
 use std::io::{self, ErrorKind, Read, Write};

@@ -2,8 +2,9 @@
 //!
 //! Whoever logs hands a line to a bounded queue; a thread of its own writes it. A standard error that is closed, full or
 //! read by nobody costs lines, which are counted, and never a run. The thread has a descriptor of its own: the lock of
-//! `std::io::stderr` would pass a blocked write on to everybody who prints. (`tracing-appender` does the same up to
-//! the end of the program, where it prints.)
+//! `std::io::stderr` would pass a blocked write on to everybody who prints. `tracing-appender` does the same up to the end of
+//! the program, where it prints to a standard error that may be blocked; it neither counts what a write lost nor limits the lines
+//! of one call site. `tracing-journald` writes to a socket that blocks when the journal does.
 
 use std::backtrace::{Backtrace, BacktraceStatus};
 use std::collections::HashMap;

@@ -9,7 +9,7 @@ use crate::support::plan;
 use ballbard::bus::Bus;
 use ballbard::clock::Clock;
 use ballbard::cycle::Acquisition;
-use ballbard::recorder;
+use ballbard::record;
 use ballbard::run::Live;
 use ballbard::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
 use ballbard::segment::{EthernetWire, InProcessWire, Wire};
@@ -87,7 +87,7 @@ fn acquisition(clock: &Clock, rate_hz: u64) -> Acquisition {
 fn cost(clock: &Clock, rate_hz: u64, cycles: u64) -> (u64, u64) {
     let mut acquisition = acquisition(clock, rate_hz);
     // Rings as of real time, large enough for all: nobody empties them here.
-    let (mut sink, _source) = recorder::ring(cycles as usize + 1000, &Clock::Real);
+    let (mut sink, _source) = record::ring(cycles as usize + 1000, &Clock::Real);
     acquisition.next_cycle(&mut |record| sink.push(record));
     let live = Live::default();
     let waits_before = voluntary_switches();
@@ -97,7 +97,7 @@ fn cost(clock: &Clock, rate_hz: u64, cycles: u64) -> (u64, u64) {
             sink.push(record);
             live.publish(record);
         });
-        live.publish_bus(&acquisition.bus_state());
+        live.publish_bus(&acquisition.bus_state(), "simulated");
         live.publish_links(acquisition.links());
         sink.push_timing(acquisition.last_timing().unwrap_or_default());
     }

@@ -5,7 +5,6 @@
 
 pub mod config;
 pub mod encoder;
-pub mod generate;
 pub mod output;
 pub mod recording;
 pub mod time;

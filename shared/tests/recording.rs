@@ -9,8 +9,8 @@ use shared::recording::{ReadErrorKind, Recording, RecordingWriter, WriteError, s
 use crate::support::run::{START, cycle, run, timing};
 
 fn marker(number: u64) -> Event {
-    let text = "second half".into();
-    Event { time: cycle(number).sample_time, cycle: number, kind: EventKind::Marker, text }
+    let (text, code) = ("second half".into(), String::new());
+    Event { time: cycle(number).sample_time, cycle: number, kind: EventKind::Marker, text, code }
 }
 
 fn small_recording(cycles: u64) -> Vec<u8> {

@@ -76,6 +76,7 @@ fn marker(number: u64) -> Event {
         cycle: number,
         kind: EventKind::Marker,
         text: format!("m{number}"),
+        code: String::new(),
     }
 }
 

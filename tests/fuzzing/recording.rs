@@ -114,7 +114,8 @@ fn recording(cycles: u64) -> Vec<u8> {
     for number in 0..cycles {
         writer.write_cycle(&cycle(number)).expect("cycle");
         if number % 4 == 3 {
-            let event = Event { time: START, cycle: number, kind: EventKind::Marker, text: "m".into() };
+            let (kind, text, code) = (EventKind::Marker, "m".into(), String::new());
+            let event = Event { time: START, cycle: number, kind, text, code };
             writer.write_event(&event).expect("event");
             writer.sync().expect("sync");
         }

@@ -1,10 +1,12 @@
-//! Why the bus cannot be brought into operation, in words for the person beside it.
+//! Why the bus cannot be brought into operation.
 
 use std::fmt;
 
 use ethercrab::error::Error as EtherCatError;
 use ethercrab::{AlStatusCode, SubDeviceState};
 use shared::recording::schema::DeviceInfo;
+
+use crate::problem::{Fact, Problem};
 
 /// A device as it should be or as it was found.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -16,48 +18,15 @@ impl fmt::Display for DeviceName {
     }
 }
 
-/// What to do about devices that are not those of the configuration.
-fn remedy(position: usize, expected: &[DeviceName], found: &[DeviceName]) -> String {
-    if position == found.len() {
-        format!(
-            "check the device at position {position}: its power, and that it and those behind it sit firmly on the one \
-             before; if it was taken away, correct the list of encoders in ball_bar.toml"
-        )
-    } else if position == expected.len() {
-        "add the encoders of the devices behind to ball_bar.toml, or take these devices away".into()
-    } else {
-        "correct the order of the terminals or the list of encoders in ball_bar.toml".into()
-    }
-}
-
-fn list(devices: &[DeviceName]) -> String {
-    if devices.is_empty() {
-        return "nothing".into();
-    }
-    let names: Vec<_> = devices.iter().map(|device| device.0.as_str()).collect();
-    names.join(", ")
-}
-
 /// Why the bus cannot be brought into operation.
-#[derive(Debug, thiserror::Error)]
+#[derive(Debug)]
 pub enum BusError {
     /// Nobody answers.
-    #[error(
-        "no EtherCAT device answers on {bus}; check that the coupler has power, that its upper (IN) socket is \
-         cabled to this interface, and that the interface is up"
-    )]
     NoAnswer {
         /// Interface, or `simulated`.
         bus: String,
     },
     /// Other devices, or another order, than configured.
-    #[error(
-        "bus position {position} differs from the configuration: expected [{}], found [{}]; \
-         {}",
-        list(expected),
-        list(found),
-        remedy(*position, expected, found)
-    )]
     WrongDevices {
         /// First position that differs; the coupler is 0.
         position: usize,
@@ -67,10 +36,6 @@ pub enum BusError {
         found: Vec<DeviceName>,
     },
     /// A terminal does not take the interpolation.
-    #[error(
-        "terminal at position {position} interpolates {found} bits after {wanted} were written; \
-         power the terminals off and on, or use a number of bits that its firmware offers"
-    )]
     Interpolation {
         /// Position on the bus.
         position: usize,
@@ -80,10 +45,6 @@ pub enum BusError {
         found: u32,
     },
     /// A terminal's process data have another length.
-    #[error(
-        "terminal at position {position} has {inputs} bytes of inputs and {outputs} of outputs instead of 10 and 6; \
-         restore its default PDO assignment"
-    )]
     ProcessData {
         /// Position on the bus.
         position: usize,
@@ -93,19 +54,11 @@ pub enum BusError {
         outputs: usize,
     },
     /// The reference clock gives no time.
-    #[error(
-        "the distributed clock stands still (time {time_ns} ns); the first device after this PC must be an EK1100 \
-         with distributed clocks, or set `distributed_clocks = false` in daemon.toml and accept samples up to one cycle old"
-    )]
     ClockStandsStill {
         /// Time read twice \[ns\].
         time_ns: u64,
     },
     /// A terminal's clock does not follow the reference.
-    #[error(
-        "the clock of the terminal at position {position} is {difference_ns} ns off the bus time and does not settle \
-         within 1000 ns; power the terminals off and on, and replace that one if it stays so"
-    )]
     ClockNotSettled {
         /// Position on the bus.
         position: usize,
@@ -113,10 +66,6 @@ pub enum BusError {
         difference_ns: i64,
     },
     /// A device refuses a state.
-    #[error(
-        "device at position {position} stays in {state} instead of {wanted}: AL status {code}; power the terminals off \
-         and on, and replace that one if it stays so"
-    )]
     StateRefused {
         /// Position on the bus.
         position: usize,
@@ -128,10 +77,6 @@ pub enum BusError {
         code: AlStatusCode,
     },
     /// A terminal does not take a setting.
-    #[error(
-        "terminal at position {position}, while {doing}: {error}; power the terminals off and on, and replace that one \
-         if it stays so"
-    )]
     Terminal {
         /// Position on the bus.
         position: usize,
@@ -141,7 +86,6 @@ pub enum BusError {
         error: EtherCatError,
     },
     /// Anything else.
-    #[error("EtherCAT, while {doing}: {error}; check cables, contacts and the terminals' power")]
     Stack {
         /// What was being done.
         doing: &'static str,
@@ -149,14 +93,59 @@ pub enum BusError {
         error: EtherCatError,
     },
     /// By whoever ends the run or the program.
-    #[error("stopped while the bus was brought up")]
     Interrupted,
     /// The stack gave up in a way that it should not.
-    #[error("the EtherCAT stack failed unexpectedly: {0}")]
     Panicked(String),
 }
 
 impl BusError {
+    /// As it is reported.
+    pub fn fact(&self) -> Fact {
+        let names =
+            |devices: &[DeviceName]| devices.iter().map(|device| device.0.clone()).collect::<Vec<_>>();
+        match self {
+            Self::NoAnswer { bus } => Fact::BusNoAnswer { bus: bus.clone() },
+            Self::WrongDevices { position, expected, found } => {
+                let (position, expected, found) = (*position, names(expected), names(found));
+                if position == found.len() {
+                    Fact::BusDeviceMissing { position, expected, found }
+                } else if position == expected.len() {
+                    Fact::BusDeviceUnexpected { position, expected, found }
+                } else {
+                    Fact::BusDeviceWrong { position, expected, found }
+                }
+            }
+            Self::Interpolation { position, wanted, found } => {
+                Fact::BusInterpolation { position: *position, wanted: *wanted, found: *found }
+            }
+            Self::ProcessData { position, inputs, outputs } => {
+                Fact::BusProcessData { position: *position, inputs_bytes: *inputs, outputs_bytes: *outputs }
+            }
+            Self::ClockStandsStill { time_ns } => Fact::BusClockStopped { time_ns: *time_ns },
+            Self::ClockNotSettled { position, difference_ns } => {
+                Fact::BusClockUnsettled { position: *position, difference_ns: *difference_ns }
+            }
+            Self::StateRefused { position, state, wanted, code } => Fact::BusStateRefused {
+                position: *position,
+                state: state.to_string(),
+                wanted: (*wanted).into(),
+                al_status: code.to_string(),
+            },
+            Self::Terminal { position, doing, error } => Fact::BusSettingRefused {
+                position: *position,
+                doing: (*doing).into(),
+                error: error.to_string(),
+            },
+            Self::Stack { doing, error } => {
+                Fact::BusStackFailed { doing: (*doing).into(), error: error.to_string() }
+            }
+            Self::Interrupted => Fact::BusInterrupted {},
+            Self::Panicked(error) => {
+                Fact::BusStackFailed { doing: "it failed unexpectedly".into(), error: error.clone() }
+            }
+        }
+    }
+
     /// Somebody had nothing more to say to a frame: what he said before was lost.
     pub(super) fn may_be_a_lost_reply(&self) -> bool {
         let (Self::Stack { error, .. } | Self::Terminal { error, .. }) = self else { return false };
@@ -179,6 +168,14 @@ impl BusError {
         }
     }
 }
+
+impl fmt::Display for BusError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        Problem::from(self.fact()).fmt(f)
+    }
+}
+
+impl std::error::Error for BusError {}
 
 /// For `map_err`: what was being done when the stack failed.
 pub(super) fn while_doing(doing: &'static str) -> impl Fn(EtherCatError) -> BusError {
@@ -204,10 +201,10 @@ mod tests {
         assert!(text(0).contains("answers on eth9") && text(0).contains("cabled"), "{}", text(0));
         let all = "expected [device0, device1, device2]";
         let gone = text(1);
-        assert!(gone.contains("bus position 1") && gone.contains(all), "{gone}");
-        assert!(gone.contains("found [device0]; check the device at position 1"), "{gone}");
+        assert!(gone.contains("terminal 1 and all behind it do not answer") && gone.contains(all), "{gone}");
+        assert!(gone.contains("found [device0]; check terminal 1 (bus position 1)"), "{gone}");
         let more = text(4);
-        assert!(more.contains("bus position 3") && more.contains(all), "{more}");
+        assert!(more.contains("terminal 3 is not configured") && more.contains(all), "{more}");
         assert!(
             more.contains("device2, another device]") && more.contains("take these devices away"),
             "{more}"

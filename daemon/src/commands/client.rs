@@ -21,10 +21,12 @@ use super::configuration::Configuration;
 use super::elsewhere::ElsewhereArguments;
 use crate::control::runs::{self, RunLine};
 use crate::control::status::{
-    CheckLine, DeleteRequest, EmptyBinRequest, IN_SPITE_OF, LastRun, Level, MarkRequest, NoteRequest,
-    PairReply, PairRequest, PairingLink, Refusal, Reply, RunStatus, StartRequest, Status, StopRequest,
+    CheckLine, DeleteRequest, EmptyBinRequest, Granted, IN_SPITE_OF, LastRun, Level, MarkRequest,
+    NoteRequest, PairReply, PairRequest, PairingLink, Refusal, Reply, RunStatus, StartRequest, Status,
+    StopRequest,
 };
-use crate::control::verdict::{Verdict, clock_time};
+use crate::control::verdict::Verdict;
+use crate::problem::{Problem, clock_time};
 use crate::run::About;
 
 /// Longer than the service takes to finish a file on a slow disk.
@@ -130,7 +132,7 @@ pub fn start(arguments: StartArguments) -> anyhow::Result<()> {
         return Ok(());
     }
     let run = reply.run.unwrap_or_default();
-    let what = if reply.answer == "running" { "is running already" } else { "has begun" };
+    let what = if reply.answer == Granted::Running { "is running already" } else { "has begun" };
     let simulated = if reply.simulated { "; SIMULATED" } else { "" };
     Ok(say(format_args!("run `{run}` {what}{simulated}"))?)
 }
@@ -140,8 +142,8 @@ pub fn stop(arguments: &AskArguments) -> anyhow::Result<()> {
     let reply: Reply = arguments.service.post("stop", &request)?;
     let Reply { answer, last, verdict, homing, .. } = &reply;
     let printed = arguments.service.format.prints(&reply)?;
-    match (answer.as_str(), last) {
-        ("stopped", Some(last)) => {
+    match (answer, last) {
+        (Granted::Stopped, Some(last)) => {
             if !printed {
                 say(last_run(last))?;
                 verdict.iter().try_for_each(say)?;
@@ -234,7 +236,7 @@ pub fn status(arguments: &StatusArguments) -> anyhow::Result<()> {
         return Ok(());
     }
     let reason = status.reason.as_ref().map_or(String::new(), |why| format!(": {why}"));
-    say(format_args!("{}{reason}", status.headline().word))?;
+    say(format_args!("{}{reason}{}", status.headline().word, codes(&status.problems)))?;
     if status.simulated {
         say("SIMULATED: no hardware; the encoder counts are made up")?;
     }
@@ -272,12 +274,12 @@ pub fn status(arguments: &StatusArguments) -> anyhow::Result<()> {
 pub fn check(arguments: &AskArguments) -> anyhow::Result<()> {
     let lines: Vec<CheckLine> = arguments.service.get("check")?;
     let printed = arguments.service.format.prints(&lines)?;
-    for CheckLine { subject, finding, remedy, stops } in lines.iter().filter(|_| !printed) {
+    for CheckLine { subject, finding, remedy, stops, problems } in lines.iter().filter(|_| !printed) {
         match remedy {
             None => say(format_args!("ok       {subject}: {finding}")),
             Some(remedy) => {
                 let level = if *stops { "PROBLEM" } else { "warning" };
-                say(format_args!("{level}  {subject}: {finding}\n         {remedy}"))
+                say(format_args!("{level}  {subject}: {finding}{}\n         {remedy}", codes(problems)))
             }
         }?;
     }
@@ -286,6 +288,13 @@ pub fn check(arguments: &AskArguments) -> anyhow::Result<()> {
         bail!("{problems} of {} checks found a problem that would cost a run", lines.len());
     }
     Ok(())
+}
+
+/// The names under which the manual explains these problems.
+fn codes(problems: &[Problem]) -> String {
+    let mut codes: Vec<_> = problems.iter().map(Problem::code).collect();
+    codes.dedup();
+    if codes.is_empty() { String::new() } else { format!(" [{}]", codes.join(", ")) }
 }
 
 pub fn list(arguments: &RunsArguments) -> anyhow::Result<()> {

@@ -1,7 +1,8 @@
 //! A service of another machine: over TLS, with the token.
 //!
 //! No authority vouches for the certificate that a measurement PC makes for itself, so none is asked. A person has its
-//! fingerprint, and nothing is sent before the other side has proved that it has the key of that certificate.
+//! fingerprint, and nothing is sent before the other side has proved that it has the key of that certificate. `ureq` takes
+//! no verifier of certificates but through `unversioned`, which minor versions may change: Cargo.toml pins it.
 
 use std::fmt;
 use std::io;

@@ -12,8 +12,7 @@ use super::client::{NoService, ServiceArguments};
 use super::configuration::State;
 use super::{Format, bus_choice, on_signal};
 use crate::control::homing::Homing;
-use crate::control::status::{HomeRequest, HomingStatus, Reply, Status, StopRequest};
-use crate::homing;
+use crate::control::status::{Granted, HomeRequest, HomingStatus, Reply, Status, StopRequest};
 use crate::run::{self, Stop, Storage};
 
 /// How often progress is looked at.
@@ -52,7 +51,7 @@ fn by_service(service: &ServiceArguments, stop: &Stop) -> anyhow::Result<()> {
             error
         }
     })?;
-    let is_ours = reply.answer == "begun";
+    let is_ours = reply.answer == Granted::Begun;
     if !is_ours && !service.format.json {
         say("the encoders are being homed already, as somebody else asked; this is how it goes on")?;
     }
@@ -89,7 +88,7 @@ fn on_own_bus(bus: &str, service: &ServiceArguments, state: &State, stop: &Stop)
     let (daemon, bar) = (configuration.daemon()?, configuration.ball_bar()?);
     let marks = configuration.marks_file(state, &daemon);
     if let Some(problem) = marks.problem(&SystemDisk) {
-        bail!("{problem}; {}", homing::REMEDY);
+        bail!("{problem}");
     }
     let session = run::open(&bus_choice(Some(bus))?, &[], &daemon, &bar, &Storage::new(&daemon)?)?;
     session.log();

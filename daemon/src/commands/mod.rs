@@ -13,15 +13,13 @@ mod signals;
 mod systemd;
 mod tune;
 
-pub use export::{Layout, write_csv};
-
 use self::signals::Signals;
 use crate::run::BusChoice;
 use crate::segment::interfaces;
 use anyhow::Context;
 use clap::{Args, CommandFactory, Parser, Subcommand};
+use generate::GenerateArguments;
 use serde::Serialize;
-use shared::generate::GenerateArguments;
 use shared::output::{named, say};
 use shared::recording::schema::SIMULATED_BUS;
 use shared::version::version;

@@ -13,7 +13,7 @@ use super::client::{last_run, unless_blind};
 use super::configuration::{Configuration, State};
 use super::{Format, bus_choice, on_signal};
 use crate::control::status::{LastRun, next_command};
-use crate::recorder::RunSummary;
+use crate::record::RunSummary;
 use crate::run::{self, About, BusChoice, RunRequest, Stop};
 use crate::segment::faults::FaultWindow;
 

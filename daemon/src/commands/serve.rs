@@ -18,7 +18,8 @@ use crate::control::api::{self, Remote, RemoteSettings};
 use crate::control::live_tap::LiveTap;
 use crate::control::service::{Service, ServiceError, Settings};
 use crate::control::status::Status;
-use crate::run::{BusChoice, STACK_BYTES};
+use crate::record::STACK_BYTES;
+use crate::run::BusChoice;
 use crate::segment::faults::FaultWindow;
 
 /// An end that takes longer is explained, and again after as long.

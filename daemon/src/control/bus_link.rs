@@ -2,15 +2,16 @@
 
 use std::collections::VecDeque;
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, TryRecvError, channel};
+use std::sync::mpsc::{Receiver, TryRecvError, sync_channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use shared::recording::schema::{MAX_ENCODERS, flags};
+use shared::recording::schema::MAX_ENCODERS;
 
 use super::machine::Event;
-use super::service::Connect;
+use super::settings::Connect;
 use crate::clock::Clock;
+use crate::problem::{Fact, Problem};
 use crate::run::{BUS_FLAGS, RunError, Session};
 
 /// Pauses between attempts to bring the bus up.
@@ -39,10 +40,10 @@ enum State {
         attempt: Receiver<Result<Session, RunError>>,
         pause: Duration,
     },
-    /// With the trouble that was told and its begin, while there is one.
+    /// With the problem that was reported, while there is one.
     Up {
         session: Box<Session>,
-        trouble: Option<(String, Instant)>,
+        trouble: Option<Problem>,
         recent: Recent,
     },
 }
@@ -112,32 +113,28 @@ impl BusLink {
                     Ok(outcome) => Some(self.connected(outcome, pause)),
                     Err(TryRecvError::Empty) => None,
                     Err(TryRecvError::Disconnected) => {
-                        let reason = "the thread that brings the bus up has ended; its cause is in the log";
-                        Some(self.failed(reason, pause))
+                        let thread = "bring-up".into();
+                        Some(self.failed(Fact::ThreadEnded { thread }.into(), pause))
                     }
                 }
             }
             State::Up { session, .. } if !session.is_alive() => {
                 self.close();
-                Some(self.failed("the thread of the cycle has ended; its cause is in the log", RETRY_FIRST))
+                Some(self.failed(Fact::ThreadEnded { thread: "cycle".into() }.into(), RETRY_FIRST))
             }
             State::Up { session, trouble, recent } => {
                 recent.add(Instant::now(), session.live().counted());
                 let now = trouble_of(session);
-                if now.as_deref() == trouble.as_ref().map(|(told, _)| told.as_str()) {
+                let is_same =
+                    now.as_ref().map(|problem| &problem.text) == trouble.as_ref().map(|was| &was.text);
+                if is_same {
                     return None;
                 }
-                let since = trouble.as_ref().map_or_else(Instant::now, |(_, since)| *since);
-                match (&now, &trouble) {
-                    (Some(reason), None) => tracing::warn!("bus: {reason}"),
-                    (None, _) => {
-                        // Encoders are not blamed for what the bus did.
-                        *recent = Recent::default();
-                        tracing::info!("bus: whole again after {:.1} s", since.elapsed().as_secs_f64());
-                    }
-                    (Some(_), Some(_)) => {}
+                if now.is_none() {
+                    // Encoders are not blamed for what the bus did.
+                    *recent = Recent::default();
                 }
-                *trouble = now.clone().map(|reason| (reason, since));
+                trouble.clone_from(&now);
                 Some(now.map_or(Event::BusUp, Event::BusTroubled))
             }
         }
@@ -155,7 +152,7 @@ impl BusLink {
 
     fn try_to_connect(&mut self, pause: Duration) -> Option<Event> {
         let connect = Arc::clone(&self.connect);
-        let (result, attempt) = channel();
+        let (result, attempt) = sync_channel(1);
         let body = move || {
             // Nobody waits any more if the service has ended meanwhile.
             let _ = result.send(connect());
@@ -165,7 +162,10 @@ impl BusLink {
                 self.state = State::Connecting { attempt, pause };
                 None
             }
-            Err(error) => Some(self.failed(&error.to_string(), pause)),
+            Err(error) => {
+                let error = format!("no thread to bring the bus up: {error}");
+                Some(self.failed(Fact::RunRefused { error }.into(), pause))
+            }
         }
     }
 
@@ -177,40 +177,37 @@ impl BusLink {
                 self.state = State::Up { session, trouble: None, recent: Recent::default() };
                 Event::BusUp
             }
-            Err(error) => self.failed(&error.to_string(), pause),
+            Err(error) => self.failed(error.problem(), pause),
         }
     }
 
-    fn failed(&mut self, reason: &str, pause: Duration) -> Event {
-        tracing::warn!("bus: {reason}; next attempt in {} s", pause.as_secs());
+    fn failed(&mut self, problem: Problem, pause: Duration) -> Event {
         self.state = State::Down { retry_at: Instant::now() + pause, pause: (pause * 2).min(RETRY_LONGEST) };
-        Event::BusDown(reason.to_owned())
+        Event::BusDown(problem)
     }
 }
 
-/// Why the latest cycle gave no sample of the whole bus, as far as the bus is to blame, and what to do.
-fn trouble_of(session: &Session) -> Option<String> {
+/// Why the latest cycles gave no samples of the whole bus, as far as the bus is the cause.
+fn trouble_of(session: &Session) -> Option<Problem> {
     let live = session.live();
     let age = Clock::Real.now().ns_since(live.at());
     if age > CYCLE_AGE_MAX.as_nanos() as i64 {
-        let age_s = age / 1_000_000_000;
-        return Some(format!("no bus cycle for {age_s} s; its thread hangs or is not let run"));
+        return Some(Fact::CycleStalled { age_s: age / 1_000_000_000 }.into());
     }
     // Against the latest cycle: what holds up the cycles themselves is no fault of the bus.
     if live.at().ns_since(live.whole_at()) <= silent_ns(session) {
         return None;
     }
     let reasons = live.flags() & BUS_FLAGS;
+    let joints = session.encoders().iter().zip(live.encoders());
+    let silent: Vec<u8> = joints.filter(|(_, encoder)| !encoder.valid).map(|(info, _)| info.joint).collect();
+    let all = silent.is_empty() || silent.len() == session.encoders().len();
+    // The coupler is at position 0, the terminal of the first encoder at 1.
+    let first = live.encoders().iter().position(|encoder| !encoder.valid).map(|index| index + 1);
     (reasons != 0).then(|| {
-        let names: Vec<_> =
-            flags::NAMES.iter().filter(|(bit, _)| reasons & bit != 0).map(|(_, name)| *name).collect();
-        let joints = session.encoders().iter().map(|encoder| encoder.joint);
-        let is_valid = live.encoders().map(|encoder| encoder.valid);
-        format!(
-            "{} ({}); it comes back by itself as soon as cable, power and every terminal are as they should be",
-            silent_text(joints.zip(is_valid), session.outage()),
-            names.join(", ")
-        )
+        let of_flags = || Fact::of_flags(reasons, session.bus(), silent.clone(), first.filter(|_| !all));
+        let fact = session.outage().unwrap_or_else(of_flags);
+        Problem::from(fact).with_joints(silent, all)
     })
 }
 
@@ -225,37 +222,16 @@ pub(super) fn are_silent(session: &Session) -> [bool; MAX_ENCODERS] {
     live.valid_at().map(|valid_at| at.ns_since(valid_at) > silent_ns)
 }
 
-/// Which encoders give no valid sample although the bus is whole, and what to do.
-pub(super) fn silent_encoders(session: &Session) -> Option<String> {
+/// The encoders that give no valid sample although the bus is whole.
+pub(super) fn silent_encoders(session: &Session) -> Vec<Problem> {
     let readings = session.encoders().iter().zip(session.live().encoders()).zip(are_silent(session));
-    let silent: Vec<_> = readings
-        .filter(|(_, is_silent)| *is_silent)
-        .map(|((info, encoder), _)| format!("joint {} (status {:#06x})", info.joint, encoder.status))
-        .collect();
-    (!silent.is_empty()).then(|| {
-        format!(
-            "no valid sample from {}; check the encoder's cable and plug, and its signal amplitude",
-            silent.join(", ")
-        )
-    })
-}
-
-/// Which joints, in bus order with whether each gives samples, give none, and why; where that is not known, where to
-/// look first.
-fn silent_text(joints: impl Iterator<Item = (u8, bool)>, why: Option<String>) -> String {
-    let (giving, silent): (Vec<_>, Vec<_>) = joints.partition(|(_, is_valid)| *is_valid);
-    let (who, look) = match silent.first() {
-        Some((first, _)) if !giving.is_empty() => {
-            let names: Vec<_> = silent.iter().map(|(joint, _)| joint.to_string()).collect();
-            let look = format!("look first at the terminal of joint {first} and at the contact before it");
-            (format!("joint {}", names.join(", ")), look)
-        }
-        _ => (
-            "any encoder".into(),
-            "look first at the coupler's cable and power, then along the terminals".into(),
-        ),
-    };
-    format!("no samples from {who}: {}", why.unwrap_or(look))
+    let silent = readings.filter(|(_, is_silent)| *is_silent);
+    silent
+        .map(|((info, encoder), _)| {
+            let (joints, status) = (vec![info.joint], Some(encoder.status));
+            Fact::EncoderInvalid { joints, status, valid_share: 0.0 }.into()
+        })
+        .collect()
 }
 
 #[cfg(test)]
@@ -284,15 +260,5 @@ mod tests {
             .collect();
         assert_eq!([shares[0], shares[1], shares[5], shares[10], shares[14]], [1.0, 0.9, 0.5, 0.5, 0.9]);
         assert_eq!(shares[16..], [1.0; 5]);
-    }
-
-    #[test]
-    fn the_first_terminal_that_is_missing_is_where_to_look() {
-        let some = silent_text([(1, true), (3, true), (2, false), (5, false)].into_iter(), None);
-        assert!(some.contains("joint 2, 5:") && some.contains("terminal of joint 2 "), "{some}");
-        let none = silent_text([(1, false), (2, false)].into_iter(), None);
-        assert!(none.contains("coupler"), "{none}");
-        let known = silent_text([(1, true), (2, false)].into_iter(), Some("position 2 is away".into()));
-        assert_eq!(known, "no samples from joint 2: position 2 is away");
     }
 }

@@ -13,13 +13,15 @@ use super::live_tap::LiveTap;
 use super::machine::{Action, Answer, Event, Machine, State};
 use super::marks::Marks;
 use super::preflight::{self, Found};
-use super::service::{Connect, Settings};
-use super::status::{CheckLine, LastRun, Status, next_command};
+use super::problem_log::ProblemLog;
+use super::settings::{Connect, Settings};
+use super::status::{CheckLine, LastRun, ServiceState, Status, Totals, next_command};
 use super::tending::Tending;
 use super::view::View;
 use crate::claim::Claim;
 use crate::clock::Clock;
-use crate::recorder::RunSummary;
+use crate::problem::{Fact, Problem};
+use crate::record::{RunSummary, Snapshot};
 use crate::run::{ActiveRun, LEAVES_WITHIN, RunDetails, RunError, Stop, Storage};
 
 /// How often bus and recorder are looked at while nobody asks for anything.
@@ -28,13 +30,12 @@ const POLL: Duration = Duration::from_millis(100);
 const OPENING_POLL: Duration = Duration::from_millis(5);
 /// Why a run ends when this thread does.
 const CONTROL_DIED: &str = "full fault: the thread of the control has ended; its cause is in the log";
-/// Why nothing begins that was granted.
-const NO_BUS: &str = "the bus is not in operation; `ballbard status` says why";
 /// Without anything new on disk for this long a run is not writing \[sync periods\].
 const STALLED_SYNC_PERIODS: u32 = 3;
 
 /// What somebody asks of the service.
 pub(super) enum Command {
+    /// With whether a person chose the name.
     Start(Box<RunDetails>, bool, oneshot::Sender<Answer>),
     /// Answered with how many runs were over when it was asked.
     Stop(String, oneshot::Sender<(Answer, u64)>),
@@ -43,10 +44,16 @@ pub(super) enum Command {
     Mark(Option<String>, MonoNs, oneshot::Sender<Result<Option<(String, String)>, String>>),
     /// With what was found on disk; none where that did not answer.
     Check(Option<Found>, oneshot::Sender<Vec<CheckLine>>),
-    Shutdown(String),
     /// Takes the thread with it.
     #[cfg(test)]
     Panic,
+}
+
+/// What was counted when it was last looked at.
+#[derive(Debug, Default)]
+struct Counted {
+    cycles: [u64; 3],
+    lost: u64,
 }
 
 /// Does what the machine decides. It never waits for the disk.
@@ -56,9 +63,9 @@ pub(super) struct Controller {
     status: watch::Sender<Status>,
     bus: BusLink,
     homing: Option<Homing>,
-    /// The run that was asked for last.
-    wanted: RunDetails,
     run: Option<ActiveRun>,
+    /// How long it is to last.
+    duration: Option<Duration>,
     marks: Marks,
     /// Who asked for the run that is being opened, and what they are told when its file is there.
     asked: Vec<(oneshot::Sender<Answer>, Answer)>,
@@ -71,6 +78,12 @@ pub(super) struct Controller {
     runs_over: u64,
     storage: Storage,
     cycles_seen: u64,
+    problems: ProblemLog,
+    totals: Totals,
+    /// What the session and the run have counted by now of what `totals` has.
+    counted: Counted,
+    /// Asks the service to end.
+    ending: Stop,
     exit: bool,
     /// Since when the service has been asked to end.
     leaving: Option<Instant>,
@@ -82,15 +95,17 @@ impl Controller {
         connect: Arc<Connect>,
         storage: Storage,
         status: watch::Sender<Status>,
+        ending: Stop,
     ) -> Self {
         Self {
+            ending,
             settings,
             machine: Machine::default(),
             status,
             bus: BusLink::new(connect),
             homing: None,
-            wanted: RunDetails::default(),
             run: None,
+            duration: None,
             marks: Marks::default(),
             asked: Vec::new(),
             tending: None,
@@ -101,6 +116,9 @@ impl Controller {
             runs_over: 0,
             storage,
             cycles_seen: 0,
+            problems: ProblemLog::default(),
+            totals: Totals::default(),
+            counted: Counted::default(),
             exit: false,
             leaving: None,
         }
@@ -114,7 +132,10 @@ impl Controller {
             match commands.recv_timeout(poll) {
                 Ok(command) => self.obey(command),
                 Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => self.shutdown("the service was dropped"),
+                Err(RecvTimeoutError::Disconnected) => self.ending.stop("the service was dropped"),
+            }
+            if self.ending.is_stopped() && self.leaving.is_none() {
+                self.shutdown(&self.ending.cause());
             }
             if let Err(error) = self.look_at_place() {
                 break Err(error);
@@ -122,6 +143,7 @@ impl Controller {
             self.look_at_bus();
             self.look_at_homing();
             self.look_at_run();
+            self.count();
             self.publish();
             if self.is_over() {
                 break Ok(());
@@ -141,7 +163,8 @@ impl Controller {
         }
         let is_over = since.elapsed() > LEAVES_WITHIN;
         if is_over {
-            tracing::warn!("the disk is not waited for: {}", self.view().disk_problem().unwrap_or_default());
+            let problems = self.view().disk_problems();
+            tracing::warn!("the disk is not waited for: {}", Problem::line(&problems));
         }
         is_over
     }
@@ -158,7 +181,9 @@ impl Controller {
     /// After a panic of this thread: nothing is decided any more, but a run's file is finished and states the cause.
     pub fn abandon(&mut self) {
         self.status.send_modify(|status| {
-            (status.state, status.reason) = ("fault".into(), Some(CONTROL_DIED.into()));
+            let problem = Problem::from(Fact::ThreadEnded { thread: "control".into() });
+            (status.state, status.severity) = (ServiceState::Fault, problem.severity);
+            (status.reason, status.problems) = (Some(CONTROL_DIED.into()), vec![problem]);
         });
         if let Some(run) = self.run.take() {
             run.stop.stop(CONTROL_DIED);
@@ -176,9 +201,7 @@ impl Controller {
             Command::Start(details, named, reply) => {
                 // A cable that was pulled since the last look is no bus to begin on.
                 self.look_at_bus();
-                self.wanted = *details;
-                let run = self.wanted.name.clone();
-                let answer = self.handle(Event::Start { run, named }).unwrap_or(Answer::Idle);
+                let answer = self.handle(Event::Start { run: details, named }).unwrap_or(Answer::Idle);
                 self.publish();
                 if self.is_opening() && matches!(answer, Answer::Beginning | Answer::Running(_)) {
                     self.asked.push((reply, answer));
@@ -205,7 +228,6 @@ impl Controller {
                 let view = self.view();
                 let _ = reply.send(preflight::check(&view, &view.status(), found.as_ref()));
             }
-            Command::Shutdown(cause) => self.shutdown(&cause),
             #[cfg(test)]
             Command::Panic => panic!("the test ends this thread"),
         }
@@ -217,9 +239,9 @@ impl Controller {
         for action in self.machine.handle(event) {
             match action {
                 Action::Answer(given) => answer = answer.or(Some(given)),
-                Action::Open(_) => {
-                    if let Err(refusal) = self.open() {
-                        answer = Some(Answer::Refused(refusal));
+                Action::Open(run) => {
+                    if let Err(problem) = self.open(&run) {
+                        answer = Some(Answer::Refused(problem));
                     }
                 }
                 Action::End(cause) => {
@@ -232,7 +254,7 @@ impl Controller {
                     Some(session) => self.homing = Some(Homing::begin(session)),
                     None => {
                         self.handle(Event::HomingOver);
-                        answer = Some(Answer::Refused(NO_BUS.into()));
+                        answer = Some(Answer::Refused(self.no_bus()));
                     }
                 },
                 Action::EndHoming(cause) => self.homing.iter().for_each(|homing| homing.stop(&cause)),
@@ -249,41 +271,49 @@ impl Controller {
         let Some((run, name)) = running.zip(self.machine.run()) else { return Ok(None) };
         let (is_numbered, text) = (text.is_none(), self.marks.text(text));
         if !run.mark(at, text.clone()) {
-            return Err("the disk takes no more markers; see `ballbard status`".into());
+            return Err("the disk takes no more markers: `ballbard status` shows its state".into());
         }
         self.marks.add(at, text.clone(), is_numbered);
         Ok(Some((name.to_owned(), text)))
     }
 
-    fn open(&mut self) -> Result<(), String> {
-        let session = self.bus.session().ok_or_else(|| NO_BUS.to_owned());
-        let begun = session.and_then(|session| {
-            let tap = self.settings.live_tap.as_ref().map(LiveTap::writer_end);
-            session.begin(&self.wanted, &Stop::default(), tap).map_err(|error| error.to_string())
-        });
+    /// Why nothing begins that was granted.
+    fn no_bus(&self) -> Problem {
+        self.machine.bus_fault().cloned().unwrap_or_else(|| Fact::BusStarting {}.into())
+    }
+
+    fn open(&mut self, details: &RunDetails) -> Result<(), Problem> {
+        let begun = match self.bus.session() {
+            None => Err(self.no_bus()),
+            Some(session) => {
+                let tap = self.settings.live_tap.as_ref().map(LiveTap::writer_end);
+                session.begin(details, &Stop::default(), tap).map_err(|error| error.problem())
+            }
+        };
         match begun {
             Ok(run) => {
                 self.run = Some(run);
+                self.duration = details.duration;
                 self.marks = Marks::new(Clock::Real.now());
-                self.cycles_seen = 0;
+                (self.cycles_seen, self.counted.lost) = (0, 0);
                 Ok(())
             }
-            Err(reason) => {
-                self.handle(Event::OpenFailed(reason.clone()));
-                Err(reason)
+            Err(problem) => {
+                self.handle(Event::OpenFailed(problem.clone()));
+                Err(problem)
             }
         }
     }
 
-    /// Tells who asked for the run that it has its file, or why it gets none.
-    fn opened(&mut self, outcome: Result<(), String>) {
+    /// Answers those who asked for the run: it has its file, or gets none.
+    fn opened(&mut self, outcome: Result<(), Problem>) {
         self.handle(match &outcome {
             Ok(()) => Event::Opened,
-            Err(reason) => Event::OpenFailed(reason.clone()),
+            Err(problem) => Event::OpenFailed(problem.clone()),
         });
         self.publish();
         for (reply, answer) in std::mem::take(&mut self.asked) {
-            let refused = outcome.as_ref().err().map(|reason| Answer::Refused(reason.clone()));
+            let refused = outcome.as_ref().err().map(|problem| Answer::Refused(problem.clone()));
             let _ = reply.send(refused.unwrap_or(answer));
         }
     }
@@ -347,7 +377,7 @@ impl Controller {
     fn look_at_run(&mut self) {
         let Some(run) = &self.run else { return };
         if self.is_opening() && run.progress.is_open() {
-            tracing::info!(run = self.wanted.name, "run begins");
+            tracing::info!(run = self.machine.run(), "run begins");
             self.opened(Ok(()));
         }
         let Some(run) = &self.run else { return };
@@ -362,17 +392,43 @@ impl Controller {
             self.handle(Event::Ended(cause));
             return;
         }
-        let synced = run.progress.get().synced;
+        let Snapshot { synced, sync_age, .. } = run.progress.get();
         let stalled_after = self.settings.daemon.sync_period() * STALLED_SYNC_PERIODS;
         if synced.cycles > self.cycles_seen {
             self.cycles_seen = synced.cycles;
             self.handle(Event::Synced);
-        } else if synced.at.is_none_or(|at| at.elapsed() > stalled_after) {
+        } else if sync_age.is_none_or(|age| age > stalled_after) {
             self.handle(Event::Stalled);
         }
     }
 
+    /// Adds what session and run have counted since the last time, and logs what began or ended.
+    fn count(&mut self) {
+        if let Some(session) = self.bus.session() {
+            let now = session.live().totals();
+            let before = std::mem::replace(&mut self.counted.cycles, now);
+            // A new session counts from zero.
+            let [cycles, valid, late] =
+                std::array::from_fn(|index| now[index].checked_sub(before[index]).unwrap_or(now[index]));
+            self.totals.cycles += cycles;
+            self.totals.cycles_valid += valid;
+            self.totals.cycles_late += late;
+        }
+        if let Some(lost) = self.run.as_ref().map(|run| run.progress.get().lost) {
+            self.count_lost(lost);
+        }
+        let status = self.view().status();
+        self.problems.update(Instant::now(), status.problems.iter().chain(&status.bad_cables));
+        self.totals.problems.clone_from(self.problems.began());
+    }
+
+    fn count_lost(&mut self, lost: u64) {
+        self.totals.cycles_lost += lost.saturating_sub(self.counted.lost);
+        self.counted.lost = lost;
+    }
+
     fn run_is_over(&mut self, run: ActiveRun) {
+        self.count_lost(run.progress.get().lost);
         let outcome = run.join();
         match outcome {
             Ok(summary) => {
@@ -380,15 +436,15 @@ impl Controller {
                 self.summary = Some(summary);
                 self.handle(Event::Closed);
             }
-            Err(error) if self.is_opening() => self.opened(Err(error.to_string())),
+            Err(error) if self.is_opening() => self.opened(Err(error.problem())),
             Err(error) => {
                 tracing::error!("recording failed: {error}");
-                let told = error.to_string();
+                let problem = error.problem();
                 if let RunError::Broken { content, .. } = error {
                     self.summary = content.map(|summary| *summary);
                 }
-                self.failure = Some(told.clone());
-                self.handle(Event::CloseFailed(told));
+                self.failure = Some(problem.text.clone());
+                self.handle(Event::CloseFailed(problem));
             }
         }
     }
@@ -400,13 +456,14 @@ impl Controller {
             session: self.bus.session(),
             valid_shares: self.bus.valid_shares(),
             run: self.run.as_ref(),
-            duration: self.wanted.duration,
+            duration: self.duration,
             marks: &self.marks,
             homing: self.homing.as_ref(),
             last: self.last.as_ref(),
             runs_over: self.runs_over,
             storage: &self.storage,
             tending: self.tending.as_ref(),
+            totals: &self.totals,
         }
     }
 

@@ -1,7 +1,7 @@
 //! Homing as the service does it: the steps in words, and the file at the end.
 
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, TryRecvError, channel};
+use std::sync::mpsc::{Receiver, TryRecvError, sync_channel};
 use std::thread;
 use std::time::Instant;
 
@@ -69,7 +69,7 @@ impl Homing {
 
     fn keep(&mut self, encoders: Vec<EncoderConfig>, found: Vec<Found>, marks: &MarksFile) {
         (self.status.joint, self.status.turned_deg) = (None, None);
-        let (result, kept) = channel();
+        let (result, kept) = sync_channel(1);
         self.keeping = Some((kept, Instant::now()));
         let (disk, file) = (Arc::clone(&self.disk), marks.clone());
         let keep = move || {

@@ -4,7 +4,7 @@
 //! knows of it. Who watches gets the latest moment and may miss others: nothing is queued.
 
 use std::collections::VecDeque;
-use std::sync::mpsc::{Receiver, channel};
+use std::sync::mpsc::{Receiver, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -20,12 +20,13 @@ use shared::time::{MonoNs, NS_PER_S};
 use tokio::sync::watch;
 
 use super::preflight::hours_left;
-use super::service::Settings;
-use super::status::{EncoderStatus, Headline, Level, RunStatus, Status};
-use super::verdict::{Content, Verdict, clock_time};
+use super::settings::Settings;
+use super::status::{EncoderStatus, Headline, RunStatus, Status};
+use super::verdict::{Content, Verdict};
 use crate::clock::Clock;
 use crate::devices::el5021;
 use crate::homing::MarksFile;
+use crate::problem::{Fact, Level, Problem};
 
 /// How often a page is given something new.
 const PERIOD: Duration = Duration::from_millis(100);
@@ -59,7 +60,7 @@ pub struct Live {
     /// One for each encoder, in bus order.
     pub joints: Vec<Joint>,
     /// What somebody should do something about while there is time.
-    pub warnings: Vec<Warning>,
+    pub warnings: Vec<Problem>,
     /// How long runs may last before the disk is full \[h\].
     pub disk_hours: Option<f64>,
     /// What the run would be worth if it ended now.
@@ -104,17 +105,6 @@ pub struct Joint {
     pub has_moved: bool,
     /// How far it has turned since then: highest less lowest angle while its counter had one origin \[deg\].
     pub range_deg: f64,
-}
-
-/// Something that costs data if it goes on.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-pub struct Warning {
-    /// Which kind; stays the same while figures change.
-    pub subject: String,
-    /// What is wrong.
-    pub text: String,
-    /// What to do.
-    pub remedy: String,
 }
 
 /// Directions of the rod, in cells of 10 degrees of joint 1 (columns) and joint 2 (rows).
@@ -351,57 +341,31 @@ impl Observer {
         self.coverage.visit(here, now);
     }
 
-    fn warnings(&self, live: &Live, now: MonoNs) -> Vec<Warning> {
-        let mut warnings: Vec<Warning> =
-            self.tracks.iter().filter(|track| track.is_fresh(now)).flat_map(Track::warnings).collect();
-        let mut warn = |subject: String, text: String, remedy: &str| {
-            warnings.push(Warning { subject, text, remedy: remedy.into() });
-        };
+    fn warnings(&self, live: &Live, now: MonoNs) -> Vec<Problem> {
+        let fresh = self.tracks.iter().filter(|track| track.is_fresh(now));
+        let mut facts: Vec<Fact> = fresh.flat_map(Track::warnings).collect();
         if live.run_s.is_some_and(|run_s| run_s > MOVE_WITHIN_S) {
-            for joint in live.joints.iter().filter(|joint| !joint.has_moved && joint.level == Level::Good) {
-                warn(
-                    format!("still {}", joint.joint),
-                    format!(
-                        "joint {} has turned by {:.1} degrees since the run began",
-                        joint.joint, joint.range_deg
-                    ),
-                    "see whether its coupling has come loose, or let the path turn it",
-                );
-            }
-        }
-        if let Some(run_s) = live.run_s.and(self.restarted).and_then(|restarted| restarted.run_s) {
-            warn(
-                "restarted".into(),
-                format!("since {} angles and coverage count from zero again", clock_time(run_s)),
-                "counters lost their origin, as after an outage of the bus; the calibration allows for it",
+            let still = live.joints.iter().filter(|joint| !joint.has_moved && joint.level == Level::Good);
+            facts.extend(
+                still.map(|joint| Fact::JointStill { joint: joint.joint, range_deg: joint.range_deg }),
             );
         }
+        let restarted = live.run_s.and(self.restarted).and_then(|restarted| restarted.run_s);
+        facts.extend(restarted.map(|since_s| Fact::AnglesRestarted { since_s }));
         if self.homing.is_some() && !live.status.encoders.is_empty() {
-            for joint in live.joints.iter().filter(|joint| !joint.from_mark && joint.angle_deg.is_some()) {
-                warn(
-                    format!("mark {}", joint.joint),
-                    format!("the reference mark of joint {} does not hold any more", joint.joint),
-                    "home again, or remove homing.toml if runs need no marks",
-                );
-            }
+            let stale = live.joints.iter().filter(|joint| !joint.from_mark && joint.angle_deg.is_some());
+            let joints: Vec<u8> = stale.map(|joint| joint.joint).collect();
+            facts.extend((!joints.is_empty()).then_some(Fact::MarksStale { joints }));
         }
-        for cable in &live.status.bad_cables {
-            warn("cable".into(), cable.clone(), "push the plug in, or replace the cable");
-        }
-        if let Some(hours) = live.disk_hours.filter(|hours| *hours < DISK_HOURS_MIN) {
-            warn(
-                "disk".into(),
-                format!("the disk has room for {hours:.1} hours"),
-                "move recordings elsewhere, or delete some and empty the bin, before the run needs the space",
-            );
-        }
-        warnings
+        let low = live.disk_hours.filter(|hours| *hours < DISK_HOURS_MIN);
+        facts.extend(low.map(|left_h| Fact::DiskSpaceLow { left_h }));
+        facts.into_iter().map(Problem::from).chain(live.status.bad_cables.iter().cloned()).collect()
     }
 }
 
 /// Reads `homing.toml` in a thread of its own, because its disk may hang. A file that cannot be read is told by the check.
 fn read(disk: &Arc<dyn Disk>, marks: &MarksFile) -> std::io::Result<Receiver<Option<HomingConfig>>> {
-    let (found, reading) = channel();
+    let (found, reading) = sync_channel(1);
     let (disk, marks) = (Arc::clone(disk), marks.clone());
     thread::Builder::new().name("marks".into()).spawn(move || {
         let _ = found.send(marks.read(&*disk).ok().flatten());
@@ -555,41 +519,17 @@ impl Track {
         }
     }
 
-    fn warnings(&self) -> Vec<Warning> {
-        let joint = self.config.joint;
-        let mut warnings = Vec::new();
-        let mut warn = |kind: &str, text: String, remedy: &str| {
-            warnings.push(Warning { subject: format!("{kind} {joint}"), text, remedy: remedy.into() });
-        };
-        if let Some(turned_deg) = self.angle_deg.filter(|angle_deg| angle_deg.abs() > WOUND_DEG) {
-            let from = if self.from_mark { "its reference mark" } else { "where it was seen first" };
-            warn(
-                "wound",
-                format!("joint {joint} is turned by {turned_deg:.0} degrees from {from}"),
-                "unwind its cable before it is torn",
-            );
-        }
+    fn warnings(&self) -> Vec<Fact> {
+        let (joint, from_mark) = (self.config.joint, self.from_mark);
+        let wound = self.angle_deg.filter(|angle_deg| angle_deg.abs() > WOUND_DEG);
+        let wound = wound.map(|turned_deg| Fact::JointWound { joint, turned_deg, from_mark });
         let distance_deg = self.bar_angle_deg().filter(|_| [2, 4].contains(&joint)).map(from_singular_deg);
-        if let Some(distance_deg) = distance_deg.filter(|distance_deg| *distance_deg < SINGULAR_DEG) {
-            warn(
-                "singular",
-                format!("joint {joint} is {distance_deg:.1} degrees from a singular pose of the bar"),
-                "move the path away: rod and axis must not align",
-            );
-        }
+        let near = distance_deg.filter(|distance_deg| *distance_deg < SINGULAR_DEG);
+        let near = near.map(|distance_deg| Fact::JointSingular { joint, distance_deg });
         let limit_deg_per_s = full_resolution_deg_per_s(&self.config);
-        if let Some(speed) = self.speed_deg_per_s().filter(|speed| speed.abs() > limit_deg_per_s) {
-            warn(
-                "fast",
-                format!(
-                    "joint {joint} turns at {:.0} degrees/s; above {limit_deg_per_s:.0} its terminal leaves out the \
-                     finest steps",
-                    speed.abs()
-                ),
-                "let the robot move more slowly",
-            );
-        }
-        warnings
+        let fast = self.speed_deg_per_s().filter(|speed| speed.abs() > limit_deg_per_s);
+        let fast = fast.map(|speed_deg_per_s| Fact::JointFast { joint, speed_deg_per_s, limit_deg_per_s });
+        [wound, near, fast].into_iter().flatten().collect()
     }
 }
 
@@ -679,6 +619,7 @@ mod tests {
     use shared::encoder::wrap;
     use shared::time::UtcNs;
 
+    use super::super::status::ServiceState;
     use super::*;
     use crate::run::BusChoice;
 
@@ -728,7 +669,7 @@ mod tests {
                 ..RunStatus::default()
             });
             let status = Status {
-                state: "writing".into(),
+                state: ServiceState::Writing,
                 encoders: angles_deg.iter().enumerate().map(encoder).collect(),
                 sampled: self.now,
                 origin: self.origin,
@@ -749,8 +690,8 @@ mod tests {
         }
     }
 
-    fn subjects(live: &Live) -> Vec<&str> {
-        live.warnings.iter().map(|warning| warning.subject.as_str()).collect()
+    fn subjects(live: &Live) -> Vec<(&str, usize)> {
+        live.warnings.iter().map(|warning| warning.fact.key()).collect()
     }
 
     #[test]
@@ -792,9 +733,9 @@ mod tests {
     #[test]
     fn a_wound_cable_and_a_fast_joint_are_warned_of() {
         let mut bench = Bench::new(|_| {});
-        assert_eq!(subjects(&bench.turn(1, 365.0, 50.0)), ["wound 1"]);
+        assert_eq!(subjects(&bench.turn(1, 365.0, 50.0)), [("joint_wound", 1)]);
         let mut bench = Bench::new(|_| {});
-        assert_eq!(subjects(&bench.turn(2, 200.0, 80.0)), ["fast 2"]);
+        assert_eq!(subjects(&bench.turn(2, 200.0, 80.0)), [("joint_fast", 2)]);
     }
 
     #[test]
@@ -818,7 +759,7 @@ mod tests {
         bench.turn(1, 20.0, 20.0);
         let moving = |step: i32| [20.0, 0.2 * f64::from(step), 1.0, 1.0, 1.0].map(Some);
         let live = (0..160).map(|step| bench.at(moving(step), Some("one"))).last().unwrap();
-        assert_eq!(subjects(&live), ["still 1", "still 3", "still 4", "still 5"]);
+        assert_eq!(subjects(&live), [1, 3, 4, 5].map(|joint| ("joint_still", joint)));
         assert_eq!(
             live.verdict.unwrap().to_string(),
             "CHECK: joint 1 turned by 0.0\u{b0}, joint 3 turned by 0.0\u{b0}, joint 4 turned by 0.0\u{b0}, joint 5 turned by \
@@ -833,7 +774,7 @@ mod tests {
         bench.observer.homing = Some(HomingConfig::new(UtcNs(0), &encoders, &[START as u32; 5]));
         assert!(subjects(&bench.at([Some(0.0); 5], None)).is_empty());
         let live = bench.at([Some(0.0), Some(4.0), Some(0.0), Some(0.0), Some(0.0)], None);
-        assert_eq!(subjects(&live), ["singular 2"]);
+        assert_eq!(subjects(&live), [("joint_singular", 2)]);
         assert!(live.joints.iter().all(|joint| joint.from_mark));
         assert!(live.warnings[0].text.contains("6.0 degrees"), "{:?}", live.warnings);
         // Homed anew, at a mark 40 degrees further.
@@ -879,7 +820,7 @@ mod tests {
         let restarted = live.restarted.unwrap();
         assert_eq!((restarted.cells_before, restarted.at_ms), (9, live.at_ms));
         assert!((restarted.run_s.unwrap() - live.run_s.unwrap()).abs() < 1e-9, "{restarted:?}");
-        assert_eq!(subjects(&live), ["restarted"]);
+        assert_eq!(subjects(&live), [("angles_restarted", 0)]);
         assert!(live.warnings[0].text.contains("since 0:03"), "{:?}", live.warnings);
         // The next run knows nothing of it.
         let live = bench.at([Some(0.0); 5], Some("two"));

@@ -7,12 +7,13 @@ use shared::config::{DaemonConfig, HomingConfig};
 use shared::recording::Disk;
 
 use super::runs;
-use super::service::Settings;
+use super::settings::Settings;
 use super::status::{CheckLine, EncoderStatus, Status};
 use super::verdict::{VALID_SHARE_BAD, VALID_SHARE_GOOD};
 use super::view::View;
+use crate::log;
+use crate::problem::{Fact, Level, Problem};
 use crate::run::Session;
-use crate::{homing, log};
 
 /// A live sample older than this is not live \[ms\].
 const SAMPLE_AGE_MS_MAX: i64 = 1000;
@@ -20,9 +21,9 @@ const SAMPLE_AGE_MS_MAX: i64 = 1000;
 /// What a check needs to know of the disk, found by a thread that may wait for it.
 pub(super) struct Found {
     homing: Result<Option<HomingConfig>, String>,
-    left_behind: Result<Vec<PathBuf>, String>,
+    left_behind: Result<Vec<PathBuf>, io::Error>,
     /// Why a homing could not be kept.
-    unkept: Option<String>,
+    unkept: Option<Problem>,
 }
 
 impl Found {
@@ -34,7 +35,7 @@ impl Found {
         };
         Self {
             homing: settings.marks.read(disk).map_err(|error| error.to_string()),
-            left_behind: left_behind().map_err(|error| error.to_string()),
+            left_behind: left_behind(),
             unkept: settings.marks.problem(disk),
         }
     }
@@ -57,24 +58,30 @@ pub(super) fn check(view: &View<'_>, status: &Status, found: Option<&Found>) -> 
 }
 
 fn good(subject: &str, finding: impl Into<String>) -> CheckLine {
-    CheckLine { subject: subject.into(), finding: finding.into(), remedy: None, stops: false }
+    let (finding, remedy, stops, problems) = (finding.into(), None, false, Vec::new());
+    CheckLine { subject: subject.into(), finding, remedy, stops, problems }
 }
 
-fn problem(subject: &str, finding: impl Into<String>, remedy: &str) -> CheckLine {
-    CheckLine { subject: subject.into(), finding: finding.into(), remedy: Some(remedy.into()), stops: false }
-}
-
-/// A problem that would cost the run.
-fn stopping(subject: &str, finding: impl Into<String>, remedy: &str) -> CheckLine {
-    CheckLine { stops: true, ..problem(subject, finding, remedy) }
+/// What is wrong: it stops a run if it would cost the run.
+fn bad(subject: &str, problems: Vec<Problem>) -> CheckLine {
+    let joined = |of: fn(&Problem) -> &str| {
+        let mut parts: Vec<&str> = problems.iter().map(of).filter(|part| !part.is_empty()).collect();
+        parts.dedup();
+        parts.join("; ")
+    };
+    CheckLine {
+        subject: subject.into(),
+        finding: joined(|problem| &problem.text),
+        remedy: Some(joined(|problem| &problem.remedy)),
+        stops: problems.iter().any(|problem| problem.severity == Level::Bad),
+        problems,
+    }
 }
 
 fn bus(view: &View<'_>, status: &Status) -> CheckLine {
     const SUBJECT: &str = "bus";
     match view.machine.bus_fault() {
-        Some(reason) => {
-            stopping(SUBJECT, reason, "set right what it says; the service tries again by itself")
-        }
+        Some(problem) => bad(SUBJECT, vec![problem.clone().with_severity(Level::Bad)]),
         None => good(SUBJECT, format!("in operation on {}: {}", status.bus, status.devices.join(", "))),
     }
 }
@@ -82,24 +89,23 @@ fn bus(view: &View<'_>, status: &Status) -> CheckLine {
 fn encoders(status: &Status) -> CheckLine {
     const SUBJECT: &str = "encoders";
     if status.sample_age_ms.is_none_or(|age| age > SAMPLE_AGE_MS_MAX) {
-        return stopping(SUBJECT, "no sample in the last second", "bring the bus into operation first");
+        return bad(SUBJECT, vec![Fact::NoSamples {}.into()]);
     }
-    // What a run like the last second would be worth; whoever is silent now gives nothing at all.
+    // What a run like the last second would be worth; an encoder that is silent now gives nothing at all.
     let share =
         |encoder: &EncoderStatus| if encoder.silent { 0.0 } else { encoder.valid_share.unwrap_or(1.0) };
-    let bad: Vec<_> = status.encoders.iter().filter(|encoder| share(encoder) < VALID_SHARE_GOOD).collect();
-    if bad.is_empty() {
+    let problem = |encoder: &EncoderStatus| {
+        let (joints, status, valid_share) = (vec![encoder.joint], Some(encoder.status), share(encoder));
+        let severity = if valid_share < VALID_SHARE_BAD { Level::Bad } else { Level::Check };
+        Problem::from(Fact::EncoderInvalid { joints, status, valid_share }).with_severity(severity)
+    };
+    let invalid = status.encoders.iter().filter(|encoder| share(encoder) < VALID_SHARE_GOOD);
+    let problems: Vec<_> = invalid.map(problem).collect();
+    if problems.is_empty() {
         let counts: Vec<_> = status.encoders.iter().map(|encoder| encoder.count.to_string()).collect();
         return good(SUBJECT, format!("all valid, at {}", counts.join(", ")));
     }
-    let told = bad.iter().map(|encoder| {
-        let EncoderStatus { joint, status, .. } = encoder;
-        format!("joint {joint} (status {status:#06x}, {:.0} % of the last second)", 100.0 * share(encoder))
-    });
-    let finding = format!("not valid: {}", told.collect::<Vec<_>>().join(", "));
-    let stops = bad.iter().any(|encoder| share(encoder) < VALID_SHARE_BAD);
-    let remedy = "check the encoder's cable and plug, and its signal amplitude";
-    CheckLine { stops, ..problem(SUBJECT, finding, remedy) }
+    bad(SUBJECT, problems)
 }
 
 fn cables(status: &Status) -> CheckLine {
@@ -107,11 +113,7 @@ fn cables(status: &Status) -> CheckLine {
     if status.bad_cables.is_empty() {
         return good(SUBJECT, "no port has counted an error");
     }
-    problem(
-        SUBJECT,
-        status.bad_cables.join("; "),
-        "push the plug in, or replace the cable, before it costs cycles",
-    )
+    bad(SUBJECT, status.bad_cables.clone())
 }
 
 /// A run needs no marks: calibration finds the offsets. But marks that hold no more would be missed.
@@ -121,16 +123,14 @@ fn reference_marks(view: &View<'_>, found: Option<&Found>) -> CheckLine {
     let homing = match &found.homing {
         Ok(None) => return good(SUBJECT, "not homed; calibration finds the offsets of this power cycle"),
         Ok(Some(homing)) => homing,
-        Err(error) => return stopping(SUBJECT, error.as_str(), "correct the file, or home again"),
+        Err(error) => return bad(SUBJECT, vec![Fact::MarksUnreadable { error: error.clone() }.into()]),
     };
     let Some(session) = view.session else { return good(SUBJECT, "to be seen when the bus is in operation") };
     let stale = homing.apply(&mut session.encoders().to_vec(), &session.live().latches());
     if stale.is_empty() {
         return good(SUBJECT, format!("of all joints, homed {}", homing.homed));
     }
-    let joints: Vec<_> = stale.iter().map(u8::to_string).collect();
-    let finding = format!("those of joint {} do not hold any more", joints.join(", "));
-    problem(SUBJECT, finding, "run `ballbard home`, or remove homing.toml if runs need no marks")
+    bad(SUBJECT, vec![Fact::MarksStale { joints: stale }.into()])
 }
 
 /// A homing takes minutes of somebody's time: whether its outcome can be kept is seen before.
@@ -141,7 +141,7 @@ fn state(view: &View<'_>, found: Option<&Found>) -> CheckLine {
         None => {
             good(SUBJECT, format!("reference marks can be saved in {}", view.settings.marks.path().display()))
         }
-        Some(finding) => problem(SUBJECT, finding.as_str(), homing::REMEDY),
+        Some(problem) => bad(SUBJECT, vec![problem.clone()]),
     }
 }
 
@@ -155,12 +155,10 @@ pub(super) fn hours_left(usable_bytes: u64, rate_hz: u32) -> f64 {
 
 fn disk(view: &View<'_>) -> CheckLine {
     const SUBJECT: &str = "disk";
-    if let Some(finding) = view.disk_problem() {
-        return stopping(
-            SUBJECT,
-            finding,
-            "set right what it says; `ballbard status` shows what of a run is safe",
-        );
+    let problems = view.disk_problems();
+    if !problems.is_empty() {
+        // Also a disk that is only slow: a run would begin on a disk in trouble.
+        return CheckLine { stops: true, ..bad(SUBJECT, problems) };
     }
     let usable = view.storage.usable_bytes().unwrap_or(0);
     let rate_hz = view.settings.daemon.rate_hz;
@@ -178,11 +176,7 @@ fn disk(view: &View<'_>) -> CheckLine {
 fn realtime(view: &View<'_>) -> CheckLine {
     const SUBJECT: &str = "real time";
     match view.session.and_then(Session::realtime_problem) {
-        Some(report) => problem(
-            SUBJECT,
-            report,
-            "grant what is missing; without it cycles are late when the machine is busy",
-        ),
+        Some(problem) => bad(SUBJECT, vec![problem]),
         None => good(SUBJECT, "priority, core and memory as configured"),
     }
 }
@@ -191,16 +185,8 @@ fn clock() -> CheckLine {
     const SUBJECT: &str = "clock";
     match clock_is_synchronised() {
         Ok(true) => good(SUBJECT, "synchronised"),
-        Ok(false) => problem(
-            SUBJECT,
-            "the host's clock is not synchronised: UTC in the file is as accurate as this clock",
-            "start chrony or systemd-timesyncd; without a network ignore it, calibration finds clock differences",
-        ),
-        Err(error) => problem(
-            SUBJECT,
-            format!("the kernel does not report whether the clock is synchronised: {error}"),
-            "allow the system call clock_adjtime in the sandbox of this process",
-        ),
+        Ok(false) => bad(SUBJECT, vec![Fact::ClockUnsynchronised {}.into()]),
+        Err(error) => bad(SUBJECT, vec![Fact::ClockUnknown { error: error.to_string() }.into()]),
     }
 }
 
@@ -219,30 +205,26 @@ fn log() -> CheckLine {
     const SUBJECT: &str = "log";
     match log::lines_lost() {
         0 => good(SUBJECT, "every line was written"),
-        lost => problem(
-            SUBJECT,
-            format!("{lost} lines were lost: standard error did not take them"),
-            "see where it leads: a full disk, a closed terminal, a reader that does not read; the recording goes on",
-        ),
+        lines => bad(SUBJECT, vec![Fact::LogLinesLost { lines }.into()]),
     }
 }
 
 fn leftovers(found: Option<&Found>) -> CheckLine {
     const SUBJECT: &str = "left-over files";
-    let left_behind = match found.map(|found| &found.left_behind) {
-        None => return unanswered(SUBJECT),
-        Some(Err(error)) => return problem(SUBJECT, error.as_str(), "look at the disk of the recordings"),
-        Some(Ok(left_behind)) => left_behind,
-    };
-    if left_behind.is_empty() {
-        return good(SUBJECT, "none");
+    match found.map(|found| &found.left_behind) {
+        None => unanswered(SUBJECT),
+        Some(Err(error)) => {
+            let (place, error) = ("the directory of the recordings".into(), error.to_string());
+            bad(SUBJECT, vec![Problem::from(Fact::DiskError { place, error }).with_severity(Level::Check)])
+        }
+        Some(Ok(files)) if files.is_empty() => good(SUBJECT, "none"),
+        Some(Ok(files)) => bad(SUBJECT, vec![Fact::FilesLeft { files: files.clone() }.into()]),
     }
-    let names: Vec<_> = left_behind.iter().map(|file| file.display().to_string()).collect();
-    problem(SUBJECT, names.join(", "), "run `ballbard recover` on each")
 }
 
 fn unanswered(subject: &str) -> CheckLine {
-    problem(subject, "the disk does not answer", "look at its cable, its power, or the network it is on")
+    let silent = Problem::from(Fact::DiskSilent { directory: None, silent_s: None });
+    bad(subject, vec![silent.with_severity(Level::Check)])
 }
 
 #[cfg(test)]

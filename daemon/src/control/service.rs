@@ -3,47 +3,26 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
-use std::sync::mpsc::{Sender, channel};
+use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
 
-use shared::config::{BallBarConfig, DaemonConfig};
 use shared::recording::{Disk, SystemDisk};
 use shared::time::MonoNs;
 use tokio::sync::{Semaphore, oneshot, watch};
 
 use super::controller::{Command, Controller};
 use super::live::{self, Minute, Moment, Watched};
-use super::live_tap::LiveTap;
 use super::machine::Answer;
 use super::preflight::Found;
 use super::runs;
+use super::settings::Connect;
+pub use super::settings::Settings;
 use super::status::{CheckLine, NameReply, NameRequest, Refusal, StartRequest, Status};
 use crate::clock::Clock;
-use crate::homing::{self, MarksFile};
-use crate::run::{self, BusChoice, RunDetails, RunError, Session, Storage};
-use crate::segment::faults::FaultWindow;
-
-/// What the service is made of.
-#[derive(Debug, Clone)]
-pub struct Settings {
-    /// Which bus.
-    pub bus: BusChoice,
-    /// What goes wrong on the simulated bus, on purpose.
-    pub faults: Vec<FaultWindow>,
-    /// `daemon.toml`.
-    pub daemon: DaemonConfig,
-    /// `ball_bar.toml`.
-    pub bar: BallBarConfig,
-    /// `homing.toml`, which need not be there.
-    pub marks: MarksFile,
-    /// Who else is given a run while it goes on; nobody without.
-    pub live_tap: Option<LiveTap>,
-}
-
-/// Brings the bus into operation; tried again and again until it is.
-pub(crate) type Connect = dyn Fn() -> Result<Session, RunError> + Send + Sync;
+use crate::problem::{Fact, Problem};
+use crate::run::{self, RunDetails, RunError, Stop, Storage};
 
 /// The service's thread, and why it has ended.
 type Control = thread::JoinHandle<Result<(), ServiceError>>;
@@ -51,7 +30,8 @@ type Control = thread::JoinHandle<Result<(), ServiceError>>;
 /// The way to the service's thread. Clones reach the same service.
 #[derive(Clone)]
 pub struct Service {
-    commands: Sender<Command>,
+    commands: SyncSender<Command>,
+    ending: Stop,
     status: watch::Receiver<Status>,
     live: Watched,
     settings: Arc<Settings>,
@@ -60,14 +40,14 @@ pub struct Service {
     looks: Arc<Semaphore>,
 }
 
+/// Requests that may wait for the control's thread, which takes them within milliseconds; further ones are refused.
+const COMMANDS_MAX: usize = 64;
 /// Questions that may wait for the disk at a time.
 const LOOKS_MAX: usize = 4;
 /// How long each may; after that who asks is told what is known without it.
 const LOOK_WITHIN: Duration = Duration::from_secs(1);
 /// The same for a list of hundreds of recordings.
 pub(super) const LIST_WITHIN: Duration = Duration::from_secs(10);
-/// What they are told where nothing can be said without it.
-const DISK_SILENT: &str = "the disk does not answer; `ballbard status` says what is known of it";
 
 /// Why the service cannot start, or has ended by itself.
 #[derive(Debug, thiserror::Error)]
@@ -108,10 +88,12 @@ impl Service {
     ) -> Result<Self, ServiceError> {
         let disk = storage.disk();
         let settings = Arc::new(settings);
-        let (commands, commands_rx) = channel();
+        let (commands, commands_rx) = sync_channel(COMMANDS_MAX);
+        let ending = Stop::default();
         let (status_tx, status) = watch::channel(Status::default());
         let live = live::watch(Arc::clone(&settings), Arc::clone(&disk), status.clone())?;
-        let mut controller = Controller::new(Arc::clone(&settings), connect, storage, status_tx);
+        let mut controller =
+            Controller::new(Arc::clone(&settings), connect, storage, status_tx, ending.clone());
         let body = move || {
             let outcome = catch_unwind(AssertUnwindSafe(|| controller.run(&commands_rx)));
             outcome.map(|ended| ended.map_err(ServiceError::Run)).unwrap_or_else(|_| {
@@ -122,7 +104,7 @@ impl Service {
         let thread = thread::Builder::new().name("control".into()).spawn(body)?;
         let thread = Arc::new(Mutex::new(Some(thread)));
         let looks = Arc::new(Semaphore::new(LOOKS_MAX));
-        Ok(Self { commands, status, live, settings, disk, thread, looks })
+        Ok(Self { commands, ending, status, live, settings, disk, thread, looks })
     }
 
     /// What it is doing.
@@ -156,7 +138,7 @@ impl Service {
         let (settings, disk) = (Arc::clone(&self.settings), Arc::clone(&self.disk));
         let details = self.look(LOOK_WITHIN, move || details(request, &settings, &*disk)).await;
         let Some(details) = details else {
-            return Ok(Answer::Refused(DISK_SILENT.into()));
+            return Ok(disk_silent());
         };
         let details = Box::new(details?);
         self.ask(|reply| Command::Start(details, named, reply)).await
@@ -172,8 +154,8 @@ impl Service {
         let (settings, disk) = (Arc::clone(&self.settings), Arc::clone(&self.disk));
         match self.look(LOOK_WITHIN, move || settings.marks.problem(&*disk)).await {
             Some(None) => self.ask(Command::Home).await,
-            Some(Some(problem)) => Ok(Answer::Refused(format!("{problem}; {}", homing::REMEDY))),
-            None => Ok(Answer::Refused(DISK_SILENT.into())),
+            Some(Some(problem)) => Ok(Answer::Refused(problem)),
+            None => Ok(disk_silent()),
         }
     }
 
@@ -185,7 +167,7 @@ impl Service {
     ) -> Result<Option<(String, String)>, Refusal> {
         let at: MonoNs = Clock::Real.now().plus_ns(-1_000_000 * i64::from(ago_ms));
         let marked = self.ask(|reply| Command::Mark(text, at, reply)).await?;
-        marked.map_err(|error| Refusal { error })
+        marked.map_err(Refusal::new)
     }
 
     /// The preflight check.
@@ -225,8 +207,7 @@ impl Service {
 
     /// Ends a running run with `cause` and its file finished, then the service. Does not wait.
     pub fn shutdown(&self, cause: &str) {
-        // A service that has ended already needs no telling.
-        let _ = self.commands.send(Command::Shutdown(cause.to_owned()));
+        self.ending.stop(cause);
     }
 
     /// Waits for the end of the service; its file is finished then, also where its thread died.
@@ -244,15 +225,22 @@ impl Service {
     /// Ends the thread of the control.
     #[cfg(test)]
     pub(crate) fn kill_control(&self) {
-        let _ = self.commands.send(Command::Panic);
+        let _ = self.commands.try_send(Command::Panic);
     }
 
     async fn ask<T>(&self, command: impl FnOnce(oneshot::Sender<T>) -> Command) -> Result<T, Refusal> {
-        let ended = || Refusal { error: "the service is ending".into() };
+        let ended = || Refusal::from(Problem::from(Fact::ServiceEnding {}));
         let (reply, answer) = oneshot::channel();
-        self.commands.send(command(reply)).map_err(|_| ended())?;
+        self.commands.try_send(command(reply)).map_err(|error| match error {
+            TrySendError::Full(_) => Refusal::from(Problem::from(Fact::ServiceBusy {})),
+            TrySendError::Disconnected(_) => ended(),
+        })?;
         answer.await.map_err(|_| ended())
     }
+}
+
+fn disk_silent() -> Answer {
+    Answer::Refused(Fact::DiskSilent { directory: None, silent_s: None }.into())
 }
 
 /// Longer is a slip of the finger.
@@ -260,7 +248,9 @@ const DURATION_MAX: Duration = Duration::from_secs(366 * 86_400);
 
 fn details(request: StartRequest, settings: &Settings, disk: &dyn Disk) -> Result<RunDetails, Refusal> {
     let Settings { daemon, marks, .. } = settings;
-    let homing = marks.read(disk).map_err(|error| Refusal { error: error.to_string() })?;
+    let homing = marks
+        .read(disk)
+        .map_err(|error| Refusal::from(Problem::from(Fact::MarksUnreadable { error: error.to_string() })))?;
     let duration = request
         .duration_s
         .map(|seconds| {
@@ -271,14 +261,14 @@ fn details(request: StartRequest, settings: &Settings, disk: &dyn Disk) -> Resul
                     "duration of {seconds:?} s: must be one cycle ({cycle_s} s) to a year; leave it out to record until \
                      stopped"
                 );
-                Refusal { error }
+                Refusal::new(error)
             })
         })
         .transpose()?;
     let about = request.about();
     let automatic = || runs::automatic_name(disk, &daemon.directory, &about.robot, &about.bar);
     let name = request.name.map_or_else(|| Ok(automatic()), |typed| run::typed_name(&typed));
-    let name = name.map_err(|error| Refusal { error })?;
+    let name = name.map_err(Refusal::new)?;
     Ok(RunDetails { name, about, duration, homing })
 }
 
@@ -308,11 +298,14 @@ pub(crate) mod tests {
     use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
     use std::time::Instant;
 
-    use shared::config;
+    use shared::config::{self, DaemonConfig};
     use shared::recording::Recording;
     use shared::time::MonoNs;
 
     use super::*;
+    use crate::control::status::ServiceState;
+    use crate::homing::MarksFile;
+    use crate::run::BusChoice;
     use crate::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
     use crate::segment::{FRAME_BYTES_MAX, InProcessWire, Wire};
 
@@ -414,7 +407,7 @@ pub(crate) mod tests {
     fn begin_on_hanging_disk(directory: &Path) -> (Service, Arc<HangingDisk>, thread::JoinHandle<Answer>) {
         let disk = Arc::new(HangingDisk::default());
         let (service, _) = simulated_after(directory, disk.clone(), || {});
-        wait_until(&service, "the bus", |status| status.state == "waiting");
+        wait_until(&service, "the bus", |status| status.state == ServiceState::Waiting);
         disk.0.store(true, Ordering::Release);
         let asking = service.clone();
         let request = StartRequest { name: Some("late".into()), ..StartRequest::default() };
@@ -425,7 +418,7 @@ pub(crate) mod tests {
                 .as_ref()
                 .is_some_and(|reason| reason.contains("the disk has been asked to create it"))
         });
-        assert_eq!(told.state, "opening");
+        assert_eq!(told.state, ServiceState::Opening);
         (service, disk, asked)
     }
 
@@ -443,7 +436,7 @@ pub(crate) mod tests {
         assert!(!asked.is_finished());
         disk.0.store(false, Ordering::Release);
         assert_eq!(asked.join().unwrap(), Answer::Beginning);
-        wait_until(&service, "writing", |status| status.state == "writing");
+        wait_until(&service, "writing", |status| status.state == ServiceState::Writing);
         service.shutdown("test over");
         service.join().unwrap();
         let recording = Recording::open(&directory.path().join("late.mcap")).unwrap();
@@ -519,11 +512,11 @@ pub(crate) mod tests {
 
     /// Begins a run and waits until it is being written.
     pub(crate) fn record(service: &Service, name: &str) {
-        wait_until(service, "the bus", |status| status.state == "waiting");
+        wait_until(service, "the bus", |status| status.state == ServiceState::Waiting);
         let request = StartRequest { name: Some(name.into()), ..StartRequest::default() };
         assert_eq!(runtime().block_on(service.begin(request)).unwrap(), Answer::Beginning);
         let has_enough = |status: &Status| status.run.as_ref().is_some_and(|run| run.cycles_taken > 50);
-        wait_until(service, "writing", |status| status.state == "writing" && has_enough(status));
+        wait_until(service, "writing", |status| status.state == ServiceState::Writing && has_enough(status));
     }
 
     #[test]
@@ -538,7 +531,7 @@ pub(crate) mod tests {
         let recording = Recording::open(&directory.path().join("cut.mcap")).unwrap();
         assert_eq!((recording.end.cause, recording.cycles.len() as u64), (last.cause, last.cycles));
         assert!(recording.cycles.len() > 50);
-        assert_eq!(fault.state, "fault");
+        assert_eq!(fault.state, ServiceState::Fault);
         deadly.store(false, Ordering::Release);
         record(&service, "next");
         service.shutdown("test over");
@@ -550,7 +543,7 @@ pub(crate) mod tests {
     fn a_homing_whose_cycle_thread_dies_says_so() {
         let directory = tempfile::tempdir().unwrap();
         let (service, deadly) = simulated(directory.path());
-        wait_until(&service, "the bus", |status| status.state == "waiting");
+        wait_until(&service, "the bus", |status| status.state == ServiceState::Waiting);
         assert_eq!(runtime().block_on(service.home()).unwrap(), Answer::Beginning);
         deadly.store(true, Ordering::Release);
         let is_over = |status: &Status| status.homing.as_ref().is_some_and(|homing| homing.is_over);
@@ -567,7 +560,7 @@ pub(crate) mod tests {
         record(&service, "cut");
         service.kill_control();
         assert!(service.join().is_err());
-        assert_eq!(service.status().state, "fault");
+        assert_eq!(service.status().state, ServiceState::Fault);
         let recording = Recording::open(&directory.path().join("cut.mcap")).unwrap();
         assert!(recording.end.cause.contains("thread of the control"), "{}", recording.end.cause);
         assert!(recording.cycles.len() > 50 && !recording.end.recovered);
@@ -596,7 +589,10 @@ pub(crate) mod tests {
         let first = move || assert!(died.swap(true, Ordering::AcqRel), "the test ends this thread");
         let (service, _) = simulated_after(directory.path(), Arc::new(SystemDisk), first);
         wait_until(&service, "the fault", |status| {
-            status.reason.as_ref().is_some_and(|reason| reason.contains("the thread that brings the bus up"))
+            status
+                .reason
+                .as_ref()
+                .is_some_and(|reason| reason.contains("the thread of the bring-up has ended"))
         });
         record(&service, "next");
         service.shutdown("test over");

@@ -1,5 +1,6 @@
 //! What the service says of itself: the words of the API and of the commands.
 
+use std::collections::BTreeMap;
 use std::fmt;
 
 use schemars::JsonSchema;
@@ -9,19 +10,27 @@ use shared::recording::{DiskTiming, Flagged, RunMark, TimingSummary};
 use shared::time::{MonoNs, UtcNs};
 
 use super::verdict::Verdict;
+pub use crate::problem::Level;
+use crate::problem::Problem;
 use crate::run::About;
 
 /// What the service is doing, as far as it is on disk.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Status {
-    /// `fault`, `waiting`, `homing`, `opening`, `sampling`, `writing` or `closing`.
-    pub state: String,
-    /// Why nothing can be recorded, in a fault; why the run ends, when closing; else what is wrong with the bus or an
-    /// encoder.
+    /// What it is doing.
+    #[serde(default)]
+    pub state: ServiceState,
+    /// Why nothing can be recorded, in a fault; why the run ends, when closing; else `problems` in one line.
     pub reason: Option<String>,
-    /// How grave it is that something is wrong.
+    /// The highest severity of `problems`.
     #[serde(default)]
     pub severity: Level,
+    /// What is wrong with bus, encoders and disk.
+    #[serde(default)]
+    pub problems: Vec<Problem>,
+    /// Counts since the service began.
+    #[serde(default)]
+    pub totals: Totals,
     /// The run that goes on.
     pub run: Option<RunStatus>,
     /// The run before.
@@ -43,9 +52,9 @@ pub struct Status {
     pub devices: Vec<String>,
     /// The latest sample of each encoder.
     pub encoders: Vec<EncoderStatus>,
-    /// Cables and plugs that have shown errors since the run began, or since the bus came up.
+    /// Ports that have counted errors since the run began, or since the bus came up: of cables, plugs and contacts.
     #[serde(default)]
-    pub bad_cables: Vec<String>,
+    pub bad_cables: Vec<Problem>,
     /// Age of that sample \[ms\]; none before the first.
     pub sample_age_ms: Option<i64>,
     /// When that sample was fetched, 0 before the first.
@@ -61,17 +70,40 @@ pub struct Status {
     pub remote: Option<String>,
 }
 
-/// How grave what is said is.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
+/// What the service is doing.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
-pub enum Level {
-    /// As it should be.
+pub enum ServiceState {
+    /// Nothing can be recorded; `reason` has why.
     #[default]
-    Good,
-    /// Somebody should look.
-    Check,
-    /// Nothing can be recorded, or it is not safe.
-    Bad,
+    Fault,
+    /// A run can begin.
+    Waiting,
+    /// The encoders are being homed.
+    Homing,
+    /// A run waits for its file.
+    Opening,
+    /// A run is being recorded, but nothing of its last seconds is on disk.
+    Sampling,
+    /// A run is being recorded and reaches the disk.
+    Writing,
+    /// The file of a run is being finished.
+    Closing,
+}
+
+/// Counts since the service began.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Totals {
+    /// Bus cycles of all kinds.
+    pub cycles: u64,
+    /// Cycles among them in which every encoder was valid.
+    pub cycles_valid: u64,
+    /// Cycles among them that missed their deadline.
+    pub cycles_late: u64,
+    /// Cycles of runs that were lost between bus and file.
+    pub cycles_lost: u64,
+    /// How often each problem began, by its code.
+    pub problems: BTreeMap<String, u64>,
 }
 
 /// The state in one or two words, for people.
@@ -87,15 +119,15 @@ impl Status {
     /// The state in the words that page and commands share. It follows what is on disk: a run whose cycles do not reach
     /// the disk is no recording.
     pub fn headline(&self) -> Headline {
-        let (word, level) = match self.state.as_str() {
-            "waiting" if self.severity > Level::Good => ("CHECK", self.severity),
-            "waiting" => ("READY", Level::Good),
-            "homing" => ("HOMING", Level::Good),
-            "opening" => ("STARTING", Level::Good),
-            "sampling" => ("NOT ON DISK YET", Level::Check),
-            "writing" => ("RECORDING", Level::Good),
-            "closing" => ("STOPPING", Level::Good),
-            _ => ("NOT READY", Level::Bad),
+        let (word, level) = match self.state {
+            ServiceState::Waiting if self.severity > Level::Good => ("CHECK", self.severity),
+            ServiceState::Waiting => ("READY", Level::Good),
+            ServiceState::Homing => ("HOMING", Level::Good),
+            ServiceState::Opening => ("STARTING", Level::Good),
+            ServiceState::Sampling => ("NOT ON DISK YET", Level::Check),
+            ServiceState::Writing => ("RECORDING", Level::Good),
+            ServiceState::Closing => ("STOPPING", Level::Good),
+            ServiceState::Fault => ("NOT READY", Level::Bad),
         };
         Headline { word: word.into(), level: level.max(self.severity) }
     }
@@ -373,12 +405,38 @@ pub struct PairingLink {
     pub svg: String,
 }
 
+/// What became of a request, in one word.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Granted {
+    /// Nothing was there to stop.
+    #[default]
+    Idle,
+    /// A run, or the homing, begins.
+    Begun,
+    /// The run was begun before.
+    Running,
+    /// The run has ended.
+    Stopped,
+    /// The encoders were being homed already, or the homing has been stopped.
+    Homing,
+    /// The marker is in the run.
+    Marked,
+    /// The note is saved.
+    Noted,
+    /// The recording is in the bin.
+    Deleted,
+    /// The recording is out of the bin.
+    Restored,
+    /// The bin is empty.
+    Emptied,
+}
+
 /// What became of a request.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Reply {
-    /// In one word: `begun`, `running` (a run goes on already), `stopped`, `idle`, `homing` (goes on already, or was what
-    /// there was to stop), `marked`, `noted`, `deleted`, `restored` or `emptied`.
-    pub answer: String,
+    /// Outcome for programs.
+    pub answer: Granted,
     /// The run that it is about.
     pub run: Option<String>,
     /// The service has no real bus: what it records is made up by a program.
@@ -401,14 +459,30 @@ pub struct Reply {
 }
 
 /// Why a request was not granted.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Refusal {
     /// What is wrong and what to do.
     pub error: String,
+    /// The same as values, where it is a state of bus, disk or service.
+    #[serde(default)]
+    pub problems: Vec<Problem>,
+}
+
+impl Refusal {
+    /// Of a request that is wrong itself.
+    pub fn new(error: impl Into<String>) -> Self {
+        Self { error: error.into(), problems: Vec::new() }
+    }
+}
+
+impl From<Problem> for Refusal {
+    fn from(problem: Problem) -> Self {
+        Self { error: problem.to_string(), problems: vec![problem] }
+    }
 }
 
 /// One line of the preflight check.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct CheckLine {
     /// What was looked at.
     pub subject: String,
@@ -419,6 +493,9 @@ pub struct CheckLine {
     /// No run begins before that is done, unless somebody gives a reason.
     #[serde(default)]
     pub stops: bool,
+    /// Finding and remedy as values; empty if all is well.
+    #[serde(default)]
+    pub problems: Vec<Problem>,
 }
 
 #[cfg(test)]

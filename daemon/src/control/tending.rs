@@ -1,10 +1,11 @@
 //! The place for recordings made ready by a thread that may wait for the disk, so that nobody else does.
 
-use std::sync::mpsc::{Receiver, TryRecvError, channel};
+use std::sync::mpsc::{Receiver, TryRecvError, sync_channel};
 use std::thread;
 use std::time::Instant;
 
 use crate::claim::Claim;
+use crate::problem::{Fact, Problem};
 use crate::run::{self, RunError, Storage};
 
 /// Work of this kind that goes on.
@@ -16,7 +17,7 @@ pub(super) struct Tending {
 impl Tending {
     /// Claims the place unless that is done, and finishes what earlier runs left there.
     pub fn begin(storage: &Storage, is_claimed: bool) -> Self {
-        let (result, outcome) = channel();
+        let (result, outcome) = sync_channel(1);
         let storage = storage.clone();
         let tend = move || {
             let claimed = if is_claimed { Ok(None) } else { run::claim_directory(&storage) };
@@ -41,9 +42,8 @@ impl Tending {
         }
     }
 
-    /// For those who ask why nothing can begin.
-    pub fn text(&self) -> String {
-        let asked_s = self.since.elapsed().as_secs_f64();
-        format!("for {asked_s:.1} s the disk has been asked to recover what earlier runs left")
+    /// Why no run can begin yet.
+    pub fn problem(&self) -> Problem {
+        Fact::DiskRecovering { since_s: Some(self.since.elapsed().as_secs_f64()) }.into()
     }
 }

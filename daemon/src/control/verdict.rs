@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use shared::recording::schema::required::{OVERLAP_MIN_S, TRAVEL_MIN_DEG};
 use shared::recording::{Flagged, RunOverview};
 
-use super::status::Level;
+use crate::problem::{Level, clock_time};
 
 /// From this share of valid cycles on a run is good: the sigma of every parameter grows with one over the root of their
 /// number, by 0.5 % here.
@@ -144,13 +144,6 @@ impl Content<'_> {
         }
         if causes.is_empty() { String::new() } else { format!(": {}", causes.join(", ")) }
     }
-}
-
-/// A time since the beginning of a run, such as 1:02:03 or 0:07.
-pub fn clock_time(seconds: f64) -> String {
-    let whole = seconds.max(0.0) as u64;
-    let (hours, minutes, seconds) = (whole / 3600, whole / 60 % 60, whole % 60);
-    if hours > 0 { format!("{hours}:{minutes:02}:{seconds:02}") } else { format!("{minutes}:{seconds:02}") }
 }
 
 impl fmt::Display for Verdict {

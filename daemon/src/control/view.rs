@@ -10,12 +10,12 @@ use super::bus_link::{are_silent, silent_encoders};
 use super::homing::Homing;
 use super::machine::{Machine, State};
 use super::marks::Marks;
-use super::service::Settings;
-use super::status::{EncoderStatus, LastRun, Level, RunStatus, Status};
+use super::settings::Settings;
+use super::status::{EncoderStatus, LastRun, RunStatus, ServiceState, Status, Totals};
 use super::tending::Tending;
 use crate::clock::Clock;
-use crate::cycle::link_errors;
-use crate::run::{ActiveRun, BusChoice, Session, Storage, Warning};
+use crate::problem::Problem;
+use crate::run::{ActiveRun, BusChoice, Session, Storage};
 
 /// The service at one moment.
 pub(super) struct View<'a> {
@@ -34,54 +34,59 @@ pub(super) struct View<'a> {
     pub runs_over: u64,
     pub storage: &'a Storage,
     pub tending: Option<&'a Tending>,
+    pub totals: &'a Totals,
 }
 
 impl View<'_> {
-    /// What is wrong with the disk, as far as the run that goes on or the next one is concerned.
-    pub fn disk_problem(&self) -> Option<String> {
-        let warning = self.run.and_then(|run| run.progress.get().warning());
-        let tending = self.tending.map(Tending::text);
-        warning
-            .into_iter()
-            .chain(self.storage.problem())
-            .chain(tending)
-            .reduce(|one, other| format!("{one}; {other}"))
+    /// What is wrong with the disk, as far as the current run or the next one is concerned.
+    pub fn disk_problems(&self) -> Vec<Problem> {
+        let of_run = self.run.map(|run| run.progress.get().problems).unwrap_or_default();
+        let tending = self.tending.map(Tending::problem);
+        of_run.into_iter().chain(self.storage.problem()).chain(tending).collect()
     }
 
-    /// How grave that is: a run that loses what it has, or cannot begin, against one that is slow or has found its way.
-    fn disk_severity(&self) -> Level {
-        let warnings = self.run.map(|run| run.progress.get().warnings).unwrap_or_default();
-        if self.storage.problem().is_some() || warnings.iter().any(Warning::costs_data) {
-            Level::Bad
-        } else if self.tending.is_some() || !warnings.is_empty() {
-            Level::Check
-        } else {
-            Level::Good
-        }
-    }
-
-    /// In the words of the API.
-    pub fn status(&self) -> Status {
-        let (state, reason) = match self.machine.state() {
-            State::Fault { reason } => ("fault", Some(reason.as_str())),
-            State::Waiting => ("waiting", None),
-            State::Homing => ("homing", None),
-            State::Opening { .. } => ("opening", None),
-            State::Sampling { .. } => ("sampling", None),
-            State::Writing { .. } => ("writing", None),
-            State::Closing { cause, .. } => ("closing", Some(cause.as_str())),
+    /// Problems of the bus and the encoders; a run continues with them.
+    fn bus_problems(&self) -> Vec<Problem> {
+        let fault = match self.machine.state() {
+            State::Fault { problem } => Some(problem),
+            // What the bus does matters no more.
+            State::Closing { .. } => return Vec::new(),
+            _ => self.machine.bus_fault(),
         };
-        // A run goes on while its bus is brought back, an encoder is silent or its disk hangs, and whoever looks should
-        // know.
-        let bus = reason.or(self.machine.bus_fault()).map(str::to_owned);
-        let bus = bus.or_else(|| self.session.and_then(silent_encoders));
-        let ending = matches!(self.machine.state(), State::Closing { .. });
-        let severity = if bus.is_some() && !ending { Level::Bad } else { self.disk_severity() };
-        let reasons = bus.into_iter().chain(self.disk_problem());
+        fault.map_or_else(
+            || self.session.map(silent_encoders).unwrap_or_default(),
+            |problem| vec![problem.clone()],
+        )
+    }
+
+    /// As programs and people receive it.
+    pub fn status(&self) -> Status {
+        let state = match self.machine.state() {
+            State::Fault { .. } => ServiceState::Fault,
+            State::Waiting => ServiceState::Waiting,
+            State::Homing => ServiceState::Homing,
+            State::Opening { .. } => ServiceState::Opening,
+            State::Sampling { .. } => ServiceState::Sampling,
+            State::Writing { .. } => ServiceState::Writing,
+            State::Closing { .. } => ServiceState::Closing,
+        };
+        let ending = match self.machine.state() {
+            State::Closing { cause, .. } => Some(cause.clone()),
+            _ => None,
+        };
+        let mut problems = self.bus_problems();
+        for problem in self.disk_problems() {
+            if !problems.iter().any(|other| other.fact.key() == problem.fact.key()) {
+                problems.push(problem);
+            }
+        }
+        let line = Some(Problem::line(&problems)).filter(|line| !line.is_empty());
         let mut status = Status {
-            state: state.into(),
-            reason: reasons.reduce(|one, other| format!("{one}; {other}")),
-            severity,
+            state,
+            reason: ending.into_iter().chain(line).reduce(|one, other| format!("{one}; {other}")),
+            severity: problems.iter().map(|problem| problem.severity).max().unwrap_or_default(),
+            problems,
+            totals: self.totals.clone(),
             run: self.run_status(),
             last: self.last.cloned(),
             runs_over: self.runs_over,
@@ -115,7 +120,7 @@ impl View<'_> {
             cycles_taken: progress.taken,
             cycles_lost: progress.lost,
             bytes: progress.synced.bytes,
-            sync_age_ms: progress.synced.at.map(|at| at.elapsed().as_millis() as i64),
+            sync_age_ms: progress.sync_age.map(|age| age.as_millis() as i64),
             unsynced_s: progress.unsynced_s,
             backlog_s: progress.backlog_s,
             backlog_limit_s: progress.backlog_limit_s,
@@ -133,7 +138,7 @@ fn add_bus(status: &mut Status, session: &Session, valid_shares: Option<[f64; MA
     status.sample_age_ms = age_ms(status.sampled);
     let bad_ports = live.bad_ports().into_iter();
     status.bad_cables =
-        bad_ports.map(|(position, port, errors)| link_errors(position, port, errors)).collect();
+        bad_ports.map(|(position, port, errors)| errors.fact(position, port).into()).collect();
     status.encoders = session
         .encoders()
         .iter()

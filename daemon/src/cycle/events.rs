@@ -1,9 +1,10 @@
-//! What the cycle has to say besides its records: small, fixed in size, put into words by whoever writes the file.
+//! What happens on the bus besides the records: small, fixed in size, described outside the real-time thread.
 
-use shared::recording::schema::{Event, EventKind, PortCounts, flags};
+use shared::recording::schema::{DeviceInfo, Event, EventKind, PortCounts, RunMetadata};
 use shared::time::UtcNs;
 
-use super::links::PortErrors;
+use crate::bus::BusError;
+use crate::problem::{Fact, Problem, flag_names};
 
 /// Something that happened on the bus. `Copy`: it crosses a ring from the real-time thread.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -25,8 +26,12 @@ pub enum Happening {
         first: u64,
         /// How many.
         cycles: u64,
-        /// Reasons, see [`flags`].
+        /// Reasons of the first, see `schema::flags`.
+        cause: u32,
+        /// Reasons of all these cycles.
         flags: u32,
+        /// Bit of each encoder, in bus order, that was not valid in the first.
+        invalid: u8,
     },
     /// Terminals from a position on do not answer; those before stay in use.
     Missing {
@@ -35,6 +40,11 @@ pub enum Happening {
     },
     /// The bus is given up and will be brought up again.
     Down(Down),
+    /// An attempt to bring the bus up failed.
+    StaysDown {
+        /// Code of the problem that it met.
+        code: &'static str,
+    },
     /// The bus is in operation again.
     Up {
         /// Attempts that it took.
@@ -76,7 +86,7 @@ pub enum Down {
     DeviceLost,
     /// Cycle after cycle was bad.
     Bad {
-        /// Reasons of the last one, see [`flags`].
+        /// Reasons of the last one, see `schema::flags`.
         flags: u32,
     },
     /// The reference clock jumped.
@@ -100,6 +110,30 @@ pub enum Origin {
     },
 }
 
+/// Errors of one port.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct PortErrors {
+    /// Frames with a wrong check sequence.
+    pub invalid_frames: u32,
+    /// Symbols that were none, inside frames or between them.
+    pub receive_errors: u32,
+    /// How often the link was lost.
+    pub lost_links: u32,
+}
+
+impl PortErrors {
+    /// Of any kind.
+    pub fn all(&self) -> u32 {
+        self.invalid_frames.saturating_add(self.receive_errors).saturating_add(self.lost_links)
+    }
+
+    /// As they are reported.
+    pub fn fact(self, position: usize, port: usize) -> Fact {
+        let Self { invalid_frames, receive_errors, lost_links } = self;
+        Fact::LinkErrors { position, port, receive_errors, invalid_frames, lost_links }
+    }
+}
+
 impl CycleEvent {
     /// Worth words; otherwise it only brings figures.
     pub fn is_news(&self) -> bool {
@@ -113,82 +147,95 @@ impl CycleEvent {
         Some(PortCounts { position, port, invalid_frames, receive_errors, lost_links })
     }
 
-    /// As the file tells it.
-    pub fn to_event(&self) -> Event {
+    /// As it is in the file.
+    pub fn to_event(&self, bus: &BusNames) -> Event {
         let kind = match self.what {
             Happening::Gap { .. } => EventKind::Gap,
             Happening::ClockStep { .. } => EventKind::Clock,
             _ => EventKind::Bus,
         };
-        Event { time: self.time, cycle: self.cycle, kind, text: self.what.text() }
+        if let Happening::StaysDown { code } = self.what {
+            let text = "an attempt to bring the bus up failed; the log has the details".into();
+            return Event { time: self.time, cycle: self.cycle, kind, text, code: code.into() };
+        }
+        let fact = self.what.fact(bus);
+        let code = fact.code().to_owned();
+        let text = match self.what {
+            Happening::Gap { first, cycles, flags, .. } => format!(
+                "{cycles} cycles from {first} on without valid samples: {}",
+                flag_names(flags).join(", ")
+            ),
+            Happening::Down(_) => {
+                format!("bus given up, to be brought up again: {}", Problem::from(fact).text)
+            }
+            Happening::FellToSafeOp { .. } => format!("{}; asked back to OP", Problem::from(fact).text),
+            _ => Problem::from(fact).text,
+        };
+        Event { time: self.time, cycle: self.cycle, kind, text, code }
+    }
+}
+
+/// Names that events need.
+#[derive(Debug, Clone, Default)]
+pub struct BusNames {
+    /// Network interface, or `simulated`.
+    pub bus: String,
+    /// Devices in operation, in bus order.
+    pub devices: Vec<DeviceInfo>,
+    /// Joint of each encoder, in bus order.
+    pub joints: Vec<u8>,
+}
+
+impl BusNames {
+    /// Of the bus of this run.
+    pub fn new(run: &RunMetadata) -> Self {
+        let joints = run.encoders.iter().map(|encoder| encoder.joint).collect();
+        Self { bus: run.bus.clone(), devices: run.devices.clone(), joints }
     }
 }
 
 impl Happening {
-    fn text(&self) -> String {
-        match *self {
-            Self::Gap { first, cycles, flags } => {
-                format!("{cycles} cycles from {first} on without valid samples: {}", names(flags))
+    fn fact(self, BusNames { bus, devices, joints }: &BusNames) -> Fact {
+        match self {
+            Self::Gap { cause, invalid, .. } => {
+                let joints = joints.iter().enumerate().filter(|(index, _)| invalid >> index & 1 == 1);
+                Fact::of_flags(cause, bus, joints.map(|(_, joint)| *joint).collect(), None)
             }
-            Self::Missing { position } => format!(
-                "devices from position {position} on do not answer; the others stay in use until all are there"
-            ),
-            Self::Down(why) => format!("bus given up, to be brought up again: {}", why.text()),
-            Self::Up { attempts: 1 } => "bus in operation again".into(),
-            Self::Up { attempts } => format!("bus in operation again, after {attempts} attempts"),
-            Self::FellToSafeOp { position, code } => format!(
-                "device at position {position} fell to SAFE-OP, AL status code {code:#06x}; asked back to OP"
-            ),
-            Self::ClockStep { by_ns } => {
-                format!("the reference clock jumped by {:.3} ms", by_ns as f64 * 1e-6)
+            Self::Missing { position } => BusError::absent(bus, devices, position.into()).fact(),
+            Self::Down(why) => why.fact(bus),
+            Self::StaysDown { .. } => Fact::BusStarting {},
+            Self::Up { attempts } => Fact::BusRestored { attempts },
+            Self::FellToSafeOp { position, code } => {
+                Fact::BusNotOperational { position: Some(position.into()), al_status_code: Some(code) }
             }
-            Self::OriginChanged(how) => format!("counts may have a new origin: {}", how.text()),
-            Self::LinkErrors { position, port, errors, .. } => {
-                link_errors(position.into(), port.into(), errors)
-            }
+            Self::ClockStep { by_ns } => Fact::BusClockJumped { by_ns: Some(by_ns) },
+            Self::OriginChanged(how) => how.fact(),
+            Self::LinkErrors { position, port, errors, .. } => errors.fact(position.into(), port.into()),
         }
     }
 }
 
 impl Down {
-    fn text(self) -> String {
+    /// As it is reported.
+    pub fn fact(self, bus: &str) -> Fact {
         match self {
-            Self::Silent => "no reply for a second".into(),
-            Self::DeviceLost => "a device has lost its address or configuration".into(),
-            Self::Bad { flags } => format!("one bad cycle after the other ({})", names(flags)),
-            Self::ClockStep => "the reference clock jumped".into(),
+            Self::Silent => Fact::BusNoAnswer { bus: bus.to_owned() },
+            Self::DeviceLost => Fact::BusDeviceRestarted {},
+            Self::Bad { flags } => Fact::of_flags(flags, bus, Vec::new(), None),
+            Self::ClockStep => Fact::BusClockJumped { by_ns: None },
         }
     }
 }
 
 impl Origin {
-    fn text(self) -> String {
-        match self {
-            Self::PoweredOff => "a device was without power".into(),
-            Self::Jumped { joint } => format!("joint {joint} cannot have turned that far meanwhile"),
+    fn fact(self) -> Fact {
+        let (joint, because) = match self {
+            Self::PoweredOff => (None, "a device was without power".into()),
+            Self::Jumped { joint } => (Some(joint), format!("joint {joint} cannot have turned that far")),
             Self::NearZero { joint } => {
-                format!("joint {joint} counts from near zero after the bus came up again")
+                (Some(joint), format!("joint {joint} counts from near zero after the bus came up again"))
             }
-        }
+        };
+        Fact::CountsRestarted { joint, because }
     }
-}
-
-/// Which cable or plug is bad, and how that is known.
-pub fn link_errors(position: usize, port: usize, errors: PortErrors) -> String {
-    let PortErrors { invalid_frames, receive_errors, lost_links } = errors;
-    let cable = match (position, port) {
-        (0, 0) => "between this PC and the coupler".to_owned(),
-        (_, 0) => format!("between devices {} and {position}", position - 1),
-        _ => format!("behind device {position}"),
-    };
-    format!(
-        "bad cable or plug {cable}: port {port} of device {position} has counted {receive_errors} receive errors, \
-         {invalid_frames} invalid frames and {lost_links} lost links"
-    )
-}
-
-fn names(set: u32) -> String {
-    let names: Vec<&str> =
-        flags::NAMES.iter().filter(|(bit, _)| set & bit != 0).map(|(_, name)| *name).collect();
-    names.join(", ")
 }

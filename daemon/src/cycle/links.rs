@@ -4,29 +4,11 @@
 use shared::time::NS_PER_S;
 
 use super::Acquisition;
-use super::events::Happening;
+use super::events::{Happening, PortErrors};
 use crate::bus::{CyclicExchange, DEVICES_MAX, PORTS, PortCounters};
 
 /// Each device is looked at once in this time \[ns\].
 const LOOK_PERIOD_NS: i64 = NS_PER_S;
-
-/// Errors of one port.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct PortErrors {
-    /// Frames with a wrong check sequence.
-    pub invalid_frames: u32,
-    /// Symbols that were none, inside frames or between them.
-    pub receive_errors: u32,
-    /// How often the link was lost.
-    pub lost_links: u32,
-}
-
-impl PortErrors {
-    /// Of any kind.
-    pub fn all(&self) -> u32 {
-        self.invalid_frames.saturating_add(self.receive_errors).saturating_add(self.lost_links)
-    }
-}
 
 /// Errors of all ports.
 #[derive(Debug, Clone)]

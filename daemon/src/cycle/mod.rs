@@ -24,10 +24,10 @@ use shared::time::{DcNs, MonoNs, UtcNs};
 
 pub use clock_fit::{ClockFit, ClockPair, Observation};
 pub use continuity::Continuity;
-pub use events::{CycleEvent, Down, Happening, Origin, link_errors};
-pub use links::{Links, PortErrors};
+pub use events::{BusNames, CycleEvent, Down, Happening, Origin, PortErrors};
+pub use links::Links;
 pub use realtime::{RealtimeReport, RealtimeRequest};
-pub use recovery::BusState;
+pub use recovery::{BusState, Outage};
 pub use sampler::{SampleTime, Sampler};
 pub use timing::{CycleTiming, TimingSink, TimingSource, Timings, timing_ring};
 

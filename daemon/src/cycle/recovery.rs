@@ -11,6 +11,7 @@ use shared::time::{DcNs, MonoNs, NS_PER_S};
 use super::events::{Down, Happening};
 use super::{Acquisition, ClockPair, Observation, Sampler};
 use crate::bus::{BusError, CyclicExchange, Lift, Operational, Reply};
+use crate::problem::Fact;
 
 /// A terminal that nobody hears is lost when the cycle after confirms it.
 const LOST_CYCLES: u32 = 2;
@@ -48,12 +49,27 @@ pub(super) struct Health {
     attempts: u32,
     /// Not before this is it tried again.
     retry_at: Option<MonoNs>,
-    /// First cycle without valid sample, and all reasons since.
-    gap: Option<(u64, u32)>,
+    /// Cycles without valid sample that go on.
+    gap: Option<Gap>,
+    /// Why the bus was given up.
+    down: Option<Down>,
     /// Why the bus is still down.
     outage: Option<BusError>,
+    /// Rises with every change of the latter two.
+    outages: u32,
     /// How many devices answered when the bus was last found incomplete.
     answering: Option<usize>,
+}
+
+/// Cycles without valid sample.
+#[derive(Debug, Clone, Copy)]
+struct Gap {
+    first: u64,
+    /// Reasons of the first, which are the cause, and all since.
+    cause: u32,
+    flags: u32,
+    /// Encoders that were invalid in the first, as bits.
+    invalid: u8,
 }
 
 /// How much of the bus is in operation.
@@ -63,8 +79,26 @@ pub enum BusState<'a> {
     Whole,
     /// What lies before this position; from there on nobody answers.
     Before(u8),
-    /// Nothing, and why as far as it is known: whatever the last attempt to bring it up met.
-    Down(Option<&'a BusError>),
+    /// Nothing, and why.
+    Down(Outage<'a>),
+}
+
+/// Why no device is in operation.
+#[derive(Debug, Clone, Copy)]
+pub struct Outage<'a> {
+    /// Why the bus was given up.
+    pub down: Option<Down>,
+    /// What the last attempt to bring it up met; known later.
+    pub error: Option<&'a BusError>,
+    /// Differs from one outage to the next.
+    pub number: u32,
+}
+
+impl Outage<'_> {
+    /// As it is reported. Allocates.
+    pub fn fact(&self, bus: &str) -> Option<Fact> {
+        self.error.map(BusError::fact).or_else(|| self.down.map(|down| down.fact(bus)))
+    }
 }
 
 impl Health {
@@ -164,7 +198,8 @@ impl Acquisition {
 
     fn give_up(&mut self, why: Down) {
         self.operational = None;
-        self.health = Health { gap: self.health.gap, ..Health::default() };
+        let Health { gap, outages, .. } = self.health;
+        self.health = Health { gap, outages: outages.wrapping_add(1), down: Some(why), ..Health::default() };
         self.tell(Happening::Down(why));
     }
 
@@ -195,6 +230,7 @@ impl Acquisition {
     fn note_incomplete(&mut self, answering: usize) {
         if self.health.answering != Some(answering) {
             self.health.answering = Some(answering);
+            self.health.outages = self.health.outages.wrapping_add(1);
             self.health.outage = Some(BusError::absent(&self.plan.name, &self.devices, answering));
         }
     }
@@ -202,7 +238,10 @@ impl Acquisition {
     /// How much of the bus is in operation. Allocates nothing.
     pub fn bus_state(&self) -> BusState<'_> {
         match (&self.operational, self.health.missing) {
-            (None, _) => BusState::Down(self.health.outage.as_ref()),
+            (None, _) => {
+                let Health { down, outages: number, .. } = self.health;
+                BusState::Down(Outage { down, error: self.health.outage.as_ref(), number })
+            }
             (Some(_), Some((from, _))) => BusState::Before(from),
             (Some(_), None) => BusState::Whole,
         }
@@ -221,7 +260,12 @@ impl Acquisition {
             Err(BusError::Interrupted) => None,
             Err(error) => {
                 tracing::warn!(attempt = self.health.attempts, "bus stays down: {error}");
-                (self.health.outage, self.health.answering) = (Some(error), None);
+                let code = error.fact().code();
+                if self.health.outage.replace(error).is_none_or(|before| before.fact().code() != code) {
+                    self.tell(Happening::StaysDown { code });
+                }
+                self.health.answering = None;
+                self.health.outages = self.health.outages.wrapping_add(1);
                 None
             }
         }
@@ -246,7 +290,8 @@ impl Acquisition {
         }
         let attempts = self.health.attempts;
         self.operational = Some(operational);
-        self.health = Health { gap: self.health.gap, ..Health::default() };
+        let Health { gap, outages, .. } = self.health;
+        self.health = Health { gap, outages, ..Health::default() };
         let difference_ns = self.bus_minus_monotonic_ns();
         let restarted = self.fit.restarted();
         let before = std::mem::replace(&mut self.fit, restarted);
@@ -303,12 +348,16 @@ impl Acquisition {
             self.tell(Happening::OriginChanged(origin));
         }
         if record.is_valid() {
-            if let Some((first, flags)) = self.health.gap.take() {
-                self.tell(Happening::Gap { first, cycles: record.cycle - first, flags });
+            if let Some(Gap { first, cause, flags, invalid }) = self.health.gap.take() {
+                self.tell(Happening::Gap { first, cycles: record.cycle - first, cause, flags, invalid });
             }
         } else {
-            let (first, so_far) = self.health.gap.unwrap_or((record.cycle, 0));
-            self.health.gap = Some((first, so_far | record.flags));
+            let gap = self.health.gap.get_or_insert_with(|| {
+                let encoders = record.encoders().iter().enumerate().filter(|(_, encoder)| !encoder.valid);
+                let invalid = encoders.fold(0, |bits, (index, _)| bits | 1 << index);
+                Gap { first: record.cycle, cause: record.flags, flags: 0, invalid }
+            });
+            gap.flags |= record.flags;
         }
         sink(&record);
         self.next_cycle += 1;

@@ -7,6 +7,7 @@ use shared::config::{self, ConfigError, EncoderConfig, HomingConfig};
 use shared::recording::{Disk, OpenFile, is_absent};
 use shared::time::UtcNs;
 
+use crate::problem::{Fact, Problem};
 use crate::whole_file;
 
 /// Where reference marks are kept. The program finds them out by itself, so they are state and no configuration, which
@@ -18,9 +19,6 @@ pub struct MarksFile {
     /// Where earlier versions kept them; read while there is no `file`.
     older: Option<PathBuf>,
 }
-
-/// What to do where marks cannot be kept.
-pub const REMEDY: &str = "let this user write there, or choose another directory with --state";
 
 impl MarksFile {
     /// In this state directory.
@@ -43,16 +41,16 @@ impl MarksFile {
         Ok(None)
     }
 
-    /// Why a homing could not be kept, as far as that can be seen beforehand; what to do is [`REMEDY`].
-    pub fn problem(&self, disk: &dyn Disk) -> Option<String> {
+    /// Why a homing could not be kept, as far as that can be seen beforehand.
+    pub fn problem(&self, disk: &dyn Disk) -> Option<Problem> {
         let directory = self.directory.display();
-        let why = match disk.space(&self.directory) {
+        let error = match disk.space(&self.directory) {
             Ok(space) if !space.is_writable => format!("{directory} cannot be written"),
             Ok(space) if space.free_bytes == 0 => format!("{directory} is on a full disk"),
             Ok(_) => return None,
             Err(error) => format!("{directory}: {error}"),
         };
-        Some(format!("{why}, so reference marks could not be kept"))
+        Some(Fact::MarksUnwritable { error }.into())
     }
 
     /// Keeps the counts at the marks, in the order of `encoders`.

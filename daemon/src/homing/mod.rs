@@ -11,7 +11,7 @@ mod file;
 mod search;
 mod wiring;
 
-pub use file::{MarksFile, REMEDY};
+pub use file::MarksFile;
 pub use wiring::{Miswired, verify};
 
 use shared::config::EncoderConfig;

@@ -64,7 +64,9 @@ function show_state({ headline, status, run_s }) {
   header.dataset.state = status.state;
   $("simulated").hidden = !status.simulated;
   text($("word"), headline.word);
-  text($("reason"), status.reason ?? (status.run ? "" : `bus ${status.bus}: ${status.devices.length} devices`));
+  const codes = status.problems.length ? ` [${[...new Set(status.problems.map((one) => one.code))].join(", ")}]` : "";
+  const usual = status.run ? "" : `bus ${status.bus}: ${status.devices.length} devices`;
+  text($("reason"), status.reason === null ? usual : status.reason + codes);
   const running = Boolean(status.run);
   document.title = `${headline.word}${running ? ` ${status.run.name}` : ""}${status.simulated ? " (SIMULATED)" : ""} – ballbard`;
   $("run-facts").hidden = !running;
@@ -126,8 +128,8 @@ function show_warnings(warnings) {
   list.dataset.said = said;
   $("warnings").hidden = !warnings.length;
   list.replaceChildren(...warnings.map((warning) => {
-    const line = el("li", {}, el("b", { textContent: warning.text }), warning.remedy);
-    line.dataset.subject = warning.subject;
+    const line = el("li", {}, el("b", { textContent: warning.text }), `${warning.remedy} [${warning.code}]`);
+    line.dataset.code = warning.code;
     return line;
   }));
 }
@@ -195,11 +197,12 @@ function silent() {
 
 // ---- before a run
 
-function check_line({ subject, finding, remedy, stops }) {
+function check_line({ subject, finding, remedy, stops, problems }) {
   const level = remedy ? (stops ? "bad" : "check") : "good";
   const word = { good: "✓", check: "!", bad: "✗" }[level];
   const line = el("li", { level }, el("b", { textContent: `${word} ${subject}: ` }), el("small", { textContent: finding }));
-  if (remedy) line.append(el("div", { className: "remedy", textContent: remedy }));
+  const codes = [...new Set(problems.map((one) => one.code))].join(", ");
+  if (remedy) line.append(el("div", { className: "remedy", textContent: `${remedy} [${codes}]` }));
   line.dataset.subject = subject;
   return line;
 }

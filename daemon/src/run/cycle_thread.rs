@@ -3,17 +3,18 @@
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError};
 
-use shared::recording::schema::{DeviceInfo, flags};
+use shared::recording::schema::DeviceInfo;
 use shared::time::UtcNs;
 
+use super::error::RunError;
 use super::homing::HomingJob;
-use super::progress::Live;
+use super::live::Live;
 use super::source::Prepared;
-use super::{RunError, Stop};
 use crate::bus::Bus;
 use crate::clock::Clock;
 use crate::cycle::{Acquisition, RealtimeReport, RealtimeRequest};
-use crate::recorder::CycleSink;
+use crate::problem::flag_names;
+use crate::record::{CycleSink, Stop};
 use crate::segment::simulated::ReplayHandle;
 
 /// What the cycle's thread reports once the bus is in operation.
@@ -89,10 +90,10 @@ pub(super) fn run(
     let devices = acquisition.devices().to_vec();
     let utc_minus_monotonic_ns = acquisition.utc_minus_monotonic_ns();
     let _ = ready.send(Ok(Ready { devices, utc_minus_monotonic_ns, realtime }));
-    while let Some(job) = wait_for_job(&mut acquisition, &clock, jobs, live) {
+    while let Some(job) = wait_for_job(&mut acquisition, &clock, jobs, live, &plan.name) {
         acquisition.interrupt_by(job.stop().flag());
         match job {
-            Job::Run(job) => serve(&mut acquisition, job, replay.as_ref(), live),
+            Job::Run(job) => serve(&mut acquisition, job, replay.as_ref(), live, &plan.name),
             Job::Home(job) => job.serve(&mut acquisition, &plan.encoders, hand.as_ref(), live),
         }
         acquisition.interrupt_by(ending.flag());
@@ -104,6 +105,7 @@ fn serve(
     job: RunJob,
     replay: Option<&(ReplayHandle, UtcNs)>,
     live: &Arc<Live>,
+    bus: &str,
 ) {
     let RunJob { mut sink, stop, cycles, full_fault_cycles, utc_minus_monotonic_ns } = job;
     // Dropped before the ring is: the recorder must not finish the file without the cause.
@@ -129,7 +131,7 @@ fn serve(
                 (blind, reasons) = (blind + 1, reasons | record.flags);
             }
         });
-        live.publish_bus(&acquisition.bus_state());
+        live.publish_bus(&acquisition.bus_state(), bus);
         live.publish_links(acquisition.links());
         if let Some(timing) = acquisition.last_timing() {
             sink.push_timing(timing);
@@ -148,7 +150,7 @@ fn serve(
     });
     // The recorder ends first if the start was refused or the disk failed, which the service reports.
     if !sink.is_abandoned() {
-        tracing::info!(wire = ?acquisition.wire_counters(), "run ended");
+        tracing::info!("the last cycle of the run is taken");
     }
 }
 
@@ -164,9 +166,8 @@ impl Drop for Fate<'_> {
 }
 
 fn full_fault(cycles: u64, reasons: u32) -> String {
-    let names: Vec<_> =
-        flags::NAMES.iter().filter(|(bit, _)| reasons & bit != 0).map(|(_, name)| *name).collect();
-    format!("full fault: no encoder gave a valid sample for {cycles} cycles ({})", names.join(", "))
+    let names = flag_names(reasons).join(", ");
+    format!("full fault: no encoder gave a valid sample for {cycles} cycles ({names})")
 }
 
 /// Keeps the bus going until there is a run to serve; none if there will be no more.
@@ -175,6 +176,7 @@ fn wait_for_job(
     clock: &Clock,
     jobs: &Receiver<Job>,
     live: &Arc<Live>,
+    bus: &str,
 ) -> Option<Job> {
     if !clock.is_real() {
         // Nothing happens on virtual time while nobody asks for it.
@@ -186,7 +188,7 @@ fn wait_for_job(
             Err(TryRecvError::Disconnected) => return None,
             Err(TryRecvError::Empty) => {
                 acquisition.next_cycle(&mut |record| live.publish(record));
-                live.publish_bus(&acquisition.bus_state());
+                live.publish_bus(&acquisition.bus_state(), bus);
                 live.publish_links(acquisition.links());
             }
         }
@@ -200,7 +202,7 @@ mod tests {
     use shared::config::{self, DaemonConfig};
 
     use super::*;
-    use crate::recorder;
+    use crate::record;
     use crate::run::source;
     use crate::segment::InProcessWire;
     use crate::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
@@ -215,7 +217,7 @@ mod tests {
         let prepared = source::on_wire(wire, &DaemonConfig::default(), &config::load(&bar).unwrap());
         let bus = Bus::new(prepared.wire, clock.clone(), prepared.plan.reply_timeout);
         let mut acquisition = Acquisition::start(bus, &prepared.plan, clock.clone()).unwrap();
-        let (sink, recorder) = recorder::ring(64, &clock);
+        let (sink, recorder) = record::ring(64, &clock);
         drop(recorder);
         let stop = Stop::default();
         let job = RunJob {
@@ -225,7 +227,7 @@ mod tests {
             full_fault_cycles: 1000,
             utc_minus_monotonic_ns: 0,
         };
-        serve(&mut acquisition, job, None, &Arc::default());
+        serve(&mut acquisition, job, None, &Arc::default(), "simulated");
         assert_eq!(stop.cause(), "the recorder has ended");
     }
 }

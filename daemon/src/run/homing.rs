@@ -1,48 +1,50 @@
 //! Homing on a bus in operation, between two runs.
 
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
+use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 
 use shared::config::EncoderConfig;
 use shared::encoder::Direction;
 
-use super::Stop;
-use super::progress::Live;
+use super::live::Live;
 use crate::claim;
 use crate::cycle::Acquisition;
 use crate::homing::{self, Found, HomingError, HomingStep};
+use crate::record::Stop;
 use crate::segment::simulated::Hand;
 
 /// Why a homing ends that nobody has ended.
 const CYCLE_ENDED: &str = "the thread of the cycle has ended; its cause is in the log";
 
-/// What of a homing is to be told.
-enum Told {
-    Step(HomingStep),
-    Over(Result<Vec<Found>, HomingError>),
-}
+/// Steps that may wait to be shown; of a control that does not look further ones are dropped.
+const STEPS_MAX: usize = 64;
+
+type Outcome = Result<Vec<Found>, HomingError>;
 
 /// Homing, as the cycle's thread knows it.
 pub(super) struct HomingJob {
     pub stop: Stop,
-    told: Sender<Told>,
+    steps: SyncSender<HomingStep>,
+    over: SyncSender<Outcome>,
 }
 
 /// Homing that goes on.
 pub struct ActiveHoming {
     /// Ends it.
     pub stop: Stop,
-    told: Receiver<Told>,
-    outcome: Option<Result<Vec<Found>, HomingError>>,
+    steps: Receiver<HomingStep>,
+    over: Receiver<Outcome>,
+    outcome: Option<Outcome>,
     is_over: bool,
 }
 
 /// A homing for the cycle's thread, and what others see of it.
 pub(super) fn begin() -> (HomingJob, ActiveHoming) {
     let stop = Stop::default();
-    let (sender, told) = channel();
-    let active = ActiveHoming { stop: stop.clone(), told, outcome: None, is_over: false };
-    (HomingJob { stop, told: sender }, active)
+    let (steps_in, steps) = sync_channel(STEPS_MAX);
+    let (over_in, over) = sync_channel(1);
+    let active = ActiveHoming { stop: stop.clone(), steps, over, outcome: None, is_over: false };
+    (HomingJob { stop, steps: steps_in, over: over_in }, active)
 }
 
 impl HomingJob {
@@ -54,7 +56,7 @@ impl HomingJob {
         hand: Option<&Hand>,
         live: &Arc<Live>,
     ) {
-        let Self { stop, told } = self;
+        let Self { stop, steps, over } = self;
         // On the simulated bus nobody needs to turn anything.
         hand.iter().for_each(|hand| hand.hold());
         let mut watch = |step: HomingStep| {
@@ -64,34 +66,35 @@ impl HomingJob {
                     _ => hand.turn(encoder),
                 }
             }
-            let _ = told.send(Told::Step(step));
+            let _ = steps.try_send(step);
         };
         let stopped = || stop.is_stopped().then(|| stop.cause());
         let outcome =
             homing::home(acquisition, encoders, &mut |record| live.publish(record), &mut watch, &stopped);
         hand.iter().for_each(|hand| hand.let_go());
-        let _ = told.send(Told::Over(outcome));
+        let _ = over.try_send(outcome);
     }
 }
 
 impl ActiveHoming {
     /// The next step, if there is one by now.
     pub fn take_step(&mut self) -> Option<HomingStep> {
-        match self.told.try_recv() {
-            Ok(Told::Step(step)) => return Some(step),
-            Ok(Told::Over(outcome)) => {
-                claim::tell("between runs");
-                self.outcome = Some(outcome);
-                self.is_over = true;
-            }
-            Err(TryRecvError::Disconnected) if !self.is_over => {
-                let cause = if self.stop.is_stopped() { self.stop.cause() } else { CYCLE_ENDED.into() };
-                self.outcome = Some(Err(HomingError::Stopped(cause)));
-                self.is_over = true;
-            }
-            Err(_) => {}
+        // Asked before the steps: those that came before the end are still taken.
+        if !self.is_over {
+            self.outcome = match self.over.try_recv() {
+                Ok(outcome) => {
+                    claim::tell("between runs");
+                    Some(outcome)
+                }
+                Err(TryRecvError::Disconnected) => {
+                    let cause = if self.stop.is_stopped() { self.stop.cause() } else { CYCLE_ENDED.into() };
+                    Some(Err(HomingError::Stopped(cause)))
+                }
+                Err(TryRecvError::Empty) => None,
+            };
+            self.is_over = self.outcome.is_some();
         }
-        None
+        self.steps.try_recv().ok()
     }
 
     /// What was found, once it is over and every step was taken; given once.

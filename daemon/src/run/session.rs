@@ -13,19 +13,21 @@ use shared::recording::{
 use shared::time::{MonoNs, UtcNs};
 
 use super::cycle_thread::{self, Interrupts, Job, Ready, RunJob};
-use super::disk::Storage;
+use super::error::RunError;
 use super::homing::{self, ActiveHoming};
-use super::progress::{Limits, Live, Progress};
+use super::live::Live;
+use super::place::finish_leftovers;
+use super::request::RunDetails;
 use super::source::Prepared;
-use super::{RunDetails, RunError, Stop, finish_leftovers};
 use crate::bus::BusError;
 use crate::claim;
 use crate::clock::Clock;
 use crate::cycle::RealtimeRequest;
-use crate::recorder::{self, Mark, Recorder, RunLink, RunSummary};
+use crate::problem::{Fact, Problem};
+use crate::record::{
+    self, Limits, Mark, Progress, Recorder, RunLink, RunSummary, STACK_BYTES, Stop, Storage,
+};
 
-/// Locked memory is really there, all of it: several times what these threads use.
-pub(crate) const STACK_BYTES: usize = 512 << 10;
 /// Markers that may wait for the disk.
 const MARKS_MAX: usize = 1000;
 
@@ -126,7 +128,7 @@ impl Session {
             tracing::warn!(run = metadata.name, "{provenance}");
         }
         let ring_cycles = self.daemon.ring_cycles(self.period);
-        let (sink, ring) = recorder::ring(ring_cycles, &self.clock);
+        let (sink, ring) = record::ring(ring_cycles, &self.clock);
         let (marks, marks_rx) = sync_channel(MARKS_MAX);
         let limits = Limits {
             cycle_period: self.period,
@@ -134,7 +136,7 @@ impl Session {
             ring_cycles,
             cycle_waits: !self.clock.is_real(),
         };
-        let progress = Arc::new(Progress::new(Arc::clone(ring.handed()), limits));
+        let progress = Arc::new(Progress::new(Arc::clone(ring.handed()), limits, self.clock.clone()));
         self.storage.watch(&progress, stop);
         let link =
             RunLink { marks: marks_rx, progress: Arc::clone(&progress), storage: self.storage.clone() };
@@ -177,11 +179,8 @@ impl Session {
         let mut encoders = self.encoders.clone();
         let stale = details.homing.as_ref().map(|homing| homing.apply(&mut encoders, &self.live.latches()));
         if let Some(stale) = stale.filter(|stale| !stale.is_empty()) {
-            tracing::warn!(
-                joints = ?stale,
-                "reference marks of homing.toml do not hold any more (power was off, or the encoders were configured \
-                 differently); run `ballbard home` if the run needs them"
-            );
+            let problem = Problem::from(Fact::MarksStale { joints: stale });
+            tracing::warn!(code = problem.code(), "{problem}");
         }
         encoders
     }
@@ -206,14 +205,19 @@ impl Session {
         &self.encoders
     }
 
+    /// Name of the bus.
+    pub fn bus(&self) -> &str {
+        &self.bus
+    }
+
     /// The latest sample of each encoder.
     pub fn live(&self) -> &Arc<Live> {
         &self.live
     }
 
-    /// What is known of why the bus does not give whole samples: position, what should be there, what is, what to do.
-    pub fn outage(&self) -> Option<String> {
-        let absent = |from| BusError::absent(&self.bus, &self.ready.devices, from).to_string();
+    /// Why the bus does not give whole samples, as far as it is known.
+    pub fn outage(&self) -> Option<Fact> {
+        let absent = |from| BusError::absent(&self.bus, &self.ready.devices, from).fact();
         self.live.missing_from().map(absent).or_else(|| self.live.outage())
     }
 
@@ -228,8 +232,9 @@ impl Session {
     }
 
     /// What the system did not permit the cycle's thread; none if it has all that it asked for.
-    pub fn realtime_problem(&self) -> Option<String> {
-        self.ready.realtime.as_ref().filter(|report| !report.is_complete()).map(ToString::to_string)
+    pub fn realtime_problem(&self) -> Option<Problem> {
+        let report = self.ready.realtime.as_ref().filter(|report| !report.is_complete())?;
+        Some(Fact::RealtimeDenied { report: report.to_string() }.into())
     }
 
     /// Says in the log what the bus is and how the cycle runs.

@@ -8,7 +8,8 @@ use shared::recording::Recording;
 use shared::recording::schema::{EncoderInfo, ReplayOrigin, SIMULATED_BUS};
 use shared::time::UtcNs;
 
-use super::{BusChoice, RunError, RunRequest};
+use super::error::RunError;
+use super::request::{BusChoice, RunRequest};
 use crate::bus::BusPlan;
 use crate::clock::Clock;
 use crate::segment::faults::{FaultWindow, FaultySegment};

@@ -4,10 +4,10 @@ use std::io;
 
 use shared::time::MonoNs;
 
-use super::faults::FaultySegment;
-use super::simulated::SimulatedSegment;
 use super::{FRAME_BYTES_MAX, Wire};
 use crate::clock::Clock;
+use simulated_segment::SimulatedSegment;
+use simulated_segment::faults::FaultySegment;
 
 /// Frames sent are answered by a simulated segment when a wire would have brought them back: a reply takes the frame's
 /// own time on the wire, also in real time, or the time that a recording takes off for it would be an error.

@@ -1,9 +1,7 @@
 //! Where frames go: a network interface, or the simulated segment in this process.
 
 mod ethernet;
-pub mod faults;
 mod in_process;
-pub mod simulated;
 
 use std::io;
 
@@ -11,9 +9,7 @@ use shared::time::MonoNs;
 
 pub use ethernet::{EthernetWire, OpenError, interface_index, interfaces};
 pub use in_process::InProcessWire;
-
-/// Longest Ethernet frame without its checksum.
-pub const FRAME_BYTES_MAX: usize = 1518;
+pub use simulated_segment::{self as simulated, FRAME_BYTES_MAX, faults};
 
 /// Carries Ethernet frames to a segment and back. One thread owns it.
 pub trait Wire: Send {

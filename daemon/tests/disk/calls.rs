@@ -83,7 +83,7 @@ fn check(case: &Case, cycles: u64) {
             assert!(!summary.path.with_extension("mcap.active").exists());
             // Whoever saw it in another place was told why.
             let is_elsewhere = |look: &Look| look.snapshot.file.starts_with(outcome.spare());
-            assert!(!outcome.looks.iter().any(is_elsewhere) || outcome.was_told("the run goes on in"));
+            assert!(!outcome.looks.iter().any(is_elsewhere) || outcome.was_told("the run continues in"));
             outcome.check_claims(&bytes);
         }
         Err(error) => {

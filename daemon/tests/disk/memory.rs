@@ -2,8 +2,8 @@
 
 use std::io;
 
-use ballbard::commands::{Layout, write_csv};
 use ballbard::control::runs::curves;
+use ballbard::control::table::{Layout, write_csv};
 use shared::recording::SystemDisk;
 
 use super::rig::leave;

@@ -6,7 +6,7 @@ mod calls;
 mod leftovers;
 mod log;
 mod memory;
-mod rig;
+pub mod rig;
 mod service;
 mod slow;
 mod wall;

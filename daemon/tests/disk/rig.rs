@@ -15,8 +15,10 @@ use std::time::{Duration, Instant};
 
 use ballbard::clock::Clock;
 use ballbard::cycle::CycleTiming;
-use ballbard::recorder::{self, Mark, Recorder, RunLink, RunSummary};
-use ballbard::run::{Limits, Progress, Snapshot, Stop, Storage};
+use ballbard::problem::Problem;
+use ballbard::record::{
+    self, Limits, Mark, Progress, Recorder, RunLink, RunSummary, Snapshot, Stop, Storage,
+};
 use shared::config::DaemonConfig;
 use shared::encoder::EncoderScale;
 use shared::recording::schema::{CycleRecord, EncoderInfo, EncoderSample, RunMetadata};
@@ -46,7 +48,7 @@ pub type Way = fn(&Path);
 pub struct Look {
     pub snapshot: Snapshot,
     /// Of the disk as a place for recordings.
-    pub problem: Option<String>,
+    pub problem: Option<Problem>,
     /// Bytes of the run's file that would have survived a power cut then.
     pub synced_bytes: u64,
     /// Bytes that would have survived a kill.
@@ -88,8 +90,8 @@ impl Outcome {
     /// Whoever looked was told something with this word in it.
     pub fn was_told(&self, word: &str) -> bool {
         let told = |look: &Look| {
-            let warning = look.snapshot.warning().unwrap_or_default();
-            warning.contains(word) || look.problem.as_ref().is_some_and(|problem| problem.contains(word))
+            let is_in = |problem: &Problem| problem.text.contains(word);
+            look.snapshot.problems.iter().chain(&look.problem).any(is_in)
         };
         self.looks.iter().any(told)
     }
@@ -195,7 +197,7 @@ pub fn record(plan: &Plan, wall: impl FnOnce(&Path) -> Wall) -> Outcome {
         Ok(writer) => writer,
         Err(error) => return Outcome { result: Err(error), ..outcome },
     };
-    let (sink, source) = recorder::ring(plan.ring_cycles, &Clock::Real);
+    let (sink, source) = record::ring(plan.ring_cycles, &Clock::Real);
     let limits = Limits {
         cycle_period: plan.period,
         sync_period: plan.sync_period,
@@ -203,7 +205,7 @@ pub fn record(plan: &Plan, wall: impl FnOnce(&Path) -> Wall) -> Outcome {
         cycle_waits: false,
     };
     let place = writer.sink().place().clone();
-    let progress = Arc::new(Progress::new(Arc::clone(source.handed()), limits));
+    let progress = Arc::new(Progress::new(Arc::clone(source.handed()), limits, Clock::Real));
     progress.opened(place);
     let stop = Stop::default();
     storage.watch(&progress, &stop);
@@ -231,7 +233,7 @@ pub fn record(plan: &Plan, wall: impl FnOnce(&Path) -> Wall) -> Outcome {
             // While it moves it is neither here nor there, and a file that was just removed is not missed yet. It is reported
             // lost before another one takes its name, so that this is looked at last.
             let places = |of: &Snapshot| {
-                of.warnings.iter().filter(|one| ["lost file", "moved"].contains(&one.what)).count()
+                of.problems.iter().filter(|one| ["file_lost", "file_moved"].contains(&one.code())).count()
             };
             let is_steady = file.is_some() && places(&progress.get()) == places(&snapshot);
             looks.push(Look { snapshot, problem, synced_bytes, written_bytes, is_steady, at });
@@ -250,7 +252,7 @@ pub fn record(plan: &Plan, wall: impl FnOnce(&Path) -> Wall) -> Outcome {
 fn produce(
     plan: &Plan,
     first: MonoNs,
-    mut sink: recorder::CycleSink,
+    mut sink: record::CycleSink,
     marks: &SyncSender<Mark>,
     stop: &Stop,
     home: &Path,

@@ -11,7 +11,7 @@ use axum::body::{Body, Bytes, to_bytes};
 use axum::http::{Request, header};
 use ballbard::control::api;
 use ballbard::control::service::{Service, Settings};
-use ballbard::control::status::Status;
+use ballbard::control::status::{ServiceState, Status};
 use ballbard::homing::MarksFile;
 use ballbard::run::{BusChoice, RunRequest, Stop, Storage, record_on};
 use serde_json::{Value, json};
@@ -119,16 +119,20 @@ impl Day {
     /// What a person does; what was answered, by path.
     fn live(&self) -> BTreeMap<&'static str, (u16, Value)> {
         let mut answers = BTreeMap::new();
-        self.wait(Duration::from_secs(15), |status| status.state == "waiting");
+        self.wait(Duration::from_secs(15), |status| status.state == ServiceState::Waiting);
         answers.insert("check", self.get("/check"));
         // Encoders that the busy machine has just now no sample of are no matter here.
         let start = json!({"name": "day", "reason": "the disk is what is tried"});
         answers.insert("start", self.post("/start", &start));
         if answers["start"].0 != 200 {
-            self.wait(Duration::from_secs(5), |status| status.state == "waiting" && status.reason.is_none());
+            self.wait(Duration::from_secs(5), |status| {
+                status.state == ServiceState::Waiting && status.reason.is_none()
+            });
             answers.insert("second start", self.post("/start", &start));
         }
-        self.wait(Duration::from_secs(5), |status| status.state == "writing" || status.last.is_some());
+        self.wait(Duration::from_secs(5), |status| {
+            status.state == ServiceState::Writing || status.last.is_some()
+        });
         answers.insert("mark", self.post("/mark", &json!({"text": "noon"})));
         std::thread::sleep(Duration::from_millis(250));
         answers.insert("stop", self.post("/stop", &json!({})));
@@ -208,7 +212,10 @@ fn check_for_ever(call: Call, nth: usize) {
         assert!(asked.elapsed() < Duration::from_secs(1) + SLACK, "check took {:?}", asked.elapsed());
         assert_eq!(lines.0, 200, "{lines:?}");
         let status = day.service.status();
-        assert!(status.state == "waiting" || status.reason.is_some(), "nobody is told: {status:?}");
+        assert!(
+            status.state == ServiceState::Waiting || status.reason.is_some(),
+            "nobody is told: {status:?}"
+        );
         day.service.shutdown("test over");
         let has_ended = day.has_ended(Duration::from_secs(2) + SLACK);
         let status = day.service.status();
@@ -223,7 +230,7 @@ fn check_download(call: Call, what: &str) {
     assert_eq!(day.live()["stop"].0, 200);
     let start = json!({"name": "next", "reason": "the disk is what is tried"});
     assert_eq!(day.post("/start", &start).0, 200);
-    day.wait(Duration::from_secs(5), |status| status.state == "writing");
+    day.wait(Duration::from_secs(5), |status| status.state == ServiceState::Writing);
     day.wall.strike_next(call, Fault::Hangs(HANG));
     std::thread::scope(|scope| {
         let download = scope.spawn(|| day.send("GET", &format!("/runs/day/{what}"), &json!({})));
@@ -266,10 +273,13 @@ fn a_download_that_waits_for_the_disk_holds_up_nobody_else() {
 /// A day on which a run is being written.
 fn recording() -> Day {
     let day = Day::begin(None);
-    day.wait(Duration::from_secs(15), |status| status.state == "waiting");
+    day.wait(Duration::from_secs(15), |status| status.state == ServiceState::Waiting);
     let start = json!({"name": "day", "reason": "the disk is what is tried"});
     assert_eq!(day.post("/start", &start).0, 200);
-    assert_eq!(day.wait(Duration::from_secs(10), |status| status.state == "writing").state, "writing");
+    assert_eq!(
+        day.wait(Duration::from_secs(10), |status| status.state == ServiceState::Writing).state,
+        ServiceState::Writing
+    );
     day
 }
 
@@ -337,7 +347,7 @@ fn a_run_whose_file_cannot_be_finished_is_no_success_for_who_stops_it() {
 #[ignore = "takes a quarter of a minute"]
 fn a_disk_that_does_not_take_reference_marks_holds_up_nobody() {
     let day = Day::begin(None);
-    day.wait(Duration::from_secs(15), |status| status.state == "waiting");
+    day.wait(Duration::from_secs(15), |status| status.state == ServiceState::Waiting);
     day.wall.strike_next(Call::Replace, Fault::Hangs(EVER));
     assert_eq!(day.post("/home", &json!({})).0, 200);
     while day.wall.struck().is_none() {
@@ -356,7 +366,7 @@ fn a_disk_that_does_not_take_reference_marks_holds_up_nobody() {
 #[test]
 fn marks_that_the_disk_refuses_were_found_but_are_not_kept() {
     let day = Day::begin(None);
-    day.wait(Duration::from_secs(15), |status| status.state == "waiting");
+    day.wait(Duration::from_secs(15), |status| status.state == ServiceState::Waiting);
     day.wall.strike_next(Call::Replace, Fault::Fails);
     let home = || {
         assert_eq!(day.post("/home", &json!({})).0, 200);

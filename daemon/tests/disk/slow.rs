@@ -6,8 +6,8 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use ballbard::clock::Clock;
-use ballbard::recorder;
-use ballbard::run::{Limits, Progress, Storage};
+use ballbard::problem::Problem;
+use ballbard::record::{self, Limits, Progress, Snapshot, Storage};
 use nix::fcntl::{AT_FDCWD, RenameFlags, renameat2};
 use shared::config::DaemonConfig;
 use shared::recording::schema::{EventKind, flags};
@@ -156,7 +156,7 @@ fn a_disk_that_does_not_answer_is_reported_within_a_second_to_who_asks_and_in_th
     };
     let text = format!("the disk of {} has not answered for", directory.path().display());
     let is_logged = || String::from_utf8_lossy(&log.lock().unwrap()).contains(&text);
-    while !is_logged() || !storage.problem().is_some_and(|problem| problem.contains(&text)) {
+    while !is_logged() || !storage.problem().is_some_and(|problem| problem.text.contains(&text)) {
         assert!(struck.elapsed() < Duration::from_secs(1), "nobody is told");
         std::thread::sleep(Duration::from_millis(5));
     }
@@ -202,8 +202,8 @@ fn a_file_or_directory_that_vanishes_is_reported_within_a_second_and_the_run_goe
         let recording = recording_of(&outcome);
         assert!(recording.cycles.iter().all(|cycle| cycle.is_valid()) && recording.cycles.len() == 400);
         assert!(recording.events.iter().any(|event| event.kind == EventKind::Disk));
-        let told = |text: Option<String>| text.is_some_and(|text| text.contains("not there any more"));
-        let first = outcome.looks.iter().find(|look| told(look.snapshot.warning())).unwrap();
+        let told = |snapshot: &Snapshot| Problem::line(&snapshot.problems).contains("not there any more");
+        let first = outcome.looks.iter().find(|look| told(&look.snapshot)).unwrap();
         assert!(first.at < Duration::from_secs(3), "told at {:?}", first.at);
     });
 }
@@ -213,9 +213,9 @@ fn a_file_or_directory_that_vanishes_is_reported_within_a_second_and_the_run_goe
 fn a_look_that_began_before_a_run_moved_reports_nothing_about_its_new_file() {
     let (directory, period) = (tempfile::tempdir().unwrap(), Duration::from_millis(10));
     let mut writer = RecordingWriter::create(directory.path(), &metadata(period)).unwrap();
-    let (_sink, source) = recorder::ring(10, &Clock::Real);
+    let (_sink, source) = record::ring(10, &Clock::Real);
     let limits = Limits { cycle_period: period, sync_period: period, ring_cycles: 10, cycle_waits: false };
-    let progress = Progress::new(Arc::clone(source.handed()), limits);
+    let progress = Progress::new(Arc::clone(source.handed()), limits, Clock::Real);
     let before = writer.sink().place().clone();
     progress.opened(before.clone());
     std::fs::remove_file(before.path()).unwrap();

@@ -14,9 +14,11 @@ fn a_noisy_cable_is_reported_with_its_place_while_every_cycle_is_still_valid() {
     rig.run_to(1000);
     rig.assert_true();
     assert!(rig.records.iter().all(|record| record.is_valid()));
-    let told: Vec<_> = rig.events.iter().map(|event| event.to_event()).collect();
+    let told = rig.told();
     assert!(told.iter().all(|event| event.kind == EventKind::Bus), "{told:?}");
-    assert!(told[0].text.contains("between devices 2 and 3"), "{told:?}");
+    // Between terminals there are contacts, no cables.
+    assert!(told[0].text.contains("bad contact between terminal 2 and terminal 3"), "{told:?}");
+    assert_eq!(told[0].code, "link_errors");
     let errors = rig.acquisition.links().errors()[3][0];
     assert!((15..40).contains(&errors.receive_errors), "{errors:?}");
     // As often as they doubled, not as often as they were looked at.
@@ -42,9 +44,10 @@ fn a_terminal_that_comes_and_goes_is_a_lost_link_of_the_one_before() {
     rig.faults.end(Fault::DevicesGone { from: 4 });
     rig.run_to(1000);
     assert_eq!(rig.acquisition.links().errors()[3][1].lost_links, 1);
-    let told: Vec<_> = rig.events.iter().map(|event| event.to_event().text).collect();
+    let told: Vec<_> = rig.told().into_iter().map(|event| event.text).collect();
     assert!(
-        told.iter().any(|text| text.contains("behind device 3") && text.contains("1 lost links")),
+        told.iter()
+            .any(|text| text.contains("between terminal 3 and terminal 4") && text.contains("1 lost links")),
         "{told:?}"
     );
 }

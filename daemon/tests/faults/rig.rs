@@ -5,12 +5,12 @@ use std::time::Duration;
 
 use ballbard::bus::{Bus, BusPlan};
 use ballbard::clock::Clock;
-use ballbard::cycle::{Acquisition, CycleEvent};
+use ballbard::cycle::{Acquisition, BusNames, CycleEvent};
 use ballbard::segment::InProcessWire;
 use ballbard::segment::faults::{FaultHandle, FaultySegment};
 use ballbard::segment::simulated::{Periods, SegmentConfig, SimulatedSegment, SmoothMotion};
 use shared::config::EncoderConfig;
-use shared::recording::schema::CycleRecord;
+use shared::recording::schema::{CycleRecord, Event};
 use shared::time::UtcNs;
 
 const TERMINALS: usize = 5;
@@ -69,6 +69,16 @@ impl Rig {
             let told = std::iter::from_fn(|| self.acquisition.take_event());
             self.events.extend(told.filter(CycleEvent::is_news));
         }
+    }
+
+    /// What happened so far, as it is in the file.
+    pub fn told(&self) -> Vec<Event> {
+        let names = BusNames {
+            bus: "simulated".into(),
+            devices: self.acquisition.devices().to_vec(),
+            joints: (1..=TERMINALS as u8).collect(),
+        };
+        self.events.iter().map(|event| event.to_event(&names)).collect()
     }
 
     /// Every cycle that was due is there once, in order, and time runs forward at the cycle's pace.

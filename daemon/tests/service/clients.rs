@@ -6,7 +6,7 @@ use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use ballbard::control::status::Status;
+use ballbard::control::status::{ServiceState, Status};
 use nix::sys::resource::{Resource, getrlimit, setrlimit};
 use nix::sys::signal::Signal;
 use rand::{Rng, SeedableRng, rngs::StdRng};
@@ -82,7 +82,7 @@ fn a_client_that_does_not_say_what_it_wants_is_sent_away() {
     for stream in &silent {
         assert!(closed_after(stream) < Duration::from_secs(10));
     }
-    assert_eq!(service.get::<Status>("status").state, "waiting");
+    assert_eq!(service.get::<Status>("status").state, ServiceState::Waiting);
 }
 
 #[test]

@@ -8,7 +8,7 @@ use std::process::Output;
 use std::sync::Arc;
 
 use ballbard::control::runs::RunLine;
-use ballbard::control::status::{Reply, Status};
+use ballbard::control::status::{Granted, Reply, ServiceState, Status};
 use tokio_rustls::rustls::crypto::ring;
 use tokio_rustls::rustls::pki_types::pem::PemObject;
 use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
@@ -64,7 +64,7 @@ fn a_run_is_recorded_marked_noted_and_exported_on_another_machine() {
     assert!(done(&["status"]).starts_with("READY"));
     let begun: Reply =
         serde_json::from_str(&done(&["start", "--name", "far", "--note", "before", "--json"])).unwrap();
-    assert_eq!((begun.answer.as_str(), begun.run.as_deref()), ("begun", Some("far")));
+    assert_eq!((begun.answer, begun.run.as_deref()), (Granted::Begun, Some("far")));
     far.service.wait_for("writing");
     assert!(done(&["mark", "half"]).contains("`far`"));
     assert!(done(&["stop"]).contains("far.mcap"));
@@ -203,7 +203,7 @@ fn what_is_wrong_with_address_token_or_network_is_said_with_the_remedy() {
         assert_eq!(output.status.code(), Some(2), "{arguments:?}");
         assert!(text(&output).contains(told), "{arguments:?}: {}", text(&output));
     }
-    assert_eq!(far.service.get::<Status>("status").state, "waiting");
+    assert_eq!(far.service.get::<Status>("status").state, ServiceState::Waiting);
 }
 
 #[test]

@@ -4,7 +4,7 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use ballbard::control::runs::RunLine;
-use ballbard::control::status::{CheckLine, Status};
+use ballbard::control::status::{CheckLine, ServiceState, Status};
 use serde_json::json;
 
 use super::rig::{Running, changed, shipped, text};
@@ -121,7 +121,8 @@ fn a_bus_that_is_gone_for_good_ends_the_run_and_the_service_is_ready_again_when_
     // The run ends, and no other can begin while the bus is gone.
     let fault = service.wait_for("fault");
     let reason = fault.reason.unwrap();
-    assert!(reason.contains("bus_down") && reason.contains("no EtherCAT device answers on sim"), "{reason}");
+    assert_eq!(fault.problems[0].code(), "bus_no_answer");
+    assert!(reason.contains("no EtherCAT device answers on sim"), "{reason}");
     let last = fault.last.unwrap();
     assert!(last.cause.contains("full fault") && last.cause.contains("bus_down"), "{}", last.cause);
     let (status, refused) = service.post("start", &json!({"name": "refused"}));
@@ -149,27 +150,38 @@ fn a_short_fault_leaves_the_run_as_it_is_and_the_status_says_so() {
     service.wait_for("waiting");
     service.granted("start", &json!({"name": "short"}));
     let troubled = service.wait_until("trouble and its place", |status| {
-        status.reason.as_ref().is_some_and(|reason| reason.contains("bus position 3"))
+        status
+            .reason
+            .as_ref()
+            .is_some_and(|reason| reason.contains("terminal 3 and all behind it do not answer"))
     });
-    assert!(troubled.state == "writing" || troubled.state == "sampling", "{troubled:?}");
+    assert!(
+        troubled.state == ServiceState::Writing || troubled.state == ServiceState::Sampling,
+        "{troubled:?}"
+    );
     // What is before the missing terminals stays in use.
     let valid: Vec<bool> = troubled.encoders.iter().map(|encoder| encoder.valid).collect();
     assert_eq!(valid[2..], [false; 3]);
     // What should be there and what is, whoever asks and while the run goes on.
     let reason = troubled.reason.unwrap();
-    for told in ["joint 3, 4, 5: bus position 3", "found [EK1100", "check the device at position 3"] {
+    for told in ["joint 3, 4, 5: terminal 3", "found [EK1100", "check terminal 3 (bus position 3)"] {
         assert!(reason.contains(told), "`{told}` is missing in: {reason}");
     }
     let [expected, found] =
         ["expected [", "found ["].map(|list| reason.split(list).nth(1).unwrap().split(']').next().unwrap());
     assert_eq!([expected, found].map(|list| list.matches("EL5021").count()), [5, 2], "{reason}");
     let lines: Vec<CheckLine> = service.get("check");
-    assert!(lines.iter().any(|line| line.subject == "bus" && line.finding == reason), "{lines:?}");
+    assert!(lines.iter().any(|line| line.subject == "bus" && reason.starts_with(&line.finding)), "{lines:?}");
     service.wait_until("the end of trouble", |status| status.reason.is_none());
     service.granted("stop", &json!({}));
     let recording = service.recording("short");
     assert!(recording.cycles.iter().any(|cycle| cycle.encoders()[0].valid && !cycle.encoders()[4].valid));
-    assert!(recording.events.iter().any(|event| event.text.contains("from position 3 on do not answer")));
+    assert!(
+        recording
+            .events
+            .iter()
+            .any(|event| event.text.contains("terminal 3 and all behind it do not answer"))
+    );
 }
 
 #[test]
@@ -177,25 +189,25 @@ fn status_and_check_say_what_the_last_attempt_to_bring_the_bus_up_met() {
     // Incomplete from the beginning; then complete for a while, and with a terminal that refuses its settings.
     let incomplete = Running::with(tempfile::tempdir().unwrap(), &shipped(), &["--fault", "gone:4"]);
     let reason = incomplete.wait_until("the first attempt", |status| {
-        status.reason.as_ref().is_some_and(|reason| reason.contains("position 4"))
+        status.reason.as_ref().is_some_and(|reason| reason.contains("terminal 4 and all"))
     });
-    for told in ["expected [EK1100", "found [EK1100", "check the device at position 4"] {
+    for told in ["expected [EK1100", "found [EK1100", "check terminal 4 (bus position 4)"] {
         assert!(reason.reason.as_ref().unwrap().contains(told), "`{told}` is missing in: {reason:?}");
     }
     let checked = text(&incomplete.command(&["check"]));
-    assert!(checked.contains("PROBLEM  bus: bus position 4"), "{checked}");
+    assert!(checked.contains("PROBLEM  bus: terminal 4 and all"), "{checked}");
     drop(incomplete);
     let faults = ["--fault", "gone:3@3s-4s", "--fault", "abort:1,0x06090011@3s-8s"];
     let refusing = Running::with(tempfile::tempdir().unwrap(), &shipped(), &faults);
     refusing.wait_for("waiting");
     let told = |status: &Status| {
         let reason = status.reason.as_deref().unwrap_or_default();
-        reason.contains("terminal at position 1, while setting the interpolation")
-            && reason.contains("bus_down")
+        reason.contains("terminal 1, while setting the interpolation")
+            && status.problems[0].code() == "bus_setting_refused"
     };
     refusing.wait_until("the refused setting", told);
     assert!(
-        text(&refusing.command(&["status"])).contains("NOT READY: no samples from any encoder: terminal at")
+        text(&refusing.command(&["status"])).contains("NOT READY: no samples from any encoder: terminal 1,")
     );
     refusing.wait_for("waiting");
 }

@@ -3,7 +3,7 @@
 use std::io::{BufRead, BufReader};
 use std::process::Stdio;
 
-use ballbard::control::status::{CheckLine, HomingStatus, Status};
+use ballbard::control::status::{CheckLine, Granted, HomingStatus, Status};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use serde_json::json;
@@ -68,10 +68,10 @@ fn homing_is_stopped_like_a_run_and_keeps_runs_out() {
     let config = copied();
     let service = Running::in_directory(tempfile::tempdir().unwrap(), config.path());
     service.wait_for("waiting");
-    assert_eq!(service.granted("home", &json!({})).answer, "begun");
+    assert_eq!(service.granted("home", &json!({})).answer, Granted::Begun);
     service.wait_for("homing");
     // Who asks for it as well looks on, and ends nothing by going away.
-    assert_eq!(service.granted("home", &json!({})).answer, "homing");
+    assert_eq!(service.granted("home", &json!({})).answer, Granted::Homing);
     let mut other = ballbard();
     let mut other = other.args(["home", "--port", &service.port]).stdout(Stdio::piped()).spawn().unwrap();
     let mut told = BufReader::new(other.stdout.take().unwrap()).lines().map(Result::unwrap);
@@ -85,14 +85,11 @@ fn homing_is_stopped_like_a_run_and_keeps_runs_out() {
     assert!(refused["error"].as_str().unwrap().contains("being homed"), "{refused}");
     // Answered when it has ended, with how.
     let stopped = service.granted("stop", &json!({"cause": "enough"}));
-    assert_eq!(
-        (stopped.answer.as_str(), &stopped.homing),
-        ("homing", &service.get::<Status>("status").homing)
-    );
+    assert_eq!((stopped.answer, &stopped.homing), (Granted::Homing, &service.get::<Status>("status").homing));
     let homing = stopped.homing.unwrap();
     assert!(homing.is_over && homing.error.unwrap().contains("enough"));
     assert!(text(&service.command(&["status"])).contains("not homed: stopped"));
-    assert_eq!(service.granted("start", &json!({"name": "at-once"})).answer, "begun");
+    assert_eq!(service.granted("start", &json!({"name": "at-once"})).answer, Granted::Begun);
     assert!(!service.directory.path().join("homing.toml").exists());
 }
 

@@ -3,6 +3,7 @@
 
 mod check;
 mod clients;
+mod codes;
 mod disk;
 mod elsewhere;
 mod ends;

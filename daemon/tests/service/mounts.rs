@@ -9,6 +9,7 @@ use ballbard::control::status::{LastRun, Status};
 use serde_json::json;
 use shared::recording::Recording;
 
+use super::codes::{assert_reported, is_in_file};
 use super::rig::{Running, copied};
 use crate::support::PROGRAM;
 
@@ -25,12 +26,18 @@ struct Mounted {
 impl Mounted {
     /// `mount` mounts it at `$1`; `$2` is a file that it may use.
     fn begin(mount: &str) -> Self {
+        Self::with_ring(mount, 60)
+    }
+
+    /// With a ring of this length.
+    fn with_ring(mount: &str, ring_s: u32) -> Self {
         let outside = tempfile::tempdir().unwrap();
         let config = copied();
         let file = config.path().join("daemon.toml");
         let daemon = std::fs::read_to_string(&file).unwrap();
         let spare = format!("spare_directory = {:?}", outside.path().join("spare"));
         let daemon = daemon.replace("spare_directory = \"/var/tmp/ballbard\"", &spare);
+        let daemon = daemon.replace("ring_s = 60", &format!("ring_s = {ring_s}"));
         std::fs::write(file, daemon.replace("disk_floor_mb = 500", "disk_floor_mb = 1")).unwrap();
         let directory = tempfile::tempdir().unwrap();
         let mut command = Command::new("unshare");
@@ -110,7 +117,7 @@ fn a_file_system_that_is_unmounted_in_mid_run_is_reported_and_no_cycle_is_lost()
 fn a_file_system_that_becomes_read_only_in_mid_run_is_reported_and_the_run_goes_on_in_the_spare_place() {
     let mounted = Mounted::begin(EXT4);
     // As the kernel does where it finds the file system damaged.
-    let told = mounted.reported_after("mount -o remount,abort \"$1\"", &["the run goes on in"]);
+    let told = mounted.reported_after("mount -o remount,abort \"$1\"", &["the run continues in"]);
     assert!(told.last.is_none(), "{told:?}");
     mounted.stopped(&mounted.spare());
     let next = mounted.service.post("start", &json!({"name": "next"}));
@@ -173,4 +180,29 @@ fn a_run_whose_file_system_is_hidden_and_that_has_no_spare_place_is_no_success_f
     assert!(last.file.is_none() && last.error.is_some(), "{last:?}");
     // Stopped while it was lost, or when it had ended by itself.
     assert!(status == 500 || answer["answer"] == "idle", "{status} {answer}");
+}
+
+/// What is done to the file system, and how it is undone.
+fn check_code(mount: &str, ring_s: u32, [begin, end]: [&str; 2], code: &str) {
+    let mounted = Mounted::with_ring(mount, ring_s);
+    mounted.does(begin);
+    assert_reported(&mounted.service, &mounted.outside.path().join("log"), code);
+    mounted.does(end);
+    let stopped = mounted.service.granted("stop", &json!({}));
+    let last = stopped.last.or(mounted.service.get::<Status>("status").last).unwrap();
+    let seen = format!("/proc/{}/root{}", mounted.service.child.id(), last.file.unwrap());
+    let recording = Recording::open(Path::new(&seen)).unwrap();
+    assert!(is_in_file(&recording, code), "{code} is not in the file: {:?}", recording.events);
+    println!("| {begin:<50} | {code:<13} | status, page, metrics, log, file |");
+}
+
+#[test]
+#[ignore = "needs root for a mount namespace and a loop device"]
+fn each_fault_of_the_disk_has_the_same_code_wherever_it_is_reported() {
+    let freeze = ["fsfreeze --freeze \"$1\"", "fsfreeze --unfreeze \"$1\""];
+    let fill = "dd if=/dev/zero of=\"$1\"/others bs=65536 count=50 2>/dev/null";
+    check_code(EXT4, 60, ["mount -o remount,abort \"$1\"", "true"], "file_moved");
+    check_code(TMPFS, 60, [fill, "true"], "disk_full");
+    check_code(EXT4, 60, freeze, "disk_backlog");
+    check_code(EXT4, 1, freeze, "cycles_lost");
 }

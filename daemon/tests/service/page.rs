@@ -1,5 +1,6 @@
 //! What a page asks for: the moment, recordings, deletion.
 
+use ballbard::control::status::Granted;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
@@ -153,7 +154,7 @@ fn a_recording_is_downloaded_as_it_is_and_as_a_table_and_deleted_by_its_name_alo
     }
     assert!(secret.exists());
     std::fs::remove_file(secret).unwrap();
-    assert_eq!(service.granted("delete", &json!({"name": "monday-1"})).answer, "deleted");
+    assert_eq!(service.granted("delete", &json!({"name": "monday-1"})).answer, Granted::Deleted);
     assert_eq!(service.get::<Vec<RunLine>>("runs"), []);
 }
 

@@ -8,7 +8,7 @@ use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::Path;
 use std::process::Command;
 
-use ballbard::control::status::Status;
+use ballbard::control::status::{ServiceState, Status};
 use serde_json::json;
 
 use super::rig::{Running, shipped};
@@ -46,7 +46,7 @@ fn over_tls_an_independent_client_is_served_with_the_token_and_with_nothing_else
         .unwrap();
     assert!(said.status.success(), "{}", super::rig::text(&said));
     // Programs of this machine are served as before.
-    assert_eq!(service.get::<Status>("status").state, "waiting");
+    assert_eq!(service.get::<Status>("status").state, ServiceState::Waiting);
 }
 
 #[test]

@@ -4,7 +4,7 @@ use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::time::Duration;
 
-use ballbard::control::status::{NameReply, Status};
+use ballbard::control::status::{NameReply, ServiceState, Status};
 use serde_json::json;
 
 use super::rig::Running;
@@ -46,7 +46,7 @@ fn hostile_requests_are_refused_and_leave_nothing() {
     assert_eq!(service.post("mark", &json!({"text": "x"})).0, 409);
     assert_eq!(service.post("nowhere", &json!({})).0, 404);
     assert_eq!(std::fs::read_dir(service.directory.path()).unwrap().count(), 0);
-    assert_eq!(service.get::<Status>("status").state, "waiting");
+    assert_eq!(service.get::<Status>("status").state, ServiceState::Waiting);
 }
 
 #[test]
@@ -134,5 +134,5 @@ fn what_a_foreign_web_page_could_send_is_refused() {
         let answer = raw(port, nonsense);
         assert!(answer.is_empty() || answer.contains(" 4") || answer.contains(" 5"), "{answer}");
     }
-    assert_eq!(service.get::<Status>("status").state, "waiting");
+    assert_eq!(service.get::<Status>("status").state, ServiceState::Waiting);
 }

@@ -6,7 +6,7 @@ use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use ballbard::control::status::{Reply, Status};
-use serde_json::Value;
+use serde_json::{Value, json};
 use shared::recording::Recording;
 
 use crate::support::{PROGRAM, ballbard};
@@ -97,7 +97,7 @@ impl Running {
     }
 
     pub fn wait_for(&self, state: &str) -> Status {
-        self.wait_until(state, |status| status.state == state)
+        self.wait_until(state, |status| json!(status.state) == state)
     }
 
     /// Waits for a status; `what` names it if it never comes.

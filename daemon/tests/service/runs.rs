@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use ballbard::control::runs::RunLine;
-use ballbard::control::status::{CheckLine, Status};
+use ballbard::control::status::{CheckLine, Granted, Status};
 use serde_json::json;
 use shared::recording::schema::EventKind;
 use shared::recording::{Recording, RunMark};
@@ -16,12 +16,12 @@ fn runs_are_recorded_one_after_the_other_from_one_bus() {
     let service = Running::start();
     service.wait_for("waiting");
     for name in ["first", "second"] {
-        assert_eq!(service.granted("start", &json!({"name": name, "note": "n"})).answer, "begun");
+        assert_eq!(service.granted("start", &json!({"name": name, "note": "n"})).answer, Granted::Begun);
         let writing = service.wait_for("writing").run.unwrap();
         assert!(writing.cycles > 0 && writing.bytes > 0, "{writing:?}");
         assert_eq!(service.granted("mark", &json!({"text": "half way"})).run.as_deref(), Some(name));
         let stopped = service.granted("stop", &json!({"cause": "enough"}));
-        assert_eq!((stopped.answer.as_str(), stopped.run.as_deref()), ("stopped", Some(name)));
+        assert_eq!((stopped.answer, stopped.run.as_deref()), (Granted::Stopped, Some(name)));
         let recording = service.recording(name);
         assert_eq!((recording.run.name.as_str(), recording.run.note.as_str()), (name, "n"));
         assert_eq!(recording.end.cause, "enough");
@@ -40,17 +40,17 @@ fn runs_are_recorded_one_after_the_other_from_one_bus() {
 fn starting_and_stopping_twice_changes_nothing() {
     let service = Running::start();
     service.wait_for("waiting");
-    assert_eq!(service.granted("stop", &json!({})).answer, "idle");
-    assert_eq!(service.granted("start", &json!({"name": "one"})).answer, "begun");
+    assert_eq!(service.granted("stop", &json!({})).answer, Granted::Idle);
+    assert_eq!(service.granted("start", &json!({"name": "one"})).answer, Granted::Begun);
     for body in [json!({"name": "one"}), json!({})] {
         let again = service.granted("start", &body);
-        assert_eq!((again.answer.as_str(), again.run.as_deref()), ("running", Some("one")));
+        assert_eq!((again.answer, again.run.as_deref()), (Granted::Running, Some("one")));
     }
     let (status, other) = service.post("start", &json!({"name": "two"}));
     assert_eq!(status, 409);
     assert!(other["error"].as_str().unwrap().contains("`one` goes on"), "{other}");
-    assert_eq!(service.granted("stop", &json!({})).answer, "stopped");
-    assert_eq!(service.granted("stop", &json!({})).answer, "idle");
+    assert_eq!(service.granted("stop", &json!({})).answer, Granted::Stopped);
+    assert_eq!(service.granted("stop", &json!({})).answer, Granted::Idle);
     let (status, taken) = service.post("start", &json!({"name": "one"}));
     assert_eq!(status, 409);
     assert!(taken["error"].as_str().unwrap().contains("never overwritten"), "{taken}");
@@ -141,7 +141,7 @@ fn a_note_is_changed_after_the_run_and_the_recorded_file_is_not() {
     for table in [table(), csv] {
         assert!(table.contains("note: payload 12 kg") && !table.contains("typed wrongly"), "{table:.300}");
     }
-    assert_eq!(service.granted("note", &json!({"name": "one", "note": ""})).answer, "noted");
+    assert_eq!(service.granted("note", &json!({"name": "one", "note": ""})).answer, Granted::Noted);
     assert_eq!(listed(), "");
     assert_eq!(std::fs::read(&file).unwrap(), recorded);
 
@@ -202,7 +202,7 @@ fn a_deleted_run_lies_in_the_bin_until_it_is_restored_or_the_bin_is_emptied() {
         assert_eq!(service.post("restore", &json!({"name": name})).0, 404, "{name}");
     }
     let emptied = service.granted("bin/empty", &json!({}));
-    assert_eq!((emptied.answer.as_str(), emptied.removed), ("emptied", Some(1)));
+    assert_eq!((emptied.answer, emptied.removed), (Granted::Emptied, Some(1)));
     assert_eq!((names("runs"), names("bin")), (vec![named("one", "changed")], vec![]));
     assert_eq!(std::fs::read_dir(service.directory.path().join(".bin")).unwrap().count(), 0);
     assert!(text(&service.command(&["bin", "--empty"])).contains("0 recordings removed"));

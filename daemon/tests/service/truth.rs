@@ -5,7 +5,7 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use ballbard::control::runs::RunLine;
-use ballbard::control::status::{CheckLine, Level, Status};
+use ballbard::control::status::{CheckLine, Granted, Level, ServiceState, Status};
 use nix::sys::signal::Signal;
 use serde_json::json;
 use shared::recording::schema::EventKind;
@@ -24,7 +24,7 @@ fn terminals_that_are_gone_are_a_fault_at_once_and_no_run_begins() {
     let mut silent_since: Option<Instant> = None;
     let told_after = loop {
         let status: Status = service.get("status");
-        if status.state == "fault" {
+        if status.state == ServiceState::Fault {
             break silent_since.map_or(Duration::ZERO, |since| since.elapsed());
         }
         if status.encoders.iter().any(|encoder| !encoder.valid) {
@@ -53,18 +53,18 @@ fn an_encoder_without_signal_is_in_the_headline_before_and_during_a_run() {
         status.reason.as_ref().is_some_and(|reason| reason.contains("no valid sample from joint 2 "))
     };
     let waiting = service.wait_until("the headline", named);
-    assert_eq!(waiting.state, "waiting");
+    assert_eq!(waiting.state, ServiceState::Waiting);
     let typed = text(&service.command(&["status"]));
     assert!(typed.starts_with("CHECK: no valid sample from joint 2 ("), "{typed}");
     // Four encoders may be worth a run: somebody has to say why. On a busy machine others miss cycles, and are named as well.
-    let is_named = |text: &str| text.contains("not valid: ") && text.contains("joint 2 (status");
+    let is_named = |text: &str| text.contains("no valid sample from joint 2 (status");
     let (code, refused) = service.post("start", &json!({"name": "four"}));
     let why = refused["error"].as_str().unwrap();
     assert!(code == 409 && is_named(why) && why.contains("`reason`"), "{code}: {why}");
     service.granted("start", &json!({"name": "four", "reason": "joint 2 is not needed"}));
     assert!(named(&service.wait_for("writing")));
     let again = service.granted("start", &json!({"name": "four"}));
-    assert_eq!(again.answer, "running");
+    assert_eq!(again.answer, Granted::Running);
     service.granted("stop", &json!({}));
     let events = service.recording("four").events;
     let said = events.iter().find(|event| event.kind == EventKind::Marker).unwrap();
@@ -76,7 +76,8 @@ fn a_bad_cable_is_in_status_and_check_before_it_costs_a_cycle() {
     let faults = ["--fault", "noise:3,0.05@1s"];
     let service = Running::with(tempfile::tempdir().unwrap(), &shipped(), &faults);
     let status = service.wait_until("the cable", |status| !status.bad_cables.is_empty());
-    assert!(status.bad_cables[0].contains("between devices 2 and 3"), "{:?}", status.bad_cables);
+    let contact = "bad contact between terminal 2 and terminal 3";
+    assert!(status.bad_cables[0].text.contains(contact), "{:?}", status.bad_cables);
     let lines: Vec<CheckLine> = service.get("check");
     assert!(lines.iter().any(|line| line.subject == "cables" && line.remedy.is_some()), "{lines:?}");
 }
@@ -191,7 +192,7 @@ fn a_directory_that_is_a_file_is_a_problem_before_a_run() {
     service.wait_until("the disk's problem", |_| {
         let lines: Vec<CheckLine> = service.get("check");
         let disk = lines.iter().find(|line| line.subject == "disk").unwrap();
-        disk.finding.contains("is no directory") && disk.remedy.is_some()
+        disk.finding.contains("is not a directory") && disk.remedy.is_some()
     });
     std::fs::remove_file(&directory).unwrap();
     service.signal(Signal::SIGTERM);

@@ -20,6 +20,8 @@ use crate::time::{NS_PER_S, UtcNs};
 
 /// Bytes that a cycle takes in a file at least: its entry in the index of its chunk.
 const CYCLE_BYTES_MIN: u64 = 16;
+/// Code of the event that states which cycles were in a damaged part of the file.
+const DAMAGED_CODE: &str = "file_damaged";
 /// As many cycles may be missing though no byte is damaged: a write that never reached the disk left no trace.
 const UNTRACED_CYCLES_MAX: u64 = 100_000;
 /// What follows a hole was sampled when its number says, but for this \[ns\] ...
@@ -262,7 +264,8 @@ impl<W: Write + Seek> Rewriting<W> {
         for cycle in missing {
             self.put(Item::Cycle(CycleRecord::lost(cycle, time_of(cycle), near)))?;
         }
-        self.put(Item::Event(Event { time, cycle, kind: EventKind::Gap, text }))
+        let code = DAMAGED_CODE.into();
+        self.put(Item::Event(Event { time, cycle, kind: EventKind::Gap, text, code }))
     }
 
     /// More cannot have been in what was damaged since the last whole cycle.

@@ -167,6 +167,8 @@ pub struct Event {
     pub kind: EventKind,
     /// In words.
     pub text: String,
+    /// Stable code of what was wrong, as status and log have it; empty for a marker, and in files of older programs.
+    pub code: String,
 }
 
 /// One encoder of the run: its joint and how its counts become angles.

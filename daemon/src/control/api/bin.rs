@@ -9,7 +9,7 @@ use super::{Body, found, on_disk, places, refusal, rejected, reply};
 use crate::control::bin::{self, Places};
 use crate::control::runs::RunLine;
 use crate::control::service::Service;
-use crate::control::status::{DeleteRequest, EmptyBinRequest, Reply};
+use crate::control::status::{DeleteRequest, EmptyBinRequest, Granted, Reply};
 
 fn bins(service: &Service) -> Places {
     let (directory, spare) = places(service);
@@ -29,7 +29,7 @@ pub(super) async fn delete(
     let (file, _) = found(&service, Ok(extract::Path(name))).await?;
     tracing::warn!(file = %file.display(), "recording moved into the bin on request");
     let name = on_disk(&service, move |disk| bin::put(disk, &file)).await?;
-    Ok(reply("deleted", Some(name), None))
+    Ok(reply(Granted::Deleted, Some(name), None))
 }
 
 pub(super) async fn restore(
@@ -39,7 +39,7 @@ pub(super) async fn restore(
     let DeleteRequest { name } = body.map_err(|rejection| rejected(&rejection))?.0;
     let bins = bins(&service);
     match on_disk(&service, move |disk| bins.restore(disk, &name)).await? {
-        Some(name) => Ok(reply("restored", Some(name), None)),
+        Some(name) => Ok(reply(Granted::Restored, Some(name), None)),
         None => Err(refusal(
             StatusCode::NOT_FOUND,
             "no recording of that name is in the bin; `ballbard bin` lists those that are",
@@ -55,5 +55,5 @@ pub(super) async fn empty(
     let bins = bins(&service);
     let removed = on_disk(&service, move |disk| bins.empty(disk)).await?;
     tracing::warn!(removed, "bin emptied on request");
-    Ok(Json(Reply { answer: "emptied".into(), removed: Some(removed), ..Reply::default() }).into_response())
+    Ok(Json(Reply { answer: Granted::Emptied, removed: Some(removed), ..Reply::default() }).into_response())
 }

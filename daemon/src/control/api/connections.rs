@@ -1,8 +1,11 @@
 //! The service's clients, none of which can keep it from its work or from its end.
 //!
 //! One request for each connection, so that a time and a place are given for each: a client has five seconds to say what
-//! it wants, gives up its place before that if others need it, and loses it when it takes nothing of its answer. Few connections are open at a time, because files
-//! need descriptors, too.
+//! it wants, gives up its place before that if others need it, and loses it when it takes nothing of its answer. Few
+//! connections are open at a time, because files need descriptors, too.
+//!
+//! `tower-http` limits the time and size of a request, but sees none before its headers are complete: it can neither drop the
+//! idlest connection for a new one nor one whose client stops reading.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

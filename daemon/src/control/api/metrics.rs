@@ -4,12 +4,15 @@ use std::fmt;
 use std::sync::atomic::AtomicU64;
 
 use prometheus_client::encoding::text::encode;
+use prometheus_client::metrics::counter::{ConstCounter, Counter};
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::{ConstGauge, Gauge};
 use prometheus_client::registry::Registry;
+use shared::version::version;
 
 use crate::control::live::{Joint, Live};
-use crate::control::status::{Level, Status};
+use crate::control::status::{ServiceState, Status, Totals};
+use crate::problem::{Level, Problem};
 
 /// What [`text`] is.
 pub(super) const MEDIA_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
@@ -22,18 +25,51 @@ pub(super) fn text(live: &Live) -> Result<String, fmt::Error> {
         &mut registry,
         "recording",
         "A run's cycles reach the disk: 1, else 0",
-        is(status.state == "writing"),
+        is(status.state == ServiceState::Writing),
     );
-    add(&mut registry, "ready", "A run can begin: 1, else 0", is(status.state == "waiting"));
+    add(&mut registry, "ready", "A run can begin: 1, else 0", is(status.state == ServiceState::Waiting));
     add(&mut registry, "warnings", "Warnings on the page", warnings.len() as f64);
     if let Some(hours) = disk_hours {
         add(&mut registry, "disk_left_hours", "How long runs may last before the disk is full", *hours);
     }
+    add_totals(&mut registry, status);
+    add_problems(&mut registry, status, warnings);
     add_run(&mut registry, status);
     add_joints(&mut registry, joints);
     let mut text = String::new();
     encode(&mut text, &registry)?;
     Ok(text)
+}
+
+fn add_totals(registry: &mut Registry, status: &Status) {
+    let Totals { cycles, cycles_valid, cycles_late, cycles_lost, problems } = &status.totals;
+    let counts = [
+        ("cycles", "Bus cycles since the service began", cycles),
+        ("cycles_valid", "Cycles among them in which every encoder was valid", cycles_valid),
+        ("cycles_late", "Cycles among them that missed their deadline", cycles_late),
+        ("cycles_lost", "Cycles of runs lost between bus and file", cycles_lost),
+    ];
+    for (name, help, count) in counts {
+        registry.register(name, help, ConstCounter::new(*count));
+    }
+    let began = Family::<[(&'static str, String); 1], Counter>::default();
+    for (code, times) in problems {
+        began.get_or_create(&[("code", code.clone())]).inc_by(*times);
+    }
+    registry.register("problems", "How often each problem began, by its code", began);
+    let build = Family::<[(&'static str, String); 1], Gauge>::default();
+    build.get_or_create(&[("version", version().to_owned())]).set(1);
+    registry.register("build_info", "Version and commit of the program", build);
+}
+
+/// Those that hold now.
+fn add_problems(registry: &mut Registry, status: &Status, warnings: &[Problem]) {
+    let active = Family::<[(&'static str, String); 2], Gauge>::default();
+    for problem in status.problems.iter().chain(warnings) {
+        let severity = if problem.severity == Level::Bad { "bad" } else { "check" };
+        active.get_or_create(&[("code", problem.code().to_owned()), ("severity", severity.to_owned())]).inc();
+    }
+    registry.register("problem", "Problems now, by code and severity", active);
 }
 
 fn add_run(registry: &mut Registry, status: &Status) {

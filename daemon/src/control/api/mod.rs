@@ -8,6 +8,7 @@
 mod bin;
 mod connections;
 mod downloads;
+mod fingerprint;
 mod foxglove;
 mod metrics;
 mod openapi;
@@ -35,23 +36,25 @@ use tokio::sync::Semaphore;
 
 use self::connections::{Client, Connections};
 use self::downloads::{Download, Downloads};
+pub use self::fingerprint::Fingerprint;
 use self::openapi::Operation;
 use self::pairing::Pairing;
-pub use self::remote::{Fingerprint, Remote, RemoteError, RemoteSettings, token_in};
 use self::remote::{FromElsewhere, Gate};
+pub use self::remote::{Remote, RemoteError, RemoteSettings, token_in};
 use super::live::Live;
 use super::machine::Answer;
 use super::note;
 use super::runs::{self, Curves, RunLine};
 use super::service::{LIST_WITHIN, Service};
 use super::status::{
-    CheckLine, DeleteRequest, EmptyBinRequest, HomeRequest, HomingStatus, IN_SPITE_OF, LastRun, MarkRequest,
-    NameReply, NameRequest, NoteRequest, PairReply, PairRequest, Refusal, Reply, StartRequest, Status,
-    StopRequest,
+    CheckLine, DeleteRequest, EmptyBinRequest, Granted, HomeRequest, HomingStatus, IN_SPITE_OF, LastRun,
+    MarkRequest, NameReply, NameRequest, NoteRequest, PairReply, PairRequest, Refusal, Reply, ServiceState,
+    StartRequest, Status, StopRequest,
 };
+use super::table::{Layout, write_csv};
 use super::verdict::Verdict;
-use crate::commands::{Layout, write_csv};
 use crate::page;
+use crate::problem::{Fact, Problem};
 use crate::run::{About, check_text};
 
 /// How long `start` waits for the run's file, and `stop` for the finished one.
@@ -280,7 +283,7 @@ async fn status(State(Shared { service, remote, .. }): State<Shared>) -> Json<St
 async fn check(State(service): State<Service>) -> Response {
     match service.check().await {
         Ok(lines) => Json(lines).into_response(),
-        Err(Refusal { error }) => refusal(StatusCode::SERVICE_UNAVAILABLE, &error),
+        Err(refusal) => refused(StatusCode::SERVICE_UNAVAILABLE, refusal),
     }
 }
 
@@ -409,7 +412,7 @@ async fn change_note(State(service): State<Service>, body: Body<NoteRequest>) ->
     check_text(&note).map_err(|problem| refusal(StatusCode::UNPROCESSABLE_ENTITY, problem))?;
     let (file, name) = found(&service, Ok(extract::Path(name))).await?;
     on_disk(&service, move |disk| note::keep(disk, &file, note)).await?;
-    Ok(reply("noted", Some(name), None))
+    Ok(reply(Granted::Noted, Some(name), None))
 }
 
 /// Lines of the check that stop a run.
@@ -441,7 +444,7 @@ async fn start(State(service): State<Service>, body: Body<StartRequest>) -> Resp
     }
     let (named, reason) = (request.name.clone(), request.reason.clone());
     // In any other state the answer does not depend on the check: a run goes on, or none can.
-    let problems = if service.status().state == "waiting" {
+    let problems = if service.status().state == ServiceState::Waiting {
         stopping(&service).await.unwrap_or_default()
     } else {
         Vec::new()
@@ -451,10 +454,9 @@ async fn start(State(service): State<Service>, body: Body<StartRequest>) -> Resp
     if !problems.is_empty() && reason.is_none() {
         let remedies: Vec<_> = problems.iter().filter_map(|line| line.remedy.as_deref()).collect();
         let remedies = remedies.join("; ");
-        return refusal(
-            StatusCode::CONFLICT,
-            &format!("{told}; {remedies}, or give a `reason` (--reason) to begin all the same"),
-        );
+        let error = format!("{told}; {remedies}, or give a `reason` (--reason) to begin all the same");
+        let problems = problems.into_iter().flat_map(|line| line.problems).collect();
+        return refused(StatusCode::CONFLICT, Refusal { error, problems });
     }
     let begins = service.clone();
     // It goes on where the client or our patience does not: the file says under what circumstances it began.
@@ -471,21 +473,19 @@ async fn start(State(service): State<Service>, body: Body<StartRequest>) -> Resp
         let error = format!("the run waits for its file; `ballbard stop` calls it off: {why}");
         return refusal(StatusCode::GATEWAY_TIMEOUT, &error);
     };
-    let ended = |_| Err(Refusal { error: "the service is ending".into() });
+    let ended = |_| Err(Problem::from(Fact::ServiceEnding {}).into());
     let Status { run, simulated, .. } = service.status();
-    let granted = |answer: &str, run| {
-        Json(Reply { answer: answer.into(), run, simulated, ..Reply::default() }).into_response()
-    };
+    let granted = |answer, run| Json(Reply { answer, run, simulated, ..Reply::default() }).into_response();
     match answer.unwrap_or_else(ended) {
-        Ok(Answer::Beginning) => granted("begun", run.map(|run| run.name).or(named)),
-        Ok(Answer::Running(run)) => granted("running", Some(run)),
+        Ok(Answer::Beginning) => granted(Granted::Begun, run.map(|run| run.name).or(named)),
+        Ok(Answer::Running(run)) => granted(Granted::Running, Some(run)),
         Ok(Answer::Busy(run)) => refusal(
             StatusCode::CONFLICT,
             &format!("run `{run}` goes on; stop it first, or wait until its file is finished"),
         ),
-        Ok(Answer::Refused(reason)) => refusal(StatusCode::CONFLICT, &reason),
+        Ok(Answer::Refused(problem)) => refused(StatusCode::CONFLICT, Refusal::from(problem)),
         Ok(other) => refusal(StatusCode::INTERNAL_SERVER_ERROR, &format!("unexpected answer {other:?}")),
-        Err(Refusal { error }) => refusal(StatusCode::UNPROCESSABLE_ENTITY, &error),
+        Err(refusal) => refused(StatusCode::UNPROCESSABLE_ENTITY, refusal),
     }
 }
 
@@ -505,7 +505,7 @@ async fn stop(State(service): State<Service>, body: Body<StopRequest>) -> Respon
             }
             Some(last) => {
                 let verdict = verdict(&service, &last).await;
-                let (answer, run, last) = ("stopped".into(), Some(run), Some(last));
+                let (answer, run, last) = (Granted::Stopped, Some(run), Some(last));
                 Json(Reply { answer, run, last, verdict, ..Reply::default() }).into_response()
             }
             None => refusal(
@@ -514,15 +514,15 @@ async fn stop(State(service): State<Service>, body: Body<StopRequest>) -> Respon
             ),
         },
         Ok((Answer::Homing, _)) => match homed(&service).await {
-            Some(homing) => Json(Reply { answer: "homing".into(), homing: Some(homing), ..Reply::default() })
+            Some(homing) => Json(Reply { answer: Granted::Homing, homing: Some(homing), ..Reply::default() })
                 .into_response(),
             None => refusal(
                 StatusCode::GATEWAY_TIMEOUT,
                 "the homing is ending, but the disk has not taken its marks yet; ask for the status",
             ),
         },
-        Ok(_) => reply("idle", None, service.status().last),
-        Err(Refusal { error }) => refusal(StatusCode::SERVICE_UNAVAILABLE, &error),
+        Ok(_) => reply(Granted::Idle, None, service.status().last),
+        Err(refusal) => refused(StatusCode::SERVICE_UNAVAILABLE, refusal),
     }
 }
 
@@ -531,14 +531,14 @@ async fn home(State(service): State<Service>, body: Body<HomeRequest>) -> Respon
         return rejected(&rejection);
     }
     match service.home().await {
-        Ok(Answer::Beginning) => reply("begun", None, None),
-        Ok(Answer::Homing) => reply("homing", None, None),
+        Ok(Answer::Beginning) => reply(Granted::Begun, None, None),
+        Ok(Answer::Homing) => reply(Granted::Homing, None, None),
         Ok(Answer::Busy(run)) => {
             refusal(StatusCode::CONFLICT, &format!("run `{run}` goes on; encoders are homed between runs"))
         }
-        Ok(Answer::Refused(reason)) => refusal(StatusCode::CONFLICT, &reason),
+        Ok(Answer::Refused(problem)) => refused(StatusCode::CONFLICT, Refusal::from(problem)),
         Ok(other) => refusal(StatusCode::INTERNAL_SERVER_ERROR, &format!("unexpected answer {other:?}")),
-        Err(Refusal { error }) => refusal(StatusCode::SERVICE_UNAVAILABLE, &error),
+        Err(refusal) => refused(StatusCode::SERVICE_UNAVAILABLE, refusal),
     }
 }
 
@@ -557,11 +557,11 @@ async fn mark(State(service): State<Service>, body: Body<MarkRequest>) -> Respon
     }
     match service.mark(text, ago_ms).await {
         Ok(Some((run, text))) => {
-            let (answer, run, mark) = ("marked".into(), Some(run), Some(text));
+            let (answer, run, mark) = (Granted::Marked, Some(run), Some(text));
             Json(Reply { answer, run, mark, ..Reply::default() }).into_response()
         }
         Ok(None) => refusal(StatusCode::CONFLICT, "no run goes on, so there is nothing to mark"),
-        Err(Refusal { error }) => refusal(StatusCode::SERVICE_UNAVAILABLE, &error),
+        Err(refusal) => refused(StatusCode::SERVICE_UNAVAILABLE, refusal),
     }
 }
 
@@ -596,7 +596,7 @@ async fn homed(service: &Service) -> Option<HomingStatus> {
 async fn logged(request: Request, next: Next) -> Response {
     let asked = format!("{} {}", request.method(), request.uri().path());
     let response = next.run(request).await;
-    if let Some(Refusal { error }) = response.extensions().get() {
+    if let Some(Refusal { error, .. }) = response.extensions().get() {
         let line: String = format!("refused: {asked}: {error}").chars().take(REFUSAL_CHARS_MAX).collect();
         tracing::warn!("{}", line.replace(char::is_control, " "));
     }
@@ -669,8 +669,8 @@ fn is_local(headers: &HeaderMap, origins: &[String]) -> bool {
         })
 }
 
-fn reply(answer: &str, run: Option<String>, last: Option<LastRun>) -> Response {
-    Json(Reply { answer: answer.into(), run, last, ..Reply::default() }).into_response()
+fn reply(answer: Granted, run: Option<String>, last: Option<LastRun>) -> Response {
+    Json(Reply { answer, run, last, ..Reply::default() }).into_response()
 }
 
 fn rejected(rejection: &JsonRejection) -> Response {
@@ -678,7 +678,10 @@ fn rejected(rejection: &JsonRejection) -> Response {
 }
 
 fn refusal(status: StatusCode, error: &str) -> Response {
-    let refusal = Refusal { error: error.into() };
+    refused(status, Refusal::new(error))
+}
+
+fn refused(status: StatusCode, refusal: Refusal) -> Response {
     // Once for the client, once for the log.
     (status, Extension(refusal.clone()), Json(refusal)).into_response()
 }

@@ -16,7 +16,7 @@ use qrcode::render::svg;
 use rand::Rng;
 use subtle::ConstantTimeEq;
 
-use super::remote::{Fingerprint, hex};
+use super::fingerprint::{Fingerprint, hex};
 use super::{Body, Shared, refusal, rejected};
 use crate::control::status::{PairReply, PairRequest, PairingLink};
 

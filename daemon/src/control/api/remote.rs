@@ -6,14 +6,12 @@
 //! The token is 256 random bits, so that nobody guesses it; wrong ones are counted to keep answers and log small. No route is
 //! reached without. A browser gets it as a cookie that no script reads and no other site's page sends along.
 
-use std::fmt;
 use std::fs::{self, OpenOptions};
 use std::io::{self, Write};
 use std::net::SocketAddr;
 use std::os::unix::fs::{FileTypeExt, OpenOptionsExt, PermissionsExt};
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
-use std::str::FromStr;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -22,7 +20,6 @@ use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header}
 use axum::response::{Html, IntoResponse, Response};
 use rand::Rng;
 use rcgen::{CertifiedKey, generate_simple_self_signed};
-use sha2::{Digest, Sha256};
 use subtle::ConstantTimeEq;
 use tokio::net::{TcpListener, UnixListener};
 use tokio_rustls::TlsAcceptor;
@@ -30,6 +27,7 @@ use tokio_rustls::rustls::pki_types::pem::PemObject;
 use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer, pem};
 use tokio_rustls::rustls::{self, ServerConfig};
 
+use super::fingerprint::{Fingerprint, hex};
 use super::pairing::Pairing;
 use super::refusal;
 
@@ -313,39 +311,6 @@ pub fn token_in(file: &Path) -> io::Result<Option<String>> {
     Ok((is_whole && mode & 0o077 == 0).then(|| token.into()))
 }
 
-/// SHA-256 of a certificate, by which people recognise it.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Fingerprint(String);
-
-impl Fingerprint {
-    /// That of this certificate \[DER\].
-    pub fn of(certificate: &[u8]) -> Self {
-        Self(hex(&Sha256::digest(certificate), ":"))
-    }
-}
-
-impl fmt::Display for Fingerprint {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.0)
-    }
-}
-
-impl FromStr for Fingerprint {
-    type Err = &'static str;
-
-    /// Hexadecimal, in either case, with or without colons.
-    fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let digits = text.replace(':', "").to_ascii_lowercase();
-        if digits.len() != 64 || !digits.bytes().all(|byte| byte.is_ascii_hexdigit()) {
-            return Err(
-                "write the 64 hexadecimal digits that `ballbard status` says on the service's machine",
-            );
-        }
-        let pairs: Vec<_> = (0..64).step_by(2).map(|at| &digits[at..at + 2]).collect();
-        Ok(Self(pairs.join(":")))
-    }
-}
-
 /// Ready to speak TLS, and the fingerprint by which people recognise it.
 fn tls(
     certificate: Option<(PathBuf, PathBuf)>,
@@ -401,9 +366,4 @@ fn private(file: &Path, text: &str) -> io::Result<()> {
     written.write_all(text.as_bytes())?;
     written.sync_all()?;
     fs::rename(&begun, file)
-}
-
-pub(super) fn hex(bytes: &[u8], between: &str) -> String {
-    let digits: Vec<_> = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
-    digits.join(between)
 }

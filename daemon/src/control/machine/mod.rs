@@ -24,13 +24,16 @@ mod tests;
 
 pub use transitions::Machine;
 
+use crate::problem::Problem;
+use crate::run::RunDetails;
+
 /// Where the acquisition is.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub enum State {
     /// Nothing can be recorded, and why; it is being worked on.
     Fault {
         /// What is wrong and what to do.
-        reason: String,
+        problem: Problem,
     },
     /// The bus is in operation, no run goes on.
     Waiting,
@@ -63,18 +66,18 @@ pub enum State {
 }
 
 /// What happens.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub enum Event {
     /// The bus is in operation.
     BusUp,
     /// The bus cannot be brought into operation, or what worked on it has ended.
-    BusDown(String),
+    BusDown(Problem),
     /// The bus gives no samples, and what works on it is bringing it back.
-    BusTroubled(String),
+    BusTroubled(Problem),
     /// Somebody wants a run; without a name whichever is convenient.
     Start {
-        /// Its name.
-        run: String,
+        /// What is to be recorded.
+        run: Box<RunDetails>,
         /// The name was chosen by a person.
         named: bool,
     },
@@ -85,7 +88,7 @@ pub enum Event {
     /// The run's file is there.
     Opened,
     /// The run's file cannot be created.
-    OpenFailed(String),
+    OpenFailed(Problem),
     /// More of the run is on disk.
     Synced,
     /// Nothing has reached the disk for too long.
@@ -97,7 +100,7 @@ pub enum Event {
     /// The run's file is finished.
     Closed,
     /// The run's file could not be finished in the ordinary way.
-    CloseFailed(String),
+    CloseFailed(Problem),
     /// What earlier runs left has been looked after: those before the service, or one that failed.
     Recovered,
     /// The service is asked to end, and by what.
@@ -105,12 +108,12 @@ pub enum Event {
 }
 
 /// What is to be done.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub enum Action {
     /// Bring the bus into operation.
     Connect,
     /// Create the file of this run and begin to sample.
-    Open(String),
+    Open(Box<RunDetails>),
     /// Look for the encoders' reference marks.
     BeginHoming,
     /// Stop looking for them, for this cause.
@@ -133,7 +136,7 @@ pub enum Action {
 }
 
 /// What somebody who asked is told.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub enum Answer {
     /// The run, or the homing, is being begun.
     Beginning,
@@ -144,7 +147,7 @@ pub enum Answer {
     /// Another run goes on.
     Busy(String),
     /// It cannot begin.
-    Refused(String),
+    Refused(Problem),
     /// The run is being ended.
     Stopping(String),
     /// Nothing goes on that could be ended.

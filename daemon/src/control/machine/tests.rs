@@ -3,9 +3,18 @@
 use proptest::prelude::*;
 
 use super::*;
+use crate::problem::Fact;
+
+fn details(run: &str) -> Box<RunDetails> {
+    Box::new(RunDetails { name: run.into(), ..RunDetails::default() })
+}
 
 fn started(run: &str) -> Event {
-    Event::Start { run: run.into(), named: true }
+    Event::Start { run: details(run), named: true }
+}
+
+fn problem(error: &str) -> Problem {
+    Fact::RunRefused { error: error.into() }.into()
 }
 
 fn after(events: impl IntoIterator<Item = Event>) -> (Machine, Vec<Action>) {
@@ -19,20 +28,20 @@ fn any_event() -> impl Strategy<Value = Event> {
     let word = "[ab]";
     prop_oneof![
         3 => Just(Event::BusUp),
-        1 => word.prop_map(Event::BusDown),
-        4 => (word, any::<bool>()).prop_map(|(run, named)| Event::Start { run, named }),
+        1 => word.prop_map(|word| Event::BusDown(problem(&word))),
+        4 => (word, any::<bool>()).prop_map(|(run, named)| Event::Start { run: details(&run), named }),
         3 => Just(Event::Opened),
-        1 => word.prop_map(Event::OpenFailed),
+        1 => word.prop_map(|word| Event::OpenFailed(problem(&word))),
         2 => Just(Event::Synced),
         1 => Just(Event::Stalled),
         2 => word.prop_map(Event::Stop),
         1 => word.prop_map(Event::Ended),
         3 => Just(Event::Closed),
-        1 => word.prop_map(Event::CloseFailed),
+        1 => word.prop_map(|word| Event::CloseFailed(problem(&word))),
         1 => Just(Event::Recovered),
         2 => Just(Event::Home),
         2 => Just(Event::HomingOver),
-        1 => word.prop_map(Event::BusTroubled),
+        1 => word.prop_map(|word| Event::BusTroubled(problem(&word))),
     ]
 }
 
@@ -42,8 +51,8 @@ fn check_runs(actions: &[Action]) -> Result<Option<String>, TestCaseError> {
     for action in actions {
         match action {
             Action::Open(run) => {
-                prop_assert!(open.is_none(), "{run} is opened while {open:?} goes on");
-                open = Some(run.clone());
+                prop_assert!(open.is_none(), "{run:?} is opened while {open:?} goes on");
+                open = Some(run.name.clone());
             }
             Action::Finished { run, cause } => {
                 let opened = open.take();
@@ -74,7 +83,7 @@ proptest! {
         let (mut machine, mut actions) = after(events);
         actions.extend(machine.handle(Event::Shutdown("SIGTERM".into())));
         actions.extend(machine.handle(Event::Opened));
-        let last = if failing { Event::CloseFailed("disk".into()) } else { Event::Closed };
+        let last = if failing { Event::CloseFailed(problem("disk")) } else { Event::Closed };
         actions.extend(machine.handle(last));
         actions.extend(machine.handle(Event::HomingOver));
         prop_assert_eq!(check_runs(&actions)?, None);
@@ -134,9 +143,9 @@ fn starting_twice_and_stopping_twice_change_nothing() {
 #[test]
 fn a_disk_that_fails_is_a_fault_until_it_is_looked_after() {
     let (mut machine, _) = after([Event::BusUp, started("a"), Event::Opened, Event::Synced]);
-    let actions = machine.handle(Event::CloseFailed("no space".into()));
+    let actions = machine.handle(Event::CloseFailed(problem("no space")));
     assert_eq!(actions, [Action::Finished { run: "a".into(), cause: "no space".into() }, Action::Recover]);
-    assert_eq!(machine.handle(started("b")), [Action::Answer(Answer::Refused("no space".into()))]);
+    assert_eq!(machine.handle(started("b")), [Action::Answer(Answer::Refused(problem("no space")))]);
     machine.handle(Event::Recovered);
     assert_eq!(*machine.state(), State::Waiting);
 }
@@ -181,12 +190,12 @@ fn while_the_encoders_are_homed_no_run_begins_and_stop_ends_it() {
 #[test]
 fn a_bus_in_trouble_lets_a_run_go_on_and_none_begin() {
     let (mut machine, _) = after([Event::BusUp, started("a"), Event::Opened, Event::Synced]);
-    assert_eq!(machine.handle(Event::BusTroubled("no cable".into())), []);
+    assert_eq!(machine.handle(Event::BusTroubled(problem("no cable"))), []);
     assert_eq!(*machine.state(), State::Writing { run: "a".into() });
-    assert_eq!(machine.bus_fault(), Some("no cable"));
+    assert_eq!(machine.bus_fault(), Some(&problem("no cable")));
     machine.handle(Event::Ended("full fault".into()));
     machine.handle(Event::Closed);
-    assert_eq!(*machine.state(), State::Fault { reason: "no cable".into() });
+    assert_eq!(*machine.state(), State::Fault { problem: problem("no cable") });
     machine.handle(Event::BusUp);
     assert_eq!(*machine.state(), State::Waiting);
 }

@@ -1,25 +1,27 @@
 //! From one state to the next.
 
 use super::{Action, Answer, Event, State};
+use crate::problem::{Fact, Problem};
+use crate::run::RunDetails;
 
 /// The acquisition's state.
 #[derive(Debug, Clone)]
 pub struct Machine {
     state: State,
     /// Why the bus is not in operation; none if it is.
-    bus_fault: Option<String>,
+    bus_fault: Option<Problem>,
     /// Why nothing can be recorded before the place for it is looked after.
-    disk_fault: Option<String>,
+    disk_fault: Option<Problem>,
     leaving: bool,
 }
 
 impl Default for Machine {
     fn default() -> Self {
-        let reason = "the bus is being brought into operation".to_owned();
+        let problem = Problem::from(Fact::BusStarting {});
         Self {
-            state: State::Fault { reason: reason.clone() },
-            bus_fault: Some(reason),
-            disk_fault: Some("what earlier runs left is being recovered".into()),
+            state: State::Fault { problem: problem.clone() },
+            bus_fault: Some(problem),
+            disk_fault: Some(Fact::DiskRecovering { since_s: None }.into()),
             leaving: false,
         }
     }
@@ -32,8 +34,8 @@ impl Machine {
     }
 
     /// Why the bus is not in operation, also while a run goes on.
-    pub fn bus_fault(&self) -> Option<&str> {
-        self.bus_fault.as_deref()
+    pub fn bus_fault(&self) -> Option<&Problem> {
+        self.bus_fault.as_ref()
     }
 
     /// The run that goes on.
@@ -52,31 +54,31 @@ impl Machine {
     pub fn handle(&mut self, event: Event) -> Vec<Action> {
         match event {
             Event::BusUp => self.bus_is(None),
-            Event::BusDown(reason) => self.bus_is(Some(reason)),
-            Event::BusTroubled(reason) => self.bus_troubled(reason),
+            Event::BusDown(problem) => self.bus_is(Some(problem)),
+            Event::BusTroubled(problem) => self.bus_troubled(problem),
             Event::Home => self.home(),
             Event::HomingOver => self.homing_over(),
             Event::Start { run, named } => self.start(run, named),
             Event::Opened => self.opened(),
-            Event::OpenFailed(reason) => self.open_failed(reason),
+            Event::OpenFailed(problem) => self.open_failed(&problem),
             Event::Synced => self.progress(true),
             Event::Stalled => self.progress(false),
             Event::Stop(cause) => self.stop(&cause),
             Event::Ended(cause) => self.ended(&cause),
             Event::Closed => self.closed(None),
-            Event::CloseFailed(reason) => self.closed(Some(reason)),
+            Event::CloseFailed(problem) => self.closed(Some(problem)),
             Event::Recovered => self.recovered(),
             Event::Shutdown(cause) => self.shutdown(&cause),
         }
     }
 
-    fn bus_is(&mut self, fault: Option<String>) -> Vec<Action> {
+    fn bus_is(&mut self, fault: Option<Problem>) -> Vec<Action> {
         let mut actions = Vec::new();
-        if let Some(reason) = &fault {
+        if let Some(problem) = &fault {
             if !self.leaving {
                 actions.push(Action::Connect);
             }
-            let cause = format!("the bus failed: {reason}");
+            let cause = format!("the bus failed: {problem}");
             actions.extend(self.end_homing(&cause));
             actions.extend(self.end_run(&cause));
         }
@@ -86,16 +88,16 @@ impl Machine {
     }
 
     /// Between runs nothing can begin; a run that goes on stays open, and so does the homing.
-    fn bus_troubled(&mut self, reason: String) -> Vec<Action> {
-        self.bus_fault = Some(reason);
+    fn bus_troubled(&mut self, problem: Problem) -> Vec<Action> {
+        self.bus_fault = Some(problem);
         self.rest();
         Vec::new()
     }
 
     fn home(&mut self) -> Vec<Action> {
         let answer = match &self.state {
-            _ if self.leaving => Answer::Refused("the service is ending".into()),
-            State::Fault { reason } => Answer::Refused(reason.clone()),
+            _ if self.leaving => refused(Fact::ServiceEnding {}),
+            State::Fault { problem } => Answer::Refused(problem.clone()),
             State::Homing => Answer::Homing,
             State::Opening { run, .. }
             | State::Sampling { run }
@@ -121,26 +123,23 @@ impl Machine {
         self.rest_or_exit().into_iter().collect()
     }
 
-    fn start(&mut self, run: String, named: bool) -> Vec<Action> {
+    fn start(&mut self, run: Box<RunDetails>, named: bool) -> Vec<Action> {
         let answer = match &self.state {
-            _ if self.leaving => Answer::Refused("the service is ending".into()),
-            State::Fault { reason } => Answer::Refused(reason.clone()),
-            State::Homing => Answer::Refused(
-                "the encoders are being homed; wait until that is done, or end it with `ballbard stop`"
-                    .into(),
-            ),
+            _ if self.leaving => refused(Fact::ServiceEnding {}),
+            State::Fault { problem } => Answer::Refused(problem.clone()),
+            State::Homing => refused(Fact::HomingActive {}),
             State::Closing { run, .. } => Answer::Busy(run.clone()),
             State::Opening { run: running, .. }
             | State::Sampling { run: running }
             | State::Writing { run: running } => {
-                if !named || *running == run {
+                if !named || *running == run.name {
                     Answer::Running(running.clone())
                 } else {
                     Answer::Busy(running.clone())
                 }
             }
             State::Waiting => {
-                self.state = State::Opening { run: run.clone(), stop: None };
+                self.state = State::Opening { run: run.name.clone(), stop: None };
                 return vec![Action::Open(run), Action::Answer(Answer::Beginning)];
             }
         };
@@ -154,11 +153,11 @@ impl Machine {
         stop.map_or_else(Vec::new, |cause| self.end_run(&cause))
     }
 
-    fn open_failed(&mut self, reason: String) -> Vec<Action> {
+    fn open_failed(&mut self, problem: &Problem) -> Vec<Action> {
         let State::Opening { run, .. } = &mut self.state else { return Vec::new() };
         let run = std::mem::take(run);
         self.state = State::Waiting;
-        let mut actions = vec![Action::Finished { run, cause: format!("it could not begin: {reason}") }];
+        let mut actions = vec![Action::Finished { run, cause: format!("it could not begin: {problem}") }];
         actions.extend(self.rest_or_exit());
         actions
     }
@@ -206,16 +205,17 @@ impl Machine {
         }
     }
 
-    fn closed(&mut self, failure: Option<String>) -> Vec<Action> {
+    fn closed(&mut self, failure: Option<Problem>) -> Vec<Action> {
         // A recorder that fails ends its run without being asked to.
-        if let Some(reason) = &failure {
+        let reason = failure.as_ref().map(|problem| problem.text.clone());
+        if let Some(reason) = &reason {
             self.end_run(reason);
         }
         let State::Closing { run, cause } = &mut self.state else { return Vec::new() };
         let (run, cause) = (std::mem::take(run), std::mem::take(cause));
         self.state = State::Waiting;
         let mut actions = Vec::new();
-        let cause = match &failure {
+        let cause = match &reason {
             Some(reason) if *reason != cause => format!("{cause}; {reason}"),
             _ => cause,
         };
@@ -250,7 +250,7 @@ impl Machine {
     fn rest(&mut self) {
         if self.is_resting() {
             let fault = self.bus_fault.as_ref().or(self.disk_fault.as_ref());
-            self.state = fault.map_or(State::Waiting, |reason| State::Fault { reason: reason.clone() });
+            self.state = fault.map_or(State::Waiting, |problem| State::Fault { problem: problem.clone() });
         }
     }
 
@@ -258,4 +258,8 @@ impl Machine {
         self.rest();
         (self.leaving && self.is_resting()).then_some(Action::Exit)
     }
+}
+
+fn refused(fact: Fact) -> Answer {
+    Answer::Refused(fact.into())
 }

@@ -194,6 +194,22 @@ struct EventMessage {
     cycle: u64,
     kind: u8,
     text: String,
+    code: String,
+}
+
+/// The same as files had it before events had codes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct PlainEventMessage {
+    header: Header,
+    cycle: u64,
+    kind: u8,
+    text: String,
+}
+
+impl From<PlainEventMessage> for EventMessage {
+    fn from(PlainEventMessage { header, cycle, kind, text }: PlainEventMessage) -> Self {
+        Self { header, cycle, kind, text, code: String::new() }
+    }
 }
 
 /// `rcl_interfaces/Log`.
@@ -333,15 +349,19 @@ pub(super) fn encode_event(event: &Event) -> Result<Vec<u8>, MessageError> {
         cycle: event.cycle,
         kind: event.kind as u8,
         text: event.text.clone(),
+        code: event.code.clone(),
     })
 }
 
-/// An event from CDR.
+/// An event from CDR. No bytes are both a message with a code and one without: all of them must be used.
 pub(super) fn decode_event(bytes: &[u8]) -> Result<Event, MessageError> {
-    let message: EventMessage = from_cdr(bytes)?;
+    let message = from_cdr::<EventMessage>(bytes);
+    let message = message
+        .or_else(|error| from_cdr::<PlainEventMessage>(bytes).map(EventMessage::from).map_err(|_| error))?;
     let kind = EventKind::from_u8(message.kind)
         .ok_or_else(|| MessageError::Content(format!("event of unknown kind {}", message.kind)))?;
-    Ok(Event { time: message.header.stamp.to_utc(), cycle: message.cycle, kind, text: message.text })
+    let EventMessage { header, cycle, text, code, .. } = message;
+    Ok(Event { time: header.stamp.to_utc(), cycle, kind, text, code })
 }
 
 /// Joint angles for plotting: one name, position \[rad\] and velocity \[rad/s\] per encoder, NaN where it is not known: viewers
@@ -365,13 +385,14 @@ pub(super) fn encode_joint_state(
 pub(super) fn encode_log(event: &Event) -> Result<Vec<u8>, MessageError> {
     const INFO: u8 = 20;
     const WARN: u8 = 30;
-    let (level, function) = match event.kind {
+    let (level, kind) = match event.kind {
         EventKind::Marker => (INFO, "marker"),
         EventKind::Gap => (WARN, "gap"),
         EventKind::Bus => (WARN, "bus"),
         EventKind::Clock => (WARN, "clock"),
         EventKind::Disk => (WARN, "disk"),
     };
+    let function = if event.code.is_empty() { kind } else { &event.code };
     to_cdr(&LogMessage {
         stamp: event.time.into(),
         level,
@@ -447,6 +468,24 @@ mod tests {
             let _ = decode_cycle(&framed, NUMBER);
             let _ = decode_cycle(&framed, CycleLayout::OriginFlag);
             let _ = decode_event(&framed);
+        }
+
+        #[test]
+        fn an_event_survives_the_file_with_its_code_and_one_of_an_older_file_has_none(
+            cycle in any::<u64>(),
+            seconds in i64::from(i32::MIN)..i64::from(i32::MAX),
+            text in any::<String>(),
+            code in "[a-z_]*",
+        ) {
+            // CDR ends a text with a zero byte.
+            prop_assume!(!text.contains('\0'));
+            let event = Event { time: UtcNs(seconds * NS_PER_S), cycle, kind: EventKind::Bus, text, code };
+            prop_assert_eq!(decode_event(&encode_event(&event).unwrap()), Ok(event.clone()));
+            let Event { time, cycle, kind, text, .. } = event;
+            let older =
+                PlainEventMessage { header: Header::at(time), cycle, kind: kind as u8, text: text.clone() };
+            let plain = Event { time, cycle, kind, text, code: String::new() };
+            prop_assert_eq!(decode_event(&to_cdr(&older).unwrap()), Ok(plain));
         }
     }
 }

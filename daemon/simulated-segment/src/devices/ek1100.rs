@@ -2,9 +2,9 @@
 //! real one.
 
 use super::VENDOR;
-use crate::segment::simulated::chip::ChipProfile;
-use crate::segment::simulated::chip::eeprom::{General, Header, Image};
-use crate::segment::simulated::node::Device;
+use crate::chip::ChipProfile;
+use crate::chip::eeprom::{General, Header, Image};
+use crate::node::Device;
 
 const PRODUCT: u32 = 0x044c_2c52;
 const REVISION: u32 = 0x0012_0000;

@@ -1,6 +1,6 @@
 //! Replies on their way back.
 
-use crate::segment::FRAME_BYTES_MAX;
+use crate::FRAME_BYTES_MAX;
 
 /// More frames than a MainDevice has on the wire.
 const REPLIES_MAX: usize = 64;

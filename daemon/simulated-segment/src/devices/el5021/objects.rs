@@ -2,9 +2,9 @@
 
 use super::counter::{BITS, Settings};
 use super::{El5021, PRODUCT, VENDOR, mapping};
-use crate::segment::simulated::chip::SyncMode;
-use crate::segment::simulated::chip::coe::{Abort, ObjectDictionary, ObjectList};
-use crate::segment::simulated::chip::eeprom::PdoEntry;
+use crate::chip::SyncMode;
+use crate::chip::coe::{Abort, ObjectDictionary, ObjectList};
+use crate::chip::eeprom::PdoEntry;
 
 /// Module profile 511 in a CoE profile 5001 device, as the plug-in twin EJ5021 reports.
 const DEVICE_TYPE: u32 = 0x01ff_1389;

@@ -1,7 +1,7 @@
 //! Process data of the EL5021: which bit is which object.
 
 use super::Revision;
-use crate::segment::simulated::chip::eeprom::PdoEntry;
+use crate::chip::eeprom::PdoEntry;
 
 /// PDO of the outputs, "ENC Control".
 pub const RX_PDO: u16 = 0x1600;

@@ -1,7 +1,7 @@
 //! What each EtherCAT command does at a slave controller, and how it counts (ETG.1000.4 section 5.4).
 
 use super::esc::{Esc, ReadMode};
-use crate::segment::simulated::frame::Datagram;
+use crate::frame::Datagram;
 
 const APRD: u8 = 1;
 const APWR: u8 = 2;

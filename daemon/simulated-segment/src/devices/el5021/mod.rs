@@ -7,12 +7,12 @@ mod objects;
 use counter::{Counter, Settings};
 
 use super::VENDOR;
-use crate::segment::simulated::chip::al::AlState;
-use crate::segment::simulated::chip::coe::ObjectDictionary;
-use crate::segment::simulated::chip::eeprom::{General, Header, Image};
-use crate::segment::simulated::chip::{ChipProfile, ExpectedSyncManager, SyncMode};
-use crate::segment::simulated::node::{Device, SignalFault, Step};
-use crate::segment::simulated::source::{Conversion, EncoderSource, Signal};
+use crate::chip::al::AlState;
+use crate::chip::coe::ObjectDictionary;
+use crate::chip::eeprom::{General, Header, Image};
+use crate::chip::{ChipProfile, ExpectedSyncManager, SyncMode};
+use crate::node::{Device, SignalFault, Step};
+use crate::source::{Conversion, EncoderSource, Signal};
 
 const PRODUCT: u32 = 0x139d_3052;
 /// Chip type, its revision and build, 3 FMMUs, 4 sync managers, 4 kB, two E-bus ports, features 0x01FC: 64-bit

@@ -8,14 +8,14 @@ mod frame_damage;
 mod replies;
 mod text;
 
-use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
 use rand::{Rng, SeedableRng, rngs::StdRng};
 
 pub use text::{FaultSwitch, FaultText, FaultWindow};
 
 use super::FRAME_BYTES_MAX;
-use super::simulated::{MailboxFault, SignalFault, SimulatedSegment};
+use crate::{MailboxFault, SignalFault, SimulatedSegment};
 use replies::Replies;
 
 /// One thing that is wrong. Positions are those on the bus: the coupler is 0, terminals follow. Shares are the
@@ -110,19 +110,22 @@ pub enum Fault {
     },
 }
 
+/// Switches that may wait for the next frame. Of a segment that gets no frame, further ones are dropped.
+const SWITCHES_MAX: usize = 1024;
+
 /// Switches faults of a running segment, from any thread.
 #[derive(Debug, Clone)]
-pub struct FaultHandle(Sender<FaultSwitch>);
+pub struct FaultHandle(SyncSender<FaultSwitch>);
 
 impl FaultHandle {
     /// From the next frame on.
     pub fn begin(&self, fault: Fault) {
-        let _ = self.0.send(FaultSwitch { fault, on: true });
+        let _ = self.0.try_send(FaultSwitch { fault, on: true });
     }
 
     /// From the next frame on no more. What happens only once cannot be ended.
     pub fn end(&self, fault: Fault) {
-        let _ = self.0.send(FaultSwitch { fault, on: false });
+        let _ = self.0.try_send(FaultSwitch { fault, on: false });
     }
 }
 
@@ -152,7 +155,7 @@ struct Fate {
 impl FaultySegment {
     /// A segment without faults, and the handle that brings them. The seed decides which frames are hit.
     pub fn new(segment: SimulatedSegment, seed: u64) -> (Self, FaultHandle) {
-        let (sender, switches) = channel();
+        let (sender, switches) = sync_channel(SWITCHES_MAX);
         let faulty = Self {
             segment,
             random: StdRng::seed_from_u64(seed),

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use clap::{Args, Command, Subcommand};
 use clap_complete::Shell;
 
-use crate::output::show;
+use shared::output::show;
 
 /// What is typed after `generate`.
 #[derive(Debug, Args)]

@@ -7,10 +7,13 @@
 //! virtual clock. What happens between two frames is worked out when the next one arrives.
 //!
 //! What can go wrong with a device is set here, between two frames; what can go wrong with a frame is the business
-//! of [`faults`](super::faults), which wraps `exchange`.
+//! of [`faults`], which wraps `exchange`.
+//!
+//! The crate knows nothing of the acquisition: no decoder can share code with what it is tested against.
 
 mod chip;
 mod devices;
+pub mod faults;
 mod frame;
 mod node;
 mod source;
@@ -32,6 +35,8 @@ use frame::Datagram;
 use node::{Device, Node};
 use wiring::Wiring;
 
+/// Longest Ethernet frame without its checksum.
+pub const FRAME_BYTES_MAX: usize = 1518;
 /// The bar's encoders.
 const TERMINALS: usize = 5;
 /// More than the coupler can feed.

@@ -1,22 +1,24 @@
 //! From the ring to the file: a thread that may wait for the disk, so that the cycle never does.
 
 use std::collections::VecDeque;
-use std::io;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering};
-use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
+use std::sync::atomic::Ordering;
+use std::sync::mpsc::Receiver;
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use rtrb::{Consumer, Producer, PushError, RingBuffer};
 use shared::recording::schema::{CycleRecord, Event, EventKind, PortCounts, Provenance, RunMetadata};
-use shared::recording::{RecordingWriter, RunFile, RunSync, TimingSummary, WriteError};
+use shared::recording::{RecordingWriter, RunFile, TimingSummary, WriteError};
 use shared::time::{MonoNs, UtcNs};
 
+use super::progress::{Handed, Progress, Synced};
+use super::storage::Storage;
+use super::synchroniser::Synchroniser;
 use crate::clock::Clock;
-use crate::cycle::{CycleEvent, CycleTiming, TimingSink, TimingSource, timing_ring};
-use crate::run::{Handed, Progress, STACK_BYTES, Storage, Synced};
+use crate::cycle::{BusNames, CycleEvent, CycleTiming, TimingSink, TimingSource, timing_ring};
+use crate::problem::{Fact, Problem};
 
 /// Events that may wait for the recorder; cycles carry their reasons themselves, so that one too many is no harm.
 const EVENTS_MAX: usize = 1024;
@@ -24,8 +26,6 @@ const EVENTS_MAX: usize = 1024;
 const DRAIN_PERIOD: Duration = Duration::from_millis(20);
 /// Times that a run is taken to another place before it is given up.
 const MOVES_MAX: u32 = 8;
-/// A synchronisation that goes on when its recorder ends may still take this long.
-const LETS_GO_WITHIN: Duration = Duration::from_secs(1);
 /// A synchronisation that takes no longer is not worth a record of its own \[ns\].
 const SYNC_USUAL_NS: u64 = 100_000_000;
 /// How well the loop kept its time is put into the file at least this often, for a run that is killed.
@@ -160,12 +160,15 @@ pub struct Recorder {
     host_offset_ns: i64,
     cycle_period_ns: i64,
     provenance: Provenance,
+    names: BusNames,
+    /// The longest wait for the disk that is among the events \[s\].
+    noted_wait_s: f64,
     lost: u64,
     /// Cycles written when the file was last told how well loop and disk kept their time, and the longest
     /// synchronisation until then.
     timed: (u64, u64),
     /// Cycles written when the last chunk was cut, and when that was.
-    cut: (u64, Instant),
+    cut: (u64, MonoNs),
     /// Events and markers that wait for the cycle before which they happened.
     notes: Vec<Event>,
     /// What ports have counted, with the cycle from which on that is so.
@@ -193,6 +196,7 @@ impl Recorder {
             synchroniser: Synchroniser::new(&link.progress),
             writer,
             host_offset_ns: clock.utc_minus_monotonic_ns(),
+            cut: (0, clock.now()),
             clock,
             period,
             // On virtual time, and after a wait, a second of cycles passes in no time at all.
@@ -200,9 +204,10 @@ impl Recorder {
             utc_minus_monotonic_ns: run.utc_minus_monotonic_ns,
             cycle_period_ns: run.cycle_period_ns as i64,
             provenance: run.provenance(),
+            names: BusNames::new(run),
+            noted_wait_s: 0.0,
             lost: 0,
             timed: (0, 0),
-            cut: (0, Instant::now()),
             notes: Vec::new(),
             counted: VecDeque::new(),
             moves: 0,
@@ -213,36 +218,42 @@ impl Recorder {
 
     /// Runs until the ring's other end is dropped; `cause` is asked for then.
     pub fn run(mut self, cause: impl FnOnce() -> String) -> Result<RunSummary, WriteError> {
-        loop {
-            // Asked before emptying: what was pushed before the other end was dropped is still taken.
-            let last_round = self.source.ring.is_abandoned();
-            self.take_notes();
-            while let Ok(record) = self.source.ring.pop() {
-                // What happened before it was handed over before it, however many wait here.
-                self.take_notes();
-                self.take(&record)?;
-                if self.writer.cycles() >= self.cut.0 + self.cut_cycles {
-                    self.cut()?;
-                }
-            }
-            self.source.timing.drain();
-            if last_round {
-                break;
-            }
-            if self.cut.1.elapsed() >= self.period {
-                self.cut()?;
-            }
-            if let Some(problem) = self.synchroniser.problem() {
-                self.move_elsewhere(WriteError::Sink(problem))?;
-            }
-            if self.link.progress.lost().is_some()
-                && let Err(lost) = self.writer.sink().place().check()
-            {
-                self.move_elsewhere(lost)?;
-            }
+        while self.poll()? {
             thread::sleep(DRAIN_PERIOD);
         }
         self.finish(cause())
+    }
+
+    /// Takes what waits, and has it written where that is due; false once the ring's other end was dropped and all of it is
+    /// taken. Sleeps nowhere, but waits for the disk.
+    fn poll(&mut self) -> Result<bool, WriteError> {
+        // Asked before emptying: what was pushed before the other end was dropped is still taken.
+        let last_round = self.source.ring.is_abandoned();
+        self.take_notes();
+        while let Ok(record) = self.source.ring.pop() {
+            // What happened before it was handed over before it, however many wait here.
+            self.take_notes();
+            self.take(&record)?;
+            if self.writer.cycles() >= self.cut.0 + self.cut_cycles {
+                self.cut()?;
+            }
+        }
+        self.source.timing.drain();
+        if last_round {
+            return Ok(false);
+        }
+        if self.clock.now().ns_since(self.cut.1) >= self.period.as_nanos() as i64 {
+            self.cut()?;
+        }
+        if let Some(problem) = self.synchroniser.problem() {
+            self.move_elsewhere(WriteError::Sink(problem))?;
+        }
+        if self.link.progress.lost().is_some()
+            && let Err(lost) = self.writer.sink().place().check()
+        {
+            self.move_elsewhere(lost)?;
+        }
+        Ok(true)
     }
 
     fn take(&mut self, record: &CycleRecord) -> Result<(), WriteError> {
@@ -276,25 +287,25 @@ impl Recorder {
             self.mended(written)?;
         }
         let missing = until - first;
-        let text = format!("{missing} cycles lost: the disk did not keep up and the ring was full");
         let time = lost_at(first).sample_time;
         self.lost += missing;
         self.last = Some(lost_at(until - 1));
-        self.note(Event { time, cycle: first, kind: EventKind::Gap, text });
+        self.note(event(time, first, EventKind::Gap, Fact::CyclesLost { cycles: missing }));
         Ok(())
     }
 
     /// Writes what was taken, and has it synchronised unless the disk is still at the time before.
     fn cut(&mut self) -> Result<(), WriteError> {
         // What comes while the disk works waits for the next time, so that the period counts from here.
-        self.cut = (self.writer.cycles(), Instant::now());
+        self.cut = (self.writer.cycles(), self.clock.now());
         self.link.progress.writing();
         self.note_clock_step();
         self.write_notes(self.last.map_or(UtcNs(i64::MIN), |last| last.sample_time))?;
         self.write_timing_if_due()?;
         let written = self.writer.cut();
         self.mended(written)?;
-        self.link.progress.wrote(self.writer.cycles());
+        self.note_wait();
+        self.link.progress.wrote(self.writer.cycles(), self.lost);
         let mut timing = self.source.timing.summary();
         timing.iter_mut().for_each(|timing| timing.disk = self.link.progress.longest());
         self.link.progress.set_timing(timing);
@@ -303,13 +314,29 @@ impl Recorder {
         Ok(())
     }
 
+    /// A disk that kept the cycles waiting is in the file, too: again whenever it did so twice as long.
+    fn note_wait(&mut self) {
+        let late = self.link.progress.get().problems.into_iter().find_map(|problem| match *problem.fact {
+            Fact::DiskBacklog { backlog_s: late_s, .. } | Fact::DiskSlow { unsynced_s: late_s } => {
+                Some((late_s, problem))
+            }
+            _ => None,
+        });
+        let Some((late_s, problem)) = late.filter(|(late_s, _)| *late_s >= 2.0 * self.noted_wait_s) else {
+            return;
+        };
+        self.noted_wait_s = late_s;
+        let time = UtcNs(self.clock.now().0 + self.utc_minus_monotonic_ns);
+        self.note(event(time, self.cycle_at(time), EventKind::Disk, *problem.fact));
+    }
+
     /// What will be synchronised if the file is now.
     fn as_synced(&self) -> Synced {
         Synced {
             cycles: self.writer.cycles(),
             cycles_valid: self.writer.cycles_valid(),
             bytes: self.writer.sink().length(),
-            at: Some(Instant::now()),
+            at: Some(self.clock.now()),
         }
     }
 
@@ -354,12 +381,12 @@ impl Recorder {
 
     fn has_moved(&mut self, why: &WriteError) {
         let place = self.writer.sink().place().clone();
-        let text = format!("the run goes on in {}, because: {why}", place.path().display());
+        let moved = Fact::FileMoved { file: place.path().to_owned(), error: why.to_string() };
         // The one before may hang on the disk that is gone.
         self.synchroniser = Synchroniser::new(&self.link.progress);
         self.link.progress.moved(place, why.to_string());
         let time = UtcNs(self.clock.now().0 + self.utc_minus_monotonic_ns);
-        self.note(Event { time, cycle: self.cycle_at(time), kind: EventKind::Disk, text });
+        self.note(event(time, self.cycle_at(time), EventKind::Disk, moved));
     }
 
     /// Often at first, so that a short run has it too: whenever it has become twice as long, later in each period; and
@@ -390,12 +417,13 @@ impl Recorder {
         while let Ok(event) = self.source.events.pop() {
             self.counted.extend(event.port_counts().map(|counts| (event.cycle, counts)));
             if event.is_news() {
-                self.note(event.to_event());
+                self.note(event.to_event(&self.names));
             }
         }
         while let Ok(Mark { at, text }) = self.link.marks.try_recv() {
             let time = UtcNs(at.0 + self.utc_minus_monotonic_ns);
-            self.note(Event { time, cycle: self.cycle_at(time), kind: EventKind::Marker, text });
+            let (cycle, code) = (self.cycle_at(time), String::new());
+            self.note(Event { time, cycle, kind: EventKind::Marker, text, code });
         }
     }
 
@@ -429,12 +457,8 @@ impl Recorder {
             return;
         }
         self.host_offset_ns = offset_ns;
-        let text = format!(
-            "host UTC moved by {:.3} ms; sample times keep to the run's first offset",
-            moved_ns as f64 * 1e-6
-        );
         let (cycle, time) = self.last.map_or((0, UtcNs(0)), |last| (last.cycle, last.sample_time));
-        self.note(Event { time, cycle, kind: EventKind::Clock, text });
+        self.note(event(time, cycle, EventKind::Clock, Fact::ClockStepped { by_ns: moved_ns }));
     }
 
     fn finish(mut self, cause: String) -> Result<RunSummary, WriteError> {
@@ -442,6 +466,10 @@ impl Recorder {
         self.fill_lost(due)?;
         self.take_notes();
         self.note_clock_step();
+        if let Some(problem) = self.link.storage.problem() {
+            let time = UtcNs(self.clock.now().0 + self.utc_minus_monotonic_ns);
+            self.note(event(time, self.cycle_at(time), EventKind::Disk, *problem.fact));
+        }
         self.write_notes(UtcNs(i64::MAX))?;
         let timing = self.write_timing()?;
         let (cycles, cycles_valid, cycles_lost) =
@@ -450,7 +478,7 @@ impl Recorder {
         self.link.progress.writing();
         let closed = self.writer.close(&cause, UtcNs(ended.0));
         self.mended(closed)?;
-        self.link.progress.wrote(cycles);
+        self.link.progress.wrote(cycles, cycles_lost);
         let path = loop {
             match self.writer.sink_mut().publish() {
                 Ok(path) => break path,
@@ -462,67 +490,9 @@ impl Recorder {
     }
 }
 
-/// A thread that waits for the disk to have what was written, while more is written. It ends with the recorder.
-struct Synchroniser {
-    jobs: SyncSender<(RunSync, Synced)>,
-    outcomes: Receiver<io::Result<()>>,
-    is_busy: bool,
-}
-
-impl Synchroniser {
-    fn new(progress: &Arc<Progress>) -> Self {
-        static NUMBER: AtomicU32 = AtomicU32::new(1);
-        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
-        let (jobs, waiting) = sync_channel::<(RunSync, Synced)>(1);
-        let (outcome, outcomes) = sync_channel(1);
-        let progress = Arc::clone(progress);
-        let body = move || {
-            while let Ok((file, covered)) = waiting.recv() {
-                progress.syncing(number);
-                let synced = file.sync();
-                progress.synced(number, synced.is_ok().then_some(covered));
-                // Let go of the file before its recorder may.
-                drop(file);
-                if outcome.send(synced).is_err() {
-                    return;
-                }
-            }
-        };
-        // Where there is no thread to be had nobody takes jobs, and each fails.
-        let _ = thread::Builder::new().name("synchroniser".into()).stack_size(STACK_BYTES).spawn(body);
-        Self { jobs, outcomes, is_busy: false }
-    }
-
-    /// Synchronises `file`, unless it is still at it.
-    fn begin(&mut self, file: RunSync, covers: Synced) {
-        if !self.is_busy {
-            self.is_busy = true;
-            let _ = self.jobs.send((file, covers));
-        }
-    }
-
-    /// Why the last synchronisation failed; told once.
-    fn problem(&mut self) -> Option<io::Error> {
-        if !self.is_busy {
-            return None;
-        }
-        let outcome = match self.outcomes.try_recv() {
-            Ok(outcome) => outcome,
-            Err(TryRecvError::Empty) => return None,
-            Err(TryRecvError::Disconnected) => Err(io::Error::other("no thread to synchronise the file")),
-        };
-        self.is_busy = false;
-        outcome.err()
-    }
-}
-
-impl Drop for Synchroniser {
-    /// Whoever recovers the file should find it unlocked; one that hangs is not waited for.
-    fn drop(&mut self) {
-        if self.is_busy {
-            let _ = self.outcomes.recv_timeout(LETS_GO_WITHIN);
-        }
-    }
+fn event(time: UtcNs, cycle: u64, kind: EventKind, fact: Fact) -> Event {
+    let code = fact.code().to_owned();
+    Event { time, cycle, kind, text: Problem::from(fact).text, code }
 }
 
 #[cfg(test)]

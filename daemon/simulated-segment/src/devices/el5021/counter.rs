@@ -2,7 +2,7 @@
 //! speed. Behaviour and limits as the terminal's documentation states them.
 
 use super::mapping::{Inputs, Outputs};
-use crate::segment::simulated::source::{Periods, Signal};
+use crate::source::{Periods, Signal};
 
 /// Smallest and largest interpolation, bits per signal period.
 pub const BITS: std::ops::RangeInclusive<u8> = 8..=13;

@@ -10,7 +10,9 @@ use std::time::{Duration, Instant};
 use shared::config::DaemonConfig;
 use shared::recording::{Disk, Space, SystemDisk};
 
-use super::{Progress, Stop, Warning};
+use super::progress::Progress;
+use super::stop::Stop;
+use crate::problem::{Fact, Problem};
 
 const BYTES_PER_MB: u64 = 1_000_000;
 /// How often it is looked at. Loss is reported within a second: this period and those of whoever reports are a third of it.
@@ -44,7 +46,7 @@ struct Seen {
     begun: Instant,
     is_over: bool,
     usable_bytes: Option<u64>,
-    problem: Option<String>,
+    problem: Option<Problem>,
 }
 
 impl Storage {
@@ -104,14 +106,14 @@ impl Storage {
     }
 
     /// Why nothing may be recorded now, and what to do; none if it may.
-    pub fn problem(&self) -> Option<String> {
+    pub fn problem(&self) -> Option<Problem> {
         self.0.silence().or_else(|| lock(&self.0.seen).problem.clone())
     }
 
     /// Why there is no room for a run in `directory`, and what to do; none if there is. Asks the disk.
-    pub fn full(&self, directory: &Path) -> Option<String> {
+    pub fn full(&self, directory: &Path) -> Option<Problem> {
         let space = self.0.disk.space(directory);
-        space.is_ok_and(|space| self.0.is_full(space)).then(|| self.0.floor_text(directory))
+        space.is_ok_and(|space| self.0.is_full(space)).then(|| self.0.full(directory))
     }
 }
 
@@ -135,37 +137,32 @@ impl Shared {
                 progress.set_lost(place, lost.to_string());
             }
             if usable_bytes == Some(0) {
-                stop.stop(&self.floor_text(directory));
+                stop.stop(&self.full(directory).to_string());
             }
         }
         let mut seen = lock(&self.seen);
         (seen.usable_bytes, seen.problem, seen.is_over) = (usable_bytes, problem, true);
     }
 
-    fn problem_of(&self, directory: &Path, space: &std::io::Result<Space>) -> Option<String> {
-        match space {
-            Ok(space) if !space.is_writable => Some(format!(
-                "{} cannot be written: it is no directory, is read-only, or belongs to somebody else; correct that, or \
-                 `directory` in daemon.toml",
-                directory.display()
-            )),
-            Ok(space) if self.is_full(*space) => Some(self.floor_text(directory)),
-            Ok(_) => None,
-            Err(error) => Some(format!("{}: {error}; look at its disk", directory.display())),
-        }
+    fn problem_of(&self, directory: &Path, space: &std::io::Result<Space>) -> Option<Problem> {
+        let fact = match space {
+            Ok(space) if !space.is_writable => Fact::DiskUnwritable { directory: directory.to_owned() },
+            Ok(space) if self.is_full(*space) => return Some(self.full(directory)),
+            Ok(_) => return None,
+            Err(error) => {
+                Fact::DiskError { place: directory.display().to_string(), error: error.to_string() }
+            }
+        };
+        Some(fact.into())
     }
 
     fn is_full(&self, space: Space) -> bool {
         space.free_bytes <= self.floor_bytes
     }
 
-    fn floor_text(&self, directory: &Path) -> String {
-        format!(
-            "disk floor: less than {} MB are free where {} is; delete or move recordings, or lower `disk_floor_mb` in \
-             daemon.toml",
-            self.floor_bytes / BYTES_PER_MB,
-            directory.display()
-        )
+    fn full(&self, directory: &Path) -> Problem {
+        let floor_mb = self.floor_bytes / BYTES_PER_MB;
+        Fact::DiskFull { directory: directory.to_owned(), floor_mb }.into()
     }
 
     /// The run that goes on.
@@ -173,34 +170,29 @@ impl Shared {
         lock(&self.run).as_ref().and_then(|run| Some((run.progress.upgrade()?, run.stop.clone())))
     }
 
-    /// What is said while a look takes too long.
-    fn silence(&self) -> Option<String> {
+    /// What is reported while a look takes too long.
+    fn silence(&self) -> Option<Problem> {
         let seen = lock(&self.seen);
         let silent = seen.begun.elapsed();
-        (!seen.is_over && silent > ANSWERS_WITHIN).then(|| {
-            format!(
-                "the disk of {} has not answered for {:.1} s; look at its cable, its power, or the network it is on",
-                self.directory.display(),
-                silent.as_secs_f64()
-            )
-        })
+        let (directory, silent_s) = (Some(self.directory.clone()), Some(silent.as_secs_f64()));
+        let is_silent = !seen.is_over && silent > ANSWERS_WITHIN;
+        is_silent.then(|| Fact::DiskSilent { directory, silent_s }.into())
     }
 
     /// What is wrong, of the disk and of the run that goes on. Does not ask the disk.
-    fn warnings(&self) -> Vec<Warning> {
-        let silence = self.silence().map(|text| Warning { what: "silence", text });
-        let problem = lock(&self.seen).problem.clone().map(|text| Warning { what: "problem", text });
-        let of_run = self.watched().map(|(progress, _)| progress.get().warnings).unwrap_or_default();
-        silence.or(problem).into_iter().chain(of_run).collect()
+    fn problems(&self) -> Vec<Problem> {
+        let problem = self.silence().or_else(|| lock(&self.seen).problem.clone());
+        let of_run = self.watched().map(|(progress, _)| progress.get().problems).unwrap_or_default();
+        problem.into_iter().chain(of_run).collect()
     }
 
-    /// Says in the log what was not wrong before; gives what is now.
+    /// Logs what was not wrong before; returns what is now.
     fn log(&self, before: &[&'static str]) -> Vec<&'static str> {
-        let warnings = self.warnings();
-        for warning in warnings.iter().filter(|warning| !before.contains(&warning.what)) {
-            tracing::warn!("{}", warning.text);
+        let problems = self.problems();
+        for problem in problems.iter().filter(|problem| !before.contains(&problem.code())) {
+            tracing::warn!(code = problem.code(), "{problem}");
         }
-        warnings.iter().map(|warning| warning.what).collect()
+        problems.iter().map(Problem::code).collect()
     }
 }
 

@@ -1,0 +1,94 @@
+//! Begin and end of each problem of bus, encoders and links in the log, and how often each began. The disk's are logged by
+//! the storage itself, also while this thread waits.
+
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+use crate::problem::{Fact, Problem};
+
+/// Problems that hold now, and the number of beginnings of each code.
+#[derive(Debug, Default)]
+pub(super) struct ProblemLog {
+    active: Vec<(&'static str, usize)>,
+    /// Since when bus and encoders give no samples.
+    outages: BTreeMap<String, Instant>,
+    began: BTreeMap<String, u64>,
+}
+
+impl ProblemLog {
+    /// Takes all problems of this moment.
+    pub fn update<'a>(&mut self, now: Instant, problems: impl Iterator<Item = &'a Problem>) {
+        // Every start passes through these.
+        let is_fault =
+            |problem: &&Problem| !matches!(*problem.fact, Fact::BusStarting {} | Fact::DiskRecovering { .. });
+        let problems: Vec<&Problem> = problems.filter(is_fault).collect();
+        for problem in problems.iter().filter(|problem| !self.active.contains(&problem.fact.key())) {
+            *self.began.entry(problem.code().to_owned()).or_default() += 1;
+            if let Some(subject) = subject(problem) {
+                tracing::warn!(code = problem.code(), "{subject}: {problem}");
+            }
+        }
+        self.active = problems.iter().map(|problem| problem.fact.key()).collect();
+        let silent: Vec<String> = problems.iter().filter_map(|problem| silent(problem)).collect();
+        self.outages.retain(|subject, since| {
+            let is_silent = silent.contains(subject);
+            if !is_silent {
+                let lasted_s = now.duration_since(*since).as_secs_f64();
+                tracing::info!("{subject}: whole again after {lasted_s:.1} s");
+            }
+            is_silent
+        });
+        silent.into_iter().for_each(|subject| {
+            self.outages.entry(subject).or_insert(now);
+        });
+    }
+
+    /// How often each problem began, by its code.
+    pub fn began(&self) -> &BTreeMap<String, u64> {
+        &self.began
+    }
+}
+
+fn subject(problem: &Problem) -> Option<String> {
+    match *problem.fact {
+        Fact::LinkErrors { .. } => Some("link".into()),
+        _ => silent(problem),
+    }
+}
+
+/// What gives no samples because of the problem: its end is logged, too. Counted errors of a link have no end.
+fn silent(problem: &Problem) -> Option<String> {
+    match &*problem.fact {
+        Fact::EncoderInvalid { joints, .. } => {
+            joints.first().map(|joint| format!("encoder of joint {joint}"))
+        }
+        Fact::CycleStalled { .. } | Fact::InterfaceUnusable { .. } | Fact::ThreadEnded { .. } => {
+            Some("bus".into())
+        }
+        fact => fact.code().starts_with("bus_").then(|| "bus".into()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+
+    #[test]
+    fn each_problem_is_counted_once_until_it_is_over() {
+        let (mut log, begun) = (ProblemLog::default(), Instant::now());
+        let silent = |joint| -> Problem {
+            Fact::EncoderInvalid { joints: vec![joint], status: None, valid_share: 0.0 }.into()
+        };
+        let bus: Problem = Fact::BusNoAnswer { bus: "eth1".into() }.into();
+        let moments: [&[Problem]; 5] =
+            [&[silent(2)], &[silent(2), silent(3)], std::slice::from_ref(&bus), &[], &[silent(2)]];
+        for (second, problems) in (0..).zip(moments) {
+            log.update(begun + Duration::from_secs(second), problems.iter());
+        }
+        let began: Vec<_> = log.began().iter().map(|(code, times)| (code.as_str(), *times)).collect();
+        assert_eq!(began, [("bus_no_answer", 1), ("encoder_invalid", 3)]);
+        assert_eq!(log.outages.len(), 1);
+    }
+}

@@ -1,0 +1,206 @@
+//! A recording as a table for spreadsheets and scripts.
+
+use std::io::{self, BufReader, Write};
+use std::iter::Peekable;
+use std::path::Path;
+use std::slice;
+
+use shared::encoder::Unwrapper;
+use shared::recording::schema::{CycleRecord, EncoderInfo, Event, EventKind, RunMetadata, flags};
+use shared::recording::{Disk, OpenFile, Outline, ReadError, ReadErrorKind};
+use shared::time::UtcNs;
+
+use super::note;
+use crate::problem::flag_names;
+
+/// How a table is written.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Layout {
+    /// Seconds since the first cycle (`t_s`) instead of `time_utc`.
+    pub relative: bool,
+    /// For spreadsheets of continental Europe: semicolons between columns, commas in numbers.
+    pub excel: bool,
+}
+
+/// One row per cycle: `time_utc` (or `t_s`), a `count` per encoder (the thesis' columns), then `angle` \[rad\] per encoder
+/// unwrapped and in the encoder's own zero, `valid` per encoder, cycle number, the reasons of flagged cycles, and what
+/// happened in it: marks, events, in the first row what was said of the run. Counts and angles of encoders that gave
+/// nothing are left empty. Gives the number of rows.
+///
+/// Memory does not grow with the number of cycles. The file is read twice, because an event may follow many later cycles, as a
+/// mark does whose text took a while to type. The first pass collects the events and proves that the recording is whole.
+pub fn write_csv(disk: &dyn Disk, path: &Path, layout: Layout, sink: impl Write) -> anyhow::Result<u64> {
+    let error = |kind| ReadError { path: path.to_owned(), kind };
+    let file = disk.open(path).map_err(|source| error(source.into()))?;
+    let source = || BufReader::new(OpenFile::new(disk, &file));
+    let mut outline = Outline::read(source(), &mut |_| Ok::<_, ReadErrorKind>(())).map_err(error)?;
+    note::apply(disk, path, &mut outline.run);
+    let mut table = Table::begin(&outline, layout, sink)?;
+    Outline::read(source(), &mut |cycle| Ok::<_, anyhow::Error>(table.add(&cycle)?))?;
+    table.rows.flush()?;
+    Ok(outline.end.cycles)
+}
+
+/// A table that grows row by row.
+struct Table<'a, W: Write> {
+    layout: Layout,
+    rows: csv::Writer<W>,
+    encoders: &'a [EncoderInfo],
+    unwrappers: Vec<Unwrapper>,
+    events: Peekable<slice::Iter<'a, Event>>,
+    /// For the event cell of the first row.
+    about: Vec<String>,
+    first_sample: Option<UtcNs>,
+    origin: Option<u32>,
+    cycles: u64,
+}
+
+impl<'a, W: Write> Table<'a, W> {
+    /// Begins with the header, and in the layout for spreadsheets with a byte order mark.
+    fn begin(outline: &'a Outline, layout: Layout, mut sink: W) -> io::Result<Self> {
+        if layout.excel {
+            // Without it a spreadsheet takes the text for that of the code page of its country.
+            sink.write_all("\u{feff}".as_bytes())?;
+        }
+        let encoders = &outline.run.encoders;
+        let column = |pattern: &str| {
+            let named = |encoder: &EncoderInfo| pattern.replace('#', &encoder.joint.to_string());
+            encoders.iter().map(named).collect::<Vec<_>>()
+        };
+        let mut header = vec![if layout.relative { "t_s" } else { "time_utc" }.to_owned()];
+        header.extend(["count#", "angle#_rad", "valid#"].into_iter().flat_map(column));
+        header.extend(["cycle", "flags", "event"].map(str::to_owned));
+        let delimiter = if layout.excel { b';' } else { b',' };
+        let mut rows = csv::WriterBuilder::new().delimiter(delimiter).from_writer(sink);
+        rows.write_record(&header).map_err(of_sink)?;
+        Ok(Self {
+            layout,
+            rows,
+            encoders,
+            unwrappers: encoders.iter().map(|encoder| encoder.scale.unwrapper()).collect(),
+            events: outline.events.iter().peekable(),
+            about: about(&outline.run),
+            first_sample: None,
+            origin: None,
+            cycles: outline.end.cycles,
+        })
+    }
+
+    /// Writes the row of the next cycle.
+    fn add(&mut self, record: &CycleRecord) -> io::Result<()> {
+        let layout = self.layout;
+        let changed = self.origin.replace(record.origin).is_some_and(|before| before != record.origin);
+        let seen = record.flags & (flags::LOST | flags::NO_REPLY | flags::DEADLINE_MISSED) == 0;
+        let samples = record.encoders();
+        let first_sample = *self.first_sample.get_or_insert(record.sample_time);
+        let mut row = vec![layout.time(record.sample_time, first_sample)];
+        row.extend(samples.iter().map(|sample| if seen { sample.count.to_string() } else { String::new() }));
+        row.extend(samples.iter().zip(self.encoders).zip(&mut self.unwrappers).map(
+            |((sample, encoder), unwrapper)| {
+                if sample.valid {
+                    layout.number(format!("{:.9}", encoder.scale.counts_to_rad(unwrapper.next(sample.count))))
+                } else {
+                    String::new()
+                }
+            },
+        ));
+        row.extend(samples.iter().map(|sample| u8::from(sample.valid).to_string()));
+        let is_last = record.cycle + 1 == self.cycles;
+        let mut texts = std::mem::take(&mut self.about);
+        while let Some(Event { kind, text, .. }) =
+            self.events.next_if(|event| event.cycle <= record.cycle || is_last)
+        {
+            texts.push(format!("{}: {text}", kind_name(*kind)));
+        }
+        row.extend([
+            record.cycle.to_string(),
+            flag_names(record.flags | if changed { flags::ORIGIN_CHANGED } else { 0 }).join(" "),
+            // One line of text per row, for readers that split at line ends.
+            texts.join("; ").replace(char::is_control, " "),
+        ]);
+        self.rows.write_record(&row).map_err(of_sink)
+    }
+}
+
+/// The error of the sink itself: its kind shows whether the reader has gone.
+fn of_sink(error: csv::Error) -> io::Error {
+    match error.into_kind() {
+        csv::ErrorKind::Io(error) => error,
+        other => io::Error::other(format!("{other:?}")),
+    }
+}
+
+impl Layout {
+    /// From the query of a URL, such as `excel&relative`.
+    pub fn from_query(query: &str) -> Result<Self, String> {
+        let mut layout = Self::default();
+        for name in query.split('&').filter(|name| !name.is_empty()) {
+            match name.strip_suffix("=true").unwrap_or(name) {
+                "relative" => layout.relative = true,
+                "excel" => layout.excel = true,
+                _ => {
+                    return Err(format!(
+                        "no table has the option `{name}`; there are `relative` and `excel`"
+                    ));
+                }
+            }
+        }
+        Ok(layout)
+    }
+
+    /// The query of a URL that [`Self::from_query`] reads, with its `?`; empty for the default.
+    pub fn query(self) -> String {
+        let names = [(self.relative, "relative=true"), (self.excel, "excel=true")];
+        let names: Vec<_> = names.into_iter().filter_map(|(is_set, name)| is_set.then_some(name)).collect();
+        if names.is_empty() { String::new() } else { format!("?{}", names.join("&")) }
+    }
+
+    fn time(self, at: UtcNs, first: UtcNs) -> String {
+        if self.relative {
+            return self.number(format!("{:.6}", at.seconds_since(first)));
+        }
+        if self.excel {
+            return self.number(at.to_datetime().format("%Y-%m-%d %H:%M:%S%.3f").to_string());
+        }
+        at.to_string()
+    }
+
+    fn number(self, text: String) -> String {
+        if self.excel { text.replace('.', ",") } else { text }
+    }
+}
+
+/// Where the data come from, where angles are zero, and what people said of the run.
+fn about(run: &RunMetadata) -> Vec<String> {
+    let RunMetadata { operator, robot, bar, payload, note, .. } = run;
+    let said = [("robot", robot), ("bar", bar), ("payload", payload), ("operator", operator), ("note", note)];
+    let said = said.iter().filter(|(_, text)| !text.is_empty()).map(|(what, text)| format!("{what}: {text}"));
+    let provenance = Some(run.provenance().to_string()).filter(|text| !text.is_empty());
+    provenance.into_iter().chain([angle_zeros(&run.encoders)]).chain(said).collect()
+}
+
+fn angle_zeros(encoders: &[EncoderInfo]) -> String {
+    let (homed, others): (Vec<&EncoderInfo>, Vec<_>) =
+        encoders.iter().partition(|encoder| encoder.scale.reference_counts != 0);
+    let zero = |what: &str, of: &[&EncoderInfo]| match of.len() {
+        0 => None,
+        count if count == encoders.len() => Some(what.to_owned()),
+        _ => {
+            let joints: Vec<_> = of.iter().map(|encoder| encoder.joint.to_string()).collect();
+            Some(format!("{what} (joint {})", joints.join(" ")))
+        }
+    };
+    let zeros = [zero("reference mark", &homed), zero("counter at 0", &others)];
+    format!("angles from: {}", zeros.into_iter().flatten().collect::<Vec<_>>().join(" and "))
+}
+
+/// Before each text, so that no spreadsheet takes one for a formula.
+fn kind_name(kind: EventKind) -> &'static str {
+    match kind {
+        EventKind::Marker => "mark",
+        EventKind::Gap => "gap",
+        EventKind::Bus => "bus",
+        EventKind::Clock => "clock",
+        EventKind::Disk => "disk",
+    }
+}

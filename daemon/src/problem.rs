@@ -1,0 +1,696 @@
+//! What may be wrong with bus, disk, encoders, cables and host, as values.
+//!
+//! A [`Fact`] is made once, where it is known. Its code, severity, text and remedy are derived here and nowhere else; file,
+//! log, status, check, page, metrics and API show them. Codes are stable: `docs/src/warnings.md` explains each.
+
+use std::fmt;
+use std::path::PathBuf;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use shared::recording::schema::flags;
+
+/// How serious a state is.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Level {
+    /// As it should be.
+    #[default]
+    Good,
+    /// Worth a look; recording is possible.
+    Check,
+    /// Nothing can be recorded, or it is not safe.
+    Bad,
+}
+
+/// A fact with what is derived from it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Problem {
+    /// Serialised as `code` and `fields`.
+    #[serde(flatten)]
+    #[schemars(with = "Described")]
+    pub fact: Box<Fact>,
+    /// How serious it is.
+    pub severity: Level,
+    /// Bar joints that give no valid samples because of it.
+    #[serde(default)]
+    pub joints: Vec<u8>,
+    /// Description with the figures.
+    pub text: String,
+    /// Action for the person at the machine; may be empty.
+    pub remedy: String,
+}
+
+/// Declares [`Fact`], [`Fact::code`] and [`CODES`] from one list.
+macro_rules! facts {
+    ($($(#[doc = $doc:literal])+ $name:ident = $code:literal $({ $($field:ident: $type:ty),+ $(,)? })?,)+) => {
+        /// What is known to be wrong. Serialised as its `code` and, where it has any, its `fields`; units are suffixes.
+        #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+        #[serde(tag = "code", content = "fields")]
+        #[allow(missing_docs, reason = "fields are explained by their names and units")]
+        pub enum Fact {
+            $($(#[doc = $doc])+ #[serde(rename = $code)] $name { $($($field: $type),+)? },)+
+        }
+
+        impl Fact {
+            /// Stable name for programs and documents.
+            pub fn code(&self) -> &'static str {
+                match self {
+                    $(Self::$name { .. } => $code,)+
+                }
+            }
+        }
+
+        /// The codes of all facts, for the API and the manual.
+        pub const CODES: &[&str] = &[$($code),+];
+
+        /// [`Fact`] in the document of the API.
+        #[derive(JsonSchema)]
+        #[allow(dead_code, reason = "describes the JSON of a fact")]
+        struct Described {
+            /// Stable name of what is wrong; the manual explains each.
+            #[schemars(extend("enum" = CODES))]
+            code: String,
+            /// Figures and places; units are suffixes.
+            fields: serde_json::Map<String, serde_json::Value>,
+        }
+    };
+}
+
+facts! {
+    /// The service has not yet tried to bring the bus up.
+    BusStarting = "bus_starting",
+    /// No frame comes back.
+    BusNoAnswer = "bus_no_answer" { bus: String },
+    /// Terminals from this position on do not answer; the coupler is 0.
+    BusDeviceMissing = "bus_device_missing" { position: usize, expected: Vec<String>, found: Vec<String> },
+    /// There are more devices than configured.
+    BusDeviceUnexpected = "bus_device_unexpected" { position: usize, expected: Vec<String>, found: Vec<String> },
+    /// Another device than configured.
+    BusDeviceWrong = "bus_device_wrong" { position: usize, expected: Vec<String>, found: Vec<String> },
+    /// A device lost its address or configuration: it was without power.
+    BusDeviceRestarted = "bus_device_restarted",
+    /// A device left OP.
+    BusNotOperational = "bus_not_operational" { position: Option<usize>, al_status_code: Option<u16> },
+    /// A device does not enter a state.
+    BusStateRefused = "bus_state_refused" { position: usize, state: String, wanted: String, al_status: String },
+    /// A terminal refuses a setting.
+    BusSettingRefused = "bus_setting_refused" { position: usize, doing: String, error: String },
+    /// A terminal keeps another interpolation than was written.
+    BusInterpolation = "bus_interpolation" { position: usize, wanted: u8, found: u32 },
+    /// A terminal's process data have another length.
+    BusProcessData = "bus_process_data" { position: usize, inputs_bytes: usize, outputs_bytes: usize },
+    /// The reference clock stands still.
+    BusClockStopped = "bus_clock_stopped" { time_ns: u64 },
+    /// A terminal's clock does not follow the reference clock.
+    BusClockUnsettled = "bus_clock_unsettled" { position: usize, difference_ns: i64 },
+    /// The reference clock jumped.
+    BusClockJumped = "bus_clock_jumped" { by_ns: Option<i64> },
+    /// Replies with a wrong working counter.
+    BusBadReplies = "bus_bad_replies" { position: Option<usize>, flags: Vec<String> },
+    /// The EtherCAT stack failed.
+    BusStackFailed = "bus_stack_failed" { doing: String, error: String },
+    /// Asked to end while the bus was brought up.
+    BusInterrupted = "bus_interrupted",
+    /// The network interface cannot be used.
+    InterfaceUnusable = "interface_unusable" { error: String },
+    /// The thread of the cycle does not run.
+    CycleStalled = "cycle_stalled" { age_s: i64 },
+    /// A thread of the service has ended.
+    ThreadEnded = "thread_ended" { thread: String },
+    /// The bus is in OP again: the end of a fault.
+    BusRestored = "bus_restored" { attempts: u32 },
+    /// A port has counted errors; port 0 leads to the device before.
+    LinkErrors = "link_errors" {
+        position: usize, port: usize, receive_errors: u32, invalid_frames: u32, lost_links: u32,
+    },
+    /// No cycle gave a sample in the last second.
+    NoSamples = "no_samples",
+    /// Encoders give too few valid samples. Status word and share of the last second are those of the first.
+    EncoderInvalid = "encoder_invalid" { joints: Vec<u8>, status: Option<u16>, valid_share: f64 },
+    /// Counts may have a new origin.
+    CountsRestarted = "counts_restarted" { joint: Option<u8>, because: String },
+    /// Cycles were started after their deadline.
+    CyclesLate = "cycles_late",
+    /// Cycles were lost between bus and file.
+    CyclesLost = "cycles_lost" { cycles: u64 },
+    /// The directory of the recordings cannot be written.
+    DiskUnwritable = "disk_unwritable" { directory: PathBuf },
+    /// Less space than the floor.
+    DiskFull = "disk_full" { directory: PathBuf, floor_mb: u64 },
+    /// A call to the disk failed.
+    DiskError = "disk_error" { place: String, error: String },
+    /// A call to the disk has not returned.
+    DiskSilent = "disk_silent" { directory: Option<PathBuf>, silent_s: Option<f64> },
+    /// Files of earlier runs are being recovered.
+    DiskRecovering = "disk_recovering" { since_s: Option<f64> },
+    /// A run waits for its file.
+    FilePending = "file_pending" { since_s: f64, step: String },
+    /// The file of the run is not where it was.
+    FileLost = "file_lost" { error: String },
+    /// The run is written elsewhere.
+    FileMoved = "file_moved" { file: PathBuf, error: String },
+    /// The file of the run could not be finished.
+    FileBroken = "file_broken" { error: String },
+    /// Cycles wait to be written.
+    DiskBacklog = "disk_backlog" { backlog_s: f64, limit_s: f64 },
+    /// Cycles wait to be synchronised.
+    DiskSlow = "disk_slow" { unsynced_s: f64 },
+    /// Little space is left.
+    DiskSpaceLow = "disk_space_low" { left_h: f64 },
+    /// Files were left behind by a crash.
+    FilesLeft = "files_left" { files: Vec<PathBuf> },
+    /// The run cannot begin.
+    RunRefused = "run_refused" { error: String },
+    /// The encoders are being homed.
+    HomingActive = "homing_active",
+    /// The control's thread takes no requests.
+    ServiceBusy = "service_busy",
+    /// The service is ending.
+    ServiceEnding = "service_ending",
+    /// `homing.toml` cannot be read.
+    MarksUnreadable = "marks_unreadable" { error: String },
+    /// Reference marks are no longer valid.
+    MarksStale = "marks_stale" { joints: Vec<u8> },
+    /// Reference marks could not be saved.
+    MarksUnwritable = "marks_unwritable" { error: String },
+    /// Priority, core or locked memory were not granted.
+    RealtimeDenied = "realtime_denied" { report: String },
+    /// The host's clock is not synchronised.
+    ClockUnsynchronised = "clock_unsynchronised",
+    /// The kernel does not report whether it is.
+    ClockUnknown = "clock_unknown" { error: String },
+    /// The host's UTC was set while a run was recorded.
+    ClockStepped = "clock_stepped" { by_ns: i64 },
+    /// Lines of the log were lost.
+    LogLinesLost = "log_lines_lost" { lines: u64 },
+    /// A joint is turned too far.
+    JointWound = "joint_wound" { joint: u8, turned_deg: f64, from_mark: bool },
+    /// A joint is near a singular pose.
+    JointSingular = "joint_singular" { joint: u8, distance_deg: f64 },
+    /// A joint turns faster than its terminal interpolates.
+    JointFast = "joint_fast" { joint: u8, speed_deg_per_s: f64, limit_deg_per_s: f64 },
+    /// A joint has not turned since the run began.
+    JointStill = "joint_still" { joint: u8, range_deg: f64 },
+    /// Angles count from zero again.
+    AnglesRestarted = "angles_restarted" { since_s: f64 },
+}
+
+impl Fact {
+    /// The gravest cause of cycles with these flags. `silent` are the joints without valid samples, `position` is that of the
+    /// first of their terminals if those before it give samples.
+    pub fn of_flags(bits: u32, bus: &str, silent: Vec<u8>, position: Option<usize>) -> Self {
+        let has = |bit| bits & bit != 0;
+        if has(flags::NO_REPLY) {
+            Self::BusNoAnswer { bus: bus.to_owned() }
+        } else if has(flags::NOT_OPERATIONAL) {
+            Self::BusNotOperational { position, al_status_code: None }
+        } else if has(flags::WORKING_COUNTER) {
+            Self::BusBadReplies { position, flags: flag_names(bits) }
+        } else if has(flags::BUS_DOWN) {
+            Self::BusStarting {}
+        } else if has(flags::NO_DC) && !has(flags::TERMINAL_ERROR) {
+            Self::BusClockJumped { by_ns: None }
+        } else if has(flags::DEADLINE_MISSED) {
+            Self::CyclesLate {}
+        } else {
+            Self::EncoderInvalid { joints: silent, status: None, valid_share: 0.0 }
+        }
+    }
+
+    /// What distinguishes it from others that hold at the same time; stays the same while figures change.
+    pub fn key(&self) -> (&'static str, usize) {
+        let place = match self {
+            Self::LinkErrors { position, port, .. } => 4 * position + port,
+            Self::EncoderInvalid { joints, .. } => joints.first().copied().map_or(0, usize::from),
+            Self::JointWound { joint, .. }
+            | Self::JointSingular { joint, .. }
+            | Self::JointFast { joint, .. }
+            | Self::JointStill { joint, .. } => usize::from(*joint),
+            _ => 0,
+        };
+        (self.code(), place)
+    }
+
+    fn severity(&self) -> Level {
+        match self {
+            Self::BusRestored { .. } => Level::Good,
+            Self::BusClockJumped { .. }
+            | Self::LinkErrors { .. }
+            | Self::CountsRestarted { .. }
+            | Self::CyclesLate {}
+            | Self::DiskRecovering { .. }
+            | Self::FileMoved { .. }
+            | Self::DiskSlow { .. }
+            | Self::DiskSpaceLow { .. }
+            | Self::FilesLeft { .. }
+            | Self::HomingActive {}
+            | Self::MarksStale { .. }
+            | Self::MarksUnwritable { .. }
+            | Self::RealtimeDenied { .. }
+            | Self::ClockUnsynchronised {}
+            | Self::ClockUnknown { .. }
+            | Self::ClockStepped { .. }
+            | Self::LogLinesLost { .. }
+            | Self::JointWound { .. }
+            | Self::JointSingular { .. }
+            | Self::JointFast { .. }
+            | Self::JointStill { .. }
+            | Self::AnglesRestarted { .. } => Level::Check,
+            _ => Level::Bad,
+        }
+    }
+
+    /// What is wrong, and what to do.
+    fn words(&self) -> (String, String) {
+        const REPLACE: &str = "power the terminals off and on, and replace that one if it stays so";
+        const ATTACH: &str = "look at its cable, its power, or the network it is on";
+        const SPACE: &str = "delete or move recordings, or lower `disk_floor_mb` in daemon.toml";
+        let (text, remedy): (String, &str) = match self {
+            Self::BusStarting {} => ("the bus is being brought into operation".into(), "wait a few seconds"),
+            Self::BusNoAnswer { bus } => (
+                format!("no EtherCAT device answers on {bus}"),
+                "check that the coupler has power, that its upper (IN) socket is cabled to this interface, and that the \
+                 interface is up",
+            ),
+            Self::BusDeviceMissing { position, expected, found } => {
+                return (
+                    format!(
+                        "{} and all behind it do not answer: {}",
+                        device(*position),
+                        compared(expected, found)
+                    ),
+                    format!(
+                        "check {} (bus position {position}): its power, and that it and those behind it sit firmly on the \
+                         one before; if it was taken away, correct the list of encoders in ball_bar.toml",
+                        device(*position)
+                    ),
+                );
+            }
+            Self::BusDeviceUnexpected { position, expected, found } => (
+                format!("{} is not configured: {}", device(*position), compared(expected, found)),
+                "add the encoders of the devices behind to ball_bar.toml, or take these devices away",
+            ),
+            Self::BusDeviceWrong { position, expected, found } => (
+                format!(
+                    "{} is another device than configured: {}",
+                    device(*position),
+                    compared(expected, found)
+                ),
+                "correct the order of the terminals or the list of encoders in ball_bar.toml",
+            ),
+            Self::BusDeviceRestarted {} => (
+                "a device has lost its address or configuration: it was without power".into(),
+                "check the supply of the coupler and the contacts between the terminals",
+            ),
+            Self::BusNotOperational { position, al_status_code } => {
+                let who = position.map_or("a device".into(), device);
+                let text = match al_status_code {
+                    Some(code) => format!("{who} fell to SAFE-OP, AL status code {code:#06x}"),
+                    None => format!("{who} is not in OP"),
+                };
+                return (text, first_look(*position));
+            }
+            Self::BusStateRefused { position, state, wanted, al_status } => (
+                format!("{} stays in {state} instead of {wanted}: AL status {al_status}", device(*position)),
+                REPLACE,
+            ),
+            Self::BusSettingRefused { position, doing, error } => {
+                (format!("{}, while {doing}: {error}", device(*position)), REPLACE)
+            }
+            Self::BusInterpolation { position, wanted, found } => (
+                format!("{} interpolates {found} bits after {wanted} were written", device(*position)),
+                "power the terminals off and on, or use a number of bits that its firmware offers",
+            ),
+            Self::BusProcessData { position, inputs_bytes, outputs_bytes } => (
+                format!(
+                    "{} has {inputs_bytes} bytes of inputs and {outputs_bytes} of outputs instead of 10 and 6",
+                    device(*position)
+                ),
+                "restore its default PDO assignment",
+            ),
+            Self::BusClockStopped { time_ns } => (
+                format!("the distributed clock stands still (time {time_ns} ns)"),
+                "the first device after this PC must be an EK1100 with distributed clocks, or set `distributed_clocks = \
+                 false` in daemon.toml and accept samples up to one cycle old",
+            ),
+            Self::BusClockUnsettled { position, difference_ns } => (
+                format!(
+                    "the clock of {} is {difference_ns} ns off the bus time and does not converge to 1000 ns",
+                    device(*position)
+                ),
+                REPLACE,
+            ),
+            Self::BusClockJumped { by_ns } => (
+                match by_ns {
+                    Some(by_ns) => format!("the reference clock jumped by {:.3} ms", *by_ns as f64 * 1e-6),
+                    None => "the reference clock jumped".into(),
+                },
+                "nothing: sample times follow it; replace the coupler if it happens again",
+            ),
+            Self::BusBadReplies { position, flags } => {
+                return (format!("consecutive bad replies ({})", flags.join(", ")), first_look(*position));
+            }
+            Self::BusStackFailed { doing, error } => (
+                format!("EtherCAT, while {doing}: {error}"),
+                "check cables, contacts and the terminals' power",
+            ),
+            Self::BusInterrupted {} => ("stopped while the bus was brought up".into(), "start again"),
+            Self::InterfaceUnusable { error } => (error.clone(), "correct --bus or the interface"),
+            Self::CycleStalled { age_s } => (
+                format!("no bus cycle for {age_s} s: the cycle thread is blocked or starved"),
+                "run `ballbard tune`; end programs that take the processor",
+            ),
+            Self::ThreadEnded { thread } => (
+                format!("the thread of the {thread} has ended; its cause is in the log"),
+                "report it with the log",
+            ),
+            Self::BusRestored { attempts: 1 } => ("bus in operation again".into(), ""),
+            Self::BusRestored { attempts } => {
+                (format!("bus in operation again, after {attempts} attempts"), "")
+            }
+            Self::LinkErrors { position, port, receive_errors, invalid_frames, lost_links } => {
+                let (link, remedy) = link(*position, *port);
+                return (
+                    format!(
+                        "{link}: {} has counted {receive_errors} receive errors, {invalid_frames} invalid frames and \
+                         {lost_links} lost links",
+                        device(*position)
+                    ),
+                    remedy,
+                );
+            }
+            Self::NoSamples {} => {
+                ("no sample in the last second".into(), "bring the bus into operation first")
+            }
+            Self::EncoderInvalid { joints, status, valid_share } => {
+                let word = status.map_or(String::new(), |status| format!(" (status {status:#06x})"));
+                let who = format!("joint {}{word}", numbers(joints));
+                let text = if *valid_share > 0.0 {
+                    format!("{who} was valid for {:.0} % of the last second", 100.0 * valid_share)
+                } else {
+                    format!("no valid sample from {who}")
+                };
+                (text, "check the encoder's cable and plug, and its signal amplitude")
+            }
+            Self::CountsRestarted { because, .. } => (
+                format!("counts may have a new origin: {because}"),
+                "nothing for the calibration; home again if runs count from marks",
+            ),
+            Self::CyclesLate {} => ("cycles were started after their deadline".into(), "run `ballbard tune`"),
+            Self::CyclesLost { cycles } => (
+                format!("{cycles} cycles are lost: the disk did not take them in time"),
+                "see what keeps the disk busy, or record to another one",
+            ),
+            Self::DiskUnwritable { directory } => (
+                format!(
+                    "{} cannot be written: it is not a directory, is read-only, or belongs to another user",
+                    directory.display()
+                ),
+                "correct that, or `directory` in daemon.toml",
+            ),
+            Self::DiskFull { directory, floor_mb } => (
+                format!("disk floor: less than {floor_mb} MB are free where {} is", directory.display()),
+                SPACE,
+            ),
+            Self::DiskError { place, error } => {
+                (format!("{place}: {error}"), "check free space and permissions, and look at its disk")
+            }
+            Self::DiskSilent { directory, silent_s } => {
+                let disk =
+                    directory.as_ref().map_or(String::new(), |place| format!(" of {}", place.display()));
+                let since =
+                    silent_s.map_or("does not answer".into(), |s| format!("has not answered for {s:.1} s"));
+                (format!("the disk{disk} {since}"), ATTACH)
+            }
+            Self::DiskRecovering { since_s } => (
+                match since_s {
+                    Some(since_s) => format!(
+                        "for {since_s:.1} s the disk has been asked to recover what earlier runs left"
+                    ),
+                    None => "what earlier runs left is being recovered".into(),
+                },
+                "wait; if it takes minutes look at the disk",
+            ),
+            Self::FilePending { since_s, step } => (
+                format!("the run has no file yet: for {since_s:.1} s the disk has been asked {step}"),
+                ATTACH,
+            ),
+            Self::FileLost { error } => (
+                format!("{error}; what was taken is being brought to another place"),
+                "wait for the new place, then see what became of the directory",
+            ),
+            Self::FileMoved { file, error } => (
+                format!("the run continues in {}, because: {error}", file.display()),
+                "`ballbard stop` names the file; repair the disk before the next run",
+            ),
+            Self::FileBroken { error } => {
+                (error.clone(), "look at the disk; `ballbard recover` saves the rest")
+            }
+            Self::DiskBacklog { backlog_s, limit_s } => (
+                format!(
+                    "the disk takes nothing: {backlog_s:.1} s of cycles wait to be written, from {limit_s:.0} s on they are \
+                     lost"
+                ),
+                "see what keeps it busy",
+            ),
+            Self::DiskSlow { unsynced_s } => (
+                format!("the disk is slow: a power cut now would cost the last {unsynced_s:.1} s of the run"),
+                "see what keeps it busy",
+            ),
+            Self::DiskSpaceLow { left_h } => (
+                format!("the disk has room for {left_h:.1} hours"),
+                "move recordings elsewhere, or delete some and empty the bin, before the run needs the space",
+            ),
+            Self::FilesLeft { files } => {
+                let names: Vec<_> = files.iter().map(|file| file.display().to_string()).collect();
+                (names.join(", "), "run `ballbard recover` on each")
+            }
+            Self::RunRefused { error } => (error.clone(), ""),
+            Self::HomingActive {} => (
+                "the encoders are being homed".into(),
+                "wait until that is done, or end it with `ballbard stop`",
+            ),
+            Self::ServiceBusy {} => {
+                ("too many requests wait for the service".into(), "ask again in a second")
+            }
+            Self::ServiceEnding {} => ("the service is ending".into(), "start it again: `ballbard run`"),
+            Self::MarksUnreadable { error } => (error.clone(), "correct the file, or home again"),
+            Self::MarksStale { joints } => (
+                format!("reference marks of joint {} are no longer valid", numbers(joints)),
+                "run `ballbard home`, or remove homing.toml if runs need no marks",
+            ),
+            Self::MarksUnwritable { error } => (
+                format!("{error}, so reference marks could not be kept"),
+                "let this user write there, or choose another directory with --state",
+            ),
+            Self::RealtimeDenied { report } => {
+                (report.clone(), "grant what is missing; without it cycles are late when the machine is busy")
+            }
+            Self::ClockUnsynchronised {} => (
+                "the host's clock is not synchronised: UTC in the file is as accurate as this clock".into(),
+                "start chrony or systemd-timesyncd; without a network ignore it, calibration finds clock differences",
+            ),
+            Self::ClockUnknown { error } => (
+                format!("the kernel does not report whether the clock is synchronised: {error}"),
+                "allow the system call clock_adjtime in the sandbox of this process",
+            ),
+            Self::ClockStepped { by_ns } => (
+                format!(
+                    "host UTC moved by {:.3} ms; sample times keep to the run's first offset",
+                    *by_ns as f64 * 1e-6
+                ),
+                "see what set the clock",
+            ),
+            Self::LogLinesLost { lines } => (
+                format!("{lines} lines were lost: standard error did not take them"),
+                "see where it leads: a full disk, a closed terminal, a reader that does not read; recording continues",
+            ),
+            Self::JointWound { joint, turned_deg, from_mark } => {
+                let from = if *from_mark { "its reference mark" } else { "where it was seen first" };
+                (
+                    format!("joint {joint} is turned by {turned_deg:.0} degrees from {from}"),
+                    "unwind its cable before it is torn",
+                )
+            }
+            Self::JointSingular { joint, distance_deg } => (
+                format!("joint {joint} is {distance_deg:.1} degrees from a singular pose of the bar"),
+                "move the path away: rod and axis must not align",
+            ),
+            Self::JointFast { joint, speed_deg_per_s, limit_deg_per_s } => (
+                format!(
+                    "joint {joint} turns at {:.0} degrees/s; above {limit_deg_per_s:.0} its terminal leaves out the finest \
+                     steps",
+                    speed_deg_per_s.abs()
+                ),
+                "let the robot move more slowly",
+            ),
+            Self::JointStill { joint, range_deg } => (
+                format!("joint {joint} has turned by {range_deg:.1} degrees since the run began"),
+                "see whether its coupling has come loose, or let the path turn it",
+            ),
+            Self::AnglesRestarted { since_s } => (
+                format!("since {} angles and coverage count from zero again", clock_time(*since_s)),
+                "counters lost their origin, as after an outage of the bus; the calibration allows for it",
+            ),
+        };
+        (text, remedy.to_owned())
+    }
+}
+
+impl Problem {
+    /// The joints give no valid samples because of it; `all` if no other joint does.
+    pub fn with_joints(self, joints: Vec<u8>, all: bool) -> Self {
+        let who = if all { "any encoder".into() } else { format!("joint {}", numbers(&joints)) };
+        Self { text: format!("no samples from {who}: {}", self.text), severity: Level::Bad, joints, ..self }
+    }
+
+    /// Less or more serious than usual.
+    pub fn with_severity(self, severity: Level) -> Self {
+        Self { severity, ..self }
+    }
+
+    /// Stable name for programs and documents.
+    pub fn code(&self) -> &'static str {
+        self.fact.code()
+    }
+
+    /// Several in one line: what is wrong, then what to do, each once.
+    pub fn line(problems: &[Self]) -> String {
+        let mut parts: Vec<&str> = Vec::new();
+        let words = problems.iter().map(|problem| &problem.text);
+        for part in words.chain(problems.iter().map(|problem| &problem.remedy)) {
+            if !part.is_empty() && !parts.contains(&part.as_str()) {
+                parts.push(part);
+            }
+        }
+        parts.join("; ")
+    }
+}
+
+impl From<Fact> for Problem {
+    fn from(fact: Fact) -> Self {
+        let ((text, remedy), severity) = (fact.words(), fact.severity());
+        Self { fact: Box::new(fact), severity, joints: Vec::new(), text, remedy }
+    }
+}
+
+impl fmt::Display for Problem {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&Self::line(std::slice::from_ref(self)))
+    }
+}
+
+/// Names of the set bits.
+pub fn flag_names(bits: u32) -> Vec<String> {
+    let set = flags::NAMES.iter().filter(|(bit, _)| bits & bit != 0);
+    set.map(|(_, name)| (*name).to_owned()).collect()
+}
+
+/// A time since the beginning of a run, such as 1:02:03 or 0:07.
+pub fn clock_time(seconds: f64) -> String {
+    let whole = seconds.max(0.0) as u64;
+    let (hours, minutes, seconds) = (whole / 3600, whole / 60 % 60, whole % 60);
+    if hours > 0 { format!("{hours}:{minutes:02}:{seconds:02}") } else { format!("{minutes}:{seconds:02}") }
+}
+
+/// A device as people count: the coupler is at position 0, the terminal beside it is terminal 1.
+fn device(position: usize) -> String {
+    if position == 0 { "the coupler".into() } else { format!("terminal {position}") }
+}
+
+/// Where to look if the bus itself does not name the device.
+fn first_look(position: Option<usize>) -> String {
+    let place = match position {
+        Some(position) => format!("{} and the contact before it", device(position)),
+        None => "the coupler's cable and power, then along the terminals".into(),
+    };
+    format!("look first at {place}; the bus returns to operation once all devices answer")
+}
+
+fn compared(expected: &[String], found: &[String]) -> String {
+    let list = |names: &[String]| if names.is_empty() { "nothing".into() } else { names.join(", ") };
+    format!("expected [{}], found [{}]", list(expected), list(found))
+}
+
+/// A cable leads to the coupler; terminals touch each other.
+fn link(position: usize, port: usize) -> (String, String) {
+    let cable = "push the plug in, or replace the cable";
+    match (position, port) {
+        (0, 0) => ("bad cable or plug between this PC and the coupler".into(), cable.into()),
+        (0, 2..) => ("bad cable or plug at the OUT socket of the coupler".into(), cable.into()),
+        _ => {
+            let before = if port == 0 { position.saturating_sub(1) } else { position };
+            let (one, other) = (device(before), device(before + 1));
+            (
+                format!("bad contact between {one} and {other}"),
+                format!("press {other} firmly onto {one}, and replace it if the errors go on"),
+            )
+        }
+    }
+}
+
+fn numbers(joints: &[u8]) -> String {
+    joints.iter().map(u8::to_string).collect::<Vec<_>>().join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_problem_is_code_fields_severity_and_words_in_json_and_comes_back_from_it() {
+        let fact =
+            Fact::LinkErrors { position: 3, port: 0, receive_errors: 7, invalid_frames: 0, lost_links: 1 };
+        let problem = Problem::from(fact);
+        let json = serde_json::to_value(&problem).unwrap();
+        assert_eq!((&json["code"], &json["fields"]["receive_errors"]), (&"link_errors".into(), &7.into()));
+        assert_eq!(json["severity"], "check");
+        assert_eq!(serde_json::from_value::<Problem>(json).unwrap(), problem);
+        let plain = Problem::from(Fact::CyclesLate {});
+        assert_eq!(serde_json::from_value::<Problem>(serde_json::to_value(&plain).unwrap()).unwrap(), plain);
+    }
+
+    #[test]
+    fn links_are_cables_only_where_there_are_cables() {
+        assert!(link(0, 0).0.contains("cable or plug between this PC and the coupler"));
+        assert_eq!(link(1, 0).0, "bad contact between the coupler and terminal 1");
+        assert_eq!(link(0, 1).0, link(1, 0).0);
+        assert_eq!(link(3, 0).0, "bad contact between terminal 2 and terminal 3");
+        assert_eq!(link(2, 1).0, link(3, 0).0);
+    }
+
+    #[test]
+    fn the_first_terminal_without_samples_is_where_to_look() {
+        let of = |silent: Vec<u8>, position, all| {
+            let fact = Fact::of_flags(flags::WORKING_COUNTER, "eth1", silent.clone(), position);
+            Problem::from(fact).with_joints(silent, all).to_string()
+        };
+        let some = of(vec![2, 5], Some(3), false);
+        assert!(
+            some.contains("from joint 2, 5:") && some.contains("first at terminal 3 and the contact"),
+            "{some}"
+        );
+        let none = of(vec![1, 2], None, true);
+        assert!(none.contains("from any encoder:") && none.contains("first at the coupler"), "{none}");
+    }
+
+    #[test]
+    fn several_problems_state_each_remedy_once() {
+        let silent = |joint| {
+            Problem::from(Fact::EncoderInvalid { joints: vec![joint], status: Some(0x10), valid_share: 0.0 })
+        };
+        assert_eq!(
+            Problem::line(&[silent(2), silent(4)]),
+            "no valid sample from joint 2 (status 0x0010); no valid sample from joint 4 (status 0x0010); check the \
+             encoder's cable and plug, and its signal amplitude"
+        );
+    }
+
+    #[test]
+    fn every_code_has_a_row_in_the_manual() {
+        let manual = include_str!("../../docs/src/warnings.md");
+        let missing: Vec<_> = CODES.iter().filter(|code| !manual.contains(&format!("`{code}`"))).collect();
+        assert!(missing.is_empty(), "docs/src/warnings.md has no row for {missing:?}");
+    }
+}

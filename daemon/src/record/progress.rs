@@ -1,0 +1,336 @@
+//! What other threads see of a run, without making them wait.
+
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use shared::recording::{DiskTiming, Flagged, RunPlace, TimingSummary};
+use shared::time::MonoNs;
+
+use crate::clock::Clock;
+use crate::problem::{Fact, Problem};
+
+/// What the cycle handed over, written by it alone.
+#[derive(Debug, Default)]
+pub struct Handed {
+    /// Cycles that were due so far.
+    pub due: AtomicU64,
+    /// Cycles among them that found the ring full.
+    pub lost: AtomicU64,
+}
+
+/// How far a run is: taken from the bus, written, synchronised. Nobody who asks waits for the disk.
+#[derive(Debug)]
+pub struct Progress {
+    handed: Arc<Handed>,
+    limits: Limits,
+    clock: Clock,
+    disk: Mutex<OnDisk>,
+}
+
+/// What a run was promised.
+#[derive(Debug, Clone, Copy)]
+pub struct Limits {
+    /// Time between two cycles.
+    pub cycle_period: Duration,
+    /// How often what was taken is written and synchronised.
+    pub sync_period: Duration,
+    /// Cycles that may wait to be written.
+    pub ring_cycles: usize,
+    /// The cycle waits for the disk, as it does on virtual time: many cycles that wait are no news.
+    pub cycle_waits: bool,
+}
+
+#[derive(Debug)]
+struct OnDisk {
+    written: u64,
+    /// Cycles among them that were lost between bus and file.
+    written_lost: u64,
+    synced: Synced,
+    writing_since: Option<MonoNs>,
+    /// With the number of the synchroniser that is at it.
+    syncing_since: Option<(u32, MonoNs)>,
+    longest: DiskTiming,
+    /// What the run waits for before it has a file.
+    opening: Opening,
+    /// None before that.
+    place: Option<RunPlace>,
+    /// Why the file is not where it should be, until it is moved.
+    lost: Option<String>,
+    moved: Option<String>,
+    timing: Option<TimingSummary>,
+    flagged: Vec<Flagged>,
+}
+
+/// What the disk does before a run has its file, and since when.
+#[derive(Debug)]
+struct Opening {
+    what: &'static str,
+    since: MonoNs,
+}
+
+/// What survives a power cut.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Synced {
+    /// Cycles.
+    pub cycles: u64,
+    /// Cycles among them in which every encoder is valid.
+    pub cycles_valid: u64,
+    /// Length of the file \[bytes\].
+    pub bytes: u64,
+    /// All that was written before is in it; none before the first time.
+    pub at: Option<MonoNs>,
+}
+
+/// [`Progress`] at one moment.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Snapshot {
+    /// What survives a power cut.
+    pub synced: Synced,
+    /// Cycles that survive a kill of the program.
+    pub written: u64,
+    /// Cycles that were due.
+    pub taken: u64,
+    /// Cycles among them that were lost between bus and file.
+    pub lost: u64,
+    /// Cycles that wait to be written, as time \[s\].
+    pub backlog_s: f64,
+    /// From there on cycles are lost \[s\].
+    pub backlog_limit_s: f64,
+    /// What a power cut would cost now \[s\].
+    pub unsynced_s: f64,
+    /// Since all that was written then is synchronised; none before the first time.
+    pub sync_age: Option<Duration>,
+    /// How long the disk kept the recorder waiting, what it is at included.
+    pub longest: DiskTiming,
+    /// Where the run is written; empty until its file is there.
+    pub file: PathBuf,
+    /// What is wrong with the disk.
+    pub problems: Vec<Problem>,
+    /// How well the loop kept its time; none on virtual time.
+    pub timing: Option<TimingSummary>,
+    /// The cycles that are written and not valid, by joint and reason.
+    pub flagged: Vec<Flagged>,
+}
+
+impl Progress {
+    /// Of a run that has no file yet.
+    pub fn new(handed: Arc<Handed>, limits: Limits, clock: Clock) -> Self {
+        let disk = OnDisk {
+            written: 0,
+            written_lost: 0,
+            synced: Synced::default(),
+            writing_since: None,
+            syncing_since: None,
+            longest: DiskTiming::default(),
+            opening: Opening { what: "to begin with it", since: clock.now() },
+            place: None,
+            lost: None,
+            moved: None,
+            timing: None,
+            flagged: Vec::new(),
+        };
+        Self { handed, limits, clock, disk: Mutex::new(disk) }
+    }
+
+    fn disk(&self) -> MutexGuard<'_, OnDisk> {
+        self.disk.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What the disk does now so that the run gets its file.
+    pub fn opening(&self, what: &'static str) {
+        self.disk().opening = Opening { what, since: self.clock.now() };
+    }
+
+    /// The run's file is there.
+    pub fn opened(&self, place: RunPlace) {
+        self.disk().place = Some(place);
+    }
+
+    /// Whether it is.
+    pub fn is_open(&self) -> bool {
+        self.disk().place.is_some()
+    }
+
+    /// The recorder is about to write.
+    pub fn writing(&self) {
+        let mut disk = self.disk();
+        let waiting_ns = self.ns_of(self.backlog(&disk));
+        disk.longest.backlog_longest_ns = disk.longest.backlog_longest_ns.max(waiting_ns);
+        disk.writing_since = Some(self.clock.now());
+    }
+
+    /// The number of cycles written so far, or fewer where the disk refused, and of those among them that were lost.
+    pub fn wrote(&self, cycles: u64, lost: u64) {
+        let mut disk = self.disk();
+        disk.longest = disk.longest_at(self.clock.now());
+        disk.writing_since = None;
+        (disk.written, disk.written_lost) = (cycles, lost);
+    }
+
+    /// A synchroniser is at it.
+    pub fn syncing(&self, number: u32) {
+        self.disk().syncing_since = Some((number, self.clock.now()));
+    }
+
+    /// It is done with it, and has synchronised this; none where the disk refused.
+    pub fn synced(&self, number: u32, synced: Option<Synced>) {
+        let mut disk = self.disk();
+        if disk.syncing_since.is_some_and(|(other, _)| other == number) {
+            disk.longest = disk.longest_at(self.clock.now());
+            disk.syncing_since = None;
+        }
+        if let Some(synced) = synced.filter(|synced| synced.cycles >= disk.synced.cycles) {
+            disk.synced = synced;
+        }
+    }
+
+    /// How well the loop kept its time so far.
+    pub fn set_timing(&self, timing: Option<TimingSummary>) {
+        self.disk().timing = timing;
+    }
+
+    /// Which of the cycles that are written are not valid.
+    pub fn set_flagged(&self, flagged: Vec<Flagged>) {
+        self.disk().flagged = flagged;
+    }
+
+    /// How long the disk kept the recorder waiting so far.
+    pub fn longest(&self) -> DiskTiming {
+        self.disk().longest_at(self.clock.now())
+    }
+
+    /// Where the run is written; none before its file is there.
+    pub fn place(&self) -> Option<RunPlace> {
+        self.disk().place.clone()
+    }
+
+    /// The file is not where it should be; the recorder will look. Says nothing of the file that the run has by now.
+    pub fn set_lost(&self, place: &RunPlace, why: String) {
+        let mut disk = self.disk();
+        if disk.place.as_ref().is_some_and(|own| own.is_same(place)) {
+            disk.lost = Some(why);
+        }
+    }
+
+    /// Why the file is not where it should be.
+    pub fn lost(&self) -> Option<String> {
+        self.disk().lost.clone()
+    }
+
+    /// The run continues in another place, and why.
+    pub fn moved(&self, place: RunPlace, why: String) {
+        let mut disk = self.disk();
+        disk.place = Some(place);
+        disk.syncing_since = None;
+        disk.lost = None;
+        disk.moved = Some(why);
+    }
+
+    fn backlog(&self, disk: &OnDisk) -> u64 {
+        let (due, lost) = (self.handed.due.load(Ordering::Acquire), self.handed.lost.load(Ordering::Relaxed));
+        // A lost cycle waits for nothing, and once its number is written it is among the written ones.
+        let unwritten_lost = lost.saturating_sub(disk.written_lost);
+        due.saturating_sub(disk.written.saturating_add(unwritten_lost)).min(self.limits.ring_cycles as u64)
+    }
+
+    fn ns_of(&self, cycles: u64) -> u64 {
+        cycles.saturating_mul(self.limits.cycle_period.as_nanos() as u64)
+    }
+
+    /// As of now.
+    pub fn get(&self) -> Snapshot {
+        let (disk, now) = (self.disk(), self.clock.now());
+        let seconds = |cycles: u64| self.ns_of(cycles) as f64 * 1e-9;
+        let (taken, lost) =
+            (self.handed.due.load(Ordering::Acquire), self.handed.lost.load(Ordering::Relaxed));
+        // A file that is gone keeps nothing safe.
+        let is_there = disk.lost.is_none();
+        let (synced, written) = if is_there { (disk.synced, disk.written) } else { Default::default() };
+        let mut snapshot = Snapshot {
+            synced,
+            written,
+            taken,
+            lost,
+            backlog_s: seconds(self.backlog(&disk)),
+            backlog_limit_s: seconds(self.limits.ring_cycles as u64),
+            unsynced_s: seconds(taken.saturating_sub(synced.cycles)),
+            sync_age: synced.at.map(|at| Duration::from_nanos(now.ns_since(at).max(0) as u64)),
+            longest: disk.longest_at(now),
+            file: disk.place.as_ref().map(|place| place.path().to_owned()).unwrap_or_default(),
+            problems: Vec::new(),
+            timing: disk.timing.clone(),
+            flagged: disk.flagged.clone(),
+        };
+        snapshot.problems = snapshot.find_problems(&self.limits, &disk, now);
+        snapshot
+    }
+}
+
+impl OnDisk {
+    /// What the disk is at counts already: it will not become shorter.
+    fn longest_at(&self, now: MonoNs) -> DiskTiming {
+        let since = |at: Option<MonoNs>| at.map_or(0, |at| now.ns_since(at).max(0) as u64);
+        DiskTiming {
+            sync_longest_ns: self.longest.sync_longest_ns.max(since(self.syncing_since.map(|(_, at)| at))),
+            write_longest_ns: self.longest.write_longest_ns.max(since(self.writing_since)),
+            ..self.longest
+        }
+    }
+}
+
+/// A disk that takes longer to give a run its file is told.
+const OPENS_WITHIN: Duration = Duration::from_secs(1);
+/// Synchronisation periods that may wait before that is worth a word: one is usual, the other for a busy disk.
+const WARNING_PERIODS: u32 = 2;
+
+impl Snapshot {
+    fn find_problems(&self, limits: &Limits, disk: &OnDisk, now: MonoNs) -> Vec<Problem> {
+        let Self { lost, backlog_s, backlog_limit_s, unsynced_s, file, .. } = self;
+        let usual_s = (limits.sync_period * WARNING_PERIODS).as_secs_f64();
+        let since_s = now.seconds_since(disk.opening.since);
+        let is_late = since_s > OPENS_WITHIN.as_secs_f64() && !limits.cycle_waits;
+        let pending = (is_late && disk.place.is_none())
+            .then(|| Fact::FilePending { since_s, step: disk.opening.what.into() });
+        let gone = disk.lost.clone().map(|error| Fact::FileLost { error });
+        let moved = disk.moved.clone().map(|error| Fact::FileMoved { file: file.clone(), error });
+        let lost = (*lost > 0).then_some(Fact::CyclesLost { cycles: *lost });
+        let late = if limits.cycle_waits {
+            None
+        } else if *backlog_s > usual_s {
+            Some(Fact::DiskBacklog { backlog_s: *backlog_s, limit_s: *backlog_limit_s })
+        } else {
+            (*unsynced_s > usual_s).then_some(Fact::DiskSlow { unsynced_s: *unsynced_s })
+        };
+        [pending, gone, moved, lost, late].into_iter().flatten().map(Problem::from).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_loss_shortens_no_later_backlog() {
+        let handed = Arc::<Handed>::default();
+        let limits = Limits {
+            cycle_period: Duration::from_millis(10),
+            sync_period: Duration::from_millis(500),
+            ring_cycles: 1000,
+            cycle_waits: false,
+        };
+        let progress = Progress::new(Arc::clone(&handed), limits, Clock::Real);
+        let backlog = |due, lost, written, written_lost| {
+            handed.due.store(due, Ordering::Relaxed);
+            handed.lost.store(lost, Ordering::Relaxed);
+            progress.wrote(written, written_lost);
+            (progress.get().backlog_s / 0.01).round()
+        };
+        // 100 written, 50 of the next 100 lost, the other 50 wait.
+        assert_eq!(backlog(200, 50, 100, 0), 50.0);
+        // All of these are written, the lost ones by their numbers; then the disk hangs again.
+        assert_eq!(backlog(200, 50, 200, 50), 0.0);
+        assert_eq!(backlog(300, 50, 200, 50), 100.0);
+    }
+}

@@ -1,0 +1,196 @@
+//! What other threads see of the bus, without making the cycle wait.
+
+use std::sync::atomic::{AtomicI64, AtomicU32, AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
+
+use shared::recording::schema::{CycleRecord, MAX_ENCODERS, flags};
+use shared::time::MonoNs;
+
+use crate::bus::{DEVICES_MAX, PORTS};
+use crate::cycle::{BusState, Links, PortErrors};
+use crate::problem::Fact;
+
+/// Reasons that stand for the bus itself, and not for one encoder or this PC.
+pub const BUS_FLAGS: u32 =
+    flags::NO_REPLY | flags::WORKING_COUNTER | flags::NOT_OPERATIONAL | flags::BUS_DOWN;
+
+/// The latest sample of each encoder, for people. Each encoder is consistent in itself, not with the others.
+#[derive(Debug, Default)]
+pub struct Live {
+    at_ns: AtomicI64,
+    /// Of the latest cycle without any of [`BUS_FLAGS`].
+    whole_at_ns: AtomicI64,
+    /// Of the latest valid sample of each encoder.
+    valid_at_ns: [AtomicI64; MAX_ENCODERS],
+    /// Cycles so far, and those of each encoder that were valid.
+    counted: AtomicU64,
+    counted_valid: [AtomicU64; MAX_ENCODERS],
+    /// Cycles among them in which every encoder was valid, and those that missed their deadline.
+    counted_whole: AtomicU64,
+    counted_late: AtomicU64,
+    flags: AtomicU64,
+    origin: AtomicU32,
+    encoders: [AtomicU64; MAX_ENCODERS],
+    latches: [AtomicU32; MAX_ENCODERS],
+    /// 0 where no device is missing: before the coupler there is nothing that could stay in use.
+    missing_from: AtomicU32,
+    /// Of the bus while it is down, with its number.
+    outage: Mutex<(u32, Option<Fact>)>,
+    links_revision: AtomicU64,
+    links: [[LivePort; PORTS]; DEVICES_MAX],
+}
+
+/// Errors of one port.
+#[derive(Debug, Default)]
+struct LivePort {
+    invalid_frames: AtomicU32,
+    receive_errors: AtomicU32,
+    lost_links: AtomicU32,
+}
+
+/// The latest sample of one encoder.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct LiveEncoder {
+    /// Counter.
+    pub count: u32,
+    /// Status word of its terminal.
+    pub status: u16,
+    /// Fresh and without error.
+    pub valid: bool,
+}
+
+impl Live {
+    /// Wait-free, for the real-time thread.
+    pub fn publish(&self, record: &CycleRecord) {
+        for (place, encoder) in self.encoders.iter().zip(record.encoders()) {
+            let packed = u64::from(encoder.count)
+                | u64::from(encoder.status) << 32
+                | u64::from(u8::from(encoder.valid)) << 48;
+            place.store(packed, Ordering::Relaxed);
+        }
+        let valid = self.valid_at_ns.iter().zip(&self.counted_valid).zip(record.encoders());
+        for ((at, counted), _) in valid.filter(|(_, encoder)| encoder.valid) {
+            at.store(record.send_time.0, Ordering::Relaxed);
+            counted.fetch_add(1, Ordering::Relaxed);
+        }
+        self.counted.fetch_add(1, Ordering::Relaxed);
+        if record.flags & BUS_FLAGS == 0 {
+            self.whole_at_ns.store(record.send_time.0, Ordering::Relaxed);
+        }
+        if record.flags & flags::DEADLINE_MISSED != 0 {
+            self.counted_late.fetch_add(1, Ordering::Relaxed);
+        }
+        if record.is_valid() {
+            self.counted_whole.fetch_add(1, Ordering::Relaxed);
+            for (place, encoder) in self.latches.iter().zip(record.encoders()) {
+                place.store(encoder.latch, Ordering::Relaxed);
+            }
+        }
+        self.flags.store(record.flags.into(), Ordering::Relaxed);
+        self.origin.store(record.origin, Ordering::Relaxed);
+        self.at_ns.store(record.send_time.0, Ordering::Release);
+    }
+
+    /// Publishes how much of the bus is in operation. Wait-free, unless it is down: then nothing can be late.
+    pub fn publish_bus(&self, state: &BusState<'_>, bus: &str) {
+        let missing_from = match state {
+            BusState::Before(from) => (*from).into(),
+            BusState::Whole | BusState::Down(_) => 0,
+        };
+        self.missing_from.store(missing_from, Ordering::Relaxed);
+        if let BusState::Down(outage) = state {
+            let mut published = self.outage.lock().unwrap_or_else(PoisonError::into_inner);
+            if published.0 != outage.number || published.1.is_none() {
+                *published = (outage.number, outage.fact(bus));
+            }
+        }
+    }
+
+    /// Says what the ports have counted. Wait-free.
+    pub fn publish_links(&self, links: &Links) {
+        if self.links_revision.swap(links.revision(), Ordering::Relaxed) == links.revision() {
+            return;
+        }
+        for (place, errors) in self.links.iter().flatten().zip(links.errors().iter().flatten()) {
+            place.invalid_frames.store(errors.invalid_frames, Ordering::Relaxed);
+            place.receive_errors.store(errors.receive_errors, Ordering::Relaxed);
+            place.lost_links.store(errors.lost_links, Ordering::Relaxed);
+        }
+    }
+
+    /// Ports that have counted errors since the run began: position of the device, port, and how many.
+    pub fn bad_ports(&self) -> Vec<(usize, usize, PortErrors)> {
+        let ports = self.links.iter().enumerate().flat_map(|(position, ports)| {
+            ports.iter().enumerate().map(move |(port, errors)| {
+                let errors = PortErrors {
+                    invalid_frames: errors.invalid_frames.load(Ordering::Relaxed),
+                    receive_errors: errors.receive_errors.load(Ordering::Relaxed),
+                    lost_links: errors.lost_links.load(Ordering::Relaxed),
+                };
+                (position, port, errors)
+            })
+        });
+        ports.filter(|(_, _, errors)| errors.all() > 0).collect()
+    }
+
+    /// First position whose device does not answer while those before it stay in use.
+    pub fn missing_from(&self) -> Option<usize> {
+        let from = self.missing_from.load(Ordering::Relaxed);
+        (from != 0).then_some(from as usize)
+    }
+
+    /// Why the bus is down; none if it is not.
+    pub fn outage(&self) -> Option<Fact> {
+        let is_down = self.flags() & flags::BUS_DOWN != 0;
+        self.outage.lock().unwrap_or_else(PoisonError::into_inner).1.clone().filter(|_| is_down)
+    }
+
+    /// When the latest cycle was, 0 before the first.
+    pub fn at(&self) -> MonoNs {
+        MonoNs(self.at_ns.load(Ordering::Acquire))
+    }
+
+    /// When the latest cycle was that the whole bus answered, 0 before the first.
+    pub fn whole_at(&self) -> MonoNs {
+        MonoNs(self.whole_at_ns.load(Ordering::Relaxed))
+    }
+
+    /// When each encoder gave its latest valid sample, 0 before the first, in bus order.
+    pub fn valid_at(&self) -> [MonoNs; MAX_ENCODERS] {
+        std::array::from_fn(|index| MonoNs(self.valid_at_ns[index].load(Ordering::Relaxed)))
+    }
+
+    /// Cycles so far, and those of each encoder that were valid, in bus order.
+    pub fn counted(&self) -> (u64, [u64; MAX_ENCODERS]) {
+        let valid = std::array::from_fn(|index| self.counted_valid[index].load(Ordering::Relaxed));
+        (self.counted.load(Ordering::Relaxed), valid)
+    }
+
+    /// Cycles so far, those in which every encoder was valid, and those that missed their deadline.
+    pub fn totals(&self) -> [u64; 3] {
+        [&self.counted, &self.counted_whole, &self.counted_late].map(|count| count.load(Ordering::Relaxed))
+    }
+
+    /// What the terminals' latches showed in the latest cycle in which every encoder was valid, in bus order.
+    pub fn latches(&self) -> [u32; MAX_ENCODERS] {
+        std::array::from_fn(|index| self.latches[index].load(Ordering::Relaxed))
+    }
+
+    /// Reasons of the latest cycle, see `schema::flags`.
+    pub fn flags(&self) -> u32 {
+        self.flags.load(Ordering::Relaxed) as u32
+    }
+
+    /// Number of the counters' origin in the latest cycle.
+    pub fn origin(&self) -> u32 {
+        self.origin.load(Ordering::Relaxed)
+    }
+
+    /// The encoders, in bus order.
+    pub fn encoders(&self) -> [LiveEncoder; MAX_ENCODERS] {
+        std::array::from_fn(|index| {
+            let packed = self.encoders[index].load(Ordering::Relaxed);
+            LiveEncoder { count: packed as u32, status: (packed >> 32) as u16, valid: packed >> 48 & 1 == 1 }
+        })
+    }
+}

@@ -1,0 +1,43 @@
+//! The directory of the recordings: claimed against other processes, and what earlier crashes left there.
+
+use std::path::PathBuf;
+
+use shared::recording::{Leftover, Recovery, recover_leftovers_on};
+
+use super::error::RunError;
+use crate::claim::Claim;
+use crate::record::Storage;
+
+/// Keeps other processes from recording into the directory, which is made where it is missing. One that cannot be made
+/// is not claimed: whoever records into it is told why it cannot.
+pub(crate) fn claim_directory(storage: &Storage) -> Result<Option<Claim>, RunError> {
+    let directory = storage.directory();
+    let disk = storage.disk();
+    if disk.make_directory(directory).is_err() {
+        return Ok(None);
+    }
+    Claim::directory(&*disk, directory)
+        .map_err(|holder| RunError::InUse { directory: directory.to_owned(), holder })
+}
+
+/// Makes finished recordings of what earlier crashes left where recordings go, and says so in the log. Gives their files.
+pub fn finish_leftovers(storage: &Storage) -> Vec<PathBuf> {
+    let (disk, places) = (storage.disk(), [storage.directory(), storage.spare()]);
+    let leftovers = places.into_iter().flat_map(|place| recover_leftovers_on(&*disk, place));
+    let mut finished = Vec::new();
+    for Leftover { file, outcome } in leftovers {
+        match outcome {
+            Ok(Recovery::Recovered { file, content, .. } | Recovery::Renamed { file, content }) => {
+                tracing::warn!(
+                    file = %file.display(),
+                    cycles = content.cycles,
+                    "a run left behind by a crash was recovered"
+                );
+                finished.push(file);
+            }
+            Ok(Recovery::Whole { .. }) => {}
+            Err(error) => tracing::warn!(file = %file.display(), "a file left behind: {error}"),
+        }
+    }
+    finished
+}

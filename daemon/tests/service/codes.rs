@@ -1,0 +1,103 @@
+//! Each fault has one code, wherever it is reported: status, log, metrics, page, API and file.
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use ballbard::control::status::Status;
+use ballbard::problem::CODES;
+use serde_json::{Value, json};
+use shared::recording::Recording;
+
+use super::rig::{Running, agent, shipped};
+use crate::disk::rig::in_parallel;
+
+/// A service that logs into a file.
+struct Logging {
+    service: Running,
+    log: PathBuf,
+    _outside: tempfile::TempDir,
+}
+
+impl Logging {
+    fn start(faults: &[&str]) -> Self {
+        let outside = tempfile::tempdir().unwrap();
+        let log = outside.path().join("log");
+        let faults: Vec<_> = faults.iter().flat_map(|fault| ["--fault", fault]).collect();
+        let stderr = File::create(&log).unwrap().into();
+        let service = Running::logging_to(stderr, tempfile::tempdir().unwrap(), &shipped(), &faults);
+        Self { service, log, _outside: outside }
+    }
+}
+
+/// Waits until the status has the code, then looks for it in all places but the file.
+pub fn assert_reported(service: &Running, log: &Path, code: &str) {
+    let has_code = |status: &Status| {
+        status.problems.iter().chain(&status.bad_cables).any(|problem| problem.code() == code)
+    };
+    service.wait_until(code, has_code);
+    let page = || service.get::<Value>("live").to_string().contains(&format!("\"code\":\"{code}\""));
+    let metrics = || {
+        let url = format!("http://127.0.0.1:{}/metrics", service.port);
+        let text = agent().get(&url).call().unwrap().body_mut().read_to_string().unwrap();
+        text.contains(&format!("ballbard_problem{{code=\"{code}\""))
+            && text.contains(&format!("ballbard_problems_total{{code=\"{code}\"}}"))
+    };
+    let logged = || std::fs::read_to_string(log).unwrap().contains(&format!("code=\"{code}\""));
+    // The page is a tenth of a second behind the status, and the log has a queue.
+    let places: [(&str, &dyn Fn() -> bool); 3] = [("page", &page), ("metrics", &metrics), ("log", &logged)];
+    for (place, is_there) in places {
+        let is_there = (0..20).any(|_| {
+            let is_there = is_there();
+            if !is_there {
+                std::thread::sleep(Duration::from_millis(50));
+            }
+            is_there
+        });
+        assert!(is_there, "{code} is not in the {place}");
+    }
+}
+
+/// Whether an event of the recording has the code.
+pub fn is_in_file(recording: &Recording, code: &str) -> bool {
+    recording.events.iter().any(|event| event.code == code)
+}
+
+fn check(faults: &[&str], code: &str) {
+    let Logging { service, log, _outside } = &Logging::start(faults);
+    service.wait_for("waiting");
+    service.granted("start", &json!({"name": "run", "reason": "a test"}));
+    assert_reported(service, log, code);
+    // Cycles without samples are in the file when samples come again.
+    service.wait_until("its end", |status| status.problems.is_empty());
+    service.granted("stop", &json!({}));
+    let recording = service.recording("run");
+    assert!(is_in_file(&recording, code), "{code} is not in the file: {:?}", recording.events);
+    println!("| {:<40} | {code:<20} | status, page, metrics, log, file |", faults.join(" "));
+}
+
+#[test]
+fn each_fault_of_the_bus_has_the_same_code_wherever_it_is_reported() {
+    // A step of the bus' clock, and a terminal that falls to SAFE-OP, are over before a status shows them.
+    let cases: [(&[&str], &str); 7] = [
+        (&["gone:3@7s-12s"], "bus_device_missing"),
+        (&["gone:0@7s-12s"], "bus_no_answer"),
+        (&["link-down@7s-12s"], "bus_no_answer"),
+        (&["short:1,3@7s-12s"], "bus_bad_replies"),
+        (&["gone:3@7s-8s", "abort:1,0x06090011@7s-15s"], "bus_setting_refused"),
+        (&["no-signal:2@7s-11s"], "encoder_invalid"),
+        (&["noise:3,0.05@2s"], "link_errors"),
+    ];
+    in_parallel(&cases, 4, |(faults, code)| check(faults, code));
+}
+
+#[test]
+fn the_api_document_has_every_code() {
+    let service = Running::start();
+    let document: Value = service.get("openapi.json");
+    let codes = &document["components"]["schemas"]["Problem"]["properties"]["code"]["enum"];
+    assert_eq!(codes, &json!(CODES));
+    let states = document["components"]["schemas"]["ServiceState"].to_string();
+    let answers = document["components"]["schemas"]["Granted"].to_string();
+    assert!(states.contains("\"sampling\"") && answers.contains("\"emptied\""), "{states} {answers}");
+}
