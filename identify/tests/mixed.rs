@@ -8,6 +8,7 @@ use identify::calibrate::ball_bar::RunInput;
 use identify::calibrate::mix::{DataSets, Measured, calibrate};
 use identify::calibrate::validation::agreement::disagreeing;
 use identify::calibrate::{IdentifyConfig, SelectionName};
+use identify::evaluate::{WorkspaceError, limits};
 use identify::instrument::{ContactRow, LengthRow, PlacedSocket, PoseRow, SocketTable};
 use identify::kinematics::{Chain, DhLink, Joints, Pose, flange_chain, robot_chain, robot_inverse};
 use identify::model::{DriveTrain, Model, ParameterId, Role};
@@ -314,6 +315,23 @@ fn a_plate_that_is_hardly_known_does_not_make_the_robot_smaller() {
     println!("{} um apart", apart_m * 1e6);
     // The links' tolerances give the scale to one part in a thousand, the plate alone to four.
     assert!(apart_m < 1e-3, "{apart_m}");
+}
+
+/// A drive that turns otherwise than its log says is named in the same words by each instrument and by any mix.
+#[test]
+fn a_wrong_gear_ratio_is_the_same_sentence_whatever_measured_it() {
+    let mut cell = Cell::new(1);
+    let wrong = |q: &mut Joints| q[2] *= 1.0 - 1.5e-3;
+    cell.run.robot_log.q_rad.iter_mut().for_each(wrong);
+    cell.poses.iter_mut().for_each(|row| wrong(&mut row.joints_rad));
+    for parts in [[true, false, false, false], [false, true, false, false], [true, true, false, false]] {
+        let told = limits(&cell.calibrated(parts), &WorkspaceError::default());
+        let told: Vec<String> = told.into_iter().map(|limit| limit.sentence).collect();
+        assert!(
+            told.iter().any(|one| one.starts_with("Joint 3 turns by 0.15 % more than its log says")),
+            "{told:?}"
+        );
+    }
 }
 
 #[test]
