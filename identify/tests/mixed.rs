@@ -321,14 +321,14 @@ fn a_plate_that_is_hardly_known_does_not_make_the_robot_smaller() {
 #[test]
 fn a_wrong_gear_ratio_is_the_same_sentence_whatever_measured_it() {
     let mut cell = Cell::new(1);
-    let wrong = |q: &mut Joints| q[2] *= 1.0 - 1.5e-3;
+    let wrong = |q: &mut Joints| q[0] *= 1.0 - 1.5e-3;
     cell.run.robot_log.q_rad.iter_mut().for_each(wrong);
     cell.poses.iter_mut().for_each(|row| wrong(&mut row.joints_rad));
     for parts in [[true, false, false, false], [false, true, false, false], [true, true, false, false]] {
         let told = limits(&cell.calibrated(parts), &WorkspaceError::default());
         let told: Vec<String> = told.into_iter().map(|limit| limit.sentence).collect();
         assert!(
-            told.iter().any(|one| one.starts_with("Joint 3 turns by 0.15 % more than its log says")),
+            told.iter().any(|one| one.starts_with("Joint 1 turns by 0.15 % more than its log says")),
             "{told:?}"
         );
     }

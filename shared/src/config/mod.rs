@@ -147,7 +147,7 @@ pub fn parse<T: DeserializeOwned + Validate>(text: &str, path: &Path) -> Result<
         let (line, message) = match Kind::of(text).filter(|kind| T::KIND != Some(*kind)) {
             Some(other) => {
                 let (noun, option) = (other.noun(), other.option());
-                (None, format!("this is the configuration of a {noun}; it goes with {option}"))
+                (None, format!("this is the configuration of a {noun}; give it with {option}"))
             }
             None => (malformed::line(text, error), malformed::message(key.as_deref(), error.message())),
         };
