@@ -4,7 +4,7 @@ use std::cell::RefCell;
 
 use ballbard::bus::Bus;
 use ballbard::clock::Clock;
-use ballbard::cycle::Acquisition;
+use ballbard::cycle::{Acquisition, BusNames};
 use shared::recording::schema::CycleRecord;
 use shared::time::UtcNs;
 
@@ -44,7 +44,7 @@ impl Rig {
             *last = Some(*record);
         });
         while let Some(event) = self.acquisition.take_event() {
-            assert!(event.to_event().text.len() > 10, "an event without words");
+            assert!(event.to_event(&BusNames::default()).text.len() > 10, "an event without words");
         }
     }
 
