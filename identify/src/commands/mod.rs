@@ -18,8 +18,8 @@ use std::path::Path;
 
 use anyhow::Context;
 use clap::{CommandFactory, Parser, Subcommand};
-use shared::config::{JointKind, RobotConfig};
 use generate::GenerateArguments;
+use shared::config::{JointKind, RobotConfig};
 use shared::version::version;
 
 /// Calibrates a robot from a ball-bar recording and the robot's own log.
