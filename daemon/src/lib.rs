@@ -1,6 +1,6 @@
 //! Acquisition daemon for a sensed double ball-bar on EtherCAT.
 //!
-//! The way of the data: [`segment`] (wire) -> [`bus`] -> [`cycle`] -> ring -> [`recorder`] -> file; [`run`] ties
+//! The way of the data: [`segment`] (wire) -> [`bus`] -> [`cycle`] -> ring -> [`record`] -> file; [`run`] ties
 //! them together, [`control`] keeps them going as a service, [`commands`] is what a person types.
 
 // A reader of standard output that has gone must end nothing: commands print with `say`.

@@ -8,6 +8,7 @@ mod bus;
 mod command_line;
 mod faults;
 mod homing;
+mod recorder;
 mod segment;
 mod time_stamps;
 mod tuning;

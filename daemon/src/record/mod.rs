@@ -12,6 +12,7 @@ pub use progress::{Handed, Limits, Progress, Snapshot, Synced};
 pub use recorder::{CycleSink, CycleSource, Mark, Recorder, RunLink, RunSummary, ring};
 pub use stop::Stop;
 pub use storage::Storage;
+pub use synchroniser::SyncWork;
 
 /// Locked memory is really there, all of it: several times what these threads use.
 pub(crate) const STACK_BYTES: usize = 512 << 10;

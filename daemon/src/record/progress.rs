@@ -138,6 +138,11 @@ impl Progress {
         self.disk.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// False on virtual time.
+    pub(super) fn is_on_real_time(&self) -> bool {
+        self.clock.is_real()
+    }
+
     /// What the disk does now so that the run gets its file.
     pub fn opening(&self, what: &'static str) {
         self.disk().opening = Opening { what, since: self.clock.now() };

@@ -15,15 +15,13 @@ use shared::time::{MonoNs, UtcNs};
 
 use super::progress::{Handed, Progress, Synced};
 use super::storage::Storage;
-use super::synchroniser::Synchroniser;
+use super::synchroniser::{SyncWork, Synchroniser};
 use crate::clock::Clock;
 use crate::cycle::{BusNames, CycleEvent, CycleTiming, TimingSink, TimingSource, timing_ring};
 use crate::problem::{Fact, Problem};
 
 /// Events that may wait for the recorder; cycles carry their reasons themselves, so that one too many is no harm.
 const EVENTS_MAX: usize = 1024;
-/// How often the ring is emptied.
-const DRAIN_PERIOD: Duration = Duration::from_millis(20);
 /// Times that a run is taken to another place before it is given up.
 const MOVES_MAX: u32 = 8;
 /// A synchronisation that takes no longer is not worth a record of its own \[ns\].
@@ -141,6 +139,8 @@ pub struct RunLink {
     pub progress: Arc<Progress>,
     /// Where the run goes on if it has no place any more.
     pub storage: Storage,
+    /// Takes the side of a synchronisation that waits for the disk, such as [`SyncWork::spawn`].
+    pub synchronise: Box<dyn FnMut(SyncWork) + Send>,
 }
 
 /// Writes what comes out of the ring until its other end is dropped, then finishes the file. What was taken is written
@@ -180,6 +180,9 @@ pub struct Recorder {
 }
 
 impl Recorder {
+    /// How often the ring is emptied.
+    pub const PERIOD: Duration = Duration::from_millis(20);
+
     /// A recorder of the run that `writer` began with `run`.
     pub fn new(
         source: CycleSource,
@@ -187,13 +190,15 @@ impl Recorder {
         clock: Clock,
         sync_period: Duration,
         run: &RunMetadata,
-        link: RunLink,
+        mut link: RunLink,
     ) -> Self {
+        let (synchroniser, work) = Synchroniser::new(&link.progress);
+        (link.synchronise)(work);
         // The other half is for a disk or a processor that is late: the period is a promise.
         let period = sync_period / 2;
         Self {
             source,
-            synchroniser: Synchroniser::new(&link.progress),
+            synchroniser,
             writer,
             host_offset_ns: clock.utc_minus_monotonic_ns(),
             cut: (0, clock.now()),
@@ -219,14 +224,14 @@ impl Recorder {
     /// Runs until the ring's other end is dropped; `cause` is asked for then.
     pub fn run(mut self, cause: impl FnOnce() -> String) -> Result<RunSummary, WriteError> {
         while self.poll()? {
-            thread::sleep(DRAIN_PERIOD);
+            thread::sleep(Self::PERIOD);
         }
         self.finish(cause())
     }
 
     /// Takes what waits, and has it written where that is due; false once the ring's other end was dropped and all of it is
-    /// taken. Sleeps nowhere, but waits for the disk.
-    fn poll(&mut self) -> Result<bool, WriteError> {
+    /// taken: then [`Self::finish`] it. To be called each [`Self::PERIOD`]; sleeps nowhere, but waits for the disk.
+    pub fn poll(&mut self) -> Result<bool, WriteError> {
         // Asked before emptying: what was pushed before the other end was dropped is still taken.
         let last_round = self.source.ring.is_abandoned();
         self.take_notes();
@@ -383,7 +388,9 @@ impl Recorder {
         let place = self.writer.sink().place().clone();
         let moved = Fact::FileMoved { file: place.path().to_owned(), error: why.to_string() };
         // The one before may hang on the disk that is gone.
-        self.synchroniser = Synchroniser::new(&self.link.progress);
+        let (synchroniser, work) = Synchroniser::new(&self.link.progress);
+        self.synchroniser = synchroniser;
+        (self.link.synchronise)(work);
         self.link.progress.moved(place, why.to_string());
         let time = UtcNs(self.clock.now().0 + self.utc_minus_monotonic_ns);
         self.note(event(time, self.cycle_at(time), EventKind::Disk, moved));
@@ -461,7 +468,8 @@ impl Recorder {
         self.note(event(time, cycle, EventKind::Clock, Fact::ClockStepped { by_ns: moved_ns }));
     }
 
-    fn finish(mut self, cause: String) -> Result<RunSummary, WriteError> {
+    /// Writes the rest and finishes the file.
+    pub fn finish(mut self, cause: String) -> Result<RunSummary, WriteError> {
         let due = self.source.handed.due.load(Ordering::Acquire);
         self.fill_lost(due)?;
         self.take_notes();

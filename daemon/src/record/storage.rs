@@ -5,18 +5,18 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::sync_channel;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use shared::config::DaemonConfig;
 use shared::recording::{Disk, Space, SystemDisk};
+use shared::time::MonoNs;
 
 use super::progress::Progress;
 use super::stop::Stop;
+use crate::clock::Clock;
 use crate::problem::{Fact, Problem};
 
 const BYTES_PER_MB: u64 = 1_000_000;
-/// How often it is looked at. Loss is reported within a second: this period and those of whoever reports are a third of it.
-const LOOK_PERIOD: Duration = Duration::from_millis(100);
 /// A look that takes longer is reported. More than half of the same second is left to a machine too busy to run who reports.
 const ANSWERS_WITHIN: Duration = Duration::from_millis(400);
 
@@ -27,6 +27,7 @@ pub struct Storage(Arc<Shared>);
 #[derive(Debug)]
 struct Shared {
     disk: Arc<dyn Disk>,
+    clock: Clock,
     directory: PathBuf,
     spare: PathBuf,
     floor_bytes: u64,
@@ -43,13 +44,16 @@ struct WatchedRun {
 /// The last look.
 #[derive(Debug)]
 struct Seen {
-    begun: Instant,
+    begun: MonoNs,
     is_over: bool,
     usable_bytes: Option<u64>,
     problem: Option<Problem>,
 }
 
 impl Storage {
+    /// How often it is looked at. Loss is reported within a second: this period and those of whoever reports are a third of it.
+    pub const LOOK_PERIOD: Duration = Duration::from_millis(100);
+
     /// As configured, on the system's disk.
     pub fn new(daemon: &DaemonConfig) -> std::io::Result<Self> {
         Self::on(Arc::new(SystemDisk), daemon)
@@ -57,25 +61,36 @@ impl Storage {
 
     /// As configured, on another disk.
     pub fn on(disk: Arc<dyn Disk>, daemon: &DaemonConfig) -> std::io::Result<Self> {
-        let seen = Seen { begun: Instant::now(), is_over: false, usable_bytes: None, problem: None };
-        let shared = Arc::new(Shared {
+        let storage = Self::still(disk, daemon, &Clock::Real);
+        let (first, looked) = sync_channel(1);
+        repeat("disk", &storage.0, move |shared| {
+            shared.look();
+            let _ = first.try_send(());
+        })?;
+        let mut logged = Vec::new();
+        repeat("disk log", &storage.0, move |shared| logged = shared.log(&logged))?;
+        // One that hangs is reported to whoever asks.
+        let _ = looked.recv_timeout(ANSWERS_WITHIN);
+        Ok(storage)
+    }
+
+    /// The same without threads: looked at by [`Self::poll`], each [`Self::LOOK_PERIOD`] of `clock`.
+    pub fn still(disk: Arc<dyn Disk>, daemon: &DaemonConfig, clock: &Clock) -> Self {
+        let seen = Seen { begun: clock.now(), is_over: false, usable_bytes: None, problem: None };
+        Self(Arc::new(Shared {
             disk,
+            clock: clock.clone(),
             directory: daemon.directory.clone(),
             spare: daemon.spare_directory.clone(),
             floor_bytes: u64::from(daemon.disk_floor_mb) * BYTES_PER_MB,
             seen: Mutex::new(seen),
             run: Mutex::new(None),
-        });
-        let (first, looked) = sync_channel(1);
-        repeat("disk", &shared, move |shared| {
-            shared.look();
-            let _ = first.try_send(());
-        })?;
-        let mut logged = Vec::new();
-        repeat("disk log", &shared, move |shared| logged = shared.log(&logged))?;
-        // One that hangs is reported to whoever asks.
-        let _ = looked.recv_timeout(ANSWERS_WITHIN);
-        Ok(Self(shared))
+        }))
+    }
+
+    /// Looks at the disk and at the file of the run. Waits for the disk.
+    pub fn poll(&self) {
+        self.0.look();
     }
 
     /// The disk, call by call.
@@ -121,7 +136,7 @@ impl Shared {
     fn look(&self) {
         {
             let mut seen = lock(&self.seen);
-            (seen.begun, seen.is_over) = (Instant::now(), false);
+            (seen.begun, seen.is_over) = (self.clock.now(), false);
         }
         let run = self.watched();
         let place = run.as_ref().and_then(|(progress, _)| progress.place());
@@ -173,9 +188,9 @@ impl Shared {
     /// What is reported while a look takes too long.
     fn silence(&self) -> Option<Problem> {
         let seen = lock(&self.seen);
-        let silent = seen.begun.elapsed();
-        let (directory, silent_s) = (Some(self.directory.clone()), Some(silent.as_secs_f64()));
-        let is_silent = !seen.is_over && silent > ANSWERS_WITHIN;
+        let silent_s = self.clock.now().seconds_since(seen.begun);
+        let is_silent = !seen.is_over && silent_s > ANSWERS_WITHIN.as_secs_f64();
+        let (directory, silent_s) = (Some(self.directory.clone()), Some(silent_s));
         is_silent.then(|| Fact::DiskSilent { directory, silent_s }.into())
     }
 
@@ -207,7 +222,7 @@ fn repeat(
         while let Some(shared) = watched.upgrade() {
             work(&shared);
             drop(shared);
-            thread::sleep(LOOK_PERIOD);
+            thread::sleep(Storage::LOOK_PERIOD);
         }
     };
     thread::Builder::new().name(name.into()).spawn(body).map(drop)

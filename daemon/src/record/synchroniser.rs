@@ -14,35 +14,66 @@ use super::progress::{Progress, Synced};
 
 /// A synchronisation that goes on when its recorder ends may still take this long.
 const LETS_GO_WITHIN: Duration = Duration::from_secs(1);
-/// A thread that waits for the disk to have what was written, while more is written. It ends with the recorder.
+
+/// The recorder's side: one synchronisation at a time.
 pub(super) struct Synchroniser {
     jobs: SyncSender<(RunSync, Synced)>,
     outcomes: Receiver<io::Result<()>>,
     is_busy: bool,
+    /// The recorder waits for the last one at its end: not on virtual time, where no other work would proceed.
+    waits: bool,
 }
 
-impl Synchroniser {
-    pub fn new(progress: &Arc<Progress>) -> Self {
-        static NUMBER: AtomicU32 = AtomicU32::new(1);
-        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
-        let (jobs, waiting) = sync_channel::<(RunSync, Synced)>(1);
-        let (outcome, outcomes) = sync_channel(1);
-        let progress = Arc::clone(progress);
+/// The side that waits for the disk. It ends with the recorder.
+pub struct SyncWork {
+    jobs: Receiver<(RunSync, Synced)>,
+    outcomes: SyncSender<io::Result<()>>,
+    progress: Arc<Progress>,
+    number: u32,
+}
+
+impl SyncWork {
+    /// Does the work in a thread of its own. Where there is none to be had each synchronisation fails.
+    pub fn spawn(self) {
         let body = move || {
-            while let Ok((file, covered)) = waiting.recv() {
-                progress.syncing(number);
-                let synced = file.sync();
-                progress.synced(number, synced.is_ok().then_some(covered));
-                // Let go of the file before its recorder may.
-                drop(file);
-                if outcome.send(synced).is_err() {
+            while let Ok((file, covers)) = self.jobs.recv() {
+                if !self.serve(file, covers) {
                     return;
                 }
             }
         };
-        // Where there is no thread to be had nobody takes jobs, and each fails.
         let _ = thread::Builder::new().name("synchroniser".into()).stack_size(STACK_BYTES).spawn(body);
-        Self { jobs, outcomes, is_busy: false }
+    }
+
+    /// Does what is to be done now; false once the recorder needs no more.
+    pub fn poll(&self) -> bool {
+        match self.jobs.try_recv() {
+            Ok((file, covers)) => self.serve(file, covers),
+            Err(TryRecvError::Empty) => true,
+            Err(TryRecvError::Disconnected) => false,
+        }
+    }
+
+    fn serve(&self, file: RunSync, covers: Synced) -> bool {
+        self.progress.syncing(self.number);
+        let synced = file.sync();
+        self.progress.synced(self.number, synced.is_ok().then_some(covers));
+        // Let go of the file before its recorder may.
+        drop(file);
+        self.outcomes.send(synced).is_ok()
+    }
+}
+
+impl Synchroniser {
+    pub fn new(progress: &Arc<Progress>) -> (Self, SyncWork) {
+        static NUMBER: AtomicU32 = AtomicU32::new(1);
+        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+        let (jobs, jobs_out) = sync_channel(1);
+        let (outcomes_in, outcomes) = sync_channel(1);
+        let progress = Arc::clone(progress);
+        let waits = progress.is_on_real_time();
+        let work = SyncWork { jobs: jobs_out, outcomes: outcomes_in, progress, number };
+        (Self { jobs, outcomes, is_busy: false, waits }, work)
     }
 
     /// Synchronises `file`, unless it is still at it.
@@ -71,7 +102,7 @@ impl Synchroniser {
 impl Drop for Synchroniser {
     /// Whoever recovers the file should find it unlocked; one that hangs is not waited for.
     fn drop(&mut self) {
-        if self.is_busy {
+        if self.is_busy && self.waits {
             let _ = self.outcomes.recv_timeout(LETS_GO_WITHIN);
         }
     }

@@ -25,7 +25,7 @@ use crate::clock::Clock;
 use crate::cycle::RealtimeRequest;
 use crate::problem::{Fact, Problem};
 use crate::record::{
-    self, Limits, Mark, Progress, Recorder, RunLink, RunSummary, STACK_BYTES, Stop, Storage,
+    self, Limits, Mark, Progress, Recorder, RunLink, RunSummary, STACK_BYTES, Stop, Storage, SyncWork,
 };
 
 /// Markers that may wait for the disk.
@@ -138,8 +138,12 @@ impl Session {
         };
         let progress = Arc::new(Progress::new(Arc::clone(ring.handed()), limits, self.clock.clone()));
         self.storage.watch(&progress, stop);
-        let link =
-            RunLink { marks: marks_rx, progress: Arc::clone(&progress), storage: self.storage.clone() };
+        let link = RunLink {
+            marks: marks_rx,
+            progress: Arc::clone(&progress),
+            storage: self.storage.clone(),
+            synchronise: Box::new(SyncWork::spawn),
+        };
         let (clock, sync_period, cause) = (self.clock.clone(), self.daemon.sync_period(), stop.clone());
         let utc_minus_monotonic_ns = metadata.utc_minus_monotonic_ns;
         let record = move || {

@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 use shared::recording::schema::CycleRecord;
 use shared::recording::{Recording, Recovery, SystemDisk, recover_file_on, recover_leftovers_on};
 
-use super::rig::{in_parallel, leave};
-use super::wall::{Call, Fault, Wall};
+use crate::support::runs::{in_parallel, leave};
+use crate::support::wall::{Call, Fault, Wall};
 
 /// Files at once.
 const AT_ONCE: usize = 4;

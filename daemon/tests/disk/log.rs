@@ -8,8 +8,8 @@ use std::time::{Duration, Instant};
 
 use ballbard::log::Lines;
 
-use super::rig::in_parallel;
-use super::wall::{Call, Fault, Wall};
+use crate::support::runs::in_parallel;
+use crate::support::wall::{Call, Fault, Wall};
 
 const LINES: usize = 20;
 /// Longer than the end of the program waits, by more than a busy machine adds.

@@ -6,8 +6,8 @@ use ballbard::control::runs::curves;
 use ballbard::control::table::{Layout, write_csv};
 use shared::recording::SystemDisk;
 
-use super::rig::leave;
 use crate::no_allocation::peak_bytes;
+use crate::support::runs::leave;
 
 #[test]
 fn what_a_plot_or_a_table_holds_does_not_grow_with_the_run() {

@@ -21,8 +21,8 @@ use shared::recording::{Recording, recover_leftovers};
 use shared::time::UtcNs;
 use tower::ServiceExt;
 
-use super::rig::{in_parallel, leave};
-use super::wall::{Call, Fault, Wall};
+use crate::support::runs::{in_parallel, leave};
+use crate::support::wall::{Call, Fault, Wall};
 
 /// Longer than a look at the disk may take.
 const HANG: Duration = Duration::from_millis(1300);

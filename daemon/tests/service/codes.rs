@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use shared::recording::Recording;
 
 use super::rig::{Running, agent, shipped};
-use crate::disk::rig::in_parallel;
+use crate::support::runs::in_parallel;
 
 /// A service that logs into a file.
 struct Logging {

@@ -1,6 +1,10 @@
 //! What tests and benchmarks of the real-time loop share.
 #![allow(dead_code, clippy::unwrap_used, reason = "each user takes a part")]
 
+pub mod runs;
+pub mod wall;
+pub mod world;
+
 use std::collections::HashMap;
 use std::process::Command;
 use std::sync::{Arc, Mutex};

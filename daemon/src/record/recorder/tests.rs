@@ -71,7 +71,8 @@ fn rig(disk: Arc<dyn Disk>, source: CycleSource, daemon: &DaemonConfig, clock: &
     progress.opened(place);
     let stop = Stop::default();
     storage.watch(&progress, &stop);
-    let link = RunLink { marks: sync_channel(1).1, progress, storage };
+    let synchronise = Box::new(SyncWork::spawn);
+    let link = RunLink { marks: sync_channel(1).1, progress, storage, synchronise };
     let recorder = Recorder::new(source, writer, clock.clone(), daemon.sync_period(), &run, link);
     (recorder, stop)
 }
@@ -155,7 +156,7 @@ fn at_the_disk_floor_the_run_is_asked_to_end_and_its_file_says_why() {
     let begun = Instant::now();
     while !stop.is_stopped() {
         assert!(begun.elapsed() < Duration::from_secs(10), "the floor was not seen");
-        thread::sleep(DRAIN_PERIOD);
+        thread::sleep(Recorder::PERIOD);
     }
     drop(sink);
     let summary = recorder.run(|| stop.cause()).unwrap();

@@ -1,25 +1,22 @@
 //! Disks that are slow: what that costs, when, and what people are told of it.
 
-use std::io::{self, Write};
 use std::path::Path;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 use std::time::Duration;
 
 use ballbard::clock::Clock;
 use ballbard::problem::Problem;
-use ballbard::record::{self, Limits, Progress, Snapshot, Storage};
+use ballbard::record::{self, Limits, Progress, Recorder, Snapshot};
 use nix::fcntl::{AT_FDCWD, RenameFlags, renameat2};
-use shared::config::DaemonConfig;
 use shared::recording::schema::{EventKind, flags};
 use shared::recording::{Recording, RecordingWriter};
 
-use super::rig::{Outcome, Plan, Way, in_parallel, metadata, record};
-use super::wall::{Call, Fault, Wall};
+use super::rig::{Outcome, Plan, Way, record};
+use crate::support::runs::{in_parallel, metadata};
+use crate::support::wall::{Call, Fault, Wall};
 
-/// What a busy machine adds to anything: beside two builds threads have waited for 0.9 s to be run.
-const SLACK_S: f64 = 1.0;
-/// Longer than a look at the disk may take.
-const HANG: Duration = Duration::from_secs(3);
+/// The recorder looks into the ring this often.
+const SLACK_S: f64 = Recorder::PERIOD.as_millis() as f64 * 1e-3;
 
 fn plan(rate_hz: u32, seconds: f64) -> Plan {
     Plan {
@@ -83,7 +80,6 @@ fn check_slow_sync(rate_hz: u32, sync: Duration) {
 }
 
 #[test]
-#[ignore = "takes half a minute"]
 fn however_long_synchronisations_take_no_cycle_is_lost_and_what_is_said_to_be_safe_is() {
     let cases: Vec<_> = [0, 600, 1000, 3000]
         .into_iter()
@@ -124,11 +120,11 @@ fn cycles_that_a_full_ring_refuses_are_counted_at_once() {
     let outcome = record(&plan, |home| Wall::new(home, Some((Call::Write, 3, hang))));
     let summary = outcome.result.as_ref().unwrap();
     assert!(summary.cycles_lost > 50, "{summary:?}");
-    let struck = outcome.wall.struck().unwrap().duration_since(outcome.begun);
+    let struck = outcome.struck.unwrap();
     let while_it_hung = |at: Duration| at > struck && at < struck + Duration::from_secs(2);
     let mut told: Vec<u64> =
         outcome.looks.iter().filter(|look| while_it_hung(look.at)).map(|look| look.snapshot.lost).collect();
-    // They rise one by one while the disk hangs, and end at what the file says. A busy machine may have lost some before.
+    // They rise one by one while the disk hangs, and end at what the file states.
     told.dedup();
     assert!(told.len() > 20 && told.is_sorted(), "{told:?}");
     assert_eq!(outcome.looks.last().unwrap().snapshot.lost, summary.cycles_lost);
@@ -136,44 +132,6 @@ fn cycles_that_a_full_ring_refuses_are_counted_at_once() {
     let recording = recording_of(&outcome);
     let lost = recording.cycles.iter().filter(|cycle| cycle.flags & flags::LOST != 0).count() as u64;
     assert_eq!((recording.cycles.len() as u64, lost), (400, summary.cycles_lost));
-}
-
-#[test]
-fn a_disk_that_does_not_answer_is_reported_within_a_second_to_who_asks_and_in_the_log() {
-    let log = Arc::<Mutex<Vec<u8>>>::default();
-    let lines = Arc::clone(&log);
-    let subscriber = tracing_subscriber::fmt().with_writer(move || Log(Arc::clone(&lines))).finish();
-    tracing::subscriber::set_global_default(subscriber).unwrap();
-    let directory = tempfile::tempdir().unwrap();
-    let daemon = DaemonConfig { directory: directory.path().to_owned(), ..DaemonConfig::default() };
-    let wall = Arc::new(Wall::new(directory.path(), Some((Call::Space, 3, Fault::Hangs(HANG)))));
-    let storage = Storage::on(wall.clone(), &daemon).unwrap();
-    let struck = loop {
-        if let Some(struck) = wall.struck() {
-            break struck;
-        }
-        std::thread::sleep(Duration::from_millis(5));
-    };
-    let text = format!("the disk of {} has not answered for", directory.path().display());
-    let is_logged = || String::from_utf8_lossy(&log.lock().unwrap()).contains(&text);
-    while !is_logged() || !storage.problem().is_some_and(|problem| problem.text.contains(&text)) {
-        assert!(struck.elapsed() < Duration::from_secs(1), "nobody is told");
-        std::thread::sleep(Duration::from_millis(5));
-    }
-    println!("reported after {:.2} s", struck.elapsed().as_secs_f64());
-}
-
-/// What is logged.
-struct Log(Arc<Mutex<Vec<u8>>>);
-
-impl Write for Log {
-    fn write(&mut self, line: &[u8]) -> io::Result<usize> {
-        self.0.lock().unwrap().write(line)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
-    }
 }
 
 #[test]

@@ -7,11 +7,13 @@ use std::os::fd::BorrowedFd;
 use std::os::unix::fs::{FileExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard};
-use std::thread;
 use std::time::{Duration, Instant};
 
 use nix::fcntl::Flock;
 use shared::recording::{Disk, FileId, Space, SystemDisk};
+use shared::time::MonoNs;
+
+use super::world::{World, pass};
 
 /// A call that the disk is put to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -85,6 +87,8 @@ struct State {
     inodes: HashMap<u64, bool>,
     is_dead: bool,
     struck: Option<Instant>,
+    /// The same on virtual time.
+    struck_at: Option<MonoNs>,
 }
 
 /// What a call may do.
@@ -125,6 +129,11 @@ impl Wall {
         self.state().struck
     }
 
+    /// When the fault was met on virtual time.
+    pub fn struck_at(&self) -> Option<MonoNs> {
+        self.state().struck_at
+    }
+
     /// Bytes of a file that survive a power cut.
     pub fn synced_bytes(&self, inode: u64) -> u64 {
         self.state().synced.get(&inode).copied().unwrap_or(0)
@@ -140,6 +149,7 @@ impl Wall {
         let strikes = call == at && number == nth;
         if strikes {
             state.struck = Some(Instant::now());
+            state.struck_at = World::here().map(|world| world.clock.now());
         }
         match fault {
             Fault::Dies | Fault::DiesEverywhere => {
@@ -152,7 +162,7 @@ impl Wall {
             Fault::CutsShort => Ok(Permit::OneByte),
             Fault::Hangs(time) => {
                 drop(state);
-                thread::sleep(time);
+                pass(time);
                 Ok(Permit::All)
             }
         }
@@ -263,7 +273,7 @@ impl Disk for Wall {
         let inode = file.metadata()?.ino();
         let covered = self.state().written.get(&inode).copied().unwrap_or(0);
         self.on(Call::Sync, file)?;
-        thread::sleep(self.sync_takes);
+        pass(self.sync_takes);
         let mut state = self.state();
         let synced = state.synced.entry(inode).or_default();
         *synced = covered.max(*synced);

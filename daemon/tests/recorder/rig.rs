@@ -1,0 +1,327 @@
+//! A recorder between a cycle that never waits and a disk, and an observer: all on virtual time.
+
+use std::cell::RefCell;
+use std::collections::HashMap;
+use std::fs::Metadata;
+use std::io::Cursor;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+use std::rc::Rc;
+use std::sync::mpsc::{SyncSender, sync_channel};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use ballbard::clock::Clock;
+use ballbard::cycle::CycleTiming;
+use ballbard::problem::Problem;
+use ballbard::record::{
+    self, Limits, Mark, Progress, Recorder, RunLink, RunSummary, Snapshot, Stop, Storage, SyncWork,
+};
+use shared::config::DaemonConfig;
+use shared::recording::{RecordingWriter, WriteError, salvage};
+use shared::time::{MonoNs, UtcNs};
+
+use crate::support::runs::{metadata, record_of};
+use crate::support::wall::Wall;
+use crate::support::world::{Actor, World};
+
+/// What is to be recorded.
+#[derive(Debug, Clone)]
+pub struct Plan {
+    pub period: Duration,
+    pub cycles: u64,
+    pub sync_period: Duration,
+    pub ring_cycles: usize,
+    /// Cycles at whose instant somebody sets a marker.
+    pub marks: Vec<u64>,
+    /// After this cycle something is done to the directory.
+    pub interfere: Option<(u64, Way)>,
+}
+
+/// Something that happens to the run's directory.
+pub type Way = fn(&Path);
+
+/// What was seen while it was recorded.
+#[derive(Debug)]
+pub struct Look {
+    pub snapshot: Snapshot,
+    /// Of the disk as a place for recordings.
+    pub problem: Option<Problem>,
+    /// Bytes of the run's file that would have survived a power cut then.
+    pub synced_bytes: u64,
+    /// Bytes that would have survived a kill.
+    pub written_bytes: u64,
+    /// The run was in one place while somebody looked.
+    pub is_steady: bool,
+    /// Since the run began.
+    pub at: Duration,
+}
+
+/// What became of it.
+pub struct Outcome {
+    pub result: Result<RunSummary, WriteError>,
+    pub looks: Vec<Look>,
+    pub wall: Arc<Wall>,
+    /// When the fault was met, since the first cycle; none before it.
+    pub struck: Option<Duration>,
+    /// From the last cycle to the end.
+    pub finishing: Duration,
+    /// Sample time of cycle 0.
+    pub first: UtcNs,
+    pub directory: tempfile::TempDir,
+}
+
+impl Outcome {
+    pub fn home(&self) -> PathBuf {
+        self.directory.path().join("runs")
+    }
+
+    pub fn spare(&self) -> PathBuf {
+        self.directory.path().join("spare")
+    }
+
+    /// The longest that anything was seen to be, over all looks.
+    pub fn worst(&self, of: impl Fn(&Snapshot) -> f64) -> f64 {
+        self.looks.iter().map(|look| of(&look.snapshot)).fold(0.0, f64::max)
+    }
+
+    /// Whoever looked was told something with this word in it.
+    pub fn was_told(&self, word: &str) -> bool {
+        let told = |look: &Look| {
+            let is_in = |problem: &Problem| problem.text.contains(word);
+            look.snapshot.problems.iter().chain(&look.problem).any(is_in)
+        };
+        self.looks.iter().any(told)
+    }
+
+    /// What was said to be safe when somebody looked is in what `bytes` begins with: the file of today has the same
+    /// bytes as that of then, and more.
+    pub fn check_claims(&self, bytes: &[u8]) {
+        let mut known = HashMap::new();
+        let mut cycles_in = |length| *known.entry(length).or_insert_with(|| cycles_in(bytes, length));
+        let mut checked = (0, 0);
+        for Look { snapshot, synced_bytes, written_bytes, .. } in
+            self.looks.iter().filter(|look| look.is_steady)
+        {
+            let claims = (snapshot.synced.cycles, snapshot.written);
+            if claims != checked {
+                checked = claims;
+                assert!(cycles_in(*synced_bytes) >= claims.0, "a power cut: {snapshot:?} {synced_bytes}");
+                assert!(cycles_in(*written_bytes) >= claims.1, "a kill: {snapshot:?} {written_bytes}");
+            }
+        }
+    }
+}
+
+/// Cycles that can be taken out of the first `length` bytes.
+fn cycles_in(bytes: &[u8], length: u64) -> u64 {
+    let cut = &bytes[..bytes.len().min(length as usize)];
+    salvage(Cursor::new(cut), Cursor::new(Vec::new()))
+        .map_or(0, |(salvaged, _)| salvaged.cycles - salvaged.cycles_lost)
+}
+
+/// Records on a disk, on virtual time. Without a file the result is an error and there are no looks.
+pub fn record(plan: &Plan, wall: impl FnOnce(&Path) -> Wall) -> Outcome {
+    let world = World::begin();
+    let outcome = record_in(&world, plan, wall);
+    world.end();
+    outcome
+}
+
+fn record_in(world: &World, plan: &Plan, wall: impl FnOnce(&Path) -> Wall) -> Outcome {
+    let directory = tempfile::tempdir().unwrap();
+    let daemon = DaemonConfig {
+        directory: directory.path().join("runs"),
+        spare_directory: directory.path().join("spare"),
+        disk_floor_mb: 0,
+        ..DaemonConfig::default()
+    };
+    let wall = Arc::new(wall(&daemon.directory));
+    let (clock, run) = (&world.clock, metadata(plan.period));
+    let storage = Storage::still(wall.clone(), &daemon, clock);
+    world.add(Watch(storage.clone()));
+    let outcome = Outcome {
+        result: Err(WriteError::Lost(PathBuf::new())),
+        looks: Vec::new(),
+        wall: Arc::clone(&wall),
+        struck: None,
+        finishing: Duration::ZERO,
+        first: UtcNs(0),
+        directory,
+    };
+    let writer = match RecordingWriter::create_on(storage.disk(), storage.directory(), &run) {
+        Ok(writer) => writer,
+        Err(error) => return Outcome { result: Err(error), ..outcome },
+    };
+    // As on real time: the cycle does not wait.
+    let (sink, source) = record::ring(plan.ring_cycles, &Clock::Real);
+    let limits = Limits {
+        cycle_period: plan.period,
+        sync_period: plan.sync_period,
+        ring_cycles: plan.ring_cycles,
+        cycle_waits: false,
+    };
+    let place = writer.sink().place().clone();
+    let progress = Arc::new(Progress::new(Arc::clone(source.handed()), limits, clock.clone()));
+    progress.opened(place);
+    let stop = Stop::default();
+    storage.watch(&progress, &stop);
+    let (marks, marks_rx) = sync_channel(100);
+    let works = Arc::<Mutex<Vec<SyncWork>>>::default();
+    let begun_works = Arc::clone(&works);
+    let link = RunLink {
+        marks: marks_rx,
+        progress: Arc::clone(&progress),
+        storage: storage.clone(),
+        synchronise: Box::new(move |work| begun_works.lock().unwrap().push(work)),
+    };
+    let recorder = Recorder::new(source, writer, clock.clone(), plan.sync_period, &run, link);
+    let first = clock.now();
+    let ended = Rc::<RefCell<Ended>>::default();
+    let looks = Rc::<RefCell<Vec<Look>>>::default();
+    let plan = plan.clone();
+    world.add(Cycle {
+        plan,
+        next: 0,
+        first,
+        sink: Some(sink),
+        marks,
+        stop,
+        home: outcome.home(),
+        ended: ended.clone(),
+    });
+    world.add(Writing { recorder: Some(recorder), ended: ended.clone(), clock: clock.clone() });
+    world.add(Looker { storage, progress, wall: Arc::clone(&wall), first, looks: looks.clone() });
+    while ended.borrow().result.is_none() {
+        // Each works for itself: one may hang on a disk that is gone.
+        for work in works.lock().unwrap().drain(..) {
+            world.add(Synchronising(work));
+        }
+        assert!(world.step(MonoNs(i64::MAX)), "no actor is due");
+    }
+    let Ended { result, at, last_cycle } = ended.take();
+    Outcome {
+        result: result.unwrap(),
+        looks: looks.take(),
+        struck: wall.struck_at().filter(|at| *at > first).map(|at| since(at, first)),
+        finishing: since(at, last_cycle),
+        first: UtcNs(first.0),
+        ..outcome
+    }
+}
+
+fn since(at: MonoNs, from: MonoNs) -> Duration {
+    Duration::from_nanos(at.ns_since(from).max(0) as u64)
+}
+
+/// How a run ended.
+#[derive(Default)]
+struct Ended {
+    result: Option<Result<RunSummary, WriteError>>,
+    at: MonoNs,
+    last_cycle: MonoNs,
+}
+
+/// The cycle: one record a period, come what may.
+struct Cycle {
+    plan: Plan,
+    next: u64,
+    first: MonoNs,
+    /// None once the last cycle was.
+    sink: Option<record::CycleSink>,
+    marks: SyncSender<Mark>,
+    stop: Stop,
+    home: PathBuf,
+    ended: Rc<RefCell<Ended>>,
+}
+
+impl Actor for Cycle {
+    fn act(&mut self, now: MonoNs) -> Option<MonoNs> {
+        let sink = self.sink.as_mut()?;
+        let (cycle, period_ns) = (self.next, self.plan.period.as_nanos() as i64);
+        if cycle == self.plan.cycles || sink.is_abandoned() {
+            // Before the ring is dropped, as the cycle does it: nobody misses a file that is being finished.
+            self.stop.stop("test over");
+            self.sink = None;
+            self.ended.borrow_mut().last_cycle = now;
+            return None;
+        }
+        let at = self.first.plus_ns(period_ns * cycle as i64);
+        sink.push(&record_of(cycle, UtcNs(at.0)));
+        sink.push_timing(CycleTiming { late_ns: 1000, round_trip_ns: Some(1), duration_ns: 1 });
+        if self.plan.marks.contains(&cycle) {
+            // In the middle of the cycle.
+            let at = at.plus_ns(period_ns / 2);
+            self.marks.send(Mark { at, text: format!("cycle {cycle}") }).unwrap();
+        }
+        if let Some((after, interfere)) = self.plan.interfere
+            && after == cycle
+        {
+            interfere(&self.home);
+        }
+        self.next += 1;
+        Some(self.first.plus_ns(period_ns * self.next as i64))
+    }
+}
+
+/// Polls the recorder and finishes its file.
+struct Writing {
+    recorder: Option<Recorder>,
+    ended: Rc<RefCell<Ended>>,
+    clock: Clock,
+}
+
+impl Actor for Writing {
+    fn act(&mut self, _: MonoNs) -> Option<MonoNs> {
+        let result = match self.recorder.as_mut()?.poll() {
+            Ok(true) => return Some(self.clock.now().plus_ns(Recorder::PERIOD.as_nanos() as i64)),
+            Ok(false) => self.recorder.take()?.finish("test over".into()),
+            Err(error) => Err(error),
+        };
+        self.recorder = None;
+        let mut ended = self.ended.borrow_mut();
+        (ended.result, ended.at) = (Some(result), self.clock.now());
+        None
+    }
+}
+
+/// Waits for the disk in the recorder's stead.
+struct Synchronising(SyncWork);
+
+impl Actor for Synchronising {
+    fn act(&mut self, now: MonoNs) -> Option<MonoNs> {
+        self.0.poll().then(|| now.plus_ns(1_000_000))
+    }
+}
+
+/// Watches the place of the recordings.
+struct Watch(Storage);
+
+impl Actor for Watch {
+    fn act(&mut self, now: MonoNs) -> Option<MonoNs> {
+        self.0.poll();
+        Some(now.plus_ns(Storage::LOOK_PERIOD.as_nanos() as i64))
+    }
+}
+
+/// Observes run and disk each 5 ms.
+struct Looker {
+    storage: Storage,
+    progress: Arc<Progress>,
+    wall: Arc<Wall>,
+    first: MonoNs,
+    looks: Rc<RefCell<Vec<Look>>>,
+}
+
+impl Actor for Looker {
+    fn act(&mut self, now: MonoNs) -> Option<MonoNs> {
+        let (problem, snapshot) = (self.storage.problem(), self.progress.get());
+        // Measured after the snapshot, whose claims it must cover; all of one file.
+        let file = std::fs::metadata(&snapshot.file).ok();
+        let written_bytes = file.as_ref().map_or(0, Metadata::len);
+        let synced_bytes = file.as_ref().map_or(0, |file| self.wall.synced_bytes(file.ino()));
+        let (is_steady, at) = (file.is_some(), since(now, self.first));
+        self.looks.borrow_mut().push(Look { snapshot, problem, synced_bytes, written_bytes, is_steady, at });
+        Some(now.plus_ns(5_000_000))
+    }
+}

@@ -1,0 +1,83 @@
+//! Runs of one encoder, and many of them at once.
+
+use std::fmt::Debug;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread;
+use std::time::Duration;
+
+use shared::encoder::EncoderScale;
+use shared::recording::RecordingWriter;
+use shared::recording::schema::{CycleRecord, EncoderInfo, EncoderSample, RunMetadata};
+use shared::time::UtcNs;
+
+pub fn metadata(period: Duration) -> RunMetadata {
+    RunMetadata {
+        name: "run".into(),
+        operator: String::new(),
+        robot: String::new(),
+        bar: String::new(),
+        payload: String::new(),
+        note: String::new(),
+        started: UtcNs(0),
+        software: String::new(),
+        bus: String::new(),
+        replay_of: None,
+        cycle_period_ns: period.as_nanos() as u64,
+        distributed_clocks: true,
+        utc_minus_monotonic_ns: 0,
+        encoders: vec![EncoderInfo { joint: 1, scale: EncoderScale::default() }],
+        devices: Vec::new(),
+        daemon_config: String::new(),
+        ball_bar_config: String::new(),
+    }
+}
+
+pub fn record_of(cycle: u64, time: UtcNs) -> CycleRecord {
+    let mut record = CycleRecord { cycle, sample_time: time, encoder_count: 1, ..CycleRecord::default() };
+    record.encoders[0] =
+        EncoderSample { joint: 1, count: cycle as u32, valid: true, ..EncoderSample::default() };
+    record
+}
+
+/// A run of so many cycles as a crash leaves it, or finished.
+pub fn leave(directory: &Path, name: &str, cycles: u64, is_finished: bool) {
+    let period = Duration::from_millis(10);
+    let run = RunMetadata { name: name.into(), ..metadata(period) };
+    let elsewhere = tempfile::tempdir().unwrap();
+    let mut writer = RecordingWriter::create(elsewhere.path(), &run).unwrap();
+    for cycle in 0..cycles {
+        writer.write_cycle(&record_of(cycle, UtcNs(0).plus_ns(cycle as i64 * 10_000_000))).unwrap();
+        if cycle % 20 == 19 {
+            writer.cut().unwrap();
+        }
+    }
+    // Copied while it is locked: whoever has the lock is not killed with it.
+    let (file, _writer) = if is_finished {
+        (writer.finish("test over", UtcNs(0)).unwrap(), None)
+    } else {
+        (writer.sink().place().path().to_owned(), Some(writer))
+    };
+    std::fs::copy(&file, directory.join(file.file_name().unwrap())).unwrap();
+}
+
+/// Takes what is to be done from `cases`, so many at once; all of them, and what failed is named at the end.
+pub fn in_parallel<T: Sync + Debug>(cases: &[T], at_once: usize, body: impl Fn(&T) + Sync) {
+    let (next, failed) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
+    let work = || {
+        while let Some(case) = cases.get(next.fetch_add(1, Ordering::Relaxed)) {
+            if catch_unwind(AssertUnwindSafe(|| body(case))).is_err() {
+                failed.lock().unwrap().push(format!("{case:?}"));
+            }
+        }
+    };
+    thread::scope(|scope| {
+        for _ in 0..at_once {
+            scope.spawn(work);
+        }
+    });
+    let failed = failed.into_inner().unwrap();
+    assert!(failed.is_empty(), "{} of {} cases: {failed:#?}", failed.len(), cases.len());
+}
