@@ -151,7 +151,7 @@ fn every_cost_finds_the_true_robot_within_what_it_says_of_itself() {
     let robot = irb2400();
     let mut sigmas = Vec::new();
     for cost in CostName::ALL {
-        let (run, found) = calibrated(&robot, 1, Some(cost));
+        let (run, found) = calibrated(&robot, 3, Some(cost));
         let (mut ratios, mut sizes) = (Vec::new(), Vec::new());
         for compared in Comparison::new(&found, &run.truth).parameters {
             let (true, Some(sigma)) =

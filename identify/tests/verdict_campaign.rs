@@ -60,7 +60,6 @@ pub fn judged(
     robot: &RobotConfig,
 ) -> Result<(WorkspaceError, Verdict, [f64; 2]), CalibrateError> {
     let limits = &robot.joint_limits();
-    let config = IdentifyConfig::default();
     let evidence = evidence(found, limits).with_validation(found, None)?;
     let solution = found.solution();
     let solve = SolveEntry::new(found.cost_name(), &solution.summary, &solution.identifiability);

@@ -270,7 +270,8 @@ pub fn poses(
         let some = index::sample(&mut random, candidates.len(), count).into_vec();
         random_m.extend(of(&mut some.iter().map(|&pose| candidates[pose]))?.as_ref().map(position_m));
     }
-    let covariance = of(&mut joints.iter().copied())?.ok_or(PosesError::NotFinite)?;
+    // As chosen: a whole turn more changes nothing but what an error of a gear's ratio does.
+    let covariance = of(&mut order.iter().map(|&pose| candidates[pose]))?.ok_or(PosesError::NotFinite)?;
     Ok(PlannedPoses {
         joints,
         before_m: known.robot_only(&weight).max(0.0).sqrt(),

@@ -67,19 +67,18 @@ pub(super) fn to_posture(
     is_clear: impl Fn(&Joints, &Joints) -> bool,
     random: &mut impl Rng,
 ) -> (Joints, Way) {
-    let postures = turned(&from, &to, range, turns);
     let mut reached = |to: &Joints, tries| match is_clear(&from, to) {
         true => Some(Way::Straight),
         false => round([from, *to], range, tries, &is_clear, random).map(Way::Through),
     };
-    let few = |to: &Joints| Some((*to, reached(to, TRIES_TURNED)?));
-    if let Some(found) = postures.iter().find_map(few) {
-        return found;
+    if let Some(way) = reached(&to, TRIES) {
+        return (to, way);
     }
-    (to, reached(&to, TRIES).unwrap_or(Way::Blocked))
+    let few = |to: &Joints| Some((*to, reached(to, TRIES_TURNED)?));
+    turned(&from, &to, range, turns).iter().find_map(few).unwrap_or((to, Way::Blocked))
 }
 
-/// A posture, and the same one with up to two joints a whole turn further, the nearest first after itself.
+/// A posture with one or two joints a whole turn further, the nearest first.
 fn turned(from: &Joints, to: &Joints, range: &[[f64; 2]], turns: &[bool]) -> Vec<Joints> {
     let once = |posture: &Joints| {
         let axes = (0..posture.len()).filter(|axis| turns[*axis]);
@@ -98,7 +97,7 @@ fn turned(from: &Joints, to: &Joints, range: &[[f64; 2]], turns: &[bool]) -> Vec
     others.retain(|other| other != to);
     others.sort_by(|one, other| far(from, one).total_cmp(&far(from, other)));
     others.dedup();
-    std::iter::once(*to).chain(others).collect()
+    others
 }
 
 /// Postures between two others, with clear straight ways of the joints all along; joints stay within `range`. None if none was found.
