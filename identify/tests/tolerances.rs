@@ -91,7 +91,7 @@ fn a_ur10_is_calibrated_with_the_ball_bar_and_what_its_parallel_axes_do_not_sepa
 #[test]
 fn the_same_numbers_are_free_whichever_instrument_measures_the_robot() {
     let robot = irb2400();
-    let by_bar = with_tolerance(&calibrated(&run(&robot), &robot, &quick()).model());
+    let by_bar = with_tolerance(calibrated(&run(&robot), &robot, &quick()).model());
     let found = Alone::quick().without_joint_errors().poses(&tracked(&robot, [1.0; 6]), &robot).unwrap();
     assert_eq!(by_bar, with_tolerance(found.model()));
     let named = |parameter| by_bar.contains(&ParameterId::Robot { link: 1, parameter });
