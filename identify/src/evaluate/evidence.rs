@@ -115,21 +115,19 @@ impl Evidence {
         if let Some(watch) = watch {
             watch.begins("held-out segments");
         }
-        let has_bars = calibration.bars().next().is_some();
-        let segments = if has_bars { without_each_segment(calibration, watch)? } else { Vec::new() };
+        let segments = without_each_segment(calibration, watch)?;
         let nominals = nominals(calibration, &segments);
         let deployed = |deployment| {
             let found = calibration.deployed(deployment, watch)?;
             let told = |found: Calibration| {
-                let segments = if has_bars { without_each_segment(&found, watch)? } else { Vec::new() };
-                let held_out = held_out(&found, &segments, &nominals);
+                let held_out = held_out(&found, &without_each_segment(&found, watch)?, &nominals);
                 Ok::<_, CalibrateError>((Deployed::new(deployment, found), held_out))
             };
             found.map(told).transpose()
         };
         let deployed = each(Deployment::PARTIAL.len(), |number| deployed(Deployment::PARTIAL[number]));
         self.deployed = deployed.into_iter().filter_map(Result::transpose).collect::<Result<_, _>>()?;
-        self.held_out = has_bars.then(|| held_out(calibration, &segments, &nominals));
+        self.held_out = Some(held_out(calibration, &segments, &nominals));
         Ok(self)
     }
 }

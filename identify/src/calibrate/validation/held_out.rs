@@ -29,7 +29,7 @@ pub struct Segment {
     pub model: Option<Model>,
 }
 
-/// The calibration's parameters without each segment of time: by one step on the normal equations of the others, from the
+/// The calibration's parameters without each segment of time of a run with the ball-bar: by one step on the normal equations of the others, from the
 /// calibration on. The minimum without a segment is so near that it is reached (residuals are linear over what errors of
 /// one segment move). Which terms the model has was decided by the whole runs.
 ///
@@ -39,6 +39,9 @@ pub fn without_each_segment(
     calibration: &Calibration,
     watch: Option<&dyn Watch>,
 ) -> Result<Vec<Segment>, CalibrateError> {
+    if calibration.bars().next().is_none() {
+        return Ok(Vec::new());
+    }
     let runs = calibration.thinned(SAMPLES_MAX);
     let Solved { columns, solution, sigmas, .. } = &calibration.solved;
     let problem = problem(&runs, columns, sigmas)?;

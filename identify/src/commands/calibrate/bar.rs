@@ -22,7 +22,7 @@ use crate::calibrate::{CostName, IdentifyConfig, SelectionName};
 use crate::commands::ensure_can_write;
 use crate::commands::on_terminal::OnTerminal;
 use crate::cost::SharedColumns;
-use crate::evaluate::{Validity, evidence, scale_sentence};
+use crate::evaluate::{Evidence, Validity, evidence, scale_sentence};
 use crate::kinematics::flange_chain;
 use crate::logs::{
     self, BarLog, BarLogMapping, LogFormat, LogOptions, RobotLog, RobotLogMapping, is_recording,
@@ -339,15 +339,14 @@ pub(super) fn calibrate(arguments: &BarArguments, experiment: Experiment) -> any
     on_terminal.finish();
     let (calibration, evidence) =
         studied.map_err(|error| refused::of_runs(arguments, robot, &runs, &experiment, error))?;
-    let mut file = calibration_file(inputs, robot, &runs, &calibration).with_validation(&evidence);
-    let mut forces = ForceEntry::all(&evidence.spheres).into_iter();
+    let bar = runs.first().map(|run| &run.bar);
+    let name = bar.map_or("", |bar| bar.name.as_str());
+    let mut file = calibration_file(name, inputs, robot, &runs, &calibration, &evidence);
     file.validity = Some(Validity::of(calibration.poses(), &flange_chain(robot)));
-    (file.force, file.other_forces) = (forces.next(), forces.collect());
     let mut file =
         file.with_verdict(&evidence.workspace, &evidence.limits, config.require_mm.map(|mm| mm * 1e-3));
     let bars = runs.iter().map(|run| (&run.bar, run.bar_path));
     file.scale = Some(scale_sentence(bars, [], &evidence.workspace.budget));
-    let bar = runs.first().map(|run| &run.bar);
     let written = write_files(&file, robot, bar, &experiment, &arguments.common.result.out)?;
     let page = Page {
         file: &file,
@@ -387,32 +386,38 @@ pub(super) fn input_files(arguments: &BarArguments) -> Vec<(&'static str, &Path)
     files
 }
 
-fn calibration_file(
+/// What is written of a calibration, whatever it was measured with, but for what is special of files of rows; `runs` are those with
+/// the ball-bar.
+pub(super) fn calibration_file(
+    instrument: &str,
     inputs: Vec<Input>,
     robot: &RobotConfig,
     runs: &[RunFiles<'_>],
     calibration: &Calibration,
+    evidence: &Evidence,
 ) -> CalibrationFile {
     let solution = calibration.solution();
-    let bar = runs.first().map_or("", |run| run.bar.name.as_str());
     let clock = |(run, (files, (prepared, model))): (usize, (&RunFiles<'_>, _))| {
         files.clock(run, prepared, model, &calibration.solved.columns, &solution.covariance)
     };
     let mut clocks = runs.iter().zip(calibration.bar_runs()).enumerate().map(clock);
+    let mut forces = ForceEntry::all(&evidence.spheres).into_iter();
     let mut file = CalibrationFile::new(
         &robot.name,
-        bar,
+        instrument,
         SolveEntry::new(calibration.cost_name(), &solution.summary, &solution.identifiability),
         clocks.next(),
         inputs,
         ParameterEntry::of_calibration(calibration),
     )
     .with_knowledge(solution)
-    .with_separation(calibration.model(), solution);
+    .with_separation(calibration.model(), solution)
+    .with_validation(evidence);
     file.other_clocks = clocks.collect();
     file.measured = runs.iter().filter_map(RunFiles::measured).collect();
     file.candidates.clone_from(&calibration.solved.candidates);
     file.noise = NoiseEntry::all(calibration.bars());
+    (file.force, file.other_forces) = (forces.next(), forces.collect());
     file
 }
 

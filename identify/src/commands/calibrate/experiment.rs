@@ -23,9 +23,7 @@ use crate::instrument::{Instrument, Run};
 use crate::kinematics::flange_chain;
 use crate::logs::{LogFormat, LogOptions};
 use crate::model::ParameterId;
-use crate::report::result::file::{CalibrationFile, MeasurementEntry, ParameterEntry, SolveEntry};
-use crate::report::result::force::ForceEntry;
-use crate::report::result::knowledge::NoiseEntry;
+use crate::report::result::file::MeasurementEntry;
 use crate::report::result::validation::RowsEntry;
 use crate::report::rows as of_rows;
 use crate::report::table;
@@ -461,38 +459,16 @@ pub(super) fn calibrate(mut experiment: Experiment, result: &ResultArguments) ->
     let files = experiment.files(&bar_arguments);
     let (found, evidence) =
         studied.map_err(|error| refused::of_rows(&result.out, robot, &files, &experiment, error))?;
-    let solution = &found.solved.solution;
-    let first = found.runs.first().context("there is no data set")?;
-    let mut file = CalibrationFile::new(
-        &robot.name,
-        &instruments(&found.runs),
-        SolveEntry::new(found.cost_name(), &solution.summary, &solution.identifiability),
-        None,
-        inputs(&files)?,
-        ParameterEntry::of_all(
-            found.runs.iter().map(|run| &run.model),
-            &found.solved.columns,
-            &solution.covariance,
-        ),
-    )
-    .with_knowledge(solution)
-    .with_separation(&first.model, solution);
-    let of_bars = bars.iter().zip(&found.runs).enumerate().filter_map(|(number, (files, run))| {
-        let prepared = &run.instrument.bar()?.prepared;
-        Some(files.clock(number, prepared, &run.model, &found.solved.columns, &solution.covariance))
-    });
-    let of_trackers = (bars.len()..)
+    let mut file =
+        bar::calibration_file(&instruments(&found.runs), inputs(&files)?, robot, &bars, &found, &evidence);
+    let mut of_trackers = (bars.len()..)
         .zip(&read)
         .filter_map(|(number, beside)| beside.aligned.as_ref()?.clock(number, &found));
-    let mut clocks = of_bars.chain(of_trackers);
-    (file.clock, file.other_clocks) = (clocks.next(), clocks.collect());
-    let of_rows = read.iter().filter_map(|beside| MeasurementEntry::of_table(beside.simulated));
-    file.measured = bars.iter().filter_map(bar::RunFiles::measured).chain(of_rows).collect();
-    file.candidates.clone_from(&found.solved.candidates);
-    file.noise = NoiseEntry::all(found.bars());
-    let mut forces = ForceEntry::all(&evidence.spheres).into_iter();
-    (file.force, file.other_forces) = (forces.next(), forces.collect());
-    let mut file = file.with_validation(&evidence);
+    if bars.is_empty() {
+        file.clock = of_trackers.next();
+    }
+    file.other_clocks.extend(of_trackers);
+    file.measured.extend(read.iter().filter_map(|beside| MeasurementEntry::of_table(beside.simulated)));
     let entry = |(number, ((rows, set), beside)): (usize, ((&Rows, &RowSet), &Beside))| {
         (!set.errors.held_out.is_empty()).then(|| RowsEntry {
             data_set: number + 1,
@@ -505,10 +481,7 @@ pub(super) fn calibrate(mut experiment: Experiment, result: &ResultArguments) ->
     };
     let sets = data.rows.iter().zip(&found.rows).zip(&read);
     file.rows = (bars.len()..).zip(sets).filter_map(entry).collect();
-    let validity = Validity::of(
-        found.runs.iter().flat_map(|run| run.instrument.poses(&run.model)),
-        &flange_chain(robot),
-    );
+    let validity = Validity::of(found.poses(), &flange_chain(robot));
     let name = |number: usize| {
         let name = found.runs[number].instrument.name();
         if found.runs.len() > 1 { format!("{name} (data set {})", number + 1) } else { name.to_owned() }
@@ -530,7 +503,7 @@ pub(super) fn calibrate(mut experiment: Experiment, result: &ResultArguments) ->
         }
         of_files.push((name(number), &set.errors));
     }
-    tables += &of_rows::waves(&first.model);
+    tables += &of_rows::waves(found.model());
     file.validity = Some(validity);
     let scales: Vec<ScaleFrom> = found.runs.iter().map(|run| (&run.instrument).into()).collect();
     let told = Told {
