@@ -33,6 +33,12 @@ pub fn isolated(mut command: Command) -> Command {
     command
 }
 
+/// In real time a busy machine is late for as many cycles as it likes; the file says so of each.
+pub fn assert_bad_cycles_have_reasons(cycles: &[CycleRecord]) {
+    assert!(cycles.iter().any(CycleRecord::is_valid), "none of {} cycles is valid", cycles.len());
+    assert!(cycles.iter().all(|cycle| cycle.is_valid() || cycle.flags != 0), "a bad cycle has no reason");
+}
+
 /// Five terminals on distributed clocks, the frame half a period after the sample.
 pub fn plan(rate_hz: u64) -> BusPlan {
     let period = Duration::from_nanos(1_000_000_000 / rate_hz);
