@@ -233,7 +233,8 @@ fn fifty_stuck_and_fifty_fast_clients_and_a_faulty_bus_cost_a_run_no_cycle_and_t
     }
     assert!(last.cycles >= due, "{} cycles of {due}", last.cycles);
     assert_bad_cycles_have_reasons(cycles);
-    assert!(cycles[cycles.len() - 100..].iter().any(|cycle| cycle.is_valid()), "the bus did not come back");
+    let last_four_seconds = &cycles[cycles.len() - 400..];
+    assert!(last_four_seconds.iter().any(|cycle| cycle.is_valid()), "the bus did not come back");
     service.signal(Signal::SIGTERM);
     assert!(service.ended(END_WITHIN).success());
 }
