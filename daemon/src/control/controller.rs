@@ -222,7 +222,9 @@ impl Controller {
                 let _ = reply.send(answer.unwrap_or(Answer::Idle));
             }
             Command::Mark(text, at, reply) => {
-                let _ = reply.send(self.mark(text, at));
+                let marked = self.mark(text, at);
+                self.publish();
+                let _ = reply.send(marked);
             }
             Command::Check(found, reply) => {
                 let view = self.view();
