@@ -1,8 +1,8 @@
 //! `identify calibrate`: one instrument, one set of options, so that none can be accepted and ignored.
 
 mod bar;
+mod driver;
 mod experiment;
-mod force_logs;
 mod refused;
 mod result;
 mod rows;
@@ -12,7 +12,6 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::{Args, Subcommand};
-use shared::config::{self, RobotConfig};
 
 use crate::calibrate::HoldOut;
 use crate::calibrate::mix::SEED;
@@ -75,12 +74,6 @@ fn millimetres(text: &str) -> Result<f64, String> {
     number
         .filter(|mm| mm.is_finite() && *mm > 0.0)
         .ok_or_else(|| format!("`{text}` is no length above zero; give millimetres, such as 0.2mm"))
-}
-
-impl CommonArguments {
-    fn robot(&self) -> anyhow::Result<RobotConfig> {
-        Ok(config::load(&self.robot)?)
-    }
 }
 
 /// What calibrations from tables of measured rows have in common.

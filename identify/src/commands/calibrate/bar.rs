@@ -4,39 +4,24 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use anyhow::Context;
 use clap::Args;
 use shared::config::{self, BallBarConfig, RobotConfig};
-use shared::output::show;
 use shared::recording::schema::CycleRecord;
 
-use super::experiment::Experiment;
-use super::force_logs::force_logs;
-use super::result::{conclude, limited, write_files};
-use super::sources::sources;
-use super::{CommonArguments, inputs, refused};
-use crate::calibrate::ball_bar::{self, RunInput};
-use crate::calibrate::validation::truth::Comparison;
-use crate::calibrate::{CalibrateError, Calibration};
-use crate::calibrate::{CostName, IdentifyConfig, SelectionName};
-use crate::commands::ensure_can_write;
-use crate::commands::on_terminal::OnTerminal;
+use super::CommonArguments;
+use super::driver::calibrate;
+use super::experiment::{BarRun, Experiment};
+use crate::calibrate::ball_bar::RunInput;
+use crate::calibrate::{CalibrateError, CostName, IdentifyConfig, SelectionName};
 use crate::cost::SharedColumns;
-use crate::evaluate::{Evidence, Validity, evidence, scale_sentence};
-use crate::kinematics::flange_chain;
 use crate::logs::{
-    self, BarLog, BarLogMapping, LogFormat, LogOptions, RobotLog, RobotLogMapping, is_recording,
+    self, BarLog, BarLogMapping, ForceLog, ForceLogMapping, LogFormat, LogOptions, RobotLog, RobotLogMapping,
+    is_recording,
 };
 use crate::model::{Model, ModelError, ParameterId};
 use crate::prepare::{EncoderMapChoice, Prepared, bar_angles};
-use crate::report::page::Page;
 use crate::report::result::clocks::{ClockEntry, SolvedClock};
-use crate::report::result::file::{CalibrationFile, Input, MeasurementEntry, ParameterEntry, SolveEntry};
-use crate::report::result::force::ForceEntry;
-use crate::report::result::knowledge::NoiseEntry;
-use crate::report::summary::{summary, wrapped};
-use crate::report::table;
-use crate::simulate::Truth;
+use crate::report::result::file::MeasurementEntry;
 use crate::solver::{Covariance, LossName};
 use crate::threads::both;
 
@@ -132,6 +117,48 @@ fn identify_config(arguments: &BarArguments) -> anyhow::Result<IdentifyConfig> {
     Ok(config)
 }
 
+/// What was typed, as an experiment.
+fn experiment(arguments: &BarArguments) -> anyhow::Result<Experiment> {
+    let BarArguments { recording, robot_log, bar, force_log, .. } = arguments;
+    let runs = recording.len();
+    anyhow::ensure!(
+        runs == robot_log.len(),
+        "{runs} recordings and {} robot logs; give one --robot-log for each --recording, in the same order",
+        robot_log.len()
+    );
+    anyhow::ensure!(
+        bar.len() == 1 || bar.len() == runs,
+        "{runs} recordings and {} bars; give one --bar for all, or one for each --recording",
+        bar.len()
+    );
+    anyhow::ensure!(
+        force_log.is_empty() || force_log.len() == runs,
+        "{runs} recordings and {} force logs; give one --force-log for each --recording, in the same order, or none",
+        force_log.len()
+    );
+    let run = |(run, (recording, (robot_log, bar))): (usize, (&PathBuf, (&PathBuf, &PathBuf)))| BarRun {
+        recording: recording.clone(),
+        robot_log: robot_log.clone(),
+        bar: bar.clone(),
+        force_log: force_log.get(run).cloned(),
+    };
+    let bars = recording.iter().zip(robot_log.iter().zip(bar.iter().cycle()));
+    Ok(Experiment {
+        recording_mapping: arguments.recording_mapping.clone(),
+        log_format: arguments.log_format,
+        log_mapping: arguments.log_mapping.clone(),
+        force_mapping: arguments.force_mapping.clone(),
+        ignore_force: arguments.ignore_force,
+        split_at_changes: arguments.split_at_changes,
+        bars: bars.enumerate().map(run).collect(),
+        ..Experiment::new(&arguments.common.robot, identify_config(arguments)?)
+    })
+}
+
+pub(super) fn run(arguments: &BarArguments) -> anyhow::Result<()> {
+    calibrate(experiment(arguments)?, &arguments.common.result, arguments.truth.as_deref())
+}
+
 /// One run as it was read, or a part of it.
 #[derive(Clone)]
 pub(super) struct RunFiles<'a> {
@@ -202,51 +229,36 @@ impl RunFiles<'_> {
     }
 }
 
-pub(super) fn runs<'a>(
-    arguments: &'a BarArguments,
-    robot: &RobotConfig,
-) -> anyhow::Result<Vec<RunFiles<'a>>> {
+/// Reads the runs of an experiment.
+pub(super) fn runs<'a>(experiment: &'a Experiment, robot: &RobotConfig) -> anyhow::Result<Vec<RunFiles<'a>>> {
     let log_mapping: Option<RobotLogMapping> =
-        arguments.log_mapping.as_deref().map(config::load).transpose()?;
-    let log_options = LogOptions { format: arguments.log_format, mapping: log_mapping };
+        experiment.log_mapping.as_deref().map(config::load).transpose()?;
+    let log_options = LogOptions { format: experiment.log_format, mapping: log_mapping };
     let bar_mapping: Option<BarLogMapping> =
-        arguments.recording_mapping.as_deref().map(config::load).transpose()?;
-    let BarArguments { recording, robot_log, bar, .. } = arguments;
-    anyhow::ensure!(
-        recording.len() == robot_log.len(),
-        "{} recordings and {} robot logs; give one --robot-log for each --recording, in the same order",
-        recording.len(),
-        robot_log.len()
-    );
-    anyhow::ensure!(
-        bar.len() == 1 || bar.len() == recording.len(),
-        "{} recordings and {} bars; give one --bar for all, or one for each --recording",
-        recording.len(),
-        bar.len()
-    );
-    let forces = force_logs(arguments, robot)?;
-    let bars = bar.iter().cycle();
-    let read =
-        |(((recording_path, log_path), bar_path), force): (((&'a PathBuf, &'a PathBuf), &'a PathBuf), _)| {
-            let bar: BallBarConfig = config::load(bar_path)?;
-            let (recording, log) = both(
-                || load_recording(recording_path, &bar, bar_mapping.as_ref()),
-                || load_log(log_path, robot, &log_options),
-            );
-            let (mut log, recording) = (log?, recording?);
-            log.force = if arguments.ignore_force { None } else { Option::or(force, log.force) };
-            Ok(RunFiles {
-                cycles: 0..recording.cycles().len(),
-                recording: Arc::new(recording),
-                log: Arc::new(log),
-                bar,
-                bar_path,
-                recording_path,
-                log_path,
-            })
-        };
-    let files = recording.iter().zip(robot_log).zip(bars).zip(forces).map(read);
-    let files: Vec<RunFiles<'_>> = files.collect::<anyhow::Result<_>>()?;
+        experiment.recording_mapping.as_deref().map(config::load).transpose()?;
+    let force_mapping: Option<ForceLogMapping> =
+        experiment.force_mapping.as_deref().map(config::load).transpose()?;
+    let read = |run: &'a BarRun| {
+        let force = run.force_log.as_deref().map(|path| ForceLog::load(path, robot, force_mapping.as_ref()));
+        let force = force.transpose()?;
+        let bar: BallBarConfig = config::load(&run.bar)?;
+        let (recording, log) = both(
+            || load_recording(&run.recording, &bar, bar_mapping.as_ref()),
+            || load_log(&run.robot_log, robot, &log_options),
+        );
+        let (mut log, recording) = (log?, recording?);
+        log.force = if experiment.ignore_force { None } else { force.or(log.force) };
+        Ok(RunFiles {
+            cycles: 0..recording.cycles().len(),
+            recording: Arc::new(recording),
+            log: Arc::new(log),
+            bar,
+            bar_path: &run.bar,
+            recording_path: &run.recording,
+            log_path: &run.robot_log,
+        })
+    };
+    let files: Vec<RunFiles<'_>> = experiment.bars.iter().map(read).collect::<anyhow::Result<_>>()?;
     let is_other = |run: &RunFiles<'_>| matches!(&*run.recording, BarLog::Other(_));
     anyhow::ensure!(
         bar_mapping.is_none() || files.iter().any(is_other),
@@ -287,13 +299,13 @@ pub(super) fn load_log(path: &Path, robot: &RobotConfig, options: &LogOptions) -
 
 /// Solves, where it is asked for with runs cut in two at what refuses them and is known to have changed at one instant.
 pub(super) fn solved<T>(
-    arguments: &BarArguments,
+    split_at_changes: bool,
     runs: &mut Vec<RunFiles<'_>>,
     solve: impl Fn(&[RunInput<'_>]) -> Result<T, CalibrateError>,
 ) -> Result<T, CalibrateError> {
     /// A run with more is no measurement.
     const CUTS_MAX: usize = 8;
-    let mut cuts = if arguments.split_at_changes { CUTS_MAX } else { 0 };
+    let mut cuts = if split_at_changes { CUTS_MAX } else { 0 };
     loop {
         let inputs: Vec<RunInput<'_>> = runs.iter().map(RunFiles::input).collect();
         let refused = match solve(&inputs) {
@@ -310,119 +322,4 @@ pub(super) fn solved<T>(
         runs.splice(run..=run, parts);
         cuts -= 1;
     }
-}
-
-/// Reads, calibrates, writes and prints.
-pub(super) fn run(arguments: &BarArguments) -> anyhow::Result<()> {
-    calibrate(arguments, Experiment::of_bars(arguments, &identify_config(arguments)?))
-}
-
-/// The same as an experiment says, whose files the arguments have.
-pub(super) fn calibrate(arguments: &BarArguments, experiment: Experiment) -> anyhow::Result<()> {
-    let config = &experiment.identify;
-    let robot = &arguments.common.robot()?;
-    crate::commands::ensure_six_revolute_axes(robot)?;
-    ensure_can_write(&arguments.common.result.out)?;
-    let on_terminal = OnTerminal::all_or_nothing();
-    let truth = arguments.truth.as_deref().map(load_truth).transpose()?;
-    experiment.ensure_distinct()?;
-    let (inputs, runs) = both(|| inputs(&input_files(arguments)), || runs(arguments, robot));
-    let (mut runs, inputs) = (runs?, inputs?);
-    let solve = |inputs: &[RunInput<'_>]| ball_bar::calibrate_runs(inputs, robot, config, Some(&on_terminal));
-    let calibration = solved(arguments, &mut runs, solve);
-    let limits = &robot.joint_limits();
-    let studied = calibration.and_then(|calibration| {
-        let evidence = evidence(&calibration, limits);
-        let evidence = evidence.with_validation(&calibration, Some(&on_terminal))?;
-        Ok((calibration, evidence))
-    });
-    on_terminal.finish();
-    let (calibration, evidence) =
-        studied.map_err(|error| refused::of_runs(arguments, robot, &runs, &experiment, error))?;
-    let bar = runs.first().map(|run| &run.bar);
-    let name = bar.map_or("", |bar| bar.name.as_str());
-    let mut file = calibration_file(name, inputs, robot, &runs, &calibration, &evidence);
-    file.validity = Some(Validity::of(calibration.poses(), &flange_chain(robot)));
-    let mut file =
-        file.with_verdict(&evidence.workspace, &evidence.limits, config.require_mm.map(|mm| mm * 1e-3));
-    let bars = runs.iter().map(|run| (&run.bar, run.bar_path));
-    file.scale = Some(scale_sentence(bars, [], &evidence.workspace.budget));
-    let written = write_files(&file, robot, bar, &experiment, &arguments.common.result.out)?;
-    let page = Page {
-        file: &file,
-        calibration: &calibration,
-        evidence: &evidence,
-        rows: &[],
-        tables: "",
-        sources: &sources(&runs),
-        configuration: &toml::to_string(config)?,
-    };
-    let page = page.write(&arguments.common.result.out)?;
-    experiment.write(&arguments.common.result.out)?;
-    if let Some(truth) = &truth {
-        show(wrapped(&(table::comparison(&Comparison::new(&calibration, truth)) + "\n")))?;
-    }
-    let all = arguments.common.result.verbose.then(|| table::calibration(&file) + &limited(&file));
-    let summary = summary(&file, &evidence.workspace, &written, &page);
-    conclude(&file, all.as_deref(), &summary, &page)
-}
-
-/// Every file that was read, with what it is.
-pub(super) fn input_files(arguments: &BarArguments) -> Vec<(&'static str, &Path)> {
-    let BarArguments { recording, robot_log, bar, .. } = arguments;
-    let mut files = vec![("robot", arguments.common.robot.as_path())];
-    for ((recording, robot_log), bar) in recording.iter().zip(robot_log).zip(bar.iter().cycle()) {
-        files.extend([("recording", &**recording), ("robot log", &**robot_log), ("bar", &**bar)]);
-    }
-    let mappings = [
-        ("recording mapping", &arguments.recording_mapping),
-        ("robot log mapping", &arguments.log_mapping),
-        ("force log mapping", &arguments.force_mapping),
-    ];
-    for (role, path) in mappings {
-        files.extend(path.as_deref().map(|path| (role, path)));
-    }
-    files.extend(arguments.force_log.iter().map(|path| ("force log", path.as_path())));
-    files
-}
-
-/// What is written of a calibration, whatever it was measured with, but for what is special of files of rows; `runs` are those with
-/// the ball-bar.
-pub(super) fn calibration_file(
-    instrument: &str,
-    inputs: Vec<Input>,
-    robot: &RobotConfig,
-    runs: &[RunFiles<'_>],
-    calibration: &Calibration,
-    evidence: &Evidence,
-) -> CalibrationFile {
-    let solution = calibration.solution();
-    let clock = |(run, (files, (prepared, model))): (usize, (&RunFiles<'_>, _))| {
-        files.clock(run, prepared, model, &calibration.solved.columns, &solution.covariance)
-    };
-    let mut clocks = runs.iter().zip(calibration.bar_runs()).enumerate().map(clock);
-    let mut forces = ForceEntry::all(&evidence.spheres).into_iter();
-    let mut file = CalibrationFile::new(
-        &robot.name,
-        instrument,
-        SolveEntry::new(calibration.cost_name(), &solution.summary, &solution.identifiability),
-        clocks.next(),
-        inputs,
-        ParameterEntry::of_calibration(calibration),
-    )
-    .with_knowledge(solution)
-    .with_separation(calibration.model(), solution)
-    .with_validation(evidence);
-    file.other_clocks = clocks.collect();
-    file.measured = runs.iter().filter_map(RunFiles::measured).collect();
-    file.candidates.clone_from(&calibration.solved.candidates);
-    file.noise = NoiseEntry::all(calibration.bars());
-    (file.force, file.other_forces) = (forces.next(), forces.collect());
-    file
-}
-
-fn load_truth(path: &Path) -> anyhow::Result<Truth> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-    toml::from_str(&text)
-        .with_context(|| format!("{} is no truth.toml of `identify simulate`", path.display()))
 }

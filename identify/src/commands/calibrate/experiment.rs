@@ -8,25 +8,13 @@ use clap::Args;
 use serde::{Deserialize, Serialize};
 use shared::config::{self, Source, Validate, Violation};
 
-use super::bar::{self, BarArguments};
-use super::result::Told;
-use super::rows::{self, Aligned, Beside, Kind, Others, Read, RowFile, WithLogs};
-use super::sources::sources;
-use super::{CommonArguments, ResultArguments, inputs, refused};
+use super::driver::calibrate;
+use super::rows::{Kind, RowFile};
+use super::{CommonArguments, ResultArguments, inputs};
 use crate::calibrate::IdentifyConfig;
-use crate::calibrate::mix::{self, DataSets, Rows};
-use crate::calibrate::rows::RowSet;
-use crate::commands::on_terminal::OnTerminal;
-use crate::commands::{ensure_can_write, ensure_six_revolute_axes};
-use crate::evaluate::{ScaleFrom, Validity, evidence};
-use crate::instrument::{Instrument, Run};
-use crate::kinematics::flange_chain;
-use crate::logs::{LogFormat, LogOptions};
+use crate::calibrate::mix::Rows;
+use crate::logs::LogFormat;
 use crate::model::ParameterId;
-use crate::report::result::file::MeasurementEntry;
-use crate::report::result::validation::RowsEntry;
-use crate::report::rows as of_rows;
-use crate::report::table;
 use crate::solver::LossName;
 
 /// Name of the file beside a result.
@@ -175,7 +163,7 @@ impl Validate for Experiment {
 }
 
 impl Experiment {
-    fn new(robot: &Path, identify: IdentifyConfig) -> Self {
+    pub(super) fn new(robot: &Path, identify: IdentifyConfig) -> Self {
         Self {
             robot: robot.to_owned(),
             recording_mapping: None,
@@ -207,7 +195,7 @@ impl Experiment {
     }
 
     /// States which rows of each file are held out, where nobody has said so: what is usual may be another thing one day.
-    fn state(&mut self, rows: &[Rows]) {
+    pub(super) fn state(&mut self, rows: &[Rows]) {
         let files = self.trackers.iter_mut().chain(&mut self.wires).chain(&mut self.contacts);
         for (of, rows) in files.zip(rows) {
             (of.hold_out, of.seed) = (Some(rows.hold_out()), Some(rows.seed()));
@@ -215,37 +203,27 @@ impl Experiment {
     }
 
     /// Every file that is read, with what it is, those of rows first.
-    pub(super) fn files<'a>(&'a self, arguments: &'a BarArguments) -> Vec<(&'static str, &'a Path)> {
+    pub(super) fn files(&self) -> Vec<(&'static str, &Path)> {
         let mut files: Vec<(&str, &Path)> = Vec::new();
         for (kind, of) in self.rows() {
             files.extend([(kind.role(), of.file.as_path()), ("mapping", &of.mapping)]);
             files.extend(of.robot_log.as_deref().map(|log| ("robot log", log)));
             files.extend(of.sockets.as_deref().map(|sockets| ("sockets", sockets)));
         }
-        files.extend(bar::input_files(arguments));
-        files
-    }
-
-    /// That of a calibration from runs with the ball-bar.
-    pub(super) fn of_bars(arguments: &BarArguments, config: &IdentifyConfig) -> Self {
-        let mut forces = arguments.force_log.iter().cloned();
-        let run = |((recording, robot_log), bar): ((&PathBuf, &PathBuf), &PathBuf)| BarRun {
-            recording: recording.clone(),
-            robot_log: robot_log.clone(),
-            bar: bar.clone(),
-            force_log: forces.next(),
-        };
-        let bars = arguments.recording.iter().zip(&arguments.robot_log).zip(arguments.bar.iter().cycle());
-        Self {
-            recording_mapping: arguments.recording_mapping.clone(),
-            log_format: arguments.log_format,
-            log_mapping: arguments.log_mapping.clone(),
-            force_mapping: arguments.force_mapping.clone(),
-            ignore_force: arguments.ignore_force,
-            split_at_changes: arguments.split_at_changes,
-            bars: bars.map(run).collect(),
-            ..Self::new(&arguments.common.robot, config.clone())
+        files.push(("robot", &self.robot));
+        for run in &self.bars {
+            files.extend([("recording", &*run.recording), ("robot log", &run.robot_log), ("bar", &run.bar)]);
         }
+        let mappings = [
+            ("recording mapping", &self.recording_mapping),
+            ("robot log mapping", &self.log_mapping),
+            ("force log mapping", &self.force_mapping),
+        ];
+        for (role, path) in mappings {
+            files.extend(path.as_deref().map(|path| (role, path)));
+        }
+        files.extend(self.bars.iter().filter_map(|run| Some(("force log", run.force_log.as_deref()?))));
+        files
     }
 
     /// That of a calibration from rows alone, without its rows.
@@ -316,10 +294,11 @@ impl Experiment {
 
     /// Writes it beside a result, so that it can be repeated from anywhere, also where the folder that has the data and the result
     /// is moved or copied; its text.
-    pub(super) fn write(mut self, directory: &Path) -> anyhow::Result<String> {
+    pub(super) fn write(&self, directory: &Path) -> anyhow::Result<String> {
+        let mut moved = self.clone();
         // As the system finds `..` from there, whatever links have led there.
         let from = directory.canonicalize().with_context(|| directory.display().to_string())?;
-        for path in self.paths() {
+        for path in moved.paths() {
             let file = match Source::find(path) {
                 // Whoever repeats it has the same one.
                 Source::BuiltIn(..) => continue,
@@ -330,7 +309,7 @@ impl Experiment {
             let found = found.with_context(|| path.display().to_string())?;
             *path = relative(&found, &from).unwrap_or(found);
         }
-        let (to, text) = (directory.join(NAME), toml::to_string(&self)?);
+        let (to, text) = (directory.join(NAME), toml::to_string(&moved)?);
         std::fs::write(&to, &text).with_context(|| to.display().to_string())?;
         Ok(text)
     }
@@ -343,35 +322,6 @@ impl Experiment {
         }
         experiment.read_from = Some(path.to_owned());
         Ok(experiment)
-    }
-
-    pub(super) fn bar_arguments(&self, result: &ResultArguments) -> BarArguments {
-        let of = |path: fn(&BarRun) -> &PathBuf| self.bars.iter().map(|run| path(run).clone()).collect();
-        BarArguments {
-            recording: of(|run| &run.recording),
-            robot_log: of(|run| &run.robot_log),
-            bar: of(|run| &run.bar),
-            force_log: self.bars.iter().filter_map(|run| run.force_log.clone()).collect(),
-            recording_mapping: self.recording_mapping.clone(),
-            log_format: self.log_format,
-            log_mapping: self.log_mapping.clone(),
-            force_mapping: self.force_mapping.clone(),
-            ignore_force: self.ignore_force,
-            split_at_changes: self.split_at_changes,
-            common: self.common(result),
-            config: None,
-            cost: None,
-            loss: None,
-            selection: None,
-            free: Vec::new(),
-            fix: Vec::new(),
-            encoders: None,
-            truth: None,
-        }
-    }
-
-    fn common(&self, result: &ResultArguments) -> CommonArguments {
-        CommonArguments { robot: self.robot.clone(), result: result.clone() }
     }
 }
 
@@ -404,131 +354,8 @@ pub(super) fn set_aside(directory: &Path, place: &Path, own: Option<&Path>) -> a
     std::fs::remove_file(&file).with_context(|| file.display().to_string())
 }
 
-/// Reads, calibrates, writes and prints.
 pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
     let mut experiment = Experiment::load(&arguments.experiment)?;
     experiment.identify.require_mm = arguments.result.require.or(experiment.identify.require_mm);
-    calibrate(experiment, &arguments.result)
-}
-
-/// The same of an experiment that was not read from a file.
-pub(super) fn calibrate(mut experiment: Experiment, result: &ResultArguments) -> anyhow::Result<()> {
-    if experiment.rows().next().is_none() {
-        return bar::calibrate(&experiment.bar_arguments(result), experiment);
-    }
-    ensure_can_write(&result.out)?;
-    let on_terminal = OnTerminal::all_or_nothing();
-    experiment.ensure_distinct()?;
-    let robot = &experiment.common(result).robot()?;
-    let log_mapping = experiment.log_mapping.as_deref().map(config::load).transpose()?;
-    let logs = LogOptions { format: experiment.log_format, mapping: log_mapping };
-    let with = WithLogs { robot, logs, options: &experiment.identify.prepare };
-    let numbers = experiment.bars.len() + 1..;
-    let read = experiment.rows().zip(numbers).map(|((kind, of), number)| rows::read(kind, of, number, &with));
-    let read = read.collect::<anyhow::Result<Vec<Read>>>().map_err(|error| match error.downcast() {
-        Ok(error) => {
-            let arguments = experiment.bar_arguments(result);
-            let files = experiment.files(&arguments);
-            refused::of_rows(&result.out, robot, &files, &experiment, error)
-        }
-        Err(error) => error,
-    })?;
-    let (rows, read): (Vec<Rows>, Vec<_>) =
-        read.into_iter().map(|Read { rows, beside }| (rows, beside)).unzip();
-    experiment.state(&rows);
-    let others = experiment.rows().zip(&rows).map(|((_, of), rows)| Others::read(of, rows.seed(), robot));
-    let others = others.collect::<anyhow::Result<Vec<Others<'_>>>>()?;
-    let (bar_arguments, config) = (experiment.bar_arguments(result), &experiment.identify);
-    let mut bars = if experiment.bars.is_empty() {
-        Vec::new()
-    } else {
-        ensure_six_revolute_axes(robot)?;
-        bar::runs(&bar_arguments, robot)?
-    };
-    let found = bar::solved(&bar_arguments, &mut bars, |inputs| {
-        let data = DataSets { bars: inputs.to_vec(), rows: rows.clone() };
-        mix::calibrate(&data, robot, config, Some(&on_terminal))
-    });
-    let data = DataSets { bars: bars.iter().map(bar::RunFiles::input).collect(), rows };
-    let studied = found.and_then(|found| {
-        let evidence = evidence(&found, &robot.joint_limits());
-        let evidence = evidence.with_validation(&found, Some(&on_terminal))?;
-        Ok((found, evidence))
-    });
-    on_terminal.finish();
-    let files = experiment.files(&bar_arguments);
-    let (found, evidence) =
-        studied.map_err(|error| refused::of_rows(&result.out, robot, &files, &experiment, error))?;
-    let mut file =
-        bar::calibration_file(&instruments(&found.runs), inputs(&files)?, robot, &bars, &found, &evidence);
-    let mut of_trackers = (bars.len()..)
-        .zip(&read)
-        .filter_map(|(number, beside)| beside.aligned.as_ref()?.clock(number, &found));
-    if bars.is_empty() {
-        file.clock = of_trackers.next();
-    }
-    file.other_clocks.extend(of_trackers);
-    file.measured.extend(read.iter().filter_map(|beside| MeasurementEntry::of_table(beside.simulated)));
-    let entry = |(number, ((rows, set), beside)): (usize, ((&Rows, &RowSet), &Beside))| {
-        (!set.errors.held_out.is_empty()).then(|| RowsEntry {
-            data_set: number + 1,
-            hold_out: rows.hold_out(),
-            seed: rows.seed(),
-            names: beside.names.clone(),
-            fitted: set.fitted(),
-            held_out: set.held_out_with_rejected(),
-        })
-    };
-    let sets = data.rows.iter().zip(&found.rows).zip(&read);
-    file.rows = (bars.len()..).zip(sets).filter_map(entry).collect();
-    let validity = Validity::of(found.poses(), &flange_chain(robot));
-    let name = |number: usize| {
-        let name = found.runs[number].instrument.name();
-        if found.runs.len() > 1 { format!("{name} (data set {})", number + 1) } else { name.to_owned() }
-    };
-    let mut of_files = Vec::new();
-    let mut tables = table::data_sets(&found);
-    let (mut rows_limits, mut asked) = (Vec::new(), String::new());
-    for ((number, set), (beside, others)) in (bars.len()..).zip(&found.rows).zip(read.iter().zip(&others)) {
-        let Run { instrument, model } = &found.runs[number];
-        let validations = others.judge(robot, &validity, model)?;
-        asked.extend(validations.iter().map(of_rows::Validation::line));
-        let table = of_rows::table(set, instrument, model, &beside.lines, &validations);
-        tables += &format!("\n{}\n{table}", name(number));
-        tables += &beside.set_ups();
-        tables.extend(beside.aligned.as_ref().map(Aligned::line));
-        rows_limits.extend(of_rows::left_out(set, &name(number), &beside.lines));
-        if let Instrument::Contact(contact) = instrument {
-            rows_limits.extend(of_rows::contradicted(contact, model));
-        }
-        of_files.push((name(number), &set.errors));
-    }
-    tables += &of_rows::waves(found.model());
-    file.validity = Some(validity);
-    let scales: Vec<ScaleFrom> = found.runs.iter().map(|run| (&run.instrument).into()).collect();
-    let told = Told {
-        robot,
-        file,
-        calibration: &found,
-        evidence: &evidence,
-        sources: &sources(&bars),
-        bars: bars.iter().map(|run| (&run.bar, run.bar_path)).collect(),
-        scales,
-        rows_limits,
-        rows: of_files,
-        tables,
-        asked,
-        experiment: experiment.clone(),
-    };
-    told.write(result)
-}
-
-/// For a person: each instrument with how many data sets it has.
-fn instruments(runs: &[Run]) -> String {
-    let names: Vec<&str> = runs.iter().map(|run| run.instrument.name()).collect();
-    let told = names.chunk_by(|one, other| one == other).map(|same| match same {
-        [name] => (*name).to_owned(),
-        several => format!("{} times {}", several.len(), several[0]),
-    });
-    told.collect::<Vec<_>>().join(", ")
+    calibrate(experiment, &arguments.result, None)
 }

@@ -3,11 +3,10 @@
 use std::path::Path;
 
 use anyhow::Context;
-use serde::Serialize;
 use shared::config::RobotConfig;
 use shared::output::explained;
 
-use super::bar::{BarArguments, RunFiles, input_files};
+use super::bar::RunFiles;
 use super::experiment::{self, Experiment};
 use super::{inputs, sources};
 use crate::calibrate::CalibrateError;
@@ -31,57 +30,41 @@ struct Attempt<'a> {
     read_from: Option<&'a Path>,
 }
 
-/// The error of a calibration from measured rows, as the terminal shows it; `files` begin with that of the rows.
-pub(super) fn of_rows(
+/// The error of a calibration, as the terminal shows it; `runs` are those with the ball-bar, as far as they were read.
+pub(super) fn refused(
     directory: &Path,
     robot: &RobotConfig,
-    files: &[(&'static str, &Path)],
     experiment: &Experiment,
-    error: CalibrateError,
-) -> anyhow::Error {
-    let (instrument, path) = files.first().copied().unwrap_or(("", Path::new("")));
-    let attempt = Attempt {
-        robot,
-        instrument,
-        measured: Vec::new(),
-        files,
-        configuration: configuration(experiment),
-        directory,
-        read_from: experiment.read_from.as_deref(),
-    };
-    attempt.told(error, &path.display().to_string(), Vec::new)
-}
-
-/// The error of a calibration from runs with the ball-bar, as the terminal shows it.
-pub(super) fn of_runs(
-    arguments: &BarArguments,
-    robot: &RobotConfig,
     runs: &[RunFiles<'_>],
-    experiment: &Experiment,
     error: CalibrateError,
 ) -> anyhow::Error {
-    let attempt = Attempt {
-        robot,
-        instrument: runs.first().map_or("", |run| run.bar.name.as_str()),
-        measured: runs.iter().filter_map(RunFiles::measured).collect(),
-        files: &input_files(arguments),
-        configuration: configuration(&experiment.identify),
-        directory: &arguments.common.result.out,
-        read_from: experiment.read_from.as_deref(),
-    };
+    let files = &experiment.files();
     let of_one = match &error {
         CalibrateError::Prepare { run, .. } => runs.get(*run..=*run),
         _ => None,
     };
-    let names = of_one.unwrap_or(runs).iter();
-    let names = names.map(|run| format!("{} with {}", run.recording_path.display(), run.log_path.display()));
-    let names = names.collect::<Vec<_>>().join(", ");
+    let first_rows = experiment.rows().next();
+    let names = match (of_one, first_rows) {
+        (None, Some((_, rows))) => rows.file.display().to_string(),
+        _ => {
+            let name = |run: &RunFiles<'_>| {
+                format!("{} with {}", run.recording_path.display(), run.log_path.display())
+            };
+            of_one.unwrap_or(runs).iter().map(name).collect::<Vec<_>>().join(", ")
+        }
+    };
+    let bar = runs.first().map_or("", |run| run.bar.name.as_str());
+    let attempt = Attempt {
+        robot,
+        instrument: first_rows.map_or(bar, |(kind, _)| kind.role()),
+        measured: runs.iter().filter_map(RunFiles::measured).collect(),
+        files,
+        // Without its configuration a page is still of use.
+        configuration: toml::to_string(experiment).unwrap_or_else(|error| error.to_string()),
+        directory,
+        read_from: experiment.read_from.as_deref(),
+    };
     attempt.told(error, &names, || runs.iter().map(inspected).collect())
-}
-
-/// Without its configuration a page is still of use.
-fn configuration(config: &impl Serialize) -> String {
-    toml::to_string(config).unwrap_or_else(|error| error.to_string())
 }
 
 impl Attempt<'_> {

@@ -1,88 +1,16 @@
-//! What is written and printed of a calibration from rows or from a mix.
+//! What is written and printed of a calibration.
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::output::{say, show};
 
-use super::ResultArguments;
 use super::experiment::{self, Experiment};
-use crate::calibrate::Calibration;
-use crate::calibrate::rows::RowErrors;
 use crate::calibrate::validation::deployment::Deployment;
-use crate::evaluate::{Evidence, Limit, ScaleFrom, scale_sentence};
-use crate::report::page::{Page, Source};
 use crate::report::result::deployments::files;
 use crate::report::result::file::CalibrationFile;
-use crate::report::summary::{summary, wrapped};
-use crate::report::table;
+use crate::report::summary::wrapped;
 use crate::report::verdict::Grade;
-
-/// A calibration with everything that is reported of it.
-pub(super) struct Told<'a> {
-    pub(super) robot: &'a RobotConfig,
-    pub(super) file: CalibrationFile,
-    pub(super) calibration: &'a Calibration,
-    pub(super) evidence: &'a Evidence,
-    /// What the logs of each run with a ball-bar say of themselves.
-    pub(super) sources: &'a [Source],
-    /// Each run's bar, with the file that states it.
-    pub(super) bars: Vec<(&'a BallBarConfig, &'a Path)>,
-    /// What fixes the scale, data set by data set.
-    pub(super) scales: Vec<ScaleFrom>,
-    /// What is wrong with files of rows.
-    pub(super) rows_limits: Vec<Limit>,
-    /// Each file of rows with its name.
-    pub(super) rows: Vec<(String, &'a RowErrors)>,
-    /// For the page, and for the terminal where all is printed.
-    pub(super) tables: String,
-    /// What a person asked for by an option, as lines of a terminal.
-    pub(super) asked: String,
-    /// That repeats it.
-    pub(super) experiment: Experiment,
-}
-
-impl Told<'_> {
-    /// Writes all files and the page into the directory and prints what a person needs at once.
-    pub(super) fn write(self, result: &ResultArguments) -> anyhow::Result<()> {
-        let directory = &result.out;
-        let Self {
-            robot,
-            file,
-            calibration,
-            evidence,
-            sources,
-            bars,
-            scales,
-            rows_limits: mut all_limits,
-            rows,
-            tables,
-            asked,
-            experiment,
-        } = self;
-        let workspace = &evidence.workspace;
-        all_limits.extend_from_slice(&evidence.limits);
-        let mut file =
-            file.with_verdict(workspace, &all_limits, experiment.identify.require_mm.map(|mm| mm * 1e-3));
-        file.scale = Some(scale_sentence(bars.iter().copied(), scales, &workspace.budget));
-        let bar = bars.first().map(|(bar, _)| *bar);
-        let written = write_files(&file, robot, bar, &experiment, directory)?;
-        let page = Page {
-            file: &file,
-            calibration,
-            evidence,
-            rows: &rows,
-            tables: &tables,
-            sources,
-            configuration: &experiment.write(directory)?,
-        };
-        let page = page.write(directory).with_context(|| directory.display().to_string())?;
-        show(wrapped(&asked))?;
-        let all = result.verbose.then(|| table::calibration(&file) + "\n" + &tables + &limited(&file));
-        conclude(&file, all.as_deref(), &summary(&file, workspace, &written, &page), &page)
-    }
-}
 
 /// Writes what the verdict allows and returns the paths: nothing where held-out data are predicted worse than by the nominal
 /// robot, and nothing that could be applied where they are predicted no better. An earlier calibration is set aside where one

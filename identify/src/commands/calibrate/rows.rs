@@ -9,7 +9,8 @@ use shared::config::{self, RobotConfig};
 use shared::time::UtcNs;
 
 use super::bar::load_log;
-use super::experiment::{self, Experiment};
+use super::driver::calibrate;
+use super::experiment::Experiment;
 use super::{CommonArguments, RowArguments};
 use crate::calibrate::mix::{Measured, Rows};
 use crate::calibrate::rows::{WAVES_PER_TURN_MAX, tracker};
@@ -152,20 +153,20 @@ pub(super) fn run_tracker(arguments: &TrackerArguments) -> anyhow::Result<()> {
         robot_log: robot_log.clone(),
         ..RowFile::new(poses, rows)
     });
-    experiment::calibrate(experiment, &common.result)
+    calibrate(experiment, &common.result, None)
 }
 
 pub(super) fn run_wire(WireArguments { lengths, rows, common }: &WireArguments) -> anyhow::Result<()> {
     let mut experiment = Experiment::of_rows(common, &rows.fix, None);
     experiment.wires.push(RowFile::new(lengths, rows));
-    experiment::calibrate(experiment, &common.result)
+    calibrate(experiment, &common.result, None)
 }
 
 pub(super) fn run_contact(arguments: &ContactArguments) -> anyhow::Result<()> {
     let ContactArguments { contacts, sockets, rows, loss, common } = arguments;
     let mut experiment = Experiment::of_rows(common, &rows.fix, *loss);
     experiment.contacts.push(RowFile { sockets: Some(sockets.clone()), ..RowFile::new(contacts, rows) });
-    experiment::calibrate(experiment, &common.result)
+    calibrate(experiment, &common.result, None)
 }
 
 /// The instruments whose measurements are rows.

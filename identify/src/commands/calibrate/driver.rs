@@ -1,0 +1,245 @@
+//! From an experiment to its files, its page and what the terminal says: the one way of every calibration.
+
+use std::path::Path;
+
+use anyhow::Context;
+use shared::config::{self, RobotConfig};
+use shared::output::show;
+
+use super::bar::{self, RunFiles};
+use super::experiment::Experiment;
+use super::refused::refused;
+use super::result::{conclude, limited, write_files};
+use super::rows::{self, Aligned, Beside, Others, Read, WithLogs};
+use super::sources::sources;
+use super::{ResultArguments, inputs};
+use crate::calibrate::Calibration;
+use crate::calibrate::mix::{self, DataSets, Rows};
+use crate::calibrate::rows::RowErrors;
+use crate::calibrate::validation::truth::Comparison;
+use crate::commands::on_terminal::OnTerminal;
+use crate::commands::{ensure_can_write, ensure_six_revolute_axes};
+use crate::evaluate::{Evidence, Limit, ScaleFrom, Validity, evidence, scale_sentence};
+use crate::instrument::{Instrument, Run};
+use crate::kinematics::flange_chain;
+use crate::logs::LogOptions;
+use crate::report::page::Page;
+use crate::report::result::clocks::ClockEntry;
+use crate::report::result::file::{CalibrationFile, Input, MeasurementEntry, ParameterEntry, SolveEntry};
+use crate::report::result::force::ForceEntry;
+use crate::report::result::knowledge::NoiseEntry;
+use crate::report::result::validation::RowsEntry;
+use crate::report::rows as of_rows;
+use crate::report::summary::{summary, wrapped};
+use crate::report::table;
+use crate::simulate::Truth;
+use crate::threads::both;
+
+/// Reads, calibrates, writes and prints. With the `truth` of a simulated experiment its first data set is compared with it.
+///
+/// # Errors
+/// What is wrong with the data or their files; of data that are refused a page is left.
+pub(super) fn calibrate(
+    mut experiment: Experiment,
+    result: &ResultArguments,
+    truth: Option<&Path>,
+) -> anyhow::Result<()> {
+    let directory = &result.out;
+    let robot = &config::load::<RobotConfig>(&experiment.robot)?;
+    if !experiment.bars.is_empty() {
+        ensure_six_revolute_axes(robot)?;
+    }
+    ensure_can_write(directory)?;
+    let on_terminal = OnTerminal::all_or_nothing();
+    let truth = truth.map(load_truth).transpose()?;
+    experiment.ensure_distinct()?;
+    let (rows, beside) = rows_of(&experiment, robot, directory)?;
+    experiment.state(&rows);
+    let experiment = &experiment;
+    let others = experiment.rows().zip(&rows).map(|((_, of), rows)| Others::read(of, rows.seed(), robot));
+    let others = others.collect::<anyhow::Result<Vec<Others<'_>>>>()?;
+    let (inputs, bars) = both(|| inputs(&experiment.files()), || bar::runs(experiment, robot));
+    let (mut bars, inputs) = (bars?, inputs?);
+    let calibration = bar::solved(experiment.split_at_changes, &mut bars, |inputs| {
+        let data = DataSets { bars: inputs.to_vec(), rows: rows.clone() };
+        mix::calibrate(&data, robot, &experiment.identify, Some(&on_terminal))
+    });
+    let studied = calibration.and_then(|calibration| {
+        let evidence = evidence(&calibration, &robot.joint_limits());
+        let evidence = evidence.with_validation(&calibration, Some(&on_terminal))?;
+        Ok((calibration, evidence))
+    });
+    on_terminal.finish();
+    let (calibration, evidence) =
+        studied.map_err(|error| refused(directory, robot, experiment, &bars, error))?;
+
+    let mut file = calibration_file(inputs, robot, &bars, &beside, &calibration, &evidence);
+    let validity = Validity::of(calibration.poses(), &flange_chain(robot));
+    let tables = Tables::of_rows(&calibration, &rows, &beside, &others, robot, &validity)?;
+    file.rows = tables.entries;
+    file.validity = Some(validity);
+    let limits = [tables.limits, evidence.limits.clone()].concat();
+    let required_m = experiment.identify.require_mm.map(|mm| mm * 1e-3);
+    let mut file = file.with_verdict(&evidence.workspace, &limits, required_m);
+    let plates = bars.iter().map(|run| (&run.bar, run.bar_path));
+    let scales = calibration.runs.iter().map(|run| ScaleFrom::from(&run.instrument));
+    file.scale = Some(scale_sentence(plates, scales, &evidence.workspace.budget));
+
+    let written = write_files(&file, robot, bars.first().map(|run| &run.bar), experiment, directory)?;
+    let page = Page {
+        file: &file,
+        calibration: &calibration,
+        evidence: &evidence,
+        rows: &tables.errors,
+        tables: &tables.text,
+        sources: &sources(&bars),
+        configuration: &experiment.write(directory)?,
+    };
+    let page = page.write(directory).with_context(|| directory.display().to_string())?;
+    if let Some(truth) = &truth {
+        show(wrapped(&(table::comparison(&Comparison::new(&calibration, truth)) + "\n")))?;
+    }
+    show(wrapped(&tables.asked))?;
+    let all = result.verbose.then(|| table::calibration(&file) + "\n" + &tables.text + &limited(&file));
+    conclude(&file, all.as_deref(), &summary(&file, &evidence.workspace, &written, &page), &page)
+}
+
+/// Every file of rows, with what it says beside these.
+fn rows_of(
+    experiment: &Experiment,
+    robot: &RobotConfig,
+    directory: &Path,
+) -> anyhow::Result<(Vec<Rows>, Vec<Beside>)> {
+    let log_mapping = experiment.log_mapping.as_deref().map(config::load).transpose()?;
+    let logs = LogOptions { format: experiment.log_format, mapping: log_mapping };
+    let with = WithLogs { robot, logs, options: &experiment.identify.prepare };
+    let numbers = experiment.bars.len() + 1..;
+    let read = experiment.rows().zip(numbers).map(|((kind, of), number)| {
+        let Read { rows, beside } = rows::read(kind, of, number, &with)?;
+        Ok((rows, beside))
+    });
+    read.collect::<anyhow::Result<_>>().map_err(|error| match error.downcast() {
+        Ok(error) => refused(directory, robot, experiment, &[], error),
+        Err(error) => error,
+    })
+}
+
+/// What is written of a calibration, whatever it was measured with, but for the figures of files of rows.
+fn calibration_file(
+    inputs: Vec<Input>,
+    robot: &RobotConfig,
+    bars: &[RunFiles<'_>],
+    beside: &[Beside],
+    calibration: &Calibration,
+    evidence: &Evidence,
+) -> CalibrationFile {
+    let solution = calibration.solution();
+    let of_bar = |(run, (files, (prepared, model))): (usize, (&RunFiles<'_>, _))| {
+        files.clock(run, prepared, model, &calibration.solved.columns, &solution.covariance)
+    };
+    let of_bars = bars.iter().zip(calibration.bar_runs()).enumerate().map(of_bar);
+    let of_trackers = (bars.len()..).zip(beside);
+    let of_trackers =
+        of_trackers.filter_map(|(number, beside)| beside.aligned.as_ref()?.clock(number, calibration));
+    let mut clocks = of_bars.chain(of_trackers);
+    let mut forces = ForceEntry::all(&evidence.spheres).into_iter();
+    let mut file = CalibrationFile::new(
+        &robot.name,
+        &instruments(bars, &calibration.runs),
+        SolveEntry::new(calibration.cost_name(), &solution.summary, &solution.identifiability),
+        clocks.next(),
+        inputs,
+        ParameterEntry::of_calibration(calibration),
+    )
+    .with_knowledge(solution)
+    .with_separation(calibration.model(), solution)
+    .with_validation(evidence);
+    file.other_clocks = clocks.collect::<Vec<ClockEntry>>();
+    let tables = beside.iter().filter_map(|beside| MeasurementEntry::of_table(beside.simulated));
+    file.measured = bars.iter().filter_map(RunFiles::measured).chain(tables).collect();
+    file.candidates.clone_from(&calibration.solved.candidates);
+    file.noise = NoiseEntry::all(calibration.bars());
+    (file.force, file.other_forces) = (forces.next(), forces.collect());
+    file
+}
+
+/// For a person: the name of a bar alone, or each instrument with how many data sets it has.
+fn instruments(bars: &[RunFiles<'_>], runs: &[Run]) -> String {
+    if let (Some(first), true) = (bars.first(), bars.len() == runs.len()) {
+        return first.bar.name.clone();
+    }
+    let names: Vec<&str> = runs.iter().map(|run| run.instrument.name()).collect();
+    let told = names.chunk_by(|one, other| one == other).map(|same| match same {
+        [name] => (*name).to_owned(),
+        several => format!("{} times {}", several.len(), several[0]),
+    });
+    told.collect::<Vec<_>>().join(", ")
+}
+
+/// What is said of each data set, and of files of rows beside it.
+struct Tables<'a> {
+    /// For the page, and for the terminal where all is printed.
+    text: String,
+    /// What a person asked for by an option, as lines of a terminal.
+    asked: String,
+    entries: Vec<RowsEntry>,
+    limits: Vec<Limit>,
+    /// Each file of rows with its name.
+    errors: Vec<(String, &'a RowErrors)>,
+}
+
+impl<'a> Tables<'a> {
+    fn of_rows(
+        calibration: &'a Calibration,
+        rows: &[Rows],
+        beside: &[Beside],
+        others: &[Others<'_>],
+        robot: &RobotConfig,
+        validity: &Validity,
+    ) -> anyhow::Result<Self> {
+        let mut tables = Self {
+            text: table::data_sets(calibration),
+            asked: String::new(),
+            entries: Vec::new(),
+            limits: Vec::new(),
+            errors: Vec::new(),
+        };
+        let bars = calibration.runs.len() - rows.len();
+        let sets = calibration.rows.iter().zip(rows).zip(beside.iter().zip(others));
+        for (number, ((set, rows), (beside, others))) in (bars..).zip(sets) {
+            let Run { instrument, model } = &calibration.runs[number];
+            let name = match calibration.runs.len() {
+                1 => instrument.name().to_owned(),
+                _ => format!("{} (data set {})", instrument.name(), number + 1),
+            };
+            let validations = others.judge(robot, validity, model)?;
+            tables.asked.extend(validations.iter().map(of_rows::Validation::line));
+            let table = of_rows::table(set, instrument, model, &beside.lines, &validations);
+            tables.text += &format!("\n{name}\n{table}{}", beside.set_ups());
+            tables.text.extend(beside.aligned.as_ref().map(Aligned::line));
+            tables.limits.extend(of_rows::left_out(set, &name, &beside.lines));
+            if let Instrument::Contact(contact) = instrument {
+                tables.limits.extend(of_rows::contradicted(contact, model));
+            }
+            tables.entries.extend((!set.errors.held_out.is_empty()).then(|| RowsEntry {
+                data_set: number + 1,
+                hold_out: rows.hold_out(),
+                seed: rows.seed(),
+                names: beside.names.clone(),
+                fitted: set.fitted(),
+                held_out: set.held_out_with_rejected(),
+            }));
+            tables.errors.push((name, &set.errors));
+        }
+        if !rows.is_empty() {
+            tables.text += &of_rows::waves(calibration.model());
+        }
+        Ok(tables)
+    }
+}
+
+fn load_truth(path: &Path) -> anyhow::Result<Truth> {
+    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    toml::from_str(&text)
+        .with_context(|| format!("{} is no truth.toml of `identify simulate`", path.display()))
+}
