@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use identify::calibrate::mix::{DataSets, Measured, Rows, calibrate};
-use identify::calibrate::{HoldOut, IdentifyConfig, JointTermsConfig};
+use identify::calibrate::{IdentifyConfig, JointTermsConfig};
+use identify::instrument::HoldOut;
 use identify::instrument::PoseRow;
 use identify::kinematics::{Chain, Joints, Pose, flange_chain};
 use identify::report::result::urdf::urdf;

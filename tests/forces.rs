@@ -8,8 +8,9 @@ use std::process::Command;
 
 use identify::calibrate::Calibration;
 use identify::calibrate::ball_bar;
-use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig};
+use identify::calibrate::{IdentifyConfig, JointTermsConfig};
 use identify::evaluate::{Elongation, PositiveForce};
+use identify::instrument::CostName;
 use identify::kinematics::{Chain, Joints};
 use identify::logs::{ForceClock, ForceKind, LogOptions, RobotLog, RobotLogMapping, load, load_with};
 use identify::simulate::{self, BarLoad, Design, Effects, Experiment, Simulated};

@@ -5,12 +5,12 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use identify::calibrate::validation::truth::Comparison;
 use identify::calibrate::{IdentifyConfig, ball_bar};
 use identify::logs::{
     BarLog, LogError, LogOptions, Origin, RobotLog, RobotLogMapping, load, load_with, read,
 };
 use identify::model::ParameterId;
+use identify::simulate::Comparison;
 use identify::simulate::{self, Design, Experiment};
 use shared::config::{self, RobotConfig};
 use system_tests::{ball_bar as shipped_bar, config_directory, python_with};

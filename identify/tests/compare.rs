@@ -4,9 +4,10 @@
 use crate::support::campaign::size;
 use crate::support::{bar, irb2400};
 use identify::calibrate::{IdentifyConfig, ball_bar};
-use identify::evaluate::{Consistency, ConsistencyError, Validity};
+use identify::evaluate::Validity;
 use identify::report::result::file::{CalibrationFile, ParameterEntry, SolveEntry};
 use identify::report::side_by_side;
+use identify::report::{Consistency, ConsistencyError};
 use identify::simulate::{self, Effects, Experiment, StaticErrors};
 
 const NOISE: Effects =

@@ -4,9 +4,10 @@
 
 use std::sync::Mutex;
 
+use identify::calibrate::IdentifyConfig;
 use identify::calibrate::mix::{DataSets, Measured, Rows, calibrate};
 use identify::calibrate::rows::{PoseFigures, RunCause, Sizes};
-use identify::calibrate::{HoldOut, IdentifyConfig};
+use identify::instrument::HoldOut;
 use identify::instrument::{LengthRow, Rejection, Standing, Wire};
 use identify::kinematics::{Joints, flange_chain};
 use identify::model::{Axis, ParameterId};

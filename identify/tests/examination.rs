@@ -2,9 +2,9 @@
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
 use crate::support::Cell;
-use identify::calibrate::CostName;
 use identify::cost::{LoopProblem, Position, Residual, Transform};
 use identify::examine::{Poses, examine};
+use identify::instrument::CostName;
 use identify::model::{ParameterId, Selection};
 use identify::report::examination::examinations;
 use identify::simulate::Design;

@@ -10,10 +10,11 @@ use identify::calibrate::Calibration;
 use identify::calibrate::ball_bar;
 use identify::calibrate::validation::deployment::Deployment;
 use identify::calibrate::validation::held_out::without_each_segment;
-use identify::calibrate::validation::truth::Comparison;
-use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig, SelectionName};
+use identify::calibrate::{IdentifyConfig, JointTermsConfig, SelectionName};
 use identify::evaluate::{evidence, held_out, nominals};
+use identify::instrument::CostName;
 use identify::model::ParameterId;
+use identify::simulate::Comparison;
 use identify::simulate::{self, Effects, Experiment, Simulated};
 use shared::config::{BallBarConfig, RobotConfig};
 

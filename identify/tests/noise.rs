@@ -9,7 +9,8 @@ use crate::support::truth::position_error_m;
 use crate::support::{bar, irb2400, nj220};
 use identify::calibrate::Calibration;
 use identify::calibrate::ball_bar;
-use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig, NoiseConfig};
+use identify::calibrate::{IdentifyConfig, JointTermsConfig};
+use identify::instrument::{CostName, NoiseConfig};
 use identify::simulate::{self, Design, Effects, Experiment, Simulated};
 use shared::config::RobotConfig;
 

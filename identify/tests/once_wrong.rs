@@ -4,13 +4,14 @@
 
 use identify::calibrate::Calibration;
 use identify::calibrate::ball_bar;
-use identify::calibrate::validation::truth::Comparison;
-use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig};
+use identify::calibrate::{IdentifyConfig, JointTermsConfig};
 use identify::evaluate::{Elongation, evidence};
+use identify::instrument::CostName;
 use identify::instrument::PoseRow;
 use identify::kinematics::{Joints, flange_chain};
 use identify::model::ParameterId;
 use identify::report::verdict::Grade;
+use identify::simulate::Comparison;
 use identify::simulate::{self, BarLoad, Design, Effects, Experiment, Simulated};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};

@@ -5,8 +5,8 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use identify::calibrate::HoldOut;
 use identify::cost::PoseNoise;
+use identify::instrument::HoldOut;
 use identify::instrument::{Measures as _, PoseRow, Standing, Tracker, standing};
 use identify::kinematics::{Joints, flange_chain};
 use identify::logs::{JointTableMapping, MeasuredPoseMapping, MeasuredPoses};

@@ -3,10 +3,10 @@
 
 use crate::support::{bar, irb2400};
 use identify::calibrate::Calibration;
-use identify::calibrate::validation::truth::Comparison;
 use identify::calibrate::{IdentifyConfig, ball_bar};
 use identify::model::ParameterId;
 use identify::prepare::SampleStatus;
+use identify::simulate::Comparison;
 use identify::simulate::{self, Design, Effects, Experiment, Simulated};
 
 /// A path on which the rod passes along the base axis.

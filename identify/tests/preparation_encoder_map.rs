@@ -3,13 +3,13 @@
 
 use crate::support::laboratory::exchange;
 use crate::support::{bar, irb2400, nj220};
-use identify::calibrate::validation::truth::Comparison;
 use identify::calibrate::{IdentifyConfig, ball_bar};
 use identify::model::ParameterId;
 use identify::prepare::{
     AnglePair, EncoderMap, EncoderMapChoice, PrepareError, PrepareOptions, Prepared, find_encoder_map,
     prepare,
 };
+use identify::simulate::Comparison;
 use identify::simulate::{self, Design, Effects, Experiment, Simulated};
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::encoder::Direction;

@@ -3,7 +3,8 @@
 
 use crate::support::refused::Typed;
 use crate::support::{bar, irb2400};
-use identify::calibrate::{CostName, IdentifyConfig, ball_bar};
+use identify::calibrate::{IdentifyConfig, ball_bar};
+use identify::instrument::CostName;
 use identify::simulate::{self, Design, Effects, Experiment, Simulated};
 use shared::config::BallBarConfig;
 

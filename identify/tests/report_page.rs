@@ -8,13 +8,14 @@ use crate::support::{browser, irb2400};
 use identify::calibrate::Calibration;
 use identify::calibrate::ball_bar::{self, RunInput};
 use identify::calibrate::validation::held_out::without_each_segment;
-use identify::calibrate::validation::truth::Comparison;
-use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig};
+use identify::calibrate::{IdentifyConfig, JointTermsConfig};
 use identify::evaluate::{Evidence, evidence, held_out, nominals, workspace_error};
+use identify::instrument::CostName;
 use identify::model::ParameterId;
 use identify::prepare::PrepareOptions;
 use identify::report::page::Page;
 use identify::report::result::file::{CalibrationFile, ParameterEntry, SolveEntry};
+use identify::simulate::Comparison;
 use identify::simulate::{self, Design, Effects, Experiment, Simulated, StaticErrors};
 use shared::config::{BallBarConfig, RobotConfig};
 

@@ -5,7 +5,6 @@ use std::f64::consts::FRAC_PI_2;
 
 use crate::support::independent::{Matrix, identity, product, shift, turn};
 use identify::calibrate::validation::deployment::Deployment;
-use identify::evaluate::{CalibratedRobot, CalibratedRobotError};
 use identify::kinematics::{Chain, InverseError, Joints, Pose, robot_chain};
 use identify::logs::JointConversion;
 use identify::model::Model;
@@ -13,6 +12,7 @@ use identify::report::result::corrections::{Correction, corrections, csv, log_co
 use identify::report::result::file::{CalibrationFile, ParameterEntry, SolveEntry, Status};
 use identify::report::result::knowledge::CovarianceEntry;
 use identify::report::result::urdf::urdf;
+use identify::report::{CalibratedRobot, CalibratedRobotError};
 use identify::solver::{Identifiability, Summary, Termination};
 use nalgebra::{DMatrix, Vector3};
 use shared::config::RobotConfig;

@@ -4,11 +4,12 @@
 use crate::support::{Cell, bar, irb2400};
 use identify::calibrate::Calibration;
 use identify::calibrate::ball_bar::{self, RunInput};
-use identify::calibrate::validation::truth::Comparison;
-use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig, SelectionName};
+use identify::calibrate::{IdentifyConfig, JointTermsConfig, SelectionName};
 use identify::cost::SharedColumns;
+use identify::instrument::CostName;
 use identify::model::{ParameterId, Role};
 use identify::report::result::file::ParameterEntry;
+use identify::simulate::Comparison;
 use identify::simulate::{self, Clocks, Design, Effects, Experiment, Simulated};
 use shared::config::BallBarConfig;
 

@@ -7,10 +7,10 @@
 
 use identify::calibrate::IdentifyConfig;
 use identify::calibrate::ball_bar;
-use identify::calibrate::validation::truth::Comparison;
 use identify::logs::RobotLog;
 use identify::model::ParameterId;
 use identify::prepare::{PrepareOptions, prepare};
+use identify::simulate::Comparison;
 use identify::simulate::{self, Clocks, Effects, Experiment, Simulated};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

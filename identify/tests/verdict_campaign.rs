@@ -7,12 +7,12 @@ use std::collections::BTreeMap;
 
 use identify::calibrate::IdentifyConfig;
 use identify::calibrate::ball_bar::calibrate;
-use identify::calibrate::validation::truth::position_errors_m;
 use identify::calibrate::{CalibrateError, Calibration};
 use identify::evaluate::{Expected, WorkspaceError, evidence};
 use identify::kinematics::Joints;
 use identify::report::result::file::{CalibrationFile, ParameterEntry, SolveEntry};
 use identify::report::verdict::{Grade, Verdict};
+use identify::simulate::position_errors_m;
 use identify::simulate::{Design, Simulated};
 use nalgebra::Vector3;
 use rand::{Rng, SeedableRng};

@@ -5,12 +5,12 @@ use crate::support::laboratory::of_drive;
 use crate::support::{bar, irb2400, nj220};
 use identify::calibrate::Calibration;
 use identify::calibrate::ball_bar;
-use identify::calibrate::validation::truth::Comparison;
 use identify::calibrate::{IdentifyConfig, JointTermsConfig};
 use identify::evaluate::{WorkspaceError, limits};
 use identify::kinematics::Joints;
 use identify::logs::JointConversion;
 use identify::model::ParameterId;
+use identify::simulate::Comparison;
 use identify::simulate::{self, Effects, Experiment, Simulated};
 use shared::config::{BallBarConfig, RobotConfig};
 

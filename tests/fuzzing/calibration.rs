@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use identify::evaluate::Consistency;
+use identify::report::Consistency;
 use identify::report::result::file::{CalibrationFile, ParameterEntry, SolveEntry, Status};
 use identify::report::side_by_side;
 

@@ -8,8 +8,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use identify::commands::{self, Arguments, interrupt};
-use identify::evaluate::CalibratedRobot;
 use identify::kinematics::Pose;
+use identify::report::CalibratedRobot;
 use identify::report::result::file::CalibrationFile;
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use pyo3::create_exception;

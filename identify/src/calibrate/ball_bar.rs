@@ -7,11 +7,11 @@ use shared::recording::schema::{CycleRecord, EncoderInfo};
 
 use super::calibration::Calibration;
 use super::change;
-use super::config::{CostName, IdentifyConfig, SelectionName};
+use super::config::{IdentifyConfig, SelectionName};
 use super::error::CalibrateError;
 use super::pipeline::{Plan, Solved, estimate};
 use super::selection::structure::identifiable;
-use crate::instrument::{BallBar, Instrument, Run};
+use crate::instrument::{BallBar, CostName, Instrument, Run};
 use crate::kinematics::{BAR_JOINTS, LinkParameter, ball_bar_chain, robot_chain};
 use crate::logs::{RobotLog, Unwrapped};
 use crate::model::{Axis, DriveTrain, Group, Model, ModelError, Parameter, ParameterId, Role};

@@ -2,10 +2,9 @@
 
 use super::ball_bar::measured;
 use super::change::Changed;
-use super::config::CostName;
 use super::pipeline::Solved;
 use super::rows::RowSet;
-use crate::instrument::{BallBar, Run};
+use crate::instrument::{BallBar, CostName, Run};
 use crate::kinematics::{BAR_JOINTS, Joints};
 use crate::model::{Model, ParameterId};
 use crate::prepare::Prepared;

@@ -7,7 +7,7 @@ use shared::config::{BallBarConfig, Validate, Violation};
 
 use super::selection::links::link_ids;
 use super::selection::terms::CandidateGroup;
-use crate::cost::AngleNoise;
+use crate::instrument::{CostName, NoiseConfig};
 use crate::kinematics::{BAR_JOINTS, LinkParameter};
 use crate::model::{Group, Model, ModelError, Owner, ParameterId, Role, Selection, THESIS_FIXED, TermGroup};
 use crate::prepare::PrepareOptions;
@@ -18,53 +18,6 @@ use crate::solver::LossName;
 const ZERO_SIGMA_RAD: f64 = 0.01;
 /// How far the bar's base may lean where that is not estimated: one that is set up by eye \[rad\].
 const BASE_TILT_SIGMA_RAD: f64 = 5e-3;
-
-/// Cost functions that need a ball-bar.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "snake_case")]
-#[value(rename_all = "snake_case")]
-pub enum CostName {
-    /// Position and rotation, whitened by the noise of all angles; five encoders, or all but that of joint 3.
-    Pose,
-    /// All entries of robot minus bar (thesis eq. 2.4); five encoders.
-    Transform,
-    /// Position and two angles of the cardan (thesis eq. 2.3); encoders 1, 2, 4 and 5.
-    PositionAngles,
-    /// Position (thesis eq. 2.2); encoders 1 and 2.
-    Position,
-    /// Distance from the bar's base against its length (thesis eq. 2.1); no encoder.
-    Length,
-}
-
-impl CostName {
-    /// The best cost that these encoders allow.
-    pub fn for_encoders(measured: &[bool; BAR_JOINTS]) -> Self {
-        match measured {
-            [true, true, _, true, true] => Self::Pose,
-            [true, true, ..] => Self::Position,
-            _ => Self::Length,
-        }
-    }
-
-    /// Loss where none is asked for: the thesis' costs are plain sums of squares.
-    pub const fn usual_loss(self) -> LossName {
-        match self {
-            Self::Pose => LossName::Huber,
-            _ => LossName::None,
-        }
-    }
-
-    /// Name in files and reports.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Pose => "pose",
-            Self::Transform => "transform",
-            Self::PositionAngles => "position_angles",
-            Self::Position => "position",
-            Self::Length => "length",
-        }
-    }
-}
 
 /// Named sets of free parameters.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
@@ -120,28 +73,6 @@ impl Default for JointTermsConfig {
             delay_ms: 3.0,
             compliance_urad_per_m: 200.0,
         }
-    }
-}
-
-/// White noise of the angles, by which the `pose` cost weighs.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct NoiseConfig {
-    /// Of each bar encoder, one standard deviation \[urad\].
-    pub encoder_urad: f64,
-    /// Of each robot joint, one standard deviation \[urad\].
-    pub robot_urad: f64,
-}
-
-impl Default for NoiseConfig {
-    fn default() -> Self {
-        Self { encoder_urad: 5.0, robot_urad: 15.0 }
-    }
-}
-
-impl From<NoiseConfig> for AngleNoise {
-    fn from(config: NoiseConfig) -> Self {
-        Self { encoder_rad: config.encoder_urad * 1e-6, robot_rad: config.robot_urad * 1e-6 }
     }
 }
 

@@ -11,10 +11,9 @@ use super::error::CalibrateError;
 use super::pipeline::{Plan, Solved, estimate, refit, waves_per_turn};
 use super::rows::{self, RowSet};
 use super::validation::deployment::{Deployment, fitted};
-use super::validation::split::HoldOut;
 use crate::instrument::{
-    Contact, ContactError, ContactRow, Instrument, LengthRow, PoseRow, Run, SocketTable, Standing, Tracker,
-    Wire,
+    Contact, ContactError, ContactRow, HoldOut, Instrument, LengthRow, PoseRow, Run, SocketTable, Standing,
+    Tracker, Wire,
 };
 use crate::kinematics::{Chain, Joints, flange_chain};
 use crate::model::{DriveTrain, Model, ParameterId};

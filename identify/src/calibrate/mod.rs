@@ -13,7 +13,5 @@ pub mod selection;
 pub mod validation;
 
 pub use calibration::Calibration;
-pub use config::{CostName, IdentifyConfig, JointTermsConfig, NoiseConfig, SelectionName};
+pub use config::{IdentifyConfig, JointTermsConfig, SelectionName};
 pub use error::CalibrateError;
-pub(crate) use validation::repetition::independent_segments;
-pub use validation::split::HoldOut;

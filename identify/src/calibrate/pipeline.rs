@@ -5,13 +5,12 @@
 use nalgebra::DMatrix;
 
 use super::change;
-use super::config::CostName;
 use super::error::CalibrateError;
 use super::rows::WAVES_PER_TURN_MAX;
 use super::selection::line_spectrum::{LineSpectrum, Shown};
 use super::selection::terms::{Candidate, CandidateGroup, Offer, mean, prior_scale, select};
 use crate::cost::{CostError, DataSets, SharedColumns};
-use crate::instrument::Run;
+use crate::instrument::{CostName, Run};
 use crate::model::{Group, Model, ModelError, Parameter, ParameterId, Phase, Role, TermGroup};
 use crate::solver::{
     Considered, Covariance, GoodShare, Loss, LossName, Normals, Options, Prior, Problem, Solution, Source,

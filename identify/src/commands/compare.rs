@@ -6,7 +6,7 @@ use anyhow::Context;
 use clap::Args;
 use shared::output::{say, show};
 
-use crate::evaluate::Consistency;
+use crate::report::Consistency;
 use crate::report::result::file::CalibrationFile;
 use crate::report::side_by_side;
 

@@ -6,8 +6,8 @@ use clap::Args;
 use shared::config::{self, BallBarConfig, RobotConfig};
 use shared::output::{say, show};
 
-use crate::calibrate::CostName;
 use crate::examine::examine;
+use crate::instrument::CostName;
 use crate::report::examination::examinations;
 
 #[derive(Debug, Args)]

@@ -10,11 +10,11 @@ pub use poses::{PoseError, Poses};
 
 use shared::config::{BallBarConfig, RobotConfig};
 
-use crate::calibrate::CostName;
 use crate::calibrate::selection::structure::{is_geometry, surplus};
 use crate::cost::{
     AngleNoise, CostError, Length, LoopProblem, Position, PositionAngles, Residual, Transform, WhitenedPose,
 };
+use crate::instrument::CostName;
 use crate::kinematics::{ball_bar_chain, robot_chain};
 use crate::model::{Model, ModelError, ParameterId, Role, Selection, THESIS_FIXED};
 use crate::simulate::Design;

@@ -1,7 +1,9 @@
 //! The sensed double ball-bar: a run with its cost.
 
+use super::repetition::independent_segments;
 use super::{Instrument, Measures};
-use crate::calibrate::{CostName, NoiseConfig, independent_segments};
+use serde::{Deserialize, Serialize};
+
 use crate::cost::{
     AngleNoise, CostError, DataSet, FoundNoise, Length, LoopProblem, Position, PositionAngles, Residual,
     TORSION, Transform, WhitenedPose, WhitenedPoseOfFour, fill_in,
@@ -9,6 +11,24 @@ use crate::cost::{
 use crate::kinematics::BAR_JOINTS;
 use crate::model::{Clock, JointState, Model, ModelError, Parameter, ParameterId, RobotMotion, Role};
 use crate::prepare::Prepared;
+use crate::solver::LossName;
+
+/// Cost functions that need a ball-bar.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "snake_case")]
+#[value(rename_all = "snake_case")]
+pub enum CostName {
+    /// Position and rotation, whitened by the noise of all angles; five encoders, or all but that of joint 3.
+    Pose,
+    /// All entries of robot minus bar (thesis eq. 2.4); five encoders.
+    Transform,
+    /// Position and two angles of the cardan (thesis eq. 2.3); encoders 1, 2, 4 and 5.
+    PositionAngles,
+    /// Position (thesis eq. 2.2); encoders 1 and 2.
+    Position,
+    /// Distance from the bar's base against its length (thesis eq. 2.1); no encoder.
+    Length,
+}
 
 impl CostName {
     /// Every cost, the most telling first.
@@ -35,6 +55,34 @@ impl CostName {
         }
     }
 
+    /// The best cost that these encoders allow.
+    pub fn for_encoders(measured: &[bool; BAR_JOINTS]) -> Self {
+        match measured {
+            [true, true, _, true, true] => Self::Pose,
+            [true, true, ..] => Self::Position,
+            _ => Self::Length,
+        }
+    }
+
+    /// Loss where none is asked for: the thesis' costs are plain sums of squares.
+    pub const fn usual_loss(self) -> LossName {
+        match self {
+            Self::Pose => LossName::Huber,
+            _ => LossName::None,
+        }
+    }
+
+    /// Name in files and reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Pose => "pose",
+            Self::Transform => "transform",
+            Self::PositionAngles => "position_angles",
+            Self::Position => "position",
+            Self::Length => "length",
+        }
+    }
+
     /// [`Residual::identifies`] of its residual with the encoders that there are.
     pub fn identifies(self, measured: &[bool; BAR_JOINTS], id: ParameterId) -> bool {
         match self {
@@ -51,6 +99,28 @@ impl CostName {
 /// Encoder 3 is missing, which the whitened pose can do without.
 const fn is_of_four(measured: &[bool; BAR_JOINTS]) -> bool {
     !measured[TORSION]
+}
+
+/// White noise of the angles, by which the `pose` cost weighs.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct NoiseConfig {
+    /// Of each bar encoder, one standard deviation \[urad\].
+    pub encoder_urad: f64,
+    /// Of each robot joint, one standard deviation \[urad\].
+    pub robot_urad: f64,
+}
+
+impl Default for NoiseConfig {
+    fn default() -> Self {
+        Self { encoder_urad: 5.0, robot_urad: 15.0 }
+    }
+}
+
+impl From<NoiseConfig> for AngleNoise {
+    fn from(config: NoiseConfig) -> Self {
+        Self { encoder_rad: config.encoder_urad * 1e-6, robot_rad: config.robot_urad * 1e-6 }
+    }
 }
 
 /// One run.

@@ -3,9 +3,11 @@
 
 mod ball_bar;
 mod contact;
+mod repetition;
 mod row_noise;
 mod screened;
 mod sockets;
+pub(crate) mod split;
 mod standing;
 mod tracker;
 mod wire;
@@ -13,11 +15,12 @@ mod wire;
 use std::fmt;
 use std::ops::{Deref, DerefMut};
 
-pub use ball_bar::BallBar;
+pub use ball_bar::{BallBar, CostName, NoiseConfig};
 pub use contact::{Contact, ContactError, ContactRow};
 pub use screened::{RejectedRow, Rejection};
 pub(crate) use screened::{faulty, gross_rows, without};
 pub use sockets::{KnownDistance, PlacedSocket, SocketTable, Sockets};
+pub use split::HoldOut;
 pub use standing::{Standing, poses, standing};
 pub use tracker::{PoseError, PoseRow, Tracker};
 pub use wire::{LengthRow, Wire};

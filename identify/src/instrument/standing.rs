@@ -1,7 +1,7 @@
 //! Poses at which the robot stood still while something was measured: what tracker, wire and contact have in common.
 
-use crate::calibrate::HoldOut;
-use crate::calibrate::validation::split;
+use super::split;
+use crate::instrument::HoldOut;
 use crate::kinematics::{Chain, Joints};
 use crate::model::{JointState, RobotMotion};
 

@@ -7,8 +7,9 @@ use maud::{Markup, PreEscaped, html};
 use super::page::document;
 use super::page::drawing::intervals::Intervals;
 use super::page::drawing::plot::{COLOURS, PlotError};
-use crate::evaluate::{Compared, Consistency, Quantiles};
+use crate::evaluate::Quantiles;
 use crate::model::Unit;
+use crate::report::{Compared, Consistency};
 
 /// The table on a terminal.
 pub fn table(consistency: &Consistency, names: &[String]) -> String {

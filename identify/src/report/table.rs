@@ -6,10 +6,10 @@ use super::result::corrections::TO_JOINT;
 use super::result::file::{CalibrationFile, ReadIn, Status};
 use crate::calibrate::Calibration;
 use crate::calibrate::validation::deployment::Deployment;
-use crate::calibrate::validation::truth::Comparison;
 use crate::inspect::{Inspection, JointLine};
 use crate::instrument::{Instrument, RejectedRow, Run};
 use crate::model::ParameterId;
+use crate::simulate::Comparison;
 
 /// How the solve went, and every identified parameter: nominal, correction and sigma in mm and mrad.
 pub fn calibration(file: &CalibrationFile) -> String {

@@ -5,6 +5,7 @@
 //! motion as the real things would, each on its own clock, with [`Effects`] that no estimator models. Nothing here is
 //! shared with the estimator but kinematics and names: otherwise a simulation would only prove that a model inverts itself.
 
+mod comparison;
 pub mod contact;
 mod effects;
 mod motion;
@@ -15,6 +16,7 @@ mod truth;
 mod wire;
 mod write;
 
+pub use comparison::{Compared, Comparison, position_errors_m};
 pub use effects::Effects;
 use effects::{BarReading, RobotReading};
 pub use motion::{BarPath, Motion};

@@ -10,13 +10,13 @@ use super::{Conditions, Definition, Estimator, Figure, Kind, Row, Series, StudyI
 use crate::calibrate::IdentifyConfig;
 use crate::calibrate::ball_bar::calibrate_prepared;
 use crate::calibrate::mix::{self, DataSets, Measured};
-use crate::calibrate::validation::truth::{Comparison, position_errors_m};
 use crate::logs::Stream;
 use crate::model::{Model, Observation, Selection};
 use crate::prepare::{AlignedLog, Prepared};
 use crate::simulate::{
     ATTACHMENT_M, Design, Experiment, LEAD_ROWS, Pairs, SimulateError, Truth, pairs, wire_rows,
 };
+use crate::simulate::{Comparison, position_errors_m};
 
 /// One experiment: a place in the study's list of figures, series, sizes and seeds.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -6,14 +6,15 @@ mod files;
 
 use crate::support::{bar, irb2400};
 use identify::calibrate::ball_bar;
-use identify::calibrate::validation::truth::Comparison;
 use identify::calibrate::{CalibrateError, Calibration};
-use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig};
+use identify::calibrate::{IdentifyConfig, JointTermsConfig};
 use identify::evaluate::{Elongation, PositiveForce, evidence};
+use identify::instrument::CostName;
 use identify::kinematics::{Chain, Joints, Trace, Tracer};
 use identify::logs::{ForceClock, ForceKind, ForceLog, Stream};
 use identify::model::ParameterId;
 use identify::prepare::{ForceError, PrepareError, PrepareOptions, Prepared, SampleStatus, prepare};
+use identify::simulate::Comparison;
 use identify::simulate::{self, BarLoad, Effects, Experiment, Simulated};
 use nalgebra::Vector3;
 

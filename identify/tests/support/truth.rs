@@ -1,9 +1,9 @@
 //! What a calibration is worth when the truth is known.
 
 use identify::calibrate::Calibration;
-use identify::calibrate::validation::truth::position_errors_m;
 use identify::kinematics::{Chain, DhLink, Joints};
 use identify::simulate::Simulated;
+use identify::simulate::position_errors_m;
 use nalgebra::{Matrix3, Vector3};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};

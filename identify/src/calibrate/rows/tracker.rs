@@ -5,7 +5,7 @@ use shared::config::RobotConfig;
 use super::{PoseFigures, RowError, each_has_rows};
 use crate::calibrate::CalibrateError;
 use crate::calibrate::pipeline::{Plan, estimate};
-use crate::calibrate::validation::split;
+use crate::instrument::split;
 use crate::instrument::{Instrument, Measures, PoseError, PoseRow, Run, Standing, Tracker, poses, standing};
 use crate::kinematics::{Joints, flange_chain};
 use crate::model::Model;

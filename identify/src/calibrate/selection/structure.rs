@@ -7,7 +7,7 @@ use crate::model::{
 };
 use crate::solver::{Identifiability, Options, SolveError, identifiability};
 
-use crate::calibrate::CostName;
+use crate::instrument::CostName;
 
 /// Poses that are looked at: ranks do not need more.
 const POSES_MAX: usize = 300;

@@ -2,11 +2,11 @@
 
 use std::ops::Range;
 
-use super::split::segments;
 use crate::calibrate::pipeline::{Solved, problem};
 use crate::calibrate::{CalibrateError, Calibration};
 use crate::cost::SharedColumns;
 use crate::instrument::Run;
+use crate::instrument::split::segments;
 use crate::model::{Model, Observation, ParameterId};
 use crate::solver::{Normals, Options, Watch};
 

@@ -12,8 +12,9 @@ use super::CommonArguments;
 use super::driver::calibrate;
 use super::experiment::{BarRun, Experiment};
 use crate::calibrate::ball_bar::RunInput;
-use crate::calibrate::{CalibrateError, CostName, IdentifyConfig, SelectionName};
+use crate::calibrate::{CalibrateError, IdentifyConfig, SelectionName};
 use crate::cost::SharedColumns;
+use crate::instrument::CostName;
 use crate::logs::{
     self, BarLog, BarLogMapping, ForceLog, ForceLogMapping, LogFormat, LogOptions, RobotLog, RobotLogMapping,
     is_recording,

@@ -16,7 +16,6 @@ use super::{ResultArguments, inputs};
 use crate::calibrate::Calibration;
 use crate::calibrate::mix::{self, DataSets, Rows};
 use crate::calibrate::rows::RowErrors;
-use crate::calibrate::validation::truth::Comparison;
 use crate::commands::on_terminal::OnTerminal;
 use crate::commands::{ensure_can_write, ensure_six_revolute_axes};
 use crate::evaluate::{Evidence, Limit, ScaleFrom, Validity, evidence, scale_sentence};
@@ -32,6 +31,7 @@ use crate::report::result::validation::RowsEntry;
 use crate::report::rows as of_rows;
 use crate::report::summary::{summary, wrapped};
 use crate::report::table;
+use crate::simulate::Comparison;
 use crate::simulate::Truth;
 use crate::threads::both;
 

@@ -1,5 +1,6 @@
 //! The files of a calibration: its parameters and all that is known of them, and those for other programs.
 
+pub(in crate::report) mod calibrated_robot;
 pub mod clocks;
 pub mod corrections;
 pub mod deployments;

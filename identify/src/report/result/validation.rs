@@ -7,9 +7,9 @@ use serde::{Deserialize, Serialize};
 
 use super::deployments::DeploymentEntry;
 use super::file::CalibrationFile;
-use crate::calibrate::HoldOut;
 use crate::calibrate::rows::Stages;
 use crate::evaluate::{Evidence, HeldOut, PoseErrorRms};
+use crate::instrument::HoldOut;
 
 /// Robot against bar, root mean square.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]

@@ -3,11 +3,11 @@
 use nalgebra::{DMatrix, Matrix6, Matrix6xX};
 use shared::config::{BallBarConfig, RobotConfig};
 
+use super::file::CalibrationFile;
 use crate::kinematics::{
     InverseError, Joints, Pose, Trace, Tracer, Twist, flange_chain, robot_chain, robot_inverse,
 };
 use crate::model::{DriveTrain, Geometry, JointErrors, JointState, Owner, ParameterId};
-use crate::report::result::file::CalibrationFile;
 
 /// Joints are known well enough \[rad, m\]: a hundred times below what any encoder resolves.
 const SETTLED: f64 = 1e-10;

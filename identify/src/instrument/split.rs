@@ -67,7 +67,7 @@ fn boxes(positions_m: &[Vector3<f64>]) -> Vec<usize> {
 }
 
 /// `count` segments of nearly equal length in each run, of which `starts` gives the first samples and the total.
-pub(in crate::calibrate) fn segments(starts: &[usize], count: usize) -> Vec<Range<usize>> {
+pub(crate) fn segments(starts: &[usize], count: usize) -> Vec<Range<usize>> {
     let of_run = |run: &[usize]| {
         let (start, length) = (run[0], run[1] - run[0]);
         (0..count).map(move |i| start + i * length / count..start + (i + 1) * length / count)
@@ -77,7 +77,7 @@ pub(in crate::calibrate) fn segments(starts: &[usize], count: usize) -> Vec<Rang
 
 /// Deals the groups of the chosen rows out to `count` folds of about equal size: the places among the chosen rows that each has.
 /// Groups of one `class` of rows are dealt one after the other, so that each fold has its part of them.
-pub(in crate::calibrate) fn folds(
+pub(crate) fn folds(
     groups: &[usize],
     chosen: &[usize],
     count: usize,

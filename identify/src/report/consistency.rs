@@ -6,11 +6,10 @@
 
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-use super::workspace::random_postures;
-use crate::evaluate::Quantiles;
+use super::result::file::{CalibrationFile, ParameterEntry, Status};
+use crate::evaluate::{Quantiles, random_postures};
 use crate::kinematics::{Chain, Joints, nearest_turn};
 use crate::model::{ParameterId, Unit};
-use crate::report::result::file::{CalibrationFile, ParameterEntry, Status};
 use crate::statistics::extremes;
 
 /// Agreement is refused below this probability.
