@@ -105,8 +105,18 @@ fn a_calibration_prints_a_table_and_writes_every_parameter_with_sigma_and_state(
 
     let written = std::fs::read_to_string(out.path().join("calibration.toml")).unwrap();
     let file: toml::Table = written.parse().unwrap();
-    assert_eq!(file["schema"].as_integer(), Some(1));
+    assert_eq!(file["schema"].as_integer(), Some(2));
     assert_eq!(file["inputs"].as_array().unwrap().len(), 4);
+    // Every sample of the solve, a perfect robot's on its bar.
+    let residuals = std::fs::read_to_string(out.path().join("residuals.csv")).unwrap();
+    let mut lines = residuals.lines();
+    let names: Vec<&str> = lines.next().unwrap().split(',').collect();
+    let at = |name: &str| names.iter().position(|one| *one == name).unwrap();
+    let number = |line: &str, name: &str| line.split(',').nth(at(name)).unwrap().parse::<f64>().unwrap();
+    assert_eq!(lines.clone().count() as i64, file["solve"]["samples"].as_integer().unwrap());
+    for line in lines {
+        assert!(["x_mm", "y_mm", "z_mm"].iter().all(|name| number(line, name).abs() < 1e-3), "{line}");
+    }
     let budget = &file["budget"];
     assert_eq!(budget["coverage_factor"].as_float(), Some(2.0));
     let most = budget["contributions"][0]["source"].as_str().unwrap();

@@ -27,7 +27,6 @@ fn file(path: u64, errors: u64) -> CalibrationFile {
         &robot.name,
         &bar.name,
         SolveEntry::new(found.cost_name(), &solution.summary, &solution.identifiability),
-        None,
         Vec::new(),
         ParameterEntry::all(model, |id| {
             model.column_of(id).and_then(|column| solution.covariance.sigma(column))

@@ -7,10 +7,13 @@ use std::path::Path;
 use identify::calibrate::Calibration;
 use identify::calibrate::IdentifyConfig;
 use identify::calibrate::mix::{DataSets, Measured, calibrate};
-use identify::instrument::{ContactRow, Instrument, KnownDistance, PlacedSocket, SocketTable, Sockets};
+use identify::instrument::{
+    ContactRow, Instrument, KnownDistance, Measures, PlacedSocket, SocketTable, Sockets,
+};
 use identify::kinematics::{LinkParameter, flange_chain};
 use identify::logs::ContactMapping;
 use identify::model::{DriveTrain, JointState, Model, ParameterId};
+use identify::report::result::residuals::residuals_csv;
 use identify::robot::import;
 use identify::simulate::contact::{self, ContactExperiment, SimulatedContacts};
 use nalgebra::{DVector, Rotation3, Vector3};
@@ -129,6 +132,22 @@ fn rows_of_a_wrong_socket_take_no_part() {
     let found = calibrated(&robot, &rows, &table);
     let Instrument::Contact(contact) = &found.runs[0].instrument else { panic!() };
     assert_eq!(contact.rejected().iter().map(|one| one.row).collect::<Vec<_>>(), [20, 77, 131]);
+    // The file of residuals has all rows with their lines, and says which took no part: a socket's distance away.
+    let lines: Vec<u64> = (2..).take(rows.len()).collect();
+    let text = residuals_csv(&found, &[&lines]).unwrap();
+    let table: Vec<Vec<&str>> = text.lines().skip(1).map(|line| line.split(',').collect()).collect();
+    assert_eq!(table.len(), rows.len());
+    for (row, cells) in table.iter().enumerate() {
+        let [data_set, instrument, sample, line, _, used, why] = cells[..7] else { panic!() };
+        assert_eq!((data_set, instrument), ("1", "contact"));
+        assert_eq!((sample.parse(), line.parse()), (Ok(row + 1), Ok(row as u64 + 2)));
+        let off_mm = cells[7..10].iter().map(|mm| mm.parse::<f64>().unwrap().powi(2)).sum::<f64>().sqrt();
+        let is_wrong = [20, 77, 131].contains(&row);
+        assert_eq!(
+            (used, why.is_empty(), off_mm > 10.0),
+            (if is_wrong { "false" } else { "true" }, !is_wrong, is_wrong)
+        );
+    }
     let after_m = apart_m(&robot, &found.runs[0].model.geometry(&[]).robot, &truth);
     assert!(after_m < 1e-4, "{after_m}");
 }

@@ -72,7 +72,6 @@ pub fn page_text(calibration: &Calibration, evidence: &Evidence, robot: &RobotCo
         &robot.name,
         "bar",
         SolveEntry::new(calibration.cost_name(), &solution.summary, &solution.identifiability),
-        None,
         Vec::new(),
         ParameterEntry::of_calibration(calibration),
     )

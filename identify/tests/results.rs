@@ -26,7 +26,7 @@ fn solved() -> (Model, Solution) {
 fn file(model: &Model, solution: &Solution) -> CalibrationFile {
     let solve = SolveEntry::new("transform", &solution.summary, &solution.identifiability);
     let sigma = |id| model.column_of(id).and_then(|column| solution.covariance.sigma(column));
-    CalibrationFile::new("robot", "bar", solve, None, Vec::new(), ParameterEntry::all(model, sigma))
+    CalibrationFile::new("robot", "bar", solve, Vec::new(), ParameterEntry::all(model, sigma))
         .with_knowledge(solution)
 }
 

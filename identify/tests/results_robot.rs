@@ -64,7 +64,7 @@ fn file(robot: &RobotConfig) -> CalibrationFile {
         samples: 1500,
     };
     let solve = SolveEntry::new("pose", &summary, &identifiability);
-    CalibrationFile::new(&robot.name, "bar", solve, None, Vec::new(), ParameterEntry::all(&model, |_| None))
+    CalibrationFile::new(&robot.name, "bar", solve, Vec::new(), ParameterEntry::all(&model, |_| None))
 }
 
 fn robots() -> [RobotConfig; 2] {
@@ -181,13 +181,44 @@ fn a_written_calibration_is_read_from_either_file_and_gives_the_same_robot() {
         assert_eq!(read, written);
         assert_eq!(read.robot_chain(&config, Some(&crate::support::bar())), identified(&config));
     }
-    let newer = std::fs::read_to_string(&toml).unwrap().replace("schema = 1", "schema = 99");
+    let newer = std::fs::read_to_string(&toml).unwrap().replace("schema = 2", "schema = 99");
     std::fs::write(&toml, newer).unwrap();
     let error = CalibrationFile::open(&toml).unwrap_err().to_string();
     assert!(error.contains("schema 99"), "{error}");
     std::fs::write(&toml, "something = \"else\"").unwrap();
     assert!(CalibrationFile::open(&toml).is_err());
     assert!(CalibrationFile::open(&directory.path().join("none.toml")).is_err());
+}
+
+#[test]
+fn a_calibration_of_schema_1_is_read_with_all_of_its_clocks() {
+    let written = file(&crate::support::irb2400());
+    let directory = tempfile::tempdir().unwrap();
+    let toml = written.write(directory.path()).unwrap();
+    // The first clock stood apart from the others, in the earliest files without a number and under another name.
+    let of_schema_1 = std::fs::read_to_string(&toml).unwrap().replace("schema = 2", "schema = 1")
+        + r#"
+        [clock]
+        reference_utc = "2024-05-06T07:08:09.000Z"
+        robot_minus_bar_ns = 5
+        skew_ppm = 1.0
+        correlation = 0.99
+        overlap_s = 60.0
+        [[other_clocks]]
+        data_set = 3
+        instrument = "tracker"
+        reference_utc = "12.000 s (the tracker's clock, zero unknown)"
+        robot_minus_instrument_ns = 7
+        skew_ppm = 2.0
+        correlation = 0.98
+        overlap_s = 50.0
+    "#;
+    std::fs::write(&toml, of_schema_1).unwrap();
+    let read = CalibrationFile::open(&toml).unwrap();
+    let clocks = read.clocks.iter();
+    let clocks = clocks.map(|one| (one.data_set, one.instrument.as_str(), one.robot_minus_instrument_ns));
+    assert_eq!(clocks.collect::<Vec<_>>(), [(1, "ball-bar", 5), (3, "tracker", 7)]);
+    assert_eq!(CalibrationFile { clocks: Vec::new(), ..read }, written);
 }
 
 /// The same with errors of gears: of the first joint, of a wrist joint many times a turn, and under the tool's weight.

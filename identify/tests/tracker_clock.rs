@@ -206,7 +206,7 @@ fn the_command_takes_both_logs_and_what_it_writes_repeats_it() {
     assert_eq!(found("result").parameters, found("again").parameters);
     assert!(found("result").inputs.iter().any(|input| input.role == "robot log"));
     // What the solve found of the clocks.
-    let clock = found("result").clock.unwrap();
+    let clock = found("result").clocks.remove(0);
     assert_eq!((clock.data_set, clock.instrument.as_str()), (1, "tracker"));
     let reference_s: f64 = clock.reference_utc.split(' ').next().unwrap().parse().unwrap();
     let off_ns = clock.robot_minus_instrument_ns as f64 - 1e9 * followed.clock_difference_s(reference_s);

@@ -36,7 +36,7 @@ fn judged_within(
         residual_rms_start: 1.0,
         residual_rms: 1.0,
     };
-    let mut file = CalibrationFile::new("robot", "bar", solve, None, Vec::new(), Vec::new());
+    let mut file = CalibrationFile::new("robot", "bar", solve, Vec::new(), Vec::new());
     let entry = |at: usize| PoseErrorEntry {
         position_m: position[at] * 1e-3,
         rotation_rad: Some(rotation[at] * 1e-3),

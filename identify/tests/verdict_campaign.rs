@@ -64,7 +64,7 @@ pub fn judged(
     let solution = found.solution();
     let solve = SolveEntry::new(found.cost_name(), &solution.summary, &solution.identifiability);
     let parameters = ParameterEntry::of_calibration(found);
-    let file = CalibrationFile::new(&robot.name, "bar", solve, None, Vec::new(), parameters);
+    let file = CalibrationFile::new(&robot.name, "bar", solve, Vec::new(), parameters);
     let file = file.with_knowledge(solution).with_validation(&evidence);
     let file = file.with_verdict(&evidence.workspace, &evidence.limits, None);
     let (mean_m, p95_m) = position_errors_m(found.model(), &run.truth, robot, [Vector3::zeros(); 2]);

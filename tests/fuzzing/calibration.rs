@@ -70,7 +70,7 @@ pub fn files() -> Vec<Vec<u8>> {
     .map(entry);
     let file = CalibrationFile {
         created: "2026-11-22T10:15:00Z".into(),
-        ..CalibrationFile::new("seed", "bar", solve, None, Vec::new(), parameters.to_vec())
+        ..CalibrationFile::new("seed", "bar", solve, Vec::new(), parameters.to_vec())
     };
     vec![
         serde_json::to_vec(&file).expect("a calibration as JSON"),

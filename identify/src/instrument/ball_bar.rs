@@ -1,15 +1,18 @@
 //! The sensed double ball-bar: a run with its cost.
 
 use super::repetition::independent_segments;
-use super::{Instrument, Measures};
+use super::{Deviation, Instrument, Measures};
+use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use crate::cost::{
     AngleNoise, CostError, DataSet, FoundNoise, Length, LoopProblem, Position, PositionAngles, Residual,
-    TORSION, Transform, WhitenedPose, WhitenedPoseOfFour, fill_in,
+    TORSION, Transform, WhitenedPose, WhitenedPoseOfFour, closures, fill_in,
 };
 use crate::kinematics::BAR_JOINTS;
-use crate::model::{Clock, JointState, Model, ModelError, Parameter, ParameterId, RobotMotion, Role};
+use crate::model::{
+    Clock, Geometry, JointState, Model, ModelError, Observation, Parameter, ParameterId, RobotMotion, Role,
+};
 use crate::prepare::Prepared;
 use crate::solver::LossName;
 
@@ -158,6 +161,30 @@ impl BallBar {
 }
 
 impl Measures for BallBar {
+    /// The robot's end minus the bar's; without encoders its distance from the gimbal minus the bar's length.
+    fn deviations(&self, geometry: &Geometry) -> Vec<Deviation> {
+        let Prepared { motion, observations, .. } = &self.prepared;
+        let by_encoders = self.measured.contains(&true);
+        let mut closures = closures(geometry, motion, observations).into_iter().peekable();
+        let one = |observation: &Observation| {
+            // Those outside the robot's log have none.
+            let closure = closures.next_if(|closure| closure.t_s == observation.t_s);
+            match closure {
+                None => Deviation::of_place(Vector3::repeat(f64::NAN)),
+                Some(closure) if by_encoders => Deviation {
+                    rotation_rad: Some(closure.turned_rad.norm()),
+                    ..Deviation::of_place(closure.position_error_m)
+                },
+                Some(closure) => Deviation::of_length(closure.off_sphere_m),
+            }
+        };
+        observations.iter().map(one).collect()
+    }
+
+    fn time_s(&self, sample: usize) -> Option<f64> {
+        self.prepared.observations.get(sample).map(|observation| observation.t_s)
+    }
+
     fn samples(&self) -> usize {
         self.prepared.observations.len()
     }

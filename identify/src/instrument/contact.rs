@@ -5,7 +5,7 @@ use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use super::row_noise::MEDIAN_OF_THREE;
 use super::screened::{RejectedRow, Screened};
-use super::{Instrument, Measures, PoseError, SocketTable, Sockets, Standing};
+use super::{Deviation, Instrument, Measures, SocketTable, Sockets, Standing};
 use crate::cost::{CostError, DataSet, Residual, SeatedBall, SeatedBalls};
 use crate::kinematics::Joints;
 use crate::logs;
@@ -162,11 +162,6 @@ impl Contact {
         &self.sockets
     }
 
-    /// Rows that take no part.
-    pub fn rejected(&self) -> &[RejectedRow] {
-        &self.rows.rejected
-    }
-
     /// Socket of each row, whether it takes part or not.
     pub fn socket_of_row(&self, row: usize) -> Option<usize> {
         self.rows.all.rows.get(row).map(|row| row.socket)
@@ -300,8 +295,11 @@ impl Measures for Contact {
         Instrument::Contact(Self::of(self.rows.at.chosen(samples), self.sockets.clone(), self.noise_m))
     }
 
-    fn errors(&self, geometry: &Geometry) -> Vec<PoseError> {
-        let apart = |error: Vector3<f64>| PoseError { position_m: error.norm(), rotation_rad: None };
-        self.errors_m(geometry).into_iter().map(apart).collect()
+    fn deviations(&self, geometry: &Geometry) -> Vec<Deviation> {
+        self.errors_m(geometry).into_iter().map(Deviation::of_place).collect()
+    }
+
+    fn rejected(&self) -> &[RejectedRow] {
+        &self.rows.rejected
     }
 }

@@ -3,6 +3,7 @@
 
 mod ball_bar;
 mod contact;
+mod deviation;
 mod repetition;
 mod row_noise;
 mod screened;
@@ -17,12 +18,13 @@ use std::ops::{Deref, DerefMut};
 
 pub use ball_bar::{BallBar, CostName, NoiseConfig};
 pub use contact::{Contact, ContactError, ContactRow};
+pub use deviation::{Apart, Deviation, PoseError};
 pub use screened::{RejectedRow, Rejection};
 pub(crate) use screened::{faulty, gross_rows, without};
 pub use sockets::{KnownDistance, PlacedSocket, SocketTable, Sockets};
 pub use split::HoldOut;
 pub use standing::{Standing, poses, standing};
-pub use tracker::{PoseError, PoseRow, Tracker};
+pub use tracker::{PoseRow, Tracker};
 pub use wire::{LengthRow, Wire};
 
 use crate::cost::{CostError, DataSet, MeasuredLength, Residual, SeatedBall};
@@ -72,10 +74,23 @@ pub trait Measures: fmt::Debug + Sync {
     /// Some of the samples.
     fn part(&self, samples: &[usize]) -> Instrument;
 
-    /// How far robot and measurement are apart in every sample, whether it takes part or not; none where that is no matter of
-    /// a distance each.
-    fn errors(&self, _geometry: &Geometry) -> Vec<PoseError> {
-        Vec::new()
+    /// How far robot and measurement are apart in every sample, whether it takes part or not; not a number where the geometry does
+    /// not say.
+    fn deviations(&self, geometry: &Geometry) -> Vec<Deviation>;
+
+    /// The sizes of [`Measures::deviations`].
+    fn errors(&self, geometry: &Geometry) -> Vec<PoseError> {
+        self.deviations(geometry).into_iter().map(PoseError::from).collect()
+    }
+
+    /// Samples that take no part.
+    fn rejected(&self) -> &[RejectedRow] {
+        &[]
+    }
+
+    /// When a sample was taken, on the instrument's clock since its reference time \[s\]; none where the robot stood.
+    fn time_s(&self, _sample: usize) -> Option<f64> {
+        None
     }
 
     /// Noise of each of these over that of the median one, where files state what rows are worth, as of the last [`Measures::adapt`].

@@ -4,7 +4,7 @@
 use nalgebra::{Rotation3, Vector3};
 
 use super::row_noise::{MEDIAN_OF_THREE, RowNoise};
-use super::{Instrument, Measures, Standing};
+use super::{Deviation, Instrument, Measures, PoseError, Standing};
 use crate::cost::{CostError, DataSet, LoopProblem, MeasuredPose, MeasuredPosition, PoseNoise, Residual};
 use crate::kinematics::{Joints, Pose, rotation_vector};
 use crate::logs::{self, PoseUncertainty};
@@ -36,16 +36,6 @@ impl From<&logs::MeasuredPose> for PoseRow {
         let set_up = SetUp { station, target };
         Self { joints_rad: q_rad, position_m, rotation, uncertainty, set_up }
     }
-}
-
-/// How far what the robot says is from what was measured: between where it holds the probe and where the tracker sees it, or
-/// of two lengths.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct PoseError {
-    /// \[m\]
-    pub position_m: f64,
-    /// Angle \[rad\]; none where only positions were measured.
-    pub rotation_rad: Option<f64>,
 }
 
 /// Rows of one set-up.
@@ -126,17 +116,6 @@ impl Tracker {
         })
     }
 
-    /// Where the robot holds the probe minus where it was seen, at each row, along the root's axes \[m\].
-    pub fn errors_m(&self, geometry: &Geometry) -> Vec<Vector3<f64>> {
-        let one = |(row, sighted): (&PoseRow, Option<[Pose; 2]>)| {
-            let apart_m = |[place, held]: [Pose; 2]| {
-                held.translation.vector - place.transform_point(&row.position_m.into()).coords
-            };
-            sighted.map_or_else(|| Vector3::repeat(f64::NAN), apart_m)
-        };
-        self.sighted(geometry).map(one).collect()
-    }
-
     /// What a coordinate is worth, one standard deviation of the median row \[m\].
     pub fn noise_m(&self) -> f64 {
         median_size(self.noise.iter().map(|noise| noise.position_m))
@@ -145,24 +124,6 @@ impl Tracker {
     /// Name of the cost: positions alone or whole poses.
     pub fn cost(&self) -> &'static str {
         if self.poses.is_some() { MeasuredPose::NAME } else { MeasuredPosition::NAME }
-    }
-
-    /// How far robot and tracker are apart in every row.
-    pub fn pose_errors(&self, geometry: &Geometry) -> Vec<PoseError> {
-        let one = |(row, sighted): (&PoseRow, Option<[Pose; 2]>)| {
-            let Some([place, held]) = sighted else {
-                return PoseError { position_m: f64::NAN, rotation_rad: None };
-            };
-            let seen_m = place.transform_point(&row.position_m.into()).coords;
-            let angle = |rotation: Rotation3<f64>| {
-                rotation_vector((held.rotation.inverse() * place.rotation * rotation).matrix()).norm()
-            };
-            PoseError {
-                position_m: (held.translation.vector - seen_m).norm(),
-                rotation_rad: row.rotation.map(angle),
-            }
-        };
-        self.sighted(geometry).map(one).collect()
     }
 
     fn boxed<'a, R: Residual + 'a>(
@@ -258,7 +219,7 @@ impl Measures for Tracker {
     /// Standard deviations of a coordinate and of an angle that are behind errors which are mostly normal; the median one of a
     /// coordinate is returned.
     fn adapt(&mut self, model: &Model) -> Option<f64> {
-        let errors = self.pose_errors(&model.geometry(&[]));
+        let errors = self.errors(&model.geometry(&[]));
         let sigmas = |of: fn(&PoseError) -> f64, stated: fn(&PoseUncertainty) -> Option<f64>| {
             let stated = || self.at.rows.iter().map(move |row| stated(&row.uncertainty));
             let noise = RowNoise::behind(errors.iter().map(of).zip(stated()), MEDIAN_OF_THREE);
@@ -279,8 +240,24 @@ impl Measures for Tracker {
         Instrument::Tracker(self.chosen(samples))
     }
 
-    fn errors(&self, geometry: &Geometry) -> Vec<PoseError> {
-        self.pose_errors(geometry)
+    /// Where the robot holds the probe minus where it was seen.
+    fn deviations(&self, geometry: &Geometry) -> Vec<Deviation> {
+        let one = |(row, sighted): (&PoseRow, Option<[Pose; 2]>)| {
+            let Some([place, held]) = sighted else { return Deviation::of_place(Vector3::repeat(f64::NAN)) };
+            let seen_m = place.transform_point(&row.position_m.into()).coords;
+            let angle = |rotation: Rotation3<f64>| {
+                rotation_vector((held.rotation.inverse() * place.rotation * rotation).matrix()).norm()
+            };
+            Deviation {
+                rotation_rad: row.rotation.map(angle),
+                ..Deviation::of_place(held.translation.vector - seen_m)
+            }
+        };
+        self.sighted(geometry).map(one).collect()
+    }
+
+    fn time_s(&self, sample: usize) -> Option<f64> {
+        self.moving.as_ref()?.t_s.get(sample).copied()
     }
 
     fn relative_noise(&self) -> Vec<f64> {

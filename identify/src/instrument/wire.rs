@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, DVector, Vector3};
 
 use super::row_noise::{MEDIAN_OF_ONE, RowNoise};
 use super::screened::{RejectedRow, Screened};
-use super::{Instrument, Measures, PoseError, Standing};
+use super::{Deviation, Instrument, Measures, Standing};
 use crate::cost::{CostError, DataSet, LoopProblem, MeasuredLength, Residual};
 use crate::kinematics::Joints;
 use crate::logs;
@@ -107,11 +107,6 @@ impl Wire {
         let mut all = self.rows.all.clone();
         all.states.iter_mut().for_each(|state| state.q[joint] = -state.q[joint]);
         Self::of(Screened::new(all), self.noise)
-    }
-
-    /// Rows that take no part.
-    pub fn rejected(&self) -> &[RejectedRow] {
-        &self.rows.rejected
     }
 
     /// Predicted minus measured length of every row, whether it takes part or not \[m\].
@@ -231,9 +226,12 @@ impl Measures for Wire {
         Instrument::Wire(Self::of(Screened::new(self.rows.at.chosen(samples)), self.noise))
     }
 
-    fn errors(&self, geometry: &Geometry) -> Vec<PoseError> {
-        let apart = |residual_m: f64| PoseError { position_m: residual_m.abs(), rotation_rad: None };
-        self.residuals_m(geometry).into_iter().map(apart).collect()
+    fn deviations(&self, geometry: &Geometry) -> Vec<Deviation> {
+        self.residuals_m(geometry).into_iter().map(Deviation::of_length).collect()
+    }
+
+    fn rejected(&self) -> &[RejectedRow] {
+        &self.rows.rejected
     }
 
     /// Whether a row takes part or not.

@@ -6,7 +6,7 @@ use shared::output::named;
 
 use crate::calibrate::rows::{PoseFigures, RowSet, RunCause, Sizes, Stages};
 use crate::evaluate::{Limit, Validity};
-use crate::instrument::{Contact, Instrument, RejectedRow, Rejection};
+use crate::instrument::{Contact, Instrument, Measures, RejectedRow, Rejection};
 use crate::kinematics::Joints;
 use crate::model::{Model, ParameterId, Phase, Waves};
 

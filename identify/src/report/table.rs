@@ -7,7 +7,7 @@ use super::result::file::{CalibrationFile, ReadIn, Status};
 use crate::calibrate::Calibration;
 use crate::calibrate::validation::deployment::Deployment;
 use crate::inspect::{Inspection, JointLine};
-use crate::instrument::{Instrument, RejectedRow, Run};
+use crate::instrument::{Instrument, Measures, RejectedRow, Run};
 use crate::model::ParameterId;
 use crate::simulate::Comparison;
 
@@ -29,16 +29,16 @@ pub fn calibration(file: &CalibrationFile) -> String {
         solve.residual_rms_start,
         solve.residual_rms,
     );
-    for clock in file.clocks() {
-        let several = !file.other_clocks.is_empty();
+    let several = file.clocks.len() > 1;
+    for clock in &file.clocks {
         let whose = if several { format!(" of data set {}", clock.data_set) } else { String::new() };
         let _ = writeln!(text, "clocks{whose}: {}", clock.sentence());
     }
-    for force in file.force.iter().chain(&file.other_forces) {
+    for force in &file.forces {
         let _ = writeln!(
             text,
             "force{}: {}; off the sphere {:.2} um RMS, {:.2} um of it not explained by the force",
-            if file.other_clocks.is_empty() { String::new() } else { format!(" (run {})", force.run) },
+            if several { format!(" (run {})", force.run) } else { String::new() },
             force.sentence,
             force.off_sphere_rms_m * 1e6,
             force.unexplained_rms_m * 1e6,

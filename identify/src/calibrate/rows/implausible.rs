@@ -13,7 +13,9 @@ use super::{PoseFigures, RowSet, Sizes, is_surely_worse};
 use crate::calibrate::CalibrateError;
 use crate::calibrate::mix::{Measured, Rows};
 use crate::calibrate::pipeline::{Plan, estimate};
-use crate::instrument::{Instrument, PoseError, PoseRow, Run, Standing, Tracker, Wire, standing};
+use crate::instrument::{
+    Apart, Instrument, Measures, PoseError, PoseRow, Run, Standing, Tracker, Wire, standing,
+};
 use crate::kinematics::Chain;
 use crate::logs::JointMistake;
 use crate::model::{Model, ParameterId, Role, Unit};
@@ -254,7 +256,7 @@ pub fn misfit(rows: &[PoseRow], robot: &Chain) -> Option<PoseFigures> {
     let states = standing(some.iter().map(|row| row.joints_rad));
     let tracker = Tracker::new(Standing::new(&some, &states, &all, 0));
     let model = placed(&tracker, Model::measured_pose(robot)).ok()?;
-    Some(PoseFigures::of(&tracker.pose_errors(&model.geometry(&[]))))
+    Some(PoseFigures::of(&tracker.errors(&model.geometry(&[]))))
 }
 
 /// Root mean square distance of a robot from the rows at the end of a tool \[m\].
@@ -449,7 +451,12 @@ pub(super) fn step(tracker: &Tracker, model: &Model) -> Option<Step> {
     const FALSE_ALARMS: f64 = 1e-4;
     /// Blocks before and after.
     const BESIDE: usize = 3;
-    let blocks = blocks(&tracker.errors_m(&model.geometry(&[])));
+    let deviations = tracker.deviations(&model.geometry(&[])).into_iter();
+    let offsets_m = deviations.filter_map(|deviation| match deviation.apart {
+        Apart::Place(offset_m) => Some(offset_m),
+        Apart::Length(_) => None,
+    });
+    let blocks = blocks(&offsets_m.collect::<Vec<_>>());
     let count = blocks.len();
     let freedom = count.checked_sub(3).filter(|freedom| *freedom > 2 * BESIDE)? as f64;
     let places = BESIDE..=count - BESIDE;

@@ -18,7 +18,8 @@ use std::collections::BTreeMap;
 use super::error::CalibrateError;
 use super::mix::Measured;
 use crate::instrument::{
-    Instrument, Measures, PoseError, RejectedRow, Rejection, Run, Wire, faulty, gross_rows, without,
+    Deviation, Instrument, Measures, PoseError, RejectedRow, Rejection, Run, Wire, faulty, gross_rows,
+    without,
 };
 use crate::kinematics::Chain;
 use crate::model::{Model, ParameterId, SetUp};
@@ -99,6 +100,8 @@ pub struct RowSet {
     pub drift: Option<Drift>,
     /// Of each row \[m\].
     drift_m: Vec<f64>,
+    /// Rows that the last solve was given.
+    given: Vec<usize>,
     /// A sudden change of where the nominal robot is seen.
     step: Option<Step>,
 }
@@ -113,7 +116,16 @@ impl RowSet {
         held_out.sort_unstable();
         let fitted = (0..whole.samples()).filter(|sample| held_out.binary_search(sample).is_err()).collect();
         let errors = RowErrors { fitted, held_out, ..RowErrors::default() };
-        Self { whole, errors, rejected, runs: Vec::new(), drift: None, drift_m: Vec::new(), step: None }
+        Self {
+            whole,
+            errors,
+            rejected,
+            runs: Vec::new(),
+            drift: None,
+            drift_m: Vec::new(),
+            given: Vec::new(),
+            step: None,
+        }
     }
 
     /// The instrument with all rows, rejected and held-out ones included.
@@ -240,21 +252,40 @@ impl RowSet {
     }
 
     /// All rows that may take part once the held-out ones have judged.
-    pub(super) fn everything(&self, model: &Model) -> Result<Instrument, CalibrateError> {
+    pub(super) fn everything(&mut self, model: &Model) -> Result<Instrument, CalibrateError> {
         let all: Vec<usize> = (0..self.whole.samples()).collect();
-        let (Instrument::Wire(wire), Some(drift)) = (&self.whole, &self.drift) else {
-            // A wire judges its gross rows anew wherever a solve has come.
-            let of_tracker = matches!(self.whole, Instrument::Tracker(_));
-            let wrong = self.rejected_where(|why| match why {
-                Rejection::FlangeContradicts { .. } => true,
-                Rejection::GrossResidual { .. } => of_tracker,
-                Rejection::FaultyRun { .. } => false,
-            });
-            return Ok(self.whole.part(&without(&all, &wrong)));
+        if let (Instrument::Wire(wire), Some(drift)) = (&self.whole, &self.drift) {
+            self.given = self.beside_drift(&all);
+            let drift_m = drift::fit(&mut model.clone(), wire, &self.given, drift)?;
+            return Ok(Instrument::Wire(wire.plus(&drift_m).chosen(&self.given)));
+        }
+        // A wire judges its gross rows anew wherever a solve has come.
+        let of_tracker = matches!(self.whole, Instrument::Tracker(_));
+        let wrong = self.rejected_where(|why| match why {
+            Rejection::FlangeContradicts { .. } => true,
+            Rejection::GrossResidual { .. } => of_tracker,
+            Rejection::FaultyRun { .. } => false,
+        });
+        self.given = without(&all, &wrong);
+        Ok(self.whole.part(&self.given))
+    }
+
+    /// Robot minus measurement in every row where the last solve is, and why a row took no part in it; `run` is what it was given.
+    pub fn deviations(&self, run: &Run) -> Vec<(Deviation, Option<Rejection>)> {
+        let geometry = run.model.geometry(&[]);
+        let deviations = match self.steady() {
+            Some(wire) => wire.deviations(&geometry),
+            None => self.whole.deviations(&geometry),
         };
-        let usable = self.beside_drift(&all);
-        let drift_m = drift::fit(&mut model.clone(), wire, &usable, drift)?;
-        Ok(Instrument::Wire(wire.plus(&drift_m).chosen(&usable)))
+        let mut all: Vec<_> = deviations.into_iter().map(|deviation| (deviation, None)).collect();
+        let not_given = |one: &&RejectedRow| self.given.binary_search(&one.row).is_err();
+        for one in self.rejected.iter().filter(not_given) {
+            all[one.row].1 = Some(one.why);
+        }
+        for one in run.instrument.rejected() {
+            all[self.given[one.row]].1 = Some(one.why);
+        }
+        all
     }
 
     /// How many times less certain all rows leave the robot than they would with a drift that is known.

@@ -80,7 +80,7 @@ fn judged(rows: &[PoseRow], robot: &Model, seed: u64) -> Result<PoseFigures, Cal
     for judged in split::folds(&poses, &all, FOLDS, seed, |row| rows[row].set_up.station) {
         let fitting: Vec<usize> = all.iter().copied().filter(|row| !judged.contains(row)).collect();
         let model = placed(&tracker.chosen(&fitting), robot.clone())?;
-        let found = tracker.pose_errors(&model.geometry(&[]));
+        let found = tracker.errors(&model.geometry(&[]));
         errors.extend(judged.iter().filter_map(|&row| found.get(row)));
     }
     Ok(PoseFigures::of(&errors))

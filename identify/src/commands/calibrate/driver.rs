@@ -23,10 +23,10 @@ use crate::instrument::{Instrument, Run};
 use crate::kinematics::flange_chain;
 use crate::logs::LogOptions;
 use crate::report::page::Page;
-use crate::report::result::clocks::ClockEntry;
 use crate::report::result::file::{CalibrationFile, Input, MeasurementEntry, ParameterEntry, SolveEntry};
 use crate::report::result::force::ForceEntry;
 use crate::report::result::knowledge::NoiseEntry;
+use crate::report::result::residuals::residuals_csv;
 use crate::report::result::validation::RowsEntry;
 use crate::report::rows as of_rows;
 use crate::report::summary::{summary, wrapped};
@@ -85,7 +85,10 @@ pub(super) fn calibrate(
     let scales = calibration.runs.iter().map(|run| ScaleFrom::from(&run.instrument));
     file.scale = Some(scale_sentence(plates, scales, &evidence.workspace.budget));
 
-    let written = write_files(&file, robot, bars.first().map(|run| &run.bar), experiment, directory)?;
+    let lines: Vec<&[u64]> = beside.iter().map(|beside| beside.lines.as_slice()).collect();
+    let residuals = residuals_csv(&calibration, &lines)?;
+    let bar = bars.first().map(|run| &run.bar);
+    let written = write_files(&file, &residuals, robot, bar, experiment, directory)?;
     let page = Page {
         file: &file,
         calibration: &calibration,
@@ -141,25 +144,22 @@ fn calibration_file(
     let of_trackers = (bars.len()..).zip(beside);
     let of_trackers =
         of_trackers.filter_map(|(number, beside)| beside.aligned.as_ref()?.clock(number, calibration));
-    let mut clocks = of_bars.chain(of_trackers);
-    let mut forces = ForceEntry::all(&evidence.spheres).into_iter();
     let mut file = CalibrationFile::new(
         &robot.name,
         &instruments(bars, &calibration.runs),
         SolveEntry::new(calibration.cost_name(), &solution.summary, &solution.identifiability),
-        clocks.next(),
         inputs,
         ParameterEntry::of_calibration(calibration),
     )
     .with_knowledge(solution)
     .with_separation(calibration.model(), solution)
     .with_validation(evidence);
-    file.other_clocks = clocks.collect::<Vec<ClockEntry>>();
+    file.clocks = of_bars.chain(of_trackers).collect();
+    file.forces = ForceEntry::all(&evidence.spheres);
     let tables = beside.iter().filter_map(|beside| MeasurementEntry::of_table(beside.simulated));
     file.measured = bars.iter().filter_map(RunFiles::measured).chain(tables).collect();
     file.candidates.clone_from(&calibration.solved.candidates);
     file.noise = NoiseEntry::all(calibration.bars());
-    (file.force, file.other_forces) = (forces.next(), forces.collect());
     file
 }
 

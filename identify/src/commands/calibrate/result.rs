@@ -8,7 +8,7 @@ use shared::output::{say, show};
 use super::experiment::{self, Experiment};
 use crate::calibrate::validation::deployment::Deployment;
 use crate::report::result::deployments::files;
-use crate::report::result::file::CalibrationFile;
+use crate::report::result::file::{CalibrationFile, replace};
 use crate::report::summary::wrapped;
 use crate::report::verdict::Grade;
 
@@ -17,6 +17,7 @@ use crate::report::verdict::Grade;
 /// of its files would stay beside the new ones.
 pub(super) fn write_files(
     file: &CalibrationFile,
+    residuals: &str,
     robot: &RobotConfig,
     bar: Option<&BallBarConfig>,
     experiment: &Experiment,
@@ -32,7 +33,7 @@ pub(super) fn write_files(
     if is_red(file) {
         return Ok(Vec::new());
     }
-    let mut written = vec![file.write(directory)?];
+    let mut written = vec![file.write(directory)?, replace(directory, "residuals.csv", residuals)?];
     if file.may_be_applied() {
         written.extend(file.write_robot(robot, bar, directory)?);
     }

@@ -45,7 +45,7 @@ pub(super) fn sheet(simulated: bool, content: &Markup) -> Markup {
 
 /// When it was measured by the instrument's clock, where no recording says it.
 fn dated(file: &CalibrationFile) -> Option<String> {
-    let mut dates = file.clocks().map(|clock| to_the_second(&clock.reference_utc));
+    let mut dates = file.clocks.iter().map(|clock| to_the_second(&clock.reference_utc));
     // Clocks without a date count from the epoch.
     dates.find(|date| !date.starts_with("1970"))
 }

@@ -48,7 +48,7 @@ pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
             }
         }
         pre.table { (page.tables) }
-        @for clock in page.file.clocks().filter(|clock| clock.data_set > page.evidence.runs.len()) {
+        @for clock in page.file.clocks.iter().filter(|clock| clock.data_set > page.evidence.runs.len()) {
             p { "Clocks of data set " (clock.data_set) ": " (clock.sentence()) "." }
         }
     })

@@ -12,15 +12,12 @@ use crate::solver::Covariance;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ClockEntry {
     /// Which run or file it is, from 1.
-    #[serde(default = "first")]
     pub data_set: usize,
     /// Whose clock the robot's is compared with: `ball-bar` or `tracker`.
-    #[serde(default = "ball_bar")]
     pub instrument: String,
     /// Reference time on the instrument's clock.
     pub reference_utc: String,
     /// Robot clock minus the instrument's there \[ns\].
-    #[serde(alias = "robot_minus_bar_ns")]
     pub robot_minus_instrument_ns: i64,
     /// One standard deviation of it \[ns\]; none where no solve found it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -37,15 +34,6 @@ pub struct ClockEntry {
     /// The motion repeats itself: other differences of the clocks fit as well.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub ambiguous: bool,
-}
-
-// What files of earlier versions do not say.
-const fn first() -> usize {
-    1
-}
-
-fn ball_bar() -> String {
-    "ball-bar".to_owned()
 }
 
 /// A data set with its own clock, at the solution of all.

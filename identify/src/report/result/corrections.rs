@@ -128,11 +128,11 @@ fn of_the_log(robot: &RobotConfig, offsets: &Joints) -> Result<Vec<(String, &'st
     Ok((0..offsets.len()).map(row).collect())
 }
 
-/// The rows as text.
+/// The text of a table.
 ///
 /// # Errors
 /// [`csv::Error`], which writing to memory does not have.
-pub fn csv(rows: &[Correction]) -> Result<String, csv::Error> {
+pub fn csv(rows: &[impl Serialize]) -> Result<String, csv::Error> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     rows.iter().try_for_each(|row| writer.serialize(row))?;
     let bytes = writer.into_inner().map_err(|error| csv::Error::from(error.into_error()))?;

@@ -6,7 +6,7 @@ use super::file::FileError;
 use crate::report::page::is_page;
 
 /// Everything that a calibration writes, what other programs read first.
-const FILES: [&str; 9] = [
+const FILES: [&str; 10] = [
     "calibration.toml",
     "calibration.json",
     "corrections.csv",
@@ -15,6 +15,7 @@ const FILES: [&str; 9] = [
     "offsets_log.csv",
     "robot.urdf",
     "dh.csv",
+    "residuals.csv",
     "report.html",
 ];
 

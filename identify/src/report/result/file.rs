@@ -11,6 +11,7 @@ use shared::recording::schema::RunMetadata;
 use shared::time::UtcNs;
 
 use super::clocks::ClockEntry;
+use super::corrections::csv;
 use super::deployments::DeploymentEntry;
 use super::earlier::remove_page;
 use super::force::ForceEntry;
@@ -26,8 +27,8 @@ use crate::model::{Group, Model, Parameter, ParameterId, Role, TermGroup, Unit};
 use crate::report::verdict::Verdict;
 use crate::solver::{Covariance, Identifiability, Solution, Summary};
 
-/// Version of the file's structure; it rises when a key changes its meaning.
-pub const SCHEMA: u32 = 1;
+/// Version of the file's structure; it rises when a key changes its name or meaning.
+pub const SCHEMA: u32 = 2;
 
 /// Why the file cannot be written.
 #[derive(Debug, thiserror::Error)]
@@ -314,17 +315,12 @@ pub struct CalibrationFile {
     pub scale: Option<String>,
     /// Solve.
     pub solve: SolveEntry,
-    /// Clocks of instrument and robot, where there are two; of the first data set that has its own.
-    pub clock: Option<ClockEntry>,
-    /// Those of the other ones, in their order.
+    /// Clocks of instrument and robot, of each data set that has its own.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub other_clocks: Vec<ClockEntry>,
-    /// The force on the bar, where one was measured.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub force: Option<ForceEntry>,
-    /// That in the other runs that have one.
+    pub clocks: Vec<ClockEntry>,
+    /// The force on the bar in each run that has one.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub other_forces: Vec<ForceEntry>,
+    pub forces: Vec<ForceEntry>,
     /// Noise of the angles of each run with a ball-bar, where the cost weighs by it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub noise: Vec<NoiseEntry>,
@@ -367,7 +363,6 @@ impl CalibrationFile {
         robot: &str,
         instrument: &str,
         solve: SolveEntry,
-        clock: Option<ClockEntry>,
         inputs: Vec<Input>,
         parameters: Vec<ParameterEntry>,
     ) -> Self {
@@ -383,10 +378,8 @@ impl CalibrationFile {
             limits: Vec::new(),
             scale: None,
             solve,
-            clock,
-            other_clocks: Vec::new(),
-            force: None,
-            other_forces: Vec::new(),
+            clocks: Vec::new(),
+            forces: Vec::new(),
             noise: Vec::new(),
             inputs,
             candidates: Vec::new(),
@@ -414,11 +407,6 @@ impl CalibrationFile {
             |group: Vec<ParameterId>| group.iter().map(ToString::to_string).collect::<Vec<_>>().join("|");
         self.not_separated = not_separated(model, solution).into_iter().map(joined).collect();
         self
-    }
-
-    /// Clocks of all data sets that have their own.
-    pub fn clocks(&self) -> impl Iterator<Item = &ClockEntry> {
-        self.clock.iter().chain(&self.other_clocks)
     }
 
     /// Parameters for a person, and how many amplitudes of waves of the axes are not among them: more than forty would fill a
@@ -457,7 +445,7 @@ impl CalibrationFile {
     /// # Errors
     /// [`FileError::Csv`].
     pub fn dh_csv(&self) -> Result<String, FileError> {
-        let mut writer = csv::Writer::from_writer(Vec::new());
+        let mut rows = Vec::new();
         let deployment = Deployment::Dh;
         let held_out_mm = self.held_out_m(deployment).map(|[_, own_m]| own_m * 1e3);
         for entry in &self.deployed(deployment).parameters {
@@ -466,7 +454,7 @@ impl CalibrationFile {
                 Ok(ParameterId::Bar { link, parameter }) => ("ball_bar", link, parameter),
                 _ => continue,
             };
-            writer.serialize(DhRow {
+            rows.push(DhRow {
                 chain: chain.into(),
                 link: link + 1,
                 parameter: parameter.name().into(),
@@ -477,10 +465,9 @@ impl CalibrationFile {
                 sigma: entry.sigma,
                 deployment,
                 held_out_mm,
-            })?;
+            });
         }
-        let bytes = writer.into_inner().map_err(|error| csv::Error::from(error.into_error()))?;
-        Ok(String::from_utf8_lossy(&bytes).into_owned())
+        Ok(csv(&rows)?)
     }
 }
 
@@ -520,7 +507,7 @@ pub(in crate::report) fn software() -> String {
 }
 
 /// Puts a file in place at once.
-pub(in crate::report) fn replace(directory: &Path, name: &str, text: &str) -> Result<PathBuf, FileError> {
+pub(crate) fn replace(directory: &Path, name: &str, text: &str) -> Result<PathBuf, FileError> {
     let path = directory.join(name);
     let part = directory.join(format!("{name}.part"));
     let write = || {

@@ -9,7 +9,6 @@ use crate::logs::{ForceClock, ForceKind};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ForceEntry {
     /// Number of the run, from 1.
-    #[serde(default = "first_run")]
     pub run: usize,
     /// What was measured.
     pub kind: ForceKind,
@@ -34,10 +33,6 @@ pub struct ForceEntry {
     pub unexplained_rms_m: f64,
     /// In words.
     pub sentence: String,
-}
-
-const fn first_run() -> usize {
-    1
 }
 
 impl ForceEntry {

@@ -9,6 +9,7 @@ pub mod file;
 pub mod force;
 pub mod knowledge;
 pub(in crate::report) mod read;
+pub mod residuals;
 pub(in crate::report) mod robot_files;
 pub mod urdf;
 pub mod validation;

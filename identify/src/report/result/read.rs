@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use serde_json::{Map, Value};
+
 use super::file::{CalibrationFile, SCHEMA};
 
 /// No parameter or its sigma is larger than this, in SI units; beyond are damaged files, whose numbers would overflow.
@@ -55,10 +57,14 @@ impl CalibrationFile {
 
     fn checked(text: &str, path: &Path) -> Result<Self, Kind> {
         let is_toml = path.extension().is_some_and(|ending| ending == "toml");
-        let file: Self = if is_toml { toml::from_str(text)? } else { serde_json::from_str(text)? };
-        if file.schema != SCHEMA {
-            return Err(Kind::Schema { found: file.schema });
-        }
+        let of_schema: OfSchema = if is_toml { toml::from_str(text)? } else { serde_json::from_str(text)? };
+        let file: Self = match (of_schema.schema, is_toml) {
+            (1, true) => serde_json::from_value(of_schema_1(toml::from_str(text)?))?,
+            (1, false) => serde_json::from_value(of_schema_1(serde_json::from_str(text)?))?,
+            (SCHEMA, true) => toml::from_str(text)?,
+            (SCHEMA, false) => serde_json::from_str(text)?,
+            (found, _) => return Err(Kind::Schema { found }),
+        };
         for entry in &file.parameters {
             let is_sigma = |sigma: f64| sigma == 0.0 || (SIGMA_MIN..=NUMBER_MAX).contains(&sigma);
             let numbers = [entry.nominal, entry.value, entry.correction];
@@ -69,4 +75,35 @@ impl CalibrationFile {
         }
         Ok(file)
     }
+}
+
+/// What every file says, whatever its version.
+#[derive(serde::Deserialize)]
+struct OfSchema {
+    schema: u32,
+}
+
+/// A file of schema 1 as one of today: it had the first clock and force apart from the others, and the earliest of them neither
+/// numbers nor instruments.
+fn of_schema_1(mut file: Map<String, Value>) -> Value {
+    file.insert("schema".into(), SCHEMA.into());
+    for (first, others, all) in [("clock", "other_clocks", "clocks"), ("force", "other_forces", "forces")] {
+        let mut entries: Vec<Value> =
+            file.remove(first).filter(|entry| !entry.is_null()).into_iter().collect();
+        if let Some(Value::Array(others)) = file.remove(others) {
+            entries.extend(others);
+        }
+        let number = if all == "clocks" { "data_set" } else { "run" };
+        for entry in entries.iter_mut().filter_map(Value::as_object_mut) {
+            entry.entry(number).or_insert(1.into());
+            if all == "clocks" {
+                entry.entry("instrument").or_insert("ball-bar".into());
+            }
+            if let Some(difference) = entry.remove("robot_minus_bar_ns") {
+                entry.insert("robot_minus_instrument_ns".into(), difference);
+            }
+        }
+        file.insert(all.into(), entries.into());
+    }
+    file.into()
 }

@@ -91,7 +91,7 @@ fn alignment(page: &Page<'_>, number: usize, name: Option<&String>) -> Result<Ma
         p {
             "The logs overlap for " (format!("{:.1}", alignment.overlap_s)) " s. Joint speeds correlate to "
             (format!("{:.4}", alignment.correlation)) " (next best shift " (format!("{:.3}", alignment.runner_up)) "). "
-            @if let Some(clock) = page.file.clocks().find(|clock| clock.data_set == number + 1) {
+            @if let Some(clock) = page.file.clocks.iter().find(|clock| clock.data_set == number + 1) {
                 "Clocks: " (clock.difference()) ". "
             }
             @if let Some(minimum_s) = run.shift_near.minimum_s {

@@ -1,0 +1,52 @@
+//! How far what the robot says is from what was measured.
+
+use nalgebra::Vector3;
+
+/// Robot minus measurement at one sample, with its directions.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Deviation {
+    /// Of two places along the axes of the robot's base, or of two lengths.
+    pub apart: Apart,
+    /// Angle between the two \[rad\]; none where no rotation was measured.
+    pub rotation_rad: Option<f64>,
+}
+
+/// What was compared.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Apart {
+    /// Where the robot's end is minus where it was measured \[m\].
+    Place(Vector3<f64>),
+    /// A length by the robot minus the measured one \[m\].
+    Length(f64),
+}
+
+impl Deviation {
+    /// Of two places whose rotation was not measured.
+    pub(super) const fn of_place(offset_m: Vector3<f64>) -> Self {
+        Self { apart: Apart::Place(offset_m), rotation_rad: None }
+    }
+
+    /// Of two lengths.
+    pub(super) const fn of_length(longer_m: f64) -> Self {
+        Self { apart: Apart::Length(longer_m), rotation_rad: None }
+    }
+}
+
+/// The size of a [`Deviation`].
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct PoseError {
+    /// \[m\]
+    pub position_m: f64,
+    /// Angle \[rad\]; none where only positions were measured.
+    pub rotation_rad: Option<f64>,
+}
+
+impl From<Deviation> for PoseError {
+    fn from(Deviation { apart, rotation_rad }: Deviation) -> Self {
+        let position_m = match apart {
+            Apart::Place(offset_m) => offset_m.norm(),
+            Apart::Length(longer_m) => longer_m.abs(),
+        };
+        Self { position_m, rotation_rad }
+    }
+}

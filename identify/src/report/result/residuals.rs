@@ -1,0 +1,93 @@
+//! `residuals.csv`: how far robot and measurement are apart in each sample and row of a calibration, used or left out.
+
+use serde::Serialize;
+
+use super::corrections::csv;
+use super::file::FileError;
+use crate::calibrate::Calibration;
+use crate::instrument::{Apart, Deviation, Rejection};
+
+/// One sample. Units stand in the names; robot minus measurement, along the axes of the robot's base.
+#[derive(Debug, Serialize)]
+struct Row {
+    /// As in `calibration.toml`, from 1.
+    data_set: usize,
+    instrument: &'static str,
+    /// In its data set, from 1.
+    sample: usize,
+    /// Of a file of rows.
+    line: Option<u64>,
+    /// On the instrument's clock since its reference time, where the robot moved.
+    t_s: Option<String>,
+    used: bool,
+    /// Why it was not.
+    left_out: Option<&'static str>,
+    x_mm: Option<String>,
+    y_mm: Option<String>,
+    z_mm: Option<String>,
+    /// Of a length in place of a position.
+    length_mm: Option<String>,
+    rotation_mrad: Option<String>,
+}
+
+impl Row {
+    fn measured(self, Deviation { apart, rotation_rad }: Deviation) -> Self {
+        // Millionths of a millimetre and a milliradian; a row that nothing can be said of has no number.
+        let thousandths = |value: f64| value.is_finite().then(|| format!("{:.6}", value * 1e3));
+        let rotation_mrad = rotation_rad.and_then(thousandths);
+        match apart {
+            Apart::Place(offset_m) => {
+                let [x_mm, y_mm, z_mm] = <[f64; 3]>::from(offset_m).map(thousandths);
+                Self { x_mm, y_mm, z_mm, rotation_mrad, ..self }
+            }
+            Apart::Length(longer_m) => Self { length_mm: thousandths(longer_m), rotation_mrad, ..self },
+        }
+    }
+}
+
+const fn reason(why: Rejection) -> &'static str {
+    match why {
+        Rejection::FlangeContradicts { .. } => "flange contradicts joints",
+        Rejection::GrossResidual { .. } => "far from all others",
+        Rejection::FaultyRun { .. } => "rows around it are off together",
+    }
+}
+
+/// The text of the file; `lines` has those of each file of rows. Of a recording it has the samples that the solve was given: what
+/// became of the other cycles stands on the page.
+///
+/// # Errors
+/// [`FileError::Csv`].
+pub fn residuals_csv(calibration: &Calibration, lines: &[&[u64]]) -> Result<String, FileError> {
+    let bars = calibration.runs.len() - calibration.rows.len();
+    let mut all = Vec::new();
+    for (number, run) in calibration.runs.iter().enumerate() {
+        let rows = number.checked_sub(bars);
+        let deviations = match rows.and_then(|rows| calibration.rows.get(rows)) {
+            Some(set) => set.deviations(run),
+            None => {
+                let of_bar = run.instrument.deviations(&run.model.geometry(&[]));
+                of_bar.into_iter().map(|deviation| (deviation, None)).collect()
+            }
+        };
+        let lines = rows.and_then(|rows| lines.get(rows)).copied().unwrap_or_default();
+        for (sample, (deviation, left_out)) in deviations.into_iter().enumerate() {
+            let row = Row {
+                data_set: number + 1,
+                instrument: run.instrument.name(),
+                sample: sample + 1,
+                line: lines.get(sample).copied(),
+                t_s: run.instrument.time_s(sample).map(|t_s| format!("{t_s:.6}")),
+                used: left_out.is_none(),
+                left_out: left_out.map(reason),
+                x_mm: None,
+                y_mm: None,
+                z_mm: None,
+                length_mm: None,
+                rotation_mrad: None,
+            };
+            all.push(row.measured(deviation));
+        }
+    }
+    Ok(csv(&all)?)
+}
