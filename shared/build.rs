@@ -4,8 +4,18 @@ use std::path::Path;
 use std::process::Command;
 
 /// The sources of both programs, as seen from this directory.
-const SOURCES: [&str; 6] =
-    ["../Cargo.lock", "../Cargo.toml", "../config", "../daemon/src", "../identify/src", "src"];
+const SOURCES: [&str; 10] = [
+    "../Cargo.lock",
+    "../Cargo.toml",
+    "../config",
+    "../daemon/simulated-segment/src",
+    "../daemon/src",
+    "../identify/core/src",
+    "../identify/program/src",
+    "../identify/src",
+    "generate/src",
+    "src",
+];
 
 fn main() {
     println!("cargo::rerun-if-changed=build.rs\ncargo::rerun-if-changed=commit.txt");

@@ -81,9 +81,14 @@ fn maud_escaped(text: &str) -> String {
 /// What every page of a refusal has: verdict, cause and remedy, both logs with their joints, the inputs' checksums.
 pub fn states_the_verdict(page: &str) {
     assert!(page.contains("<strong>Not calibrated. </strong>") && !page.contains("<strong>Calibrated"));
-    for heading in
-        ["What is wrong", "What to do", "Recording of the bar", "Robot's log", "SHA-256", "[prepare]"]
-    {
+    for heading in [
+        "What is wrong",
+        "What to do",
+        "Recording of the bar",
+        "Robot's log",
+        "SHA-256",
+        "[identify.prepare]",
+    ] {
         assert!(page.contains(heading), "`{heading}` is missing");
     }
     assert!(page.len() < 1_000_000, "{} bytes", page.len());

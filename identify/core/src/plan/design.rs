@@ -56,7 +56,7 @@ impl Design {
     pub const NJ_220: Self = Self { base_m: [1.7, 0.05, 0.6], ..Self::IRB_2400 };
 
     /// A posture of a six-axis arm keeps its distance from the straight wrist.
-    pub(crate) fn wrist_is_bent(&self, joints_rad: &[f64]) -> bool {
+    pub fn wrist_is_bent(&self, joints_rad: &[f64]) -> bool {
         let margin = self.wrist_margin_deg.to_radians().sin();
         !matches!(joints_rad, [_, _, _, _, wrist, _] if wrist.sin().abs() < margin)
     }

@@ -146,7 +146,7 @@ fn root(covariance: &Covariance, columns: &[(usize, ParameterId)]) -> DMatrix<f6
 }
 
 /// Joint variables evenly spread over the limits \[rad, m\].
-pub(crate) fn random_postures(joint_limits: &[[f64; 2]]) -> impl ExactSizeIterator<Item = Joints> + '_ {
+pub fn random_postures(joint_limits: &[[f64; 2]]) -> impl ExactSizeIterator<Item = Joints> + '_ {
     let mut random = ChaCha8Rng::seed_from_u64(1);
     let posture =
         move |_| joint_limits.iter().map(|[low, high]| low + (high - low) * random.random::<f64>()).collect();

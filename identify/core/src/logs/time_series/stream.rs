@@ -99,13 +99,13 @@ impl<R> DerefMut for Stream<R> {
 }
 
 /// Times since the first of some stamps \[s\]. 128 bits: two stamps may be further apart than 292 years.
-pub(crate) fn since_first_s(stamps_ns: &[i64]) -> Vec<f64> {
+pub fn since_first_s(stamps_ns: &[i64]) -> Vec<f64> {
     let first_ns = stamps_ns.first().copied().unwrap_or_default();
     stamps_ns.iter().map(|stamp_ns| (i128::from(*stamp_ns) - i128::from(first_ns)) as f64 * 1e-9).collect()
 }
 
 /// Median and largest distance of neighbouring times \[s\]; zeros of less than two.
-pub(crate) fn usual_and_longest_step_s(t_s: &[f64]) -> [f64; 2] {
+pub fn usual_and_longest_step_s(t_s: &[f64]) -> [f64; 2] {
     let mut steps_s: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
     let longest_s = steps_s.iter().copied().fold(0.0, f64::max);
     [median(&mut steps_s).unwrap_or_default(), longest_s]
@@ -117,7 +117,7 @@ pub(crate) fn travel<R: Row>(rows: &[R]) -> f64 {
 }
 
 /// Smallest and largest of each number of some rows.
-pub(crate) fn ranges<R: Row>(rows: &[R]) -> Vec<[f64; 2]> {
+pub fn ranges<R: Row>(rows: &[R]) -> Vec<[f64; 2]> {
     let mut ranges =
         vec![[f64::INFINITY, f64::NEG_INFINITY]; rows.first().map_or(0, |row| row.numbers().len())];
     // Row by row: a long log does not fit into any cache.

@@ -26,7 +26,7 @@ pub(crate) fn rows<T: Send>(count: usize, of: impl Fn(usize) -> T + Sync) -> Vec
 }
 
 /// What both give, the first on a thread of its own.
-pub(crate) fn both<A: Send, B>(aside: impl FnOnce() -> A + Send, here: impl FnOnce() -> B) -> (A, B) {
+pub fn both<A: Send, B>(aside: impl FnOnce() -> A + Send, here: impl FnOnce() -> B) -> (A, B) {
     std::thread::scope(|scope| {
         let aside = scope.spawn(aside);
         let here = here();

@@ -15,7 +15,7 @@ mod sphere_deviation;
 pub use accuracy::budget::{Budget, Contribution, Evaluation};
 pub use accuracy::cube::CubeError;
 pub use accuracy::validity::Validity;
-pub(crate) use accuracy::workspace::random_postures;
+pub use accuracy::workspace::random_postures;
 pub use accuracy::workspace::{Expected, PlaceError, WorkspaceError, workspace_error};
 pub use evidence::{Evidence, RunEvidence, evidence};
 pub use figures::{Quantiles, rms};

@@ -11,7 +11,7 @@ pub const LENGTH_M_MAX: f64 = 4.0;
 
 /// `R = Rz(yaw) Ry(pitch) Rx(roll)`, as URDF has it. Roll is what yaw and pitch leave over: where a pitch of a quarter turn
 /// makes the two one, their sum is still exact.
-pub(crate) fn roll_pitch_yaw(rotation: &Rotation3<f64>) -> [f64; 3] {
+pub fn roll_pitch_yaw(rotation: &Rotation3<f64>) -> [f64; 3] {
     let r = rotation.matrix();
     let across = r[(0, 0)].hypot(r[(1, 0)]);
     // With x upright only the sum of yaw and roll is determined.

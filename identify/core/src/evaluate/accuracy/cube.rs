@@ -77,7 +77,7 @@ mod tests {
 
     #[test]
     fn the_five_poses_are_those_of_the_standard_and_the_robot_reaches_them() {
-        let config = concat!(env!("CARGO_MANIFEST_DIR"), "/../config/robots/irb2400_16.toml");
+        let config = concat!(env!("CARGO_MANIFEST_DIR"), "/../../config/robots/irb2400_16.toml");
         let robot: shared::config::RobotConfig =
             shared::config::load(config.as_ref()).unwrap_or_else(|error| panic!("{error}"));
         let (chain, limits) = (flange_chain(&robot), robot.joint_limits());

@@ -64,7 +64,7 @@ fn consistent_poses(
 }
 
 /// Links, place and lean of the bar: what an identification is about, without Hayati's rotations.
-pub(crate) fn is_geometry(id: ParameterId) -> bool {
+pub fn is_geometry(id: ParameterId) -> bool {
     match id {
         ParameterId::Robot { parameter, .. } => parameter != LinkParameter::Beta,
         ParameterId::Bar { .. } | ParameterId::Base { .. } | ParameterId::BaseRotation { .. } => true,
@@ -117,7 +117,7 @@ fn reduce<R: Residual + Copy>(
 }
 
 /// What does nothing, and one of each dependent group: what is best fixed of the `free` parameters that were examined.
-pub(crate) fn surplus(found: &Identifiability, free: &[ParameterId]) -> Vec<ParameterId> {
+pub fn surplus(found: &Identifiability, free: &[ParameterId]) -> Vec<ParameterId> {
     let named = |columns: &[usize]| -> Vec<ParameterId> {
         columns.iter().filter_map(|column| free.get(*column).copied()).collect()
     };

@@ -60,7 +60,7 @@ impl Definition {
         if study == THESIS {
             let file = |name: &str| PathBuf::from(format!("config/{name}"));
             let study: StudyFile = config::parse(
-                include_str!("../../../config/studies/thesis.toml"),
+                include_str!("../../../../config/studies/thesis.toml"),
                 &file("studies/thesis.toml"),
             )?;
             let robot = config::parse(Kind::Robot.built_in("irb2400_16"), &file("robots/irb2400_16.toml"))?;

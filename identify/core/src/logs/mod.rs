@@ -49,8 +49,9 @@ pub use tables::text::{Cells, RowsAsText};
 pub use time_series::sampling::{StampStep, Stamps};
 pub use time_series::shared::Shared;
 pub use time_series::spline::{CubicSpline, SplinePoint};
+pub(crate) use time_series::stream::travel;
 pub use time_series::stream::{Row, Stream};
-pub(crate) use time_series::stream::{ranges, since_first_s, travel, usual_and_longest_step_s};
+pub use time_series::stream::{ranges, since_first_s, usual_and_longest_step_s};
 pub use time_series::unwrapped::{Unwrapped, UnwrappedPoint};
 
 use std::path::Path;
@@ -71,7 +72,7 @@ pub(crate) const SIMULATED: &str = "SIMULATED";
 ///
 /// # Errors
 /// [`LogError::Unreadable`].
-pub(crate) fn is_simulated(path: &Path) -> Result<bool, LogError> {
+pub fn is_simulated(path: &Path) -> Result<bool, LogError> {
     let comment = format!("# {SIMULATED}");
     Ok(Source::open(path)?.beginning().starts_with(comment.as_bytes()))
 }

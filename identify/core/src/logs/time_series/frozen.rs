@@ -12,7 +12,7 @@ const LEAP: f64 = 0.02;
 impl<R: Row> Stream<R> {
     /// Of each number the first rows in which it is frozen. They are enough where `is_long` says so; of those at the end, which no
     /// leap follows, `at_end` says whether they count.
-    pub(crate) fn frozen(
+    pub fn frozen(
         &self,
         is_long: impl Fn(&Range<usize>) -> bool,
         at_end: impl Fn(usize, &Range<usize>) -> bool,

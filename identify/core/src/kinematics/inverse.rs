@@ -154,12 +154,12 @@ pub(super) fn wrist_angles(
 }
 
 /// The angle that differs from `angle_rad` by whole turns and is nearest to `near_rad`.
-pub(crate) fn nearest_turn(angle_rad: f64, near_rad: f64) -> f64 {
+pub fn nearest_turn(angle_rad: f64, near_rad: f64) -> f64 {
     angle_rad + ((near_rad - angle_rad) / TAU).round() * TAU
 }
 
 /// The angle less whole turns, in (-pi, pi] \[rad\].
-pub(crate) fn wrapped(angle_rad: f64) -> f64 {
+pub fn wrapped(angle_rad: f64) -> f64 {
     let wrapped = nearest_turn(angle_rad, 0.0);
     if wrapped <= -PI { wrapped + TAU } else { wrapped }
 }
@@ -179,7 +179,7 @@ pub(super) fn pose_error(target: &Pose, end: &Pose) -> SVector<f64, 6> {
 
 /// Axis times angle \[rad\]. By arc tangent: the arc cosine of the trace loses half the digits at small angles.
 /// At half a turn, where no axis is preferred, it is zero.
-pub(crate) fn rotation_vector(rotation: &Matrix3<f64>) -> Vector3<f64> {
+pub fn rotation_vector(rotation: &Matrix3<f64>) -> Vector3<f64> {
     let r = rotation;
     let twice_sine = Vector3::new(r[(2, 1)] - r[(1, 2)], r[(0, 2)] - r[(2, 0)], r[(1, 0)] - r[(0, 1)]);
     let sine = 0.5 * twice_sine.norm();
