@@ -6,10 +6,11 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use identify::calibrate::mix::{DataSets, Measured, Rows, calibrate};
+use identify::calibrate::mix::{DataSets, calibrate};
 use identify::calibrate::{IdentifyConfig, JointTermsConfig};
 use identify::instrument::HoldOut;
 use identify::instrument::PoseRow;
+use identify::instrument::{Measured, Rows};
 use identify::kinematics::{Chain, Joints, Pose, flange_chain};
 use identify::report::result::urdf::urdf;
 use identify::robot::import;

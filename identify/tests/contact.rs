@@ -6,7 +6,8 @@ use std::path::Path;
 
 use identify::calibrate::Calibration;
 use identify::calibrate::IdentifyConfig;
-use identify::calibrate::mix::{DataSets, Measured, calibrate};
+use identify::calibrate::mix::{DataSets, calibrate};
+use identify::instrument::Measured;
 use identify::instrument::{
     ContactRow, Instrument, KnownDistance, Measures, PlacedSocket, SocketTable, Sockets,
 };

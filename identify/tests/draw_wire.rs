@@ -5,10 +5,11 @@
 use std::sync::Mutex;
 
 use identify::calibrate::IdentifyConfig;
-use identify::calibrate::mix::{DataSets, Measured, Rows, calibrate};
+use identify::calibrate::mix::{DataSets, calibrate};
 use identify::calibrate::rows::{PoseFigures, RunCause, Sizes};
 use identify::instrument::HoldOut;
 use identify::instrument::{LengthRow, Rejection, Standing, Wire};
+use identify::instrument::{Measured, Rows};
 use identify::kinematics::{Joints, flange_chain};
 use identify::model::{Axis, ParameterId};
 use identify::solver::{Progress, Watch};

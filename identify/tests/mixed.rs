@@ -5,10 +5,11 @@
 
 use identify::calibrate::Calibration;
 use identify::calibrate::ball_bar::RunInput;
-use identify::calibrate::mix::{DataSets, Measured, calibrate};
+use identify::calibrate::mix::{DataSets, calibrate};
 use identify::calibrate::validation::agreement::disagreeing;
 use identify::calibrate::{IdentifyConfig, SelectionName};
 use identify::evaluate::{WorkspaceError, limits};
+use identify::instrument::Measured;
 use identify::instrument::{ContactRow, LengthRow, PlacedSocket, PoseRow, SocketTable};
 use identify::kinematics::{Chain, DhLink, Joints, Pose, flange_chain, robot_chain, robot_inverse};
 use identify::model::{DriveTrain, Model, ParameterId, Role};

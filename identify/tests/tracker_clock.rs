@@ -5,7 +5,8 @@
 use std::path::Path;
 
 use identify::calibrate::Calibration;
-use identify::calibrate::mix::{DataSets, Measured, calibrate};
+use identify::calibrate::mix::{DataSets, calibrate};
+use identify::instrument::Measured;
 use identify::logs::{MeasuredPoseMapping, TimedPoses};
 use identify::model::ParameterId;
 use identify::prepare::AlignedPoses;

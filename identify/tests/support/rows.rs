@@ -2,11 +2,12 @@
 
 use identify::calibrate::CalibrateError;
 use identify::calibrate::Calibration;
-use identify::calibrate::mix::{DataSets, Measured, Rows, calibrate};
+use identify::calibrate::mix::{DataSets, calibrate};
 use identify::calibrate::rows::{RowSet, Stages};
 use identify::calibrate::{IdentifyConfig, JointTermsConfig};
 use identify::instrument::HoldOut;
 use identify::instrument::{LengthRow, PoseRow};
+use identify::instrument::{Measured, Rows};
 use identify::model::{Model, ParameterId};
 use shared::config::RobotConfig;
 

@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 use std::path::Path;
 
-use identify::calibrate::mix::Measured;
+use identify::instrument::Measured;
 use identify::instrument::PoseRow;
 use identify::kinematics::{Chain, Joints, Pose, flange_chain};
 use identify::logs::{MeasuredPoseMapping, RobotLog, Stream, TimedPoses};

@@ -11,7 +11,7 @@ use crate::calibrate::Calibration;
 use crate::calibrate::change::Changed;
 use crate::calibrate::validation::agreement::{Disagreement, disagreeing};
 use crate::cost::Closure;
-use crate::instrument::{Instrument, Run};
+use crate::instrument::{Run, ScaleFrom};
 use crate::kinematics::{DhLink, Joints, LinkParameter};
 use crate::model::{JointTerm, Model, ParameterId, Role};
 use crate::prepare::Prepared;
@@ -82,7 +82,7 @@ pub fn limits(calibration: &Calibration, workspace: &WorkspaceError) -> Vec<Limi
     limits.extend(calibration.bars().next().and_then(|_| turned_plate(model, solution)));
     limits.extend(of_disagreement(&calibration.runs, &calibration.solved.sigmas, solution.loss));
     // A wrong scale strains the priors of all lengths, too.
-    let scales = calibration.runs.iter().map(|run| ScaleFrom::from(&run.instrument));
+    let scales = calibration.runs.iter().map(|run| run.instrument.scale());
     limits.extend(of_lengths(model, solution, scales));
     limits.extend(strained_priors(model, solution));
     limits.extend(lasting_errors(calibration));
@@ -136,41 +136,17 @@ fn weakest(workspace: &WorkspaceError) -> Option<Limit> {
     })
 }
 
-/// What fixes the scale of all lengths.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum ScaleFrom {
-    /// Of the ball-bar.
-    Plate,
-    /// Its positions.
-    Tracker,
-    /// Its lengths.
-    Wire,
-    /// Their table.
-    Sockets,
-}
-
-impl From<&Instrument> for ScaleFrom {
-    fn from(instrument: &Instrument) -> Self {
-        match instrument {
-            Instrument::BallBar(_) => Self::Plate,
-            Instrument::Tracker(_) => Self::Tracker,
-            Instrument::Wire(_) => Self::Wire,
-            Instrument::Contact(_) => Self::Sockets,
+const fn describe(scale: ScaleFrom) -> &'static str {
+    match scale {
+        ScaleFrom::Plate => "plate_m fixes the scale: measure the plate, or state more under plate_u_um",
+        ScaleFrom::Tracker => {
+            "The tracker fixes the scale: check its unit, its target's constant and what it knows of the air"
         }
-    }
-}
-
-impl ScaleFrom {
-    const fn describe(self) -> &'static str {
-        match self {
-            Self::Plate => "plate_m fixes the scale: measure the plate, or state more under plate_u_um",
-            Self::Tracker => {
-                "The tracker fixes the scale: check its unit, its target's constant and what it knows of the air"
-            }
-            Self::Wire => "The wire fixes the scale: check its unit, and its readings against a known length",
-            Self::Sockets => {
-                "The table of sockets fixes the scale: check its unit, and measure the sockets again"
-            }
+        ScaleFrom::Wire => {
+            "The wire fixes the scale: check its unit, and its readings against a known length"
+        }
+        ScaleFrom::Sockets => {
+            "The table of sockets fixes the scale: check its unit, and measure the sockets again"
         }
     }
 }
@@ -197,7 +173,7 @@ fn of_disagreement(runs: &[Run], sigmas: &[f64], loss: Loss) -> Option<Limit> {
 
 /// Lengths that nobody expected, found with any instruments.
 fn of_lengths(model: &Model, solution: &Solution, scales: impl Iterator<Item = ScaleFrom>) -> Vec<Limit> {
-    let scale = scales.map(ScaleFrom::describe).fold(Vec::new(), |mut told: Vec<&str>, one| {
+    let scale = scales.map(describe).fold(Vec::new(), |mut told: Vec<&str>, one| {
         if !told.contains(&one) {
             told.push(one);
         }

@@ -21,7 +21,7 @@ pub use evidence::{Evidence, RunEvidence, evidence};
 pub use figures::{Quantiles, rms};
 pub use gaps::{JointGap, joint_gaps};
 pub use held_out::{HeldOut, HeldOutSegment, PoseError, PoseErrorRms, held_out, nominals};
-pub use limits::{Limit, ScaleFrom, limits};
+pub use limits::{Limit, limits};
 pub use nominal::uncalibrated;
 pub use scale::scale_sentence;
 pub use separation::not_separated;

@@ -5,7 +5,8 @@ use std::path::Path;
 use shared::config::BallBarConfig;
 use shared::output::named;
 
-use super::{Budget, ScaleFrom};
+use super::Budget;
+use crate::instrument::ScaleFrom;
 
 /// How much longer a plate is that the sentence takes as an example \[m\].
 const LONGER_M: f64 = 1e-4;

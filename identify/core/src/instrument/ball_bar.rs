@@ -1,7 +1,7 @@
 //! The sensed double ball-bar: a run with its cost.
 
 use super::repetition::independent_segments;
-use super::{Deviation, Instrument, Measures};
+use super::{Deviation, Instrument, Measures, Noise, ScaleFrom};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -145,7 +145,7 @@ pub struct BallBar {
 
 impl BallBar {
     /// What angles are worth.
-    pub fn noise(&self) -> AngleNoise {
+    pub fn angle_noise(&self) -> AngleNoise {
         self.found.map_or_else(|| self.configured.into(), |found| found.noise)
     }
 
@@ -161,6 +161,22 @@ impl BallBar {
 }
 
 impl Measures for BallBar {
+    fn name(&self) -> &'static str {
+        "ball-bar"
+    }
+
+    fn cost(&self) -> &'static str {
+        self.cost.name()
+    }
+
+    fn scale(&self) -> ScaleFrom {
+        ScaleFrom::Plate
+    }
+
+    fn noise(&self) -> Noise {
+        Noise::Angles(self.angle_noise())
+    }
+
     /// The robot's end minus the bar's; without encoders its distance from the gimbal minus the bar's length.
     fn deviations(&self, geometry: &Geometry) -> Vec<Deviation> {
         let Prepared { motion, observations, .. } = &self.prepared;
@@ -205,7 +221,7 @@ impl Measures for BallBar {
 
     fn data_set<'a>(&'a self, model: &'a Model, sigma: f64) -> Result<Box<dyn DataSet + 'a>, CostError> {
         let Prepared { motion, observations, .. } = &self.prepared;
-        let (geometry, noise) = (|| model.geometry(&[]), self.noise());
+        let (geometry, noise) = (|| model.geometry(&[]), self.angle_noise());
         match self.cost {
             CostName::Pose if is_of_four(&self.measured) => {
                 let residual = WhitenedPoseOfFour::new(&geometry(), motion, observations, noise);

@@ -5,7 +5,7 @@ use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use super::row_noise::MEDIAN_OF_THREE;
 use super::screened::{RejectedRow, Screened};
-use super::{Deviation, Instrument, Measures, SocketTable, Sockets, Standing};
+use super::{Deviation, Instrument, Measures, Noise, ScaleFrom, SocketTable, Sockets, Standing};
 use crate::cost::{CostError, DataSet, Residual, SeatedBall, SeatedBalls};
 use crate::kinematics::Joints;
 use crate::logs;
@@ -205,6 +205,22 @@ fn rows_min(sockets: usize, axes: usize) -> usize {
 }
 
 impl Measures for Contact {
+    fn name(&self) -> &'static str {
+        "contact"
+    }
+
+    fn cost(&self) -> &'static str {
+        SeatedBall::NAME
+    }
+
+    fn scale(&self) -> ScaleFrom {
+        ScaleFrom::Sockets
+    }
+
+    fn noise(&self) -> Noise {
+        Noise::Length(self.noise_m)
+    }
+
     fn samples(&self) -> usize {
         self.rows.at.rows.len()
     }

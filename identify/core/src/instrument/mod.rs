@@ -6,6 +6,7 @@ mod contact;
 mod deviation;
 mod repetition;
 mod row_noise;
+mod rows;
 mod screened;
 mod sockets;
 pub(crate) mod split;
@@ -19,6 +20,7 @@ use std::ops::{Deref, DerefMut};
 pub use ball_bar::{BallBar, CostName, NoiseConfig};
 pub use contact::{Contact, ContactError, ContactRow};
 pub use deviation::{Apart, Deviation, PoseError};
+pub use rows::{Measured, Rows, SEED};
 pub use screened::{RejectedRow, Rejection};
 pub(crate) use screened::{faulty, gross_rows, without};
 pub use sockets::{KnownDistance, PlacedSocket, SocketTable, Sockets};
@@ -27,12 +29,24 @@ pub use standing::{Standing, poses, standing};
 pub use tracker::{PoseRow, Tracker};
 pub use wire::{LengthRow, Wire};
 
-use crate::cost::{CostError, DataSet, MeasuredLength, Residual, SeatedBall};
+use crate::cost::{AngleNoise, CostError, DataSet};
 use crate::kinematics::Joints;
 use crate::model::{Clock, Geometry, JointState, Model, ModelError, ParameterId};
 
 /// What an estimator asks of an instrument.
 pub trait Measures: fmt::Debug + Sync {
+    /// What it is called, for a person.
+    fn name(&self) -> &'static str;
+
+    /// Name of what is minimised.
+    fn cost(&self) -> &'static str;
+
+    /// What fixes the scale of all lengths.
+    fn scale(&self) -> ScaleFrom;
+
+    /// What a reading is worth where the last solve is, one standard deviation of the median sample in units of the solve's.
+    fn noise(&self) -> Noise;
+
     /// Number of samples.
     fn samples(&self) -> usize;
 
@@ -99,6 +113,28 @@ pub trait Measures: fmt::Debug + Sync {
     }
 }
 
+/// What fixes the scale of all lengths.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ScaleFrom {
+    /// Of the ball-bar.
+    Plate,
+    /// Its positions.
+    Tracker,
+    /// Its lengths.
+    Wire,
+    /// Their table.
+    Sockets,
+}
+
+/// What a reading is worth, one standard deviation.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Noise {
+    /// Of bar encoders and robot joints.
+    Angles(AngleNoise),
+    /// Of a coordinate or a length \[m\].
+    Length(f64),
+}
+
 /// The instruments.
 #[derive(Debug, Clone)]
 pub enum Instrument {
@@ -113,26 +149,6 @@ pub enum Instrument {
 }
 
 impl Instrument {
-    /// For a person.
-    pub const fn name(&self) -> &'static str {
-        match self {
-            Self::BallBar(_) => "ball-bar",
-            Self::Tracker(_) => "tracker",
-            Self::Wire(_) => "wire",
-            Self::Contact(_) => "contact",
-        }
-    }
-
-    /// Name of what is minimised.
-    pub fn cost(&self) -> &'static str {
-        match self {
-            Self::BallBar(bar) => bar.cost.name(),
-            Self::Tracker(tracker) => tracker.cost(),
-            Self::Wire(_) => MeasuredLength::NAME,
-            Self::Contact(_) => SeatedBall::NAME,
-        }
-    }
-
     /// What the robot reports at each sample; the model has the clocks.
     pub fn poses(&self, model: &Model) -> impl Iterator<Item = Joints> {
         let clock = model.geometry(&[]).clock;

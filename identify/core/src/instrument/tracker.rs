@@ -4,7 +4,7 @@
 use nalgebra::{Rotation3, Vector3};
 
 use super::row_noise::{MEDIAN_OF_THREE, RowNoise};
-use super::{Deviation, Instrument, Measures, PoseError, Standing};
+use super::{Deviation, Instrument, Measures, Noise, PoseError, ScaleFrom, Standing};
 use crate::cost::{CostError, DataSet, LoopProblem, MeasuredPose, MeasuredPosition, PoseNoise, Residual};
 use crate::kinematics::{Joints, Pose, rotation_vector};
 use crate::logs::{self, PoseUncertainty};
@@ -121,11 +121,6 @@ impl Tracker {
         median_size(self.noise.iter().map(|noise| noise.position_m))
     }
 
-    /// Name of the cost: positions alone or whole poses.
-    pub fn cost(&self) -> &'static str {
-        if self.poses.is_some() { MeasuredPose::NAME } else { MeasuredPosition::NAME }
-    }
-
     fn boxed<'a, R: Residual + 'a>(
         &'a self,
         model: &'a Model,
@@ -143,6 +138,22 @@ impl RobotMotion for Tracker {
 }
 
 impl Measures for Tracker {
+    fn name(&self) -> &'static str {
+        "tracker"
+    }
+
+    fn cost(&self) -> &'static str {
+        if self.poses.is_some() { MeasuredPose::NAME } else { MeasuredPosition::NAME }
+    }
+
+    fn scale(&self) -> ScaleFrom {
+        ScaleFrom::Tracker
+    }
+
+    fn noise(&self) -> Noise {
+        Noise::Length(self.noise_m())
+    }
+
     fn samples(&self) -> usize {
         self.at.rows.len()
     }

@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, DVector, Vector3};
 
 use super::row_noise::{MEDIAN_OF_ONE, RowNoise};
 use super::screened::{RejectedRow, Screened};
-use super::{Deviation, Instrument, Measures, Standing};
+use super::{Deviation, Instrument, Measures, Noise, ScaleFrom, Standing};
 use crate::cost::{CostError, DataSet, LoopProblem, MeasuredLength, Residual};
 use crate::kinematics::Joints;
 use crate::logs;
@@ -152,6 +152,22 @@ fn anchor(positions_m: &[Vector3<f64>], lengths_m: &[f64]) -> Option<Vector3<f64
 }
 
 impl Measures for Wire {
+    fn name(&self) -> &'static str {
+        "wire"
+    }
+
+    fn cost(&self) -> &'static str {
+        MeasuredLength::NAME
+    }
+
+    fn scale(&self) -> ScaleFrom {
+        ScaleFrom::Wire
+    }
+
+    fn noise(&self) -> Noise {
+        Noise::Length(1.0)
+    }
+
     fn samples(&self) -> usize {
         self.rows.at.rows.len()
     }

@@ -13,8 +13,8 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use clap::{Args, Subcommand};
 
-use crate::calibrate::mix::SEED;
 use crate::instrument::HoldOut;
+use crate::instrument::SEED;
 use crate::model::ParameterId;
 use crate::report::result::file::Input;
 

@@ -3,9 +3,9 @@
 use shared::config::{JointKind, RobotConfig};
 
 use super::Inspection;
-use crate::calibrate::mix::SEED;
 use crate::calibrate::rows::Sizes;
 use crate::instrument::HoldOut;
+use crate::instrument::SEED;
 use crate::instrument::{Contact, ContactRow, Measures, SocketTable, Standing};
 use crate::kinematics::{Chain, Joints, flange_chain};
 use crate::logs::SeatedRow;

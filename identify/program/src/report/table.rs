@@ -7,7 +7,7 @@ use super::result::file::{CalibrationFile, ReadIn, Status};
 use crate::calibrate::Calibration;
 use crate::calibrate::validation::deployment::Deployment;
 use crate::inspect::{Inspection, JointLine};
-use crate::instrument::{Instrument, Measures, RejectedRow, Run};
+use crate::instrument::{Noise, Run};
 use crate::model::ParameterId;
 use crate::simulate::Comparison;
 
@@ -62,13 +62,8 @@ pub fn data_sets(found: &Calibration) -> String {
     let mut text = format!("{:<12}{:>8}{:>24}\n", "instrument", "samples", "noise");
     for (Run { instrument, .. }, sigma) in found.runs.iter().zip(&found.solved.sigmas) {
         let (name, samples) = (instrument.name(), instrument.samples());
-        let mm = |unit_m: f64| format!("{:>21.4} mm", sigma * unit_m * 1e3);
-        let screened = |unit_m: f64, rejected: &[RejectedRow]| {
-            format!("{}, {} rows that do not belong with the rest take no part", mm(unit_m), rejected.len())
-        };
-        let noise = match instrument {
-            Instrument::BallBar(bar) => {
-                let angles = bar.noise();
+        let noise = match instrument.noise() {
+            Noise::Angles(angles) => {
                 let urad = |rad: f64| sigma * rad * 1e6;
                 format!(
                     "{:>12.1} urad (encoders), {:.1} urad (robot)",
@@ -76,12 +71,14 @@ pub fn data_sets(found: &Calibration) -> String {
                     urad(angles.robot_rad)
                 )
             }
-            Instrument::Tracker(tracker) => mm(tracker.noise_m()),
-            Instrument::Wire(wire) => screened(1.0, wire.rejected()),
-            Instrument::Contact(contact) => screened(contact.noise_m, contact.rejected()),
+            Noise::Length(noise_m) => format!("{:>21.4} mm", sigma * noise_m * 1e3),
+        };
+        let left_out = match instrument.rejected().len() {
+            0 => String::new(),
+            rows => format!(", {rows} rows that do not belong with the rest take no part"),
         };
         // Writing to a string cannot fail.
-        let _ = writeln!(text, "{name:<12}{samples:>8}{noise}");
+        let _ = writeln!(text, "{name:<12}{samples:>8}{noise}{left_out}");
     }
     text
 }

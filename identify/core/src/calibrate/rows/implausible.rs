@@ -11,11 +11,11 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 use super::tracker::{ROWS_MIN, check_rows, placed};
 use super::{PoseFigures, RowSet, Sizes, is_surely_worse};
 use crate::calibrate::CalibrateError;
-use crate::calibrate::mix::{Measured, Rows};
 use crate::calibrate::pipeline::{Plan, estimate};
 use crate::instrument::{
     Apart, Instrument, Measures, PoseError, PoseRow, Run, Standing, Tracker, Wire, standing,
 };
+use crate::instrument::{Measured, Rows};
 use crate::kinematics::Chain;
 use crate::logs::JointMistake;
 use crate::model::{Model, ParameterId, Role, Unit};

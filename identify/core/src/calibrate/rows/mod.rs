@@ -16,10 +16,9 @@ mod wire;
 use std::collections::BTreeMap;
 
 use super::error::CalibrateError;
-use super::mix::Measured;
 use crate::instrument::{
-    Deviation, Instrument, Measures, PoseError, RejectedRow, Rejection, Run, Wire, faulty, gross_rows,
-    without,
+    Deviation, Instrument, Measured, Measures, PoseError, RejectedRow, Rejection, Run, Wire, faulty,
+    gross_rows, without,
 };
 use crate::kinematics::Chain;
 use crate::model::{Model, ParameterId, SetUp};

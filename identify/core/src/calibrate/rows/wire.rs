@@ -3,9 +3,9 @@
 use nalgebra::Vector3;
 
 use super::{RowError, Sizes, each_has_rows};
-use crate::calibrate::mix::SEED;
 use crate::calibrate::pipeline::{Plan, estimate};
 use crate::instrument::HoldOut;
+use crate::instrument::SEED;
 use crate::instrument::{Instrument, LengthRow, RejectedRow, Rejection, Run, Standing, Wire};
 use crate::kinematics::Chain;
 use crate::model::Model;

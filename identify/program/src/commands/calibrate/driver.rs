@@ -14,11 +14,12 @@ use super::rows::{self, Aligned, Beside, Others, Read, WithLogs};
 use super::sources::sources;
 use super::{ResultArguments, inputs};
 use crate::calibrate::Calibration;
-use crate::calibrate::mix::{self, DataSets, Rows};
+use crate::calibrate::mix::{self, DataSets};
 use crate::calibrate::rows::RowErrors;
 use crate::commands::on_terminal::OnTerminal;
 use crate::commands::{ensure_can_write, ensure_six_revolute_axes};
-use crate::evaluate::{Evidence, Limit, ScaleFrom, Validity, evidence, scale_sentence};
+use crate::evaluate::{Evidence, Limit, Validity, evidence, scale_sentence};
+use crate::instrument::Rows;
 use crate::instrument::{Instrument, Run};
 use crate::kinematics::flange_chain;
 use crate::logs::LogOptions;
@@ -82,7 +83,7 @@ pub(super) fn calibrate(
     let required_m = experiment.identify.require_mm.map(|mm| mm * 1e-3);
     let mut file = file.with_verdict(&evidence.workspace, &limits, required_m);
     let plates = bars.iter().map(|run| (&run.bar, run.bar_path));
-    let scales = calibration.runs.iter().map(|run| ScaleFrom::from(&run.instrument));
+    let scales = calibration.runs.iter().map(|run| run.instrument.scale());
     file.scale = Some(scale_sentence(plates, scales, &evidence.workspace.budget));
 
     let lines: Vec<&[u64]> = beside.iter().map(|beside| beside.lines.as_slice()).collect();

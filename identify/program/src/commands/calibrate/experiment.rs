@@ -12,7 +12,7 @@ use super::driver::calibrate;
 use super::rows::{Kind, RowFile};
 use super::{CommonArguments, ResultArguments, inputs};
 use crate::calibrate::IdentifyConfig;
-use crate::calibrate::mix::Rows;
+use crate::instrument::Rows;
 use crate::logs::LogFormat;
 use crate::model::ParameterId;
 use crate::solver::LossName;

@@ -12,12 +12,12 @@ use super::bar::load_log;
 use super::driver::calibrate;
 use super::experiment::Experiment;
 use super::{CommonArguments, RowArguments};
-use crate::calibrate::mix::{Measured, Rows};
 use crate::calibrate::rows::{WAVES_PER_TURN_MAX, tracker};
 use crate::calibrate::{CalibrateError, Calibration};
 use crate::evaluate::Validity;
 use crate::instrument::HoldOut;
 use crate::instrument::{ContactRow, LengthRow, PoseRow, SocketTable};
+use crate::instrument::{Measured, Rows};
 use crate::kinematics::flange_chain;
 use crate::logs::{
     ContactMapping, Contacts, LogFormat, LogOptions, MeasuredLengthMapping, MeasuredLengths,
