@@ -1,13 +1,13 @@
-//! How far what the robot says is from what was measured.
+//! The difference between robot and measurement at a sample.
 
 use nalgebra::Vector3;
 
-/// Robot minus measurement at one sample, with its directions.
+/// Robot minus measurement at one sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Deviation {
-    /// Of two places along the axes of the robot's base, or of two lengths.
+    /// Difference of two positions along the axes of the robot's base, or of two lengths.
     pub apart: Apart,
-    /// Angle between the two \[rad\]; none where no rotation was measured.
+    /// Angle between the two orientations \[rad\]; `None` without a measured orientation.
     pub rotation_rad: Option<f64>,
 }
 
@@ -21,7 +21,7 @@ pub enum Apart {
 }
 
 impl Deviation {
-    /// Of two places whose rotation was not measured.
+    /// Of two positions without orientations.
     pub(super) const fn of_place(offset_m: Vector3<f64>) -> Self {
         Self { apart: Apart::Place(offset_m), rotation_rad: None }
     }
@@ -37,7 +37,7 @@ impl Deviation {
 pub struct PoseError {
     /// \[m\]
     pub position_m: f64,
-    /// Angle \[rad\]; none where only positions were measured.
+    /// Angle \[rad\]; `None` without a measured orientation.
     pub rotation_rad: Option<f64>,
 }
 

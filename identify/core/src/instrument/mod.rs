@@ -35,7 +35,7 @@ use crate::model::{Clock, Geometry, JointState, Model, ModelError, ParameterId};
 
 /// What an estimator asks of an instrument.
 pub trait Measures: fmt::Debug + Sync {
-    /// What it is called, for a person.
+    /// Name in messages and files.
     fn name(&self) -> &'static str;
 
     /// Name of what is minimised.
@@ -44,7 +44,7 @@ pub trait Measures: fmt::Debug + Sync {
     /// What fixes the scale of all lengths.
     fn scale(&self) -> ScaleFrom;
 
-    /// What a reading is worth where the last solve is, one standard deviation of the median sample in units of the solve's.
+    /// Standard deviation of a reading at the last solution: of the median sample, over the sigma of the data set.
     fn noise(&self) -> Noise;
 
     /// Number of samples.
@@ -88,8 +88,7 @@ pub trait Measures: fmt::Debug + Sync {
     /// Some of the samples.
     fn part(&self, samples: &[usize]) -> Instrument;
 
-    /// How far robot and measurement are apart in every sample, whether it takes part or not; not a number where the geometry does
-    /// not say.
+    /// Robot minus measurement in every sample, used or not; NaN outside the robot's log and for set-ups that the geometry lacks.
     fn deviations(&self, geometry: &Geometry) -> Vec<Deviation>;
 
     /// The sizes of [`Measures::deviations`].
@@ -97,12 +96,12 @@ pub trait Measures: fmt::Debug + Sync {
         self.deviations(geometry).into_iter().map(PoseError::from).collect()
     }
 
-    /// Samples that take no part.
+    /// Samples that the fit leaves out.
     fn rejected(&self) -> &[RejectedRow] {
         &[]
     }
 
-    /// When a sample was taken, on the instrument's clock since its reference time \[s\]; none where the robot stood.
+    /// Time of a sample on the instrument's clock, since its reference time \[s\]; `None` for rows of a robot at rest.
     fn time_s(&self, _sample: usize) -> Option<f64> {
         None
     }
@@ -126,7 +125,7 @@ pub enum ScaleFrom {
     Sockets,
 }
 
-/// What a reading is worth, one standard deviation.
+/// Standard deviation of a reading.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Noise {
     /// Of bar encoders and robot joints.

@@ -99,7 +99,7 @@ pub struct RowSet {
     pub drift: Option<Drift>,
     /// Of each row \[m\].
     drift_m: Vec<f64>,
-    /// Rows that the last solve was given.
+    /// Rows of the last solve, before its own screening.
     given: Vec<usize>,
     /// A sudden change of where the nominal robot is seen.
     step: Option<Step>,
@@ -269,7 +269,7 @@ impl RowSet {
         Ok(self.whole.part(&self.given))
     }
 
-    /// Robot minus measurement in every row where the last solve is, and why a row took no part in it; `run` is what it was given.
+    /// Robot minus measurement in every row at the last solution, with the reason of a row that it left out; `run` is its data set.
     pub fn deviations(&self, run: &Run) -> Vec<(Deviation, Option<Rejection>)> {
         let geometry = run.model.geometry(&[]);
         let deviations = match self.steady() {

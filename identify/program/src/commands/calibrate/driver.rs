@@ -108,7 +108,7 @@ pub(super) fn calibrate(
     conclude(&file, all.as_deref(), &summary(&file, &evidence.workspace, &written, &page), &page)
 }
 
-/// Every file of rows, with what it says beside these.
+/// Reads every file of rows, with what it contains beside its rows.
 fn rows_of(
     experiment: &Experiment,
     robot: &RobotConfig,
@@ -164,7 +164,7 @@ fn calibration_file(
     file
 }
 
-/// For a person: the name of a bar alone, or each instrument with how many data sets it has.
+/// The name of the bar if nothing else was used, otherwise each instrument with its number of data sets.
 fn instruments(bars: &[RunFiles<'_>], runs: &[Run]) -> String {
     if let (Some(first), true) = (bars.first(), bars.len() == runs.len()) {
         return first.bar.name.clone();
@@ -177,11 +177,11 @@ fn instruments(bars: &[RunFiles<'_>], runs: &[Run]) -> String {
     told.collect::<Vec<_>>().join(", ")
 }
 
-/// What is said of each data set, and of files of rows beside it.
+/// Tables, limits and entries of the result for each data set.
 struct Tables<'a> {
     /// For the page, and for the terminal where all is printed.
     text: String,
-    /// What a person asked for by an option, as lines of a terminal.
+    /// Lines of the terminal that an option asked for.
     asked: String,
     entries: Vec<RowsEntry>,
     limits: Vec<Limit>,

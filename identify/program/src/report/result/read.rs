@@ -77,14 +77,14 @@ impl CalibrationFile {
     }
 }
 
-/// What every file says, whatever its version.
+/// The key that every version has.
 #[derive(serde::Deserialize)]
 struct OfSchema {
     schema: u32,
 }
 
-/// A file of schema 1 as one of today: it had the first clock and force apart from the others, and the earliest of them neither
-/// numbers nor instruments.
+/// Converts a file of schema 1 to [`SCHEMA`]: it had the first clock and the first force under keys of their own, and the earliest
+/// files had no data set numbers and no instrument names.
 fn of_schema_1(mut file: Map<String, Value>) -> Value {
     file.insert("schema".into(), SCHEMA.into());
     for (first, others, all) in [("clock", "other_clocks", "clocks"), ("force", "other_forces", "forces")] {

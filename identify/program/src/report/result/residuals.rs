@@ -1,4 +1,4 @@
-//! `residuals.csv`: how far robot and measurement are apart in each sample and row of a calibration, used or left out.
+//! `residuals.csv`: robot minus measurement in each sample and row of a calibration, used or left out.
 
 use serde::Serialize;
 
@@ -7,7 +7,7 @@ use super::file::FileError;
 use crate::calibrate::Calibration;
 use crate::instrument::{Apart, Deviation, Rejection};
 
-/// One sample. Units stand in the names; robot minus measurement, along the axes of the robot's base.
+/// One sample: robot minus measurement, along the axes of the robot's base.
 #[derive(Debug, Serialize)]
 struct Row {
     /// As in `calibration.toml`, from 1.
@@ -17,10 +17,10 @@ struct Row {
     sample: usize,
     /// Of a file of rows.
     line: Option<u64>,
-    /// On the instrument's clock since its reference time, where the robot moved.
+    /// On the instrument's clock, since its reference time; empty for a robot at rest.
     t_s: Option<String>,
     used: bool,
-    /// Why it was not.
+    /// The reason if it was not.
     left_out: Option<&'static str>,
     x_mm: Option<String>,
     y_mm: Option<String>,
@@ -32,7 +32,7 @@ struct Row {
 
 impl Row {
     fn measured(self, Deviation { apart, rotation_rad }: Deviation) -> Self {
-        // Millionths of a millimetre and a milliradian; a row that nothing can be said of has no number.
+        // Six decimals of mm and mrad; NaN becomes an empty cell.
         let thousandths = |value: f64| value.is_finite().then(|| format!("{:.6}", value * 1e3));
         let rotation_mrad = rotation_rad.and_then(thousandths);
         match apart {
@@ -53,8 +53,8 @@ const fn reason(why: Rejection) -> &'static str {
     }
 }
 
-/// The text of the file; `lines` has those of each file of rows. Of a recording it has the samples that the solve was given: what
-/// became of the other cycles stands on the page.
+/// The text of the file; `lines` are the line numbers of each file of rows. A recording has one row for each sample of the solve;
+/// the report page shows what happened to the other cycles.
 ///
 /// # Errors
 /// [`FileError::Csv`].
