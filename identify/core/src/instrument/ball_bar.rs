@@ -177,21 +177,21 @@ impl Measures for BallBar {
         Noise::Angles(self.angle_noise())
     }
 
-    /// The robot's end minus the bar's; without encoders its distance from the gimbal minus the bar's length.
+    /// The robot's end minus the bar's, as far as the cost estimates the offsets of the encoders that say where the bar's is; without
+    /// any the robot's distance from the gimbal minus the bar's length.
     fn deviations(&self, geometry: &Geometry) -> Vec<Deviation> {
         let Prepared { motion, observations, .. } = &self.prepared;
-        let by_encoders = self.measured.contains(&true);
         let mut closures = closures(geometry, motion, observations).into_iter().peekable();
         let one = |observation: &Observation| {
-            // Those outside the robot's log have none.
             let closure = closures.next_if(|closure| closure.t_s == observation.t_s);
-            match closure {
-                None => Deviation::of_place(Vector3::repeat(f64::NAN)),
-                Some(closure) if by_encoders => Deviation {
-                    rotation_rad: Some(closure.turned_rad.norm()),
-                    ..Deviation::of_place(closure.position_error_m)
-                },
-                Some(closure) => Deviation::of_length(closure.off_sphere_m),
+            let Some(closure) = closure else { return Deviation::of_place(Vector3::repeat(f64::NAN)) };
+            let place = Deviation::of_place(closure.position_error_m);
+            match self.cost {
+                CostName::Length => Deviation::of_length(closure.off_sphere_m),
+                CostName::Position | CostName::PositionAngles => place,
+                CostName::Pose | CostName::Transform => {
+                    Deviation { rotation_rad: Some(closure.turned_rad.norm()), ..place }
+                }
             }
         };
         observations.iter().map(one).collect()
