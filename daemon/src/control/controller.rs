@@ -37,8 +37,8 @@ const STALLED_SYNC_PERIODS: u32 = 3;
 pub(super) enum Command {
     /// With whether a person chose the name.
     Start(Box<RunDetails>, bool, oneshot::Sender<Answer>),
-    /// Answered with how many runs were over when it was asked.
-    Stop(String, oneshot::Sender<(Answer, u64)>),
+    /// Answered with what will receive the run once it is over.
+    Stop(String, oneshot::Sender<(Answer, oneshot::Receiver<LastRun>)>),
     Home(oneshot::Sender<Answer>),
     /// Text (absent: a number) and instant; the answer has run and text, or nothing without a run.
     Mark(Option<String>, MonoNs, oneshot::Sender<Result<Option<(String, String)>, String>>),
@@ -69,6 +69,8 @@ pub(super) struct Controller {
     marks: Marks,
     /// Who asked for the run that is being opened, and what they are told when its file is there.
     asked: Vec<(oneshot::Sender<Answer>, Answer)>,
+    /// Who asked for its end.
+    stopping: Vec<oneshot::Sender<LastRun>>,
     tending: Option<Tending>,
     claim: Option<Claim>,
     summary: Option<RunSummary>,
@@ -108,6 +110,7 @@ impl Controller {
             duration: None,
             marks: Marks::default(),
             asked: Vec::new(),
+            stopping: Vec::new(),
             tending: None,
             claim: None,
             summary: None,
@@ -210,10 +213,13 @@ impl Controller {
                 }
             }
             Command::Stop(cause, reply) => {
-                let runs_over = self.runs_over;
-                let answer = self.handle(Event::Stop(cause));
+                let answer = self.handle(Event::Stop(cause)).unwrap_or(Answer::Idle);
+                let (over, last) = oneshot::channel();
+                if matches!(answer, Answer::Stopping(_)) {
+                    self.stopping.push(over);
+                }
                 self.publish();
-                let _ = reply.send((answer.unwrap_or(Answer::Idle), runs_over));
+                let _ = reply.send((answer, last));
             }
             Command::Home(reply) => {
                 self.look_at_bus();
@@ -248,6 +254,12 @@ impl Controller {
                     self.run.iter().for_each(|run| run.stop.stop(&cause));
                 }
                 Action::Finished { run, cause } => self.finished(run, cause),
+                Action::NotBegun { run, problem } => {
+                    let cause = format!("it could not begin: {problem}");
+                    tracing::info!(run, "{cause}");
+                    let error = Some(cause.clone());
+                    self.tell_stopping(&LastRun { name: run, cause, error, ..LastRun::default() });
+                }
                 // The link tries by itself whenever it is down.
                 Action::Connect => {}
                 Action::BeginHoming => match self.bus.session() {
@@ -347,7 +359,7 @@ impl Controller {
         let count = |of: fn(&RunSummary) -> u64| summary.as_ref().map_or(0, of);
         let useful = summary.as_ref().filter(|summary| summary.cycles_valid > 0);
         let next = useful.map(|summary| next_command(&name, &summary.path.display().to_string()));
-        self.last = Some(LastRun {
+        let last = LastRun {
             name,
             cause,
             cycles: count(|summary| summary.cycles),
@@ -358,7 +370,16 @@ impl Controller {
             file: summary.as_ref().map(|summary| summary.path.display().to_string()),
             provenance: summary.as_ref().map(|summary| summary.provenance.clone()).unwrap_or_default(),
             timing: summary.and_then(|summary| summary.timing),
-        });
+        };
+        self.tell_stopping(&last);
+        self.last = Some(last);
+    }
+
+    /// Answers those who asked for the end of the run.
+    fn tell_stopping(&mut self, run: &LastRun) {
+        for stopping in self.stopping.drain(..) {
+            let _ = stopping.send(run.clone());
+        }
     }
 
     fn look_at_bus(&mut self) {

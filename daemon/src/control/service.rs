@@ -19,7 +19,7 @@ use super::preflight::Found;
 use super::runs;
 use super::settings::Connect;
 pub use super::settings::Settings;
-use super::status::{CheckLine, NameReply, NameRequest, Refusal, StartRequest, Status};
+use super::status::{CheckLine, LastRun, NameReply, NameRequest, Refusal, StartRequest, Status};
 use crate::clock::Clock;
 use crate::problem::{Fact, Problem};
 use crate::run::{self, RunDetails, RunError, Stop, Storage};
@@ -144,8 +144,8 @@ impl Service {
         self.ask(|reply| Command::Start(details, named, reply)).await
     }
 
-    /// With how many runs were over when it was asked.
-    pub(super) async fn stop(&self, cause: String) -> Result<(Answer, u64), Refusal> {
+    /// With what receives the run once it is over.
+    pub(super) async fn stop(&self, cause: String) -> Result<(Answer, oneshot::Receiver<LastRun>), Refusal> {
         self.ask(|reply| Command::Stop(cause, reply)).await
     }
 
@@ -448,11 +448,11 @@ pub(crate) mod tests {
     fn a_run_that_is_called_off_before_it_has_its_file_ends_with_the_file() {
         let directory = tempfile::tempdir().unwrap();
         let (service, disk, asked) = begin_on_hanging_disk(directory.path());
-        let (answer, runs_over) = runtime().block_on(service.stop("called off".into())).unwrap();
-        assert_eq!((answer, runs_over), (Answer::Stopping("late".into()), 0));
+        let (answer, over) = runtime().block_on(service.stop("called off".into())).unwrap();
+        assert_eq!(answer, Answer::Stopping("late".into()));
         disk.0.store(false, Ordering::Release);
         assert_eq!(asked.join().unwrap(), Answer::Beginning);
-        let last = wait_until(&service, "its end", |status| status.runs_over == 1).last.unwrap();
+        let last = over.blocking_recv().unwrap();
         assert_eq!((last.cause.as_str(), last.error), ("called off", None));
         service.shutdown("test over");
         service.join().unwrap();

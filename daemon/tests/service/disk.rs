@@ -91,14 +91,19 @@ fn a_run_left_behind_while_the_service_goes_on_is_recovered_when_the_next_one_st
 }
 
 #[test]
-fn stop_answers_for_the_run_that_it_stopped_and_not_for_one_of_that_name_that_failed() {
+fn a_start_that_was_refused_is_no_run_for_status_and_stop() {
     let service = Running::start();
     service.wait_for("waiting");
+    service.granted("start", &json!({"name": "before"}));
+    service.wait_for("writing");
+    let before = service.granted("stop", &json!({})).last;
     let taken = service.directory.path().join("again.mcap");
     std::fs::write(&taken, "another").unwrap();
     assert_eq!(service.post("start", &json!({"name": "again"})).0, 409);
-    let failed = service.get::<Status>("status").last.unwrap();
-    assert!(failed.name == "again" && failed.error.is_some(), "{failed:?}");
+    let status: Status = service.get("status");
+    assert_eq!((status.last, status.runs_over), (before, 1));
+    let told = text(&service.command(&["status"]));
+    assert!(told.contains("before.mcap") && !told.contains("again"), "{told}");
     std::fs::remove_file(&taken).unwrap();
     service.granted("start", &json!({"name": "again"}));
     service.wait_for("writing");

@@ -32,7 +32,7 @@ use axum::{Extension, Json, Router};
 use futures_util::{StreamExt, stream};
 use shared::recording::Disk;
 use tokio::net::TcpListener;
-use tokio::sync::Semaphore;
+use tokio::sync::{Semaphore, oneshot};
 
 use self::connections::{Client, Connections};
 use self::downloads::{Download, Downloads};
@@ -498,7 +498,7 @@ async fn stop(State(service): State<Service>, body: Body<StopRequest>) -> Respon
         return refusal(StatusCode::UNPROCESSABLE_ENTITY, problem);
     }
     match service.stop(cause).await {
-        Ok((Answer::Stopping(run), runs_over)) => match finished(&service, runs_over).await {
+        Ok((Answer::Stopping(run), over)) => match within_patience(over).await {
             // A run whose file could not be finished is no success.
             Some(last) if last.error.is_some() => {
                 refusal(StatusCode::INTERNAL_SERVER_ERROR, &format!("run `{run}`: {}", last.cause))
@@ -576,12 +576,9 @@ async fn verdict(service: &Service, last: &LastRun) -> Option<Verdict> {
     on_disk(service, move |disk| Ok(runs::finished(disk, name, file).verdict)).await.ok().flatten()
 }
 
-/// Waits until one more run is over than were.
-async fn finished(service: &Service, runs_over: u64) -> Option<LastRun> {
-    let mut status = service.watch();
-    let over = |status: &Status| status.runs_over > runs_over;
-    let wait = async { status.wait_for(over).await.ok().and_then(|status| status.last.clone()) };
-    tokio::time::timeout(FILE_TIMEOUT, wait).await.ok().flatten()
+/// Waits for a run that is ending.
+async fn within_patience(over: oneshot::Receiver<LastRun>) -> Option<LastRun> {
+    tokio::time::timeout(FILE_TIMEOUT, over).await.ok()?.ok()
 }
 
 /// Waits for the end of the homing.
