@@ -1,7 +1,8 @@
 //! The thread that does what the [`machine`](super::machine) decides: bus, runs, homing, answers.
 
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use shared::time::MonoNs;
@@ -14,9 +15,11 @@ use super::machine::{Action, Answer, Event, Machine, State};
 use super::marks::Marks;
 use super::preflight::{self, Found};
 use super::problem_log::ProblemLog;
+use super::runs;
 use super::settings::{Connect, Settings};
 use super::status::{CheckLine, LastRun, ServiceState, Status, Totals, next_command};
 use super::tending::Tending;
+use super::verdict::Verdict;
 use super::view::View;
 use crate::claim::Claim;
 use crate::clock::Clock;
@@ -77,6 +80,8 @@ pub(super) struct Controller {
     /// Why the file of the run that ends could not be finished in the ordinary way.
     failure: Option<String>,
     last: Option<LastRun>,
+    /// Reads the grade of the last run.
+    grading: Option<Receiver<Option<Verdict>>>,
     runs_over: u64,
     storage: Storage,
     cycles_seen: u64,
@@ -116,6 +121,7 @@ impl Controller {
             summary: None,
             failure: None,
             last: None,
+            grading: None,
             runs_over: 0,
             storage,
             cycles_seen: 0,
@@ -146,6 +152,7 @@ impl Controller {
             self.look_at_bus();
             self.look_at_homing();
             self.look_at_run();
+            self.look_at_grading();
             self.count();
             self.publish();
             if self.is_over() {
@@ -368,11 +375,33 @@ impl Controller {
             error,
             next,
             file: summary.as_ref().map(|summary| summary.path.display().to_string()),
+            verdict: None,
             provenance: summary.as_ref().map(|summary| summary.provenance.clone()).unwrap_or_default(),
             timing: summary.and_then(|summary| summary.timing),
         };
         self.tell_stopping(&last);
+        self.grade(&last);
         self.last = Some(last);
+    }
+
+    /// Has the grade of a run read as the list of runs reads it.
+    fn grade(&mut self, last: &LastRun) {
+        let Some(file) = last.file.clone() else { return };
+        let (found, grading) = sync_channel(1);
+        let (disk, name) = (self.storage.disk(), last.name.clone());
+        let read = move || {
+            let _ = found.send(runs::finished(&*disk, name, file.into()).verdict);
+        };
+        // Without a thread the run has no grade.
+        let _ = thread::Builder::new().name("grade".into()).spawn(read);
+        self.grading = Some(grading);
+    }
+
+    fn look_at_grading(&mut self) {
+        let verdict = self.grading.as_ref().and_then(|grading| grading.try_recv().ok());
+        if let (Some(verdict), Some(last)) = (verdict, &mut self.last) {
+            last.verdict = verdict;
+        }
     }
 
     /// Answers those who asked for the end of the run.

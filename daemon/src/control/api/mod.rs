@@ -505,6 +505,7 @@ async fn stop(State(service): State<Service>, body: Body<StopRequest>) -> Respon
             }
             Some(last) => {
                 let verdict = verdict(&service, &last).await;
+                let last = LastRun { verdict: verdict.clone(), ..last };
                 let (answer, run, last) = (Granted::Stopped, Some(run), Some(last));
                 Json(Reply { answer, run, last, verdict, ..Reply::default() }).into_response()
             }
@@ -569,11 +570,14 @@ fn some_text(text: &str) -> Result<(), &'static str> {
     if text.is_empty() { Err("the text is empty; say something") } else { check_text(text) }
 }
 
-/// What a run's file is worth, read from it.
+/// The grade of a run that has just ended, once it is read from its file.
 async fn verdict(service: &Service, last: &LastRun) -> Option<Verdict> {
-    let file = PathBuf::from(last.file.clone()?);
-    let name = last.name.clone();
-    on_disk(service, move |disk| Ok(runs::finished(disk, name, file).verdict)).await.ok().flatten()
+    let file = last.file.as_ref()?;
+    let mut status = service.watch();
+    let of_run = |status: &Status| status.last.clone().filter(|last| last.file.as_ref() == Some(file));
+    let is_read = |status: &Status| of_run(status).is_some_and(|last| last.verdict.is_some());
+    let wait = async { status.wait_for(is_read).await.ok().and_then(|status| of_run(&status)?.verdict) };
+    tokio::time::timeout(LIST_WITHIN, wait).await.ok().flatten()
 }
 
 /// Waits for a run that is ending.
