@@ -1,9 +1,7 @@
-//! The thread that does what the [`machine`](super::machine) decides: bus, runs, homing, answers.
+//! Does what the [`machine`](super::machine) decides: bus, runs, homing, answers. It waits for nothing.
 
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
-use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use shared::time::MonoNs;
 use tokio::sync::{oneshot, watch};
@@ -22,10 +20,10 @@ use super::tending::Tending;
 use super::verdict::Verdict;
 use super::view::View;
 use crate::claim::Claim;
-use crate::clock::Clock;
 use crate::problem::{Fact, Problem};
 use crate::record::{RunSummary, Snapshot};
 use crate::run::{ActiveRun, LEAVES_WITHIN, RunDetails, RunError, Stop, Storage};
+use crate::scheduler::{Pending, Scheduler};
 
 /// How often bus and recorder are looked at while nobody asks for anything.
 const POLL: Duration = Duration::from_millis(100);
@@ -81,7 +79,7 @@ pub(super) struct Controller {
     failure: Option<String>,
     last: Option<LastRun>,
     /// Reads the grade of the last run.
-    grading: Option<Receiver<Option<Verdict>>>,
+    grading: Option<Pending<Option<Verdict>>>,
     runs_over: u64,
     storage: Storage,
     cycles_seen: u64,
@@ -93,7 +91,12 @@ pub(super) struct Controller {
     ending: Stop,
     exit: bool,
     /// Since when the service has been asked to end.
-    leaving: Option<Instant>,
+    leaving: Option<MonoNs>,
+    scheduler: Arc<dyn Scheduler>,
+    /// Time of this step.
+    now: MonoNs,
+    /// How the service ends, while its bus is being closed.
+    outcome: Option<Result<(), RunError>>,
 }
 
 impl Controller {
@@ -103,13 +106,17 @@ impl Controller {
         storage: Storage,
         status: watch::Sender<Status>,
         ending: Stop,
+        scheduler: Arc<dyn Scheduler>,
     ) -> Self {
         Self {
+            now: scheduler.clock().now(),
+            outcome: None,
             ending,
             settings,
             machine: Machine::default(),
             status,
-            bus: BusLink::new(connect),
+            bus: BusLink::new(connect, Arc::clone(&scheduler)),
+            scheduler,
             homing: None,
             run: None,
             duration: None,
@@ -133,34 +140,46 @@ impl Controller {
         }
     }
 
-    /// Until the service is asked to end, or has no place to record to.
-    pub fn run(&mut self, commands: &Receiver<Command>) -> Result<(), RunError> {
-        self.tend();
-        let outcome = loop {
-            let poll = if self.is_opening() { OPENING_POLL } else { POLL };
-            match commands.recv_timeout(poll) {
-                Ok(command) => self.obey(command),
-                Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => self.ending.stop("the service was dropped"),
-            }
-            if self.ending.is_stopped() && self.leaving.is_none() {
-                self.shutdown(&self.ending.cause());
-            }
-            if let Err(error) = self.look_at_place() {
-                break Err(error);
-            }
-            self.look_at_bus();
-            self.look_at_homing();
-            self.look_at_run();
-            self.look_at_grading();
-            self.count();
-            self.publish();
-            if self.is_over() {
-                break Ok(());
-            }
-        };
+    /// Handles the commands and looks at bus, disk, homing and run. The time until the next step, or none once the service has
+    /// been asked to end and has done so, or has no place to record to.
+    pub fn poll(&mut self, now: MonoNs, commands: Vec<Command>) -> Option<Duration> {
+        self.now = now;
+        if self.outcome.is_some() {
+            return (!self.bus.is_closed()).then_some(OPENING_POLL);
+        }
+        commands.into_iter().for_each(|command| self.obey(command));
+        if self.ending.is_stopped() && self.leaving.is_none() {
+            self.shutdown(&self.ending.cause());
+        }
+        if let Err(error) = self.look_at_place() {
+            return self.end(Err(error));
+        }
+        self.look_at_bus();
+        self.look_at_homing();
+        self.look_at_run();
+        self.look_at_grading();
+        self.count();
+        self.publish();
+        if self.is_over() {
+            return self.end(Ok(()));
+        }
+        Some(if self.is_opening() { OPENING_POLL } else { POLL })
+    }
+
+    fn end(&mut self, outcome: Result<(), RunError>) -> Option<Duration> {
+        self.outcome = Some(outcome);
         self.bus.close();
-        outcome
+        Some(Duration::ZERO)
+    }
+
+    /// How the service has ended.
+    pub fn into_outcome(self) -> Result<(), RunError> {
+        self.outcome.unwrap_or(Ok(()))
+    }
+
+    /// Ends the service after its last handle was dropped.
+    pub fn dropped(&self) {
+        self.ending.stop("the service was dropped");
     }
 
     /// The file of a run comes before the end. What the next service finds as it is does not: one that is not there yet,
@@ -171,7 +190,7 @@ impl Controller {
         if self.tending.is_none() && !self.is_opening() && keeping.is_none() {
             return self.exit;
         }
-        let is_over = since.elapsed() > LEAVES_WITHIN;
+        let is_over = self.now.ns_since(since) > LEAVES_WITHIN.as_nanos() as i64;
         if is_over {
             let problems = self.view().disk_problems();
             tracing::warn!("the disk is not waited for: {}", Problem::line(&problems));
@@ -184,12 +203,12 @@ impl Controller {
     }
 
     fn shutdown(&mut self, cause: &str) {
-        self.leaving.get_or_insert_with(Instant::now);
+        self.leaving.get_or_insert(self.now);
         self.handle(Event::Shutdown(cause.to_owned()));
     }
 
     /// After a panic of this thread: nothing is decided any more, but a run's file is finished and states the cause.
-    pub fn abandon(&mut self) {
+    pub fn abandon(mut self) {
         self.status.send_modify(|status| {
             let problem = Problem::from(Fact::ThreadEnded { thread: "control".into() });
             (status.state, status.severity) = (ServiceState::Fault, problem.severity);
@@ -313,7 +332,7 @@ impl Controller {
             Ok(run) => {
                 self.run = Some(run);
                 self.duration = details.duration;
-                self.marks = Marks::new(Clock::Real.now());
+                self.marks = Marks::new(self.now);
                 (self.cycles_seen, self.counted.lost) = (0, 0);
                 Ok(())
             }
@@ -337,8 +356,9 @@ impl Controller {
         }
     }
 
-    fn tend(&mut self) {
-        self.tending = Some(Tending::begin(&self.storage, self.claim.is_some()));
+    /// Makes the place for recordings ready.
+    pub fn tend(&mut self) {
+        self.tending = Some(Tending::begin(&*self.scheduler, &self.storage, self.claim.is_some()));
     }
 
     fn look_at_place(&mut self) -> Result<(), RunError> {
@@ -387,19 +407,14 @@ impl Controller {
     /// Has the grade of a run read as the list of runs reads it.
     fn grade(&mut self, last: &LastRun) {
         let Some(file) = last.file.clone() else { return };
-        let (found, grading) = sync_channel(1);
         let (disk, name) = (self.storage.disk(), last.name.clone());
-        let read = move || {
-            let _ = found.send(runs::finished(&*disk, name, file.into()).verdict);
-        };
-        // Without a thread the run has no grade.
-        let _ = thread::Builder::new().name("grade".into()).spawn(read);
-        self.grading = Some(grading);
+        let read = move || runs::finished(&*disk, name, file.into()).verdict;
+        self.grading = Some(Pending::start(&*self.scheduler, "grade", read));
     }
 
     fn look_at_grading(&mut self) {
-        let verdict = self.grading.as_ref().and_then(|grading| grading.try_recv().ok());
-        if let (Some(verdict), Some(last)) = (verdict, &mut self.last) {
+        let verdict = self.grading.as_ref().and_then(Pending::poll);
+        if let (Some(Ok(verdict)), Some(last)) = (verdict, &mut self.last) {
             last.verdict = verdict;
         }
     }
@@ -412,7 +427,7 @@ impl Controller {
     }
 
     fn look_at_bus(&mut self) {
-        if let Some(event) = self.bus.look() {
+        if let Some(event) = self.bus.look(self.now) {
             self.handle(event);
         }
     }
@@ -431,10 +446,8 @@ impl Controller {
             self.opened(Ok(()));
         }
         let Some(run) = &self.run else { return };
-        if run.is_finished() {
-            if let Some(run) = self.run.take() {
-                self.run_is_over(run);
-            }
+        if let Some(outcome) = run.outcome() {
+            self.run_is_over(outcome);
             return;
         }
         if run.stop.is_stopped() {
@@ -468,7 +481,7 @@ impl Controller {
             self.count_lost(lost);
         }
         let status = self.view().status();
-        self.problems.update(Instant::now(), status.problems.iter().chain(&status.bad_cables));
+        self.problems.update(self.now, status.problems.iter().chain(&status.bad_cables));
         self.totals.problems.clone_from(self.problems.began());
     }
 
@@ -477,9 +490,10 @@ impl Controller {
         self.counted.lost = lost;
     }
 
-    fn run_is_over(&mut self, run: ActiveRun) {
-        self.count_lost(run.progress.get().lost);
-        let outcome = run.join();
+    fn run_is_over(&mut self, outcome: Result<RunSummary, RunError>) {
+        if let Some(run) = self.run.take() {
+            self.count_lost(run.progress.get().lost);
+        }
         match outcome {
             Ok(summary) => {
                 self.handle(Event::Ended(summary.cause.clone()));
@@ -501,6 +515,7 @@ impl Controller {
 
     fn view(&self) -> View<'_> {
         View {
+            now: self.now,
             settings: &self.settings,
             machine: &self.machine,
             session: self.bus.session(),
