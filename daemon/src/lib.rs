@@ -19,6 +19,7 @@ pub mod page;
 pub mod problem;
 pub mod record;
 pub mod run;
+pub mod scheduler;
 pub mod segment;
 pub mod tuning;
 mod whole_file;

@@ -6,6 +6,7 @@ mod support;
 
 mod bus;
 mod command_line;
+mod day;
 mod faults;
 mod homing;
 mod recorder;

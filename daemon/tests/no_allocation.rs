@@ -87,7 +87,7 @@ fn acquisition(clock: &Clock, rate_hz: u64) -> Acquisition {
 fn cost(clock: &Clock, rate_hz: u64, cycles: u64) -> (u64, u64) {
     let mut acquisition = acquisition(clock, rate_hz);
     // Rings as of real time, large enough for all: nobody empties them here.
-    let (mut sink, _source) = record::ring(cycles as usize + 1000, &Clock::Real);
+    let (mut sink, _source) = record::ring(cycles as usize + 1000, record::FullRing::Drops);
     acquisition.next_cycle(&mut |record| sink.push(record));
     let live = Live::default();
     let waits_before = voluntary_switches();

@@ -263,6 +263,7 @@ pub fn status(arguments: &StatusArguments) -> anyhow::Result<()> {
     }
     if let Some(last) = &status.last {
         say(format_args!("last run: {}", last_run(last)))?;
+        last.verdict.iter().try_for_each(say)?;
         last.next.iter().try_for_each(|next| say(next_step(&last.name, next)))?;
     }
     let of_run = status.run.as_ref().and_then(|run| run.timing.as_ref());

@@ -103,5 +103,16 @@ fn over(name: String, summary: RunSummary) -> LastRun {
     let RunSummary { path, cycles, cycles_valid, cycles_lost, cause, provenance, timing } = summary;
     let file = Some(path.display().to_string());
     let next = file.as_deref().filter(|_| cycles_valid > 0).map(|file| next_command(&name, file));
-    LastRun { name, file, cycles, cycles_valid, cycles_lost, cause, error: None, next, timing, provenance }
+    LastRun {
+        name,
+        file,
+        cycles,
+        cycles_valid,
+        cycles_lost,
+        cause,
+        next,
+        timing,
+        provenance,
+        ..LastRun::default()
+    }
 }

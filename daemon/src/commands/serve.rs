@@ -18,8 +18,8 @@ use crate::control::api::{self, Remote, RemoteSettings};
 use crate::control::live_tap::LiveTap;
 use crate::control::service::{Service, ServiceError, Settings};
 use crate::control::status::Status;
-use crate::record::STACK_BYTES;
 use crate::run::BusChoice;
+use crate::scheduler::STACK_BYTES;
 use crate::segment::faults::FaultWindow;
 
 /// An end that takes longer is explained, and again after as long.
@@ -93,7 +93,7 @@ pub fn run(arguments: &RunArguments) -> anyhow::Result<()> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .max_blocking_threads(BLOCKING_THREADS_MAX)
-        .thread_stack_size(2 * STACK_BYTES)
+        .thread_stack_size(STACK_BYTES)
         .build()
         .context("cannot start the service")?;
     let listener = runtime.block_on(listen(port))?;

@@ -2,17 +2,17 @@
 
 use std::collections::VecDeque;
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, TryRecvError, sync_channel};
-use std::thread;
-use std::time::{Duration, Instant};
+use std::sync::mpsc::{Receiver, TryRecvError};
+use std::time::Duration;
 
 use shared::recording::schema::MAX_ENCODERS;
+use shared::time::{MonoNs, NS_PER_S};
 
 use super::machine::Event;
 use super::settings::Connect;
-use crate::clock::Clock;
 use crate::problem::{Fact, Problem};
-use crate::run::{BUS_FLAGS, RunError, Session};
+use crate::run::{BUS_FLAGS, Opening, RunError, Session};
+use crate::scheduler::{Died, Pending, Scheduler, Work};
 
 /// Pauses between attempts to bring the bus up.
 const RETRY_FIRST: Duration = Duration::from_secs(1);
@@ -28,16 +28,19 @@ const SILENT_MIN: Duration = Duration::from_millis(50);
 /// Keeps a bus in operation, and tells what becomes of it.
 pub(super) struct BusLink {
     connect: Arc<Connect>,
+    scheduler: Arc<dyn Scheduler>,
     state: State,
+    /// Connected until the cycle of a closed bus has ended.
+    closing: Option<Receiver<()>>,
 }
 
 enum State {
     Down {
-        retry_at: Instant,
+        retry_at: MonoNs,
         pause: Duration,
     },
     Connecting {
-        attempt: Receiver<Result<Session, RunError>>,
+        attempt: Pending<Result<Session, RunError>>,
         pause: Duration,
     },
     /// With the problem that was reported, while there is one.
@@ -48,20 +51,20 @@ enum State {
     },
 }
 
-/// How many cycles there were, and how many of each encoder were valid, at each look of the last [`WINDOW`].
+/// How many cycles there were, and how many of each encoder were valid, at each look of the last [`WINDOW_NS`].
 #[derive(Default)]
-struct Recent(VecDeque<(Instant, (u64, Counts))>);
+struct Recent(VecDeque<(MonoNs, (u64, Counts))>);
 
 type Counts = [u64; MAX_ENCODERS];
 
-/// One sample says nothing: over this time an encoder is judged before a run begins.
-const WINDOW: Duration = Duration::from_secs(1);
+/// One sample proves nothing: over this time an encoder is graded before a run begins \[ns\].
+const WINDOW_NS: i64 = NS_PER_S;
 
 impl Recent {
-    fn add(&mut self, now: Instant, counted: (u64, Counts)) {
+    fn add(&mut self, now: MonoNs, counted: (u64, Counts)) {
         self.0.push_back((now, counted));
         // The look before the window is its beginning.
-        while self.0.get(1).is_some_and(|(at, _)| now.duration_since(*at) >= WINDOW) {
+        while self.0.get(1).is_some_and(|(at, _)| now.ns_since(*at) >= WINDOW_NS) {
             self.0.pop_front();
         }
     }
@@ -77,8 +80,9 @@ impl Recent {
 
 impl BusLink {
     /// Tries at once.
-    pub fn new(connect: Arc<Connect>) -> Self {
-        Self { connect, state: State::Down { retry_at: Instant::now(), pause: RETRY_FIRST } }
+    pub fn new(connect: Arc<Connect>, scheduler: Arc<dyn Scheduler>) -> Self {
+        let state = State::Down { retry_at: scheduler.clock().now(), pause: RETRY_FIRST };
+        Self { connect, scheduler, state, closing: None }
     }
 
     /// The bus, while it is there.
@@ -98,78 +102,65 @@ impl BusLink {
     }
 
     /// What has changed since the last look.
-    pub fn look(&mut self) -> Option<Event> {
+    pub fn look(&mut self, now: MonoNs) -> Option<Event> {
         match &mut self.state {
             State::Down { retry_at, pause } => {
-                if Instant::now() < *retry_at {
-                    return None;
+                if now >= *retry_at {
+                    let pause = *pause;
+                    self.state = State::Connecting { attempt: self.attempt(), pause };
                 }
-                let pause = *pause;
-                self.try_to_connect(pause)
+                None
             }
             State::Connecting { attempt, pause } => {
                 let pause = *pause;
-                match attempt.try_recv() {
-                    Ok(outcome) => Some(self.connected(outcome, pause)),
-                    Err(TryRecvError::Empty) => None,
-                    Err(TryRecvError::Disconnected) => {
-                        let thread = "bring-up".into();
-                        Some(self.failed(Fact::ThreadEnded { thread }.into(), pause))
+                let outcome = attempt.poll()?;
+                Some(match outcome {
+                    Ok(outcome) => self.connected(outcome, pause, now),
+                    Err(Died) => {
+                        self.failed(Fact::ThreadEnded { thread: "bring-up".into() }.into(), pause, now)
                     }
-                }
+                })
             }
             State::Up { session, .. } if !session.is_alive() => {
-                self.close();
-                Some(self.failed(Fact::ThreadEnded { thread: "cycle".into() }.into(), RETRY_FIRST))
+                Some(self.failed(Fact::ThreadEnded { thread: "cycle".into() }.into(), RETRY_FIRST, now))
             }
             State::Up { session, trouble, recent } => {
-                recent.add(Instant::now(), session.live().counted());
-                let now = trouble_of(session);
+                recent.add(now, session.live().counted());
+                let found = trouble_of(session, now);
                 let is_same =
-                    now.as_ref().map(|problem| &problem.text) == trouble.as_ref().map(|was| &was.text);
+                    found.as_ref().map(|problem| &problem.text) == trouble.as_ref().map(|was| &was.text);
                 if is_same {
                     return None;
                 }
-                if now.is_none() {
+                if found.is_none() {
                     // Encoders are not blamed for what the bus did.
                     *recent = Recent::default();
                 }
-                trouble.clone_from(&now);
-                Some(now.map_or(Event::BusUp, Event::BusTroubled))
+                trouble.clone_from(&found);
+                Some(found.map_or(Event::BusUp, Event::BusTroubled))
             }
         }
     }
 
     /// Ends the cycle.
     pub fn close(&mut self) {
-        let down = State::Down { retry_at: Instant::now(), pause: RETRY_FIRST };
-        if let State::Up { session, .. } = std::mem::replace(&mut self.state, down)
-            && let Err(error) = session.close()
-        {
-            tracing::error!("{error}");
+        let down = State::Down { retry_at: MonoNs(i64::MAX), pause: RETRY_FIRST };
+        if let State::Up { session, .. } = std::mem::replace(&mut self.state, down) {
+            self.closing = Some(session.begin_close());
         }
     }
 
-    fn try_to_connect(&mut self, pause: Duration) -> Option<Event> {
+    /// The cycle has ended since.
+    pub fn is_closed(&self) -> bool {
+        self.closing.as_ref().is_none_or(|closing| !matches!(closing.try_recv(), Err(TryRecvError::Empty)))
+    }
+
+    fn attempt(&self) -> Pending<Result<Session, RunError>> {
         let connect = Arc::clone(&self.connect);
-        let (result, attempt) = sync_channel(1);
-        let body = move || {
-            // Nobody waits any more if the service has ended meanwhile.
-            let _ = result.send(connect());
-        };
-        match thread::Builder::new().name("bus".into()).spawn(body) {
-            Ok(_) => {
-                self.state = State::Connecting { attempt, pause };
-                None
-            }
-            Err(error) => {
-                let error = format!("no thread to bring the bus up: {error}");
-                Some(self.failed(Fact::RunRefused { error }.into(), pause))
-            }
-        }
+        Pending::until(&*self.scheduler, "bus", Box::new(Attempt { connect, opening: None }))
     }
 
-    fn connected(&mut self, outcome: Result<Session, RunError>, pause: Duration) -> Event {
+    fn connected(&mut self, outcome: Result<Session, RunError>, pause: Duration, now: MonoNs) -> Event {
         match outcome {
             Ok(session) => {
                 session.log();
@@ -177,20 +168,42 @@ impl BusLink {
                 self.state = State::Up { session, trouble: None, recent: Recent::default() };
                 Event::BusUp
             }
-            Err(error) => self.failed(error.problem(), pause),
+            Err(error) => self.failed(error.problem(), pause, now),
         }
     }
 
-    fn failed(&mut self, problem: Problem, pause: Duration) -> Event {
-        self.state = State::Down { retry_at: Instant::now() + pause, pause: (pause * 2).min(RETRY_LONGEST) };
+    fn failed(&mut self, problem: Problem, pause: Duration, now: MonoNs) -> Event {
+        let retry_at = now.plus_ns(pause.as_nanos() as i64);
+        self.state = State::Down { retry_at, pause: (pause * 2).min(RETRY_LONGEST) };
         Event::BusDown(problem)
     }
 }
 
+/// An attempt to bring the bus into operation.
+struct Attempt {
+    connect: Arc<Connect>,
+    opening: Option<Opening>,
+}
+
+impl Work<Result<Session, RunError>> for Attempt {
+    fn poll(&mut self) -> Option<Result<Session, RunError>> {
+        match &mut self.opening {
+            Some(opening) => opening.poll(),
+            None => match (self.connect)() {
+                Ok(opening) => {
+                    self.opening = Some(opening);
+                    None
+                }
+                Err(error) => Some(Err(error)),
+            },
+        }
+    }
+}
+
 /// Why the latest cycles gave no samples of the whole bus, as far as the bus is the cause.
-fn trouble_of(session: &Session) -> Option<Problem> {
+fn trouble_of(session: &Session, now: MonoNs) -> Option<Problem> {
     let live = session.live();
-    let age = Clock::Real.now().ns_since(live.at());
+    let age = now.ns_since(live.at());
     if age > CYCLE_AGE_MAX.as_nanos() as i64 {
         return Some(Fact::CycleStalled { age_s: age / 1_000_000_000 }.into());
     }
@@ -240,11 +253,10 @@ mod tests {
 
     #[test]
     fn shares_of_valid_cycles_are_those_of_the_last_second() {
-        let begun = Instant::now();
         let mut recent = Recent::default();
         assert_eq!(recent.valid_shares(), None);
         let mut at = |tenth: u32, cycles: u64, valid: u64| {
-            recent.add(begun + Duration::from_millis(100) * tenth, (cycles, [valid; MAX_ENCODERS]));
+            recent.add(MonoNs(i64::from(tenth) * NS_PER_S / 10), (cycles, [valid; MAX_ENCODERS]));
             recent.valid_shares().map(|shares| shares[MAX_ENCODERS - 1])
         };
         assert_eq!(at(0, 5, 5), None);

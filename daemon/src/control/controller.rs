@@ -1,8 +1,7 @@
-//! The thread that does what the [`machine`](super::machine) decides: bus, runs, homing, answers.
+//! Does what the [`machine`](super::machine) decides: bus, runs, homing, answers. It waits for nothing.
 
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, RecvTimeoutError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use shared::time::MonoNs;
 use tokio::sync::{oneshot, watch};
@@ -14,15 +13,17 @@ use super::machine::{Action, Answer, Event, Machine, State};
 use super::marks::Marks;
 use super::preflight::{self, Found};
 use super::problem_log::ProblemLog;
+use super::runs;
 use super::settings::{Connect, Settings};
 use super::status::{CheckLine, LastRun, ServiceState, Status, Totals, next_command};
 use super::tending::Tending;
+use super::verdict::Verdict;
 use super::view::View;
 use crate::claim::Claim;
-use crate::clock::Clock;
 use crate::problem::{Fact, Problem};
 use crate::record::{RunSummary, Snapshot};
 use crate::run::{ActiveRun, LEAVES_WITHIN, RunDetails, RunError, Stop, Storage};
+use crate::scheduler::{Pending, Scheduler};
 
 /// How often bus and recorder are looked at while nobody asks for anything.
 const POLL: Duration = Duration::from_millis(100);
@@ -37,8 +38,8 @@ const STALLED_SYNC_PERIODS: u32 = 3;
 pub(super) enum Command {
     /// With whether a person chose the name.
     Start(Box<RunDetails>, bool, oneshot::Sender<Answer>),
-    /// Answered with how many runs were over when it was asked.
-    Stop(String, oneshot::Sender<(Answer, u64)>),
+    /// Answered with what will receive the run once it is over.
+    Stop(String, oneshot::Sender<(Answer, oneshot::Receiver<LastRun>)>),
     Home(oneshot::Sender<Answer>),
     /// Text (absent: a number) and instant; the answer has run and text, or nothing without a run.
     Mark(Option<String>, MonoNs, oneshot::Sender<Result<Option<(String, String)>, String>>),
@@ -69,12 +70,16 @@ pub(super) struct Controller {
     marks: Marks,
     /// Who asked for the run that is being opened, and what they are told when its file is there.
     asked: Vec<(oneshot::Sender<Answer>, Answer)>,
+    /// Who asked for its end.
+    stopping: Vec<oneshot::Sender<LastRun>>,
     tending: Option<Tending>,
     claim: Option<Claim>,
     summary: Option<RunSummary>,
     /// Why the file of the run that ends could not be finished in the ordinary way.
     failure: Option<String>,
     last: Option<LastRun>,
+    /// Reads the grade of the last run.
+    grading: Option<Pending<Option<Verdict>>>,
     runs_over: u64,
     storage: Storage,
     cycles_seen: u64,
@@ -86,7 +91,12 @@ pub(super) struct Controller {
     ending: Stop,
     exit: bool,
     /// Since when the service has been asked to end.
-    leaving: Option<Instant>,
+    leaving: Option<MonoNs>,
+    scheduler: Arc<dyn Scheduler>,
+    /// Time of this step.
+    now: MonoNs,
+    /// How the service ends, while its bus is being closed.
+    outcome: Option<Result<(), RunError>>,
 }
 
 impl Controller {
@@ -96,23 +106,29 @@ impl Controller {
         storage: Storage,
         status: watch::Sender<Status>,
         ending: Stop,
+        scheduler: Arc<dyn Scheduler>,
     ) -> Self {
         Self {
+            now: scheduler.clock().now(),
+            outcome: None,
             ending,
             settings,
             machine: Machine::default(),
             status,
-            bus: BusLink::new(connect),
+            bus: BusLink::new(connect, Arc::clone(&scheduler)),
+            scheduler,
             homing: None,
             run: None,
             duration: None,
             marks: Marks::default(),
             asked: Vec::new(),
+            stopping: Vec::new(),
             tending: None,
             claim: None,
             summary: None,
             failure: None,
             last: None,
+            grading: None,
             runs_over: 0,
             storage,
             cycles_seen: 0,
@@ -124,33 +140,46 @@ impl Controller {
         }
     }
 
-    /// Until the service is asked to end, or has no place to record to.
-    pub fn run(&mut self, commands: &Receiver<Command>) -> Result<(), RunError> {
-        self.tend();
-        let outcome = loop {
-            let poll = if self.is_opening() { OPENING_POLL } else { POLL };
-            match commands.recv_timeout(poll) {
-                Ok(command) => self.obey(command),
-                Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => self.ending.stop("the service was dropped"),
-            }
-            if self.ending.is_stopped() && self.leaving.is_none() {
-                self.shutdown(&self.ending.cause());
-            }
-            if let Err(error) = self.look_at_place() {
-                break Err(error);
-            }
-            self.look_at_bus();
-            self.look_at_homing();
-            self.look_at_run();
-            self.count();
-            self.publish();
-            if self.is_over() {
-                break Ok(());
-            }
-        };
+    /// Handles the commands and looks at bus, disk, homing and run. The time until the next step, or none once the service has
+    /// been asked to end and has done so, or has no place to record to.
+    pub fn poll(&mut self, now: MonoNs, commands: Vec<Command>) -> Option<Duration> {
+        self.now = now;
+        if self.outcome.is_some() {
+            return (!self.bus.is_closed()).then_some(OPENING_POLL);
+        }
+        commands.into_iter().for_each(|command| self.obey(command));
+        if self.ending.is_stopped() && self.leaving.is_none() {
+            self.shutdown(&self.ending.cause());
+        }
+        if let Err(error) = self.look_at_place() {
+            return self.end(Err(error));
+        }
+        self.look_at_bus();
+        self.look_at_homing();
+        self.look_at_run();
+        self.look_at_grading();
+        self.count();
+        self.publish();
+        if self.is_over() {
+            return self.end(Ok(()));
+        }
+        Some(if self.is_opening() { OPENING_POLL } else { POLL })
+    }
+
+    fn end(&mut self, outcome: Result<(), RunError>) -> Option<Duration> {
+        self.outcome = Some(outcome);
         self.bus.close();
-        outcome
+        Some(Duration::ZERO)
+    }
+
+    /// How the service has ended.
+    pub fn into_outcome(self) -> Result<(), RunError> {
+        self.outcome.unwrap_or(Ok(()))
+    }
+
+    /// Ends the service after its last handle was dropped.
+    pub fn dropped(&self) {
+        self.ending.stop("the service was dropped");
     }
 
     /// The file of a run comes before the end. What the next service finds as it is does not: one that is not there yet,
@@ -161,7 +190,7 @@ impl Controller {
         if self.tending.is_none() && !self.is_opening() && keeping.is_none() {
             return self.exit;
         }
-        let is_over = since.elapsed() > LEAVES_WITHIN;
+        let is_over = self.now.ns_since(since) > LEAVES_WITHIN.as_nanos() as i64;
         if is_over {
             let problems = self.view().disk_problems();
             tracing::warn!("the disk is not waited for: {}", Problem::line(&problems));
@@ -174,12 +203,12 @@ impl Controller {
     }
 
     fn shutdown(&mut self, cause: &str) {
-        self.leaving.get_or_insert_with(Instant::now);
+        self.leaving.get_or_insert(self.now);
         self.handle(Event::Shutdown(cause.to_owned()));
     }
 
     /// After a panic of this thread: nothing is decided any more, but a run's file is finished and states the cause.
-    pub fn abandon(&mut self) {
+    pub fn abandon(mut self) {
         self.status.send_modify(|status| {
             let problem = Problem::from(Fact::ThreadEnded { thread: "control".into() });
             (status.state, status.severity) = (ServiceState::Fault, problem.severity);
@@ -210,10 +239,13 @@ impl Controller {
                 }
             }
             Command::Stop(cause, reply) => {
-                let runs_over = self.runs_over;
-                let answer = self.handle(Event::Stop(cause));
+                let answer = self.handle(Event::Stop(cause)).unwrap_or(Answer::Idle);
+                let (over, last) = oneshot::channel();
+                if matches!(answer, Answer::Stopping(_)) {
+                    self.stopping.push(over);
+                }
                 self.publish();
-                let _ = reply.send((answer.unwrap_or(Answer::Idle), runs_over));
+                let _ = reply.send((answer, last));
             }
             Command::Home(reply) => {
                 self.look_at_bus();
@@ -250,6 +282,12 @@ impl Controller {
                     self.run.iter().for_each(|run| run.stop.stop(&cause));
                 }
                 Action::Finished { run, cause } => self.finished(run, cause),
+                Action::NotBegun { run, problem } => {
+                    let cause = format!("it could not begin: {problem}");
+                    tracing::info!(run, "{cause}");
+                    let error = Some(cause.clone());
+                    self.tell_stopping(&LastRun { name: run, cause, error, ..LastRun::default() });
+                }
                 // The link tries by itself whenever it is down.
                 Action::Connect => {}
                 Action::BeginHoming => match self.bus.session() {
@@ -296,7 +334,7 @@ impl Controller {
             Ok(run) => {
                 self.run = Some(run);
                 self.duration = details.duration;
-                self.marks = Marks::new(Clock::Real.now());
+                self.marks = Marks::new(self.now);
                 (self.cycles_seen, self.counted.lost) = (0, 0);
                 Ok(())
             }
@@ -320,8 +358,9 @@ impl Controller {
         }
     }
 
-    fn tend(&mut self) {
-        self.tending = Some(Tending::begin(&self.storage, self.claim.is_some()));
+    /// Makes the place for recordings ready.
+    pub fn tend(&mut self) {
+        self.tending = Some(Tending::begin(&*self.scheduler, &self.storage, self.claim.is_some()));
     }
 
     fn look_at_place(&mut self) -> Result<(), RunError> {
@@ -349,7 +388,7 @@ impl Controller {
         let count = |of: fn(&RunSummary) -> u64| summary.as_ref().map_or(0, of);
         let useful = summary.as_ref().filter(|summary| summary.cycles_valid > 0);
         let next = useful.map(|summary| next_command(&name, &summary.path.display().to_string()));
-        self.last = Some(LastRun {
+        let last = LastRun {
             name,
             cause,
             cycles: count(|summary| summary.cycles),
@@ -358,13 +397,39 @@ impl Controller {
             error,
             next,
             file: summary.as_ref().map(|summary| summary.path.display().to_string()),
+            verdict: None,
             provenance: summary.as_ref().map(|summary| summary.provenance.clone()).unwrap_or_default(),
             timing: summary.and_then(|summary| summary.timing),
-        });
+        };
+        self.tell_stopping(&last);
+        self.grade(&last);
+        self.last = Some(last);
+    }
+
+    /// Has the grade of a run read as the list of runs reads it.
+    fn grade(&mut self, last: &LastRun) {
+        let Some(file) = last.file.clone() else { return };
+        let (disk, name) = (self.storage.disk(), last.name.clone());
+        let read = move || runs::finished(&*disk, name, file.into()).verdict;
+        self.grading = Some(Pending::start(&*self.scheduler, "grade", read));
+    }
+
+    fn look_at_grading(&mut self) {
+        let verdict = self.grading.as_ref().and_then(Pending::poll);
+        if let (Some(Ok(verdict)), Some(last)) = (verdict, &mut self.last) {
+            last.verdict = verdict;
+        }
+    }
+
+    /// Answers those who asked for the end of the run.
+    fn tell_stopping(&mut self, run: &LastRun) {
+        for stopping in self.stopping.drain(..) {
+            let _ = stopping.send(run.clone());
+        }
     }
 
     fn look_at_bus(&mut self) {
-        if let Some(event) = self.bus.look() {
+        if let Some(event) = self.bus.look(self.now) {
             self.handle(event);
         }
     }
@@ -383,10 +448,8 @@ impl Controller {
             self.opened(Ok(()));
         }
         let Some(run) = &self.run else { return };
-        if run.is_finished() {
-            if let Some(run) = self.run.take() {
-                self.run_is_over(run);
-            }
+        if let Some(outcome) = run.outcome() {
+            self.run_is_over(outcome);
             return;
         }
         if run.stop.is_stopped() {
@@ -420,7 +483,7 @@ impl Controller {
             self.count_lost(lost);
         }
         let status = self.view().status();
-        self.problems.update(Instant::now(), status.problems.iter().chain(&status.bad_cables));
+        self.problems.update(self.now, status.problems.iter().chain(&status.bad_cables));
         self.totals.problems.clone_from(self.problems.began());
     }
 
@@ -429,9 +492,10 @@ impl Controller {
         self.counted.lost = lost;
     }
 
-    fn run_is_over(&mut self, run: ActiveRun) {
-        self.count_lost(run.progress.get().lost);
-        let outcome = run.join();
+    fn run_is_over(&mut self, outcome: Result<RunSummary, RunError>) {
+        if let Some(run) = self.run.take() {
+            self.count_lost(run.progress.get().lost);
+        }
         match outcome {
             Ok(summary) => {
                 self.handle(Event::Ended(summary.cause.clone()));
@@ -453,6 +517,7 @@ impl Controller {
 
     fn view(&self) -> View<'_> {
         View {
+            now: self.now,
             settings: &self.settings,
             machine: &self.machine,
             session: self.bus.session(),

@@ -1,24 +1,24 @@
 //! Homing as the service does it: the steps in words, and the file at the end.
 
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, TryRecvError, sync_channel};
-use std::thread;
-use std::time::Instant;
 
 use shared::config::{EncoderConfig, bar_joint_name};
 use shared::recording::Disk;
+use shared::time::MonoNs;
 
 use super::status::HomingStatus;
 use crate::homing::{self, Found, HomingError, HomingStep, MarksFile};
 use crate::run::{ActiveHoming, Session};
+use crate::scheduler::{Pending, Scheduler};
 
 /// A homing, until the next one.
 pub struct Homing {
     active: ActiveHoming,
     disk: Arc<dyn Disk>,
+    scheduler: Arc<dyn Scheduler>,
     status: HomingStatus,
-    /// What was found is being written, since when.
-    keeping: Option<(Receiver<Result<(), HomingError>>, Instant)>,
+    /// What was found is being written.
+    keeping: Option<Pending<Result<(), HomingError>>>,
 }
 
 impl Homing {
@@ -27,6 +27,7 @@ impl Homing {
         Self {
             active: session.begin_homing(),
             disk: session.disk(),
+            scheduler: Arc::clone(session.scheduler()),
             status: HomingStatus::default(),
             keeping: None,
         }
@@ -43,12 +44,12 @@ impl Homing {
     }
 
     /// Since when the disk has been asked to take what was found.
-    pub fn keeping_since(&self) -> Option<Instant> {
-        self.keeping.as_ref().map(|(_, since)| *since)
+    pub fn keeping_since(&self) -> Option<MonoNs> {
+        self.keeping.as_ref().map(Pending::since)
     }
 
     /// Takes what was told since the last look; whether it has just ended, with its outcome in the status and, if it went
-    /// well, in `marks`, which a thread of its own writes.
+    /// well, in `marks`, which work of its own writes.
     pub fn look(&mut self, encoders: &[EncoderConfig], marks: &MarksFile) -> bool {
         while let Some(step) = self.active.take_step() {
             note(&mut self.status, step);
@@ -58,33 +59,21 @@ impl Homing {
             Some(Err(error)) => return self.over(marks, Err(error)),
             None => {}
         }
-        match self.keeping.as_ref().map(|(kept, _)| kept.try_recv()) {
-            Some(Ok(kept)) => self.over(marks, kept),
-            Some(Err(TryRecvError::Disconnected)) => {
-                self.over(marks, Err(HomingError::NotKept("no thread writes them; see the log".into())))
-            }
-            Some(Err(TryRecvError::Empty)) | None => false,
-        }
+        let Some(kept) = self.keeping.as_ref().and_then(Pending::poll) else { return false };
+        let died = |_| Err(HomingError::NotKept("no thread writes them; see the log".into()));
+        self.over(marks, kept.unwrap_or_else(died))
     }
 
     fn keep(&mut self, encoders: Vec<EncoderConfig>, found: Vec<Found>, marks: &MarksFile) {
         (self.status.joint, self.status.turned_deg) = (None, None);
-        let (result, kept) = sync_channel(1);
-        self.keeping = Some((kept, Instant::now()));
         let (disk, file) = (Arc::clone(&self.disk), marks.clone());
-        let keep = move || {
+        self.keeping = Some(Pending::start(&*self.scheduler, "homing", move || {
             let marks = homing::verify(&encoders, &found).map_err(HomingError::from);
-            let kept = marks.and_then(|marks| {
+            marks.and_then(|marks| {
                 let written = file.write(&*disk, &encoders, &marks);
                 written.map_err(|error| HomingError::NotKept(error.to_string()))
-            });
-            // Nobody waits any more if the service has ended meanwhile.
-            let _ = result.send(kept);
-        };
-        if let Err(error) = thread::Builder::new().name("homing".into()).spawn(keep) {
-            // Nobody sends, and the homing is over.
-            tracing::error!("cannot start a thread for the reference marks: {error}");
-        }
+            })
+        }));
     }
 
     fn over(&mut self, marks: &MarksFile, kept: Result<(), HomingError>) -> bool {

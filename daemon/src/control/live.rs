@@ -1,13 +1,11 @@
 //! What a page shows ten times a second: angles, speeds, health and warnings, from one status after the other.
 //!
-//! A thread of its own looks, so that a page costs the same however many watch, and neither the control nor the cycle
+//! A stepper of its own looks, so that a page costs the same however many watch, and neither the control nor the cycle
 //! knows of it. Who watches gets the latest moment and may miss others: nothing is queued.
 
 use std::collections::VecDeque;
-use std::sync::mpsc::{Receiver, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -23,10 +21,10 @@ use super::preflight::hours_left;
 use super::settings::Settings;
 use super::status::{EncoderStatus, Headline, RunStatus, Status};
 use super::verdict::{Content, Verdict};
-use crate::clock::Clock;
 use crate::devices::el5021;
 use crate::homing::MarksFile;
 use crate::problem::{Fact, Level, Problem};
+use crate::scheduler::{Pending, Scheduler, Stepper};
 
 /// How often a page is given something new.
 const PERIOD: Duration = Duration::from_millis(100);
@@ -179,42 +177,74 @@ impl Watched {
     }
 }
 
-/// Starts to look; ends by itself with whoever gives the status.
+/// Starts to look; ends with the sender of the status.
 pub(super) fn watch(
     settings: Arc<Settings>,
     disk: Arc<dyn Disk>,
     status: watch::Receiver<Status>,
+    scheduler: &Arc<dyn Scheduler>,
 ) -> std::io::Result<Watched> {
     let (moments, latest) = watch::channel(Arc::default());
     let minute = Arc::<Mutex<Minute>>::default();
     let watched = Watched { latest, minute: Arc::clone(&minute) };
-    let mut observer = Observer::new(&settings);
-    let mut reading = read(&disk, &settings.marks)?;
-    let mut was_homed = true;
-    thread::Builder::new().name("live".into()).spawn(move || {
-        let mut next = Instant::now();
-        while status.has_changed().is_ok() {
-            let now = status.borrow().clone();
-            // Marks change only when a homing ends.
-            let is_homed = now.homing.as_ref().is_none_or(|homing| homing.is_over);
-            if is_homed && !was_homed {
-                reading = read(&disk, &settings.marks).unwrap_or(reading);
-            }
-            was_homed = is_homed;
-            if let Ok(marks) = reading.try_recv() {
-                observer.homing = marks;
-            }
-            let live = observer.next(&now, Clock::Real.now());
-            minute.lock().unwrap_or_else(PoisonError::into_inner).add(&live);
-            // A number that JSON cannot say would be a mistake of ours; better an old moment than none.
-            if let Ok(json) = serde_json::to_string(&live) {
-                moments.send_replace(Arc::new(Moment { live, json }));
-            }
-            next = (next + PERIOD).max(Instant::now());
-            thread::sleep(next.saturating_duration_since(Instant::now()));
-        }
-    })?;
+    let reading = read(&**scheduler, &disk, &settings.marks);
+    let observer = Observer::new(&settings);
+    let next = scheduler.clock().now();
+    let on = Arc::clone(scheduler);
+    let show = Show {
+        settings,
+        disk,
+        scheduler: on,
+        status,
+        observer,
+        reading,
+        was_homed: true,
+        next,
+        minute,
+        moments,
+    };
+    scheduler.start("live", Box::new(|| Box::new(show)))?;
     Ok(watched)
+}
+
+/// Shows one moment after the other.
+struct Show {
+    settings: Arc<Settings>,
+    disk: Arc<dyn Disk>,
+    scheduler: Arc<dyn Scheduler>,
+    status: watch::Receiver<Status>,
+    observer: Observer,
+    reading: Pending<Option<HomingConfig>>,
+    was_homed: bool,
+    next: MonoNs,
+    minute: Arc<Mutex<Minute>>,
+    moments: watch::Sender<Arc<Moment>>,
+}
+
+impl Stepper for Show {
+    fn poll(&mut self, now: MonoNs) -> Option<Duration> {
+        if self.status.has_changed().is_err() {
+            return None;
+        }
+        let status = self.status.borrow().clone();
+        // Marks change only when a homing ends.
+        let is_homed = status.homing.as_ref().is_none_or(|homing| homing.is_over);
+        if is_homed && !self.was_homed {
+            self.reading = read(&*self.scheduler, &self.disk, &self.settings.marks);
+        }
+        self.was_homed = is_homed;
+        if let Some(Ok(marks)) = self.reading.poll() {
+            self.observer.homing = marks;
+        }
+        let live = self.observer.next(&status, now);
+        self.minute.lock().unwrap_or_else(PoisonError::into_inner).add(&live);
+        // A number that JSON cannot express would be a mistake of ours; better an old moment than none.
+        if let Ok(json) = serde_json::to_string(&live) {
+            self.moments.send_replace(Arc::new(Moment { live, json }));
+        }
+        self.next = self.next.plus_ns(PERIOD.as_nanos() as i64).max(now);
+        Some(Duration::from_nanos(self.next.ns_since(now).unsigned_abs()))
+    }
 }
 
 /// Follows the counters.
@@ -363,14 +393,10 @@ impl Observer {
     }
 }
 
-/// Reads `homing.toml` in a thread of its own, because its disk may hang. A file that cannot be read is told by the check.
-fn read(disk: &Arc<dyn Disk>, marks: &MarksFile) -> std::io::Result<Receiver<Option<HomingConfig>>> {
-    let (found, reading) = sync_channel(1);
+/// Reads `homing.toml` apart, because its disk may hang. The check reports a file that cannot be read.
+fn read(scheduler: &dyn Scheduler, disk: &Arc<dyn Disk>, marks: &MarksFile) -> Pending<Option<HomingConfig>> {
     let (disk, marks) = (Arc::clone(disk), marks.clone());
-    thread::Builder::new().name("marks".into()).spawn(move || {
-        let _ = found.send(marks.read(&*disk).ok().flatten());
-    })?;
-    Ok(reading)
+    Pending::start(scheduler, "marks", move || marks.read(&*disk).ok().flatten())
 }
 
 /// None before anything is on disk; joints get their time to move.

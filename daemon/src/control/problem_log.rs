@@ -2,7 +2,8 @@
 //! the storage itself, also while this thread waits.
 
 use std::collections::BTreeMap;
-use std::time::Instant;
+
+use shared::time::MonoNs;
 
 use crate::problem::{Fact, Problem};
 
@@ -11,13 +12,13 @@ use crate::problem::{Fact, Problem};
 pub(super) struct ProblemLog {
     active: Vec<(&'static str, usize)>,
     /// Since when bus and encoders give no samples.
-    outages: BTreeMap<String, Instant>,
+    outages: BTreeMap<String, MonoNs>,
     began: BTreeMap<String, u64>,
 }
 
 impl ProblemLog {
     /// Takes all problems of this moment.
-    pub fn update<'a>(&mut self, now: Instant, problems: impl Iterator<Item = &'a Problem>) {
+    pub fn update<'a>(&mut self, now: MonoNs, problems: impl Iterator<Item = &'a Problem>) {
         // Every start passes through these.
         let is_fault =
             |problem: &&Problem| !matches!(*problem.fact, Fact::BusStarting {} | Fact::DiskRecovering { .. });
@@ -33,7 +34,7 @@ impl ProblemLog {
         self.outages.retain(|subject, since| {
             let is_silent = silent.contains(subject);
             if !is_silent {
-                let lasted_s = now.duration_since(*since).as_secs_f64();
+                let lasted_s = now.seconds_since(*since);
                 tracing::info!("{subject}: whole again after {lasted_s:.1} s");
             }
             is_silent
@@ -71,13 +72,11 @@ fn silent(problem: &Problem) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
-    use std::time::Duration;
-
     use super::*;
 
     #[test]
     fn each_problem_is_counted_once_until_it_is_over() {
-        let (mut log, begun) = (ProblemLog::default(), Instant::now());
+        let (mut log, begun) = (ProblemLog::default(), MonoNs(0));
         let silent = |joint| -> Problem {
             Fact::EncoderInvalid { joints: vec![joint], status: None, valid_share: 0.0 }.into()
         };
@@ -85,7 +84,7 @@ mod tests {
         let moments: [&[Problem]; 5] =
             [&[silent(2)], &[silent(2), silent(3)], std::slice::from_ref(&bus), &[], &[silent(2)]];
         for (second, problems) in (0..).zip(moments) {
-            log.update(begun + Duration::from_secs(second), problems.iter());
+            log.update(begun.plus_ns(second * 1_000_000_000), problems.iter());
         }
         let began: Vec<_> = log.began().iter().map(|(code, times)| (code.as_str(), *times)).collect();
         assert_eq!(began, [("bus_no_answer", 1), ("encoder_invalid", 3)]);

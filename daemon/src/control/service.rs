@@ -3,7 +3,7 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
-use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TryRecvError, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
@@ -19,13 +19,14 @@ use super::preflight::Found;
 use super::runs;
 use super::settings::Connect;
 pub use super::settings::Settings;
-use super::status::{CheckLine, NameReply, NameRequest, Refusal, StartRequest, Status};
+use super::status::{CheckLine, LastRun, NameReply, NameRequest, Refusal, StartRequest, Status};
 use crate::clock::Clock;
 use crate::problem::{Fact, Problem};
 use crate::run::{self, RunDetails, RunError, Stop, Storage};
+use crate::scheduler::{Pending, Scheduler, Stepper, Threads};
 
-/// The service's thread, and why it has ended.
-type Control = thread::JoinHandle<Result<(), ServiceError>>;
+/// Why the service has ended, once it has.
+type Outcome = Receiver<Result<(), ServiceError>>;
 
 /// The way to the service's thread. Clones reach the same service.
 #[derive(Clone)]
@@ -36,8 +37,9 @@ pub struct Service {
     live: Watched,
     settings: Arc<Settings>,
     disk: Arc<dyn Disk>,
-    thread: Arc<Mutex<Option<Control>>>,
+    outcome: Arc<Mutex<Option<Outcome>>>,
     looks: Arc<Semaphore>,
+    scheduler: Arc<dyn Scheduler>,
 }
 
 /// Requests that may wait for the control's thread, which takes them within milliseconds; further ones are refused.
@@ -72,16 +74,26 @@ impl Service {
 
     /// [`start`](Self::start) on another disk.
     pub fn start_on(disk: Arc<dyn Disk>, settings: Settings) -> Result<Self, ServiceError> {
+        let storage = Storage::on(disk, &settings.daemon)?;
+        Self::start_in(Threads::on(Clock::Real), storage, settings)
+    }
+
+    /// [`start`](Self::start) on another clock.
+    pub fn start_in(
+        scheduler: Arc<dyn Scheduler>,
+        storage: Storage,
+        settings: Settings,
+    ) -> Result<Self, ServiceError> {
         let (bus, faults) = (settings.bus.clone(), settings.faults.clone());
         let (daemon, bar) = (settings.daemon.clone(), settings.bar.clone());
-        let storage = Storage::on(disk, &daemon)?;
-        let places = storage.clone();
-        let connect = move || run::open(&bus, &faults, &daemon, &bar, &places);
-        Self::start_with(settings, storage, Arc::new(connect))
+        let (places, on) = (storage.clone(), Arc::clone(&scheduler));
+        let connect = move || run::begin_to_open(&bus, &faults, &daemon, &bar, &places, &on);
+        Self::start_with(scheduler, settings, storage, Arc::new(connect))
     }
 
     /// [`start`](Self::start) with another way to the bus.
     pub(crate) fn start_with(
+        scheduler: Arc<dyn Scheduler>,
         settings: Settings,
         storage: Storage,
         connect: Arc<Connect>,
@@ -91,20 +103,23 @@ impl Service {
         let (commands, commands_rx) = sync_channel(COMMANDS_MAX);
         let ending = Stop::default();
         let (status_tx, status) = watch::channel(Status::default());
-        let live = live::watch(Arc::clone(&settings), Arc::clone(&disk), status.clone())?;
-        let mut controller =
-            Controller::new(Arc::clone(&settings), connect, storage, status_tx, ending.clone());
-        let body = move || {
-            let outcome = catch_unwind(AssertUnwindSafe(|| controller.run(&commands_rx)));
-            outcome.map(|ended| ended.map_err(ServiceError::Run)).unwrap_or_else(|_| {
-                controller.abandon();
-                Err(ServiceError::Died)
-            })
-        };
-        let thread = thread::Builder::new().name("control".into()).spawn(body)?;
-        let thread = Arc::new(Mutex::new(Some(thread)));
+        let live = live::watch(Arc::clone(&settings), Arc::clone(&disk), status.clone(), &scheduler)?;
+        let mut controller = Controller::new(
+            Arc::clone(&settings),
+            connect,
+            storage,
+            status_tx,
+            ending.clone(),
+            Arc::clone(&scheduler),
+        );
+        controller.tend();
+        let (ended, outcome) = sync_channel(1);
+        let control =
+            Control { controller: Some(controller), commands: commands_rx, waiting: Vec::new(), ended };
+        scheduler.start("control", Box::new(|| Box::new(control)))?;
+        let outcome = Arc::new(Mutex::new(Some(outcome)));
         let looks = Arc::new(Semaphore::new(LOOKS_MAX));
-        Ok(Self { commands, ending, status, live, settings, disk, thread, looks })
+        Ok(Self { commands, ending, status, live, settings, disk, outcome, looks, scheduler })
     }
 
     /// What it is doing.
@@ -144,8 +159,8 @@ impl Service {
         self.ask(|reply| Command::Start(details, named, reply)).await
     }
 
-    /// With how many runs were over when it was asked.
-    pub(super) async fn stop(&self, cause: String) -> Result<(Answer, u64), Refusal> {
+    /// With what receives the run once it is over.
+    pub(super) async fn stop(&self, cause: String) -> Result<(Answer, oneshot::Receiver<LastRun>), Refusal> {
         self.ask(|reply| Command::Stop(cause, reply)).await
     }
 
@@ -165,7 +180,7 @@ impl Service {
         text: Option<String>,
         ago_ms: u32,
     ) -> Result<Option<(String, String)>, Refusal> {
-        let at: MonoNs = Clock::Real.now().plus_ns(-1_000_000 * i64::from(ago_ms));
+        let at: MonoNs = self.scheduler.clock().now().plus_ns(-1_000_000 * i64::from(ago_ms));
         let marked = self.ask(|reply| Command::Mark(text, at, reply)).await?;
         marked.map_err(Refusal::new)
     }
@@ -196,13 +211,37 @@ impl Service {
     ) -> Option<T> {
         let found = async {
             let place = Arc::clone(&self.looks).acquire_owned().await.ok()?;
-            let find = move || {
-                let _place = place;
-                find()
+            let (result, found) = oneshot::channel();
+            let look = move || {
+                let _ = result.send(find());
+                drop(place);
             };
-            tokio::task::spawn_blocking(find).await.ok()
+            // Without a thread there is no result.
+            drop(Pending::start(&*self.scheduler, "look", look));
+            found.await.ok()
         };
-        tokio::time::timeout(within, found).await.ok().flatten()
+        self.within(within, found).await.flatten()
+    }
+
+    /// What a future gives in this time.
+    pub(super) async fn within<T>(&self, time: Duration, future: impl Future<Output = T>) -> Option<T> {
+        tokio::select! {
+            biased;
+            given = future => Some(given),
+            () = self.scheduler.sleep(time) => None,
+        }
+    }
+
+    /// What a future gives that is not given up with who waits for it.
+    pub(super) fn spawn<T: Send + 'static>(
+        &self,
+        future: impl Future<Output = T> + Send + 'static,
+    ) -> oneshot::Receiver<T> {
+        let (result, given) = oneshot::channel();
+        self.scheduler.spawn(Box::pin(async move {
+            let _ = result.send(future.await);
+        }));
+        given
     }
 
     /// Ends a running run with `cause` and its file finished, then the service. Does not wait.
@@ -212,8 +251,8 @@ impl Service {
 
     /// Waits for the end of the service; its file is finished then, also where its thread died.
     pub fn join(&self) -> Result<(), ServiceError> {
-        let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
-        thread.map_or(Ok(()), |thread| thread.join().unwrap_or(Err(ServiceError::Died)))
+        let outcome = self.outcome.lock().unwrap_or_else(PoisonError::into_inner).take();
+        outcome.map_or(Ok(()), |outcome| outcome.recv().unwrap_or(Err(ServiceError::Died)))
     }
 
     /// Returns when the service has ended, for whatever reason.
@@ -236,6 +275,56 @@ impl Service {
             TrySendError::Disconnected(_) => ended(),
         })?;
         answer.await.map_err(|_| ended())
+    }
+}
+
+/// The controller, called with the commands that it has got.
+struct Control {
+    /// None once the service has ended.
+    controller: Option<Controller>,
+    commands: Receiver<Command>,
+    waiting: Vec<Command>,
+    ended: SyncSender<Result<(), ServiceError>>,
+}
+
+impl Control {
+    fn step(&mut self, now: MonoNs) -> Option<Duration> {
+        let controller = self.controller.as_mut()?;
+        loop {
+            match self.commands.try_recv() {
+                Ok(command) => self.waiting.push(command),
+                Err(TryRecvError::Empty) => break,
+                Err(TryRecvError::Disconnected) => {
+                    controller.dropped();
+                    break;
+                }
+            }
+        }
+        controller.poll(now, std::mem::take(&mut self.waiting))
+    }
+}
+
+impl Stepper for Control {
+    fn poll(&mut self, now: MonoNs) -> Option<Duration> {
+        let outcome = match catch_unwind(AssertUnwindSafe(|| self.step(now))) {
+            Ok(Some(pause)) => return Some(pause),
+            // What it has is let go of before anybody learns that it has ended.
+            Ok(None) => self.controller.take()?.into_outcome().map_err(ServiceError::Run),
+            Err(_) => {
+                self.controller.take()?.abandon();
+                Err(ServiceError::Died)
+            }
+        };
+        let _ = self.ended.send(outcome);
+        None
+    }
+
+    fn wait(&mut self, pause: Duration) {
+        match self.commands.recv_timeout(pause) {
+            Ok(command) => self.waiting.push(command),
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => thread::sleep(pause),
+        }
     }
 }
 
@@ -386,88 +475,8 @@ pub(crate) mod tests {
         service.join().unwrap();
     }
 
-    /// A disk that hangs while it is told to, wherever a run's file or what earlier runs left is made.
-    #[derive(Debug, Default)]
-    struct HangingDisk(AtomicBool);
-
-    impl Disk for HangingDisk {
-        fn create(&self, path: &Path) -> io::Result<File> {
-            while self.0.load(Ordering::Acquire) {
-                thread::sleep(Duration::from_millis(10));
-            }
-            SystemDisk.create(path)
-        }
-    }
-
     fn runtime() -> tokio::runtime::Runtime {
         tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap()
-    }
-
-    /// Begins a run whose file the disk does not make; with the thread of who asked for it.
-    fn begin_on_hanging_disk(directory: &Path) -> (Service, Arc<HangingDisk>, thread::JoinHandle<Answer>) {
-        let disk = Arc::new(HangingDisk::default());
-        let (service, _) = simulated_after(directory, disk.clone(), || {});
-        wait_until(&service, "the bus", |status| status.state == ServiceState::Waiting);
-        disk.0.store(true, Ordering::Release);
-        let asking = service.clone();
-        let request = StartRequest { name: Some("late".into()), ..StartRequest::default() };
-        let asked = thread::spawn(move || runtime().block_on(asking.begin(request)).unwrap());
-        let told = wait_until(&service, "what the run waits for", |status| {
-            status
-                .reason
-                .as_ref()
-                .is_some_and(|reason| reason.contains("the disk has been asked to create it"))
-        });
-        assert_eq!(told.state, ServiceState::Opening);
-        (service, disk, asked)
-    }
-
-    #[test]
-    fn while_the_disk_makes_no_file_everybody_is_answered_and_no_cycle_is_lost() {
-        let directory = tempfile::tempdir().unwrap();
-        let (service, disk, asked) = begin_on_hanging_disk(directory.path());
-        wait_until(&service, "a second of cycles", |status| {
-            status.run.as_ref().is_some_and(|run| run.cycles_taken > 100)
-        });
-        let begun = Instant::now();
-        let lines = runtime().block_on(service.check()).unwrap();
-        assert!(begun.elapsed() < Duration::from_secs(2), "{:?}", begun.elapsed());
-        assert!(lines.iter().any(|line| line.subject == "disk" && line.finding.contains("no file yet")));
-        assert!(!asked.is_finished());
-        disk.0.store(false, Ordering::Release);
-        assert_eq!(asked.join().unwrap(), Answer::Beginning);
-        wait_until(&service, "writing", |status| status.state == ServiceState::Writing);
-        service.shutdown("test over");
-        service.join().unwrap();
-        let recording = Recording::open(&directory.path().join("late.mcap")).unwrap();
-        // From the instant at which it was asked for, more than a second before there was a file.
-        assert!(recording.cycles.len() > 100 && recording.end.cycles_lost == 0, "{:?}", recording.end);
-    }
-
-    #[test]
-    fn a_run_that_is_called_off_before_it_has_its_file_ends_with_the_file() {
-        let directory = tempfile::tempdir().unwrap();
-        let (service, disk, asked) = begin_on_hanging_disk(directory.path());
-        let (answer, runs_over) = runtime().block_on(service.stop("called off".into())).unwrap();
-        assert_eq!((answer, runs_over), (Answer::Stopping("late".into()), 0));
-        disk.0.store(false, Ordering::Release);
-        assert_eq!(asked.join().unwrap(), Answer::Beginning);
-        let last = wait_until(&service, "its end", |status| status.runs_over == 1).last.unwrap();
-        assert_eq!((last.cause.as_str(), last.error), ("called off", None));
-        service.shutdown("test over");
-        service.join().unwrap();
-    }
-
-    #[test]
-    fn a_disk_that_makes_no_file_keeps_no_service_from_its_end() {
-        let directory = tempfile::tempdir().unwrap();
-        let (service, disk, asked) = begin_on_hanging_disk(directory.path());
-        let begun = Instant::now();
-        service.shutdown("test over");
-        service.join().unwrap();
-        assert!(begun.elapsed() < Duration::from_secs(2), "{:?}", begun.elapsed());
-        assert!(asked.join().is_err(), "nobody is told that the run has begun");
-        disk.0.store(false, Ordering::Release);
     }
 
     /// As shipped, with everything that is written in `directory`.
@@ -507,7 +516,8 @@ pub(crate) mod tests {
             let wire = Deadly(InProcessWire::new(segment, Clock::Real), Arc::clone(&armed));
             run::open_on(Box::new(wire), &on_daemon, &on_bar, &places)
         };
-        (Service::start_with(settings, storage, Arc::new(connect)).unwrap(), deadly)
+        let scheduler = Threads::on(Clock::Real);
+        (Service::start_with(scheduler, settings, storage, Arc::new(connect)).unwrap(), deadly)
     }
 
     /// Begins a run and waits until it is being written.

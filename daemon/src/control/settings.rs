@@ -4,7 +4,7 @@ use shared::config::{BallBarConfig, DaemonConfig};
 
 use super::live_tap::LiveTap;
 use crate::homing::MarksFile;
-use crate::run::{BusChoice, RunError, Session};
+use crate::run::{BusChoice, Opening, RunError};
 use crate::segment::faults::FaultWindow;
 
 /// What the service is made of.
@@ -24,5 +24,5 @@ pub struct Settings {
     pub live_tap: Option<LiveTap>,
 }
 
-/// Brings the bus into operation; tried again and again until it is.
-pub(crate) type Connect = dyn Fn() -> Result<Session, RunError> + Send + Sync;
+/// Begins to bring the bus into operation; repeated until it is.
+pub(crate) type Connect = dyn Fn() -> Result<Opening, RunError> + Send + Sync;

@@ -182,7 +182,7 @@ pub struct RunStatus {
 }
 
 /// A run that is over.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct LastRun {
     /// Its name.
     pub name: String,
@@ -199,6 +199,9 @@ pub struct LastRun {
     /// Why its file could not be finished in the ordinary way; the cycles are then those that could be saved.
     #[serde(default)]
     pub error: Option<String>,
+    /// Its grade in the list of runs; none until it is read from the file.
+    #[serde(default)]
+    pub verdict: Option<Verdict>,
     /// The command that calibrates with it and the robot's log; absent without valid cycles.
     #[serde(default)]
     pub next: Option<String>,

@@ -1,49 +1,36 @@
-//! The place for recordings made ready by a thread that may wait for the disk, so that nobody else does.
+//! The place for recordings is made ready by work of its own, which may wait for the disk.
 
-use std::sync::mpsc::{Receiver, TryRecvError, sync_channel};
-use std::thread;
-use std::time::Instant;
+use shared::time::MonoNs;
 
 use crate::claim::Claim;
 use crate::problem::{Fact, Problem};
 use crate::run::{self, RunError, Storage};
+use crate::scheduler::{Pending, Scheduler};
 
 /// Work of this kind that goes on.
-pub(super) struct Tending {
-    since: Instant,
-    outcome: Receiver<Result<Option<Claim>, RunError>>,
-}
+pub(super) struct Tending(Pending<Result<Option<Claim>, RunError>>);
 
 impl Tending {
     /// Claims the place unless that is done, and finishes what earlier runs left there.
-    pub fn begin(storage: &Storage, is_claimed: bool) -> Self {
-        let (result, outcome) = sync_channel(1);
+    pub fn begin(scheduler: &dyn Scheduler, storage: &Storage, is_claimed: bool) -> Self {
         let storage = storage.clone();
-        let tend = move || {
+        Self(Pending::start(scheduler, "leftovers", move || {
             let claimed = if is_claimed { Ok(None) } else { run::claim_directory(&storage) };
             if claimed.is_ok() {
                 run::finish_leftovers(&storage);
             }
-            // Nobody waits any more if the service has ended meanwhile.
-            let _ = result.send(claimed);
-        };
-        // Without a thread nobody sends, and the place is as it is.
-        let _ = thread::Builder::new().name("leftovers".into()).spawn(tend);
-        Self { since: Instant::now(), outcome }
+            claimed
+        }))
     }
 
     /// What became of it; none while it goes on.
     pub fn look(&self) -> Option<Result<Option<Claim>, RunError>> {
-        match self.outcome.try_recv() {
-            Ok(outcome) => Some(outcome),
-            Err(TryRecvError::Empty) => None,
-            // Its cause is in the log, and what it did not finish is still there.
-            Err(TryRecvError::Disconnected) => Some(Ok(None)),
-        }
+        // What was not finished is still there.
+        self.0.poll().map(|outcome| outcome.unwrap_or(Ok(None)))
     }
 
     /// Why no run can begin yet.
-    pub fn problem(&self) -> Problem {
-        Fact::DiskRecovering { since_s: Some(self.since.elapsed().as_secs_f64()) }.into()
+    pub fn problem(&self, now: MonoNs) -> Problem {
+        Fact::DiskRecovering { since_s: Some(now.seconds_since(self.0.since())) }.into()
     }
 }

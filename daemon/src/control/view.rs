@@ -13,12 +13,12 @@ use super::marks::Marks;
 use super::settings::Settings;
 use super::status::{EncoderStatus, LastRun, RunStatus, ServiceState, Status, Totals};
 use super::tending::Tending;
-use crate::clock::Clock;
 use crate::problem::Problem;
 use crate::run::{ActiveRun, BusChoice, Session, Storage};
 
 /// The service at one moment.
 pub(super) struct View<'a> {
+    pub now: MonoNs,
     pub settings: &'a Settings,
     pub machine: &'a Machine,
     pub session: Option<&'a Session>,
@@ -41,7 +41,7 @@ impl View<'_> {
     /// What is wrong with the disk, as far as the current run or the next one is concerned.
     pub fn disk_problems(&self) -> Vec<Problem> {
         let of_run = self.run.map(|run| run.progress.get().problems).unwrap_or_default();
-        let tending = self.tending.map(Tending::problem);
+        let tending = self.tending.map(|tending| tending.problem(self.now));
         of_run.into_iter().chain(self.storage.problem()).chain(tending).collect()
     }
 
@@ -99,6 +99,7 @@ impl View<'_> {
         };
         if let Some(session) = self.session {
             add_bus(&mut status, session, self.valid_shares);
+            status.sample_age_ms = age_ms(status.sampled, self.now);
         }
         status
     }
@@ -135,7 +136,6 @@ fn add_bus(status: &mut Status, session: &Session, valid_shares: Option<[f64; MA
     status.devices = session.devices().iter().map(|device| device.name.clone()).collect();
     status.sampled = live.at();
     status.origin = live.origin();
-    status.sample_age_ms = age_ms(status.sampled);
     let bad_ports = live.bad_ports().into_iter();
     status.bad_cables =
         bad_ports.map(|(position, port, errors)| errors.fact(position, port).into()).collect();
@@ -158,8 +158,8 @@ fn add_bus(status: &mut Status, session: &Session, valid_shares: Option<[f64; MA
 }
 
 /// Zero stands for "never".
-fn age_ms(at: MonoNs) -> Option<i64> {
-    (at.0 != 0).then(|| Clock::Real.now().ns_since(at) / 1_000_000)
+fn age_ms(at: MonoNs, now: MonoNs) -> Option<i64> {
+    (at.0 != 0).then(|| now.ns_since(at) / 1_000_000)
 }
 
 fn bus_name(bus: &BusChoice) -> String {

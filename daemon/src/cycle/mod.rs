@@ -186,10 +186,15 @@ impl Acquisition {
         self.events.clear();
     }
 
+    /// When the next frame is due.
+    pub fn due(&self) -> MonoNs {
+        self.frame_deadline(self.next_cycle)
+    }
+
     /// Waits for the next cycle, exchanges its frame, and hands `sink` one record for each cycle that was due, also
     /// while the bus is down.
     pub fn next_cycle(&mut self, sink: &mut dyn FnMut(&CycleRecord)) {
-        let deadline = self.frame_deadline(self.next_cycle);
+        let deadline = self.due();
         self.clock.sleep_until(deadline);
         let woken = self.clock.now();
         self.timing = None;

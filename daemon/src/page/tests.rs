@@ -14,6 +14,7 @@ use crate::control::service::tests::settings;
 use crate::control::service::{Service, Settings};
 use crate::homing::MarksFile;
 use crate::run::{self, Storage};
+use crate::scheduler::Threads;
 use crate::segment::InProcessWire;
 use crate::segment::faults::{FaultHandle, FaultSwitch, FaultySegment};
 use crate::segment::simulated::{Hand, HandTurned, SegmentConfig, SimulatedSegment, SmoothMotion};
@@ -43,7 +44,12 @@ impl Bench {
             let wire = InProcessWire::with_faults(segment, Clock::Real);
             run::open_on(Box::new(wire), &on_daemon, &on_bar, &places)
         };
-        Self { service: Service::start_with(settings, storage, Arc::new(connect)).unwrap(), bus, directory }
+        Self {
+            service: Service::start_with(Threads::on(Clock::Real), settings, storage, Arc::new(connect))
+                .unwrap(),
+            bus,
+            directory,
+        }
     }
 
     /// Does what the story asks for: a joint in a hand, a state directory that cannot be, a fault.

@@ -9,10 +9,6 @@ mod storage;
 mod synchroniser;
 
 pub use progress::{Handed, Limits, Progress, Snapshot, Synced};
-pub use recorder::{CycleSink, CycleSource, Mark, Recorder, RunLink, RunSummary, ring};
+pub use recorder::{CycleSink, CycleSource, FullRing, Mark, Recorder, RunLink, RunSummary, ring};
 pub use stop::Stop;
 pub use storage::Storage;
-pub use synchroniser::SyncWork;
-
-/// Locked memory is really there, all of it: several times what these threads use.
-pub(crate) const STACK_BYTES: usize = 512 << 10;

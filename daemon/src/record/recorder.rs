@@ -15,10 +15,11 @@ use shared::time::{MonoNs, UtcNs};
 
 use super::progress::{Handed, Progress, Synced};
 use super::storage::Storage;
-use super::synchroniser::{SyncWork, Synchroniser};
+use super::synchroniser::Synchroniser;
 use crate::clock::Clock;
 use crate::cycle::{BusNames, CycleEvent, CycleTiming, TimingSink, TimingSource, timing_ring};
 use crate::problem::{Fact, Problem};
+use crate::scheduler::Scheduler;
 
 /// Events that may wait for the recorder; cycles carry their reasons themselves, so that one too many is no harm.
 const EVENTS_MAX: usize = 1024;
@@ -37,7 +38,7 @@ pub struct CycleSink {
     events: Producer<CycleEvent>,
     timing: TimingSink,
     handed: Arc<Handed>,
-    /// On virtual time the cycle waits for the recorder; on real time it never waits and the loss is recorded.
+    /// The cycle waits for the recorder; otherwise the loss is recorded.
     waits: bool,
 }
 
@@ -68,12 +69,21 @@ pub struct RunSummary {
     pub timing: Option<TimingSummary>,
 }
 
+/// What becomes of a cycle that finds the ring full.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FullRing {
+    /// It is counted as lost: the cycle never waits.
+    Drops,
+    /// It waits for the recorder, where the cycle takes as much time as it likes.
+    Waits,
+}
+
 /// A ring of `capacity` cycles between the real-time thread and the recorder.
-pub fn ring(capacity: usize, clock: &Clock) -> (CycleSink, CycleSource) {
+pub fn ring(capacity: usize, full: FullRing) -> (CycleSink, CycleSource) {
     let (producer, consumer) = RingBuffer::new(capacity);
     let (events_in, events_out) = RingBuffer::new(EVENTS_MAX);
     let (timing_in, timing_out) = timing_ring(capacity);
-    let (handed, waits) = (Arc::<Handed>::default(), !clock.is_real());
+    let (handed, waits) = (Arc::<Handed>::default(), full == FullRing::Waits);
     let sink = CycleSink {
         ring: producer,
         events: events_in,
@@ -139,8 +149,8 @@ pub struct RunLink {
     pub progress: Arc<Progress>,
     /// Where the run goes on if it has no place any more.
     pub storage: Storage,
-    /// Takes the side of a synchronisation that waits for the disk, such as [`SyncWork::spawn`].
-    pub synchronise: Box<dyn FnMut(SyncWork) + Send>,
+    /// Lets synchronisations wait for the disk.
+    pub scheduler: Arc<dyn Scheduler>,
 }
 
 /// Writes what comes out of the ring until its other end is dropped, then finishes the file. What was taken is written
@@ -190,10 +200,9 @@ impl Recorder {
         clock: Clock,
         sync_period: Duration,
         run: &RunMetadata,
-        mut link: RunLink,
+        link: RunLink,
     ) -> Self {
-        let (synchroniser, work) = Synchroniser::new(&link.progress);
-        (link.synchronise)(work);
+        let synchroniser = Synchroniser::new(&link.progress, &*link.scheduler);
         // The other half is for a disk or a processor that is late: the period is a promise.
         let period = sync_period / 2;
         Self {
@@ -219,14 +228,6 @@ impl Recorder {
             link,
             last: None,
         }
-    }
-
-    /// Runs until the ring's other end is dropped; `cause` is asked for then.
-    pub fn run(mut self, cause: impl FnOnce() -> String) -> Result<RunSummary, WriteError> {
-        while self.poll()? {
-            thread::sleep(Self::PERIOD);
-        }
-        self.finish(cause())
     }
 
     /// Takes what waits, and has it written where that is due; false once the ring's other end was dropped and all of it is
@@ -388,9 +389,7 @@ impl Recorder {
         let place = self.writer.sink().place().clone();
         let moved = Fact::FileMoved { file: place.path().to_owned(), error: why.to_string() };
         // The one before may hang on the disk that is gone.
-        let (synchroniser, work) = Synchroniser::new(&self.link.progress);
-        self.synchroniser = synchroniser;
-        (self.link.synchronise)(work);
+        self.synchroniser = Synchroniser::new(&self.link.progress, &*self.link.scheduler);
         self.link.progress.moved(place, why.to_string());
         let time = UtcNs(self.clock.now().0 + self.utc_minus_monotonic_ns);
         self.note(event(time, self.cycle_at(time), EventKind::Disk, moved));

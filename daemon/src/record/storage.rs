@@ -2,7 +2,6 @@
 //! another says in the log what is wrong with it, also while the first hangs.
 
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::sync_channel;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::thread;
 use std::time::Duration;
@@ -15,10 +14,11 @@ use super::progress::Progress;
 use super::stop::Stop;
 use crate::clock::Clock;
 use crate::problem::{Fact, Problem};
+use crate::scheduler::{Scheduler, Stepper, Threads};
 
 const BYTES_PER_MB: u64 = 1_000_000;
-/// A look that takes longer is reported. More than half of the same second is left to a machine too busy to run who reports.
-const ANSWERS_WITHIN: Duration = Duration::from_millis(400);
+/// A look that takes longer is reported. More than half of the same second is left to a busy machine \[ns\].
+const ANSWERS_WITHIN_NS: i64 = 400_000_000;
 
 /// The places for recordings, and what is known of them now. Clones are the same.
 #[derive(Debug, Clone)]
@@ -61,36 +61,47 @@ impl Storage {
 
     /// As configured, on another disk.
     pub fn on(disk: Arc<dyn Disk>, daemon: &DaemonConfig) -> std::io::Result<Self> {
-        let storage = Self::still(disk, daemon, &Clock::Real);
-        let (first, looked) = sync_channel(1);
-        repeat("disk", &storage.0, move |shared| {
-            shared.look();
-            let _ = first.try_send(());
-        })?;
-        let mut logged = Vec::new();
-        repeat("disk log", &storage.0, move |shared| logged = shared.log(&logged))?;
+        let storage = Self::watched(disk, daemon, &*Threads::on(Clock::Real))?;
         // One that hangs is reported to whoever asks.
-        let _ = looked.recv_timeout(ANSWERS_WITHIN);
+        let begun = Clock::Real.now();
+        while !lock(&storage.0.seen).is_over && Clock::Real.now().ns_since(begun) < ANSWERS_WITHIN_NS {
+            thread::sleep(Duration::from_millis(1));
+        }
         Ok(storage)
     }
 
-    /// The same without threads: looked at by [`Self::poll`], each [`Self::LOOK_PERIOD`] of `clock`.
-    pub fn still(disk: Arc<dyn Disk>, daemon: &DaemonConfig, clock: &Clock) -> Self {
+    /// The same on another clock, before the first look.
+    pub fn watched(
+        disk: Arc<dyn Disk>,
+        daemon: &DaemonConfig,
+        scheduler: &dyn Scheduler,
+    ) -> std::io::Result<Self> {
+        let clock = scheduler.clock().clone();
         let seen = Seen { begun: clock.now(), is_over: false, usable_bytes: None, problem: None };
-        Self(Arc::new(Shared {
+        let storage = Self(Arc::new(Shared {
             disk,
-            clock: clock.clone(),
+            clock,
             directory: daemon.directory.clone(),
             spare: daemon.spare_directory.clone(),
             floor_bytes: u64::from(daemon.disk_floor_mb) * BYTES_PER_MB,
             seen: Mutex::new(seen),
             run: Mutex::new(None),
-        }))
+        }));
+        let mut logged = Vec::new();
+        storage.repeat("disk", scheduler, Shared::look)?;
+        storage.repeat("disk log", scheduler, move |shared| logged = shared.log(&logged))?;
+        Ok(storage)
     }
 
-    /// Looks at the disk and at the file of the run. Waits for the disk.
-    pub fn poll(&self) {
-        self.0.look();
+    /// Repeats the work each period while the storage is in use.
+    fn repeat(
+        &self,
+        name: &str,
+        scheduler: &dyn Scheduler,
+        work: impl FnMut(&Shared) + Send + 'static,
+    ) -> std::io::Result<()> {
+        let repeated = Repeated { shared: Arc::downgrade(&self.0), work };
+        scheduler.start(name, Box::new(|| Box::new(repeated)))
     }
 
     /// The disk, call by call.
@@ -188,9 +199,9 @@ impl Shared {
     /// What is reported while a look takes too long.
     fn silence(&self) -> Option<Problem> {
         let seen = lock(&self.seen);
-        let silent_s = self.clock.now().seconds_since(seen.begun);
-        let is_silent = !seen.is_over && silent_s > ANSWERS_WITHIN.as_secs_f64();
-        let (directory, silent_s) = (Some(self.directory.clone()), Some(silent_s));
+        let now = self.clock.now();
+        let is_silent = !seen.is_over && now.ns_since(seen.begun) > ANSWERS_WITHIN_NS;
+        let (directory, silent_s) = (Some(self.directory.clone()), Some(now.seconds_since(seen.begun)));
         is_silent.then(|| Fact::DiskSilent { directory, silent_s }.into())
     }
 
@@ -211,21 +222,17 @@ impl Shared {
     }
 }
 
-/// Does it each period, in a thread of its own, until nobody needs the disk any more.
-fn repeat(
-    name: &str,
-    shared: &Arc<Shared>,
-    mut work: impl FnMut(&Shared) + Send + 'static,
-) -> std::io::Result<()> {
-    let watched = Arc::downgrade(shared);
-    let body = move || {
-        while let Some(shared) = watched.upgrade() {
-            work(&shared);
-            drop(shared);
-            thread::sleep(Storage::LOOK_PERIOD);
-        }
-    };
-    thread::Builder::new().name(name.into()).spawn(body).map(drop)
+/// What is done each period.
+struct Repeated<W> {
+    shared: Weak<Shared>,
+    work: W,
+}
+
+impl<W: FnMut(&Shared)> Stepper for Repeated<W> {
+    fn poll(&mut self, _: MonoNs) -> Option<Duration> {
+        (self.work)(&*self.shared.upgrade()?);
+        Some(Storage::LOOK_PERIOD)
+    }
 }
 
 fn lock<T>(of: &Mutex<T>) -> MutexGuard<'_, T> {

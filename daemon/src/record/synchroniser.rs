@@ -4,13 +4,13 @@ use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
-use std::thread;
 use std::time::Duration;
 
 use shared::recording::RunSync;
+use shared::time::MonoNs;
 
-use super::STACK_BYTES;
 use super::progress::{Progress, Synced};
+use crate::scheduler::{Scheduler, Stepper};
 
 /// A synchronisation that goes on when its recorder ends may still take this long.
 const LETS_GO_WITHIN: Duration = Duration::from_secs(1);
@@ -25,35 +25,33 @@ pub(super) struct Synchroniser {
 }
 
 /// The side that waits for the disk. It ends with the recorder.
-pub struct SyncWork {
+struct SyncWork {
     jobs: Receiver<(RunSync, Synced)>,
     outcomes: SyncSender<io::Result<()>>,
     progress: Arc<Progress>,
     number: u32,
+    next: Option<(RunSync, Synced)>,
 }
 
-impl SyncWork {
-    /// Does the work in a thread of its own. Where there is none to be had each synchronisation fails.
-    pub fn spawn(self) {
-        let body = move || {
-            while let Ok((file, covers)) = self.jobs.recv() {
-                if !self.serve(file, covers) {
-                    return;
-                }
-            }
-        };
-        let _ = thread::Builder::new().name("synchroniser".into()).stack_size(STACK_BYTES).spawn(body);
-    }
+/// How often a loop looks for a synchronisation to do; a thread waits for the next one.
+const LOOK_PERIOD: Duration = Duration::from_millis(1);
 
-    /// Does what is to be done now; false once the recorder needs no more.
-    pub fn poll(&self) -> bool {
-        match self.jobs.try_recv() {
+impl Stepper for SyncWork {
+    fn poll(&mut self, _: MonoNs) -> Option<Duration> {
+        let is_needed = match self.next.take().map_or_else(|| self.jobs.try_recv(), Ok) {
             Ok((file, covers)) => self.serve(file, covers),
             Err(TryRecvError::Empty) => true,
             Err(TryRecvError::Disconnected) => false,
-        }
+        };
+        is_needed.then_some(LOOK_PERIOD)
     }
 
+    fn wait(&mut self, _: Duration) {
+        self.next = self.jobs.recv().ok();
+    }
+}
+
+impl SyncWork {
     fn serve(&self, file: RunSync, covers: Synced) -> bool {
         self.progress.syncing(self.number);
         let synced = file.sync();
@@ -65,15 +63,17 @@ impl SyncWork {
 }
 
 impl Synchroniser {
-    pub fn new(progress: &Arc<Progress>) -> (Self, SyncWork) {
+    /// Where the other side gets no thread each synchronisation fails.
+    pub fn new(progress: &Arc<Progress>, scheduler: &dyn Scheduler) -> Self {
         static NUMBER: AtomicU32 = AtomicU32::new(1);
         let number = NUMBER.fetch_add(1, Ordering::Relaxed);
         let (jobs, jobs_out) = sync_channel(1);
         let (outcomes_in, outcomes) = sync_channel(1);
         let progress = Arc::clone(progress);
         let waits = progress.is_on_real_time();
-        let work = SyncWork { jobs: jobs_out, outcomes: outcomes_in, progress, number };
-        (Self { jobs, outcomes, is_busy: false, waits }, work)
+        let work = SyncWork { jobs: jobs_out, outcomes: outcomes_in, progress, number, next: None };
+        let _ = scheduler.start("synchroniser", Box::new(|| Box::new(work)));
+        Self { jobs, outcomes, is_busy: false, waits }
     }
 
     /// Synchronises `file`, unless it is still at it.

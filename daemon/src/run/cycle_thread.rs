@@ -2,22 +2,25 @@
 
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError};
+use std::time::Duration;
 
 use shared::recording::schema::DeviceInfo;
-use shared::time::UtcNs;
+use shared::time::{MonoNs, UtcNs};
 
 use super::error::RunError;
 use super::homing::HomingJob;
 use super::live::Live;
 use super::source::Prepared;
-use crate::bus::Bus;
+use crate::bus::{Bus, BusPlan};
 use crate::clock::Clock;
 use crate::cycle::{Acquisition, RealtimeReport, RealtimeRequest};
 use crate::problem::flag_names;
 use crate::record::{CycleSink, Stop};
-use crate::segment::simulated::ReplayHandle;
+use crate::scheduler::Stepper;
+use crate::segment::simulated::{Hand, ReplayHandle};
 
 /// What the cycle's thread reports once the bus is in operation.
+#[derive(Default)]
 pub(super) struct Ready {
     pub devices: Vec<DeviceInfo>,
     pub utc_minus_monotonic_ns: i64,
@@ -25,7 +28,6 @@ pub(super) struct Ready {
 }
 
 /// What ends an attempt to bring up the bus between two runs; during a run or a homing that job's own stop does.
-#[derive(Clone, Default)]
 pub(super) struct Interrupts {
     /// Before the bus is in operation for the first time.
     pub opening: Stop,
@@ -37,15 +39,6 @@ pub(super) struct Interrupts {
 pub(super) enum Job {
     Run(RunJob),
     Home(HomingJob),
-}
-
-impl Job {
-    fn stop(&self) -> &Stop {
-        match self {
-            Self::Run(job) => &job.stop,
-            Self::Home(job) => &job.stop,
-        }
-    }
 }
 
 /// One run, as the cycle's thread knows it.
@@ -60,104 +53,216 @@ pub(super) struct RunJob {
     pub utc_minus_monotonic_ns: i64,
 }
 
-/// Bus and cycles, until nobody can send jobs any more. Everything that may block is behind the ring or before
-/// the first cycle.
-pub(super) fn run(
-    prepared: Prepared,
-    realtime: RealtimeRequest,
-    ready: &SyncSender<Result<Ready, RunError>>,
-    jobs: &Receiver<Job>,
-    live: &Arc<Live>,
-    Interrupts { opening, ending }: &Interrupts,
-) {
-    let Prepared { wire, clock, plan, replay, hand, .. } = prepared;
-    let realtime = clock.is_real().then(|| realtime.apply());
-    let mut bus = Bus::new(wire, clock.clone(), plan.reply_timeout);
-    bus.interrupt_by(opening.flag());
-    let mut acquisition = match Acquisition::start(bus, &plan, clock.clone()) {
-        Ok(acquisition) => acquisition,
-        Err(error) => {
-            let _ = ready.send(Err(error.into()));
-            return;
-        }
-    };
-    acquisition.interrupt_by(ending.flag());
-    // The first of what others see of the bus.
-    acquisition.next_cycle(&mut |record| live.publish(record));
-    if let Some((_, first_sample)) = &replay {
-        acquisition.set_first_sample_time(*first_sample);
-    }
-    let devices = acquisition.devices().to_vec();
-    let utc_minus_monotonic_ns = acquisition.utc_minus_monotonic_ns();
-    let _ = ready.send(Ok(Ready { devices, utc_minus_monotonic_ns, realtime }));
-    while let Some(job) = wait_for_job(&mut acquisition, &clock, jobs, live, &plan.name) {
-        acquisition.interrupt_by(job.stop().flag());
-        match job {
-            Job::Run(job) => serve(&mut acquisition, job, replay.as_ref(), live, &plan.name),
-            Job::Home(job) => job.serve(&mut acquisition, &plan.encoders, hand.as_ref(), live),
-        }
+/// How much time a cycle may take.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Pace {
+    /// Cycles are due at their times.
+    Clock,
+    /// Cycles wait for the disk, and move the virtual clock.
+    Fast,
+}
+
+/// What the cycle's thread is connected with.
+pub(super) struct Ends {
+    pub ready: SyncSender<Result<Ready, RunError>>,
+    pub jobs: Receiver<Job>,
+    pub live: Arc<Live>,
+    pub interrupts: Interrupts,
+    /// Sent at an orderly end.
+    pub over: SyncSender<()>,
+}
+
+/// Bus and cycles, until there will be no more jobs. Everything that may block is behind the ring or before the first cycle.
+pub(super) struct CycleLoop {
+    on_bus: OnBus,
+    jobs: Receiver<Job>,
+    ending: Stop,
+    over: SyncSender<()>,
+    run: Option<Serving>,
+    pace: Pace,
+}
+
+/// The bus, and who sees what it does.
+struct OnBus {
+    acquisition: Acquisition,
+    clock: Clock,
+    live: Arc<Live>,
+    plan: BusPlan,
+    replay: Option<(ReplayHandle, UtcNs)>,
+    hand: Option<Hand>,
+}
+
+impl CycleLoop {
+    /// Brings the bus into operation; none if it does not come up, which is reported.
+    pub fn start(prepared: Prepared, realtime: RealtimeRequest, pace: Pace, ends: Ends) -> Option<Self> {
+        let Prepared { wire, clock, plan, replay, hand, .. } = prepared;
+        let Ends { ready, jobs, live, interrupts: Interrupts { opening, ending }, over } = ends;
+        let realtime = clock.is_real().then(|| realtime.apply());
+        let mut bus = Bus::new(wire, clock.clone(), plan.reply_timeout);
+        bus.interrupt_by(opening.flag());
+        let mut acquisition = match Acquisition::start(bus, &plan, clock.clone()) {
+            Ok(acquisition) => acquisition,
+            Err(error) => {
+                let _ = ready.send(Err(error.into()));
+                return None;
+            }
+        };
         acquisition.interrupt_by(ending.flag());
+        // The first of what others see of the bus.
+        acquisition.next_cycle(&mut |record| live.publish(record));
+        if let Some((_, first_sample)) = &replay {
+            acquisition.set_first_sample_time(*first_sample);
+        }
+        let devices = acquisition.devices().to_vec();
+        let utc_minus_monotonic_ns = acquisition.utc_minus_monotonic_ns();
+        let _ = ready.send(Ok(Ready { devices, utc_minus_monotonic_ns, realtime }));
+        let on_bus = OnBus { acquisition, clock, live, plan, replay, hand };
+        Some(Self { on_bus, jobs, ending, over, run: None, pace })
+    }
+
+    /// One cycle, or a homing; false once there will be no more jobs.
+    fn step(&mut self) -> bool {
+        let Some(run) = &mut self.run else { return self.serve_next() };
+        if !run.step(&mut self.on_bus) {
+            self.run = None;
+            self.on_bus.acquisition.interrupt_by(self.ending.flag());
+        }
+        true
+    }
+
+    /// Keeps the bus going until there is a job.
+    fn serve_next(&mut self) -> bool {
+        // A cycle that moves time stops it between two jobs.
+        let job = match self.pace {
+            Pace::Clock => self.jobs.try_recv(),
+            Pace::Fast => self.jobs.recv().map_err(TryRecvError::from),
+        };
+        match job {
+            Ok(Job::Run(job)) => {
+                self.on_bus.acquisition.interrupt_by(job.stop.flag());
+                self.run = Some(Serving::begin(job, &mut self.on_bus));
+            }
+            Ok(Job::Home(job)) => {
+                let OnBus { acquisition, live, plan, hand, .. } = &mut self.on_bus;
+                acquisition.interrupt_by(job.stop.flag());
+                job.serve(acquisition, &plan.encoders, hand.as_ref(), live);
+                acquisition.interrupt_by(self.ending.flag());
+            }
+            Err(TryRecvError::Empty) => self.on_bus.idle(),
+            Err(TryRecvError::Disconnected) => {
+                let _ = self.over.try_send(());
+                return false;
+            }
+        }
+        true
     }
 }
 
-fn serve(
-    acquisition: &mut Acquisition,
-    job: RunJob,
-    replay: Option<&(ReplayHandle, UtcNs)>,
-    live: &Arc<Live>,
-    bus: &str,
-) {
-    let RunJob { mut sink, stop, cycles, full_fault_cycles, utc_minus_monotonic_ns } = job;
-    // Dropped before the ring is: the recorder must not finish the file without the cause.
-    let _fate = Fate(&stop);
-    acquisition.set_utc_minus_monotonic_ns(utc_minus_monotonic_ns);
-    acquisition.begin_run(|first_sample| {
-        if let Some((replay, _)) = replay {
-            replay.start_at(first_sample.0);
+impl Stepper for Option<CycleLoop> {
+    fn poll(&mut self, _: MonoNs) -> Option<Duration> {
+        let cycle = self.as_mut()?;
+        if !cycle.step() {
+            return None;
         }
-    });
-    let mut done = 0;
-    let (mut blind, mut reasons) = (0, 0);
-    while !stop.is_stopped() && !sink.is_abandoned() && cycles.is_none_or(|wanted| done < wanted) {
-        acquisition.next_cycle(&mut |record| {
+        // The cycle sleeps to its deadline itself where time passes for it alone: more precisely than a scheduler.
+        let OnBus { acquisition, clock, .. } = &cycle.on_bus;
+        let sleeps = clock.is_real() || cycle.pace == Pace::Fast;
+        let due_ns = if sleeps { 0 } else { acquisition.due().ns_since(clock.now()) };
+        Some(Duration::from_nanos(due_ns.max(0).unsigned_abs()))
+    }
+
+    fn wait(&mut self, _: Duration) {}
+}
+
+impl OnBus {
+    fn idle(&mut self) {
+        let live = &self.live;
+        self.acquisition.next_cycle(&mut |record| live.publish(record));
+        self.publish();
+    }
+
+    fn publish(&self) {
+        self.live.publish_bus(&self.acquisition.bus_state(), &self.plan.name);
+        self.live.publish_links(self.acquisition.links());
+    }
+}
+
+/// A run that is being recorded.
+struct Serving {
+    // Dropped before the ring is: the recorder must not finish the file without the cause.
+    fate: Fate,
+    sink: CycleSink,
+    cycles: Option<u64>,
+    full_fault_cycles: u64,
+    done: u64,
+    /// Cycles without a valid sample up to now, and their reasons.
+    blind: u64,
+    reasons: u32,
+}
+
+impl Serving {
+    fn begin(job: RunJob, on_bus: &mut OnBus) -> Self {
+        let RunJob { sink, stop, cycles, full_fault_cycles, utc_minus_monotonic_ns } = job;
+        let OnBus { acquisition, replay, .. } = on_bus;
+        acquisition.set_utc_minus_monotonic_ns(utc_minus_monotonic_ns);
+        acquisition.begin_run(|first_sample| {
+            if let Some((replay, _)) = replay {
+                replay.start_at(first_sample.0);
+            }
+        });
+        Self { fate: Fate(stop), sink, cycles, full_fault_cycles, done: 0, blind: 0, reasons: 0 }
+    }
+
+    /// One cycle; false once the run is over.
+    fn step(&mut self, on_bus: &mut OnBus) -> bool {
+        let Self { fate: Fate(stop), sink, cycles, full_fault_cycles, done, blind, reasons } = self;
+        if stop.is_stopped() || sink.is_abandoned() || cycles.is_some_and(|wanted| *done >= wanted) {
+            self.end(on_bus.replay.is_some());
+            return false;
+        }
+        let live = &on_bus.live;
+        on_bus.acquisition.next_cycle(&mut |record| {
             if cycles.is_none_or(|wanted| record.cycle < wanted) {
                 sink.push(record);
-                done = record.cycle + 1;
+                *done = record.cycle + 1;
             }
             live.publish(record);
             if record.encoders().iter().any(|encoder| encoder.valid) {
-                (blind, reasons) = (0, 0);
+                (*blind, *reasons) = (0, 0);
             } else {
-                (blind, reasons) = (blind + 1, reasons | record.flags);
+                (*blind, *reasons) = (*blind + 1, *reasons | record.flags);
             }
         });
-        live.publish_bus(&acquisition.bus_state(), bus);
-        live.publish_links(acquisition.links());
-        if let Some(timing) = acquisition.last_timing() {
+        on_bus.publish();
+        if let Some(timing) = on_bus.acquisition.last_timing() {
             sink.push_timing(timing);
         }
-        if blind >= full_fault_cycles {
-            stop.stop(&full_fault(blind, reasons));
+        if *blind >= *full_fault_cycles {
+            stop.stop(&full_fault(*blind, *reasons));
         }
-        while let Some(event) = acquisition.take_event() {
+        while let Some(event) = on_bus.acquisition.take_event() {
             sink.push_event(event);
         }
+        true
     }
-    stop.stop(match replay {
-        _ if sink.is_abandoned() => "the recorder has ended",
-        Some(_) => "end of the replayed recording",
-        None => "duration reached",
-    });
-    // The recorder ends first if the start was refused or the disk failed, which the service reports.
-    if !sink.is_abandoned() {
-        tracing::info!("the last cycle of the run is taken");
+
+    fn end(&self, is_replay: bool) {
+        self.fate.0.stop(match is_replay {
+            _ if self.sink.is_abandoned() => "the recorder has ended",
+            true => "end of the replayed recording",
+            false => "duration reached",
+        });
+        // The recorder ends first if the start was refused or the disk failed, which the service reports.
+        if !self.sink.is_abandoned() {
+            tracing::info!("the last cycle of the run is taken");
+        }
     }
 }
 
-/// Says why a run ends that takes its thread with it.
-struct Fate<'a>(&'a Stop);
+/// States why a run ends that takes its thread with it.
+struct Fate(Stop);
 
-impl Drop for Fate<'_> {
+impl Drop for Fate {
     fn drop(&mut self) {
         if std::thread::panicking() {
             self.0.stop("full fault: the thread of the cycle has ended; its cause is in the log");
@@ -170,31 +275,6 @@ fn full_fault(cycles: u64, reasons: u32) -> String {
     format!("full fault: no encoder gave a valid sample for {cycles} cycles ({names})")
 }
 
-/// Keeps the bus going until there is a run to serve; none if there will be no more.
-fn wait_for_job(
-    acquisition: &mut Acquisition,
-    clock: &Clock,
-    jobs: &Receiver<Job>,
-    live: &Arc<Live>,
-    bus: &str,
-) -> Option<Job> {
-    if !clock.is_real() {
-        // Nothing happens on virtual time while nobody asks for it.
-        return jobs.recv().ok();
-    }
-    loop {
-        match jobs.try_recv() {
-            Ok(job) => return Some(job),
-            Err(TryRecvError::Disconnected) => return None,
-            Err(TryRecvError::Empty) => {
-                acquisition.next_cycle(&mut |record| live.publish(record));
-                live.publish_bus(&acquisition.bus_state(), bus);
-                live.publish_links(acquisition.links());
-            }
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use std::path::Path;
@@ -202,7 +282,7 @@ mod tests {
     use shared::config::{self, DaemonConfig};
 
     use super::*;
-    use crate::record;
+    use crate::record::{self, FullRing};
     use crate::run::source;
     use crate::segment::InProcessWire;
     use crate::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
@@ -215,9 +295,12 @@ mod tests {
         let segment = SimulatedSegment::new(&SegmentConfig::default(), Box::new(motion));
         let wire = Box::new(InProcessWire::new(segment, clock.clone()));
         let prepared = source::on_wire(wire, &DaemonConfig::default(), &config::load(&bar).unwrap());
-        let bus = Bus::new(prepared.wire, clock.clone(), prepared.plan.reply_timeout);
-        let mut acquisition = Acquisition::start(bus, &prepared.plan, clock.clone()).unwrap();
-        let (sink, recorder) = record::ring(64, &clock);
+        let Prepared { wire, plan, .. } = prepared;
+        let bus = Bus::new(wire, clock.clone(), plan.reply_timeout);
+        let acquisition = Acquisition::start(bus, &plan, clock.clone()).unwrap();
+        let (live, replay, hand) = (Arc::default(), None, None);
+        let mut on_bus = OnBus { acquisition, clock, live, plan, replay, hand };
+        let (sink, recorder) = record::ring(64, FullRing::Waits);
         drop(recorder);
         let stop = Stop::default();
         let job = RunJob {
@@ -227,7 +310,7 @@ mod tests {
             full_fault_cycles: 1000,
             utc_minus_monotonic_ns: 0,
         };
-        serve(&mut acquisition, job, None, &Arc::default(), "simulated");
+        assert!(!Serving::begin(job, &mut on_bus).step(&mut on_bus));
         assert_eq!(stop.cause(), "the recorder has ended");
     }
 }

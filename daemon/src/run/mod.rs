@@ -13,10 +13,12 @@ mod request;
 mod session;
 mod source;
 
+use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 
 use shared::config::{BallBarConfig, DaemonConfig};
+use shared::time::UtcNs;
 
 pub use error::RunError;
 pub use homing::ActiveHoming;
@@ -24,10 +26,13 @@ pub use live::{BUS_FLAGS, Live, LiveEncoder};
 pub(crate) use place::claim_directory;
 pub use place::finish_leftovers;
 pub use request::{About, BusChoice, RunDetails, RunRequest, check_text, name_by_time, typed_name};
-pub use session::{ActiveRun, Session};
+pub use session::{ActiveRun, Opening, Session};
 
+use self::cycle_thread::Pace;
+use crate::clock::Clock;
 use crate::problem::Fact;
 pub use crate::record::{RunSummary, Stop, Storage};
+use crate::scheduler::{Pending, Scheduler, Threads};
 use crate::segment::faults::FaultWindow;
 
 /// Between two attempts to bring up the bus that a run waits for.
@@ -45,8 +50,21 @@ pub fn open(
     bar: &BallBarConfig,
     storage: &Storage,
 ) -> Result<Session, RunError> {
+    begin_to_open(bus, faults, daemon, bar, storage, &Threads::on(Clock::Real))?.wait()
+}
+
+/// [`open`] without waiting for the bus.
+pub fn begin_to_open(
+    bus: &BusChoice,
+    faults: &[FaultWindow],
+    daemon: &DaemonConfig,
+    bar: &BallBarConfig,
+    storage: &Storage,
+    scheduler: &Arc<dyn Scheduler>,
+) -> Result<Opening, RunError> {
     let request = RunRequest { bus: bus.clone(), faults: faults.to_vec(), ..RunRequest::default() };
-    Session::open(source::prepare(&request, daemon, bar)?, daemon, bar, storage, &Stop::default())
+    let prepared = source::prepare(&request, daemon, bar, scheduler.clock().clone())?;
+    Session::open(prepared, daemon, bar, storage, &Stop::default(), (scheduler, Pace::Clock))
 }
 
 /// A bus in operation over another wire, for tests of what stands above it.
@@ -56,8 +74,9 @@ pub(crate) fn open_on(
     daemon: &DaemonConfig,
     bar: &BallBarConfig,
     storage: &Storage,
-) -> Result<Session, RunError> {
-    Session::open(source::on_wire(wire, daemon, bar), daemon, bar, storage, &Stop::default())
+) -> Result<Opening, RunError> {
+    let scheduler = (&Threads::on(Clock::Real), Pace::Clock);
+    Session::open(source::on_wire(wire, daemon, bar), daemon, bar, storage, &Stop::default(), scheduler)
 }
 
 /// Records one run and returns when its file is finished.
@@ -99,9 +118,9 @@ fn record_from(
 ) -> Result<RunSummary, RunError> {
     // Only now: what does not come to record leaves no directory.
     let place = storage.clone();
-    let claim = session::spawn("claim", move || claim_directory(&place))?;
-    wait(storage, stop, || claim.is_finished(), || false)?;
-    let _claim = session::join(claim)??;
+    let claim = Pending::start(&*Threads::on(Clock::Real), "claim", move || claim_directory(&place));
+    let died = |_| Err(RunError::Thread("claim panicked; its cause is in the log".into()));
+    let _claim = wait(storage, stop, || claim.poll(), || false)?.unwrap_or_else(died)?;
     // What ends the run by itself leaves the disk its time.
     let run = session.begin(details, &Stop::default(), None)?;
     // Asked each time: it passes on what ends the run as well.
@@ -111,19 +130,21 @@ fn record_from(
         }
         run.progress.is_open()
     };
-    wait(storage, stop, || run.is_finished(), is_open)?;
-    run.join()
+    wait(storage, stop, || run.outcome(), is_open)?
 }
 
 /// Waits until the disk is done. Since `stop` it has only its time, unless what it does is worth waiting for.
-fn wait(
+fn wait<T>(
     storage: &Storage,
     stop: &Stop,
-    is_done: impl Fn() -> bool,
+    result: impl Fn() -> Option<T>,
     is_worth_it: impl Fn() -> bool,
-) -> Result<(), RunError> {
+) -> Result<T, RunError> {
     let mut stopped = None;
-    while !is_done() {
+    loop {
+        if let Some(result) = result() {
+            return Ok(result);
+        }
         let is_stopped = stop.is_stopped().then(|| *stopped.get_or_insert_with(Instant::now));
         if !is_worth_it() && is_stopped.is_some_and(|since| since.elapsed() > LEAVES_WITHIN) {
             let silent = || Fact::DiskSilent { directory: None, silent_s: None }.into();
@@ -132,7 +153,6 @@ fn wait(
         }
         thread::sleep(STOP_PERIOD);
     }
-    Ok(())
 }
 
 /// A bus in operation. One that is to be waited for is tried until it is, and what is missing is said whenever that
@@ -146,8 +166,14 @@ fn connect(
 ) -> Result<Session, RunError> {
     let mut said = String::new();
     loop {
-        let outcome = source::prepare(request, daemon, bar)
-            .and_then(|prepared| Session::open(prepared, daemon, bar, storage, stop));
+        let (clock, pace) = if request.fast {
+            (Clock::virtual_from(UtcNs::from_datetime(chrono::Utc::now())), Pace::Fast)
+        } else {
+            (Clock::Real, Pace::Clock)
+        };
+        let scheduler = (&Threads::on(clock.clone()), pace);
+        let outcome = source::prepare(request, daemon, bar, clock)
+            .and_then(|prepared| Session::open(prepared, daemon, bar, storage, stop, scheduler)?.wait());
         let missing = match outcome {
             Err(error) if request.wait && error.may_pass() => error.to_string(),
             outcome => return outcome,

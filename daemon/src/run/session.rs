@@ -1,8 +1,7 @@
 //! A bus in operation, which serves one run after the other without being brought up again.
 
 use std::sync::Arc;
-use std::sync::mpsc::{SyncSender, sync_channel};
-use std::thread;
+use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 use std::time::Duration;
 
 use shared::config::{BallBarConfig, DaemonConfig};
@@ -12,7 +11,7 @@ use shared::recording::{
 };
 use shared::time::{MonoNs, UtcNs};
 
-use super::cycle_thread::{self, Interrupts, Job, Ready, RunJob};
+use super::cycle_thread::{CycleLoop, Ends, Interrupts, Job, Pace, Ready, RunJob};
 use super::error::RunError;
 use super::homing::{self, ActiveHoming};
 use super::live::Live;
@@ -25,19 +24,24 @@ use crate::clock::Clock;
 use crate::cycle::RealtimeRequest;
 use crate::problem::{Fact, Problem};
 use crate::record::{
-    self, Limits, Mark, Progress, Recorder, RunLink, RunSummary, STACK_BYTES, Stop, Storage, SyncWork,
+    self, CycleSource, FullRing, Limits, Mark, Progress, Recorder, RunLink, RunSummary, Stop, Storage,
 };
+use crate::scheduler::{Scheduler, Stepper};
 
+/// Runs and homings that the cycle has not yet taken, of which all but the last have been given up.
+const JOBS_MAX: usize = 8;
 /// Markers that may wait for the disk.
 const MARKS_MAX: usize = 1000;
 
 /// A bus in operation.
 pub struct Session {
     jobs: SyncSender<Job>,
-    cycle: thread::JoinHandle<()>,
+    /// Until the cycle has ended.
+    cycle: Receiver<()>,
     ready: Ready,
     live: Arc<Live>,
-    clock: Clock,
+    scheduler: Arc<dyn Scheduler>,
+    pace: Pace,
     bus: String,
     replay_of: Option<ReplayOrigin>,
     period: Duration,
@@ -58,60 +62,52 @@ pub struct ActiveRun {
     /// When it began.
     pub started: UtcNs,
     marks: SyncSender<Mark>,
-    recorder: thread::JoinHandle<Result<RunSummary, RunError>>,
+    outcome: Receiver<Result<RunSummary, RunError>>,
+}
+
+/// A bus that is being brought into operation.
+pub struct Opening {
+    ready: Receiver<Result<Ready, RunError>>,
+    session: Option<Session>,
 }
 
 impl Session {
-    /// Brings the bus into operation; returns when it is, or why it is not. `opening` ends an
-    /// attempt early.
+    /// Begins to bring the bus into operation. `opening` ends the attempt early.
     pub(super) fn open(
         prepared: Prepared,
         daemon: &DaemonConfig,
         bar: &BallBarConfig,
         storage: &Storage,
         opening: &Stop,
-    ) -> Result<Self, RunError> {
-        let (clock, encoders) = (prepared.clock.clone(), prepared.encoders.clone());
-        let (bus, period) = (prepared.plan.name.clone(), prepared.plan.cycle_period);
-        let (cycles, replay_of) = (prepared.cycles, prepared.replay_of.clone());
-        let (ready_tx, ready_rx) = sync_channel(1);
-        let (jobs, jobs_rx) = sync_channel(1);
+        (scheduler, pace): (&Arc<dyn Scheduler>, Pace),
+    ) -> Result<Opening, RunError> {
+        let (ready_tx, ready) = sync_channel(1);
+        let (jobs, jobs_rx) = sync_channel(JOBS_MAX);
+        let (over, cycle) = sync_channel(1);
+        let (live, ending) = (Arc::<Live>::default(), Stop::default());
+        let session = Self {
+            jobs,
+            cycle,
+            ready: Ready::default(),
+            live: Arc::clone(&live),
+            scheduler: Arc::clone(scheduler),
+            pace,
+            bus: prepared.plan.name.clone(),
+            replay_of: prepared.replay_of.clone(),
+            period: prepared.plan.cycle_period,
+            encoders: prepared.encoders.clone(),
+            cycles: prepared.cycles,
+            daemon: daemon.clone(),
+            bar: bar.clone(),
+            storage: storage.clone(),
+            ending: ending.clone(),
+        };
         let realtime =
             RealtimeRequest { core: daemon.realtime.core, fifo_priority: daemon.realtime.fifo_priority };
-        let live = Arc::new(Live::default());
-        let seen = Arc::clone(&live);
-        let interrupts = Interrupts { opening: opening.clone(), ..Interrupts::default() };
-        let ending = interrupts.ending.clone();
-        let cycle = spawn("cycle", move || {
-            cycle_thread::run(prepared, realtime, &ready_tx, &jobs_rx, &seen, &interrupts);
-        })?;
-        let Ok(ready) = ready_rx.recv() else {
-            join(cycle)?;
-            return Err(RunError::Thread("the cycle ended while the bus came up".into()));
-        };
-        let (daemon, bar, storage) = (daemon.clone(), bar.clone(), storage.clone());
-        match ready {
-            Ok(ready) => Ok(Self {
-                jobs,
-                cycle,
-                ready,
-                live,
-                clock,
-                bus,
-                replay_of,
-                period,
-                encoders,
-                cycles,
-                daemon,
-                bar,
-                storage,
-                ending,
-            }),
-            Err(error) => {
-                join(cycle)?;
-                Err(error)
-            }
-        }
+        let interrupts = Interrupts { opening: opening.clone(), ending };
+        let ends = Ends { ready: ready_tx, jobs: jobs_rx, live, interrupts, over };
+        start(&**scheduler, "cycle", move || CycleLoop::start(prepared, realtime, pace, ends))?;
+        Ok(Opening { ready, session: Some(session) })
     }
 
     /// Begins a run without waiting for the disk. Its recorder recovers what earlier crashes left, then makes the run's
@@ -128,32 +124,35 @@ impl Session {
             tracing::warn!(run = metadata.name, "{provenance}");
         }
         let ring_cycles = self.daemon.ring_cycles(self.period);
-        let (sink, ring) = record::ring(ring_cycles, &self.clock);
+        let full = if self.pace == Pace::Fast { FullRing::Waits } else { FullRing::Drops };
+        let (sink, ring) = record::ring(ring_cycles, full);
         let (marks, marks_rx) = sync_channel(MARKS_MAX);
         let limits = Limits {
             cycle_period: self.period,
             sync_period: self.daemon.sync_period(),
             ring_cycles,
-            cycle_waits: !self.clock.is_real(),
+            cycle_waits: self.pace == Pace::Fast,
         };
-        let progress = Arc::new(Progress::new(Arc::clone(ring.handed()), limits, self.clock.clone()));
+        let progress = Arc::new(Progress::new(Arc::clone(ring.handed()), limits, self.clock().clone()));
         self.storage.watch(&progress, stop);
         let link = RunLink {
             marks: marks_rx,
             progress: Arc::clone(&progress),
             storage: self.storage.clone(),
-            synchronise: Box::new(SyncWork::spawn),
+            scheduler: Arc::clone(&self.scheduler),
         };
-        let (clock, sync_period, cause) = (self.clock.clone(), self.daemon.sync_period(), stop.clone());
         let utc_minus_monotonic_ns = metadata.utc_minus_monotonic_ns;
-        let record = move || {
-            let mut writer = create(&link, &metadata)?;
-            tap.into_iter().for_each(|tap| writer.set_tap(tap));
-            let (progress, disk) = (Arc::clone(&link.progress), link.storage.disk());
-            let recorder = Recorder::new(ring, writer, clock, sync_period, &metadata, link);
-            recorder.run(|| cause.cause()).map_err(|source| broken(source, &progress, &*disk, cause.cause()))
+        let (result, outcome) = sync_channel(1);
+        let sync_period = self.daemon.sync_period();
+        let recording = RunRecording {
+            file: Some(NoFile { ring, link, metadata, tap, sync_period, clock: self.clock().clone() }),
+            recorder: None,
+            stop: stop.clone(),
+            progress: Arc::clone(&progress),
+            disk: self.storage.disk(),
+            result,
         };
-        let recorder = spawn("recorder", record)?;
+        start(&*self.scheduler, "recorder", || recording)?;
         claim::tell(format!("recording run `{}`", details.name));
         let job = RunJob {
             sink,
@@ -164,17 +163,17 @@ impl Session {
                 .max(1),
             utc_minus_monotonic_ns,
         };
-        // If the cycle has died the recorder finds the ring abandoned and finishes an empty file.
-        let _ = self.jobs.send(Job::Run(job));
-        Ok(ActiveRun { stop: stop.clone(), progress, started, marks, recorder })
+        // If the cycle does not take it the recorder finds the ring abandoned and finishes an empty file.
+        let _ = self.jobs.try_send(Job::Run(job));
+        Ok(ActiveRun { stop: stop.clone(), progress, started, marks, outcome })
     }
 
     /// Begins to look for the encoders' reference marks, while a person turns one joint at a time.
     pub fn begin_homing(&self) -> ActiveHoming {
         claim::tell("homing the encoders");
         let (job, active) = homing::begin();
-        // If the cycle has died the homing is over at once.
-        let _ = self.jobs.send(Job::Home(job));
+        // If the cycle does not take it the homing is over at once.
+        let _ = self.jobs.try_send(Job::Home(job));
         active
     }
 
@@ -194,9 +193,18 @@ impl Session {
         self.storage.disk()
     }
 
-    /// The cycle's thread lives.
+    /// The cycle has not ended.
     pub fn is_alive(&self) -> bool {
-        !self.cycle.is_finished()
+        matches!(self.cycle.try_recv(), Err(TryRecvError::Empty))
+    }
+
+    /// What lets the session work.
+    pub fn scheduler(&self) -> &Arc<dyn Scheduler> {
+        &self.scheduler
+    }
+
+    fn clock(&self) -> &Clock {
+        self.scheduler.clock()
     }
 
     /// Devices on the bus.
@@ -253,11 +261,16 @@ impl Session {
         }
     }
 
-    /// Ends the cycle.
+    /// Ends the cycle, and waits for that.
     pub fn close(self) -> Result<(), RunError> {
+        let ended = self.begin_close().recv();
+        ended.map_err(|_| RunError::Thread("the cycle panicked; its cause is in the log".into()))
+    }
+
+    /// Ends the cycle; what is returned is connected until the cycle has ended.
+    pub fn begin_close(self) -> Receiver<()> {
         self.ending.stop("the session is closed");
-        drop(self.jobs);
-        join(self.cycle)
+        self.cycle
     }
 
     fn cycles_of_time(&self, time: Duration) -> u64 {
@@ -271,10 +284,9 @@ impl Session {
 
     fn metadata(&self, details: &RunDetails) -> RunMetadata {
         // A bus in operation for days outlives the offset of its beginning: each run takes its own.
-        let utc_minus_monotonic_ns = if self.clock.is_real() {
-            self.clock.utc_minus_monotonic_ns()
-        } else {
-            self.ready.utc_minus_monotonic_ns
+        let utc_minus_monotonic_ns = match self.pace {
+            Pace::Clock => self.clock().utc_minus_monotonic_ns(),
+            Pace::Fast => self.ready.utc_minus_monotonic_ns,
         };
         let about = details.about.clone();
         RunMetadata {
@@ -284,7 +296,7 @@ impl Session {
             bar: about.bar,
             payload: about.payload,
             note: about.note,
-            started: UtcNs(self.clock.now().0 + utc_minus_monotonic_ns),
+            started: UtcNs(self.clock().now().0 + utc_minus_monotonic_ns),
             software: shared::version::software("ballbard"),
             bus: self.bus.clone(),
             replay_of: self.replay_of.clone(),
@@ -305,17 +317,100 @@ impl ActiveRun {
         self.marks.try_send(Mark { at, text }).is_ok()
     }
 
-    /// The file is finished, or will never be.
-    pub fn is_finished(&self) -> bool {
-        self.recorder.is_finished()
+    /// How it ended, once: with its finished file, or why there is none.
+    pub fn outcome(&self) -> Option<Result<RunSummary, RunError>> {
+        let outcome = match self.outcome.try_recv() {
+            Ok(outcome) => outcome,
+            Err(TryRecvError::Empty) => return None,
+            Err(TryRecvError::Disconnected) => Err(recorder_panicked()),
+        };
+        claim::tell("between runs");
+        Some(outcome)
     }
 
     /// Waits for the finished file.
     pub fn join(self) -> Result<RunSummary, RunError> {
-        drop(self.marks);
-        let outcome = join(self.recorder);
-        claim::tell("between runs");
-        outcome?
+        self.outcome.recv().unwrap_or_else(|_| Err(recorder_panicked()))
+    }
+}
+
+fn recorder_panicked() -> RunError {
+    RunError::Thread("recorder panicked; its cause is in the log".into())
+}
+
+impl Opening {
+    /// The bus in operation, once, or why it does not come up.
+    pub fn poll(&mut self) -> Option<Result<Session, RunError>> {
+        match self.ready.try_recv() {
+            Err(TryRecvError::Empty) => None,
+            ready => self.opened(ready.ok()),
+        }
+    }
+
+    /// Waits for the bus in operation.
+    pub fn wait(mut self) -> Result<Session, RunError> {
+        let ready = self.ready.recv().ok();
+        self.opened(ready).unwrap_or_else(|| Err(ended_early()))
+    }
+
+    fn opened(&mut self, ready: Option<Result<Ready, RunError>>) -> Option<Result<Session, RunError>> {
+        let session = self.session.take()?;
+        let ready = ready.unwrap_or_else(|| Err(ended_early()));
+        Some(ready.map(|ready| Session { ready, ..session }))
+    }
+}
+
+fn ended_early() -> RunError {
+    RunError::Thread("the cycle ended while the bus came up; its cause is in the log".into())
+}
+
+/// What a run needs to get its file.
+struct NoFile {
+    ring: CycleSource,
+    link: RunLink,
+    metadata: RunMetadata,
+    tap: Option<Tap>,
+    sync_period: Duration,
+    clock: Clock,
+}
+
+/// Makes the file of a run, records into it, and finishes it.
+struct RunRecording {
+    file: Option<NoFile>,
+    recorder: Option<Recorder>,
+    stop: Stop,
+    progress: Arc<Progress>,
+    disk: Arc<dyn Disk>,
+    result: SyncSender<Result<RunSummary, RunError>>,
+}
+
+impl RunRecording {
+    /// The summary once the file is finished.
+    fn step(&mut self) -> Result<Option<RunSummary>, RunError> {
+        if let Some(NoFile { ring, link, metadata, tap, sync_period, clock }) = self.file.take() {
+            let mut writer = create(&link, &metadata)?;
+            tap.into_iter().for_each(|tap| writer.set_tap(tap));
+            self.recorder = Some(Recorder::new(ring, writer, clock, sync_period, &metadata, link));
+        }
+        let continues = self.recorder.as_mut().map_or(Ok(false), Recorder::poll);
+        let finished = match continues {
+            Ok(true) => return Ok(None),
+            Ok(false) => self.recorder.take().map(|recorder| recorder.finish(self.stop.cause())).transpose(),
+            Err(error) => Err(error),
+        };
+        // Whoever recovers the file finds it unlocked.
+        self.recorder = None;
+        finished.map_err(|error| broken(error, &self.progress, &*self.disk, self.stop.cause()))
+    }
+}
+
+impl Stepper for RunRecording {
+    fn poll(&mut self, _: MonoNs) -> Option<Duration> {
+        let outcome = self.step().transpose();
+        let Some(outcome) = outcome else { return Some(Recorder::PERIOD) };
+        // A service that ends may not wait for it.
+        let _ = self.result.send(outcome);
+        None
     }
 }
 
@@ -366,17 +461,13 @@ fn broken(source: WriteError, progress: &Progress, disk: &dyn Disk, cause: Strin
     RunError::Broken { source, saved, content: Some(Box::new(summary)) }
 }
 
-pub(super) fn spawn<T: Send + 'static>(
+fn start<S: Stepper + 'static>(
+    scheduler: &dyn Scheduler,
     name: &str,
-    body: impl FnOnce() -> T + Send + 'static,
-) -> Result<thread::JoinHandle<T>, RunError> {
-    let thread = thread::Builder::new().name(name.into()).stack_size(STACK_BYTES);
-    thread.spawn(body).map_err(|error| RunError::Thread(error.to_string()))
-}
-
-pub(super) fn join<T>(handle: thread::JoinHandle<T>) -> Result<T, RunError> {
-    let name = handle.thread().name().unwrap_or("a thread").to_owned();
-    handle.join().map_err(|_| RunError::Thread(format!("{name} panicked; its cause is in the log")))
+    begin: impl FnOnce() -> S + Send + 'static,
+) -> Result<(), RunError> {
+    let started = scheduler.start(name, Box::new(|| Box::new(begin())));
+    started.map_err(|error| RunError::Thread(error.to_string()))
 }
 
 fn toml_text(config: &impl serde::Serialize) -> String {

@@ -40,12 +40,8 @@ pub(super) fn prepare(
     request: &RunRequest,
     daemon: &DaemonConfig,
     bar: &BallBarConfig,
+    clock: Clock,
 ) -> Result<Prepared, RunError> {
-    let clock = if request.fast {
-        Clock::virtual_from(UtcNs::from_datetime(chrono::Utc::now()))
-    } else {
-        Clock::Real
-    };
     let prepared = match &request.bus {
         BusChoice::Interface(name) => {
             let wire = Box::new(EthernetWire::open(name)?);

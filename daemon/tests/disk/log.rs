@@ -13,7 +13,7 @@ use crate::support::wall::{Call, Fault, Wall};
 
 const LINES: usize = 20;
 /// Longer than the end of the program waits, by more than a busy machine adds.
-const HANG: Duration = Duration::from_secs(3);
+const HANG: Duration = Duration::from_secs(10);
 
 fn check(nth: usize, fault: Fault) {
     let directory = tempfile::tempdir().unwrap();

@@ -1,8 +1,7 @@
-//! Recovery, service and log on disks that are slow, hang, fill, refuse or vanish, in real time.
+//! Recovery, log, downloads and the command that records, on disks that hang or refuse, in real time.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 mod leftovers;
 mod log;
 mod memory;
 mod service;
-mod silent;

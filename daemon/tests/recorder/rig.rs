@@ -7,23 +7,24 @@ use std::io::Cursor;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
+use std::sync::Arc;
 use std::sync::mpsc::{SyncSender, sync_channel};
-use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use ballbard::clock::Clock;
 use ballbard::cycle::CycleTiming;
 use ballbard::problem::Problem;
 use ballbard::record::{
-    self, Limits, Mark, Progress, Recorder, RunLink, RunSummary, Snapshot, Stop, Storage, SyncWork,
+    self, Limits, Mark, Progress, Recorder, RunLink, RunSummary, Snapshot, Stop, Storage,
 };
+use ballbard::scheduler::Stepper;
 use shared::config::DaemonConfig;
 use shared::recording::{RecordingWriter, WriteError, salvage};
 use shared::time::{MonoNs, UtcNs};
 
 use crate::support::runs::{metadata, record_of};
 use crate::support::wall::Wall;
-use crate::support::world::{Actor, World};
+use crate::support::world::World;
 
 /// What is to be recorded.
 #[derive(Debug, Clone)]
@@ -138,8 +139,7 @@ fn record_in(world: &World, plan: &Plan, wall: impl FnOnce(&Path) -> Wall) -> Ou
     };
     let wall = Arc::new(wall(&daemon.directory));
     let (clock, run) = (&world.clock, metadata(plan.period));
-    let storage = Storage::still(wall.clone(), &daemon, clock);
-    world.add(Watch(storage.clone()));
+    let storage = Storage::watched(wall.clone(), &daemon, &*world.scheduler()).unwrap();
     let outcome = Outcome {
         result: Err(WriteError::Lost(PathBuf::new())),
         looks: Vec::new(),
@@ -154,7 +154,7 @@ fn record_in(world: &World, plan: &Plan, wall: impl FnOnce(&Path) -> Wall) -> Ou
         Err(error) => return Outcome { result: Err(error), ..outcome },
     };
     // As on real time: the cycle does not wait.
-    let (sink, source) = record::ring(plan.ring_cycles, &Clock::Real);
+    let (sink, source) = record::ring(plan.ring_cycles, record::FullRing::Drops);
     let limits = Limits {
         cycle_period: plan.period,
         sync_period: plan.sync_period,
@@ -167,13 +167,11 @@ fn record_in(world: &World, plan: &Plan, wall: impl FnOnce(&Path) -> Wall) -> Ou
     let stop = Stop::default();
     storage.watch(&progress, &stop);
     let (marks, marks_rx) = sync_channel(100);
-    let works = Arc::<Mutex<Vec<SyncWork>>>::default();
-    let begun_works = Arc::clone(&works);
     let link = RunLink {
         marks: marks_rx,
         progress: Arc::clone(&progress),
         storage: storage.clone(),
-        synchronise: Box::new(move |work| begun_works.lock().unwrap().push(work)),
+        scheduler: world.scheduler(),
     };
     let recorder = Recorder::new(source, writer, clock.clone(), plan.sync_period, &run, link);
     let first = clock.now();
@@ -193,10 +191,6 @@ fn record_in(world: &World, plan: &Plan, wall: impl FnOnce(&Path) -> Wall) -> Ou
     world.add(Writing { recorder: Some(recorder), ended: ended.clone(), clock: clock.clone() });
     world.add(Looker { storage, progress, wall: Arc::clone(&wall), first, looks: looks.clone() });
     while ended.borrow().result.is_none() {
-        // Each works for itself: one may hang on a disk that is gone.
-        for work in works.lock().unwrap().drain(..) {
-            world.add(Synchronising(work));
-        }
         assert!(world.step(MonoNs(i64::MAX)), "no actor is due");
     }
     let Ended { result, at, last_cycle } = ended.take();
@@ -235,8 +229,8 @@ struct Cycle {
     ended: Rc<RefCell<Ended>>,
 }
 
-impl Actor for Cycle {
-    fn act(&mut self, now: MonoNs) -> Option<MonoNs> {
+impl Stepper for Cycle {
+    fn poll(&mut self, now: MonoNs) -> Option<Duration> {
         let sink = self.sink.as_mut()?;
         let (cycle, period_ns) = (self.next, self.plan.period.as_nanos() as i64);
         if cycle == self.plan.cycles || sink.is_abandoned() {
@@ -260,7 +254,7 @@ impl Actor for Cycle {
             interfere(&self.home);
         }
         self.next += 1;
-        Some(self.first.plus_ns(period_ns * self.next as i64))
+        Some(since(self.first.plus_ns(period_ns * self.next as i64), now))
     }
 }
 
@@ -271,10 +265,10 @@ struct Writing {
     clock: Clock,
 }
 
-impl Actor for Writing {
-    fn act(&mut self, _: MonoNs) -> Option<MonoNs> {
+impl Stepper for Writing {
+    fn poll(&mut self, _: MonoNs) -> Option<Duration> {
         let result = match self.recorder.as_mut()?.poll() {
-            Ok(true) => return Some(self.clock.now().plus_ns(Recorder::PERIOD.as_nanos() as i64)),
+            Ok(true) => return Some(Recorder::PERIOD),
             Ok(false) => self.recorder.take()?.finish("test over".into()),
             Err(error) => Err(error),
         };
@@ -282,25 +276,6 @@ impl Actor for Writing {
         let mut ended = self.ended.borrow_mut();
         (ended.result, ended.at) = (Some(result), self.clock.now());
         None
-    }
-}
-
-/// Waits for the disk in the recorder's stead.
-struct Synchronising(SyncWork);
-
-impl Actor for Synchronising {
-    fn act(&mut self, now: MonoNs) -> Option<MonoNs> {
-        self.0.poll().then(|| now.plus_ns(1_000_000))
-    }
-}
-
-/// Watches the place of the recordings.
-struct Watch(Storage);
-
-impl Actor for Watch {
-    fn act(&mut self, now: MonoNs) -> Option<MonoNs> {
-        self.0.poll();
-        Some(now.plus_ns(Storage::LOOK_PERIOD.as_nanos() as i64))
     }
 }
 
@@ -313,8 +288,8 @@ struct Looker {
     looks: Rc<RefCell<Vec<Look>>>,
 }
 
-impl Actor for Looker {
-    fn act(&mut self, now: MonoNs) -> Option<MonoNs> {
+impl Stepper for Looker {
+    fn poll(&mut self, now: MonoNs) -> Option<Duration> {
         let (problem, snapshot) = (self.storage.problem(), self.progress.get());
         // Measured after the snapshot, whose claims it must cover; all of one file.
         let file = std::fs::metadata(&snapshot.file).ok();
@@ -322,6 +297,6 @@ impl Actor for Looker {
         let synced_bytes = file.as_ref().map_or(0, |file| self.wall.synced_bytes(file.ino()));
         let (is_steady, at) = (file.is_some(), since(now, self.first));
         self.looks.borrow_mut().push(Look { snapshot, problem, synced_bytes, written_bytes, is_steady, at });
-        Some(now.plus_ns(5_000_000))
+        Some(Duration::from_millis(5))
     }
 }

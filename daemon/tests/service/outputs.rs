@@ -68,7 +68,7 @@ fn a_log_that_cannot_be_written_costs_lines_and_nothing_else() {
         // A queue that nobody reads holds its lines for the time being: none is lost before it is full.
         assert_eq!(log.remedy.is_some(), name != "read by nobody", "{name}: {log:?}");
         service.signal(Signal::SIGTERM);
-        assert!(service.ended(Duration::from_secs(5)).success(), "{name}");
+        assert!(service.ended(Duration::from_secs(20)).success(), "{name}");
     }
 }
 
@@ -112,7 +112,7 @@ fn a_service_whose_standard_output_fails_serves() {
         }
         service.wait_for("waiting");
         service.signal(Signal::SIGTERM);
-        assert!(service.ended(Duration::from_secs(5)).success(), "{name}");
+        assert!(service.ended(Duration::from_secs(20)).success(), "{name}");
     }
 }
 

@@ -302,6 +302,10 @@ fn what_the_service_knows_is_asked_for_by_name_and_as_json() {
     let (stopped, listed) = (json(&["stop"]), json(&["runs"]));
     assert!(stopped["verdict"]["level"].is_string(), "{stopped}");
     assert_eq!((&listed[0]["name"], &listed[0]["verdict"]), (&"asked".into(), &stopped["verdict"]));
+    let last = service.get::<Status>("status").last.unwrap();
+    assert_eq!(json!(last.verdict), stopped["verdict"]);
+    let told = text(&service.command(&["status"]));
+    assert!(told.contains(&last.verdict.unwrap().to_string()), "{told}");
     assert!(stopped["last"]["simulated"] == true && listed[0]["simulated"] == true, "{stopped} {listed}");
     assert!(json(&["check"]).as_array().unwrap().len() > 5);
     // By its name alone, from wherever somebody is.

@@ -1,30 +1,35 @@
-//! Virtual time for a recorder and those around it, in one thread: the clock moves from one due actor to the next. A call that
-//! hangs is an event, too: its actor is busy until then, and the others continue.
+//! Virtual time for all that waits for time or a disk, in one thread: the clock moves from one due stepper to the next. A call
+//! that hangs is an event, too: its stepper is busy until then, and the others continue.
 
 use std::cell::{Cell, RefCell};
+use std::future::Future;
+use std::io;
+use std::pin::Pin;
 use std::rc::Rc;
+use std::sync::{Arc, Mutex};
+use std::task::{Context, Poll, Waker};
 use std::time::Duration;
 
 use ballbard::clock::Clock;
+use ballbard::scheduler::{Begin, Scheduler, Stepper, Task};
 use shared::time::{MonoNs, UtcNs};
+use tokio::sync::oneshot;
 
-/// Somebody who does something each period.
-pub trait Actor {
-    /// Does it; when next, or never again.
-    fn act(&mut self, now: MonoNs) -> Option<MonoNs>;
-}
+/// How often a future is polled.
+const POLL_PERIOD: Duration = Duration::from_millis(1);
 
-/// An actor and when it is due.
+/// A stepper and when it is due.
 struct Due {
     at: Cell<Option<MonoNs>>,
-    actor: RefCell<Box<dyn Actor>>,
+    stepper: RefCell<Box<dyn Stepper>>,
 }
 
-/// The actors and their clock. Clones are the same.
+/// The steppers and their clock. Clones are the same.
 #[derive(Clone)]
 pub struct World {
     pub clock: Clock,
-    actors: Rc<RefCell<Vec<Rc<Due>>>>,
+    steppers: Rc<RefCell<Vec<Rc<Due>>>>,
+    handle: Arc<Handle>,
 }
 
 thread_local! {
@@ -34,7 +39,9 @@ thread_local! {
 impl World {
     /// Starts virtual time in this thread.
     pub fn begin() -> Self {
-        let world = Self { clock: Clock::virtual_from(UtcNs(0)), actors: Rc::default() };
+        let clock = Clock::virtual_from(UtcNs(0));
+        let handle = Arc::new(Handle { clock: clock.clone(), begun: Mutex::default() });
+        let world = Self { clock, steppers: Rc::default(), handle };
         HERE.set(Some(world.clone()));
         world
     }
@@ -47,25 +54,57 @@ impl World {
     /// Returns this thread to real time.
     pub fn end(self) {
         HERE.set(None);
-        self.actors.borrow_mut().clear();
+        self.steppers.borrow_mut().clear();
     }
 
-    /// Adds an actor who is due at once.
-    pub fn add(&self, actor: impl Actor + 'static) {
-        let due = Due { at: Cell::new(Some(self.clock.now())), actor: RefCell::new(Box::new(actor)) };
-        self.actors.borrow_mut().push(Rc::new(due));
+    /// The result of a person's actions on virtual time.
+    pub fn live<T: 'static>(person: impl Future<Output = T> + 'static) -> T {
+        let world = Self::begin();
+        let result = Rc::<Cell<Option<T>>>::default();
+        let given = Rc::clone(&result);
+        world.spawn(async move { given.set(Some(person.await)) });
+        let result = loop {
+            assert!(world.step(MonoNs(i64::MAX)), "no stepper is due");
+            if let Some(result) = result.take() {
+                break result;
+            }
+        };
+        world.end();
+        result
     }
 
-    /// Lets the next actor act who is due until `until` and not busy; false if there is none.
+    /// The scheduler for a service in this world.
+    pub fn scheduler(&self) -> Arc<dyn Scheduler> {
+        self.handle.clone()
+    }
+
+    /// Adds a stepper that is due at once.
+    pub fn add(&self, stepper: impl Stepper + 'static) {
+        let due = Due { at: Cell::new(Some(self.clock.now())), stepper: RefCell::new(Box::new(stepper)) };
+        self.steppers.borrow_mut().push(Rc::new(due));
+    }
+
+    /// Adds a person beside the others.
+    pub fn spawn(&self, person: impl Future<Output = ()> + 'static) {
+        self.add(Person(Box::pin(person)));
+    }
+
+    /// Calls the next stepper that is due until `until` and not busy; false if there is none.
     pub fn step(&self, until: MonoNs) -> bool {
+        for begun in std::mem::take(&mut *self.handle.begun.lock().unwrap()) {
+            self.add(Beginning::Begin(Some(begun)));
+        }
         let idle =
-            |due: &&Rc<Due>| due.actor.try_borrow().is_ok() && due.at.get().is_some_and(|at| at <= until);
+            |due: &&Rc<Due>| due.stepper.try_borrow().is_ok() && due.at.get().is_some_and(|at| at <= until);
         // The first of those who are due at the same time.
-        let next = self.actors.borrow().iter().filter(idle).min_by_key(|due| due.at.get()).cloned();
+        let next = self.steppers.borrow().iter().filter(idle).min_by_key(|due| due.at.get()).cloned();
         let Some(due) = next else { return false };
         self.clock.sleep_until(due.at.get().unwrap_or(until));
-        let next = due.actor.borrow_mut().act(self.clock.now());
-        due.at.set(next);
+        let pause = due.stepper.borrow_mut().poll(self.clock.now());
+        due.at.set(pause.map(|pause| self.clock.now().plus_ns(pause.as_nanos() as i64)));
+        if pause.is_none() {
+            self.steppers.borrow_mut().retain(|other| !Rc::ptr_eq(other, &due));
+        }
         true
     }
 
@@ -82,5 +121,92 @@ pub fn pass(time: Duration) {
     match World::here() {
         Some(world) => world.pass(time),
         None => std::thread::sleep(time),
+    }
+}
+
+/// Is ready after this time; others continue.
+pub async fn sleep(time: Duration) {
+    World::here().unwrap().handle.sleep(time).await;
+}
+
+/// The side of the scheduler: steppers that wait to be added.
+struct Handle {
+    clock: Clock,
+    begun: Mutex<Vec<Begin>>,
+}
+
+impl std::fmt::Debug for Handle {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("World")
+    }
+}
+
+impl Scheduler for Handle {
+    fn clock(&self) -> &Clock {
+        &self.clock
+    }
+
+    fn start(&self, _: &str, begin: Begin) -> io::Result<()> {
+        self.begun.lock().unwrap().push(begin);
+        Ok(())
+    }
+
+    fn spawn(&self, task: Task) {
+        self.begun.lock().unwrap().push(Box::new(|| Box::new(Person(task))));
+    }
+
+    fn sleep(&self, time: Duration) -> Task {
+        let (wake, woken) = oneshot::channel();
+        self.begun
+            .lock()
+            .unwrap()
+            .push(Box::new(move || Box::new(Alarm { time: Some(time), wake: Some(wake) })));
+        Box::pin(async {
+            let _ = woken.await;
+        })
+    }
+}
+
+/// Begins in its first step, which may hang.
+enum Beginning {
+    Begin(Option<Begin>),
+    Begun(Box<dyn Stepper>),
+}
+
+impl Stepper for Beginning {
+    fn poll(&mut self, now: MonoNs) -> Option<Duration> {
+        if let Self::Begin(begin) = self {
+            *self = Self::Begun(begin.take()?());
+        }
+        let Self::Begun(stepper) = self else { return None };
+        stepper.poll(now)
+    }
+}
+
+/// A person: a future of one action after the other.
+struct Person<F: ?Sized>(Pin<Box<F>>);
+
+impl<F: Future<Output = ()> + ?Sized> Stepper for Person<F> {
+    fn poll(&mut self, _: MonoNs) -> Option<Duration> {
+        match self.0.as_mut().poll(&mut Context::from_waker(Waker::noop())) {
+            Poll::Ready(()) => None,
+            Poll::Pending => Some(POLL_PERIOD),
+        }
+    }
+}
+
+/// Wakes a future after a time.
+struct Alarm {
+    time: Option<Duration>,
+    wake: Option<oneshot::Sender<()>>,
+}
+
+impl Stepper for Alarm {
+    fn poll(&mut self, _: MonoNs) -> Option<Duration> {
+        let time = self.time.take();
+        if time.is_none() {
+            let _ = self.wake.take()?.send(());
+        }
+        time
     }
 }

@@ -3,8 +3,8 @@
 //! A thread for each reads the disk and waits for the client; few may go on at a time, and nothing is held in memory for a
 //! client that is slow.
 
+use std::fs::File;
 use std::io::{self, BufWriter, Write};
-use std::path::Path;
 use std::sync::Arc;
 
 use axum::body::{Body, Bytes};
@@ -81,22 +81,13 @@ impl Downloads {
     }
 
     /// Sends a file as it is.
-    pub fn send_file(
-        &self,
-        disk: Arc<dyn Disk>,
-        path: &Path,
-        file_name: String,
-        media_type: &'static str,
-    ) -> io::Result<Response> {
-        let file = disk.open(path)?;
-        let length = disk.length(&file)?;
-        let what = Download { file_name, media_type, length: Some(length) };
-        Ok(self.send(&what, move |mut sink| {
+    pub fn send_file(&self, disk: Arc<dyn Disk>, file: File, what: &Download, length: u64) -> Response {
+        self.send(what, move |mut sink| {
             // Never more than was promised, whatever happens to the file.
             let copied = io::copy(&mut io::Read::take(OpenFile::new(&*disk, &file), length), &mut sink)?;
             anyhow::ensure!(copied == length, "the file has become shorter");
             Ok(())
-        }))
+        })
     }
 }
 

@@ -376,11 +376,14 @@ async fn download_mcap(
     name: Name,
 ) -> Result<Response, Response> {
     let (file, name) = found(&service, name).await?;
-    let disk = service.disk();
-    on_disk(&service, move |_| {
-        downloads.send_file(disk, &file, format!("{name}.mcap"), "application/octet-stream")
-    })
-    .await
+    let open = move |disk: &dyn Disk| {
+        let opened = disk.open(&file)?;
+        Ok((disk.length(&opened)?, opened))
+    };
+    let (length, opened) = on_disk(&service, open).await?;
+    let (file_name, media_type) = (format!("{name}.mcap"), "application/octet-stream");
+    let what = Download { file_name, media_type, length: Some(length) };
+    Ok(downloads.send_file(service.disk(), opened, &what, length))
 }
 
 async fn download_csv(
@@ -460,7 +463,7 @@ async fn start(State(service): State<Service>, body: Body<StartRequest>) -> Resp
     }
     let begins = service.clone();
     // It goes on where the client or our patience does not: the file says under what circumstances it began.
-    let begun = tokio::spawn(async move {
+    let begun = service.spawn(async move {
         let answer = begins.begin(request).await;
         if let (Ok(Answer::Beginning), Some(reason)) = (&answer, reason) {
             let told = if told.is_empty() { "nothing that stops a run" } else { &told };
@@ -468,7 +471,7 @@ async fn start(State(service): State<Service>, body: Body<StartRequest>) -> Resp
         }
         answer
     });
-    let Ok(answer) = tokio::time::timeout(FILE_TIMEOUT, begun).await else {
+    let Some(answer) = service.within(FILE_TIMEOUT, begun).await else {
         let why = service.status().reason.unwrap_or_default();
         let error = format!("the run waits for its file; `ballbard stop` calls it off: {why}");
         return refusal(StatusCode::GATEWAY_TIMEOUT, &error);
@@ -498,21 +501,24 @@ async fn stop(State(service): State<Service>, body: Body<StopRequest>) -> Respon
         return refusal(StatusCode::UNPROCESSABLE_ENTITY, problem);
     }
     match service.stop(cause).await {
-        Ok((Answer::Stopping(run), runs_over)) => match finished(&service, runs_over).await {
-            // A run whose file could not be finished is no success.
-            Some(last) if last.error.is_some() => {
-                refusal(StatusCode::INTERNAL_SERVER_ERROR, &format!("run `{run}`: {}", last.cause))
+        Ok((Answer::Stopping(run), over)) => {
+            match service.within(FILE_TIMEOUT, over).await.and_then(Result::ok) {
+                // A run whose file could not be finished is no success.
+                Some(last) if last.error.is_some() => {
+                    refusal(StatusCode::INTERNAL_SERVER_ERROR, &format!("run `{run}`: {}", last.cause))
+                }
+                Some(last) => {
+                    let verdict = verdict(&service, &last).await;
+                    let last = LastRun { verdict: verdict.clone(), ..last };
+                    let (answer, run, last) = (Granted::Stopped, Some(run), Some(last));
+                    Json(Reply { answer, run, last, verdict, ..Reply::default() }).into_response()
+                }
+                None => refusal(
+                    StatusCode::GATEWAY_TIMEOUT,
+                    &format!("run `{run}` is ending, but the disk has not taken it yet; ask for the status"),
+                ),
             }
-            Some(last) => {
-                let verdict = verdict(&service, &last).await;
-                let (answer, run, last) = (Granted::Stopped, Some(run), Some(last));
-                Json(Reply { answer, run, last, verdict, ..Reply::default() }).into_response()
-            }
-            None => refusal(
-                StatusCode::GATEWAY_TIMEOUT,
-                &format!("run `{run}` is ending, but the disk has not taken it yet; ask for the status"),
-            ),
-        },
+        }
         Ok((Answer::Homing, _)) => match homed(&service).await {
             Some(homing) => Json(Reply { answer: Granted::Homing, homing: Some(homing), ..Reply::default() })
                 .into_response(),
@@ -569,19 +575,14 @@ fn some_text(text: &str) -> Result<(), &'static str> {
     if text.is_empty() { Err("the text is empty; say something") } else { check_text(text) }
 }
 
-/// What a run's file is worth, read from it.
+/// The grade of a run that has just ended, once it is read from its file.
 async fn verdict(service: &Service, last: &LastRun) -> Option<Verdict> {
-    let file = PathBuf::from(last.file.clone()?);
-    let name = last.name.clone();
-    on_disk(service, move |disk| Ok(runs::finished(disk, name, file).verdict)).await.ok().flatten()
-}
-
-/// Waits until one more run is over than were.
-async fn finished(service: &Service, runs_over: u64) -> Option<LastRun> {
+    let file = last.file.as_ref()?;
     let mut status = service.watch();
-    let over = |status: &Status| status.runs_over > runs_over;
-    let wait = async { status.wait_for(over).await.ok().and_then(|status| status.last.clone()) };
-    tokio::time::timeout(FILE_TIMEOUT, wait).await.ok().flatten()
+    let of_run = |status: &Status| status.last.clone().filter(|last| last.file.as_ref() == Some(file));
+    let is_read = |status: &Status| of_run(status).is_some_and(|last| last.verdict.is_some());
+    let wait = async { status.wait_for(is_read).await.ok().and_then(|status| of_run(&status)?.verdict) };
+    service.within(LIST_WITHIN, wait).await.flatten()
 }
 
 /// Waits for the end of the homing.
@@ -589,7 +590,7 @@ async fn homed(service: &Service) -> Option<HomingStatus> {
     let mut status = service.watch();
     let over = |status: &Status| status.homing.as_ref().is_none_or(|homing| homing.is_over);
     let wait = async { status.wait_for(over).await.ok().and_then(|status| status.homing.clone()) };
-    tokio::time::timeout(FILE_TIMEOUT, wait).await.ok().flatten()
+    service.within(FILE_TIMEOUT, wait).await.flatten()
 }
 
 /// What was refused is in the log, with who is told why.

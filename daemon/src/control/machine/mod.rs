@@ -2,7 +2,7 @@
 //!
 //! The thesis' five states (waiting, opening, sampling, writing, closing), one for homing, and one for what it had no
 //! answer to: a fault, which lasts until what caused it is put right, by itself or by somebody. A run that was opened
-//! leaves exactly one [`Action::Finished`] with its cause, whatever happens meanwhile.
+//! leaves exactly one [`Action::Finished`] or [`Action::NotBegun`] with its cause, whatever happens meanwhile.
 //!
 //! | from | on | to |
 //! |---|---|---|
@@ -126,6 +126,13 @@ pub enum Action {
         run: String,
         /// Why.
         cause: String,
+    },
+    /// A run got no file.
+    NotBegun {
+        /// Its name.
+        run: String,
+        /// Why.
+        problem: Problem,
     },
     /// Look after what a failed run left.
     Recover,

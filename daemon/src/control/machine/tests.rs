@@ -59,6 +59,10 @@ fn check_runs(actions: &[Action]) -> Result<Option<String>, TestCaseError> {
                 prop_assert_eq!(opened.as_ref(), Some(run));
                 prop_assert!(!cause.is_empty());
             }
+            Action::NotBegun { run, .. } => {
+                let opened = open.take();
+                prop_assert_eq!(opened.as_ref(), Some(run));
+            }
             _ => {}
         }
     }

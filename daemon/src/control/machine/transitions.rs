@@ -60,7 +60,7 @@ impl Machine {
             Event::HomingOver => self.homing_over(),
             Event::Start { run, named } => self.start(run, named),
             Event::Opened => self.opened(),
-            Event::OpenFailed(problem) => self.open_failed(&problem),
+            Event::OpenFailed(problem) => self.open_failed(problem),
             Event::Synced => self.progress(true),
             Event::Stalled => self.progress(false),
             Event::Stop(cause) => self.stop(&cause),
@@ -153,11 +153,11 @@ impl Machine {
         stop.map_or_else(Vec::new, |cause| self.end_run(&cause))
     }
 
-    fn open_failed(&mut self, problem: &Problem) -> Vec<Action> {
+    fn open_failed(&mut self, problem: Problem) -> Vec<Action> {
         let State::Opening { run, .. } = &mut self.state else { return Vec::new() };
         let run = std::mem::take(run);
         self.state = State::Waiting;
-        let mut actions = vec![Action::Finished { run, cause: format!("it could not begin: {problem}") }];
+        let mut actions = vec![Action::NotBegun { run, problem }];
         actions.extend(self.rest_or_exit());
         actions
     }

@@ -13,6 +13,7 @@ use shared::time::DcNs;
 
 use super::*;
 use crate::record::{Limits, Stop};
+use crate::scheduler::Threads;
 
 fn metadata() -> RunMetadata {
     RunMetadata {
@@ -71,10 +72,18 @@ fn rig(disk: Arc<dyn Disk>, source: CycleSource, daemon: &DaemonConfig, clock: &
     progress.opened(place);
     let stop = Stop::default();
     storage.watch(&progress, &stop);
-    let synchronise = Box::new(SyncWork::spawn);
-    let link = RunLink { marks: sync_channel(1).1, progress, storage, synchronise };
+    let scheduler = Threads::on(Clock::Real);
+    let link = RunLink { marks: sync_channel(1).1, progress, storage, scheduler };
     let recorder = Recorder::new(source, writer, clock.clone(), daemon.sync_period(), &run, link);
     (recorder, stop)
+}
+
+/// Writes all that is in the ring, and finishes the file.
+fn run(mut recorder: Recorder, cause: impl FnOnce() -> String) -> Result<RunSummary, WriteError> {
+    while recorder.poll()? {
+        thread::sleep(Recorder::PERIOD);
+    }
+    recorder.finish(cause())
 }
 
 fn configured(directory: &Path) -> DaemonConfig {
@@ -92,10 +101,10 @@ fn plain(directory: &Path, source: CycleSource) -> Recorder {
 
 fn record_through_ring(capacity: usize, cycles: u64) -> (Recording, RunSummary) {
     let directory = tempfile::tempdir().unwrap();
-    let (mut sink, source) = ring(capacity, &Clock::Real);
+    let (mut sink, source) = ring(capacity, FullRing::Drops);
     (0..cycles).for_each(|number| sink.push(&cycle(number)));
     drop(sink);
-    let summary = plain(directory.path(), source).run(|| "test over".into()).unwrap();
+    let summary = run(plain(directory.path(), source), || "test over".into()).unwrap();
     (Recording::open(&summary.path).unwrap(), summary)
 }
 
@@ -132,12 +141,12 @@ fn cycles_that_a_full_ring_refused_are_in_the_file_as_lost() {
 fn the_hosts_utc_may_be_stepped_and_the_file_says_so() {
     let directory = tempfile::tempdir().unwrap();
     let clock = Clock::virtual_from(UtcNs(0));
-    let (mut sink, source) = ring(1000, &Clock::Real);
+    let (mut sink, source) = ring(1000, FullRing::Drops);
     (0..300).for_each(|number| sink.push(&cycle(number)));
     drop(sink);
     let (recorder, _) = rig(Arc::new(SystemDisk), source, &configured(directory.path()), &clock);
     clock.step_utc(-2_000_000_000);
-    let recording = Recording::open(&recorder.run(String::new).unwrap().path).unwrap();
+    let recording = Recording::open(&run(recorder, String::new).unwrap().path).unwrap();
     // An event of the disk states that all cycles came at once.
     let of_clock = recording.events.iter().filter(|event| event.kind == EventKind::Clock);
     let told: Vec<_> = of_clock.map(|event| (event.code.as_str(), event.text.as_str())).collect();
@@ -148,7 +157,7 @@ fn the_hosts_utc_may_be_stepped_and_the_file_says_so() {
 #[test]
 fn at_the_disk_floor_the_run_is_asked_to_end_and_its_file_says_why() {
     let directory = tempfile::tempdir().unwrap();
-    let (mut sink, source) = ring(256, &Clock::Real);
+    let (mut sink, source) = ring(256, FullRing::Drops);
     // More than any disk has.
     let daemon = DaemonConfig { disk_floor_mb: 4_000_000_000, ..configured(directory.path()) };
     let (recorder, stop) = rig(Arc::new(SystemDisk), source, &daemon, &Clock::Real);
@@ -159,7 +168,7 @@ fn at_the_disk_floor_the_run_is_asked_to_end_and_its_file_says_why() {
         thread::sleep(Recorder::PERIOD);
     }
     drop(sink);
-    let summary = recorder.run(|| stop.cause()).unwrap();
+    let summary = run(recorder, || stop.cause()).unwrap();
     assert_eq!(summary.cycles, 150);
     let cause = Recording::open(&summary.path).unwrap().end.cause;
     assert!(cause.contains("disk floor"), "{cause}");
@@ -169,14 +178,14 @@ fn at_the_disk_floor_the_run_is_asked_to_end_and_its_file_says_why() {
 fn wherever_a_run_is_cut_its_file_knows_how_late_it_was_up_to_a_minute_before() {
     const CYCLES: u64 = 15_000;
     let directory = tempfile::tempdir().unwrap();
-    let (mut sink, source) = ring(CYCLES as usize, &Clock::Real);
+    let (mut sink, source) = ring(CYCLES as usize, FullRing::Drops);
     for number in 0..CYCLES {
         sink.push(&cycle(number));
         sink.push_timing(CycleTiming { late_ns: 5_000, round_trip_ns: Some(1), duration_ns: 1 });
     }
     drop(sink);
     let recorder = plain(directory.path(), source);
-    let bytes = std::fs::read(recorder.run(String::new).unwrap().path).unwrap();
+    let bytes = std::fs::read(run(recorder, String::new).unwrap().path).unwrap();
     // Cut just before each of the metadata records, and at the end.
     let name = b"ballbard.timing";
     let records = (0..bytes.len()).filter(|at| bytes[*at..].starts_with(name));

@@ -1,0 +1,159 @@
+//! Work in steps. Whatever waits for time or a disk is a [`Stepper`] that is given the time and says when it has more to do;
+//! a [`Scheduler`] calls it: a thread for each on real time, one loop for all on virtual time.
+
+use std::fmt;
+use std::future::Future;
+use std::io;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
+use std::thread;
+use std::time::Duration;
+
+use shared::time::MonoNs;
+
+use crate::clock::Clock;
+
+/// Locked memory is really there, all of it: several times what these threads use.
+pub(crate) const STACK_BYTES: usize = 1 << 20;
+
+/// Something that does its work in steps.
+pub trait Stepper {
+    /// Does the work that is due. Waits for nothing but a disk, and only where that is its task. Returns the time until the next
+    /// step; the last step returns `None`.
+    fn poll(&mut self, now: MonoNs) -> Option<Duration>;
+
+    /// Lets that time pass in a thread of its own; returns earlier where there is something to do earlier.
+    fn wait(&mut self, pause: Duration) {
+        thread::sleep(pause);
+    }
+}
+
+/// Makes a stepper in the thread in which it works.
+pub type Begin = Box<dyn FnOnce() -> Box<dyn Stepper> + Send>;
+/// A future without result.
+pub type Task = Pin<Box<dyn Future<Output = ()> + Send>>;
+
+/// Lets steppers and futures work.
+pub trait Scheduler: fmt::Debug + Send + Sync {
+    /// The clock whose time steppers are given.
+    fn clock(&self) -> &Clock;
+
+    /// Calls a stepper until its last step.
+    fn start(&self, name: &str, begin: Begin) -> io::Result<()>;
+
+    /// Polls a future to its end.
+    fn spawn(&self, task: Task);
+
+    /// A future that is ready after this time.
+    fn sleep(&self, time: Duration) -> Task;
+}
+
+/// A thread for each stepper; futures belong to the runtime of tokio.
+#[derive(Debug)]
+pub struct Threads(Clock);
+
+impl Threads {
+    /// On this clock: a virtual one is moved by the cycle, as fast as that goes.
+    pub fn on(clock: Clock) -> Arc<dyn Scheduler> {
+        Arc::new(Self(clock))
+    }
+}
+
+impl Scheduler for Threads {
+    fn clock(&self) -> &Clock {
+        &self.0
+    }
+
+    fn start(&self, name: &str, begin: Begin) -> io::Result<()> {
+        let clock = self.0.clone();
+        let body = move || {
+            let mut stepper = begin();
+            while let Some(pause) = stepper.poll(clock.now()) {
+                stepper.wait(pause);
+            }
+        };
+        thread::Builder::new().name(name.into()).stack_size(STACK_BYTES).spawn(body).map(drop)
+    }
+
+    fn spawn(&self, task: Task) {
+        tokio::spawn(task);
+    }
+
+    fn sleep(&self, time: Duration) -> Task {
+        Box::pin(tokio::time::sleep(time))
+    }
+}
+
+/// The result of work that may wait for a disk.
+#[derive(Debug)]
+pub struct Pending<T> {
+    result: Receiver<T>,
+    since: MonoNs,
+}
+
+/// The work has ended without a result; its cause is in the log.
+#[derive(Debug)]
+pub struct Died;
+
+/// Work with a result.
+pub trait Work<T>: Send {
+    /// The result, once it is there.
+    fn poll(&mut self) -> Option<T>;
+}
+
+impl<T: Send + 'static> Pending<T> {
+    /// Starts work that is done in one step.
+    pub fn start(scheduler: &dyn Scheduler, name: &str, work: impl FnOnce() -> T + Send + 'static) -> Self {
+        Self::until(scheduler, name, Box::new(Once(Some(work))))
+    }
+
+    /// Starts work of more steps.
+    pub fn until(scheduler: &dyn Scheduler, name: &str, work: Box<dyn Work<T>>) -> Self {
+        let (done, result) = sync_channel(1);
+        let begin = Box::new(move || Box::new(Working { work, done }) as Box<dyn Stepper>);
+        if let Err(error) = scheduler.start(name, begin) {
+            tracing::error!("cannot start the thread {name}: {error}");
+        }
+        Self { result, since: scheduler.clock().now() }
+    }
+
+    /// The result, once; none while the work continues.
+    pub fn poll(&self) -> Option<Result<T, Died>> {
+        match self.result.try_recv() {
+            Ok(result) => Some(Ok(result)),
+            Err(TryRecvError::Empty) => None,
+            Err(TryRecvError::Disconnected) => Some(Err(Died)),
+        }
+    }
+
+    /// When the work was started.
+    pub fn since(&self) -> MonoNs {
+        self.since
+    }
+}
+
+/// How often work of more steps is continued.
+const WORK_PERIOD: Duration = Duration::from_millis(5);
+
+struct Working<T> {
+    work: Box<dyn Work<T>>,
+    done: SyncSender<T>,
+}
+
+impl<T> Stepper for Working<T> {
+    fn poll(&mut self, _: MonoNs) -> Option<Duration> {
+        let Some(result) = self.work.poll() else { return Some(WORK_PERIOD) };
+        // The result is of no use any more where its receiver has ended.
+        let _ = self.done.send(result);
+        None
+    }
+}
+
+struct Once<W>(Option<W>);
+
+impl<W: FnOnce() -> T + Send, T> Work<T> for Once<W> {
+    fn poll(&mut self) -> Option<T> {
+        self.0.take().map(|work| work())
+    }
+}

@@ -1,0 +1,128 @@
+//! What the service reports while the bus or an encoder fails, and what becomes of runs.
+
+use std::time::Duration;
+
+use ballbard::control::status::{ServiceState, Status};
+use serde_json::{Value, json};
+use shared::recording::schema::EventKind;
+
+use super::rig::{live_on_bus, now, since};
+use crate::support::assert_bad_cycles_have_reasons;
+
+fn line<'a>(lines: &'a Value, subject: &str) -> &'a Value {
+    lines.as_array().unwrap().iter().find(|line| line["subject"] == subject).unwrap()
+}
+
+#[test]
+fn terminals_that_are_gone_are_a_fault_at_once_and_no_run_begins() {
+    live_on_bus(&["gone:3@4s-9s"], async |day| {
+        day.wait_for(ServiceState::Waiting).await;
+        let is_silent = |status: &Status| status.encoders.iter().any(|encoder| !encoder.valid);
+        day.wait(Duration::from_secs(10), is_silent).await;
+        let silent = now();
+        day.wait_for(ServiceState::Fault).await;
+        // 50 ms until it is a fault, 100 ms until it is looked at.
+        assert!(since(silent) <= Duration::from_millis(200), "a fault after {:?}", since(silent));
+        assert_eq!(day.post("/start", &json!({"name": "refused"})).await.0, 409);
+        let (_, lines) = day.get("/check").await;
+        assert!(line(&lines, "bus")["remedy"].is_string(), "{lines}");
+        day.wait_for(ServiceState::Waiting).await;
+        assert_eq!(day.service.status().last, None);
+        day.end().await;
+    });
+}
+
+#[test]
+fn an_encoder_without_signal_needs_a_reason_for_a_run_which_is_in_the_file() {
+    live_on_bus(&["no-signal:2@4s"], async |day| {
+        let waiting = day.wait_for_reason("no valid sample from joint 2 ").await;
+        assert_eq!(waiting.state, ServiceState::Waiting);
+        let is_named = |text: &str| text.contains("no valid sample from joint 2 (status");
+        let (code, refused) = day.post("/start", &json!({"name": "four"})).await;
+        let why = refused["error"].as_str().unwrap();
+        assert!(code == 409 && is_named(why) && why.contains("`reason`"), "{code}: {why}");
+        let start = json!({"name": "four", "reason": "joint 2 is not needed"});
+        assert_eq!(day.post("/start", &start).await.0, 200);
+        let writing = day.wait_for(ServiceState::Writing).await;
+        assert!(is_named(&writing.reason.unwrap()));
+        assert_eq!(day.post("/start", &json!({"name": "four"})).await.1["answer"], "running");
+        assert_eq!(day.post("/stop", &json!({})).await.0, 200);
+        let events = day.recording("four").events;
+        let said = events.iter().find(|event| event.kind == EventKind::Marker).unwrap();
+        assert!(is_named(&said.text) && said.text.contains("joint 2 is not needed"), "{said:?}");
+        day.end().await;
+    });
+}
+
+#[test]
+fn a_bad_cable_is_in_status_and_check_before_it_costs_a_cycle() {
+    live_on_bus(&["noise:3,0.05@1s"], async |day| {
+        let has_cable = |status: &Status| !status.bad_cables.is_empty();
+        let status = day.wait(Duration::from_secs(40), has_cable).await;
+        let contact = "bad contact between terminal 2 and terminal 3";
+        assert!(status.bad_cables[0].text.contains(contact), "{:?}", status.bad_cables);
+        let (_, lines) = day.get("/check").await;
+        assert!(line(&lines, "cables")["remedy"].is_string(), "{lines}");
+    });
+}
+
+#[test]
+fn a_bus_that_is_gone_for_good_ends_the_run_and_the_service_is_ready_again_when_it_is_back() {
+    live_on_bus(&["gone:0@7s-20s"], async |day| {
+        day.begin_run().await;
+        // The run ends, and no other can begin while the bus is gone.
+        let fault = day.wait_for(ServiceState::Fault).await;
+        let reason = fault.reason.unwrap();
+        assert_eq!(fault.problems[0].code(), "bus_no_answer");
+        assert!(reason.contains("no EtherCAT device answers on sim"), "{reason}");
+        let last = fault.last.unwrap();
+        assert!(last.cause.contains("full fault") && last.cause.contains("bus_down"), "{}", last.cause);
+        let (status, refused) = day.post("/start", &json!({"name": "refused"})).await;
+        assert_eq!((status, refused["error"].as_str()), (409, Some(reason.as_str())));
+        let recording = day.recording("day");
+        assert_eq!(recording.end.cause, last.cause);
+        let blind = recording.cycles.iter().rev().take_while(|cycle| !cycle.is_valid()).count();
+        assert!(blind >= 300, "{blind} cycles");
+        assert_bad_cycles_have_reasons(&recording.cycles);
+        // Power is back: the service recovers without help.
+        day.wait_for(ServiceState::Waiting).await;
+        assert_eq!(day.post("/start", &json!({"name": "next", "duration_s": 1.0})).await.0, 200);
+        let is_next = |status: &Status| status.last.as_ref().is_some_and(|last| last.name == "next");
+        day.wait(Duration::from_secs(10), is_next).await;
+        let next = day.recording("next");
+        assert!(next.cycles.len() == 100 && next.cycles.iter().all(|cycle| cycle.is_valid()));
+        day.end().await;
+    });
+}
+
+#[test]
+fn a_short_fault_leaves_the_run_as_it_is_and_the_status_says_so() {
+    live_on_bus(&["gone:3@5s-9s"], async |day| {
+        day.begin_run().await;
+        let troubled = day.wait_for_reason("terminal 3 and all behind it do not answer").await;
+        assert_eq!(troubled.state, ServiceState::Writing);
+        // What is before the missing terminals stays in use.
+        let valid: Vec<bool> = troubled.encoders.iter().map(|encoder| encoder.valid).collect();
+        assert_eq!(valid, [true, true, false, false, false]);
+        // The reason names the expected and the detected devices, while the run continues.
+        let reason = troubled.reason.unwrap();
+        for part in ["joint 3, 4, 5: terminal 3", "found [EK1100", "check terminal 3 (bus position 3)"] {
+            assert!(reason.contains(part), "`{part}` is missing in: {reason}");
+        }
+        let [expected, found] = ["expected [", "found ["]
+            .map(|list| reason.split(list).nth(1).unwrap().split(']').next().unwrap());
+        assert_eq!([expected, found].map(|list| list.matches("EL5021").count()), [5, 2], "{reason}");
+        let (_, lines) = day.get("/check").await;
+        assert!(reason.starts_with(line(&lines, "bus")["finding"].as_str().unwrap()), "{lines}");
+        day.wait(Duration::from_secs(40), |status| status.reason.is_none()).await;
+        assert_eq!(day.post("/stop", &json!({})).await.0, 200);
+        let recording = day.recording("day");
+        let is_half = |cycle: &shared::recording::schema::CycleRecord| {
+            cycle.encoders()[0].valid && !cycle.encoders()[4].valid
+        };
+        assert!(recording.cycles.iter().any(is_half));
+        let missing = "terminal 3 and all behind it do not answer";
+        assert!(recording.events.iter().any(|event| event.text.contains(missing)));
+        day.end().await;
+    });
+}

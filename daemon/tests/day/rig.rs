@@ -1,0 +1,225 @@
+//! A service with its API, and what a person does with it; all on virtual time.
+
+use std::collections::BTreeMap;
+use std::future::Future;
+use std::path::{Path, PathBuf};
+use std::rc::Rc;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::Router;
+use axum::body::{Body, to_bytes};
+use axum::http::{Request, header};
+use ballbard::control::api;
+use ballbard::control::service::{Service, Settings};
+use ballbard::control::status::{ServiceState, Status};
+use ballbard::homing::MarksFile;
+use ballbard::record::Storage;
+use ballbard::run::BusChoice;
+use serde_json::{Value, json};
+use shared::config::{self, BallBarConfig, DaemonConfig};
+use shared::recording::{Recording, recover_leftovers};
+use shared::time::MonoNs;
+use tower::ServiceExt;
+
+use crate::support::runs::leave;
+use crate::support::wall::{Call, Fault, Wall};
+use crate::support::world::{World, sleep};
+
+/// Cycles of the run that an earlier service left.
+const LEFT_CYCLES: u64 = 40;
+/// How often a person looks.
+const LOOK_PERIOD: Duration = Duration::from_millis(10);
+/// Longest end of a service on which no run waits for the disk.
+pub const ENDS_WITHIN: Duration = Duration::from_secs(2);
+
+/// What was answered, by what was asked.
+pub type Answers = BTreeMap<&'static str, (u16, Value)>;
+
+pub struct Day {
+    directory: tempfile::TempDir,
+    pub wall: Arc<Wall>,
+    pub service: Service,
+    routes: Router,
+}
+
+/// Lives a day with a fault of the disk, on virtual time.
+pub fn live<T: 'static, F: Future<Output = T> + 'static>(
+    fault: Option<(Call, usize, Fault)>,
+    day: impl FnOnce(Rc<Day>) -> F + 'static,
+) -> T {
+    World::live(async move { day(Rc::new(Day::begin(fault, &[]))).await })
+}
+
+/// Lives a day with faults of the bus, on virtual time. No valid sample for three seconds ends a run.
+pub fn live_on_bus<T: 'static, F: Future<Output = T> + 'static>(
+    faults: &'static [&'static str],
+    day: impl FnOnce(Rc<Day>) -> F + 'static,
+) -> T {
+    World::live(async move { day(Rc::new(Day::begin(None, faults))).await })
+}
+
+pub fn now() -> MonoNs {
+    World::here().unwrap().clock.now()
+}
+
+pub fn since(begun: MonoNs) -> Duration {
+    Duration::from_nanos(now().ns_since(begun).unsigned_abs())
+}
+
+impl Day {
+    fn begin(fault: Option<(Call, usize, Fault)>, faults: &[&str]) -> Self {
+        let directory = tempfile::tempdir().unwrap();
+        let home = directory.path().join("runs");
+        std::fs::create_dir(&home).unwrap();
+        leave(&home, "left", LEFT_CYCLES, false);
+        let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config");
+        let daemon: DaemonConfig = config::load(&shipped.join("daemon.toml")).unwrap();
+        let bar: BallBarConfig = config::load(&shipped.join("ball_bar.toml")).unwrap();
+        let daemon = DaemonConfig {
+            directory: home.clone(),
+            spare_directory: directory.path().join("spare"),
+            disk_floor_mb: 0,
+            sync_period_ms: 200,
+            full_fault_s: 3,
+            ..daemon
+        };
+        let settings = Settings {
+            bus: BusChoice::Simulated,
+            faults: faults.iter().map(|fault| fault.parse().unwrap()).collect(),
+            daemon,
+            bar,
+            marks: MarksFile::new(home.clone(), None),
+            live_tap: None,
+        };
+        let wall = Arc::new(Wall::new(&home, fault));
+        let scheduler = World::here().unwrap().scheduler();
+        let storage = Storage::watched(wall.clone(), &settings.daemon, &*scheduler).unwrap();
+        let service = Service::start_in(scheduler, storage, settings).unwrap();
+        let routes = api::router(service.clone());
+        Self { directory, wall, service, routes }
+    }
+
+    async fn ask(&self, method: &str, path: &str, body: &Value) -> (u16, Value) {
+        let path = format!("/api{path}");
+        let request = Request::builder().method(method).uri(path).header(header::HOST, "127.0.0.1");
+        let request = request.header(header::CONTENT_TYPE, "application/json");
+        let request = request.body(Body::from(body.to_string())).unwrap();
+        let response = self.routes.clone().oneshot(request).await.unwrap();
+        let status = response.status().as_u16();
+        let answer = to_bytes(response.into_body(), 1 << 20).await.unwrap();
+        (status, serde_json::from_slice(&answer).unwrap())
+    }
+
+    pub async fn get(&self, path: &str) -> (u16, Value) {
+        self.ask("GET", path, &json!({})).await
+    }
+
+    pub async fn post(&self, path: &str, body: &Value) -> (u16, Value) {
+        self.ask("POST", path, body).await
+    }
+
+    /// Waits for it, or until it is too late for it.
+    pub async fn wait(&self, within: Duration, is_it: impl Fn(&Status) -> bool) -> Status {
+        let begun = now();
+        loop {
+            let status = self.service.status();
+            if is_it(&status) || since(begun) > within || self.has_ended() {
+                return status;
+            }
+            sleep(LOOK_PERIOD).await;
+        }
+    }
+
+    /// Waits for a state that comes.
+    pub async fn wait_for(&self, state: ServiceState) -> Status {
+        let status = self.wait(Duration::from_secs(40), |status| status.state == state).await;
+        assert_eq!(status.state, state, "{status:?}");
+        status
+    }
+
+    /// Waits for a reason that comes.
+    pub async fn wait_for_reason(&self, part: &str) -> Status {
+        let has_it = |status: &Status| status.reason.as_ref().is_some_and(|reason| reason.contains(part));
+        let status = self.wait(Duration::from_secs(40), has_it).await;
+        assert!(has_it(&status), "{status:?}");
+        status
+    }
+
+    pub async fn wait_until_struck(&self) {
+        while self.wall.struck_at().is_none() {
+            sleep(LOOK_PERIOD).await;
+        }
+    }
+
+    fn has_ended(&self) -> bool {
+        self.service.watch().has_changed().is_err()
+    }
+
+    pub async fn has_ended_within(&self, within: Duration) -> bool {
+        self.wait(within, |_| false).await;
+        self.has_ended()
+    }
+
+    /// Ends the service in order.
+    pub async fn end(&self) {
+        self.service.shutdown("test over");
+        assert!(self.has_ended_within(ENDS_WITHIN).await, "{:?}", self.service.status());
+        self.service.join().unwrap();
+    }
+
+    pub fn home(&self) -> PathBuf {
+        self.directory.path().join("runs")
+    }
+
+    /// What a person does; what was answered.
+    pub async fn record(&self) -> Answers {
+        let mut answers = BTreeMap::new();
+        self.wait(Duration::from_secs(15), |status| status.state == ServiceState::Waiting).await;
+        answers.insert("check", self.get("/check").await);
+        let start = json!({"name": "day", "reason": "the disk is what is tried"});
+        answers.insert("start", self.post("/start", &start).await);
+        if answers["start"].0 != 200 {
+            let is_ready = |status: &Status| status.state == ServiceState::Waiting && status.reason.is_none();
+            self.wait(Duration::from_secs(5), is_ready).await;
+            answers.insert("second start", self.post("/start", &start).await);
+        }
+        let is_written = |status: &Status| status.state == ServiceState::Writing || status.last.is_some();
+        self.wait(Duration::from_secs(5), is_written).await;
+        answers.insert("mark", self.post("/mark", &json!({"text": "noon"})).await);
+        sleep(Duration::from_millis(250)).await;
+        answers.insert("stop", self.post("/stop", &json!({})).await);
+        answers.insert("runs", self.get("/runs").await);
+        answers
+    }
+
+    /// Begins a run and waits until it is being written.
+    pub async fn begin_run(&self) {
+        self.wait_for(ServiceState::Waiting).await;
+        let start = json!({"name": "day", "reason": "the disk is what is tried"});
+        let begun = self.post("/start", &start).await;
+        assert_eq!(begun.0, 200, "{begun:?}");
+        self.wait_for(ServiceState::Writing).await;
+    }
+
+    pub fn recording(&self, name: &str) -> Recording {
+        Recording::open(&self.home().join(format!("{name}.mcap"))).unwrap()
+    }
+
+    /// Everything that was left is there once a disk without faults has been asked for it.
+    pub fn check_files(&self) {
+        for place in [self.home(), self.directory.path().join("spare")] {
+            for leftover in recover_leftovers(&place) {
+                // A run whose disk died before its first bytes were whole has none.
+                let is_begun = leftover.file.file_stem().is_some_and(|name| name == "day.mcap");
+                let error = leftover.outcome.err().map_or(String::new(), |error| error.to_string());
+                assert!(
+                    error.is_empty() || is_begun && error.contains("nothing can be recovered"),
+                    "{error}"
+                );
+            }
+        }
+        let left = Recording::open(&self.home().join("left.mcap")).unwrap();
+        assert_eq!(left.cycles.len() as u64, LEFT_CYCLES);
+    }
+}
