@@ -134,6 +134,7 @@ fn outcomes(
 }
 
 #[test]
+#[ignore = "a dozen calibrations: half a minute"]
 fn a_few_runs_of_each_kind_calibrate_without_a_hand() {
     let (robot, bar) = (irb2400(), bar());
     let kinds: [(&str, Make, f64); 4] = [

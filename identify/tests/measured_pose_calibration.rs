@@ -383,6 +383,7 @@ const CUBES: [f64; 3] = [0.354, 0.71, 1.28];
 
 /// Better than published on all 11 911 rows, from one in 32 of them.
 #[test]
+#[ignore = "two calibrations with hundreds of terms: half a minute"]
 fn the_real_ur10_on_its_grid_and_from_its_grid_to_its_cubes() {
     let (grid, cubes) = (fixture("grid.csv"), fixture("iso_cubes.csv"));
     assert_eq!((grid.len(), cubes.len()), (373, 316));

@@ -80,6 +80,7 @@ impl Rows {
 }
 
 #[test]
+#[ignore = "dozens of calibrations: most of a minute"]
 fn fifty_planned_rows_calibrate_a_real_robot_better_than_most_random_fifties() {
     let rows = Rows::of(&repository("identify/tests/data/ur10/grid.csv"), 1, 250, 120);
     let how = Alone { hold_out: Some(HoldOut::Rows), joint_waves: Some(30), ..Alone::default() };
@@ -178,6 +179,7 @@ fn planned(robot: &RobotConfig, measures: Measures, bodies: &Bodies, count: usiz
 }
 
 #[test]
+#[ignore = "plans for several arms: half a minute"]
 fn poses_of_any_arm_and_instrument_are_clear_within_limits_and_expected_to_be_better_than_random_ones() {
     let track = std::fs::read_to_string(repository("identify/tests/data/on_a_track.urdf")).unwrap();
     let on_a_track = import(&track, Some("cell"), Some("tool")).unwrap().config;

@@ -170,7 +170,15 @@ fn nothing_to_apply_is_written_where_the_nominal_robot_is_as_good_and_what_was_t
     let (output, files) = wire(&lengths::table(&irb2400(), 300, 12.0), &[], out.path());
     let text = String::from_utf8_lossy(&output.stdout);
     assert!(output.status.success() && text.contains("verdict amber: "), "{text}");
-    assert_eq!(files, ["calibration.json", "calibration.toml", "earlier", "experiment.toml", "report.html"]);
+    let expected = [
+        "calibration.json",
+        "calibration.toml",
+        "earlier",
+        "experiment.toml",
+        "report.html",
+        "residuals.csv",
+    ];
+    assert_eq!(files, expected);
     for name in ["corrections.csv", "experiment.toml"] {
         assert!(out.path().join("earlier").join(name).exists(), "{name}");
     }
