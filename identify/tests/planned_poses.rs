@@ -382,6 +382,7 @@ fn moves_go_round_a_wall_through_postures_that_are_clear() {
 
 /// Two walls with less room between them than the wrist needs: no way leads from one side to the other.
 #[test]
+#[ignore = "plans among obstacles: half a minute"]
 fn poses_without_a_free_way_between_them_are_marked_everywhere_and_end_with_an_error() {
     let directory = tempfile::tempdir().unwrap();
     let out = directory.path();
