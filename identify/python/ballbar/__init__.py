@@ -10,7 +10,6 @@ Numbers are in SI units: metres, radians, nanoseconds where a name ends in ``_ns
 from __future__ import annotations
 
 import csv
-import hashlib
 import json
 import logging
 import os
@@ -143,10 +142,10 @@ class Calibration:
             return None
         path = Path(named["path"])
         try:
-            same = hashlib.sha256(path.read_bytes()).hexdigest() == named["sha256"]
-        except OSError as error:
-            raise Error(f"{path}: {error.strerror}; give {role}= the {role}'s configuration") from error
-        if not same:
+            found = _native.checksum(path)
+        except Error as error:
+            raise Error(f"{error}; give {role}= the {role}'s configuration") from error
+        if found != named["sha256"]:
             raise Error(f"{path} has changed since the calibration; give {role}= the {role}'s configuration as it was")
         return path
 

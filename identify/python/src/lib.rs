@@ -10,7 +10,7 @@ use std::time::Duration;
 use identify::commands::{self, Arguments, interrupt};
 use identify::kinematics::Pose;
 use identify::report::CalibratedRobot;
-use identify::report::result::file::CalibrationFile;
+use identify::report::result::file::{CalibrationFile, Input};
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use pyo3::create_exception;
 use pyo3::exceptions::PyValueError;
@@ -231,11 +231,19 @@ fn read_recording(py: Python<'_>, path: PathBuf) -> PyResult<Columns> {
     })
 }
 
+/// SHA-256 of a file, or of a configuration that is built in under this name, hexadecimal.
+#[pyfunction]
+fn checksum(path: PathBuf) -> PyResult<String> {
+    let read = Input::of("", &path).map_err(|error| refused(format!("{}: {error}", path.display())))?;
+    Ok(read.sha256)
+}
+
 #[pymodule]
 fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("Error", module.py().get_type::<Error>())?;
     module.add_class::<Robot>()?;
     module.add_class::<Columns>()?;
     module.add_function(wrap_pyfunction!(run, module)?)?;
+    module.add_function(wrap_pyfunction!(checksum, module)?)?;
     module.add_function(wrap_pyfunction!(read_recording, module)?)
 }

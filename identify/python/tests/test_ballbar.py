@@ -89,7 +89,7 @@ class Package(unittest.TestCase):
     def test_what_is_wrong_is_refused_with_what_to_do(self):
         calibration = self.calibration
         for wrong, told in [
-            (lambda: ballbar.calibrate(**self.files, robot=ROBOT), "--bar"),
+            (lambda: ballbar.calibrate(robot=ROBOT, bar=BAR), "--recording"),
             (lambda: ballbar.calibrate(**self.files, robot=ROBOT, bar=BAR, nonsense=1), "--nonsense"),
             (lambda: ballbar.calibrate(**self.files, robot="none.toml", bar=BAR), "none.toml"),
             (lambda: ballbar.read_recording(ROBOT), "MCAP"),
@@ -111,6 +111,9 @@ class Package(unittest.TestCase):
         with self.assertRaisesRegex(ballbar.Error, "has changed since the calibration; give robot="):
             ballbar.Calibration(out)
         self.assertEqual(ballbar.Calibration(out, robot=ROBOT).axes, 6)
+
+    def test_a_robot_and_a_bar_that_are_built_in_are_found_by_their_names(self):
+        self.assertEqual(ballbar.calibrate(**self.files, robot="irb2400_16").values, self.calibration.values)
 
     def test_ctrl_c_ends_a_study_and_python_goes_on(self):
         program = (
