@@ -408,10 +408,12 @@ impl Controller {
 
     /// Has the grade of a run read as the list of runs reads it.
     fn grade(&mut self, last: &LastRun) {
-        let Some(file) = last.file.clone() else { return };
-        let (disk, name) = (self.storage.disk(), last.name.clone());
-        let read = move || runs::finished(&*disk, name, file.into()).verdict;
-        self.grading = Some(Pending::start(&*self.scheduler, "grade", read));
+        // That of an earlier run is not this one's, also where this one has no file.
+        self.grading = last.file.clone().map(|file| {
+            let (disk, name) = (self.storage.disk(), last.name.clone());
+            let read = move || runs::finished(&*disk, name, file.into()).verdict;
+            Pending::start(&*self.scheduler, "grade", read)
+        });
     }
 
     fn look_at_grading(&mut self) {
