@@ -290,8 +290,7 @@ impl RowSet {
     /// How many times less certain all rows leave the robot than they would with a drift that is known.
     pub(super) fn widens(&self, model: &Model, sigma_m: f64) -> Result<f64, CalibrateError> {
         let (Instrument::Wire(wire), Some(drift)) = (&self.whole, &self.drift) else { return Ok(1.0) };
-        let usable = self.beside_drift(&(0..wire.samples()).collect::<Vec<_>>());
-        drift::widens(model, wire, &usable, drift, sigma_m)
+        drift::widens(model, wire, &self.given, drift, sigma_m)
     }
 
     /// Rows that the fit saw, without rejected ones.

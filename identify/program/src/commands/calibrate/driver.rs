@@ -10,7 +10,7 @@ use super::bar::{self, RunFiles};
 use super::experiment::Experiment;
 use super::refused::refused;
 use super::result::{conclude, limited, write_files};
-use super::rows::{self, Aligned, Beside, Others, Read, WithLogs};
+use super::rows::{self, Aligned, Beside, Others, WithLogs};
 use super::sources::sources;
 use super::{ResultArguments, inputs};
 use crate::calibrate::Calibration;
@@ -39,7 +39,7 @@ use crate::threads::both;
 /// Reads, calibrates, writes and prints. With the `truth` of a simulated experiment its first data set is compared with it.
 ///
 /// # Errors
-/// What is wrong with the data or their files; of data that are refused a page is left.
+/// What is wrong with the data or their files; refused data leave a page.
 pub(super) fn calibrate(
     mut experiment: Experiment,
     result: &ResultArguments,
@@ -118,10 +118,7 @@ fn rows_of(
     let logs = LogOptions { format: experiment.log_format, mapping: log_mapping };
     let with = WithLogs { robot, logs, options: &experiment.identify.prepare };
     let numbers = experiment.bars.len() + 1..;
-    let read = experiment.rows().zip(numbers).map(|((kind, of), number)| {
-        let Read { rows, beside } = rows::read(kind, of, number, &with)?;
-        Ok((rows, beside))
-    });
+    let read = experiment.rows().zip(numbers).map(|((kind, of), number)| rows::read(kind, of, number, &with));
     read.collect::<anyhow::Result<_>>().map_err(|error| match error.downcast() {
         Ok(error) => refused(directory, robot, experiment, &[], error),
         Err(error) => error,

@@ -198,12 +198,6 @@ impl Kind {
     }
 }
 
-/// A file of rows as it was read.
-pub(super) struct Read {
-    pub(super) rows: Rows,
-    pub(super) beside: Beside,
-}
-
 /// What a file says beside its rows.
 #[derive(Default)]
 pub(super) struct Beside {
@@ -251,7 +245,12 @@ pub(super) struct WithLogs<'a> {
 }
 
 /// The rows of a file, read as the file of its mapping says; `data_set` is its number.
-pub(super) fn read(kind: Kind, of: &RowFile, data_set: usize, with: &WithLogs<'_>) -> anyhow::Result<Read> {
+pub(super) fn read(
+    kind: Kind,
+    of: &RowFile,
+    data_set: usize,
+    with: &WithLogs<'_>,
+) -> anyhow::Result<(Rows, Beside)> {
     let robot = with.robot;
     let (measured, mut beside) = match (kind, &of.robot_log) {
         (Kind::Tracker, Some(robot_log)) => timed_poses(of, robot_log, data_set, with)?,
@@ -280,10 +279,8 @@ pub(super) fn read(kind: Kind, of: &RowFile, data_set: usize, with: &WithLogs<'_
         }
     };
     beside.simulated = is_simulated(&of.file)?;
-    Ok(Read {
-        rows: Rows { measured, hold_out: of.hold_out, seed: of.seed, joint_waves: of.joint_waves },
-        beside,
-    })
+    let rows = Rows { measured, hold_out: of.hold_out, seed: of.seed, joint_waves: of.joint_waves };
+    Ok((rows, beside))
 }
 
 fn of_set_ups(names: [(&str, Vec<String>); 2]) -> BTreeMap<String, Vec<String>> {
