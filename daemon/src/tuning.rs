@@ -15,6 +15,8 @@ use serde::Serialize;
 pub enum Verdict {
     /// As it should be.
     Fine,
+    /// It delays the cycle by less than a frame may be late.
+    Slight,
     /// It makes the cycle late.
     Problem,
     /// This machine does not tell.
@@ -105,6 +107,11 @@ impl Machine {
         Self { limits: file("limits"), status: file("status"), ..Self::default() }
     }
 
+    /// A frame that is late by less than half a period changes nothing.
+    fn slack(&self) -> Duration {
+        self.cycle_period / 2
+    }
+
     /// The core to isolate: that of daemon.toml, or the last one. Never core 0, which the kernel needs; none on a machine with
     /// one core.
     fn core_to_isolate(&self) -> Option<usize> {
@@ -162,19 +169,23 @@ fn coalescing_of(interface: &str) -> Option<String> {
 
 /// Every setting, in the order in which they matter.
 pub fn findings(machine: &Machine) -> Vec<Finding> {
+    let bounded = |finding: Finding| match finding.verdict {
+        Verdict::Problem if machine.slack() > KERNEL_DELAY => Finding { verdict: Verdict::Slight, ..finding },
+        _ => finding,
+    };
     vec![
         kernel(machine),
-        own_core(machine),
-        tickless_core(machine),
-        siblings(machine),
-        governor(machine),
+        bounded(own_core(machine)),
+        bounded(tickless_core(machine)),
+        bounded(siblings(machine)),
+        bounded(governor(machine)),
         idle_states(machine),
-        clock_source(machine),
+        bounded(clock_source(machine)),
         priority(machine),
         locked_memory(machine),
         throttling(machine),
         swap(machine),
-        coalescing(machine),
+        bounded(coalescing(machine)),
     ]
 }
 
@@ -190,7 +201,8 @@ fn unknown(subject: &'static str, says: impl Into<String>, remedy: impl Into<Str
     Finding { subject, verdict: Verdict::Unknown, says: says.into(), remedy: remedy.into() }
 }
 
-/// For so long a kernel without PREEMPT_RT may hold up a real-time thread: in its longest sections without preemption.
+/// For so long a kernel without PREEMPT_RT may hold up a real-time thread: in its longest sections without preemption. What cores,
+/// clocks and interrupts cost beside that is less.
 const KERNEL_DELAY: Duration = Duration::from_millis(2);
 
 fn kernel(machine: &Machine) -> Finding {
@@ -204,8 +216,7 @@ fn kernel(machine: &Machine) -> Finding {
     if version.is_empty() {
         return unknown(subject, "cannot be read; a PREEMPT_RT kernel bounds every delay", remedy);
     }
-    // A frame that is late by less than half a period changes nothing.
-    let slack = machine.cycle_period / 2;
+    let slack = machine.slack();
     if slack > KERNEL_DELAY {
         return fine(
             subject,
@@ -447,6 +458,7 @@ impl fmt::Display for Finding {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let verdict = match self.verdict {
             Verdict::Fine => "ok",
+            Verdict::Slight => "slight",
             Verdict::Problem => "PROBLEM",
             Verdict::Unknown => "unknown",
         };

@@ -99,6 +99,17 @@ fn a_usual_kernel_is_good_enough_for_a_usual_cycle() {
 }
 
 #[test]
+fn what_costs_less_than_a_frame_may_be_late_is_no_problem_of_a_usual_cycle() {
+    let usual = Machine { cycle_period: PERIOD, ..untuned() };
+    for finding in findings(&usual) {
+        let unbounded = ["priority", "locked memory", "swap"].contains(&finding.subject);
+        assert_eq!(finding.verdict == Verdict::Problem, unbounded, "{finding}");
+    }
+    let finding = find(&usual, "isolated core");
+    assert!(finding.verdict == Verdict::Slight && finding.remedy.contains("isolcpus=3"), "{finding}");
+}
+
+#[test]
 fn no_machine_is_told_to_isolate_its_only_core_or_its_first() {
     let one = Machine { online: Some("0\n".into()), siblings: Some("0\n".into()), ..untuned() };
     for core in [None, Some(0)] {
@@ -124,7 +135,7 @@ fn a_machine_that_says_nothing_is_unknown_not_fine() {
 
 #[test]
 fn a_core_of_the_configuration_is_checked_against_the_kernel() {
-    let elsewhere = Machine { core: Some(1), ..tuned() };
+    let elsewhere = Machine { core: Some(1), cycle_period: Duration::from_millis(1), ..tuned() };
     let finding = find(&elsewhere, "isolated core");
     assert!(finding.verdict == Verdict::Problem && finding.remedy.contains("isolcpus=1"), "{finding}");
     let unused = Machine { core: None, ..tuned() };
@@ -151,7 +162,8 @@ fn any_limit_of_locked_memory_is_too_low() {
 #[test]
 fn adaptive_coalescing_and_throttling_are_problems() {
     let adaptive = COALESCING.replace("RX: off", "RX: on").replace("rx-usecs: 3", "rx-usecs: 0");
-    let machine = Machine { coalescing: Some(adaptive), rt_runtime_us: Some("500000".into()), ..tuned() };
+    let (coalescing, rt_runtime_us) = (Some(adaptive), Some("500000".into()));
+    let machine = Machine { coalescing, rt_runtime_us, cycle_period: Duration::from_millis(1), ..tuned() };
     assert_eq!(find(&machine, "interrupt coalescing").verdict, Verdict::Problem);
     assert_eq!(find(&machine, "throttling").verdict, Verdict::Problem);
 }
