@@ -47,15 +47,26 @@ impl Validity {
 }
 
 impl fmt::Display for Validity {
-    /// `joint 1 -170..170, joint 2 -95..-20 and 10..40`, in degrees; prismatic joints in mm.
+    /// `joint 1 -170..170, joint 2 -95..-20 and 10..40, joint 3 -60..80 in 7 parts`, in degrees; prismatic joints in mm.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        /// What a person reads one by one.
+        const PARTS_TOLD: usize = 3;
         for (joint, intervals) in self.joints.iter().enumerate() {
             let (factor, unit) =
                 if self.prismatic.contains(&joint) { (1e3, " mm") } else { (1f64.to_degrees(), "") };
-            let one = |[low, high]: &[f64; 2]| format!("{:.0}..{:.0}{unit}", low * factor, high * factor);
-            let told: Vec<String> = intervals.iter().map(one).collect();
+            let number = |value: f64| format!("{:.0}", value * factor);
+            let between = |low: f64, high: f64| match [low, high].map(number) {
+                [low, high] if low == high => low + unit,
+                [low, high] => format!("{low}..{high}{unit}"),
+            };
+            let told = match &intervals[..] {
+                [[low, _], .., [_, high]] if intervals.len() > PARTS_TOLD => {
+                    format!("{} in {} parts", between(*low, *high), intervals.len())
+                }
+                few => few.iter().map(|[low, high]| between(*low, *high)).collect::<Vec<_>>().join(" and "),
+            };
             let separator = if joint == 0 { "" } else { ", " };
-            write!(f, "{separator}joint {} {}", joint + 1, told.join(" and "))?;
+            write!(f, "{separator}joint {} {}", joint + 1, told)?;
         }
         Ok(())
     }
@@ -75,12 +86,19 @@ mod tests {
         let links = kinds.map(|joint| DhLink { joint, ..DhLink::default() }).to_vec();
         let arm = Chain::new(Pose::identity(), links);
         let validity = Validity::of((0..20).map(pose), &arm);
-        assert_eq!(validity.to_string(), "joint 1 0..109, joint 2 0..0 mm and 1000..1000 mm");
+        assert_eq!(validity.to_string(), "joint 1 0..109, joint 2 0 mm and 1000 mm");
         assert_eq!(validity.joints, [vec![[0.0, 0.1 * 19.0]], vec![[0.0, 0.0], [1.0, 1.0]]]);
         let outside =
             |one: f64, other: f64| validity.outside(&Joints::from_fn(2, |joint| [one, other][joint]));
         assert_eq!(outside(1.05, 0.9), [0_usize; 0]);
         assert_eq!(outside(2.05, 0.5), [1]);
         assert_eq!(outside(-0.25, 3.0), [0, 1]);
+    }
+
+    #[test]
+    fn of_many_parts_the_ends_and_the_number_are_told() {
+        let part = |k: u32| [f64::from(k), f64::from(k)].map(|at| (30.0 * at).to_radians());
+        let joints = vec![(0..5).map(part).collect()];
+        assert_eq!(Validity { joints, prismatic: Vec::new() }.to_string(), "joint 1 0..120 in 5 parts");
     }
 }
