@@ -4,10 +4,10 @@
 
 use std::path::Path;
 
-use identify::calibrate::change::Cause;
 use identify::calibrate::rows::tracker::validate;
 use identify::calibrate::rows::{PoseFigures, Stages};
 use identify::calibrate::validation::deployment::Deployment;
+use identify::instrument::Cause;
 use identify::instrument::HoldOut;
 use identify::instrument::PoseRow;
 use identify::kinematics::{Chain, Pose, flange_chain};

@@ -7,9 +7,8 @@ use std::fmt;
 
 use crate::calibrate::CalibrateError;
 use crate::cost::{DataSets, SharedColumns};
-use crate::instrument::{Instrument, Run};
-use crate::kinematics::{BAR_JOINTS, LinkParameter};
-use crate::model::{Axis, Coordinate, Geometry, Model, ParameterId, Role};
+use crate::instrument::{Cause, Instrument, Run};
+use crate::model::{ParameterId, Role};
 use crate::prepare::{Deviations, PoorFit, PrepareError, PrepareOptions};
 use crate::solver::{Change, Course, LossName, Problem, change_point};
 
@@ -25,74 +24,12 @@ const EXPLAINED: f64 = 0.3;
 /// Samples that are looked at, at most: what only more would show is too small to matter.
 const SAMPLES_MAX: usize = 3000;
 
-/// What can change.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Cause {
-    /// The offset of the encoder of this joint of the bar, from 0.
-    Encoder(usize),
-    /// The zero of this joint of the robot, from 0.
-    Joint(usize),
-    /// Where the bar stands.
-    Base,
-    /// The time of one log against the other.
-    Clock,
-    /// Where the tracker stands in this station, from 0.
-    Tracker(usize),
-    /// Where this target is on the flange, from 0.
-    Probe(usize),
-    /// Where the wire is anchored in this place, from 0.
-    Anchor(usize),
-    /// What its lengths begin with.
-    LengthOffset,
-}
-
-impl Cause {
-    /// What can change of an instrument and a robot.
-    fn all(instrument: &Instrument, model: &Model) -> Vec<Self> {
-        let Geometry { tracker, wire, .. } = model.geometry(&[]);
-        let of_instrument = match instrument {
-            Instrument::BallBar(_) => {
-                (0..BAR_JOINTS).map(Self::Encoder).chain([Self::Base, Self::Clock]).collect()
-            }
-            Instrument::Tracker(_) => {
-                let stations = (0..tracker.places.len()).map(Self::Tracker);
-                stations.chain((0..tracker.probes.len()).map(Self::Probe)).chain([Self::Clock]).collect()
-            }
-            Instrument::Wire(_) => {
-                (0..wire.anchors_m.len()).map(Self::Anchor).chain([Self::LengthOffset]).collect()
-            }
-            Instrument::Contact(_) => Vec::new(),
-        };
-        (0..model.axes()).map(Self::Joint).chain(of_instrument).collect()
-    }
-
-    /// The parameters that change with it.
-    fn ids(self) -> Vec<ParameterId> {
-        let parameter = LinkParameter::Theta;
-        match self {
-            Self::Encoder(link) => vec![ParameterId::Bar { link, parameter }],
-            Self::Joint(link) => vec![ParameterId::Robot { link, parameter }],
-            Self::Base => Axis::ALL.map(|axis| ParameterId::Base { axis }).to_vec(),
-            Self::Clock => vec![ParameterId::ClockShift],
-            Self::Tracker(station) => {
-                Coordinate::ALL.map(|coordinate| ParameterId::Tracker { station, coordinate }).to_vec()
-            }
-            Self::Probe(target) => {
-                let position = Axis::ALL.map(Coordinate::Position);
-                position.map(|coordinate| ParameterId::Probe { target, coordinate }).to_vec()
-            }
-            Self::Anchor(station) => Axis::ALL.map(|axis| ParameterId::Anchor { station, axis }).to_vec(),
-            Self::LengthOffset => vec![ParameterId::LengthOffset],
-        }
-    }
-}
-
 /// When it changes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum When {
-    /// At once, so long after the first sample of a run \[s\].
+    /// At once, so long after the first sample \[s\].
     At(f64),
-    /// At once, after this part of the rows of a file.
+    /// At once, after this part of the rows of a robot at rest.
     After(f64),
     /// Evenly, from the first sample to the last.
     Drift,
@@ -146,7 +83,8 @@ fn of_run(Run { instrument, model }: &Run, sigma: f64) -> Result<Option<Changed>
     // What stayed at an uncertain value takes its share first: its error is no change.
     let model = &model.with_considered(|one, sigma| Some(Role::Prior { value: one.value, sigma }));
     let known = |id: &ParameterId| instrument.identifies(*id) && model.parameter(*id).is_some();
-    let mut causes = Cause::all(instrument, model);
+    let joints = (0..model.axes()).map(Cause::Joint);
+    let mut causes: Vec<Cause> = joints.chain(instrument.causes(&model.geometry(&[]))).collect();
     causes.retain(|cause| cause.ids().iter().any(known));
     let ids = |cause: &Cause| cause.ids().into_iter().filter(known).collect::<Vec<_>>();
     let mut with_causes = model.clone();
@@ -178,10 +116,12 @@ fn of_run(Run { instrument, model }: &Run, sigma: f64) -> Result<Option<Changed>
 
 /// The instant before a place among the samples that were looked at.
 fn when(instrument: &Instrument, samples: &[usize], at: usize) -> Option<When> {
-    let Some(bar) = instrument.bar() else { return Some(When::After(at as f64 / samples.len() as f64)) };
-    let time_s = |at: usize| Some(bar.prepared.observations.get(*samples.get(at)?)?.t_s);
+    let Some(first_s) = instrument.time_s(0) else {
+        return Some(When::After(at as f64 / samples.len() as f64));
+    };
+    let time_s = |at: usize| instrument.time_s(*samples.get(at)?);
     // Somewhere between two samples that may be apart.
-    Some(When::At(0.5 * (time_s(at.checked_sub(1)?)? + time_s(at)?) - bar.prepared.first_s()))
+    Some(When::At(0.5 * (time_s(at.checked_sub(1)?)? + time_s(at)?) - first_s))
 }
 
 impl Changed {

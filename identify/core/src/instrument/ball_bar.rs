@@ -1,7 +1,7 @@
 //! The sensed double ball-bar: a run with its cost.
 
 use super::repetition::independent_segments;
-use super::{Deviation, Instrument, Measures, Noise, ScaleFrom};
+use super::{Cause, Deviation, Instrument, Measures, Noise, ScaleFrom};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -195,6 +195,10 @@ impl Measures for BallBar {
             }
         };
         observations.iter().map(one).collect()
+    }
+
+    fn causes(&self, _: &Geometry) -> Vec<Cause> {
+        (0..BAR_JOINTS).map(Cause::Encoder).chain([Cause::Base, Cause::Clock]).collect()
     }
 
     fn time_s(&self, sample: usize) -> Option<f64> {

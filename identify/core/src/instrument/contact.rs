@@ -5,7 +5,7 @@ use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use super::row_noise::MEDIAN_OF_THREE;
 use super::screened::{RejectedRow, Screened};
-use super::{Deviation, Instrument, Measures, Noise, ScaleFrom, SocketTable, Sockets, Standing};
+use super::{Cause, Deviation, Instrument, Measures, Noise, ScaleFrom, SocketTable, Sockets, Standing};
 use crate::cost::{CostError, DataSet, Residual, SeatedBall, SeatedBalls};
 use crate::kinematics::Joints;
 use crate::logs;
@@ -272,6 +272,11 @@ impl Measures for Contact {
 
     fn reported(&self, sample: usize, _: &Clock) -> Option<JointState> {
         self.rows.at.states.get(sample).copied()
+    }
+
+    /// Sockets are fixed to one body.
+    fn causes(&self, _: &Geometry) -> Vec<Cause> {
+        Vec::new()
     }
 
     fn identifies(&self, id: ParameterId) -> bool {

@@ -2,6 +2,7 @@
 //! knows no instrument, and no instrument knows how robots are estimated.
 
 mod ball_bar;
+mod cause;
 mod contact;
 mod deviation;
 mod repetition;
@@ -18,6 +19,7 @@ use std::fmt;
 use std::ops::{Deref, DerefMut};
 
 pub use ball_bar::{BallBar, CostName, NoiseConfig};
+pub use cause::Cause;
 pub use contact::{Contact, ContactError, ContactRow};
 pub use deviation::{Apart, Deviation, PoseError};
 pub use rows::{Measured, Rows, SEED};
@@ -68,6 +70,9 @@ pub trait Measures: fmt::Debug + Sync {
 
     /// The samples separate the parameter from the others that are usually free.
     fn identifies(&self, id: ParameterId) -> bool;
+
+    /// What of it can change while it measures.
+    fn causes(&self, geometry: &Geometry) -> Vec<Cause>;
 
     /// Takes over what hangs on the geometry, before a solve from where the model is. The noise of a measurement, in its unit,
     /// where the instrument estimates that by itself: its residuals are then in standard deviations.

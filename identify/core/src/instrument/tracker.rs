@@ -4,7 +4,7 @@
 use nalgebra::{Rotation3, Vector3};
 
 use super::row_noise::{MEDIAN_OF_THREE, RowNoise};
-use super::{Deviation, Instrument, Measures, Noise, PoseError, ScaleFrom, Standing};
+use super::{Cause, Deviation, Instrument, Measures, Noise, PoseError, ScaleFrom, Standing};
 use crate::cost::{CostError, DataSet, LoopProblem, MeasuredPose, MeasuredPosition, PoseNoise, Residual};
 use crate::kinematics::{Joints, Pose, rotation_vector};
 use crate::logs::{self, PoseUncertainty};
@@ -265,6 +265,11 @@ impl Measures for Tracker {
             }
         };
         self.sighted(geometry).map(one).collect()
+    }
+
+    fn causes(&self, Geometry { tracker, .. }: &Geometry) -> Vec<Cause> {
+        let stations = (0..tracker.places.len()).map(Cause::Tracker);
+        stations.chain((0..tracker.probes.len()).map(Cause::Probe)).chain([Cause::Clock]).collect()
     }
 
     fn time_s(&self, sample: usize) -> Option<f64> {

@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, DVector, Vector3};
 
 use super::row_noise::{MEDIAN_OF_ONE, RowNoise};
 use super::screened::{RejectedRow, Screened};
-use super::{Deviation, Instrument, Measures, Noise, ScaleFrom, Standing};
+use super::{Cause, Deviation, Instrument, Measures, Noise, ScaleFrom, Standing};
 use crate::cost::{CostError, DataSet, LoopProblem, MeasuredLength, Residual};
 use crate::kinematics::Joints;
 use crate::logs;
@@ -251,6 +251,10 @@ impl Measures for Wire {
     }
 
     /// Whether a row takes part or not.
+    fn causes(&self, Geometry { wire, .. }: &Geometry) -> Vec<Cause> {
+        (0..wire.anchors_m.len()).map(Cause::Anchor).chain([Cause::LengthOffset]).collect()
+    }
+
     fn relative_noise(&self) -> Vec<f64> {
         self.noise.relative(self.rows.all.rows.iter().map(|row| row.uncertainty_m))
     }
