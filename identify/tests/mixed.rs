@@ -309,7 +309,7 @@ fn a_plate_that_is_hardly_known_does_not_make_the_robot_smaller() {
     let exact = bar_alone(&cell);
     cell.bar.plate_u_um = 1000.0;
     let hardly_known = bar_alone(&cell);
-    let plate = hardly_known.runs[0].model.parameter(ParameterId::PLATE).unwrap();
+    let plate = hardly_known.runs[0].model.parameter(ParameterId::plate(6)).unwrap();
     assert!(matches!(plate.role, Role::Prior { .. }), "{plate:?}");
     let far_m = |(a, b): (&Vector3<f64>, &Vector3<f64>)| (a - b).norm();
     let [exact, hardly_known] = [exact, hardly_known].map(|found| cell.errors_m(&found.runs[0].model));

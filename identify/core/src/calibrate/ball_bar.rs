@@ -126,7 +126,7 @@ fn runs_at_start(
         // Hundreds of waves have a name: a model has those that somebody means, and later those that are found.
         let named = config.named().filter(|id| matches!(id, ParameterId::JointWave { .. }));
         let model = start_model(&prepared, robot, bar)?.with(named);
-        let known_m = config.known_lengths_m(bar);
+        let known_m = config.known_lengths_m(bar, model.axes());
         let bar = BallBar { prepared, cost, configured: config.noise, found: None, measured, known_m };
         Ok(Run { instrument: Instrument::BallBar(Box::new(bar)), model })
     };
@@ -177,7 +177,8 @@ pub(super) fn set_roles(
     identifiable: &[ParameterId],
 ) -> Result<(), ModelError> {
     let mut held = config.fixed();
-    held.extend((config.selection == SelectionName::Thesis).then_some(ParameterId::PLATE));
+    let plate = runs.first().map(|run| ParameterId::plate(run.model.axes()));
+    held.extend(plate.filter(|_| config.selection == SelectionName::Thesis));
     for Run { instrument, model } in &mut *runs {
         config.set_roles(model, identifiable, |id| instrument.identifies(id))?;
         instrument.place(model, &held)?;
@@ -190,10 +191,10 @@ pub(super) fn set_roles(
 
 /// Numbers of links whose tolerances are widened where samples ask for it: what a person stated stays as it is.
 pub(super) fn tolerances(runs: &[Run], config: &IdentifyConfig) -> Vec<ParameterId> {
+    let known = ParameterId::known_lengths(runs.first().map_or(0, |run| run.model.axes()));
     let has_tolerance = |one: &&Parameter| {
         let is_link = matches!(one.id.group(), Group::Link | Group::InPlaceOfAnother);
-        let is_stated =
-            ParameterId::KNOWN_LENGTHS.contains(&one.id) || config.priors.contains_key(&one.id.to_string());
+        let is_stated = known.contains(&one.id) || config.priors.contains_key(&one.id.to_string());
         is_link && matches!(one.role, Role::Prior { .. }) && !is_stated
     };
     let of_runs = runs.iter().flat_map(|run| run.model.columns());

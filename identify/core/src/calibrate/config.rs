@@ -204,7 +204,8 @@ impl IdentifyConfig {
         }
         let fixed = model.parameters().iter().filter(|parameter| parameter.role == Role::Fixed);
         let fixed: Vec<ParameterId> = fixed.map(|parameter| parameter.id).collect();
-        for (id, sigma) in fixed.into_iter().filter_map(|id| Some((id, self.uncertainty(id)?))) {
+        let axes = model.axes();
+        for (id, sigma) in fixed.into_iter().filter_map(|id| Some((id, self.uncertainty(id, axes)?))) {
             model.set_role(id, Role::Considered { sigma })?;
         }
         Ok(())
@@ -289,25 +290,27 @@ impl IdentifyConfig {
         Ok(())
     }
 
-    /// Lengths of a bar that are known, with their standard uncertainties \[m\], but for those that are free by name or have
-    /// a prior.
-    pub fn known_lengths_m(&self, bar: &BallBarConfig) -> Vec<(ParameterId, f64)> {
-        let u_um = |id| if id == ParameterId::PLATE { Some(bar.plate_u_um) } else { bar.length_u_um };
+    /// Lengths of a bar on a robot of so many axes that are known, with their standard uncertainties \[m\], but for those that are
+    /// free by name or have a prior.
+    pub fn known_lengths_m(&self, bar: &BallBarConfig, axes: usize) -> Vec<(ParameterId, f64)> {
+        let u_um = |id| if id == ParameterId::ROD { bar.length_u_um } else { Some(bar.plate_u_um) };
         let is_open = |name: String| !self.free.contains(&name) && !self.priors.contains_key(&name);
-        let known = ParameterId::KNOWN_LENGTHS.into_iter().filter(|id| is_open(id.to_string()));
+        let known = ParameterId::known_lengths(axes).into_iter().filter(|id| is_open(id.to_string()));
         known.filter_map(|id| Some((id, u_um(id).filter(|u_um| *u_um > 0.0)? * 1e-6))).collect()
     }
 
     /// How uncertain the value of a parameter is that stays fixed, SI; none where nothing is stated, and of those that say
     /// where frames are, whose values are a matter of choice. The plate's is in the bar's configuration.
-    fn uncertainty(&self, id: ParameterId) -> Option<f64> {
+    fn uncertainty(&self, id: ParameterId, axes: usize) -> Option<f64> {
         let name = id.to_string();
         if let Some(sigma) = self.stated(id) {
             return Some(sigma);
         }
         let is_made = match (self.selection, id) {
             // Where the robot's links have their roles they have this, too, but for the last one.
-            (SelectionName::Cell, ParameterId::Robot { link, .. }) => link == 5 && id != ParameterId::PLATE,
+            (SelectionName::Cell, ParameterId::Robot { link, .. }) => {
+                link + 1 == axes && id != ParameterId::plate(axes)
+            }
             (SelectionName::Cell, _) => !says_where_frames_are(id),
             _ => !THESIS_FIXED.contains(&name.as_str()),
         };

@@ -199,7 +199,8 @@ pub(super) fn differ(runs: &[Run]) -> Vec<ParameterId> {
         let first = lengths.next();
         lengths.any(|length| Some(length) != first)
     };
-    [ParameterId::ROD, ParameterId::PLATE].into_iter().filter(differs).collect()
+    let axes = runs.first().map_or(0, |run| run.model.axes());
+    ParameterId::known_lengths(axes).into_iter().filter(differs).collect()
 }
 
 /// What a data set has for itself: the robot is that of all and the bar that of all runs with one, but instruments are set up

@@ -421,7 +421,7 @@ fn other_scale(model: &Model, solution: &Solution, scale: &str) -> Option<String
     let covariance = &solution.covariance;
     let of_robot = |length: &Length| {
         matches!(length.id, ParameterId::Robot { .. })
-            && length.id != ParameterId::PLATE
+            && length.id != ParameterId::plate(model.axes())
             && covariance.sigma(length.column).is_some()
     };
     let lengths: Vec<Length> = lengths(model, solution).filter(of_robot).collect();

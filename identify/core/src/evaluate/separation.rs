@@ -8,10 +8,12 @@ use crate::solver::Solution;
 /// is all that any data show, and those that follow their tolerance more than they follow these data. A group of one is a number
 /// that the data do not determine. Lengths that were measured apart are neither. `model` has the solution's first columns.
 pub fn not_separated(model: &Model, solution: &Solution) -> Vec<Vec<ParameterId>> {
+    let known = ParameterId::known_lengths(model.axes());
     let with_tolerance = model.columns().enumerate().filter(|(_, one)| {
         let is_link = matches!(one.id.group(), Group::Link | Group::InPlaceOfAnother);
-        let is_known = ParameterId::KNOWN_LENGTHS.contains(&one.id);
-        is_link && !is_known && matches!((one.id, one.role), (ParameterId::Robot { .. }, Role::Prior { .. }))
+        is_link
+            && !known.contains(&one.id)
+            && matches!((one.id, one.role), (ParameterId::Robot { .. }, Role::Prior { .. }))
     });
     let (columns, ids): (Vec<usize>, Vec<ParameterId>) =
         with_tolerance.map(|(column, one)| (column, one.id)).unzip();

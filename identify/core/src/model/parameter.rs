@@ -454,10 +454,16 @@ impl ParameterId {
     pub const LAST_ORIGIN: usize = 99;
     /// Length of the ball-bar: `bd3`.
     pub const ROD: Self = Self::Bar { link: ROD_LINK, parameter: LinkParameter::D };
-    /// Offset plate between axis 6 of the robot and axis 5 of the ball-bar: `ra6`.
-    pub const PLATE: Self = Self::Robot { link: 5, parameter: LinkParameter::A };
-    /// Lengths that are measured apart from the robot, each with its own uncertainty.
-    pub const KNOWN_LENGTHS: [Self; 2] = [Self::PLATE, Self::ROD];
+
+    /// Offset plate between the last of so many axes of the robot and axis 5 of the ball-bar: `ra6` of six.
+    pub const fn plate(axes: usize) -> Self {
+        Self::Robot { link: axes.saturating_sub(1), parameter: LinkParameter::A }
+    }
+
+    /// Lengths of the bar that are measured apart from a robot of so many axes, each with its own uncertainty.
+    pub const fn known_lengths(axes: usize) -> [Self; 2] {
+        [Self::plate(axes), Self::ROD]
+    }
 
     /// What it belongs to.
     pub const fn owner(self) -> Owner {

@@ -41,6 +41,7 @@ impl Selection {
 impl Model {
     /// Frees what a selection contains and a cost identifies, fixes the rest. `identifies` is [`crate::cost::Residual::identifies`].
     pub fn select(&mut self, selection: Selection, identifies: impl Fn(ParameterId) -> bool) {
-        self.free_only(|id| selection.contains(id) && identifies(id));
+        let plate = ParameterId::plate(self.axes());
+        self.free_only(|id| selection.contains(id) && id != plate && identifies(id));
     }
 }

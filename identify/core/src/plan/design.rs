@@ -1,5 +1,6 @@
 //! Where the bar stands in the cell and how the robot is moved.
 
+use rand::Rng;
 use serde::{Deserialize, Serialize};
 use shared::config::RobotConfig;
 
@@ -54,6 +55,15 @@ impl Design {
 
     /// Comau NJ 220-2.7 with a bar of 0.5 to 1.0 m.
     pub const NJ_220: Self = Self { base_m: [1.7, 0.05, 0.6], ..Self::IRB_2400 };
+
+    /// Where a posture of an arm with these limits is looked for \[rad, m\]: any of an arm with another number of axes, whose elbow
+    /// and wrist are as good as others.
+    pub fn posture_rad(&self, limits: &[[f64; 2]], random: &mut impl Rng) -> Joints {
+        if self.posture_deg.len() == limits.len() {
+            return self.posture_deg.map(f64::to_radians);
+        }
+        limits.iter().map(|[low, high]| low + (high - low) * random.random::<f64>()).collect()
+    }
 
     /// A posture of a six-axis arm keeps its distance from the straight wrist.
     pub fn wrist_is_bent(&self, joints_rad: &[f64]) -> bool {

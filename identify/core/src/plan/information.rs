@@ -126,9 +126,10 @@ impl Information {
         }
         // The whole run fixes it well, whatever the path.
         model.set_role(ParameterId::ClockSkew, Role::Fixed)?;
+        let plate = ParameterId::plate(model.axes());
         if bar.plate_u_um > 0.0 {
-            let value = model.parameter(ParameterId::PLATE).map_or(bar.plate_m, |plate| plate.nominal);
-            model.set_role(ParameterId::PLATE, Role::Prior { value, sigma: bar.plate_u_um * 1e-6 })?;
+            let value = model.parameter(plate).map_or(bar.plate_m, |plate| plate.nominal);
+            model.set_role(plate, Role::Prior { value, sigma: bar.plate_u_um * 1e-6 })?;
         }
         let robot_columns: Vec<(usize, ParameterId)> = model
             .columns()
@@ -139,7 +140,7 @@ impl Information {
         let weight = position_weight(arm, &robot_columns, &robot.joint_limits());
         let robot_columns = robot_columns.into_iter().map(|(column, _)| column).collect();
         let terms = terms.into_iter().filter_map(|(group, id)| Some((group, model.column_of(id)?))).collect();
-        let scale = model.column_of(ParameterId::PLATE);
+        let scale = model.column_of(plate);
         let mut known = Normal::zeros(model.columns().len());
         known.add_priors(&model.priors(), &model.start());
         let noise = config.noise.into();

@@ -170,18 +170,10 @@ pub fn random_poses(constraints: &Constraints<'_>, count: usize, random: &mut im
 
 fn start(constraints: &Constraints<'_>, random: &mut impl Rng) -> Result<([f64; 5], Joints), PlanError> {
     let design = constraints.design;
-    let posture_rad = design.posture_deg.map(f64::to_radians);
-    let limits = &constraints.limits;
     let mut obstacles = Obstacles::default();
     for _ in 0..TRIES {
         let point = point(design, random);
-        // Without a posture to begin near, any: its elbow and wrist are as good as others.
-        let posture_rad = if posture_rad.len() == limits.len() {
-            posture_rad
-        } else {
-            limits.iter().map(|[low, high]| low + (high - low) * random.random::<f64>()).collect()
-        };
-        match constraints.robot_at(&point, &posture_rad) {
+        match constraints.robot_at(&point, &design.posture_rad(&constraints.limits, random)) {
             Ok(robot) => return Ok((point, robot)),
             Err(obstacle) => obstacles.count(obstacle),
         }

@@ -5,7 +5,7 @@ use shared::config::RobotConfig;
 
 use crate::calibrate::Calibration;
 use crate::calibrate::selection::links::inseparable_offsets;
-use crate::kinematics::{LinkParameter, nearest_turn};
+use crate::kinematics::{Joints, LinkParameter, nearest_turn};
 use crate::model::{Model, ParameterId, Unit};
 use crate::simulate::Truth;
 use crate::statistics::quantile;
@@ -97,7 +97,7 @@ pub fn position_errors_m(
     points_m: [Vector3<f64>; 2],
 ) -> (f64, f64) {
     /// Steps along each joint, prime to each other so that every combination comes.
-    const STEPS: [usize; 6] = [7, 11, 13, 17, 19, 23];
+    const STEPS: [usize; 8] = [7, 11, 13, 17, 19, 23, 29, 31];
     const POSTURES: usize = 2000;
     let mut true_model = found.clone();
     for parameter in found.parameters().iter().filter(|one| matches!(one.id, ParameterId::Robot { .. })) {
@@ -108,9 +108,10 @@ pub fn position_errors_m(
     let [identified, truth] = [found, &true_model].map(|model| model.geometry(&model.start()).robot);
     let limits = robot.joint_limits();
     let distance_m = |posture: usize| {
-        let q: [f64; 6] = std::array::from_fn(|joint| {
+        let q = Joints::from_fn(identified.links.len(), |joint| {
             let [low, high] = limits.get(joint).copied().unwrap_or_default();
-            let part = (posture % STEPS[joint]) as f64 / (STEPS[joint] - 1) as f64;
+            let steps = STEPS[joint % STEPS.len()];
+            let part = (posture % steps) as f64 / (steps - 1) as f64;
             low + (high - low) * part
         });
         let [found_m, true_m] = points_m.map(Point3::from);

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
-use nalgebra::{Matrix6, RowVector6};
+use nalgebra::{DMatrix, RowDVector};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -140,39 +140,40 @@ impl Wave {
     }
 }
 
-/// `N` waves of one kind with phases of their own.
-fn waves<const N: usize>(amplitude_urad: f64, periods: [f64; N], random: &mut ChaCha8Rng) -> [Wave; N] {
-    periods.map(|periods| Wave {
+/// Waves of one kind on each joint, with phases of their own.
+fn waves(amplitude_urad: f64, periods: &[f64], random: &mut ChaCha8Rng) -> Vec<Wave> {
+    let wave = |&periods: &f64| Wave {
         amplitude_rad: if periods > 0.0 { amplitude_urad * 1e-6 } else { 0.0 },
         periods,
         phase_rad: random.random_range(0.0..TAU),
-    })
+    };
+    periods.iter().map(wave).collect()
 }
 
 /// One kind of angle reading with its own phases and noise.
-struct Noisy<const N: usize> {
-    /// Each of them on every angle.
-    waves: Vec<[Wave; N]>,
+struct Noisy {
+    /// Kinds of waves, each with one for every angle.
+    waves: Vec<Vec<Wave>>,
     noise_rad: f64,
     random: ChaCha8Rng,
 }
 
-impl<const N: usize> Noisy<N> {
-    fn error_rad(&self, angles_rad: &[f64; N]) -> [f64; N] {
-        std::array::from_fn(|i| self.waves.iter().map(|wave| wave[i].at(angles_rad[i])).sum())
-    }
-
-    fn noise_rad(&mut self) -> [f64; N] {
-        std::array::from_fn(|_| {
+impl Noisy {
+    /// Errors and noise of the angles.
+    fn off_rad(&mut self, angles_rad: &[f64]) -> Vec<(f64, f64)> {
+        let error = |(i, rad): (usize, &f64)| self.waves.iter().map(|wave| wave[i].at(*rad)).sum::<f64>();
+        let errors: Vec<f64> = angles_rad.iter().enumerate().map(error).collect();
+        let noise = |error| {
             let noise: f64 = StandardNormal.sample(&mut self.random);
-            self.noise_rad * noise
-        })
+            (error, self.noise_rad * noise)
+        };
+        errors.into_iter().map(noise).collect()
     }
 }
 
 /// What the bar's encoders say.
 pub(super) struct BarReading {
-    noisy: Noisy<5>,
+    noisy: Noisy,
     step_rad: f64,
 }
 
@@ -180,8 +181,8 @@ impl BarReading {
     /// `random` makes what the encoders are like and, unless another generator does, their noise.
     pub fn new(effects: &Effects, mut random: ChaCha8Rng, noise: Option<ChaCha8Rng>) -> Self {
         let waves = vec![
-            waves(effects.encoder_eccentricity_urad, [1.0; 5], &mut random),
-            waves(effects.encoder_ellipticity_urad, [2.0; 5], &mut random),
+            waves(effects.encoder_eccentricity_urad, &[1.0; 5], &mut random),
+            waves(effects.encoder_ellipticity_urad, &[2.0; 5], &mut random),
         ];
         let random = noise.unwrap_or(random);
         let noisy = Noisy { waves, noise_rad: effects.encoder_noise_urad * 1e-6, random };
@@ -190,22 +191,22 @@ impl BarReading {
 
     /// Where the joints are at `true_rad`.
     pub fn of(&mut self, true_rad: &[f64; 5]) -> [f64; 5] {
-        let (error, noise) = (self.noisy.error_rad(true_rad), self.noisy.noise_rad());
+        let off = self.noisy.off_rad(true_rad);
         let step = |rad: f64| {
             if self.step_rad > 0.0 { ((rad / self.step_rad).floor() + 0.5) * self.step_rad } else { rad }
         };
-        std::array::from_fn(|i| step(true_rad[i] + error[i] + noise[i]))
+        std::array::from_fn(|i| step(true_rad[i] + off[i].0 + off[i].1))
     }
 }
 
 /// What the robot's log says. Gears err at the angle of their output, which rods and bevel gears pass on to joints.
 pub(super) struct RobotReading {
-    noisy: Noisy<6>,
-    joints_from_gears: Matrix6<f64>,
-    gears_from_joints: Matrix6<f64>,
+    noisy: Noisy,
+    joints_from_gears: DMatrix<f64>,
+    gears_from_joints: DMatrix<f64>,
     play_rad: f64,
     /// Where each motor is, as an angle of its gear's output; none before the first reading.
-    motors_rad: Option<[f64; 6]>,
+    motors_rad: Option<Vec<f64>>,
 }
 
 impl RobotReading {
@@ -216,17 +217,22 @@ impl RobotReading {
         mut random: ChaCha8Rng,
         noise: Option<ChaCha8Rng>,
     ) -> Self {
-        let table = &robot.log.raw_to_joint;
+        let (table, axes) = (&robot.log.raw_to_joint, robot.axes());
         // A gear's output turns with its own entry of the table; the rest of the row is what it takes along.
-        let joints_from_gears = Matrix6::from_fn(|i, j| table[i][j] / table[i][i]);
-        let usable = joints_from_gears.try_inverse().filter(|inverse| inverse.iter().all(|x| x.is_finite()));
+        let joints_from_gears = DMatrix::from_fn(axes, axes, |i, j| table[i][j] / table[i][i]);
+        let inverse = joints_from_gears.clone().try_inverse();
+        let usable = inverse.filter(|inverse| inverse.iter().all(|x| x.is_finite()));
+        let identity = || (DMatrix::identity(axes, axes), DMatrix::identity(axes, axes));
         let (joints_from_gears, gears_from_joints) =
-            usable.map_or((Matrix6::identity(), Matrix6::identity()), |inverse| (joints_from_gears, inverse));
-        let lobes = std::array::from_fn(|axis| robot.drives.cycloid_lobes.get(axis).copied().unwrap_or(0.0));
+            usable.map_or_else(identity, |inverse| (joints_from_gears, inverse));
+        let lobes = |waves: f64| -> Vec<f64> {
+            let lobes = (0..axes).map(|axis| robot.drives.cycloid_lobes.get(axis).copied().unwrap_or(0.0));
+            lobes.map(|lobes| waves * lobes).collect()
+        };
         let waves = vec![
-            waves(effects.gear_sine_urad, [GEAR_PERIODS; 6], &mut random),
-            waves(effects.cycloid_urad, lobes, &mut random),
-            waves(CYCLOID_SECOND * effects.cycloid_urad, lobes.map(|lobes: f64| 2.0 * lobes), &mut random),
+            waves(effects.gear_sine_urad, &vec![GEAR_PERIODS; axes], &mut random),
+            waves(effects.cycloid_urad, &lobes(1.0), &mut random),
+            waves(CYCLOID_SECOND * effects.cycloid_urad, &lobes(2.0), &mut random),
         ];
         let random = noise.unwrap_or(random);
         let noisy = Noisy { waves, noise_rad: effects.robot_noise_urad * 1e-6, random };
@@ -248,15 +254,15 @@ impl RobotReading {
 
     /// Where the joints are at `true_rad`, after they were where it was asked before.
     pub fn of(&mut self, true_rad: &Joints) -> Joints {
-        let gears = RowVector6::from_row_slice(true_rad) * self.gears_from_joints;
-        let gears: [f64; 6] = std::array::from_fn(|i| gears[i]);
-        let before = self.motors_rad.unwrap_or(gears);
-        let motors: [f64; 6] =
-            std::array::from_fn(|i| before[i].clamp(gears[i] - self.play_rad, gears[i] + self.play_rad));
+        let gears = RowDVector::from_row_slice(true_rad) * &self.gears_from_joints;
+        let gears = gears.as_slice();
+        let play = |(before, gear): (&f64, &f64)| before.clamp(gear - self.play_rad, gear + self.play_rad);
+        let before = self.motors_rad.as_deref().unwrap_or(gears);
+        let motors: Vec<f64> = before.iter().zip(gears).map(play).collect();
+        let of_gears = self.noisy.off_rad(gears);
+        let off = RowDVector::from_fn(gears.len(), |_, i| motors[i] - gears[i] + of_gears[i].0);
+        let off = off * &self.joints_from_gears;
         self.motors_rad = Some(motors);
-        let (error, noise) = (self.noisy.error_rad(&gears), self.noisy.noise_rad());
-        let off: [f64; 6] = std::array::from_fn(|i| motors[i] - gears[i] + error[i]);
-        let off = RowVector6::from_row_slice(&off) * self.joints_from_gears;
-        Joints::from_fn(true_rad.len(), |i| true_rad[i] + off[i] + noise[i])
+        Joints::from_fn(true_rad.len(), |i| true_rad[i] + off[i] + of_gears[i].1)
     }
 }

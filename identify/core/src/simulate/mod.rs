@@ -31,7 +31,7 @@ use std::collections::BTreeMap;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use serde::{Deserialize, Serialize};
-use shared::config::{BallBarConfig, JointKind, RobotConfig};
+use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 use shared::time::UtcNs;
 
@@ -127,11 +127,19 @@ pub struct Simulated {
 /// Why an experiment cannot be simulated.
 #[derive(Debug, thiserror::Error)]
 pub enum SimulateError {
-    /// Layouts and effects are those of other arms.
+    /// It cannot follow the bar.
     #[error(
-        "{robot} has {axes} axes; the ball-bar is simulated for six revolute ones; any arm: `identify simulate contact`"
+        "{robot} has {axes} axes; the ball-bar leads its flange through any pose, which takes six; any arm: `identify simulate contact`"
     )]
     Axes {
+        /// Its name.
+        robot: String,
+        /// How many.
+        axes: usize,
+    },
+    /// The thesis' errors are those of another arm.
+    #[error("{robot} has {axes} axes, the errors of the thesis are of six; give --errors drawn, or none")]
+    ThesisAxes {
         /// Its name.
         robot: String,
         /// How many.
@@ -270,9 +278,12 @@ impl Experiment<'_> {
     /// [`SimulateError`].
     pub fn check(&self) -> Result<(), SimulateError> {
         self.effects.check()?;
-        let (axes, mut kinds) = (self.robot.axes(), self.robot.joint_kinds());
-        if axes != 6 || kinds.any(|kind| kind == JointKind::Prismatic) {
+        let axes = self.robot.axes();
+        if axes < 6 {
             return Err(SimulateError::Axes { robot: self.robot.name.clone(), axes });
+        }
+        if axes > 6 && self.errors == StaticErrors::Thesis {
+            return Err(SimulateError::ThesisAxes { robot: self.robot.name.clone(), axes });
         }
         let sizes = self.load.sizes();
         match sizes.iter().find(|(_, size)| !(size.is_finite() && *size >= 0.0)) {

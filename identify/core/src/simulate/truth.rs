@@ -9,7 +9,7 @@ use shared::time::UtcNs;
 
 use super::{BarLoad, Design, Effects, Experiment, Stream, random};
 use crate::kinematics::{Chain, Pose};
-use crate::model::THESIS_FIXED;
+use crate::model::{ParameterId, THESIS_FIXED};
 
 /// Static errors of the simulations in the thesis (TFRT-6017 table 3.1) \[mm|mrad\]. Its first row is illegible; the
 /// values of `ra1`, `ralpha1`, `btheta1` and `ox` are our own.
@@ -53,7 +53,7 @@ pub enum StaticErrors {
     /// Table 3.1 of the thesis.
     #[default]
     Thesis,
-    /// N(0, 1 mm|mrad) on the 38 parameters that the thesis leaves free.
+    /// N(0, 1 mm|mrad) on the parameters that the thesis leaves free, 38 of six axes.
     Drawn {
         /// Seed of the draw.
         seed: u64,
@@ -62,7 +62,7 @@ pub enum StaticErrors {
 
 impl StaticErrors {
     /// Error by parameter \[m|rad\]; those not named have none.
-    fn by_name(self) -> BTreeMap<String, f64> {
+    fn by_name(self, axes: usize) -> BTreeMap<String, f64> {
         match self {
             Self::None => BTreeMap::new(),
             Self::Thesis => {
@@ -70,9 +70,11 @@ impl StaticErrors {
             }
             Self::Drawn { seed } => {
                 let mut random = random(seed, Stream::StaticErrors);
-                parameter_names()
+                let plate = ParameterId::plate(axes).to_string();
+                parameter_names(axes)
                     .into_iter()
                     .filter(|name| !THESIS_FIXED.contains(&name.as_str()) && !name.starts_with("or"))
+                    .filter(|name| *name != plate)
                     .map(|name| (name, 1e-3 * random.sample::<f64, _>(StandardNormal)))
                     .collect()
             }
@@ -80,15 +82,15 @@ impl StaticErrors {
     }
 }
 
-/// Names of all geometric parameters: robot and bar links, base position and tilt.
-pub fn parameter_names() -> Vec<String> {
+/// Names of all geometric parameters: links of a robot of so many axes and of the bar, base position and tilt.
+pub fn parameter_names(axes: usize) -> Vec<String> {
     let links = |chain: char, count: usize| {
         ["a", "d", "alpha", "theta"]
             .into_iter()
             .flat_map(move |kind| (1..=count).map(move |link| format!("{chain}{kind}{link}")))
     };
     let base = ["ox", "oy", "oz", "orx", "ory"].map(str::to_owned);
-    links('r', 6).chain(links('b', 5)).chain(base).collect()
+    links('r', axes).chain(links('b', 5)).chain(base).collect()
 }
 
 /// The two clocks, as a solve should find them.
@@ -154,7 +156,7 @@ pub struct Truth {
 
 impl Truth {
     pub(super) fn new(experiment: &Experiment<'_>, robot: &Chain, bar: &Chain) -> Self {
-        let mut errors = experiment.errors.by_name();
+        let mut errors = experiment.errors.by_name(robot.links.len());
         let mut nominal = nominal(robot, bar);
         for (name, error) in &experiment.added_errors {
             *errors.entry(name.clone()).or_default() += error * 1e-3;

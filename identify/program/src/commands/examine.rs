@@ -35,7 +35,6 @@ const ALL: [CostName; 5] =
 
 pub fn run(arguments: &ExamineArguments) -> anyhow::Result<()> {
     let robot: RobotConfig = config::load(&arguments.robot)?;
-    super::ensure_six_revolute_axes(&robot)?;
     let bar: BallBarConfig = config::load(&arguments.bar)?;
     let costs = if arguments.cost.is_empty() { &ALL[..] } else { &arguments.cost };
     let found = costs

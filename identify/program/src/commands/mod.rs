@@ -19,7 +19,7 @@ use std::path::Path;
 use anyhow::Context;
 use clap::{CommandFactory, Parser, Subcommand};
 use generate::GenerateArguments;
-use shared::config::{JointKind, RobotConfig};
+
 use shared::version::version;
 
 /// Calibrates a robot from a ball-bar recording and the robot's own log.
@@ -74,16 +74,6 @@ impl Arguments {
         }
         Self::try_parse_from(words)
     }
-}
-
-/// The ball-bar has been shown to calibrate such arms only: the parameters that it cannot tell from its own are theirs.
-fn ensure_six_revolute_axes(robot: &RobotConfig) -> anyhow::Result<()> {
-    anyhow::ensure!(
-        robot.joint_kinds().eq([JointKind::Revolute; 6]),
-        "{} is no arm of six revolute axes, which the ball-bar needs; use `identify calibrate tracker`, `wire` or `contact`",
-        robot.name
-    );
-    Ok(())
 }
 
 /// Files can be made in this directory, which need not exist yet: tried before any work is done, and nothing is left there.

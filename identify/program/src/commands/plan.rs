@@ -10,9 +10,9 @@ use shared::config::{self, BallBarConfig, RobotConfig};
 use shared::output::{say, show};
 use shared::time::parse_duration;
 
+use super::ensure_can_write;
 use super::on_terminal::OnTerminal;
 use super::simulate::numbers;
-use super::{ensure_can_write, ensure_six_revolute_axes};
 use crate::cost::PoseNoise;
 use crate::kinematics::{Chain, ball_bar_chain, flange_chain, robot_chain};
 use crate::logs::{self, JointTableMapping, joints_of_robot};
@@ -260,9 +260,6 @@ impl Cell {
             robot.name,
             robot.axes()
         );
-        if let Err(error) = ensure_six_revolute_axes(&robot) {
-            say(format_args!("`identify calibrate` does not take a run of this path: {error}"))?;
-        }
         let bar: BallBarConfig = config::load(&self.bar)?;
         above_zero("speed", self.speed)?;
         above_zero("acceleration", self.acceleration)?;

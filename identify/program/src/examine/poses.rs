@@ -49,7 +49,6 @@ impl Poses {
         seed: u64,
     ) -> Result<Self, PoseError> {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
-        let near = design.posture_deg.map(f64::to_radians);
         let mut poses = Self { observations: Vec::with_capacity(count), joints: PerObservation(Vec::new()) };
         for _ in 0..count * TRIES_PER_POSE {
             if poses.observations.len() == count {
@@ -60,7 +59,8 @@ impl Poses {
             if singularity_margin_rad(&bar_rad) < design.bar_margin_deg.to_radians() {
                 continue;
             }
-            let Ok(q) = robot_inverse(robot, &bar.forward(&bar_rad), &near) else { continue };
+            let near_rad = design.posture_rad(limits, &mut random);
+            let Ok(q) = robot_inverse(robot, &bar.forward(&bar_rad), &near_rad) else { continue };
             if is_regular(&q, limits, design) {
                 let index = poses.joints.0.len();
                 poses.observations.push(Observation::bar(PerObservation::time_s(index), bar_rad));

@@ -63,13 +63,13 @@ impl Budget {
         let moved_m =
             &postures.by_parameter * spread.by_source.select_rows(columns.iter().map(|(column, _)| column));
         let mut contributions: Vec<Contribution> = Vec::new();
-        let mut moved_by_plate = None;
+        let (mut moved_by_plate, plate) = (None, ParameterId::plate(model.axes()));
         for (source, moved_m) in spread.sources.iter().zip(moved_m.column_iter()) {
             let (name, u_m) = (named(*source, model, covariance), moved_m.norm() / (POSTURES as f64).sqrt());
             if let Source::Prior { column } | Source::Considered { column } = *source
-                && covariance.name(column) == ParameterId::PLATE.to_string()
+                && covariance.name(column) == plate.to_string()
             {
-                moved_by_plate = stated_sigma(model, ParameterId::PLATE).map(|sigma| u_m / sigma);
+                moved_by_plate = stated_sigma(model, plate).map(|sigma| u_m / sigma);
             }
             match contributions.iter_mut().find(|one| one.source == name) {
                 Some(one) => one.u_m = one.u_m.hypot(u_m),
@@ -126,11 +126,12 @@ fn named(source: Source, model: &Model, covariance: &Covariance) -> String {
         return name.to_owned();
     };
     let sigma = stated_sigma(model, id);
-    let alone = matches!(source, Source::Considered { .. }) || ParameterId::KNOWN_LENGTHS.contains(&id);
+    let known = ParameterId::known_lengths(model.axes());
+    let alone = matches!(source, Source::Considered { .. }) || known.contains(&id);
     match (id.group(), sigma) {
-        (_, Some(sigma)) if ParameterId::KNOWN_LENGTHS.contains(&id) => {
+        (_, Some(sigma)) if known.contains(&id) => {
             let what =
-                if id == ParameterId::PLATE { "length of the offset plate" } else { "length of the rod" };
+                if id == ParameterId::ROD { "length of the rod" } else { "length of the offset plate" };
             format!("{what} ({name}), stated within {}", id.unit().display(sigma))
         }
         (_, Some(sigma)) if alone => {

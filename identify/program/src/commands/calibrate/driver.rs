@@ -16,8 +16,8 @@ use super::{ResultArguments, inputs};
 use crate::calibrate::Calibration;
 use crate::calibrate::mix::{self, DataSets};
 use crate::calibrate::rows::RowErrors;
+use crate::commands::ensure_can_write;
 use crate::commands::on_terminal::OnTerminal;
-use crate::commands::{ensure_can_write, ensure_six_revolute_axes};
 use crate::evaluate::{Evidence, Limit, Validity, evidence, scale_sentence};
 use crate::instrument::Rows;
 use crate::instrument::{Instrument, Run};
@@ -47,9 +47,6 @@ pub(super) fn calibrate(
 ) -> anyhow::Result<()> {
     let directory = &result.out;
     let robot = &config::load::<RobotConfig>(&experiment.robot)?;
-    if !experiment.bars.is_empty() {
-        ensure_six_revolute_axes(robot)?;
-    }
     ensure_can_write(directory)?;
     let on_terminal = OnTerminal::all_or_nothing();
     let truth = truth.map(load_truth).transpose()?;
