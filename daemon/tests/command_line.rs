@@ -519,6 +519,31 @@ fn an_export_replaces_nothing_unasked_and_has_marks_relative_seconds_and_contine
 }
 
 #[test]
+fn a_smoke_test_ends_with_0_only_if_all_passed_and_always_with_a_report() {
+    let out = tempfile::tempdir().unwrap();
+    let smoke = |arguments: &[&str]| {
+        let mut command = ballbard();
+        command.current_dir(out.path()).args(["smoke", "--bus", "simulated", "--fast"]).args(arguments);
+        command.output().unwrap()
+    };
+    let healthy = smoke(&[]);
+    let text = String::from_utf8_lossy(&healthy.stdout);
+    assert!(healthy.status.success() && text.contains("passed    pulled cable"), "{text}");
+    assert!(
+        text.contains("not done  homing: `homing = false`") && text.contains("smoke-simulated.json"),
+        "{text}"
+    );
+    let noisy = smoke(&["--fault", "noise:2,0.1", "--json", "--report", "noisy.json"]);
+    assert_eq!(noisy.status.code(), Some(1));
+    let printed: serde_json::Value = serde_json::from_slice(&noisy.stdout).unwrap();
+    let written = std::fs::read(out.path().join("noisy.json")).unwrap();
+    assert_eq!(serde_json::from_slice::<serde_json::Value>(&written).unwrap(), printed);
+    assert_eq!(smoke(&["--checks", "daemon"]).status.code(), Some(1));
+    let on_interface = ballbard().args(["smoke", "--bus", "eth9", "--fast"]).output().unwrap();
+    assert_eq!(on_interface.status.code(), Some(2));
+}
+
+#[test]
 fn completions_and_man_pages_know_every_command() {
     let bash = ballbard().args(["generate", "completions", "bash"]).output().unwrap();
     let pages = tempfile::tempdir().unwrap();

@@ -14,6 +14,7 @@ use std::time::Duration;
 
 use ethercrab::subdevice_group::{HasDc, NoDc, Op};
 use ethercrab::{MainDevice, SubDeviceGroup, SubDeviceState};
+use serde::Serialize;
 use shared::config::EncoderConfig;
 use shared::recording::schema::{DeviceInfo, MAX_ENCODERS};
 use shared::time::{DcNs, MonoNs};
@@ -73,6 +74,8 @@ pub struct Bus {
     reply_timeout_ns: i64,
     /// What the bus' clock is set to when the bus comes up: the host's monotonic time plus this \[ns\].
     bus_minus_monotonic_ns: i64,
+    /// See [`Self::identified`].
+    identified: Vec<DeviceInfo>,
 }
 
 /// A segment in operation.
@@ -80,9 +83,22 @@ pub struct Operational {
     group: OperationalGroup,
     /// Devices as they identified themselves, in bus order.
     pub devices: Vec<DeviceInfo>,
+    /// Clocks of the devices behind the first, the reference; none without distributed clocks.
+    pub clocks: Vec<DeviceClock>,
     /// Working counter of a whole bus.
     pub working_counter_expected: u16,
     encoder_count: usize,
+}
+
+/// Clock of a device when the bus came up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct DeviceClock {
+    /// Position on the bus.
+    pub position: usize,
+    /// From the reference clock to the device \[ns\].
+    pub propagation_delay_ns: u32,
+    /// To the time of the reference clock \[ns\].
+    pub difference_ns: i64,
 }
 
 enum OperationalGroup {
@@ -129,12 +145,18 @@ impl Bus {
             clock,
             reply_timeout_ns: reply_timeout.as_nanos() as i64,
             bus_minus_monotonic_ns: 0,
+            identified: Vec::new(),
         }
     }
 
     /// From now on bringing the bus up ends once this is set, with [`BusError::Interrupted`].
     pub fn interrupt_by(&mut self, interrupt: Arc<AtomicBool>) {
         self.exchange.interrupt_by(interrupt);
+    }
+
+    /// Devices that identified themselves when the bus was last brought up, also if it did not come up.
+    pub fn identified(&self) -> &[DeviceInfo] {
+        &self.identified
     }
 
     /// What went over the wire so far.

@@ -14,7 +14,7 @@ mod wiring;
 pub use file::MarksFile;
 pub use wiring::{Miswired, verify};
 
-use shared::config::EncoderConfig;
+use shared::config::{EncoderConfig, bar_joint_name};
 use shared::recording::schema::CycleRecord;
 
 use crate::cycle::Acquisition;
@@ -128,6 +128,27 @@ pub enum HomingStep {
     },
     /// A joint's mark was found.
     Found(Found),
+}
+
+impl HomingStep {
+    /// An instruction for a person, or what was found; none for progress.
+    pub fn line(self) -> Option<String> {
+        match self {
+            Self::Turn { joint, .. } => Some(format!(
+                "joint {joint} ({}): turn it slowly in its positive direction, alone, by 5 degrees or more and over its \
+                 reference mark",
+                bar_joint_name(joint)
+            )),
+            Self::Turning { .. } => None,
+            Self::Found(Found { joint, encoder, counts_rise, reference_counts }) => {
+                let way = if counts_rise { "up" } else { "down" };
+                let terminal = encoder + 1;
+                Some(format!(
+                    "joint {joint}: on terminal {terminal}, counts {way}, mark at count {reference_counts}"
+                ))
+            }
+        }
+    }
 }
 
 /// Finds the encoder and the mark of every joint of `encoders`, in bus order. `sink` is given each cycle, `watch` is told

@@ -11,7 +11,7 @@ use super::error::RunError;
 use super::homing::HomingJob;
 use super::live::Live;
 use super::source::Prepared;
-use crate::bus::{Bus, BusPlan};
+use crate::bus::{Bus, BusPlan, DeviceClock};
 use crate::clock::Clock;
 use crate::cycle::{Acquisition, RealtimeReport, RealtimeRequest};
 use crate::problem::flag_names;
@@ -23,6 +23,7 @@ use crate::segment::simulated::{Hand, ReplayHandle};
 #[derive(Default)]
 pub(super) struct Ready {
     pub devices: Vec<DeviceInfo>,
+    pub clocks: Vec<DeviceClock>,
     pub utc_minus_monotonic_ns: i64,
     pub realtime: Option<RealtimeReport>,
 }
@@ -100,13 +101,16 @@ impl CycleLoop {
         let realtime = clock.is_real().then(|| realtime.apply());
         let mut bus = Bus::new(wire, clock.clone(), plan.reply_timeout);
         bus.interrupt_by(opening.flag());
-        let mut acquisition = match Acquisition::start(bus, &plan, clock.clone()) {
-            Ok(acquisition) => acquisition,
+        let operational = match bus.bring_up(&plan) {
+            Ok(operational) => operational,
             Err(error) => {
-                let _ = ready.send(Err(error.into()));
+                let identified = bus.identified().to_vec();
+                let _ = ready.send(Err(RunError::Bus { error, identified }));
                 return None;
             }
         };
+        let clocks = operational.clocks.clone();
+        let mut acquisition = Acquisition::on(bus, operational, &plan, clock.clone());
         acquisition.interrupt_by(ending.flag());
         // The first of what others see of the bus.
         acquisition.next_cycle(&mut |record| live.publish(record));
@@ -115,7 +119,7 @@ impl CycleLoop {
         }
         let devices = acquisition.devices().to_vec();
         let utc_minus_monotonic_ns = acquisition.utc_minus_monotonic_ns();
-        let _ = ready.send(Ok(Ready { devices, utc_minus_monotonic_ns, realtime }));
+        let _ = ready.send(Ok(Ready { devices, clocks, utc_minus_monotonic_ns, realtime }));
         let on_bus = OnBus { acquisition, clock, live, plan, replay, hand };
         Some(Self { on_bus, jobs, ending, over, run: None, pace })
     }
@@ -149,10 +153,7 @@ impl CycleLoop {
                 acquisition.interrupt_by(self.ending.flag());
             }
             Err(TryRecvError::Empty) => self.on_bus.idle(),
-            Err(TryRecvError::Disconnected) => {
-                let _ = self.over.try_send(());
-                return false;
-            }
+            Err(TryRecvError::Disconnected) => return false,
         }
         true
     }
@@ -162,6 +163,10 @@ impl Stepper for Option<CycleLoop> {
     fn poll(&mut self, _: MonoNs) -> Option<Duration> {
         let cycle = self.as_mut()?;
         if !cycle.step() {
+            let CycleLoop { on_bus, over, .. } = self.take()?;
+            // Who hears of the end may use the interface again.
+            drop(on_bus);
+            let _ = over.try_send(());
             return None;
         }
         // The cycle sleeps to its deadline itself where time passes for it alone: more precisely than a scheduler.

@@ -157,7 +157,7 @@ fn wait<T>(
 
 /// A bus in operation. One that is to be waited for is tried until it is, and what is missing is said whenever that
 /// changes.
-fn connect(
+pub fn connect(
     request: &RunRequest,
     daemon: &DaemonConfig,
     bar: &BallBarConfig,
