@@ -19,13 +19,13 @@ use ureq::http::StatusCode;
 use super::Format;
 use super::configuration::Configuration;
 use super::elsewhere::ElsewhereArguments;
-use crate::control::runs::{self, RunLine};
+use crate::control::recordings::runs::{self, RunLine};
+use crate::control::recordings::verdict::Verdict;
 use crate::control::status::{
     CheckLine, DeleteRequest, EmptyBinRequest, Granted, IN_SPITE_OF, LastRun, Level, MarkRequest,
     NoteRequest, PairReply, PairRequest, PairingLink, Refusal, Reply, RunStatus, StartRequest, Status,
     StopRequest,
 };
-use crate::control::verdict::Verdict;
 use crate::problem::{Problem, clock_time};
 use crate::run::About;
 

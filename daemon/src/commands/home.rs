@@ -11,7 +11,7 @@ use shared::recording::SystemDisk;
 use super::client::{NoService, ServiceArguments};
 use super::configuration::State;
 use super::{Format, bus_choice, on_signal};
-use crate::control::homing::Homing;
+use crate::control::controller::homing::Homing;
 use crate::control::status::{Granted, HomeRequest, HomingStatus, Reply, Status, StopRequest};
 use crate::run::{self, Stop, Storage};
 

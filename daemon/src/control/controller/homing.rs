@@ -6,7 +6,7 @@ use shared::config::EncoderConfig;
 use shared::recording::Disk;
 use shared::time::MonoNs;
 
-use super::status::HomingStatus;
+use crate::control::status::HomingStatus;
 use crate::homing::{self, Found, HomingError, HomingStep, MarksFile};
 use crate::run::{ActiveHoming, Session};
 use crate::scheduler::{Pending, Scheduler};
