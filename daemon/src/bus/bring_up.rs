@@ -10,7 +10,7 @@ use shared::config::EncoderConfig;
 use shared::recording::schema::DeviceInfo;
 use shared::time::NS_PER_S;
 
-use super::error::{BusError, DeviceName, while_doing};
+use super::error::{BusError, while_doing};
 use super::{
     Bus, BusPlan, DeviceClock, Group, Operational, OperationalGroup, STATION_ADDRESS_FIRST, timers,
     working_counter_of,
@@ -110,8 +110,8 @@ impl Bus {
             None => Ok(()),
             Some(position) => Err(BusError::WrongDevices {
                 position,
-                expected: expected.iter().map(|kind| DeviceName(kind.name.to_owned())).collect(),
-                found: devices.iter().map(|device| DeviceName(device.name.clone())).collect(),
+                expected: expected.iter().map(|kind| kind.name.to_owned()).collect(),
+                found: devices.iter().map(|device| device.name.clone()).collect(),
             }),
         }
     }
@@ -196,15 +196,9 @@ impl Bus {
 
     fn check_process_data(&self, operational: &Operational) -> Result<(), BusError> {
         for position in 1..=operational.encoder_count {
-            let lengths = match &operational.group {
-                OperationalGroup::Dc(group) => group
-                    .subdevice(self.main, position)
-                    .map(|terminal| (terminal.inputs_raw().len(), terminal.outputs_raw().len())),
-                OperationalGroup::FreeRun(group) => group
-                    .subdevice(self.main, position)
-                    .map(|terminal| (terminal.inputs_raw().len(), terminal.outputs_raw().len())),
-            };
-            let (inputs, outputs) = lengths.map_err(while_doing("looking at the process data"))?;
+            let terminal = operational.group.device(self.main, position);
+            let terminal = terminal.map_err(while_doing("looking at the process data"))?;
+            let (inputs, outputs) = (terminal.inputs_raw().len(), terminal.outputs_raw().len());
             if (inputs, outputs) != (el5021::INPUT_BYTES, el5021::OUTPUT_BYTES) {
                 return Err(BusError::ProcessData { position, inputs, outputs });
             }
