@@ -14,6 +14,8 @@ mod smoke;
 mod systemd;
 mod tune;
 
+use std::fmt::Display;
+
 use self::signals::Signals;
 use crate::run::BusChoice;
 use crate::segment::interfaces;
@@ -123,6 +125,14 @@ impl Format {
             say(serde_json::to_string_pretty(outcome)?)?;
         }
         Ok(self.json)
+    }
+
+    /// Prints it for a program, or its text for a person.
+    fn answer(self, outcome: &impl Serialize, text: impl Display) -> anyhow::Result<()> {
+        if !self.prints(outcome)? {
+            say(text)?;
+        }
+        Ok(())
     }
 }
 
