@@ -4,7 +4,7 @@
 
 use std::path::Path;
 
-use ballbard::control::table::{Layout, write_csv};
+use ballbard::control::recordings::table::{Layout, write_csv};
 use ballbard::run::{BusChoice, RunRequest};
 use identify::calibrate::CalibrateError;
 use identify::calibrate::ball_bar;

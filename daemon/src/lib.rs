@@ -21,5 +21,6 @@ pub mod record;
 pub mod run;
 pub mod scheduler;
 pub mod segment;
+pub mod smoke;
 pub mod tuning;
 mod whole_file;

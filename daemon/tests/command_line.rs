@@ -399,7 +399,7 @@ fn commands_without_a_service_answer_programs_too() {
     assert!(recovered["file"] == torn.to_str().unwrap(), "{recovered}");
 
     let (findings, code) = json(&["tune", "--config", config]);
-    let standing = ["fine", "problem", "unknown"];
+    let standing = ["fine", "slight", "problem", "unknown"];
     for finding in findings.as_array().unwrap() {
         assert!(standing.contains(&finding["verdict"].as_str().unwrap()), "{finding}");
     }
@@ -516,6 +516,31 @@ fn an_export_replaces_nothing_unasked_and_has_marks_relative_seconds_and_contine
     let row: Vec<&str> = excel.lines().nth(2).unwrap().split(';').collect();
     assert!(excel.starts_with("\u{feff}t_s;count1;") && row[0].starts_with("0,01"), "{row:?}");
     assert_eq!(row.len(), excel.lines().next().unwrap().split(';').count());
+}
+
+#[test]
+fn a_smoke_test_ends_with_0_only_if_all_passed_and_always_with_a_report() {
+    let out = tempfile::tempdir().unwrap();
+    let smoke = |arguments: &[&str]| {
+        let mut command = ballbard();
+        command.current_dir(out.path()).args(["smoke", "--bus", "simulated", "--fast"]).args(arguments);
+        command.output().unwrap()
+    };
+    let healthy = smoke(&[]);
+    let text = String::from_utf8_lossy(&healthy.stdout);
+    assert!(healthy.status.success() && text.contains("passed    pulled cable"), "{text}");
+    assert!(
+        text.contains("not done  homing: `homing = false`") && text.contains("smoke-simulated.json"),
+        "{text}"
+    );
+    let noisy = smoke(&["--fault", "noise:2,0.1", "--json", "--report", "noisy.json"]);
+    assert_eq!(noisy.status.code(), Some(1));
+    let printed: serde_json::Value = serde_json::from_slice(&noisy.stdout).unwrap();
+    let written = std::fs::read(out.path().join("noisy.json")).unwrap();
+    assert_eq!(serde_json::from_slice::<serde_json::Value>(&written).unwrap(), printed);
+    assert_eq!(smoke(&["--checks", "daemon"]).status.code(), Some(1));
+    let on_interface = ballbard().args(["smoke", "--bus", "eth9", "--fast"]).output().unwrap();
+    assert_eq!(on_interface.status.code(), Some(2));
 }
 
 #[test]

@@ -9,7 +9,7 @@ use std::time::Duration;
 use ballbard::bus::{Bus, BusPlan};
 use ballbard::clock::Clock;
 use ballbard::cycle::Acquisition;
-use ballbard::homing::{Found, HomingError, HomingStep, Miswired, home, verify};
+use ballbard::homing::{Found, HomingError, HomingStep, Miswired, Sequence, verify};
 use ballbard::segment::InProcessWire;
 use ballbard::segment::faults::{Fault, FaultHandle, FaultySegment};
 use ballbard::segment::simulated::{
@@ -90,7 +90,12 @@ impl Bench {
             HomingStep::Turning { turned_rad, .. } => turned_rad_max = turned_rad_max.max(turned_rad.abs()),
             HomingStep::Found(_) => hand.hold(),
         };
-        let found = home(&mut self.acquisition, encoders, &mut |_| (), &mut watch, &|| None);
+        let mut sequence = Sequence::begin(&mut self.acquisition, encoders);
+        let found = loop {
+            if let Some(found) = sequence.step(&mut self.acquisition, &mut |_| (), &mut watch, None) {
+                break found;
+            }
+        };
         assert!(found.is_err() || turned_rad_max > 0.08, "progress is told");
         found
     }
@@ -228,7 +233,8 @@ fn a_bus_that_fails_and_a_person_who_leaves_end_it() {
     let error = bench.home(&encoders(), |_, _| faults.begin(Fault::LinkDown)).unwrap_err();
     assert_eq!(error, HomingError::NoSignal(1));
     let mut bench = Bench::new(2);
-    let leaves = || Some("Ctrl-C".to_owned());
-    let left = home(&mut bench.acquisition, &encoders(), &mut |_| (), &mut |_| (), &leaves);
-    assert_eq!(left, Err(HomingError::Stopped("Ctrl-C".into())));
+    let mut sequence = Sequence::begin(&mut bench.acquisition, &encoders());
+    let mut step = |stopped| sequence.step(&mut bench.acquisition, &mut |_| (), &mut |_| (), stopped);
+    assert!((0..100).all(|_| step(None).is_none()));
+    assert_eq!(step(Some("Ctrl-C".into())), Some(Err(HomingError::Stopped("Ctrl-C".into()))));
 }

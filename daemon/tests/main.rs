@@ -11,5 +11,6 @@ mod faults;
 mod homing;
 mod recorder;
 mod segment;
+mod smoke;
 mod time_stamps;
 mod tuning;

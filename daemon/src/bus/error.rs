@@ -8,16 +8,6 @@ use shared::recording::schema::DeviceInfo;
 
 use crate::problem::{Fact, Problem};
 
-/// A device as it should be or as it was found.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct DeviceName(pub String);
-
-impl fmt::Display for DeviceName {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.0)
-    }
-}
-
 /// Why the bus cannot be brought into operation.
 #[derive(Debug)]
 pub enum BusError {
@@ -31,9 +21,9 @@ pub enum BusError {
         /// First position that differs; the coupler is 0.
         position: usize,
         /// What the configuration asks for.
-        expected: Vec<DeviceName>,
+        expected: Vec<String>,
         /// What identified itself.
-        found: Vec<DeviceName>,
+        found: Vec<String>,
     },
     /// A terminal does not take the interpolation.
     Interpolation {
@@ -101,12 +91,10 @@ pub enum BusError {
 impl BusError {
     /// As it is reported.
     pub fn fact(&self) -> Fact {
-        let names =
-            |devices: &[DeviceName]| devices.iter().map(|device| device.0.clone()).collect::<Vec<_>>();
         match self {
             Self::NoAnswer { bus } => Fact::BusNoAnswer { bus: bus.clone() },
             Self::WrongDevices { position, expected, found } => {
-                let (position, expected, found) = (*position, names(expected), names(found));
+                let (position, expected, found) = (*position, expected.clone(), found.clone());
                 if position == found.len() {
                     Fact::BusDeviceMissing { position, expected, found }
                 } else if position == expected.len() {
@@ -155,9 +143,8 @@ impl BusError {
     /// Only the first `answering` of `devices`, which were all in operation before, answer on `bus`; more than all
     /// where further ones were added meanwhile.
     pub fn absent(bus: &str, devices: &[DeviceInfo], answering: usize) -> Self {
-        let name = |device: &DeviceInfo| DeviceName(device.name.clone());
-        let added =
-            std::iter::repeat_n(DeviceName("another device".into()), answering.saturating_sub(devices.len()));
+        let name = |device: &DeviceInfo| device.name.clone();
+        let added = std::iter::repeat_n("another device".into(), answering.saturating_sub(devices.len()));
         match answering {
             0 => Self::NoAnswer { bus: bus.to_owned() },
             _ => Self::WrongDevices {

@@ -12,13 +12,15 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
+use ethercrab::error::Error as EtherCatError;
 use ethercrab::subdevice_group::{HasDc, NoDc, Op};
-use ethercrab::{MainDevice, SubDeviceGroup, SubDeviceState};
+use ethercrab::{MainDevice, SubDeviceGroup, SubDevicePdi, SubDeviceRef, SubDeviceState};
+use serde::Serialize;
 use shared::config::EncoderConfig;
 use shared::recording::schema::{DeviceInfo, MAX_ENCODERS};
 use shared::time::{DcNs, MonoNs};
 
-pub use error::{BusError, DeviceName};
+pub use error::BusError;
 pub use exchange::{Exchange, WireCounters};
 pub use ports::{PORTS, PortCounters};
 pub use recovery::Lift;
@@ -47,6 +49,8 @@ const FRAME_BYTES_AROUND: usize = 8 + 4;
 
 type Group<State, Dc> = SubDeviceGroup<DEVICES_MAX, PDI_BYTES_MAX, ethercrab::DefaultLock, State, Dc>;
 
+type Device<'a> = SubDeviceRef<'static, SubDevicePdi<'a, PDI_BYTES_MAX, ethercrab::DefaultLock>>;
+
 /// What the bus should be and how it should run.
 #[derive(Debug, Clone)]
 pub struct BusPlan {
@@ -73,6 +77,8 @@ pub struct Bus {
     reply_timeout_ns: i64,
     /// What the bus' clock is set to when the bus comes up: the host's monotonic time plus this \[ns\].
     bus_minus_monotonic_ns: i64,
+    /// See [`Self::identified`].
+    identified: Vec<DeviceInfo>,
 }
 
 /// A segment in operation.
@@ -80,14 +86,40 @@ pub struct Operational {
     group: OperationalGroup,
     /// Devices as they identified themselves, in bus order.
     pub devices: Vec<DeviceInfo>,
+    /// Clocks of the devices behind the first, the reference; none without distributed clocks.
+    pub clocks: Vec<DeviceClock>,
     /// Working counter of a whole bus.
     pub working_counter_expected: u16,
     encoder_count: usize,
 }
 
+/// Clock of a device when the bus came up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct DeviceClock {
+    /// Position on the bus.
+    pub position: usize,
+    /// From the reference clock to the device \[ns\].
+    pub propagation_delay_ns: u32,
+    /// To the time of the reference clock \[ns\].
+    pub difference_ns: i64,
+}
+
 enum OperationalGroup {
     Dc(Group<Op, HasDc>),
     FreeRun(Group<Op, NoDc>),
+}
+
+impl OperationalGroup {
+    fn device<'a>(
+        &'a self,
+        main: &'static MainDevice<'static>,
+        position: usize,
+    ) -> Result<Device<'a>, EtherCatError> {
+        match self {
+            Self::Dc(group) => group.subdevice(main, position),
+            Self::FreeRun(group) => group.subdevice(main, position),
+        }
+    }
 }
 
 /// What one cyclic frame gave.
@@ -129,12 +161,18 @@ impl Bus {
             clock,
             reply_timeout_ns: reply_timeout.as_nanos() as i64,
             bus_minus_monotonic_ns: 0,
+            identified: Vec::new(),
         }
     }
 
     /// From now on bringing the bus up ends once this is set, with [`BusError::Interrupted`].
     pub fn interrupt_by(&mut self, interrupt: Arc<AtomicBool>) {
         self.exchange.interrupt_by(interrupt);
+    }
+
+    /// Devices that identified themselves when the bus was last brought up, also if it did not come up.
+    pub fn identified(&self) -> &[DeviceInfo] {
+        &self.identified
     }
 
     /// What went over the wire so far.
@@ -179,16 +217,9 @@ impl Bus {
     pub fn set_output(&self, operational: &Operational, encoder: usize, output: Output) {
         // The coupler stands before the terminals. Lengths were checked when the bus came up.
         let position = encoder + 1;
-        let put = |pdo: &mut [u8]| {
+        if let Ok(terminal) = operational.group.device(self.main, position) {
+            let mut pdo = terminal.outputs_raw_mut();
             pdo.iter_mut().zip(output.encode()).for_each(|(byte, value)| *byte = value);
-        };
-        match &operational.group {
-            OperationalGroup::Dc(group) => {
-                group.subdevice(self.main, position).iter().for_each(|one| put(&mut one.outputs_raw_mut()));
-            }
-            OperationalGroup::FreeRun(group) => {
-                group.subdevice(self.main, position).iter().for_each(|one| put(&mut one.outputs_raw_mut()));
-            }
         }
     }
 
@@ -196,18 +227,8 @@ impl Bus {
         let mut inputs = [Input::default(); MAX_ENCODERS];
         for (index, input) in inputs.iter_mut().enumerate().take(operational.encoder_count) {
             // The coupler stands before the terminals. Lengths were checked when the bus came up.
-            let position = index + 1;
-            let decoded = match &operational.group {
-                OperationalGroup::Dc(group) => group
-                    .subdevice(self.main, position)
-                    .ok()
-                    .and_then(|terminal| Input::decode(&terminal.inputs_raw())),
-                OperationalGroup::FreeRun(group) => group
-                    .subdevice(self.main, position)
-                    .ok()
-                    .and_then(|terminal| Input::decode(&terminal.inputs_raw())),
-            };
-            *input = decoded.unwrap_or_default();
+            let terminal = operational.group.device(self.main, index + 1).ok();
+            *input = terminal.and_then(|terminal| Input::decode(&terminal.inputs_raw())).unwrap_or_default();
         }
         inputs
     }

@@ -19,13 +19,13 @@ use ureq::http::StatusCode;
 use super::Format;
 use super::configuration::Configuration;
 use super::elsewhere::ElsewhereArguments;
-use crate::control::runs::{self, RunLine};
+use crate::control::recordings::runs::{self, RunLine};
+use crate::control::recordings::verdict::Verdict;
 use crate::control::status::{
     CheckLine, DeleteRequest, EmptyBinRequest, Granted, IN_SPITE_OF, LastRun, Level, MarkRequest,
     NoteRequest, PairReply, PairRequest, PairingLink, Refusal, Reply, RunStatus, StartRequest, Status,
     StopRequest,
 };
-use crate::control::verdict::Verdict;
 use crate::problem::{Problem, clock_time};
 use crate::run::About;
 
@@ -128,13 +128,9 @@ pub fn start(arguments: StartArguments) -> anyhow::Result<()> {
     let duration_s = duration.map(|duration| duration.as_secs_f64());
     let request = StartRequest { name, operator, robot, bar, payload, note, duration_s, reason };
     let reply: Reply = service.post("start", &request)?;
-    if service.format.prints(&reply)? {
-        return Ok(());
-    }
-    let run = reply.run.unwrap_or_default();
     let what = if reply.answer == Granted::Running { "is running already" } else { "has begun" };
     let simulated = if reply.simulated { "; SIMULATED" } else { "" };
-    Ok(say(format_args!("run `{run}` {what}{simulated}"))?)
+    service.format.answer(&reply, format_args!("run `{}` {what}{simulated}", run_of(&reply)))
 }
 
 pub fn stop(arguments: &AskArguments) -> anyhow::Result<()> {
@@ -162,30 +158,23 @@ pub fn stop(arguments: &AskArguments) -> anyhow::Result<()> {
 pub fn mark(arguments: &MarkArguments) -> anyhow::Result<()> {
     let reply: Reply =
         arguments.service.post("mark", &MarkRequest { text: arguments.text.clone(), ago_ms: 0 })?;
-    if arguments.service.format.prints(&reply)? {
-        return Ok(());
-    }
-    let Reply { run, mark, .. } = reply;
-    Ok(say(format_args!("marked in run `{}`: {}", run.unwrap_or_default(), mark.unwrap_or_default()))?)
+    let mark = reply.mark.as_deref().unwrap_or_default();
+    arguments.service.format.answer(&reply, format_args!("marked in run `{}`: {mark}", run_of(&reply)))
 }
 
 pub fn delete(arguments: NameArguments) -> anyhow::Result<()> {
     let NameArguments { name, service } = arguments;
     let reply: Reply = service.post("delete", &DeleteRequest { name })?;
-    if service.format.prints(&reply)? {
-        return Ok(());
-    }
-    let name = reply.run.unwrap_or_default();
-    Ok(say(format_args!("`{name}` is in the bin; `ballbard restore {name}` brings it back"))?)
+    let name = run_of(&reply);
+    service
+        .format
+        .answer(&reply, format_args!("`{name}` is in the bin; `ballbard restore {name}` brings it back"))
 }
 
 pub fn restore(arguments: NameArguments) -> anyhow::Result<()> {
     let NameArguments { name, service } = arguments;
     let reply: Reply = service.post("restore", &DeleteRequest { name })?;
-    if service.format.prints(&reply)? {
-        return Ok(());
-    }
-    Ok(say(format_args!("`{}` is among the recordings again", reply.run.unwrap_or_default()))?)
+    service.format.answer(&reply, format_args!("`{}` is among the recordings again", run_of(&reply)))
 }
 
 /// Prints a QR code that lets a phone in.
@@ -213,10 +202,8 @@ pub fn bin(arguments: &BinArguments) -> anyhow::Result<()> {
     let BinArguments { empty, service } = arguments;
     if *empty {
         let reply: Reply = service.post("bin/empty", &EmptyBinRequest {})?;
-        if service.format.prints(&reply)? {
-            return Ok(());
-        }
-        return Ok(say(format_args!("{} recordings removed", reply.removed.unwrap_or_default()))?);
+        let removed = reply.removed.unwrap_or_default();
+        return service.format.answer(&reply, format_args!("{removed} recordings removed"));
     }
     print_list(&service.get::<Vec<RunLine>>("bin")?, "the bin is empty", service.format)
 }
@@ -224,10 +211,7 @@ pub fn bin(arguments: &BinArguments) -> anyhow::Result<()> {
 pub fn note(arguments: NoteArguments) -> anyhow::Result<()> {
     let NoteArguments { name, note, service } = arguments;
     let reply: Reply = service.post("note", &NoteRequest { name, note })?;
-    if service.format.prints(&reply)? {
-        return Ok(());
-    }
-    Ok(say(format_args!("run `{}` has this note now", reply.run.unwrap_or_default()))?)
+    service.format.answer(&reply, format_args!("run `{}` has this note now", run_of(&reply)))
 }
 
 pub fn status(arguments: &StatusArguments) -> anyhow::Result<()> {
@@ -459,6 +443,11 @@ pub(super) fn unless_blind(cycles: u64, cycles_valid: u64) -> anyhow::Result<()>
         );
     }
     Ok(())
+}
+
+/// Name of the run that a reply is about.
+fn run_of(reply: &Reply) -> &str {
+    reply.run.as_deref().unwrap_or_default()
 }
 
 type Response = ureq::http::Response<ureq::Body>;

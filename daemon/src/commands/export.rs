@@ -10,8 +10,8 @@ use shared::output::{say, unless_gone};
 use shared::recording::SystemDisk;
 
 use super::client::ServiceArguments;
-use crate::control::runs::RunLine;
-use crate::control::table::{Layout, write_csv};
+use crate::control::recordings::runs::RunLine;
+use crate::control::recordings::table::{Layout, write_csv};
 
 #[derive(Debug, Args)]
 pub struct ExportArguments {

@@ -11,9 +11,9 @@ use shared::recording::SystemDisk;
 use super::client::{NoService, ServiceArguments};
 use super::configuration::State;
 use super::{Format, bus_choice, on_signal};
-use crate::control::homing::Homing;
+use crate::control::controller::homing::Homing;
 use crate::control::status::{Granted, HomeRequest, HomingStatus, Reply, Status, StopRequest};
-use crate::run::{self, Stop, Storage};
+use crate::run::{self, RunRequest, Stop, Storage};
 
 /// How often progress is looked at.
 const POLL: Duration = Duration::from_millis(200);
@@ -90,7 +90,8 @@ fn on_own_bus(bus: &str, service: &ServiceArguments, state: &State, stop: &Stop)
     if let Some(problem) = marks.problem(&SystemDisk) {
         bail!("{problem}");
     }
-    let session = run::open(&bus_choice(Some(bus))?, &[], &daemon, &bar, &Storage::new(&daemon)?)?;
+    let request = RunRequest { bus: bus_choice(Some(bus))?, ..RunRequest::default() };
+    let session = run::connect(&request, &daemon, &bar, &Storage::new(&daemon)?, stop)?;
     session.log();
     let (mut printer, mut homing) = (Printer::new(service.format), Homing::begin(&session));
     while !homing.look(&bar.encoders, &marks) {

@@ -10,8 +10,11 @@ mod recover;
 mod segment;
 mod serve;
 mod signals;
+mod smoke;
 mod systemd;
 mod tune;
+
+use std::fmt::Display;
 
 use self::signals::Signals;
 use crate::run::BusChoice;
@@ -25,7 +28,7 @@ use shared::recording::schema::SIMULATED_BUS;
 use shared::version::version;
 
 const EXIT_CODES: &str = "Exit codes: 0: success; 1: failure, a check that found what stops a run, a tune that found a \
-    problem, or a run rated BAD; 2: usage error, such as a run without --bus.";
+    problem, a smoke test that did not pass, or a run rated BAD; 2: usage error, such as a run without --bus.";
 /// Interfaces that a message lists.
 const INTERFACES_MAX: usize = 8;
 
@@ -67,6 +70,8 @@ enum Command {
     Record(record::RecordArguments),
     /// Find the encoders' reference marks and check their order and direction, joint by joint.
     Home(home::HomeArguments),
+    /// Check a bus before its first use, and write a report to send back.
+    Smoke(smoke::SmokeArguments),
     /// Check this machine's real-time settings and print the commands that fix them.
     Tune(tune::TuneArguments),
     /// Write a recording as a table.
@@ -96,6 +101,7 @@ pub fn run(arguments: Arguments) -> anyhow::Result<()> {
         Command::Pair(arguments) => client::pair(&arguments),
         Command::Record(arguments) => record::run(&arguments),
         Command::Home(arguments) => home::run(arguments),
+        Command::Smoke(arguments) => smoke::run(arguments),
         Command::Tune(arguments) => tune::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),
         Command::Recover(arguments) => recover::run(&arguments),
@@ -119,6 +125,14 @@ impl Format {
             say(serde_json::to_string_pretty(outcome)?)?;
         }
         Ok(self.json)
+    }
+
+    /// Prints it for a program, or its text for a person.
+    fn answer(self, outcome: &impl Serialize, text: impl Display) -> anyhow::Result<()> {
+        if !self.prints(outcome)? {
+            say(text)?;
+        }
+        Ok(())
     }
 }
 

@@ -17,10 +17,10 @@ use shared::recording::schema::required::TRAVEL_MIN_DEG;
 use shared::time::{MonoNs, NS_PER_S};
 use tokio::sync::watch;
 
-use super::preflight::hours_left;
+use super::controller::preflight::hours_left;
+use super::recordings::verdict::{Content, Verdict};
 use super::settings::Settings;
 use super::status::{EncoderStatus, Headline, RunStatus, Status};
-use super::verdict::{Content, Verdict};
 use crate::devices::el5021;
 use crate::homing::MarksFile;
 use crate::problem::{Fact, Level, Problem};

@@ -12,11 +12,11 @@ use shared::recording::{Disk, SystemDisk};
 use shared::time::MonoNs;
 use tokio::sync::{Semaphore, oneshot, watch};
 
+use super::controller::preflight::Found;
 use super::controller::{Command, Controller};
 use super::live::{self, Minute, Moment, Watched};
 use super::machine::Answer;
-use super::preflight::Found;
-use super::runs;
+use super::recordings::runs;
 use super::settings::Connect;
 pub use super::settings::Settings;
 use super::status::{CheckLine, LastRun, NameReply, NameRequest, Refusal, StartRequest, Status};

@@ -9,7 +9,7 @@ use shared::recording::schema::Provenance;
 use shared::recording::{DiskTiming, Flagged, RunMark, TimingSummary};
 use shared::time::{MonoNs, UtcNs};
 
-use super::verdict::Verdict;
+use super::recordings::verdict::Verdict;
 pub use crate::problem::Level;
 use crate::problem::Problem;
 use crate::run::About;

@@ -80,6 +80,11 @@ impl Acquisition {
     /// Brings the bus up and lets the clocks settle. Call it on the thread that will cycle.
     pub fn start(mut bus: Bus, plan: &BusPlan, clock: Clock) -> Result<Self, BusError> {
         let operational = bus.bring_up(plan)?;
+        Ok(Self::on(bus, operational, plan, clock))
+    }
+
+    /// From a bus in operation: cycles until the fit of its clock is good. Call it on the thread that will cycle.
+    pub fn on(bus: Bus, operational: Operational, plan: &BusPlan, clock: Clock) -> Self {
         let joints = plan.encoders.iter().map(|encoder| encoder.joint);
         let mut acquisition = Self {
             sampler: Sampler::new(joints, operational.working_counter_expected, plan.distributed_clocks),
@@ -106,7 +111,7 @@ impl Acquisition {
             clock,
         };
         acquisition.settle();
-        Ok(acquisition)
+        acquisition
     }
 
     /// From now on an attempt to bring up the bus ends once this is set.

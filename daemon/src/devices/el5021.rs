@@ -1,18 +1,24 @@
 //! Beckhoff EL5021: process data and objects, after Beckhoff's ESI (revisions 16 to 22) and documentation.
+//!
+//! Sources, read in 2026-11: `scripts/esi.yml` and the commissioning notes on distributed clocks with three EL5021 of
+//! linuxcnc-ethercat; its driver `lcec_el5021.c`, whose process data were read back from hardware; EtherLab's block el5021
+//! (2013); Beckhoff Infosys, EL5021. Nothing here has been compared with a terminal by this project: `ballbard smoke` is for that.
 
 use std::time::Duration;
 
-/// Length of the TxPDO "ENC Status" (0x1A00) \[bytes\].
+/// Length of the TxPDO "ENC Status" (0x1A00) \[bytes\]: linuxcnc-ethercat and EtherLab agree bit for bit.
 pub const INPUT_BYTES: usize = 10;
-/// Length of the RxPDO "ENC Control" (0x1600) \[bytes\].
+/// Length of the RxPDO "ENC Control" (0x1600) \[bytes\], from the same.
 pub const OUTPUT_BYTES: usize = 6;
-/// What one terminal adds to the working counter of a read-write datagram: 1 for inputs, 2 for outputs.
+/// What one terminal adds to the working counter of a read-write datagram: 1 for inputs, 2 for outputs (ETG.1000.4).
 pub const WORKING_COUNTER: u16 = 3;
-/// Object with the interpolation, bits per signal period.
+/// Object "analog resolution": bits per signal period, 8 to 13 (Infosys, configuration data).
 pub const INTERPOLATION_OBJECT: (u16, u8) = (0x8001, 0x11);
-/// SYNC1 follows SYNC0 by this much; a whole cycle instead is refused with AL status 0x002C.
+/// SYNC1 follows SYNC0 by this much: shift of SYNC1 in the ESI, 25 000 ns. A whole cycle instead was refused with AL status
+/// 0x002C (linuxcnc-ethercat).
 pub const SYNC1_SHIFT: Duration = Duration::from_micros(25);
-/// Data of a SYNC0 is ready for the frame this much later \[ns\].
+/// Data of a SYNC0 is ready for the frame this much later \[ns\]: the ESI shifts SYNC0 by -30 600 ns against the frame, rounded up.
+/// One terminal needed 65 000 ns (linuxcnc-ethercat); a frame comes half a period later, at 1 kHz 500 000 ns.
 pub const DATA_READY_NS: i64 = 31_000;
 
 /// Status word of the TxPDO.
@@ -40,6 +46,11 @@ impl Status {
     /// The signal changes faster than the terminal can follow.
     pub const fn frequency_error(self) -> bool {
         self.0 & Self::FREQUENCY_ERROR != 0
+    }
+
+    /// The terminal's cycle and SYNC0 did not meet.
+    pub const fn sync_error(self) -> bool {
+        self.0 & Self::SYNC_ERROR != 0
     }
 
     /// The latch holds the count at a reference mark that was passed since it was armed.

@@ -5,30 +5,23 @@
 //! taken in the direction in which the joint is asked to be turned: it is one signal period wide (0.1 degrees at 3600
 //! lines), and its two flanks are not the same place.
 //!
-//! [`home`] finds what is there, whatever the configuration says; [`verify`] compares the two.
+//! [`Sequence`] finds what is there, whatever the configuration says; [`verify`] compares the two.
 
 mod file;
 mod search;
+mod sequence;
 mod wiring;
 
 pub use file::MarksFile;
+pub use sequence::{Outcome, Sequence};
 pub use wiring::{Miswired, verify};
 
-use shared::config::EncoderConfig;
-use shared::recording::schema::CycleRecord;
-
-use crate::cycle::Acquisition;
-use crate::devices::el5021::Output;
-use search::{Search, Seen};
+use shared::config::bar_joint_name;
 
 /// How long a joint may take \[s\].
 pub const PATIENCE_S: f64 = 120.0;
 /// How long an encoder may be without a signal \[s\].
 const SIGNAL_LOST_MAX_S: f64 = 1.0;
-/// Time between two calls for progress \[s\].
-const PROGRESS_S: f64 = 0.5;
-/// Cycles that a terminal gets to drop an earlier latch.
-const DISARM_CYCLES: u32 = 20;
 
 /// Why a joint could not be homed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -130,80 +123,23 @@ pub enum HomingStep {
     Found(Found),
 }
 
-/// Finds the encoder and the mark of every joint of `encoders`, in bus order. `sink` is given each cycle, `watch` is told
-/// each step; whoever wants it to end answers a cause from `stopped`.
-pub fn home(
-    acquisition: &mut Acquisition,
-    encoders: &[EncoderConfig],
-    sink: &mut dyn FnMut(&CycleRecord),
-    watch: &mut dyn FnMut(HomingStep),
-    stopped: &dyn Fn() -> Option<String>,
-) -> Result<Vec<Found>, HomingError> {
-    let mut all = Vec::with_capacity(encoders.len());
-    let mut outcome = Ok(());
-    for (encoder, config) in encoders.iter().enumerate() {
-        let joint = config.joint;
-        arm(acquisition, encoders.len(), false);
-        idle(acquisition, DISARM_CYCLES, sink);
-        // Nobody knows yet which encoder will move.
-        arm(acquisition, encoders.len(), true);
-        watch(HomingStep::Turn { joint, encoder });
-        match home_one(acquisition, Search::new(encoders, joint, &all), sink, watch, stopped) {
-            Ok(found) => {
-                watch(HomingStep::Found(found));
-                all.push(found);
-            }
-            Err(error) => {
-                outcome = Err(error);
-                break;
+impl HomingStep {
+    /// An instruction for a person, or what was found; none for progress.
+    pub fn line(self) -> Option<String> {
+        match self {
+            Self::Turn { joint, .. } => Some(format!(
+                "joint {joint} ({}): turn it slowly in its positive direction, alone, by 5 degrees or more and over its \
+                 reference mark",
+                bar_joint_name(joint)
+            )),
+            Self::Turning { .. } => None,
+            Self::Found(Found { joint, encoder, counts_rise, reference_counts }) => {
+                let way = if counts_rise { "up" } else { "down" };
+                let terminal = encoder + 1;
+                Some(format!(
+                    "joint {joint}: on terminal {terminal}, counts {way}, mark at count {reference_counts}"
+                ))
             }
         }
     }
-    arm(acquisition, encoders.len(), false);
-    idle(acquisition, 1, sink);
-    outcome.map(|()| all)
-}
-
-fn home_one(
-    acquisition: &mut Acquisition,
-    mut search: Search<'_>,
-    sink: &mut dyn FnMut(&CycleRecord),
-    watch: &mut dyn FnMut(HomingStep),
-    stopped: &dyn Fn() -> Option<String>,
-) -> Result<Found, HomingError> {
-    let mut progress_due_s = PROGRESS_S;
-    loop {
-        let mut seen = Ok(Seen::Nothing);
-        acquisition.next_cycle(&mut |record| {
-            sink(record);
-            if matches!(seen, Ok(Seen::Nothing)) {
-                seen = search.observe(record);
-            }
-        });
-        match seen? {
-            Seen::Found(found) => return Ok(found),
-            Seen::MarkPassedBackwards { encoder } => {
-                acquisition.set_output(encoder, Output { enable_latch: false });
-                idle(acquisition, DISARM_CYCLES, sink);
-                acquisition.set_output(encoder, Output { enable_latch: true });
-            }
-            Seen::Nothing => {}
-        }
-        if search.elapsed_s() >= progress_due_s {
-            let (joint, turned_rad) = search.progress();
-            watch(HomingStep::Turning { joint, turned_rad });
-            progress_due_s = search.elapsed_s() + PROGRESS_S;
-        }
-        if let Some(cause) = stopped() {
-            return Err(HomingError::Stopped(cause));
-        }
-    }
-}
-
-fn idle(acquisition: &mut Acquisition, cycles: u32, sink: &mut dyn FnMut(&CycleRecord)) {
-    (0..cycles).for_each(|_| acquisition.next_cycle(sink));
-}
-
-fn arm(acquisition: &mut Acquisition, encoders: usize, enable_latch: bool) {
-    (0..encoders).for_each(|encoder| acquisition.set_output(encoder, Output { enable_latch }));
 }

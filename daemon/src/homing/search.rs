@@ -43,10 +43,10 @@ struct Track {
     latched: Option<bool>,
 }
 
-pub(super) struct Search<'a> {
-    encoders: &'a [EncoderConfig],
+pub(super) struct Search {
+    encoders: Vec<EncoderConfig>,
     joint: u8,
-    before: &'a [Found],
+    before: Vec<Found>,
     start: Option<Start>,
     tracks: [Track; MAX_ENCODERS],
     /// The encoder that moves, and whether its counts rise.
@@ -55,9 +55,9 @@ pub(super) struct Search<'a> {
     valid_last_s: f64,
 }
 
-impl<'a> Search<'a> {
+impl Search {
     /// Looks for `joint`, after those `before` were found. Terminals must have just been armed.
-    pub fn new(encoders: &'a [EncoderConfig], joint: u8, before: &'a [Found]) -> Self {
+    pub fn new(encoders: Vec<EncoderConfig>, joint: u8, before: Vec<Found>) -> Self {
         Self {
             encoders,
             joint,

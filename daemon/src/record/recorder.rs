@@ -99,6 +99,27 @@ impl CycleSource {
     pub fn handed(&self) -> &Arc<Handed> {
         &self.handed
     }
+
+    /// The next cycle that was handed over.
+    pub fn take(&mut self) -> Option<CycleRecord> {
+        self.ring.pop().ok()
+    }
+
+    /// The next event that was handed over.
+    pub fn take_event(&mut self) -> Option<CycleEvent> {
+        self.events.pop().ok()
+    }
+
+    /// How well the loop has kept its time so far; none on virtual time.
+    pub fn timing(&mut self) -> Option<TimingSummary> {
+        self.timing.drain();
+        self.timing.summary()
+    }
+
+    /// Nothing more will be handed over; what was may still wait.
+    pub fn is_over(&self) -> bool {
+        self.ring.is_abandoned()
+    }
 }
 
 impl CycleSink {

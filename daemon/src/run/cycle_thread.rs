@@ -8,10 +8,10 @@ use shared::recording::schema::DeviceInfo;
 use shared::time::{MonoNs, UtcNs};
 
 use super::error::RunError;
-use super::homing::HomingJob;
+use super::homing::{Homing, HomingJob};
 use super::live::Live;
 use super::source::Prepared;
-use crate::bus::{Bus, BusPlan};
+use crate::bus::{Bus, BusPlan, DeviceClock};
 use crate::clock::Clock;
 use crate::cycle::{Acquisition, RealtimeReport, RealtimeRequest};
 use crate::problem::flag_names;
@@ -23,6 +23,7 @@ use crate::segment::simulated::{Hand, ReplayHandle};
 #[derive(Default)]
 pub(super) struct Ready {
     pub devices: Vec<DeviceInfo>,
+    pub clocks: Vec<DeviceClock>,
     pub utc_minus_monotonic_ns: i64,
     pub realtime: Option<RealtimeReport>,
 }
@@ -78,8 +79,14 @@ pub(super) struct CycleLoop {
     jobs: Receiver<Job>,
     ending: Stop,
     over: SyncSender<()>,
-    run: Option<Serving>,
+    task: Option<Task>,
     pace: Pace,
+}
+
+/// A job that the cycle is doing.
+enum Task {
+    Run(Serving),
+    Home(Box<Homing>),
 }
 
 /// The bus, and who sees what it does.
@@ -100,13 +107,18 @@ impl CycleLoop {
         let realtime = clock.is_real().then(|| realtime.apply());
         let mut bus = Bus::new(wire, clock.clone(), plan.reply_timeout);
         bus.interrupt_by(opening.flag());
-        let mut acquisition = match Acquisition::start(bus, &plan, clock.clone()) {
-            Ok(acquisition) => acquisition,
+        let operational = match bus.bring_up(&plan) {
+            Ok(operational) => operational,
             Err(error) => {
-                let _ = ready.send(Err(error.into()));
+                let identified = bus.identified().to_vec();
+                // The interface is free before it is tried again.
+                drop(bus);
+                let _ = ready.send(Err(RunError::Bus { error, identified }));
                 return None;
             }
         };
+        let clocks = operational.clocks.clone();
+        let mut acquisition = Acquisition::on(bus, operational, &plan, clock.clone());
         acquisition.interrupt_by(ending.flag());
         // The first of what others see of the bus.
         acquisition.next_cycle(&mut |record| live.publish(record));
@@ -115,16 +127,20 @@ impl CycleLoop {
         }
         let devices = acquisition.devices().to_vec();
         let utc_minus_monotonic_ns = acquisition.utc_minus_monotonic_ns();
-        let _ = ready.send(Ok(Ready { devices, utc_minus_monotonic_ns, realtime }));
+        let _ = ready.send(Ok(Ready { devices, clocks, utc_minus_monotonic_ns, realtime }));
         let on_bus = OnBus { acquisition, clock, live, plan, replay, hand };
-        Some(Self { on_bus, jobs, ending, over, run: None, pace })
+        Some(Self { on_bus, jobs, ending, over, task: None, pace })
     }
 
-    /// One cycle, or a homing; false once there will be no more jobs.
+    /// One cycle; false once there will be no more jobs.
     fn step(&mut self) -> bool {
-        let Some(run) = &mut self.run else { return self.serve_next() };
-        if !run.step(&mut self.on_bus) {
-            self.run = None;
+        let continues = match &mut self.task {
+            None => return self.serve_next(),
+            Some(Task::Run(run)) => run.step(&mut self.on_bus),
+            Some(Task::Home(homing)) => self.on_bus.home(homing),
+        };
+        if !continues {
+            self.task = None;
             self.on_bus.acquisition.interrupt_by(self.ending.flag());
         }
         true
@@ -140,19 +156,16 @@ impl CycleLoop {
         match job {
             Ok(Job::Run(job)) => {
                 self.on_bus.acquisition.interrupt_by(job.stop.flag());
-                self.run = Some(Serving::begin(job, &mut self.on_bus));
+                self.task = Some(Task::Run(Serving::begin(job, &mut self.on_bus)));
             }
             Ok(Job::Home(job)) => {
-                let OnBus { acquisition, live, plan, hand, .. } = &mut self.on_bus;
+                let OnBus { acquisition, plan, hand, .. } = &mut self.on_bus;
                 acquisition.interrupt_by(job.stop.flag());
-                job.serve(acquisition, &plan.encoders, hand.as_ref(), live);
-                acquisition.interrupt_by(self.ending.flag());
+                let homing = Homing::begin(job, acquisition, &plan.encoders, hand.as_ref());
+                self.task = Some(Task::Home(Box::new(homing)));
             }
             Err(TryRecvError::Empty) => self.on_bus.idle(),
-            Err(TryRecvError::Disconnected) => {
-                let _ = self.over.try_send(());
-                return false;
-            }
+            Err(TryRecvError::Disconnected) => return false,
         }
         true
     }
@@ -162,6 +175,10 @@ impl Stepper for Option<CycleLoop> {
     fn poll(&mut self, _: MonoNs) -> Option<Duration> {
         let cycle = self.as_mut()?;
         if !cycle.step() {
+            let CycleLoop { on_bus, over, .. } = self.take()?;
+            // Who hears of the end may use the interface again.
+            drop(on_bus);
+            let _ = over.try_send(());
             return None;
         }
         // The cycle sleeps to its deadline itself where time passes for it alone: more precisely than a scheduler.
@@ -179,6 +196,12 @@ impl OnBus {
         let live = &self.live;
         self.acquisition.next_cycle(&mut |record| live.publish(record));
         self.publish();
+    }
+
+    fn home(&mut self, homing: &mut Homing) -> bool {
+        let continues = homing.step(&mut self.acquisition, &self.live);
+        self.publish();
+        continues
     }
 
     fn publish(&self) {

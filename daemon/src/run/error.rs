@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use shared::recording::schema::DeviceInfo;
 use shared::recording::{ReadError, WriteError};
 
 use crate::bus::BusError;
@@ -20,8 +21,13 @@ pub enum RunError {
     #[error(transparent)]
     Open(#[from] OpenError),
     /// The bus does not come up.
-    #[error(transparent)]
-    Bus(#[from] BusError),
+    #[error("{error}")]
+    Bus {
+        /// Cause, as it is reported.
+        error: BusError,
+        /// Devices that identified themselves.
+        identified: Vec<DeviceInfo>,
+    },
     /// The recording to replay cannot be read.
     #[error("cannot replay: {0}")]
     Replay(#[from] ReadError),
@@ -85,7 +91,7 @@ impl RunError {
     /// As it is reported.
     pub fn problem(&self) -> Problem {
         match self {
-            Self::Bus(error) => error.fact().into(),
+            Self::Bus { error, .. } => error.fact().into(),
             Self::Open(error) => Fact::InterfaceUnusable { error: error.to_string() }.into(),
             Self::Disk(problem) => problem.clone(),
             Self::Write(WriteError::Io { path, source }) => {
@@ -101,7 +107,7 @@ impl RunError {
     pub(super) fn may_pass(&self) -> bool {
         matches!(
             self,
-            Self::Bus(_)
+            Self::Bus { .. }
                 | Self::Open(
                     OpenError::NoSuchInterface { .. } | OpenError::InUse { .. } | OpenError::System { .. }
                 )

@@ -1,15 +1,15 @@
 //! Homing on a bus in operation, between two runs.
 
-use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 
 use shared::config::EncoderConfig;
 use shared::encoder::Direction;
+use shared::recording::schema::CycleRecord;
 
 use super::live::Live;
 use crate::claim;
 use crate::cycle::Acquisition;
-use crate::homing::{self, Found, HomingError, HomingStep};
+use crate::homing::{Found, HomingError, HomingStep, Outcome, Sequence};
 use crate::record::Stop;
 use crate::segment::simulated::Hand;
 
@@ -18,8 +18,6 @@ const CYCLE_ENDED: &str = "the thread of the cycle has ended; its cause is in th
 
 /// Steps that may wait to be shown; of a control that does not look further ones are dropped.
 const STEPS_MAX: usize = 64;
-
-type Outcome = Result<Vec<Found>, HomingError>;
 
 /// Homing, as the cycle's thread knows it.
 pub(super) struct HomingJob {
@@ -47,32 +45,45 @@ pub(super) fn begin() -> (HomingJob, ActiveHoming) {
     (HomingJob { stop, steps: steps_in, over: over_in }, active)
 }
 
-impl HomingJob {
-    /// Homes all encoders. No run goes on meanwhile, so this may allocate.
-    pub fn serve(
-        self,
+/// Homing while the cycle does it. Steps may allocate: no run is recorded.
+pub(super) struct Homing {
+    job: HomingJob,
+    sequence: Sequence,
+    directions: Vec<Direction>,
+    hand: Option<Hand>,
+}
+
+impl Homing {
+    pub fn begin(
+        job: HomingJob,
         acquisition: &mut Acquisition,
         encoders: &[EncoderConfig],
         hand: Option<&Hand>,
-        live: &Arc<Live>,
-    ) {
-        let Self { stop, steps, over } = self;
-        // On the simulated bus nobody needs to turn anything.
+    ) -> Self {
+        // On the simulated bus no person turns joints.
         hand.iter().for_each(|hand| hand.hold());
+        let directions = encoders.iter().map(|encoder| encoder.direction).collect();
+        Self { job, sequence: Sequence::begin(acquisition, encoders), directions, hand: hand.cloned() }
+    }
+
+    /// One cycle; false once the homing is over.
+    pub fn step(&mut self, acquisition: &mut Acquisition, live: &Live) -> bool {
+        let Self { job: HomingJob { stop, steps, over }, sequence, directions, hand } = self;
         let mut watch = |step: HomingStep| {
-            if let (HomingStep::Turn { encoder, .. }, Some(hand)) = (step, hand) {
-                match encoders.get(encoder).map(|encoder| encoder.direction) {
+            if let (HomingStep::Turn { encoder, .. }, Some(hand)) = (step, &hand) {
+                match directions.get(encoder) {
                     Some(Direction::Negative) => hand.turn_back(encoder),
                     _ => hand.turn(encoder),
                 }
             }
             let _ = steps.try_send(step);
         };
-        let stopped = || stop.is_stopped().then(|| stop.cause());
-        let outcome =
-            homing::home(acquisition, encoders, &mut |record| live.publish(record), &mut watch, &stopped);
-        hand.iter().for_each(|hand| hand.let_go());
+        let stopped = stop.is_stopped().then(|| stop.cause());
+        let mut sink = |record: &CycleRecord| live.publish(record);
+        let Some(outcome) = sequence.step(acquisition, &mut sink, &mut watch, stopped) else { return true };
+        hand.iter().for_each(Hand::let_go);
         let _ = over.try_send(outcome);
+        false
     }
 }
 

@@ -42,18 +42,7 @@ const STOP_PERIOD: Duration = Duration::from_millis(10);
 /// So long is waited for a disk that is asked for what the next start would find as it is: the end takes less than 2 s.
 pub(crate) const LEAVES_WITHIN: Duration = Duration::from_millis(1500);
 
-/// Brings a bus into operation, to record several runs from it. `faults` go wrong on a simulated one.
-pub fn open(
-    bus: &BusChoice,
-    faults: &[FaultWindow],
-    daemon: &DaemonConfig,
-    bar: &BallBarConfig,
-    storage: &Storage,
-) -> Result<Session, RunError> {
-    begin_to_open(bus, faults, daemon, bar, storage, &Threads::on(Clock::Real))?.wait()
-}
-
-/// [`open`] without waiting for the bus.
+/// Begins to bring a bus into operation, to record several runs from it. `faults` go wrong on a simulated one.
 pub fn begin_to_open(
     bus: &BusChoice,
     faults: &[FaultWindow],
@@ -157,7 +146,7 @@ fn wait<T>(
 
 /// A bus in operation. One that is to be waited for is tried until it is, and what is missing is said whenever that
 /// changes.
-fn connect(
+pub fn connect(
     request: &RunRequest,
     daemon: &DaemonConfig,
     bar: &BallBarConfig,

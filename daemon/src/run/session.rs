@@ -18,15 +18,17 @@ use super::live::Live;
 use super::place::finish_leftovers;
 use super::request::RunDetails;
 use super::source::Prepared;
-use crate::bus::BusError;
+use crate::bus::{BusError, DeviceClock};
 use crate::claim;
 use crate::clock::Clock;
-use crate::cycle::RealtimeRequest;
+use crate::cycle::{RealtimeReport, RealtimeRequest};
 use crate::problem::{Fact, Problem};
 use crate::record::{
-    self, CycleSource, FullRing, Limits, Mark, Progress, Recorder, RunLink, RunSummary, Stop, Storage,
+    self, CycleSink, CycleSource, FullRing, Limits, Mark, Progress, Recorder, RunLink, RunSummary, Stop,
+    Storage,
 };
 use crate::scheduler::{Scheduler, Stepper};
+use crate::segment::faults::FaultHandle;
 
 /// Runs and homings that the cycle has not yet taken, of which all but the last have been given up.
 const JOBS_MAX: usize = 8;
@@ -51,6 +53,7 @@ pub struct Session {
     bar: BallBarConfig,
     storage: Storage,
     ending: Stop,
+    faults: Option<FaultHandle>,
 }
 
 /// A run that is being recorded.
@@ -101,6 +104,7 @@ impl Session {
             bar: bar.clone(),
             storage: storage.clone(),
             ending: ending.clone(),
+            faults: prepared.faults.clone(),
         };
         let realtime =
             RealtimeRequest { core: daemon.realtime.core, fifo_priority: daemon.realtime.fifo_priority };
@@ -124,8 +128,7 @@ impl Session {
             tracing::warn!(run = metadata.name, "{provenance}");
         }
         let ring_cycles = self.daemon.ring_cycles(self.period);
-        let full = if self.pace == Pace::Fast { FullRing::Waits } else { FullRing::Drops };
-        let (sink, ring) = record::ring(ring_cycles, full);
+        let (sink, ring) = self.ring(ring_cycles);
         let (marks, marks_rx) = sync_channel(MARKS_MAX);
         let limits = Limits {
             cycle_period: self.period,
@@ -141,7 +144,7 @@ impl Session {
             storage: self.storage.clone(),
             scheduler: Arc::clone(&self.scheduler),
         };
-        let utc_minus_monotonic_ns = metadata.utc_minus_monotonic_ns;
+        let job = self.job(sink, stop, details.duration, metadata.utc_minus_monotonic_ns);
         let (result, outcome) = sync_channel(1);
         let sync_period = self.daemon.sync_period();
         let recording = RunRecording {
@@ -154,18 +157,39 @@ impl Session {
         };
         start(&*self.scheduler, "recorder", || recording)?;
         claim::tell(format!("recording run `{}`", details.name));
-        let job = RunJob {
-            sink,
-            stop: stop.clone(),
-            cycles: self.cycles_of(details.duration),
-            full_fault_cycles: self
-                .cycles_of_time(Duration::from_secs(self.daemon.full_fault_s.into()))
-                .max(1),
-            utc_minus_monotonic_ns,
-        };
         // If the cycle does not take it the recorder finds the ring abandoned and finishes an empty file.
         let _ = self.jobs.try_send(Job::Run(job));
         Ok(ActiveRun { stop: stop.clone(), progress, started, marks, outcome })
+    }
+
+    /// Begins to hand over cycles, events and timing without a file, for so long or until `stop`.
+    pub fn begin_watch(&self, duration: Option<Duration>, stop: &Stop) -> CycleSource {
+        let (sink, source) = self.ring(self.daemon.ring_cycles(self.period));
+        let job = self.job(sink, stop, duration, self.clock().utc_minus_monotonic_ns());
+        // If the cycle does not take it the source is over at once.
+        let _ = self.jobs.try_send(Job::Run(job));
+        source
+    }
+
+    fn ring(&self, cycles: usize) -> (CycleSink, CycleSource) {
+        record::ring(cycles, if self.pace == Pace::Fast { FullRing::Waits } else { FullRing::Drops })
+    }
+
+    fn job(
+        &self,
+        sink: CycleSink,
+        stop: &Stop,
+        duration: Option<Duration>,
+        utc_minus_monotonic_ns: i64,
+    ) -> RunJob {
+        let full_fault = Duration::from_secs(self.daemon.full_fault_s.into());
+        RunJob {
+            sink,
+            stop: stop.clone(),
+            cycles: self.cycles_of(duration),
+            full_fault_cycles: self.cycles_of_time(full_fault).max(1),
+            utc_minus_monotonic_ns,
+        }
     }
 
     /// Begins to look for the encoders' reference marks, while a person turns one joint at a time.
@@ -212,6 +236,11 @@ impl Session {
         &self.ready.devices
     }
 
+    /// Clocks of the devices when the bus came up.
+    pub fn clocks(&self) -> &[DeviceClock] {
+        &self.ready.clocks
+    }
+
     /// Encoders in bus order.
     pub fn encoders(&self) -> &[EncoderInfo] {
         &self.encoders
@@ -238,14 +267,24 @@ impl Session {
         Provenance::new(&self.bus, self.replay_of.clone()).simulated
     }
 
+    /// Switches faults of a simulated bus; none for a real one.
+    pub fn faults(&self) -> Option<&FaultHandle> {
+        self.faults.as_ref()
+    }
+
     /// Time between two cycles.
     pub fn period(&self) -> Duration {
         self.period
     }
 
+    /// What the system permitted the cycle's thread; none on virtual time.
+    pub fn realtime(&self) -> Option<&RealtimeReport> {
+        self.ready.realtime.as_ref()
+    }
+
     /// What the system did not permit the cycle's thread; none if it has all that it asked for.
     pub fn realtime_problem(&self) -> Option<Problem> {
-        let report = self.ready.realtime.as_ref().filter(|report| !report.is_complete())?;
+        let report = self.realtime().filter(|report| !report.is_complete())?;
         Some(Fact::RealtimeDenied { report: report.to_string() }.into())
     }
 

@@ -12,7 +12,7 @@ use super::error::RunError;
 use super::request::{BusChoice, RunRequest};
 use crate::bus::BusPlan;
 use crate::clock::Clock;
-use crate::segment::faults::{FaultWindow, FaultySegment};
+use crate::segment::faults::{FaultHandle, FaultWindow, FaultySegment};
 use crate::segment::simulated::{
     EncoderSource, Hand, HandTurned, Replay, ReplayHandle, SegmentConfig, SimulatedSegment, SmoothMotion,
 };
@@ -31,6 +31,8 @@ pub(super) struct Prepared {
     pub replay: Option<(ReplayHandle, UtcNs)>,
     /// Turns the simulated joints when they are homed.
     pub hand: Option<Hand>,
+    /// Switches faults of the simulated bus.
+    pub faults: Option<FaultHandle>,
     /// Cycles after which every run ends: those of the replayed recording.
     pub cycles: Option<u64>,
 }
@@ -52,9 +54,9 @@ pub(super) fn prepare(
             let lines = bar.encoders.first().map_or(0, |encoder| encoder.lines);
             let config = SegmentConfig { terminals: bar.encoders.len(), ..SegmentConfig::default() };
             let (source, hand) = HandTurned::new(SmoothMotion::new(bar.encoders.len(), lines, config.seed));
-            let wire = in_process(&config, Box::new(source), &clock, &request.faults);
+            let (wire, faults) = in_process(&config, Box::new(source), &clock, &request.faults);
             let prepared = Prepared::from_config(wire, clock, SIMULATED_BUS, daemon, bar);
-            Prepared { hand: Some(hand), ..prepared }
+            Prepared { hand: Some(hand), faults: Some(faults), ..prepared }
         }
         BusChoice::Replay(path) => follow(path, clock, daemon, bar, &request.faults)?,
     };
@@ -101,6 +103,7 @@ impl Prepared {
             replay_of: None,
             replay: None,
             hand: None,
+            faults: None,
             cycles: None,
         }
     }
@@ -117,10 +120,10 @@ fn in_process(
     source: Box<dyn EncoderSource>,
     clock: &Clock,
     faults: &[FaultWindow],
-) -> Box<dyn Wire> {
-    let (mut segment, _) = FaultySegment::new(SimulatedSegment::new(config, source), config.seed);
+) -> (Box<dyn Wire>, FaultHandle) {
+    let (mut segment, handle) = FaultySegment::new(SimulatedSegment::new(config, source), config.seed);
     segment.schedule(faults);
-    Box::new(InProcessWire::with_faults(segment, clock.clone()))
+    (Box::new(InProcessWire::with_faults(segment, clock.clone())), handle)
 }
 
 /// Lets the simulated encoders follow a recording; period and encoders are then those of the recording.
@@ -143,7 +146,7 @@ fn follow(
     // The bus' clock is the time base of a replay: with a drift of its own the recording would be played too fast
     // or too slow.
     let config = SegmentConfig { terminals: encoders.len(), drift_ppm: 0.0, ..SegmentConfig::default() };
-    let wire = in_process(&config, Box::new(source), &clock, faults);
+    let (wire, _) = in_process(&config, Box::new(source), &clock, faults);
     let mut prepared = Prepared::from_config(wire, clock, SIMULATED_BUS, daemon, bar);
     prepared.plan.encoders = encoders
         .iter()

@@ -126,3 +126,36 @@ fn a_short_fault_leaves_the_run_as_it_is_and_the_status_says_so() {
         day.end().await;
     });
 }
+
+#[test]
+fn a_homing_is_followed_while_a_joint_is_turned_and_stopped_in_the_middle() {
+    live_on_bus(&[], async |day| {
+        day.wait_for(ServiceState::Waiting).await;
+        assert_eq!(day.post("/home", &json!({})).await.0, 200);
+        let turned =
+            |status: &Status| status.homing.as_ref().and_then(|homing| homing.turned_deg).unwrap_or(0.0);
+        let early = day.wait(Duration::from_secs(60), |status| turned(status) > 1.0).await;
+        assert_eq!(early.state, ServiceState::Homing);
+        let later = day.wait(Duration::from_secs(60), |status| turned(status) > turned(&early)).await;
+        // Cycles go on, as they do without a homing.
+        assert!(later.sampled > early.sampled && later.encoders.iter().all(|encoder| encoder.valid));
+        let (status, answer) = day.post("/stop", &json!({"cause": "enough"})).await;
+        assert!(status == 200 && answer["homing"]["error"].as_str().unwrap().contains("enough"), "{answer}");
+        day.begin_run().await;
+        day.end().await;
+    });
+}
+
+#[test]
+fn what_is_wrong_with_the_bus_is_reported_during_a_homing() {
+    live_on_bus(&["gone:3@5s"], async |day| {
+        day.wait_for(ServiceState::Waiting).await;
+        assert_eq!(day.post("/home", &json!({})).await.0, 200);
+        let is_over = |status: &Status| status.homing.as_ref().is_some_and(|homing| homing.is_over);
+        let status = day.wait(Duration::from_secs(600), is_over).await;
+        assert!(status.homing.unwrap().error.unwrap().contains("no valid counts"));
+        let fault = day.wait_for(ServiceState::Fault).await;
+        assert_eq!(fault.problems[0].code(), "bus_device_missing");
+        day.end().await;
+    });
+}

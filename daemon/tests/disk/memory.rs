@@ -2,8 +2,8 @@
 
 use std::io;
 
-use ballbard::control::runs::curves;
-use ballbard::control::table::{Layout, write_csv};
+use ballbard::control::recordings::runs::curves;
+use ballbard::control::recordings::table::{Layout, write_csv};
 use shared::recording::SystemDisk;
 
 use crate::no_allocation::peak_bytes;

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use ballbard::control::runs::RunLine;
+use ballbard::control::recordings::runs::RunLine;
 use ballbard::control::status::{CheckLine, Status};
 use serde_json::json;
 use shared::recording::Recording;

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::Output;
 use std::sync::Arc;
 
-use ballbard::control::runs::RunLine;
+use ballbard::control::recordings::runs::RunLine;
 use ballbard::control::status::{Granted, Reply, ServiceState, Status};
 use tokio_rustls::rustls::crypto::ring;
 use tokio_rustls::rustls::pki_types::pem::PemObject;

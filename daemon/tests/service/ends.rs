@@ -3,7 +3,7 @@
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use ballbard::control::runs::RunLine;
+use ballbard::control::recordings::runs::RunLine;
 use ballbard::control::status::{CheckLine, Status};
 use serde_json::json;
 

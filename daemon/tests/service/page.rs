@@ -8,7 +8,7 @@ use std::process::Command;
 use std::time::Duration;
 
 use ballbard::control::live::{Live, Minute};
-use ballbard::control::runs::{Curves, RunLine};
+use ballbard::control::recordings::runs::{Curves, RunLine};
 use serde::de::DeserializeOwned;
 use serde_json::json;
 

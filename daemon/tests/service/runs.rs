@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use ballbard::control::runs::RunLine;
+use ballbard::control::recordings::runs::RunLine;
 use ballbard::control::status::{CheckLine, Granted, Status};
 use serde_json::json;
 use shared::recording::schema::EventKind;

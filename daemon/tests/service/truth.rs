@@ -4,7 +4,7 @@ use std::fs::File;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use ballbard::control::runs::RunLine;
+use ballbard::control::recordings::runs::RunLine;
 use ballbard::control::status::{CheckLine, Level, ServiceState, Status};
 use nix::sys::signal::Signal;
 use serde_json::json;

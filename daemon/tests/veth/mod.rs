@@ -5,3 +5,4 @@
 mod namespace;
 mod peers;
 mod record;
+mod smoke;

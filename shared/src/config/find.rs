@@ -20,6 +20,8 @@ pub enum Kind {
     BallBar,
     /// `daemon.toml`.
     Daemon,
+    /// `smoke.toml`.
+    Smoke,
     /// `measured_pose.toml`.
     TrackerMapping,
     /// `measured_length.toml`.
@@ -29,13 +31,14 @@ pub enum Kind {
 }
 
 /// Kind, name and text of all that is built in.
-const BUILT_IN: [(Kind, &str, &str); 9] = [
+const BUILT_IN: [(Kind, &str, &str); 10] = [
     (Kind::Robot, "irb120_3", include_str!("../../../config/robots/irb120_3.toml")),
     (Kind::Robot, "irb2400_16", include_str!("../../../config/robots/irb2400_16.toml")),
     (Kind::Robot, "nj220_2_7", include_str!("../../../config/robots/nj220_2_7.toml")),
     (Kind::Robot, "ur10", include_str!("../../../config/robots/ur10.toml")),
     (Kind::BallBar, "ball_bar", include_str!("../../../config/ball_bar.toml")),
     (Kind::Daemon, "daemon", include_str!("../../../config/daemon.toml")),
+    (Kind::Smoke, "smoke", include_str!("../../../config/smoke.toml")),
     (Kind::TrackerMapping, "measured_pose", include_str!("../../../config/measured_pose.toml")),
     (Kind::WireMapping, "measured_length", include_str!("../../../config/measured_length.toml")),
     (Kind::ContactMapping, "contact", include_str!("../../../config/contact.toml")),
@@ -161,6 +164,7 @@ impl Kind {
             (Self::Robot, &["links", "log"][..]),
             (Self::BallBar, &["links", "encoders"]),
             (Self::Daemon, &["rate_hz"]),
+            (Self::Smoke, &["cycles", "terminal_revisions"]),
             (Self::TrackerMapping, &["position"]),
             (Self::WireMapping, &["length"]),
             (Self::ContactMapping, &["socket", "joints"]),
@@ -175,6 +179,7 @@ impl Kind {
             Self::Robot => "robot",
             Self::BallBar => "ball-bar",
             Self::Daemon => "daemon",
+            Self::Smoke => "smoke test",
             Self::TrackerMapping => "tracker's table",
             Self::WireMapping => "wire's table",
             Self::ContactMapping => "table of seated balls",
@@ -187,6 +192,7 @@ impl Kind {
             Self::Robot => "--robot",
             Self::BallBar => "--bar",
             Self::Daemon => "--config",
+            Self::Smoke => "`ballbard smoke --checks`",
             Self::TrackerMapping => "`identify calibrate tracker --mapping`",
             Self::WireMapping => "`identify calibrate wire --mapping`",
             Self::ContactMapping => "`identify calibrate contact --mapping`",

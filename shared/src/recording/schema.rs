@@ -310,7 +310,7 @@ impl RunMetadata {
 }
 
 /// What a port of a device has counted since the run began.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct PortCounts {
     /// Position of the device on the bus.
     pub position: u8,

@@ -6,8 +6,8 @@ use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
 
 use super::{Body, found, on_disk, places, refusal, rejected, reply};
-use crate::control::bin::{self, Places};
-use crate::control::runs::RunLine;
+use crate::control::recordings::bin::{self, Places};
+use crate::control::recordings::runs::RunLine;
 use crate::control::service::Service;
 use crate::control::status::{DeleteRequest, EmptyBinRequest, Granted, Reply};
 

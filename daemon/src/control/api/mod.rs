@@ -43,16 +43,16 @@ use self::remote::{FromElsewhere, Gate};
 pub use self::remote::{Remote, RemoteError, RemoteSettings, token_in};
 use super::live::Live;
 use super::machine::Answer;
-use super::note;
-use super::runs::{self, Curves, RunLine};
+use super::recordings::note;
+use super::recordings::runs::{self, Curves, RunLine};
+use super::recordings::table::{Layout, write_csv};
+use super::recordings::verdict::Verdict;
 use super::service::{LIST_WITHIN, Service};
 use super::status::{
     CheckLine, DeleteRequest, EmptyBinRequest, Granted, HomeRequest, HomingStatus, IN_SPITE_OF, LastRun,
     MarkRequest, NameReply, NameRequest, NoteRequest, PairReply, PairRequest, Refusal, Reply, ServiceState,
     StartRequest, Status, StopRequest,
 };
-use super::table::{Layout, write_csv};
-use super::verdict::Verdict;
 use crate::page;
 use crate::problem::{Fact, Problem};
 use crate::run::{About, check_text};

@@ -1,4 +1,13 @@
-//! Does what the [`machine`](super::machine) decides: bus, runs, homing, answers. It waits for nothing.
+//! Does what the [`machine`](crate::control::machine) decides: bus, runs, homing, answers. It waits for nothing: `tending` waits
+//! for the disk in its stead. `view` makes what people see of it.
+
+mod bus_link;
+pub mod homing;
+mod marks;
+pub mod preflight;
+mod problem_log;
+mod tending;
+mod view;
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -6,24 +15,24 @@ use std::time::Duration;
 use shared::time::MonoNs;
 use tokio::sync::{oneshot, watch};
 
-use super::bus_link::BusLink;
-use super::homing::Homing;
-use super::live_tap::LiveTap;
-use super::machine::{Action, Answer, Event, Machine, State};
-use super::marks::Marks;
-use super::preflight::{self, Found};
-use super::problem_log::ProblemLog;
-use super::runs;
-use super::settings::{Connect, Settings};
-use super::status::{CheckLine, LastRun, ServiceState, Status, Totals, next_command};
-use super::tending::Tending;
-use super::verdict::Verdict;
-use super::view::View;
 use crate::claim::Claim;
+use crate::control::live_tap::LiveTap;
+use crate::control::machine::{Action, Answer, Event, Machine, State};
+use crate::control::recordings::runs;
+use crate::control::recordings::verdict::Verdict;
+use crate::control::settings::{Connect, Settings};
+use crate::control::status::{CheckLine, LastRun, ServiceState, Status, Totals, next_command};
 use crate::problem::{Fact, Problem};
 use crate::record::{RunSummary, Snapshot};
 use crate::run::{ActiveRun, LEAVES_WITHIN, RunDetails, RunError, Stop, Storage};
 use crate::scheduler::{Pending, Scheduler};
+use bus_link::BusLink;
+use homing::Homing;
+use marks::Marks;
+use preflight::Found;
+use problem_log::ProblemLog;
+use tending::Tending;
+use view::View;
 
 /// How often bus and recorder are looked at while nobody asks for anything.
 const POLL: Duration = Duration::from_millis(100);

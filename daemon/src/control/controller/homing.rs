@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
-use shared::config::{EncoderConfig, bar_joint_name};
+use shared::config::EncoderConfig;
 use shared::recording::Disk;
 use shared::time::MonoNs;
 
-use super::status::HomingStatus;
+use crate::control::status::HomingStatus;
 use crate::homing::{self, Found, HomingError, HomingStep, MarksFile};
 use crate::run::{ActiveHoming, Session};
 use crate::scheduler::{Pending, Scheduler};
@@ -94,23 +94,9 @@ impl Homing {
 
 fn note(status: &mut HomingStatus, step: HomingStep) {
     match step {
-        HomingStep::Turn { joint, .. } => {
-            (status.joint, status.turned_deg) = (Some(joint), Some(0.0));
-            status.lines.push(format!(
-                "joint {joint} ({}): turn it slowly in its positive direction, alone, by 5 degrees or more and over its \
-                 reference mark",
-                bar_joint_name(joint)
-            ));
-        }
+        HomingStep::Turn { joint, .. } => (status.joint, status.turned_deg) = (Some(joint), Some(0.0)),
         HomingStep::Turning { turned_rad, .. } => status.turned_deg = Some(turned_rad.to_degrees()),
-        HomingStep::Found(found) => {
-            let Found { joint, encoder, counts_rise, reference_counts } = found;
-            let way = if counts_rise { "up" } else { "down" };
-            status.turned_deg = None;
-            status.lines.push(format!(
-                "joint {joint}: on terminal {}, counts {way}, mark at count {reference_counts}",
-                encoder + 1
-            ));
-        }
+        HomingStep::Found(_) => status.turned_deg = None,
     }
+    status.lines.extend(step.line());
 }

@@ -6,11 +6,11 @@ use std::path::PathBuf;
 use shared::config::{DaemonConfig, HomingConfig};
 use shared::recording::Disk;
 
-use super::runs;
-use super::settings::Settings;
-use super::status::{CheckLine, EncoderStatus, Status};
-use super::verdict::{VALID_SHARE_BAD, VALID_SHARE_GOOD};
 use super::view::View;
+use crate::control::recordings::runs;
+use crate::control::recordings::verdict::{VALID_SHARE_BAD, VALID_SHARE_GOOD};
+use crate::control::settings::Settings;
+use crate::control::status::{CheckLine, EncoderStatus, Status};
 use crate::log;
 use crate::problem::{Fact, Level, Problem};
 use crate::run::Session;
@@ -19,7 +19,7 @@ use crate::run::Session;
 const SAMPLE_AGE_MS_MAX: i64 = 1000;
 
 /// What a check needs to know of the disk, found by a thread that may wait for it.
-pub(super) struct Found {
+pub(in crate::control) struct Found {
     homing: Result<Option<HomingConfig>, String>,
     left_behind: Result<Vec<PathBuf>, io::Error>,
     /// Why a homing could not be kept.
@@ -149,7 +149,7 @@ fn state(view: &View<'_>, found: Option<&Found>) -> CheckLine {
 const BYTES_PER_CYCLE: f64 = 115.0;
 
 /// How long runs may last in this space \[h\].
-pub(super) fn hours_left(usable_bytes: u64, rate_hz: u32) -> f64 {
+pub(in crate::control) fn hours_left(usable_bytes: u64, rate_hz: u32) -> f64 {
     usable_bytes as f64 / (BYTES_PER_CYCLE * f64::from(rate_hz.max(1)) * 3600.0)
 }
 

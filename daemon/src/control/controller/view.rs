@@ -8,11 +8,11 @@ use shared::version::software;
 
 use super::bus_link::{are_silent, silent_encoders};
 use super::homing::Homing;
-use super::machine::{Machine, State};
 use super::marks::Marks;
-use super::settings::Settings;
-use super::status::{EncoderStatus, LastRun, RunStatus, ServiceState, Status, Totals};
 use super::tending::Tending;
+use crate::control::machine::{Machine, State};
+use crate::control::settings::Settings;
+use crate::control::status::{EncoderStatus, LastRun, RunStatus, ServiceState, Status, Totals};
 use crate::problem::Problem;
 use crate::run::{ActiveRun, BusChoice, Session, Storage};
 

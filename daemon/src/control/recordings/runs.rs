@@ -14,8 +14,8 @@ use shared::recording::{
 use shared::time::UtcNs;
 
 use super::note;
-use super::status::next_command;
 use super::verdict::Verdict;
+use crate::control::status::next_command;
 
 /// Recordings of one base name.
 const NUMBERS_MAX: u32 = 10_000;
@@ -78,21 +78,26 @@ pub fn list(disk: &dyn Disk, directory: &Path, spare: Option<&Path>) -> io::Resu
 }
 
 /// Those among these files, sorted like [`list`].
-pub(super) fn lines(disk: &dyn Disk, files: Vec<PathBuf>) -> Vec<RunLine> {
+pub(in crate::control) fn lines(disk: &dyn Disk, files: Vec<PathBuf>) -> Vec<RunLine> {
     let mut lines: Vec<_> = files.into_iter().filter_map(|file| line(disk, file)).collect();
     lines.sort_by(|one, other| other.started.cmp(&one.started).then_with(|| one.name.cmp(&other.name)));
     lines
 }
 
 /// `base` or, where a recording has that name, `base-2` and so on.
-pub(super) fn free_name(disk: &dyn Disk, directory: &Path, base: &str) -> String {
+pub(in crate::control) fn free_name(disk: &dyn Disk, directory: &Path, base: &str) -> String {
     let numbered = (2..NUMBERS_MAX).map(|number| format!("{base}-{number}"));
     let mut names = std::iter::once(base.to_owned()).chain(numbered);
     names.find(|name| !is_taken(disk, directory, name)).unwrap_or_else(|| base.to_owned())
 }
 
 /// The default name of a run, such as `2026-11-26_irb-2400_short_01`: date, robot, bar and the first free number.
-pub(super) fn automatic_name(disk: &dyn Disk, directory: &Path, robot: &str, bar: &str) -> String {
+pub(in crate::control) fn automatic_name(
+    disk: &dyn Disk,
+    directory: &Path,
+    robot: &str,
+    bar: &str,
+) -> String {
     let date = chrono::Local::now().format("%Y-%m-%d").to_string();
     let parts = [robot, bar].map(|text| {
         let plain = text.to_lowercase().replace(['.', '+', '_'], " ");
@@ -104,7 +109,7 @@ pub(super) fn automatic_name(disk: &dyn Disk, directory: &Path, robot: &str, bar
 }
 
 /// Whether a recording has this name. Where the disk does not say, the run's file is refused if it has.
-pub(super) fn is_taken(disk: &dyn Disk, directory: &Path, name: &str) -> bool {
+pub(in crate::control) fn is_taken(disk: &dyn Disk, directory: &Path, name: &str) -> bool {
     let is_there = |ending| disk.has(&directory.join(format!("{name}.{ending}"))).unwrap_or(false);
     [FINISHED_ENDING, ACTIVE_ENDING].into_iter().any(is_there)
 }
@@ -139,14 +144,14 @@ pub fn left_behind(disk: &dyn Disk, directory: &Path) -> io::Result<Vec<PathBuf>
 }
 
 /// A directory is made when a run needs it.
-pub(super) fn list_if_there(disk: &dyn Disk, directory: &Path) -> io::Result<Vec<PathBuf>> {
+pub(in crate::control) fn list_if_there(disk: &dyn Disk, directory: &Path) -> io::Result<Vec<PathBuf>> {
     match disk.list(directory) {
         Err(error) if is_absent(&error) => Ok(Vec::new()),
         listed => listed,
     }
 }
 
-pub(super) fn stem(path: &Path, ending: &str) -> Option<String> {
+pub(in crate::control) fn stem(path: &Path, ending: &str) -> Option<String> {
     let name = path.file_name()?.to_str()?;
     Some(name.strip_suffix(ending)?.strip_suffix('.')?.to_owned()).filter(|stem| !stem.is_empty())
 }

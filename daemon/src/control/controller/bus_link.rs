@@ -8,8 +8,8 @@ use std::time::Duration;
 use shared::recording::schema::MAX_ENCODERS;
 use shared::time::{MonoNs, NS_PER_S};
 
-use super::machine::Event;
-use super::settings::Connect;
+use crate::control::machine::Event;
+use crate::control::settings::Connect;
 use crate::problem::{Fact, Problem};
 use crate::run::{BUS_FLAGS, Opening, RunError, Session};
 use crate::scheduler::{Died, Pending, Scheduler, Work};

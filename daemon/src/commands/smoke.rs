@@ -1,0 +1,83 @@
+//! `ballbard smoke`: checks a bus before its first use.
+
+use std::io::{self, IsTerminal};
+use std::path::{Path, PathBuf};
+
+use anyhow::bail;
+use clap::Args;
+use shared::config;
+use shared::output::{explained, say, show};
+use shared::recording::SystemDisk;
+
+use super::configuration::Configuration;
+use super::{Format, UsageError, bus_choice, on_signal};
+use crate::run::{BusChoice, RunRequest, Stop};
+use crate::segment::faults::FaultWindow;
+use crate::smoke::{self, Bench, Report, SmokeConfig};
+use crate::whole_file;
+
+#[derive(Debug, Args)]
+pub struct SmokeArguments {
+    /// Network interface of the coupler, such as eth1; `simulated` tests the simulated bus
+    #[arg(long, value_name = "INTERFACE")]
+    bus: Option<String>,
+    /// What to check: a file, or a name in `config` or /etc/ballbard
+    #[arg(long, value_name = "FILE", default_value = "smoke")]
+    checks: PathBuf,
+    /// Where the report goes; default: smoke-INTERFACE.json in this directory
+    #[arg(long, value_name = "FILE")]
+    report: Option<PathBuf>,
+    /// Inject a fault into the simulated bus, such as lost:0.01 or noise:3,0.1 (an unknown one lists all); may be repeated
+    #[arg(long = "fault", value_name = "FAULT[@FROM[-UNTIL]]")]
+    faults: Vec<FaultWindow>,
+    /// Virtual time: as fast as the machine allows (simulated bus only)
+    #[arg(long)]
+    fast: bool,
+    #[command(flatten)]
+    format: Format,
+    #[command(flatten)]
+    configuration: Configuration,
+}
+
+pub fn run(arguments: SmokeArguments) -> anyhow::Result<()> {
+    let SmokeArguments { bus, checks, report: file, faults, fast, format, configuration } = arguments;
+    let request = RunRequest { bus: bus_choice(bus.as_deref())?, faults, fast, ..RunRequest::default() };
+    if request.bus != BusChoice::Simulated && (fast || !request.faults.is_empty()) {
+        return Err(UsageError("--fast and --fault need --bus simulated; leave them out".into()).into());
+    }
+    let smoke: SmokeConfig = config::load(&checks)?;
+    let (daemon, bar) = (configuration.daemon()?, configuration.ball_bar()?);
+    let stop = Stop::default();
+    let stopping = stop.clone();
+    let has_person = !format.json && io::stdin().is_terminal() && io::stdout().is_terminal();
+    let work = move || {
+        let bench =
+            Bench { smoke: &smoke, daemon: &daemon, bar: &bar, request: &request, has_person, stop: &stop };
+        // Without output a person sees no instructions.
+        let mut tell = |line: &str| {
+            if !format.json
+                && let Err(error) = say(line)
+            {
+                stop.stop(&explained(&error));
+            }
+        };
+        Ok(smoke::smoke(&bench, &mut tell)?)
+    };
+    let report = on_signal(work, |signal| stopping.stop(&format!("stopped by {signal}")))?;
+    let file = file.unwrap_or_else(|| format!("smoke-{}.json", report.bus).into());
+    finish(&report, &file, format)
+}
+
+fn finish(report: &Report, file: &Path, format: Format) -> anyhow::Result<()> {
+    let text = serde_json::to_string_pretty(report)?;
+    whole_file::write(&SystemDisk, file, &(text + "\n"))?;
+    if !format.prints(report)? {
+        show(report)?;
+        say(format_args!("all figures are in {}; send it with these lines", file.display()))?;
+    }
+    let (bad, all) = (report.bad(), report.checks.len());
+    if bad > 0 {
+        bail!("{bad} of {all} checks failed or could not be done");
+    }
+    Ok(())
+}

@@ -1,0 +1,158 @@
+//! Homing in steps of one cycle: one joint after the other over its mark.
+
+use std::ops::Range;
+
+use shared::config::EncoderConfig;
+use shared::recording::schema::CycleRecord;
+
+use super::search::{Search, Seen};
+use super::{Found, HomingError, HomingStep};
+use crate::cycle::Acquisition;
+use crate::devices::el5021::Output;
+
+/// Time between two reports of progress \[s\].
+const PROGRESS_S: f64 = 0.5;
+/// Cycles that a terminal gets to drop an earlier latch.
+const DISARM_CYCLES: u32 = 20;
+
+/// The encoder and mark of each joint, in the order in which they were turned.
+pub type Outcome = Result<Vec<Found>, HomingError>;
+
+/// Finds the encoder and the mark of every joint.
+pub struct Sequence {
+    encoders: Vec<EncoderConfig>,
+    found: Vec<Found>,
+    /// For the joint that is turned.
+    search: Option<Search>,
+    progress_due_s: f64,
+    state: State,
+}
+
+enum State {
+    /// These terminals drop an earlier latch, for this number of further cycles.
+    Disarmed(Range<usize>, u32),
+    /// A joint is turned.
+    Armed,
+    /// One cycle disarms all terminals.
+    Ending(Outcome),
+}
+
+impl Sequence {
+    /// Begins with the first joint of `encoders`, which are in bus order.
+    pub fn begin(acquisition: &mut Acquisition, encoders: &[EncoderConfig]) -> Self {
+        let mut sequence = Self {
+            encoders: encoders.to_vec(),
+            found: Vec::with_capacity(encoders.len()),
+            search: None,
+            progress_due_s: 0.0,
+            state: State::Armed,
+        };
+        sequence.begin_joint(acquisition);
+        sequence
+    }
+
+    /// One cycle, which `sink` is given; `watch` is given what happens. A cause in `stopped` ends it. Returns the outcome once it
+    /// is over.
+    pub fn step(
+        &mut self,
+        acquisition: &mut Acquisition,
+        sink: &mut dyn FnMut(&CycleRecord),
+        watch: &mut dyn FnMut(HomingStep),
+        stopped: Option<String>,
+    ) -> Option<Outcome> {
+        if let Some(cause) = stopped.filter(|_| !matches!(self.state, State::Ending(_))) {
+            self.end(acquisition, Err(HomingError::Stopped(cause)));
+        }
+        match &mut self.state {
+            State::Disarmed(terminals, cycles) => {
+                acquisition.next_cycle(sink);
+                *cycles -= 1;
+                if *cycles == 0 {
+                    let terminals = terminals.clone();
+                    self.arm(acquisition, terminals, watch);
+                }
+                None
+            }
+            State::Armed => {
+                self.search(acquisition, sink, watch);
+                None
+            }
+            State::Ending(outcome) => {
+                acquisition.next_cycle(sink);
+                Some(outcome.clone())
+            }
+        }
+    }
+
+    fn begin_joint(&mut self, acquisition: &mut Acquisition) {
+        self.search = None;
+        if self.found.len() == self.encoders.len() {
+            return self.end(acquisition, Ok(self.found.clone()));
+        }
+        self.disarm(acquisition, 0..self.encoders.len());
+    }
+
+    fn disarm(&mut self, acquisition: &mut Acquisition, terminals: Range<usize>) {
+        latch(acquisition, terminals.clone(), false);
+        self.state = State::Disarmed(terminals, DISARM_CYCLES);
+    }
+
+    fn arm(
+        &mut self,
+        acquisition: &mut Acquisition,
+        terminals: Range<usize>,
+        watch: &mut dyn FnMut(HomingStep),
+    ) {
+        latch(acquisition, terminals, true);
+        self.state = State::Armed;
+        let encoder = self.found.len();
+        if let Some(EncoderConfig { joint, .. }) =
+            self.encoders.get(encoder).filter(|_| self.search.is_none())
+        {
+            watch(HomingStep::Turn { joint: *joint, encoder });
+            // It is not known yet which encoder will move.
+            self.search = Some(Search::new(self.encoders.clone(), *joint, self.found.clone()));
+            self.progress_due_s = PROGRESS_S;
+        }
+    }
+
+    fn search(
+        &mut self,
+        acquisition: &mut Acquisition,
+        sink: &mut dyn FnMut(&CycleRecord),
+        watch: &mut dyn FnMut(HomingStep),
+    ) {
+        let Some(search) = &mut self.search else { return };
+        let mut seen = Ok(Seen::Nothing);
+        acquisition.next_cycle(&mut |record| {
+            sink(record);
+            if matches!(seen, Ok(Seen::Nothing)) {
+                seen = search.observe(record);
+            }
+        });
+        if search.elapsed_s() >= self.progress_due_s {
+            let (joint, turned_rad) = search.progress();
+            watch(HomingStep::Turning { joint, turned_rad });
+            self.progress_due_s = search.elapsed_s() + PROGRESS_S;
+        }
+        match seen {
+            Ok(Seen::Nothing) => {}
+            Ok(Seen::MarkPassedBackwards { encoder }) => self.disarm(acquisition, encoder..encoder + 1),
+            Ok(Seen::Found(found)) => {
+                watch(HomingStep::Found(found));
+                self.found.push(found);
+                self.begin_joint(acquisition);
+            }
+            Err(error) => self.end(acquisition, Err(error)),
+        }
+    }
+
+    fn end(&mut self, acquisition: &mut Acquisition, outcome: Outcome) {
+        latch(acquisition, 0..self.encoders.len(), false);
+        self.state = State::Ending(outcome);
+    }
+}
+
+fn latch(acquisition: &mut Acquisition, terminals: Range<usize>, enable_latch: bool) {
+    terminals.for_each(|encoder| acquisition.set_output(encoder, Output { enable_latch }));
+}

@@ -1,0 +1,88 @@
+//! The cable between this PC and the coupler, pulled and plugged in again.
+
+use shared::recording::schema::{CycleRecord, flags};
+
+use super::check::Outcome;
+use crate::problem::Fact;
+use crate::run::{BUS_FLAGS, Session};
+use crate::segment::faults::{Fault, FaultHandle};
+
+/// How long a pulled cable stays out: the bus is given up after a second, and must be brought up again.
+const OUT_S: u64 = 3;
+/// How long the bus must be whole after that.
+const BACK_S: u64 = 2;
+/// How long a person may take to pull the cable, or to plug it in.
+const PATIENCE_S: u64 = 60;
+
+/// The cable between this PC and the coupler while a person, or the simulated bus, pulls it and plugs it in.
+pub(super) struct Pull<'a> {
+    faults: Option<&'a FaultHandle>,
+    cycles_per_s: u64,
+    state: Cable,
+    /// Cycles since the state changed.
+    waited: u64,
+    /// Cycles in a row that show the next state.
+    in_a_row: u64,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Cable {
+    /// It is to be pulled.
+    In,
+    /// It is to be plugged in.
+    Out,
+    /// The bus is whole again.
+    Back,
+}
+
+impl<'a> Pull<'a> {
+    pub fn new(session: &'a Session, cycles_per_s: u64) -> Self {
+        Self { faults: session.faults(), cycles_per_s, state: Cable::In, waited: 0, in_a_row: 0 }
+    }
+
+    /// Asks the person, or switches the fault of the simulated bus.
+    pub fn ask(&self, tell: &mut dyn FnMut(&str)) {
+        match (self.state, self.faults) {
+            (Cable::In, Some(faults)) => faults.begin(Fault::LinkDown),
+            (Cable::Out, Some(faults)) => faults.end(Fault::LinkDown),
+            (Cable::In, None) => tell("pull the cable between this PC and the coupler, and leave it out"),
+            (Cable::Out, None) => tell("plug the cable in again"),
+            (Cable::Back, _) => {}
+        }
+    }
+
+    /// Takes a cycle; false once there is nothing more to wait for.
+    pub fn take(&mut self, record: &CycleRecord, tell: &mut dyn FnMut(&str)) -> bool {
+        let (shows_next, for_s) = match self.state {
+            Cable::In => (record.flags & (flags::NO_REPLY | flags::BUS_DOWN) != 0, OUT_S),
+            Cable::Out => (record.flags & BUS_FLAGS == 0, BACK_S),
+            Cable::Back => return false,
+        };
+        self.waited += 1;
+        self.in_a_row = if shows_next { self.in_a_row + 1 } else { 0 };
+        if self.in_a_row >= for_s * self.cycles_per_s {
+            self.state = if self.state == Cable::In { Cable::Out } else { Cable::Back };
+            (self.waited, self.in_a_row) = (0, 0);
+            self.ask(tell);
+        }
+        self.state != Cable::Back && self.waited < PATIENCE_S * self.cycles_per_s
+    }
+
+    pub fn outcome(&self, session: &Session) -> Outcome {
+        match self.state {
+            Cable::Back => Outcome::passed("the bus is in operation again"),
+            Cable::In => Outcome::Failed {
+                expected: format!("a cable that is out for {OUT_S} s, within {PATIENCE_S} s"),
+                found: "replies".into(),
+                remedy: "pull the cable from the upper (IN) socket of the coupler when asked".into(),
+                code: None,
+            },
+            Cable::Out => {
+                let expected = format!("the bus in operation within {PATIENCE_S} s");
+                let fact =
+                    session.outage().unwrap_or_else(|| Fact::BusNoAnswer { bus: session.bus().to_owned() });
+                Outcome::failed(expected, &fact.into(), None)
+            }
+        }
+    }
+}

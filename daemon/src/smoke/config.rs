@@ -1,0 +1,74 @@
+//! `config/smoke.toml`: what is checked on a bus before its first use.
+
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+use shared::config::{DaemonConfig, Kind, Validate, Violation};
+
+/// Checks to be done, and their limits.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SmokeConfig {
+    /// An encoder is connected to every terminal.
+    pub signals: bool,
+    /// A person turns one joint after the other.
+    pub homing: bool,
+    /// A person pulls the cable and plugs it in again.
+    pub pulled_cable: bool,
+    /// Largest share of the cycles at a rate that may be bad for one reason.
+    pub bad_share_max: f64,
+    /// Revisions of the coupler whose behaviour is known, without the lower half of the number.
+    pub coupler_revisions: Vec<u16>,
+    /// Revisions of the terminals whose process data are known, without the lower half of the number.
+    pub terminal_revisions: Vec<u16>,
+    /// One after the other; the bus is brought up anew for each.
+    pub cycles: Vec<CyclesConfig>,
+}
+
+/// Cycles at one rate.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CyclesConfig {
+    /// Cycles per second \[Hz\].
+    pub rate_hz: u32,
+    /// For so long \[s\].
+    pub duration_s: u32,
+}
+
+impl CyclesConfig {
+    /// Time that the cycles take.
+    pub fn duration(self) -> Duration {
+        Duration::from_secs(self.duration_s.into())
+    }
+
+    /// Number of cycles in that time.
+    pub fn cycles(self) -> u64 {
+        u64::from(self.rate_hz) * u64::from(self.duration_s)
+    }
+}
+
+impl Validate for SmokeConfig {
+    const KIND: Option<Kind> = Some(Kind::Smoke);
+
+    fn validate(&self) -> Result<(), Violation> {
+        if !(0.0..=1.0).contains(&self.bad_share_max) {
+            let problem = format!("{} is outside 0 to 1", self.bad_share_max);
+            return Err(Violation::new("bad_share_max", problem, "0.001 is one cycle in a thousand"));
+        }
+        if self.cycles.is_empty() {
+            return Err(Violation::new(
+                "cycles",
+                "there is none",
+                "add [[cycles]] with rate_hz and duration_s",
+            ));
+        }
+        for CyclesConfig { rate_hz, duration_s } in &self.cycles {
+            DaemonConfig { rate_hz: *rate_hz, ..DaemonConfig::default() }.validate()?;
+            if !(1..=86_400).contains(duration_s) {
+                let problem = format!("{duration_s} is outside 1 to 86400");
+                return Err(Violation::new("duration_s", problem, "60 is usual"));
+            }
+        }
+        Ok(())
+    }
+}

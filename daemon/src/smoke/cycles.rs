@@ -1,0 +1,330 @@
+//! Figures of cycles on a bus in operation, and what they show.
+
+use std::collections::BTreeMap;
+use std::thread;
+use std::time::Duration;
+
+use serde::Serialize;
+use shared::recording::TimingSummary;
+use shared::recording::schema::{CycleRecord, PortCounts, flags};
+use shared::time::{DcNs, UtcNs};
+
+use super::check::{Outcome, Reason, Subject};
+use super::config::{CyclesConfig, SmokeConfig};
+use crate::bus::DeviceClock;
+use crate::cycle::{BusNames, CycleEvent, PortErrors};
+use crate::devices::el5021::Status;
+use crate::problem::{Fact, Problem};
+use crate::run::{Session, Stop};
+
+/// How often the ring is emptied.
+const PERIOD: Duration = Duration::from_millis(10);
+/// Reasons by which a cycle fails at [`Subject::Cycles`]; the others have checks of their own.
+const CYCLE_FLAGS: u32 = flags::NO_REPLY | flags::DEADLINE_MISSED | flags::BUS_DOWN | flags::LOST;
+/// Reasons by which a cycle fails at [`Subject::WorkingCounter`].
+const DEVICE_FLAGS: u32 = flags::WORKING_COUNTER | flags::NOT_OPERATIONAL;
+
+/// What some cycles showed.
+#[derive(Debug, Clone, Default, Serialize)]
+pub struct Figures {
+    /// Cycles per second \[Hz\].
+    pub rate_hz: u32,
+    /// Cycles that were due.
+    pub cycles: u64,
+    /// Cycles in which every encoder was valid.
+    pub cycles_valid: u64,
+    /// Cycles by the flags that they have.
+    pub flags: BTreeMap<&'static str, u64>,
+    /// What the working counter of a whole bus is.
+    pub working_counter_expected: u16,
+    /// Replies by their working counter.
+    pub working_counters: BTreeMap<u16, u64>,
+    /// One for each encoder, in bus order.
+    pub encoders: Vec<EncoderFigures>,
+    /// Clocks of the devices and of this PC.
+    pub clocks: ClockFigures,
+    /// What happened, by its code.
+    pub events: BTreeMap<String, EventFigures>,
+    /// Ports that have counted errors.
+    pub ports: Vec<PortCounts>,
+    /// How late cycles woke up, how long replies took; none on virtual time.
+    pub timing: Option<TimingSummary>,
+    /// What the system permitted the cycle's thread; none on virtual time.
+    pub realtime: Option<String>,
+    #[serde(skip)]
+    names: BusNames,
+    /// Cycles that are bad for a reason of [`CYCLE_FLAGS`], of [`DEVICE_FLAGS`], and those without a synchronised new sample.
+    #[serde(skip)]
+    bad: [u64; 3],
+    /// The cycle before was bad: a terminal that misses a frame reports it in the next.
+    #[serde(skip)]
+    was_bad: bool,
+    /// First and last sample.
+    #[serde(skip)]
+    span: Option<[(DcNs, UtcNs); 2]>,
+}
+
+/// What the terminal of an encoder showed.
+#[derive(Debug, Clone, Default, Serialize)]
+pub struct EncoderFigures {
+    /// Bar joint that it measures, 1 to 5.
+    pub joint: u8,
+    /// Cycles with a valid sample.
+    pub valid: u64,
+    /// Cycles with an amplitude error.
+    pub amplitude_errors: u64,
+    /// Cycles with a frequency error.
+    pub frequency_errors: u64,
+    /// Cycles with a synchronisation error.
+    pub sync_errors: u64,
+    /// The last count, and its status word.
+    pub count: u32,
+    /// Status word of the last cycle.
+    pub status: u16,
+}
+
+/// What the distributed clocks showed.
+#[derive(Debug, Clone, Default, Serialize)]
+pub struct ClockFigures {
+    /// When the bus came up.
+    pub devices: Vec<DeviceClock>,
+    /// Rate of the host's UTC against the bus' clock; none without distributed clocks \[ppm\].
+    pub host_rate_ppm: Option<f64>,
+    /// Largest standard deviation of a sample time \[ns\].
+    pub uncertainty_ns_max: u32,
+}
+
+/// Events of one code.
+#[derive(Debug, Clone, Default, Serialize)]
+pub struct EventFigures {
+    /// Number of events.
+    pub count: u64,
+    /// Text of the first.
+    pub first: String,
+}
+
+impl Figures {
+    /// Before the first cycle.
+    pub fn new(session: &Session, rate_hz: u32) -> Self {
+        let joints = session.encoders().iter().map(|encoder| encoder.joint);
+        let encoders = joints.clone().map(|joint| EncoderFigures { joint, ..EncoderFigures::default() });
+        let devices = session.devices().to_vec();
+        Self {
+            rate_hz,
+            encoders: encoders.collect(),
+            clocks: ClockFigures { devices: session.clocks().to_vec(), ..ClockFigures::default() },
+            realtime: session.realtime().map(ToString::to_string),
+            names: BusNames { bus: session.bus().to_owned(), devices, joints: joints.collect() },
+            ..Self::default()
+        }
+    }
+
+    /// Counts cycles for so long, until `stop`, or while `continues` is true of each.
+    pub fn count(
+        &mut self,
+        session: &Session,
+        duration: Option<Duration>,
+        stop: &Stop,
+        mut continues: impl FnMut(&CycleRecord) -> bool,
+    ) {
+        let own = Stop::default();
+        let mut source = session.begin_watch(duration, &own);
+        loop {
+            if stop.is_stopped() {
+                own.stop(&stop.cause());
+            }
+            // Asked before: what was handed over before the end is still taken.
+            let is_last = source.is_over();
+            while let Some(record) = source.take() {
+                self.take(&record);
+                if !continues(&record) {
+                    own.stop("nothing more to count");
+                }
+            }
+            while let Some(event) = source.take_event() {
+                self.take_event(&event);
+            }
+            // The ring of the times is emptied here.
+            self.timing = source.timing();
+            if is_last {
+                return;
+            }
+            thread::sleep(PERIOD);
+        }
+    }
+
+    fn take(&mut self, record: &CycleRecord) {
+        // Numbers have no hole: what is missing found the ring full.
+        let lost = record.cycle.saturating_sub(self.cycles);
+        if lost > 0 {
+            *self.flags.entry("lost").or_default() += lost;
+            self.bad[0] += lost;
+        }
+        self.cycles = record.cycle + 1;
+        self.cycles_valid += u64::from(record.is_valid());
+        for (_, name) in flags::NAMES.iter().filter(|(bit, _)| record.flags & bit != 0) {
+            *self.flags.entry(name).or_default() += 1;
+        }
+        let is_bad = record.flags & CYCLE_FLAGS != 0;
+        let is_devices = record.flags & DEVICE_FLAGS != 0;
+        let follows_bad = std::mem::replace(&mut self.was_bad, is_bad || is_devices) || lost > 0;
+        let is_sync_error = record.encoders().iter().any(|encoder| Status(encoder.status).sync_error());
+        let is_unsynchronised = record.flags & flags::STALE_INPUT != 0 || is_sync_error;
+        let bad = [is_bad, is_devices, is_unsynchronised && !is_bad && !is_devices && !follows_bad];
+        self.bad.iter_mut().zip(bad).for_each(|(count, is_bad)| *count += u64::from(is_bad));
+        self.working_counter_expected = record.working_counter_expected;
+        if is_bad {
+            return;
+        }
+        *self.working_counters.entry(record.working_counter).or_default() += 1;
+        if is_devices {
+            // A terminal that is absent writes no inputs.
+            return;
+        }
+        for (figures, encoder) in self.encoders.iter_mut().zip(record.encoders()) {
+            let status = Status(encoder.status);
+            figures.valid += u64::from(encoder.valid);
+            figures.amplitude_errors += u64::from(status.amplitude_error());
+            figures.frequency_errors += u64::from(status.frequency_error());
+            figures.sync_errors += u64::from(status.sync_error());
+            (figures.count, figures.status) = (encoder.count, encoder.status);
+        }
+        let clocks = &mut self.clocks;
+        clocks.uncertainty_ns_max = clocks.uncertainty_ns_max.max(record.sample_time_uncertainty_ns);
+        let sample = (record.dc_time, record.sample_time);
+        let [first, _] = *self.span.get_or_insert([sample; 2]);
+        self.span = Some([first, sample]);
+        let (bus_ns, utc_ns) = (sample.0.ns_since(first.0), sample.1.ns_since(first.1));
+        clocks.host_rate_ppm = (bus_ns > 0).then(|| 1e6 * (utc_ns - bus_ns) as f64 / bus_ns as f64);
+    }
+
+    fn take_event(&mut self, event: &CycleEvent) {
+        if let Some(counts) = event.port_counts() {
+            self.ports.retain(|port| (port.position, port.port) != (counts.position, counts.port));
+            self.ports.push(counts);
+        }
+        let event = event.to_event(&self.names);
+        let figures = self.events.entry(event.code).or_default();
+        figures.count += 1;
+        if figures.first.is_empty() {
+            figures.first = event.text;
+        }
+    }
+
+    /// The checks that these figures decide.
+    pub fn checks(
+        &self,
+        config: &SmokeConfig,
+        asked: CyclesConfig,
+        distributed_clocks: bool,
+    ) -> [(Subject, Outcome); 5] {
+        let of_replies = |outcome: Outcome| match self.working_counters.is_empty() {
+            true => Outcome::NotDone { because: Reason::After(Subject::Cycles) },
+            false => outcome,
+        };
+        let if_asked = |is_asked: bool, key, outcome: Outcome| match is_asked {
+            true => of_replies(outcome),
+            false => Outcome::NotDone { because: Reason::NotAsked(key) },
+        };
+        let allowed = (config.bad_share_max * asked.cycles() as f64) as u64;
+        let clocks = if_asked(distributed_clocks, "distributed_clocks", self.clocks_outcome(allowed));
+        [
+            (Subject::Cycles, self.cycles_outcome(asked, allowed)),
+            (Subject::WorkingCounter, of_replies(self.devices_outcome())),
+            (Subject::DistributedClocks, clocks),
+            (Subject::Signals, if_asked(config.signals, "signals", self.signals_outcome(allowed))),
+            (Subject::Cables, of_replies(self.cables_outcome())),
+        ]
+    }
+
+    fn cycles_outcome(&self, asked: CyclesConfig, allowed: u64) -> Outcome {
+        let [bad, ..] = self.bad;
+        let flagged: Vec<_> = self.flags.iter().map(|(name, count)| format!("{name} {count}")).collect();
+        let found = format!("{} of {} cycles without reply, late or lost", bad, self.cycles);
+        let found = if flagged.is_empty() { found } else { format!("{found} ({})", flagged.join(", ")) };
+        if bad <= allowed && self.cycles >= asked.cycles() {
+            return Outcome::passed(found);
+        }
+        let problem = Problem::from(match self.flags.get("no_reply") {
+            Some(_) => Fact::BusNoAnswer { bus: self.names.bus.clone() },
+            None => Fact::CyclesLate {},
+        });
+        let remedy = match self.working_counters.is_empty() {
+            true => problem.remedy.clone(),
+            false => "run `ballbard tune`; if this PC is not late, replace the cable to the coupler".into(),
+        };
+        let expected = format!("{} cycles, of which at most {allowed} are bad", asked.cycles());
+        Outcome::Failed { expected, found, remedy, code: Some(problem.code()) }
+    }
+
+    fn devices_outcome(&self) -> Outcome {
+        let [_, bad, _] = self.bad;
+        let expected = self.working_counter_expected;
+        if bad == 0 {
+            return Outcome::passed(format!("{expected} in every reply"));
+        }
+        let counts: Vec<_> = self
+            .working_counters
+            .iter()
+            .map(|(counter, replies)| format!("{counter} ({replies} replies)"))
+            .collect();
+        let problem = Fact::of_flags(flags::WORKING_COUNTER, &self.names.bus, Vec::new(), None).into();
+        let found = format!("{bad} cycles in which a device was absent or not in OP: {}", counts.join(", "));
+        Outcome::failed(format!("{expected} in every reply"), &problem, Some(found))
+    }
+
+    fn clocks_outcome(&self, allowed: u64) -> Outcome {
+        let [.., unsynchronised] = self.bad;
+        let jumps = self.flags.get("no_dc").copied().unwrap_or(0);
+        let found = format!(
+            "{unsynchronised} cycles stale or with a synchronisation error, {jumps} with a wrong bus time; host {:+.2} ppm, \
+             sigma of sample times {:.1} us",
+            self.clocks.host_rate_ppm.unwrap_or(f64::NAN),
+            f64::from(self.clocks.uncertainty_ns_max) * 1e-3
+        );
+        if unsynchronised <= allowed && jumps <= allowed {
+            return Outcome::passed(found);
+        }
+        Outcome::Failed {
+            expected: format!("a new sample in each cycle; at most {allowed} cycles without"),
+            found,
+            remedy: "send the report: SYNC0 and SYNC1 do not suit these terminals, or this PC is late".into(),
+            code: None,
+        }
+    }
+
+    fn signals_outcome(&self, allowed: u64) -> Outcome {
+        let has_errors = |encoder: &&EncoderFigures| {
+            encoder.amplitude_errors > allowed || encoder.frequency_errors > allowed
+        };
+        let bad: Vec<_> = self.encoders.iter().filter(has_errors).collect();
+        let Some(first) = bad.first() else {
+            let counts: Vec<_> = self.encoders.iter().map(|encoder| encoder.count.to_string()).collect();
+            return Outcome::passed(format!("last counts {}", counts.join(", ")));
+        };
+        let describe = |encoder: &&EncoderFigures| {
+            let EncoderFigures { joint, amplitude_errors, frequency_errors, .. } = encoder;
+            format!("joint {joint}: {amplitude_errors} amplitude errors, {frequency_errors} frequency errors")
+        };
+        let found = bad.iter().map(describe).collect::<Vec<_>>().join("; ");
+        let joints = bad.iter().map(|encoder| encoder.joint).collect();
+        let problem = Fact::EncoderInvalid { joints, status: Some(first.status), valid_share: 0.0 }.into();
+        Outcome::failed(
+            format!("at most {allowed} cycles with an error of an encoder"),
+            &problem,
+            Some(found),
+        )
+    }
+
+    fn cables_outcome(&self) -> Outcome {
+        let problem = |counts: &PortCounts| -> Problem {
+            let PortCounts { position, port, receive_errors, invalid_frames, lost_links } = *counts;
+            let errors = PortErrors { invalid_frames, receive_errors, lost_links };
+            errors.fact(position.into(), port.into()).into()
+        };
+        let problems: Vec<Problem> = self.ports.iter().map(problem).collect();
+        let Some(first) = problems.first() else { return Outcome::passed("no port has counted an error") };
+        let found = problems.iter().map(|problem| problem.text.as_str()).collect::<Vec<_>>().join("; ");
+        Outcome::failed("no error of any port", first, Some(found))
+    }
+}

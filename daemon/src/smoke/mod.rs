@@ -1,0 +1,353 @@
+//! Smoke test: the first minutes of a bus, check by check, with a report to send back.
+//!
+//! The simulated segment was written from documents; this test shows in what real devices differ. Bring-up and cycles are those
+//! of every run. The ring between cycle and recorder is read here, and its records are counted instead of written.
+
+mod cable;
+mod check;
+mod config;
+mod cycles;
+mod host;
+mod report;
+
+use std::collections::BTreeMap;
+use std::thread;
+use std::time::Duration;
+
+use shared::config::{BallBarConfig, DaemonConfig};
+use shared::recording::schema::{DeviceInfo, SIMULATED_BUS};
+use shared::time::UtcNs;
+
+pub use check::{Check, Outcome, Reason, Subject};
+pub use config::{CyclesConfig, SmokeConfig};
+pub use cycles::{EncoderFigures, Figures};
+pub use report::Report;
+
+use crate::devices::{EK1100, EL5021};
+use crate::homing::{self, HomingError};
+use crate::problem::Fact;
+use crate::run::{self, BusChoice, RunError, RunRequest, Session, Stop, Storage};
+use cable::Pull;
+use host::Host;
+
+/// How often a homing is polled.
+const POLL: Duration = Duration::from_millis(50);
+/// Cycles may wait so long to be counted \[s\]. On virtual time they run ahead by as much: much less than a person may take.
+const RING_S: u32 = 5;
+
+/// What is tested, and how.
+pub struct Bench<'a> {
+    /// Checks to be done, and their limits.
+    pub smoke: &'a SmokeConfig,
+    /// How the bus is cycled, but for the rate and the time for a reply.
+    pub daemon: &'a DaemonConfig,
+    /// The terminals to expect.
+    pub bar: &'a BallBarConfig,
+    /// The bus, its faults, and whether time is virtual.
+    pub request: &'a RunRequest,
+    /// A person reads what is printed, and can turn joints and pull the cable.
+    pub has_person: bool,
+    /// Ends the test early.
+    pub stop: &'a Stop,
+}
+
+/// Does all checks. The text of each, and instructions for a person, go to `tell` at once.
+pub fn smoke(bench: &Bench<'_>, tell: &mut dyn FnMut(&str)) -> Result<Report, RunError> {
+    let Bench { smoke, daemon, bar, request, .. } = *bench;
+    let interface = match &request.bus {
+        BusChoice::Interface(name) => Some(name.as_str()),
+        BusChoice::Simulated | BusChoice::Replay(_) => None,
+    };
+    let report = Report {
+        software: shared::version::software("ballbard"),
+        started: UtcNs::from_datetime(chrono::Utc::now()).to_string(),
+        bus: interface.unwrap_or(SIMULATED_BUS).to_owned(),
+        host: Host::read(daemon, interface),
+        smoke: smoke.clone(),
+        daemon: daemon.clone(),
+        encoders: bar.encoders.clone(),
+        devices: Vec::new(),
+        checks: Vec::new(),
+        cycles: Vec::new(),
+        pulled_cable: None,
+    };
+    // A session watches the disk of its runs, although none is recorded.
+    let storage = Storage::new(daemon).map_err(|error| RunError::Thread(error.to_string()))?;
+    let mut test = Test { bench, report, storage, blocked: None, not_up: BTreeMap::new(), tell };
+    for asked in &smoke.cycles {
+        test.cycles(*asked);
+    }
+    test.homing();
+    test.pulled_cable();
+    Ok(test.report)
+}
+
+/// A smoke test that is being done.
+struct Test<'a> {
+    bench: &'a Bench<'a>,
+    report: Report,
+    storage: Storage,
+    /// Why nothing further can be done.
+    blocked: Option<Reason>,
+    /// Rates at which the bus did not come up.
+    not_up: BTreeMap<u32, Reason>,
+    tell: &'a mut dyn FnMut(&str),
+}
+
+impl Test<'_> {
+    fn add(&mut self, subject: Subject, rate_hz: Option<u32>, outcome: Outcome) {
+        let check = Check { subject, rate_hz, outcome };
+        (self.tell)(&check.to_string());
+        self.report.checks.push(check);
+    }
+
+    /// The bus in operation. If it does not come up, a check that failed is added, and the reason for all that need it returned.
+    fn connect(&mut self, rate_hz: u32) -> Result<Session, Reason> {
+        if let Some(reason) = self.blocked.as_ref().or_else(|| self.not_up.get(&rate_hz)) {
+            return Err(reason.clone());
+        }
+        let Bench { daemon, bar, request, stop, .. } = *self.bench;
+        // A test does not end because no encoder gives samples.
+        let own = DaemonConfig {
+            rate_hz,
+            reply_timeout_us: None,
+            full_fault_s: u32::MAX,
+            ring_s: RING_S,
+            ..daemon.clone()
+        };
+        match run::connect(request, &own, bar, &self.storage, stop) {
+            Ok(session) => {
+                self.identify(session.devices(), Outcome::passed(self.devices_expected()));
+                Ok(session)
+            }
+            Err(error) => Err(self.not_connected(rate_hz, &error)),
+        }
+    }
+
+    fn not_connected(&mut self, rate_hz: u32, error: &RunError) -> Reason {
+        let stop = self.bench.stop;
+        if stop.is_stopped() {
+            return self.block(Reason::Stopped(stop.cause()));
+        }
+        let identified = match error {
+            RunError::Bus { identified, .. } => identified.as_slice(),
+            _ => &[],
+        };
+        let problem = error.problem();
+        let (subject, expected) = match *problem.fact {
+            Fact::InterfaceUnusable { .. } => (Subject::Interface, "an interface that can be opened".into()),
+            Fact::BusNoAnswer { .. }
+            | Fact::BusDeviceMissing { .. }
+            | Fact::BusDeviceUnexpected { .. }
+            | Fact::BusDeviceWrong { .. } => (Subject::Devices, self.devices_expected()),
+            Fact::BusClockStopped { .. } | Fact::BusClockUnsettled { .. } => {
+                (Subject::DistributedClocks, "clocks that follow the coupler within 1000 ns".into())
+            }
+            _ => (Subject::BringUp, "every device in OP".into()),
+        };
+        let outcome = Outcome::failed(expected, &problem, None);
+        match subject {
+            Subject::Interface if !self.is_done(Subject::Devices, None) => self.add(subject, None, outcome),
+            Subject::Devices if !self.is_done(Subject::Devices, None) => self.identify(identified, outcome),
+            // They answered at an earlier rate.
+            Subject::Interface | Subject::Devices => self.add(Subject::BringUp, Some(rate_hz), outcome),
+            _ => {
+                if !identified.is_empty() {
+                    self.identify(identified, Outcome::passed(self.devices_expected()));
+                }
+                self.add(subject, Some(rate_hz), outcome);
+                // Another rate may still work.
+                return self.not_up.entry(rate_hz).or_insert(Reason::After(subject)).clone();
+            }
+        }
+        self.block(Reason::After(subject))
+    }
+
+    fn block(&mut self, because: Reason) -> Reason {
+        self.blocked.insert(because).clone()
+    }
+
+    fn is_done(&self, subject: Subject, rate_hz: Option<u32>) -> bool {
+        self.report.checks.iter().any(|check| (check.subject, check.rate_hz) == (subject, rate_hz))
+    }
+
+    fn devices_expected(&self) -> String {
+        format!("{}, then {} {}", EK1100.name, self.bench.bar.encoders.len(), EL5021.name)
+    }
+
+    /// Adds the checks of the interface, the devices and their revisions, the first time.
+    fn identify(&mut self, devices: &[DeviceInfo], outcome: Outcome) {
+        if self.is_done(Subject::Devices, None) {
+            return;
+        }
+        self.report.devices = devices.to_vec();
+        let interface = Outcome::passed(format!("{} is open", self.report.bus));
+        self.add(Subject::Interface, None, interface);
+        self.add(Subject::Devices, None, outcome);
+        if !devices.is_empty() {
+            let revisions = self.revisions(devices);
+            self.add(Subject::Revisions, None, revisions);
+        }
+    }
+
+    fn revisions(&self, devices: &[DeviceInfo]) -> Outcome {
+        let SmokeConfig { coupler_revisions, terminal_revisions, .. } = self.bench.smoke;
+        let revision = |device: &DeviceInfo| (device.revision >> 16) as u16;
+        let is_known = |device: &&DeviceInfo| {
+            let known = if device.position == 0 { coupler_revisions } else { terminal_revisions };
+            known.contains(&revision(device))
+        };
+        let name = |device: &DeviceInfo| format!("{} r{}", device.name, revision(device));
+        let unknown: Vec<_> = devices.iter().filter(|device| !is_known(device)).map(name).collect();
+        if unknown.is_empty() {
+            return Outcome::passed(devices.iter().map(name).collect::<Vec<_>>().join(", "));
+        }
+        Outcome::Failed {
+            expected: format!("coupler r{coupler_revisions:?}, terminals r{terminal_revisions:?}"),
+            found: unknown.join(", "),
+            remedy: "send the report: process data of other revisions may differ".into(),
+            code: None,
+        }
+    }
+
+    fn cycles(&mut self, asked: CyclesConfig) {
+        let rate_hz = Some(asked.rate_hz);
+        let outcomes = match self.connect(asked.rate_hz) {
+            Ok(session) => {
+                let off_ns = session.clocks().iter().map(|clock| clock.difference_ns.abs()).max();
+                let clocks = off_ns.map_or(String::new(), |off_ns| format!(", clocks within {off_ns} ns"));
+                let found = format!("every device in OP{clocks}");
+                self.add(Subject::BringUp, rate_hz, Outcome::passed(found));
+                self.outcomes(session, asked)
+            }
+            Err(because) => Err(because),
+        };
+        match outcomes {
+            Ok(outcomes) => {
+                outcomes.into_iter().for_each(|(subject, outcome)| self.add(subject, rate_hz, outcome))
+            }
+            Err(because) => self.not_done(asked.rate_hz, &because),
+        }
+    }
+
+    /// Cycles on a bus in operation, and what they show.
+    fn outcomes(&mut self, session: Session, asked: CyclesConfig) -> Result<[(Subject, Outcome); 5], Reason> {
+        let Bench { smoke, daemon, stop, .. } = *self.bench;
+        let mut figures = Figures::new(&session, asked.rate_hz);
+        figures.count(&session, Some(asked.duration()), stop, |_| true);
+        let outcomes = figures.checks(smoke, asked, daemon.distributed_clocks);
+        self.report.cycles.push(figures);
+        self.close(session);
+        match stop.is_stopped() {
+            true => Err(self.block(Reason::Stopped(stop.cause()))),
+            false => Ok(outcomes),
+        }
+    }
+
+    /// Adds the checks that cannot be done at a rate.
+    fn not_done(&mut self, rate_hz: u32, because: &Reason) {
+        use Subject::{
+            BringUp, Cables, Cycles, Devices, DistributedClocks, Revisions, Signals, WorkingCounter,
+        };
+        let of_rate = [BringUp, Cycles, WorkingCounter, DistributedClocks, Signals, Cables];
+        let whole = [Subject::Interface, Devices, Revisions].map(|subject| (subject, None));
+        let all = whole.into_iter().chain(of_rate.map(|subject| (subject, Some(rate_hz))));
+        for (subject, rate_hz) in all {
+            if !self.is_done(subject, rate_hz) {
+                self.add(subject, rate_hz, Outcome::NotDone { because: because.clone() });
+            }
+        }
+    }
+
+    fn close(&mut self, session: Session) {
+        if let Err(error) = session.close() {
+            tracing::error!("{error}");
+        }
+    }
+
+    /// Rate of homing and of the pulled cable: the lowest.
+    fn rate_hz(&self) -> u32 {
+        self.bench.smoke.cycles.iter().map(|asked| asked.rate_hz).min().unwrap_or(self.bench.daemon.rate_hz)
+    }
+
+    /// Connects for a check that needs a person.
+    fn connect_with_person(&mut self, is_asked: bool, key: &'static str) -> Result<Session, Outcome> {
+        let has_hands = self.bench.has_person || self.bench.request.bus == BusChoice::Simulated;
+        let session = match (is_asked, has_hands) {
+            (false, _) => Err(Reason::NotAsked(key)),
+            (true, false) => Err(Reason::NoPerson),
+            (true, true) => self.connect(self.rate_hz()),
+        };
+        session.map_err(|because| Outcome::NotDone { because })
+    }
+
+    fn homing(&mut self) {
+        let outcome = match self.connect_with_person(self.bench.smoke.homing, "homing") {
+            Ok(session) => {
+                let outcome = self.home(&session);
+                self.close(session);
+                outcome
+            }
+            Err(outcome) => outcome,
+        };
+        self.add(Subject::Homing, None, outcome);
+    }
+
+    fn home(&mut self, session: &Session) -> Outcome {
+        let Bench { stop, bar, .. } = *self.bench;
+        let mut active = session.begin_homing();
+        let found = loop {
+            while let Some(step) = active.take_step() {
+                if let Some(line) = step.line() {
+                    (self.tell)(&line);
+                }
+            }
+            if let Some(outcome) = active.outcome() {
+                break outcome;
+            }
+            if stop.is_stopped() {
+                active.stop.stop(&stop.cause());
+            }
+            thread::sleep(POLL);
+        };
+        let verified = found.and_then(|found| Ok(homing::verify(&bar.encoders, &found)?));
+        match verified {
+            Ok(marks) => {
+                let marks: Vec<_> = marks.iter().map(u32::to_string).collect();
+                Outcome::passed(format!("marks at counts {}", marks.join(", ")))
+            }
+            Err(HomingError::Stopped(cause)) => Outcome::NotDone { because: Reason::Stopped(cause) },
+            Err(error) => Outcome::Failed {
+                expected: "each encoder on its joint, with its mark".into(),
+                found: error.to_string(),
+                remedy: String::new(),
+                code: None,
+            },
+        }
+    }
+
+    fn pulled_cable(&mut self) {
+        let outcome = match self.connect_with_person(self.bench.smoke.pulled_cable, "pulled_cable") {
+            Ok(session) => {
+                let outcome = self.pull(&session);
+                self.close(session);
+                outcome
+            }
+            Err(outcome) => outcome,
+        };
+        self.add(Subject::PulledCable, None, outcome);
+    }
+
+    fn pull(&mut self, session: &Session) -> Outcome {
+        let stop = self.bench.stop;
+        let mut figures = Figures::new(session, self.rate_hz());
+        let mut pull = Pull::new(session, self.rate_hz().into());
+        pull.ask(self.tell);
+        figures.count(session, None, stop, |record| pull.take(record, self.tell));
+        self.report.pulled_cable = Some(figures);
+        if stop.is_stopped() {
+            return Outcome::NotDone { because: Reason::Stopped(stop.cause()) };
+        }
+        pull.outcome(session)
+    }
+}

@@ -1,0 +1,93 @@
+//! What a smoke test found, to be sent back.
+
+use std::fmt;
+
+use serde::Serialize;
+use shared::config::{DaemonConfig, EncoderConfig};
+use shared::recording::schema::DeviceInfo;
+
+use super::check::Check;
+use super::config::SmokeConfig;
+use super::cycles::{EventFigures, Figures};
+use super::host::Host;
+
+/// Everything that was asked, read and counted.
+#[derive(Debug, Clone, Serialize)]
+pub struct Report {
+    /// Name and version of the program.
+    pub software: String,
+    /// Begin of the test, UTC.
+    pub started: String,
+    /// Network interface, or `simulated`.
+    pub bus: String,
+    /// Machine on which it ran.
+    pub host: Host,
+    /// What was to be checked.
+    pub smoke: SmokeConfig,
+    /// How the bus was cycled, but for the rate.
+    pub daemon: DaemonConfig,
+    /// The terminals that were expected.
+    pub encoders: Vec<EncoderConfig>,
+    /// The devices that identified themselves, in bus order.
+    pub devices: Vec<DeviceInfo>,
+    /// The checks in the order in which they were done.
+    pub checks: Vec<Check>,
+    /// Cycles at each rate.
+    pub cycles: Vec<Figures>,
+    /// Cycles while the cable was pulled.
+    pub pulled_cable: Option<Figures>,
+}
+
+impl Report {
+    /// All that was to be done was done, and passed.
+    pub fn is_good(&self) -> bool {
+        self.bad() == 0
+    }
+
+    /// Checks that failed, or were to be done and were not.
+    pub fn bad(&self) -> usize {
+        self.checks.iter().filter(|check| !check.is_good()).count()
+    }
+}
+
+/// The figures behind the checks, which are printed one by one.
+impl fmt::Display for Report {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Host { kernel, kernel_version, processor, interface, .. } = &self.host;
+        let known = |text: &Option<String>| text.clone().unwrap_or_else(|| "unknown".into());
+        writeln!(f, "program   {}", self.software)?;
+        writeln!(f, "kernel    {} {}", known(kernel), known(kernel_version))?;
+        writeln!(f, "processor {}", known(processor))?;
+        if let Some(interface) = interface {
+            let (driver, speed) = (known(&interface.driver), known(&interface.speed_mbit_s));
+            writeln!(f, "interface {}, driver {driver}, {speed} Mbit/s", self.bus)?;
+        }
+        for DeviceInfo { position, name, vendor_id, product_code, revision, serial } in &self.devices {
+            writeln!(
+                f,
+                "device {position:2} {name}: vendor {vendor_id:#x}, product {product_code:#010x}, revision \
+                 {revision:#010x}, serial {serial}"
+            )?;
+        }
+        for figures in self.cycles.iter().chain(&self.pulled_cable) {
+            let Figures { rate_hz, cycles, cycles_valid, realtime, timing, events, .. } = figures;
+            let realtime = realtime.as_deref().unwrap_or("on virtual time");
+            writeln!(f, "{rate_hz} Hz: {cycles_valid} of {cycles} cycles valid; cycle {realtime}")?;
+            for (code, EventFigures { count, first }) in events {
+                writeln!(f, "  {code} ({count}): {first}")?;
+            }
+            if let Some(timing) = timing {
+                let lines = [("wake-up late", &timing.lateness), ("round trip", &timing.round_trip)];
+                writeln!(
+                    f,
+                    "{:15} {:>10} {:>10} {:>10} {:>10}",
+                    "  time [us]", "p50", "p99", "p99.9", "max"
+                )?;
+                for (name, durations) in lines {
+                    writeln!(f, "  {name:13} {durations}")?;
+                }
+            }
+        }
+        Ok(())
+    }
+}
