@@ -1067,7 +1067,7 @@ fn places_in_millimetres_and_unknown_units_of_time_are_answered_with_what_to_typ
 }
 
 #[test]
-fn a_path_of_an_arm_that_calibrate_refuses_begins_with_that_and_no_program_has_its_reason() {
+fn a_path_of_seven_axes_says_where_the_bar_stands_and_no_program_has_its_reason() {
     let directory = tempfile::tempdir().unwrap();
     let room = directory.path();
     let arm = room.join("arm.toml");
@@ -1091,11 +1091,6 @@ fn a_path_of_an_arm_that_calibrate_refuses_begins_with_that_and_no_program_has_i
         .unwrap();
     let said = String::from_utf8(planned.stdout).unwrap();
     assert!(planned.status.success(), "{said} {}", String::from_utf8_lossy(&planned.stderr));
-    let first = said.lines().next().unwrap();
-    assert!(
-        first.contains("`identify calibrate` does not take a run") && first.contains("six revolute"),
-        "{first}"
-    );
     assert!(said.contains("gimbal in the robot's base frame: 0.200, -0.300, 0.500 m (--base)"), "{said}");
     assert!(said.contains("not end where it begins") || said.contains("ends where it begins"), "{said}");
     assert!(said.contains("no program") && said.contains("--program"), "{said}");

@@ -304,9 +304,15 @@ fn runs_of_one_robot_have_its_errors_and_paths_of_their_own() {
 }
 
 #[test]
-fn an_arm_that_the_bar_does_not_take_gets_the_hint_at_sockets() {
+fn an_arm_that_cannot_follow_the_bar_gets_the_hint_at_sockets_and_seven_axes_other_errors() {
     let urdf = std::fs::read_to_string(repository("identify/tests/data/seven_axes.urdf")).unwrap();
-    let robot = import(&urdf, Some("base"), Some("flange")).unwrap().config;
-    let refused = simulate::run(&Experiment::new(&robot, &bar())).unwrap_err().to_string();
-    assert!(refused.contains("has 7 axes") && refused.contains("`identify simulate contact`"), "{refused}");
+    let seven = import(&urdf, Some("base"), Some("flange")).unwrap().config;
+    let refused = |robot: &RobotConfig| {
+        simulate::run(&Experiment::new(robot, &bar())).unwrap_err().to_string()
+    };
+    assert!(refused(&seven).contains("--errors drawn"), "{}", refused(&seven));
+    let mut five = robots()[0].clone();
+    five.links.truncate(5);
+    let told = refused(&five);
+    assert!(told.contains("has 5 axes") && told.contains("`identify simulate contact`"), "{told}");
 }
