@@ -631,6 +631,11 @@ fn seven_axes_and_an_arm_on_a_track_are_calibrated_by_the_ball_bar() {
         experiment.effects =
             Effects { robot_noise_urad: 15.0, encoder_noise_urad: 5.0, ..Effects::default() };
         let run = simulate::run(&experiment).unwrap();
+        for (q, [low, high]) in
+            run.robot_log.q_rad.rows.iter().flat_map(|q| q.iter().zip(robot.joint_limits()))
+        {
+            assert!((low..=high).contains(q), "{}: {q} is outside {low} to {high}", arm.0);
+        }
         let terms = JointTermsConfig { candidates: Vec::new(), ..JointTermsConfig::default() };
         let config = IdentifyConfig { joint_terms: terms, ..IdentifyConfig::default() };
         let found =

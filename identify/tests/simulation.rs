@@ -307,9 +307,8 @@ fn runs_of_one_robot_have_its_errors_and_paths_of_their_own() {
 fn an_arm_that_cannot_follow_the_bar_gets_the_hint_at_sockets_and_seven_axes_other_errors() {
     let urdf = std::fs::read_to_string(repository("identify/tests/data/seven_axes.urdf")).unwrap();
     let seven = import(&urdf, Some("base"), Some("flange")).unwrap().config;
-    let refused = |robot: &RobotConfig| {
-        simulate::run(&Experiment::new(robot, &bar())).unwrap_err().to_string()
-    };
+    let refused =
+        |robot: &RobotConfig| simulate::run(&Experiment::new(robot, &bar())).unwrap_err().to_string();
     assert!(refused(&seven).contains("--errors drawn"), "{}", refused(&seven));
     let mut five = robots()[0].clone();
     five.links.truncate(5);

@@ -251,6 +251,7 @@ impl Experiment<'_> {
             robot: truth.robot_chain(&nominal_robot),
             bar: truth.bar_chain(&nominal_bar),
             start_rad,
+            limits: self.robot.joint_limits(),
             pull: Pull::new(self.load, &mut load_random),
         };
         Ok((truth, motion, load_random))

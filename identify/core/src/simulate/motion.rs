@@ -1,7 +1,7 @@
 //! Motion of the true bar and of the robot that follows.
 
 use super::Pull;
-use crate::kinematics::{BAR_JOINTS, Chain, InverseError, Joints, Pose, ROD_LINK, robot_inverse};
+use crate::kinematics::{BAR_JOINTS, Chain, InverseError, Joints, Pose, ROD_LINK, robot_inverse_centred};
 use crate::logs::CubicSpline;
 use crate::plan::Path;
 
@@ -56,6 +56,8 @@ pub struct Motion<P = Path> {
     pub bar: Chain,
     /// Joints of the nominal robot at the start of the path \[rad\].
     pub start_rad: Joints,
+    /// Of its joints \[rad, m\].
+    pub limits: Vec<[f64; 2]>,
     /// What makes the bar longer and shorter; none leaves it rigid.
     pub pull: Option<Pull>,
 }
@@ -77,11 +79,12 @@ impl<P: BarPath> Motion<P> {
         self.pull.as_ref().map_or(0.0, |pull| pull.force_n(t_s, &self.path.bar_rad(t_s)))
     }
 
-    /// Joints of the true robot at `t_s` \[rad\], the solution nearest to `near_rad`.
+    /// Joints of the true robot at `t_s` \[rad\], the solution nearest to `near_rad`; in the middle of its limits, as its path was planned,
+    /// where it has more axes than it needs.
     ///
     /// # Errors
     /// Those of the inverse kinematics.
     pub fn robot_joints(&self, t_s: f64, near_rad: &[f64]) -> Result<Joints, InverseError> {
-        robot_inverse(&self.robot, &self.pose(t_s), near_rad)
+        robot_inverse_centred(&self.robot, &self.pose(t_s), near_rad, &self.limits)
     }
 }
