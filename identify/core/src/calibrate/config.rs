@@ -290,7 +290,7 @@ impl IdentifyConfig {
         Ok(())
     }
 
-    /// Lengths of a bar on a robot of so many axes that are known, with their standard uncertainties \[m\], but for those that are
+    /// Known lengths of a bar on a robot of `axes` axes, with their standard uncertainties \[m\], but for those that are
     /// free by name or have a prior.
     pub fn known_lengths_m(&self, bar: &BallBarConfig, axes: usize) -> Vec<(ParameterId, f64)> {
         let u_um = |id| if id == ParameterId::ROD { bar.length_u_um } else { Some(bar.plate_u_um) };

@@ -455,12 +455,12 @@ impl ParameterId {
     /// Length of the ball-bar: `bd3`.
     pub const ROD: Self = Self::Bar { link: ROD_LINK, parameter: LinkParameter::D };
 
-    /// Offset plate between the last of so many axes of the robot and axis 5 of the ball-bar: `ra6` of six.
+    /// Offset plate between the last of `axes` axes of the robot and axis 5 of the ball-bar: `ra6` of six.
     pub const fn plate(axes: usize) -> Self {
         Self::Robot { link: axes.saturating_sub(1), parameter: LinkParameter::A }
     }
 
-    /// Lengths of the bar that are measured apart from a robot of so many axes, each with its own uncertainty.
+    /// Lengths of the bar that are measured separately, each with its own uncertainty.
     pub const fn known_lengths(axes: usize) -> [Self; 2] {
         [Self::plate(axes), Self::ROD]
     }

@@ -82,7 +82,7 @@ impl StaticErrors {
     }
 }
 
-/// Names of all geometric parameters: links of a robot of so many axes and of the bar, base position and tilt.
+/// Names of all geometric parameters: links of a robot of `axes` axes and of the bar, base position and tilt.
 pub fn parameter_names(axes: usize) -> Vec<String> {
     let links = |chain: char, count: usize| {
         ["a", "d", "alpha", "theta"]
