@@ -40,7 +40,7 @@ impl Host {
         let model = processors.lines().find(|line| line.starts_with("model name"));
         Self {
             kernel: line("/proc/sys/kernel/osrelease"),
-            kernel_version: line("/proc/sys/kernel/version"),
+            kernel_version: machine.kernel_version.as_deref().map(|version| version.trim().to_owned()),
             processor: model.and_then(|line| Some(line.split_once(':')?.1.trim().to_owned())),
             interface: interface.map(Interface::read),
             settings: tuning::findings(&machine),

@@ -77,8 +77,8 @@ pub fn smoke(bench: &Bench<'_>, tell: &mut dyn FnMut(&str)) -> Result<Report, Ru
     for asked in &smoke.cycles {
         test.cycles(*asked);
     }
-    test.homing();
-    test.pulled_cable();
+    test.with_person(Subject::Homing, (smoke.homing, "homing"), Test::home);
+    test.with_person(Subject::PulledCable, (smoke.pulled_cable, "pulled_cable"), Test::pull);
     Ok(test.report)
 }
 
@@ -270,27 +270,28 @@ impl Test<'_> {
         self.bench.smoke.cycles.iter().map(|asked| asked.rate_hz).min().unwrap_or(self.bench.daemon.rate_hz)
     }
 
-    /// Connects for a check that needs a person.
-    fn connect_with_person(&mut self, is_asked: bool, key: &'static str) -> Result<Session, Outcome> {
+    /// Adds a check that needs a person, if `key` of the configuration asks for it.
+    fn with_person(
+        &mut self,
+        subject: Subject,
+        (is_asked, key): (bool, &'static str),
+        check: fn(&mut Self, &Session) -> Outcome,
+    ) {
         let has_hands = self.bench.has_person || self.bench.request.bus == BusChoice::Simulated;
         let session = match (is_asked, has_hands) {
             (false, _) => Err(Reason::NotAsked(key)),
             (true, false) => Err(Reason::NoPerson),
             (true, true) => self.connect(self.rate_hz()),
         };
-        session.map_err(|because| Outcome::NotDone { because })
-    }
-
-    fn homing(&mut self) {
-        let outcome = match self.connect_with_person(self.bench.smoke.homing, "homing") {
+        let outcome = match session {
             Ok(session) => {
-                let outcome = self.home(&session);
+                let outcome = check(self, &session);
                 self.close(session);
                 outcome
             }
-            Err(outcome) => outcome,
+            Err(because) => Outcome::NotDone { because },
         };
-        self.add(Subject::Homing, None, outcome);
+        self.add(subject, None, outcome);
     }
 
     fn home(&mut self, session: &Session) -> Outcome {
@@ -324,18 +325,6 @@ impl Test<'_> {
                 code: None,
             },
         }
-    }
-
-    fn pulled_cable(&mut self) {
-        let outcome = match self.connect_with_person(self.bench.smoke.pulled_cable, "pulled_cable") {
-            Ok(session) => {
-                let outcome = self.pull(&session);
-                self.close(session);
-                outcome
-            }
-            Err(outcome) => outcome,
-        };
-        self.add(Subject::PulledCable, None, outcome);
     }
 
     fn pull(&mut self, session: &Session) -> Outcome {
