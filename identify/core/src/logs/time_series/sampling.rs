@@ -173,7 +173,8 @@ pub(in crate::logs) fn sampling(stamps_s: Vec<f64>, rows: &[Joints]) -> Option<S
     let missing = even.as_ref().map_or(0, |(_, periods)| missing(periods.iter().copied(), &heard));
     let numbered = explanations.iter().filter(|_| moves).filter_map(|periods| {
         let numbered = Numbered::new(t_s, periods, grid_s)?;
-        let description = numbered.description(&heard);
+        // One explanation alone is compared with nothing.
+        let description = if even.is_some() { numbered.description(&heard) } else { 0.0 };
         Some((numbered, description))
     });
     let shortest = numbered.min_by(|a, b| a.1.total_cmp(&b.1));
