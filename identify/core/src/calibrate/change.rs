@@ -116,7 +116,7 @@ fn of_run(Run { instrument, model }: &Run, sigma: f64) -> Result<Option<Changed>
 
 /// The instant before a place among the samples that were looked at.
 fn when(instrument: &Instrument, samples: &[usize], at: usize) -> Option<When> {
-    let Some(first_s) = instrument.time_s(0) else {
+    let Some(first_s) = instrument.first_s() else {
         return Some(When::After(at as f64 / samples.len() as f64));
     };
     let time_s = |at: usize| instrument.time_s(*samples.get(at)?);

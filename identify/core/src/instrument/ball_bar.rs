@@ -205,6 +205,10 @@ impl Measures for BallBar {
         self.prepared.observations.get(sample).map(|observation| observation.t_s)
     }
 
+    fn first_s(&self) -> Option<f64> {
+        Some(self.prepared.first_s())
+    }
+
     fn samples(&self) -> usize {
         self.prepared.observations.len()
     }

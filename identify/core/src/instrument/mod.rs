@@ -111,6 +111,11 @@ pub trait Measures: fmt::Debug + Sync {
         None
     }
 
+    /// Time of the first sample that was measured, used or not, on the same clock \[s\]: what people are told counts from it.
+    fn first_s(&self) -> Option<f64> {
+        self.time_s(0)
+    }
+
     /// Noise of each of these over that of the median one, where files state what rows are worth, as of the last [`Measures::adapt`].
     fn relative_noise(&self) -> Vec<f64> {
         vec![1.0; self.samples()]
