@@ -151,51 +151,66 @@ fn repeated_and_broken_replies_do_not_stop_the_bus() {
     assert!(bus.wire_counters().rejected > 1000, "{:?}", bus.wire_counters());
 }
 
-/// A segment that loses one frame on its way there, or the reply to it on its way back.
-struct Losing {
+/// A segment that loses frames on their way there, or the replies to them on their way back.
+struct Losing<F> {
     inner: InProcessWire,
     sent: Arc<AtomicUsize>,
-    lost: usize,
+    /// Whether the frame of this number is lost.
+    loses: F,
     on_the_way_back: bool,
 }
 
-impl Wire for Losing {
+impl<F: Fn(usize) -> bool + Send> Wire for Losing<F> {
     fn send(&mut self, frame: &[u8]) -> io::Result<()> {
         let number = self.sent.fetch_add(1, Ordering::Relaxed);
-        if number == self.lost && !self.on_the_way_back { Ok(()) } else { self.inner.send(frame) }
+        if (self.loses)(number) && !self.on_the_way_back { Ok(()) } else { self.inner.send(frame) }
     }
 
     fn receive(&mut self, buffer: &mut [u8; FRAME_BYTES_MAX], until: MonoNs) -> io::Result<Option<usize>> {
         let received = self.inner.receive(buffer, until)?;
-        if self.on_the_way_back
-            && received.is_some()
-            && self.sent.load(Ordering::Relaxed) == self.lost.saturating_add(1)
-        {
-            self.on_the_way_back = false;
+        // One request is under way at a time.
+        let number = self.sent.load(Ordering::Relaxed).saturating_sub(1);
+        if self.on_the_way_back && received.is_some() && (self.loses)(number) {
             return self.inner.receive(buffer, until);
         }
         Ok(received)
     }
 }
 
+/// Frames that a bring-up of such a segment took.
+fn bring_up_losing(
+    loses: impl Fn(usize) -> bool + Send + 'static,
+    on_the_way_back: bool,
+) -> Result<usize, BusError> {
+    let clock = Clock::virtual_from(UtcNs(0));
+    let inner = InProcessWire::new(segment_with(5), clock.clone());
+    let sent = Arc::new(AtomicUsize::new(0));
+    let wire = Losing { inner, sent: Arc::clone(&sent), loses, on_the_way_back };
+    let plan = plan(5);
+    Bus::new(Box::new(wire), clock, plan.reply_timeout).bring_up(&plan)?;
+    Ok(sent.load(Ordering::Relaxed))
+}
+
 #[test]
 fn whichever_frame_is_lost_there_or_back_the_bus_comes_up() {
     const PLACES: usize = 40;
-    let bring_up = |lost, on_the_way_back| {
-        let clock = Clock::virtual_from(UtcNs(0));
-        let inner = InProcessWire::new(segment_with(5), clock.clone());
-        let sent = Arc::new(AtomicUsize::new(0));
-        let wire = Losing { inner, sent: Arc::clone(&sent), lost, on_the_way_back };
-        let plan = plan(5);
-        let up = Bus::new(Box::new(wire), clock, plan.reply_timeout).bring_up(&plan);
-        up.map(|_| sent.load(Ordering::Relaxed))
-    };
-    let frames = bring_up(usize::MAX, false).unwrap();
+    let frames = bring_up_losing(|_| false, false).unwrap();
     for place in 0..PLACES {
         for on_the_way_back in [false, true] {
             let lost = place * frames / PLACES;
-            if let Err(error) = bring_up(lost, on_the_way_back) {
+            if let Err(error) = bring_up_losing(move |number| number == lost, on_the_way_back) {
                 panic!("frame {lost} of {frames}, back {on_the_way_back}: {error}");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_bus_comes_up_while_one_frame_in_a_hundred_is_lost() {
+    for first in 0..25 {
+        for on_the_way_back in [false, true] {
+            if let Err(error) = bring_up_losing(move |number| number % 100 == 4 * first, on_the_way_back) {
+                panic!("each hundredth from {} on, back {on_the_way_back}: {error}", 4 * first);
             }
         }
     }

@@ -21,6 +21,9 @@ use crate::devices::{DeviceKind, EK1100, EL5021, el5021};
 const SYNC_START_DELAY: Duration = Duration::from_millis(100);
 /// Clocks are compared after as many synchronising frames, one per millisecond.
 const CLOCK_SETTLE_FRAMES: u32 = 50;
+/// As often at most, until all are: chips take some thousand frames, and a lost frame is a reply's time-out without correction.
+const CLOCK_SETTLE_ROUNDS_MAX: u32 = 100;
+const SYNCHRONISING: &str = "synchronising the clocks";
 /// Largest difference to the bus time at which clocks count as synchronised \[ns\]. Three EL5021 reached 2 to 8 ns between terminals
 /// (linuxcnc-ethercat's notes, read in 2026-11).
 const CLOCK_DIFFERENCE_NS_MAX: i64 = 1_000;
@@ -141,34 +144,45 @@ impl Bus {
         Ok(())
     }
 
-    /// Lets the clocks of all terminals follow the reference clock, and checks that they do.
+    /// Lets the clocks of all terminals follow the reference clock until they do.
     fn settle_clocks(&mut self, group: &Group<PreOpPdi, NoDc>) -> Result<Vec<DeviceClock>, BusError> {
-        let doing = while_doing("synchronising the clocks");
+        let mut rounds_left = CLOCK_SETTLE_ROUNDS_MAX;
+        loop {
+            self.distribute_time(group)?;
+            let clocks = self.read_clocks(group)?;
+            rounds_left -= 1;
+            match clocks.iter().find(|clock| clock.difference_ns.abs() > CLOCK_DIFFERENCE_NS_MAX) {
+                None => return Ok(clocks),
+                Some(&DeviceClock { position, difference_ns, .. }) if rounds_left == 0 => {
+                    return Err(BusError::ClockNotSettled { position, difference_ns });
+                }
+                Some(_) => {}
+            }
+        }
+    }
+
+    /// Sends the time of the reference clock to all others, and checks that it advances.
+    fn distribute_time(&mut self, group: &Group<PreOpPdi, NoDc>) -> Result<(), BusError> {
         let mut times_ns = Vec::with_capacity(CLOCK_SETTLE_FRAMES as usize);
         for _ in 0..CLOCK_SETTLE_FRAMES {
-            let response = self.exchange.run(group.tx_rx_sync_system_time(self.main)).map_err(&doing)?;
-            times_ns.push(response.extra.unwrap_or(0));
+            let response = self.exchange.run(group.tx_rx_sync_system_time(self.main));
+            times_ns.push(response.map_err(while_doing(SYNCHRONISING))?.extra.unwrap_or(0));
             self.clock.sleep_until(self.clock.now().plus_ns(NS_PER_S / 1000));
         }
-        if let (Some(first), Some(last)) = (times_ns.first(), times_ns.last())
-            && last <= first
-        {
-            return Err(BusError::ClockStandsStill { time_ns: *last });
+        match (times_ns.first(), times_ns.last()) {
+            (Some(first), Some(last)) if last <= first => Err(BusError::ClockStandsStill { time_ns: *last }),
+            _ => Ok(()),
         }
-        let mut clocks = Vec::with_capacity(group.len());
-        for (position, device) in group.iter(self.main).enumerate().skip(1) {
-            let register = self
-                .exchange
-                .run(device.register_read::<u32>(RegisterAddress::DcSystemTimeDifference))
-                .map_err(&doing)?;
-            let difference_ns = sign_magnitude(register);
-            if difference_ns.abs() > CLOCK_DIFFERENCE_NS_MAX {
-                return Err(BusError::ClockNotSettled { position, difference_ns });
-            }
+    }
+
+    fn read_clocks(&mut self, group: &Group<PreOpPdi, NoDc>) -> Result<Vec<DeviceClock>, BusError> {
+        let read = |(position, device): (usize, SubDeviceRef<'_, _>)| {
+            let register = device.register_read::<u32>(RegisterAddress::DcSystemTimeDifference);
+            let register = self.exchange.run(register).map_err(while_doing(SYNCHRONISING))?;
             let propagation_delay_ns = device.propagation_delay();
-            clocks.push(DeviceClock { position, propagation_delay_ns, difference_ns });
-        }
-        Ok(clocks)
+            Ok(DeviceClock { position, propagation_delay_ns, difference_ns: sign_magnitude(register) })
+        };
+        group.iter(self.main).enumerate().skip(1).map(read).collect()
     }
 
     fn start_sync(
