@@ -55,7 +55,7 @@ fn model() -> Model {
 }
 
 /// Milliseconds of one pass with its step: a descent of three iterations over the passes that it made.
-fn iteration(problem: &impl Problem, start: &[f64]) -> f64 {
+fn iteration(problem: &dyn Problem, start: &[f64]) -> f64 {
     let options = Options { iterations_max: 3, ..alone() };
     let passes = minimise(problem, start, &options).unwrap().1.evaluations as f64;
     let runs = (0..RUNS).map(|_| timed(|| minimise(problem, start, &options).unwrap()));

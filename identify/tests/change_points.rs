@@ -1,7 +1,7 @@
 //! The detector of changes on made-up residuals: how often it cries wolf, and what it finds.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-use identify::solver::{Block, Change, Course, Loss, Prior, Problem, change_point, minimise};
+use identify::solver::{Change, Course, Linearisation, Loss, Prior, Problem, change_point, minimise};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal, StudentT};
@@ -17,8 +17,6 @@ struct Channels {
 }
 
 impl Problem for Channels {
-    type Point = Vec<f64>;
-
     fn columns(&self) -> usize {
         COLUMNS
     }
@@ -39,21 +37,20 @@ impl Problem for Channels {
         &[]
     }
 
-    fn point(&self, x: &[f64]) -> Vec<f64> {
-        x.to_vec()
-    }
-
-    fn sample(&self, x: &mut Vec<f64>, sample: usize, r: &mut [f64], block: &mut Block<'_>) -> bool {
-        let [speed, bend, other] = self.motion[sample];
-        let slopes = [[1.0, 0.0], [0.0, 1.0], [speed, 0.7 * speed * bend], [bend, other], [other, -bend]];
-        for channel in 0..2 {
-            r[channel] = -self.y[sample][channel];
-            for (column, slope) in slopes.iter().enumerate() {
-                r[channel] += x[column] * slope[channel];
-                block.column_mut(column)[channel] = slope[channel];
+    fn at<'a>(&'a self, x: &[f64]) -> Linearisation<'a> {
+        let x = x.to_vec();
+        Box::new(move |sample, r, block| {
+            let [speed, bend, other] = self.motion[sample];
+            let slopes = [[1.0, 0.0], [0.0, 1.0], [speed, 0.7 * speed * bend], [bend, other], [other, -bend]];
+            for channel in 0..2 {
+                r[channel] = -self.y[sample][channel];
+                for (column, slope) in slopes.iter().enumerate() {
+                    r[channel] += x[column] * slope[channel];
+                    block.column_mut(column)[channel] = slope[channel];
+                }
             }
-        }
-        true
+            true
+        })
     }
 }
 

@@ -7,7 +7,7 @@ use crate::support::{Cell, noisy_poses};
 use identify::cost::{LoopProblem, Residual, Transform};
 use identify::model::Selection;
 use identify::solver::{
-    Block, LossName, Noise, Options, Prior, Problem, SolveError, Termination, minimise_robust, solve,
+    Linearisation, LossName, Noise, Options, Prior, Problem, SolveError, Termination, minimise_robust, solve,
 };
 use levenberg_marquardt::LevenbergMarquardt;
 use nalgebra::{DMatrix, DVector};
@@ -33,8 +33,6 @@ impl<'a> Rows<'a> {
 }
 
 impl Problem for Rows<'_> {
-    type Point = Vec<f64>;
-
     fn columns(&self) -> usize {
         self.columns
     }
@@ -55,22 +53,21 @@ impl Problem for Rows<'_> {
         &self.priors
     }
 
-    fn point(&self, x: &[f64]) -> Vec<f64> {
-        x.to_vec()
-    }
-
-    fn sample(&self, x: &mut Vec<f64>, k: usize, residual: &mut [f64], block: &mut Block<'_>) -> bool {
-        let (value, gradient) = (self.row)(x, k);
-        residual[0] = value;
-        for (column, derivative) in gradient.into_iter().enumerate() {
-            block.column_mut(column)[0] = derivative;
-        }
-        // Rows without a value say so by an infinite residual.
-        value != f64::INFINITY
+    fn at<'a>(&'a self, x: &[f64]) -> Linearisation<'a> {
+        let x = x.to_vec();
+        Box::new(move |k, residual, block| {
+            let (value, gradient) = (self.row)(&x, k);
+            residual[0] = value;
+            for (column, derivative) in gradient.into_iter().enumerate() {
+                block.column_mut(column)[0] = derivative;
+            }
+            // A row without a value has an infinite residual.
+            value != f64::INFINITY
+        })
     }
 }
 
-fn other_solver<P: Problem>(problem: &P, start: &[f64]) -> DVector<f64> {
+fn other_solver(problem: &dyn Problem, start: &[f64]) -> DVector<f64> {
     let (end, report) = LevenbergMarquardt::new().minimize(Other::new(problem, start));
     assert!(report.termination.was_successful(), "{report:?}");
     end.x
@@ -382,8 +379,6 @@ fn a_minimum_that_costs_a_sample_is_not_called_convergence() {
 struct Ragged<'a>(&'a [f64]);
 
 impl Problem for Ragged<'_> {
-    type Point = Vec<f64>;
-
     fn columns(&self) -> usize {
         2
     }
@@ -404,19 +399,18 @@ impl Problem for Ragged<'_> {
         sample % 3 + 1
     }
 
-    fn point(&self, x: &[f64]) -> Vec<f64> {
-        x.to_vec()
-    }
-
-    fn sample(&self, x: &mut Vec<f64>, sample: usize, residual: &mut [f64], block: &mut Block<'_>) -> bool {
-        let first = sample / 3 * 6 + [0, 1, 3][sample % 3];
-        for (row, r) in residual.iter_mut().enumerate() {
-            let t = (first + row) as f64;
-            *r = x[0] + x[1] * t - self.0[first + row];
-            block.column_mut(0)[row] = 1.0;
-            block.column_mut(1)[row] = t;
-        }
-        true
+    fn at<'a>(&'a self, x: &[f64]) -> Linearisation<'a> {
+        let x = x.to_vec();
+        Box::new(move |sample, residual, block| {
+            let first = sample / 3 * 6 + [0, 1, 3][sample % 3];
+            for (row, r) in residual.iter_mut().enumerate() {
+                let t = (first + row) as f64;
+                *r = x[0] + x[1] * t - self.0[first + row];
+                block.column_mut(0)[row] = 1.0;
+                block.column_mut(1)[row] = t;
+            }
+            true
+        })
     }
 }
 

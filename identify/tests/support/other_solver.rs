@@ -5,20 +5,20 @@ use levenberg_marquardt::LeastSquaresProblem;
 use nalgebra::storage::Owned;
 use nalgebra::{DMatrix, DVector, Dyn};
 
-pub struct Other<'a, P> {
-    problem: &'a P,
+pub struct Other<'a> {
+    problem: &'a dyn Problem,
     pub x: DVector<f64>,
     /// That crate asks for residuals and Jacobian of a point one after the other.
     at_x: Option<(DVector<f64>, DMatrix<f64>)>,
 }
 
-impl<'a, P: Problem> Other<'a, P> {
-    pub fn new(problem: &'a P, start: &[f64]) -> Self {
+impl<'a> Other<'a> {
+    pub fn new(problem: &'a dyn Problem, start: &[f64]) -> Self {
         Self { problem, x: DVector::from_column_slice(start), at_x: stacked(problem, start) }
     }
 }
 
-impl<P: Problem> LeastSquaresProblem<f64, Dyn, Dyn> for Other<'_, P> {
+impl LeastSquaresProblem<f64, Dyn, Dyn> for Other<'_> {
     type ResidualStorage = Owned<f64, Dyn>;
     type JacobianStorage = Owned<f64, Dyn, Dyn>;
     type ParameterStorage = Owned<f64, Dyn>;

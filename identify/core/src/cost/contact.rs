@@ -3,12 +3,11 @@
 
 use nalgebra::Vector3;
 
-use super::problem::LoopPoint;
 use super::scene::unit;
 use super::{CostError, DataSet, LoopProblem, Movement, Residual, Scene};
 use crate::instrument::Sockets;
 use crate::model::{Axis, Model, Observation, Owner, ParameterId, RobotMotion};
-use crate::solver::{Block, Prior, Problem};
+use crate::solver::{Linearisation, Prior, Problem};
 
 /// `R ball - socket` \[m\], entries in the robot's base: `R` is the robot's pose. Divide by the standard deviation of a
 /// coordinate.
@@ -80,33 +79,26 @@ impl<'a, M: RobotMotion> SeatedBalls<'a, M> {
 }
 
 impl<M: RobotMotion> DataSet for SeatedBalls<'_, M> {
-    fn sample_into(
-        &self,
-        point: &mut LoopPoint,
-        sample: usize,
-        residual: &mut [f64],
-        block: &mut Block<'_>,
-        columns: &[usize],
-    ) -> bool {
-        let Some(known) = sample.checked_sub(self.rows.samples()) else {
-            return self.rows.sample_into(point, sample, residual, block, columns);
-        };
-        let Some((value, derivative)) = self.known.known(known, &point.geometry().contact.sockets_m) else {
-            return false;
-        };
-        residual.copy_from_slice(value.as_slice());
-        for (&column, id) in columns.iter().zip(self.rows.ids()) {
-            let &ParameterId::Socket { socket, axis } = id else { continue };
-            let by = derivative.column(Axis::ALL.len() * socket + axis.index());
-            block.column_mut(column).iter_mut().zip(by.iter()).for_each(|(to, by)| *to = *by);
-        }
-        true
+    fn at_into<'a>(&'a self, x: &[f64], columns: &'a [usize]) -> Linearisation<'a> {
+        let sockets_m = self.rows.model().geometry(x).contact.sockets_m;
+        let mut rows = self.rows.at_into(x, columns);
+        Box::new(move |sample, residual, block| {
+            let Some(known) = sample.checked_sub(self.rows.samples()) else {
+                return rows(sample, residual, block);
+            };
+            let Some((value, derivative)) = self.known.known(known, &sockets_m) else { return false };
+            residual.copy_from_slice(value.as_slice());
+            for (&column, id) in columns.iter().zip(self.rows.ids()) {
+                let &ParameterId::Socket { socket, axis } = id else { continue };
+                let by = derivative.column(Axis::ALL.len() * socket + axis.index());
+                block.column_mut(column).iter_mut().zip(by.iter()).for_each(|(to, by)| *to = *by);
+            }
+            true
+        })
     }
 }
 
 impl<M: RobotMotion> Problem for SeatedBalls<'_, M> {
-    type Point = LoopPoint;
-
     fn columns(&self) -> usize {
         self.rows.columns()
     }
@@ -135,17 +127,7 @@ impl<M: RobotMotion> Problem for SeatedBalls<'_, M> {
         self.rows.priors()
     }
 
-    fn point(&self, x: &[f64]) -> LoopPoint {
-        self.rows.point(x)
-    }
-
-    fn sample(
-        &self,
-        point: &mut LoopPoint,
-        sample: usize,
-        residual: &mut [f64],
-        block: &mut Block<'_>,
-    ) -> bool {
-        self.sample_into(point, sample, residual, block, &(0..self.columns()).collect::<Vec<_>>())
+    fn at<'a>(&'a self, x: &[f64]) -> Linearisation<'a> {
+        self.at_into(x, self.rows.own_columns())
     }
 }

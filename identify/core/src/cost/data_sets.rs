@@ -1,20 +1,12 @@
 //! Several data sets of one robot as one problem: other paths, bars and places of the bar, other instruments.
 
-use super::problem::LoopPoint;
 use crate::model::{Model, ParameterId};
-use crate::solver::{Block, Prior, Problem};
+use crate::solver::{Linearisation, Prior, Problem};
 
 /// Samples of one kind in standard deviations, whatever their residual.
-pub trait DataSet: Problem<Point = LoopPoint> {
-    /// [`Problem::sample`] with the derivatives of each parameter in a column of the caller's choice.
-    fn sample_into(
-        &self,
-        point: &mut LoopPoint,
-        sample: usize,
-        residual: &mut [f64],
-        block: &mut Block<'_>,
-        columns: &[usize],
-    ) -> bool;
+pub trait DataSet: Problem {
+    /// [`Problem::at`] with the derivatives of each parameter in a column of the caller's choice.
+    fn at_into<'a>(&'a self, x: &[f64], columns: &'a [usize]) -> Linearisation<'a>;
 }
 
 /// Where the columns of each run are among those of all runs.
@@ -125,8 +117,6 @@ impl<'a> DataSets<'a> {
 }
 
 impl Problem for DataSets<'_> {
-    type Point = Vec<LoopPoint>;
-
     fn columns(&self) -> usize {
         self.columns.names().len()
     }
@@ -155,19 +145,14 @@ impl Problem for DataSets<'_> {
         &self.priors
     }
 
-    fn point(&self, x: &[f64]) -> Vec<LoopPoint> {
-        self.sets.iter().enumerate().map(|(run, set)| set.point(&self.columns.values(run, x))).collect()
-    }
-
-    fn sample(
-        &self,
-        point: &mut Vec<LoopPoint>,
-        sample: usize,
-        residual: &mut [f64],
-        block: &mut Block<'_>,
-    ) -> bool {
-        let run = self.set_of(sample);
-        let (Some(set), Some(point)) = (self.sets.get(run), point.get_mut(run)) else { return false };
-        set.sample_into(point, sample - self.starts[run], residual, block, self.columns.of_run(run))
+    fn at<'a>(&'a self, x: &[f64]) -> Linearisation<'a> {
+        let numbered = self.sets.iter().enumerate();
+        let mut of_sets: Vec<Linearisation<'a>> = numbered
+            .map(|(run, set)| set.at_into(&self.columns.values(run, x), self.columns.of_run(run)))
+            .collect();
+        Box::new(move |sample, residual, block| {
+            let run = self.set_of(sample);
+            of_sets.get_mut(run).is_some_and(|set| set(sample - self.starts[run], residual, block))
+        })
     }
 }

@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use super::{DataSet, Residual, Scene};
 use crate::kinematics::{BAR_JOINTS, Chain, ROD_LINK, Trace, Tracer, Turn};
 use crate::model::{Geometry, Model, MovingJoints, Observation, ParameterId, RobotMotion};
-use crate::solver::{Block, Prior, Problem};
+use crate::solver::{Block, Linearisation, Prior, Problem};
 
 /// Observations that a cost cannot use.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -88,6 +88,16 @@ impl<'a, R: Residual, M: RobotMotion> LoopProblem<'a, R, M> {
 }
 
 impl<R, M> LoopProblem<'_, R, M> {
+    /// What the chains are of.
+    pub(super) fn model(&self) -> &Model {
+        self.model
+    }
+
+    /// Each parameter in the column of its own number.
+    pub(super) fn own_columns(&self) -> &[usize] {
+        &self.own_columns
+    }
+
     /// Parameters of the columns.
     pub(super) fn ids(&self) -> &[ParameterId] {
         &self.ids
@@ -146,11 +156,6 @@ impl LoopPoint {
         }
     }
 
-    /// The parameters.
-    pub(super) fn geometry(&self) -> &Geometry {
-        &self.geometry
-    }
-
     /// Both chains at one observation; none where the robot's log does not cover it.
     pub(super) fn scene<'a>(
         &'a mut self,
@@ -191,7 +196,7 @@ impl LoopPoint {
     }
 }
 
-impl<R: Residual, M: RobotMotion> DataSet for LoopProblem<'_, R, M> {
+impl<R: Residual, M: RobotMotion> LoopProblem<'_, R, M> {
     fn sample_into(
         &self,
         point: &mut LoopPoint,
@@ -218,9 +223,16 @@ impl<R: Residual, M: RobotMotion> DataSet for LoopProblem<'_, R, M> {
     }
 }
 
-impl<R: Residual, M: RobotMotion> Problem for LoopProblem<'_, R, M> {
-    type Point = LoopPoint;
+impl<R: Residual, M: RobotMotion> DataSet for LoopProblem<'_, R, M> {
+    fn at_into<'a>(&'a self, x: &[f64], columns: &'a [usize]) -> Linearisation<'a> {
+        let mut point = LoopPoint::new(self.model.geometry(x));
+        Box::new(move |sample, residual, block| {
+            self.sample_into(&mut point, sample, residual, block, columns)
+        })
+    }
+}
 
+impl<R: Residual, M: RobotMotion> Problem for LoopProblem<'_, R, M> {
     fn columns(&self) -> usize {
         self.ids.len()
     }
@@ -241,17 +253,7 @@ impl<R: Residual, M: RobotMotion> Problem for LoopProblem<'_, R, M> {
         &self.priors
     }
 
-    fn point(&self, x: &[f64]) -> LoopPoint {
-        LoopPoint::new(self.model.geometry(x))
-    }
-
-    fn sample(
-        &self,
-        point: &mut LoopPoint,
-        sample: usize,
-        residual: &mut [f64],
-        block: &mut Block<'_>,
-    ) -> bool {
-        self.sample_into(point, sample, residual, block, &self.own_columns)
+    fn at<'a>(&'a self, x: &[f64]) -> Linearisation<'a> {
+        self.at_into(x, &self.own_columns)
     }
 }

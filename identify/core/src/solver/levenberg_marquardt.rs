@@ -16,7 +16,7 @@ struct Linearization {
     fits: Vec<SampleFit>,
 }
 
-fn linearize<P: Problem>(pass: &Pass<'_, P>) -> Result<Linearization, PassError> {
+fn linearize(pass: &Pass<'_>) -> Result<Linearization, PassError> {
     let Pass { problem, x, .. } = *pass;
     let (products, fits) = pass.run(|| Products::new(problem.columns()))?;
     let mut normal = products.normal(0.0);
@@ -130,8 +130,8 @@ fn at_minimum(
 }
 
 /// The iteration itself. Only the start and accepted steps can end it at a minimum.
-fn descend<P: Problem>(
-    problem: &P,
+fn descend(
+    problem: &dyn Problem,
     start: Linearization,
     x: DVector<f64>,
     options: &Options<'_>,
@@ -159,8 +159,8 @@ fn descend<P: Problem>(
 }
 
 /// Tries shorter and shorter steps until one lowers the cost; false where none does.
-fn accept_step<P: Problem>(
-    problem: &P,
+fn accept_step(
+    problem: &dyn Problem,
     now: &mut Descent,
     damping: &mut Damping,
     options: &Options<'_>,
@@ -199,8 +199,8 @@ fn accept_step<P: Problem>(
 ///
 /// # Errors
 /// As [`solve`].
-pub fn minimise<P: Problem>(
-    problem: &P,
+pub fn minimise(
+    problem: &dyn Problem,
     start: &[f64],
     options: &Options<'_>,
 ) -> Result<(Vec<f64>, Summary), SolveError> {
@@ -208,8 +208,8 @@ pub fn minimise<P: Problem>(
 }
 
 /// The minimum, how it was reached, and each sample's fit there.
-fn descended<P: Problem>(
-    problem: &P,
+fn descended(
+    problem: &dyn Problem,
     start: &[f64],
     options: &Options<'_>,
 ) -> Result<(DVector<f64>, Summary, Vec<SampleFit>), SolveError> {
@@ -248,7 +248,7 @@ fn descended<P: Problem>(
 ///
 /// # Errors
 /// [`SolveError`] where the solve cannot start or was cancelled.
-pub fn solve<P: Problem>(problem: &P, start: &[f64], options: &Options<'_>) -> Result<Solution, SolveError> {
+pub fn solve(problem: &dyn Problem, start: &[f64], options: &Options<'_>) -> Result<Solution, SolveError> {
     let (x, summary, fits) = descended(problem, start, options)?;
     let (identifiability, covariance) = at_solution(problem, x.as_slice(), options, &fits)?;
     let sample_weights = fits.iter().map(|fit| fit.weight).collect();

@@ -45,9 +45,6 @@ pub struct Prior {
 
 /// A least-squares problem `min 1/2 sum_k rho(|r_k(x)|^2) + 1/2 sum ((x_j - value_j) / sigma_j)^2`.
 pub trait Problem: Sync {
-    /// What depends on `x` alone and is computed once for all samples, and scratch space.
-    type Point;
-
     /// Number of free parameters.
     fn columns(&self) -> usize;
 
@@ -75,21 +72,15 @@ pub trait Problem: Sync {
         &[]
     }
 
-    /// Prepares for `x`.
-    fn point(&self, x: &[f64]) -> Self::Point;
-
-    /// Residual and Jacobian of one sample; `block` comes filled with zeros.
-    ///
-    /// False where the sample has no value at this point (its time is outside the other log). A sample that has none
-    /// at the start is left out and counted; a step that loses one later is refused.
-    fn sample(
-        &self,
-        point: &mut Self::Point,
-        sample: usize,
-        residual: &mut [f64],
-        block: &mut Block<'_>,
-    ) -> bool;
+    /// Residuals and Jacobians at `x`. What depends on `x` alone is computed here; each thread has a linearisation of its own.
+    fn at<'a>(&'a self, x: &[f64]) -> Linearisation<'a>;
 }
+
+/// Writes residual and Jacobian of the sample of this number; the block comes filled with zeros.
+///
+/// False where the sample has no value at this point (its time is outside the other log). A sample that has none at the start
+/// is left out and counted; a step that loses one later is refused.
+pub type Linearisation<'a> = Box<dyn FnMut(usize, &mut [f64], &mut Block<'_>) -> bool + 'a>;
 
 /// Why there is no solution.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use nalgebra::{DMatrix, DVector};
 
 use super::panel::{Panel, fold_triangles, width};
-use super::{Loss, Normal, Options, Problem, Progress, SolveError, Watch};
+use super::{Linearisation, Loss, Normal, Options, Problem, Progress, SolveError, Watch};
 use crate::threads::{on_threads, threads_there};
 
 /// Samples of a part, at least: about a millisecond.
@@ -175,8 +175,8 @@ impl Fold for Rows {
 }
 
 /// One pass: where, which samples, and how much each counts.
-pub(super) struct Pass<'a, P> {
-    pub(super) problem: &'a P,
+pub(super) struct Pass<'a> {
+    pub(super) problem: &'a dyn Problem,
     pub(super) x: &'a [f64],
     pub(super) loss: Loss,
     pub(super) taking: Taking<'a>,
@@ -187,9 +187,14 @@ pub(super) struct Pass<'a, P> {
     pub(super) progress: (usize, usize, Option<f64>),
 }
 
-impl<'a, P: Problem> Pass<'a, P> {
+impl<'a> Pass<'a> {
     /// As the options say, apart from any iteration.
-    pub(super) fn new(problem: &'a P, x: &'a [f64], options: &'a Options<'_>, taking: Taking<'a>) -> Self {
+    pub(super) fn new(
+        problem: &'a dyn Problem,
+        x: &'a [f64],
+        options: &'a Options<'_>,
+        taking: Taking<'a>,
+    ) -> Self {
         Self {
             problem,
             x,
@@ -240,11 +245,11 @@ impl<'a, P: Problem> Pass<'a, P> {
 
     /// The samples of one part, in their order.
     fn part<F: Fold>(&self, samples: Range<usize>, mut fold: F) -> Result<(F, Vec<SampleFit>), PassError> {
-        let mut point = self.problem.point(self.x);
+        let mut linearisation = self.problem.at(self.x);
         let mut panel = Panel::new(self.problem.columns(), self.problem.rows());
         let mut fits = Vec::with_capacity(samples.len());
         for sample in samples {
-            fits.push(self.sample(&mut point, sample, &mut panel)?);
+            fits.push(self.sample(&mut linearisation, sample, &mut panel)?);
             if panel.is_full() {
                 fold.fold(&mut panel)?;
                 panel.clear();
@@ -257,7 +262,12 @@ impl<'a, P: Problem> Pass<'a, P> {
     }
 
     /// Puts a sample into the panel, weighted.
-    fn sample(&self, point: &mut P::Point, sample: usize, panel: &mut Panel) -> Result<SampleFit, PassError> {
+    fn sample(
+        &self,
+        linearisation: &mut Linearisation<'_>,
+        sample: usize,
+        panel: &mut Panel,
+    ) -> Result<SampleFit, PassError> {
         if let Taking::These(these) = self.taking
             && !these.get(sample).is_some_and(|fit| fit.present)
         {
@@ -265,7 +275,7 @@ impl<'a, P: Problem> Pass<'a, P> {
         }
         let rows = self.problem.rows_of(sample);
         let (residual, mut block) = panel.next(rows);
-        if !self.problem.sample(point, sample, residual, &mut block) {
+        if !linearisation(sample, residual, &mut block) {
             residual.fill(0.0);
             block.clear();
             return match self.taking {
@@ -298,24 +308,24 @@ fn require_finite(panel: &Panel) -> Result<(), PassError> {
 }
 
 /// Threads for a pass over all samples of a problem.
-pub(super) fn threads_that_pay(problem: &impl Problem) -> usize {
+pub(super) fn threads_that_pay(problem: &dyn Problem) -> usize {
     let pays = problem.samples() * problem.rows() * problem.columns() / ENTRIES_PER_THREAD;
     if pays > 1 { threads_there().min(pays) } else { 1 }
 }
 
-fn plain<'a, P: Problem>(problem: &'a P, x: &'a [f64]) -> Pass<'a, P> {
+fn plain<'a>(problem: &'a dyn Problem, x: &'a [f64]) -> Pass<'a> {
     let taking = Taking::WhatIsThere;
     Pass { problem, x, loss: Loss::Squared, taking, threads: None, watch: None, progress: (0, 0, None) }
 }
 
 /// The fit of each sample at `x`, without loss. Empty where one is not finite.
-pub(super) fn fits<P: Problem>(problem: &P, x: &[f64]) -> Vec<SampleFit> {
+pub(super) fn fits(problem: &dyn Problem, x: &[f64]) -> Vec<SampleFit> {
     plain(problem, x).run(|| ()).map(|((), fits)| fits).unwrap_or_default()
 }
 
 /// Residuals and Jacobian of all samples that have a value at `x`, stacked, without loss and priors: for looking at,
 /// and for other solvers. None where one of them is not finite.
-pub fn stacked<P: Problem>(problem: &P, x: &[f64]) -> Option<(DVector<f64>, DMatrix<f64>)> {
+pub fn stacked(problem: &dyn Problem, x: &[f64]) -> Option<(DVector<f64>, DMatrix<f64>)> {
     let (rows, _) = plain(problem, x).run(Rows::default).ok()?;
     let count = rows.residual.len();
     Some((

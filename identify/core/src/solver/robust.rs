@@ -44,7 +44,7 @@ impl GoodShare {
     }
 
     /// [`Self::spread`] of the samples that have a value at `x`.
-    pub fn spread_at<P: Problem>(self, problem: &P, x: &[f64]) -> f64 {
+    pub fn spread_at(self, problem: &dyn Problem, x: &[f64]) -> f64 {
         self.spread(fits(problem, x).iter().filter(|fit| fit.present).map(|fit| (fit.squared, fit.rows)))
     }
 }
@@ -122,7 +122,7 @@ impl LossName {
     }
 
     /// The loss with the scale of the residuals at `x`, where the spread has settled already.
-    pub fn settled<P: Problem>(self, problem: &P, x: &[f64]) -> Loss {
+    pub fn settled(self, problem: &dyn Problem, x: &[f64]) -> Loss {
         if self == Self::None {
             return Loss::Squared;
         }
@@ -134,8 +134,8 @@ impl LossName {
 ///
 /// # Errors
 /// As [`minimise`].
-pub fn minimise_robust<P: Problem>(
-    problem: &P,
+pub fn minimise_robust(
+    problem: &dyn Problem,
     start: &[f64],
     loss: LossName,
     options: &Options<'_>,

@@ -1,19 +1,16 @@
 //! A part of a problem's samples as a problem of its own.
 
-use super::{Block, Prior, Problem};
+use super::{Linearisation, Prior, Problem};
 
 /// Some samples of a problem, with all of its columns and priors.
-#[derive(Debug)]
-pub struct Subset<'a, P> {
+pub struct Subset<'p> {
     /// The whole.
-    pub of: &'a P,
+    pub of: &'p dyn Problem,
     /// Numbers of its samples, in the order in which they come here.
     pub samples: Vec<usize>,
 }
 
-impl<P: Problem> Problem for Subset<'_, P> {
-    type Point = P::Point;
-
+impl Problem for Subset<'_> {
     fn columns(&self) -> usize {
         self.of.columns()
     }
@@ -38,17 +35,10 @@ impl<P: Problem> Problem for Subset<'_, P> {
         self.of.priors()
     }
 
-    fn point(&self, x: &[f64]) -> P::Point {
-        self.of.point(x)
-    }
-
-    fn sample(
-        &self,
-        point: &mut P::Point,
-        sample: usize,
-        residual: &mut [f64],
-        block: &mut Block<'_>,
-    ) -> bool {
-        self.samples.get(sample).is_some_and(|&sample| self.of.sample(point, sample, residual, block))
+    fn at<'a>(&'a self, x: &[f64]) -> Linearisation<'a> {
+        let mut whole = self.of.at(x);
+        Box::new(move |sample, residual, block| {
+            self.samples.get(sample).is_some_and(|&sample| whole(sample, residual, block))
+        })
     }
 }

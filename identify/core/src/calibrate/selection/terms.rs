@@ -216,7 +216,7 @@ mod tests {
     use rand_distr::StandardNormal;
 
     use super::*;
-    use crate::solver::{Block, Options, Problem};
+    use crate::solver::{Linearisation, Options, Problem};
 
     /// Rows of a line with a wave that may be there and one that is not.
     struct Waves {
@@ -245,8 +245,6 @@ mod tests {
     }
 
     impl Problem for Waves {
-        type Point = Vec<f64>;
-
         fn columns(&self) -> usize {
             4
         }
@@ -267,19 +265,18 @@ mod tests {
             &self.priors
         }
 
-        fn point(&self, x: &[f64]) -> Vec<f64> {
-            x.to_vec()
-        }
-
-        fn sample(&self, x: &mut Vec<f64>, sample: usize, r: &mut [f64], block: &mut Block<'_>) -> bool {
-            let t = self.t[sample];
-            let by = [1.0, t, (5.0 * t).sin(), (11.0 * t).cos()];
-            r[0] = 0.3 + 0.2 * t + self.wave * by[2] + self.noise[sample];
-            for (column, by) in by.into_iter().enumerate() {
-                r[0] += by * x[column];
-                block.column_mut(column)[0] = by;
-            }
-            true
+        fn at<'a>(&'a self, x: &[f64]) -> Linearisation<'a> {
+            let x = x.to_vec();
+            Box::new(move |sample, r, block| {
+                let t = self.t[sample];
+                let by = [1.0, t, (5.0 * t).sin(), (11.0 * t).cos()];
+                r[0] = 0.3 + 0.2 * t + self.wave * by[2] + self.noise[sample];
+                for (column, by) in by.into_iter().enumerate() {
+                    r[0] += by * x[column];
+                    block.column_mut(column)[0] = by;
+                }
+                true
+            })
         }
     }
 

@@ -19,7 +19,7 @@ use crate::logs::CubicSpline;
 use crate::model::{Geometry, Group, Model, ModelError, Observation, ParameterId, RobotMotion, Role};
 use crate::prepare::AlignedLog;
 use crate::prepare::samples::angle_errors::AngleErrors;
-use crate::solver::{Block, GoodShare, Loss, Options, Prior, Problem, Schedule, Summary, minimise};
+use crate::solver::{GoodShare, Linearisation, Loss, Options, Prior, Problem, Schedule, Summary, minimise};
 use crate::threads::rows;
 
 /// How far the numbers of the nominal chains are expected to be off, one standard deviation \[m, rad\].
@@ -177,8 +177,6 @@ struct WithZeros<'a> {
 }
 
 impl Problem for WithZeros<'_> {
-    type Point = (<LoopProblem<'static, ImpliedAngles, AlignedLog> as Problem>::Point, Vec<f64>);
-
     fn columns(&self) -> usize {
         self.chain_columns + self.origin_count * BAR_JOINTS
     }
@@ -204,35 +202,29 @@ impl Problem for WithZeros<'_> {
         &self.priors
     }
 
-    fn point(&self, x: &[f64]) -> Self::Point {
+    fn at<'a>(&'a self, x: &[f64]) -> Linearisation<'a> {
         let (chain, offsets) = x.split_at(self.chain_columns.min(x.len()));
-        (self.chain.point(chain), offsets.to_vec())
-    }
-
-    fn sample(
-        &self,
-        (point, offsets): &mut Self::Point,
-        sample: usize,
-        residual: &mut [f64],
-        block: &mut Block<'_>,
-    ) -> bool {
-        let (Some(observation), Some(&origin)) = (self.observations.get(sample), self.origins.get(sample))
-        else {
-            return false;
-        };
-        if !self.chain.sample(point, sample, residual, block) {
-            return false;
-        }
-        let trust = self.residual.trust(&observation.bar_rad);
-        for joint in 0..BAR_JOINTS {
-            let slope = -trust[joint] / self.sigma_rad;
-            let offset = origin * BAR_JOINTS + joint;
-            residual[joint] += slope * offsets.get(offset).copied().unwrap_or(0.0);
-            if let Some(entry) = block.column_mut(self.chain_columns + offset).get_mut(joint) {
-                *entry = slope;
+        let (mut chain, offsets) = (self.chain.at(chain), offsets.to_vec());
+        Box::new(move |sample, residual, block| {
+            let (Some(observation), Some(&origin)) =
+                (self.observations.get(sample), self.origins.get(sample))
+            else {
+                return false;
+            };
+            if !chain(sample, residual, block) {
+                return false;
             }
-        }
-        true
+            let trust = self.residual.trust(&observation.bar_rad);
+            for joint in 0..BAR_JOINTS {
+                let slope = -trust[joint] / self.sigma_rad;
+                let offset = origin * BAR_JOINTS + joint;
+                residual[joint] += slope * offsets.get(offset).copied().unwrap_or(0.0);
+                if let Some(entry) = block.column_mut(self.chain_columns + offset).get_mut(joint) {
+                    *entry = slope;
+                }
+            }
+            true
+        })
     }
 }
 

@@ -67,7 +67,7 @@ pub struct Change {
 /// where a sound run shows as much more often than in this part `false_alarms` of runs, or samples are too few. An alternative is
 /// one column or several that change together.
 pub fn change_point(
-    problem: &impl Problem,
+    problem: &dyn Problem,
     x: &[f64],
     loss: Loss,
     samples: &[usize],
@@ -130,7 +130,7 @@ struct Run {
 
 impl Run {
     fn new(
-        problem: &impl Problem,
+        problem: &dyn Problem,
         x: &[f64],
         loss: Loss,
         samples: &[usize],

@@ -28,9 +28,9 @@ pub enum Noise {
 
 impl Noise {
     /// The factor `s^2`.
-    pub(in crate::solver) fn variance_factor<P: Problem>(
+    pub(in crate::solver) fn variance_factor(
         self,
-        problem: &P,
+        problem: &dyn Problem,
         x: &[f64],
         fits: &[SampleFit],
     ) -> f64 {

@@ -255,8 +255,8 @@ impl ScaledSpectrum {
 }
 
 /// Triangle of the samples' weighted Jacobian.
-pub(in crate::solver) fn sample_triangle<P: Problem>(
-    problem: &P,
+pub(in crate::solver) fn sample_triangle(
+    problem: &dyn Problem,
     x: &[f64],
     options: &Options<'_>,
     taking: Taking<'_>,
@@ -282,7 +282,7 @@ pub(in crate::solver) fn with_priors<'a>(
 }
 
 /// The point has a value for each column.
-pub(in crate::solver) fn require_start<P: Problem>(problem: &P, x: &[f64]) -> Result<(), SolveError> {
+pub(in crate::solver) fn require_start(problem: &dyn Problem, x: &[f64]) -> Result<(), SolveError> {
     if x.len() == problem.columns() {
         return Ok(());
     }
@@ -337,8 +337,8 @@ impl Open {
     }
 }
 
-fn examine<P: Problem>(
-    problem: &P,
+fn examine(
+    problem: &dyn Problem,
     triangle: &DMatrix<f64>,
     fits: &[SampleFit],
     options: &Options<'_>,
@@ -371,8 +371,8 @@ fn examine<P: Problem>(
 ///
 /// # Errors
 /// [`SolveError`] where no sample is usable or it was cancelled.
-pub fn identifiability<P: Problem>(
-    problem: &P,
+pub fn identifiability(
+    problem: &dyn Problem,
     x: &[f64],
     options: &Options<'_>,
 ) -> Result<Identifiability, SolveError> {
@@ -386,8 +386,8 @@ pub fn identifiability<P: Problem>(
 }
 
 /// Identifiability and covariance where a solve ended.
-pub(in crate::solver) fn at_solution<P: Problem>(
-    problem: &P,
+pub(in crate::solver) fn at_solution(
+    problem: &dyn Problem,
     x: &[f64],
     options: &Options<'_>,
     fits: &[SampleFit],

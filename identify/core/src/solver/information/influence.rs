@@ -26,8 +26,8 @@ pub struct Influence {
 ///
 /// # Errors
 /// [`SolveError`] where no sample is usable, or [`SolveError::Dependent`] where estimates depend on each other.
-pub fn influence<P: Problem>(
-    problem: &P,
+pub fn influence(
+    problem: &dyn Problem,
     x: &[f64],
     held: &[usize],
     options: &Options<'_>,

@@ -112,8 +112,8 @@ impl Normals {
     ///
     /// # Errors
     /// [`SolveError`] where a residual or derivative is not finite, or the pass was cancelled.
-    pub fn new<P: Problem>(
-        problem: &P,
+    pub fn new(
+        problem: &dyn Problem,
         x: &[f64],
         options: &Options<'_>,
         folds: &[Vec<usize>],
@@ -309,7 +309,7 @@ impl Normals {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::solver::{Block, minimise};
+    use crate::solver::{Linearisation, minimise};
 
     /// Lines with noise that is the same within a fold: `r = a + b t - y`.
     struct Line {
@@ -320,8 +320,6 @@ mod tests {
     }
 
     impl Problem for Line {
-        type Point = Vec<f64>;
-
         fn columns(&self) -> usize {
             2
         }
@@ -346,21 +344,20 @@ mod tests {
             &self.priors
         }
 
-        fn point(&self, x: &[f64]) -> Vec<f64> {
-            x.to_vec()
-        }
-
-        fn sample(&self, x: &mut Vec<f64>, sample: usize, r: &mut [f64], block: &mut Block<'_>) -> bool {
-            if let (Some([slope, sigma]), true) = (self.slope, sample == self.y.len()) {
-                r[0] = (x[1] - slope) / sigma;
-                block.column_mut(1)[0] = sigma.recip();
-                return true;
-            }
-            let t = sample as f64;
-            r[0] = x[0] + x[1] * t - self.y[sample];
-            block.column_mut(0)[0] = 1.0;
-            block.column_mut(1)[0] = t;
-            true
+        fn at<'a>(&'a self, x: &[f64]) -> Linearisation<'a> {
+            let x = x.to_vec();
+            Box::new(move |sample, r, block| {
+                if let (Some([slope, sigma]), true) = (self.slope, sample == self.y.len()) {
+                    r[0] = (x[1] - slope) / sigma;
+                    block.column_mut(1)[0] = sigma.recip();
+                    return true;
+                }
+                let t = sample as f64;
+                r[0] = x[0] + x[1] * t - self.y[sample];
+                block.column_mut(0)[0] = 1.0;
+                block.column_mut(1)[0] = t;
+                true
+            })
         }
     }
 
@@ -370,7 +367,7 @@ mod tests {
         (Line { y, priors, slope: None }, (0..5).map(|fold| (8 * fold..8 * (fold + 1)).collect()).collect())
     }
 
-    fn solved(problem: &impl Problem) -> Vec<f64> {
+    fn solved(problem: &dyn Problem) -> Vec<f64> {
         minimise(problem, &[0.0, 0.0], &Options::default()).map(|(x, _)| x).unwrap_or_default()
     }
 
