@@ -52,8 +52,9 @@ impl Normal {
 
     /// The same rows with some of the columns, in this order.
     fn only(&self, columns: &[usize]) -> Self {
+        let count = columns.len();
         Self {
-            matrix: self.matrix.select_rows(columns).select_columns(columns),
+            matrix: DMatrix::from_fn(count, count, |i, j| self.matrix[(columns[i], columns[j])]),
             gradient: self.gradient.select_rows(columns),
             ..*self
         }
