@@ -39,7 +39,7 @@ impl Setup {
         }
         let truth = true_model.start();
         let geometry = true_model.geometry(&truth);
-        let (observations, joints) = spread_poses(&geometry.robot, &geometry.bar(), poses, 3);
+        let (observations, joints) = spread_poses(&geometry.robot, &geometry.bar_chain(), poses, 3);
         Self { model, truth, observations, joints }
     }
 

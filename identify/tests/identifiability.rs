@@ -150,7 +150,7 @@ fn true_chains(model: &Model, more: &[(&str, f64)]) -> (Model, Chain, Chain) {
         truth.set_value(id, value + error * 1e-3).unwrap();
     }
     let geometry = truth.geometry(&[]);
-    (truth, geometry.robot.clone(), geometry.bar())
+    (truth, geometry.robot.clone(), geometry.bar_chain())
 }
 
 /// Euclidean distance to the truth over the free parameters \[mm|mrad\].

@@ -66,7 +66,7 @@ fn the_table_of_links_and_both_files_give_the_poses_of_the_solution() {
     let mut reader = csv::Reader::from_path(directory.path().join("dh.csv")).unwrap();
     let rows: Vec<DhRow> = reader.deserialize().map(|row| row.unwrap()).collect();
     let geometry = model.geometry(&model.start());
-    let mut bar = geometry.bar();
+    let mut bar = geometry.bar_chain();
     bar.root_from_base = Pose::identity();
     for k in 0..20 {
         let joints: [f64; 6] = std::array::from_fn(|i| (1.3 * f64::from(k) + i as f64).sin());

@@ -45,7 +45,7 @@ impl Calibration {
 
     /// Cost of the runs with a ball-bar.
     pub fn cost(&self) -> Option<CostName> {
-        self.bars().next().map(|bar| bar.cost)
+        self.runs.iter().find_map(|run| run.instrument.in_unit_of())
     }
 
     /// What was minimised, in reports.

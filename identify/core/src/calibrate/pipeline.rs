@@ -10,7 +10,7 @@ use super::rows::WAVES_PER_TURN_MAX;
 use super::selection::line_spectrum::{LineSpectrum, Shown};
 use super::selection::terms::{Candidate, CandidateGroup, Offer, mean, prior_scale, select};
 use crate::cost::{CostError, DataSets, SharedColumns};
-use crate::instrument::{CostName, Run};
+use crate::instrument::{CostName, Run, ScaleFrom};
 use crate::model::{Group, Model, ModelError, Parameter, ParameterId, Phase, Role, TermGroup};
 use crate::solver::{
     Considered, Covariance, GoodShare, Loss, LossName, Normals, Options, Prior, Problem, Solution, Source,
@@ -142,7 +142,7 @@ fn estimated(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateError
     let mut scale = 1.0;
     let to_choose = !(plan.groups.is_empty() && plan.tolerances.is_empty() && solver.alike.is_empty());
     if to_choose && solution.summary.residual_rms > RESIDUAL_MIN * solver.unit() {
-        let finds_noise = solver.bars().is_none_or(|cost| cost == CostName::Pose);
+        let finds_noise = solver.in_unit_of().is_none_or(|cost| cost == CostName::Pose);
         // Known terms leave less noise: the second choice weighs their priors by it.
         let rounds = if finds_noise { 2 } else { 1 };
         for _ in 0..rounds {
@@ -154,12 +154,12 @@ fn estimated(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateError
                 solver.learn_noise();
                 solver.narrow_alike(solution.loss)?;
             }
-            if solver.bars().is_none() {
+            if solver.in_unit_of().is_none() {
                 solver.weigh()?;
             }
         }
         if finds_noise || scale != 1.0 || candidates.iter().any(|candidate| candidate.accepted) {
-            (columns, solution) = if solver.bars().is_some() {
+            (columns, solution) = if solver.in_unit_of().is_some() {
                 // The terms that were taken leave less, and the scale of the loss was that of more.
                 solver.approach()?;
                 solver.solve()?
@@ -194,7 +194,7 @@ pub(super) fn refit(
 /// Of rod and plate those that are not the same in all runs with a bar.
 pub(super) fn differ(runs: &[Run]) -> Vec<ParameterId> {
     let differs = |id: &ParameterId| {
-        let bars = runs.iter().filter(|run| run.instrument.bar().is_some());
+        let bars = runs.iter().filter(|run| run.instrument.scale() == ScaleFrom::Plate);
         let mut lengths = bars.filter_map(|run| run.model.parameter(*id).map(|length| length.nominal));
         let first = lengths.next();
         lengths.any(|length| Some(length) != first)
@@ -239,17 +239,17 @@ impl<'a> Solver<'a> {
         }
     }
 
-    /// The cost, where all runs are those of a ball-bar: what their noise is, is configured.
-    fn bars(&self) -> Option<CostName> {
-        let mut costs = self.runs.iter().map(|run| run.instrument.bar().map(|bar| bar.cost));
+    /// The cost in whose unit the residuals of all data sets are.
+    fn in_unit_of(&self) -> Option<CostName> {
+        let mut costs = self.runs.iter().map(|run| run.instrument.in_unit_of());
         let first = costs.next()??;
         costs.all(|cost| cost == Some(first)).then_some(first)
     }
 
-    /// What residuals in reports are multiplied by: those of the ball-bar alone are in the cost's own unit.
+    /// What residuals in reports are multiplied by, for the unit of a cost that all data sets have.
     fn unit(&self) -> f64 {
         let first = self.sigmas.first().copied().unwrap_or(UNWEIGHTED);
-        if self.bars().is_some() { first } else { UNWEIGHTED }
+        if self.in_unit_of().is_some() { first } else { UNWEIGHTED }
     }
 
     /// Solves until residuals count as much as they are worth.
@@ -257,7 +257,7 @@ impl<'a> Solver<'a> {
         /// The noise has settled when it falls by less than this part.
         const SETTLED: f64 = 0.02;
         const ROUNDS_MAX: usize = 20;
-        if let Some(cost) = self.bars() {
+        if let Some(cost) = self.in_unit_of() {
             self.sigmas.fill(UNWEIGHTED);
             let first = self.approach()?;
             self.learn_noise();
@@ -392,7 +392,7 @@ impl<'a> Solver<'a> {
 
     /// The last solve, from near the solution, where the models are left.
     fn solve(&mut self) -> Result<(SharedColumns, Solution), CalibrateError> {
-        let of_bars = self.bars().is_some();
+        let of_bars = self.in_unit_of().is_some();
         if of_bars {
             self.adapt();
         }
@@ -648,7 +648,7 @@ impl<'a> Solver<'a> {
         // Waves of high orders look like noise to all that is estimated; others look like links. They are as large as the smallest
         // that is usual: left-out groups did not ask for more. Encoders of a bar tell terms and links apart: claims of its runs hold
         // without (95 % of 185 simulated ones).
-        let bars = self.bars().is_some();
+        let bars = self.in_unit_of().is_some();
         let looks_like_links = |group: &&CandidateGroup| group.group != TermGroup::LineSpectrum && !bars;
         for verdict in verdicts.iter().filter(|verdict| !verdict.accepted) {
             if let Some(group) = groups.get(verdict.offer).filter(looks_like_links) {

@@ -143,7 +143,7 @@ pub struct LoopPoint {
 
 impl LoopPoint {
     pub(super) fn new(geometry: Geometry) -> Self {
-        let bar_chain = geometry.bar();
+        let bar_chain = geometry.bar_chain();
         Self {
             robot_tracer: Tracer::new(&geometry.robot),
             bar_tracer: Tracer::new(&bar_chain),

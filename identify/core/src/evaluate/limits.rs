@@ -76,13 +76,15 @@ pub fn limits(calibration: &Calibration, workspace: &WorkspaceError) -> Vec<Limi
     }
     let (model, solution) = (calibration.model(), calibration.solution());
     let reach_m = model.geometry(&[]).robot.reach_m();
+    let scales = calibration.runs.iter().map(|run| run.instrument.scale());
     limits.extend(of_changes(&calibration.changed, reach_m, workspace.budget.expanded_m));
     limits.extend(of_drives(model, solution));
     // Another instrument takes the turn of what it holds for its own mounting.
-    limits.extend(calibration.bars().next().and_then(|_| turned_plate(model, solution)));
+    if scales.clone().any(|scale| scale == ScaleFrom::Plate) {
+        limits.extend(turned_plate(model, solution));
+    }
     limits.extend(of_disagreement(&calibration.runs, &calibration.solved.sigmas, solution.loss));
     // A wrong scale strains the priors of all lengths, too.
-    let scales = calibration.runs.iter().map(|run| run.instrument.scale());
     limits.extend(of_lengths(model, solution, scales));
     limits.extend(strained_priors(model, solution));
     limits.extend(lasting_errors(calibration));

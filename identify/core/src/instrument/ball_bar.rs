@@ -169,6 +169,10 @@ impl Measures for BallBar {
         self.cost.name()
     }
 
+    fn in_unit_of(&self) -> Option<CostName> {
+        Some(self.cost)
+    }
+
     fn scale(&self) -> ScaleFrom {
         ScaleFrom::Plate
     }

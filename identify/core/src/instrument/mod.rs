@@ -43,6 +43,11 @@ pub trait Measures: fmt::Debug + Sync {
     /// Name of what is minimised.
     fn cost(&self) -> &'static str;
 
+    /// The cost in whose unit residuals are until their noise is found; none where they are in standard deviations from the first.
+    fn in_unit_of(&self) -> Option<CostName> {
+        None
+    }
+
     /// What fixes the scale of all lengths.
     fn scale(&self) -> ScaleFrom;
 

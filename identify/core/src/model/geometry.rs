@@ -243,7 +243,7 @@ impl Geometry {
     }
 
     /// The ball-bar on its base, without any force on it.
-    pub fn bar(&self) -> Chain {
+    pub fn bar_chain(&self) -> Chain {
         Chain::new(self.base.pose(), self.bar_links.clone())
     }
 }

@@ -100,7 +100,7 @@ pub fn check(
     information: &Information,
 ) -> Result<Checked, CheckError> {
     let curve = curve(path)?;
-    let (robot, bar, design) = (constraints.robot(), constraints.bar(), constraints.design);
+    let (robot, bar, design) = (constraints.robot(), constraints.bar_chain(), constraints.design);
     let duration_s = path.q_rad.duration_s();
     let axes = path.axes();
     let mut checked = Checked {

@@ -157,7 +157,7 @@ pub fn random_poses(constraints: &Constraints<'_>, count: usize, random: &mut im
         let largest = by.iter().fold(0.0_f64, |most, by| most.max(by.abs()));
         let step = speed_rad_s(design, random) * STEP_S / largest.max(1e-9);
         let next_rad: [f64; 5] = std::array::from_fn(|i| bar_rad[i] + step * by[i]);
-        let Ok(next) = constraints.inverse(&constraints.bar().forward(&next_rad), &q) else { continue };
+        let Ok(next) = constraints.inverse(&constraints.bar_chain().forward(&next_rad), &q) else { continue };
         let qd = Joints::from_fn(q.len(), |i| (next[i] - q[i]) / STEP_S);
         let fastest = qd.iter().fold(0.0_f64, |most, qd| most.max(qd.abs()));
         let slower = (design.robot_speed_rad_s / fastest.max(1e-9)).min(1.0);
@@ -179,7 +179,7 @@ fn start(constraints: &Constraints<'_>, random: &mut impl Rng) -> Result<([f64; 
         }
     }
     Err(PlanError::NoStart {
-        length_m: constraints.bar().links.iter().map(|link| link.d_m).sum(),
+        length_m: constraints.bar_chain().links.iter().map(|link| link.d_m).sum(),
         base_m: design.base_m,
         obstacle: obstacles.worst(),
     })

@@ -144,7 +144,8 @@ pub(super) fn tight_design(design: &Design) -> Design {
 
 /// The constraints with that design, and the same room for everything else.
 pub(super) fn tightened<'a>(constraints: &Constraints<'a>, design: &'a Design) -> Constraints<'a> {
-    let mut tight = Constraints::new(constraints.robot(), constraints.bar(), &constraints.limits, design);
+    let mut tight =
+        Constraints::new(constraints.robot(), constraints.bar_chain(), &constraints.limits, design);
     tight.acceleration_rad_s2 = ACCELERATION_PART * constraints.acceleration_rad_s2;
     tight.bodies = constraints
         .bodies

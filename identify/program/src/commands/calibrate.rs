@@ -26,11 +26,11 @@ use crate::report::result::file::Input;
 )]
 pub struct CalibrateArguments {
     #[command(subcommand)]
-    instrument: Instrument,
+    from: From,
 }
 
 #[derive(Debug, Subcommand)]
-enum Instrument {
+enum From {
     /// From recordings of the ball-bar and the robot's own logs
     Bar(Box<bar::BarArguments>),
     /// From poses with one measured length each: a draw-wire or a telescoping bar
@@ -95,12 +95,12 @@ pub struct RowArguments {
 }
 
 pub fn run(arguments: &CalibrateArguments) -> anyhow::Result<()> {
-    match &arguments.instrument {
-        Instrument::Bar(arguments) => bar::run(arguments),
-        Instrument::Wire(arguments) => rows::run_wire(arguments),
-        Instrument::Tracker(arguments) => rows::run_tracker(arguments),
-        Instrument::Contact(arguments) => rows::run_contact(arguments),
-        Instrument::Experiment(arguments) => experiment::run(arguments),
+    match &arguments.from {
+        From::Bar(arguments) => bar::run(arguments),
+        From::Wire(arguments) => rows::run_wire(arguments),
+        From::Tracker(arguments) => rows::run_tracker(arguments),
+        From::Contact(arguments) => rows::run_contact(arguments),
+        From::Experiment(arguments) => experiment::run(arguments),
     }
 }
 

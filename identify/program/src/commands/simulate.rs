@@ -31,11 +31,11 @@ const LABORATORY: Effects = Effects::LABORATORY;
 #[derive(Debug, Args)]
 pub struct SimulateArguments {
     #[command(subcommand)]
-    instrument: Instrument,
+    experiment: Simulated,
 }
 
 #[derive(Debug, Subcommand)]
-enum Instrument {
+enum Simulated {
     /// A recording of the ball-bar and the robot's own log
     Bar(Box<BarArguments>),
     /// Poses at which a ball on the flange is seated in sockets
@@ -190,14 +190,14 @@ fn within(option: &str, value: f64, limit: f64) -> anyhow::Result<()> {
 }
 
 pub fn run(arguments: &SimulateArguments) -> anyhow::Result<()> {
-    let out = match &arguments.instrument {
-        Instrument::Bar(arguments) => &arguments.out,
-        Instrument::Contact(arguments) => &arguments.out,
+    let out = match &arguments.experiment {
+        Simulated::Bar(arguments) => &arguments.out,
+        Simulated::Contact(arguments) => &arguments.out,
     };
     ensure_can_write(out)?;
-    match &arguments.instrument {
-        Instrument::Bar(arguments) => bar(arguments),
-        Instrument::Contact(arguments) => contacts(arguments),
+    match &arguments.experiment {
+        Simulated::Bar(arguments) => bar(arguments),
+        Simulated::Contact(arguments) => contacts(arguments),
     }
 }
 

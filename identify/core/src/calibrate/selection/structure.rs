@@ -49,7 +49,7 @@ fn consistent_poses(
     let every = observations.len().div_ceil(POSES_MAX).max(1);
     let mut poses: Vec<Observation> = observations.iter().step_by(every).copied().collect();
     fill_in(&geometry, motion, &mut poses);
-    let bar = geometry.bar();
+    let bar = geometry.bar_chain();
     let mut joints = Vec::new();
     poses.retain_mut(|pose| {
         let Some(state) = motion.at(geometry.clock.robot_time_s(pose.t_s)) else { return false };

@@ -10,7 +10,7 @@ use crate::model::{Geometry, MovingJoints, Observation, RobotMotion};
 /// not be exact: after a solve, filling in once more and solving again takes the rest away. Samples outside the robot's
 /// log stay as they are.
 pub fn fill_in(geometry: &Geometry, motion: &impl RobotMotion, observations: &mut [Observation]) {
-    let bar = geometry.bar();
+    let bar = geometry.bar_chain();
     let (tracer, mut joints) = (Tracer::new(&bar), MovingJoints::default());
     for observation in observations.iter_mut().filter(|observation| observation.measured.contains(&false)) {
         if !geometry.joints_at(motion, observation.t_s, &mut joints) {

@@ -116,7 +116,7 @@ impl<'a> Constraints<'a> {
     }
 
     /// The nominal bar.
-    pub fn bar(&self) -> &'a Chain {
+    pub fn bar_chain(&self) -> &'a Chain {
         self.bar
     }
 

@@ -379,7 +379,7 @@ pub(in crate::prepare) struct Errors {
 
 impl<'a, M: RobotMotion> Residuals<'a, M> {
     pub fn new(motion: &'a M, geometry: Geometry, measured: [bool; BAR_JOINTS]) -> Self {
-        let bar = geometry.bar();
+        let bar = geometry.bar_chain();
         let [robot_tracer, bar_tracer] = [&geometry.robot, &bar].map(Tracer::new);
         Self { motion, robot_tracer, bar_tracer, bar, geometry, measured }
     }
