@@ -473,14 +473,17 @@ fn measured_lengths_calibrate_from_a_csv_with_a_mapping() {
     let page = std::fs::read_to_string(out.path().join("report.html")).unwrap();
     assert!(page.contains("wire, 40 held-out rows, calibrated") && page.contains("anchor_x"));
 
-    for bar_only in [["--cost", "length"], ["--selection", "cell"], ["--config", "identify.toml"]] {
+    for bar_only in [["--cost", "length"], ["--encoders", "find"], ["--truth", "truth.toml"]] {
         let out = tempfile::tempdir().unwrap();
         let output = identify(&[&arguments[..], &bar_only].concat(), "irb120_3.toml", out.path());
         refused(&output, &["unexpected argument", bar_only[0]], out.path());
     }
+    // What is typed and what the configuration says count both.
     let out = tempfile::tempdir().unwrap();
-    let output =
-        identify(&[&arguments[..], &["--fix", "ra2,attachment_x"]].concat(), "irb120_3.toml", out.path());
+    let config = out.path().join("identify.toml");
+    std::fs::write(&config, "fix = [\"ra2\"]\n").unwrap();
+    let fixing = ["--config", config.to_str().unwrap(), "--fix", "attachment_x"];
+    let output = identify(&[&arguments[..], &fixing].concat(), "irb120_3.toml", out.path());
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let written = std::fs::read_to_string(out.path().join("calibration.toml")).unwrap();
     let file: toml::Table = written.parse().unwrap();

@@ -346,9 +346,7 @@ fn the_command_calibrates_validates_and_writes_what_it_took() {
     };
     assert!(refused(&[]).contains("--mapping"));
     // What a calibration with a tracker does not know is no option of it.
-    for bar_only in
-        [["--cost", "length"], ["--selection", "cell"], ["--free", "rbeta2"], ["--truth", "truth.toml"]]
-    {
+    for bar_only in [["--cost", "length"], ["--encoders", "find"], ["--truth", "truth.toml"]] {
         let said = refused(&[&mapping[..], &bar_only].concat());
         assert!(said.contains("unexpected argument") && said.contains(bar_only[0]), "{said}");
     }

@@ -20,9 +20,8 @@ const ZERO_SIGMA_RAD: f64 = 0.01;
 const BASE_TILT_SIGMA_RAD: f64 = 5e-3;
 
 /// Named sets of free parameters.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-#[value(rename_all = "snake_case")]
 pub enum SelectionName {
     /// The thesis' 38 and the clocks.
     Thesis,
@@ -30,14 +29,21 @@ pub enum SelectionName {
     /// samples are predicted better; and where the instrument stands and how it is mounted.
     #[default]
     #[serde(alias = "automatic")]
-    #[value(alias = "automatic")]
     Cell,
     /// All that the poses determine, without priors: of each dependent group the parameter that is best fixed is left out.
-    #[value(alias = "all-identifiable")]
     AllIdentifiable,
 }
 
 impl SelectionName {
+    /// As configurations write it.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Thesis => "thesis",
+            Self::Cell => "cell",
+            Self::AllIdentifiable => "all_identifiable",
+        }
+    }
+
     /// The set, where it does not depend on the poses.
     pub const fn fixed(self) -> Option<Selection> {
         match self {

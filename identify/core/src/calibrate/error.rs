@@ -33,14 +33,12 @@ pub enum CalibrateError {
     /// Nothing was given.
     #[error("there is no run to calibrate from; give at least one recording with its robot log")]
     NoRun,
-    /// An option that a mix of instruments cannot follow.
+    /// Another set of free parameters than that which calibrations have.
     #[error(
-        "option `{option}` is for the ball-bar alone; leave it out, or calibrate from runs with the ball-bar only"
+        "`selection` is \"{0}\", which is for the estimators of a study (`identify study`); leave it out, and change with `free` \
+         and `fix` what is free"
     )]
-    Mixed {
-        /// In the configuration.
-        option: &'static str,
-    },
+    Selection(&'static str),
     /// An option that has no effect on rows.
     #[error("option `{option}` is for runs with the ball-bar, and there are none; leave it out")]
     NoEffect {

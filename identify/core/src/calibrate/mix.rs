@@ -3,7 +3,6 @@
 
 use shared::config::RobotConfig;
 
-use super::IdentifyConfig;
 use super::ball_bar::{RunInput, calibrate_runs, prepared_runs, set_roles, tolerances};
 use super::calibration::Calibration;
 use super::change;
@@ -11,6 +10,7 @@ use super::error::CalibrateError;
 use super::pipeline::{Plan, Solved, estimate, refit, waves_per_turn};
 use super::rows::{self, RowSet};
 use super::validation::deployment::{Deployment, fitted};
+use super::{IdentifyConfig, SelectionName};
 use crate::instrument::{Measured, Rows, Run};
 use crate::kinematics::flange_chain;
 use crate::model::{DriveTrain, ParameterId};
@@ -25,17 +25,14 @@ pub struct DataSets<'a> {
     pub rows: Vec<Rows>,
 }
 
-/// Options of the ball-bar alone that a mix cannot follow, or rows without any run of it.
+/// Options of the ball-bar that rows cannot follow without any run of it.
 ///
 /// # Errors
-/// [`CalibrateError::Mixed`] or [`CalibrateError::NoEffect`] names one that was given.
+/// [`CalibrateError::NoEffect`] names one that was given.
 fn check(data: &DataSets<'_>, config: &IdentifyConfig) -> Result<(), CalibrateError> {
     let usual = IdentifyConfig::default();
     let first =
         |given: &[(&'static str, bool)]| given.iter().find(|(_, given)| *given).map(|(option, _)| *option);
-    if config.selection != usual.selection {
-        return Err(CalibrateError::Mixed { option: "selection" });
-    }
     let terms = (&config.joint_terms, &usual.joint_terms);
     let follows_log = data.rows.iter().any(|rows| matches!(rows.measured, Measured::Path(..)));
     let of_rows = [
@@ -146,6 +143,9 @@ pub fn calibrate(
     config: &IdentifyConfig,
     watch: Option<&dyn Watch>,
 ) -> Result<Calibration, CalibrateError> {
+    if config.selection != SelectionName::Cell {
+        return Err(CalibrateError::Selection(config.selection.name()));
+    }
     if data.rows.is_empty() {
         return calibrate_runs(&data.bars, robot, config, watch);
     }

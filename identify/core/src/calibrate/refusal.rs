@@ -24,7 +24,7 @@ impl CalibrateError {
     pub fn refusal(&self) -> Option<Refusal<'_>> {
         let of_data = match self {
             Self::Model(_) | Self::Structure(StructureError::Model(_)) => false,
-            Self::NoRun | Self::Mixed { .. } | Self::NoEffect { .. } => false,
+            Self::NoRun | Self::Selection(_) | Self::NoEffect { .. } => false,
             Self::Prepare { error, .. } => !error.is_mistyped(),
             Self::Cost(error) | Self::Structure(StructureError::Cost(error)) => cost_is_of_data(error),
             Self::Solve(error) | Self::Structure(StructureError::Solve(error)) => solve_is_of_data(error),

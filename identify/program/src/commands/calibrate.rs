@@ -12,11 +12,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::{Args, Subcommand};
+use shared::config;
 
-use crate::instrument::HoldOut;
-use crate::instrument::SEED;
-use crate::model::ParameterId;
+use crate::calibrate::IdentifyConfig;
+use crate::instrument::{HoldOut, SEED};
+use crate::model::{ModelError, ParameterId};
 use crate::report::result::file::Input;
+use crate::solver::LossName;
 
 /// What is calibrated with.
 #[derive(Debug, Args)]
@@ -50,8 +52,45 @@ pub struct CommonArguments {
     /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16
     #[arg(long, value_name = "FILE")]
     robot: PathBuf,
+    /// How it is calibrated; default: see config/identify.toml
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// How much samples count that do not fit; default: huber, or none with a cost of the ball-bar other than pose
+    #[arg(long)]
+    loss: Option<LossName>,
+    /// Also free these parameters, such as ra6,rd6: with commas, or --free several times
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = parameter_name)]
+    free: Vec<String>,
+    /// Fix these parameters, such as ra6,rd6: with commas, or --fix several times
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = parameter_name)]
+    fix: Vec<String>,
     #[command(flatten)]
     result: ResultArguments,
+}
+
+/// A name that some model has.
+fn parameter_name(name: &str) -> Result<String, ModelError> {
+    name.parse::<ParameterId>().map(|_| name.to_owned())
+}
+
+impl CommonArguments {
+    /// The configuration file with what was typed on top of it.
+    fn identify_config(&self) -> anyhow::Result<IdentifyConfig> {
+        let Self { free, fix, .. } = self;
+        let file = self.config.as_deref();
+        let mut config: IdentifyConfig = file.map_or_else(|| Ok(IdentifyConfig::default()), config::load)?;
+        config.loss = self.loss.or(config.loss);
+        config.require_mm = self.result.require.or(config.require_mm);
+        // What is typed counts more than the file.
+        if let Some(both) = fix.iter().find(|name| free.contains(name)) {
+            anyhow::bail!("{both} is in --free and in --fix; leave it out of one");
+        }
+        config.fix.retain(|name| !free.contains(name));
+        config.free.retain(|name| !fix.contains(name));
+        config.free.extend_from_slice(free);
+        config.fix.extend_from_slice(fix);
+        Ok(config)
+    }
 }
 
 /// Where a result goes, what is asked of it, and how much of it is printed.
@@ -89,9 +128,6 @@ pub struct RowArguments {
     /// Decides which rows are held out
     #[arg(long, default_value_t = SEED)]
     seed: u64,
-    /// Fix these parameters where they start, such as ra6,rd6: with commas, or --fix several times
-    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
-    fix: Vec<ParameterId>,
 }
 
 pub fn run(arguments: &CalibrateArguments) -> anyhow::Result<()> {

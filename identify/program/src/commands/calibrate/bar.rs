@@ -11,19 +11,19 @@ use shared::recording::schema::CycleRecord;
 use super::CommonArguments;
 use super::driver::calibrate;
 use super::experiment::{BarRun, Experiment};
+use crate::calibrate::CalibrateError;
 use crate::calibrate::ball_bar::RunInput;
-use crate::calibrate::{CalibrateError, IdentifyConfig, SelectionName};
 use crate::cost::SharedColumns;
 use crate::instrument::CostName;
 use crate::logs::{
     self, BarLog, BarLogMapping, ForceLog, ForceLogMapping, LogFormat, LogOptions, RobotLog, RobotLogMapping,
     is_recording,
 };
-use crate::model::{Model, ModelError, ParameterId};
+use crate::model::Model;
 use crate::prepare::{EncoderMapChoice, Prepared, bar_angles};
 use crate::report::result::clocks::{ClockEntry, SolvedClock};
 use crate::report::result::file::MeasurementEntry;
-use crate::solver::{Covariance, LossName};
+use crate::solver::Covariance;
 use crate::threads::both;
 
 /// Options of a calibration with the ball-bar.
@@ -64,24 +64,9 @@ pub struct BarArguments {
     pub(super) split_at_changes: bool,
     #[command(flatten)]
     pub(super) common: CommonArguments,
-    /// What to minimise, what is free; default: see config/identify.toml
-    #[arg(long, value_name = "FILE")]
-    pub(super) config: Option<PathBuf>,
     /// Cost; default: the best that the encoders allow
     #[arg(long)]
     pub(super) cost: Option<CostName>,
-    /// How much samples count that do not fit; default: huber with pose, none with the others
-    #[arg(long)]
-    pub(super) loss: Option<LossName>,
-    /// Free parameters
-    #[arg(long)]
-    pub(super) selection: Option<SelectionName>,
-    /// Also free these parameters, such as ra6,rd6: with commas, or --free several times
-    #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = parameter_name)]
-    pub(super) free: Vec<String>,
-    /// Fix these parameters, such as ra6,rd6: with commas, or --fix several times
-    #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = parameter_name)]
-    pub(super) fix: Vec<String>,
     /// Which encoder sits on which joint: find, recorded, or for each encoder of the recording its joint, negative where
     /// it counts the other way, such as 1,2,-3,5,4; default: find
     #[arg(long, value_name = "ENCODERS", allow_hyphen_values = true)]
@@ -89,33 +74,6 @@ pub struct BarArguments {
     /// True parameters of a simulated experiment (the first one), to compare with
     #[arg(long, value_name = "FILE")]
     pub(super) truth: Option<PathBuf>,
-}
-
-/// A name that some model has.
-fn parameter_name(name: &str) -> Result<String, ModelError> {
-    name.parse::<ParameterId>().map(|_| name.to_owned())
-}
-
-/// The configuration file with what was typed on top of it.
-fn identify_config(arguments: &BarArguments) -> anyhow::Result<IdentifyConfig> {
-    let file = arguments.config.as_deref();
-    let mut config: IdentifyConfig = file.map_or_else(|| Ok(IdentifyConfig::default()), config::load)?;
-    config.cost = arguments.cost.or(config.cost);
-    config.loss = arguments.loss.or(config.loss);
-    config.require_mm = arguments.common.result.require.or(config.require_mm);
-    config.selection = arguments.selection.unwrap_or(config.selection);
-    // What is typed counts more than the file.
-    if let Some(both) = arguments.fix.iter().find(|name| arguments.free.contains(name)) {
-        anyhow::bail!("{both} is in --free and in --fix; leave it out of one");
-    }
-    config.fix.retain(|name| !arguments.free.contains(name));
-    config.free.retain(|name| !arguments.fix.contains(name));
-    config.free.extend_from_slice(&arguments.free);
-    config.fix.extend_from_slice(&arguments.fix);
-    if let Some(encoders) = &arguments.encoders {
-        config.prepare.encoders.clone_from(encoders);
-    }
-    Ok(config)
 }
 
 /// What was typed, as an experiment.
@@ -144,6 +102,11 @@ fn experiment(arguments: &BarArguments) -> anyhow::Result<Experiment> {
         force_log: force_log.get(run).cloned(),
     };
     let bars = recording.iter().zip(robot_log.iter().zip(bar.iter().cycle()));
+    let mut config = arguments.common.identify_config()?;
+    config.cost = arguments.cost.or(config.cost);
+    if let Some(encoders) = &arguments.encoders {
+        config.prepare.encoders.clone_from(encoders);
+    }
     Ok(Experiment {
         recording_mapping: arguments.recording_mapping.clone(),
         log_format: arguments.log_format,
@@ -152,7 +115,7 @@ fn experiment(arguments: &BarArguments) -> anyhow::Result<Experiment> {
         ignore_force: arguments.ignore_force,
         split_at_changes: arguments.split_at_changes,
         bars: bars.enumerate().map(run).collect(),
-        ..Experiment::new(&arguments.common.robot, identify_config(arguments)?)
+        ..Experiment::new(&arguments.common.robot, config)
     })
 }
 

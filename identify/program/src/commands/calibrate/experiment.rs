@@ -10,12 +10,10 @@ use shared::config::{self, Source, Validate, Violation};
 
 use super::driver::calibrate;
 use super::rows::{Kind, RowFile};
-use super::{CommonArguments, ResultArguments, inputs};
+use super::{ResultArguments, inputs};
 use crate::calibrate::IdentifyConfig;
 use crate::instrument::Rows;
 use crate::logs::LogFormat;
-use crate::model::ParameterId;
-use crate::solver::LossName;
 
 /// Name of the file beside a result.
 const NAME: &str = "experiment.toml";
@@ -224,13 +222,6 @@ impl Experiment {
         }
         files.extend(self.bars.iter().filter_map(|run| Some(("force log", run.force_log.as_deref()?))));
         files
-    }
-
-    /// That of a calibration from rows alone, without its rows.
-    pub(super) fn of_rows(common: &CommonArguments, fix: &[ParameterId], loss: Option<LossName>) -> Self {
-        let fix = fix.iter().map(ToString::to_string).collect();
-        let require_mm = common.result.require;
-        Self::new(&common.robot, IdentifyConfig { fix, loss, require_mm, ..IdentifyConfig::default() })
     }
 
     /// All of its paths.

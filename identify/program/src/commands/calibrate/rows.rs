@@ -27,7 +27,6 @@ use crate::model::{JointState, Model, Waves, further};
 use crate::prepare::{AlignedPoses, Alignment, PrepareOptions, align_poses};
 use crate::report::result::clocks::{ClockEntry, SolvedClock};
 use crate::report::rows as of_rows;
-use crate::solver::LossName;
 use serde::{Deserialize, Serialize};
 
 /// Options of a calibration with a tracker.
@@ -58,9 +57,6 @@ pub struct TrackerArguments {
     #[arg(long, value_name = "N", default_value_t = WAVES_PER_TURN_MAX,
           value_parser = clap::value_parser!(u8).range(i64::from(*Waves::OF_AXIS.start())..=i64::from(*Waves::OF_AXIS.end())))]
     joint_waves: u8,
-    /// How much rows count that do not fit; default: huber
-    #[arg(long)]
-    loss: Option<LossName>,
     #[command(flatten)]
     common: CommonArguments,
 }
@@ -88,9 +84,6 @@ pub struct ContactArguments {
     sockets: PathBuf,
     #[command(flatten)]
     rows: RowArguments,
-    /// How much rows count that do not fit; default: huber
-    #[arg(long)]
-    loss: Option<LossName>,
     #[command(flatten)]
     common: CommonArguments,
 }
@@ -144,8 +137,8 @@ impl RowFile {
 
 pub(super) fn run_tracker(arguments: &TrackerArguments) -> anyhow::Result<()> {
     let TrackerArguments { poses, rows, robot_log, validate, validate_mapping, .. } = arguments;
-    let TrackerArguments { joint_waves, loss, common, .. } = arguments;
-    let mut experiment = Experiment::of_rows(common, &rows.fix, *loss);
+    let TrackerArguments { joint_waves, common, .. } = arguments;
+    let mut experiment = Experiment::new(&common.robot, common.identify_config()?);
     (experiment.log_format, experiment.log_mapping) = (arguments.log_format, arguments.log_mapping.clone());
     experiment.trackers.push(RowFile {
         joint_waves: Some(*joint_waves),
@@ -158,14 +151,14 @@ pub(super) fn run_tracker(arguments: &TrackerArguments) -> anyhow::Result<()> {
 }
 
 pub(super) fn run_wire(WireArguments { lengths, rows, common }: &WireArguments) -> anyhow::Result<()> {
-    let mut experiment = Experiment::of_rows(common, &rows.fix, None);
+    let mut experiment = Experiment::new(&common.robot, common.identify_config()?);
     experiment.wires.push(RowFile::new(lengths, rows));
     calibrate(experiment, &common.result, None)
 }
 
 pub(super) fn run_contact(arguments: &ContactArguments) -> anyhow::Result<()> {
-    let ContactArguments { contacts, sockets, rows, loss, common } = arguments;
-    let mut experiment = Experiment::of_rows(common, &rows.fix, *loss);
+    let ContactArguments { contacts, sockets, rows, common } = arguments;
+    let mut experiment = Experiment::new(&common.robot, common.identify_config()?);
     experiment.contacts.push(RowFile { sockets: Some(sockets.clone()), ..RowFile::new(contacts, rows) });
     calibrate(experiment, &common.result, None)
 }
