@@ -9,14 +9,11 @@
 mod content;
 mod digest;
 mod disk;
-mod leftover;
-mod lengths;
 mod messages;
 mod overview;
 mod reader;
 mod records;
 mod recover;
-mod resync;
 mod run_file;
 pub mod schema;
 mod shown;
@@ -25,16 +22,14 @@ mod writer;
 
 pub use digest::{Flagged, RunMark};
 pub use disk::{Disk, FileId, OpenFile, Space, SystemDisk, is_absent};
-pub use leftover::{
-    Leftover, RecoverError, Recovery, is_in_use, recover_file, recover_file_on, recover_leftovers,
-    recover_leftovers_on,
-};
-pub use lengths::{parse_record, up_to_broken_chunk};
 pub use messages::{MessageError, TOPICS, Topic};
 pub use overview::RunOverview;
 pub use reader::{Outline, ReadError, ReadErrorKind, Recording};
-pub use recover::{SalvageError, Salvaged, salvage, verify};
-pub use resync::Damage;
+pub use records::lengths::{parse_record, up_to_broken_chunk};
+pub use recover::{
+    Damage, Leftover, RecoverError, Recovery, SalvageError, Salvaged, is_in_use, recover_file,
+    recover_file_on, recover_leftovers, recover_leftovers_on, salvage, verify,
+};
 pub use run_file::{ACTIVE_ENDING, FINISHED_ENDING, RunFile, RunPlace, RunSync, TORN_ENDING, run_name};
 pub use timing::{Bin, DiskTiming, Durations, TimingSummary};
 pub use writer::{RecordingWriter, Tap, WriteError};

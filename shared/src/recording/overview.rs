@@ -9,9 +9,9 @@ use mcap::{MAGIC, McapError};
 
 use super::content::{END_METADATA, RUN_METADATA, content_of, run_of};
 use super::disk::{Disk, OpenFile, SystemDisk};
-use super::lengths::parse_record;
 use super::reader::{ReadError, ReadErrorKind};
 use super::records::RECORD_LENGTH_BYTES_MAX;
+use super::records::lengths::parse_record;
 use super::schema::{RunEnd, RunMetadata};
 
 /// Opcode and length before each record.

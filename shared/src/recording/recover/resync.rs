@@ -11,10 +11,10 @@ use std::io::{self, Read, Seek, SeekFrom};
 use mcap::MAGIC;
 use mcap::records::{Record, op};
 
-use super::content::{OUR_METADATA, is_proven};
-use super::lengths::{ends_with_its_content, parse_record};
-use super::reader::ReadErrorKind;
-use super::records::{PREFIX_BYTES, RECORD_LENGTH_BYTES_MAX, open_chunk};
+use crate::recording::content::{OUR_METADATA, is_proven};
+use crate::recording::reader::ReadErrorKind;
+use crate::recording::records::lengths::{ends_with_its_content, parse_record};
+use crate::recording::records::{PREFIX_BYTES, RECORD_LENGTH_BYTES_MAX, open_chunk};
 
 /// First bytes of the records that are searched behind damage.
 const BEGINNINGS: [u8; 4] = [op::CHUNK, op::METADATA, op::ATTACHMENT, op::DATA_END];

@@ -28,7 +28,7 @@ pub fn parse_record(opcode: u8, data: &[u8]) -> Result<Record<'_>, McapError> {
 
 /// Whether a record ends with the last length in it, so that its own length is right, too. Of records that have fixed parts
 /// behind their lengths it is not.
-pub(super) fn ends_with_its_content(opcode: u8, data: &[u8]) -> bool {
+pub(in crate::recording) fn ends_with_its_content(opcode: u8, data: &[u8]) -> bool {
     pass(data, layout(opcode)).is_some_and(<[u8]>::is_empty)
 }
 

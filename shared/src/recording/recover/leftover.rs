@@ -11,13 +11,13 @@ use std::time::Duration;
 
 use nix::fcntl::Flock;
 
-use super::disk::{Disk, OpenFile, SystemDisk, is_absent};
-use super::recover::{self, SalvageError, Salvaged};
-use super::run_file::{
+use crate::recording::disk::{Disk, OpenFile, SystemDisk, is_absent};
+use crate::recording::recover::{self, SalvageError, Salvaged};
+use crate::recording::run_file::{
     ACTIVE_ENDING, FINISHED_ENDING, TORN_ENDING, UNNAMED_ENDING, io_error, rename, sync_parent,
 };
-use super::schema::RunMetadata;
-use super::writer::WriteError;
+use crate::recording::schema::RunMetadata;
+use crate::recording::writer::WriteError;
 
 /// Ending of a recovered file that has not been read back yet.
 const RECOVERING_ENDING: &str = "mcap.recovering";

@@ -3,14 +3,16 @@
 //! Chunks are opened here and not by the MCAP library, because it lets a chunk pass whose checksum field is zero,
 //! as it is where a power cut left zeros.
 
+pub(super) mod lengths;
+
 use std::io::Read;
 
 use mcap::McapError;
 use mcap::records::{Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
-use super::lengths::{chunk_is_whole, parse_record};
 use super::reader::ReadErrorKind;
+use lengths::{chunk_is_whole, parse_record};
 
 /// Longest record that a recording has: far above a second of 1 kHz cycles, far below memory.
 pub(super) const RECORD_LENGTH_BYTES_MAX: usize = 64 << 20;

@@ -3,6 +3,9 @@
 //! Whatever a checksum proves is kept, wherever it lies in the file. What lay between is given back as lost cycles, so that
 //! numbers stay without a hole and no value is made up. Works on any source and sink; files are in `leftover`.
 
+mod leftover;
+mod resync;
+
 use std::io::{self, Read, Seek, Write};
 
 use crc32fast::Hasher;
@@ -12,11 +15,17 @@ use super::content::{Decoder, Item, RUN_METADATA, run_of};
 use super::messages::{self, CycleLayout, MessageError};
 use super::reader::{ReadErrorKind, take_run};
 use super::records::for_each_record;
-use super::resync::{Damage, Refused, for_each_proven_record};
 use super::schema::{CycleRecord, Event, EventKind, RunEnd, RunMetadata, flags};
 use super::timing::TimingSummary;
 use super::writer::{RecordingWriter, WriteError};
 use crate::time::{NS_PER_S, UtcNs};
+
+pub use leftover::{
+    Leftover, RecoverError, Recovery, is_in_use, recover_file, recover_file_on, recover_leftovers,
+    recover_leftovers_on,
+};
+pub use resync::Damage;
+use resync::{Refused, for_each_proven_record};
 
 /// Bytes that a cycle takes in a file at least: its entry in the index of its chunk.
 const CYCLE_BYTES_MIN: u64 = 16;
