@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use ballbard::smoke::SmokeConfig;
 use identify::calibrate::IdentifyConfig;
 use identify::instrument::SocketTable;
 use identify::logs::{
@@ -12,8 +13,9 @@ use shared::config::{BallBarConfig, DaemonConfig, RobotConfig, Validate, parse};
 
 use super::explained;
 
-const FILES: [(u8, &str); 13] = [
+const FILES: [(u8, &str); 14] = [
     (b'd', "daemon.toml"),
+    (b'k', "smoke.toml"),
     (b'b', "ball_bar.toml"),
     (b'i', "identify.toml"),
     (b'l', "measured_length.toml"),
@@ -36,6 +38,11 @@ pub fn any_text(bytes: &[u8]) {
         b'd' => {
             if let Some(config) = accepted::<DaemonConfig>(text) {
                 assert!(!config.cycle_period().is_zero() && config.reply_timeout() < config.cycle_period());
+            }
+        }
+        b'k' => {
+            if let Some(config) = accepted::<SmokeConfig>(text) {
+                assert!(config.cycles.iter().all(|cycles| cycles.cycles() > 0));
             }
         }
         b'b' => {
