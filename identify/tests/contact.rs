@@ -118,9 +118,9 @@ fn what_is_known_of_sockets_has_the_derivatives_of_their_places() {
         }
     }
     let mut wrong = at.clone();
-    assert!(sockets.contradicted(&at).iter().all(|one| one.0.contains("distance")));
+    assert!(sockets.contradicted(&at).iter().all(|one| one.name.contains("distance")));
     wrong[1] += Vector3::new(1e-3, 0.0, 0.0);
-    assert!(sockets.contradicted(&wrong).iter().any(|(name, ..)| name == "the place of socket `b`"));
+    assert!(sockets.contradicted(&wrong).iter().any(|one| one.name == "the place of socket `b`"));
 }
 
 #[test]

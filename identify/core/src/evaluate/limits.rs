@@ -11,10 +11,9 @@ use crate::calibrate::Calibration;
 use crate::calibrate::change::Changed;
 use crate::calibrate::validation::agreement::{Disagreement, disagreeing};
 use crate::cost::Closure;
-use crate::instrument::{Run, ScaleFrom};
+use crate::instrument::{Contradiction, Doubt, Run, ScaleFrom};
 use crate::kinematics::{DhLink, Joints, LinkParameter};
 use crate::model::{JointTerm, Model, ParameterId, Role};
-use crate::prepare::Prepared;
 use crate::solver::{Loss, Solution};
 use crate::statistics::{extremes, median};
 
@@ -67,12 +66,11 @@ pub struct Limit {
 /// What limits a calibration, whatever it was measured with, the most important first.
 pub fn limits(calibration: &Calibration, workspace: &WorkspaceError) -> Vec<Limit> {
     let mut limits = Vec::new();
-    for (number, bar) in calibration.bars().enumerate() {
+    for (number, Run { instrument, model }) in calibration.runs.iter().enumerate() {
         let place = place(calibration, number);
-        limits.extend(
-            of_run(&bar.prepared)
-                .map(|sentence| Limit { sentence: place.clone() + &sentence, serious: true }),
-        );
+        let doubts = instrument.doubts(&model.geometry(&[]));
+        limits
+            .extend(doubts.iter().map(|one| Limit { sentence: place.clone() + &doubt(one), serious: true }));
     }
     let (model, solution) = (calibration.model(), calibration.solution());
     let reach_m = model.geometry(&[]).robot.reach_m();
@@ -205,16 +203,17 @@ fn place(calibration: &Calibration, run: usize) -> String {
 
 /// Runs of which more is left than noise.
 fn lasting_errors(calibration: &Calibration) -> impl Iterator<Item = Limit> {
-    let found = calibration.bars().enumerate().filter_map(|(run, bar)| Some((run, bar.found?)));
-    let lasting = found.filter(|(_, found)| {
-        found.autocorrelation - BY_CHANCE * found.autocorrelation_sigma > AUTOCORRELATION_MAX
+    let found = calibration.runs.iter().map(|run| run.instrument.autocorrelation()).enumerate();
+    let lasting = found.filter_map(|(run, found)| {
+        let [lasts, sigma] = found?;
+        (lasts - BY_CHANCE * sigma > AUTOCORRELATION_MAX).then_some((run, lasts))
     });
-    lasting.map(|(run, found)| Limit {
+    lasting.map(|(run, lasts)| Limit {
         sentence: format!(
             "{}{:.0} % of the variance of what is left lasts from sample to sample and is no noise: errors that the model does \
              not contain (gears, bar, deflection) limit the result. The figures by joint show where.",
             place(calibration, run),
-            100.0 * found.autocorrelation
+            100.0 * lasts
         ),
         serious: false,
     })
@@ -448,19 +447,28 @@ fn other_scale(model: &Model, solution: &Solution, scale: &str) -> Option<String
     })
 }
 
-/// What is wrong with one run.
-fn of_run(prepared: &Prepared) -> impl Iterator<Item = String> {
-    let encoder_map = &prepared.encoder_map.used;
-    let rewired = (!encoder_map.is_as_recorded()).then(|| {
-        format!(
-            "The encoders do not sit or count as the recording says; this fits instead and was used: {encoder_map}. Check the \
-             plugs, and correct ball_bar.toml."
-        )
-    });
-    let repeats = prepared.alignment.ambiguous;
-    let repeats = repeats
-        .then(|| "The motion repeats itself: another alignment in time fits nearly as well.".to_owned());
-    rewired.into_iter().chain(repeats)
+/// What makes the figures of a data set doubtful.
+fn doubt(doubt: &Doubt) -> String {
+    match doubt {
+        Doubt::OtherEncoders(used) => format!(
+            "The encoders do not sit or count as the recording says; this fits instead and was used: {used}. Check the plugs, and \
+             correct ball_bar.toml."
+        ),
+        Doubt::MotionRepeats => {
+            "The motion repeats itself: another alignment in time fits nearly as well.".to_owned()
+        }
+        Doubt::OtherSockets(contradicted) => {
+            let of = |Contradiction { name, off_m, sigma_m }: &Contradiction| {
+                format!("{name} by {:.3} mm (expected within {:.3})", off_m * 1e3, sigma_m * 1e3)
+            };
+            let told: Vec<String> = contradicted.iter().map(of).collect();
+            format!(
+                "The rows contradict the table of sockets: {}. Correct the table, or give a larger uncertainty: so tight, it pulls \
+                 the result towards it.",
+                named(&told, NAMED)
+            )
+        }
+    }
 }
 
 /// Widest range of each revolute joint over the samples \[deg\].

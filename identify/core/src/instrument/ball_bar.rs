@@ -1,7 +1,7 @@
 //! The sensed double ball-bar: a run with its cost.
 
 use super::repetition::independent_segments;
-use super::{Cause, Deviation, Instrument, Measures, Noise, ScaleFrom};
+use super::{Cause, Deviation, Doubt, Instrument, Measures, Noise, ScaleFrom};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -211,6 +211,17 @@ impl Measures for BallBar {
 
     fn first_s(&self) -> Option<f64> {
         Some(self.prepared.first_s())
+    }
+
+    fn doubts(&self, _: &Geometry) -> Vec<Doubt> {
+        let used = &self.prepared.encoder_map.used;
+        let other = (!used.is_as_recorded()).then(|| Doubt::OtherEncoders(used.clone()));
+        let repeats = self.prepared.alignment.ambiguous.then_some(Doubt::MotionRepeats);
+        other.into_iter().chain(repeats).collect()
+    }
+
+    fn autocorrelation(&self) -> Option<[f64; 2]> {
+        self.found.map(|found| [found.autocorrelation, found.autocorrelation_sigma])
     }
 
     fn samples(&self) -> usize {

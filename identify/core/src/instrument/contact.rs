@@ -5,7 +5,9 @@ use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use super::row_noise::MEDIAN_OF_THREE;
 use super::screened::{RejectedRow, Screened};
-use super::{Cause, Deviation, Instrument, Measures, Noise, ScaleFrom, SocketTable, Sockets, Standing};
+use super::{
+    Cause, Deviation, Doubt, Instrument, Measures, Noise, ScaleFrom, SocketTable, Sockets, Standing,
+};
 use crate::cost::{CostError, DataSet, Residual, SeatedBall, SeatedBalls};
 use crate::kinematics::Joints;
 use crate::logs;
@@ -211,6 +213,11 @@ impl Measures for Contact {
 
     fn cost(&self) -> &'static str {
         SeatedBall::NAME
+    }
+
+    fn doubts(&self, geometry: &Geometry) -> Vec<Doubt> {
+        let contradicted = self.sockets.contradicted(&geometry.contact.sockets_m);
+        if contradicted.is_empty() { Vec::new() } else { vec![Doubt::OtherSockets(contradicted)] }
     }
 
     fn scale(&self) -> ScaleFrom {

@@ -34,6 +34,7 @@ pub use wire::{LengthRow, Wire};
 use crate::cost::{AngleNoise, CostError, DataSet};
 use crate::kinematics::Joints;
 use crate::model::{Clock, Geometry, JointState, Model, ModelError, ParameterId};
+use crate::prepare::EncoderMap;
 
 /// What an estimator asks of an instrument.
 pub trait Measures: fmt::Debug + Sync {
@@ -121,10 +122,43 @@ pub trait Measures: fmt::Debug + Sync {
         self.time_s(0)
     }
 
+    /// What makes its figures doubtful at a solution.
+    fn doubts(&self, _geometry: &Geometry) -> Vec<Doubt> {
+        Vec::new()
+    }
+
+    /// Correlation of what the model leaves with what it leaves one sample later, as of the last [`Measures::learn_noise`], and one
+    /// standard deviation of that for white noise: above zero by the part of the variance that lasts.
+    fn autocorrelation(&self) -> Option<[f64; 2]> {
+        None
+    }
+
     /// Noise of each of these over that of the median one, where files state what rows are worth, as of the last [`Measures::adapt`].
     fn relative_noise(&self) -> Vec<f64> {
         vec![1.0; self.samples()]
     }
+}
+
+/// What makes the figures of a data set doubtful.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Doubt {
+    /// The encoders sit or count otherwise than the recording says.
+    OtherEncoders(EncoderMap),
+    /// Another alignment in time fits nearly as well.
+    MotionRepeats,
+    /// Rows contradict the table of sockets.
+    OtherSockets(Vec<Contradiction>),
+}
+
+/// A known length or place that samples contradict.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Contradiction {
+    /// As messages call it.
+    pub name: String,
+    /// How far it is off \[m\].
+    pub off_m: f64,
+    /// Its standard uncertainty \[m\].
+    pub sigma_m: f64,
 }
 
 /// What fixes the scale of all lengths.

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use shared::config::{Validate, Violation};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
+use super::Contradiction;
 use crate::model::ParameterId;
 use crate::prepare::nearest_rotation;
 
@@ -180,12 +181,11 @@ impl Sockets {
         }
     }
 
-    /// What is known but contradicted where the sockets are in `sockets_m`: its name, and how far it is off and its standard
-    /// uncertainty \[m\].
+    /// What is known but contradicted where the sockets are in `sockets_m`.
     ///
     /// The chi-squared test of each, at a chance of [`CONTRADICTED_BY_CHANCE`] for all: what is found is drawn to what is known,
     /// so that fewer are named that hold.
-    pub fn contradicted(&self, sockets_m: &[Vector3<f64>]) -> Vec<(String, f64, f64)> {
+    pub fn contradicted(&self, sockets_m: &[Vector3<f64>]) -> Vec<Contradiction> {
         let chance = CONTRADICTED_BY_CHANCE / self.knowns().max(1) as f64;
         let one = |known: usize| {
             let residual = self.known(known, sockets_m)?.0;
@@ -196,7 +196,8 @@ impl Sockets {
                 |at| self.distances.get(at).map(|distance| distance.2),
             )?;
             let contradicted = squared.sf(residual.norm_squared()) < chance;
-            contradicted.then(|| (self.name_of(known), residual.norm() * sigma_m, sigma_m))
+            let (name, off_m) = (self.name_of(known), residual.norm() * sigma_m);
+            contradicted.then_some(Contradiction { name, off_m, sigma_m })
         };
         (0..self.knowns()).filter_map(one).collect()
     }

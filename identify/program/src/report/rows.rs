@@ -240,23 +240,6 @@ pub fn left_out(set: &RowSet, name: &str, lines: &[u64]) -> Option<Limit> {
     })
 }
 
-/// What is known of sockets but contradicted by their rows.
-pub fn contradicted(contact: &Contact, model: &Model) -> Option<Limit> {
-    let contradicted = contact.sockets().contradicted(&model.geometry(&[]).contact.sockets_m);
-    let of = |(name, off_m, sigma_m): &(String, f64, f64)| {
-        format!("{name} by {:.3} mm (expected within {:.3})", off_m * 1e3, sigma_m * 1e3)
-    };
-    let told: Vec<String> = contradicted.iter().map(of).collect();
-    (!told.is_empty()).then(|| Limit {
-        sentence: format!(
-            "The rows contradict the table of sockets: {}. Correct the table, or give a larger uncertainty: so tight, it pulls the \
-             result towards it.",
-            named(&told, 3)
-        ),
-        serious: true,
-    })
-}
-
 /// The strongest waves of each axis.
 pub fn waves(model: &Model) -> String {
     let mut text = String::new();

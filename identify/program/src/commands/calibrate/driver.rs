@@ -20,7 +20,7 @@ use crate::commands::ensure_can_write;
 use crate::commands::on_terminal::OnTerminal;
 use crate::evaluate::{Evidence, Limit, Validity, evidence, scale_sentence};
 use crate::instrument::Rows;
-use crate::instrument::{Instrument, Run};
+use crate::instrument::Run;
 use crate::kinematics::flange_chain;
 use crate::logs::LogOptions;
 use crate::report::page::Page;
@@ -213,9 +213,6 @@ impl<'a> Tables<'a> {
             tables.text += &format!("\n{name}\n{table}{}", beside.set_ups());
             tables.text.extend(beside.aligned.as_ref().map(Aligned::line));
             tables.limits.extend(of_rows::left_out(set, &name, &beside.lines));
-            if let Instrument::Contact(contact) = instrument {
-                tables.limits.extend(of_rows::contradicted(contact, model));
-            }
             tables.entries.extend((!set.errors.held_out.is_empty()).then(|| RowsEntry {
                 data_set: number + 1,
                 hold_out: rows.hold_out(),
