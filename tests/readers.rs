@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use ballbard::run::{BusChoice, RunRequest};
 use serde_json::Value;
-use shared::recording::schema::{EventKind, flags};
+use shared::recording::schema::{Event, EventKind, flags};
 use shared::recording::{ACTIVE_ENDING, Recording, Recovery, recover_file};
 use system_tests::{ball_bar, python_with, record, request};
 
@@ -69,7 +69,8 @@ fn python_mcap_plots_what_the_ports_have_counted() {
     assert!(counted[12..].iter().all(|last| *last == (counted[19].0, 0)), "{counted:?}");
     let warned = counted.iter().filter(|(_, level)| *level == 1).count();
     assert!((4..=8).contains(&warned), "{counted:?}");
-    assert!(ours.events.iter().any(|event| event.text.contains("port 0 of device 3")), "{:?}", ours.events);
+    let told = |event: &Event| event.text.contains("between terminal 2 and terminal 3");
+    assert!(ours.events.iter().any(told), "{:?}", ours.events);
 }
 
 fn read_with(python: &Path, reader: &str, recording: &Path) -> Value {
