@@ -44,7 +44,7 @@ pub trait Measures: fmt::Debug + Sync {
     /// Name of what is minimised.
     fn cost(&self) -> &'static str;
 
-    /// The cost in whose unit residuals are until their noise is found; none where they are in standard deviations from the first.
+    /// The cost in whose unit residuals are until their noise is found; `None` if they are standard deviations from the start.
     fn in_unit_of(&self) -> Option<CostName> {
         None
     }
@@ -117,7 +117,7 @@ pub trait Measures: fmt::Debug + Sync {
         None
     }
 
-    /// Time of the first sample that was measured, used or not, on the same clock \[s\]: what people are told counts from it.
+    /// Time of the first sample that was measured, used or not, on the same clock \[s\]: times in messages count from it.
     fn first_s(&self) -> Option<f64> {
         self.time_s(0)
     }
