@@ -80,8 +80,9 @@ impl<'a, M: RobotMotion> SeatedBalls<'a, M> {
 
 impl<M: RobotMotion> DataSet for SeatedBalls<'_, M> {
     fn at_into<'a>(&'a self, x: &[f64], columns: &'a [usize]) -> Linearisation<'a> {
-        let sockets_m = self.rows.model().geometry(x).contact.sockets_m;
-        let mut rows = self.rows.at_into(x, columns);
+        let geometry = self.rows.model().geometry(x);
+        let sockets_m = geometry.contact.sockets_m.clone();
+        let mut rows = self.rows.linearised(geometry, columns);
         Box::new(move |sample, residual, block| {
             let Some(known) = sample.checked_sub(self.rows.samples()) else {
                 return rows(sample, residual, block);

@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use super::{DataSet, Residual, Scene};
 use crate::kinematics::{BAR_JOINTS, Chain, ROD_LINK, Trace, Tracer, Turn};
 use crate::model::{Geometry, Model, MovingJoints, Observation, ParameterId, RobotMotion};
-use crate::solver::{Block, Linearisation, Prior, Problem};
+use crate::solver::{Linearisation, Prior, Problem};
 
 /// Observations that a cost cannot use.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -197,38 +197,33 @@ impl LoopPoint {
 }
 
 impl<R: Residual, M: RobotMotion> LoopProblem<'_, R, M> {
-    fn sample_into(
-        &self,
-        point: &mut LoopPoint,
-        sample: usize,
-        residual: &mut [f64],
-        block: &mut Block<'_>,
-        columns: &[usize],
-    ) -> bool {
-        let (Some(observation), Some(readings)) = (self.observations.get(sample), self.readings.get(sample))
-        else {
-            return false;
-        };
-        let Some(scene) = point.scene(self.motion, sample, observation, readings) else { return false };
-        let Some(local) = self.residual.local(&scene) else { return false };
-        self.residual.residual(&scene, &local, residual);
-        for (&column, &id) in columns.iter().zip(&self.ids) {
-            self.residual.derivative(&scene, &local, id, block.column_mut(column));
-        }
-        if self.whitening != 1.0 {
-            residual.iter_mut().for_each(|r| *r *= self.whitening);
-            block.scale(self.whitening);
-        }
-        true
+    /// [`DataSet::at_into`] where the parameters make this geometry.
+    pub(super) fn linearised<'a>(&'a self, geometry: Geometry, columns: &'a [usize]) -> Linearisation<'a> {
+        let mut point = LoopPoint::new(geometry);
+        Box::new(move |sample, residual, block| {
+            let (Some(observation), Some(readings)) =
+                (self.observations.get(sample), self.readings.get(sample))
+            else {
+                return false;
+            };
+            let Some(scene) = point.scene(self.motion, sample, observation, readings) else { return false };
+            let Some(local) = self.residual.local(&scene) else { return false };
+            self.residual.residual(&scene, &local, residual);
+            for (&column, &id) in columns.iter().zip(&self.ids) {
+                self.residual.derivative(&scene, &local, id, block.column_mut(column));
+            }
+            if self.whitening != 1.0 {
+                residual.iter_mut().for_each(|r| *r *= self.whitening);
+                block.scale(self.whitening);
+            }
+            true
+        })
     }
 }
 
 impl<R: Residual, M: RobotMotion> DataSet for LoopProblem<'_, R, M> {
     fn at_into<'a>(&'a self, x: &[f64], columns: &'a [usize]) -> Linearisation<'a> {
-        let mut point = LoopPoint::new(self.model.geometry(x));
-        Box::new(move |sample, residual, block| {
-            self.sample_into(&mut point, sample, residual, block, columns)
-        })
+        self.linearised(self.model.geometry(x), columns)
     }
 }
 
