@@ -9,20 +9,20 @@ use super::information::identifiability::{at_solution, require_start};
 use super::pass::{Pass, PassError, Products, SampleFit, Taking};
 use super::{Normal, Options, Problem, ScaledCholesky, Solution, SolveError, Summary, Termination};
 
-/// Normal equations at a point, with the priors.
-struct Linearization {
+/// Cost and normal equations at a point, with the priors.
+struct QuadraticModel {
     cost: f64,
     normal: Normal,
     fits: Vec<SampleFit>,
 }
 
-fn linearize(pass: &Pass<'_>) -> Result<Linearization, PassError> {
+fn quadratic_model(pass: &Pass<'_>) -> Result<QuadraticModel, PassError> {
     let Pass { problem, x, .. } = *pass;
     let (products, fits) = pass.run(|| Products::new(problem.columns()))?;
     let mut normal = products.normal(0.0);
     let of_samples: f64 = fits.iter().map(|fit| fit.cost).sum();
     let of_priors = normal.add_priors(problem.priors(), x);
-    Ok(Linearization { cost: 0.5 * (of_samples + of_priors), normal, fits })
+    Ok(QuadraticModel { cost: 0.5 * (of_samples + of_priors), normal, fits })
 }
 
 /// Damping and scaling between steps.
@@ -49,7 +49,7 @@ impl Damping {
     /// Step of `(H + lambda D) step = -g` and the decrease it promises.
     ///
     /// A column that does nothing gets no step, rather than a singular matrix: it is named afterwards.
-    fn step(&self, at: &Linearization, lambda: f64) -> Option<(DVector<f64>, f64)> {
+    fn step(&self, at: &QuadraticModel, lambda: f64) -> Option<(DVector<f64>, f64)> {
         let Normal { matrix, gradient, .. } = &at.normal;
         let step = -ScaledCholesky::damped(matrix.clone(), &self.scale_squared, lambda)?.solve(gradient);
         let predicted = 0.5 * (lambda * self.scaled_norm(&step).powi(2) - step.dot(gradient));
@@ -84,7 +84,7 @@ fn residual_rms(fits: &[SampleFit]) -> f64 {
 }
 
 /// Largest cosine between the residual and a column.
-fn gradient_cosine(at: &Linearization) -> f64 {
+fn gradient_cosine(at: &QuadraticModel) -> f64 {
     let norm = (2.0 * at.cost).sqrt();
     if norm == 0.0 {
         return 0.0;
@@ -97,7 +97,7 @@ fn gradient_cosine(at: &Linearization) -> f64 {
 /// What the descent hands on.
 struct Descent {
     x: DVector<f64>,
-    at: Linearization,
+    at: QuadraticModel,
     termination: Termination,
     iterations: usize,
     evaluations: usize,
@@ -132,7 +132,7 @@ fn at_minimum(
 /// The iteration itself. Only the start and accepted steps can end it at a minimum.
 fn descend(
     problem: &dyn Problem,
-    start: Linearization,
+    start: QuadraticModel,
     x: DVector<f64>,
     options: &Options<'_>,
 ) -> Result<Descent, SolveError> {
@@ -177,7 +177,7 @@ fn accept_step(
         let trial_x = &now.x + &step;
         let mut pass = Pass::new(problem, trial_x.as_slice(), options, Taking::These(&now.at.fits));
         pass.progress = (now.iterations, options.iterations_max, Some(now.at.cost));
-        let trial = linearize(&pass);
+        let trial = quadratic_model(&pass);
         now.evaluations += 1;
         match trial {
             Err(PassError::Cancelled) => return Err(SolveError::Cancelled { iterations: now.iterations }),
@@ -219,7 +219,7 @@ fn descended(
     }
     require_start(problem, start)?;
     let x = DVector::from_column_slice(start);
-    let first = linearize(&Pass::new(problem, start, options, Taking::WhatIsThere))
+    let first = quadratic_model(&Pass::new(problem, start, options, Taking::WhatIsThere))
         .map_err(|error| error.at_start(problem.samples()))?;
     let samples_used = first.fits.iter().filter(|fit| fit.present).count();
     if samples_used == 0 {
