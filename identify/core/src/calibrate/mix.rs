@@ -25,17 +25,18 @@ pub struct DataSets<'a> {
     pub rows: Vec<Rows>,
 }
 
-/// Options of the ball-bar that rows cannot follow without any run of it.
+/// Without any run of the ball-bar none of its options is given.
 ///
 /// # Errors
-/// [`CalibrateError::NoEffect`] names one that was given.
+/// [`CalibrateError::NoEffect`] names one that is.
 fn check(data: &DataSets<'_>, config: &IdentifyConfig) -> Result<(), CalibrateError> {
+    if !data.bars.is_empty() {
+        return Ok(());
+    }
     let usual = IdentifyConfig::default();
-    let first =
-        |given: &[(&'static str, bool)]| given.iter().find(|(_, given)| *given).map(|(option, _)| *option);
     let terms = (&config.joint_terms, &usual.joint_terms);
     let follows_log = data.rows.iter().any(|rows| matches!(rows.measured, Measured::Path(..)));
-    let of_rows = [
+    let of_bars = [
         ("cost", config.cost != usual.cost),
         ("encoder_harmonics_urad", config.encoder_harmonics_urad != usual.encoder_harmonics_urad),
         ("bar_length_um", config.bar_length_um != usual.bar_length_um),
@@ -46,8 +47,8 @@ fn check(data: &DataSets<'_>, config: &IdentifyConfig) -> Result<(), CalibrateEr
         ("noise", config.noise != usual.noise),
         ("prepare", config.prepare != usual.prepare && !follows_log),
     ];
-    match first(&of_rows).filter(|_| data.bars.is_empty()) {
-        Some(option) => Err(CalibrateError::NoEffect { option }),
+    match of_bars.into_iter().find(|(_, is_given)| *is_given) {
+        Some((option, _)) => Err(CalibrateError::NoEffect { option }),
         None => Ok(()),
     }
 }
@@ -69,7 +70,6 @@ fn laid_out<'w>(
     judged: bool,
     watch: Option<&'w dyn Watch>,
 ) -> Result<LaidOut<'w>, CalibrateError> {
-    check(data, config)?;
     let flange = flange_chain(robot);
     let mut plan = Plan {
         loss: config.loss.unwrap_or(LossName::Huber),
@@ -149,6 +149,7 @@ pub fn calibrate(
     if data.rows.is_empty() {
         return calibrate_runs(&data.bars, robot, config, watch);
     }
+    check(data, config)?;
     let failed = match staged(data, robot, config, true, watch) {
         Err(error) if error.is_of_solve() => error,
         done => return done,
