@@ -28,11 +28,11 @@ use crate::solver::LossName;
 )]
 pub struct CalibrateArguments {
     #[command(subcommand)]
-    from: From,
+    command: CalibrateCommand,
 }
 
 #[derive(Debug, Subcommand)]
-enum From {
+enum CalibrateCommand {
     /// From recordings of the ball-bar and the robot's own logs
     Bar(Box<bar::BarArguments>),
     /// From poses with one measured length each: a draw-wire or a telescoping bar
@@ -131,12 +131,12 @@ pub struct RowArguments {
 }
 
 pub fn run(arguments: &CalibrateArguments) -> anyhow::Result<()> {
-    match &arguments.from {
-        From::Bar(arguments) => bar::run(arguments),
-        From::Wire(arguments) => rows::run_wire(arguments),
-        From::Tracker(arguments) => rows::run_tracker(arguments),
-        From::Contact(arguments) => rows::run_contact(arguments),
-        From::Experiment(arguments) => experiment::run(arguments),
+    match &arguments.command {
+        CalibrateCommand::Bar(arguments) => bar::run(arguments),
+        CalibrateCommand::Wire(arguments) => rows::run_wire(arguments),
+        CalibrateCommand::Tracker(arguments) => rows::run_tracker(arguments),
+        CalibrateCommand::Contact(arguments) => rows::run_contact(arguments),
+        CalibrateCommand::Experiment(arguments) => experiment::run(arguments),
     }
 }
 

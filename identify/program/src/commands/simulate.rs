@@ -31,11 +31,11 @@ const LABORATORY: Effects = Effects::LABORATORY;
 #[derive(Debug, Args)]
 pub struct SimulateArguments {
     #[command(subcommand)]
-    experiment: Simulated,
+    command: SimulateCommand,
 }
 
 #[derive(Debug, Subcommand)]
-enum Simulated {
+enum SimulateCommand {
     /// A recording of the ball-bar and the robot's own log
     Bar(Box<BarArguments>),
     /// Poses at which a ball on the flange is seated in sockets
@@ -190,14 +190,14 @@ fn within(option: &str, value: f64, limit: f64) -> anyhow::Result<()> {
 }
 
 pub fn run(arguments: &SimulateArguments) -> anyhow::Result<()> {
-    let out = match &arguments.experiment {
-        Simulated::Bar(arguments) => &arguments.out,
-        Simulated::Contact(arguments) => &arguments.out,
+    let out = match &arguments.command {
+        SimulateCommand::Bar(arguments) => &arguments.out,
+        SimulateCommand::Contact(arguments) => &arguments.out,
     };
     ensure_can_write(out)?;
-    match &arguments.experiment {
-        Simulated::Bar(arguments) => bar(arguments),
-        Simulated::Contact(arguments) => contacts(arguments),
+    match &arguments.command {
+        SimulateCommand::Bar(arguments) => bar(arguments),
+        SimulateCommand::Contact(arguments) => contacts(arguments),
     }
 }
 
