@@ -270,7 +270,7 @@ impl Test<'_> {
         self.bench.smoke.cycles.iter().map(|asked| asked.rate_hz).min().unwrap_or(self.bench.daemon.rate_hz)
     }
 
-    /// Adds a check that needs a person, if `key` of the configuration asks for it.
+    /// Adds a check that needs a person, if it is enabled under `key` of the configuration.
     fn with_person(
         &mut self,
         subject: Subject,
