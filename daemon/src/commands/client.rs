@@ -203,7 +203,7 @@ pub fn bin(arguments: &BinArguments) -> anyhow::Result<()> {
     if *empty {
         let reply: Reply = service.post("bin/empty", &EmptyBinRequest {})?;
         let removed = reply.removed.unwrap_or_default();
-        return service.format.answer(&reply, format_args!("{removed} recordings removed"));
+        return service.format.answer(&reply, format_args!("recordings removed: {removed}"));
     }
     print_list(&service.get::<Vec<RunLine>>("bin")?, "the bin is empty", service.format)
 }

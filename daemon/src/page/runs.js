@@ -86,7 +86,7 @@ async function empty_bin() {
     yes: "Remove for ever", danger: true,
   });
   const reply = yes && await change("bin/empty", {});
-  if (reply) say("good", `${reply.removed} recordings removed`);
+  if (reply) say("good", `recordings removed: ${reply.removed}`);
 }
 
 async function note(run) {

@@ -203,7 +203,7 @@ fn a_deleted_run_lies_in_the_bin_until_it_is_restored_or_the_bin_is_emptied() {
     assert_eq!((emptied.answer, emptied.removed), (Granted::Emptied, Some(1)));
     assert_eq!((names("runs"), names("bin")), (vec![named("one", "changed")], vec![]));
     assert_eq!(std::fs::read_dir(service.directory.path().join(".bin")).unwrap().count(), 0);
-    assert!(text(&service.command(&["bin", "--empty"])).contains("0 recordings removed"));
+    assert!(text(&service.command(&["bin", "--empty"])).contains("recordings removed: 0"));
 }
 
 #[test]
