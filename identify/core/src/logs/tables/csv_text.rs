@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use shared::output::named;
+
 use super::text::Text;
 use crate::logs::{Cell, CsvLayout, LogError};
 
@@ -127,7 +129,7 @@ impl<'a> Table<'a> {
             return Err(LogError::MissingColumn {
                 path: self.path().to_owned(),
                 column: name.to_owned(),
-                found: self.header.join(", "),
+                found: self.names(),
                 remedy: remedy.to_owned(),
             });
         };
@@ -135,6 +137,20 @@ impl<'a> Table<'a> {
             return Err(LogError::RepeatedColumn { path: self.path().to_owned(), column: name.to_owned() });
         }
         Ok(Column { index, name: name.to_owned() })
+    }
+
+    /// The first columns by name, for a message: a header that is none may be of any size.
+    pub fn names(&self) -> String {
+        const NAMED: usize = 16;
+        const LETTERS: usize = 32;
+        let shortened = |name: &String| {
+            let name: String = name.chars().map(|one| if one.is_control() { '?' } else { one }).collect();
+            match name.char_indices().nth(LETTERS) {
+                Some((end, _)) => format!("{}..", &name[..end]),
+                None => name,
+            }
+        };
+        named(&self.header.iter().map(shortened).collect::<Vec<_>>(), NAMED)
     }
 
     /// Names of all columns, in their order.
