@@ -110,6 +110,9 @@ fn find_tip(urdf: &Urdf, base: Option<&str>, left_out: &mut Vec<String>) -> Resu
         if !urdf.joints.iter().any(Joint::moves) {
             return Err(ImportError::Wrong("no joint moves in it".into()));
         }
+        if urdf.links.is_empty() {
+            return Err(ImportError::Wrong("it has joints and no <link> that they join".into()));
+        }
         let tips: Vec<&String> = urdf.links.iter().filter(|link| !is_parent(link)).collect();
         return Err(ImportError::Gripper { tips: listed(&tips) });
     };
