@@ -44,14 +44,18 @@ fn plate(bar: &BallBarConfig, file: &Path) -> String {
         format!(" and the rod's length of {:.3} mm within {:.3} mm", bar.length_m * 1e3, u_um * 1e-3)
     });
     let plate = if bar.plate_u_um > 0.0 {
-        // Whether it was stated or is the default, what it means is the same.
-        let calliper = bar.plate_u_um == BallBarConfig::PLATE_U_UM;
-        let whose = if calliper { " (one sigma, a calliper's)" } else { " (one sigma)" };
-        format!("the offset plate of {plate_mm:.3} mm within {:.3} mm{whose}", bar.plate_u_um * 1e-3)
+        format!("the offset plate of {plate_mm:.3} mm within {:.3} mm (one sigma)", bar.plate_u_um * 1e-3)
     } else {
         format!("the offset plate of {plate_mm:.3} mm, taken as exact")
     };
-    format!("{plate}{}, as {file} states", rod.unwrap_or_default())
+    // Whether it was stated or is the default, what it means is the same.
+    let calliper = bar.plate_u_um == BallBarConfig::PLATE_U_UM;
+    let source = if calliper {
+        format!("a calliper's unless {file} states another")
+    } else {
+        format!("as {file} states")
+    };
+    format!("{plate}{}, {source}", rod.unwrap_or_default())
 }
 
 const fn of_other(from: ScaleFrom) -> Option<&'static str> {
