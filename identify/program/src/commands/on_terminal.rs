@@ -60,7 +60,7 @@ impl OnTerminal {
         });
         POLLED.store(polled, Ordering::Relaxed);
         let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::hidden());
-        let style = ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len} samples");
+        let style = ProgressStyle::with_template("{spinner} {msg} {wide_bar} {pos}/{len} samples, {elapsed}");
         let bar = style.map_or_else(|_| bar.clone(), |style| bar.clone().with_style(style));
         *SHOWN.lock().unwrap_or_else(PoisonError::into_inner) = Some(bar.clone());
         let shown = bar.clone();

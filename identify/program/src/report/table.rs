@@ -172,6 +172,8 @@ pub(in crate::report) fn about_links(file: &CalibrationFile) -> String {
 /// True beside identified, with the thesis' two measures.
 pub fn comparison(comparison: &Comparison) -> String {
     let mut text = String::new();
+    let _ =
+        writeln!(text, "the full model beside the truth; corrections.csv has what a controller takes of it");
     let _ = writeln!(text, "{:<16}{:>14}{:>14}{:>11}  unit", "parameter", "true", "identified", "error");
     for one in &comparison.parameters {
         let unit = one.id.unit();
