@@ -12,7 +12,7 @@ use identify::kinematics::{
     Chain, InverseError, Joints, LinkParameter, Pose, Trace, Tracer, flange_chain, robot_chain,
     robot_inverse, robot_inverse_all,
 };
-use identify::model::{DriveTrain, JointTerm, Load, Model, ParameterId, Period};
+use identify::model::{DriveTrain, JointTerm, Load, Model, Owner, ParameterId, Period};
 use identify::report::result::urdf::urdf;
 use identify::robot::{ImportError, Imported, check, import};
 use identify::simulate::{self, Effects, Experiment, StaticErrors};
@@ -671,7 +671,7 @@ fn a_prismatic_axis_has_a_scale_but_no_waves_and_other_arms_have_loads_of_the_to
             && !drives.has(3, JointTerm::Compliance(Load::Wrist))
     );
     assert!(!drives.has(8, JointTerm::Ratio));
-    let model = Model::measured_pose(&chain).with(ParameterId::joint_waves(3));
+    let model = Model::alone(&chain).with_set_ups(Owner::Tracker, [1, 1]).with(ParameterId::joint_waves(3));
     let has = |name: &str| model.parameter(name.parse().unwrap()).is_some();
     assert!(has("rsin3_2") && !has("rsin3_1") && has("ra8") && has("rratio_1") && !has("rsin1_1"));
 }

@@ -7,10 +7,7 @@ use std::path::Path;
 use identify::calibrate::Calibration;
 use identify::calibrate::IdentifyConfig;
 use identify::calibrate::mix::{DataSets, calibrate};
-use identify::instrument::Measured;
-use identify::instrument::{
-    ContactRow, Instrument, KnownDistance, Measures, PlacedSocket, SocketTable, Sockets,
-};
+use identify::instrument::{Contact, ContactRow, KnownDistance, PlacedSocket, SocketTable, Sockets};
 use identify::kinematics::{LinkParameter, flange_chain};
 use identify::logs::ContactMapping;
 use identify::model::{DriveTrain, JointState, Model, ParameterId};
@@ -35,10 +32,7 @@ fn simulated(robot: &RobotConfig, seed: u64) -> SimulatedContacts {
 }
 
 fn calibrated(robot: &RobotConfig, rows: &[ContactRow], table: &SocketTable) -> Calibration {
-    let data = DataSets {
-        rows: vec![Measured::Contacts(rows.to_vec(), table.clone()).into()],
-        ..DataSets::default()
-    };
+    let data = DataSets { rows: vec![Contact::new(rows, table).unwrap().into()], ..DataSets::default() };
     calibrate(&data, robot, &IdentifyConfig::default(), None).unwrap()
 }
 
@@ -131,8 +125,10 @@ fn rows_of_a_wrong_socket_take_no_part() {
         rows[row].socket = (rows[row].socket + 1) % 6;
     }
     let found = calibrated(&robot, &rows, &table);
-    let Instrument::Contact(contact) = &found.runs[0].instrument else { panic!() };
-    assert_eq!(contact.rejected().iter().map(|one| one.row).collect::<Vec<_>>(), [20, 77, 131]);
+    assert_eq!(
+        found.runs[0].instrument.rejected().iter().map(|one| one.row).collect::<Vec<_>>(),
+        [20, 77, 131]
+    );
     // The file of residuals has all rows with their lines, and says which took no part: a socket's distance away.
     let lines: Vec<u64> = (2..).take(rows.len()).collect();
     let text = residuals_csv(&found, &[&lines]).unwrap();
@@ -379,7 +375,7 @@ fn a_person_simulates_calibrates_and_repeats_it() {
     // A row of another socket is named with the right one.
     let (done, text) = with(rows.replacen(",D\n", ",E\n", 1), sockets.clone());
     assert!(
-        done && text.contains("line 5 takes no part") && text.contains("from `D`: look for a wrong name"),
+        done && text.contains("  line 5: off by ") && text.contains("from `D`: look for a wrong name"),
         "{text}"
     );
 }
@@ -396,7 +392,9 @@ fn gear_errors_of_the_truth_seat_the_ball() {
             ..ContactExperiment::new(&robot)
         };
         let made = contact::run(&experiment).unwrap();
-        let mut model = Model::contact(&made.robot, made.truth.sockets.len())
+        let mut model = Model::alone(&made.robot)
+            .with_sockets(made.truth.sockets.len())
+            .without_clocks()
             .with_drives(DriveTrain::of(&robot, &made.robot));
         let mut terms = 0;
         for (name, value) in made

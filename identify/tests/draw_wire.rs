@@ -7,9 +7,7 @@ use std::sync::Mutex;
 use identify::calibrate::IdentifyConfig;
 use identify::calibrate::mix::{DataSets, calibrate};
 use identify::calibrate::rows::{PoseFigures, RunCause, Sizes};
-use identify::instrument::HoldOut;
-use identify::instrument::{LengthRow, Rejection, Standing, Wire};
-use identify::instrument::{Measured, Rows};
+use identify::instrument::{HoldOut, LengthRow, Measures as _, Rejection, Rows, Wire};
 use identify::kinematics::{Joints, flange_chain};
 use identify::model::{Axis, ParameterId};
 use identify::solver::{Progress, Watch};
@@ -171,7 +169,7 @@ impl Watch for Stages {
 
 #[test]
 fn a_calibration_from_rows_reports_its_stages_to_who_watches() {
-    let rows = vec![Rows::from(Measured::Lengths(made_up(400).0))];
+    let rows = vec![Rows::from(Wire::new(&made_up(400).0))];
     let (data, stages) = (DataSets { rows, ..DataSets::default() }, Stages::default());
     calibrate(&data, &irb120(), &IdentifyConfig::default(), Some(&stages)).unwrap();
     let stages = stages.0.into_inner().unwrap();
@@ -207,10 +205,8 @@ fn lengths_of_two_qualities_calibrate_better_with_their_uncertainties() {
     let alone = Alone::default().without_joint_errors();
     let calibrated = |rows: &[LengthRow]| {
         let found = alone.lengths(rows, &irb120()).unwrap();
-        let others =
-            Standing::of_file(judging, |row| row.joints_rad, &flange_chain(&irb120()), HoldOut::Rows, 1);
-        let errors_m = Wire::new(others).residuals_m(&found.model().geometry(&[]));
-        let squared = errors_m.iter().map(|error_m| error_m.powi(2)).sum::<f64>() / errors_m.len() as f64;
+        let errors = Wire::new(judging).errors(&found.model().geometry(&[]));
+        let squared = errors.iter().map(|error| error.position_m.powi(2)).sum::<f64>() / errors.len() as f64;
         // Beyond the noise of the rows that judge.
         let beyond_m = (squared - good * good).max(0.0).sqrt();
         let rejected = found.rows().rejected.len();

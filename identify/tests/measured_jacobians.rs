@@ -195,8 +195,7 @@ fn measured_position_and_pose_have_the_derivatives_of_tracker_and_robot() {
     let set_ups = &set_ups[..];
     for Cell { robot, .. } in [Cell::irb2400(), Cell::nj220()] {
         for rotation_rad in [[0.0; 3], [0.3, -1.9, 1.2]] {
-            let model =
-                all_free(Model::measured_pose(&robot).with_set_ups(Owner::Tracker, [2, 3]), rotation_rad);
+            let model = all_free(Model::alone(&robot).with_set_ups(Owner::Tracker, [2, 3]), rotation_rad);
             let probes = |by, row: usize, t_s| probes(&model, by, t_s, &measured[row], set_ups[row]);
             let (measured_m, noise) = (&measured_m[..], &noises[..]);
             agrees(&model, MeasuredPosition { measured_m, noise, set_ups }, |by, row, t_s| {
@@ -219,7 +218,7 @@ fn a_ball_in_sockets_has_the_derivatives_of_ball_sockets_and_robot() {
     const SOCKETS: usize = 3;
     let sockets: Vec<usize> = (0..times().count()).map(|row| row * 2 % SOCKETS).collect();
     for Cell { robot, .. } in [Cell::irb2400(), Cell::nj220()] {
-        let model = all_free(Model::contact(&robot, SOCKETS), [0.0; 3]);
+        let model = all_free(Model::alone(&robot).with_sockets(SOCKETS).without_clocks(), [0.0; 3]);
         agrees(&model, SeatedBall { sockets: &sockets }, |by, row, t_s| {
             let number = |id| dual(&model, by, id);
             let flange = flange(&model, by, t_s);
@@ -234,7 +233,7 @@ fn a_ball_in_sockets_has_the_derivatives_of_ball_sockets_and_robot() {
 #[test]
 fn samples_that_were_not_measured_take_no_part() {
     let Cell { robot, .. } = Cell::irb2400();
-    let model = all_free(Model::measured_pose(&robot), [0.0; 3]);
+    let model = all_free(Model::alone(&robot).with_set_ups(Owner::Tracker, [1, 1]), [0.0; 3]);
     let observations: Vec<Observation> = times().map(|t| Observation::bar(t, [0.0; 5])).collect();
     let measured = &measured()[..12];
     let noise = &[PoseNoise { position_m: 1e-4, rotation_rad: 1e-4 }; 12];

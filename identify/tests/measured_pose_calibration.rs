@@ -4,12 +4,10 @@
 
 use std::path::Path;
 
-use identify::calibrate::rows::tracker::validate;
+use identify::calibrate::rows::validate;
 use identify::calibrate::rows::{PoseFigures, Stages};
 use identify::calibrate::validation::deployment::Deployment;
-use identify::instrument::Cause;
-use identify::instrument::HoldOut;
-use identify::instrument::PoseRow;
+use identify::instrument::{Cause, HoldOut, Instrument, PoseRow, Tracker};
 use identify::kinematics::{Chain, Pose, flange_chain};
 use identify::logs::{MeasuredPoseMapping, MeasuredPoses, PoseUncertainty};
 use identify::model::{JointState, Model, ParameterId};
@@ -117,8 +115,9 @@ fn a_fifth_of_gross_faults_changes_little() {
         row.rotation = row.rotation.map(|r| Rotation3::new(Vector3::new(0.1, 0.2, 0.0)) * r);
     }
     let faulty = links.poses(&rows, &ur10()).unwrap();
-    let on_clean =
-        |report: &Found| validate(&untouched, &ur10(), report.model(), 1).unwrap()[1].position_m.rms;
+    let on_clean = |report: &Found| {
+        validate(&Tracker::new(&untouched).into(), &ur10(), report.model(), 1).unwrap()[1].position_m.rms
+    };
     println!("{:.2e} -> {:.2e}", on_clean(&clean), on_clean(&faulty));
     assert!(on_clean(&faulty) < 1.5 * on_clean(&clean));
 }
@@ -198,7 +197,8 @@ fn rows_of_two_qualities_calibrate_better_with_their_uncertainties() {
     let links = Alone::quick().without_joint_errors();
     let error_m = |rows: &[PoseRow]| {
         let found = links.poses(rows, &ur10()).unwrap();
-        let truly = validate(&clean, &ur10(), found.model(), 1).unwrap()[1].position_m.rms;
+        let truly =
+            validate(&Tracker::new(&clean).into(), &ur10(), found.model(), 1).unwrap()[1].position_m.rms;
         // Beyond the noise of the rows that judge.
         let beyond = |rms: f64| (rms.powi(2) - 3.0 * good * good).max(0.0).sqrt();
         (beyond(truly), found.sigma("ra2".parse().unwrap()).unwrap())
@@ -333,8 +333,10 @@ fn the_command_calibrates_validates_and_writes_what_it_took() {
     let page = std::fs::read_to_string(folder.path().join("again/report.html")).unwrap();
     assert!(page.contains("tracker (data set 2)") && page.contains("tracker_x@2"));
     assert!(["ra2", "tracker_x", "tracker_x@2"].iter().all(|name| names.iter().any(|one| one == name)));
-    let judged = text + &second.replace("[[tracker]]", "[[wire]]\nvalidate = [\"other.csv\"]");
-    for (wrong, said) in [("recrding = 1\n".to_owned() + &two, "recrding"), (judged, "wire[0].validate")] {
+    let judged = text + &second.replace("[[tracker]]", "[[wire]]\nvalidate_mapping = \"other.toml\"");
+    for (wrong, said) in
+        [("recrding = 1\n".to_owned() + &two, "recrding"), (judged, "wire[0].validate_mapping")]
+    {
         std::fs::write(&path, wrong).unwrap();
         let (solved, err) = experiment(&path);
         assert!(!solved && err.contains(said), "{err}");
@@ -394,7 +396,8 @@ fn the_real_ur10_on_its_grid_and_from_its_grid_to_its_cubes() {
 /// Figures of held-out rows of the grid, and root mean squares on the cubes: nominal, and with joint offsets alone \[m\].
 fn grid_and_from_grid_to_cubes(grid: &[PoseRow], cubes: &[PoseRow]) -> (Stages, [f64; 2]) {
     let report = Alone { joint_waves: Some(40), ..Alone::default() }.poses(grid, &ur10()).unwrap();
-    let figures = validate(cubes, &ur10(), report.model(), 1).unwrap();
+    let others = Instrument::from(Tracker::new(cubes));
+    let figures = validate(&others, &ur10(), report.model(), 1).unwrap();
     println!("{}cubes: {figures:?}", report.table());
     below(&report.held_out().joints, GRID);
     below(&figures[1], CUBES);
@@ -402,7 +405,7 @@ fn grid_and_from_grid_to_cubes(grid: &[PoseRow], cubes: &[PoseRow]) -> (Stages, 
     let Stages { nominal, offsets, links, joints } = report.held_out();
     let held_out = [nominal, offsets, links, joints].map(|of| of.position_m.rms);
     assert!(held_out.is_sorted_by(|more, less| more > less), "{held_out:?}");
-    let on_cubes = |model: &Model| validate(cubes, &ur10(), model, 1).unwrap()[1].position_m.rms;
+    let on_cubes = |model: &Model| validate(&others, &ur10(), model, 1).unwrap()[1].position_m.rms;
     let [offsets, links] =
         Deployment::PARTIAL.map(|part| on_cubes(report.0.deployed(part, None).unwrap().unwrap().model()));
     let mut truncated = report.model().clone();

@@ -9,8 +9,9 @@ use identify::calibrate::mix::{DataSets, calibrate};
 use identify::calibrate::validation::agreement::disagreeing;
 use identify::calibrate::{IdentifyConfig, SelectionName};
 use identify::evaluate::{WorkspaceError, limits};
-use identify::instrument::Measured;
-use identify::instrument::{ContactRow, LengthRow, PlacedSocket, PoseRow, SocketTable};
+use identify::instrument::{
+    Contact, ContactRow, LengthRow, PlacedSocket, PoseRow, Rows, SocketTable, Tracker, Wire,
+};
 use identify::kinematics::{Chain, DhLink, Joints, Pose, flange_chain, robot_chain, robot_inverse};
 use identify::model::{DriveTrain, Model, ParameterId, Role};
 use identify::simulate::{Design, Simulated};
@@ -103,13 +104,13 @@ impl Cell {
             bar,
         };
         let rows = [
-            tracker.then(|| Measured::Poses(self.poses.clone())),
-            wire.then(|| Measured::Lengths(self.lengths.clone())),
-            contact.then(|| Measured::Contacts(self.contacts.clone(), self.sockets.clone())),
+            tracker.then(|| Rows::from(Tracker::new(&self.poses))),
+            wire.then(|| Wire::new(&self.lengths).into()),
+            contact.then(|| Contact::new(&self.contacts, &self.sockets).unwrap().into()),
         ];
         let data = DataSets {
             bars: with_bar.then_some(run).into_iter().collect(),
-            rows: rows.into_iter().flatten().map(Into::into).collect(),
+            rows: rows.into_iter().flatten().collect(),
         };
         calibrate(&data, &robot, &IdentifyConfig::default(), None).unwrap()
     }
@@ -336,7 +337,7 @@ fn a_wrong_gear_ratio_is_the_same_sentence_whatever_measured_it() {
 #[test]
 fn options_of_the_ball_bar_alone_are_refused_for_a_mix_by_name() {
     let cell = Cell::new(1);
-    let data = DataSets { rows: vec![Measured::Poses(cell.poses.clone()).into()], ..DataSets::default() };
+    let data = DataSets { rows: vec![Tracker::new(&cell.poses).into()], ..DataSets::default() };
     let config = IdentifyConfig { selection: SelectionName::Thesis, ..IdentifyConfig::default() };
     let said = calibrate(&data, &irb2400(), &config, None).unwrap_err().to_string();
     assert!(said.contains("`selection`"), "{said}");
@@ -344,7 +345,7 @@ fn options_of_the_ball_bar_alone_are_refused_for_a_mix_by_name() {
     let said = calibrate(&data, &irb2400(), &config, None).unwrap_err().to_string();
     assert!(said.contains("`bar_length_um`") && said.contains("leave it out"), "{said}");
     let still = vec![cell.poses[0]; 50];
-    let data = DataSets { rows: vec![Measured::Poses(still).into()], ..DataSets::default() };
+    let data = DataSets { rows: vec![Tracker::new(&still).into()], ..DataSets::default() };
     let said = calibrate(&data, &irb2400(), &IdentifyConfig::default(), None).unwrap_err().to_string();
     assert!(said.contains("data set 1") && said.contains("further apart"), "{said}");
 }

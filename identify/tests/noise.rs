@@ -10,7 +10,8 @@ use crate::support::{bar, irb2400, nj220};
 use identify::calibrate::Calibration;
 use identify::calibrate::ball_bar;
 use identify::calibrate::{IdentifyConfig, JointTermsConfig};
-use identify::instrument::{CostName, NoiseConfig};
+use identify::cost::AngleNoise;
+use identify::instrument::{CostName, Noise, NoiseConfig};
 use identify::simulate::{self, Design, Effects, Experiment, Simulated};
 use shared::config::RobotConfig;
 
@@ -88,12 +89,14 @@ fn the_noise_of_a_run_is_found_whatever_is_configured() {
     let quick = |config: IdentifyConfig| IdentifyConfig { noise: config.noise, ..plain(CostName::Pose) };
     let [usual, true_noise] =
         [told(5.0, 15.0), told(100.0, 20.0)].map(|config| calibrated(&run, &robot, &quick(config)));
-    let found = usual.bars().next().unwrap().found.unwrap();
-    let [encoder_urad, robot_urad] = [found.noise.encoder_rad, found.noise.robot_rad].map(|rad| rad * 1e6);
+    let bar = &usual.runs[0].instrument;
+    let Noise::Angles(AngleNoise { encoder_rad, robot_rad }) = bar.noise() else { panic!() };
+    let [encoder_urad, robot_urad] = [encoder_rad, robot_rad].map(|rad| rad * 1e6);
     assert!((encoder_urad - 100.0).abs() < 5.0, "{encoder_urad}");
     // The robot's log is interpolated, which averages neighbouring rows.
     assert!((8.0..22.0).contains(&robot_urad), "{robot_urad}");
-    assert!(found.autocorrelation.abs() < 4.0 * found.autocorrelation_sigma, "{found:?}");
+    let [autocorrelation, sigma] = bar.autocorrelation().unwrap();
+    assert!(autocorrelation.abs() < 4.0 * sigma, "{autocorrelation} {sigma}");
     let [error_m, least_m] = [&usual, &true_noise].map(|one| position_error_m(&run, one, &robot));
     assert!(error_m < 1.1 * least_m + 1e-6, "{error_m} {least_m}");
 }

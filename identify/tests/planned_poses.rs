@@ -6,8 +6,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use identify::cost::PoseNoise;
-use identify::instrument::HoldOut;
-use identify::instrument::{Measures as _, PoseRow, Standing, Tracker, standing};
+use identify::instrument::{HoldOut, Measures as _, PoseRow, Tracker};
 use identify::kinematics::{Joints, flange_chain};
 use identify::logs::{JointTableMapping, MeasuredPoseMapping, MeasuredPoses};
 use identify::plan::{
@@ -61,10 +60,7 @@ impl Rows {
         let chosen: BTreeSet<usize> = chosen.iter().copied().collect();
         let rows: Vec<PoseRow> = chosen.into_iter().map(|row| self.offered[row]).collect();
         let found = how.poses(&rows, &ur10()).unwrap();
-        let states = standing(self.others.iter().map(|row| row.joints_rad));
-        let groups: Vec<usize> = (0..self.others.len()).collect();
-        let tracker = Tracker::new(Standing::new(&self.others, &states, &groups, 1));
-        let errors = tracker.errors(&found.model().geometry(&[]));
+        let errors = Tracker::new(&self.others).errors(&found.model().geometry(&[]));
         errors.iter().map(|error| error.position_m).sum::<f64>() / errors.len() as f64
     }
 

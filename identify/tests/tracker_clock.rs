@@ -6,7 +6,7 @@ use std::path::Path;
 
 use identify::calibrate::Calibration;
 use identify::calibrate::mix::{DataSets, calibrate};
-use identify::instrument::Measured;
+use identify::instrument::Tracker;
 use identify::logs::{MeasuredPoseMapping, TimedPoses};
 use identify::model::ParameterId;
 use identify::prepare::AlignedPoses;
@@ -16,15 +16,15 @@ use crate::support::rows::Alone;
 use crate::support::tracker_log::{Followed, Sizes};
 use crate::support::ur10;
 
-fn calibrated(measured: Measured) -> Calibration {
+fn calibrated(tracker: Tracker) -> Calibration {
     let Alone { config, .. } = Alone::default().without_joint_errors();
-    let rows = vec![measured.into()];
+    let rows = vec![tracker.into()];
     calibrate(&DataSets { rows, ..DataSets::default() }, &ur10(), &config, None).unwrap()
 }
 
 /// Error of a calibration, and of one of the same rows with the times at which they were truly taken \[m\].
 fn errors_m(followed: &Followed, aligned: &AlignedPoses, found: &Calibration) -> [f64; 2] {
-    let perfect = calibrated(followed.with_perfect_times(aligned));
+    let perfect = calibrated(Tracker::new(&followed.with_perfect_times(aligned)));
     [found, &perfect].map(|found| followed.error_m(&found.runs[0].model))
 }
 
@@ -224,9 +224,7 @@ fn the_command_takes_both_logs_and_what_it_writes_repeats_it() {
     let json = std::fs::read_to_string(folder.path().join("result/calibration.json")).unwrap();
     assert!(json.contains("\"robot_minus_instrument_ns\":4321"));
     // Rows with joints judge the robot; rows with times have none.
-    let Measured::Poses(rows) = followed.with_perfect_times(&followed.aligned().unwrap()) else {
-        unreachable!()
-    };
+    let rows = followed.with_perfect_times(&followed.aligned().unwrap());
     let mut other = String::from("q1;q2;q3;q4;q5;q6;x;y;z\n");
     for row in rows.iter().step_by(20) {
         let numbers = row.joints_rad.iter().copied().chain(row.position_m.iter().map(|x| x * 1e3));

@@ -11,7 +11,7 @@ use identify::cost::{
     WhitenedPose, fill_in,
 };
 use identify::kinematics::{Chain, ImpliedBar, Tracer};
-use identify::model::{Axis, BarForce, Model, Observation, ParameterId, Role, SetUp};
+use identify::model::{Axis, BarForce, Model, Observation, Owner, ParameterId, Role, SetUp};
 use identify::solver::stacked;
 use nalgebra::DMatrix;
 use num_dual::{Dual64, DualNum};
@@ -276,7 +276,8 @@ fn joints_without_encoder_get_the_angles_that_the_robot_implies() {
 #[test]
 fn measured_length_has_the_derivatives_of_the_wire_for_both_robots() {
     for Cell { robot, .. } in [Cell::irb2400(), Cell::nj220()] {
-        let mut model = Model::measured_length(&robot).with_drives(coupled_drives(&robot));
+        let mut model =
+            Model::alone(&robot).with_set_ups(Owner::Wire, [1, 1]).with_drives(coupled_drives(&robot));
         for axis in Axis::ALL {
             model.set_value(ParameterId::Attachment { target: 0, axis }, 0.1).unwrap();
             model.set_value(ParameterId::Anchor { station: 0, axis }, -0.7).unwrap();
@@ -317,6 +318,16 @@ fn names_and_parameters_are_one_to_one() {
     }
     assert!("ra9".parse::<ParameterId>().is_err());
     let chain: &Chain = &Cell::irb2400().robot;
-    assert!(Model::measured_length(chain).set_role("ra7".parse().unwrap(), Role::Free).is_err());
-    assert!(Model::measured_length(chain).set_role("ba1".parse().unwrap(), Role::Free).is_err());
+    assert!(
+        Model::alone(chain)
+            .with_set_ups(Owner::Wire, [1, 1])
+            .set_role("ra7".parse().unwrap(), Role::Free)
+            .is_err()
+    );
+    assert!(
+        Model::alone(chain)
+            .with_set_ups(Owner::Wire, [1, 1])
+            .set_role("ba1".parse().unwrap(), Role::Free)
+            .is_err()
+    );
 }

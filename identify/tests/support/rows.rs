@@ -5,9 +5,7 @@ use identify::calibrate::Calibration;
 use identify::calibrate::mix::{DataSets, calibrate};
 use identify::calibrate::rows::{RowSet, Stages};
 use identify::calibrate::{IdentifyConfig, JointTermsConfig};
-use identify::instrument::HoldOut;
-use identify::instrument::{LengthRow, PoseRow};
-use identify::instrument::{Measured, Rows};
+use identify::instrument::{HoldOut, Instrument, LengthRow, PoseRow, Rows, Tracker, Wire};
 use identify::model::{Model, ParameterId};
 use shared::config::RobotConfig;
 
@@ -41,16 +39,16 @@ impl Alone {
     }
 
     pub fn poses(&self, rows: &[PoseRow], robot: &RobotConfig) -> Result<Found, CalibrateError> {
-        self.calibrated(Measured::Poses(rows.to_vec()), robot)
+        self.calibrated(Tracker::new(rows).into(), robot)
     }
 
     pub fn lengths(&self, rows: &[LengthRow], robot: &RobotConfig) -> Result<Found, CalibrateError> {
-        self.calibrated(Measured::Lengths(rows.to_vec()), robot)
+        self.calibrated(Wire::new(rows).into(), robot)
     }
 
-    fn calibrated(&self, measured: Measured, robot: &RobotConfig) -> Result<Found, CalibrateError> {
+    fn calibrated(&self, instrument: Instrument, robot: &RobotConfig) -> Result<Found, CalibrateError> {
         let Self { hold_out, seed, joint_waves, ref config } = *self;
-        let rows = vec![Rows { measured, hold_out, seed, joint_waves }];
+        let rows = vec![Rows { instrument, hold_out, seed, joint_waves }];
         calibrate(&DataSets { rows, ..DataSets::default() }, robot, config, None).map(Found)
     }
 }

@@ -3,8 +3,7 @@
 use std::f64::consts::TAU;
 use std::path::Path;
 
-use identify::instrument::Measured;
-use identify::instrument::PoseRow;
+use identify::instrument::{PoseRow, Tracker};
 use identify::kinematics::{Chain, Joints, Pose, flange_chain};
 use identify::logs::{MeasuredPoseMapping, RobotLog, Stream, TimedPoses};
 use identify::model::{Model, ParameterId, SetUp};
@@ -224,21 +223,22 @@ impl Followed {
     }
 
     /// Rows of an alignment as they are calibrated.
-    pub fn measured(&self, aligned: &AlignedPoses) -> Measured {
+    pub fn measured(&self, aligned: &AlignedPoses) -> Tracker {
         let poses = self.poses();
-        let rows = aligned
+        let rows: Vec<PoseRow> = aligned
             .rows
             .iter()
             .zip(&aligned.states)
-            .map(|(row, state)| PoseRow::from(&poses.rows[*row].with_joints(state.q)));
+            .map(|(row, state)| PoseRow::from(&poses.rows[*row].with_joints(state.q)))
+            .collect();
         match &aligned.moving {
-            Some(moving) => Measured::Path(rows.collect(), moving.clone()),
-            None => Measured::Poses(rows.collect()),
+            Some(moving) => Tracker::of_moving(&rows, moving.clone()),
+            None => Tracker::new(&rows),
         }
     }
 
     /// The same rows with the joints that the robot truly had.
-    pub fn with_perfect_times(&self, aligned: &AlignedPoses) -> Measured {
+    pub fn with_perfect_times(&self, aligned: &AlignedPoses) -> Vec<PoseRow> {
         let (poses, mut random) = (self.poses(), StdRng::seed_from_u64(1000 + self.seed));
         let rows = aligned.rows.iter().map(|row| {
             // Rows with the stamp of the one before may be left out; the header is line 1.
@@ -246,7 +246,7 @@ impl Followed {
             let noisy = joints.iter().map(|q| q + NOISE_RAD * random.sample::<f64, _>(StandardNormal));
             PoseRow::from(&poses.rows[*row].with_joints(noisy.collect()))
         });
-        Measured::Poses(rows.collect())
+        rows.collect()
     }
 
     /// Error of shift \[s\] and skew where a model of a moving target was solved.

@@ -11,7 +11,7 @@ use super::config::{IdentifyConfig, SelectionName};
 use super::error::CalibrateError;
 use super::pipeline::{Plan, Solved, estimate};
 use super::selection::structure::identifiable;
-use crate::instrument::{BallBar, CostName, Instrument, Run};
+use crate::instrument::{BallBar, CostName, Run};
 use crate::kinematics::{BAR_JOINTS, LinkParameter, ball_bar_chain, robot_chain};
 use crate::logs::{RobotLog, Unwrapped};
 use crate::model::{Axis, DriveTrain, Group, Model, ModelError, Parameter, ParameterId, Role};
@@ -87,7 +87,7 @@ fn solved(
     config: &IdentifyConfig,
     watch: Option<&dyn Watch>,
 ) -> Result<Calibration, CalibrateError> {
-    let cost = runs.first().and_then(|run| run.instrument.bar()).ok_or(CalibrateError::NoRun)?.cost;
+    let cost = runs.iter().find_map(|run| run.instrument.in_unit_of()).ok_or(CalibrateError::NoRun)?;
     let solved = solve(&mut runs, config, watch)?;
     let changed = change::checked(&runs, &solved.sigmas, &config.prepare)?;
     Ok(Calibration { runs, rows: Vec::new(), solved, changed, loss: config.loss_for(cost) })
@@ -128,7 +128,7 @@ fn runs_at_start(
         let model = start_model(&prepared, robot, bar)?.with(named);
         let known_m = config.known_lengths_m(bar, model.axes());
         let bar = BallBar { prepared, cost, configured: config.noise, found: None, measured, known_m };
-        Ok(Run { instrument: Instrument::BallBar(Box::new(bar)), model })
+        Ok(Run { instrument: bar.into(), model })
     };
     all.into_iter().map(run).collect()
 }
@@ -143,15 +143,13 @@ pub(super) fn solve(
     watch: Option<&dyn Watch>,
 ) -> Result<Solved, CalibrateError> {
     let first = runs.first().ok_or(CalibrateError::NoRun)?;
-    let BallBar { prepared, cost, measured, .. } = first.instrument.bar().ok_or(CalibrateError::NoRun)?;
-    let (cost, measured) = (*cost, *measured);
+    let cost = first.instrument.in_unit_of().ok_or(CalibrateError::NoRun)?;
     config.require_known(runs.iter().map(|run| &run.model))?;
-    let free = match config.selection.fixed() {
-        Some(_) => Vec::new(),
-        None => {
-            let Prepared { motion, observations, .. } = prepared;
-            identifiable(&first.model, motion, observations, cost.unweighed(&measured))?
+    let free = match (config.selection.fixed(), first.instrument.prepared()) {
+        (None, Some(Prepared { motion, observations, measured, .. })) => {
+            identifiable(&first.model, motion, observations, cost.unweighed(measured))?
         }
+        _ => Vec::new(),
     };
     set_roles(runs, config, &free)?;
     let Some(Run { instrument, model }) = runs.first() else { return Err(CalibrateError::NoRun) };
@@ -182,7 +180,7 @@ pub(super) fn set_roles(
     for Run { instrument, model } in &mut *runs {
         config.set_roles(model, identifiable, |id| instrument.identifies(id))?;
         instrument.place(model, &held)?;
-        if let Some(force) = instrument.bar().and_then(|bar| bar.prepared.force.as_ref()) {
+        if let Some(force) = instrument.prepared().and_then(|prepared| prepared.force.as_ref()) {
             config.free_for_force(model, force.parameter())?;
         }
     }

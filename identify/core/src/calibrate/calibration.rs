@@ -4,7 +4,7 @@ use super::ball_bar::measured;
 use super::change::Changed;
 use super::pipeline::Solved;
 use super::rows::RowSet;
-use crate::instrument::{BallBar, CostName, Run};
+use crate::instrument::{CostName, Run};
 use crate::kinematics::{BAR_JOINTS, Joints};
 use crate::model::{Model, ParameterId};
 use crate::prepare::Prepared;
@@ -57,22 +57,17 @@ impl Calibration {
 
     /// Preparation and parameters of each run with a ball-bar, the first one first.
     pub fn bar_runs(&self) -> impl Iterator<Item = (&Prepared, &Model)> {
-        self.runs.iter().filter_map(|run| Some((&run.instrument.bar()?.prepared, &run.model)))
-    }
-
-    /// Runs with a ball-bar, the first one first.
-    pub fn bars(&self) -> impl Iterator<Item = &BallBar> {
-        self.runs.iter().filter_map(|run| run.instrument.bar())
+        self.runs.iter().filter_map(|run| Some((run.instrument.prepared()?, &run.model)))
     }
 
     /// How the logs of the first run with a ball-bar were brought together; none without any.
     pub fn prepared(&self) -> Option<&Prepared> {
-        self.bars().next().map(|bar| &bar.prepared)
+        self.bar_runs().next().map(|(prepared, _)| prepared)
     }
 
     /// Bar joints with an encoder in every run.
     pub fn measured(&self) -> [bool; BAR_JOINTS] {
-        measured(self.bars().map(|bar| &bar.prepared))
+        measured(self.bar_runs().map(|(prepared, _)| prepared))
     }
 
     /// What the robot reports at each sample of all data sets.

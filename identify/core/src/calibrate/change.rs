@@ -52,7 +52,7 @@ pub struct Changed {
 
 /// The refusal of the first run whose angles fit no geometry, in place of what a solve has ended in because of that.
 pub(super) fn poor_fit(runs: &[Run]) -> Option<CalibrateError> {
-    let of_run = |run: &Run| Some(run.instrument.bar()?.prepared.poor_fit.as_ref()?.refusal());
+    let of_run = |run: &Run| Some(run.instrument.prepared()?.poor_fit.as_ref()?.refusal());
     let found = runs.iter().enumerate().find_map(|(number, run)| Some((number, of_run(run)?)));
     found.map(|(run, error)| CalibrateError::Prepare { run, error: Box::new(error) })
 }
@@ -171,11 +171,11 @@ impl Changed {
 /// change may have been the reason of.
 fn refuse(runs: &[Run], changed: &[Changed], options: &PrepareOptions) -> Result<(), CalibrateError> {
     for (run, Run { instrument, model }) in runs.iter().enumerate() {
-        let Some(bar) = instrument.bar() else { continue };
-        let poor_fit = bar.prepared.poor_fit.as_ref();
+        let Some(prepared) = instrument.prepared() else { continue };
+        let poor_fit = prepared.poor_fit.as_ref();
         let own = changed.iter().filter(|one| one.data_set == run && one.explained > EXPLAINED);
         let error = own.filter_map(|one| one.refusal(options)).next();
-        let error = error.map(|error| error.resting_on(Deviations::at(&bar.prepared, model.geometry(&[]))));
+        let error = error.map(|error| error.resting_on(Deviations::at(prepared, model.geometry(&[]))));
         if let Some(error) = error.or_else(|| poor_fit.map(PoorFit::refusal)) {
             return Err(CalibrateError::Prepare { run, error: Box::new(error) });
         }

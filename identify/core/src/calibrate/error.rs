@@ -1,8 +1,9 @@
 //! Why there is no calibration.
 
-use super::rows::{Likely, RowError};
+use super::rows::Likely;
 use super::selection::structure::StructureError;
 use crate::cost::CostError;
+use crate::instrument::RowError;
 use crate::model::ModelError;
 use crate::prepare::PrepareError;
 use crate::solver::{NotConverged, SolveError, Unidentifiable};

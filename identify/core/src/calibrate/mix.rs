@@ -11,7 +11,7 @@ use super::pipeline::{Plan, Solved, estimate, refit, waves_per_turn};
 use super::rows::{self, RowSet};
 use super::validation::deployment::{Deployment, fitted};
 use super::{IdentifyConfig, SelectionName};
-use crate::instrument::{Measured, Rows, Run};
+use crate::instrument::{Rows, Run};
 use crate::kinematics::flange_chain;
 use crate::model::{DriveTrain, ParameterId};
 use crate::solver::{LossName, Watch};
@@ -35,7 +35,7 @@ fn check(data: &DataSets<'_>, config: &IdentifyConfig) -> Result<(), CalibrateEr
     }
     let usual = IdentifyConfig::default();
     let terms = (&config.joint_terms, &usual.joint_terms);
-    let follows_log = data.rows.iter().any(|rows| matches!(rows.measured, Measured::Path(..)));
+    let follows_log = data.rows.iter().any(|rows| rows.instrument.first_s().is_some());
     let of_bars = [
         ("cost", config.cost != usual.cost),
         ("encoder_harmonics_urad", config.encoder_harmonics_urad != usual.encoder_harmonics_urad),
@@ -86,9 +86,9 @@ fn laid_out<'w>(
         let data_set = runs.len() + 1;
         let bad = |error| CalibrateError::Rows { data_set, error };
         let alone = data.bars.is_empty() && data.rows.len() == 1;
-        let contradicting = file.measured.checked(alone, &flange).map_err(bad)?;
-        let (whole, model) = file.at_nominal(&flange).map_err(|error| bad(error.into()))?;
-        let mut set = RowSet::new(whole, contradicting, judged);
+        let contradicting = rows::checked(&file.instrument, alone, &flange).map_err(bad)?;
+        let mut set = RowSet::new(file.grouped(&flange), contradicting, judged);
+        let model = file.instrument.at_nominal(&flange);
         let model = model.with_drives(DriveTrain::of(robot, &flange)).with(config.named());
         let mut run = Run { instrument: set.fitting(), model };
         if !run.instrument.place(&mut run.model, &plan.fix)? {
@@ -98,7 +98,7 @@ fn laid_out<'w>(
             let plan = Plan { watch, ..Plan::new(LossName::Huber, Vec::new()) };
             let placed = estimate(std::slice::from_mut(&mut run), &plan);
             // Lengths in another unit may allow no solution at all.
-            rows::unless_other_unit(file, set.whole(), &run.model)?;
+            rows::unless_other_unit(set.whole(), &run.model, &flange)?;
             placed?;
         }
         set.judge_nominal(&run.model);

@@ -220,6 +220,10 @@ impl Measures for BallBar {
         other.into_iter().chain(repeats).collect()
     }
 
+    fn prepared(&self) -> Option<&Prepared> {
+        Some(&self.prepared)
+    }
+
     fn autocorrelation(&self) -> Option<[f64; 2]> {
         self.found.map(|found| [found.autocorrelation, found.autocorrelation_sigma])
     }
@@ -298,6 +302,6 @@ impl Measures for BallBar {
     fn part(&self, samples: &[usize]) -> Instrument {
         let observations = samples.iter().map(|&sample| self.prepared.observations[sample]).collect();
         let prepared = Prepared { observations, ..self.prepared.clone() };
-        Instrument::BallBar(Box::new(Self { prepared, ..self.clone() }))
+        Self { prepared, ..self.clone() }.into()
     }
 }

@@ -3,10 +3,10 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
-use super::row_noise::MEDIAN_OF_THREE;
-use super::screened::{RejectedRow, Screened};
+use super::rows::{MEDIAN_OF_THREE, Screened, Standing};
 use super::{
-    Cause, Deviation, Doubt, Instrument, Measures, Noise, ScaleFrom, SocketTable, Sockets, Standing,
+    Cause, Deviation, Doubt, Instrument, Measures, Mistake, Noise, RejectedRow, ScaleFrom, Section,
+    SocketTable, Sockets,
 };
 use crate::cost::{CostError, DataSet, Residual, SeatedBall, SeatedBalls};
 use crate::kinematics::Joints;
@@ -99,15 +99,16 @@ pub struct Contact {
     observations: Vec<Observation>,
     socket_of: Vec<usize>,
     /// Standard deviation of a coordinate of the seated ball, from the spread of the residuals \[m\].
-    pub noise_m: f64,
+    noise_m: f64,
 }
 
 impl Contact {
-    /// Of rows with how the robot stood at each.
+    /// Of rows at which the ball was seated, in the order in which the robot went there.
     ///
     /// # Errors
     /// [`ContactError`] where rows and table calibrate no robot.
-    pub fn new(mut all: Standing<ContactRow>, table: &SocketTable) -> Result<Self, ContactError> {
+    pub fn new(rows: &[ContactRow], table: &SocketTable) -> Result<Self, ContactError> {
+        let mut all = Standing::new(rows, |row| row.joints_rad);
         let names = table.names();
         let mut visits = vec![0; names.len()];
         for (row, one) in (1..).zip(&all.rows) {
@@ -151,6 +152,11 @@ impl Contact {
         contact
     }
 
+    /// Other rows in the same sockets.
+    fn with_rows(&self, all: Standing<ContactRow>) -> Self {
+        Self::of(all, self.sockets.clone(), self.noise_m)
+    }
+
     /// Takes over which rows take part.
     fn take_part(&mut self) {
         let rows = &self.rows.at.rows;
@@ -159,36 +165,8 @@ impl Contact {
         self.socket_of = rows.iter().map(|row| row.socket).collect();
     }
 
-    /// The sockets, in the order of their parameters.
-    pub fn sockets(&self) -> &Sockets {
-        &self.sockets
-    }
-
-    /// Socket of each row, whether it takes part or not.
-    pub fn socket_of_row(&self, row: usize) -> Option<usize> {
-        self.rows.all.rows.get(row).map(|row| row.socket)
-    }
-
-    /// Rows that take no part, with why as a person reads it.
-    pub fn misplaced(&self, geometry: &Geometry) -> Vec<(usize, String)> {
-        let (names, sockets_m) = (self.sockets.names(), &geometry.contact.sockets_m);
-        let errors_m = self.errors_m(geometry);
-        let told = |one: &RejectedRow| {
-            let own = self.socket_of_row(one.row)?;
-            let (own_m, error_m) = (sockets_m.get(own)?, errors_m.get(one.row)?);
-            let distance_m = |socket: &usize| (own_m + error_m - sockets_m[*socket]).norm();
-            let near = (0..sockets_m.len()).min_by(|a, b| distance_m(a).total_cmp(&distance_m(b)));
-            let other = near.filter(|near| *near != own).map(|near| {
-                format!(", {:.2} mm from `{}`: look for a wrong name", distance_m(&near) * 1e3, names[near])
-            });
-            let (off_mm, other) = (error_m.norm() * 1e3, other.unwrap_or_default());
-            Some((one.row, format!("the ball is {off_mm:.2} mm from its socket `{}`{other}", names[own])))
-        };
-        self.rows.rejected.iter().filter_map(told).collect()
-    }
-
     /// From its socket to where the robot holds the ball, in every row, whether it takes part or not \[m\].
-    pub fn errors_m(&self, geometry: &Geometry) -> Vec<Vector3<f64>> {
+    fn errors_m(&self, geometry: &Geometry) -> Vec<Vector3<f64>> {
         let of = &geometry.contact;
         let one = |(row, state): (&ContactRow, &JointState)| {
             let held_m = geometry.robot_end(state).transform_point(&of.ball_m.into()).coords;
@@ -230,6 +208,45 @@ impl Measures for Contact {
 
     fn samples(&self) -> usize {
         self.rows.at.rows.len()
+    }
+
+    fn parts(&self) -> &'static str {
+        "ball and sockets"
+    }
+
+    /// Each socket.
+    fn sections(&self) -> Vec<Section> {
+        let section = |(socket, name): (usize, &String)| {
+            let here = |(row, of): (usize, &ContactRow)| (of.socket == socket).then_some(row);
+            Section {
+                name: name.clone(),
+                parameters: format!("socket{}", socket + 1),
+                samples: self.rows.all.rows.iter().enumerate().filter_map(here).collect(),
+            }
+        };
+        self.sockets.names().iter().enumerate().map(section).collect()
+    }
+
+    /// The socket that the ball is nearest to.
+    fn remarks(&self, geometry: &Geometry) -> Vec<(usize, String)> {
+        let (names, sockets_m) = (self.sockets.names(), &geometry.contact.sockets_m);
+        let errors_m = self.errors_m(geometry);
+        let remark = |one: &RejectedRow| {
+            let own = self.rows.all.rows.get(one.row)?.socket;
+            let (own_m, error_m) = (sockets_m.get(own)?, errors_m.get(one.row)?);
+            let distance_m = |socket: &usize| (own_m + error_m - sockets_m[*socket]).norm();
+            let near = (0..sockets_m.len()).min_by(|a, b| distance_m(a).total_cmp(&distance_m(b)));
+            let other = near.filter(|near| *near != own).map(|near| {
+                format!(", {:.2} mm from `{}`: look for a wrong name", distance_m(&near) * 1e3, names[near])
+            });
+            Some((one.row, format!("not in its socket `{}`{}", names[own], other.unwrap_or_default())))
+        };
+        self.rows.rejected.iter().filter_map(remark).collect()
+    }
+
+    /// With the sockets that were visited.
+    fn fitted_out(&self, robot: Model) -> Model {
+        robot.with_sockets(self.sockets.names().len()).without_clocks()
     }
 
     /// The ball and the sockets: `p_k + R_k ball = socket` is linear in both.
@@ -320,7 +337,41 @@ impl Measures for Contact {
     }
 
     fn part(&self, samples: &[usize]) -> Instrument {
-        Instrument::Contact(Self::of(self.rows.at.chosen(samples), self.sockets.clone(), self.noise_m))
+        self.with_rows(self.rows.at.chosen(samples)).into()
+    }
+
+    fn group(&mut self, groups: &[usize], seed: u64) {
+        self.rows.all.group(groups, seed);
+        self.rows.at.group(groups, seed);
+    }
+
+    fn joints(&self) -> Vec<Joints> {
+        self.rows.all.joints()
+    }
+
+    /// A ball in another socket than its row says is no measurement that anything could predict.
+    fn misplaced(&self, model: &Model) -> Vec<RejectedRow> {
+        let mut screened = self.clone();
+        screened.screen(model);
+        screened.rows.rejected
+    }
+
+    fn judges_gross(&self) -> bool {
+        true
+    }
+
+    fn mistakes(&self, axes: usize) -> Vec<Mistake> {
+        Mistake::of_joints(axes).into_iter().chain([Mistake::ModifiedTable]).collect()
+    }
+
+    fn undone(&self, mistake: Mistake) -> Vec<Instrument> {
+        match mistake {
+            Mistake::Joints(mistake) => {
+                let other = self.rows.all.with_joints(|joints_rad| mistake.undone(joints_rad));
+                vec![self.with_rows(other).into()]
+            }
+            _ => Vec::new(),
+        }
     }
 
     fn deviations(&self, geometry: &Geometry) -> Vec<Deviation> {

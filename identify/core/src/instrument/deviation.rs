@@ -32,6 +32,16 @@ impl Deviation {
     }
 }
 
+impl Deviation {
+    /// A difference of lengths with its sign, the size of one of places \[m\].
+    pub(crate) fn signed_m(&self) -> f64 {
+        match self.apart {
+            Apart::Place(offset_m) => offset_m.norm(),
+            Apart::Length(longer_m) => longer_m,
+        }
+    }
+}
+
 /// The size of a [`Deviation`].
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct PoseError {
@@ -42,11 +52,7 @@ pub struct PoseError {
 }
 
 impl From<Deviation> for PoseError {
-    fn from(Deviation { apart, rotation_rad }: Deviation) -> Self {
-        let position_m = match apart {
-            Apart::Place(offset_m) => offset_m.norm(),
-            Apart::Length(longer_m) => longer_m.abs(),
-        };
-        Self { position_m, rotation_rad }
+    fn from(deviation: Deviation) -> Self {
+        Self { position_m: deviation.signed_m().abs(), rotation_rad: deviation.rotation_rad }
     }
 }

@@ -6,12 +6,8 @@ mod cause;
 mod contact;
 mod deviation;
 mod repetition;
-mod row_noise;
 mod rows;
-mod screened;
 mod sockets;
-pub(crate) mod split;
-mod standing;
 mod tracker;
 mod wire;
 
@@ -22,22 +18,19 @@ pub use ball_bar::{BallBar, CostName, NoiseConfig};
 pub use cause::Cause;
 pub use contact::{Contact, ContactError, ContactRow};
 pub use deviation::{Apart, Deviation, PoseError};
-pub use rows::{Measured, Rows, SEED};
-pub use screened::{RejectedRow, Rejection};
-pub(crate) use screened::{faulty, gross_rows, without};
+pub use rows::{HoldOut, Mistake, RejectedRow, Rejection, RowError, Rows, SEED, standing};
+pub(crate) use rows::{faulty, gross_rows, segments, without};
 pub use sockets::{KnownDistance, PlacedSocket, SocketTable, Sockets};
-pub use split::HoldOut;
-pub use standing::{Standing, poses, standing};
 pub use tracker::{PoseRow, Tracker};
 pub use wire::{LengthRow, Wire};
 
 use crate::cost::{AngleNoise, CostError, DataSet};
-use crate::kinematics::Joints;
+use crate::kinematics::{Chain, Joints};
 use crate::model::{Clock, Geometry, JointState, Model, ModelError, ParameterId};
-use crate::prepare::EncoderMap;
+use crate::prepare::{EncoderMap, Prepared};
 
 /// What an estimator asks of an instrument.
-pub trait Measures: fmt::Debug + Sync {
+pub trait Measures: Boxed + fmt::Debug + Send + Sync {
     /// Name in messages and files.
     fn name(&self) -> &'static str;
 
@@ -57,6 +50,11 @@ pub trait Measures: fmt::Debug + Sync {
 
     /// Number of samples.
     fn samples(&self) -> usize;
+
+    /// The model of a robot with what is the instrument's own, at zero.
+    fn fitted_out(&self, robot: Model) -> Model {
+        robot
+    }
 
     /// Sets where the instrument stands for the robot as the model has it, and frees what is its own but for parameters in
     /// `fix`. False where that does not follow from the samples.
@@ -99,6 +97,14 @@ pub trait Measures: fmt::Debug + Sync {
     /// Some of the samples.
     fn part(&self, samples: &[usize]) -> Instrument;
 
+    /// Sets which samples are left out together, by the group of each; `seed` decides which groups come together.
+    fn group(&mut self, _groups: &[usize], _seed: u64) {}
+
+    /// What is left out together unless somebody says so.
+    fn hold_out(&self) -> HoldOut {
+        HoldOut::Rows
+    }
+
     /// Robot minus measurement in every sample, used or not; NaN outside the robot's log and for set-ups that the geometry lacks.
     fn deviations(&self, geometry: &Geometry) -> Vec<Deviation>;
 
@@ -110,6 +116,26 @@ pub trait Measures: fmt::Debug + Sync {
     /// Samples that the fit leaves out.
     fn rejected(&self) -> &[RejectedRow] {
         &[]
+    }
+
+    /// What is fitted of it beside the robot, as tables call it.
+    fn parts(&self) -> &'static str {
+        self.name()
+    }
+
+    /// Groups of its samples that have figures of their own.
+    fn sections(&self) -> Vec<Section> {
+        Vec::new()
+    }
+
+    /// What may explain why samples take no part, in words, with the number of each.
+    fn remarks(&self, _geometry: &Geometry) -> Vec<(usize, String)> {
+        Vec::new()
+    }
+
+    /// How its log and the robot's were brought together, where it has measured all the time.
+    fn prepared(&self) -> Option<&Prepared> {
+        None
     }
 
     /// Time of a sample on the instrument's clock, since its reference time \[s\]; `None` for rows of a robot at rest.
@@ -137,6 +163,69 @@ pub trait Measures: fmt::Debug + Sync {
     fn relative_noise(&self) -> Vec<f64> {
         vec![1.0; self.samples()]
     }
+
+    /// The same by what these samples alone show where the model is.
+    fn weigh_by(&mut self, _model: &Model, _samples: &[usize]) {}
+
+    /// Samples whose own data contradict each other; all others are measurements.
+    ///
+    /// # Errors
+    /// [`RowError`] where they are none, or cannot say where the instrument stands.
+    fn contradicting(&self, _robot: &Chain) -> Result<Vec<RejectedRow>, RowError> {
+        Ok(Vec::new())
+    }
+
+    /// Fewest samples of a fit that has nothing else.
+    fn samples_min(&self) -> usize {
+        0
+    }
+
+    /// Samples that are no measurements where the model is, whether a fit saw them or not.
+    fn misplaced(&self, _model: &Model) -> Vec<RejectedRow> {
+        Vec::new()
+    }
+
+    /// Which samples have gross residuals is judged anew at each solve ([`Measures::screen`]).
+    fn judges_gross(&self) -> bool {
+        false
+    }
+
+    /// The joints of the robot at each sample, as far as they were known when it was read.
+    fn joints(&self) -> Vec<Joints> {
+        let clock = Clock::default();
+        (0..self.samples()).map(|sample| self.reported(sample, &clock).unwrap_or_default().q).collect()
+    }
+
+    /// What may have gone wrong with all samples, for an arm of so many axes.
+    fn mistakes(&self, _axes: usize) -> Vec<Mistake> {
+        Vec::new()
+    }
+
+    /// The samples without a mistake, more than one way where it has a direction; none where that cannot be undone.
+    fn undone(&self, _mistake: Mistake) -> Vec<Instrument> {
+        Vec::new()
+    }
+
+    /// Lengths that were read \[m\]; none where it reads none.
+    fn lengths_m(&self) -> Vec<f64> {
+        Vec::new()
+    }
+
+    /// The same with lengths that are longer by so much each \[m\]; `None` where it reads no lengths, whose zero can wander.
+    fn longer_by(&self, _by_m: &[f64]) -> Option<Instrument> {
+        None
+    }
+}
+
+/// Samples that have something of the instrument in common.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Section {
+    /// What a person calls it.
+    pub name: String,
+    /// What the names of its parameters begin with.
+    pub parameters: String,
+    /// Its samples, used or not.
+    pub samples: Vec<usize>,
 }
 
 /// What makes the figures of a data set doubtful.
@@ -183,17 +272,32 @@ pub enum Noise {
     Length(f64),
 }
 
-/// The instruments.
-#[derive(Debug, Clone)]
-pub enum Instrument {
-    /// The sensed double ball-bar.
-    BallBar(Box<BallBar>),
-    /// Positions or poses of a probe.
-    Tracker(Tracker),
-    /// Lengths of a draw-wire or a telescoping bar.
-    Wire(Wire),
-    /// A ball on the flange in sockets.
-    Contact(Contact),
+/// What makes a copy of an instrument of any kind.
+pub trait Boxed {
+    /// The copy.
+    fn boxed(&self) -> Instrument;
+}
+
+impl<M: Measures + Clone + 'static> Boxed for M {
+    fn boxed(&self) -> Instrument {
+        self.clone().into()
+    }
+}
+
+/// An instrument of any kind, with its samples.
+#[derive(Debug)]
+pub struct Instrument(Box<dyn Measures>);
+
+impl<M: Measures + 'static> From<M> for Instrument {
+    fn from(of: M) -> Self {
+        Self(Box::new(of))
+    }
+}
+
+impl Clone for Instrument {
+    fn clone(&self) -> Self {
+        self.0.boxed()
+    }
 }
 
 impl Instrument {
@@ -203,12 +307,9 @@ impl Instrument {
         (0..self.samples()).filter_map(move |sample| Some(self.reported(sample, &clock)?.q))
     }
 
-    /// The run of a ball-bar.
-    pub fn bar(&self) -> Option<&BallBar> {
-        match self {
-            Self::BallBar(bar) => Some(bar),
-            _ => None,
-        }
+    /// The model of the nominal robot with what is the instrument's own.
+    pub fn at_nominal(&self, robot: &Chain) -> Model {
+        self.fitted_out(Model::alone(robot))
     }
 }
 
@@ -216,23 +317,13 @@ impl Deref for Instrument {
     type Target = dyn Measures;
 
     fn deref(&self) -> &Self::Target {
-        match self {
-            Self::BallBar(of) => of.as_ref(),
-            Self::Tracker(of) => of,
-            Self::Wire(of) => of,
-            Self::Contact(of) => of,
-        }
+        self.0.as_ref()
     }
 }
 
 impl DerefMut for Instrument {
     fn deref_mut(&mut self) -> &mut Self::Target {
-        match self {
-            Self::BallBar(of) => of.as_mut(),
-            Self::Tracker(of) => of,
-            Self::Wire(of) => of,
-            Self::Contact(of) => of,
-        }
+        self.0.as_mut()
     }
 }
 

@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use super::split::segments;
+use super::segments;
 use crate::model::{JointState, RobotMotion};
 
 /// Samples of a run that are compared with each other, at most.

@@ -3,10 +3,13 @@
 
 use nalgebra::{Rotation3, Vector3};
 
-use super::row_noise::{MEDIAN_OF_THREE, RowNoise};
-use super::{Cause, Deviation, Instrument, Measures, Noise, PoseError, ScaleFrom, Standing};
+use super::rows::{MEDIAN_OF_THREE, RowNoise, Standing};
+use super::{
+    Cause, Deviation, HoldOut, Instrument, Measures, Mistake, Noise, PoseError, RejectedRow, RowError,
+    ScaleFrom,
+};
 use crate::cost::{CostError, DataSet, LoopProblem, MeasuredPose, MeasuredPosition, PoseNoise, Residual};
-use crate::kinematics::{Joints, Pose, rotation_vector};
+use crate::kinematics::{Chain, Joints, Pose, rotation_vector};
 use crate::logs::{self, PoseUncertainty};
 use crate::model::{
     Clock, Coordinate, Geometry, Group, JointState, Model, ModelError, Observation, Owner, ParameterId,
@@ -38,6 +41,13 @@ impl From<&logs::MeasuredPose> for PoseRow {
     }
 }
 
+/// Fewest rows of a fit: as many numbers as tracker, probe and links together, twice.
+const ROWS_MIN: usize = 20;
+/// Of each station, where there are several: its six numbers twice, and a part is held out.
+const STATION_ROWS_MIN: usize = 5;
+/// Of each target.
+const TARGET_ROWS_MIN: usize = 3;
+
 /// Rows of one set-up.
 #[derive(Debug, Clone)]
 pub struct Tracker {
@@ -52,14 +62,19 @@ pub struct Tracker {
 }
 
 impl Tracker {
-    /// Of rows with how the robot stood at each.
-    pub fn new(at: Standing<PoseRow>) -> Self {
-        Self::of(at, None)
+    /// Of rows at which the robot stood still, in the order in which it went there.
+    pub fn new(rows: &[PoseRow]) -> Self {
+        Self::of(Standing::new(rows, |row| row.joints_rad), None)
     }
 
-    /// Of rows that were measured while the robot moved, with how it was at each as far as the alignment knows.
-    pub fn of_moving(at: Standing<PoseRow>, moving: Moving) -> Self {
-        Self::of(at, Some(moving))
+    /// Of rows that were measured while the robot moved.
+    pub fn of_moving(rows: &[PoseRow], moving: Moving) -> Self {
+        Self::of(Standing::new(rows, |row| row.joints_rad), Some(moving))
+    }
+
+    /// Rows of a robot that stood still, as far as the first alignment says where.
+    fn at_rest(at: Standing<PoseRow>) -> Instrument {
+        Self::of(at, None).into()
     }
 
     fn of(at: Standing<PoseRow>, moving: Option<Moving>) -> Self {
@@ -88,20 +103,13 @@ impl Tracker {
     }
 
     /// Some of the rows.
-    #[must_use]
-    pub fn chosen(&self, rows: &[usize]) -> Self {
+    fn chosen(&self, rows: &[usize]) -> Self {
         let moving = self.moving.as_ref().map(|moving| Moving {
             t_s: rows.iter().map(|&row| moving.t_s[row]).collect(),
             ..moving.clone()
         });
         let noise = rows.iter().map(|&row| self.noise[row]).collect();
         Self { noise, ..Self::of(self.at.chosen(rows), moving) }
-    }
-
-    /// A model with the stations and targets of the rows.
-    pub fn fitted_out(&self, model: Model) -> Model {
-        let model = model.with_set_ups(Owner::Tracker, SetUp::counts(self.set_ups.iter().copied()));
-        if self.moving.is_some() { model } else { model.without_clocks() }
     }
 
     /// Place of the tracker and where the robot holds the probe, at each row; none of a set-up that the geometry does not have.
@@ -156,6 +164,16 @@ impl Measures for Tracker {
 
     fn samples(&self) -> usize {
         self.at.rows.len()
+    }
+
+    fn parts(&self) -> &'static str {
+        "tracker and probe"
+    }
+
+    /// With the stations and targets of the rows.
+    fn fitted_out(&self, robot: Model) -> Model {
+        let model = robot.with_set_ups(Owner::Tracker, SetUp::counts(self.set_ups.iter().copied()));
+        if self.moving.is_some() { model } else { model.without_clocks() }
     }
 
     /// Not where the positions of a station lie on a line.
@@ -248,7 +266,62 @@ impl Measures for Tracker {
     }
 
     fn part(&self, samples: &[usize]) -> Instrument {
-        Instrument::Tracker(self.chosen(samples))
+        self.chosen(samples).into()
+    }
+
+    fn group(&mut self, groups: &[usize], seed: u64) {
+        self.at.group(groups, seed);
+    }
+
+    /// A region could have all rows of a station.
+    fn hold_out(&self) -> HoldOut {
+        let several = self.moving.is_none() && self.set_ups.iter().any(|set_up| set_up.station > 0);
+        if several { HoldOut::Rows } else { HoldOut::Regions }
+    }
+
+    fn joints(&self) -> Vec<Joints> {
+        self.at.joints()
+    }
+
+    fn samples_min(&self) -> usize {
+        ROWS_MIN
+    }
+
+    fn contradicting(&self, _: &Chain) -> Result<Vec<RejectedRow>, RowError> {
+        self.at.ensure_finite(|row| {
+            let rotation = row.rotation.iter().flat_map(|rotation| rotation.matrix().iter());
+            row.position_m.iter().chain(rotation).copied().collect::<Vec<_>>().into_iter()
+        })?;
+        let needed = [("station", STATION_ROWS_MIN), ("target", TARGET_ROWS_MIN)];
+        self.at.ensure_each_has_rows(|row| row.set_up, needed)?;
+        Ok(Vec::new())
+    }
+
+    fn mistakes(&self, axes: usize) -> Vec<Mistake> {
+        /// Places of a step in time that are tried.
+        const PLACES: usize = 40;
+        let others = [Mistake::RowsShifted, Mistake::Mirrored, Mistake::ModifiedTable];
+        let moved = (1..PLACES).map(|place| Mistake::Moved(place * self.samples() / PLACES));
+        Mistake::of_joints(axes).into_iter().chain(others).chain(moved).collect()
+    }
+
+    fn undone(&self, mistake: Mistake) -> Vec<Instrument> {
+        let at = &self.at;
+        match mistake {
+            Mistake::Joints(mistake) => {
+                vec![Self::at_rest(at.with_joints(|joints_rad| mistake.undone(joints_rad)))]
+            }
+            Mistake::RowsShifted => at.shifted().map(Self::at_rest).to_vec(),
+            Mistake::Mirrored => {
+                let mut mirrored = at.clone();
+                for row in &mut mirrored.rows {
+                    row.position_m.z = -row.position_m.z;
+                    row.rotation = None;
+                }
+                vec![Self::at_rest(mirrored)]
+            }
+            _ => Vec::new(),
+        }
     }
 
     /// Where the robot holds the probe minus where it was seen.

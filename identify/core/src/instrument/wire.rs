@@ -4,16 +4,18 @@
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
-use super::row_noise::{MEDIAN_OF_ONE, RowNoise};
-use super::screened::{RejectedRow, Screened};
-use super::{Cause, Deviation, Instrument, Measures, Noise, ScaleFrom, Standing};
+use super::rows::{MEDIAN_OF_ONE, RowNoise, Screened, Standing};
+use super::{
+    Cause, Deviation, Instrument, Measures, Mistake, Noise, RejectedRow, Rejection, RowError, ScaleFrom,
+};
 use crate::cost::{CostError, DataSet, LoopProblem, MeasuredLength, Residual};
-use crate::kinematics::Joints;
+use crate::kinematics::{Chain, Joints};
 use crate::logs;
 use crate::model::{
     Axis, Clock, Geometry, Group, JointState, Model, ModelError, Observation, Owner, ParameterId,
     PerObservation, Role, SetUp,
 };
+use crate::statistics::median_size;
 
 /// One pose and its length.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -38,6 +40,13 @@ impl From<&logs::MeasuredLength> for LengthRow {
     }
 }
 
+/// Fewest rows of a fit: the seven unknowns of the wire and as many again.
+const ROWS_MIN: usize = 14;
+/// Of each anchor, where there are several: its start is linear in four numbers, and a part is held out.
+const ANCHOR_ROWS_MIN: usize = 8;
+/// Of each place on the flange: its three numbers twice.
+const ATTACHMENT_ROWS_MIN: usize = 6;
+
 /// Rows of one set-up.
 #[derive(Debug, Clone)]
 pub struct Wire {
@@ -51,9 +60,9 @@ pub struct Wire {
 }
 
 impl Wire {
-    /// Of rows with how the robot stood at each.
-    pub fn new(all: Standing<LengthRow>) -> Self {
-        Self::of(Screened::new(all), RowNoise::ALIKE)
+    /// Of rows at which the robot stood still, in the order in which it went there.
+    pub fn new(rows: &[LengthRow]) -> Self {
+        Self::of(Screened::new(Standing::new(rows, |row| row.joints_rad)), RowNoise::ALIKE)
     }
 
     fn of(rows: Screened<LengthRow>, noise: RowNoise) -> Self {
@@ -62,51 +71,16 @@ impl Wire {
         Self { rows, noise, observations, set_ups, relative_noise }
     }
 
-    /// The same with rows that count as another wire has found.
-    #[must_use]
-    pub(crate) fn weighed_as(&self, other: &Self) -> Self {
-        Self::of(self.rows.clone(), other.noise)
-    }
-
-    /// A model with the anchors and attachments of the rows.
-    pub fn fitted_out(&self, model: Model) -> Model {
-        let set_ups = self.rows.all.rows.iter().map(|row| row.set_up);
-        model.with_set_ups(Owner::Wire, SetUp::counts(set_ups)).without_clocks()
-    }
-
-    /// Some of the rows.
-    #[must_use]
-    pub fn chosen(&self, rows: &[usize]) -> Self {
-        Self::of(Screened::new(self.rows.all.chosen(rows)), self.noise)
-    }
-
-    /// The same with lengths that are longer by so much each \[m\].
-    #[must_use]
-    pub(crate) fn plus(&self, by_m: &[f64]) -> Self {
-        let mut all = self.rows.all.clone();
-        all.rows.iter_mut().zip(by_m).for_each(|(row, by_m)| row.length_m += by_m);
+    /// Other rows that count in the same way.
+    fn with_rows(&self, all: Standing<LengthRow>) -> Self {
         Self::of(Screened::new(all), self.noise)
     }
 
-    /// The same with all lengths multiplied by a factor: in another unit.
-    #[must_use]
-    pub(crate) fn times(&self, factor: f64) -> Self {
+    /// The same with other lengths.
+    fn with_lengths(&self, lengths_m: impl Iterator<Item = f64>) -> Instrument {
         let mut all = self.rows.all.clone();
-        all.rows.iter_mut().for_each(|row| row.length_m *= factor);
-        Self::of(Screened::new(all), self.noise)
-    }
-
-    /// What was measured at each row \[m\].
-    pub(crate) fn lengths_m(&self) -> impl Iterator<Item = f64> {
-        self.rows.all.rows.iter().map(|row| row.length_m)
-    }
-
-    /// The same with a joint that turns the other way.
-    #[must_use]
-    pub(crate) fn with_sign_reversed(&self, joint: usize) -> Self {
-        let mut all = self.rows.all.clone();
-        all.states.iter_mut().for_each(|state| state.q[joint] = -state.q[joint]);
-        Self::of(Screened::new(all), self.noise)
+        all.rows.iter_mut().zip(lengths_m).for_each(|(row, length_m)| row.length_m = length_m);
+        self.with_rows(all).into()
     }
 
     /// Predicted minus measured length of every row, whether it takes part or not \[m\].
@@ -124,6 +98,26 @@ fn residuals_m(at: &Standing<LengthRow>, geometry: &Geometry) -> Vec<f64> {
         (attachment_m - anchor_m).norm() + wire.offset_m - row.length_m
     };
     at.rows.iter().zip(&at.states).map(residual).collect()
+}
+
+/// Noise behind the residuals of some rows; none where no row states what it is worth.
+fn noise(at: &Standing<LengthRow>, geometry: &Geometry) -> Option<RowNoise> {
+    let stated = || at.rows.iter().map(|row| row.uncertainty_m);
+    let errors_m = residuals_m(at, geometry).into_iter().map(f64::abs);
+    stated().any(|stated| stated.is_some()).then(|| RowNoise::behind(errors_m.zip(stated()), MEDIAN_OF_ONE))
+}
+
+/// Single rows are of another pose; where most contradict the robot's file, that is of another robot.
+fn ensure_this_robot(contradicting: &[RejectedRow], rows: usize) -> Result<(), RowError> {
+    let rejected = contradicting.len();
+    if 2 * rejected <= rows {
+        return Ok(());
+    }
+    let distances_m = contradicting.iter().filter_map(|one| match one.why {
+        Rejection::FlangeContradicts { distance_m } => Some(distance_m),
+        _ => None,
+    });
+    Err(RowError::OtherRobot { rejected, rows, median_mm: median_size(distances_m) * 1e3 })
 }
 
 /// What was measured at each row, and with which anchor and attachment.
@@ -172,6 +166,12 @@ impl Measures for Wire {
         self.rows.at.rows.len()
     }
 
+    /// With the anchors and attachments of the rows.
+    fn fitted_out(&self, robot: Model) -> Model {
+        let set_ups = self.rows.all.rows.iter().map(|row| row.set_up);
+        robot.with_set_ups(Owner::Wire, SetUp::counts(set_ups)).without_clocks()
+    }
+
     /// First anchors; not where the positions of one do not span space.
     fn place(&self, model: &mut Model, fix: &[ParameterId]) -> Result<bool, ModelError> {
         let geometry = model.geometry(&[]);
@@ -216,14 +216,16 @@ impl Measures for Wire {
 
     /// Which row is worth more than the median one; what that is worth is left to who solves: residuals stay in metres.
     fn adapt(&mut self, model: &Model) -> Option<f64> {
-        let rows = &self.rows.at;
-        if rows.rows.iter().any(|row| row.uncertainty_m.is_some()) {
-            let stated = rows.rows.iter().map(|row| row.uncertainty_m);
-            let errors_m = residuals_m(rows, &model.geometry(&[])).into_iter().map(f64::abs);
-            let noise = RowNoise::behind(errors_m.zip(stated), MEDIAN_OF_ONE);
+        if let Some(noise) = noise(&self.rows.at, &model.geometry(&[])) {
             *self = Self::of(self.rows.clone(), noise);
         }
         None
+    }
+
+    fn weigh_by(&mut self, model: &Model, samples: &[usize]) {
+        if let Some(noise) = noise(&self.rows.all.chosen(samples), &model.geometry(&[])) {
+            *self = Self::of(self.rows.clone(), noise);
+        }
     }
 
     /// Where most rows agree with each other.
@@ -239,7 +241,79 @@ impl Measures for Wire {
     }
 
     fn part(&self, samples: &[usize]) -> Instrument {
-        Instrument::Wire(Self::of(Screened::new(self.rows.at.chosen(samples)), self.noise))
+        self.with_rows(self.rows.at.chosen(samples)).into()
+    }
+
+    fn group(&mut self, groups: &[usize], seed: u64) {
+        self.rows.all.group(groups, seed);
+        self.rows.at.group(groups, seed);
+    }
+
+    fn joints(&self) -> Vec<Joints> {
+        self.rows.all.joints()
+    }
+
+    fn samples_min(&self) -> usize {
+        ROWS_MIN
+    }
+
+    /// Rows whose controller position is not where their joint angles put the flange.
+    fn contradicting(&self, robot: &Chain) -> Result<Vec<RejectedRow>, RowError> {
+        /// Above what controllers round, and nominal links they know better \[m\].
+        const TOLERANCE_M: f64 = 5e-3;
+        let all = &self.rows.all;
+        all.ensure_finite(|row| row.flange_m.into_iter().flatten())?;
+        if let Some(row) = all.rows.iter().position(|row| !(row.length_m.is_finite() && row.length_m > 0.0)) {
+            return Err(RowError::BadRow { row: row + 1, what: "a length that is not above zero" });
+        }
+        let needed = [("anchor", ANCHOR_ROWS_MIN), ("attachment", ATTACHMENT_ROWS_MIN)];
+        all.ensure_each_has_rows(|row| row.set_up, needed)?;
+        let distance_m = |(row, state): (&LengthRow, &JointState)| {
+            let claimed_m = row.flange_m.map(Vector3::from)?;
+            Some((robot.forward(&state.q).translation.vector - claimed_m).norm())
+        };
+        let rejected = |(row, distance_m): (usize, Option<f64>)| {
+            let distance_m = distance_m.filter(|distance_m| *distance_m > TOLERANCE_M)?;
+            Some(RejectedRow { row, why: Rejection::FlangeContradicts { distance_m } })
+        };
+        let distances_m = all.rows.iter().zip(&all.states).map(distance_m);
+        let contradicting: Vec<RejectedRow> = distances_m.enumerate().filter_map(rejected).collect();
+        ensure_this_robot(&contradicting, all.rows.len())?;
+        Ok(contradicting)
+    }
+
+    fn judges_gross(&self) -> bool {
+        true
+    }
+
+    fn mistakes(&self, axes: usize) -> Vec<Mistake> {
+        /// m read as mm, cm as mm, inches as mm or as m, and each the other way round \[1/1000\].
+        const THOUSANDTHS: [u32; 6] = [1_000_000, 10_000, 25_400, 100, 39, 1];
+        let units = THOUSANDTHS.into_iter().map(Mistake::LengthUnit);
+        Mistake::of_joints(axes).into_iter().chain([Mistake::ModifiedTable]).chain(units).collect()
+    }
+
+    fn undone(&self, mistake: Mistake) -> Vec<Instrument> {
+        let all = &self.rows.all;
+        match mistake {
+            Mistake::Joints(mistake) => {
+                vec![self.with_rows(all.with_joints(|joints_rad| mistake.undone(joints_rad))).into()]
+            }
+            Mistake::LengthUnit(thousandths) => {
+                let factor = f64::from(thousandths) * 1e-3;
+                vec![self.with_lengths(all.rows.iter().map(|row| row.length_m * factor))]
+            }
+            _ => Vec::new(),
+        }
+    }
+
+    fn lengths_m(&self) -> Vec<f64> {
+        self.rows.all.rows.iter().map(|row| row.length_m).collect()
+    }
+
+    fn longer_by(&self, by_m: &[f64]) -> Option<Instrument> {
+        let lengths_m = self.rows.all.rows.iter().zip(by_m).map(|(row, by_m)| row.length_m + by_m);
+        Some(self.with_lengths(lengths_m))
     }
 
     fn deviations(&self, geometry: &Geometry) -> Vec<Deviation> {

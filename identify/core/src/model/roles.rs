@@ -128,28 +128,9 @@ impl Model {
         Self::new(structure, &[Owner::Robot, Owner::Clocks, Owner::BallBar])
     }
 
-    /// Robot and a wire or telescoping bar of measured length: attachment, anchor, offset, terms of the robot's axes and the
-    /// clocks.
-    pub fn measured_length(robot: &Chain) -> Self {
-        Self::alone(robot).with_set_ups(Owner::Wire, [1, 1])
-    }
-
-    /// Robot and a tracker that follows a probe on its flange: where the tracker stands, how the probe is mounted, and
-    /// the clocks.
-    pub fn measured_pose(robot: &Chain) -> Self {
-        Self::alone(robot).with_set_ups(Owner::Tracker, [1, 1])
-    }
-
     /// A robot whose log has a clock.
-    fn alone(robot: &Chain) -> Self {
+    pub fn alone(robot: &Chain) -> Self {
         Self::new(Geometry::new(robot.clone(), None), &[Owner::Robot, Owner::Clocks])
-    }
-
-    /// Robot and a ball on its flange that is seated in so many sockets: where the ball and the sockets are.
-    pub fn contact(robot: &Chain, sockets: usize) -> Self {
-        let mut structure = Geometry::new(robot.clone(), None);
-        structure.contact.sockets_m = vec![Vector3::zeros(); sockets];
-        Self::new(structure, &[Owner::Robot, Owner::Contact])
     }
 
     /// Takes those of the geometry's numbers up that are wanted, fixed where they are.
@@ -203,6 +184,14 @@ impl Model {
             _ => return self,
         }
         self.take_up(|id| id.owner() == owner);
+        self
+    }
+
+    /// The same with a ball on the flange and so many sockets, all at zero.
+    #[must_use]
+    pub fn with_sockets(mut self, sockets: usize) -> Self {
+        self.structure.contact.sockets_m = vec![Vector3::zeros(); sockets];
+        self.take_up(|id| id.owner() == Owner::Contact);
         self
     }
 

@@ -318,10 +318,13 @@ impl<'a> Known<'a> {
         let flange = flange_chain(request.robot);
         let (model, owner) = match request.measures {
             // Where the end of the wire is counts as a tracker in the robot's base would see it.
-            Measures::Lengths => {
-                (Model::measured_length(&flange).with_set_ups(Owner::Tracker, [1, 1]), Owner::Wire)
+            Measures::Lengths => (
+                Model::alone(&flange).with_set_ups(Owner::Wire, [1, 1]).with_set_ups(Owner::Tracker, [1, 1]),
+                Owner::Wire,
+            ),
+            Measures::Poses | Measures::Positions => {
+                (Model::alone(&flange).with_set_ups(Owner::Tracker, [1, 1]), Owner::Tracker)
             }
-            Measures::Poses | Measures::Positions => (Model::measured_pose(&flange), Owner::Tracker),
         };
         let turns_probe =
             |id: &ParameterId| matches!(id, ParameterId::Probe { coordinate: Coordinate::Rotation(_), .. });

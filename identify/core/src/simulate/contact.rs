@@ -348,10 +348,10 @@ fn truth(
     chain: &Chain,
     sockets_m: &[Vector3<f64>],
 ) -> ContactTruth {
-    let mut geometry = Model::contact(chain, sockets_m.len()).geometry(&[]);
+    let mut geometry = Model::alone(chain).with_sockets(sockets_m.len()).without_clocks().geometry(&[]);
     geometry.contact.ball_m = BALL_M.into();
     geometry.contact.sockets_m = sockets_m.to_vec();
-    let model = Model::contact(chain, sockets_m.len());
+    let model = Model::alone(chain).with_sockets(sockets_m.len()).without_clocks();
     let of_geometry = model.ids().into_iter();
     let of_geometry = of_geometry.filter(|id| id.term().is_none());
     let value = |id: ParameterId| Some((id.to_string(), *geometry.parameter_mut(id)?));

@@ -10,7 +10,7 @@ use super::{Conditions, Definition, Estimator, Figure, Kind, Row, Series, StudyI
 use crate::calibrate::IdentifyConfig;
 use crate::calibrate::ball_bar::calibrate_prepared;
 use crate::calibrate::mix::{self, DataSets};
-use crate::instrument::Measured;
+use crate::instrument::Wire;
 use crate::logs::Stream;
 use crate::model::{Model, Observation, Selection};
 use crate::prepare::{AlignedLog, Prepared};
@@ -158,7 +158,7 @@ fn by_wire(definition: &Definition, seed: u32, conditions: &Conditions) -> Resul
     let experiment = experiment(definition, seed, conditions);
     let (rows, truth) = wire_rows(&experiment, conditions.wire_rows, conditions.wire_noise_m)
         .map_err(|error| error.to_string())?;
-    let data = DataSets { rows: vec![Measured::Lengths(rows).into()], ..DataSets::default() };
+    let data = DataSets { rows: vec![Wire::new(&rows).into()], ..DataSets::default() };
     let found = mix::calibrate(&data, &definition.robot, &IdentifyConfig::default(), None);
     let found = found.map_err(|error| error.to_string())?;
     let model = &found.runs.first().ok_or("there is no data set")?.model;

@@ -16,9 +16,10 @@ use shared::config;
 
 use crate::calibrate::IdentifyConfig;
 use crate::instrument::{HoldOut, SEED};
-use crate::model::{ModelError, ParameterId};
+use crate::model::{ModelError, ParameterId, Waves};
 use crate::report::result::file::Input;
 use crate::solver::LossName;
+use experiment::Experiment;
 
 /// What is calibrated with.
 #[derive(Debug, Args)]
@@ -36,7 +37,7 @@ enum CalibrateCommand {
     /// From recordings of the ball-bar and the robot's own logs
     Bar(Box<bar::BarArguments>),
     /// From poses with one measured length each: a draw-wire or a telescoping bar
-    Wire(rows::WireArguments),
+    Wire(RowArguments),
     /// From positions or poses measured by a tracker
     Tracker(rows::TrackerArguments),
     /// From a ball on the flange that is seated in sockets whose distances are known
@@ -74,6 +75,11 @@ fn parameter_name(name: &str) -> Result<String, ModelError> {
 }
 
 impl CommonArguments {
+    /// Nothing measured yet on the robot, and how it is calibrated.
+    fn experiment(&self) -> anyhow::Result<Experiment> {
+        Ok(Experiment::new(&self.robot, self.identify_config()?))
+    }
+
     /// The configuration file with what was typed on top of it.
     fn identify_config(&self) -> anyhow::Result<IdentifyConfig> {
         let Self { free, fix, .. } = self;
@@ -118,6 +124,8 @@ fn millimetres(text: &str) -> Result<f64, String> {
 /// What calibrations from tables of measured rows have in common.
 #[derive(Debug, Args)]
 pub struct RowArguments {
+    /// What was measured (.csv), a row for each pose, in the order of the robot's motion
+    file: PathBuf,
     /// Which column of the file is what, such as config/measured_pose.toml of a tracker, config/measured_length.toml of a wire,
     /// config/contact.toml of a ball in sockets
     #[arg(long, value_name = "FILE")]
@@ -128,6 +136,19 @@ pub struct RowArguments {
     /// Decides which rows are held out
     #[arg(long, default_value_t = SEED)]
     seed: u64,
+    /// Other files of the same instrument, which may stand elsewhere, that judge the robot
+    #[arg(long, value_name = "FILES", value_delimiter = ',')]
+    validate: Vec<PathBuf>,
+    /// Which column of these is what; default: as --mapping says. Their rows have joints, also where the others have times
+    #[arg(long, value_name = "FILE", requires = "validate")]
+    validate_mapping: Option<PathBuf>,
+    /// Highest number of waves per turn that the errors of joints may have, 3 to 127; default: 64 with a tracker, otherwise as many
+    /// as the rows can tell apart
+    #[arg(long, value_name = "N",
+          value_parser = clap::value_parser!(u8).range(i64::from(*Waves::OF_AXIS.start())..=i64::from(*Waves::OF_AXIS.end())))]
+    joint_waves: Option<u8>,
+    #[command(flatten)]
+    common: CommonArguments,
 }
 
 pub fn run(arguments: &CalibrateArguments) -> anyhow::Result<()> {

@@ -4,9 +4,7 @@ use shared::config::{JointKind, RobotConfig};
 
 use super::Inspection;
 use crate::calibrate::rows::Sizes;
-use crate::instrument::HoldOut;
-use crate::instrument::SEED;
-use crate::instrument::{Contact, ContactRow, Measures, SocketTable, Standing};
+use crate::instrument::{Contact, ContactRow, Measures, SocketTable};
 use crate::kinematics::{Chain, Joints, flange_chain};
 use crate::logs::SeatedRow;
 use crate::model::Model;
@@ -26,8 +24,7 @@ pub fn contacts(rows: &[SeatedRow], table: &SocketTable, robot: &RobotConfig) ->
     let chain = flange_chain(robot);
     few_orientations(&mut inspection, rows, table, &chain);
     let of_rows: Vec<ContactRow> = rows.iter().map(ContactRow::from).collect();
-    let at = Standing::of_file(&of_rows, |row| row.joints_rad, &chain, HoldOut::Rows, SEED);
-    match Contact::new(at, table) {
+    match Contact::new(&of_rows, table) {
         Ok(contact) => closure(&mut inspection, contact, &chain, rows),
         Err(error) => inspection.suspect(error.to_string()),
     }
@@ -81,7 +78,7 @@ fn few_orientations(inspection: &mut Inspection, rows: &[SeatedRow], table: &Soc
 fn closure(inspection: &mut Inspection, mut contact: Contact, chain: &Chain, rows: &[SeatedRow]) {
     /// Places without the rows that are left out, which leave out others in turn.
     const ROUNDS: usize = 4;
-    let mut model = Model::contact(chain, contact.sockets().names().len());
+    let mut model = contact.fitted_out(Model::alone(chain));
     for _ in 0..ROUNDS {
         if !contact.place(&mut model, &[]).unwrap_or(false) {
             return;
@@ -98,7 +95,8 @@ fn closure(inspection: &mut Inspection, mut contact: Contact, chain: &Chain, row
         "nominal robot",
         format!("ball {:.2} mm (RMS) from its socket, {:.2} mm at most", sizes.rms * 1e3, sizes.max * 1e3),
     );
-    for (row, sentence) in contact.misplaced(&geometry) {
-        inspection.suspect(format!("line {}: {sentence}", rows[row].line));
+    for (row, remark) in contact.remarks(&geometry) {
+        let off_mm = errors[row].position_m * 1e3;
+        inspection.suspect(format!("line {}: the ball is off by {off_mm:.2} mm, {remark}", rows[row].line));
     }
 }

@@ -44,7 +44,9 @@ pub struct JointLine {
 
 impl Inspection {
     fn fact(&mut self, what: &str, value: impl Into<String>) {
-        self.facts.push((what.to_owned(), value.into()));
+        // A note of a person may have several lines.
+        let lines: Vec<String> = value.into().lines().map(|line| line.trim().to_owned()).collect();
+        self.facts.push((what.to_owned(), lines.join(" / ")));
     }
 
     fn suspect(&mut self, sentence: impl Into<String>) {

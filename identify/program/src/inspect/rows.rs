@@ -5,14 +5,18 @@ use shared::output::named;
 
 use super::contacts::ranges;
 use super::{Inspection, stamps};
-use crate::calibrate::rows::{Mistake, Sizes, likely, misfit, wire_misfit};
-use crate::instrument::{LengthRow, PoseRow};
+use crate::calibrate::rows::{likely, misfit, some_of};
+use crate::instrument::{Instrument, LengthRow, Mistake, PoseRow, Tracker, Wire};
 use crate::kinematics::flange_chain;
 use crate::logs::{LogQuality, MeasuredLengths, MeasuredPoses, TimedPoses};
 use crate::statistics::extremes;
 
 /// Names of set-ups that are listed.
 const NAMED: usize = 8;
+/// What lengths of links are off at most in arms that were typed by hand: a nominal robot further from its rows is another one \[m\].
+const OTHER_ROBOT_M: f64 = 0.01;
+/// The same of orientations \[rad\].
+const OTHER_ROBOT_RAD: f64 = 0.1;
 
 /// Rows of a tracker with the robot's joints, and how far the nominal robot is from them where tracker and probe are fitted to it.
 pub fn poses(read: &MeasuredPoses, robot: &RobotConfig) -> Inspection {
@@ -24,22 +28,33 @@ pub fn poses(read: &MeasuredPoses, robot: &RobotConfig) -> Inspection {
     set_ups(&mut inspection, [("stations", &read.stations), ("targets", &read.targets)]);
     extent(&mut inspection, rows.iter().map(|row| row.position_m.into()));
     ranges(&mut inspection, rows.iter().map(|row| row.joints_rad), robot);
+    nominal_robot(&mut inspection, &Tracker::new(&rows).into(), robot);
+    inspection
+}
+
+/// How far the nominal robot is from rows where the instrument is fitted to it, and what may be wrong if that is far.
+fn nominal_robot(inspection: &mut Inspection, instrument: &Instrument, robot: &RobotConfig) {
     let chain = flange_chain(robot);
-    if let Some(figures) = misfit(&rows, &chain) {
-        let rotation = figures.rotation_rad.map(|sizes| format!(" and {:.2} mrad", sizes.rms * 1e3));
-        inspection.fact(
-            "nominal robot",
-            format!(
-                "{:.2} mm{} (RMS) from the rows",
-                figures.position_m.rms * 1e3,
-                rotation.unwrap_or_default()
-            ),
+    if let Err(error) = instrument.contradicting(&chain) {
+        inspection.suspect(error.to_string());
+    }
+    let some = some_of(instrument);
+    let Some(figures) = misfit(&some, &chain) else { return };
+    let (rms_m, rotation_rad) = (figures.position_m.rms, figures.rotation_rad.map(|sizes| sizes.rms));
+    let rotation = rotation_rad.map(|rad| format!(" and {:.2} mrad", rad * 1e3)).unwrap_or_default();
+    let fact = format!("{:.2} mm{rotation} (RMS) from the rows", rms_m * 1e3);
+    inspection.fact("nominal robot", fact);
+    let mut mistakes = instrument.mistakes(robot.axes());
+    // Where something was moved a calibration says.
+    mistakes.retain(|mistake| !matches!(mistake, Mistake::Moved(_)));
+    if let Some(likely) = likely(instrument, &chain, &mistakes) {
+        inspection.suspect(format!("most likely {likely}"));
+    } else if rms_m > OTHER_ROBOT_M || rotation_rad.is_some_and(|rad| rad > OTHER_ROBOT_RAD) {
+        inspection.suspect(
+            "the nominal robot is further from the rows than robots are off: check that it is this robot's file, and units, signs and \
+             frames of what was measured",
         );
     }
-    if let Some(likely) = likely(&rows, &chain, &Mistake::of_joints(robot.axes())) {
-        inspection.suspect(format!("most likely {likely}"));
-    }
-    inspection
 }
 
 /// Rows of a tracker on its own clock: their joints are in the robot's log.
@@ -56,8 +71,6 @@ pub fn timed_poses(read: &TimedPoses) -> Inspection {
 
 /// Rows of a wire, and what the nominal robot leaves of its lengths where the wire is fitted to it.
 pub fn lengths(read: &MeasuredLengths, robot: &RobotConfig) -> Inspection {
-    /// A nominal robot that leaves more of the lengths' variation is not the one of the rows, or they are read wrong.
-    const LEFT: f64 = 0.3;
     let mut inspection = Inspection::default();
     let rows: Vec<LengthRow> = read.rows.iter().map(LengthRow::from).collect();
     let [low_m, high_m] = extremes(rows.iter().map(|row| row.length_m));
@@ -65,14 +78,7 @@ pub fn lengths(read: &MeasuredLengths, robot: &RobotConfig) -> Inspection {
         .fact("rows", format!("{}, lengths of {:.2} to {:.2} mm", rows.len(), low_m * 1e3, high_m * 1e3));
     set_ups(&mut inspection, [("anchors", &read.anchors), ("attachments", &read.attachments)]);
     ranges(&mut inspection, rows.iter().map(|row| row.joints_rad), robot);
-    if let Some(Sizes { rms, .. }) = wire_misfit(&rows, &flange_chain(robot)) {
-        inspection.fact("nominal robot", format!("lengths {:.2} mm off (RMS)", rms * 1e3));
-        if rms > LEFT * (high_m - low_m) {
-            inspection.suspect(
-                "the nominal robot does not explain the lengths: check their unit, the joints' units and signs, and the robot's file",
-            );
-        }
-    }
+    nominal_robot(&mut inspection, &Wire::new(&rows).into(), robot);
     inspection
 }
 

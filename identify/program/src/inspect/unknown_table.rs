@@ -7,8 +7,8 @@ use std::path::Path;
 
 use shared::config::{AngleUnit, RobotConfig};
 
-use crate::calibrate::rows::{Mistake, likely, misfit};
-use crate::instrument::PoseRow;
+use crate::calibrate::rows::{likely, misfit, some_of};
+use crate::instrument::{Instrument, Mistake, PoseRow, Tracker};
 use crate::kinematics::flange_chain;
 use crate::logs::{
     ContactMapping, CsvLayout, EulerFrame, JointColumn, JointMistake, JointUnit, LengthColumn, LengthUnit,
@@ -682,20 +682,14 @@ struct Trial<'a> {
 
 impl Trial<'_> {
     /// The rows so read.
-    fn rows(&self, mapping: &MeasuredPoseMapping) -> Option<Vec<PoseRow>> {
-        Some(
-            MeasuredPoses::read(self.bytes, self.path, mapping)
-                .ok()?
-                .rows
-                .iter()
-                .map(PoseRow::from)
-                .collect(),
-        )
+    fn rows(&self, mapping: &MeasuredPoseMapping) -> Option<Instrument> {
+        let read = MeasuredPoses::read(self.bytes, self.path, mapping).ok()?;
+        Some(Tracker::new(&read.rows.iter().map(PoseRow::from).collect::<Vec<_>>()).into())
     }
 
     /// Root mean squares of position \[m\] and rotation \[rad\] of the nominal robot against the rows so read.
     fn misfit(&self, mapping: &MeasuredPoseMapping) -> Option<(f64, f64)> {
-        let nominal = misfit(&self.rows(mapping)?, &flange_chain(self.robot))?;
+        let nominal = misfit(&some_of(&self.rows(mapping)?), &flange_chain(self.robot))?;
         Some((nominal.position_m.rms, nominal.rotation_rad.map_or(0.0, |sizes| sizes.rms)))
     }
 

@@ -6,7 +6,7 @@ use shared::output::named;
 
 use crate::calibrate::rows::{PoseFigures, RowSet, RunCause, Sizes, Stages};
 use crate::evaluate::{Limit, Validity};
-use crate::instrument::{Contact, Instrument, Measures, RejectedRow, Rejection};
+use crate::instrument::{Instrument, PoseError, RejectedRow, Rejection, Section};
 use crate::kinematics::Joints;
 use crate::model::{Model, ParameterId, Phase, Waves};
 
@@ -86,8 +86,10 @@ fn stages(text: &mut String, name: &str, [what, last]: [&str; 2], stages: &Stage
     line(text, &format!("  and {last}"), &stages.joints);
 }
 
-/// Errors of rows that the fit saw and of rows that it did not, in each stage, and what is special of the instrument. `lines` gives
-/// each row's line in its file.
+const FIGURES: &str = "    mean      RMS      p95      max";
+
+/// Errors of rows that the fit saw and of rows that it did not, in each stage, on other files, and of parts of the instrument; then
+/// what takes no part. `lines` gives each row's line in its file.
 pub fn table(
     set: &RowSet,
     instrument: &Instrument,
@@ -95,33 +97,28 @@ pub fn table(
     lines: &[u64],
     validations: &[Validation],
 ) -> String {
-    match instrument {
-        Instrument::BallBar(_) => String::new(),
-        Instrument::Tracker(_) => poses(set, validations) + &rejected_rows(set, lines),
-        Instrument::Wire(_) => lengths(set, lines),
-        Instrument::Contact(contact) => seats(set) + &contacts(contact, model, lines),
+    let (fitted, held_out, with_rejected) = (set.fitted(), set.held_out(), set.held_out_with_rejected());
+    let mut text = if fitted.nominal.rotation_rad.is_some() {
+        let head =
+            format!("{:<44}{:>6} {:>35}   {:>35}\n", "error", "", "position [mm]", "orientation [mrad]");
+        head + &format!("{:<44}{:>6} {FIGURES}   {FIGURES}\n", "", "rows")
+    } else {
+        let what = if instrument.lengths_m().is_empty() { "position" } else { "length" };
+        format!("{:<44}{:>6} {FIGURES}\n", format!("{what} error [mm]"), "rows")
+    };
+    let last = if set.drift.is_some() { "joint errors and drift" } else { "joint errors" };
+    let named = [instrument.parts(), last];
+    stages(&mut text, "fitted", named, &fitted);
+    stages(&mut text, "held out", named, &held_out);
+    if with_rejected.nominal.rows != held_out.nominal.rows {
+        stages(&mut text, "held out, with faulty rows", named, &with_rejected);
     }
-}
-
-const FIGURES: &str = "    mean      RMS      p95      max";
-
-fn seats(set: &RowSet) -> String {
-    let mut text = format!("{:<44}{:>6} {FIGURES}\n", "error of the ball [mm]", "rows");
-    for (name, figures) in [("fitted", set.fitted()), ("held out", set.held_out())] {
-        stages(&mut text, name, ["ball and sockets", "joint errors"], &figures);
-    }
-    text
-}
-
-fn lengths(set: &RowSet, lines: &[u64]) -> String {
-    let mut text = format!("{:<44}{:>6} {FIGURES}\n", "length error [mm]", "rows");
-    for (name, figures) in [
-        ("fitted", set.fitted()),
-        ("held out", set.held_out()),
-        ("held out, with faulty rows", set.held_out_with_rejected()),
-    ] {
-        let last = if set.drift.is_some() { "joint errors and drift" } else { "joint errors" };
-        stages(&mut text, name, ["wire", last], &figures);
+    for validation in validations {
+        let Validation { name, figures: [nominal, calibrated], .. } = validation;
+        let unsupported = validation.unsupported();
+        let _ = writeln!(text, "{name}, {} fitted to other rows of it{unsupported}", instrument.parts());
+        line(&mut text, "  nominal robot", nominal);
+        line(&mut text, "  calibrated robot", calibrated);
     }
     if let Some(drift) = &set.drift {
         let _ = writeln!(
@@ -135,24 +132,45 @@ fn lengths(set: &RowSet, lines: &[u64]) -> String {
             drift.rms_with_m * 1e3,
         );
     }
-    text.push_str(&rejected_rows(set, lines));
+    let geometry = model.geometry(&[]);
+    text.push_str(&sections(set, instrument, &instrument.errors(&geometry)));
+    text.push_str(&rejected_rows(set, &instrument.remarks(&geometry), lines));
     text
 }
 
-fn rejected_rows(report: &RowSet, lines: &[u64]) -> String {
+/// Parts of an instrument, such as sockets, by their names and parameters.
+fn sections(set: &RowSet, instrument: &Instrument, errors: &[PoseError]) -> String {
+    let sections = instrument.sections();
+    let mut text = String::new();
+    if !sections.is_empty() {
+        let _ = writeln!(text, "{:<12}{:<12}{:>6}{:>12}", "name", "parameters", "rows", "RMS [mm]");
+    }
+    let takes_part = |row: &&usize| set.rejected.binary_search_by_key(*row, |one| one.row).is_err();
+    for Section { name, parameters, samples } in &sections {
+        let sizes_m = samples.iter().filter(takes_part).filter_map(|row| Some(errors.get(*row)?.position_m));
+        let sizes_m: Vec<f64> = sizes_m.collect();
+        let (rows, rms_m) = (sizes_m.len(), Sizes::of(sizes_m.into_iter()).rms);
+        let _ = writeln!(text, "{name:<12}{parameters:<12}{rows:>6}{:>12.4}", rms_m * 1e3);
+    }
+    text
+}
+
+fn rejected_rows(report: &RowSet, remarks: &[(usize, String)], lines: &[u64]) -> String {
     let mut text = String::new();
     let line = |row: usize| lines.get(row).copied().unwrap_or_default();
     let _ = writeln!(text, "{} of {} rows rejected:", report.rejected.len(), lines.len());
     for rejected in &report.rejected {
+        let remark = remarks.iter().find(|(row, _)| *row == rejected.row);
+        let remark = remark.map_or_else(String::new, |(_, remark)| format!(", {remark}"));
         let _ = match rejected.why {
             Rejection::FlangeContradicts { distance_m } => writeln!(
                 text,
-                "  line {}: the controller's position is {:.1} mm from its joint angles",
+                "  line {}: the controller's position is {:.1} mm from its joint angles{remark}",
                 line(rejected.row),
                 distance_m * 1e3
             ),
             Rejection::GrossResidual { residual_m } => {
-                writeln!(text, "  line {}: off by {:.1} mm", line(rejected.row), residual_m * 1e3)
+                writeln!(text, "  line {}: off by {:.2} mm{remark}", line(rejected.row), residual_m * 1e3)
             }
             // Told as a run below.
             Rejection::FaultyRun { .. } => Ok(()),
@@ -175,46 +193,6 @@ fn rejected_rows(report: &RowSet, lines: &[u64]) -> String {
             line(run.last),
             run.median_m * 1e3
         );
-    }
-    text
-}
-
-fn poses(set: &RowSet, validations: &[Validation]) -> String {
-    let mut text = format!(
-        "{:<44}{:>6} {:>35}   {:>35}\n{:<44}{:>6} {FIGURES}   {FIGURES}\n",
-        "error", "", "position [mm]", "orientation [mrad]", "", "rows"
-    );
-    let named = ["tracker and probe", "joint errors"];
-    stages(&mut text, "fitted", named, &set.fitted());
-    stages(&mut text, "held out", named, &set.held_out());
-    for validation in validations {
-        let Validation { name, figures: [nominal, calibrated], .. } = validation;
-        let unsupported = validation.unsupported();
-        let _ = writeln!(text, "{name}, tracker and probe fitted to other rows of it{unsupported}");
-        line(&mut text, "  nominal robot", nominal);
-        line(&mut text, "  calibrated robot", calibrated);
-    }
-    text
-}
-
-/// The sockets of a file by their names and parameters, the rows that take no part by their lines, and what is known of the
-/// sockets but contradicted.
-fn contacts(contact: &Contact, model: &Model, lines: &[u64]) -> String {
-    let mut text = String::new();
-    let (geometry, sockets) = (model.geometry(&[]), contact.sockets());
-    let errors_m = contact.errors_m(&geometry);
-    let rejected = |row: usize| contact.rejected().iter().any(|one| one.row == row);
-    let _ = writeln!(text, "{:<12}{:<12}{:>6}{:>12}", "socket", "parameters", "rows", "RMS [mm]");
-    for (socket, name) in sockets.names().iter().enumerate() {
-        let here = |row: &usize| contact.socket_of_row(*row) == Some(socket) && !rejected(*row);
-        let sizes = Sizes::of((0..errors_m.len()).filter(here).map(|row| errors_m[row].norm()));
-        let rows = (0..errors_m.len()).filter(here).count();
-        let parameters = format!("socket{}", socket + 1);
-        let _ = writeln!(text, "{name:<12}{parameters:<12}{rows:>6}{:>12.4}", sizes.rms * 1e3);
-    }
-    for (row, sentence) in contact.misplaced(&geometry) {
-        let line = lines.get(row).copied().unwrap_or_default();
-        let _ = writeln!(text, "  line {line} takes no part: {sentence}");
     }
     text
 }

@@ -13,7 +13,7 @@ use nalgebra::{DMatrix, DVector};
 use crate::calibrate::CalibrateError;
 use crate::calibrate::selection::terms::{falls, mean};
 use crate::cost::{DataSets, SharedColumns};
-use crate::instrument::{Measures, Wire};
+use crate::instrument::Instrument;
 use crate::model::{Model, ParameterId};
 use crate::solver::{Loss, Normal, Prior, ScaledCholesky, stacked};
 
@@ -115,11 +115,11 @@ struct Linear {
 }
 
 impl Linear {
-    fn at(model: &Model, all: &Wire, chosen: &[usize]) -> Result<Option<Self>, CalibrateError> {
-        let (wire, own) = (all.chosen(chosen), SharedColumns::new([model], |_| false));
-        let problem = DataSets::new(vec![wire.data_set(model, 1.0)?], &own);
+    fn at(model: &Model, all: &Instrument, chosen: &[usize]) -> Result<Option<Self>, CalibrateError> {
+        let (part, own) = (all.part(chosen), SharedColumns::new([model], |_| false));
+        let problem = DataSets::new(vec![part.data_set(model, 1.0)?], &own);
         let Some((residual, jacobian)) = stacked(&problem, &model.start()) else { return Ok(None) };
-        let weighed_by = wire.relative_noise();
+        let weighed_by = part.relative_noise();
         let spread = |values: &mut dyn Iterator<Item = f64>| {
             let mut of_file = vec![0.0; all.samples()];
             for ((&row, value), noise) in chosen.iter().zip(values).zip(&weighed_by) {
@@ -203,11 +203,11 @@ impl Linear {
 /// [`CalibrateError::Cost`].
 pub(super) fn find(
     model: &mut Model,
-    all: &Wire,
+    all: &Instrument,
     fitting: &[usize],
     sigma_m: f64,
 ) -> Result<Option<(Drift, Vec<f64>)>, CalibrateError> {
-    let folds = all.chosen(fitting).independent(FOLDS);
+    let folds = all.part(fitting).independent(FOLDS);
     let Some(drift) = choose(model, all, fitting, &folds, sigma_m)? else { return Ok(None) };
     let drift_m = fit(model, all, fitting, &drift)?;
     Ok(Some((drift, drift_m)))
@@ -217,7 +217,7 @@ pub(super) fn find(
 /// its fit without drift; `folds` are places among the fitting rows.
 fn choose(
     model: &Model,
-    all: &Wire,
+    all: &Instrument,
     fitting: &[usize],
     folds: &[Vec<usize>],
     sigma_m: f64,
@@ -245,7 +245,7 @@ fn choose(
 /// Fits the model with the drift taken out of its residuals; the drift of every row \[m\].
 pub(super) fn fit(
     model: &mut Model,
-    all: &Wire,
+    all: &Instrument,
     fitting: &[usize],
     drift: &Drift,
 ) -> Result<Vec<f64>, CalibrateError> {
@@ -272,7 +272,7 @@ pub(super) fn fit(
 /// only error: the drift takes what it can of both, and lengths next to each other tell less than others.
 pub(super) fn widens(
     model: &Model,
-    all: &Wire,
+    all: &Instrument,
     fitting: &[usize],
     drift: &Drift,
     sigma_m: f64,

@@ -1,6 +1,7 @@
 //! What would explain a run of rows that is off as a whole: hints for whoever mends the data. Nothing is repaired here.
 
-use crate::instrument::{RejectedRow, Rejection, Wire};
+use crate::instrument::{Instrument, Mistake, RejectedRow, Rejection};
+use crate::logs::JointMistake;
 use crate::model::Model;
 use crate::statistics::{median_size, quantile};
 
@@ -37,16 +38,22 @@ fn zero_moved(residuals_m: &[f64]) -> (f64, RunCause) {
     (median_size(residuals_m.iter().map(|r| r - by_m)), RunCause::ZeroMoved { by_m: -by_m })
 }
 
-fn sign_reversed(model: &Model, rows: &Wire, joint: usize) -> (f64, RunCause) {
-    let left = median_size(rows.with_sign_reversed(joint).residuals_m(&model.geometry(&[])).into_iter());
-    (left, RunCause::SignReversed { joint: joint + 1 })
+/// Of lengths, robot minus measurement \[m\].
+fn residuals_m(of: &Instrument, model: &Model) -> Vec<f64> {
+    let deviations = of.deviations(&model.geometry(&[])).into_iter();
+    deviations.map(|deviation| deviation.signed_m()).collect()
 }
 
-fn explain(model: &Model, rows: &Wire, residuals_m: &[f64], median_m: f64) -> Option<RunCause> {
+fn sign_reversed(model: &Model, rows: &Instrument, joint: usize) -> Option<(f64, RunCause)> {
+    let other = rows.undone(Mistake::Joints(JointMistake::Reversed(joint))).into_iter().next()?;
+    Some((median_size(residuals_m(&other, model).into_iter()), RunCause::SignReversed { joint: joint + 1 }))
+}
+
+fn explain(model: &Model, rows: &Instrument, residuals_m: &[f64], median_m: f64) -> Option<RunCause> {
     /// A cause must leave no more than this part of the residuals.
     const PART_LEFT: f64 = 1.0 / 3.0;
     (0..model.axes())
-        .map(|joint| sign_reversed(model, rows, joint))
+        .filter_map(|joint| sign_reversed(model, rows, joint))
         .chain([zero_moved(residuals_m)])
         .min_by(|a, b| a.0.total_cmp(&b.0))
         .filter(|(left, _)| *left <= PART_LEFT * median_m)
@@ -54,16 +61,16 @@ fn explain(model: &Model, rows: &Wire, residuals_m: &[f64], median_m: f64) -> Op
 }
 
 /// Runs among rejected rows (ascending).
-pub(super) fn runs(model: &Model, all: &Wire, rejected: &[RejectedRow]) -> Vec<FaultyRun> {
+pub(super) fn runs(model: &Model, all: &Instrument, rejected: &[RejectedRow]) -> Vec<FaultyRun> {
     let faulty: Vec<usize> =
         rejected.iter().filter(|r| matches!(r.why, Rejection::FaultyRun { .. })).map(|r| r.row).collect();
-    let residuals_m = all.residuals_m(&model.geometry(&[]));
+    let residuals_m = residuals_m(all, model);
     let consecutive = faulty.chunk_by(|a, b| a + 1 == *b);
     let run = |members: &[usize]| {
         let (&first, &last) = (members.first()?, members.last()?);
         let own = residuals_m.get(first..=last)?;
         let median_m = median_size(own.iter().copied());
-        let cause = explain(model, &all.chosen(members), own, median_m);
+        let cause = explain(model, &all.part(members), own, median_m);
         Some(FaultyRun { first, last, median_m, cause })
     };
     consecutive.filter_map(run).collect()

@@ -8,18 +8,12 @@ use std::fmt;
 use nalgebra::Vector3;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-use super::tracker::{ROWS_MIN, check_rows, placed};
-use super::{PoseFigures, RowSet, Sizes, is_surely_worse};
+use super::likely::{likely, likely_of_all};
+use super::{RowSet, is_surely_worse};
 use crate::calibrate::CalibrateError;
-use crate::calibrate::pipeline::{Plan, estimate};
-use crate::instrument::{
-    Apart, Instrument, Measures, PoseError, PoseRow, Run, Standing, Tracker, Wire, standing,
-};
-use crate::instrument::{Measured, Rows};
+use crate::instrument::{Apart, Instrument, Mistake, PoseError, Rows, Run};
 use crate::kinematics::Chain;
-use crate::logs::JointMistake;
 use crate::model::{Model, ParameterId, Role, Unit};
-use crate::solver::LossName;
 use crate::statistics::{median_size, quantile};
 
 /// What the rows cannot be.
@@ -84,8 +78,8 @@ impl fmt::Display for Reason {
             ),
             Self::Turned { turned_rad } => write!(
                 f,
-                "the nominal robot fits the positions, and its orientation is {turned_rad:.2} rad off, as if angles were in \
-                 another order, frame or unit than [rotation] of the mapping says"
+                "the orientations are {turned_rad:.2} rad from those of the nominal robot: of another robot, or in another order, frame \
+                 or unit than [rotation] of the mapping says"
             ),
             Self::Moved(step) => write!(f, "{step}"),
         }
@@ -104,8 +98,8 @@ pub struct Step {
 impl Step {
     /// The nominal robot fits the rows before and after it far better than all of them: its own errors step where the path
     /// goes to another place, by less.
-    pub(super) fn explains(&self, rows: &[PoseRow], robot: &Chain) -> bool {
-        likely(rows, robot, &[Mistake::Moved(self.row - 1)]).is_some()
+    fn explains(&self, instrument: &Instrument, robot: &Chain) -> bool {
+        likely(instrument, robot, &[Mistake::Moved(self.row - 1)]).is_some()
     }
 }
 
@@ -119,177 +113,6 @@ impl fmt::Display for Step {
             moved_m * 1e3
         )
     }
-}
-
-/// What goes wrong between robot, tracker and file before anybody calibrates.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Mistake {
-    /// Of the joints.
-    Joints(JointMistake),
-    /// Joints stand in the row before or after what was measured there.
-    RowsShifted,
-    /// Two axes of the positions are exchanged, or one has the other sign.
-    Mirrored,
-    /// From this row on, from 0, tracker, target or robot stand elsewhere.
-    Moved(usize),
-    /// Lengths are this many thousandths of what they are read as.
-    LengthUnit(u32),
-    /// Lengths and twists stand in the row of the next joint: Craig's convention, read as the standard one.
-    ModifiedTable,
-}
-
-impl fmt::Display for Mistake {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Joints(mistake) => write!(f, "{mistake}"),
-            Self::RowsShifted => {
-                write!(f, "each row's joints belong to the measurement of the row before or after it")
-            }
-            Self::Mirrored => {
-                write!(f, "two axes of the positions are exchanged or one has the other sign")
-            }
-            Self::Moved(row) => write!(f, "tracker, target or robot were moved near row {}", row + 1),
-            Self::LengthUnit(thousandths) => write!(
-                f,
-                "the lengths are {} times as long as read, in another unit than `unit` of the mapping",
-                f64::from(*thousandths) / 1e3
-            ),
-            Self::ModifiedTable => write!(
-                f,
-                "the robot's table is in the modified convention and read as the standard one (convention = \"modified\")"
-            ),
-        }
-    }
-}
-
-impl Mistake {
-    /// All that can be made with the joints of an arm.
-    pub fn of_joints(axes: usize) -> Vec<Self> {
-        JointMistake::all(axes).into_iter().map(Self::Joints).collect()
-    }
-
-    fn all(axes: usize, rows: usize) -> Vec<Self> {
-        let others = [Self::RowsShifted, Self::Mirrored, Self::ModifiedTable];
-        let moved = (1..BLOCKS).map(|block| Self::Moved(block * rows / BLOCKS));
-        [Self::of_joints(axes), others.to_vec(), moved.collect()].concat()
-    }
-
-    /// Distance of the nominal robot from the rows without the mistake \[m\]; none where nothing can be placed.
-    fn undone_m(self, rows: &[PoseRow], robot: &Chain) -> Option<f64> {
-        if let Self::Moved(row) = self {
-            let (before, after) = rows.split_at_checked(row)?;
-            let part = |rows: &[PoseRow]| Some(misfit_m(rows, robot)?.powi(2) * rows.len() as f64);
-            return Some(((part(before)? + part(after)?) / rows.len() as f64).sqrt());
-        }
-        let ways = self.undone(rows, robot);
-        ways.iter().filter_map(|(rows, robot)| misfit_m(rows, robot)).min_by(f64::total_cmp)
-    }
-
-    /// The rows and the robot without the mistake: more than one way where it has a direction.
-    fn undone(self, rows: &[PoseRow], robot: &Chain) -> Vec<(Vec<PoseRow>, Chain)> {
-        let shifted = |joints: &[PoseRow], measured: &[PoseRow]| {
-            let pair = |(at, seen): (&PoseRow, &PoseRow)| PoseRow { joints_rad: at.joints_rad, ..*seen };
-            (joints.iter().zip(measured).map(pair).collect(), robot.clone())
-        };
-        match self {
-            Self::Joints(mistake) => {
-                let undone = |row: &PoseRow| PoseRow { joints_rad: mistake.undone(&row.joints_rad), ..*row };
-                vec![(rows.iter().map(undone).collect(), robot.clone())]
-            }
-            Self::RowsShifted => {
-                let later = rows.get(1..).unwrap_or_default();
-                vec![shifted(rows, later), shifted(later, rows)]
-            }
-            Self::Mirrored => {
-                let mirrored = |row: &PoseRow| PoseRow {
-                    position_m: row.position_m.component_mul(&Vector3::new(1.0, 1.0, -1.0)),
-                    rotation: None,
-                    ..*row
-                };
-                vec![(rows.iter().map(mirrored).collect(), robot.clone())]
-            }
-            Self::Moved(_) | Self::LengthUnit(_) => Vec::new(),
-            Self::ModifiedTable => {
-                let mut read = robot.clone();
-                let next = robot.links.iter().skip(1).map(|link| (link.a_m, link.alpha_rad));
-                for (link, (a_m, alpha_rad)) in read.links.iter_mut().zip(next.chain([(0.0, 0.0)])) {
-                    (link.a_m, link.alpha_rad) = (a_m, alpha_rad);
-                }
-                vec![(rows.to_vec(), read)]
-            }
-        }
-    }
-}
-
-/// A mistake whose undoing brings the nominal robot to the rows.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Likely {
-    /// What went wrong.
-    pub mistake: Mistake,
-    /// Root mean square distance of the nominal robot from the rows as they are \[m\].
-    pub as_read_m: f64,
-    /// And without the mistake \[m\].
-    pub undone_m: f64,
-}
-
-impl fmt::Display for Likely {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { mistake, as_read_m, undone_m } = self;
-        write!(
-            f,
-            "{mistake}: so the nominal robot is {:.1} mm from the rows, as read {:.1} mm",
-            undone_m * 1e3,
-            as_read_m * 1e3
-        )
-    }
-}
-
-/// Rows that distinguish one robot from another: what is wrong is wrong in all.
-const TRIED: usize = 60;
-
-/// How far a robot is from some of the rows, tracker and probe placed by the same; none where they cannot be.
-pub fn misfit(rows: &[PoseRow], robot: &Chain) -> Option<PoseFigures> {
-    let every = rows.len().div_ceil(TRIED).max(1);
-    let some: Vec<PoseRow> = rows.iter().step_by(every).copied().collect();
-    check_rows(&some).ok().filter(|()| some.len() >= ROWS_MIN)?;
-    let all: Vec<usize> = (0..some.len()).collect();
-    let states = standing(some.iter().map(|row| row.joints_rad));
-    let tracker = Tracker::new(Standing::new(&some, &states, &all, 0));
-    let model = placed(&tracker, Model::measured_pose(robot)).ok()?;
-    Some(PoseFigures::of(&tracker.errors(&model.geometry(&[]))))
-}
-
-/// Root mean square distance of a robot from the rows at the end of a tool \[m\].
-fn misfit_m(rows: &[PoseRow], robot: &Chain) -> Option<f64> {
-    /// Length of the tool: orientations count by where it ends.
-    const TOOL_M: f64 = 0.1;
-    let figures = misfit(rows, robot)?;
-    Some(figures.position_m.rms.hypot(TOOL_M * figures.rotation_rad.map_or(0.0, |sizes| sizes.rms)))
-}
-
-/// Nominal arms are nearer to rows that are read right \[m\].
-const NEAR_M: f64 = 0.05;
-
-/// The mistake among these that brings the nominal robot to the rows, where one does.
-pub fn likely(rows: &[PoseRow], robot: &Chain, mistakes: &[Mistake]) -> Option<Likely> {
-    /// Undoing a mistake leaves less than this part of the distance: what is left is the robot's own error, millimetres
-    /// where mistakes make centimetres.
-    const LEFT: f64 = 0.3;
-    // Where no place of the tracker can be found, any is better.
-    let as_read_m = misfit_m(rows, robot).unwrap_or(f64::INFINITY);
-    let of =
-        |&mistake: &Mistake| Some(Likely { mistake, as_read_m, undone_m: mistake.undone_m(rows, robot)? });
-    let best = mistakes.iter().filter_map(of).min_by(|a, b| a.undone_m.total_cmp(&b.undone_m))?;
-    (best.undone_m < NEAR_M.min(LEFT * as_read_m)).then_some(best)
-}
-
-/// The most likely of all mistakes, in the first of these files that shows one.
-pub(in crate::calibrate) fn likely_of_all(files: &[Rows], robot: &Chain) -> Option<Likely> {
-    let of = |file: &Rows| {
-        let rows = file.measured.poses()?;
-        likely(rows, robot, &Mistake::all(robot.links.len(), rows.len()))
-    };
-    files.iter().find_map(of)
 }
 
 /// Nothing of a calibration is what no robot like the nominal one explains; `sets` are those of the `files`, and `runs` where
@@ -308,7 +131,7 @@ pub(in crate::calibrate) fn unless_implausible(
     let first = runs.len() - sets.len();
     for ((number, run), (file, set)) in runs.iter().enumerate().skip(first).zip(files.iter().zip(sets)) {
         let place = if runs.len() > 1 { format!("data set {}: ", number + 1) } else { String::new() };
-        let reasons = of_set(set, file, &run.model, robot);
+        let reasons = of_set(set, &file.instrument, &run.model, robot);
         found.extend(reasons.iter().map(|reason| format!("{place}{reason}")));
     }
     if found.is_empty() {
@@ -317,61 +140,10 @@ pub(in crate::calibrate) fn unless_implausible(
     Err(CalibrateError::Implausible { found: found.join("; "), likely: likely_of_all(files, robot) })
 }
 
-/// Refuses the lengths of a wire that are in another unit than the mapping states. `nominal` has the nominal robot, the wire fitted to it.
-///
-/// Lengths whose variation the nominal robot does not explain, and does explain where they are in another usual unit, are in that.
-///
-/// # Errors
-/// [`CalibrateError::Implausible`] with the unit.
-pub(in crate::calibrate) fn unless_other_unit(
-    file: &Rows,
-    whole: &Instrument,
-    nominal: &Model,
-) -> Result<(), CalibrateError> {
-    /// m read as mm, cm as mm, inches as mm or as m, and each the other way round \[1/1000\].
-    const THOUSANDTHS: [u32; 6] = [1_000_000, 10_000, 25_400, 100, 39, 1];
-    /// The nominal robot leaves less than this part of the variation of lengths that are read right: its own millimetres of decimetres.
-    const UNEXPLAINED: f64 = 0.3;
-    let (Measured::Lengths(rows), Instrument::Wire(wire)) = (&file.measured, whole) else { return Ok(()) };
-    let spread_m = |wire: &Wire| {
-        let lengths_m = || wire.lengths_m();
-        let mean_m = lengths_m().sum::<f64>() / rows.len().max(1) as f64;
-        Sizes::of(lengths_m().map(|length_m| length_m - mean_m)).rms
-    };
-    let left_m = |wire: &Wire, model: &Model| median_size(wire.residuals_m(&model.geometry(&[])).into_iter());
-    let (varies_m, as_read_m) = (spread_m(wire), left_m(wire, nominal));
-    if as_read_m < NEAR_M.min(UNEXPLAINED * varies_m) {
-        return Ok(());
-    }
-    let mut start = nominal.clone();
-    for parameter in nominal.parameters() {
-        start.set_value(parameter.id, parameter.nominal)?;
-    }
-    let undone = |thousandths: &u32| {
-        let other = wire.times(f64::from(*thousandths) * 1e-3);
-        let mut run = Run { instrument: Instrument::Wire(other.clone()), model: start.clone() };
-        run.instrument.place(&mut run.model, &[]).ok().filter(|placed| *placed)?;
-        estimate(std::slice::from_mut(&mut run), &Plan::new(LossName::Huber, Vec::new())).ok()?;
-        let undone_m = left_m(&other, &run.model);
-        let part = undone_m / spread_m(&other);
-        let mistake = Mistake::LengthUnit(*thousandths);
-        (undone_m < NEAR_M && part < UNEXPLAINED).then_some((part, Likely { mistake, as_read_m, undone_m }))
-    };
-    let best = THOUSANDTHS.iter().filter_map(undone).min_by(|a, b| a.0.total_cmp(&b.0));
-    let Some((_, likely)) = best else { return Ok(()) };
-    let found = format!(
-        "the lengths vary by {:.3} mm (RMS), which the nominal robot does not explain",
-        varies_m * 1e3
-    );
-    Err(CalibrateError::Implausible { found, likely: Some(likely) })
-}
-
-fn of_set(set: &RowSet, file: &Rows, model: &Model, robot: &Chain) -> Vec<Reason> {
+fn of_set(set: &RowSet, instrument: &Instrument, model: &Model, robot: &Chain) -> Vec<Reason> {
     let [.., errors] = &set.errors.stages;
-    let step = file.measured.poses().and_then(|rows| {
-        let steps = [set.step(model), set.step];
-        steps.into_iter().flatten().find(|step| step.explains(rows, robot))
-    });
+    let steps = [step(set.whole(), model), set.step];
+    let step = steps.into_iter().flatten().find(|step| step.explains(instrument, robot));
     let found = [turned(set), too_far(errors, robot), worse_than_nominal(set), step.map(Reason::Moved)];
     found.into_iter().flatten().collect()
 }
@@ -446,12 +218,15 @@ fn blocks(errors_m: &[Vector3<f64>]) -> Vec<(usize, Vector3<f64>)> {
 ///
 /// Medians of blocks of rows, so that single rows that are wrong make none; Student's t of the step's three coordinates in a
 /// line with a step, over all places of the step (Bonferroni). What blocks scatter by includes errors that last.
-pub(super) fn step(tracker: &Tracker, model: &Model) -> Option<Step> {
+pub(super) fn step(instrument: &Instrument, model: &Model) -> Option<Step> {
     /// Of runs without a step one in so many has one by chance.
     const FALSE_ALARMS: f64 = 1e-4;
     /// Blocks before and after.
     const BESIDE: usize = 3;
-    let deviations = tracker.deviations(&model.geometry(&[])).into_iter();
+    if !instrument.mistakes(0).iter().any(|mistake| matches!(mistake, Mistake::Moved(_))) {
+        return None;
+    }
+    let deviations = instrument.deviations(&model.geometry(&[])).into_iter();
     let offsets_m = deviations.filter_map(|deviation| match deviation.apart {
         Apart::Place(offset_m) => Some(offset_m),
         Apart::Length(_) => None,

@@ -1,36 +1,33 @@
 //! What files of rows have for themselves in a calibration, each row a pose at which the robot stood still and what was measured
-//! there: by a tracker ([`tracker`]), by a draw-wire or telescoping bar ([`wire`]) or by a ball in sockets.
+//! there.
 //!
 //! A fifth of each file is held out: it takes part in nothing, neither in the choice of the errors of joints nor in which rows
 //! belong with the rest, and the figures on it are what counts. The result is a last fit to all rows.
 
 mod drift;
-mod error;
 mod faulty_runs;
 mod figures;
 mod implausible;
+mod likely;
 mod terms;
-pub mod tracker;
-mod wire;
-
-use std::collections::BTreeMap;
+mod validate;
 
 use super::error::CalibrateError;
 use crate::instrument::{
-    Deviation, Instrument, Measured, Measures, PoseError, RejectedRow, Rejection, Run, Wire, faulty,
-    gross_rows, without,
+    Deviation, Instrument, PoseError, RejectedRow, Rejection, RowError, Run, faulty, gross_rows, without,
 };
 use crate::kinematics::Chain;
-use crate::model::{Model, ParameterId, SetUp};
+use crate::model::Model;
 
 pub use drift::Drift;
-pub use error::RowError;
 pub use faulty_runs::{FaultyRun, RunCause};
 pub use figures::{PoseFigures, RowErrors, Sizes, Stages, is_surely_better, is_surely_worse};
-pub use implausible::{Likely, Mistake, Step, likely, misfit};
-pub(super) use implausible::{likely_of_all, unless_implausible, unless_other_unit};
+use implausible::Step;
+pub(super) use implausible::unless_implausible;
+pub use likely::{Likely, likely, misfit, some_of};
+pub(super) use likely::{likely_of_all, unless_other_unit};
 pub(crate) use terms::groups;
-pub use wire::wire_misfit;
+pub use validate::validate;
 
 /// Highest order of the joints' waves that is tried as a rule: there is no finer tooth near the output of a strain wave gear.
 pub const WAVES_PER_TURN_MAX: u8 = 64;
@@ -38,50 +35,19 @@ pub const WAVES_PER_TURN_MAX: u8 = 64;
 /// Parts of a file, of which one is held out.
 const PARTS: usize = 5;
 
-impl Measured {
-    /// Rows whose own data contradict each other; all others are measurements, and enough for a fit where they are `alone`.
-    pub(super) fn checked(&self, alone: bool, robot: &Chain) -> Result<Vec<RejectedRow>, RowError> {
-        let (rejected, rows, needed) = match self {
-            Self::Poses(rows) | Self::Path(rows, _) => {
-                tracker::check_rows(rows)?;
-                (Vec::new(), rows.len(), tracker::ROWS_MIN)
-            }
-            Self::Lengths(rows) => {
-                wire::check_rows(rows)?;
-                let contradicting = wire::contradicting(rows, robot);
-                wire::of_this_robot(&contradicting, rows.len())?;
-                (contradicting, rows.len(), wire::ROWS_MIN)
-            }
-            // The instrument checks them against its table.
-            Self::Contacts(..) => return Ok(Vec::new()),
-        };
-        let fitting = (rows - rejected.len()) * (PARTS - 1) / PARTS;
-        if alone && fitting < needed {
-            return Err(RowError::TooFewRows { rows: fitting, needed });
-        }
-        Ok(rejected)
+/// Rows whose own data contradict each other; all others are measurements, and enough for a fit where they are `alone`.
+pub(super) fn checked(
+    instrument: &Instrument,
+    alone: bool,
+    robot: &Chain,
+) -> Result<Vec<RejectedRow>, RowError> {
+    let contradicting = instrument.contradicting(robot)?;
+    let rows = (instrument.samples() - contradicting.len()) * (PARTS - 1) / PARTS;
+    let needed = instrument.samples_min();
+    if alone && rows < needed {
+        return Err(RowError::TooFewRows { rows, needed });
     }
-}
-
-/// No more stations or targets than have parameters, and where there are several, each has enough rows to stay placed whichever
-/// part of the file is left out; what they are called, and how many rows each needs.
-fn each_has_rows(
-    rows: impl Iterator<Item = SetUp> + Clone,
-    needed: [(&'static str, usize); 2],
-) -> Result<(), RowError> {
-    let numbers: [fn(SetUp) -> usize; 2] = [|set_up| set_up.station, |set_up| set_up.target];
-    for (number, (what, needed)) in numbers.into_iter().zip(needed) {
-        let mut counts = BTreeMap::<usize, usize>::new();
-        rows.clone().for_each(|set_up| *counts.entry(number(set_up)).or_default() += 1);
-        let (count, most) = (counts.len(), ParameterId::SET_UPS_MAX);
-        if count > most {
-            return Err(RowError::TooManySetUps { what, count, most });
-        }
-        if let Some((number, rows)) = counts.iter().find(|(_, rows)| count > 1 && **rows < needed) {
-            return Err(RowError::TooFewOfSetUp { what, number: number + 1, rows: *rows, needed });
-        }
-    }
-    Ok(())
+    Ok(contradicting)
 }
 
 /// A file of rows, what of it was held out, and what the stages of the calibration say of it.
@@ -140,7 +106,7 @@ impl RowSet {
     /// With the nominal robot, the instrument fitted to it.
     pub(super) fn judge_nominal(&mut self, model: &Model) {
         self.errors.stages[0] = self.at(model);
-        self.step = self.step(model);
+        self.step = implausible::step(&self.whole, model);
     }
 
     /// With the best offsets of the joints, and with the best links.
@@ -151,22 +117,17 @@ impl RowSet {
 
     /// With everything that the rows ask for.
     pub(super) fn judge_joints(&mut self, model: &Model) {
-        self.errors.stages[3] = match self.steady() {
-            Some(wire) => wire.errors(&model.geometry(&[])),
-            None => self.at(model),
-        };
-        match &self.whole {
-            Instrument::Wire(all) => self.runs = faulty_runs::runs(model, all, &self.rejected),
-            // A ball in another socket than its row says is no measurement that anything could predict.
-            Instrument::Contact(contact) => {
-                let mut contact = contact.clone();
-                contact.screen(model);
-                self.rejected = contact.rejected().to_vec();
-                self.errors.fitted = without(&self.errors.fitted, &self.rejected);
-                self.errors.held_out = without(&self.errors.held_out, &self.rejected);
-            }
-            Instrument::Tracker(_) | Instrument::BallBar(_) => {}
-        }
+        self.errors.stages[3] = self.steady().errors(&model.geometry(&[]));
+        self.runs = faulty_runs::runs(model, &self.whole, &self.rejected);
+        self.reject(&self.whole.misplaced(model));
+    }
+
+    /// Leaves out more rows.
+    fn reject(&mut self, more: &[RejectedRow]) {
+        self.errors.fitted = without(&self.errors.fitted, more);
+        self.errors.held_out = without(&self.errors.held_out, more);
+        self.rejected.extend(more);
+        self.rejected.sort_by_key(|one| one.row);
     }
 
     /// Rows that neither the nominal robot nor the calibrated one comes near are no measurements, whether a fit saw them or not: a
@@ -182,29 +143,20 @@ impl RowSet {
             let residual_m = joints[row].position_m;
             RejectedRow { row, why: Rejection::GrossResidual { residual_m } }
         });
-        let gross: Vec<RejectedRow> = gross.collect();
-        self.errors.fitted = without(&self.errors.fitted, &gross);
-        self.errors.held_out = without(&self.errors.held_out, &gross);
-        self.rejected.extend(gross);
-        self.rejected.sort_by_key(|one| one.row);
+        self.reject(&gross.collect::<Vec<_>>());
     }
 
     fn at(&self, model: &Model) -> Vec<PoseError> {
         self.whole.errors(&model.geometry(&[]))
     }
 
-    fn step(&self, model: &Model) -> Option<Step> {
-        let Instrument::Tracker(tracker) = &self.whole else { return None };
-        implausible::step(tracker, model)
+    /// The instrument without the drift of its zero.
+    fn steady(&self) -> Instrument {
+        let steady = self.drift.as_ref().and_then(|_| self.whole.longer_by(&self.drift_m));
+        steady.unwrap_or_else(|| self.whole.clone())
     }
 
-    /// The wire without its drift, where it has one.
-    fn steady(&self) -> Option<Wire> {
-        let Instrument::Wire(all) = &self.whole else { return None };
-        self.drift.is_some().then(|| all.plus(&self.drift_m))
-    }
-
-    /// Finds the rows of a wire that do not belong with the rest, and a drift of its zero, where the run, which sees the fitting
+    /// Finds the rows of lengths that do not belong with the rest, and a drift of their zero, where the run, which sees the fitting
     /// rows, is at its best links. From then on the drift is known.
     ///
     /// Single gross residuals are rejected from the fit only; faulty runs everywhere, but judged by their fitting rows alone;
@@ -215,15 +167,17 @@ impl RowSet {
         run: &mut Run,
         sigma_m: f64,
     ) -> Result<(), CalibrateError> {
-        let (Instrument::Wire(all), Instrument::Wire(seen)) = (&self.whole, &run.instrument) else {
+        if self.whole.lengths_m().is_empty() {
             return Ok(());
-        };
-        let all = all.weighed_as(seen);
+        }
         let fitting = without(&self.errors.fitted, &self.rejected);
         let row_of = |one: &RejectedRow| RejectedRow { row: fitting[one.row], ..*one };
-        let kept = without(&fitting, &seen.rejected().iter().map(row_of).collect::<Vec<_>>());
-        let residuals_m = all.residuals_m(&run.model.geometry(&[]));
-        let faulty = faulty(&residuals_m, &all.relative_noise(), &fitting, &kept);
+        let seen = run.instrument.rejected().iter().map(row_of).collect::<Vec<_>>();
+        let kept = without(&fitting, &seen);
+        self.whole.weigh_by(&run.model, &kept);
+        let deviations = self.whole.deviations(&run.model.geometry(&[]));
+        let residuals_m: Vec<f64> = deviations.iter().map(|deviation| deviation.signed_m()).collect();
+        let faulty = faulty(&residuals_m, &self.whole.relative_noise(), &fitting, &kept);
         let kept = without(&fitting, &faulty);
         if kept.len() < fitting.len() / 2 {
             let error = RowError::TooManyRejected { kept: kept.len(), rows: fitting.len() };
@@ -233,11 +187,10 @@ impl RowSet {
         self.rejected.extend(faulty.iter().filter(|one| !known.contains(&one.row)));
         self.rejected.sort_by_key(|one| one.row);
         let fitting = self.beside_drift(&fitting);
-        if let Some((drift, drift_m)) = drift::find(&mut run.model.clone(), &all, &fitting, sigma_m)? {
-            run.instrument = Instrument::Wire(all.plus(&drift_m).chosen(&fitting));
+        if let Some((drift, drift_m)) = drift::find(&mut run.model.clone(), &self.whole, &fitting, sigma_m)? {
             (self.drift, self.drift_m) = (Some(drift), drift_m);
+            run.instrument = self.steady().part(&fitting);
         }
-        self.whole = Instrument::Wire(all);
         Ok(())
     }
 
@@ -253,16 +206,15 @@ impl RowSet {
     /// All rows that may take part once the held-out ones have judged.
     pub(super) fn everything(&mut self, model: &Model) -> Result<Instrument, CalibrateError> {
         let all: Vec<usize> = (0..self.whole.samples()).collect();
-        if let (Instrument::Wire(wire), Some(drift)) = (&self.whole, &self.drift) {
+        if let Some(drift) = &self.drift {
             self.given = self.beside_drift(&all);
-            let drift_m = drift::fit(&mut model.clone(), wire, &self.given, drift)?;
-            return Ok(Instrument::Wire(wire.plus(&drift_m).chosen(&self.given)));
+            self.drift_m = drift::fit(&mut model.clone(), &self.whole, &self.given, drift)?;
+            return Ok(self.steady().part(&self.given));
         }
-        // A wire judges its gross rows anew wherever a solve has come.
-        let of_tracker = matches!(self.whole, Instrument::Tracker(_));
+        let judges_gross = self.whole.judges_gross();
         let wrong = self.rejected_where(|why| match why {
             Rejection::FlangeContradicts { .. } => true,
-            Rejection::GrossResidual { .. } => of_tracker,
+            Rejection::GrossResidual { .. } => !judges_gross,
             Rejection::FaultyRun { .. } => false,
         });
         self.given = without(&all, &wrong);
@@ -272,10 +224,7 @@ impl RowSet {
     /// Robot minus measurement in every row at the last solution, with the reason of a row that it left out; `run` is its data set.
     pub fn deviations(&self, run: &Run) -> Vec<(Deviation, Option<Rejection>)> {
         let geometry = run.model.geometry(&[]);
-        let deviations = match self.steady() {
-            Some(wire) => wire.deviations(&geometry),
-            None => self.whole.deviations(&geometry),
-        };
+        let deviations = self.steady().deviations(&geometry);
         let mut all: Vec<_> = deviations.into_iter().map(|deviation| (deviation, None)).collect();
         let not_given = |one: &&RejectedRow| self.given.binary_search(&one.row).is_err();
         for one in self.rejected.iter().filter(not_given) {
@@ -289,8 +238,8 @@ impl RowSet {
 
     /// How many times less certain all rows leave the robot than they would with a drift that is known.
     pub(super) fn widens(&self, model: &Model, sigma_m: f64) -> Result<f64, CalibrateError> {
-        let (Instrument::Wire(wire), Some(drift)) = (&self.whole, &self.drift) else { return Ok(1.0) };
-        drift::widens(model, wire, &self.given, drift, sigma_m)
+        let Some(drift) = &self.drift else { return Ok(1.0) };
+        drift::widens(model, &self.whole, &self.given, drift, sigma_m)
     }
 
     /// Rows that the fit saw, without rejected ones.

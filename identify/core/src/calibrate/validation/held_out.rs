@@ -5,8 +5,7 @@ use std::ops::Range;
 use crate::calibrate::pipeline::{Solved, problem};
 use crate::calibrate::{CalibrateError, Calibration};
 use crate::cost::SharedColumns;
-use crate::instrument::Run;
-use crate::instrument::split::segments;
+use crate::instrument::{Run, segments};
 use crate::model::{Model, Observation, ParameterId};
 use crate::solver::{Normals, Options, Watch};
 
@@ -39,7 +38,7 @@ pub fn without_each_segment(
     calibration: &Calibration,
     watch: Option<&dyn Watch>,
 ) -> Result<Vec<Segment>, CalibrateError> {
-    if calibration.bars().next().is_none() {
+    if calibration.prepared().is_none() {
         return Ok(Vec::new());
     }
     let runs = calibration.thinned(SAMPLES_MAX);
@@ -63,10 +62,9 @@ fn segment(
 ) -> Option<Segment> {
     let number = starts.partition_point(|start| *start <= left_out.start).checked_sub(1)?;
     let Run { instrument, model } = runs.get(number)?;
-    let bar = instrument.bar()?;
     let start = starts.get(number)?;
     let samples = left_out.start - start..left_out.end - start;
-    let observations = &bar.prepared.observations;
+    let observations = &instrument.prepared()?.observations;
     let others = [observations.get(..samples.start)?, observations.get(samples.end..)?].concat();
     let model = x.map(|x| {
         let mut without = model.clone();

@@ -20,7 +20,9 @@ use super::window::{CANDIDATES, liveliest, overlap_min_s, wider};
 use crate::cost::{LoopProblem, MeasuredPosition, PoseNoise};
 use crate::kinematics::{Chain, Joints, Pose};
 use crate::logs::{CubicSpline, RobotLog, SPEED_M_S_MAX, Stream, TimedPose, TimedPoses, travel};
-use crate::model::{Axis, Coordinate, JointState, Model, Observation, ParameterId, RobotMotion, Role, SetUp};
+use crate::model::{
+    Axis, Coordinate, JointState, Model, Observation, Owner, ParameterId, RobotMotion, Role, SetUp,
+};
 use crate::prepare::readings::standstill::MOVING_RAD_S;
 use crate::prepare::samples::select::select;
 use crate::prepare::steps::{check_length, overlap_s, require_motion};
@@ -362,7 +364,7 @@ impl Search<'_> {
         let flange = |row: &usize| self.flange(coarse.tau_s(self.seen_m.t_s[*row]));
         let flanges = rows.iter().map(flange).collect::<Option<Vec<Pose>>>()?;
         let [place, probe] = placements(&flanges, &seen_m, std::iter::empty())?;
-        let mut model = Model::measured_pose(self.robot);
+        let mut model = Model::alone(self.robot).with_set_ups(Owner::Tracker, [1, 1]);
         for coordinate in Coordinate::ALL {
             let id = ParameterId::Tracker { station: 0, coordinate };
             model.set_value(id, place.coordinate(coordinate)).ok()?;

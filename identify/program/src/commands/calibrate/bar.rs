@@ -102,10 +102,10 @@ fn experiment(arguments: &BarArguments) -> anyhow::Result<Experiment> {
         force_log: force_log.get(run).cloned(),
     };
     let bars = recording.iter().zip(robot_log.iter().zip(bar.iter().cycle()));
-    let mut config = arguments.common.identify_config()?;
-    config.cost = arguments.cost.or(config.cost);
+    let mut common = arguments.common.experiment()?;
+    common.identify.cost = arguments.cost.or(common.identify.cost);
     if let Some(encoders) = &arguments.encoders {
-        config.prepare.encoders.clone_from(encoders);
+        common.identify.prepare.encoders.clone_from(encoders);
     }
     Ok(Experiment {
         recording_mapping: arguments.recording_mapping.clone(),
@@ -115,7 +115,7 @@ fn experiment(arguments: &BarArguments) -> anyhow::Result<Experiment> {
         ignore_force: arguments.ignore_force,
         split_at_changes: arguments.split_at_changes,
         bars: bars.enumerate().map(run).collect(),
-        ..Experiment::new(&arguments.common.robot, config)
+        ..common
     })
 }
 

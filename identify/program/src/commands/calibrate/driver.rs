@@ -53,7 +53,12 @@ pub(super) fn calibrate(
     let (rows, beside) = rows_of(&experiment, robot, directory)?;
     experiment.state(&rows);
     let experiment = &experiment;
-    let others = experiment.rows().zip(&rows).map(|((_, of), rows)| Others::read(of, rows.seed(), robot));
+    let numbers = experiment.bars.len() + 1..;
+    let others = experiment
+        .rows()
+        .zip(&rows)
+        .zip(numbers)
+        .map(|(((kind, of), rows), number)| Others::read(kind, of, number, rows.seed(), robot));
     let others = others.collect::<anyhow::Result<Vec<Others<'_>>>>()?;
     let (inputs, bars) = both(|| inputs(&experiment.files()), || bar::runs(experiment, robot));
     let (mut bars, inputs) = (bars?, inputs?);
@@ -71,6 +76,7 @@ pub(super) fn calibrate(
         studied.map_err(|error| refused(directory, robot, experiment, &bars, error))?;
 
     let mut file = calibration_file(inputs, robot, &bars, &beside, &calibration, &evidence);
+    file.noise = NoiseEntry::all(&calibration.runs, experiment.identify.noise);
     let validity = Validity::of(calibration.poses(), &flange_chain(robot));
     let tables = Tables::of_rows(&calibration, &rows, &beside, &others, robot, &validity)?;
     file.rows = tables.entries;
@@ -153,7 +159,6 @@ fn calibration_file(
     let tables = beside.iter().filter_map(|beside| MeasurementEntry::of_table(beside.simulated));
     file.measured = bars.iter().filter_map(RunFiles::measured).chain(tables).collect();
     file.candidates.clone_from(&calibration.solved.candidates);
-    file.noise = NoiseEntry::all(calibration.bars());
     file
 }
 

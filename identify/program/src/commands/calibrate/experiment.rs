@@ -147,13 +147,6 @@ impl Validate for Experiment {
                         "name the files in validate, or leave it out",
                     ));
                 }
-                if kind != Kind::Tracker && !row.validate.is_empty() {
-                    return Err(Violation::new(
-                        format!("{key}[{index}].validate"),
-                        "only poses of a tracker judge a robot",
-                        "leave it out",
-                    ));
-                }
             }
         }
         self.identify.validate()

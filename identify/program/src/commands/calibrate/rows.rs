@@ -8,22 +8,21 @@ use clap::Args;
 use shared::config::{self, RobotConfig};
 use shared::time::UtcNs;
 
+use super::RowArguments;
 use super::bar::load_log;
 use super::driver::calibrate;
-use super::experiment::Experiment;
-use super::{CommonArguments, RowArguments};
-use crate::calibrate::rows::{WAVES_PER_TURN_MAX, tracker};
+use crate::calibrate::rows::{WAVES_PER_TURN_MAX, validate};
 use crate::calibrate::{CalibrateError, Calibration};
 use crate::evaluate::Validity;
-use crate::instrument::HoldOut;
-use crate::instrument::{ContactRow, LengthRow, PoseRow, SocketTable};
-use crate::instrument::{Measured, Rows};
+use crate::instrument::{
+    Contact, ContactRow, HoldOut, Instrument, LengthRow, PoseRow, Rows, SocketTable, Tracker, Wire,
+};
 use crate::kinematics::flange_chain;
 use crate::logs::{
     ContactMapping, Contacts, LogFormat, LogOptions, MeasuredLengthMapping, MeasuredLengths,
     MeasuredPoseMapping, MeasuredPoses, TimedPoses, is_simulated, joints_of_robot,
 };
-use crate::model::{JointState, Model, Waves, further};
+use crate::model::{JointState, Model, further};
 use crate::prepare::{AlignedPoses, Alignment, PrepareOptions, align_poses};
 use crate::report::result::clocks::{ClockEntry, SolvedClock};
 use crate::report::rows as of_rows;
@@ -32,9 +31,6 @@ use serde::{Deserialize, Serialize};
 /// Options of a calibration with a tracker.
 #[derive(Debug, Args)]
 pub struct TrackerArguments {
-    /// Poses measured by a tracker (.csv), rows in the order of the robot's motion
-    #[arg(value_name = "FILE")]
-    poses: PathBuf,
     #[command(flatten)]
     rows: RowArguments,
     /// The robot's own log (CSV, ROS 2 bag, UR RTDE, ABB EGM, KUKA RSI), where the rows have times on the tracker's clock in place
@@ -47,45 +43,16 @@ pub struct TrackerArguments {
     /// Which column or joint of the robot's log is what, such as config/robot_log.toml
     #[arg(long, value_name = "FILE", requires = "robot_log")]
     log_mapping: Option<PathBuf>,
-    /// Other files of measured poses that judge the robot; tracker and probe may be elsewhere
-    #[arg(long, value_name = "FILES", value_delimiter = ',')]
-    validate: Vec<PathBuf>,
-    /// Which column of these is what; default: as --mapping says. Their rows have joints, also where the others have times
-    #[arg(long, value_name = "FILE", requires = "validate")]
-    validate_mapping: Option<PathBuf>,
-    /// Highest number of waves per turn that the errors of joints may have; 3 to 127
-    #[arg(long, value_name = "N", default_value_t = WAVES_PER_TURN_MAX,
-          value_parser = clap::value_parser!(u8).range(i64::from(*Waves::OF_AXIS.start())..=i64::from(*Waves::OF_AXIS.end())))]
-    joint_waves: u8,
-    #[command(flatten)]
-    common: CommonArguments,
-}
-
-/// Options of a calibration with a draw-wire or a telescoping bar.
-#[derive(Debug, Args)]
-pub struct WireArguments {
-    /// Poses with one measured length each (.csv)
-    #[arg(value_name = "FILE")]
-    lengths: PathBuf,
-    #[command(flatten)]
-    rows: RowArguments,
-    #[command(flatten)]
-    common: CommonArguments,
 }
 
 /// Options of a calibration with a ball in sockets.
 #[derive(Debug, Args)]
 pub struct ContactArguments {
-    /// Poses at which the ball is seated, and in which socket (.csv), rows in the order of the robot's motion
-    #[arg(value_name = "FILE")]
-    contacts: PathBuf,
+    #[command(flatten)]
+    rows: RowArguments,
     /// Where the sockets are on their plate, or their distances, such as config/sockets.toml
     #[arg(long, value_name = "FILE")]
     sockets: PathBuf,
-    #[command(flatten)]
-    rows: RowArguments,
-    #[command(flatten)]
-    common: CommonArguments,
 }
 
 /// A file of rows as an experiment has it: the keys of a block in an experiment's file.
@@ -111,7 +78,7 @@ pub struct RowFile {
     /// Highest number of waves per turn that the errors of joints may have; the lowest of all files counts.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub joint_waves: Option<u8>,
-    /// Of a tracker: other files that judge the robot.
+    /// Other files of the same instrument that judge the robot.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub validate: Vec<PathBuf>,
     /// Which of their columns is what; absent: as `mapping` says.
@@ -119,48 +86,44 @@ pub struct RowFile {
     pub validate_mapping: Option<PathBuf>,
 }
 
-impl RowFile {
-    fn new(file: &Path, rows: &RowArguments) -> Self {
+impl From<&RowArguments> for RowFile {
+    fn from(of: &RowArguments) -> Self {
         Self {
-            file: file.to_owned(),
-            mapping: rows.mapping.clone(),
+            file: of.file.clone(),
+            mapping: of.mapping.clone(),
             robot_log: None,
             sockets: None,
-            hold_out: rows.hold_out,
-            seed: Some(rows.seed),
-            joint_waves: None,
-            validate: Vec::new(),
-            validate_mapping: None,
+            hold_out: of.hold_out,
+            seed: Some(of.seed),
+            joint_waves: of.joint_waves,
+            validate: of.validate.clone(),
+            validate_mapping: of.validate_mapping.clone(),
         }
     }
 }
 
 pub(super) fn run_tracker(arguments: &TrackerArguments) -> anyhow::Result<()> {
-    let TrackerArguments { poses, rows, robot_log, validate, validate_mapping, .. } = arguments;
-    let TrackerArguments { joint_waves, common, .. } = arguments;
-    let mut experiment = Experiment::new(&common.robot, common.identify_config()?);
-    (experiment.log_format, experiment.log_mapping) = (arguments.log_format, arguments.log_mapping.clone());
+    let TrackerArguments { rows, robot_log, log_format, log_mapping } = arguments;
+    let mut experiment = rows.common.experiment()?;
+    (experiment.log_format, experiment.log_mapping) = (*log_format, log_mapping.clone());
     experiment.trackers.push(RowFile {
-        joint_waves: Some(*joint_waves),
-        validate: validate.clone(),
-        validate_mapping: validate_mapping.clone(),
+        joint_waves: Some(rows.joint_waves.unwrap_or(WAVES_PER_TURN_MAX)),
         robot_log: robot_log.clone(),
-        ..RowFile::new(poses, rows)
+        ..rows.into()
     });
-    calibrate(experiment, &common.result, None)
+    calibrate(experiment, &rows.common.result, None)
 }
 
-pub(super) fn run_wire(WireArguments { lengths, rows, common }: &WireArguments) -> anyhow::Result<()> {
-    let mut experiment = Experiment::new(&common.robot, common.identify_config()?);
-    experiment.wires.push(RowFile::new(lengths, rows));
-    calibrate(experiment, &common.result, None)
+pub(super) fn run_wire(rows: &RowArguments) -> anyhow::Result<()> {
+    let mut experiment = rows.common.experiment()?;
+    experiment.wires.push(rows.into());
+    calibrate(experiment, &rows.common.result, None)
 }
 
-pub(super) fn run_contact(arguments: &ContactArguments) -> anyhow::Result<()> {
-    let ContactArguments { contacts, sockets, rows, common } = arguments;
-    let mut experiment = Experiment::new(&common.robot, common.identify_config()?);
-    experiment.contacts.push(RowFile { sockets: Some(sockets.clone()), ..RowFile::new(contacts, rows) });
-    calibrate(experiment, &common.result, None)
+pub(super) fn run_contact(ContactArguments { rows, sockets }: &ContactArguments) -> anyhow::Result<()> {
+    let mut experiment = rows.common.experiment()?;
+    experiment.contacts.push(RowFile { sockets: Some(sockets.clone()), ..rows.into() });
+    calibrate(experiment, &rows.common.result, None)
 }
 
 /// The instruments whose measurements are rows.
@@ -244,59 +207,66 @@ pub(super) fn read(
     data_set: usize,
     with: &WithLogs<'_>,
 ) -> anyhow::Result<(Rows, Beside)> {
-    let robot = with.robot;
-    let (measured, mut beside) = match (kind, &of.robot_log) {
-        (Kind::Tracker, Some(robot_log)) => timed_poses(of, robot_log, data_set, with)?,
-        (Kind::Tracker, None) => {
-            let read = poses(&of.file, &of.mapping, robot)?;
-            let (rows, lines) = with_lines(&read);
+    let (instrument, beside) = match &of.robot_log {
+        Some(robot_log) => timed_poses(of, robot_log, data_set, with)?,
+        None => measured(kind, of, [&of.file, &of.mapping], data_set, with.robot)?,
+    };
+    let simulated = is_simulated(&of.file)?;
+    let rows = Rows { instrument, hold_out: of.hold_out, seed: of.seed, joint_waves: of.joint_waves };
+    Ok((rows, Beside { simulated, ..beside }))
+}
+
+/// A file whose rows have joints, read by a mapping.
+fn measured(
+    kind: Kind,
+    of: &RowFile,
+    [file, mapping]: [&Path; 2],
+    data_set: usize,
+    robot: &RobotConfig,
+) -> anyhow::Result<(Instrument, Beside)> {
+    Ok(match kind {
+        Kind::Tracker => {
+            let of_file: MeasuredPoseMapping = config::load(mapping)?;
+            anyhow::ensure!(
+                of_file.time.is_none(),
+                "{}: rows with [time] have their joints in the robot's own log; give it (--robot-log, or robot_log in the [[tracker]] \
+                 block)",
+                mapping.display()
+            );
+            joints_of_robot(&of_file.joints, robot, mapping)?;
+            let read = MeasuredPoses::load(file, &of_file)?;
+            let (rows, lines): (Vec<PoseRow>, _) =
+                read.rows.iter().map(|row| (PoseRow::from(row), row.line)).unzip();
             let names = of_set_ups([("tracker", read.stations), ("probe", read.targets)]);
-            (Measured::Poses(rows), Beside { lines, names, ..Beside::default() })
+            (Tracker::new(&rows).into(), Beside { lines, names, ..Beside::default() })
         }
-        (Kind::Wire, _) => {
-            let mapping: MeasuredLengthMapping = config::load(&of.mapping)?;
-            joints_of_robot(&mapping.joints, robot, &of.mapping)?;
-            let read = MeasuredLengths::load(&of.file, &mapping)?;
-            let (rows, lines) = read.rows.iter().map(|row| (LengthRow::from(row), row.line)).unzip();
+        Kind::Wire => {
+            let of_file: MeasuredLengthMapping = config::load(mapping)?;
+            joints_of_robot(&of_file.joints, robot, mapping)?;
+            let read = MeasuredLengths::load(file, &of_file)?;
+            let (rows, lines): (Vec<LengthRow>, _) =
+                read.rows.iter().map(|row| (LengthRow::from(row), row.line)).unzip();
             let names = of_set_ups([("anchor", read.anchors), ("attachment", read.attachments)]);
-            (Measured::Lengths(rows), Beside { lines, names, ..Beside::default() })
+            (Wire::new(&rows).into(), Beside { lines, names, ..Beside::default() })
         }
-        (Kind::Contact, _) => {
+        Kind::Contact => {
             let sockets = of.sockets.as_deref().context("a table of sockets is missing")?;
             let table: SocketTable = config::load(sockets)?;
-            let mapping: ContactMapping = config::load(&of.mapping)?;
-            joints_of_robot(&mapping.joints, robot, &of.mapping)?;
-            let read = Contacts::load(&of.file, &mapping, &table.names())?;
-            let (rows, lines) = read.rows.iter().map(|row| (ContactRow::from(row), row.line)).unzip();
-            (Measured::Contacts(rows, table), Beside { lines, ..Beside::default() })
+            let of_file: ContactMapping = config::load(mapping)?;
+            joints_of_robot(&of_file.joints, robot, mapping)?;
+            let read = Contacts::load(file, &of_file, &table.names())?;
+            let (rows, lines): (Vec<ContactRow>, _) =
+                read.rows.iter().map(|row| (ContactRow::from(row), row.line)).unzip();
+            let contact = Contact::new(&rows, &table)
+                .map_err(|error| CalibrateError::Rows { data_set, error: error.into() })?;
+            (contact.into(), Beside { lines, ..Beside::default() })
         }
-    };
-    beside.simulated = is_simulated(&of.file)?;
-    let rows = Rows { measured, hold_out: of.hold_out, seed: of.seed, joint_waves: of.joint_waves };
-    Ok((rows, beside))
+    })
 }
 
 fn of_set_ups(names: [(&str, Vec<String>); 2]) -> BTreeMap<String, Vec<String>> {
     let given = names.into_iter().filter(|(_, names)| !names.is_empty());
     given.map(|(parameter, names)| (parameter.to_owned(), names)).collect()
-}
-
-/// Rows of a file, and the line of each.
-type Lines = (Vec<PoseRow>, Vec<u64>);
-
-fn with_lines(read: &MeasuredPoses) -> Lines {
-    read.rows.iter().map(|row| (PoseRow::from(row), row.line)).unzip()
-}
-
-fn poses(path: &Path, mapping: &Path, robot: &RobotConfig) -> anyhow::Result<MeasuredPoses> {
-    let of_file: MeasuredPoseMapping = config::load(mapping)?;
-    anyhow::ensure!(
-        of_file.time.is_none(),
-        "{}: rows with [time] have their joints in the robot's own log; give it (--robot-log, or robot_log in the [[tracker]] block)",
-        mapping.display()
-    );
-    joints_of_robot(&of_file.joints, robot, mapping)?;
-    Ok(MeasuredPoses::load(path, &of_file)?)
 }
 
 /// Rows with times in place of joints, brought together with the robot's own log.
@@ -305,7 +275,7 @@ fn timed_poses(
     robot_log: &Path,
     data_set: usize,
     with: &WithLogs<'_>,
-) -> anyhow::Result<(Measured, Beside)> {
+) -> anyhow::Result<(Instrument, Beside)> {
     let mapping: MeasuredPoseMapping = config::load(&of.mapping)?;
     anyhow::ensure!(
         mapping.time.is_some(),
@@ -325,16 +295,16 @@ fn timed_poses(
         let seen = read.rows[row];
         (PoseRow::from(&seen.with_joints(state.q)), seen.line)
     };
-    let (poses, lines) = rows.iter().zip(&states).map(row).unzip();
+    let (poses, lines): (Vec<PoseRow>, _) = rows.iter().zip(&states).map(row).unzip();
     let stood = moving.is_none();
-    let measured = match moving {
-        Some(moving) => Measured::Path(poses, moving),
-        None => Measured::Poses(poses),
+    let tracker = match moving {
+        Some(moving) => Tracker::of_moving(&poses, moving),
+        None => Tracker::new(&poses),
     };
     let is_dated = mapping.time.is_some_and(|time| time.unit.is_dated());
     let names = of_set_ups([("tracker", read.stations), ("probe", read.targets)]);
     let aligned = Some(Aligned { alignment, t_ref, is_dated, stood, left_out });
-    Ok((measured, Beside { lines, names, aligned, ..Beside::default() }))
+    Ok((tracker.into(), Beside { lines, names, aligned, ..Beside::default() }))
 }
 
 impl Aligned {
@@ -361,17 +331,23 @@ impl Aligned {
     }
 }
 
-/// A calibrated robot on the rows of other files, each read by the mapping of the file that it was calibrated from, or by their own.
+/// Other files of an instrument, each read by the mapping of the file that was calibrated from, or by their own.
 pub(super) struct Others<'a> {
     seed: u64,
-    files: Vec<(&'a PathBuf, Lines)>,
+    files: Vec<(&'a PathBuf, Instrument, Vec<u64>)>,
 }
 
 impl<'a> Others<'a> {
     /// Read before the fit: a file that is missing is said at once.
-    pub(super) fn read(of: &'a RowFile, seed: u64, robot: &RobotConfig) -> anyhow::Result<Self> {
+    pub(super) fn read(
+        kind: Kind,
+        of: &'a RowFile,
+        data_set: usize,
+        seed: u64,
+        robot: &RobotConfig,
+    ) -> anyhow::Result<Self> {
         let mapping = of.validate_mapping.as_ref().unwrap_or(&of.mapping);
-        if !of.validate.is_empty() {
+        if kind == Kind::Tracker && !of.validate.is_empty() {
             let read: MeasuredPoseMapping = config::load(mapping)?;
             anyhow::ensure!(
                 read.time.is_none(),
@@ -381,21 +357,25 @@ impl<'a> Others<'a> {
                 mapping.display()
             );
         }
-        let files = of.validate.iter().map(|path| Ok((path, with_lines(&poses(path, mapping, robot)?))));
-        Ok(Self { seed, files: files.collect::<anyhow::Result<_>>()? })
+        let file = |path: &'a PathBuf| {
+            let (instrument, beside) = measured(kind, of, [path, mapping], data_set, robot)?;
+            Ok((path, instrument, beside.lines))
+        };
+        Ok(Self { seed, files: of.validate.iter().map(file).collect::<anyhow::Result<_>>()? })
     }
 
+    /// The calibrated robot on them.
     pub(super) fn judge(
         &self,
         robot: &RobotConfig,
         validity: &Validity,
         model: &Model,
     ) -> anyhow::Result<Vec<of_rows::Validation>> {
-        let one = |(path, (rows, lines)): &(&PathBuf, Lines)| {
+        let one = |(path, instrument, lines): &(&PathBuf, Instrument, Vec<u64>)| {
             let name = path.display().to_string();
-            let figures = tracker::validate(rows, robot, model, self.seed).with_context(|| name.clone())?;
-            let joints = rows.iter().map(|row| row.joints_rad);
-            Ok(of_rows::Validation { name, figures, outside: of_rows::outside(validity, joints, lines) })
+            let figures = validate(instrument, robot, model, self.seed).with_context(|| name.clone())?;
+            let outside = of_rows::outside(validity, instrument.joints().into_iter(), lines);
+            Ok(of_rows::Validation { name, figures, outside })
         };
         self.files.iter().map(one).collect()
     }

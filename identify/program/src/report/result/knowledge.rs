@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::file::CalibrationFile;
 use crate::cost::AngleNoise;
 use crate::evaluate::{CubeError, Expected, WorkspaceError};
-use crate::instrument::BallBar;
+use crate::instrument::{Noise, NoiseConfig, Run};
 use crate::model::ParameterId;
 use crate::solver::{Observability, SigmasFrom, Solution};
 
@@ -89,19 +89,21 @@ pub struct NoiseEntry {
 
 impl NoiseEntry {
     /// Those of all runs whose noise was found.
-    pub fn all<'b>(bars: impl Iterator<Item = &'b BallBar>) -> Vec<Self> {
-        let entry = |(run, bar): (usize, &BallBar)| {
-            let (found, configured) = (bar.found?, AngleNoise::from(bar.configured));
+    pub fn all(runs: &[Run], configured: NoiseConfig) -> Vec<Self> {
+        let configured = AngleNoise::from(configured);
+        let entry = |(run, Run { instrument, .. }): (usize, &Run)| {
+            let [autocorrelation, _] = instrument.autocorrelation()?;
+            let Noise::Angles(found) = instrument.noise() else { return None };
             Some(Self {
                 run: run + 1,
-                encoder_rad: found.noise.encoder_rad,
+                encoder_rad: found.encoder_rad,
                 encoder_rad_configured: configured.encoder_rad,
-                robot_rad: found.noise.robot_rad,
+                robot_rad: found.robot_rad,
                 robot_rad_configured: configured.robot_rad,
-                autocorrelation: found.autocorrelation,
+                autocorrelation,
             })
         };
-        bars.enumerate().filter_map(entry).collect()
+        runs.iter().enumerate().filter_map(entry).collect()
     }
 
     /// For a person.

@@ -9,7 +9,7 @@ use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
 use serde::{Deserialize, Serialize};
 
-use crate::instrument::poses;
+use super::standing::poses;
 use crate::kinematics::{Chain, Joints};
 
 /// What is held out together.
@@ -32,11 +32,10 @@ const BOXES: f64 = 5.0;
 
 impl HoldOut {
     /// The group of each pose: those of one group are held out together. `robot` is the nominal chain.
-    pub(crate) fn groups(self, robot: &Chain, joints_rad: impl Iterator<Item = Joints>) -> Vec<usize> {
-        let joints_rad: Vec<Joints> = joints_rad.collect();
+    pub(crate) fn groups(self, robot: &Chain, joints_rad: &[Joints]) -> Vec<usize> {
         let positions_m: Vec<Vector3<f64>> =
             joints_rad.iter().map(|q| robot.forward(q).translation.vector).collect();
-        groups(self, &poses(&joints_rad), &positions_m)
+        groups(self, &poses(joints_rad), &positions_m)
     }
 }
 
@@ -75,40 +74,27 @@ pub(crate) fn segments(starts: &[usize], count: usize) -> Vec<Range<usize>> {
     starts.windows(2).flat_map(of_run).filter(|segment| !segment.is_empty()).collect()
 }
 
-/// Deals the groups of the chosen rows out to `count` folds of about equal size: the places among the chosen rows that each has.
-/// Groups of one `class` of rows are dealt one after the other, so that each fold has its part of them.
-pub(crate) fn folds(
+/// Deals the groups of rows out to at most `count` folds of about equal size: the rows that each has. Groups of one `class` of rows
+/// are dealt one after the other, so that each fold has its part of them.
+pub(super) fn folds(
     groups: &[usize],
-    chosen: &[usize],
     count: usize,
     seed: u64,
     class: impl Fn(usize) -> usize,
 ) -> Vec<Vec<usize>> {
     let mut of_group: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
-    for (place, &row) in chosen.iter().enumerate() {
-        of_group.entry(groups[row]).or_default().push(place);
+    for (row, group) in groups.iter().enumerate() {
+        of_group.entry(*group).or_default().push(row);
     }
     let mut order: Vec<Vec<usize>> = of_group.into_values().collect();
-    order.shuffle(&mut StdRng::seed_from_u64(seed));
-    order.sort_by_key(|group| group.first().map(|&place| class(chosen[place])));
+    order.shuffle(&mut StdRng::seed_from_u64(seed.wrapping_add(1)));
+    order.sort_by_key(|group| group.first().map(|&row| class(row)));
     let mut folds = vec![Vec::new(); count.max(1)];
     for group in order {
         if let Some(least) = folds.iter_mut().min_by_key(|fold| fold.len()) {
             least.extend(group);
         }
     }
-    folds
-}
-
-/// All rows by their groups in at most `count` folds.
-pub(crate) fn all_in_folds(
-    groups: &[usize],
-    count: usize,
-    seed: u64,
-    class: impl Fn(usize) -> usize,
-) -> Vec<Vec<usize>> {
-    let all: Vec<usize> = (0..groups.len()).collect();
-    let mut folds = folds(groups, &all, count, seed.wrapping_add(1), class);
     folds.retain(|fold| !fold.is_empty());
     folds
 }
@@ -131,27 +117,13 @@ mod tests {
     fn each_way_makes_parts_of_about_equal_size_and_none_has_half_a_group() {
         for hold_out in [HoldOut::Rows, HoldOut::Blocks, HoldOut::Regions] {
             let groups = groups(hold_out, &poses(), &positions());
-            let parts = all_in_folds(&groups, 5, 7, |_| 0);
+            let parts = folds(&groups, 5, 7, |_| 0);
             assert_eq!((parts.len(), parts.iter().map(Vec::len).sum::<usize>()), (5, 1000));
             for part in &parts {
                 assert!((180..=220).contains(&part.len()), "{hold_out:?}: {}", part.len());
                 let others = || parts.iter().filter(|other| *other != part).flatten();
                 assert!(part.iter().all(|row| others().all(|other| groups[*row] != groups[*other])));
             }
-        }
-    }
-
-    #[test]
-    fn folds_share_no_group_and_are_about_equal() {
-        let groups = groups(HoldOut::Regions, &poses(), &positions());
-        let chosen: Vec<usize> = (0..1000).step_by(2).collect();
-        let folds = folds(&groups, &chosen, 5, 1, |_| 0);
-        assert_eq!(folds.iter().map(Vec::len).sum::<usize>(), 500);
-        for fold in &folds {
-            assert!((80..=120).contains(&fold.len()), "{}", fold.len());
-            let of = |place: &usize| groups[chosen[*place]];
-            let others = || folds.iter().filter(|other| *other != fold).flatten();
-            assert!(fold.iter().all(|place| others().all(|other| of(place) != of(other))));
         }
     }
 }

@@ -1,7 +1,8 @@
 //! Rows of which those that do not belong with the rest take no part, judged anew wherever a solve has come: single ones with gross
 //! residuals, and runs of rows that are off together.
 
-use super::{PoseError, Standing};
+use super::Standing;
+use crate::instrument::PoseError;
 use crate::statistics::median_size;
 
 /// Standard deviations beyond which a single row is gross: no row of a normal distribution is, and few of a heavy tail.
@@ -38,24 +39,24 @@ pub struct RejectedRow {
 
 /// Rows of one set-up, without those that do not belong with the rest.
 #[derive(Debug, Clone)]
-pub(super) struct Screened<R> {
+pub(in crate::instrument) struct Screened<R> {
     /// All of them.
-    pub(super) all: Standing<R>,
+    pub(in crate::instrument) all: Standing<R>,
     /// Rows of `all` that do not belong with the rest, ascending.
-    pub(super) rejected: Vec<RejectedRow>,
+    pub(in crate::instrument) rejected: Vec<RejectedRow>,
     /// The others.
-    pub(super) at: Standing<R>,
+    pub(in crate::instrument) at: Standing<R>,
 }
 
 impl<R: Copy> Screened<R> {
     /// With all rows taking part.
-    pub(super) fn new(all: Standing<R>) -> Self {
+    pub(in crate::instrument) fn new(all: Standing<R>) -> Self {
         Self { rejected: Vec::new(), at: all.clone(), all }
     }
 
     /// Leaves rows out by the residuals of all of them \[m\] and their noise over that of the median row, where most agree with
     /// each other; whether other ones take part now.
-    pub(super) fn screen(&mut self, residuals_m: &[f64], relative_noise: &[f64]) -> bool {
+    pub(in crate::instrument) fn screen(&mut self, residuals_m: &[f64], relative_noise: &[f64]) -> bool {
         let fitting: Vec<usize> = (0..residuals_m.len()).collect();
         let kept = without(&fitting, &self.rejected);
         let rejected = faulty(residuals_m, relative_noise, &fitting, &kept);

@@ -1,0 +1,159 @@
+//! Which mistake explains rows that do not fit the nominal robot: the one without which they do.
+
+use std::fmt;
+
+use super::{PoseFigures, Sizes};
+use crate::calibrate::CalibrateError;
+use crate::calibrate::pipeline::{Plan, estimate};
+use crate::instrument::{Instrument, Mistake, Rows, Run};
+use crate::kinematics::Chain;
+use crate::model::Model;
+use crate::solver::LossName;
+use crate::statistics::median_size;
+
+/// A mistake whose undoing brings the nominal robot to the rows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Likely {
+    /// What went wrong.
+    pub mistake: Mistake,
+    /// Distance of the nominal robot from the rows as they are \[m\]: root mean square, of lengths the median.
+    pub as_read_m: f64,
+    /// And without the mistake \[m\].
+    pub undone_m: f64,
+}
+
+impl fmt::Display for Likely {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { mistake, as_read_m, undone_m } = self;
+        write!(
+            f,
+            "{mistake}: so the nominal robot is {:.1} mm from the rows, as read {:.1} mm",
+            undone_m * 1e3,
+            as_read_m * 1e3
+        )
+    }
+}
+
+/// The model with the instrument where it is for its robot, which stays; none where it cannot be placed.
+pub(super) fn placed(instrument: Instrument, model: Model) -> Result<Option<Model>, CalibrateError> {
+    let model = instrument.fitted_out(model);
+    let mut run = Run { instrument, model };
+    if !run.instrument.place(&mut run.model, &[])? {
+        return Ok(None);
+    }
+    estimate(std::slice::from_mut(&mut run), &Plan::new(LossName::Huber, Vec::new()))?;
+    Ok(Some(run.model))
+}
+
+/// How far a robot is from samples, the instrument placed by the same; none where it cannot be.
+pub fn misfit(instrument: &Instrument, robot: &Chain) -> Option<PoseFigures> {
+    instrument.contradicting(robot).ok().filter(|_| instrument.samples() >= instrument.samples_min())?;
+    let model = placed(instrument.clone(), Model::alone(robot)).ok()??;
+    Some(PoseFigures::of(&instrument.errors(&model.geometry(&[]))))
+}
+
+/// Some of the samples, evenly taken: as many as distinguish one robot from another, since what is wrong is wrong in all.
+pub fn some_of(instrument: &Instrument) -> Instrument {
+    const TRIED: usize = 60;
+    let every = instrument.samples().div_ceil(TRIED).max(1);
+    instrument.part(&(0..instrument.samples()).step_by(every).collect::<Vec<_>>())
+}
+
+/// Root mean square distance of a robot from the samples at the end of a tool \[m\].
+fn misfit_m(instrument: &Instrument, robot: &Chain) -> Option<f64> {
+    /// Length of the tool: orientations count by where it ends.
+    const TOOL_M: f64 = 0.1;
+    let figures = misfit(&some_of(instrument), robot)?;
+    Some(figures.position_m.rms.hypot(TOOL_M * figures.rotation_rad.map_or(0.0, |sizes| sizes.rms)))
+}
+
+/// Distance of the nominal robot from the samples without the mistake \[m\]; none where nothing can be placed.
+fn undone_m(mistake: Mistake, instrument: &Instrument, robot: &Chain) -> Option<f64> {
+    match mistake {
+        Mistake::Moved(row) => {
+            let count = instrument.samples();
+            let part = |samples: std::ops::Range<usize>| {
+                let (rows, samples) = (samples.len() as f64, samples.collect::<Vec<_>>());
+                Some(misfit_m(&instrument.part(&samples), robot)?.powi(2) * rows)
+            };
+            Some(((part(0..row.min(count))? + part(row.min(count)..count)?) / count as f64).sqrt())
+        }
+        Mistake::ModifiedTable => {
+            let mut read = robot.clone();
+            let next = robot.links.iter().skip(1).map(|link| (link.a_m, link.alpha_rad));
+            for (link, (a_m, alpha_rad)) in read.links.iter_mut().zip(next.chain([(0.0, 0.0)])) {
+                (link.a_m, link.alpha_rad) = (a_m, alpha_rad);
+            }
+            misfit_m(instrument, &read)
+        }
+        _ => {
+            let ways = instrument.undone(mistake);
+            ways.iter().filter_map(|way| misfit_m(way, robot)).min_by(f64::total_cmp)
+        }
+    }
+}
+
+/// Nominal arms are nearer to rows that are read right \[m\].
+const NEAR_M: f64 = 0.05;
+
+/// The mistake among these that brings the nominal robot to the samples, where one does.
+pub fn likely(instrument: &Instrument, robot: &Chain, mistakes: &[Mistake]) -> Option<Likely> {
+    /// Undoing a mistake leaves less than this part of the distance: what is left is the robot's own error, millimetres
+    /// where mistakes make centimetres.
+    const LEFT: f64 = 0.3;
+    // Where no place of the instrument can be found, any is better.
+    let as_read_m = misfit_m(instrument, robot).unwrap_or(f64::INFINITY);
+    let of = |&mistake: &Mistake| {
+        Some(Likely { mistake, as_read_m, undone_m: undone_m(mistake, instrument, robot)? })
+    };
+    let best = mistakes.iter().filter_map(of).min_by(|a, b| a.undone_m.total_cmp(&b.undone_m))?;
+    (best.undone_m < NEAR_M.min(LEFT * as_read_m)).then_some(best)
+}
+
+/// The most likely of all mistakes, in the first of these files that shows one.
+pub(in crate::calibrate) fn likely_of_all(files: &[Rows], robot: &Chain) -> Option<Likely> {
+    let of =
+        |Rows { instrument, .. }: &Rows| likely(instrument, robot, &instrument.mistakes(robot.links.len()));
+    files.iter().find_map(of)
+}
+
+/// Refuses lengths that are in another unit than the mapping states. `nominal` has the nominal robot, the instrument fitted to it.
+///
+/// Lengths whose variation the nominal robot does not explain, and does explain where they are in another usual unit, are in that.
+///
+/// # Errors
+/// [`CalibrateError::Implausible`] with the unit.
+pub(in crate::calibrate) fn unless_other_unit(
+    whole: &Instrument,
+    nominal: &Model,
+    robot: &Chain,
+) -> Result<(), CalibrateError> {
+    /// The nominal robot leaves less than this part of the variation of lengths that are read right: its own millimetres of decimetres.
+    const UNEXPLAINED: f64 = 0.3;
+    let spread_m = |of: &Instrument| {
+        let lengths_m = of.lengths_m();
+        let mean_m = lengths_m.iter().sum::<f64>() / lengths_m.len().max(1) as f64;
+        Sizes::of(lengths_m.iter().map(|length_m| length_m - mean_m)).rms
+    };
+    let left_m = |of: &Instrument, model: &Model| {
+        median_size(of.errors(&model.geometry(&[])).iter().map(|error| error.position_m))
+    };
+    let (varies_m, as_read_m) = (spread_m(whole), left_m(whole, nominal));
+    if whole.lengths_m().is_empty() || as_read_m < NEAR_M.min(UNEXPLAINED * varies_m) {
+        return Ok(());
+    }
+    let in_unit = |mistake: Mistake| {
+        let other = whole.undone(mistake).into_iter().next()?;
+        let undone_m = left_m(&other, &placed(other.clone(), Model::alone(robot)).ok()??);
+        let part = undone_m / spread_m(&other);
+        (undone_m < NEAR_M && part < UNEXPLAINED).then_some((part, Likely { mistake, as_read_m, undone_m }))
+    };
+    let units = whole.mistakes(0).into_iter().filter(|mistake| matches!(mistake, Mistake::LengthUnit(_)));
+    let best = units.filter_map(in_unit).min_by(|a, b| a.0.total_cmp(&b.0));
+    let Some((_, likely)) = best else { return Ok(()) };
+    let found = format!(
+        "the lengths vary by {:.3} mm (RMS), which the nominal robot does not explain",
+        varies_m * 1e3
+    );
+    Err(CalibrateError::Implausible { found, likely: Some(likely) })
+}

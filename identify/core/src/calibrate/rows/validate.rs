@@ -1,0 +1,52 @@
+//! A calibrated robot on rows of another file, which it was not calibrated from.
+
+use shared::config::RobotConfig;
+
+use super::PoseFigures;
+use super::likely::placed;
+use crate::calibrate::CalibrateError;
+use crate::instrument::{HoldOut, Instrument, PoseError, RowError, Rows};
+use crate::kinematics::flange_chain;
+use crate::model::Model;
+
+/// Parts of the rows, each judged by a place that the others gave.
+const FOLDS: usize = 5;
+
+/// Figures of other rows with the nominal and with a calibrated robot, whose model is that of a file of rows.
+///
+/// The instrument stands elsewhere and was mounted again, so its own numbers are found from four fifths of the rows and the errors
+/// taken on the last fifth, in turn. Nothing of the robot is changed.
+///
+/// # Errors
+/// [`CalibrateError`] for rows that allow no place of the instrument.
+pub fn validate(
+    instrument: &Instrument,
+    robot: &RobotConfig,
+    calibrated: &Model,
+    seed: u64,
+) -> Result<[PoseFigures; 2], CalibrateError> {
+    let bad = |error| CalibrateError::Rows { data_set: 1, error };
+    let nominal = flange_chain(robot);
+    instrument.contradicting(&nominal).map_err(bad)?;
+    let (rows, needed) = (instrument.samples(), instrument.samples_min() * FOLDS / (FOLDS - 1));
+    if rows < needed {
+        return Err(bad(RowError::TooFewRows { rows, needed }));
+    }
+    let mut robot_only = calibrated.clone();
+    robot_only.free_only(|_| false);
+    let rows = Rows { hold_out: Some(HoldOut::Rows), seed: Some(seed), ..instrument.clone().into() };
+    let instrument = rows.grouped(&nominal);
+    Ok([judged(&instrument, &Model::alone(&nominal))?, judged(&instrument, &robot_only)?])
+}
+
+fn judged(instrument: &Instrument, robot: &Model) -> Result<PoseFigures, CalibrateError> {
+    let mut errors: Vec<PoseError> = Vec::new();
+    for judged in instrument.independent(FOLDS) {
+        let fitting: Vec<usize> = (0..instrument.samples()).filter(|row| !judged.contains(row)).collect();
+        let model = placed(instrument.part(&fitting), robot.clone())?;
+        let model = model.ok_or(CalibrateError::NoPlace { data_set: 1 })?;
+        let found = instrument.errors(&model.geometry(&[]));
+        errors.extend(judged.iter().filter_map(|&row| found.get(row)));
+    }
+    Ok(PoseFigures::of(&errors))
+}

@@ -1,0 +1,160 @@
+//! Poses at which the robot stood still while something was measured: what tracker, wire and contact have in common.
+
+use std::collections::BTreeMap;
+
+use super::{RowError, split};
+use crate::kinematics::Joints;
+use crate::model::{JointState, ParameterId, RobotMotion, SetUp};
+
+/// A joint that moved less than this since the pose before keeps the direction that it had \[rad\].
+const MOVED_RAD_MIN: f64 = 1e-3;
+
+/// Each pose as its robot stands there: rates are the way each joint last moved, by the poses in the order in which the robot
+/// went there, at one radian per second; 0 where it has not yet moved.
+pub fn standing(joints_rad: impl Iterator<Item = Joints>) -> Vec<JointState> {
+    let mut ways = Joints::default();
+    let mut before: Option<Joints> = None;
+    let each = joints_rad.map(|q| {
+        let at_rest = JointState::at_rest(q);
+        if let Some(before) = before.replace(q) {
+            for (joint, way) in ways.iter_mut().enumerate() {
+                let moved = q[joint] - before[joint];
+                if moved.abs() > MOVED_RAD_MIN {
+                    *way = moved.signum();
+                }
+            }
+        } else {
+            ways = at_rest.qd;
+        }
+        JointState { qd: ways, ..at_rest }
+    });
+    each.collect()
+}
+
+/// The number of each row's pose: rows that follow each other without a motion, such as those of several targets, have the
+/// robot's error there in common.
+pub(super) fn poses(joints_rad: &[Joints]) -> Vec<usize> {
+    let (mut number, mut first) = (0, joints_rad.first());
+    let each = joints_rad.iter().map(|q| {
+        let moved = |first: &Joints| first.iter().zip(q.iter()).any(|(a, b)| (a - b).abs() > MOVED_RAD_MIN);
+        if first.is_some_and(moved) {
+            (number, first) = (number + 1, Some(q));
+        }
+        number
+    });
+    each.collect()
+}
+
+/// Rows of one set-up, in the order in which the robot went there; sample `i` has time `i`.
+#[derive(Debug, Clone)]
+pub(in crate::instrument) struct Standing<R> {
+    /// What was measured.
+    pub(in crate::instrument) rows: Vec<R>,
+    /// How the robot stood at each.
+    pub(in crate::instrument) states: Vec<JointState>,
+    /// Group of each row: rows of one group are held out together.
+    groups: Vec<usize>,
+    seed: u64,
+}
+
+impl<R: Copy> Standing<R> {
+    /// Rows, of which `joints_rad` gives the joints; until somebody groups them each pose is a group.
+    pub(in crate::instrument) fn new(rows: &[R], joints_rad: impl Fn(&R) -> Joints) -> Self {
+        let joints_rad: Vec<Joints> = rows.iter().map(joints_rad).collect();
+        Self {
+            rows: rows.to_vec(),
+            states: standing(joints_rad.iter().copied()),
+            groups: poses(&joints_rad),
+            seed: super::SEED,
+        }
+    }
+
+    /// Sets which rows are left out together; `seed` decides which groups come together.
+    pub(in crate::instrument) fn group(&mut self, groups: &[usize], seed: u64) {
+        (self.groups, self.seed) = (groups.to_vec(), seed);
+    }
+
+    /// The joints of each row.
+    pub(in crate::instrument) fn joints(&self) -> Vec<Joints> {
+        self.states.iter().map(|state| state.q).collect()
+    }
+
+    /// The same rows with other joints.
+    pub(in crate::instrument) fn with_joints(&self, other: impl Fn(&Joints) -> Joints) -> Self {
+        Self { states: standing(self.states.iter().map(|state| other(&state.q))), ..self.clone() }
+    }
+
+    /// What was measured at each row with the joints of the row after it; then with those of the row before it.
+    pub(in crate::instrument) fn shifted(&self) -> [Self; 2] {
+        let count = self.rows.len().saturating_sub(1);
+        let (first, last) = ((0..count).collect::<Vec<_>>(), (1..=count).collect::<Vec<_>>());
+        let of = |rows: &[usize], joints: &[usize]| Self {
+            states: self.chosen(joints).states,
+            ..self.chosen(rows)
+        };
+        if count == 0 { [self.clone(), self.clone()] } else { [of(&first, &last), of(&last, &first)] }
+    }
+
+    /// Each number is one, each joint and what else `numbers` gives of a row.
+    pub(in crate::instrument) fn ensure_finite<'r, N: Iterator<Item = f64>>(
+        &'r self,
+        numbers: impl Fn(&'r R) -> N,
+    ) -> Result<(), RowError> {
+        for (index, (row, state)) in self.rows.iter().zip(&self.states).enumerate() {
+            if !state.q.iter().copied().chain(numbers(row)).all(f64::is_finite) {
+                return Err(RowError::BadRow { row: index + 1, what: "a number that is not finite" });
+            }
+        }
+        Ok(())
+    }
+
+    /// No more stations or targets than have parameters, and where there are several, each has enough rows to stay placed whichever
+    /// part of the file is left out; `needed` says what they are called, and how many rows each needs.
+    pub(in crate::instrument) fn ensure_each_has_rows(
+        &self,
+        set_up: impl Fn(&R) -> SetUp,
+        needed: [(&'static str, usize); 2],
+    ) -> Result<(), RowError> {
+        let numbers: [fn(SetUp) -> usize; 2] = [|set_up| set_up.station, |set_up| set_up.target];
+        for (number, (what, needed)) in numbers.into_iter().zip(needed) {
+            let mut counts = BTreeMap::<usize, usize>::new();
+            self.rows.iter().for_each(|row| *counts.entry(number(set_up(row))).or_default() += 1);
+            let (count, most) = (counts.len(), ParameterId::SET_UPS_MAX);
+            if count > most {
+                return Err(RowError::TooManySetUps { what, count, most });
+            }
+            if let Some((number, rows)) = counts.iter().find(|(_, rows)| count > 1 && **rows < needed) {
+                return Err(RowError::TooFewOfSetUp { what, number: number + 1, rows: *rows, needed });
+            }
+        }
+        Ok(())
+    }
+
+    /// Some of the rows.
+    pub(in crate::instrument) fn chosen(&self, rows: &[usize]) -> Self {
+        Self {
+            rows: rows.iter().map(|&row| self.rows[row]).collect(),
+            states: rows.iter().map(|&row| self.states[row]).collect(),
+            groups: rows.iter().map(|&row| self.groups[row]).collect(),
+            seed: self.seed,
+        }
+    }
+
+    /// At most `count` folds of the rows by their groups, each with rows of all classes as far as there are enough.
+    pub(in crate::instrument) fn independent(
+        &self,
+        count: usize,
+        class: impl Fn(&R) -> usize,
+    ) -> Vec<Vec<usize>> {
+        split::folds(&self.groups, count, self.seed, |row| class(&self.rows[row]))
+    }
+}
+
+impl<R: Sync> RobotMotion for Standing<R> {
+    fn at(&self, tau_s: f64) -> Option<JointState> {
+        if !(tau_s > -0.5 && tau_s < self.states.len() as f64) {
+            return None;
+        }
+        self.states.get(tau_s.round() as usize).copied()
+    }
+}
