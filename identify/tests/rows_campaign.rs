@@ -38,7 +38,7 @@ const KINDS: [Kind; 4] = [Kind::Tracker, Kind::Positions, Kind::Wire, Kind::Cont
 
 /// What was measured beside the joints.
 #[derive(Clone)]
-enum Measured {
+enum Readings {
     /// Whole poses, or their positions alone.
     Poses(Vec<Pose>, bool),
     Lengths(Vec<f64>),
@@ -52,7 +52,7 @@ pub struct Rows {
     robot: RobotConfig,
     pub truth: Chain,
     joints: Vec<Joints>,
-    measured: Measured,
+    measured: Readings,
 }
 
 /// How much gears, loads and links are wrong, in what is usual.
@@ -91,7 +91,7 @@ pub fn rows(kind: Kind, robot: &RobotConfig, seed: u64, level: &Level) -> Rows {
             robot: robot.clone(),
             truth: simulated.robot.clone(),
             joints: simulated.rows.iter().map(|row| row.joints_rad).collect(),
-            measured: Measured::Contacts(Box::new(simulated)),
+            measured: Readings::Contacts(Box::new(simulated)),
         };
     }
     let mut random = StdRng::seed_from_u64(9_000 + seed);
@@ -133,8 +133,8 @@ pub fn rows(kind: Kind, robot: &RobotConfig, seed: u64, level: &Level) -> Rows {
         seen.push(pose);
     }
     let measured = match kind {
-        Kind::Wire => Measured::Lengths(lengths),
-        _ => Measured::Poses(seen, kind == Kind::Tracker),
+        Kind::Wire => Readings::Lengths(lengths),
+        _ => Readings::Poses(seen, kind == Kind::Tracker),
     };
     Rows { robot: robot.clone(), truth, joints, measured }
 }
@@ -155,7 +155,7 @@ unit = "deg"
 impl Rows {
     /// What a tracker measured.
     pub fn poses(&self) -> Vec<PoseRow> {
-        let Measured::Poses(poses, rotations) = &self.measured else { return Vec::new() };
+        let Readings::Poses(poses, rotations) = &self.measured else { return Vec::new() };
         let row = |(joints_rad, pose): (&Joints, &Pose)| PoseRow {
             joints_rad: *joints_rad,
             position_m: pose.translation.vector,
@@ -171,15 +171,15 @@ impl Rows {
         let at = |name: &str| folder.path().join(name).display().to_string();
         std::fs::write(at("robot.toml"), toml::to_string(&self.robot).unwrap()).unwrap();
         let mut mapping: String = match &self.measured {
-            Measured::Poses(_, rotations) => {
+            Readings::Poses(_, rotations) => {
                 let positions = "[position]\ncolumns = [\"x\", \"y\", \"z\"]\nunit = \"mm\"\n".to_owned();
                 let columns = "[\"rx\", \"ry\", \"rz\"]";
                 let rotation =
                     format!("[rotation]\nas = \"rotation_vector\"\ncolumns = {columns}\nunit = \"rad\"\n");
                 positions + if *rotations { &rotation } else { "" }
             }
-            Measured::Lengths(_) => "[length]\ncolumn = \"l\"\nunit = \"mm\"\n".to_owned(),
-            Measured::Contacts(_) => "socket = \"socket\"\n".to_owned(),
+            Readings::Lengths(_) => "[length]\ncolumn = \"l\"\nunit = \"mm\"\n".to_owned(),
+            Readings::Contacts(_) => "socket = \"socket\"\n".to_owned(),
         };
         let mut table = String::new();
         for joint in 1..=self.joints[0].len() {
@@ -187,16 +187,16 @@ impl Rows {
             write!(table, "q{joint},").unwrap();
         }
         table += match &self.measured {
-            Measured::Poses(..) => "x,y,z,rx,ry,rz\n",
-            Measured::Lengths(_) => "l\n",
-            Measured::Contacts(_) => "socket\n",
+            Readings::Poses(..) => "x,y,z,rx,ry,rz\n",
+            Readings::Lengths(_) => "l\n",
+            Readings::Contacts(_) => "socket\n",
         };
         for (row, joints) in self.joints.iter().enumerate() {
             for joint in joints.iter() {
                 write!(table, "{:.6},", joint.to_degrees()).unwrap();
             }
             match &self.measured {
-                Measured::Poses(poses, _) => {
+                Readings::Poses(poses, _) => {
                     let (at, turn) = (poses[row].translation.vector * 1e3, poses[row].rotation.scaled_axis());
                     writeln!(
                         table,
@@ -205,8 +205,8 @@ impl Rows {
                     )
                     .unwrap();
                 }
-                Measured::Lengths(lengths) => writeln!(table, "{:.4}", lengths[row] * 1e3).unwrap(),
-                Measured::Contacts(of) => {
+                Readings::Lengths(lengths) => writeln!(table, "{:.4}", lengths[row] * 1e3).unwrap(),
+                Readings::Contacts(of) => {
                     writeln!(table, "{}", of.truth.sockets[of.rows[row].socket]).unwrap();
                 }
             }
@@ -216,9 +216,9 @@ impl Rows {
         let (rows, mapping, sockets) = (at("rows.csv"), at("mapping.toml"), at("sockets.toml"));
         let mut arguments = vec!["calibrate", "tracker", &rows, "--mapping", &mapping];
         match &self.measured {
-            Measured::Poses(..) => {}
-            Measured::Lengths(_) => arguments[1] = "wire",
-            Measured::Contacts(of) => {
+            Readings::Poses(..) => {}
+            Readings::Lengths(_) => arguments[1] = "wire",
+            Readings::Contacts(of) => {
                 arguments[1] = "contact";
                 std::fs::write(&sockets, toml::to_string(&of.table).unwrap()).unwrap();
                 arguments.extend(["--sockets", &sockets]);
@@ -254,28 +254,28 @@ impl Rows {
     fn moved(&mut self, by_m: impl Fn(f64) -> f64) {
         let part = |row: usize, count: usize| row as f64 / count as f64;
         match &mut self.measured {
-            Measured::Poses(poses, _) => {
+            Readings::Poses(poses, _) => {
                 let count = poses.len();
                 for (row, pose) in poses.iter_mut().enumerate() {
                     pose.translation.vector += Vector3::new(0.6, -0.64, 0.48) * by_m(part(row, count));
                 }
             }
-            Measured::Lengths(lengths) => {
+            Readings::Lengths(lengths) => {
                 let count = lengths.len();
                 for (row, length_m) in lengths.iter_mut().enumerate() {
                     *length_m += by_m(part(row, count));
                 }
             }
-            Measured::Contacts(_) => {}
+            Readings::Contacts(_) => {}
         }
     }
 
     /// What measures is too large by this factor.
     fn scaled(&mut self, by: f64) {
         match &mut self.measured {
-            Measured::Poses(poses, _) => poses.iter_mut().for_each(|pose| pose.translation.vector *= by),
-            Measured::Lengths(lengths) => lengths.iter_mut().for_each(|length| *length *= by),
-            Measured::Contacts(of) => {
+            Readings::Poses(poses, _) => poses.iter_mut().for_each(|pose| pose.translation.vector *= by),
+            Readings::Lengths(lengths) => lengths.iter_mut().for_each(|length| *length *= by),
+            Readings::Contacts(of) => {
                 of.table
                     .sockets
                     .iter_mut()
@@ -285,13 +285,13 @@ impl Rows {
     }
 
     fn each_pose(&mut self, change: impl Fn(usize, &mut Pose)) {
-        if let Measured::Poses(poses, _) = &mut self.measured {
+        if let Readings::Poses(poses, _) = &mut self.measured {
             poses.iter_mut().enumerate().for_each(|(row, pose)| change(row, pose));
         }
     }
 
     fn sockets(&mut self, change: impl Fn(usize, &mut usize)) {
-        if let Measured::Contacts(of) = &mut self.measured {
+        if let Readings::Contacts(of) = &mut self.measured {
             of.rows.iter_mut().enumerate().for_each(|(row, one)| change(row, &mut one.socket));
         }
     }
@@ -387,7 +387,7 @@ fn spoils() -> Vec<(&'static str, &'static [Kind], Spoil)> {
             rows.sockets(|row, socket| *socket = (*socket + usize::from(row % 10 == 0)) % 6);
         }),
         ("one socket is 0.2 mm elsewhere", CONTACT, |rows| {
-            if let Measured::Contacts(of) = &mut rows.measured {
+            if let Readings::Contacts(of) = &mut rows.measured {
                 of.table.sockets[2].position_mm[0] += 0.2;
             }
         }),
