@@ -10,7 +10,7 @@ use identify::calibrate::mix::{DataSets, calibrate};
 use identify::calibrate::{IdentifyConfig, JointTermsConfig};
 use identify::instrument::HoldOut;
 use identify::instrument::PoseRow;
-use identify::instrument::{Measured, Rows};
+use identify::instrument::{Rows, Tracker};
 use identify::kinematics::{Chain, Joints, Pose, flange_chain};
 use identify::report::result::urdf::urdf;
 use identify::robot::import;
@@ -117,7 +117,7 @@ fn a_calibrated_arm_is_the_same_for_yourdfpy_in_the_urdf_that_is_written() {
         let robot = imported(arm);
         let joint_terms = JointTermsConfig { candidates: Vec::new(), ..JointTermsConfig::default() };
         let config = IdentifyConfig { joint_terms, ..IdentifyConfig::default() };
-        let rows = Rows { hold_out: Some(HoldOut::Rows), ..Rows::from(Measured::Poses(rows(&robot))) };
+        let rows = Rows { hold_out: Some(HoldOut::Rows), ..Rows::from(Tracker::new(&rows(&robot))) };
         let data = DataSets { rows: vec![rows], ..DataSets::default() };
         let found = calibrate(&data, &robot, &config, None).unwrap();
         let chain = found.runs[0].model.geometry(&[]).robot;
