@@ -78,8 +78,8 @@ impl fmt::Display for Reason {
             ),
             Self::Turned { turned_rad } => write!(
                 f,
-                "the orientations are {turned_rad:.2} rad from those of the nominal robot: of another robot, or in another order, frame \
-                 or unit than [rotation] of the mapping says"
+                "the orientations are {turned_rad:.2} rad from those of the nominal robot, as if angles were in another order, frame \
+                 or unit than [rotation] of the mapping says, or it is another robot"
             ),
             Self::Moved(step) => write!(f, "{step}"),
         }
