@@ -7,19 +7,22 @@ use std::path::Path;
 use identify::calibrate::Calibration;
 use identify::calibrate::IdentifyConfig;
 use identify::calibrate::mix::{DataSets, calibrate};
-use identify::instrument::{Contact, ContactRow, KnownDistance, PlacedSocket, SocketTable, Sockets};
-use identify::kinematics::{LinkParameter, flange_chain};
+use identify::instrument::{
+    Contact, ContactRow, KnownDistance, Knowns as _, PlacedSocket, SocketTable, Sockets,
+};
+use identify::kinematics::{Chain, Pose, flange_chain};
 use identify::logs::ContactMapping;
-use identify::model::{DriveTrain, JointState, Model, ParameterId};
+use identify::model::{DriveTrain, Geometry, JointState, Model, ParameterId};
 use identify::report::result::residuals::residuals_csv;
 use identify::robot::import;
+use identify::simulate::ArmErrors;
 use identify::simulate::contact::{self, ContactExperiment, SimulatedContacts};
 use nalgebra::{DVector, Rotation3, Vector3};
 use shared::config::{self, RobotConfig, Validate};
 
 use crate::support::campaign::{is_full, size};
 use crate::support::command::identify;
-use crate::support::truth::apart_m;
+use crate::support::truth::{apart_m, pulls};
 use crate::support::{irb120, irb2400, repository};
 
 fn seven_axes() -> RobotConfig {
@@ -28,7 +31,8 @@ fn seven_axes() -> RobotConfig {
 }
 
 fn simulated(robot: &RobotConfig, seed: u64) -> SimulatedContacts {
-    contact::run(&ContactExperiment { robot_seed: seed, seed, ..ContactExperiment::new(robot) }).unwrap()
+    let errors = ArmErrors { robot_seed: seed, ..ArmErrors::default() };
+    contact::run(&ContactExperiment { errors, seed, ..ContactExperiment::new(robot) }).unwrap()
 }
 
 fn calibrated(robot: &RobotConfig, rows: &[ContactRow], table: &SocketTable) -> Calibration {
@@ -95,16 +99,21 @@ fn what_is_known_of_sockets_has_the_derivatives_of_their_places() {
         .iter()
         .map(|one| turn * Vector3::from(one.position_mm) * 1e-3 + Vector3::new(0.7, 0.1, 0.4))
         .collect();
+    let with = |sockets_m: &[Vector3<f64>]| {
+        let mut geometry = Geometry::new(Chain::new(Pose::identity(), Vec::new()), None);
+        geometry.contact.sockets_m = sockets_m.to_vec();
+        geometry
+    };
     assert_eq!(sockets.knowns(), 5);
     for known in 0..sockets.knowns() {
-        let (residual, by) = sockets.known(known, &at).unwrap();
+        let (residual, by) = sockets.known(known, &with(&at)).unwrap();
         assert_eq!(residual.len(), sockets.rows_of(known));
         assert!(known == 4 || residual.amax() < 1e-6, "{residual}");
         for column in 0..12 {
             let moved = |step: f64| -> DVector<f64> {
                 let mut at = at.clone();
                 at[column / 3][column % 3] += step;
-                sockets.known(known, &at).unwrap().0
+                sockets.known(known, &with(&at)).unwrap().0
             };
             let expected = (moved(1e-7) - moved(-1e-7)) / 2e-7;
             let off = (by.column(column) - expected).amax();
@@ -112,9 +121,9 @@ fn what_is_known_of_sockets_has_the_derivatives_of_their_places() {
         }
     }
     let mut wrong = at.clone();
-    assert!(sockets.contradicted(&at).iter().all(|one| one.name.contains("distance")));
+    assert!(sockets.contradicted(&with(&at)).iter().all(|one| one.name.contains("distance")));
     wrong[1] += Vector3::new(1e-3, 0.0, 0.0);
-    assert!(sockets.contradicted(&wrong).iter().any(|one| one.name == "the place of socket `b`"));
+    assert!(sockets.contradicted(&with(&wrong)).iter().any(|one| one.name == "the place of socket `b`"));
 }
 
 #[test]
@@ -149,29 +158,13 @@ fn rows_of_a_wrong_socket_take_no_part() {
     assert!(after_m < 1e-4, "{after_m}");
 }
 
-/// The parameters of links, of which `d` is told once of axes that are nearly parallel: true minus found, over its sigma.
-fn pulls(robot: &RobotConfig, seed: u64) -> Vec<(ParameterId, f64)> {
-    let SimulatedContacts { rows, table, truth, .. } = simulated(robot, seed);
-    let found = calibrated(robot, &rows, &table);
-    let (model, covariance) = (&found.runs[0].model, &found.solved.solution.covariance);
-    let sigmas = covariance.sigmas_from.sigmas_of_95();
-    let value = |id: ParameterId| truth.parameters[&id.to_string()];
-    let pull = |(column, parameter): (usize, &identify::model::Parameter)| {
-        let ParameterId::Robot { link, parameter: kind } = parameter.id else { return None };
-        let mut truth = value(parameter.id);
-        let before =
-            ParameterId::Robot { link: link.checked_sub(1).unwrap_or(link), parameter: LinkParameter::D };
-        let parallel = link > 1 && robot.links[link - 1].alpha_deg.to_radians().sin().abs() < 0.1;
-        if kind == LinkParameter::D && parallel {
-            truth += value(before) - model.parameter(before)?.nominal;
-        }
-        Some((parameter.id, (parameter.value - truth) / (sigmas * covariance.sigma(column)?)))
-    };
-    model.columns().enumerate().filter_map(pull).collect()
-}
-
 fn within(robot: &RobotConfig, seeds: u64) -> f64 {
-    let all: Vec<(ParameterId, f64)> = (1..=seeds).flat_map(|seed| pulls(robot, seed)).collect();
+    let all: Vec<(ParameterId, f64)> = (1..=seeds)
+        .flat_map(|seed| {
+            let SimulatedContacts { rows, table, truth, .. } = simulated(robot, seed);
+            pulls(robot, &calibrated(robot, &rows, &table), &truth.parameters)
+        })
+        .collect();
     for (id, pull) in all.iter().filter(|(_, pull)| pull.abs() > 1.5) {
         println!("{id}: {pull:.2}");
     }
@@ -259,7 +252,7 @@ fn a_person_simulates_calibrates_and_repeats_it() {
     assert!(text.contains("socket6_z") && text.contains("robot.urdf"), "{text}");
     let page = std::fs::read_to_string(at.join("out/report.html")).unwrap();
     assert!(page.contains("contact, ") && page.contains("held-out rows, calibrated, RMS"));
-    assert!(page.contains("what is known of the sockets") && page.contains("mounting of the ball"));
+    assert!(page.contains("what is known of sockets or faces") && page.contains("mounting of the ball"));
     // A name that begins as those of the bar's parameters do is none of them.
     assert!(page.contains(">ball_x") && !page.contains("Ball-bar and encoders"));
     // Another plate of the same robot beside it, from one experiment file.
@@ -369,13 +362,13 @@ fn a_person_simulates_calibrates_and_repeats_it() {
     let (done, text) = with(rows.clone(), sockets.replacen(place, &place.replacen("0.0,", "1.0,", 1), 1));
     assert!(
         done && text.contains("verdict amber: ")
-            && text.contains("The rows contradict the table of sockets: the place of socket `"),
+            && text.contains("The rows contradict the table of sockets or faces: the place of socket `"),
         "{text}"
     );
     // A row of another socket is named with the right one.
     let (done, text) = with(rows.replacen(",D\n", ",E\n", 1), sockets.clone());
     assert!(
-        done && text.contains("  line 5: off by ") && text.contains("from `D`: look for a wrong name"),
+        done && text.contains("line 5: off by ") && text.contains("from `D`: look for a wrong name"),
         "{text}"
     );
 }
@@ -386,8 +379,7 @@ fn gear_errors_of_the_truth_seat_the_ball() {
     for robot in [irb120(), seven_axes()] {
         let experiment = ContactExperiment {
             rows: 30,
-            robot_noise_urad: 0.0,
-            gear_sine_urad: 50.0,
+            errors: ArmErrors { robot_noise_urad: 0.0, gear_sine_urad: 50.0, ..ArmErrors::default() },
             seating_um: 0.0,
             ..ContactExperiment::new(&robot)
         };

@@ -3,11 +3,13 @@
 
 use crate::support::Cell;
 use crate::support::independent::{Link, Matrix, forward, identity, product};
-use identify::cost::{LoopProblem, MeasuredPose, MeasuredPosition, PoseNoise, Residual, SeatedBall};
+use identify::cost::{
+    LoopProblem, MeasuredPose, MeasuredPosition, PoseNoise, Residual, SeatedBall, TouchedFace,
+};
 use identify::kinematics::{LinkParameter, Pose};
 use identify::model::{
-    Axis, Coordinate, JointState, Model, Observation, Owner, ParameterId, Phase, Placement, RobotMotion,
-    Role, SetUp,
+    Axis, Coordinate, FaceNumber, JointState, Model, Observation, Owner, ParameterId, Phase, Placement,
+    RobotMotion, Role, SetUp,
 };
 use identify::solver::stacked;
 use nalgebra::{Rotation3, Vector3};
@@ -226,6 +228,34 @@ fn a_ball_in_sockets_has_the_derivatives_of_ball_sockets_and_robot() {
             let at = |i: usize| (0..3).map(|k| flange[i][k] * ball[k]).sum::<Dual64>() + flange[i][3];
             let socket = |axis| number(ParameterId::Socket { socket: sockets[row], axis });
             Axis::ALL.map(|axis| at(axis.index()) - socket(axis)).to_vec()
+        });
+    }
+}
+
+#[test]
+fn a_tip_on_faces_has_the_derivatives_of_tip_faces_and_robot() {
+    const FACES: usize = 2;
+    let touched: Vec<(usize, f64)> =
+        times().enumerate().map(|(row, _)| (row % FACES, 1e-3 * row as f64)).collect();
+    for Cell { robot, .. } in [Cell::irb2400(), Cell::nj220()] {
+        let mut model = all_free(Model::alone(&robot).with_faces(FACES).without_clocks(), [0.0; 3]);
+        for (face, normal) in [[1.0, 0.2, -0.1], [0.3, -1.0, 0.4]].into_iter().enumerate() {
+            for (axis, value) in Axis::ALL.into_iter().zip(normal) {
+                model.set_value(ParameterId::Face { face, number: FaceNumber::Normal(axis) }, value).unwrap();
+            }
+        }
+        agrees(&model, TouchedFace { touched: &touched }, |by, row, t_s| {
+            let number = |id| dual(&model, by, id);
+            let flange = flange(&model, by, t_s);
+            let tip = Axis::ALL.map(|axis| number(ParameterId::Tip { axis }));
+            let (face, reading_m) = touched[row];
+            let normal =
+                Axis::ALL.map(|axis| number(ParameterId::Face { face, number: FaceNumber::Normal(axis) }));
+            let at = |i: usize| (0..3).map(|k| flange[i][k] * tip[k]).sum::<Dual64>() + flange[i][3];
+            let height = (0..3).map(|i| normal[i] * at(i)).sum::<Dual64>()
+                - number(ParameterId::Face { face, number: FaceNumber::Distance });
+            let length = normal.iter().map(|n| *n * *n).sum::<Dual64>().sqrt();
+            vec![height / length + reading_m]
         });
     }
 }

@@ -13,6 +13,7 @@ use identify::kinematics::{Chain, Joints, Pose, Trace, Tracer, flange_chain};
 use identify::model::DriveTrain;
 use identify::report::result::file::CalibrationFile;
 use identify::report::verdict::Grade;
+use identify::simulate::ArmErrors;
 use identify::simulate::contact::{self, ContactExperiment, SimulatedContacts};
 use nalgebra::{Point3, Rotation3, Vector3};
 use rand::rngs::StdRng;
@@ -79,10 +80,13 @@ pub fn rows(kind: Kind, robot: &RobotConfig, seed: u64, level: &Level) -> Rows {
     if kind == Kind::Contact {
         let usual = ContactExperiment::new(robot);
         let simulated = contact::run(&ContactExperiment {
-            robot_seed: seed,
+            errors: ArmErrors {
+                robot_seed: seed,
+                errors_mm_mrad: level.links * usual.errors.errors_mm_mrad,
+                gear_sine_urad: level.gears * usual.errors.gear_sine_urad,
+                ..usual.errors
+            },
             seed,
-            errors_mm_mrad: level.links * usual.errors_mm_mrad,
-            gear_sine_urad: level.gears * usual.gear_sine_urad,
             seating_um: level.noise * usual.seating_um,
             ..usual
         })

@@ -4,16 +4,16 @@ use std::path::Path;
 
 use ballbard::smoke::SmokeConfig;
 use identify::calibrate::IdentifyConfig;
-use identify::instrument::SocketTable;
+use identify::instrument::{FaceTable, SocketTable};
 use identify::logs::{
     BarLogMapping, ContactMapping, ForceLogMapping, JointConversion, MeasuredLengthMapping,
-    MeasuredPoseMapping, RobotLogMapping,
+    MeasuredPoseMapping, RobotLogMapping, TouchMapping,
 };
 use shared::config::{BallBarConfig, DaemonConfig, RobotConfig, Validate, parse};
 
 use super::explained;
 
-const FILES: [(u8, &str); 14] = [
+const FILES: [(u8, &str); 16] = [
     (b'd', "daemon.toml"),
     (b'k', "smoke.toml"),
     (b'b', "ball_bar.toml"),
@@ -25,6 +25,8 @@ const FILES: [(u8, &str); 14] = [
     (b'f', "force_log.toml"),
     (b'c', "contact.toml"),
     (b's', "sockets.toml"),
+    (b't', "touch.toml"),
+    (b'a', "faces.toml"),
     (b'r', "robots/irb2400_16.toml"),
     (b'r', "robots/nj220_2_7.toml"),
     (b'r', "robots/irb120_3.toml"),
@@ -58,6 +60,8 @@ pub fn any_text(bytes: &[u8]) {
         b'e' => drop(accepted::<BarLogMapping>(text)),
         b'f' => drop(accepted::<ForceLogMapping>(text)),
         b'c' => drop(accepted::<ContactMapping>(text)),
+        b't' => drop(accepted::<TouchMapping>(text)),
+        b'a' => drop(accepted::<FaceTable>(text)),
         b's' => {
             if let Some(table) = accepted::<SocketTable>(text) {
                 assert!(!table.names().is_empty());

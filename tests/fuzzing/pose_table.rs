@@ -1,10 +1,11 @@
-//! Tables of single poses with a measured length, position or pose, or the socket of a ball, from any bytes.
+//! Tables of single poses with a measured length, position or pose, the socket of a ball or the face that a tip touches, from any bytes.
 
 use std::path::Path;
 use std::sync::LazyLock;
 
 use identify::logs::{
-    ContactMapping, Contacts, MeasuredLengthMapping, MeasuredLengths, MeasuredPoseMapping, MeasuredPoses,
+    ContactMapping, Contacts, LengthUnit, MeasuredLengthMapping, MeasuredLengths, MeasuredPoseMapping,
+    MeasuredPoses, ReadingColumn, TouchMapping, Touches,
 };
 use shared::config;
 
@@ -14,6 +15,7 @@ struct Setting {
     lengths: MeasuredLengthMapping,
     poses: MeasuredPoseMapping,
     contacts: ContactMapping,
+    touches: TouchMapping,
 }
 
 static SETTING: LazyLock<Setting> = LazyLock::new(|| {
@@ -22,6 +24,10 @@ static SETTING: LazyLock<Setting> = LazyLock::new(|| {
         lengths: config::load(&directory.join("measured_length.toml")).expect("a shipped file"),
         poses: config::load(&directory.join("measured_pose.toml")).expect("a shipped file"),
         contacts: config::load(&directory.join("contact.toml")).expect("a shipped file"),
+        touches: TouchMapping {
+            reading: Some(ReadingColumn { column: "reading_mm".into(), unit: LengthUnit::Mm }),
+            ..config::load(&directory.join("touch.toml")).expect("a shipped file")
+        },
     }
 });
 
@@ -54,6 +60,16 @@ pub fn any_table(bytes: &[u8]) {
         }
         Err(error) => explained(&error),
     }
+    match Touches::read(bytes, Path::new("touches"), &SETTING.touches) {
+        Ok(touches) => {
+            let usable = |row: &identify::logs::TouchedRow| {
+                row.face < touches.faces.len()
+                    && row.q_rad.iter().chain([&row.reading_m]).all(|q| q.is_finite())
+            };
+            assert!(touches.rows.iter().all(usable));
+        }
+        Err(error) => explained(&error),
+    }
 }
 
 /// One table for each shipped mapping.
@@ -69,6 +85,9 @@ pub fn tables() -> Vec<Vec<u8>> {
             .into_bytes(),
         ("q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,socket\n".to_owned()
             + &"-74.5,33.9,-30.8,-15.1,80.5,-59.7,A\n".repeat(11))
+            .into_bytes(),
+        ("q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,reading_mm,face\n".to_owned()
+            + &"-74.5,33.9,-30.8,-15.1,80.5,-59.7,0.125,top\n".repeat(11))
             .into_bytes(),
     ]
 }

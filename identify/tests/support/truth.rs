@@ -1,7 +1,10 @@
 //! What a calibration is worth when the truth is known.
 
+use std::collections::BTreeMap;
+
 use identify::calibrate::Calibration;
-use identify::kinematics::{Chain, DhLink, Joints};
+use identify::kinematics::{Chain, DhLink, Joints, LinkParameter};
+use identify::model::{Parameter, ParameterId};
 use identify::simulate::Simulated;
 use identify::simulate::position_errors_m;
 use nalgebra::{Matrix3, Vector3};
@@ -37,4 +40,27 @@ pub fn apart_m(robot: &RobotConfig, one: &Chain, other: &Chain) -> f64 {
     let svd = sum.svd(true, true);
     let turn = svd.u.unwrap() * svd.v_t.unwrap();
     pairs.iter().map(|[p, q]| (p - a - turn * (q - b)).norm()).sum::<f64>() / POSTURES as f64
+}
+
+/// The parameters of links, of which `d` is told once of axes that are nearly parallel: true minus found, over its sigma.
+pub fn pulls(
+    robot: &RobotConfig,
+    found: &Calibration,
+    truth: &BTreeMap<String, f64>,
+) -> Vec<(ParameterId, f64)> {
+    let (model, covariance) = (&found.runs[0].model, &found.solved.solution.covariance);
+    let sigmas = covariance.sigmas_from.sigmas_of_95();
+    let value = |id: ParameterId| truth[&id.to_string()];
+    let pull = |(column, parameter): (usize, &Parameter)| {
+        let ParameterId::Robot { link, parameter: kind } = parameter.id else { return None };
+        let mut truth = value(parameter.id);
+        let before =
+            ParameterId::Robot { link: link.checked_sub(1).unwrap_or(link), parameter: LinkParameter::D };
+        let parallel = link > 1 && robot.links[link - 1].alpha_deg.to_radians().sin().abs() < 0.1;
+        if kind == LinkParameter::D && parallel {
+            truth += value(before) - model.parameter(before)?.nominal;
+        }
+        Some((parameter.id, (parameter.value - truth) / (sigmas * covariance.sigma(column)?)))
+    };
+    model.columns().enumerate().filter_map(pull).collect()
 }

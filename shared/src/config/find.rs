@@ -28,10 +28,12 @@ pub enum Kind {
     WireMapping,
     /// `contact.toml`.
     ContactMapping,
+    /// `touch.toml`.
+    TouchMapping,
 }
 
 /// Kind, name and text of all that is built in.
-const BUILT_IN: [(Kind, &str, &str); 10] = [
+const BUILT_IN: [(Kind, &str, &str); 11] = [
     (Kind::Robot, "irb120_3", include_str!("../../../config/robots/irb120_3.toml")),
     (Kind::Robot, "irb2400_16", include_str!("../../../config/robots/irb2400_16.toml")),
     (Kind::Robot, "nj220_2_7", include_str!("../../../config/robots/nj220_2_7.toml")),
@@ -42,6 +44,7 @@ const BUILT_IN: [(Kind, &str, &str); 10] = [
     (Kind::TrackerMapping, "measured_pose", include_str!("../../../config/measured_pose.toml")),
     (Kind::WireMapping, "measured_length", include_str!("../../../config/measured_length.toml")),
     (Kind::ContactMapping, "contact", include_str!("../../../config/contact.toml")),
+    (Kind::TouchMapping, "touch", include_str!("../../../config/touch.toml")),
 ];
 
 /// A configuration that was found.
@@ -168,6 +171,7 @@ impl Kind {
             (Self::TrackerMapping, &["position"]),
             (Self::WireMapping, &["length"]),
             (Self::ContactMapping, &["socket", "joints"]),
+            (Self::TouchMapping, &["face", "joints"]),
         ];
         let has_all = |keys: &[&str]| keys.iter().all(|key| table.contains_key(*key));
         keys.into_iter().find(|(_, keys)| has_all(keys)).map(|(kind, _)| kind)
@@ -183,6 +187,7 @@ impl Kind {
             Self::TrackerMapping => "tracker's table",
             Self::WireMapping => "wire's table",
             Self::ContactMapping => "table of seated balls",
+            Self::TouchMapping => "table of touched faces",
         }
     }
 
@@ -196,6 +201,7 @@ impl Kind {
             Self::TrackerMapping => "`identify calibrate tracker --mapping`",
             Self::WireMapping => "`identify calibrate wire --mapping`",
             Self::ContactMapping => "`identify calibrate contact --mapping`",
+            Self::TouchMapping => "`identify calibrate touch --mapping`",
         }
     }
 }

@@ -204,6 +204,7 @@ impl fmt::Display for Changed {
                 (format!("the place of the tracker's target{target} on the flange"), distance())
             }
             Cause::Anchor(station) => (format!("the anchor{} of the wire", which("", *station)), distance()),
+            Cause::Tip => ("the tip on the flange".to_owned(), distance()),
             Cause::LengthOffset => {
                 ("the zero of the wire".to_owned(), format!("by {:+.2} mm", self.only() * 1e3))
             }

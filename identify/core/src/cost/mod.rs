@@ -6,11 +6,13 @@
 mod bar;
 mod contact;
 mod data_sets;
+mod knowns;
 mod measured_length;
 mod measured_pose;
 mod measured_position;
 mod problem;
 mod scene;
+mod touched_face;
 
 pub use bar::angle_noise::{AngleNoise, FoundNoise};
 pub use bar::closure::{Closure, closures};
@@ -20,11 +22,13 @@ pub use bar::pose::{PoseByNoise, WhitenedPose, WhitenedPoseOfFour};
 pub use bar::position::Position;
 pub use bar::position_angles::PositionAngles;
 pub use bar::transform::Transform;
-pub use contact::{SeatedBall, SeatedBalls};
+pub use contact::SeatedBall;
 pub use data_sets::{DataSet, DataSets, SharedColumns};
+pub use knowns::BesideKnowns;
 pub use measured_length::MeasuredLength;
 pub use measured_pose::{MeasuredPose, PoseNoise};
 pub use measured_position::MeasuredPosition;
 pub use problem::{CostError, LoopProblem};
 pub(crate) use scene::TORSION;
 pub use scene::{Movement, Residual, Scene};
+pub use touched_face::TouchedFace;

@@ -11,7 +11,7 @@ use crate::calibrate::Calibration;
 use crate::calibrate::change::Changed;
 use crate::calibrate::validation::agreement::{Disagreement, disagreeing};
 use crate::cost::Closure;
-use crate::instrument::{Contradiction, Doubt, Run, ScaleFrom};
+use crate::instrument::{Doubt, Run, ScaleFrom};
 use crate::kinematics::{DhLink, Joints, LinkParameter};
 use crate::model::{JointTerm, Model, ParameterId, Role};
 use crate::solver::{Loss, Solution};
@@ -148,6 +148,10 @@ const fn describe(scale: ScaleFrom) -> &'static str {
         ScaleFrom::Sockets => {
             "The table of sockets fixes the scale: check its unit, and measure the sockets again"
         }
+        ScaleFrom::Faces => {
+            "The distances between faces fix the scale: check their unit, and measure them again"
+        }
+        ScaleFrom::Robot => "Nothing that was measured fixes the scale: state a distance between two faces",
     }
 }
 
@@ -457,17 +461,11 @@ fn doubt(doubt: &Doubt) -> String {
         Doubt::MotionRepeats => {
             "The motion repeats itself: another alignment in time fits nearly as well.".to_owned()
         }
-        Doubt::OtherSockets(contradicted) => {
-            let of = |Contradiction { name, off_m, sigma_m }: &Contradiction| {
-                format!("{name} by {:.3} mm (expected within {:.3})", off_m * 1e3, sigma_m * 1e3)
-            };
-            let told: Vec<String> = contradicted.iter().map(of).collect();
-            format!(
-                "The rows contradict the table of sockets: {}. Correct the table, or give a larger uncertainty: so tight, it pulls \
-                 the result towards it.",
-                named(&told, NAMED)
-            )
-        }
+        Doubt::OtherTable(contradicted) => format!(
+            "The rows contradict the table of sockets or faces: {}. Correct the table, or give a larger uncertainty: so tight, it \
+             pulls the result towards it.",
+            named(contradicted, NAMED)
+        ),
     }
 }
 

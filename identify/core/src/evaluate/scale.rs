@@ -64,5 +64,11 @@ const fn of_other(from: ScaleFrom) -> Option<&'static str> {
         ScaleFrom::Tracker => Some("the positions of the tracker, whose own scale is taken as exact"),
         ScaleFrom::Wire => Some("the lengths of the wire, whose own scale is taken as exact"),
         ScaleFrom::Sockets => Some("the table of sockets, within the uncertainty that it states"),
+        ScaleFrom::Faces => {
+            Some("the distances between faces, within the uncertainty that their table states")
+        }
+        ScaleFrom::Robot => {
+            Some("the lengths of the robot's own file: no distance between the faces is known")
+        }
     }
 }

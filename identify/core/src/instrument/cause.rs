@@ -22,6 +22,8 @@ pub enum Cause {
     Anchor(usize),
     /// What its lengths begin with.
     LengthOffset,
+    /// Where the tip is on the flange.
+    Tip,
 }
 
 impl Cause {
@@ -42,6 +44,7 @@ impl Cause {
             }
             Self::Anchor(station) => Axis::ALL.map(|axis| ParameterId::Anchor { station, axis }).to_vec(),
             Self::LengthOffset => vec![ParameterId::LengthOffset],
+            Self::Tip => Axis::ALL.map(|axis| ParameterId::Tip { axis }).to_vec(),
         }
     }
 }

@@ -5,10 +5,10 @@ use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use super::rows::{MEDIAN_OF_THREE, Screened, Standing};
 use super::{
-    Cause, Deviation, Doubt, Instrument, Measures, Mistake, Noise, RejectedRow, ScaleFrom, Section,
+    Cause, Deviation, Doubt, Instrument, Knowns, Measures, Mistake, Noise, RejectedRow, ScaleFrom, Section,
     SocketTable, Sockets,
 };
-use crate::cost::{CostError, DataSet, Residual, SeatedBall, SeatedBalls};
+use crate::cost::{BesideKnowns, CostError, DataSet, Residual, SeatedBall};
 use crate::kinematics::Joints;
 use crate::logs;
 use crate::model::{
@@ -194,8 +194,8 @@ impl Measures for Contact {
     }
 
     fn doubts(&self, geometry: &Geometry) -> Vec<Doubt> {
-        let contradicted = self.sockets.contradicted(&geometry.contact.sockets_m);
-        if contradicted.is_empty() { Vec::new() } else { vec![Doubt::OtherSockets(contradicted)] }
+        let contradicted = self.sockets.contradicted(geometry);
+        if contradicted.is_empty() { Vec::new() } else { vec![Doubt::OtherTable(contradicted)] }
     }
 
     fn scale(&self) -> ScaleFrom {
@@ -290,8 +290,8 @@ impl Measures for Contact {
 
     fn data_set<'a>(&'a self, model: &'a Model, sigma: f64) -> Result<Box<dyn DataSet + 'a>, CostError> {
         let Self { rows, observations, socket_of, sockets, noise_m } = self;
-        let problem = SeatedBalls::new(model, &rows.at, observations, socket_of, sockets, sigma * noise_m)?;
-        Ok(Box::new(problem))
+        let residual = SeatedBall { sockets: socket_of };
+        Ok(Box::new(BesideKnowns::new(model, &rows.at, observations, residual, sockets, sigma * noise_m)?))
     }
 
     fn reported(&self, sample: usize, _: &Clock) -> Option<JointState> {

@@ -22,12 +22,12 @@ pub enum Apart {
 
 impl Deviation {
     /// Of two positions without orientations.
-    pub(super) const fn of_place(offset_m: Vector3<f64>) -> Self {
+    pub const fn of_place(offset_m: Vector3<f64>) -> Self {
         Self { apart: Apart::Place(offset_m), rotation_rad: None }
     }
 
     /// Of two lengths.
-    pub(super) const fn of_length(longer_m: f64) -> Self {
+    pub const fn of_length(longer_m: f64) -> Self {
         Self { apart: Apart::Length(longer_m), rotation_rad: None }
     }
 }

@@ -5,9 +5,12 @@ mod ball_bar;
 mod cause;
 mod contact;
 mod deviation;
+mod faces;
+mod known;
 mod repetition;
 mod rows;
 mod sockets;
+mod touch;
 mod tracker;
 mod wire;
 
@@ -18,9 +21,12 @@ pub use ball_bar::{BallBar, CostName, NoiseConfig};
 pub use cause::Cause;
 pub use contact::{Contact, ContactError, ContactRow};
 pub use deviation::{Apart, Deviation, PoseError};
+pub use faces::{FaceTable, Faces, KnownAngle, Spacing, Touched};
+pub use known::{Contradiction, Knowns};
 pub use rows::{HoldOut, Mistake, RejectedRow, Rejection, RowError, Rows, SEED, standing};
 pub(crate) use rows::{faulty, gross_rows, segments, without};
 pub use sockets::{KnownDistance, PlacedSocket, SocketTable, Sockets};
+pub use touch::{Touch, TouchRow};
 pub use tracker::{PoseRow, Tracker};
 pub use wire::{LengthRow, Wire};
 
@@ -235,19 +241,8 @@ pub enum Doubt {
     OtherEncoders(EncoderMap),
     /// Another alignment in time fits nearly as well.
     MotionRepeats,
-    /// Rows contradict the table of sockets.
-    OtherSockets(Vec<Contradiction>),
-}
-
-/// A known length or place that samples contradict.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Contradiction {
-    /// As messages call it.
-    pub name: String,
-    /// How far it is off \[m\].
-    pub off_m: f64,
-    /// Its standard uncertainty \[m\].
-    pub sigma_m: f64,
+    /// Rows contradict what is known of sockets or faces.
+    OtherTable(Vec<Contradiction>),
 }
 
 /// What fixes the scale of all lengths.
@@ -261,6 +256,10 @@ pub enum ScaleFrom {
     Wire,
     /// Their table.
     Sockets,
+    /// Their known distances.
+    Faces,
+    /// Nothing that is measured: the robot's own file.
+    Robot,
 }
 
 /// Standard deviation of a reading.

@@ -5,10 +5,9 @@ use std::collections::BTreeSet;
 use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
 use serde::{Deserialize, Serialize};
 use shared::config::{Validate, Violation};
-use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-use super::Contradiction;
-use crate::model::ParameterId;
+use super::Knowns;
+use crate::model::{Axis, Geometry, ParameterId, Unit};
 use crate::prepare::nearest_rotation;
 
 /// A socket whose place on its plate is known.
@@ -51,8 +50,6 @@ pub struct SocketTable {
     pub distances: Vec<KnownDistance>,
 }
 
-/// Chance that something is said of a table of sockets that holds.
-const CONTRADICTED_BY_CHANCE: f64 = 1e-3;
 /// Sockets further apart are no artefact of a robot's cell \[mm\]; more means a wrong unit.
 const SPAN_MM_MAX: f64 = 20_000.0;
 
@@ -160,70 +157,6 @@ impl Sockets {
         &self.names
     }
 
-    /// How many things are known: the place of a socket among the others of the plate, or a distance.
-    pub fn knowns(&self) -> usize {
-        self.placed.len() + self.distances.len()
-    }
-
-    /// Numbers of one of them.
-    pub fn rows_of(&self, known: usize) -> usize {
-        if known < self.placed.len() { 3 } else { 1 }
-    }
-
-    /// For a person.
-    pub fn name_of(&self, known: usize) -> String {
-        let name = |socket: usize| self.names.get(socket).map_or("", String::as_str);
-        match (self.placed.get(known), known.checked_sub(self.placed.len())) {
-            (Some((socket, ..)), _) => format!("the place of socket `{}`", name(*socket)),
-            (None, at) => at.and_then(|at| self.distances.get(at)).map_or_else(String::new, |(ends, ..)| {
-                format!("the distance between sockets `{}` and `{}`", name(ends[0]), name(ends[1]))
-            }),
-        }
-    }
-
-    /// What is known but contradicted where the sockets are in `sockets_m`.
-    ///
-    /// The chi-squared test of each, at a chance of [`CONTRADICTED_BY_CHANCE`] for all: what is found is drawn to what is known,
-    /// so that fewer are named that hold.
-    pub fn contradicted(&self, sockets_m: &[Vector3<f64>]) -> Vec<Contradiction> {
-        let chance = CONTRADICTED_BY_CHANCE / self.knowns().max(1) as f64;
-        let one = |known: usize| {
-            let residual = self.known(known, sockets_m)?.0;
-            let squared = ChiSquared::new(residual.len() as f64).ok()?;
-            let place = known.checked_sub(self.placed.len());
-            let sigma_m = place.map_or_else(
-                || self.placed.get(known).map(|placed| placed.2),
-                |at| self.distances.get(at).map(|distance| distance.2),
-            )?;
-            let contradicted = squared.sf(residual.norm_squared()) < chance;
-            let (name, off_m) = (self.name_of(known), residual.norm() * sigma_m);
-            contradicted.then_some(Contradiction { name, off_m, sigma_m })
-        };
-        (0..self.knowns()).filter_map(one).collect()
-    }
-
-    /// Found minus known, in standard deviations, where the sockets are in `sockets_m`, and the derivatives by their
-    /// coordinates: three columns for each socket.
-    pub fn known(&self, known: usize, sockets_m: &[Vector3<f64>]) -> Option<(DVector<f64>, DMatrix<f64>)> {
-        let columns = 3 * sockets_m.len();
-        if known < self.placed.len() {
-            let (residual, derivative) = self.of_plate(sockets_m)?;
-            let (rows, mut by) = (3 * known..3 * known + 3, DMatrix::zeros(3, columns));
-            for (place, (socket, ..)) in self.placed.iter().enumerate() {
-                by.columns_mut(3 * socket, 3).copy_from(&derivative.view((rows.start, 3 * place), (3, 3)));
-            }
-            return Some((residual.rows(rows.start, 3).into_owned(), by));
-        }
-        let ([from, to], distance_m, sigma_m) = *self.distances.get(known - self.placed.len())?;
-        let along = sockets_m.get(to)? - sockets_m.get(from)?;
-        let residual = DVector::from_element(1, (along.norm() - distance_m) / sigma_m);
-        let direction = along.try_normalize(0.0).unwrap_or_default() / sigma_m;
-        let mut by = DMatrix::zeros(1, columns);
-        by.columns_mut(3 * to, 3).copy_from(&direction.transpose());
-        by.columns_mut(3 * from, 3).copy_from(&-direction.transpose());
-        Some((residual, by))
-    }
-
     /// `(s_j - T c_j) / u_j` of the sockets of the plate, which lies where it fits them best, and its derivatives by their
     /// places: what moves them as one is taken out (variable projection, Golub and Pereyra 1973, in Kaufman's form).
     fn of_plate(&self, sockets_m: &[Vector3<f64>]) -> Option<(DVector<f64>, DMatrix<f64>)> {
@@ -265,5 +198,60 @@ impl Sockets {
             derivative.ger(-1.0, &column, &along, 1.0);
         }
         Some((residual, derivative))
+    }
+}
+
+impl Knowns for Sockets {
+    /// The place of a socket among the others of the plate, or a distance.
+    fn knowns(&self) -> usize {
+        self.placed.len() + self.distances.len()
+    }
+
+    fn rows_of(&self, known: usize) -> usize {
+        if known < self.placed.len() { 3 } else { 1 }
+    }
+
+    fn name_of(&self, known: usize) -> String {
+        let name = |socket: usize| self.names.get(socket).map_or("", String::as_str);
+        match (self.placed.get(known), known.checked_sub(self.placed.len())) {
+            (Some((socket, ..)), _) => format!("the place of socket `{}`", name(*socket)),
+            (None, at) => at.and_then(|at| self.distances.get(at)).map_or_else(String::new, |(ends, ..)| {
+                format!("the distance between sockets `{}` and `{}`", name(ends[0]), name(ends[1]))
+            }),
+        }
+    }
+
+    fn sigma_of(&self, known: usize) -> (f64, Unit) {
+        let placed = self.placed.get(known).map(|placed| placed.2);
+        let distance =
+            || self.distances.get(known.checked_sub(self.placed.len())?).map(|distance| distance.2);
+        (placed.or_else(distance).unwrap_or_default(), Unit::Metre)
+    }
+
+    fn known(&self, known: usize, geometry: &Geometry) -> Option<(DVector<f64>, DMatrix<f64>)> {
+        let sockets_m = &geometry.contact.sockets_m;
+        let columns = 3 * sockets_m.len();
+        if known < self.placed.len() {
+            let (residual, derivative) = self.of_plate(sockets_m)?;
+            let (rows, mut by) = (3 * known..3 * known + 3, DMatrix::zeros(3, columns));
+            for (place, (socket, ..)) in self.placed.iter().enumerate() {
+                by.columns_mut(3 * socket, 3).copy_from(&derivative.view((rows.start, 3 * place), (3, 3)));
+            }
+            return Some((residual.rows(rows.start, 3).into_owned(), by));
+        }
+        let ([from, to], distance_m, sigma_m) = *self.distances.get(known - self.placed.len())?;
+        let along = sockets_m.get(to)? - sockets_m.get(from)?;
+        let residual = DVector::from_element(1, (along.norm() - distance_m) / sigma_m);
+        let direction = along.try_normalize(0.0).unwrap_or_default() / sigma_m;
+        let mut by = DMatrix::zeros(1, columns);
+        by.columns_mut(3 * to, 3).copy_from(&direction.transpose());
+        by.columns_mut(3 * from, 3).copy_from(&-direction.transpose());
+        Some((residual, by))
+    }
+
+    /// Three for each socket.
+    fn column(&self, id: ParameterId) -> Option<usize> {
+        let ParameterId::Socket { socket, axis } = id else { return None };
+        Some(Axis::ALL.len() * socket + axis.index())
     }
 }

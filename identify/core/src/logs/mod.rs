@@ -44,6 +44,7 @@ pub use rows::measured_pose::{
 pub use rows::pose_rows::{
     JointColumn, JointTableMapping, JointUnit, LengthUnit, joint_columns, joints_of_robot,
 };
+pub use rows::touch::{ReadingColumn, TouchMapping, TouchedRow, Touches};
 pub use tables::stamp::{TimeColumn, TimeUnit};
 pub use tables::text::{Cells, RowsAsText};
 pub use time_series::sampling::{StampStep, Stamps};

@@ -110,6 +110,24 @@ pub struct Contact {
     pub sockets_m: Vec<Vector3<f64>>,
 }
 
+/// A flat face: the plane `normal . x = distance` in the robot's base. The length of the normal is a matter of choice.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Face {
+    /// Away from the material.
+    pub normal: Vector3<f64>,
+    /// From the origin of the robot's base, times the length of the normal \[m\].
+    pub distance_m: f64,
+}
+
+/// A tip on the flange and the faces that it touches.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Touch {
+    /// Centre of the tip's ball in the flange frame \[m\].
+    pub tip_m: Vector3<f64>,
+    /// Where that centre is when it touches each face.
+    pub faces: Vec<Face>,
+}
+
 /// All numbers that residuals are made of.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Geometry {
@@ -139,6 +157,8 @@ pub struct Geometry {
     pub tracker: Tracker,
     /// For a ball in sockets.
     pub contact: Contact,
+    /// For a tip on faces.
+    pub touch: Touch,
 }
 
 impl Geometry {
@@ -162,6 +182,7 @@ impl Geometry {
             wire: Wire::default(),
             tracker: Tracker::default(),
             contact: Contact::default(),
+            touch: Touch::default(),
         }
     }
 

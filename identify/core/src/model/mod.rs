@@ -13,11 +13,11 @@ mod term_group;
 mod tracker;
 mod waves;
 
-pub use geometry::{BarElongation, BasePlacement, Clock, Contact, Geometry, MovingJoints, Wire};
+pub use geometry::{BarElongation, BasePlacement, Clock, Contact, Face, Geometry, MovingJoints, Touch, Wire};
 pub use joint_errors::{BACKLASH_SPEED_RAD_S, DriveState, DriveTrain, JointErrors};
 pub use joint_term::{JointTerm, Load, Period};
 pub use observation::{BarForce, JointState, Observation, PerObservation, RobotMotion};
-pub use parameter::{Axis, Group, Owner, ParameterBlock, ParameterId, Unit, further};
+pub use parameter::{Axis, FaceNumber, Group, Owner, ParameterBlock, ParameterId, Unit, further};
 pub use roles::{Model, ModelError, Parameter, Role};
 pub use selection::{Selection, THESIS_FIXED};
 pub use term_group::TermGroup;

@@ -40,6 +40,45 @@ impl Axis {
     }
 }
 
+/// One of the numbers of a face.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum FaceNumber {
+    /// Of its normal: `nx`, `ny`, `nz`. The largest is one, and stays.
+    Normal(Axis),
+    /// Its distance from the origin: `d`.
+    Distance,
+}
+
+impl FaceNumber {
+    /// All four.
+    pub const ALL: [Self; 4] =
+        [Self::Normal(Axis::X), Self::Normal(Axis::Y), Self::Normal(Axis::Z), Self::Distance];
+
+    /// 0 to 3.
+    pub const fn index(self) -> usize {
+        match self {
+            Self::Normal(axis) => axis.index(),
+            Self::Distance => Axis::ALL.len(),
+        }
+    }
+
+    const fn unit(self) -> Unit {
+        match self {
+            Self::Normal(_) => Unit::Radian,
+            Self::Distance => Unit::Metre,
+        }
+    }
+}
+
+impl fmt::Display for FaceNumber {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Normal(axis) => write!(f, "n{}", axis.letter()),
+            Self::Distance => f.write_str("d"),
+        }
+    }
+}
+
 /// What a parameter belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Owner {
@@ -55,6 +94,8 @@ pub enum Owner {
     Tracker,
     /// A ball and its sockets.
     Contact,
+    /// A tip and the faces that it touches.
+    Touch,
 }
 
 /// What kind of number a parameter is, from which follows what is known of it before anything is measured.
@@ -432,6 +473,32 @@ parameters! {
         is ParameterBlock::new(Owner::Contact, Group::Placement, Unit::Metre),
         at |geometry| geometry.contact.sockets_m.get_mut(socket)?.get_mut(axis.index());
 
+    /// Centre of a tip that touches faces, in the flange frame: `tip_x` ...
+    Tip {
+        /// Which coordinate.
+        axis: Axis = Axis::ALL,
+    }
+        called format_args!("tip_{}", axis.letter()),
+        is ParameterBlock::new(Owner::Touch, Group::Placement, Unit::Metre),
+        at |geometry| geometry.touch.tip_m.get_mut(axis.index());
+
+    /// Where that centre is when it touches a face, `n.x = d` in the robot's base: `face1_nx`, `face1_ny`, `face1_nz`, `face1_d`
+    Face {
+        /// Face.
+        face: usize = 0..ParameterId::SET_UPS_MAX,
+        /// Which of its numbers.
+        number: FaceNumber = FaceNumber::ALL,
+    }
+        called format_args!("face{}_{number}", face + 1),
+        is ParameterBlock::new(Owner::Touch, Group::Placement, number.unit()),
+        at |geometry| {
+            let face = geometry.touch.faces.get_mut(face)?;
+            Some(match number {
+                FaceNumber::Normal(axis) => &mut face.normal[axis.index()],
+                FaceNumber::Distance => &mut face.distance_m,
+            })
+        };
+
     /// Robot clock minus bar clock at the reference time.
     ClockShift
         called "clock_shift",
@@ -448,7 +515,7 @@ parameters! {
 impl ParameterId {
     /// Sockets that have parameters.
     pub const SOCKETS_MAX: usize = 99;
-    /// Stations of a tracker or anchors of a wire, and targets on a flange, that have parameters.
+    /// Stations of a tracker, anchors of a wire, targets on a flange and faces, that have parameters.
     pub const SET_UPS_MAX: usize = 99;
     /// Origins of counters that have parameters of their own: a run that loses more keeps what the preparation found.
     pub const LAST_ORIGIN: usize = 99;

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::{DriveTrain, Geometry, Group, JointErrors, Owner, ParameterId, Placement};
+use super::{DriveTrain, Face, Geometry, Group, JointErrors, Owner, ParameterId, Placement};
 use crate::kinematics::Chain;
 use crate::solver::Prior;
 
@@ -192,6 +192,14 @@ impl Model {
     pub fn with_sockets(mut self, sockets: usize) -> Self {
         self.structure.contact.sockets_m = vec![Vector3::zeros(); sockets];
         self.take_up(|id| id.owner() == Owner::Contact);
+        self
+    }
+
+    /// The same with a tip on the flange and so many faces, all at zero.
+    #[must_use]
+    pub fn with_faces(mut self, faces: usize) -> Self {
+        self.structure.touch.faces = vec![Face::default(); faces];
+        self.take_up(|id| id.owner() == Owner::Touch);
         self
     }
 

@@ -1,30 +1,25 @@
 //! A robot with known errors that seats the ball on its flange in the sockets of a plate: what a calibration by contact should find.
 
 use std::collections::BTreeMap;
-use std::f64::consts::TAU;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
+use nalgebra::{Point3, Rotation3, Vector3};
 use rand::Rng;
-use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 use shared::config::RobotConfig;
 
-use super::effects::{GEAR_PERIODS, Wave};
+use super::arm::{Arm, ArmErrors};
+use super::write::write_texts;
 use super::{Stream, WriteError, random};
 use crate::instrument::{ContactRow, KnownDistance, PlacedSocket, SocketTable};
-use crate::kinematics::{Chain, DhLink, Joints, Pose, Trace, Tracer, flange_chain};
-use crate::logs::{ContactMapping, CsvLayout, LogError, SIMULATED, joint_columns};
-use crate::model::{DriveTrain, Model, ParameterId};
+use crate::kinematics::{Chain, Pose};
+use crate::logs::{ContactMapping, CsvLayout, SIMULATED, joint_columns};
+use crate::model::{Model, ParameterId};
 
 /// Centre of the ball in the flange frame \[m\].
 const BALL_M: [f64; 3] = [0.02, -0.03, 0.12];
-/// The ball's stem comes from above, within this of the plate's normal: cosine.
-const STEM_COSINE: f64 = 0.4;
-/// Part of the joints' travel that is used.
-const TRAVEL: f64 = 0.9;
 /// Starts that are tried for a row.
 const TRIES: usize = 3000;
 /// Places that are tried for the plate.
@@ -43,16 +38,10 @@ pub struct ContactExperiment<'a> {
     pub distances: bool,
     /// Rows.
     pub rows: usize,
-    /// Standard deviation of the error of each number of each link \[mm|mrad\].
-    pub errors_mm_mrad: f64,
-    /// White noise of each joint \[urad|um\].
-    pub robot_noise_urad: f64,
-    /// Sine of twice the angle of each drive's output, amplitude \[urad\]: an eccentric gear.
-    pub gear_sine_urad: f64,
+    /// What is wrong with the robot.
+    pub errors: ArmErrors,
     /// How well the ball finds its seat, standard deviation along each axis \[um\].
     pub seating_um: f64,
-    /// Seed of the robot's errors: another plate of one robot has the same.
-    pub robot_seed: u64,
     /// Seed of poses, noise and the sockets' errors.
     pub seed: u64,
 }
@@ -66,11 +55,8 @@ impl<'a> ContactExperiment<'a> {
             place_m: None,
             distances: false,
             rows: 200,
-            errors_mm_mrad: 1.0,
-            robot_noise_urad: 15.0,
-            gear_sine_urad: 30.0,
+            errors: ArmErrors::default(),
             seating_um: 5.0,
-            robot_seed: 1,
             seed: 1,
         }
     }
@@ -128,80 +114,6 @@ pub enum ContactSimulationError {
     },
 }
 
-/// The robot with its errors, and how it moves.
-struct Arm<'a> {
-    tracer: Tracer,
-    limits: &'a [[f64; 2]],
-    ball_m: Vector3<f64>,
-}
-
-impl Arm<'_> {
-    fn random(&self, random: &mut ChaCha8Rng) -> Joints {
-        let joint = |[low, high]: &[f64; 2]| {
-            let (middle, half) = (0.5 * (low + high), 0.5 * TRAVEL * (high - low));
-            random.random_range(middle - half..=middle + half)
-        };
-        self.limits.iter().map(joint).collect()
-    }
-
-    /// The ball with joints there, and whether its stem comes from above.
-    fn ball(&self, joints: &Joints, trace: &mut Trace) -> (Vector3<f64>, bool) {
-        self.tracer.trace(joints, trace);
-        let stem = trace.rotation() * self.ball_m;
-        (trace.position_m() + stem, -stem.z > STEM_COSINE * stem.norm())
-    }
-
-    /// Joints near `start` that put the ball there; none within the limits and from above.
-    fn seat(&self, start: Joints, there_m: Vector3<f64>) -> Option<Joints> {
-        const STEPS: usize = 60;
-        const STEP_MAX: f64 = 0.3;
-        const MISS_M: f64 = 1e-12;
-        let (mut joints, mut trace) = (start, Trace::default());
-        for _ in 0..STEPS {
-            let (held_m, from_above) = self.ball(&joints, &mut trace);
-            let miss = there_m - held_m;
-            if miss.norm() < MISS_M {
-                let within = joints.iter().zip(self.limits).all(|(q, [low, high])| low <= q && q <= high);
-                return (within && from_above).then_some(joints);
-            }
-            let by: Vec<Vector3<f64>> =
-                trace.point_twists(held_m, joints.len()).map(|twist| twist.linear).collect();
-            let square: Matrix3<f64> = by.iter().map(|column| column * column.transpose()).sum();
-            let pull = (square + Matrix3::identity() * 1e-12).try_inverse()? * miss;
-            let longest = by.iter().map(|column| column.dot(&pull).abs()).fold(0.0, f64::max);
-            let part = (STEP_MAX / longest).min(1.0);
-            joints.iter_mut().zip(&by).for_each(|(q, column)| *q += part * column.dot(&pull));
-        }
-        None
-    }
-
-    /// Balls of random postures, those that most of the others are near first, and how far the ball gets.
-    fn places(&self, random: &mut ChaCha8Rng) -> (Vec<Vector3<f64>>, f64) {
-        const POSTURES: usize = 600;
-        const NEAR: f64 = 0.2;
-        /// Where the robot itself stands there is no plate.
-        const BESIDE: f64 = 0.45;
-        let mut trace = Trace::default();
-        let balls: Vec<(Vector3<f64>, bool)> =
-            (0..POSTURES).map(|_| self.ball(&self.random(random), &mut trace)).collect();
-        let reach_m = balls.iter().map(|(ball_m, _)| ball_m.norm()).fold(0.0, f64::max);
-        let beside = |ball_m: &Vector3<f64>| ball_m.xy().norm() > BESIDE * reach_m;
-        let from_above: Vec<Vector3<f64>> =
-            balls.iter().filter(|(at, above)| *above && beside(at)).map(|(ball_m, _)| *ball_m).collect();
-        let near = |at: &Vector3<f64>| {
-            from_above.iter().filter(|other| (*other - at).norm() < NEAR * reach_m).count()
-        };
-        let mut places = from_above.clone();
-        places.sort_by_cached_key(|at| std::cmp::Reverse(near(at)));
-        (places, reach_m)
-    }
-
-    /// The first try of so many that seats the ball there.
-    fn seated(&self, there_m: Vector3<f64>, tries: usize, random: &mut ChaCha8Rng) -> Option<Joints> {
-        (0..tries).find_map(|_| self.seat(self.random(random), there_m))
-    }
-}
-
 /// Six sockets on two levels.
 fn usual_sockets(size_mm: f64) -> SocketTable {
     let places = [
@@ -233,44 +145,17 @@ fn distances(table: &SocketTable) -> Vec<KnownDistance> {
     pairs.map(of).collect()
 }
 
-fn check(experiment: &ContactExperiment<'_>) -> Result<(), ContactSimulationError> {
-    for (name, value) in [
-        ("errors_mm_mrad", experiment.errors_mm_mrad),
-        ("robot_noise_urad", experiment.robot_noise_urad),
-        ("gear_sine_urad", experiment.gear_sine_urad),
-        ("seating_um", experiment.seating_um),
-    ] {
-        if !(value.is_finite() && value >= 0.0) {
-            return Err(ContactSimulationError::Size { name, value });
-        }
-    }
-    Ok(())
-}
-
 /// Runs an experiment.
 ///
 /// # Errors
 /// [`ContactSimulationError`].
 pub fn run(experiment: &ContactExperiment<'_>) -> Result<SimulatedContacts, ContactSimulationError> {
-    check(experiment)?;
-    let ContactExperiment { robot, seed, .. } = *experiment;
-    let mut errors = random(experiment.robot_seed, Stream::StaticErrors);
-    let by = experiment.errors_mm_mrad * 1e-3;
-    let mut chain = flange_chain(robot);
-    for link in &mut chain.links {
-        let DhLink { a_m, d_m, alpha_rad, theta_rad, .. } = link;
-        for number in [a_m, d_m, alpha_rad, theta_rad] {
-            *number += by * errors.sample::<f64, _>(StandardNormal);
-        }
+    let ContactExperiment { robot, seed, errors, seating_um, .. } = *experiment;
+    let seating = Some(("seating_um", seating_um)).filter(|(_, um)| !(um.is_finite() && *um >= 0.0));
+    if let Some((name, value)) = errors.wrong().or(seating) {
+        return Err(ContactSimulationError::Size { name, value });
     }
-    let gear = |_: &DhLink| Wave {
-        amplitude_rad: experiment.gear_sine_urad * 1e-6,
-        periods: GEAR_PERIODS,
-        phase_rad: errors.random_range(0.0..TAU),
-    };
-    let gears: Vec<Wave> = chain.links.iter().map(gear).collect();
-    let limits = robot.joint_limits();
-    let arm = Arm { tracer: Tracer::new(&chain), limits: &limits, ball_m: BALL_M.into() };
+    let arm = Arm::new(robot, errors, BALL_M.into());
     let mut poses = random(seed, Stream::Path);
     let (places_m, reach_m) = arm.places(&mut poses);
     /// Side of the plate, part of the robot's reach.
@@ -294,7 +179,7 @@ pub fn run(experiment: &ContactExperiment<'_>) -> Result<SimulatedContacts, Cont
         out_of_reach = table
             .sockets
             .iter()
-            .find(|one| arm.seated(there_m(one), TRIES / 10, &mut poses).is_none())
+            .find(|one| arm.reached(there_m(one), TRIES / 10, &mut poses).is_none())
             .map(|one| one.name.clone());
         out_of_reach.is_none()
     });
@@ -311,35 +196,23 @@ pub fn run(experiment: &ContactExperiment<'_>) -> Result<SimulatedContacts, Cont
             (plate * Point3::from(Vector3::from(one.position_mm) * 1e-3 + off_m)).coords
         })
         .collect();
-    let drives = DriveTrain::of(robot, &chain);
     let mut rows = Vec::with_capacity(experiment.rows);
     for row in 0..experiment.rows {
         let socket = row % sockets_m.len();
-        let there_m = sockets_m[socket] + Vector3::from_fn(|_, _| noise(experiment.seating_um));
-        let Some(stands) = arm.seated(there_m, TRIES, &mut poses) else {
+        let there_m = sockets_m[socket] + Vector3::from_fn(|_, _| noise(seating_um));
+        let Some(stands) = arm.reached(there_m, TRIES, &mut poses) else {
             return Err(ContactSimulationError::Unreachable { socket: table.sockets[socket].name.clone() });
         };
-        let mut joints_rad =
-            Joints::from_fn(limits.len(), |joint| stands[joint] + noise(experiment.robot_noise_urad));
-        for (drive, gear) in gears.iter().enumerate().filter(|(drive, _)| drives.turns(*drive)) {
-            let error = gear.at(drives.of_drive(drive, &stands));
-            let turned = joints_rad.iter_mut().zip(&drives.joint_from_drive[drive]);
-            turned.for_each(|(q, part)| *q += part * error);
-        }
-        rows.push(ContactRow { joints_rad, socket });
+        rows.push(ContactRow { joints_rad: arm.reported(&stands, &mut noise), socket });
     }
-    let mut truth = truth(experiment, &table, &chain, &sockets_m);
-    if experiment.gear_sine_urad > 0.0 {
-        let turning = gears.iter().enumerate().filter(|(drive, _)| drives.turns(*drive));
-        let terms = turning.flat_map(|(drive, gear)| gear.terms(&gear.periods.to_string(), drive));
-        truth.parameters.extend(terms);
-    }
+    let mut truth = truth(experiment, &table, &arm.chain, &sockets_m);
+    truth.parameters.extend(arm.gear_terms());
     let table = if experiment.distances {
         SocketTable { distances: distances(&table), sockets: Vec::new(), ..table }
     } else {
         table
     };
-    Ok(SimulatedContacts { rows, table, truth, robot: chain })
+    Ok(SimulatedContacts { rows, table, truth, robot: arm.chain })
 }
 
 fn truth(
@@ -348,10 +221,10 @@ fn truth(
     chain: &Chain,
     sockets_m: &[Vector3<f64>],
 ) -> ContactTruth {
-    let mut geometry = Model::alone(chain).with_sockets(sockets_m.len()).without_clocks().geometry(&[]);
+    let model = Model::alone(chain).with_sockets(sockets_m.len()).without_clocks();
+    let mut geometry = model.geometry(&[]);
     geometry.contact.ball_m = BALL_M.into();
     geometry.contact.sockets_m = sockets_m.to_vec();
-    let model = Model::alone(chain).with_sockets(sockets_m.len()).without_clocks();
     let of_geometry = model.ids().into_iter();
     let of_geometry = of_geometry.filter(|id| id.term().is_none());
     let value = |id: ParameterId| Some((id.to_string(), *geometry.parameter_mut(id)?));
@@ -395,14 +268,5 @@ pub fn write(
         ("sockets.toml", toml::to_string(&simulated.table)?),
         ("truth.toml", toml::to_string(&simulated.truth)?),
     ];
-    let unwritable = |path: &Path| {
-        let path = path.to_owned();
-        move |source| LogError::Unwritable { path, source }
-    };
-    std::fs::create_dir_all(directory).map_err(unwritable(directory))?;
-    for (name, text) in &files {
-        let path = directory.join(name);
-        std::fs::write(&path, text).map_err(unwritable(&path))?;
-    }
-    Ok(files.map(|(name, _)| directory.join(name)))
+    write_texts(directory, files)
 }

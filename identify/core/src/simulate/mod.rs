@@ -5,6 +5,7 @@
 //! motion as the real things would, each on its own clock, with [`Effects`] that no estimator models. Nothing here is
 //! shared with the estimator but kinematics and names: otherwise a simulation would only prove that a model inverts itself.
 
+mod arm;
 mod comparison;
 pub mod contact;
 mod effects;
@@ -12,10 +13,12 @@ mod motion;
 mod pairs;
 mod pull;
 mod sample;
+pub mod touch;
 mod truth;
 mod wire;
 mod write;
 
+pub use arm::ArmErrors;
 pub use comparison::{Compared, Comparison, position_errors_m};
 pub use effects::Effects;
 use effects::{BarReading, RobotReading};

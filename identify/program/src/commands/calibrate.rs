@@ -42,6 +42,8 @@ enum CalibrateCommand {
     Tracker(rows::TrackerArguments),
     /// From a ball on the flange that is seated in sockets whose distances are known
     Contact(rows::ContactArguments),
+    /// From a tip on the flange that touches flat faces: a touch probe or a dial gauge
+    Touch(rows::TouchArguments),
     /// From any mix of them: --experiment FILE, without this word
     #[command(hide = true)]
     Experiment(experiment::ExperimentArguments),
@@ -127,10 +129,10 @@ pub struct RowArguments {
     /// What was measured (.csv), a row for each pose, in the order of the robot's motion
     file: PathBuf,
     /// Which column of the file is what, such as config/measured_pose.toml of a tracker, config/measured_length.toml of a wire,
-    /// config/contact.toml of a ball in sockets
+    /// config/contact.toml of a ball in sockets, config/touch.toml of a tip on faces
     #[arg(long, value_name = "FILE")]
     mapping: PathBuf,
-    /// Which rows are held out together; default: rows of lengths and contacts, regions of poses
+    /// Which rows are held out together; default: regions of poses, otherwise single rows
     #[arg(long, value_enum)]
     hold_out: Option<HoldOut>,
     /// Decides which rows are held out
@@ -157,6 +159,7 @@ pub fn run(arguments: &CalibrateArguments) -> anyhow::Result<()> {
         CalibrateCommand::Wire(arguments) => rows::run_wire(arguments),
         CalibrateCommand::Tracker(arguments) => rows::run_tracker(arguments),
         CalibrateCommand::Contact(arguments) => rows::run_contact(arguments),
+        CalibrateCommand::Touch(arguments) => rows::run_touch(arguments),
         CalibrateCommand::Experiment(arguments) => experiment::run(arguments),
     }
 }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::Args;
-use shared::config::{self, BallBarConfig, RobotConfig};
+use shared::config::{self, BallBarConfig, RobotConfig, Source};
 use shared::output::{say, show};
 use shared::recording::Recording;
 
@@ -14,7 +14,8 @@ use crate::inspect::{self, Inspection};
 use crate::instrument::SocketTable;
 use crate::logs::{
     self, BarLogMapping, ContactMapping, Contacts, LogFormat, LogOptions, MeasuredLengthMapping,
-    MeasuredLengths, MeasuredPoseMapping, MeasuredPoses, OtherBarLog, TimedPoses, joints_of_robot,
+    MeasuredLengths, MeasuredPoseMapping, MeasuredPoses, OtherBarLog, TimedPoses, TouchMapping, Touches,
+    joints_of_robot,
 };
 use crate::report::table;
 
@@ -38,8 +39,8 @@ pub struct InspectArguments {
     /// Which column or joint of recordings of other programs is what, such as config/bar_log.toml
     #[arg(long, value_name = "FILE", requires = "bar")]
     recording_mapping: Option<PathBuf>,
-    /// Which column of rows of a tracker or a wire is what, such as config/measured_pose.toml or
-    /// config/measured_length.toml; all files are then read as such rows
+    /// Which column of rows of a tracker, a wire or a touch probe is what, such as config/measured_pose.toml,
+    /// config/measured_length.toml or config/touch.toml; all files are then read as such rows
     #[arg(long, value_name = "FILE", requires = "robot", conflicts_with_all = ["log_mapping", "log_format", "bar", "recording_mapping", "sockets"])]
     mapping: Option<PathBuf>,
     /// Table of the sockets that a ball is seated in, such as config/sockets.toml: the files are rows of it
@@ -68,15 +69,24 @@ struct Settings {
 enum RowMapping {
     Poses(MeasuredPoseMapping),
     Lengths(MeasuredLengthMapping),
+    Touches(TouchMapping),
 }
 
 impl RowMapping {
-    /// What has [length] is of a wire.
+    /// What has [length] is of a wire, what has a face is of a touch probe.
     fn load(path: &Path) -> anyhow::Result<Self> {
-        let text =
-            std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-        let of_wire = text.parse::<toml::Table>().is_ok_and(|table| table.contains_key("length"));
-        Ok(if of_wire { Self::Lengths(config::load(path)?) } else { Self::Poses(config::load(path)?) })
+        let table = match Source::find(path) {
+            Source::BuiltIn(_, text) => text.parse::<toml::Table>(),
+            Source::File(file) => std::fs::read_to_string(&file)
+                .with_context(|| format!("cannot read {}", path.display()))?
+                .parse::<toml::Table>(),
+        };
+        let has = |key: &str| table.as_ref().is_ok_and(|table| table.contains_key(key));
+        Ok(match (has("length"), has("face")) {
+            (true, _) => Self::Lengths(config::load(path)?),
+            (_, true) => Self::Touches(config::load(path)?),
+            _ => Self::Poses(config::load(path)?),
+        })
     }
 
     fn inspected(&self, path: &Path, robot: &RobotConfig) -> anyhow::Result<Inspection> {
@@ -84,6 +94,10 @@ impl RowMapping {
             Self::Lengths(mapping) => {
                 joints_of_robot(&mapping.joints, robot, path)?;
                 inspect::lengths(&MeasuredLengths::load(path, mapping)?, robot)
+            }
+            Self::Touches(mapping) => {
+                joints_of_robot(&mapping.joints, robot, path)?;
+                inspect::touches(&Touches::load(path, mapping)?, robot)
             }
             Self::Poses(mapping) if mapping.time.is_some() => {
                 inspect::timed_poses(&TimedPoses::load(path, mapping)?)

@@ -9,9 +9,10 @@ use shared::output::say;
 use shared::time::parse_duration;
 
 use super::ensure_can_write;
-use crate::instrument::SocketTable;
 use crate::plan::PlannedPath;
+use crate::simulate::ArmErrors;
 use crate::simulate::contact::{self, ContactExperiment};
+use crate::simulate::touch::{self, TouchExperiment};
 use crate::simulate::{self, BarLoad, Effects, Experiment, StaticErrors};
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -40,32 +41,26 @@ enum SimulateCommand {
     Bar(Box<BarArguments>),
     /// Poses at which a ball on the flange is seated in sockets
     Contact(ContactArguments),
+    /// Poses at which a tip on the flange touches the faces of a block
+    Touch(TouchArguments),
 }
 
+/// What simulations of rows have in common.
 #[derive(Debug, Args)]
-struct ContactArguments {
+struct ArmArguments {
     /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16
     #[arg(long, value_name = "FILE")]
     robot: PathBuf,
-    /// Directory for contacts.csv, its mapping contact.toml, sockets.toml and truth.toml
+    /// Directory for the rows, their mapping, what is known beside them, and truth.toml
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Places of the sockets on their plate, such as config/sockets.toml; default: six on two levels, by the robot's size
-    #[arg(long, value_name = "FILE")]
-    sockets: Option<PathBuf>,
-    /// Where the plate's frame stands in the robot's base [m]; default: where the robot reaches it in most ways
+    /// Where the plate's frame or the block's centre stands in the robot's base [m]; default: where the robot reaches it in most ways
     #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
     place: Option<[f64; 3]>,
-    /// Write the sockets' distances into sockets.toml instead of their places
-    #[arg(long)]
-    distances: bool,
-    /// Poses
-    #[arg(long, value_name = "N", default_value_t = 200)]
-    rows: usize,
-    /// Decides poses, noise and the sockets' errors
+    /// Decides poses, noise and the errors of what is measured
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Decides the robot's errors, the same for another plate of one robot; default: as --seed
+    /// Decides the robot's errors, the same for another set-up of one robot; default: as --seed
     #[arg(long, value_name = "SEED")]
     robot_seed: Option<u64>,
     /// Error of each number of each link, standard deviation [mm|mrad]
@@ -77,9 +72,56 @@ struct ContactArguments {
     /// Sinusoidal error of each robot gear, amplitude [urad]
     #[arg(long, value_name = "URAD", default_value_t = LABORATORY.gear_sine_urad)]
     gear_sine_urad: f64,
+}
+
+impl ArmArguments {
+    fn errors(&self) -> ArmErrors {
+        ArmErrors {
+            errors_mm_mrad: self.errors_mm_mrad,
+            robot_noise_urad: self.robot_noise_urad,
+            gear_sine_urad: self.gear_sine_urad,
+            robot_seed: self.robot_seed.unwrap_or(self.seed),
+        }
+    }
+}
+
+#[derive(Debug, Args)]
+struct ContactArguments {
+    #[command(flatten)]
+    arm: ArmArguments,
+    /// Places of the sockets on their plate, such as config/sockets.toml; default: six on two levels, by the robot's size
+    #[arg(long, value_name = "FILE")]
+    sockets: Option<PathBuf>,
+    /// Write the sockets' distances into sockets.toml instead of their places
+    #[arg(long)]
+    distances: bool,
+    /// Poses
+    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..))]
+    rows: u32,
     /// How well the ball finds its seat, standard deviation along each axis [um]
     #[arg(long, value_name = "UM", default_value_t = 5.0)]
     seating_um: f64,
+}
+
+#[derive(Debug, Args)]
+struct TouchArguments {
+    #[command(flatten)]
+    arm: ArmArguments,
+    /// Edge of the block [mm]; default: by the robot's size
+    #[arg(long, value_name = "MM")]
+    block_mm: Option<f64>,
+    /// Write a table of faces of which nothing is known
+    #[arg(long)]
+    unknown: bool,
+    /// Touches
+    #[arg(long, value_name = "N", default_value_t = 300, value_parser = clap::value_parser!(u32).range(1..))]
+    rows: u32,
+    /// How well a touch is found, standard deviation [um]
+    #[arg(long, value_name = "UM", default_value_t = 2.0)]
+    touch_um: f64,
+    /// Travel of a dial gauge in place of a touch probe [mm]
+    #[arg(long, value_name = "MM", default_value_t = 0.0)]
+    gauge_mm: f64,
 }
 
 #[derive(Debug, Args)]
@@ -192,36 +234,50 @@ fn within(option: &str, value: f64, limit: f64) -> anyhow::Result<()> {
 pub fn run(arguments: &SimulateArguments) -> anyhow::Result<()> {
     let out = match &arguments.command {
         SimulateCommand::Bar(arguments) => &arguments.out,
-        SimulateCommand::Contact(arguments) => &arguments.out,
+        SimulateCommand::Contact(arguments) => &arguments.arm.out,
+        SimulateCommand::Touch(arguments) => &arguments.arm.out,
     };
     ensure_can_write(out)?;
     match &arguments.command {
         SimulateCommand::Bar(arguments) => bar(arguments),
         SimulateCommand::Contact(arguments) => contacts(arguments),
+        SimulateCommand::Touch(arguments) => touches(arguments),
     }
 }
 
-fn contacts(arguments: &ContactArguments) -> anyhow::Result<()> {
-    anyhow::ensure!(arguments.rows > 0, "--rows is 0; give at least one pose");
-    let robot: RobotConfig = config::load(&arguments.robot)?;
-    let sockets: Option<SocketTable> = arguments.sockets.as_deref().map(config::load).transpose()?;
+fn contacts(
+    ContactArguments { arm, sockets, distances, rows, seating_um }: &ContactArguments,
+) -> anyhow::Result<()> {
+    let robot: RobotConfig = config::load(&arm.robot)?;
     let simulated = contact::run(&ContactExperiment {
         robot: &robot,
-        sockets,
-        place_m: arguments.place,
-        distances: arguments.distances,
-        rows: arguments.rows,
-        errors_mm_mrad: arguments.errors_mm_mrad,
-        robot_noise_urad: arguments.robot_noise_urad,
-        gear_sine_urad: arguments.gear_sine_urad,
-        seating_um: arguments.seating_um,
-        robot_seed: arguments.robot_seed.unwrap_or(arguments.seed),
-        seed: arguments.seed,
+        sockets: sockets.as_deref().map(config::load).transpose()?,
+        place_m: arm.place,
+        distances: *distances,
+        rows: *rows as usize,
+        errors: arm.errors(),
+        seating_um: *seating_um,
+        seed: arm.seed,
     })?;
-    for path in contact::write(&arguments.out, &simulated, &robot)? {
-        say(path.display())?;
-    }
-    Ok(())
+    contact::write(&arm.out, &simulated, &robot)?.iter().try_for_each(|path| Ok(say(path.display())?))
+}
+
+fn touches(
+    TouchArguments { arm, block_mm, unknown, rows, touch_um, gauge_mm }: &TouchArguments,
+) -> anyhow::Result<()> {
+    let robot: RobotConfig = config::load(&arm.robot)?;
+    let simulated = touch::run(&TouchExperiment {
+        robot: &robot,
+        block_mm: *block_mm,
+        place_m: arm.place,
+        known: !unknown,
+        rows: *rows as usize,
+        errors: arm.errors(),
+        touch_um: *touch_um,
+        gauge_mm: *gauge_mm,
+        seed: arm.seed,
+    })?;
+    touch::write(&arm.out, &simulated, &robot)?.iter().try_for_each(|path| Ok(say(path.display())?))
 }
 
 fn bar(arguments: &BarArguments) -> anyhow::Result<()> {

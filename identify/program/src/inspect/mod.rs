@@ -12,7 +12,7 @@ pub use bar_log::bar_log;
 pub use contacts::contacts;
 pub use recording::recording;
 pub use robot_log::robot_log;
-pub use rows::{lengths, poses, timed_poses};
+pub use rows::{lengths, poses, timed_poses, touches};
 pub use unknown_table::{Mapping, Proposal, ProposeError, propose};
 
 use crate::logs::{LogQuality, Row, Unwrapped, ranges, usual_and_longest_step_s};

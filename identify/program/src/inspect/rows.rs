@@ -1,4 +1,4 @@
-//! Rows of a tracker or a wire.
+//! Rows of a tracker, a wire or a touch probe.
 
 use shared::config::RobotConfig;
 use shared::output::named;
@@ -6,9 +6,9 @@ use shared::output::named;
 use super::contacts::ranges;
 use super::{Inspection, stamps};
 use crate::calibrate::rows::{likely, misfit, some_of};
-use crate::instrument::{Instrument, LengthRow, Mistake, PoseRow, Tracker, Wire};
+use crate::instrument::{FaceTable, Instrument, LengthRow, Mistake, PoseRow, Touch, TouchRow, Tracker, Wire};
 use crate::kinematics::flange_chain;
-use crate::logs::{LogQuality, MeasuredLengths, MeasuredPoses, TimedPoses};
+use crate::logs::{LogQuality, MeasuredLengths, MeasuredPoses, TimedPoses, Touches};
 use crate::statistics::extremes;
 
 /// Names of set-ups that are listed.
@@ -79,6 +79,22 @@ pub fn lengths(read: &MeasuredLengths, robot: &RobotConfig) -> Inspection {
     set_ups(&mut inspection, [("anchors", &read.anchors), ("attachments", &read.attachments)]);
     ranges(&mut inspection, rows.iter().map(|row| row.joints_rad), robot);
     nominal_robot(&mut inspection, &Wire::new(&rows).into(), robot);
+    inspection
+}
+
+/// Touches of faces, and how far the nominal robot is from flat ones.
+pub fn touches(read: &Touches, robot: &RobotConfig) -> Inspection {
+    let mut inspection = Inspection::default();
+    let rows: Vec<TouchRow> = read.rows.iter().map(TouchRow::from).collect();
+    inspection.fact("rows", rows.len().to_string());
+    let [low_m, high_m] = extremes(rows.iter().map(|row| row.reading_m));
+    if low_m < high_m {
+        inspection.fact("readings", format!("{:.3} to {:.3} mm", low_m * 1e3, high_m * 1e3));
+    }
+    inspection.fact("faces", format!("{}: {}", read.faces.len(), named(&read.faces, NAMED)));
+    ranges(&mut inspection, rows.iter().map(|row| row.joints_rad), robot);
+    let touch = Touch::new(&rows, &read.faces, &FaceTable::default(), &flange_chain(robot));
+    nominal_robot(&mut inspection, &touch.into(), robot);
     inspection
 }
 

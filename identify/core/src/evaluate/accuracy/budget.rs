@@ -116,7 +116,7 @@ fn named(source: Source, model: &Model, covariance: &Covariance) -> String {
     let (column, how) = match source {
         Source::Together => return "errors of the samples, with all priors".into(),
         Source::Samples { data_set } => return format!("errors of the samples of data set {}", data_set + 1),
-        Source::Known => return "what is known of the sockets".into(),
+        Source::Known => return "what is known of sockets or faces".into(),
         Source::LeftOut => return "errors of joints that the samples neither show nor exclude".into(),
         Source::Prior { column } => (column, "estimated, expected"),
         Source::Considered { column } => (column, "fixed"),

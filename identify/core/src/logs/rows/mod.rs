@@ -1,6 +1,7 @@
-//! Rows that a tracker, a wire or a ball in sockets gave, a pose of the robot each.
+//! Rows that a tracker, a wire, a ball in sockets or a tip on faces gave, a pose of the robot each.
 
 pub(super) mod contact;
 pub(super) mod measured_length;
 pub(super) mod measured_pose;
 pub(super) mod pose_rows;
+pub(super) mod touch;

@@ -79,6 +79,9 @@ pub struct Experiment {
     /// Files of a ball in sockets.
     #[serde(default, rename = "contact", skip_serializing_if = "Vec::is_empty")]
     pub contacts: Vec<RowFile>,
+    /// Files of touch probes or dial gauges.
+    #[serde(default, rename = "touch", skip_serializing_if = "Vec::is_empty")]
+    pub touches: Vec<RowFile>,
     /// How to calibrate: the keys of identify.toml.
     #[serde(default)]
     pub identify: IdentifyConfig,
@@ -94,7 +97,7 @@ impl Validate for Experiment {
             return Err(Violation::new(
                 "bar",
                 what,
-                "write a [[bar]], [[tracker]], [[wire]] or [[contact]] block for each file",
+                "write a [[bar]], [[tracker]], [[wire]], [[contact]] or [[touch]] block for each file",
             ));
         }
         let forces = self.bars.iter().filter(|run| run.force_log.is_some()).count();
@@ -133,6 +136,13 @@ impl Validate for Experiment {
                         "write sockets = \"sockets.toml\" there, and there alone",
                     ));
                 }
+                if row.faces.is_some() && kind != Kind::Touch {
+                    return Err(Violation::new(
+                        format!("{key}[{index}].faces"),
+                        "a table of faces goes with a [[touch]] block",
+                        "leave it out",
+                    ));
+                }
                 if row.robot_log.is_some() && kind != Kind::Tracker {
                     return Err(Violation::new(
                         format!("{key}[{index}].robot_log"),
@@ -167,6 +177,7 @@ impl Experiment {
             trackers: Vec::new(),
             wires: Vec::new(),
             contacts: Vec::new(),
+            touches: Vec::new(),
             identify,
             read_from: None,
         }
@@ -176,8 +187,18 @@ impl Experiment {
         self.bars.len() + self.rows().count()
     }
 
-    fn kinds(&self) -> [(Kind, &[RowFile]); 3] {
-        [(Kind::Tracker, &self.trackers), (Kind::Wire, &self.wires), (Kind::Contact, &self.contacts)]
+    fn kinds(&self) -> [(Kind, &[RowFile]); 4] {
+        [
+            (Kind::Tracker, &self.trackers),
+            (Kind::Wire, &self.wires),
+            (Kind::Contact, &self.contacts),
+            (Kind::Touch, &self.touches),
+        ]
+    }
+
+    fn rows_mut(&mut self) -> impl Iterator<Item = &mut RowFile> {
+        let Self { trackers, wires, contacts, touches, .. } = self;
+        trackers.iter_mut().chain(wires).chain(contacts).chain(touches)
     }
 
     /// All files of rows, in the order of their data sets.
@@ -187,8 +208,7 @@ impl Experiment {
 
     /// States which rows of each file are held out, where nobody has said so: what is usual may be another thing one day.
     pub(super) fn state(&mut self, rows: &[Rows]) {
-        let files = self.trackers.iter_mut().chain(&mut self.wires).chain(&mut self.contacts);
-        for (of, rows) in files.zip(rows) {
+        for (of, rows) in self.rows_mut().zip(rows) {
             (of.hold_out, of.seed) = (Some(rows.hold_out()), Some(rows.seed()));
         }
     }
@@ -200,6 +220,7 @@ impl Experiment {
             files.extend([(kind.role(), of.file.as_path()), ("mapping", &of.mapping)]);
             files.extend(of.robot_log.as_deref().map(|log| ("robot log", log)));
             files.extend(of.sockets.as_deref().map(|sockets| ("sockets", sockets)));
+            files.extend(of.faces.as_deref().map(|faces| ("faces", faces)));
         }
         files.push(("robot", &self.robot));
         for run in &self.bars {
@@ -219,19 +240,20 @@ impl Experiment {
 
     /// All of its paths.
     fn paths(&mut self) -> Vec<&mut PathBuf> {
-        let mut paths = vec![&mut self.robot];
-        let mappings = [&mut self.recording_mapping, &mut self.log_mapping, &mut self.force_mapping];
-        paths.extend(mappings.into_iter().flatten());
-        for run in &mut self.bars {
+        let Self { robot, recording_mapping, log_mapping, force_mapping, bars, .. } = self;
+        let Self { trackers, wires, contacts, touches, .. } = self;
+        let mut paths = vec![robot];
+        paths.extend([recording_mapping, log_mapping, force_mapping].into_iter().flatten());
+        for run in bars {
             paths.extend([&mut run.recording, &mut run.robot_log, &mut run.bar]);
             paths.extend(&mut run.force_log);
         }
-        for rows in self.trackers.iter_mut().chain(&mut self.wires).chain(&mut self.contacts) {
+        for rows in trackers.iter_mut().chain(wires).chain(contacts).chain(touches) {
             paths.extend([&mut rows.file, &mut rows.mapping]);
-            paths.extend(&mut rows.robot_log);
-            paths.extend(&mut rows.sockets);
+            let others =
+                [&mut rows.robot_log, &mut rows.sockets, &mut rows.faces, &mut rows.validate_mapping];
+            paths.extend(others.into_iter().flatten());
             paths.extend(&mut rows.validate);
-            paths.extend(&mut rows.validate_mapping);
         }
         paths
     }

@@ -1,4 +1,5 @@
-//! Files of rows, each a pose of the robot and what was measured there: `identify calibrate tracker`, `wire` and `contact`.
+//! Files of rows, each a pose of the robot and what was measured there: `identify calibrate tracker`, `wire`, `contact` and
+//! `touch`.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -15,12 +16,13 @@ use crate::calibrate::rows::{WAVES_PER_TURN_MAX, validate};
 use crate::calibrate::{CalibrateError, Calibration};
 use crate::evaluate::Validity;
 use crate::instrument::{
-    Contact, ContactRow, HoldOut, Instrument, LengthRow, PoseRow, Rows, SocketTable, Tracker, Wire,
+    Contact, ContactRow, FaceTable, HoldOut, Instrument, LengthRow, PoseRow, Rows, SocketTable, Touch,
+    TouchRow, Tracker, Wire,
 };
 use crate::kinematics::flange_chain;
 use crate::logs::{
     ContactMapping, Contacts, LogFormat, LogOptions, MeasuredLengthMapping, MeasuredLengths,
-    MeasuredPoseMapping, MeasuredPoses, TimedPoses, is_simulated, joints_of_robot,
+    MeasuredPoseMapping, MeasuredPoses, TimedPoses, TouchMapping, Touches, is_simulated, joints_of_robot,
 };
 use crate::model::{JointState, Model, further};
 use crate::prepare::{AlignedPoses, Alignment, PrepareOptions, align_poses};
@@ -55,6 +57,16 @@ pub struct ContactArguments {
     sockets: PathBuf,
 }
 
+/// Options of a calibration with a touch probe or a dial gauge.
+#[derive(Debug, Args)]
+pub struct TouchArguments {
+    #[command(flatten)]
+    rows: RowArguments,
+    /// Distances and angles of the faces, such as config/faces.toml; without it nothing is known of them
+    #[arg(long, value_name = "FILE")]
+    faces: Option<PathBuf>,
+}
+
 /// A file of rows as an experiment has it: the keys of a block in an experiment's file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -69,6 +81,9 @@ pub struct RowFile {
     /// Of a ball in sockets, which needs it: the table of these.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sockets: Option<PathBuf>,
+    /// Of a touch probe: what is known of the faces.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub faces: Option<PathBuf>,
     /// Which rows are held out together; absent: regions of poses, rows of lengths and contacts.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub hold_out: Option<HoldOut>,
@@ -93,6 +108,7 @@ impl From<&RowArguments> for RowFile {
             mapping: of.mapping.clone(),
             robot_log: None,
             sockets: None,
+            faces: None,
             hold_out: of.hold_out,
             seed: Some(of.seed),
             joint_waves: of.joint_waves,
@@ -126,12 +142,19 @@ pub(super) fn run_contact(ContactArguments { rows, sockets }: &ContactArguments)
     calibrate(experiment, &rows.common.result, None)
 }
 
+pub(super) fn run_touch(TouchArguments { rows, faces }: &TouchArguments) -> anyhow::Result<()> {
+    let mut experiment = rows.common.experiment()?;
+    experiment.touches.push(RowFile { faces: faces.clone(), ..rows.into() });
+    calibrate(experiment, &rows.common.result, None)
+}
+
 /// The instruments whose measurements are rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Kind {
     Tracker,
     Wire,
     Contact,
+    Touch,
 }
 
 impl Kind {
@@ -141,6 +164,7 @@ impl Kind {
             Self::Tracker => "tracker",
             Self::Wire => "wire",
             Self::Contact => "contact",
+            Self::Touch => "touch",
         }
     }
 
@@ -150,6 +174,7 @@ impl Kind {
             Self::Tracker => "measured poses",
             Self::Wire => "measured lengths",
             Self::Contact => "seated balls",
+            Self::Touch => "touched faces",
         }
     }
 }
@@ -260,6 +285,16 @@ fn measured(
             let contact = Contact::new(&rows, &table)
                 .map_err(|error| CalibrateError::Rows { data_set, error: error.into() })?;
             (contact.into(), Beside { lines, ..Beside::default() })
+        }
+        Kind::Touch => {
+            let table = of.faces.as_deref().map_or_else(|| Ok(FaceTable::default()), config::load)?;
+            let of_file: TouchMapping = config::load(mapping)?;
+            joints_of_robot(&of_file.joints, robot, mapping)?;
+            let read = Touches::load(file, &of_file)?;
+            let (rows, lines): (Vec<TouchRow>, _) =
+                read.rows.iter().map(|row| (TouchRow::from(row), row.line)).unzip();
+            let touch = Touch::new(&rows, &read.faces, &table, &flange_chain(robot));
+            (touch.into(), Beside { lines, ..Beside::default() })
         }
     })
 }

@@ -1,0 +1,368 @@
+//! The flat faces that a tip touches, and what is known of how they stand to each other.
+
+use nalgebra::{DMatrix, DVector, RowDVector, RowVector3, Vector3};
+use serde::{Deserialize, Serialize};
+use shared::config::{Validate, Violation};
+
+use super::Knowns;
+use crate::model::{Face, FaceNumber, Geometry, ParameterId, Unit};
+
+/// From which sides two parallel faces are touched.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Touched {
+    /// Both ends of a block: the tip's centre is its diameter further apart than the faces.
+    #[default]
+    Outside,
+    /// Two walls of a gap: its diameter less.
+    Inside,
+    /// Both from the same side: a step.
+    Step,
+}
+
+/// The distance of two parallel faces.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Spacing {
+    /// The two faces, as the rows call them.
+    pub between: [String; 2],
+    /// Of the faces themselves \[mm\].
+    pub distance_mm: f64,
+    /// How they are touched.
+    #[serde(default)]
+    pub touched: Touched,
+    /// Its standard uncertainty \[um\]; absent: that of all.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub u_um: Option<f64>,
+}
+
+/// The angle between two faces.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct KnownAngle {
+    /// The two faces, as the rows call them.
+    pub between: [String; 2],
+    /// Between their planes, 0 to 90 \[deg\].
+    pub angle_deg: f64,
+    /// Its standard uncertainty \[urad\]; absent: that of all.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub u_urad: Option<f64>,
+}
+
+/// What is known of faces: of a datum cube, a surface plate, the walls of a fixture.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FaceTable {
+    /// Standard uncertainty of each distance that has none of its own \[um\].
+    #[serde(default = "usual_u")]
+    pub u_um: f64,
+    /// Of each angle \[urad\].
+    #[serde(default = "usual_u_angle")]
+    pub u_urad: f64,
+    /// Diameter of the tip's ball, for faces that are touched from opposite sides \[mm\].
+    #[serde(default)]
+    pub tip_diameter_mm: f64,
+    /// Centre of the tip's ball in the flange frame, as far as it is known \[mm\].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tip_mm: Option<[f64; 3]>,
+    /// Distances.
+    #[serde(default, rename = "distance", skip_serializing_if = "Vec::is_empty")]
+    pub distances: Vec<Spacing>,
+    /// Angles.
+    #[serde(default, rename = "angle", skip_serializing_if = "Vec::is_empty")]
+    pub angles: Vec<KnownAngle>,
+}
+
+const fn usual_u() -> f64 {
+    10.0
+}
+
+const fn usual_u_angle() -> f64 {
+    100.0
+}
+
+impl Default for FaceTable {
+    fn default() -> Self {
+        Self {
+            u_um: usual_u(),
+            u_urad: usual_u_angle(),
+            tip_diameter_mm: 0.0,
+            tip_mm: None,
+            distances: Vec::new(),
+            angles: Vec::new(),
+        }
+    }
+}
+
+/// Faces further apart stand in no robot's cell, and no tip is so far from its flange \[mm\]; more means a wrong unit.
+const SPAN_MM_MAX: f64 = 20_000.0;
+
+impl Validate for FaceTable {
+    fn validate(&self) -> Result<(), Violation> {
+        let bad = |key: String, problem: String, remedy: &str| Err(Violation::new(key, problem, remedy));
+        let own = |i: usize, kind: &str, key: &str, u: Option<f64>| (format!("{kind}[{i}].{key}"), u);
+        let distances = self.distances.iter().enumerate();
+        let angles = self.angles.iter().enumerate();
+        let of_all = [("u_um".to_owned(), Some(self.u_um)), ("u_urad".to_owned(), Some(self.u_urad))];
+        let uncertainties = of_all
+            .into_iter()
+            .chain(distances.clone().map(|(i, one)| own(i, "distance", "u_um", one.u_um)))
+            .chain(angles.clone().map(|(i, one)| own(i, "angle", "u_urad", one.u_urad)));
+        for (key, u) in uncertainties {
+            if let Some(u) = u.filter(|u| !(u.is_finite() && *u > 0.0)) {
+                return bad(key, format!("{u} is no uncertainty"), "give a number above zero");
+            }
+        }
+        if !(0.0..=SPAN_MM_MAX).contains(&self.tip_diameter_mm) {
+            let problem = format!("{} mm is no diameter", self.tip_diameter_mm);
+            return bad("tip_diameter_mm".into(), problem, "give that of the tip's ball in millimetres");
+        }
+        if let Some(at) = self.tip_mm.iter().flatten().find(|at| !(-SPAN_MM_MAX..=SPAN_MM_MAX).contains(*at))
+        {
+            let problem = format!("{at} mm is no place on a flange");
+            return bad("tip_mm".into(), problem, "give three numbers in millimetres");
+        }
+        for (i, one) in distances {
+            if !(one.distance_mm > 0.0 && one.distance_mm <= SPAN_MM_MAX) {
+                let problem = format!("{} mm is no distance between faces", one.distance_mm);
+                return bad(format!("distance[{i}].distance_mm"), problem, "give millimetres above zero");
+            }
+            if one.touched == Touched::Inside && one.distance_mm <= self.tip_diameter_mm {
+                let problem = "the tip does not fit between these faces".to_owned();
+                return bad(format!("distance[{i}].distance_mm"), problem, "correct it, or tip_diameter_mm");
+            }
+        }
+        for (i, one) in angles {
+            if !(0.0..=90.0).contains(&one.angle_deg) {
+                let problem = format!("{} is no angle between planes", one.angle_deg);
+                return bad(format!("angle[{i}].angle_deg"), problem, "give degrees from 0 to 90");
+            }
+        }
+        let between = self.distances.iter().map(|one| &one.between).enumerate().map(|one| ("distance", one));
+        let angles = self.angles.iter().map(|one| &one.between).enumerate().map(|one| ("angle", one));
+        for (kind, (i, [one, other])) in between.chain(angles) {
+            if one == other {
+                let problem = format!("`{one}` is both of them");
+                return bad(format!("{kind}[{i}].between"), problem, "name two faces");
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Something known of two faces.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Known {
+    /// How far the second is from the first where it is touched, for the tip's centre \[m\].
+    Distance { faces: [usize; 2], distance_m: f64, sigma_m: f64, at_m: Vector3<f64> },
+    /// Of their planes, not parallel.
+    Angle { faces: [usize; 2], angle_rad: f64, sigma_rad: f64 },
+    /// They are parallel.
+    Parallel { faces: [usize; 2], sigma_rad: f64 },
+}
+
+/// Faces that rows touch, numbered as their parameters, and what is known of them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Faces {
+    names: Vec<String>,
+    known: Vec<Known>,
+}
+
+/// A normal of length one, and its derivative by the normal as it is.
+fn unit_normal(face: &Face) -> (Vector3<f64>, nalgebra::Matrix3<f64>) {
+    let length = face.normal.norm();
+    let normal = face.normal / length;
+    (normal, (nalgebra::Matrix3::identity() - normal * normal.transpose()) / length)
+}
+
+impl Faces {
+    /// Those of a table that `names` gives, in this order; `centre_m` is about where each is touched, in the robot's base.
+    pub fn new(table: &FaceTable, names: &[String], centre_m: &[Vector3<f64>]) -> Self {
+        /// Planes that are known to be nearer to parallel have no direction in which they lean \[deg\].
+        const PARALLEL_DEG: f64 = 0.1;
+        let number = |name: &String| names.iter().position(|other| other == name);
+        let pair = |between: &[String; 2]| {
+            let [one, other] = between.each_ref().map(number);
+            Some([one?, other?])
+        };
+        let distances = table.distances.iter().filter_map(|one| {
+            let faces = pair(&one.between)?;
+            let by_tip_mm = match one.touched {
+                Touched::Outside => table.tip_diameter_mm,
+                Touched::Inside => -table.tip_diameter_mm,
+                Touched::Step => 0.0,
+            };
+            let distance_m = (one.distance_mm + by_tip_mm) * 1e-3;
+            let sigma_m = one.u_um.unwrap_or(table.u_um) * 1e-6;
+            Some(Known::Distance { faces, distance_m, sigma_m, at_m: *centre_m.get(faces[1])? })
+        });
+        let angles = table.angles.iter().filter_map(|one| {
+            let faces = pair(&one.between)?;
+            let sigma_rad = one.u_urad.unwrap_or(table.u_urad) * 1e-6;
+            Some(if one.angle_deg < PARALLEL_DEG {
+                Known::Parallel { faces, sigma_rad }
+            } else {
+                Known::Angle { faces, angle_rad: one.angle_deg.to_radians(), sigma_rad }
+            })
+        });
+        Self { names: names.to_vec(), known: distances.chain(angles).collect() }
+    }
+
+    /// How the rows call them.
+    pub fn names(&self) -> &[String] {
+        &self.names
+    }
+
+    /// A distance is known: the scale of the robot.
+    pub fn has_distance(&self) -> bool {
+        self.known.iter().any(|known| matches!(known, Known::Distance { .. }))
+    }
+}
+
+impl Knowns for Faces {
+    fn knowns(&self) -> usize {
+        self.known.len()
+    }
+
+    fn rows_of(&self, known: usize) -> usize {
+        if matches!(self.known.get(known), Some(Known::Parallel { .. })) { 3 } else { 1 }
+    }
+
+    fn name_of(&self, known: usize) -> String {
+        let Some(known) = self.known.get(known) else { return String::new() };
+        let (what, [one, other]) = match known {
+            Known::Distance { faces, .. } => ("the distance between", faces),
+            Known::Angle { faces, .. } | Known::Parallel { faces, .. } => ("the angle between", faces),
+        };
+        let name = |face: &usize| self.names.get(*face).map_or("", String::as_str);
+        format!("{what} faces `{}` and `{}`", name(one), name(other))
+    }
+
+    fn sigma_of(&self, known: usize) -> (f64, Unit) {
+        match self.known.get(known) {
+            Some(Known::Distance { sigma_m, .. }) => (*sigma_m, Unit::Metre),
+            Some(Known::Angle { sigma_rad, .. } | Known::Parallel { sigma_rad, .. }) => {
+                (*sigma_rad, Unit::Radian)
+            }
+            None => (0.0, Unit::Metre),
+        }
+    }
+
+    fn known(&self, known: usize, geometry: &Geometry) -> Option<(DVector<f64>, DMatrix<f64>)> {
+        let faces = &geometry.touch.faces;
+        let columns = FaceNumber::ALL.len() * faces.len();
+        let set = |by: &mut RowDVector<f64>, face: usize, normal: RowVector3<f64>, distance: f64| {
+            let first = FaceNumber::ALL.len() * face;
+            by.columns_mut(first, 3).copy_from(&normal);
+            by[first + FaceNumber::Distance.index()] = distance;
+        };
+        match *self.known.get(known)? {
+            Known::Distance { faces: [one, other], distance_m, sigma_m, at_m } => {
+                let (first, second) = (faces.get(one)?, faces.get(other)?);
+                // The foot of the place on the second face, and its height over the first one.
+                let (length_1, squared_2) = (first.normal.norm(), second.normal.norm_squared());
+                let over_2 = second.normal.dot(&at_m) - second.distance_m;
+                let foot_m = at_m - second.normal * (over_2 / squared_2);
+                let height_m = (first.normal.dot(&foot_m) - first.distance_m) / length_1;
+                let (normal_1, _) = unit_normal(first);
+                // d foot / d n2 = -(over_2 I + n2 x^T) / n2^2 + 2 n2 n2^T over_2 / n2^4.
+                let by_normal_2 = -(normal_1 * over_2 + at_m * normal_1.dot(&second.normal)) / squared_2
+                    + second.normal * (2.0 * over_2 * normal_1.dot(&second.normal) / squared_2.powi(2));
+                let by_distance_2 = normal_1.dot(&second.normal) / squared_2;
+                let by_normal_1 = (foot_m - normal_1 * height_m) / length_1;
+                let sign = if height_m < 0.0 { -1.0 } else { 1.0 } / sigma_m;
+                let mut by = RowDVector::zeros(columns);
+                set(&mut by, one, by_normal_1.transpose() * sign, -sign / length_1);
+                set(&mut by, other, by_normal_2.transpose() * sign, by_distance_2 * sign);
+                let residual = (height_m.abs() - distance_m) / sigma_m;
+                Some((DVector::from_element(1, residual), DMatrix::from_rows(&[by])))
+            }
+            Known::Angle { faces: [one, other], angle_rad, sigma_rad } => {
+                let (normal_1, by_1) = unit_normal(faces.get(one)?);
+                let (normal_2, by_2) = unit_normal(faces.get(other)?);
+                let cosine = normal_1.dot(&normal_2);
+                // The angle of planes is that of normals whichever way these point.
+                let sign = if cosine < 0.0 { -1.0 } else { 1.0 };
+                let found_rad = (sign * cosine).clamp(-1.0, 1.0).acos();
+                let slope = -sign / (found_rad.sin().max(f64::MIN_POSITIVE) * sigma_rad);
+                let mut by = RowDVector::zeros(columns);
+                set(&mut by, one, (by_1 * normal_2).transpose() * slope, 0.0);
+                set(&mut by, other, (by_2 * normal_1).transpose() * slope, 0.0);
+                let residual = (found_rad - angle_rad) / sigma_rad;
+                Some((DVector::from_element(1, residual), DMatrix::from_rows(&[by])))
+            }
+            Known::Parallel { faces: [one, other], sigma_rad } => {
+                let (normal_1, by_1) = unit_normal(faces.get(one)?);
+                let (normal_2, by_2) = unit_normal(faces.get(other)?);
+                let cross = normal_1.cross(&normal_2) / sigma_rad;
+                let mut by = DMatrix::zeros(3, columns);
+                let first = |face: usize| FaceNumber::ALL.len() * face;
+                let of_first = -normal_2.cross_matrix() * by_1 / sigma_rad;
+                by.view_mut((0, first(one)), (3, 3)).copy_from(&of_first);
+                let of_second = normal_1.cross_matrix() * by_2 / sigma_rad;
+                by.view_mut((0, first(other)), (3, 3)).copy_from(&of_second);
+                Some((DVector::from_column_slice(cross.as_slice()), by))
+            }
+        }
+    }
+
+    /// Four for each face.
+    fn column(&self, id: ParameterId) -> Option<usize> {
+        let ParameterId::Face { face, number } = id else { return None };
+        Some(FaceNumber::ALL.len() * face + number.index())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kinematics::Chain;
+
+    /// Each known thing against differences of its own residual.
+    #[test]
+    fn what_is_known_has_its_derivatives() {
+        let named = |names: &[&str]| names.iter().map(ToString::to_string).collect::<Vec<_>>();
+        let pair = |one: &str, other: &str| [one.to_owned(), other.to_owned()];
+        let table = FaceTable {
+            distances: vec![Spacing {
+                between: pair("a", "b"),
+                distance_mm: 100.0,
+                touched: Touched::Outside,
+                u_um: None,
+            }],
+            angles: vec![
+                KnownAngle { between: pair("a", "c"), angle_deg: 90.0, u_urad: None },
+                KnownAngle { between: pair("b", "c"), angle_deg: 60.0, u_urad: None },
+                KnownAngle { between: pair("a", "b"), angle_deg: 0.0, u_urad: None },
+            ],
+            ..FaceTable::default()
+        };
+        let centre_m =
+            [Vector3::new(0.5, 0.1, 0.3), Vector3::new(0.4, 0.2, 0.3), Vector3::new(0.4, 0.1, 0.4)];
+        let faces = Faces::new(&table, &named(&["a", "b", "c"]), &centre_m);
+        let mut geometry = Geometry::new(Chain::new(crate::kinematics::Pose::identity(), Vec::new()), None);
+        geometry.touch.faces = vec![
+            Face { normal: Vector3::new(1.0, 0.02, -0.01), distance_m: 0.5 },
+            Face { normal: Vector3::new(-1.0, 0.01, 0.03), distance_m: -0.39 },
+            Face { normal: Vector3::new(0.3, -0.2, 1.0), distance_m: 0.41 },
+        ];
+        for known in 0..faces.knowns() {
+            let (residual, derivative) = faces.known(known, &geometry).unwrap();
+            assert_eq!(residual.len(), faces.rows_of(known));
+            for face in 0..3 {
+                for number in FaceNumber::ALL {
+                    let id = ParameterId::Face { face, number };
+                    let at = |by: f64| {
+                        let mut moved = geometry.clone();
+                        *moved.parameter_mut(id).unwrap() += by;
+                        faces.known(known, &moved).unwrap().0
+                    };
+                    let (step, column) = (1e-6, faces.column(id).unwrap());
+                    let difference = (at(step) - at(-step)) / (2.0 * step);
+                    let off = (&difference - derivative.column(column)).norm();
+                    assert!(off < 1e-5 * (1.0 + derivative.norm()), "{known} {id}: {off}");
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,378 @@
+//! A tip on the flange that touches flat faces, row by row: the robot's joints and which face are all that is read, and with a dial
+//! gauge how far its plunger is pushed in. Faces stand anywhere; known distances between them give the scale.
+
+use nalgebra::{DMatrix, DVector, Matrix3, SymmetricEigen, Vector3};
+
+use super::rows::{MEDIAN_OF_ONE, Screened, Standing};
+use super::{
+    Cause, Deviation, Doubt, FaceTable, Faces, Instrument, Knowns, Measures, Mistake, Noise, RejectedRow,
+    RowError, ScaleFrom, Section,
+};
+use crate::cost::{BesideKnowns, CostError, DataSet, Residual, TouchedFace};
+use crate::kinematics::{Chain, Joints, Pose};
+use crate::logs;
+use crate::model::{
+    Axis, Clock, Face, FaceNumber, Geometry, JointState, Model, ModelError, Observation, Owner, ParameterId,
+    PerObservation, Role, SetUp,
+};
+use crate::statistics::median_size;
+
+/// A pose of the robot at which the tip touches a face.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct TouchRow {
+    /// Joint variables of the model \[rad, m\].
+    pub joints_rad: Joints,
+    /// The face, by its place among the names.
+    pub face: usize,
+    /// How far the plunger of a gauge is pushed in, along the face's normal \[m\]; zero of a probe without one.
+    pub reading_m: f64,
+}
+
+impl From<&logs::TouchedRow> for TouchRow {
+    fn from(read: &logs::TouchedRow) -> Self {
+        Self { joints_rad: read.q_rad, face: read.face, reading_m: read.reading_m }
+    }
+}
+
+/// Fewest rows of a face: its three numbers twice.
+const FACE_ROWS_MIN: usize = 6;
+/// The tip is expected within this of the flange \[m\]: decides only where the poses do not determine it.
+const TIP_SIGMA_M: f64 = 1.0;
+
+/// Rows of one set-up.
+#[derive(Debug, Clone)]
+pub struct Touch {
+    rows: Screened<TouchRow>,
+    table: FaceTable,
+    faces: Faces,
+    /// Those that take part, and the face and reading of each.
+    observations: Vec<Observation>,
+    touched: Vec<(usize, f64)>,
+    /// Standard deviation of a distance, from the spread of the residuals \[m\].
+    noise_m: f64,
+}
+
+impl Touch {
+    /// Of rows in the order in which the robot went there, the names of their faces, and what is known of these; `robot` is the nominal
+    /// one, up to its flange.
+    pub fn new(rows: &[TouchRow], names: &[String], table: &FaceTable, robot: &Chain) -> Self {
+        let all = Standing::new(rows, |row| row.joints_rad);
+        let tip_m = Vector3::from(table.tip_mm.unwrap_or_default()) * 1e-3;
+        let centre_m = |face: usize| {
+            let own = all.rows.iter().zip(&all.states).filter(|(row, _)| row.face == face);
+            let tips_m: Vec<Vector3<f64>> =
+                own.map(|(_, state)| robot.forward(&state.q).transform_point(&tip_m.into()).coords).collect();
+            tips_m.iter().sum::<Vector3<f64>>() / tips_m.len().max(1) as f64
+        };
+        let centre_m: Vec<Vector3<f64>> = (0..names.len()).map(centre_m).collect();
+        let faces = Faces::new(table, names, &centre_m);
+        Self::of(Screened::new(all), table.clone(), faces, TIP_SIGMA_M)
+    }
+
+    fn of(rows: Screened<TouchRow>, table: FaceTable, faces: Faces, noise_m: f64) -> Self {
+        let mut touch = Self { rows, table, faces, observations: Vec::new(), touched: Vec::new(), noise_m };
+        touch.take_part();
+        touch
+    }
+
+    /// Takes over which rows take part.
+    fn take_part(&mut self) {
+        let rows = &self.rows.at.rows;
+        let observation = |row| Observation::bar(PerObservation::time_s(row), Default::default());
+        self.observations = (0..rows.len()).map(observation).collect();
+        self.touched = rows.iter().map(|row| (row.face, row.reading_m)).collect();
+    }
+
+    /// Other rows on the same faces.
+    fn with_rows(&self, all: Standing<TouchRow>) -> Self {
+        Self::of(Screened::new(all), self.table.clone(), self.faces.clone(), self.noise_m)
+    }
+
+    /// Of the tip from the plane of a face, along its normal, at a row \[m\].
+    fn residual_m(geometry: &Geometry, row: &TouchRow, state: &JointState, face: usize) -> f64 {
+        let touch = &geometry.touch;
+        let Some(of) = touch.faces.get(face) else { return f64::NAN };
+        let tip_m = geometry.robot_end(state).transform_point(&touch.tip_m.into()).coords;
+        (of.normal.dot(&tip_m) - of.distance_m) / of.normal.norm() + row.reading_m
+    }
+
+    /// The same of every row and its own face, whether it takes part or not \[m\].
+    fn residuals_m(&self, geometry: &Geometry) -> Vec<f64> {
+        let all = &self.rows.all;
+        let one = |(row, state): (&TouchRow, &JointState)| Self::residual_m(geometry, row, state, row.face);
+        all.rows.iter().zip(&all.states).map(one).collect()
+    }
+}
+
+/// Poses of the flange at the rows, with face and reading of each.
+type Touches = Vec<(Pose, TouchRow)>;
+
+/// Tip and faces that fit poses of a robot, from a first tip on; and what they leave, root mean square \[m\].
+///
+/// Planes for a known tip are those of least squares, and a tip for known normals is linear: in turn they reach a minimum.
+fn fitted(touches: &Touches, faces: usize, first_m: Vector3<f64>) -> Option<(Vector3<f64>, Vec<Face>, f64)> {
+    const ROUNDS: usize = 60;
+    /// A tip that the poses do not determine stays where it was \[m\].
+    const WEAK_M: f64 = 1e-3;
+    let mut tip_m = first_m;
+    let mut planes = Vec::new();
+    for _ in 0..ROUNDS {
+        planes = (0..faces).map(|face| plane(touches, face, tip_m)).collect::<Option<Vec<Face>>>()?;
+        // n.(p + R t) - d + reading = 0 in t and the d of all faces.
+        let size = 3 + faces;
+        let (mut matrix, mut right) = (DMatrix::zeros(size, size), DVector::zeros(size));
+        let weak = touches.len() as f64 * (WEAK_M / TIP_SIGMA_M).powi(2);
+        matrix.view_mut((0, 0), (3, 3)).fill_diagonal(weak);
+        right.rows_mut(0, 3).copy_from(&(tip_m * weak));
+        for (flange, row) in touches {
+            let normal = planes[row.face].normal;
+            let mut by = DVector::zeros(size);
+            by.rows_mut(0, 3).copy_from(&(flange.rotation.inverse() * normal));
+            by[3 + row.face] = -1.0;
+            let known = normal.dot(&flange.translation.vector) + row.reading_m;
+            matrix.ger(1.0, &by, &by, 1.0);
+            right.axpy(-known, &by, 1.0);
+        }
+        let found = matrix.cholesky()?.solve(&right);
+        tip_m = found.fixed_rows::<3>(0).into_owned();
+        planes.iter_mut().enumerate().for_each(|(face, plane)| plane.distance_m = found[3 + face]);
+    }
+    let squared = touches.iter().map(|(flange, row)| {
+        let tip_m = flange.transform_point(&tip_m.into()).coords;
+        (planes[row.face].normal.dot(&tip_m) - planes[row.face].distance_m + row.reading_m).powi(2)
+    });
+    let rms_m = (squared.sum::<f64>() / touches.len().max(1) as f64).sqrt();
+    Some((tip_m, planes, rms_m))
+}
+
+/// The plane that fits the tips at a face; its normal points to where a gauge's plunger is pushed in by less.
+fn plane(touches: &Touches, face: usize, tip_m: Vector3<f64>) -> Option<Face> {
+    let own = || touches.iter().filter(|(_, row)| row.face == face);
+    let tips_m: Vec<Vector3<f64>> =
+        own().map(|(flange, _)| flange.transform_point(&tip_m.into()).coords).collect();
+    let count = tips_m.len() as f64;
+    let centre_m = tips_m.iter().sum::<Vector3<f64>>() / count.max(1.0);
+    let scatter: Matrix3<f64> =
+        tips_m.iter().map(|tip| (tip - centre_m) * (tip - centre_m).transpose()).sum();
+    let eigen = SymmetricEigen::try_new(scatter, f64::EPSILON, 1000)?;
+    let normal = eigen.eigenvectors.column(eigen.eigenvalues.imin()).into_owned();
+    let mean_m = own().map(|(_, row)| row.reading_m).sum::<f64>() / count.max(1.0);
+    let along: f64 = own()
+        .zip(&tips_m)
+        .map(|((_, row), tip)| normal.dot(&(tip - centre_m)) * (row.reading_m - mean_m))
+        .sum();
+    let normal = if along > 0.0 { -normal } else { normal };
+    tips_m.len().ge(&3).then(|| Face { normal, distance_m: normal.dot(&centre_m) })
+}
+
+impl Measures for Touch {
+    fn name(&self) -> &'static str {
+        "touch"
+    }
+
+    fn cost(&self) -> &'static str {
+        TouchedFace::NAME
+    }
+
+    fn doubts(&self, geometry: &Geometry) -> Vec<Doubt> {
+        let contradicted = self.faces.contradicted(geometry);
+        if contradicted.is_empty() { Vec::new() } else { vec![Doubt::OtherTable(contradicted)] }
+    }
+
+    fn scale(&self) -> ScaleFrom {
+        if self.faces.has_distance() { ScaleFrom::Faces } else { ScaleFrom::Robot }
+    }
+
+    fn noise(&self) -> Noise {
+        Noise::Length(self.noise_m)
+    }
+
+    fn samples(&self) -> usize {
+        self.rows.at.rows.len()
+    }
+
+    fn parts(&self) -> &'static str {
+        "tip and faces"
+    }
+
+    /// Each face.
+    fn sections(&self) -> Vec<Section> {
+        let section = |(face, name): (usize, &String)| {
+            let here = |(row, of): (usize, &TouchRow)| (of.face == face).then_some(row);
+            Section {
+                name: name.clone(),
+                parameters: format!("face{}", face + 1),
+                samples: self.rows.all.rows.iter().enumerate().filter_map(here).collect(),
+            }
+        };
+        self.faces.names().iter().enumerate().map(section).collect()
+    }
+
+    /// The face that the tip is nearest to.
+    fn remarks(&self, geometry: &Geometry) -> Vec<(usize, String)> {
+        let (names, all) = (self.faces.names(), &self.rows.all);
+        let remark = |one: &RejectedRow| {
+            let (row, state) = (all.rows.get(one.row)?, all.states.get(one.row)?);
+            let off_m = |face: &usize| Self::residual_m(geometry, row, state, *face).abs();
+            let near = (0..names.len()).min_by(|a, b| off_m(a).total_cmp(&off_m(b)));
+            let other = near.filter(|near| *near != row.face).map(|near| {
+                format!(", {:.2} mm from `{}`: look for a wrong name", off_m(&near) * 1e3, names[near])
+            });
+            Some((one.row, format!("not on its face `{}`{}", names[row.face], other.unwrap_or_default())))
+        };
+        self.rows.rejected.iter().filter_map(remark).collect()
+    }
+
+    /// With the faces that were touched.
+    fn fitted_out(&self, robot: Model) -> Model {
+        robot.with_faces(self.faces.names().len()).without_clocks()
+    }
+
+    /// From the tip that the table states, or from the best of some along the flange's axis.
+    fn place(&self, model: &mut Model, fix: &[ParameterId]) -> Result<bool, ModelError> {
+        const TRIED_M: [f64; 5] = [0.0, 0.1, 0.2, 0.3, 0.4];
+        let geometry = model.geometry(&[]);
+        let at = &self.rows.at;
+        let touches: Touches =
+            at.states.iter().zip(&at.rows).map(|(state, row)| (geometry.robot_end(state), *row)).collect();
+        let stated_m = self.table.tip_mm.map(|tip_mm| Vector3::from(tip_mm) * 1e-3);
+        let tried =
+            stated_m.map_or_else(|| TRIED_M.map(|z| Vector3::new(0.0, 0.0, z)).to_vec(), |tip| vec![tip]);
+        let faces = self.faces.names().len();
+        let found = tried.into_iter().filter_map(|tip_m| fitted(&touches, faces, tip_m));
+        let Some((tip_m, planes, _)) = found.min_by(|a, b| a.2.total_cmp(&b.2)) else { return Ok(false) };
+        let expected_m = stated_m.unwrap_or_default();
+        let mut set = |id: ParameterId, value: f64, role: Role| {
+            if fix.contains(&id) {
+                return Ok(());
+            }
+            model.set_value(id, value)?;
+            model.set_role(id, role)
+        };
+        for axis in Axis::ALL {
+            let role = Role::Prior { value: expected_m[axis.index()], sigma: TIP_SIGMA_M };
+            set(ParameterId::Tip { axis }, tip_m[axis.index()], role)?;
+        }
+        for (face, Face { normal, distance_m }) in planes.iter().enumerate() {
+            let largest = normal.iamax();
+            let scale = normal[largest].abs();
+            for number in FaceNumber::ALL {
+                let (value, role) = match number {
+                    FaceNumber::Normal(axis) if axis.index() == largest => {
+                        (normal[largest].signum(), Role::Fixed)
+                    }
+                    FaceNumber::Normal(axis) => (normal[axis.index()] / scale, Role::Free),
+                    FaceNumber::Distance => (distance_m / scale, Role::Free),
+                };
+                set(ParameterId::Face { face, number }, value, role)?;
+            }
+        }
+        Ok(true)
+    }
+
+    fn data_set<'a>(&'a self, model: &'a Model, sigma: f64) -> Result<Box<dyn DataSet + 'a>, CostError> {
+        let Self { rows, observations, touched, faces, noise_m, .. } = self;
+        let residual = TouchedFace { touched };
+        Ok(Box::new(BesideKnowns::new(model, &rows.at, observations, residual, faces, sigma * noise_m)?))
+    }
+
+    fn reported(&self, sample: usize, _: &Clock) -> Option<JointState> {
+        self.rows.at.states.get(sample).copied()
+    }
+
+    /// Faces are of one body.
+    fn causes(&self, _: &Geometry) -> Vec<Cause> {
+        vec![Cause::Tip]
+    }
+
+    fn identifies(&self, id: ParameterId) -> bool {
+        TouchedFace::depends_on(id) && id.owner() != Owner::Clocks
+    }
+
+    /// Standard deviation that is behind residuals which are mostly normal, by their median.
+    fn adapt(&mut self, model: &Model) -> Option<f64> {
+        /// Data without any noise still need a unit.
+        const LEAST_M: f64 = 1e-9;
+        let residuals_m = self.residuals_m(&model.geometry(&[]));
+        self.noise_m = (median_size(residuals_m.into_iter()) / MEDIAN_OF_ONE).max(LEAST_M);
+        Some(self.noise_m)
+    }
+
+    /// Where most rows agree with each other, and each face keeps enough.
+    fn screen(&mut self, model: &Model) -> bool {
+        let residuals_m = self.residuals_m(&model.geometry(&[]));
+        let before = self.rows.clone();
+        let others = self.rows.screen(&residuals_m, &vec![1.0; residuals_m.len()]);
+        let rows = |face: usize| self.rows.at.rows.iter().filter(|row| row.face == face).count();
+        if (0..self.faces.names().len()).any(|face| rows(face) < FACE_ROWS_MIN / 2) {
+            self.rows = before;
+            return false;
+        }
+        self.take_part();
+        others
+    }
+
+    fn independent(&self, count: usize) -> Vec<Vec<usize>> {
+        self.rows.at.independent(count, |row| row.face)
+    }
+
+    fn part(&self, samples: &[usize]) -> Instrument {
+        self.with_rows(self.rows.at.chosen(samples)).into()
+    }
+
+    fn group(&mut self, groups: &[usize], seed: u64) {
+        self.rows.all.group(groups, seed);
+        self.rows.at.group(groups, seed);
+    }
+
+    fn deviations(&self, geometry: &Geometry) -> Vec<Deviation> {
+        self.residuals_m(geometry).into_iter().map(Deviation::of_length).collect()
+    }
+
+    fn rejected(&self) -> &[RejectedRow] {
+        &self.rows.rejected
+    }
+
+    fn joints(&self) -> Vec<Joints> {
+        self.rows.all.joints()
+    }
+
+    /// Twice as many as tip, faces and links have numbers.
+    fn samples_min(&self) -> usize {
+        const NUMBERS_OF_LINK: usize = 4;
+        let axes = self.rows.all.states.first().map_or(0, |state| state.q.len());
+        2 * (3 * (1 + self.faces.names().len()) + NUMBERS_OF_LINK * axes)
+    }
+
+    fn contradicting(&self, _: &Chain) -> Result<Vec<RejectedRow>, RowError> {
+        self.rows.all.ensure_finite(|row| [row.reading_m].into_iter())?;
+        let face = |row: &TouchRow| SetUp { station: row.face, target: 0 };
+        self.rows.all.ensure_each_has_rows(face, [("face", FACE_ROWS_MIN), ("tip", 0)])?;
+        Ok(Vec::new())
+    }
+
+    /// A tip on another face than its row says is no measurement that anything could predict.
+    fn misplaced(&self, model: &Model) -> Vec<RejectedRow> {
+        let mut screened = self.clone();
+        screened.screen(model);
+        screened.rows.rejected
+    }
+
+    fn judges_gross(&self) -> bool {
+        true
+    }
+
+    fn mistakes(&self, axes: usize) -> Vec<Mistake> {
+        Mistake::of_joints(axes).into_iter().chain([Mistake::ModifiedTable]).collect()
+    }
+
+    fn undone(&self, mistake: Mistake) -> Vec<Instrument> {
+        match mistake {
+            Mistake::Joints(mistake) => {
+                let other = self.rows.all.with_joints(|joints_rad| mistake.undone(joints_rad));
+                vec![self.with_rows(other).into()]
+            }
+            _ => Vec::new(),
+        }
+    }
+}

@@ -1,0 +1,187 @@
+//! A robot with drawn errors that puts a point on its flange somewhere, from above and within its limits.
+
+use std::f64::consts::TAU;
+
+use nalgebra::{Matrix3, Vector3};
+use rand::Rng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+use shared::config::RobotConfig;
+
+use super::effects::{GEAR_PERIODS, Wave};
+use super::{Stream, random};
+use crate::kinematics::{Chain, DhLink, Joints, Trace, Tracer, flange_chain};
+use crate::model::DriveTrain;
+
+/// The stem comes from above, within this of the vertical: cosine.
+const STEM_COSINE: f64 = 0.4;
+/// Part of the joints' travel that is used.
+const TRAVEL: f64 = 0.9;
+
+/// What is wrong with a simulated robot.
+#[derive(Debug, Clone, Copy)]
+pub struct ArmErrors {
+    /// Standard deviation of the error of each number of each link \[mm|mrad\].
+    pub errors_mm_mrad: f64,
+    /// White noise of each joint \[urad|um\].
+    pub robot_noise_urad: f64,
+    /// Sine of twice the angle of each drive's output, amplitude \[urad\]: an eccentric gear.
+    pub gear_sine_urad: f64,
+    /// Seed of the robot's errors: another set-up of one robot has the same.
+    pub robot_seed: u64,
+}
+
+impl Default for ArmErrors {
+    fn default() -> Self {
+        Self { errors_mm_mrad: 1.0, robot_noise_urad: 15.0, gear_sine_urad: 30.0, robot_seed: 1 }
+    }
+}
+
+impl ArmErrors {
+    /// The first that is no size, with its name.
+    pub(super) fn wrong(&self) -> Option<(&'static str, f64)> {
+        let sizes = [
+            ("errors_mm_mrad", self.errors_mm_mrad),
+            ("robot_noise_urad", self.robot_noise_urad),
+            ("gear_sine_urad", self.gear_sine_urad),
+        ];
+        sizes.into_iter().find(|(_, value)| !(value.is_finite() && *value >= 0.0))
+    }
+}
+
+/// The robot with its errors, and how it moves.
+pub(super) struct Arm {
+    /// With the links as they are.
+    pub(super) chain: Chain,
+    errors: ArmErrors,
+    drives: DriveTrain,
+    gears: Vec<Wave>,
+    tracer: Tracer,
+    limits: Vec<[f64; 2]>,
+    point_m: Vector3<f64>,
+}
+
+impl Arm {
+    /// `point_m` is the point in the flange frame.
+    pub(super) fn new(robot: &RobotConfig, errors: ArmErrors, point_m: Vector3<f64>) -> Self {
+        let mut drawn = random(errors.robot_seed, Stream::StaticErrors);
+        let by = errors.errors_mm_mrad * 1e-3;
+        let mut chain = flange_chain(robot);
+        for link in &mut chain.links {
+            let DhLink { a_m, d_m, alpha_rad, theta_rad, .. } = link;
+            for number in [a_m, d_m, alpha_rad, theta_rad] {
+                *number += by * drawn.sample::<f64, _>(StandardNormal);
+            }
+        }
+        let gear = |_: &DhLink| Wave {
+            amplitude_rad: errors.gear_sine_urad * 1e-6,
+            periods: GEAR_PERIODS,
+            phase_rad: drawn.random_range(0.0..TAU),
+        };
+        let gears = chain.links.iter().map(gear).collect();
+        let drives = DriveTrain::of(robot, &chain);
+        Self {
+            tracer: Tracer::new(&chain),
+            errors,
+            drives,
+            gears,
+            limits: robot.joint_limits(),
+            point_m,
+            chain,
+        }
+    }
+
+    /// What the controller reports where the robot stands; `noise` gives a number with this standard deviation \[1e-6\].
+    pub(super) fn reported(&self, stands: &Joints, mut noise: impl FnMut(f64) -> f64) -> Joints {
+        let mut joints =
+            Joints::from_fn(stands.len(), |joint| stands[joint] + noise(self.errors.robot_noise_urad));
+        for (drive, gear) in self.turning() {
+            let error = gear.at(self.drives.of_drive(drive, stands));
+            let turned = joints.iter_mut().zip(&self.drives.joint_from_drive[drive]);
+            turned.for_each(|(q, part)| *q += part * error);
+        }
+        joints
+    }
+
+    fn turning(&self) -> impl Iterator<Item = (usize, &Wave)> {
+        self.gears.iter().enumerate().filter(|(drive, _)| self.drives.turns(*drive))
+    }
+
+    /// The terms by which a calibration takes the errors of the gears out, by name \[rad\].
+    pub(super) fn gear_terms(&self) -> Vec<(String, f64)> {
+        if self.errors.gear_sine_urad == 0.0 {
+            return Vec::new();
+        }
+        self.turning().flat_map(|(drive, gear)| gear.terms(&gear.periods.to_string(), drive)).collect()
+    }
+
+    fn random(&self, random: &mut ChaCha8Rng) -> Joints {
+        let joint = |[low, high]: &[f64; 2]| {
+            let (middle, half) = (0.5 * (low + high), 0.5 * TRAVEL * (high - low));
+            random.random_range(middle - half..=middle + half)
+        };
+        self.limits.iter().map(joint).collect()
+    }
+
+    /// The point with joints there, and whether its stem comes from above.
+    fn point(&self, joints: &Joints, trace: &mut Trace) -> (Vector3<f64>, bool) {
+        self.tracer.trace(joints, trace);
+        let stem = trace.rotation() * self.point_m;
+        (trace.position_m() + stem, -stem.z > STEM_COSINE * stem.norm())
+    }
+
+    /// Joints near `start` that put the point there; none within the limits and from above.
+    fn reach(&self, start: Joints, there_m: Vector3<f64>) -> Option<Joints> {
+        const STEPS: usize = 60;
+        const STEP_MAX: f64 = 0.3;
+        const MISS_M: f64 = 1e-12;
+        let (mut joints, mut trace) = (start, Trace::default());
+        for _ in 0..STEPS {
+            let (held_m, from_above) = self.point(&joints, &mut trace);
+            let miss = there_m - held_m;
+            if miss.norm() < MISS_M {
+                let within = joints.iter().zip(&self.limits).all(|(q, [low, high])| low <= q && q <= high);
+                return (within && from_above).then_some(joints);
+            }
+            let by: Vec<Vector3<f64>> =
+                trace.point_twists(held_m, joints.len()).map(|twist| twist.linear).collect();
+            let square: Matrix3<f64> = by.iter().map(|column| column * column.transpose()).sum();
+            let pull = (square + Matrix3::identity() * 1e-12).try_inverse()? * miss;
+            let longest = by.iter().map(|column| column.dot(&pull).abs()).fold(0.0, f64::max);
+            let part = (STEP_MAX / longest).min(1.0);
+            joints.iter_mut().zip(&by).for_each(|(q, column)| *q += part * column.dot(&pull));
+        }
+        None
+    }
+
+    /// The point in random postures, those places first that most of the others are near, and how far it gets.
+    pub(super) fn places(&self, random: &mut ChaCha8Rng) -> (Vec<Vector3<f64>>, f64) {
+        const POSTURES: usize = 600;
+        const NEAR: f64 = 0.2;
+        /// Where the robot itself stands nothing else does.
+        const BESIDE: f64 = 0.45;
+        let mut trace = Trace::default();
+        let points: Vec<(Vector3<f64>, bool)> =
+            (0..POSTURES).map(|_| self.point(&self.random(random), &mut trace)).collect();
+        let reach_m = points.iter().map(|(at, _)| at.norm()).fold(0.0, f64::max);
+        let beside = |at: &Vector3<f64>| at.xy().norm() > BESIDE * reach_m;
+        let from_above: Vec<Vector3<f64>> =
+            points.iter().filter(|(at, above)| *above && beside(at)).map(|(at, _)| *at).collect();
+        let near = |at: &Vector3<f64>| {
+            from_above.iter().filter(|other| (*other - at).norm() < NEAR * reach_m).count()
+        };
+        let mut places = from_above.clone();
+        places.sort_by_cached_key(|at| std::cmp::Reverse(near(at)));
+        (places, reach_m)
+    }
+
+    /// The first try of so many that puts the point there.
+    pub(super) fn reached(
+        &self,
+        there_m: Vector3<f64>,
+        tries: usize,
+        random: &mut ChaCha8Rng,
+    ) -> Option<Joints> {
+        (0..tries).find_map(|_| self.reach(self.random(random), there_m))
+    }
+}

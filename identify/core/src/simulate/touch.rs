@@ -1,0 +1,289 @@
+//! A robot with known errors that touches the faces of a block with a tip on its flange: what a calibration by touch should find.
+
+use std::collections::BTreeMap;
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+use nalgebra::{Rotation3, Vector3};
+use rand::Rng;
+use rand_distr::StandardNormal;
+use serde::{Deserialize, Serialize};
+use shared::config::RobotConfig;
+
+use super::arm::{Arm, ArmErrors};
+use super::write::write_texts;
+use super::{Stream, WriteError, random};
+use crate::instrument::{FaceTable, KnownAngle, Spacing, TouchRow, Touched};
+use crate::kinematics::{Chain, Pose};
+use crate::logs::{CsvLayout, LengthUnit, ReadingColumn, SIMULATED, TouchMapping, joint_columns};
+use crate::model::{Face, Model, ParameterId};
+
+/// Centre of the tip's ball in the flange frame \[m\], and the ball's diameter \[mm\].
+const TIP_M: [f64; 3] = [0.02, -0.03, 0.12];
+const TIP_DIAMETER_MM: f64 = 4.0;
+/// Starts that are tried for a row.
+const TRIES: usize = 3000;
+/// Places that are tried for the block.
+const PLACES: usize = 20;
+/// Faces of the block with their outward normals; it stands on the sixth.
+const FACES: [(&str, [f64; 3]); 5] = [
+    ("right", [1.0, 0.0, 0.0]),
+    ("left", [-1.0, 0.0, 0.0]),
+    ("back", [0.0, 1.0, 0.0]),
+    ("front", [0.0, -1.0, 0.0]),
+    ("top", [0.0, 0.0, 1.0]),
+];
+
+/// Everything that decides a simulated experiment with a touch probe. Equal experiments give equal results.
+#[derive(Debug, Clone)]
+pub struct TouchExperiment<'a> {
+    /// The robot, nominal.
+    pub robot: &'a RobotConfig,
+    /// Edge of the block \[mm\]; none: by the robot's size.
+    pub block_mm: Option<f64>,
+    /// Where the block's centre stands in the robot's base \[m\]; none: where the robot reaches it in most ways.
+    pub place_m: Option<[f64; 3]>,
+    /// The calibration gets distances and angles of the block; without, nothing of it.
+    pub known: bool,
+    /// Rows.
+    pub rows: usize,
+    /// What is wrong with the robot.
+    pub errors: ArmErrors,
+    /// How well a touch is found, standard deviation \[um\].
+    pub touch_um: f64,
+    /// Travel of a dial gauge in place of a touch probe \[mm\]; 0: a touch probe.
+    pub gauge_mm: f64,
+    /// Seed of poses, noise and the block's errors.
+    pub seed: u64,
+}
+
+impl<'a> TouchExperiment<'a> {
+    /// The usual one with this robot.
+    pub fn new(robot: &'a RobotConfig) -> Self {
+        Self {
+            robot,
+            block_mm: None,
+            place_m: None,
+            known: true,
+            rows: 300,
+            errors: ArmErrors::default(),
+            touch_um: 2.0,
+            gauge_mm: 0.0,
+            seed: 1,
+        }
+    }
+}
+
+/// Everything that is true of it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TouchTruth {
+    /// The robot's name.
+    pub robot: String,
+    /// Seed of poses and noise.
+    pub seed: u64,
+    /// Names of the faces in the order of their parameters.
+    pub faces: Vec<String>,
+    /// True parameters by name \[m|rad\].
+    pub parameters: BTreeMap<String, f64>,
+}
+
+/// What a simulated experiment gives.
+#[derive(Debug, Clone)]
+pub struct SimulatedTouches {
+    /// Rows in the order of the robot's motion.
+    pub rows: Vec<TouchRow>,
+    /// What is known of the faces.
+    pub table: FaceTable,
+    /// What a calibration should find.
+    pub truth: TouchTruth,
+    /// The true robot.
+    pub robot: Chain,
+    /// Rows have the readings of a gauge.
+    pub with_readings: bool,
+}
+
+/// Why a touch probe cannot be simulated.
+#[derive(Debug, thiserror::Error)]
+pub enum TouchSimulationError {
+    /// A size that is none.
+    #[error("{name} is {value}; give a finite number that is not negative")]
+    Size {
+        /// Option.
+        name: &'static str,
+        /// As given.
+        value: f64,
+    },
+    /// The robot does not get there.
+    #[error(
+        "the robot does not reach face `{face}` from above within its limits; give another --place or a smaller --block-mm"
+    )]
+    Unreachable {
+        /// Its name.
+        face: &'static str,
+    },
+}
+
+/// What is known of a block with these edges.
+fn known(block_mm: f64) -> FaceTable {
+    let pair = |one: &str, other: &str| [one.to_owned(), other.to_owned()];
+    let distance = |(one, other)| Spacing {
+        between: pair(one, other),
+        distance_mm: block_mm,
+        touched: Touched::Outside,
+        u_um: None,
+    };
+    let angle = |(one, other, angle_deg)| KnownAngle { between: pair(one, other), angle_deg, u_urad: None };
+    FaceTable {
+        u_um: 5.0,
+        u_urad: 50.0,
+        tip_diameter_mm: TIP_DIAMETER_MM,
+        tip_mm: None,
+        distances: [("right", "left"), ("back", "front")].map(distance).to_vec(),
+        angles: [
+            ("right", "left", 0.0),
+            ("back", "front", 0.0),
+            ("right", "back", 90.0),
+            ("right", "top", 90.0),
+            ("back", "top", 90.0),
+        ]
+        .map(angle)
+        .to_vec(),
+    }
+}
+
+/// Runs an experiment.
+///
+/// # Errors
+/// [`TouchSimulationError`].
+pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, TouchSimulationError> {
+    let TouchExperiment { robot, seed, errors, touch_um, gauge_mm, .. } = *experiment;
+    let sizes =
+        [("touch_um", touch_um), ("gauge_mm", gauge_mm), ("block_mm", experiment.block_mm.unwrap_or(1.0))];
+    let wrong = sizes.into_iter().find(|(_, value)| !(value.is_finite() && *value >= 0.0));
+    if let Some((name, value)) = errors.wrong().or(wrong) {
+        return Err(TouchSimulationError::Size { name, value });
+    }
+    let arm = Arm::new(robot, errors, TIP_M.into());
+    let mut poses = random(seed, Stream::Path);
+    let (places_m, reach_m) = arm.places(&mut poses);
+    /// Edge of the block, part of the robot's reach.
+    const EDGE: f64 = 0.15;
+    let block_mm = experiment.block_mm.unwrap_or_else(|| (EDGE * reach_m * 1e3).round());
+    let half_m = 0.5e-3 * block_mm;
+    let turn = Rotation3::from_euler_angles(0.02, -0.01, poses.random_range(-0.5..0.5));
+    let centres_m = match experiment.place_m {
+        Some(place_m) => vec![Vector3::from(place_m)],
+        None => places_m.into_iter().take(PLACES).collect(),
+    };
+    let mut out_of_reach = "";
+    let block = centres_m.into_iter().map(|centre_m| Pose::from_parts(centre_m.into(), turn)).find(|block| {
+        let there_m =
+            |normal: [f64; 3]| block.transform_point(&(Vector3::from(normal) * half_m).into()).coords;
+        let found =
+            FACES.iter().find(|(_, normal)| arm.reached(there_m(*normal), TRIES / 10, &mut poses).is_none());
+        out_of_reach = found.map_or("", |(name, _)| *name);
+        out_of_reach.is_empty()
+    });
+    let Some(block) = block else { return Err(TouchSimulationError::Unreachable { face: out_of_reach }) };
+    let table = known(block_mm);
+    let mut effects = random(seed, Stream::RobotEffects);
+    let mut noise = |sigma: f64| -> f64 { sigma * 1e-6 * effects.sample::<f64, _>(StandardNormal) };
+    let radius_m = 0.5e-3 * TIP_DIAMETER_MM;
+    // Each face by itself is where the table has it within its uncertainty.
+    let faces: Vec<Face> = FACES
+        .iter()
+        .map(|(_, normal)| {
+            let part = 0.5_f64.sqrt();
+            let lean = Vector3::from_fn(|_, _| noise(part * table.u_urad));
+            let normal = (turn * (Rotation3::new(lean) * Vector3::from(*normal))).normalize();
+            let from_centre_m = half_m + noise(part * table.u_um) + radius_m;
+            Face { normal, distance_m: normal.dot(&block.translation.vector) + from_centre_m }
+        })
+        .collect();
+    let mut rows = Vec::with_capacity(experiment.rows);
+    for row in 0..experiment.rows {
+        let number = row % FACES.len();
+        let (face, (name, outward)) = (faces[number], FACES[number]);
+        // A place of the face, within nine tenths of it, taken onto the plane of the tip's centre.
+        let place = Vector3::from_fn(|axis, _| {
+            let along = poses.random_range(-0.9..0.9);
+            half_m * if outward[axis] == 0.0 { along } else { outward[axis] }
+        });
+        let place_m = block.transform_point(&place.into()).coords;
+        let on_plane_m = place_m - face.normal * (face.normal.dot(&place_m) - face.distance_m);
+        // A probe answers too late or too early, a gauge shows too much or too little.
+        let off_m = noise(touch_um);
+        let [out_m, reading_m] = if gauge_mm > 0.0 {
+            let pushed_m = 1e-3 * poses.random_range(0.0..gauge_mm);
+            [-pushed_m, pushed_m + off_m]
+        } else {
+            [off_m, 0.0]
+        };
+        let Some(stands) = arm.reached(on_plane_m + face.normal * out_m, TRIES, &mut poses) else {
+            return Err(TouchSimulationError::Unreachable { face: name });
+        };
+        rows.push(TouchRow { joints_rad: arm.reported(&stands, &mut noise), face: number, reading_m });
+    }
+    let mut truth = truth(experiment, &arm.chain, &faces);
+    truth.parameters.extend(arm.gear_terms());
+    let table = if experiment.known { table } else { FaceTable::default() };
+    Ok(SimulatedTouches { rows, table, truth, robot: arm.chain, with_readings: gauge_mm > 0.0 })
+}
+
+fn truth(experiment: &TouchExperiment<'_>, chain: &Chain, faces: &[Face]) -> TouchTruth {
+    let model = Model::alone(chain).with_faces(faces.len()).without_clocks();
+    let mut geometry = model.geometry(&[]);
+    geometry.touch.tip_m = TIP_M.into();
+    for (to, face) in geometry.touch.faces.iter_mut().zip(faces) {
+        // As a calibration has them: the largest component of a normal is one.
+        let scale = face.normal.amax();
+        *to = Face { normal: face.normal / scale, distance_m: face.distance_m / scale };
+    }
+    let ids = model.ids().into_iter().filter(|id| id.term().is_none());
+    let value = |id: ParameterId| Some((id.to_string(), *geometry.parameter_mut(id)?));
+    TouchTruth {
+        robot: experiment.robot.name.clone(),
+        seed: experiment.seed,
+        faces: FACES.map(|(name, _)| name.to_owned()).to_vec(),
+        parameters: ids.filter_map(value).collect(),
+    }
+}
+
+/// Writes `touches.csv`, its mapping `touch.toml`, `faces.toml` and `truth.toml` into `directory`, which is made where it is missing;
+/// returns where they are.
+///
+/// # Errors
+/// [`WriteError`].
+pub fn write(
+    directory: &Path,
+    simulated: &SimulatedTouches,
+    robot: &RobotConfig,
+) -> Result<[PathBuf; 4], WriteError> {
+    let reading = ReadingColumn { column: "reading_mm".into(), unit: LengthUnit::Mm };
+    let mapping = TouchMapping {
+        csv: CsvLayout::default(),
+        face: "face".into(),
+        reading: simulated.with_readings.then_some(reading),
+        joints: joint_columns(robot),
+    };
+    let mut table = format!("# {SIMULATED}: identify simulate touch\n");
+    table.extend(mapping.joints.iter().map(|joint| format!("{},", joint.column)));
+    table += if simulated.with_readings { "reading_mm,face\n" } else { "face\n" };
+    for row in &simulated.rows {
+        for (q, joint) in row.joints_rad.iter().zip(&mapping.joints) {
+            // Writing to a string cannot fail.
+            let _ = write!(table, "{:.9},", q / joint.unit.to_si());
+        }
+        if simulated.with_readings {
+            let _ = write!(table, "{:.6},", row.reading_m * 1e3);
+        }
+        let _ = writeln!(table, "{}", simulated.truth.faces[row.face]);
+    }
+    let files = [
+        ("touches.csv", table),
+        ("touch.toml", toml::to_string(&mapping)?),
+        ("faces.toml", toml::to_string(&simulated.table)?),
+        ("truth.toml", toml::to_string(&simulated.truth)?),
+    ];
+    write_texts(directory, files)
+}

@@ -1,0 +1,210 @@
+//! A tip on the flange that touches the faces of a block: simulated rows with known truth, on arms of six and seven axes.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test stops at the first surprise")]
+#![allow(clippy::print_stdout, reason = "figures of a run")]
+
+use std::path::Path;
+use std::process::Command;
+
+use identify::calibrate::mix::{DataSets, calibrate};
+use identify::calibrate::{CalibrateError, Calibration, IdentifyConfig};
+use identify::evaluate::{limits, workspace_error};
+use identify::instrument::{FaceTable, Touch, TouchRow};
+use identify::kinematics::flange_chain;
+use identify::logs::{JointMistake, TouchMapping};
+use identify::model::ParameterId;
+use identify::robot::import;
+use identify::simulate::ArmErrors;
+use identify::simulate::touch::{self, SimulatedTouches, TouchExperiment};
+use shared::config::{self, RobotConfig, Validate};
+
+use crate::support::campaign::{is_full, size};
+use crate::support::truth::{apart_m, pulls};
+use crate::support::{irb120, irb2400, repository};
+
+fn seven_axes() -> RobotConfig {
+    let text = std::fs::read_to_string(repository("identify/tests/data/seven_axes.urdf")).unwrap();
+    import(&text, Some("base"), Some("flange")).unwrap().config
+}
+
+fn usual(robot: &RobotConfig, seed: u64) -> TouchExperiment<'_> {
+    let errors = ArmErrors { robot_seed: seed, ..ArmErrors::default() };
+    TouchExperiment { errors, seed, ..TouchExperiment::new(robot) }
+}
+
+fn try_calibrate(
+    robot: &RobotConfig,
+    rows: &[TouchRow],
+    table: &FaceTable,
+    made: &SimulatedTouches,
+) -> Result<Calibration, CalibrateError> {
+    let touch = Touch::new(rows, &made.truth.faces, table, &flange_chain(robot));
+    let data = DataSets { rows: vec![touch.into()], ..DataSets::default() };
+    calibrate(&data, robot, &IdentifyConfig::default(), None)
+}
+
+fn calibrated(robot: &RobotConfig, made: &SimulatedTouches) -> Calibration {
+    try_calibrate(robot, &made.rows, &made.table, made).unwrap()
+}
+
+/// Error of the calibrated robot over that of the nominal one.
+fn part_left(robot: &RobotConfig, made: &SimulatedTouches) -> f64 {
+    let found = calibrated(robot, made);
+    let before_m = apart_m(robot, &flange_chain(robot), &made.robot);
+    let after_m = apart_m(robot, &found.runs[0].model.geometry(&[]).robot, &made.robot);
+    println!("{}: {:.3} -> {:.4} mm", robot.name, before_m * 1e3, after_m * 1e3);
+    after_m / before_m
+}
+
+#[test]
+fn robots_of_six_and_seven_axes_are_calibrated_by_a_touch_probe_alone() {
+    for robot in [irb2400(), irb120(), seven_axes()] {
+        let left = part_left(&robot, &touch::run(&usual(&robot, 1)).unwrap());
+        assert!(left < 0.15, "{}: {left}", robot.name);
+    }
+}
+
+#[test]
+fn readings_of_a_dial_gauge_serve_as_well() {
+    let robot = irb120();
+    let made = touch::run(&TouchExperiment { gauge_mm: 8.0, ..usual(&robot, 2) }).unwrap();
+    assert!(made.rows.iter().all(|row| row.reading_m.abs() < 0.0081));
+    let left = part_left(&robot, &made);
+    assert!(left < 0.15, "{left}");
+}
+
+#[test]
+fn faces_of_which_nothing_is_known_leave_the_scale_to_the_robots_file_and_say_so() {
+    let robot = irb2400();
+    let made = touch::run(&TouchExperiment { known: false, ..usual(&robot, 3) }).unwrap();
+    let found = calibrated(&robot, &made);
+    let (model, covariance) = (found.model(), &found.solution().covariance);
+    let workspace = workspace_error(model, covariance, &robot.joint_limits());
+    let scale = identify::evaluate::scale_sentence(
+        [],
+        found.runs.iter().map(|run| run.instrument.scale()),
+        &workspace.budget,
+    );
+    assert!(scale.contains("no distance between the faces is known"), "{scale}");
+    // Nothing that holds is named as wrong.
+    let limits = limits(&found, &workspace);
+    assert!(limits.iter().all(|limit| !limit.sentence.contains("contradict")), "{limits:?}");
+    let before_m = apart_m(&robot, &flange_chain(&robot), &made.robot);
+    let after_m = apart_m(&robot, &model.geometry(&[]).robot, &made.robot);
+    assert!(after_m < 0.5 * before_m, "{before_m} {after_m}");
+}
+
+#[test]
+fn touches_of_another_face_take_no_part_and_joints_of_another_pose_are_refused_with_their_cause() {
+    let robot = irb120();
+    let made = touch::run(&usual(&robot, 4)).unwrap();
+    let mut rows = made.rows.clone();
+    for row in [20, 77, 131] {
+        rows[row].face = (rows[row].face + 1) % 5;
+    }
+    let found = try_calibrate(&robot, &rows, &made.table, &made).unwrap();
+    let run = &found.runs[0];
+    let rejected: Vec<usize> = run.instrument.rejected().iter().map(|one| one.row).collect();
+    assert_eq!(rejected, [20, 77, 131]);
+    let remarks = run.instrument.remarks(&run.model.geometry(&[]));
+    let right = &made.truth.faces[made.rows[20].face];
+    assert!(remarks[0].1.contains(&format!("from `{right}`: look for a wrong name")), "{remarks:?}");
+    let mut rows = made.rows.clone();
+    for row in &mut rows {
+        row.joints_rad = JointMistake::Reversed(1).undone(&row.joints_rad);
+    }
+    let error = try_calibrate(&robot, &rows, &made.table, &made).unwrap_err().to_string();
+    assert!(error.contains("joint 2 counts the other way"), "{error}");
+}
+
+fn within(robot: &RobotConfig, seeds: u64) -> f64 {
+    let of = |seed| {
+        let made = touch::run(&usual(robot, seed)).unwrap();
+        pulls(robot, &calibrated(robot, &made), &made.truth.parameters)
+    };
+    let all: Vec<(ParameterId, f64)> = (1..=seeds).flat_map(of).collect();
+    let within = all.iter().filter(|(_, pull)| pull.abs() <= 1.0).count() as f64 / all.len() as f64;
+    println!("{}: {within:.3} of {} within their 95 % intervals", robot.name, all.len());
+    within
+}
+
+#[test]
+#[ignore = "takes minutes"]
+fn intervals_of_links_hold_95_percent_over_robots_that_touch() {
+    for robot in [irb2400(), irb120()] {
+        let within = within(&robot, size(10, 50));
+        // Links of one robot err together, so that few robots leave a larger spread.
+        let allowed = if is_full() { 0.92..=0.99 } else { 0.86..=1.0 };
+        assert!(allowed.contains(&within), "{}: {within}", robot.name);
+    }
+}
+
+/// `identify` in a directory: whether it ended well, and all it said.
+fn told(directory: &Path, arguments: &[&str]) -> (bool, String) {
+    let run = Command::new(env!("CARGO_BIN_EXE_identify"))
+        .current_dir(directory)
+        .args(arguments)
+        .env("RUST_LOG", "off")
+        .output()
+        .unwrap();
+    let texts = [run.stdout, run.stderr].map(|text| String::from_utf8(text).unwrap());
+    // Sentences are wrapped to the width of a terminal.
+    let words: Vec<String> = texts.concat().split_whitespace().map(Into::into).collect();
+    (run.status.success(), words.join(" "))
+}
+
+#[test]
+fn a_simulated_block_is_inspected_and_calibrates_from_its_files_and_its_experiment() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let done = told(at, &["simulate", "touch", "--robot", "irb120_3", "--out", "cube", "--gauge-mm", "5"]);
+    assert!(done.0, "{}", done.1);
+    let inspect = ["inspect", "cube/touches.csv", "--mapping", "cube/touch.toml", "--robot", "irb120_3"];
+    let (done, text) = told(at, &inspect);
+    assert!(done && text.contains("faces 5: right, left, back, front, top"), "{text}");
+    assert!(text.contains("nothing suspicious"), "{text}");
+    let (done, text) = told(at, &[&inspect[..5], &["nj220_2_7"]].concat());
+    assert!(done && text.contains("further from the rows than robots are off"), "{text}");
+    let calibrate = ["calibrate", "touch", "cube/touches.csv", "--mapping", "cube/touch.toml", "--verbose"];
+    let known = ["--faces", "cube/faces.toml", "--robot", "irb120_3", "--out", "result"];
+    let (done, text) = told(at, &[&calibrate[..], &known].concat());
+    assert!(done && text.contains("verdict"), "{text}");
+    assert!(text.contains("right face1 60"), "{text}");
+    let page = std::fs::read_to_string(at.join("result/report.html")).unwrap();
+    assert!(page.contains("SIMULATED") && page.contains("the distances between faces"));
+    let again = ["calibrate", "--experiment", "result/experiment.toml", "--out", "again"];
+    let (done, text) = told(at, &again);
+    assert!(done, "{text}");
+    let [first, second] = ["result", "again"]
+        .map(|out| std::fs::read_to_string(at.join(out).join("corrections.csv")).unwrap_or_default());
+    assert!(!first.is_empty() && first == second);
+
+    // A block that is longer than its table says is named.
+    let faces = std::fs::read_to_string(at.join("cube/faces.toml")).unwrap();
+    let line = faces.lines().find(|line| line.starts_with("distance_mm")).unwrap();
+    let mm: f64 = line.split_once("= ").unwrap().1.parse().unwrap();
+    std::fs::write(at.join("longer.toml"), faces.replacen(line, &format!("distance_mm = {}", mm + 1.0), 1))
+        .unwrap();
+    let wrong = ["--faces", "longer.toml", "--robot", "irb120_3", "--out", "wrong"];
+    let (done, text) = told(at, &[&calibrate[..], &wrong].concat());
+    assert!(done && text.contains("verdict amber"), "{text}");
+    assert!(text.contains("the table of sockets or faces: the distance between faces `"), "{text}");
+}
+
+#[test]
+fn the_shipped_tables_are_valid_and_wrong_ones_are_refused() {
+    let table: FaceTable = config::load(&repository("config/faces.toml")).unwrap();
+    assert!(!table.distances.is_empty() && !table.angles.is_empty());
+    let mapping: TouchMapping = config::load(&repository("config/touch.toml")).unwrap();
+    assert_eq!(mapping.joints.len(), 6);
+    let refused = |of: fn(&mut FaceTable)| {
+        let mut wrong = table.clone();
+        of(&mut wrong);
+        wrong.validate().unwrap_err().key
+    };
+    assert!(refused(|of| of.u_um = 0.0).contains("u_um"));
+    assert!(refused(|of| of.tip_diameter_mm = f64::NAN).contains("tip_diameter_mm"));
+    assert!(refused(|of| of.tip_mm = Some([0.0, f64::INFINITY, 0.0])).contains("tip_mm"));
+    assert!(refused(|of| of.distances[0].distance_mm = -1.0).contains("distance[0].distance_mm"));
+    assert!(refused(|of| of.angles[1].angle_deg = 91.0).contains("angle[1].angle_deg"));
+    assert!(refused(|of| of.angles[0].between[1] = "left".into()).contains("angle[0].between"));
+}
