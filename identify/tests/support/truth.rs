@@ -42,7 +42,7 @@ pub fn apart_m(robot: &RobotConfig, one: &Chain, other: &Chain) -> f64 {
     pairs.iter().map(|[p, q]| (p - a - turn * (q - b)).norm()).sum::<f64>() / POSTURES as f64
 }
 
-/// The parameters of links, of which `d` is told once of axes that are nearly parallel: true minus found, over its sigma.
+/// Pulls of the parameters of links, found minus true over the 95 % interval; of `d` of nearly parallel axes only the sum counts.
 pub fn pulls(
     robot: &RobotConfig,
     found: &Calibration,

@@ -13,7 +13,7 @@ pub struct BesideKnowns<'a, R, M, K> {
 }
 
 impl<'a, R: Residual, M: RobotMotion, K: Knowns> BesideKnowns<'a, R, M, K> {
-    /// `sigma` is the standard deviation of a residual of a row; that of what is known stands there.
+    /// `sigma` is the standard deviation of a residual of a row; knowns have their own.
     ///
     /// # Errors
     /// [`CostError`].

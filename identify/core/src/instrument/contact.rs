@@ -214,7 +214,7 @@ impl Measures for Contact {
         "ball and sockets"
     }
 
-    /// Each socket.
+    /// A section for each socket.
     fn sections(&self) -> Vec<Section> {
         let section = |(socket, name): (usize, &String)| {
             let here = |(row, of): (usize, &ContactRow)| (of.socket == socket).then_some(row);
@@ -349,7 +349,7 @@ impl Measures for Contact {
         self.rows.all.joints()
     }
 
-    /// A ball in another socket than its row says is no measurement that anything could predict.
+    /// Balls in another socket than their rows say: nothing could predict them.
     fn misplaced(&self, model: &Model) -> Vec<RejectedRow> {
         let mut screened = self.clone();
         screened.screen(model);

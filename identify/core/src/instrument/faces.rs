@@ -65,10 +65,10 @@ pub struct FaceTable {
     /// Centre of the tip's ball in the flange frame, as far as it is known \[mm\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tip_mm: Option<[f64; 3]>,
-    /// Distances.
+    /// Known distances of parallel faces.
     #[serde(default, rename = "distance", skip_serializing_if = "Vec::is_empty")]
     pub distances: Vec<Spacing>,
-    /// Angles.
+    /// Known angles of planes.
     #[serde(default, rename = "angle", skip_serializing_if = "Vec::is_empty")]
     pub angles: Vec<KnownAngle>,
 }
@@ -94,7 +94,7 @@ impl Default for FaceTable {
     }
 }
 
-/// Faces further apart stand in no robot's cell, and no tip is so far from its flange \[mm\]; more means a wrong unit.
+/// Larger than any robot's cell \[mm\]: more means a wrong unit.
 const SPAN_MM_MAX: f64 = 20_000.0;
 
 impl Validate for FaceTable {
@@ -110,21 +110,21 @@ impl Validate for FaceTable {
             .chain(angles.clone().map(|(i, one)| own(i, "angle", "u_urad", one.u_urad)));
         for (key, u) in uncertainties {
             if let Some(u) = u.filter(|u| !(u.is_finite() && *u > 0.0)) {
-                return bad(key, format!("{u} is no uncertainty"), "give a number above zero");
+                return bad(key, format!("the uncertainty is {u}"), "give a number above zero");
             }
         }
         if !(0.0..=SPAN_MM_MAX).contains(&self.tip_diameter_mm) {
-            let problem = format!("{} mm is no diameter", self.tip_diameter_mm);
+            let problem = format!("the diameter is {} mm", self.tip_diameter_mm);
             return bad("tip_diameter_mm".into(), problem, "give that of the tip's ball in millimetres");
         }
         if let Some(at) = self.tip_mm.iter().flatten().find(|at| !(-SPAN_MM_MAX..=SPAN_MM_MAX).contains(*at))
         {
-            let problem = format!("{at} mm is no place on a flange");
+            let problem = format!("a coordinate is {at} mm");
             return bad("tip_mm".into(), problem, "give three numbers in millimetres");
         }
         for (i, one) in distances {
             if !(one.distance_mm > 0.0 && one.distance_mm <= SPAN_MM_MAX) {
-                let problem = format!("{} mm is no distance between faces", one.distance_mm);
+                let problem = format!("the distance is {} mm", one.distance_mm);
                 return bad(format!("distance[{i}].distance_mm"), problem, "give millimetres above zero");
             }
             if one.touched == Touched::Inside && one.distance_mm <= self.tip_diameter_mm {
@@ -134,7 +134,7 @@ impl Validate for FaceTable {
         }
         for (i, one) in angles {
             if !(0.0..=90.0).contains(&one.angle_deg) {
-                let problem = format!("{} is no angle between planes", one.angle_deg);
+                let problem = format!("the angle is {}", one.angle_deg);
                 return bad(format!("angle[{i}].angle_deg"), problem, "give degrees from 0 to 90");
             }
         }
@@ -157,7 +157,7 @@ enum Known {
     Distance { faces: [usize; 2], distance_m: f64, sigma_m: f64, at_m: Vector3<f64> },
     /// Of their planes, not parallel.
     Angle { faces: [usize; 2], angle_rad: f64, sigma_rad: f64 },
-    /// They are parallel.
+    /// Two planes are parallel.
     Parallel { faces: [usize; 2], sigma_rad: f64 },
 }
 

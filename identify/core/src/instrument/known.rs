@@ -7,7 +7,7 @@ use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use crate::model::{Geometry, ParameterId, Unit};
 
-/// Chance that something is said of a table that holds.
+/// Chance of a false alarm for a table that is right.
 const CONTRADICTED_BY_CHANCE: f64 = 1e-3;
 
 /// Known lengths, places and angles.
@@ -18,14 +18,14 @@ pub trait Knowns: fmt::Debug + Sync {
     /// Numbers of one of them.
     fn rows_of(&self, known: usize) -> usize;
 
-    /// For a person.
+    /// Name in messages, such as `the distance between faces ...`.
     fn name_of(&self, known: usize) -> String;
 
     /// Its standard uncertainty, SI.
     fn sigma_of(&self, known: usize) -> (f64, Unit);
 
-    /// Found minus known, in standard deviations, and its derivatives by the numbers that [`Knowns::column`] tells; none where it has
-    /// no value.
+    /// Found minus known, in standard deviations, and its derivatives in the columns of [`Knowns::column`]; `None` for a part that
+    /// the geometry lacks.
     fn known(&self, known: usize, geometry: &Geometry) -> Option<(DVector<f64>, DMatrix<f64>)>;
 
     /// The column of a parameter in these derivatives.
@@ -58,7 +58,7 @@ pub struct Contradiction {
     pub off: f64,
     /// Its standard uncertainty, SI.
     pub sigma: f64,
-    /// Of both.
+    /// Unit of both.
     pub unit: Unit,
 }
 

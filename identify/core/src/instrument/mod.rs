@@ -106,7 +106,7 @@ pub trait Measures: Boxed + fmt::Debug + Send + Sync {
     /// Sets which samples are left out together, by the group of each; `seed` decides which groups come together.
     fn group(&mut self, _groups: &[usize], _seed: u64) {}
 
-    /// What is left out together unless somebody says so.
+    /// The usual way to leave samples out.
     fn hold_out(&self) -> HoldOut {
         HoldOut::Rows
     }
@@ -186,12 +186,12 @@ pub trait Measures: Boxed + fmt::Debug + Send + Sync {
         0
     }
 
-    /// Samples that are no measurements where the model is, whether a fit saw them or not.
+    /// Samples that cannot be measurements where the model is, whether a fit saw them or not.
     fn misplaced(&self, _model: &Model) -> Vec<RejectedRow> {
         Vec::new()
     }
 
-    /// Which samples have gross residuals is judged anew at each solve ([`Measures::screen`]).
+    /// Samples with gross residuals are found anew at each solve ([`Measures::screen`]).
     fn judges_gross(&self) -> bool {
         false
     }
@@ -202,22 +202,22 @@ pub trait Measures: Boxed + fmt::Debug + Send + Sync {
         (0..self.samples()).map(|sample| self.reported(sample, &clock).unwrap_or_default().q).collect()
     }
 
-    /// What may have gone wrong with all samples, for an arm of so many axes.
+    /// Mistakes that a file of this instrument may have, for an arm with this number of axes.
     fn mistakes(&self, _axes: usize) -> Vec<Mistake> {
         Vec::new()
     }
 
-    /// The samples without a mistake, more than one way where it has a direction; none where that cannot be undone.
+    /// The samples without a mistake, in each direction that it may have; empty if it cannot be undone.
     fn undone(&self, _mistake: Mistake) -> Vec<Instrument> {
         Vec::new()
     }
 
-    /// Lengths that were read \[m\]; none where it reads none.
+    /// Lengths that were read \[m\]; empty for other instruments.
     fn lengths_m(&self) -> Vec<f64> {
         Vec::new()
     }
 
-    /// The same with lengths that are longer by so much each \[m\]; `None` where it reads no lengths, whose zero can wander.
+    /// The same with each length longer by `by_m`; `None` for an instrument without lengths, whose zero could wander.
     fn longer_by(&self, _by_m: &[f64]) -> Option<Instrument> {
         None
     }
@@ -256,7 +256,7 @@ pub enum ScaleFrom {
     Wire,
     /// Their table.
     Sockets,
-    /// Their known distances.
+    /// Known distances between faces.
     Faces,
     /// Nothing that is measured: the robot's own file.
     Robot,
@@ -273,7 +273,7 @@ pub enum Noise {
 
 /// What makes a copy of an instrument of any kind.
 pub trait Boxed {
-    /// The copy.
+    /// A copy with all its samples.
     fn boxed(&self) -> Instrument;
 }
 

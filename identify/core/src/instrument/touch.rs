@@ -195,7 +195,7 @@ impl Measures for Touch {
         "tip and faces"
     }
 
-    /// Each face.
+    /// A section for each face.
     fn sections(&self) -> Vec<Section> {
         let section = |(face, name): (usize, &String)| {
             let here = |(row, of): (usize, &TouchRow)| (of.face == face).then_some(row);
@@ -351,7 +351,7 @@ impl Measures for Touch {
         Ok(Vec::new())
     }
 
-    /// A tip on another face than its row says is no measurement that anything could predict.
+    /// Touches of another face than their rows say: nothing could predict them.
     fn misplaced(&self, model: &Model) -> Vec<RejectedRow> {
         let mut screened = self.clone();
         screened.screen(model);

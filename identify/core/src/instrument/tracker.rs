@@ -45,7 +45,7 @@ impl From<&logs::MeasuredPose> for PoseRow {
 const ROWS_MIN: usize = 20;
 /// Of each station, where there are several: its six numbers twice, and a part is held out.
 const STATION_ROWS_MIN: usize = 5;
-/// Of each target.
+/// Fewest rows of each target.
 const TARGET_ROWS_MIN: usize = 3;
 
 /// Rows of one set-up.

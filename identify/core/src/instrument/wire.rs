@@ -100,7 +100,7 @@ fn residuals_m(at: &Standing<LengthRow>, geometry: &Geometry) -> Vec<f64> {
     at.rows.iter().zip(&at.states).map(residual).collect()
 }
 
-/// Noise behind the residuals of some rows; none where no row states what it is worth.
+/// Noise behind the residuals of some rows; `None` if no row states its uncertainty.
 fn noise(at: &Standing<LengthRow>, geometry: &Geometry) -> Option<RowNoise> {
     let stated = || at.rows.iter().map(|row| row.uncertainty_m);
     let errors_m = residuals_m(at, geometry).into_iter().map(f64::abs);

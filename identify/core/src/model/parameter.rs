@@ -50,11 +50,11 @@ pub enum FaceNumber {
 }
 
 impl FaceNumber {
-    /// All four.
+    /// All four numbers of a face.
     pub const ALL: [Self; 4] =
         [Self::Normal(Axis::X), Self::Normal(Axis::Y), Self::Normal(Axis::Z), Self::Distance];
 
-    /// 0 to 3.
+    /// Place among them, 0 to 3.
     pub const fn index(self) -> usize {
         match self {
             Self::Normal(axis) => axis.index(),
@@ -484,7 +484,7 @@ parameters! {
 
     /// Where that centre is when it touches a face, `n.x = d` in the robot's base: `face1_nx`, `face1_ny`, `face1_nz`, `face1_d`
     Face {
-        /// Face.
+        /// Number of the face, from 0.
         face: usize = 0..ParameterId::SET_UPS_MAX,
         /// Which of its numbers.
         number: FaceNumber = FaceNumber::ALL,

@@ -187,7 +187,7 @@ impl Model {
         self
     }
 
-    /// The same with a ball on the flange and so many sockets, all at zero.
+    /// The same with a ball on the flange and a number of sockets, all at zero.
     #[must_use]
     pub fn with_sockets(mut self, sockets: usize) -> Self {
         self.structure.contact.sockets_m = vec![Vector3::zeros(); sockets];
@@ -195,7 +195,7 @@ impl Model {
         self
     }
 
-    /// The same with a tip on the flange and so many faces, all at zero.
+    /// The same with a tip on the flange and a number of faces, all at zero.
     #[must_use]
     pub fn with_faces(mut self, faces: usize) -> Self {
         self.structure.touch.faces = vec![Face::default(); faces];

@@ -38,7 +38,7 @@ impl Default for ArmErrors {
 }
 
 impl ArmErrors {
-    /// The first that is no size, with its name.
+    /// The first that is negative or not finite, with its name.
     pub(super) fn wrong(&self) -> Option<(&'static str, f64)> {
         let sizes = [
             ("errors_mm_mrad", self.errors_mm_mrad),

@@ -41,11 +41,11 @@ pub struct TouchExperiment<'a> {
     pub robot: &'a RobotConfig,
     /// Edge of the block \[mm\]; none: by the robot's size.
     pub block_mm: Option<f64>,
-    /// Where the block's centre stands in the robot's base \[m\]; none: where the robot reaches it in most ways.
+    /// Centre of the block in the robot's base \[m\]; `None`: where the robot reaches it in most ways.
     pub place_m: Option<[f64; 3]>,
     /// The calibration gets distances and angles of the block; without, nothing of it.
     pub known: bool,
-    /// Rows.
+    /// Number of touches.
     pub rows: usize,
     /// What is wrong with the robot.
     pub errors: ArmErrors,
@@ -96,7 +96,7 @@ pub struct SimulatedTouches {
     pub table: FaceTable,
     /// What a calibration should find.
     pub truth: TouchTruth,
-    /// The true robot.
+    /// The robot with its errors.
     pub robot: Chain,
     /// Rows have the readings of a gauge.
     pub with_readings: bool,
@@ -105,12 +105,12 @@ pub struct SimulatedTouches {
 /// Why a touch probe cannot be simulated.
 #[derive(Debug, thiserror::Error)]
 pub enum TouchSimulationError {
-    /// A size that is none.
+    /// A size that is negative or not finite.
     #[error("{name} is {value}; give a finite number that is not negative")]
     Size {
-        /// Option.
+        /// Name of the option.
         name: &'static str,
-        /// As given.
+        /// Its value as given.
         value: f64,
     },
     /// The robot does not get there.
@@ -118,7 +118,7 @@ pub enum TouchSimulationError {
         "the robot does not reach face `{face}` from above within its limits; give another --place or a smaller --block-mm"
     )]
     Unreachable {
-        /// Its name.
+        /// Name of the face.
         face: &'static str,
     },
 }
@@ -151,7 +151,7 @@ fn known(block_mm: f64) -> FaceTable {
     }
 }
 
-/// Runs an experiment.
+/// Simulates an experiment with a touch probe.
 ///
 /// # Errors
 /// [`TouchSimulationError`].
@@ -189,7 +189,7 @@ pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, TouchSi
     let mut effects = random(seed, Stream::RobotEffects);
     let mut noise = |sigma: f64| -> f64 { sigma * 1e-6 * effects.sample::<f64, _>(StandardNormal) };
     let radius_m = 0.5e-3 * TIP_DIAMETER_MM;
-    // Each face by itself is where the table has it within its uncertainty.
+    // Each face is off by the uncertainty of the table.
     let faces: Vec<Face> = FACES
         .iter()
         .map(|(_, normal)| {

@@ -138,14 +138,14 @@ pub struct RowArguments {
     /// Decides which rows are held out
     #[arg(long, default_value_t = SEED)]
     seed: u64,
-    /// Other files of the same instrument, which may stand elsewhere, that judge the robot
+    /// Other files of the same instrument, which may stand elsewhere, to check the robot with
     #[arg(long, value_name = "FILES", value_delimiter = ',')]
     validate: Vec<PathBuf>,
     /// Which column of these is what; default: as --mapping says. Their rows have joints, also where the others have times
     #[arg(long, value_name = "FILE", requires = "validate")]
     validate_mapping: Option<PathBuf>,
-    /// Highest number of waves per turn that the errors of joints may have, 3 to 127; default: 64 with a tracker, otherwise as many
-    /// as the rows can tell apart
+    /// Highest number of waves per turn that the errors of joints may have, 3 to 127; default: 64 with a tracker, otherwise by
+    /// the number of rows
     #[arg(long, value_name = "N",
           value_parser = clap::value_parser!(u8).range(i64::from(*Waves::OF_AXIS.start())..=i64::from(*Waves::OF_AXIS.end())))]
     joint_waves: Option<u8>,

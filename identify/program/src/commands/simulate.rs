@@ -54,7 +54,7 @@ struct ArmArguments {
     /// Directory for the rows, their mapping, what is known beside them, and truth.toml
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Where the plate's frame or the block's centre stands in the robot's base [m]; default: where the robot reaches it in most ways
+    /// Plate's frame or block's centre in the robot's base [m]; default: where the robot reaches it in most ways
     #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
     place: Option<[f64; 3]>,
     /// Decides poses, noise and the errors of what is measured
@@ -95,7 +95,7 @@ struct ContactArguments {
     /// Write the sockets' distances into sockets.toml instead of their places
     #[arg(long)]
     distances: bool,
-    /// Poses
+    /// Number of poses
     #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..))]
     rows: u32,
     /// How well the ball finds its seat, standard deviation along each axis [um]
@@ -113,7 +113,7 @@ struct TouchArguments {
     /// Write a table of faces of which nothing is known
     #[arg(long)]
     unknown: bool,
-    /// Touches
+    /// Number of touches
     #[arg(long, value_name = "N", default_value_t = 300, value_parser = clap::value_parser!(u32).range(1..))]
     rows: u32,
     /// How well a touch is found, standard deviation [um]

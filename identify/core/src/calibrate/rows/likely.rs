@@ -14,7 +14,7 @@ use crate::statistics::median_size;
 /// A mistake whose undoing brings the nominal robot to the rows.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Likely {
-    /// What went wrong.
+    /// The mistake that explains the rows.
     pub mistake: Mistake,
     /// Distance of the nominal robot from the rows as they are \[m\]: root mean square, of lengths the median.
     pub as_read_m: f64,
@@ -34,7 +34,7 @@ impl fmt::Display for Likely {
     }
 }
 
-/// The model with the instrument where it is for its robot, which stays; none where it cannot be placed.
+/// The model with the instrument placed for its robot, which stays; `None` if it cannot be placed.
 pub(super) fn placed(instrument: Instrument, model: Model) -> Result<Option<Model>, CalibrateError> {
     let model = instrument.fitted_out(model);
     let mut run = Run { instrument, model };
@@ -45,7 +45,7 @@ pub(super) fn placed(instrument: Instrument, model: Model) -> Result<Option<Mode
     Ok(Some(run.model))
 }
 
-/// How far a robot is from samples, the instrument placed by the same; none where it cannot be.
+/// How far a robot is from samples, the instrument placed by the same; `None` if it cannot be placed.
 pub fn misfit(instrument: &Instrument, robot: &Chain) -> Option<PoseFigures> {
     instrument.contradicting(robot).ok().filter(|_| instrument.samples() >= instrument.samples_min())?;
     let model = placed(instrument.clone(), Model::alone(robot)).ok()??;
@@ -67,7 +67,7 @@ fn misfit_m(instrument: &Instrument, robot: &Chain) -> Option<f64> {
     Some(figures.position_m.rms.hypot(TOOL_M * figures.rotation_rad.map_or(0.0, |sizes| sizes.rms)))
 }
 
-/// Distance of the nominal robot from the samples without the mistake \[m\]; none where nothing can be placed.
+/// Distance of the nominal robot from the samples without the mistake \[m\]; `None` if nothing can be placed.
 fn undone_m(mistake: Mistake, instrument: &Instrument, robot: &Chain) -> Option<f64> {
     match mistake {
         Mistake::Moved(row) => {
@@ -98,8 +98,8 @@ const NEAR_M: f64 = 0.05;
 
 /// The mistake among these that brings the nominal robot to the samples, where one does.
 pub fn likely(instrument: &Instrument, robot: &Chain, mistakes: &[Mistake]) -> Option<Likely> {
-    /// Undoing a mistake leaves less than this part of the distance: what is left is the robot's own error, millimetres
-    /// where mistakes make centimetres.
+    /// Undoing a mistake leaves less than this part of the distance: the robot's own error, millimetres where mistakes make
+    /// centimetres.
     const LEFT: f64 = 0.3;
     // Where no place of the instrument can be found, any is better.
     let as_read_m = misfit_m(instrument, robot).unwrap_or(f64::INFINITY);

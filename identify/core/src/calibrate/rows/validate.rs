@@ -9,7 +9,7 @@ use crate::instrument::{HoldOut, Instrument, PoseError, RowError, Rows};
 use crate::kinematics::flange_chain;
 use crate::model::Model;
 
-/// Parts of the rows, each judged by a place that the others gave.
+/// Parts of the rows, each predicted with the instrument placed by the others.
 const FOLDS: usize = 5;
 
 /// Figures of other rows with the nominal and with a calibrated robot, whose model is that of a file of rows.
@@ -36,17 +36,17 @@ pub fn validate(
     robot_only.free_only(|_| false);
     let rows = Rows { hold_out: Some(HoldOut::Rows), seed: Some(seed), ..instrument.clone().into() };
     let instrument = rows.grouped(&nominal);
-    Ok([judged(&instrument, &Model::alone(&nominal))?, judged(&instrument, &robot_only)?])
+    Ok([predicted(&instrument, &Model::alone(&nominal))?, predicted(&instrument, &robot_only)?])
 }
 
-fn judged(instrument: &Instrument, robot: &Model) -> Result<PoseFigures, CalibrateError> {
+fn predicted(instrument: &Instrument, robot: &Model) -> Result<PoseFigures, CalibrateError> {
     let mut errors: Vec<PoseError> = Vec::new();
-    for judged in instrument.independent(FOLDS) {
-        let fitting: Vec<usize> = (0..instrument.samples()).filter(|row| !judged.contains(row)).collect();
+    for left_out in instrument.independent(FOLDS) {
+        let fitting: Vec<usize> = (0..instrument.samples()).filter(|row| !left_out.contains(row)).collect();
         let model = placed(instrument.part(&fitting), robot.clone())?;
         let model = model.ok_or(CalibrateError::NoPlace { data_set: 1 })?;
         let found = instrument.errors(&model.geometry(&[]));
-        errors.extend(judged.iter().filter_map(|&row| found.get(row)));
+        errors.extend(left_out.iter().filter_map(|&row| found.get(row)));
     }
     Ok(PoseFigures::of(&errors))
 }

@@ -13,7 +13,7 @@ pub enum RowError {
     TooFewRows {
         /// Rows left for fitting.
         rows: usize,
-        /// Least number.
+        /// Least number of rows.
         needed: usize,
     },
     /// The controller's positions are not where the robot's file has the flange.
@@ -38,9 +38,9 @@ pub enum RowError {
         what: &'static str,
         /// From 1, in the order in which the file names them.
         number: usize,
-        /// Its rows.
+        /// Rows of this station or target.
         rows: usize,
-        /// Least number.
+        /// Least number of rows.
         needed: usize,
     },
     /// More stations or targets than have parameters.
@@ -51,17 +51,17 @@ pub enum RowError {
     TooManySetUps {
         /// Such as station or target.
         what: &'static str,
-        /// So many.
+        /// Number of stations or targets.
         count: usize,
-        /// At most.
+        /// Most that have parameters.
         most: usize,
     },
     /// A row is not a measurement.
-    #[error("row {row} has {what}; take it out or mend it")]
+    #[error("row {row} has {what}; take it out or correct it")]
     BadRow {
-        /// Row from 1.
+        /// Number of the row, from 1.
         row: usize,
-        /// What is wrong.
+        /// What is wrong with it.
         what: &'static str,
     },
     /// Most rows contradict the rest.
@@ -70,9 +70,9 @@ pub enum RowError {
          the unit of the lengths"
     )]
     TooManyRejected {
-        /// Rows that agree.
+        /// Rows that agree with the rest.
         kept: usize,
-        /// Fitting rows.
+        /// Rows that are fitted.
         rows: usize,
     },
     /// Of a ball in sockets.

@@ -7,9 +7,9 @@ use crate::logs::JointMistake;
 /// One thing that is wrong with a file of rows, its mapping or the robot's file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Mistake {
-    /// Of the joints.
+    /// A mistake of the joints.
     Joints(JointMistake),
-    /// Joints stand in the row before or after what was measured there.
+    /// Joints are in the row before or after what was measured there.
     RowsShifted,
     /// Two axes of the positions are exchanged, or one has the other sign.
     Mirrored,
@@ -17,7 +17,7 @@ pub enum Mistake {
     Moved(usize),
     /// Lengths are this many thousandths of what they are read as.
     LengthUnit(u32),
-    /// Lengths and twists of the robot's file stand in the row of the next joint: Craig's convention, read as the standard one.
+    /// Lengths and twists of the robot's file are in the row of the next joint: Craig's convention, read as the standard one.
     ModifiedTable,
 }
 

@@ -21,19 +21,19 @@ pub use standing::standing;
 use super::{Instrument, Measures};
 use crate::kinematics::Chain;
 
-/// Decides which groups of rows come together where nobody says so.
+/// Usual seed of the choice which groups of rows come together.
 pub const SEED: u64 = 1042;
 
 /// Rows of one set-up, in the order in which the robot went there, and how they are used.
 #[derive(Debug, Clone)]
 pub struct Rows {
-    /// What measured them.
+    /// The instrument with its rows.
     pub instrument: Instrument,
     /// Which are left out together; none: as is usual for the instrument.
     pub hold_out: Option<HoldOut>,
     /// Decides which groups come together.
     pub seed: Option<u64>,
-    /// Highest number of waves per turn that the errors of joints may have, where there is no ball-bar.
+    /// Highest number of waves per turn that the errors of joints may have, without a ball-bar.
     pub joint_waves: Option<u8>,
 }
 

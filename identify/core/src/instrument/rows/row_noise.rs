@@ -1,5 +1,5 @@
-//! What a row is worth where its file states that: an instrument knows how uncertain it is itself, but not what the robot adds to
-//! all rows alike, which is found in the residuals.
+//! Noise of rows whose file states it: an instrument knows its own uncertainty, but not what the robot adds to all rows alike, which is
+//! found in the residuals.
 
 use crate::statistics::median_size;
 

@@ -1,5 +1,5 @@
-//! Rows of which those that do not belong with the rest take no part, judged anew wherever a solve has come: single ones with gross
-//! residuals, and runs of rows that are off together.
+//! Rows without those that do not belong with the rest, which are found anew after each solve: single ones with gross residuals, and
+//! runs of rows that are off together.
 
 use super::Standing;
 use crate::instrument::PoseError;
@@ -31,20 +31,20 @@ pub enum Rejection {
 /// A row that takes no part.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RejectedRow {
-    /// Row from 0.
+    /// Number of the row, from 0.
     pub row: usize,
-    /// Why.
+    /// Why it takes no part.
     pub why: Rejection,
 }
 
 /// Rows of one set-up, without those that do not belong with the rest.
 #[derive(Debug, Clone)]
 pub(in crate::instrument) struct Screened<R> {
-    /// All of them.
+    /// All rows of the file.
     pub(in crate::instrument) all: Standing<R>,
     /// Rows of `all` that do not belong with the rest, ascending.
     pub(in crate::instrument) rejected: Vec<RejectedRow>,
-    /// The others.
+    /// Rows that take part.
     pub(in crate::instrument) at: Standing<R>,
 }
 
@@ -102,7 +102,7 @@ pub(crate) fn faulty(
     found
 }
 
-/// Which rows neither the nominal nor the calibrated robot comes near, by the errors of each in all rows and the noise of these over that
+/// Which rows are far from both the nominal and the calibrated robot, by the errors of each in all rows and the noise of these over that
 /// of the median row.
 pub(crate) fn gross_rows(
     nominal: &[PoseError],
@@ -116,7 +116,7 @@ pub(crate) fn gross_rows(
     far[0].iter().zip(&far[1]).map(|(nominal, calibrated)| *nominal && *calibrated).collect()
 }
 
-/// Which errors, of position or of rotation, are beyond so many robust standard deviations of all.
+/// Which errors, of position or of rotation, exceed this number of robust standard deviations of all.
 fn beyond(errors: &[PoseError], relative_noise: &[f64], sigmas: f64) -> Vec<bool> {
     // As if all rows were as uncertain as the median one.
     let alike = |(error, noise): (&PoseError, &f64)| PoseError {
@@ -150,7 +150,7 @@ fn neighbours_m(residuals_m: &[f64], fitting: &[usize], row: usize) -> f64 {
     let at = fitting.partition_point(|&f| f < row);
     let before = at + usize::from(fitting.get(at) == Some(&row));
     let sides = [before.saturating_sub(ROWS_EACH_SIDE)..before, at..(at + ROWS_EACH_SIDE).min(fitting.len())];
-    // A side with few rows says nothing.
+    // A side with few rows has no median to compare.
     let whole = sides.into_iter().filter(|side| side.len() == ROWS_EACH_SIDE);
     whole.map(|side| median_size(fitting[side].iter().map(|&row| residuals_m[row]))).fold(0.0, f64::max)
 }

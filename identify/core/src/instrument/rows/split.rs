@@ -1,4 +1,4 @@
-//! Which samples are held out together: the fit sees some, the others judge it.
+//! Which samples are held out together.
 
 use std::collections::BTreeMap;
 use std::ops::Range;

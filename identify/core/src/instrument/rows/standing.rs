@@ -9,7 +9,7 @@ use crate::model::{JointState, ParameterId, RobotMotion, SetUp};
 /// A joint that moved less than this since the pose before keeps the direction that it had \[rad\].
 const MOVED_RAD_MIN: f64 = 1e-3;
 
-/// Each pose as its robot stands there: rates are the way each joint last moved, by the poses in the order in which the robot
+/// The state of the robot at each pose: rates are the way each joint last moved, by the poses in the order in which the robot
 /// went there, at one radian per second; 0 where it has not yet moved.
 pub fn standing(joints_rad: impl Iterator<Item = Joints>) -> Vec<JointState> {
     let mut ways = Joints::default();
@@ -48,9 +48,9 @@ pub(super) fn poses(joints_rad: &[Joints]) -> Vec<usize> {
 /// Rows of one set-up, in the order in which the robot went there; sample `i` has time `i`.
 #[derive(Debug, Clone)]
 pub(in crate::instrument) struct Standing<R> {
-    /// What was measured.
+    /// What was measured at each.
     pub(in crate::instrument) rows: Vec<R>,
-    /// How the robot stood at each.
+    /// State of the robot at each row.
     pub(in crate::instrument) states: Vec<JointState>,
     /// Group of each row: rows of one group are held out together.
     groups: Vec<usize>,
@@ -58,7 +58,7 @@ pub(in crate::instrument) struct Standing<R> {
 }
 
 impl<R: Copy> Standing<R> {
-    /// Rows, of which `joints_rad` gives the joints; until somebody groups them each pose is a group.
+    /// Rows, of which `joints_rad` gives the joints; each pose is a group before [`Standing::group`].
     pub(in crate::instrument) fn new(rows: &[R], joints_rad: impl Fn(&R) -> Joints) -> Self {
         let joints_rad: Vec<Joints> = rows.iter().map(joints_rad).collect();
         Self {
@@ -109,7 +109,7 @@ impl<R: Copy> Standing<R> {
     }
 
     /// No more stations or targets than have parameters, and where there are several, each has enough rows to stay placed whichever
-    /// part of the file is left out; `needed` says what they are called, and how many rows each needs.
+    /// part of the file is left out; `needed` has their names and least numbers of rows.
     pub(in crate::instrument) fn ensure_each_has_rows(
         &self,
         set_up: impl Fn(&R) -> SetUp,

@@ -1,7 +1,6 @@
 //! Poses at which a tip on the flange touches a flat face: joints and the name of the face, and with a dial gauge its reading.
 //!
-//! There is no common file format, so a mapping in TOML says which columns to read and how. An example that explains
-//! each key is `config/touch.toml`.
+//! Files differ, so a mapping in TOML names the columns and their units; `config/touch.toml` explains each key.
 
 use std::path::Path;
 
@@ -101,7 +100,7 @@ impl Touches {
                 Some((column, unit)) => {
                     let reading_m = table.number(row, column)? * unit.to_m();
                     if reading_m.abs() > READING_M_MAX {
-                        let problem = format!("{reading_m} m is no reading of a gauge");
+                        let problem = format!("the gauge reads {reading_m} m");
                         let remedy = "check the reading's unit in the mapping file";
                         return Err(table.bad(row, column, problem, remedy));
                     }

@@ -93,7 +93,7 @@ pub struct RowFile {
     /// Highest number of waves per turn that the errors of joints may have; the lowest of all files counts.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub joint_waves: Option<u8>,
-    /// Other files of the same instrument that judge the robot.
+    /// Other files of the same instrument to check the robot with.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub validate: Vec<PathBuf>,
     /// Which of their columns is what; absent: as `mapping` says.
