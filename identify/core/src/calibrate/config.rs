@@ -234,11 +234,13 @@ impl IdentifyConfig {
             free.contains(id) && model.parameter(*id).is_some_and(|one| one.role == Role::Fixed)
         };
         let fixed: Vec<ParameterId> = free.iter().copied().filter(fixed).collect();
-        for id in fixed {
-            let sigma = self.stated(id).unwrap_or_else(|| self.tolerance());
-            model.set_role(id, Role::Considered { sigma })?;
-        }
-        Ok(())
+        fixed.into_iter().try_for_each(|id| self.consider(model, id))
+    }
+
+    /// Keeps a number of a link at its value, which may be wrong by its tolerance.
+    pub(crate) fn consider(&self, model: &mut Model, id: ParameterId) -> Result<(), ModelError> {
+        let sigma = self.stated(id).unwrap_or_else(|| self.tolerance());
+        model.set_role(id, Role::Considered { sigma })
     }
 
     /// Standard deviation that is stated of a parameter by name, SI.

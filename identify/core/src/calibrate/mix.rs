@@ -11,9 +11,9 @@ use super::pipeline::{Plan, Solved, estimate, refit, waves_per_turn};
 use super::rows::{self, RowSet};
 use super::validation::deployment::{Deployment, fitted};
 use super::{IdentifyConfig, SelectionName};
-use crate::instrument::{Rows, Run};
+use crate::instrument::{Rows, Run, ScaleFrom};
 use crate::kinematics::flange_chain;
-use crate::model::{DriveTrain, ParameterId};
+use crate::model::{DriveTrain, Model, Parameter, ParameterId, Unit};
 use crate::solver::{LossName, Watch};
 
 /// What was measured on one robot.
@@ -59,6 +59,16 @@ struct LaidOut<'w> {
     runs: Vec<Run>,
     rows: Vec<RowSet>,
     plan: Plan<'w>,
+}
+
+/// The longest of the lengths of links that are estimated.
+fn longest_length(model: &Model) -> Option<ParameterId> {
+    let is_length = |one: &&Parameter| {
+        matches!(one.id, ParameterId::Robot { .. }) && one.id.unit() == Unit::Metre && one.role.is_estimated()
+    };
+    let lengths = model.parameters().iter().filter(is_length);
+    let longest = lengths.max_by(|a, b| a.nominal.abs().total_cmp(&b.nominal.abs()))?;
+    Some(longest.id)
 }
 
 /// What is free in the models, and where instruments stand for the nominal robot; of files of rows a part is held out where they
@@ -107,6 +117,13 @@ fn laid_out<'w>(
     }
     for Run { model, .. } in &mut runs[data.bars.len()..] {
         config.set_link_roles(model)?;
+    }
+    // Without any scale a smaller robot between nearer faces fits as well: its longest link then keeps its length.
+    if runs.iter().all(|run| run.instrument.scale() == ScaleFrom::Robot) {
+        let longest = runs.first().and_then(|run| longest_length(&run.model));
+        for Run { model, .. } in &mut runs {
+            longest.iter().try_for_each(|id| config.consider(model, *id))?;
+        }
     }
     config.require_known(runs.iter().map(|run| &run.model))?;
     plan.tolerances = tolerances(&runs, config);

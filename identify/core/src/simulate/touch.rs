@@ -24,7 +24,7 @@ const TIP_DIAMETER_MM: f64 = 4.0;
 /// Starts that are tried for a row.
 const TRIES: usize = 3000;
 /// Places that are tried for the block.
-const PLACES: usize = 20;
+const PLACES: usize = 100;
 /// Faces of the block with their outward normals; it stands on the sixth.
 const FACES: [(&str, [f64; 3]); 5] = [
     ("right", [1.0, 0.0, 0.0]),

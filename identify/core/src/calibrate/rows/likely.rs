@@ -55,8 +55,9 @@ pub fn misfit(instrument: &Instrument, robot: &Chain) -> Option<PoseFigures> {
 /// Some of the samples, evenly taken: as many as distinguish one robot from another, since what is wrong is wrong in all.
 pub fn some_of(instrument: &Instrument) -> Instrument {
     const TRIED: usize = 60;
-    let every = instrument.samples().div_ceil(TRIED).max(1);
-    instrument.part(&(0..instrument.samples()).step_by(every).collect::<Vec<_>>())
+    let (all, some) = (instrument.samples(), TRIED.max(instrument.samples_min()));
+    let every = (all / some).max(1);
+    instrument.part(&(0..all).step_by(every).collect::<Vec<_>>())
 }
 
 /// Root mean square distance of a robot from the samples at the end of a tool \[m\].
