@@ -3,12 +3,12 @@
 
 use std::time::Duration;
 
-use ballbard::run::{self, BusChoice, Stop};
+use ballbard::run::BusChoice;
 use shared::config::DaemonConfig;
 use shared::recording::Recording;
 use shared::recording::schema::{CycleRecord, flags};
 use shared::time::NS_PER_S;
-use system_tests::{ball_bar, daemon, record, request};
+use system_tests::{ball_bar, daemon, record, record_run, request};
 
 #[test]
 #[ignore = "a minute of real time"]
@@ -50,7 +50,7 @@ fn at_any_configured_rate_every_cycle_that_was_due_is_in_the_file() {
         let directory = tempfile::tempdir().unwrap();
         let daemon = DaemonConfig { rate_hz, ..daemon(directory.path()) };
         let request = request("rate", BusChoice::Simulated, Some(Duration::from_secs(5)), false);
-        let summary = run::record(&request, &daemon, &ball_bar(), &Stop::default()).unwrap();
+        let summary = record_run(&request, &daemon, &ball_bar()).unwrap();
         let recording = Recording::open(&summary.path).unwrap();
         let due = 5 * rate_hz as usize;
         assert_eq!((recording.cycles.len(), summary.cycles_lost), (due, 0), "{rate_hz} Hz");

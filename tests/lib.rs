@@ -6,7 +6,9 @@ pub mod fuzzing;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use ballbard::run::{self, About, BusChoice, RunRequest, Stop};
+use ballbard::clock::Clock;
+use ballbard::run::{self, About, BusChoice, RunError, RunRequest, RunSummary, Stop, Storage};
+use ballbard::scheduler::Threads;
 use shared::config::{self, BallBarConfig, DaemonConfig};
 use shared::recording::Recording;
 
@@ -40,9 +42,21 @@ pub fn request(name: &str, bus: BusChoice, duration: Option<Duration>, fast: boo
     }
 }
 
+/// Records one run as `ballbard record` does.
+pub fn record_run(
+    request: &RunRequest,
+    daemon: &DaemonConfig,
+    bar: &BallBarConfig,
+) -> Result<RunSummary, RunError> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().expect("runtime");
+    let scheduler = Threads::on(Clock::Real);
+    let storage = Storage::new(daemon, &*scheduler).expect("storage");
+    runtime.block_on(run::record(&scheduler, &storage, request, daemon, bar, &Stop::default()))
+}
+
 /// Records into `directory` and reads the finished file back.
 pub fn record(directory: &Path, request: &RunRequest, bar: &BallBarConfig) -> (PathBuf, Recording) {
-    let summary = run::record(request, &daemon(directory), bar, &Stop::default()).expect("run");
+    let summary = record_run(request, &daemon(directory), bar).expect("run");
     let recording = Recording::open(&summary.path).expect("finished recording");
     (summary.path, recording)
 }

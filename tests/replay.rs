@@ -4,12 +4,12 @@
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use ballbard::run::{self, BusChoice, RunError, Stop};
+use ballbard::run::{BusChoice, RunError};
 use shared::config::BallBarConfig;
 use shared::recording::schema::{CycleRecord, ReplayOrigin, RunMetadata, SIMULATED_BUS};
 use shared::recording::{Recording, RecordingWriter};
 use shared::time::DcNs;
-use system_tests::{ball_bar, daemon, record, request};
+use system_tests::{ball_bar, daemon, record, record_run, request};
 
 fn counts_of(cycle: &CycleRecord) -> Vec<u32> {
     cycle.encoders().iter().map(|encoder| encoder.count).collect()
@@ -104,7 +104,7 @@ fn a_damaged_recording_is_not_replayed_and_leaves_no_file() {
     std::fs::write(&damaged, bytes).unwrap();
     let out = directory.path().join("out");
     let second = request("second", BusChoice::Replay(damaged), None, true);
-    let error = run::record(&second, &daemon(&out), &bar, &Stop::default()).unwrap_err();
+    let error = record_run(&second, &daemon(&out), &bar).unwrap_err();
     assert!(matches!(error, RunError::Replay(_)), "{error}");
     assert!(!out.exists());
 }

@@ -85,6 +85,16 @@ impl Scheduler for Threads {
     }
 }
 
+/// What `look` gives, which is called once a period until it gives something.
+pub async fn until<T>(scheduler: &dyn Scheduler, period: Duration, mut look: impl FnMut() -> Option<T>) -> T {
+    loop {
+        if let Some(given) = look() {
+            return given;
+        }
+        scheduler.sleep(period).await;
+    }
+}
+
 /// The result of work that may wait for a disk.
 #[derive(Debug)]
 pub struct Pending<T> {
@@ -96,22 +106,21 @@ pub struct Pending<T> {
 #[derive(Debug)]
 pub struct Died;
 
-/// Work with a result.
-pub trait Work<T>: Send {
-    /// The result, once it is there.
-    fn poll(&mut self) -> Option<T>;
-}
-
 impl<T: Send + 'static> Pending<T> {
     /// Starts work that is done in one step.
     pub fn start(scheduler: &dyn Scheduler, name: &str, work: impl FnOnce() -> T + Send + 'static) -> Self {
-        Self::until(scheduler, name, Box::new(Once(Some(work))))
+        let mut work = Some(work);
+        Self::until(scheduler, name, move || work.take().map(|work| work()))
     }
 
-    /// Starts work of more steps.
-    pub fn until(scheduler: &dyn Scheduler, name: &str, work: Box<dyn Work<T>>) -> Self {
+    /// Starts work of more steps, of which the last gives the result.
+    pub fn until(
+        scheduler: &dyn Scheduler,
+        name: &str,
+        step: impl FnMut() -> Option<T> + Send + 'static,
+    ) -> Self {
         let (done, result) = sync_channel(1);
-        let begin = Box::new(move || Box::new(Working { work, done }) as Box<dyn Stepper>);
+        let begin = Box::new(move || Box::new(Working { step, done }) as Box<dyn Stepper>);
         if let Err(error) = scheduler.start(name, begin) {
             tracing::error!("cannot start the thread {name}: {error}");
         }
@@ -136,24 +145,16 @@ impl<T: Send + 'static> Pending<T> {
 /// How often work of more steps is continued.
 const WORK_PERIOD: Duration = Duration::from_millis(5);
 
-struct Working<T> {
-    work: Box<dyn Work<T>>,
+struct Working<W, T> {
+    step: W,
     done: SyncSender<T>,
 }
 
-impl<T> Stepper for Working<T> {
+impl<W: FnMut() -> Option<T>, T> Stepper for Working<W, T> {
     fn poll(&mut self, _: MonoNs) -> Option<Duration> {
-        let Some(result) = self.work.poll() else { return Some(WORK_PERIOD) };
+        let Some(result) = (self.step)() else { return Some(WORK_PERIOD) };
         // The result is of no use any more where its receiver has ended.
         let _ = self.done.send(result);
         None
-    }
-}
-
-struct Once<W>(Option<W>);
-
-impl<W: FnOnce() -> T + Send, T> Work<T> for Once<W> {
-    fn poll(&mut self) -> Option<T> {
-        self.0.take().map(|work| work())
     }
 }

@@ -9,6 +9,7 @@ mod command_line;
 mod day;
 mod faults;
 mod homing;
+mod record;
 mod recorder;
 mod segment;
 mod smoke;

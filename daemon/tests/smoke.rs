@@ -3,7 +3,9 @@
 
 use std::path::Path;
 
+use ballbard::clock::Clock;
 use ballbard::run::{BusChoice, RunRequest, Stop};
+use ballbard::scheduler::Threads;
 use ballbard::smoke::{Bench, Check, CyclesConfig, Outcome, Reason, Report, SmokeConfig, Subject, smoke};
 use shared::config::{self, BallBarConfig, DaemonConfig, Kind};
 
@@ -24,7 +26,9 @@ fn tested_until(smoke_config: &SmokeConfig, faults: &[&str], stop: &Stop) -> (Re
     let bench =
         Bench { smoke: smoke_config, daemon: &daemon, bar: &bar, request: &request, has_person: false, stop };
     let mut told = Vec::new();
-    let report = smoke(&bench, &mut |line| told.push(line.to_owned())).unwrap();
+    let mut tell = |line: &str| told.push(line.to_owned());
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap();
+    let report = runtime.block_on(smoke(&Threads::on(Clock::Real), &bench, &mut tell)).unwrap();
     (report, told)
 }
 

@@ -1,6 +1,6 @@
 //! `ballbard home`: reference marks of all encoders, with a person who turns one joint at a time.
 
-use std::thread;
+use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::bail;
@@ -11,9 +11,11 @@ use shared::recording::SystemDisk;
 use super::client::{NoService, ServiceArguments};
 use super::configuration::State;
 use super::{Format, bus_choice, on_signal};
+use crate::clock::Clock;
 use crate::control::controller::homing::Homing;
 use crate::control::status::{Granted, HomeRequest, HomingStatus, Reply, Status, StopRequest};
 use crate::run::{self, RunRequest, Stop, Storage};
+use crate::scheduler::{Scheduler, Threads};
 
 /// How often progress is looked at.
 const POLL: Duration = Duration::from_millis(200);
@@ -32,18 +34,24 @@ pub struct HomeArguments {
 
 pub fn run(arguments: HomeArguments) -> anyhow::Result<()> {
     let stop = Stop::default();
-    let stopping = stop.clone();
-    let work = move || match &arguments.bus {
-        Some(bus) => on_own_bus(bus, &arguments.service, &arguments.state, &stop),
-        None if arguments.state.is_given() => {
-            bail!("--state is for --bus; the running service keeps marks where its own --state says")
+    let scheduler = Threads::on(Clock::Real);
+    let work = async {
+        match &arguments.bus {
+            Some(bus) => on_own_bus(&scheduler, bus, &arguments.service, &arguments.state, &stop).await,
+            None if arguments.state.is_given() => {
+                bail!("--state is for --bus; the running service keeps marks where its own --state says")
+            }
+            None => by_service(&*scheduler, &arguments.service, &stop).await,
         }
-        None => by_service(&arguments.service, &stop),
     };
-    on_signal(work, |signal| stopping.stop(signal))
+    on_signal(work, |signal| stop.stop(signal))
 }
 
-fn by_service(service: &ServiceArguments, stop: &Stop) -> anyhow::Result<()> {
+async fn by_service(
+    scheduler: &dyn Scheduler,
+    service: &ServiceArguments,
+    stop: &Stop,
+) -> anyhow::Result<()> {
     let reply: Reply = service.post("home", &HomeRequest {}).map_err(|error| {
         if error.is::<NoService>() {
             error.context("to home without a service add --bus INTERFACE")
@@ -79,11 +87,17 @@ fn by_service(service: &ServiceArguments, stop: &Stop) -> anyhow::Result<()> {
             asked_to_stop = true;
             let _: Reply = service.post("stop", &StopRequest { cause: Some(stop.cause()) })?;
         }
-        thread::sleep(POLL);
+        scheduler.sleep(POLL).await;
     }
 }
 
-fn on_own_bus(bus: &str, service: &ServiceArguments, state: &State, stop: &Stop) -> anyhow::Result<()> {
+async fn on_own_bus(
+    scheduler: &Arc<dyn Scheduler>,
+    bus: &str,
+    service: &ServiceArguments,
+    state: &State,
+    stop: &Stop,
+) -> anyhow::Result<()> {
     let configuration = service.configuration();
     let (daemon, bar) = (configuration.daemon()?, configuration.ball_bar()?);
     let marks = configuration.marks_file(state, &daemon);
@@ -91,7 +105,8 @@ fn on_own_bus(bus: &str, service: &ServiceArguments, state: &State, stop: &Stop)
         bail!("{problem}");
     }
     let request = RunRequest { bus: bus_choice(Some(bus))?, ..RunRequest::default() };
-    let session = run::connect(&request, &daemon, &bar, &Storage::new(&daemon)?, stop)?;
+    let storage = Storage::new(&daemon, &**scheduler)?;
+    let session = run::connect(scheduler, &storage, &request, &daemon, &bar, stop).await?;
     session.log();
     let (mut printer, mut homing) = (Printer::new(service.format), Homing::begin(&session));
     while !homing.look(&bar.encoders, &marks) {
@@ -101,10 +116,10 @@ fn on_own_bus(bus: &str, service: &ServiceArguments, state: &State, stop: &Stop)
         if stop.is_stopped() {
             homing.stop(&stop.cause());
         }
-        thread::sleep(POLL);
+        scheduler.sleep(POLL).await;
     }
     let printed = printer.print(homing.status());
-    session.close()?;
+    session.close().await?;
     printed?;
     outcome(homing.status().clone())
 }

@@ -166,21 +166,18 @@ fn bus_choice(name: Option<&str>) -> Result<BusChoice, UsageError> {
     }
 }
 
-/// Runs blocking work; each signal that ends programs calls `stop` with its name, and the work is waited for.
-fn on_signal<T: Send + 'static>(
-    work: impl FnOnce() -> anyhow::Result<T> + Send + 'static,
-    stop: impl Fn(&str),
-) -> anyhow::Result<T> {
+/// Does work; each signal that ends programs calls `stop` with its name, and the work is waited for.
+fn on_signal<T>(work: impl Future<Output = anyhow::Result<T>>, stop: impl Fn(&str)) -> anyhow::Result<T> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()
         .context("cannot start the signal handling")?;
     runtime.block_on(async {
         let mut signals = Signals::new()?;
-        let mut work = tokio::task::spawn_blocking(work);
+        tokio::pin!(work);
         loop {
             tokio::select! {
-                result = &mut work => return result?,
+                result = &mut work => return result,
                 name = signals.next() => stop(name),
             }
         }

@@ -12,9 +12,11 @@ use shared::recording::schema::SIMULATED_BUS;
 use super::client::{last_run, unless_blind};
 use super::configuration::{Configuration, State};
 use super::{Format, bus_choice, on_signal};
+use crate::clock::Clock;
 use crate::control::status::{LastRun, next_command};
 use crate::record::RunSummary;
-use crate::run::{self, About, BusChoice, RunRequest, Stop};
+use crate::run::{self, About, BusChoice, RunRequest, Stop, Storage};
+use crate::scheduler::Threads;
 use crate::segment::faults::FaultWindow;
 
 #[derive(Debug, Args)]
@@ -63,11 +65,12 @@ pub fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
     let request = request(arguments, homing)?;
     let name = request.name.clone();
     let stop = Stop::default();
-    let working = stop.clone();
-    let summary = on_signal(
-        move || Ok(run::record(&request, &daemon, &bar, &working)?),
-        |signal| stop.stop(&format!("stopped by {signal}")),
-    )?;
+    let scheduler = Threads::on(Clock::Real);
+    let work = async {
+        let storage = Storage::new(&daemon, &*scheduler)?;
+        Ok(run::record(&scheduler, &storage, &request, &daemon, &bar, &stop).await?)
+    };
+    let summary = on_signal(work, |signal| stop.stop(&format!("stopped by {signal}")))?;
     let last = over(name, summary);
     if !arguments.format.prints(&last)? {
         say(last_run(&last))?;

@@ -56,7 +56,8 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
     say(format_args!("serving an EK1100 with {} EL5021 on {}", config.terminals, arguments.interface))?;
     // It ends with its input or with this program, whichever is first.
     thread::Builder::new().name("switches".into()).spawn(move || switch_by_lines(&faults))?;
-    on_signal(move || serve(segment, wire, &serving), |_| stop.store(true, Ordering::Release))
+    let work = async { tokio::task::spawn_blocking(move || serve(segment, wire, &serving)).await? };
+    on_signal(work, |_| stop.store(true, Ordering::Release))
 }
 
 /// Faults as a person or a test types them while the segment is served: `on gone:3`, `off gone:3`.

@@ -11,7 +11,9 @@ use shared::recording::SystemDisk;
 
 use super::configuration::Configuration;
 use super::{Format, UsageError, bus_choice, on_signal};
+use crate::clock::Clock;
 use crate::run::{BusChoice, RunRequest, Stop};
+use crate::scheduler::Threads;
 use crate::segment::faults::FaultWindow;
 use crate::smoke::{self, Bench, Report, SmokeConfig};
 use crate::whole_file;
@@ -48,9 +50,8 @@ pub fn run(arguments: SmokeArguments) -> anyhow::Result<()> {
     let smoke: SmokeConfig = config::load(&checks)?;
     let (daemon, bar) = (configuration.daemon()?, configuration.ball_bar()?);
     let stop = Stop::default();
-    let stopping = stop.clone();
     let has_person = !format.json && io::stdin().is_terminal() && io::stdout().is_terminal();
-    let work = move || {
+    let work = async {
         let bench =
             Bench { smoke: &smoke, daemon: &daemon, bar: &bar, request: &request, has_person, stop: &stop };
         // Without output a person sees no instructions.
@@ -61,9 +62,9 @@ pub fn run(arguments: SmokeArguments) -> anyhow::Result<()> {
                 stop.stop(&explained(&error));
             }
         };
-        Ok(smoke::smoke(&bench, &mut tell)?)
+        Ok(smoke::smoke(&Threads::on(Clock::Real), &bench, &mut tell).await?)
     };
-    let report = on_signal(work, |signal| stopping.stop(&format!("stopped by {signal}")))?;
+    let report = on_signal(work, |signal| stop.stop(&format!("stopped by {signal}")))?;
     let file = file.unwrap_or_else(|| format!("smoke-{}.json", report.bus).into());
     finish(&report, &file, format)
 }

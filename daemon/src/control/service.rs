@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
 
-use shared::recording::{Disk, SystemDisk};
+use shared::recording::Disk;
 use shared::time::MonoNs;
 use tokio::sync::{Semaphore, oneshot, watch};
 
@@ -69,16 +69,12 @@ impl Service {
     /// Starts the service: left-over runs are finished, the bus is brought up and kept up. Where another process has its
     /// directory it ends, as [`join`](Self::join) says.
     pub fn start(settings: Settings) -> Result<Self, ServiceError> {
-        Self::start_on(Arc::new(SystemDisk), settings)
+        let scheduler = Threads::on(Clock::Real);
+        let storage = Storage::new(&settings.daemon, &*scheduler)?;
+        Self::start_in(scheduler, storage, settings)
     }
 
-    /// [`start`](Self::start) on another disk.
-    pub fn start_on(disk: Arc<dyn Disk>, settings: Settings) -> Result<Self, ServiceError> {
-        let storage = Storage::on(disk, &settings.daemon)?;
-        Self::start_in(Threads::on(Clock::Real), storage, settings)
-    }
-
-    /// [`start`](Self::start) on another clock.
+    /// [`start`](Self::start) on another disk or clock.
     pub fn start_in(
         scheduler: Arc<dyn Scheduler>,
         storage: Storage,
@@ -137,6 +133,11 @@ impl Service {
         self.live.minute()
     }
 
+    /// The time on its clock.
+    pub fn now(&self) -> MonoNs {
+        self.scheduler.clock().now()
+    }
+
     /// Told whenever the status changes.
     pub fn watch(&self) -> watch::Receiver<Status> {
         self.status.clone()
@@ -180,7 +181,7 @@ impl Service {
         text: Option<String>,
         ago_ms: u32,
     ) -> Result<Option<(String, String)>, Refusal> {
-        let at: MonoNs = self.scheduler.clock().now().plus_ns(-1_000_000 * i64::from(ago_ms));
+        let at = self.now().plus_ns(-1_000_000 * i64::from(ago_ms));
         let marked = self.ask(|reply| Command::Mark(text, at, reply)).await?;
         marked.map_err(Refusal::new)
     }
@@ -388,7 +389,7 @@ pub(crate) mod tests {
     use std::time::Instant;
 
     use shared::config::{self, DaemonConfig};
-    use shared::recording::Recording;
+    use shared::recording::{Recording, SystemDisk};
     use shared::time::MonoNs;
 
     use super::*;
@@ -506,7 +507,8 @@ pub(crate) mod tests {
     ) -> (Service, Arc<AtomicBool>) {
         let settings = settings(directory);
         let deadly = Arc::new(AtomicBool::new(false));
-        let storage = Storage::on(disk, &settings.daemon).unwrap();
+        let scheduler = Threads::on(Clock::Real);
+        let storage = Storage::on(disk, &settings.daemon, &*scheduler).unwrap();
         let places = storage.clone();
         let (armed, on_daemon, on_bar) = (Arc::clone(&deadly), settings.daemon.clone(), settings.bar.clone());
         let connect = move || {
@@ -516,7 +518,6 @@ pub(crate) mod tests {
             let wire = Deadly(InProcessWire::new(segment, Clock::Real), Arc::clone(&armed));
             run::open_on(Box::new(wire), &on_daemon, &on_bar, &places)
         };
-        let scheduler = Threads::on(Clock::Real);
         (Service::start_with(scheduler, settings, storage, Arc::new(connect)).unwrap(), deadly)
     }
 

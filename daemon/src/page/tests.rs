@@ -31,7 +31,8 @@ impl Bench {
         let directory = tempfile::tempdir().unwrap();
         let state = directory.path().join("state");
         let settings = Settings { marks: MarksFile::new(state, None), ..settings(directory.path()) };
-        let storage = Storage::new(&settings.daemon).unwrap();
+        let scheduler = Threads::on(Clock::Real);
+        let storage = Storage::new(&settings.daemon, &*scheduler).unwrap();
         let bus = Arc::new(Mutex::new(None));
         let (places, by_hand, on_daemon, on_bar) =
             (storage.clone(), Arc::clone(&bus), settings.daemon.clone(), settings.bar.clone());
@@ -45,8 +46,7 @@ impl Bench {
             run::open_on(Box::new(wire), &on_daemon, &on_bar, &places)
         };
         Self {
-            service: Service::start_with(Threads::on(Clock::Real), settings, storage, Arc::new(connect))
-                .unwrap(),
+            service: Service::start_with(scheduler, settings, storage, Arc::new(connect)).unwrap(),
             bus,
             directory,
         }

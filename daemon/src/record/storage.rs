@@ -3,7 +3,6 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
-use std::thread;
 use std::time::Duration;
 
 use shared::config::DaemonConfig;
@@ -14,7 +13,7 @@ use super::progress::Progress;
 use super::stop::Stop;
 use crate::clock::Clock;
 use crate::problem::{Fact, Problem};
-use crate::scheduler::{Scheduler, Stepper, Threads};
+use crate::scheduler::{Scheduler, Stepper};
 
 const BYTES_PER_MB: u64 = 1_000_000;
 /// A look that takes longer is reported. More than half of the same second is left to a busy machine \[ns\].
@@ -55,23 +54,12 @@ impl Storage {
     pub const LOOK_PERIOD: Duration = Duration::from_millis(100);
 
     /// As configured, on the system's disk.
-    pub fn new(daemon: &DaemonConfig) -> std::io::Result<Self> {
-        Self::on(Arc::new(SystemDisk), daemon)
+    pub fn new(daemon: &DaemonConfig, scheduler: &dyn Scheduler) -> std::io::Result<Self> {
+        Self::on(Arc::new(SystemDisk), daemon, scheduler)
     }
 
     /// As configured, on another disk.
-    pub fn on(disk: Arc<dyn Disk>, daemon: &DaemonConfig) -> std::io::Result<Self> {
-        let storage = Self::watched(disk, daemon, &*Threads::on(Clock::Real))?;
-        // One that hangs is reported to whoever asks.
-        let begun = Clock::Real.now();
-        while !lock(&storage.0.seen).is_over && Clock::Real.now().ns_since(begun) < ANSWERS_WITHIN_NS {
-            thread::sleep(Duration::from_millis(1));
-        }
-        Ok(storage)
-    }
-
-    /// The same on another clock, before the first look.
-    pub fn watched(
+    pub fn on(
         disk: Arc<dyn Disk>,
         daemon: &DaemonConfig,
         scheduler: &dyn Scheduler,
@@ -129,6 +117,11 @@ impl Storage {
     /// \[bytes\].
     pub fn usable_bytes(&self) -> Option<u64> {
         lock(&self.0.seen).usable_bytes
+    }
+
+    /// The first look is over, or takes so long that this is its outcome.
+    pub fn is_known(&self) -> bool {
+        lock(&self.0.seen).is_over || self.0.silence().is_some()
     }
 
     /// Why nothing may be recorded now, and what to do; none if it may.

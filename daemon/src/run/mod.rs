@@ -14,8 +14,7 @@ mod session;
 mod source;
 
 use std::sync::Arc;
-use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use shared::config::{BallBarConfig, DaemonConfig};
 use shared::time::UtcNs;
@@ -32,7 +31,7 @@ use self::cycle_thread::Pace;
 use crate::clock::Clock;
 use crate::problem::Fact;
 pub use crate::record::{RunSummary, Stop, Storage};
-use crate::scheduler::{Pending, Scheduler, Threads};
+use crate::scheduler::{Pending, Scheduler, Threads, until};
 use crate::segment::faults::FaultWindow;
 
 /// Between two attempts to bring up the bus that a run waits for.
@@ -68,19 +67,9 @@ pub(crate) fn open_on(
     Session::open(source::on_wire(wire, daemon, bar), daemon, bar, storage, &Stop::default(), scheduler)
 }
 
-/// Records one run and returns when its file is finished.
-pub fn record(
-    request: &RunRequest,
-    daemon: &DaemonConfig,
-    bar: &BallBarConfig,
-    stop: &Stop,
-) -> Result<RunSummary, RunError> {
-    let storage = Storage::new(daemon).map_err(|error| RunError::Thread(error.to_string()))?;
-    record_on(&storage, request, daemon, bar, stop)
-}
-
-/// [`record`] on another disk.
-pub fn record_on(
+/// Records one run; ready when its file is finished and its bus is left. `scheduler` has the time of whoever waits for it.
+pub async fn record(
+    scheduler: &Arc<dyn Scheduler>,
     storage: &Storage,
     request: &RunRequest,
     daemon: &DaemonConfig,
@@ -88,81 +77,80 @@ pub fn record_on(
     stop: &Stop,
 ) -> Result<RunSummary, RunError> {
     source::check(request)?;
-    let session = connect(request, daemon, bar, storage, stop)?;
+    let session = connect(scheduler, storage, request, daemon, bar, stop).await?;
     session.log();
-    let outcome = record_from(&session, storage, &request.details(), stop);
+    let outcome = record_from(&**scheduler, storage, &session, &request.details(), stop).await;
     // On virtual time there is no bus to leave in order, and the cycle may wait for a disk that hangs.
     if outcome.is_ok() || !request.fast {
-        session.close()?;
+        session.close().await?;
     }
     outcome
 }
 
 /// One that is asked to end while it has no file yet does not wait for the disk that should give it one.
-fn record_from(
-    session: &Session,
+async fn record_from(
+    scheduler: &dyn Scheduler,
     storage: &Storage,
+    session: &Session,
     details: &RunDetails,
     stop: &Stop,
 ) -> Result<RunSummary, RunError> {
+    let clock = scheduler.clock();
+    let mut stopped = None;
+    let mut is_too_late = || {
+        let since = stop.is_stopped().then(|| *stopped.get_or_insert_with(|| clock.now()));
+        since.is_some_and(|since| clock.now().ns_since(since) > LEAVES_WITHIN.as_nanos() as i64)
+    };
+    let no_file = || {
+        let silent = || Fact::DiskSilent { directory: None, silent_s: None }.into();
+        RunError::NoFile { cause: stop.cause(), problem: storage.problem().unwrap_or_else(silent) }
+    };
     // Only now: what does not come to record leaves no directory.
     let place = storage.clone();
-    let claim = Pending::start(&*Threads::on(Clock::Real), "claim", move || claim_directory(&place));
+    let claim = Pending::start(scheduler, "claim", move || claim_directory(&place));
     let died = |_| Err(RunError::Thread("claim panicked; its cause is in the log".into()));
-    let _claim = wait(storage, stop, || claim.poll(), || false)?.unwrap_or_else(died)?;
+    let claimed = || storage.is_known().then(|| claim.poll()).flatten();
+    let _claim = until(scheduler, STOP_PERIOD, || match claimed() {
+        Some(claim) => Some(claim.unwrap_or_else(died)),
+        None => is_too_late().then(|| Err(no_file())),
+    })
+    .await?;
     // What ends the run by itself leaves the disk its time.
     let run = session.begin(details, &Stop::default(), None)?;
-    // Asked each time: it passes on what ends the run as well.
-    let is_open = || {
+    until(scheduler, STOP_PERIOD, || {
         if stop.is_stopped() {
             run.stop.stop(&stop.cause());
         }
-        run.progress.is_open()
-    };
-    wait(storage, stop, || run.outcome(), is_open)?
-}
-
-/// Waits until the disk is done. Since `stop` it has only its time, unless what it does is worth waiting for.
-fn wait<T>(
-    storage: &Storage,
-    stop: &Stop,
-    result: impl Fn() -> Option<T>,
-    is_worth_it: impl Fn() -> bool,
-) -> Result<T, RunError> {
-    let mut stopped = None;
-    loop {
-        if let Some(result) = result() {
-            return Ok(result);
-        }
-        let is_stopped = stop.is_stopped().then(|| *stopped.get_or_insert_with(Instant::now));
-        if !is_worth_it() && is_stopped.is_some_and(|since| since.elapsed() > LEAVES_WITHIN) {
-            let silent = || Fact::DiskSilent { directory: None, silent_s: None }.into();
-            let problem = storage.problem().unwrap_or_else(silent);
-            return Err(RunError::NoFile { cause: stop.cause(), problem });
-        }
-        thread::sleep(STOP_PERIOD);
-    }
+        let is_given_up = is_too_late() && !run.progress.is_open();
+        run.outcome().or_else(|| is_given_up.then(|| Err(no_file())))
+    })
+    .await
 }
 
 /// A bus in operation. One that is to be waited for is tried until it is, and what is missing is said whenever that
 /// changes.
-pub fn connect(
+pub async fn connect(
+    scheduler: &Arc<dyn Scheduler>,
+    storage: &Storage,
     request: &RunRequest,
     daemon: &DaemonConfig,
     bar: &BallBarConfig,
-    storage: &Storage,
     stop: &Stop,
 ) -> Result<Session, RunError> {
     let mut said = String::new();
     loop {
-        let (clock, pace) = if request.fast {
-            (Clock::virtual_from(UtcNs::from_datetime(chrono::Utc::now())), Pace::Fast)
+        let (own, pace) = if request.fast {
+            let clock = Clock::virtual_from(UtcNs::from_datetime(chrono::Utc::now()));
+            (Threads::on(clock), Pace::Fast)
         } else {
-            (Clock::Real, Pace::Clock)
+            (Arc::clone(scheduler), Pace::Clock)
         };
-        let scheduler = (&Threads::on(clock.clone()), pace);
-        let outcome = source::prepare(request, daemon, bar, clock)
-            .and_then(|prepared| Session::open(prepared, daemon, bar, storage, stop, scheduler)?.wait());
+        let opening = source::prepare(request, daemon, bar, own.clock().clone())
+            .and_then(|prepared| Session::open(prepared, daemon, bar, storage, stop, (&own, pace)));
+        let outcome = match opening {
+            Ok(mut opening) => until(&**scheduler, STOP_PERIOD, || opening.poll()).await,
+            Err(error) => Err(error),
+        };
         let missing = match outcome {
             Err(error) if request.wait && error.may_pass() => error.to_string(),
             outcome => return outcome,
@@ -171,12 +159,11 @@ pub fn connect(
             tracing::warn!("waiting for the bus: {missing}");
             said.clone_from(&missing);
         }
-        let retry_at = Instant::now() + RETRY_PERIOD;
-        while Instant::now() < retry_at {
-            if stop.is_stopped() {
-                return Err(RunError::Waiting { cause: stop.cause(), missing });
-            }
-            thread::sleep(STOP_PERIOD);
+        let retry_at = scheduler.clock().now().plus_ns(RETRY_PERIOD.as_nanos() as i64);
+        let is_over = || (stop.is_stopped() || scheduler.clock().now() >= retry_at).then_some(());
+        until(&**scheduler, STOP_PERIOD, is_over).await;
+        if stop.is_stopped() {
+            return Err(RunError::Waiting { cause: stop.cause(), missing });
         }
     }
 }

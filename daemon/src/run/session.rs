@@ -27,13 +27,15 @@ use crate::record::{
     self, CycleSink, CycleSource, FullRing, Limits, Mark, Progress, Recorder, RunLink, RunSummary, Stop,
     Storage,
 };
-use crate::scheduler::{Scheduler, Stepper};
+use crate::scheduler::{Scheduler, Stepper, until};
 use crate::segment::faults::FaultHandle;
 
 /// Runs and homings that the cycle has not yet taken, of which all but the last have been given up.
 const JOBS_MAX: usize = 8;
 /// Markers that may wait for the disk.
 const MARKS_MAX: usize = 1000;
+/// How often the end of the cycle is looked for.
+const CLOSE_PERIOD: Duration = Duration::from_millis(1);
 
 /// A bus in operation.
 pub struct Session {
@@ -300,10 +302,18 @@ impl Session {
         }
     }
 
-    /// Ends the cycle, and waits for that.
-    pub fn close(self) -> Result<(), RunError> {
-        let ended = self.begin_close().recv();
-        ended.map_err(|_| RunError::Thread("the cycle panicked; its cause is in the log".into()))
+    /// Ends the cycle; ready once it has.
+    pub async fn close(self) -> Result<(), RunError> {
+        let scheduler = Arc::clone(&self.scheduler);
+        let cycle = self.begin_close();
+        until(&*scheduler, CLOSE_PERIOD, || match cycle.try_recv() {
+            Ok(()) => Some(Ok(())),
+            Err(TryRecvError::Empty) => None,
+            Err(TryRecvError::Disconnected) => {
+                Some(Err(RunError::Thread("the cycle panicked; its cause is in the log".into())))
+            }
+        })
+        .await
     }
 
     /// Ends the cycle; what is returned is connected until the cycle has ended.
@@ -380,27 +390,15 @@ fn recorder_panicked() -> RunError {
 impl Opening {
     /// The bus in operation, once, or why it does not come up.
     pub fn poll(&mut self) -> Option<Result<Session, RunError>> {
-        match self.ready.try_recv() {
-            Err(TryRecvError::Empty) => None,
-            ready => self.opened(ready.ok()),
-        }
-    }
-
-    /// Waits for the bus in operation.
-    pub fn wait(mut self) -> Result<Session, RunError> {
-        let ready = self.ready.recv().ok();
-        self.opened(ready).unwrap_or_else(|| Err(ended_early()))
-    }
-
-    fn opened(&mut self, ready: Option<Result<Ready, RunError>>) -> Option<Result<Session, RunError>> {
+        let ended_early = "the cycle ended while the bus came up; its cause is in the log";
+        let ready = match self.ready.try_recv() {
+            Ok(ready) => ready,
+            Err(TryRecvError::Empty) => return None,
+            Err(TryRecvError::Disconnected) => Err(RunError::Thread(ended_early.into())),
+        };
         let session = self.session.take()?;
-        let ready = ready.unwrap_or_else(|| Err(ended_early()));
         Some(ready.map(|ready| Session { ready, ..session }))
     }
-}
-
-fn ended_early() -> RunError {
-    RunError::Thread("the cycle ended while the bus came up; its cause is in the log".into())
 }
 
 /// What a run needs to get its file.

@@ -1,7 +1,6 @@
 //! Figures of cycles on a bus in operation, and what they show.
 
 use std::collections::BTreeMap;
-use std::thread;
 use std::time::Duration;
 
 use serde::Serialize;
@@ -16,6 +15,7 @@ use crate::cycle::{BusNames, CycleEvent, PortErrors};
 use crate::devices::el5021::Status;
 use crate::problem::{Fact, Problem};
 use crate::run::{Session, Stop};
+use crate::scheduler::until;
 
 /// How often the ring is emptied.
 const PERIOD: Duration = Duration::from_millis(10);
@@ -120,7 +120,7 @@ impl Figures {
     }
 
     /// Counts cycles for so long, until `stop`, or while `continues` is true of each.
-    pub fn count(
+    pub async fn count(
         &mut self,
         session: &Session,
         duration: Option<Duration>,
@@ -129,7 +129,7 @@ impl Figures {
     ) {
         let own = Stop::default();
         let mut source = session.begin_watch(duration, &own);
-        loop {
+        until(&**session.scheduler(), PERIOD, || {
             if stop.is_stopped() {
                 own.stop(&stop.cause());
             }
@@ -146,11 +146,9 @@ impl Figures {
             }
             // The ring of the times is emptied here.
             self.timing = source.timing();
-            if is_last {
-                return;
-            }
-            thread::sleep(PERIOD);
-        }
+            is_last.then_some(())
+        })
+        .await;
     }
 
     fn take(&mut self, record: &CycleRecord) {

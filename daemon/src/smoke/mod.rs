@@ -11,7 +11,7 @@ mod host;
 mod report;
 
 use std::collections::BTreeMap;
-use std::thread;
+use std::sync::Arc;
 use std::time::Duration;
 
 use shared::config::{BallBarConfig, DaemonConfig};
@@ -27,6 +27,7 @@ use crate::devices::{EK1100, EL5021};
 use crate::homing::{self, HomingError};
 use crate::problem::Fact;
 use crate::run::{self, BusChoice, RunError, RunRequest, Session, Stop, Storage};
+use crate::scheduler::{Scheduler, until};
 use cable::Pull;
 use host::Host;
 
@@ -52,7 +53,11 @@ pub struct Bench<'a> {
 }
 
 /// Does all checks. The text of each, and instructions for a person, go to `tell` at once.
-pub fn smoke(bench: &Bench<'_>, tell: &mut dyn FnMut(&str)) -> Result<Report, RunError> {
+pub async fn smoke(
+    scheduler: &Arc<dyn Scheduler>,
+    bench: &Bench<'_>,
+    tell: &mut dyn FnMut(&str),
+) -> Result<Report, RunError> {
     let Bench { smoke, daemon, bar, request, .. } = *bench;
     let interface = match &request.bus {
         BusChoice::Interface(name) => Some(name.as_str()),
@@ -72,18 +77,19 @@ pub fn smoke(bench: &Bench<'_>, tell: &mut dyn FnMut(&str)) -> Result<Report, Ru
         pulled_cable: None,
     };
     // A session watches the disk of its runs, although none is recorded.
-    let storage = Storage::new(daemon).map_err(|error| RunError::Thread(error.to_string()))?;
-    let mut test = Test { bench, report, storage, blocked: None, not_up: BTreeMap::new(), tell };
+    let storage = Storage::new(daemon, &**scheduler).map_err(|error| RunError::Thread(error.to_string()))?;
+    let mut test = Test { scheduler, bench, report, storage, blocked: None, not_up: BTreeMap::new(), tell };
     for asked in &smoke.cycles {
-        test.cycles(*asked);
+        test.cycles(*asked).await;
     }
-    test.with_person(Subject::Homing, (smoke.homing, "homing"), Test::home);
-    test.with_person(Subject::PulledCable, (smoke.pulled_cable, "pulled_cable"), Test::pull);
+    test.with_person(Subject::Homing, (smoke.homing, "homing"), Test::home).await;
+    test.with_person(Subject::PulledCable, (smoke.pulled_cable, "pulled_cable"), Test::pull).await;
     Ok(test.report)
 }
 
 /// A smoke test that is being done.
 struct Test<'a> {
+    scheduler: &'a Arc<dyn Scheduler>,
     bench: &'a Bench<'a>,
     report: Report,
     storage: Storage,
@@ -102,7 +108,7 @@ impl Test<'_> {
     }
 
     /// The bus in operation. If it does not come up, a check that failed is added, and the reason for all that need it returned.
-    fn connect(&mut self, rate_hz: u32) -> Result<Session, Reason> {
+    async fn connect(&mut self, rate_hz: u32) -> Result<Session, Reason> {
         if let Some(reason) = self.blocked.as_ref().or_else(|| self.not_up.get(&rate_hz)) {
             return Err(reason.clone());
         }
@@ -115,7 +121,7 @@ impl Test<'_> {
             ring_s: RING_S,
             ..daemon.clone()
         };
-        match run::connect(request, &own, bar, &self.storage, stop) {
+        match run::connect(self.scheduler, &self.storage, request, &own, bar, stop).await {
             Ok(session) => {
                 self.identify(session.devices(), Outcome::passed(self.devices_expected()));
                 Ok(session)
@@ -210,15 +216,15 @@ impl Test<'_> {
         }
     }
 
-    fn cycles(&mut self, asked: CyclesConfig) {
+    async fn cycles(&mut self, asked: CyclesConfig) {
         let rate_hz = Some(asked.rate_hz);
-        let outcomes = match self.connect(asked.rate_hz) {
+        let outcomes = match self.connect(asked.rate_hz).await {
             Ok(session) => {
                 let off_ns = session.clocks().iter().map(|clock| clock.difference_ns.abs()).max();
                 let clocks = off_ns.map_or(String::new(), |off_ns| format!(", clocks within {off_ns} ns"));
                 let found = format!("every device in OP{clocks}");
                 self.add(Subject::BringUp, rate_hz, Outcome::passed(found));
-                self.outcomes(session, asked)
+                self.outcomes(session, asked).await
             }
             Err(because) => Err(because),
         };
@@ -231,13 +237,17 @@ impl Test<'_> {
     }
 
     /// Cycles on a bus in operation, and what they show.
-    fn outcomes(&mut self, session: Session, asked: CyclesConfig) -> Result<[(Subject, Outcome); 5], Reason> {
+    async fn outcomes(
+        &mut self,
+        session: Session,
+        asked: CyclesConfig,
+    ) -> Result<[(Subject, Outcome); 5], Reason> {
         let Bench { smoke, daemon, stop, .. } = *self.bench;
         let mut figures = Figures::new(&session, asked.rate_hz);
-        figures.count(&session, Some(asked.duration()), stop, |_| true);
+        figures.count(&session, Some(asked.duration()), stop, |_| true).await;
         let outcomes = figures.checks(smoke, asked, daemon.distributed_clocks);
         self.report.cycles.push(figures);
-        self.close(session);
+        close(session).await;
         match stop.is_stopped() {
             true => Err(self.block(Reason::Stopped(stop.cause()))),
             false => Ok(outcomes),
@@ -259,34 +269,28 @@ impl Test<'_> {
         }
     }
 
-    fn close(&mut self, session: Session) {
-        if let Err(error) = session.close() {
-            tracing::error!("{error}");
-        }
-    }
-
     /// Rate of homing and of the pulled cable: the lowest.
     fn rate_hz(&self) -> u32 {
         self.bench.smoke.cycles.iter().map(|asked| asked.rate_hz).min().unwrap_or(self.bench.daemon.rate_hz)
     }
 
     /// Adds a check that needs a person, if it is enabled under `key` of the configuration.
-    fn with_person(
+    async fn with_person(
         &mut self,
         subject: Subject,
         (is_asked, key): (bool, &'static str),
-        check: fn(&mut Self, &Session) -> Outcome,
+        check: impl AsyncFnOnce(&mut Self, &Session) -> Outcome,
     ) {
         let has_hands = self.bench.has_person || self.bench.request.bus == BusChoice::Simulated;
         let session = match (is_asked, has_hands) {
             (false, _) => Err(Reason::NotAsked(key)),
             (true, false) => Err(Reason::NoPerson),
-            (true, true) => self.connect(self.rate_hz()),
+            (true, true) => self.connect(self.rate_hz()).await,
         };
         let outcome = match session {
             Ok(session) => {
-                let outcome = check(self, &session);
-                self.close(session);
+                let outcome = check(self, &session).await;
+                close(session).await;
                 outcome
             }
             Err(because) => Outcome::NotDone { because },
@@ -294,23 +298,21 @@ impl Test<'_> {
         self.add(subject, None, outcome);
     }
 
-    fn home(&mut self, session: &Session) -> Outcome {
+    async fn home(&mut self, session: &Session) -> Outcome {
         let Bench { stop, bar, .. } = *self.bench;
         let mut active = session.begin_homing();
-        let found = loop {
+        let found = until(&**self.scheduler, POLL, || {
             while let Some(step) = active.take_step() {
                 if let Some(line) = step.line() {
                     (self.tell)(&line);
                 }
             }
-            if let Some(outcome) = active.outcome() {
-                break outcome;
-            }
             if stop.is_stopped() {
                 active.stop.stop(&stop.cause());
             }
-            thread::sleep(POLL);
-        };
+            active.outcome()
+        })
+        .await;
         let verified = found.and_then(|found| Ok(homing::verify(&bar.encoders, &found)?));
         match verified {
             Ok(marks) => {
@@ -327,16 +329,22 @@ impl Test<'_> {
         }
     }
 
-    fn pull(&mut self, session: &Session) -> Outcome {
+    async fn pull(&mut self, session: &Session) -> Outcome {
         let stop = self.bench.stop;
         let mut figures = Figures::new(session, self.rate_hz());
         let mut pull = Pull::new(session, self.rate_hz().into());
         pull.ask(self.tell);
-        figures.count(session, None, stop, |record| pull.take(record, self.tell));
+        figures.count(session, None, stop, |record| pull.take(record, self.tell)).await;
         self.report.pulled_cable = Some(figures);
         if stop.is_stopped() {
             return Outcome::NotDone { because: Reason::Stopped(stop.cause()) };
         }
         pull.outcome(session)
+    }
+}
+
+async fn close(session: Session) {
+    if let Err(error) = session.close().await {
+        tracing::error!("{error}");
     }
 }

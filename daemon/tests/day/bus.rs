@@ -6,8 +6,9 @@ use ballbard::control::status::{ServiceState, Status};
 use serde_json::{Value, json};
 use shared::recording::schema::EventKind;
 
-use super::rig::{live_on_bus, now, since};
+use super::rig::live_on_bus;
 use crate::support::assert_bad_cycles_have_reasons;
+use crate::support::world::{now, since};
 
 fn line<'a>(lines: &'a Value, subject: &str) -> &'a Value {
     lines.as_array().unwrap().iter().find(|line| line["subject"] == subject).unwrap()

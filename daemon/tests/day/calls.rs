@@ -10,10 +10,10 @@ use serde_json::json;
 use shared::recording::Recording;
 use shared::recording::schema::EventKind;
 
-use super::rig::{Answers, Day, ENDS_WITHIN, live, now, since};
+use super::rig::{Answers, Day, ENDS_WITHIN, live};
 use crate::support::runs::in_parallel;
 use crate::support::wall::{Call, Fault};
-use crate::support::world::{World, sleep};
+use crate::support::world::{World, now, since, sleep};
 
 /// Longer than a look at the disk may take.
 const HANG: Duration = Duration::from_millis(1300);

@@ -13,10 +13,10 @@ use shared::config::DaemonConfig;
 use shared::recording::Recording;
 use shared::time::UtcNs;
 
-use super::rig::{Day, live, now, since};
+use super::rig::{Day, live};
 use crate::support::runs::in_parallel;
 use crate::support::wall::{Call, Fault, Wall};
-use crate::support::world::{World, sleep};
+use crate::support::world::{World, now, since, sleep};
 
 const HANG: Duration = Duration::from_secs(3);
 
@@ -192,7 +192,7 @@ fn a_disk_that_does_not_answer_is_reported_within_a_second_to_who_asks_and_in_th
         let daemon = DaemonConfig { directory: directory.path().to_owned(), ..DaemonConfig::default() };
         let wall = Arc::new(Wall::new(directory.path(), Some((Call::Space, 3, Fault::Hangs(HANG)))));
         let scheduler = World::here().unwrap().scheduler();
-        let storage = Storage::watched(wall.clone(), &daemon, &*scheduler).unwrap();
+        let storage = Storage::on(wall.clone(), &daemon, &*scheduler).unwrap();
         while wall.struck_at().is_none() {
             sleep(Duration::from_millis(5)).await;
         }

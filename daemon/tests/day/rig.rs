@@ -19,12 +19,11 @@ use ballbard::run::BusChoice;
 use serde_json::{Value, json};
 use shared::config::{self, BallBarConfig, DaemonConfig};
 use shared::recording::{Recording, recover_leftovers};
-use shared::time::MonoNs;
 use tower::ServiceExt;
 
 use crate::support::runs::leave;
 use crate::support::wall::{Call, Fault, Wall};
-use crate::support::world::{World, sleep};
+use crate::support::world::{World, now, since, sleep};
 
 /// Cycles of the run that an earlier service left.
 const LEFT_CYCLES: u64 = 40;
@@ -59,14 +58,6 @@ pub fn live_on_bus<T: 'static, F: Future<Output = T> + 'static>(
     World::live(async move { day(Rc::new(Day::begin(None, faults))).await })
 }
 
-pub fn now() -> MonoNs {
-    World::here().unwrap().clock.now()
-}
-
-pub fn since(begun: MonoNs) -> Duration {
-    Duration::from_nanos(now().ns_since(begun).unsigned_abs())
-}
-
 impl Day {
     fn begin(fault: Option<(Call, usize, Fault)>, faults: &[&str]) -> Self {
         let directory = tempfile::tempdir().unwrap();
@@ -94,7 +85,7 @@ impl Day {
         };
         let wall = Arc::new(Wall::new(&home, fault));
         let scheduler = World::here().unwrap().scheduler();
-        let storage = Storage::watched(wall.clone(), &settings.daemon, &*scheduler).unwrap();
+        let storage = Storage::on(wall.clone(), &settings.daemon, &*scheduler).unwrap();
         let service = Service::start_in(scheduler, storage, settings).unwrap();
         let routes = api::router(service.clone());
         Self { directory, wall, service, routes }

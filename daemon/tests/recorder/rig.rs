@@ -139,7 +139,7 @@ fn record_in(world: &World, plan: &Plan, wall: impl FnOnce(&Path) -> Wall) -> Ou
     };
     let wall = Arc::new(wall(&daemon.directory));
     let (clock, run) = (&world.clock, metadata(plan.period));
-    let storage = Storage::watched(wall.clone(), &daemon, &*world.scheduler()).unwrap();
+    let storage = Storage::on(wall.clone(), &daemon, &*world.scheduler()).unwrap();
     let outcome = Outcome {
         result: Err(WriteError::Lost(PathBuf::new())),
         looks: Vec::new(),

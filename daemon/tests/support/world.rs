@@ -124,6 +124,15 @@ pub fn pass(time: Duration) {
     }
 }
 
+/// Time of this thread's world.
+pub fn now() -> MonoNs {
+    World::here().unwrap().clock.now()
+}
+
+pub fn since(begun: MonoNs) -> Duration {
+    Duration::from_nanos(now().ns_since(begun).unsigned_abs())
+}
+
 /// Is ready after this time; others continue.
 pub async fn sleep(time: Duration) {
     World::here().unwrap().handle.sleep(time).await;

@@ -12,7 +12,7 @@ use crate::control::machine::Event;
 use crate::control::settings::Connect;
 use crate::problem::{Fact, Problem};
 use crate::run::{BUS_FLAGS, Opening, RunError, Session};
-use crate::scheduler::{Died, Pending, Scheduler, Work};
+use crate::scheduler::{Died, Pending, Scheduler};
 
 /// Pauses between attempts to bring the bus up.
 const RETRY_FIRST: Duration = Duration::from_secs(1);
@@ -156,8 +156,17 @@ impl BusLink {
     }
 
     fn attempt(&self) -> Pending<Result<Session, RunError>> {
-        let connect = Arc::clone(&self.connect);
-        Pending::until(&*self.scheduler, "bus", Box::new(Attempt { connect, opening: None }))
+        let (connect, mut opening) = (Arc::clone(&self.connect), None::<Opening>);
+        Pending::until(&*self.scheduler, "bus", move || match &mut opening {
+            Some(opening) => opening.poll(),
+            None => match connect() {
+                Ok(begun) => {
+                    opening = Some(begun);
+                    None
+                }
+                Err(error) => Some(Err(error)),
+            },
+        })
     }
 
     fn connected(&mut self, outcome: Result<Session, RunError>, pause: Duration, now: MonoNs) -> Event {
@@ -176,27 +185,6 @@ impl BusLink {
         let retry_at = now.plus_ns(pause.as_nanos() as i64);
         self.state = State::Down { retry_at, pause: (pause * 2).min(RETRY_LONGEST) };
         Event::BusDown(problem)
-    }
-}
-
-/// An attempt to bring the bus into operation.
-struct Attempt {
-    connect: Arc<Connect>,
-    opening: Option<Opening>,
-}
-
-impl Work<Result<Session, RunError>> for Attempt {
-    fn poll(&mut self) -> Option<Result<Session, RunError>> {
-        match &mut self.opening {
-            Some(opening) => opening.poll(),
-            None => match (self.connect)() {
-                Ok(opening) => {
-                    self.opening = Some(opening);
-                    None
-                }
-                Err(error) => Some(Err(error)),
-            },
-        }
     }
 }
 

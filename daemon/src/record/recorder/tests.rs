@@ -59,7 +59,7 @@ fn cycle(cycle: u64) -> CycleRecord {
 /// A recorder, and what ends its run.
 fn rig(disk: Arc<dyn Disk>, source: CycleSource, daemon: &DaemonConfig, clock: &Clock) -> (Recorder, Stop) {
     let run = metadata();
-    let storage = Storage::on(disk, daemon).unwrap();
+    let storage = Storage::on(disk, daemon, &*Threads::on(Clock::Real)).unwrap();
     let writer = RecordingWriter::create_on(storage.disk(), storage.directory(), &run).unwrap();
     let limits = Limits {
         cycle_period: Duration::from_millis(10),
