@@ -1,11 +1,10 @@
 //! What systemd is told of the service: that it is ready, what it does, and that it lives.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use sd_notify::NotifyState;
 use shared::time::MonoNs;
 
-use crate::clock::Clock;
 use crate::control::service::Service;
 use crate::control::status::Status;
 
@@ -18,20 +17,22 @@ const FEEDS: u32 = 3;
 /// the cycle goes on: one of the three that hangs is enough to be started again. The disk is none of them.
 pub async fn tell(service: Service) {
     let feed_every = sd_notify::watchdog_enabled().map(|within| within / FEEDS);
-    let (mut statuses, mut fed, mut word) = (service.watch(), None::<Instant>, String::new());
+    let (mut statuses, mut fed, mut word) = (service.watch(), None::<MonoNs>, String::new());
     say(&NotifyState::Ready);
     // Each round of the control gives a status.
     while statuses.changed().await.is_ok() {
         let status = statuses.borrow_and_update().clone();
-        let now = status.headline().word;
-        if now != word {
-            say(&NotifyState::Status(&now));
-            word = now;
+        let headline = status.headline().word;
+        if headline != word {
+            say(&NotifyState::Status(&headline));
+            word = headline;
         }
-        let is_due = feed_every.is_some_and(|every| fed.is_none_or(|at| at.elapsed() >= every));
-        if is_due && cycle_lives(&status, Clock::Real.now()) {
+        let now = service.now();
+        let is_over = |every: Duration, at| now.ns_since(at) >= every.as_nanos() as i64;
+        let is_due = feed_every.is_some_and(|every| fed.is_none_or(|at| is_over(every, at)));
+        if is_due && cycle_lives(&status, now) {
             say(&NotifyState::Watchdog);
-            fed = Some(Instant::now());
+            fed = Some(now);
         }
     }
 }

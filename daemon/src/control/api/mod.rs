@@ -248,7 +248,7 @@ fn routes(service: Service, gate: Option<Gate>, remote: Option<String>, pairing:
     let viewers = Arc::new(Semaphore::new(VIEWERS_MAX));
     let foxgloves = Arc::new(Semaphore::new(foxglove::CLIENTS_MAX));
     let origins = service.settings().live_tap.as_ref().map_or_else(Vec::new, |tap| tap.origins().to_vec());
-    let admission = Arc::new(Admission { gate, origins });
+    let admission = Arc::new(Admission { gate, service: service.clone(), origins });
     let shared = Shared { service, downloads: Downloads::default(), viewers, foxgloves, remote, pairing };
     let operations = operations();
     let (described, handlers): (Vec<_>, Vec<_>) = operations.into_iter().unzip();
@@ -608,6 +608,7 @@ async fn logged(request: Request, next: Next) -> Response {
 struct Admission {
     /// From elsewhere; none where nobody is.
     gate: Option<Gate>,
+    service: Service,
     /// Of those who listen to a run, beside this machine's.
     origins: Vec<String>,
 }
@@ -615,7 +616,9 @@ struct Admission {
 /// Turns away what a foreign web page could send, and who comes from elsewhere without the token.
 async fn admitted(State(admission): State<Arc<Admission>>, request: Request, next: Next) -> Response {
     let turned_away = match &admission.gate {
-        Some(gate) if request.extensions().get::<FromElsewhere>().is_some() => gate.turns_away(&request),
+        Some(gate) if request.extensions().get::<FromElsewhere>().is_some() => {
+            gate.turns_away(&request, admission.service.now())
+        }
         _ => refused_on_loopback(&request, &admission.origins),
     };
     match turned_away {

@@ -1,8 +1,8 @@
 //! Pairs a phone: a QR code leads to the page with a code that works once, in place of the token.
 
 use std::net::{IpAddr, SocketAddr};
-use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, Instant};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use axum::Json;
 use axum::extract::State;
@@ -14,6 +14,7 @@ use nix::sys::socket::SockaddrStorage;
 use qrcode::QrCode;
 use qrcode::render::svg;
 use rand::Rng;
+use shared::time::MonoNs;
 use subtle::ConstantTimeEq;
 
 use super::fingerprint::{Fingerprint, hex};
@@ -35,7 +36,7 @@ pub(super) struct Pairing(Arc<Inner>);
 struct Inner {
     address: SocketAddr,
     fingerprint: Fingerprint,
-    codes: Mutex<Vec<(String, Instant)>>,
+    codes: Mutex<Vec<(String, MonoNs)>>,
 }
 
 impl Pairing {
@@ -44,23 +45,28 @@ impl Pairing {
         Self(Arc::new(Inner { address, fingerprint, codes: Mutex::default() }))
     }
 
+    /// The codes that are valid at this time.
+    fn codes(&self, now: MonoNs) -> MutexGuard<'_, Vec<(String, MonoNs)>> {
+        let mut codes = self.0.codes.lock().unwrap_or_else(PoisonError::into_inner);
+        codes.retain(|(_, begun)| now.ns_since(*begun) < VALID.as_nanos() as i64);
+        codes
+    }
+
     /// A code that is valid from now on.
-    fn code(&self) -> String {
+    fn code(&self, now: MonoNs) -> String {
         let bytes: [u8; CODE_BYTES] = rand::rng().random();
         let code = hex(&bytes, "");
-        let mut codes = self.0.codes.lock().unwrap_or_else(PoisonError::into_inner);
-        codes.retain(|(_, begun)| begun.elapsed() < VALID);
+        let mut codes = self.codes(now);
         if codes.len() >= CODES_MAX {
             codes.remove(0);
         }
-        codes.push((code.clone(), Instant::now()));
+        codes.push((code.clone(), now));
         code
     }
 
     /// Whether a code is valid; it is not any more then.
-    pub fn redeem(&self, code: &str) -> bool {
-        let mut codes = self.0.codes.lock().unwrap_or_else(PoisonError::into_inner);
-        codes.retain(|(_, begun)| begun.elapsed() < VALID);
+    pub fn redeem(&self, code: &str, now: MonoNs) -> bool {
+        let mut codes = self.codes(now);
         let known = codes.iter().position(|(other, _)| bool::from(other.as_bytes().ct_eq(code.as_bytes())));
         known.map(|index| codes.remove(index)).is_some()
     }
@@ -74,12 +80,12 @@ impl Pairing {
         of_this_machine().into_iter().map(|ip| SocketAddr::new(ip, port)).collect()
     }
 
-    fn reply(&self) -> Result<PairReply, String> {
+    fn reply(&self, now: MonoNs) -> Result<PairReply, String> {
         let addresses = self.addresses();
         if addresses.is_empty() {
             return Err("this machine has no network address; connect it to the network of the phone".into());
         }
-        let code = self.code();
+        let code = self.code(now);
         let link = |address: &SocketAddr| {
             let url = format!("https://{address}/?pair={code}");
             let svg = QrCode::new(&url).map_err(|error| format!("no QR code can be made: {error}"))?;
@@ -106,7 +112,7 @@ fn of_this_machine() -> Vec<IpAddr> {
 }
 
 pub(super) async fn pair(
-    State(Shared { pairing, .. }): State<Shared>,
+    State(Shared { service, pairing, .. }): State<Shared>,
     body: Body<PairRequest>,
 ) -> Result<Json<PairReply>, Response> {
     let PairRequest {} = body.map_err(|rejection| rejected(&rejection))?.0;
@@ -116,23 +122,30 @@ pub(super) async fn pair(
             "no phone reaches this service; start it with `--listen ADDRESS:PORT`, such as --listen 0.0.0.0:7312",
         ));
     };
-    pairing.reply().map(Json).map_err(|error| refusal(StatusCode::CONFLICT, &error))
+    pairing.reply(service.now()).map(Json).map_err(|error| refusal(StatusCode::CONFLICT, &error))
 }
 
 #[cfg(test)]
 mod tests {
+    use shared::time::NS_PER_S;
+
     use super::*;
 
     #[test]
-    fn a_code_is_redeemed_once_and_only_the_latest_are_kept() {
+    fn a_code_is_redeemed_once_within_five_minutes_and_only_the_latest_are_kept() {
+        let now = MonoNs(0);
         let pairing = Pairing::new(([127, 0, 0, 1], 7312).into(), Fingerprint::of(b"certificate"));
-        let PairReply { links, .. } = pairing.reply().unwrap();
+        let PairReply { links, .. } = pairing.reply(now).unwrap();
         let [PairingLink { address, url, svg }] = &links[..] else { panic!("{links:?}") };
         let code = url.strip_prefix("https://127.0.0.1:7312/?pair=").unwrap();
         assert!(address == "https://127.0.0.1:7312" && svg.contains("<svg"), "{links:?}");
-        assert!(!pairing.redeem("") && !pairing.redeem(&code[1..]));
-        assert!(pairing.redeem(code) && !pairing.redeem(code));
-        let codes: Vec<_> = (0..=CODES_MAX).map(|_| pairing.code()).collect();
-        assert!(!pairing.redeem(&codes[0]) && codes[1..].iter().all(|code| pairing.redeem(code)));
+        assert!(!pairing.redeem("", now) && !pairing.redeem(&code[1..], now));
+        assert!(pairing.redeem(code, now) && !pairing.redeem(code, now));
+        let codes: Vec<_> = (0..=CODES_MAX).map(|_| pairing.code(now)).collect();
+        let redeem = |code: &String| pairing.redeem(code, now);
+        assert!(!redeem(&codes[0]) && codes[1..].iter().all(redeem));
+        let after_s = |seconds: i64| now.plus_ns(seconds * NS_PER_S);
+        let [first, second] = [0, 1].map(|seconds| pairing.code(after_s(seconds)));
+        assert!(!pairing.redeem(&first, after_s(300)) && pairing.redeem(&second, after_s(300)));
     }
 }

@@ -13,13 +13,14 @@ use std::os::unix::fs::{FileTypeExt, OpenOptionsExt, PermissionsExt};
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use axum::extract::Request;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
 use axum::response::{Html, IntoResponse, Response};
 use rand::Rng;
 use rcgen::{CertifiedKey, generate_simple_self_signed};
+use shared::time::MonoNs;
 use subtle::ConstantTimeEq;
 use tokio::net::{TcpListener, UnixListener};
 use tokio_rustls::TlsAcceptor;
@@ -185,12 +186,12 @@ pub(super) struct Gate {
     token: String,
     pairing: Option<Pairing>,
     /// When the latest wrong tokens came.
-    wrong: Mutex<Vec<Instant>>,
+    wrong: Mutex<Vec<MonoNs>>,
 }
 
 impl Gate {
     /// What a page or program of another machine is answered unless it comes from no foreign origin, and with the token.
-    pub fn turns_away(&self, request: &Request) -> Option<Response> {
+    pub fn turns_away(&self, request: &Request, now: MonoNs) -> Option<Response> {
         let headers = request.headers();
         let own = only(headers, header::HOST).map(|host| format!("https://{host}"));
         let is_own = |origin: &HeaderValue| Some(origin.as_bytes()) == own.as_ref().map(String::as_bytes);
@@ -204,7 +205,7 @@ impl Gate {
         let asks_for_page = request.method() == Method::GET && request.uri().path() == "/";
         let query = request.uri().query().unwrap_or_default();
         let code = query.split('&').find_map(|pair| pair.strip_prefix("pair=")).filter(|_| asks_for_page);
-        if code.zip(self.pairing.as_ref()).is_some_and(|(code, pairing)| pairing.redeem(code)) {
+        if code.zip(self.pairing.as_ref()).is_some_and(|(code, pairing)| pairing.redeem(code, now)) {
             return Some(self.welcome());
         }
         let typed = asks_for_page.then(|| typed_token(query)).flatten();
@@ -212,7 +213,7 @@ impl Gate {
             Some(token) if bool::from(token.as_bytes().ct_eq(self.token.as_bytes())) => {
                 typed.map(|_| self.welcome())
             }
-            told => Some(self.refused(told.is_some(), asks_for_page)),
+            told => Some(self.refused(told.is_some(), asks_for_page, now)),
         }
     }
 
@@ -232,10 +233,10 @@ impl Gate {
         (headers, Html("<a href=\"/\">The page</a>")).into_response()
     }
 
-    fn refused(&self, is_wrong: bool, asks_for_page: bool) -> Response {
+    fn refused(&self, is_wrong: bool, asks_for_page: bool, now: MonoNs) -> Response {
         const WHERE: &str = "it is in the file `token` of the service's state directory (`ballbard status` on its machine \
              names it); open the page with /?token=TOKEN, or send it as `Authorization: Bearer TOKEN`";
-        if is_wrong && self.too_many() {
+        if is_wrong && self.too_many(now) {
             return refusal(
                 StatusCode::TOO_MANY_REQUESTS,
                 &format!(
@@ -261,12 +262,12 @@ impl Gate {
         response
     }
 
-    fn too_many(&self) -> bool {
+    fn too_many(&self, now: MonoNs) -> bool {
         let mut wrong = self.wrong.lock().unwrap_or_else(PoisonError::into_inner);
-        wrong.retain(|at| at.elapsed() < WRONG_WITHIN);
+        wrong.retain(|at| now.ns_since(*at) < WRONG_WITHIN.as_nanos() as i64);
         let are = wrong.len() >= WRONG_MAX;
         if !are {
-            wrong.push(Instant::now());
+            wrong.push(now);
         }
         are
     }
@@ -366,4 +367,30 @@ fn private(file: &Path, text: &str) -> io::Result<()> {
     written.write_all(text.as_bytes())?;
     written.sync_all()?;
     fs::rename(&begun, file)
+}
+
+#[cfg(test)]
+mod tests {
+    use axum::body::Body;
+    use shared::time::NS_PER_S;
+
+    use super::*;
+
+    #[test]
+    fn ten_wrong_tokens_within_a_minute_are_told_so_and_further_ones_are_told_to_wait() {
+        let gate = Gate { token: "right".into(), pairing: None, wrong: Mutex::default() };
+        let answered = |seconds: i64, token: &str| {
+            let request = Request::builder().uri("/api/status").header(header::HOST, "cell:7312");
+            let request = request.header(header::AUTHORIZATION, format!("Bearer {token}"));
+            let now = MonoNs(seconds * NS_PER_S);
+            gate.turns_away(&request.body(Body::empty()).unwrap(), now).map(|response| response.status())
+        };
+        let wrong = |seconds| answered(seconds, "wrong");
+        assert!((0..10).all(|second| wrong(second) == Some(StatusCode::UNAUTHORIZED)));
+        assert_eq!([wrong(10), wrong(59)], [Some(StatusCode::TOO_MANY_REQUESTS); 2]);
+        assert_eq!(answered(59, "right"), None);
+        // The first one is a minute ago, the second is not.
+        assert_eq!(wrong(60), Some(StatusCode::UNAUTHORIZED));
+        assert_eq!(wrong(60), Some(StatusCode::TOO_MANY_REQUESTS));
+    }
 }
