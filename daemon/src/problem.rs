@@ -8,7 +8,7 @@ use std::path::PathBuf;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use shared::recording::schema::flags;
+use shared::recording::schema::{PortCounts, flags};
 
 /// How serious a state is.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
@@ -41,9 +41,11 @@ pub struct Problem {
     pub remedy: String,
 }
 
-/// Declares [`Fact`], [`Fact::code`] and [`CODES`] from one list.
+/// Declares [`Fact`] with its [`code`](Fact::code), severity, text and remedy, and [`CODES`], from one table: name, code and severity;
+/// fields; what is wrong, with the fields, and what to do.
 macro_rules! facts {
-    ($($(#[doc = $doc:literal])+ $name:ident = $code:literal $({ $($field:ident: $type:ty),+ $(,)? })?,)+) => {
+    ($($(#[doc = $doc:literal])+ $name:ident = $code:literal, $severity:ident
+        $({ $($field:ident: $type:ty),+ $(,)? })? => $text:expr, $remedy:expr;)+) => {
         /// What is known to be wrong. Serialised as its `code` and, where it has any, its `fields`; units are suffixes.
         #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
         #[serde(tag = "code", content = "fields")]
@@ -57,6 +59,20 @@ macro_rules! facts {
             pub fn code(&self) -> &'static str {
                 match self {
                     $(Self::$name { .. } => $code,)+
+                }
+            }
+
+            fn severity(&self) -> Level {
+                match self {
+                    $(Self::$name { .. } => Level::$severity,)+
+                }
+            }
+
+            /// What is wrong, and what to do.
+            #[allow(unused_variables, reason = "not every text has every field")]
+            fn words(&self) -> (String, String) {
+                match self {
+                    $(Self::$name { $($($field),+)? } => (String::from($text), String::from($remedy)),)+
                 }
             }
         }
@@ -77,123 +93,283 @@ macro_rules! facts {
     };
 }
 
+const REPLACE: &str = "power the terminals off and on, and replace that one if it stays so";
+const ATTACH: &str = "look at its cable, its power, or the network it is on";
+
 facts! {
     /// The service has not yet tried to bring the bus up.
-    BusStarting = "bus_starting",
+    BusStarting = "bus_starting", Bad =>
+        "the bus is being brought into operation",
+        "wait a few seconds";
     /// No frame comes back.
-    BusNoAnswer = "bus_no_answer" { bus: String },
+    BusNoAnswer = "bus_no_answer", Bad { bus: String } =>
+        format!("no EtherCAT device answers on {bus}"),
+        "check that the coupler has power, that its upper (IN) socket is cabled to this interface, and that the \
+         interface is up";
     /// Terminals from this position on do not answer; the coupler is 0.
-    BusDeviceMissing = "bus_device_missing" { position: usize, expected: Vec<String>, found: Vec<String> },
+    BusDeviceMissing = "bus_device_missing", Bad { position: usize, expected: Vec<String>, found: Vec<String> } =>
+        format!("{} and all behind it do not answer: {}", device(*position), compared(expected, found)),
+        format!(
+            "check {} (bus position {position}): its power, and that it and those behind it sit firmly on the one \
+             before; if it was taken away, correct the list of encoders in ball_bar.toml",
+            device(*position)
+        );
     /// There are more devices than configured.
-    BusDeviceUnexpected = "bus_device_unexpected" { position: usize, expected: Vec<String>, found: Vec<String> },
+    BusDeviceUnexpected = "bus_device_unexpected", Bad { position: usize, expected: Vec<String>, found: Vec<String> } =>
+        format!("{} is not configured: {}", device(*position), compared(expected, found)),
+        "add the encoders of the devices behind to ball_bar.toml, or take these devices away";
     /// Another device than configured.
-    BusDeviceWrong = "bus_device_wrong" { position: usize, expected: Vec<String>, found: Vec<String> },
+    BusDeviceWrong = "bus_device_wrong", Bad { position: usize, expected: Vec<String>, found: Vec<String> } =>
+        format!("{} is another device than configured: {}", device(*position), compared(expected, found)),
+        "correct the order of the terminals or the list of encoders in ball_bar.toml";
     /// A device lost its address or configuration: it was without power.
-    BusDeviceRestarted = "bus_device_restarted",
+    BusDeviceRestarted = "bus_device_restarted", Bad =>
+        "a device has lost its address or configuration: it was without power",
+        "check the supply of the coupler and the contacts between the terminals";
     /// A device left OP.
-    BusNotOperational = "bus_not_operational" { position: Option<usize>, al_status_code: Option<u16> },
+    BusNotOperational = "bus_not_operational", Bad { position: Option<usize>, al_status_code: Option<u16> } =>
+        not_operational(*position, *al_status_code),
+        first_look(*position);
     /// A device does not enter a state.
-    BusStateRefused = "bus_state_refused" { position: usize, state: String, wanted: String, al_status: String },
+    BusStateRefused = "bus_state_refused", Bad { position: usize, state: String, wanted: String, al_status: String } =>
+        format!("{} stays in {state} instead of {wanted}: AL status {al_status}", device(*position)),
+        REPLACE;
     /// A terminal refuses a setting.
-    BusSettingRefused = "bus_setting_refused" { position: usize, doing: String, error: String },
+    BusSettingRefused = "bus_setting_refused", Bad { position: usize, doing: String, error: String } =>
+        format!("{}, while {doing}: {error}", device(*position)),
+        REPLACE;
     /// A terminal keeps another interpolation than was written.
-    BusInterpolation = "bus_interpolation" { position: usize, wanted: u8, found: u32 },
+    BusInterpolation = "bus_interpolation", Bad { position: usize, wanted: u8, found: u32 } =>
+        format!("{} interpolates {found} bits after {wanted} were written", device(*position)),
+        "power the terminals off and on, or use a number of bits that its firmware offers";
     /// A terminal's process data have another length.
-    BusProcessData = "bus_process_data" { position: usize, inputs_bytes: usize, outputs_bytes: usize },
+    BusProcessData = "bus_process_data", Bad { position: usize, inputs_bytes: usize, outputs_bytes: usize } =>
+        format!(
+            "{} has {inputs_bytes} bytes of inputs and {outputs_bytes} of outputs instead of 10 and 6",
+            device(*position)
+        ),
+        "restore its default PDO assignment";
     /// The reference clock stands still.
-    BusClockStopped = "bus_clock_stopped" { time_ns: u64 },
+    BusClockStopped = "bus_clock_stopped", Bad { time_ns: u64 } =>
+        format!("the distributed clock stands still (time {time_ns} ns)"),
+        "the first device after this PC must be an EK1100 with distributed clocks, or set `distributed_clocks = false` \
+         in daemon.toml and accept samples up to one cycle old";
     /// A terminal's clock does not follow the reference clock.
-    BusClockUnsettled = "bus_clock_unsettled" { position: usize, difference_ns: i64 },
+    BusClockUnsettled = "bus_clock_unsettled", Bad { position: usize, difference_ns: i64 } =>
+        format!(
+            "the clock of {} is {difference_ns} ns off the bus time and does not converge to 1000 ns",
+            device(*position)
+        ),
+        REPLACE;
     /// The reference clock jumped.
-    BusClockJumped = "bus_clock_jumped" { by_ns: Option<i64> },
+    BusClockJumped = "bus_clock_jumped", Check { by_ns: Option<i64> } =>
+        match by_ns {
+            Some(by_ns) => format!("the reference clock jumped by {:.3} ms", *by_ns as f64 * 1e-6),
+            None => "the reference clock jumped".into(),
+        },
+        "nothing: sample times follow it; replace the coupler if it happens again";
     /// Replies with a wrong working counter.
-    BusBadReplies = "bus_bad_replies" { position: Option<usize>, flags: Vec<String> },
+    BusBadReplies = "bus_bad_replies", Bad { position: Option<usize>, flags: Vec<String> } =>
+        format!("consecutive bad replies ({})", flags.join(", ")),
+        first_look(*position);
     /// The EtherCAT stack failed.
-    BusStackFailed = "bus_stack_failed" { doing: String, error: String },
+    BusStackFailed = "bus_stack_failed", Bad { doing: String, error: String } =>
+        format!("EtherCAT, while {doing}: {error}"),
+        "check cables, contacts and the terminals' power";
     /// Asked to end while the bus was brought up.
-    BusInterrupted = "bus_interrupted",
+    BusInterrupted = "bus_interrupted", Bad =>
+        "stopped while the bus was brought up",
+        "start again";
     /// The network interface cannot be used.
-    InterfaceUnusable = "interface_unusable" { error: String },
+    InterfaceUnusable = "interface_unusable", Bad { error: String } =>
+        error,
+        "correct --bus or the interface";
     /// The thread of the cycle does not run.
-    CycleStalled = "cycle_stalled" { age_s: i64 },
+    CycleStalled = "cycle_stalled", Bad { age_s: i64 } =>
+        format!("no bus cycle for {age_s} s: the cycle thread is blocked or starved"),
+        "run `ballbard tune`; end programs that take the processor";
     /// A thread of the service has ended.
-    ThreadEnded = "thread_ended" { thread: String },
+    ThreadEnded = "thread_ended", Bad { thread: String } =>
+        format!("the thread of the {thread} has ended; its cause is in the log"),
+        "report it with the log";
     /// The bus is in OP again: the end of a fault.
-    BusRestored = "bus_restored" { attempts: u32 },
+    BusRestored = "bus_restored", Good { attempts: u32 } =>
+        match attempts {
+            1 => "bus in operation again".into(),
+            _ => format!("bus in operation again, after {attempts} attempts"),
+        },
+        "";
     /// A port has counted errors; port 0 leads to the device before.
-    LinkErrors = "link_errors" {
+    LinkErrors = "link_errors", Check {
         position: usize, port: usize, receive_errors: u32, invalid_frames: u32, lost_links: u32,
-    },
+    } =>
+        format!(
+            "{}: {} has counted {receive_errors} receive errors, {invalid_frames} invalid frames and {lost_links} lost \
+             links",
+            link(*position, *port).0,
+            device(*position)
+        ),
+        link(*position, *port).1;
     /// No cycle gave a sample in the last second.
-    NoSamples = "no_samples",
+    NoSamples = "no_samples", Bad =>
+        "no sample in the last second",
+        "bring the bus into operation first";
     /// Encoders give too few valid samples. Status word and share of the last second are those of the first.
-    EncoderInvalid = "encoder_invalid" { joints: Vec<u8>, status: Option<u16>, valid_share: f64 },
+    EncoderInvalid = "encoder_invalid", Bad { joints: Vec<u8>, status: Option<u16>, valid_share: f64 } =>
+        invalid_encoders(joints, *status, *valid_share),
+        "check the encoder's cable and plug, and its signal amplitude";
     /// Counts may have a new origin.
-    CountsRestarted = "counts_restarted" { joint: Option<u8>, because: String },
+    CountsRestarted = "counts_restarted", Check { joint: Option<u8>, because: String } =>
+        format!("counts may have a new origin: {because}"),
+        "nothing for the calibration; home again if runs count from marks";
     /// Cycles were started after their deadline.
-    CyclesLate = "cycles_late",
+    CyclesLate = "cycles_late", Check =>
+        "cycles were started after their deadline",
+        "run `ballbard tune`";
     /// Cycles were lost between bus and file.
-    CyclesLost = "cycles_lost" { cycles: u64 },
+    CyclesLost = "cycles_lost", Bad { cycles: u64 } =>
+        format!("{cycles} cycles are lost: the disk did not take them in time"),
+        "see what keeps the disk busy, or record to another one";
     /// The directory of the recordings cannot be written.
-    DiskUnwritable = "disk_unwritable" { directory: PathBuf },
+    DiskUnwritable = "disk_unwritable", Bad { directory: PathBuf } =>
+        format!(
+            "{} cannot be written: it is not a directory, is read-only, or belongs to another user",
+            directory.display()
+        ),
+        "correct that, or `directory` in daemon.toml";
     /// Less space than the floor.
-    DiskFull = "disk_full" { directory: PathBuf, floor_mb: u64 },
+    DiskFull = "disk_full", Bad { directory: PathBuf, floor_mb: u64 } =>
+        format!("disk floor: less than {floor_mb} MB are free where {} is", directory.display()),
+        "delete or move recordings, or lower `disk_floor_mb` in daemon.toml";
     /// A call to the disk failed.
-    DiskError = "disk_error" { place: String, error: String },
+    DiskError = "disk_error", Bad { place: String, error: String } =>
+        format!("{place}: {error}"),
+        "check free space and permissions, and look at its disk";
     /// A call to the disk has not returned.
-    DiskSilent = "disk_silent" { directory: Option<PathBuf>, silent_s: Option<f64> },
+    DiskSilent = "disk_silent", Bad { directory: Option<PathBuf>, silent_s: Option<f64> } =>
+        format!(
+            "the disk{} {}",
+            directory.as_ref().map_or(String::new(), |place| format!(" of {}", place.display())),
+            silent_s.map_or("does not answer".into(), |s| format!("has not answered for {s:.1} s"))
+        ),
+        ATTACH;
     /// Files of earlier runs are being recovered.
-    DiskRecovering = "disk_recovering" { since_s: Option<f64> },
+    DiskRecovering = "disk_recovering", Check { since_s: Option<f64> } =>
+        match since_s {
+            Some(since_s) => {
+                format!("for {since_s:.1} s the disk has been asked to recover what earlier runs left")
+            }
+            None => "what earlier runs left is being recovered".into(),
+        },
+        "wait; if it takes minutes look at the disk";
     /// A run waits for its file.
-    FilePending = "file_pending" { since_s: f64, step: String },
+    FilePending = "file_pending", Bad { since_s: f64, step: String } =>
+        format!("the run has no file yet: for {since_s:.1} s the disk has been asked {step}"),
+        ATTACH;
     /// The file of the run is not where it was.
-    FileLost = "file_lost" { error: String },
+    FileLost = "file_lost", Bad { error: String } =>
+        format!("{error}; what was taken is being brought to another place"),
+        "wait for the new place, then see what became of the directory";
     /// The run is written elsewhere.
-    FileMoved = "file_moved" { file: PathBuf, error: String },
+    FileMoved = "file_moved", Check { file: PathBuf, error: String } =>
+        format!("the run continues in {}, because: {error}", file.display()),
+        "`ballbard stop` names the file; repair the disk before the next run";
     /// The file of the run could not be finished.
-    FileBroken = "file_broken" { error: String },
+    FileBroken = "file_broken", Bad { error: String } =>
+        error,
+        "look at the disk; `ballbard recover` saves the rest";
     /// Cycles wait to be written.
-    DiskBacklog = "disk_backlog" { backlog_s: f64, limit_s: f64 },
+    DiskBacklog = "disk_backlog", Bad { backlog_s: f64, limit_s: f64 } =>
+        format!(
+            "the disk takes nothing: {backlog_s:.1} s of cycles wait to be written, from {limit_s:.0} s on they are lost"
+        ),
+        "see what keeps it busy";
     /// Cycles wait to be synchronised.
-    DiskSlow = "disk_slow" { unsynced_s: f64 },
+    DiskSlow = "disk_slow", Check { unsynced_s: f64 } =>
+        format!("the disk is slow: a power cut now would cost the last {unsynced_s:.1} s of the run"),
+        "see what keeps it busy";
     /// Little space is left.
-    DiskSpaceLow = "disk_space_low" { left_h: f64 },
+    DiskSpaceLow = "disk_space_low", Check { left_h: f64 } =>
+        format!("the disk has room for {left_h:.1} hours"),
+        "move recordings elsewhere, or delete some and empty the bin, before the run needs the space";
     /// Files were left behind by a crash.
-    FilesLeft = "files_left" { files: Vec<PathBuf> },
+    FilesLeft = "files_left", Check { files: Vec<PathBuf> } =>
+        files.iter().map(|file| file.display().to_string()).collect::<Vec<_>>().join(", "),
+        "run `ballbard recover` on each";
     /// The run cannot begin.
-    RunRefused = "run_refused" { error: String },
+    RunRefused = "run_refused", Bad { error: String } =>
+        error,
+        "";
     /// The encoders are being homed.
-    HomingActive = "homing_active",
+    HomingActive = "homing_active", Check =>
+        "the encoders are being homed",
+        "wait until that is done, or end it with `ballbard stop`";
     /// The control's thread takes no requests.
-    ServiceBusy = "service_busy",
+    ServiceBusy = "service_busy", Bad =>
+        "too many requests wait for the service",
+        "ask again in a second";
     /// The service is ending.
-    ServiceEnding = "service_ending",
+    ServiceEnding = "service_ending", Bad =>
+        "the service is ending",
+        "start it again: `ballbard run`";
     /// `homing.toml` cannot be read.
-    MarksUnreadable = "marks_unreadable" { error: String },
+    MarksUnreadable = "marks_unreadable", Bad { error: String } =>
+        error,
+        "correct the file, or home again";
     /// Reference marks are no longer valid.
-    MarksStale = "marks_stale" { joints: Vec<u8> },
+    MarksStale = "marks_stale", Check { joints: Vec<u8> } =>
+        format!("reference marks of joint {} are no longer valid", numbers(joints)),
+        "run `ballbard home`, or remove homing.toml if runs need no marks";
     /// Reference marks could not be saved.
-    MarksUnwritable = "marks_unwritable" { error: String },
+    MarksUnwritable = "marks_unwritable", Check { error: String } =>
+        format!("{error}, so reference marks could not be kept"),
+        "let this user write there, or choose another directory with --state";
     /// Priority, core or locked memory were not granted.
-    RealtimeDenied = "realtime_denied" { report: String },
+    RealtimeDenied = "realtime_denied", Check { report: String } =>
+        report,
+        "grant what is missing; without it cycles are late when the machine is busy";
     /// The host's clock is not synchronised.
-    ClockUnsynchronised = "clock_unsynchronised",
+    ClockUnsynchronised = "clock_unsynchronised", Check =>
+        "the host's clock is not synchronised: UTC in the file is as accurate as this clock",
+        "start chrony or systemd-timesyncd; without a network ignore it, calibration finds clock differences";
     /// The kernel does not report whether it is.
-    ClockUnknown = "clock_unknown" { error: String },
+    ClockUnknown = "clock_unknown", Check { error: String } =>
+        format!("the kernel does not report whether the clock is synchronised: {error}"),
+        "allow the system call clock_adjtime in the sandbox of this process";
     /// The host's UTC was set while a run was recorded.
-    ClockStepped = "clock_stepped" { by_ns: i64 },
+    ClockStepped = "clock_stepped", Check { by_ns: i64 } =>
+        format!("host UTC moved by {:.3} ms; sample times keep to the run's first offset", *by_ns as f64 * 1e-6),
+        "see what set the clock";
     /// Lines of the log were lost.
-    LogLinesLost = "log_lines_lost" { lines: u64 },
+    LogLinesLost = "log_lines_lost", Check { lines: u64 } =>
+        format!("{lines} lines were lost: standard error did not take them"),
+        "see where it leads: a full disk, a closed terminal, a reader that does not read; recording continues";
     /// A joint is turned too far.
-    JointWound = "joint_wound" { joint: u8, turned_deg: f64, from_mark: bool },
+    JointWound = "joint_wound", Check { joint: u8, turned_deg: f64, from_mark: bool } =>
+        format!(
+            "joint {joint} is turned by {turned_deg:.0} degrees from {}",
+            if *from_mark { "its reference mark" } else { "where it was seen first" }
+        ),
+        "unwind its cable before it is torn";
     /// A joint is near a singular pose.
-    JointSingular = "joint_singular" { joint: u8, distance_deg: f64 },
+    JointSingular = "joint_singular", Check { joint: u8, distance_deg: f64 } =>
+        format!("joint {joint} is {distance_deg:.1} degrees from a singular pose of the bar"),
+        "move the path away: rod and axis must not align";
     /// A joint turns faster than its terminal interpolates.
-    JointFast = "joint_fast" { joint: u8, speed_deg_per_s: f64, limit_deg_per_s: f64 },
+    JointFast = "joint_fast", Check { joint: u8, speed_deg_per_s: f64, limit_deg_per_s: f64 } =>
+        format!(
+            "joint {joint} turns at {:.0} degrees/s; above {limit_deg_per_s:.0} its terminal leaves out the finest steps",
+            speed_deg_per_s.abs()
+        ),
+        "let the robot move more slowly";
     /// A joint has not turned since the run began.
-    JointStill = "joint_still" { joint: u8, range_deg: f64 },
+    JointStill = "joint_still", Check { joint: u8, range_deg: f64 } =>
+        format!("joint {joint} has turned by {range_deg:.1} degrees since the run began"),
+        "see whether its coupling has come loose, or let the path turn it";
     /// Angles count from zero again.
-    AnglesRestarted = "angles_restarted" { since_s: f64 },
+    AnglesRestarted = "angles_restarted", Check { since_s: f64 } =>
+        format!("since {} angles and coverage count from zero again", clock_time(*since_s)),
+        "counters lost their origin, as after an outage of the bus; the calibration allows for it";
 }
 
 impl Fact {
@@ -231,310 +407,13 @@ impl Fact {
         };
         (self.code(), place)
     }
+}
 
-    fn severity(&self) -> Level {
-        match self {
-            Self::BusRestored { .. } => Level::Good,
-            Self::BusClockJumped { .. }
-            | Self::LinkErrors { .. }
-            | Self::CountsRestarted { .. }
-            | Self::CyclesLate {}
-            | Self::DiskRecovering { .. }
-            | Self::FileMoved { .. }
-            | Self::DiskSlow { .. }
-            | Self::DiskSpaceLow { .. }
-            | Self::FilesLeft { .. }
-            | Self::HomingActive {}
-            | Self::MarksStale { .. }
-            | Self::MarksUnwritable { .. }
-            | Self::RealtimeDenied { .. }
-            | Self::ClockUnsynchronised {}
-            | Self::ClockUnknown { .. }
-            | Self::ClockStepped { .. }
-            | Self::LogLinesLost { .. }
-            | Self::JointWound { .. }
-            | Self::JointSingular { .. }
-            | Self::JointFast { .. }
-            | Self::JointStill { .. }
-            | Self::AnglesRestarted { .. } => Level::Check,
-            _ => Level::Bad,
-        }
-    }
-
-    /// What is wrong, and what to do.
-    fn words(&self) -> (String, String) {
-        const REPLACE: &str = "power the terminals off and on, and replace that one if it stays so";
-        const ATTACH: &str = "look at its cable, its power, or the network it is on";
-        const SPACE: &str = "delete or move recordings, or lower `disk_floor_mb` in daemon.toml";
-        let (text, remedy): (String, &str) = match self {
-            Self::BusStarting {} => ("the bus is being brought into operation".into(), "wait a few seconds"),
-            Self::BusNoAnswer { bus } => (
-                format!("no EtherCAT device answers on {bus}"),
-                "check that the coupler has power, that its upper (IN) socket is cabled to this interface, and that the \
-                 interface is up",
-            ),
-            Self::BusDeviceMissing { position, expected, found } => {
-                return (
-                    format!(
-                        "{} and all behind it do not answer: {}",
-                        device(*position),
-                        compared(expected, found)
-                    ),
-                    format!(
-                        "check {} (bus position {position}): its power, and that it and those behind it sit firmly on the \
-                         one before; if it was taken away, correct the list of encoders in ball_bar.toml",
-                        device(*position)
-                    ),
-                );
-            }
-            Self::BusDeviceUnexpected { position, expected, found } => (
-                format!("{} is not configured: {}", device(*position), compared(expected, found)),
-                "add the encoders of the devices behind to ball_bar.toml, or take these devices away",
-            ),
-            Self::BusDeviceWrong { position, expected, found } => (
-                format!(
-                    "{} is another device than configured: {}",
-                    device(*position),
-                    compared(expected, found)
-                ),
-                "correct the order of the terminals or the list of encoders in ball_bar.toml",
-            ),
-            Self::BusDeviceRestarted {} => (
-                "a device has lost its address or configuration: it was without power".into(),
-                "check the supply of the coupler and the contacts between the terminals",
-            ),
-            Self::BusNotOperational { position, al_status_code } => {
-                let who = position.map_or("a device".into(), device);
-                let text = match al_status_code {
-                    Some(code) => format!("{who} fell to SAFE-OP, AL status code {code:#06x}"),
-                    None => format!("{who} is not in OP"),
-                };
-                return (text, first_look(*position));
-            }
-            Self::BusStateRefused { position, state, wanted, al_status } => (
-                format!("{} stays in {state} instead of {wanted}: AL status {al_status}", device(*position)),
-                REPLACE,
-            ),
-            Self::BusSettingRefused { position, doing, error } => {
-                (format!("{}, while {doing}: {error}", device(*position)), REPLACE)
-            }
-            Self::BusInterpolation { position, wanted, found } => (
-                format!("{} interpolates {found} bits after {wanted} were written", device(*position)),
-                "power the terminals off and on, or use a number of bits that its firmware offers",
-            ),
-            Self::BusProcessData { position, inputs_bytes, outputs_bytes } => (
-                format!(
-                    "{} has {inputs_bytes} bytes of inputs and {outputs_bytes} of outputs instead of 10 and 6",
-                    device(*position)
-                ),
-                "restore its default PDO assignment",
-            ),
-            Self::BusClockStopped { time_ns } => (
-                format!("the distributed clock stands still (time {time_ns} ns)"),
-                "the first device after this PC must be an EK1100 with distributed clocks, or set `distributed_clocks = \
-                 false` in daemon.toml and accept samples up to one cycle old",
-            ),
-            Self::BusClockUnsettled { position, difference_ns } => (
-                format!(
-                    "the clock of {} is {difference_ns} ns off the bus time and does not converge to 1000 ns",
-                    device(*position)
-                ),
-                REPLACE,
-            ),
-            Self::BusClockJumped { by_ns } => (
-                match by_ns {
-                    Some(by_ns) => format!("the reference clock jumped by {:.3} ms", *by_ns as f64 * 1e-6),
-                    None => "the reference clock jumped".into(),
-                },
-                "nothing: sample times follow it; replace the coupler if it happens again",
-            ),
-            Self::BusBadReplies { position, flags } => {
-                return (format!("consecutive bad replies ({})", flags.join(", ")), first_look(*position));
-            }
-            Self::BusStackFailed { doing, error } => (
-                format!("EtherCAT, while {doing}: {error}"),
-                "check cables, contacts and the terminals' power",
-            ),
-            Self::BusInterrupted {} => ("stopped while the bus was brought up".into(), "start again"),
-            Self::InterfaceUnusable { error } => (error.clone(), "correct --bus or the interface"),
-            Self::CycleStalled { age_s } => (
-                format!("no bus cycle for {age_s} s: the cycle thread is blocked or starved"),
-                "run `ballbard tune`; end programs that take the processor",
-            ),
-            Self::ThreadEnded { thread } => (
-                format!("the thread of the {thread} has ended; its cause is in the log"),
-                "report it with the log",
-            ),
-            Self::BusRestored { attempts: 1 } => ("bus in operation again".into(), ""),
-            Self::BusRestored { attempts } => {
-                (format!("bus in operation again, after {attempts} attempts"), "")
-            }
-            Self::LinkErrors { position, port, receive_errors, invalid_frames, lost_links } => {
-                let (link, remedy) = link(*position, *port);
-                return (
-                    format!(
-                        "{link}: {} has counted {receive_errors} receive errors, {invalid_frames} invalid frames and \
-                         {lost_links} lost links",
-                        device(*position)
-                    ),
-                    remedy,
-                );
-            }
-            Self::NoSamples {} => {
-                ("no sample in the last second".into(), "bring the bus into operation first")
-            }
-            Self::EncoderInvalid { joints, status, valid_share } => {
-                let word = status.map_or(String::new(), |status| format!(" (status {status:#06x})"));
-                let who = format!("joint {}{word}", numbers(joints));
-                let text = if *valid_share > 0.0 {
-                    format!("{who} was valid for {:.0} % of the last second", 100.0 * valid_share)
-                } else {
-                    format!("no valid sample from {who}")
-                };
-                (text, "check the encoder's cable and plug, and its signal amplitude")
-            }
-            Self::CountsRestarted { because, .. } => (
-                format!("counts may have a new origin: {because}"),
-                "nothing for the calibration; home again if runs count from marks",
-            ),
-            Self::CyclesLate {} => ("cycles were started after their deadline".into(), "run `ballbard tune`"),
-            Self::CyclesLost { cycles } => (
-                format!("{cycles} cycles are lost: the disk did not take them in time"),
-                "see what keeps the disk busy, or record to another one",
-            ),
-            Self::DiskUnwritable { directory } => (
-                format!(
-                    "{} cannot be written: it is not a directory, is read-only, or belongs to another user",
-                    directory.display()
-                ),
-                "correct that, or `directory` in daemon.toml",
-            ),
-            Self::DiskFull { directory, floor_mb } => (
-                format!("disk floor: less than {floor_mb} MB are free where {} is", directory.display()),
-                SPACE,
-            ),
-            Self::DiskError { place, error } => {
-                (format!("{place}: {error}"), "check free space and permissions, and look at its disk")
-            }
-            Self::DiskSilent { directory, silent_s } => {
-                let disk =
-                    directory.as_ref().map_or(String::new(), |place| format!(" of {}", place.display()));
-                let since =
-                    silent_s.map_or("does not answer".into(), |s| format!("has not answered for {s:.1} s"));
-                (format!("the disk{disk} {since}"), ATTACH)
-            }
-            Self::DiskRecovering { since_s } => (
-                match since_s {
-                    Some(since_s) => format!(
-                        "for {since_s:.1} s the disk has been asked to recover what earlier runs left"
-                    ),
-                    None => "what earlier runs left is being recovered".into(),
-                },
-                "wait; if it takes minutes look at the disk",
-            ),
-            Self::FilePending { since_s, step } => (
-                format!("the run has no file yet: for {since_s:.1} s the disk has been asked {step}"),
-                ATTACH,
-            ),
-            Self::FileLost { error } => (
-                format!("{error}; what was taken is being brought to another place"),
-                "wait for the new place, then see what became of the directory",
-            ),
-            Self::FileMoved { file, error } => (
-                format!("the run continues in {}, because: {error}", file.display()),
-                "`ballbard stop` names the file; repair the disk before the next run",
-            ),
-            Self::FileBroken { error } => {
-                (error.clone(), "look at the disk; `ballbard recover` saves the rest")
-            }
-            Self::DiskBacklog { backlog_s, limit_s } => (
-                format!(
-                    "the disk takes nothing: {backlog_s:.1} s of cycles wait to be written, from {limit_s:.0} s on they are \
-                     lost"
-                ),
-                "see what keeps it busy",
-            ),
-            Self::DiskSlow { unsynced_s } => (
-                format!("the disk is slow: a power cut now would cost the last {unsynced_s:.1} s of the run"),
-                "see what keeps it busy",
-            ),
-            Self::DiskSpaceLow { left_h } => (
-                format!("the disk has room for {left_h:.1} hours"),
-                "move recordings elsewhere, or delete some and empty the bin, before the run needs the space",
-            ),
-            Self::FilesLeft { files } => {
-                let names: Vec<_> = files.iter().map(|file| file.display().to_string()).collect();
-                (names.join(", "), "run `ballbard recover` on each")
-            }
-            Self::RunRefused { error } => (error.clone(), ""),
-            Self::HomingActive {} => (
-                "the encoders are being homed".into(),
-                "wait until that is done, or end it with `ballbard stop`",
-            ),
-            Self::ServiceBusy {} => {
-                ("too many requests wait for the service".into(), "ask again in a second")
-            }
-            Self::ServiceEnding {} => ("the service is ending".into(), "start it again: `ballbard run`"),
-            Self::MarksUnreadable { error } => (error.clone(), "correct the file, or home again"),
-            Self::MarksStale { joints } => (
-                format!("reference marks of joint {} are no longer valid", numbers(joints)),
-                "run `ballbard home`, or remove homing.toml if runs need no marks",
-            ),
-            Self::MarksUnwritable { error } => (
-                format!("{error}, so reference marks could not be kept"),
-                "let this user write there, or choose another directory with --state",
-            ),
-            Self::RealtimeDenied { report } => {
-                (report.clone(), "grant what is missing; without it cycles are late when the machine is busy")
-            }
-            Self::ClockUnsynchronised {} => (
-                "the host's clock is not synchronised: UTC in the file is as accurate as this clock".into(),
-                "start chrony or systemd-timesyncd; without a network ignore it, calibration finds clock differences",
-            ),
-            Self::ClockUnknown { error } => (
-                format!("the kernel does not report whether the clock is synchronised: {error}"),
-                "allow the system call clock_adjtime in the sandbox of this process",
-            ),
-            Self::ClockStepped { by_ns } => (
-                format!(
-                    "host UTC moved by {:.3} ms; sample times keep to the run's first offset",
-                    *by_ns as f64 * 1e-6
-                ),
-                "see what set the clock",
-            ),
-            Self::LogLinesLost { lines } => (
-                format!("{lines} lines were lost: standard error did not take them"),
-                "see where it leads: a full disk, a closed terminal, a reader that does not read; recording continues",
-            ),
-            Self::JointWound { joint, turned_deg, from_mark } => {
-                let from = if *from_mark { "its reference mark" } else { "where it was seen first" };
-                (
-                    format!("joint {joint} is turned by {turned_deg:.0} degrees from {from}"),
-                    "unwind its cable before it is torn",
-                )
-            }
-            Self::JointSingular { joint, distance_deg } => (
-                format!("joint {joint} is {distance_deg:.1} degrees from a singular pose of the bar"),
-                "move the path away: rod and axis must not align",
-            ),
-            Self::JointFast { joint, speed_deg_per_s, limit_deg_per_s } => (
-                format!(
-                    "joint {joint} turns at {:.0} degrees/s; above {limit_deg_per_s:.0} its terminal leaves out the finest \
-                     steps",
-                    speed_deg_per_s.abs()
-                ),
-                "let the robot move more slowly",
-            ),
-            Self::JointStill { joint, range_deg } => (
-                format!("joint {joint} has turned by {range_deg:.1} degrees since the run began"),
-                "see whether its coupling has come loose, or let the path turn it",
-            ),
-            Self::AnglesRestarted { since_s } => (
-                format!("since {} angles and coverage count from zero again", clock_time(*since_s)),
-                "counters lost their origin, as after an outage of the bus; the calibration allows for it",
-            ),
-        };
-        (text, remedy.to_owned())
+impl From<PortCounts> for Fact {
+    fn from(counts: PortCounts) -> Self {
+        let PortCounts { position, port, invalid_frames, receive_errors, lost_links } = counts;
+        let (position, port) = (position.into(), port.into());
+        Self::LinkErrors { position, port, receive_errors, invalid_frames, lost_links }
     }
 }
 
@@ -597,6 +476,23 @@ pub fn clock_time(seconds: f64) -> String {
 /// A device as people count: the coupler is at position 0, the terminal beside it is terminal 1.
 fn device(position: usize) -> String {
     if position == 0 { "the coupler".into() } else { format!("terminal {position}") }
+}
+
+fn not_operational(position: Option<usize>, al_status_code: Option<u16>) -> String {
+    let who = position.map_or("a device".into(), device);
+    match al_status_code {
+        Some(code) => format!("{who} fell to SAFE-OP, AL status code {code:#06x}"),
+        None => format!("{who} is not in OP"),
+    }
+}
+
+fn invalid_encoders(joints: &[u8], status: Option<u16>, valid_share: f64) -> String {
+    let word = status.map_or(String::new(), |status| format!(" (status {status:#06x})"));
+    let who = format!("joint {}{word}", numbers(joints));
+    if valid_share > 0.0 {
+        return format!("{who} was valid for {:.0} % of the last second", 100.0 * valid_share);
+    }
+    format!("no valid sample from {who}")
 }
 
 /// Where to look if the bus itself does not name the device.
