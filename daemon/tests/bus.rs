@@ -10,6 +10,7 @@ use std::time::Duration;
 use ballbard::bus::{Bus, BusError, BusPlan, Operational};
 use ballbard::clock::Clock;
 use ballbard::cycle::Acquisition;
+use ballbard::problem::Fact;
 use ballbard::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
 use ballbard::segment::{FRAME_BYTES_MAX, InProcessWire, Wire};
 use shared::config::EncoderConfig;
@@ -60,11 +61,14 @@ fn interpolation_can_be_13_bits_and_the_bus_can_run_without_distributed_clocks()
 fn a_missing_or_surplus_terminal_is_named_by_its_position() {
     for (there, wanted, first_wrong) in [(4, 5, 5), (5, 4, 5), (0, 5, 1)] {
         match bring_up(there, &plan(wanted)) {
-            Err(BusError::WrongDevices { position, expected, found }) => {
-                assert_eq!(position, first_wrong);
-                assert_eq!((expected.len(), found.len()), (1 + usize::from(wanted), 1 + there));
-            }
-            Err(other) => panic!("{there} of {wanted}: {other}"),
+            Err(error) => match error.fact() {
+                Fact::BusDeviceMissing { position, expected, found }
+                | Fact::BusDeviceUnexpected { position, expected, found } => {
+                    assert_eq!(*position, first_wrong);
+                    assert_eq!((expected.len(), found.len()), (1 + usize::from(wanted), 1 + there));
+                }
+                _ => panic!("{there} of {wanted}: {error}"),
+            },
             Ok(_) => panic!("{there} terminals passed for {wanted}"),
         }
     }
@@ -103,7 +107,7 @@ fn silence_is_reported_as_no_answer() {
     let wires: [Box<dyn Wire>; 2] = [Box::new(Nowhere(clock.clone())), Box::new(Dead)];
     for wire in wires {
         let error = Bus::new(wire, clock.clone(), Duration::from_millis(4)).bring_up(&plan(5)).err().unwrap();
-        assert!(matches!(error, BusError::NoAnswer { .. }), "{error}");
+        assert!(matches!(error.fact(), Fact::BusNoAnswer { .. }), "{error}");
     }
 }
 
@@ -315,7 +319,8 @@ fn whenever_somebody_asks_for_the_end_the_bus_is_not_brought_up_any_further() {
     for place in 0..PLACES {
         let patience = 1 + place * (frames - 2) / PLACES;
         let (ended, sent) = bring_up(patience);
-        assert!(matches!(ended, Err(BusError::Interrupted)), "{patience} of {frames}: {ended:?}");
+        let ended = ended.unwrap_err();
+        assert_eq!(*ended.fact(), Fact::BusInterrupted {}, "{patience} of {frames}");
         assert_eq!(sent, patience, "frames were sent after frame {patience} of {frames}");
     }
 }

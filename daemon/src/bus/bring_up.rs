@@ -10,12 +10,13 @@ use shared::config::EncoderConfig;
 use shared::recording::schema::DeviceInfo;
 use shared::time::NS_PER_S;
 
-use super::error::{BusError, while_doing};
+use super::error::{BusError, while_doing, wrong_devices};
 use super::{
     Bus, BusPlan, DeviceClock, Group, Operational, OperationalGroup, STATION_ADDRESS_FIRST, timers,
     working_counter_of,
 };
 use crate::devices::{DeviceKind, EK1100, EL5021, el5021};
+use crate::problem::Fact;
 
 /// SYNC pulses start this much after they are configured: longer than configuring all terminals takes.
 const SYNC_START_DELAY: Duration = Duration::from_millis(100);
@@ -38,16 +39,19 @@ impl Bus {
         let mut attempt = || {
             catch_unwind(AssertUnwindSafe(|| self.try_bring_up(plan))).unwrap_or_else(|panic| {
                 // Its frames were given back while the panic passed through their owners.
-                Err(BusError::Panicked(panic_text(panic.as_ref())))
+                let (doing, error) = ("it failed unexpectedly".into(), panic_text(panic.as_ref()));
+                Err(Fact::BusStackFailed { doing, error }.into())
             })
         };
         // A mailbox whose reply is lost on its way back is empty when it is read again, which ethercrab takes for an error: one
         // lost frame must not be the end.
         let outcome = match attempt() {
-            Err(error) if error.may_be_a_lost_reply() => attempt(),
+            Err(error) if error.may_be_a_lost_reply => attempt(),
             outcome => outcome,
         };
-        outcome.map_err(|error| if self.exchange.is_interrupted() { BusError::Interrupted } else { error })
+        outcome.map_err(
+            |error| if self.exchange.is_interrupted() { Fact::BusInterrupted {}.into() } else { error },
+        )
     }
 
     fn try_bring_up(&mut self, plan: &BusPlan) -> Result<Operational, BusError> {
@@ -78,7 +82,7 @@ impl Bus {
     }
 
     fn discover(&mut self, plan: &BusPlan) -> Result<Group<PreOp, NoDc>, BusError> {
-        let no_answer = || BusError::NoAnswer { bus: plan.name.clone() };
+        let no_answer = || BusError::from(Fact::BusNoAnswer { bus: plan.name.clone() });
         let bus_minus_monotonic_ns = self.bus_minus_monotonic_ns;
         let bus_time_ns = move || timers::now().plus_ns(bus_minus_monotonic_ns).0.max(0) as u64;
         let received_before = self.exchange.counters().received;
@@ -111,11 +115,11 @@ impl Bus {
             std::iter::once(&EK1100).chain(plan.encoders.iter().map(|_| &EL5021)).collect();
         match first_difference(&expected, devices) {
             None => Ok(()),
-            Some(position) => Err(BusError::WrongDevices {
-                position,
-                expected: expected.iter().map(|kind| kind.name.to_owned()).collect(),
-                found: devices.iter().map(|device| device.name.clone()).collect(),
-            }),
+            Some(position) => {
+                let expected = expected.iter().map(|kind| kind.name.to_owned()).collect();
+                let found = devices.iter().map(|device| device.name.clone()).collect();
+                Err(wrong_devices(position, expected, found).into())
+            }
         }
     }
 
@@ -129,13 +133,17 @@ impl Bus {
             let Some(encoder) = plan.encoders.get(index) else { break };
             // The coupler stands before the terminals.
             let position = index + 1;
-            let doing = "setting the interpolation";
+            let refused = |error| Fact::BusSettingRefused {
+                position,
+                doing: "setting the interpolation".into(),
+                error,
+            };
             let found = exchange
                 .run(set_interpolation(&terminal, encoder))
-                .map_err(|error| BusError::Terminal { position, doing, error })?;
+                .map_err(|error| BusError::of_stack(error, refused))?;
             if found != u32::from(encoder.interpolation_bits) {
                 let wanted = encoder.interpolation_bits;
-                return Err(BusError::Interpolation { position, wanted, found });
+                return Err(Fact::BusInterpolation { position, wanted, found }.into());
             }
             if plan.distributed_clocks {
                 terminal.set_dc_sync(DcSync::Sync01 { sync1_period: el5021::SYNC1_SHIFT });
@@ -154,7 +162,7 @@ impl Bus {
             match clocks.iter().find(|clock| clock.difference_ns.abs() > CLOCK_DIFFERENCE_NS_MAX) {
                 None => return Ok(clocks),
                 Some(&DeviceClock { position, difference_ns, .. }) if rounds_left == 0 => {
-                    return Err(BusError::ClockNotSettled { position, difference_ns });
+                    return Err(Fact::BusClockUnsettled { position, difference_ns }.into());
                 }
                 Some(_) => {}
             }
@@ -170,7 +178,9 @@ impl Bus {
             self.clock.sleep_until(self.clock.now().plus_ns(NS_PER_S / 1000));
         }
         match (times_ns.first(), times_ns.last()) {
-            (Some(first), Some(last)) if last <= first => Err(BusError::ClockStandsStill { time_ns: *last }),
+            (Some(first), Some(last)) if last <= first => {
+                Err(Fact::BusClockStopped { time_ns: *last }.into())
+            }
             _ => Ok(()),
         }
     }
@@ -212,9 +222,9 @@ impl Bus {
         for position in 1..=operational.encoder_count {
             let terminal = operational.group.device(self.main, position);
             let terminal = terminal.map_err(while_doing("looking at the process data"))?;
-            let (inputs, outputs) = (terminal.inputs_raw().len(), terminal.outputs_raw().len());
-            if (inputs, outputs) != (el5021::INPUT_BYTES, el5021::OUTPUT_BYTES) {
-                return Err(BusError::ProcessData { position, inputs, outputs });
+            let (inputs_bytes, outputs_bytes) = (terminal.inputs_raw().len(), terminal.outputs_raw().len());
+            if (inputs_bytes, outputs_bytes) != (el5021::INPUT_BYTES, el5021::OUTPUT_BYTES) {
+                return Err(Fact::BusProcessData { position, inputs_bytes, outputs_bytes }.into());
             }
         }
         Ok(())
@@ -239,7 +249,7 @@ impl Bus {
     }
 
     fn explain_refusal(&mut self, devices: usize, wanted: &'static str, error: EtherCatError) -> BusError {
-        self.refused_device(devices, wanted).unwrap_or(BusError::Stack { doing: "changing state", error })
+        self.refused_device(devices, wanted).unwrap_or_else(|| while_doing("changing state")(error))
     }
 
     /// The first device with an AL status code: ethercrab reports a refusal only as a time-out.
@@ -247,7 +257,8 @@ impl Bus {
         (0..devices).find_map(|position| {
             let (state, code) = self.al_status(position).ok()?;
             let refused = u16::from(code) != 0;
-            refused.then_some(BusError::StateRefused { position, state, wanted, code })
+            let (state, wanted, al_status) = (state.to_string(), wanted.into(), code.to_string());
+            refused.then(|| Fact::BusStateRefused { position, state, wanted, al_status }.into())
         })
     }
 

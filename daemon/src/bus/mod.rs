@@ -20,7 +20,7 @@ use shared::config::EncoderConfig;
 use shared::recording::schema::{DeviceInfo, MAX_ENCODERS};
 use shared::time::{DcNs, MonoNs};
 
-pub use error::BusError;
+pub use error::{BusError, absent};
 pub use exchange::{Exchange, WireCounters};
 pub use ports::{PORTS, PortCounters};
 pub use recovery::Lift;
@@ -165,7 +165,7 @@ impl Bus {
         }
     }
 
-    /// From now on bringing the bus up ends once this is set, with [`BusError::Interrupted`].
+    /// From now on bringing the bus up ends once this is set, with [`Fact::BusInterrupted`](crate::problem::Fact::BusInterrupted).
     pub fn interrupt_by(&mut self, interrupt: Arc<AtomicBool>) {
         self.exchange.interrupt_by(interrupt);
     }

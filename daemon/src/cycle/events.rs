@@ -3,7 +3,7 @@
 use shared::recording::schema::{DeviceInfo, Event, EventKind, PortCounts, RunMetadata};
 use shared::time::UtcNs;
 
-use crate::bus::BusError;
+use crate::bus::absent;
 use crate::problem::{Fact, Problem, flag_names};
 
 /// Something that happened on the bus. `Copy`: it crosses a ring from the real-time thread.
@@ -201,7 +201,7 @@ impl Happening {
                 let joints = joints.iter().enumerate().filter(|(index, _)| invalid >> index & 1 == 1);
                 Fact::of_flags(cause, bus, joints.map(|(_, joint)| *joint).collect(), None)
             }
-            Self::Missing { position } => BusError::absent(bus, devices, position.into()).fact(),
+            Self::Missing { position } => absent(bus, devices, position.into()),
             Self::Down(why) => why.fact(bus),
             Self::StaysDown { .. } => Fact::BusStarting {},
             Self::Up { attempts } => Fact::BusRestored { attempts },

@@ -10,7 +10,7 @@ use shared::time::{DcNs, MonoNs, NS_PER_S};
 
 use super::events::{Down, Happening};
 use super::{Acquisition, ClockPair, Observation, Sampler};
-use crate::bus::{BusError, CyclicExchange, Lift, Operational, Reply};
+use crate::bus::{CyclicExchange, Lift, Operational, Reply, absent};
 use crate::problem::Fact;
 
 /// A terminal that nobody hears is lost when the cycle after confirms it.
@@ -54,7 +54,7 @@ pub(super) struct Health {
     /// Why the bus was given up.
     down: Option<Down>,
     /// Why the bus is still down.
-    outage: Option<BusError>,
+    outage: Option<Fact>,
     /// Rises with every change of the latter two.
     outages: u32,
     /// How many devices answered when the bus was last found incomplete.
@@ -89,7 +89,7 @@ pub struct Outage<'a> {
     /// Why the bus was given up.
     pub down: Option<Down>,
     /// What the last attempt to bring it up met; known later.
-    pub error: Option<&'a BusError>,
+    pub error: Option<&'a Fact>,
     /// Differs from one outage to the next.
     pub number: u32,
 }
@@ -97,7 +97,7 @@ pub struct Outage<'a> {
 impl Outage<'_> {
     /// As it is reported. Allocates.
     pub fn fact(&self, bus: &str) -> Option<Fact> {
-        self.error.map(BusError::fact).or_else(|| self.down.map(|down| down.fact(bus)))
+        self.error.cloned().or_else(|| self.down.map(|down| down.fact(bus)))
     }
 }
 
@@ -231,7 +231,7 @@ impl Acquisition {
         if self.health.answering != Some(answering) {
             self.health.answering = Some(answering);
             self.health.outages = self.health.outages.wrapping_add(1);
-            self.health.outage = Some(BusError::absent(&self.plan.name, &self.devices, answering));
+            self.health.outage = Some(absent(&self.plan.name, &self.devices, answering));
         }
     }
 
@@ -257,11 +257,12 @@ impl Acquisition {
         }
         match self.bus.bring_up(&self.plan) {
             Ok(operational) => Some(operational),
-            Err(BusError::Interrupted) => None,
+            Err(error) if *error.fact() == Fact::BusInterrupted {} => None,
             Err(error) => {
                 tracing::warn!(attempt = self.health.attempts, "bus stays down: {error}");
                 let code = error.fact().code();
-                if self.health.outage.replace(error).is_none_or(|before| before.fact().code() != code) {
+                let before = self.health.outage.replace(error.fact().clone());
+                if before.is_none_or(|before| before.code() != code) {
                     self.tell(Happening::StaysDown { code });
                 }
                 self.health.answering = None;

@@ -91,7 +91,7 @@ impl RunError {
     /// As it is reported.
     pub fn problem(&self) -> Problem {
         match self {
-            Self::Bus { error, .. } => error.fact().into(),
+            Self::Bus { error, .. } => error.fact().clone().into(),
             Self::Open(error) => Fact::InterfaceUnusable { error: error.to_string() }.into(),
             Self::Disk(problem) => problem.clone(),
             Self::Write(WriteError::Io { path, source }) => {

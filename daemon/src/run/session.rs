@@ -18,7 +18,7 @@ use super::live::Live;
 use super::place::finish_leftovers;
 use super::request::RunDetails;
 use super::source::Prepared;
-use crate::bus::{BusError, DeviceClock};
+use crate::bus::{DeviceClock, absent};
 use crate::claim;
 use crate::clock::Clock;
 use crate::cycle::{RealtimeReport, RealtimeRequest};
@@ -260,8 +260,8 @@ impl Session {
 
     /// Why the bus does not give whole samples, as far as it is known.
     pub fn outage(&self) -> Option<Fact> {
-        let absent = |from| BusError::absent(&self.bus, &self.ready.devices, from).fact();
-        self.live.missing_from().map(absent).or_else(|| self.live.outage())
+        let missing = |from| absent(&self.bus, &self.ready.devices, from);
+        self.live.missing_from().map(missing).or_else(|| self.live.outage())
     }
 
     /// Whether the encoder counts are made up by a program.
