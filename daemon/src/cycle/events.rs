@@ -66,12 +66,8 @@ pub enum Happening {
     OriginChanged(Origin),
     /// A port counted errors.
     LinkErrors {
-        /// Position on the bus of its device.
-        position: u8,
-        /// Which of its ports.
-        port: u8,
         /// Since the run began.
-        errors: PortErrors,
+        counts: PortCounts,
         /// Worth words; otherwise only the figures go into the file.
         is_news: bool,
     },
@@ -110,30 +106,6 @@ pub enum Origin {
     },
 }
 
-/// Errors of one port.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct PortErrors {
-    /// Frames with a wrong check sequence.
-    pub invalid_frames: u32,
-    /// Symbols that were none, inside frames or between them.
-    pub receive_errors: u32,
-    /// How often the link was lost.
-    pub lost_links: u32,
-}
-
-impl PortErrors {
-    /// Of any kind.
-    pub fn all(&self) -> u32 {
-        self.invalid_frames.saturating_add(self.receive_errors).saturating_add(self.lost_links)
-    }
-
-    /// As they are reported.
-    pub fn fact(self, position: usize, port: usize) -> Fact {
-        let Self { invalid_frames, receive_errors, lost_links } = self;
-        Fact::LinkErrors { position, port, receive_errors, invalid_frames, lost_links }
-    }
-}
-
 impl CycleEvent {
     /// Worth words; otherwise it only brings figures.
     pub fn is_news(&self) -> bool {
@@ -142,9 +114,8 @@ impl CycleEvent {
 
     /// What a port has counted.
     pub fn port_counts(&self) -> Option<PortCounts> {
-        let Happening::LinkErrors { position, port, errors, .. } = self.what else { return None };
-        let PortErrors { invalid_frames, receive_errors, lost_links } = errors;
-        Some(PortCounts { position, port, invalid_frames, receive_errors, lost_links })
+        let Happening::LinkErrors { counts, .. } = self.what else { return None };
+        Some(counts)
     }
 
     /// As it is in the file.
@@ -210,7 +181,7 @@ impl Happening {
             }
             Self::ClockStep { by_ns } => Fact::BusClockJumped { by_ns: Some(by_ns) },
             Self::OriginChanged(how) => how.fact(),
-            Self::LinkErrors { position, port, errors, .. } => errors.fact(position.into(), port.into()),
+            Self::LinkErrors { counts, .. } => counts.into(),
         }
     }
 }

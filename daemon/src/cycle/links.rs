@@ -1,10 +1,11 @@
 //! What the ports of all devices have counted since the run began: read from one device after the other, in the spare time of
 //! cycles that went well.
 
+use shared::recording::schema::PortCounts;
 use shared::time::NS_PER_S;
 
 use super::Acquisition;
-use super::events::{Happening, PortErrors};
+use super::events::Happening;
 use crate::bus::{CyclicExchange, DEVICES_MAX, PORTS, PortCounters};
 
 /// Each device is looked at once in this time \[ns\].
@@ -17,9 +18,9 @@ pub struct Links {
     next: usize,
     /// What each device showed last; none before the first look.
     shown: [Option<[PortCounters; PORTS]>; DEVICES_MAX],
-    errors: [[PortErrors; PORTS]; DEVICES_MAX],
+    errors: [[PortCounts; PORTS]; DEVICES_MAX],
     /// As the recorder knows them.
-    given: [[PortErrors; PORTS]; DEVICES_MAX],
+    given: [[PortCounts; PORTS]; DEVICES_MAX],
     /// Of each port, as many as were told last in words.
     told: [[u32; PORTS]; DEVICES_MAX],
     /// Rises with every change of the errors.
@@ -48,7 +49,7 @@ impl Links {
     }
 
     /// Errors of all ports, by position and port.
-    pub fn errors(&self) -> &[[PortErrors; PORTS]; DEVICES_MAX] {
+    pub fn errors(&self) -> &[[PortCounts; PORTS]; DEVICES_MAX] {
         &self.errors
     }
 
@@ -84,15 +85,15 @@ impl Links {
 
     /// A port of a device that has counted since the recorder was given its errors, and whether they are worth words: they
     /// are twice those that were told last. A cable that is bad all day fills no log.
-    fn take_change(&mut self, position: usize) -> Option<(usize, PortErrors, bool)> {
+    fn take_change(&mut self, position: usize) -> Option<(PortCounts, bool)> {
         let ports = self.errors[position].iter().zip(&mut self.given[position]).zip(&mut self.told[position]);
         let changed =
-            |(_, ((errors, given), _)): &(usize, ((&PortErrors, &mut PortErrors), &mut u32))| errors != given;
+            |(_, ((errors, given), _)): &(usize, ((&PortCounts, &mut PortCounts), &mut u32))| errors != given;
         ports.enumerate().find(changed).map(|(port, ((errors, given), told))| {
             *given = *errors;
             let is_news = errors.all() >= 2 * *told;
             *told = if is_news { errors.all() } else { *told };
-            (port, *errors, is_news)
+            (PortCounts { position: position as u8, port: port as u8, ..*errors }, is_news)
         })
     }
 }
@@ -117,9 +118,8 @@ impl Acquisition {
         if counters.iter().any(PortCounters::are_high) && self.bus.clear_port_counters(position, until) {
             self.links.shown[position] = Some(Default::default());
         }
-        while let Some((port, errors, is_news)) = self.links.take_change(position) {
-            let (position, port) = (position as u8, port as u8);
-            self.tell(Happening::LinkErrors { position, port, errors, is_news });
+        while let Some((counts, is_news)) = self.links.take_change(position) {
+            self.tell(Happening::LinkErrors { counts, is_news });
         }
     }
 }

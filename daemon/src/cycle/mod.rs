@@ -24,7 +24,7 @@ use shared::time::{DcNs, MonoNs, UtcNs};
 
 pub use clock_fit::{ClockFit, ClockPair, Observation};
 pub use continuity::Continuity;
-pub use events::{BusNames, CycleEvent, Down, Happening, Origin, PortErrors};
+pub use events::{BusNames, CycleEvent, Down, Happening, Origin};
 pub use links::Links;
 pub use realtime::{RealtimeReport, RealtimeRequest};
 pub use recovery::{BusState, Outage};

@@ -3,11 +3,11 @@
 use std::sync::atomic::{AtomicI64, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-use shared::recording::schema::{CycleRecord, MAX_ENCODERS, flags};
+use shared::recording::schema::{CycleRecord, MAX_ENCODERS, PortCounts, flags};
 use shared::time::MonoNs;
 
 use crate::bus::{DEVICES_MAX, PORTS};
-use crate::cycle::{BusState, Links, PortErrors};
+use crate::cycle::{BusState, Links};
 use crate::problem::Fact;
 
 /// Reasons that stand for the bus itself, and not for one encoder or this PC.
@@ -37,15 +37,8 @@ pub struct Live {
     /// Of the bus while it is down, with its number.
     outage: Mutex<(u32, Option<Fact>)>,
     links_revision: AtomicU64,
-    links: [[LivePort; PORTS]; DEVICES_MAX],
-}
-
-/// Errors of one port.
-#[derive(Debug, Default)]
-struct LivePort {
-    invalid_frames: AtomicU32,
-    receive_errors: AtomicU32,
-    lost_links: AtomicU32,
+    /// Of each port: invalid frames, receive errors, lost links.
+    links: [[[AtomicU32; 3]; PORTS]; DEVICES_MAX],
 }
 
 /// The latest sample of one encoder.
@@ -112,25 +105,21 @@ impl Live {
             return;
         }
         for (place, errors) in self.links.iter().flatten().zip(links.errors().iter().flatten()) {
-            place.invalid_frames.store(errors.invalid_frames, Ordering::Relaxed);
-            place.receive_errors.store(errors.receive_errors, Ordering::Relaxed);
-            place.lost_links.store(errors.lost_links, Ordering::Relaxed);
+            let counts = [errors.invalid_frames, errors.receive_errors, errors.lost_links];
+            place.iter().zip(counts).for_each(|(place, count)| place.store(count, Ordering::Relaxed));
         }
     }
 
-    /// Ports that have counted errors since the run began: position of the device, port, and how many.
-    pub fn bad_ports(&self) -> Vec<(usize, usize, PortErrors)> {
-        let ports = self.links.iter().enumerate().flat_map(|(position, ports)| {
-            ports.iter().enumerate().map(move |(port, errors)| {
-                let errors = PortErrors {
-                    invalid_frames: errors.invalid_frames.load(Ordering::Relaxed),
-                    receive_errors: errors.receive_errors.load(Ordering::Relaxed),
-                    lost_links: errors.lost_links.load(Ordering::Relaxed),
-                };
-                (position, port, errors)
+    /// Ports that have counted errors since the run began.
+    pub fn bad_ports(&self) -> Vec<PortCounts> {
+        let ports = (0..).zip(&self.links).flat_map(|(position, ports)| {
+            (0..).zip(ports).map(move |(port, counts)| {
+                let [invalid_frames, receive_errors, lost_links] =
+                    counts.each_ref().map(|count| count.load(Ordering::Relaxed));
+                PortCounts { position, port, invalid_frames, receive_errors, lost_links }
             })
         });
-        ports.filter(|(_, _, errors)| errors.all() > 0).collect()
+        ports.filter(|counts| counts.all() > 0).collect()
     }
 
     /// First position whose device does not answer while those before it stay in use.

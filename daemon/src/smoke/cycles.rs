@@ -11,7 +11,7 @@ use shared::time::{DcNs, UtcNs};
 use super::check::{Outcome, Reason, Subject};
 use super::config::{CyclesConfig, SmokeConfig};
 use crate::bus::DeviceClock;
-use crate::cycle::{BusNames, CycleEvent, PortErrors};
+use crate::cycle::{BusNames, CycleEvent};
 use crate::devices::el5021::Status;
 use crate::problem::{Fact, Problem};
 use crate::run::{Session, Stop};
@@ -315,12 +315,7 @@ impl Figures {
     }
 
     fn cables_outcome(&self) -> Outcome {
-        let problem = |counts: &PortCounts| -> Problem {
-            let PortCounts { position, port, receive_errors, invalid_frames, lost_links } = *counts;
-            let errors = PortErrors { invalid_frames, receive_errors, lost_links };
-            errors.fact(position.into(), port.into()).into()
-        };
-        let problems: Vec<Problem> = self.ports.iter().map(problem).collect();
+        let problems: Vec<Problem> = self.ports.iter().map(|counts| Fact::from(*counts).into()).collect();
         let Some(first) = problems.first() else { return Outcome::passed("no port has counted an error") };
         let found = problems.iter().map(|problem| problem.text.as_str()).collect::<Vec<_>>().join("; ");
         Outcome::failed("no error of any port", first, Some(found))

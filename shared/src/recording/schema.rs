@@ -324,6 +324,13 @@ pub struct PortCounts {
     pub lost_links: u32,
 }
 
+impl PortCounts {
+    /// Errors of any kind.
+    pub fn all(&self) -> u32 {
+        self.invalid_frames.saturating_add(self.receive_errors).saturating_add(self.lost_links)
+    }
+}
+
 /// How a run ended: written after the last cycle.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RunEnd {

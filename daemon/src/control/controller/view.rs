@@ -13,7 +13,7 @@ use super::tending::Tending;
 use crate::control::machine::{Machine, State};
 use crate::control::settings::Settings;
 use crate::control::status::{EncoderStatus, LastRun, RunStatus, ServiceState, Status, Totals};
-use crate::problem::Problem;
+use crate::problem::{Fact, Problem};
 use crate::run::{ActiveRun, BusChoice, Session, Storage};
 
 /// The service at one moment.
@@ -136,9 +136,7 @@ fn add_bus(status: &mut Status, session: &Session, valid_shares: Option<[f64; MA
     status.devices = session.devices().iter().map(|device| device.name.clone()).collect();
     status.sampled = live.at();
     status.origin = live.origin();
-    let bad_ports = live.bad_ports().into_iter();
-    status.bad_cables =
-        bad_ports.map(|(position, port, errors)| errors.fact(position, port).into()).collect();
+    status.bad_cables = live.bad_ports().into_iter().map(|counts| Fact::from(counts).into()).collect();
     status.encoders = session
         .encoders()
         .iter()
