@@ -21,9 +21,9 @@ const LENGTH_MASK: u16 = 0x07ff;
 /// Set in a datagram's length field when another datagram follows.
 const MORE_FOLLOWS: u16 = 0x8000;
 /// Command, index, address, length and interrupt field of a datagram.
-const DATAGRAM_HEADER_LEN: usize = 10;
+pub const DATAGRAM_HEADER_LEN: usize = 10;
 /// The working counter behind a datagram's data.
-const WORKING_COUNTER_LEN: usize = 2;
+pub const WORKING_COUNTER_LEN: usize = 2;
 
 /// Where the datagrams lie in an Ethernet frame; none if this is not an EtherCAT frame with commands.
 ///
@@ -98,6 +98,12 @@ impl<'a> Datagram<'a> {
     pub fn count(&mut self, increment: u16) {
         let sum = u16::from_le_bytes(*self.working_counter).wrapping_add(increment);
         *self.working_counter = sum.to_le_bytes();
+    }
+
+    /// Takes from the working counter, down to zero.
+    pub fn count_less(&mut self, decrement: u16) {
+        let rest = u16::from_le_bytes(*self.working_counter).saturating_sub(decrement);
+        *self.working_counter = rest.to_le_bytes();
     }
 }
 
