@@ -43,53 +43,59 @@ impl Found {
 
 /// All lines; each is independent of the others. Nothing was found where the disk did not answer.
 pub(super) fn check(view: &View<'_>, status: &Status, found: Option<&Found>) -> Vec<CheckLine> {
-    vec![
-        bus(view, status),
-        encoders(status),
-        cables(status),
-        reference_marks(view, found),
-        state(view, found),
-        disk(view),
-        realtime(view),
-        clock(),
-        leftovers(found),
-        log(),
-    ]
+    let findings = [
+        ("bus", bus(view, status)),
+        ("encoders", encoders(status)),
+        ("cables", cables(status)),
+        ("reference marks", reference_marks(view, found)),
+        ("state", state(view, found)),
+        (DISK, disk(view)),
+        ("real time", realtime(view)),
+        ("clock", clock()),
+        ("left-over files", leftovers(found)),
+        ("log", log()),
+    ];
+    findings.into_iter().map(|(subject, finding)| line(subject, finding)).collect()
 }
 
-fn good(subject: &str, finding: impl Into<String>) -> CheckLine {
-    let (finding, remedy, stops, problems) = (finding.into(), None, false, Vec::new());
-    CheckLine { subject: subject.into(), finding, remedy, stops, problems }
-}
+const DISK: &str = "disk";
 
-/// What is wrong: it stops a run if it would cost the run.
-fn bad(subject: &str, problems: Vec<Problem>) -> CheckLine {
+/// What was found, or what is wrong.
+type Finding = Result<String, Vec<Problem>>;
+
+/// It stops a run if it would cost the run; so does a disk that is only slow, because a run would begin on a disk in trouble.
+fn line(subject: &str, finding: Finding) -> CheckLine {
+    let problems = match finding {
+        Ok(finding) => {
+            let (subject, remedy, stops, problems) = (subject.into(), None, false, Vec::new());
+            return CheckLine { subject, finding, remedy, stops, problems };
+        }
+        Err(problems) => problems,
+    };
     let joined = |of: fn(&Problem) -> &str| {
         let mut parts: Vec<&str> = problems.iter().map(of).filter(|part| !part.is_empty()).collect();
         parts.dedup();
         parts.join("; ")
     };
     CheckLine {
-        subject: subject.into(),
         finding: joined(|problem| &problem.text),
         remedy: Some(joined(|problem| &problem.remedy)),
-        stops: problems.iter().any(|problem| problem.severity == Level::Bad),
+        stops: subject == DISK || problems.iter().any(|problem| problem.severity == Level::Bad),
+        subject: subject.into(),
         problems,
     }
 }
 
-fn bus(view: &View<'_>, status: &Status) -> CheckLine {
-    const SUBJECT: &str = "bus";
+fn bus(view: &View<'_>, status: &Status) -> Finding {
     match view.machine.bus_fault() {
-        Some(problem) => bad(SUBJECT, vec![problem.clone().with_severity(Level::Bad)]),
-        None => good(SUBJECT, format!("in operation on {}: {}", status.bus, status.devices.join(", "))),
+        Some(problem) => Err(vec![problem.clone().with_severity(Level::Bad)]),
+        None => Ok(format!("in operation on {}: {}", status.bus, status.devices.join(", "))),
     }
 }
 
-fn encoders(status: &Status) -> CheckLine {
-    const SUBJECT: &str = "encoders";
+fn encoders(status: &Status) -> Finding {
     if status.sample_age_ms.is_none_or(|age| age > SAMPLE_AGE_MS_MAX) {
-        return bad(SUBJECT, vec![Fact::NoSamples {}.into()]);
+        return Err(vec![Fact::NoSamples {}.into()]);
     }
     // What a run like the last second would be worth; an encoder that is silent now gives nothing at all.
     let share =
@@ -103,45 +109,40 @@ fn encoders(status: &Status) -> CheckLine {
     let problems: Vec<_> = invalid.map(problem).collect();
     if problems.is_empty() {
         let counts: Vec<_> = status.encoders.iter().map(|encoder| encoder.count.to_string()).collect();
-        return good(SUBJECT, format!("all valid, at {}", counts.join(", ")));
+        return Ok(format!("all valid, at {}", counts.join(", ")));
     }
-    bad(SUBJECT, problems)
+    Err(problems)
 }
 
-fn cables(status: &Status) -> CheckLine {
-    const SUBJECT: &str = "cables";
+fn cables(status: &Status) -> Finding {
     if status.bad_cables.is_empty() {
-        return good(SUBJECT, "no port has counted an error");
+        return Ok("no port has counted an error".into());
     }
-    bad(SUBJECT, status.bad_cables.clone())
+    Err(status.bad_cables.clone())
 }
 
 /// A run needs no marks: calibration finds the offsets. But marks that hold no more would be missed.
-fn reference_marks(view: &View<'_>, found: Option<&Found>) -> CheckLine {
-    const SUBJECT: &str = "reference marks";
-    let Some(found) = found else { return unanswered(SUBJECT) };
+fn reference_marks(view: &View<'_>, found: Option<&Found>) -> Finding {
+    let found = found.ok_or_else(unanswered)?;
     let homing = match &found.homing {
-        Ok(None) => return good(SUBJECT, "not homed; calibration finds the offsets of this power cycle"),
+        Ok(None) => return Ok("not homed; calibration finds the offsets of this power cycle".into()),
         Ok(Some(homing)) => homing,
-        Err(error) => return bad(SUBJECT, vec![Fact::MarksUnreadable { error: error.clone() }.into()]),
+        Err(error) => return Err(vec![Fact::MarksUnreadable { error: error.clone() }.into()]),
     };
-    let Some(session) = view.session else { return good(SUBJECT, "to be seen when the bus is in operation") };
+    let Some(session) = view.session else { return Ok("to be seen when the bus is in operation".into()) };
     let stale = homing.apply(&mut session.encoders().to_vec(), &session.live().latches());
     if stale.is_empty() {
-        return good(SUBJECT, format!("of all joints, homed {}", homing.homed));
+        return Ok(format!("of all joints, homed {}", homing.homed));
     }
-    bad(SUBJECT, vec![Fact::MarksStale { joints: stale }.into()])
+    Err(vec![Fact::MarksStale { joints: stale }.into()])
 }
 
 /// A homing takes minutes of somebody's time: whether its outcome can be kept is seen before.
-fn state(view: &View<'_>, found: Option<&Found>) -> CheckLine {
-    const SUBJECT: &str = "state";
-    let Some(found) = found else { return unanswered(SUBJECT) };
+fn state(view: &View<'_>, found: Option<&Found>) -> Finding {
+    let found = found.ok_or_else(unanswered)?;
     match &found.unkept {
-        None => {
-            good(SUBJECT, format!("reference marks can be saved in {}", view.settings.marks.path().display()))
-        }
-        Some(problem) => bad(SUBJECT, vec![problem.clone()]),
+        None => Ok(format!("reference marks can be saved in {}", view.settings.marks.path().display())),
+        Some(problem) => Err(vec![problem.clone()]),
     }
 }
 
@@ -153,12 +154,10 @@ pub(in crate::control) fn hours_left(usable_bytes: u64, rate_hz: u32) -> f64 {
     usable_bytes as f64 / (BYTES_PER_CYCLE * f64::from(rate_hz.max(1)) * 3600.0)
 }
 
-fn disk(view: &View<'_>) -> CheckLine {
-    const SUBJECT: &str = "disk";
+fn disk(view: &View<'_>) -> Finding {
     let problems = view.disk_problems();
     if !problems.is_empty() {
-        // Also a disk that is only slow: a run would begin on a disk in trouble.
-        return CheckLine { stops: true, ..bad(SUBJECT, problems) };
+        return Err(problems);
     }
     let usable = view.storage.usable_bytes().unwrap_or(0);
     let rate_hz = view.settings.daemon.rate_hz;
@@ -167,26 +166,22 @@ fn disk(view: &View<'_>) -> CheckLine {
         let progress = run.progress.get();
         format!("; {:.1} s wait to be written, {}", progress.backlog_s, progress.longest)
     });
-    good(
-        SUBJECT,
-        format!("{} MB above the floor, some {hours:.0} hours at {rate_hz} Hz{waited}", usable / 1_000_000),
-    )
+    let usable_mb = usable / 1_000_000;
+    Ok(format!("{usable_mb} MB above the floor, some {hours:.0} hours at {rate_hz} Hz{waited}"))
 }
 
-fn realtime(view: &View<'_>) -> CheckLine {
-    const SUBJECT: &str = "real time";
+fn realtime(view: &View<'_>) -> Finding {
     match view.session.and_then(Session::realtime_problem) {
-        Some(problem) => bad(SUBJECT, vec![problem]),
-        None => good(SUBJECT, "priority, core and memory as configured"),
+        Some(problem) => Err(vec![problem]),
+        None => Ok("priority, core and memory as configured".into()),
     }
 }
 
-fn clock() -> CheckLine {
-    const SUBJECT: &str = "clock";
+fn clock() -> Finding {
     match clock_is_synchronised() {
-        Ok(true) => good(SUBJECT, "synchronised"),
-        Ok(false) => bad(SUBJECT, vec![Fact::ClockUnsynchronised {}.into()]),
-        Err(error) => bad(SUBJECT, vec![Fact::ClockUnknown { error: error.to_string() }.into()]),
+        Ok(true) => Ok("synchronised".into()),
+        Ok(false) => Err(vec![Fact::ClockUnsynchronised {}.into()]),
+        Err(error) => Err(vec![Fact::ClockUnknown { error: error.to_string() }.into()]),
     }
 }
 
@@ -201,30 +196,27 @@ fn clock_is_synchronised() -> io::Result<bool> {
     if state < 0 { Err(io::Error::last_os_error()) } else { Ok(state != libc::TIME_ERROR) }
 }
 
-fn log() -> CheckLine {
-    const SUBJECT: &str = "log";
+fn log() -> Finding {
     match log::lines_lost() {
-        0 => good(SUBJECT, "every line was written"),
-        lines => bad(SUBJECT, vec![Fact::LogLinesLost { lines }.into()]),
+        0 => Ok("every line was written".into()),
+        lines => Err(vec![Fact::LogLinesLost { lines }.into()]),
     }
 }
 
-fn leftovers(found: Option<&Found>) -> CheckLine {
-    const SUBJECT: &str = "left-over files";
-    match found.map(|found| &found.left_behind) {
-        None => unanswered(SUBJECT),
-        Some(Err(error)) => {
+fn leftovers(found: Option<&Found>) -> Finding {
+    match &found.ok_or_else(unanswered)?.left_behind {
+        Err(error) => {
             let (place, error) = ("the directory of the recordings".into(), error.to_string());
-            bad(SUBJECT, vec![Problem::from(Fact::DiskError { place, error }).with_severity(Level::Check)])
+            Err(vec![Problem::from(Fact::DiskError { place, error }).with_severity(Level::Check)])
         }
-        Some(Ok(files)) if files.is_empty() => good(SUBJECT, "none"),
-        Some(Ok(files)) => bad(SUBJECT, vec![Fact::FilesLeft { files: files.clone() }.into()]),
+        Ok(files) if files.is_empty() => Ok("none".into()),
+        Ok(files) => Err(vec![Fact::FilesLeft { files: files.clone() }.into()]),
     }
 }
 
-fn unanswered(subject: &str) -> CheckLine {
+fn unanswered() -> Vec<Problem> {
     let silent = Problem::from(Fact::DiskSilent { directory: None, silent_s: None });
-    bad(subject, vec![silent.with_severity(Level::Check)])
+    vec![silent.with_severity(Level::Check)]
 }
 
 #[cfg(test)]
@@ -236,7 +228,10 @@ mod tests {
         let good =
             EncoderStatus { joint: 1, valid: true, valid_share: Some(1.0), ..EncoderStatus::default() };
         let other = EncoderStatus { joint: 2, valid, silent, valid_share: Some(valid_share), ..good };
-        encoders(&Status { sample_age_ms: Some(1), encoders: vec![good, other], ..Status::default() })
+        super::line(
+            "encoders",
+            encoders(&Status { sample_age_ms: Some(1), encoders: vec![good, other], ..Status::default() }),
+        )
     }
 
     #[test]
