@@ -169,65 +169,66 @@ fn coalescing_of(interface: &str) -> Option<String> {
 
 /// Every setting, in the order in which they matter.
 pub fn findings(machine: &Machine) -> Vec<Finding> {
-    let bounded = |finding: Finding| match finding.verdict {
-        Verdict::Problem if machine.slack() > KERNEL_DELAY => Finding { verdict: Verdict::Slight, ..finding },
-        _ => finding,
+    // With whether a cycle that leaves time for it is not delayed.
+    let settings = [
+        ("kernel", false, kernel(machine)),
+        ("isolated core", true, own_core(machine)),
+        ("timer tick", true, tickless_core(machine)),
+        ("hyper-threading", true, siblings(machine)),
+        ("frequency", true, governor(machine)),
+        ("idle states", false, idle_states(machine)),
+        ("clock source", true, clock_source(machine)),
+        ("priority", false, priority(machine)),
+        ("locked memory", false, locked_memory(machine)),
+        ("throttling", false, throttling(machine)),
+        ("swap", false, swap(machine)),
+        ("interrupt coalescing", true, coalescing(machine)),
+    ];
+    let has_time = machine.slack() > KERNEL_DELAY;
+    let finding = |(subject, is_bounded, (verdict, says, remedy))| {
+        let is_slight = verdict == Verdict::Problem && is_bounded && has_time;
+        Finding { subject, verdict: if is_slight { Verdict::Slight } else { verdict }, says, remedy }
     };
-    vec![
-        kernel(machine),
-        bounded(own_core(machine)),
-        bounded(tickless_core(machine)),
-        bounded(siblings(machine)),
-        bounded(governor(machine)),
-        idle_states(machine),
-        bounded(clock_source(machine)),
-        priority(machine),
-        locked_memory(machine),
-        throttling(machine),
-        swap(machine),
-        bounded(coalescing(machine)),
-    ]
+    settings.into_iter().map(finding).collect()
 }
 
-fn fine(subject: &'static str, says: impl Into<String>) -> Finding {
-    Finding { subject, verdict: Verdict::Fine, says: says.into(), remedy: String::new() }
+/// How a setting stands, what was found, and what to type.
+type Found = (Verdict, String, String);
+
+fn fine(says: impl Into<String>) -> Found {
+    (Verdict::Fine, says.into(), String::new())
 }
 
-fn problem(subject: &'static str, says: impl Into<String>, remedy: impl Into<String>) -> Finding {
-    Finding { subject, verdict: Verdict::Problem, says: says.into(), remedy: remedy.into() }
+fn problem(says: impl Into<String>, remedy: impl Into<String>) -> Found {
+    (Verdict::Problem, says.into(), remedy.into())
 }
 
-fn unknown(subject: &'static str, says: impl Into<String>, remedy: impl Into<String>) -> Finding {
-    Finding { subject, verdict: Verdict::Unknown, says: says.into(), remedy: remedy.into() }
+fn unknown(says: impl Into<String>, remedy: impl Into<String>) -> Found {
+    (Verdict::Unknown, says.into(), remedy.into())
 }
 
 /// For so long a kernel without PREEMPT_RT may hold up a real-time thread: in its longest sections without preemption. What cores,
 /// clocks and interrupts cost beside that is less.
 const KERNEL_DELAY: Duration = Duration::from_millis(2);
 
-fn kernel(machine: &Machine) -> Finding {
-    let subject = "kernel";
+fn kernel(machine: &Machine) -> Found {
     let says_realtime = machine.realtime.as_deref().is_some_and(|text| text.trim() == "1");
     let version = machine.kernel_version.as_deref().unwrap_or("").trim();
     if says_realtime || version.contains("PREEMPT_RT") || version.contains("PREEMPT RT") {
-        return fine(subject, "PREEMPT_RT");
+        return fine("PREEMPT_RT");
     }
     let remedy = "sudo apt-get install linux-image-rt-amd64 && sudo reboot";
     if version.is_empty() {
-        return unknown(subject, "cannot be read; a PREEMPT_RT kernel bounds every delay", remedy);
+        return unknown("cannot be read; a PREEMPT_RT kernel bounds every delay", remedy);
     }
     let slack = machine.slack();
     if slack > KERNEL_DELAY {
-        return fine(
-            subject,
-            format!("{version}: its delays are below the {} ms that a frame may be late", slack.as_millis()),
-        );
+        return fine(format!(
+            "{version}: its delays are below the {} ms that a frame may be late",
+            slack.as_millis()
+        ));
     }
-    problem(
-        subject,
-        format!("{version}: not PREEMPT_RT, so drivers may delay the cycle by milliseconds"),
-        remedy,
-    )
+    problem(format!("{version}: not PREEMPT_RT, so drivers may delay the cycle by milliseconds"), remedy)
 }
 
 /// Options belong to the kernel's command line; Debian and Ubuntu keep it there.
@@ -237,18 +238,16 @@ fn boot_option(options: &str) -> String {
     )
 }
 
-fn own_core(machine: &Machine) -> Finding {
-    let subject = "isolated core";
+fn own_core(machine: &Machine) -> Found {
     let Some(isolated) = machine.isolated.as_deref().map(cores) else {
-        return unknown(subject, "cannot be read", "");
+        return unknown("cannot be read", "");
     };
     match (machine.core, isolated.first()) {
         (Some(core), _) if isolated.contains(&core) => {
-            return fine(subject, format!("core {core} is isolated"));
+            return fine(format!("core {core} is isolated"));
         }
         (None, Some(free)) => {
             return problem(
-                subject,
                 format!("core {free} is isolated, but daemon.toml gives the cycle none"),
                 format!("write `core = {free}` under [realtime] in daemon.toml"),
             );
@@ -256,96 +255,83 @@ fn own_core(machine: &Machine) -> Finding {
         _ => {}
     }
     let Some(core) = machine.core_to_isolate() else {
-        return fine(subject, "none: this machine has one core, which every program shares");
+        return fine("none: this machine has one core, which every program shares");
     };
     let options = format!("isolcpus={core} nohz_full={core} rcu_nocbs={core} irqaffinity=0");
     let boot = boot_option(&options);
     if machine.core == Some(core) {
         return problem(
-            subject,
             format!("core {core} of daemon.toml is not isolated: other programs run on it"),
             boot,
         );
     }
     problem(
-        subject,
         "none: the cycle shares its core with every other program",
         format!("{boot}; write `core = {core}` under [realtime] in daemon.toml"),
     )
 }
 
-fn tickless_core(machine: &Machine) -> Finding {
-    let subject = "timer tick";
+fn tickless_core(machine: &Machine) -> Found {
     let Some(tickless) = machine.nohz_full.as_deref().map(cores) else {
-        return unknown(subject, "this kernel knows no nohz_full", "");
+        return unknown("this kernel knows no nohz_full", "");
     };
     match machine.core_to_isolate() {
-        None => fine(subject, "periodic; a machine with one core needs it"),
-        Some(core) if tickless.contains(&core) => fine(subject, format!("core {core} has none")),
+        None => fine("periodic; a machine with one core needs it"),
+        Some(core) if tickless.contains(&core) => fine(format!("core {core} has none")),
         Some(core) => problem(
-            subject,
             format!("core {core} has a periodic tick, which costs some microseconds"),
             boot_option(&format!("nohz_full={core}")),
         ),
     }
 }
 
-fn siblings(machine: &Machine) -> Finding {
-    let subject = "hyper-threading";
+fn siblings(machine: &Machine) -> Found {
     let Some(siblings) = machine.siblings.as_deref().map(cores) else {
-        return unknown(subject, "cannot be read", "");
+        return unknown("cannot be read", "");
     };
     let other = machine.core.and_then(|core| Some((core, *siblings.iter().find(|one| **one != core)?)));
     match other {
         Some((core, sibling)) => problem(
-            subject,
             format!("core {sibling} shares its execution units with core {core}"),
             format!("echo 0 | sudo tee /sys/devices/system/cpu/cpu{sibling}/online"),
         ),
         None if machine.core.is_none() && siblings.len() > 1 => problem(
-            subject,
             "cores come in pairs that slow each other down",
             "echo off | sudo tee /sys/devices/system/cpu/smt/control",
         ),
-        None => fine(subject, "no sibling shares the core"),
+        None => fine("no sibling shares the core"),
     }
 }
 
-fn governor(machine: &Machine) -> Finding {
-    let subject = "frequency";
+fn governor(machine: &Machine) -> Found {
     match machine.governor.as_deref().map(str::trim) {
-        Some("performance") => fine(subject, "governor performance"),
+        Some("performance") => fine("governor performance"),
         Some(other) => problem(
-            subject,
             format!("governor {other}: a core that was slowed down wakes up slowly"),
             "echo performance | sudo tee /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor",
         ),
-        None => unknown(subject, "not under this kernel's control (virtual machine or firmware)", ""),
+        None => unknown("not under this kernel's control (virtual machine or firmware)", ""),
     }
 }
 
-fn idle_states(machine: &Machine) -> Finding {
-    let subject = "idle states";
+fn idle_states(machine: &Machine) -> Found {
     match machine.idle_driver.as_deref().map(str::trim) {
-        Some("none") => fine(subject, "no idle driver: none is deep"),
-        Some(driver) => fine(
-            subject,
-            format!("{driver}; ballbard holds /dev/cpu_dma_latency at 0, which keeps out of deep ones"),
-        ),
-        None => unknown(subject, "not under this kernel's control (virtual machine or firmware)", ""),
+        Some("none") => fine("no idle driver: none is deep"),
+        Some(driver) => {
+            fine(format!("{driver}; ballbard holds /dev/cpu_dma_latency at 0, which keeps out of deep ones"))
+        }
+        None => unknown("not under this kernel's control (virtual machine or firmware)", ""),
     }
 }
 
-fn clock_source(machine: &Machine) -> Finding {
-    let subject = "clock source";
+fn clock_source(machine: &Machine) -> Found {
     match machine.clock_source.as_deref().map(str::trim) {
-        Some(source @ ("tsc" | "kvm-clock" | "arch_sys_counter")) => fine(subject, source),
+        Some(source @ ("tsc" | "kvm-clock" | "arch_sys_counter")) => fine(source),
         Some(source) => problem(
-            subject,
             format!("{source}: reading the time takes microseconds"),
             "echo tsc | sudo tee /sys/devices/system/clocksource/clocksource0/current_clocksource",
         ),
-        None => unknown(subject, "cannot be read", ""),
+        None => unknown("cannot be read", ""),
     }
 }
 
@@ -355,68 +341,57 @@ const CAP_SYS_NICE: u32 = 23;
 
 const GRANT: &str = "sudo setcap cap_net_raw,cap_sys_nice,cap_ipc_lock+ep \"$(command -v ballbard)\"";
 
-fn priority(machine: &Machine) -> Finding {
-    let subject = "priority";
+fn priority(machine: &Machine) -> Found {
     if machine.has_capability(CAP_SYS_NICE) {
-        return fine(subject, "SCHED_FIFO is permitted (CAP_SYS_NICE)");
+        return fine("SCHED_FIFO is permitted (CAP_SYS_NICE)");
     }
     match machine.limit("Max realtime priority").map(str::parse::<u32>) {
-        Some(Ok(0)) => {
-            problem(subject, "SCHED_FIFO is not permitted: any program may delay the cycle", GRANT)
-        }
-        Some(Ok(highest)) => fine(subject, format!("SCHED_FIFO is permitted up to {highest}")),
-        Some(Err(_)) => fine(subject, "SCHED_FIFO is permitted without limit"),
-        None => unknown(subject, "limits cannot be read", GRANT),
+        Some(Ok(0)) => problem("SCHED_FIFO is not permitted: any program may delay the cycle", GRANT),
+        Some(Ok(highest)) => fine(format!("SCHED_FIFO is permitted up to {highest}")),
+        Some(Err(_)) => fine("SCHED_FIFO is permitted without limit"),
+        None => unknown("limits cannot be read", GRANT),
     }
 }
 
-fn locked_memory(machine: &Machine) -> Finding {
-    let subject = "locked memory";
+fn locked_memory(machine: &Machine) -> Found {
     match machine.may_lock_memory() {
-        Ok(()) => fine(subject, "permitted"),
+        Ok(()) => fine("permitted"),
         Err(error @ LockError::Limited { .. }) => {
-            problem(subject, format!("{error}: a page fault may delay the cycle"), GRANT)
+            problem(format!("{error}: a page fault may delay the cycle"), GRANT)
         }
-        Err(error @ LockError::Unknown) => unknown(subject, error.to_string(), GRANT),
+        Err(error @ LockError::Unknown) => unknown(error.to_string(), GRANT),
     }
 }
 
-fn throttling(machine: &Machine) -> Finding {
-    let subject = "throttling";
+fn throttling(machine: &Machine) -> Found {
     match machine.rt_runtime_us.as_deref().map(|text| text.trim().parse::<i64>()) {
-        Some(Ok(-1)) => fine(subject, "real-time threads are never throttled"),
+        Some(Ok(-1)) => fine("real-time threads are never throttled"),
         // The cycle sleeps most of the time: what is left to others by default does not touch it.
         Some(Ok(runtime_us)) if runtime_us >= 900_000 => {
-            fine(subject, format!("real-time threads may take {} % of a core", runtime_us / 10_000))
+            fine(format!("real-time threads may take {} % of a core", runtime_us / 10_000))
         }
         Some(Ok(runtime_us)) => problem(
-            subject,
             format!("real-time threads are stopped after {runtime_us} us of each second"),
             "sudo sysctl kernel.sched_rt_runtime_us=950000",
         ),
-        _ => unknown(subject, "cannot be read", ""),
+        _ => unknown("cannot be read", ""),
     }
 }
 
-fn swap(machine: &Machine) -> Finding {
-    let subject = "swap";
+fn swap(machine: &Machine) -> Found {
     match machine.swaps.as_deref().map(|text| text.lines().skip(1).count()) {
-        Some(0) => fine(subject, "none"),
-        Some(areas) => {
-            problem(subject, format!("{areas} in use: other programs stall the disk"), "sudo swapoff -a")
-        }
-        None => unknown(subject, "cannot be read", ""),
+        Some(0) => fine("none"),
+        Some(areas) => problem(format!("{areas} in use: other programs stall the disk"), "sudo swapoff -a"),
+        None => unknown("cannot be read", ""),
     }
 }
 
-fn coalescing(machine: &Machine) -> Finding {
-    let subject = "interrupt coalescing";
+fn coalescing(machine: &Machine) -> Found {
     let Some(interface) = machine.interface.as_deref() else {
-        return unknown(subject, "no interface given", "ballbard tune --interface eth1");
+        return unknown("no interface given", "ballbard tune --interface eth1");
     };
     let Some(text) = machine.coalescing.as_deref() else {
         return unknown(
-            subject,
             format!("ethtool tells nothing of {interface}: not installed, or a virtual interface"),
             format!("sudo apt-get install ethtool && ethtool -c {interface}"),
         );
@@ -428,11 +403,10 @@ fn coalescing(machine: &Machine) -> Finding {
         .collect();
     let adaptive = text.lines().any(|line| line.starts_with("Adaptive") && line.contains(" on"));
     if late.is_empty() && !adaptive {
-        return fine(subject, format!("{interface} interrupts at once"));
+        return fine(format!("{interface} interrupts at once"));
     }
     let found = if adaptive { "adaptive".to_owned() } else { late.join(", ") };
     problem(
-        subject,
         format!("{interface} holds replies back ({found})"),
         format!("sudo ethtool -C {interface} adaptive-rx off adaptive-tx off rx-usecs 0 tx-usecs 0"),
     )
