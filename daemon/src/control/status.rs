@@ -12,6 +12,7 @@ use shared::time::{MonoNs, UtcNs};
 use super::recordings::verdict::Verdict;
 pub use crate::problem::Level;
 use crate::problem::Problem;
+use crate::record::RunSummary;
 use crate::run::About;
 
 /// What the service is doing, as far as it is on disk.
@@ -211,6 +212,29 @@ pub struct LastRun {
     /// Whether it is simulated, or a replay.
     #[serde(flatten)]
     pub provenance: Provenance,
+}
+
+impl LastRun {
+    /// Of a run with a file.
+    pub fn of(name: String, summary: RunSummary) -> Self {
+        let RunSummary { path, cycles, cycles_valid, cycles_lost, cause, provenance, timing } = summary;
+        let file = path.display().to_string();
+        let next = (cycles_valid > 0).then(|| next_command(&name, &file));
+        let (file, error, verdict) = (Some(file), None, None);
+        Self {
+            name,
+            file,
+            cycles,
+            cycles_valid,
+            cycles_lost,
+            cause,
+            error,
+            verdict,
+            next,
+            timing,
+            provenance,
+        }
+    }
 }
 
 /// How the marker begins that states why a run began although a line of the check stops it.

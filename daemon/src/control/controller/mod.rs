@@ -21,7 +21,7 @@ use crate::control::machine::{Action, Answer, Event, Machine, State};
 use crate::control::recordings::runs;
 use crate::control::recordings::verdict::Verdict;
 use crate::control::settings::{Connect, Settings};
-use crate::control::status::{CheckLine, LastRun, ServiceState, Status, Totals, next_command};
+use crate::control::status::{CheckLine, LastRun, ServiceState, Status, Totals};
 use crate::problem::{Fact, Problem};
 use crate::record::{RunSummary, Snapshot};
 use crate::run::{ActiveRun, LEAVES_WITHIN, RunDetails, RunError, Stop, Storage};
@@ -394,21 +394,9 @@ impl Controller {
             cycles = summary.as_ref().map(|summary| summary.cycles),
             "run is over"
         );
-        let count = |of: fn(&RunSummary) -> u64| summary.as_ref().map_or(0, of);
-        let useful = summary.as_ref().filter(|summary| summary.cycles_valid > 0);
-        let next = useful.map(|summary| next_command(&name, &summary.path.display().to_string()));
-        let last = LastRun {
-            name,
-            cause,
-            cycles: count(|summary| summary.cycles),
-            cycles_valid: count(|summary| summary.cycles_valid),
-            cycles_lost: count(|summary| summary.cycles_lost),
-            error,
-            next,
-            file: summary.as_ref().map(|summary| summary.path.display().to_string()),
-            verdict: None,
-            provenance: summary.as_ref().map(|summary| summary.provenance.clone()).unwrap_or_default(),
-            timing: summary.and_then(|summary| summary.timing),
+        let last = match summary {
+            Some(summary) => LastRun { cause, error, ..LastRun::of(name, summary) },
+            None => LastRun { name, cause, error, ..LastRun::default() },
         };
         self.tell_stopping(&last);
         self.grade(&last);
