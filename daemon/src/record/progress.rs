@@ -143,6 +143,11 @@ impl Progress {
         self.clock.is_real()
     }
 
+    /// How often what was taken is synchronised.
+    pub(super) fn sync_period(&self) -> Duration {
+        self.limits.sync_period
+    }
+
     /// What the disk does now so that the run gets its file.
     pub fn opening(&self, what: &'static str) {
         self.disk().opening = Opening { what, since: self.clock.now() };

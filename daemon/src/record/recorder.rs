@@ -218,14 +218,13 @@ impl Recorder {
     pub fn new(
         source: CycleSource,
         writer: RecordingWriter<RunFile>,
-        clock: Clock,
-        sync_period: Duration,
         run: &RunMetadata,
         link: RunLink,
     ) -> Self {
         let synchroniser = Synchroniser::new(&link.progress, &*link.scheduler);
+        let clock = link.scheduler.clock().clone();
         // The other half is for a disk or a processor that is late: the period is a promise.
-        let period = sync_period / 2;
+        let period = link.progress.sync_period() / 2;
         Self {
             source,
             synchroniser,

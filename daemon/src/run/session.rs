@@ -148,9 +148,8 @@ impl Session {
         };
         let job = self.job(sink, stop, details.duration, metadata.utc_minus_monotonic_ns);
         let (result, outcome) = sync_channel(1);
-        let sync_period = self.daemon.sync_period();
         let recording = RunRecording {
-            file: Some(NoFile { ring, link, metadata, tap, sync_period, clock: self.clock().clone() }),
+            file: Some(NoFile { ring, link, metadata, tap }),
             recorder: None,
             stop: stop.clone(),
             progress: Arc::clone(&progress),
@@ -407,8 +406,6 @@ struct NoFile {
     link: RunLink,
     metadata: RunMetadata,
     tap: Option<Tap>,
-    sync_period: Duration,
-    clock: Clock,
 }
 
 /// Makes the file of a run, records into it, and finishes it.
@@ -424,10 +421,10 @@ struct RunRecording {
 impl RunRecording {
     /// The summary once the file is finished.
     fn step(&mut self) -> Result<Option<RunSummary>, RunError> {
-        if let Some(NoFile { ring, link, metadata, tap, sync_period, clock }) = self.file.take() {
+        if let Some(NoFile { ring, link, metadata, tap }) = self.file.take() {
             let mut writer = create(&link, &metadata)?;
             tap.into_iter().for_each(|tap| writer.set_tap(tap));
-            self.recorder = Some(Recorder::new(ring, writer, clock, sync_period, &metadata, link));
+            self.recorder = Some(Recorder::new(ring, writer, &metadata, link));
         }
         let continues = self.recorder.as_mut().map_or(Ok(false), Recorder::poll);
         let finished = match continues {

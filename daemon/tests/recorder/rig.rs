@@ -173,7 +173,7 @@ fn record_in(world: &World, plan: &Plan, wall: impl FnOnce(&Path) -> Wall) -> Ou
         storage: storage.clone(),
         scheduler: world.scheduler(),
     };
-    let recorder = Recorder::new(source, writer, clock.clone(), plan.sync_period, &run, link);
+    let recorder = Recorder::new(source, writer, &run, link);
     let first = clock.now();
     let ended = Rc::<RefCell<Ended>>::default();
     let looks = Rc::<RefCell<Vec<Look>>>::default();

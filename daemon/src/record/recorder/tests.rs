@@ -59,7 +59,8 @@ fn cycle(cycle: u64) -> CycleRecord {
 /// A recorder, and what ends its run.
 fn rig(disk: Arc<dyn Disk>, source: CycleSource, daemon: &DaemonConfig, clock: &Clock) -> (Recorder, Stop) {
     let run = metadata();
-    let storage = Storage::on(disk, daemon, &*Threads::on(Clock::Real)).unwrap();
+    let scheduler = Threads::on(clock.clone());
+    let storage = Storage::on(disk, daemon, &*scheduler).unwrap();
     let writer = RecordingWriter::create_on(storage.disk(), storage.directory(), &run).unwrap();
     let limits = Limits {
         cycle_period: Duration::from_millis(10),
@@ -72,9 +73,8 @@ fn rig(disk: Arc<dyn Disk>, source: CycleSource, daemon: &DaemonConfig, clock: &
     progress.opened(place);
     let stop = Stop::default();
     storage.watch(&progress, &stop);
-    let scheduler = Threads::on(Clock::Real);
     let link = RunLink { marks: sync_channel(1).1, progress, storage, scheduler };
-    let recorder = Recorder::new(source, writer, clock.clone(), daemon.sync_period(), &run, link);
+    let recorder = Recorder::new(source, writer, &run, link);
     (recorder, stop)
 }
 
