@@ -151,8 +151,7 @@ impl Service {
     /// Answered when the run's file is there, or why it gets none.
     pub(super) async fn begin(&self, request: StartRequest) -> Result<Answer, Refusal> {
         let named = request.name.is_some();
-        let (settings, disk) = (Arc::clone(&self.settings), Arc::clone(&self.disk));
-        let details = self.look(LOOK_WITHIN, move || details(request, &settings, &*disk)).await;
+        let details = self.look(LOOK_WITHIN, move |settings, disk| details(request, settings, disk)).await;
         let Some(details) = details else {
             return Ok(disk_silent());
         };
@@ -167,8 +166,7 @@ impl Service {
 
     /// Refused where the marks could not be kept: whoever turns the joints is told before, and not at the end.
     pub(super) async fn home(&self) -> Result<Answer, Refusal> {
-        let (settings, disk) = (Arc::clone(&self.settings), Arc::clone(&self.disk));
-        match self.look(LOOK_WITHIN, move || settings.marks.problem(&*disk)).await {
+        match self.look(LOOK_WITHIN, |settings, disk| settings.marks.problem(disk)).await {
             Some(None) => self.ask(Command::Home).await,
             Some(Some(problem)) => Ok(Answer::Refused(problem)),
             None => Ok(disk_silent()),
@@ -188,15 +186,16 @@ impl Service {
 
     /// The preflight check.
     pub async fn check(&self) -> Result<Vec<CheckLine>, Refusal> {
-        let (settings, disk) = (Arc::clone(&self.settings), Arc::clone(&self.disk));
-        let found = self.look(LOOK_WITHIN, move || Found::now(&settings, &*disk)).await;
+        let found = self.look(LOOK_WITHIN, Found::now).await;
         self.ask(|reply| Command::Check(found, reply)).await
     }
 
     /// The name that a run would get; absent if the disk does not answer.
     pub(super) async fn name(&self, request: NameRequest) -> Option<NameReply> {
-        let (settings, disk) = (Arc::clone(&self.settings), Arc::clone(&self.disk));
-        self.look(LOOK_WITHIN, move || name_reply(&request, &*disk, &settings.daemon.directory)).await
+        let find = move |settings: &Settings, disk: &dyn Disk| {
+            name_reply(&request, disk, &settings.daemon.directory)
+        };
+        self.look(LOOK_WITHIN, find).await
     }
 
     /// Where recordings are.
@@ -208,13 +207,14 @@ impl Service {
     pub(super) async fn look<T: Send + 'static>(
         &self,
         within: Duration,
-        find: impl FnOnce() -> T + Send + 'static,
+        find: impl FnOnce(&Settings, &dyn Disk) -> T + Send + 'static,
     ) -> Option<T> {
+        let (settings, disk) = (Arc::clone(&self.settings), Arc::clone(&self.disk));
         let found = async {
             let place = Arc::clone(&self.looks).acquire_owned().await.ok()?;
             let (result, found) = oneshot::channel();
             let look = move || {
-                let _ = result.send(find());
+                let _ = result.send(find(&settings, &*disk));
                 drop(place);
             };
             // Without a thread there is no result.

@@ -75,10 +75,10 @@ pub struct RunDetails {
     pub homing: Option<HomingConfig>,
 }
 
-impl RunDetails {
+impl About {
     /// Refuses texts that would play with the terminals of those who read them.
     pub fn check(&self) -> Result<(), &'static str> {
-        let About { operator, robot, bar, payload, note } = &self.about;
+        let Self { operator, robot, bar, payload, note } = self;
         [operator, robot, bar, payload, note].into_iter().try_for_each(|text| check_text(text))
     }
 }

@@ -123,7 +123,7 @@ impl Session {
         if let Some(problem) = self.storage.problem() {
             return Err(RunError::Disk(problem));
         }
-        details.check().map_err(RunError::Request)?;
+        details.about.check().map_err(RunError::Request)?;
         let metadata = self.metadata(details);
         let (started, provenance) = (metadata.started, metadata.provenance());
         if !provenance.is_measured() {

@@ -5,7 +5,7 @@ use axum::extract::{self, State};
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
 
-use super::{Body, found, on_disk, places, refusal, rejected, reply};
+use super::{Asked, found, on_disk, places, refusal, reply};
 use crate::control::recordings::bin::{self, Places};
 use crate::control::recordings::runs::RunLine;
 use crate::control::service::Service;
@@ -23,9 +23,8 @@ pub(super) async fn list(State(service): State<Service>) -> Result<Json<Vec<RunL
 
 pub(super) async fn delete(
     State(service): State<Service>,
-    body: Body<DeleteRequest>,
+    Asked(DeleteRequest { name }): Asked<DeleteRequest>,
 ) -> Result<Response, Response> {
-    let DeleteRequest { name } = body.map_err(|rejection| rejected(&rejection))?.0;
     let (file, _) = found(&service, Ok(extract::Path(name))).await?;
     tracing::warn!(file = %file.display(), "recording moved into the bin on request");
     let name = on_disk(&service, move |disk| bin::put(disk, &file)).await?;
@@ -34,9 +33,8 @@ pub(super) async fn delete(
 
 pub(super) async fn restore(
     State(service): State<Service>,
-    body: Body<DeleteRequest>,
+    Asked(DeleteRequest { name }): Asked<DeleteRequest>,
 ) -> Result<Response, Response> {
-    let DeleteRequest { name } = body.map_err(|rejection| rejected(&rejection))?.0;
     let bins = bins(&service);
     match on_disk(&service, move |disk| bins.restore(disk, &name)).await? {
         Some(name) => Ok(reply(Granted::Restored, Some(name), None)),
@@ -49,9 +47,8 @@ pub(super) async fn restore(
 
 pub(super) async fn empty(
     State(service): State<Service>,
-    body: Body<EmptyBinRequest>,
+    Asked(EmptyBinRequest {}): Asked<EmptyBinRequest>,
 ) -> Result<Response, Response> {
-    let EmptyBinRequest {} = body.map_err(|rejection| rejected(&rejection))?.0;
     let bins = bins(&service);
     let removed = on_disk(&service, move |disk| bins.empty(disk)).await?;
     tracing::warn!(removed, "bin emptied on request");

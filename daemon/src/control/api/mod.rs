@@ -21,8 +21,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::extract::rejection::{JsonRejection, PathRejection};
-use axum::extract::{self, FromRef, RawQuery, Request, State};
+use axum::extract::rejection::PathRejection;
+use axum::extract::{self, FromRef, FromRequest, RawQuery, Request, State};
 use axum::http::{HeaderMap, HeaderName, StatusCode, Version, header};
 use axum::middleware::{self, Next};
 use axum::response::sse::{self, Sse};
@@ -30,6 +30,7 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodRouter, get, post};
 use axum::{Extension, Json, Router};
 use futures_util::{StreamExt, stream};
+use serde::de::DeserializeOwned;
 use shared::recording::Disk;
 use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
@@ -55,7 +56,7 @@ use super::status::{
 };
 use crate::page;
 use crate::problem::{Fact, Problem};
-use crate::run::{About, check_text};
+use crate::run::check_text;
 
 /// How long `start` waits for the run's file, and `stop` for the finished one.
 const FILE_TIMEOUT: Duration = Duration::from_secs(20);
@@ -77,13 +78,11 @@ pub async fn serve(
     service: Service,
     end: impl Future<Output = ()>,
 ) {
-    let words = remote.as_ref().map(|remote| remote.words().to_owned());
-    let pairing = remote.as_ref().and_then(Remote::pairing);
-    let (gate, tls, proxy) = remote.map_or((None, None, None), |remote| {
-        let (gate, tls, proxy) = remote.into_parts();
-        (Some(gate), tls, proxy)
-    });
-    let mut connections = Connections::new(routes(service, gate, words, pairing));
+    let (gate, words, tls, proxy) = match remote {
+        Some(Remote { gate, words, tls, proxy }) => (Some(gate), Some(words), tls, proxy),
+        None => (None, None, None, None),
+    };
+    let mut connections = Connections::new(routes(service, gate, words));
     tokio::pin!(end);
     loop {
         let over_tls = async {
@@ -241,10 +240,11 @@ fn operations() -> Vec<(Operation, MethodRouter<Shared>)> {
 
 /// All routes, for programs of this machine.
 pub fn router(service: Service) -> Router {
-    routes(service, None, None, None)
+    routes(service, None, None)
 }
 
-fn routes(service: Service, gate: Option<Gate>, remote: Option<String>, pairing: Option<Pairing>) -> Router {
+fn routes(service: Service, gate: Option<Gate>, remote: Option<String>) -> Router {
+    let pairing = gate.as_ref().and_then(|gate| gate.pairing.clone());
     let viewers = Arc::new(Semaphore::new(VIEWERS_MAX));
     let foxgloves = Arc::new(Semaphore::new(foxglove::CLIENTS_MAX));
     let origins = service.settings().live_tap.as_ref().map_or_else(Vec::new, |tap| tap.origins().to_vec());
@@ -274,17 +274,24 @@ fn routes(service: Service, gate: Option<Gate>, remote: Option<String>, pairing:
         .with_state(shared)
 }
 
-type Body<T> = Result<Json<T>, JsonRejection>;
+/// The body of a request; JSON of another type is refused.
+struct Asked<T>(T);
+
+impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Asked<T> {
+    type Rejection = Response;
+
+    async fn from_request(request: Request, state: &S) -> Result<Self, Response> {
+        let asked = Json::from_request(request, state).await;
+        asked.map(|Json(asked)| Self(asked)).map_err(|error| refusal(error.status(), &error.body_text()))
+    }
+}
 
 async fn status(State(Shared { service, remote, .. }): State<Shared>) -> Json<Status> {
     Json(Status { remote, ..service.status() })
 }
 
-async fn check(State(service): State<Service>) -> Response {
-    match service.check().await {
-        Ok(lines) => Json(lines).into_response(),
-        Err(refusal) => refused(StatusCode::SERVICE_UNAVAILABLE, refusal),
-    }
+async fn check(State(service): State<Service>) -> Result<Json<Vec<CheckLine>>, Response> {
+    service.check().await.map(Json).map_err(unavailable)
 }
 
 /// The moment, for who does not listen.
@@ -331,8 +338,7 @@ async fn on_disk<T: Send + 'static>(
     service: &Service,
     work: impl FnOnce(&dyn Disk) -> std::io::Result<T> + Send + 'static,
 ) -> Result<T, Response> {
-    let disk = service.disk();
-    match service.look(LIST_WITHIN, move || work(&*disk)).await {
+    match service.look(LIST_WITHIN, move |_, disk| work(disk)).await {
         Some(Ok(found)) => Ok(found),
         Some(Err(error)) => Err(refusal(
             StatusCode::INTERNAL_SERVER_ERROR,
@@ -410,9 +416,11 @@ async fn curves(
     Ok(downloads.send(&what, move |sink| Ok(serde_json::to_writer(sink, &runs::curves(&*disk, &file)?)?)))
 }
 
-async fn change_note(State(service): State<Service>, body: Body<NoteRequest>) -> Result<Response, Response> {
-    let NoteRequest { name, note } = body.map_err(|rejection| rejected(&rejection))?.0;
-    check_text(&note).map_err(|problem| refusal(StatusCode::UNPROCESSABLE_ENTITY, problem))?;
+async fn change_note(
+    State(service): State<Service>,
+    Asked(NoteRequest { name, note }): Asked<NoteRequest>,
+) -> Result<Response, Response> {
+    check_text(&note).map_err(unusable)?;
     let (file, name) = found(&service, Ok(extract::Path(name))).await?;
     on_disk(&service, move |disk| note::keep(disk, &file, note)).await?;
     Ok(reply(Granted::Noted, Some(name), None))
@@ -424,27 +432,20 @@ async fn stopping(service: &Service) -> Result<Vec<CheckLine>, Refusal> {
     Ok(lines.into_iter().filter(|line| line.stops).collect())
 }
 
-async fn name(State(service): State<Service>, body: Body<NameRequest>) -> Response {
-    match body {
-        Ok(Json(request)) => match service.name(request).await {
-            Some(reply) => Json(reply).into_response(),
-            None => refusal(StatusCode::GATEWAY_TIMEOUT, "the disk does not answer; ask for the status"),
-        },
-        Err(rejection) => rejected(&rejection),
-    }
+async fn name(
+    State(service): State<Service>,
+    Asked(request): Asked<NameRequest>,
+) -> Result<Json<NameReply>, Response> {
+    let silent = || refusal(StatusCode::GATEWAY_TIMEOUT, "the disk does not answer; ask for the status");
+    service.name(request).await.map(Json).ok_or_else(silent)
 }
 
-async fn start(State(service): State<Service>, body: Body<StartRequest>) -> Response {
-    let request = match body {
-        Ok(Json(request)) => request,
-        Err(rejection) => return rejected(&rejection),
-    };
-    let About { operator, robot, bar, payload, note } = request.about();
-    let texts = [operator, robot, bar, payload, note];
-    let checked = texts.iter().try_for_each(|text| check_text(text));
-    if let Err(problem) = checked.and(request.reason.as_deref().map_or(Ok(()), some_text)) {
-        return refusal(StatusCode::UNPROCESSABLE_ENTITY, problem);
-    }
+async fn start(
+    State(service): State<Service>,
+    Asked(request): Asked<StartRequest>,
+) -> Result<Response, Response> {
+    let checked = request.about().check();
+    checked.and(request.reason.as_deref().map_or(Ok(()), some_text)).map_err(unusable)?;
     let (named, reason) = (request.name.clone(), request.reason.clone());
     // In any other state the answer does not depend on the check: a run goes on, or none can.
     let problems = if service.status().state == ServiceState::Waiting {
@@ -459,7 +460,7 @@ async fn start(State(service): State<Service>, body: Body<StartRequest>) -> Resp
         let remedies = remedies.join("; ");
         let error = format!("{told}; {remedies}, or give a `reason` (--reason) to begin all the same");
         let problems = problems.into_iter().flat_map(|line| line.problems).collect();
-        return refused(StatusCode::CONFLICT, Refusal { error, problems });
+        return Err(refused(StatusCode::CONFLICT, Refusal { error, problems }));
     }
     let begins = service.clone();
     // It goes on where the client or our patience does not: the file says under what circumstances it began.
@@ -474,101 +475,86 @@ async fn start(State(service): State<Service>, body: Body<StartRequest>) -> Resp
     let Some(answer) = service.within(FILE_TIMEOUT, begun).await else {
         let why = service.status().reason.unwrap_or_default();
         let error = format!("the run waits for its file; `ballbard stop` calls it off: {why}");
-        return refusal(StatusCode::GATEWAY_TIMEOUT, &error);
+        return Err(refusal(StatusCode::GATEWAY_TIMEOUT, &error));
     };
     let ended = |_| Err(Problem::from(Fact::ServiceEnding {}).into());
+    let answer = answer.unwrap_or_else(ended);
+    let answer = answer.map_err(|refusal| refused(StatusCode::UNPROCESSABLE_ENTITY, refusal))?;
     let Status { run, simulated, .. } = service.status();
-    let granted = |answer, run| Json(Reply { answer, run, simulated, ..Reply::default() }).into_response();
-    match answer.unwrap_or_else(ended) {
-        Ok(Answer::Beginning) => granted(Granted::Begun, run.map(|run| run.name).or(named)),
-        Ok(Answer::Running(run)) => granted(Granted::Running, Some(run)),
-        Ok(Answer::Busy(run)) => refusal(
-            StatusCode::CONFLICT,
-            &format!("run `{run}` goes on; stop it first, or wait until its file is finished"),
-        ),
-        Ok(Answer::Refused(problem)) => refused(StatusCode::CONFLICT, Refusal::from(problem)),
-        Ok(other) => refusal(StatusCode::INTERNAL_SERVER_ERROR, &format!("unexpected answer {other:?}")),
-        Err(refusal) => refused(StatusCode::UNPROCESSABLE_ENTITY, refusal),
-    }
+    let (answer, run) = match answer {
+        Answer::Beginning => (Granted::Begun, run.map(|run| run.name).or(named)),
+        Answer::Running(run) => (Granted::Running, Some(run)),
+        other => return Err(not_granted(other, "stop it first, or wait until its file is finished")),
+    };
+    Ok(Json(Reply { answer, run, simulated, ..Reply::default() }).into_response())
 }
 
-async fn stop(State(service): State<Service>, body: Body<StopRequest>) -> Response {
-    let cause = match body {
-        Ok(Json(request)) => request.cause.unwrap_or_else(|| "stopped".into()),
-        Err(rejection) => return rejected(&rejection),
-    };
-    if let Err(problem) = some_text(&cause) {
-        return refusal(StatusCode::UNPROCESSABLE_ENTITY, problem);
-    }
-    match service.stop(cause).await {
-        Ok((Answer::Stopping(run), over)) => {
-            match service.within(FILE_TIMEOUT, over).await.and_then(Result::ok) {
-                // A run whose file could not be finished is no success.
-                Some(last) if last.error.is_some() => {
-                    refusal(StatusCode::INTERNAL_SERVER_ERROR, &format!("run `{run}`: {}", last.cause))
-                }
-                Some(last) => {
-                    let verdict = verdict(&service, &last).await;
-                    let last = LastRun { verdict: verdict.clone(), ..last };
-                    let (answer, run, last) = (Granted::Stopped, Some(run), Some(last));
-                    Json(Reply { answer, run, last, verdict, ..Reply::default() }).into_response()
-                }
-                None => refusal(
-                    StatusCode::GATEWAY_TIMEOUT,
-                    &format!("run `{run}` is ending, but the disk has not taken it yet; ask for the status"),
-                ),
+async fn stop(
+    State(service): State<Service>,
+    Asked(StopRequest { cause }): Asked<StopRequest>,
+) -> Result<Response, Response> {
+    let cause = cause.unwrap_or_else(|| "stopped".into());
+    some_text(&cause).map_err(unusable)?;
+    let late = |error: &str| refusal(StatusCode::GATEWAY_TIMEOUT, error);
+    match service.stop(cause).await.map_err(unavailable)? {
+        (Answer::Stopping(run), over) => {
+            let last = service.within(FILE_TIMEOUT, over).await.and_then(Result::ok).ok_or_else(|| {
+                late(&format!("run `{run}` is ending, but the disk has not taken it yet; ask for the status"))
+            })?;
+            // A run whose file could not be finished is no success.
+            if last.error.is_some() {
+                let error = format!("run `{run}`: {}", last.cause);
+                return Err(refusal(StatusCode::INTERNAL_SERVER_ERROR, &error));
             }
+            let verdict = verdict(&service, &last).await;
+            let last = LastRun { verdict: verdict.clone(), ..last };
+            let (answer, run, last) = (Granted::Stopped, Some(run), Some(last));
+            Ok(Json(Reply { answer, run, last, verdict, ..Reply::default() }).into_response())
         }
-        Ok((Answer::Homing, _)) => match homed(&service).await {
-            Some(homing) => Json(Reply { answer: Granted::Homing, homing: Some(homing), ..Reply::default() })
-                .into_response(),
-            None => refusal(
-                StatusCode::GATEWAY_TIMEOUT,
-                "the homing is ending, but the disk has not taken its marks yet; ask for the status",
-            ),
-        },
-        Ok(_) => reply(Granted::Idle, None, service.status().last),
-        Err(refusal) => refused(StatusCode::SERVICE_UNAVAILABLE, refusal),
+        (Answer::Homing, _) => {
+            let homing = homed(&service).await.ok_or_else(|| {
+                late("the homing is ending, but the disk has not taken its marks yet; ask for the status")
+            })?;
+            let (answer, homing) = (Granted::Homing, Some(homing));
+            Ok(Json(Reply { answer, homing, ..Reply::default() }).into_response())
+        }
+        _ => Ok(reply(Granted::Idle, None, service.status().last)),
     }
 }
 
-async fn home(State(service): State<Service>, body: Body<HomeRequest>) -> Response {
-    if let Err(rejection) = body {
-        return rejected(&rejection);
-    }
-    match service.home().await {
-        Ok(Answer::Beginning) => reply(Granted::Begun, None, None),
-        Ok(Answer::Homing) => reply(Granted::Homing, None, None),
-        Ok(Answer::Busy(run)) => {
-            refusal(StatusCode::CONFLICT, &format!("run `{run}` goes on; encoders are homed between runs"))
-        }
-        Ok(Answer::Refused(problem)) => refused(StatusCode::CONFLICT, Refusal::from(problem)),
-        Ok(other) => refusal(StatusCode::INTERNAL_SERVER_ERROR, &format!("unexpected answer {other:?}")),
-        Err(refusal) => refused(StatusCode::SERVICE_UNAVAILABLE, refusal),
+async fn home(
+    State(service): State<Service>,
+    Asked(HomeRequest {}): Asked<HomeRequest>,
+) -> Result<Response, Response> {
+    match service.home().await.map_err(unavailable)? {
+        Answer::Beginning => Ok(reply(Granted::Begun, None, None)),
+        Answer::Homing => Ok(reply(Granted::Homing, None, None)),
+        other => Err(not_granted(other, "encoders are homed between runs")),
     }
 }
 
-async fn mark(State(service): State<Service>, body: Body<MarkRequest>) -> Response {
-    let MarkRequest { text, ago_ms } = match body {
-        Ok(Json(request)) => request,
-        Err(rejection) => return rejected(&rejection),
-    };
-    let when = if ago_ms > AGO_MS_MAX {
-        Err("`ago_ms` is more than 600000; mark it within ten minutes")
-    } else {
-        Ok(())
-    };
-    if let Err(problem) = text.as_deref().map_or(Ok(()), some_text).and(when) {
-        return refusal(StatusCode::UNPROCESSABLE_ENTITY, problem);
+/// The refusal of a run or a homing; `while_busy` is the advice during a run.
+fn not_granted(answer: Answer, while_busy: &str) -> Response {
+    match answer {
+        Answer::Busy(run) => refusal(StatusCode::CONFLICT, &format!("run `{run}` goes on; {while_busy}")),
+        Answer::Refused(problem) => refused(StatusCode::CONFLICT, problem.into()),
+        other => refusal(StatusCode::INTERNAL_SERVER_ERROR, &format!("unexpected answer {other:?}")),
     }
-    match service.mark(text, ago_ms).await {
-        Ok(Some((run, text))) => {
-            let (answer, run, mark) = (Granted::Marked, Some(run), Some(text));
-            Json(Reply { answer, run, mark, ..Reply::default() }).into_response()
-        }
-        Ok(None) => refusal(StatusCode::CONFLICT, "no run goes on, so there is nothing to mark"),
-        Err(refusal) => refused(StatusCode::SERVICE_UNAVAILABLE, refusal),
+}
+
+async fn mark(
+    State(service): State<Service>,
+    Asked(MarkRequest { text, ago_ms }): Asked<MarkRequest>,
+) -> Result<Response, Response> {
+    text.as_deref().map_or(Ok(()), some_text).map_err(unusable)?;
+    if ago_ms > AGO_MS_MAX {
+        return Err(unusable("`ago_ms` is more than 600000; mark it within ten minutes"));
     }
+    let marked = service.mark(text, ago_ms).await.map_err(unavailable)?;
+    let (run, text) =
+        marked.ok_or_else(|| refusal(StatusCode::CONFLICT, "no run goes on, so there is nothing to mark"))?;
+    let (answer, run, mark) = (Granted::Marked, Some(run), Some(text));
+    Ok(Json(Reply { answer, run, mark, ..Reply::default() }).into_response())
 }
 
 fn some_text(text: &str) -> Result<(), &'static str> {
@@ -677,8 +663,14 @@ fn reply(answer: Granted, run: Option<String>, last: Option<LastRun>) -> Respons
     Json(Reply { answer, run, last, ..Reply::default() }).into_response()
 }
 
-fn rejected(rejection: &JsonRejection) -> Response {
-    refusal(rejection.status(), &rejection.body_text())
+/// Of a value that the service does not take.
+fn unusable(error: &str) -> Response {
+    refusal(StatusCode::UNPROCESSABLE_ENTITY, error)
+}
+
+/// Of a service that ends or has too much to do.
+fn unavailable(refusal: Refusal) -> Response {
+    refused(StatusCode::SERVICE_UNAVAILABLE, refusal)
 }
 
 fn refusal(status: StatusCode, error: &str) -> Response {

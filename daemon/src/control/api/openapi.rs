@@ -38,14 +38,8 @@ enum Answer {
 impl Operation {
     /// Answers with JSON of this type.
     pub fn get<A: JsonSchema>(path: &'static str, summary: &'static str) -> Self {
-        Self {
-            path,
-            summary,
-            method: "get",
-            body: None,
-            options: &[],
-            answer: Answer::Json(SchemaGenerator::subschema_for::<A>),
-        }
+        let answer = Answer::Json(SchemaGenerator::subschema_for::<A>);
+        Self { path, summary, method: "get", body: None, options: &[], answer }
     }
 
     /// Answers with something else.
@@ -61,14 +55,7 @@ impl Operation {
     /// Takes and answers JSON of these types.
     pub fn post<B: JsonSchema, A: JsonSchema>(path: &'static str, summary: &'static str) -> Self {
         let body = Some(SchemaGenerator::subschema_for::<B> as Describe);
-        Self {
-            path,
-            summary,
-            method: "post",
-            body,
-            options: &[],
-            answer: Answer::Json(SchemaGenerator::subschema_for::<A>),
-        }
+        Self { method: "post", body, ..Self::get::<A>(path, summary) }
     }
 }
 

@@ -18,7 +18,7 @@ use shared::time::MonoNs;
 use subtle::ConstantTimeEq;
 
 use super::fingerprint::{Fingerprint, hex};
-use super::{Body, Shared, refusal, rejected};
+use super::{Asked, Shared, refusal};
 use crate::control::status::{PairReply, PairRequest, PairingLink};
 
 /// Time to take a phone out and to accept its warning of the certificate.
@@ -113,9 +113,8 @@ fn of_this_machine() -> Vec<IpAddr> {
 
 pub(super) async fn pair(
     State(Shared { service, pairing, .. }): State<Shared>,
-    body: Body<PairRequest>,
+    Asked(PairRequest {}): Asked<PairRequest>,
 ) -> Result<Json<PairReply>, Response> {
-    let PairRequest {} = body.map_err(|rejection| rejected(&rejection))?.0;
     let Some(pairing) = pairing else {
         return Err(refusal(
             StatusCode::CONFLICT,

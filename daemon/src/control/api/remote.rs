@@ -94,11 +94,11 @@ pub enum RemoteError {
 
 /// Who else may come in, and how.
 pub struct Remote {
-    gate: Gate,
-    tls: Option<TlsDoor>,
-    proxy: Option<ProxyDoor>,
+    pub(super) gate: Gate,
+    pub(super) tls: Option<TlsDoor>,
+    pub(super) proxy: Option<ProxyDoor>,
     /// For people.
-    words: String,
+    pub(super) words: String,
 }
 
 /// TLS on an address of its own.
@@ -149,15 +149,6 @@ impl Remote {
     pub fn words(&self) -> &str {
         &self.words
     }
-
-    /// Codes for phones, if the service listens for other machines.
-    pub(super) fn pairing(&self) -> Option<Pairing> {
-        self.gate.pairing.clone()
-    }
-
-    pub(super) fn into_parts(self) -> (Gate, Option<TlsDoor>, Option<ProxyDoor>) {
-        (self.gate, self.tls, self.proxy)
-    }
 }
 
 impl ProxyDoor {
@@ -184,7 +175,8 @@ impl Drop for ProxyDoor {
 /// Checks each request from elsewhere.
 pub(super) struct Gate {
     token: String,
-    pairing: Option<Pairing>,
+    /// Codes for phones, if the service listens for other machines.
+    pub pairing: Option<Pairing>,
     /// When the latest wrong tokens came.
     wrong: Mutex<Vec<MonoNs>>,
 }
