@@ -2,8 +2,6 @@
 
 mod client;
 mod configuration;
-mod elsewhere;
-mod export;
 mod home;
 mod record;
 mod recover;
@@ -16,6 +14,7 @@ mod tune;
 
 use std::fmt::Display;
 
+use self::client::{ServiceArguments, export, requests};
 use self::signals::Signals;
 use crate::run::BusChoice;
 use crate::segment::interfaces;
@@ -45,27 +44,27 @@ enum Command {
     /// Keep the bus in operation and record when asked to.
     Run(serve::RunArguments),
     /// Ask the service to begin a run.
-    Start(client::StartArguments),
+    Start(requests::StartArguments),
     /// Ask the service to end the run; returns when its file is finished.
-    Stop(client::AskArguments),
+    Stop(ServiceArguments),
     /// What the service is doing.
-    Status(client::StatusArguments),
+    Status(requests::StatusArguments),
     /// Put a marker into the run.
-    Mark(client::MarkArguments),
+    Mark(requests::MarkArguments),
     /// Change the note of a finished run; the recording itself stays as it is.
-    Note(client::NoteArguments),
+    Note(requests::NoteArguments),
     /// Run pre-flight checks.
-    Check(client::AskArguments),
+    Check(ServiceArguments),
     /// List recordings.
-    Runs(client::RunsArguments),
+    Runs(requests::RunsArguments),
     /// Move a recording into the bin.
-    Delete(client::NameArguments),
+    Delete(requests::NameArguments),
     /// Move a recording from the bin to the others.
-    Restore(client::NameArguments),
+    Restore(requests::NameArguments),
     /// List the recordings in the bin, or remove all of them.
-    Bin(client::BinArguments),
+    Bin(requests::BinArguments),
     /// Show a QR code with which a phone opens the service's page without typing the token.
-    Pair(client::AskArguments),
+    Pair(ServiceArguments),
     /// Record one run and exit.
     Record(record::RecordArguments),
     /// Find the encoders' reference marks and check their order and direction, joint by joint.
@@ -88,17 +87,17 @@ enum Command {
 pub fn run(arguments: Arguments) -> anyhow::Result<()> {
     match arguments.command {
         Command::Run(arguments) => serve::run(&arguments),
-        Command::Start(arguments) => client::start(arguments),
-        Command::Stop(arguments) => client::stop(&arguments),
-        Command::Status(arguments) => client::status(&arguments),
-        Command::Mark(arguments) => client::mark(&arguments),
-        Command::Note(arguments) => client::note(arguments),
-        Command::Check(arguments) => client::check(&arguments),
-        Command::Runs(arguments) => client::list(&arguments),
-        Command::Delete(arguments) => client::delete(arguments),
-        Command::Restore(arguments) => client::restore(arguments),
-        Command::Bin(arguments) => client::bin(&arguments),
-        Command::Pair(arguments) => client::pair(&arguments),
+        Command::Start(arguments) => requests::start(arguments),
+        Command::Stop(arguments) => requests::stop(&arguments),
+        Command::Status(arguments) => requests::status(&arguments),
+        Command::Mark(arguments) => requests::mark(&arguments),
+        Command::Note(arguments) => requests::note(arguments),
+        Command::Check(arguments) => requests::check(&arguments),
+        Command::Runs(arguments) => requests::list(&arguments),
+        Command::Delete(arguments) => requests::delete(arguments),
+        Command::Restore(arguments) => requests::restore(arguments),
+        Command::Bin(arguments) => requests::bin(&arguments),
+        Command::Pair(arguments) => requests::pair(&arguments),
         Command::Record(arguments) => record::run(&arguments),
         Command::Home(arguments) => home::run(arguments),
         Command::Smoke(arguments) => smoke::run(arguments),

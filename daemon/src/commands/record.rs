@@ -9,12 +9,11 @@ use shared::output::say;
 use shared::recording::SystemDisk;
 use shared::recording::schema::SIMULATED_BUS;
 
-use super::client::{last_run, unless_blind};
+use super::client::text::{last_run, unless_blind};
 use super::configuration::{Configuration, State};
 use super::{Format, bus_choice, on_signal};
 use crate::clock::Clock;
-use crate::control::status::{LastRun, next_command};
-use crate::record::RunSummary;
+use crate::control::status::LastRun;
 use crate::run::{self, About, BusChoice, RunRequest, Stop, Storage};
 use crate::scheduler::Threads;
 use crate::segment::faults::FaultWindow;
@@ -71,7 +70,7 @@ pub fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
         Ok(run::record(&scheduler, &storage, &request, &daemon, &bar, &stop).await?)
     };
     let summary = on_signal(work, |signal| stop.stop(&format!("stopped by {signal}")))?;
-    let last = over(name, summary);
+    let last = LastRun::of(name, summary);
     if !arguments.format.prints(&last)? {
         say(last_run(&last))?;
         last.timing.iter().try_for_each(say)?;
@@ -99,23 +98,4 @@ fn request(arguments: &RecordArguments, homing: Option<HomingConfig>) -> anyhow:
         homing,
         fast: arguments.fast,
     })
-}
-
-/// What the service says of a run that is over.
-fn over(name: String, summary: RunSummary) -> LastRun {
-    let RunSummary { path, cycles, cycles_valid, cycles_lost, cause, provenance, timing } = summary;
-    let file = Some(path.display().to_string());
-    let next = file.as_deref().filter(|_| cycles_valid > 0).map(|file| next_command(&name, file));
-    LastRun {
-        name,
-        file,
-        cycles,
-        cycles_valid,
-        cycles_lost,
-        cause,
-        next,
-        timing,
-        provenance,
-        ..LastRun::default()
-    }
 }

@@ -9,7 +9,7 @@ use clap::Args;
 use shared::output::{say, unless_gone};
 use shared::recording::SystemDisk;
 
-use super::client::ServiceArguments;
+use super::ServiceArguments;
 use crate::control::recordings::runs::RunLine;
 use crate::control::recordings::table::{Layout, write_csv};
 

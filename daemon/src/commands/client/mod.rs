@@ -1,0 +1,172 @@
+//! Commands that ask a running service, of this machine or another.
+
+mod elsewhere;
+pub mod export;
+pub mod requests;
+pub mod text;
+
+use std::io::Read;
+use std::path::Path;
+use std::time::Duration;
+
+use anyhow::{Context, bail};
+use clap::Args;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use shared::config::DaemonConfig;
+use shared::recording::SystemDisk;
+use ureq::http::StatusCode;
+
+use super::Format;
+use super::configuration::Configuration;
+use crate::control::recordings::runs::{self, RunLine};
+use crate::control::status::Refusal;
+use elsewhere::ElsewhereArguments;
+
+/// Longer than the service takes to finish a file on a slow disk.
+const TIMEOUT: Duration = Duration::from_secs(30);
+
+/// Where the service is.
+#[derive(Debug, Args)]
+pub struct ServiceArguments {
+    #[command(flatten)]
+    configuration: Configuration,
+    /// Port of the service; default: `port` of daemon.toml
+    #[arg(long)]
+    port: Option<u16>,
+    #[command(flatten)]
+    elsewhere: ElsewhereArguments,
+    #[command(flatten)]
+    pub format: Format,
+}
+
+fn listed_in(directory: &Path, spare: Option<&Path>) -> anyhow::Result<Vec<RunLine>> {
+    runs::list(&SystemDisk, directory, spare)
+        .with_context(|| format!("cannot list recordings in {}", directory.display()))
+}
+
+/// Nobody answers where the service should be.
+#[derive(Debug, thiserror::Error)]
+#[error("no answer from {url} ({why}); {remedy}")]
+pub struct NoService {
+    url: String,
+    why: ureq::Error,
+    remedy: String,
+}
+
+impl ServiceArguments {
+    /// Where the configuration comes from.
+    pub fn configuration(&self) -> &Configuration {
+        &self.configuration
+    }
+
+    /// Recordings of the running service; of the configured directory where none runs.
+    pub fn runs(&self) -> anyhow::Result<Vec<RunLine>> {
+        match self.get("runs") {
+            Err(error) if self.is_default() && error.is::<NoService>() => {
+                let DaemonConfig { directory, spare_directory, .. } = self.configuration.daemon()?;
+                listed_in(&directory, Some(&spare_directory))
+            }
+            outcome => outcome,
+        }
+    }
+
+    /// Asks the service for something that changes nothing.
+    pub fn get<T: DeserializeOwned>(&self, path: &str) -> anyhow::Result<T> {
+        self.answer(path, |agent, url| agent.get(url).call(), understood)
+    }
+
+    /// A file of the service of another machine; none of this machine's, whose files are at hand.
+    pub fn fetch<T>(
+        &self,
+        path: &str,
+        read: impl FnOnce(&mut dyn Read) -> anyhow::Result<T>,
+    ) -> anyhow::Result<T> {
+        let asked = |agent: &ureq::Agent, url: &str| {
+            // However long it takes, as long as something comes.
+            agent.get(url).config().timeout_global(None).timeout_per_read(Some(TIMEOUT)).build().call()
+        };
+        self.answer(path, asked, |mut response| {
+            read(&mut response.body_mut().with_config().limit(u64::MAX).reader())
+        })
+    }
+
+    /// Asks the service to do something.
+    pub fn post<T: DeserializeOwned>(&self, path: &str, body: &impl Serialize) -> anyhow::Result<T> {
+        self.answer(path, |agent, url| agent.post(url).send_json(body), understood)
+    }
+
+    /// That of another machine.
+    pub fn is_elsewhere(&self) -> bool {
+        self.elsewhere.named().is_some()
+    }
+
+    /// Nobody has said which.
+    fn is_default(&self) -> bool {
+        self.port.is_none() && !self.is_elsewhere()
+    }
+
+    /// What is made of the answer, where the request was granted.
+    fn answer<T>(
+        &self,
+        path: &str,
+        ask: impl FnOnce(&ureq::Agent, &str) -> Result<Response, ureq::Error>,
+        read: impl FnOnce(Response) -> anyhow::Result<T>,
+    ) -> anyhow::Result<T> {
+        let (agent, url) = self.reached(path)?;
+        let mut response = match ask(&agent, &url) {
+            Ok(response) => response,
+            Err(ureq::Error::Other(why)) => bail!("{url}: {why}"),
+            Err(why) => return Err(NoService { url, why, remedy: self.remedy() }.into()),
+        };
+        let status = response.status();
+        if status.is_success() {
+            return read(response);
+        }
+        let refused = response.body_mut().read_json::<Refusal>();
+        let error =
+            refused.map_or_else(|_| format!("the service answered {status}"), |refusal| refusal.error);
+        match self.elsewhere.named() {
+            Some(elsewhere) if status == StatusCode::UNAUTHORIZED => {
+                bail!("{url} refuses the token in {}: {error}", elsewhere.token_file().display())
+            }
+            _ => bail!(error),
+        }
+    }
+
+    fn reached(&self, path: &str) -> anyhow::Result<(ureq::Agent, String)> {
+        let config = ureq::Agent::config_builder()
+            .http_status_as_error(false)
+            .proxy(None)
+            .timeout_global(Some(TIMEOUT));
+        if let Some(elsewhere) = self.elsewhere.named() {
+            return Ok((elsewhere.agent(config)?, elsewhere.url(path)));
+        }
+        let port = match self.port {
+            Some(port) => port,
+            None => self.configuration.daemon()?.port,
+        };
+        Ok((config.build().into(), format!("http://127.0.0.1:{port}/api/{path}")))
+    }
+
+    /// Where nobody answers.
+    fn remedy(&self) -> String {
+        if self.is_elsewhere() {
+            return "does `ballbard run --listen` go on there, and does its `ballbard status` say this address? look at the \
+                    network between"
+                .into();
+        }
+        let from = self.port.map_or_else(|| self.configuration.origin(), |_| "--port".into());
+        format!(
+            "is the service running? start it with `ballbard run --bus INTERFACE` (the port is that of {from}; --port takes another, --service \
+             that of another machine)"
+        )
+    }
+}
+
+type Response = ureq::http::Response<ureq::Body>;
+
+fn understood<T: DeserializeOwned>(mut response: Response) -> anyhow::Result<T> {
+    let answer = response.body_mut().read_json();
+    answer.context("the service's answer is not understood; are both of the same version?")
+}

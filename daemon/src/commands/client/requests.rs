@@ -1,0 +1,260 @@
+//! What a running service is asked for: `start`, `stop`, `status`, `mark`, `note`, `check`, `runs`, `delete`, `restore`, `bin`, `pair`.
+
+use std::io::IsTerminal;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use anyhow::{Context, bail};
+use clap::Args;
+use qrcode::QrCode;
+use qrcode::render::unicode::Dense1x2;
+use shared::output::say;
+use shared::recording::RunMark;
+
+use super::text::{codes, last_run, next_step, print_list, running};
+use super::{ServiceArguments, listed_in};
+use crate::control::recordings::runs::RunLine;
+use crate::control::recordings::verdict::Verdict;
+use crate::control::status::{
+    CheckLine, DeleteRequest, EmptyBinRequest, Granted, Level, MarkRequest, NoteRequest, PairReply,
+    PairRequest, PairingLink, Reply, StartRequest, Status, StopRequest,
+};
+use crate::problem::clock_time;
+use crate::run::About;
+
+#[derive(Debug, Args)]
+pub struct StartArguments {
+    /// Name of the run and of its file, in which spaces and the like become `-`; default: date, robot, bar and a number
+    #[arg(long)]
+    name: Option<String>,
+    /// How long: 90 (seconds), 90s or 2m; default: until stopped
+    #[arg(long, value_parser = shared::time::parse_duration)]
+    duration: Option<Duration>,
+    /// Why the run begins in spite of a problem that stops it; goes into the file
+    #[arg(long)]
+    reason: Option<String>,
+    #[command(flatten)]
+    about: About,
+    #[command(flatten)]
+    service: ServiceArguments,
+}
+
+#[derive(Debug, Args)]
+pub struct NameArguments {
+    /// Name of the recording
+    name: String,
+    #[command(flatten)]
+    service: ServiceArguments,
+}
+
+#[derive(Debug, Args)]
+pub struct BinArguments {
+    /// Remove every recording in the bin from the disk for ever
+    #[arg(long)]
+    empty: bool,
+    #[command(flatten)]
+    service: ServiceArguments,
+}
+
+#[derive(Debug, Args)]
+pub struct StatusArguments {
+    /// Also how late the cycles of the run were, and how long they took
+    #[arg(long)]
+    timing: bool,
+    #[command(flatten)]
+    service: ServiceArguments,
+}
+
+#[derive(Debug, Args)]
+pub struct MarkArguments {
+    /// Text of the marker; default: a number
+    text: Option<String>,
+    #[command(flatten)]
+    service: ServiceArguments,
+}
+
+#[derive(Debug, Args)]
+pub struct NoteArguments {
+    /// Name of the run
+    name: String,
+    /// Its note from now on; "" for none
+    note: String,
+    #[command(flatten)]
+    service: ServiceArguments,
+}
+
+#[derive(Debug, Args)]
+pub struct RunsArguments {
+    /// Directory of the recordings; default: those of the running service, or `directory` of daemon.toml
+    #[arg(conflicts_with = "service")]
+    directory: Option<PathBuf>,
+    #[command(flatten)]
+    service: ServiceArguments,
+}
+
+pub fn start(arguments: StartArguments) -> anyhow::Result<()> {
+    let StartArguments { name, duration, reason, about, service } = arguments;
+    let About { operator, robot, bar, payload, note } = about;
+    let duration_s = duration.map(|duration| duration.as_secs_f64());
+    let request = StartRequest { name, operator, robot, bar, payload, note, duration_s, reason };
+    let reply: Reply = service.post("start", &request)?;
+    let what = if reply.answer == Granted::Running { "is running already" } else { "has begun" };
+    let simulated = if reply.simulated { "; SIMULATED" } else { "" };
+    service.format.answer(&reply, format_args!("run `{}` {what}{simulated}", run_of(&reply)))
+}
+
+pub fn stop(service: &ServiceArguments) -> anyhow::Result<()> {
+    let request = StopRequest { cause: Some("stopped by `ballbard stop`".into()) };
+    let reply: Reply = service.post("stop", &request)?;
+    let Reply { answer, last, verdict, homing, .. } = &reply;
+    let printed = service.format.prints(&reply)?;
+    match (answer, last) {
+        (Granted::Stopped, Some(last)) => {
+            if !printed {
+                say(last_run(last))?;
+                verdict.iter().try_for_each(say)?;
+                last.next.iter().try_for_each(|next| say(next_step(&last.name, next)))?;
+            }
+            if let Some(Verdict { level: Level::Bad, reasons }) = verdict {
+                bail!("run `{}` is of no use: {}", last.name, reasons.join("; "));
+            }
+        }
+        _ if printed => {}
+        _ => homing.as_ref().map_or_else(|| say("no run goes on"), say)?,
+    }
+    Ok(())
+}
+
+pub fn mark(arguments: &MarkArguments) -> anyhow::Result<()> {
+    let reply: Reply =
+        arguments.service.post("mark", &MarkRequest { text: arguments.text.clone(), ago_ms: 0 })?;
+    let mark = reply.mark.as_deref().unwrap_or_default();
+    arguments.service.format.answer(&reply, format_args!("marked in run `{}`: {mark}", run_of(&reply)))
+}
+
+pub fn delete(arguments: NameArguments) -> anyhow::Result<()> {
+    let NameArguments { name, service } = arguments;
+    let reply: Reply = service.post("delete", &DeleteRequest { name })?;
+    let name = run_of(&reply);
+    service
+        .format
+        .answer(&reply, format_args!("`{name}` is in the bin; `ballbard restore {name}` brings it back"))
+}
+
+pub fn restore(arguments: NameArguments) -> anyhow::Result<()> {
+    let NameArguments { name, service } = arguments;
+    let reply: Reply = service.post("restore", &DeleteRequest { name })?;
+    service.format.answer(&reply, format_args!("`{}` is among the recordings again", run_of(&reply)))
+}
+
+/// Prints a QR code that lets a phone in.
+pub fn pair(service: &ServiceArguments) -> anyhow::Result<()> {
+    let reply: PairReply = service.post("pair", &PairRequest {})?;
+    if service.format.prints(&reply)? {
+        return Ok(());
+    }
+    // On a terminal in black and white, whatever its own colours are.
+    let [begin, end] = if std::io::stdout().is_terminal() { ["\x1b[97;40m", "\x1b[0m"] } else { ["", ""] };
+    for PairingLink { url, .. } in &reply.links {
+        let code = QrCode::new(url).context("no QR code can be made")?;
+        let code = code.render::<Dense1x2>().dark_color(Dense1x2::Light).light_color(Dense1x2::Dark).build();
+        code.lines().try_for_each(|line| say(format_args!("{begin}{line}{end}")))?;
+        say(url)?;
+    }
+    let PairReply { valid_s, fingerprint, .. } = &reply;
+    Ok(say(format_args!(
+        "point the phone's camera at it; it works once, within {} minutes\nSHA-256 of the certificate: {fingerprint}",
+        valid_s / 60
+    ))?)
+}
+
+pub fn bin(arguments: &BinArguments) -> anyhow::Result<()> {
+    let BinArguments { empty, service } = arguments;
+    if *empty {
+        let reply: Reply = service.post("bin/empty", &EmptyBinRequest {})?;
+        let removed = reply.removed.unwrap_or_default();
+        return service.format.answer(&reply, format_args!("recordings removed: {removed}"));
+    }
+    print_list(&service.get::<Vec<RunLine>>("bin")?, "the bin is empty", service.format)
+}
+
+pub fn note(arguments: NoteArguments) -> anyhow::Result<()> {
+    let NoteArguments { name, note, service } = arguments;
+    let reply: Reply = service.post("note", &NoteRequest { name, note })?;
+    service.format.answer(&reply, format_args!("run `{}` has this note now", run_of(&reply)))
+}
+
+pub fn status(arguments: &StatusArguments) -> anyhow::Result<()> {
+    let status: Status = arguments.service.get("status")?;
+    if arguments.service.format.prints(&status)? {
+        return Ok(());
+    }
+    let reason = status.reason.as_ref().map_or(String::new(), |why| format!(": {why}"));
+    say(format_args!("{}{reason}{}", status.headline().word, codes(&status.problems)))?;
+    if status.simulated {
+        say("SIMULATED: no hardware; the encoder counts are made up")?;
+    }
+    if let Some(run) = &status.run {
+        say(running(run))?;
+        for RunMark { at_s, text } in &run.marks {
+            say(format_args!("  {:>8}  {text}", clock_time(*at_s)))?;
+        }
+    }
+    say(format_args!("bus {}: {}", status.bus, status.devices.join(", ")))?;
+    for encoder in &status.encoders {
+        let valid = if encoder.valid { "valid" } else { "NOT VALID" };
+        say(format_args!("  joint {}: {:>10}  {valid}", encoder.joint, encoder.count))?;
+    }
+    for cable in &status.bad_cables {
+        say(cable)?;
+    }
+    status.homing.iter().try_for_each(say)?;
+    if let Some(usable) = status.disk_usable_mb {
+        say(format_args!("disk: {usable} MB above the floor"))?;
+    }
+    if let Some(remote) = &status.remote {
+        say(format_args!("for other machines: {remote}"))?;
+    }
+    if let Some(last) = &status.last {
+        say(format_args!("last run: {}", last_run(last)))?;
+        last.verdict.iter().try_for_each(say)?;
+        last.next.iter().try_for_each(|next| say(next_step(&last.name, next)))?;
+    }
+    let of_run = status.run.as_ref().and_then(|run| run.timing.as_ref());
+    let timing = of_run.or(status.last.as_ref().and_then(|last| last.timing.as_ref()));
+    timing.filter(|_| arguments.timing).iter().try_for_each(say)?;
+    Ok(())
+}
+
+pub fn check(service: &ServiceArguments) -> anyhow::Result<()> {
+    let lines: Vec<CheckLine> = service.get("check")?;
+    let printed = service.format.prints(&lines)?;
+    for CheckLine { subject, finding, remedy, stops, problems } in lines.iter().filter(|_| !printed) {
+        match remedy {
+            None => say(format_args!("ok       {subject}: {finding}")),
+            Some(remedy) => {
+                let level = if *stops { "PROBLEM" } else { "warning" };
+                say(format_args!("{level}  {subject}: {finding}{}\n         {remedy}", codes(problems)))
+            }
+        }?;
+    }
+    let problems = lines.iter().filter(|line| line.stops).count();
+    if problems > 0 {
+        bail!("{problems} of {} checks found a problem that would cost a run", lines.len());
+    }
+    Ok(())
+}
+
+pub fn list(arguments: &RunsArguments) -> anyhow::Result<()> {
+    let RunsArguments { directory, service } = arguments;
+    let lines = match directory {
+        Some(directory) => listed_in(directory, None)?,
+        None => service.runs()?,
+    };
+    print_list(&lines, "no recordings", service.format)
+}
+
+/// Name of the run that a reply is about.
+fn run_of(reply: &Reply) -> &str {
+    reply.run.as_deref().unwrap_or_default()
+}

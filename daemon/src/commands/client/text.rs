@@ -1,0 +1,114 @@
+//! What a service answered, for people.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use anyhow::bail;
+use shared::output::say;
+use shared::recording::RunMark;
+
+use crate::commands::Format;
+use crate::control::recordings::runs::RunLine;
+use crate::control::status::{IN_SPITE_OF, LastRun, RunStatus};
+use crate::problem::Problem;
+
+/// The names under which the manual explains these problems.
+pub fn codes(problems: &[Problem]) -> String {
+    let mut codes: Vec<_> = problems.iter().map(Problem::code).collect();
+    codes.dedup();
+    if codes.is_empty() { String::new() } else { format!(" [{}]", codes.join(", ")) }
+}
+
+/// Prints recordings, or `none` where there is none.
+pub fn print_list(lines: &[RunLine], none: &str, format: Format) -> anyhow::Result<()> {
+    if format.prints(&lines)? {
+        return Ok(());
+    }
+    // Where they are, once, as far as it is the same.
+    let mut place = None;
+    for line in lines {
+        let parent = line.file.parent();
+        if place != parent {
+            place = parent;
+            say(format_args!("in {}:", parent.unwrap_or(Path::new(".")).display()))?;
+        }
+        say(listed(line))?;
+    }
+    if lines.is_empty() {
+        say(none)?;
+    }
+    Ok(())
+}
+
+/// A run without a single valid cycle is no success, although its file is whole.
+pub fn unless_blind(cycles: u64, cycles_valid: u64) -> anyhow::Result<()> {
+    if cycles > 0 && cycles_valid == 0 {
+        bail!(
+            "none of the {cycles} cycles is valid; `ballbard check` says what is wrong with bus and encoders"
+        );
+    }
+    Ok(())
+}
+
+pub fn running(run: &RunStatus) -> String {
+    let age = run.sync_age_ms.map_or("nothing on disk yet".into(), |age| format!("all up to {age} ms ago"));
+    format!(
+        "run `{}`: {} cycles on disk, {} valid, {} lost, {:.1} MB, {age}\n{}; {:.1} s not synchronised yet, {:.1} s not \
+         written yet (at {:.0} s cycles are lost)",
+        run.name,
+        run.cycles,
+        run.cycles_valid,
+        run.cycles_lost,
+        run.bytes as f64 * 1e-6,
+        if run.file.is_empty() { "no file yet" } else { &run.file },
+        run.unsynced_s,
+        run.backlog_s,
+        run.backlog_limit_s
+    )
+}
+
+pub fn last_run(last: &LastRun) -> String {
+    let LastRun { name, file, cycles, cycles_valid, cycles_lost, cause, provenance, .. } = last;
+    let flagged = cycles - cycles_valid.min(cycles);
+    let Some(file) = file else { return format!("{name}: {cause}") };
+    let provenance = if provenance.is_measured() { String::new() } else { format!("\n{provenance}") };
+    format!(
+        "{file}\n{cycles} cycles, {cycles_valid} valid, {flagged} flagged, {cycles_lost} lost; {cause}{provenance}"
+    )
+}
+
+/// What comes after a run.
+pub fn next_step(name: &str, command: &str) -> String {
+    format!("next: save the log of the robot's controller as {name}.csv, then type\n  {command}")
+}
+
+fn listed(line: &RunLine) -> String {
+    let started = line.started.map_or(String::from("?"), |at| {
+        at.to_datetime().with_timezone(&chrono::Local).format("%Y-%m-%d %H:%M:%S %:z").to_string()
+    });
+    let verdict = line.verdict.as_ref().map(ToString::to_string);
+    let verdict = verdict.into_iter().chain(Some(line.cause.clone()).filter(|cause| !cause.is_empty()));
+    let verdict = verdict.collect::<Vec<_>>().join("; ");
+    let mut text = format!(
+        "{:<28} {started:<26}  {:>8.1} s {:>8} cycles  {verdict}",
+        line.name, line.length_s, line.cycles
+    );
+    if !line.provenance.is_measured() {
+        let _ = write!(text, "  [{}]", line.provenance);
+    }
+    if line.recovered {
+        text.push_str("  [recovered]");
+    }
+    let (reasons, marks): (Vec<_>, Vec<_>) =
+        line.marks.iter().partition(|mark| mark.text.starts_with(IN_SPITE_OF));
+    for RunMark { text: reason, .. } in reasons {
+        let _ = write!(text, "  [{}]", reason.replace(char::is_control, " "));
+    }
+    if !marks.is_empty() {
+        let _ = write!(text, "  [{} marks]", marks.len());
+    }
+    if !line.note.is_empty() {
+        let _ = write!(text, "  {}", line.note.replace(char::is_control, " "));
+    }
+    text
+}
