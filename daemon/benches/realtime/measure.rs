@@ -119,11 +119,12 @@ fn cycle(bus: &Bus, rate_hz: u64, cycles: u64) -> Measured {
     let (source, instants) = TrueInstants::watch(SmoothMotion::new(5, 3600, 1), cycles as usize + 100_000);
     let segment = SimulatedSegment::new(&SegmentConfig::default(), Box::new(source));
     let stop = Arc::new(AtomicBool::new(false));
+    let mut serving = None;
     let wire: Box<dyn Wire> = match bus {
         Bus::InProcess => Box::new(InProcessWire::new(segment, Clock::Real)),
         Bus::Veth([near, far]) => {
             let (far, stop) = (EthernetWire::open(far).unwrap(), Arc::clone(&stop));
-            std::thread::spawn(move || serve(segment, far, &stop));
+            serving = Some(std::thread::spawn(move || serve(segment, far, &stop)));
             Box::new(EthernetWire::open(near).unwrap())
         }
     };
@@ -137,6 +138,8 @@ fn cycle(bus: &Bus, rate_hz: u64, cycles: u64) -> Measured {
         lateness_ns.extend(acquisition.last_timing().map(|timing| timing.late_ns));
     }
     stop.store(true, Ordering::Relaxed);
+    // It has the far end until it ends, and the next run needs that.
+    serving.into_iter().for_each(|serving| serving.join().unwrap());
     let offset_ns = acquisition.utc_minus_monotonic_ns();
     let stamped = instants.judge(&records, offset_ns);
     let covered = stamped.iter().filter(|one| one.error_ns.abs() <= 3 * one.sigma_ns).count();
