@@ -24,7 +24,7 @@ const TIP_DIAMETER_MM: f64 = 4.0;
 /// Starts that are tried for a row.
 const TRIES: usize = 3000;
 /// Places that are tried for the block.
-const PLACES: usize = 100;
+const PLACES: usize = 20;
 /// Faces of the block with their outward normals; it stands on the sixth.
 const FACES: [(&str, [f64; 3]); 5] = [
     ("right", [1.0, 0.0, 0.0]),
@@ -166,25 +166,34 @@ pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, TouchSi
     let arm = Arm::new(robot, errors, TIP_M.into());
     let mut poses = random(seed, Stream::Path);
     let (places_m, reach_m) = arm.places(&mut poses);
-    /// Edge of the block, part of the robot's reach.
-    const EDGE: f64 = 0.15;
-    let block_mm = experiment.block_mm.unwrap_or_else(|| (EDGE * reach_m * 1e3).round());
-    let half_m = 0.5e-3 * block_mm;
+    /// Edges of the block that are tried, parts of the robot's reach.
+    const EDGES: [f64; 3] = [0.15, 0.1, 0.07];
+    let edges_mm = experiment
+        .block_mm
+        .map_or_else(|| EDGES.map(|edge| (edge * reach_m * 1e3).round()).to_vec(), |block_mm| vec![block_mm]);
     let turn = Rotation3::from_euler_angles(0.02, -0.01, poses.random_range(-0.5..0.5));
     let centres_m = match experiment.place_m {
         Some(place_m) => vec![Vector3::from(place_m)],
         None => places_m.into_iter().take(PLACES).collect(),
     };
     let mut out_of_reach = "";
-    let block = centres_m.into_iter().map(|centre_m| Pose::from_parts(centre_m.into(), turn)).find(|block| {
-        let there_m =
-            |normal: [f64; 3]| block.transform_point(&(Vector3::from(normal) * half_m).into()).coords;
-        let found =
-            FACES.iter().find(|(_, normal)| arm.reached(there_m(*normal), TRIES / 10, &mut poses).is_none());
-        out_of_reach = found.map_or("", |(name, _)| *name);
-        out_of_reach.is_empty()
-    });
-    let Some(block) = block else { return Err(TouchSimulationError::Unreachable { face: out_of_reach }) };
+    let blocks = edges_mm.iter().flat_map(|edge| centres_m.iter().map(move |centre| (*edge, *centre)));
+    let found = blocks.map(|(block_mm, centre_m)| (block_mm, Pose::from_parts(centre_m.into(), turn))).find(
+        |(block_mm, block)| {
+            let there_m = |normal: [f64; 3]| {
+                block.transform_point(&(Vector3::from(normal) * 0.5e-3 * *block_mm).into()).coords
+            };
+            let found = FACES
+                .iter()
+                .find(|(_, normal)| arm.reached(there_m(*normal), TRIES / 10, &mut poses).is_none());
+            out_of_reach = found.map_or("", |(name, _)| *name);
+            out_of_reach.is_empty()
+        },
+    );
+    let Some((block_mm, block)) = found else {
+        return Err(TouchSimulationError::Unreachable { face: out_of_reach });
+    };
+    let half_m = 0.5e-3 * block_mm;
     let table = known(block_mm);
     let mut effects = random(seed, Stream::RobotEffects);
     let mut noise = |sigma: f64| -> f64 { sigma * 1e-6 * effects.sample::<f64, _>(StandardNormal) };
