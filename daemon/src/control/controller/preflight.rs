@@ -108,8 +108,8 @@ fn encoders(status: &Status) -> Finding {
     let invalid = status.encoders.iter().filter(|encoder| share(encoder) < VALID_SHARE_GOOD);
     let problems: Vec<_> = invalid.map(problem).collect();
     if problems.is_empty() {
-        let counts: Vec<_> = status.encoders.iter().map(|encoder| encoder.count.to_string()).collect();
-        return Ok(format!("all valid, at {}", counts.join(", ")));
+        let joints: Vec<_> = status.encoders.iter().map(|encoder| encoder.joint.to_string()).collect();
+        return Ok(format!("all valid: joints {}", joints.join(", ")));
     }
     Err(problems)
 }
