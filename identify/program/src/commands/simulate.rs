@@ -96,8 +96,8 @@ struct ContactArguments {
     #[arg(long)]
     distances: bool,
     /// Number of poses
-    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..))]
-    rows: u32,
+    #[arg(long, value_name = "N", default_value_t = 200)]
+    rows: usize,
     /// How well the ball finds its seat, standard deviation along each axis [um]
     #[arg(long, value_name = "UM", default_value_t = 5.0)]
     seating_um: f64,
@@ -114,8 +114,8 @@ struct TouchArguments {
     #[arg(long)]
     unknown: bool,
     /// Number of touches
-    #[arg(long, value_name = "N", default_value_t = 300, value_parser = clap::value_parser!(u32).range(1..))]
-    rows: u32,
+    #[arg(long, value_name = "N", default_value_t = 300)]
+    rows: usize,
     /// How well a touch is found, standard deviation [um]
     #[arg(long, value_name = "UM", default_value_t = 2.0)]
     touch_um: f64,
@@ -245,6 +245,11 @@ pub fn run(arguments: &SimulateArguments) -> anyhow::Result<()> {
     }
 }
 
+fn at_least_one(rows: usize) -> anyhow::Result<usize> {
+    anyhow::ensure!(rows > 0, "--rows is 0; give at least one pose");
+    Ok(rows)
+}
+
 fn contacts(
     ContactArguments { arm, sockets, distances, rows, seating_um }: &ContactArguments,
 ) -> anyhow::Result<()> {
@@ -254,7 +259,7 @@ fn contacts(
         sockets: sockets.as_deref().map(config::load).transpose()?,
         place_m: arm.place,
         distances: *distances,
-        rows: *rows as usize,
+        rows: at_least_one(*rows)?,
         errors: arm.errors(),
         seating_um: *seating_um,
         seed: arm.seed,
@@ -271,7 +276,7 @@ fn touches(
         block_mm: *block_mm,
         place_m: arm.place,
         known: !unknown,
-        rows: *rows as usize,
+        rows: at_least_one(*rows)?,
         errors: arm.errors(),
         touch_um: *touch_um,
         gauge_mm: *gauge_mm,
