@@ -10,7 +10,7 @@ use super::{
 };
 use crate::cost::{BesideKnowns, CostError, DataSet, Residual, TouchedFace};
 use crate::kinematics::{Chain, Joints, Pose};
-use crate::logs;
+use crate::logs::{self, JointMistake};
 use crate::model::{
     Axis, Clock, Face, FaceNumber, Geometry, JointState, Model, ModelError, Observation, Owner, ParameterId,
     PerObservation, Role, SetUp,
@@ -362,8 +362,13 @@ impl Measures for Touch {
         true
     }
 
+    /// Not those of the joints' unit: an arm that hardly moves touches any plane.
     fn mistakes(&self, axes: usize) -> Vec<Mistake> {
-        Mistake::of_joints(axes).into_iter().chain([Mistake::ModifiedTable]).collect()
+        let of_unit = |mistake: &Mistake| {
+            matches!(mistake, Mistake::Joints(JointMistake::InRadians | JointMistake::InDegrees))
+        };
+        let of_joints = Mistake::of_joints(axes).into_iter().filter(|mistake| !of_unit(mistake));
+        of_joints.chain([Mistake::ModifiedTable]).collect()
     }
 
     fn undone(&self, mistake: Mistake) -> Vec<Instrument> {

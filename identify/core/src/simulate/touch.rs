@@ -213,13 +213,6 @@ pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, TouchSi
     for row in 0..experiment.rows {
         let number = row % FACES.len();
         let (face, (name, outward)) = (faces[number], FACES[number]);
-        // A place of the face, within nine tenths of it, taken onto the plane of the tip's centre.
-        let place = Vector3::from_fn(|axis, _| {
-            let along = poses.random_range(-0.9..0.9);
-            half_m * if outward[axis] == 0.0 { along } else { outward[axis] }
-        });
-        let place_m = block.transform_point(&place.into()).coords;
-        let on_plane_m = place_m - face.normal * (face.normal.dot(&place_m) - face.distance_m);
         // A probe answers too late or too early, a gauge shows too much or too little.
         let off_m = noise(touch_um);
         let [out_m, reading_m] = if gauge_mm > 0.0 {
@@ -228,9 +221,18 @@ pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, TouchSi
         } else {
             [off_m, 0.0]
         };
-        let Some(stands) = arm.reached(on_plane_m + face.normal * out_m, TRIES, &mut poses) else {
-            return Err(TouchSimulationError::Unreachable { face: name });
-        };
+        // Of a face that the robot reaches it may not reach every corner.
+        let stands = (0..PLACES).find_map(|_| {
+            // A place of the face, within nine tenths of it, taken onto the plane of the tip's centre.
+            let place = Vector3::from_fn(|axis, _| {
+                let along = poses.random_range(-0.9..0.9);
+                half_m * if outward[axis] == 0.0 { along } else { outward[axis] }
+            });
+            let place_m = block.transform_point(&place.into()).coords;
+            let on_plane_m = place_m - face.normal * (face.normal.dot(&place_m) - face.distance_m);
+            arm.reached(on_plane_m + face.normal * out_m, TRIES / 10, &mut poses)
+        });
+        let Some(stands) = stands else { return Err(TouchSimulationError::Unreachable { face: name }) };
         rows.push(TouchRow { joints_rad: arm.reported(&stands, &mut noise), face: number, reading_m });
     }
     let mut truth = truth(experiment, &arm.chain, &faces);
