@@ -203,6 +203,21 @@ fn a_bus_gone_for_good_ends_the_run_with_a_finished_file_that_says_so() {
     assert!((6000..6100).contains(&blind), "{blind} cycles");
 }
 
+/// Every reply comes after the end of its cycle, so that no cycle is ever in operation: whoever waits is told after five seconds.
+#[test]
+fn a_bus_that_does_not_come_into_operation_is_not_waited_for_in_silence() {
+    let out = tempfile::tempdir().unwrap();
+    let mut command = ballbard();
+    command.args(["record", "--bus", "simulated", "--fault", "late:1,22ms", "--config"]).arg(config());
+    command.arg("--out").arg(out.path()).env("RUST_LOG", "warn").stderr(Stdio::piped()).stdout(Stdio::null());
+    let child = command.spawn().unwrap();
+    std::thread::sleep(Duration::from_secs(7));
+    kill(&child, nix::sys::signal::Signal::SIGINT);
+    let output = child.wait_with_output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success() && said.contains("the bus is not in operation after 5 s"), "{said}");
+}
+
 fn kill(child: &Child, signal: nix::sys::signal::Signal) {
     let pid = nix::unistd::Pid::from_raw(i32::try_from(child.id()).unwrap());
     nix::sys::signal::kill(pid, signal).unwrap();

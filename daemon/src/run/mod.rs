@@ -36,6 +36,10 @@ use crate::segment::faults::FaultWindow;
 
 /// Between two attempts to bring up the bus that a run waits for.
 const RETRY_PERIOD: Duration = Duration::from_secs(1);
+/// A bus that takes longer to come into operation is slow: a usual one takes one to two seconds.
+const SLOW_AFTER: Duration = Duration::from_secs(5);
+const SLOW_BUS: &str = "the bus is not in operation after 5 s: replies are late or get lost; check cables and contacts, and \
+                        `reply_timeout_us` in daemon.toml";
 /// How often whoever waits looks whether it is to end.
 const STOP_PERIOD: Duration = Duration::from_millis(10);
 /// So long is waited for a disk that is asked for what the next start would find as it is: the end takes less than 2 s.
@@ -148,7 +152,18 @@ pub async fn connect(
         let opening = source::prepare(request, daemon, bar, own.clock().clone())
             .and_then(|prepared| Session::open(prepared, daemon, bar, storage, stop, (&own, pace)));
         let outcome = match opening {
-            Ok(mut opening) => until(&**scheduler, STOP_PERIOD, || opening.poll()).await,
+            Ok(mut opening) => {
+                let slow_at = scheduler.clock().now().plus_ns(SLOW_AFTER.as_nanos() as i64);
+                let is_slow = || scheduler.clock().now() >= slow_at;
+                let opened = || opening.poll().map(Some).or_else(|| is_slow().then_some(None));
+                match until(&**scheduler, STOP_PERIOD, opened).await {
+                    Some(opened) => opened,
+                    None => {
+                        tracing::warn!("{SLOW_BUS}");
+                        until(&**scheduler, STOP_PERIOD, || opening.poll()).await
+                    }
+                }
+            }
             Err(error) => Err(error),
         };
         let missing = match outcome {
