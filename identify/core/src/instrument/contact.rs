@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use super::rows::{MEDIAN_OF_THREE, Screened, Standing};
 use super::{
     Cause, Deviation, Doubt, Instrument, Knowns, Measures, Mistake, Noise, RejectedRow, ScaleFrom, Section,
-    SocketTable, Sockets,
+    SocketTable, Sockets, nearest,
 };
 use crate::cost::{BesideKnowns, CostError, DataSet, Residual, SeatedBall};
 use crate::kinematics::Joints;
@@ -216,15 +216,7 @@ impl Measures for Contact {
 
     /// A section for each socket.
     fn sections(&self) -> Vec<Section> {
-        let section = |(socket, name): (usize, &String)| {
-            let here = |(row, of): (usize, &ContactRow)| (of.socket == socket).then_some(row);
-            Section {
-                name: name.clone(),
-                parameters: format!("socket{}", socket + 1),
-                samples: self.rows.all.rows.iter().enumerate().filter_map(here).collect(),
-            }
-        };
-        self.sockets.names().iter().enumerate().map(section).collect()
+        Section::each(self.sockets.names(), "socket", self.rows.all.rows.iter().map(|row| row.socket))
     }
 
     /// The socket that the ball is nearest to.
@@ -234,12 +226,8 @@ impl Measures for Contact {
         let remark = |one: &RejectedRow| {
             let own = self.rows.all.rows.get(one.row)?.socket;
             let (own_m, error_m) = (sockets_m.get(own)?, errors_m.get(one.row)?);
-            let distance_m = |socket: &usize| (own_m + error_m - sockets_m[*socket]).norm();
-            let near = (0..sockets_m.len()).min_by(|a, b| distance_m(a).total_cmp(&distance_m(b)));
-            let other = near.filter(|near| *near != own).map(|near| {
-                format!(", {:.2} mm from `{}`: look for a wrong name", distance_m(&near) * 1e3, names[near])
-            });
-            Some((one.row, format!("not in its socket `{}`{}", names[own], other.unwrap_or_default())))
+            let other = nearest(names, own, |socket| (own_m + error_m - sockets_m[socket]).norm());
+            Some((one.row, format!("not in its socket `{}`{other}", names[own])))
         };
         self.rows.rejected.iter().filter_map(remark).collect()
     }
@@ -341,8 +329,7 @@ impl Measures for Contact {
     }
 
     fn group(&mut self, groups: &[usize], seed: u64) {
-        self.rows.all.group(groups, seed);
-        self.rows.at.group(groups, seed);
+        self.rows.group(groups, seed);
     }
 
     fn joints(&self) -> Vec<Joints> {

@@ -271,6 +271,34 @@ pub enum Noise {
     Length(f64),
 }
 
+impl Section {
+    /// A section for each named part of an instrument, whose parameters are numbered from 1; `part_of` gives that of each sample.
+    fn each(names: &[String], parameters: &str, part_of: impl Iterator<Item = usize>) -> Vec<Self> {
+        let mut sections: Vec<Self> = (1..)
+            .zip(names)
+            .map(|(number, name)| Self {
+                name: name.clone(),
+                parameters: format!("{parameters}{number}"),
+                samples: Vec::new(),
+            })
+            .collect();
+        for (sample, part) in part_of.enumerate() {
+            if let Some(section) = sections.get_mut(part) {
+                section.samples.push(sample);
+            }
+        }
+        sections
+    }
+}
+
+/// Which other part of an instrument a sample fits best, in words; `off_m` is its distance from each.
+fn nearest(names: &[String], own: usize, off_m: impl Fn(usize) -> f64) -> String {
+    let near = (0..names.len()).min_by(|a, b| off_m(*a).total_cmp(&off_m(*b)));
+    near.filter(|near| *near != own).map_or_else(String::new, |near| {
+        format!(", {:.2} mm from `{}`: look for a wrong name", off_m(near) * 1e3, names[near])
+    })
+}
+
 /// What makes a copy of an instrument of any kind.
 pub trait Boxed {
     /// A copy with all its samples.

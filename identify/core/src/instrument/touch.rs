@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, DVector, Matrix3, SymmetricEigen, Vector3};
 use super::rows::{MEDIAN_OF_ONE, Screened, Standing};
 use super::{
     Cause, Deviation, Doubt, FaceTable, Faces, Instrument, Knowns, Measures, Mistake, Noise, RejectedRow,
-    RowError, ScaleFrom, Section,
+    RowError, ScaleFrom, Section, nearest,
 };
 use crate::cost::{BesideKnowns, CostError, DataSet, Residual, TouchedFace};
 use crate::kinematics::{Chain, Joints, Pose};
@@ -197,15 +197,7 @@ impl Measures for Touch {
 
     /// A section for each face.
     fn sections(&self) -> Vec<Section> {
-        let section = |(face, name): (usize, &String)| {
-            let here = |(row, of): (usize, &TouchRow)| (of.face == face).then_some(row);
-            Section {
-                name: name.clone(),
-                parameters: format!("face{}", face + 1),
-                samples: self.rows.all.rows.iter().enumerate().filter_map(here).collect(),
-            }
-        };
-        self.faces.names().iter().enumerate().map(section).collect()
+        Section::each(self.faces.names(), "face", self.rows.all.rows.iter().map(|row| row.face))
     }
 
     /// The face that the tip is nearest to.
@@ -213,12 +205,8 @@ impl Measures for Touch {
         let (names, all) = (self.faces.names(), &self.rows.all);
         let remark = |one: &RejectedRow| {
             let (row, state) = (all.rows.get(one.row)?, all.states.get(one.row)?);
-            let off_m = |face: &usize| Self::residual_m(geometry, row, state, *face).abs();
-            let near = (0..names.len()).min_by(|a, b| off_m(a).total_cmp(&off_m(b)));
-            let other = near.filter(|near| *near != row.face).map(|near| {
-                format!(", {:.2} mm from `{}`: look for a wrong name", off_m(&near) * 1e3, names[near])
-            });
-            Some((one.row, format!("not on its face `{}`{}", names[row.face], other.unwrap_or_default())))
+            let other = nearest(names, row.face, |face| Self::residual_m(geometry, row, state, face).abs());
+            Some((one.row, format!("not on its face `{}`{other}", names[row.face])))
         };
         self.rows.rejected.iter().filter_map(remark).collect()
     }
@@ -321,8 +309,7 @@ impl Measures for Touch {
     }
 
     fn group(&mut self, groups: &[usize], seed: u64) {
-        self.rows.all.group(groups, seed);
-        self.rows.at.group(groups, seed);
+        self.rows.group(groups, seed);
     }
 
     fn deviations(&self, geometry: &Geometry) -> Vec<Deviation> {

@@ -245,8 +245,7 @@ impl Measures for Wire {
     }
 
     fn group(&mut self, groups: &[usize], seed: u64) {
-        self.rows.all.group(groups, seed);
-        self.rows.at.group(groups, seed);
+        self.rows.group(groups, seed);
     }
 
     fn joints(&self) -> Vec<Joints> {

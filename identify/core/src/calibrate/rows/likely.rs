@@ -131,6 +131,9 @@ pub(in crate::calibrate) fn unless_other_unit(
 ) -> Result<(), CalibrateError> {
     /// The nominal robot leaves less than this part of the variation of lengths that are read right: its own millimetres of decimetres.
     const UNEXPLAINED: f64 = 0.3;
+    if whole.lengths_m().is_empty() {
+        return Ok(());
+    }
     let spread_m = |of: &Instrument| {
         let lengths_m = of.lengths_m();
         let mean_m = lengths_m.iter().sum::<f64>() / lengths_m.len().max(1) as f64;
@@ -140,7 +143,7 @@ pub(in crate::calibrate) fn unless_other_unit(
         median_size(of.errors(&model.geometry(&[])).iter().map(|error| error.position_m))
     };
     let (varies_m, as_read_m) = (spread_m(whole), left_m(whole, nominal));
-    if whole.lengths_m().is_empty() || as_read_m < NEAR_M.min(UNEXPLAINED * varies_m) {
+    if as_read_m < NEAR_M.min(UNEXPLAINED * varies_m) {
         return Ok(());
     }
     let in_unit = |mistake: Mistake| {

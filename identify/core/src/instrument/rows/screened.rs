@@ -54,6 +54,12 @@ impl<R: Copy> Screened<R> {
         Self { rejected: Vec::new(), at: all.clone(), all }
     }
 
+    /// [`Standing::group`] of rows that all take part.
+    pub(in crate::instrument) fn group(&mut self, groups: &[usize], seed: u64) {
+        self.all.group(groups, seed);
+        self.at.group(groups, seed);
+    }
+
     /// Leaves rows out by the residuals of all of them \[m\] and their noise over that of the median row, where most agree with
     /// each other; whether other ones take part now.
     pub(in crate::instrument) fn screen(&mut self, residuals_m: &[f64], relative_noise: &[f64]) -> bool {
