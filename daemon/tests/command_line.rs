@@ -203,7 +203,7 @@ fn a_bus_gone_for_good_ends_the_run_with_a_finished_file_that_says_so() {
     assert!((6000..6100).contains(&blind), "{blind} cycles");
 }
 
-/// Every reply comes after the end of its cycle, so that no cycle is ever in operation: whoever waits is told after five seconds.
+/// Every reply comes after the end of its cycle, so that the bus never comes into operation: a warning appears after five seconds.
 #[test]
 fn a_bus_that_does_not_come_into_operation_is_not_waited_for_in_silence() {
     let out = tempfile::tempdir().unwrap();

@@ -1,6 +1,6 @@
 //! A service of another machine: over TLS, with the token.
 //!
-//! No authority vouches for the certificate that a measurement PC makes for itself, so none is asked. A person has its
+//! No authority vouches for the certificate that a measurement PC makes for itself, so the client checks none. A person has its
 //! fingerprint, and nothing is sent before the other side has proved that it has the key of that certificate. `ureq` takes
 //! no verifier of certificates but through `unversioned`, which minor versions may change: Cargo.toml pins it.
 
@@ -78,7 +78,7 @@ impl Elsewhere<'_> {
         self.token_file
     }
 
-    /// Asks nobody but this service, and shows it the token.
+    /// Connects to this service alone, and shows it the token.
     pub fn agent(&self, config: ConfigBuilder<AgentScope>) -> anyhow::Result<ureq::Agent> {
         let mut bearer = HeaderValue::try_from(format!("Bearer {}", self.token()?))?;
         bearer.set_sensitive(true);
@@ -228,7 +228,7 @@ fn refused(error: &rustls::Error) -> String {
     }
 }
 
-/// Bytes over TLS.
+/// The bytes of a connection over TLS.
 struct OverTls<T: Transport> {
     buffers: LazyBuffers,
     stream: StreamOwned<ClientConnection, TransportAdapter<T>>,

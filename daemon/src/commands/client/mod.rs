@@ -149,7 +149,7 @@ impl ServiceArguments {
         Ok((config.build().into(), format!("http://127.0.0.1:{port}/api/{path}")))
     }
 
-    /// Where nobody answers.
+    /// What to do if no service answers at the address.
     fn remedy(&self) -> String {
         if self.is_elsewhere() {
             return "does `ballbard run --listen` go on there, and does its `ballbard status` say this address? look at the \

@@ -40,7 +40,7 @@ pub fn print_list(lines: &[RunLine], none: &str, format: Format) -> anyhow::Resu
     Ok(())
 }
 
-/// A run without a single valid cycle is no success, although its file is whole.
+/// A run without a single valid cycle has failed, although its file is whole.
 pub fn unless_blind(cycles: u64, cycles_valid: u64) -> anyhow::Result<()> {
     if cycles > 0 && cycles_valid == 0 {
         bail!(

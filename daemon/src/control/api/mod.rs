@@ -501,7 +501,7 @@ async fn stop(
             let last = service.within(FILE_TIMEOUT, over).await.and_then(Result::ok).ok_or_else(|| {
                 late(&format!("run `{run}` is ending, but the disk has not taken it yet; ask for the status"))
             })?;
-            // A run whose file could not be finished is no success.
+            // A run whose file could not be finished has failed.
             if last.error.is_some() {
                 let error = format!("run `{run}`: {}", last.cause);
                 return Err(refusal(StatusCode::INTERNAL_SERVER_ERROR, &error));
