@@ -1,10 +1,10 @@
-//! EtherCAT frames and datagrams as they lie in an Ethernet frame (ETG.1000.4 section 5.3 and 5.4).
+//! EtherCAT frames and datagrams within an Ethernet frame (ETG.1000.4 section 5.3 and 5.4).
 
 use std::ops::Range;
 
 /// Destination, source and type of an Ethernet frame.
 const ETHERNET_HEADER_LEN: usize = 14;
-/// Where the Ethernet type lies.
+/// Range of the Ethernet type.
 const ETHERTYPE: Range<usize> = 12..14;
 /// First byte of the source address.
 const SOURCE_MAC: usize = 6;
@@ -16,7 +16,7 @@ const ETHERCAT: [u8; 2] = [0x88, 0xa4];
 const ETHERCAT_HEADER_LEN: usize = 2;
 /// Frame type of EtherCAT commands.
 const TYPE_COMMANDS: u16 = 1;
-/// The lower 11 bits of a length field hold the length.
+/// The lower 11 bits of a length field contain the length.
 const LENGTH_MASK: u16 = 0x07ff;
 /// Set in a datagram's length field when another datagram follows.
 const MORE_FOLLOWS: u16 = 0x8000;
@@ -25,9 +25,9 @@ pub const DATAGRAM_HEADER_LEN: usize = 10;
 /// The working counter behind a datagram's data.
 pub const WORKING_COUNTER_LEN: usize = 2;
 
-/// Where the datagrams lie in an Ethernet frame; none if this is not an EtherCAT frame with commands.
+/// Range of the datagrams in an Ethernet frame; `None` if it is not an EtherCAT frame with commands.
 ///
-/// A length field that reaches beyond the frame is cut at the frame's end.
+/// A length field beyond the frame is limited to the frame's end.
 pub fn datagrams(frame: &[u8]) -> Option<Range<usize>> {
     if frame.get(ETHERTYPE)? != ETHERCAT {
         return None;
@@ -40,7 +40,7 @@ pub fn datagrams(frame: &[u8]) -> Option<Range<usize>> {
     Some(start..frame.len().min(start + usize::from(header & LENGTH_MASK)))
 }
 
-/// Marks a frame as having passed a slave controller. Masters drop frames that carry their own address.
+/// Marks a frame as processed by a slave controller. Masters drop frames with their own address.
 pub fn mark_processed(frame: &mut [u8]) {
     if let Some(byte) = frame.get_mut(SOURCE_MAC) {
         *byte |= LOCALLY_ADMINISTERED;
@@ -50,13 +50,13 @@ pub fn mark_processed(frame: &mut [u8]) {
 /// One EtherCAT command with its data, in place.
 pub struct Datagram<'a> {
     header: &'a mut [u8; DATAGRAM_HEADER_LEN],
-    /// What the command reads or writes.
+    /// Data that the command reads or writes.
     pub data: &'a mut [u8],
     working_counter: &'a mut [u8; WORKING_COUNTER_LEN],
 }
 
 impl<'a> Datagram<'a> {
-    /// The first datagram of `bytes` and what follows it; none if it does not fit.
+    /// The first datagram of `bytes` and the rest after it; `None` if it is incomplete.
     ///
     /// The rest is empty after the last datagram of a frame.
     pub fn split_first(bytes: &'a mut [u8]) -> Option<(Self, &'a mut [u8])> {
@@ -68,7 +68,6 @@ impl<'a> Datagram<'a> {
         Some((Self { header, data, working_counter }, rest))
     }
 
-    /// Command code.
     pub fn command(&self) -> u8 {
         self.header[0]
     }
@@ -78,7 +77,7 @@ impl<'a> Datagram<'a> {
         u16::from_le_bytes([self.header[2], self.header[3]])
     }
 
-    /// Counts one device in the address field, as positional and broadcast commands do at every device.
+    /// Increments the address field, as positional and broadcast commands do at every device.
     pub fn increment_device_address(&mut self) {
         let next = self.device_address().wrapping_add(1).to_le_bytes();
         [self.header[2], self.header[3]] = next;
@@ -100,7 +99,7 @@ impl<'a> Datagram<'a> {
         *self.working_counter = sum.to_le_bytes();
     }
 
-    /// Takes from the working counter, down to zero.
+    /// Subtracts from the working counter, down to zero.
     pub fn count_less(&mut self, decrement: u16) {
         let rest = u16::from_le_bytes(*self.working_counter).saturating_sub(decrement);
         *self.working_counter = rest.to_le_bytes();

@@ -1,15 +1,15 @@
-//! A bus without hardware: one EK1100 coupler and up to five (or more) EL5021 terminals that answer the frames of
-//! an unmodified EtherCAT MainDevice.
+//! A bus without hardware: one EK1100 coupler and up to 16 EL5021 terminals, which answer the frames of an unmodified
+//! EtherCAT MainDevice.
 //!
-//! Three things are kept apart: the chip that every EtherCAT device carries (`chip`), how devices are wired
-//! (`wiring`), and what a device does (`devices`). The segment is a function of the frames and of the time that
-//! [`SimulatedSegment::exchange`] is told: it has no clock and no thread, so it runs on real time as well as on a
-//! virtual clock. What happens between two frames is worked out when the next one arrives.
+//! Three parts are separate: the chip of every EtherCAT device (`chip`), the wiring (`wiring`), and the behaviour of each
+//! device (`devices`). The segment is a function of the frames and of the time given to [`SimulatedSegment::exchange`]: it
+//! has no clock and no thread, so it runs on real time as well as on a virtual clock. Events between two frames are
+//! computed when the next one arrives.
 //!
-//! What can go wrong with a device is set here, between two frames; what can go wrong with a frame is the business
-//! of [`faults`], which wraps `exchange`.
+//! Faults of devices are set here, between two frames; faults of frames are simulated by [`faults`], which wraps
+//! `exchange`.
 //!
-//! The crate knows nothing of the acquisition: no decoder can share code with what it is tested against.
+//! The crate does not depend on the acquisition: no decoder can share code with the emulation that tests it.
 
 mod chip;
 mod devices;
@@ -37,24 +37,24 @@ use wiring::Wiring;
 
 /// Longest Ethernet frame without its checksum.
 pub const FRAME_BYTES_MAX: usize = 1518;
-/// The bar's encoders.
+/// Number of the bar's encoders.
 const TERMINALS: usize = 5;
-/// More than the coupler can feed.
+/// More than the coupler can supply.
 const TERMINALS_MAX: usize = 16;
-/// Devices were powered up within this time before the first frame. A port time of 32 bits wraps after 4.3 s, so
-/// a bus that is started at once does not see it wrap.
+/// Devices were powered up within this time before the first frame. A port time of 32 bits wraps after 4.3 s, so that does
+/// not happen while a bus is brought up at once.
 const POWERED_UP_NS: i64 = 1_500_000_000;
 
-/// What the simulated bus is made of.
+/// Composition of the simulated bus.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SegmentConfig {
     /// EL5021 terminals behind the coupler.
     pub terminals: usize,
-    /// Decides the drift and start of each device's clock and the small differences in delay.
+    /// Seed of the drift and start of each device's clock and of small differences in delay.
     pub seed: u64,
-    /// Each device's clock is wrong by up to this much \[ppm\].
+    /// Largest rate error of each device's clock \[ppm\].
     pub drift_ppm: f64,
-    /// From one device to the next \[ns\].
+    /// Delay from one device to the next \[ns\].
     pub hop_delay_ns: i64,
     /// Revision of the terminals.
     pub revision: Revision,
@@ -73,13 +73,13 @@ impl Default for SegmentConfig {
     }
 }
 
-/// The simulated bus.
+/// The simulated bus, a function of frames and time.
 pub struct SimulatedSegment {
     wiring: Wiring,
-    /// Powered up by the first frame, which tells the time.
+    /// Powered up by the first frame, which provides the time.
     nodes: Vec<Node>,
     unpowered: Vec<Unpowered>,
-    /// Frames reach this many devices.
+    /// Number of devices that frames reach.
     reach: usize,
     source: Box<dyn EncoderSource>,
 }
@@ -110,12 +110,11 @@ impl SimulatedSegment {
         Self { wiring, nodes: Vec::with_capacity(reach), unpowered: unpowered.collect(), reach, source }
     }
 
-    /// One Ethernet frame enters at true time `now_ns`, which never runs backwards. The frame that returns is put
-    /// into `reply` and its length returned: the same length, data exchanged, working counters raised and bit
-    /// 0x02 set in the first byte of the source address. None for what is not an EtherCAT frame, or is longer
-    /// than `reply`.
+    /// One Ethernet frame enters at true time `now_ns`, which never runs backwards. The returning frame is written to `reply`
+    /// and its length returned: the same length, data exchanged, working counters incremented and bit 0x02 set in the first
+    /// byte of the source address. `None` if the frame is not an EtherCAT frame, or longer than `reply`.
     ///
-    /// None, too, while not even the coupler is reached.
+    /// Also `None` while not even the coupler is reached.
     ///
     /// Allocates nothing after the first frame.
     pub fn exchange(&mut self, now_ns: i64, frame: &[u8], reply: &mut [u8]) -> Option<usize> {
@@ -139,12 +138,12 @@ impl SimulatedSegment {
         Some(frame.len())
     }
 
-    /// From sending a frame's first bit until its last bit is back: what a virtual clock is advanced by.
+    /// From sending a frame's first bit until receiving its last, for a virtual clock.
     pub fn round_trip_ns(&self, frame_len: usize) -> i64 {
         self.wiring.round_trip_ns(frame_len)
     }
 
-    /// The devices from `position` on lose power or their cable; 0 takes the coupler too.
+    /// The devices from `position` on lose power or their cable; 0 includes the coupler.
     pub fn cut_from(&mut self, position: usize) {
         let before = position.checked_sub(1).filter(|_| position < self.reach);
         if let Some(before) = before.and_then(|before| self.nodes.get_mut(before)) {
@@ -154,7 +153,7 @@ impl SimulatedSegment {
         self.show_links();
     }
 
-    /// What was cut off is back at `now_ns`, powered up again: in INIT, without address, counters without origin.
+    /// Powers up the devices that were cut off at `now_ns`: in INIT, without address, counters without origin.
     pub fn restore(&mut self, now_ns: i64) {
         for node in self.nodes.iter_mut().skip(self.reach) {
             node.power_cycle(now_ns);
@@ -163,42 +162,42 @@ impl SimulatedSegment {
         self.show_links();
     }
 
-    /// A terminal leaves OP for SAFE-OP with an AL status code; one that is not in OP stays where it is.
+    /// A terminal goes from OP to SAFE-OP with an AL status code; has no effect in other states.
     pub fn fall_to_safe_op(&mut self, position: usize, code: u16) {
         if let Some(node) = self.nodes.get_mut(position) {
             node.esc.fall_to_safe_op(code);
         }
     }
 
-    /// Breaks or mends the signal of a terminal's encoder.
+    /// Sets or removes a fault of the signal of a terminal's encoder.
     pub fn set_signal_fault(&mut self, position: usize, fault: Option<SignalFault>) {
         if let Some(node) = self.nodes.get_mut(position) {
             node.set_signal_fault(fault);
         }
     }
 
-    /// Breaks or mends the mailbox of a terminal.
+    /// Sets or removes a fault of the mailbox of a terminal.
     pub fn set_mailbox_fault(&mut self, position: usize, fault: Option<MailboxFault>) {
         if let Some(node) = self.nodes.get_mut(position) {
             node.set_mailbox_fault(fault);
         }
     }
 
-    /// The reference clock jumps at `now_ns`.
+    /// Steps the reference clock at `now_ns`.
     pub fn step_reference_clock(&mut self, now_ns: i64, step_ns: i64) {
         if let Some(node) = self.nodes.first_mut() {
             node.esc.step_clock(now_ns, step_ns);
         }
     }
 
-    /// A frame was damaged on its way to the coupler, which counts it and passes it on marked as invalid.
+    /// A frame was damaged on its way to the coupler, which counts it and forwards it marked as invalid.
     pub fn count_invalid_frame(&mut self) {
         if let Some(node) = self.nodes.first_mut() {
             node.esc.count_invalid_frame();
         }
     }
 
-    /// The cable towards the device at `position` disturbs its receiver between two frames, which none of them notices.
+    /// The cable to the device at `position` disturbs its receiver between two frames, without damage to any.
     pub fn disturb(&mut self, position: usize) {
         if let Some(node) = self.nodes.get_mut(position) {
             node.esc.count_receive_error();
@@ -211,7 +210,7 @@ impl SimulatedSegment {
         }
     }
 
-    /// Everything that happened before the frame comes to each device.
+    /// Computes all events before the frame arrives at each device.
     fn advance(&mut self, now_ns: i64) {
         for (position, node) in self.nodes.iter_mut().take(self.reach).enumerate() {
             let arrival_ns = now_ns.saturating_add(self.wiring.delay_ns(position));
@@ -221,7 +220,7 @@ impl SimulatedSegment {
         }
     }
 
-    /// Switches on what was not yet; the first frame does so by itself.
+    /// Powers up devices that are off, which the first frame does, too.
     pub fn power_up(&mut self, now_ns: i64) {
         for (position, off) in self.unpowered.drain(..).enumerate() {
             let clock = LocalClock::new(now_ns, off.on_since_ns, off.drift_ppm);

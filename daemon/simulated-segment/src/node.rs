@@ -1,4 +1,4 @@
-//! A device on the segment: a chip, and what stands behind it.
+//! A device on the segment: a chip and the behaviour of the device.
 
 use super::chip::al::AlState;
 use super::chip::coe::{self, MAILBOX_MAX, ObjectDictionary};
@@ -9,11 +9,10 @@ use super::source::EncoderSource;
 /// Longest outputs of any device.
 const OUTPUTS_MAX: usize = 16;
 
-/// What the device sees of a sync event.
+/// A sync event for the device.
 pub struct Step<'a> {
     /// State of the application layer: SAFE-OP or OP.
     pub state: AlState,
-    /// The event.
     pub event: SyncEvent,
     /// Outputs as they last arrived.
     pub outputs: &'a [u8],
@@ -29,13 +28,13 @@ pub trait Device: Send {
     /// A sync event in SAFE-OP or OP: read outputs, fill inputs.
     fn step(&mut self, _step: Step<'_>, _source: &mut dyn EncoderSource) {}
 
-    /// How the device is synchronised was chosen or changed.
+    /// Sets the synchronisation of the device.
     fn synchronise(&mut self, _mode: SyncMode) {}
 
-    /// Breaks or mends the encoder's signal; devices without encoder have none.
+    /// Sets or removes a fault of the encoder's signal; ignored by devices without encoder.
     fn set_signal_fault(&mut self, _fault: Option<SignalFault>) {}
 
-    /// The device is powered off and on: what is not in its EEPROM is gone.
+    /// Powers the device off and on: everything outside its EEPROM is lost.
     fn power_cycle(&mut self) {}
 
     /// The object dictionary of a device with a mailbox.
@@ -44,33 +43,33 @@ pub trait Device: Send {
     }
 }
 
-/// What is wrong with an encoder's signal.
+/// Faults of an encoder's signal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SignalFault {
-    /// No amplitude: a cable is off.
+    /// No amplitude: a cable is disconnected.
     Lost,
-    /// A frequency that no terminal can follow, as disturbances make it.
+    /// A frequency that no terminal can follow, for example from disturbances.
     TooFast,
 }
 
-/// What is wrong with a device's mailbox.
+/// Faults of a device's mailbox.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MailboxFault {
     /// Every SDO is refused with this abort code.
     Abort(u32),
-    /// Requests are taken and never answered.
+    /// Requests are accepted and never answered.
     Silent,
-    /// Before the next answer comes an emergency with this error code, once.
+    /// An emergency with this error code precedes the next answer, once.
     Emergency(u16),
 }
 
-/// Chip and device.
+/// A chip with its device.
 pub struct Node {
-    /// The wire side.
+    /// The chip, on the side of the wire.
     pub esc: Esc,
     device: Box<dyn Device>,
     mailbox_fault: Option<MailboxFault>,
-    /// An answer that waits until the master has fetched what came before it.
+    /// An answer that waits until the master has fetched the previous one.
     held_answer: Option<([u8; MAILBOX_MAX], usize)>,
 }
 
@@ -89,17 +88,17 @@ impl Node {
         self.held_answer = None;
     }
 
-    /// Breaks or mends the encoder's signal.
+    /// Sets or removes a fault of the encoder's signal.
     pub fn set_signal_fault(&mut self, fault: Option<SignalFault>) {
         self.device.set_signal_fault(fault);
     }
 
-    /// Breaks or mends the mailbox.
+    /// Sets or removes a fault of the mailbox.
     pub fn set_mailbox_fault(&mut self, fault: Option<MailboxFault>) {
         self.mailbox_fault = fault;
     }
 
-    /// Brings chip and device to the moment at which a frame arrives.
+    /// Advances chip and device to the arrival of a frame.
     pub fn advance(&mut self, now_ns: i64, back_ns: Option<i64>, source: &mut dyn EncoderSource) {
         self.esc.advance(now_ns, back_ns);
         self.device.synchronise(self.esc.sync_mode());

@@ -1,23 +1,23 @@
-//! How the devices are wired: a line behind the coupler, and how long a frame takes from one to the next.
+//! Wiring of the devices: a line behind the coupler, and the delays of a frame between them.
 
 use rand::{Rng, rngs::StdRng};
 
 /// 100 Mbit/s.
 const NS_PER_BYTE: i64 = 80;
 const FRAME_MIN: usize = 60;
-/// Preamble and start delimiter before, check sequence after each frame.
+/// Preamble and start delimiter precede each frame, a check sequence follows.
 const FRAME_OVERHEAD: usize = 8 + 4;
-/// Terminals differ by up to this much.
+/// Largest difference between terminals.
 const HOP_SPREAD_NS: i64 = 10;
 
 /// Line of devices; the first one is the coupler.
 pub struct Wiring {
-    /// From the master's side of the coupler to each device.
+    /// Delay from the master's side of the coupler to each device.
     delays_ns: Vec<i64>,
 }
 
 impl Wiring {
-    /// A line of `devices`, about `hop_delay_ns` between neighbours.
+    /// A line of `devices` with about `hop_delay_ns` between neighbours.
     pub fn new(devices: usize, hop_delay_ns: i64, random: &mut StdRng) -> Self {
         let mut delay_ns = 0;
         let mut delays_ns = Vec::with_capacity(devices);
@@ -28,26 +28,26 @@ impl Wiring {
         Self { delays_ns }
     }
 
-    /// From the coupler to the device at `position`.
+    /// Delay from the coupler to the device at `position`.
     pub fn delay_ns(&self, position: usize) -> i64 {
         self.delays_ns.get(position).copied().unwrap_or(0)
     }
 
-    /// From passing the device at `position` outwards until the frame is back from the last of `reach` devices;
-    /// none for that last one.
+    /// From passing the device at `position` outwards until the frame returns from the last of `reach` devices; `None` for
+    /// the last one.
     pub fn loop_ns(&self, position: usize, reach: usize) -> Option<i64> {
         let last = self.delays_ns.get(..reach)?.last()?;
         (position + 1 < reach).then(|| 2 * (last - self.delay_ns(position)))
     }
 
-    /// DL status (0x0110) when frames reach `reach` devices: which ports have a link, which are closed.
+    /// DL status (0x0110) when frames reach `reach` devices: the ports with a link, and the closed ones.
     pub fn dl_status(&self, position: usize, reach: usize) -> u16 {
         let watchdog_ok = if position == 0 { 0 } else { 0x0002 };
         let links = if position + 1 < reach { 0x5a31 } else { 0x5611 };
         links | watchdog_ok
     }
 
-    /// From sending a frame's first bit until its last bit is back.
+    /// From sending a frame's first bit until receiving its last.
     pub fn round_trip_ns(&self, frame_len: usize) -> i64 {
         let bytes = frame_len.max(FRAME_MIN) + FRAME_OVERHEAD;
         let line_ns = self.loop_ns(0, self.delays_ns.len()).unwrap_or(0);

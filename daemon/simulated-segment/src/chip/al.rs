@@ -1,6 +1,6 @@
 //! Application layer state machine (ETG.1000.6 section 6.4.1): INIT, PRE-OP, SAFE-OP, OP.
 
-/// Requested or reached state.
+/// State of the application layer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum AlState {
     /// No communication on the application layer.
@@ -13,57 +13,57 @@ pub enum AlState {
     Op = 8,
 }
 
-/// Why a change of state was refused (ETG.1020 table "AL status codes").
+/// Why a transition was refused (ETG.1020 table "AL status codes").
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u16)]
 pub enum AlStatusCode {
-    /// A step that the state machine does not have.
+    /// A transition that the state machine does not have.
     InvalidRequestedStateChange = 0x0011,
-    /// No such state.
+    /// The requested state does not exist.
     UnknownRequestedState = 0x0012,
-    /// No bootstrap state here.
+    /// The device has no bootstrap state.
     BootstrapNotSupported = 0x0013,
-    /// Sync manager 0 or 1.
+    /// Sync manager 0 or 1 has wrong settings.
     InvalidMailboxConfiguration = 0x0016,
     /// No outputs arrived.
     NoValidOutputs = 0x0019,
-    /// Sync manager 2.
+    /// Sync manager 2 has wrong settings.
     InvalidOutputConfiguration = 0x001d,
-    /// Sync manager 3.
+    /// Sync manager 3 has wrong settings.
     InvalidInputConfiguration = 0x001e,
-    /// The sync signals do not fit the device.
+    /// The sync signals are unsuitable for the device.
     FatalSyncError = 0x002c,
     /// No sync signal arrived.
     NoSyncError = 0x002d,
-    /// Distributed clock registers.
+    /// The distributed clock registers have wrong settings.
     InvalidDcSyncConfiguration = 0x0030,
 }
 
-/// How the distributed clock's sync signals stand.
+/// State of the distributed clock's sync signals.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SyncReadiness {
     /// Not activated: the device follows the frames.
     Off,
-    /// Activated in a way that the device cannot use.
+    /// Activated with settings that the device cannot use.
     Invalid,
     /// SYNC1 is not within the cycle.
     WrongSync1,
-    /// Activated, no pulse so far.
+    /// Activated, but without a pulse so far.
     Waiting,
-    /// Pulses come.
+    /// With pulses.
     Running,
 }
 
-/// What a change of state depends on.
+/// Conditions of a transition.
 #[derive(Debug, Clone, Copy)]
 pub struct Readiness {
-    /// Both mailbox sync managers fit.
+    /// Both mailbox sync managers are set correctly.
     pub mailbox: bool,
-    /// The output sync manager fits.
+    /// The output sync manager is set correctly.
     pub outputs: bool,
-    /// The input sync manager fits.
+    /// The input sync manager is set correctly.
     pub inputs: bool,
-    /// Sync signals.
+    /// State of the sync signals.
     pub sync: SyncReadiness,
     /// Outputs arrived since PRE-OP.
     pub outputs_received: bool,
@@ -72,9 +72,9 @@ pub struct Readiness {
 const STATE_MASK: u8 = 0x0f;
 const ERROR: u8 = 0x10;
 const BOOTSTRAP: u8 = 3;
-/// Firmware needs about this long to change its state.
+/// Approximate duration of a transition in a firmware.
 const TRANSITION_NS: i64 = 2_000_000;
-/// How long a device that is ready for OP waits for outputs and sync pulses.
+/// How long a device waits for outputs and sync pulses before it refuses OP.
 const PATIENCE_NS: i64 = 2_000_000_000;
 
 #[derive(Clone, Copy)]
@@ -86,33 +86,32 @@ struct Pending {
 
 enum Verdict {
     Enter,
-    /// Not yet; refused with this code when patience ends.
+    /// Not yet; refused with this code after the time limit.
     Wait(AlStatusCode),
     Refuse(AlStatusCode),
 }
 
 /// State machine of one chip.
 pub struct AlMachine {
-    /// Without a processor behind the chip, status mirrors control.
+    /// Without a processor behind the chip, AL status mirrors AL control.
     emulated: Option<u8>,
     state: AlState,
-    /// AL status code while the error bit stands.
+    /// AL status code while the error bit is set.
     error: Option<u16>,
     pending: Option<Pending>,
 }
 
 impl AlMachine {
-    /// A chip without processor ("device emulation"): the status shows what was requested.
+    /// A chip without a processor ("device emulation"): the status is the requested one.
     pub fn emulated() -> Self {
         Self { emulated: Some(AlState::Init as u8), ..Self::firmware() }
     }
 
-    /// A chip with a processor that checks what it is asked for.
+    /// A chip with a processor that checks requests.
     pub fn firmware() -> Self {
         Self { emulated: None, state: AlState::Init, error: None, pending: None }
     }
 
-    /// The state that was reached.
     pub fn state(&self) -> AlState {
         self.state
     }
@@ -133,7 +132,7 @@ impl AlMachine {
             return;
         }
         if self.error.is_some() && control & ERROR == 0 {
-            return; // an error is to be acknowledged first
+            return; // an error must be acknowledged first
         }
         self.error = None;
         self.pending = None;
@@ -147,19 +146,19 @@ impl AlMachine {
         }
     }
 
-    /// The firmware leaves OP by itself, for a reason; without firmware, or below OP, nothing happens.
+    /// The firmware goes from OP to SAFE-OP with this AL status code. Has no effect without firmware or below OP.
     pub fn fall_to_safe_op(&mut self, code: u16) {
         if self.emulated.is_none() && self.state == AlState::Op {
             (self.state, self.error, self.pending) = (AlState::SafeOp, Some(code), None);
         }
     }
 
-    /// Whether a change of state is to be decided at `now_ns`.
+    /// Whether a transition is to be decided at `now_ns`.
     pub fn is_due(&self, now_ns: i64) -> bool {
         self.pending.is_some_and(|pending| pending.due_ns <= now_ns)
     }
 
-    /// Decides the change of state that is due.
+    /// Decides the transition that is due.
     pub fn decide(&mut self, now_ns: i64, readiness: &Readiness) {
         let Some(pending) = self.pending else { return };
         match verdict(self.state, pending.target, readiness) {

@@ -1,32 +1,31 @@
-//! Mailbox protocol and CANopen over EtherCAT (ETG.1000.6 section 5.6): SDO upload and download, aborts and
-//! the list of objects.
+//! Mailbox protocol and CANopen over EtherCAT (ETG.1000.6 section 5.6): SDO upload and download, aborts, and the
+//! lists of objects.
 
 /// Why an SDO access was refused (ETG.1000.6 table 41).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u32)]
 pub enum Abort {
-    /// Command specifier not known.
+    /// The command specifier is unknown.
     UnknownCommand = 0x0504_0001,
-    /// More than fits into a mailbox.
+    /// The value is larger than a mailbox.
     OutOfMemory = 0x0504_0005,
-    /// No complete access here.
+    /// Complete access is not supported.
     UnsupportedAccess = 0x0601_0000,
-    /// Read-only.
+    /// The object is read-only.
     ReadOnly = 0x0601_0002,
-    /// No such object.
+    /// The object does not exist.
     NoObject = 0x0602_0000,
-    /// Length does not fit the object.
+    /// The length differs from the object's.
     WrongLength = 0x0607_0010,
-    /// No such subindex.
+    /// The subindex does not exist.
     NoSubindex = 0x0609_0011,
-    /// Value outside the object's range.
+    /// The value is outside the object's range.
     ValueRange = 0x0609_0030,
 }
 
-/// The lists of objects that a master can ask for.
+/// Lists of objects that a master can request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ObjectList {
-    /// Every object.
     All,
     /// Objects that outputs can be mapped to.
     RxMappable,
@@ -46,17 +45,16 @@ const LISTS: [ObjectList; 5] = [
     ObjectList::Startup,
 ];
 
-/// A device's objects.
+/// The objects of a device.
 pub trait ObjectDictionary {
     /// Puts the value of an object into `value`; returns its length.
     fn upload(&self, index: u16, subindex: u8, value: &mut [u8]) -> Result<usize, Abort>;
-    /// Sets an object.
     fn download(&mut self, index: u16, subindex: u8, value: &[u8]) -> Result<(), Abort>;
     /// Indices of a list, ascending.
     fn list(&self, list: ObjectList) -> &'static [u16];
 }
 
-/// Longest mailbox that is supported.
+/// Longest supported mailbox.
 pub const MAILBOX_MAX: usize = 128;
 const MAILBOX_HEADER_LEN: usize = 6;
 const COE_HEADER_LEN: usize = 2;
@@ -84,14 +82,14 @@ const LIST_REQUEST: u8 = 1;
 const LIST_RESPONSE: u8 = 2;
 const INFORMATION_ERROR: u8 = 7;
 
-/// An answer that is being put together behind its headers.
+/// An answer that is being assembled behind its headers.
 struct Answer<'a> {
     mailbox: &'a mut [u8; MAILBOX_MAX],
     len: usize,
 }
 
 impl Answer<'_> {
-    /// Appends; returns false when the mailbox is full.
+    /// Appends bytes; returns false if the mailbox is full.
     fn push(&mut self, bytes: &[u8]) -> bool {
         let end = self.len + bytes.len();
         let Some(target) = self.mailbox.get_mut(self.len..end) else { return false };
@@ -100,13 +98,13 @@ impl Answer<'_> {
         true
     }
 
-    /// Starts a CoE answer anew.
+    /// Starts a CoE answer.
     fn begin(&mut self, service: u8) {
         self.len = MAILBOX_HEADER_LEN;
         self.push(&[0, service << 4]);
     }
 
-    /// Puts the mailbox header in front; the request's counter is echoed.
+    /// Writes the mailbox header, with the request's counter.
     fn finish(self, kind: u8, request: &[u8]) -> usize {
         let length = (self.len - MAILBOX_HEADER_LEN) as u16;
         let counter = request.get(5).copied().unwrap_or(0) & 0x70;
@@ -117,7 +115,7 @@ impl Answer<'_> {
     }
 }
 
-/// Answers a mailbox request; returns the answer's length, or none where nothing is to be answered.
+/// Answers a mailbox request; returns the length of the answer, or `None` if the request needs none.
 pub fn answer(
     request: &[u8],
     mailbox: &mut [u8; MAILBOX_MAX],
@@ -141,7 +139,7 @@ pub fn answer(
     Some(answer.finish(TYPE_COE, request))
 }
 
-/// Refuses an SDO request with any code, whatever it asks for; none for what is no SDO request.
+/// Refuses any SDO request with this code; `None` for other requests.
 pub fn abort_with(request: &[u8], mailbox: &mut [u8; MAILBOX_MAX], code: u32) -> Option<usize> {
     let sdo = request.get(MAILBOX_HEADER_LEN + COE_HEADER_LEN..)?;
     let &[_, i0, i1, subindex] = sdo.first_chunk::<4>()?;
@@ -152,7 +150,7 @@ pub fn abort_with(request: &[u8], mailbox: &mut [u8; MAILBOX_MAX], code: u32) ->
     Some(answer.finish(TYPE_COE, request))
 }
 
-/// An emergency that nobody asked for (ETG.1000.6 section 5.6.4): error code, error register, no data.
+/// An emergency, which is sent without a request (ETG.1000.6 section 5.6.4): error code, error register, no data.
 pub fn emergency(mailbox: &mut [u8; MAILBOX_MAX], code: u16) -> usize {
     let mut answer = Answer { mailbox, len: MAILBOX_HEADER_LEN };
     answer.begin(SERVICE_EMERGENCY);
@@ -190,7 +188,7 @@ fn sdo(content: &[u8], answer: &mut Answer<'_>, objects: &mut dyn ObjectDictiona
 }
 
 fn abort(answer: &mut Answer<'_>, [i0, i1, subindex]: [u8; 3], code: Abort) {
-    // An abort is sent as a request, whoever sends it.
+    // An abort is sent as a request by either side.
     answer.begin(SERVICE_SDO_REQUEST);
     answer.push(&[ABORT, i0, i1, subindex]);
     answer.push(&(code as u32).to_le_bytes());
@@ -218,7 +216,7 @@ fn upload(
     if fits { Ok(()) } else { Err(Abort::OutOfMemory) }
 }
 
-/// The value of a download: within the header for up to four bytes, else behind its length.
+/// The value of a download: in the header for up to four bytes, else after its length.
 fn downloaded(command: u8, data: &[u8]) -> Result<&[u8], Abort> {
     let (inline, rest) = data.split_at_checked(4).ok_or(Abort::WrongLength)?;
     if command & EXPEDITED == 0 {
@@ -247,7 +245,7 @@ fn information(content: &[u8], answer: &mut Answer<'_>, objects: &dyn ObjectDict
     }
 }
 
-/// List 0 is the lengths of the five others.
+/// List 0 contains the lengths of the five others.
 fn list_objects(kind: u16, answer: &mut Answer<'_>, objects: &dyn ObjectDictionary) {
     match usize::from(kind).checked_sub(1).and_then(|index| LISTS.get(index)) {
         None => {

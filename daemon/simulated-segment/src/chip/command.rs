@@ -1,4 +1,4 @@
-//! What each EtherCAT command does at a slave controller, and how it counts (ETG.1000.4 section 5.4).
+//! Execution of each EtherCAT command by a slave controller, and its working counter (ETG.1000.4 section 5.4).
 
 use super::esc::{Esc, ReadMode};
 use crate::frame::Datagram;
@@ -18,7 +18,7 @@ const LRW: u8 = 12;
 const ARMW: u8 = 13;
 const FRMW: u8 = 14;
 
-/// What a command asks of one device once its address is settled.
+/// Effect of a command on one device, after its address is decoded.
 enum Action {
     Nothing,
     Read(ReadMode),
@@ -37,7 +37,7 @@ pub fn execute(esc: &mut Esc, datagram: &mut Datagram<'_>, now_ns: i64) {
     datagram.count(increment);
 }
 
-/// Outputs are taken from the passing datagram before inputs replace it.
+/// Outputs are read from the passing datagram before inputs replace them.
 fn exchange_logical(esc: &mut Esc, datagram: &mut Datagram<'_>, now_ns: i64) -> u16 {
     let address = datagram.logical_address();
     let written = esc.write_logical(address, datagram.data, now_ns);
@@ -52,7 +52,7 @@ fn execute_physical(esc: &mut Esc, datagram: &mut Datagram<'_>, now_ns: i64) -> 
         Action::Read(mode) => u16::from(esc.read(address, datagram.data, mode, now_ns)),
         Action::Write => u16::from(esc.write(address, datagram.data, now_ns)),
         Action::Exchange(mode) => {
-            // The data on the wire is taken before it is replaced; a datagram holds at most 2047 bytes.
+            // The data on the wire is read before it is replaced; a datagram has at most 2047 bytes.
             let mut incoming = [0; 2048];
             let incoming = &mut incoming[..datagram.data.len()];
             incoming.copy_from_slice(datagram.data);
@@ -63,7 +63,7 @@ fn execute_physical(esc: &mut Esc, datagram: &mut Datagram<'_>, now_ns: i64) -> 
     }
 }
 
-/// Settles whether this device is meant, and counts it in the address field where the command says so.
+/// Decodes whether the command addresses this device, and increments the address field if the command requires that.
 fn action(esc: &Esc, datagram: &mut Datagram<'_>) -> Action {
     let command = datagram.command();
     let first = datagram.device_address() == 0;

@@ -3,12 +3,12 @@
 
 use super::al::SyncReadiness;
 
-/// A crystal that runs off by some ppm, as the control loop of the chip corrects it.
+/// A crystal with a rate error of some ppm, corrected by the control loop of the chip.
 #[derive(Debug, Clone)]
 pub struct LocalClock {
     base_true_ns: i64,
     base_local_ns: i64,
-    /// Part of a nanosecond beyond `base_local_ns`.
+    /// Fraction of a nanosecond beyond `base_local_ns`.
     base_fraction_ns: f64,
     /// Relative error of the crystal.
     drift: f64,
@@ -28,14 +28,14 @@ impl LocalClock {
         }
     }
 
-    /// What the clock shows at a true time.
+    /// Local time at a true time.
     pub fn local_ns(&self, true_ns: i64) -> i64 {
         let elapsed = true_ns.wrapping_sub(self.base_true_ns);
         let gained = elapsed as f64 * self.gain() + self.base_fraction_ns;
         self.base_local_ns.wrapping_add(elapsed).wrapping_add(gained.floor() as i64)
     }
 
-    /// When the clock shows `local_ns`.
+    /// True time at a local time.
     pub fn true_ns(&self, local_ns: i64) -> i64 {
         let elapsed = local_ns.wrapping_sub(self.base_local_ns);
         let gain = self.gain();
@@ -43,7 +43,7 @@ impl LocalClock {
         self.base_true_ns.wrapping_add(elapsed).wrapping_sub(excess.floor() as i64)
     }
 
-    /// From true time `now_ns` on: stepped by `step_ns`, and running at `correction`.
+    /// From true time `now_ns` on the clock is stepped by `step_ns` and corrected by `correction`.
     fn adjust(&mut self, now_ns: i64, step_ns: f64, correction: f64) {
         let elapsed = now_ns.wrapping_sub(self.base_true_ns);
         let fraction = elapsed as f64 * self.gain() + self.base_fraction_ns + step_ns;
@@ -54,7 +54,7 @@ impl LocalClock {
         self.correction = correction;
     }
 
-    /// The same crystal after its device was powered off and on at `now_ns`.
+    /// The same crystal after a power cycle of its device at `now_ns`.
     fn restarted(&self, now_ns: i64) -> Self {
         Self::new(now_ns, 0, self.drift * 1e6)
     }
@@ -64,11 +64,11 @@ impl LocalClock {
     }
 }
 
-/// Share of a deviation that is taken away at once, and share that goes into the rate. Together critically
-/// damped; real chips count in 9 or 11 ns steps instead, with the same result some thousand frames later.
+/// Share of a deviation that is corrected at once, and share that changes the rate; critically damped in combination.
+/// Real chips count in steps of 9 or 11 ns instead, with the same result some thousand frames later.
 const PROPORTIONAL: f64 = 1.0 / 16.0;
 const INTEGRAL: f64 = PROPORTIONAL * PROPORTIONAL / 4.0;
-/// A chip slews its clock; it does not step it.
+/// A chip slews its clock instead of stepping it.
 const DEVIATION_LIMIT_NS: f64 = 10_000.0;
 const CORRECTION_LIMIT: f64 = 200e-6;
 
@@ -76,10 +76,9 @@ const SYNC_ENABLE: u8 = 0x01;
 const SYNC0_ENABLE: u8 = 0x02;
 const SYNC1_ENABLE: u8 = 0x04;
 
-/// SYNC0 pulses since the last look.
+/// SYNC0 pulses since the last call.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Pulses {
-    /// How many.
     pub count: u64,
     /// System time of the last one, as it was programmed.
     pub system_ns: i64,
@@ -92,12 +91,12 @@ pub struct DistributedClock {
     clock: LocalClock,
     /// System time minus local time (0x0920).
     pub offset_ns: i64,
-    /// Way of the frame from the reference clock (0x0928).
+    /// Delay of the frame from the reference clock (0x0928).
     pub delay_ns: u32,
     filter_depth: u8,
     difference_ns: f64,
     last_follow_ns: Option<i64>,
-    /// Local time at which the latching frame came to each port (0x0900).
+    /// Local time at which the latching frame arrived at each port (0x0900).
     pub port_times: [u32; 4],
     /// Local time at which the latching frame was processed (0x0918).
     pub receive_time: u64,
@@ -135,17 +134,17 @@ impl DistributedClock {
         self.clock.local_ns(now_ns).wrapping_add(self.offset_ns)
     }
 
-    /// The clock jumps, as no chip should let it.
+    /// Steps the clock, which a working chip never does.
     pub fn step(&mut self, now_ns: i64, step_ns: i64) {
         self.clock.adjust(now_ns, step_ns as f64, self.clock.correction);
     }
 
-    /// The clock as it starts when its device is powered off and on.
+    /// The clock after a power cycle of its device.
     pub fn restarted(&self, now_ns: i64) -> LocalClock {
         self.clock.restarted(now_ns)
     }
 
-    /// Notes when the frame at `now_ns` came in, and when it comes back to port 1 from the devices behind.
+    /// Latches when the frame at `now_ns` arrived, and when it returns to port 1 from the devices behind.
     pub fn latch(&mut self, now_ns: i64, back_ns: Option<i64>) {
         let local = self.clock.local_ns(now_ns);
         self.receive_time = local as u64;
@@ -166,14 +165,14 @@ impl DistributedClock {
         self.filter_depth = depth & 0x0f;
     }
 
-    /// A master wrote the speed counter's start (0x0930): the loop begins anew.
+    /// A master wrote the speed counter's start (0x0930): restarts the loop.
     pub fn reset_loop(&mut self, now_ns: i64) {
         self.clock.adjust(now_ns, 0.0, 0.0);
         self.difference_ns = 0.0;
         self.last_follow_ns = None;
     }
 
-    /// The system time of the reference clock passed by (write to 0x0910): follow it.
+    /// Follows the system time of the reference clock (write to 0x0910).
     ///
     /// With four bytes only the low half is known.
     pub fn follow(&mut self, received: &[u8], now_ns: i64) {
@@ -185,7 +184,7 @@ impl DistributedClock {
         };
         self.difference_ns += (deviation_ns - self.difference_ns) / f64::from(1u32 << self.filter_depth);
         let mut correction = self.clock.correction;
-        // While the clock slews, its deviation says nothing about its rate.
+        // While the clock slews, its deviation does not reflect its rate.
         if let Some(last_ns) = self.last_follow_ns.filter(|_| deviation_ns.abs() < DEVIATION_LIMIT_NS) {
             let elapsed_ns = now_ns.saturating_sub(last_ns).max(1) as f64;
             correction -= INTEGRAL * deviation_ns / elapsed_ns;
@@ -196,13 +195,13 @@ impl DistributedClock {
         self.clock.adjust(now_ns, -PROPORTIONAL * deviation_ns, correction);
     }
 
-    /// Start time and cycle times (0x0990 to 0x09A7) as they stand in the registers.
+    /// Start time and cycle times from the registers (0x0990 to 0x09A7).
     pub fn set_cycle(&mut self, start_ns: i64, sync0_cycle_ns: u32, sync1_cycle_ns: u32) {
         (self.start_ns, self.sync0_cycle_ns, self.sync1_cycle_ns) =
             (start_ns, sync0_cycle_ns, sync1_cycle_ns);
     }
 
-    /// A master wrote the activation (0x0981). A start time that has passed gives no pulses.
+    /// A master wrote the activation (0x0981). A start time in the past gives no pulses.
     pub fn activate(&mut self, activation: u8, now_ns: i64) {
         let started = activation & !self.activation & SYNC_ENABLE != 0;
         self.activation = activation;
@@ -213,12 +212,12 @@ impl DistributedClock {
         }
     }
 
-    /// Whether the device is to run on SYNC0.
+    /// Whether the device runs on SYNC0.
     pub fn is_active(&self) -> bool {
         self.activation & SYNC_ENABLE != 0
     }
 
-    /// How the sync signals stand for a device that needs both.
+    /// State of the sync signals for a device that needs both.
     pub fn readiness(&self, now_ns: i64) -> SyncReadiness {
         let both = SYNC0_ENABLE | SYNC1_ENABLE;
         if !self.is_active() {
@@ -234,7 +233,7 @@ impl DistributedClock {
         }
     }
 
-    /// Takes the SYNC0 pulses that lie at least `age_ns` back. The cost does not depend on how many they are.
+    /// Takes the SYNC0 pulses that are at least `age_ns` old. The cost does not depend on their number.
     pub fn take_pulses(&mut self, now_ns: i64, age_ns: i64) -> Option<Pulses> {
         let first_ns = self.next_sync0_ns?;
         let passed_ns = self.system_ns(now_ns).saturating_sub(age_ns).saturating_sub(first_ns);
@@ -276,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn followers_with_different_drift_settle_on_the_reference_within_thousands_of_frames() {
+    fn followers_with_different_drift_converge_to_the_reference_within_thousands_of_frames() {
         let reference = LocalClock::new(0, 1_000_000, 18.0);
         for drift_ppm in [-50.0, -3.0, 0.0, 40.0] {
             let mut follower = DistributedClock::new(LocalClock::new(0, 77, drift_ppm));

@@ -1,6 +1,6 @@
 //! Builds the content of an EEPROM: the slave information (SII) of a device (ETG.2010).
 
-/// Real terminals carry 16 kbit.
+/// Real terminals have 16 kbit.
 const SIZE: usize = 2048;
 /// Byte offset of the first category.
 const CATEGORIES: usize = 0x80;
@@ -17,19 +17,14 @@ const VERSION: u16 = 1;
 pub struct Header {
     /// PDI control and configuration words that the chip loads at power-up (words 0 to 3).
     pub configuration: [u16; 4],
-    /// Vendor.
     pub vendor: u32,
-    /// Product code.
     pub product: u32,
-    /// Revision.
     pub revision: u32,
     /// Mailbox out offset and size, mailbox in offset and size, protocols (words 0x18 to 0x1C).
     pub mailbox: [u16; 5],
 }
 
-/// General category.
 pub struct General {
-    /// CoE capabilities.
     pub coe_details: u8,
     /// E-bus current \[mA\]; negative for a device that feeds it.
     pub e_bus_current_ma: i16,
@@ -118,7 +113,7 @@ impl Image {
         self
     }
 
-    /// Closes the list of categories and fills up with ones as an erased memory.
+    /// Closes the list of categories and fills the rest with ones, as in an erased memory.
     pub fn finish(mut self) -> Vec<u8> {
         self.bytes.extend(CATEGORY_END.to_le_bytes());
         self.bytes.resize(SIZE, 0xff);
@@ -159,7 +154,7 @@ fn general_bytes(general: &General) -> [u8; 32] {
     content
 }
 
-/// CoE data types (ETG.1020): bit, u16, u32; others have no place in a PDO here.
+/// CoE data types (ETG.1020): bit, u16, u32; PDOs here contain no others.
 fn data_type(bits: u8) -> u8 {
     match bits {
         1 => 0x01,
@@ -169,7 +164,7 @@ fn data_type(bits: u8) -> u8 {
     }
 }
 
-/// CRC-8 with polynomial x^8 + x^2 + x + 1, started with ones, over the first seven words.
+/// CRC-8 with polynomial x^8 + x^2 + x + 1, initialised with ones, over the first seven words.
 fn checksum(bytes: &[u8]) -> u8 {
     bytes.iter().fold(0xff, |crc, byte| {
         (0..8).fold(crc ^ byte, |crc: u8, _| if crc & 0x80 == 0 { crc << 1 } else { crc << 1 ^ 0x07 })

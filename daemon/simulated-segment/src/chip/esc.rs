@@ -1,4 +1,4 @@
-//! The chip: one memory, and the units that give some of its addresses a meaning.
+//! The chip: one memory, and the units behind some of its addresses.
 
 mod register_access;
 
@@ -9,12 +9,12 @@ use super::registers as reg;
 use super::sii::Sii;
 use super::sync_manager::{self, Completion, Direction, ExpectedSyncManager, Permit, SyncManager};
 
-/// Sync manager channels by use, as every device with a mailbox has them.
+/// Sync manager channels by use, for every device with a mailbox.
 const MAILBOX_OUT: usize = 0;
 const MAILBOX_IN: usize = 1;
 const OUTPUTS: usize = 2;
 const INPUTS: usize = 3;
-/// The processor behind the chip answers a mailbox request after this time.
+/// Time after which the processor behind the chip answers a mailbox request.
 const MAILBOX_ANSWER_NS: i64 = 300_000;
 
 /// Watchdog registers at power-up (ESC data sheet).
@@ -25,52 +25,50 @@ const WATCHDOG_DEFAULTS: [(u16, u16); 4] = [
     (reg::WATCHDOG_STATUS, 0x0001),
 ];
 
-/// What kind of chip a device has, and what the device expects of its configuration.
+/// Chip of a device, and the settings that the device expects.
 pub struct ChipProfile {
     /// Registers 0x0000 to 0x0009: type, revision, number of units, features.
     pub information: [u8; 10],
-    /// EEPROM content.
     pub eeprom: Vec<u8>,
     /// Whether the EEPROM interface reads eight bytes at once.
     pub eight_byte_reads: bool,
     /// Mailbox out, mailbox in, outputs, inputs; none for a device without processor.
     pub sync_managers: Option<[ExpectedSyncManager; 4]>,
-    /// From a conversion's start until its result can be read \[ns\].
+    /// From the start of a conversion until its result is available \[ns\].
     pub data_ready_ns: i64,
 }
 
-/// How the device is synchronised.
+/// Synchronisation of a device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SyncMode {
-    /// By the frames that bring outputs.
+    /// By frames with outputs.
     SyncManager,
     /// By SYNC0.
     DistributedClock,
 }
 
-/// What starts a conversion.
+/// The start of a conversion.
 #[derive(Debug, Clone, Copy)]
 pub struct SyncEvent {
-    /// Events since the last one that was looked at; only the last is converted.
+    /// Events since the previous conversion; only the last one is converted.
     pub count: u64,
-    /// Events that came without new outputs.
+    /// Events without new outputs.
     pub missed: u64,
     /// True time of the last.
     pub true_ns: i64,
-    /// Its nominal system time when SYNC0 made it.
+    /// Its nominal system time if SYNC0 caused it.
     pub system_ns: Option<i64>,
 }
 
-/// How read data meets what a datagram already holds.
+/// Combination of read data with the content of a datagram.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum ReadMode {
-    /// It replaces it.
+    /// Replaces it.
     Replace,
-    /// It is joined to it bit by bit (broadcast).
+    /// Bitwise or (broadcast).
     Or,
 }
 
-/// One slave controller.
 pub struct Esc {
     memory: Box<[u8]>,
     sync_managers: [SyncManager; sync_manager::CHANNELS_MAX],
@@ -81,11 +79,11 @@ pub struct Esc {
     clock: DistributedClock,
     sii: Sii,
     request_at_ns: Option<i64>,
-    /// When outputs last arrived, for a conversion that is still to come.
+    /// When outputs last arrived, for a conversion that has not started yet.
     outputs_at_ns: Option<i64>,
     outputs_since_sync: bool,
     outputs_received: bool,
-    /// When the frame that is being processed comes back from the devices behind.
+    /// When the current frame returns from the devices behind.
     back_ns: Option<i64>,
 }
 
@@ -123,7 +121,7 @@ impl Esc {
         self.clock.restarted(now_ns)
     }
 
-    /// The local clock jumps.
+    /// Steps the local clock.
     pub fn step_clock(&mut self, now_ns: i64, step_ns: i64) {
         self.clock.step(now_ns, step_ns);
     }
@@ -133,13 +131,13 @@ impl Esc {
         self.al.fall_to_safe_op(code);
     }
 
-    /// A frame with a wrong check sequence came in at port 0 (0x0300: invalid frames, 0x0301: receive errors).
+    /// A frame with a wrong check sequence arrived at port 0 (0x0300: invalid frames, 0x0301: receive errors).
     pub fn count_invalid_frame(&mut self) {
         let [frames, errors] = self.get(reg::ERROR_COUNTERS);
         self.put(reg::ERROR_COUNTERS, &[frames.saturating_add(1), errors.saturating_add(1)]);
     }
 
-    /// Port 0 saw a symbol that is none, between two frames.
+    /// Port 0 received an invalid symbol between two frames.
     pub fn count_receive_error(&mut self) {
         let [errors] = self.get(reg::ERROR_COUNTERS + 1);
         self.put(reg::ERROR_COUNTERS + 1, &[errors.saturating_add(1)]);
@@ -151,17 +149,17 @@ impl Esc {
         self.put(reg::LOST_LINKS + 1, &[lost.saturating_add(1)]);
     }
 
-    /// Whether the mailbox to the master still holds something.
+    /// Whether the mailbox to the master is still full.
     pub fn is_answer_waiting(&self) -> bool {
         self.sync_managers[MAILBOX_IN].is_full()
     }
 
-    /// Links as the wiring has them.
+    /// Sets the links according to the wiring.
     pub fn set_dl_status(&mut self, dl_status: u16) {
         self.put(reg::DL_STATUS, &dl_status.to_le_bytes());
     }
 
-    /// A frame arrives: settles what happened since the last one.
+    /// Computes the events since the previous frame.
     pub fn advance(&mut self, now_ns: i64, back_ns: Option<i64>) {
         self.back_ns = back_ns;
         if self.al.is_due(now_ns) {
@@ -172,17 +170,15 @@ impl Esc {
         }
     }
 
-    /// Address that the master gave.
+    /// Station address, assigned by the master.
     pub fn station_address(&self) -> u16 {
         u16::from_le_bytes(self.get(reg::STATION_ADDRESS))
     }
 
-    /// Reached state.
     pub fn state(&self) -> AlState {
         self.al.state()
     }
 
-    /// What conversions follow.
     pub fn sync_mode(&self) -> SyncMode {
         if self.clock.is_active() { SyncMode::DistributedClock } else { SyncMode::SyncManager }
     }
@@ -220,7 +216,7 @@ impl Esc {
         self.memory.get_mut(span(&all[INPUTS])).unwrap_or_default()
     }
 
-    /// The device takes a mailbox request once it is due and the answer has room.
+    /// The device takes a mailbox request once it is due and the answer has space.
     pub fn take_request(&mut self, now_ns: i64, request: &mut [u8]) -> Option<usize> {
         let expected = self.expected?;
         if !self.sync_managers[MAILBOX_OUT].is_full() {
@@ -237,7 +233,7 @@ impl Esc {
         Some(mailbox.len())
     }
 
-    /// The device puts its answer.
+    /// The device writes its answer.
     pub fn put_answer(&mut self, answer: &[u8]) {
         let Some(expected) = self.expected else { return };
         let Some(mailbox) = self.memory.get_mut(span(&expected[MAILBOX_IN])) else { return };
@@ -248,7 +244,7 @@ impl Esc {
         self.sync_managers[MAILBOX_IN].set_full(true);
     }
 
-    /// The master reads; true if it was let in.
+    /// The master reads; returns whether the access was permitted.
     pub fn read(&mut self, address: u16, data: &mut [u8], mode: ReadMode, now_ns: i64) -> bool {
         let permit = sync_manager::permit(&self.sync_managers, address, data.len(), Direction::Read);
         if matches!(permit, Permit::Denied) || data.is_empty() {
@@ -267,7 +263,7 @@ impl Esc {
         true
     }
 
-    /// The master writes; true if it was let in.
+    /// The master writes; returns whether the access was permitted.
     pub fn write(&mut self, address: u16, data: &[u8], now_ns: i64) -> bool {
         let permit = sync_manager::permit(&self.sync_managers, address, data.len(), Direction::Write);
         let end = usize::from(address) + data.len();
@@ -292,7 +288,7 @@ impl Esc {
         written
     }
 
-    /// The master reads the logical process image; true if a unit mapped any of it.
+    /// The master reads the logical process image; returns whether a unit mapped any of it.
     pub fn read_logical(&mut self, logical: u32, data: &mut [u8], now_ns: i64) -> bool {
         let mut matched = false;
         for index in 0..self.fmmus.len() {
@@ -318,7 +314,7 @@ impl Esc {
         read
     }
 
-    /// The master writes the logical process image; true if a unit mapped any of it.
+    /// The master writes the logical process image; returns whether a unit mapped any of it.
     pub fn write_logical(&mut self, logical: u32, data: &[u8], now_ns: i64) -> bool {
         let mut matched = false;
         for index in 0..self.fmmus.len() {
@@ -342,7 +338,7 @@ impl Esc {
         self.write(mapped.physical, &[bits.to_physical(*byte, own)], now_ns)
     }
 
-    /// A unit gives nothing while the sync manager behind it is off; registers can be mapped for reading.
+    /// A unit maps nothing while the sync manager behind it is off; registers can be mapped for reading.
     fn is_mappable(&self, physical: u16, len: usize, direction: Direction) -> bool {
         let permit = sync_manager::permit(&self.sync_managers, physical, len, direction);
         let register = direction == Direction::Read && physical < reg::PROCESS_MEMORY;
@@ -371,7 +367,7 @@ impl Esc {
             Completion::Nothing => {}
             Completion::Request => self.request_at_ns = Some(now_ns),
             Completion::Outputs => {
-                // While a conversion runs, further events are lost.
+                // During a conversion further events are lost.
                 self.outputs_at_ns.get_or_insert(now_ns);
                 self.outputs_since_sync = true;
                 self.outputs_received = true;
@@ -392,7 +388,7 @@ impl Esc {
         }
     }
 
-    /// The device opens process data from SAFE-OP on.
+    /// Process data are available from SAFE-OP on.
     fn block_process_data(&mut self) {
         let blocked = self.expected.is_some() && self.state() < AlState::SafeOp;
         for channel in [OUTPUTS, INPUTS] {

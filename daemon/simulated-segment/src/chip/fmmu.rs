@@ -1,15 +1,14 @@
-//! Fieldbus memory management units: where logical addresses lie in process memory (ETG.1000.4 section 6.6).
+//! Fieldbus memory management units: mapping of logical addresses to process memory (ETG.1000.4 section 6.6).
 
 use std::ops::Range;
 
-/// Units that a chip can have.
+/// Number of units that a chip can have.
 pub const UNITS_MAX: usize = 8;
 
 const READ: u8 = 0x01;
 const WRITE: u8 = 0x02;
 const ENABLE: u8 = 0x01;
 
-/// One unit.
 #[derive(Clone, Copy, Default)]
 pub struct Fmmu {
     logical: u32,
@@ -26,7 +25,7 @@ pub struct Fmmu {
 pub struct Mapped {
     /// Bytes of the datagram's data.
     pub data: Range<usize>,
-    /// Where they lie in the device.
+    /// Address in the device.
     pub physical: u16,
     /// Set when single bits of one byte are mapped.
     pub bits: Option<Bits>,
@@ -58,7 +57,7 @@ fn insert(source: u8, target: u8, shift: u8, count: u8) -> u8 {
 }
 
 impl Fmmu {
-    /// Takes the registers as a master wrote them.
+    /// Takes the registers that a master wrote.
     pub fn configure(&mut self, registers: &[u8; 16]) {
         let [l0, l1, l2, l3, n0, n1, start_bit, end_bit, p0, p1, physical_bit, kind, enable, ..] = *registers;
         *self = Self {
@@ -83,7 +82,7 @@ impl Fmmu {
         self.enable & ENABLE != 0 && self.kind & WRITE != 0
     }
 
-    /// The part of `len` bytes from `logical` on that this unit maps.
+    /// The part of `len` bytes from `logical` that this unit maps.
     pub fn map(&self, logical: u32, len: usize) -> Option<Mapped> {
         let (from, to) = (u64::from(logical), u64::from(logical) + len as u64);
         let (own_from, own_to) = (u64::from(self.logical), u64::from(self.logical) + u64::from(self.length));
@@ -95,8 +94,7 @@ impl Fmmu {
         Some(Mapped { data: (start - from) as usize..(end - from) as usize, physical, bits: self.bits() })
     }
 
-    /// Bits are mapped within one byte only: status bits. Process data of more than one byte is byte-aligned in
-    /// every device here.
+    /// Only bits within one byte are mapped, for status bits. Longer process data are byte-aligned in every device here.
     fn bits(&self) -> Option<Bits> {
         let whole = self.start_bit == 0 && self.end_bit == 7 && self.physical_bit == 0;
         if whole || self.length != 1 || self.end_bit < self.start_bit {

@@ -1,6 +1,6 @@
-//! An EtherCAT slave controller (ESC): registers, sync managers, FMMUs, state machine, distributed clock,
-//! EEPROM interface and mailbox, as ETG.1000.4 and ETG.1000.6 describe them. It knows frames only as single
-//! reads and writes and devices only as a process image.
+//! An EtherCAT slave controller (ESC): registers, sync managers, FMMUs, state machine, distributed clock, EEPROM
+//! interface and mailbox, according to ETG.1000.4 and ETG.1000.6. Its interface to frames is single reads and writes, and
+//! its interface to devices a process image.
 
 pub mod al;
 pub mod coe;

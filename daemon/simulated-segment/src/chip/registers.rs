@@ -4,7 +4,7 @@ use std::ops::Range;
 
 /// Registers and process memory: 4 KiB each.
 pub const MEMORY_SIZE: usize = 0x2000;
-/// Where process memory begins.
+/// Start of process memory.
 pub const PROCESS_MEMORY: u16 = 0x1000;
 
 pub const INFORMATION: u16 = 0x0000;
@@ -40,7 +40,7 @@ pub const DC_START_TIME: u16 = 0x0990;
 pub const DC_SYNC0_CYCLE: u16 = 0x09a0;
 pub const DC_SYNC1_CYCLE: u16 = 0x09a4;
 
-/// What a master may write, besides FMMUs, sync managers and process memory.
+/// Registers that a master may write, besides FMMUs, sync managers and process memory.
 const WRITABLE: [Range<u16>; 19] = [
     0x0010..0x0012, // station address
     0x0020..0x0022, // register write enable
@@ -68,7 +68,7 @@ pub fn is_writable(address: u16) -> bool {
     WRITABLE.iter().any(|range| range.contains(&address))
 }
 
-/// Whether an access at `address` of `len` bytes touches any of the `size` bytes from `register` on.
+/// Whether an access of `len` bytes at `address` touches any of the `size` bytes at `register`.
 pub fn touches(address: u16, len: usize, register: u16, size: usize) -> bool {
     let (start, from) = (usize::from(address), usize::from(register));
     start < from + size && from < start + len

@@ -1,4 +1,4 @@
-//! EEPROM interface: the slave information (SII) that a master reads in pieces (ETG.1000.4 section 6.4).
+//! EEPROM interface: the slave information (SII), which a master reads in pieces (ETG.1000.4 section 6.4).
 
 use super::registers::{SII_ACCESS, SII_CONTROL};
 
@@ -13,7 +13,7 @@ const COMMAND_RELOAD: u16 = 0x0400;
 const COMMAND_ERROR: u16 = 0x2000;
 const WRITE_ENABLE_ERROR: u16 = 0x4000;
 const BUSY: u16 = 0x8000;
-/// I2C at 400 kHz: address and four bytes take about this long.
+/// I2C at 400 kHz: approximate duration for address and four bytes.
 const BUSY_NS: i64 = 120_000;
 
 /// The interface with the EEPROM behind it.
@@ -28,18 +28,18 @@ pub struct Sii {
 }
 
 impl Sii {
-    /// An interface to `image`; reads give eight bytes at once if the chip can, else four.
+    /// An interface to `image`, with reads of eight bytes if the chip supports them, else four.
     pub fn new(image: Vec<u8>, eight_byte_reads: bool) -> Self {
         let capabilities = if eight_byte_reads { EIGHT_BYTE_READS } else { 0 };
         Self { image, access: 0, capabilities, errors: 0, address: 0, data: [0; 8], busy_until_ns: i64::MIN }
     }
 
-    /// Station alias as stored.
+    /// Station alias from the EEPROM.
     pub fn alias(&self) -> [u8; 2] {
         [self.byte(8), self.byte(9)]
     }
 
-    /// Registers 0x0500 to 0x050F as they read.
+    /// Registers 0x0500 to 0x050F.
     pub fn registers(&self, now_ns: i64) -> [u8; 16] {
         let busy = if now_ns < self.busy_until_ns { BUSY } else { 0 };
         let control = (self.capabilities | self.errors | busy).to_le_bytes();
@@ -51,7 +51,7 @@ impl Sii {
         registers
     }
 
-    /// Takes what a master wrote; `registers` is the register file after the write.
+    /// Takes a master's write; `registers` is the register file after it.
     pub fn write(&mut self, address: u16, len: usize, registers: &[u8; 16], now_ns: i64) {
         let touched = |register: u16| (address..address.saturating_add(len as u16)).contains(&register);
         if touched(SII_ACCESS) {

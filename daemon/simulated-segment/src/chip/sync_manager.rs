@@ -1,12 +1,12 @@
-//! Sync managers: who may touch which part of process memory when (ETG.1000.4 section 6.7).
+//! Sync managers: access control of process memory (ETG.1000.4 section 6.7).
 
-/// Channels that a chip can have.
+/// Number of channels that a chip can have.
 pub const CHANNELS_MAX: usize = 8;
 
 const MODE_MASK: u8 = 0x03;
 const MODE_MAILBOX: u8 = 0x02;
 const WRITTEN_BY_MASTER: u8 = 0x04;
-/// Interrupt enables do not matter for whether a configuration fits.
+/// Whether a configuration is correct does not depend on interrupt enables.
 const FUNCTION_MASK: u8 = 0x0f;
 const ENABLE: u8 = 0x01;
 const REPEAT: u8 = 0x02;
@@ -14,48 +14,44 @@ const STATUS_EVENT: u8 = 0x01;
 const STATUS_FULL: u8 = 0x08;
 const PDI_DISABLED: u8 = 0x01;
 
-/// Who is at the wire side of an access.
+/// Direction of an access by the master.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Direction {
-    /// The master reads.
     Read,
-    /// The master writes.
     Write,
 }
 
-/// What the sync managers say to an access.
+/// Decision on an access.
 pub enum Permit {
-    /// No active sync manager there: plain memory.
+    /// No active sync manager: plain memory.
     Plain,
-    /// Refused: wrong direction, mailbox full or empty, or across a border.
+    /// Refused: wrong direction, mailbox full or empty, or partly outside.
     Denied,
-    /// Passes through this channel.
+    /// Permitted through this channel.
     Through(usize),
 }
 
-/// What a complete access through a channel means to the device.
+/// Effect of a complete access through a channel on the device.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Completion {
-    /// Not finished, or of no interest.
+    /// Not complete, or without effect.
     Nothing,
-    /// A mailbox request lies ready.
+    /// A mailbox request is available.
     Request,
-    /// New outputs lie ready.
+    /// New outputs are available.
     Outputs,
 }
 
-/// How a device wants a sync manager to be set.
+/// Settings of a sync manager that a device expects.
 #[derive(Clone, Copy)]
 pub struct ExpectedSyncManager {
     /// Start in process memory.
     pub start: u16,
     /// Length \[bytes\].
     pub length: u16,
-    /// Control byte.
     pub control: u8,
 }
 
-/// One channel.
 #[derive(Clone, Copy, Default)]
 pub struct SyncManager {
     start: u16,
@@ -69,7 +65,7 @@ pub struct SyncManager {
 }
 
 impl SyncManager {
-    /// Takes the registers as a master wrote them.
+    /// Takes the registers that a master wrote.
     pub fn configure(&mut self, registers: &[u8; 8]) {
         let repeated = (registers[6] ^ self.activate) & REPEAT != 0;
         self.start = u16::from_le_bytes([registers[0], registers[1]]);
@@ -79,12 +75,12 @@ impl SyncManager {
         if !self.is_enabled() {
             (self.full, self.event) = (false, false);
         } else if repeated && self.is_mailbox() && self.direction() == Direction::Read {
-            // The master lost the last answer and asks for it again; it still lies in memory.
+            // The master lost the last answer and requests it again; it is still in memory.
             self.full = true;
         }
     }
 
-    /// Status, activation and device-side control, as they read (registers 5 to 7).
+    /// Status, activation and device-side control (registers 5 to 7).
     pub fn status(&self) -> [u8; 3] {
         let event = if self.event { STATUS_EVENT } else { 0 };
         let full = if self.full { STATUS_FULL } else { 0 };
@@ -100,7 +96,7 @@ impl SyncManager {
             && self.control & FUNCTION_MASK == expected.control & FUNCTION_MASK
     }
 
-    /// Whether a mailbox holds something.
+    /// Whether a mailbox is full.
     pub fn is_full(&self) -> bool {
         self.full
     }
@@ -158,7 +154,7 @@ impl SyncManager {
     }
 }
 
-/// What the channels say to an access of `len` bytes from `address` on.
+/// Decision of the channels on an access of `len` bytes at `address`.
 pub fn permit(channels: &[SyncManager], address: u16, len: usize, direction: Direction) -> Permit {
     let (from, to) = (usize::from(address), usize::from(address) + len);
     let touched = channels.iter().position(|channel| channel.is_active() && channel.overlaps(from, to));
@@ -169,7 +165,7 @@ pub fn permit(channels: &[SyncManager], address: u16, len: usize, direction: Dir
     }
 }
 
-/// Books an access that was permitted; a buffer changes hands when its last byte was touched.
+/// Completes an access that was permitted; a buffer is exchanged when its last byte is accessed.
 pub fn book(channels: &mut [SyncManager], index: usize, address: u16, len: usize) -> Completion {
     match channels.get_mut(index) {
         Some(channel) if usize::from(address) + len == channel.end() => channel.complete(),

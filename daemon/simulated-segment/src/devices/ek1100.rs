@@ -1,5 +1,4 @@
-//! EK1100, the coupler: no process data, no mailbox, no processor. Register and EEPROM content as read from a
-//! real one.
+//! EK1100, the coupler: no process data, no mailbox, no processor. Register and EEPROM content was read from a real one.
 
 use super::VENDOR;
 use crate::chip::ChipProfile;
@@ -15,7 +14,6 @@ const INFORMATION: [u8; 10] = [0x11, 0x00, 0x02, 0x00, 8, 8, 8, 0x0f, 0xfc, 0x00
 const CONFIGURATION: [u16; 4] = [0x0d00, 0x0000, 0x0000, 0x0000];
 const GENERAL: General = General { coe_details: 0, e_bus_current_ma: -2000, ports: 0x0131 };
 
-/// The coupler.
 pub struct Ek1100;
 
 impl Device for Ek1100 {

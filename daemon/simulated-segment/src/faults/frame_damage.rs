@@ -1,4 +1,4 @@
-//! What damage does to a frame's bytes.
+//! Damage to the bytes of a frame.
 
 use rand::{Rng, rngs::StdRng};
 
@@ -6,10 +6,10 @@ use crate::frame::{self, DATAGRAM_HEADER_LEN, Datagram, WORKING_COUNTER_LEN};
 
 const LRD: u8 = 10;
 const LRW: u8 = 12;
-/// Of the frames damaged on their way back, the network card notices this share.
+/// Share of frames damaged on their way back that the network card detects.
 const CARD_NOTICES: f64 = 0.5;
 
-/// As if devices had not taken part in the process data: fewer counted, and bytes that are not theirs.
+/// Simulates devices that did not process the frame: a lower working counter, and wrong data.
 pub fn shorten_working_counters(frame: &mut [u8], by: u16) {
     let Some(mut rest) = frame::datagrams(frame).and_then(|range| frame.get_mut(range)) else { return };
     while let Some((mut datagram, behind)) = Datagram::split_first(rest) {
@@ -21,8 +21,8 @@ pub fn shorten_working_counters(frame: &mut [u8], by: u16) {
     }
 }
 
-/// Damages a reply; its length then, or none where the network card drops it. Data stay as they are: a card that lets
-/// through flipped data would be one without a check sequence, and EtherCAT has no other protection for them.
+/// Damages a reply; returns its length, or `None` if the network card drops it. Data stay unchanged: with a check
+/// sequence no card passes damaged data, and EtherCAT has no other protection for them.
 pub fn corrupt(frame: &mut [u8], random: &mut StdRng) -> Option<usize> {
     if random.random_bool(CARD_NOTICES) {
         return None;

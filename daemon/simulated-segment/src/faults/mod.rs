@@ -1,7 +1,6 @@
-//! What can go wrong on a bus, on purpose: faults of frames and of devices, each from a seed and switched while the
-//! segment runs.
+//! Faults of a bus: of frames and of devices, each random with a seed and switched while the segment runs.
 //!
-//! A [`FaultySegment`] stands between a wire and a [`SimulatedSegment`]. Faults of frames happen here; faults of devices
+//! A [`FaultySegment`] is between a wire and a [`SimulatedSegment`]. Faults of frames are simulated here; faults of devices
 //! are set in the segment. Times are those of the frames, so everything works on a virtual clock.
 
 mod frame_damage;
@@ -18,99 +17,97 @@ use super::FRAME_BYTES_MAX;
 use crate::{MailboxFault, SignalFault, SimulatedSegment};
 use replies::Replies;
 
-/// One thing that is wrong. Positions are those on the bus: the coupler is 0, terminals follow. Shares are the
-/// probability with which a frame is hit, 0 to 1.
+/// A fault. Positions are those on the bus: the coupler is 0, terminals follow. Shares are probabilities per frame, 0 to 1.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Fault {
-    /// A frame is lost on its way to the devices or on its way back, as chance has it.
+    /// A frame is lost on its way to the devices or on its way back, at random.
     FrameLost {
-        /// Of all frames.
+        /// Probability for each frame, 0 to 1.
         share: f64,
     },
-    /// A reply comes late.
+    /// A reply is late.
     FrameLate {
-        /// Of all frames.
+        /// Probability for each frame, 0 to 1.
         share: f64,
-        /// By this much.
+        /// Additional delay \[ns\].
         by_ns: i64,
     },
-    /// A reply comes twice.
+    /// A reply is sent twice.
     FrameDuplicated {
-        /// Of all frames.
+        /// Probability for each frame, 0 to 1.
         share: f64,
     },
-    /// Bits flip. Where the check sequence tells, the frame is dropped (on the way there by the devices, on the way
-    /// back by the network card); where a card lets it pass, headers or working counters are wrong or the end is
-    /// missing.
+    /// Bits are inverted. If the check sequence detects that, the frame is dropped (on the way there by the devices, on
+    /// the way back by the network card); otherwise headers or working counters are wrong, or the end is missing.
     FrameCorrupted {
-        /// Of all frames.
+        /// Probability for each frame, 0 to 1.
         share: f64,
     },
-    /// A bad cable: the receiver of a device sees disturbances and counts them, though no frame is hit yet.
+    /// A bad cable: the receiver of a device detects and counts disturbances between frames.
     NoisyCable {
         /// The device behind the cable.
         position: usize,
-        /// Of all pauses between two frames.
+        /// Share of pauses between two frames.
         share: f64,
     },
-    /// Logical datagrams come back with a working counter that is too low, and with inputs that nobody wrote.
+    /// Logical datagrams return with a working counter that is too low, and with wrong inputs.
     WorkingCounterShort {
-        /// Of all frames.
+        /// Probability for each frame, 0 to 1.
         share: f64,
-        /// By this much: 1 for an input that is missing, 3 for a whole terminal.
+        /// Difference of the counter: 1 for missing inputs, 3 for a whole terminal.
         by: u16,
     },
-    /// Devices from a position on have no power. When it ends they are powered up again with fresh counters.
+    /// Devices from a position on have no power. Afterwards they are powered up again with reset counters.
     DevicesGone {
-        /// First position that is gone.
+        /// First position without power.
         from: usize,
     },
     /// A terminal leaves OP for SAFE-OP, once.
     FallToSafeOp {
-        /// Which.
+        /// Position of the terminal.
         position: usize,
         /// AL status code (ETG.1020), such as 0x001A for a synchronisation error.
         code: u16,
     },
     /// The signal of a terminal's encoder is lost: amplitude error.
     SignalLost {
-        /// Which.
+        /// Position of the terminal.
         position: usize,
     },
     /// The signal of a terminal's encoder is faster than it can follow: frequency error.
     SignalTooFast {
-        /// Which.
+        /// Position of the terminal.
         position: usize,
     },
     /// A terminal refuses every SDO.
     MailboxAbort {
-        /// Which.
+        /// Position of the terminal.
         position: usize,
-        /// Abort code.
+        /// SDO abort code (ETG.1000.6).
         code: u32,
     },
     /// A terminal does not answer mailbox requests.
     MailboxSilent {
-        /// Which.
+        /// Position of the terminal.
         position: usize,
     },
     /// A terminal sends an emergency before its next answer, once.
     MailboxEmergency {
-        /// Which.
+        /// Position of the terminal.
         position: usize,
-        /// Emergency error code.
+        /// Emergency error code (ETG.1000.6).
         code: u16,
     },
     /// No link: nothing can be sent and nothing arrives.
     LinkDown,
     /// The reference clock jumps, once.
     ClockStep {
-        /// By this much.
+        /// Step \[ns\].
         by_ns: i64,
     },
 }
 
-/// Switches that may wait for the next frame. Of a segment that gets no frame, further ones are dropped.
+/// Queue of switches for the next frame. Without frames further ones are dropped.
 const SWITCHES_MAX: usize = 1024;
 
 /// Switches faults of a running segment, from any thread.
@@ -118,23 +115,23 @@ const SWITCHES_MAX: usize = 1024;
 pub struct FaultHandle(SyncSender<FaultSwitch>);
 
 impl FaultHandle {
-    /// From the next frame on.
+    /// Begins a fault with the next frame.
     pub fn begin(&self, fault: Fault) {
         let _ = self.0.try_send(FaultSwitch { fault, on: true });
     }
 
-    /// From the next frame on no more. What happens only once cannot be ended.
+    /// Ends a fault with the next frame. Has no effect on faults that happen once.
     pub fn end(&self, fault: Fault) {
         let _ = self.0.try_send(FaultSwitch { fault, on: false });
     }
 }
 
-/// A simulated segment and what is wrong with it.
+/// A simulated segment with faults.
 pub struct FaultySegment {
     segment: SimulatedSegment,
     random: StdRng,
     switches: Receiver<FaultSwitch>,
-    /// What is still to be switched, by time since the first frame; the next one last.
+    /// Scheduled switches, by time since the first frame; the next one last.
     schedule: Vec<(i64, FaultSwitch)>,
     first_frame_ns: Option<i64>,
     active: Vec<Fault>,
@@ -142,9 +139,9 @@ pub struct FaultySegment {
     replies: Replies,
 }
 
-/// What chance has in store for one frame.
+/// Faults drawn for one frame.
 #[derive(Default)]
-struct Fate {
+struct Drawn {
     lost: bool,
     corrupted: bool,
     duplicated: bool,
@@ -153,7 +150,7 @@ struct Fate {
 }
 
 impl FaultySegment {
-    /// A segment without faults, and the handle that brings them. The seed decides which frames are hit.
+    /// A segment without faults, and the handle that switches them. The seed decides which frames are hit.
     pub fn new(segment: SimulatedSegment, seed: u64) -> (Self, FaultHandle) {
         let (sender, switches) = sync_channel(SWITCHES_MAX);
         let faulty = Self {
@@ -169,7 +166,7 @@ impl FaultySegment {
         (faulty, FaultHandle(sender))
     }
 
-    /// Faults that come and go by themselves, by the time since the first frame.
+    /// Schedules faults by the time since the first frame.
     pub fn schedule(&mut self, windows: &[FaultWindow]) {
         for window in windows {
             self.schedule.push((window.from_ns, FaultSwitch { fault: window.fault, on: true }));
@@ -180,41 +177,41 @@ impl FaultySegment {
         self.schedule.sort_by_key(|&(at_ns, _)| std::cmp::Reverse(at_ns));
     }
 
-    /// Whether the cable is in: without it nothing can be sent.
+    /// Whether the cable is plugged in: without it nothing can be sent.
     pub fn has_link(&mut self, now_ns: i64) -> bool {
         self.switch(now_ns);
         !self.active.contains(&Fault::LinkDown)
     }
 
-    /// From sending a frame's first bit until its last bit is back.
+    /// From sending a frame's first bit until receiving its last.
     pub fn round_trip_ns(&self, frame_len: usize) -> i64 {
         self.segment.round_trip_ns(frame_len)
     }
 
-    /// A frame enters the coupler at `now_ns`; its replies leave it then, later, or not at all. `back_ns` is how long a
-    /// reply takes from the coupler to whoever takes it.
+    /// A frame enters the coupler at `now_ns`; its replies leave it then, later, or not at all. `back_ns` is the delay of a
+    /// reply from the coupler to the receiver.
     pub fn exchange(&mut self, now_ns: i64, back_ns: i64, frame: &[u8]) {
         if !self.has_link(now_ns) {
             return;
         }
-        let fate = self.draw();
+        let drawn = self.draw();
         let on_the_way_there = self.random.random_bool(0.5);
-        if fate.lost && on_the_way_there {
+        if drawn.lost && on_the_way_there {
             return;
         }
-        if fate.corrupted && on_the_way_there {
+        if drawn.corrupted && on_the_way_there {
             self.segment.count_invalid_frame();
             return;
         }
         let Some(length) = self.segment.exchange(now_ns, frame, &mut self.scratch[..]) else { return };
-        if fate.lost {
+        if drawn.lost {
             return;
         }
         let reply = &mut self.scratch[..length];
-        if fate.short_by > 0 {
-            frame_damage::shorten_working_counters(reply, fate.short_by);
+        if drawn.short_by > 0 {
+            frame_damage::shorten_working_counters(reply, drawn.short_by);
         }
-        let length = if fate.corrupted {
+        let length = if drawn.corrupted {
             match frame_damage::corrupt(reply, &mut self.random) {
                 Some(length) => length,
                 None => return,
@@ -222,42 +219,42 @@ impl FaultySegment {
         } else {
             length
         };
-        let due_ns = now_ns.saturating_add(back_ns).saturating_add(fate.late_ns);
-        let copies = if fate.duplicated { 2 } else { 1 };
+        let due_ns = now_ns.saturating_add(back_ns).saturating_add(drawn.late_ns);
+        let copies = if drawn.duplicated { 2 } else { 1 };
         for _ in 0..copies {
             self.replies.push(due_ns, &self.scratch[..length]);
         }
     }
 
-    /// When the next reply is there.
+    /// When the next reply arrives.
     pub fn next_reply_ns(&self) -> Option<i64> {
         self.replies.next_due_ns()
     }
 
-    /// Takes the next reply if it is there at `now_ns`; its length.
+    /// Takes the next reply if it has arrived at `now_ns`; returns its length.
     pub fn take_reply(&mut self, now_ns: i64, buffer: &mut [u8; FRAME_BYTES_MAX]) -> Option<usize> {
         self.replies.take(now_ns, buffer)
     }
 
-    fn draw(&mut self) -> Fate {
+    fn draw(&mut self) -> Drawn {
         let Self { active, random, segment, .. } = self;
-        let mut fate = Fate::default();
+        let mut drawn = Drawn::default();
         if active.is_empty() {
-            return fate;
+            return drawn;
         }
         let mut hit = |share: f64| random.random_bool(share.clamp(0.0, 1.0));
         for fault in active.iter() {
             match *fault {
-                Fault::FrameLost { share } => fate.lost |= hit(share),
-                Fault::FrameLate { share, by_ns } if hit(share) => fate.late_ns = by_ns.max(0),
-                Fault::FrameDuplicated { share } => fate.duplicated |= hit(share),
-                Fault::FrameCorrupted { share } => fate.corrupted |= hit(share),
-                Fault::WorkingCounterShort { share, by } if hit(share) => fate.short_by = by,
+                Fault::FrameLost { share } => drawn.lost |= hit(share),
+                Fault::FrameLate { share, by_ns } if hit(share) => drawn.late_ns = by_ns.max(0),
+                Fault::FrameDuplicated { share } => drawn.duplicated |= hit(share),
+                Fault::FrameCorrupted { share } => drawn.corrupted |= hit(share),
+                Fault::WorkingCounterShort { share, by } if hit(share) => drawn.short_by = by,
                 Fault::NoisyCable { position, share } if hit(share) => segment.disturb(position),
                 _ => {}
             }
         }
-        fate
+        drawn
     }
 
     fn switch(&mut self, now_ns: i64) {

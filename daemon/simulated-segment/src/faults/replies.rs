@@ -1,4 +1,4 @@
-//! Replies on their way back.
+//! Queue of replies.
 
 use crate::FRAME_BYTES_MAX;
 
@@ -11,7 +11,7 @@ struct OnTheWay {
     bytes: [u8; FRAME_BYTES_MAX],
 }
 
-/// Replies that have left the segment, taken by when they arrive; those of one moment in the order that they left.
+/// Replies that have left the segment, taken by time of arrival; simultaneous ones in the order of leaving.
 pub struct Replies {
     on_the_way: Vec<OnTheWay>,
 }
@@ -22,7 +22,7 @@ impl Replies {
         Self { on_the_way: Vec::with_capacity(REPLIES_MAX) }
     }
 
-    /// A reply that is more than the wire holds is lost.
+    /// Adds a reply; beyond the capacity of the wire it is lost.
     pub fn push(&mut self, due_ns: i64, reply: &[u8]) {
         if self.on_the_way.len() == REPLIES_MAX || reply.len() > FRAME_BYTES_MAX {
             return;

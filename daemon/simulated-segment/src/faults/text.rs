@@ -1,38 +1,38 @@
-//! Faults as a person types them: `lost:0.01`, `gone:3@10s-15s`, `safe-op:2,0x001a@5s`.
+//! Faults as text: `lost:0.01`, `gone:3@10s-15s`, `safe-op:2,0x001a@5s`.
 
 use std::str::FromStr;
 use std::time::Duration;
 
 use super::Fault;
 
-/// A fault and when it is there, counted from the first frame.
+/// A fault and its interval, counted from the first frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FaultWindow {
-    /// What.
+    /// The fault to inject.
     pub fault: Fault,
-    /// Begins \[ns\].
+    /// Begin \[ns\].
     pub from_ns: i64,
-    /// Ends \[ns\]; none: stays.
+    /// End \[ns\]; `None`: permanent.
     pub until_ns: Option<i64>,
 }
 
 /// A fault that begins or ends now, as in `on gone:3` and `off gone:3`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FaultSwitch {
-    /// What.
+    /// The fault to switch.
     pub fault: Fault,
-    /// It begins; otherwise it ends.
+    /// Whether it begins; otherwise it ends.
     pub on: bool,
 }
 
-/// Why a text is no fault.
+/// An invalid text of a fault.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "`{0}` is no fault; write one of lost:SHARE, late:SHARE,TIME, duplicated:SHARE, corrupted:SHARE, \
+    "`{0}` is not a fault; write one of lost:SHARE, late:SHARE,TIME, duplicated:SHARE, corrupted:SHARE, \
      short:SHARE,BY, noise:POSITION,SHARE, gone:POSITION, safe-op:POSITION,CODE, \
      no-signal:POSITION, too-fast:POSITION, abort:POSITION,CODE, silent:POSITION, \
-     emergency:POSITION,CODE, link-down, clock-step:TIME, each with @FROM-UNTIL or @FROM behind it if it is not \
-     always there, such as gone:3@10s-15s, or `on` or `off` before it to switch it now"
+     emergency:POSITION,CODE, link-down, clock-step:TIME, each followed by @FROM-UNTIL or @FROM if it is not \
+     permanent, such as gone:3@10s-15s, or preceded by `on` or `off` to switch it now"
 )]
 pub struct FaultText(String);
 
@@ -54,7 +54,7 @@ impl FromStr for FaultSwitch {
             ("off", fault) => (false, fault),
             _ => return Err(unknown()),
         };
-        // Whoever switches by hand says the times by when.
+        // A switch takes effect now, so it has no times.
         let window = window(fault.trim()).filter(|window| (window.from_ns, window.until_ns) == (0, None));
         Ok(Self { fault: window.ok_or_else(unknown)?.fault, on })
     }
@@ -131,7 +131,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn faults_read_as_they_are_written() {
+    fn faults_parse_from_their_text() {
         let always = |fault| Ok(FaultWindow { fault, from_ns: 0, until_ns: None });
         assert_eq!("lost:0.25".parse(), always(Fault::FrameLost { share: 0.25 }));
         assert_eq!("late:1,15ms".parse(), always(Fault::FrameLate { share: 1.0, by_ns: 15_000_000 }));
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_fault_is_refused_with_the_list_of_those_there_are() {
+    fn an_invalid_fault_is_refused_with_the_list_of_valid_ones() {
         for text in
             ["", "lost", "lost:2", "lost:NaN", "gone:-1", "gone:1@5s-5s", "link-down:1", "safe-op:1,0x10000"]
         {

@@ -1,4 +1,4 @@
-//! A person who stops the motion and turns one joint at a time.
+//! Simulates a person who stops the motion and turns one joint at a time.
 
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -6,32 +6,32 @@ use std::sync::atomic::{AtomicI64, Ordering};
 
 use super::{Conversion, EncoderSource, Periods, Signal, SmoothMotion};
 
-/// A slow hand: the interpolation keeps its full resolution (below 750 Hz at 3600 lines and 12 bits).
+/// Slow enough for the full resolution of the interpolation (below 750 Hz at 3600 lines and 12 bits).
 const SPEED_RAD_PER_S: f64 = 1.2;
 const LET_GO: i64 = 0;
 const HOLD: i64 = i64::MAX;
 
-/// Tells the person what to do, from any thread.
+/// Controls the simulated person, from any thread.
 #[derive(Debug, Clone, Default)]
 pub struct Hand(Arc<AtomicI64>);
 
 impl Hand {
-    /// Hold all joints still.
+    /// Stops the motion and holds all joints.
     pub fn hold(&self) {
         self.0.store(HOLD, Ordering::Release);
     }
 
-    /// Turn the encoder on this channel so that its counts rise, and hold the others.
+    /// Turns the encoder on this channel with increasing counts, and holds the others.
     pub fn turn(&self, channel: usize) {
         self.0.store(channel as i64 + 1, Ordering::Release);
     }
 
-    /// Turn it the other way.
+    /// Turns it in the other direction.
     pub fn turn_back(&self, channel: usize) {
         self.0.store(-(channel as i64 + 1), Ordering::Release);
     }
 
-    /// Let the motion go on from where the joints are.
+    /// Continues the motion from the current joint angles.
     pub fn let_go(&self) {
         self.0.store(LET_GO, Ordering::Release);
     }
@@ -43,19 +43,19 @@ impl Hand {
 
 #[derive(Debug, Clone, Copy, Default)]
 struct Joint {
-    /// How far it was turned by hand.
+    /// Angle by which it was turned by hand.
     by_hand: Periods,
     last: Option<(i64, Periods)>,
 }
 
-/// A [`SmoothMotion`] with a [`Hand`] that can stop it and turn its joints. While nobody does, it is that motion.
+/// A [`SmoothMotion`] with a [`Hand`] that can stop it and turn its joints. Without the hand it is that motion.
 #[derive(Debug, Clone)]
 pub struct HandTurned {
     motion: SmoothMotion,
     hand: Hand,
     joints: Vec<Joint>,
-    /// How long the motion stood still before now \[ns\].
-    stood_ns: i64,
+    /// Total time for which the motion was stopped \[ns\].
+    stopped_ns: i64,
     held_since_ns: Option<i64>,
 }
 
@@ -64,19 +64,19 @@ impl HandTurned {
     pub fn new(motion: SmoothMotion) -> (Self, Hand) {
         let hand = Hand::default();
         let joints = vec![Joint::default(); motion.joints()];
-        (Self { motion, hand: hand.clone(), joints, stood_ns: 0, held_since_ns: None }, hand)
+        (Self { motion, hand: hand.clone(), joints, stopped_ns: 0, held_since_ns: None }, hand)
     }
 
-    /// The time that the motion has reached.
+    /// The time of the motion.
     fn motion_ns(&mut self, true_time_ns: i64, is_held: bool) -> i64 {
         if is_held {
             let since_ns = *self.held_since_ns.get_or_insert(true_time_ns);
-            return since_ns - self.stood_ns;
+            return since_ns - self.stopped_ns;
         }
         if let Some(since_ns) = self.held_since_ns.take() {
-            self.stood_ns += true_time_ns - since_ns;
+            self.stopped_ns += true_time_ns - since_ns;
         }
-        true_time_ns - self.stood_ns
+        true_time_ns - self.stopped_ns
     }
 }
 
@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn one_joint_turns_the_others_stand_and_the_motion_goes_on_from_there() {
+    fn one_joint_turns_the_others_are_held_and_the_motion_continues_from_there() {
         let (mut turned, hand) = HandTurned::new(SmoothMotion::new(2, 3600, 3));
         let start = [position(&mut turned, 0, 0), position(&mut turned, 1, 0)];
         hand.turn_back(1);
@@ -143,8 +143,8 @@ mod tests {
         let moved = (after[1].0 - held[1].0) as f64 / Periods::ONE as f64;
         assert!((moved + 1.2 * 3600.0 / TAU).abs() < 1e-3, "{moved} periods in a second");
         hand.let_go();
-        let goes_on = position(&mut turned, 0, 2001);
-        // One second of standing still at least; the motion itself moves less than 230 periods a second.
-        assert!((goes_on.0 - start[0].0).abs() < 230 * Periods::ONE, "no jump");
+        let continued = position(&mut turned, 0, 2001);
+        // At least one second without motion; the motion itself moves less than 230 periods a second.
+        assert!((continued.0 - start[0].0).abs() < 230 * Periods::ONE, "no jump");
     }
 }

@@ -1,4 +1,4 @@
-//! Where encoder signals come from: a built-in motion, or a recording.
+//! Sources of encoder signals: a built-in motion, or a recording.
 
 mod hand_turned;
 mod reference_mark;
@@ -9,12 +9,12 @@ pub use hand_turned::{Hand, HandTurned};
 pub use replay::{Replay, ReplayError, ReplayHandle};
 pub use smooth::SmoothMotion;
 
-/// The moment at which a terminal takes its sample.
+/// The time at which a terminal samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Conversion {
     /// The simulation's absolute time.
     pub true_time_ns: i64,
-    /// Nominal time of the SYNC0 pulse on the system time of the bus; none where the terminal follows frames.
+    /// Nominal time of the SYNC0 pulse on the system time of the bus; `None` if the terminal follows frames.
     pub system_time_ns: Option<i64>,
 }
 
@@ -23,7 +23,7 @@ pub struct Conversion {
 pub struct Periods(pub i64);
 
 impl Periods {
-    /// One signal period.
+    /// One signal period as fixed point number.
     pub const ONE: i64 = 1 << 32;
 
     /// Nearest fixed point number.
@@ -32,31 +32,31 @@ impl Periods {
     }
 }
 
-/// What an encoder puts on a terminal's inputs.
+/// Signal at a terminal's inputs.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Signal {
-    /// A turning encoder.
+    /// Signal of a turning encoder.
     Turning {
-        /// Position.
+        /// Angle of the encoder in signal periods.
         position: Periods,
         /// Speed, signal periods per second.
         periods_per_s: f64,
         /// Signal amplitude as a fraction of 1 Vpp.
         amplitude: f64,
-        /// Where the reference mark lies, if it was passed since the last conversion.
+        /// Position of the reference mark, if it was passed since the last conversion.
         reference_mark: Option<Periods>,
-        /// Whether the encoder stands on the reference mark.
+        /// Whether the encoder is at the reference mark.
         on_reference_mark: bool,
     },
-    /// A recorded counter value; the terminal passes it through bit for bit, whatever its settings.
+    /// A recorded counter value, which the terminal passes on unchanged, independent of its settings.
     Recorded {
-        /// What the terminal shall show.
+        /// Counter value of the terminal.
         count: u32,
     },
 }
 
 impl Signal {
-    /// Nothing is plugged into the terminal.
+    /// The terminal is not connected.
     pub const NOT_CONNECTED: Self = Self::Turning {
         position: Periods(0),
         periods_per_s: 0.0,
@@ -66,9 +66,9 @@ impl Signal {
     };
 }
 
-/// Gives the encoder signals to the terminals.
+/// Provides the encoder signals for the terminals.
 pub trait EncoderSource: Send {
-    /// Signal at a conversion on terminal `channel`, counted from the coupler, from 0. Conversions of a channel
-    /// come in the order of time.
+    /// Signal at a conversion on terminal `channel`, counted from the coupler, from 0. Conversions of a channel are in
+    /// ascending order of time.
     fn signal(&mut self, channel: usize, at: Conversion) -> Signal;
 }

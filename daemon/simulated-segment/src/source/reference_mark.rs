@@ -2,12 +2,12 @@
 
 use super::Periods;
 
-/// Where the marks of one encoder lie.
+/// Positions of the marks of one encoder.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ReferenceMark {
-    /// One of its places.
+    /// Position of one mark.
     pub at: Periods,
-    /// From one to the next.
+    /// Distance to the next mark.
     revolution: i64,
 }
 
@@ -20,12 +20,12 @@ impl ReferenceMark {
     /// The mark between two positions less than a revolution apart.
     pub fn between(&self, from: Periods, to: Periods) -> Option<Periods> {
         let turn = |at: Periods| at.0.wrapping_sub(self.at.0).div_euclid(self.revolution);
-        // Between two turns lies the mark at the start of the upper one.
+        // Between two turns is the mark at the start of the upper one.
         let upper = turn(from).max(turn(to));
         (turn(from) != turn(to)).then(|| Periods(self.at.0.wrapping_add(upper.wrapping_mul(self.revolution))))
     }
 
-    /// Whether the encoder stands on a mark.
+    /// Whether the encoder is at a mark.
     pub fn is_at(&self, position: Periods) -> bool {
         let from_mark = position.0.wrapping_sub(self.at.0).rem_euclid(self.revolution);
         let half = Periods::ONE / 2;

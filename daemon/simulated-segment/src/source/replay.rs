@@ -1,4 +1,4 @@
-//! Plays recorded counts back, one row a bus cycle.
+//! Plays recorded counts back, one row per bus cycle.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, AtomicUsize, Ordering};
@@ -8,7 +8,7 @@ use super::{Conversion, EncoderSource, Signal};
 /// Why a table of counts cannot be replayed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum ReplayError {
-    /// No channel, no row, or a torn last row.
+    /// No channel, no row, or an incomplete last row.
     #[error(
         "a replay needs whole rows of counts: {counts} counts do not make rows of {channels} channels; \
          check that the recording has samples of every encoder"
@@ -19,34 +19,33 @@ pub enum ReplayError {
         /// Counts in a row.
         channels: usize,
     },
-    /// Rows must be apart.
+    /// The period must be positive.
     #[error("a replay needs a positive cycle time, not {0} ns; check the recording's cycle time")]
     Period(i64),
 }
 
-/// Start time while there is none.
+/// Start time before the start.
 const NOT_STARTED: i64 = i64::MAX;
 
 #[derive(Debug)]
 struct Shared {
     start_ns: AtomicI64,
-    /// Per channel, how many rows lie behind: the last row that was played, plus one.
+    /// Number of rows that each channel has played.
     played: Vec<AtomicUsize>,
     rows: usize,
 }
 
 /// Recorded counts as an encoder source.
 ///
-/// The row is chosen by the nominal SYNC0 time, so each cycle plays exactly one row whatever the clocks of the
-/// devices do. Where the clock of the bus was set anew during the replay, pulses of the same nominal time come earlier or
-/// later than before by the simulation's clock: the encoders then stand between two rows. Terminals that follow frames show
-/// the nearest row by true time.
+/// The row is selected by the nominal SYNC0 time, so each cycle plays exactly one row independent of the devices' clocks.
+/// If the clock of the bus is set again during the replay, the true time of pulses changes against their nominal time:
+/// counts are then interpolated between two rows. Terminals that follow frames use the nearest row by true time.
 #[derive(Debug)]
 pub struct Replay {
     counts: Vec<u32>,
     channels: usize,
     period_ns: i64,
-    /// Per channel, how pulses lie in true time.
+    /// True time of pulses, for each channel.
     pulses: Vec<Pulses>,
     shared: Arc<Shared>,
 }
@@ -54,14 +53,14 @@ pub struct Replay {
 /// True time of pulses against their nominal one.
 #[derive(Debug, Clone, Copy, Default)]
 struct Pulses {
-    /// True less nominal time of the last one \[ns\].
+    /// True minus nominal time of the last one \[ns\].
     apart_ns: Option<i64>,
-    /// By how much pulses come later since the clock of the bus was set \[ns\].
+    /// Delay of pulses since the clock of the bus was set \[ns\].
     later_ns: i64,
 }
 
 impl Pulses {
-    /// Clocks drift by less than this between two pulses, and are set by more \[ns\].
+    /// Clocks drift by less than this between two pulses; a larger change means that the clock was set \[ns\].
     const SET_NS: i64 = 20_000;
 
     /// Takes the next pulse into account.
@@ -74,16 +73,16 @@ impl Pulses {
     }
 }
 
-/// Starts a replay and asks how far it is, from wherever the bus is run.
+/// Starts a replay and reads its progress, from any thread.
 #[derive(Debug, Clone)]
 pub struct ReplayHandle(Arc<Shared>);
 
 impl Replay {
-    /// Plays `counts`, rows of `channels` counts each, one row every `period_ns`. Shows the first row until it is
-    /// started through the handle.
+    /// Plays `counts`, rows of `channels` counts each, one row every `period_ns`. Shows the first row until it is started
+    /// through the handle.
     ///
     /// # Errors
-    /// If the counts do not make at least one row and whole rows, or the period is not positive.
+    /// If the counts are not at least one complete row, or the period is not positive.
     pub fn new(
         counts: Vec<u32>,
         channels: usize,
@@ -105,7 +104,7 @@ impl Replay {
         Ok((Self { counts, channels, period_ns, pulses, shared }, handle))
     }
 
-    /// Row at a moment; none while the replay is not under way.
+    /// Row at a conversion; `None` before the start of the replay.
     fn row(&self, at: Conversion) -> Option<usize> {
         let start_ns = self.shared.start_ns.load(Ordering::Acquire);
         let now_ns = at.system_time_ns.unwrap_or(at.true_time_ns);
@@ -117,8 +116,7 @@ impl Replay {
         Some(row.min(self.shared.rows - 1))
     }
 
-    /// Count of a channel that much later than a row, on the straight line between the rows around. A terminal beyond the
-    /// recorded ones shows nothing.
+    /// Count of a channel at this time after a row, linearly interpolated. A terminal beyond the recorded ones counts 0.
     fn count(&self, channel: usize, row: usize, later_ns: i64) -> u32 {
         let recorded = |row: usize| {
             let in_row = self.counts.get(row * self.channels..)?.get(..self.channels)?;
@@ -129,7 +127,7 @@ impl Replay {
         let row = if later_ns < 0 { row.saturating_sub(rows_later) } else { row.saturating_add(rows_later) };
         let Some(here) = recorded(row.min(self.shared.rows - 1)) else { return 0 };
         let Some(there) = recorded(row.saturating_add(1)) else { return here };
-        // Counters wrap: the difference is the signed one.
+        // Counters wrap: the difference is signed.
         let step = f64::from(there.wrapping_sub(here) as i32);
         let part = later_ns.rem_euclid(self.period_ns) as f64 / self.period_ns as f64;
         here.wrapping_add((step * part).round() as i64 as u32)
@@ -155,8 +153,8 @@ impl EncoderSource for Replay {
 }
 
 impl ReplayHandle {
-    /// The conversion nearest to this moment plays the first row. On a bus with distributed clocks the time is
-    /// the system time of the bus, best that of a SYNC0 pulse to come; without, it is the simulation's time.
+    /// The conversion nearest to this time plays the first row. On a bus with distributed clocks it is the system time of
+    /// the bus, preferably that of a future SYNC0 pulse; otherwise it is the simulation's time.
     pub fn start_at(&self, time_ns: i64) {
         for played in &self.0.played {
             played.store(0, Ordering::Release);
@@ -164,12 +162,12 @@ impl ReplayHandle {
         self.0.start_ns.store(time_ns, Ordering::Release);
     }
 
-    /// Rows in the recording.
+    /// Number of rows in the recording.
     pub fn rows(&self) -> usize {
         self.0.rows
     }
 
-    /// Rows that every terminal has behind it.
+    /// Number of rows that every terminal has played.
     pub fn rows_played(&self) -> usize {
         self.0.played.iter().map(|played| played.load(Ordering::Acquire)).min().unwrap_or(0)
     }

@@ -1,4 +1,4 @@
-//! A motion that needs no recording: every joint swings slowly, as a sum of sines.
+//! A motion without a recording: every joint swings slowly, as a sum of sines.
 
 use std::f64::consts::TAU;
 
@@ -7,17 +7,17 @@ use rand::{Rng, SeedableRng, rngs::StdRng};
 use super::reference_mark::ReferenceMark;
 use super::{Conversion, EncoderSource, Periods, Signal};
 
-/// Sines of each joint.
+/// Number of sines of each joint.
 const SINES: usize = 3;
-/// Largest sum of their amplitudes, 60 degrees.
+/// Largest sum of their amplitudes: 60 degrees.
 const ANGLE_MAX_RAD: f64 = std::f64::consts::FRAC_PI_3;
 /// Largest sum of their speeds.
 const SPEED_MAX_RAD_PER_S: f64 = 0.4;
-/// Fastest and slowest sine \[ns\].
+/// Range of their periods \[ns\].
 const PERIOD_NS: std::ops::Range<i64> = 11_000_000_000..37_000_000_000;
 /// Encoders with more lines do not exist.
 const LINES_MAX: u32 = 1 << 20;
-/// Terminals count from where they were switched on.
+/// Terminals count from their power-up.
 const START_PERIODS_MAX: i64 = 10_000;
 
 #[derive(Debug, Clone, Copy)]
@@ -32,7 +32,7 @@ impl Sine {
         TAU / (self.period_ns as f64 * 1e-9)
     }
 
-    /// The whole periods are taken off in integers: exact, however large the time.
+    /// Whole periods are removed in integers: exact for any time.
     fn argument_rad(&self, true_time_ns: i64) -> f64 {
         TAU * true_time_ns.rem_euclid(self.period_ns) as f64 / self.period_ns as f64 + self.phase_rad
     }
@@ -54,7 +54,7 @@ pub struct SmoothMotion {
 }
 
 impl SmoothMotion {
-    /// Joints with encoders of `lines` signal periods a revolution; the seed decides how they swing.
+    /// Joints with encoders of `lines` signal periods per revolution; the seed determines their motion.
     pub fn new(joints: usize, lines: u32, seed: u64) -> Self {
         let mut random = StdRng::seed_from_u64(seed);
         let lines = lines.clamp(1, LINES_MAX);
@@ -62,7 +62,7 @@ impl SmoothMotion {
         Self { lines, joints }
     }
 
-    /// Angle of a joint \[rad\]; its encoder shows `lines / 2 pi` signal periods a radian on top of
+    /// Angle of a joint \[rad\]; its encoder has `lines / 2 pi` signal periods per radian in addition to
     /// [`start_periods`](Self::start_periods).
     pub fn angle_rad(&self, joint: usize, true_time_ns: i64) -> f64 {
         self.joints.get(joint).map_or(0.0, |joint| joint.angle_rad(true_time_ns))
@@ -73,7 +73,7 @@ impl SmoothMotion {
         self.joints.get(joint).map_or(Periods(0), |joint| joint.position(self.lines, true_time_ns))
     }
 
-    /// A place of the reference mark on a joint's encoder; there is one each revolution.
+    /// Position of the reference mark on a joint's encoder; there is one per revolution.
     pub fn reference_mark(&self, joint: usize) -> Option<Periods> {
         self.mark(joint).map(|mark| mark.at)
     }
@@ -94,7 +94,7 @@ impl SmoothMotion {
         self.lines
     }
 
-    /// What a joint's encoder shows at angle zero.
+    /// Position of a joint's encoder at angle zero.
     pub fn start_periods(&self, joint: usize) -> Periods {
         self.joints.get(joint).map_or(Periods(0), |joint| joint.start)
     }

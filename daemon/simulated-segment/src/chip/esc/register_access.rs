@@ -3,7 +3,7 @@
 use super::{Esc, reg};
 
 impl Esc {
-    /// Brings the registers in a range up to date before a master reads them.
+    /// Updates the registers in a range before a master reads them.
     pub(super) fn refresh(&mut self, address: u16, len: usize, now_ns: i64) {
         if address >= reg::PROCESS_MEMORY {
             return;
@@ -39,7 +39,7 @@ impl Esc {
         self.put(reg::DC_DIFFERENCE, &self.clock.difference().to_le_bytes());
     }
 
-    /// Lets a write to registers take effect.
+    /// Applies a write to registers.
     pub(super) fn apply(&mut self, address: u16, data: &[u8], now_ns: i64) {
         let touches = |register, size| reg::touches(address, data.len(), register, size);
         if touches(reg::AL_CONTROL, 1) {
@@ -67,7 +67,7 @@ impl Esc {
         }
     }
 
-    /// The interface keeps what it shows; only what the master wrote differs from it.
+    /// Registers that the master did not write keep their values.
     fn apply_sii(&mut self, address: u16, data: &[u8], now_ns: i64) {
         let mut registers = self.sii.registers(now_ns);
         registers[2..4].fill(0);

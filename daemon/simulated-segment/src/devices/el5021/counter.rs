@@ -1,5 +1,5 @@
-//! The counter of the EL5021: period counting and interpolation, latch, reset, set, and what goes wrong at
-//! speed. Behaviour and limits as the terminal's documentation states them.
+//! The counter of the EL5021: period counting and interpolation, latch, reset, set, and errors at high speed. Behaviour
+//! and limits according to the terminal's documentation.
 
 use super::mapping::{Inputs, Outputs};
 use crate::source::{Periods, Signal};
@@ -8,14 +8,13 @@ use crate::source::{Periods, Signal};
 pub const BITS: std::ops::RangeInclusive<u8> = 8..=13;
 /// Highest input frequency for each of [`BITS`] \[Hz\].
 const FREQUENCY_MAX_HZ: [f64; 6] = [250e3, 250e3, 250e3, 170e3, 80e3, 40e3];
-/// From this frequency on resolution falls, for each of [`BITS`] \[Hz\].
+/// Frequency above which the resolution decreases, for each of [`BITS`] \[Hz\].
 const REDUCTION_START_HZ: [f64; 6] = [9000.0, 4500.0, 2500.0, 1500.0, 750.0, 650.0];
-/// Bits that remain at the highest frequency.
+/// Frequency above which the resolution decreases, for each of [`BITS`] \[Hz\].
 const REMAINING_BITS: u8 = 6;
 /// The threshold of the amplitude error is not published.
 const AMPLITUDE_MIN: f64 = 0.5;
 
-/// What can be set by SDO.
 #[derive(Debug, Clone, Copy)]
 pub struct Settings {
     /// 0x8000:01, counter to zero on C.
@@ -62,8 +61,8 @@ impl Settings {
         table[usize::from(self.bits.clamp(*BITS.start(), *BITS.end()) - BITS.start())]
     }
 
-    /// Bits that stand still at a frequency: the first one where reduction starts, one more with each octave.
-    fn frozen_bits(&self, frequency_hz: f64) -> u8 {
+    /// Number of constant bits at a frequency: one where reduction starts, and one more per octave.
+    fn constant_bits(&self, frequency_hz: f64) -> u8 {
         let start_hz = self.of(REDUCTION_START_HZ);
         if frequency_hz < start_hz {
             return 0;
@@ -72,7 +71,7 @@ impl Settings {
         (octaves + 1).min(self.bits - REMAINING_BITS)
     }
 
-    /// Counter value of a position: whole periods above, interpolated fraction below.
+    /// Counter value of a position: whole periods in the upper bits, interpolated fraction in the lower ones.
     fn count(&self, position: Periods) -> u32 {
         (position.0 as u64 >> (32 - self.bits)) as u32
     }
@@ -85,9 +84,9 @@ impl Settings {
 /// State of the counter.
 #[derive(Debug, Default)]
 pub struct Counter {
-    /// Added to the encoder's position; in periods, so that it keeps its meaning when the bits change.
+    /// Added to the encoder's position; in periods, so that it remains valid when the bits change.
     offset: Periods,
-    /// Counts begin at the period in which the first conversion finds the encoder.
+    /// Counts start at the period of the first conversion.
     begins_at_zero: bool,
     latch_armed: bool,
     latch_was_enabled: bool,
@@ -95,12 +94,11 @@ pub struct Counter {
 }
 
 impl Counter {
-    /// A counter that has forgotten how many periods went by.
+    /// A counter that has lost the number of periods.
     pub fn after_power_cycle() -> Self {
         Self { begins_at_zero: true, ..Self::default() }
     }
 
-    /// One conversion.
     pub fn convert(&mut self, signal: Signal, settings: &Settings, outputs: &Outputs, inputs: &mut Inputs) {
         match signal {
             Signal::Recorded { count } => inputs.counter = count,
@@ -108,7 +106,7 @@ impl Counter {
                 let frequency_hz = periods_per_s.abs();
                 let directed = directed(position, settings);
                 if std::mem::take(&mut self.begins_at_zero) {
-                    // The fraction of a period is in the signal; whole periods are not.
+                    // The signal contains the fraction of a period, but not the whole periods.
                     self.offset = Periods(directed.0.div_euclid(Periods::ONE).wrapping_mul(-Periods::ONE));
                 }
                 self.serve_set(directed, settings, outputs, inputs);
@@ -117,9 +115,9 @@ impl Counter {
                 inputs.frequency_error =
                     settings.frequency_error && frequency_hz > settings.of(FREQUENCY_MAX_HZ);
                 inputs.amplitude_error = settings.amplitude_error && amplitude < AMPLITUDE_MIN;
-                let frozen = (1 << settings.frozen_bits(frequency_hz)) - 1;
+                let constant = (1 << settings.constant_bits(frequency_hz)) - 1;
                 let count = settings.count(self.shifted(directed));
-                inputs.counter = (count & !frozen) | (inputs.counter & frozen);
+                inputs.counter = (count & !constant) | (inputs.counter & constant);
             }
         }
     }
@@ -128,12 +126,12 @@ impl Counter {
         Periods(position.0.wrapping_add(self.offset.0))
     }
 
-    /// Offset with which `position` shows `count`.
+    /// Sets the offset with which `position` has this count.
     fn set(&mut self, position: Periods, count: u32, settings: &Settings) {
         self.offset = Periods(settings.position(count).0.wrapping_sub(position.0));
     }
 
-    /// Copies the value on the rising request; done falls with the request.
+    /// Copies the value on the rising edge of the request; `set_done` follows the request.
     fn serve_set(&mut self, position: Periods, settings: &Settings, outputs: &Outputs, inputs: &mut Inputs) {
         if outputs.set_counter && !self.set_was_requested {
             self.set(position, outputs.set_value, settings);
@@ -142,7 +140,7 @@ impl Counter {
         inputs.set_done = outputs.set_counter;
     }
 
-    /// Stores the position at C once after arming; sets the counter to zero there if that is chosen.
+    /// Stores the position at C once after arming; also sets the counter to zero there if that is enabled.
     fn serve_latch(
         &mut self,
         mark: Option<Periods>,
@@ -208,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn whole_periods_stand_above_the_interpolated_fraction() {
+    fn whole_periods_are_above_the_interpolated_fraction() {
         for bits in BITS {
             let mut terminal = Terminal::with_bits(bits);
             assert_eq!(terminal.convert(at(5.75, 0.0, None)), (5 << bits) + 3 * (1 << bits) / 4);
@@ -225,14 +223,14 @@ mod tests {
     #[test]
     fn resolution_is_full_below_750_hz_and_6_bits_at_80_khz() {
         let settings = Settings { bits: 12, ..Settings::default() };
-        let frozen = [(0.0, 0), (749.0, 0), (751.0, 1), (1499.0, 1), (1501.0, 2), (80e3, 6)];
-        for (frequency_hz, bits) in frozen {
-            assert_eq!(settings.frozen_bits(frequency_hz), bits, "{frequency_hz} Hz");
+        let constant = [(0.0, 0), (749.0, 0), (751.0, 1), (1499.0, 1), (1501.0, 2), (80e3, 6)];
+        for (frequency_hz, bits) in constant {
+            assert_eq!(settings.constant_bits(frequency_hz), bits, "{frequency_hz} Hz");
         }
     }
 
     #[test]
-    fn frozen_bits_keep_what_they_showed_and_no_status_bit_reports_it() {
+    fn constant_bits_keep_their_value_and_no_status_bit_reports_it() {
         let mut terminal = Terminal::with_bits(12);
         let slow = terminal.convert(at(1.0 + 5.0 / 4096.0, 100.0, None));
         let fast = terminal.convert(at(2.0 + 2.0 / 4096.0, 4000.0, None));
@@ -304,7 +302,7 @@ mod tests {
     }
 
     #[test]
-    fn a_recorded_count_passes_whatever_is_set() {
+    fn a_recorded_count_is_independent_of_the_settings() {
         let mut terminal = Terminal::with_bits(8);
         terminal.settings.reversed = true;
         terminal.outputs.set_counter = true;

@@ -1,4 +1,4 @@
-//! Process data of the EL5021: which bit is which object.
+//! Process data of the EL5021: bits and their objects.
 
 use super::Revision;
 use crate::chip::eeprom::PdoEntry;
@@ -11,7 +11,7 @@ pub const TX_PDO: u16 = 0x1a00;
 const LATCH_C: u8 = 0x01;
 const SET_COUNTER: u8 = 0x04;
 
-/// What the master asks for.
+/// Requests of the master.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Outputs {
     /// Arm the latch on C.
@@ -23,7 +23,7 @@ pub struct Outputs {
 }
 
 impl Outputs {
-    /// From six bytes; what is missing is zero.
+    /// From six bytes; missing ones are zero.
     pub fn decode(bytes: &[u8]) -> Self {
         let control = bytes.first().copied().unwrap_or(0);
         let value = bytes.get(2..).and_then(|rest| rest.first_chunk()).copied().unwrap_or_default();
@@ -35,36 +35,33 @@ impl Outputs {
     }
 }
 
-/// What the terminal reports.
+/// State of the terminal.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Inputs {
-    /// `latch` holds the position at C.
+    /// `latch` is the position at C.
     pub latch_valid: bool,
     /// The counter was set.
     pub set_done: bool,
-    /// Input frequency too high.
+    /// The input frequency is too high.
     pub frequency_error: bool,
-    /// Signals too weak.
+    /// The signals are too weak.
     pub amplitude_error: bool,
     /// Level of input C.
     pub level_c: bool,
-    /// The last cycle came without frame.
+    /// The last cycle had no frame.
     pub sync_error: bool,
-    /// Flips with each conversion.
+    /// Inverted by each conversion.
     pub toggle: bool,
-    /// Counter.
     pub counter: u32,
-    /// Counter at C.
     pub latch: u32,
 }
 
 impl Inputs {
-    /// TxPDO state: any error.
+    /// TxPDO state: set on any error.
     pub fn invalid(&self) -> bool {
         self.frequency_error || self.amplitude_error
     }
 
-    /// Status word.
     pub fn status(&self) -> u16 {
         let bits = [
             (0, self.latch_valid),
@@ -101,7 +98,7 @@ pub const fn rx_entries() -> [PdoEntry; 5] {
     [entry(0x7000, 0x01, 1), gap(1), entry(0x7000, 0x03, 1), gap(13), entry(0x7000, 0x11, 32)]
 }
 
-/// Entries of the inputs. Up to revision 18 three status bits lie in communication objects.
+/// Entries of the inputs. Up to revision 18 three status bits are in communication objects.
 pub fn tx_entries(revision: Revision) -> [PdoEntry; 13] {
     let [sync_error, state, toggle] = if revision < Revision::R19 {
         [(0x1c32, 0x20), (0x1800, 0x07), (0x1800, 0x09)]

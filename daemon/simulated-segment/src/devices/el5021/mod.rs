@@ -26,34 +26,34 @@ const FMMU_USES: [u8; 3] = [1, 2, 3];
 
 const OUTPUTS_LEN: u16 = 6;
 const INPUTS_LEN: u16 = 10;
-/// Addresses and control bytes as other encoder terminals of this family have them.
+/// Addresses and control bytes of other encoder terminals in this family.
 const SYNC_MANAGERS: [ExpectedSyncManager; 4] = [
     ExpectedSyncManager { start: 0x1000, length: 128, control: 0x26 },
     ExpectedSyncManager { start: 0x1080, length: 128, control: 0x22 },
     ExpectedSyncManager { start: 0x1100, length: OUTPUTS_LEN, control: 0x24 },
     ExpectedSyncManager { start: 0x1180, length: INPUTS_LEN, control: 0x20 },
 ];
-/// Conversion, calculation and copy into the input buffer.
+/// Duration of conversion, calculation and copy into the input buffer.
 const DATA_READY_NS: i64 = 28_000;
 
-/// Above what any interpolation allows \[Hz\].
+/// Higher than any interpolation permits \[Hz\].
 const TOO_FAST_HZ: f64 = 400e3;
 
 /// Revisions of the terminal, as the device description file lists them.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Revision {
-    /// 0x00100000: status bits lie in other objects.
+    /// 0x00100000: status bits are in other objects.
     R16,
-    /// 0x00110000.
+    /// 0x00110000: like revision 16.
     R17,
-    /// 0x00120000.
+    /// 0x00120000: like revision 16.
     R18,
-    /// 0x00130000: status bits lie in object 0x6000.
+    /// 0x00130000: status bits are in object 0x6000.
     R19,
-    /// 0x00140000.
+    /// 0x00140000: like revision 19.
     #[default]
     R20,
-    /// 0x00150000.
+    /// 0x00150000: like revision 19.
     R21,
     /// 0x00160000: measures frequency too.
     R22,
@@ -89,7 +89,7 @@ struct Diagnosis {
     amplitude_errors: u16,
 }
 
-/// The terminal.
+/// The SinCos terminal.
 pub struct El5021 {
     channel: usize,
     revision: Revision,
@@ -175,7 +175,7 @@ impl Device for El5021 {
 
     fn step(&mut self, step: Step<'_>, source: &mut dyn EncoderSource) {
         self.diagnose(&step);
-        // In SAFE-OP outputs are safe: no request.
+        // In SAFE-OP outputs are safe, that is, without requests.
         self.outputs = match step.state {
             AlState::Op => mapping::Outputs::decode(step.outputs),
             _ => mapping::Outputs::default(),
@@ -186,7 +186,7 @@ impl Device for El5021 {
         self.counter.convert(signal, &self.settings, &self.outputs, &mut self.inputs);
         self.count_errors(before);
         self.inputs.sync_error = self.diagnosis.sync_error;
-        // Each event gave new data, also those that nobody looked at.
+        // Each event gave new data, also those that were not read.
         self.inputs.toggle ^= step.event.count % 2 == 1;
         self.inputs.encode(step.inputs);
     }
@@ -201,7 +201,7 @@ impl Device for El5021 {
 
     fn power_cycle(&mut self) {
         let counter = Counter::after_power_cycle();
-        // What is wrong with the cable does not depend on the power.
+        // A fault of the cable does not depend on the power.
         *self = Self { counter, signal_fault: self.signal_fault, ..Self::new(self.channel, self.revision) };
     }
 

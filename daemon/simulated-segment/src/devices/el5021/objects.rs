@@ -6,7 +6,7 @@ use crate::chip::SyncMode;
 use crate::chip::coe::{Abort, ObjectDictionary, ObjectList};
 use crate::chip::eeprom::PdoEntry;
 
-/// Module profile 511 in a CoE profile 5001 device, as the plug-in twin EJ5021 reports.
+/// Module profile 511 in a CoE profile 5001 device, as the plug-in version EJ5021 reports.
 const DEVICE_TYPE: u32 = 0x01ff_1389;
 const NAME: &str = "EL5021";
 const HARDWARE: &str = "02";
@@ -25,7 +25,7 @@ const OBJECTS_WITH_FREQUENCY: [u16; 22] = [
     0x1c13, 0x1c32, 0x1c33, 0x6000, 0x6001, 0x7000, 0x8000, 0x8001, 0xa000,
 ];
 
-/// An object's value on its way to the mailbox.
+/// The value of an object.
 enum Value {
     Bit(bool),
     U8(u8),
@@ -50,7 +50,7 @@ impl Value {
     }
 }
 
-/// The entries of a PDO as object dictionaries show them: object, subindex and bits in one word.
+/// The entries of a PDO in the object dictionary: object, subindex and bits in one word.
 fn mapped(entries: &[PdoEntry], subindex: u8) -> Result<Value, Abort> {
     match usize::from(subindex).checked_sub(1) {
         None => Ok(Value::U8(entries.len() as u8)),
@@ -159,7 +159,7 @@ impl El5021 {
         }
     }
 
-    /// 0x1800: where old revisions keep state and toggle of the inputs.
+    /// 0x1800: state and toggle of the inputs in old revisions.
     fn pdo_parameter(&self, subindex: u8) -> Result<Value, Abort> {
         match subindex {
             0 => Ok(Value::U8(9)),
@@ -250,7 +250,7 @@ impl ObjectDictionary for El5021 {
     }
 
     fn download(&mut self, index: u16, subindex: u8, bytes: &[u8]) -> Result<(), Abort> {
-        // What can be read says what length an object has.
+        // A readable object has a known length.
         let present = self.value(index, subindex)?;
         let mut value = [0; 4];
         if !matches!((index, subindex), (0x1011, 1) | (0x8000 | 0x8001, 1..)) {
