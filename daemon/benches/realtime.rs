@@ -1,8 +1,8 @@
-//! How well the cycle keeps its time on this machine, under a load made here: `cargo bench -p ballbard`.
+//! Timing of the cycle on this machine, under a load made here: `cargo bench -p ballbard`.
 //!
-//! Lateness beside `cyclictest` under the same load, alternately; error of sample times against the true sampling
+//! Lateness and, alternately under the same load, that of `cyclictest`; error of sample times against the true sampling
 //! instants of the simulated terminals; processor share and memory of the daemon; the highest rate without a lost
-//! cycle. Everything in one run and on one machine, so that ratios mean something when absolute figures do not.
+//! cycle. Everything in one run on one machine, so that ratios are meaningful when absolute figures are not.
 #![allow(clippy::unwrap_used, clippy::print_stderr, reason = "a benchmark")]
 
 #[path = "realtime/load.rs"]
@@ -17,12 +17,12 @@ mod support;
 use load::Load;
 use measure::{Bus, Distribution, cyclictest, run_cycles};
 
-/// Alternations of ours and cyclictest at each rate.
+/// Alternations of the cycle and cyclictest at each rate.
 const REPEATS: usize = 7;
 const PRIORITY: i32 = 80;
 
 fn main() {
-    // `cargo test --benches` runs this too: it measures nothing then.
+    // `cargo test --benches` runs this, too: it measures nothing then.
     if !std::env::args().any(|argument| argument == "--bench") {
         return;
     }
@@ -62,7 +62,7 @@ fn lateness(cores: usize, bus: &Bus) {
             if !theirs.is_empty() {
                 println!("{rate_hz:5} Hz {state:7} cyclictest  {}", theirs.row());
                 println!("{rate_hz:5} Hz {state:7} ratio       {}", ours.ratio_row(&theirs));
-                // The host may stop this machine for milliseconds: a median of repeats does not see it.
+                // The host may stop this machine for milliseconds: a median of repeats is not affected.
                 let [p50, p99] = ratios.map(Distribution::range);
                 println!(
                     "{rate_hz:5} Hz {state:7} ratio, least, median and most of the repeats: p50 {p50}, p99 {p99}"
@@ -96,7 +96,7 @@ fn time_stamps(cores: usize, veth: Option<&Bus>) {
     println!();
 }
 
-/// A cycle that is late by more than half a period comes after the next sample: so does a wake-up of cyclictest.
+/// A cycle that is late by more than half a period follows the next sample; for cyclictest a wake-up so late counts.
 fn highest_rate(cores: usize) {
     println!(
         "highest rate, 4 s each: cycles flagged (none is ever missing)   beside: cyclictest late by half a period"

@@ -1,9 +1,9 @@
-//! Who has an interface or a directory: one process at a time, and whoever comes second is told which and what it does.
+//! Exclusive claims of interfaces and directories: a second process is refused, with the holder and its activity.
 //!
 //! A claim is a listening socket in the kernel's abstract namespace. It needs no file that every user may write, ends
-//! with its process however that ends, and lets others ask the holder. It reaches as far as interface names do: the
-//! network namespace. It is advisory: a MainDevice of another make knows nothing of it. A lock on a file would need a
-//! directory that every user may write, and could not state what its holder does now.
+//! with its process however that ends, and lets others query the holder. It is valid in the network namespace, like
+//! interface names. It is advisory: other MainDevices do not check it. A lock file would need a directory that every user
+//! may write, and could not state the holder's activity.
 
 use std::fmt;
 use std::io::{self, ErrorKind, Read, Write};
@@ -19,17 +19,17 @@ use nix::sys::socket::{Shutdown, getsockopt, shutdown, sockopt::PeerCredentials}
 use nix::unistd::{Uid, User, geteuid};
 use shared::recording::Disk;
 
-/// How long a holder may take to say what it does.
+/// Time limit for a holder's answer.
 const ANSWER_TIMEOUT: Duration = Duration::from_millis(500);
-/// Longest answer that is listened to \[bytes\].
+/// Length limit of an answer \[bytes\].
 const ANSWER_BYTES_MAX: u64 = 300;
-/// A holder that ends while it is asked leaves the claim to who asked.
+/// Attempts, because a holder may end while it is queried.
 const ATTEMPTS: usize = 3;
 
 static DOING: Mutex<String> = Mutex::new(String::new());
 
-/// What others are told that this process does: "records run `x`".
-pub fn tell(doing: impl Into<String>) {
+/// Sets the activity of this process that others see, such as "records run `x`".
+pub fn set_activity(doing: impl Into<String>) {
     *DOING.lock().unwrap_or_else(PoisonError::into_inner) = doing.into();
 }
 
@@ -39,14 +39,13 @@ fn doing() -> String {
     format!("`ballbard {command}`, {}", if doing.is_empty() { "between runs" } else { &doing })
 }
 
-/// Who has what was claimed.
+/// The process that has claimed something.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Holder {
-    /// Process; none where it is in another container.
+    /// Process number; `None` if it is in another container.
     pub pid: Option<i32>,
-    /// Its user, if that is another one than this process has: every user of the machine can hold a name.
+    /// Its user, if it differs from that of this process: every user of the machine can claim a name.
     pub user: Option<String>,
-    /// What it says of itself.
     pub doing: String,
 }
 
@@ -63,7 +62,7 @@ impl fmt::Display for Holder {
     }
 }
 
-/// Holds something for this process until it is dropped.
+/// A claim of this process, until it is dropped.
 #[derive(Debug)]
 pub struct Claim {
     listener: Arc<UnixListener>,
@@ -71,12 +70,12 @@ pub struct Claim {
 }
 
 impl Claim {
-    /// Claims a network interface; none where the system has no such claims, which the log says.
+    /// Claims a network interface; `None`, with a line in the log, if the system does not support claims.
     pub fn interface(name: &str) -> Result<Option<Self>, Holder> {
         Self::take(&format!("ballbard/interface/{name}"))
     }
 
-    /// Claims a directory that is there, by whichever path.
+    /// Claims an existing directory, independent of the path to it.
     pub fn directory(disk: &dyn Disk, path: &Path) -> Result<Option<Self>, Holder> {
         match disk.id_at(path) {
             Ok(id) => Self::take(&format!("ballbard/directory/{id}")),
@@ -107,7 +106,7 @@ impl Claim {
         let asked = Arc::clone(&listener);
         let answer = move || {
             while let Ok((mut stream, _)) = asked.accept() {
-                // It fits into any socket's buffer; whoever asked may have gone.
+                // The answer fits into any socket's buffer; the client may have gone.
                 let _ = stream.write_all(doing().as_bytes());
             }
         };
@@ -118,7 +117,7 @@ impl Claim {
 
 impl Drop for Claim {
     fn drop(&mut self) {
-        // Wakes the thread that answers; the name is free when it has let go of the socket.
+        // Wakes the answering thread; the name is free when that has closed the socket.
         let _ = shutdown(self.listener.as_raw_fd(), Shutdown::Both);
         if let Some(answering) = self.answering.take() {
             let _ = answering.join();
@@ -127,7 +126,7 @@ impl Drop for Claim {
 }
 
 fn unclaimed(name: &str, error: &io::Error) -> Option<Claim> {
-    tracing::warn!("{name} cannot be claimed: {error}; take care that nobody else uses it");
+    tracing::warn!("{name} cannot be claimed: {error}; make sure that no other program uses it");
     None
 }
 
@@ -163,7 +162,7 @@ mod tests {
         std::fs::create_dir(&first).unwrap();
         let _claim = Claim::directory(&SystemDisk, &first).unwrap();
         std::fs::remove_dir(&first).unwrap();
-        // On most file systems it gets the same number.
+        // On most file systems the new directory gets the same number.
         std::fs::create_dir(&second).unwrap();
         assert!(Claim::directory(&SystemDisk, &second).unwrap().is_some());
     }
@@ -179,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn one_has_it_at_a_time_and_the_others_get_to_know_who() {
+    fn one_process_has_it_at_a_time_and_others_learn_which() {
         let directory = tempfile::tempdir().unwrap();
         let elsewhere = tempfile::tempdir().unwrap();
         let claim = Claim::directory(&SystemDisk, directory.path()).unwrap();

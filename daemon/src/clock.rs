@@ -9,24 +9,24 @@ use nix::sys::time::TimeSpec;
 use nix::time::{ClockId, ClockNanosleepFlags, clock_gettime, clock_nanosleep};
 use shared::time::{MonoNs, NS_PER_S, UtcNs};
 
-/// A monotonic clock, and what UTC it stands for.
+/// A monotonic clock and its offset to UTC.
 #[derive(Debug, Clone)]
 pub enum Clock {
     /// `CLOCK_MONOTONIC` and the host's UTC.
     Real,
-    /// Moves only when somebody sleeps on it or a frame crosses the simulated wire.
+    /// Moves only when a thread sleeps on it or a frame crosses the simulated wire.
     Virtual {
         /// Virtual monotonic time \[ns\].
         now_ns: Arc<AtomicI64>,
-        /// `UTC - monotonic`, constant but for [`Clock::step_utc`] \[ns\].
+        /// `UTC - monotonic`, constant except for [`Clock::step_utc`] \[ns\].
         utc_minus_monotonic_ns: Arc<AtomicI64>,
     },
 }
 
 impl Clock {
-    /// A virtual clock that shows `utc` at its beginning.
+    /// A virtual clock that starts at `utc`.
     pub fn virtual_from(utc: UtcNs) -> Self {
-        // Not zero, so that a forgotten stamp is not taken for the beginning.
+        // Not zero, so that a missing time stamp is not mistaken for the start.
         let start_ns = NS_PER_S;
         Self::Virtual {
             now_ns: Arc::new(AtomicI64::new(start_ns)),
@@ -34,12 +34,12 @@ impl Clock {
         }
     }
 
-    /// Whether time passes by itself.
+    /// Whether the clock runs in real time.
     pub const fn is_real(&self) -> bool {
         matches!(self, Self::Real)
     }
 
-    /// Monotonic time.
+    /// Current time, unrelated to steps of UTC.
     pub fn now(&self) -> MonoNs {
         match self {
             Self::Real => MonoNs(read_ns(ClockId::CLOCK_MONOTONIC)),
@@ -47,7 +47,7 @@ impl Clock {
         }
     }
 
-    /// Returns at `deadline`, at once if it has passed. Absolute, so that lateness does not add up.
+    /// Returns at `deadline`, or at once if it has passed. Absolute, so that lateness does not add up.
     pub fn sleep_until(&self, deadline: MonoNs) {
         match self {
             Self::Real => {
@@ -71,7 +71,7 @@ impl Clock {
         }
     }
 
-    /// Steps the UTC of virtual time, as NTP or a person does it to a host; real time is left alone.
+    /// Steps the UTC of virtual time, like NTP or a person on a host; has no effect on real time.
     pub fn step_utc(&self, by_ns: i64) {
         if let Self::Virtual { utc_minus_monotonic_ns, .. } = self {
             utc_minus_monotonic_ns.fetch_add(by_ns, Ordering::AcqRel);
@@ -79,7 +79,7 @@ impl Clock {
     }
 }
 
-/// Width of the bracket and `UTC - monotonic` at its middle \[ns\].
+/// Width of the bracket and `UTC - monotonic` at its centre \[ns\].
 fn bracketed_pair() -> (i64, i64) {
     let before = read_ns(ClockId::CLOCK_MONOTONIC);
     let utc = read_ns(ClockId::CLOCK_REALTIME);

@@ -1,10 +1,10 @@
-//! The log: lines on standard error that nobody ever waits for.
+//! The log: lines on standard error that no thread waits for.
 //!
-//! Whoever logs hands a line to a bounded queue; a thread of its own writes it. A standard error that is closed, full or
-//! read by nobody costs lines, which are counted, and never a run. The thread has a descriptor of its own: the lock of
-//! `std::io::stderr` would pass a blocked write on to everybody who prints. `tracing-appender` does the same up to the end of
-//! the program, where it prints to a standard error that may be blocked; it neither counts what a write lost nor limits the lines
-//! of one call site. `tracing-journald` writes to a socket that blocks when the journal does.
+//! A bounded queue takes the lines; one thread writes them. A standard error that is closed, full or not read costs
+//! lines, which are counted, and never a run. The thread has a file descriptor of its own: with the lock of
+//! `std::io::stderr` a blocked write would block everybody who prints. `tracing-appender` is similar except at the end of
+//! the program, where it prints to a standard error that may block; it neither counts lines lost in a write nor limits the
+//! lines of one call site. `tracing-journald` writes to a socket that blocks when the journal does.
 
 use std::backtrace::{Backtrace, BacktraceStatus};
 use std::collections::HashMap;
@@ -25,20 +25,20 @@ use tracing_subscriber::fmt;
 use tracing_subscriber::fmt::MakeWriter;
 use tracing_subscriber::prelude::*;
 
-/// Lines that may wait to be written; a chatty minute.
+/// Queue of lines: those of a busy minute.
 const LINES_MAX: usize = 4096;
-/// How long the end of the program waits for lines that are not written yet: a reader who is there takes them at once.
+/// How long the end of the program waits for unwritten lines: an active reader takes them at once.
 const FLUSH_TIMEOUT: Duration = Duration::from_millis(500);
-/// How often whoever flushes tries again to get a place in a full queue.
+/// Retry period of a flush when the queue is full.
 const RETRY: Duration = Duration::from_millis(10);
 
-/// Of the lines that one place of the program logs, so many are written in a [`MINUTE`]: more than anybody reads.
+/// Limit of lines per call site and [`MINUTE`].
 const ALIKE_MAX: u32 = 20;
 const MINUTE: Duration = Duration::from_secs(60);
 
 static LINES_LOST: OnceLock<Arc<AtomicU64>> = OnceLock::new();
 
-/// Lines that standard error did not take since the program began.
+/// Lines that standard error did not accept since the program began.
 pub fn lines_lost() -> u64 {
     LINES_LOST.get().map_or(0, |lost| lost.load(Ordering::Relaxed))
 }
@@ -46,18 +46,18 @@ pub fn lines_lost() -> u64 {
 #[derive(Debug)]
 enum Entry {
     Line(Vec<u8>),
-    /// Answered when every line before it was tried.
+    /// Answered after every earlier line.
     Flush(SyncSender<()>),
 }
 
-/// The log of the program; dropping it waits a moment for the last lines.
+/// The log of the program; dropping it waits a short time for the last lines.
 pub struct Log {
     lines: Lines,
     is_journal: bool,
 }
 
 impl Log {
-    /// Sends what is logged, and every panic, to standard error.
+    /// Sends log lines and every panic to standard error.
     pub fn start() -> io::Result<Self> {
         let stderr = io::stderr().as_fd().try_clone_to_owned()?;
         let is_journal = leads_to_journal(&stderr);
@@ -84,7 +84,7 @@ impl Log {
         Ok(log)
     }
 
-    /// Writes a line whatever is filtered: the last word of a command.
+    /// Writes a line regardless of the filter: the final error of a command.
     pub fn line(&self, text: &str) {
         self.lines.line(&with_priority(text, self.is_journal.then_some(Level::ERROR)));
     }
@@ -96,13 +96,13 @@ impl Drop for Log {
     }
 }
 
-/// As systemd says which file its journal reads.
+/// Whether the stream leads to the journal, according to systemd.
 fn leads_to_journal(stream: &OwnedFd) -> bool {
-    let told = std::env::var("JOURNAL_STREAM").unwrap_or_default();
-    nix::sys::stat::fstat(stream).is_ok_and(|found| told == format!("{}:{}", found.st_dev, found.st_ino))
+    let journal = std::env::var("JOURNAL_STREAM").unwrap_or_default();
+    nix::sys::stat::fstat(stream).is_ok_and(|found| journal == format!("{}:{}", found.st_dev, found.st_ino))
 }
 
-/// Before each line what syslog(3) calls its priority, as sd-daemon(3) has it.
+/// Precedes each line by the priority of syslog(3), in the format of sd-daemon(3).
 fn with_priority(text: &str, level: Option<Level>) -> String {
     let priority = match level {
         None => return text.into(),
@@ -115,21 +115,21 @@ fn with_priority(text: &str, level: Option<Level>) -> String {
     lines.join("\n")
 }
 
-/// Gives what is logged to the [`Lines`], unless there was too much alike.
+/// Passes events to the [`Lines`], unless their call site exceeds its limit.
 struct Sink {
     lines: Lines,
     is_journal: bool,
     alike: Mutex<HashMap<Identifier, Alike>>,
 }
 
-/// What one place of the program has logged since a moment.
+/// Lines of one call site in the current minute.
 struct Alike {
     since: Instant,
     lines: u32,
 }
 
 impl Alike {
-    /// Lines of this minute, with this one.
+    /// Number of lines in this minute, including this one.
     fn count(&mut self, now: Instant) -> u32 {
         if now.duration_since(self.since) >= MINUTE {
             *self = Self { since: now, lines: 0 };
@@ -139,7 +139,7 @@ impl Alike {
     }
 }
 
-/// One event on its way into a [`Sink`].
+/// One event on its way through a [`Sink`].
 struct Event {
     lines: Lines,
     priority: Option<Level>,
@@ -155,7 +155,7 @@ impl<'a> MakeWriter<'a> for Sink {
 
     fn make_writer_for(&'a self, event: &Metadata<'_>) -> Event {
         let now = Instant::now();
-        // Nobody waits for the log, also not for this.
+        // Logging never waits, not even for this lock.
         let alike = self.alike.try_lock().map_or(0, |mut alike| {
             alike.entry(event.callsite()).or_insert(Alike { since: now, lines: 0 }).count(now)
         });
@@ -163,13 +163,13 @@ impl<'a> MakeWriter<'a> for Sink {
     }
 }
 
-/// Takes whole events.
+/// Each call has one complete event.
 impl Write for Event {
     fn write(&mut self, event: &[u8]) -> io::Result<usize> {
         if self.alike <= ALIKE_MAX {
             let mut text = String::from_utf8_lossy(event).trim_end().to_owned();
             if self.alike == ALIKE_MAX {
-                text.push_str(" (more lines like this are left out for a minute)");
+                text.push_str(" (more lines like this are omitted for a minute)");
             }
             self.lines.line(&with_priority(&text, self.priority));
         }
@@ -181,7 +181,7 @@ impl Write for Event {
     }
 }
 
-/// Lines on their way to a stream. Whoever sends one never waits and never fails.
+/// Queue of lines to a stream. Sending never waits and never fails.
 #[derive(Debug, Clone)]
 pub struct Lines {
     entries: SyncSender<Entry>,
@@ -189,7 +189,7 @@ pub struct Lines {
 }
 
 impl Lines {
-    /// Starts the thread that writes them.
+    /// Starts the thread that writes the lines.
     pub fn start(disk: Arc<dyn Disk>, stream: OwnedFd) -> io::Result<Self> {
         let (entries, queue) = sync_channel(LINES_MAX);
         let lost = Arc::<AtomicU64>::default();
@@ -198,17 +198,17 @@ impl Lines {
         Ok(Self { entries, lost })
     }
 
-    /// Sends one, without its end.
+    /// Sends a line, without its line end.
     pub fn line(&self, text: &str) {
         self.send(format!("{text}\n").into_bytes());
     }
 
-    /// Those that the stream did not take.
+    /// Lines that the stream did not accept.
     pub fn lost(&self) -> u64 {
         self.lost.load(Ordering::Relaxed)
     }
 
-    /// Waits a moment until all were tried, and says whether they were.
+    /// Waits a short time until all lines were tried; returns whether they were.
     pub fn flush(&self) -> bool {
         let until = Instant::now() + FLUSH_TIMEOUT;
         let (done, written) = sync_channel(1);
@@ -220,7 +220,7 @@ impl Lines {
             entry = unsent;
             thread::sleep(RETRY);
         }
-        // What is not written by then is lost with the program.
+        // Lines that are not written by then are lost with the program.
         written.recv_timeout(until.saturating_duration_since(Instant::now())).is_ok()
     }
 
@@ -231,7 +231,7 @@ impl Lines {
     }
 }
 
-/// What the thread of the log has.
+/// State of the log's thread.
 struct Drain {
     disk: Arc<dyn Disk>,
     stream: OwnedFd,
@@ -240,17 +240,17 @@ struct Drain {
 
 impl Drain {
     fn run(&self, queue: &Receiver<Entry>) {
-        let mut told = 0;
-        // A line that was cut short has no end yet.
+        let mut reported = 0;
+        // A partly written line has no end yet.
         let mut is_torn = false;
         for entry in queue {
             match entry {
                 Entry::Line(line) => {
                     let lost = self.lost.load(Ordering::Relaxed);
                     let end = if is_torn { "\n" } else { "" };
-                    let gap = format!("{end}({} lines of the log are missing here)\n", lost - told);
-                    if lost > told && self.write_all(gap.as_bytes()).is_ok() {
-                        (told, is_torn) = (lost, false);
+                    let gap = format!("{end}({} lines of the log are missing here)\n", lost - reported);
+                    if lost > reported && self.write_all(gap.as_bytes()).is_ok() {
+                        (reported, is_torn) = (lost, false);
                     }
                     if let Err(written) = self.write_all(&line) {
                         is_torn |= written > 0;
@@ -258,21 +258,21 @@ impl Drain {
                     }
                 }
                 Entry::Flush(done) => {
-                    // Whoever asked may have stopped waiting.
+                    // The receiver may have stopped waiting.
                     let _ = done.try_send(());
                 }
             }
         }
     }
 
-    /// Or how many bytes were written before the stream refused.
+    /// The error is the number of bytes written before the stream refused.
     fn write_all(&self, bytes: &[u8]) -> Result<(), usize> {
         let mut rest = bytes;
         while !rest.is_empty() {
             match self.disk.append(self.stream.as_fd(), rest) {
                 Ok(written) => rest = &rest[written..],
                 Err(error) if error.kind() == ErrorKind::Interrupted => {}
-                // Somebody else who has this terminal or pipe may have made it non-blocking.
+                // Another user of this terminal or pipe may have made it non-blocking.
                 Err(error) if error.kind() == ErrorKind::WouldBlock && self.wait() => {}
                 Err(_) => return Err(bytes.len() - rest.len()),
             }
@@ -280,7 +280,7 @@ impl Drain {
         Ok(())
     }
 
-    /// Until the stream takes more; false where it cannot be asked.
+    /// Waits until the stream accepts more; false if that is impossible.
     fn wait(&self) -> bool {
         let mut stream = [PollFd::new(self.stream.as_fd(), PollFlags::POLLOUT)];
         poll(&mut stream, PollTimeout::NONE).is_ok()
@@ -298,7 +298,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_logged_all_the_time_is_counted_by_the_minute() {
+    fn lines_of_one_call_site_are_counted_by_the_minute() {
         let begin = Instant::now();
         let mut alike = Alike { since: begin, lines: 0 };
         let counted: Vec<u32> = (0..25).map(|_| alike.count(begin)).collect();

@@ -1,7 +1,7 @@
-//! What may be wrong with bus, disk, encoders, cables and host, as values.
+//! Problems of bus, disk, encoders, cables and host, as values.
 //!
-//! A [`Fact`] is made once, where it is known. Its code, severity, text and remedy are derived here and nowhere else; file,
-//! log, status, check, page, metrics and API show them. Codes are stable: `docs/src/warnings.md` explains each.
+//! A [`Fact`] is made once, where it is detected. Its code, severity, text and remedy are derived here only; file, log,
+//! status, check, page, metrics and API show them. Codes are stable: `docs/src/warnings.md` explains each.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -14,12 +14,12 @@ use shared::recording::schema::{PortCounts, flags};
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Level {
-    /// As it should be.
+    /// There is no problem.
     #[default]
     Good,
-    /// Worth a look; recording is possible.
+    /// Recording is possible, but a person should check it.
     Check,
-    /// Nothing can be recorded, or it is not safe.
+    /// Recording is impossible or at risk.
     Bad,
 }
 
@@ -41,12 +41,12 @@ pub struct Problem {
     pub remedy: String,
 }
 
-/// Declares [`Fact`] with its [`code`](Fact::code), severity, text and remedy, and [`CODES`], from one table: name, code and severity;
-/// fields; what is wrong, with the fields, and what to do.
+/// Declares [`Fact`] with its [`code`](Fact::code), severity, text and remedy, and [`CODES`], from one table: name, code and
+/// severity; fields; text and remedy, both with the fields.
 macro_rules! facts {
     ($($(#[doc = $doc:literal])+ $name:ident = $code:literal, $severity:ident
         $({ $($field:ident: $type:ty),+ $(,)? })? => $text:expr, $remedy:expr;)+) => {
-        /// What is known to be wrong. Serialised as its `code` and, where it has any, its `fields`; units are suffixes.
+        /// A detected problem. Serialised as its `code` and, if it has any, its `fields`; units are suffixes.
         #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
         #[serde(tag = "code", content = "fields")]
         #[allow(missing_docs, reason = "fields are explained by their names and units")]
@@ -68,9 +68,8 @@ macro_rules! facts {
                 }
             }
 
-            /// What is wrong, and what to do.
             #[allow(unused_variables, reason = "not every text has every field")]
-            fn words(&self) -> (String, String) {
+            fn texts(&self) -> (String, String) {
                 match self {
                     $(Self::$name { $($($field),+)? } => (String::from($text), String::from($remedy)),)+
                 }
@@ -84,7 +83,7 @@ macro_rules! facts {
         #[derive(JsonSchema)]
         #[allow(dead_code, reason = "describes the JSON of a fact")]
         struct Described {
-            /// Stable name of what is wrong; the manual explains each.
+            /// Stable name of the problem; the manual explains each.
             #[schemars(extend("enum" = CODES))]
             code: String,
             /// Figures and places; units are suffixes.
@@ -93,15 +92,15 @@ macro_rules! facts {
     };
 }
 
-const REPLACE: &str = "power the terminals off and on, and replace that one if it stays so";
-const ATTACH: &str = "look at its cable, its power, or the network it is on";
+const REPLACE: &str = "power the terminals off and on, and replace that one if this persists";
+const ATTACH: &str = "check its cable, its power, or its network connection";
 
 facts! {
     /// The service has not yet tried to bring the bus up.
     BusStarting = "bus_starting", Bad =>
         "the bus is being brought into operation",
         "wait a few seconds";
-    /// No frame comes back.
+    /// No frame returns to this PC.
     BusNoAnswer = "bus_no_answer", Bad { bus: String } =>
         format!("no EtherCAT device answers on {bus}"),
         "check that the coupler has power, that its upper (IN) socket is cabled to this interface, and that the \
@@ -129,7 +128,7 @@ facts! {
     /// A device left OP.
     BusNotOperational = "bus_not_operational", Bad { position: Option<usize>, al_status_code: Option<u16> } =>
         not_operational(*position, *al_status_code),
-        first_look(*position);
+        first_check(*position);
     /// A device does not enter a state.
     BusStateRefused = "bus_state_refused", Bad { position: usize, state: String, wanted: String, al_status: String } =>
         format!("{} stays in {state} instead of {wanted}: AL status {al_status}", device(*position)),
@@ -167,16 +166,16 @@ facts! {
             Some(by_ns) => format!("the reference clock jumped by {:.3} ms", *by_ns as f64 * 1e-6),
             None => "the reference clock jumped".into(),
         },
-        "nothing: sample times follow it; replace the coupler if it happens again";
+        "nothing: sample times follow it; replace the coupler if this happens again";
     /// Replies with a wrong working counter.
     BusBadReplies = "bus_bad_replies", Bad { position: Option<usize>, flags: Vec<String> } =>
         format!("consecutive bad replies ({})", flags.join(", ")),
-        first_look(*position);
+        first_check(*position);
     /// The EtherCAT stack failed.
     BusStackFailed = "bus_stack_failed", Bad { doing: String, error: String } =>
         format!("EtherCAT, while {doing}: {error}"),
         "check cables, contacts and the terminals' power";
-    /// Asked to end while the bus was brought up.
+    /// Stopped while the bus was being brought up.
     BusInterrupted = "bus_interrupted", Bad =>
         "stopped while the bus was brought up",
         "start again";
@@ -228,8 +227,8 @@ facts! {
         "run `ballbard tune`";
     /// Cycles were lost between bus and file.
     CyclesLost = "cycles_lost", Bad { cycles: u64 } =>
-        format!("{cycles} cycles are lost: the disk did not take them in time"),
-        "see what keeps the disk busy, or record to another one";
+        format!("{cycles} cycles are lost: the disk did not accept them in time"),
+        "find the programs that keep the disk busy, or record to another one";
     /// The directory of the recordings cannot be written.
     DiskUnwritable = "disk_unwritable", Bad { directory: PathBuf } =>
         format!(
@@ -244,7 +243,7 @@ facts! {
     /// A call to the disk failed.
     DiskError = "disk_error", Bad { place: String, error: String } =>
         format!("{place}: {error}"),
-        "check free space and permissions, and look at its disk";
+        "check free space and permissions, and the state of the disk";
     /// A call to the disk has not returned.
     DiskSilent = "disk_silent", Bad { directory: Option<PathBuf>, silent_s: Option<f64> } =>
         format!(
@@ -257,19 +256,19 @@ facts! {
     DiskRecovering = "disk_recovering", Check { since_s: Option<f64> } =>
         match since_s {
             Some(since_s) => {
-                format!("for {since_s:.1} s the disk has been asked to recover what earlier runs left")
+                format!("files of earlier runs are being recovered, for {since_s:.1} s now")
             }
-            None => "what earlier runs left is being recovered".into(),
+            None => "files of earlier runs are being recovered".into(),
         },
-        "wait; if it takes minutes look at the disk";
+        "wait; if it takes minutes check the disk";
     /// A run waits for its file.
     FilePending = "file_pending", Bad { since_s: f64, step: String } =>
-        format!("the run has no file yet: for {since_s:.1} s the disk has been asked {step}"),
+        format!("the run has no file yet: for {since_s:.1} s the disk has been requested {step}"),
         ATTACH;
     /// The file of the run is not where it was.
     FileLost = "file_lost", Bad { error: String } =>
-        format!("{error}; what was taken is being brought to another place"),
-        "wait for the new place, then see what became of the directory";
+        format!("{error}; the run's cycles are being moved to another place"),
+        "wait for the new place, then check the directory";
     /// The run is written elsewhere.
     FileMoved = "file_moved", Check { file: PathBuf, error: String } =>
         format!("the run continues in {}, because: {error}", file.display()),
@@ -277,17 +276,17 @@ facts! {
     /// The file of the run could not be finished.
     FileBroken = "file_broken", Bad { error: String } =>
         error,
-        "look at the disk; `ballbard recover` saves the rest";
+        "check the disk; `ballbard recover` saves the rest";
     /// Cycles wait to be written.
     DiskBacklog = "disk_backlog", Bad { backlog_s: f64, limit_s: f64 } =>
         format!(
-            "the disk takes nothing: {backlog_s:.1} s of cycles wait to be written, from {limit_s:.0} s on they are lost"
+            "the disk accepts nothing: {backlog_s:.1} s of cycles wait to be written, above {limit_s:.0} s cycles are lost"
         ),
-        "see what keeps it busy";
+        "find the programs that keep it busy";
     /// Cycles wait to be synchronised.
     DiskSlow = "disk_slow", Check { unsynced_s: f64 } =>
-        format!("the disk is slow: a power cut now would cost the last {unsynced_s:.1} s of the run"),
-        "see what keeps it busy";
+        format!("the disk is slow: a power failure now would cost the last {unsynced_s:.1} s of the run"),
+        "find the programs that keep it busy";
     /// Little space is left.
     DiskSpaceLow = "disk_space_low", Check { left_h: f64 } =>
         format!("the disk has room for {left_h:.1} hours"),
@@ -307,7 +306,7 @@ facts! {
     /// The control's thread takes no requests.
     ServiceBusy = "service_busy", Bad =>
         "too many requests wait for the service",
-        "ask again in a second";
+        "try again in a second";
     /// The service is ending.
     ServiceEnding = "service_ending", Bad =>
         "the service is ending",
@@ -322,7 +321,7 @@ facts! {
         "run `ballbard home`, or remove homing.toml if runs need no marks";
     /// Reference marks could not be saved.
     MarksUnwritable = "marks_unwritable", Check { error: String } =>
-        format!("{error}, so reference marks could not be kept"),
+        format!("{error}, so reference marks could not be saved"),
         "let this user write there, or choose another directory with --state";
     /// Priority, core or locked memory were not granted.
     RealtimeDenied = "realtime_denied", Check { report: String } =>
@@ -332,23 +331,23 @@ facts! {
     ClockUnsynchronised = "clock_unsynchronised", Check =>
         "the host's clock is not synchronised: UTC in the file is as accurate as this clock",
         "start chrony or systemd-timesyncd; without a network ignore it, calibration finds clock differences";
-    /// The kernel does not report whether it is.
+    /// The kernel does not report whether the clock is synchronised.
     ClockUnknown = "clock_unknown", Check { error: String } =>
         format!("the kernel does not report whether the clock is synchronised: {error}"),
         "allow the system call clock_adjtime in the sandbox of this process";
     /// The host's UTC was set while a run was recorded.
     ClockStepped = "clock_stepped", Check { by_ns: i64 } =>
-        format!("host UTC moved by {:.3} ms; sample times keep to the run's first offset", *by_ns as f64 * 1e-6),
-        "see what set the clock";
+        format!("host UTC stepped by {:.3} ms; sample times keep the run's first offset", *by_ns as f64 * 1e-6),
+        "find the program that set the clock";
     /// Lines of the log were lost.
     LogLinesLost = "log_lines_lost", Check { lines: u64 } =>
-        format!("{lines} lines were lost: standard error did not take them"),
-        "see where it leads: a full disk, a closed terminal, a reader that does not read; recording continues";
+        format!("{lines} lines were lost: standard error did not accept them"),
+        "check its destination: a full disk, a closed terminal, a pipe that is not read; recording continues";
     /// A joint is turned too far.
     JointWound = "joint_wound", Check { joint: u8, turned_deg: f64, from_mark: bool } =>
         format!(
             "joint {joint} is turned by {turned_deg:.0} degrees from {}",
-            if *from_mark { "its reference mark" } else { "where it was seen first" }
+            if *from_mark { "its reference mark" } else { "its first position" }
         ),
         "unwind its cable before it is torn";
     /// A joint is near a singular pose.
@@ -358,22 +357,22 @@ facts! {
     /// A joint turns faster than its terminal interpolates.
     JointFast = "joint_fast", Check { joint: u8, speed_deg_per_s: f64, limit_deg_per_s: f64 } =>
         format!(
-            "joint {joint} turns at {:.0} degrees/s; above {limit_deg_per_s:.0} its terminal leaves out the finest steps",
+            "joint {joint} turns at {:.0} degrees/s; above {limit_deg_per_s:.0} its terminal omits the finest steps",
             speed_deg_per_s.abs()
         ),
-        "let the robot move more slowly";
+        "move the robot more slowly";
     /// A joint has not turned since the run began.
     JointStill = "joint_still", Check { joint: u8, range_deg: f64 } =>
         format!("joint {joint} has turned by {range_deg:.1} degrees since the run began"),
-        "see whether its coupling has come loose, or let the path turn it";
+        "check whether its coupling is loose, or change the path so that it turns the joint";
     /// Angles count from zero again.
     AnglesRestarted = "angles_restarted", Check { since_s: f64 } =>
         format!("since {} angles and coverage count from zero again", clock_time(*since_s)),
-        "counters lost their origin, as after an outage of the bus; the calibration allows for it";
+        "counters lost their origin, as after an outage of the bus; the calibration accounts for this";
 }
 
 impl Fact {
-    /// The gravest cause of cycles with these flags. `silent` are the joints without valid samples, `position` is that of the
+    /// The most severe cause of cycles with these flags. `silent` are the joints without valid samples, `position` is that of the
     /// first of their terminals if those before it give samples.
     pub fn of_flags(bits: u32, bus: &str, silent: Vec<u8>, position: Option<usize>) -> Self {
         let has = |bit| bits & bit != 0;
@@ -394,7 +393,7 @@ impl Fact {
         }
     }
 
-    /// What distinguishes it from others that hold at the same time; stays the same while figures change.
+    /// Identifies the problem among those of the same time; does not depend on figures.
     pub fn key(&self) -> (&'static str, usize) {
         let place = match self {
             Self::LinkErrors { position, port, .. } => 4 * position + port,
@@ -420,11 +419,16 @@ impl From<PortCounts> for Fact {
 impl Problem {
     /// The joints give no valid samples because of it; `all` if no other joint does.
     pub fn with_joints(self, joints: Vec<u8>, all: bool) -> Self {
-        let who = if all { "any encoder".into() } else { format!("joint {}", numbers(&joints)) };
-        Self { text: format!("no samples from {who}: {}", self.text), severity: Level::Bad, joints, ..self }
+        let subject = if all { "any encoder".into() } else { format!("joint {}", numbers(&joints)) };
+        Self {
+            text: format!("no samples from {subject}: {}", self.text),
+            severity: Level::Bad,
+            joints,
+            ..self
+        }
     }
 
-    /// Less or more serious than usual.
+    /// With another severity than usual.
     pub fn with_severity(self, severity: Level) -> Self {
         Self { severity, ..self }
     }
@@ -434,11 +438,11 @@ impl Problem {
         self.fact.code()
     }
 
-    /// Several in one line: what is wrong, then what to do, each once.
+    /// Several problems in one line: texts, then remedies, each once.
     pub fn line(problems: &[Self]) -> String {
         let mut parts: Vec<&str> = Vec::new();
-        let words = problems.iter().map(|problem| &problem.text);
-        for part in words.chain(problems.iter().map(|problem| &problem.remedy)) {
+        let texts = problems.iter().map(|problem| &problem.text);
+        for part in texts.chain(problems.iter().map(|problem| &problem.remedy)) {
             if !part.is_empty() && !parts.contains(&part.as_str()) {
                 parts.push(part);
             }
@@ -449,7 +453,7 @@ impl Problem {
 
 impl From<Fact> for Problem {
     fn from(fact: Fact) -> Self {
-        let ((text, remedy), severity) = (fact.words(), fact.severity());
+        let ((text, remedy), severity) = (fact.texts(), fact.severity());
         Self { fact: Box::new(fact), severity, joints: Vec::new(), text, remedy }
     }
 }
@@ -466,14 +470,14 @@ pub fn flag_names(bits: u32) -> Vec<String> {
     set.map(|(_, name)| (*name).to_owned()).collect()
 }
 
-/// A time since the beginning of a run, such as 1:02:03 or 0:07.
+/// A time since the start of a run, such as 1:02:03 or 0:07.
 pub fn clock_time(seconds: f64) -> String {
     let whole = seconds.max(0.0) as u64;
     let (hours, minutes, seconds) = (whole / 3600, whole / 60 % 60, whole % 60);
     if hours > 0 { format!("{hours}:{minutes:02}:{seconds:02}") } else { format!("{minutes}:{seconds:02}") }
 }
 
-/// A device as people count: the coupler is at position 0, the terminal beside it is terminal 1.
+/// Name of a device: the coupler is at position 0, the terminal next to it is terminal 1.
 fn device(position: usize) -> String {
     if position == 0 { "the coupler".into() } else { format!("terminal {position}") }
 }
@@ -495,13 +499,13 @@ fn invalid_encoders(joints: &[u8], status: Option<u16>, valid_share: f64) -> Str
     format!("no valid sample from {who}")
 }
 
-/// Where to look if the bus itself does not name the device.
-fn first_look(position: Option<usize>) -> String {
+/// Advice if the bus itself does not identify the device.
+fn first_check(position: Option<usize>) -> String {
     let place = match position {
         Some(position) => format!("{} and the contact before it", device(position)),
         None => "the coupler's cable and power, then along the terminals".into(),
     };
-    format!("look first at {place}; the bus returns to operation once all devices answer")
+    format!("check {place} first; the bus returns to operation once all devices answer")
 }
 
 fn compared(expected: &[String], found: &[String]) -> String {
@@ -509,7 +513,7 @@ fn compared(expected: &[String], found: &[String]) -> String {
     format!("expected [{}], found [{}]", list(expected), list(found))
 }
 
-/// A cable leads to the coupler; terminals touch each other.
+/// Name of a link, and its remedy: a cable leads to the coupler; terminals touch each other.
 fn link(position: usize, port: usize) -> (String, String) {
     let cable = "push the plug in, or replace the cable";
     match (position, port) {
@@ -520,7 +524,7 @@ fn link(position: usize, port: usize) -> (String, String) {
             let (one, other) = (device(before), device(before + 1));
             (
                 format!("bad contact between {one} and {other}"),
-                format!("press {other} firmly onto {one}, and replace it if the errors go on"),
+                format!("press {other} firmly onto {one}, and replace it if the errors continue"),
             )
         }
     }
@@ -557,18 +561,18 @@ mod tests {
     }
 
     #[test]
-    fn the_first_terminal_without_samples_is_where_to_look() {
+    fn the_first_terminal_without_samples_is_checked_first() {
         let of = |silent: Vec<u8>, position, all| {
             let fact = Fact::of_flags(flags::WORKING_COUNTER, "eth1", silent.clone(), position);
             Problem::from(fact).with_joints(silent, all).to_string()
         };
         let some = of(vec![2, 5], Some(3), false);
         assert!(
-            some.contains("from joint 2, 5:") && some.contains("first at terminal 3 and the contact"),
+            some.contains("from joint 2, 5:") && some.contains("check terminal 3 and the contact"),
             "{some}"
         );
         let none = of(vec![1, 2], None, true);
-        assert!(none.contains("from any encoder:") && none.contains("first at the coupler"), "{none}");
+        assert!(none.contains("from any encoder:") && none.contains("check the coupler"), "{none}");
     }
 
     #[test]

@@ -1,5 +1,5 @@
-//! Work in steps. Whatever waits for time or a disk is a [`Stepper`] that is given the time and says when it has more to do;
-//! a [`Scheduler`] calls it: a thread for each on real time, one loop for all on virtual time.
+//! Work in steps. Whatever waits for time or a disk is a [`Stepper`] that gets the time and returns when to call it again; a
+//! [`Scheduler`] calls it: a thread for each on real time, one loop for all on virtual time.
 
 use std::fmt;
 use std::future::Future;
@@ -14,29 +14,29 @@ use shared::time::MonoNs;
 
 use crate::clock::Clock;
 
-/// Locked memory is really there, all of it: several times what these threads use.
+/// Stack of each thread: locked memory is fully allocated; this is several times the actual use.
 pub(crate) const STACK_BYTES: usize = 1 << 20;
 
-/// Something that does its work in steps.
+/// A task that works in steps.
 pub trait Stepper {
-    /// Does the work that is due. Waits for nothing but a disk, and only where that is its task. Returns the time until the next
-    /// step; the last step returns `None`.
+    /// Does the work that is due. Waits for nothing but a disk, and only if that is its purpose. Returns the time until the
+    /// next step; the last step returns `None`.
     fn poll(&mut self, now: MonoNs) -> Option<Duration>;
 
-    /// Lets that time pass in a thread of its own; returns earlier where there is something to do earlier.
+    /// Waits in a thread of its own; returns earlier if there is work.
     fn wait(&mut self, pause: Duration) {
         thread::sleep(pause);
     }
 }
 
-/// Makes a stepper in the thread in which it works.
+/// Creates a stepper in the thread in which it works.
 pub type Begin = Box<dyn FnOnce() -> Box<dyn Stepper> + Send>;
-/// A future without result.
+/// A future without a result.
 pub type Task = Pin<Box<dyn Future<Output = ()> + Send>>;
 
-/// Lets steppers and futures work.
+/// Runs steppers and futures.
 pub trait Scheduler: fmt::Debug + Send + Sync {
-    /// The clock whose time steppers are given.
+    /// The clock of the steppers.
     fn clock(&self) -> &Clock;
 
     /// Calls a stepper until its last step.
@@ -45,16 +45,16 @@ pub trait Scheduler: fmt::Debug + Send + Sync {
     /// Polls a future to its end.
     fn spawn(&self, task: Task);
 
-    /// A future that is ready after this time.
+    /// A future that completes after this time.
     fn sleep(&self, time: Duration) -> Task;
 }
 
-/// A thread for each stepper; futures belong to the runtime of tokio.
+/// A thread for each stepper; futures run on tokio's runtime.
 #[derive(Debug)]
 pub struct Threads(Clock);
 
 impl Threads {
-    /// On this clock: a virtual one is moved by the cycle, as fast as that goes.
+    /// On this clock; the cycle advances a virtual one as fast as it can.
     pub fn on(clock: Clock) -> Arc<dyn Scheduler> {
         Arc::new(Self(clock))
     }
@@ -85,10 +85,10 @@ impl Scheduler for Threads {
     }
 }
 
-/// What `look` gives, which is called once a period until it gives something.
-pub async fn until<T>(scheduler: &dyn Scheduler, period: Duration, mut look: impl FnMut() -> Option<T>) -> T {
+/// Calls `poll` once per period until it returns a value.
+pub async fn until<T>(scheduler: &dyn Scheduler, period: Duration, mut poll: impl FnMut() -> Option<T>) -> T {
     loop {
-        if let Some(given) = look() {
+        if let Some(given) = poll() {
             return given;
         }
         scheduler.sleep(period).await;
@@ -107,13 +107,13 @@ pub struct Pending<T> {
 pub struct Died;
 
 impl<T: Send + 'static> Pending<T> {
-    /// Starts work that is done in one step.
+    /// Starts work that takes one step.
     pub fn start(scheduler: &dyn Scheduler, name: &str, work: impl FnOnce() -> T + Send + 'static) -> Self {
         let mut work = Some(work);
         Self::until(scheduler, name, move || work.take().map(|work| work()))
     }
 
-    /// Starts work of more steps, of which the last gives the result.
+    /// Starts work of several steps, until one returns a result.
     pub fn until(
         scheduler: &dyn Scheduler,
         name: &str,
@@ -127,7 +127,7 @@ impl<T: Send + 'static> Pending<T> {
         Self { result, since: scheduler.clock().now() }
     }
 
-    /// The result, once; none while the work continues.
+    /// The result, returned once; `None` while the work continues.
     pub fn poll(&self) -> Option<Result<T, Died>> {
         match self.result.try_recv() {
             Ok(result) => Some(Ok(result)),
@@ -142,7 +142,7 @@ impl<T: Send + 'static> Pending<T> {
     }
 }
 
-/// How often work of more steps is continued.
+/// Pause between the steps of such work.
 const WORK_PERIOD: Duration = Duration::from_millis(5);
 
 struct Working<W, T> {
@@ -153,7 +153,7 @@ struct Working<W, T> {
 impl<W: FnMut() -> Option<T>, T> Stepper for Working<W, T> {
     fn poll(&mut self, _: MonoNs) -> Option<Duration> {
         let Some(result) = (self.step)() else { return Some(WORK_PERIOD) };
-        // The result is of no use any more where its receiver has ended.
+        // The receiver of the result may have ended.
         let _ = self.done.send(result);
         None
     }

@@ -1,6 +1,6 @@
-//! What of a machine's settings stands in the way of a cycle that keeps its time, and what to type.
+//! Settings of a machine that delay the cycle, and commands that correct them.
 //!
-//! [`Machine::read`] collects the text of the files and commands that tell; [`findings`] judges text only.
+//! [`Machine::read`] collects the text of files and commands; [`findings`] only evaluates text.
 
 use std::fmt;
 use std::path::Path;
@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use serde::Serialize;
 
-/// How one setting stands.
+/// Grade of one setting.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
@@ -19,27 +19,27 @@ pub enum Verdict {
     Slight,
     /// It makes the cycle late.
     Problem,
-    /// This machine does not tell.
+    /// The machine does not provide the setting.
     Unknown,
 }
 
-/// One setting.
+/// Result for one setting.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Finding {
-    /// What was looked at.
+    /// Name of the setting.
     pub subject: &'static str,
-    /// How it stands.
+    /// Grade of the setting.
     pub verdict: Verdict,
-    /// What was found, and why it matters.
+    /// Value of the setting and its effect.
     pub says: String,
-    /// What to type; empty where nothing is to be done.
+    /// Command that corrects it; empty if nothing is to be done.
     pub remedy: String,
 }
 
-/// What a machine says of itself: text of files and commands, none where there is no such file.
+/// Settings of a machine: text of files and commands, `None` if there is no such file.
 #[derive(Debug, Clone, Default)]
 pub struct Machine {
-    /// Core that the cycle's thread is to have.
+    /// Core configured for the cycle's thread.
     pub core: Option<usize>,
     /// Time between two cycles.
     pub cycle_period: Duration,
@@ -76,7 +76,7 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// Reads this machine, for a cycle of this core and period; `root` is `/` outside of tests.
+    /// Reads this machine, for a cycle on this core and with this period; `root` is `/` outside of tests.
     pub fn read(root: &Path, core: Option<usize>, cycle_period: Duration, interface: Option<&str>) -> Self {
         let file = |path: &str| std::fs::read_to_string(root.join(path)).ok();
         let of_core = |path: &str| file(&format!("sys/devices/system/cpu/cpu{}/{path}", core.unwrap_or(0)));
@@ -101,18 +101,18 @@ impl Machine {
         }
     }
 
-    /// What this process is permitted, and nothing else.
+    /// Only the permissions of this process.
     pub fn of_process() -> Self {
         let file = |name: &str| std::fs::read_to_string(format!("/proc/self/{name}")).ok();
         Self { limits: file("limits"), status: file("status"), ..Self::default() }
     }
 
-    /// A frame that is late by less than half a period changes nothing.
+    /// A frame that is late by less than half a period has no effect.
     fn slack(&self) -> Duration {
         self.cycle_period / 2
     }
 
-    /// The core to isolate: that of daemon.toml, or the last one. Never core 0, which the kernel needs; none on a machine with
+    /// The core to isolate: that of daemon.toml, or the last one. Never core 0, which the kernel needs; `None` on a machine with
     /// one core.
     fn core_to_isolate(&self) -> Option<usize> {
         let last = cores(self.online.as_deref().unwrap_or("")).last().copied();
@@ -121,8 +121,8 @@ impl Machine {
 
     /// Whether all memory of this process can be locked, for as long as it runs.
     ///
-    /// No finite limit is enough: the kernel compares it with the address space, not with what is used, and refuses every
-    /// later allocation beyond it (mm/mlock.c, mm/mmap.c). In the middle of a run that would end the program.
+    /// No finite limit is enough: the kernel compares it with the address space, not with the memory in use, and refuses every
+    /// later allocation beyond it (mm/mlock.c, mm/mmap.c), which would end the program during a run.
     pub fn may_lock_memory(&self) -> Result<(), LockError> {
         if self.has_capability(CAP_IPC_LOCK) {
             return Ok(());
@@ -148,7 +148,7 @@ impl Machine {
     }
 }
 
-/// Why memory stays unlocked.
+/// Why memory is not locked.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum LockError {
     /// By the limit of locked memory.
@@ -167,9 +167,9 @@ fn coalescing_of(interface: &str) -> Option<String> {
     output.status.success().then(|| String::from_utf8_lossy(&output.stdout).into_owned())
 }
 
-/// Every setting, in the order in which they matter.
+/// All settings, by importance.
 pub fn findings(machine: &Machine) -> Vec<Finding> {
-    // With whether a cycle that leaves time for it is not delayed.
+    // The flag: a cycle with enough margin is not delayed.
     let settings = [
         ("kernel", false, kernel(machine)),
         ("isolated core", true, own_core(machine)),
@@ -192,7 +192,7 @@ pub fn findings(machine: &Machine) -> Vec<Finding> {
     settings.into_iter().map(finding).collect()
 }
 
-/// How a setting stands, what was found, and what to type.
+/// Grade, description and command.
 type Found = (Verdict, String, String);
 
 fn fine(says: impl Into<String>) -> Found {
@@ -207,8 +207,8 @@ fn unknown(says: impl Into<String>, remedy: impl Into<String>) -> Found {
     (Verdict::Unknown, says.into(), remedy.into())
 }
 
-/// For so long a kernel without PREEMPT_RT may hold up a real-time thread: in its longest sections without preemption. What cores,
-/// clocks and interrupts cost beside that is less.
+/// Longest delay of a real-time thread by a kernel without PREEMPT_RT, in sections without preemption. Cores, clocks and
+/// interrupts cost less.
 const KERNEL_DELAY: Duration = Duration::from_millis(2);
 
 fn kernel(machine: &Machine) -> Found {
@@ -231,7 +231,7 @@ fn kernel(machine: &Machine) -> Found {
     problem(format!("{version}: not PREEMPT_RT, so drivers may delay the cycle by milliseconds"), remedy)
 }
 
-/// Options belong to the kernel's command line; Debian and Ubuntu keep it there.
+/// Options of the kernel's command line; Debian and Ubuntu store it in this file.
 fn boot_option(options: &str) -> String {
     format!(
         "add `{options}` to GRUB_CMDLINE_LINUX in /etc/default/grub, then: sudo update-grub && sudo reboot"
@@ -255,7 +255,7 @@ fn own_core(machine: &Machine) -> Found {
         _ => {}
     }
     let Some(core) = machine.core_to_isolate() else {
-        return fine("none: this machine has one core, which every program shares");
+        return fine("none: this machine has one core, which all programs share");
     };
     let options = format!("isolcpus={core} nohz_full={core} rcu_nocbs={core} irqaffinity=0");
     let boot = boot_option(&options);
@@ -266,14 +266,14 @@ fn own_core(machine: &Machine) -> Found {
         );
     }
     problem(
-        "none: the cycle shares its core with every other program",
+        "none: the cycle shares its core with all other programs",
         format!("{boot}; write `core = {core}` under [realtime] in daemon.toml"),
     )
 }
 
 fn tickless_core(machine: &Machine) -> Found {
     let Some(tickless) = machine.nohz_full.as_deref().map(cores) else {
-        return unknown("this kernel knows no nohz_full", "");
+        return unknown("this kernel does not support nohz_full", "");
     };
     match machine.core_to_isolate() {
         None => fine("periodic; a machine with one core needs it"),
@@ -296,7 +296,7 @@ fn siblings(machine: &Machine) -> Found {
             format!("echo 0 | sudo tee /sys/devices/system/cpu/cpu{sibling}/online"),
         ),
         None if machine.core.is_none() && siblings.len() > 1 => problem(
-            "cores come in pairs that slow each other down",
+            "cores share execution units in pairs, which slows them down",
             "echo off | sudo tee /sys/devices/system/cpu/smt/control",
         ),
         None => fine("no sibling shares the core"),
@@ -307,7 +307,7 @@ fn governor(machine: &Machine) -> Found {
     match machine.governor.as_deref().map(str::trim) {
         Some("performance") => fine("governor performance"),
         Some(other) => problem(
-            format!("governor {other}: a core that was slowed down wakes up slowly"),
+            format!("governor {other}: a core at low frequency wakes up slowly"),
             "echo performance | sudo tee /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor",
         ),
         None => unknown("not under this kernel's control (virtual machine or firmware)", ""),
@@ -316,9 +316,9 @@ fn governor(machine: &Machine) -> Found {
 
 fn idle_states(machine: &Machine) -> Found {
     match machine.idle_driver.as_deref().map(str::trim) {
-        Some("none") => fine("no idle driver: none is deep"),
+        Some("none") => fine("no idle driver, so no deep idle states"),
         Some(driver) => {
-            fine(format!("{driver}; ballbard holds /dev/cpu_dma_latency at 0, which keeps out of deep ones"))
+            fine(format!("{driver}; ballbard keeps /dev/cpu_dma_latency at 0, which prevents deep ones"))
         }
         None => unknown("not under this kernel's control (virtual machine or firmware)", ""),
     }
@@ -366,7 +366,7 @@ fn locked_memory(machine: &Machine) -> Found {
 fn throttling(machine: &Machine) -> Found {
     match machine.rt_runtime_us.as_deref().map(|text| text.trim().parse::<i64>()) {
         Some(Ok(-1)) => fine("real-time threads are never throttled"),
-        // The cycle sleeps most of the time: what is left to others by default does not touch it.
+        // The cycle sleeps most of the time: the default share for other threads does not affect it.
         Some(Ok(runtime_us)) if runtime_us >= 900_000 => {
             fine(format!("real-time threads may take {} % of a core", runtime_us / 10_000))
         }
@@ -392,7 +392,7 @@ fn coalescing(machine: &Machine) -> Found {
     };
     let Some(text) = machine.coalescing.as_deref() else {
         return unknown(
-            format!("ethtool tells nothing of {interface}: not installed, or a virtual interface"),
+            format!("ethtool has no data of {interface}: not installed, or a virtual interface"),
             format!("sudo apt-get install ethtool && ethtool -c {interface}"),
         );
     };
@@ -407,18 +407,18 @@ fn coalescing(machine: &Machine) -> Found {
     }
     let found = if adaptive { "adaptive".to_owned() } else { late.join(", ") };
     problem(
-        format!("{interface} holds replies back ({found})"),
+        format!("{interface} delays replies ({found})"),
         format!("sudo ethtool -C {interface} adaptive-rx off adaptive-tx off rx-usecs 0 tx-usecs 0"),
     )
 }
 
-/// `name: value` of ethtool's listing; none for `n/a`.
+/// `name: value` of ethtool's listing; `None` for `n/a`.
 fn setting(text: &str, name: &str) -> Option<u32> {
     let line = text.lines().find_map(|line| line.trim().strip_prefix(name)?.strip_prefix(':'))?;
     line.trim().parse().ok()
 }
 
-/// `0-2,5` to 0, 1, 2, 5; what is no list of cores gives none.
+/// `0-2,5` to 0, 1, 2, 5; other text gives no cores.
 fn cores(list: &str) -> Vec<usize> {
     const CORES_MAX: usize = 4096;
     let range = |part: &str| {

@@ -1,4 +1,4 @@
-//! Small files of state: under its name such a file is whole, or it is the one before.
+//! Small state files, replaced as a whole: a reader finds the new content or the previous one.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -6,8 +6,8 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use shared::recording::{Disk, OpenFile};
 
-/// Writes it beside `file` under a name that no other writer has, synchronises it, and gives it the name; makes its
-/// directory. Of two that write at once one stands, whole. An error names the file and what to do.
+/// Writes a temporary file under a unique name, synchronises it, and renames it to `file`; creates the directory. Of two
+/// concurrent writers one wins, completely. An error names the file and what to do.
 pub fn write(disk: &dyn Disk, file: &Path, text: &str) -> io::Result<()> {
     static NUMBER: AtomicU32 = AtomicU32::new(0);
     let number = NUMBER.fetch_add(1, Ordering::Relaxed);
@@ -21,7 +21,7 @@ pub fn write(disk: &dyn Disk, file: &Path, text: &str) -> io::Result<()> {
         disk.replace(part, file)
     };
     write().map_err(|error| {
-        // What went wrong is reported, not this.
+        // The first error is reported, not this one.
         let _ = disk.remove(part);
         let advice = format!("cannot write {}: {error}; check free space and permissions", file.display());
         io::Error::new(error.kind(), advice)
@@ -37,7 +37,7 @@ mod tests {
 
     use super::*;
 
-    /// A disk on which another writes the same file while the first is about to.
+    /// A disk on which another writer writes the same file first.
     #[derive(Debug)]
     struct Two {
         file: PathBuf,
@@ -54,7 +54,7 @@ mod tests {
     }
 
     #[test]
-    fn of_two_that_write_at_once_the_last_stands_whole() {
+    fn of_two_concurrent_writers_the_last_wins_completely() {
         let directory = tempfile::tempdir().unwrap();
         let file = directory.path().join("note.json");
         let disk = Two { file: file.clone(), has_written: AtomicBool::default() };

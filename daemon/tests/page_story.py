@@ -357,10 +357,10 @@ def close_homing(page):
 
 
 def homing(page, pictures):
-    # It could not be kept: said before anybody turns a joint.
+    # It could not be saved: said before anybody turns a joint.
     service("state in the way")
     begin_homing(page)
-    page.wait("document.getElementById('said').innerText.includes('could not be kept')", "the refusal")
+    page.wait("document.getElementById('said').innerText.includes('could not be saved')", "the refusal")
     assert not page.run("document.getElementById('homing').open")
     service("state free")
     page.click("#said button")
@@ -531,13 +531,13 @@ def main():
             joint_asked_for(page, 1)
             service("end")
             word(page, "NO CONNECTION", within_s=5)
-            homing_ends(page, "is not known")
+            homing_ends(page, "is unknown")
             close_homing(page)
             assert page.run("[...document.querySelectorAll('.joint .angle')].every(angle => angle.textContent === 'stale')")
             # Nothing that is old looks as if it were so now.
             assert page.run("document.querySelectorAll('.light.on, .joint[data-level=good], #so-far[data-level=good]').length") == 0
             shown = page.shown("main")
-            assert "signal good" not in shown and "so far" not in shown and "still grows" not in shown, shown
+            assert "signal good" not in shown and "so far" not in shown and "still growing" not in shown, shown
             page.wait("!document.getElementById('age').hidden", "the age of the newest values")
             page.pictures(pictures, "silent")
             assert not page.complaints, page.complaints

@@ -1,4 +1,4 @@
-//! A load for the machine: threads of ordinary priority that never rest, ended with the value.
+//! A load for the machine: threads of ordinary priority without pauses, which end when the value is dropped.
 
 use std::hint::black_box;
 use std::sync::Arc;

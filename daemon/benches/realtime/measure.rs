@@ -1,4 +1,4 @@
-//! Cycles on the simulated segment in real time, and cyclictest beside them.
+//! Cycles on the simulated segment in real time, and cyclictest.
 
 use std::process::Command;
 use std::sync::Arc;
@@ -38,7 +38,7 @@ impl Distribution {
         self.0.get(place).map_or(f64::NAN, |ns| *ns as f64 * 1e-3)
     }
 
-    /// How many are longer.
+    /// Number of values above a limit.
     pub fn above_us(&self, limit_us: f64) -> usize {
         self.0.iter().filter(|ns| **ns as f64 * 1e-3 > limit_us).count()
     }
@@ -49,7 +49,7 @@ impl Distribution {
         Self::QUANTILES.map(|part| format!("{:8.1}", self.quantile_us(part))).join(" ")
     }
 
-    /// Least, median and most of some figures.
+    /// Minimum, median and maximum of some figures.
     pub fn range(mut figures: Vec<f64>) -> String {
         figures.sort_by(f64::total_cmp);
         let at = |place: usize| figures.get(place).copied().unwrap_or(f64::NAN);
@@ -65,26 +65,26 @@ impl Distribution {
 
 pub struct Measured {
     pub lateness: Distribution,
-    /// Size of the error of sample times.
+    /// Absolute error of sample times.
     pub errors: Distribution,
     pub sigma: Distribution,
-    /// Errors within three stated sigmas \[%\].
+    /// Share of errors within three stated sigmas \[%\].
     pub covered_percent: f64,
     pub cycles: usize,
     /// Cycles that are not valid.
     pub flagged: usize,
 }
 
-/// Where the simulated segment is.
+/// Location of the simulated segment.
 #[derive(Debug, Clone)]
 pub enum Bus {
-    /// It answers in the call that sends.
+    /// In the thread of the cycle.
     InProcess,
-    /// A thread of its own serves it on the far end of a veth pair: near and far.
+    /// In another thread, on the far end of a veth pair: near and far.
     Veth([String; 2]),
 }
 
-/// Runs cycles on a thread of its own, scheduled as the daemon's.
+/// Runs cycles on a thread with the scheduling of the daemon's.
 pub fn run_cycles(bus: Bus, rate_hz: u64, cycles: u64, priority: i32) -> Measured {
     let realtime = RealtimeRequest { core: None, fifo_priority: priority };
     std::thread::spawn(move || {
@@ -95,7 +95,7 @@ pub fn run_cycles(bus: Bus, rate_hz: u64, cycles: u64, priority: i32) -> Measure
     .unwrap()
 }
 
-/// Answers frames until told to stop. Inherits the scheduling of the cycle: real terminals are never busy otherwise.
+/// Answers frames until `stop`. Inherits the scheduling of the cycle, because real terminals have no other load.
 fn serve(mut segment: SimulatedSegment, mut wire: EthernetWire, stop: &AtomicBool) {
     let (mut frame, mut reply) = ([0; FRAME_BYTES_MAX], [0; FRAME_BYTES_MAX]);
     while !stop.load(Ordering::Relaxed) {
@@ -103,7 +103,7 @@ fn serve(mut segment: SimulatedSegment, mut wire: EthernetWire, stop: &AtomicBoo
         let Ok(Some(length)) = wire.receive(&mut frame, until) else { continue };
         let arrival = Clock::Real.now();
         if let Some(length) = segment.exchange(arrival.0, &frame[..length], &mut reply) {
-            // A veth pair takes no time for a frame; the wire that it stands for does.
+            // A veth pair transmits a frame in no time; a wire takes the round trip.
             let back = arrival.plus_ns(segment.round_trip_ns(length));
             while Clock::Real.now() < back {
                 std::hint::spin_loop();
@@ -115,7 +115,7 @@ fn serve(mut segment: SimulatedSegment, mut wire: EthernetWire, stop: &AtomicBoo
 
 fn cycle(bus: &Bus, rate_hz: u64, cycles: u64) -> Measured {
     let plan = plan(rate_hz);
-    // The bus comes up and its clocks settle for some seconds' worth of cycles before the run.
+    // The bus comes up and its clock fit converges within some seconds' worth of cycles before the run.
     let (source, instants) = TrueInstants::watch(SmoothMotion::new(5, 3600, 1), cycles as usize + 100_000);
     let segment = SimulatedSegment::new(&SegmentConfig::default(), Box::new(source));
     let stop = Arc::new(AtomicBool::new(false));
@@ -138,7 +138,7 @@ fn cycle(bus: &Bus, rate_hz: u64, cycles: u64) -> Measured {
         lateness_ns.extend(acquisition.last_timing().map(|timing| timing.late_ns));
     }
     stop.store(true, Ordering::Relaxed);
-    // It has the far end until it ends, and the next run needs that.
+    // The thread uses the far end until it ends, and the next run needs that.
     serving.into_iter().for_each(|serving| serving.join().unwrap());
     let offset_ns = acquisition.utc_minus_monotonic_ns();
     let stamped = instants.judge(&records, offset_ns);
@@ -153,7 +153,7 @@ fn cycle(bus: &Bus, rate_hz: u64, cycles: u64) -> Measured {
     }
 }
 
-/// One thread of cyclictest with the same period, priority and locked memory; none where it is not installed.
+/// One thread of cyclictest with the same period, priority and locked memory; `None` if it is not installed.
 pub fn cyclictest(rate_hz: u64, cycles: u64, priority: i32) -> Option<Distribution> {
     let interval = (1_000_000 / rate_hz).to_string();
     let output = Command::new("cyclictest")

@@ -1,4 +1,4 @@
-//! Processor share and memory of the daemon beside the segment's: two processes on the ends of a veth pair in a
+//! Processor share and memory of the daemon and of the segment: two processes on the ends of a veth pair in a
 //! network namespace made here. Needs root and iproute2.
 
 use std::fs;
@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 const SECONDS: u64 = 14;
 const CONFIG: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../config");
 
-/// Records at each rate and prints what that took, and what the daemon itself prints.
+/// Records at each rate and prints the cost, and the daemon's output.
 pub fn cost(rates_hz: &[u32]) {
     if !nix::unistd::geteuid().is_root() {
         println!("processor share and memory: skipped, needs root for a network namespace\n");
@@ -33,7 +33,7 @@ fn record(namespace: &str, rate_hz: u32) {
     let out = std::env::temp_dir().join(namespace);
     configure(&out, rate_hz);
     let directory = out.to_string_lossy();
-    // Real terminals are never busy with anything else.
+    // Real terminals have no other load.
     let segment = Ended(ballbard(namespace, &["chrt", "-f", "81"], &["segment", "--interface", "far"]));
     std::thread::sleep(Duration::from_millis(500));
     let duration = format!("{SECONDS}s");
@@ -54,7 +54,7 @@ fn record(namespace: &str, rate_hz: u32) {
             &directory,
         ],
     ));
-    // Bringing up is over after three seconds.
+    // The bus comes up within three seconds.
     std::thread::sleep(Duration::from_secs(3));
     let (begun, before) = (Instant::now(), [&daemon, &segment].map(|child| cpu_s(child.0.id())));
     std::thread::sleep(Duration::from_secs(SECONDS - 4));
@@ -84,7 +84,7 @@ fn configure(directory: &Path, rate_hz: u32) {
 pub struct Veth(u32);
 
 impl Veth {
-    /// None where it is not permitted.
+    /// `None` without permission.
     pub fn new() -> Option<Self> {
         let veth = Self(std::process::id());
         let [near, far] = veth.ends();
@@ -139,7 +139,7 @@ fn ballbard(namespace: &str, under: &[&str], arguments: &[&str]) -> Child {
     command.env("RUST_LOG", "warn").stdout(Stdio::piped()).spawn().unwrap()
 }
 
-/// Processor time of all threads of a process so far \[s\]: the scheduler's own account, in ns.
+/// Processor time of all threads of a process so far \[s\], from the scheduler's statistics in ns.
 fn cpu_s(pid: u32) -> f64 {
     let tasks = fs::read_dir(format!("/proc/{pid}/task")).into_iter().flatten().flatten();
     let ran_ns = |text: String| text.split(' ').next().and_then(|field| field.parse::<f64>().ok());

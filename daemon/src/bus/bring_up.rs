@@ -1,4 +1,4 @@
-//! From INIT to OP: who is there, is it who should be, interpolation, distributed clocks, states.
+//! From INIT to OP: discovery, check of the devices, interpolation, distributed clocks, states.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Duration;
@@ -18,33 +18,33 @@ use super::{
 use crate::devices::{DeviceKind, EK1100, EL5021, el5021};
 use crate::problem::Fact;
 
-/// SYNC pulses start this much after they are configured: longer than configuring all terminals takes.
+/// SYNC pulses start this long after they are configured: longer than configuring all terminals takes.
 const SYNC_START_DELAY: Duration = Duration::from_millis(100);
-/// Clocks are compared after as many synchronising frames, one per millisecond.
-const CLOCK_SETTLE_FRAMES: u32 = 50;
-/// As often at most, until all are: chips take some thousand frames, and a lost frame is a reply's time-out without correction.
-const CLOCK_SETTLE_ROUNDS_MAX: u32 = 100;
+/// Clocks are compared after this number of synchronising frames, one per millisecond.
+const CLOCK_SYNC_FRAMES: u32 = 50;
+/// Limit of such rounds: chips need some thousand frames, and a lost frame costs a time-out without a correction.
+const CLOCK_SYNC_ROUNDS_MAX: u32 = 100;
 const SYNCHRONISING: &str = "synchronising the clocks";
-/// Largest difference to the bus time at which clocks count as synchronised \[ns\]. Three EL5021 reached 2 to 8 ns between terminals
+/// Largest difference from the bus time of a synchronised clock \[ns\]. Three EL5021 differed by 2 to 8 ns from each other
 /// (linuxcnc-ethercat's notes, read in 2026-11).
 const CLOCK_DIFFERENCE_NS_MAX: i64 = 1_000;
-/// Time that the terminals get for SAFE-OP to OP, process data flowing \[ns\].
+/// Time limit for the terminals' transition from SAFE-OP to OP, with process data exchanged \[ns\].
 const OPERATIONAL_TIMEOUT_NS: i64 = 5 * NS_PER_S;
 
 impl Bus {
-    /// Brings the segment into operation, from whatever state it is in.
+    /// Brings the segment into operation, from any state.
     pub fn bring_up(&mut self, plan: &BusPlan) -> Result<Operational, BusError> {
-        // ethercrab 0.7.1 panics on a CoE emergency in the SDO path and on an incoherent topology: a broken
-        // terminal must not take the process with it.
+        // ethercrab 0.7.1 panics on a CoE emergency in the SDO path and on an incoherent topology: a defective
+        // terminal must not end the process.
         let mut attempt = || {
             catch_unwind(AssertUnwindSafe(|| self.try_bring_up(plan))).unwrap_or_else(|panic| {
-                // Its frames were given back while the panic passed through their owners.
+                // Its frames were released while the panic unwound their owners.
                 let (doing, error) = ("it failed unexpectedly".into(), panic_text(panic.as_ref()));
                 Err(Fact::BusStackFailed { doing, error }.into())
             })
         };
-        // A mailbox whose reply is lost on its way back is empty when it is read again, which ethercrab takes for an error: one
-        // lost frame must not be the end.
+        // A mailbox whose reply was lost is empty when it is read again, which ethercrab reports as an error: one lost
+        // frame must not end the bring-up.
         let outcome = match attempt() {
             Err(error) if error.may_be_a_lost_reply => attempt(),
             outcome => outcome,
@@ -63,7 +63,7 @@ impl Bus {
         let doing = while_doing("mapping the process data");
         let group = self.exchange.run(group.into_pre_op_pdi(self.main)).map_err(doing)?;
         let (group, clocks) = if plan.distributed_clocks {
-            let clocks = self.settle_clocks(&group)?;
+            let clocks = self.synchronise_clocks(&group)?;
             let group = self.start_sync(group, plan)?;
             (OperationalGroup::Dc(self.request_operational(group)?), clocks)
         } else {
@@ -131,7 +131,7 @@ impl Bus {
         let Self { exchange, main, .. } = self;
         for (index, mut terminal) in group.iter_mut(main).skip(1).enumerate() {
             let Some(encoder) = plan.encoders.get(index) else { break };
-            // The coupler stands before the terminals.
+            // The coupler precedes the terminals.
             let position = index + 1;
             let refused = |error| Fact::BusSettingRefused {
                 position,
@@ -152,9 +152,9 @@ impl Bus {
         Ok(())
     }
 
-    /// Lets the clocks of all terminals follow the reference clock until they do.
-    fn settle_clocks(&mut self, group: &Group<PreOpPdi, NoDc>) -> Result<Vec<DeviceClock>, BusError> {
-        let mut rounds_left = CLOCK_SETTLE_ROUNDS_MAX;
+    /// Synchronises the clocks of all terminals to the reference clock.
+    fn synchronise_clocks(&mut self, group: &Group<PreOpPdi, NoDc>) -> Result<Vec<DeviceClock>, BusError> {
+        let mut rounds_left = CLOCK_SYNC_ROUNDS_MAX;
         loop {
             self.distribute_time(group)?;
             let clocks = self.read_clocks(group)?;
@@ -171,8 +171,8 @@ impl Bus {
 
     /// Sends the time of the reference clock to all others, and checks that it advances.
     fn distribute_time(&mut self, group: &Group<PreOpPdi, NoDc>) -> Result<(), BusError> {
-        let mut times_ns = Vec::with_capacity(CLOCK_SETTLE_FRAMES as usize);
-        for _ in 0..CLOCK_SETTLE_FRAMES {
+        let mut times_ns = Vec::with_capacity(CLOCK_SYNC_FRAMES as usize);
+        for _ in 0..CLOCK_SYNC_FRAMES {
             let response = self.exchange.run(group.tx_rx_sync_system_time(self.main));
             times_ns.push(response.map_err(while_doing(SYNCHRONISING))?.extra.unwrap_or(0));
             self.clock.sleep_until(self.clock.now().plus_ns(NS_PER_S / 1000));
@@ -230,7 +230,7 @@ impl Bus {
         Ok(())
     }
 
-    /// Cycles in step with SYNC0 until every device is in OP: they want process data before they go there.
+    /// Cycles in step with SYNC0 until every device is in OP: devices need process data to reach it.
     fn wait_operational(&mut self, operational: &Operational, plan: &BusPlan) -> Result<(), BusError> {
         let period_ns = plan.cycle_period.as_nanos() as i64;
         let deadline = self.clock.now().plus_ns(OPERATIONAL_TIMEOUT_NS);
@@ -277,8 +277,8 @@ impl Bus {
     }
 }
 
-/// Writes the interpolation and reads it back. Object 0x8001:11 is one byte on the wire in all revisions seen;
-/// a firmware that says otherwise gets the length that it asks for.
+/// Writes the interpolation and reads it back. Object 0x8001:11 is one byte on the wire in all known revisions; a
+/// firmware that refuses one byte gets two.
 async fn set_interpolation<T: std::ops::Deref<Target = ethercrab::SubDevice>>(
     terminal: &SubDeviceRef<'_, T>,
     encoder: &EncoderConfig,
@@ -295,7 +295,7 @@ async fn set_interpolation<T: std::ops::Deref<Target = ethercrab::SubDevice>>(
     }
 }
 
-/// First position at which the bus is not what it should be.
+/// First position at which the devices differ from the expected ones.
 fn first_difference(expected: &[&DeviceKind], found: &[DeviceInfo]) -> Option<usize> {
     let same =
         |(kind, device): (&&DeviceKind, &DeviceInfo)| kind.matches(device.vendor_id, device.product_code);
@@ -303,7 +303,7 @@ fn first_difference(expected: &[&DeviceKind], found: &[DeviceInfo]) -> Option<us
     (common < expected.len().max(found.len())).then_some(common)
 }
 
-/// Registers such as 0x092C hold a sign bit and a magnitude, no two's complement.
+/// Registers such as 0x092C contain a sign bit and a magnitude, not two's complement.
 fn sign_magnitude(register: u32) -> i64 {
     let magnitude = i64::from(register & 0x7fff_ffff);
     if register >> 31 == 1 { -magnitude } else { magnitude }

@@ -1,4 +1,4 @@
-//! Why the bus cannot be brought into operation.
+//! Errors of bringing the bus into operation.
 
 use std::fmt;
 
@@ -11,17 +11,17 @@ use crate::problem::{Fact, Problem};
 #[derive(Debug)]
 pub struct BusError {
     fact: Box<Fact>,
-    /// Somebody had nothing more to say to a frame: what he said before was lost.
+    /// No device processed a frame, which happens if the device's previous reply was lost.
     pub(super) may_be_a_lost_reply: bool,
 }
 
 impl BusError {
-    /// As it is reported.
+    /// The error as it is reported.
     pub fn fact(&self) -> &Fact {
         &self.fact
     }
 
-    /// What the stack answered, as `describe` reports it.
+    /// An error of the stack, reported by `describe`.
     pub(super) fn of_stack(error: EtherCatError, describe: impl FnOnce(String) -> Fact) -> Self {
         let may_be_a_lost_reply = matches!(error, EtherCatError::WorkingCounter { .. });
         Self { fact: Box::new(describe(error.to_string())), may_be_a_lost_reply }
@@ -42,12 +42,12 @@ impl fmt::Display for BusError {
 
 impl std::error::Error for BusError {}
 
-/// For `map_err`: what was being done when the stack failed.
+/// For `map_err`: the activity in which the stack failed.
 pub(super) fn while_doing(doing: &'static str) -> impl Fn(EtherCatError) -> BusError {
     move |error| BusError::of_stack(error, |error| Fact::BusStackFailed { doing: doing.into(), error })
 }
 
-/// The devices that answer are not those that should be there: they differ from this position on.
+/// The devices that answer differ from the expected ones, from this position on.
 pub(super) fn wrong_devices(position: usize, expected: Vec<String>, found: Vec<String>) -> Fact {
     if position == found.len() {
         Fact::BusDeviceMissing { position, expected, found }
@@ -58,8 +58,8 @@ pub(super) fn wrong_devices(position: usize, expected: Vec<String>, found: Vec<S
     }
 }
 
-/// Only the first `answering` of `devices`, which were all in operation before, answer on `bus`; more than all
-/// where further ones were added meanwhile.
+/// Only the first `answering` of `devices`, which were all in operation before, answer on `bus`; a larger number if devices
+/// were added.
 pub fn absent(bus: &str, devices: &[DeviceInfo], answering: usize) -> Fact {
     let name = |device: &DeviceInfo| device.name.clone();
     let added = std::iter::repeat_n("another device".into(), answering.saturating_sub(devices.len()));

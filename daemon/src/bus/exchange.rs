@@ -1,8 +1,8 @@
-//! Send and receive around ethercrab's `PduTx` and `PduRx`, on the thread that waits for the answer.
+//! Send and receive around ethercrab's `PduTx` and `PduRx`, on the thread that waits for the reply.
 //!
-//! The loops that come with ethercrab 0.7.1 end for good on a late or duplicated reply (issue 293) or stall
-//! after a lost one. Here a bad reply is counted and the next one is read; an interface that goes down is a
-//! send error of this frame, not the end of the thread.
+//! The loops of ethercrab 0.7.1 end permanently on a late or duplicated reply (issue 293) or stall after a lost
+//! one. Here a bad reply is counted and the next one is read; an interface that goes down is a send error of this
+//! frame, and the thread continues.
 
 use std::future::Future;
 use std::pin::{Pin, pin};
@@ -18,13 +18,13 @@ use super::timers;
 use crate::clock::Clock;
 use crate::segment::{FRAME_BYTES_MAX, Wire};
 
-/// With no timer pending, look again after this long \[ns\].
+/// With no timer pending, poll again after this time \[ns\].
 const POLL_PERIOD_NS: i64 = 1_000_000;
 
-/// What went over the wire, counted since the start.
+/// Counters of the wire since the start.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct WireCounters {
-    /// Frames sent.
+    /// Frames sent without an error.
     pub sent: u64,
     /// Frames that could not be sent.
     pub send_errors: u64,
@@ -32,12 +32,12 @@ pub struct WireCounters {
     pub received: u64,
     /// Replies that were late, duplicated or damaged.
     pub rejected: u64,
-    /// The interface refused to receive.
+    /// Errors of the interface when receiving.
     pub receive_errors: u64,
 }
 
 impl WireCounters {
-    /// Frames that wait for a reply or had one, whether the wire took them or not.
+    /// Frames handed to the wire, whether they were sent or not.
     const fn handed_out(&self) -> u64 {
         self.sent + self.send_errors
     }
@@ -45,7 +45,7 @@ impl WireCounters {
 
 /// Drives the EtherCAT stack over a wire.
 pub struct Exchange {
-    /// None once released.
+    /// `None` once released.
     halves: Option<(PduTx<'static>, PduRx<'static>)>,
     wire: Box<dyn Wire>,
     clock: Clock,
@@ -58,7 +58,7 @@ pub struct Exchange {
 }
 
 impl Exchange {
-    /// The halves of one `PduStorage` and the wire that they talk over.
+    /// The halves of one `PduStorage` and their wire.
     pub fn new(tx: PduTx<'static>, rx: PduRx<'static>, wire: Box<dyn Wire>, clock: Clock) -> Self {
         let now = clock.now();
         Self {
@@ -84,12 +84,12 @@ impl Exchange {
         self.interrupt.load(Ordering::Acquire)
     }
 
-    /// Gives the halves back; nothing is sent or received any more.
+    /// Returns the halves; nothing is sent or received any more.
     pub fn release(&mut self) -> Option<(PduTx<'static>, PduRx<'static>)> {
         self.halves.take()
     }
 
-    /// Runs a future of the EtherCAT stack to its end and carries its frames. An interruption is an error of its own.
+    /// Runs a future of the EtherCAT stack to its end and exchanges its frames. An interruption is an error of its own.
     pub fn run<T>(
         &mut self,
         future: impl Future<Output = Result<T, EtherCatError>>,
@@ -103,13 +103,13 @@ impl Exchange {
         Err(EtherCatError::Internal)
     }
 
-    /// Like [`run`](Self::run), but gives up at `deadline`; a reply that comes later is rejected. No frame is sent again: a
-    /// copy would come a cycle late and pass for a fresh sample.
+    /// Like [`run`](Self::run), but gives up at `deadline`; a later reply is rejected. No frame is sent again: a copy
+    /// would arrive a cycle late and be taken for a new sample.
     pub fn run_until<F: Future>(&mut self, future: F, deadline: MonoNs) -> Option<F::Output> {
         let mut future = pin!(future);
         let before = self.counters;
         loop {
-            // One frame follows the other: what the stack offers while one waits for its reply is that one again.
+            // Frames are sequential: while one waits for its reply, the stack can only offer the same frame again.
             let is_answered =
                 self.counters.handed_out() - before.handed_out() <= self.counters.received - before.received;
             let output = self.turn(future.as_mut(), Some(deadline), is_answered);
@@ -119,7 +119,7 @@ impl Exchange {
         }
     }
 
-    /// Polls once; if that is not the end, sends what is to be sent and waits for one reply or the next timer.
+    /// Polls once; if the future is not ready, sends pending frames and waits for one reply or the next timer.
     fn turn<F: Future>(
         &mut self,
         future: Pin<&mut F>,
@@ -146,17 +146,17 @@ impl Exchange {
         self.sent_last
     }
 
-    /// How long that frame was \[bytes\].
+    /// Length of that frame \[bytes\].
     pub fn sent_bytes_last(&self) -> usize {
         self.sent_bytes_last
     }
 
-    /// When the last reply was there.
+    /// When the last reply was received.
     pub fn received_last(&self) -> MonoNs {
         self.received_last
     }
 
-    /// What went over the wire so far.
+    /// Counters of the wire so far.
     pub fn counters(&self) -> WireCounters {
         self.counters
     }
@@ -166,8 +166,8 @@ impl Exchange {
         let Some((tx, _)) = halves else { return };
         while let Some(frame) = tx.next_sendable_frame() {
             *sent_last = clock.now();
-            // A frame that cannot be sent counts as sent and lost: it ends by its time-out like any other loss,
-            // instead of being offered again at once for ever.
+            // A frame that cannot be sent counts as sent and lost: it ends by its time-out like any other loss, instead of
+            // being offered again at once.
             let _never_an_error = frame.send_blocking(|bytes| {
                 *sent_bytes_last = bytes.len();
                 match wire.send(bytes) {
@@ -193,7 +193,7 @@ impl Exchange {
             }
             Ok(None) => {}
             Err(_) => {
-                // A dead interface answers at once: without a pause this would spin until the time-out.
+                // An interface that is down returns at once: without a pause this would loop until the time-out.
                 self.counters.receive_errors += 1;
                 self.clock.sleep_until(until);
             }

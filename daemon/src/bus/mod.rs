@@ -23,7 +23,7 @@ use shared::time::{DcNs, MonoNs};
 pub use error::{BusError, absent};
 pub use exchange::{Exchange, WireCounters};
 pub use ports::{PORTS, PortCounters};
-pub use recovery::Lift;
+pub use recovery::RestoreToOp;
 pub use timers::use_clock;
 
 use crate::clock::Clock;
@@ -33,25 +33,25 @@ use stack::Stack;
 
 /// More devices than a ball-bar has; ethercrab wants a power of two.
 pub const DEVICES_MAX: usize = 16;
-/// ethercrab gives this station address to the first device and the next ones to those behind it.
+/// ethercrab assigns this station address to the first device and the following ones to those behind it.
 const STATION_ADDRESS_FIRST: u16 = 0x1000;
 /// Room for the process data of all terminals.
 const PDI_BYTES_MAX: usize = 256;
-/// Nothing is cyclic yet while the bus comes up, and this PC may be busy: patience costs nothing.
+/// While the bus comes up nothing is cyclic, and this PC may be busy: a long time-out costs nothing.
 const BRING_UP_REPLY_TIMEOUT: Duration = Duration::from_millis(20);
 const BRING_UP_RETRIES: usize = 5;
 /// 100 Mbit/s.
 const WIRE_NS_PER_BYTE: i64 = 80;
 /// Shorter frames are padded.
 const FRAME_BYTES_MIN: usize = 60;
-/// Preamble and start delimiter before, check sequence after each frame.
+/// Preamble and start delimiter precede each frame, a check sequence follows.
 const FRAME_BYTES_AROUND: usize = 8 + 4;
 
 type Group<State, Dc> = SubDeviceGroup<DEVICES_MAX, PDI_BYTES_MAX, ethercrab::DefaultLock, State, Dc>;
 
 type Device<'a> = SubDeviceRef<'static, SubDevicePdi<'a, PDI_BYTES_MAX, ethercrab::DefaultLock>>;
 
-/// What the bus should be and how it should run.
+/// Expected devices of the bus, and its timing.
 #[derive(Debug, Clone)]
 pub struct BusPlan {
     /// Interface, or `simulated`; for messages.
@@ -62,7 +62,7 @@ pub struct BusPlan {
     pub cycle_period: Duration,
     /// Sample on SYNC0 of the distributed clocks.
     pub distributed_clocks: bool,
-    /// The frame follows SYNC0 by this much. Half a period leaves most room for lateness either way.
+    /// The frame follows SYNC0 by this time. Half a period gives most margin in both directions.
     pub sync0_shift: Duration,
     /// How long a cyclic frame waits for its reply.
     pub reply_timeout: Duration,
@@ -75,7 +75,7 @@ pub struct Bus {
     pdu_timeout: Duration,
     clock: Clock,
     reply_timeout_ns: i64,
-    /// What the bus' clock is set to when the bus comes up: the host's monotonic time plus this \[ns\].
+    /// When the bus comes up its clock is set to the host's monotonic time plus this \[ns\].
     bus_minus_monotonic_ns: i64,
     /// See [`Self::identified`].
     identified: Vec<DeviceInfo>,
@@ -86,9 +86,9 @@ pub struct Operational {
     group: OperationalGroup,
     /// Devices as they identified themselves, in bus order.
     pub devices: Vec<DeviceInfo>,
-    /// Clocks of the devices behind the first, the reference; none without distributed clocks.
+    /// Clocks of the devices behind the first, the reference; empty without distributed clocks.
     pub clocks: Vec<DeviceClock>,
-    /// Working counter of a whole bus.
+    /// Working counter if all devices process the frame.
     pub working_counter_expected: u16,
     encoder_count: usize,
 }
@@ -98,9 +98,9 @@ pub struct Operational {
 pub struct DeviceClock {
     /// Position on the bus.
     pub position: usize,
-    /// From the reference clock to the device \[ns\].
+    /// Delay from the reference clock to the device \[ns\].
     pub propagation_delay_ns: u32,
-    /// To the time of the reference clock \[ns\].
+    /// Difference from the time of the reference clock \[ns\].
     pub difference_ns: i64,
 }
 
@@ -122,16 +122,16 @@ impl OperationalGroup {
     }
 }
 
-/// What one cyclic frame gave.
+/// Result of one cyclic frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Reply {
     /// Working counter of the process data.
     pub working_counter: u16,
-    /// Every device reports OP.
+    /// Every device is in OP.
     pub all_operational: bool,
-    /// Positions that report another state, one bit each.
+    /// Positions in another state, one bit each.
     pub not_operational: u32,
-    /// Positions that report nothing: nobody has that address any more. One bit each.
+    /// Positions without a state: no device has that address any more. One bit each.
     pub silent: u32,
     /// System time at which the frame passed the reference clock.
     pub dc_time: Option<DcNs>,
@@ -139,14 +139,14 @@ pub struct Reply {
     pub inputs: [Input; MAX_ENCODERS],
 }
 
-/// One cyclic exchange: when, and what came back.
+/// One cyclic exchange with its times.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CyclicExchange {
-    /// The frame was handed to the wire.
+    /// When the frame was handed to the wire.
     pub sent: MonoNs,
-    /// The reply was there; equal to `sent` when none came.
+    /// When the reply was received; equal to `sent` without one.
     pub received: MonoNs,
-    /// None when no reply came in time.
+    /// `None` when no reply arrived in time.
     pub reply: Option<Reply>,
 }
 
@@ -170,17 +170,17 @@ impl Bus {
         self.exchange.interrupt_by(interrupt);
     }
 
-    /// Devices that identified themselves when the bus was last brought up, also if it did not come up.
+    /// Devices that identified themselves when the bus was last brought up, also if that failed.
     pub fn identified(&self) -> &[DeviceInfo] {
         &self.identified
     }
 
-    /// What went over the wire so far.
+    /// Counters of the wire so far.
     pub fn wire_counters(&self) -> WireCounters {
         self.exchange.counters()
     }
 
-    /// From the first to the last bit of the last frame on the wire \[ns\].
+    /// Duration of the last frame on the wire, from its first to its last bit \[ns\].
     pub fn frame_ns(&self) -> i64 {
         let bytes = self.exchange.sent_bytes_last().max(FRAME_BYTES_MIN) + FRAME_BYTES_AROUND;
         bytes as i64 * WIRE_NS_PER_BYTE
@@ -213,9 +213,9 @@ impl Bus {
         CyclicExchange { sent, received: self.exchange.received_last(), reply: Some(reply) }
     }
 
-    /// What the terminal of one encoder, counted in bus order from 0, is told from the next exchange on.
+    /// Sets the outputs of one terminal, by encoder in bus order from 0, from the next exchange on.
     pub fn set_output(&self, operational: &Operational, encoder: usize, output: Output) {
-        // The coupler stands before the terminals. Lengths were checked when the bus came up.
+        // The coupler precedes the terminals. Lengths were checked when the bus came up.
         let position = encoder + 1;
         if let Ok(terminal) = operational.group.device(self.main, position) {
             let mut pdo = terminal.outputs_raw_mut();
@@ -226,7 +226,7 @@ impl Bus {
     fn inputs(&self, operational: &Operational) -> [Input; MAX_ENCODERS] {
         let mut inputs = [Input::default(); MAX_ENCODERS];
         for (index, input) in inputs.iter_mut().enumerate().take(operational.encoder_count) {
-            // The coupler stands before the terminals. Lengths were checked when the bus came up.
+            // The coupler precedes the terminals. Lengths were checked when the bus came up.
             let terminal = operational.group.device(self.main, index + 1).ok();
             *input = terminal.and_then(|terminal| Input::decode(&terminal.inputs_raw())).unwrap_or_default();
         }
@@ -242,7 +242,7 @@ impl Drop for Bus {
     }
 }
 
-/// Which devices are not in OP, and which of them report no state at all. One bit for each position.
+/// Devices that are not in OP, and those among them without any state. One bit for each position.
 struct States {
     not_operational: u32,
     silent: u32,
@@ -264,7 +264,7 @@ impl States {
     }
 }
 
-/// Working counter that `terminals` EL5021 add up to.
+/// Working counter of `terminals` EL5021.
 const fn working_counter_of(terminals: usize) -> u16 {
     terminals as u16 * el5021::WORKING_COUNTER
 }

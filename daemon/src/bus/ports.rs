@@ -8,33 +8,33 @@ use super::{Bus, STATION_ADDRESS_FIRST};
 /// Ports of a slave controller.
 pub const PORTS: usize = 4;
 /// Error counters of a slave controller (ETG.1000.4; Beckhoff ESC data sheet, section II): for each port invalid frames and
-/// receive errors, from 0x0308 on what an earlier device has counted already, from 0x0310 on lost links.
+/// receive errors, from 0x0308 on errors that an earlier device has counted already, from 0x0310 on lost links.
 const ERROR_COUNTERS: u16 = 0x0300;
 const ERROR_COUNTERS_BYTES: usize = 0x14;
 const LOST_LINKS_FROM: usize = 0x10;
-/// A counter stops at 255, so all of a device are cleared before.
+/// A counter stops at 255, so a device's counters are cleared before that.
 const CLEARED_FROM: u8 = 0x80;
 
-/// What one port has counted since its device was powered up or cleared.
+/// Counts of one port since its device was powered up or cleared.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct PortCounters {
     /// Frames with a wrong check sequence.
     pub invalid_frames: u8,
-    /// Symbols that were none, inside frames or between them.
+    /// Invalid symbols, inside frames or between them.
     pub receive_errors: u8,
     /// How often the link was lost.
     pub lost_links: u8,
 }
 
 impl PortCounters {
-    /// The counters will soon stop.
+    /// Whether a counter is close to its limit.
     pub fn are_high(&self) -> bool {
         [self.invalid_frames, self.receive_errors, self.lost_links].iter().any(|count| *count >= CLEARED_FROM)
     }
 }
 
 impl Bus {
-    /// What the ports of a device have counted; none if it does not answer before `deadline`. Allocates nothing.
+    /// Counters of a device's ports; `None` if it does not answer before `deadline`. Allocates nothing.
     pub fn port_counters(&mut self, position: usize, deadline: MonoNs) -> Option<[PortCounters; PORTS]> {
         let Self { exchange, main, .. } = self;
         let read = Command::fprd(STATION_ADDRESS_FIRST + position as u16, ERROR_COUNTERS);
@@ -46,7 +46,7 @@ impl Bus {
         }))
     }
 
-    /// Lets a device count from zero again; false if it did not answer before `deadline`.
+    /// Clears a device's counters; false if it did not answer before `deadline`.
     pub fn clear_port_counters(&mut self, position: usize, deadline: MonoNs) -> bool {
         let Self { exchange, main, .. } = self;
         let write = Command::fpwr(STATION_ADDRESS_FIRST + position as u16, ERROR_COUNTERS);

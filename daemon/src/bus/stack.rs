@@ -1,8 +1,8 @@
 //! The EtherCAT stacks of this process.
 //!
-//! ethercrab splits a frame storage once and lends its halves for good, so a stack lives as long as the process. A
-//! [`Bus`](super::Bus) that is dropped leaves its stack to the next one: however often a bus is given up and begun
-//! anew, there are as many stacks as there were buses at the same time.
+//! ethercrab splits a frame storage once and borrows it for the rest of the process, so a stack lives as long. A dropped
+//! [`Bus`](super::Bus) leaves its stack to the next one: however often buses are replaced, there are never more stacks
+//! than there were buses at the same time.
 
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
@@ -19,20 +19,18 @@ type Storage = PduStorage<FRAMES_MAX, FRAME_DATA_BYTES>;
 /// Stacks that no bus uses.
 static IDLE: Mutex<Vec<Stack>> = Mutex::new(Vec::new());
 
-/// One frame storage and what works on it.
+/// One frame storage and its users.
 pub(super) struct Stack {
     /// Frames to be sent.
     pub tx: PduTx<'static>,
-    /// Replies.
     pub rx: PduRx<'static>,
-    /// The MainDevice.
     pub main: &'static MainDevice<'static>,
-    /// How long it waits for a reply before it sends a frame again, or gives it up.
+    /// Time to wait for a reply before a frame is sent again or given up.
     pub pdu_timeout: Duration,
 }
 
 impl Stack {
-    /// One that waits at least `reply_timeout` for a reply: one that is idle, or a new one.
+    /// An idle or new stack that waits at least `reply_timeout` for a reply.
     pub fn take(reply_timeout: Duration) -> Self {
         let pdu_timeout = BRING_UP_REPLY_TIMEOUT.max(reply_timeout);
         let mut idle = IDLE.lock().unwrap_or_else(PoisonError::into_inner);
@@ -50,8 +48,8 @@ impl Stack {
         // Splitting fails only the second time; a storage made here was never split.
         #[allow(clippy::expect_used, reason = "the storage was made one line above")]
         let (tx, rx, pdu_loop) = storage.try_split().expect("fresh storage");
-        // Retries are for bringing the bus up: `Exchange::run_until` sends none.
-        // A device that is asked until it is ready is asked in frames that may be repeated themselves.
+        // Retries are for bringing the bus up: `Exchange::run_until` sends none. Devices that are polled until they are
+        // ready are polled with frames that may be repeated themselves.
         let repeated = pdu_timeout * (BRING_UP_RETRIES as u32 + 1);
         let usual = Timeouts::default();
         let timeouts = Timeouts {
@@ -74,7 +72,7 @@ mod tests {
 
     #[test]
     fn a_stack_that_was_left_is_used_again() {
-        // Other tests take and leave stacks meanwhile, but these are held here.
+        // Other tests take and leave stacks at the same time, but these are held here.
         let held: Vec<Stack> = (0..3).map(|_| Stack::take(Duration::ZERO)).collect();
         let places: Vec<*const MainDevice> =
             held.iter().map(|stack| std::ptr::from_ref(stack.main)).collect();

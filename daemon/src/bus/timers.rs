@@ -1,8 +1,8 @@
 //! Time-outs of the EtherCAT stack, on our clock.
 //!
-//! ethercrab without `std` takes its timers from embassy-time, which asks one driver per program for the time.
-//! Ours answers with the clock of the calling thread, and remembers the earliest wake-up instead of arming
-//! anything: the thread that polls is the thread that waits. No timer thread, no lock, no allocation.
+//! ethercrab without `std` takes its timers from embassy-time, which reads the time from one driver per program.
+//! This driver returns the clock of the calling thread and keeps the earliest wake-up: the thread that polls is
+//! the one that waits. It needs neither a timer thread nor a lock or allocation.
 
 use std::cell::{Cell, RefCell};
 use std::task::Waker;
@@ -34,7 +34,7 @@ impl Driver for ThreadClock {
 embassy_time_driver::time_driver_impl!(static DRIVER: ThreadClock = ThreadClock);
 
 /// From now on the time-outs of EtherCAT futures that this thread polls run on `clock`. [`Exchange`](super::Exchange)
-/// does it by itself.
+/// calls this.
 pub fn use_clock(clock: &Clock) {
     CLOCK.with_borrow_mut(|current| current.clone_from(clock));
 }
@@ -44,7 +44,7 @@ pub(super) fn now() -> MonoNs {
     CLOCK.with_borrow(Clock::now)
 }
 
-/// The earliest time at which a timer polled since the last call wants to be polled again.
+/// The earliest wake-up of the timers polled since the last call.
 pub(super) fn take_earliest_wake() -> Option<MonoNs> {
     // Rounded up: a timer polled a fraction of a tick early would not be ready.
     EARLIEST_WAKE.take().map(|at| MonoNs((at as i64).saturating_add(1).saturating_mul(NS_PER_TICK)))

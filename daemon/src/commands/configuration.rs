@@ -1,4 +1,4 @@
-//! Where the configuration comes from: what was typed, this directory, the machine, or what the program brings along.
+//! Sources of the configuration: the command line, this directory, the machine, or the program itself.
 
 use std::path::{Path, PathBuf};
 
@@ -10,15 +10,15 @@ use shared::config::{
 
 use crate::homing::MarksFile;
 
-/// Where a packaged service keeps what it finds out.
+/// State directory of a packaged service.
 const STATE: &str = "/var/lib/ballbard";
 const DAEMON: &str = "daemon";
 const BALL_BAR: &str = "ball_bar";
 
 #[derive(Debug, Clone, Args)]
 pub struct Configuration {
-    /// Directory with daemon.toml and ball_bar.toml; default: `config` in this directory, then /etc/ballbard, then what
-    /// the program brings along
+    /// Directory with daemon.toml and ball_bar.toml; default: `config` in this directory, then /etc/ballbard, then the
+    /// built-in configuration
     #[arg(long, value_name = "DIR")]
     config: Option<PathBuf>,
 }
@@ -34,26 +34,26 @@ impl Configuration {
         self.load(BALL_BAR)
     }
 
-    /// Where reference marks are kept. They used to be beside `ball_bar.toml`, or with the recordings where nobody has
-    /// written one.
+    /// The file of reference marks. Earlier versions kept it beside `ball_bar.toml`, or with the recordings if there was no such
+    /// file.
     pub fn marks_file(&self, state: &State, daemon: &DaemonConfig) -> MarksFile {
         let beside = self.find(BALL_BAR).and_then(|file| file.parent().map(Path::to_owned));
         let older = beside.unwrap_or_else(|| daemon.directory.clone()).join(HomingConfig::FILE_NAME);
         MarksFile::new(state.directory(), Some(older))
     }
 
-    /// Where a file came from, for people.
+    /// Origin of the daemon's configuration, for people.
     pub fn origin(&self) -> String {
         match self.find(DAEMON) {
             Some(file) => file.display().to_string(),
             None => format!(
-                "what the program brings along, as there is no daemon.toml in {}",
+                "the built-in configuration, because there is no daemon.toml in {}",
                 PLACES.join(" or ")
             ),
         }
     }
 
-    /// None where what the program brings along is used.
+    /// `None` for the built-in configuration.
     fn find(&self, name: &str) -> Option<PathBuf> {
         match self.source(name) {
             Some(Source::File(file)) => Some(file),
@@ -63,7 +63,7 @@ impl Configuration {
 
     fn source(&self, name: &str) -> Option<Source> {
         match &self.config {
-            // What was typed is meant, whether it is there or not.
+            // A named directory is used even if the file is missing.
             Some(directory) => Some(Source::File(directory.join(name).with_extension("toml"))),
             None => Source::named(name),
         }
@@ -75,22 +75,22 @@ impl Configuration {
     }
 }
 
-/// Where the program keeps what it finds out by itself.
+/// Directory of the program's state.
 #[derive(Debug, Clone, Args)]
 pub struct State {
     /// Directory for reference marks, token and certificate; default: $STATE_DIRECTORY as systemd sets it,
-    /// /var/lib/ballbard where that is there, else `ballbard` in $XDG_STATE_HOME or ~/.local/state
+    /// /var/lib/ballbard if it exists, else `ballbard` in $XDG_STATE_HOME or ~/.local/state
     #[arg(long = "state", value_name = "DIR")]
     directory: Option<PathBuf>,
 }
 
 impl State {
-    /// Somebody typed one.
+    /// Whether it is named on the command line.
     pub fn is_given(&self) -> bool {
         self.directory.is_some()
     }
 
-    /// What was typed, or where it is by default.
+    /// The named directory, or the default.
     pub fn directory(&self) -> PathBuf {
         let variable = |name| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
         let of_user = || {
@@ -100,7 +100,7 @@ impl State {
         let installed = Some(PathBuf::from(STATE)).filter(|path| path.is_dir());
         let chosen = self.directory.clone().or_else(|| variable("STATE_DIRECTORY")).or(installed);
         let directory = chosen.or_else(of_user).unwrap_or_else(|| STATE.into());
-        // Whoever is told where it is may be in another directory.
+        // The path is shown to processes with another working directory.
         std::path::absolute(&directory).unwrap_or(directory)
     }
 }

@@ -1,4 +1,4 @@
-//! `ballbard home`: reference marks of all encoders, with a person who turns one joint at a time.
+//! `ballbard home`: determines the reference marks of all encoders while a person turns one joint at a time.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -17,13 +17,13 @@ use crate::control::status::{Granted, HomeRequest, HomingStatus, Reply, Status, 
 use crate::run::{self, RunRequest, Stop, Storage};
 use crate::scheduler::{Scheduler, Threads};
 
-/// How often progress is looked at.
+/// Period in which progress is polled.
 const POLL: Duration = Duration::from_millis(200);
 
 #[derive(Debug, Args)]
 pub struct HomeArguments {
-    /// Without a service: network interface of the coupler, such as eth1, or `simulated`, where the joints turn by
-    /// themselves. Default: ask the running service, which has the bus
+    /// Without a service: network interface of the coupler, such as eth1, or `simulated`, where the joints turn
+    /// automatically. Default: use the running service, which has the bus
     #[arg(long, value_name = "INTERFACE", conflicts_with = "service")]
     bus: Option<String>,
     #[command(flatten)]
@@ -39,7 +39,7 @@ pub fn run(arguments: HomeArguments) -> anyhow::Result<()> {
         match &arguments.bus {
             Some(bus) => on_own_bus(&scheduler, bus, &arguments.service, &arguments.state, &stop).await,
             None if arguments.state.is_given() => {
-                bail!("--state is for --bus; the running service keeps marks where its own --state says")
+                bail!("--state needs --bus; the running service has its own --state")
             }
             None => by_service(&*scheduler, &arguments.service, &stop).await,
         }
@@ -61,16 +61,16 @@ async fn by_service(
     })?;
     let is_ours = reply.answer == Granted::Begun;
     if !is_ours && !service.format.json {
-        say("the encoders are being homed already, as somebody else asked; this is how it goes on")?;
+        say("another client is homing the encoders already; its progress follows")?;
     }
     let mut printer = Printer::new(service.format);
-    let mut asked_to_stop = false;
+    let mut stop_requested = false;
     loop {
         let status: Status = service.get("status")?;
         let Some(homing) = status.homing else {
-            bail!("the service has forgotten the homing; was it restarted?")
+            bail!("the service has no homing any more; was it restarted?")
         };
-        // Without a reader nobody is told what to turn.
+        // Without output a person sees no instructions.
         if let Err(error) = printer.print(&homing) {
             stop.stop(&explained(error.as_ref()));
         }
@@ -78,13 +78,10 @@ async fn by_service(
             return outcome(homing);
         }
         if stop.is_stopped() && !is_ours {
-            bail!(
-                "{}: not looked at any more; the homing that somebody else asked for goes on, `ballbard stop` ends it",
-                stop.cause()
-            );
+            bail!("{}: the homing of the other client continues; `ballbard stop` ends it", stop.cause());
         }
-        if stop.is_stopped() && !asked_to_stop {
-            asked_to_stop = true;
+        if stop.is_stopped() && !stop_requested {
+            stop_requested = true;
             let _: Reply = service.post("stop", &StopRequest { cause: Some(stop.cause()) })?;
         }
         scheduler.sleep(POLL).await;
@@ -131,7 +128,7 @@ fn outcome(status: HomingStatus) -> anyhow::Result<()> {
     }
 }
 
-/// Prints what is new: lines for people, for programs each state in a line of JSON.
+/// Prints changes: lines for people, or each state as a line of JSON.
 struct Printer {
     format: Format,
     printed: HomingStatus,

@@ -1,4 +1,4 @@
-//! What a person types.
+//! The command line.
 
 mod client;
 mod configuration;
@@ -28,7 +28,7 @@ use shared::version::version;
 
 const EXIT_CODES: &str = "Exit codes: 0: success; 1: failure, a check that found what stops a run, a tune that found a \
     problem, a smoke test that did not pass, or a run rated BAD; 2: usage error, such as a run without --bus.";
-/// Interfaces that a message lists.
+/// Number of interfaces that a message lists.
 const INTERFACES_MAX: usize = 8;
 
 /// Records a sensed double ball-bar over EtherCAT.
@@ -41,25 +41,25 @@ pub struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Keep the bus in operation and record when asked to.
+    /// Keep the bus in operation and record on request.
     Run(serve::RunArguments),
-    /// Ask the service to begin a run.
+    /// Begin a run of the running service.
     Start(requests::StartArguments),
-    /// Ask the service to end the run; returns when its file is finished.
+    /// End the current run; returns when its file is finished.
     Stop(ServiceArguments),
-    /// What the service is doing.
+    /// Print the state of the service.
     Status(requests::StatusArguments),
     /// Put a marker into the run.
     Mark(requests::MarkArguments),
-    /// Change the note of a finished run; the recording itself stays as it is.
+    /// Change the note of a finished run; the recording itself is unchanged.
     Note(requests::NoteArguments),
     /// Run pre-flight checks.
     Check(ServiceArguments),
-    /// List recordings.
+    /// List recordings with their grades.
     Runs(requests::RunsArguments),
     /// Move a recording into the bin.
     Delete(requests::NameArguments),
-    /// Move a recording from the bin to the others.
+    /// Move a recording out of the bin.
     Restore(requests::NameArguments),
     /// List the recordings in the bin, or remove all of them.
     Bin(requests::BinArguments),
@@ -75,15 +75,15 @@ enum Command {
     Tune(tune::TuneArguments),
     /// Write a recording as a table.
     Export(export::ExportArguments),
-    /// Make a finished recording of one that was cut short or damaged.
+    /// Repair a truncated or damaged recording.
     Recover(recover::RecoverArguments),
-    /// Write completions for a shell, or man pages.
+    /// Write shell completions or man pages.
     Generate(GenerateArguments),
     /// Serve a simulated EK1100 with EL5021 terminals on a network interface.
     Segment(segment::SegmentArguments),
 }
 
-/// Does what was typed; an error's text is meant for a person.
+/// Executes a command; errors are texts for people.
 pub fn run(arguments: Arguments) -> anyhow::Result<()> {
     match arguments.command {
         Command::Run(arguments) => serve::run(&arguments),
@@ -109,16 +109,16 @@ pub fn run(arguments: Arguments) -> anyhow::Result<()> {
     }
 }
 
-/// Who reads what comes of a command: a person, or a program.
+/// Output format of a command: text or JSON.
 #[derive(Debug, Clone, Copy, Args)]
 struct Format {
-    /// Print what comes of it as JSON
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
 }
 
 impl Format {
-    /// Prints it if a program reads, and says whether it did.
+    /// Prints JSON if requested; returns whether it was.
     fn prints(self, outcome: &impl Serialize) -> anyhow::Result<bool> {
         if self.json {
             say(serde_json::to_string_pretty(outcome)?)?;
@@ -126,7 +126,7 @@ impl Format {
         Ok(self.json)
     }
 
-    /// Prints it for a program, or its text for a person.
+    /// Prints JSON if requested, otherwise the text.
     fn answer(self, outcome: &impl Serialize, text: impl Display) -> anyhow::Result<()> {
         if !self.prints(outcome)? {
             say(text)?;
@@ -135,27 +135,27 @@ impl Format {
     }
 }
 
-/// A command that cannot be carried out as it was typed.
+/// An invalid command line.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub struct UsageError(String);
 
 impl UsageError {
-    /// As clap ends the program. The Debian package's unit does not restart a service that ends with it.
+    /// Exit code of clap. The Debian package's unit does not restart a service that ends with it.
     pub const EXIT_CODE: u8 = 2;
 }
 
-/// The bus that a person names. None is assumed: simulated data must not pass for measured ones.
+/// The bus named on the command line. There is no default: simulated data must not be mistaken for measured ones.
 fn bus_choice(name: Option<&str>) -> Result<BusChoice, UsageError> {
     match name {
         Some(SIMULATED_BUS) => Ok(BusChoice::Simulated),
         Some(interface) => Ok(BusChoice::Interface(interface.to_owned())),
         None => {
-            // As the unit of the Debian package starts it.
+            // In the unit of the Debian package.
             let remedy = if std::env::var_os("STATE_DIRECTORY").is_some() {
                 " to BALLBARD_OPTIONS in /etc/default/ballbard"
             } else {
-                ", or --bus simulated for made-up data"
+                ", or --bus simulated for generated data"
             };
             let interfaces = named(&interfaces(), INTERFACES_MAX);
             Err(UsageError(format!(
@@ -165,7 +165,7 @@ fn bus_choice(name: Option<&str>) -> Result<BusChoice, UsageError> {
     }
 }
 
-/// Does work; each signal that ends programs calls `stop` with its name, and the work is waited for.
+/// Does work; each terminating signal calls `stop` with its name, then the work continues to its end.
 fn on_signal<T>(work: impl Future<Output = anyhow::Result<T>>, stop: impl Fn(&str)) -> anyhow::Result<T> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()

@@ -9,7 +9,7 @@ use shared::output::say;
 use shared::recording::SystemDisk;
 use shared::recording::schema::SIMULATED_BUS;
 
-use super::client::text::{last_run, unless_blind};
+use super::client::text::{ensure_any_valid, last_run};
 use super::configuration::{Configuration, State};
 use super::{Format, bus_choice, on_signal};
 use crate::clock::Clock;
@@ -23,20 +23,19 @@ pub struct RecordArguments {
     /// Name of the run and of its file, in which spaces and the like become `-`; default: date and time
     #[arg(long)]
     name: Option<String>,
-    /// How long: 90 (seconds), 90s or 2m; default: until Ctrl-C, or to the end of a replay
+    /// Duration: 90 (seconds), 90s or 2m; default: until Ctrl-C, or to the end of a replay
     #[arg(long, value_parser = shared::time::parse_duration)]
     duration: Option<Duration>,
-    /// Network interface of the coupler, such as eth1; `simulated` records made-up data without hardware
+    /// Network interface of the coupler, such as eth1; `simulated` records generated data without hardware
     #[arg(long, value_name = "INTERFACE")]
     bus: Option<String>,
     /// Let the encoders of the simulated bus follow this recording
     #[arg(long, value_name = "FILE")]
     replay: Option<PathBuf>,
-    /// If the bus does not come up, say what is missing and try again until it does
+    /// If the bus does not come up, print the problem and retry until it does
     #[arg(long)]
     wait: bool,
-    /// What goes wrong on the simulated bus, such as lost:0.01 or gone:3@10s-15s (an unknown one lists all); may be
-    /// repeated
+    /// Inject a fault into the simulated bus, such as lost:0.01 or gone:3@10s-15s (repeatable; an invalid one lists all)
     #[arg(long = "fault", value_name = "FAULT[@FROM[-UNTIL]]")]
     faults: Vec<FaultWindow>,
     /// Virtual time: as fast as the machine allows (simulated bus only)
@@ -75,14 +74,14 @@ pub fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
         say(last_run(&last))?;
         last.timing.iter().try_for_each(say)?;
     }
-    unless_blind(last.cycles, last.cycles_valid)
+    ensure_any_valid(last.cycles, last.cycles_valid)
 }
 
 fn request(arguments: &RecordArguments, homing: Option<HomingConfig>) -> anyhow::Result<RunRequest> {
     let bus = match (&arguments.replay, arguments.bus.as_deref()) {
         (Some(file), None | Some(SIMULATED_BUS)) => BusChoice::Replay(file.clone()),
         (Some(_), Some(interface)) => {
-            anyhow::bail!("--replay plays on the simulated bus, not on {interface}; leave out one of the two")
+            anyhow::bail!("--replay needs the simulated bus, not {interface}; omit one of the two")
         }
         (None, name) => bus_choice(name)?,
     };

@@ -1,4 +1,4 @@
-//! `ballbard recover`: a finished recording out of one that was cut short or damaged.
+//! `ballbard recover`: repairs a truncated or damaged recording.
 
 use std::path::{Path, PathBuf};
 
@@ -17,21 +17,21 @@ pub struct RecoverArguments {
     format: Format,
 }
 
-/// What became of the file, for programs.
+/// Result of a repair as JSON.
 #[derive(Serialize)]
 struct Outcome<'a> {
     /// `whole`, `renamed` or `recovered`.
     outcome: &'static str,
-    /// The finished recording.
+    /// Path of the finished recording.
     file: String,
-    /// The original, where a part of it could not be read.
+    /// The original, if a part of it could not be read.
     torn: Option<String>,
     cycles: u64,
     cycles_valid: u64,
     cycles_lost: u64,
-    /// When the last whole cycle was sampled.
+    /// Sample time of the last intact cycle.
     last_good_utc: Option<String>,
-    /// What could not be read.
+    /// Damage that could not be read.
     damage: Option<String>,
     timing: Option<&'a TimingSummary>,
 }
@@ -67,14 +67,10 @@ pub fn run(arguments: &RecoverArguments) -> anyhow::Result<()> {
     match recovery {
         Recovery::Whole { content } => {
             let file = arguments.file.display();
-            say(format_args!("{file}: whole, {} cycles; nothing to recover", content.cycles))?;
+            say(format_args!("{file}: intact, {} cycles; nothing to recover", content.cycles))?;
         }
         Recovery::Renamed { file, content } => {
-            say(format_args!(
-                "{}: was finished, {} cycles; it has its name now",
-                file.display(),
-                content.cycles
-            ))?;
+            say(format_args!("{}: was finished, {} cycles; renamed", file.display(), content.cycles))?;
         }
         Recovery::Recovered { file, torn, content } => {
             say(format_args!("{}: {}", file.display(), kept(&content)))?;
@@ -103,6 +99,6 @@ fn kept(content: &Salvaged) -> String {
             };
             format!("recovered {whole} cycles, {cycles_valid} valid, the last of {last}{lost}")
         }
-        None => "recovered, but no cycle was whole".into(),
+        None => "recovered, but without any intact cycle".into(),
     }
 }

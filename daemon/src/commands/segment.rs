@@ -1,5 +1,5 @@
-//! `ballbard segment`: the simulated segment on a network interface, for any EtherCAT MainDevice. What goes wrong is
-//! planned by `--fault`, or switched by lines on the standard input while it is served.
+//! `ballbard segment`: the simulated segment on a network interface, for any EtherCAT MainDevice. Faults are scheduled by
+//! `--fault`, or switched by lines on the standard input.
 
 use std::io::{self, BufRead, Write};
 use std::sync::Arc;
@@ -27,14 +27,14 @@ pub struct SegmentArguments {
     /// Signal periods per revolution of the simulated encoders
     #[arg(long, default_value_t = 3600)]
     lines: u32,
-    /// Revision of the terminals, 16 to 22: up to 18 status bits lie in other objects, 22 measures frequency too
+    /// Revision of the terminals, 16 to 22: up to 18 status bits are in other objects, 22 also measures frequency
     #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u8).range(16..=22))]
     revision: u8,
-    /// Seed of the motion, of the devices' clocks and of chance
+    /// Seed of the motion, of the devices' clocks and of random faults
     #[arg(long, default_value_t = SegmentConfig::default().seed)]
     seed: u64,
-    /// What goes wrong, such as lost:0.01 or gone:3@10s-15s (an unknown one lists all); may be repeated. While it
-    /// serves, lines on the standard input switch faults: `on gone:3`, `off gone:3`
+    /// Inject a fault, such as lost:0.01 or gone:3@10s-15s (repeatable; an invalid one lists all). Lines on the standard
+    /// input switch faults, too: `on gone:3`, `off gone:3`
     #[arg(long = "fault", value_name = "FAULT[@FROM[-UNTIL]]")]
     faults: Vec<FaultWindow>,
 }
@@ -54,13 +54,13 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
     let stop = Arc::new(AtomicBool::new(false));
     let serving = Arc::clone(&stop);
     say(format_args!("serving an EK1100 with {} EL5021 on {}", config.terminals, arguments.interface))?;
-    // It ends with its input or with this program, whichever is first.
+    // The thread ends with its input or with this program, whichever is first.
     thread::Builder::new().name("switches".into()).spawn(move || switch_by_lines(&faults))?;
     let work = async { tokio::task::spawn_blocking(move || serve(segment, wire, &serving)).await? };
     on_signal(work, |_| stop.store(true, Ordering::Release))
 }
 
-/// Faults as a person or a test types them while the segment is served: `on gone:3`, `off gone:3`.
+/// Switches faults by lines such as `on gone:3`, `off gone:3`.
 fn switch_by_lines(faults: &FaultHandle) {
     for line in io::stdin().lock().lines().map_while(Result::ok).filter(|line| !line.trim().is_empty()) {
         match line.parse() {
@@ -71,12 +71,12 @@ fn switch_by_lines(faults: &FaultHandle) {
                 continue;
             }
         }
-        // Whoever switches need not listen.
+        // The output may be closed.
         let _ = writeln!(io::stdout(), "{}", line.trim());
     }
 }
 
-/// Answers each frame as it comes, until stopped. An interface that goes away does not end it: it may come back.
+/// Answers each frame until stopped. An interface that goes down does not end it: it may return.
 fn serve(mut segment: FaultySegment, mut wire: EthernetWire, stop: &AtomicBool) -> anyhow::Result<()> {
     let clock = Clock::Real;
     let (mut frame, mut reply) = ([0; FRAME_BYTES_MAX], [0; FRAME_BYTES_MAX]);
@@ -89,7 +89,7 @@ fn serve(mut segment: FaultySegment, mut wire: EthernetWire, stop: &AtomicBool) 
             Err(_) => clock.sleep_until(until),
         }
         while let Some(length) = segment.take_reply(clock.now().0, &mut reply) {
-            // A reply that cannot be sent is a lost one.
+            // A reply that cannot be sent is lost.
             let _ = wire.send(&reply[..length]);
         }
     }

@@ -22,45 +22,43 @@ use crate::run::BusChoice;
 use crate::scheduler::STACK_BYTES;
 use crate::segment::faults::FaultWindow;
 
-/// An end that takes longer is explained, and again after as long.
+/// A longer end is explained in the log, and again after this time.
 const PATIENCE: Duration = Duration::from_secs(2);
-/// Threads that may wait for the disk: four that look, two that download, the one that waits for the service's end, and one that is
-/// just done. What they are given is locked memory, and more of them would be kept.
+/// Threads that may wait for the disk: four for requests, two for downloads, one for the service's end, and one that is just
+/// done. Their memory is locked, so more of them would occupy it permanently.
 const BLOCKING_THREADS_MAX: usize = 8;
 
 #[derive(Debug, Args)]
 pub struct RunArguments {
-    /// Network interface of the coupler, such as eth1; `simulated` serves made-up data without hardware
+    /// Network interface of the coupler, such as eth1; `simulated` serves generated data without hardware
     #[arg(long, value_name = "INTERFACE")]
     bus: Option<String>,
-    /// What goes wrong on the simulated bus, such as lost:0.01 or gone:3@10s-15s (an unknown one lists all); may be
-    /// repeated
+    /// Inject a fault into the simulated bus, such as lost:0.01 or gone:3@10s-15s (repeatable; an invalid one lists all)
     #[arg(long = "fault", value_name = "FAULT[@FROM[-UNTIL]]")]
     faults: Vec<FaultWindow>,
     /// Directory for the recordings; default: `directory` of daemon.toml
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Port on 127.0.0.1, 0 for any that is free; default: `port` of daemon.toml
+    /// Port on 127.0.0.1, 0 for any free one; default: `port` of daemon.toml
     #[arg(long)]
     port: Option<u16>,
     /// Accept remote clients on this address (TLS, token from the state directory)
     #[arg(long, value_name = "ADDRESS:PORT")]
     listen: Option<SocketAddr>,
-    /// Certificates for --listen, PEM; default: one that is made once in the state directory
+    /// Certificates for --listen, PEM; default: a self-signed one in the state directory
     #[arg(long, value_name = "FILE", requires_all = ["listen", "key"])]
     certificate: Option<PathBuf>,
     /// Private key of --certificate, PEM
     #[arg(long, value_name = "FILE", requires = "certificate")]
     key: Option<PathBuf>,
-    /// Accept remote clients through a reverse proxy of this machine, which speaks TLS and passes requests on to this Unix
+    /// Accept remote clients through a reverse proxy of this machine, which handles TLS and forwards requests to this Unix
     /// socket (token from the state directory)
     #[arg(long, value_name = "SOCKET", value_parser = socket_path)]
     behind_proxy: Option<PathBuf>,
-    /// Let Foxglove show a run while it goes on, at ws://127.0.0.1:PORT/foxglove (wss:// with --listen)
+    /// Publish runs for Foxglove while they are recorded, at ws://127.0.0.1:PORT/foxglove (wss:// with --listen)
     #[arg(long)]
     foxglove: bool,
-    /// From where else than this machine's programs and pages that may be asked for: the origin that a browser or program
-    /// sends, such as https://app.foxglove.dev; may be repeated
+    /// Additional allowed origin for /foxglove, such as https://app.foxglove.dev (repeatable)
     #[arg(long, value_name = "ORIGIN", requires = "foxglove")]
     foxglove_origin: Vec<String>,
     #[command(flatten)]
@@ -77,16 +75,14 @@ pub fn run(arguments: &RunArguments) -> anyhow::Result<()> {
     if let Some(directory) = &arguments.out {
         daemon.directory.clone_from(directory);
     }
-    // Whoever asks where a file is may be in another directory.
+    // Paths are shown to processes with another working directory.
     for directory in [&mut daemon.directory, &mut daemon.spare_directory] {
-        *directory = std::path::absolute(&directory).context("cannot tell the working directory")?;
+        *directory = std::path::absolute(&directory).context("cannot determine the working directory")?;
     }
     let port = arguments.port.unwrap_or(daemon.port);
     let faults = arguments.faults.clone();
     if let (BusChoice::Interface(name), false) = (&bus, faults.is_empty()) {
-        bail!(
-            "--fault breaks the simulated bus, not {name}; leave it out, or use `ballbard segment --fault`"
-        );
+        bail!("--fault needs the simulated bus, not {name}; omit it, or use `ballbard segment --fault`");
     }
     let live_tap = arguments.foxglove.then(|| LiveTap::new(arguments.foxglove_origin.clone()));
     let settings = Settings { bus, faults, daemon, bar, marks, live_tap };
@@ -101,23 +97,23 @@ pub fn run(arguments: &RunArguments) -> anyhow::Result<()> {
     let signals = runtime.block_on(async { Signals::new() })?;
     let service = Service::start(settings)?;
     let outcome = supervise(&runtime, &service, serve(listener, remote, service.clone(), signals));
-    // What still reads a slow disk for a client that has gone is not waited for.
+    // Threads that still read a slow disk for a client that has gone are not waited for.
     runtime.shutdown_background();
     outcome
 }
 
-/// An absolute path: the proxy has another working directory, and a host name is a mistake.
+/// An absolute path, because the proxy has another working directory; this also detects a host name.
 fn socket_path(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
     if path.is_absolute() {
         Ok(path)
     } else {
-        Err("give the path in full, such as /run/ballbard/proxy.sock".into())
+        Err("give an absolute path, such as /run/ballbard/proxy.sock".into())
     }
 }
 
 impl RunArguments {
-    /// The way in for other machines, where one is asked for.
+    /// Access for other machines, if requested.
     async fn remote(&self) -> anyhow::Result<Option<Remote>> {
         if self.listen.is_none() && self.behind_proxy.is_none() {
             return Ok(None);
@@ -126,7 +122,7 @@ impl RunArguments {
         let settings =
             RemoteSettings { listen: self.listen, certificate, proxy_socket: self.behind_proxy.clone() };
         let remote = Remote::open(settings, &self.state.directory()).await?;
-        tracing::info!("other machines are let in: {}", remote.words());
+        tracing::info!("remote access: {}", remote.words());
         Ok(Some(remote))
     }
 }
@@ -134,12 +130,12 @@ impl RunArguments {
 async fn listen(port: u16) -> anyhow::Result<TcpListener> {
     let listener = TcpListener::bind(("127.0.0.1", port)).await.with_context(|| {
         format!(
-            "cannot listen on 127.0.0.1:{port}; is another `ballbard run` there? stop it, or choose another port with \
+            "cannot listen on 127.0.0.1:{port}; is another `ballbard run` active? stop it, or choose another port with \
              --port or in daemon.toml"
         )
     })?;
     let address = listener.local_addr()?;
-    // Whoever has standard output may not read it; the service waits for nobody.
+    // Standard output may block; the service does not wait for it.
     tokio::task::spawn_blocking(move || {
         if let Err(error) = say(format_args!("listening on http://{address}")) {
             tracing::warn!("{error}");
@@ -148,20 +144,20 @@ async fn listen(port: u16) -> anyhow::Result<TcpListener> {
     Ok(listener)
 }
 
-/// Serves until the service has ended: asked to by a signal, or by itself.
+/// Serves until the service has ended, by a signal or by a failure.
 async fn serve(listener: TcpListener, remote: Option<Remote>, service: Service, mut signals: Signals) {
-    tokio::spawn(super::systemd::tell(service.clone()));
+    tokio::spawn(super::systemd::notify(service.clone()));
     let ending = service.clone();
     let end = async move {
         tokio::select! {
             () = ending.ended() => return,
             name = signals.next() => ending.shutdown(&format!("stopped by {name}")),
         }
-        // The file comes before the answers: requests are served until it is finished.
+        // The file has priority over clients: requests are served until it is finished.
         while tokio::time::timeout(PATIENCE, ending.ended()).await.is_err() {
             let Status { run, reason, .. } = ending.status();
-            let what = run.map_or("the bus ends".into(), |run| {
-                format!("the disk takes run `{}`, of which {} cycles are on it", run.name, run.cycles)
+            let what = run.map_or("the bus has ended".into(), |run| {
+                format!("run `{}` is on disk, so far {} cycles", run.name, run.cycles)
             });
             tracing::warn!("not ended yet: waiting until {what}; {}", reason.unwrap_or_default());
         }
@@ -169,8 +165,8 @@ async fn serve(listener: TcpListener, remote: Option<Remote>, service: Service, 
     api::serve(listener, remote, service, end).await;
 }
 
-/// Sees to it that a run's file is finished whatever dies, and that the program then ends as one that failed: a service
-/// manager starts it again.
+/// Ensures that a run's file is finished if a thread dies, and that the program then ends with an error, so that a service
+/// manager restarts it.
 fn supervise(
     runtime: &tokio::runtime::Runtime,
     service: &Service,

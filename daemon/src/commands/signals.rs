@@ -1,13 +1,12 @@
-//! The signals that ask a program to end: Ctrl-C, SIGTERM, and SIGHUP of a terminal that is closed.
+//! The signals that end a program: Ctrl-C, SIGTERM, and SIGHUP of a closed terminal.
 
 use anyhow::Context;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 
-/// Listens for them.
 pub(super) struct Signals {
     interrupt: Signal,
     terminate: Signal,
-    /// None where `nohup` has said that the program shall outlive its terminal.
+    /// `None` if `nohup` has disabled it.
     hangup: Option<Signal>,
 }
 
@@ -22,7 +21,7 @@ impl Signals {
         })
     }
 
-    /// The name of the next.
+    /// The name of the next signal.
     pub async fn next(&mut self) -> &'static str {
         let hangup = async {
             match &mut self.hangup {
@@ -38,7 +37,7 @@ impl Signals {
     }
 }
 
-/// As whoever started the program left it.
+/// Whether the signal was ignored when the program started.
 fn is_ignored(kind: SignalKind) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));

@@ -26,10 +26,10 @@ pub struct SmokeArguments {
     /// What to check: a file, or a name in `config` or /etc/ballbard
     #[arg(long, value_name = "FILE", default_value = "smoke")]
     checks: PathBuf,
-    /// Where the report goes; default: smoke-INTERFACE.json in this directory
+    /// Output file of the report; default: smoke-INTERFACE.json in this directory
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
-    /// Inject a fault into the simulated bus, such as lost:0.01 or noise:3,0.1 (an unknown one lists all); may be repeated
+    /// Inject a fault into the simulated bus, such as lost:0.01 or noise:3,0.1 (repeatable; an invalid one lists all)
     #[arg(long = "fault", value_name = "FAULT[@FROM[-UNTIL]]")]
     faults: Vec<FaultWindow>,
     /// Virtual time: as fast as the machine allows (simulated bus only)
@@ -45,7 +45,7 @@ pub fn run(arguments: SmokeArguments) -> anyhow::Result<()> {
     let SmokeArguments { bus, checks, report: file, faults, fast, format, configuration } = arguments;
     let request = RunRequest { bus: bus_choice(bus.as_deref())?, faults, fast, ..RunRequest::default() };
     if request.bus != BusChoice::Simulated && (fast || !request.faults.is_empty()) {
-        return Err(UsageError("--fast and --fault need --bus simulated; leave them out".into()).into());
+        return Err(UsageError("--fast and --fault need --bus simulated; omit them".into()).into());
     }
     let smoke: SmokeConfig = config::load(&checks)?;
     let (daemon, bar) = (configuration.daemon()?, configuration.ball_bar()?);
@@ -55,14 +55,14 @@ pub fn run(arguments: SmokeArguments) -> anyhow::Result<()> {
         let bench =
             Bench { smoke: &smoke, daemon: &daemon, bar: &bar, request: &request, has_person, stop: &stop };
         // Without output a person sees no instructions.
-        let mut tell = |line: &str| {
+        let mut print = |line: &str| {
             if !format.json
                 && let Err(error) = say(line)
             {
                 stop.stop(&explained(&error));
             }
         };
-        Ok(smoke::smoke(&Threads::on(Clock::Real), &bench, &mut tell).await?)
+        Ok(smoke::smoke(&Threads::on(Clock::Real), &bench, &mut print).await?)
     };
     let report = on_signal(work, |signal| stop.stop(&format!("stopped by {signal}")))?;
     let file = file.unwrap_or_else(|| format!("smoke-{}.json", report.bus).into());

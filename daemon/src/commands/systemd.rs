@@ -1,4 +1,4 @@
-//! What systemd is told of the service: that it is ready, what it does, and that it lives.
+//! Notifications to systemd: readiness, state and watchdog.
 
 use std::time::Duration;
 
@@ -8,44 +8,44 @@ use shared::time::MonoNs;
 use crate::control::service::Service;
 use crate::control::status::Status;
 
-/// A bus in operation that gave no cycle for as long, also no flagged one, has a thread that hangs.
+/// A bus in operation without any cycle for longer, valid or not, has a thread that hangs.
 const CYCLE_AGE_MAX: Duration = Duration::from_secs(10);
-/// The watchdog is fed so many times before it would bite.
-const FEEDS: u32 = 3;
+/// Watchdog notifications within its time limit.
+const NOTIFICATIONS: u32 = 3;
 
-/// Until the service ends. The watchdog is fed by who answers requests, when the control has just gone round, and while
-/// the cycle goes on: one of the three that hangs is enough to be started again. The disk is none of them.
-pub async fn tell(service: Service) {
-    let feed_every = sd_notify::watchdog_enabled().map(|within| within / FEEDS);
-    let (mut statuses, mut fed, mut word) = (service.watch(), None::<MonoNs>, String::new());
-    say(&NotifyState::Ready);
-    // Each round of the control gives a status.
+/// Notifies systemd until the service ends. The watchdog notification needs three parts to be alive: this thread, the
+/// control and the cycle; if one hangs the service is restarted. The disk is not included.
+pub async fn notify(service: Service) {
+    let period = sd_notify::watchdog_enabled().map(|within| within / NOTIFICATIONS);
+    let (mut statuses, mut notified_at, mut word) = (service.watch(), None::<MonoNs>, String::new());
+    send(&NotifyState::Ready);
+    // The control publishes a status in each step.
     while statuses.changed().await.is_ok() {
         let status = statuses.borrow_and_update().clone();
         let headline = status.headline().word;
         if headline != word {
-            say(&NotifyState::Status(&headline));
+            send(&NotifyState::Status(&headline));
             word = headline;
         }
         let now = service.now();
-        let is_over = |every: Duration, at| now.ns_since(at) >= every.as_nanos() as i64;
-        let is_due = feed_every.is_some_and(|every| fed.is_none_or(|at| is_over(every, at)));
+        let is_over = |period: Duration, at| now.ns_since(at) >= period.as_nanos() as i64;
+        let is_due = period.is_some_and(|period| notified_at.is_none_or(|at| is_over(period, at)));
         if is_due && cycle_lives(&status, now) {
-            say(&NotifyState::Watchdog);
-            fed = Some(now);
+            send(&NotifyState::Watchdog);
+            notified_at = Some(now);
         }
     }
 }
 
-/// Also where there is no bus: bringing it up is waited for elsewhere.
+/// Also true without a bus: bringing it up is supervised elsewhere.
 fn cycle_lives(status: &Status, now: MonoNs) -> bool {
     status.sampled.0 == 0 || now.ns_since(status.sampled) <= CYCLE_AGE_MAX.as_nanos() as i64
 }
 
-/// Nobody listens where no service manager started the program.
-fn say(state: &NotifyState<'_>) {
+/// Has no effect if no service manager started the program.
+fn send(state: &NotifyState<'_>) {
     if let Err(error) = sd_notify::notify(std::slice::from_ref(state)) {
-        tracing::warn!("the service manager is not told {state}: {error}");
+        tracing::warn!("cannot notify the service manager of {state}: {error}");
     }
 }
 

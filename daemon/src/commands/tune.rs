@@ -1,4 +1,4 @@
-//! `ballbard tune`: what of this machine's settings makes the cycle late, and what to type.
+//! `ballbard tune`: settings of this machine that delay the cycle, and commands that correct them.
 
 use std::path::Path;
 
@@ -34,7 +34,7 @@ pub fn run(arguments: &TuneArguments) -> anyhow::Result<()> {
     let count = |verdict| findings.iter().filter(|finding| finding.verdict == verdict).count();
     let (problems, unknown) = (count(Verdict::Problem), count(Verdict::Unknown));
     if problems > 0 {
-        bail!("{problems} of {} settings make the cycle late, {unknown} are unknown", findings.len());
+        bail!("{problems} of {} settings delay the cycle, {unknown} are unknown", findings.len());
     }
     Ok(())
 }

@@ -1,7 +1,7 @@
-//! What a page shows ten times a second: angles, speeds, health and warnings, from one status after the other.
+//! The page's content ten times a second: angles, speeds, state and warnings, derived from each status.
 //!
-//! A stepper of its own looks, so that a page costs the same however many watch, and neither the control nor the cycle
-//! knows of it. Who watches gets the latest moment and may miss others: nothing is queued.
+//! One stepper derives it, so the cost does not depend on the number of pages, and neither control nor cycle is involved.
+//! Pages receive the latest moment and may miss others: nothing is queued.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -26,30 +26,30 @@ use crate::homing::MarksFile;
 use crate::problem::{Fact, Level, Problem};
 use crate::scheduler::{Pending, Scheduler, Stepper};
 
-/// How often a page is given something new.
+/// Update period of pages.
 const PERIOD: Duration = Duration::from_millis(100);
-/// An encoder without a valid sample for longer is stale: its last value is no value any more \[ns\].
+/// An encoder without a valid sample for longer is stale: its last value is not shown \[ns\].
 const STALE_NS: i64 = NS_PER_S;
-/// Speeds are taken over this time: a bus cycle more or less at its ends is 2 % \[ns\].
+/// Speeds are averaged over this time: one bus cycle more or less is 2 % of it \[ns\].
 const SPEED_NS: i64 = NS_PER_S / 2;
-/// A cable turned further from where it was is wound up \[deg\].
+/// Beyond this angle from its start a joint winds up its cable \[deg\].
 const WOUND_DEG: f64 = 360.0;
-/// Nearer to a singular pose errors of two joints are those of the pose, magnified six times and more \[deg\].
+/// Closer to a singular pose, errors of two joints act as errors of the pose, magnified at least six times \[deg\].
 const SINGULAR_DEG: f64 = 10.0;
-/// A joint gets this long to move before that is worth a word \[s\].
+/// A joint that does not move within this time of a run causes a warning \[s\].
 const MOVE_WITHIN_S: f64 = 15.0;
-/// Less space than for this long is said \[h\].
+/// Space for a shorter time causes a warning \[h\].
 const DISK_HOURS_MIN: f64 = 4.0;
-/// Above the frequency error of an EL5021 no counter is followed, so that a larger step is another origin \[1/s\].
+/// Frequency limit of an EL5021, beyond which it loses count: a larger step means another origin \[1/s\].
 const LINES_PER_S_MAX: f64 = 250_000.0;
 /// Cells of the sphere in each direction.
 const CELLS: usize = 36;
 const CELL_DEG: f64 = 360.0 / CELLS as f64;
 
-/// Everything, at one moment.
+/// The page's content at one moment.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Live {
-    /// When, on the host's monotonic clock \[ms\].
+    /// Time on the host's monotonic clock \[ms\].
     pub at_ms: i64,
     /// The state, for people.
     pub headline: Headline,
@@ -57,94 +57,94 @@ pub struct Live {
     pub status: Status,
     /// One for each encoder, in bus order.
     pub joints: Vec<Joint>,
-    /// What somebody should do something about while there is time.
+    /// What a person should correct while there is time.
     pub warnings: Vec<Problem>,
     /// How long runs may last before the disk is full \[h\].
     pub disk_hours: Option<f64>,
-    /// What the run would be worth if it ended now.
+    /// The grade of the run if it ended now.
     pub verdict: Option<Verdict>,
-    /// How long the run lasts \[s\].
+    /// Duration of the run so far \[s\].
     pub run_s: Option<f64>,
     /// Where the rod has pointed since the run began.
     pub coverage: Coverage,
-    /// Set once angles count from zero again because counters lost their origin; reset when a run begins.
+    /// Set when counters lose their origin, so that angles count from zero again; reset when a run begins.
     pub restarted: Option<Restarted>,
 }
 
 /// Angles count from zero again.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Restarted {
-    /// When, on the host's monotonic clock \[ms\].
+    /// Time on the host's monotonic clock \[ms\].
     pub at_ms: i64,
-    /// The same since the run began \[s\].
+    /// Time since the run began \[s\].
     pub run_s: Option<f64>,
     /// Cells of the sphere that were visited before and are not among those of the coverage.
     pub cells_before: usize,
 }
 
-/// One encoder.
+/// Angle and state of one encoder.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Joint {
     /// Bar joint, 1 to 5.
     pub joint: u8,
-    /// What it is.
+    /// Name of the joint.
     pub name: String,
-    /// Its angle; none while it is stale \[deg\].
+    /// Its angle; absent while it is stale \[deg\].
     pub angle_deg: Option<f64>,
-    /// The angle counts from the reference mark; otherwise from where it was when it was seen first.
+    /// The angle counts from the reference mark; otherwise from its position at the first sample.
     pub from_mark: bool,
-    /// Its speed; none while it is stale or new \[deg/s\].
+    /// Its speed; absent while it is stale or new \[deg/s\].
     pub speed_deg_per_s: Option<f64>,
-    /// How grave its state is.
+    /// Severity of its state.
     pub level: Level,
-    /// What is wrong with it, in a few words.
+    /// Its problem, in a few words.
     pub problem: Option<String>,
-    /// It has turned as far as a calibration needs, since the run began or since it was seen first.
+    /// It has turned as far as a calibration needs, since the run began or since the first sample.
     pub has_moved: bool,
-    /// How far it has turned since then: highest less lowest angle while its counter had one origin \[deg\].
+    /// Range of its angle since then, while its counter had one origin \[deg\].
     pub range_deg: f64,
 }
 
 /// Directions of the rod, in cells of 10 degrees of joint 1 (columns) and joint 2 (rows).
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Coverage {
-    /// Row after row from -180 degrees on, four cells to a hexadecimal digit.
+    /// Row by row from -180 degrees, four cells to a hexadecimal digit.
     pub cells: String,
-    /// Cells that were visited.
+    /// Number of visited cells.
     pub visited: usize,
-    /// Since the last new one \[s\]; none before the first.
+    /// Time since the last new cell \[s\]; absent before the first.
     pub newest_s: Option<f64>,
     /// The cell that the rod is in now, column and row.
     pub here: Option<(usize, usize)>,
-    /// Angles of both joints are known: homed, and `mark_deg` is in `ball_bar.toml`. Otherwise rows and columns begin
-    /// anywhere.
+    /// Angles of both joints are absolute: homed, and `mark_deg` is in `ball_bar.toml`. Otherwise rows and columns start at an
+    /// arbitrary angle.
     pub absolute: bool,
 }
 
-/// The moment as it is, and as text.
+/// The content of a page, as value and as JSON.
 #[derive(Debug, Default)]
 pub struct Moment {
-    /// As it is.
+    /// The content as value.
     pub live: Live,
-    /// As JSON.
+    /// The same as JSON.
     pub json: String,
 }
 
-/// How far back a page sees that begins now \[ms\].
+/// History that a new page receives \[ms\].
 const MINUTE_MS: i64 = 60_000;
 
-/// Angles of the last minute, for a page that begins.
+/// Angles of the last minute, for a new page.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Minute {
-    /// When, on the host's monotonic clock \[ms\].
+    /// Times on the host's monotonic clock \[ms\].
     pub at_ms: VecDeque<i64>,
-    /// Of each encoder, in bus order, to a hundredth; none while it was stale \[deg\].
+    /// For each encoder, in bus order, rounded to a hundredth; absent while it was stale \[deg\].
     pub angles_deg: Vec<VecDeque<Option<f64>>>,
 }
 
 impl Minute {
     fn add(&mut self, live: &Live) {
-        // On a busy machine two looks may come at once.
+        // On a busy machine two polls may have the same time.
         if self.at_ms.back() == Some(&live.at_ms) {
             return;
         }
@@ -162,22 +162,22 @@ impl Minute {
     }
 }
 
-/// What is looked at, for whoever asks.
+/// The page's content and its history, shared by all pages.
 #[derive(Debug, Clone)]
 pub(super) struct Watched {
-    /// The latest moment.
+    /// Receives the latest moment.
     pub latest: watch::Receiver<Arc<Moment>>,
     minute: Arc<Mutex<Minute>>,
 }
 
 impl Watched {
-    /// Those before it.
+    /// The moments of the last minute.
     pub fn minute(&self) -> Minute {
         self.minute.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 }
 
-/// Starts to look; ends with the sender of the status.
+/// Starts the stepper; it ends when the sender of the status is dropped.
 pub(super) fn watch(
     settings: Arc<Settings>,
     disk: Arc<dyn Disk>,
@@ -207,7 +207,7 @@ pub(super) fn watch(
     Ok(watched)
 }
 
-/// Shows one moment after the other.
+/// Derives one moment after the other.
 struct Show {
     settings: Arc<Settings>,
     disk: Arc<dyn Disk>,
@@ -238,7 +238,7 @@ impl Stepper for Show {
         }
         let live = self.observer.next(&status, now);
         self.minute.lock().unwrap_or_else(PoisonError::into_inner).add(&live);
-        // A number that JSON cannot express would be a mistake of ours; better an old moment than none.
+        // A number that JSON cannot express would be an error of ours; an old moment is better than none.
         if let Ok(json) = serde_json::to_string(&live) {
             self.moments.send_replace(Arc::new(Moment { live, json }));
         }
@@ -247,10 +247,10 @@ impl Stepper for Show {
     }
 }
 
-/// Follows the counters.
+/// Follows the counters from one status to the next.
 pub struct Observer {
     tracks: Vec<Track>,
-    /// Reference marks, as far as they are known.
+    /// Reference marks, if they are known.
     pub homing: Option<HomingConfig>,
     rate_hz: u32,
     run: Option<String>,
@@ -261,7 +261,7 @@ pub struct Observer {
 }
 
 impl Observer {
-    /// Of a service's encoders.
+    /// For the encoders of a service.
     pub fn new(settings: &Settings) -> Self {
         Self {
             tracks: settings.bar.encoders.iter().map(Track::new).collect(),
@@ -275,10 +275,10 @@ impl Observer {
         }
     }
 
-    /// The next moment, of which `status` is known.
+    /// The moment that follows from `status`.
     pub fn next(&mut self, status: &Status, now: MonoNs) -> Live {
         self.follow_run(status, now);
-        // A run begins with origin 0 again, and no counter with it.
+        // A run begins with origin 0 again, while the counters continue.
         if status.origin > self.origin {
             self.tracks.iter_mut().for_each(|track| track.counter = None);
         }
@@ -312,7 +312,7 @@ impl Observer {
                     so_far(run, &joints, run_s, 1.0 / f64::from(self.rate_hz.max(1)))
                 }),
                 run_s,
-                coverage: self.coverage.told(now, self.is_absolute()),
+                coverage: self.coverage.to_coverage(now, self.is_absolute()),
                 restarted: self.restarted,
                 joints,
                 status: without_histograms(status),
@@ -321,7 +321,7 @@ impl Observer {
         live
     }
 
-    /// Angles count from zero again: where the rod was before is not known any more.
+    /// Angles count from zero again, so the cells visited before cannot be compared with new ones.
     fn restart(&mut self, in_run: bool, now: MonoNs) {
         let before = self.restarted.map_or(0, |restarted| restarted.cells_before);
         let cells_before = before + self.coverage.count();
@@ -330,7 +330,7 @@ impl Observer {
         self.restarted = Some(Restarted { at_ms: now.0 / 1_000_000, run_s, cells_before });
     }
 
-    /// What is said of a run counts from its beginning.
+    /// All figures of a run count from its beginning.
     fn follow_run(&mut self, status: &Status, now: MonoNs) {
         let run = status.run.as_ref().map(|run| run.name.clone());
         if run != self.run && run.is_some() {
@@ -342,7 +342,7 @@ impl Observer {
         self.run = run;
     }
 
-    /// The reference mark of each encoder that its terminal still shows.
+    /// The reference mark of each encoder, if its terminal still has it.
     fn marks(&self, status: &Status) -> Vec<Option<u32>> {
         let Some(homing) = &self.homing else { return Vec::new() };
         let info = |track: &Track| EncoderInfo { joint: track.config.joint, scale: track.config.scale() };
@@ -393,13 +393,13 @@ impl Observer {
     }
 }
 
-/// Reads `homing.toml` apart, because its disk may hang. The check reports a file that cannot be read.
+/// Reads `homing.toml` in a task, because its disk may hang. The check reports a file that cannot be read.
 fn read(scheduler: &dyn Scheduler, disk: &Arc<dyn Disk>, marks: &MarksFile) -> Pending<Option<HomingConfig>> {
     let (disk, marks) = (Arc::clone(disk), marks.clone());
     Pending::start(scheduler, "marks", move || marks.read(&*disk).ok().flatten())
 }
 
-/// None before anything is on disk; joints get their time to move.
+/// `None` before anything is on disk; joints get time to move.
 fn so_far(run: &RunStatus, joints: &[Joint], run_s: f64, period_s: f64) -> Option<Verdict> {
     let has_had_time = run_s > MOVE_WITHIN_S;
     let moved = joints.iter().filter(|_| has_had_time).map(|joint| (joint.joint, joint.range_deg));
@@ -416,7 +416,7 @@ fn so_far(run: &RunStatus, joints: &[Joint], run_s: f64, period_s: f64) -> Optio
     })
 }
 
-/// They are long, and nobody looks at them ten times a second.
+/// Histograms are long, and a page does not need them ten times a second.
 fn without_histograms(status: &Status) -> Status {
     let mut status = status.clone();
     let timings = [
@@ -441,7 +441,7 @@ struct Track {
     angle_deg: Option<f64>,
     recent: VecDeque<(MonoNs, f64)>,
     range: Option<(f64, f64)>,
-    /// Of all ranges since the run began.
+    /// The largest range since the run began.
     widest_deg: f64,
 }
 
@@ -464,7 +464,7 @@ impl Track {
         (self.range, self.widest_deg) = (None, 0.0);
     }
 
-    /// Takes a sample; whether the angle counts from zero again although it was known before.
+    /// Takes a sample; returns whether the angle counts from zero again although it was known before.
     fn take(&mut self, sample: Option<&EncoderStatus>, at: MonoNs, mark: Option<u32>) -> bool {
         let Some(sample) = sample.filter(|_| at.0 != 0 && at != self.taken) else { return false };
         let is_followed = self.is_followed(sample.count, at);
@@ -487,7 +487,7 @@ impl Track {
         has_restarted
     }
 
-    /// The joint can have turned so far since the last sample; otherwise the counter has begun anew.
+    /// Whether the joint can have turned this far since the last sample; otherwise the counter has restarted.
     fn is_followed(&self, count: u32, at: MonoNs) -> bool {
         let Some((unwrapper, _)) = &self.counter else { return false };
         let turned = f64::from(unwrapper.distance(count).unsigned_abs());
@@ -523,7 +523,7 @@ impl Track {
         (lasted_s > 0.0).then(|| (to - from) / lasted_s)
     }
 
-    /// The joint's angle in the bar's model; none where it is not known.
+    /// The joint's angle in the bar's model, if it is known.
     fn bar_angle_deg(&self) -> Option<f64> {
         let mark_deg = self.config.mark_deg.filter(|_| self.from_mark)?;
         Some(self.angle_deg? + mark_deg)
@@ -559,7 +559,7 @@ impl Track {
     }
 }
 
-/// Why an encoder says nothing, from the status word of its terminal.
+/// Why an encoder gives no value, from the status word of its terminal.
 fn silence(sample: Option<&EncoderStatus>) -> String {
     let Some(sample) = sample else { return "no bus".into() };
     let status = el5021::Status(sample.status);
@@ -578,7 +578,7 @@ fn from_singular_deg(angle_deg: f64) -> f64 {
     within.min(180.0 - within)
 }
 
-/// Where an EL5021 begins to leave out the finest steps (Beckhoff, each +-15 %), as speed of the joint.
+/// Joint speed above which an EL5021 omits the finest steps (Beckhoff, each +-15 %).
 fn full_resolution_deg_per_s(encoder: &EncoderConfig) -> f64 {
     let lines_per_s = match encoder.interpolation_bits {
         ..=8 => 9000.0,
@@ -595,7 +595,7 @@ fn cell(angle_deg: f64) -> usize {
     (((angle_deg + 180.0).rem_euclid(360.0) / CELL_DEG) as usize).min(CELLS - 1)
 }
 
-/// Cells that were visited.
+/// Visited cells of the sphere.
 struct Visited {
     cells: Box<[[bool; CELLS]; CELLS]>,
     newest: Option<MonoNs>,
@@ -621,7 +621,7 @@ impl Visited {
         self.cells.iter().flatten().filter(|visited| **visited).count()
     }
 
-    fn told(&self, now: MonoNs, absolute: bool) -> Coverage {
+    fn to_coverage(&self, now: MonoNs, absolute: bool) -> Coverage {
         let digit = |four: &[bool]| {
             let bits = four.iter().fold(0, |bits, visited| bits << 1 | u32::from(*visited));
             char::from_digit(bits, 16).unwrap_or('0')
@@ -652,7 +652,7 @@ mod tests {
     const COUNTS_PER_DEG: f64 = 14_745_600.0 / 360.0;
     const START: i64 = 5_000_000;
 
-    /// An observer of the shipped bar and the time since it began to look.
+    /// An observer of the shipped bar, and its time.
     struct Bench {
         observer: Observer,
         now: MonoNs,
@@ -676,7 +676,7 @@ mod tests {
             Self { observer: Observer::new(&settings), now: MonoNs(NS_PER_S), origin: 0, latch: START as u32 }
         }
 
-        /// A tenth of a second later, all joints at these angles; without one it is not valid.
+        /// The moment a tenth of a second later with all joints at these angles; one without an angle is not valid.
         fn at(&mut self, angles_deg: [Option<f64>; 5], run: Option<&str>) -> Live {
             self.now = self.now.plus_ns(NS_PER_S / 10);
             let latch = self.latch;
@@ -794,7 +794,7 @@ mod tests {
     }
 
     #[test]
-    fn near_a_singular_pose_is_said_where_the_angles_are_known() {
+    fn a_singular_pose_is_warned_of_if_the_angles_are_known() {
         let mut bench = Bench::new(|settings| settings.bar.encoders[1].mark_deg = Some(170.0));
         let encoders: Vec<_> = bench.observer.tracks.iter().map(|track| track.config.clone()).collect();
         bench.observer.homing = Some(HomingConfig::new(UtcNs(0), &encoders, &[START as u32; 5]));
@@ -803,7 +803,7 @@ mod tests {
         assert_eq!(subjects(&live), [("joint_singular", 2)]);
         assert!(live.joints.iter().all(|joint| joint.from_mark));
         assert!(live.warnings[0].text.contains("6.0 degrees"), "{:?}", live.warnings);
-        // Homed anew, at a mark 40 degrees further.
+        // Homed again, at a mark 40 degrees further.
         let further = START as u32 + (40.0 * COUNTS_PER_DEG) as u32;
         (bench.latch, bench.observer.homing) =
             (further, Some(HomingConfig::new(UtcNs(0), &encoders, &[further; 5])));
@@ -816,7 +816,7 @@ mod tests {
         let (mut bench, mut minute) = (Bench::new(|_| {}), Minute::default());
         for step in 0..700 {
             let angle_deg = (step != 650).then_some(f64::from(step) * 0.01);
-            // Stale only after a second: one sample that is missing is no gap.
+            // An encoder is stale only after a second: one missing sample makes no gap.
             minute.add(&bench.at([angle_deg; 5], None));
         }
         let last_ms = *minute.at_ms.back().unwrap();
@@ -838,7 +838,7 @@ mod tests {
         let set: u32 =
             live.coverage.cells.chars().map(|digit| digit.to_digit(16).unwrap().count_ones()).sum();
         assert_eq!((live.coverage.cells.len(), set), (CELLS * CELLS / 4, 9));
-        // Counters that begin anew begin a new map; the cells before it stay counted.
+        // Counters that restart begin a new map; the earlier cells stay counted.
         assert_eq!(live.restarted, None);
         bench.origin += 1;
         let live = bench.at([Some(0.0); 5], Some("one"));
@@ -848,7 +848,7 @@ mod tests {
         assert!((restarted.run_s.unwrap() - live.run_s.unwrap()).abs() < 1e-9, "{restarted:?}");
         assert_eq!(subjects(&live), [("angles_restarted", 0)]);
         assert!(live.warnings[0].text.contains("since 0:03"), "{:?}", live.warnings);
-        // The next run knows nothing of it.
+        // The next run is not affected.
         let live = bench.at([Some(0.0); 5], Some("two"));
         assert_eq!((live.restarted, subjects(&live).len()), (None, 0));
     }

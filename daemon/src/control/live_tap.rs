@@ -1,25 +1,25 @@
-//! The messages of a run as they are written, for whoever listens. Who is slow misses some; the recorder waits for nobody.
+//! The messages of a run as they are written, for other programs. A slow listener misses some; the recorder never waits.
 
 use std::sync::Arc;
 
 use shared::recording::{Tap, Topic};
 use tokio::sync::broadcast;
 
-/// Messages that wait for who listens: some seconds of a run at 100 Hz.
+/// Messages in the queue of a listener: some seconds of a run at 100 Hz.
 const WAITING_MAX: usize = 1024;
 
 /// One message of a run.
 #[derive(Debug)]
 pub struct Message {
-    /// Its topic.
+    /// Topic of the message.
     pub topic: &'static Topic,
     /// As in the file \[ns since 1970\].
     pub log_time_ns: u64,
-    /// CDR.
+    /// Content, encoded in CDR.
     pub data: Vec<u8>,
 }
 
-/// Runs, one after the other, as they are written.
+/// Publishes the messages of runs, one run after the other.
 #[derive(Debug, Clone)]
 pub struct LiveTap {
     messages: broadcast::Sender<Arc<Message>>,
@@ -27,28 +27,28 @@ pub struct LiveTap {
 }
 
 impl LiveTap {
-    /// For programs and pages of this machine, and for what sends one of these origins.
+    /// For programs and pages of this machine, and for pages of these origins.
     pub fn new(origins: Vec<String>) -> Self {
         Self { messages: broadcast::Sender::new(WAITING_MAX), origins }
     }
 
-    /// The recorder's end.
+    /// The recorder's end of it.
     pub fn writer_end(&self) -> Tap {
         let messages = self.messages.clone();
         Box::new(move |topic, log_time_ns, data| {
             if messages.receiver_count() > 0 {
-                // Whoever listened may have gone by now.
+                // The listener may have gone by now.
                 let _ = messages.send(Arc::new(Message { topic, log_time_ns, data: data.to_vec() }));
             }
         })
     }
 
-    /// What is written from now on; says how many messages were missed.
+    /// Receives messages from now on, and the number of those that were missed.
     pub fn listen(&self) -> broadcast::Receiver<Arc<Message>> {
         self.messages.subscribe()
     }
 
-    /// From where else it may be listened to.
+    /// Additional origins whose pages may listen.
     pub fn origins(&self) -> &[String] {
         &self.origins
     }

@@ -1,14 +1,14 @@
-//! The acquisition service: keeps the bus in operation, starts and stops runs, homes the encoders, answers people.
+//! The acquisition service: keeps the bus in operation, records runs, homes the encoders, answers clients.
 //!
-//! [`machine`] decides and does nothing; [`controller`] does and decides nothing, and makes the [`status`]; [`service`] is the
-//! way to it from other threads, [`api`] the one over HTTP. [`live`] is what a page shows ten times a second, [`recordings`] is
-//! what becomes of runs.
+//! [`machine`] decides, [`controller`] executes and makes the [`status`]; [`service`] is the interface for other threads,
+//! [`api`] the one over HTTP. [`live`] makes the content of a page ten times a second; [`recordings`] manages finished
+//! runs.
 
 pub mod api;
-pub mod controller;
+pub(crate) mod controller;
 pub mod live;
 pub mod live_tap;
-pub mod machine;
+mod machine;
 pub mod recordings;
 pub mod service;
 mod settings;

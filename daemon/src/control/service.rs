@@ -1,5 +1,4 @@
-//! The service from outside: what can be asked of it. What it then does is the business of the
-//! [`controller`](super::controller).
+//! The interface of the service for other threads: requests go to the [`controller`](super::controller).
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
@@ -25,10 +24,10 @@ use crate::problem::{Fact, Problem};
 use crate::run::{self, RunDetails, RunError, Stop, Storage};
 use crate::scheduler::{Pending, Scheduler, Stepper, Threads};
 
-/// Why the service has ended, once it has.
+/// Receives why the service has ended.
 type Outcome = Receiver<Result<(), ServiceError>>;
 
-/// The way to the service's thread. Clones reach the same service.
+/// Handle of the service. Clones refer to the same service.
 #[derive(Clone)]
 pub struct Service {
     commands: SyncSender<Command>,
@@ -42,16 +41,16 @@ pub struct Service {
     scheduler: Arc<dyn Scheduler>,
 }
 
-/// Requests that may wait for the control's thread, which takes them within milliseconds; further ones are refused.
+/// Queue of requests to the control's thread, which takes them within milliseconds; further ones are refused.
 const COMMANDS_MAX: usize = 64;
-/// Questions that may wait for the disk at a time.
+/// Requests that may wait for the disk at the same time.
 const LOOKS_MAX: usize = 4;
-/// How long each may; after that who asks is told what is known without it.
+/// How long each may; then the reply is made without the disk.
 const LOOK_WITHIN: Duration = Duration::from_secs(1);
 /// The same for a list of hundreds of recordings.
 pub(super) const LIST_WITHIN: Duration = Duration::from_secs(10);
 
-/// Why the service cannot start, or has ended by itself.
+/// Why the service cannot start, or has ended without a request.
 #[derive(Debug, thiserror::Error)]
 pub enum ServiceError {
     /// Another process records into its directory.
@@ -66,8 +65,8 @@ pub enum ServiceError {
 }
 
 impl Service {
-    /// Starts the service: left-over runs are finished, the bus is brought up and kept up. Where another process has its
-    /// directory it ends, as [`join`](Self::join) says.
+    /// Starts the service: finishes left-over runs, brings the bus up and keeps it up. If another process uses the directory,
+    /// the service ends and [`join`](Self::join) returns the error.
     pub fn start(settings: Settings) -> Result<Self, ServiceError> {
         let scheduler = Threads::on(Clock::Real);
         let storage = Storage::new(&settings.daemon, &*scheduler)?;
@@ -87,7 +86,7 @@ impl Service {
         Self::start_with(scheduler, settings, storage, Arc::new(connect))
     }
 
-    /// [`start`](Self::start) with another way to the bus.
+    /// [`start`](Self::start) with another source of sessions.
     pub(crate) fn start_with(
         scheduler: Arc<dyn Scheduler>,
         settings: Settings,
@@ -118,37 +117,37 @@ impl Service {
         Ok(Self { commands, ending, status, live, settings, disk, outcome, looks, scheduler })
     }
 
-    /// What it is doing.
+    /// The status of the last step of the control.
     pub fn status(&self) -> Status {
         self.status.borrow().clone()
     }
 
-    /// What a page shows, ten times a second.
+    /// The content of the page, ten times a second.
     pub fn live(&self) -> watch::Receiver<Arc<Moment>> {
         self.live.latest.clone()
     }
 
-    /// What it showed in the last minute.
+    /// The page's content of the last minute.
     pub(super) fn minute(&self) -> Minute {
         self.live.minute()
     }
 
-    /// The time on its clock.
+    /// The time on the service's clock.
     pub fn now(&self) -> MonoNs {
         self.scheduler.clock().now()
     }
 
-    /// Told whenever the status changes.
+    /// Receives every change of the status.
     pub fn watch(&self) -> watch::Receiver<Status> {
         self.status.clone()
     }
 
-    /// What it is made of.
+    /// Configuration of the service.
     pub fn settings(&self) -> &Settings {
         &self.settings
     }
 
-    /// Answered when the run's file is there, or why it gets none.
+    /// Completes when the run's file is created, or refused.
     pub(super) async fn begin(&self, request: StartRequest) -> Result<Answer, Refusal> {
         let named = request.name.is_some();
         let details = self.look(LOOK_WITHIN, move |settings, disk| details(request, settings, disk)).await;
@@ -159,12 +158,12 @@ impl Service {
         self.ask(|reply| Command::Start(details, named, reply)).await
     }
 
-    /// With what receives the run once it is over.
+    /// Also returns a channel that receives the run once it is over.
     pub(super) async fn stop(&self, cause: String) -> Result<(Answer, oneshot::Receiver<LastRun>), Refusal> {
         self.ask(|reply| Command::Stop(cause, reply)).await
     }
 
-    /// Refused where the marks could not be kept: whoever turns the joints is told before, and not at the end.
+    /// Refused if the marks could not be saved, so that joints are not turned in vain.
     pub(super) async fn home(&self) -> Result<Answer, Refusal> {
         match self.look(LOOK_WITHIN, |settings, disk| settings.marks.problem(disk)).await {
             Some(None) => self.ask(Command::Home).await,
@@ -173,7 +172,7 @@ impl Service {
         }
     }
 
-    /// Run and text of the marker; absent between runs.
+    /// Returns run and text of the marker; `None` between runs.
     pub(super) async fn mark(
         &self,
         text: Option<String>,
@@ -184,13 +183,13 @@ impl Service {
         marked.map_err(Refusal::new)
     }
 
-    /// The preflight check.
+    /// Runs the pre-flight check.
     pub async fn check(&self) -> Result<Vec<CheckLine>, Refusal> {
         let found = self.look(LOOK_WITHIN, Found::now).await;
         self.ask(|reply| Command::Check(found, reply)).await
     }
 
-    /// The name that a run would get; absent if the disk does not answer.
+    /// The name that a run would get; `None` if the disk does not answer.
     pub(super) async fn name(&self, request: NameRequest) -> Option<NameReply> {
         let find = move |settings: &Settings, disk: &dyn Disk| {
             name_reply(&request, disk, &settings.daemon.directory)
@@ -198,12 +197,12 @@ impl Service {
         self.look(LOOK_WITHIN, find).await
     }
 
-    /// Where recordings are.
+    /// The disk of the recordings.
     pub(super) fn disk(&self) -> Arc<dyn Disk> {
         Arc::clone(&self.disk)
     }
 
-    /// What a thread finds that may wait for the disk; none where that takes longer than `within`.
+    /// Result of `find` on a thread that may wait for the disk; `None` after the time `within`.
     pub(super) async fn look<T: Send + 'static>(
         &self,
         within: Duration,
@@ -217,14 +216,14 @@ impl Service {
                 let _ = result.send(find(&settings, &*disk));
                 drop(place);
             };
-            // Without a thread there is no result.
+            // Without a thread the result is missing.
             drop(Pending::start(&*self.scheduler, "look", look));
             found.await.ok()
         };
         self.within(within, found).await.flatten()
     }
 
-    /// What a future gives in this time.
+    /// Output of a future, or `None` after this time.
     pub(super) async fn within<T>(&self, time: Duration, future: impl Future<Output = T>) -> Option<T> {
         tokio::select! {
             biased;
@@ -233,7 +232,7 @@ impl Service {
         }
     }
 
-    /// What a future gives that is not given up with who waits for it.
+    /// Runs a future to its end, also if the receiver of its output is dropped.
     pub(super) fn spawn<T: Send + 'static>(
         &self,
         future: impl Future<Output = T> + Send + 'static,
@@ -245,24 +244,24 @@ impl Service {
         given
     }
 
-    /// Ends a running run with `cause` and its file finished, then the service. Does not wait.
+    /// Ends a current run with `cause` and finishes its file, then ends the service. Does not wait.
     pub fn shutdown(&self, cause: &str) {
         self.ending.stop(cause);
     }
 
-    /// Waits for the end of the service; its file is finished then, also where its thread died.
+    /// Waits for the end of the service, after which the run's file is finished, also if the control's thread has died.
     pub fn join(&self) -> Result<(), ServiceError> {
         let outcome = self.outcome.lock().unwrap_or_else(PoisonError::into_inner).take();
         outcome.map_or(Ok(()), |outcome| outcome.recv().unwrap_or(Err(ServiceError::Died)))
     }
 
-    /// Returns when the service has ended, for whatever reason.
+    /// Returns when the service has ended, for any reason.
     pub async fn ended(&self) {
-        // Never true: it returns when nobody is left who could say anything.
+        // The condition is never true: this returns when the sender is dropped.
         let _ = self.watch().wait_for(|_| false).await;
     }
 
-    /// Ends the thread of the control.
+    /// Ends the control's thread by a panic.
     #[cfg(test)]
     pub(crate) fn kill_control(&self) {
         let _ = self.commands.try_send(Command::Panic);
@@ -279,9 +278,9 @@ impl Service {
     }
 }
 
-/// The controller, called with the commands that it has got.
+/// The controller with its queue of commands.
 struct Control {
-    /// None once the service has ended.
+    /// `None` once the service has ended.
     controller: Option<Controller>,
     commands: Receiver<Command>,
     waiting: Vec<Command>,
@@ -309,7 +308,7 @@ impl Stepper for Control {
     fn poll(&mut self, now: MonoNs) -> Option<Duration> {
         let outcome = match catch_unwind(AssertUnwindSafe(|| self.step(now))) {
             Ok(Some(pause)) => return Some(pause),
-            // What it has is let go of before anybody learns that it has ended.
+            // Drop the controller's resources before anybody learns of its end.
             Ok(None) => self.controller.take()?.into_outcome().map_err(ServiceError::Run),
             Err(_) => {
                 self.controller.take()?.abandon();
@@ -333,7 +332,7 @@ fn disk_silent() -> Answer {
     Answer::Refused(Fact::DiskSilent { directory: None, silent_s: None }.into())
 }
 
-/// Longer is a slip of the finger.
+/// A longer duration is a typing error.
 const DURATION_MAX: Duration = Duration::from_secs(366 * 86_400);
 
 fn details(request: StartRequest, settings: &Settings, disk: &dyn Disk) -> Result<RunDetails, Refusal> {
@@ -372,8 +371,7 @@ fn name_reply(
     }
     match run::typed_name(name) {
         Ok(name) => {
-            let taken =
-                || format!("a run {name} is there already and is never overwritten; choose another name");
+            let taken = || format!("run {name} exists and is never overwritten; choose another name");
             let problem = runs::is_taken(disk, directory, &name).then(taken);
             NameReply { name, problem }
         }
@@ -399,7 +397,7 @@ pub(crate) mod tests {
     use crate::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
     use crate::segment::{FRAME_BYTES_MAX, InProcessWire, Wire};
 
-    /// A wire whose driver takes its thread with it when it is told to.
+    /// A wire whose driver panics on demand.
     struct Deadly(InProcessWire, Arc<AtomicBool>);
 
     impl Wire for Deadly {
@@ -429,7 +427,7 @@ pub(crate) mod tests {
         }
     }
 
-    /// A disk whose driver takes the recorder with it when it is told to.
+    /// A disk whose driver panics in the recorder's thread on demand.
     #[derive(Debug, Default)]
     struct DeadlyDisk(AtomicBool);
 
@@ -441,7 +439,7 @@ pub(crate) mod tests {
         }
     }
 
-    /// A disk that is full for as many writes of the recorder as it is told.
+    /// A disk that is full for this number of the recorder's writes.
     #[derive(Debug, Default)]
     struct FullDisk(AtomicU32);
 
@@ -480,7 +478,7 @@ pub(crate) mod tests {
         tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap()
     }
 
-    /// As shipped, with everything that is written in `directory`.
+    /// The shipped settings, with all output in `directory`.
     pub(crate) fn settings(directory: &Path) -> Settings {
         let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config");
         let daemon: DaemonConfig = config::load(&shipped.join("daemon.toml")).unwrap();
@@ -495,7 +493,7 @@ pub(crate) mod tests {
         }
     }
 
-    /// A service on the simulated bus in `directory`; what is stored into the flag ends the thread of the cycle.
+    /// A service on the simulated bus in `directory`; setting the flag ends the cycle's thread.
     pub(crate) fn simulated(directory: &Path) -> (Service, Arc<AtomicBool>) {
         simulated_after(directory, Arc::new(SystemDisk), || {})
     }

@@ -1,4 +1,4 @@
-//! What a service is made of.
+//! Configuration of a service.
 
 use shared::config::{BallBarConfig, DaemonConfig};
 
@@ -7,22 +7,22 @@ use crate::homing::MarksFile;
 use crate::run::{BusChoice, Opening, RunError};
 use crate::segment::faults::FaultWindow;
 
-/// What the service is made of.
+/// Configuration of the service.
 #[derive(Debug, Clone)]
 pub struct Settings {
-    /// Which bus.
+    /// The bus to record from.
     pub bus: BusChoice,
-    /// What goes wrong on the simulated bus, on purpose.
+    /// Faults to inject into the simulated bus.
     pub faults: Vec<FaultWindow>,
     /// `daemon.toml`.
     pub daemon: DaemonConfig,
     /// `ball_bar.toml`.
     pub bar: BallBarConfig,
-    /// `homing.toml`, which need not be there.
+    /// `homing.toml`, which may be missing.
     pub marks: MarksFile,
-    /// Who else is given a run while it goes on; nobody without.
+    /// Publishes a run while it is recorded.
     pub live_tap: Option<LiveTap>,
 }
 
-/// Begins to bring the bus into operation; repeated until it is.
+/// Begins to bring the bus into operation; retried until it is.
 pub(crate) type Connect = dyn Fn() -> Result<Opening, RunError> + Send + Sync;

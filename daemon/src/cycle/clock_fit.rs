@@ -1,64 +1,64 @@
 //! From the bus' clock to the host's: a filtered fit of pairs read once per cycle.
 //!
-//! Each reply tells the bus time at which the start of the frame passed the reference clock. That was not before
-//! the frame was sent, and not later than one frame time before the reply was complete: a hard bound, whose middle
-//! is the reading. Offset and drift are followed by a Kalman filter of two states; a reply that took longer than
-//! the quickest counts less, because its middle says less.
+//! Each reply contains the bus time at which the start of the frame passed the reference clock. That was not before
+//! the frame was sent, and not later than one frame time before the reply was complete: a hard bound, whose centre
+//! is the reading. A Kalman filter with two states estimates offset and drift; a reply that took longer than the
+//! quickest has less weight, because its bound is wider.
 //!
-//! A deviation is either a delay, which shows in the round trip, or a clock that does not run as it did. What no delay
-//! explains is left out of the filter until readings agree on what it is (`doubt`): a step, which is told and not
-//! followed (the terminals' clocks have not taken part in it), or another rate, which is followed.
+//! A deviation is either a delay, which shows in the round trip, or a clock that has changed. If no delay explains it,
+//! the innovation gate (`innovation_gate`) keeps it from the filter until further readings classify it: a step, which is
+//! reported and not followed (the terminals' clocks did not step), or a changed rate, which is followed.
 
 mod covariance;
-mod doubt;
 mod filter;
+mod innovation_gate;
 
 use shared::time::{DcNs, MonoNs};
 
-use doubt::{Doubt, Verdict};
 use filter::Filter;
+use innovation_gate::{Class, InnovationGate};
 
 /// Bus time read by a frame, and when that frame was sent and received.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ClockPair {
     /// Bus time at which the start of the frame passed the reference clock.
     pub dc: DcNs,
-    /// Frame handed to the wire.
+    /// When the frame was handed to the wire.
     pub sent: MonoNs,
-    /// Reply received, whole.
+    /// When the reply was received completely.
     pub received: MonoNs,
     /// From the first to the last bit of the frame on the wire \[ns\].
     pub frame_ns: i64,
 }
 
-/// What a pair did to the fit.
+/// Effect of a pair on the fit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Observation {
     /// It agrees with those before.
     Followed,
-    /// No delay explains it: it is later on the bus' clock than it should be by this much \[ns\]. Left out of the fit
-    /// until others say what it means.
-    Doubted(i64),
-    /// One of the clocks was stepped: the bus' is later than it should be by this much \[ns\]. The fit stays as it was;
-    /// [`ClockFit::restarted`] begins anew.
+    /// No delay explains it: it deviates by this much on the bus' clock \[ns\]. Excluded from the fit until further pairs
+    /// classify it.
+    Gated(i64),
+    /// One of the clocks stepped; the bus' clock is ahead by this much \[ns\]. The fit is unchanged;
+    /// [`ClockFit::restarted`] starts a new one.
     Stepped(i64),
 }
 
-/// Follows `bus time - monotonic time`.
+/// Estimates `bus time - monotonic time`.
 #[derive(Debug, Clone, Default)]
 pub struct ClockFit {
     filter: Option<Filter>,
-    doubt: Option<Doubt>,
-    /// What is known of both clocks and of the way between them before the first reading.
+    gate: Option<InnovationGate>,
+    /// Earlier estimate for the same clocks and path, before the first reading.
     known: Option<Filter>,
 }
 
-/// The offset that one pair tells.
+/// The offset according to one pair.
 #[derive(Debug, Clone, Copy)]
 struct Reading {
     at: MonoNs,
     offset_ns: i64,
-    /// The offset is within this of `offset_ns` \[ns\].
+    /// Bound of the error of `offset_ns` \[ns\].
     half_ns: f64,
 }
 
@@ -81,48 +81,48 @@ impl ClockFit {
         let dt_s = filter.predict(reading.at);
         let deviation = filter.deviation(&reading);
         let deviation_ns = deviation.by_ns;
-        let verdict = match self.doubt.take() {
-            Some(doubt) => doubt.judge(deviation),
-            None if deviation.is_explained() => Verdict::Unfounded,
-            None if filter.crept_to(&deviation) => Verdict::OtherRate(deviation_ns / dt_s.max(1e-9)),
-            None => Verdict::Unsure(Doubt::begin(deviation)),
+        let verdict = match self.gate.take() {
+            Some(gate) => gate.classify(deviation),
+            None if deviation.is_explained() => Class::Accepted,
+            None if filter.follows_trend(&deviation) => Class::RateChanged(deviation_ns / dt_s.max(1e-9)),
+            None => Class::Undecided(InnovationGate::begin(deviation)),
         };
         match verdict {
-            Verdict::Unfounded => filter.correct(&reading, dt_s),
-            Verdict::OtherRate(rate) => {
-                filter.open(deviation_ns, rate);
+            Class::Accepted => filter.correct(&reading, dt_s),
+            Class::RateChanged(rate) => {
+                filter.inflate(deviation_ns, rate);
                 filter.correct(&reading, dt_s);
             }
-            Verdict::Unsure(doubt) => {
-                self.doubt = Some(doubt);
-                return Observation::Doubted(deviation_ns.round() as i64);
+            Class::Undecided(gate) => {
+                self.gate = Some(gate);
+                return Observation::Gated(deviation_ns.round() as i64);
             }
-            Verdict::Stepped => {
-                // The fit is wrong by the step until it begins anew, and says so.
-                self.doubt = Some(Doubt::begin(deviation));
+            Class::Stepped => {
+                // The fit is wrong by the step until it restarts, and its uncertainty covers that.
+                self.gate = Some(InnovationGate::begin(deviation));
                 return Observation::Stepped(deviation_ns.round() as i64);
             }
         }
         Observation::Followed
     }
 
-    /// A fit without readings that knows what this one has learned of the clocks' rates and of the way between them.
+    /// A fit without readings that keeps the estimated rates of the clocks and delays of the path.
     pub fn restarted(&self) -> Self {
         let known = self.filter.as_ref().or(self.known.as_ref()).cloned();
-        Self { filter: None, doubt: None, known }
+        Self { filter: None, gate: None, known }
     }
 
-    /// When the bus shows `dc`, the host shows this. Before the first pair both are taken as equal.
+    /// Host time at bus time `dc`. Before the first pair both are assumed equal.
     pub fn monotonic_from_dc(&self, dc: DcNs) -> MonoNs {
         self.filter.as_ref().map_or(MonoNs(dc.0), |filter| filter.monotonic_from_dc(dc))
     }
 
-    /// One standard deviation of the host time that stands for `dc` \[ns\]: the filter's own at that time, what an
-    /// unequal way there and back can hide, and what is in doubt.
+    /// One standard deviation of the host time at `dc` \[ns\]: the filter's own, the possible asymmetry of the delay, and
+    /// the largest unexplained deviation.
     pub fn uncertainty_ns(&self, dc: DcNs) -> u32 {
         let Some(filter) = &self.filter else { return u32::MAX };
-        let doubted_ns = self.doubt.as_ref().map_or(0.0, Doubt::largest_ns);
-        let variance = filter.variance_ns2(dc) + doubted_ns * doubted_ns;
+        let gated_ns = self.gate.as_ref().map_or(0.0, InnovationGate::largest_ns);
+        let variance = filter.variance_ns2(dc) + gated_ns * gated_ns;
         variance.sqrt().ceil().min(f64::from(u32::MAX)) as u32
     }
 }

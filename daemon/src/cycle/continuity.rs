@@ -1,4 +1,4 @@
-//! Whether counts go on from where they were, or have a new origin.
+//! Detects whether counts continue or have a new origin.
 
 use shared::config::EncoderConfig;
 use shared::recording::schema::{CycleRecord, MAX_ENCODERS};
@@ -8,16 +8,16 @@ use super::events::Origin;
 
 /// No joint of a ball-bar turns faster than this while a robot is being calibrated \[rev/s\]: 120 degrees a second.
 const SPEED_MAX_REV_PER_S: f64 = 1.0 / 3.0;
-/// Freezing of low bits and rounding \[counts\].
+/// Repeated low bits and rounding \[counts\].
 const SLACK_COUNTS: f64 = 256.0;
 
-/// Compares each valid record with the valid one before.
+/// Compares each valid record with the previous valid one.
 #[derive(Debug, Clone)]
 pub struct Continuity {
     counts_per_rev: [f64; MAX_ENCODERS],
     last: Option<CycleRecord>,
     powered_off: bool,
-    /// When the bus was first sent through INIT since the last valid record.
+    /// When the bus first went through INIT since the last valid record.
     reset_at: Option<UtcNs>,
     /// Number of the origin in this run.
     origin: u32,
@@ -33,25 +33,25 @@ impl Continuity {
         Self { counts_per_rev, last: None, powered_off: false, reset_at: None, origin: 0 }
     }
 
-    /// What was counted before belongs to no run.
+    /// Starts a run; earlier counts do not matter to it.
     pub fn begin_run(&mut self) {
         self.last = None;
         (self.powered_off, self.reset_at, self.origin) = (false, None, 0);
     }
 
-    /// A device was without power: what it counts from now on has nothing to do with what it counted.
+    /// A device was without power: its counts from now on are unrelated to the earlier ones.
     pub fn powered_off(&mut self) {
         self.powered_off = true;
     }
 
-    /// The bus is sent through INIT.
+    /// The bus goes through INIT.
     pub fn resets(&mut self, at: UtcNs) {
         self.reset_at.get_or_insert(at);
     }
 
-    /// Numbers the origin of a record: from the first valid one on whose counts may have another than those before it is a
-    /// new one, and says why. Until that one nobody knows, so counts of a bus that came up without some of its terminals are
-    /// not used.
+    /// Numbers the origin of a record. The first valid record whose counts may have another origin starts a new one; the
+    /// reason is returned. Until then the origin is unknown, so counts of a bus that came up without some of its terminals
+    /// are not used.
     pub fn check(&mut self, record: &mut CycleRecord) -> Option<Origin> {
         record.origin = self.origin;
         if !record.is_valid() {
@@ -74,9 +74,9 @@ impl Continuity {
         changed
     }
 
-    /// A terminal that starts anew when the bus comes up does so at zero. Close to zero this cannot be told from
-    /// a count that went on, so it passes for a new origin: a needless one costs a few parameters, a missed one
-    /// spoils the calibration.
+    /// A terminal that restarts when the bus comes up counts from zero. Close to zero this cannot be distinguished from a
+    /// count that continued, so it counts as a new origin: an unnecessary one costs a few parameters, a missed one corrupts the
+    /// calibration.
     fn compare(&self, last: &CycleRecord, record: &CycleRecord, reset_at: Option<UtcNs>) -> Option<Origin> {
         let turns_since = |at: UtcNs| SPEED_MAX_REV_PER_S * record.sample_time.seconds_since(at).max(0.0);
         let turns = turns_since(last.sample_time);
@@ -136,7 +136,7 @@ mod tests {
         let mut jumped = record(20, [FAR, FAR + 200_000], true);
         assert_eq!(continuity.check(&mut jumped), Some(Origin::Jumped { joint: 2 }));
         assert_eq!(jumped.origin, 1);
-        // Whichever record of the new origin is lost on its way, the next one says the same.
+        // If a record of the new origin is lost, the next one has the same number.
         for (ms, valid) in [(30, true), (40, false)] {
             let mut next = record(ms, [FAR, FAR + 201_000], valid);
             assert_eq!((continuity.check(&mut next), next.origin), (None, 1));

@@ -1,4 +1,4 @@
-//! What happens on the bus besides the records: small, fixed in size, described outside the real-time thread.
+//! Events on the bus besides the records: small, of fixed size, described outside the real-time thread.
 
 use shared::recording::schema::{DeviceInfo, Event, EventKind, PortCounts, RunMetadata};
 use shared::time::UtcNs;
@@ -6,34 +6,34 @@ use shared::time::UtcNs;
 use crate::bus::absent;
 use crate::problem::{Fact, Problem, flag_names};
 
-/// Something that happened on the bus. `Copy`: it crosses a ring from the real-time thread.
+/// An event on the bus. `Copy`: it crosses a ring from the real-time thread.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CycleEvent {
-    /// When.
+    /// Time of the event.
     pub time: UtcNs,
-    /// During which cycle.
+    /// Cycle in which it happened.
     pub cycle: u64,
-    /// What.
+    /// Kind of the event, with its values.
     pub what: Happening,
 }
 
-/// What happened.
+/// Kinds of events with their values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Happening {
     /// Cycles without a valid sample ended.
     Gap {
-        /// First of them.
+        /// Number of the first.
         first: u64,
-        /// How many.
+        /// Number of these cycles.
         cycles: u64,
         /// Reasons of the first, see `schema::flags`.
         cause: u32,
-        /// Reasons of all these cycles.
+        /// Flags of all of them.
         flags: u32,
-        /// Bit of each encoder, in bus order, that was not valid in the first.
+        /// Bit of each encoder, in bus order, that was invalid in the first.
         invalid: u8,
     },
-    /// Terminals from a position on do not answer; those before stay in use.
+    /// Terminals from a position on do not answer; those before it stay in use.
     Missing {
         /// Position on the bus.
         position: u8,
@@ -42,15 +42,15 @@ pub enum Happening {
     Down(Down),
     /// An attempt to bring the bus up failed.
     StaysDown {
-        /// Code of the problem that it met.
+        /// Code of its problem.
         code: &'static str,
     },
     /// The bus is in operation again.
     Up {
-        /// Attempts that it took.
+        /// Number of attempts that this took.
         attempts: u32,
     },
-    /// A terminal left OP for SAFE-OP and was asked back.
+    /// A terminal went from OP to SAFE-OP; OP has been requested.
     FellToSafeOp {
         /// Position on the bus.
         position: u8,
@@ -59,16 +59,16 @@ pub enum Happening {
     },
     /// The reference clock jumped.
     ClockStep {
-        /// By this much.
+        /// Step of the clock \[ns\].
         by_ns: i64,
     },
     /// Counts may have a new origin from this cycle on.
     OriginChanged(Origin),
     /// A port counted errors.
     LinkErrors {
-        /// Since the run began.
+        /// Counts since the run began.
         counts: PortCounts,
-        /// Worth words; otherwise only the figures go into the file.
+        /// Reported as text; otherwise only the counts are stored.
         is_news: bool,
     },
 }
@@ -76,49 +76,49 @@ pub enum Happening {
 /// Why the bus is given up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Down {
-    /// No reply for so long that the terminals' clocks are no longer trusted.
+    /// No reply for so long that the terminals' clocks are unreliable.
     Silent,
     /// A terminal has lost its address or its configuration.
     DeviceLost,
-    /// Cycle after cycle was bad.
+    /// Several cycles in a row were bad.
     Bad {
-        /// Reasons of the last one, see `schema::flags`.
+        /// Flags of the last one, see `schema::flags`.
         flags: u32,
     },
     /// The reference clock jumped.
     ClockStep,
 }
 
-/// How it is known that counts have a new origin.
+/// Evidence of a new origin of the counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Origin {
     /// A device was without power.
     PoweredOff,
     /// The joint cannot have turned that far.
     Jumped {
-        /// Bar joint.
+        /// Bar joint, 1 to 5.
         joint: u8,
     },
-    /// After the bus was brought up again the count is close to zero: the terminal may have started anew.
+    /// After the bus was brought up again the count is close to zero: the terminal may have restarted.
     NearZero {
-        /// Bar joint.
+        /// Bar joint, 1 to 5.
         joint: u8,
     },
 }
 
 impl CycleEvent {
-    /// Worth words; otherwise it only brings figures.
+    /// Whether it is reported as text; otherwise only its counts are stored.
     pub fn is_news(&self) -> bool {
         !matches!(self.what, Happening::LinkErrors { is_news: false, .. })
     }
 
-    /// What a port has counted.
+    /// The counts of a port.
     pub fn port_counts(&self) -> Option<PortCounts> {
         let Happening::LinkErrors { counts, .. } = self.what else { return None };
         Some(counts)
     }
 
-    /// As it is in the file.
+    /// The event as it is stored in the file.
     pub fn to_event(&self, bus: &BusNames) -> Event {
         let kind = match self.what {
             Happening::Gap { .. } => EventKind::Gap,
@@ -139,14 +139,14 @@ impl CycleEvent {
             Happening::Down(_) => {
                 format!("bus given up, to be brought up again: {}", Problem::from(fact).text)
             }
-            Happening::FellToSafeOp { .. } => format!("{}; asked back to OP", Problem::from(fact).text),
+            Happening::FellToSafeOp { .. } => format!("{}; OP requested again", Problem::from(fact).text),
             _ => Problem::from(fact).text,
         };
         Event { time: self.time, cycle: self.cycle, kind, text, code }
     }
 }
 
-/// Names that events need.
+/// Names for the texts of events.
 #[derive(Debug, Clone, Default)]
 pub struct BusNames {
     /// Network interface, or `simulated`.
@@ -158,7 +158,7 @@ pub struct BusNames {
 }
 
 impl BusNames {
-    /// Of the bus of this run.
+    /// From the metadata of a run.
     pub fn new(run: &RunMetadata) -> Self {
         let joints = run.encoders.iter().map(|encoder| encoder.joint).collect();
         Self { bus: run.bus.clone(), devices: run.devices.clone(), joints }
@@ -187,7 +187,7 @@ impl Happening {
 }
 
 impl Down {
-    /// As it is reported.
+    /// The reason as it is reported.
     pub fn fact(self, bus: &str) -> Fact {
         match self {
             Self::Silent => Fact::BusNoAnswer { bus: bus.to_owned() },

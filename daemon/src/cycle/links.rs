@@ -1,5 +1,5 @@
-//! What the ports of all devices have counted since the run began: read from one device after the other, in the spare time of
-//! cycles that went well.
+//! Error counts of all devices' ports since the run began, read from one device after the other in the spare time of good
+//! cycles.
 
 use shared::recording::schema::PortCounts;
 use shared::time::NS_PER_S;
@@ -8,22 +8,22 @@ use super::Acquisition;
 use super::events::Happening;
 use crate::bus::{CyclicExchange, DEVICES_MAX, PORTS, PortCounters};
 
-/// Each device is looked at once in this time \[ns\].
-const LOOK_PERIOD_NS: i64 = NS_PER_S;
+/// Period in which each device is read once \[ns\].
+const READ_PERIOD_NS: i64 = NS_PER_S;
 
 /// Errors of all ports.
 #[derive(Debug, Clone)]
 pub struct Links {
     cycles_to_next: u64,
     next: usize,
-    /// What each device showed last; none before the first look.
-    shown: [Option<[PortCounters; PORTS]>; DEVICES_MAX],
+    /// Last reading of each device; `None` before the first.
+    last: [Option<[PortCounters; PORTS]>; DEVICES_MAX],
     errors: [[PortCounts; PORTS]; DEVICES_MAX],
-    /// As the recorder knows them.
-    given: [[PortCounts; PORTS]; DEVICES_MAX],
-    /// Of each port, as many as were told last in words.
-    told: [[u32; PORTS]; DEVICES_MAX],
-    /// Rises with every change of the errors.
+    /// Counts that the recorder has received.
+    delivered: [[PortCounts; PORTS]; DEVICES_MAX],
+    /// Counts of each port when they were last reported as text.
+    reported: [[u32; PORTS]; DEVICES_MAX],
+    /// Increases with every change of the counts.
     revision: u64,
 }
 
@@ -32,33 +32,33 @@ impl Default for Links {
         Self {
             cycles_to_next: 0,
             next: 0,
-            shown: [None; DEVICES_MAX],
+            last: [None; DEVICES_MAX],
             errors: Default::default(),
-            given: Default::default(),
-            told: Default::default(),
+            delivered: Default::default(),
+            reported: Default::default(),
             revision: 0,
         }
     }
 }
 
 impl Links {
-    /// Counts from zero.
+    /// Resets the counts for a run.
     pub(super) fn begin_run(&mut self) {
-        (self.errors, self.given, self.told) = Default::default();
+        (self.errors, self.delivered, self.reported) = Default::default();
         self.revision += 1;
     }
 
-    /// Errors of all ports, by position and port.
+    /// Error counts by position and port.
     pub fn errors(&self) -> &[[PortCounts; PORTS]; DEVICES_MAX] {
         &self.errors
     }
 
-    /// Rises with every change of them.
+    /// Increases with every change of them.
     pub fn revision(&self) -> u64 {
         self.revision
     }
 
-    /// The device to look at in this cycle.
+    /// The device to read in this cycle.
     fn due(&mut self, cycles_between: u64, devices: usize) -> Option<usize> {
         if self.cycles_to_next > 0 {
             self.cycles_to_next -= 1;
@@ -70,9 +70,9 @@ impl Links {
         Some(position)
     }
 
-    /// Adds what is new. A count that fell began anew at zero: the device was without power.
+    /// Adds new errors. A count that decreased restarted at zero: the device was without power.
     fn take(&mut self, position: usize, now: &[PortCounters; PORTS]) {
-        let Some(before) = self.shown[position].replace(*now) else { return };
+        let Some(before) = self.last[position].replace(*now) else { return };
         for ((errors, before), now) in self.errors[position].iter_mut().zip(before).zip(now) {
             let risen = |before: u8, now: u8| u32::from(now.checked_sub(before).unwrap_or(now));
             let all = errors.all();
@@ -83,16 +83,19 @@ impl Links {
         }
     }
 
-    /// A port of a device that has counted since the recorder was given its errors, and whether they are worth words: they
-    /// are twice those that were told last. A cable that is bad all day fills no log.
+    /// A port with errors that the recorder has not received, and whether to report them as text: only if they have doubled
+    /// since the last report, so that a bad cable does not fill the log.
     fn take_change(&mut self, position: usize) -> Option<(PortCounts, bool)> {
-        let ports = self.errors[position].iter().zip(&mut self.given[position]).zip(&mut self.told[position]);
+        let ports =
+            self.errors[position].iter().zip(&mut self.delivered[position]).zip(&mut self.reported[position]);
         let changed =
-            |(_, ((errors, given), _)): &(usize, ((&PortCounts, &mut PortCounts), &mut u32))| errors != given;
-        ports.enumerate().find(changed).map(|(port, ((errors, given), told))| {
-            *given = *errors;
-            let is_news = errors.all() >= 2 * *told;
-            *told = if is_news { errors.all() } else { *told };
+            |(_, ((errors, delivered), _)): &(usize, ((&PortCounts, &mut PortCounts), &mut u32))| {
+                errors != delivered
+            };
+        ports.enumerate().find(changed).map(|(port, ((errors, delivered), reported))| {
+            *delivered = *errors;
+            let is_news = errors.all() >= 2 * *reported;
+            *reported = if is_news { errors.all() } else { *reported };
             (PortCounts { position: position as u8, port: port as u8, ..*errors }, is_news)
         })
     }
@@ -104,22 +107,22 @@ impl Acquisition {
         &self.links
     }
 
-    /// Looks at one device, if it is time and the cycle has some to spare.
-    pub(super) fn look_at_links(&mut self, exchange: &CyclicExchange) {
+    /// Reads one device if it is due and the cycle has spare time.
+    pub(super) fn read_links(&mut self, exchange: &CyclicExchange) {
         if exchange.reply.is_none_or(|reply| !reply.all_operational) {
             return;
         }
         let devices = self.devices.len();
-        let cycles_between = LOOK_PERIOD_NS / self.period_ns.max(1) / devices.max(1) as i64;
+        let cycles_between = READ_PERIOD_NS / self.period_ns.max(1) / devices.max(1) as i64;
         let Some(position) = self.links.due(cycles_between as u64, devices) else { return };
         let until = self.clock.now().plus_ns(self.period_ns / 4);
         let Some(counters) = self.bus.port_counters(position, until) else { return };
         self.links.take(position, &counters);
         if counters.iter().any(PortCounters::are_high) && self.bus.clear_port_counters(position, until) {
-            self.links.shown[position] = Some(Default::default());
+            self.links.last[position] = Some(Default::default());
         }
         while let Some((counts, is_news)) = self.links.take_change(position) {
-            self.tell(Happening::LinkErrors { counts, is_news });
+            self.report(Happening::LinkErrors { counts, is_news });
         }
     }
 }

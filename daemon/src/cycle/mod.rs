@@ -1,9 +1,8 @@
 //! The real-time cycle: time and process image in, one sample out.
 //!
-//! [`Acquisition::next_cycle`] sleeps until the cycle's absolute deadline, exchanges one frame and gives one
-//! record for each cycle that was due. It allocates nothing, takes no lock and writes no file; it ends at the
-//! sink that it is given, a bounded ring. Only while the bus is down, and there is nothing to be late for, may it do
-//! all of these: bringing up a bus takes long.
+//! [`Acquisition::next_cycle`] sleeps until the cycle's absolute deadline, exchanges one frame and gives one record for
+//! each cycle that was due to a sink, a bounded ring. It allocates nothing, takes no lock and writes no file. Only while
+//! the bus is down, when no deadline can be missed, may it do all of these: bringing up a bus takes long.
 
 mod clock_fit;
 mod continuity;
@@ -36,19 +35,19 @@ use crate::clock::Clock;
 use crate::devices::el5021::{self, Output};
 use recovery::{Health, is_misread};
 
-/// Cycles run before the first sample so that the fit of bus time to host time has settled.
+/// Cycles before the first sample, so that the fit of bus time to host time converges.
 const CLOCK_FIT_CYCLES: u32 = 100;
 /// A run is announced this many cycles before its first sample.
 const CYCLES_AHEAD: u64 = 2;
 
-/// Events that wait to be taken; nobody needs more of one cycle.
+/// Limit of events in the queue; one cycle never needs more.
 const EVENTS_MAX: usize = 32;
 
-/// A bus, in operation or on its way back there, and its clocks.
+/// A bus, in operation or being restored, with its clocks.
 pub struct Acquisition {
     bus: Bus,
     plan: BusPlan,
-    /// None while the bus is down.
+    /// `None` while the bus is down.
     operational: Option<Operational>,
     devices: Vec<DeviceInfo>,
     clock: Clock,
@@ -58,7 +57,7 @@ pub struct Acquisition {
     distributed_clocks: bool,
     utc_minus_monotonic_ns: i64,
     fit: ClockFit,
-    /// How far the bus' clock came out ahead when it was last set, compared with the bus before any fault \[ns\].
+    /// Lead of the bus' clock after it was last set, relative to the bus before any fault \[ns\].
     bus_lead_ns: i64,
     sampler: Sampler,
     continuity: Continuity,
@@ -68,22 +67,22 @@ pub struct Acquisition {
     /// Sampling instant of cycle 0 on the bus' clock, or of its frame on the host's without DC.
     origin_ns: i64,
     next_cycle: u64,
-    /// When the last frame was sent that a reply came to.
+    /// When the last frame with a reply was sent.
     replied_last: Option<MonoNs>,
-    /// Sample time of the cycle before.
+    /// Sample time of the previous cycle.
     time_last: Option<UtcNs>,
-    /// Of the last cycle; none while the bus is down, when there is nothing to be late for.
+    /// Timing of the last cycle; `None` while the bus is down, when no deadline can be missed.
     timing: Option<CycleTiming>,
 }
 
 impl Acquisition {
-    /// Brings the bus up and lets the clocks settle. Call it on the thread that will cycle.
+    /// Brings the bus up and lets the clock fit converge. Call it on the thread that will cycle.
     pub fn start(mut bus: Bus, plan: &BusPlan, clock: Clock) -> Result<Self, BusError> {
         let operational = bus.bring_up(plan)?;
         Ok(Self::on(bus, operational, plan, clock))
     }
 
-    /// From a bus in operation: cycles until the fit of its clock is good. Call it on the thread that will cycle.
+    /// For a bus in operation: cycles until the clock fit has converged. Call it on the thread that will cycle.
     pub fn on(bus: Bus, operational: Operational, plan: &BusPlan, clock: Clock) -> Self {
         let joints = plan.encoders.iter().map(|encoder| encoder.joint);
         let mut acquisition = Self {
@@ -110,7 +109,7 @@ impl Acquisition {
             timing: None,
             clock,
         };
-        acquisition.settle();
+        acquisition.lock_on();
         acquisition
     }
 
@@ -129,30 +128,30 @@ impl Acquisition {
         self.utc_minus_monotonic_ns
     }
 
-    /// What went over the wire so far.
+    /// Counters of the wire so far.
     pub fn wire_counters(&self) -> WireCounters {
         self.bus.wire_counters()
     }
 
-    /// How late the last cycle was and how long it took; none while the bus is down.
+    /// Lateness and duration of the last cycle; `None` while the bus is down.
     pub fn last_timing(&self) -> Option<CycleTiming> {
         self.timing
     }
 
-    /// What the terminal of one encoder, counted in bus order from 0, is told from the next cycle on; nothing while the
-    /// bus is down, and nothing is told anew when it comes up.
+    /// Sets the outputs of one terminal, by encoder in bus order from 0, from the next cycle on. Has no effect while the bus
+    /// is down; outputs are not set again when it comes up.
     pub fn set_output(&mut self, encoder: usize, output: Output) {
         if let Some(operational) = &self.operational {
             self.bus.set_output(operational, encoder, output);
         }
     }
 
-    /// What happened on the bus, oldest first; take all after each cycle.
+    /// Takes the oldest event; take all after each cycle.
     pub fn take_event(&mut self) -> Option<CycleEvent> {
         self.events.pop_front()
     }
 
-    /// Lets cycle 0 of the next run be sampled at `utc` (virtual time only: there UTC is a matter of choice).
+    /// Sets the sample time of the next run's cycle 0 (virtual time only, where UTC can be chosen).
     pub fn set_first_sample_time(&mut self, utc: UtcNs) {
         if !self.clock.is_real() {
             self.utc_minus_monotonic_ns =
@@ -160,18 +159,17 @@ impl Acquisition {
         }
     }
 
-    /// Sample times of the runs from here on use this `UTC - monotonic` \[ns\].
+    /// Sample times of further runs use this `UTC - monotonic` \[ns\].
     pub fn set_utc_minus_monotonic_ns(&mut self, utc_minus_monotonic_ns: i64) {
         self.utc_minus_monotonic_ns = utc_minus_monotonic_ns;
     }
 
-    /// Exchanges frames in step without recording, while somebody prepares a run.
+    /// Exchanges one frame in step without recording, for example while a run is being prepared.
     pub fn idle(&mut self) {
         self.next_cycle(&mut |_| ());
     }
 
-    /// The next cycle will be number 0 of a run. `announce` is told its sampling instant on the bus' clock before
-    /// that instant has come.
+    /// The next cycle becomes number 0 of a run. `announce` receives its sampling instant on the bus' clock in advance.
     pub fn begin_run(&mut self, announce: impl FnOnce(DcNs)) {
         let first = self.next_cycle + CYCLES_AHEAD;
         let origin_ns = self.instant_ns(first);
@@ -180,7 +178,7 @@ impl Acquisition {
         while self.next_cycle < first {
             self.idle();
         }
-        // Cycles that were overslept belong to no run.
+        // Cycles that were missed in between belong to no run.
         let overslept = (self.next_cycle - first) as i64;
         self.next_cycle = 0;
         self.origin_ns = origin_ns.wrapping_add(overslept * self.period_ns);
@@ -191,13 +189,13 @@ impl Acquisition {
         self.events.clear();
     }
 
-    /// When the next frame is due.
+    /// Deadline of the next frame.
     pub fn due(&self) -> MonoNs {
         self.frame_deadline(self.next_cycle)
     }
 
-    /// Waits for the next cycle, exchanges its frame, and hands `sink` one record for each cycle that was due, also
-    /// while the bus is down.
+    /// Waits for the next cycle, exchanges its frame, and gives `sink` one record for each cycle that was due, also while the
+    /// bus is down.
     pub fn next_cycle(&mut self, sink: &mut dyn FnMut(&CycleRecord)) {
         let deadline = self.due();
         self.clock.sleep_until(deadline);
@@ -211,16 +209,16 @@ impl Acquisition {
             round_trip_ns: exchange.reply.map(|_| exchange.received.ns_since(exchange.sent)),
             duration_ns: self.clock.now().ns_since(woken),
         });
-        self.look_at_links(&exchange);
+        self.read_links(&exchange);
     }
 
-    /// From a frame to the records of all cycles that were due, and to what is to be done about them.
+    /// From a frame to the records of all cycles that were due, and to the reaction to faults.
     fn cycle(&mut self, exchange: &CyclicExchange, sink: &mut dyn FnMut(&CycleRecord)) {
         let seen = self.observe_clocks(exchange);
         let misread = seen.is_some_and(is_misread);
         let sampled = if misread { self.next_cycle } else { self.cycle_sampled(exchange) };
-        // Woken so late that SYNC0 overwrote samples before their frame was sent: those cycles are in the
-        // file all the same, with the reason.
+        // Woken so late that SYNC0 overwrote samples before their frame was sent: those cycles are recorded with
+        // the reason.
         while self.next_cycle < sampled {
             let time = self.sample_time(self.next_cycle);
             let missed = self.sampler.missed(self.next_cycle, time, exchange);
@@ -235,11 +233,11 @@ impl Acquisition {
             Sampler::invalidate(&mut record, flags::NO_DC);
         }
         self.emit(record, sink);
-        self.conclude(&record, exchange, seen);
+        self.react(&record, exchange, seen);
     }
 
-    /// Without distributed clocks a terminal samples when a frame comes, and the next frame fetches that. Unless the
-    /// frame before was sent when it was due, the sample is not of the time that its record says.
+    /// Without distributed clocks a terminal samples when a frame arrives, and the next frame fetches the sample. Unless the
+    /// previous frame was sent on time, the sample does not belong to the time of its record.
     fn follows_a_frame(&mut self, exchange: &CyclicExchange) -> bool {
         let before = self.replied_last;
         if exchange.reply.is_some() {
@@ -250,15 +248,15 @@ impl Acquisition {
         self.distributed_clocks || off_ns <= self.period_ns / 4
     }
 
-    fn tell(&mut self, what: Happening) {
+    fn report(&mut self, what: Happening) {
         if self.events.len() < EVENTS_MAX {
             let time = self.sample_time(self.next_cycle).utc;
             self.events.push_back(CycleEvent { time, cycle: self.next_cycle, what });
         }
     }
 
-    /// Locks on: finds the phase of SYNC0, then cycles until the fit is good.
-    fn settle(&mut self) {
+    /// Finds the phase of SYNC0, then cycles until the clock fit has converged.
+    fn lock_on(&mut self) {
         let Some(operational) = &self.operational else { return };
         let exchange = self.bus.exchange(operational);
         self.observe_clocks(&exchange);
@@ -269,7 +267,7 @@ impl Acquisition {
         (0..CLOCK_FIT_CYCLES).for_each(|_| self.idle());
     }
 
-    /// Number of the cycle whose sample the reply holds; the expected one where nothing says otherwise.
+    /// Number of the cycle whose sample the reply contains; the expected one if the reply does not show it.
     fn cycle_sampled(&self, exchange: &CyclicExchange) -> u64 {
         match exchange.reply.and_then(|reply| reply.dc_time) {
             Some(dc) => {
@@ -303,7 +301,7 @@ impl Acquisition {
         if self.distributed_clocks {
             self.fit.monotonic_from_dc(DcNs(instant_ns))
         } else {
-            // The terminal samples between this frame and the one before; the middle errs least.
+            // The terminal samples between this frame and the one before; the centre minimises the error.
             MonoNs(instant_ns).plus_ns(-self.period_ns / 2)
         }
     }

@@ -1,4 +1,4 @@
-//! Scheduling, core and memory of the cycle's thread: what was asked for, what the system permits.
+//! Scheduling, core and memory of the cycle's thread: request and result.
 
 use std::fmt;
 use std::fs::{File, OpenOptions};
@@ -10,24 +10,24 @@ use nix::unistd::Pid;
 
 use crate::tuning::Machine;
 
-/// What the cycle's thread should have.
+/// Requested properties of the cycle's thread.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RealtimeRequest {
-    /// Core that the thread stays on; none leaves it to the scheduler.
+    /// Core that the thread is pinned to; `None` leaves it to the scheduler.
     pub core: Option<usize>,
     /// Priority under SCHED_FIFO, 1 to 99.
     pub fifo_priority: i32,
 }
 
-/// What it got; held for as long as the cycle runs. Acquisition goes on without; lateness then depends on what else the
-/// machine does.
+/// Result of the request; kept for as long as the cycle runs. Acquisition continues without them, but its lateness then
+/// depends on the load of the machine.
 #[derive(Debug)]
 pub struct RealtimeReport {
     request: RealtimeRequest,
     core: io::Result<()>,
     fifo: io::Result<()>,
     memory: io::Result<()>,
-    /// Keeps the processor out of deep idle states while it is open; machines without such a file have none.
+    /// Keeps the processor out of deep idle states while it is open; some machines have no such file.
     _awake: Option<File>,
 }
 
@@ -45,7 +45,7 @@ impl RealtimeRequest {
 }
 
 impl RealtimeReport {
-    /// Everything was permitted.
+    /// Whether everything was permitted.
     pub fn is_complete(&self) -> bool {
         self.core.is_ok() && self.fifo.is_ok() && self.memory.is_ok()
     }
@@ -90,7 +90,7 @@ fn lock_memory() -> io::Result<()> {
     Ok(mlockall(MlockAllFlags::MCL_CURRENT | MlockAllFlags::MCL_FUTURE)?)
 }
 
-/// Asks for wake-ups without delay (Linux, Documentation/power/pm_qos_interface.rst).
+/// Requests wake-ups without delay (Linux, Documentation/power/pm_qos_interface.rst).
 fn stay_awake() -> Option<File> {
     let mut file = OpenOptions::new().write(true).open("/dev/cpu_dma_latency").ok()?;
     file.write_all(&0i32.to_ne_bytes()).ok()?;

@@ -1,63 +1,63 @@
-//! How the acquisition gets over faults: what each bad cycle leads to, and how no cycle gets lost meanwhile.
+//! Fault recovery of the acquisition: the reaction to each bad cycle, without losing a cycle number.
 //!
-//! A single bad cycle is flagged and forgotten. A terminal in SAFE-OP is asked back to OP between two frames. Silence is
-//! met with further frames: a bus that answers again goes on where it was. Terminals before one that is gone stay in use
-//! until it is back. Only when that does not help is the bus brought up again; cycles that become due meanwhile are given
-//! afterwards, flagged, and the bus' clock is set to go on, so that numbers and times stay those of one run.
+//! A single bad cycle is only flagged. A terminal in SAFE-OP is restored to OP between two frames. Without replies frames
+//! continue to be sent, and a bus that answers again continues where it was. Terminals before a missing one stay in use
+//! until it is back. Only if that does not help is the bus brought up again; cycles that become due in that time are given
+//! afterwards, flagged, and the bus' clock continues its time, so that numbers and times stay those of one run.
 
 use shared::recording::schema::{CycleRecord, flags};
 use shared::time::{DcNs, MonoNs, NS_PER_S};
 
 use super::events::{Down, Happening};
 use super::{Acquisition, ClockPair, Observation, Sampler};
-use crate::bus::{CyclicExchange, Lift, Operational, Reply, absent};
+use crate::bus::{CyclicExchange, Operational, Reply, RestoreToOp, absent};
 use crate::problem::Fact;
 
-/// A terminal that nobody hears is lost when the cycle after confirms it.
+/// A terminal without a reply counts as lost after this number of cycles.
 const LOST_CYCLES: u32 = 2;
-/// A bus time that is this far off and that no delay explains says nothing about its sample \[ns\].
+/// A bus time with a larger unexplained error does not identify its sample \[ns\].
 const MISREAD_NS: u64 = 100_000;
-/// Bad cycles in a row, of any other kind, after which the bus is brought up again.
+/// Number of other bad cycles in a row after which the bus is brought up again.
 const BAD_CYCLES_MAX: u32 = 10;
-/// A terminal that was asked back to OP gets this long \[ns\] ...
-const LIFT_TIMEOUT_NS: i64 = NS_PER_S / 2;
-/// ... and is asked again after this long \[ns\].
-const LIFT_PERIOD_NS: i64 = NS_PER_S / 20;
-/// Clocks of terminals that nobody synchronised for longer are no longer trusted \[ns\].
+/// Time limit for restoring a terminal to OP \[ns\] ...
+const RESTORE_TIMEOUT_NS: i64 = NS_PER_S / 2;
+/// ... and the period of the requests \[ns\].
+const RESTORE_PERIOD_NS: i64 = NS_PER_S / 20;
+/// Clocks of terminals that were not synchronised for longer are unreliable \[ns\].
 const SILENCE_NS_MAX: i64 = NS_PER_S;
-/// Between two looks whether terminals that are missing are back \[ns\].
-const LOOK_PERIOD_NS: i64 = NS_PER_S / 20;
-/// A bus that was brought up shows the time that it was set to, but for this \[ns\]: what a few frames take that a busy machine
-/// repeats. A time that is further off was misread, and would be believed for as many cycles as it is ahead.
+/// Period of the checks whether missing terminals are back \[ns\].
+const CHECK_PERIOD_NS: i64 = NS_PER_S / 20;
+/// Tolerance of the time of a bus that was brought up: the duration of a few frames that a busy machine repeats \[ns\]. A
+/// time beyond that was misread, and using it would skip as many cycles as it is ahead.
 const SET_TIME_NS_MAX: u64 = NS_PER_S as u64 / 10;
-/// Between two attempts to bring the bus up \[ns\].
+/// Period of attempts to bring the bus up \[ns\].
 const RETRY_PERIOD_NS: i64 = NS_PER_S / 5;
 
-/// What went wrong lately.
+/// State of the fault recovery.
 #[derive(Debug, Default)]
 pub(super) struct Health {
     /// Bad replies in a row.
     bad: u32,
     /// When the first of the frames without reply was sent.
     silent_since: Option<MonoNs>,
-    /// When a terminal was first and last asked back to OP.
-    lifting: Option<(MonoNs, MonoNs)>,
-    /// First position whose device is missing while those before it stay in use, and when it was last looked whether
-    /// it is back.
+    /// Times of the first and last request to return to OP.
+    restoring: Option<(MonoNs, MonoNs)>,
+    /// First position whose device is missing while those before it stay in use, and the time of the last check whether it is
+    /// back.
     missing: Option<(u8, MonoNs)>,
     /// Attempts to bring up the bus since it was given up.
     attempts: u32,
-    /// Not before this is it tried again.
+    /// Earliest time of the next attempt.
     retry_at: Option<MonoNs>,
-    /// Cycles without valid sample that go on.
+    /// Current cycles without valid sample.
     gap: Option<Gap>,
     /// Why the bus was given up.
     down: Option<Down>,
     /// Why the bus is still down.
     outage: Option<Fact>,
-    /// Rises with every change of the latter two.
+    /// Increases with every change of the latter two.
     outages: u32,
-    /// How many devices answered when the bus was last found incomplete.
+    /// Number of devices that answered when the bus was last incomplete.
     answering: Option<usize>,
 }
 
@@ -65,21 +65,21 @@ pub(super) struct Health {
 #[derive(Debug, Clone, Copy)]
 struct Gap {
     first: u64,
-    /// Reasons of the first, which are the cause, and all since.
+    /// Flags of the first, which are the cause; below those of all.
     cause: u32,
     flags: u32,
     /// Encoders that were invalid in the first, as bits.
     invalid: u8,
 }
 
-/// How much of the bus is in operation.
+/// Extent to which the bus is in operation.
 #[derive(Debug)]
 pub enum BusState<'a> {
-    /// All of it, or what is wrong with it shows in its records only.
+    /// Completely; its problems, if any, only show in its records.
     Whole,
-    /// What lies before this position; from there on nobody answers.
+    /// Up to this position; from there on no device answers.
     Before(u8),
-    /// Nothing, and why.
+    /// Not at all, and why.
     Down(Outage<'a>),
 }
 
@@ -88,29 +88,29 @@ pub enum BusState<'a> {
 pub struct Outage<'a> {
     /// Why the bus was given up.
     pub down: Option<Down>,
-    /// What the last attempt to bring it up met; known later.
+    /// Error of the last attempt to bring it up; available later.
     pub error: Option<&'a Fact>,
     /// Differs from one outage to the next.
     pub number: u32,
 }
 
 impl Outage<'_> {
-    /// As it is reported. Allocates.
+    /// The outage as it is reported. Allocates.
     pub fn fact(&self, bus: &str) -> Option<Fact> {
         self.error.cloned().or_else(|| self.down.map(|down| down.fact(bus)))
     }
 }
 
 impl Health {
-    /// Forgets the cycle numbers of what came before a run.
+    /// Forgets the cycle numbers before a run.
     pub(super) fn begin_run(&mut self) {
         self.gap = None;
     }
 }
 
 impl Acquisition {
-    /// Draws the conclusions from a cycle: nothing, ask a terminal back, or give the bus up.
-    pub(super) fn conclude(
+    /// Reacts to a cycle: nothing, restore a terminal to OP, or give the bus up.
+    pub(super) fn react(
         &mut self,
         record: &CycleRecord,
         exchange: &CyclicExchange,
@@ -125,51 +125,51 @@ impl Acquisition {
         };
         self.health.silent_since = None;
         if let Some(Observation::Stepped(by_ns)) = seen {
-            // However small: the terminals' clocks would take long to follow, and meanwhile nobody knows when they
-            // sample.
-            self.tell(Happening::ClockStep { by_ns });
+            // Even a small step: the terminals' clocks would take long to follow, and until then the sampling times
+            // are unknown.
+            self.report(Happening::ClockStep { by_ns });
             self.give_up(Down::ClockStep);
             return;
         }
-        // A broken signal is not mended by bringing up the bus.
+        // Bringing up the bus does not repair a broken signal.
         let matter = record.flags & !(flags::TERMINAL_ERROR | flags::DEADLINE_MISSED);
         if record.is_valid() || (matter & !self.sampler.flags_always()) == 0 {
-            (self.health.bad, self.health.lifting, self.health.missing) = (0, None, None);
+            (self.health.bad, self.health.restoring, self.health.missing) = (0, None, None);
             return;
         }
         self.health.bad += 1;
         if reply.silent != 0 {
             if self.health.bad >= LOST_CYCLES {
                 let some_left = record.encoders().iter().any(|encoder| encoder.valid);
-                self.do_without(reply.silent, some_left, exchange.received);
+                self.continue_without(reply.silent, some_left, exchange.received);
             }
         } else if reply.not_operational != 0 {
-            self.lift(reply, exchange.received);
+            self.restore_to_op(reply, exchange.received);
         } else if self.health.bad >= BAD_CYCLES_MAX && !seen.is_some_and(is_misread) {
             self.give_up(Down::Bad { flags: matter });
         }
     }
 
-    /// Asks terminals that fell to SAFE-OP back, in the time until the next frame.
-    fn lift(&mut self, reply: &Reply, now: MonoNs) {
-        let (first, last) = self.health.lifting.unwrap_or((now, MonoNs(i64::MIN / 2)));
-        if now.ns_since(first) > LIFT_TIMEOUT_NS {
+    /// Requests OP from terminals in SAFE-OP, in the time until the next frame.
+    fn restore_to_op(&mut self, reply: &Reply, now: MonoNs) {
+        let (first, last) = self.health.restoring.unwrap_or((now, MonoNs(i64::MIN / 2)));
+        if now.ns_since(first) > RESTORE_TIMEOUT_NS {
             self.give_up(Down::Bad { flags: flags::NOT_OPERATIONAL });
             return;
         }
-        if now.ns_since(last) < LIFT_PERIOD_NS {
+        if now.ns_since(last) < RESTORE_PERIOD_NS {
             return;
         }
-        self.health.lifting = Some((first, now));
+        self.health.restoring = Some((first, now));
         let until = now.plus_ns(self.period_ns / 4);
         for position in (0..u32::BITS as usize).filter(|position| reply.not_operational >> position & 1 == 1)
         {
-            match self.bus.lift(position, until) {
-                Lift::Requested(code) if last < first => {
-                    self.tell(Happening::FellToSafeOp { position: position as u8, code });
+            match self.bus.restore_to_op(position, until) {
+                RestoreToOp::Requested(code) if last < first => {
+                    self.report(Happening::FellToSafeOp { position: position as u8, code });
                 }
-                Lift::Requested(_) | Lift::Operational | Lift::Unknown => {}
-                Lift::Beyond => {
+                RestoreToOp::Requested(_) | RestoreToOp::Operational | RestoreToOp::Unknown => {}
+                RestoreToOp::Beyond => {
                     self.give_up(Down::DeviceLost);
                     return;
                 }
@@ -177,11 +177,11 @@ impl Acquisition {
         }
     }
 
-    /// Terminals are gone. While some are left these stay in use, and the bus is brought up again, which none of them
-    /// would survive, only when all devices answer.
-    fn do_without(&mut self, silent: u32, some_left: bool, now: MonoNs) {
-        let looked_at = self.health.missing.map(|(_, looked_at)| looked_at);
-        if looked_at.is_some_and(|looked_at| some_left && now.ns_since(looked_at) < LOOK_PERIOD_NS) {
+    /// Terminals are missing. The remaining ones stay in use; the bus is brought up again, which interrupts them, only when all
+    /// devices answer.
+    fn continue_without(&mut self, silent: u32, some_left: bool, now: MonoNs) {
+        let checked = self.health.missing.map(|(_, checked)| checked);
+        if checked.is_some_and(|checked| some_left && now.ns_since(checked) < CHECK_PERIOD_NS) {
             return;
         }
         let all = self.devices.len();
@@ -190,8 +190,8 @@ impl Acquisition {
             return;
         }
         let position = silent.trailing_zeros() as u8;
-        if looked_at.is_none() {
-            self.tell(Happening::Missing { position });
+        if checked.is_none() {
+            self.report(Happening::Missing { position });
         }
         self.health.missing = Some((position, now));
     }
@@ -200,10 +200,10 @@ impl Acquisition {
         self.operational = None;
         let Health { gap, outages, .. } = self.health;
         self.health = Health { gap, outages: outages.wrapping_add(1), down: Some(why), ..Health::default() };
-        self.tell(Happening::Down(why));
+        self.report(Happening::Down(why));
     }
 
-    /// A cycle without a bus: one small frame looks who is there; when all are, the bus is brought up.
+    /// A cycle without a bus: one small frame counts the devices that answer; when all do, the bus is brought up.
     pub(super) fn cycle_down(&mut self, sink: &mut dyn FnMut(&CycleRecord)) {
         let now = self.clock.now();
         let answering = self.bus.answering(self.devices.len(), now.plus_ns(self.reply_timeout_ns));
@@ -216,7 +216,7 @@ impl Acquisition {
         }
         self.health.attempts += 1;
         match self.try_bring_up_again() {
-            Some(operational) => self.go_on(operational, sink),
+            Some(operational) => self.resume(operational, sink),
             None => self.retry_later(sink),
         }
     }
@@ -235,7 +235,7 @@ impl Acquisition {
         }
     }
 
-    /// How much of the bus is in operation. Allocates nothing.
+    /// Extent to which the bus is in operation. Allocates nothing.
     pub fn bus_state(&self) -> BusState<'_> {
         match (&self.operational, self.health.missing) {
             (None, _) => {
@@ -263,7 +263,7 @@ impl Acquisition {
                 let code = error.fact().code();
                 let before = self.health.outage.replace(error.fact().clone());
                 if before.is_none_or(|before| before.code() != code) {
-                    self.tell(Happening::StaysDown { code });
+                    self.report(Happening::StaysDown { code });
                 }
                 self.health.answering = None;
                 self.health.outages = self.health.outages.wrapping_add(1);
@@ -272,9 +272,9 @@ impl Acquisition {
         }
     }
 
-    /// The first exchange after the bus came up tells the time and which way the toggles stand; its inputs are not
-    /// used, because nothing proves yet that they are fresh.
-    fn go_on(&mut self, operational: Operational, sink: &mut dyn FnMut(&CycleRecord)) {
+    /// The first exchange after the bus came up gives the time and the state of the toggles; its inputs are not used, because
+    /// nothing proves that they are new.
+    fn resume(&mut self, operational: Operational, sink: &mut dyn FnMut(&CycleRecord)) {
         let exchange = self.bus.exchange(&operational);
         let bus_time = exchange.reply.and_then(|reply| reply.dc_time);
         if exchange.reply.is_none() || (self.distributed_clocks && bus_time.is_none()) {
@@ -285,7 +285,7 @@ impl Acquisition {
         if off_ns.unsigned_abs() > SET_TIME_NS_MAX {
             tracing::warn!(
                 off_ns,
-                "the bus does not show the time that it was set to; it is brought up again"
+                "the bus time differs from the time that was set; the bus is brought up again"
             );
             return self.retry_later(sink);
         }
@@ -297,7 +297,7 @@ impl Acquisition {
         let restarted = self.fit.restarted();
         let before = std::mem::replace(&mut self.fit, restarted);
         self.observe_clocks(&exchange);
-        // Setting the bus' clock takes some frames: it comes out a little off. Remembered, so that it does not add up.
+        // Setting the bus' clock takes some frames, so it is a little off. Remember this, so that it does not add up.
         let lead_ns = self.bus_minus_monotonic_ns().wrapping_sub(difference_ns);
         self.bus_lead_ns = self.bus_lead_ns.wrapping_add(lead_ns);
         let sampled = self.cycle_sampled(&exchange);
@@ -312,10 +312,10 @@ impl Acquisition {
             Sampler::invalidate(&mut record, flags::BUS_DOWN);
             self.emit(record, sink);
         }
-        self.tell(Happening::Up { attempts });
+        self.report(Happening::Up { attempts });
     }
 
-    /// How far the bus' clock is ahead of the host's around now, as the fit has it.
+    /// Lead of the bus' clock over the host's at the next cycle, according to the fit \[ns\].
     fn bus_minus_monotonic_ns(&self) -> i64 {
         let next = DcNs(self.instant_ns(self.next_cycle));
         next.0.wrapping_sub(self.fit.monotonic_from_dc(next).0)
@@ -335,7 +335,7 @@ impl Acquisition {
         self.emit(record, sink);
     }
 
-    /// Hands out the record of the next cycle. Time never runs backwards, also where the bus' clock was set anew.
+    /// Gives the record of the next cycle to `sink`. Time never runs backwards, also after the bus' clock was set.
     pub(super) fn emit(&mut self, mut record: CycleRecord, sink: &mut dyn FnMut(&CycleRecord)) {
         if let Some(last) = self.time_last.filter(|last| record.sample_time <= *last) {
             let behind_ns =
@@ -346,11 +346,11 @@ impl Acquisition {
         }
         self.time_last = Some(record.sample_time);
         if let Some(origin) = self.continuity.check(&mut record) {
-            self.tell(Happening::OriginChanged(origin));
+            self.report(Happening::OriginChanged(origin));
         }
         if record.is_valid() {
             if let Some(Gap { first, cause, flags, invalid }) = self.health.gap.take() {
-                self.tell(Happening::Gap { first, cycles: record.cycle - first, cause, flags, invalid });
+                self.report(Happening::Gap { first, cycles: record.cycle - first, cause, flags, invalid });
             }
         } else {
             let gap = self.health.gap.get_or_insert_with(|| {
@@ -364,7 +364,7 @@ impl Acquisition {
         self.next_cycle += 1;
     }
 
-    /// Takes a reading of the bus' clock into account; none without one.
+    /// Takes a reading of the bus' clock into account; `None` without one.
     pub(super) fn observe_clocks(&mut self, exchange: &CyclicExchange) -> Option<Observation> {
         let dc = exchange.reply?.dc_time?;
         let CyclicExchange { sent, received, .. } = *exchange;
@@ -372,10 +372,10 @@ impl Acquisition {
     }
 }
 
-/// Whether a bus time is too far off to be used, also for telling which cycle was sampled.
+/// Whether a bus time is too far off to be used, also to find the cycle that was sampled.
 pub(super) fn is_misread(seen: Observation) -> bool {
     match seen {
         Observation::Followed => false,
-        Observation::Doubted(by_ns) | Observation::Stepped(by_ns) => by_ns.unsigned_abs() > MISREAD_NS,
+        Observation::Gated(by_ns) | Observation::Stepped(by_ns) => by_ns.unsigned_abs() > MISREAD_NS,
     }
 }

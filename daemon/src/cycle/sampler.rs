@@ -1,4 +1,4 @@
-//! From one exchange to one record: which counts are fresh and trustworthy, and why others are not.
+//! From one exchange to one record: which counts are new and reliable, and why others are not.
 
 use shared::recording::schema::{CycleRecord, EncoderSample, MAX_ENCODERS, flags};
 use shared::time::{DcNs, UtcNs};
@@ -6,18 +6,18 @@ use shared::time::{DcNs, UtcNs};
 use crate::bus::{CyclicExchange, Reply};
 use crate::devices::el5021;
 
-/// When a cycle's encoders were sampled.
+/// Time at which a cycle's encoders were sampled.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SampleTime {
-    /// UTC estimate.
+    /// Estimated UTC of the sample.
     pub utc: UtcNs,
     /// One standard deviation \[ns\].
     pub uncertainty_ns: u32,
-    /// On the bus' clock; 0 without distributed clocks.
+    /// Time on the bus' clock; 0 without distributed clocks.
     pub dc: DcNs,
 }
 
-/// Judges each cycle's inputs against the one before.
+/// Checks each cycle's inputs against the previous ones.
 #[derive(Debug, Clone)]
 pub struct Sampler {
     joints: [u8; MAX_ENCODERS],
@@ -28,7 +28,7 @@ pub struct Sampler {
 }
 
 impl Sampler {
-    /// `joints` in bus order. Without distributed clocks every record says so.
+    /// `joints` in bus order. Without distributed clocks every record is flagged so.
     pub fn new(
         joints: impl IntoIterator<Item = u8>,
         working_counter_expected: u16,
@@ -48,36 +48,36 @@ impl Sampler {
         sampler
     }
 
-    /// Flags that every record of this bus carries.
+    /// Flags of every record of this bus.
     pub fn flags_always(&self) -> u32 {
         self.always
     }
 
-    /// One record of cycle `cycle`, from the exchange that belongs to it.
+    /// The record of cycle `cycle`, from the exchange that belongs to it.
     pub fn sample(&mut self, cycle: u64, time: SampleTime, exchange: &CyclicExchange) -> CycleRecord {
         let mut record = self.blank(cycle, time, exchange);
         match &exchange.reply {
-            Some(reply) => self.judge(&mut record, reply),
+            Some(reply) => self.check_inputs(&mut record, reply),
             None => {
-                self.pass_over();
+                self.skip_cycle();
                 record.flags |= flags::NO_REPLY;
             }
         }
         record
     }
 
-    /// One record of a cycle whose sample was overwritten before `exchange` could fetch it.
+    /// The record of a cycle whose sample was overwritten before `exchange` could fetch it.
     pub fn missed(&mut self, cycle: u64, time: SampleTime, exchange: &CyclicExchange) -> CycleRecord {
-        self.pass_over();
+        self.skip_cycle();
         let mut record = self.blank(cycle, time, exchange);
         record.working_counter = 0;
         record.flags |= flags::DEADLINE_MISSED;
         record
     }
 
-    /// With distributed clocks terminals sample, and toggle, also in a cycle whose reply nobody saw. Without them only a frame
-    /// makes them, and whether that came to them nobody knows.
-    fn pass_over(&mut self) {
+    /// With distributed clocks terminals sample, and toggle, also in a cycle whose reply was lost. Without them only a frame
+    /// makes them sample, and whether that frame reached them is unknown.
+    fn skip_cycle(&mut self) {
         if self.always & flags::NO_DC == 0 {
             self.toggles.iter_mut().flatten().for_each(|toggle| *toggle = !*toggle);
         }
@@ -104,13 +104,13 @@ impl Sampler {
         record
     }
 
-    /// Takes every count of a record out of use, for a reason.
+    /// Marks every count of a record as invalid, with the reason.
     pub fn invalidate(record: &mut CycleRecord, reason: u32) {
         record.flags |= reason;
         record.encoders.iter_mut().for_each(|encoder| encoder.valid = false);
     }
 
-    fn judge(&mut self, record: &mut CycleRecord, reply: &Reply) {
+    fn check_inputs(&mut self, record: &mut CycleRecord, reply: &Reply) {
         let places = record.encoders.iter_mut().zip(&reply.inputs).zip(&mut self.toggles);
         for ((encoder, input), toggle_before) in places.take(self.encoder_count) {
             let toggle = input.status.toggle();
@@ -127,7 +127,7 @@ impl Sampler {
                 record.flags |= flags::TERMINAL_ERROR;
             }
         }
-        // ethercrab checks neither: it hands out the last inputs when a terminal is gone.
+        // ethercrab checks neither: it returns the last inputs when a terminal is missing.
         if reply.working_counter != self.working_counter_expected {
             record.flags |= flags::WORKING_COUNTER;
         }
@@ -139,8 +139,8 @@ impl Sampler {
         }
     }
 
-    /// A short working counter does not say who is missing, so it spoils every count; unless terminals that answer nothing
-    /// at all are missing by exactly what they would have counted: then every other one took part.
+    /// A short working counter does not show which terminal is missing, so it invalidates every count; unless it is short by
+    /// exactly the share of terminals that do not answer: then all others were processed.
     fn invalidate_unproven(&self, record: &mut CycleRecord, reply: &Reply) {
         let absent = |index: usize| reply.silent >> (index + 1) & 1 == 1;
         let missing = (0..self.encoder_count).filter(|index| absent(*index)).count() as u16;
@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn what_toggled_in_a_cycle_that_nobody_saw_is_counted() {
+    fn a_toggle_in_a_lost_cycle_is_counted() {
         let lost: [fn(&mut Sampler); 2] = [
             |sampler| assert_eq!(sampler.sample(1, TIME, &exchange(None)).flags, flags::NO_REPLY),
             |sampler| assert_eq!(sampler.missed(1, TIME, &exchange(None)).cycle, 1),
@@ -228,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn a_short_working_counter_or_a_device_out_of_op_spoils_every_count() {
+    fn a_short_working_counter_or_a_device_out_of_op_invalidates_every_count() {
         let short = Reply { working_counter: 3, ..reply(true) };
         let record = sampler().sample(0, TIME, &exchange(Some(short)));
         assert!(!record.encoders().iter().any(|encoder| encoder.valid));
@@ -255,7 +255,7 @@ mod tests {
             record.encoders().iter().map(|encoder| encoder.valid).collect::<Vec<_>>()
         };
         assert_eq!(valid(rest), [true, false]);
-        assert_eq!(valid(Reply { working_counter: 2, ..rest }), [false, false], "somebody else is short");
+        assert_eq!(valid(Reply { working_counter: 2, ..rest }), [false, false], "another terminal is short");
         assert_eq!(valid(Reply { working_counter: 6, ..rest }), [false, false], "a contradiction");
         assert_eq!(valid(Reply { working_counter: u16::MAX, ..rest }), [false, false], "a damaged counter");
         assert_eq!(valid(Reply { not_operational: 6, ..rest }), [false, false], "the other is not in OP");

@@ -1,59 +1,59 @@
-//! How late, how long: measured in the cycle, counted outside of it.
+//! Lateness and durations: measured in the cycle, counted outside of it.
 //!
-//! The cycle hands three numbers to a bounded ring, wait-free; whoever empties the ring keeps the histograms. So
-//! the cycle neither touches memory that others read nor spends time on counting.
+//! The cycle gives three numbers to a bounded ring, wait-free; the reader of the ring keeps the histograms. So the cycle
+//! neither touches memory that others read nor spends time on counting.
 
 use hdrhistogram::Histogram;
 use rtrb::{Consumer, Producer, RingBuffer};
 use shared::recording::{Bin, DiskTiming, Durations, TimingSummary};
 
-/// Longest duration that is told apart \[ns\]: a minute.
+/// Longest duration that is resolved \[ns\]: a minute.
 const LONGEST_NS: u64 = 60_000_000_000;
 const SIGNIFICANT_DIGITS: u8 = 3;
 
-/// One cycle's times \[ns\].
+/// Timing of one cycle \[ns\].
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct CycleTiming {
     /// From the deadline until the thread ran.
     pub late_ns: i64,
-    /// From handing the frame to the wire until the reply was there; none without a reply.
+    /// From handing the frame to the wire until the reply was received; `None` without a reply.
     pub round_trip_ns: Option<i64>,
-    /// From waking up until the record was handed over.
+    /// From waking up until the record was given to the sink.
     pub duration_ns: i64,
 }
 
-/// The cycle's end.
+/// The writing end, in the cycle.
 pub struct TimingSink(Producer<CycleTiming>);
 
-/// The end of whoever counts.
+/// The reading end, with the histograms.
 pub struct TimingSource {
     ring: Consumer<CycleTiming>,
     timings: Timings,
 }
 
-/// A ring of `capacity` cycles' times. Emptied less often it loses times, no cycles.
+/// A ring for the timing of `capacity` cycles. If it is drained too seldom, it loses timing data, but no cycles.
 pub fn timing_ring(capacity: usize) -> (TimingSink, TimingSource) {
     let (producer, consumer) = RingBuffer::new(capacity);
     (TimingSink(producer), TimingSource { ring: consumer, timings: Timings::default() })
 }
 
 impl TimingSink {
-    /// Hands over one cycle's times. Wait-free.
+    /// Adds the timing of one cycle. Wait-free.
     pub fn push(&mut self, timing: CycleTiming) {
-        // A full ring costs one entry of a histogram, which is no reason to wait.
+        // A full ring costs one entry of a histogram, which does not justify waiting.
         let _ = self.0.push(timing);
     }
 }
 
 impl TimingSource {
-    /// Counts what the cycle handed over since the last call.
+    /// Counts the timing since the last call.
     pub fn drain(&mut self) {
         while let Ok(timing) = self.ring.pop() {
             self.timings.count(&timing);
         }
     }
 
-    /// All that was drained; none before the first cycle.
+    /// Summary of all cycles that were drained; `None` before the first.
     pub fn summary(&self) -> Option<TimingSummary> {
         self.timings.summary()
     }
@@ -77,7 +77,7 @@ impl Default for Timings {
 }
 
 impl Timings {
-    /// Counts one cycle.
+    /// Adds the timing of one cycle.
     pub fn count(&mut self, timing: &CycleTiming) {
         let positive = |ns: i64| u64::try_from(ns).unwrap_or(0);
         self.lateness.saturating_record(positive(timing.late_ns));
@@ -87,7 +87,7 @@ impl Timings {
         }
     }
 
-    /// Percentiles and histograms so far; none before the first cycle.
+    /// Percentiles and histograms so far; `None` before the first cycle.
     pub fn summary(&self) -> Option<TimingSummary> {
         (!self.lateness.is_empty()).then(|| TimingSummary {
             cycles: self.lateness.len(),
@@ -156,7 +156,7 @@ mod tests {
         let mut below = 0;
         for bin in bins {
             let up_to = (bin.up_to_ns / 1000).min(1000);
-            // A step of the counter is a part in a thousand.
+            // The counter's resolution is a part in a thousand.
             assert!((bin.cycles as i64 - (up_to - below) as i64).abs() <= 1, "{bin:?}");
             below = up_to;
         }

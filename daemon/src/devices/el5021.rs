@@ -2,7 +2,7 @@
 //!
 //! Sources, read in 2026-11: `scripts/esi.yml` and the commissioning notes on distributed clocks with three EL5021 of
 //! linuxcnc-ethercat; its driver `lcec_el5021.c`, whose process data were read back from hardware; EtherLab's block el5021
-//! (2013); Beckhoff Infosys, EL5021. Nothing here has been compared with a terminal by this project: `ballbard smoke` is for that.
+//! (2013); Beckhoff Infosys, EL5021. This project has not compared them with a terminal: `ballbard smoke` does that.
 
 use std::time::Duration;
 
@@ -14,11 +14,11 @@ pub const OUTPUT_BYTES: usize = 6;
 pub const WORKING_COUNTER: u16 = 3;
 /// Object "analog resolution": bits per signal period, 8 to 13 (Infosys, configuration data).
 pub const INTERPOLATION_OBJECT: (u16, u8) = (0x8001, 0x11);
-/// SYNC1 follows SYNC0 by this much: shift of SYNC1 in the ESI, 25 000 ns. A whole cycle instead was refused with AL status
+/// Delay of SYNC1 after SYNC0: shift of SYNC1 in the ESI, 25 000 ns. A whole cycle instead was refused with AL status
 /// 0x002C (linuxcnc-ethercat).
 pub const SYNC1_SHIFT: Duration = Duration::from_micros(25);
-/// Data of a SYNC0 is ready for the frame this much later \[ns\]: the ESI shifts SYNC0 by -30 600 ns against the frame, rounded up.
-/// One terminal needed 65 000 ns (linuxcnc-ethercat); a frame comes half a period later, at 1 kHz 500 000 ns.
+/// Data of a SYNC0 is ready for the frame after this time \[ns\]: the ESI shifts SYNC0 by -30 600 ns against the frame, rounded
+/// up. One terminal needed 65 000 ns (linuxcnc-ethercat); a frame follows half a period later, at 1 kHz 500 000 ns.
 pub const DATA_READY_NS: i64 = 31_000;
 
 /// Status word of the TxPDO.
@@ -48,7 +48,7 @@ impl Status {
         self.0 & Self::FREQUENCY_ERROR != 0
     }
 
-    /// The terminal's cycle and SYNC0 did not meet.
+    /// The terminal's cycle and SYNC0 were not synchronous.
     pub const fn sync_error(self) -> bool {
         self.0 & Self::SYNC_ERROR != 0
     }
@@ -64,7 +64,7 @@ impl Status {
     }
 }
 
-/// What one terminal is told per cycle.
+/// Outputs of one terminal.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Output {
     /// Latch the counter at the next reference mark; re-armed by false, then true.
@@ -78,19 +78,17 @@ impl Output {
     }
 }
 
-/// What one terminal gives per cycle.
+/// Inputs of one terminal.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Input {
-    /// Status word.
     pub status: Status,
-    /// Counter.
     pub count: u32,
     /// Counter at the last C pulse.
     pub latch: u32,
 }
 
 impl Input {
-    /// Decodes a TxPDO; none if its length is not that of an EL5021.
+    /// Decodes a TxPDO; `None` if its length is not that of an EL5021.
     pub fn decode(pdo: &[u8]) -> Option<Self> {
         let pdo: &[u8; INPUT_BYTES] = pdo.try_into().ok()?;
         let [s0, s1, c0, c1, c2, c3, l0, l1, l2, l3] = *pdo;
@@ -107,7 +105,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_pdo_reads_as_the_documentation_says() {
+    fn a_pdo_decodes_as_documented() {
         // Status 0x8400: toggle and level of C; counter 0x00e10000 = one revolution at 12 bits; latch 7.
         let input = Input::decode(&[0x00, 0x84, 0x00, 0x00, 0xe1, 0x00, 0x07, 0, 0, 0]).unwrap();
         assert_eq!((input.count, input.latch), (14_745_600, 7));
@@ -116,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn every_error_bit_spoils_the_count() {
+    fn every_error_bit_invalidates_the_count() {
         for bit in [3, 4, 13, 14] {
             assert!(Status(1 << bit).has_error(), "bit {bit}");
         }

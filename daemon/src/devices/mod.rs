@@ -1,4 +1,4 @@
-//! The devices of the ball-bar's bus as the daemon knows them: identities, and how their process data reads.
+//! The devices of the ball-bar's bus: identities, and layout of their process data.
 
 pub mod el5021;
 
@@ -7,14 +7,12 @@ pub mod el5021;
 pub struct DeviceKind {
     /// Name on the housing.
     pub name: &'static str,
-    /// EtherCAT vendor.
     pub vendor_id: u32,
-    /// Product code.
     pub product_code: u32,
 }
 
 impl DeviceKind {
-    /// Whether a device that identified itself so is of this kind.
+    /// Whether a device with this identity is of this kind.
     pub const fn matches(&self, vendor_id: u32, product_code: u32) -> bool {
         self.vendor_id == vendor_id && self.product_code == product_code
     }

@@ -1,4 +1,4 @@
-//! `homing.toml`: what was found, kept in the state directory.
+//! `homing.toml`: the reference marks in the state directory.
 
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
@@ -10,13 +10,13 @@ use shared::time::UtcNs;
 use crate::problem::{Fact, Problem};
 use crate::whole_file;
 
-/// Where reference marks are kept. The program finds them out by itself, so they are state and no configuration, which
-/// may be another user's.
+/// The file of reference marks. The program determines them, so they are state and not configuration, which may belong to
+/// another user.
 #[derive(Debug, Clone)]
 pub struct MarksFile {
     directory: PathBuf,
     file: PathBuf,
-    /// Where earlier versions kept them; read while there is no `file`.
+    /// File of earlier versions; read if `file` does not exist.
     older: Option<PathBuf>,
 }
 
@@ -26,12 +26,12 @@ impl MarksFile {
         Self { file: directory.join(HomingConfig::FILE_NAME), directory, older }
     }
 
-    /// Where it is written.
+    /// Path of the file.
     pub fn path(&self) -> &Path {
         &self.file
     }
 
-    /// What was found last; none if nothing ever was.
+    /// The latest marks; `None` without a homing.
     pub fn read(&self, disk: &dyn Disk) -> Result<Option<HomingConfig>, ConfigError> {
         for file in std::iter::once(&self.file).chain(&self.older) {
             if let Some(homing) = read(disk, file)? {
@@ -41,7 +41,7 @@ impl MarksFile {
         Ok(None)
     }
 
-    /// Why a homing could not be kept, as far as that can be seen beforehand.
+    /// Why marks could not be saved, as far as that can be checked beforehand.
     pub fn problem(&self, disk: &dyn Disk) -> Option<Problem> {
         let directory = self.directory.display();
         let error = match disk.space(&self.directory) {
@@ -53,7 +53,7 @@ impl MarksFile {
         Some(Fact::MarksUnwritable { error }.into())
     }
 
-    /// Keeps the counts at the marks, in the order of `encoders`.
+    /// Saves the counts at the marks, in the order of `encoders`.
     pub fn write(
         &self,
         disk: &dyn Disk,

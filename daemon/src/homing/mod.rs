@@ -1,11 +1,11 @@
-//! Homing: each encoder's reference mark, found while a person turns one joint at a time.
+//! Homing: finds each encoder's reference mark while a person turns one joint at a time.
 //!
-//! An incremental encoder knows its angle only from its reference mark (C). The terminal latches its counter there.
-//! Turning one joint at a time shows at once which terminal its encoder is wired to, and which way it counts. The mark is
-//! taken in the direction in which the joint is asked to be turned: it is one signal period wide (0.1 degrees at 3600
-//! lines), and its two flanks are not the same place.
+//! An incremental encoder knows its angle only from its reference mark (C), where the terminal latches its counter.
+//! Turning one joint at a time also shows which terminal its encoder is connected to, and its direction. The mark is taken in
+//! the direction in which the joint is to be turned: it is one signal period wide (0.1 degrees at 3600 lines), so its two
+//! flanks differ.
 //!
-//! [`Sequence`] finds what is there, whatever the configuration says; [`verify`] compares the two.
+//! [`Sequence`] determines the actual encoders and marks; [`verify`] compares them with the configuration.
 
 mod file;
 mod search;
@@ -18,113 +18,113 @@ pub use wiring::{Miswired, verify};
 
 use shared::config::bar_joint_name;
 
-/// How long a joint may take \[s\].
+/// Time limit for each joint \[s\].
 pub const PATIENCE_S: f64 = 120.0;
-/// How long an encoder may be without a signal \[s\].
+/// Time limit without valid counts \[s\].
 const SIGNAL_LOST_MAX_S: f64 = 1.0;
 
 /// Why a joint could not be homed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum HomingError {
-    /// Several moved.
+    /// Several joints moved at once.
     #[error(
         "while joint {asked} was to be turned, the encoders of terminals {0} and {1} moved together; hold the other \
          joints and home again, turning joint {asked} alone", terminals[0], terminals[1]
     )]
     Together {
-        /// Joint asked for.
+        /// Joint to be turned.
         asked: u8,
         /// Terminals counted from 1 behind the coupler.
         terminals: [usize; 2],
     },
-    /// The encoder that moved belongs to another joint.
+    /// The encoder that moved belongs to a joint that is finished.
     #[error(
         "while joint {asked} was to be turned, the encoder of terminal {terminal} moved, which is that of joint \
-         {joint}; home again, and turn the joint that is asked for"
+         {joint}; home again, and turn the requested joint"
     )]
     Again {
-        /// Joint asked for.
+        /// Joint to be turned.
         asked: u8,
         /// Terminal, counted from 1 behind the coupler.
         terminal: usize,
-        /// Joint that was found on it.
+        /// Joint that the terminal belongs to.
         joint: u8,
     },
-    /// No mark within the time.
+    /// No mark within the time limit.
     #[error(
         "no reference mark within {PATIENCE_S} s of joint {joint}, which turned {turned_deg:.0} degrees; turn it a whole \
          revolution or over the place of its mark, and check the C wires of its terminal"
     )]
     NoMark {
-        /// Joint.
+        /// Bar joint, 1 to 5.
         joint: u8,
-        /// How far it was turned \[deg\].
+        /// Angle by which it was turned \[deg\].
         turned_deg: f64,
     },
-    /// The latched count is none that the joint passed.
+    /// The joint has not passed the latched count.
     #[error(
         "the terminal of joint {joint} latched count {latch}, which the joint never passed; check the C wires, then \
          home again"
     )]
     Implausible {
-        /// Joint.
+        /// Bar joint, 1 to 5.
         joint: u8,
-        /// What was latched.
+        /// Count that the terminal latched.
         latch: u32,
     },
     /// The terminals or the bus give no counts.
     #[error(
-        "no valid counts for {SIGNAL_LOST_MAX_S} s while joint {0} was to be turned; `ballbard check` says which \
-         encoder or device it is"
+        "no valid counts for {SIGNAL_LOST_MAX_S} s while joint {0} was to be turned; `ballbard check` names the \
+         encoder or device"
     )]
     NoSignal(u8),
-    /// Asked to stop.
+    /// The homing was cancelled.
     #[error("stopped before all joints were homed: {0}; nothing was written")]
     Stopped(String),
     /// The file of the marks cannot be written.
-    #[error("the marks of all joints were found, but not kept: {0}; then home again")]
+    #[error("the marks of all joints were found, but not saved: {0}; then home again")]
     NotKept(String),
-    /// The order or a direction is not that of the configuration.
+    /// Order or direction differ from the configuration.
     #[error(transparent)]
     Miswired(#[from] Miswired),
 }
 
-/// A joint's encoder and its mark.
+/// The encoder of a joint, and its mark.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Found {
     /// Joint that was turned.
     pub joint: u8,
     /// The encoder that moved, in bus order from 0.
     pub encoder: usize,
-    /// Counts rise with the direction in which the joint was turned.
+    /// Counts increase in the direction in which the joint was turned.
     pub counts_rise: bool,
     /// Count at its reference mark.
     pub reference_counts: u32,
 }
 
-/// How far homing is.
+/// Progress of a homing.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum HomingStep {
     /// Turn this joint, in its positive direction and alone, over its reference mark.
     Turn {
-        /// Joint.
+        /// Bar joint, 1 to 5.
         joint: u8,
-        /// Where the configuration has its encoder, in bus order from 0.
+        /// Configured encoder of the joint, in bus order from 0.
         encoder: usize,
     },
-    /// Twice a second.
+    /// Progress, twice a second.
     Turning {
-        /// Joint that is to be turned.
+        /// Joint to be turned.
         joint: u8,
-        /// How far the encoder that moves most has turned; positive where its counts rise \[rad\].
+        /// Largest angle of any encoder; positive if its counts increase \[rad\].
         turned_rad: f64,
     },
-    /// A joint's mark was found.
+    /// The mark of a joint was found.
     Found(Found),
 }
 
 impl HomingStep {
-    /// An instruction for a person, or what was found; none for progress.
+    /// An instruction or a result as text; `None` for progress.
     pub fn line(self) -> Option<String> {
         match self {
             Self::Turn { joint, .. } => Some(format!(

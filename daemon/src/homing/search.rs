@@ -1,4 +1,4 @@
-//! One joint on its way over its mark, judged record after record: a pure function of what the bus gave.
+//! Search for the mark of one joint, record by record: a pure function of the records.
 
 use shared::config::EncoderConfig;
 use shared::recording::schema::{CycleRecord, MAX_ENCODERS};
@@ -7,19 +7,18 @@ use shared::time::UtcNs;
 use super::{Found, HomingError, PATIENCE_S, SIGNAL_LOST_MAX_S};
 use crate::devices::el5021::Status;
 
-/// Enough to tell which joint turns, and which way \[rad\].
+/// Angle that identifies the joint and its direction \[rad\].
 const TURNED_MIN_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
-/// Until then other joints may give way by this much \[rad\].
+/// Until then other joints may move by this much \[rad\].
 const OTHERS_MAX_RAD: f64 = 2.0 * std::f64::consts::PI / 180.0;
 
-/// What a record showed.
+/// Result of one record.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Seen {
-    /// Nothing that matters yet.
     Nothing,
-    /// The encoder passed its mark against the direction in which it is turned: that latch is not used.
+    /// The encoder passed its mark in the wrong direction: that latch is not used.
     MarkPassedBackwards {
-        /// In bus order from 0.
+        /// Encoder in bus order from 0.
         encoder: usize,
     },
     /// The encoder, its direction and its mark.
@@ -32,14 +31,14 @@ struct Start {
     counts: [u32; MAX_ENCODERS],
 }
 
-/// What is known of one encoder since the joint was asked for.
+/// Motion of one encoder since the joint's search began.
 #[derive(Debug, Clone, Copy, Default)]
 struct Track {
-    /// Way from the start \[counts\].
+    /// Distance from the start \[counts\].
     moved: i64,
-    /// Least and greatest way \[counts\].
+    /// Smallest and largest distance \[counts\].
     reach: (i64, i64),
-    /// The latch is valid, and whether counts were rising then.
+    /// Whether counts were increasing when the latch became valid; `None` without a valid latch.
     latched: Option<bool>,
 }
 
@@ -49,14 +48,14 @@ pub(super) struct Search {
     before: Vec<Found>,
     start: Option<Start>,
     tracks: [Track; MAX_ENCODERS],
-    /// The encoder that moves, and whether its counts rise.
+    /// The encoder that moves, and whether its counts increase.
     mover: Option<(usize, bool)>,
     elapsed_s: f64,
     valid_last_s: f64,
 }
 
 impl Search {
-    /// Looks for `joint`, after those `before` were found. Terminals must have just been armed.
+    /// Searches the mark of `joint`, after those in `before`. Terminals must have just been armed.
     pub fn new(encoders: Vec<EncoderConfig>, joint: u8, before: Vec<Found>) -> Self {
         Self {
             encoders,
@@ -75,7 +74,7 @@ impl Search {
         self.elapsed_s
     }
 
-    /// The joint asked for, and the way of the encoder that moves most \[rad\].
+    /// The joint to be turned, and the largest angle of any encoder \[rad\].
     pub fn progress(&self) -> (u8, f64) {
         let moves = self.mover.map(|(encoder, _)| encoder).or_else(|| self.farthest(None));
         (self.joint, moves.map_or(0.0, |encoder| self.turned_rad(encoder)))
@@ -95,7 +94,7 @@ impl Search {
             return Ok(Seen::Nothing);
         }
         if self.valid_last_s == 0.0 {
-            // The start must be a count to be trusted.
+            // The start must be a valid count.
             let counts = record.encoders.map(|encoder| encoder.count);
             self.start = Some(Start { counts, ..start });
         }
@@ -127,7 +126,7 @@ impl Search {
         }
     }
 
-    /// The first encoder that turns far enough is the joint's, if it is alone.
+    /// The first encoder that turns far enough belongs to the joint, if no other does.
     fn find_mover(&mut self) -> Result<(), HomingError> {
         if self.mover.is_some() {
             return Ok(());
@@ -167,7 +166,7 @@ impl Search {
         }
     }
 
-    /// The count lies where the joint has been, give or take one signal period.
+    /// Whether the joint has passed this count, within one signal period.
     fn was_passed(&self, encoder: usize, count: u32) -> bool {
         let period = 1i64 << self.encoders[encoder].interpolation_bits;
         let (low, high) = self.tracks[encoder].reach;
@@ -176,7 +175,7 @@ impl Search {
         (low - period..=high + period).contains(&way)
     }
 
-    /// How far an encoder turned; positive where its counts rose.
+    /// Angle by which an encoder turned; positive if its counts increased.
     fn turned_rad(&self, encoder: usize) -> f64 {
         self.tracks[encoder].moved as f64 * self.encoders[encoder].scale().rad_per_count()
     }

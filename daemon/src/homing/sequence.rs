@@ -10,19 +10,19 @@ use super::{Found, HomingError, HomingStep};
 use crate::cycle::Acquisition;
 use crate::devices::el5021::Output;
 
-/// Time between two reports of progress \[s\].
+/// Period of progress reports \[s\].
 const PROGRESS_S: f64 = 0.5;
-/// Cycles that a terminal gets to drop an earlier latch.
+/// Cycles for a terminal to drop an earlier latch.
 const DISARM_CYCLES: u32 = 20;
 
-/// The encoder and mark of each joint, in the order in which they were turned.
+/// The encoder and mark of each joint, in the order in which the joints were turned.
 pub type Outcome = Result<Vec<Found>, HomingError>;
 
 /// Finds the encoder and the mark of every joint.
 pub struct Sequence {
     encoders: Vec<EncoderConfig>,
     found: Vec<Found>,
-    /// For the joint that is turned.
+    /// For the current joint.
     search: Option<Search>,
     progress_due_s: f64,
     state: State,
@@ -31,9 +31,9 @@ pub struct Sequence {
 enum State {
     /// These terminals drop an earlier latch, for this number of further cycles.
     Disarmed(Range<usize>, u32),
-    /// A joint is turned.
+    /// The current joint is being turned.
     Armed,
-    /// One cycle disarms all terminals.
+    /// One more cycle disarms all terminals.
     Ending(Outcome),
 }
 
@@ -51,8 +51,8 @@ impl Sequence {
         sequence
     }
 
-    /// One cycle, which `sink` is given; `watch` is given what happens. A cause in `stopped` ends it. Returns the outcome once it
-    /// is over.
+    /// One cycle, whose record goes to `sink` and whose steps go to `watch`. A cause in `stopped` ends the homing. Returns the
+    /// outcome once it is over.
     pub fn step(
         &mut self,
         acquisition: &mut Acquisition,

@@ -1,4 +1,4 @@
-//! What homing found against what `ball_bar.toml` says: which encoder sits on which joint, and which way it counts.
+//! Compares a homing with `ball_bar.toml`: the encoder of each joint, and its direction.
 
 use std::fmt;
 
@@ -7,14 +7,14 @@ use shared::encoder::Direction;
 
 use super::Found;
 
-/// The configuration is not what is there.
+/// The configuration differs from the encoders found.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub struct Miswired {
     /// Each encoder in bus order: as configured, and as found.
     encoders: Vec<(EncoderConfig, EncoderConfig)>,
 }
 
-/// The counts at the reference marks, in the order of the encoders; or how the configuration must be changed.
+/// The counts at the reference marks, in the order of the encoders; or the necessary changes of the configuration.
 pub fn verify(encoders: &[EncoderConfig], found: &[Found]) -> Result<Vec<u32>, Miswired> {
     let on = |encoder: usize| found.iter().find(|found| found.encoder == encoder);
     let there: Vec<(EncoderConfig, EncoderConfig)> = encoders
@@ -35,13 +35,13 @@ fn as_found(config: &EncoderConfig, found: &Found) -> EncoderConfig {
 
 impl fmt::Display for Miswired {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "the encoders are not as ball_bar.toml has them, so nothing was written:")?;
+        write!(f, "the encoders differ from ball_bar.toml, so nothing was written:")?;
         for (index, (config, found)) in self.encoders.iter().enumerate() {
             let terminal = index + 1;
             if config.joint != found.joint {
                 write!(
                     f,
-                    "\n  terminal {terminal} measures joint {}, not joint {}; in ball_bar.toml the encoder at place \
+                    "\n  terminal {terminal} measures joint {}, not joint {}; in ball_bar.toml encoder number \
                      {terminal} must have `joint = {}`",
                     found.joint, config.joint, found.joint
                 )?;

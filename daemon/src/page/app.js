@@ -1,4 +1,4 @@
-// The page: shows each moment, asks for runs.
+// The page: shows each moment, sends requests.
 
 import { $, ask, duration, el, listen, marked, text, verdict_word } from "./live.js";
 import { Strip, cover } from "./charts.js";
@@ -7,7 +7,7 @@ import { refresh } from "./runs.js";
 
 const CHECK_EVERY_MS = 3000;
 const NAME_AFTER_MS = 300;
-// Older values say so.
+// Older values are marked.
 const OLD_S = 1.5;
 const AGE_EVERY_MS = 500;
 const FIELDS = ["robot", "operator", "bar", "payload", "note"];
@@ -18,7 +18,7 @@ let latest;
 let checks = [];
 let runs_over;
 
-// ---- what is shown
+// ---- display
 
 function joint_card(joint) {
   const card = el("article", { className: "joint", id: `joint${joint.joint}` },
@@ -42,11 +42,11 @@ function show_joints(joints) {
     const [, angle, speed, lights, from] = card.children;
     card.dataset.level = joint.level;
     const degrees = joint.angle_deg;
-    // A value that is old is none: nobody reads it as the present.
+    // A stale value is not shown: nobody must take it for the present.
     text(angle, degrees === null ? "stale" : `${degrees.toFixed(2).replace("-", "−")}°`);
     const per_s = joint.speed_deg_per_s;
     text(speed, per_s === null ? "– °/s" : `${per_s >= 0 ? "+" : "−"}${Math.abs(per_s).toFixed(1)} °/s`);
-    text(from, joint.from_mark ? "0° is its reference mark" : "0° is where it was seen first");
+    text(from, joint.from_mark ? "0° is its reference mark" : "0° is its first position");
     const [health, moved] = lights.children;
     health.className = `light health ${joint.level === "good" ? "on" : "off"}`;
     text(health, joint.problem ?? "signal good");
@@ -77,7 +77,7 @@ function show_state({ headline, status, run_s }) {
     && (at === document.body || ["start", "preflight", "progress", "state"].some((id) => $(id).contains(at)));
   $("start").hidden = $("preflight").hidden = running;
   $("progress").hidden = !running;
-  // What had the focus is hidden now: it goes where the run is shown, or what became of it.
+  // The focused element is hidden now: focus the run, or its result.
   if (lost_focus) $(running ? "progress-title" : "runs-title").focus({ preventScroll: true });
   shown_run = running;
   if (!running) return;
@@ -135,7 +135,7 @@ function show_warnings(warnings) {
 }
 
 let drawn = 0;
-// When the latest moment came [ms], and how old its values were then [s].
+// Arrival of the latest moment [ms], and the age of its values then [s].
 let came_ms = performance.now();
 let came_old_s = 0;
 
@@ -175,7 +175,7 @@ function silent() {
   header.dataset.level = "bad";
   header.dataset.state = "";
   text($("word"), "NO CONNECTION");
-  text($("reason"), "The service does not answer: what it does is not known. See whether it runs (ballbard run).");
+  text($("reason"), "The service does not answer, so its state is unknown. Check that it is running (ballbard run).");
   document.title = "NO CONNECTION – ballbard";
   document.body.classList.add("stale");
   for (const card of $("encoders").children) {
@@ -184,11 +184,11 @@ function silent() {
     text(card.children[2], "– °/s");
     for (const light of card.querySelectorAll(".light")) {
       light.classList.remove("on", "off");
-      text(light, "not known");
+      text(light, "unknown");
     }
   }
   delete $("so-far").dataset.level;
-  text($("so-far"), "Not known. The latest known values:");
+  text($("so-far"), "Unknown. The latest known values:");
   text($("cover-text"), "");
   homing.silent();
   $("mark").hidden = $("note").hidden = $("stop").hidden = true;
@@ -214,7 +214,7 @@ async function check() {
   } catch {
     return;
   }
-  // What needs somebody comes first.
+  // Problems come first.
   const rank = (line) => (line.stops ? 0 : line.remedy ? 1 : 2);
   const sorted = [...checks].sort((one, other) => rank(one) - rank(other));
   const said = JSON.stringify(sorted);
@@ -233,14 +233,14 @@ function show_begin() {
   const button = $("begin");
   button.disabled = state !== "waiting" || !checks.length;
   button.classList.toggle("reluctant", red.length > 0);
-  text(button, red.length ? "Start in spite of it …" : "Start");
+  text(button, red.length ? "Start anyway …" : "Start");
   const why = state === undefined ? "no connection" : state !== "waiting" ? latest.headline.word.toLowerCase()
     : red.length ? `stopped by: ${red.map((line) => line.subject).join(", ")}` : "";
   text($("begin-why"), why);
   $("home").disabled = state !== "waiting";
 }
 
-// The service says how a run would be called: the rule is the same for commands.
+// The service derives the name of a run, by the same rule as for commands.
 async function show_name() {
   const value = (field) => form.elements[field].value.trim();
   const typed = value("name");
@@ -250,7 +250,7 @@ async function show_name() {
   } catch {
     return undefined;
   }
-  // Somebody has typed on.
+  // The text has changed in the meantime.
   if (value("name") !== typed) return undefined;
   const { name, problem } = reply;
   if (!typed) form.elements.name.placeholder = name;
@@ -267,7 +267,7 @@ for (const field of ["name", "robot", "bar"]) {
   });
 }
 
-// Enter in a field begins nothing: only the button does.
+// Enter in a field does not begin a run: only the button does.
 form.addEventListener("submit", (event) => event.preventDefault());
 
 $("begin").addEventListener("click", async () => {
@@ -286,9 +286,9 @@ $("begin").addEventListener("click", async () => {
   const red = stopping();
   if (red.length) {
     const reason = await choose({
-      title: "Start in spite of it?",
+      title: "Start anyway?",
       text: red.map((line) => `${line.subject}: ${line.finding}\n${line.remedy}`).join("\n\n"),
-      label: "Why? It is written into the file.", required: true, yes: "Start", danger: true,
+      label: "Reason, stored in the file", required: true, yes: "Start", danger: true,
     });
     if (!reason) return;
     request.reason = reason;
@@ -299,7 +299,7 @@ $("begin").addEventListener("click", async () => {
     const reply = await act("start", request);
     form.elements.name.value = form.elements.minutes.value = "";
     text($("name-hint"), "");
-    if (reply.answer === "running") say("check", `run ${reply.run} goes on already`);
+    if (reply.answer === "running") say("check", `run ${reply.run} is active already`);
   } catch (error) {
     if (!await show_name()) say("bad", error.message);
     refresh();
@@ -310,7 +310,7 @@ for (const field of FIELDS) form.elements[field].value = localStorage.getItem(`b
 
 // ---- during a run
 
-// Without a text the service numbers it.
+// Without a text the service numbers the marker.
 async function put_mark(said, since_ms) {
   const ago_ms = Math.min(600000, Math.round(performance.now() - since_ms));
   try {
@@ -323,12 +323,12 @@ async function put_mark(said, since_ms) {
 
 const can_mark = () => Boolean(latest?.status.run) && !$("mark").hidden;
 
-// At once: what happened is over before anybody has typed what it was.
+// At once: the event is over before its text is typed.
 function mark() {
   if (can_mark()) put_mark(undefined, performance.now());
 }
 
-// With a text, but of the instant at which it was asked for.
+// With a text, for the instant of the request.
 async function note() {
   if (!can_mark()) return;
   const since_ms = performance.now();
@@ -340,7 +340,7 @@ async function stop() {
   const run = latest?.status.run;
   if (!run) return;
   const yes = await choose({
-    title: `Stop ${run.name}?`, text: `After ${duration(latest.run_s ?? 0)}; its file is finished then.`, yes: "Stop the run", danger: true,
+    title: `Stop ${run.name}?`, text: `After ${duration(latest.run_s ?? 0)}; its file will be finished.`, yes: "Stop the run", danger: true,
   });
   if (!yes) return;
   try {
@@ -357,7 +357,7 @@ $("stop").addEventListener("click", stop);
 document.addEventListener("keydown", (event) => {
   const typing = event.target.closest("input, select, textarea, dialog");
   if (typing || event.ctrlKey || event.metaKey || event.altKey) return;
-  // With Shift or Caps Lock, too.
+  // Also with Shift or Caps Lock.
   const key = event.key.toLowerCase();
   if (key === "m" || key === "n") {
     event.preventDefault();

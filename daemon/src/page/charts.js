@@ -1,11 +1,11 @@
-// The strip chart of the last minute, a run as a whole, and the part of the sphere that was covered.
+// The strip chart of the last minute, a plot of a whole run, and the covered part of the sphere.
 /* global uPlot */
 
 import { $, duration } from "./live.js";
 
 const MINUTE_S = 60;
 const CELLS = 36;
-// A gap in the moments is drawn as one [s].
+// A longer pause between moments is drawn as a gap [s].
 const GAP_S = 1;
 const RESTARTED = "angles from zero";
 
@@ -39,7 +39,7 @@ function draw_marks({ ctx, bbox, scales, valToPos }, marks) {
     ctx.lineTo(left, bbox.top + bbox.height);
     ctx.stroke();
     const short = text.length > MARK_CHARS ? `${text.slice(0, MARK_CHARS - 1)}…` : text;
-    // In turn on three lines: neighbours are read, too.
+    // Alternating on three lines, so that adjacent texts do not overlap.
     ctx.fillText(short, left + 4 * devicePixelRatio, bbox.top + (2 + 15 * (index % 3)) * devicePixelRatio);
   });
   ctx.restore();
@@ -65,7 +65,7 @@ function options(joints, width, height, time) {
   };
 }
 
-// A chart that fills its place, also after that or the colours changed.
+// A chart that fills its container, also after a change of size or colours.
 function chart(place, joints, time) {
   let data = [[], ...joints.map(() => [])];
   let drawn;
@@ -89,7 +89,7 @@ export class Strip {
   points = [];
   marks = [];
 
-  // What was before this page, or before its connection came back.
+  // Angles before this page was opened, or before its connection returned.
   recall({ at_ms, angles_deg }) {
     this.points = at_ms.map((ms, at) => ({ at_s: ms / 1000, angles: angles_deg.map((angles) => angles[at]) }));
   }
@@ -107,7 +107,7 @@ export class Strip {
     }
     const last = this.points.at(-1);
     if (last && at_s - last.at_s > GAP_S) this.points.push({ at_s: last.at_s + 0.001, angles: joints.map(() => null) });
-    // On another clock all begins anew; what was recalled comes again as the first moment.
+    // On another clock everything restarts; the first moment repeats recalled values.
     if (last && last.at_s - at_s > GAP_S) this.points = [];
     else if (last && at_s <= last.at_s) return;
     this.points.push({ at_s, angles: moment.joints.map((joint) => joint.angle_deg) });
@@ -120,7 +120,7 @@ export class Strip {
     ]);
   }
 
-  // Markers of the run, also of one that is over, and where angles began to count from zero again.
+  // Markers of the run, also after its end, and the time at which angles restarted from zero.
   mark({ status, run_s, restarted }, at_s) {
     if (status.run) {
       const begun_s = at_s - (run_s ?? 0);
@@ -170,10 +170,10 @@ export function cover({ cells, here, visited, newest_s, absolute }, restarted) {
     context.lineWidth = 3;
     context.strokeRect(here[0] * size - 2, (CELLS - 1 - here[1]) * size - 2, size + 4, size + 4);
   }
-  const newest = newest_s === null ? "" : newest_s < 5 ? "It still grows." : `Nothing new for ${Math.round(newest_s)} s.`;
+  const newest = newest_s === null ? "" : newest_s < 5 ? "It is still growing." : `Nothing new for ${Math.round(newest_s)} s.`;
   const axes = absolute
     ? "Joint 1 across, joint 2 up, -180 to 180 degrees."
-    : "Joint 1 across, joint 2 up; where zero lies is not known (home, and give mark_deg in ball_bar.toml).";
+    : "Joint 1 across, joint 2 up; zero is unknown (home, and set mark_deg in ball_bar.toml).";
   const since = restarted?.run_s ?? null;
   const anew = since === null ? "" : ` since the outage at ${duration(since)}; ${restarted.cells_before} before it`;
   return `${visited} cells of 10 degrees${anew}. ${newest}\n${axes}`;

@@ -1,10 +1,10 @@
-// Questions to the person, and what becomes of them.
+// Dialogs, and lines below the state.
 
 import { $, ask, el, text } from "./live.js";
 
 const SAID_MS = 6000;
 
-// Does what somebody asked for; what was said of earlier actions goes.
+// Sends a request, and clears the lines of earlier ones.
 export function act(path, body) {
   hush();
   return ask(path, body);
@@ -12,7 +12,7 @@ export function act(path, body) {
 
 export const hush = () => $("said").replaceChildren();
 
-// A line below the state, with more buttons than the one that takes it away; what is bad stays until the next action.
+// Shows a line below the state, with a button that closes it and optional others; an error stays until the next request.
 export function say(level, said, ...buttons) {
   const line = el("p", { level }, el("span", { textContent: said }), ...buttons);
   line.append(el("button", { type: "button", textContent: "Close", onclick: () => line.remove() }));
@@ -21,8 +21,8 @@ export function say(level, said, ...buttons) {
   while ($("said").children.length > 4) $("said").firstChild.remove();
 }
 
-// Enter ends a text of one line, in one of several lines it begins the next; there Ctrl and Enter end it. What is dangerous
-// takes its button.
+// Enter ends a text of one line; in longer texts it starts a new line, and Ctrl with Enter ends them. Dangerous actions need
+// their button.
 $("ask-input").addEventListener("keydown", (event) => {
   const ends = $("ask-input").rows === 1 || event.ctrlKey || event.metaKey;
   if (event.key !== "Enter" || event.isComposing || !ends) return;
@@ -30,11 +30,11 @@ $("ask-input").addEventListener("keydown", (event) => {
   if ($("ask-yes").className !== "danger") $("ask-yes").click();
 });
 
-// Answers the question that was asked last. The event of its end comes late: the next may have been asked by then.
+// Completes the latest dialog. Its close event is late: the next dialog may be open by then.
 let finish = () => {};
 $("ask").addEventListener("close", () => { if (!$("ask").open) finish(); });
 
-// Asks; gives what was typed (or `true` where there is nothing to type), or null.
+// Opens a dialog; returns the typed text (or `true` without a text field), or null.
 export function choose({ title, text: said = "", label, value = "", lines = 1, required = false, yes, danger = false }) {
   finish();
   text($("ask-title"), title);
@@ -52,7 +52,7 @@ export function choose({ title, text: said = "", label, value = "", lines = 1, r
   dialog.returnValue = "no";
   hush();
   dialog.showModal();
-  // Enter at once does no harm.
+  // An immediate Enter does no harm.
   (label ? input : $("ask-no")).focus();
   return new Promise((resolve) => {
     finish = () => {
@@ -62,7 +62,7 @@ export function choose({ title, text: said = "", label, value = "", lines = 1, r
   });
 }
 
-// Positive is counter-clockwise while the axis points at who looks: the right-hand rule of the bar's links.
+// Positive is counter-clockwise while the axis points at the observer: the right-hand rule of the bar's links.
 const WAYS = {
   1: "Counter-clockwise, seen from above the base.",
   2: "Counter-clockwise, seen against the axis of the fork, so that the rod tilts forward.",
@@ -71,14 +71,14 @@ const WAYS = {
   5: "Counter-clockwise, seen against the axis of the flange side.",
 };
 
-const UNKNOWN = "The service does not answer: how far the homing is, and whether it goes on, is not known.";
-const FORGOTTEN = "The service was started anew: that homing is over. The line of the reference marks says whether they were kept.";
+const UNKNOWN = "The service does not answer, so the state of the homing is unknown.";
+const FORGOTTEN = "The service was restarted, which ended the homing. The line of the reference marks shows whether they were saved.";
 
 export class Homing {
   was_over = true;
-  // Begun on this page: its dialog opens by itself. Elsewhere a button opens it.
+  // A homing begun on this page opens its dialog. Others have a button.
   is_mine = false;
-  // Why it was not stopped as somebody asked.
+  // Why a request to stop it was refused.
   refused = "";
 
   constructor() {
@@ -111,14 +111,14 @@ export class Homing {
     $("homing-close").focus();
   }
 
-  // For everybody: whoever looks on has to mean it.
+  // It affects every client, so it needs a confirmation.
   async stop() {
     const yes = await choose({
-      title: "Stop the homing?", text: "It ends for whoever turns the joints, and no reference mark is kept.", yes: "Stop homing",
+      title: "Stop the homing?", text: "It ends for every client, and no reference mark is saved.", yes: "Stop homing",
       danger: true,
     });
     if (!yes || this.was_over) return;
-    // What is said elsewhere lies under the dialog.
+    // Lines elsewhere are covered by the dialog.
     await act("stop", { cause: "stopped on the page" }).catch((error) => { this.refused = error.message; });
   }
 
@@ -128,7 +128,7 @@ export class Homing {
     $("homing-stop").hidden = true;
   }
 
-  // Nobody is kept in the dialog, or asked to turn a joint, by a service that knows nothing of it.
+  // Closes the instructions if the service does not know of the homing.
   lose(why) {
     if (!$("homing").open) return;
     this.over();
@@ -142,14 +142,14 @@ export class Homing {
   }
 
   show({ state, homing }, joints) {
-    const goes_on = state === "homing";
+    const is_active = state === "homing";
     const dialog = $("homing");
-    if (goes_on && this.is_mine) {
-      // Once: whoever closes it is not shown it again.
+    if (is_active && this.is_mine) {
+      // Only once: a closed dialog stays closed.
       this.is_mine = false;
       if (!dialog.open) this.open();
     }
-    $("homing-show").hidden = !goes_on || dialog.open;
+    $("homing-show").hidden = !is_active || dialog.open;
     if (!dialog.open) return;
     if (!homing) {
       this.lose(FORGOTTEN);
@@ -180,7 +180,7 @@ export class Homing {
   }
 }
 
-// A code for the camera of a phone, which then needs no token typed.
+// A code for the camera of a phone, which then needs no token.
 $("pair").addEventListener("click", async () => {
   try {
     const { links, valid_s, fingerprint } = await act("pair", {});

@@ -1,16 +1,16 @@
-// What the service says: moments as they come, and requests.
+// Connection to the service: moments as they arrive, and requests.
 
-// Without a moment for so long nothing on the page is live any more.
+// Without a moment for this time the page is stale.
 const SILENT_MS = 1500;
 const POLL_MS = 1000;
 const RETRY_EVENTS_MS = 15000;
 
-// Local time less the service's. The moment that came fastest tells it, and what others took longer is their age.
+// Local time minus the service's. The quickest moment determines it; the additional delay of others is their age.
 let offset_ms = Infinity;
 let bounded_ms = -Infinity;
 const BOUND_EVERY_MS = 5000;
 const OLD_S = 2;
-// A moment may be as old when it is given.
+// Largest age of a moment when it is sent.
 const PERIOD_MS = 200;
 
 function age_s(at_ms) {
@@ -21,22 +21,22 @@ function age_s(at_ms) {
   return age;
 }
 
-// One of both clocks may have stood still, or be another: a request has the service's time between two of ours.
+// A clock may have stopped, or have been replaced: a request bounds the service's time between two local times.
 async function bound() {
   const asked = bounded_ms = performance.now();
   try {
     const { at_ms } = await (await fetch("/api/live")).json();
     offset_ms = Math.max(asked - PERIOD_MS - at_ms, Math.min(offset_ms, performance.now() - at_ms));
   } catch {
-    // The silence says it.
+    // The silence is handled elsewhere.
   }
 }
 
 // Calls `on_minute` with the angles of the last minute, `on_moment` with each moment and its age [s], `on_silence` when none
-// has come for a while.
+// has arrived for a while.
 export function listen(on_minute, on_moment, on_silence) {
   let silence;
-  const heard = (text) => {
+  const receive = (text) => {
     clearTimeout(silence);
     silence = setTimeout(on_silence, SILENT_MS);
     const moment = JSON.parse(text);
@@ -47,9 +47,9 @@ export function listen(on_minute, on_moment, on_silence) {
   const poll = async () => {
     try {
       const answer = await fetch("/api/live");
-      if (answer.ok) heard(await answer.text());
+      if (answer.ok) receive(await answer.text());
     } catch {
-      // The silence says it.
+      // The silence is handled elsewhere.
     }
   };
   const open = () => {
@@ -58,9 +58,9 @@ export function listen(on_minute, on_moment, on_silence) {
     polling = undefined;
     const events = new EventSource("/api/events");
     events.addEventListener("minute", (event) => on_minute(JSON.parse(event.data)));
-    events.onmessage = (event) => heard(event.data);
+    events.onmessage = (event) => receive(event.data);
     events.onerror = () => {
-      // It tries again by itself where the service went away; where it was refused a place we ask now and then.
+      // It reconnects on its own after a lost connection; if it was refused for lack of places, the page polls.
       if (events.readyState !== EventSource.CLOSED || polling) return;
       polling = setInterval(poll, POLL_MS);
       setTimeout(open, RETRY_EVENTS_MS);
@@ -69,7 +69,7 @@ export function listen(on_minute, on_moment, on_silence) {
   open();
 }
 
-// The answer to a request; throws what is wrong and what to do.
+// The reply to a request; throws the problem and its remedy.
 export async function ask(path, body) {
   const request = body === undefined
     ? {}
@@ -78,16 +78,16 @@ export async function ask(path, body) {
   try {
     answer = await fetch(`/api/${path}`, request);
   } catch {
-    throw new Error("the service does not answer; see whether it runs: ballbard run");
+    throw new Error("the service does not answer; check that it is running: ballbard run");
   }
-  const said = await answer.json().catch(() => ({ error: `the service answered ${answer.status}` }));
+  const said = await answer.json().catch(() => ({ error: `the service replied ${answer.status}` }));
   if (!answer.ok) throw new Error(said.error);
   return said;
 }
 
 export const $ = (id) => document.getElementById(id);
 
-// An element with properties and children; text is never taken for HTML.
+// An element with properties and children; text is never parsed as HTML.
 export function el(tag, properties = {}, ...children) {
   const made = document.createElement(tag);
   const { level, ...rest } = properties;
@@ -97,7 +97,7 @@ export function el(tag, properties = {}, ...children) {
   return made;
 }
 
-// Writes a text only where it changed, so that screen readers and selections are left in peace.
+// Writes a text only if it changed, so that screen readers and selections are not disturbed.
 export function text(node, said) {
   if (node.textContent !== said) node.textContent = said;
 }
@@ -109,7 +109,7 @@ export function duration(seconds) {
   return h ? `${h}:${two(m)}:${two(s)}` : `${m}:${two(s)}`;
 }
 
-// The reason for which a run began although a check stopped it is a marker, too.
+// The reason for which a run began although the check stopped it is a marker, too.
 const IN_SPITE_OF = "begun in spite of";
 export const is_reason = (mark) => mark.text.startsWith(IN_SPITE_OF);
 export const marked = (mark) => `${duration(mark.at_s)}  ${mark.text}`;

@@ -1,4 +1,4 @@
-//! The technician's page, as it is compiled in: works without a network, and needs no tool to be built.
+//! The technician's page, compiled in: works without a network, and needs no build tool.
 
 use std::io::Write;
 use std::sync::Arc;
@@ -12,7 +12,7 @@ use flate2::Compression;
 use flate2::write::GzEncoder;
 use sha2::{Digest, Sha256};
 
-/// Of the digest of a file, by which a browser's copy is recognised.
+/// Length of the digest that identifies a file in a browser's cache.
 const TAG_BYTES: usize = 16;
 
 /// Path, media type and content of every file.
@@ -31,14 +31,13 @@ const HTML: &str = "text/html; charset=utf-8";
 const CSS: &str = "text/css; charset=utf-8";
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
-/// Nothing from anywhere else, no script in the page itself, and no page around it.
+/// No content from elsewhere, no inline script, and no frame around the page.
 const POLICY: HeaderValue = HeaderValue::from_static(
     "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; connect-src 'self'; img-src 'self' data:; \
      base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
 );
 
-/// A route for each file. A browser asks each time whether it has changed, so that a new version is seen at once, and is given
-/// it only if it has.
+/// A route for each file. Browsers check each time whether a file has changed, so that a new version is used at once.
 pub fn routes<S: Clone + Send + Sync + 'static>() -> Router<S> {
     FILES.iter().fold(Router::new(), |router, (path, media_type, text)| {
         let file = Arc::new(File::new(media_type, text));
@@ -46,11 +45,11 @@ pub fn routes<S: Clone + Send + Sync + 'static>() -> Router<S> {
     })
 }
 
-/// One file, and the same compressed.
+/// One file, also compressed.
 struct File {
     media_type: &'static str,
     plain: &'static str,
-    /// Empty where it could not be made.
+    /// Empty if compression failed.
     compressed: Bytes,
     tag: Option<HeaderValue>,
 }

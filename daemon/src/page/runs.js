@@ -24,9 +24,9 @@ export async function refresh(of_service = last) {
   show_after();
 }
 
-// With the zone: whoever compares it with a robot's log has to know.
+// With the time zone, for a comparison with a robot's log.
 function begun(started_ms) {
-  if (started_ms === null) return "time not known";
+  if (started_ms === null) return "time unknown";
   return new Date(started_ms).toLocaleString(undefined, {
     year: "numeric", month: "2-digit", day: "2-digit", hour: "2-digit", minute: "2-digit", second: "2-digit", timeZoneName: "short",
   });
@@ -50,7 +50,7 @@ const with_note = (run) => [facts(run), run.note, reasons(run), marks(run)].filt
 
 const why = (run) => run.verdict?.reasons.join("; ") || (run.verdict ? "" : run.cause);
 
-// Asks the service for something that changes the list.
+// A request that changes the list.
 async function change(path, body) {
   try {
     return await act(path, body);
@@ -82,15 +82,15 @@ async function empty_bin() {
   const size_mb = deleted.reduce((sum, run) => sum + run.bytes, 0) / 1e6;
   const yes = await choose({
     title: "Empty the bin?",
-    text: `${deleted.map((run) => run.name).join(", ")}: ${size_mb.toFixed(1)} MB. Nobody can bring them back.`,
-    yes: "Remove for ever", danger: true,
+    text: `${deleted.map((run) => run.name).join(", ")}: ${size_mb.toFixed(1)} MB. They cannot be restored.`,
+    yes: "Remove permanently", danger: true,
   });
   const reply = yes && await change("bin/empty", {});
   if (reply) say("good", `recordings removed: ${reply.removed}`);
 }
 
 async function note(run) {
-  const said = await choose({ title: `Note of ${run.name}`, label: "Note", value: run.note, lines: 5, yes: "Keep" });
+  const said = await choose({ title: `Note of ${run.name}`, label: "Note", value: run.note, lines: 5, yes: "Save" });
   if (said !== null) await change("note", { name: run.name, note: said });
 }
 
@@ -137,7 +137,7 @@ function show() {
   const shown = all ? found : found.slice(0, SHOWN_MAX);
   $("runs").replaceChildren(...shown.map(row));
   const more = $("runs-more");
-  text(more, runs.length ? (found.length ? "" : "No run is like that.") : "No run is recorded yet.");
+  text(more, runs.length ? (found.length ? "" : "No matching run.") : "No recordings yet.");
   if (shown.length < found.length) {
     more.append(el("button", { type: "button", textContent: `Show all ${found.length}`, onclick: () => { all = true; show(); } }));
   }
@@ -152,7 +152,7 @@ function show_bin() {
     el("button", { type: "button", textContent: "Restore", ariaLabel: `Restore ${run.name}`, onclick: () => restore(run.name) }))));
 }
 
-// What became of the run that has just ended, and what comes next.
+// The result of the run that has just ended, and the next steps.
 function show_after() {
   const run = last?.file ? runs.find((one) => one.file === last.file) : undefined;
   $("after").hidden = !run?.verdict;

@@ -19,7 +19,7 @@ use crate::segment::InProcessWire;
 use crate::segment::faults::{FaultHandle, FaultSwitch, FaultySegment};
 use crate::segment::simulated::{Hand, HandTurned, SegmentConfig, SimulatedSegment, SmoothMotion};
 
-/// A service on a simulated bus whose faults are switched by hand, as are its joints turned.
+/// A service on a simulated bus with switched faults and turned joints.
 struct Bench {
     service: Service,
     bus: Arc<Mutex<Option<(FaultHandle, Hand)>>>,
@@ -52,8 +52,8 @@ impl Bench {
         }
     }
 
-    /// Does what the story asks for: a joint in a hand, a state directory that cannot be, a fault.
-    fn obey(&self, asked: &str) {
+    /// Executes a command of the story: a hand at a joint, a state directory that cannot be created, a fault.
+    fn handle(&self, asked: &str) {
         let bus = self.bus.lock().unwrap();
         let (faults, hand) = bus.as_ref().unwrap();
         let state = self.directory.path().join("state");
@@ -72,7 +72,7 @@ impl Bench {
         }
     }
 
-    /// Serves until the sender is dropped; gives where, and where other machines are let in.
+    /// Serves until the sender is dropped; returns the addresses for this and for other machines.
     fn serve(&self) -> ([String; 2], oneshot::Sender<()>) {
         let (end, ended) = oneshot::channel::<()>();
         let (address, at) = std::sync::mpsc::channel();
@@ -95,8 +95,8 @@ impl Bench {
     }
 }
 
-/// Where a program is.
-fn found(names: &[&str]) -> Option<PathBuf> {
+/// Path of an installed program.
+fn find_program(names: &[&str]) -> Option<PathBuf> {
     let paths = std::env::var_os("PATH").unwrap_or_default();
     let at =
         |name: &&str| std::env::split_paths(&paths).map(|path| path.join(name)).find(|path| path.is_file());
@@ -106,13 +106,13 @@ fn found(names: &[&str]) -> Option<PathBuf> {
 #[test]
 #[ignore = "needs chromium, and Python with tests/requirements.txt"]
 fn a_technician_records_finds_a_fault_and_downloads_the_file() {
-    let chromium = found(&["chromium", "chromium-browser", "google-chrome"]);
+    let chromium = find_program(&["chromium", "chromium-browser", "google-chrome"]);
     let chromium = chromium.expect("chromium is missing: apt-get install chromium");
     let python = std::env::var_os("BALLBAR_PYTHON").unwrap_or_else(|| "python3".into());
     let tests = Path::new(env!("CARGO_MANIFEST_DIR"));
     let bench = Bench::new();
     let (urls, end) = bench.serve();
-    // Whoever wants to look at the pictures says where they go.
+    // An environment variable names the directory of the pictures.
     let pictures =
         std::env::var_os("BALLBAR_PICTURES").map_or_else(|| bench.directory.path().into(), PathBuf::from);
     std::fs::create_dir_all(&pictures).unwrap();
@@ -125,18 +125,18 @@ fn a_technician_records_finds_a_fault_and_downloads_the_file() {
         .stdout(Stdio::piped())
         .spawn()
         .unwrap();
-    let mut told = story.stdin.take().unwrap();
+    let mut replies = story.stdin.take().unwrap();
     let mut end = Some(end);
     for line in BufReader::new(story.stdout.take().unwrap()).lines().map_while(Result::ok) {
         match line.strip_prefix("> ") {
             Some("end") => drop(end.take()),
-            Some(asked) => bench.obey(asked),
+            Some(asked) => bench.handle(asked),
             None => {
                 println!("{line}");
                 continue;
             }
         }
-        writeln!(told, "done").unwrap();
+        writeln!(replies, "done").unwrap();
     }
     assert!(story.wait().unwrap().success(), "the story above went wrong");
     bench.service.shutdown("test over");

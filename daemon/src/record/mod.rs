@@ -1,6 +1,6 @@
-//! From the cycle to the file: the ring, the recorder, how far a run is, and where recordings go.
+//! From the cycle to the file: the ring, the recorder, the progress of a run, and the directories of recordings.
 //!
-//! Nothing here knows the bus: the cycle hands over records, events and timing.
+//! Nothing here depends on the bus: the cycle provides records, events and timing.
 
 mod progress;
 mod recorder;

@@ -1,4 +1,4 @@
-//! What other threads see of a run, without making them wait.
+//! Progress of a run for other threads, which never wait for the disk.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -11,7 +11,7 @@ use shared::time::MonoNs;
 use crate::clock::Clock;
 use crate::problem::{Fact, Problem};
 
-/// What the cycle handed over, written by it alone.
+/// Counts of the cycle's thread, which alone writes them.
 #[derive(Debug, Default)]
 pub struct Handed {
     /// Cycles that were due so far.
@@ -20,7 +20,7 @@ pub struct Handed {
     pub lost: AtomicU64,
 }
 
-/// How far a run is: taken from the bus, written, synchronised. Nobody who asks waits for the disk.
+/// Progress of a run: cycles taken from the bus, written, synchronised. Reading it never waits for the disk.
 #[derive(Debug)]
 pub struct Progress {
     handed: Arc<Handed>,
@@ -29,16 +29,16 @@ pub struct Progress {
     disk: Mutex<OnDisk>,
 }
 
-/// What a run was promised.
+/// Limits of a run.
 #[derive(Debug, Clone, Copy)]
 pub struct Limits {
     /// Time between two cycles.
     pub cycle_period: Duration,
-    /// How often what was taken is written and synchronised.
+    /// Period of writing and synchronisation.
     pub sync_period: Duration,
     /// Cycles that may wait to be written.
     pub ring_cycles: usize,
-    /// The cycle waits for the disk, as it does on virtual time: many cycles that wait are no news.
+    /// The cycle waits for the disk, as on virtual time: a backlog is usual then.
     pub cycle_waits: bool,
 }
 
@@ -49,44 +49,44 @@ struct OnDisk {
     written_lost: u64,
     synced: Synced,
     writing_since: Option<MonoNs>,
-    /// With the number of the synchroniser that is at it.
+    /// With the number of the synchroniser.
     syncing_since: Option<(u32, MonoNs)>,
     longest: DiskTiming,
-    /// What the run waits for before it has a file.
+    /// Step before the run has its file.
     opening: Opening,
-    /// None before that.
+    /// `None` before the run has its file.
     place: Option<RunPlace>,
-    /// Why the file is not where it should be, until it is moved.
+    /// Why the file is not in its place, until the run is moved.
     lost: Option<String>,
     moved: Option<String>,
     timing: Option<TimingSummary>,
     flagged: Vec<Flagged>,
 }
 
-/// What the disk does before a run has its file, and since when.
+/// The disk's current step before a run has its file.
 #[derive(Debug)]
 struct Opening {
     what: &'static str,
     since: MonoNs,
 }
 
-/// What survives a power cut.
+/// Extent of the file that survives a power failure.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Synced {
-    /// Cycles.
+    /// Number of cycles in the file.
     pub cycles: u64,
     /// Cycles among them in which every encoder is valid.
     pub cycles_valid: u64,
     /// Length of the file \[bytes\].
     pub bytes: u64,
-    /// All that was written before is in it; none before the first time.
+    /// All cycles written before this time are included; `None` before the first synchronisation.
     pub at: Option<MonoNs>,
 }
 
 /// [`Progress`] at one moment.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Snapshot {
-    /// What survives a power cut.
+    /// Extent that survives a power failure.
     pub synced: Synced,
     /// Cycles that survive a kill of the program.
     pub written: u64,
@@ -96,26 +96,26 @@ pub struct Snapshot {
     pub lost: u64,
     /// Cycles that wait to be written, as time \[s\].
     pub backlog_s: f64,
-    /// From there on cycles are lost \[s\].
+    /// Above this backlog cycles are lost \[s\].
     pub backlog_limit_s: f64,
-    /// What a power cut would cost now \[s\].
+    /// Duration of cycles that a power failure would lose now \[s\].
     pub unsynced_s: f64,
-    /// Since all that was written then is synchronised; none before the first time.
+    /// Age of the last complete synchronisation; `None` before the first.
     pub sync_age: Option<Duration>,
-    /// How long the disk kept the recorder waiting, what it is at included.
+    /// How long the recorder waited for the disk, including the current call.
     pub longest: DiskTiming,
     /// Where the run is written; empty until its file is there.
     pub file: PathBuf,
-    /// What is wrong with the disk.
+    /// Problems of the disk.
     pub problems: Vec<Problem>,
-    /// How well the loop kept its time; none on virtual time.
+    /// Timing of the cycle; `None` on virtual time.
     pub timing: Option<TimingSummary>,
-    /// The cycles that are written and not valid, by joint and reason.
+    /// Invalid cycles that are written, by joint and reason.
     pub flagged: Vec<Flagged>,
 }
 
 impl Progress {
-    /// Of a run that has no file yet.
+    /// For a run that has no file yet.
     pub fn new(handed: Arc<Handed>, limits: Limits, clock: Clock) -> Self {
         let disk = OnDisk {
             written: 0,
@@ -143,22 +143,21 @@ impl Progress {
         self.clock.is_real()
     }
 
-    /// How often what was taken is synchronised.
     pub(super) fn sync_period(&self) -> Duration {
         self.limits.sync_period
     }
 
-    /// What the disk does now so that the run gets its file.
+    /// Sets the disk's current step before the run has its file.
     pub fn opening(&self, what: &'static str) {
         self.disk().opening = Opening { what, since: self.clock.now() };
     }
 
-    /// The run's file is there.
+    /// The run's file is created.
     pub fn opened(&self, place: RunPlace) {
         self.disk().place = Some(place);
     }
 
-    /// Whether it is.
+    /// Whether the run has its file.
     pub fn is_open(&self) -> bool {
         self.disk().place.is_some()
     }
@@ -171,7 +170,7 @@ impl Progress {
         disk.writing_since = Some(self.clock.now());
     }
 
-    /// The number of cycles written so far, or fewer where the disk refused, and of those among them that were lost.
+    /// Number of cycles written so far, fewer if the disk refused, and of lost ones among them.
     pub fn wrote(&self, cycles: u64, lost: u64) {
         let mut disk = self.disk();
         disk.longest = disk.longest_at(self.clock.now());
@@ -179,12 +178,12 @@ impl Progress {
         (disk.written, disk.written_lost) = (cycles, lost);
     }
 
-    /// A synchroniser is at it.
+    /// A synchroniser starts its work.
     pub fn syncing(&self, number: u32) {
         self.disk().syncing_since = Some((number, self.clock.now()));
     }
 
-    /// It is done with it, and has synchronised this; none where the disk refused.
+    /// A synchroniser has finished; `None` if the disk refused.
     pub fn synced(&self, number: u32, synced: Option<Synced>) {
         let mut disk = self.disk();
         if disk.syncing_since.is_some_and(|(other, _)| other == number) {
@@ -196,27 +195,27 @@ impl Progress {
         }
     }
 
-    /// How well the loop kept its time so far.
+    /// Timing of the cycle so far.
     pub fn set_timing(&self, timing: Option<TimingSummary>) {
         self.disk().timing = timing;
     }
 
-    /// Which of the cycles that are written are not valid.
+    /// Invalid cycles among those written.
     pub fn set_flagged(&self, flagged: Vec<Flagged>) {
         self.disk().flagged = flagged;
     }
 
-    /// How long the disk kept the recorder waiting so far.
+    /// How long the recorder waited for the disk so far.
     pub fn longest(&self) -> DiskTiming {
         self.disk().longest_at(self.clock.now())
     }
 
-    /// Where the run is written; none before its file is there.
+    /// Place of the run's file; `None` before it is created.
     pub fn place(&self) -> Option<RunPlace> {
         self.disk().place.clone()
     }
 
-    /// The file is not where it should be; the recorder will look. Says nothing of the file that the run has by now.
+    /// The file is not in its place, which the recorder will check. Has no effect if the run's file is another one by now.
     pub fn set_lost(&self, place: &RunPlace, why: String) {
         let mut disk = self.disk();
         if disk.place.as_ref().is_some_and(|own| own.is_same(place)) {
@@ -224,12 +223,12 @@ impl Progress {
         }
     }
 
-    /// Why the file is not where it should be.
+    /// Why the file is not in its place.
     pub fn lost(&self) -> Option<String> {
         self.disk().lost.clone()
     }
 
-    /// The run continues in another place, and why.
+    /// The run continues in another place.
     pub fn moved(&self, place: RunPlace, why: String) {
         let mut disk = self.disk();
         disk.place = Some(place);
@@ -240,7 +239,7 @@ impl Progress {
 
     fn backlog(&self, disk: &OnDisk) -> u64 {
         let (due, lost) = (self.handed.due.load(Ordering::Acquire), self.handed.lost.load(Ordering::Relaxed));
-        // A lost cycle waits for nothing, and once its number is written it is among the written ones.
+        // A lost cycle does not wait, and once its number is written it is among the written ones.
         let unwritten_lost = lost.saturating_sub(disk.written_lost);
         due.saturating_sub(disk.written.saturating_add(unwritten_lost)).min(self.limits.ring_cycles as u64)
     }
@@ -249,13 +248,13 @@ impl Progress {
         cycles.saturating_mul(self.limits.cycle_period.as_nanos() as u64)
     }
 
-    /// As of now.
+    /// State of the run at this moment.
     pub fn get(&self) -> Snapshot {
         let (disk, now) = (self.disk(), self.clock.now());
         let seconds = |cycles: u64| self.ns_of(cycles) as f64 * 1e-9;
         let (taken, lost) =
             (self.handed.due.load(Ordering::Acquire), self.handed.lost.load(Ordering::Relaxed));
-        // A file that is gone keeps nothing safe.
+        // Nothing is safe in a file that is lost.
         let is_there = disk.lost.is_none();
         let (synced, written) = if is_there { (disk.synced, disk.written) } else { Default::default() };
         let mut snapshot = Snapshot {
@@ -279,7 +278,7 @@ impl Progress {
 }
 
 impl OnDisk {
-    /// What the disk is at counts already: it will not become shorter.
+    /// The current call counts already: it will not become shorter.
     fn longest_at(&self, now: MonoNs) -> DiskTiming {
         let since = |at: Option<MonoNs>| at.map_or(0, |at| now.ns_since(at).max(0) as u64);
         DiskTiming {
@@ -290,9 +289,9 @@ impl OnDisk {
     }
 }
 
-/// A disk that takes longer to give a run its file is told.
+/// A run whose file takes longer to create is reported.
 const OPENS_WITHIN: Duration = Duration::from_secs(1);
-/// Synchronisation periods that may wait before that is worth a word: one is usual, the other for a busy disk.
+/// Number of synchronisation periods that may wait before a warning: one is usual, the other for a busy disk.
 const WARNING_PERIODS: u32 = 2;
 
 impl Snapshot {

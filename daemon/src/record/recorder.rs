@@ -21,15 +21,15 @@ use crate::cycle::{BusNames, CycleEvent, CycleTiming, TimingSink, TimingSource, 
 use crate::problem::{Fact, Problem};
 use crate::scheduler::Scheduler;
 
-/// Events that may wait for the recorder; cycles carry their reasons themselves, so that one too many is no harm.
+/// Queue of events; cycles carry their flags themselves, so that a lost event does no harm.
 const EVENTS_MAX: usize = 1024;
-/// Times that a run is taken to another place before it is given up.
+/// Moves of a run to another place before it is given up.
 const MOVES_MAX: u32 = 8;
-/// A synchronisation that takes no longer is not worth a record of its own \[ns\].
+/// A shorter synchronisation is not recorded on its own \[ns\].
 const SYNC_USUAL_NS: u64 = 100_000_000;
-/// How well the loop kept its time is put into the file at least this often, for a run that is killed.
+/// The cycle's timing is recorded at least this often, for a run that is killed.
 const TIMING_PERIOD: Duration = Duration::from_secs(60);
-/// UTC that moved by more than this against the monotonic clock was stepped \[ns\].
+/// A larger change of UTC against the monotonic clock is a step \[ns\].
 const CLOCK_STEP_NS: i64 = 100_000;
 
 /// The cycle's end of the ring.
@@ -38,7 +38,7 @@ pub struct CycleSink {
     events: Producer<CycleEvent>,
     timing: TimingSink,
     handed: Arc<Handed>,
-    /// The cycle waits for the recorder; otherwise the loss is recorded.
+    /// The cycle waits for the recorder; otherwise the loss is counted.
     waits: bool,
 }
 
@@ -50,12 +50,12 @@ pub struct CycleSource {
     handed: Arc<Handed>,
 }
 
-/// What a finished run holds.
+/// Summary of a finished run.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RunSummary {
-    /// The finished file.
+    /// Path of the finished file.
     pub path: PathBuf,
-    /// Cycles in it.
+    /// Number of cycles in it.
     pub cycles: u64,
     /// Cycles in which every encoder is valid.
     pub cycles_valid: u64,
@@ -63,18 +63,18 @@ pub struct RunSummary {
     pub cycles_lost: u64,
     /// Why the run ended.
     pub cause: String,
-    /// Where its counts come from.
+    /// Origin of its counts.
     pub provenance: Provenance,
-    /// How well the loop kept its time; none on virtual time.
+    /// Timing of the cycle; `None` on virtual time.
     pub timing: Option<TimingSummary>,
 }
 
-/// What becomes of a cycle that finds the ring full.
+/// Treatment of a cycle when the ring is full.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FullRing {
     /// It is counted as lost: the cycle never waits.
     Drops,
-    /// It waits for the recorder, where the cycle takes as much time as it likes.
+    /// It waits for the recorder, on virtual time.
     Waits,
 }
 
@@ -95,35 +95,35 @@ pub fn ring(capacity: usize, full: FullRing) -> (CycleSink, CycleSource) {
 }
 
 impl CycleSource {
-    /// What the cycle handed over, whether it was taken or not.
+    /// Counts of cycles, whether they were taken or not.
     pub fn handed(&self) -> &Arc<Handed> {
         &self.handed
     }
 
-    /// The next cycle that was handed over.
+    /// Takes the next cycle.
     pub fn take(&mut self) -> Option<CycleRecord> {
         self.ring.pop().ok()
     }
 
-    /// The next event that was handed over.
+    /// Takes the next event.
     pub fn take_event(&mut self) -> Option<CycleEvent> {
         self.events.pop().ok()
     }
 
-    /// How well the loop has kept its time so far; none on virtual time.
+    /// Timing of the cycle so far; `None` on virtual time.
     pub fn timing(&mut self) -> Option<TimingSummary> {
         self.timing.drain();
         self.timing.summary()
     }
 
-    /// Nothing more will be handed over; what was may still wait.
+    /// Whether the other end is dropped; some content may remain.
     pub fn is_over(&self) -> bool {
         self.ring.is_abandoned()
     }
 }
 
 impl CycleSink {
-    /// Hands over one cycle. Wait-free on real time; a full ring costs the record but not its number, and is counted.
+    /// Adds one cycle. Wait-free on real time; a full ring loses the record but not its number, and counts the loss.
     pub fn push(&mut self, record: &CycleRecord) {
         self.handed.due.store(record.cycle + 1, Ordering::Release);
         while let Err(PushError::Full(_)) = self.ring.push(*record) {
@@ -135,83 +135,82 @@ impl CycleSink {
         }
     }
 
-    /// Hands over what happened on the bus. Wait-free; with a thousand waiting it is dropped.
+    /// Adds an event. Wait-free; dropped if the queue is full.
     pub fn push_event(&mut self, event: CycleEvent) {
         let _ = self.events.push(event);
     }
 
-    /// Hands over how late the cycle was and how long it took; virtual time knows neither. Wait-free.
+    /// Adds the timing of a cycle, except on virtual time. Wait-free.
     pub fn push_timing(&mut self, timing: CycleTiming) {
         if !self.waits {
             self.timing.push(timing);
         }
     }
 
-    /// The recorder has given up; going on makes no sense.
+    /// Whether the recorder has given up.
     pub fn is_abandoned(&self) -> bool {
         self.ring.is_abandoned()
     }
 }
 
-/// Something that a person said of the run.
+/// A marker that a person set.
 #[derive(Debug)]
 pub struct Mark {
-    /// When.
+    /// Time of the marker.
     pub at: MonoNs,
-    /// What.
+    /// Text of the marker.
     pub text: String,
 }
 
-/// What ties a recorder to the rest while it runs.
+/// Connections of a recorder while it runs.
 pub struct RunLink {
     /// Markers that people set.
     pub marks: Receiver<Mark>,
-    /// Told whatever becomes of the run's cycles.
+    /// Progress of the run, for other threads.
     pub progress: Arc<Progress>,
-    /// Where the run goes on if it has no place any more.
+    /// Provides another place if the run's own is lost.
     pub storage: Storage,
-    /// Lets synchronisations wait for the disk.
+    /// Runs the synchronisations, which wait for the disk.
     pub scheduler: Arc<dyn Scheduler>,
 }
 
-/// Writes what comes out of the ring until its other end is dropped, then finishes the file. What was taken is written
-/// each period, which a kill of the program survives; another thread synchronises it, which a power cut survives. While
-/// the disk takes nothing the cycles wait in the ring.
+/// Writes the content of the ring until its other end is dropped, then finishes the file. Cycles are written each period,
+/// after which they survive a kill of the program; another thread synchronises them, after which they survive a power
+/// failure. While the disk accepts nothing the cycles wait in the ring.
 pub struct Recorder {
     source: CycleSource,
     writer: RecordingWriter<RunFile>,
     synchroniser: Synchroniser,
     clock: Clock,
     period: Duration,
-    /// Cycles that are written in one go.
+    /// Cycles that are written at once.
     cut_cycles: u64,
-    /// That of the run's sample times \[ns\].
+    /// `UTC - monotonic` of the run's sample times \[ns\].
     utc_minus_monotonic_ns: i64,
-    /// That of the host when it was looked at last \[ns\].
+    /// `UTC - monotonic` of the host when it was last read \[ns\].
     host_offset_ns: i64,
     cycle_period_ns: i64,
     provenance: Provenance,
     names: BusNames,
-    /// The longest wait for the disk that is among the events \[s\].
+    /// The longest wait for the disk that was recorded \[s\].
     noted_wait_s: f64,
     lost: u64,
-    /// Cycles written when the file was last told how well loop and disk kept their time, and the longest
-    /// synchronisation until then.
+    /// Cycles written when the timing was last recorded, and the longest synchronisation until then.
     timed: (u64, u64),
     /// Cycles written when the last chunk was cut, and when that was.
     cut: (u64, MonoNs),
     /// Events and markers that wait for the cycle before which they happened.
     notes: Vec<Event>,
-    /// What ports have counted, with the cycle from which on that is so.
+    /// Error counts of ports, with the cycle from which they apply.
     counted: VecDeque<(u64, PortCounts)>,
     moves: u32,
     link: RunLink,
-    /// The last cycle written; its number is that of the one that should come next, less one.
+    /// The last cycle written.
     last: Option<CycleRecord>,
 }
 
 impl Recorder {
-    /// How often the ring is emptied.
+    /// Period in which the ring is emptied.
     pub const PERIOD: Duration = Duration::from_millis(20);
 
     /// A recorder of the run that `writer` began with `run`.
@@ -223,7 +222,7 @@ impl Recorder {
     ) -> Self {
         let synchroniser = Synchroniser::new(&link.progress, &*link.scheduler);
         let clock = link.scheduler.clock().clone();
-        // The other half is for a disk or a processor that is late: the period is a promise.
+        // The other half is a margin for a late disk or processor.
         let period = link.progress.sync_period() / 2;
         Self {
             source,
@@ -233,7 +232,7 @@ impl Recorder {
             cut: (0, clock.now()),
             clock,
             period,
-            // On virtual time, and after a wait, a second of cycles passes in no time at all.
+            // On virtual time, and after a wait, a second of cycles arrives at once.
             cut_cycles: (period.as_nanos() as u64 / run.cycle_period_ns.max(1)).max(1),
             utc_minus_monotonic_ns: run.utc_minus_monotonic_ns,
             cycle_period_ns: run.cycle_period_ns as i64,
@@ -250,14 +249,14 @@ impl Recorder {
         }
     }
 
-    /// Takes what waits, and has it written where that is due; false once the ring's other end was dropped and all of it is
-    /// taken: then [`Self::finish`] it. To be called each [`Self::PERIOD`]; sleeps nowhere, but waits for the disk.
+    /// Takes the ring's content and writes it if that is due. Returns false once the ring's other end was dropped and all is
+    /// taken: then call [`Self::finish`]. To be called each [`Self::PERIOD`]; never sleeps, but waits for the disk.
     pub fn poll(&mut self) -> Result<bool, WriteError> {
-        // Asked before emptying: what was pushed before the other end was dropped is still taken.
+        // Read before emptying: cycles pushed before the other end was dropped are still taken.
         let last_round = self.source.ring.is_abandoned();
         self.take_notes();
         while let Ok(record) = self.source.ring.pop() {
-            // What happened before it was handed over before it, however many wait here.
+            // Events were pushed before the cycle in which they happened.
             self.take_notes();
             self.take(&record)?;
             if self.writer.cycles() >= self.cut.0 + self.cut_cycles {
@@ -293,10 +292,10 @@ impl Recorder {
         }
         let written = self.writer.write_cycle(record);
         self.last = Some(*record);
-        self.mended(written)
+        self.or_move(written)
     }
 
-    /// Cycles before `until` that the full ring could not take are in the file by number and reason.
+    /// Records the cycles before `until` that the full ring dropped, by number and reason.
     fn fill_lost(&mut self, until: u64) -> Result<(), WriteError> {
         let Some(last) = self.last else { return Ok(()) };
         let first = last.cycle + 1;
@@ -310,7 +309,7 @@ impl Recorder {
         };
         for cycle in first..until {
             let written = self.writer.write_cycle(&lost_at(cycle));
-            self.mended(written)?;
+            self.or_move(written)?;
         }
         let missing = until - first;
         let time = lost_at(first).sample_time;
@@ -320,16 +319,16 @@ impl Recorder {
         Ok(())
     }
 
-    /// Writes what was taken, and has it synchronised unless the disk is still at the time before.
+    /// Writes all cycles taken, and synchronises them unless the previous synchronisation is still running.
     fn cut(&mut self) -> Result<(), WriteError> {
-        // What comes while the disk works waits for the next time, so that the period counts from here.
+        // Cycles that arrive while the disk works wait for the next time, so the period starts here.
         self.cut = (self.writer.cycles(), self.clock.now());
         self.link.progress.writing();
         self.note_clock_step();
         self.write_notes(self.last.map_or(UtcNs(i64::MIN), |last| last.sample_time))?;
         self.write_timing_if_due()?;
         let written = self.writer.cut();
-        self.mended(written)?;
+        self.or_move(written)?;
         self.note_wait();
         self.link.progress.wrote(self.writer.cycles(), self.lost);
         let mut timing = self.source.timing.summary();
@@ -340,7 +339,7 @@ impl Recorder {
         Ok(())
     }
 
-    /// A disk that kept the cycles waiting is in the file, too: again whenever it did so twice as long.
+    /// Records a wait for the disk, and again whenever one takes twice as long.
     fn note_wait(&mut self) {
         let late = self.link.progress.get().problems.into_iter().find_map(|problem| match *problem.fact {
             Fact::DiskBacklog { backlog_s: late_s, .. } | Fact::DiskSlow { unsynced_s: late_s } => {
@@ -356,7 +355,7 @@ impl Recorder {
         self.note(event(time, self.cycle_at(time), EventKind::Disk, *problem.fact));
     }
 
-    /// What will be synchronised if the file is now.
+    /// The extent that a synchronisation of the file would cover now.
     fn as_synced(&self) -> Synced {
         Synced {
             cycles: self.writer.cycles(),
@@ -366,8 +365,8 @@ impl Recorder {
         }
     }
 
-    /// A run whose file the disk gave up on goes on elsewhere.
-    fn mended(&mut self, outcome: Result<(), WriteError>) -> Result<(), WriteError> {
+    /// Moves the run elsewhere if the disk refused its file.
+    fn or_move(&mut self, outcome: Result<(), WriteError>) -> Result<(), WriteError> {
         match outcome {
             Err(error @ (WriteError::Sink(_) | WriteError::Io { .. } | WriteError::Lost(_))) => {
                 self.move_elsewhere(error)
@@ -376,21 +375,21 @@ impl Recorder {
         }
     }
 
-    /// Takes the run with all that it has to the first place that takes it. A file that is lost may begin anew where it
-    /// was; a disk that refuses is not asked again.
+    /// Moves the run with all its cycles to the first place that accepts it. A lost file may start again in its place; a disk
+    /// that refused is not tried again.
     fn move_elsewhere(&mut self, why: WriteError) -> Result<(), WriteError> {
         self.moves += 1;
         if self.moves > MOVES_MAX {
             return Err(why);
         }
-        // Until it is somewhere else nothing is said to be safe.
+        // Nothing is reported as safe until the run is moved.
         self.link.progress.set_lost(self.writer.sink().place(), why.to_string());
         let storage = &self.link.storage;
         let (home, spare) = (storage.directory().to_owned(), storage.spare().to_owned());
         let places = [matches!(why, WriteError::Lost(_)).then_some(home), Some(spare)];
         for place in places.into_iter().flatten() {
             if let Some(full) = storage.full(&place) {
-                tracing::warn!("{why}; nor does the run go on elsewhere: {full}");
+                tracing::warn!("{why}; the run cannot continue elsewhere: {full}");
                 continue;
             }
             let moved = self.writer.sink_mut().move_to(&place).and_then(|()| self.writer.write_out());
@@ -399,7 +398,7 @@ impl Recorder {
                     self.has_moved(&why);
                     return Ok(());
                 }
-                Err(error) => tracing::warn!("{why}; nor does the run go on elsewhere: {error}"),
+                Err(error) => tracing::warn!("{why}; the run cannot continue elsewhere: {error}"),
             }
         }
         Err(why)
@@ -408,15 +407,15 @@ impl Recorder {
     fn has_moved(&mut self, why: &WriteError) {
         let place = self.writer.sink().place().clone();
         let moved = Fact::FileMoved { file: place.path().to_owned(), error: why.to_string() };
-        // The one before may hang on the disk that is gone.
+        // The previous one may hang on the lost disk.
         self.synchroniser = Synchroniser::new(&self.link.progress, &*self.link.scheduler);
         self.link.progress.moved(place, why.to_string());
         let time = UtcNs(self.clock.now().0 + self.utc_minus_monotonic_ns);
         self.note(event(time, self.cycle_at(time), EventKind::Disk, moved));
     }
 
-    /// Often at first, so that a short run has it too: whenever it has become twice as long, later in each period; and
-    /// whenever a synchronisation took twice as long as any before.
+    /// Due whenever the run has doubled in length, later once per period, so that a short run has timing, too; and whenever a
+    /// synchronisation took twice as long as any before.
     fn write_timing_if_due(&mut self) -> Result<(), WriteError> {
         let period_cycles = TIMING_PERIOD.as_nanos() as u64 / self.cycle_period_ns.max(1) as u64;
         let (cycles, sync_ns) = (self.writer.cycles(), self.link.progress.longest().sync_longest_ns);
@@ -434,11 +433,11 @@ impl Recorder {
         let Some(mut timing) = self.source.timing.summary() else { return Ok(None) };
         timing.disk = self.link.progress.longest();
         let written = self.writer.write_timing(&timing);
-        self.mended(written)?;
+        self.or_move(written)?;
         Ok(Some(timing))
     }
 
-    /// Takes what happened on the bus and what people said, each with its own time.
+    /// Takes events of the bus and markers, each with its own time.
     fn take_notes(&mut self) {
         while let Ok(event) = self.source.events.pop() {
             self.counted.extend(event.port_counts().map(|counts| (event.cycle, counts)));
@@ -453,7 +452,7 @@ impl Recorder {
         }
     }
 
-    /// The cycle during which it was `time`: they are due one period after the other.
+    /// The cycle at `time`, assuming one cycle per period.
     fn cycle_at(&self, time: UtcNs) -> u64 {
         let Some(last) = self.last else { return 0 };
         let since = time.ns_since(last.sample_time).div_euclid(self.cycle_period_ns.max(1));
@@ -465,17 +464,17 @@ impl Recorder {
         self.notes.insert(at, event);
     }
 
-    /// Writes what happened up to `until`: readers find it among the cycles of its time.
+    /// Writes events up to `until`, so that readers find each among the cycles of its time.
     fn write_notes(&mut self, until: UtcNs) -> Result<(), WriteError> {
         while self.notes.first().is_some_and(|note| note.time <= until) {
             let note = self.notes.remove(0);
             let written = self.writer.write_event(&note);
-            self.mended(written)?;
+            self.or_move(written)?;
         }
         Ok(())
     }
 
-    /// Sample times keep to the offset of the run's beginning; when the host's UTC leaves it, the file says so.
+    /// Sample times keep the offset of the run's beginning; a step of the host's UTC is recorded.
     fn note_clock_step(&mut self) {
         let offset_ns = self.clock.utc_minus_monotonic_ns();
         let moved_ns = offset_ns - self.host_offset_ns;
@@ -487,7 +486,7 @@ impl Recorder {
         self.note(event(time, cycle, EventKind::Clock, Fact::ClockStepped { by_ns: moved_ns }));
     }
 
-    /// Writes the rest and finishes the file.
+    /// Writes the remaining cycles and finishes the file.
     pub fn finish(mut self, cause: String) -> Result<RunSummary, WriteError> {
         let due = self.source.handed.due.load(Ordering::Acquire);
         self.fill_lost(due)?;
@@ -504,12 +503,12 @@ impl Recorder {
         let ended = self.clock.now().plus_ns(self.utc_minus_monotonic_ns);
         self.link.progress.writing();
         let closed = self.writer.close(&cause, UtcNs(ended.0));
-        self.mended(closed)?;
+        self.or_move(closed)?;
         self.link.progress.wrote(cycles, cycles_lost);
         let path = loop {
             match self.writer.sink_mut().publish() {
                 Ok(path) => break path,
-                outcome => self.mended(outcome.map(drop))?,
+                outcome => self.or_move(outcome.map(drop))?,
             }
         };
         self.link.progress.synced(0, Some(self.as_synced()));

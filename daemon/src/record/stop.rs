@@ -1,9 +1,9 @@
-//! How a run is asked to end.
+//! Requests to end a run.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 
-/// Asks a run to end, from any thread or a signal.
+/// Requests the end of a run, from any thread or a signal.
 #[derive(Debug, Clone, Default)]
 pub struct Stop {
     stopped: Arc<AtomicBool>,
@@ -11,24 +11,24 @@ pub struct Stop {
 }
 
 impl Stop {
-    /// Ends the run; the first cause given is the one that the file states.
+    /// Ends the run; the file states the first cause.
     pub fn stop(&self, cause: &str) {
         let _ = self.cause.set(cause.to_owned());
         self.stopped.store(true, Ordering::Release);
     }
 
-    /// Set by [`Self::stop`].
+    /// Flag that [`Self::stop`] sets.
     pub fn flag(&self) -> Arc<AtomicBool> {
         Arc::clone(&self.stopped)
     }
 
-    /// Whether somebody has asked.
+    /// Whether the end is requested.
     pub fn is_stopped(&self) -> bool {
         self.stopped.load(Ordering::Acquire)
     }
 
-    /// Why the run ends.
+    /// Cause of the end.
     pub fn cause(&self) -> String {
-        self.cause.get().cloned().unwrap_or_else(|| "the cycle ended by itself".into())
+        self.cause.get().cloned().unwrap_or_else(|| "the cycle ended without a request".into())
     }
 }

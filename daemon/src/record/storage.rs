@@ -1,5 +1,5 @@
-//! Where recordings go. A thread of its own looks at it all the time, so that a disk that hangs holds up nobody who asks, and
-//! another says in the log what is wrong with it, also while the first hangs.
+//! The directories of recordings. One task checks the disk periodically, so that reading its state never waits for a disk that
+//! hangs; another task logs its problems, also while the first one hangs.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
@@ -16,10 +16,10 @@ use crate::problem::{Fact, Problem};
 use crate::scheduler::{Scheduler, Stepper};
 
 const BYTES_PER_MB: u64 = 1_000_000;
-/// A look that takes longer is reported. More than half of the same second is left to a busy machine \[ns\].
+/// A check that takes longer is reported. More than half of the same second is left to a busy machine \[ns\].
 const ANSWERS_WITHIN_NS: i64 = 400_000_000;
 
-/// The places for recordings, and what is known of them now. Clones are the same.
+/// The directories of recordings, and their current state. Clones share it.
 #[derive(Debug, Clone)]
 pub struct Storage(Arc<Shared>);
 
@@ -40,7 +40,7 @@ struct WatchedRun {
     stop: Stop,
 }
 
-/// The last look.
+/// Result of the last check.
 #[derive(Debug)]
 struct Seen {
     begun: MonoNs,
@@ -50,7 +50,7 @@ struct Seen {
 }
 
 impl Storage {
-    /// How often it is looked at. Loss is reported within a second: this period and those of whoever reports are a third of it.
+    /// Period of the checks. A loss is reported within a second: this period and those of the reporting tasks are a third of it.
     pub const LOOK_PERIOD: Duration = Duration::from_millis(100);
 
     /// As configured, on the system's disk.
@@ -81,7 +81,7 @@ impl Storage {
         Ok(storage)
     }
 
-    /// Repeats the work each period while the storage is in use.
+    /// Repeats `work` each period while the storage is in use.
     fn repeat(
         &self,
         name: &str,
@@ -92,44 +92,43 @@ impl Storage {
         scheduler.start(name, Box::new(|| Box::new(repeated)))
     }
 
-    /// The disk, call by call.
+    /// The disk of the recordings.
     pub fn disk(&self) -> Arc<dyn Disk> {
         Arc::clone(&self.0.disk)
     }
 
-    /// Where recordings go.
+    /// Directory of the recordings.
     pub fn directory(&self) -> &Path {
         &self.0.directory
     }
 
-    /// Where a run goes on that has no place there any more.
+    /// Directory in which a run continues if its own place is lost.
     pub fn spare(&self) -> &Path {
         &self.0.spare
     }
 
-    /// Watches a run's file until the run is over, and ends the run where the disk gets full.
+    /// Watches a run's file until the run is over, and ends the run if the disk gets full.
     pub fn watch(&self, progress: &Arc<Progress>, stop: &Stop) {
         let run = WatchedRun { progress: Arc::downgrade(progress), stop: stop.clone() };
         *lock(&self.0.run) = Some(run);
     }
 
-    /// Space that recordings may still use: free space above the floor; 0 at the floor, none where it is not known
-    /// \[bytes\].
+    /// Space that recordings may still use: free space above the floor; 0 at the floor, `None` if unknown \[bytes\].
     pub fn usable_bytes(&self) -> Option<u64> {
         lock(&self.0.seen).usable_bytes
     }
 
-    /// The first look is over, or takes so long that this is its outcome.
+    /// Whether the first check has finished, or takes so long that this is its result.
     pub fn is_known(&self) -> bool {
         lock(&self.0.seen).is_over || self.0.silence().is_some()
     }
 
-    /// Why nothing may be recorded now, and what to do; none if it may.
+    /// Why nothing may be recorded now, and what to do; `None` if recording is possible.
     pub fn problem(&self) -> Option<Problem> {
         self.0.silence().or_else(|| lock(&self.0.seen).problem.clone())
     }
 
-    /// Why there is no room for a run in `directory`, and what to do; none if there is. Asks the disk.
+    /// Why there is not enough space for a run in `directory`, and what to do; `None` if there is. Calls the disk.
     pub fn full(&self, directory: &Path) -> Option<Problem> {
         let space = self.0.disk.space(directory);
         space.is_ok_and(|space| self.0.is_full(space)).then(|| self.0.full(directory))
@@ -147,7 +146,7 @@ impl Shared {
         let directory = place.as_ref().and_then(|place| place.path().parent()).unwrap_or(&self.directory);
         let space = self.disk.space(directory);
         let problem = self.problem_of(directory, &space);
-        // A file system that does not tell is trusted.
+        // A file system that does not report its space is trusted.
         let usable_bytes = space.ok().map(|space| space.free_bytes.saturating_sub(self.floor_bytes));
         if let Some((progress, stop)) = run.filter(|(_, stop)| !stop.is_stopped()) {
             if let Some(place) = &place
@@ -184,12 +183,11 @@ impl Shared {
         Fact::DiskFull { directory: directory.to_owned(), floor_mb }.into()
     }
 
-    /// The run that goes on.
     fn watched(&self) -> Option<(Arc<Progress>, Stop)> {
         lock(&self.run).as_ref().and_then(|run| Some((run.progress.upgrade()?, run.stop.clone())))
     }
 
-    /// What is reported while a look takes too long.
+    /// The problem while a check takes too long.
     fn silence(&self) -> Option<Problem> {
         let seen = lock(&self.seen);
         let now = self.clock.now();
@@ -198,14 +196,14 @@ impl Shared {
         is_silent.then(|| Fact::DiskSilent { directory, silent_s }.into())
     }
 
-    /// What is wrong, of the disk and of the run that goes on. Does not ask the disk.
+    /// Problems of the disk and of the current run. Does not call the disk.
     fn problems(&self) -> Vec<Problem> {
         let problem = self.silence().or_else(|| lock(&self.seen).problem.clone());
         let of_run = self.watched().map(|(progress, _)| progress.get().problems).unwrap_or_default();
         problem.into_iter().chain(of_run).collect()
     }
 
-    /// Logs what was not wrong before; returns what is now.
+    /// Logs problems that are new; returns the codes of all.
     fn log(&self, before: &[&'static str]) -> Vec<&'static str> {
         let problems = self.problems();
         for problem in problems.iter().filter(|problem| !before.contains(&problem.code())) {
@@ -215,7 +213,7 @@ impl Shared {
     }
 }
 
-/// What is done each period.
+/// Work that is repeated each period.
 struct Repeated<W> {
     shared: Weak<Shared>,
     work: W,

@@ -1,4 +1,4 @@
-//! Has the disk keep what was written, while more is written.
+//! Synchronises what was written with the disk, while more is written.
 
 use std::io;
 use std::sync::Arc;
@@ -12,15 +12,15 @@ use shared::time::MonoNs;
 use super::progress::{Progress, Synced};
 use crate::scheduler::{Scheduler, Stepper};
 
-/// A synchronisation that goes on when its recorder ends may still take this long.
-const LETS_GO_WITHIN: Duration = Duration::from_secs(1);
+/// How long a recorder that ends waits for a current synchronisation.
+const RELEASE_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// The recorder's side: one synchronisation at a time.
 pub(super) struct Synchroniser {
     jobs: SyncSender<(RunSync, Synced)>,
     outcomes: Receiver<io::Result<()>>,
     is_busy: bool,
-    /// The recorder waits for the last one at its end: not on virtual time, where no other work would proceed.
+    /// The recorder waits for the last synchronisation: not on virtual time, where no other work would proceed.
     waits: bool,
 }
 
@@ -33,7 +33,7 @@ struct SyncWork {
     next: Option<(RunSync, Synced)>,
 }
 
-/// How often a loop looks for a synchronisation to do; a thread waits for the next one.
+/// Period in which a loop polls for work; a thread waits for it.
 const LOOK_PERIOD: Duration = Duration::from_millis(1);
 
 impl Stepper for SyncWork {
@@ -56,14 +56,14 @@ impl SyncWork {
         self.progress.syncing(self.number);
         let synced = file.sync();
         self.progress.synced(self.number, synced.is_ok().then_some(covers));
-        // Let go of the file before its recorder may.
+        // Release the file before its recorder may.
         drop(file);
         self.outcomes.send(synced).is_ok()
     }
 }
 
 impl Synchroniser {
-    /// Where the other side gets no thread each synchronisation fails.
+    /// If the other side gets no thread, each synchronisation fails.
     pub fn new(progress: &Arc<Progress>, scheduler: &dyn Scheduler) -> Self {
         static NUMBER: AtomicU32 = AtomicU32::new(1);
         let number = NUMBER.fetch_add(1, Ordering::Relaxed);
@@ -76,7 +76,7 @@ impl Synchroniser {
         Self { jobs, outcomes, is_busy: false, waits }
     }
 
-    /// Synchronises `file`, unless it is still at it.
+    /// Synchronises `file`, unless the previous synchronisation is still running.
     pub fn begin(&mut self, file: RunSync, covers: Synced) {
         if !self.is_busy {
             self.is_busy = true;
@@ -84,7 +84,7 @@ impl Synchroniser {
         }
     }
 
-    /// Why the last synchronisation failed; told once.
+    /// Why the last synchronisation failed; reported once.
     pub fn problem(&mut self) -> Option<io::Error> {
         if !self.is_busy {
             return None;
@@ -100,10 +100,10 @@ impl Synchroniser {
 }
 
 impl Drop for Synchroniser {
-    /// Whoever recovers the file should find it unlocked; one that hangs is not waited for.
+    /// Leaves the file unlocked for its recovery, unless the synchronisation hangs.
     fn drop(&mut self) {
         if self.is_busy && self.waits {
-            let _ = self.outcomes.recv_timeout(LETS_GO_WITHIN);
+            let _ = self.outcomes.recv_timeout(RELEASE_TIMEOUT);
         }
     }
 }

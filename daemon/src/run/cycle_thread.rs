@@ -1,4 +1,4 @@
-//! The real-time thread: brings the bus up, keeps it going, and serves one run after the other.
+//! The real-time thread: brings the bus up, keeps it in operation, and executes one job after the other.
 
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError};
@@ -19,7 +19,7 @@ use crate::record::{CycleSink, Stop};
 use crate::scheduler::Stepper;
 use crate::segment::simulated::{Hand, ReplayHandle};
 
-/// What the cycle's thread reports once the bus is in operation.
+/// Report of the cycle's thread once the bus is in operation.
 #[derive(Default)]
 pub(super) struct Ready {
     pub devices: Vec<DeviceInfo>,
@@ -28,7 +28,7 @@ pub(super) struct Ready {
     pub realtime: Option<RealtimeReport>,
 }
 
-/// What ends an attempt to bring up the bus between two runs; during a run or a homing that job's own stop does.
+/// Requests that end an attempt to bring up the bus between two runs; a run or a homing has its own.
 pub(super) struct Interrupts {
     /// Before the bus is in operation for the first time.
     pub opening: Stop,
@@ -36,44 +36,44 @@ pub(super) struct Interrupts {
     pub ending: Stop,
 }
 
-/// What the cycle's thread is asked for.
+/// Jobs of the cycle's thread.
 pub(super) enum Job {
     Run(RunJob),
     Home(HomingJob),
 }
 
-/// One run, as the cycle's thread knows it.
+/// One run, for the cycle's thread.
 pub(super) struct RunJob {
     pub sink: CycleSink,
     pub stop: Stop,
     /// Cycles after which the run ends.
     pub cycles: Option<u64>,
-    /// Full fault: as many cycles in a row without a valid sample of any encoder end the run.
+    /// Number of cycles without a valid sample of any encoder that end the run (full fault).
     pub full_fault_cycles: u64,
-    /// For the run's sample times \[ns\].
+    /// `UTC - monotonic` for the run's sample times \[ns\].
     pub utc_minus_monotonic_ns: i64,
 }
 
-/// How much time a cycle may take.
+/// Time base of the cycles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Pace {
-    /// Cycles are due at their times.
+    /// Cycles have deadlines on the clock.
     Clock,
-    /// Cycles wait for the disk, and move the virtual clock.
+    /// Cycles wait for the disk, and advance the virtual clock.
     Fast,
 }
 
-/// What the cycle's thread is connected with.
+/// Connections of the cycle's thread.
 pub(super) struct Ends {
     pub ready: SyncSender<Result<Ready, RunError>>,
     pub jobs: Receiver<Job>,
     pub live: Arc<Live>,
     pub interrupts: Interrupts,
-    /// Sent at an orderly end.
+    /// Receives a message at a regular end.
     pub over: SyncSender<()>,
 }
 
-/// Bus and cycles, until there will be no more jobs. Everything that may block is behind the ring or before the first cycle.
+/// Bus and cycles, until the queue of jobs is closed. Everything that may block is behind the ring or before the first cycle.
 pub(super) struct CycleLoop {
     on_bus: OnBus,
     jobs: Receiver<Job>,
@@ -83,13 +83,13 @@ pub(super) struct CycleLoop {
     pace: Pace,
 }
 
-/// A job that the cycle is doing.
+/// Job that the cycle is executing.
 enum Task {
     Run(Serving),
     Home(Box<Homing>),
 }
 
-/// The bus, and who sees what it does.
+/// The bus and its observers.
 struct OnBus {
     acquisition: Acquisition,
     clock: Clock,
@@ -100,7 +100,7 @@ struct OnBus {
 }
 
 impl CycleLoop {
-    /// Brings the bus into operation; none if it does not come up, which is reported.
+    /// Brings the bus into operation; `None` if that fails, which is reported.
     pub fn start(prepared: Prepared, realtime: RealtimeRequest, pace: Pace, ends: Ends) -> Option<Self> {
         let Prepared { wire, clock, plan, replay, hand, .. } = prepared;
         let Ends { ready, jobs, live, interrupts: Interrupts { opening, ending }, over } = ends;
@@ -111,7 +111,7 @@ impl CycleLoop {
             Ok(operational) => operational,
             Err(error) => {
                 let identified = bus.identified().to_vec();
-                // The interface is free before it is tried again.
+                // The interface is free before the next attempt.
                 drop(bus);
                 let _ = ready.send(Err(RunError::Bus { error, identified }));
                 return None;
@@ -120,7 +120,7 @@ impl CycleLoop {
         let clocks = operational.clocks.clone();
         let mut acquisition = Acquisition::on(bus, operational, &plan, clock.clone());
         acquisition.interrupt_by(ending.flag());
-        // The first of what others see of the bus.
+        // The first sample that others see of the bus.
         acquisition.next_cycle(&mut |record| live.publish(record));
         if let Some((_, first_sample)) = &replay {
             acquisition.set_first_sample_time(*first_sample);
@@ -132,7 +132,7 @@ impl CycleLoop {
         Some(Self { on_bus, jobs, ending, over, task: None, pace })
     }
 
-    /// One cycle; false once there will be no more jobs.
+    /// One cycle; false once the queue of jobs is closed.
     fn step(&mut self) -> bool {
         let continues = match &mut self.task {
             None => return self.serve_next(),
@@ -146,9 +146,9 @@ impl CycleLoop {
         true
     }
 
-    /// Keeps the bus going until there is a job.
+    /// Starts the next job, or idles.
     fn serve_next(&mut self) -> bool {
-        // A cycle that moves time stops it between two jobs.
+        // On virtual time the cycle stands still between two jobs.
         let job = match self.pace {
             Pace::Clock => self.jobs.try_recv(),
             Pace::Fast => self.jobs.recv().map_err(TryRecvError::from),
@@ -176,12 +176,12 @@ impl Stepper for Option<CycleLoop> {
         let cycle = self.as_mut()?;
         if !cycle.step() {
             let CycleLoop { on_bus, over, .. } = self.take()?;
-            // Who hears of the end may use the interface again.
+            // Release the interface before the end is reported.
             drop(on_bus);
             let _ = over.try_send(());
             return None;
         }
-        // The cycle sleeps to its deadline itself where time passes for it alone: more precisely than a scheduler.
+        // On real time the cycle sleeps itself, more precisely than a scheduler.
         let OnBus { acquisition, clock, .. } = &cycle.on_bus;
         let sleeps = clock.is_real() || cycle.pace == Pace::Fast;
         let due_ns = if sleeps { 0 } else { acquisition.due().ns_since(clock.now()) };
@@ -212,13 +212,13 @@ impl OnBus {
 
 /// A run that is being recorded.
 struct Serving {
-    // Dropped before the ring is: the recorder must not finish the file without the cause.
-    fate: Fate,
+    // Dropped before the ring: the recorder must not finish the file without the cause.
+    guard: PanicGuard,
     sink: CycleSink,
     cycles: Option<u64>,
     full_fault_cycles: u64,
     done: u64,
-    /// Cycles without a valid sample up to now, and their reasons.
+    /// Cycles in a row without a valid sample, and their flags.
     blind: u64,
     reasons: u32,
 }
@@ -233,12 +233,12 @@ impl Serving {
                 replay.start_at(first_sample.0);
             }
         });
-        Self { fate: Fate(stop), sink, cycles, full_fault_cycles, done: 0, blind: 0, reasons: 0 }
+        Self { guard: PanicGuard(stop), sink, cycles, full_fault_cycles, done: 0, blind: 0, reasons: 0 }
     }
 
     /// One cycle; false once the run is over.
     fn step(&mut self, on_bus: &mut OnBus) -> bool {
-        let Self { fate: Fate(stop), sink, cycles, full_fault_cycles, done, blind, reasons } = self;
+        let Self { guard: PanicGuard(stop), sink, cycles, full_fault_cycles, done, blind, reasons } = self;
         if stop.is_stopped() || sink.is_abandoned() || cycles.is_some_and(|wanted| *done >= wanted) {
             self.end(on_bus.replay.is_some());
             return false;
@@ -270,22 +270,22 @@ impl Serving {
     }
 
     fn end(&self, is_replay: bool) {
-        self.fate.0.stop(match is_replay {
+        self.guard.0.stop(match is_replay {
             _ if self.sink.is_abandoned() => "the recorder has ended",
             true => "end of the replayed recording",
             false => "duration reached",
         });
         // The recorder ends first if the start was refused or the disk failed, which the service reports.
         if !self.sink.is_abandoned() {
-            tracing::info!("the last cycle of the run is taken");
+            tracing::info!("the last cycle of the run is recorded");
         }
     }
 }
 
-/// States why a run ends that takes its thread with it.
-struct Fate(Stop);
+/// States the cause of a run's end if its thread panics.
+struct PanicGuard(Stop);
 
-impl Drop for Fate {
+impl Drop for PanicGuard {
     fn drop(&mut self) {
         if std::thread::panicking() {
             self.0.stop("full fault: the thread of the cycle has ended; its cause is in the log");
@@ -311,7 +311,7 @@ mod tests {
     use crate::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
 
     #[test]
-    fn a_run_whose_recorder_has_died_did_not_reach_its_duration() {
+    fn a_run_whose_recorder_has_died_ends_for_that_reason() {
         let bar = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config/ball_bar.toml");
         let clock = Clock::virtual_from(UtcNs(0));
         let motion = SmoothMotion::new(5, 3600, 1);

@@ -1,4 +1,4 @@
-//! Why a run failed.
+//! Errors of a run.
 
 use std::path::PathBuf;
 
@@ -14,7 +14,7 @@ use crate::segment::OpenError;
 /// Why a run failed.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
-    /// Virtual time on a real bus, or without an end.
+    /// Invalid request, such as virtual time on a real bus.
     #[error("{0}")]
     Request(&'static str),
     /// The interface cannot be opened.
@@ -31,12 +31,12 @@ pub enum RunError {
     /// The recording to replay cannot be read.
     #[error("cannot replay: {0}")]
     Replay(#[from] ReadError),
-    /// The recording to replay does not suit.
+    /// The recording to replay is unsuitable.
     #[error("cannot replay {}: {problem}", path.display())]
     ReplayContent {
-        /// The recording.
+        /// Path of the recording.
         path: PathBuf,
-        /// Why not.
+        /// Why it is unsuitable.
         problem: String,
     },
     /// The recording cannot be written.
@@ -45,41 +45,41 @@ pub enum RunError {
     /// Another process records into the directory.
     #[error("{} is in use by {holder}; stop that, or choose another directory", directory.display())]
     InUse {
-        /// The directory.
+        /// Directory of the recordings.
         directory: PathBuf,
-        /// Who has it.
+        /// The process that uses it.
         holder: Holder,
     },
-    /// The name that was asked for is that of a run that a crash left behind.
+    /// A crashed run had the requested name.
     #[error("{}: a run of this name was left behind by a crash and has just been recovered; choose another name", .0.display())]
     NameRecovered(PathBuf),
-    /// The disk does not take a run.
+    /// The disk accepts no run.
     #[error("{0}")]
     Disk(Problem),
-    /// Asked to end while the disk had not yet given the run a file.
+    /// The end was requested before the run had a file.
     #[error("{cause} before the run had a file; nothing was recorded: {problem}")]
     NoFile {
         /// Cause of the end, such as a signal.
         cause: String,
-        /// What the disk did.
+        /// Problem of the disk.
         problem: Problem,
     },
-    /// The disk refused while the run went on, and so did the spare place.
+    /// The disk refused during the run, and so did the spare directory.
     #[error("{source}; {saved}")]
     Broken {
-        /// What went wrong.
+        /// Error of the disk.
         source: WriteError,
-        /// What became of the cycles before.
+        /// Extent that was saved.
         saved: String,
-        /// The file that has them, if there is one.
+        /// The file with the saved cycles, if there is one.
         content: Option<Box<RunSummary>>,
     },
-    /// Asked to end before the bus was there.
+    /// The end was requested before the bus was in operation.
     #[error("{cause} while waiting for the bus; nothing was recorded: {missing}")]
     Waiting {
-        /// Who asked.
+        /// Cause of the end, such as a signal.
         cause: String,
-        /// What was missing.
+        /// Problem of the bus.
         missing: String,
     },
     /// The system refused a thread, or one died.
@@ -88,7 +88,7 @@ pub enum RunError {
 }
 
 impl RunError {
-    /// As it is reported.
+    /// The error as it is reported.
     pub fn problem(&self) -> Problem {
         match self {
             Self::Bus { error, .. } => error.fact().clone().into(),
@@ -103,7 +103,7 @@ impl RunError {
         }
     }
 
-    /// Somebody at the bus can set it right while this program waits: a cable, power, a terminal, an interface.
+    /// Whether a person can correct it while this program waits: a cable, power, a terminal, an interface.
     pub(super) fn may_pass(&self) -> bool {
         matches!(
             self,

@@ -13,22 +13,22 @@ use crate::homing::{Found, HomingError, HomingStep, Outcome, Sequence};
 use crate::record::Stop;
 use crate::segment::simulated::Hand;
 
-/// Why a homing ends that nobody has ended.
+/// Cause of a homing's end if the cycle's thread has ended.
 const CYCLE_ENDED: &str = "the thread of the cycle has ended; its cause is in the log";
 
-/// Steps that may wait to be shown; of a control that does not look further ones are dropped.
+/// Queue of steps to be shown; further ones are dropped if the control does not read.
 const STEPS_MAX: usize = 64;
 
-/// Homing, as the cycle's thread knows it.
+/// Homing, for the cycle's thread.
 pub(super) struct HomingJob {
     pub stop: Stop,
     steps: SyncSender<HomingStep>,
     over: SyncSender<Outcome>,
 }
 
-/// Homing that goes on.
+/// A homing in progress, for its observer.
 pub struct ActiveHoming {
-    /// Ends it.
+    /// Requests the end of the homing.
     pub stop: Stop,
     steps: Receiver<HomingStep>,
     over: Receiver<Outcome>,
@@ -36,7 +36,7 @@ pub struct ActiveHoming {
     is_over: bool,
 }
 
-/// A homing for the cycle's thread, and what others see of it.
+/// A homing for the cycle's thread, and its observer.
 pub(super) fn begin() -> (HomingJob, ActiveHoming) {
     let stop = Stop::default();
     let (steps_in, steps) = sync_channel(STEPS_MAX);
@@ -45,7 +45,7 @@ pub(super) fn begin() -> (HomingJob, ActiveHoming) {
     (HomingJob { stop, steps: steps_in, over: over_in }, active)
 }
 
-/// Homing while the cycle does it. Steps may allocate: no run is recorded.
+/// Homing in the cycle. Steps may allocate, because no run is recorded.
 pub(super) struct Homing {
     job: HomingJob,
     sequence: Sequence,
@@ -90,11 +90,11 @@ impl Homing {
 impl ActiveHoming {
     /// The next step, if there is one by now.
     pub fn take_step(&mut self) -> Option<HomingStep> {
-        // Asked before the steps: those that came before the end are still taken.
+        // The outcome is read before the steps: those before the end are still taken.
         if !self.is_over {
             self.outcome = match self.over.try_recv() {
                 Ok(outcome) => {
-                    claim::tell("between runs");
+                    claim::set_activity("between runs");
                     Some(outcome)
                 }
                 Err(TryRecvError::Disconnected) => {
@@ -108,7 +108,7 @@ impl ActiveHoming {
         self.steps.try_recv().ok()
     }
 
-    /// What was found, once it is over and every step was taken; given once.
+    /// The outcome, once the homing is over and every step was taken; returned once.
     pub fn outcome(&mut self) -> Option<Result<Vec<Found>, HomingError>> {
         self.outcome.take()
     }

@@ -1,4 +1,4 @@
-//! What other threads see of the bus, without making the cycle wait.
+//! The latest samples and state of the bus for other threads, without making the cycle wait.
 
 use std::sync::atomic::{AtomicI64, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -10,19 +10,19 @@ use crate::bus::{DEVICES_MAX, PORTS};
 use crate::cycle::{BusState, Links};
 use crate::problem::Fact;
 
-/// Reasons that stand for the bus itself, and not for one encoder or this PC.
+/// Flags of the bus itself, not of one encoder or this PC.
 pub const BUS_FLAGS: u32 =
     flags::NO_REPLY | flags::WORKING_COUNTER | flags::NOT_OPERATIONAL | flags::BUS_DOWN;
 
-/// The latest sample of each encoder, for people. Each encoder is consistent in itself, not with the others.
+/// The latest sample of each encoder, for people. Each encoder is consistent in itself, but not with the others.
 #[derive(Debug, Default)]
 pub struct Live {
     at_ns: AtomicI64,
-    /// Of the latest cycle without any of [`BUS_FLAGS`].
+    /// Time of the latest cycle without any of [`BUS_FLAGS`].
     whole_at_ns: AtomicI64,
-    /// Of the latest valid sample of each encoder.
+    /// Time of the latest valid sample of each encoder.
     valid_at_ns: [AtomicI64; MAX_ENCODERS],
-    /// Cycles so far, and those of each encoder that were valid.
+    /// Cycles so far, and the valid ones of each encoder.
     counted: AtomicU64,
     counted_valid: [AtomicU64; MAX_ENCODERS],
     /// Cycles among them in which every encoder was valid, and those that missed their deadline.
@@ -32,28 +32,28 @@ pub struct Live {
     origin: AtomicU32,
     encoders: [AtomicU64; MAX_ENCODERS],
     latches: [AtomicU32; MAX_ENCODERS],
-    /// 0 where no device is missing: before the coupler there is nothing that could stay in use.
+    /// 0 if no device is missing: without the coupler nothing could stay in use.
     missing_from: AtomicU32,
-    /// Of the bus while it is down, with its number.
+    /// Outage of the bus while it is down, with its number.
     outage: Mutex<(u32, Option<Fact>)>,
     links_revision: AtomicU64,
-    /// Of each port: invalid frames, receive errors, lost links.
+    /// Counts of each port: invalid frames, receive errors, lost links.
     links: [[[AtomicU32; 3]; PORTS]; DEVICES_MAX],
 }
 
 /// The latest sample of one encoder.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct LiveEncoder {
-    /// Counter.
+    /// Value of the counter.
     pub count: u32,
     /// Status word of its terminal.
     pub status: u16,
-    /// Fresh and without error.
+    /// The sample is new and without error.
     pub valid: bool,
 }
 
 impl Live {
-    /// Wait-free, for the real-time thread.
+    /// Publishes a record. Wait-free, for the real-time thread.
     pub fn publish(&self, record: &CycleRecord) {
         for (place, encoder) in self.encoders.iter().zip(record.encoders()) {
             let packed = u64::from(encoder.count)
@@ -84,7 +84,7 @@ impl Live {
         self.at_ns.store(record.send_time.0, Ordering::Release);
     }
 
-    /// Publishes how much of the bus is in operation. Wait-free, unless it is down: then nothing can be late.
+    /// Publishes the extent to which the bus is in operation. Wait-free, unless the bus is down: then no deadline can be missed.
     pub fn publish_bus(&self, state: &BusState<'_>, bus: &str) {
         let missing_from = match state {
             BusState::Before(from) => (*from).into(),
@@ -99,7 +99,7 @@ impl Live {
         }
     }
 
-    /// Says what the ports have counted. Wait-free.
+    /// Publishes the ports' error counts. Wait-free.
     pub fn publish_links(&self, links: &Links) {
         if self.links_revision.swap(links.revision(), Ordering::Relaxed) == links.revision() {
             return;
@@ -128,28 +128,28 @@ impl Live {
         (from != 0).then_some(from as usize)
     }
 
-    /// Why the bus is down; none if it is not.
+    /// Why the bus is down; `None` if it is not.
     pub fn outage(&self) -> Option<Fact> {
         let is_down = self.flags() & flags::BUS_DOWN != 0;
         self.outage.lock().unwrap_or_else(PoisonError::into_inner).1.clone().filter(|_| is_down)
     }
 
-    /// When the latest cycle was, 0 before the first.
+    /// Time of the latest cycle, 0 before the first.
     pub fn at(&self) -> MonoNs {
         MonoNs(self.at_ns.load(Ordering::Acquire))
     }
 
-    /// When the latest cycle was that the whole bus answered, 0 before the first.
+    /// Time of the latest cycle without a fault of the bus, 0 before the first.
     pub fn whole_at(&self) -> MonoNs {
         MonoNs(self.whole_at_ns.load(Ordering::Relaxed))
     }
 
-    /// When each encoder gave its latest valid sample, 0 before the first, in bus order.
+    /// Time of each encoder's latest valid sample, 0 before the first, in bus order.
     pub fn valid_at(&self) -> [MonoNs; MAX_ENCODERS] {
         std::array::from_fn(|index| MonoNs(self.valid_at_ns[index].load(Ordering::Relaxed)))
     }
 
-    /// Cycles so far, and those of each encoder that were valid, in bus order.
+    /// Cycles so far, and the valid ones of each encoder, in bus order.
     pub fn counted(&self) -> (u64, [u64; MAX_ENCODERS]) {
         let valid = std::array::from_fn(|index| self.counted_valid[index].load(Ordering::Relaxed));
         (self.counted.load(Ordering::Relaxed), valid)
@@ -160,12 +160,12 @@ impl Live {
         [&self.counted, &self.counted_whole, &self.counted_late].map(|count| count.load(Ordering::Relaxed))
     }
 
-    /// What the terminals' latches showed in the latest cycle in which every encoder was valid, in bus order.
+    /// The terminals' latches in the latest cycle in which every encoder was valid, in bus order.
     pub fn latches(&self) -> [u32; MAX_ENCODERS] {
         std::array::from_fn(|index| self.latches[index].load(Ordering::Relaxed))
     }
 
-    /// Reasons of the latest cycle, see `schema::flags`.
+    /// Flags of the latest cycle, see `schema::flags`.
     pub fn flags(&self) -> u32 {
         self.flags.load(Ordering::Relaxed) as u32
     }

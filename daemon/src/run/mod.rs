@@ -1,8 +1,8 @@
 //! One recording run, from the request to the finished file.
 //!
-//! The cycle (real time, no disk) and the recorder (disk, no bus) have a ring between them; a third thread synchronises
-//! what the recorder wrote, a fourth looks at the disk ([`Storage`]). A [`Session`] keeps the cycle going between runs.
-//! The file is begun only when the bus is in operation, so a bus that does not come up leaves no file.
+//! Between the cycle (real time, no disk) and the recorder (disk, no bus) is a ring; a third thread synchronises the file, a
+//! fourth checks the disk ([`Storage`]). A [`Session`] keeps the cycle running between runs. The file is created only when
+//! the bus is in operation, so a bus that does not come up leaves no file.
 
 mod cycle_thread;
 mod error;
@@ -34,18 +34,18 @@ pub use crate::record::{RunSummary, Stop, Storage};
 use crate::scheduler::{Pending, Scheduler, Threads, until};
 use crate::segment::faults::FaultWindow;
 
-/// Between two attempts to bring up the bus that a run waits for.
+/// Period of attempts to bring up the bus for a run that waits for it.
 const RETRY_PERIOD: Duration = Duration::from_secs(1);
-/// A bus that takes longer to come into operation is slow: a usual one takes one to two seconds.
+/// A bus that takes longer to come into operation is slow: one to two seconds are usual.
 const SLOW_AFTER: Duration = Duration::from_secs(5);
-const SLOW_BUS: &str = "the bus is not in operation after 5 s: replies are late or get lost; check cables and contacts, and \
+const SLOW_BUS: &str = "the bus is not in operation after 5 s: replies are late or lost; check cables and contacts, and \
                         `reply_timeout_us` in daemon.toml";
-/// How often whoever waits looks whether it is to end.
+/// Period in which waiting tasks check whether they are to end.
 const STOP_PERIOD: Duration = Duration::from_millis(10);
-/// So long is waited for a disk that is asked for what the next start would find as it is: the end takes less than 2 s.
+/// How long the end waits for work on disk that the next start would repeat: the end takes less than 2 s.
 pub(crate) const LEAVES_WITHIN: Duration = Duration::from_millis(1500);
 
-/// Begins to bring a bus into operation, to record several runs from it. `faults` go wrong on a simulated one.
+/// Begins to bring a bus into operation for several runs. `faults` are injected into a simulated one.
 pub fn begin_to_open(
     bus: &BusChoice,
     faults: &[FaultWindow],
@@ -59,7 +59,7 @@ pub fn begin_to_open(
     Session::open(prepared, daemon, bar, storage, &Stop::default(), (scheduler, Pace::Clock))
 }
 
-/// A bus in operation over another wire, for tests of what stands above it.
+/// A bus in operation over another wire, for tests of the layers above.
 #[cfg(test)]
 pub(crate) fn open_on(
     wire: Box<dyn crate::segment::Wire>,
@@ -71,7 +71,7 @@ pub(crate) fn open_on(
     Session::open(source::on_wire(wire, daemon, bar), daemon, bar, storage, &Stop::default(), scheduler)
 }
 
-/// Records one run; ready when its file is finished and its bus is left. `scheduler` has the time of whoever waits for it.
+/// Records one run; completes when its file is finished and its bus is left. The caller waits on `scheduler`.
 pub async fn record(
     scheduler: &Arc<dyn Scheduler>,
     storage: &Storage,
@@ -84,14 +84,14 @@ pub async fn record(
     let session = connect(scheduler, storage, request, daemon, bar, stop).await?;
     session.log();
     let outcome = record_from(&**scheduler, storage, &session, &request.details(), stop).await;
-    // On virtual time there is no bus to leave in order, and the cycle may wait for a disk that hangs.
+    // On virtual time no bus must be left in order, and the cycle may wait for a disk that hangs.
     if outcome.is_ok() || !request.fast {
         session.close().await?;
     }
     outcome
 }
 
-/// One that is asked to end while it has no file yet does not wait for the disk that should give it one.
+/// A run that is stopped before it has a file does not wait for the disk that should create it.
 async fn record_from(
     scheduler: &dyn Scheduler,
     storage: &Storage,
@@ -109,7 +109,7 @@ async fn record_from(
         let silent = || Fact::DiskSilent { directory: None, silent_s: None }.into();
         RunError::NoFile { cause: stop.cause(), problem: storage.problem().unwrap_or_else(silent) }
     };
-    // Only now: what does not come to record leaves no directory.
+    // Only now: a run that does not begin creates no directory.
     let place = storage.clone();
     let claim = Pending::start(scheduler, "claim", move || claim_directory(&place));
     let died = |_| Err(RunError::Thread("claim panicked; its cause is in the log".into()));
@@ -119,7 +119,7 @@ async fn record_from(
         None => is_too_late().then(|| Err(no_file())),
     })
     .await?;
-    // What ends the run by itself leaves the disk its time.
+    // A run that ends without a request waits for the disk.
     let run = session.begin(details, &Stop::default(), None)?;
     until(scheduler, STOP_PERIOD, || {
         if stop.is_stopped() {
@@ -131,7 +131,7 @@ async fn record_from(
     .await
 }
 
-/// A bus in operation. One that is to be waited for is tried until it is, and what is missing is said whenever that
+/// A bus in operation. If the request waits for the bus, the attempt is repeated, and its problem is logged whenever it
 /// changes.
 pub async fn connect(
     scheduler: &Arc<dyn Scheduler>,
@@ -141,7 +141,7 @@ pub async fn connect(
     bar: &BallBarConfig,
     stop: &Stop,
 ) -> Result<Session, RunError> {
-    let mut said = String::new();
+    let mut logged = String::new();
     loop {
         let (own, pace) = if request.fast {
             let clock = Clock::virtual_from(UtcNs::from_datetime(chrono::Utc::now()));
@@ -170,9 +170,9 @@ pub async fn connect(
             Err(error) if request.wait && error.may_pass() => error.to_string(),
             outcome => return outcome,
         };
-        if missing != said {
+        if missing != logged {
             tracing::warn!("waiting for the bus: {missing}");
-            said.clone_from(&missing);
+            logged.clone_from(&missing);
         }
         let retry_at = scheduler.clock().now().plus_ns(RETRY_PERIOD.as_nanos() as i64);
         let is_over = || (stop.is_stopped() || scheduler.clock().now() >= retry_at).then_some(());

@@ -1,4 +1,4 @@
-//! The directory of the recordings: claimed against other processes, and what earlier crashes left there.
+//! The directory of the recordings: its claim, and the recovery of crashed runs.
 
 use std::path::PathBuf;
 
@@ -8,8 +8,8 @@ use super::error::RunError;
 use crate::claim::Claim;
 use crate::record::Storage;
 
-/// Keeps other processes from recording into the directory, which is made where it is missing. One that cannot be made
-/// is not claimed: whoever records into it is told why it cannot.
+/// Keeps other processes from recording into the directory, which is created if missing. A directory that cannot be created
+/// is not claimed: creating the run's file reports the problem.
 pub(crate) fn claim_directory(storage: &Storage) -> Result<Option<Claim>, RunError> {
     let directory = storage.directory();
     let disk = storage.disk();
@@ -20,7 +20,7 @@ pub(crate) fn claim_directory(storage: &Storage) -> Result<Option<Claim>, RunErr
         .map_err(|holder| RunError::InUse { directory: directory.to_owned(), holder })
 }
 
-/// Makes finished recordings of what earlier crashes left where recordings go, and says so in the log. Gives their files.
+/// Finishes the recordings of crashed runs, logs that, and returns their files.
 pub fn finish_leftovers(storage: &Storage) -> Vec<PathBuf> {
     let (disk, places) = (storage.disk(), [storage.directory(), storage.spare()]);
     let leftovers = places.into_iter().flat_map(|place| recover_leftovers_on(&*disk, place));

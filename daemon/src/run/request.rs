@@ -1,4 +1,4 @@
-//! What is to be recorded, and from where.
+//! Description of a run and its bus.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -8,55 +8,54 @@ use shared::recording::run_name;
 
 use crate::segment::faults::FaultWindow;
 
-/// Which bus to record from.
+/// The bus to record from.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub enum BusChoice {
-    /// The simulated segment in this process, moving by itself.
+    /// The simulated segment in this process, with generated motion.
     #[default]
     Simulated,
     /// The simulated segment, its encoders following a recording.
     Replay(PathBuf),
-    /// A network interface.
+    /// The network interface of this name.
     Interface(String),
 }
 
-/// What people say of a run, for its file.
+/// Texts that describe a run, for its file.
 #[derive(Debug, Clone, Default, PartialEq, Eq, clap::Args)]
 pub struct About {
-    /// Who records
+    /// Name of the person who records
     #[arg(long, default_value = "")]
     pub operator: String,
-    /// Which robot
+    /// Name of the robot
     #[arg(long, default_value = "")]
     pub robot: String,
-    /// Which bar and ball pair
+    /// Bar and ball pair
     #[arg(long, default_value = "")]
     pub bar: String,
-    /// What the robot carries beside the bar
+    /// Payload of the robot beside the bar
     #[arg(long, default_value = "")]
     pub payload: String,
-    /// Free text
+    /// Free text about the run
     #[arg(long, default_value = "")]
     pub note: String,
 }
 
-/// What to record, and from where.
+/// A run and the bus to record it from.
 #[derive(Debug, Clone, Default)]
 pub struct RunRequest {
     /// Name of the run, and of its file.
     pub name: String,
-    /// What people say of it.
+    /// Texts that describe the run.
     pub about: About,
-    /// How long; none: until stopped, or to the end of a replay.
+    /// Duration; `None`: until stopped, or to the end of a replay.
     pub duration: Option<Duration>,
-    /// Which bus.
+    /// The bus to record from.
     pub bus: BusChoice,
-    /// What goes wrong on the simulated bus, on purpose.
+    /// Faults to inject into the simulated bus.
     pub faults: Vec<FaultWindow>,
-    /// A bus that does not come up is tried again until it does.
+    /// Repeat the attempt to bring the bus up until it succeeds.
     pub wait: bool,
-    /// Reference marks of the encoders, used where the terminals still show them; not for a replay, whose recording
-    /// has its own.
+    /// Reference marks of the encoders, used if the terminals still have them; not for a replay, whose recording has its own.
     pub homing: Option<HomingConfig>,
     /// Virtual time, as fast as the machine allows. Simulated bus only.
     pub fast: bool,
@@ -67,43 +66,43 @@ pub struct RunRequest {
 pub struct RunDetails {
     /// Name of the run, and of its file.
     pub name: String,
-    /// What people say of it.
+    /// Texts that describe the run.
     pub about: About,
-    /// How long; none: until stopped.
+    /// Duration; `None`: until stopped.
     pub duration: Option<Duration>,
-    /// Reference marks of the encoders, used where the terminals still show them.
+    /// Reference marks of the encoders, used if the terminals still have them.
     pub homing: Option<HomingConfig>,
 }
 
 impl About {
-    /// Refuses texts that would play with the terminals of those who read them.
+    /// Refuses texts that could control the terminals of readers.
     pub fn check(&self) -> Result<(), &'static str> {
         let Self { operator, robot, bar, payload, note } = self;
         [operator, robot, bar, payload, note].into_iter().try_for_each(|text| check_text(text))
     }
 }
 
-/// A run's name where nobody chose one: the date and time of this place.
+/// Default name of a run: local date and time.
 pub fn name_by_time() -> String {
     chrono::Local::now().format("%Y-%m-%d_%H-%M-%S").to_string()
 }
 
-/// The name of a run from what was typed: see [`run_name`].
+/// The name of a run from typed text, see [`run_name`].
 pub fn typed_name(typed: &str) -> Result<String, String> {
     run_name(typed)
-        .ok_or_else(|| format!("run name {typed:?} has no letter or digit; type another, or leave it out"))
+        .ok_or_else(|| format!("run name {typed:?} has no letter or digit; choose another, or omit it"))
 }
 
 /// Longest name, note and so on \[bytes\].
 const TEXT_BYTES_MAX: usize = 4000;
 
-/// Text that people give with a run: no longer than anybody reads, and nothing but text.
+/// Refuses a text of a run that is too long or contains control characters.
 pub fn check_text(text: &str) -> Result<(), &'static str> {
     if text.len() > TEXT_BYTES_MAX {
-        return Err("a text is longer than 4000 bytes; shorten it");
+        return Err("the text is longer than 4000 bytes; shorten it");
     }
     if text.chars().any(|c| c.is_control() && c != '\n' && c != '\t') {
-        return Err("a text has control characters; leave them out");
+        return Err("the text contains control characters; remove them");
     }
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! A bus in operation, which serves one run after the other without being brought up again.
+//! A bus in operation, for one run after the other without being brought up again.
 
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
@@ -30,17 +30,17 @@ use crate::record::{
 use crate::scheduler::{Scheduler, Stepper, until};
 use crate::segment::faults::FaultHandle;
 
-/// Runs and homings that the cycle has not yet taken, of which all but the last have been given up.
+/// Queue of jobs for the cycle, of which all but the last have been given up.
 const JOBS_MAX: usize = 8;
-/// Markers that may wait for the disk.
+/// Queue of markers for the recorder.
 const MARKS_MAX: usize = 1000;
-/// How often the end of the cycle is looked for.
+/// Period of checks whether the cycle has ended.
 const CLOSE_PERIOD: Duration = Duration::from_millis(1);
 
 /// A bus in operation.
 pub struct Session {
     jobs: SyncSender<Job>,
-    /// Until the cycle has ended.
+    /// Connected until the cycle has ended.
     cycle: Receiver<()>,
     ready: Ready,
     live: Arc<Live>,
@@ -60,11 +60,11 @@ pub struct Session {
 
 /// A run that is being recorded.
 pub struct ActiveRun {
-    /// Ends it.
+    /// Requests the end of the run.
     pub stop: Stop,
-    /// How far it is.
+    /// Progress of the run, for other threads.
     pub progress: Arc<Progress>,
-    /// When it began.
+    /// Start of the run.
     pub started: UtcNs,
     marks: SyncSender<Mark>,
     outcome: Receiver<Result<RunSummary, RunError>>,
@@ -116,9 +116,9 @@ impl Session {
         Ok(Opening { ready, session: Some(session) })
     }
 
-    /// Begins a run without waiting for the disk. Its recorder recovers what earlier crashes left, then makes the run's
-    /// file, while the cycles wait in the ring; [`Progress::is_open`] once it is there. One run at a time: the one before
-    /// must be joined. `tap` is given what is recorded.
+    /// Begins a run without waiting for the disk. Its recorder recovers crashed runs, then creates the run's file, while the
+    /// cycles wait in the ring; [`Progress::is_open`] once it exists. One run at a time: the previous one must have been joined.
+    /// `tap` receives the recorded messages.
     pub fn begin(&self, details: &RunDetails, stop: &Stop, tap: Option<Tap>) -> Result<ActiveRun, RunError> {
         if let Some(problem) = self.storage.problem() {
             return Err(RunError::Disk(problem));
@@ -157,17 +157,17 @@ impl Session {
             result,
         };
         start(&*self.scheduler, "recorder", || recording)?;
-        claim::tell(format!("recording run `{}`", details.name));
-        // If the cycle does not take it the recorder finds the ring abandoned and finishes an empty file.
+        claim::set_activity(format!("recording run `{}`", details.name));
+        // If the cycle does not take the job, the recorder finds the ring abandoned and finishes an empty file.
         let _ = self.jobs.try_send(Job::Run(job));
         Ok(ActiveRun { stop: stop.clone(), progress, started, marks, outcome })
     }
 
-    /// Begins to hand over cycles, events and timing without a file, for so long or until `stop`.
+    /// Provides cycles, events and timing without a file, for this duration or until `stop`.
     pub fn begin_watch(&self, duration: Option<Duration>, stop: &Stop) -> CycleSource {
         let (sink, source) = self.ring(self.daemon.ring_cycles(self.period));
         let job = self.job(sink, stop, duration, self.clock().utc_minus_monotonic_ns());
-        // If the cycle does not take it the source is over at once.
+        // If the cycle does not take the job, the source ends at once.
         let _ = self.jobs.try_send(Job::Run(job));
         source
     }
@@ -193,16 +193,16 @@ impl Session {
         }
     }
 
-    /// Begins to look for the encoders' reference marks, while a person turns one joint at a time.
+    /// Begins a homing, during which a person turns one joint at a time.
     pub fn begin_homing(&self) -> ActiveHoming {
-        claim::tell("homing the encoders");
+        claim::set_activity("homing the encoders");
         let (job, active) = homing::begin();
-        // If the cycle does not take it the homing is over at once.
+        // If the cycle does not take the job, the homing ends at once.
         let _ = self.jobs.try_send(Job::Home(job));
         active
     }
 
-    /// The encoders, with those reference marks of `details.homing` that their terminals still show.
+    /// The encoders, with those reference marks of `details.homing` that their terminals still have.
     fn homed(&self, details: &RunDetails) -> Vec<EncoderInfo> {
         let mut encoders = self.encoders.clone();
         let stale = details.homing.as_ref().map(|homing| homing.apply(&mut encoders, &self.live.latches()));
@@ -213,17 +213,17 @@ impl Session {
         encoders
     }
 
-    /// Where runs and reference marks go.
+    /// Disk of runs and reference marks.
     pub fn disk(&self) -> Arc<dyn Disk> {
         self.storage.disk()
     }
 
-    /// The cycle has not ended.
+    /// Whether the cycle is running.
     pub fn is_alive(&self) -> bool {
         matches!(self.cycle.try_recv(), Err(TryRecvError::Empty))
     }
 
-    /// What lets the session work.
+    /// Runs the session's tasks.
     pub fn scheduler(&self) -> &Arc<dyn Scheduler> {
         &self.scheduler
     }
@@ -257,18 +257,18 @@ impl Session {
         &self.live
     }
 
-    /// Why the bus does not give whole samples, as far as it is known.
+    /// Why the bus does not give complete samples, if known.
     pub fn outage(&self) -> Option<Fact> {
         let missing = |from| absent(&self.bus, &self.ready.devices, from);
         self.live.missing_from().map(missing).or_else(|| self.live.outage())
     }
 
-    /// Whether the encoder counts are made up by a program.
+    /// Whether the encoder counts are generated by a program.
     pub fn is_simulated(&self) -> bool {
         Provenance::new(&self.bus, self.replay_of.clone()).simulated
     }
 
-    /// Switches faults of a simulated bus; none for a real one.
+    /// Controls faults of a simulated bus; `None` for a real one.
     pub fn faults(&self) -> Option<&FaultHandle> {
         self.faults.as_ref()
     }
@@ -278,18 +278,18 @@ impl Session {
         self.period
     }
 
-    /// What the system permitted the cycle's thread; none on virtual time.
+    /// Permissions of the cycle's thread; `None` on virtual time.
     pub fn realtime(&self) -> Option<&RealtimeReport> {
         self.ready.realtime.as_ref()
     }
 
-    /// What the system did not permit the cycle's thread; none if it has all that it asked for.
+    /// Permissions that the cycle's thread lacks; `None` if it has all.
     pub fn realtime_problem(&self) -> Option<Problem> {
         let report = self.realtime().filter(|report| !report.is_complete())?;
         Some(Fact::RealtimeDenied { report: report.to_string() }.into())
     }
 
-    /// Says in the log what the bus is and how the cycle runs.
+    /// Logs the devices of the bus and the permissions of the cycle.
     pub fn log(&self) {
         let name = |device: &DeviceInfo| format!("{} r{}", device.name, device.revision >> 16);
         let devices: Vec<_> = self.ready.devices.iter().map(name).collect();
@@ -301,7 +301,7 @@ impl Session {
         }
     }
 
-    /// Ends the cycle; ready once it has.
+    /// Ends the cycle; completes once it has ended.
     pub async fn close(self) -> Result<(), RunError> {
         let scheduler = Arc::clone(&self.scheduler);
         let cycle = self.begin_close();
@@ -315,7 +315,7 @@ impl Session {
         .await
     }
 
-    /// Ends the cycle; what is returned is connected until the cycle has ended.
+    /// Ends the cycle; the receiver is connected until the cycle has ended.
     pub fn begin_close(self) -> Receiver<()> {
         self.ending.stop("the session is closed");
         self.cycle
@@ -331,7 +331,7 @@ impl Session {
     }
 
     fn metadata(&self, details: &RunDetails) -> RunMetadata {
-        // A bus in operation for days outlives the offset of its beginning: each run takes its own.
+        // The bus may be in operation for days, so each run reads the offset again.
         let utc_minus_monotonic_ns = match self.pace {
             Pace::Clock => self.clock().utc_minus_monotonic_ns(),
             Pace::Fast => self.ready.utc_minus_monotonic_ns,
@@ -360,19 +360,19 @@ impl Session {
 }
 
 impl ActiveRun {
-    /// Puts a marker of this instant into the file; whether there is room for it.
+    /// Puts a marker of this instant into the file; false if the queue is full.
     pub fn mark(&self, at: MonoNs, text: String) -> bool {
         self.marks.try_send(Mark { at, text }).is_ok()
     }
 
-    /// How it ended, once: with its finished file, or why there is none.
+    /// Result of the run, returned once: its finished file, or an error.
     pub fn outcome(&self) -> Option<Result<RunSummary, RunError>> {
         let outcome = match self.outcome.try_recv() {
             Ok(outcome) => outcome,
             Err(TryRecvError::Empty) => return None,
             Err(TryRecvError::Disconnected) => Err(recorder_panicked()),
         };
-        claim::tell("between runs");
+        claim::set_activity("between runs");
         Some(outcome)
     }
 
@@ -387,7 +387,7 @@ fn recorder_panicked() -> RunError {
 }
 
 impl Opening {
-    /// The bus in operation, once, or why it does not come up.
+    /// The bus in operation, or an error; returned once.
     pub fn poll(&mut self) -> Option<Result<Session, RunError>> {
         let ended_early = "the cycle ended while the bus came up; its cause is in the log";
         let ready = match self.ready.try_recv() {
@@ -400,7 +400,7 @@ impl Opening {
     }
 }
 
-/// What a run needs to get its file.
+/// A run before it has its file.
 struct NoFile {
     ring: CycleSource,
     link: RunLink,
@@ -408,7 +408,7 @@ struct NoFile {
     tap: Option<Tap>,
 }
 
-/// Makes the file of a run, records into it, and finishes it.
+/// Creates the file of a run, records into it, and finishes it.
 struct RunRecording {
     file: Option<NoFile>,
     recorder: Option<Recorder>,
@@ -432,7 +432,7 @@ impl RunRecording {
             Ok(false) => self.recorder.take().map(|recorder| recorder.finish(self.stop.cause())).transpose(),
             Err(error) => Err(error),
         };
-        // Whoever recovers the file finds it unlocked.
+        // Unlocks the file for its recovery.
         self.recorder = None;
         finished.map_err(|error| broken(error, &self.progress, &*self.disk, self.stop.cause()))
     }
@@ -448,13 +448,13 @@ impl Stepper for RunRecording {
     }
 }
 
-/// The run's file, when what earlier crashes left is recovered: one of them may have had its name.
+/// The run's file, after crashed runs are recovered: one of them may have had its name.
 fn create(link: &RunLink, run: &RunMetadata) -> Result<RecordingWriter<RunFile>, RunError> {
     let RunLink { progress, storage, .. } = link;
-    progress.opening("to recover what earlier runs left");
+    progress.opening("to recover earlier runs");
     let recovered = finish_leftovers(storage);
     progress.opening("to create it");
-    // What is known of the disk may be of the place where the run before went on.
+    // The known state of the disk may be that of the previous run's place.
     if let Some(full) = storage.full(storage.directory()) {
         return Err(RunError::Disk(full));
     }
@@ -467,7 +467,7 @@ fn create(link: &RunLink, run: &RunMetadata) -> Result<RecordingWriter<RunFile>,
     Ok(writer)
 }
 
-/// A disk that refused: what was written before is made a finished file, if there is room for that.
+/// After a failure of the disk: finishes the cycles written before, if there is space for that.
 fn broken(source: WriteError, progress: &Progress, disk: &dyn Disk, cause: String) -> RunError {
     let Some(place) = progress.place() else { return source.into() };
     let (file, content) = match recover_file_on(disk, place.path()) {
@@ -476,11 +476,11 @@ fn broken(source: WriteError, progress: &Progress, disk: &dyn Disk, cause: Strin
         }
         Ok(Recovery::Whole { content }) => (place.path().to_owned(), content),
         Err(_) if place.check().is_err() => {
-            return RunError::Broken { source, saved: "nothing of the run is left".into(), content: None };
+            return RunError::Broken { source, saved: "no part of the run is saved".into(), content: None };
         }
         Err(error) => {
             let saved = format!(
-                "what was written before is in {} and will be recovered when the next run starts ({error})",
+                "the earlier cycles are in {} and will be recovered when the next run starts ({error})",
                 place.path().display()
             );
             return RunError::Broken { source, saved, content: None };

@@ -1,4 +1,4 @@
-//! From the request to a wire, a clock and a plan: everything that can be refused before a thread starts.
+//! From the request to a wire, a clock and a plan: every check before a thread starts.
 
 use std::path::Path;
 use std::time::Duration;
@@ -18,26 +18,26 @@ use crate::segment::simulated::{
 };
 use crate::segment::{EthernetWire, InProcessWire, Wire};
 
-/// Everything that the request decides before a thread starts.
+/// All that follows from the request before a thread starts.
 pub(super) struct Prepared {
     pub wire: Box<dyn Wire>,
     pub clock: Clock,
     pub plan: BusPlan,
     /// Encoders of the run, in bus order.
     pub encoders: Vec<EncoderInfo>,
-    /// The recording that is replayed.
+    /// The recording to replay.
     pub replay_of: Option<ReplayOrigin>,
-    /// Starts the replay, and when its first sample was taken.
+    /// Starts the replay, with the time of its first sample.
     pub replay: Option<(ReplayHandle, UtcNs)>,
     /// Turns the simulated joints when they are homed.
     pub hand: Option<Hand>,
-    /// Switches faults of the simulated bus.
+    /// Controls faults of the simulated bus.
     pub faults: Option<FaultHandle>,
     /// Cycles after which every run ends: those of the replayed recording.
     pub cycles: Option<u64>,
 }
 
-/// Decides wire, clock and plan.
+/// Derives wire, clock and plan from the request.
 pub(super) fn prepare(
     request: &RunRequest,
     daemon: &DaemonConfig,
@@ -63,14 +63,14 @@ pub(super) fn prepare(
     Ok(prepared)
 }
 
-/// Refuses what contradicts itself.
+/// Refuses a request that contradicts itself.
 pub(super) fn check(request: &RunRequest) -> Result<(), RunError> {
     match &request.bus {
         BusChoice::Interface(_) if request.fast => {
-            Err(RunError::Request("--fast is virtual time: a real bus cannot follow it; leave it out"))
+            Err(RunError::Request("--fast is virtual time, which a real bus cannot follow; omit it"))
         }
         BusChoice::Interface(_) if !request.faults.is_empty() => Err(RunError::Request(
-            "--fault breaks the simulated bus: a real one has its own; leave it out, or use `ballbard segment --fault`",
+            "--fault needs the simulated bus; omit it, or use `ballbard segment --fault`",
         )),
         BusChoice::Simulated if request.fast && request.duration.is_none() => {
             Err(RunError::Request("--fast without --duration would not end; add --duration"))
@@ -126,7 +126,7 @@ fn in_process(
     (Box::new(InProcessWire::with_faults(segment, clock.clone())), handle)
 }
 
-/// Lets the simulated encoders follow a recording; period and encoders are then those of the recording.
+/// The simulated encoders follow a recording, which also gives period and encoders.
 fn follow(
     path: &Path,
     clock: Clock,
@@ -142,9 +142,8 @@ fn follow(
     let (source, handle) =
         Replay::new(counts.collect(), encoders.len(), recording.run.cycle_period_ns as i64)
             .map_err(|error| unsuitable(error.to_string()))?;
-    let first = recording.cycles.first().ok_or_else(|| unsuitable("it holds no cycle".into()))?;
-    // The bus' clock is the time base of a replay: with a drift of its own the recording would be played too fast
-    // or too slow.
+    let first = recording.cycles.first().ok_or_else(|| unsuitable("it has no cycles".into()))?;
+    // The bus' clock is the time base of a replay: with a drift the recording would be played too fast or too slow.
     let config = SegmentConfig { terminals: encoders.len(), drift_ppm: 0.0, ..SegmentConfig::default() };
     let (wire, _) = in_process(&config, Box::new(source), &clock, faults);
     let mut prepared = Prepared::from_config(wire, clock, SIMULATED_BUS, daemon, bar);

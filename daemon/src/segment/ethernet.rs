@@ -17,43 +17,43 @@ use crate::clock::Clock;
 /// EtherType of EtherCAT (IEEE, ETG.1000.4).
 const ETHERTYPE_ETHERCAT: u16 = 0x88a4;
 
-/// How often a dead interface is looked for \[ns\].
+/// Period of attempts to reopen a lost interface \[ns\].
 const REOPEN_PERIOD_NS: i64 = NS_PER_S / 10;
 
 /// Why an interface cannot be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
     /// There is none of that name.
-    #[error("there is no network interface `{name}`; this machine has: {}", available.join(", "))]
+    #[error("network interface `{name}` not found; this machine has: {}", available.join(", "))]
     NoSuchInterface {
-        /// The name asked for.
+        /// Name in the configuration.
         name: String,
-        /// Names that exist.
+        /// Names of the existing ones.
         available: Vec<String>,
     },
-    /// Raw sockets are for root or CAP_NET_RAW.
+    /// Raw sockets need root or CAP_NET_RAW.
     #[error(
         "no permission to open a raw socket on `{name}`; run as root, or once: \
          sudo setcap cap_net_raw,cap_sys_nice,cap_ipc_lock+ep \"$(command -v ballbard)\""
     )]
     Permission {
-        /// The interface.
+        /// Name of the interface.
         name: String,
     },
-    /// Another `ballbard` has it; two MainDevices on one segment ruin both runs.
+    /// Another `ballbard` uses it; two MainDevices on one segment would disturb both runs.
     #[error("network interface `{name}` is in use by {holder}; stop that, or choose another interface")]
     InUse {
-        /// The interface.
+        /// Name of the interface.
         name: String,
-        /// Who has it.
+        /// The process that uses it.
         holder: Holder,
     },
-    /// Anything else that the system says.
+    /// Any other error of the system.
     #[error("cannot open network interface `{name}`: {source}; is it up (`ip link set {name} up`)?")]
     System {
-        /// The interface.
+        /// Name of the interface.
         name: String,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
 }
@@ -65,12 +65,12 @@ pub struct EthernetWire {
     socket: OwnedFd,
     clock: Clock,
     _claim: Option<Claim>,
-    /// Since when the interface has been gone, or the last time that it was looked for.
+    /// When the interface was lost, or when it was last looked for.
     gone_since: Option<MonoNs>,
 }
 
 impl EthernetWire {
-    /// Opens an interface by name. Frames then live on real time.
+    /// Opens an interface by name, on real time.
     pub fn open(name: &str) -> Result<Self, OpenError> {
         interface_index(name)?;
         let socket = open_socket(name).map_err(|source| refused(name, source))?;
@@ -79,8 +79,8 @@ impl EthernetWire {
         Ok(Self { name: name.to_owned(), socket, clock: Clock::Real, _claim: claim, gone_since: None })
     }
 
-    /// After an interface was unplugged and is back under its name, the old socket belongs to nothing. Looked for not
-    /// more often than each tenth of a second.
+    /// Replaces the socket after the interface was unplugged and has returned under its name. Tried at most every tenth of a
+    /// second.
     fn reopen_if_gone(&mut self) {
         let Some(since) = self.gone_since else { return };
         let now = self.clock.now();
@@ -93,7 +93,7 @@ impl EthernetWire {
         }
     }
 
-    /// Full queues and interruptions pass; any other error means that the interface is down or gone.
+    /// Full queues and interruptions are transient; any other error means that the interface is down or lost.
     fn note(&mut self, error: Errno) -> io::Error {
         if !matches!(error, Errno::EAGAIN | Errno::ENOBUFS | Errno::EINTR) {
             self.gone_since.get_or_insert(self.clock.now());
@@ -101,7 +101,7 @@ impl EthernetWire {
         error.into()
     }
 
-    /// Waits until a frame is there; false when time is over first.
+    /// Waits until a frame is available; false when the time is over first.
     fn wait_readable(&self, until: MonoNs) -> io::Result<bool> {
         loop {
             let wait_ns = until.ns_since(self.clock.now()).max(0);
@@ -137,15 +137,15 @@ impl Wire for EthernetWire {
     }
 }
 
-/// Number of the interface that has this name now.
+/// Current index of the interface of this name.
 pub fn interface_index(name: &str) -> Result<libc::c_uint, OpenError> {
     if_nametoindex(name)
         .map_err(|_| OpenError::NoSuchInterface { name: name.to_owned(), available: interfaces() })
 }
 
-/// A socket on the interface that has this name now. The cycle's thread looks for a lost interface by it: allocates nothing.
+/// A socket on the interface that has this name now. The cycle's thread calls it for a lost interface: allocates nothing.
 fn open_socket(name: &str) -> io::Result<OwnedFd> {
-    bind(deaf_socket()?, if_nametoindex(name)?)
+    bind(unbound_socket()?, if_nametoindex(name)?)
 }
 
 fn refused(name: &str, source: io::Error) -> OpenError {
@@ -163,16 +163,16 @@ pub fn interfaces() -> Vec<String> {
         .unwrap_or_default()
 }
 
-/// A packet socket that hears nothing yet: one that is made for a protocol hears it on every interface until it is bound, and
-/// keeps what it heard.
+/// A packet socket that receives nothing yet: with a protocol it would receive from every interface until it is bound, and
+/// keep those frames.
 #[allow(unsafe_code, reason = "nix makes no packet socket without a protocol")]
-fn deaf_socket() -> io::Result<OwnedFd> {
+fn unbound_socket() -> io::Result<OwnedFd> {
     // SAFETY: plain system call; the descriptor is checked before it is owned.
     let descriptor = unsafe { libc::socket(libc::AF_PACKET, libc::SOCK_RAW | libc::SOCK_CLOEXEC, 0) };
     if descriptor < 0 {
         return Err(io::Error::last_os_error());
     }
-    // SAFETY: the descriptor was just made and nobody else owns it.
+    // SAFETY: the descriptor was just created and has no other owner.
     Ok(unsafe { OwnedFd::from_raw_fd(descriptor) })
 }
 
@@ -194,19 +194,19 @@ fn bind(socket: OwnedFd, index: libc::c_uint) -> io::Result<OwnedFd> {
 mod tests {
     use super::*;
 
-    /// Needs CAP_NET_RAW; the loopback interface is there on every machine.
+    /// Needs CAP_NET_RAW; the loopback interface exists on every machine.
     #[test]
-    fn before_it_is_bound_a_socket_hears_no_interface() {
+    fn an_unbound_socket_receives_from_no_interface() {
         let Ok(mut other) = EthernetWire::open("lo") else {
             println!("skipped: no permission to open raw sockets");
             return;
         };
-        let deaf = deaf_socket().unwrap();
+        let unbound = unbound_socket().unwrap();
         let mut frame = [0; 60];
         frame[12..14].copy_from_slice(&ETHERTYPE_ETHERCAT.to_be_bytes());
         frame[20..28].copy_from_slice(b"from lo!");
         other.send(&frame).unwrap();
-        let heard = |socket: OwnedFd, name: &str| {
+        let received = |socket: OwnedFd, name: &str| {
             let clock = Clock::Real;
             let until = clock.now().plus_ns(NS_PER_S / 2);
             let mut wire = EthernetWire { name: name.into(), socket, clock, _claim: None, gone_since: None };
@@ -217,9 +217,9 @@ mod tests {
             })
             .any(|ours| ours)
         };
-        // It was sent: whoever was bound to the interface has it.
-        assert!(heard(other.socket, "lo"));
-        let bound = bind(deaf, if_nametoindex("lo").unwrap()).unwrap();
-        assert!(!heard(bound, "lo"));
+        // The frame was sent: a socket bound to the interface has it.
+        assert!(received(other.socket, "lo"));
+        let bound = bind(unbound, if_nametoindex("lo").unwrap()).unwrap();
+        assert!(!received(bound, "lo"));
     }
 }

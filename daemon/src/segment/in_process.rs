@@ -9,8 +9,8 @@ use crate::clock::Clock;
 use simulated_segment::SimulatedSegment;
 use simulated_segment::faults::FaultySegment;
 
-/// Frames sent are answered by a simulated segment when a wire would have brought them back: a reply takes the frame's
-/// own time on the wire, also in real time, or the time that a recording takes off for it would be an error.
+/// A simulated segment answers the frames after the time that a wire would take. That includes the frame's own duration,
+/// also in real time, because the recording subtracts it.
 pub struct InProcessWire {
     segment: FaultySegment,
     clock: Clock,
@@ -36,7 +36,7 @@ impl Wire for InProcessWire {
             return Err(io::ErrorKind::NetworkDown.into());
         }
         let round_trip_ns = self.segment.round_trip_ns(frame.len());
-        // The coupler sees the start of the frame at once; the round trip lasts until its end is back.
+        // The coupler receives the start of the frame at once; the round trip lasts until its end is back.
         self.segment.exchange(now.0, round_trip_ns, frame);
         Ok(())
     }

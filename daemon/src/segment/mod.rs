@@ -1,4 +1,4 @@
-//! Where frames go: a network interface, or the simulated segment in this process.
+//! Destination of frames: a network interface, or the simulated segment in this process.
 
 mod ethernet;
 mod in_process;
@@ -16,6 +16,6 @@ pub trait Wire: Send {
     /// Hands a frame to the wire.
     fn send(&mut self, frame: &[u8]) -> io::Result<()>;
 
-    /// Waits for the next frame until `until`; its length in `buffer`, or none when time is over.
+    /// Waits for the next frame until `until`; its length in `buffer`, or `None` when the time is over.
     fn receive(&mut self, buffer: &mut [u8; FRAME_BYTES_MAX], until: MonoNs) -> io::Result<Option<usize>>;
 }

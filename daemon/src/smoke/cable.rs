@@ -1,4 +1,4 @@
-//! The cable between this PC and the coupler, pulled and plugged in again.
+//! The check of the cable between this PC and the coupler, which is pulled and plugged in again.
 
 use shared::recording::schema::{CycleRecord, flags};
 
@@ -7,11 +7,11 @@ use crate::problem::Fact;
 use crate::run::{BUS_FLAGS, Session};
 use crate::segment::faults::{Fault, FaultHandle};
 
-/// How long a pulled cable stays out: the bus is given up after a second, and must be brought up again.
+/// How long the cable must be out: the bus is given up after a second, and must be brought up again.
 const OUT_S: u64 = 3;
-/// How long the bus must be whole after that.
+/// How long the bus must work after that.
 const BACK_S: u64 = 2;
-/// How long a person may take to pull the cable, or to plug it in.
+/// Time limit for a person to pull the cable, or to plug it in.
 const PATIENCE_S: u64 = 60;
 
 /// The cable between this PC and the coupler while a person, or the simulated bus, pulls it and plugs it in.
@@ -31,7 +31,7 @@ enum Cable {
     In,
     /// It is to be plugged in.
     Out,
-    /// The bus is whole again.
+    /// The bus works again.
     Back,
 }
 
@@ -40,19 +40,19 @@ impl<'a> Pull<'a> {
         Self { faults: session.faults(), cycles_per_s, state: Cable::In, waited: 0, in_a_row: 0 }
     }
 
-    /// Asks the person, or switches the fault of the simulated bus.
-    pub fn ask(&self, tell: &mut dyn FnMut(&str)) {
+    /// Instructs the person, or switches the fault of the simulated bus.
+    pub fn ask(&self, print: &mut dyn FnMut(&str)) {
         match (self.state, self.faults) {
             (Cable::In, Some(faults)) => faults.begin(Fault::LinkDown),
             (Cable::Out, Some(faults)) => faults.end(Fault::LinkDown),
-            (Cable::In, None) => tell("pull the cable between this PC and the coupler, and leave it out"),
-            (Cable::Out, None) => tell("plug the cable in again"),
+            (Cable::In, None) => print("pull the cable between this PC and the coupler, and leave it out"),
+            (Cable::Out, None) => print("plug the cable in again"),
             (Cable::Back, _) => {}
         }
     }
 
-    /// Takes a cycle; false once there is nothing more to wait for.
-    pub fn take(&mut self, record: &CycleRecord, tell: &mut dyn FnMut(&str)) -> bool {
+    /// Takes a cycle; false once the check is over.
+    pub fn take(&mut self, record: &CycleRecord, print: &mut dyn FnMut(&str)) -> bool {
         let (shows_next, for_s) = match self.state {
             Cable::In => (record.flags & (flags::NO_REPLY | flags::BUS_DOWN) != 0, OUT_S),
             Cable::Out => (record.flags & BUS_FLAGS == 0, BACK_S),
@@ -63,7 +63,7 @@ impl<'a> Pull<'a> {
         if self.in_a_row >= for_s * self.cycles_per_s {
             self.state = if self.state == Cable::In { Cable::Out } else { Cable::Back };
             (self.waited, self.in_a_row) = (0, 0);
-            self.ask(tell);
+            self.ask(print);
         }
         self.state != Cable::Back && self.waited < PATIENCE_S * self.cycles_per_s
     }

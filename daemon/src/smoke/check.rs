@@ -1,4 +1,4 @@
-//! One check and how it ended.
+//! One check and its result.
 
 use std::fmt;
 
@@ -18,7 +18,7 @@ pub enum Subject {
     Revisions,
     /// Every device enters OP.
     BringUp,
-    /// Every device takes part in every frame, and stays in OP.
+    /// Every device processes every frame, and stays in OP.
     WorkingCounter,
     /// Terminals sample on SYNC0.
     DistributedClocks,
@@ -34,34 +34,34 @@ pub enum Subject {
     PulledCable,
 }
 
-/// A check that was done, or why not.
+/// Result of one check.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Check {
     /// Property that was checked.
     pub subject: Subject,
-    /// Rate of the cycles; none if the check does not depend on it \[Hz\].
+    /// Rate of the cycles; absent if the check does not depend on it \[Hz\].
     pub rate_hz: Option<u32>,
     /// Result with its reasons.
     #[serde(flatten)]
     pub outcome: Outcome,
 }
 
-/// How a check ended.
+/// Outcome of a check.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "outcome")]
 pub enum Outcome {
     /// The bus is as expected.
     Passed {
-        /// Figures or names that were found.
+        /// Figures or names found.
         found: String,
     },
     /// The bus is not as expected.
     Failed {
-        /// Figures or names that should be there.
+        /// Figures or names expected.
         expected: String,
-        /// Figures or names that are there instead.
+        /// Figures or names found instead.
         found: String,
-        /// What to do; empty where `found` states it.
+        /// What to do; empty if `found` states it.
         remedy: String,
         /// Code of the problem in the manual, if it has one.
         code: Option<&'static str>,
@@ -83,12 +83,12 @@ pub enum Reason {
     NoPerson,
     /// It needs another check to pass.
     After(Subject),
-    /// Somebody ended the test.
+    /// The test was stopped.
     Stopped(String),
 }
 
 impl Check {
-    /// It passed, or was not to be done.
+    /// Whether it passed or is disabled.
     pub fn is_good(&self) -> bool {
         match &self.outcome {
             Outcome::Passed { .. } => true,

@@ -1,4 +1,4 @@
-//! `config/smoke.toml`: what is checked on a bus before its first use.
+//! `config/smoke.toml`: checks of a bus before its first use.
 
 use std::time::Duration;
 
@@ -21,7 +21,7 @@ pub struct SmokeConfig {
     pub coupler_revisions: Vec<u16>,
     /// Revisions of the terminals whose process data are known, without the lower half of the number.
     pub terminal_revisions: Vec<u16>,
-    /// One after the other; the bus is brought up anew for each.
+    /// Rates, one after the other; the bus is brought up for each.
     pub cycles: Vec<CyclesConfig>,
 }
 
@@ -31,7 +31,7 @@ pub struct SmokeConfig {
 pub struct CyclesConfig {
     /// Cycles per second \[Hz\].
     pub rate_hz: u32,
-    /// For so long \[s\].
+    /// Duration \[s\].
     pub duration_s: u32,
 }
 
@@ -58,7 +58,7 @@ impl Validate for SmokeConfig {
         if self.cycles.is_empty() {
             return Err(Violation::new(
                 "cycles",
-                "there is none",
+                "the list is empty",
                 "add [[cycles]] with rate_hz and duration_s",
             ));
         }

@@ -1,4 +1,4 @@
-//! Figures of cycles on a bus in operation, and what they show.
+//! Figures of cycles on a bus in operation, and the checks that follow from them.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -17,14 +17,14 @@ use crate::problem::{Fact, Problem};
 use crate::run::{Session, Stop};
 use crate::scheduler::until;
 
-/// How often the ring is emptied.
+/// Period in which the ring is emptied.
 const PERIOD: Duration = Duration::from_millis(10);
-/// Reasons by which a cycle fails at [`Subject::Cycles`]; the others have checks of their own.
+/// Flags by which a cycle fails at [`Subject::Cycles`]; the others have checks of their own.
 const CYCLE_FLAGS: u32 = flags::NO_REPLY | flags::DEADLINE_MISSED | flags::BUS_DOWN | flags::LOST;
-/// Reasons by which a cycle fails at [`Subject::WorkingCounter`].
+/// Flags by which a cycle fails at [`Subject::WorkingCounter`].
 const DEVICE_FLAGS: u32 = flags::WORKING_COUNTER | flags::NOT_OPERATIONAL;
 
-/// What some cycles showed.
+/// Figures of a series of cycles.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct Figures {
     /// Cycles per second \[Hz\].
@@ -35,7 +35,7 @@ pub struct Figures {
     pub cycles_valid: u64,
     /// Cycles by the flags that they have.
     pub flags: BTreeMap<&'static str, u64>,
-    /// What the working counter of a whole bus is.
+    /// Working counter if all devices process the frame.
     pub working_counter_expected: u16,
     /// Replies by their working counter.
     pub working_counters: BTreeMap<u16, u64>,
@@ -43,20 +43,20 @@ pub struct Figures {
     pub encoders: Vec<EncoderFigures>,
     /// Clocks of the devices and of this PC.
     pub clocks: ClockFigures,
-    /// What happened, by its code.
+    /// Events, by their code.
     pub events: BTreeMap<String, EventFigures>,
     /// Ports that have counted errors.
     pub ports: Vec<PortCounts>,
-    /// How late cycles woke up, how long replies took; none on virtual time.
+    /// Lateness of cycles and duration of replies; absent on virtual time.
     pub timing: Option<TimingSummary>,
-    /// What the system permitted the cycle's thread; none on virtual time.
+    /// Permissions of the cycle's thread; absent on virtual time.
     pub realtime: Option<String>,
     #[serde(skip)]
     names: BusNames,
-    /// Cycles that are bad for a reason of [`CYCLE_FLAGS`], of [`DEVICE_FLAGS`], and those without a synchronised new sample.
+    /// Cycles that are bad by [`CYCLE_FLAGS`], by [`DEVICE_FLAGS`], and those without a synchronised new sample.
     #[serde(skip)]
     bad: [u64; 3],
-    /// The cycle before was bad: a terminal that misses a frame reports it in the next.
+    /// The previous cycle was bad: a terminal that misses a frame reports it in the next.
     #[serde(skip)]
     was_bad: bool,
     /// First and last sample.
@@ -64,7 +64,7 @@ pub struct Figures {
     span: Option<[(DcNs, UtcNs); 2]>,
 }
 
-/// What the terminal of an encoder showed.
+/// Figures of one encoder's terminal.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct EncoderFigures {
     /// Bar joint that it measures, 1 to 5.
@@ -83,12 +83,12 @@ pub struct EncoderFigures {
     pub status: u16,
 }
 
-/// What the distributed clocks showed.
+/// Figures of the distributed clocks.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct ClockFigures {
-    /// When the bus came up.
+    /// Clocks of the devices when the bus came up.
     pub devices: Vec<DeviceClock>,
-    /// Rate of the host's UTC against the bus' clock; none without distributed clocks \[ppm\].
+    /// Rate of the host's UTC against the bus' clock; absent without distributed clocks \[ppm\].
     pub host_rate_ppm: Option<f64>,
     /// Largest standard deviation of a sample time \[ns\].
     pub uncertainty_ns_max: u32,
@@ -97,7 +97,7 @@ pub struct ClockFigures {
 /// Events of one code.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct EventFigures {
-    /// Number of events.
+    /// Number of these events.
     pub count: u64,
     /// Text of the first.
     pub first: String,
@@ -119,7 +119,7 @@ impl Figures {
         }
     }
 
-    /// Counts cycles for so long, until `stop`, or while `continues` is true of each.
+    /// Counts cycles for this duration, until `stop`, or while `continues` is true for each.
     pub async fn count(
         &mut self,
         session: &Session,
@@ -133,7 +133,7 @@ impl Figures {
             if stop.is_stopped() {
                 own.stop(&stop.cause());
             }
-            // Asked before: what was handed over before the end is still taken.
+            // Read before emptying: cycles before the end are still taken.
             let is_last = source.is_over();
             while let Some(record) = source.take() {
                 self.take(&record);
@@ -144,7 +144,7 @@ impl Figures {
             while let Some(event) = source.take_event() {
                 self.take_event(&event);
             }
-            // The ring of the times is emptied here.
+            // This empties the ring of the timing.
             self.timing = source.timing();
             is_last.then_some(())
         })
@@ -152,7 +152,7 @@ impl Figures {
     }
 
     fn take(&mut self, record: &CycleRecord) {
-        // Numbers have no hole: what is missing found the ring full.
+        // Cycle numbers are consecutive: missing ones found the ring full.
         let lost = record.cycle.saturating_sub(self.cycles);
         if lost > 0 {
             *self.flags.entry("lost").or_default() += lost;

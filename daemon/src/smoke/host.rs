@@ -1,4 +1,4 @@
-//! The machine on which a smoke test ran, as far as it matters to a cycle.
+//! Properties of the machine that affect the cycle.
 
 use std::fs;
 use std::path::Path;
@@ -17,16 +17,16 @@ pub struct Host {
     pub kernel_version: Option<String>,
     /// First `model name` of `/proc/cpuinfo`.
     pub processor: Option<String>,
-    /// Network interface of the bus; none for the simulated one.
+    /// Network interface of the bus; absent for the simulated one.
     pub interface: Option<Interface>,
     /// Its settings, as `ballbard tune` checks them.
     pub settings: Vec<Finding>,
 }
 
-/// A network interface. Addresses are left out: the report is sent to others.
+/// A network interface, without its addresses, because the report is sent to others.
 #[derive(Debug, Clone, Serialize)]
 pub struct Interface {
-    /// Kernel driver; none for one without hardware.
+    /// Kernel driver; absent without hardware.
     pub driver: Option<String>,
     /// Negotiated speed; EtherCAT needs 100 \[Mbit/s\].
     pub speed_mbit_s: Option<String>,

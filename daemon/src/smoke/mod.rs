@@ -1,7 +1,7 @@
 //! Smoke test: the first minutes of a bus, check by check, with a report to send back.
 //!
-//! The simulated segment was written from documents; this test shows in what real devices differ. Bring-up and cycles are those
-//! of every run. The ring between cycle and recorder is read here, and its records are counted instead of written.
+//! The simulated segment was written from documents; this test shows differences of real devices. Bring-up and cycles are
+//! those of every run. The records from the ring are counted instead of written.
 
 mod cable;
 mod check;
@@ -31,16 +31,16 @@ use crate::scheduler::{Scheduler, until};
 use cable::Pull;
 use host::Host;
 
-/// How often a homing is polled.
+/// Period in which a homing is polled.
 const POLL: Duration = Duration::from_millis(50);
-/// Cycles may wait so long to be counted \[s\]. On virtual time they run ahead by as much: much less than a person may take.
+/// Capacity of the ring \[s\]. On virtual time cycles run ahead by this time, which is much less than a person may take.
 const RING_S: u32 = 5;
 
-/// What is tested, and how.
+/// Input of a smoke test.
 pub struct Bench<'a> {
     /// Checks to be done, and their limits.
     pub smoke: &'a SmokeConfig,
-    /// How the bus is cycled, but for the rate and the time for a reply.
+    /// Configuration of the cycles except for the rate and the time for a reply.
     pub daemon: &'a DaemonConfig,
     /// The terminals to expect.
     pub bar: &'a BallBarConfig,
@@ -52,11 +52,11 @@ pub struct Bench<'a> {
     pub stop: &'a Stop,
 }
 
-/// Does all checks. The text of each, and instructions for a person, go to `tell` at once.
+/// Does all checks. The text of each, and instructions for a person, go to `print` at once.
 pub async fn smoke(
     scheduler: &Arc<dyn Scheduler>,
     bench: &Bench<'_>,
-    tell: &mut dyn FnMut(&str),
+    print: &mut dyn FnMut(&str),
 ) -> Result<Report, RunError> {
     let Bench { smoke, daemon, bar, request, .. } = *bench;
     let interface = match &request.bus {
@@ -78,7 +78,7 @@ pub async fn smoke(
     };
     // A session watches the disk of its runs, although none is recorded.
     let storage = Storage::new(daemon, &**scheduler).map_err(|error| RunError::Thread(error.to_string()))?;
-    let mut test = Test { scheduler, bench, report, storage, blocked: None, not_up: BTreeMap::new(), tell };
+    let mut test = Test { scheduler, bench, report, storage, blocked: None, not_up: BTreeMap::new(), print };
     for asked in &smoke.cycles {
         test.cycles(*asked).await;
     }
@@ -87,7 +87,7 @@ pub async fn smoke(
     Ok(test.report)
 }
 
-/// A smoke test that is being done.
+/// A smoke test in progress.
 struct Test<'a> {
     scheduler: &'a Arc<dyn Scheduler>,
     bench: &'a Bench<'a>,
@@ -97,17 +97,17 @@ struct Test<'a> {
     blocked: Option<Reason>,
     /// Rates at which the bus did not come up.
     not_up: BTreeMap<u32, Reason>,
-    tell: &'a mut dyn FnMut(&str),
+    print: &'a mut dyn FnMut(&str),
 }
 
 impl Test<'_> {
     fn add(&mut self, subject: Subject, rate_hz: Option<u32>, outcome: Outcome) {
         let check = Check { subject, rate_hz, outcome };
-        (self.tell)(&check.to_string());
+        (self.print)(&check.to_string());
         self.report.checks.push(check);
     }
 
-    /// The bus in operation. If it does not come up, a check that failed is added, and the reason for all that need it returned.
+    /// The bus in operation. If it does not come up, adds a failed check and returns the reason for all that depend on it.
     async fn connect(&mut self, rate_hz: u32) -> Result<Session, Reason> {
         if let Some(reason) = self.blocked.as_ref().or_else(|| self.not_up.get(&rate_hz)) {
             return Err(reason.clone());
@@ -236,7 +236,7 @@ impl Test<'_> {
         }
     }
 
-    /// Cycles on a bus in operation, and what they show.
+    /// Figures of cycles on a bus in operation, and their checks.
     async fn outcomes(
         &mut self,
         session: Session,
@@ -304,7 +304,7 @@ impl Test<'_> {
         let found = until(&**self.scheduler, POLL, || {
             while let Some(step) = active.take_step() {
                 if let Some(line) = step.line() {
-                    (self.tell)(&line);
+                    (self.print)(&line);
                 }
             }
             if stop.is_stopped() {
@@ -333,8 +333,8 @@ impl Test<'_> {
         let stop = self.bench.stop;
         let mut figures = Figures::new(session, self.rate_hz());
         let mut pull = Pull::new(session, self.rate_hz().into());
-        pull.ask(self.tell);
-        figures.count(session, None, stop, |record| pull.take(record, self.tell)).await;
+        pull.ask(self.print);
+        figures.count(session, None, stop, |record| pull.take(record, self.print)).await;
         self.report.pulled_cable = Some(figures);
         if stop.is_stopped() {
             return Outcome::NotDone { because: Reason::Stopped(stop.cause()) };

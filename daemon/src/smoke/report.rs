@@ -1,4 +1,4 @@
-//! What a smoke test found, to be sent back.
+//! Report of a smoke test, to be sent back.
 
 use std::fmt;
 
@@ -11,7 +11,7 @@ use super::config::SmokeConfig;
 use super::cycles::{EventFigures, Figures};
 use super::host::Host;
 
-/// Everything that was asked, read and counted.
+/// Configuration, devices and figures of a smoke test.
 #[derive(Debug, Clone, Serialize)]
 pub struct Report {
     /// Name and version of the program.
@@ -22,9 +22,9 @@ pub struct Report {
     pub bus: String,
     /// Machine on which it ran.
     pub host: Host,
-    /// What was to be checked.
+    /// Checks to be done.
     pub smoke: SmokeConfig,
-    /// How the bus was cycled, but for the rate.
+    /// Configuration of the cycles except for the rate.
     pub daemon: DaemonConfig,
     /// The terminals that were expected.
     pub encoders: Vec<EncoderConfig>,
@@ -39,12 +39,12 @@ pub struct Report {
 }
 
 impl Report {
-    /// All that was to be done was done, and passed.
+    /// Whether every enabled check passed.
     pub fn is_good(&self) -> bool {
         self.bad() == 0
     }
 
-    /// Checks that failed, or were to be done and were not.
+    /// Number of checks that failed or could not be done.
     pub fn bad(&self) -> usize {
         self.checks.iter().filter(|check| !check.is_good()).count()
     }

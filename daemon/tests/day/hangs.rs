@@ -101,7 +101,7 @@ fn marks_that_the_disk_refuses_were_found_but_are_not_kept() {
         let is_over = |status: &Status| status.homing.as_ref().is_some_and(|homing| homing.is_over);
         let status = day.wait(Duration::from_secs(600), is_over).await;
         let error = status.homing.unwrap().error.unwrap();
-        for part in ["of all joints were found, but not kept", "homing.toml", "free space", "home again"] {
+        for part in ["of all joints were found, but not saved", "homing.toml", "free space", "home again"] {
             assert!(error.contains(part), "`{part}` is missing in: {error}");
         }
         day.end().await;
@@ -132,7 +132,7 @@ fn while_the_disk_makes_no_file_everybody_is_answered_and_no_cycle_is_lost() {
             status
                 .reason
                 .as_ref()
-                .is_some_and(|reason| reason.contains("the disk has been asked to create it"))
+                .is_some_and(|reason| reason.contains("the disk has been requested to create it"))
         };
         let status = day.wait(Duration::from_secs(5), has_reason).await;
         assert!(has_reason(&status) && status.state == ServiceState::Opening, "{status:?}");

@@ -111,7 +111,7 @@ fn check(case: &Case, cycles: u64) {
         let is_in_mid_run = struck + Duration::from_millis(500) < plan(1).period * cycles as u32;
         let word = match call {
             Call::Write | Call::Read => "wait to be written",
-            Call::Sync => "a power cut now",
+            Call::Sync => "a power failure now",
             _ => return,
         };
         assert!(!is_in_mid_run || outcome.was_told(word), "nobody was told of {call:?} that hung");

@@ -66,7 +66,7 @@ fn check_slow_sync(rate_hz: u32, sync: Duration) {
         cut_s <= period_s + 2.0 * longest_s + SLACK_S,
         "a power cut costs {cut_s} s, a sync {longest_s} s"
     );
-    let is_reported = outcome.was_told("a power cut now would cost");
+    let is_reported = outcome.was_told("a power failure now would cost");
     assert_eq!(is_reported, cut_s > 2.0 * period_s, "{sync_s} s, a power cut costs {cut_s} s");
     assert!(is_reported || sync_s < 1.0, "{sync_s} s");
     // The one that goes on, and the last.

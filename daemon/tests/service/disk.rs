@@ -48,7 +48,7 @@ fn a_run_that_has_no_place_left_is_no_success_for_whoever_stops_it() {
     std::fs::remove_dir_all(service.directory.path()).unwrap();
     std::fs::write(service.directory.path(), "in the way").unwrap();
     let last = service.wait_until("the end", |status| status.last.is_some()).last.unwrap();
-    assert!(last.error.as_ref().unwrap().contains("nothing of the run is left"), "{last:?}");
+    assert!(last.error.as_ref().unwrap().contains("no part of the run is saved"), "{last:?}");
     assert_eq!((last.file, last.cycles), (None, 0));
     // A directory that takes no file is no place for the next, also when what the run left was looked after.
     service.wait_for("waiting");

@@ -86,7 +86,7 @@ fn a_run_is_recorded_marked_noted_and_exported_on_another_machine() {
     let own = far.service.directory.path().join("far.mcap");
     let own = far.command(here.path(), &["export", own.to_str().unwrap(), "--csv"]);
     assert!(!own.status.success() && text(&own).contains("no finished run"), "{}", text(&own));
-    assert!(text(&far.command(here.path(), &["mark", "late"])).contains("no run goes on"));
+    assert!(text(&far.command(here.path(), &["mark", "late"])).contains("no run is active"));
 }
 
 #[test]
@@ -142,7 +142,7 @@ fn what_is_wrong_with_address_token_or_network_is_said_with_the_remedy() {
     let nobody = format!("https://{free}");
     refused(&nobody, &far.token(), &[&nobody, "refused", "ballbard run --listen"]);
     let plain = format!("https://127.0.0.1:{}", far.service.port);
-    refused(&plain, &far.token(), &[&plain, "no TLS", "--listen"]);
+    refused(&plain, &far.token(), &[&plain, "does not use TLS", "--listen"]);
     // Tokens: none, one that others may read, another's.
     let token = here.path().join("token");
     refused(&far.url, &token, &["token", "copy the file `token`"]);

@@ -100,7 +100,7 @@ counts = [record(protocol) for protocol in ["foxglove.websocket.v1", "foxglove.s
 # What is not understood, asked twice, or none of a listener's business is answered, and ends nothing.
 socket, channels = connect("foxglove.sdk.v1")
 for asked, told in [
-    ("nonsense", "not understood"),
+    ("nonsense", "invalid request"),
     (json.dumps({"op": "advertise", "channels": []}), "nothing else"),
     (json.dumps({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": 0}, {"id": 1, "channelId": 1}]}), "subscription 1"),
 ]:

@@ -75,7 +75,7 @@ fn homing_is_stopped_like_a_run_and_keeps_runs_out() {
     let mut other = ballbard();
     let mut other = other.args(["home", "--port", &service.port]).stdout(Stdio::piped()).spawn().unwrap();
     let mut told = BufReader::new(other.stdout.take().unwrap()).lines().map(Result::unwrap);
-    assert!(told.next().unwrap().contains("homed already"));
+    assert!(told.next().unwrap().contains("homing the encoders already"));
     told.next().unwrap();
     kill(Pid::from_raw(other.id().try_into().unwrap()), Signal::SIGINT).unwrap();
     assert!(!other.wait().unwrap().success());

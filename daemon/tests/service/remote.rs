@@ -173,7 +173,7 @@ fn a_socket_that_cannot_be_made_is_refused_with_the_remedy() {
     for (socket, part) in [
         (file.to_str().unwrap(), "choose another path with --behind-proxy"),
         ("/no/such/directory/x.sock", "choose another path with --behind-proxy"),
-        ("lab.example", "give the path in full"),
+        ("lab.example", "give an absolute path"),
     ] {
         let said = refused(directory.path(), &["--behind-proxy", socket]);
         assert!(said.contains(part), "{said}");

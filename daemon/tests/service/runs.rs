@@ -46,7 +46,7 @@ fn starting_and_stopping_twice_changes_nothing() {
     }
     let (status, other) = service.post("start", &json!({"name": "two"}));
     assert_eq!(status, 409);
-    assert!(other["error"].as_str().unwrap().contains("`one` goes on"), "{other}");
+    assert!(other["error"].as_str().unwrap().contains("`one` is active"), "{other}");
     assert_eq!(service.granted("stop", &json!({})).answer, Granted::Stopped);
     assert_eq!(service.granted("stop", &json!({})).answer, Granted::Idle);
     let (status, taken) = service.post("start", &json!({"name": "one"}));
@@ -96,14 +96,14 @@ fn the_commands_say_what_they_did() {
     service.wait_for("waiting");
     let begun = service.command(&["start", "--name", "typed", "--note", "by hand", "--operator", "A"]);
     assert!(begun.status.success() && text(&begun).contains("`typed` has begun"), "{}", text(&begun));
-    assert!(text(&service.command(&["start", "--name", "typed"])).contains("is running already"));
+    assert!(text(&service.command(&["start", "--name", "typed"])).contains("was running already"));
     service.wait_for("writing");
     assert!(text(&service.command(&["mark", "a mark"])).contains("marked in run `typed`"));
     let status = service.command(&["status"]);
     assert!(text(&status).contains("RECORDING") && text(&status).contains("`typed`"), "{}", text(&status));
     let stopped = service.command(&["stop"]);
     assert!(text(&stopped).contains("typed.mcap"), "{}", text(&stopped));
-    assert!(text(&service.command(&["stop"])).contains("no run goes on"));
+    assert!(text(&service.command(&["stop"])).contains("no run is active"));
     let runs = ballbard().arg("runs").arg(service.directory.path()).output();
     let runs = text(&runs.unwrap());
     assert!(runs.contains("typed") && runs.contains("by hand") && !runs.contains("recovered"), "{runs}");

@@ -64,5 +64,5 @@ fn the_journal_has_begin_and_refusals_with_their_priority_and_no_flood_of_them()
     let refused: Vec<_> =
         log.lines().filter(|line| line.starts_with("<4>refused: POST /api/mark: no run")).collect();
     assert_eq!(refused.len(), 20, "{log}");
-    assert!(refused[19].contains("left out"), "{}", refused[19]);
+    assert!(refused[19].contains("omitted"), "{}", refused[19]);
 }

@@ -25,7 +25,7 @@ fn terminals_that_were_gone_are_in_the_log() {
     // Whoever looks into the log tomorrow finds it.
     let log = std::fs::read_to_string(log).unwrap();
     assert!(log.contains("WARN bus: no samples from"), "{log}");
-    assert!(log.contains("INFO bus: whole again after"), "{log}");
+    assert!(log.contains("INFO bus: samples again after"), "{log}");
 }
 
 #[test]

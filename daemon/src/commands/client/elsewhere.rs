@@ -1,8 +1,8 @@
-//! A service of another machine: over TLS, with the token.
+//! Requests to a service of another machine: over TLS, with the token.
 //!
-//! No authority vouches for the certificate that a measurement PC makes for itself, so the client checks none. A person has its
-//! fingerprint, and nothing is sent before the other side has proved that it has the key of that certificate. `ureq` takes
-//! no verifier of certificates but through `unversioned`, which minor versions may change: Cargo.toml pins it.
+//! The certificate of a measurement PC is self-signed, so the client checks no authority. A person has its fingerprint, and
+//! nothing is sent before the server has proved that it has the key of that certificate. `ureq` accepts a verifier of
+//! certificates only through `unversioned`, which minor versions may change: Cargo.toml pins it.
 
 use std::fmt;
 use std::io;
@@ -35,16 +35,16 @@ use ureq::unversioned::transport::{
 
 use crate::control::api::{Fingerprint, token_in};
 
-/// How a service of another machine is named.
+/// Options that name a service of another machine.
 #[derive(Debug, Clone, Args)]
 pub struct ElsewhereArguments {
-    /// The service of another machine, https://HOST:PORT as that one's `ballbard status` says
+    /// Use the service of another machine, https://HOST:PORT as its `ballbard status` prints
     #[arg(long, value_name = "URL", requires_all = ["token_file", "fingerprint"], conflicts_with_all = ["port", "config"])]
     service: Option<Address>,
-    /// For --service: a copy of the file `token` of its state directory
+    /// For --service: a copy of the file `token` in its state directory
     #[arg(long, value_name = "FILE", requires = "service")]
     token_file: Option<PathBuf>,
-    /// For --service: the fingerprint of its certificate, which its `ballbard status` says
+    /// For --service: the fingerprint of its certificate, as its `ballbard status` prints
     #[arg(long, value_name = "SHA256", requires = "service")]
     fingerprint: Option<Fingerprint>,
 }
@@ -56,12 +56,12 @@ pub struct Elsewhere<'a> {
     fingerprint: &'a Fingerprint,
 }
 
-/// Where one is reached over TLS.
+/// Host and port of a service over TLS.
 #[derive(Debug, Clone)]
 struct Address(String);
 
 impl ElsewhereArguments {
-    /// The one that was named; none for that of this machine.
+    /// The named service; `None` for that of this machine.
     pub fn named(&self) -> Option<Elsewhere<'_>> {
         let (address, token_file) = (self.service.as_ref()?, self.token_file.as_ref()?);
         Some(Elsewhere { address, token_file, fingerprint: self.fingerprint.as_ref()? })
@@ -73,12 +73,12 @@ impl Elsewhere<'_> {
         format!("https://{}/api/{path}", self.address.0)
     }
 
-    /// Where its token was read.
+    /// File of its token.
     pub fn token_file(&self) -> &Path {
         self.token_file
     }
 
-    /// Connects to this service alone, and shows it the token.
+    /// Connects to this service only, and sends the token.
     pub fn agent(&self, config: ConfigBuilder<AgentScope>) -> anyhow::Result<ureq::Agent> {
         let mut bearer = HeaderValue::try_from(format!("Bearer {}", self.token()?))?;
         bearer.set_sensitive(true);
@@ -94,11 +94,11 @@ impl Elsewhere<'_> {
     fn token(&self) -> anyhow::Result<String> {
         let file = self.token_file.display();
         let token = token_in(self.token_file).with_context(|| {
-            format!("cannot read {file}; copy the file `token` of the service's state directory to there")
+            format!("cannot read {file}; copy the file `token` of the service's state directory to it")
         })?;
         let Some(token) = token else {
             bail!(
-                "{file} is no token of 64 hexadecimal digits that only you may read; copy the file `token` of the service's \
+                "{file}: invalid token (64 hexadecimal digits, readable by you only); copy the file `token` of the service's \
                  state directory again, then `chmod 600 {file}`"
             )
         };
@@ -131,12 +131,12 @@ impl FromStr for Address {
         let authority =
             uri.as_ref().and_then(Uri::authority).filter(|authority| !authority.as_str().contains('@'));
         authority.map(|authority| Self(authority.to_string())).ok_or_else(|| {
-            "write https://HOST:PORT, with the port that was given to --listen; that of this machine needs --port alone".into()
+            "write https://HOST:PORT with the port of --listen; for the service of this machine --port is enough".into()
         })
     }
 }
 
-/// Takes the one certificate that is known, whatever its names and dates are.
+/// Accepts only the certificate with this fingerprint, independent of its names and dates.
 #[derive(Debug)]
 struct Pin {
     fingerprint: Fingerprint,
@@ -157,8 +157,8 @@ impl ServerCertVerifier for Pin {
             return Ok(ServerCertVerified::assertion());
         }
         Err(rustls::Error::General(format!(
-            "its certificate has the fingerprint {shown}, not {}, so it was told nothing; ask `ballbard status` on its machine \
-             for the fingerprint, and if that one differs too, whose machine answers here",
+            "the certificate has the fingerprint {shown}, not {}, so nothing was sent; compare it with `ballbard status` on the \
+             service's machine, and if it differs there, too, find out which machine answers here",
             self.fingerprint
         )))
     }
@@ -217,13 +217,11 @@ impl<In: Transport> Connector<In> for Pinned {
     }
 }
 
-/// Why no TLS connection came about.
+/// Why the TLS connection failed.
 fn refused(error: &rustls::Error) -> String {
     match error {
         rustls::Error::General(text) => text.clone(),
-        rustls::Error::InvalidMessage(_) => {
-            "what answers there speaks no TLS; give the port that was given to --listen".into()
-        }
+        rustls::Error::InvalidMessage(_) => "the server does not use TLS; give the port of --listen".into(),
         error => error.to_string(),
     }
 }

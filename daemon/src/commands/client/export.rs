@@ -20,10 +20,10 @@ pub struct ExportArguments {
     /// Comma-separated values, the only format: time stamp and counters, then angles and validity, events and marks
     #[arg(long)]
     csv: bool,
-    /// Where to; `-` for standard output; default: beside the file, or here for a name, ending in .csv
+    /// Output file; `-` for standard output; default: beside the recording, or here for a name, with the ending .csv
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Replace a table that is there
+    /// Replace an existing table
     #[arg(long)]
     force: bool,
     /// Seconds since the first cycle (`t_s`) instead of `time_utc`
@@ -44,7 +44,7 @@ pub fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
     if out == Path::new("-") {
         if service.format.json {
             bail!(
-                "--json says what was written to a file, and standard output has the table; leave out one of the two"
+                "--json describes a table in a file, but the table goes to standard output; omit --json or --out -"
             );
         }
         let written = source.write_csv(layout, service, BufWriter::new(io::stdout().lock()));
@@ -55,9 +55,9 @@ pub fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
         };
     }
     if out.exists() && !arguments.force {
-        bail!("{} is there already; --force replaces it, --out writes another", out.display());
+        bail!("{} exists; --force replaces it, --out writes another", out.display());
     }
-    // Under its final name the table is whole, or it is not there.
+    // Under its final name the table is complete.
     let part = out.with_extension("csv.part");
     let sink = File::create(&part).with_context(|| format!("cannot create {}", part.display()))?;
     let rows = source
@@ -71,15 +71,15 @@ pub fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
     Ok(say(format_args!("{file}: {rows} rows"))?)
 }
 
-/// Where the recording is.
+/// Location of the recording.
 enum Source {
     File(PathBuf),
-    /// At the service of another machine, which makes the table there.
+    /// At the service of another machine, which makes the table.
     Elsewhere(Box<RunLine>),
 }
 
 impl Source {
-    /// Gives the number of rows.
+    /// Returns the number of rows.
     fn write_csv(
         &self,
         layout: Layout,
@@ -99,10 +99,10 @@ impl Source {
     }
 }
 
-/// The recording that is meant, and the name of its table but for the ending.
+/// The recording, and the path of its table except for the ending.
 fn find(recording: &Path, service: &ServiceArguments) -> anyhow::Result<(Source, PathBuf)> {
     let is_name = recording.components().count() == 1 && recording.extension().is_none();
-    // Files of this machine are none of another's service.
+    // Local files do not belong to the service of another machine.
     if (recording.exists() || !is_name) && !service.is_elsewhere() {
         return Ok((Source::File(recording.to_owned()), recording.to_owned()));
     }

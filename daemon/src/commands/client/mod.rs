@@ -1,4 +1,4 @@
-//! Commands that ask a running service, of this machine or another.
+//! Commands that use a running service, of this machine or another.
 
 mod elsewhere;
 pub mod export;
@@ -26,7 +26,7 @@ use elsewhere::ElsewhereArguments;
 /// Longer than the service takes to finish a file on a slow disk.
 const TIMEOUT: Duration = Duration::from_secs(30);
 
-/// Where the service is.
+/// Address of the service.
 #[derive(Debug, Args)]
 pub struct ServiceArguments {
     #[command(flatten)]
@@ -45,7 +45,7 @@ fn listed_in(directory: &Path, spare: Option<&Path>) -> anyhow::Result<Vec<RunLi
         .with_context(|| format!("cannot list recordings in {}", directory.display()))
 }
 
-/// Nobody answers where the service should be.
+/// No service answers at the address.
 #[derive(Debug, thiserror::Error)]
 #[error("no answer from {url} ({why}); {remedy}")]
 pub struct NoService {
@@ -55,12 +55,12 @@ pub struct NoService {
 }
 
 impl ServiceArguments {
-    /// Where the configuration comes from.
+    /// Origin of the configuration.
     pub fn configuration(&self) -> &Configuration {
         &self.configuration
     }
 
-    /// Recordings of the running service; of the configured directory where none runs.
+    /// Recordings of the running service; of the configured directory if none is running.
     pub fn runs(&self) -> anyhow::Result<Vec<RunLine>> {
         match self.get("runs") {
             Err(error) if self.is_default() && error.is::<NoService>() => {
@@ -71,19 +71,19 @@ impl ServiceArguments {
         }
     }
 
-    /// Asks the service for something that changes nothing.
+    /// A request that changes nothing.
     pub fn get<T: DeserializeOwned>(&self, path: &str) -> anyhow::Result<T> {
         self.answer(path, |agent, url| agent.get(url).call(), understood)
     }
 
-    /// A file of the service of another machine; none of this machine's, whose files are at hand.
+    /// A file from the service of another machine; local files are read directly.
     pub fn fetch<T>(
         &self,
         path: &str,
         read: impl FnOnce(&mut dyn Read) -> anyhow::Result<T>,
     ) -> anyhow::Result<T> {
         let asked = |agent: &ureq::Agent, url: &str| {
-            // However long it takes, as long as something comes.
+            // No limit of the total time, but of pauses.
             agent.get(url).config().timeout_global(None).timeout_per_read(Some(TIMEOUT)).build().call()
         };
         self.answer(path, asked, |mut response| {
@@ -91,22 +91,22 @@ impl ServiceArguments {
         })
     }
 
-    /// Asks the service to do something.
+    /// A request that changes something.
     pub fn post<T: DeserializeOwned>(&self, path: &str, body: &impl Serialize) -> anyhow::Result<T> {
         self.answer(path, |agent, url| agent.post(url).send_json(body), understood)
     }
 
-    /// That of another machine.
+    /// Whether the service is on another machine.
     pub fn is_elsewhere(&self) -> bool {
         self.elsewhere.named().is_some()
     }
 
-    /// Nobody has said which.
+    /// Whether no service is named.
     fn is_default(&self) -> bool {
         self.port.is_none() && !self.is_elsewhere()
     }
 
-    /// What is made of the answer, where the request was granted.
+    /// Sends a request and reads its reply if it was granted.
     fn answer<T>(
         &self,
         path: &str,
@@ -124,8 +124,7 @@ impl ServiceArguments {
             return read(response);
         }
         let refused = response.body_mut().read_json::<Refusal>();
-        let error =
-            refused.map_or_else(|_| format!("the service answered {status}"), |refusal| refusal.error);
+        let error = refused.map_or_else(|_| format!("the service replied {status}"), |refusal| refusal.error);
         match self.elsewhere.named() {
             Some(elsewhere) if status == StatusCode::UNAUTHORIZED => {
                 bail!("{url} refuses the token in {}: {error}", elsewhere.token_file().display())
@@ -149,17 +148,17 @@ impl ServiceArguments {
         Ok((config.build().into(), format!("http://127.0.0.1:{port}/api/{path}")))
     }
 
-    /// What to do if no service answers at the address.
+    /// Advice if no service answers at the address.
     fn remedy(&self) -> String {
         if self.is_elsewhere() {
-            return "does `ballbard run --listen` go on there, and does its `ballbard status` say this address? look at the \
-                    network between"
+            return "check that `ballbard run --listen` is running there, that its `ballbard status` prints this address, and the \
+                    network in between"
                 .into();
         }
         let from = self.port.map_or_else(|| self.configuration.origin(), |_| "--port".into());
         format!(
-            "is the service running? start it with `ballbard run --bus INTERFACE` (the port is that of {from}; --port takes another, --service \
-             that of another machine)"
+            "is the service running? start it with `ballbard run --bus INTERFACE` (port of {from}; --port sets another, --service \
+             another machine)"
         )
     }
 }
@@ -168,5 +167,5 @@ type Response = ureq::http::Response<ureq::Body>;
 
 fn understood<T: DeserializeOwned>(mut response: Response) -> anyhow::Result<T> {
     let answer = response.body_mut().read_json();
-    answer.context("the service's answer is not understood; are both of the same version?")
+    answer.context("the service's reply is invalid; are both programs of the same version?")
 }

@@ -1,4 +1,4 @@
-//! What a running service is asked for: `start`, `stop`, `status`, `mark`, `note`, `check`, `runs`, `delete`, `restore`, `bin`, `pair`.
+//! Requests to a running service: `start`, `stop`, `status`, `mark`, `note`, `check`, `runs`, `delete`, `restore`, `bin`, `pair`.
 
 use std::io::IsTerminal;
 use std::path::PathBuf;
@@ -27,10 +27,10 @@ pub struct StartArguments {
     /// Name of the run and of its file, in which spaces and the like become `-`; default: date, robot, bar and a number
     #[arg(long)]
     name: Option<String>,
-    /// How long: 90 (seconds), 90s or 2m; default: until stopped
+    /// Duration: 90 (seconds), 90s or 2m; default: until stopped
     #[arg(long, value_parser = shared::time::parse_duration)]
     duration: Option<Duration>,
-    /// Why the run begins in spite of a problem that stops it; goes into the file
+    /// Reason to begin although the check stops the run; stored in the file
     #[arg(long)]
     reason: Option<String>,
     #[command(flatten)]
@@ -49,7 +49,7 @@ pub struct NameArguments {
 
 #[derive(Debug, Args)]
 pub struct BinArguments {
-    /// Remove every recording in the bin from the disk for ever
+    /// Remove every recording in the bin from the disk permanently
     #[arg(long)]
     empty: bool,
     #[command(flatten)]
@@ -58,7 +58,7 @@ pub struct BinArguments {
 
 #[derive(Debug, Args)]
 pub struct StatusArguments {
-    /// Also how late the cycles of the run were, and how long they took
+    /// Also print lateness and duration of the run's cycles
     #[arg(long)]
     timing: bool,
     #[command(flatten)]
@@ -77,7 +77,7 @@ pub struct MarkArguments {
 pub struct NoteArguments {
     /// Name of the run
     name: String,
-    /// Its note from now on; "" for none
+    /// The new note; "" for none
     note: String,
     #[command(flatten)]
     service: ServiceArguments,
@@ -98,7 +98,7 @@ pub fn start(arguments: StartArguments) -> anyhow::Result<()> {
     let duration_s = duration.map(|duration| duration.as_secs_f64());
     let request = StartRequest { name, operator, robot, bar, payload, note, duration_s, reason };
     let reply: Reply = service.post("start", &request)?;
-    let what = if reply.answer == Granted::Running { "is running already" } else { "has begun" };
+    let what = if reply.answer == Granted::Running { "was running already" } else { "has begun" };
     let simulated = if reply.simulated { "; SIMULATED" } else { "" };
     service.format.answer(&reply, format_args!("run `{}` {what}{simulated}", run_of(&reply)))
 }
@@ -116,11 +116,11 @@ pub fn stop(service: &ServiceArguments) -> anyhow::Result<()> {
                 last.next.iter().try_for_each(|next| say(next_step(&last.name, next)))?;
             }
             if let Some(Verdict { level: Level::Bad, reasons }) = verdict {
-                bail!("run `{}` is of no use: {}", last.name, reasons.join("; "));
+                bail!("run `{}` is unusable: {}", last.name, reasons.join("; "));
             }
         }
         _ if printed => {}
-        _ => homing.as_ref().map_or_else(|| say("no run goes on"), say)?,
+        _ => homing.as_ref().map_or_else(|| say("no run is active"), say)?,
     }
     Ok(())
 }
@@ -138,7 +138,7 @@ pub fn delete(arguments: NameArguments) -> anyhow::Result<()> {
     let name = run_of(&reply);
     service
         .format
-        .answer(&reply, format_args!("`{name}` is in the bin; `ballbard restore {name}` brings it back"))
+        .answer(&reply, format_args!("`{name}` is in the bin; `ballbard restore {name}` restores it"))
 }
 
 pub fn restore(arguments: NameArguments) -> anyhow::Result<()> {
@@ -147,23 +147,23 @@ pub fn restore(arguments: NameArguments) -> anyhow::Result<()> {
     service.format.answer(&reply, format_args!("`{}` is among the recordings again", run_of(&reply)))
 }
 
-/// Prints a QR code that lets a phone in.
+/// Prints a QR code that admits a phone.
 pub fn pair(service: &ServiceArguments) -> anyhow::Result<()> {
     let reply: PairReply = service.post("pair", &PairRequest {})?;
     if service.format.prints(&reply)? {
         return Ok(());
     }
-    // On a terminal in black and white, whatever its own colours are.
+    // On a terminal in black and white, independent of its colours.
     let [begin, end] = if std::io::stdout().is_terminal() { ["\x1b[97;40m", "\x1b[0m"] } else { ["", ""] };
     for PairingLink { url, .. } in &reply.links {
-        let code = QrCode::new(url).context("no QR code can be made")?;
+        let code = QrCode::new(url).context("cannot make a QR code")?;
         let code = code.render::<Dense1x2>().dark_color(Dense1x2::Light).light_color(Dense1x2::Dark).build();
         code.lines().try_for_each(|line| say(format_args!("{begin}{line}{end}")))?;
         say(url)?;
     }
     let PairReply { valid_s, fingerprint, .. } = &reply;
     Ok(say(format_args!(
-        "point the phone's camera at it; it works once, within {} minutes\nSHA-256 of the certificate: {fingerprint}",
+        "scan the code with the phone's camera; it works once, within {} minutes\nSHA-256 of the certificate: {fingerprint}",
         valid_s / 60
     ))?)
 }
@@ -181,7 +181,7 @@ pub fn bin(arguments: &BinArguments) -> anyhow::Result<()> {
 pub fn note(arguments: NoteArguments) -> anyhow::Result<()> {
     let NoteArguments { name, note, service } = arguments;
     let reply: Reply = service.post("note", &NoteRequest { name, note })?;
-    service.format.answer(&reply, format_args!("run `{}` has this note now", run_of(&reply)))
+    service.format.answer(&reply, format_args!("the note of run `{}` is saved", run_of(&reply)))
 }
 
 pub fn status(arguments: &StatusArguments) -> anyhow::Result<()> {
@@ -192,7 +192,7 @@ pub fn status(arguments: &StatusArguments) -> anyhow::Result<()> {
     let reason = status.reason.as_ref().map_or(String::new(), |why| format!(": {why}"));
     say(format_args!("{}{reason}{}", status.headline().word, codes(&status.problems)))?;
     if status.simulated {
-        say("SIMULATED: no hardware; the encoder counts are made up")?;
+        say("SIMULATED: no hardware; the encoder counts are generated")?;
     }
     if let Some(run) = &status.run {
         say(running(run))?;
@@ -254,7 +254,7 @@ pub fn list(arguments: &RunsArguments) -> anyhow::Result<()> {
     print_list(&lines, "no recordings", service.format)
 }
 
-/// Name of the run that a reply is about.
+/// Name of the run in a reply.
 fn run_of(reply: &Reply) -> &str {
     reply.run.as_deref().unwrap_or_default()
 }

@@ -1,4 +1,4 @@
-//! What a service answered, for people.
+//! Replies of a service as text.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -12,19 +12,19 @@ use crate::control::recordings::runs::RunLine;
 use crate::control::status::{IN_SPITE_OF, LastRun, RunStatus};
 use crate::problem::Problem;
 
-/// The names under which the manual explains these problems.
+/// The codes under which the manual explains these problems.
 pub fn codes(problems: &[Problem]) -> String {
     let mut codes: Vec<_> = problems.iter().map(Problem::code).collect();
     codes.dedup();
     if codes.is_empty() { String::new() } else { format!(" [{}]", codes.join(", ")) }
 }
 
-/// Prints recordings, or `none` where there is none.
+/// Prints recordings, or `none` if there are none.
 pub fn print_list(lines: &[RunLine], none: &str, format: Format) -> anyhow::Result<()> {
     if format.prints(&lines)? {
         return Ok(());
     }
-    // Where they are, once, as far as it is the same.
+    // Print the directory once for consecutive recordings.
     let mut place = None;
     for line in lines {
         let parent = line.file.parent();
@@ -40,11 +40,11 @@ pub fn print_list(lines: &[RunLine], none: &str, format: Format) -> anyhow::Resu
     Ok(())
 }
 
-/// A run without a single valid cycle has failed, although its file is whole.
-pub fn unless_blind(cycles: u64, cycles_valid: u64) -> anyhow::Result<()> {
+/// A run without a single valid cycle has failed, although its file is complete.
+pub fn ensure_any_valid(cycles: u64, cycles_valid: u64) -> anyhow::Result<()> {
     if cycles > 0 && cycles_valid == 0 {
         bail!(
-            "none of the {cycles} cycles is valid; `ballbard check` says what is wrong with bus and encoders"
+            "none of the {cycles} cycles is valid; `ballbard check` shows the problems of bus and encoders"
         );
     }
     Ok(())
@@ -77,7 +77,7 @@ pub fn last_run(last: &LastRun) -> String {
     )
 }
 
-/// What comes after a run.
+/// The instruction that follows a run.
 pub fn next_step(name: &str, command: &str) -> String {
     format!("next: save the log of the robot's controller as {name}.csv, then type\n  {command}")
 }

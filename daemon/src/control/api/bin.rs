@@ -1,4 +1,4 @@
-//! Deleted recordings: into the bin, out of it, and gone.
+//! Deleted recordings: list, move into the bin, restore, and empty the bin.
 
 use axum::Json;
 use axum::extract::{self, State};
@@ -40,7 +40,7 @@ pub(super) async fn restore(
         Some(name) => Ok(reply(Granted::Restored, Some(name), None)),
         None => Err(refusal(
             StatusCode::NOT_FOUND,
-            "no recording of that name is in the bin; `ballbard bin` lists those that are",
+            "the bin has no recording of that name; `ballbard bin` lists its content",
         )),
     }
 }

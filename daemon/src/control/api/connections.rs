@@ -1,11 +1,11 @@
-//! The service's clients, none of which can keep it from its work or from its end.
+//! Connections of clients. No client can keep the service from its work or from its end.
 //!
-//! One request for each connection, so that a time and a place are given for each: a client has five seconds to say what
-//! it wants, gives up its place before that if others need it, and loses it when it takes nothing of its answer. Few
-//! connections are open at a time, because files need descriptors, too.
+//! Each connection has one request and limited time: a client has five seconds to send its request, is dropped before that
+//! if others need its place, and is disconnected if it stops reading its reply. Few connections are open at a time,
+//! because recordings need file descriptors, too.
 //!
-//! `tower-http` limits the time and size of a request, but sees none before its headers are complete: it can neither drop the
-//! idlest connection for a new one nor one whose client stops reading.
+//! `tower-http` limits the time and size of a request, but only after its headers are complete: it can neither drop an
+//! idle connection for a new one nor a client that stops reading.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -32,30 +32,30 @@ use tower::ServiceExt;
 use super::refusal;
 use super::remote::FromElsewhere;
 
-/// Connections at a time: some people and programs, and far fewer than a process may have files.
+/// Connections at a time: enough for some people and programs, far below a process' limit of files.
 const CONNECTIONS_MAX: usize = 64;
 /// Longest request \[bytes\].
 const BODY_BYTES_MAX: usize = 64 * 1024;
-/// How long a client may take to send its header, and as long for the rest.
+/// How long a client may take to send its header, and again for the body.
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(5);
-/// How long an answer may take to begin: more than `stop` waits for the disk.
+/// How long a reply may take to begin: longer than `stop` waits for the disk.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(40);
-/// A client that takes nothing of its answer for as long has none \[ms\].
+/// A client that reads nothing of its reply for this time is disconnected \[ms\].
 const TAKES_NOTHING_MS: u32 = 10_000;
 const CLOSE: HeaderValue = HeaderValue::from_static("close");
-/// How long the end of the service waits for clients that are being answered.
+/// How long the end of the service waits for replies that are being sent.
 const FAREWELL: Duration = Duration::from_secs(1);
 
-/// Those that are open, the oldest first.
+/// Open connections, the oldest first.
 pub(super) struct Connections {
     routes: Router,
     routes_from_elsewhere: Router,
     open: Vec<Connection>,
 }
 
-/// One more client, by the way that it came.
+/// A new client, by its transport.
 pub(super) enum Client<'a> {
-    /// To the loopback port.
+    /// On the loopback port.
     Local(TcpStream),
     Tls(TcpStream, &'a TlsAcceptor),
     Proxy(UnixStream),
@@ -63,7 +63,7 @@ pub(super) enum Client<'a> {
 
 struct Connection {
     task: JoinHandle<()>,
-    /// Its whole request is there.
+    /// Its whole request has arrived.
     has_asked: Arc<AtomicBool>,
 }
 
@@ -73,8 +73,8 @@ impl Connections {
         Self { routes, routes_from_elsewhere, open: Vec::new() }
     }
 
-    /// Serves one more client. Where there are too many the oldest that has not asked yet goes; where all have
-    /// asked, the new one.
+    /// Serves one more client. At the limit the oldest client without a complete request is dropped; if all have sent theirs,
+    /// the new one is.
     pub fn add(&mut self, client: Client<'_>) {
         self.open.retain(|connection| !connection.task.is_finished());
         if self.open.len() >= CONNECTIONS_MAX {
@@ -83,7 +83,7 @@ impl Connections {
             self.open.remove(idle).task.abort();
         }
         if let Client::Local(stream) | Client::Tls(stream, _) = &client {
-            // What is sent waits in the kernel, which alone knows whether the client takes it. A stream without it serves, too.
+            // Sent data wait in the kernel, which alone knows whether the client reads. A stream without the option works, too.
             let _ = setsockopt(stream, TcpUserTimeout, &TAKES_NOTHING_MS);
         }
         let has_asked = Arc::new(AtomicBool::new(false));
@@ -95,7 +95,7 @@ impl Connections {
             Client::Tls(stream, tls) => {
                 let tls = tls.clone();
                 tokio::spawn(async move {
-                    // Who does not agree on TLS in time goes.
+                    // A client that does not complete the TLS handshake in time is dropped.
                     if let Ok(Ok(stream)) = timeout(REQUEST_TIMEOUT, tls.accept(stream)).await {
                         converse(stream, elsewhere, asked).await;
                     }
@@ -105,7 +105,7 @@ impl Connections {
         self.open.push(Connection { task, has_asked });
     }
 
-    /// Lets those who have asked have their answer, for a moment.
+    /// Waits a short time for replies to complete requests.
     pub async fn finish(self) {
         let answers = async {
             for connection in self.open {
@@ -114,7 +114,7 @@ impl Connections {
                 }
             }
         };
-        // Who takes no answer within that time takes none; the tasks end with the runtime.
+        // Replies that are not read within that time are lost; the tasks end with the runtime.
         let _ = timeout(FAREWELL, answers).await;
     }
 }
@@ -130,7 +130,7 @@ async fn converse(
         .header_read_timeout(REQUEST_TIMEOUT)
         .serve_connection(TokioIo::new(stream), service)
         .with_upgrades();
-    // Whatever a client does wrong is its own loss.
+    // A client's errors affect only itself.
     let _ = connection.await;
 }
 
@@ -141,17 +141,20 @@ async fn answer(
 ) -> Result<Response, std::convert::Infallible> {
     let (head, body) = request.into_parts();
     let mut response = match timeout(REQUEST_TIMEOUT, to_bytes(Body::new(body), BODY_BYTES_MAX)).await {
-        Err(_) => refusal(StatusCode::REQUEST_TIMEOUT, "the request did not come within 5 seconds"),
+        Err(_) => refusal(StatusCode::REQUEST_TIMEOUT, "the request did not arrive within 5 seconds"),
         Ok(Err(_)) => refusal(StatusCode::PAYLOAD_TOO_LARGE, "the request is longer than 64 kB, or was cut"),
         Ok(Ok(body)) => {
             has_asked.store(true, Ordering::Relaxed);
             let answer = routes.oneshot(Request::from_parts(head, Body::from(body)));
             timeout(ANSWER_TIMEOUT, answer).await.unwrap_or_else(|_| {
-                Ok(refusal(StatusCode::GATEWAY_TIMEOUT, "no answer within 40 seconds; ask for the status"))
+                Ok(refusal(
+                    StatusCode::GATEWAY_TIMEOUT,
+                    "no reply within 40 seconds; `ballbard status` shows the state",
+                ))
             })?
         }
     };
-    // One that goes on as a WebSocket is not closed; hyper would say so of each if it were asked to close them.
+    // WebSockets stay open; hyper would log an error for each one with this header.
     if response.status() != StatusCode::SWITCHING_PROTOCOLS {
         response.headers_mut().insert(header::CONNECTION, CLOSE);
     }

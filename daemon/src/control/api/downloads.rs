@@ -1,7 +1,6 @@
-//! Recordings on their way to a client, as they are or as a table.
+//! Downloads of recordings, as files or as tables.
 //!
-//! A thread for each reads the disk and waits for the client; few may go on at a time, and nothing is held in memory for a
-//! client that is slow.
+//! Each has a thread that reads the disk and waits for the client. Few run at a time, and little is buffered for a slow client.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
@@ -17,13 +16,13 @@ use tokio::sync::{Semaphore, mpsc};
 
 use super::refusal;
 
-/// Downloads at a time: each has a thread, whose memory is locked.
+/// Downloads at a time: the memory of each thread is locked.
 const DOWNLOADS_MAX: usize = 2;
-/// Pieces that wait for the client.
+/// Pieces in the queue of a client.
 const PIECES_MAX: usize = 4;
 const PIECE_BYTES: usize = 64 << 10;
 
-/// Those that may go on. Clones are the same.
+/// Limits the downloads. Clones share the limit.
 #[derive(Clone)]
 pub(super) struct Downloads(Arc<Semaphore>);
 
@@ -33,18 +32,17 @@ impl Default for Downloads {
     }
 }
 
-/// What is sent.
+/// Description of a download.
 pub(super) struct Download {
-    /// What the client is to call it.
+    /// File name that the client is offered.
     pub file_name: String,
-    /// Its kind.
     pub media_type: &'static str,
-    /// Its length, where it is known \[bytes\].
+    /// Length, if known \[bytes\].
     pub length: Option<u64>,
 }
 
 impl Downloads {
-    /// Sends what `write` gives. If that fails half-way the connection is cut, so that no client takes a part for all.
+    /// Sends the output of `write`. If that fails half-way the connection is aborted, so that no client mistakes a part for all.
     pub fn send(
         &self,
         what: &Download,
@@ -61,7 +59,7 @@ impl Downloads {
             let mut sink = BufWriter::with_capacity(PIECE_BYTES, Pipe(pieces.clone()));
             let written = write(&mut sink).and_then(|()| Ok(sink.flush()?));
             if let Err(error) = written {
-                // Nobody is there to be told where the client has gone.
+                // The client may have disconnected.
                 let _ = pieces.blocking_send(Err(io::Error::other(explained(error.as_ref()))));
             }
             drop(permit);
@@ -83,7 +81,7 @@ impl Downloads {
     /// Sends a file as it is.
     pub fn send_file(&self, disk: Arc<dyn Disk>, file: File, what: &Download, length: u64) -> Response {
         self.send(what, move |mut sink| {
-            // Never more than was promised, whatever happens to the file.
+            // Never more than the announced length, even if the file changes.
             let copied = io::copy(&mut io::Read::take(OpenFile::new(&*disk, &file), length), &mut sink)?;
             anyhow::ensure!(copied == length, "the file has become shorter");
             Ok(())
@@ -91,13 +89,13 @@ impl Downloads {
     }
 }
 
-/// A name that no client takes for anything but a name.
+/// A file name that is safe in a header and on every system.
 fn plain(name: &str) -> String {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_+.".contains(c);
     name.chars().map(|c| if is_plain(c) { c } else { '_' }).collect()
 }
 
-/// To the client, piece by piece.
+/// Sends pieces to the client.
 struct Pipe(mpsc::Sender<io::Result<Bytes>>);
 
 impl Write for Pipe {

@@ -1,16 +1,16 @@
-//! The digest by which a certificate is recognised.
+//! The digest that identifies a certificate.
 
 use std::fmt;
 use std::str::FromStr;
 
 use sha2::{Digest, Sha256};
 
-/// SHA-256 of a certificate, by which people recognise it.
+/// SHA-256 of a certificate, for comparison by people.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Fingerprint(String);
 
 impl Fingerprint {
-    /// That of this certificate \[DER\].
+    /// Digest of this certificate \[DER\].
     pub fn of(certificate: &[u8]) -> Self {
         Self(hex(&Sha256::digest(certificate), ":"))
     }
@@ -30,7 +30,7 @@ impl FromStr for Fingerprint {
         let digits = text.replace(':', "").to_ascii_lowercase();
         if digits.len() != 64 || !digits.bytes().all(|byte| byte.is_ascii_hexdigit()) {
             return Err(
-                "write the 64 hexadecimal digits that `ballbard status` says on the service's machine",
+                "write the 64 hexadecimal digits that `ballbard status` prints on the service's machine",
             );
         }
         let pairs: Vec<_> = (0..64).step_by(2).map(|at| &digits[at..at + 2]).collect();

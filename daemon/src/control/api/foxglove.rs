@@ -1,5 +1,5 @@
-//! A run while it goes on, for Foxglove and what else speaks its WebSocket protocol: the messages of the recording, with its
-//! topics, schemas and times. Clients may subscribe, and change nothing.
+//! Sends a run while it is recorded to Foxglove and other clients of its WebSocket protocol: the messages of the recording,
+//! with its topics, schemas and times. Clients can only subscribe.
 //!
 //! Protocol: github.com/foxglove/ws-protocol, docs/spec.md (`foxglove.websocket.v1`); `foxglove.sdk.v1` has the same messages.
 
@@ -23,20 +23,20 @@ use super::{Shared, refusal};
 use crate::control::live_tap::{LiveTap, Message};
 use crate::control::service::Service;
 
-/// Where it is.
+/// Path of the WebSocket.
 pub(super) const PATH: &str = "/foxglove";
 /// Clients at a time.
 pub(super) const CLIENTS_MAX: usize = 8;
 const PROTOCOLS: [&str; 2] = ["foxglove.sdk.v1", "foxglove.websocket.v1"];
-/// Longest message of a client, which has little to say \[bytes\].
+/// Longest message of a client \[bytes\].
 const ASKED_BYTES_MAX: usize = 16 * 1024;
-/// Between two questions whether a client is still there: where no run goes on nothing else is sent, and one that vanished
+/// Period of the checks that a client is still connected: between runs nothing else is sent, and a client that vanished
 /// would keep its place.
 const PING_PERIOD: Duration = Duration::from_secs(5);
 /// Opcode of a message's data.
 const MESSAGE_DATA: u8 = 1;
 
-/// What clients may ask for.
+/// Messages of clients (protocol, "op").
 #[derive(Debug, Deserialize)]
 #[serde(tag = "op", rename_all = "camelCase", rename_all_fields = "camelCase")]
 enum Asked {
@@ -57,7 +57,7 @@ struct Subscription {
     channel_id: usize,
 }
 
-/// How grave a status is, in the protocol's numbers.
+/// Level of a status, in the protocol's numbers.
 #[derive(Clone, Copy)]
 enum Grave {
     Warning = 1,
@@ -71,7 +71,7 @@ pub(super) async fn connect(
     let Some(tap) = service.settings().live_tap.clone() else {
         return refusal(
             StatusCode::NOT_FOUND,
-            "no run is shown here while it goes on; start the service with --foxglove",
+            "runs are not published here; start the service with --foxglove",
         );
     };
     let upgrade = match upgrade {
@@ -80,20 +80,20 @@ pub(super) async fn connect(
     };
     if upgrade.selected_protocol().is_none() {
         let spoken = PROTOCOLS.join(" or ");
-        return refusal(StatusCode::BAD_REQUEST, &format!("no protocol in common; ask for {spoken}"));
+        return refusal(StatusCode::BAD_REQUEST, &format!("no protocol in common; request {spoken}"));
     }
     let Ok(place) = foxgloves.try_acquire_owned() else {
-        let error = format!("{CLIENTS_MAX} clients listen already; close one of them");
+        let error = format!("{CLIENTS_MAX} clients are connected already; close one of them");
         return refusal(StatusCode::SERVICE_UNAVAILABLE, &error);
     };
     upgrade.on_upgrade(async move |socket| {
-        // A client that went away is its own loss.
+        // A client that disconnects affects only itself.
         let _ = show(socket, &tap, &service).await;
         drop(place);
     })
 }
 
-/// Until the client or the service goes. While the client takes nothing, messages are missed and then told as such.
+/// Sends until the client or the service ends. A client that reads too slowly misses messages and is informed of that.
 async fn show(mut socket: WebSocket, tap: &LiveTap, service: &Service) -> Result<(), axum::Error> {
     let mut messages = tap.listen();
     let mut client = Client::default();
@@ -108,14 +108,14 @@ async fn show(mut socket: WebSocket, tap: &LiveTap, service: &Service) -> Result
             _ = pings.tick() => Some(ws::Message::Ping(Bytes::new())),
             asked = socket.recv() => match asked {
                 None => return Ok(()),
-                Some(Ok(ws::Message::Text(asked))) => client.obey(&asked),
+                Some(Ok(ws::Message::Text(asked))) => client.handle(&asked),
                 Some(asked) => asked.map(|_| None)?,
             },
             message = messages.recv() => match message {
                 Ok(message) => client.data(&message),
                 Err(RecvError::Lagged(missed)) => Some(status(
                     Grave::Warning,
-                    &format!("{missed} messages were not sent: they were taken too slowly; the recording has them"),
+                    &format!("{missed} messages were not sent: the client reads too slowly; the recording has them"),
                 )),
                 Err(RecvError::Closed) => return Ok(()),
             },
@@ -126,23 +126,23 @@ async fn show(mut socket: WebSocket, tap: &LiveTap, service: &Service) -> Result
     }
 }
 
-/// What a client has subscribed to.
+/// Subscriptions of a client.
 #[derive(Debug, Default)]
 struct Client {
-    /// Its numbers, by channel.
+    /// The client's numbers, by channel.
     subscriptions: BTreeMap<usize, u32>,
 }
 
 impl Client {
-    /// Does what it asks, and gives what it is told where that cannot be.
-    fn obey(&mut self, asked: &str) -> Option<ws::Message> {
+    /// Executes a request; returns a status if that is impossible.
+    fn handle(&mut self, asked: &str) -> Option<ws::Message> {
         match serde_json::from_str(asked) {
             Ok(Asked::Subscribe { subscriptions }) => {
                 let refused =
                     subscriptions.iter().filter(|one| !self.subscribe(one)).map(|one| one.id.to_string());
                 let refused: Vec<_> = refused.collect();
                 let problem = format!(
-                    "subscription {} is ignored: no such channel, or one that is subscribed to already",
+                    "subscription {} is ignored: no such channel, or already subscribed",
                     refused.join(", ")
                 );
                 (!refused.is_empty()).then(|| status(Grave::Error, &problem))
@@ -154,7 +154,7 @@ impl Client {
             Ok(Asked::Other) => {
                 Some(status(Grave::Error, "clients may subscribe and unsubscribe, nothing else"))
             }
-            Err(error) => Some(status(Grave::Error, &format!("not understood: {error}"))),
+            Err(error) => Some(status(Grave::Error, &format!("invalid request: {error}"))),
         }
     }
 
@@ -168,7 +168,7 @@ impl Client {
         is_free
     }
 
-    /// A message, if it has subscribed to its channel.
+    /// A message for the client, if it has subscribed to its channel.
     fn data(&self, message: &Arc<Message>) -> Option<ws::Message> {
         let channel = TOPICS.iter().position(|topic| *topic == message.topic)?;
         let id = self.subscriptions.get(&channel)?;
@@ -181,7 +181,7 @@ impl Client {
     }
 }
 
-/// The topics of a recording; a channel's number is its place among them.
+/// The topics of a recording; a channel's number is its index among them.
 fn advertised() -> Value {
     let channels: Vec<_> = TOPICS
         .iter()

@@ -1,4 +1,4 @@
-//! The latest moment for Prometheus.
+//! The page's latest content for Prometheus.
 
 use std::fmt;
 use std::sync::atomic::AtomicU64;
@@ -14,10 +14,10 @@ use crate::control::live::{Joint, Live};
 use crate::control::status::{ServiceState, Status, Totals};
 use crate::problem::{Level, Problem};
 
-/// What [`text`] is.
+/// Media type of [`text`].
 pub(super) const MEDIA_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
-/// In the OpenMetrics format. What is not known is left out.
+/// In the OpenMetrics format. Unknown values are left out.
 pub(super) fn text(live: &Live) -> Result<String, fmt::Error> {
     let mut registry = Registry::with_prefix("ballbard");
     let Live { status, warnings, disk_hours, joints, .. } = live;
@@ -30,7 +30,7 @@ pub(super) fn text(live: &Live) -> Result<String, fmt::Error> {
     add(&mut registry, "ready", "A run can begin: 1, else 0", is(status.state == ServiceState::Waiting));
     add(&mut registry, "warnings", "Warnings on the page", warnings.len() as f64);
     if let Some(hours) = disk_hours {
-        add(&mut registry, "disk_left_hours", "How long runs may last before the disk is full", *hours);
+        add(&mut registry, "disk_left_hours", "How long runs can last before the disk is full", *hours);
     }
     add_totals(&mut registry, status);
     add_problems(&mut registry, status, warnings);
@@ -62,7 +62,7 @@ fn add_totals(registry: &mut Registry, status: &Status) {
     registry.register("build_info", "Version and commit of the program", build);
 }
 
-/// Those that hold now.
+/// Number of current problems by code and severity.
 fn add_problems(registry: &mut Registry, status: &Status, warnings: &[Problem]) {
     let active = Family::<[(&'static str, String); 2], Gauge>::default();
     for problem in status.problems.iter().chain(warnings) {
@@ -84,16 +84,26 @@ fn add_run(registry: &mut Registry, status: &Status) {
     for (name, help, count) in counts {
         add(registry, name, help, count as f64);
     }
-    add(registry, "run_unsynced_seconds", "What a power cut would cost", run.unsynced_s);
+    add(
+        registry,
+        "run_unsynced_seconds",
+        "Duration of cycles that a power failure would lose",
+        run.unsynced_s,
+    );
     if let Some(timing) = &run.timing {
         let seconds = |ns: u64| ns as f64 * 1e-9;
         add(
             registry,
             "run_late_p99_seconds",
-            "99 of 100 wake-ups were no later",
+            "99th percentile of the lateness of wake-ups",
             seconds(timing.lateness.p99_ns),
         );
-        add(registry, "run_late_max_seconds", "The latest wake-up", seconds(timing.lateness.max_ns));
+        add(
+            registry,
+            "run_late_max_seconds",
+            "Largest lateness of a wake-up",
+            seconds(timing.lateness.max_ns),
+        );
     }
 }
 
@@ -108,7 +118,7 @@ fn add_joints(registry: &mut Registry, joints: &[Joint]) {
         }
     }
     registry.register("encoder_good", "The encoder gives valid samples: 1, else 0", good);
-    registry.register("encoder_angle_degrees", "Its angle, as on the page", angle);
+    registry.register("encoder_angle_degrees", "Angle of the joint, as on the page", angle);
 }
 
 fn add(registry: &mut Registry, name: &str, help: &str, value: f64) {

@@ -1,9 +1,9 @@
 //! The service over HTTP on 127.0.0.1: a page for people, JSON for programs; for other machines over TLS or through a
 //! reverse proxy, if configured.
 //!
-//! Programs of this machine need no token. Web pages of others do not reach it, although a browser runs here: requests must
-//! name a loopback host (no rebinding of names), come from no foreign origin, and carry JSON (no plain forms). Whoever
-//! comes from elsewhere shows the token ([`remote`]).
+//! Programs of this machine need no token. Web pages of others have no access through a browser here: requests must name a
+//! loopback host (against DNS rebinding), have no foreign origin, and carry JSON (no plain forms). Requests from other
+//! machines need the token ([`remote`]).
 
 mod bin;
 mod connections;
@@ -60,18 +60,16 @@ use crate::run::check_text;
 
 /// How long `start` waits for the run's file, and `stop` for the finished one.
 const FILE_TIMEOUT: Duration = Duration::from_secs(20);
-/// Pages that may be told of every moment; more ask for it themselves. Fewer than connections, so that who wants to stop a
-/// run always finds one.
+/// Pages that receive every moment; further ones can poll. Fewer than connections, so that a run can always be stopped.
 const VIEWERS_MAX: usize = 32;
-/// What is longer ago nobody remembers to the second \[ms\].
+/// Markers further back are refused: their time would be inaccurate \[ms\].
 const AGO_MS_MAX: u32 = 600_000;
-/// Longer lines are of no use in a log.
+/// Length limit of a refusal in the log.
 const REFUSAL_CHARS_MAX: usize = 300;
-/// After an error of the listener, such as too many open files.
+/// Pause after an error of the listener, such as too many open files.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 
-/// Serves until `end` comes, then finishes the requests that are being answered, as far as their clients let it. Other
-/// machines are let in as `remote` says.
+/// Serves until `end` completes, then finishes the replies that are being sent. `remote` admits other machines.
 pub async fn serve(
     listener: TcpListener,
     remote: Option<Remote>,
@@ -110,14 +108,14 @@ pub async fn serve(
                 tokio::time::sleep(ACCEPT_PAUSE).await;
             }
         }
-        // Requests that are there already are read before many new connections push theirs out.
+        // Read the requests of open connections before many new ones displace them.
         tokio::task::yield_now().await;
     }
     drop((listener, tls, proxy));
     connections.finish().await;
 }
 
-/// What requests need.
+/// State shared by all requests.
 #[derive(Clone)]
 struct Shared {
     service: Service,
@@ -135,14 +133,14 @@ impl FromRef<Shared> for Service {
     }
 }
 
-/// Below `/api`, each with what the OpenAPI document says of it.
+/// The routes below `/api` with their descriptions.
 fn operations() -> Vec<(Operation, MethodRouter<Shared>)> {
     vec![
         (
-            Operation::get::<Status>("/status", "What the service is doing, as far as it is on disk."),
+            Operation::get::<Status>("/status", "State of the service; a run counts as far as it is on disk."),
             get(status),
         ),
-        (Operation::get::<Live>("/live", "What a page shows, at this moment."), get(live)),
+        (Operation::get::<Live>("/live", "Current content of the page."), get(live)),
         (
             Operation::get_other(
                 "/events",
@@ -153,7 +151,7 @@ fn operations() -> Vec<(Operation, MethodRouter<Shared>)> {
             get(events),
         ),
         (
-            Operation::get::<Vec<CheckLine>>("/check", "Whether all is as it should be before a run."),
+            Operation::get::<Vec<CheckLine>>("/check", "Runs the pre-flight check."),
             get(check),
         ),
         (Operation::get::<Vec<RunLine>>("/runs", "Recordings, the latest first."), get(list_runs)),
@@ -161,7 +159,7 @@ fn operations() -> Vec<(Operation, MethodRouter<Shared>)> {
             Operation::get_other(
                 "/runs/{name}/mcap",
                 "application/octet-stream",
-                "A finished recording as it is.",
+                "File of a finished recording.",
             ),
             get(download_mcap),
         ),
@@ -172,25 +170,25 @@ fn operations() -> Vec<(Operation, MethodRouter<Shared>)> {
             ]),
             get(download_csv),
         ),
-        (Operation::get::<Curves>("/runs/{name}/plot", "Its angles, thinned, to be drawn."), get(curves)),
+        (Operation::get::<Curves>("/runs/{name}/plot", "Angles of a recording, thinned for a plot."), get(curves)),
         (
             Operation::post::<StartRequest, Reply>(
                 "/start",
-                "Begins a run; answered when its file is there.",
+                "Begins a run; the reply follows when its file is created.",
             ),
             post(start),
         ),
         (
             Operation::post::<StopRequest, Reply>(
                 "/stop",
-                "Ends the run, or the homing; answered when its file is finished, or with how the homing ended.",
+                "Ends the run or the homing; the reply follows when the file is finished, or has the result of the homing.",
             ),
             post(stop),
         ),
         (
             Operation::post::<HomeRequest, Reply>(
                 "/home",
-                "Begins to look for the reference marks; the status has how far it is, and then how it ended.",
+                "Begins a homing; the status has its progress and result.",
             ),
             post(home),
         ),
@@ -205,7 +203,7 @@ fn operations() -> Vec<(Operation, MethodRouter<Shared>)> {
         (
             Operation::post::<NameRequest, NameReply>(
                 "/name",
-                "How a run would be called that is begun with this name, and whether it can; changes nothing.",
+                "Name that a run would get from this input, and whether it is valid; changes nothing.",
             ),
             post(name),
         ),
@@ -216,7 +214,7 @@ fn operations() -> Vec<(Operation, MethodRouter<Shared>)> {
         (
             Operation::post::<PairRequest, PairReply>(
                 "/pair",
-                "A link and QR code that let a phone in without the token; they work once.",
+                "Links and QR codes that admit a phone without the token; each code works once.",
             ),
             post(pairing::pair),
         ),
@@ -224,7 +222,7 @@ fn operations() -> Vec<(Operation, MethodRouter<Shared>)> {
         (
             Operation::post::<DeleteRequest, Reply>(
                 "/restore",
-                "Moves a recording from the bin to the others; answered with the name that it has there.",
+                "Moves a recording out of the bin; the reply has its new name.",
             ),
             post(bin::restore),
         ),
@@ -264,17 +262,14 @@ fn routes(service: Service, gate: Option<Gate>, remote: Option<String>) -> Route
         .route(foxglove::PATH, get(foxglove::connect))
         .merge(page::routes())
         .fallback(|| async {
-            refusal(
-                StatusCode::NOT_FOUND,
-                "no such path; the page is at /, what programs may ask for below /api/",
-            )
+            refusal(StatusCode::NOT_FOUND, "not found; the web page is /, the API is under /api/")
         })
         .layer(middleware::from_fn_with_state(admission, admitted))
         .layer(middleware::from_fn(logged))
         .with_state(shared)
 }
 
-/// The body of a request; JSON of another type is refused.
+/// The body of a request, as JSON of type `T`.
 struct Asked<T>(T);
 
 impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Asked<T> {
@@ -294,7 +289,7 @@ async fn check(State(service): State<Service>) -> Result<Json<Vec<CheckLine>>, R
     service.check().await.map(Json).map_err(unavailable)
 }
 
-/// The moment, for who does not listen.
+/// The current moment, for clients without an event stream.
 async fn live(State(service): State<Service>) -> Response {
     let moment = Arc::clone(&service.live().borrow());
     ([(header::CONTENT_TYPE, "application/json")], moment.json.clone()).into_response()
@@ -308,17 +303,17 @@ async fn prometheus(State(service): State<Service>) -> Response {
     }
 }
 
-/// The last minute, then every moment. A client that is slow misses some and holds up nobody.
+/// The last minute, then every moment. A slow client misses some and delays no other.
 async fn events(State(Shared { service, viewers, .. }): State<Shared>) -> Response {
     let Ok(permit) = viewers.try_acquire_owned() else {
         return refusal(
             StatusCode::SERVICE_UNAVAILABLE,
-            "too many pages listen at a time; ask for /api/live now and then, or close one of them",
+            "too many pages are open; poll /api/live, or close one of them",
         );
     };
     let minute = sse::Event::default().event("minute").json_data(service.minute());
     let minute = stream::iter(minute.ok().map(Ok::<_, Infallible>));
-    // It ends with the service, and so does the connection.
+    // The stream ends with the service, and so does the connection.
     let moments = stream::unfold((service.live(), permit), async |(mut latest, permit)| {
         latest.changed().await.ok()?;
         let moment = Arc::clone(&latest.borrow_and_update());
@@ -333,7 +328,7 @@ fn places(service: &Service) -> (PathBuf, PathBuf) {
     (daemon.directory.clone(), daemon.spare_directory.clone())
 }
 
-/// Does what the disk may hold up; its own failure is told as such.
+/// Does work that may wait for the disk, and turns its failure into a reply.
 async fn on_disk<T: Send + 'static>(
     service: &Service,
     work: impl FnOnce(&dyn Disk) -> std::io::Result<T> + Send + 'static,
@@ -342,13 +337,16 @@ async fn on_disk<T: Send + 'static>(
         Some(Ok(found)) => Ok(found),
         Some(Err(error)) => Err(refusal(
             StatusCode::INTERNAL_SERVER_ERROR,
-            &format!("the disk refused: {error}; look at its directory"),
+            &format!("the disk refused: {error}; check the directory of the recordings"),
         )),
-        None => Err(refusal(StatusCode::GATEWAY_TIMEOUT, "the disk does not answer; ask for the status")),
+        None => Err(refusal(
+            StatusCode::GATEWAY_TIMEOUT,
+            "the disk does not answer; `ballbard status` shows its state",
+        )),
     }
 }
 
-/// A directory that is not there yet holds no runs.
+/// A directory that does not exist yet has no runs.
 fn unless_missing<T: Default>(outcome: std::io::Result<T>) -> std::io::Result<T> {
     outcome.or_else(
         |error| {
@@ -365,10 +363,10 @@ async fn list_runs(State(service): State<Service>) -> Result<Json<Vec<RunLine>>,
 /// A run's name in a path.
 type Name = Result<extract::Path<String>, PathRejection>;
 
-/// The finished recording of this name, and the name.
+/// Path and name of a finished recording.
 async fn found(service: &Service, name: Name) -> Result<(PathBuf, String), Response> {
     let unknown =
-        || refusal(StatusCode::NOT_FOUND, "no finished recording of that name; see the list of runs");
+        || refusal(StatusCode::NOT_FOUND, "no finished recording of that name; `ballbard runs` lists all");
     let extract::Path(name) = name.map_err(|_| unknown())?;
     let ((directory, spare), wanted) = (places(service), name.clone());
     let file =
@@ -436,7 +434,9 @@ async fn name(
     State(service): State<Service>,
     Asked(request): Asked<NameRequest>,
 ) -> Result<Json<NameReply>, Response> {
-    let silent = || refusal(StatusCode::GATEWAY_TIMEOUT, "the disk does not answer; ask for the status");
+    let silent = || {
+        refusal(StatusCode::GATEWAY_TIMEOUT, "the disk does not answer; `ballbard status` shows its state")
+    };
     service.name(request).await.map(Json).ok_or_else(silent)
 }
 
@@ -447,34 +447,35 @@ async fn start(
     let checked = request.about().check();
     checked.and(request.reason.as_deref().map_or(Ok(()), some_text)).map_err(unusable)?;
     let (named, reason) = (request.name.clone(), request.reason.clone());
-    // In any other state the answer does not depend on the check: a run goes on, or none can.
+    // In any other state the reply does not depend on the check: a run is active, or none can begin.
     let problems = if service.status().state == ServiceState::Waiting {
         stopping(&service).await.unwrap_or_default()
     } else {
         Vec::new()
     };
-    let told: Vec<_> = problems.iter().map(|line| format!("{}: {}", line.subject, line.finding)).collect();
-    let told = told.join("; ");
+    let findings: Vec<_> =
+        problems.iter().map(|line| format!("{}: {}", line.subject, line.finding)).collect();
+    let findings = findings.join("; ");
     if !problems.is_empty() && reason.is_none() {
         let remedies: Vec<_> = problems.iter().filter_map(|line| line.remedy.as_deref()).collect();
         let remedies = remedies.join("; ");
-        let error = format!("{told}; {remedies}, or give a `reason` (--reason) to begin all the same");
+        let error = format!("{findings}; {remedies}, or give a `reason` (--reason) to begin regardless");
         let problems = problems.into_iter().flat_map(|line| line.problems).collect();
         return Err(refused(StatusCode::CONFLICT, Refusal { error, problems }));
     }
     let begins = service.clone();
-    // It goes on where the client or our patience does not: the file says under what circumstances it began.
+    // Continues if the client disconnects or the time is over, so that the file states why the run began.
     let begun = service.spawn(async move {
         let answer = begins.begin(request).await;
         if let (Ok(Answer::Beginning), Some(reason)) = (&answer, reason) {
-            let told = if told.is_empty() { "nothing that stops a run" } else { &told };
-            let _ = begins.mark(Some(format!("{IN_SPITE_OF}: {told}; reason: {reason}")), 0).await;
+            let findings = if findings.is_empty() { "nothing that stops a run" } else { &findings };
+            let _ = begins.mark(Some(format!("{IN_SPITE_OF}: {findings}; reason: {reason}")), 0).await;
         }
         answer
     });
     let Some(answer) = service.within(FILE_TIMEOUT, begun).await else {
         let why = service.status().reason.unwrap_or_default();
-        let error = format!("the run waits for its file; `ballbard stop` calls it off: {why}");
+        let error = format!("the run waits for its file; `ballbard stop` cancels it: {why}");
         return Err(refusal(StatusCode::GATEWAY_TIMEOUT, &error));
     };
     let ended = |_| Err(Problem::from(Fact::ServiceEnding {}).into());
@@ -499,7 +500,7 @@ async fn stop(
     match service.stop(cause).await.map_err(unavailable)? {
         (Answer::Stopping(run), over) => {
             let last = service.within(FILE_TIMEOUT, over).await.and_then(Result::ok).ok_or_else(|| {
-                late(&format!("run `{run}` is ending, but the disk has not taken it yet; ask for the status"))
+                late(&format!("run `{run}` is ending, but its file is not finished yet; `ballbard status` shows the state"))
             })?;
             // A run whose file could not be finished has failed.
             if last.error.is_some() {
@@ -513,7 +514,7 @@ async fn stop(
         }
         (Answer::Homing, _) => {
             let homing = homed(&service).await.ok_or_else(|| {
-                late("the homing is ending, but the disk has not taken its marks yet; ask for the status")
+                late("the homing is ending, but its marks are not saved yet; `ballbard status` shows the state")
             })?;
             let (answer, homing) = (Granted::Homing, Some(homing));
             Ok(Json(Reply { answer, homing, ..Reply::default() }).into_response())
@@ -536,7 +537,7 @@ async fn home(
 /// The refusal of a run or a homing; `while_busy` is the advice during a run.
 fn not_granted(answer: Answer, while_busy: &str) -> Response {
     match answer {
-        Answer::Busy(run) => refusal(StatusCode::CONFLICT, &format!("run `{run}` goes on; {while_busy}")),
+        Answer::Busy(run) => refusal(StatusCode::CONFLICT, &format!("run `{run}` is active; {while_busy}")),
         Answer::Refused(problem) => refused(StatusCode::CONFLICT, problem.into()),
         other => refusal(StatusCode::INTERNAL_SERVER_ERROR, &format!("unexpected answer {other:?}")),
     }
@@ -551,14 +552,14 @@ async fn mark(
         return Err(unusable("`ago_ms` is more than 600000; mark it within ten minutes"));
     }
     let marked = service.mark(text, ago_ms).await.map_err(unavailable)?;
-    let (run, text) =
-        marked.ok_or_else(|| refusal(StatusCode::CONFLICT, "no run goes on, so there is nothing to mark"))?;
+    let (run, text) = marked
+        .ok_or_else(|| refusal(StatusCode::CONFLICT, "no run is active, so there is nothing to mark"))?;
     let (answer, run, mark) = (Granted::Marked, Some(run), Some(text));
     Ok(Json(Reply { answer, run, mark, ..Reply::default() }).into_response())
 }
 
 fn some_text(text: &str) -> Result<(), &'static str> {
-    if text.is_empty() { Err("the text is empty; say something") } else { check_text(text) }
+    if text.is_empty() { Err("the text is empty; write at least one character") } else { check_text(text) }
 }
 
 /// The grade of a run that has just ended, once it is read from its file.
@@ -579,7 +580,7 @@ async fn homed(service: &Service) -> Option<HomingStatus> {
     service.within(FILE_TIMEOUT, wait).await.flatten()
 }
 
-/// What was refused is in the log, with who is told why.
+/// Logs refused requests with the reason.
 async fn logged(request: Request, next: Next) -> Response {
     let asked = format!("{} {}", request.method(), request.uri().path());
     let response = next.run(request).await;
@@ -590,50 +591,49 @@ async fn logged(request: Request, next: Next) -> Response {
     response
 }
 
-/// Who is let in.
+/// Access rules for all requests.
 struct Admission {
-    /// From elsewhere; none where nobody is.
+    /// For requests from other machines; `None` without remote access.
     gate: Option<Gate>,
     service: Service,
-    /// Of those who listen to a run, beside this machine's.
+    /// Additional origins that may connect to Foxglove's WebSocket.
     origins: Vec<String>,
 }
 
-/// Turns away what a foreign web page could send, and who comes from elsewhere without the token.
+/// Refuses requests of foreign web pages, and requests from other machines without the token.
 async fn admitted(State(admission): State<Arc<Admission>>, request: Request, next: Next) -> Response {
-    let turned_away = match &admission.gate {
+    let refused = match &admission.gate {
         Some(gate) if request.extensions().get::<FromElsewhere>().is_some() => {
-            gate.turns_away(&request, admission.service.now())
+            gate.refuse(&request, admission.service.now())
         }
         _ => refused_on_loopback(&request, &admission.origins),
     };
-    match turned_away {
+    match refused {
         Some(response) => response,
         None => next.run(request).await,
     }
 }
 
-/// What a client of the loopback port is answered that is neither a program nor a page of this machine.
+/// The refusal of a request to the loopback port that comes from neither a program nor a page of this machine.
 fn refused_on_loopback(request: &Request, origins: &[String]) -> Option<Response> {
     let is_foxglove = request.uri().path() == foxglove::PATH;
     let error: String = if let Some(sign) = sign_of_a_proxy(request) {
         format!(
-            "this request came through a reverse proxy ({sign}), but here no token protects the service; \
+            "the request came through a reverse proxy ({sign}), but this port is not protected by the token; \
              give the proxy a socket: `ballbard run --behind-proxy SOCKET`"
         )
     } else if is_local(request.headers(), if is_foxglove { origins } else { &[] }) {
         return None;
     } else if is_foxglove {
-        "only programs and pages of this machine may listen; --foxglove-origin names the origin of another"
-            .into()
+        "only programs and pages of this machine may connect; --foxglove-origin admits another origin".into()
     } else {
-        "only programs and pages of this machine may use this".into()
+        "only programs and pages of this machine have access".into()
     };
     Some(refusal(StatusCode::FORBIDDEN, &error))
 }
 
-/// What only a reverse proxy sends, as far as that can be seen: most add a header; nginx by default adds none, but speaks
-/// HTTP/1.0, which programs and browsers have long left.
+/// The sign that a reverse proxy forwarded the request: most add a header; nginx by default adds none, but uses HTTP/1.0,
+/// which programs and browsers do not use any more.
 fn sign_of_a_proxy(request: &Request) -> Option<&str> {
     let adds =
         |name: &&str| ["forwarded", "via", "x-real-ip"].contains(name) || name.starts_with("x-forwarded-");
@@ -641,13 +641,13 @@ fn sign_of_a_proxy(request: &Request) -> Option<&str> {
     header.or((request.version() < Version::HTTP_11).then_some("HTTP/1.0"))
 }
 
-/// Comes from this machine, or from one of these origins, to a loopback host.
+/// Whether a request comes from this machine or one of these origins, and names a loopback host.
 fn is_local(headers: &HeaderMap, origins: &[String]) -> bool {
     let loopback = |authority: &str| {
         let host = authority.rsplit_once(':').map_or(authority, |(host, _)| host);
         ["127.0.0.1", "localhost", "[::1]"].contains(&host)
     };
-    // What one reader takes from the first of two headers another takes from the last: none may be foreign.
+    // Of two headers some readers use the first, others the last: neither may be foreign.
     let all = |name: HeaderName, is_ours: &dyn Fn(&str) -> bool| {
         headers.get_all(name).iter().all(|value| value.to_str().is_ok_and(is_ours))
     };
@@ -663,12 +663,12 @@ fn reply(answer: Granted, run: Option<String>, last: Option<LastRun>) -> Respons
     Json(Reply { answer, run, last, ..Reply::default() }).into_response()
 }
 
-/// Of a value that the service does not take.
+/// Refuses an invalid value.
 fn unusable(error: &str) -> Response {
     refusal(StatusCode::UNPROCESSABLE_ENTITY, error)
 }
 
-/// Of a service that ends or has too much to do.
+/// Refuses because the service is ending or overloaded.
 fn unavailable(refusal: Refusal) -> Response {
     refused(StatusCode::SERVICE_UNAVAILABLE, refusal)
 }
@@ -678,6 +678,6 @@ fn refusal(status: StatusCode, error: &str) -> Response {
 }
 
 fn refused(status: StatusCode, refusal: Refusal) -> Response {
-    // Once for the client, once for the log.
+    // One copy for the client, one for the log.
     (status, Extension(refusal.clone()), Json(refusal)).into_response()
 }

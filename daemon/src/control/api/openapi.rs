@@ -1,5 +1,5 @@
-//! The API as an OpenAPI document. What is asked and answered is described by its own types, so that it cannot differ; a
-//! route gets into the router together with its [`Operation`] alone.
+//! The API as an OpenAPI document. Bodies and replies are described by their Rust types, so that the document cannot differ
+//! from them; each route is added to the router together with its [`Operation`].
 
 use std::collections::BTreeMap;
 
@@ -11,18 +11,18 @@ use serde_json::{Map, Value, json};
 use super::remote::COOKIE;
 use crate::control::status::Refusal;
 
-/// Where schemas are in the document.
+/// Location of schemas in the document.
 const SCHEMAS: &str = "/components/schemas";
 
-/// One thing that can be asked for.
+/// One operation of the API.
 pub(super) struct Operation {
     /// Path below `/api`.
     pub path: &'static str,
-    /// In one sentence.
+    /// Description in one sentence.
     pub summary: &'static str,
     method: &'static str,
     body: Option<Describe>,
-    /// Name and meaning of what the query may set.
+    /// Name and meaning of each query parameter.
     options: &'static [(&'static str, &'static str)],
     answer: Answer,
 }
@@ -31,28 +31,28 @@ type Describe = fn(&mut SchemaGenerator) -> Schema;
 
 enum Answer {
     Json(Describe),
-    /// Of another media type, or JSON that is sent piece by piece.
+    /// Another media type, or JSON that is sent piece by piece.
     Other(&'static str),
 }
 
 impl Operation {
-    /// Answers with JSON of this type.
+    /// Replies with JSON of type `A`.
     pub fn get<A: JsonSchema>(path: &'static str, summary: &'static str) -> Self {
         let answer = Answer::Json(SchemaGenerator::subschema_for::<A>);
         Self { path, summary, method: "get", body: None, options: &[], answer }
     }
 
-    /// Answers with something else.
+    /// Replies with another media type.
     pub fn get_other(path: &'static str, media_type: &'static str, summary: &'static str) -> Self {
         Self { path, summary, method: "get", body: None, options: &[], answer: Answer::Other(media_type) }
     }
 
-    /// May be asked with these in the query, each `true` or left out.
+    /// With these query parameters, each `true` or absent.
     pub fn with_options(self, options: &'static [(&'static str, &'static str)]) -> Self {
         Self { options, ..self }
     }
 
-    /// Takes and answers JSON of these types.
+    /// Takes JSON of type `B` and replies with JSON of type `A`.
     pub fn post<B: JsonSchema, A: JsonSchema>(path: &'static str, summary: &'static str) -> Self {
         let body = Some(SchemaGenerator::subschema_for::<B> as Describe);
         Self { method: "post", body, ..Self::get::<A>(path, summary) }
@@ -63,7 +63,7 @@ impl Operation {
 pub(super) fn document(operations: &[Operation]) -> Value {
     let settings =
         |settings: SchemaSettings| settings.with(|settings| settings.definitions_path = SCHEMAS.into());
-    // What is answered has every field, what is asked for may leave some out.
+    // Replies have every field; requests may leave some out.
     let mut asked = settings(SchemaSettings::draft2020_12()).for_deserialize().into_generator();
     let mut answered = settings(SchemaSettings::draft2020_12()).for_serialize().into_generator();
     let mut paths: BTreeMap<String, Map<String, Value>> = BTreeMap::new();
@@ -77,9 +77,9 @@ pub(super) fn document(operations: &[Operation]) -> Value {
         let mut described = json!({
             "summary": summary,
             "responses": {
-                StatusCode::OK.as_str(): {"description": "what was asked for", "content": content},
+                StatusCode::OK.as_str(): {"description": "result", "content": content},
                 "default": {
-                    "description": "why not, and what to do",
+                    "description": "reason of the refusal, and what to do",
                     "content": {"application/json": {"schema": refusal}},
                 },
             },
@@ -103,13 +103,13 @@ pub(super) fn document(operations: &[Operation]) -> Value {
         "info": {
             "title": "ballbard",
             "version": env!("CARGO_PKG_VERSION"),
-            "description": "The acquisition service. Programs of its machine ask 127.0.0.1, under a loopback name, and need no \
-                token. Where it was started with --listen others ask over TLS, and where it was started with --behind-proxy \
-                over a reverse proxy; both show the token. The loopback address accepts nothing that a proxy passed on. No request comes from a foreign origin; \
-                those that change something carry JSON.",
+            "description": "The acquisition service. Programs of its machine use 127.0.0.1 under a loopback name and need no token. \
+                With --listen other machines have access over TLS, and with --behind-proxy through a reverse proxy; both need the \
+                token. The loopback port accepts nothing from a proxy. Requests with a foreign origin are refused; those \
+                that change something carry JSON.",
         },
         "paths": paths,
-        // None of them, on the service's machine; one of them from elsewhere.
+        // None on the service's machine; one of the others from elsewhere.
         "security": [{}, {"token": []}, {"browser": []}],
         "components": {
             "schemas": schemas,
@@ -117,13 +117,13 @@ pub(super) fn document(operations: &[Operation]) -> Value {
                 "token": {
                     "type": "http",
                     "scheme": "bearer",
-                    "description": "What is in the file `token` of the service's state directory.",
+                    "description": "Content of the file `token` in the service's state directory.",
                 },
                 "browser": {
                     "type": "apiKey",
                     "in": "cookie",
                     "name": COOKIE,
-                    "description": "The same, as a browser has it that has opened the page with /?token=TOKEN.",
+                    "description": "The same, as a browser stores it after it opened the page with /?token=TOKEN.",
                 },
             },
         },

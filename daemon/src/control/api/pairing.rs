@@ -1,4 +1,4 @@
-//! Pairs a phone: a QR code leads to the page with a code that works once, in place of the token.
+//! Pairs a phone: a QR code opens the page with a single-use code instead of the token.
 
 use std::net::{IpAddr, SocketAddr};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -21,14 +21,14 @@ use super::fingerprint::{Fingerprint, hex};
 use super::{Asked, Shared, refusal};
 use crate::control::status::{PairReply, PairRequest, PairingLink};
 
-/// Time to take a phone out and to accept its warning of the certificate.
+/// Enough time to open the link on a phone and accept the certificate.
 const VALID: Duration = Duration::from_secs(300);
-/// Codes that wait at a time; the oldest goes.
+/// Valid codes at a time; a further one replaces the oldest.
 const CODES_MAX: usize = 8;
 /// Length of a code: too long to be guessed while it is valid.
 const CODE_BYTES: usize = 16;
 
-/// Gives codes and takes them back. Clones share them.
+/// Issues and redeems codes. Clones share them.
 #[derive(Debug, Clone)]
 pub(super) struct Pairing(Arc<Inner>);
 
@@ -40,7 +40,7 @@ struct Inner {
 }
 
 impl Pairing {
-    /// For clients of this address, where a certificate with this fingerprint is shown.
+    /// For clients of this address, with the fingerprint of its certificate.
     pub fn new(address: SocketAddr, fingerprint: Fingerprint) -> Self {
         Self(Arc::new(Inner { address, fingerprint, codes: Mutex::default() }))
     }
@@ -52,7 +52,7 @@ impl Pairing {
         codes
     }
 
-    /// A code that is valid from now on.
+    /// Issues a code that is valid from now on.
     fn code(&self, now: MonoNs) -> String {
         let bytes: [u8; CODE_BYTES] = rand::rng().random();
         let code = hex(&bytes, "");
@@ -64,14 +64,14 @@ impl Pairing {
         code
     }
 
-    /// Whether a code is valid; it is not any more then.
+    /// Whether a code is valid; it becomes invalid by this.
     pub fn redeem(&self, code: &str, now: MonoNs) -> bool {
         let mut codes = self.codes(now);
         let known = codes.iter().position(|(other, _)| bool::from(other.as_bytes().ct_eq(code.as_bytes())));
         known.map(|index| codes.remove(index)).is_some()
     }
 
-    /// Where phones reach the service: the address that it listens on, or those of this machine where it listens on all.
+    /// Addresses for phones: the one that the service listens on, or those of this machine if it listens on all.
     fn addresses(&self) -> Vec<SocketAddr> {
         if !self.0.address.ip().is_unspecified() {
             return vec![self.0.address];
@@ -88,7 +88,7 @@ impl Pairing {
         let code = self.code(now);
         let link = |address: &SocketAddr| {
             let url = format!("https://{address}/?pair={code}");
-            let svg = QrCode::new(&url).map_err(|error| format!("no QR code can be made: {error}"))?;
+            let svg = QrCode::new(&url).map_err(|error| format!("cannot make a QR code: {error}"))?;
             let svg = svg.render::<svg::Color<'_>>().min_dimensions(240, 240).build();
             Ok::<_, String>(PairingLink { address: format!("https://{address}"), url, svg })
         };
@@ -118,7 +118,7 @@ pub(super) async fn pair(
     let Some(pairing) = pairing else {
         return Err(refusal(
             StatusCode::CONFLICT,
-            "no phone reaches this service; start it with `--listen ADDRESS:PORT`, such as --listen 0.0.0.0:7312",
+            "phones have no access to this service; start it with `--listen ADDRESS:PORT`, such as --listen 0.0.0.0:7312",
         ));
     };
     pairing.reply(service.now()).map(Json).map_err(|error| refusal(StatusCode::CONFLICT, &error))

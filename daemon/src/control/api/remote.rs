@@ -1,10 +1,10 @@
-//! The way in for others than programs of this machine: TLS and a token, or a reverse proxy and a token.
+//! Access from other machines: TLS and a token, or a reverse proxy and a token.
 //!
-//! A proxy has a Unix socket of its own. On the loopback port its requests would look like those of local programs: a proxy
-//! may send any `Host`, and by default sends 127.0.0.1.
+//! A proxy has a Unix socket of its own. On the loopback port its requests could not be distinguished from those of local
+//! programs: a proxy may send any `Host`, and by default sends 127.0.0.1.
 //!
-//! The token is 256 random bits, so that nobody guesses it; wrong ones are counted to keep answers and log small. No route is
-//! reached without. A browser gets it as a cookie that no script reads and no other site's page sends along.
+//! The token is 256 random bits, which cannot be guessed; wrong ones are counted to limit replies and log. No route is
+//! accessible without it. A browser stores it as a cookie that no script reads and no other site's page sends.
 
 use std::fs::{self, OpenOptions};
 use std::io::{self, Write};
@@ -32,93 +32,92 @@ use super::fingerprint::{Fingerprint, hex};
 use super::pairing::Pairing;
 use super::refusal;
 
-/// Where the token is, in the state directory.
+/// File of the token, in the state directory.
 const TOKEN_FILE: &str = "token";
-/// The certificate that the program makes for itself, and its key.
+/// The self-signed certificate and its key.
 const OWN_FILES: [&str; 2] = ["certificate.pem", "key.pem"];
 const TOKEN_BYTES: usize = 32;
-/// Wrong tokens within [`WRONG_WITHIN`] that are each told so; what comes after is told to wait.
+/// Wrong tokens within [`WRONG_WITHIN`] that are answered as wrong; for further ones the reply is to wait.
 const WRONG_MAX: usize = 10;
 const WRONG_WITHIN: Duration = Duration::from_secs(60);
 /// The prefix binds the cookie to this host, this path and TLS.
 pub(super) const COOKIE: &str = "__Host-ballbard";
-/// As long as a browser remembers the token \[s\]: 30 days.
+/// How long a browser stores the token \[s\]: 30 days.
 const COOKIE_AGE_S: u32 = 30 * 86_400;
 const FORM: &str = include_str!("../../page/token.html");
 
-/// What somebody asked for.
+/// Configuration of remote access.
 #[derive(Debug, Clone, Default)]
 pub struct RemoteSettings {
-    /// Where TLS is spoken.
+    /// Address and port of the TLS listener.
     pub listen: Option<SocketAddr>,
-    /// Certificates and key \[PEM\]; absent: what the program makes for itself.
+    /// Certificates and key \[PEM\]; absent: the self-signed certificate.
     pub certificate: Option<(PathBuf, PathBuf)>,
-    /// Unix socket on which a reverse proxy of this machine passes requests on.
+    /// Unix socket for a reverse proxy of this machine.
     pub proxy_socket: Option<PathBuf>,
 }
 
-/// Why nobody else is let in.
+/// Why remote access cannot be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum RemoteError {
-    /// Token or certificate of its own can be neither read nor made.
+    /// The token or the self-signed certificate can be neither read nor created.
     #[error(
-        "{0}: {1}; the service keeps token and certificate there: look at the permissions of its directory"
+        "{0}: {1}; the service keeps token and certificate there; check the permissions of the directory"
     )]
     State(PathBuf, io::Error),
-    /// Not what the service has made.
+    /// The token file has other content.
     #[error(
-        "{0} is no token of 64 hexadecimal digits that only its owner may read; remove it, and the next start makes one"
+        "{0}: invalid token (64 hexadecimal digits, readable by the owner only); remove it, and the next start makes one"
     )]
     Token(PathBuf),
     /// Certificate or key cannot be read.
     #[error("{0}: {1}; give PEM files that this user may read with --certificate and --key")]
     Pem(PathBuf, pem::Error),
-    /// They do not fit.
+    /// Certificate and key do not match.
     #[error("certificate and key are refused: {0}; give two that belong together")]
     Tls(#[from] rustls::Error),
-    /// None could be made.
-    #[error("no certificate can be made: {0}; give one with --certificate and --key")]
+    /// The self-signed certificate cannot be created.
+    #[error("cannot make a certificate: {0}; give one with --certificate and --key")]
     Made(#[from] rcgen::Error),
-    /// The address is not to be had.
+    /// The address cannot be used.
     #[error("cannot listen on {0}: {1}; choose another address or port with --listen")]
     Listen(SocketAddr, io::Error),
-    /// The socket cannot be made.
+    /// The Unix socket cannot be created.
     #[error("cannot listen on the socket {}: {error}; choose another path with --behind-proxy", path.display())]
     Socket {
-        /// Of the socket, absolute.
+        /// Absolute path of the socket.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         error: io::Error,
     },
 }
 
-/// Who else may come in, and how.
+/// Open access from other machines.
 pub struct Remote {
     pub(super) gate: Gate,
     pub(super) tls: Option<TlsDoor>,
     pub(super) proxy: Option<ProxyDoor>,
-    /// For people.
+    /// Addresses and fingerprint, for people.
     pub(super) words: String,
 }
 
-/// TLS on an address of its own.
 pub(super) struct TlsDoor {
     pub listener: TcpListener,
     pub acceptor: TlsAcceptor,
 }
 
-/// The Unix socket of a reverse proxy. Its file goes with it.
+/// The Unix socket of a reverse proxy; its file is removed on drop.
 pub(super) struct ProxyDoor {
     pub listener: UnixListener,
     path: PathBuf,
 }
 
-/// Came over TLS or through a proxy; everything else came to the loopback port.
+/// Marks a request that came over TLS or through a proxy; all others came to the loopback port.
 #[derive(Clone, Copy)]
 pub(super) struct FromElsewhere;
 
 impl Remote {
-    /// Listens, with a token and a certificate that are made once into `state`.
+    /// Opens the listeners, with a token and a certificate that are created once in `state`.
     pub async fn open(settings: RemoteSettings, state: &Path) -> Result<Self, RemoteError> {
         let RemoteSettings { listen, certificate, proxy_socket } = settings;
         let token_file = state.join(TOKEN_FILE);
@@ -145,7 +144,7 @@ impl Remote {
         Ok(Self { gate, tls, proxy, words })
     }
 
-    /// Where it is reached, the certificate's fingerprint and where the token is.
+    /// Address, the certificate's fingerprint, and the file of the token.
     pub fn words(&self) -> &str {
         &self.words
     }
@@ -159,7 +158,7 @@ impl ProxyDoor {
             fs::remove_file(&path)?;
         }
         let listener = UnixListener::bind(&path)?;
-        // The proxy runs as another user. Nothing is reached without the token.
+        // The proxy runs as another user. Without the token nothing is accessible.
         fs::set_permissions(&path, fs::Permissions::from_mode(0o666))?;
         Ok(Self { listener, path })
     }
@@ -167,55 +166,55 @@ impl ProxyDoor {
 
 impl Drop for ProxyDoor {
     fn drop(&mut self) {
-        // One that stays is removed by the next start.
+        // If this fails, the next start removes the file.
         let _ = fs::remove_file(&self.path);
     }
 }
 
-/// Checks each request from elsewhere.
+/// Checks each request from other machines.
 pub(super) struct Gate {
     token: String,
     /// Codes for phones, if the service listens for other machines.
     pub pairing: Option<Pairing>,
-    /// When the latest wrong tokens came.
+    /// Times of the latest wrong tokens.
     wrong: Mutex<Vec<MonoNs>>,
 }
 
 impl Gate {
-    /// What a page or program of another machine is answered unless it comes from no foreign origin, and with the token.
-    pub fn turns_away(&self, request: &Request, now: MonoNs) -> Option<Response> {
+    /// The reply to a request that has a foreign origin or lacks the token, or that logs a browser in.
+    pub fn refuse(&self, request: &Request, now: MonoNs) -> Option<Response> {
         let headers = request.headers();
         let own = only(headers, header::HOST).map(|host| format!("https://{host}"));
         let is_own = |origin: &HeaderValue| Some(origin.as_bytes()) == own.as_ref().map(String::as_bytes);
         if own.is_none() || !headers.get_all(header::ORIGIN).iter().all(is_own) {
             return Some(refusal(
                 StatusCode::FORBIDDEN,
-                "another site's page may not use this; open its own (a reverse proxy must pass on the `Host` that the browser \
-                 sent, such as nginx with `proxy_set_header Host $http_host;`)",
+                "pages of other sites have no access; open the service's own page (a reverse proxy must pass on the browser's `Host`, \
+                 in nginx with `proxy_set_header Host $http_host;`)",
             ));
         }
         let asks_for_page = request.method() == Method::GET && request.uri().path() == "/";
         let query = request.uri().query().unwrap_or_default();
         let code = query.split('&').find_map(|pair| pair.strip_prefix("pair=")).filter(|_| asks_for_page);
         if code.zip(self.pairing.as_ref()).is_some_and(|(code, pairing)| pairing.redeem(code, now)) {
-            return Some(self.welcome());
+            return Some(self.log_in());
         }
         let typed = asks_for_page.then(|| typed_token(query)).flatten();
         match typed.or_else(|| sent_token(headers)) {
             Some(token) if bool::from(token.as_bytes().ct_eq(self.token.as_bytes())) => {
-                typed.map(|_| self.welcome())
+                typed.map(|_| self.log_in())
             }
-            told => Some(self.refused(told.is_some(), asks_for_page, now)),
+            sent => Some(self.refused(sent.is_some(), asks_for_page, now)),
         }
     }
 
-    /// Leaves the token with the browser and sends it to the page, whose address is without.
-    fn welcome(&self) -> Response {
+    /// Stores the token in the browser and loads the page, whose address has no token.
+    fn log_in(&self) -> Response {
         let cookie = format!(
             "{COOKIE}={}; Path=/; Max-Age={COOKIE_AGE_S}; Secure; HttpOnly; SameSite=Strict",
             self.token
         );
-        // Not a redirection: after one that began on another site the browser would keep the cookie back.
+        // Not a redirection: after one that began on another site the browser would not send the cookie.
         let headers = [
             (header::SET_COOKIE, cookie),
             (header::REFRESH, "0; url=/".into()),
@@ -226,8 +225,8 @@ impl Gate {
     }
 
     fn refused(&self, is_wrong: bool, asks_for_page: bool, now: MonoNs) -> Response {
-        const WHERE: &str = "it is in the file `token` of the service's state directory (`ballbard status` on its machine \
-             names it); open the page with /?token=TOKEN, or send it as `Authorization: Bearer TOKEN`";
+        const WHERE: &str = "it is in the file `token` of the service's state directory (`ballbard status` on its \
+             machine shows it); open the page with /?token=TOKEN, or send it as `Authorization: Bearer TOKEN`";
         if is_wrong && self.too_many(now) {
             return refusal(
                 StatusCode::TOO_MANY_REQUESTS,
@@ -239,7 +238,7 @@ impl Gate {
         let error = if is_wrong { "the token is wrong" } else { "the token is missing" };
         let mut response = refusal(StatusCode::UNAUTHORIZED, &format!("{error}; {WHERE}"));
         if asks_for_page {
-            // Its extensions stay, for the log.
+            // The response keeps its extensions for the log.
             let form = Html(FORM.replace("{error}", error)).into_response();
             let (parts, body) = form.into_parts();
             response.headers_mut().extend(parts.headers);
@@ -265,7 +264,7 @@ impl Gate {
     }
 }
 
-/// The value of a header that is there once.
+/// The value of a header that occurs exactly once.
 fn only(headers: &HeaderMap, name: HeaderName) -> Option<&str> {
     let mut values = headers.get_all(name).iter();
     let value = values.next()?.to_str().ok()?;
@@ -285,7 +284,7 @@ fn sent_token(headers: &HeaderMap) -> Option<&str> {
     bearer.or_else(|| cookies.find_map(|(name, value)| (name == COOKIE).then_some(value)))
 }
 
-/// The token, made where there is none.
+/// Reads the token; creates it if it does not exist.
 fn token(file: &Path) -> Result<String, RemoteError> {
     let failed = |error| RemoteError::State(file.into(), error);
     if !file.try_exists().map_err(failed)? {
@@ -295,7 +294,7 @@ fn token(file: &Path) -> Result<String, RemoteError> {
     token_in(file).map_err(failed)?.ok_or_else(|| RemoteError::Token(file.into()))
 }
 
-/// The token in a file; none where that is no whole one, or others than its owner may read it.
+/// The token in a file; `None` if it is incomplete or not private to its owner.
 pub fn token_in(file: &Path) -> io::Result<Option<String>> {
     let text = fs::read_to_string(file)?;
     let mode = fs::metadata(file)?.permissions().mode();
@@ -304,7 +303,7 @@ pub fn token_in(file: &Path) -> io::Result<Option<String>> {
     Ok((is_whole && mode & 0o077 == 0).then(|| token.into()))
 }
 
-/// Ready to speak TLS, and the fingerprint by which people recognise it.
+/// The TLS configuration and the fingerprint of its certificate.
 fn tls(
     certificate: Option<(PathBuf, PathBuf)>,
     state: &Path,
@@ -328,14 +327,14 @@ fn tls(
     Ok((TlsAcceptor::from(Arc::new(config)), fingerprint))
 }
 
-/// A certificate that vouches for itself, made once: who has seen its fingerprint recognises it.
+/// A self-signed certificate, created once, so that people recognise its fingerprint.
 fn own_certificate(state: &Path) -> Result<(PathBuf, PathBuf), RemoteError> {
     let [certificate, key] = OWN_FILES.map(|name| state.join(name));
     let failed = |file: &Path| {
         let file = file.to_owned();
         move |error| RemoteError::State(file, error)
     };
-    // The key is written first: where the certificate is, both are.
+    // The key is written first: if the certificate exists, so does the key.
     if !certificate.try_exists().map_err(failed(&certificate))? {
         let CertifiedKey { cert, signing_key } = generate_simple_self_signed(["ballbard".to_owned()])?;
         private(&key, &signing_key.serialize_pem()).map_err(failed(&key))?;
@@ -344,7 +343,7 @@ fn own_certificate(state: &Path) -> Result<(PathBuf, PathBuf), RemoteError> {
     Ok((certificate, key))
 }
 
-/// Writes a file that only its owner may read, whole or not at all.
+/// Writes a file that only its owner may read, completely or not at all.
 fn private(file: &Path, text: &str) -> io::Result<()> {
     if let Some(directory) = file.parent() {
         fs::create_dir_all(directory)?;
@@ -369,19 +368,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ten_wrong_tokens_within_a_minute_are_told_so_and_further_ones_are_told_to_wait() {
+    fn ten_wrong_tokens_within_a_minute_are_called_wrong_and_further_ones_must_wait() {
         let gate = Gate { token: "right".into(), pairing: None, wrong: Mutex::default() };
         let answered = |seconds: i64, token: &str| {
             let request = Request::builder().uri("/api/status").header(header::HOST, "cell:7312");
             let request = request.header(header::AUTHORIZATION, format!("Bearer {token}"));
             let now = MonoNs(seconds * NS_PER_S);
-            gate.turns_away(&request.body(Body::empty()).unwrap(), now).map(|response| response.status())
+            gate.refuse(&request.body(Body::empty()).unwrap(), now).map(|response| response.status())
         };
         let wrong = |seconds| answered(seconds, "wrong");
         assert!((0..10).all(|second| wrong(second) == Some(StatusCode::UNAUTHORIZED)));
         assert_eq!([wrong(10), wrong(59)], [Some(StatusCode::TOO_MANY_REQUESTS); 2]);
         assert_eq!(answered(59, "right"), None);
-        // The first one is a minute ago, the second is not.
+        // The first one is a minute old, the second is not.
         assert_eq!(wrong(60), Some(StatusCode::UNAUTHORIZED));
         assert_eq!(wrong(60), Some(StatusCode::TOO_MANY_REQUESTS));
     }

@@ -19,13 +19,13 @@ const RETRY_FIRST: Duration = Duration::from_secs(1);
 const RETRY_LONGEST: Duration = Duration::from_secs(30);
 /// Without a cycle for longer the thread of the cycle is in trouble, or this PC.
 const CYCLE_AGE_MAX: Duration = Duration::from_secs(2);
-/// A bus or an encoder that gave nothing for as many cycles is in trouble: where one frame in a hundred is lost, so many
-/// in a row are once in a million cycles.
+/// A bus or an encoder without samples for this number of cycles is reported: with one frame in a hundred lost, three
+/// losses in a row occur once in a million cycles.
 const SILENT_CYCLES: u32 = 3;
-/// The same in time, for fast cycles: a device that was away for less is no news for people.
+/// The same in time, for fast cycles: shorter outages of a device are not reported to people.
 const SILENT_MIN: Duration = Duration::from_millis(50);
 
-/// Keeps a bus in operation, and tells what becomes of it.
+/// Keeps a bus in operation, and reports changes of its state.
 pub(super) struct BusLink {
     connect: Arc<Connect>,
     scheduler: Arc<dyn Scheduler>,
@@ -51,25 +51,25 @@ enum State {
     },
 }
 
-/// How many cycles there were, and how many of each encoder were valid, at each look of the last [`WINDOW_NS`].
+/// Number of cycles, and of valid cycles of each encoder, at each poll of the last [`WINDOW_NS`].
 #[derive(Default)]
 struct Recent(VecDeque<(MonoNs, (u64, Counts))>);
 
 type Counts = [u64; MAX_ENCODERS];
 
-/// One sample proves nothing: over this time an encoder is graded before a run begins \[ns\].
+/// An encoder is graded over this time before a run begins, because one sample proves nothing \[ns\].
 const WINDOW_NS: i64 = NS_PER_S;
 
 impl Recent {
     fn add(&mut self, now: MonoNs, counted: (u64, Counts)) {
         self.0.push_back((now, counted));
-        // The look before the window is its beginning.
+        // The poll before the window is its beginning.
         while self.0.get(1).is_some_and(|(at, _)| now.ns_since(*at) >= WINDOW_NS) {
             self.0.pop_front();
         }
     }
 
-    /// Of each encoder the share of valid cycles; none before there was a cycle.
+    /// Share of valid cycles of each encoder; `None` before the first cycle.
     fn valid_shares(&self) -> Option<[f64; MAX_ENCODERS]> {
         let ((_, (before, valid_before)), (_, (cycles, valid))) = (self.0.front()?, self.0.back()?);
         let cycles = cycles.checked_sub(*before).filter(|cycles| *cycles > 0)?;
@@ -79,13 +79,13 @@ impl Recent {
 }
 
 impl BusLink {
-    /// Tries at once.
+    /// The first attempt begins with the first poll.
     pub fn new(connect: Arc<Connect>, scheduler: Arc<dyn Scheduler>) -> Self {
         let state = State::Down { retry_at: scheduler.clock().now(), pause: RETRY_FIRST };
         Self { connect, scheduler, state, closing: None }
     }
 
-    /// The bus, while it is there.
+    /// The bus, while it is in operation.
     pub fn session(&self) -> Option<&Session> {
         match &self.state {
             State::Up { session, .. } => Some(session),
@@ -93,7 +93,7 @@ impl BusLink {
         }
     }
 
-    /// Of each encoder, in bus order, the share of valid cycles in the last second; none before there was one.
+    /// Share of valid cycles of each encoder in the last second, in bus order; `None` before the first cycle.
     pub fn valid_shares(&self) -> Option<[f64; MAX_ENCODERS]> {
         match &self.state {
             State::Up { recent, .. } => recent.valid_shares(),
@@ -101,7 +101,7 @@ impl BusLink {
         }
     }
 
-    /// What has changed since the last look.
+    /// What has changed since the last poll.
     pub fn look(&mut self, now: MonoNs) -> Option<Event> {
         match &mut self.state {
             State::Down { retry_at, pause } => {
@@ -133,7 +133,7 @@ impl BusLink {
                     return None;
                 }
                 if found.is_none() {
-                    // Encoders are not blamed for what the bus did.
+                    // What the bus did is not counted against the encoders.
                     *recent = Recent::default();
                 }
                 trouble.clone_from(&found);
@@ -142,7 +142,7 @@ impl BusLink {
         }
     }
 
-    /// Ends the cycle.
+    /// Requests the end of the cycle, see [`is_closed`](Self::is_closed).
     pub fn close(&mut self) {
         let down = State::Down { retry_at: MonoNs(i64::MAX), pause: RETRY_FIRST };
         if let State::Up { session, .. } = std::mem::replace(&mut self.state, down) {
@@ -150,7 +150,7 @@ impl BusLink {
         }
     }
 
-    /// The cycle has ended since.
+    /// Whether the cycle has ended.
     pub fn is_closed(&self) -> bool {
         self.closing.as_ref().is_none_or(|closing| !matches!(closing.try_recv(), Err(TryRecvError::Empty)))
     }
@@ -195,7 +195,7 @@ fn trouble_of(session: &Session, now: MonoNs) -> Option<Problem> {
     if age > CYCLE_AGE_MAX.as_nanos() as i64 {
         return Some(Fact::CycleStalled { age_s: age / 1_000_000_000 }.into());
     }
-    // Against the latest cycle: what holds up the cycles themselves is no fault of the bus.
+    // Relative to the latest cycle: a delay of the cycles themselves does not count as a fault of the bus.
     if live.at().ns_since(live.whole_at()) <= silent_ns(session) {
         return None;
     }
@@ -216,14 +216,14 @@ fn silent_ns(session: &Session) -> i64 {
     (session.period() * SILENT_CYCLES).max(SILENT_MIN).as_nanos() as i64
 }
 
-/// Of each encoder, in bus order, whether it gives no valid sample.
+/// For each encoder, in bus order, whether it has given no valid sample for [`SILENT_CYCLES`].
 pub(super) fn are_silent(session: &Session) -> [bool; MAX_ENCODERS] {
     let live = session.live();
     let (at, silent_ns) = (live.at(), silent_ns(session));
     live.valid_at().map(|valid_at| at.ns_since(valid_at) > silent_ns)
 }
 
-/// The encoders that give no valid sample although the bus is whole.
+/// A problem for each encoder that gives no valid sample although the bus works.
 pub(super) fn silent_encoders(session: &Session) -> Vec<Problem> {
     let readings = session.encoders().iter().zip(session.live().encoders()).zip(are_silent(session));
     let silent = readings.filter(|(_, is_silent)| *is_silent);
@@ -251,7 +251,7 @@ mod tests {
         for tenth in 1..20 {
             assert_eq!(at(tenth, 5 + 10 * u64::from(tenth), 5 + 10 * u64::from(tenth)), Some(1.0));
         }
-        // Silent for half a second, then back for as long: a good sample ends nothing, and a bad one begins nothing.
+        // Silent for half a second, then back for as long: the share changes gradually in both directions.
         let shares: Vec<f64> = (20..41)
             .map(|tenth| {
                 let silent = u64::from(tenth.min(25) - 20);

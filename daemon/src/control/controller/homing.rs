@@ -1,4 +1,4 @@
-//! Homing as the service does it: the steps in words, and the file at the end.
+//! Homing in the service: its steps as text, and the file of reference marks at the end.
 
 use std::sync::Arc;
 
@@ -17,12 +17,12 @@ pub struct Homing {
     disk: Arc<dyn Disk>,
     scheduler: Arc<dyn Scheduler>,
     status: HomingStatus,
-    /// What was found is being written.
+    /// The marks that were found are being written.
     keeping: Option<Pending<Result<(), HomingError>>>,
 }
 
 impl Homing {
-    /// Begins.
+    /// Starts a homing on the session's bus.
     pub fn begin(session: &Session) -> Self {
         Self {
             active: session.begin_homing(),
@@ -33,23 +33,23 @@ impl Homing {
         }
     }
 
-    /// Asks it to end.
+    /// Requests the end of the homing.
     pub fn stop(&self, cause: &str) {
         self.active.stop.stop(cause);
     }
 
-    /// What people see of it.
+    /// Its progress, for people.
     pub fn status(&self) -> &HomingStatus {
         &self.status
     }
 
-    /// Since when the disk has been asked to take what was found.
+    /// When the marks were handed to the disk, while they are being written.
     pub fn keeping_since(&self) -> Option<MonoNs> {
         self.keeping.as_ref().map(Pending::since)
     }
 
-    /// Takes what was told since the last look; whether it has just ended, with its outcome in the status and, if it went
-    /// well, in `marks`, which work of its own writes.
+    /// Handles the steps since the last poll. Returns whether the homing has just ended; its status then has the outcome, and
+    /// after a success the file `marks` is written.
     pub fn look(&mut self, encoders: &[EncoderConfig], marks: &MarksFile) -> bool {
         while let Some(step) = self.active.take_step() {
             note(&mut self.status, step);

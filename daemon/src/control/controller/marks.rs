@@ -16,17 +16,17 @@ pub(super) struct Marks {
 }
 
 impl Marks {
-    /// Of a run that begins now.
+    /// For a run that begins now.
     pub fn new(begun: MonoNs) -> Self {
         Self { begun, ..Self::default() }
     }
 
-    /// The text that the next marker gets.
+    /// The text of the next marker: `text`, or a number.
     pub fn text(&self, text: Option<String>) -> String {
         text.unwrap_or_else(|| format!("mark {}", self.numbered + 1))
     }
 
-    /// A marker that was put into the run.
+    /// Adds a marker that was put into the run.
     pub fn add(&mut self, at: MonoNs, text: String, is_numbered: bool) {
         self.numbered += u32::from(is_numbered);
         if self.latest.len() == SHOWN_MAX {
@@ -35,7 +35,7 @@ impl Marks {
         self.latest.push(RunMark { at_s: at.seconds_since(self.begun).max(0.0), text });
     }
 
-    /// The latest ones, in the order in which they were set.
+    /// The latest markers, in the order in which they were set.
     pub fn latest(&self) -> Vec<RunMark> {
         self.latest.clone()
     }

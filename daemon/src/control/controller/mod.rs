@@ -1,5 +1,5 @@
-//! Does what the [`machine`](crate::control::machine) decides: bus, runs, homing, answers. It waits for nothing: `tending` waits
-//! for the disk in its stead. `view` makes what people see of it.
+//! Does what the [`machine`](crate::control::machine) decides: bus, runs, homing, replies. It never waits for the disk:
+//! `tending` does that. `view` derives the status.
 
 mod bus_link;
 pub mod homing;
@@ -34,32 +34,32 @@ use problem_log::ProblemLog;
 use tending::Tending;
 use view::View;
 
-/// How often bus and recorder are looked at while nobody asks for anything.
+/// How often bus and recorder are polled when no command arrives.
 const POLL: Duration = Duration::from_millis(100);
-/// The same while somebody waits for the file of a run.
+/// The same while a client waits for the file of a run.
 const OPENING_POLL: Duration = Duration::from_millis(5);
-/// Why a run ends when this thread does.
+/// Cause of a run's end when the control's thread has ended.
 const CONTROL_DIED: &str = "full fault: the thread of the control has ended; its cause is in the log";
-/// Without anything new on disk for this long a run is not writing \[sync periods\].
+/// Without anything new on disk for this long a run is not being written \[sync periods\].
 const STALLED_SYNC_PERIODS: u32 = 3;
 
-/// What somebody asks of the service.
+/// A request to the service.
 pub(super) enum Command {
-    /// With whether a person chose the name.
+    /// The flag: a person chose the name.
     Start(Box<RunDetails>, bool, oneshot::Sender<Answer>),
-    /// Answered with what will receive the run once it is over.
+    /// The reply contains a channel that receives the run once it is over.
     Stop(String, oneshot::Sender<(Answer, oneshot::Receiver<LastRun>)>),
     Home(oneshot::Sender<Answer>),
-    /// Text (absent: a number) and instant; the answer has run and text, or nothing without a run.
+    /// Text (absent: a number) and instant; the reply has run and text, or nothing without a run.
     Mark(Option<String>, MonoNs, oneshot::Sender<Result<Option<(String, String)>, String>>),
-    /// With what was found on disk; none where that did not answer.
+    /// With the findings on disk; `None` if the disk did not answer.
     Check(Option<Found>, oneshot::Sender<Vec<CheckLine>>),
-    /// Takes the thread with it.
+    /// Ends the thread by a panic.
     #[cfg(test)]
     Panic,
 }
 
-/// What was counted when it was last looked at.
+/// The counts at the last poll.
 #[derive(Debug, Default)]
 struct Counted {
     cycles: [u64; 3],
@@ -74,17 +74,17 @@ pub(super) struct Controller {
     bus: BusLink,
     homing: Option<Homing>,
     run: Option<ActiveRun>,
-    /// How long it is to last.
+    /// Requested duration of the run.
     duration: Option<Duration>,
     marks: Marks,
-    /// Who asked for the run that is being opened, and what they are told when its file is there.
+    /// Clients that wait for the file of the run that is being opened, each with the reply for a success.
     asked: Vec<(oneshot::Sender<Answer>, Answer)>,
-    /// Who asked for its end.
+    /// Clients that wait for the end of the run.
     stopping: Vec<oneshot::Sender<LastRun>>,
     tending: Option<Tending>,
     claim: Option<Claim>,
     summary: Option<RunSummary>,
-    /// Why the file of the run that ends could not be finished in the ordinary way.
+    /// Why the file of the run that ends could not be finished regularly.
     failure: Option<String>,
     last: Option<LastRun>,
     /// Reads the grade of the last run.
@@ -94,17 +94,17 @@ pub(super) struct Controller {
     cycles_seen: u64,
     problems: ProblemLog,
     totals: Totals,
-    /// What the session and the run have counted by now of what `totals` has.
+    /// Counts of session and run that `totals` includes.
     counted: Counted,
-    /// Asks the service to end.
+    /// Requests the end of the service.
     ending: Stop,
     exit: bool,
-    /// Since when the service has been asked to end.
+    /// When the end of the service was requested.
     leaving: Option<MonoNs>,
     scheduler: Arc<dyn Scheduler>,
     /// Time of this step.
     now: MonoNs,
-    /// How the service ends, while its bus is being closed.
+    /// Result of the service, while its bus is being closed.
     outcome: Option<Result<(), RunError>>,
 }
 
@@ -149,8 +149,8 @@ impl Controller {
         }
     }
 
-    /// Handles the commands and looks at bus, disk, homing and run. The time until the next step, or none once the service has
-    /// been asked to end and has done so, or has no place to record to.
+    /// Handles the commands and polls bus, disk, homing and run. Returns the time until the next step, or `None` once the
+    /// service has ended, on request or because it has no place to record to.
     pub fn poll(&mut self, now: MonoNs, commands: Vec<Command>) -> Option<Duration> {
         self.now = now;
         if self.outcome.is_some() {
@@ -181,7 +181,7 @@ impl Controller {
         Some(Duration::ZERO)
     }
 
-    /// How the service has ended.
+    /// Why the service has ended.
     pub fn into_outcome(self) -> Result<(), RunError> {
         self.outcome.unwrap_or(Ok(()))
     }
@@ -191,8 +191,8 @@ impl Controller {
         self.ending.stop("the service was dropped");
     }
 
-    /// The file of a run comes before the end. What the next service finds as it is does not: one that is not there yet,
-    /// what earlier runs left, and reference marks.
+    /// The service ends after the file of a run is finished. It does not wait for what the next service repeats: a file that
+    /// is not created yet, recovery of earlier runs, reference marks.
     fn is_over(&self) -> bool {
         let Some(since) = self.leaving else { return false };
         let keeping = self.homing.as_ref().and_then(Homing::keeping_since);
@@ -216,7 +216,7 @@ impl Controller {
         self.handle(Event::Shutdown(cause.to_owned()));
     }
 
-    /// After a panic of this thread: nothing is decided any more, but a run's file is finished and states the cause.
+    /// After a panic of this thread: decides nothing, but finishes the run's file with the cause.
     pub fn abandon(mut self) {
         self.status.send_modify(|status| {
             let problem = Problem::from(Fact::ThreadEnded { thread: "control".into() });
@@ -234,10 +234,10 @@ impl Controller {
     }
 
     fn obey(&mut self, command: Command) {
-        // Whoever asked may have gone away meanwhile; what was asked is done all the same.
+        // The client may have gone in the meantime; its command is executed regardless.
         match command {
             Command::Start(details, named, reply) => {
-                // A cable that was pulled since the last look is no bus to begin on.
+                // The cable may have been pulled since the last poll.
                 self.look_at_bus();
                 let answer = self.handle(Event::Start { run: details, named }).unwrap_or(Answer::Idle);
                 self.publish();
@@ -276,7 +276,7 @@ impl Controller {
         }
     }
 
-    /// Lets the machine decide and does it; what that brings about is decided in turn.
+    /// Lets the machine decide and executes its actions; events that result are handled in turn.
     fn handle(&mut self, event: Event) -> Option<Answer> {
         let mut answer = None;
         for action in self.machine.handle(event) {
@@ -297,7 +297,7 @@ impl Controller {
                     let error = Some(cause.clone());
                     self.tell_stopping(&LastRun { name: run, cause, error, ..LastRun::default() });
                 }
-                // The link tries by itself whenever it is down.
+                // The link retries on its own whenever it is down.
                 Action::Connect => {}
                 Action::BeginHoming => match self.bus.session() {
                     Some(session) => self.homing = Some(Homing::begin(session)),
@@ -314,7 +314,7 @@ impl Controller {
         answer
     }
 
-    /// Puts a marker into the run; gives the run and the marker's text.
+    /// Puts a marker into the run; returns the run and the marker's text.
     fn mark(&mut self, text: Option<String>, at: MonoNs) -> Result<Option<(String, String)>, String> {
         let running = self.run.as_ref().filter(|run| !run.stop.is_stopped());
         let Some((run, name)) = running.zip(self.machine.run()) else { return Ok(None) };
@@ -326,7 +326,7 @@ impl Controller {
         Ok(Some((name.to_owned(), text)))
     }
 
-    /// Why nothing begins that was granted.
+    /// Why nothing can begin although the machine permitted it.
     fn no_bus(&self) -> Problem {
         self.machine.bus_fault().cloned().unwrap_or_else(|| Fact::BusStarting {}.into())
     }
@@ -354,7 +354,7 @@ impl Controller {
         }
     }
 
-    /// Answers those who asked for the run: it has its file, or gets none.
+    /// Answers the clients that requested the run: it has its file, or gets none.
     fn opened(&mut self, outcome: Result<(), Problem>) {
         self.handle(match &outcome {
             Ok(()) => Event::Opened,
@@ -367,7 +367,7 @@ impl Controller {
         }
     }
 
-    /// Makes the place for recordings ready.
+    /// Prepares the place for recordings.
     pub fn tend(&mut self) {
         self.tending = Some(Tending::begin(&*self.scheduler, &self.storage, self.claim.is_some()));
     }
@@ -384,7 +384,7 @@ impl Controller {
     fn finished(&mut self, name: String, cause: String) {
         let summary = self.summary.take();
         let error = self.failure.take().or_else(|| summary.is_none().then(|| cause.clone()));
-        // What the file states is what everybody is told.
+        // All clients get the cause that the file states.
         let cause =
             summary.as_ref().filter(|_| error.is_none()).map_or(cause, |summary| summary.cause.clone());
         self.runs_over += 1;
@@ -403,9 +403,9 @@ impl Controller {
         self.last = Some(last);
     }
 
-    /// Has the grade of a run read as the list of runs reads it.
+    /// Starts to read the grade of a run, as the list of runs reads it.
     fn grade(&mut self, last: &LastRun) {
-        // That of an earlier run is not this one's, also where this one has no file.
+        // The grade of an earlier run is dropped, also if this one has no file.
         self.grading = last.file.clone().map(|file| {
             let (disk, name) = (self.storage.disk(), last.name.clone());
             let read = move || runs::finished(&*disk, name, file.into()).verdict;
@@ -420,7 +420,7 @@ impl Controller {
         }
     }
 
-    /// Answers those who asked for the end of the run.
+    /// Answers the clients that requested the end of the run.
     fn tell_stopping(&mut self, run: &LastRun) {
         for stopping in self.stopping.drain(..) {
             let _ = stopping.send(run.clone());
@@ -466,7 +466,7 @@ impl Controller {
         }
     }
 
-    /// Adds what session and run have counted since the last time, and logs what began or ended.
+    /// Adds the counts of session and run since the last time, and logs problems that began or ended.
     fn count(&mut self) {
         if let Some(session) = self.bus.session() {
             let now = session.live().totals();

@@ -1,4 +1,4 @@
-//! What should be true before a run begins, each with what to do where it is not.
+//! Conditions of a run, each with its remedy if it does not hold.
 
 use std::io;
 use std::path::PathBuf;
@@ -18,16 +18,16 @@ use crate::run::Session;
 /// A live sample older than this is not live \[ms\].
 const SAMPLE_AGE_MS_MAX: i64 = 1000;
 
-/// What a check needs to know of the disk, found by a thread that may wait for it.
+/// Findings on disk, collected by a thread that may wait for it.
 pub(in crate::control) struct Found {
     homing: Result<Option<HomingConfig>, String>,
     left_behind: Result<Vec<PathBuf>, io::Error>,
-    /// Why a homing could not be kept.
+    /// Why the marks of a homing could not be saved.
     unkept: Option<Problem>,
 }
 
 impl Found {
-    /// As of now.
+    /// Reads the disk now.
     pub fn now(settings: &Settings, disk: &dyn Disk) -> Self {
         let DaemonConfig { directory, spare_directory, .. } = &settings.daemon;
         let left_behind = || -> io::Result<_> {
@@ -41,7 +41,7 @@ impl Found {
     }
 }
 
-/// All lines; each is independent of the others. Nothing was found where the disk did not answer.
+/// All lines; each is independent of the others. `found` is `None` if the disk did not answer.
 pub(super) fn check(view: &View<'_>, status: &Status, found: Option<&Found>) -> Vec<CheckLine> {
     let findings = [
         ("bus", bus(view, status)),
@@ -60,10 +60,10 @@ pub(super) fn check(view: &View<'_>, status: &Status, found: Option<&Found>) -> 
 
 const DISK: &str = "disk";
 
-/// What was found, or what is wrong.
+/// A text if all is well, otherwise the problems.
 type Finding = Result<String, Vec<Problem>>;
 
-/// It stops a run if it would cost the run; so does a disk that is only slow, because a run would begin on a disk in trouble.
+/// A line stops a run if its problem would cost the run; a slow disk does, too.
 fn line(subject: &str, finding: Finding) -> CheckLine {
     let problems = match finding {
         Ok(finding) => {
@@ -97,7 +97,7 @@ fn encoders(status: &Status) -> Finding {
     if status.sample_age_ms.is_none_or(|age| age > SAMPLE_AGE_MS_MAX) {
         return Err(vec![Fact::NoSamples {}.into()]);
     }
-    // What a run like the last second would be worth; an encoder that is silent now gives nothing at all.
+    // The grade of a run like the last second; an encoder that is silent now has share 0.
     let share =
         |encoder: &EncoderStatus| if encoder.silent { 0.0 } else { encoder.valid_share.unwrap_or(1.0) };
     let problem = |encoder: &EncoderStatus| {
@@ -121,7 +121,7 @@ fn cables(status: &Status) -> Finding {
     Err(status.bad_cables.clone())
 }
 
-/// A run needs no marks: calibration finds the offsets. But marks that hold no more would be missed.
+/// A run needs no marks, because the calibration estimates the offsets. But invalid ones would remain unnoticed.
 fn reference_marks(view: &View<'_>, found: Option<&Found>) -> Finding {
     let found = found.ok_or_else(unanswered)?;
     let homing = match &found.homing {
@@ -137,7 +137,7 @@ fn reference_marks(view: &View<'_>, found: Option<&Found>) -> Finding {
     Err(vec![Fact::MarksStale { joints: stale }.into()])
 }
 
-/// A homing takes minutes of somebody's time: whether its outcome can be kept is seen before.
+/// A homing takes a person minutes: this reports beforehand whether its result can be saved.
 fn state(view: &View<'_>, found: Option<&Found>) -> Finding {
     let found = found.ok_or_else(unanswered)?;
     match &found.unkept {
@@ -149,7 +149,7 @@ fn state(view: &View<'_>, found: Option<&Found>) -> Finding {
 /// Measured with five encoders: 11.5 kB a second at 100 Hz.
 const BYTES_PER_CYCLE: f64 = 115.0;
 
-/// How long runs may last in this space \[h\].
+/// How long runs can last in this space \[h\].
 pub(in crate::control) fn hours_left(usable_bytes: u64, rate_hz: u32) -> f64 {
     usable_bytes as f64 / (BYTES_PER_CYCLE * f64::from(rate_hz.max(1)) * 3600.0)
 }
@@ -185,7 +185,7 @@ fn clock() -> Finding {
     }
 }
 
-/// As the kernel was told by the NTP or PTP daemon.
+/// The kernel's state, which the NTP or PTP daemon sets.
 #[allow(unsafe_code, reason = "nix offers no adjtimex")]
 fn clock_is_synchronised() -> io::Result<bool> {
     // SAFETY: `timex` is a plain C structure for which all zeros mean "change nothing", and it outlives the call.
@@ -223,7 +223,7 @@ fn unanswered() -> Vec<Problem> {
 mod tests {
     use super::*;
 
-    /// The line of the encoders, of which joint 2 gave so many valid samples in the last second.
+    /// The line of the encoders, where joint 2 had this share of valid samples in the last second.
     fn line(valid: bool, silent: bool, valid_share: f64) -> CheckLine {
         let good =
             EncoderStatus { joint: 1, valid: true, valid_share: Some(1.0), ..EncoderStatus::default() };
@@ -242,7 +242,7 @@ mod tests {
         assert!(line(true, false, 0.01).stops);
         // One that is silent now, however good it was.
         assert!(line(false, true, 0.9).stops);
-        // A bad contact: worth a look, and a run.
+        // A bad contact: a warning that does not stop a run.
         let contact = line(true, false, 0.9);
         assert!(contact.remedy.is_some() && !contact.stops, "{contact:?}");
         assert!(contact.finding.contains("joint 2") && contact.finding.contains("90 %"), "{contact:?}");

@@ -1,5 +1,5 @@
-//! Begin and end of each problem of bus, encoders and links in the log, and how often each began. The disk's are logged by
-//! the storage itself, also while this thread waits.
+//! Logs begin and end of each problem of bus, encoders and links, and counts how often each began. The storage logs those
+//! of the disk, also while this thread waits.
 
 use std::collections::BTreeMap;
 
@@ -11,7 +11,7 @@ use crate::problem::{Fact, Problem};
 #[derive(Debug, Default)]
 pub(super) struct ProblemLog {
     active: Vec<(&'static str, usize)>,
-    /// Since when bus and encoders give no samples.
+    /// When bus and encoders stopped giving samples.
     outages: BTreeMap<String, MonoNs>,
     began: BTreeMap<String, u64>,
 }
@@ -19,7 +19,7 @@ pub(super) struct ProblemLog {
 impl ProblemLog {
     /// Takes all problems of this moment.
     pub fn update<'a>(&mut self, now: MonoNs, problems: impl Iterator<Item = &'a Problem>) {
-        // Every start passes through these.
+        // These occur at every start.
         let is_fault =
             |problem: &&Problem| !matches!(*problem.fact, Fact::BusStarting {} | Fact::DiskRecovering { .. });
         let problems: Vec<&Problem> = problems.filter(is_fault).collect();
@@ -35,7 +35,7 @@ impl ProblemLog {
             let is_silent = silent.contains(subject);
             if !is_silent {
                 let lasted_s = now.seconds_since(*since);
-                tracing::info!("{subject}: whole again after {lasted_s:.1} s");
+                tracing::info!("{subject}: samples again after {lasted_s:.1} s");
             }
             is_silent
         });
@@ -57,7 +57,7 @@ fn subject(problem: &Problem) -> Option<String> {
     }
 }
 
-/// What gives no samples because of the problem: its end is logged, too. Counted errors of a link have no end.
+/// The source of samples that the problem interrupts: its end is logged, too. Counted errors of a link have no end.
 fn silent(problem: &Problem) -> Option<String> {
     match &*problem.fact {
         Fact::EncoderInvalid { joints, .. } => {

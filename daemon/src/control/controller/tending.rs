@@ -1,4 +1,4 @@
-//! The place for recordings is made ready by work of its own, which may wait for the disk.
+//! Prepares the place for recordings in a task that may wait for the disk.
 
 use shared::time::MonoNs;
 
@@ -7,11 +7,11 @@ use crate::problem::{Fact, Problem};
 use crate::run::{self, RunError, Storage};
 use crate::scheduler::{Pending, Scheduler};
 
-/// Work of this kind that goes on.
+/// A preparation that is under way.
 pub(super) struct Tending(Pending<Result<Option<Claim>, RunError>>);
 
 impl Tending {
-    /// Claims the place unless that is done, and finishes what earlier runs left there.
+    /// Claims the place unless `is_claimed`, and finishes the files of earlier runs.
     pub fn begin(scheduler: &dyn Scheduler, storage: &Storage, is_claimed: bool) -> Self {
         let storage = storage.clone();
         Self(Pending::start(scheduler, "leftovers", move || {
@@ -23,9 +23,9 @@ impl Tending {
         }))
     }
 
-    /// What became of it; none while it goes on.
+    /// Its result; `None` while it is under way.
     pub fn look(&self) -> Option<Result<Option<Claim>, RunError>> {
-        // What was not finished is still there.
+        // Files that were not finished are still there.
         self.0.poll().map(|outcome| outcome.unwrap_or(Ok(None)))
     }
 

@@ -1,4 +1,4 @@
-//! What people see of the service: the status from what it holds.
+//! The status of the service, derived from its parts.
 
 use std::time::Duration;
 
@@ -22,10 +22,10 @@ pub(super) struct View<'a> {
     pub settings: &'a Settings,
     pub machine: &'a Machine,
     pub session: Option<&'a Session>,
-    /// Of each encoder, in the last second.
+    /// Share of valid cycles of each encoder in the last second.
     pub valid_shares: Option<[f64; MAX_ENCODERS]>,
     pub run: Option<&'a ActiveRun>,
-    /// How long it is to last.
+    /// Requested duration of the run.
     pub duration: Option<Duration>,
     /// Markers of the run.
     pub marks: &'a Marks,
@@ -38,7 +38,7 @@ pub(super) struct View<'a> {
 }
 
 impl View<'_> {
-    /// What is wrong with the disk, as far as the current run or the next one is concerned.
+    /// Problems of the disk that concern the current run or the next one.
     pub fn disk_problems(&self) -> Vec<Problem> {
         let of_run = self.run.map(|run| run.progress.get().problems).unwrap_or_default();
         let tending = self.tending.map(|tending| tending.problem(self.now));
@@ -49,7 +49,7 @@ impl View<'_> {
     fn bus_problems(&self) -> Vec<Problem> {
         let fault = match self.machine.state() {
             State::Fault { problem } => Some(problem),
-            // What the bus does matters no more.
+            // The state of the bus does not matter any more.
             State::Closing { .. } => return Vec::new(),
             _ => self.machine.bus_fault(),
         };
@@ -59,7 +59,7 @@ impl View<'_> {
         )
     }
 
-    /// As programs and people receive it.
+    /// The status, for programs and people.
     pub fn status(&self) -> Status {
         let state = match self.machine.state() {
             State::Fault { .. } => ServiceState::Fault,
@@ -155,7 +155,7 @@ fn add_bus(status: &mut Status, session: &Session, valid_shares: Option<[f64; MA
         .collect();
 }
 
-/// Zero stands for "never".
+/// Zero means "never".
 fn age_ms(at: MonoNs, now: MonoNs) -> Option<i64> {
     (at.0 != 0).then(|| now.ns_since(at) / 1_000_000)
 }

@@ -1,21 +1,21 @@
 //! The states of the acquisition, as a pure function of events.
 //!
-//! The thesis' five states (waiting, opening, sampling, writing, closing), one for homing, and one for what it had no
-//! answer to: a fault, which lasts until what caused it is put right, by itself or by somebody. A run that was opened
-//! leaves exactly one [`Action::Finished`] or [`Action::NotBegun`] with its cause, whatever happens meanwhile.
+//! The thesis' five states (waiting, opening, sampling, writing, closing), one for homing, and a fault that lasts until its
+//! cause is removed, automatically or by a person. Each run that was opened ends with exactly one [`Action::Finished`] or
+//! [`Action::NotBegun`] that states the cause.
 //!
 //! | from | on | to |
 //! |---|---|---|
-//! | fault | bus in operation, disk looked after | waiting |
+//! | fault | bus in operation, disk ready | waiting |
 //! | waiting | start | opening |
 //! | waiting | home | homing |
-//! | homing | marks kept, stop, failure | waiting |
-//! | opening | file there; cannot be created | sampling; waiting |
+//! | homing | marks saved, stop, failure | waiting |
+//! | opening | file created; cannot be created | sampling; waiting |
 //! | sampling | a second of it is on disk | writing |
 //! | writing | nothing new on disk for three seconds | sampling |
 //! | opening, sampling, writing | stop, duration, disk floor, full fault, signal | closing |
 //! | closing | file finished; could not be | waiting; fault |
-//! | waiting, closing | bus not in operation | fault (a run that goes on keeps its state: its cycles say so) |
+//! | waiting, closing | bus not in operation | fault (a run keeps its state: its cycles state the fault) |
 
 mod transitions;
 
@@ -27,26 +27,26 @@ pub use transitions::Machine;
 use crate::problem::Problem;
 use crate::run::RunDetails;
 
-/// Where the acquisition is.
+/// State of the acquisition.
 #[derive(Debug, Clone, PartialEq)]
 pub enum State {
-    /// Nothing can be recorded, and why; it is being worked on.
+    /// Nothing can be recorded; the service works on it.
     Fault {
-        /// What is wrong and what to do.
+        /// The problem and its remedy.
         problem: Problem,
     },
-    /// The bus is in operation, no run goes on.
+    /// The bus is in operation without a run.
     Waiting,
-    /// The encoders' reference marks are being looked for.
+    /// The encoders' reference marks are being determined.
     Homing,
     /// A run's file is being created; its cycles wait in memory.
     Opening {
-        /// Its name.
+        /// Name of the run.
         run: String,
-        /// Somebody has asked already that it end, and why.
+        /// Cause of its end, if that was requested already.
         stop: Option<String>,
     },
-    /// Cycles are being sampled, but none of the last seconds has reached the disk.
+    /// Cycles are being sampled, but those of the last seconds have not reached the disk.
     Sampling {
         /// Name of the run.
         run: String,
@@ -56,36 +56,36 @@ pub enum State {
         /// Name of the run.
         run: String,
     },
-    /// The rest is being written and the file finished.
+    /// The remaining cycles are being written and the file finished.
     Closing {
         /// Name of the run.
         run: String,
-        /// Why it ends.
+        /// Cause of its end.
         cause: String,
     },
 }
 
-/// What happens.
+/// Input of the state machine.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Event {
     /// The bus is in operation.
     BusUp,
-    /// The bus cannot be brought into operation, or what worked on it has ended.
+    /// The bus cannot be brought into operation, or the thread of its cycle has ended.
     BusDown(Problem),
-    /// The bus gives no samples, and what works on it is bringing it back.
+    /// The bus gives no samples; the cycle is restoring it.
     BusTroubled(Problem),
-    /// Somebody wants a run; without a name whichever is convenient.
+    /// A run is requested; without a chosen name the current run is as good.
     Start {
-        /// What is to be recorded.
+        /// Its name and details.
         run: Box<RunDetails>,
         /// The name was chosen by a person.
         named: bool,
     },
-    /// Somebody wants the encoders homed.
+    /// Homing of the encoders is requested.
     Home,
     /// Homing is over, whether marks were found or not.
     HomingOver,
-    /// The run's file is there.
+    /// The run's file is created.
     Opened,
     /// The run's file cannot be created.
     OpenFailed(Problem),
@@ -93,70 +93,69 @@ pub enum Event {
     Synced,
     /// Nothing has reached the disk for too long.
     Stalled,
-    /// Somebody wants the run to end, and why.
+    /// The end of the run is requested, with the cause.
     Stop(String),
-    /// The run ends by itself: duration, disk floor, full fault.
+    /// The run ends for a reason of its own: duration, disk floor, full fault.
     Ended(String),
     /// The run's file is finished.
     Closed,
-    /// The run's file could not be finished in the ordinary way.
+    /// The run's file could not be finished regularly.
     CloseFailed(Problem),
-    /// What earlier runs left has been looked after: those before the service, or one that failed.
+    /// The files of earlier runs are recovered: those before the service, or of one that failed.
     Recovered,
-    /// The service is asked to end, and by what.
+    /// The end of the service is requested, with the cause.
     Shutdown(String),
 }
 
-/// What is to be done.
+/// Output of the state machine, to be executed.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Action {
     /// Bring the bus into operation.
     Connect,
     /// Create the file of this run and begin to sample.
     Open(Box<RunDetails>),
-    /// Look for the encoders' reference marks.
+    /// Determine the encoders' reference marks.
     BeginHoming,
-    /// Stop looking for them, for this cause.
+    /// End the homing, with the cause.
     EndHoming(String),
-    /// Take no more cycles, for this cause.
+    /// End the run's cycles, with the cause.
     End(String),
     /// A run is over.
     Finished {
-        /// Its name.
+        /// Name of the run.
         run: String,
-        /// Why.
+        /// Cause of its end.
         cause: String,
     },
     /// A run got no file.
     NotBegun {
-        /// Its name.
+        /// Name of the run.
         run: String,
-        /// Why.
+        /// Why it has no file.
         problem: Problem,
     },
-    /// Look after what a failed run left.
+    /// Recover the file of a failed run.
     Recover,
-    /// Tell who asked.
+    /// Reply to the client.
     Answer(Answer),
-    /// End the service.
     Exit,
 }
 
-/// What somebody who asked is told.
+/// Reply to a command.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Answer {
-    /// The run, or the homing, is being begun.
+    /// The run, or the homing, begins.
     Beginning,
-    /// The encoders are being homed already, or were until this was asked.
+    /// A homing is active, or was until this command.
     Homing,
-    /// This run goes on already and is the one that was asked for.
+    /// This run is active already, and is the requested one.
     Running(String),
-    /// Another run goes on.
+    /// Another run is active.
     Busy(String),
-    /// It cannot begin.
+    /// It cannot begin, and why.
     Refused(Problem),
     /// The run is being ended.
     Stopping(String),
-    /// Nothing goes on that could be ended.
+    /// There is nothing to end.
     Idle,
 }

@@ -1,4 +1,4 @@
-//! What holds whatever happens in whatever order, and the ways that are taken every day.
+//! Properties for every order of events, and the usual sequences.
 
 use proptest::prelude::*;
 
@@ -45,13 +45,13 @@ fn any_event() -> impl Strategy<Value = Event> {
     ]
 }
 
-/// A run is open from the moment it is asked to be until it is said to be finished.
+/// A run is open from its `Open` to its `Finished` or `NotBegun`.
 fn check_runs(actions: &[Action]) -> Result<Option<String>, TestCaseError> {
     let mut open: Option<String> = None;
     for action in actions {
         match action {
             Action::Open(run) => {
-                prop_assert!(open.is_none(), "{run:?} is opened while {open:?} goes on");
+                prop_assert!(open.is_none(), "{run:?} is opened while {open:?} is open");
                 open = Some(run.name.clone());
             }
             Action::Finished { run, cause } => {

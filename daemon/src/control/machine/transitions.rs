@@ -1,16 +1,16 @@
-//! From one state to the next.
+//! Transitions of the state machine.
 
 use super::{Action, Answer, Event, State};
 use crate::problem::{Fact, Problem};
 use crate::run::RunDetails;
 
-/// The acquisition's state.
+/// State of the acquisition, with the faults that prevent a run.
 #[derive(Debug, Clone)]
 pub struct Machine {
     state: State,
-    /// Why the bus is not in operation; none if it is.
+    /// Why the bus is not in operation; `None` if it is.
     bus_fault: Option<Problem>,
-    /// Why nothing can be recorded before the place for it is looked after.
+    /// Why nothing can be recorded before the disk is ready.
     disk_fault: Option<Problem>,
     leaving: bool,
 }
@@ -28,17 +28,16 @@ impl Default for Machine {
 }
 
 impl Machine {
-    /// Where it is.
     pub fn state(&self) -> &State {
         &self.state
     }
 
-    /// Why the bus is not in operation, also while a run goes on.
+    /// Why the bus is not in operation, also during a run.
     pub fn bus_fault(&self) -> Option<&Problem> {
         self.bus_fault.as_ref()
     }
 
-    /// The run that goes on.
+    /// Name of the current run.
     pub fn run(&self) -> Option<&str> {
         match &self.state {
             State::Fault { .. } | State::Waiting | State::Homing => None,
@@ -49,8 +48,8 @@ impl Machine {
         }
     }
 
-    /// Takes one event; the actions are to be done in their order. An event that makes no sense in this state
-    /// changes nothing.
+    /// Handles one event; the actions are to be executed in order. An event that has no meaning in the current state changes
+    /// nothing.
     pub fn handle(&mut self, event: Event) -> Vec<Action> {
         match event {
             Event::BusUp => self.bus_is(None),
@@ -87,7 +86,7 @@ impl Machine {
         actions
     }
 
-    /// Between runs nothing can begin; a run that goes on stays open, and so does the homing.
+    /// Nothing can begin; a current run or homing continues.
     fn bus_troubled(&mut self, problem: Problem) -> Vec<Action> {
         self.bus_fault = Some(problem);
         self.rest();
@@ -182,13 +181,13 @@ impl Machine {
         actions
     }
 
-    /// The cycles have ended already, so nobody needs to be told.
+    /// The cycles have ended already, so no action follows.
     fn ended(&mut self, cause: &str) -> Vec<Action> {
         self.end_run(cause);
         Vec::new()
     }
 
-    /// The first cause stands.
+    /// The first cause is kept.
     fn end_run(&mut self, cause: &str) -> Vec<Action> {
         match &mut self.state {
             State::Opening { stop: Some(_), .. } => Vec::new(),
@@ -206,7 +205,7 @@ impl Machine {
     }
 
     fn closed(&mut self, failure: Option<Problem>) -> Vec<Action> {
-        // A recorder that fails ends its run without being asked to.
+        // A recorder that fails ends its run without a request.
         let reason = failure.as_ref().map(|problem| problem.text.clone());
         if let Some(reason) = &reason {
             self.end_run(reason);
@@ -246,7 +245,7 @@ impl Machine {
         matches!(self.state, State::Fault { .. } | State::Waiting)
     }
 
-    /// Between runs: what stands in the way of the next decides the state.
+    /// Between runs a fault of bus or disk decides the state.
     fn rest(&mut self) {
         if self.is_resting() {
             let fault = self.bus_fault.as_ref().or(self.disk_fault.as_ref());

@@ -1,4 +1,4 @@
-//! The bin: a deleted recording is kept with its note in a folder beside the others until the bin is emptied.
+//! The bin: a deleted recording is kept with its note in a subfolder until the bin is emptied.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -8,16 +8,16 @@ use shared::recording::{Disk, FINISHED_ENDING, is_absent};
 use super::note;
 use super::runs::{self, RunLine, free_name, list_if_there, stem};
 
-/// Folder of the deleted recordings, in the directory of the others.
+/// Folder of deleted recordings, in the directory of the others.
 const FOLDER: &str = ".bin";
 
-/// Where recordings may be: the directory of the service and the spare one. Each has a bin of its own, so that to delete and
-/// to restore is to rename.
+/// The directories of recordings: that of the service and the spare one. Each has its own bin, so that deleting and
+/// restoring are renames.
 #[derive(Debug, Clone)]
 pub struct Places([PathBuf; 2]);
 
 impl Places {
-    /// The bins of these two directories.
+    /// For these two directories.
     pub fn new(directory: &Path, spare: &Path) -> Self {
         Self([directory.to_owned(), spare.to_owned()])
     }
@@ -36,8 +36,7 @@ impl Places {
         Ok(runs::lines(disk, self.deleted(disk)?))
     }
 
-    /// Moves the recording of this name from the bin to where it was; gives the name that it has there, or none if the bin
-    /// does not have it.
+    /// Moves the recording of this name out of the bin; returns its new name, or `None` if the bin does not have it.
     pub fn restore(&self, disk: &dyn Disk, name: &str) -> io::Result<Option<String>> {
         let files = self.deleted(disk)?;
         let wanted = files.iter().find(|file| stem(file, FINISHED_ENDING).is_some_and(|stem| stem == name));
@@ -46,7 +45,7 @@ impl Places {
         moved(disk, file, &home).map(Some)
     }
 
-    /// Removes every recording in the bin from the disk, with its note; gives their number.
+    /// Removes every recording in the bin from the disk, with its note; returns their number.
     pub fn empty(&self, disk: &dyn Disk) -> io::Result<u64> {
         let files = self.deleted(disk)?;
         for file in &files {
@@ -57,14 +56,14 @@ impl Places {
     }
 }
 
-/// Moves a finished recording into the bin of its directory; gives the name that it has there.
+/// Moves a finished recording into the bin of its directory; returns its name there.
 pub fn put(disk: &dyn Disk, recording: &Path) -> io::Result<String> {
     let bin = recording.parent().unwrap_or(Path::new(".")).join(FOLDER);
     disk.make_directory(&bin)?;
     moved(disk, recording, &bin)
 }
 
-/// Moves a recording and its note, under a name that is free there. The note goes last: it is found only beside its recording.
+/// Moves a recording and its note to a free name. The note is moved last: it is found only beside its recording.
 fn moved(disk: &dyn Disk, file: &Path, directory: &Path) -> io::Result<String> {
     let name = free_name(disk, directory, &stem(file, FINISHED_ENDING).unwrap_or_default());
     let to = directory.join(format!("{name}.{FINISHED_ENDING}"));

@@ -1,7 +1,7 @@
 //! Recordings after their run: lists, grades, notes, tables, and the bin.
 
-pub mod bin;
+pub(crate) mod bin;
 pub(crate) mod note;
 pub mod runs;
 pub mod table;
-pub mod verdict;
+pub(crate) mod verdict;

@@ -1,5 +1,5 @@
-//! Notes that people change after a run. The recording stays as it was recorded: the note is a file beside it, and stands
-//! for the recorded one wherever runs are shown or written as tables.
+//! Notes that people change after a run. The recording stays unchanged: the note is a file beside it, and replaces the
+//! recorded one in lists and tables.
 
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
@@ -11,12 +11,12 @@ use shared::time::UtcNs;
 
 use crate::whole_file;
 
-/// Far longer than any note; whatever else has the name is not read to its end \[bytes\].
+/// Longer than any note; other files of this name are not read to their end \[bytes\].
 const BYTES_MAX: u64 = 65_536;
 
 #[derive(Debug, Serialize, Deserialize)]
 struct Note {
-    /// When the run began that it is about: another recording may get the name.
+    /// Start of the run concerned: another recording may get the name.
     run_started: UtcNs,
     note: String,
 }
@@ -26,14 +26,14 @@ pub fn beside(recording: &Path) -> PathBuf {
     recording.with_extension("note.json")
 }
 
-/// Keeps the note of a finished recording, an empty one too.
+/// Saves the note of a finished recording, which may be empty.
 pub fn keep(disk: &dyn Disk, recording: &Path, note: String) -> io::Result<()> {
     let overview = RunOverview::open_on(disk, recording).map_err(io::Error::other)?;
     let note = Note { run_started: overview.run.started, note };
     whole_file::write(disk, &beside(recording), &serde_json::to_string(&note)?)
 }
 
-/// Puts the note that was kept in the place of the recorded one. One that cannot be read says so.
+/// Replaces the recorded note by the saved one. If that cannot be read, the note states so.
 pub fn apply(disk: &dyn Disk, recording: &Path, run: &mut RunMetadata) {
     match read(disk, &beside(recording)) {
         Ok(Some(Note { run_started, note })) if run_started == run.started => run.note = note,
@@ -52,7 +52,7 @@ fn read(disk: &dyn Disk, file: &Path) -> io::Result<Option<Note>> {
     Ok(Some(serde_json::from_str(&text)?))
 }
 
-/// Removes the note of a recording that goes.
+/// Removes the note of a recording that is being removed.
 pub fn remove(disk: &dyn Disk, recording: &Path) -> io::Result<()> {
     match disk.remove(&beside(recording)) {
         Err(error) if is_absent(&error) => Ok(()),

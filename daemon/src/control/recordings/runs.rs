@@ -1,4 +1,4 @@
-//! The recordings of a directory: how long, what they are worth, and which of them were recovered.
+//! The recordings of a directory: duration, grade, origin.
 
 use std::io::{self, BufReader};
 use std::path::{Path, PathBuf};
@@ -17,24 +17,24 @@ use super::note;
 use super::verdict::Verdict;
 use crate::control::status::next_command;
 
-/// Recordings of one base name.
+/// Highest number of recordings of one base name.
 const NUMBERS_MAX: u32 = 10_000;
-/// Longest robot or bar in an automatic name.
+/// Length limit of robot and bar in an automatic name.
 const PART_CHARS_MAX: usize = 30;
 
 /// One recording of the list.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct RunLine {
-    /// Its name.
+    /// Name of the recording.
     pub name: String,
-    /// Its file.
+    /// Path of its file.
     pub file: PathBuf,
     /// When it began \[ns since 1970\], if the file has it. Exceeds a JavaScript number: see `started_ms`.
     pub started: Option<UtcNs>,
     /// When it began \[ms since 1970\].
     #[serde(default)]
     pub started_ms: Option<i64>,
-    /// Length \[s\].
+    /// Duration \[s\].
     pub length_s: f64,
     /// Bus cycles in it.
     pub cycles: u64,
@@ -42,28 +42,28 @@ pub struct RunLine {
     pub cycles_valid: u64,
     /// Cycles that were lost between bus and file.
     pub cycles_lost: u64,
-    /// What it is worth; none before it is finished.
+    /// Its grade; absent before it is finished.
     pub verdict: Option<Verdict>,
-    /// Why it has no verdict, or why it ended.
+    /// Why it has no grade, or why it ended.
     pub cause: String,
-    /// It was cut short and recovered.
+    /// It was interrupted and recovered.
     pub recovered: bool,
     /// Length of the file \[bytes\].
     pub bytes: u64,
-    /// Who recorded it.
+    /// Person who recorded it.
     pub operator: String,
-    /// Which robot.
+    /// Name of the robot.
     pub robot: String,
-    /// Which bar.
+    /// Bar and ball pair.
     pub bar: String,
-    /// What the robot carried.
+    /// Payload of the robot beside the bar.
     pub payload: String,
-    /// Free text that was given with it, or since.
+    /// Free text, recorded or added later.
     pub note: String,
     /// Whether it is simulated, or a replay.
     #[serde(flatten)]
     pub provenance: Provenance,
-    /// Its first markers, among them the reason for which it began in spite of a problem.
+    /// Its first markers, among them the reason why it began despite a problem.
     #[serde(default)]
     pub marks: Vec<RunMark>,
     /// The command that calibrates with it and the robot's log; absent without valid cycles.
@@ -71,20 +71,20 @@ pub struct RunLine {
     pub next: Option<String>,
 }
 
-/// Recordings of a directory, the latest first; those that do not tell when they began come last. With those of runs
-/// that had to go on in `spare`.
+/// Recordings of a directory, the latest first, with those of runs that had to continue in `spare`. Recordings without a
+/// start time come last.
 pub fn list(disk: &dyn Disk, directory: &Path, spare: Option<&Path>) -> io::Result<Vec<RunLine>> {
     Ok(lines(disk, files(disk, directory, spare)?))
 }
 
-/// Those among these files, sorted like [`list`].
+/// The recordings among these files, sorted like [`list`].
 pub(in crate::control) fn lines(disk: &dyn Disk, files: Vec<PathBuf>) -> Vec<RunLine> {
     let mut lines: Vec<_> = files.into_iter().filter_map(|file| line(disk, file)).collect();
     lines.sort_by(|one, other| other.started.cmp(&one.started).then_with(|| one.name.cmp(&other.name)));
     lines
 }
 
-/// `base` or, where a recording has that name, `base-2` and so on.
+/// `base`, or `base-2` and so on if a recording has that name.
 pub(in crate::control) fn free_name(disk: &dyn Disk, directory: &Path, base: &str) -> String {
     let numbered = (2..NUMBERS_MAX).map(|number| format!("{base}-{number}"));
     let mut names = std::iter::once(base.to_owned()).chain(numbered);
@@ -108,13 +108,13 @@ pub(in crate::control) fn automatic_name(
     names.find(|name| !is_taken(disk, directory, name)).unwrap_or(base)
 }
 
-/// Whether a recording has this name. Where the disk does not say, the run's file is refused if it has.
+/// Whether a recording has this name. If the disk does not answer, creating the run's file fails if it exists.
 pub(in crate::control) fn is_taken(disk: &dyn Disk, directory: &Path, name: &str) -> bool {
     let is_there = |ending| disk.has(&directory.join(format!("{name}.{ending}"))).unwrap_or(false);
     [FINISHED_ENDING, ACTIVE_ENDING].into_iter().any(is_there)
 }
 
-/// The finished recording of this name. The name is compared with those that are there and never made a path of.
+/// The finished recording of this name. The name is compared with existing ones and never becomes part of a path.
 pub fn find(
     disk: &dyn Disk,
     directory: &Path,
@@ -135,7 +135,7 @@ fn files(disk: &dyn Disk, directory: &Path, spare: Option<&Path>) -> io::Result<
 pub fn left_behind(disk: &dyn Disk, directory: &Path) -> io::Result<Vec<PathBuf>> {
     let mut files = list_if_there(disk, directory)?;
     files.retain(|path| stem(path, ACTIVE_ENDING).is_some());
-    // One that cannot be asked is not in use, and one that has just been finished is not there any more.
+    // A file that cannot be checked counts as left behind; one that has just been finished does not exist any more.
     files.retain(|path| match is_in_use(disk, path) {
         Ok(is_in_use) => !is_in_use,
         Err(error) => !is_absent(&error),
@@ -143,7 +143,7 @@ pub fn left_behind(disk: &dyn Disk, directory: &Path) -> io::Result<Vec<PathBuf>
     Ok(files)
 }
 
-/// A directory is made when a run needs it.
+/// Directories are created when a run needs them.
 pub(in crate::control) fn list_if_there(disk: &dyn Disk, directory: &Path) -> io::Result<Vec<PathBuf>> {
     match disk.list(directory) {
         Err(error) if is_absent(&error) => Ok(Vec::new()),
@@ -210,24 +210,24 @@ pub fn finished(disk: &dyn Disk, name: String, file: PathBuf) -> RunLine {
     }
 }
 
-/// Moments of a run that are drawn.
+/// Points of a plot.
 const CURVE_POINTS: u64 = 1500;
 
-/// A run as a whole, for people to look at.
+/// Angles of a whole run for a plot.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Curves {
-    /// Since its first cycle \[s\].
+    /// Time since the first cycle \[s\].
     pub t_s: Vec<f64>,
     /// The encoders, in bus order.
     pub joints: Vec<Curve>,
 }
 
-/// One encoder.
+/// Angle of one joint.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Curve {
     /// Bar joint, 1 to 5.
     pub joint: u8,
-    /// Its angle since its first sample; none where it gave none \[deg\].
+    /// Angle since its first sample; absent without a sample \[deg\].
     pub angle_deg: Vec<Option<f64>>,
 }
 
@@ -256,7 +256,7 @@ pub fn curves(disk: &dyn Disk, path: &Path) -> Result<Curves, ReadError> {
     Ok(curves)
 }
 
-/// A curve that grows cycle by cycle.
+/// A curve that is extended by each cycle.
 struct JointCurve {
     curve: Curve,
     scale: EncoderScale,

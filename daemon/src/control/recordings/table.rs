@@ -13,7 +13,7 @@ use shared::time::UtcNs;
 use super::note;
 use crate::problem::flag_names;
 
-/// How a table is written.
+/// Format of a table.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Layout {
     /// Seconds since the first cycle (`t_s`) instead of `time_utc`.
@@ -22,13 +22,13 @@ pub struct Layout {
     pub excel: bool,
 }
 
-/// One row per cycle: `time_utc` (or `t_s`), a `count` per encoder (the thesis' columns), then `angle` \[rad\] per encoder
-/// unwrapped and in the encoder's own zero, `valid` per encoder, cycle number, the reasons of flagged cycles, and what
-/// happened in it: marks, events, in the first row what was said of the run. Counts and angles of encoders that gave
-/// nothing are left empty. Gives the number of rows.
+/// One row per cycle: `time_utc` (or `t_s`), a `count` per encoder (the thesis' columns), an unwrapped `angle` \[rad\] per
+/// encoder, relative to the encoder's own zero, `valid` per encoder, the cycle number, the reasons of flagged cycles, and the
+/// events of the cycle. The first row also has the texts that describe the run. Counts and angles are empty without a
+/// sample. Returns the number of rows.
 ///
-/// Memory does not grow with the number of cycles. The file is read twice, because an event may follow many later cycles, as a
-/// mark does whose text took a while to type. The first pass collects the events and proves that the recording is whole.
+/// Memory does not grow with the number of cycles. The file is read twice, because an event may follow many later cycles, for
+/// example a mark whose text took a while to type. The first pass collects the events and verifies the whole recording.
 pub fn write_csv(disk: &dyn Disk, path: &Path, layout: Layout, sink: impl Write) -> anyhow::Result<u64> {
     let error = |kind| ReadError { path: path.to_owned(), kind };
     let file = disk.open(path).map_err(|source| error(source.into()))?;
@@ -41,7 +41,7 @@ pub fn write_csv(disk: &dyn Disk, path: &Path, layout: Layout, sink: impl Write)
     Ok(outline.end.cycles)
 }
 
-/// A table that grows row by row.
+/// A table that is written row by row.
 struct Table<'a, W: Write> {
     layout: Layout,
     rows: csv::Writer<W>,
@@ -59,7 +59,7 @@ impl<'a, W: Write> Table<'a, W> {
     /// Begins with the header, and in the layout for spreadsheets with a byte order mark.
     fn begin(outline: &'a Outline, layout: Layout, mut sink: W) -> io::Result<Self> {
         if layout.excel {
-            // Without it a spreadsheet takes the text for that of the code page of its country.
+            // Without it a spreadsheet assumes the code page of its country.
             sink.write_all("\u{feff}".as_bytes())?;
         }
         let encoders = &outline.run.encoders;
@@ -90,11 +90,13 @@ impl<'a, W: Write> Table<'a, W> {
     fn add(&mut self, record: &CycleRecord) -> io::Result<()> {
         let layout = self.layout;
         let changed = self.origin.replace(record.origin).is_some_and(|before| before != record.origin);
-        let seen = record.flags & (flags::LOST | flags::NO_REPLY | flags::DEADLINE_MISSED) == 0;
+        let has_counts = record.flags & (flags::LOST | flags::NO_REPLY | flags::DEADLINE_MISSED) == 0;
         let samples = record.encoders();
         let first_sample = *self.first_sample.get_or_insert(record.sample_time);
         let mut row = vec![layout.time(record.sample_time, first_sample)];
-        row.extend(samples.iter().map(|sample| if seen { sample.count.to_string() } else { String::new() }));
+        row.extend(
+            samples.iter().map(|sample| if has_counts { sample.count.to_string() } else { String::new() }),
+        );
         row.extend(samples.iter().zip(self.encoders).zip(&mut self.unwrappers).map(
             |((sample, encoder), unwrapper)| {
                 if sample.valid {
@@ -122,7 +124,7 @@ impl<'a, W: Write> Table<'a, W> {
     }
 }
 
-/// The error of the sink itself: its kind shows whether the reader has gone.
+/// The error of the sink itself, so that its kind shows whether the reader has closed it.
 fn of_sink(error: csv::Error) -> io::Error {
     match error.into_kind() {
         csv::ErrorKind::Io(error) => error,
@@ -139,16 +141,14 @@ impl Layout {
                 "relative" => layout.relative = true,
                 "excel" => layout.excel = true,
                 _ => {
-                    return Err(format!(
-                        "no table has the option `{name}`; there are `relative` and `excel`"
-                    ));
+                    return Err(format!("unknown option `{name}`; tables have `relative` and `excel`"));
                 }
             }
         }
         Ok(layout)
     }
 
-    /// The query of a URL that [`Self::from_query`] reads, with its `?`; empty for the default.
+    /// The query that [`Self::from_query`] reads, with its `?`; empty for the default.
     pub fn query(self) -> String {
         let names = [(self.relative, "relative=true"), (self.excel, "excel=true")];
         let names: Vec<_> = names.into_iter().filter_map(|(is_set, name)| is_set.then_some(name)).collect();
@@ -170,13 +170,15 @@ impl Layout {
     }
 }
 
-/// Where the data come from, where angles are zero, and what people said of the run.
+/// Origin of the data, zero of the angles, and the texts that describe the run.
 fn about(run: &RunMetadata) -> Vec<String> {
     let RunMetadata { operator, robot, bar, payload, note, .. } = run;
-    let said = [("robot", robot), ("bar", bar), ("payload", payload), ("operator", operator), ("note", note)];
-    let said = said.iter().filter(|(_, text)| !text.is_empty()).map(|(what, text)| format!("{what}: {text}"));
+    let texts =
+        [("robot", robot), ("bar", bar), ("payload", payload), ("operator", operator), ("note", note)];
+    let texts =
+        texts.iter().filter(|(_, text)| !text.is_empty()).map(|(what, text)| format!("{what}: {text}"));
     let provenance = Some(run.provenance().to_string()).filter(|text| !text.is_empty());
-    provenance.into_iter().chain([angle_zeros(&run.encoders)]).chain(said).collect()
+    provenance.into_iter().chain([angle_zeros(&run.encoders)]).chain(texts).collect()
 }
 
 fn angle_zeros(encoders: &[EncoderInfo]) -> String {
@@ -194,7 +196,7 @@ fn angle_zeros(encoders: &[EncoderInfo]) -> String {
     format!("angles from: {}", zeros.into_iter().flatten().collect::<Vec<_>>().join(" and "))
 }
 
-/// Before each text, so that no spreadsheet takes one for a formula.
+/// Precedes each text, so that no spreadsheet reads one as a formula.
 fn kind_name(kind: EventKind) -> &'static str {
     match kind {
         EventKind::Marker => "mark",

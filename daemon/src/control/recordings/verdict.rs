@@ -1,4 +1,4 @@
-//! What a run is worth, in one word. Page, commands and API say what is decided here.
+//! The grade of a run. Page, commands and API all use it.
 
 use std::fmt;
 
@@ -9,24 +9,24 @@ use shared::recording::{Flagged, RunOverview};
 
 use crate::problem::{Level, clock_time};
 
-/// From this share of valid cycles on a run is good: the sigma of every parameter grows with one over the root of their
-/// number, by 0.5 % here.
+/// From this share of valid cycles a run is good: the sigma of each parameter grows with one over the root of their number,
+/// here by 0.5 %.
 pub const VALID_SHARE_GOOD: f64 = 0.99;
-/// Below this share a run is bad: sigmas are 41 % larger, and what is left lies in pieces.
+/// Below this share a run is bad: sigmas are at least 41 % larger, and the valid cycles are fragmented.
 pub const VALID_SHARE_BAD: f64 = 0.5;
-/// Causes of invalid cycles that are named one by one.
+/// Number of causes of invalid cycles that are listed.
 const CAUSES_MAX: usize = 3;
 
-/// A word and its reasons.
+/// A grade and its reasons.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Verdict {
-    /// How grave it is.
+    /// Severity of the worst reason.
     pub level: Level,
-    /// Why, for people; empty if all is well.
+    /// Reasons, for people; empty if all is well.
     pub reasons: Vec<String>,
 }
 
-/// What a verdict rests on.
+/// Input of a grade.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Content<'a> {
     /// Bus cycles in the file.
@@ -37,23 +37,23 @@ pub struct Content<'a> {
     pub cycles_lost: u64,
     /// Time between two cycles \[s\].
     pub period_s: f64,
-    /// The cycles that are not valid, by joint and reason.
+    /// Invalid cycles, by joint and reason.
     pub flagged: &'a [Flagged],
-    /// The file was cut short and recovered.
+    /// The file was interrupted and recovered.
     pub recovered: bool,
     /// Samples may be as old as a cycle.
     pub without_clocks: bool,
-    /// Joint of each encoder and how far it turned \[deg\]; empty where that is not known.
+    /// Joint of each encoder and angle by which it turned \[deg\]; empty if unknown.
     pub turned_deg: &'a [(u8, f64)],
 }
 
 impl Verdict {
-    /// Of a run with this content. What `identify calibrate` refuses by default is not good.
+    /// Grades a run with this content. A run that `identify calibrate` refuses by default is not good.
     pub fn of(content: &Content<'_>) -> Self {
         let Content { cycles, cycles_valid, cycles_lost, recovered, without_clocks, .. } = *content;
         let mut verdict = Self::default();
         if cycles == 0 {
-            return Self::bad("it holds no cycle");
+            return Self::bad("it has no cycles");
         }
         if cycles_valid == 0 {
             return Self::bad(format!("none of the {cycles} cycles is valid{}", content.causes()));
@@ -66,7 +66,7 @@ impl Verdict {
             verdict.add(level, format!("{flagged} of {cycles} cycles are flagged ({percent:.1} %){causes}"));
         }
         if cycles_lost > 0 {
-            verdict.add(Level::Check, format!("{cycles_lost} cycles were lost on the way to the disk"));
+            verdict.add(Level::Check, format!("{cycles_lost} cycles were lost between bus and disk"));
         }
         let length_s = cycles as f64 * content.period_s;
         if length_s < OVERLAP_MIN_S {
@@ -89,7 +89,7 @@ impl Verdict {
             );
         }
         if recovered {
-            verdict.add(Level::Check, "it was cut short and recovered");
+            verdict.add(Level::Check, "it was interrupted and recovered");
         }
         if without_clocks {
             verdict.add(Level::Check, "without distributed clocks samples may be a whole cycle old");
@@ -97,7 +97,7 @@ impl Verdict {
         verdict
     }
 
-    /// Of a finished file.
+    /// Grades a finished file.
     pub fn of_file(RunOverview { run, end }: &RunOverview) -> Self {
         let joints = run.encoders.iter().map(|encoder| encoder.joint);
         let turned_deg: Vec<_> = joints.zip(end.turned_deg.iter().copied()).collect();
@@ -113,7 +113,7 @@ impl Verdict {
         })
     }
 
-    /// Of what cannot be used at all.
+    /// The grade of a run that cannot be used at all.
     pub fn bad(reason: impl Into<String>) -> Self {
         Self { level: Level::Bad, reasons: vec![reason.into()] }
     }
@@ -125,7 +125,7 @@ impl Verdict {
 }
 
 impl Content<'_> {
-    /// Which joint, what, since when and how long, the longest first; such as `: joint 3 signal too low (2.0 s from 0:12 on)`.
+    /// Joint, reason, duration and time of each cause, the longest first; such as `: joint 3 signal too low (2.0 s, first at 0:12)`.
     fn causes(&self) -> String {
         let mut flagged: Vec<_> = self.flagged.iter().collect();
         flagged.sort_by_key(|flagged| std::cmp::Reverse(flagged.cycles));
@@ -173,25 +173,25 @@ mod tests {
         turned_deg: &MOVED,
     };
 
-    fn told(content: &Content<'_>) -> String {
+    fn grade(content: &Content<'_>) -> String {
         Verdict::of(content).to_string()
     }
 
     #[test]
     fn a_whole_run_is_good_and_a_few_flagged_cycles_cost_nothing() {
-        assert_eq!(told(&WHOLE), "GOOD");
-        assert_eq!(told(&Content { cycles_valid: 11_881, ..WHOLE }), "GOOD");
+        assert_eq!(grade(&WHOLE), "GOOD");
+        assert_eq!(grade(&Content { cycles_valid: 11_881, ..WHOLE }), "GOOD");
     }
 
     #[test]
     fn a_run_without_cycles_or_without_a_valid_one_is_bad() {
-        assert_eq!(told(&Content::default()), "BAD: it holds no cycle");
-        assert_eq!(told(&Content { cycles_valid: 0, ..WHOLE }), "BAD: none of the 12000 cycles is valid");
-        assert!(told(&Content { cycles_valid: 5_999, ..WHOLE }).starts_with("BAD: 6001 of 12000"));
+        assert_eq!(grade(&Content::default()), "BAD: it has no cycles");
+        assert_eq!(grade(&Content { cycles_valid: 0, ..WHOLE }), "BAD: none of the 12000 cycles is valid");
+        assert!(grade(&Content { cycles_valid: 5_999, ..WHOLE }).starts_with("BAD: 6001 of 12000"));
     }
 
     #[test]
-    fn what_somebody_should_look_at_is_named() {
+    fn what_a_person_should_check_is_named() {
         for (content, why) in [
             (Content { cycles_valid: 11_000, ..WHOLE }, "1000 of 12000 cycles are flagged (8.3 %)"),
             (Content { cycles_lost: 1, ..WHOLE }, "1 cycles were lost"),
@@ -207,8 +207,8 @@ mod tests {
                 "it is 9.9 s long; `identify` needs at least 10 s",
             ),
         ] {
-            let told = told(&content);
-            assert!(told.starts_with("CHECK: ") && told.contains(why), "{told}");
+            let grade = grade(&content);
+            assert!(grade.starts_with("CHECK: ") && grade.contains(why), "{grade}");
         }
     }
 
@@ -228,12 +228,12 @@ mod tests {
             flagged(Some(2), "no new sample", 5, 1, 1),
         ];
         assert_eq!(
-            told(&Content { cycles_valid: 10_000, flagged: &flagged, ..WHOLE }),
+            grade(&Content { cycles_valid: 10_000, flagged: &flagged, ..WHOLE }),
             "CHECK: 2000 of 12000 cycles are flagged (16.7 %): all joints bus down (11.0 s, first at 0:12), \
              joint 3 signal too low (9.0 s in 2 periods, first at 1:05), joint 1 no new sample (0.0 s, first at 0:00), \
              1 more cause"
         );
-        let blind = told(&Content { cycles_valid: 0, flagged: &flagged[..1], ..WHOLE });
+        let blind = grade(&Content { cycles_valid: 0, flagged: &flagged[..1], ..WHOLE });
         assert!(
             blind.starts_with("BAD: none of the 12000 cycles is valid: joint 3 signal too low"),
             "{blind}"
@@ -241,8 +241,8 @@ mod tests {
     }
 
     #[test]
-    fn the_gravest_reason_decides_and_all_are_said() {
-        let told = told(&Content { cycles_valid: 1, recovered: true, ..WHOLE });
-        assert!(told.starts_with("BAD: 11999 of 12000") && told.ends_with("recovered"), "{told}");
+    fn the_worst_reason_decides_and_all_are_listed() {
+        let grade = grade(&Content { cycles_valid: 1, recovered: true, ..WHOLE });
+        assert!(grade.starts_with("BAD: 11999 of 12000") && grade.ends_with("recovered"), "{grade}");
     }
 }

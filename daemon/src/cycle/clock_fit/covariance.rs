@@ -1,4 +1,4 @@
-//! How far offset and rate of two clocks may be wrong, and how both errors hang together.
+//! Uncertainty of offset and drift between two clocks.
 
 /// Covariance of offset \[ns\] and drift \[ns/s\].
 #[derive(Debug, Clone, Copy)]
@@ -13,15 +13,14 @@ impl Covariance {
         Self { offset: offset_sigma_ns.powi(2), cross: 0.0, drift: drift_sigma.powi(2) }
     }
 
-    /// Later by `dt_s`, while offset and drift wander by these each second.
+    /// Propagates by `dt_s`; offset and drift wander by these variances per second.
     pub fn predict(&mut self, dt_s: f64, offset_wander: f64, drift_wander: f64) {
         self.offset += dt_s * (2.0 * self.cross + dt_s * self.drift) + offset_wander * dt_s;
         self.cross += dt_s * self.drift;
         self.drift += drift_wander * dt_s;
     }
 
-    /// After a reading of this variance was taken in with these gains, whether or not they are the best for it
-    /// (Joseph's form).
+    /// Update by a reading of this variance with these gains, which need not be optimal (Joseph's form).
     pub fn correct(&mut self, gain_offset: f64, gain_drift: f64, reading: f64) {
         let Self { offset, cross, drift } = *self;
         let kept = 1.0 - gain_offset;
@@ -30,8 +29,8 @@ impl Covariance {
         self.drift = drift - 2.0 * gain_drift * cross + gain_drift * gain_drift * (offset + reading);
     }
 
-    /// Forgets offset and rate as far as they may have changed by these.
-    pub fn open(&mut self, offset_ns: f64, rate: f64) {
+    /// Adds these to the standard deviations of offset and drift (in quadrature).
+    pub fn inflate(&mut self, offset_ns: f64, rate: f64) {
         self.offset += offset_ns.powi(2);
         self.drift += rate.powi(2);
     }

@@ -1,43 +1,43 @@
-//! Offset and rate between two clocks as a Kalman filter, and how far delays alone may move a reading.
+//! Kalman filter of offset and drift between two clocks, and the effect of delays on a reading.
 
 use shared::time::{DcNs, MonoNs};
 
 use super::Reading;
 use super::covariance::Covariance;
-use super::doubt::Deviation;
+use super::innovation_gate::Deviation;
 
 /// Wander of the offset between two clocks \[ns^2/s\]: some 10 ns in a second.
 const OFFSET_WANDER_NS2_PER_S: f64 = 100.0;
-/// Wander of their drift \[(ns/s)^2/s\]: 1 ppm in a second, a quartz under the hand of NTP.
+/// Wander of their drift \[(ns/s)^2/s\]: 1 ppm in a second, a quartz that NTP adjusts.
 const DRIFT_WANDER: f64 = 1e6;
-/// Drift before anything is known \[ns/s\]: 200 ppm.
+/// Drift without prior information \[ns/s\]: 200 ppm.
 const DRIFT_SIGMA_START: f64 = 200e3;
 /// Drift of the same two clocks after a restart \[ns/s\]: 1 ppm.
 const DRIFT_SIGMA_KNOWN: f64 = 1e3;
-/// What a reading is worth when its round trip is the quickest \[ns\]; time stamps of host and bus are no better.
+/// Uncertainty of a reading with the quickest round trip \[ns\]; time stamps of host and bus are not more accurate.
 const READING_SIGMA_NS: f64 = 500.0;
-/// Before as many readings nobody knows what the quickest round trip is: each reading is worth its own bound.
-const SETTLING_READINGS: u32 = 64;
-/// The quickest round trip is forgotten by this part each second, so that a changed path is noticed.
+/// Before this number of readings the quickest round trip is unknown: the uncertainty of each reading is its own bound.
+const START_READINGS: u32 = 64;
+/// Relative increase of the quickest round trip per second, so that a changed path is noticed.
 const QUICKEST_FORGOTTEN_PER_S: f64 = 0.01;
-/// The filter's own share of a deviation is up to as many sigmas; the rest is scatter of the readings ...
+/// Up to this number of sigmas a deviation is attributed to the filter; the rest is scatter of the readings ...
 const SCATTER_SIGMAS: f64 = 3.0;
-/// ... which is forgotten by this part each second ...
+/// ... which decays by this part each second ...
 const SCATTER_FORGOTTEN_PER_S: f64 = 0.3;
-/// ... and no more than this: what lies beyond is doubted \[ns\].
+/// ... and is limited to this: larger deviations go to the gate \[ns\].
 const SCATTER_NS_MAX: f64 = 50_000.0;
-/// A deviation of more than this many of the filter's own sigmas, beyond what delays explain, is one ...
+/// A deviation is unexplained beyond this many of the filter's own sigmas, in addition to the delays ...
 const SLACK_SIGMAS: f64 = 6.0;
-/// ... and the quickest round trip is known to this \[ns\].
+/// ... and to the uncertainty of the quickest round trip \[ns\].
 const SLACK_NS: f64 = 5_000.0;
-/// Mean of the last readings' deviations, in sigmas and over about as many readings, that means a changed rate.
+/// Mean deviation, in sigmas and over about this number of readings, that means a changed rate.
 const TREND_SIGMAS: f64 = 2.0;
 const TREND_READINGS: f64 = 16.0;
-/// Mean deviation that leads up to an unexplained one and makes it one of a changed rate, too.
+/// Mean deviation before an unexplained one that classifies it as a changed rate, too.
 const CREEP_SIGMAS: f64 = 0.5;
-/// Readings with more slack than this tell no creeping from chance \[ns\].
+/// Readings with a larger tolerance cannot distinguish a trend from chance \[ns\].
 const CREEP_SLACK_NS: f64 = 20_000.0;
-/// A trend is found about as many readings after its beginning.
+/// A trend is detected about this number of readings after its beginning.
 const TREND_ONSET_READINGS: f64 = 4.0;
 
 #[derive(Debug, Clone)]
@@ -50,26 +50,26 @@ pub(super) struct Filter {
     offset_ns: f64,
     /// \[ns/s\]
     drift: f64,
-    /// What the gains are made of. It takes readings as quick as the quickest for equal: only so are they followed.
+    /// Covariance for the gains. It treats readings as quick as the quickest as equally accurate, so that they are followed.
     p: Covariance,
-    /// What offset and drift are worth under those gains if each delay divides between the ways as it likes; a chance
-    /// run of delays then looks like a rate.
-    honest: Covariance,
-    /// Readings so far, up to [`SETTLING_READINGS`].
+    /// Conservative covariance under those gains, if each delay may divide between the directions in any way; a random run
+    /// of delays then looks like a rate.
+    conservative: Covariance,
+    /// Number of readings so far, up to [`START_READINGS`].
     readings: u32,
     /// Half the width of the narrowest hard bound.
     quickest_half_ns: f64,
-    /// Half widths of the hard bounds, weighted as the readings are: the offset is wrong by this if all delay was on
-    /// one way.
-    one_way_ns: f64,
-    /// Mean deviation of the last quick readings in sigmas.
+    /// Half widths of the hard bounds, weighted like the readings: the error of the offset if all delay was in one direction
+    /// \[ns\].
+    asymmetry_ns: f64,
+    /// Mean deviation of the last quick readings, in sigmas.
     trend: f64,
-    /// How far readings lately contradicted each other beyond their delays \[ns\].
+    /// Recent contradictions between readings beyond their delays \[ns\].
     scatter_ns: f64,
 }
 
 impl Filter {
-    /// From one reading, and from what is known of the same clocks and the same way.
+    /// From one reading and an earlier estimate for the same clocks and path.
     pub fn first(reading: &Reading, known: Option<&Self>) -> Self {
         let offset_sigma_ns = reading.half_ns.hypot(READING_SIGMA_NS);
         let start = |known: Option<Covariance>| {
@@ -83,11 +83,11 @@ impl Filter {
             offset_ns: 0.0,
             drift: known.map_or(0.0, |known| known.drift),
             p: start(known.map(|known| known.p)),
-            honest: start(known.map(|known| known.honest)),
+            conservative: start(known.map(|known| known.conservative)),
             readings: known.map_or(1, |known| known.readings),
             quickest_half_ns: known
                 .map_or(reading.half_ns, |known| known.quickest_half_ns.min(reading.half_ns)),
-            one_way_ns: reading.half_ns,
+            asymmetry_ns: reading.half_ns,
             trend: 0.0,
             scatter_ns: known.map_or(0.0, |known| known.scatter_ns),
         }
@@ -97,15 +97,14 @@ impl Filter {
         self.at.plus_ns(self.since_ns(dc).round() as i64)
     }
 
-    /// Variance of the host time that stands for `dc`: what delays that divide by chance leave at that time, and what
-    /// ways there and back that are always unequal can hide.
+    /// Variance of the host time at `dc`: for delays that divide randomly, and for a constant asymmetry of the delay.
     pub fn variance_ns2(&self, dc: DcNs) -> f64 {
         let dt_s = (self.since_ns(dc) * 1e-9).abs();
-        let own = self.honest.offset
-            + dt_s * (2.0 * self.honest.cross.abs() + dt_s * self.honest.drift)
+        let own = self.conservative.offset
+            + dt_s * (2.0 * self.conservative.cross.abs() + dt_s * self.conservative.drift)
             + OFFSET_WANDER_NS2_PER_S * dt_s;
-        // How the delay divides between the ways is unknown: uniform within the bounds.
-        own + self.one_way_ns.powi(2) / 3.0 + READING_SIGMA_NS.powi(2)
+        // How the delay divides between the directions is unknown: uniform within the bounds.
+        own + self.asymmetry_ns.powi(2) / 3.0 + READING_SIGMA_NS.powi(2)
     }
 
     /// `dc = monotonic + base + offset + drift * (monotonic - at)`, solved for `monotonic - at` \[ns\].
@@ -114,24 +113,24 @@ impl Filter {
         dc_since_ns / (1.0 + self.drift * 1e-9)
     }
 
-    /// Moves the state on to `at`; how far \[s\].
+    /// Propagates the state to `at`; returns the time step \[s\].
     pub fn predict(&mut self, at: MonoNs) -> f64 {
         let dt_s = at.seconds_since(self.at).max(0.0);
         self.at = at;
         self.offset_ns += self.drift * dt_s;
         self.p.predict(dt_s, OFFSET_WANDER_NS2_PER_S, DRIFT_WANDER);
-        self.honest.predict(dt_s, OFFSET_WANDER_NS2_PER_S, DRIFT_WANDER);
+        self.conservative.predict(dt_s, OFFSET_WANDER_NS2_PER_S, DRIFT_WANDER);
         self.quickest_half_ns *= 1.0 + QUICKEST_FORGOTTEN_PER_S * dt_s;
         dt_s
     }
 
-    /// How a reading lies beside the prediction.
+    /// Deviation of a reading from the prediction.
     ///
-    /// A delay beyond the quickest round trip moves the middle by half of it at most; the same holds for the readings
-    /// that the filter is made of. While the quickest round trip is not known yet, all of it may be such a delay.
+    /// A delay beyond the quickest round trip moves the centre by at most half of it; the same holds for the readings in the
+    /// filter. While the quickest round trip is unknown, all of it may be such a delay.
     pub fn deviation(&self, reading: &Reading) -> Deviation {
-        let quickest_ns = if self.is_settling() { 0.0 } else { self.quickest_half_ns };
-        let fit_delayed_ns = (self.one_way_ns - quickest_ns).abs();
+        let quickest_ns = if self.is_starting() { 0.0 } else { self.quickest_half_ns };
+        let fit_delayed_ns = (self.asymmetry_ns - quickest_ns).abs();
         Deviation {
             at: reading.at,
             by_ns: self.deviation_ns(reading),
@@ -144,16 +143,16 @@ impl Filter {
         reading.offset_ns.wrapping_sub(self.base_ns) as f64 - self.offset_ns
     }
 
-    fn is_settling(&self) -> bool {
-        self.readings < SETTLING_READINGS
+    fn is_starting(&self) -> bool {
+        self.readings < START_READINGS
     }
 
-    /// Takes a reading in, to whose time the state was moved by `dt_s`.
+    /// Update by a reading, after the state was propagated to its time by `dt_s`.
     pub fn correct(&mut self, reading: &Reading, dt_s: f64) {
         self.quickest_half_ns = self.quickest_half_ns.min(reading.half_ns);
         let excess_ns = reading.half_ns - self.quickest_half_ns;
-        let unknown_ns = if self.is_settling() { reading.half_ns } else { excess_ns };
-        self.readings = (self.readings + 1).min(SETTLING_READINGS);
+        let unknown_ns = if self.is_starting() { reading.half_ns } else { excess_ns };
+        self.readings = (self.readings + 1).min(START_READINGS);
         let deviation_ns = self.deviation_ns(reading);
         self.watch_scatter(deviation_ns.abs() - unknown_ns, dt_s);
         let delayed_ns = READING_SIGMA_NS + unknown_ns;
@@ -164,48 +163,48 @@ impl Filter {
         self.offset_ns += gain_offset * deviation_ns;
         self.drift += gain_drift * deviation_ns;
         self.p.correct(gain_offset, gain_drift, variance);
-        self.honest.correct(gain_offset, gain_drift, variance.max(reading.half_ns.powi(2) / 12.0));
-        self.one_way_ns += gain_offset * (reading.half_ns - self.one_way_ns);
+        self.conservative.correct(gain_offset, gain_drift, variance.max(reading.half_ns.powi(2) / 12.0));
+        self.asymmetry_ns += gain_offset * (reading.half_ns - self.asymmetry_ns);
         self.stay_within(reading);
         self.watch_trend(deviation_ns, delayed_ns, dt_s);
     }
 
-    /// Whether readings before lay to the same side, as they do when the rate has changed and not the time. Under load
-    /// they cannot tell.
-    pub fn crept_to(&self, deviation: &Deviation) -> bool {
+    /// Whether earlier readings deviated to the same side, which means a changed rate and not a step. Under load readings
+    /// cannot show that.
+    pub fn follows_trend(&self, deviation: &Deviation) -> bool {
         let slack_ns = deviation.delayed_ns + deviation.predicted_ns;
         let is_near = deviation.by_ns.abs() <= 2.0 * slack_ns && slack_ns <= CREEP_SLACK_NS;
         is_near && self.trend * deviation.by_ns.signum() > CREEP_SIGMAS
     }
 
-    /// Quick replies that contradict each other show that the quickest way is not the same each time.
+    /// Quick replies that contradict each other show that the shortest delay varies.
     fn watch_scatter(&mut self, unexplained_ns: f64, dt_s: f64) {
         let scatter_ns = unexplained_ns - SCATTER_SIGMAS * self.p.offset.sqrt();
         let forgotten = 1.0 - SCATTER_FORGOTTEN_PER_S * dt_s.min(1.0);
         self.scatter_ns = (self.scatter_ns * forgotten).max(scatter_ns.min(SCATTER_NS_MAX));
     }
 
-    /// Forgets offset and rate as far as they may have changed by these.
-    pub fn open(&mut self, offset_ns: f64, rate: f64) {
-        self.p.open(offset_ns, rate);
-        self.honest.open(offset_ns, rate);
+    /// Adds these to the standard deviations of offset and drift (in quadrature), and restarts the trend.
+    pub fn inflate(&mut self, offset_ns: f64, rate: f64) {
+        self.p.inflate(offset_ns, rate);
+        self.conservative.inflate(offset_ns, rate);
         self.trend = 0.0;
     }
 
-    /// The hard bound holds whatever the filter weighs.
+    /// The hard bound holds independently of the filter's weights.
     fn stay_within(&mut self, reading: &Reading) {
         let centre_ns = reading.offset_ns.wrapping_sub(self.base_ns) as f64;
         let half_ns = reading.half_ns + READING_SIGMA_NS;
         self.offset_ns = self.offset_ns.clamp(centre_ns - half_ns, centre_ns + half_ns);
     }
 
-    /// Small deviations that do not change sides mean a rate that changed: the filter is opened as far as they ask for.
-    /// Only quick replies can tell; a slow one deviates to one side by itself.
+    /// Small deviations that keep their sign mean a changed rate: the covariance is increased to cover them. Only quick
+    /// replies show this; a slow one deviates to one side anyway.
     fn watch_trend(&mut self, deviation_ns: f64, delayed_ns: f64, dt_s: f64) {
         let weight = (READING_SIGMA_NS / delayed_ns).powi(2) / TREND_READINGS;
         self.trend += weight * (deviation_ns / delayed_ns - self.trend);
         if self.trend.abs() > TREND_SIGMAS && dt_s > 0.0 {
-            self.open(deviation_ns, deviation_ns / (TREND_ONSET_READINGS * dt_s));
+            self.inflate(deviation_ns, deviation_ns / (TREND_ONSET_READINGS * dt_s));
         }
     }
 }

@@ -1,43 +1,43 @@
-//! Readings that no delay explains: a misread one, a stepped clock, or another rate?
+//! Innovation gate: classifies readings that no delay explains as misread, as a stepped clock, or as a changed rate.
 //!
-//! The filter goes on as if there was nothing. A deviation from it that stays the same is a step, one that grows is
-//! another rate, and one that is gone with the next reading was a misread bus time. A reply so slow that it would fit
-//! with the step as well as without it decides nothing.
+//! The filter continues without such readings. A deviation that stays constant is a step, one that grows is a changed
+//! rate, and one that disappears with the next reading was a misread bus time. A reply so slow that it fits both with and
+//! without the step decides nothing.
 
 use shared::time::MonoNs;
 
-/// A verdict takes as many readings.
+/// Readings needed for a decision.
 const READINGS_MIN: u32 = 3;
-/// Readings that decide nothing after which the first one is taken for misread.
+/// After this number of readings without a decision the first one counts as misread.
 const UNDECIDED_MAX: u32 = 100;
-/// Times that readings contradict all before: such a clock is not usable as it is.
+/// Contradictions after which the clock is unusable and counts as stepped.
 const ERRATIC_MAX: u32 = 10;
-/// Two readings of the same deviation differ by this beside their delays \[ns\].
+/// Difference of two readings of the same deviation, in addition to their delays \[ns\].
 const NOISE_NS: f64 = 1_000.0;
-/// Readings decide something whose deviation is as many times what delays may have done to it.
+/// A reading decides something if its deviation is this many times what delays may have contributed.
 const SIGNAL_TO_NOISE: f64 = 6.0;
-/// A deviation that grew by this part of the first one grows ...
+/// A deviation grows if it has grown by this part of the first one ...
 const GROWTH: f64 = 1.0 / 3.0;
-/// ... or by this much, where that is less \[ns\].
+/// ... or by this much, whichever is less \[ns\].
 const GROWTH_NS: f64 = 10_000.0;
-/// No rate jumps as far as this from one reading to the next \[ns\].
+/// No changed rate causes a larger deviation within one reading \[ns\].
 const JUMP_NS: f64 = 1_000_000.0;
-/// What `adjtime` and NTP do to the host's clock \[ns/s\]: a verdict waits until it would show ...
+/// Rate change by `adjtime` and NTP \[ns/s\]: a decision waits until it would show ...
 const RATE_USUAL: f64 = 500e3;
 /// ... but not longer than this \[s\].
 const WAIT_S_MAX: f64 = 0.25;
-/// The most that chrony does \[ns/s\].
+/// Largest rate change by chrony \[ns/s\].
 const RATE_MAX: f64 = 100e6;
 
-/// What a reading tells: where it lies beside the prediction, and why it may.
+/// A reading relative to the prediction, with the possible causes of the difference.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Deviation {
     pub at: MonoNs,
-    /// Later on the bus' clock than predicted by this \[ns\].
+    /// Deviation on the bus' clock from the prediction \[ns\].
     pub by_ns: f64,
-    /// Its own delay explains this much \[ns\] ...
+    /// Part that the reading's own delay explains \[ns\] ...
     pub delayed_ns: f64,
-    /// ... and the prediction's uncertainty that much \[ns\].
+    /// ... and part that the prediction's uncertainty explains \[ns\].
     pub predicted_ns: f64,
 }
 
@@ -47,45 +47,45 @@ impl Deviation {
     }
 }
 
-/// What readings since the first unexplained one say.
+/// State of the gate since the first unexplained reading.
 #[derive(Debug, Clone)]
-pub(super) struct Doubt {
+pub(super) struct InnovationGate {
     first: Deviation,
-    /// Readings that are not explained, as the first is not.
+    /// Number of unexplained readings that agree with the first.
     agreeing: u32,
     undecided: u32,
     erratic: u32,
     largest_ns: f64,
 }
 
-/// What a further reading makes of a doubt.
-pub(super) enum Verdict {
-    /// All is as it was.
-    Unfounded,
-    /// Further readings will tell.
-    Unsure(Doubt),
-    /// One of the clocks was stepped.
+/// Classification after a further reading.
+pub(super) enum Class {
+    /// The deviations are explained.
+    Accepted,
+    /// Further readings are needed.
+    Undecided(InnovationGate),
+    /// One of the clocks stepped.
     Stepped,
     /// One of the clocks changed its rate, by about this much \[ns/s\].
-    OtherRate(f64),
+    RateChanged(f64),
 }
 
-impl Doubt {
+impl InnovationGate {
     pub fn begin(first: Deviation) -> Self {
         Self { first, agreeing: 1, undecided: 0, erratic: 0, largest_ns: first.by_ns.abs() }
     }
 
-    /// How far the fit may be wrong \[ns\].
+    /// Largest possible error of the fit \[ns\].
     pub fn largest_ns(&self) -> f64 {
         self.largest_ns
     }
 
     /// Takes a further reading into account.
-    pub fn judge(mut self, reading: Deviation) -> Verdict {
+    pub fn classify(mut self, reading: Deviation) -> Class {
         let noise_ns = reading.delayed_ns + self.first.delayed_ns + NOISE_NS;
         let grown_ns = reading.by_ns - self.first.by_ns;
         if reading.is_explained() && grown_ns.abs() > noise_ns {
-            return Verdict::Unfounded;
+            return Class::Accepted;
         }
         let signal_ns = reading.by_ns.abs().max(self.first.by_ns.abs());
         if reading.is_explained() || noise_ns > signal_ns / SIGNAL_TO_NOISE {
@@ -93,7 +93,7 @@ impl Doubt {
             if !reading.is_explained() && reading.delayed_ns < self.first.delayed_ns {
                 (self.first, self.agreeing) = (reading, 1);
             }
-            return if self.undecided > UNDECIDED_MAX { Verdict::Unfounded } else { Verdict::Unsure(self) };
+            return if self.undecided > UNDECIDED_MAX { Class::Accepted } else { Class::Undecided(self) };
         }
         self.largest_ns = self.largest_ns.max(reading.by_ns.abs());
         if reading.by_ns * self.first.by_ns < 0.0 {
@@ -102,25 +102,25 @@ impl Doubt {
         self.agreeing += 1;
         let lasted_s = reading.at.seconds_since(self.first.at);
         if self.agreeing < READINGS_MIN || lasted_s < self.wait_s(noise_ns) {
-            return Verdict::Unsure(self);
+            return Class::Undecided(self);
         }
         if grown_ns.abs() <= noise_ns + self.growth_ns() {
-            return Verdict::Stepped;
+            return Class::Stepped;
         }
         let rate = grown_ns / lasted_s.max(1e-9);
         if rate * self.first.by_ns > 0.0 && rate.abs() <= RATE_MAX {
-            return Verdict::OtherRate(rate);
+            return Class::RateChanged(rate);
         }
         self.contradicted(reading)
     }
 
-    /// Growth of a deviation that is not worth the name \[ns\].
+    /// Growth of a deviation that still counts as constant \[ns\].
     fn growth_ns(&self) -> f64 {
         let part_ns = GROWTH * self.first.by_ns.abs();
         if self.first.by_ns.abs() > JUMP_NS { part_ns } else { part_ns.min(GROWTH_NS) }
     }
 
-    /// After as long a usual rate shows in spite of the noise.
+    /// Time after which a usual rate change exceeds the noise \[s\].
     fn wait_s(&self, noise_ns: f64) -> f64 {
         if self.first.by_ns.abs() > JUMP_NS {
             return 0.0;
@@ -128,13 +128,13 @@ impl Doubt {
         ((noise_ns + self.growth_ns()) / RATE_USUAL).min(WAIT_S_MAX)
     }
 
-    /// A reading that agrees neither with what was before nor with the first doubted one: begins anew.
-    fn contradicted(self, reading: Deviation) -> Verdict {
+    /// For a reading that agrees neither with the fit nor with the first unexplained one: starts again with it.
+    fn contradicted(self, reading: Deviation) -> Class {
         let erratic = self.erratic + 1;
         if erratic >= ERRATIC_MAX {
-            return Verdict::Stepped;
+            return Class::Stepped;
         }
         let largest_ns = self.largest_ns.max(reading.by_ns.abs());
-        Verdict::Unsure(Self { erratic, largest_ns, ..Self::begin(reading) })
+        Class::Undecided(Self { erratic, largest_ns, ..Self::begin(reading) })
     }
 }

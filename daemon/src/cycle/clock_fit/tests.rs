@@ -1,4 +1,4 @@
-//! The fit against clocks whose true relation is known.
+//! The fit of clocks whose true relation is known.
 
 use proptest::prelude::*;
 use rand::{Rng, SeedableRng, rngs::StdRng};
@@ -8,7 +8,7 @@ use super::*;
 const FRAME_NS: i64 = 18_000;
 const PERIOD_NS: i64 = 10_000_000;
 
-/// A bus clock beside the host's, and a way there and back of 20 us each.
+/// A bus clock and the host's, with a delay of 20 us in each direction.
 struct Clocks {
     sent: MonoNs,
     dc_ns: f64,
@@ -21,7 +21,7 @@ impl Clocks {
         Self { sent: MonoNs(5_000_000_000), dc_ns: 1e12, drift_ppm, period_ns: PERIOD_NS }
     }
 
-    /// One cycle later, with delays beyond the quickest. The pair, and when its frame truly passed.
+    /// One cycle later, with these additional delays. Returns the pair and the true passing time of its frame.
     fn next(&mut self, extra_there_ns: i64, extra_back_ns: i64) -> (ClockPair, MonoNs) {
         self.sent = self.sent.plus_ns(self.period_ns);
         self.dc_ns += self.period_ns as f64 * (1.0 + self.drift_ppm * 1e-6);
@@ -36,7 +36,7 @@ fn error_ns(fit: &ClockFit, (pair, passed): (ClockPair, MonoNs)) -> f64 {
     fit.monotonic_from_dc(pair.dc).ns_since(passed) as f64
 }
 
-/// Largest error of the last half of 2000 cycles, with the delays that `extra` gives \[ns\].
+/// Largest error of the last half of 2000 cycles, with the delays of `extra` \[ns\].
 fn worst_error_ns(drift_ppm: f64, extra: impl Fn(usize) -> (i64, i64)) -> f64 {
     let (mut fit, mut clocks) = (ClockFit::default(), Clocks::new(drift_ppm));
     let mut worst: f64 = 0.0;
@@ -69,7 +69,7 @@ fn slow_replies_do_not_pull_the_fit() {
 
 #[test]
 fn the_time_of_the_frame_on_the_wire_is_no_error() {
-    // Were it taken for a delay, the middle would be 9 us off.
+    // If it counted as a delay, the centre would be 9 us off.
     assert!(worst_error_ns(0.0, |_| (0, 0)) < 100.0);
 }
 
@@ -79,7 +79,7 @@ fn the_uncertainty_covers_an_unequal_way_there_and_back() {
     assert_eq!(fit.uncertainty_ns(DcNs(0)), u32::MAX);
     for step in 0..500 {
         let sent = MonoNs(step * PERIOD_NS);
-        // The frame passes the clock right after it is sent: half the round trip is the error.
+        // The frame passes the clock right after it is sent: the error is half the round trip.
         let received = sent.plus_ns(100_000);
         fit.observe(ClockPair { dc: DcNs(sent.0), sent, received, frame_ns: 0 });
     }
@@ -99,7 +99,7 @@ fn the_uncertainty_grows_while_no_reply_comes() {
     }
     let after_s = |seconds: i64| fit.uncertainty_ns(last.plus_ns(seconds * 1_000_000_000));
     assert!(after_s(0) < after_s(10) && after_s(10) < after_s(1000));
-    // Left alone for 10 s the drift found so far still tells the time.
+    // After 10 s without readings the estimated drift still gives the time.
     clocks.sent = clocks.sent.plus_ns(10_000_000_000);
     clocks.dc_ns += 1e10 * (1.0 + 25e-6);
     let pair = clocks.next(0, 0);
@@ -114,7 +114,7 @@ fn one_wrong_bus_time_is_left_out() {
         let pair = clocks.next(0, 0);
         if step % 100 == 99 {
             let broken = ClockPair { dc: DcNs(pair.0.dc.0 ^ (1 << (step % 40 + 17))), ..pair.0 };
-            assert!(matches!(fit.observe(broken), Observation::Doubted(_)), "{step}");
+            assert!(matches!(fit.observe(broken), Observation::Gated(_)), "{step}");
         } else {
             assert_eq!(fit.observe(pair.0), Observation::Followed, "{step}");
         }
@@ -122,7 +122,7 @@ fn one_wrong_bus_time_is_left_out() {
     }
 }
 
-/// Observes until the fit says something else than that it is in doubt; how many readings that took.
+/// Observes until the fit classifies the deviation; returns the number of readings that this took.
 fn resolve(
     fit: &mut ClockFit,
     clocks: &mut Clocks,
@@ -131,7 +131,7 @@ fn resolve(
     for step in 0..200 {
         let (there, back) = delay(step);
         let seen = fit.observe(clocks.next(there, back).0);
-        if !matches!(seen, Observation::Doubted(_)) {
+        if !matches!(seen, Observation::Gated(_)) {
             return (seen, step + 1);
         }
     }
@@ -152,7 +152,7 @@ fn a_step_either_way_is_reported_within_five_readings_and_never_followed() {
             let Observation::Stepped(found_ns) = seen else { panic!("{step_ns}: {seen:?}") };
             assert!((found_ns - step_ns).abs() < 2_000, "{found_ns} instead of {step_ns}");
             assert!(readings <= 5, "{step_ns}: {readings} readings");
-            // The fit stands where it stood; begun anew it is right at once.
+            // The fit is unchanged; a restarted one is right at once.
             let pair = clocks.next(0, 0);
             assert!((error_ns(&fit, pair) - step_ns as f64).abs() < 2_000.0 + 1e-4 * size_ns as f64);
             let mut fit = fit.restarted();
@@ -173,13 +173,13 @@ fn while_a_step_is_in_doubt_the_uncertainty_covers_it() {
     });
     clocks.dc_ns += 50_000.0;
     let (pair, _) = clocks.next(0, 0);
-    assert!(matches!(fit.observe(pair), Observation::Doubted(49_000..51_000)));
+    assert!(matches!(fit.observe(pair), Observation::Gated(49_000..51_000)));
     assert!(fit.uncertainty_ns(pair.dc) > 50_000);
 }
 
 #[test]
 fn a_rate_changed_by_500_ppm_is_followed_and_is_no_step() {
-    // What NTP may do to the host's monotonic clock.
+    // As NTP may adjust the host's monotonic clock.
     for change_ppm in [-500.0, -100.0, -10.0, -1.0, 1.0, 10.0, 100.0, 500.0] {
         let (mut fit, mut clocks) = (ClockFit::default(), Clocks::new(20.0));
         (0..1000).for_each(|_| {
@@ -212,7 +212,7 @@ fn a_bus_time_that_makes_no_sense_at_all_is_a_stepped_clock_in_the_end() {
     assert!(erratic);
 }
 
-/// Delays of a host under load \[ns\]: each way exponential, and now and then a stall of a millisecond.
+/// Delays of a host under load \[ns\]: exponential in each direction, with rare stalls of a millisecond.
 fn loaded(random: &mut StdRng) -> (i64, i64) {
     let mut way = |mean_ns: f64| {
         let stall_ns = if random.random_ratio(1, 200) { 1_000_000 } else { 0 };
@@ -225,19 +225,19 @@ fn loaded(random: &mut StdRng) -> (i64, i64) {
 fn an_hour_under_load_has_no_false_step_and_a_step_of_100_us_is_found() {
     let mut random = StdRng::seed_from_u64(7);
     let (mut fit, mut clocks) = (ClockFit::default(), Clocks::new(-12.0));
-    let (mut within, mut doubted) = (0, 0);
+    let (mut within, mut gated) = (0, 0);
     for step in 0..360_000 {
         let (there, back) = loaded(&mut random);
         let pair = clocks.next(there, back);
         let seen = fit.observe(pair.0);
         assert!(!matches!(seen, Observation::Stepped(_)), "{step}");
-        doubted += usize::from(matches!(seen, Observation::Doubted(_)));
+        gated += usize::from(matches!(seen, Observation::Gated(_)));
         let error_ns = error_ns(&fit, pair).abs();
         within += usize::from(error_ns < 2.0 * f64::from(fit.uncertainty_ns(pair.0.dc)));
         assert!(step < 1000 || error_ns < 40_000.0, "{step}: {error_ns} ns");
     }
     assert!(within > 359_900, "{within} within two sigmas");
-    assert!(doubted < 360, "{doubted} in doubt");
+    assert!(gated < 360, "{gated} gated");
     for step_ns in [100_000.0, -100_000.0] {
         clocks.dc_ns += step_ns;
         let mut found = None;
@@ -258,8 +258,8 @@ fn an_hour_under_load_has_no_false_step_and_a_step_of_100_us_is_found() {
     }
 }
 
-/// A fit that has settled under load at some rate of cycles.
-fn settled_under_load(random: &mut StdRng, period_ns: i64) -> (ClockFit, Clocks) {
+/// A fit that has converged under load at some cycle rate.
+fn converged_under_load(random: &mut StdRng, period_ns: i64) -> (ClockFit, Clocks) {
     let (mut fit, mut clocks) = (ClockFit::default(), Clocks { period_ns, ..Clocks::new(20.0) });
     for _ in 0..1000 {
         let (there, back) = loaded(random);
@@ -273,7 +273,7 @@ fn under_load_a_rate_changed_by_some_ppm_is_no_step_at_any_rate_of_cycles() {
     for (seed, period_ns) in (0..10).flat_map(|seed| [(seed, PERIOD_NS), (seed, 1_000_000)]) {
         for change_ppm in [-3.0, 3.0] {
             let mut random = StdRng::seed_from_u64(seed);
-            let (mut fit, mut clocks) = settled_under_load(&mut random, period_ns);
+            let (mut fit, mut clocks) = converged_under_load(&mut random, period_ns);
             clocks.drift_ppm += change_ppm;
             for step in 0..2000 {
                 let (there, back) = loaded(&mut random);
@@ -290,7 +290,7 @@ fn under_load_a_rate_changed_by_some_ppm_is_no_step_at_any_rate_of_cycles() {
 fn under_load_a_step_of_80_us_is_found_at_any_rate_of_cycles() {
     for (seed, period_ns) in (0..10).flat_map(|seed| [(seed, PERIOD_NS), (seed, 1_000_000)]) {
         let mut random = StdRng::seed_from_u64(seed);
-        let (mut fit, mut clocks) = settled_under_load(&mut random, period_ns);
+        let (mut fit, mut clocks) = converged_under_load(&mut random, period_ns);
         clocks.dc_ns += 80_000.0;
         let found = (0..400).any(|_| {
             let (there, back) = loaded(&mut random);
@@ -312,7 +312,7 @@ proptest! {
             let seen = fit.observe(pair.0);
             let sigma_ns = f64::from(fit.uncertainty_ns(pair.0.dc));
             let error_ns = error_ns(&fit, pair).abs();
-            // Fit and truth both lie within the bound of the reading that was followed.
+            // Fit and truth are both within the bound of the reading that was followed.
             let width_ns = pair.0.received.ns_since(pair.0.sent) - FRAME_NS;
             prop_assert!(seen != Observation::Followed || error_ns < width_ns as f64 + 2_000.0, "{step}: {error_ns}");
             prop_assert!(step < 100 || error_ns < 4.0 * sigma_ns, "{step}: {error_ns} of {sigma_ns}");

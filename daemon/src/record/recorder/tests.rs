@@ -1,4 +1,4 @@
-//! What goes into the ring comes out of the file.
+//! Everything that enters the ring is in the file.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -37,7 +37,7 @@ fn metadata() -> RunMetadata {
     }
 }
 
-/// The counters' origin of all its cycles.
+/// Origin of the counters in all cycles.
 const ORIGIN: u32 = 2;
 
 fn cycle(cycle: u64) -> CycleRecord {
@@ -56,7 +56,7 @@ fn cycle(cycle: u64) -> CycleRecord {
     record
 }
 
-/// A recorder, and what ends its run.
+/// A recorder, and the means to end its run.
 fn rig(disk: Arc<dyn Disk>, source: CycleSource, daemon: &DaemonConfig, clock: &Clock) -> (Recorder, Stop) {
     let run = metadata();
     let scheduler = Threads::on(clock.clone());
@@ -78,7 +78,7 @@ fn rig(disk: Arc<dyn Disk>, source: CycleSource, daemon: &DaemonConfig, clock: &
     (recorder, stop)
 }
 
-/// Writes all that is in the ring, and finishes the file.
+/// Writes the ring's content and finishes the file.
 fn run(mut recorder: Recorder, cause: impl FnOnce() -> String) -> Result<RunSummary, WriteError> {
     while recorder.poll()? {
         thread::sleep(Recorder::PERIOD);
@@ -128,7 +128,7 @@ fn cycles_that_a_full_ring_refused_are_in_the_file_as_lost() {
         .collect();
     assert_eq!(lost, (32..50).collect::<Vec<_>>());
     assert!(recording.cycles[32..].iter().all(|record| !record.is_valid()));
-    // Nothing of another cycle stands in them.
+    // They contain nothing of another cycle.
     for record in &recording.cycles[32..] {
         assert_eq!((record.dc_time.0, record.send_time.0, record.receive_time.0), (0, 0, 0));
         assert_eq!(record.sample_time, cycle(record.cycle).sample_time);
@@ -138,7 +138,7 @@ fn cycles_that_a_full_ring_refused_are_in_the_file_as_lost() {
 }
 
 #[test]
-fn the_hosts_utc_may_be_stepped_and_the_file_says_so() {
+fn a_step_of_the_hosts_utc_is_recorded() {
     let directory = tempfile::tempdir().unwrap();
     let clock = Clock::virtual_from(UtcNs(0));
     let (mut sink, source) = ring(1000, FullRing::Drops);
@@ -147,15 +147,15 @@ fn the_hosts_utc_may_be_stepped_and_the_file_says_so() {
     let (recorder, _) = rig(Arc::new(SystemDisk), source, &configured(directory.path()), &clock);
     clock.step_utc(-2_000_000_000);
     let recording = Recording::open(&run(recorder, String::new).unwrap().path).unwrap();
-    // An event of the disk states that all cycles came at once.
+    // An event of the disk reports that all cycles came at once.
     let of_clock = recording.events.iter().filter(|event| event.kind == EventKind::Clock);
-    let told: Vec<_> = of_clock.map(|event| (event.code.as_str(), event.text.as_str())).collect();
-    let text = "host UTC moved by -2000.000 ms; sample times keep to the run's first offset";
-    assert_eq!(told, [("clock_stepped", text)]);
+    let events: Vec<_> = of_clock.map(|event| (event.code.as_str(), event.text.as_str())).collect();
+    let text = "host UTC stepped by -2000.000 ms; sample times keep the run's first offset";
+    assert_eq!(events, [("clock_stepped", text)]);
 }
 
 #[test]
-fn at_the_disk_floor_the_run_is_asked_to_end_and_its_file_says_why() {
+fn at_the_disk_floor_the_run_ends_and_its_file_states_why() {
     let directory = tempfile::tempdir().unwrap();
     let (mut sink, source) = ring(256, FullRing::Drops);
     // More than any disk has.
@@ -164,7 +164,7 @@ fn at_the_disk_floor_the_run_is_asked_to_end_and_its_file_says_why() {
     (0..150).for_each(|number| sink.push(&cycle(number)));
     let begun = Instant::now();
     while !stop.is_stopped() {
-        assert!(begun.elapsed() < Duration::from_secs(10), "the floor was not seen");
+        assert!(begun.elapsed() < Duration::from_secs(10), "the floor was not noticed");
         thread::sleep(Recorder::PERIOD);
     }
     drop(sink);
@@ -175,7 +175,7 @@ fn at_the_disk_floor_the_run_is_asked_to_end_and_its_file_says_why() {
 }
 
 #[test]
-fn wherever_a_run_is_cut_its_file_knows_how_late_it_was_up_to_a_minute_before() {
+fn wherever_a_run_is_cut_its_file_has_the_timing_up_to_a_minute_before() {
     const CYCLES: u64 = 15_000;
     let directory = tempfile::tempdir().unwrap();
     let (mut sink, source) = ring(CYCLES as usize, FullRing::Drops);
