@@ -1,4 +1,4 @@
-//! A bus that is not what the configuration says is refused with the reason.
+//! A bus that differs from the configuration is refused with the reason.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use std::collections::HashSet;
@@ -74,7 +74,7 @@ fn a_missing_or_surplus_terminal_is_named_by_its_position() {
     }
 }
 
-/// A cable that ends nowhere.
+/// A cable without a device at its end.
 struct Nowhere(Clock);
 
 impl Wire for Nowhere {
@@ -88,7 +88,7 @@ impl Wire for Nowhere {
     }
 }
 
-/// An interface that was taken down.
+/// An interface that is down.
 struct Dead;
 
 impl Wire for Dead {
@@ -111,7 +111,7 @@ fn silence_is_reported_as_no_answer() {
     }
 }
 
-/// A segment whose replies are repeated, cut short and mixed with other traffic.
+/// A segment whose replies are duplicated, truncated and mixed with other traffic.
 struct Noisy {
     inner: InProcessWire,
     repeat: Option<Vec<u8>>,
@@ -155,11 +155,11 @@ fn repeated_and_broken_replies_do_not_stop_the_bus() {
     assert!(bus.wire_counters().rejected > 1000, "{:?}", bus.wire_counters());
 }
 
-/// A segment that loses frames on their way there, or the replies to them on their way back.
+/// A segment that loses frames before they arrive, or loses the replies to them.
 struct Losing<F> {
     inner: InProcessWire,
     sent: Arc<AtomicUsize>,
-    /// Whether the frame of this number is lost.
+    /// True if the frame with this number is lost.
     loses: F,
     on_the_way_back: bool,
 }
@@ -172,7 +172,7 @@ impl<F: Fn(usize) -> bool + Send> Wire for Losing<F> {
 
     fn receive(&mut self, buffer: &mut [u8; FRAME_BYTES_MAX], until: MonoNs) -> io::Result<Option<usize>> {
         let received = self.inner.receive(buffer, until)?;
-        // One request is under way at a time.
+        // At most one request is pending.
         let number = self.sent.load(Ordering::Relaxed).saturating_sub(1);
         if self.on_the_way_back && received.is_some() && (self.loses)(number) {
             return self.inner.receive(buffer, until);
@@ -181,7 +181,7 @@ impl<F: Fn(usize) -> bool + Send> Wire for Losing<F> {
     }
 }
 
-/// Frames that a bring-up of such a segment took.
+/// Number of frames that the bring-up of such a segment takes.
 fn bring_up_losing(
     loses: impl Fn(usize) -> bool + Send + 'static,
     on_the_way_back: bool,
@@ -220,7 +220,7 @@ fn the_bus_comes_up_while_one_frame_in_a_hundred_is_lost() {
     }
 }
 
-/// A segment whose replies come later, and what was sent to it.
+/// A segment that replies late, and a record of the frames sent to it.
 struct Late {
     inner: InProcessWire,
     clock: Clock,
@@ -262,7 +262,7 @@ fn however_long_a_cyclic_frame_waits_for_its_reply_it_is_sent_once() {
         reply: None,
         sent: Arc::clone(&sent),
     };
-    // Twice as long as a frame waits for its reply while the bus comes up.
+    // Twice the time-out of a frame during bring-up.
     let reply_timeout = Duration::from_millis(40);
     let cycle_period = Duration::from_millis(100);
     let plan = BusPlan { cycle_period, sync0_shift: cycle_period / 2, reply_timeout, ..plan(5) };
@@ -279,7 +279,7 @@ fn however_long_a_cyclic_frame_waits_for_its_reply_it_is_sent_once() {
     assert!(after.received - before.received >= CYCLES as u64, "replies in time were not taken: {after:?}");
 }
 
-/// A segment that sets a flag when a number of frames was sent.
+/// A segment that sets a flag after a number of frames.
 struct Impatient {
     inner: InProcessWire,
     frames: Arc<AtomicUsize>,
@@ -315,7 +315,7 @@ fn whenever_somebody_asks_for_the_end_the_bus_is_not_brought_up_any_further() {
     };
     let (whole, frames) = bring_up(usize::MAX);
     whole.unwrap();
-    // The last frame is the one that finds all in operation.
+    // The last frame reads that all devices are in OP.
     for place in 0..PLACES {
         let patience = 1 + place * (frames - 2) / PLACES;
         let (ended, sent) = bring_up(patience);
@@ -325,7 +325,7 @@ fn whenever_somebody_asks_for_the_end_the_bus_is_not_brought_up_any_further() {
     }
 }
 
-/// A segment whose clock shows another time by this much.
+/// A segment whose clock is ahead of the host's by this.
 struct Shifted {
     inner: InProcessWire,
     by_ns: Arc<AtomicI64>,
@@ -337,7 +337,7 @@ impl Wire for Shifted {
     }
 
     fn receive(&mut self, buffer: &mut [u8; FRAME_BYTES_MAX], until: MonoNs) -> io::Result<Option<usize>> {
-        /// The command FRMW, by which the time is read and handed on, and its data.
+        /// The command FRMW, which distributes the time, and its data.
         const COMMAND: (usize, u8) = (16, 14);
         const DATA: std::ops::Range<usize> = 26..34;
         let received = self.inner.receive(buffer, until)?;
@@ -354,7 +354,7 @@ impl Wire for Shifted {
 fn a_bus_clock_that_shows_anything_is_followed_or_doubted_and_overflows_nothing() {
     let period_ns = 10_000_000;
     let round = |ns: i64| ns / period_ns * period_ns;
-    // Before and while the bus comes up, and afterwards; the last one overflows while it is cycled.
+    // Before, during and after the bring-up; the last time overflows in mid-cycle.
     for from_the_beginning in [true, false] {
         for by_ns in [round(i64::MAX - 1_700_000_000), i64::MAX, i64::MIN, i64::MIN + 1, -round(i64::MAX)] {
             let clock = Clock::virtual_from(UtcNs(0));
@@ -363,7 +363,7 @@ fn a_bus_clock_that_shows_anything_is_followed_or_doubted_and_overflows_nothing(
             let wire = Shifted { inner, by_ns: Arc::clone(&shift) };
             let plan = plan(5);
             let bus = Bus::new(Box::new(wire), clock.clone(), plan.reply_timeout);
-            // A clock that is not in step with SYNC0 may be refused.
+            // A clock that is not synchronous with SYNC0 may be refused.
             let Ok(mut acquisition) = Acquisition::start(bus, &plan, clock) else { continue };
             shift.store(by_ns, Ordering::Relaxed);
             let mut cycles = Vec::new();

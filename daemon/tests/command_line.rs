@@ -1,4 +1,4 @@
-//! What a person types and what comes back: exit codes, messages, files.
+//! The command line: exit codes, messages, files.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
 use std::ffi::OsStr;
@@ -30,7 +30,7 @@ fn record(out: &Path, arguments: &[&str]) -> Output {
     command.output().unwrap()
 }
 
-/// The command fails, says `why`, and leaves nothing in `out`.
+/// The command fails with the message `why` and leaves nothing in `out`.
 fn refused(output: &Output, why: &[&str], out: &Path) {
     let text = String::from_utf8_lossy(&output.stderr);
     assert!(!output.status.success(), "{text}");
@@ -60,7 +60,7 @@ fn a_run_is_recorded_and_exported_with_counts_and_angles() {
         assert_eq!(row[0], cycle.sample_time.to_string());
         for (index, encoder) in cycle.encoders().iter().enumerate() {
             assert_eq!(row[1 + index], encoder.count.to_string());
-            // 3600 lines at 12 bits, counted from the encoder's own zero.
+            // 3600 lines at 12 bits, counted from the zero of the encoder.
             let angle_rad = f64::from(encoder.count as i32) * std::f64::consts::TAU / 14_745_600.0;
             assert!((row[6 + index].parse::<f64>().unwrap() - angle_rad).abs() < 1e-8);
         }
@@ -76,7 +76,7 @@ fn no_bus_is_assumed() {
         let output = bare.env_remove("STATE_DIRECTORY").output().unwrap();
         assert_eq!(output.status.code(), Some(2), "{}", said(&output));
         refused(&output, &["--bus INTERFACE", "--bus simulated", "this machine: ", "lo"], out.path());
-        // As the unit of the package starts it.
+        // Started as the systemd unit of the package starts it.
         let output = bare.env("STATE_DIRECTORY", out.path()).output().unwrap();
         assert_eq!(output.status.code(), Some(2), "{}", said(&output));
         refused(&output, &["BALLBARD_OPTIONS in /etc/default/ballbard", "lo"], out.path());
@@ -103,7 +103,7 @@ fn simulated_data_are_called_that_from_the_beginning_to_the_end() {
     let output = recorded(&arguments);
     let (begin, end) = (String::from_utf8_lossy(&output.stderr), String::from_utf8_lossy(&output.stdout));
     assert!(begin.contains("SIMULATED") && end.contains("SIMULATED"), "{}", said(&output));
-    // So is a replay of them, but not one of measured data.
+    // A replay of simulated data is simulated; a replay of measured data is not.
     let made_up = out.path().join("made-up.mcap");
     let Recording { run, cycles, .. } = Recording::open(&made_up).unwrap();
     let ended = run.started;
@@ -187,7 +187,7 @@ fn what_goes_wrong_on_the_simulated_bus_is_chosen_by_hand() {
     std::fs::remove_file(out.path().join("faulty.mcap")).unwrap();
     refused(
         &record(out.path(), &["--fault", "gnoe:3"]),
-        &["`gnoe:3` is no fault", "gone:POSITION"],
+        &["`gnoe:3` is not a fault", "gone:POSITION"],
         out.path(),
     );
     refused(&record(out.path(), &["--bus", "lo", "--fault", "lost:1"]), &["simulated bus"], out.path());
@@ -196,18 +196,18 @@ fn what_goes_wrong_on_the_simulated_bus_is_chosen_by_hand() {
 #[test]
 fn a_bus_gone_for_good_ends_the_run_with_a_finished_file_that_says_so() {
     let out = tempfile::tempdir().unwrap();
-    // No duration: only the full fault ends it.
+    // The full fault ends the run long before its duration.
     let output =
         record(out.path(), &["--name", "gone", "--duration", "1h", "--fast", "--fault", "link-down@3s"]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let recording = Recording::open(&out.path().join("gone.mcap")).unwrap();
     assert!(recording.end.cause.contains("full fault"), "{}", recording.end.cause);
     let blind = recording.cycles.iter().rev().take_while(|cycle| !cycle.is_valid()).count();
-    // 60 s, and what one look at the bus may take.
+    // 60 s, and the longest check of the bus.
     assert!((6000..6100).contains(&blind), "{blind} cycles");
 }
 
-/// Every reply comes after the end of its cycle, so that the bus never comes into operation: a warning appears after five seconds.
+/// Every reply arrives after the end of its cycle, so that the bus never reaches OP. A warning follows after 5 s.
 #[test]
 fn a_bus_that_does_not_come_into_operation_is_not_waited_for_in_silence() {
     let out = tempfile::tempdir().unwrap();
@@ -371,7 +371,7 @@ fn a_signal_ends_a_run_with_a_finished_file_that_states_it() {
     assert!(!recording.cycles.is_empty() && !active.exists());
 }
 
-/// What a command prints for programs, which is nothing but one value, and its exit code.
+/// The output of a command for programs, a single JSON value, and its exit code.
 fn json(arguments: &[&str]) -> (serde_json::Value, Option<i32>) {
     let output = ballbard().args(arguments).arg("--json").output().unwrap();
     let value = serde_json::from_slice(&output.stdout).unwrap();
@@ -387,7 +387,7 @@ fn commands_without_a_service_answer_programs_too() {
         let arguments = [&arguments[..], &["--duration", "2s", "--fast"]].concat();
         json(&[&arguments[..], &["--config", config, "--out", directory]].concat())
     };
-    // A whole run, and one without a valid cycle, which is a failure with an answer.
+    // A complete run, and a run without a valid cycle, which fails but has an answer.
     let (last, code) = recorded("whole", "lost:1@2s-2100ms");
     let file = out.path().join("whole.mcap");
     let recording = Recording::open(&file).unwrap();
@@ -446,14 +446,14 @@ fn tune_refuses_an_interface_that_is_not_there() {
     assert!(output.stdout.is_empty());
 }
 
-/// In an empty directory, where no configuration is.
+/// In an empty directory without configuration.
 fn nowhere(arguments: &[&str]) -> (tempfile::TempDir, Output) {
     let directory = tempfile::tempdir().unwrap();
     let output = ballbard().current_dir(&directory).args(arguments).output().unwrap();
     (directory, output)
 }
 
-/// A command on a machine of its own, where no service runs and none is installed, as far as this one has namespaces for its user.
+/// A command in namespaces where no service runs or is installed, if this user may create namespaces.
 fn alone(arguments: &[&str]) -> Output {
     const WITHIN: [&str; 5] = ["--map-root-user", "--net", "--mount", "sh", "-c"];
     const INSTALLED: &str = "[ ! -d /etc/ballbard ] || mount -t tmpfs none /etc/ballbard";
@@ -495,7 +495,7 @@ fn a_directory_that_was_typed_is_meant_and_what_is_missing_in_it_is_named() {
         "{}",
         said(&output)
     );
-    // Without one, who asks is told once where the port came from.
+    // Without a port file, the command prints where the port came from.
     let output = alone(&["status"]);
     let text = said(&output);
     let counts = ["no daemon.toml in config or /etc/ballbard", "7311"].map(|part| text.matches(part).count());

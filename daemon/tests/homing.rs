@@ -1,5 +1,5 @@
-//! Homing on the simulated segment, virtual time: the marks are the true ones, the same pose reads the same angle after a
-//! power cycle, and wrong wiring is found.
+//! Homing on the simulated segment on virtual time: the marks are the true ones, the same pose has the same angle after
+//! a power cycle, and wrong wiring is detected.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use std::f64::consts::TAU;
@@ -37,7 +37,7 @@ struct Bench {
     positions: Positions,
 }
 
-/// Where each encoder was when it was last converted.
+/// Position of each encoder at its last conversion.
 type Positions = Arc<Mutex<[Periods; TERMINALS]>>;
 
 struct Watched(HandTurned, Positions);
@@ -77,7 +77,7 @@ impl Bench {
         Self { acquisition, hand, faults, true_marks, positions }
     }
 
-    /// Homes as `encoders` says; `obeys` does what a person does who is asked to turn a joint.
+    /// Homes `encoders`; `obeys` is the reaction of the operator to a requested turn.
     fn home(
         &mut self,
         encoders: &[EncoderConfig],
@@ -96,7 +96,7 @@ impl Bench {
                 break found;
             }
         };
-        assert!(found.is_err() || turned_rad_max > 0.08, "progress is told");
+        assert!(found.is_err() || turned_rad_max > 0.08, "no progress was reported");
         found
     }
 
@@ -106,7 +106,7 @@ impl Bench {
         last.unwrap()
     }
 
-    /// Angles of all joints, with the marks that `homing` has and the terminals still show.
+    /// Angles of all joints from the marks of `homing` while the terminals still show them.
     fn angles_rad(&mut self, homing: &HomingConfig) -> (Vec<f64>, Vec<u8>) {
         let record = self.record();
         assert!(record.is_valid());
@@ -120,7 +120,7 @@ impl Bench {
         (infos.iter().zip(record.encoders()).map(angle).collect(), stale)
     }
 
-    /// Whatever the counters begin with: an angle is the way from the mark on the disc, but for whole turns.
+    /// For any start values of the counters an angle is the distance from the mark on the disc, modulo whole turns.
     fn assert_angles_are_those_from_the_true_marks(&mut self, homing: &HomingConfig) {
         let (angles_rad, stale) = self.angles_rad(homing);
         assert!(stale.is_empty(), "the terminals show their marks");
@@ -147,7 +147,7 @@ fn the_marks_found_are_the_true_ones() {
         let mut bench = Bench::new(seed);
         let found = bench.home(&encoders(), obedient).unwrap();
         for (found, true_mark) in verify(&encoders(), &found).unwrap().iter().zip(&bench.true_marks) {
-            // Once each revolution there is one.
+            // One mark in each revolution.
             let apart = found.wrapping_sub((true_mark.0 >> 20) as u32) as i32;
             assert_eq!(apart % COUNTS_PER_REVOLUTION as i32, 0);
         }
@@ -170,7 +170,7 @@ fn after_a_power_cycle_and_homing_again_the_same_pose_reads_the_same_angle() {
     while !bench.record().is_valid() {}
     let counts_after = bench.record().encoders.map(|encoder| encoder.count);
     assert!(counts.iter().zip(counts_after).all(|(before, after)| before.abs_diff(after) > 4096));
-    // Nobody takes the old marks for those of the new counts.
+    // Old marks are not applied to new counts.
     assert_eq!(bench.angles_rad(&homing).1, [1, 2, 3, 4, 5]);
 
     let again = bench.home(&encoders(), obedient).unwrap();
@@ -185,7 +185,7 @@ fn miswired(found: &[Found], encoders: &[EncoderConfig]) -> String {
 
 #[test]
 fn encoders_on_each_others_terminals_are_named_with_what_to_write() {
-    // The configuration lists joint 2 first and joint 1 second; the wiring has them the other way round.
+    // The configuration lists joint 2 first and joint 1 second; the wiring swaps them.
     let mut swapped = encoders();
     swapped.swap(0, 1);
     let found = Bench::new(4).home(&swapped, obedient).unwrap();

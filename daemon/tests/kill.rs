@@ -1,7 +1,7 @@
-//! `kill -9` at random instants costs at most one second, and what is left becomes a finished recording.
+//! `kill -9` at random instants loses at most one second, and a finished recording can be recovered from the file.
 //!
-//! Each process records for up to 2.5 s at 100 Hz, several at once. What it had produced is known from outside by its
-//! clock: a cycle each 10 ms since its first.
+//! Several processes record for up to 2.5 s at 100 Hz. The number of cycles follows from the clock: one every
+//! 10 ms since its first.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::path::{Path, PathBuf};
@@ -15,9 +15,9 @@ use shared::time::{NS_PER_S, UtcNs};
 
 use crate::support::ballbard;
 
-/// Processes that record at the same time.
+/// Processes that record in parallel.
 const AT_ONCE: usize = 6;
-/// A second, the drain period of the ring, and what a busy machine adds to noticing the kill \[ns\].
+/// A second, the drain period of the ring, and the delay with which a busy machine notices the kill \[ns\].
 const LOST_NS_MAX: i64 = NS_PER_S;
 const SLACK_NS: i64 = 250_000_000;
 
@@ -34,13 +34,13 @@ fn record(directory: &Path, name: &str) -> Child {
     command.arg("--out").arg(directory).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
 }
 
-/// Records, is killed after `life` counted from its file's appearance, and tells when that was.
+/// Records, kills the process `life` after its file appeared, and returns the instant of the kill.
 fn record_and_kill(directory: &Path, name: &str, life: Duration) -> UtcNs {
     let mut child = record(directory, name);
     let active = directory.join(format!("{name}.mcap.active"));
     let begun = Instant::now();
     while !active.exists() {
-        // With this many at once on a small machine the bus may not come up in time: then it is tried again.
+        // With this many processes on a small machine the bring-up may time out; it is then repeated.
         if child.try_wait().unwrap().is_some() {
             child = record(directory, name);
         }
@@ -58,15 +58,15 @@ fn record_and_kill(directory: &Path, name: &str, life: Duration) -> UtcNs {
 struct Left {
     /// Time between the last cycle and the kill \[ns\].
     lost_ns: i64,
-    /// Where it was recovered, and what we read there; none where nothing but a name was left.
+    /// The recovered file and its content; `None` if there was only an empty file.
     recovered: Option<(PathBuf, Recording)>,
 }
 
-/// Recovers what was left.
+/// Recovers the files of the killed process.
 fn recover(directory: &Path, name: &str, killed: UtcNs) -> Left {
     let active = directory.join(format!("{name}.mcap.active"));
     let Ok(Recovery::Recovered { file, content, .. }) = recover_file(&active) else {
-        // Killed between its name and its first synchronisation: nothing but the name was there.
+        // Killed between creation and first synchronisation: the file was empty.
         let bytes = std::fs::metadata(&active).unwrap().len();
         assert!(bytes < 8192, "{name}: {bytes} bytes and nothing recovered");
         return Left { lost_ns: 0, recovered: None };
@@ -78,16 +78,13 @@ fn recover(directory: &Path, name: &str, killed: UtcNs) -> Left {
         assert_eq!(pair[1].cycle, pair[0].cycle + 1);
         assert!(pair[1].sample_time > pair[0].sample_time, "{name}: time runs backwards");
     }
-    // The first synchronisation that had a cycle is followed by another: what it said is there.
-    assert!(
-        recording.timing.is_some() || recording.cycles.len() < 200,
-        "{name}: nobody knows how late it was"
-    );
+    // The first synchronisation with a cycle was followed by another, so its content is there.
+    assert!(recording.timing.is_some() || recording.cycles.len() < 200, "{name}: the timing is missing");
     let last = recording.cycles.last().map_or(recording.run.started, |last| last.sample_time);
     Left { lost_ns: killed.ns_since(last), recovered: Some((file, recording)) }
 }
 
-/// Two readers that are not ours decode every message of the recovered files.
+/// Two independent readers decode every message of the recovered files.
 fn read_by_others(recovered: &[(PathBuf, Recording)]) {
     let python = std::env::var_os("BALLBAR_PYTHON").unwrap_or_else(|| "python3".into());
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/read_recording.py");
@@ -112,7 +109,7 @@ fn read_by_others(recovered: &[(PathBuf, Recording)]) {
     });
 }
 
-/// Kills as many processes, and returns what is recovered in `directory` of those that had recorded something.
+/// Kills this many processes, and returns the recovered runs of those that had recorded anything.
 fn kill_at_random(directory: &Path, kills: usize) -> Vec<(PathBuf, Recording)> {
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(11);
     let lives: Vec<Duration> =
@@ -124,7 +121,7 @@ fn kill_at_random(directory: &Path, kills: usize) -> Vec<(PathBuf, Recording)> {
             && let Some(life) = lives.get(index)
         {
             let name = format!("kill-{index}");
-            // A process that starts recovers what it finds: each has a folder of its own.
+            // A process recovers the leftovers of its folder when it starts, so each process has its own.
             let own = directory.join(&name);
             std::fs::create_dir(&own).unwrap();
             let killed = record_and_kill(&own, &name, *life);

@@ -1,6 +1,7 @@
-//! Tests of `ballbard` that do not depend on how fast this machine is, in one program: one link, and long tests side by side.
+//! Tests of `ballbard` that do not depend on the speed of the machine. They form one program, which links once and runs
+//! long tests in parallel.
 //!
-//! One file of them: `cargo test -p ballbard --test all time_stamps`. Those in real time are in `real_time.rs`.
+//! One file of them: `cargo test -p ballbard --test all time_stamps`. Tests in real time are in `real_time.rs`.
 
 mod support;
 

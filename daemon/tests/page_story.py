@@ -3,7 +3,7 @@
 usage: page_story.py CHROMIUM URL URL_FROM_ELSEWHERE TOKEN_FILE SCREENSHOTS READERS
 
 Drives the browser over its DevTools protocol. A line `> TEXT` on standard output asks the test that started this to do
-something with the service; it answers with a line on standard input. Whatever is not as it should be ends with an error.
+something with the service; it answers with a line on standard input. A failed check ends the program with an error.
 """
 
 import base64
@@ -58,7 +58,7 @@ class Page:
             self.note(said)
 
     def note(self, said):
-        """What the page complains of; refusals that are part of the story are none."""
+        """Errors of the page, without the refusals that belong to the story."""
         if said.get("method") == "Runtime.exceptionThrown":
             self.complaints.append(json.dumps(said["params"]["exceptionDetails"]))
         entry = said.get("params", {}).get("entry", {})
@@ -81,7 +81,7 @@ class Page:
         raise AssertionError(f"{what} never came within {within_s} s; the page shows:\n{seen}")
 
     def click(self, selector):
-        """As a person does: where the element is, and only if nothing lies over it."""
+        """Clicks at the position of the element, and requires that no other element covers it."""
         place = self.run(f"""(() => {{
             const element = document.querySelector({json.dumps(selector)});
             element.scrollIntoView({{block: "center"}});
@@ -108,7 +108,7 @@ class Page:
         return self.run(f"document.querySelector({json.dumps(selector)})?.innerText ?? ''")
 
     def pictures(self, directory, name):
-        """At the widths of a phone, a tablet and a desktop, light and dark; nothing may stick out to the side."""
+        """At the widths of a phone, a tablet and a desktop, light and dark, the page fits its width."""
         for width, height in [(375, 812), (820, 1180), (1440, 900)]:
             for scheme in ["light", "dark"]:
                 self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600)
@@ -143,7 +143,7 @@ def reload(page):
 
 
 def login(page, url, token, pictures):
-    """From another machine: nothing before the token is typed, and then the page."""
+    """From another machine the page opens only after the token is typed."""
     page.call("Page.navigate", url=url)
     page.wait("document.readyState === 'complete' && document.querySelector('form')", "the form for the token")
     assert "token is missing" in page.shown("[role=alert]") and not page.run("document.getElementById('word')")
@@ -158,7 +158,7 @@ def login(page, url, token, pictures):
 
 
 def preflight(page, pictures):
-    # While the bus comes up it is red as well, and so are its encoders.
+    # The line is red during the bring-up, too, and so are the encoders.
     page.wait("document.querySelector('#checks [data-subject=encoders][data-level=good]')", "a bus in operation")
     service("on no-signal:2")
     page.wait(
@@ -172,7 +172,7 @@ def preflight(page, pictures):
     page.pictures(pictures, "red")
     page.click("#begin")
     page.wait("document.getElementById('ask').open", "the question for the reason")
-    # Nothing begins without one.
+    # No run starts without it.
     page.click("#ask-yes")
     time.sleep(0.5)
     assert page.run("document.getElementById('ask').open") and page.shown("#word") == "CHECK"
@@ -212,7 +212,7 @@ def names(page):
     assert page.shown("#word") == "READY" and page.shown("#said") == ""
     page.run("(field => { field.value = ''; field.dispatchEvent(new Event('input')); })(document.querySelector('[name=name]'))")
     page.wait("document.getElementById('name-hint').textContent === ''", "a name without a problem")
-    # Enter in a field begins nothing.
+    # Enter in a field does not start a run.
     for field in ["operator", "name", "minutes"]:
         page.run(f"document.querySelector('#run-form [name={field}]').focus()")
         page.key("Enter")
@@ -221,7 +221,7 @@ def names(page):
 
 
 def marks(page):
-    """Numbered by the service, with Shift or Caps Lock, too; in the list of this run and on the strip."""
+    """Marks get their numbers from the service, also with Shift or Caps Lock, and appear in the list and on the strip."""
     page.key("m")
     page.wait("document.getElementById('said').innerText.includes('mark 1')", "the mark")
     page.key("M")
@@ -250,7 +250,7 @@ def first_run(page, pictures):
     assert "SIMULATED" in page.shown("#simulated")
     page.wait("document.activeElement.id === 'progress-title'", "the focus at the run")
     marks(page)
-    # A fault that lasts, seen while it does, and over when it is.
+    # A lasting fault is shown while it lasts, and only then.
     service("on no-signal:3")
     page.wait("document.getElementById('joint3').dataset.level === 'bad'", "the silent encoder")
     assert "stale" in page.shown("#joint3 .angle") and "signal too low" in page.shown("#joint3")
@@ -275,7 +275,7 @@ def stop(page):
     name = page.shown("#run-name")
     page.click("#stop")
     page.wait("document.getElementById('ask').open", "the question")
-    # Enter at once does no harm.
+    # Enter does not confirm by accident.
     assert focused(page) == "ask-no"
     page.key("Enter")
     page.wait("!document.getElementById('ask').open", "the end of the question")
@@ -284,7 +284,7 @@ def stop(page):
     page.wait("document.getElementById('ask').open", "the question")
     page.click("#ask-yes")
     word(page, "READY")
-    # What it is worth, and what comes next.
+    # The verdict, and the next step.
     page.wait(f"!document.getElementById('after').hidden && document.getElementById('after-title').textContent.startsWith({json.dumps(name)})",
               "what became of the run")
     page.wait("document.activeElement.id === 'after-title'", "the focus at what became of the run")
@@ -297,7 +297,7 @@ def second_run(page):
     page.wait("document.getElementById('begin').textContent === 'Start' && !document.getElementById('begin').disabled", "a free start")
     page.click("#begin")
     word(page, "RECORDING")
-    # Long enough that no joint was at a turning point all the time.
+    # Long enough that no joint was at a turning point throughout.
     page.wait("Number(document.getElementById('run-disk').textContent) > 1000", "ten seconds on disk")
     page.wait("[...document.querySelectorAll('.joint .moved')].every(light => light.classList.contains('on'))", "every joint moved")
     return stop(page)
@@ -318,7 +318,7 @@ def joint_asked_for(page, joint):
 
 
 def homing_ends(page, error):
-    """Said in the dialog, which asks for no joint any more and closes."""
+    """The dialog shows the end, requests no further joint, and closes."""
     page.wait("document.getElementById('homing-close').textContent === 'Close'", "the end of the homing")
     assert page.run("document.getElementById('homing-stop').hidden")
     said = page.shown("#homing-error")
@@ -334,7 +334,7 @@ def stop_homing(page):
 
 
 def bystander(page):
-    """Another page, as this one is after it was loaded anew: nothing that it presses by mistake ends the homing."""
+    """On another page, or on this page after a reload, no accidental key ends the homing."""
     reload(page)
     word(page, "HOMING")
     page.wait("!document.getElementById('homing-show').hidden", "the button that shows the homing")
@@ -357,7 +357,7 @@ def close_homing(page):
 
 
 def homing(page, pictures):
-    # It could not be saved: said before anybody turns a joint.
+    # A result that cannot be saved is reported before a joint is turned.
     service("state in the way")
     begin_homing(page)
     page.wait("document.getElementById('said').innerText.includes('could not be saved')", "the refusal")
@@ -371,7 +371,7 @@ def homing(page, pictures):
     homing_ends(page, "moved together")
     word(page, "READY")
     close_homing(page)
-    # Stopped by who began it.
+    # Stopped on the page that started it.
     service("hold")
     begin_homing(page)
     joint_asked_for(page, 1)
@@ -380,7 +380,7 @@ def homing(page, pictures):
     homing_ends(page, "stopped on the page")
     close_homing(page)
     assert "not homed" in page.shown("#checks [data-subject='reference marks']")
-    # Joint after joint, as the page asks for them.
+    # Joint by joint, as the page requests them.
     begin_homing(page)
     page.run("""window.turned = []; new MutationObserver(([change]) => window.turned.push(change.target.textContent))
         .observe(document.getElementById('homing-turned'), {childList: true})""")
@@ -396,7 +396,7 @@ def homing(page, pictures):
     assert "homing.toml" in page.shown("#homing-lines li:last-child"), page.shown("#homing-lines")
     unseen = "(list => list.scrollHeight - list.clientHeight - list.scrollTop)(document.getElementById('homing-lines'))"
     assert page.run(unseen) < 2, "the last line lies below what is seen of the list"
-    # How far, and that it is the positive way, while a joint is turned.
+    # The distance and the positive direction, while a joint is turned.
     turned = page.run("window.turned")
     assert any(re.fullmatch(r"\+[1-9][0-9]*\.[0-9]°", said) for said in turned), turned
     assert not any(said.startswith("−") for said in turned), turned
@@ -408,7 +408,7 @@ def homing(page, pictures):
 
 
 def judged(page, name, reason):
-    """The line of a run whose verdict is that of its cycles."""
+    """The line of a run; its verdict follows from its cycles."""
     line = page.shown(f"#runs [data-run={json.dumps(name)}]")
     valid, total = map(int, line.split(" cycles valid")[0].split(", ")[-1].split(" of "))
     wanted = "GOOD" if valid >= 0.99 * total else "CHECK" if valid >= 0.5 * total else "BAD"
@@ -422,7 +422,7 @@ def to_the_bin_and_back(page, name):
     delete = f"{row} .tools button[aria-label^=Delete]"
     page.click(delete)
     page.wait("document.getElementById('ask').open", "the question before a run is deleted")
-    # Twice Enter deletes nothing.
+    # Enter, pressed twice, deletes nothing.
     page.key("Enter")
     page.wait("!document.getElementById('ask').open", "the end of the question")
     assert page.run(f"Boolean({there})")
@@ -452,8 +452,7 @@ def downloaded(page, name, counted, readers):
     return content | read_recording.beside_messages(file)
 
 
-# In the left half of the strip, where a page that knows only itself draws nothing for half a minute, something is drawn
-# besides the grid: more than its two colours.
+# True if the left half of the strip shows data from before the page was opened: more than the two colours of the grid.
 LINE_BEGINS_LEFT = """(() => {
   const canvas = document.querySelector('#strip canvas');
   if (!canvas) return false;
@@ -481,12 +480,12 @@ def main():
             first = first_run(page, pictures)
             assert first.endswith("_irb-2400_short_01"), first
             line, verdict, total = judged(page, first, "cycles are flagged")
-            # Which joint, of what, how long and when.
+            # Joint, kind, duration and time of the fault.
             assert re.search(r"joint 3 signal too low \([0-9.]+ s( in [0-9]+ periods)?, first at 0:[0-9]{2}\)", line), line
             assert "mark 3" in line and "stopped on the page" in line, line
             assert verdict != "GOOD"
             assert "IRB 2400" in line and "12 kg" in line and "A. Nilsson" in line, line
-            # Text of people is text.
+            # Text of users is not interpreted as HTML.
             assert NOTE in line and page.run("window.hacked === undefined")
             content = downloaded(page, first, total, readers)
             assert any(event["text"] == "mark 1" for event in content["events"]), content["events"]
@@ -503,7 +502,7 @@ def main():
             page.run("document.getElementById('plot').close()")
             page.click(f"#runs [data-run={json.dumps(second)}] .tools button[aria-label^=Note]")
             page.wait("document.getElementById('ask').open", "the question for the note")
-            # What has several lines is shown with them, and kept with them. Enter begins one more, Ctrl and Enter end the last.
+            # A note keeps its lines. Enter begins a new line, Ctrl and Enter save the note.
             assert page.run("document.getElementById('ask-input').value") == NOTE
             page.pictures(pictures, "note")
             page.type("#ask-input", "gripper closed <img>\nat the")

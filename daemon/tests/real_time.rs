@@ -1,4 +1,4 @@
-//! Tests of `ballbard` as a process that keeps pace with the clock of this machine: apart from the others, which compute.
+//! Tests of `ballbard` as a process in real time, apart from the tests that only compute.
 
 mod support;
 

@@ -1,4 +1,4 @@
-//! One run as `ballbard record` does it, on virtual time: what ends it, what it leaves, and what it does not wait for.
+//! One run of `ballbard record` on virtual time: what ends it, what it leaves, and what it does not wait for.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use std::cell::Cell;
@@ -17,12 +17,12 @@ use crate::support::runs::{in_parallel, leave};
 use crate::support::wall::{Call, Fault, Wall};
 use crate::support::world::{World, now, since, sleep};
 
-/// Longer than anybody waits.
+/// Longer than any client waits.
 const EVER: Duration = Duration::from_secs(60);
-/// The longest end of a command whose run has no file.
+/// The longest shutdown of a command whose run has no file.
 const ENDS_WITHIN: Duration = Duration::from_secs(2);
 
-/// A command, the disk that it records to, and what asks it to end.
+/// A command, the disk that it records to, and its interrupt.
 struct Command {
     _directory: tempfile::TempDir,
     daemon: DaemonConfig,
@@ -45,7 +45,7 @@ impl Command {
         Self { _directory: directory, daemon, wall, request, stop: Stop::default() }
     }
 
-    /// How it ends, and when since it began.
+    /// The result, and the time since the start.
     async fn run(&self) -> (Result<RunSummary, RunError>, Duration) {
         let scheduler = World::here().unwrap().scheduler();
         let begun = now();
@@ -56,7 +56,7 @@ impl Command {
         (outcome, since(begun))
     }
 
-    /// Asks it to end after this time; gives the instant at which that was done.
+    /// Interrupts the command after this time; returns the instant.
     fn stop_after(&self, time: Duration) -> Rc<Cell<Option<MonoNs>>> {
         let (stop, asked) = (self.stop.clone(), Rc::<Cell<Option<MonoNs>>>::default());
         let at = Rc::clone(&asked);
@@ -131,7 +131,7 @@ fn a_run_that_is_refused_leaves_no_file_and_the_next_one_can_begin() {
                 && !command.names().contains(&"day.mcap.active".into())
         );
 
-        // One that is to be asked for its floor, which no disk has.
+        // With a floor of free space above the size of any disk.
         let full =
             Command { daemon: DaemonConfig { disk_floor_mb: u32::MAX, ..command.daemon.clone() }, ..command };
         let (outcome, _) = full.run().await;
@@ -168,7 +168,7 @@ fn a_bus_that_is_not_there_is_waited_for_until_somebody_ends_it() {
     });
 }
 
-/// Asked to end while the disk hangs before the run has a file. `second` hangs too, once the first has gone on.
+/// Interrupted while the disk hangs before the run has a file. `second` hangs too, after the first returned.
 fn check_hang(call: Call, second: Option<Call>) {
     World::live(async move {
         let hang = if second.is_some() { Duration::from_millis(1300) } else { EVER };
@@ -200,7 +200,7 @@ fn check_hang(call: Call, second: Option<Call>) {
 
 #[test]
 fn a_command_that_is_asked_to_end_before_the_disk_gave_its_run_a_file_does_not_wait_for_the_disk() {
-    // Before the claim, its lock, and what gives the run its file.
+    // The claim, its lock, and the calls that create the file.
     let calls =
         [Call::MakeDirectory, Call::Lock, Call::List, Call::Rename, Call::SyncDirectory, Call::Create];
     let mut cases: Vec<_> = calls.map(|call| (call, None)).into();

@@ -1,4 +1,4 @@
-//! The smoke test on the simulated segment, virtual time: what is wrong with a bus fails the check of that name, and no other.
+//! The smoke test on the simulated segment on virtual time: a fault of the bus fails the check of that name only.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::path::Path;
@@ -9,7 +9,7 @@ use ballbard::scheduler::Threads;
 use ballbard::smoke::{Bench, Check, CyclesConfig, Outcome, Reason, Report, SmokeConfig, Subject, smoke};
 use shared::config::{self, BallBarConfig, DaemonConfig, Kind};
 
-/// All checks of the shipped configuration, for ten seconds, and homing.
+/// All checks of the shipped configuration for ten seconds, and homing.
 fn shipped() -> SmokeConfig {
     let shipped: SmokeConfig = config::parse(Kind::Smoke.built_in("smoke"), Path::new("smoke.toml")).unwrap();
     let cycles = shipped.cycles.iter().map(|asked| CyclesConfig { duration_s: 10, ..*asked }).collect();
@@ -41,7 +41,7 @@ fn failed(report: &Report) -> Vec<(Subject, Option<u32>)> {
     report.checks.iter().filter(failed).map(|check| (check.subject, check.rate_hz)).collect()
 }
 
-/// Codes of what failed.
+/// Codes of the failed checks.
 fn codes(report: &Report) -> Vec<Option<&'static str>> {
     let code = |check: &Check| match &check.outcome {
         Outcome::Failed { code, .. } => Some(*code),
@@ -62,10 +62,10 @@ fn a_healthy_bus_passes_every_check_and_the_report_has_its_figures() {
         assert_eq!(figures.working_counters, [(15, cycles)].into());
         assert!(figures.encoders.iter().all(|encoder| encoder.valid == cycles && encoder.sync_errors == 0));
         assert_eq!(figures.clocks.devices.len(), 5);
-        // The segment's crystals are wrong by up to 20 ppm.
+        // The crystals of the segment are off by up to 20 ppm.
         assert!(figures.clocks.host_rate_ppm.unwrap().abs() < 25.0);
     }
-    // The bus was given up and came back.
+    // The bus was reinitialised and came back.
     let pulled = report.pulled_cable.as_ref().unwrap();
     assert!(pulled.events.contains_key("bus_restored") && pulled.flags["bus_down"] > 0, "{pulled:?}");
     let asked = told.iter().filter(|line| line.contains("turn it slowly")).count();
@@ -104,7 +104,7 @@ fn terminals_that_are_there_are_in_the_report_of_a_bus_that_does_not_come_up() {
     assert_eq!(report.devices.len(), 4);
     let not_done =
         |check: &&Check| check.outcome == Outcome::NotDone { because: Reason::After(Subject::Devices) };
-    // All at two rates, homing and cable.
+    // All checks at two rates, homing and cable.
     assert_eq!(report.checks.iter().filter(not_done).count(), 2 * 6 + 2);
     let report = tested(&shipped(), &["abort:2,0x06090011"]);
     assert_eq!(

@@ -1,5 +1,5 @@
-//! Sample times against the simulated terminals' true sampling instants, on virtual time: delays, drift, late wake-ups,
-//! steps of each clock.
+//! Sample times against the true sampling instants of the simulated terminals, on virtual time: delays, drift, late
+//! wake-ups, and steps of each clock.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::io;
@@ -16,23 +16,23 @@ use rand::{Rng, SeedableRng, rngs::StdRng};
 use shared::recording::schema::{CycleRecord, flags};
 use shared::time::{MonoNs, UtcNs};
 
-/// What a host adds to the wire's own time: system calls, interrupts, a busy processor.
+/// Delays of the host in addition to the wire: system calls, interrupts, a busy processor.
 #[derive(Clone, Copy)]
 struct Delays {
-    /// Least delay there and back \[ns\].
+    /// Least round-trip delay \[ns\].
     least_ns: (i64, i64),
-    /// Mean of what comes on top, exponentially distributed \[ns\].
+    /// Mean of the additional delay, which is exponentially distributed \[ns\].
     mean_ns: (f64, f64),
-    /// One in as many frames is a millisecond late, and so is one in as many replies.
+    /// One frame in this number is a millisecond late, and so is one reply.
     rare: u32,
 }
 
 const QUIET: Delays = Delays { least_ns: (5_000, 8_000), mean_ns: (500.0, 1_000.0), rare: u32::MAX };
 const LOADED: Delays = Delays { least_ns: (6_000, 15_000), mean_ns: (10_000.0, 40_000.0), rare: 200 };
-/// An interrupt that is put off, as by a network card that collects packets.
+/// Delayed interrupts, as by a network card that coalesces them.
 const ONE_SIDED: Delays = Delays { least_ns: (5_000, 60_000), mean_ns: (1_000.0, 60_000.0), rare: 50 };
 
-/// A simulated segment behind such a host, and what is done to their clocks meanwhile.
+/// A simulated segment behind such a host, with changes of their clocks.
 struct DelayedWire {
     segment: SimulatedSegment,
     clock: Clock,
@@ -45,9 +45,9 @@ struct DelayedWire {
 
 #[derive(Default)]
 struct Clocks {
-    /// The bus' true time is ahead of the host's by this: a machine that was suspended finds it changed \[ns\].
+    /// Offset of the true bus time to the host's clock, which changes when the machine is suspended \[ns\].
     leap_ns: AtomicI64,
-    /// The reference clock is to jump by this with the next frame \[ns\].
+    /// Step of the reference clock with the next frame \[ns\].
     step_ns: AtomicI64,
 }
 
@@ -122,7 +122,7 @@ impl Experiment {
         self.cycles_woken_late(count, || 0)
     }
 
-    /// Each cycle's thread wakes up late by what `late_ns` gives.
+    /// Each wake-up of the cycle is late by `late_ns`.
     fn cycles_woken_late(&mut self, count: usize, mut late_ns: impl FnMut() -> i64) -> Vec<CycleRecord> {
         let mut records: Vec<CycleRecord> = Vec::new();
         while records.len() < count {
@@ -146,7 +146,7 @@ impl Experiment {
     }
 }
 
-/// The size that all but one in a thousand errors stay below \[ns\].
+/// The 99.9th percentile of the absolute errors \[ns\].
 fn p999_ns(stamped: &[Stamped]) -> i64 {
     let mut sizes_ns: Vec<i64> = stamped.iter().map(|one| one.error_ns.abs()).collect();
     sizes_ns.sort_unstable();
@@ -161,14 +161,14 @@ fn assert_within(stamped: &[Stamped], sigmas: i64) {
 
 #[test]
 fn sample_times_are_right_within_their_uncertainty_on_quiet_and_loaded_hosts() {
-    // The last column keeps sigmas honest the other way: not so wide that they say nothing.
+    // The last column is an upper limit of the sigmas: they must not be so wide that they are useless.
     for (delays, bound_ns, sigma_bound_ns) in
         [(QUIET, 3_000, 10_000), (LOADED, 20_000, 40_000), (ONE_SIDED, 50_000, 60_000)]
     {
         for seed in 0..3 {
             let mut experiment = Experiment::new(&plan(100), delays, seed);
             let mut random = StdRng::seed_from_u64(seed);
-            // Late wake-ups, some of them beyond the next sample.
+            // Late wake-ups, some of them after the next sample.
             let late_ns = || if random.random_ratio(1, 50) { random.random_range(0..8_000_000) } else { 0 };
             let records = experiment.cycles_woken_late(5_000, late_ns);
             let stamped = experiment.judge(&records);
@@ -252,7 +252,7 @@ fn without_distributed_clocks_the_age_is_bounded_and_says_so() {
     let records = experiment.cycles(500);
     for record in &records {
         assert!(record.flags & flags::NO_DC != 0 && record.dc_time.0 == 0);
-        // A uniform distribution one period wide.
+        // A uniform distribution of one period.
         let width_ns = f64::from(record.sample_time_uncertainty_ns) * 12f64.sqrt();
         assert!((9_999_000.0..10_001_000.0).contains(&width_ns), "{width_ns}");
     }

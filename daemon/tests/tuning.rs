@@ -1,4 +1,4 @@
-//! `ballbard tune` on the texts of machines as they are found.
+//! `ballbard tune` on recorded texts of machines.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::fs;
@@ -12,10 +12,10 @@ const LIMITS: &str = "Limit                     Soft Limit           Hard Limit 
 const COALESCING: &str = "Coalesce parameters for eth1:\nAdaptive RX: off  TX: off\nstats-block-usecs: n/a\n\
     rx-usecs: 3\nrx-frames: n/a\n\ntx-usecs: 0\n";
 
-/// Of the rate that is usual, at which a frame may be late by 5 ms.
+/// At the usual rate, where a frame may be late by 5 ms.
 const PERIOD: Duration = Duration::from_millis(10);
 
-/// A machine as it comes from the shop, and a cycle that leaves it no time.
+/// A new machine without any setting, and a cycle without time reserve.
 fn untuned() -> Machine {
     Machine {
         core: None,
@@ -38,7 +38,7 @@ fn untuned() -> Machine {
     }
 }
 
-/// The same after somebody typed all of it.
+/// The same machine with all proposed settings.
 fn tuned() -> Machine {
     Machine {
         core: Some(3),

@@ -1,8 +1,8 @@
 """Runs a program under the system call filter of a systemd unit: unit_filter.py UNIT PROGRAM [ARGUMENT...]
 
-systemd need not run: `systemd-analyze` lists its sets of calls, and the kernel applies what the unit's lines add up to, in
-systemd's order (systemd.exec(5)). A call outside the filter kills the program, where the unit would answer EPERM: none is
-overlooked because its caller copes with the error.
+systemd need not run: `systemd-analyze` lists its sets of calls, and the kernel applies the lines of the unit in systemd's
+order (systemd.exec(5)). A call outside the filter kills the program, where the unit would return EPERM: an error that the
+caller handles would hide a missing call.
 """
 
 import ctypes
@@ -14,7 +14,7 @@ KILL_PROCESS, ALLOW = 0x80000000, 0x7FFF0000
 
 
 def sets():
-    """Calls and other sets of each set."""
+    """System calls and nested sets of each named set."""
     found = {}
     listing = subprocess.run(["systemd-analyze", "syscall-filter"], check=True, capture_output=True, text=True).stdout
     for line in listing.splitlines():
@@ -32,7 +32,7 @@ def expand(name, known):
 
 
 def allowed(unit, known):
-    """The first line makes a list of what is allowed, with @default; each further one adds to it or, with ~, takes away."""
+    """The first line allows its calls and @default; each further line adds calls or, with ~, removes them."""
     calls = set()
     for line in unit.splitlines():
         key, _, value = line.partition("=")
@@ -51,7 +51,7 @@ def apply(calls):
     rules = seccomp.seccomp_init(KILL_PROCESS)
     for call in calls:
         number = seccomp.seccomp_syscall_resolve_name(call.encode())
-        # Below zero: a call of other architectures.
+        # Negative: a call of another architecture.
         assert number < 0 or seccomp.seccomp_rule_add(rules, ALLOW, number, 0) == 0, call
     assert seccomp.seccomp_load(rules) == 0, "the kernel takes no filter"
 

@@ -1,4 +1,4 @@
-//! What the service reports while the bus or an encoder fails, and what becomes of runs.
+//! Reports of the service while the bus or an encoder fails, and the effect on runs.
 
 use std::time::Duration;
 
@@ -22,7 +22,7 @@ fn terminals_that_are_gone_are_a_fault_at_once_and_no_run_begins() {
         day.wait(Duration::from_secs(10), is_silent).await;
         let silent = now();
         day.wait_for(ServiceState::Fault).await;
-        // 50 ms until it is a fault, 100 ms until it is looked at.
+        // A fault after 50 ms, checked every 100 ms.
         assert!(since(silent) <= Duration::from_millis(200), "a fault after {:?}", since(silent));
         assert_eq!(day.post("/start", &json!({"name": "refused"})).await.0, 409);
         let (_, lines) = day.get("/check").await;
@@ -71,7 +71,7 @@ fn a_bad_cable_is_in_status_and_check_before_it_costs_a_cycle() {
 fn a_bus_that_is_gone_for_good_ends_the_run_and_the_service_is_ready_again_when_it_is_back() {
     live_on_bus(&["gone:0@7s-20s"], async |day| {
         day.begin_run().await;
-        // The run ends, and no other can begin while the bus is gone.
+        // The run ends, and no run can start while the bus is missing.
         let fault = day.wait_for(ServiceState::Fault).await;
         let reason = fault.reason.unwrap();
         assert_eq!(fault.problems[0].code(), "bus_no_answer");
@@ -85,7 +85,7 @@ fn a_bus_that_is_gone_for_good_ends_the_run_and_the_service_is_ready_again_when_
         let blind = recording.cycles.iter().rev().take_while(|cycle| !cycle.is_valid()).count();
         assert!(blind >= 300, "{blind} cycles");
         assert_bad_cycles_have_reasons(&recording.cycles);
-        // Power is back: the service recovers without help.
+        // Power returns and the service recovers without help.
         day.wait_for(ServiceState::Waiting).await;
         assert_eq!(day.post("/start", &json!({"name": "next", "duration_s": 1.0})).await.0, 200);
         let is_next = |status: &Status| status.last.as_ref().is_some_and(|last| last.name == "next");
@@ -102,10 +102,10 @@ fn a_short_fault_leaves_the_run_as_it_is_and_the_status_says_so() {
         day.begin_run().await;
         let troubled = day.wait_for_reason("terminal 3 and all behind it do not answer").await;
         assert_eq!(troubled.state, ServiceState::Writing);
-        // What is before the missing terminals stays in use.
+        // The devices before the missing terminals stay in use.
         let valid: Vec<bool> = troubled.encoders.iter().map(|encoder| encoder.valid).collect();
         assert_eq!(valid, [true, true, false, false, false]);
-        // The reason names the expected and the detected devices, while the run continues.
+        // The reason names the expected and the detected devices while the run continues.
         let reason = troubled.reason.unwrap();
         for part in ["joint 3, 4, 5: terminal 3", "found [EK1100", "check terminal 3 (bus position 3)"] {
             assert!(reason.contains(part), "`{part}` is missing in: {reason}");
@@ -138,7 +138,7 @@ fn a_homing_is_followed_while_a_joint_is_turned_and_stopped_in_the_middle() {
         let early = day.wait(Duration::from_secs(60), |status| turned(status) > 1.0).await;
         assert_eq!(early.state, ServiceState::Homing);
         let later = day.wait(Duration::from_secs(60), |status| turned(status) > turned(&early)).await;
-        // Cycles go on, as they do without a homing.
+        // Cycles continue, as they do without homing.
         assert!(later.sampled > early.sampled && later.encoders.iter().all(|encoder| encoder.valid));
         let (status, answer) = day.post("/stop", &json!({"cause": "enough"})).await;
         assert!(status == 200 && answer["homing"]["error"].as_str().unwrap().contains("enough"), "{answer}");

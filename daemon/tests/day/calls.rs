@@ -1,5 +1,5 @@
-//! Every call that a service puts to the disk on a whole day fails, hangs, is cut short, or is the last that the disk answers:
-//! recovery of an earlier run, lists, check, a run, and the end.
+//! Each disk call of a service over a whole day fails, hangs, is cut short, or is the last that the disk answers:
+//! recovery of an earlier run, lists, check, a run, and the shutdown.
 
 use std::path::Path;
 use std::rc::Rc;
@@ -15,22 +15,22 @@ use crate::support::runs::in_parallel;
 use crate::support::wall::{Call, Fault};
 use crate::support::world::{World, now, since, sleep};
 
-/// Longer than a look at the disk may take.
+/// Longer than a check of the disk.
 const HANG: Duration = Duration::from_millis(1300);
-/// Longer than anybody waits.
+/// Longer than any client waits.
 const EVER: Duration = Duration::from_secs(8);
-/// The service looks for commands and its end this often.
+/// Interval at which the service checks for commands and for its shutdown.
 const POLL: Duration = Duration::from_millis(100);
-/// Days at once: they compute.
+/// Number of days in parallel, which use processor time only.
 const AT_ONCE: usize = 4;
 
-/// What is answered is true, and the service ends.
+/// Every answer is true, and the service ends.
 async fn check(day: &Day, fault: Fault) {
     let answers = day.record().await;
     check_answers(&answers, fault);
     day.service.shutdown("test over");
     assert!(day.has_ended_within(ENDS_WITHIN + HANG).await, "{:?}", day.service.status());
-    // Its claim goes with it: another directory may have this inode next.
+    // The claim is released too: another directory may reuse this inode.
     day.service.join().unwrap();
     day.check_files();
 }
@@ -60,7 +60,7 @@ fn check_answers(answers: &Answers, fault: Fault) {
     }
 }
 
-/// A call that never returns is reported. It delays no answer, and the end of the service only where cycles wait.
+/// A call that never returns is reported. No answer is late; shutdown is late only where cycles wait to be written.
 async fn check_for_ever(day: Rc<Day>) {
     let other = Rc::clone(&day);
     World::here().unwrap().spawn(async move {
@@ -72,7 +72,7 @@ async fn check_for_ever(day: Rc<Day>) {
     let lines = day.get("/check").await;
     assert!(since(asked) < Duration::from_secs(1) + 2 * POLL, "check took {:?}", since(asked));
     assert_eq!(lines.0, 200, "{lines:?}");
-    // A run that began only now has another second to reach the disk.
+    // A run that has just begun has another second to reach the disk.
     let is_told = |status: &Status| {
         matches!(status.state, ServiceState::Waiting | ServiceState::Writing) || status.reason.is_some()
     };

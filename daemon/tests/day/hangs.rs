@@ -1,4 +1,4 @@
-//! While the disk hangs every request gets a true answer.
+//! While the disk hangs, every request gets a true answer.
 
 use std::cell::Cell;
 use std::io::{self, Write};
@@ -22,7 +22,7 @@ const HANG: Duration = Duration::from_secs(3);
 
 #[test]
 fn a_marker_that_is_set_while_the_disk_hangs_is_answered_at_once_and_has_its_instant() {
-    // However the disk keeps the recorder waiting.
+    // Whichever call of the recorder hangs.
     let cases = [Call::Write, Call::Sync];
     in_parallel(&cases, cases.len(), |call| {
         let call = *call;
@@ -108,7 +108,7 @@ fn marks_that_the_disk_refuses_were_found_but_are_not_kept() {
     });
 }
 
-/// A day whose run gets no file, because the disk does not make it.
+/// A day whose run gets no file, because the disk does not create one.
 fn without_file<T: 'static>(hang: Duration, then: impl AsyncFnOnce(Rc<Day>) -> T + 'static) -> T {
     live(None, async move |day| {
         day.wait_for(ServiceState::Waiting).await;
@@ -148,7 +148,7 @@ fn while_the_disk_makes_no_file_everybody_is_answered_and_no_cycle_is_lost() {
         assert!(answered.get().is_some_and(|after| after >= HANG), "{answered:?}");
         day.end().await;
         let recording = Recording::open(&day.home().join("late.mcap")).unwrap();
-        // From the instant at which it was asked for, seconds before there was a file.
+        // Counted from the request, seconds before there was a file.
         assert!(recording.cycles.len() > 300 && recording.end.cycles_lost == 0, "{:?}", recording.end);
         assert!(recording.cycles.iter().all(|cycle| cycle.is_valid()));
     });

@@ -1,4 +1,4 @@
-//! A day of a service on virtual time, with a bus that fails or a disk that hangs, refuses or dies.
+//! A day of a service on virtual time: the bus fails, or the disk hangs, refuses or dies.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 mod bus;

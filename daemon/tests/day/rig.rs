@@ -1,4 +1,4 @@
-//! A service with its API, and what a person does with it; all on virtual time.
+//! A service with its API and a client, all on virtual time.
 
 use std::collections::BTreeMap;
 use std::future::Future;
@@ -27,12 +27,12 @@ use crate::support::world::{World, now, since, sleep};
 
 /// Cycles of the run that an earlier service left.
 const LEFT_CYCLES: u64 = 40;
-/// How often a person looks.
+/// Polling period of a client.
 const LOOK_PERIOD: Duration = Duration::from_millis(10);
-/// Longest end of a service on which no run waits for the disk.
+/// Longest shutdown of a service on which no run waits for the disk.
 pub const ENDS_WITHIN: Duration = Duration::from_secs(2);
 
-/// What was answered, by what was asked.
+/// Status code and answer of each request, by its path.
 pub type Answers = BTreeMap<&'static str, (u16, Value)>;
 
 pub struct Day {
@@ -42,7 +42,7 @@ pub struct Day {
     routes: Router,
 }
 
-/// Lives a day with a fault of the disk, on virtual time.
+/// Simulates a day with a fault of the disk, on virtual time.
 pub fn live<T: 'static, F: Future<Output = T> + 'static>(
     fault: Option<(Call, usize, Fault)>,
     day: impl FnOnce(Rc<Day>) -> F + 'static,
@@ -50,7 +50,7 @@ pub fn live<T: 'static, F: Future<Output = T> + 'static>(
     World::live(async move { day(Rc::new(Day::begin(fault, &[]))).await })
 }
 
-/// Lives a day with faults of the bus, on virtual time. No valid sample for three seconds ends a run.
+/// Simulates a day with faults of the bus, on virtual time. A run ends after three seconds without a valid sample.
 pub fn live_on_bus<T: 'static, F: Future<Output = T> + 'static>(
     faults: &'static [&'static str],
     day: impl FnOnce(Rc<Day>) -> F + 'static,
@@ -110,7 +110,7 @@ impl Day {
         self.ask("POST", path, body).await
     }
 
-    /// Waits for it, or until it is too late for it.
+    /// Waits for the condition, or until the time-out.
     pub async fn wait(&self, within: Duration, is_it: impl Fn(&Status) -> bool) -> Status {
         let begun = now();
         loop {
@@ -122,14 +122,14 @@ impl Day {
         }
     }
 
-    /// Waits for a state that comes.
+    /// Waits for a state and requires it.
     pub async fn wait_for(&self, state: ServiceState) -> Status {
         let status = self.wait(Duration::from_secs(40), |status| status.state == state).await;
         assert_eq!(status.state, state, "{status:?}");
         status
     }
 
-    /// Waits for a reason that comes.
+    /// Waits for a reason and requires it.
     pub async fn wait_for_reason(&self, part: &str) -> Status {
         let has_it = |status: &Status| status.reason.as_ref().is_some_and(|reason| reason.contains(part));
         let status = self.wait(Duration::from_secs(40), has_it).await;
@@ -152,7 +152,7 @@ impl Day {
         self.has_ended()
     }
 
-    /// Ends the service in order.
+    /// Ends the service normally.
     pub async fn end(&self) {
         self.service.shutdown("test over");
         assert!(self.has_ended_within(ENDS_WITHIN).await, "{:?}", self.service.status());
@@ -163,7 +163,7 @@ impl Day {
         self.directory.path().join("runs")
     }
 
-    /// What a person does; what was answered.
+    /// Sends a request; returns the answer.
     pub async fn record(&self) -> Answers {
         let mut answers = BTreeMap::new();
         self.wait(Duration::from_secs(15), |status| status.state == ServiceState::Waiting).await;
@@ -184,7 +184,7 @@ impl Day {
         answers
     }
 
-    /// Begins a run and waits until it is being written.
+    /// Starts a run and waits until it is being written.
     pub async fn begin_run(&self) {
         self.wait_for(ServiceState::Waiting).await;
         let start = json!({"name": "day", "reason": "the disk is what is tried"});
@@ -197,11 +197,11 @@ impl Day {
         Recording::open(&self.home().join(format!("{name}.mcap"))).unwrap()
     }
 
-    /// Everything that was left is there once a disk without faults has been asked for it.
+    /// A disk without faults recovers every leftover exactly once.
     pub fn check_files(&self) {
         for place in [self.home(), self.directory.path().join("spare")] {
             for leftover in recover_leftovers(&place) {
-                // A run whose disk died before its first bytes were whole has none.
+                // A run has none if its disk died before the first bytes were complete.
                 let is_begun = leftover.file.file_stem().is_some_and(|name| name == "day.mcap");
                 let error = leftover.outcome.err().map_or(String::new(), |error| error.to_string());
                 assert!(

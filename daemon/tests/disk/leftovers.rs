@@ -1,5 +1,5 @@
-//! Every call that recovery puts to the disk fails, is cut short, or is the last that the disk answers, as where the
-//! program is killed there: afterwards everything is there once, whole or as it was.
+//! Each disk call of a recovery fails, is cut short, or is the last that the disk answers, as when the program is
+//! killed there. Afterwards every recording exists once, either complete or unchanged.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -10,11 +10,11 @@ use shared::recording::{Recording, Recovery, SystemDisk, recover_file_on, recove
 use crate::support::runs::{in_parallel, leave};
 use crate::support::wall::{Call, Fault, Wall};
 
-/// Files at once.
+/// Cases that run in parallel.
 const AT_ONCE: usize = 4;
 const CYCLES: u64 = 40;
 
-/// What a bad day leaves in a directory.
+/// Leftovers of earlier runs in one directory.
 fn fill(directory: &Path) {
     let active = |name: &str| directory.join(format!("{name}.mcap.active"));
     let finished = |name: &str| directory.join(format!("{name}.mcap"));
@@ -31,7 +31,7 @@ fn fill(directory: &Path) {
     damaged[middle] ^= 1;
     std::fs::write(finished("damaged"), damaged).unwrap();
     std::fs::rename(finished("named"), active("named")).unwrap();
-    // It was recovered already, but for its original's removal.
+    // Already recovered; only the removal of the original is missing.
     let twice = std::fs::read(active("twice")).unwrap();
     recover_file_on(&SystemDisk, &active("twice")).unwrap();
     std::fs::write(active("twice"), twice).unwrap();
@@ -43,14 +43,14 @@ fn fill(directory: &Path) {
     }
 }
 
-/// What the service does when it begins, and `ballbard recover` with the damaged file.
+/// Start of the service, and `ballbard recover` with the damaged file.
 fn recover(disk: &dyn shared::recording::Disk, directory: &Path) {
     let damaged = directory.join("damaged.mcap");
     let outcomes = recover_leftovers_on(disk, directory).into_iter().map(|leftover| leftover.outcome);
     for outcome in outcomes.chain([recover_file_on(disk, &damaged)]) {
         match outcome {
             Ok(Recovery::Whole { .. }) => {}
-            // Nothing is said to be there that is not.
+            // Every file that is reported exists.
             Ok(Recovery::Renamed { file, content } | Recovery::Recovered { file, content, .. }) => {
                 assert_eq!(Recording::open(&file).unwrap().cycles.len() as u64, content.cycles, "{file:?}");
             }
@@ -101,7 +101,7 @@ impl Clean {
         cases.filter(|(call, _, fault)| *fault != Fault::CutsShort || call.moves_bytes()).collect()
     }
 
-    /// With the fault; then again on a disk without, as the next start does.
+    /// With the fault, then again on a disk without faults, as at the next start.
     fn check(&self, fault: (Call, usize, Fault)) {
         let directory = tempfile::tempdir().unwrap();
         let directory = directory.path();
@@ -111,7 +111,7 @@ impl Clean {
         let now = finished(directory);
         assert!(now.keys().eq(self.finished.keys()), "{:?}", now.keys());
         for (name, cycles) in &self.finished {
-            // A part that the disk did not give at the time is in what was set aside.
+            // The quarantined file may hold a part that the disk did not return then.
             let torn = directory.join(format!("{name}.mcap.torn"));
             let is_kept = || {
                 [format!("{name}.mcap.active"), format!("{name}.mcap")].iter().any(|original| {

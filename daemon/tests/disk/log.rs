@@ -1,5 +1,5 @@
-//! Every write of the log fails, hangs, is cut short, or is the last that anybody takes: whoever logs never waits, and what is
-//! missing is counted, and said where it is missing.
+//! Each write of the log fails, hangs, is cut short, or is the last that the disk accepts. A thread that logs never
+//! waits, and the log counts its missing lines at the place where they are missing.
 
 use std::fs::File;
 use std::path::Path;
@@ -12,7 +12,7 @@ use crate::support::runs::in_parallel;
 use crate::support::wall::{Call, Fault, Wall};
 
 const LINES: usize = 20;
-/// Longer than the end of the program waits, by more than a busy machine adds.
+/// Longer than the program's shutdown may wait, with the delay of a busy machine.
 const HANG: Duration = Duration::from_secs(10);
 
 fn check(nth: usize, fault: Fault) {
@@ -25,7 +25,7 @@ fn check(nth: usize, fault: Fault) {
     assert!(begun.elapsed() < HANG / 2, "it waited {:?}", begun.elapsed());
     lines.flush();
     assert!(begun.elapsed() < HANG, "its end waited {:?}", begun.elapsed());
-    // Nobody waits longer but this test: for a write that hangs, and for a machine that is busy.
+    // Only this test waits: for a write that hangs, or for a busy machine.
     while !lines.flush() {}
     let text = std::fs::read_to_string(path).unwrap();
     let is_there = |number: &usize| text.lines().any(|line| line == format!("line {number}"));

@@ -1,4 +1,4 @@
-//! A run that lasted for days is drawn and written as a table in the memory that a short one takes.
+//! A run of several days is drawn and exported as a table within the memory that a short run takes.
 
 use std::io;
 
@@ -11,7 +11,7 @@ use crate::support::runs::leave;
 
 #[test]
 fn what_a_plot_or_a_table_holds_does_not_grow_with_the_run() {
-    // The cycles that the long one has more are 9 MB of records.
+    // The additional cycles of the long run are 9 MB of records.
     let (short, long) = (600, 60_000);
     let directory = tempfile::tempdir().unwrap();
     let peaks = [short, long].map(|cycles| {

@@ -1,4 +1,4 @@
-//! What a disk that hangs may hold up, in real time: threads of downloads, and a cycle that moves virtual time itself.
+//! Effects of a hanging disk in real time: download threads, and a cycle that advances virtual time itself.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -21,9 +21,9 @@ use tower::ServiceExt;
 use crate::support::runs::in_parallel;
 use crate::support::wall::{Call, Fault, Wall};
 
-/// What a busy machine takes for a few answers at most.
+/// Longest time for a few answers on a busy machine.
 const SLACK: Duration = Duration::from_secs(20);
-/// Longer than anybody waits.
+/// Longer than any client waits.
 const EVER: Duration = Duration::from_secs(60);
 
 struct Day {
@@ -114,7 +114,7 @@ fn runtime() -> tokio::runtime::Runtime {
     tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap()
 }
 
-/// Somebody downloads one run while another goes on.
+/// A download of one run while another is recorded.
 fn check_download(call: Call, what: &str) {
     let day = Day::begin();
     day.wait_for(ServiceState::Waiting);
@@ -143,10 +143,10 @@ fn check_download(call: Call, what: &str) {
         assert!(day.service.status().run.unwrap().cycles_taken >= cycles);
         let (status, stopped) = day.post("/stop", &json!({}));
         assert!(status == 200 && stopped["last"]["cycles_lost"] == 0, "{stopped}");
-        assert!(!download.is_finished(), "somebody waited for the download");
+        assert!(!download.is_finished(), "the run waited for the download");
         let (status, bytes) = download.join().unwrap();
         if matches!(call, Call::Open | Call::Length) {
-            // Before the first byte a client waits no longer than for a list.
+            // The first byte comes as fast as a list.
             assert_eq!(status, 504);
             return;
         }
@@ -165,8 +165,8 @@ fn a_download_that_waits_for_the_disk_holds_up_nobody_else() {
     in_parallel(&cases, cases.len(), |(call, what)| check_download(*call, what));
 }
 
-/// What a command that records one run on its own virtual time answers, asked to end while the disk hangs at `call` before the
-/// run has a file.
+/// Result of `ballbard record` with one run on its own virtual time, interrupted while the disk hangs at `call` before
+/// the run has a file.
 fn check_record(call: Call) {
     let directory = tempfile::tempdir().unwrap();
     let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config");

@@ -1,4 +1,4 @@
-//! A bus time that cannot be true, just after the bus was brought up.
+//! A bus time that cannot be true, right after the bring-up.
 
 use std::io;
 use std::sync::Arc;
@@ -20,7 +20,7 @@ const HEADERS_BYTES: usize = 16;
 const DATAGRAM_HEADER_BYTES: usize = 10;
 const HOUR_NS: u64 = 3_600_000_000_000;
 
-/// Hands out replies whose bus time is an hour ahead while it is told to.
+/// While its flag is set, returns replies whose bus time is an hour ahead.
 struct HourAhead {
     wire: InProcessWire,
     misread: Arc<AtomicBool>,

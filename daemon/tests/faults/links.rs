@@ -1,4 +1,4 @@
-//! A bad cable is seen in the counters of the ports before it costs a cycle.
+//! The port counters show a bad cable before it costs a cycle.
 
 use ballbard::segment::faults::Fault;
 use shared::recording::schema::EventKind;
@@ -16,12 +16,12 @@ fn a_noisy_cable_is_reported_with_its_place_while_every_cycle_is_still_valid() {
     assert!(rig.records.iter().all(|record| record.is_valid()));
     let told = rig.told();
     assert!(told.iter().all(|event| event.kind == EventKind::Bus), "{told:?}");
-    // Between terminals there are contacts, no cables.
+    // Terminals are connected by contacts, not by cables.
     assert!(told[0].text.contains("bad contact between terminal 2 and terminal 3"), "{told:?}");
     assert_eq!(told[0].code, "link_errors");
     let errors = rig.acquisition.links().errors()[3][0];
     assert!((15..40).contains(&errors.receive_errors), "{errors:?}");
-    // As often as they doubled, not as often as they were looked at.
+    // One warning per doubling, not one per check.
     assert!((2..=5).contains(&told.len()), "{told:?}");
 }
 
@@ -31,7 +31,7 @@ fn counters_that_would_stop_are_cleared_and_counted_on() {
     rig.faults.begin(Fault::NoisyCable { position: 1, share: 1.0 });
     rig.run_to(2000);
     let errors = rig.acquisition.links().errors()[1][0].receive_errors;
-    // Some 106 frames a second, 20 s of them.
+    // About 106 frames a second for 20 s.
     assert!((1700..2300).contains(&errors), "{errors}");
 }
 

@@ -1,4 +1,4 @@
-//! The fault matrix: what goes wrong, what the records say, and how long it lasts.
+//! The fault matrix: for each fault, the records that it produces and its duration.
 
 use ballbard::problem::CODES;
 use ballbard::segment::faults::Fault;
@@ -6,20 +6,20 @@ use shared::recording::schema::{EventKind, flags};
 
 use super::rig::Rig;
 
-/// Faults begin with this cycle.
+/// First cycle with faults.
 const BEGIN: usize = 200;
 
 struct Row {
     name: &'static str,
-    /// Each with the number of cycles that it lasts.
+    /// Each fault, with its number of cycles.
     faults: &'static [(Fault, usize)],
-    /// Flags that the cycles without valid sample carry.
+    /// Flags of the cycles without a valid sample.
     flags: u32,
-    /// Cycles from the end of the fault to the first valid one, at most.
+    /// Most cycles from the end of the fault to the first valid one.
     recovered_within: usize,
-    /// Whether counts have a new origin afterwards.
+    /// True if counts have a new origin afterwards.
     origin_changed: bool,
-    /// What the events say.
+    /// Texts of the events that are expected.
     told: &'static [&'static str],
 }
 
@@ -46,7 +46,7 @@ const ABORT: Fault = Fault::MailboxAbort { position: 2, code: 0x0800_0022 };
 const SILENT: Fault = Fault::MailboxSilent { position: 3 };
 const EMERGENCY: Fault = Fault::MailboxEmergency { position: 1, code: 0xff00 };
 
-/// Bringing up the bus: some 0.7 s.
+/// Bring-up of the bus: about 0.7 s.
 const BRING_UP: usize = 90;
 const SILENCE: u32 = flags::NO_REPLY | flags::STALE_INPUT | flags::TERMINAL_ERROR;
 const DOWN: u32 = flags::BUS_DOWN;
@@ -104,7 +104,7 @@ const ROWS: [Row; 30] = [
     powered_off(row("emergency after a power cycle", &[(gone(3), 20), (EMERGENCY, 20)], GONE | DOWN, 2 * BRING_UP + 60, &["attempts", "without power"])),
 ];
 
-/// What a row did.
+/// Result of a row.
 struct Outcome {
     flagged: usize,
     flags: u32,

@@ -1,4 +1,4 @@
-//! Faults of the simulated segment, and the acquisition that survives them. All on virtual time.
+//! Faults of the simulated segment, and the acquisition under them. All on virtual time.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 mod bus_time;

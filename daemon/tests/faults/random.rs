@@ -1,4 +1,4 @@
-//! Many cycles under faults that come as chance has it.
+//! Many cycles under random faults.
 
 use ballbard::segment::faults::Fault;
 use rand::{Rng, SeedableRng, rngs::StdRng};
@@ -27,7 +27,7 @@ fn any_fault(random: &mut StdRng) -> Fault {
     }
 }
 
-/// Runs with up to three faults at a time, each followed by a quiet time.
+/// Runs with up to three faults at a time, each followed by a time without faults.
 fn play(mut rig: Rig, seed: u64, cycles: usize) -> Rig {
     let mut random = StdRng::seed_from_u64(seed);
     while rig.records.len() < cycles {
@@ -42,7 +42,7 @@ fn play(mut rig: Rig, seed: u64, cycles: usize) -> Rig {
     rig
 }
 
-/// How many records are valid, after all of them were found where and what they should be.
+/// Number of valid records, after each record was compared with the truth.
 fn judge(rig: &Rig) -> usize {
     rig.assert_complete();
     for record in &rig.records {

@@ -1,4 +1,4 @@
-//! An acquisition on a segment whose faults are switched by the test, and the truth about what it recorded.
+//! An acquisition on a segment whose faults the test controls, and the truth for comparison.
 
 use std::f64::consts::TAU;
 use std::time::Duration;
@@ -41,7 +41,7 @@ pub fn plan(period_ns: i64, distributed_clocks: bool) -> BusPlan {
 }
 
 impl Rig {
-    /// In operation at 100 Hz on distributed clocks, the next cycle is number 0 of a run.
+    /// In OP at 100 Hz with distributed clocks; the next cycle is number 0 of a run.
     pub fn new(seed: u64) -> Self {
         Self::with(seed, 10_000_000, true)
     }
@@ -61,7 +61,7 @@ impl Rig {
         Self { acquisition, faults, clock, motion, records: Vec::new(), events: Vec::new(), period_ns }
     }
 
-    /// Runs until as many cycles were given.
+    /// Runs until this many cycles were recorded.
     pub fn run_to(&mut self, cycles: usize) {
         while self.records.len() < cycles {
             let records = &mut self.records;
@@ -71,7 +71,7 @@ impl Rig {
         }
     }
 
-    /// What happened so far, as it is in the file.
+    /// All events up to now, as in the file.
     pub fn told(&self) -> Vec<Event> {
         let names = BusNames {
             bus: "simulated".into(),
@@ -81,7 +81,7 @@ impl Rig {
         self.events.iter().map(|event| event.to_event(&names)).collect()
     }
 
-    /// Every cycle that was due is there once, in order, and time runs forward at the cycle's pace.
+    /// Each due cycle is there once, in order, and time advances at the cycle's rate.
     pub fn assert_complete(&self) {
         for (number, record) in self.records.iter().enumerate() {
             assert_eq!(record.cycle, number as u64);
@@ -93,11 +93,11 @@ impl Rig {
         let (first, last) = (self.records.first().unwrap(), self.records.last().unwrap());
         let span_ns = last.sample_time.ns_since(first.sample_time);
         let due = 1 + (span_ns as f64 / self.period_ns as f64).round() as i64;
-        // The bus' crystal is within 20 ppm, and its clock is set anew to within a few ms.
+        // The crystal of the bus is within 20 ppm, and its clock is set to within a few ms.
         let tolerance = 1 + span_ns / self.period_ns / 40_000;
         assert!((self.records.len() as i64 - due).abs() <= tolerance, "{due} cycles were due");
         let now = self.clock.now().plus_ns(self.acquisition.utc_minus_monotonic_ns());
-        // A bus that has just come back may have its clock a little off, as the record says.
+        // The clock of a bus that has just come back may be off by an amount that the record states.
         let (late_ns, uncertain_ns) =
             (now.0 - last.sample_time.0, i64::from(last.sample_time_uncertainty_ns));
         assert!(
@@ -106,8 +106,9 @@ impl Rig {
         );
     }
 
-    /// Valid counts, also those of cycles in which others are not, are those of the encoders at the cycle's sample time; where the origin is said
-    /// to have changed, up to whole periods that stay the same from there on. Returns how many were valid.
+    /// All valid counts, also in cycles where another encoder is invalid, equal those of the encoders at the sample
+    /// time. After a stated change of origin they may differ by a constant number of whole periods. Returns the number
+    /// of valid counts.
     pub fn assert_true(&self) -> usize {
         let mut origins = [Some(0i64); TERMINALS];
         let (mut valid, mut origin) = (0, 0);
@@ -117,7 +118,7 @@ impl Rig {
             }
             valid += usize::from(record.is_valid());
             let tolerance = 3.0 + 3e-9 * f64::from(record.sample_time_uncertainty_ns) * COUNTS_PER_S_MAX;
-            // A sample known to less than a period does not tell the period that an origin lies in.
+            // A sample time that is known to less than a period does not determine the period of the origin.
             let tolerance = if tolerance > 2048.0 { tolerance + 4096.0 } else { tolerance };
             for (joint, (encoder, origin)) in record.encoders().iter().zip(&mut origins).enumerate() {
                 if !encoder.valid {

@@ -1,7 +1,7 @@
-//! Every call that a recorder puts to the disk fails, hangs, is cut short, or is the last that the disk answers.
+//! Each disk call of a recorder fails, hangs, is cut short, or is the last that the disk answers.
 //!
-//! After SQLite's tests of I/O errors: the calls of a run without faults are counted, then each gets its fault, one run
-//! each.
+//! As in SQLite's tests of I/O errors, the calls of a run without faults are counted; then each call gets each fault in
+//! a run of its own.
 
 use std::path::Path;
 use std::time::Duration;
@@ -13,9 +13,9 @@ use super::rig::{Look, Outcome, Plan, record};
 use crate::support::runs::in_parallel;
 use crate::support::wall::{Call, Fault, Wall};
 
-/// Longer than a look at the disk may take.
+/// Longer than a check of the disk.
 const HANG: Duration = Duration::from_millis(1300);
-/// Runs at once: they compute.
+/// Runs in parallel, which use processor time only.
 const AT_ONCE: usize = 4;
 
 fn plan(cycles: u64) -> Plan {
@@ -29,9 +29,9 @@ fn plan(cycles: u64) -> Plan {
     }
 }
 
-/// Somebody removes the run's file, so that it is copied.
+/// Removes the run's file, so that the recorder copies it.
 fn remove(home: &Path) {
-    // A fault may have moved it already.
+    // A fault may already have moved it.
     let _ = std::fs::remove_file(home.join("run.mcap.active"));
 }
 
@@ -68,10 +68,10 @@ fn run_of(cycles: u64, is_removed: bool, fault: Option<(Call, usize, Fault)>) ->
     record(&Plan { interfere, ..plan(cycles) }, |home| Wall::new(home, fault))
 }
 
-/// Nothing that was said to be safe is lost, nothing wrong is said, the run goes on or ends as stated.
+/// Data reported as safe is kept, every report is true, and the run continues or ends as stated.
 fn check(case: &Case, cycles: u64) {
     let Case { call, nth, fault, is_removed } = *case;
-    // A run long enough to be told of what hangs.
+    // The run must be long enough for a warning about a hanging call.
     let cycles = if matches!(fault, Fault::Hangs(_)) { cycles.max(320) } else { cycles };
     let outcome = run_of(cycles, is_removed, Some((call, nth, fault)));
     match &outcome.result {
@@ -82,7 +82,7 @@ fn check(case: &Case, cycles: u64) {
             assert!(recording.cycles.iter().all(|cycle| cycle.is_valid() && cycle.flags & flags::LOST == 0));
             assert_eq!(recording.cycles.len() as u64, cycles);
             assert!(!summary.path.with_extension("mcap.active").exists());
-            // Whoever saw it in another place was told why.
+            // A move to another directory was reported with its reason.
             let is_elsewhere = |look: &Look| look.snapshot.file.starts_with(outcome.spare());
             assert!(!outcome.looks.iter().any(is_elsewhere) || outcome.was_told("the run continues in"));
             outcome.check_claims(&bytes);
@@ -91,7 +91,7 @@ fn check(case: &Case, cycles: u64) {
             let text = error.to_string();
             assert!(text.contains("run"), "no word of which file: {text}");
             if outcome.looks.is_empty() {
-                // It did not even begin, and leaves nothing that it could remove.
+                // The run did not start and leaves nothing that it could remove.
                 let left = std::fs::read_dir(outcome.home()).map_or(0, Iterator::count);
                 assert!(left == 0 || fault != Fault::Fails || call == Call::Remove, "{left} files left");
             } else {
@@ -100,7 +100,7 @@ fn check(case: &Case, cycles: u64) {
                     .iter()
                     .flat_map(|place| [place.join("run.mcap"), place.join("run.mcap.active")])
                     .find(|path| path.exists());
-                // Otherwise somebody has removed it.
+                // Otherwise the test removed the file.
                 if !is_removed {
                     outcome.check_claims(&std::fs::read(left.unwrap()).unwrap());
                 }
@@ -114,7 +114,7 @@ fn check(case: &Case, cycles: u64) {
             Call::Sync => "a power failure now",
             _ => return,
         };
-        assert!(!is_in_mid_run || outcome.was_told(word), "nobody was told of {call:?} that hung");
+        assert!(!is_in_mid_run || outcome.was_told(word), "no report of {call:?}, which hung");
     }
 }
 

@@ -26,46 +26,46 @@ use crate::support::runs::{metadata, record_of};
 use crate::support::wall::Wall;
 use crate::support::world::World;
 
-/// What is to be recorded.
+/// The run to record.
 #[derive(Debug, Clone)]
 pub struct Plan {
     pub period: Duration,
     pub cycles: u64,
     pub sync_period: Duration,
     pub ring_cycles: usize,
-    /// Cycles at whose instant somebody sets a marker.
+    /// Cycles at whose instant a marker is set.
     pub marks: Vec<u64>,
-    /// After this cycle something is done to the directory.
+    /// The change of the directory, after this cycle.
     pub interfere: Option<(u64, Way)>,
 }
 
-/// Something that happens to the run's directory.
+/// A change of the run's directory.
 pub type Way = fn(&Path);
 
-/// What was seen while it was recorded.
+/// An observation during the recording.
 #[derive(Debug)]
 pub struct Look {
     pub snapshot: Snapshot,
-    /// Of the disk as a place for recordings.
+    /// State of the disk as a place for recordings.
     pub problem: Option<Problem>,
-    /// Bytes of the run's file that would have survived a power cut then.
+    /// Bytes of the run's file that a power cut at this instant would leave.
     pub synced_bytes: u64,
-    /// Bytes that would have survived a kill.
+    /// Bytes that a kill at this instant would leave.
     pub written_bytes: u64,
-    /// The run was in one place while somebody looked.
+    /// True if the run stayed in one place during the observation.
     pub is_steady: bool,
-    /// Since the run began.
+    /// Time since the start of the run.
     pub at: Duration,
 }
 
-/// What became of it.
+/// Result of a recording.
 pub struct Outcome {
     pub result: Result<RunSummary, WriteError>,
     pub looks: Vec<Look>,
     pub wall: Arc<Wall>,
-    /// When the fault was met, since the first cycle; none before it.
+    /// Time from the first cycle to the fault; `None` if it came earlier.
     pub struck: Option<Duration>,
-    /// From the last cycle to the end.
+    /// Time from the last cycle to the end.
     pub finishing: Duration,
     /// Sample time of cycle 0.
     pub first: UtcNs,
@@ -81,12 +81,12 @@ impl Outcome {
         self.directory.path().join("spare")
     }
 
-    /// The longest that anything was seen to be, over all looks.
+    /// Maximum of a duration over all observations.
     pub fn worst(&self, of: impl Fn(&Snapshot) -> f64) -> f64 {
         self.looks.iter().map(|look| of(&look.snapshot)).fold(0.0, f64::max)
     }
 
-    /// Whoever looked was told something with this word in it.
+    /// True if a report contained this word.
     pub fn was_told(&self, word: &str) -> bool {
         let told = |look: &Look| {
             let is_in = |problem: &Problem| problem.text.contains(word);
@@ -95,8 +95,8 @@ impl Outcome {
         self.looks.iter().any(told)
     }
 
-    /// What was said to be safe when somebody looked is in what `bytes` begins with: the file of today has the same
-    /// bytes as that of then, and more.
+    /// Data that an observation reported as safe is in the first `bytes`: the file at the end starts with the bytes
+    /// that it had then.
     pub fn check_claims(&self, bytes: &[u8]) {
         let mut known = HashMap::new();
         let mut cycles_in = |length| *known.entry(length).or_insert_with(|| cycles_in(bytes, length));
@@ -114,14 +114,14 @@ impl Outcome {
     }
 }
 
-/// Cycles that can be taken out of the first `length` bytes.
+/// Cycles that can be read from the first `length` bytes.
 fn cycles_in(bytes: &[u8], length: u64) -> u64 {
     let cut = &bytes[..bytes.len().min(length as usize)];
     salvage(Cursor::new(cut), Cursor::new(Vec::new()))
         .map_or(0, |(salvaged, _)| salvaged.cycles - salvaged.cycles_lost)
 }
 
-/// Records on a disk, on virtual time. Without a file the result is an error and there are no looks.
+/// Records on a disk, on virtual time. Without a file the result is an error without observations.
 pub fn record(plan: &Plan, wall: impl FnOnce(&Path) -> Wall) -> Outcome {
     let world = World::begin();
     let outcome = record_in(&world, plan, wall);
@@ -153,7 +153,7 @@ fn record_in(world: &World, plan: &Plan, wall: impl FnOnce(&Path) -> Wall) -> Ou
         Ok(writer) => writer,
         Err(error) => return Outcome { result: Err(error), ..outcome },
     };
-    // As on real time: the cycle does not wait.
+    // As in real time, the cycle does not wait.
     let (sink, source) = record::ring(plan.ring_cycles, record::FullRing::Drops);
     let limits = Limits {
         cycle_period: plan.period,
@@ -216,12 +216,12 @@ struct Ended {
     last_cycle: MonoNs,
 }
 
-/// The cycle: one record a period, come what may.
+/// The cycle: one record per period, without waiting.
 struct Cycle {
     plan: Plan,
     next: u64,
     first: MonoNs,
-    /// None once the last cycle was.
+    /// `None` after the last cycle.
     sink: Option<record::CycleSink>,
     marks: SyncSender<Mark>,
     stop: Stop,
@@ -234,7 +234,7 @@ impl Stepper for Cycle {
         let sink = self.sink.as_mut()?;
         let (cycle, period_ns) = (self.next, self.plan.period.as_nanos() as i64);
         if cycle == self.plan.cycles || sink.is_abandoned() {
-            // Before the ring is dropped, as the cycle does it: nobody misses a file that is being finished.
+            // Before the ring is dropped, as the cycle does it: the file counts as present while it is being finished.
             self.stop.stop("test over");
             self.sink = None;
             self.ended.borrow_mut().last_cycle = now;
@@ -279,7 +279,7 @@ impl Stepper for Writing {
     }
 }
 
-/// Observes run and disk each 5 ms.
+/// Observes run and disk every 5 ms.
 struct Looker {
     storage: Storage,
     progress: Arc<Progress>,
@@ -291,7 +291,7 @@ struct Looker {
 impl Stepper for Looker {
     fn poll(&mut self, now: MonoNs) -> Option<Duration> {
         let (problem, snapshot) = (self.storage.problem(), self.progress.get());
-        // Measured after the snapshot, whose claims it must cover; all of one file.
+        // Measured after the snapshot whose statements it must cover, all from one file.
         let file = std::fs::metadata(&snapshot.file).ok();
         let written_bytes = file.as_ref().map_or(0, Metadata::len);
         let synced_bytes = file.as_ref().map_or(0, |file| self.wall.synced_bytes(file.ino()));

@@ -1,11 +1,11 @@
-//! Whatever comes over the wire, the segment neither panics nor returns another length.
+//! For any data on the wire the segment neither panics nor changes the length of a frame.
 
 use proptest::prelude::*;
 
 use super::frames::*;
 use super::operation::Ramp;
 
-/// A terminal in OP, and one that was not touched.
+/// A terminal in OP, and one in its initial state.
 fn operating() -> Wire {
     let mut wire = Wire::new(2, Ramp);
     wire.enter_safeop(TERMINAL);

@@ -1,4 +1,4 @@
-//! The rules of single datagrams: who is meant, what is exchanged, how it counts.
+//! The rules of single datagrams: addressing, exchange, working counter.
 
 use super::frames::*;
 use super::operation::Ramp;
@@ -81,7 +81,7 @@ fn read_only_registers_and_addresses_beyond_memory_are_not_written() {
     assert_eq!(wire.al_status(TERMINAL), (INIT, 0));
     assert_eq!(wire.write(TERMINAL, 0x2000, &[1]), 0);
     assert_eq!(wire.write(TERMINAL, 0xffff, &[1, 2, 3]), 0);
-    // Sync manager 4 and FMMU 3 do not exist in the terminal.
+    // The terminal has no sync manager 4 and no FMMU 3.
     assert_eq!(wire.write(TERMINAL, 0x0820, &[0; 8]), 0);
     assert_eq!(wire.write(TERMINAL, 0x0630, &[0; 16]), 0);
 }
@@ -102,7 +102,7 @@ fn logical_commands_count_inputs_and_outputs_once_they_are_open() {
     let [reply] = wire.send([logical(LRW, 0, &data)]);
     assert_eq!(reply.data[10..], data[10..], "outputs pass on as they came");
     assert_ne!(reply.data[..10], data[..10], "inputs are put in");
-    // Without the sync manager behind it an FMMU gives nothing.
+    // An FMMU without its sync manager returns nothing.
     wire.sync_manager(TERMINAL, 3, 0x1180, 0, 0x20);
     assert_eq!(count(&mut wire), [0, 1, 2]);
 }
@@ -150,10 +150,10 @@ fn a_full_mailbox_takes_nothing_and_an_empty_one_gives_nothing() {
     assert_eq!(wire.write(TERMINAL, 0x1000, &upload), 0);
     wire.pass_ms(1);
     assert_eq!(wire.read::<1>(TERMINAL, 0x0805), [0x00], "taken by the device");
-    assert_eq!(wire.read::<1>(TERMINAL, 0x080d)[0] & 0x08, 0x08, "an answer lies there");
+    assert_eq!(wire.read::<1>(TERMINAL, 0x080d)[0] & 0x08, 0x08, "an answer is available");
     let answer: [u8; 128] = wire.read(TERMINAL, 0x1080);
     assert_eq!(wire.read::<1>(TERMINAL, 0x080d)[0] & 0x08, 0);
-    // The master asks for the same answer again by toggling the repeat bit.
+    // The master requests the same reply again by toggling the repeat bit.
     assert_eq!(wire.write(TERMINAL, 0x080e, &[0x03]), 1);
     assert_eq!(wire.read::<128>(TERMINAL, 0x1080), answer);
     assert_eq!(wire.read::<1>(TERMINAL, 0x080f), [0x02], "acknowledged");

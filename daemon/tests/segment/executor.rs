@@ -1,4 +1,4 @@
-//! Runs ethercrab's futures against a segment on a virtual clock: nothing waits, time is what frames cost.
+//! Runs ethercrab's futures against a segment on a virtual clock, which only frames advance.
 
 use std::future::Future;
 use std::pin::pin;
@@ -12,7 +12,7 @@ use shared::time::UtcNs;
 
 const FRAMES: usize = 16;
 const FRAME_DATA: usize = PduStorage::element_size(1100);
-/// Time passes in these steps while nothing is on the wire.
+/// Step of the time while no frame is on the wire.
 const IDLE_NS: i64 = 50_000;
 
 thread_local! {
@@ -20,12 +20,12 @@ thread_local! {
     static CLOCK: Clock = Clock::virtual_from(UtcNs(0));
 }
 
-/// The simulation's absolute time.
+/// Absolute time of the simulation.
 pub fn now_ns() -> i64 {
     CLOCK.with(|clock| clock.now().0)
 }
 
-/// Lets time pass.
+/// Advances the virtual clock by this time.
 pub fn pass_ns(duration_ns: i64) {
     CLOCK.with(|clock| clock.sleep_until(clock.now().plus_ns(duration_ns)));
 }
@@ -62,7 +62,7 @@ impl Bench {
         }
     }
 
-    /// Carries what is to be sent; false if there was nothing.
+    /// Transfers the frames that are to be sent; false if there were none.
     fn carry_frames(&mut self) -> bool {
         let mut carried = false;
         while let Some(frame) = self.tx.next_sendable_frame() {

@@ -1,4 +1,4 @@
-//! A master made of single frames: what goes on the wire is what the test says.
+//! A master that sends single frames, each defined by the test.
 
 use ballbard::segment::simulated::{EncoderSource, Revision, SegmentConfig, SimulatedSegment};
 
@@ -23,11 +23,11 @@ pub const PREOP: u8 = 2;
 pub const SAFEOP: u8 = 4;
 pub const OP: u8 = 8;
 
-/// First station address; the coupler has it, terminals follow.
+/// Station address of the coupler; the terminals follow.
 pub const STATION: u16 = 0x1000;
 pub const TERMINAL: u16 = STATION + 1;
 
-/// A command, or what became of it.
+/// A command, or its result.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Datagram {
     pub command: u8,
@@ -131,7 +131,7 @@ impl Wire {
         self.send([datagram(FPWR, station, register, data)])[0].working_counter
     }
 
-    /// Requests a state and waits; gives AL status and AL status code.
+    /// Requests a state and waits; returns AL status and AL status code.
     pub fn request(&mut self, station: u16, control: u8) -> (u8, u16) {
         self.write(station, 0x0120, &[control, 0]);
         self.pass_ms(5);
@@ -183,7 +183,7 @@ impl Wire {
         assert_eq!(self.request(station, SAFEOP), (SAFEOP, 0));
     }
 
-    /// SYNC0 every 10 ms from 20 ms on.
+    /// SYNC0 every 10 ms, first at 20 ms.
     pub fn activate_dc(&mut self, station: u16, sync1_ns: u32, activation: u8) {
         let now = i64::from_le_bytes(self.read(station, 0x0910));
         self.start_dc(station, now + 20_000_000, sync1_ns, activation);
@@ -197,7 +197,7 @@ impl Wire {
         assert_eq!(self.write(station, 0x0981, &[activation]), 1);
     }
 
-    /// One exchange of process data with the terminal that is mapped: control word and set value out; inputs in.
+    /// Exchanges process data with the mapped terminal: sends control word and set value, returns the inputs.
     pub fn process_data(&mut self, control: u8, value: u32) -> (u16, [u8; 10]) {
         let mut data = [0; 22];
         data[16] = control;
@@ -206,7 +206,7 @@ impl Wire {
         (reply.working_counter, reply.data[..10].try_into().unwrap())
     }
 
-    /// An SDO request through the mailbox: content of the request behind the CoE header, content of the answer.
+    /// Sends an SDO request through the mailbox; takes and returns the content after the CoE header.
     pub fn sdo(&mut self, station: u16, content: &[u8]) -> Vec<u8> {
         let answer = self.mailbox(station, 3, &[&[0, 0x20], content].concat());
         answer[8..].to_vec()

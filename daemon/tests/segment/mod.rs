@@ -1,4 +1,4 @@
-//! The simulated segment as a master sees it: ethercrab brings it into operation, and single frames obey the
+//! The simulated segment from the side of the master: ethercrab brings it into operation, and single frames follow the
 //! rules of EtherCAT.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 

@@ -1,4 +1,4 @@
-//! From INIT to OP with an unmodified ethercrab, and what the cycle then brings.
+//! From INIT to OP with an unmodified ethercrab, and the cycles that follow.
 
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -18,7 +18,7 @@ const SYNC1: Duration = Duration::from_micros(25);
 pub type PreOpGroup = SubDeviceGroup<16, 128, DefaultLock, PreOp>;
 pub type OpGroup = SubDeviceGroup<16, 128, DefaultLock, Op, HasDc>;
 
-/// Every encoder turns at two periods a millisecond of system time, each from its own start.
+/// Every encoder turns at two periods per millisecond of system time, each from its own start.
 pub struct Ramp;
 
 impl Ramp {
@@ -58,7 +58,7 @@ pub fn preop(bench: &mut Bench) -> PreOpGroup {
     bench.run(maindevice.init_single_group::<16, 128>(|| now_ns() as u64)).expect("PRE-OP")
 }
 
-/// Into OP the way that the daemon goes: SYNC0 every 10 ms, SYNC1 25 us later, frames half way between.
+/// Into OP as the daemon does it: SYNC0 every 10 ms, SYNC1 25 us later, frames half way between.
 pub fn operational(bench: &mut Bench, mut group: PreOpGroup) -> OpGroup {
     let maindevice = bench.maindevice;
     for mut subdevice in group.iter_mut(maindevice) {
@@ -223,7 +223,7 @@ fn the_counter_follows_the_interpolation_that_is_set() {
     }
 }
 
-/// Notes when it was asked.
+/// Notes the times of its conversions.
 struct Logged<S>(S, Arc<Mutex<Vec<(usize, Conversion)>>>);
 
 impl<S: EncoderSource> EncoderSource for Logged<S> {
@@ -269,7 +269,7 @@ fn the_bus_comes_back_after_a_restart_of_the_master() {
     let group = bench.run(group.into_safe_op(maindevice)).expect("OP to SAFE-OP");
     let group = bench.run(group.into_pre_op(maindevice)).expect("SAFE-OP to PRE-OP");
     bench.run(group.into_init(maindevice)).expect("PRE-OP to INIT");
-    // Once in order, and once out of the blue.
+    // Once in order, and once at an arbitrary time.
     let group = preop(&mut bench);
     operational(&mut bench, group);
     let group = preop(&mut bench);
@@ -292,7 +292,7 @@ fn without_distributed_clocks_counts_are_one_cycle_old() {
         assert_eq!(response.working_counter, 6);
         let bytes: [u8; 10] = group.subdevice(maindevice, 1).unwrap().inputs_raw()[..].try_into().unwrap();
         let shown = u32::from_le_bytes(bytes[2..6].try_into().unwrap());
-        // The first terminal is one hop behind the coupler; a count lasts 4 us.
+        // The first terminal is one hop after the coupler; a count lasts 4 us.
         if number > 1 {
             assert!(Ramp::count(0, before_ns + 150, 10).abs_diff(shown) <= 1, "cycle {number}");
         }

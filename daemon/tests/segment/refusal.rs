@@ -1,4 +1,4 @@
-//! What the terminal refuses, and the code with which it says why.
+//! Requests that the terminal refuses, and the status code of each refusal.
 
 use super::frames::*;
 use super::operation::Ramp;

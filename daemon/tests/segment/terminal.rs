@@ -1,12 +1,12 @@
-//! What an EL5021 does beyond counting, over the wire: C reset, set counter, errors and their counters, direction, and
-//! firmware with and without the newer objects.
+//! Functions of an EL5021 beyond counting, over the wire: C reset, set counter, errors and their counters, direction,
+//! and firmware with and without the newer objects.
 
 use ballbard::segment::simulated::{Conversion, EncoderSource, Periods, Revision, Signal};
 
 use super::frames::*;
 use super::refusal::{abort_code, download, upload};
 
-/// An encoder that stands at 5.5 periods and was passed over its mark at 5.25 just before.
+/// An encoder at 5.5 periods that has just passed its mark at 5.25.
 struct Still {
     periods_per_s: f64,
     amplitude: f64,
@@ -34,7 +34,7 @@ impl EncoderSource for Still {
 const LATCH: u8 = 0x01;
 const SET: u8 = 0x04;
 
-/// Into OP, following frames, with these objects written before.
+/// Into OP, synchronous with frames, with these objects written before.
 fn operating(source: Still, settings: &[(u16, u8, &[u8])]) -> Wire {
     let mut wire = Wire::new(1, source);
     wire.enter_preop(TERMINAL);
@@ -48,7 +48,7 @@ fn operating(source: Still, settings: &[(u16, u8, &[u8])]) -> Wire {
     wire
 }
 
-/// Status, counter and latch that answer to what is asked for: each frame starts a conversion that the next one fetches.
+/// Status, counter and latch for this control word: each frame starts a conversion that the next frame returns.
 fn inputs(wire: &mut Wire, control: u8, value: u32) -> (u16, u32, u32) {
     for _ in 0..2 {
         wire.process_data(control, value);

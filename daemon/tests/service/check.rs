@@ -1,4 +1,4 @@
-//! What `ballbard check` finds, and what the process may do.
+//! Results of `ballbard check`, and the system calls that the process may make.
 
 use std::path::Path;
 use std::process::Command;
@@ -12,7 +12,7 @@ use super::rig::{Running, changed, shipped, text};
 fn check_fails_where_a_run_would_need_a_reason_to_begin_and_not_for_less() {
     let service = Running::start();
     service.wait_for("waiting");
-    // Of no use to anybody, and no harm to a run.
+    // Useless but harmless to a run.
     std::fs::write(service.directory.path().join("torn.mcap.active"), "no recording").unwrap();
     let lines: Vec<CheckLine> = service.get("check");
     assert!(
@@ -23,7 +23,7 @@ fn check_fails_where_a_run_would_need_a_reason_to_begin_and_not_for_less() {
     assert_eq!(output.status.code(), Some(0), "{}", text(&output));
     assert!(text(&output).contains("warning  left-over files:"), "{}", text(&output));
     service.granted("start", &json!({"name": "begun", "duration_s": 0.2}));
-    // More than any disk has.
+    // Larger than any disk.
     let config = changed("disk_floor_mb = 500", "disk_floor_mb = 4000000000");
     let full = Running::in_directory(tempfile::tempdir().unwrap(), config.path());
     full.wait_for("waiting");
@@ -44,7 +44,7 @@ fn the_unit_of_the_package_permits_every_system_call_of_the_service() {
         command.arg(&filter).arg(tests.join("debian/ballbard.service")).arg(program);
         command
     };
-    // The filter is there: a call that it lacks ends a program.
+    // The filter is active: a call that it lacks ends the program.
     assert_eq!(filtered("chroot").arg("/").status().unwrap().code(), None);
     let command = filtered(env!("CARGO_BIN_EXE_ballbard"));
     let directory = tempfile::tempdir().unwrap();

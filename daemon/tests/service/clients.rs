@@ -1,4 +1,4 @@
-//! Clients that send half, nothing, or far too much.
+//! Clients that send half a request, none, or far too many.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -15,7 +15,7 @@ use serde_json::json;
 use super::rig::{Running, shipped};
 use crate::support::assert_bad_cycles_have_reasons;
 
-/// Two seconds, and what a busy machine adds.
+/// Two seconds, and the delay of a busy machine.
 const END_WITHIN: Duration = Duration::from_secs(4);
 
 fn connect(service: &Running) -> TcpStream {
@@ -33,12 +33,12 @@ fn head(service: &Running, first: &str, length: usize) -> String {
     format!("{first} HTTP/1.1\r\n{host}Content-Length: {length}\r\n\r\n")
 }
 
-/// Until the service closes it.
+/// Until the service closes the connection.
 fn closed_after(mut stream: &TcpStream) -> Duration {
     let begun = Instant::now();
     stream.set_read_timeout(Some(Duration::from_secs(30))).unwrap();
     let mut rest = Vec::new();
-    // A reset is an end, too.
+    // A reset also ends the connection.
     let read = stream.read_to_end(&mut rest);
     assert!(!read.is_err_and(|error| error.kind() == std::io::ErrorKind::WouldBlock), "it is never closed");
     begun.elapsed()
@@ -55,7 +55,7 @@ fn half_a_request_keeps_no_service_from_its_end() {
         sent(&service, "G"),
         sent(&service, "GET /api/status HTTP/1.1\r\nHost: 127"),
         sent(&service, &format!("{}{{", head(&service, "POST /api/start", 100))),
-        // Its answer is read by nobody.
+        // This client never reads its answer.
         sent(&service, &head(&service, "GET /api/runs", 0)),
     ];
     std::thread::sleep(Duration::from_millis(300));
@@ -73,7 +73,7 @@ fn a_client_that_does_not_say_what_it_wants_is_sent_away() {
         sent(&service, "GET /api/status HTTP/1.1\r\nHost: 127"),
         sent(&service, &format!("{}{{", head(&service, "POST /api/start", 100))),
     ];
-    // One byte after the other, as long as it is let.
+    // Byte by byte, until the service closes the connection.
     let mut slow = connect(&service);
     let begun = Instant::now();
     while slow.write_all(b"x").is_ok() {
@@ -93,14 +93,14 @@ fn more_clients_than_a_process_has_files_for_change_nothing_for_a_run() {
     service.wait_for("waiting");
     service.granted("start", &json!({"name": "crowded"}));
     service.wait_for("writing");
-    // As many as a process usually may have.
+    // The usual limit of open files of a process.
     let mut limit = std::process::Command::new("prlimit");
     let limit = limit.args(["--nofile=1024:1024", "--pid", &service.child.id().to_string()]).status();
     assert!(limit.unwrap().success(), "prlimit of util-linux");
     let (soft, hard) = getrlimit(Resource::RLIMIT_NOFILE).unwrap();
     setrlimit(Resource::RLIMIT_NOFILE, soft.max(hard.min(CLIENTS + 500)), hard).unwrap();
     let crowd: Vec<TcpStream> = (0..CLIENTS).map(|_| sent(&service, "GET /api/status HTT")).collect();
-    // Those that it has not taken yet wait in the kernel.
+    // Connections that are not accepted yet wait in the kernel.
     std::thread::sleep(Duration::from_millis(300));
     let open = std::fs::read_dir(format!("/proc/{}/fd", service.child.id())).unwrap().count();
     assert!(open < 200, "{open} files are open");
@@ -124,7 +124,7 @@ fn resident_kb(pid: u32) -> u64 {
     line.trim_end_matches("kB").trim().parse().unwrap()
 }
 
-/// Faults of the bus as chance has it, each for a while, as arguments of a service.
+/// Random faults of the bus, each of limited duration, as arguments of a service.
 fn faults(seed: u64, seconds: Range<f64>) -> Vec<String> {
     let mut random = StdRng::seed_from_u64(seed);
     let mut arguments = Vec::new();
@@ -161,11 +161,11 @@ fn faults(seed: u64, seconds: Range<f64>) -> Vec<String> {
 #[ignore = "takes 30 seconds, or as many more as BALLBAR_SOAK_S says"]
 fn fifty_stuck_and_fifty_fast_clients_and_a_faulty_bus_cost_a_run_no_cycle_and_the_service_no_memory() {
     const CLIENTS: usize = 50;
-    /// What buffers and threads of the first clients take is there after this.
+    /// Buffers and threads of the first clients are allocated after this time.
     const WARM_UP: Duration = Duration::from_secs(8);
-    /// The bus comes back from its last fault.
+    /// Time of the recovery from the last fault.
     const QUIET: Duration = Duration::from_secs(8);
-    /// Less than what one answer left behind in a thousand would come to.
+    /// Less than a leak in one answer of a thousand would add.
     const GROWTH_KB_MAX: u64 = 16 << 10;
     const LOOKS: u32 = 12;
     let soak_s = std::env::var("BALLBAR_SOAK_S").ok().and_then(|text| text.parse().ok()).unwrap_or(15);
@@ -189,7 +189,7 @@ fn fifty_stuck_and_fifty_fast_clients_and_a_faulty_bus_cost_a_run_no_cycle_and_t
                         ["GET /api/events", "GET /api/runs", "GET /api/live", "GET /api/st"][number % 4];
                     let asked = if number % 8 == 3 { first.into() } else { head(service, first, 0) };
                     let mut stream = connect(service);
-                    // A client that is sent away comes again.
+                    // A client that is refused tries again.
                     let _ = stream.write_all(asked.as_bytes());
                     if number < CLIENTS {
                         std::thread::sleep(Duration::from_secs(3));
@@ -244,7 +244,7 @@ fn fifty_stuck_and_fifty_fast_clients_and_a_faulty_bus_cost_a_run_no_cycle_and_t
 fn a_client_that_takes_nothing_of_its_download_loses_its_place() {
     let service = Running::start();
     service.wait_for("waiting");
-    // Far more than sockets hold by themselves.
+    // Far more than the buffers of the sockets hold.
     let big = std::fs::File::create(service.directory.path().join("big.mcap")).unwrap();
     big.set_len(100 << 20).unwrap();
     let ask = || sent(&service, &head(&service, "GET /api/runs/big/mcap", 0));

@@ -1,4 +1,4 @@
-//! Each fault has one code, wherever it is reported: status, log, metrics, page, API and file.
+//! Each fault has one code in all places: status, log, metrics, page, API and file.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -30,7 +30,7 @@ impl Logging {
     }
 }
 
-/// Waits until the status has the code, then looks for it in all places but the file.
+/// Waits until the status has the code, then checks all places except the file.
 pub fn assert_reported(service: &Running, log: &Path, code: &str) {
     let has_code = |status: &Status| {
         status.problems.iter().chain(&status.bad_cables).any(|problem| problem.code() == code)
@@ -44,7 +44,7 @@ pub fn assert_reported(service: &Running, log: &Path, code: &str) {
             && text.contains(&format!("ballbard_problems_total{{code=\"{code}\"}}"))
     };
     let logged = || std::fs::read_to_string(log).unwrap().contains(&format!("code=\"{code}\""));
-    // The page is a tenth of a second behind the status, and the log has a queue.
+    // The page is up to a tenth of a second behind the status, and the log has a queue.
     let places: [(&str, &dyn Fn() -> bool); 3] = [("page", &page), ("metrics", &metrics), ("log", &logged)];
     for (place, is_there) in places {
         let is_there = (0..20).any(|_| {
@@ -58,7 +58,7 @@ pub fn assert_reported(service: &Running, log: &Path, code: &str) {
     }
 }
 
-/// Whether an event of the recording has the code.
+/// True if an event of the recording has the code.
 pub fn is_in_file(recording: &Recording, code: &str) -> bool {
     recording.events.iter().any(|event| event.code == code)
 }
@@ -68,7 +68,7 @@ fn check(faults: &[&str], code: &str) {
     service.wait_for("waiting");
     service.granted("start", &json!({"name": "run", "reason": "a test"}));
     assert_reported(service, log, code);
-    // Cycles without samples are in the file when samples come again.
+    // Cycles without samples are written when samples return.
     service.wait_until("its end", |status| status.problems.is_empty());
     service.granted("stop", &json!({}));
     let recording = service.recording("run");
@@ -78,7 +78,7 @@ fn check(faults: &[&str], code: &str) {
 
 #[test]
 fn each_fault_of_the_bus_has_the_same_code_wherever_it_is_reported() {
-    // A step of the bus' clock, and a terminal that falls to SAFE-OP, are over before a status shows them.
+    // A step of the bus clock, and a terminal that falls to SAFE-OP, end before a status shows them.
     let cases: [(&[&str], &str); 7] = [
         (&["gone:3@7s-12s"], "bus_device_missing"),
         (&["gone:0@7s-12s"], "bus_no_answer"),

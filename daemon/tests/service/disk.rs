@@ -1,4 +1,4 @@
-//! What the service says and does when the disk beneath a run changes.
+//! Reports and reactions of the service when the disk changes during a run.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use shared::recording::Recording;
 
 use super::rig::{Running, changed, text};
 
-/// A service whose runs go to `<directory>/runs`, or to `<directory>/spare` if they must.
+/// A service that records to `<directory>/runs`, with `<directory>/spare` as the spare directory.
 fn service(directory: &Path) -> Running {
     let spare = format!("spare_directory = {:?}", directory.join("spare"));
     let config = changed("spare_directory = \"/var/tmp/ballbard\"", &spare);
@@ -43,14 +43,14 @@ fn a_run_that_has_no_place_left_is_no_success_for_whoever_stops_it() {
     service.wait_for("waiting");
     service.granted("start", &json!({"name": "lost"}));
     service.wait_for("writing");
-    // Neither place takes a file any more.
+    // Neither directory accepts a file any more.
     std::fs::write(directory.path().join("spare"), "in the way").unwrap();
     std::fs::remove_dir_all(service.directory.path()).unwrap();
     std::fs::write(service.directory.path(), "in the way").unwrap();
     let last = service.wait_until("the end", |status| status.last.is_some()).last.unwrap();
     assert!(last.error.as_ref().unwrap().contains("no part of the run is saved"), "{last:?}");
     assert_eq!((last.file, last.cycles), (None, 0));
-    // A directory that takes no file is no place for the next, also when what the run left was looked after.
+    // A directory that accepts no file gets no further runs, also after the recovery of this run.
     service.wait_for("waiting");
     let (status, refused) = service.post("start", &json!({"name": "next"}));
     assert_eq!(status, 409);
@@ -71,7 +71,7 @@ fn a_run_left_behind_while_the_service_goes_on_is_recovered_when_the_next_one_st
     }
     let left = other.directory.path().join("left.mcap.active");
     std::fs::copy(left, service.directory.path().join("left.mcap.active")).unwrap();
-    // The name of one of them is its own when it is recovered, which is done first and said.
+    // The file that was left keeps its name when it is recovered, which comes first and is reported.
     let (status, refused) = service.post("start", &json!({"name": "left"}));
     let error = refused["error"].as_str().unwrap();
     assert!(
@@ -79,7 +79,7 @@ fn a_run_left_behind_while_the_service_goes_on_is_recovered_when_the_next_one_st
         "{refused}"
     );
     assert!(service.recording("left").end.recovered);
-    // A file without a byte is no reason to refuse its name.
+    // An empty file does not block its name.
     service.granted("start", &json!({"name": "empty"}));
     let recording = service.recording("left");
     assert!(recording.end.recovered && !recording.cycles.is_empty());

@@ -1,4 +1,4 @@
-//! Commands to the service of another machine: what they do there, and what they send to nobody else.
+//! Commands to the service of another machine: their effect, and that they send nothing to a third party.
 
 use std::io::Read;
 use std::net::TcpListener;
@@ -18,7 +18,7 @@ use tokio_rustls::rustls::{ServerConfig, ServerConnection};
 use super::rig::{Running, shipped, text};
 use crate::support::ballbard;
 
-/// A service that other machines reach, and what a person needs to know of it.
+/// A service that other machines reach, with its address, token and certificate.
 struct Far {
     service: Running,
     url: String,
@@ -38,7 +38,7 @@ impl Far {
         self.service.directory.path().join("token")
     }
 
-    /// What a person types in `directory` of another machine.
+    /// A command in `directory` of another machine.
     fn command(&self, directory: &Path, arguments: &[&str]) -> Output {
         ask(directory, arguments, &self.url, &self.token(), &self.fingerprint)
     }
@@ -71,7 +71,7 @@ fn a_run_is_recorded_marked_noted_and_exported_on_another_machine() {
     done(&["note", "far", "after"]);
     let lines: Vec<RunLine> = serde_json::from_str(&done(&["runs", "--json"])).unwrap();
     assert_eq!((lines[0].name.as_str(), lines[0].note.as_str()), ("far", "after"));
-    // The same table as there, in a directory that has no recording, and with the note as it is by now.
+    // The same table as on the other machine, in a directory without recordings, with the current note.
     done(&["export", "far", "--csv", "--relative"]);
     let there = tempfile::tempdir().unwrap();
     let table = there.path().join("far.csv");
@@ -80,7 +80,7 @@ fn a_run_is_recorded_marked_noted_and_exported_on_another_machine() {
     let fetched = std::fs::read_to_string(here.path().join("far.csv")).unwrap();
     assert_eq!(fetched, std::fs::read_to_string(&table).unwrap());
     assert!(fetched.contains("note: after") && fetched.contains("mark: half"));
-    // Nor is a table that is there replaced, or a file of this machine taken for a run of that one.
+    // An existing table is not replaced, and a local file is not taken for a run of the other machine.
     let again = far.command(here.path(), &["export", "far", "--csv"]);
     assert!(!again.status.success() && text(&again).contains("--force"), "{}", text(&again));
     let own = far.service.directory.path().join("far.mcap");
@@ -137,13 +137,13 @@ fn what_is_wrong_with_address_token_or_network_is_said_with_the_remedy() {
             assert!(text(&output).contains(told), "`{told}` is missing in: {}", text(&output));
         }
     };
-    // Nobody there, nobody who speaks TLS, and somebody who never says anything.
+    // No listener, a listener without TLS, and a listener that never answers.
     let free = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let nobody = format!("https://{free}");
     refused(&nobody, &far.token(), &[&nobody, "refused", "ballbard run --listen"]);
     let plain = format!("https://127.0.0.1:{}", far.service.port);
     refused(&plain, &far.token(), &[&plain, "does not use TLS", "--listen"]);
-    // Tokens: none, one that others may read, another's.
+    // No token, a token that others may read, a wrong token.
     let token = here.path().join("token");
     refused(&far.url, &token, &["token", "copy the file `token`"]);
     std::fs::write(&token, "a".repeat(64)).unwrap();
@@ -151,7 +151,7 @@ fn what_is_wrong_with_address_token_or_network_is_said_with_the_remedy() {
     refused(&far.url, &token, &["chmod 600"]);
     std::fs::set_permissions(&token, std::fs::Permissions::from_mode(0o600)).unwrap();
     refused(&far.url, &token, &[&far.url, token.to_str().unwrap(), "the token is wrong", "state directory"]);
-    // What is not understood is not asked for.
+    // Invalid addresses are refused without a request.
     for (arguments, told) in [
         (vec!["status", "--service", &far.url], "--token-file"),
         (vec!["status", "--token-file", "x"], "--service"),
@@ -211,7 +211,7 @@ fn before_the_certificate_is_known_nothing_of_the_token_is_on_the_wire() {
     let far = Far::new();
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("https://{}", listener.local_addr().unwrap());
-    // It takes all that is sent, and goes.
+    // Accepts all that is sent, then closes.
     let sent = std::thread::spawn(move || {
         let (mut stream, _) = listener.accept().unwrap();
         let mut sent = vec![0; 4096];

@@ -1,4 +1,4 @@
-//! How runs end, and what of them is there afterwards.
+//! Ends of runs, and the files that they leave.
 
 use std::process::Command;
 use std::time::{Duration, Instant};
@@ -59,7 +59,7 @@ fn a_run_that_a_kill_left_behind_is_there_finished_when_the_service_starts_again
 #[test]
 fn at_the_disk_floor_no_run_begins() {
     let directory = tempfile::tempdir().unwrap();
-    // More than any disk has.
+    // Larger than any disk.
     let config = changed("disk_floor_mb = 500", "disk_floor_mb = 4000000000");
     let service = Running::in_directory(directory, config.path());
     service.wait_for("waiting");
@@ -71,7 +71,7 @@ fn at_the_disk_floor_no_run_begins() {
     assert_eq!(std::fs::read_dir(service.directory.path()).unwrap().count(), 0);
 }
 
-/// A file system of 8 MB, unmounted when the test is over.
+/// A file system of 8 MB, which is unmounted when the test ends.
 struct SmallDisk(tempfile::TempDir);
 
 impl SmallDisk {
@@ -111,7 +111,7 @@ fn a_disk_that_others_fill_ends_the_run_with_a_finished_file() {
 
 #[test]
 fn status_and_check_say_what_the_last_attempt_to_bring_the_bus_up_met() {
-    // Incomplete from the beginning; then complete for a while, and with a terminal that refuses its settings.
+    // Incomplete from the start; then complete for some time, with a terminal that refuses its settings.
     let incomplete = Running::with(tempfile::tempdir().unwrap(), &shipped(), &["--fault", "gone:4"]);
     let reason = incomplete.wait_until("the first attempt", |status| {
         status.reason.as_ref().is_some_and(|reason| reason.contains("terminal 4 and all"))

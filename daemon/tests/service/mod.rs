@@ -1,4 +1,5 @@
-//! The service over loopback: idempotent, one run at a time, deaf to nonsense, and always a closed file.
+//! The service over loopback: requests are idempotent, one run at a time, invalid input is refused, and every file is
+//! closed.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 mod check;

@@ -1,4 +1,4 @@
-//! File systems that are unmounted, become read-only or full beneath a run, each in a mount namespace of the service's own.
+//! File systems that are unmounted, become read-only or fill during a run, each in a mount namespace of the service.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -13,18 +13,18 @@ use super::codes::{assert_reported, is_in_file};
 use super::rig::{Running, copied};
 use crate::support::PROGRAM;
 
-/// What a busy machine takes at most; a second is promised, which tests on virtual time hold.
+/// Longest delay on a busy machine; tests on virtual time check the promised second.
 const REPORTED_WITHIN: Duration = Duration::from_secs(20);
 
-/// A service whose recordings go to a file system of their own.
+/// A service that records to a file system of its own.
 struct Mounted {
     service: Running,
-    /// Has the spare place, the log, and the image of that file system where it has one.
+    /// Holds the spare directory, the log, and the image of that file system if it has one.
     outside: tempfile::TempDir,
 }
 
 impl Mounted {
-    /// `mount` mounts it at `$1`; `$2` is a file that it may use.
+    /// The command `mount` mounts it at `$1` and may use the file `$2`.
     fn begin(mount: &str) -> Self {
         Self::with_ring(mount, 60)
     }
@@ -52,7 +52,7 @@ impl Mounted {
         Self { service, outside }
     }
 
-    /// In the service's namespace, with its directory as `$1`.
+    /// A command in the namespace of the service, with its directory as `$1`.
     fn does(&self, script: &str) {
         let mut command = Command::new("nsenter");
         command.arg("--target").arg(self.service.child.id().to_string()).args(["--mount", "sh", "-ec"]);
@@ -60,7 +60,7 @@ impl Mounted {
         assert!(status.success(), "{script}; namespaces and mounts need root");
     }
 
-    /// Does it in mid-run, and waits until status and log report it; what the status says.
+    /// Runs the command during a run, waits until status and log report the effect, and returns the status.
     fn reported_after(&self, script: &str, words: &[&str]) -> Status {
         let is_in = |text: &str| words.iter().any(|word| text.contains(word));
         self.does(script);
@@ -80,7 +80,7 @@ impl Mounted {
         std::fs::read_to_string(self.outside.path().join("log")).unwrap()
     }
 
-    /// Goes on for a second, stops, and looks at the file of which `stop` says that it is there.
+    /// Waits a second, stops the run, and reads the file that `stop` names.
     fn stopped(&self, place: &Path) -> LastRun {
         let before = self.service.wait_for("writing").run.unwrap().cycles;
         std::thread::sleep(Duration::from_secs(1));
@@ -108,7 +108,7 @@ fn a_file_system_that_is_unmounted_in_mid_run_is_reported_and_no_cycle_is_lost()
     let mounted = Mounted::begin(TMPFS);
     let told = mounted.reported_after("umount --lazy \"$1\"", &["not there any more"]);
     assert!(told.last.is_none(), "{told:?}");
-    // Its directory is there, on the file system beneath.
+    // Its directory exists on the file system beneath.
     mounted.stopped(mounted.service.directory.path());
 }
 
@@ -116,7 +116,7 @@ fn a_file_system_that_is_unmounted_in_mid_run_is_reported_and_no_cycle_is_lost()
 #[ignore = "needs root for a mount namespace and a loop device"]
 fn a_file_system_that_becomes_read_only_in_mid_run_is_reported_and_the_run_goes_on_in_the_spare_place() {
     let mounted = Mounted::begin(EXT4);
-    // As the kernel does where it finds the file system damaged.
+    // The kernel remounts a damaged file system like this.
     let told = mounted.reported_after("mount -o remount,abort \"$1\"", &["the run continues in"]);
     assert!(told.last.is_none(), "{told:?}");
     mounted.stopped(&mounted.spare());
@@ -135,7 +135,7 @@ fn a_file_system_that_takes_nothing_for_a_while_is_reported_in_status_and_log_an
         let reason = mounted.service.get::<Status>("status").reason.unwrap_or_default();
         reason.contains(word) && mounted.log().contains(word)
     };
-    // More than two periods of synchronisation are worth a word.
+    // A warning follows after more than two periods of synchronisation.
     while !is_reported() && frozen.elapsed() < REPORTED_WITHIN {
         std::thread::sleep(Duration::from_millis(20));
     }
@@ -150,8 +150,8 @@ fn a_file_system_that_takes_nothing_for_a_while_is_reported_in_status_and_log_an
 #[ignore = "needs root for a mount namespace"]
 fn a_run_on_a_file_system_that_becomes_full_at_once_is_whole_where_there_is_room() {
     let mounted = Mounted::begin(TMPFS);
-    // Until nothing is left, not even for the end of the file. Who sees it first ends the run at the floor, or, where the
-    // disk refuses the recorder before, the run goes on in the spare place.
+    // Until the disk is full and the end of the file does not fit. The run ends at the limit of free space; if the disk
+    // refuses the recorder earlier, the run continues in the spare directory.
     let fill = "dd if=/dev/zero of=\"$1\"/others bs=65536 2>/dev/null || true";
     mounted.reported_after(fill, &["disk floor", "No space left"]);
     mounted.service.granted("stop", &json!({}));
@@ -178,11 +178,11 @@ fn a_run_whose_file_system_is_hidden_and_that_has_no_spare_place_is_no_success_f
     let (status, answer) = mounted.service.post("stop", &json!({}));
     let last = mounted.service.get::<Status>("status").last.or(told.last).unwrap();
     assert!(last.file.is_none() && last.error.is_some(), "{last:?}");
-    // Stopped while it was lost, or when it had ended by itself.
+    // Stopped while the directory was missing, or after the run had ended.
     assert!(status == 500 || answer["answer"] == "idle", "{status} {answer}");
 }
 
-/// What is done to the file system, and how it is undone.
+/// A change of the file system, and its reversal.
 fn check_code(mount: &str, ring_s: u32, [begin, end]: [&str; 2], code: &str) {
     let mounted = Mounted::with_ring(mount, ring_s);
     mounted.does(begin);

@@ -1,4 +1,4 @@
-"""What the service answers against its OpenAPI document, by independent validators.
+"""Checks the answers of the service against its OpenAPI document with independent validators.
 
     openapi.py URL
 
@@ -65,7 +65,7 @@ BODIES = {
     "/api/restore": {"name": "described"},
     "/api/bin/empty": {},
 }
-# A run is begun before what is said of it is asked for, and deleted last.
+# A run is started before requests about it, and deleted last.
 ORDER = ["/api/start", "/api/mark", "/api/status", "/api/live", "/api/stop"]
 LAST = ["/api/home", "/api/delete", "/api/restore", "/api/bin/empty"]
 paths = [path for path in document["paths"] if path not in ORDER + LAST]
@@ -83,7 +83,7 @@ for path in ORDER + paths + LAST:
         if "schema" in content[media_type]:
             holds(content[media_type]["schema"], json.loads(text), where)
     if path == "/api/start":
-        # The first cycles reach the disk.
+        # Time for the first cycles to reach the disk.
         time.sleep(2.5)
 status, _, text = ask("post", "/api/mark", {"text": ""})
 assert status == 422

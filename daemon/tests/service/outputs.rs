@@ -1,4 +1,4 @@
-//! Standard error and standard output that are full, closed, or read by nobody.
+//! Standard error and standard output that are full, closed, or without a reader.
 
 use std::fs::{File, OpenOptions};
 use std::io::{PipeReader, Write, pipe};
@@ -15,7 +15,7 @@ use serde_json::json;
 use super::rig::{Running, shipped, text};
 use crate::support::ballbard;
 
-/// What a service's standard error may be; the reader lives as long as this does.
+/// A standard error of the service; the reader lives as long as this value.
 struct Broken {
     name: &'static str,
     stderr: Stdio,
@@ -31,7 +31,7 @@ fn gone() -> Stdio {
     pipe().unwrap().1.into()
 }
 
-/// A pipe whose reader reads nothing and that takes no byte more.
+/// A full pipe whose reader reads nothing.
 fn blocked() -> (PipeReader, Stdio) {
     let (reader, mut writer) = pipe().unwrap();
     let bytes = fcntl(&writer, FcntlArg::F_SETPIPE_SZ(4096)).unwrap();
@@ -41,7 +41,7 @@ fn blocked() -> (PipeReader, Stdio) {
 
 fn broken_logs() -> Vec<Broken> {
     let (reader, stderr) = blocked();
-    // What a service manager's journal is when it has died.
+    // The journal of a service manager that has died.
     let (journal, ours) = UnixStream::pair().unwrap();
     drop(journal);
     let broken = |name, stderr| Broken { name, stderr, _reader: None };
@@ -50,7 +50,7 @@ fn broken_logs() -> Vec<Broken> {
         broken("full", full()),
         broken("its reader gone", gone()),
         broken("without a journal", OwnedFd::from(ours).into()),
-        Broken { name: "read by nobody", stderr, _reader: Some(reader) },
+        Broken { name: "without a reader", stderr, _reader: Some(reader) },
     ]
 }
 
@@ -65,8 +65,8 @@ fn a_log_that_cannot_be_written_costs_lines_and_nothing_else() {
         assert_eq!(service.recording("logged").cycles.len() as u64, last.cycles, "{name}");
         let lines: Vec<CheckLine> = service.get("check");
         let log = lines.iter().find(|line| line.subject == "log").unwrap();
-        // A queue that nobody reads holds its lines for the time being: none is lost before it is full.
-        assert_eq!(log.remedy.is_some(), name != "read by nobody", "{name}: {log:?}");
+        // A queue without a reader keeps its lines until it is full.
+        assert_eq!(log.remedy.is_some(), name != "without a reader", "{name}: {log:?}");
         service.signal(Signal::SIGTERM);
         assert!(service.ended(Duration::from_secs(20)).success(), "{name}");
     }
@@ -91,7 +91,7 @@ fn a_run_is_recorded_whatever_becomes_of_the_log() {
         command.arg(shipped()).arg("--out").arg(out.path()).stderr(stderr).stdout(Stdio::null());
         assert!(command.status().unwrap().success(), "{name}");
         assert!(out.path().join("logged.mcap").exists(), "{name}");
-        // The last word of a command that fails is no reason to stay, either.
+        // The last message of a command that fails does not delay its end.
         command.arg("--replay").arg("nothing.mcap");
         assert_eq!(command.status().unwrap().code(), Some(1), "{name}");
     }
@@ -116,11 +116,11 @@ fn a_service_whose_standard_output_fails_serves() {
     }
 }
 
-/// Every command that prints, on a service that records.
+/// Every command that prints, with a service that records.
 fn typed(service: &Running, arguments: &[&str], stdout: Stdio) -> Output {
     let mut command = ballbard();
     if arguments[0] == "stop" {
-        // A run that is stopped before its first cycle is of no use, and `stop` says that.
+        // A run that is stopped before its first cycle has no data, and `stop` reports that.
         service.wait_until("a cycle", |status| status.run.as_ref().is_some_and(|run| run.cycles > 0));
     }
     command.env("RUST_LOG", "off").args(arguments).stdout(stdout).stderr(Stdio::piped());
@@ -160,7 +160,7 @@ fn commands_whose_reader_has_gone_end_quietly_and_a_full_disk_is_an_error() {
         let output = typed(&service, arguments, gone());
         assert!(output.status.success() && output.stderr.is_empty(), "{arguments:?}: {}", text(&output));
     }
-    // Their verdict stands, whether anybody reads how it came about.
+    // The verdict does not depend on whether the details are read.
     for arguments in [&["check"][..], &["tune", "--config", config]] {
         let verdicts = [gone(), Stdio::null()].map(|stdout| typed(&service, arguments, stdout));
         assert_eq!(verdicts[0].status, verdicts[1].status, "{}", text(&verdicts[0]));

@@ -1,4 +1,4 @@
-//! What a page asks for: the moment, recordings, deletion.
+//! Requests of a page: current state, recordings, deletion.
 
 use ballbard::control::status::Granted;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -14,7 +14,7 @@ use serde_json::json;
 
 use super::rig::{Running, agent, shipped, text};
 
-/// Listens to events.
+/// Subscribes to the events.
 fn listen(service: &Running) -> BufReader<TcpStream> {
     let mut stream = TcpStream::connect(format!("127.0.0.1:{}", service.port)).unwrap();
     let port = &service.port;
@@ -49,7 +49,7 @@ fn events_come_ten_times_a_second_with_what_moves_and_end_with_the_service() {
     next::<Minute>(&mut events).unwrap();
     while next::<Live>(&mut events).unwrap().joints.iter().any(|joint| joint.speed_deg_per_s.is_none()) {}
     let moments: Vec<Live> = (0..20).map(|_| next(&mut events).unwrap()).collect();
-    // A busy machine may take longer for them, and never less.
+    // A busy machine may take longer for them, but never less.
     let lasted_ms = moments[19].at_ms - moments[0].at_ms;
     assert!(lasted_ms >= 1_800, "20 events in {lasted_ms} ms");
     let (first, last) = (&moments[0], &moments[19]);
@@ -59,7 +59,7 @@ fn events_come_ten_times_a_second_with_what_moves_and_end_with_the_service() {
         assert!(after.speed_deg_per_s.unwrap().abs() < 30.0);
     }
     assert!(last.disk_hours.unwrap() > 0.0);
-    // Who comes now sees what has been.
+    // A new subscriber gets the current values.
     let Minute { at_ms, angles_deg } = next(&mut listen(&service)).unwrap();
     assert!(at_ms.iter().rev().zip(at_ms.iter().rev().skip(1)).all(|(after, before)| after > before));
     let place = at_ms.iter().position(|at| *at == first.at_ms).unwrap();
@@ -95,12 +95,12 @@ fn clients_that_take_no_event_hold_up_nobody_and_leave_places_for_others() {
     service.wait_for("writing");
     let stuck: Vec<_> = (0..50).map(|_| listen(&service)).collect();
     std::thread::sleep(Duration::from_millis(500));
-    // More than may listen are told what to do instead.
+    // Subscribers beyond the limit get a message with the alternative.
     let mut refused = listen(&service);
     let mut line = String::new();
     refused.read_line(&mut line).unwrap();
     assert!(line.contains("503"), "{line}");
-    // They take no event for as long as this needs.
+    // They read no events during the test.
     let live: Live = service.get("live");
     assert_eq!(live.status.run.unwrap().name, "watched");
     let last = service.granted("stop", &json!({})).last.unwrap();
@@ -116,7 +116,7 @@ fn a_recording_is_downloaded_as_it_is_and_as_a_table_and_deleted_by_its_name_alo
         json!({"name": "monday-1", "robot": "IRB 2400", "operator": "A", "bar": "short", "payload": "12 kg"});
     service.granted("start", &about);
     service.wait_for("writing");
-    assert_eq!(fetch(&service, "runs/monday-1/mcap").0, 404, "a run that goes on is no file yet");
+    assert_eq!(fetch(&service, "runs/monday-1/mcap").0, 404, "the file of a running run is not offered");
     let last = service.granted("stop", &json!({})).last.unwrap();
     let (code, named, bytes) = fetch(&service, "runs/monday-1/mcap");
     assert_eq!((code, named.as_str()), (200, "attachment; filename=\"monday-1.mcap\""));
@@ -131,7 +131,7 @@ fn a_recording_is_downloaded_as_it_is_and_as_a_table_and_deleted_by_its_name_alo
     let lines: Vec<RunLine> = service.get("runs");
     let RunLine { robot, operator, bar, payload, .. } = &lines[0];
     assert_eq!([robot, operator, bar, payload], ["IRB 2400", "A", "short", "12 kg"]);
-    // What lies elsewhere is none of its business.
+    // Files elsewhere are not its own.
     let secret = service.directory.path().parent().unwrap().join("secret.mcap");
     std::fs::write(&secret, "secret").unwrap();
     for name in [
@@ -185,7 +185,7 @@ fn the_page_is_served_with_all_that_it_needs() {
                     seen.push(file);
                 }
             }
-            // Nothing from anywhere else.
+            // No access from elsewhere.
             assert!(!text.contains("https://") && !text.contains("//cdn"), "{path}");
         }
         next += 1;

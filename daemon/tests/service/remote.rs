@@ -1,4 +1,4 @@
-//! Other machines: nobody without the token, by an independent client and in a real browser.
+//! Other machines: access only with the token, by an independent client and in a real browser.
 
 use std::fs;
 use std::io::{Read, Write};
@@ -22,7 +22,7 @@ fn token(service: &Running) -> String {
     fs::read_to_string(service.directory.path().join("token")).unwrap()
 }
 
-/// Port of the TLS listener, as the status names it.
+/// Port of the TLS listener, as the status states it.
 fn port(service: &Running) -> String {
     let status: Status = service.get("status");
     let words = status.remote.unwrap();
@@ -45,7 +45,7 @@ fn over_tls_an_independent_client_is_served_with_the_token_and_with_nothing_else
         .output()
         .unwrap();
     assert!(said.status.success(), "{}", super::rig::text(&said));
-    // Programs of this machine are served as before.
+    // Local programs are served as before.
     assert_eq!(service.get::<Status>("status").state, ServiceState::Waiting);
 }
 
@@ -75,7 +75,7 @@ fn a_browser_that_was_given_the_token_once_shows_the_page() {
     assert!(status.contains("waiting"), "{status}");
 }
 
-/// What a reverse proxy sends, as it is on the wire; status and answer.
+/// Sends a request of a reverse proxy as raw bytes; returns status and answer.
 fn passed_on(mut stream: impl Read + Write, request: &str, headers: &[&str], body: &str) -> (u16, String) {
     let headers: String = headers.iter().map(|header| format!("{header}\r\n")).collect();
     let length = body.len();
@@ -90,7 +90,7 @@ fn passed_on(mut stream: impl Read + Write, request: &str, headers: &[&str], bod
 fn through_a_reverse_proxy_nothing_is_reached_without_the_token_whatever_host_it_names() {
     let directory = tempfile::tempdir().unwrap();
     let socket = directory.path().join("proxy.sock");
-    // As a service that was killed leaves it.
+    // The file as a killed service leaves it.
     drop(UnixListener::bind(&socket).unwrap());
     let arguments = ["--behind-proxy", socket.to_str().unwrap()];
     let mut service = Running::with(directory, &shipped(), &arguments);
@@ -105,7 +105,7 @@ fn through_a_reverse_proxy_nothing_is_reached_without_the_token_whatever_host_it
     let status = |headers: &[&str]| {
         passed_on(UnixStream::connect(&socket).unwrap(), "GET /api/status HTTP/1.1", headers, "")
     };
-    // What nginx and Apache make of the Host by default, loopback names among them.
+    // The Host that nginx and Apache send by default, including loopback names.
     for host in ["localhost", "127.0.0.1:7311", "127.0.0.1", "[::1]:7311", "lab.example"] {
         for origin in [vec![], vec![format!("Origin: https://{host}")]] {
             let headers = [vec![format!("Host: {host}")], origin].concat();
@@ -132,7 +132,7 @@ fn through_a_reverse_proxy_nothing_is_reached_without_the_token_whatever_host_it
     }
     let (_, answer) = status(&["Host: lab.example"]);
     assert!(answer.contains("state directory") && answer.contains("?token="), "no remedy in: {answer}");
-    // A proxy that keeps the browser's Host to itself.
+    // A proxy that passes the Host of the browser on.
     let (code, answer) = status(&["Host: localhost", "Origin: https://lab.example", &bearer]);
     assert!(code == 403 && answer.contains("proxy_set_header Host $http_host"), "{answer}");
     service.signal(nix::sys::signal::Signal::SIGTERM);
@@ -155,7 +155,7 @@ fn what_a_reverse_proxy_passes_on_to_the_loopback_port_is_refused_with_the_remed
         ("1.1", "Forwarded: for=192.0.2.7"),
         ("1.1", "X-Real-IP: 192.0.2.7"),
         ("1.1", "Via: 1.1 lab.example"),
-        // All that nginx adds by default, and the version that it speaks.
+        // All headers and the version that nginx uses by default.
         ("1.0", "Connection: close"),
     ] {
         let (code, answer) = ask(version, header);
@@ -204,7 +204,7 @@ fn token_and_key_are_made_once_for_their_owner_alone() {
     assert_eq!(first, second);
 }
 
-/// Starts with what is in the directory, and gives what it says when it refuses.
+/// Starts the service with the content of the directory; returns its message when it refuses.
 fn refused(directory: &Path, arguments: &[&str]) -> String {
     let mut command = ballbard();
     command.env("STATE_DIRECTORY", directory).env("RUST_LOG", "off");
@@ -235,7 +235,7 @@ fn certificates_that_are_no_certificates_are_refused_with_the_remedy() {
     let said =
         refused(directory.path(), &["--listen", "127.0.0.1:0", "--certificate", given, "--key", given]);
     assert!(said.contains("given.pem") && said.contains("--certificate"), "{said}");
-    // One without the other is not understood.
+    // Certificate and key are only valid together.
     let said = refused(directory.path(), &["--listen", "127.0.0.1:0", "--certificate", given]);
     assert!(said.contains("--key"), "{said}");
 }

@@ -1,4 +1,4 @@
-//! Requests that nobody should send.
+//! Invalid and hostile requests.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -74,14 +74,14 @@ fn whatever_a_run_is_called_its_file_lies_in_the_directory_under_a_plain_name() 
     }
     let asked: NameReply = serde_json::from_value(service.post("name", &json!({"name": "???"})).1).unwrap();
     assert!(asked.name.is_empty() && asked.problem.unwrap().contains("no letter or digit"));
-    // Without a name it is that of date, robot, bar and a number, for the page as for a command.
+    // The default name is date, robot, bar and a number, for the page and for the command.
     let about = json!({"robot": "IRB 2400", "bar": "short"});
     let NameReply { name, .. } = serde_json::from_value(service.post("name", &about).1).unwrap();
     assert!(name.ends_with("_irb-2400_short_01"), "{name}");
     assert_eq!(service.granted("start", &about).run.unwrap(), name);
 }
 
-/// Sends bytes as they are and gives the status line.
+/// Sends raw bytes and returns the status line.
 fn raw(port: &str, request: &[u8]) -> String {
     let mut stream = TcpStream::connect(format!("127.0.0.1:{port}")).unwrap();
     stream.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
@@ -111,7 +111,7 @@ fn what_a_foreign_web_page_could_send_is_refused() {
         format!("Host: 127.0.0.1:{port}\r\nOrigin: http://evil.example\r\n{json}"),
         format!("Host: 127.0.0.1.evil.example\r\n{json}"),
         format!("Host: 127.0.0.1:{port}\r\nOrigin: null\r\n{json}"),
-        // What stands behind one of ours counts, too.
+        // The text after a valid origin counts, too.
         format!("Host: 127.0.0.1:{port}\r\nHost: evil.example\r\n{json}"),
         format!(
             "Host: 127.0.0.1:{port}\r\nOrigin: http://127.0.0.1:{port}\r\nOrigin: http://evil.example\r\n{json}"
@@ -120,7 +120,7 @@ fn what_a_foreign_web_page_could_send_is_refused() {
         let answer = raw_post(port, &headers, "{}");
         assert!(answer.contains("403"), "{headers}: {answer}");
     }
-    // A name that was made to point here gets neither the page nor what it shows.
+    // A foreign name that resolves to this machine gets neither the page nor its data.
     for path in ["/", "/app.js", "/api/live", "/api/events", "/api/runs/x/mcap"] {
         let request = format!("GET {path} HTTP/1.1\r\nHost: evil.example:{port}\r\n\r\n");
         assert!(raw(port, request.as_bytes()).contains("403"), "{path}");

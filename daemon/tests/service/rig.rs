@@ -1,4 +1,4 @@
-//! A service of the built program, and what a client does with it.
+//! A service of the built program, and its clients.
 
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -15,7 +15,7 @@ pub fn shipped() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../config")
 }
 
-/// A program that heeds SIGHUP even where these tests run under `nohup`, whose children would inherit what it ignores.
+/// A program that reacts to SIGHUP even if these tests run under `nohup`, whose children would ignore it.
 pub fn heeding_hangups(program: &str) -> Command {
     let ignored = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let ignored = ignored.lines().find_map(|line| line.strip_prefix("SigIgn:"));
@@ -28,7 +28,7 @@ pub fn heeding_hangups(program: &str) -> Command {
     command
 }
 
-/// A service on the simulated bus, on a port of its own.
+/// A service on the simulated bus, on its own port.
 pub struct Running {
     pub child: Child,
     pub port: String,
@@ -44,12 +44,12 @@ impl Running {
         Self::with(directory, config, &[])
     }
 
-    /// With further arguments.
+    /// With additional command-line arguments.
     pub fn with(directory: tempfile::TempDir, config: &Path, arguments: &[&str]) -> Self {
         Self::logging_to(Stdio::null(), directory, config, arguments)
     }
 
-    /// With its log where it may fail.
+    /// With a log whose output may fail.
     pub fn logging_to(
         stderr: Stdio,
         directory: tempfile::TempDir,
@@ -61,9 +61,9 @@ impl Running {
         Self::by(command, directory, config, arguments)
     }
 
-    /// Started by a command that ends as the program.
+    /// Started by a command that replaces itself with the program.
     pub fn by(mut command: Command, directory: tempfile::TempDir, config: &Path, arguments: &[&str]) -> Self {
-        // Nothing of the person who runs the tests is read or changed.
+        // No file of the user who runs the tests is read or changed.
         command.env("STATE_DIRECTORY", directory.path());
         command
             .env_remove("RUST_LOG")
@@ -90,7 +90,8 @@ impl Running {
         (response.status().as_u16(), response.body_mut().read_json().unwrap())
     }
 
-    /// Posts until it is granted: on a busy machine emulated terminals may answer too late for a moment, and then no run begins.
+    /// Repeats the request until it succeeds: on a busy machine emulated terminals may answer too late for a moment,
+    /// and the start of a run is then refused.
     pub fn granted(&self, path: &str, body: &Value) -> Reply {
         let begun = Instant::now();
         loop {
@@ -109,7 +110,7 @@ impl Running {
         self.wait_until(state, |status| json!(status.state) == state)
     }
 
-    /// Waits for a status; `what` names it if it never comes.
+    /// Waits for a status; `what` names it in the panic after the time-out.
     pub fn wait_until(&self, what: &str, is_it: impl Fn(&Status) -> bool) -> Status {
         let begun = Instant::now();
         loop {
@@ -122,7 +123,7 @@ impl Running {
         }
     }
 
-    /// What a person types.
+    /// Runs a command of the program.
     pub fn command(&self, arguments: &[&str]) -> Output {
         let mut command = ballbard();
         command.env("RUST_LOG", "off").args(arguments).args(["--port", &self.port]).output().unwrap()
@@ -133,7 +134,7 @@ impl Running {
         nix::sys::signal::kill(pid, signal).unwrap();
     }
 
-    /// Waits for the end of its process, which must come by itself.
+    /// Waits until its process ends without a signal.
     pub fn ended(&mut self, within: Duration) -> ExitStatus {
         let begun = Instant::now();
         loop {
@@ -165,7 +166,7 @@ pub fn text(output: &Output) -> String {
     format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
 }
 
-/// The shipped configuration, to be written into.
+/// A copy of the shipped configuration that the test may change.
 pub fn copied() -> tempfile::TempDir {
     let config = tempfile::tempdir().unwrap();
     for name in ["ball_bar.toml", "daemon.toml"] {
@@ -174,7 +175,7 @@ pub fn copied() -> tempfile::TempDir {
     config
 }
 
-/// The shipped configuration with `daemon.toml` changed.
+/// The shipped configuration with a changed `daemon.toml`.
 pub fn changed(from: &str, to: &str) -> tempfile::TempDir {
     let config = copied();
     let file = config.path().join("daemon.toml");

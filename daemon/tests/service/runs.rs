@@ -1,4 +1,4 @@
-//! Runs from beginning to end, asked for by programs and by people.
+//! Complete runs, requested by programs and by people.
 
 use std::time::Duration;
 
@@ -110,7 +110,7 @@ fn the_commands_say_what_they_did() {
     for simulated in [text(&begun), text(&status), text(&stopped), runs.clone()] {
         assert!(simulated.contains("SIMULATED"), "{simulated}");
     }
-    // In the time of this place, as default names are, and with what that is.
+    // In local time, as in default names, with the zone.
     let started = service.recording("typed").run.started.to_datetime().with_timezone(&chrono::Local);
     assert!(runs.contains(&started.format("%Y-%m-%d %H:%M:%S %:z").to_string()), "{runs}");
 }
@@ -154,7 +154,7 @@ fn a_note_is_changed_after_the_run_and_the_recorded_file_is_not() {
     }
     assert_eq!(listed(), "");
 
-    // A note goes with its recording, and none that was left is taken for that of another with the name.
+    // A note follows its recording, and an orphaned note is not used for a new run of the same name.
     let beside = service.directory.path().join("one.note.json");
     let left = std::fs::read(&beside).unwrap();
     service.granted("delete", &json!({"name": "one"}));
@@ -186,7 +186,7 @@ fn a_deleted_run_lies_in_the_bin_until_it_is_restored_or_the_bin_is_emptied() {
     assert!(text(&deleted).contains("ballbard restore one"), "{}", text(&deleted));
     assert_eq!((names("runs"), names("bin")), (vec![], vec![named("one", "changed")]));
     assert_eq!(service.post("delete", &json!({"name": "one"})).0, 404);
-    // Another run gets the name, and goes the same way.
+    // Another run gets the name and follows it.
     record("second");
     service.granted("delete", &json!({"name": "one"}));
     assert_eq!(names("bin"), [named("one-2", "second"), named("one", "changed")]);
@@ -213,7 +213,7 @@ fn marks_are_numbered_by_the_service_and_stand_in_status_list_and_file() {
     let reason = json!({"name": "one", "reason": "the clock is known to be off"});
     service.granted("start", &reason);
     service.wait_for("writing");
-    // Whoever asks, page or command: one counts on from the other.
+    // Page and command continue the same numbering.
     assert_eq!(service.granted("mark", &json!({})).mark.as_deref(), Some("mark 1"));
     assert!(text(&service.command(&["mark"])).contains("mark 2"));
     assert_eq!(service.granted("mark", &json!({"text": "here"})).mark.as_deref(), Some("here"));
@@ -271,10 +271,10 @@ fn the_check_has_a_line_for_each_thing_and_a_remedy_for_each_problem() {
         assert_eq!(line(subject).remedy, None, "{lines:?}");
     }
     for subject in ["real time", "clock"] {
-        // Depends on this machine; it must be there.
+        // Its content depends on this machine; it must exist.
         assert!(!line(subject).finding.is_empty());
     }
-    // A file that appears while the service runs turns exactly its line.
+    // A file that appears while the service runs changes exactly its line.
     std::fs::write(service.directory.path().join("old.mcap.active"), "left").unwrap();
     let after: Vec<CheckLine> = service.get("check");
     for (before, after) in lines.iter().zip(after) {
@@ -308,7 +308,7 @@ fn what_the_service_knows_is_asked_for_by_name_and_as_json() {
     assert!(told.contains(&last.verdict.unwrap().to_string()), "{told}");
     assert!(stopped["last"]["simulated"] == true && listed[0]["simulated"] == true, "{stopped} {listed}");
     assert!(json(&["check"]).as_array().unwrap().len() > 5);
-    // By its name alone, from wherever somebody is.
+    // By its name alone, from any directory.
     let elsewhere = tempfile::tempdir().unwrap();
     let mut export = ballbard();
     export.current_dir(&elsewhere).args(["export", "--csv", "asked", "--port", &service.port]);
@@ -316,7 +316,7 @@ fn what_the_service_knows_is_asked_for_by_name_and_as_json() {
     assert!(output.status.success(), "{}", text(&output));
     let table = std::fs::read_to_string(elsewhere.path().join("asked.csv")).unwrap();
     assert!(table.contains("mark: here"));
-    // For spreadsheets, by the page's link and by the command.
+    // For spreadsheets: by the link of the page and by the command.
     let fetched = |query: &str| agent().get(&service.url(&format!("runs/asked/csv?{query}"))).call().unwrap();
     let excel = fetched("excel=true&relative").body_mut().read_to_string().unwrap();
     assert!(excel.contains(";angle1_rad;") && excel.contains("mark: here"), "{excel:.300}");

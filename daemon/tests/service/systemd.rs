@@ -1,4 +1,4 @@
-//! What a service manager is told, and what its journal gets.
+//! Messages to the service manager, and lines in its journal.
 
 use std::fs::File;
 use std::os::unix::fs::MetadataExt;
@@ -11,7 +11,7 @@ use serde_json::json;
 use super::rig::{Running, shipped};
 use crate::support::ballbard;
 
-/// With the environment that systemd gives, and where standard error goes.
+/// With the environment of systemd and this standard error.
 fn under_systemd(stderr: Stdio, environment: &[(&str, String)]) -> Running {
     let mut command = ballbard();
     command.stderr(stderr).envs(environment.iter().map(|(name, value)| (name, value)));
@@ -30,7 +30,7 @@ fn systemd_is_notified_that_the_service_is_ready_and_lives() {
     let is_fed = |told: &[String]| told.iter().filter(|line| *line == "WATCHDOG=1").count() >= 5;
     while !is_fed(&told) || !told.iter().any(|line| line == "STATUS=READY") {
         let mut bytes = [0; 200];
-        let length = socket.recv(&mut bytes).expect("systemd is told nothing");
+        let length = socket.recv(&mut bytes).expect("no message to systemd");
         told.push(String::from_utf8_lossy(&bytes[..length]).trim().to_owned());
     }
     assert_eq!(told[0], "READY=1");

@@ -1,4 +1,4 @@
-//! What the service says while bus, encoders, or another process are not as they should be.
+//! Reports of the service while the bus, the encoders or another process fail.
 
 use std::fs::File;
 use std::process::{Command, Stdio};
@@ -22,7 +22,7 @@ fn terminals_that_were_gone_are_in_the_log() {
     service.wait_for("waiting");
     service.wait_for("fault");
     service.wait_for("waiting");
-    // Whoever looks into the log tomorrow finds it.
+    // The log keeps it for later.
     let log = std::fs::read_to_string(log).unwrap();
     assert!(log.contains("WARN bus: no samples from"), "{log}");
     assert!(log.contains("INFO bus: samples again after"), "{log}");
@@ -87,7 +87,7 @@ fn a_terminal_that_is_closed_ends_a_service_with_its_run_finished() {
     assert!(service.recording("hangup").end.cause.contains("SIGHUP"));
 }
 
-/// How a run of two seconds ended whose terminal is closed as soon as it has its file.
+/// The end of a run of two seconds whose terminal is closed as soon as the run has its file.
 fn cause_after_hangup(mut command: Command) -> String {
     let out = tempfile::tempdir().unwrap();
     command.args(["record", "--bus", "simulated", "--name", "hangup", "--duration", "2s"]);
@@ -133,7 +133,7 @@ fn a_second_process_in_a_directory_is_refused_with_who_has_it() {
     let refused = other.output().unwrap();
     assert_eq!(refused.status.code(), Some(1), "{}", text(&refused));
     assert!(text(&refused).contains(&pid), "{}", text(&refused));
-    // The claim is gone with its process, however that ends.
+    // The claim ends with its process, for any cause.
     service.signal(Signal::SIGKILL);
     service.child.wait().unwrap();
     let output = command.output().unwrap();

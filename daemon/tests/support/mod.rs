@@ -1,4 +1,4 @@
-//! What tests and benchmarks of the real-time loop share.
+//! Shared by tests and benchmarks of the real-time loop.
 #![allow(dead_code, clippy::unwrap_used, reason = "each user takes a part")]
 
 pub mod runs;
@@ -18,12 +18,12 @@ use shared::recording::schema::CycleRecord;
 /// Path of the built `ballbard`.
 pub const PROGRAM: &str = env!("CARGO_BIN_EXE_ballbard");
 
-/// The built program, with no state of the user or the machine and no service manager.
+/// The built program, without state of the user or the machine and without a service manager.
 pub fn ballbard() -> Command {
     isolated(Command::new(PROGRAM))
 }
 
-/// A command whose program finds no state that the test did not make.
+/// Removes from a command all state that the test did not make.
 pub fn isolated(mut command: Command) -> Command {
     const NOWHERE: &str = "/nonexistent";
     command.env("HOME", NOWHERE).env("STATE_DIRECTORY", NOWHERE);
@@ -33,13 +33,13 @@ pub fn isolated(mut command: Command) -> Command {
     command
 }
 
-/// In real time a busy machine is late for as many cycles as it likes; the file says so of each.
+/// In real time a busy machine may be late for any number of cycles; the file marks each of them.
 pub fn assert_bad_cycles_have_reasons(cycles: &[CycleRecord]) {
     assert!(cycles.iter().any(CycleRecord::is_valid), "none of {} cycles is valid", cycles.len());
     assert!(cycles.iter().all(|cycle| cycle.is_valid() || cycle.flags != 0), "a bad cycle has no reason");
 }
 
-/// Five terminals on distributed clocks, the frame half a period after the sample.
+/// Five terminals on distributed clocks, with the frame half a period after the sample.
 pub fn plan(rate_hz: u64) -> BusPlan {
     let period = Duration::from_nanos(1_000_000_000 / rate_hz);
     BusPlan {
@@ -52,11 +52,11 @@ pub fn plan(rate_hz: u64) -> BusPlan {
     }
 }
 
-/// When the first terminal truly took its samples.
+/// True sampling instants of the first terminal.
 #[derive(Debug, Clone, Default)]
 pub struct TrueInstants(Arc<Mutex<Vec<Conversion>>>);
 
-/// Passes an encoder source on and notes its conversions.
+/// Passes an encoder source through and notes its conversions.
 pub struct Watched<S> {
     source: S,
     instants: TrueInstants,
@@ -71,14 +71,14 @@ pub struct Stamped {
 }
 
 impl TrueInstants {
-    /// Watches a source; room for `conversions` of them, so that noting one allocates nothing.
+    /// Watches a source, with room for `conversions` of them, so that noting one allocates nothing.
     pub fn watch<S: EncoderSource>(source: S, conversions: usize) -> (Watched<S>, Self) {
         let instants = Self(Arc::new(Mutex::new(Vec::with_capacity(conversions))));
         (Watched { source, instants: instants.clone() }, instants)
     }
 
-    /// Sample times of valid records on distributed clocks against the truth. `utc_minus_true_ns` is the records' UTC
-    /// minus the true time.
+    /// Sample times of valid records on distributed clocks against the truth. `utc_minus_true_ns` is the UTC of the
+    /// records minus the true time.
     pub fn judge(&self, records: &[CycleRecord], utc_minus_true_ns: i64) -> Vec<Stamped> {
         let instants = self.0.lock().unwrap();
         let true_ns: HashMap<i64, i64> =
@@ -90,7 +90,7 @@ impl TrueInstants {
         records.iter().filter(|record| record.is_valid()).filter_map(stamped).collect()
     }
 
-    /// The same without distributed clocks: a frame fetches what was sampled last before it was sent.
+    /// The same without distributed clocks: a frame returns the last sample before it was sent.
     pub fn judge_free_running(&self, records: &[CycleRecord], utc_minus_true_ns: i64) -> Vec<Stamped> {
         let instants = self.0.lock().unwrap();
         let judge = |record: &CycleRecord| {

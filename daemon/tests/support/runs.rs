@@ -1,4 +1,4 @@
-//! Runs of one encoder, and many of them at once.
+//! Runs of one encoder, and parallel execution of many cases.
 
 use std::fmt::Debug;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -42,7 +42,7 @@ pub fn record_of(cycle: u64, time: UtcNs) -> CycleRecord {
     record
 }
 
-/// A run of so many cycles as a crash leaves it, or finished.
+/// A run of this many cycles, finished or as a crash leaves it.
 pub fn leave(directory: &Path, name: &str, cycles: u64, is_finished: bool) {
     let period = Duration::from_millis(10);
     let run = RunMetadata { name: name.into(), ..metadata(period) };
@@ -54,7 +54,7 @@ pub fn leave(directory: &Path, name: &str, cycles: u64, is_finished: bool) {
             writer.cut().unwrap();
         }
     }
-    // Copied while it is locked: whoever has the lock is not killed with it.
+    // Copied under the lock, so that no holder of the lock is killed with it.
     let (file, _writer) = if is_finished {
         (writer.finish("test over", UtcNs(0)).unwrap(), None)
     } else {
@@ -63,7 +63,7 @@ pub fn leave(directory: &Path, name: &str, cycles: u64, is_finished: bool) {
     std::fs::copy(&file, directory.join(file.file_name().unwrap())).unwrap();
 }
 
-/// Takes what is to be done from `cases`, so many at once; all of them, and what failed is named at the end.
+/// Runs all `cases`, this many in parallel, and names the failed ones at the end.
 pub fn in_parallel<T: Sync + Debug>(cases: &[T], at_once: usize, body: impl Fn(&T) + Sync) {
     let (next, failed) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
     let work = || {

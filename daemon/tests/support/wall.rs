@@ -1,4 +1,4 @@
-//! A disk that does on purpose what disks do, and remembers what of each file would survive a power cut.
+//! A disk that injects the faults of disks and knows which bytes of each file would survive a power cut.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
@@ -15,7 +15,7 @@ use shared::time::MonoNs;
 
 use super::world::{World, pass};
 
-/// A call that the disk is put to.
+/// A call of the `Disk` trait.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Call {
     MakeDirectory,
@@ -39,37 +39,37 @@ pub enum Call {
 }
 
 impl Call {
-    /// What is in memory is still given, and a name that is there is still there.
+    /// Calls that still succeed on a dead disk, because their data is in memory.
     fn asks_only(self) -> bool {
         use Call::{IdAt, IdOf, Length, List, Open, Read, Space};
         matches!(self, Open | List | Read | Length | IdAt | IdOf | Space)
     }
 
-    /// It takes or gives bytes.
+    /// The call transfers bytes.
     pub fn moves_bytes(self) -> bool {
         matches!(self, Self::Write | Self::Read | Self::Append)
     }
 }
 
-/// What it does instead of what it should.
+/// A fault of one call.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Fault {
-    /// Refuses this once.
+    /// Refuses this call only.
     Fails,
-    /// Refuses this and everything after it that reaches the run's own directory.
+    /// Refuses this call and all later ones that reach the run's own directory.
     Dies,
-    /// Refuses this and everything after it, wherever.
+    /// Refuses this call and all later ones.
     DiesEverywhere,
-    /// Takes so long, this once.
+    /// Delays this call only.
     Hangs(Duration),
-    /// Takes or gives a single byte, this once.
+    /// Transfers a single byte, in this call only.
     CutsShort,
 }
 
-/// The disk.
+/// A simulated disk, shared by its clones.
 #[derive(Debug)]
 pub struct Wall {
-    /// How long each synchronisation takes.
+    /// Duration of each synchronisation.
     sync_takes: Duration,
     /// The run's own directory.
     home: PathBuf,
@@ -78,10 +78,10 @@ pub struct Wall {
 
 #[derive(Debug, Default)]
 struct State {
-    /// Which call is met by which fault: the first is number 0.
+    /// The fault of each call by number, from 0.
     fault: Option<(Call, usize, Fault)>,
     calls: BTreeMap<Call, usize>,
-    /// By inode: bytes written, and bytes that were written when a synchronisation that is over began.
+    /// By inode: bytes written, and bytes that were written before the start of a completed synchronisation.
     written: HashMap<u64, u64>,
     synced: HashMap<u64, u64>,
     inodes: HashMap<u64, bool>,
@@ -91,7 +91,7 @@ struct State {
     struck_at: Option<MonoNs>,
 }
 
-/// What a call may do.
+/// Permitted effect of a call.
 enum Permit {
     All,
     OneByte,
@@ -103,7 +103,7 @@ impl Wall {
         Self { sync_takes: Duration::ZERO, home: home.to_owned(), state }
     }
 
-    /// One on which each synchronisation takes so long.
+    /// A disk whose synchronisation takes this time.
     pub fn slow(home: &Path, sync_takes: Duration) -> Self {
         Self { sync_takes, ..Self::new(home, None) }
     }
@@ -112,24 +112,24 @@ impl Wall {
         self.state.lock().unwrap()
     }
 
-    /// How often each call was made.
+    /// Number of calls of each kind.
     pub fn calls(&self) -> BTreeMap<Call, usize> {
         self.state().calls.clone()
     }
 
-    /// The next call of this kind meets this fault.
+    /// Injects this fault into the next call of this kind.
     pub fn strike_next(&self, call: Call, fault: Fault) {
         let mut state = self.state();
         let nth = state.calls.get(&call).copied().unwrap_or(0);
         (state.fault, state.struck) = (Some((call, nth, fault)), None);
     }
 
-    /// When the fault was met.
+    /// Real time of the fault.
     pub fn struck(&self) -> Option<Instant> {
         self.state().struck
     }
 
-    /// When the fault was met on virtual time.
+    /// Virtual time of the fault.
     pub fn struck_at(&self) -> Option<MonoNs> {
         self.state().struck_at
     }
@@ -268,7 +268,7 @@ impl Disk for Wall {
         file.read_at(&mut buffer[..length], offset)
     }
 
-    /// What is written meanwhile is not covered, and nothing is by one that fails.
+    /// Data written during a synchronisation is not covered, and a failed synchronisation covers none.
     fn sync(&self, file: &File) -> io::Result<()> {
         let inode = file.metadata()?.ino();
         let covered = self.state().written.get(&inode).copied().unwrap_or(0);

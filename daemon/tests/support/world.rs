@@ -1,5 +1,5 @@
-//! Virtual time for all that waits for time or a disk, in one thread: the clock moves from one due stepper to the next. A call
-//! that hangs is an event, too: its stepper is busy until then, and the others continue.
+//! Virtual time for time-outs and disk calls in one thread: the clock advances from one due stepper to the next. A call
+//! that hangs keeps its stepper busy until its end while the others continue.
 
 use std::cell::{Cell, RefCell};
 use std::future::Future;
@@ -15,7 +15,7 @@ use ballbard::scheduler::{Begin, Scheduler, Stepper, Task};
 use shared::time::{MonoNs, UtcNs};
 use tokio::sync::oneshot;
 
-/// How often a future is polled.
+/// Polling period of a future.
 const POLL_PERIOD: Duration = Duration::from_millis(1);
 
 /// A stepper and when it is due.
@@ -24,7 +24,7 @@ struct Due {
     stepper: RefCell<Box<dyn Stepper>>,
 }
 
-/// The steppers and their clock. Clones are the same.
+/// The steppers and their clock, shared by clones.
 #[derive(Clone)]
 pub struct World {
     pub clock: Clock,
@@ -57,7 +57,7 @@ impl World {
         self.steppers.borrow_mut().clear();
     }
 
-    /// The result of a person's actions on virtual time.
+    /// The result of a client's actions on virtual time.
     pub fn live<T: 'static>(person: impl Future<Output = T> + 'static) -> T {
         let world = Self::begin();
         let result = Rc::<Cell<Option<T>>>::default();
@@ -84,19 +84,19 @@ impl World {
         self.steppers.borrow_mut().push(Rc::new(due));
     }
 
-    /// Adds a person beside the others.
+    /// Adds a client that acts beside the others.
     pub fn spawn(&self, person: impl Future<Output = ()> + 'static) {
         self.add(Person(Box::pin(person)));
     }
 
-    /// Calls the next stepper that is due until `until` and not busy; false if there is none.
+    /// Steps the next stepper that is due by `until` and not busy; false if there is none.
     pub fn step(&self, until: MonoNs) -> bool {
         for begun in std::mem::take(&mut *self.handle.begun.lock().unwrap()) {
             self.add(Beginning::Begin(Some(begun)));
         }
         let idle =
             |due: &&Rc<Due>| due.stepper.try_borrow().is_ok() && due.at.get().is_some_and(|at| at <= until);
-        // The first of those who are due at the same time.
+        // The first of those due at the same time.
         let next = self.steppers.borrow().iter().filter(idle).min_by_key(|due| due.at.get()).cloned();
         let Some(due) = next else { return false };
         self.clock.sleep_until(due.at.get().unwrap_or(until));
@@ -108,7 +108,7 @@ impl World {
         true
     }
 
-    /// Time passes; whoever lets it pass is busy.
+    /// Advances the time while the calling stepper is busy.
     pub fn pass(&self, time: Duration) {
         let until = self.clock.now().plus_ns(time.as_nanos() as i64);
         while self.step(until) {}
@@ -133,12 +133,12 @@ pub fn since(begun: MonoNs) -> Duration {
     Duration::from_nanos(now().ns_since(begun).unsigned_abs())
 }
 
-/// Is ready after this time; others continue.
+/// Is ready after this time; other steppers continue.
 pub async fn sleep(time: Duration) {
     World::here().unwrap().handle.sleep(time).await;
 }
 
-/// The side of the scheduler: steppers that wait to be added.
+/// Side of the scheduler: steppers that wait to be added.
 struct Handle {
     clock: Clock,
     begun: Mutex<Vec<Begin>>,
@@ -176,7 +176,7 @@ impl Scheduler for Handle {
     }
 }
 
-/// Begins in its first step, which may hang.
+/// Starts in its first step, which may hang.
 enum Beginning {
     Begin(Option<Begin>),
     Begun(Box<dyn Stepper>),
@@ -192,7 +192,7 @@ impl Stepper for Beginning {
     }
 }
 
-/// A person: a future of one action after the other.
+/// A client: a future that performs actions in order.
 struct Person<F: ?Sized>(Pin<Box<F>>);
 
 impl<F: Future<Output = ()> + ?Sized> Stepper for Person<F> {

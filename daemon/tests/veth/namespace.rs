@@ -5,7 +5,7 @@ use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// One test at a time: each has a bus to keep pace with.
+/// Tests run one at a time, because each has a bus with a real-time cycle.
 static TURN: Mutex<()> = Mutex::new(());
 
 pub struct Namespace {
@@ -23,7 +23,7 @@ impl Namespace {
         namespace
     }
 
-    /// Makes the pair and takes both ends up.
+    /// Creates the pair and takes both ends up.
     pub fn plug_in(&self) {
         run(&["-n", &self.name, "link", "add", "near", "type", "veth", "peer", "name", "far"]);
         for end in ["near", "far"] {

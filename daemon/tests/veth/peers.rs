@@ -1,4 +1,4 @@
-//! Independent peers: SOEM as the master of our segment, Wireshark's dissectors as the judge of the frames.
+//! Independent peers: SOEM as the master of our segment, and Wireshark's dissectors on our frames.
 
 use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
@@ -39,7 +39,7 @@ struct CycleSeen {
     terminals: Vec<(u16, u32)>,
 }
 
-/// Python with pysoem.
+/// The Python interpreter that has `pysoem`.
 fn python() -> PathBuf {
     let python = std::env::var_os("BALLBAR_PYTHON").map_or_else(|| "python3".into(), PathBuf::from);
     let found = Command::new(&python).args(["-c", "import pysoem"]).output();
@@ -76,14 +76,14 @@ fn soem_brings_the_segment_into_op_and_reads_the_counters_of_the_motion() {
     for pair in seen.cycles.windows(2) {
         let [before, cycle] = pair else { continue };
         assert!(cycle.dc_ns >= before.dc_ns, "the bus clock runs");
-        // Near a SYNC0 it is not known which sample the frame found; a late one was overtaken by others.
+        // Near a SYNC0 the sample that the frame found is ambiguous; a late frame was overtaken by others.
         let phase_ns = cycle.dc_ns.rem_euclid(PERIOD_NS);
         if !(100_000..9_900_000).contains(&phase_ns) || cycle.working_counter != 15 {
             continue;
         }
         let bracket_ns = cycle.received_ns - cycle.sent_ns;
         let sampled_ns = cycle.sent_ns + bracket_ns / 2 - phase_ns;
-        // 0.4 rad/s at most, known to half a bracket; and some us of path.
+        // At most 0.4 rad/s, known to half a bracket and some us of path.
         let tolerance = 4.0 + 0.94e-3 * (bracket_ns as f64 / 2.0 + 5_000.0);
         for (joint, (status, counter)) in cycle.terminals.iter().enumerate() {
             assert_eq!(status & 0x4018, 0, "no frequency or amplitude error");
@@ -120,7 +120,7 @@ fn wireshark_finds_no_malformed_frame_in_what_soem_and_the_segment_say() {
         std::thread::sleep(Duration::from_millis(100));
     }
     run_soem(&namespace, &python);
-    // tshark writes what it has when it is asked to end.
+    // On an interrupt tshark writes what it has.
     let child = nix::unistd::Pid::from_raw(capture.0.id() as i32);
     nix::sys::signal::kill(child, nix::sys::signal::Signal::SIGINT).unwrap();
     capture.0.wait().unwrap();

@@ -36,7 +36,7 @@ def cycle(master):
 
 
 def sleep_to_phase(master):
-    """Half way between two SYNC0."""
+    """Waits until half way between two SYNC0 events."""
     time.sleep((PERIOD_NS + PERIOD_NS // 2 - master.dc_time % PERIOD_NS) % PERIOD_NS * 1e-9 + 1e-3)
 
 
@@ -55,7 +55,7 @@ def bring_up(master):
     for terminal in master.slaves[1:]:
         terminal.dc_sync(True, PERIOD_NS, 0, SYNC1_NS)
     assert master.state_check(pysoem.SAFEOP_STATE, 2_000_000) == pysoem.SAFEOP_STATE, "SAFE-OP"
-    # The clocks follow, and SYNC0 begins.
+    # Time for the clocks to synchronise and for SYNC0 to start.
     for _ in range(200):
         exchange(master)
         time.sleep(1e-3)

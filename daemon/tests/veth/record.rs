@@ -19,7 +19,7 @@ fn record(namespace: &Namespace, out: &Path, duration: &str) -> Command {
     record
 }
 
-/// Waits until the run of `record` has its file: bringing the bus up takes a loaded machine several seconds.
+/// Waits until the run of `record` has its file: the bring-up takes several seconds on a loaded machine.
 fn wait_until_begun(out: &Path) {
     let deadline = Instant::now() + Duration::from_secs(60);
     while !out.join("veth.mcap.active").exists() {
@@ -41,7 +41,7 @@ fn a_run_over_a_raw_socket_is_complete() {
     assert!(recording.run.distributed_clocks && recording.run.bus == "near");
     assert_bad_cycles_have_reasons(&recording.cycles);
     for pair in recording.cycles.windows(2).filter(|pair| pair.iter().all(|cycle| cycle.is_valid())) {
-        // Joints move at 0.4 rad/s at most: some 9400 counts a cycle.
+        // Joints move at 0.4 rad/s at most: about 9400 counts a cycle.
         for (before, after) in pair[0].encoders().iter().zip(pair[1].encoders()) {
             assert!((after.count.wrapping_sub(before.count) as i32).abs() < 10_000);
         }
@@ -77,7 +77,7 @@ fn an_interface_that_is_unplugged_and_plugged_in_again_is_found_again() {
     let running = record(&namespace, out.path(), "14s").spawn().unwrap();
     wait_until_begun(out.path());
     thread::sleep(Duration::from_secs(2));
-    // Both interfaces are gone; those that come have the same names and other numbers.
+    // Both interfaces are removed; the new ones have the same names and other numbers.
     namespace.link(&["delete", "near"]);
     thread::sleep(Duration::from_secs(2));
     namespace.plug_in();

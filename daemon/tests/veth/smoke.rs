@@ -27,7 +27,7 @@ fn a_smoke_test_reports_the_devices_and_how_the_bus_came_up() {
     assert_eq!(output.status.code(), Some(1), "{text}");
     assert!(text.contains("FAILED    revisions: EL5021 r22"), "{text}");
     let report: Value = serde_json::from_slice(&std::fs::read(&file).unwrap()).unwrap();
-    // How late a busy machine is decides the other checks.
+    // The other checks depend on the load of the machine.
     for (subject, expected) in [
         ("interface", "passed"),
         ("devices", "passed"),
@@ -35,7 +35,7 @@ fn a_smoke_test_reports_the_devices_and_how_the_bus_came_up() {
         ("bring_up", "passed"),
         ("cables", "passed"),
         ("homing", "not_done"),
-        // Nobody is at a terminal.
+        // No person is at a terminal.
         ("pulled_cable", "not_done"),
     ] {
         assert_eq!(outcome(&report, subject), expected, "{subject}: {text}");
