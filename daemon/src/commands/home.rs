@@ -106,7 +106,7 @@ async fn on_own_bus(
     let session = run::connect(scheduler, &storage, &request, &daemon, &bar, stop).await?;
     session.log();
     let (mut printer, mut homing) = (Printer::new(service.format), Homing::begin(&session));
-    while !homing.look(&bar.encoders, &marks) {
+    while !homing.poll(&bar.encoders, &marks) {
         if let Err(error) = printer.print(homing.status()) {
             stop.stop(&explained(error.as_ref()));
         }

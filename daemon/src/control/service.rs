@@ -37,18 +37,18 @@ pub struct Service {
     settings: Arc<Settings>,
     disk: Arc<dyn Disk>,
     outcome: Arc<Mutex<Option<Outcome>>>,
-    looks: Arc<Semaphore>,
+    disk_tasks: Arc<Semaphore>,
     scheduler: Arc<dyn Scheduler>,
 }
 
 /// Queue of requests to the control's thread, which takes them within milliseconds; further ones are refused.
 const COMMANDS_MAX: usize = 64;
 /// Requests that may wait for the disk at the same time.
-const LOOKS_MAX: usize = 4;
+const DISK_TASKS_MAX: usize = 4;
 /// How long each may; then the reply is made without the disk.
-const LOOK_WITHIN: Duration = Duration::from_secs(1);
+const DISK_TIMEOUT: Duration = Duration::from_secs(1);
 /// The same for a list of hundreds of recordings.
-pub(super) const LIST_WITHIN: Duration = Duration::from_secs(10);
+pub(super) const LIST_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// Why the service cannot start, or has ended without a request.
 #[derive(Debug, thiserror::Error)]
@@ -107,14 +107,14 @@ impl Service {
             ending.clone(),
             Arc::clone(&scheduler),
         );
-        controller.tend();
+        controller.prepare_storage();
         let (ended, outcome) = sync_channel(1);
         let control =
             Control { controller: Some(controller), commands: commands_rx, waiting: Vec::new(), ended };
         scheduler.start("control", Box::new(|| Box::new(control)))?;
         let outcome = Arc::new(Mutex::new(Some(outcome)));
-        let looks = Arc::new(Semaphore::new(LOOKS_MAX));
-        Ok(Self { commands, ending, status, live, settings, disk, outcome, looks, scheduler })
+        let disk_tasks = Arc::new(Semaphore::new(DISK_TASKS_MAX));
+        Ok(Self { commands, ending, status, live, settings, disk, outcome, disk_tasks, scheduler })
     }
 
     /// The status of the last step of the control.
@@ -150,7 +150,8 @@ impl Service {
     /// Completes when the run's file is created, or refused.
     pub(super) async fn begin(&self, request: StartRequest) -> Result<Answer, Refusal> {
         let named = request.name.is_some();
-        let details = self.look(LOOK_WITHIN, move |settings, disk| details(request, settings, disk)).await;
+        let details =
+            self.ask_disk(DISK_TIMEOUT, move |settings, disk| details(request, settings, disk)).await;
         let Some(details) = details else {
             return Ok(disk_silent());
         };
@@ -165,7 +166,7 @@ impl Service {
 
     /// Refused if the marks could not be saved, so that joints are not turned in vain.
     pub(super) async fn home(&self) -> Result<Answer, Refusal> {
-        match self.look(LOOK_WITHIN, |settings, disk| settings.marks.problem(disk)).await {
+        match self.ask_disk(DISK_TIMEOUT, |settings, disk| settings.marks.problem(disk)).await {
             Some(None) => self.ask(Command::Home).await,
             Some(Some(problem)) => Ok(Answer::Refused(problem)),
             None => Ok(disk_silent()),
@@ -185,7 +186,7 @@ impl Service {
 
     /// Runs the pre-flight check.
     pub async fn check(&self) -> Result<Vec<CheckLine>, Refusal> {
-        let found = self.look(LOOK_WITHIN, Found::now).await;
+        let found = self.ask_disk(DISK_TIMEOUT, Found::now).await;
         self.ask(|reply| Command::Check(found, reply)).await
     }
 
@@ -194,7 +195,7 @@ impl Service {
         let find = move |settings: &Settings, disk: &dyn Disk| {
             name_reply(&request, disk, &settings.daemon.directory)
         };
-        self.look(LOOK_WITHIN, find).await
+        self.ask_disk(DISK_TIMEOUT, find).await
     }
 
     /// The disk of the recordings.
@@ -203,21 +204,21 @@ impl Service {
     }
 
     /// Result of `find` on a thread that may wait for the disk; `None` after the time `within`.
-    pub(super) async fn look<T: Send + 'static>(
+    pub(super) async fn ask_disk<T: Send + 'static>(
         &self,
         within: Duration,
         find: impl FnOnce(&Settings, &dyn Disk) -> T + Send + 'static,
     ) -> Option<T> {
         let (settings, disk) = (Arc::clone(&self.settings), Arc::clone(&self.disk));
         let found = async {
-            let place = Arc::clone(&self.looks).acquire_owned().await.ok()?;
+            let place = Arc::clone(&self.disk_tasks).acquire_owned().await.ok()?;
             let (result, found) = oneshot::channel();
-            let look = move || {
+            let work = move || {
                 let _ = result.send(find(&settings, &*disk));
                 drop(place);
             };
             // Without a thread the result is missing.
-            drop(Pending::start(&*self.scheduler, "look", look));
+            drop(Pending::start(&*self.scheduler, "disk request", work));
             found.await.ok()
         };
         self.within(within, found).await.flatten()

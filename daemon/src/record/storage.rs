@@ -51,7 +51,7 @@ struct Seen {
 
 impl Storage {
     /// Period of the checks. A loss is reported within a second: this period and those of the reporting tasks are a third of it.
-    pub const LOOK_PERIOD: Duration = Duration::from_millis(100);
+    const CHECK_PERIOD: Duration = Duration::from_millis(100);
 
     /// As configured, on the system's disk.
     pub fn new(daemon: &DaemonConfig, scheduler: &dyn Scheduler) -> std::io::Result<Self> {
@@ -76,7 +76,7 @@ impl Storage {
             run: Mutex::new(None),
         }));
         let mut logged = Vec::new();
-        storage.repeat("disk", scheduler, Shared::look)?;
+        storage.repeat("disk", scheduler, Shared::check)?;
         storage.repeat("disk log", scheduler, move |shared| logged = shared.log(&logged))?;
         Ok(storage)
     }
@@ -136,7 +136,7 @@ impl Storage {
 }
 
 impl Shared {
-    fn look(&self) {
+    fn check(&self) {
         {
             let mut seen = lock(&self.seen);
             (seen.begun, seen.is_over) = (self.clock.now(), false);
@@ -222,7 +222,7 @@ struct Repeated<W> {
 impl<W: FnMut(&Shared)> Stepper for Repeated<W> {
     fn poll(&mut self, _: MonoNs) -> Option<Duration> {
         (self.work)(&*self.shared.upgrade()?);
-        Some(Storage::LOOK_PERIOD)
+        Some(Storage::CHECK_PERIOD)
     }
 }
 

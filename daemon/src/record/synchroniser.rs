@@ -34,7 +34,7 @@ struct SyncWork {
 }
 
 /// Period in which a loop polls for work; a thread waits for it.
-const LOOK_PERIOD: Duration = Duration::from_millis(1);
+const POLL_PERIOD: Duration = Duration::from_millis(1);
 
 impl Stepper for SyncWork {
     fn poll(&mut self, _: MonoNs) -> Option<Duration> {
@@ -43,7 +43,7 @@ impl Stepper for SyncWork {
             Err(TryRecvError::Empty) => true,
             Err(TryRecvError::Disconnected) => false,
         };
-        is_needed.then_some(LOOK_PERIOD)
+        is_needed.then_some(POLL_PERIOD)
     }
 
     fn wait(&mut self, _: Duration) {

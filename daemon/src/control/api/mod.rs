@@ -48,7 +48,7 @@ use super::recordings::note;
 use super::recordings::runs::{self, Curves, RunLine};
 use super::recordings::table::{Layout, write_csv};
 use super::recordings::verdict::Verdict;
-use super::service::{LIST_WITHIN, Service};
+use super::service::{LIST_TIMEOUT, Service};
 use super::status::{
     CheckLine, DeleteRequest, EmptyBinRequest, Granted, HomeRequest, HomingStatus, IN_SPITE_OF, LastRun,
     MarkRequest, NameReply, NameRequest, NoteRequest, PairReply, PairRequest, Refusal, Reply, ServiceState,
@@ -333,17 +333,18 @@ async fn on_disk<T: Send + 'static>(
     service: &Service,
     work: impl FnOnce(&dyn Disk) -> std::io::Result<T> + Send + 'static,
 ) -> Result<T, Response> {
-    match service.look(LIST_WITHIN, move |_, disk| work(disk)).await {
+    match service.ask_disk(LIST_TIMEOUT, move |_, disk| work(disk)).await {
         Some(Ok(found)) => Ok(found),
         Some(Err(error)) => Err(refusal(
             StatusCode::INTERNAL_SERVER_ERROR,
             &format!("the disk refused: {error}; check the directory of the recordings"),
         )),
-        None => Err(refusal(
-            StatusCode::GATEWAY_TIMEOUT,
-            "the disk does not answer; `ballbard status` shows its state",
-        )),
+        None => Err(disk_silent()),
     }
+}
+
+fn disk_silent() -> Response {
+    refusal(StatusCode::GATEWAY_TIMEOUT, "the disk does not answer; `ballbard status` shows its state")
 }
 
 /// A directory that does not exist yet has no runs.
@@ -434,10 +435,7 @@ async fn name(
     State(service): State<Service>,
     Asked(request): Asked<NameRequest>,
 ) -> Result<Json<NameReply>, Response> {
-    let silent = || {
-        refusal(StatusCode::GATEWAY_TIMEOUT, "the disk does not answer; `ballbard status` shows its state")
-    };
-    service.name(request).await.map(Json).ok_or_else(silent)
+    service.name(request).await.map(Json).ok_or_else(disk_silent)
 }
 
 async fn start(
@@ -569,7 +567,7 @@ async fn verdict(service: &Service, last: &LastRun) -> Option<Verdict> {
     let of_run = |status: &Status| status.last.clone().filter(|last| last.file.as_ref() == Some(file));
     let is_read = |status: &Status| of_run(status).is_some_and(|last| last.verdict.is_some());
     let wait = async { status.wait_for(is_read).await.ok().and_then(|status| of_run(&status)?.verdict) };
-    service.within(LIST_WITHIN, wait).await.flatten()
+    service.within(LIST_TIMEOUT, wait).await.flatten()
 }
 
 /// Waits for the end of the homing.

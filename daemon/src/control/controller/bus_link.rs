@@ -102,7 +102,7 @@ impl BusLink {
     }
 
     /// What has changed since the last poll.
-    pub fn look(&mut self, now: MonoNs) -> Option<Event> {
+    pub fn poll(&mut self, now: MonoNs) -> Option<Event> {
         match &mut self.state {
             State::Down { retry_at, pause } => {
                 if now >= *retry_at {

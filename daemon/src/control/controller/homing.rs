@@ -50,7 +50,7 @@ impl Homing {
 
     /// Handles the steps since the last poll. Returns whether the homing has just ended; its status then has the outcome, and
     /// after a success the file `marks` is written.
-    pub fn look(&mut self, encoders: &[EncoderConfig], marks: &MarksFile) -> bool {
+    pub fn poll(&mut self, encoders: &[EncoderConfig], marks: &MarksFile) -> bool {
         while let Some(step) = self.active.take_step() {
             note(&mut self.status, step);
         }

@@ -1,12 +1,11 @@
-//! Does what the [`machine`](crate::control::machine) decides: bus, runs, homing, replies. It never waits for the disk:
-//! `tending` does that. `view` derives the status.
+//! Does what the [`machine`](crate::control::machine) decides: bus, runs, homing, replies. It never waits for the disk. `view`
+//! derives the status.
 
 mod bus_link;
 pub mod homing;
 mod marks;
 pub mod preflight;
 mod problem_log;
-mod tending;
 mod view;
 
 use std::sync::Arc;
@@ -24,15 +23,13 @@ use crate::control::settings::{Connect, Settings};
 use crate::control::status::{CheckLine, LastRun, ServiceState, Status, Totals};
 use crate::problem::{Fact, Problem};
 use crate::record::{RunSummary, Snapshot};
-use crate::run::{ActiveRun, LEAVES_WITHIN, RunDetails, RunError, Stop, Storage};
+use crate::run::{self, ActiveRun, LEAVES_WITHIN, RunDetails, RunError, Stop, Storage};
 use crate::scheduler::{Pending, Scheduler};
 use bus_link::BusLink;
 use homing::Homing;
 use marks::Marks;
 use preflight::Found;
 use problem_log::ProblemLog;
-use tending::Tending;
-use view::View;
 
 /// How often bus and recorder are polled when no command arrives.
 const POLL: Duration = Duration::from_millis(100);
@@ -81,7 +78,8 @@ pub(super) struct Controller {
     asked: Vec<(oneshot::Sender<Answer>, Answer)>,
     /// Clients that wait for the end of the run.
     stopping: Vec<oneshot::Sender<LastRun>>,
-    tending: Option<Tending>,
+    /// Prepares the directory of the recordings.
+    preparing: Option<Pending<Result<Option<Claim>, RunError>>>,
     claim: Option<Claim>,
     summary: Option<RunSummary>,
     /// Why the file of the run that ends could not be finished regularly.
@@ -132,7 +130,7 @@ impl Controller {
             marks: Marks::default(),
             asked: Vec::new(),
             stopping: Vec::new(),
-            tending: None,
+            preparing: None,
             claim: None,
             summary: None,
             failure: None,
@@ -156,17 +154,17 @@ impl Controller {
         if self.outcome.is_some() {
             return (!self.bus.is_closed()).then_some(OPENING_POLL);
         }
-        commands.into_iter().for_each(|command| self.obey(command));
+        commands.into_iter().for_each(|command| self.execute(command));
         if self.ending.is_stopped() && self.leaving.is_none() {
             self.shutdown(&self.ending.cause());
         }
-        if let Err(error) = self.look_at_place() {
+        if let Err(error) = self.poll_preparation() {
             return self.end(Err(error));
         }
-        self.look_at_bus();
-        self.look_at_homing();
-        self.look_at_run();
-        self.look_at_grading();
+        self.poll_bus();
+        self.poll_homing();
+        self.poll_run();
+        self.poll_grading();
         self.count();
         self.publish();
         if self.is_over() {
@@ -196,19 +194,19 @@ impl Controller {
     fn is_over(&self) -> bool {
         let Some(since) = self.leaving else { return false };
         let keeping = self.homing.as_ref().and_then(Homing::keeping_since);
-        if self.tending.is_none() && !self.is_opening() && keeping.is_none() {
+        if self.preparing.is_none() && !self.is_opening() && keeping.is_none() {
             return self.exit;
         }
         let is_over = self.now.ns_since(since) > LEAVES_WITHIN.as_nanos() as i64;
         if is_over {
-            let problems = self.view().disk_problems();
+            let problems = self.disk_problems();
             tracing::warn!("the disk is not waited for: {}", Problem::line(&problems));
         }
         is_over
     }
 
     fn is_opening(&self) -> bool {
-        matches!(self.machine.state(), State::Opening { .. })
+        self.machine.state() == State::Opening
     }
 
     fn shutdown(&mut self, cause: &str) {
@@ -233,12 +231,12 @@ impl Controller {
         self.bus.close();
     }
 
-    fn obey(&mut self, command: Command) {
+    fn execute(&mut self, command: Command) {
         // The client may have gone in the meantime; its command is executed regardless.
         match command {
             Command::Start(details, named, reply) => {
                 // The cable may have been pulled since the last poll.
-                self.look_at_bus();
+                self.poll_bus();
                 let answer = self.handle(Event::Start { run: details, named }).unwrap_or(Answer::Idle);
                 self.publish();
                 if self.is_opening() && matches!(answer, Answer::Beginning | Answer::Running(_)) {
@@ -257,7 +255,7 @@ impl Controller {
                 let _ = reply.send((answer, last));
             }
             Command::Home(reply) => {
-                self.look_at_bus();
+                self.poll_bus();
                 let answer = self.handle(Event::Home);
                 self.publish();
                 let _ = reply.send(answer.unwrap_or(Answer::Idle));
@@ -268,8 +266,7 @@ impl Controller {
                 let _ = reply.send(marked);
             }
             Command::Check(found, reply) => {
-                let view = self.view();
-                let _ = reply.send(preflight::check(&view, &view.status(), found.as_ref()));
+                let _ = reply.send(preflight::check(self, &self.status(), found.as_ref()));
             }
             #[cfg(test)]
             Command::Panic => panic!("the test ends this thread"),
@@ -295,7 +292,7 @@ impl Controller {
                     let cause = format!("it could not begin: {problem}");
                     tracing::info!(run, "{cause}");
                     let error = Some(cause.clone());
-                    self.tell_stopping(&LastRun { name: run, cause, error, ..LastRun::default() });
+                    self.notify_stopping(&LastRun { name: run, cause, error, ..LastRun::default() });
                 }
                 // The link retries on its own whenever it is down.
                 Action::Connect => {}
@@ -307,7 +304,7 @@ impl Controller {
                     }
                 },
                 Action::EndHoming(cause) => self.homing.iter().for_each(|homing| homing.stop(&cause)),
-                Action::Recover => self.tend(),
+                Action::Recover => self.prepare_storage(),
                 Action::Exit => self.exit = true,
             }
         }
@@ -367,15 +364,23 @@ impl Controller {
         }
     }
 
-    /// Prepares the place for recordings.
-    pub fn tend(&mut self) {
-        self.tending = Some(Tending::begin(&*self.scheduler, &self.storage, self.claim.is_some()));
+    /// Claims the directory of the recordings unless that is done, and finishes the files of earlier runs.
+    pub fn prepare_storage(&mut self) {
+        let (storage, is_claimed) = (self.storage.clone(), self.claim.is_some());
+        self.preparing = Some(Pending::start(&*self.scheduler, "leftovers", move || {
+            let claimed = if is_claimed { Ok(None) } else { run::claim_directory(&storage) };
+            if claimed.is_ok() {
+                run::finish_leftovers(&storage);
+            }
+            claimed
+        }));
     }
 
-    fn look_at_place(&mut self) -> Result<(), RunError> {
-        let Some(outcome) = self.tending.as_ref().and_then(Tending::look) else { return Ok(()) };
-        self.tending = None;
-        let claim = outcome?;
+    fn poll_preparation(&mut self) -> Result<(), RunError> {
+        let Some(outcome) = self.preparing.as_ref().and_then(Pending::poll) else { return Ok(()) };
+        self.preparing = None;
+        // If the task died, files that it did not finish are still there.
+        let claim = outcome.unwrap_or(Ok(None))?;
         self.claim = self.claim.take().or(claim);
         self.handle(Event::Recovered);
         Ok(())
@@ -398,7 +403,7 @@ impl Controller {
             Some(summary) => LastRun { cause, error, ..LastRun::of(name, summary) },
             None => LastRun { name, cause, error, ..LastRun::default() },
         };
-        self.tell_stopping(&last);
+        self.notify_stopping(&last);
         self.grade(&last);
         self.last = Some(last);
     }
@@ -413,7 +418,7 @@ impl Controller {
         });
     }
 
-    fn look_at_grading(&mut self) {
+    fn poll_grading(&mut self) {
         let verdict = self.grading.as_ref().and_then(Pending::poll);
         if let (Some(Ok(verdict)), Some(last)) = (verdict, &mut self.last) {
             last.verdict = verdict;
@@ -421,28 +426,27 @@ impl Controller {
     }
 
     /// Answers the clients that requested the end of the run.
-    fn tell_stopping(&mut self, run: &LastRun) {
+    fn notify_stopping(&mut self, run: &LastRun) {
         for stopping in self.stopping.drain(..) {
             let _ = stopping.send(run.clone());
         }
     }
 
-    fn look_at_bus(&mut self) {
-        if let Some(event) = self.bus.look(self.now) {
+    fn poll_bus(&mut self) {
+        if let Some(event) = self.bus.poll(self.now) {
             self.handle(event);
         }
     }
 
-    fn look_at_homing(&mut self) {
+    fn poll_homing(&mut self) {
         let Some(homing) = &mut self.homing else { return };
-        if homing.look(&self.settings.bar.encoders, &self.settings.marks) {
+        if homing.poll(&self.settings.bar.encoders, &self.settings.marks) {
             self.handle(Event::HomingOver);
         }
     }
 
-    fn look_at_run(&mut self) {
-        let Some(run) = &self.run else { return };
-        if self.is_opening() && run.progress.is_open() {
+    fn poll_run(&mut self) {
+        if self.is_opening() && self.run.as_ref().is_some_and(|run| run.progress.is_open()) {
             tracing::info!(run = self.machine.run(), "run begins");
             self.opened(Ok(()));
         }
@@ -481,7 +485,7 @@ impl Controller {
         if let Some(lost) = self.run.as_ref().map(|run| run.progress.get().lost) {
             self.count_lost(lost);
         }
-        let status = self.view().status();
+        let status = self.status();
         self.problems.update(self.now, status.problems.iter().chain(&status.bad_cables));
         self.totals.problems.clone_from(self.problems.began());
     }
@@ -514,26 +518,7 @@ impl Controller {
         }
     }
 
-    fn view(&self) -> View<'_> {
-        View {
-            now: self.now,
-            settings: &self.settings,
-            machine: &self.machine,
-            session: self.bus.session(),
-            valid_shares: self.bus.valid_shares(),
-            run: self.run.as_ref(),
-            duration: self.duration,
-            marks: &self.marks,
-            homing: self.homing.as_ref(),
-            last: self.last.as_ref(),
-            runs_over: self.runs_over,
-            storage: &self.storage,
-            tending: self.tending.as_ref(),
-            totals: &self.totals,
-        }
-    }
-
     fn publish(&self) {
-        self.status.send_replace(self.view().status());
+        self.status.send_replace(self.status());
     }
 }

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use shared::config::{DaemonConfig, HomingConfig};
 use shared::recording::Disk;
 
-use super::view::View;
+use super::Controller;
 use crate::control::recordings::runs;
 use crate::control::recordings::verdict::{VALID_SHARE_BAD, VALID_SHARE_GOOD};
 use crate::control::settings::Settings;
@@ -42,15 +42,15 @@ impl Found {
 }
 
 /// All lines; each is independent of the others. `found` is `None` if the disk did not answer.
-pub(super) fn check(view: &View<'_>, status: &Status, found: Option<&Found>) -> Vec<CheckLine> {
+pub(super) fn check(controller: &Controller, status: &Status, found: Option<&Found>) -> Vec<CheckLine> {
     let findings = [
-        ("bus", bus(view, status)),
+        ("bus", bus(controller, status)),
         ("encoders", encoders(status)),
         ("cables", cables(status)),
-        ("reference marks", reference_marks(view, found)),
-        ("state", state(view, found)),
-        (DISK, disk(view)),
-        ("real time", realtime(view)),
+        ("reference marks", reference_marks(controller, found)),
+        ("state", state(controller, found)),
+        (DISK, disk(controller)),
+        ("real time", realtime(controller)),
         ("clock", clock()),
         ("left-over files", leftovers(found)),
         ("log", log()),
@@ -86,8 +86,8 @@ fn line(subject: &str, finding: Finding) -> CheckLine {
     }
 }
 
-fn bus(view: &View<'_>, status: &Status) -> Finding {
-    match view.machine.bus_fault() {
+fn bus(controller: &Controller, status: &Status) -> Finding {
+    match controller.machine.bus_fault() {
         Some(problem) => Err(vec![problem.clone().with_severity(Level::Bad)]),
         None => Ok(format!("in operation on {}: {}", status.bus, status.devices.join(", "))),
     }
@@ -122,14 +122,16 @@ fn cables(status: &Status) -> Finding {
 }
 
 /// A run needs no marks, because the calibration estimates the offsets. But invalid ones would remain unnoticed.
-fn reference_marks(view: &View<'_>, found: Option<&Found>) -> Finding {
+fn reference_marks(controller: &Controller, found: Option<&Found>) -> Finding {
     let found = found.ok_or_else(unanswered)?;
     let homing = match &found.homing {
         Ok(None) => return Ok("not homed; calibration finds the offsets of this power cycle".into()),
         Ok(Some(homing)) => homing,
         Err(error) => return Err(vec![Fact::MarksUnreadable { error: error.clone() }.into()]),
     };
-    let Some(session) = view.session else { return Ok("to be seen when the bus is in operation".into()) };
+    let Some(session) = controller.bus.session() else {
+        return Ok("to be seen when the bus is in operation".into());
+    };
     let stale = homing.apply(&mut session.encoders().to_vec(), &session.live().latches());
     if stale.is_empty() {
         return Ok(format!("of all joints, homed {}", homing.homed));
@@ -138,10 +140,10 @@ fn reference_marks(view: &View<'_>, found: Option<&Found>) -> Finding {
 }
 
 /// A homing takes a person minutes: this reports beforehand whether its result can be saved.
-fn state(view: &View<'_>, found: Option<&Found>) -> Finding {
+fn state(controller: &Controller, found: Option<&Found>) -> Finding {
     let found = found.ok_or_else(unanswered)?;
     match &found.unkept {
-        None => Ok(format!("reference marks can be saved in {}", view.settings.marks.path().display())),
+        None => Ok(format!("reference marks can be saved in {}", controller.settings.marks.path().display())),
         Some(problem) => Err(vec![problem.clone()]),
     }
 }
@@ -154,15 +156,15 @@ pub(in crate::control) fn hours_left(usable_bytes: u64, rate_hz: u32) -> f64 {
     usable_bytes as f64 / (BYTES_PER_CYCLE * f64::from(rate_hz.max(1)) * 3600.0)
 }
 
-fn disk(view: &View<'_>) -> Finding {
-    let problems = view.disk_problems();
+fn disk(controller: &Controller) -> Finding {
+    let problems = controller.disk_problems();
     if !problems.is_empty() {
         return Err(problems);
     }
-    let usable = view.storage.usable_bytes().unwrap_or(0);
-    let rate_hz = view.settings.daemon.rate_hz;
+    let usable = controller.storage.usable_bytes().unwrap_or(0);
+    let rate_hz = controller.settings.daemon.rate_hz;
     let hours = hours_left(usable, rate_hz);
-    let waited = view.run.map_or(String::new(), |run| {
+    let waited = controller.run.as_ref().map_or(String::new(), |run| {
         let progress = run.progress.get();
         format!("; {:.1} s wait to be written, {}", progress.backlog_s, progress.longest)
     });
@@ -170,8 +172,8 @@ fn disk(view: &View<'_>) -> Finding {
     Ok(format!("{usable_mb} MB above the floor, some {hours:.0} hours at {rate_hz} Hz{waited}"))
 }
 
-fn realtime(view: &View<'_>) -> Finding {
-    match view.session.and_then(Session::realtime_problem) {
+fn realtime(controller: &Controller) -> Finding {
+    match controller.bus.session().and_then(Session::realtime_problem) {
         Some(problem) => Err(vec![problem]),
         None => Ok("priority, core and memory as configured".into()),
     }

@@ -1,79 +1,42 @@
 //! The status of the service, derived from its parts.
 
-use std::time::Duration;
-
 use shared::recording::schema::MAX_ENCODERS;
 use shared::time::MonoNs;
 use shared::version::software;
 
+use super::Controller;
 use super::bus_link::{are_silent, silent_encoders};
-use super::homing::Homing;
-use super::marks::Marks;
-use super::tending::Tending;
-use crate::control::machine::{Machine, State};
-use crate::control::settings::Settings;
-use crate::control::status::{EncoderStatus, LastRun, RunStatus, ServiceState, Status, Totals};
+use crate::control::machine::State;
+use crate::control::status::{EncoderStatus, RunStatus, Status};
 use crate::problem::{Fact, Problem};
-use crate::run::{ActiveRun, BusChoice, Session, Storage};
+use crate::run::{BusChoice, Session};
 
-/// The service at one moment.
-pub(super) struct View<'a> {
-    pub now: MonoNs,
-    pub settings: &'a Settings,
-    pub machine: &'a Machine,
-    pub session: Option<&'a Session>,
-    /// Share of valid cycles of each encoder in the last second.
-    pub valid_shares: Option<[f64; MAX_ENCODERS]>,
-    pub run: Option<&'a ActiveRun>,
-    /// Requested duration of the run.
-    pub duration: Option<Duration>,
-    /// Markers of the run.
-    pub marks: &'a Marks,
-    pub homing: Option<&'a Homing>,
-    pub last: Option<&'a LastRun>,
-    pub runs_over: u64,
-    pub storage: &'a Storage,
-    pub tending: Option<&'a Tending>,
-    pub totals: &'a Totals,
-}
-
-impl View<'_> {
+impl Controller {
     /// Problems of the disk that concern the current run or the next one.
-    pub fn disk_problems(&self) -> Vec<Problem> {
-        let of_run = self.run.map(|run| run.progress.get().problems).unwrap_or_default();
-        let tending = self.tending.map(|tending| tending.problem(self.now));
-        of_run.into_iter().chain(self.storage.problem()).chain(tending).collect()
+    pub(super) fn disk_problems(&self) -> Vec<Problem> {
+        let of_run = self.run.as_ref().map(|run| run.progress.get().problems).unwrap_or_default();
+        let recovering = self.preparing.as_ref().map(|preparing| {
+            Fact::DiskRecovering { since_s: Some(self.now.seconds_since(preparing.since())) }.into()
+        });
+        of_run.into_iter().chain(self.storage.problem()).chain(recovering).collect()
     }
 
     /// Problems of the bus and the encoders; a run continues with them.
     fn bus_problems(&self) -> Vec<Problem> {
         let fault = match self.machine.state() {
-            State::Fault { problem } => Some(problem),
+            State::Fault => self.machine.fault(),
             // The state of the bus does not matter any more.
-            State::Closing { .. } => return Vec::new(),
+            State::Closing => return Vec::new(),
             _ => self.machine.bus_fault(),
         };
         fault.map_or_else(
-            || self.session.map(silent_encoders).unwrap_or_default(),
+            || self.bus.session().map(silent_encoders).unwrap_or_default(),
             |problem| vec![problem.clone()],
         )
     }
 
     /// The status, for programs and people.
-    pub fn status(&self) -> Status {
-        let state = match self.machine.state() {
-            State::Fault { .. } => ServiceState::Fault,
-            State::Waiting => ServiceState::Waiting,
-            State::Homing => ServiceState::Homing,
-            State::Opening { .. } => ServiceState::Opening,
-            State::Sampling { .. } => ServiceState::Sampling,
-            State::Writing { .. } => ServiceState::Writing,
-            State::Closing { .. } => ServiceState::Closing,
-        };
-        let ending = match self.machine.state() {
-            State::Closing { cause, .. } => Some(cause.clone()),
-            _ => None,
-        };
+    pub(super) fn status(&self) -> Status {
         let mut problems = self.bus_problems();
         for problem in self.disk_problems() {
             if !problems.iter().any(|other| other.fact.key() == problem.fact.key()) {
@@ -81,31 +44,38 @@ impl View<'_> {
             }
         }
         let line = Some(Problem::line(&problems)).filter(|line| !line.is_empty());
+        let session = self.bus.session();
         let mut status = Status {
-            state,
-            reason: ending.into_iter().chain(line).reduce(|one, other| format!("{one}; {other}")),
+            state: self.machine.state(),
+            reason: self
+                .machine
+                .cause()
+                .map(str::to_owned)
+                .into_iter()
+                .chain(line)
+                .reduce(|one, other| format!("{one}; {other}")),
             severity: problems.iter().map(|problem| problem.severity).max().unwrap_or_default(),
             problems,
             totals: self.totals.clone(),
             run: self.run_status(),
-            last: self.last.cloned(),
+            last: self.last.clone(),
             runs_over: self.runs_over,
-            homing: self.homing.map(|homing| homing.status().clone()),
+            homing: self.homing.as_ref().map(|homing| homing.status().clone()),
             version: software("ballbard"),
             bus: bus_name(&self.settings.bus),
-            simulated: self.session.map_or(self.settings.bus == BusChoice::Simulated, Session::is_simulated),
+            simulated: session.map_or(self.settings.bus == BusChoice::Simulated, Session::is_simulated),
             disk_usable_mb: self.storage.usable_bytes().map(|bytes| bytes / 1_000_000),
             ..Status::default()
         };
-        if let Some(session) = self.session {
-            add_bus(&mut status, session, self.valid_shares);
+        if let Some(session) = session {
+            add_bus(&mut status, session, self.bus.valid_shares());
             status.sample_age_ms = age_ms(status.sampled, self.now);
         }
         status
     }
 
     fn run_status(&self) -> Option<RunStatus> {
-        let (name, run) = (self.machine.run()?, self.run?);
+        let (name, run) = (self.machine.run()?, self.run.as_ref()?);
         let progress = run.progress.get();
         Some(RunStatus {
             name: name.to_owned(),

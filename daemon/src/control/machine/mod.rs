@@ -24,46 +24,9 @@ mod tests;
 
 pub use transitions::Machine;
 
+pub use crate::control::status::ServiceState as State;
 use crate::problem::Problem;
 use crate::run::RunDetails;
-
-/// State of the acquisition.
-#[derive(Debug, Clone, PartialEq)]
-pub enum State {
-    /// Nothing can be recorded; the service works on it.
-    Fault {
-        /// The problem and its remedy.
-        problem: Problem,
-    },
-    /// The bus is in operation without a run.
-    Waiting,
-    /// The encoders' reference marks are being determined.
-    Homing,
-    /// A run's file is being created; its cycles wait in memory.
-    Opening {
-        /// Name of the run.
-        run: String,
-        /// Cause of its end, if that was requested already.
-        stop: Option<String>,
-    },
-    /// Cycles are being sampled, but those of the last seconds have not reached the disk.
-    Sampling {
-        /// Name of the run.
-        run: String,
-    },
-    /// Cycles are being sampled and reach the disk.
-    Writing {
-        /// Name of the run.
-        run: String,
-    },
-    /// The remaining cycles are being written and the file finished.
-    Closing {
-        /// Name of the run.
-        run: String,
-        /// Cause of its end.
-        cause: String,
-    },
-}
 
 /// Input of the state machine.
 #[derive(Debug, Clone, PartialEq)]

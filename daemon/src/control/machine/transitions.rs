@@ -8,6 +8,8 @@ use crate::run::RunDetails;
 #[derive(Debug, Clone)]
 pub struct Machine {
     state: State,
+    /// In the states `Opening`, `Sampling`, `Writing` and `Closing`.
+    run: Option<Run>,
     /// Why the bus is not in operation; `None` if it is.
     bus_fault: Option<Problem>,
     /// Why nothing can be recorded before the disk is ready.
@@ -15,12 +17,20 @@ pub struct Machine {
     leaving: bool,
 }
 
+/// The current run.
+#[derive(Debug, Clone)]
+struct Run {
+    name: String,
+    /// Cause of its end, once that is requested.
+    cause: Option<String>,
+}
+
 impl Default for Machine {
     fn default() -> Self {
-        let problem = Problem::from(Fact::BusStarting {});
         Self {
-            state: State::Fault { problem: problem.clone() },
-            bus_fault: Some(problem),
+            state: State::Fault,
+            run: None,
+            bus_fault: Some(Fact::BusStarting {}.into()),
             disk_fault: Some(Fact::DiskRecovering { since_s: None }.into()),
             leaving: false,
         }
@@ -28,8 +38,8 @@ impl Default for Machine {
 }
 
 impl Machine {
-    pub fn state(&self) -> &State {
-        &self.state
+    pub fn state(&self) -> State {
+        self.state
     }
 
     /// Why the bus is not in operation, also during a run.
@@ -37,15 +47,19 @@ impl Machine {
         self.bus_fault.as_ref()
     }
 
+    /// Why no run can begin, as far as bus and disk are the cause.
+    pub fn fault(&self) -> Option<&Problem> {
+        self.bus_fault.as_ref().or(self.disk_fault.as_ref())
+    }
+
     /// Name of the current run.
     pub fn run(&self) -> Option<&str> {
-        match &self.state {
-            State::Fault { .. } | State::Waiting | State::Homing => None,
-            State::Opening { run, .. }
-            | State::Sampling { run }
-            | State::Writing { run }
-            | State::Closing { run, .. } => Some(run),
-        }
+        self.run.as_ref().map(|run| run.name.as_str())
+    }
+
+    /// Why the run ends, while its file is being finished.
+    pub fn cause(&self) -> Option<&str> {
+        self.run.as_ref().filter(|_| self.state == State::Closing)?.cause.as_deref()
     }
 
     /// Handles one event; the actions are to be executed in order. An event that has no meaning in the current state changes
@@ -94,20 +108,25 @@ impl Machine {
     }
 
     fn home(&mut self) -> Vec<Action> {
-        let answer = match &self.state {
+        let answer = match self.state {
             _ if self.leaving => refused(Fact::ServiceEnding {}),
-            State::Fault { problem } => Answer::Refused(problem.clone()),
             State::Homing => Answer::Homing,
-            State::Opening { run, .. }
-            | State::Sampling { run }
-            | State::Writing { run }
-            | State::Closing { run, .. } => Answer::Busy(run.clone()),
             State::Waiting => {
                 self.state = State::Homing;
                 return vec![Action::BeginHoming, Action::Answer(Answer::Beginning)];
             }
+            _ => self.occupied(Answer::Busy),
         };
         vec![Action::Answer(answer)]
+    }
+
+    /// The answer to a start or a homing that is impossible because of a run or a fault.
+    fn occupied(&self, by_run: fn(String) -> Answer) -> Answer {
+        match (self.run(), self.fault()) {
+            (Some(run), _) => by_run(run.to_owned()),
+            (None, Some(problem)) => Answer::Refused(problem.clone()),
+            (None, None) => Answer::Idle,
+        }
     }
 
     fn end_homing(&mut self, cause: &str) -> Option<Action> {
@@ -122,39 +141,34 @@ impl Machine {
         self.rest_or_exit().into_iter().collect()
     }
 
-    fn start(&mut self, run: Box<RunDetails>, named: bool) -> Vec<Action> {
-        let answer = match &self.state {
+    fn start(&mut self, details: Box<RunDetails>, named: bool) -> Vec<Action> {
+        let is_wanted = self.run().is_some_and(|run| !named || run == details.name);
+        let answer = match self.state {
             _ if self.leaving => refused(Fact::ServiceEnding {}),
-            State::Fault { problem } => Answer::Refused(problem.clone()),
             State::Homing => refused(Fact::HomingActive {}),
-            State::Closing { run, .. } => Answer::Busy(run.clone()),
-            State::Opening { run: running, .. }
-            | State::Sampling { run: running }
-            | State::Writing { run: running } => {
-                if !named || *running == run.name {
-                    Answer::Running(running.clone())
-                } else {
-                    Answer::Busy(running.clone())
-                }
-            }
             State::Waiting => {
-                self.state = State::Opening { run: run.name.clone(), stop: None };
-                return vec![Action::Open(run), Action::Answer(Answer::Beginning)];
+                self.state = State::Opening;
+                self.run = Some(Run { name: details.name.clone(), cause: None });
+                return vec![Action::Open(details), Action::Answer(Answer::Beginning)];
             }
+            State::Opening | State::Sampling | State::Writing if is_wanted => self.occupied(Answer::Running),
+            _ => self.occupied(Answer::Busy),
         };
         vec![Action::Answer(answer)]
     }
 
     fn opened(&mut self) -> Vec<Action> {
-        let State::Opening { run, stop } = &mut self.state else { return Vec::new() };
-        let (run, stop) = (std::mem::take(run), stop.take());
-        self.state = State::Sampling { run };
-        stop.map_or_else(Vec::new, |cause| self.end_run(&cause))
+        if self.state == State::Opening {
+            let is_ending = self.run.as_ref().is_some_and(|run| run.cause.is_some());
+            self.state = if is_ending { State::Closing } else { State::Sampling };
+        }
+        Vec::new()
     }
 
     fn open_failed(&mut self, problem: Problem) -> Vec<Action> {
-        let State::Opening { run, .. } = &mut self.state else { return Vec::new() };
-        let run = std::mem::take(run);
+        let Some(Run { name: run, .. }) = self.run.take_if(|_| self.state == State::Opening) else {
+            return Vec::new();
+        };
         self.state = State::Waiting;
         let mut actions = vec![Action::NotBegun { run, problem }];
         actions.extend(self.rest_or_exit());
@@ -162,9 +176,8 @@ impl Machine {
     }
 
     fn progress(&mut self, on_disk: bool) -> Vec<Action> {
-        if let State::Sampling { run } | State::Writing { run } = &mut self.state {
-            let run = std::mem::take(run);
-            self.state = if on_disk { State::Writing { run } } else { State::Sampling { run } };
+        if matches!(self.state, State::Sampling | State::Writing) {
+            self.state = if on_disk { State::Writing } else { State::Sampling };
         }
         Vec::new()
     }
@@ -187,38 +200,30 @@ impl Machine {
         Vec::new()
     }
 
-    /// The first cause is kept.
+    /// The first cause is kept. A run without a file is closed once it has one.
     fn end_run(&mut self, cause: &str) -> Vec<Action> {
-        match &mut self.state {
-            State::Opening { stop: Some(_), .. } => Vec::new(),
-            State::Opening { stop, .. } => {
-                *stop = Some(cause.to_owned());
-                vec![Action::End(cause.to_owned())]
-            }
-            State::Sampling { run } | State::Writing { run } => {
-                let run = std::mem::take(run);
-                self.state = State::Closing { run, cause: cause.to_owned() };
-                vec![Action::End(cause.to_owned())]
-            }
-            State::Closing { .. } | State::Fault { .. } | State::Waiting | State::Homing => Vec::new(),
+        let Some(run) = self.run.as_mut().filter(|run| run.cause.is_none()) else { return Vec::new() };
+        run.cause = Some(cause.to_owned());
+        if self.state != State::Opening {
+            self.state = State::Closing;
         }
+        vec![Action::End(cause.to_owned())]
     }
 
     fn closed(&mut self, failure: Option<Problem>) -> Vec<Action> {
         // A recorder that fails ends its run without a request.
-        let reason = failure.as_ref().map(|problem| problem.text.clone());
-        if let Some(reason) = &reason {
-            self.end_run(reason);
+        if let Some(problem) = &failure {
+            self.end_run(&problem.text);
         }
-        let State::Closing { run, cause } = &mut self.state else { return Vec::new() };
-        let (run, cause) = (std::mem::take(run), std::mem::take(cause));
-        self.state = State::Waiting;
-        let mut actions = Vec::new();
-        let cause = match &reason {
-            Some(reason) if *reason != cause => format!("{cause}; {reason}"),
-            _ => cause,
+        let Some(Run { name: run, cause }) = self.run.take_if(|_| self.state == State::Closing) else {
+            return Vec::new();
         };
-        actions.push(Action::Finished { run, cause });
+        self.state = State::Waiting;
+        let mut cause = cause.unwrap_or_default();
+        if let Some(problem) = failure.as_ref().filter(|problem| problem.text != cause) {
+            cause = format!("{cause}; {}", problem.text);
+        }
+        let mut actions = vec![Action::Finished { run, cause }];
         if failure.is_some() {
             self.disk_fault = failure;
             actions.push(Action::Recover);
@@ -242,14 +247,13 @@ impl Machine {
     }
 
     fn is_resting(&self) -> bool {
-        matches!(self.state, State::Fault { .. } | State::Waiting)
+        matches!(self.state, State::Fault | State::Waiting)
     }
 
     /// Between runs a fault of bus or disk decides the state.
     fn rest(&mut self) {
         if self.is_resting() {
-            let fault = self.bus_fault.as_ref().or(self.disk_fault.as_ref());
-            self.state = fault.map_or(State::Waiting, |problem| State::Fault { problem: problem.clone() });
+            self.state = if self.fault().is_some() { State::Fault } else { State::Waiting };
         }
     }
 
