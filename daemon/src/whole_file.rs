@@ -1,10 +1,24 @@
 //! Small state files, replaced as a whole: a reader finds the new content or the previous one.
 
-use std::io::{self, Write};
+use std::io::{self, Read, Write};
 use std::path::Path;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use shared::recording::{Disk, OpenFile};
+use shared::recording::{Disk, OpenFile, is_absent};
+
+/// Longer than any such file; other files of its name are not read to their end \[bytes\].
+const BYTES_MAX: u64 = 65_536;
+
+/// The text of a file; `None` if it does not exist.
+pub fn read(disk: &dyn Disk, file: &Path) -> io::Result<Option<String>> {
+    let opened = match disk.open(file) {
+        Err(error) if is_absent(&error) => return Ok(None),
+        opened => opened?,
+    };
+    let mut text = String::new();
+    OpenFile::new(disk, &opened).take(BYTES_MAX).read_to_string(&mut text)?;
+    Ok(Some(text))
+}
 
 /// Writes a temporary file under a unique name, synchronises it, and renames it to `file`; creates the directory. Of two
 /// concurrent writers one wins, completely. An error names the file and what to do.

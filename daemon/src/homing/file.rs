@@ -1,10 +1,10 @@
 //! `homing.toml`: the reference marks in the state directory.
 
-use std::io::{self, Read};
+use std::io;
 use std::path::{Path, PathBuf};
 
 use shared::config::{self, ConfigError, EncoderConfig, HomingConfig};
-use shared::recording::{Disk, OpenFile, is_absent};
+use shared::recording::Disk;
 use shared::time::UtcNs;
 
 use crate::problem::{Fact, Problem};
@@ -34,8 +34,9 @@ impl MarksFile {
     /// The latest marks; `None` without a homing.
     pub fn read(&self, disk: &dyn Disk) -> Result<Option<HomingConfig>, ConfigError> {
         for file in std::iter::once(&self.file).chain(&self.older) {
-            if let Some(homing) = read(disk, file)? {
-                return Ok(Some(homing));
+            let unreadable = |source| ConfigError::Unreadable { path: file.to_owned(), source };
+            if let Some(text) = whole_file::read(disk, file).map_err(unreadable)? {
+                return config::parse(&text, file).map(Some);
             }
         }
         Ok(None)
@@ -65,15 +66,4 @@ impl MarksFile {
         let text = toml::to_string(&homing).map_err(io::Error::other)?;
         whole_file::write(disk, &self.file, &format!("# Written by `ballbard home`.\n{text}"))
     }
-}
-
-fn read(disk: &dyn Disk, file: &Path) -> Result<Option<HomingConfig>, ConfigError> {
-    let unreadable = |source| ConfigError::Unreadable { path: file.to_owned(), source };
-    let opened = match disk.open(file) {
-        Err(error) if is_absent(&error) => return Ok(None),
-        opened => opened.map_err(unreadable)?,
-    };
-    let mut text = String::new();
-    OpenFile::new(disk, &opened).read_to_string(&mut text).map_err(unreadable)?;
-    config::parse(&text, file).map(Some)
 }

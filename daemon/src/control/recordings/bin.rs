@@ -3,10 +3,10 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use shared::recording::{Disk, FINISHED_ENDING, is_absent};
+use shared::recording::{Disk, FINISHED_ENDING};
 
-use super::note;
-use super::runs::{self, RunLine, free_name, list_if_there, stem};
+use super::runs::{self, RunLine, free_name, stem};
+use super::{note, unless_absent};
 
 /// Folder of deleted recordings, in the directory of the others.
 const FOLDER: &str = ".bin";
@@ -25,7 +25,7 @@ impl Places {
     fn deleted(&self, disk: &dyn Disk) -> io::Result<Vec<PathBuf>> {
         let mut files = Vec::new();
         for directory in &self.0 {
-            files.extend(list_if_there(disk, &directory.join(FOLDER))?);
+            files.extend(unless_absent(disk.list(&directory.join(FOLDER)))?);
         }
         files.retain(|file| stem(file, FINISHED_ENDING).is_some());
         Ok(files)
@@ -68,10 +68,7 @@ fn moved(disk: &dyn Disk, file: &Path, directory: &Path) -> io::Result<String> {
     let name = free_name(disk, directory, &stem(file, FINISHED_ENDING).unwrap_or_default());
     let to = directory.join(format!("{name}.{FINISHED_ENDING}"));
     disk.rename(file, &to)?;
-    match disk.replace(&note::beside(file), &note::beside(&to)) {
-        Err(error) if !is_absent(&error) => return Err(error),
-        _ => {}
-    }
+    unless_absent(disk.replace(&note::beside(file), &note::beside(&to)))?;
     disk.sync_directory(directory)?;
     disk.sync_directory(file.parent().unwrap_or(Path::new(".")))?;
     Ok(name)

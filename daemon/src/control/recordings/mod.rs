@@ -5,3 +5,15 @@ pub(crate) mod note;
 pub mod runs;
 pub mod table;
 pub(crate) mod verdict;
+
+use std::io;
+
+use shared::recording::is_absent;
+
+/// A default value if a file or directory does not exist: directories are created when a run needs them.
+fn unless_absent<T: Default>(outcome: io::Result<T>) -> io::Result<T> {
+    match outcome {
+        Err(error) if is_absent(&error) => Ok(T::default()),
+        outcome => outcome,
+    }
+}

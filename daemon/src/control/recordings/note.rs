@@ -1,18 +1,16 @@
 //! Notes that people change after a run. The recording stays unchanged: the note is a file beside it, and replaces the
 //! recorded one in lists and tables.
 
-use std::io::{self, Read};
+use std::io;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use shared::recording::schema::RunMetadata;
-use shared::recording::{Disk, OpenFile, RunOverview, is_absent};
+use shared::recording::{Disk, RunOverview};
 use shared::time::UtcNs;
 
+use super::unless_absent;
 use crate::whole_file;
-
-/// Longer than any note; other files of this name are not read to their end \[bytes\].
-const BYTES_MAX: u64 = 65_536;
 
 #[derive(Debug, Serialize, Deserialize)]
 struct Note {
@@ -43,19 +41,10 @@ pub fn apply(disk: &dyn Disk, recording: &Path, run: &mut RunMetadata) {
 }
 
 fn read(disk: &dyn Disk, file: &Path) -> io::Result<Option<Note>> {
-    let opened = match disk.open(file) {
-        Err(error) if is_absent(&error) => return Ok(None),
-        opened => opened?,
-    };
-    let mut text = String::new();
-    OpenFile::new(disk, &opened).take(BYTES_MAX).read_to_string(&mut text)?;
-    Ok(Some(serde_json::from_str(&text)?))
+    Ok(whole_file::read(disk, file)?.map(|text| serde_json::from_str(&text)).transpose()?)
 }
 
 /// Removes the note of a recording that is being removed.
 pub fn remove(disk: &dyn Disk, recording: &Path) -> io::Result<()> {
-    match disk.remove(&beside(recording)) {
-        Err(error) if is_absent(&error) => Ok(()),
-        removed => removed,
-    }
+    unless_absent(disk.remove(&beside(recording)))
 }

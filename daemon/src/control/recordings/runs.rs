@@ -13,8 +13,8 @@ use shared::recording::{
 };
 use shared::time::UtcNs;
 
-use super::note;
 use super::verdict::Verdict;
+use super::{note, unless_absent};
 use crate::control::status::next_command;
 
 /// Highest number of recordings of one base name.
@@ -127,13 +127,15 @@ pub fn find(
 
 fn files(disk: &dyn Disk, directory: &Path, spare: Option<&Path>) -> io::Result<Vec<PathBuf>> {
     let mut files = disk.list(directory)?;
-    files.extend(spare.map_or(Ok(Vec::new()), |spare| list_if_there(disk, spare))?);
+    if let Some(spare) = spare {
+        files.extend(unless_absent(disk.list(spare))?);
+    }
     Ok(files)
 }
 
 /// Files of runs that no living process writes.
 pub fn left_behind(disk: &dyn Disk, directory: &Path) -> io::Result<Vec<PathBuf>> {
-    let mut files = list_if_there(disk, directory)?;
+    let mut files = unless_absent(disk.list(directory))?;
     files.retain(|path| stem(path, ACTIVE_ENDING).is_some());
     // A file that cannot be checked counts as left behind; one that has just been finished does not exist any more.
     files.retain(|path| match is_in_use(disk, path) {
@@ -141,14 +143,6 @@ pub fn left_behind(disk: &dyn Disk, directory: &Path) -> io::Result<Vec<PathBuf>
         Err(error) => !is_absent(&error),
     });
     Ok(files)
-}
-
-/// Directories are created when a run needs them.
-pub(in crate::control) fn list_if_there(disk: &dyn Disk, directory: &Path) -> io::Result<Vec<PathBuf>> {
-    match disk.list(directory) {
-        Err(error) if is_absent(&error) => Ok(Vec::new()),
-        listed => listed,
-    }
 }
 
 pub(in crate::control) fn stem(path: &Path, ending: &str) -> Option<String> {
