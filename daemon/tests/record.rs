@@ -2,18 +2,17 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use std::cell::Cell;
-use std::path::Path;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
 
 use ballbard::record::{RunSummary, Stop, Storage};
-use ballbard::run::{self, BusChoice, RunError, RunRequest};
-use shared::config::{self, BallBarConfig, DaemonConfig, Kind};
+use ballbard::run::{self, BusChoice, RunDetails, RunError, RunRequest};
+use shared::config::DaemonConfig;
 use shared::recording::{Recording, WriteError};
 use shared::time::MonoNs;
 
-use crate::support::runs::{in_parallel, leave};
+use crate::support::runs::{bar, daemon_in, in_parallel, leave};
 use crate::support::wall::{Call, Fault, Wall};
 use crate::support::world::{World, now, since, sleep};
 
@@ -34,14 +33,10 @@ struct Command {
 impl Command {
     fn new(fault: Option<(Call, usize, Fault)>, duration: Option<Duration>) -> Self {
         let directory = tempfile::tempdir().unwrap();
-        let daemon = DaemonConfig {
-            directory: directory.path().join("runs"),
-            spare_directory: directory.path().join("spare"),
-            disk_floor_mb: 0,
-            ..DaemonConfig::default()
-        };
+        let daemon = daemon_in(directory.path());
         let wall = Arc::new(Wall::new(&daemon.directory, fault));
-        let request = RunRequest { name: "day".into(), duration, ..RunRequest::default() };
+        let run = RunDetails { name: "day".into(), duration, ..RunDetails::default() };
+        let request = RunRequest { run, ..RunRequest::default() };
         Self { _directory: directory, daemon, wall, request, stop: Stop::default() }
     }
 
@@ -50,9 +45,8 @@ impl Command {
         let scheduler = World::here().unwrap().scheduler();
         let begun = now();
         let storage = Storage::on(self.wall.clone(), &self.daemon, &*scheduler).unwrap();
-        let bar: BallBarConfig =
-            config::parse(Kind::BallBar.built_in("ball_bar"), Path::new("ball_bar.toml")).unwrap();
-        let outcome = run::record(&scheduler, &storage, &self.request, &self.daemon, &bar, &self.stop).await;
+        let outcome =
+            run::record(&scheduler, &storage, &self.request, &self.daemon, &bar(), &self.stop).await;
         (outcome, since(begun))
     }
 
@@ -141,8 +135,8 @@ fn a_run_that_is_refused_leaves_no_file_and_the_next_one_can_begin() {
         );
 
         let daemon = DaemonConfig { disk_floor_mb: 0, ..full.daemon.clone() };
-        let next =
-            Command { daemon, request: RunRequest { name: "next".into(), ..full.request.clone() }, ..full };
+        let mut next = Command { daemon, ..full };
+        next.request.run.name = "next".into();
         assert_eq!(next.run().await.0.unwrap().cycles, 100);
     });
 }

@@ -7,7 +7,9 @@ use ballbard::clock::Clock;
 use ballbard::run::{BusChoice, RunRequest, Stop};
 use ballbard::scheduler::Threads;
 use ballbard::smoke::{Bench, Check, CyclesConfig, Outcome, Reason, Report, SmokeConfig, Subject, smoke};
-use shared::config::{self, BallBarConfig, DaemonConfig, Kind};
+use shared::config::{self, DaemonConfig, Kind};
+
+use crate::support::runs::bar;
 
 /// All checks of the shipped configuration for ten seconds, and homing.
 fn shipped() -> SmokeConfig {
@@ -21,8 +23,7 @@ fn tested_until(smoke_config: &SmokeConfig, faults: &[&str], stop: &Stop) -> (Re
     let request = RunRequest { bus: BusChoice::Simulated, faults, fast: true, ..RunRequest::default() };
     let directory = tempfile::tempdir().unwrap();
     let daemon = DaemonConfig { directory: directory.path().to_owned(), ..DaemonConfig::default() };
-    let bar: BallBarConfig =
-        config::parse(Kind::BallBar.built_in("ball_bar"), Path::new("ball_bar.toml")).unwrap();
+    let bar = bar();
     let bench =
         Bench { smoke: smoke_config, daemon: &daemon, bar: &bar, request: &request, has_person: false, stop };
     let mut told = Vec::new();

@@ -14,7 +14,7 @@ use super::configuration::{Configuration, State};
 use super::{Format, bus_choice, on_signal};
 use crate::clock::Clock;
 use crate::control::status::LastRun;
-use crate::run::{self, About, BusChoice, RunRequest, Stop, Storage};
+use crate::run::{self, About, BusChoice, RunDetails, RunRequest, Stop, Storage};
 use crate::scheduler::Threads;
 use crate::segment::faults::FaultWindow;
 
@@ -61,7 +61,7 @@ pub fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
         daemon.directory.clone_from(directory);
     }
     let request = request(arguments, homing)?;
-    let name = request.name.clone();
+    let name = request.run.name.clone();
     let stop = Stop::default();
     let scheduler = Threads::on(Clock::Real);
     let work = async {
@@ -87,14 +87,8 @@ fn request(arguments: &RecordArguments, homing: Option<HomingConfig>) -> anyhow:
     };
     let name = arguments.name.as_deref().map_or_else(|| Ok(run::name_by_time()), run::typed_name);
     let name = name.map_err(anyhow::Error::msg)?;
-    Ok(RunRequest {
-        name,
-        about: arguments.about.clone(),
-        duration: arguments.duration,
-        bus,
-        faults: arguments.faults.clone(),
-        wait: arguments.wait,
-        homing,
-        fast: arguments.fast,
-    })
+    let homing = homing.filter(|_| !matches!(bus, BusChoice::Replay(_)));
+    let run = RunDetails { name, about: arguments.about.clone(), duration: arguments.duration, homing };
+    let RecordArguments { faults, wait, fast, .. } = arguments;
+    Ok(RunRequest { run, bus, faults: faults.clone(), wait: *wait, fast: *fast })
 }

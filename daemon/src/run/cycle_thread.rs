@@ -28,14 +28,6 @@ pub(super) struct Ready {
     pub realtime: Option<RealtimeReport>,
 }
 
-/// Requests that end an attempt to bring up the bus between two runs; a run or a homing has its own.
-pub(super) struct Interrupts {
-    /// Before the bus is in operation for the first time.
-    pub opening: Stop,
-    /// Once the bus has been in operation.
-    pub ending: Stop,
-}
-
 /// Jobs of the cycle's thread.
 pub(super) enum Job {
     Run(RunJob),
@@ -68,7 +60,10 @@ pub(super) struct Ends {
     pub ready: SyncSender<Result<Ready, RunError>>,
     pub jobs: Receiver<Job>,
     pub live: Arc<Live>,
-    pub interrupts: Interrupts,
+    /// Ends the attempt to bring up the bus for the first time.
+    pub opening: Stop,
+    /// Ends later attempts between two runs; a run or a homing has its own request.
+    pub ending: Stop,
     /// Receives a message at a regular end.
     pub over: SyncSender<()>,
 }
@@ -103,7 +98,7 @@ impl CycleLoop {
     /// Brings the bus into operation; `None` if that fails, which is reported.
     pub fn start(prepared: Prepared, realtime: RealtimeRequest, pace: Pace, ends: Ends) -> Option<Self> {
         let Prepared { wire, clock, plan, replay, hand, .. } = prepared;
-        let Ends { ready, jobs, live, interrupts: Interrupts { opening, ending }, over } = ends;
+        let Ends { ready, jobs, live, opening, ending, over } = ends;
         let realtime = clock.is_real().then(|| realtime.apply());
         let mut bus = Bus::new(wire, clock.clone(), plan.reply_timeout);
         bus.interrupt_by(opening.flag());

@@ -83,7 +83,7 @@ pub async fn record(
     source::check(request)?;
     let session = connect(scheduler, storage, request, daemon, bar, stop).await?;
     session.log();
-    let outcome = record_from(&**scheduler, storage, &session, &request.details(), stop).await;
+    let outcome = record_from(&**scheduler, storage, &session, &request.run, stop).await;
     // On virtual time no bus must be left in order, and the cycle may wait for a disk that hangs.
     if outcome.is_ok() || !request.fast {
         session.close().await?;

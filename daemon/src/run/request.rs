@@ -43,20 +43,14 @@ pub struct About {
 /// A run and the bus to record it from.
 #[derive(Debug, Clone, Default)]
 pub struct RunRequest {
-    /// Name of the run, and of its file.
-    pub name: String,
-    /// Texts that describe the run.
-    pub about: About,
-    /// Duration; `None`: until stopped, or to the end of a replay.
-    pub duration: Option<Duration>,
+    /// The run.
+    pub run: RunDetails,
     /// The bus to record from.
     pub bus: BusChoice,
     /// Faults to inject into the simulated bus.
     pub faults: Vec<FaultWindow>,
     /// Repeat the attempt to bring the bus up until it succeeds.
     pub wait: bool,
-    /// Reference marks of the encoders, used if the terminals still have them; not for a replay, whose recording has its own.
-    pub homing: Option<HomingConfig>,
     /// Virtual time, as fast as the machine allows. Simulated bus only.
     pub fast: bool,
 }
@@ -68,9 +62,9 @@ pub struct RunDetails {
     pub name: String,
     /// Texts that describe the run.
     pub about: About,
-    /// Duration; `None`: until stopped.
+    /// Duration; `None`: until stopped, or to the end of a replay.
     pub duration: Option<Duration>,
-    /// Reference marks of the encoders, used if the terminals still have them.
+    /// Reference marks of the encoders, used if the terminals still have them; not for a replay, whose recording has its own.
     pub homing: Option<HomingConfig>,
 }
 
@@ -105,15 +99,4 @@ pub fn check_text(text: &str) -> Result<(), &'static str> {
         return Err("the text contains control characters; remove them");
     }
     Ok(())
-}
-
-impl RunRequest {
-    pub(super) fn details(&self) -> RunDetails {
-        RunDetails {
-            name: self.name.clone(),
-            about: self.about.clone(),
-            duration: self.duration,
-            homing: self.homing.clone().filter(|_| !matches!(self.bus, BusChoice::Replay(_))),
-        }
-    }
 }

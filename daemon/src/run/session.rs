@@ -11,7 +11,7 @@ use shared::recording::{
 };
 use shared::time::{MonoNs, UtcNs};
 
-use super::cycle_thread::{CycleLoop, Ends, Interrupts, Job, Pace, Ready, RunJob};
+use super::cycle_thread::{CycleLoop, Ends, Job, Pace, Ready, RunJob};
 use super::error::RunError;
 use super::homing::{self, ActiveHoming};
 use super::live::Live;
@@ -110,8 +110,7 @@ impl Session {
         };
         let realtime =
             RealtimeRequest { core: daemon.realtime.core, fifo_priority: daemon.realtime.fifo_priority };
-        let interrupts = Interrupts { opening: opening.clone(), ending };
-        let ends = Ends { ready: ready_tx, jobs: jobs_rx, live, interrupts, over };
+        let ends = Ends { ready: ready_tx, jobs: jobs_rx, live, opening: opening.clone(), ending, over };
         start(&**scheduler, "cycle", move || CycleLoop::start(prepared, realtime, pace, ends))?;
         Ok(Opening { ready, session: Some(session) })
     }

@@ -72,7 +72,7 @@ pub(super) fn check(request: &RunRequest) -> Result<(), RunError> {
         BusChoice::Interface(_) if !request.faults.is_empty() => Err(RunError::Request(
             "--fault needs the simulated bus; omit it, or use `ballbard segment --fault`",
         )),
-        BusChoice::Simulated if request.fast && request.duration.is_none() => {
+        BusChoice::Simulated if request.fast && request.run.duration.is_none() => {
             Err(RunError::Request("--fast without --duration would not end; add --duration"))
         }
         _ => Ok(()),

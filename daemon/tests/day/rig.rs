@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::future::Future;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
@@ -11,24 +11,22 @@ use axum::Router;
 use axum::body::{Body, to_bytes};
 use axum::http::{Request, header};
 use ballbard::control::api;
-use ballbard::control::service::{Service, Settings};
+use ballbard::control::service::Service;
 use ballbard::control::status::{ServiceState, Status};
-use ballbard::homing::MarksFile;
 use ballbard::record::Storage;
-use ballbard::run::BusChoice;
 use serde_json::{Value, json};
-use shared::config::{self, BallBarConfig, DaemonConfig};
+use shared::config::DaemonConfig;
 use shared::recording::{Recording, recover_leftovers};
 use tower::ServiceExt;
 
-use crate::support::runs::leave;
+use crate::support::runs::{daemon_in, leave, settings};
 use crate::support::wall::{Call, Fault, Wall};
 use crate::support::world::{World, now, since, sleep};
 
 /// Cycles of the run that an earlier service left.
 const LEFT_CYCLES: u64 = 40;
 /// Polling period of a client.
-const LOOK_PERIOD: Duration = Duration::from_millis(10);
+const POLL_PERIOD: Duration = Duration::from_millis(10);
 /// Longest shutdown of a service on which no run waits for the disk.
 pub const ENDS_WITHIN: Duration = Duration::from_secs(2);
 
@@ -61,29 +59,12 @@ pub fn live_on_bus<T: 'static, F: Future<Output = T> + 'static>(
 impl Day {
     fn begin(fault: Option<(Call, usize, Fault)>, faults: &[&str]) -> Self {
         let directory = tempfile::tempdir().unwrap();
-        let home = directory.path().join("runs");
-        std::fs::create_dir(&home).unwrap();
-        leave(&home, "left", LEFT_CYCLES, false);
-        let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config");
-        let daemon: DaemonConfig = config::load(&shipped.join("daemon.toml")).unwrap();
-        let bar: BallBarConfig = config::load(&shipped.join("ball_bar.toml")).unwrap();
-        let daemon = DaemonConfig {
-            directory: home.clone(),
-            spare_directory: directory.path().join("spare"),
-            disk_floor_mb: 0,
-            sync_period_ms: 200,
-            full_fault_s: 3,
-            ..daemon
-        };
-        let settings = Settings {
-            bus: BusChoice::Simulated,
-            faults: faults.iter().map(|fault| fault.parse().unwrap()).collect(),
-            daemon,
-            bar,
-            marks: MarksFile::new(home.clone(), None),
-            live_tap: None,
-        };
-        let wall = Arc::new(Wall::new(&home, fault));
+        let daemon = DaemonConfig { sync_period_ms: 200, full_fault_s: 3, ..daemon_in(directory.path()) };
+        let settings = settings(daemon, faults);
+        let home = &settings.daemon.directory;
+        std::fs::create_dir(home).unwrap();
+        leave(home, "left", LEFT_CYCLES, false);
+        let wall = Arc::new(Wall::new(home, fault));
         let scheduler = World::here().unwrap().scheduler();
         let storage = Storage::on(wall.clone(), &settings.daemon, &*scheduler).unwrap();
         let service = Service::start_in(scheduler, storage, settings).unwrap();
@@ -118,7 +99,7 @@ impl Day {
             if is_it(&status) || since(begun) > within || self.has_ended() {
                 return status;
             }
-            sleep(LOOK_PERIOD).await;
+            sleep(POLL_PERIOD).await;
         }
     }
 
@@ -139,7 +120,7 @@ impl Day {
 
     pub async fn wait_until_struck(&self) {
         while self.wall.struck_at().is_none() {
-            sleep(LOOK_PERIOD).await;
+            sleep(POLL_PERIOD).await;
         }
     }
 

@@ -1,6 +1,6 @@
 //! Effects of a hanging disk in real time: download threads, and a cycle that advances virtual time itself.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -9,16 +9,14 @@ use axum::body::{Body, Bytes, to_bytes};
 use axum::http::{Request, header};
 use ballbard::clock::Clock;
 use ballbard::control::api;
-use ballbard::control::service::{Service, Settings};
+use ballbard::control::service::Service;
 use ballbard::control::status::{ServiceState, Status};
-use ballbard::homing::MarksFile;
-use ballbard::run::{self, BusChoice, RunRequest, Stop, Storage};
+use ballbard::run::{self, RunDetails, RunRequest, Stop, Storage};
 use ballbard::scheduler::Threads;
 use serde_json::{Value, json};
-use shared::config::{self, BallBarConfig, DaemonConfig};
 use tower::ServiceExt;
 
-use crate::support::runs::in_parallel;
+use crate::support::runs::{bar, daemon_in, in_parallel, settings};
 use crate::support::wall::{Call, Fault, Wall};
 
 /// Longest time for a few answers on a busy machine.
@@ -36,26 +34,10 @@ struct Day {
 impl Day {
     fn begin() -> Self {
         let directory = tempfile::tempdir().unwrap();
-        let home = directory.path().join("runs");
-        std::fs::create_dir(&home).unwrap();
-        let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config");
-        let daemon: DaemonConfig = config::load(&shipped.join("daemon.toml")).unwrap();
-        let bar: BallBarConfig = config::load(&shipped.join("ball_bar.toml")).unwrap();
-        let daemon = DaemonConfig {
-            directory: home.clone(),
-            spare_directory: directory.path().join("spare"),
-            disk_floor_mb: 0,
-            ..daemon
-        };
-        let settings = Settings {
-            bus: BusChoice::Simulated,
-            faults: Vec::new(),
-            daemon,
-            bar,
-            marks: MarksFile::new(home.clone(), None),
-            live_tap: None,
-        };
-        let wall = Arc::new(Wall::new(&home, None));
+        let settings = settings(daemon_in(directory.path()), &[]);
+        let home = &settings.daemon.directory;
+        std::fs::create_dir(home).unwrap();
+        let wall = Arc::new(Wall::new(home, None));
         let scheduler = Threads::on(Clock::Real);
         let storage = Storage::on(wall.clone(), &settings.daemon, &*scheduler).unwrap();
         let service = Service::start_in(scheduler, storage, settings).unwrap();
@@ -169,24 +151,18 @@ fn a_download_that_waits_for_the_disk_holds_up_nobody_else() {
 /// the run has a file.
 fn check_record(call: Call) {
     let directory = tempfile::tempdir().unwrap();
-    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config");
-    let bar: BallBarConfig = config::load(&shipped.join("ball_bar.toml")).unwrap();
-    let daemon = DaemonConfig {
-        directory: directory.path().join("runs"),
-        spare_directory: directory.path().join("spare"),
-        disk_floor_mb: 0,
-        ..DaemonConfig::default()
-    };
+    let daemon = daemon_in(directory.path());
     let wall = Arc::new(Wall::new(&daemon.directory, Some((call, 0, Fault::Hangs(EVER)))));
     let duration = Some(Duration::from_secs(3600));
-    let request = RunRequest { name: "day".into(), duration, fast: true, ..RunRequest::default() };
+    let run = RunDetails { name: "day".into(), duration, ..RunDetails::default() };
+    let request = RunRequest { run, fast: true, ..RunRequest::default() };
     let stop = Stop::default();
     std::thread::scope(|scope| {
         let recording = scope.spawn(|| {
             let scheduler = Threads::on(Clock::Real);
             let storage = Storage::on(wall.clone(), &daemon, &*scheduler).unwrap();
             let outcome =
-                runtime().block_on(run::record(&scheduler, &storage, &request, &daemon, &bar, &stop));
+                runtime().block_on(run::record(&scheduler, &storage, &request, &daemon, &bar(), &stop));
             (outcome, Instant::now())
         });
         while wall.struck().is_none() {

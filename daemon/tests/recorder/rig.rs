@@ -18,11 +18,10 @@ use ballbard::record::{
     self, Limits, Mark, Progress, Recorder, RunLink, RunSummary, Snapshot, Stop, Storage,
 };
 use ballbard::scheduler::Stepper;
-use shared::config::DaemonConfig;
 use shared::recording::{RecordingWriter, WriteError, salvage};
 use shared::time::{MonoNs, UtcNs};
 
-use crate::support::runs::{metadata, record_of};
+use crate::support::runs::{daemon_in, metadata, record_of};
 use crate::support::wall::Wall;
 use crate::support::world::World;
 
@@ -131,12 +130,7 @@ pub fn record(plan: &Plan, wall: impl FnOnce(&Path) -> Wall) -> Outcome {
 
 fn record_in(world: &World, plan: &Plan, wall: impl FnOnce(&Path) -> Wall) -> Outcome {
     let directory = tempfile::tempdir().unwrap();
-    let daemon = DaemonConfig {
-        directory: directory.path().join("runs"),
-        spare_directory: directory.path().join("spare"),
-        disk_floor_mb: 0,
-        ..DaemonConfig::default()
-    };
+    let daemon = daemon_in(directory.path());
     let wall = Arc::new(wall(&daemon.directory));
     let (clock, run) = (&world.clock, metadata(plan.period));
     let storage = Storage::on(wall.clone(), &daemon, &*world.scheduler()).unwrap();

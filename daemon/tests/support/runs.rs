@@ -1,4 +1,4 @@
-//! Runs of one encoder, and parallel execution of many cases.
+//! Configurations, runs of one encoder, and parallel execution of many cases.
 
 use std::fmt::Debug;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -8,10 +8,41 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 use std::time::Duration;
 
+use ballbard::control::service::Settings;
+use ballbard::homing::MarksFile;
+use ballbard::run::BusChoice;
+use shared::config::{self, BallBarConfig, DaemonConfig, Kind};
 use shared::encoder::EncoderScale;
 use shared::recording::RecordingWriter;
 use shared::recording::schema::{CycleRecord, EncoderInfo, EncoderSample, RunMetadata};
 use shared::time::UtcNs;
+
+/// The default configuration with its recordings in `runs` and `spare` of this directory, without a floor of free space.
+pub fn daemon_in(directory: &Path) -> DaemonConfig {
+    DaemonConfig {
+        directory: directory.join("runs"),
+        spare_directory: directory.join("spare"),
+        disk_floor_mb: 0,
+        ..DaemonConfig::default()
+    }
+}
+
+/// The shipped `ball_bar.toml`.
+pub fn bar() -> BallBarConfig {
+    config::parse(Kind::BallBar.built_in("ball_bar"), Path::new("ball_bar.toml")).unwrap()
+}
+
+/// A service on the simulated bus with these faults. Its marks are beside its recordings.
+pub fn settings(daemon: DaemonConfig, faults: &[&str]) -> Settings {
+    Settings {
+        bus: BusChoice::Simulated,
+        faults: faults.iter().map(|fault| fault.parse().unwrap()).collect(),
+        marks: MarksFile::new(daemon.directory.clone(), None),
+        daemon,
+        bar: bar(),
+        live_tap: None,
+    }
+}
 
 pub fn metadata(period: Duration) -> RunMetadata {
     RunMetadata {
