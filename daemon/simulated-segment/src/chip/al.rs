@@ -182,35 +182,25 @@ fn target(requested: u8) -> Result<AlState, AlStatusCode> {
 }
 
 fn verdict(from: AlState, to: AlState, readiness: &Readiness) -> Verdict {
+    let mailbox = [(readiness.mailbox, AlStatusCode::InvalidMailboxConfiguration)];
     match (from, to) {
         _ if to <= from => Verdict::Enter,
-        (AlState::Init, AlState::PreOp) => preop(readiness),
-        (AlState::PreOp, AlState::SafeOp) => safe_op(readiness),
+        (AlState::Init, AlState::PreOp) => require(&mailbox),
+        (AlState::PreOp, AlState::SafeOp) => require(&[
+            mailbox[0],
+            (readiness.outputs, AlStatusCode::InvalidOutputConfiguration),
+            (readiness.inputs, AlStatusCode::InvalidInputConfiguration),
+            (readiness.sync != SyncReadiness::Invalid, AlStatusCode::InvalidDcSyncConfiguration),
+        ]),
         (AlState::SafeOp, AlState::Op) => op(readiness),
         _ => Verdict::Refuse(AlStatusCode::InvalidRequestedStateChange),
     }
 }
 
-fn preop(readiness: &Readiness) -> Verdict {
-    if readiness.mailbox {
-        Verdict::Enter
-    } else {
-        Verdict::Refuse(AlStatusCode::InvalidMailboxConfiguration)
-    }
-}
-
-fn safe_op(readiness: &Readiness) -> Verdict {
-    if !readiness.mailbox {
-        Verdict::Refuse(AlStatusCode::InvalidMailboxConfiguration)
-    } else if !readiness.outputs {
-        Verdict::Refuse(AlStatusCode::InvalidOutputConfiguration)
-    } else if !readiness.inputs {
-        Verdict::Refuse(AlStatusCode::InvalidInputConfiguration)
-    } else if readiness.sync == SyncReadiness::Invalid {
-        Verdict::Refuse(AlStatusCode::InvalidDcSyncConfiguration)
-    } else {
-        Verdict::Enter
-    }
+/// Refuses with the code of the first condition that does not hold.
+fn require(conditions: &[(bool, AlStatusCode)]) -> Verdict {
+    let failed = conditions.iter().find(|(holds, _)| !holds);
+    failed.map_or(Verdict::Enter, |(_, code)| Verdict::Refuse(*code))
 }
 
 fn op(readiness: &Readiness) -> Verdict {

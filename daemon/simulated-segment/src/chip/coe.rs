@@ -51,7 +51,7 @@ pub trait ObjectDictionary {
     fn upload(&self, index: u16, subindex: u8, value: &mut [u8]) -> Result<usize, Abort>;
     fn download(&mut self, index: u16, subindex: u8, value: &[u8]) -> Result<(), Abort>;
     /// Indices of a list, ascending.
-    fn list(&self, list: ObjectList) -> &'static [u16];
+    fn list(&self, list: ObjectList) -> Vec<u16>;
 }
 
 /// Longest supported mailbox.
@@ -144,9 +144,7 @@ pub fn abort_with(request: &[u8], mailbox: &mut [u8; MAILBOX_MAX], code: u32) ->
     let sdo = request.get(MAILBOX_HEADER_LEN + COE_HEADER_LEN..)?;
     let &[_, i0, i1, subindex] = sdo.first_chunk::<4>()?;
     let mut answer = Answer { mailbox, len: MAILBOX_HEADER_LEN };
-    answer.begin(SERVICE_SDO_REQUEST);
-    answer.push(&[ABORT, i0, i1, subindex]);
-    answer.push(&code.to_le_bytes());
+    abort(&mut answer, [i0, i1, subindex], code);
     Some(answer.finish(TYPE_COE, request))
 }
 
@@ -168,7 +166,7 @@ fn refuse(mut answer: Answer<'_>, detail: u16, request: &[u8]) -> usize {
 
 fn sdo(content: &[u8], answer: &mut Answer<'_>, objects: &mut dyn ObjectDictionary) {
     let Some((&[command, i0, i1, subindex], data)) = content.split_first_chunk::<4>() else {
-        return abort(answer, [0; 3], Abort::UnknownCommand);
+        return abort(answer, [0; 3], Abort::UnknownCommand as u32);
     };
     let (index, address) = (u16::from_le_bytes([i0, i1]), [i0, i1, subindex]);
     let outcome = match command >> 5 {
@@ -183,15 +181,15 @@ fn sdo(content: &[u8], answer: &mut Answer<'_>, objects: &mut dyn ObjectDictiona
         _ => Err(Abort::UnknownCommand),
     };
     if let Err(code) = outcome {
-        abort(answer, address, code);
+        abort(answer, address, code as u32);
     }
 }
 
-fn abort(answer: &mut Answer<'_>, [i0, i1, subindex]: [u8; 3], code: Abort) {
+fn abort(answer: &mut Answer<'_>, [i0, i1, subindex]: [u8; 3], code: u32) {
     // An abort is sent as a request by either side.
     answer.begin(SERVICE_SDO_REQUEST);
     answer.push(&[ABORT, i0, i1, subindex]);
-    answer.push(&(code as u32).to_le_bytes());
+    answer.push(&code.to_le_bytes());
 }
 
 fn upload(

@@ -133,20 +133,23 @@ impl Esc {
 
     /// A frame with a wrong check sequence arrived at port 0 (0x0300: invalid frames, 0x0301: receive errors).
     pub fn count_invalid_frame(&mut self) {
-        let [frames, errors] = self.get(reg::ERROR_COUNTERS);
-        self.put(reg::ERROR_COUNTERS, &[frames.saturating_add(1), errors.saturating_add(1)]);
+        self.count(reg::ERROR_COUNTERS);
+        self.count(reg::ERROR_COUNTERS + 1);
     }
 
     /// Port 0 received an invalid symbol between two frames.
     pub fn count_receive_error(&mut self) {
-        let [errors] = self.get(reg::ERROR_COUNTERS + 1);
-        self.put(reg::ERROR_COUNTERS + 1, &[errors.saturating_add(1)]);
+        self.count(reg::ERROR_COUNTERS + 1);
     }
 
     /// Port 1 lost its link.
     pub fn count_lost_link(&mut self) {
-        let [lost] = self.get(reg::LOST_LINKS + 1);
-        self.put(reg::LOST_LINKS + 1, &[lost.saturating_add(1)]);
+        self.count(reg::LOST_LINKS + 1);
+    }
+
+    fn count(&mut self, register: u16) {
+        let [count] = self.get::<1>(register);
+        self.put(register, &[count.saturating_add(1)]);
     }
 
     /// Whether the mailbox to the master is still full.
@@ -292,10 +295,8 @@ impl Esc {
     pub fn read_logical(&mut self, logical: u32, data: &mut [u8], now_ns: i64) -> bool {
         let mut matched = false;
         for index in 0..self.fmmus.len() {
-            if !self.fmmus[index].reads() {
-                continue;
-            }
-            let Some(mapped) = self.fmmus[index].map(logical, data.len()) else { continue };
+            let mapped = self.fmmus[index].map(logical, data.len(), Direction::Read);
+            let Some(mapped) = mapped else { continue };
             matched |= self.read_mapped(&mapped, &mut data[mapped.data.clone()], now_ns);
         }
         matched
@@ -318,10 +319,8 @@ impl Esc {
     pub fn write_logical(&mut self, logical: u32, data: &[u8], now_ns: i64) -> bool {
         let mut matched = false;
         for index in 0..self.fmmus.len() {
-            if !self.fmmus[index].writes() {
-                continue;
-            }
-            let Some(mapped) = self.fmmus[index].map(logical, data.len()) else { continue };
+            let mapped = self.fmmus[index].map(logical, data.len(), Direction::Write);
+            let Some(mapped) = mapped else { continue };
             matched |= self.write_mapped(&mapped, &data[mapped.data.clone()], now_ns);
         }
         matched

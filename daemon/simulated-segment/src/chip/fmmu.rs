@@ -2,6 +2,8 @@
 
 use std::ops::Range;
 
+use super::sync_manager::Direction;
+
 /// Number of units that a chip can have.
 pub const UNITS_MAX: usize = 8;
 
@@ -72,18 +74,12 @@ impl Fmmu {
         };
     }
 
-    /// Whether the unit maps for reading by the master.
-    pub fn reads(&self) -> bool {
-        self.enable & ENABLE != 0 && self.kind & READ != 0
-    }
-
-    /// Whether the unit maps for writing by the master.
-    pub fn writes(&self) -> bool {
-        self.enable & ENABLE != 0 && self.kind & WRITE != 0
-    }
-
-    /// The part of `len` bytes from `logical` that this unit maps.
-    pub fn map(&self, logical: u32, len: usize) -> Option<Mapped> {
+    /// The part of `len` bytes from `logical` that this unit maps for an access of the master.
+    pub fn map(&self, logical: u32, len: usize, direction: Direction) -> Option<Mapped> {
+        let kind = if direction == Direction::Read { READ } else { WRITE };
+        if self.enable & ENABLE == 0 || self.kind & kind == 0 {
+            return None;
+        }
         let (from, to) = (u64::from(logical), u64::from(logical) + len as u64);
         let (own_from, own_to) = (u64::from(self.logical), u64::from(self.logical) + u64::from(self.length));
         let (start, end) = (from.max(own_from), to.min(own_to));
