@@ -22,7 +22,6 @@ mod wiring;
 use rand::{Rng, SeedableRng, rngs::StdRng};
 
 pub use devices::Revision;
-pub use node::{MailboxFault, SignalFault};
 pub use source::{
     Conversion, EncoderSource, Hand, HandTurned, Periods, Replay, ReplayError, ReplayHandle, Signal,
     SmoothMotion,
@@ -144,17 +143,16 @@ impl SimulatedSegment {
     }
 
     /// The devices from `position` on lose power or their cable; 0 includes the coupler.
-    pub fn cut_from(&mut self, position: usize) {
-        let before = position.checked_sub(1).filter(|_| position < self.reach);
-        if let Some(before) = before.and_then(|before| self.nodes.get_mut(before)) {
-            before.esc.count_lost_link();
+    pub(crate) fn cut_from(&mut self, position: usize) {
+        if let Some(before) = position.checked_sub(1).filter(|_| position < self.reach) {
+            self.change(before, |node| node.esc.count_lost_link());
         }
         self.reach = self.reach.min(position);
         self.show_links();
     }
 
     /// Powers up the devices that were cut off at `now_ns`: in INIT, without address, counters without origin.
-    pub fn restore(&mut self, now_ns: i64) {
+    pub(crate) fn restore(&mut self, now_ns: i64) {
         for node in self.nodes.iter_mut().skip(self.reach) {
             node.power_cycle(now_ns);
         }
@@ -162,46 +160,16 @@ impl SimulatedSegment {
         self.show_links();
     }
 
-    /// A terminal goes from OP to SAFE-OP with an AL status code; has no effect in other states.
-    pub fn fall_to_safe_op(&mut self, position: usize, code: u16) {
+    /// Changes a device, if there is one at this position.
+    pub(crate) fn change(&mut self, position: usize, change: impl FnOnce(&mut Node)) {
         if let Some(node) = self.nodes.get_mut(position) {
-            node.esc.fall_to_safe_op(code);
-        }
-    }
-
-    /// Sets or removes a fault of the signal of a terminal's encoder.
-    pub fn set_signal_fault(&mut self, position: usize, fault: Option<SignalFault>) {
-        if let Some(node) = self.nodes.get_mut(position) {
-            node.set_signal_fault(fault);
-        }
-    }
-
-    /// Sets or removes a fault of the mailbox of a terminal.
-    pub fn set_mailbox_fault(&mut self, position: usize, fault: Option<MailboxFault>) {
-        if let Some(node) = self.nodes.get_mut(position) {
-            node.set_mailbox_fault(fault);
+            change(node);
         }
     }
 
     /// Steps the reference clock at `now_ns`.
     pub fn step_reference_clock(&mut self, now_ns: i64, step_ns: i64) {
-        if let Some(node) = self.nodes.first_mut() {
-            node.esc.step_clock(now_ns, step_ns);
-        }
-    }
-
-    /// A frame was damaged on its way to the coupler, which counts it and forwards it marked as invalid.
-    pub fn count_invalid_frame(&mut self) {
-        if let Some(node) = self.nodes.first_mut() {
-            node.esc.count_invalid_frame();
-        }
-    }
-
-    /// The cable to the device at `position` disturbs its receiver between two frames, without damage to any.
-    pub fn disturb(&mut self, position: usize) {
-        if let Some(node) = self.nodes.get_mut(position) {
-            node.esc.count_receive_error();
-        }
+        self.change(0, |node| node.esc.step_clock(now_ns, step_ns));
     }
 
     fn show_links(&mut self) {

@@ -67,8 +67,10 @@ pub enum MailboxFault {
 pub struct Node {
     /// The chip, on the side of the wire.
     pub esc: Esc,
-    device: Box<dyn Device>,
-    mailbox_fault: Option<MailboxFault>,
+    /// The device, which also has the faults of its encoder.
+    pub device: Box<dyn Device>,
+    /// A fault of the mailbox.
+    pub mailbox_fault: Option<MailboxFault>,
     /// An answer that waits until the master has fetched the previous one.
     held_answer: Option<([u8; MAILBOX_MAX], usize)>,
 }
@@ -86,16 +88,6 @@ impl Node {
         self.device.power_cycle();
         self.esc = Esc::new(self.device.chip(), self.esc.restarted_clock(now_ns));
         self.held_answer = None;
-    }
-
-    /// Sets or removes a fault of the encoder's signal.
-    pub fn set_signal_fault(&mut self, fault: Option<SignalFault>) {
-        self.device.set_signal_fault(fault);
-    }
-
-    /// Sets or removes a fault of the mailbox.
-    pub fn set_mailbox_fault(&mut self, fault: Option<MailboxFault>) {
-        self.mailbox_fault = fault;
     }
 
     /// Advances chip and device to the arrival of a frame.

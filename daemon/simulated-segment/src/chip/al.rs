@@ -5,9 +5,9 @@
 pub enum AlState {
     /// No communication on the application layer.
     Init = 1,
-    /// Mailbox works.
+    /// The mailbox works, without process data.
     PreOp = 2,
-    /// Inputs are valid.
+    /// Inputs are valid, outputs are safe.
     SafeOp = 4,
     /// Inputs and outputs are valid.
     Op = 8,
@@ -25,7 +25,7 @@ pub enum AlStatusCode {
     BootstrapNotSupported = 0x0013,
     /// Sync manager 0 or 1 has wrong settings.
     InvalidMailboxConfiguration = 0x0016,
-    /// No outputs arrived.
+    /// No outputs arrived since PRE-OP.
     NoValidOutputs = 0x0019,
     /// Sync manager 2 has wrong settings.
     InvalidOutputConfiguration = 0x001d,
@@ -50,7 +50,7 @@ pub enum SyncReadiness {
     WrongSync1,
     /// Activated, but without a pulse so far.
     Waiting,
-    /// With pulses.
+    /// Activated, and SYNC0 has pulsed.
     Running,
 }
 

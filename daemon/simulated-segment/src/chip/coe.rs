@@ -54,7 +54,7 @@ pub trait ObjectDictionary {
     fn list(&self, list: ObjectList) -> Vec<u16>;
 }
 
-/// Longest supported mailbox.
+/// Longest supported mailbox \[bytes\].
 pub const MAILBOX_MAX: usize = 128;
 const MAILBOX_HEADER_LEN: usize = 6;
 const COE_HEADER_LEN: usize = 2;

@@ -43,7 +43,7 @@ pub struct ChipProfile {
 pub enum SyncMode {
     /// By frames with outputs.
     SyncManager,
-    /// By SYNC0.
+    /// By the SYNC0 pulses of its clock.
     DistributedClock,
 }
 
@@ -63,9 +63,9 @@ pub struct SyncEvent {
 /// Combination of read data with the content of a datagram.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum ReadMode {
-    /// Replaces it.
+    /// The data replaces the content.
     Replace,
-    /// Bitwise or (broadcast).
+    /// The data is combined with the content by a bitwise or (broadcast).
     Or,
 }
 

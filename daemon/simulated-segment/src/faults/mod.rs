@@ -14,7 +14,8 @@ use rand::{Rng, SeedableRng, rngs::StdRng};
 pub use text::{FaultSwitch, FaultText, FaultWindow};
 
 use super::FRAME_BYTES_MAX;
-use crate::{MailboxFault, SignalFault, SimulatedSegment};
+use crate::SimulatedSegment;
+use crate::node::{MailboxFault, Node, SignalFault};
 use replies::Replies;
 
 /// A fault. Positions are those on the bus: the coupler is 0, terminals follow. Shares are probabilities per frame, 0 to 1.
@@ -200,7 +201,8 @@ impl FaultySegment {
             return;
         }
         if drawn.corrupted && on_the_way_there {
-            self.segment.count_invalid_frame();
+            // The coupler counts it and forwards it marked as invalid.
+            self.segment.change(0, |node| node.esc.count_invalid_frame());
             return;
         }
         let Some(length) = self.segment.exchange(now_ns, frame, &mut self.scratch[..]) else { return };
@@ -250,7 +252,9 @@ impl FaultySegment {
                 Fault::FrameDuplicated { share } => drawn.duplicated |= hit(share),
                 Fault::FrameCorrupted { share } => drawn.corrupted |= hit(share),
                 Fault::WorkingCounterShort { share, by } if hit(share) => drawn.short_by = by,
-                Fault::NoisyCable { position, share } if hit(share) => segment.disturb(position),
+                Fault::NoisyCable { position, share } if hit(share) => {
+                    segment.change(position, |node| node.esc.count_receive_error());
+                }
                 _ => {}
             }
         }
@@ -278,26 +282,28 @@ impl FaultySegment {
         if on {
             self.active.push(fault);
         }
+        let mut change = |position: usize, change: &dyn Fn(&mut Node)| self.segment.change(position, change);
         match (fault, on) {
             (Fault::DevicesGone { from }, true) => self.segment.cut_from(from),
             (Fault::DevicesGone { .. }, false) => self.segment.restore(now_ns),
-            (Fault::FallToSafeOp { position, code }, true) => self.segment.fall_to_safe_op(position, code),
+            (Fault::FallToSafeOp { position, code }, true) => {
+                change(position, &|node| node.esc.fall_to_safe_op(code));
+            }
             (Fault::ClockStep { by_ns }, true) => self.segment.step_reference_clock(now_ns, by_ns),
             (Fault::SignalLost { position }, _) => {
-                self.segment.set_signal_fault(position, on.then_some(SignalFault::Lost));
+                change(position, &|node| node.device.set_signal_fault(on.then_some(SignalFault::Lost)));
             }
             (Fault::SignalTooFast { position }, _) => {
-                self.segment.set_signal_fault(position, on.then_some(SignalFault::TooFast));
+                change(position, &|node| node.device.set_signal_fault(on.then_some(SignalFault::TooFast)));
             }
             (Fault::MailboxAbort { position, code }, _) => {
-                let fault = on.then_some(MailboxFault::Abort(code));
-                self.segment.set_mailbox_fault(position, fault);
+                change(position, &|node| node.mailbox_fault = on.then_some(MailboxFault::Abort(code)));
             }
             (Fault::MailboxSilent { position }, _) => {
-                self.segment.set_mailbox_fault(position, on.then_some(MailboxFault::Silent));
+                change(position, &|node| node.mailbox_fault = on.then_some(MailboxFault::Silent));
             }
             (Fault::MailboxEmergency { position, code }, true) => {
-                self.segment.set_mailbox_fault(position, Some(MailboxFault::Emergency(code)));
+                change(position, &|node| node.mailbox_fault = Some(MailboxFault::Emergency(code)));
             }
             _ => {}
         }

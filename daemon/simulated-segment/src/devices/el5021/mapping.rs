@@ -76,7 +76,7 @@ impl Inputs {
         bits.iter().fold(0, |word, (bit, set)| word | u16::from(*set) << bit)
     }
 
-    /// Into ten bytes.
+    /// Writes status, counter and latch as ten bytes.
     pub fn encode(&self, bytes: &mut [u8]) {
         let Some(bytes) = bytes.first_chunk_mut::<10>() else { return };
         bytes[..2].copy_from_slice(&self.status().to_le_bytes());

@@ -89,7 +89,7 @@ struct Diagnosis {
     amplitude_errors: u16,
 }
 
-/// The SinCos terminal.
+/// A SinCos terminal with one encoder.
 pub struct El5021 {
     channel: usize,
     revision: Revision,
