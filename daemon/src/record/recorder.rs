@@ -351,8 +351,7 @@ impl Recorder {
             return;
         };
         self.noted_wait_s = late_s;
-        let time = UtcNs(self.clock.now().0 + self.utc_minus_monotonic_ns);
-        self.note(event(time, self.cycle_at(time), EventKind::Disk, *problem.fact));
+        self.note_disk(*problem.fact);
     }
 
     /// The extent that a synchronisation of the file would cover now.
@@ -410,8 +409,7 @@ impl Recorder {
         // The previous one may hang on the lost disk.
         self.synchroniser = Synchroniser::new(&self.link.progress, &*self.link.scheduler);
         self.link.progress.moved(place, why.to_string());
-        let time = UtcNs(self.clock.now().0 + self.utc_minus_monotonic_ns);
-        self.note(event(time, self.cycle_at(time), EventKind::Disk, moved));
+        self.note_disk(moved);
     }
 
     /// Due whenever the run has doubled in length, later once per period, so that a short run has timing, too; and whenever a
@@ -464,6 +462,12 @@ impl Recorder {
         self.notes.insert(at, event);
     }
 
+    /// Records a problem of the disk at this moment.
+    fn note_disk(&mut self, fact: Fact) {
+        let time = UtcNs(self.clock.now().0 + self.utc_minus_monotonic_ns);
+        self.note(event(time, self.cycle_at(time), EventKind::Disk, fact));
+    }
+
     /// Writes events up to `until`, so that readers find each among the cycles of its time.
     fn write_notes(&mut self, until: UtcNs) -> Result<(), WriteError> {
         while self.notes.first().is_some_and(|note| note.time <= until) {
@@ -493,8 +497,7 @@ impl Recorder {
         self.take_notes();
         self.note_clock_step();
         if let Some(problem) = self.link.storage.problem() {
-            let time = UtcNs(self.clock.now().0 + self.utc_minus_monotonic_ns);
-            self.note(event(time, self.cycle_at(time), EventKind::Disk, *problem.fact));
+            self.note_disk(*problem.fact);
         }
         self.write_notes(UtcNs(i64::MAX))?;
         let timing = self.write_timing()?;

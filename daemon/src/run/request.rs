@@ -43,7 +43,7 @@ pub struct About {
 /// A run and the bus to record it from.
 #[derive(Debug, Clone, Default)]
 pub struct RunRequest {
-    /// The run.
+    /// Description of the run.
     pub run: RunDetails,
     /// The bus to record from.
     pub bus: BusChoice,

@@ -37,7 +37,7 @@ enum Cable {
 
 impl<'a> Pull<'a> {
     pub fn new(session: &'a Session, cycles_per_s: u64) -> Self {
-        Self { faults: session.faults(), cycles_per_s, state: Cable::In, waited: 0, in_a_row: 0 }
+        Self { faults: session.faults.as_ref(), cycles_per_s, state: Cable::In, waited: 0, in_a_row: 0 }
     }
 
     /// Instructs the person, or switches the fault of the simulated bus.
@@ -79,8 +79,7 @@ impl<'a> Pull<'a> {
             },
             Cable::Out => {
                 let expected = format!("the bus in operation within {PATIENCE_S} s");
-                let fact =
-                    session.outage().unwrap_or_else(|| Fact::BusNoAnswer { bus: session.bus().to_owned() });
+                let fact = session.outage().unwrap_or_else(|| Fact::BusNoAnswer { bus: session.bus.clone() });
                 Outcome::failed(expected, &fact.into(), None)
             }
         }

@@ -106,7 +106,7 @@ pub struct EventFigures {
 impl Figures {
     /// Before the first cycle.
     pub fn new(session: &Session, rate_hz: u32) -> Self {
-        let joints = session.encoders().iter().map(|encoder| encoder.joint);
+        let joints = session.encoders.iter().map(|encoder| encoder.joint);
         let encoders = joints.clone().map(|joint| EncoderFigures { joint, ..EncoderFigures::default() });
         let devices = session.devices().to_vec();
         Self {
@@ -114,7 +114,7 @@ impl Figures {
             encoders: encoders.collect(),
             clocks: ClockFigures { devices: session.clocks().to_vec(), ..ClockFigures::default() },
             realtime: session.realtime().map(ToString::to_string),
-            names: BusNames { bus: session.bus().to_owned(), devices, joints: joints.collect() },
+            names: BusNames { bus: session.bus.clone(), devices, joints: joints.collect() },
             ..Self::default()
         }
     }
@@ -129,7 +129,7 @@ impl Figures {
     ) {
         let own = Stop::default();
         let mut source = session.begin_watch(duration, &own);
-        until(&**session.scheduler(), PERIOD, || {
+        until(&*session.scheduler, PERIOD, || {
             if stop.is_stopped() {
                 own.stop(&stop.cause());
             }

@@ -125,7 +125,7 @@ impl BusLink {
                 Some(self.failed(Fact::ThreadEnded { thread: "cycle".into() }.into(), RETRY_FIRST, now))
             }
             State::Up { session, trouble, recent } => {
-                recent.add(now, session.live().counted());
+                recent.add(now, session.live.counted());
                 let found = trouble_of(session, now);
                 let is_same =
                     found.as_ref().map(|problem| &problem.text) == trouble.as_ref().map(|was| &was.text);
@@ -190,7 +190,7 @@ impl BusLink {
 
 /// Why the latest cycles gave no samples of the whole bus, as far as the bus is the cause.
 fn trouble_of(session: &Session, now: MonoNs) -> Option<Problem> {
-    let live = session.live();
+    let live = &session.live;
     let age = now.ns_since(live.at());
     if age > CYCLE_AGE_MAX.as_nanos() as i64 {
         return Some(Fact::CycleStalled { age_s: age / 1_000_000_000 }.into());
@@ -200,32 +200,32 @@ fn trouble_of(session: &Session, now: MonoNs) -> Option<Problem> {
         return None;
     }
     let reasons = live.flags() & BUS_FLAGS;
-    let joints = session.encoders().iter().zip(live.encoders());
+    let joints = session.encoders.iter().zip(live.encoders());
     let silent: Vec<u8> = joints.filter(|(_, encoder)| !encoder.valid).map(|(info, _)| info.joint).collect();
-    let all = silent.is_empty() || silent.len() == session.encoders().len();
+    let all = silent.is_empty() || silent.len() == session.encoders.len();
     // The coupler is at position 0, the terminal of the first encoder at 1.
     let first = live.encoders().iter().position(|encoder| !encoder.valid).map(|index| index + 1);
     (reasons != 0).then(|| {
-        let of_flags = || Fact::of_flags(reasons, session.bus(), silent.clone(), first.filter(|_| !all));
+        let of_flags = || Fact::of_flags(reasons, &session.bus, silent.clone(), first.filter(|_| !all));
         let fact = session.outage().unwrap_or_else(of_flags);
         Problem::from(fact).with_joints(silent, all)
     })
 }
 
 fn silent_ns(session: &Session) -> i64 {
-    (session.period() * SILENT_CYCLES).max(SILENT_MIN).as_nanos() as i64
+    (session.period * SILENT_CYCLES).max(SILENT_MIN).as_nanos() as i64
 }
 
 /// For each encoder, in bus order, whether it has given no valid sample for [`SILENT_CYCLES`].
 pub(super) fn are_silent(session: &Session) -> [bool; MAX_ENCODERS] {
-    let live = session.live();
+    let live = &session.live;
     let (at, silent_ns) = (live.at(), silent_ns(session));
     live.valid_at().map(|valid_at| at.ns_since(valid_at) > silent_ns)
 }
 
 /// A problem for each encoder that gives no valid sample although the bus works.
 pub(super) fn silent_encoders(session: &Session) -> Vec<Problem> {
-    let readings = session.encoders().iter().zip(session.live().encoders()).zip(are_silent(session));
+    let readings = session.encoders.iter().zip(session.live.encoders()).zip(are_silent(session));
     let silent = readings.filter(|(_, is_silent)| *is_silent);
     silent
         .map(|((info, encoder), _)| {

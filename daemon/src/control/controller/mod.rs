@@ -473,7 +473,7 @@ impl Controller {
     /// Adds the counts of session and run since the last time, and logs problems that began or ended.
     fn count(&mut self) {
         if let Some(session) = self.bus.session() {
-            let now = session.live().totals();
+            let now = session.live.totals();
             let before = std::mem::replace(&mut self.counted.cycles, now);
             // A new session counts from zero.
             let [cycles, valid, late] =

@@ -132,7 +132,7 @@ fn reference_marks(controller: &Controller, found: Option<&Found>) -> Finding {
     let Some(session) = controller.bus.session() else {
         return Ok("to be seen when the bus is in operation".into());
     };
-    let stale = homing.apply(&mut session.encoders().to_vec(), &session.live().latches());
+    let stale = homing.apply(&mut session.encoders.clone(), &session.live.latches());
     if stale.is_empty() {
         return Ok(format!("of all joints, homed {}", homing.homed));
     }

@@ -102,13 +102,13 @@ impl Controller {
 }
 
 fn add_bus(status: &mut Status, session: &Session, valid_shares: Option<[f64; MAX_ENCODERS]>) {
-    let live = session.live();
+    let live = &session.live;
     status.devices = session.devices().iter().map(|device| device.name.clone()).collect();
     status.sampled = live.at();
     status.origin = live.origin();
     status.bad_cables = live.bad_ports().into_iter().map(|counts| Fact::from(counts).into()).collect();
     status.encoders = session
-        .encoders()
+        .encoders
         .iter()
         .zip(live.encoders().into_iter().zip(live.latches()))
         .zip(are_silent(session))

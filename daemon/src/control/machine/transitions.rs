@@ -17,7 +17,7 @@ pub struct Machine {
     leaving: bool,
 }
 
-/// The current run.
+/// Name and end of the current run.
 #[derive(Debug, Clone)]
 struct Run {
     name: String,
