@@ -192,7 +192,7 @@ fn encoders_on_each_others_terminals_are_named_with_what_to_write() {
     assert_eq!(found.iter().map(|found| found.encoder).collect::<Vec<_>>(), [1, 0, 2, 3, 4]);
     let text = miswired(&found, &swapped);
     assert!(text.contains("terminal 1 measures joint 1, not joint 2"), "{text}");
-    assert!(text.contains("place 2 must have `joint = 2`"), "{text}");
+    assert!(text.contains("encoder number 2 must have `joint = 2`"), "{text}");
     assert!(verify(&encoders(), &found).is_ok());
 }
 
