@@ -114,13 +114,8 @@ impl BallBarConfig {
                 "take it from the encoder's label (ERN 1080: 3600)",
             ));
         }
-        if encoder.mark_deg.is_some_and(|mark_deg| !(-360.0..=360.0).contains(&mark_deg)) {
-            return Err(Violation::new(
-                key("mark_deg"),
-                format!("{:?} is outside -360 to 360", encoder.mark_deg.unwrap_or_default()),
-                "give the joint's angle at the reference mark in degrees, or leave it out",
-            ));
-        }
+        let remedy = "give the joint's angle at the reference mark in degrees, or leave it out";
+        Violation::outside(key("mark_deg"), encoder.mark_deg.unwrap_or_default(), [-360.0, 360.0], remedy)?;
         if !INTERPOLATION_BITS.contains(&encoder.interpolation_bits) {
             return Err(Violation::new(
                 key("interpolation_bits"),
@@ -136,26 +131,11 @@ impl Validate for BallBarConfig {
     const KIND: Option<Kind> = Some(Kind::BallBar);
 
     fn validate(&self) -> Result<(), Violation> {
-        for (key, value, low, high) in [
-            ("length_m", self.length_m, 0.05, 5.0),
-            ("plate_m", self.plate_m, 0.0, 2.0),
-            ("tool_m", self.tool_m, 0.0, 2.0),
-        ] {
-            if !(low..=high).contains(&value) {
-                return Err(Violation::new(
-                    key,
-                    format!("{value} is outside {low} to {high}"),
-                    "lengths are in metres",
-                ));
-            }
-        }
-        if !(0.0..=10_000.0).contains(&self.plate_u_um) {
-            return Err(Violation::new(
-                "plate_u_um",
-                format!("{} is outside 0 to 10000", self.plate_u_um),
-                "give the standard uncertainty of plate_m in micrometres; 0 takes the plate as exact",
-            ));
-        }
+        Violation::outside("length_m", self.length_m, [0.05, 5.0], "lengths are in metres")?;
+        Violation::outside("plate_m", self.plate_m, [0.0, 2.0], "lengths are in metres")?;
+        Violation::outside("tool_m", self.tool_m, [0.0, 2.0], "lengths are in metres")?;
+        let remedy = "give the standard uncertainty of plate_m in micrometres; 0 takes the plate as exact";
+        Violation::outside("plate_u_um", self.plate_u_um, [0.0, 10_000.0], remedy)?;
         if let Some(length_u_um) =
             self.length_u_um.filter(|length_u_um| !(*length_u_um > 0.0 && *length_u_um <= 10_000.0))
         {

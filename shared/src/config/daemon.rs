@@ -118,24 +118,22 @@ impl Validate for DaemonConfig {
 
     fn validate(&self) -> Result<(), Violation> {
         let period_us = 1_000_000 / self.rate_hz.max(1);
+        let reply_us_max = i64::from(period_us) * 9 / 10;
         let ranges = [
-            ("rate_hz", i64::from(self.rate_hz), 10, 1000, "100 is usual; an EL5021 on DC does 10 to 1000"),
+            ("rate_hz", i64::from(self.rate_hz), [10, 1000], "100 is usual; an EL5021 on DC does 10 to 1000"),
             (
                 "reply_timeout_us",
                 self.reply_timeout().as_micros() as i64,
-                50,
-                i64::from(period_us) * 9 / 10,
+                [50, reply_us_max],
                 "a reply that takes longer than a cycle is of no use; stay below 9/10 of the period",
             ),
-            ("ring_s", i64::from(self.ring_s), 1, 3600, "60 s survive any ordinary disk"),
-            ("sync_period_ms", i64::from(self.sync_period_ms), 100, 10_000, "1000 is usual"),
-            ("full_fault_s", i64::from(self.full_fault_s), 1, 86_400, "60 s are enough to plug in a cable"),
-            ("realtime.fifo_priority", i64::from(self.realtime.fifo_priority), 1, 99, "80 is usual"),
+            ("ring_s", i64::from(self.ring_s), [1, 3600], "60 s survive any ordinary disk"),
+            ("sync_period_ms", i64::from(self.sync_period_ms), [100, 10_000], "1000 is usual"),
+            ("full_fault_s", i64::from(self.full_fault_s), [1, 86_400], "60 s are enough to plug in a cable"),
+            ("realtime.fifo_priority", i64::from(self.realtime.fifo_priority), [1, 99], "80 is usual"),
         ];
-        for (key, value, low, high, remedy) in ranges {
-            if !(low..=high).contains(&value) {
-                return Err(Violation::new(key, format!("{value} is outside {low} to {high}"), remedy));
-            }
+        for (key, value, range, remedy) in ranges {
+            Violation::outside(key, value, range, remedy)?;
         }
         Ok(())
     }

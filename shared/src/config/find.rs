@@ -32,6 +32,28 @@ pub enum Kind {
     TouchMapping,
 }
 
+/// Each kind in the order of [`Kind`]: what messages call it, the option that takes it, and keys that no other kind has together.
+const KINDS: [(Kind, &str, &str, &[&str]); 8] = [
+    (Kind::Robot, "robot", "--robot", &["links", "log"]),
+    (Kind::BallBar, "ball-bar", "--bar", &["links", "encoders"]),
+    (Kind::Daemon, "daemon", "--config", &["rate_hz"]),
+    (Kind::Smoke, "smoke test", "`ballbard smoke --checks`", &["cycles", "terminal_revisions"]),
+    (Kind::TrackerMapping, "tracker's table", "`identify calibrate tracker --mapping`", &["position"]),
+    (Kind::WireMapping, "wire's table", "`identify calibrate wire --mapping`", &["length"]),
+    (
+        Kind::ContactMapping,
+        "table of seated balls",
+        "`identify calibrate contact --mapping`",
+        &["socket", "joints"],
+    ),
+    (
+        Kind::TouchMapping,
+        "table of touched faces",
+        "`identify calibrate touch --mapping`",
+        &["face", "joints"],
+    ),
+];
+
 /// Kind, name and text of all that is built in.
 const BUILT_IN: [(Kind, &str, &str); 11] = [
     (Kind::Robot, "irb120_3", include_str!("../../../config/robots/irb120_3.toml")),
@@ -160,48 +182,20 @@ impl Kind {
         BUILT_IN.iter().find(|(kind, other, _)| *kind == self && *other == name).map_or("", |(.., text)| text)
     }
 
-    /// Of a text: by the keys that only this kind has.
+    /// Kind of a configuration's text, by its keys.
     pub(super) fn of(text: &str) -> Option<Self> {
         let table: toml::Table = text.parse().ok()?;
-        let keys = [
-            (Self::Robot, &["links", "log"][..]),
-            (Self::BallBar, &["links", "encoders"]),
-            (Self::Daemon, &["rate_hz"]),
-            (Self::Smoke, &["cycles", "terminal_revisions"]),
-            (Self::TrackerMapping, &["position"]),
-            (Self::WireMapping, &["length"]),
-            (Self::ContactMapping, &["socket", "joints"]),
-            (Self::TouchMapping, &["face", "joints"]),
-        ];
         let has_all = |keys: &[&str]| keys.iter().all(|key| table.contains_key(*key));
-        keys.into_iter().find(|(_, keys)| has_all(keys)).map(|(kind, _)| kind)
+        KINDS.into_iter().find(|(.., keys)| has_all(keys)).map(|(kind, ..)| kind)
     }
 
-    /// In one word.
-    pub(super) const fn noun(self) -> &'static str {
-        match self {
-            Self::Robot => "robot",
-            Self::BallBar => "ball-bar",
-            Self::Daemon => "daemon",
-            Self::Smoke => "smoke test",
-            Self::TrackerMapping => "tracker's table",
-            Self::WireMapping => "wire's table",
-            Self::ContactMapping => "table of seated balls",
-            Self::TouchMapping => "table of touched faces",
-        }
+    /// What messages call it.
+    pub(super) fn noun(self) -> &'static str {
+        KINDS[self as usize].1
     }
 
     /// The option that takes it.
-    pub(super) const fn option(self) -> &'static str {
-        match self {
-            Self::Robot => "--robot",
-            Self::BallBar => "--bar",
-            Self::Daemon => "--config",
-            Self::Smoke => "`ballbard smoke --checks`",
-            Self::TrackerMapping => "`identify calibrate tracker --mapping`",
-            Self::WireMapping => "`identify calibrate wire --mapping`",
-            Self::ContactMapping => "`identify calibrate contact --mapping`",
-            Self::TouchMapping => "`identify calibrate touch --mapping`",
-        }
+    pub(super) fn option(self) -> &'static str {
+        KINDS[self as usize].2
     }
 }

@@ -7,6 +7,7 @@ mod homing;
 mod malformed;
 mod robot;
 
+use std::fmt;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
@@ -91,6 +92,19 @@ impl Violation {
     /// A violation of `key`: what is wrong and what to do.
     pub fn new(key: impl Into<String>, problem: impl Into<String>, remedy: impl Into<String>) -> Self {
         Self { key: key.into(), problem: problem.into(), remedy: remedy.into() }
+    }
+
+    /// Refuses a value of `key` outside `[low, high]`, and one that is not a number.
+    pub(crate) fn outside<N: PartialOrd + fmt::Display>(
+        key: impl Into<String>,
+        value: N,
+        [low, high]: [N; 2],
+        remedy: &str,
+    ) -> Result<(), Self> {
+        if (&low..=&high).contains(&&value) {
+            return Ok(());
+        }
+        Err(Self::new(key, format!("{value} is outside {low} to {high}"), remedy))
     }
 }
 

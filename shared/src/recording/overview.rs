@@ -11,11 +11,9 @@ use super::content::{END_METADATA, RUN_METADATA, content_of, run_of};
 use super::disk::{Disk, OpenFile, SystemDisk};
 use super::reader::{ReadError, ReadErrorKind};
 use super::records::RECORD_LENGTH_BYTES_MAX;
-use super::records::lengths::parse_record;
+use super::records::lengths::{PREFIX_BYTES, parse_record, split_prefix};
 use super::schema::{RunEnd, RunMetadata};
 
-/// Opcode and length before each record.
-const PREFIX_BYTES: usize = 9;
 /// The footer: two offsets and a checksum behind its prefix.
 const FOOTER_BYTES: usize = PREFIX_BYTES + 20;
 /// That checksum.
@@ -57,8 +55,7 @@ fn metadata_indexes(file: &mut OpenFile<'_>) -> Result<Vec<MetadataIndex>, ReadE
     let summary = summary_of(file)?;
     let mut rest = &summary[..];
     let mut indexes = Vec::new();
-    while let Some((&[opcode, ref length @ ..], behind)) = rest.split_first_chunk::<PREFIX_BYTES>() {
-        let length = usize::try_from(u64::from_le_bytes(*length)).unwrap_or(usize::MAX);
+    while let Some((opcode, length, behind)) = split_prefix(rest) {
         let (content, next) = behind.split_at_checked(length).ok_or(McapError::UnexpectedEof)?;
         if let Record::MetadataIndex(index) = parse_record(opcode, content)? {
             indexes.push(index);
@@ -97,11 +94,10 @@ fn summary_of(file: &mut OpenFile<'_>) -> Result<Vec<u8>, ReadErrorKind> {
     hasher.update(&summary);
     hasher.update(&tail[..FOOTER_BYTES - CHECKSUM_BYTES]);
     let calculated = hasher.finalize();
-    if calculated == summary_crc {
-        Ok(summary)
-    } else {
-        Err(McapError::BadSummaryCrc { saved: summary_crc, calculated }.into())
+    if calculated != summary_crc {
+        return Err(McapError::BadSummaryCrc { saved: summary_crc, calculated }.into());
     }
+    Ok(summary)
 }
 
 fn metadata(

@@ -12,19 +12,19 @@ use crate::time::{DcNs, MonoNs, UtcNs};
 /// Most encoders that a bar has: three of the gimbal, two of the cardan.
 pub const MAX_ENCODERS: usize = 5;
 
-/// What one encoder's terminal gave in one cycle.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+/// What one encoder's terminal gave in one cycle. The fields are in the order of the message.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EncoderSample {
     /// Bar joint that the encoder sits on, 1 to 5.
     pub joint: u8,
+    /// The count is fresh, in operation and free of terminal errors.
+    pub valid: bool,
+    /// Status word of the terminal's TxPDO, raw.
+    pub status: u16,
     /// 32-bit counter as the terminal gave it, wrapping.
     pub count: u32,
     /// Counter at the last reference mark (C), meaningful when the status says so.
     pub latch: u32,
-    /// Status word of the terminal's TxPDO, raw.
-    pub status: u16,
-    /// The count is fresh, in operation and free of terminal errors.
-    pub valid: bool,
 }
 
 /// Why a cycle, or a part of it, cannot be used. Bits of [`CycleRecord::flags`].
@@ -144,15 +144,10 @@ pub enum EventKind {
 
 impl EventKind {
     /// From its number in the file.
-    pub const fn from_u8(kind: u8) -> Option<Self> {
-        match kind {
-            1 => Some(Self::Marker),
-            2 => Some(Self::Gap),
-            3 => Some(Self::Bus),
-            4 => Some(Self::Clock),
-            5 => Some(Self::Disk),
-            _ => None,
-        }
+    pub(super) fn from_u8(number: u8) -> Option<Self> {
+        [Self::Marker, Self::Gap, Self::Bus, Self::Clock, Self::Disk]
+            .into_iter()
+            .find(|kind| *kind as u8 == number)
     }
 }
 

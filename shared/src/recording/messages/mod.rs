@@ -107,19 +107,9 @@ impl Header {
     }
 }
 
-/// `ballbard_msgs/EncoderSample`.
+/// `ballbard_msgs/BusCycle`, whose origin is a number, or [`Absent`] in files of older programs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct EncoderMessage {
-    joint: u8,
-    valid: bool,
-    status: u16,
-    count: u32,
-    latch: u32,
-}
-
-/// `ballbard_msgs/BusCycle`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct CycleMessage {
+struct CycleMessage<Origin> {
     header: Header,
     cycle: u64,
     dc_time_ns: i64,
@@ -127,42 +117,25 @@ struct CycleMessage {
     receive_monotonic_ns: i64,
     sample_time_uncertainty_ns: u32,
     flags: u32,
-    origin: u32,
+    origin: Origin,
     working_counter: u16,
     working_counter_expected: u16,
-    encoders: Vec<EncoderMessage>,
+    encoders: Vec<EncoderSample>,
 }
 
-/// The same as files had it before each record carried the number of its origin.
+/// A field that messages of older programs do not have: it takes no bytes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct FlaggedCycleMessage {
-    header: Header,
-    cycle: u64,
-    dc_time_ns: i64,
-    send_monotonic_ns: i64,
-    receive_monotonic_ns: i64,
-    sample_time_uncertainty_ns: u32,
-    flags: u32,
-    working_counter: u16,
-    working_counter_expected: u16,
-    encoders: Vec<EncoderMessage>,
+struct Absent;
+
+impl From<Absent> for u32 {
+    fn from(_: Absent) -> Self {
+        0
+    }
 }
 
-impl From<FlaggedCycleMessage> for CycleMessage {
-    fn from(message: FlaggedCycleMessage) -> Self {
-        Self {
-            header: message.header,
-            cycle: message.cycle,
-            dc_time_ns: message.dc_time_ns,
-            send_monotonic_ns: message.send_monotonic_ns,
-            receive_monotonic_ns: message.receive_monotonic_ns,
-            sample_time_uncertainty_ns: message.sample_time_uncertainty_ns,
-            flags: message.flags,
-            origin: 0,
-            working_counter: message.working_counter,
-            working_counter_expected: message.working_counter_expected,
-            encoders: message.encoders,
-        }
+impl From<Absent> for String {
+    fn from(_: Absent) -> Self {
+        Self::new()
     }
 }
 
@@ -187,29 +160,14 @@ impl CycleLayout {
     }
 }
 
-/// `ballbard_msgs/Event`.
+/// `ballbard_msgs/Event`, whose code is a text, or [`Absent`] in files of older programs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct EventMessage {
+struct EventMessage<Code> {
     header: Header,
     cycle: u64,
     kind: u8,
     text: String,
-    code: String,
-}
-
-/// The same as files had it before events had codes.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct PlainEventMessage {
-    header: Header,
-    cycle: u64,
-    kind: u8,
-    text: String,
-}
-
-impl From<PlainEventMessage> for EventMessage {
-    fn from(PlainEventMessage { header, cycle, kind, text }: PlainEventMessage) -> Self {
-        Self { header, cycle, kind, text, code: String::new() }
-    }
+    code: Code,
 }
 
 /// `rcl_interfaces/Log`.
@@ -290,42 +248,25 @@ pub(super) fn encode_cycle(record: &CycleRecord) -> Result<Vec<u8>, MessageError
         origin: record.origin,
         working_counter: record.working_counter,
         working_counter_expected: record.working_counter_expected,
-        encoders: record
-            .encoders()
-            .iter()
-            .map(|&EncoderSample { joint, count, latch, status, valid }| EncoderMessage {
-                joint,
-                valid,
-                status,
-                count,
-                latch,
-            })
-            .collect(),
+        encoders: record.encoders().to_vec(),
     })
 }
 
 /// One bus cycle from CDR. Where the file has no number of the origin it is 0.
 pub(super) fn decode_cycle(bytes: &[u8], layout: CycleLayout) -> Result<CycleRecord, MessageError> {
-    let message: CycleMessage = match layout {
-        CycleLayout::OriginNumber => from_cdr(bytes)?,
-        CycleLayout::OriginFlag => from_cdr::<FlaggedCycleMessage>(bytes)?.into(),
-    };
+    match layout {
+        CycleLayout::OriginNumber => cycle_record(from_cdr::<CycleMessage<u32>>(bytes)?),
+        CycleLayout::OriginFlag => cycle_record(from_cdr::<CycleMessage<Absent>>(bytes)?),
+    }
+}
+
+fn cycle_record<Origin: Into<u32>>(message: CycleMessage<Origin>) -> Result<CycleRecord, MessageError> {
+    let count = message.encoders.len();
     let mut encoders = [EncoderSample::default(); MAX_ENCODERS];
-    if message.encoders.len() > MAX_ENCODERS {
-        return Err(MessageError::Content(format!(
-            "{} encoders, a bar has at most {MAX_ENCODERS}",
-            message.encoders.len()
-        )));
-    }
-    for (sample, encoder) in encoders.iter_mut().zip(&message.encoders) {
-        *sample = EncoderSample {
-            joint: encoder.joint,
-            count: encoder.count,
-            latch: encoder.latch,
-            status: encoder.status,
-            valid: encoder.valid,
-        };
-    }
+    let used = encoders.get_mut(..count).ok_or_else(|| {
+        MessageError::Content(format!("{count} encoders, a bar has at most {MAX_ENCODERS}"))
+    })?;
+    used.copy_from_slice(&message.encoders);
     Ok(CycleRecord {
         cycle: message.cycle,
         sample_time: message.header.stamp.to_utc(),
@@ -336,8 +277,8 @@ pub(super) fn decode_cycle(bytes: &[u8], layout: CycleLayout) -> Result<CycleRec
         working_counter: message.working_counter,
         working_counter_expected: message.working_counter_expected,
         flags: message.flags,
-        origin: message.origin,
-        encoder_count: message.encoders.len() as u8,
+        origin: message.origin.into(),
+        encoder_count: count as u8,
         encoders,
     })
 }
@@ -355,13 +296,16 @@ pub(super) fn encode_event(event: &Event) -> Result<Vec<u8>, MessageError> {
 
 /// An event from CDR. No bytes are both a message with a code and one without: all of them must be used.
 pub(super) fn decode_event(bytes: &[u8]) -> Result<Event, MessageError> {
-    let message = from_cdr::<EventMessage>(bytes);
-    let message = message
-        .or_else(|error| from_cdr::<PlainEventMessage>(bytes).map(EventMessage::from).map_err(|_| error))?;
-    let kind = EventKind::from_u8(message.kind)
-        .ok_or_else(|| MessageError::Content(format!("event of unknown kind {}", message.kind)))?;
-    let EventMessage { header, cycle, text, code, .. } = message;
-    Ok(Event { time: header.stamp.to_utc(), cycle, kind, text, code })
+    from_cdr::<EventMessage<String>>(bytes)
+        .and_then(event)
+        .or_else(|error| from_cdr::<EventMessage<Absent>>(bytes).map_err(|_| error).and_then(event))
+}
+
+fn event<Code: Into<String>>(message: EventMessage<Code>) -> Result<Event, MessageError> {
+    let EventMessage { header, cycle, kind, text, code } = message;
+    let kind = EventKind::from_u8(kind)
+        .ok_or_else(|| MessageError::Content(format!("event of unknown kind {kind}")))?;
+    Ok(Event { time: header.stamp.to_utc(), cycle, kind, text, code: code.into() })
 }
 
 /// Joint angles for plotting: one name, position \[rad\] and velocity \[rad/s\] per encoder, NaN where it is not known: viewers
@@ -483,7 +427,7 @@ mod tests {
             prop_assert_eq!(decode_event(&encode_event(&event).unwrap()), Ok(event.clone()));
             let Event { time, cycle, kind, text, .. } = event;
             let older =
-                PlainEventMessage { header: Header::at(time), cycle, kind: kind as u8, text: text.clone() };
+                EventMessage { header: Header::at(time), cycle, kind: kind as u8, text: text.clone(), code: Absent };
             let plain = Event { time, cycle, kind, text, code: String::new() };
             prop_assert_eq!(decode_event(&to_cdr(&older).unwrap()), Ok(plain));
         }

@@ -7,6 +7,15 @@
 use mcap::McapError;
 use mcap::records::{ChunkHeader, Record, op};
 
+/// Opcode and length before each record.
+pub(in crate::recording) const PREFIX_BYTES: usize = 9;
+
+/// Opcode and length of the record at the beginning of `bytes`, and what follows its prefix.
+pub(in crate::recording) fn split_prefix(bytes: &[u8]) -> Option<(u8, usize, &[u8])> {
+    let (&[opcode, ref length @ ..], behind) = bytes.split_first_chunk::<PREFIX_BYTES>()?;
+    Some((opcode, usize::try_from(u64::from_le_bytes(*length)).unwrap_or(usize::MAX), behind))
+}
+
 /// What a record is made of, as far as it has lengths.
 enum Part {
     /// As many bytes.
@@ -34,10 +43,9 @@ pub(in crate::recording) fn ends_with_its_content(opcode: u8, data: &[u8]) -> bo
 
 /// Whether the records of an uncompressed chunk end with it; the library would go on behind its end. What a compressed
 /// one holds it looks at itself.
-pub fn chunk_is_whole(header: &ChunkHeader, records: &[u8]) -> bool {
+pub(super) fn chunk_is_whole(header: &ChunkHeader, records: &[u8]) -> bool {
     let mut rest = if header.compression.is_empty() { records } else { &[] };
-    while let Some(([_, length @ ..], behind)) = rest.split_first_chunk::<9>() {
-        let length = usize::try_from(u64::from_le_bytes(*length)).unwrap_or(usize::MAX);
+    while let Some((_, length, behind)) = split_prefix(rest) {
         let Some(next) = behind.get(length..) else { return false };
         rest = next;
     }
@@ -48,14 +56,13 @@ pub fn chunk_is_whole(header: &ChunkHeader, records: &[u8]) -> bool {
 pub fn up_to_broken_chunk(file: &[u8]) -> &[u8] {
     const MAGIC_BYTES: usize = 8;
     let mut rest = file.get(MAGIC_BYTES..).unwrap_or_default();
-    while let Some(([opcode, length @ ..], behind)) = rest.split_first_chunk::<9>() {
-        let length = usize::try_from(u64::from_le_bytes(*length)).unwrap_or(usize::MAX);
+    while let Some((opcode, length, behind)) = split_prefix(rest) {
         let content = behind.split_at_checked(length);
         let is_whole = |(chunk, _): (&[u8], &[u8])| match parse_record(op::CHUNK, chunk) {
             Ok(Record::Chunk { header, data }) => chunk_is_whole(&header, &data),
             _ => false,
         };
-        if *opcode == op::CHUNK && !content.is_some_and(is_whole) {
+        if opcode == op::CHUNK && !content.is_some_and(is_whole) {
             return &file[..file.len() - rest.len()];
         }
         let Some((_, next)) = content else { break };

@@ -12,12 +12,10 @@ use mcap::records::{Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
 use super::reader::ReadErrorKind;
-use lengths::{chunk_is_whole, parse_record};
+use lengths::{PREFIX_BYTES, chunk_is_whole, parse_record};
 
 /// Longest record that a recording has: far above a second of 1 kHz cycles, far below memory.
 pub(super) const RECORD_LENGTH_BYTES_MAX: usize = 64 << 20;
-/// Opcode and length before each record.
-pub(super) const PREFIX_BYTES: usize = 9;
 
 /// Hands every record of the file, chunks unpacked, to `sink`.
 pub(super) fn for_each_record<E: From<ReadErrorKind>>(

@@ -13,8 +13,8 @@ use mcap::records::{Record, op};
 
 use crate::recording::content::{OUR_METADATA, is_proven};
 use crate::recording::reader::ReadErrorKind;
-use crate::recording::records::lengths::{ends_with_its_content, parse_record};
-use crate::recording::records::{PREFIX_BYTES, RECORD_LENGTH_BYTES_MAX, open_chunk};
+use crate::recording::records::lengths::{PREFIX_BYTES, ends_with_its_content, parse_record, split_prefix};
+use crate::recording::records::{RECORD_LENGTH_BYTES_MAX, open_chunk};
 
 /// First bytes of the records that are searched behind damage.
 const BEGINNINGS: [u8; 4] = [op::CHUNK, op::METADATA, op::ATTACHMENT, op::DATA_END];
@@ -106,8 +106,7 @@ pub(super) fn for_each_proven_record<E: From<io::Error>>(
 
 /// Length of the record with a checksum that seems to begin here, with its prefix.
 fn proven_length(head: &[u8]) -> Option<usize> {
-    let (&[opcode, ref length @ ..], content) = head.split_first_chunk::<PREFIX_BYTES>()?;
-    let length = usize::try_from(u64::from_le_bytes(*length)).ok()?;
+    let (opcode, length, content) = split_prefix(head)?;
     let seems = length <= RECORD_LENGTH_BYTES_MAX
         && match opcode {
             op::CHUNK => chunk_length(content) == Some(length as u64),
@@ -143,7 +142,7 @@ fn take_proven<E>(
     damage: &Damage,
     sink: &mut Sink<'_, E>,
 ) -> Result<Option<usize>, E> {
-    let Some((&[opcode, ..], content)) = bytes.split_first_chunk::<PREFIX_BYTES>() else { return Ok(None) };
+    let Some((opcode, _, content)) = split_prefix(bytes) else { return Ok(None) };
     if bytes.len() != length {
         return Ok(None);
     }
@@ -198,10 +197,7 @@ impl Surroundings {
             return Ok(Some(MAGIC.len()));
         }
         let follows_magic = file.at == MAGIC.len() as u64;
-        let Some(&[opcode, ref length @ ..]) = file.peek(PREFIX_BYTES)?.first_chunk::<PREFIX_BYTES>() else {
-            return Ok(None);
-        };
-        let length = usize::try_from(u64::from_le_bytes(*length)).unwrap_or(usize::MAX);
+        let Some((opcode, length, _)) = split_prefix(file.peek(PREFIX_BYTES)?) else { return Ok(None) };
         if !self.may_have(opcode, follows_magic) || length > RECORD_LENGTH_BYTES_MAX {
             return Ok(None);
         }
