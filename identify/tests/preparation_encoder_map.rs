@@ -153,7 +153,7 @@ fn pairs(alike: &[[usize; 2]]) -> Vec<AnglePair> {
             let mut recorded_rad = predicted_rad.map(|angle| angle + 1.7);
             // Encoders 1 and 3 are exchanged.
             recorded_rad.swap(0, 2);
-            AnglePair { segment: 0, recorded_rad, predicted_rad }
+            AnglePair { recorded_rad, predicted_rad, ..AnglePair::default() }
         })
         .collect()
 }

@@ -236,6 +236,11 @@ pub enum LogError {
 }
 
 impl LogError {
+    /// [`Self::TooFewRows`] where `rows` are less than `needed`.
+    pub(super) fn unless_enough(path: &Path, rows: usize, needed: usize) -> Result<(), Self> {
+        if rows < needed { Err(Self::TooFewRows { path: path.to_owned(), rows, needed }) } else { Ok(()) }
+    }
+
     /// [`Self::TimeNotIncreasing`] between two rows, each with its place in the file and its stamp \[ns\].
     pub(super) fn time_not_increasing(
         path: &Path,

@@ -119,6 +119,19 @@ pub struct LogQuality {
     pub remarks: Vec<String>,
 }
 
+impl LogQuality {
+    /// Adds remarks on repeated and incomplete rows: what rows are called, which values they repeat, what was `done` with them, and
+    /// what incomplete ones `lack`.
+    fn tell_counts(&mut self, row: &str, values: &str, done: &str, lack: &str) {
+        let repeat = format!("repeat {values} before them in the middle of a motion");
+        for (count, what) in [(self.frozen_dropped, repeat.as_str()), (self.incomplete_dropped, lack)] {
+            if count > 0 {
+                self.remarks.push(format!("{count} {row}s {what}; {done}"));
+            }
+        }
+    }
+}
+
 /// A robot's joint log on its own clock.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct RobotLog {

@@ -2,7 +2,7 @@
 
 use super::align::refine::Residuals;
 use super::samples::angle_errors::{AngleErrors, LocalShift, local_shifts};
-use super::{ClockFit, PrepareError, Prepared};
+use super::{PrepareError, Prepared};
 use crate::kinematics::BAR_JOINTS;
 use crate::model::{Clock, Geometry, Observation};
 
@@ -28,7 +28,7 @@ pub struct Deviations {
     /// How the alignment varies along the run; times since the first valid sample.
     pub local_shifts: Vec<LocalShift>,
     /// Those times to times after the first stamp of the robot's log.
-    pub clock: ClockFit,
+    pub clock: Clock,
 }
 
 impl Deviations {
@@ -38,7 +38,7 @@ impl Deviations {
         local_shifts: &[LocalShift],
         measured: [bool; BAR_JOINTS],
         t_ref_s: f64,
-        clock: ClockFit,
+        clock: Clock,
     ) -> Self {
         let later = |shift: &LocalShift| LocalShift { t_s: shift.t_s + t_ref_s, ..*shift };
         Self {
@@ -52,8 +52,7 @@ impl Deviations {
     /// Of the samples that a solve had, at its geometry.
     pub(crate) fn at(prepared: &Prepared, geometry: Geometry) -> Self {
         let (measured, first_s) = (prepared.measured, prepared.first_s());
-        let Clock { shift_s, skew } = geometry.clock;
-        let since_first = ClockFit { shift_s: prepared.motion.origin_s() + shift_s, skew };
+        let since_reference = prepared.motion.solved(geometry.clock);
         let residuals = Residuals::new(&prepared.motion, geometry.clone(), measured);
         let offsets = |origin| geometry.offsets_of_origin(origin);
         let errors: Vec<AngleErrors> = (prepared.observations.iter().enumerate())
@@ -63,7 +62,7 @@ impl Deviations {
                 residuals.of_sample(sample, *origin, *t_s, &bar_rad)
             })
             .collect();
-        Self::new(&errors, &local_shifts(&errors), measured, -first_s, since_first.counted_from(first_s))
+        Self::new(&errors, &local_shifts(&errors), measured, -first_s, since_reference.counted_from(first_s))
     }
 }
 
@@ -108,7 +107,7 @@ impl PrepareError {
             Self::LittleTravel { joint, .. } => Place { joint: Some(*joint), ..Place::default() },
             Self::WithDeviations { error, deviations } => {
                 let place = error.place();
-                Place { robot_s: place.bar_s.map(|bar_s| deviations.clock.tau_s(bar_s)), ..place }
+                Place { robot_s: place.bar_s.map(|bar_s| deviations.clock.robot_time_s(bar_s)), ..place }
             }
             _ => Place::default(),
         }

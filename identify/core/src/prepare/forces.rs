@@ -7,8 +7,8 @@ use nalgebra::Vector3;
 use serde::Serialize;
 use shared::time::UtcNs;
 
-use super::Alignment;
 use super::torque::{TorqueSample, forces_from_torques};
+use super::{AlignedLog, Alignment};
 use crate::kinematics::{Chain, Joints};
 use crate::logs::{ForceClock, ForceKind, ForceLog, Row};
 use crate::model::{BarForce, JointState, Observation, ParameterId, RobotMotion};
@@ -114,15 +114,13 @@ pub enum ForceError {
 }
 
 /// What a force is brought to the bar with.
-pub(super) struct Surroundings<'a, M> {
+pub(super) struct Surroundings<'a> {
     /// Reference time on the bar's clock.
     pub t_ref: UtcNs,
-    /// Robot clock minus bar clock there \[ns\].
-    pub clock_difference_ns: i64,
-    /// Relative rate of the robot's clock minus one.
-    pub skew: f64,
+    /// The robot's clock against the bar's there.
+    pub alignment: &'a Alignment,
     /// The robot's motion, in robot time since the reference.
-    pub motion: &'a M,
+    pub motion: &'a AlignedLog,
     /// The nominal robot.
     pub robot: &'a Chain,
     /// Centre of the gimbal in the robot's base \[m\].
@@ -135,10 +133,10 @@ pub(super) struct Surroundings<'a, M> {
 ///
 /// # Errors
 /// [`ForceError`] where the force log is of another time or cannot be a force on a bar.
-pub(super) fn put_on<M: RobotMotion>(
+pub(super) fn put_on(
     observations: &mut Vec<Observation>,
     log: &ForceLog,
-    around: &Surroundings<'_, M>,
+    around: &Surroundings<'_>,
 ) -> Result<(BarForces, Vec<bool>), ForceError> {
     let value = |observation: &Observation| log.values.at(around.log_time_s(log, observation.t_s));
     let rows: Vec<Option<Joints>> = observations.iter().map(value).collect();
@@ -185,24 +183,14 @@ fn check(kind: ForceKind, along: &[f64]) -> Result<[f64; 2], ForceError> {
     Ok([low, high])
 }
 
-impl<'a, M: RobotMotion> Surroundings<'a, M> {
-    pub fn new(
-        t_ref: UtcNs,
-        alignment: &Alignment,
-        motion: &'a M,
-        robot: &'a Chain,
-        base_m: Vector3<f64>,
-        gravity: Vector3<f64>,
-    ) -> Self {
-        let Alignment { clock_difference_ns, skew, .. } = *alignment;
-        Self { t_ref, clock_difference_ns, skew, motion, robot, base_m, gravity }
-    }
-
+impl Surroundings<'_> {
     /// Time of the force log, after its first stamp, at a bar time since the reference \[s\].
     fn log_time_s(&self, log: &ForceLog, t_s: f64) -> f64 {
         let (reference_ns, rate) = match log.clock {
             ForceClock::Bar => (self.t_ref.0, 1.0),
-            ForceClock::Robot => (self.t_ref.0.saturating_add(self.clock_difference_ns), 1.0 + self.skew),
+            ForceClock::Robot => {
+                (self.t_ref.0.saturating_add(self.alignment.clock_difference_ns), 1.0 + self.alignment.skew)
+            }
         };
         // Stamps have more digits than a float.
         let since_first_s = (i128::from(reference_ns) - i128::from(log.values.first_stamp_ns)) as f64 * 1e-9;
@@ -212,7 +200,7 @@ impl<'a, M: RobotMotion> Surroundings<'a, M> {
     /// The robot at a bar time since the reference. Rates are taken over a few hundredths of a second: from one row of its
     /// log to the next they are mostly noise, which friction would take for changes of direction.
     fn state(&self, t_s: f64) -> JointState {
-        let at = |by_s: f64| self.motion.at(t_s + self.skew * t_s + by_s);
+        let at = |by_s: f64| self.motion.at(t_s + self.alignment.skew * t_s + by_s);
         let here = at(0.0).unwrap_or_default();
         let (Some(before), Some(after)) = (at(-RATE_REACH_S), at(RATE_REACH_S)) else { return here };
         let rate = |i: usize| (after.q[i] - before.q[i]) / (2.0 * RATE_REACH_S);

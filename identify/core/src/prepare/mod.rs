@@ -38,7 +38,6 @@ mod timeline;
 mod torque;
 
 pub use align::aligned::AlignedLog;
-pub use align::clock::ClockFit;
 pub use align::correlate::{Channels, Match, candidates, correlate};
 pub(crate) use align::placement::nearest_rotation;
 pub use align::placement::{PROBE_SIGMA_M, Sighted, all_placements};
@@ -67,7 +66,6 @@ use shared::recording::schema::required;
 use shared::time::UtcNs;
 
 use crate::kinematics::{BAR_JOINTS, Configuration};
-use crate::logs::RobotLog;
 use crate::model::Observation;
 
 /// Limits and sizes of the preparation. The defaults suit a run of half a minute to an hour.
@@ -191,8 +189,8 @@ impl SampleCounts {
     }
 }
 
-/// How the two logs were brought together.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// How the two logs were aligned.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Alignment {
     /// Correlation of the speeds at the best shift.
     pub correlation: f64,
@@ -214,30 +212,10 @@ impl Alignment {
     pub fn solved_difference_ns(&self, shift_s: f64) -> i64 {
         self.clock_difference_ns.saturating_add((shift_s * 1e9).round() as i64)
     }
-
-    /// Of clocks that are counted from a reference time of the other log, and of the speeds that matched.
-    fn new(
-        matched: &Match,
-        ambiguous: bool,
-        clock: ClockFit,
-        log: &RobotLog,
-        t_ref: UtcNs,
-        overlap_s: [f64; 2],
-    ) -> Self {
-        let robot_ref_ns = log.q_rad.first_stamp_ns.saturating_add((clock.shift_s * 1e9).round() as i64);
-        Self {
-            correlation: matched.correlation,
-            runner_up: matched.runner_up,
-            ambiguous,
-            overlap_s: overlap_s[1] - overlap_s[0],
-            clock_difference_ns: robot_ref_ns.saturating_sub(t_ref.0),
-            skew: clock.skew,
-        }
-    }
 }
 
-/// Where a solve begins.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// Start values of a solve.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct InitialValues {
     /// Clock shift beyond [`Alignment::clock_difference_ns`] \[s\]: zero, the motion is aligned already.
     pub clock_shift_s: f64,
@@ -310,24 +288,11 @@ impl Prepared {
             observations,
             motion,
             measured,
-            initial: InitialValues {
-                clock_shift_s: 0.0,
-                clock_skew: 0.0,
-                base_m,
-                length_m: 0.0,
-                btheta_rad: [0.0; BAR_JOINTS],
-            },
+            initial: InitialValues { base_m, ..InitialValues::default() },
             configuration,
-            alignment: Alignment {
-                correlation: 1.0,
-                runner_up: 0.0,
-                ambiguous: false,
-                overlap_s,
-                clock_difference_ns: 0,
-                skew: 0.0,
-            },
+            alignment: Alignment { correlation: 1.0, overlap_s, ..Alignment::default() },
             offsets: Vec::new(),
-            sphere: SphereFit { centre_m: base_m, radius_m: 0.0, rms_m: 0.0, inliers: 1.0 },
+            sphere: SphereFit { centre_m: base_m, inliers: 1.0, ..SphereFit::default() },
             counts: SampleCounts { recorded: kept, kept, ..SampleCounts::default() },
             timeline: Timeline::default(),
             encoder_map: EncoderMapReport::default(),

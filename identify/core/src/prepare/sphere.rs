@@ -12,7 +12,7 @@ use crate::logs::{JointConversion, JointMistake, RobotLog};
 use crate::statistics::median;
 
 /// A sphere through robot positions.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct SphereFit {
     /// Centre \[m\].
     pub centre_m: Vector3<f64>,
@@ -180,7 +180,7 @@ pub(super) fn turned_plate(
         let positions = turned(by_deg);
         let sphere = fit_sphere(&positions, options.sphere_tolerance_mm * 1e-3)?;
         // Those that are not near it count as well: else a sphere through a few would be the best.
-        let mut away_m: Vec<f64> = positions.iter().map(|p| sphere.distance_m(p).abs()).collect();
+        let mut away_m: Vec<f64> = positions.iter().map(|p| sphere.sphere().distance(p).abs()).collect();
         Some((by_deg, sphere, median(&mut away_m)?))
     };
     let (_, _, usual_m) = fitted(0.0)?;
@@ -243,14 +243,14 @@ pub fn fit_sphere(positions_m: &[Vector3<f64>], tolerance_m: f64) -> Option<Sphe
 }
 
 impl SphereFit {
-    fn distance_m(&self, position_m: &Vector3<f64>) -> f64 {
-        (position_m - self.centre_m).norm() - self.radius_m
+    fn sphere(&self) -> Sphere {
+        Sphere { centre_m: self.centre_m, radius_m: self.radius_m }
     }
 
     /// The same sphere drawn towards a radius that is known from elsewhere: on a part of a sphere, centre and radius
     /// are hard to separate. Itself where nothing is gained.
     pub fn drawn_to_length(self, positions_m: &[Vector3<f64>], tolerance_m: f64, length_m: f64) -> Self {
-        let sphere = Sphere { centre_m: self.centre_m, radius_m: self.radius_m };
+        let sphere = self.sphere();
         let on_it: Vec<Vector3<f64>> =
             positions_m.iter().filter(|p| sphere.distance(p).abs() < tolerance_m).copied().collect();
         let weight = on_it.len() as f64 / POSITIONS_INDEPENDENT * (self.rms_m / LENGTH_SIGMA_M).powi(2);

@@ -1,13 +1,11 @@
 //! The steps of the preparation in their order.
 
-use std::sync::Arc;
-
 use nalgebra::Vector3;
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
-use shared::time::UtcNs;
 
 use super::align::find::{Found, Search};
+use super::align::reference::Reference;
 use super::encoders::frozen::frozen;
 use super::encoders::origins::join;
 use super::forces::{Surroundings, put_on};
@@ -17,12 +15,12 @@ use super::samples::{Sorted, sort};
 use super::sphere::{sphere_of_log, turned_plate};
 use super::timeline::Run;
 use super::{
-    AlignedLog, Alignment, BarForces, ClockFit, EncoderOffset, InitialValues, Predictor, PrepareError,
-    PrepareOptions, Prepared, SampleCounts, SampleStatus, SphereFit,
+    AlignedLog, BarForces, EncoderOffset, InitialValues, Predictor, PrepareError, PrepareOptions, Prepared,
+    SampleCounts, SampleStatus, SphereFit,
 };
-use crate::kinematics::{BAR_JOINTS, Chain, Joints, ball_bar_chain, robot_chain, wrapped};
-use crate::logs::{CubicSpline, RobotLog, travel};
-use crate::model::{DriveTrain, Observation};
+use crate::kinematics::{BAR_JOINTS, ball_bar_chain, robot_chain, wrapped};
+use crate::logs::{RobotLog, travel};
+use crate::model::{Clock, DriveTrain, Observation};
 use crate::threads;
 
 /// Joints that travel less than this do not move \[deg\].
@@ -58,26 +56,43 @@ pub fn prepare(
     let (interpolated, sphere) = (interpolated?, sphere?);
     let robot = arm;
     let predictor = Predictor::new(&interpolated, &robot, &bar_chain, sphere.centre_m)?;
-    let chains = [&robot, &bar_chain];
-    let mut found =
-        search(encoders, &both, &interpolated, &predictor, chains, options).map_err(|error| match error {
-            PrepareError::NoEncoderMap { recorded, limit_mrad, .. } => {
-                let likely = turned_plate(log, &robot, bar.length_m, options);
-                PrepareError::NoEncoderMap { recorded, limit_mrad, likely }
-            }
-            error => error,
-        })?;
-    let Reference { overlap_s, t_ref_s, t_ref, clock } =
-        Reference::new(angles, &found, log.q_rad.duration_s());
+    let recorded_joints: Vec<u8> = encoders.iter().map(|encoder| encoder.joint).collect();
+    let search = Search {
+        readings: &angles.readings,
+        recorded_joints: &recorded_joints,
+        origins: angles.origins(),
+        log: &interpolated,
+        log_duration_s: log.q_rad.duration_s(),
+        predictor: &predictor,
+        chains: [&robot, &bar_chain],
+        options,
+    };
+    let mut found = search.run().map_err(|error| match error {
+        PrepareError::NoEncoderMap { recorded, limit_mrad, .. } => {
+            let likely = turned_plate(log, &robot, bar.length_m, options);
+            PrepareError::NoEncoderMap { recorded, limit_mrad, likely }
+        }
+        error => error,
+    })?;
+    let (end_s, log_s) = (angles.readings.duration_s(), log.q_rad.duration_s());
+    let between = Reference::new(angles.first_time(), end_s, found.fit.clock, log_s);
+    let alignment = between.alignment(&found.matched, found.ambiguous, log);
+    let Reference { t_ref_s, t_ref, clock, .. } = between;
     let motion = AlignedLog::new(interpolated.clone(), clock.shift_s);
     let (reference, origins) = join(&angles.readings, &mut found, t_ref_s);
     let numbers: Vec<usize> = origins.iter().map(|span| span.number).collect();
     let mut sorted = sort(&angles.readings, &found, &motion, t_ref_s, reference, &numbers, options)?;
     let offsets = offsets(&found, reference, &sorted);
     let initial = initial(found.fit.geometry.base.origin_m, &sphere, clock, &offsets);
-    let alignment = Alignment::new(&found.matched, found.ambiguous, clock, log, t_ref, overlap_s);
     let mut statuses = statuses_of_all(angles, &sorted.statuses);
-    let around = Surroundings::new(t_ref, &alignment, &motion, &robot, initial.base_m, gravity);
+    let around = Surroundings {
+        t_ref,
+        alignment: &alignment,
+        motion: &motion,
+        robot: &robot,
+        base_m: initial.base_m,
+        gravity,
+    };
     let force = with_force(&mut sorted.observations, &mut statuses, log, &around)?;
     let run = Run {
         cycles,
@@ -87,14 +102,14 @@ pub fn prepare(
         statuses: &statuses,
         samples: &sorted.joints,
         encoder_map: &found.encoder_map.used,
-        configuration: found.settled.configuration,
+        configuration: found.offset_fit.configuration,
         predictor: &predictor,
     };
     Ok(Prepared {
         t_ref,
         measured: found.encoder_map.used.measured(),
         initial,
-        configuration: found.settled.configuration,
+        configuration: found.offset_fit.configuration,
         alignment,
         offsets,
         sphere,
@@ -110,35 +125,12 @@ pub fn prepare(
     })
 }
 
-/// Where in the robot's log the recording lies, and which encoder is which.
-fn search(
-    encoders: &[EncoderInfo],
-    both: &BothLogs<'_>,
-    interpolated: &Arc<CubicSpline<Joints>>,
-    predictor: &Predictor<'_>,
-    chains: [&Chain; 2],
-    options: &PrepareOptions,
-) -> Result<Found, PrepareError> {
-    let recorded_joints: Vec<u8> = encoders.iter().map(|encoder| encoder.joint).collect();
-    let search = Search {
-        readings: &both.angles.readings,
-        recorded_joints: &recorded_joints,
-        origins: both.angles.origins(),
-        log: interpolated,
-        log_duration_s: both.log.q_rad.duration_s(),
-        predictor,
-        chains,
-        options,
-    };
-    search.run()
-}
-
 /// Puts the force on the bar, where one was measured, on each sample. Samples without one are left out.
 fn with_force(
     observations: &mut Vec<Observation>,
     statuses: &mut [SampleStatus],
     log: &RobotLog,
-    around: &Surroundings<'_, AlignedLog>,
+    around: &Surroundings<'_>,
 ) -> Result<Option<BarForces>, PrepareError> {
     let Some(force) = &log.force else { return Ok(None) };
     let (forces, has_force) = put_on(observations, force, around)?;
@@ -150,38 +142,10 @@ fn with_force(
     Ok(Some(forces))
 }
 
-/// The middle of what both logs cover, to which all times of the result refer.
-struct Reference {
-    /// Bar times, since the first sample, between which both logs say something \[s\].
-    overlap_s: [f64; 2],
-    /// The middle of it \[s\]...
-    t_ref_s: f64,
-    /// ...as the recording's clock has it.
-    t_ref: UtcNs,
-    /// The fit for times since then.
-    clock: ClockFit,
-}
-
-impl Reference {
-    fn new(angles: &BarAngles, found: &Found, log_duration_s: f64) -> Self {
-        let overlap_s = overlap_s(angles.readings.duration_s(), found.fit.clock, log_duration_s);
-        let t_ref_s = 0.5 * (overlap_s[0] + overlap_s[1]);
-        let t_ref = angles.first_time().plus_ns((t_ref_s * 1e9).round() as i64);
-        Self { overlap_s, t_ref_s, t_ref, clock: found.fit.clock.counted_from(t_ref_s) }
-    }
-}
-
-/// Times on the other clock, since its first sample, between which both logs say something; the last sample is at `end_s` \[s\].
-pub(super) fn overlap_s(end_s: f64, clock: ClockFit, log_duration_s: f64) -> [f64; 2] {
-    let bar_time_s = |tau_s: f64| (tau_s - clock.shift_s) / (1.0 + clock.skew);
-    let from_s = bar_time_s(0.0).clamp(0.0, end_s);
-    [from_s, bar_time_s(log_duration_s).clamp(from_s, end_s)]
-}
-
 fn initial(
     base_m: Vector3<f64>,
     sphere: &SphereFit,
-    clock: ClockFit,
+    clock: Clock,
     offsets: &[EncoderOffset],
 ) -> InitialValues {
     let mut btheta_rad = [0.0; BAR_JOINTS];
@@ -199,7 +163,7 @@ fn initial(
 
 /// Offsets of the reference origin and how well they fit.
 fn offsets(found: &Found, reference: usize, sorted: &Sorted) -> Vec<EncoderOffset> {
-    let offsets = found.settled.offsets.get(reference).copied().flatten();
+    let offsets = found.offset_fit.of_origin(reference);
     let measured = found.encoder_map.used.measured();
     let offset = |joint: usize| EncoderOffset {
         joint: joint as u8 + 1,

@@ -6,9 +6,10 @@ use shared::time::UtcNs;
 
 use super::readings::both_logs::BothLogs;
 use super::readings::standstill::{Jitter, MOVING_RAD_S, Readings, Standstill, standstills};
-use super::{Averaged, ClockFit, EncoderMap, Predictor};
+use super::{Averaged, EncoderMap, Predictor};
 use crate::kinematics::{BAR_JOINTS, Configuration, Joints, wrapped};
 use crate::logs::Unwrapped;
+use crate::model::Clock;
 use crate::threads::rows;
 
 /// What became of a bus cycle.
@@ -108,7 +109,7 @@ pub(super) struct Run<'a> {
     /// Reference time.
     pub t_ref: UtcNs,
     /// Bar time since then to robot time.
-    pub clock: ClockFit,
+    pub clock: Clock,
     /// Of every cycle.
     pub statuses: &'a [SampleStatus],
     /// Valid samples in the order of time.
@@ -167,7 +168,7 @@ impl Run<'_> {
         let sample = self.samples.binary_search_by_key(&cycle, |sample| sample.cycle).ok();
         let time = self.cycles.get(cycle).map(|cycle| cycle.sample_time);
         let t_s = time.map_or(0.0, |time| time.seconds_since(self.t_ref));
-        let tau_s = self.clock.tau_s(t_s);
+        let tau_s = self.clock.robot_time_s(t_s);
         let predicted = self.predictor.at(tau_s);
         let predicted_rad = predicted.map(|bar| self.configuration.carry(&bar.joints_rad));
         let bar_speed_rad_s = sample.and_then(|index| self.bar_speed_rad_s(index));
@@ -224,7 +225,7 @@ impl Run<'_> {
     /// Samples at which neither robot nor bar moves.
     fn still(&self) -> Vec<Readings> {
         let slow = |speed: Option<f64>| speed.is_some_and(|speed| speed < MOVING_RAD_S);
-        let tau_s = |index: usize| self.clock.tau_s(self.samples[index].t_s);
+        let tau_s = |index: usize| self.clock.robot_time_s(self.samples[index].t_s);
         let is_still = rows(self.samples.len(), |index| {
             slow(self.bar_speed_rad_s(index)) && slow(self.robot_speed_rad_s(tau_s(index)))
         });

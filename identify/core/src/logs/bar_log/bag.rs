@@ -5,7 +5,7 @@ use std::path::Path;
 use shared::config::BallBarConfig;
 use shared::recording::schema::MAX_ENCODERS;
 
-use super::mapping::{BarLogMapping, EncoderUnit};
+use super::mapping::{BarLogMapping, EncoderColumn, EncoderUnit};
 use super::samples::{Kind, RawBarLog, RawRow, Reading};
 use super::{LogError, LogFormat, OtherBarLog};
 use crate::kinematics::BAR_JOINTS;
@@ -32,12 +32,12 @@ pub(super) fn read(
 ) -> Result<OtherBarLog, LogError> {
     let bag = Bag::open(bytes, path, format)?;
     let topic = mapping.and_then(|mapping| mapping.topic.as_deref());
-    let (topic, names) = bag.choose(path, topic, &WANTED, |found| encoders(found, bar, mapping))?;
+    let (topic, encoders) = bag.choose(path, topic, &WANTED, |found| encoders_among(found, bar, mapping))?;
     let wraps_at = BarLogMapping::wraps_at_of(mapping);
-    let reading = |(joint, name, unit): &(u8, String, EncoderUnit)| {
-        Reading::new(*joint, *unit, wraps_at, bar, (path, name))
+    let reading = |EncoderColumn { joint, column, unit, .. }: &EncoderColumn| {
+        Reading::new(*joint, unit.unwrap_or(EncoderUnit::Rad), wraps_at, bar, (path, column))
     };
-    let readings = names.iter().map(reading).collect::<Result<Vec<Reading>, LogError>>()?;
+    let readings = encoders.iter().map(reading).collect::<Result<Vec<Reading>, LogError>>()?;
     let stamped = topic.is_stamped();
     let kind = Kind {
         name: "ROS 2 bag with JointState",
@@ -60,8 +60,8 @@ pub(super) fn read(
             ..RawRow::default()
         };
         let mut is_of_bar = false;
-        for (count, ((_, name, _), reading)) in row.counts.iter_mut().zip(names.iter().zip(&readings)) {
-            let place = state.names.iter().position(|other| other == name);
+        for (count, (encoder, reading)) in row.counts.iter_mut().zip(encoders.iter().zip(&readings)) {
+            let place = state.names.iter().position(|name| *name == encoder.column);
             is_of_bar |= place.is_some();
             let value = place.and_then(|place| state.position.get(place)).copied();
             *count = value.and_then(|value| count_of(value, reading));
@@ -85,33 +85,30 @@ fn count_of(value: f64, reading: &Reading) -> Option<i64> {
     reading.count_of_angle(value)
 }
 
-/// Joint, name and unit of each encoder, in the order of the bar's configuration or of the mapping, if all are there.
-fn encoders(
+/// The encoders in the order of the bar's configuration or of the mapping, if all are among the joints that were found.
+fn encoders_among(
     found: &[&str],
     bar: &BallBarConfig,
     mapping: Option<&BarLogMapping>,
-) -> Option<Vec<(u8, String, EncoderUnit)>> {
+) -> Option<Vec<EncoderColumn>> {
+    let is_found = |encoder: &EncoderColumn| found.contains(&encoder.column.as_str());
     if let Some(mapping) = mapping {
-        let named = mapping
-            .encoders
-            .iter()
-            .map(|encoder| (encoder.joint, encoder.column.clone(), encoder.unit.unwrap_or(EncoderUnit::Rad)));
-        let named: Vec<_> = named.collect();
-        let all = named.iter().all(|(_, name, _)| found.contains(&name.as_str()));
-        return all.then_some(named);
+        return Some(mapping.encoders.clone()).filter(|encoders| encoders.iter().all(is_found));
     }
-    let usual = |prefix: &str, joint: u8| format!("{prefix}{USUAL}{joint}");
     let prefixes = found.iter().flat_map(|name| {
         (1..=BAR_JOINTS).filter_map(move |joint| name.strip_suffix(&format!("{USUAL}{joint}")))
     });
     let mut prefixes: Vec<&str> = prefixes.collect();
     prefixes.sort_unstable();
     prefixes.dedup();
-    // Two bars in one topic: which is meant must be said.
+    // Of two bars in one topic a mapping must name one.
     let [prefix] = prefixes[..] else { return None };
-    let named = bar.encoders.iter().map(|encoder| {
-        let name = usual(prefix, encoder.joint);
-        found.contains(&name.as_str()).then_some((encoder.joint, name, EncoderUnit::Rad))
-    });
-    named.collect()
+    let encoder = |joint: u8| EncoderColumn {
+        joint,
+        column: format!("{prefix}{USUAL}{joint}"),
+        unit: None,
+        valid: None,
+    };
+    let encoders = bar.encoders.iter().map(|configured| encoder(configured.joint));
+    encoders.map(|encoder| Some(encoder).filter(is_found)).collect()
 }

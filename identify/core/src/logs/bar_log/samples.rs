@@ -12,6 +12,7 @@ use shared::time::UtcNs;
 use super::mapping::EncoderUnit;
 use super::{OtherBarLog, UNSAID};
 use crate::logs::time_series::excursions::{Excursions, Fastest, told};
+use crate::logs::time_series::frozen::repeated_rows;
 use crate::logs::{LogError, LogQuality, ROWS_MIN, Unwrapped, UnwrappedPoint, since_first_s};
 
 /// Faster than this no bar is moved by a robot \[rad/s\].
@@ -22,8 +23,6 @@ const FASTEST: Fastest = Fastest { speed: SPEED_RAD_S_MAX, acceleration: 200.0 }
 const JUMP_RAD_MIN: f64 = 0.2;
 /// Places where counters started anew that a remark names: a wrong scale makes thousands.
 const PLACES_MAX: usize = 5;
-/// A row that repeats the counts before it is frozen if they moved further than this before and after \[rad\].
-const FROZEN_STEP_RAD: f64 = 1e-4;
 /// Angles become counts of which so many make a turn: one is 1.5 nrad, and angles that begin anew after each turn are
 /// followed by the same arithmetic that follows counters.
 const ANGLE_SCALE: EncoderScale = EncoderScale {
@@ -184,9 +183,7 @@ impl RawBarLog {
     /// [`LogError::TooFewRows`], and [`LogError::Content`] where counters wrap elsewhere than is known.
     pub fn finish(mut self, clock: String) -> Result<OtherBarLog, LogError> {
         let usable = self.rows.iter().filter(|row| row.is_valid(self.readings.len())).count();
-        if usable < ROWS_MIN {
-            return Err(LogError::TooFewRows { path: self.path, rows: usable, needed: ROWS_MIN });
-        }
+        LogError::unless_enough(&self.path, usable, ROWS_MIN)?;
         self.quality.incomplete_dropped = if self.kind.has_validity { 0 } else { self.rows.len() - usable };
         if !self.kind.has_origins {
             self.mark_excursions()?;
@@ -196,7 +193,7 @@ impl RawBarLog {
         }
         let mut cycles = self.cycles();
         if !self.kind.has_origins {
-            self.mark_frozen(&mut cycles);
+            self.mark_repeated(&mut cycles);
             self.mark_origins(&mut cycles);
         }
         let stamps_s = self.stamps_s();
@@ -243,19 +240,14 @@ impl RawBarLog {
         cycles
     }
 
-    /// Steps of all encoders from each valid cycle to the next \[rad\], with the indices of both.
-    fn steps(&self, cycles: &[CycleRecord]) -> Vec<(usize, usize, Vec<f64>)> {
-        let valid: Vec<usize> = (0..cycles.len()).filter(|index| cycles[*index].is_valid()).collect();
-        let step = |pair: &[usize]| {
-            let (before, after) = (&cycles[pair[0]], &cycles[pair[1]]);
-            let samples = before.encoders().iter().zip(after.encoders()).zip(&self.readings);
-            let steps = samples.map(|((before, after), reading)| {
-                let counts = after.count.wrapping_sub(before.count) as i32;
-                f64::from(counts) * reading.info.scale.rad_per_count()
-            });
-            (pair[0], pair[1], steps.collect())
-        };
-        valid.windows(2).map(step).collect()
+    /// Largest step of an encoder from one cycle to another \[rad\], and of how many encoders the step is beyond `limit_rad`.
+    fn step(&self, before: &CycleRecord, after: &CycleRecord, limit_rad: f64) -> (f64, usize) {
+        let samples = before.encoders().iter().zip(after.encoders()).zip(&self.readings);
+        let steps = samples.map(|((before, after), reading)| {
+            let counts = after.count.wrapping_sub(before.count) as i32;
+            (f64::from(counts) * reading.info.scale.rad_per_count()).abs()
+        });
+        steps.fold((0.0, 0), |(most, jumps), step| (step.max(most), jumps + usize::from(step > limit_rad)))
     }
 
     /// Rows of zeros, or of anything else that is no reading: each would be two places at which counters start anew.
@@ -278,42 +270,30 @@ impl RawBarLog {
         Ok(())
     }
 
-    /// Loggers that run faster than their source give the same counts again under a new stamp, in the middle of a motion.
-    fn mark_frozen(&mut self, cycles: &mut [CycleRecord]) {
-        let steps = self.steps(cycles);
-        let largest = |steps: &[f64]| steps.iter().fold(0.0_f64, |most, step| most.max(step.abs()));
-        let mut moved = false;
-        let mut held: Vec<usize> = Vec::new();
-        for (_, after, step) in &steps {
-            if step.iter().all(|step| *step == 0.0) {
-                held.push(*after);
-                continue;
-            }
-            let moves = largest(step) > FROZEN_STEP_RAD;
-            if moved && moves {
-                self.quality.frozen_dropped += held.len();
-                for index in &held {
-                    let cycle = &mut cycles[*index];
-                    cycle.flags |= flags::STALE_INPUT;
-                    cycle.encoders.iter_mut().for_each(|sample| sample.valid = false);
-                }
-            }
-            held.clear();
-            moved = moves;
+    /// Rows with the counts of the row before, in the middle of a motion, under a new stamp.
+    fn mark_repeated(&mut self, cycles: &mut [CycleRecord]) {
+        let valid = valid_cycles(cycles);
+        let step_rad = |from: usize, to: usize| self.step(&cycles[valid[from]], &cycles[valid[to]], 0.0).0;
+        let repeated = repeated_rows(valid.len(), usize::MAX, step_rad);
+        self.quality.frozen_dropped += repeated.len();
+        for index in repeated {
+            let cycle = &mut cycles[valid[index]];
+            cycle.flags |= flags::STALE_INPUT;
+            cycle.encoders.iter_mut().for_each(|sample| sample.valid = false);
         }
     }
 
-    /// A terminal that lost power begins anew at some count: all its neighbours do, too. One encoder alone that jumps has
-    /// slipped, which is not a thing to be mended here.
+    /// A terminal that lost power begins anew at some count, and so do all its neighbours. If one encoder alone jumps its
+    /// coupling has slipped, which is reported later.
     fn mark_origins(&mut self, cycles: &mut [CycleRecord]) {
         let (mut places, mut begins) = (Vec::new(), vec![false; cycles.len()]);
-        for (before, after, step) in self.steps(cycles) {
-            let apart_s = cycles[after].sample_time.seconds_since(cycles[before].sample_time);
-            let limit_rad = JUMP_RAD_MIN.max(SPEED_RAD_S_MAX * apart_s);
-            let jumps = step.iter().filter(|step| step.abs() > limit_rad).count();
+        for pair in valid_cycles(cycles).windows(2) {
+            let (before, after) = (&cycles[pair[0]], &cycles[pair[1]]);
+            let apart_s = after.sample_time.seconds_since(before.sample_time);
+            let (_, jumps) = self.step(before, after, JUMP_RAD_MIN.max(SPEED_RAD_S_MAX * apart_s));
             if jumps >= 2 {
-                places.push(self.rows[after].place);
-                begins[after] = true;
+                places.push(self.rows[pair[1]].place);
+                begins[pair[1]] = true;
             }
         }
         let mut origin = 0;
@@ -404,19 +384,14 @@ impl RawBarLog {
     }
 
     fn tell(&mut self) {
-        let LogQuality { duplicates_dropped, frozen_dropped, incomplete_dropped, .. } = self.quality;
-        for (count, what) in [
-            (duplicates_dropped, "repeat the one before them, stamp and counts; they are dropped"),
-            (
-                frozen_dropped,
-                "repeat the counts before them in the middle of a motion; they are marked and not used",
-            ),
-            (incomplete_dropped, "lack a value of an encoder; they are marked and not used"),
-        ] {
-            if count > 0 {
-                self.remark(format!("{count} {}s {what}", self.kind.row));
-            }
+        if self.quality.duplicates_dropped > 0 {
+            let (count, row) = (self.quality.duplicates_dropped, self.kind.row);
+            self.remark(format!(
+                "{count} {row}s repeat the one before them, stamp and counts; they are dropped"
+            ));
         }
+        let done = "they are marked and not used";
+        self.quality.tell_counts(self.kind.row, "the counts", done, "lack a value of an encoder");
     }
 
     fn unknown(&self) -> Vec<&'static str> {
@@ -430,4 +405,8 @@ impl RawBarLog {
         }
         unknown
     }
+}
+
+fn valid_cycles(cycles: &[CycleRecord]) -> Vec<usize> {
+    (0..cycles.len()).filter(|index| cycles[*index].is_valid()).collect()
 }

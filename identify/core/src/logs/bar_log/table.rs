@@ -5,7 +5,7 @@ use std::path::Path;
 use shared::config::BallBarConfig;
 use shared::recording::schema::{MAX_ENCODERS, flags};
 
-use super::mapping::{BarLogMapping, EncoderUnit};
+use super::mapping::{BarLogMapping, EncoderColumn, EncoderUnit};
 use super::samples::{Kind, RawBarLog, RawRow, Reading};
 use super::{LogError, OtherBarLog};
 use crate::kinematics::BAR_JOINTS;
@@ -48,18 +48,14 @@ pub(super) fn read(
     mapping: Option<&BarLogMapping>,
 ) -> Result<OtherBarLog, LogError> {
     let path = source.path;
-    let text = Text::new(source, mapping.and_then(|mapping| mapping.csv.sheet.as_deref()))?;
-    let (mut table, mut layout) = match mapping {
+    let mut table = Table::of_mapping(source, mapping.map(|mapping| &mapping.csv))?;
+    let mut layout = match mapping {
         Some(mapping) => {
-            let table = Table::mapped(text, &mapping.csv)?;
-            let layout = mapped(&table, path, bar, mapping)?;
-            (table, layout)
+            let time = TimeColumn::of_table(mapping.time.as_ref(), path)?;
+            let remedy = "Correct the name in the mapping file.";
+            Layout::find(&table, path, bar, time, &mapping.encoders, mapping.wraps_at, remedy)?
         }
-        None => {
-            let table = Table::open(text)?;
-            let layout = usual(&table, path, bar)?;
-            (table, layout)
-        }
+        None => usual(&table, path, bar)?,
     };
     let kind = Kind {
         name: if layout.flags.is_some() { "table of `ballbard export`" } else { "table" },
@@ -102,9 +98,9 @@ fn value_of(name: &str, joint: usize) -> Option<EncoderUnit> {
 fn usual(table: &Table<'_>, path: &Path, bar: &BallBarConfig) -> Result<Layout, LogError> {
     let (time, unit) =
         TIMES.into_iter().find(|(name, _)| table.has(name)).unwrap_or(("time_utc", TimeUnit::DateTime));
-    let mut encoders = Vec::new();
+    let mut columns = Vec::new();
     for joint in 1..=BAR_JOINTS {
-        // The file may have counts and angles; the counts are the whole truth.
+        // Of counts and angles of one joint the counts are read.
         let names = VALUES.map(|(before, after, unit)| (format!("{before}{joint}{after}"), unit));
         let configured = bar.encoders.iter().any(|encoder| usize::from(encoder.joint) == joint);
         let Some((name, unit)) = names.iter().find(|(name, _)| table.has(name)) else {
@@ -117,44 +113,42 @@ fn usual(table: &Table<'_>, path: &Path, bar: &BallBarConfig) -> Result<Layout, 
             }
             continue;
         };
-        let wraps_at = BarLogMapping::wraps_at_of(None);
-        let valid = format!("valid{joint}");
-        encoders.push(Encoder {
-            value: table.column(name, REMEDY)?,
-            valid: if table.has(&valid) { Some(table.column(&valid, REMEDY)?) } else { None },
-            reading: Reading::new(joint as u8, *unit, wraps_at, bar, (path, name))?,
-        });
+        let valid = Some(format!("valid{joint}")).filter(|name| table.has(name));
+        columns.push(EncoderColumn { joint: joint as u8, column: name.clone(), unit: Some(*unit), valid });
     }
-    encoders.sort_by_key(|encoder| encoder.value.index);
+    let wraps_at = BarLogMapping::wraps_at_of(None);
+    let time = TimeColumn::new(time, unit);
+    let mut layout = Layout::find(table, path, bar, &time, &columns, wraps_at, REMEDY)?;
+    layout.encoders.sort_by_key(|encoder| encoder.value.index);
     let if_there = |name: &str| table.has(name).then(|| table.column(name, REMEDY)).transpose();
-    let (flags, events) = (if_there("flags")?, if_there("event")?);
-    let time = StampColumn::new(table.column(time, REMEDY)?, &TimeColumn::new(time, unit));
-    Ok(Layout { time, encoders, flags, events })
-}
-
-fn mapped(
-    table: &Table<'_>,
-    path: &Path,
-    bar: &BallBarConfig,
-    mapping: &BarLogMapping,
-) -> Result<Layout, LogError> {
-    let remedy = "Correct the name in the mapping file.";
-    let time = TimeColumn::of_table(mapping.time.as_ref(), path)?;
-    let mut encoders = Vec::new();
-    for encoder in &mapping.encoders {
-        let unit = encoder.unit.unwrap_or(EncoderUnit::Counts);
-        let valid = encoder.valid.as_ref().map(|name| table.column(name, remedy)).transpose()?;
-        encoders.push(Encoder {
-            value: table.column(&encoder.column, remedy)?,
-            valid,
-            reading: Reading::new(encoder.joint, unit, mapping.wraps_at, bar, (path, &encoder.column))?,
-        });
-    }
-    let time = StampColumn::new(table.column(&time.column, remedy)?, time);
-    Ok(Layout { time, encoders, flags: None, events: None })
+    (layout.flags, layout.events) = (if_there("flags")?, if_there("event")?);
+    Ok(layout)
 }
 
 impl Layout {
+    /// Finds the columns of the stamps and of the encoders.
+    fn find(
+        table: &Table<'_>,
+        path: &Path,
+        bar: &BallBarConfig,
+        time: &TimeColumn,
+        columns: &[EncoderColumn],
+        wraps_at: u64,
+        remedy: &str,
+    ) -> Result<Self, LogError> {
+        let encoder = |EncoderColumn { joint, column, unit, valid }: &EncoderColumn| {
+            let unit = unit.unwrap_or(EncoderUnit::Counts);
+            Ok(Encoder {
+                value: table.column(column, remedy)?,
+                valid: valid.as_ref().map(|name| table.column(name, remedy)).transpose()?,
+                reading: Reading::new(*joint, unit, wraps_at, bar, (path, column))?,
+            })
+        };
+        let encoders = columns.iter().map(encoder).collect::<Result<_, LogError>>()?;
+        let time = StampColumn::new(table.column(&time.column, remedy)?, time);
+        Ok(Self { time, encoders, flags: None, events: None })
+    }
+
     fn read(&mut self, table: &Table<'_>, row: &Row) -> Result<RawRow, LogError> {
         let mut read = RawRow {
             place: row.line,

@@ -16,7 +16,6 @@ use crate::logs::robot::table::TIME_COLUMN;
 use crate::logs::source::Source;
 use crate::logs::tables::csv_text::{Row, Table};
 use crate::logs::tables::stamp::{StampColumn, TimeColumn, TimeUnit};
-use crate::logs::tables::text::Text;
 use crate::logs::{JointConversion, LogError, ROWS_MIN, Stream};
 
 /// How to read a force from a table: `config/force_log.toml` explains each key.
@@ -80,18 +79,16 @@ impl ForceLog {
         mapping: Option<&ForceLogMapping>,
     ) -> Result<Self, LogError> {
         let path = source.path;
-        let text = Text::new(source, mapping.and_then(|mapping| mapping.csv.sheet.as_deref()))?;
-        let Some(mapping) = mapping else {
-            let mut table = Table::open(text)?;
-            let layout = ForceLayout::own(&table, robot)?.ok_or_else(|| unknown(&table, path))?;
-            let forces = rows(&mut table, path, &TimeColumn::new(TIME_COLUMN, TimeUnit::S), &layout)?;
-            let clock = declared_clock(&table, path)?;
-            return Self::new(clock, layout.kind(&table), forces).on_joints(robot);
+        let mut table = Table::of_mapping(source, mapping.map(|mapping| &mapping.csv))?;
+        let own_time = TimeColumn::new(TIME_COLUMN, TimeUnit::S);
+        let (layout, time) = match mapping {
+            Some(mapping) => (ForceLayout::named(&table, &mapping.force)?, &mapping.time),
+            None => (ForceLayout::own(&table, robot)?, &own_time),
         };
-        let mut table = Table::mapped(text, &mapping.csv)?;
-        let layout = ForceLayout::named(&table, &mapping.force)?.ok_or_else(|| unknown(&table, path))?;
-        let forces = rows(&mut table, path, &mapping.time, &layout)?;
-        Self::new(mapping.clock, layout.kind(&table), forces).on_joints(robot)
+        let layout = layout.ok_or_else(|| unknown(&table, path))?;
+        let forces = rows(&mut table, path, time, &layout)?;
+        let clock = mapping.map_or_else(|| declared_clock(&table, path), |mapping| Ok(mapping.clock))?;
+        Self::new(clock, layout.kind(&table), forces).on_joints(robot)
     }
 
     /// Torques of what the robot's log has to those of the model's joints.
@@ -149,8 +146,6 @@ fn rows(
         before = Some((stamp, row.line));
         forces.push(stamp, values);
     }
-    if forces.len() < ROWS_MIN {
-        return Err(LogError::TooFewRows { path: path.to_owned(), rows: forces.len(), needed: ROWS_MIN });
-    }
+    LogError::unless_enough(path, forces.len(), ROWS_MIN)?;
     Ok(forces)
 }

@@ -8,7 +8,7 @@
 use std::path::Path;
 
 use prost::Message;
-use shared::config::{AngleUnit, RobotConfig};
+use shared::config::RobotConfig;
 
 use super::mapping::RobotLogMapping;
 use super::raw::{Meaning, RawLog, RawRow};
@@ -75,17 +75,12 @@ pub(in crate::logs) fn read(
 ) -> Result<RobotLog, LogError> {
     let messages = decode(bytes, path)?;
     let names = (1..=robot.axes()).map(|joint| format!("joint {joint}")).collect();
-    let (meaning, to_unit) = match mapping {
-        Some(mapping) => (Meaning::mapped(robot, mapping, names, path)?, AngleUnit::Deg.to_rad()),
-        None => (Meaning::of_controller(robot, AngleUnit::Deg, names, LogFormat::Egm, path)?, 1.0),
-    };
-    let mut raw = RawLog::new(path, "message");
-    raw.tell_without_force(mapping);
-    raw.origin = mapping.and_then(|mapping| mapping.values).unwrap_or(Origin::Measured);
-    let commanded = raw.origin == Origin::Commanded;
+    let (meaning, to_unit) = Meaning::of_degrees(robot, mapping, names, LogFormat::Egm, path)?;
     let utc: Option<Vec<i64>> = messages.iter().map(EgmRobot::utc_ns).collect();
     let clock = if utc.is_some() { "controller, UTC" } else { "controller, ms of its own" };
-    raw.clock = mapping.and_then(|mapping| mapping.clock.clone()).unwrap_or_else(|| clock.into());
+    let mut raw = RawLog::measured(path, "message", mapping, clock);
+    raw.tell_without_force(mapping);
+    let commanded = raw.origin == Origin::Commanded;
     let stamps_ns = match utc {
         Some(stamps_ns) => stamps_ns,
         None => own_stamps(&messages, path)?,

@@ -9,6 +9,7 @@ use crate::kinematics::{Joints, wrapped};
 use crate::logs::force::FORCE_MAX;
 use crate::logs::rows::pose_rows::joints_of_robot;
 use crate::logs::time_series::excursions::{Excursions, Fastest, told};
+use crate::logs::time_series::frozen::repeated_rows;
 use crate::logs::time_series::sampling::Stamps;
 use crate::logs::time_series::stream::retain;
 use crate::logs::{
@@ -23,8 +24,6 @@ use crate::threads;
 const LIMIT_SLACK_DEG: f64 = 2.0;
 /// A log whose joints all move less than this \[deg\] cannot identify anything.
 const MOTION_DEG_MIN: f64 = 5.0;
-/// A row that repeats the joints before it is frozen if they moved further than this before and after \[rad\].
-const FROZEN_STEP_RAD: f64 = 1e-4;
 /// Hands of small robots reach 1500 deg/s, within 0.13 s.
 const FASTEST: Fastest = Fastest { speed: 30.0, acceleration: 200.0 };
 
@@ -91,6 +90,21 @@ impl<'a> Meaning<'a> {
         Ok(Self { conversion: JointConversion::of(robot)?, ..Self::new(robot, &robot.log, names)? })
     }
 
+    /// Angles of a format in degrees: as a mapping converts them, or the robot's configuration. Also what they are multiplied by
+    /// first.
+    pub fn of_degrees(
+        robot: &'a RobotConfig,
+        mapping: Option<&RobotLogMapping>,
+        names: Vec<String>,
+        format: LogFormat,
+        path: &Path,
+    ) -> Result<(Self, f64), LogError> {
+        Ok(match mapping {
+            Some(mapping) => (Self::mapped(robot, mapping, names, path)?, AngleUnit::Deg.to_rad()),
+            None => (Self::of_controller(robot, AngleUnit::Deg, names, format, path)?, 1.0),
+        })
+    }
+
     /// Joint angles of the controller, as the robot's configuration converts them, in the unit that the format has.
     pub fn of_controller(
         robot: &'a RobotConfig,
@@ -122,6 +136,16 @@ impl RawLog {
             origin: Origin::Unstated,
             remarks: Vec::new(),
             force: None,
+        }
+    }
+
+    /// Of a format with measured joints on a clock, where a mapping states nothing else.
+    pub fn measured(path: &Path, what: &'static str, mapping: Option<&RobotLogMapping>, clock: &str) -> Self {
+        let stated = mapping.and_then(|mapping| mapping.clock.clone());
+        Self {
+            clock: stated.unwrap_or_else(|| clock.into()),
+            origin: mapping.and_then(|mapping| mapping.values).unwrap_or(Origin::Measured),
+            ..Self::new(path, what)
         }
     }
 
@@ -164,7 +188,7 @@ impl RawLog {
         let rows = self.joints.len();
         self.more.iter_mut().filter(|all| all.len() < rows).for_each(Vec::clear);
         self.drop_excursions(meaning)?;
-        self.drop_frozen(meaning.unit);
+        self.drop_repeated(meaning.unit);
         if self.joints.len() < ROWS_MIN {
             return Err(self.too_few(self.joints.len()));
         }
@@ -219,23 +243,15 @@ impl RawLog {
         })
     }
 
-    /// Interfaces that are read faster than they are filled give the same joints again under a new stamp.
-    fn drop_frozen(&mut self, unit: AngleUnit) {
-        let rows = &self.joints;
-        let step_rad = |a: &Joints, b: &Joints| {
-            a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max) * unit.to_rad()
+    /// Single rows with the joints of the row before, in the middle of a motion, under a new stamp.
+    fn drop_repeated(&mut self, unit: AngleUnit) {
+        let largest = |from: &Joints, to: &Joints| {
+            from.iter().zip(to).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max) * unit.to_rad()
         };
-        let is_kept = threads::rows(rows.len(), |index| match (index.checked_sub(2), rows.get(index + 1)) {
-            (Some(first), Some(next)) => {
-                let (first, before, this) = (&rows[first], &rows[index - 1], &rows[index]);
-                this != before
-                    || step_rad(first, before) <= FROZEN_STEP_RAD
-                    || step_rad(this, next) <= FROZEN_STEP_RAD
-            }
-            _ => true,
-        });
-        self.quality.frozen_dropped = is_kept.iter().filter(|is_kept| !**is_kept).count();
-        self.retain(&is_kept);
+        let step_rad = |from: usize, to: usize| largest(&self.joints[from], &self.joints[to]);
+        let repeated = repeated_rows(self.joints.len(), 1, step_rad);
+        self.quality.frozen_dropped = repeated.len();
+        self.remove(&repeated);
     }
 
     /// Rows that are none would be interpolated, and change the motion by which the clocks are compared.
@@ -252,16 +268,16 @@ impl RawLog {
         let places: Vec<u64> = found.iter().map(|row| self.places[*row]).collect();
         self.remarks.extend(told(&places, rows.len(), (&self.path, self.what), "they are left out")?);
         self.quality.excursions_dropped = found.len();
-        let mut is_kept = vec![true; rows.len()];
-        found.into_iter().for_each(|row| is_kept[row] = false);
-        self.retain(&is_kept);
+        self.remove(&found);
         Ok(())
     }
 
-    fn retain(&mut self, is_kept: &[bool]) {
-        retain(&mut self.places, is_kept);
-        retain(&mut self.stamps_ns, is_kept);
-        self.more.iter_mut().chain([&mut self.joints]).for_each(|all| retain(all, is_kept));
+    fn remove(&mut self, rows: &[usize]) {
+        let mut is_kept = vec![true; self.joints.len()];
+        rows.iter().for_each(|row| is_kept[*row] = false);
+        retain(&mut self.places, &is_kept);
+        retain(&mut self.stamps_ns, &is_kept);
+        self.more.iter_mut().chain([&mut self.joints]).for_each(|all| retain(all, &is_kept));
     }
 
     /// Of rows with one stamp only the first has a time, where no clock says more.
@@ -356,17 +372,7 @@ impl RawLog {
                  wrong part of a log?"
             ));
         }
-        for (count, what) in [
-            (
-                quality.frozen_dropped,
-                "repeat the joints before them in the middle of a motion; they are left out",
-            ),
-            (quality.incomplete_dropped, "lack a joint; they are left out"),
-        ] {
-            if count > 0 {
-                quality.remarks.push(format!("{count} {}s {what}", self.what));
-            }
-        }
+        quality.tell_counts(self.what, "the joints", "they are left out", "lack a joint");
         if self.origin == Origin::Commanded {
             quality.remarks.push("the values are commanded, not measured: servo lag is not in them".into());
         }

@@ -8,7 +8,7 @@ use std::path::Path;
 
 use quick_xml::Reader;
 use quick_xml::events::{BytesStart, Event};
-use shared::config::{AngleUnit, RobotConfig};
+use shared::config::RobotConfig;
 
 use super::mapping::RobotLogMapping;
 use super::raw::{Meaning, RawLog, RawRow};
@@ -37,14 +37,9 @@ pub(in crate::logs) fn read(
     let path = source.path;
     let text = &*Text::new(source, None)?.whole()?;
     let names = AXES.map(str::to_owned).to_vec();
-    let (meaning, to_unit) = match mapping {
-        Some(mapping) => (Meaning::mapped(robot, mapping, names, path)?, AngleUnit::Deg.to_rad()),
-        None => (Meaning::of_controller(robot, AngleUnit::Deg, names, LogFormat::Rsi, path)?, 1.0),
-    };
-    let mut raw = RawLog::new(path, "telegram");
+    let (meaning, to_unit) = Meaning::of_degrees(robot, mapping, names, LogFormat::Rsi, path)?;
+    let mut raw = RawLog::measured(path, "telegram", mapping, "IPOC");
     raw.tell_without_force(mapping);
-    raw.origin = mapping.and_then(|mapping| mapping.values).unwrap_or(Origin::Measured);
-    raw.clock = mapping.and_then(|mapping| mapping.clock.clone()).unwrap_or_else(|| "IPOC".into());
     let element = if raw.origin == Origin::Commanded { "ASPos" } else { "AIPos" };
     let time = mapping.and_then(|mapping| mapping.time.clone());
     let mut stamps = StampReader::new(&time.unwrap_or_else(|| TimeColumn::new("IPOC", TimeUnit::Ms)));

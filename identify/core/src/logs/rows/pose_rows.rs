@@ -10,7 +10,6 @@ use shared::config::{AXES_MAX, AXES_MIN, JointKind, RobotConfig, Validate, Viola
 use crate::kinematics::Joints;
 use crate::logs::source::Source;
 use crate::logs::tables::csv_text::{Column, Row, Table};
-use crate::logs::tables::text::Text;
 use crate::logs::{CsvLayout, LogError};
 
 /// Fewest rows that make a table.
@@ -237,16 +236,14 @@ pub(in crate::logs) fn rows<C, R>(
     mut read: impl FnMut(&mut C, &Table<'_>, &Row) -> Result<R, LogError>,
 ) -> Result<Vec<R>, LogError> {
     let path = source.path;
-    let mut table = Table::mapped(Text::new(source, layout.sheet.as_deref())?, layout)?;
+    let mut table = Table::of_mapping(source, Some(layout))?;
     let mut columns = find(&table)?;
     let mut rows = Vec::new();
     let mut row = Row::default();
     while table.next_row(&mut row)? {
         rows.push(read(&mut columns, &table, &row)?);
     }
-    if rows.len() < ROWS_MIN {
-        return Err(LogError::TooFewRows { path: path.to_owned(), rows: rows.len(), needed: ROWS_MIN });
-    }
+    LogError::unless_enough(path, rows.len(), ROWS_MIN)?;
     Ok(rows)
 }
 

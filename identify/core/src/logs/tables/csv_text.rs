@@ -5,6 +5,7 @@ use std::path::Path;
 use shared::output::named;
 
 use super::text::Text;
+use crate::logs::source::Source;
 use crate::logs::{Cell, CsvLayout, LogError};
 
 /// How the numbers of a file are written.
@@ -57,6 +58,15 @@ impl<'a> Table<'a> {
     /// [`Self::open`] with a known delimiter.
     pub fn delimited(text: Text<'a>, delimiter: u8) -> Result<Self, LogError> {
         Self::open_as(text, Format { delimiter, decimal_comma: false }, true)
+    }
+
+    /// The table of a file, in the layout that a mapping gives, if there is one.
+    pub fn of_mapping(source: Source<'a>, layout: Option<&CsvLayout>) -> Result<Self, LogError> {
+        let text = Text::new(source, layout.and_then(|layout| layout.sheet.as_deref()))?;
+        match layout {
+            Some(layout) => Self::mapped(text, layout),
+            None => Self::open(text),
+        }
     }
 
     /// The table of a text in the layout that a mapping gives, its first row of numbers next.

@@ -1,4 +1,4 @@
-//! A number that stays exactly the same while others change: nobody reads it any more.
+//! Numbers that repeat while others change, and rows that repeat in the middle of a motion.
 
 use std::ops::Range;
 
@@ -41,4 +41,29 @@ impl<R: Row> Stream<R> {
         }
         found
     }
+}
+
+/// A row that repeats the one before it is no standstill if the rows moved further than this before and after \[rad\].
+const REPEATED_STEP_RAD: f64 = 1e-4;
+
+/// Rows that repeat the one before them in the middle of a motion, in runs of at most `run_max`: loggers that read faster than
+/// their source is updated give the same row again. `step_rad` is the largest change of a number from one row to another.
+pub(in crate::logs) fn repeated_rows(
+    rows: usize,
+    run_max: usize,
+    step_rad: impl Fn(usize, usize) -> f64,
+) -> Vec<usize> {
+    let (mut repeated, mut moved, mut last_change) = (Vec::new(), false, 0);
+    for row in 1..rows {
+        let step_rad = step_rad(row - 1, row);
+        if step_rad == 0.0 {
+            continue;
+        }
+        let moves = step_rad > REPEATED_STEP_RAD;
+        if moved && moves && row - last_change - 1 <= run_max {
+            repeated.extend(last_change + 1..row);
+        }
+        (moved, last_change) = (moves, row);
+    }
+    repeated
 }

@@ -2,7 +2,7 @@
 
 mod average;
 pub(super) mod excursions;
-mod frozen;
+pub(super) mod frozen;
 pub(super) mod sampling;
 pub(super) mod shared;
 pub(super) mod spline;

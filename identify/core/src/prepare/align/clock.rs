@@ -1,30 +1,18 @@
-//! Bar time to robot time.
+//! Bar time to robot time, both from their own zero.
 
-/// The correlation of speeds gives the shift this well \[s\].
+use crate::model::Clock;
+
+/// Standard deviation of the shift that the correlation of speeds gives \[s\].
 pub(in crate::prepare) const SHIFT_SIGMA_S: f64 = 0.05;
-/// Clocks of controllers and instruments differ by this much.
+/// Standard deviation of the relative rates of the clocks of controllers and instruments.
 pub(in crate::prepare) const SKEW_SIGMA: f64 = 100e-6;
-/// A step that takes a sample out of the robot's log is refused as a whole, and a fit ends where the first sample stands at the
-/// log's end: samples that such a shift could take out do not take part \[s\].
+/// A step that takes a sample out of the robot's log is refused as a whole, so that a fit would end where the first sample
+/// reaches the end of the log. Samples that such a shift could take out are not used \[s\].
 pub(in crate::prepare) const EDGE_S: f64 = 2.0 * SHIFT_SIGMA_S;
 
-/// Robot time against bar time: `tau = shift + (1 + skew) t`, both from their own zero.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ClockFit {
-    /// Robot time, after the log's first stamp, at bar time zero \[s\].
-    pub shift_s: f64,
-    /// Relative rate of the robot's clock minus one.
-    pub skew: f64,
-}
-
-impl ClockFit {
-    /// Robot time, after the log's first stamp, at bar time `t_s` \[s\].
-    pub fn tau_s(&self, t_s: f64) -> f64 {
-        self.shift_s + t_s + self.skew * t_s
-    }
-
-    /// The same for bar times that count from `by_s` later.
-    pub fn counted_from(&self, by_s: f64) -> Self {
-        Self { shift_s: self.tau_s(by_s), skew: self.skew }
+impl Clock {
+    /// The same clock for bar times that count from `by_s` later.
+    pub(in crate::prepare) fn counted_from(&self, by_s: f64) -> Self {
+        Self { shift_s: self.robot_time_s(by_s), skew: self.skew }
     }
 }

@@ -41,13 +41,17 @@ const TIE: f64 = 0.02;
 /// Finds the shift with the highest correlation of at least `overlap_min` points. None where no shift has so many, or
 /// nothing varies.
 pub fn correlate(first: &Channels, second: &Channels, overlap_min: usize) -> Option<Match> {
-    let found = candidates(first, second, overlap_min, usize::MAX);
+    let mut found = candidates(first, second, overlap_min, usize::MAX);
     let highest = found.first()?.correlation;
-    // Among equals a tenth more overlap counts as longer; otherwise the correlation decides.
-    found
-        .into_iter()
-        .filter(|one| one.correlation >= highest - TIE)
-        .reduce(|best, other| if other.overlap as f64 > 1.1 * best.overlap as f64 { other } else { best })
+    found.retain(|one| one.correlation >= highest - TIE);
+    longest_overlap(found, |one| one)
+}
+
+/// Of equally good matches that with the longest overlap: a tenth more counts as longer, otherwise the first one is taken.
+pub(in crate::prepare) fn longest_overlap<T>(found: Vec<T>, matched: impl Fn(&T) -> &Match) -> Option<T> {
+    found.into_iter().reduce(|best, other| {
+        if matched(&other).overlap as f64 > 1.1 * matched(&best).overlap as f64 { other } else { best }
+    })
 }
 
 /// The best shifts that are clearly different ones, highest correlation first, at most `count`.

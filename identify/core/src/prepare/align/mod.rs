@@ -8,6 +8,7 @@ pub(super) mod parts;
 pub(super) mod placement;
 pub(super) mod predict;
 mod rate;
+pub(super) mod reference;
 pub(super) mod refine;
 pub(super) mod speeds;
 pub(super) mod tracker;

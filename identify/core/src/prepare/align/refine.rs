@@ -9,14 +9,14 @@ use std::sync::Arc;
 
 use nalgebra::{Vector3, Vector5};
 
-use super::clock::{ClockFit, EDGE_S, SHIFT_SIGMA_S, SKEW_SIGMA};
+use super::clock::{EDGE_S, SHIFT_SIGMA_S, SKEW_SIGMA};
 use crate::cost::{LoopProblem, Movement, Residual, Scene};
 use crate::kinematics::{
     BAR_JOINTS, Chain, ImpliedBar, Joints, LinkParameter, Trace, Tracer, Turn, singularity_margin_rad,
     wrapped,
 };
 use crate::logs::CubicSpline;
-use crate::model::{Geometry, Group, Model, ModelError, Observation, ParameterId, RobotMotion, Role};
+use crate::model::{Clock, Geometry, Group, Model, ModelError, Observation, ParameterId, RobotMotion, Role};
 use crate::prepare::AlignedLog;
 use crate::prepare::samples::angle_errors::AngleErrors;
 use crate::solver::{GoodShare, Linearisation, Loss, Options, Prior, Problem, Schedule, Summary, minimise};
@@ -48,22 +48,11 @@ const LAST_TOLERANCE: f64 = 1e-6;
 /// Residuals below this are rounding \[rad\].
 const SIGMA_MIN_RAD: f64 = 1e-7;
 
-/// A sample as the refinement gets it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(in crate::prepare) struct FitSample {
-    /// Bar time \[s\].
-    pub t_s: f64,
-    /// Number of the counters' origin.
-    pub origin: usize,
-    /// Joints, offsets added as far as they are known \[rad\].
-    pub bar_rad: [f64; BAR_JOINTS],
-}
-
 /// What relates the two logs.
 #[derive(Debug, Clone, PartialEq)]
 pub(in crate::prepare) struct Fit {
     /// The clocks, for bar times as the samples had them.
-    pub clock: ClockFit,
+    pub clock: Clock,
     /// Both chains and the base, so that the angles fit.
     pub geometry: Geometry,
     /// To be added to the offsets, by origin \[rad\].
@@ -169,7 +158,6 @@ struct WithZeros<'a> {
     chain: LoopProblem<'a, ImpliedAngles, AlignedLog>,
     residual: ImpliedAngles,
     observations: &'a [Observation],
-    origins: &'a [usize],
     chain_columns: usize,
     origin_count: usize,
     sigma_rad: f64,
@@ -206,18 +194,14 @@ impl Problem for WithZeros<'_> {
         let (chain, offsets) = x.split_at(self.chain_columns.min(x.len()));
         let (mut chain, offsets) = (self.chain.at(chain), offsets.to_vec());
         Box::new(move |sample, residual, block| {
-            let (Some(observation), Some(&origin)) =
-                (self.observations.get(sample), self.origins.get(sample))
-            else {
-                return false;
-            };
+            let Some(observation) = self.observations.get(sample) else { return false };
             if !chain(sample, residual, block) {
                 return false;
             }
             let trust = self.residual.trust(&observation.bar_rad);
             for joint in 0..BAR_JOINTS {
                 let slope = -trust[joint] / self.sigma_rad;
-                let offset = origin * BAR_JOINTS + joint;
+                let offset = observation.origin * BAR_JOINTS + joint;
                 residual[joint] += slope * offsets.get(offset).copied().unwrap_or(0.0);
                 if let Some(entry) = block.column_mut(self.chain_columns + offset).get_mut(joint) {
                     *entry = slope;
@@ -237,27 +221,17 @@ pub(in crate::prepare) fn refine(
     [robot, bar]: [&Chain; 2],
     base_m: Vector3<f64>,
     measured: &[bool; BAR_JOINTS],
-    samples: &[FitSample],
-    coarse: ClockFit,
+    samples: &[Observation],
+    coarse: Clock,
     start: Option<&Fit>,
 ) -> Option<Fit> {
     // Times about their middle: shift and skew are then nearly independent.
     let middle_s = samples.iter().map(|sample| sample.t_s).sum::<f64>() / samples.len().max(1) as f64;
-    let motion = AlignedLog::new(log.clone(), coarse.tau_s(middle_s));
-    let stays = |sample: &&FitSample| {
-        let tau_s = (1.0 + coarse.skew) * (sample.t_s - middle_s);
-        [-EDGE_S, 0.0, EDGE_S].iter().all(|by_s| motion.at(tau_s + by_s).is_some())
-    };
-    let samples: Vec<&FitSample> = samples.iter().filter(stays).collect();
-    let observations: Vec<Observation> = samples
-        .iter()
-        .map(|sample| Observation {
-            measured: *measured,
-            ..Observation::bar(sample.t_s - middle_s, sample.bar_rad)
-        })
-        .collect();
-    let origins: Vec<usize> = samples.iter().map(|sample| sample.origin).collect();
-    let origin_count = origins.iter().max().map_or(0, |most| most + 1);
+    let motion = AlignedLog::new(log.clone(), coarse.robot_time_s(middle_s));
+    let about_middle = samples.iter().map(|sample| Observation { t_s: sample.t_s - middle_s, ..*sample });
+    let stays = |sample: &Observation| motion.covers((1.0 + coarse.skew) * sample.t_s, EDGE_S);
+    let observations: Vec<Observation> = about_middle.filter(stays).collect();
+    let origin_count = observations.iter().map(|sample| sample.origin + 1).max().unwrap_or(0);
     let model = model(robot, bar, base_m, coarse.skew).ok()?;
     let residual = ImpliedAngles { measured: *measured };
     let chain_columns = model.columns().len();
@@ -270,14 +244,13 @@ pub(in crate::prepare) fn refine(
     }
     x.resize(chain_columns + origin_count * BAR_JOINTS, 0.0);
     let spread_rad = |x: &[f64], good: GoodShare| {
-        spread_rad(&model, &motion, &observations, &origins, residual, x, good).max(SIGMA_MIN_RAD)
+        spread_rad(&model, &motion, &observations, residual, x, good).max(SIGMA_MIN_RAD)
     };
     let solve = |x: &[f64], sigma_rad: f64, cost_tolerance: f64| -> Option<(Vec<f64>, Summary)> {
         let problem = WithZeros {
             chain: LoopProblem::new(&model, &motion, &observations, residual, sigma_rad).ok()?,
             residual,
             observations: &observations,
-            origins: &origins,
             chain_columns,
             origin_count,
             sigma_rad,
@@ -291,9 +264,8 @@ pub(in crate::prepare) fn refine(
     let (x, summary) = solve(&x, sigma_rad, LAST_TOLERANCE)?;
     let (chain, offsets) = x.split_at(chain_columns);
     let geometry = model.geometry(chain);
-    let (shift_s, skew) = (geometry.clock.shift_s, geometry.clock.skew);
     Some(Fit {
-        clock: ClockFit { shift_s: motion.origin_s() + shift_s, skew }.counted_from(-middle_s),
+        clock: motion.solved(geometry.clock).counted_from(-middle_s),
         geometry,
         offsets_by_rad: offsets.chunks_exact(BAR_JOINTS).map(|of| std::array::from_fn(|j| of[j])).collect(),
         sigma_rad,
@@ -332,7 +304,6 @@ fn spread_rad(
     model: &Model,
     motion: &AlignedLog,
     observations: &[Observation],
-    origins: &[usize],
     residual: ImpliedAngles,
     x: &[f64],
     good: GoodShare,
@@ -341,10 +312,10 @@ fn spread_rad(
     let residuals = Residuals::new(motion, model.geometry(chain), residual.measured);
     let angles = residual.measured.iter().filter(|measured| **measured).count();
     let squared = rows(observations.len(), |sample| {
-        let (observation, origin) = (&observations[sample], origins.get(sample)?);
+        let observation = &observations[sample];
         let mut bar_rad = observation.bar_rad;
         for (joint, angle) in bar_rad.iter_mut().enumerate() {
-            *angle += offsets.get(origin * BAR_JOINTS + joint).copied().unwrap_or(0.0);
+            *angle += offsets.get(observation.origin * BAR_JOINTS + joint).copied().unwrap_or(0.0);
         }
         let errors = residuals.errors(observation.t_s, &bar_rad)?;
         let trust = residual.trust(&bar_rad);
@@ -355,8 +326,8 @@ fn spread_rad(
 }
 
 /// Compares single samples with a fitted geometry.
-pub(in crate::prepare) struct Residuals<'a, M> {
-    motion: &'a M,
+pub(in crate::prepare) struct Residuals<'a> {
+    motion: &'a AlignedLog,
     geometry: Geometry,
     robot_tracer: Tracer,
     bar: Chain,
@@ -377,8 +348,8 @@ pub(in crate::prepare) struct Errors {
     pub margin_rad: f64,
 }
 
-impl<'a, M: RobotMotion> Residuals<'a, M> {
-    pub fn new(motion: &'a M, geometry: Geometry, measured: [bool; BAR_JOINTS]) -> Self {
+impl<'a> Residuals<'a> {
+    pub fn new(motion: &'a AlignedLog, geometry: Geometry, measured: [bool; BAR_JOINTS]) -> Self {
         let bar = geometry.bar_chain();
         let [robot_tracer, bar_tracer] = [&geometry.robot, &bar].map(Tracer::new);
         Self { motion, robot_tracer, bar_tracer, bar, geometry, measured }

@@ -13,21 +13,21 @@ use nalgebra::Vector3;
 use shared::time::UtcNs;
 
 use super::clock::{EDGE_S, SHIFT_SIGMA_S, SKEW_SIGMA};
-use super::find::{of_longest_overlap, retain_sharpest};
 use super::placement::{PROBE_SIGMA_M, placements};
+use super::reference::Reference;
 use super::speeds::{REACH, grid_step_s, speeds};
-use super::window::{CANDIDATES, liveliest, overlap_min_s, wider};
+use super::window::{Best, CANDIDATES, best, extended, liveliest, no_match, overlap_min_s};
 use crate::cost::{LoopProblem, MeasuredPosition, PoseNoise};
 use crate::kinematics::{Chain, Joints, Pose};
 use crate::logs::{CubicSpline, RobotLog, SPEED_M_S_MAX, Stream, TimedPose, TimedPoses, travel};
 use crate::model::{
-    Axis, Coordinate, JointState, Model, Observation, Owner, ParameterId, RobotMotion, Role, SetUp,
+    Axis, Clock, Coordinate, JointState, Model, Observation, Owner, ParameterId, RobotMotion, Role, SetUp,
 };
 use crate::prepare::readings::standstill::MOVING_RAD_S;
 use crate::prepare::samples::select::select;
-use crate::prepare::steps::{check_length, overlap_s, require_motion};
+use crate::prepare::steps::{check_length, require_motion};
 use crate::prepare::{
-    AlignedLog, Alignment, Channels, ClockFit, Match, PrepareError, PrepareOptions, candidates, correlate,
+    AlignedLog, Alignment, Channels, Match, PrepareError, PrepareOptions, candidates, correlate,
     unwrapped_log,
 };
 use crate::solver::{GoodShare, LossName, Options, minimise_robust};
@@ -109,24 +109,22 @@ pub fn align_poses(
     if extent_m < EXTENT_M_MIN {
         return Err(PrepareError::TargetStands { extent_mm: extent_m * 1e3 });
     }
-    let found = search.run()?;
-    let of_rows = found.clock.counted_from(-begins_s);
-    let overlap_s = overlap_s(rows_s, of_rows, log_s);
-    let t_ref_s = 0.5 * (overlap_s[0] + overlap_s[1]);
-    let clock = of_rows.counted_from(t_ref_s);
-    let t_ref = UtcNs(poses.rows.first_stamp_ns).plus_ns((t_ref_s * 1e9).round() as i64);
-    let alignment = Alignment::new(&found.matched, found.ambiguous, clock, log, t_ref, overlap_s);
+    let Best { matched, ambiguous, fit } = search.run()?;
+    let of_rows = fit.clock.counted_from(-begins_s);
+    let reference = Reference::new(UtcNs(poses.rows.first_stamp_ns), rows_s, of_rows, log_s);
+    let alignment = reference.alignment(&matched, ambiguous, log);
+    let Reference { t_ref_s, t_ref, clock, .. } = reference;
     let log = AlignedLog::new(interpolated.clone(), clock.shift_s);
+    let edge_s = if search.stands() { REST_S } else { EDGE_S };
     let of_row = |row: usize| {
         let t_s = poses.rows.t_s[row] - t_ref_s;
         let tau_s = (1.0 + clock.skew) * t_s;
-        let stays = [-found.edge_s, found.edge_s].iter().all(|by_s| log.at(tau_s + by_s).is_some());
-        stays.then_some((row, t_s, log.at(tau_s)?))
+        log.covers(tau_s, edge_s).then_some((row, t_s, log.at(tau_s)?))
     };
     let all = (0..poses.rows.len()).filter_map(of_row);
     if search.stands() {
         let resting = search.resting();
-        let rests = |row: usize| search.rests_at(&resting, of_rows.tau_s(poses.rows.t_s[row]));
+        let rests = |row: usize| search.rests_at(&resting, of_rows.robot_time_s(poses.rows.t_s[row]));
         let at_rest = all.filter(|(row, ..)| rests(*row) == Some(true));
         let (rows, states): (Vec<_>, Vec<_>) =
             at_rest.map(|(row, _, state)| (row, JointState::at_rest(state.q))).unzip();
@@ -178,18 +176,9 @@ struct Search<'a> {
     options: &'a PrepareOptions,
 }
 
-/// The logs brought together.
-struct Found {
-    clock: ClockFit,
-    matched: Match,
-    ambiguous: bool,
-    /// How far from an end of the robot's log a row must be \[s\].
-    edge_s: f64,
-}
-
 /// Clocks and target that bring the rows to the nominal robot.
 struct Fit {
-    clock: ClockFit,
+    clock: Clock,
     /// The target in the flange frame \[m\].
     probe_m: Vector3<f64>,
     /// What nine tenths of the rows stay from it, one standard deviation of a coordinate \[m\].
@@ -197,7 +186,7 @@ struct Fit {
 }
 
 impl Search<'_> {
-    fn run(&self) -> Result<Found, PrepareError> {
+    fn run(&self) -> Result<Best<Fit>, PrepareError> {
         let window = if self.stands() {
             0..self.seen_m.len()
         } else {
@@ -206,78 +195,58 @@ impl Search<'_> {
         let overlap_min_s = overlap_min_s(self.options, self.duration_s(&window), self.log_s);
         let refused = match self.matched(&window, overlap_min_s) {
             Err(refused) => refused,
-            Ok(found) => return self.grown(window, found),
+            Ok(best) => {
+                let refit = |window: &Range<usize>, fit: &Fit| self.fit(window, fit.clock);
+                return Ok(Best { fit: extended(&self.seen_m.t_s, window, best.fit, refit)?, ..best });
+            }
         };
         /// Shorter overlaps would match by chance.
         const SHORTER: f64 = 0.25;
-        /// And so would less alike ones.
+        /// And so would speeds that are less alike.
         const ALIKE: f64 = 0.95;
         match self.matched(&window, SHORTER * overlap_min_s) {
-            Ok((found, _)) if found.matched.correlation > ALIKE => Err(PrepareError::ShortOverlap {
-                overlap_s: found.matched.overlap as f64 * self.step_s,
+            Ok(Best { matched, .. }) if matched.correlation > ALIKE => Err(PrepareError::ShortOverlap {
+                overlap_s: matched.overlap as f64 * self.step_s,
                 needed_s: overlap_min_s,
             }),
             _ => Err(refused),
         }
     }
 
-    /// The best shift of a part of the rows.
-    fn matched(&self, window: &Range<usize>, overlap_min_s: f64) -> Result<(Found, Fit), PrepareError> {
+    /// The best fit of a part of the rows.
+    fn matched(&self, window: &Range<usize>, overlap_min_s: f64) -> Result<Best<Fit>, PrepareError> {
         let overlap_min = (overlap_min_s / self.step_s) as usize;
         let measured = self.measured(window);
         let shifts = candidates(&self.predicted(&Vector3::zeros()), &measured, overlap_min, CANDIDATES);
         let first_s = self.seen_m.t_s.get(window.start).copied().unwrap_or_default();
-        let clock = |shift: f64| ClockFit { shift_s: shift * self.step_s - first_s, skew: 0.0 };
+        let clock = |shift: f64| Clock { shift_s: shift * self.step_s - first_s, skew: 0.0 };
         let fits: Vec<Fit> = if self.stands() {
             let standing = shifts.iter().flat_map(|one| self.standstills(window, clock(one.shift)));
             standing.filter_map(|clock| self.standing_fit(window, clock)).collect()
         } else {
             shifts.iter().filter_map(|one| self.fit(window, clock(one.shift))).collect()
         };
-        let mut judged: Vec<(Fit, Match)> = Vec::new();
+        let mut matching: Vec<(Match, Fit)> = Vec::new();
         for fit in fits {
             // With the target where the fit puts it the speeds are those of the target.
             let of_target = if self.stands() {
                 self.of_chords(window, &fit)
             } else {
                 let found = candidates(&self.predicted(&fit.probe_m), &measured, overlap_min, CANDIDATES);
-                let at = fit.clock.tau_s(first_s) / self.step_s;
+                let at = fit.clock.robot_time_s(first_s) / self.step_s;
                 /// Grid steps within which a shift is the same.
                 const SAME: f64 = 10.0;
                 found.into_iter().find(|one| (one.shift - at).abs() < SAME)
             };
-            judged.extend(of_target.map(|of_target| (fit, of_target)));
+            matching.extend(of_target.map(|of_target| (of_target, fit)));
         }
-        let closest = judged.iter().map(|(_, matched)| matched.correlation).fold(0.0, f64::max);
-        judged.retain(|(_, matched)| matched.correlation >= self.options.correlation_min);
-        retain_sharpest(&mut judged, |(fit, _)| fit.spread_m);
-        let ambiguous = judged.iter().any(|(fit, _)| {
-            judged.iter().any(|(other, _)| (fit.clock.shift_s - other.clock.shift_s).abs() > STANDING_S)
-        });
-        let Some((fit, matched)) = of_longest_overlap(judged, |(_, matched)| matched) else {
-            let other = "tracker's log";
-            let Some(best) = shifts.first() else {
-                return Err(PrepareError::NoSpeeds { other, needed_s: overlap_min_s });
-            };
-            return Err(PrepareError::NoMatch {
-                other,
-                correlation: closest,
-                overlap_s: best.overlap as f64 * self.step_s,
-                needed: self.options.correlation_min,
-            });
-        };
-        let edge_s = if self.stands() { REST_S } else { EDGE_S };
-        Ok((Found { clock: fit.clock, matched, ambiguous, edge_s }, fit))
-    }
-
-    /// The fit extended from its window to all rows.
-    fn grown(&self, mut window: Range<usize>, (mut found, fit): (Found, Fit)) -> Result<Found, PrepareError> {
-        found.clock = fit.clock;
-        while window != (0..self.seen_m.len()) {
-            window = wider(&self.seen_m.t_s, &window);
-            found.clock = self.fit(&window, found.clock).ok_or(PrepareError::NothingToFit)?.clock;
-        }
-        Ok(found)
+        let closest = matching.iter().map(|(matched, _)| matched.correlation).fold(0.0, f64::max);
+        matching.retain(|(matched, _)| matched.correlation >= self.options.correlation_min);
+        let are_apart = |one: &Fit, other: &Fit| (one.clock.shift_s - other.clock.shift_s).abs() > STANDING_S;
+        best(matching, |fit| fit.spread_m, are_apart).ok_or_else(|| {
+            let highest = shifts.first().map(|best| (closest, best.overlap as f64 * self.step_s));
+            no_match("tracker's log", highest, overlap_min_s, self.options)
+        })
     }
 
     fn duration_s(&self, window: &Range<usize>) -> f64 {
@@ -340,11 +309,9 @@ impl Search<'_> {
     }
 
     /// Rows of a window that stay in the robot's log, spread over the motion.
-    fn fitting(&self, window: &Range<usize>, clock: ClockFit) -> Vec<usize> {
-        let stays = |row: &usize| {
-            let tau_s = clock.tau_s(self.seen_m.t_s[*row]);
-            [-EDGE_S, 0.0, EDGE_S].iter().all(|by_s| self.log.at(tau_s + by_s).is_some())
-        };
+    fn fitting(&self, window: &Range<usize>, clock: Clock) -> Vec<usize> {
+        let log = AlignedLog::new(self.log.clone(), 0.0);
+        let stays = |row: &usize| log.covers(clock.robot_time_s(self.seen_m.t_s[*row]), EDGE_S);
         let every = window.len().div_ceil(20 * FIT_MAX).max(1);
         let rows: Vec<usize> = window.clone().step_by(every).filter(stays).collect();
         let points: Vec<[f64; 3]> = rows.iter().map(|row| self.seen_m[*row].into()).collect();
@@ -352,16 +319,16 @@ impl Search<'_> {
     }
 
     /// Clocks, place and target from a coarse shift on; none where the rows determine nothing.
-    fn fit(&self, window: &Range<usize>, coarse: ClockFit) -> Option<Fit> {
+    fn fit(&self, window: &Range<usize>, coarse: Clock) -> Option<Fit> {
         let rows = self.fitting(window, coarse);
         // Times about their middle: shift and skew are then nearly independent.
         let middle_s = rows.iter().map(|row| self.seen_m.t_s[*row]).sum::<f64>() / rows.len().max(1) as f64;
-        let motion = AlignedLog::new(self.log.clone(), coarse.tau_s(middle_s));
+        let motion = AlignedLog::new(self.log.clone(), coarse.robot_time_s(middle_s));
         let seen_m: Vec<Vector3<f64>> = rows.iter().map(|row| self.seen_m[*row]).collect();
         let observation =
             |row: &usize| Observation::bar(self.seen_m.t_s[*row] - middle_s, Default::default());
         let observations: Vec<Observation> = rows.iter().map(observation).collect();
-        let flange = |row: &usize| self.flange(coarse.tau_s(self.seen_m.t_s[*row]));
+        let flange = |row: &usize| self.flange(coarse.robot_time_s(self.seen_m.t_s[*row]));
         let flanges = rows.iter().map(flange).collect::<Option<Vec<Pose>>>()?;
         let [place, probe] = placements(&flanges, &seen_m, std::iter::empty())?;
         let mut model = Model::alone(self.robot).with_set_ups(Owner::Tracker, [1, 1]);
@@ -388,9 +355,8 @@ impl Search<'_> {
         let start = model.start();
         let (x, _) = minimise_robust(&problem, &start, LossName::Huber, &Options::default()).ok()?;
         let geometry = model.geometry(&x);
-        let (shift_s, skew) = (geometry.clock.shift_s, geometry.clock.skew);
         Some(Fit {
-            clock: ClockFit { shift_s: motion.origin_s() + shift_s, skew }.counted_from(-middle_s),
+            clock: motion.solved(geometry.clock).counted_from(-middle_s),
             probe_m: geometry.tracker.probes.first()?.position_m,
             spread_m: NOMINAL_SIGMA_M * GoodShare::NINE_TENTHS.spread_at(&problem, &x),
         })
@@ -417,19 +383,19 @@ impl Search<'_> {
 
     /// Clocks near a coarse shift at which the robot stands in most of the rows, each in the middle of those that are alike. Of the
     /// rates by which clocks differ the one at which most rows stay in standstills for most shifts.
-    fn standstills(&self, window: &Range<usize>, coarse: ClockFit) -> Vec<ClockFit> {
+    fn standstills(&self, window: &Range<usize>, coarse: Clock) -> Vec<Clock> {
         let resting = self.resting();
         let times_s = self.seen_m.t_s.get(window.clone()).unwrap_or_default();
         let middle_s = 0.5 * (times_s.first().unwrap_or(&0.0) + times_s.last().unwrap_or(&0.0));
         let reach = (0.5 * self.period_s / self.step_s) as i64;
         // Shifts are those of the middle: there a rate changes nothing.
-        let clock = |by: i64, skew: f64| ClockFit {
+        let clock = |by: i64, skew: f64| Clock {
             shift_s: coarse.shift_s + by as f64 * self.step_s - skew * middle_s,
             skew,
         };
-        let at_rest = |clock: &ClockFit| {
+        let at_rest = |clock: &Clock| {
             let (mut covered, mut at_rest) = (0, 0);
-            for rests in times_s.iter().filter_map(|t_s| self.rests_at(&resting, clock.tau_s(*t_s))) {
+            for rests in times_s.iter().filter_map(|t_s| self.rests_at(&resting, clock.robot_time_s(*t_s))) {
                 covered += 1;
                 at_rest += usize::from(rests);
             }
@@ -455,8 +421,9 @@ impl Search<'_> {
     }
 
     /// Place and target where the robot stands; the clock stays.
-    fn standing_fit(&self, window: &Range<usize>, clock: ClockFit) -> Option<Fit> {
-        let of_row = |row: usize| Some((self.flange(clock.tau_s(self.seen_m.t_s[row]))?, self.seen_m[row]));
+    fn standing_fit(&self, window: &Range<usize>, clock: Clock) -> Option<Fit> {
+        let of_row =
+            |row: usize| Some((self.flange(clock.robot_time_s(self.seen_m.t_s[row]))?, self.seen_m[row]));
         let (flanges, seen_m): (Vec<Pose>, Vec<Vector3<f64>>) = window.clone().filter_map(of_row).unzip();
         let [place, probe] = placements(&flanges, &seen_m, std::iter::empty())?;
         let (place, probe_m) = (place.pose(), probe.position_m);
@@ -470,7 +437,7 @@ impl Search<'_> {
     /// How alike the ways from row to row are, measured and predicted.
     fn of_chords(&self, window: &Range<usize>, fit: &Fit) -> Option<Match> {
         let of_row = |row: usize| {
-            Some((self.held_m(fit.clock.tau_s(self.seen_m.t_s[row]), &fit.probe_m)?, self.seen_m[row]))
+            Some((self.held_m(fit.clock.robot_time_s(self.seen_m.t_s[row]), &fit.probe_m)?, self.seen_m[row]))
         };
         let (held_m, seen_m): (Vec<Vector3<f64>>, Vec<_>) = window.clone().filter_map(of_row).unzip();
         let chords = |points_m: &[Vector3<f64>]| {

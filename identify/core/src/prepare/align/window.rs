@@ -1,18 +1,21 @@
-//! The part of a log by which it is searched for, and how it grows to the whole.
+//! What the search for the clock of a recording and that of a tracker's log share: the part of the log by which it is searched
+//! for, the choice among fits, and how a fit is extended to the whole log.
 
 use std::ops::Range;
 
-use crate::prepare::PrepareOptions;
+use super::correlate::{Match, longest_overlap};
+use crate::prepare::{PrepareError, PrepareOptions};
 
-/// A log is searched for by its liveliest part of at most this length \[s\]: over a longer one clocks of different rate drift
-/// apart.
+/// Longest part of a log by which it is searched for \[s\]: over a longer one clocks of different rates drift apart.
 pub(in crate::prepare) const WINDOW_S: f64 = 900.0;
 /// The window grows by this factor from fit to fit.
 const GROWTH: f64 = 4.0;
-/// Shifts by each kind of correlation at which more than speeds are compared.
+/// Number of shifts by each kind of correlation at which more than speeds are compared.
 pub(in crate::prepare) const CANDIDATES: usize = 6;
+/// Two fits whose residuals differ by less than this factor are equally good: the motion repeats.
+const TIE: f64 = 1.2;
 
-/// The part with the most motion of samples at `t_s`; `travel` is that between two neighbours.
+/// The part with the most motion of samples at `t_s`; `travel` is the travel between two neighbours.
 pub(in crate::prepare) fn liveliest(t_s: &[f64], travel: impl Fn([usize; 2]) -> f64) -> Range<usize> {
     let duration_s = t_s.last().zip(t_s.first()).map_or(0.0, |(last, first)| last - first);
     if duration_s <= WINDOW_S {
@@ -31,8 +34,55 @@ pub(in crate::prepare) fn liveliest(t_s: &[f64], travel: impl Fn([usize; 2]) -> 
         .unwrap_or(0..t_s.len())
 }
 
-/// The next larger part: clocks that are known over a quarter of an hour are known well enough for an hour.
-pub(in crate::prepare) fn wider(t_s: &[f64], window: &Range<usize>) -> Range<usize> {
+/// How long two logs of these lengths must overlap \[s\].
+pub(in crate::prepare) fn overlap_min_s(options: &PrepareOptions, one_s: f64, other_s: f64) -> f64 {
+    options.overlap_min_s.max(options.overlap_min_part * one_s.min(other_s))
+}
+
+/// The best of several fits.
+#[derive(Debug)]
+pub(in crate::prepare) struct Best<F> {
+    /// How the speeds match at its shift.
+    pub matched: Match,
+    /// Another shift fits as well.
+    pub ambiguous: bool,
+    pub fit: F,
+}
+
+/// Of fits at several shifts that one with small residuals whose logs overlap longest: where several fit equally well the motion
+/// repeats, and the longest overlap is the most likely. `are_apart` tells whether two fits have different shifts.
+pub(in crate::prepare) fn best<F>(
+    mut fits: Vec<(Match, F)>,
+    spread: impl Fn(&F) -> f64,
+    are_apart: impl Fn(&F, &F) -> bool,
+) -> Option<Best<F>> {
+    let least = fits.iter().map(|(_, fit)| spread(fit)).fold(f64::INFINITY, f64::min);
+    fits.retain(|(_, fit)| spread(fit) <= TIE * least);
+    let differs = |at: usize| fits[..at].iter().any(|(_, other)| are_apart(&fits[at].1, other));
+    let ambiguous = (0..fits.len()).any(differs);
+    let (matched, fit) = longest_overlap(fits, |(matched, _)| matched)?;
+    Some(Best { matched, ambiguous, fit })
+}
+
+/// Extends a fit from its window to the whole log, step by step: clocks that are known over a quarter of an hour are known well
+/// enough for an hour.
+///
+/// # Errors
+/// [`PrepareError::NothingToFit`] where `refit` finds nothing.
+pub(in crate::prepare) fn extended<F>(
+    t_s: &[f64],
+    mut window: Range<usize>,
+    mut fit: F,
+    refit: impl Fn(&Range<usize>, &F) -> Option<F>,
+) -> Result<F, PrepareError> {
+    while window != (0..t_s.len()) {
+        window = wider(t_s, &window);
+        fit = refit(&window, &fit).ok_or(PrepareError::NothingToFit)?;
+    }
+    Ok(fit)
+}
+
+fn wider(t_s: &[f64], window: &Range<usize>) -> Range<usize> {
     let at = |index: usize| t_s.get(index).copied().unwrap_or_default();
     let (from_s, to_s) = (at(window.start), at(window.end.saturating_sub(1)));
     let more_s = 0.5 * (GROWTH - 1.0) * (to_s - from_s).max(1.0);
@@ -41,7 +91,17 @@ pub(in crate::prepare) fn wider(t_s: &[f64], window: &Range<usize>) -> Range<usi
     from..to
 }
 
-/// How long two logs of these lengths must overlap \[s\].
-pub(in crate::prepare) fn overlap_min_s(options: &PrepareOptions, one_s: f64, other_s: f64) -> f64 {
-    options.overlap_min_s.max(options.overlap_min_part * one_s.min(other_s))
+/// The refusal of two logs whose speeds match nowhere: with the highest correlation that was found, and the overlap there \[s\].
+pub(in crate::prepare) fn no_match(
+    other: &'static str,
+    highest: Option<(f64, f64)>,
+    overlap_min_s: f64,
+    options: &PrepareOptions,
+) -> PrepareError {
+    match highest {
+        Some((correlation, overlap_s)) => {
+            PrepareError::NoMatch { other, correlation, overlap_s, needed: options.correlation_min }
+        }
+        None => PrepareError::NoSpeeds { other, needed_s: overlap_min_s },
+    }
 }

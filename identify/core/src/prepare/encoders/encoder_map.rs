@@ -145,8 +145,12 @@ pub struct EncoderMapReport {
 }
 
 /// Measured and predicted angles of one instant.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct AnglePair {
+    /// Index of the sample among all.
+    pub sample: usize,
+    /// Number of the counters' origin.
+    pub origin: usize,
     /// Instants of one segment share configuration of the bar and offsets of the encoders.
     pub segment: usize,
     /// Encoder angles by recorded joint, offsets unknown \[rad\].

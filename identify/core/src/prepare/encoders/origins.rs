@@ -44,21 +44,20 @@ pub(in crate::prepare) fn join(
     found: &mut Found,
     t_ref_s: f64,
 ) -> (usize, Vec<OriginSpan>) {
-    let pairs = |found: &Found, origin: usize| {
-        found.settled.offsets.get(origin).copied().flatten().map_or(0, |offsets| offsets.pairs)
-    };
-    let origins = found.settled.offsets.len();
+    let pairs =
+        |found: &Found, origin: usize| found.offset_fit.of_origin(origin).map_or(0, |offsets| offsets.pairs);
+    let origins = found.offset_fit.origins();
     let reference = (0..origins).max_by_key(|origin| pairs(found, *origin)).unwrap_or(0);
     let sigma_rad = |found: &Found, origin: usize| {
         found.fit.sigma_rad * (SAMPLES_ALIKE / pairs(found, origin).max(1) as f64).sqrt()
     };
-    let of_reference = found.settled.offsets.get(reference).copied().flatten();
+    let of_reference = found.offset_fit.of_origin(reference);
     let mut spans = Vec::new();
     let mut numbers = 1..;
     for origin in 0..origins {
         let begins = readings.partition_point(|reading| reading.origin < origin);
         let ends = readings.partition_point(|reading| reading.origin <= origin);
-        let offsets = found.settled.offsets.get(origin).copied().flatten();
+        let offsets = found.offset_fit.of_origin(origin);
         let mut shift_rad = [0.0; BAR_JOINTS];
         if let (Some(offsets), Some(reference)) = (offsets, of_reference) {
             shift_rad = std::array::from_fn(|joint| {
@@ -68,8 +67,7 @@ pub(in crate::prepare) fn join(
         let own_rad = if origin == reference { 0.0 } else { sigma_rad(found, origin) };
         let sigma_rad = own_rad.hypot(if origin == reference { 0.0 } else { sigma_rad(found, reference) });
         let limit_rad = UNCHANGED_RAD.max(SIGMAS * sigma_rad);
-        if let (Some(Some(offsets)), Some(reference)) = (found.settled.offsets.get_mut(origin), of_reference)
-        {
+        if let (Some(offsets), Some(reference)) = (found.offset_fit.of_origin_mut(origin), of_reference) {
             // Terminals lose their origin one by one.
             for (joint, shift) in
                 shift_rad.iter_mut().enumerate().filter(|(_, shift)| shift.abs() <= limit_rad)

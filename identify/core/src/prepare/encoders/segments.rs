@@ -5,23 +5,9 @@
 //! and predicted angles differ by constants; its other segments then need only one of four configurations each.
 
 use super::circular::{circular_median, spread_of};
+use super::encoder_map::{AnglePair, EncoderMap};
 use crate::kinematics::{BAR_JOINTS, Configuration, wrapped};
 use crate::statistics::median;
-
-/// Measured and predicted angles of one instant, by joint.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(in crate::prepare) struct Pair {
-    /// Index among all samples.
-    pub sample: usize,
-    /// Number of the counters' origin.
-    pub origin: usize,
-    /// Number of the segment.
-    pub segment: usize,
-    /// Encoder angles, offsets unknown \[rad\].
-    pub measured_rad: [f64; BAR_JOINTS],
-    /// From the robot's log, in the first configuration \[rad\].
-    pub predicted_rad: [f64; BAR_JOINTS],
-}
 
 /// Offsets of one origin.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -32,32 +18,62 @@ pub(in crate::prepare) struct Offsets {
     pub pairs: usize,
 }
 
-/// What is known of all origins.
+/// Offsets of all origins.
 #[derive(Debug, Clone, PartialEq)]
-pub(in crate::prepare) struct Settled {
-    /// By origin; none where too little is there to find them.
-    pub offsets: Vec<Option<Offsets>>,
+pub(in crate::prepare) struct OffsetFit {
+    /// By origin; none where too few pairs determine them.
+    by_origin: Vec<Option<Offsets>>,
     /// Configuration in the longest segment of all. Without encoder on joint 2 (or 4) both signs fit, and the positive
     /// one is named.
     pub configuration: Configuration,
     /// The pairs that fit, in the order of time: sample, and joints \[rad\]; those without encoder as predicted.
     pub fitting: Vec<(usize, [f64; BAR_JOINTS])>,
-    /// Scatter of each joint about its zero, on nominal geometry \[rad\].
+    /// Scatter of each joint about its offset, on nominal geometry \[rad\].
     pub spread_rad: [f64; BAR_JOINTS],
+}
+
+impl OffsetFit {
+    /// Number of origins.
+    pub fn origins(&self) -> usize {
+        self.by_origin.len()
+    }
+
+    /// Offsets of an origin, where they were found.
+    pub fn of_origin(&self, origin: usize) -> Option<Offsets> {
+        self.by_origin.get(origin).copied().flatten()
+    }
+
+    pub fn of_origin_mut(&mut self, origin: usize) -> Option<&mut Offsets> {
+        self.by_origin.get_mut(origin)?.as_mut()
+    }
+
+    /// Adds a correction to the offsets of each origin \[rad\].
+    pub fn correct(&mut self, by_rad: &[[f64; BAR_JOINTS]]) {
+        for (offsets, by_rad) in self.by_origin.iter_mut().zip(by_rad) {
+            if let Some(offsets) = offsets {
+                offsets.offsets_rad = std::array::from_fn(|j| offsets.offsets_rad[j] + by_rad[j]);
+            }
+        }
+    }
 }
 
 /// Fewest pairs that the offsets of an origin are taken from.
 const PAIRS_MIN: usize = 10;
 
 /// Finds offsets and configurations. Segments in which the median angle is off by more than `limit_rad` are left out.
-pub(in crate::prepare) fn settle(
-    pairs: &[Pair],
-    measured: &[bool; BAR_JOINTS],
+pub(in crate::prepare) fn fit_offsets(
+    pairs: &[AnglePair],
+    encoder_map: &EncoderMap,
     origins: usize,
     limit_rad: f64,
-) -> Settled {
-    let mut settled = Settled {
-        offsets: vec![None; origins],
+) -> OffsetFit {
+    let measured = &encoder_map.measured();
+    // From here on by the joints on which the encoders are.
+    let by_joint =
+        |pair: &AnglePair| AnglePair { recorded_rad: encoder_map.applied(&pair.recorded_rad), ..*pair };
+    let pairs: Vec<AnglePair> = pairs.iter().map(by_joint).collect();
+    let mut fit = OffsetFit {
+        by_origin: vec![None; origins],
         configuration: Configuration::ALL[0],
         fitting: Vec::new(),
         spread_rad: [0.0; BAR_JOINTS],
@@ -65,14 +81,14 @@ pub(in crate::prepare) fn settle(
     let mut longest = 0;
     let mut errors: [Vec<f64>; BAR_JOINTS] = Default::default();
     for of_origin in pairs.chunk_by(|a, b| a.origin == b.origin) {
-        let mut segments: Vec<&[Pair]> = of_origin.chunk_by(|a, b| a.segment == b.segment).collect();
+        let mut segments: Vec<&[AnglePair]> = of_origin.chunk_by(|a, b| a.segment == b.segment).collect();
         segments.sort_by_key(|segment| std::cmp::Reverse(segment.len()));
         let Some(first) = segments.first().filter(|segment| segment.len() >= PAIRS_MIN) else { continue };
         let (configuration, offsets_rad) = configuration_and_offsets(first, measured);
         if first.len() > longest {
-            (longest, settled.configuration) = (first.len(), configuration);
+            (longest, fit.configuration) = (first.len(), configuration);
         }
-        let mut chosen: Vec<(&[Pair], Configuration)> = Vec::new();
+        let mut chosen: Vec<(&[AnglePair], Configuration)> = Vec::new();
         for segment in &segments {
             let fits =
                 |configuration: &Configuration| off_by(segment, *configuration, &offsets_rad, measured);
@@ -81,7 +97,7 @@ pub(in crate::prepare) fn settle(
         }
         let offsets_rad = offsets_in(&chosen, measured);
         let used = chosen.iter().map(|(segment, _)| segment.len()).sum();
-        if let Some(offsets) = settled.offsets.get_mut(first[0].origin) {
+        if let Some(offsets) = fit.by_origin.get_mut(first[0].origin) {
             *offsets = Some(Offsets { offsets_rad, pairs: used });
         }
         for (pair, configuration) in chosen
@@ -90,24 +106,24 @@ pub(in crate::prepare) fn settle(
         {
             let predicted = configuration.carry(&pair.predicted_rad);
             let joints: [f64; BAR_JOINTS] = std::array::from_fn(|joint| {
-                if measured[joint] { pair.measured_rad[joint] + offsets_rad[joint] } else { predicted[joint] }
+                if measured[joint] { pair.recorded_rad[joint] + offsets_rad[joint] } else { predicted[joint] }
             });
-            settled.fitting.push((pair.sample, joints));
+            fit.fitting.push((pair.sample, joints));
             for joint in 0..BAR_JOINTS {
                 errors[joint].push(wrapped(predicted[joint] - joints[joint]).abs());
             }
         }
     }
-    settled.fitting.sort_by_key(|(sample, _)| *sample);
-    for ((spread, errors), measured) in settled.spread_rad.iter_mut().zip(errors).zip(measured) {
+    fit.fitting.sort_by_key(|(sample, _)| *sample);
+    for ((spread, errors), measured) in fit.spread_rad.iter_mut().zip(errors).zip(measured) {
         *spread = if *measured { spread_of(errors) } else { 0.0 };
     }
-    settled
+    fit
 }
 
 /// The configuration in which the differences scatter least, and their medians in it.
 fn configuration_and_offsets(
-    segment: &[Pair],
+    segment: &[AnglePair],
     measured: &[bool; BAR_JOINTS],
 ) -> (Configuration, [f64; BAR_JOINTS]) {
     let mut best: Option<(f64, Configuration, [f64; BAR_JOINTS])> = None;
@@ -125,13 +141,16 @@ fn configuration_and_offsets(
 }
 
 /// Circular median of predicted minus measured, by joint.
-fn offsets_in(segments: &[(&[Pair], Configuration)], measured: &[bool; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
+fn offsets_in(
+    segments: &[(&[AnglePair], Configuration)],
+    measured: &[bool; BAR_JOINTS],
+) -> [f64; BAR_JOINTS] {
     let mut differences: [Vec<f64>; BAR_JOINTS] = Default::default();
     for (segment, configuration) in segments {
         for pair in *segment {
             let predicted = configuration.carry(&pair.predicted_rad);
             for joint in (0..BAR_JOINTS).filter(|joint| measured[*joint]) {
-                differences[joint].push(predicted[joint] - pair.measured_rad[joint]);
+                differences[joint].push(predicted[joint] - pair.recorded_rad[joint]);
             }
         }
     }
@@ -140,7 +159,7 @@ fn offsets_in(segments: &[(&[Pair], Configuration)], measured: &[bool; BAR_JOINT
 
 /// Median over the pairs of the largest difference of a joint \[rad\].
 fn off_by(
-    segment: &[Pair],
+    segment: &[AnglePair],
     configuration: Configuration,
     offsets_rad: &[f64; BAR_JOINTS],
     measured: &[bool; BAR_JOINTS],
@@ -151,7 +170,7 @@ fn off_by(
             let predicted = configuration.carry(&pair.predicted_rad);
             let joints = (0..BAR_JOINTS).filter(|joint| measured[*joint]);
             let off = joints
-                .map(|joint| wrapped(predicted[joint] - pair.measured_rad[joint] - offsets_rad[joint]).abs());
+                .map(|joint| wrapped(predicted[joint] - pair.recorded_rad[joint] - offsets_rad[joint]).abs());
             off.fold(0.0, f64::max)
         })
         .collect();

@@ -23,16 +23,16 @@ enum Fit {
 /// The slip in a run in which most samples of an encoder, or too few, fit: in some segment between singular poses all
 /// encoders fit but one, and that one fits before and after a step.
 ///
-/// `pairs` are in the order of time, each with its time \[s\].
+/// `pairs` are in the order of time; `t_s` are the times of all samples \[s\].
 pub(in crate::prepare) fn large_slip(
-    pairs: &[(f64, AnglePair)],
+    pairs: &[AnglePair],
+    t_s: &[f64],
     recorded_joints: &[u8],
     options: &PrepareOptions,
 ) -> Option<PrepareError> {
     let limit_rad = options.spread_max_mrad * 1e-3;
-    let mut segments: Vec<&[(f64, AnglePair)]> = pairs.chunk_by(|a, b| a.1.segment == b.1.segment).collect();
-    segments.retain(|segment| segment.len() >= 2 * PAIRS_MIN);
-    segments.iter().find_map(|segment| {
+    let segments = pairs.chunk_by(|a, b| a.segment == b.segment);
+    segments.filter(|segment| segment.len() >= 2 * PAIRS_MIN).find_map(|segment| {
         let mut slip = None;
         for joint in recorded_joints {
             match fit(segment, usize::from(*joint) - 1, limit_rad) {
@@ -42,18 +42,17 @@ pub(in crate::prepare) fn large_slip(
             }
         }
         let (joint, at, by_rad) = slip?;
-        let at_s = segment.get(at)?.0;
+        let at_s = *t_s.get(segment.get(at)?.sample)?;
         Some(PrepareError::EncoderSlip { joint: joint as u8 + 1, at_s, by_mrad: by_rad * 1e3 })
     })
 }
 
 /// How the encoder of `recorded` (from 0) fits; its own joint is tried first.
-fn fit(segment: &[(f64, AnglePair)], recorded: usize, limit_rad: f64) -> Fit {
+fn fit(segment: &[AnglePair], recorded: usize, limit_rad: f64) -> Fit {
     let mut stepped = Fit::Nowhere;
     let joints = std::iter::once(recorded).chain((0..BAR_JOINTS).filter(|joint| *joint != recorded));
     for (joint, sign) in joints.flat_map(|joint| [(joint, 1.0), (joint, -1.0)]) {
-        let difference =
-            |(_, pair): &(f64, AnglePair)| pair.predicted_rad[joint] - sign * pair.recorded_rad[recorded];
+        let difference = |pair: &AnglePair| pair.predicted_rad[joint] - sign * pair.recorded_rad[recorded];
         let differences: Vec<f64> = segment.iter().map(difference).collect();
         // What the encoder reads jumps the other way than what it lacks.
         let jumps = step(&differences, limit_rad).map(|(at, by_rad)| Fit::Stepped {

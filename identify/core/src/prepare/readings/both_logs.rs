@@ -10,7 +10,8 @@ use super::bar_angles::{BarAngles, bar_angles};
 use super::standstill::Standstill;
 use super::unwrap::{unwrapped_counters, unwrapped_log};
 use crate::logs::{RobotLog, Unwrapped};
-use crate::prepare::{ClockFit, EncoderMap, PrepareError, PrepareOptions};
+use crate::model::Clock;
+use crate::prepare::{EncoderMap, PrepareError, PrepareOptions};
 use crate::threads::both;
 
 /// What the bar and the robot say.
@@ -52,7 +53,7 @@ impl<'a> BothLogs<'a> {
     pub fn averaged(
         &self,
         t_ref: UtcNs,
-        clock: ClockFit,
+        clock: Clock,
         encoder_map: &EncoderMap,
         standstills: &[Standstill],
     ) -> Option<Averaged> {

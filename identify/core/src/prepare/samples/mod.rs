@@ -58,7 +58,7 @@ pub(super) fn sort(
 ) -> Result<Sorted, PrepareError> {
     let encoder_map = &found.encoder_map.used;
     let measured = encoder_map.measured();
-    let offsets = |origin: usize| found.settled.offsets.get(origin).copied().flatten().map(|z| z.offsets_rad);
+    let offsets = |origin: usize| found.offset_fit.of_origin(origin).map(|offsets| offsets.offsets_rad);
     let joints: Vec<Sample> = readings
         .iter()
         .zip(&readings.t_s)
@@ -114,8 +114,7 @@ fn look_at_all(
     let margin_min_rad = options.singular_margin_deg.to_radians();
     let stride = readings.len().div_ceil(LOOKED_AT_MAX).max(1);
     let mut statuses = vec![SampleStatus::Thinned; readings.len()];
-    let has_offsets =
-        |reading: &BarReading| found.settled.offsets.get(reading.origin).is_some_and(Option::is_some);
+    let has_offsets = |reading: &BarReading| found.offset_fit.of_origin(reading.origin).is_some();
     let looked_at = rows(readings.len().div_ceil(stride), |place| {
         let (reading, sample) = (&readings[place * stride], &joints[place * stride]);
         if !has_offsets(reading) {

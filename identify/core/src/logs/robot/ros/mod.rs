@@ -16,7 +16,7 @@ use shared::config::{AngleUnit, RobotConfig};
 use super::mapping::RobotLogMapping;
 use super::raw::{Meaning, RawLog, RawRow};
 use crate::kinematics::Joints;
-use crate::logs::{ForceColumns, ForceKind, LogError, LogFormat, Origin, RobotLog};
+use crate::logs::{ForceColumns, ForceKind, LogError, LogFormat, RobotLog};
 use bag::Message;
 
 pub(in crate::logs) use bag::{Bag, UNSTAMPED, Wanted, clock_name};
@@ -62,11 +62,8 @@ pub(in crate::logs) fn read(
         Some(mapping) => Meaning::mapped(robot, mapping, names.clone(), path)?,
         None => Meaning::of_controller(robot, AngleUnit::Rad, names.clone(), format, path)?,
     };
-    let mut raw = RawLog::new(path, "message");
     let stamped = topic.is_stamped();
-    let clock = clock_name(stamped);
-    raw.clock = mapping.and_then(|mapping| mapping.clock.clone()).unwrap_or_else(|| clock.into());
-    raw.origin = mapping.and_then(|mapping| mapping.values).unwrap_or(Origin::Measured);
+    let mut raw = RawLog::measured(path, "message", mapping, clock_name(stamped));
     raw.remarks.clone_from(&bag.remarks);
     raw.force = mapping
         .and_then(|mapping| mapping.force.as_ref())

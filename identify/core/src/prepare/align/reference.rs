@@ -1,0 +1,45 @@
+//! The reference time of two aligned logs.
+
+use shared::time::UtcNs;
+
+use super::correlate::Match;
+use crate::logs::RobotLog;
+use crate::model::Clock;
+use crate::prepare::Alignment;
+
+/// The middle of what both logs cover, to which all times of the result refer. The other log is the bar's or the tracker's.
+pub(in crate::prepare) struct Reference {
+    /// Times since the other log's first sample between which both logs have values \[s\].
+    overlap_s: [f64; 2],
+    /// The middle of it \[s\]...
+    pub t_ref_s: f64,
+    /// ...on the other log's clock.
+    pub t_ref: UtcNs,
+    /// The clock for times since then.
+    pub clock: Clock,
+}
+
+impl Reference {
+    /// Of another log whose samples are from `first` to `end_s` later, and a robot log of a duration; `clock` counts from `first`.
+    pub fn new(first: UtcNs, end_s: f64, clock: Clock, log_duration_s: f64) -> Self {
+        let other_time_s = |tau_s: f64| (tau_s - clock.shift_s) / (1.0 + clock.skew);
+        let from_s = other_time_s(0.0).clamp(0.0, end_s);
+        let overlap_s = [from_s, other_time_s(log_duration_s).clamp(from_s, end_s)];
+        let t_ref_s = 0.5 * (overlap_s[0] + overlap_s[1]);
+        let t_ref = first.plus_ns((t_ref_s * 1e9).round() as i64);
+        Self { overlap_s, t_ref_s, t_ref, clock: clock.counted_from(t_ref_s) }
+    }
+
+    pub fn alignment(&self, matched: &Match, ambiguous: bool, log: &RobotLog) -> Alignment {
+        let after_first_ns = (self.clock.shift_s * 1e9).round() as i64;
+        let robot_ref_ns = log.q_rad.first_stamp_ns.saturating_add(after_first_ns);
+        Alignment {
+            correlation: matched.correlation,
+            runner_up: matched.runner_up,
+            ambiguous,
+            overlap_s: self.overlap_s[1] - self.overlap_s[0],
+            clock_difference_ns: robot_ref_ns.saturating_sub(self.t_ref.0),
+            skew: self.clock.skew,
+        }
+    }
+}
