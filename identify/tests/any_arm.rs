@@ -184,7 +184,7 @@ fn a_urdf_that_gives_no_serial_arm_is_refused_with_what_to_do() {
     // What no command would load, and what contradicts itself.
     for (from, to, told) in [
         ("xyz=\"0 0 0.2025\"", "xyz=\"nan 0 0.2025\"", "joint `a2` has NaN in its origin or axis"),
-        ("xyz=\"0 0 0.2025\"", "xyz=\"0 0 202.5\"", "links[0].d_m: 202.6575 is out of range"),
+        ("xyz=\"0 0 0.2025\"", "xyz=\"0 0 202.5\"", "links[0].d_m: 202.6575 is outside -10 to 10"),
         ("joint name=\"a3\"", "joint name=\"a2\"", "several joints have the name `a2`"),
         ("link name=\"l3\"", "link name=\"l2\"", "several links have the name `l2`"),
         ("child link=\"l3\"", "child link=\"l2\"", "several joints lead to link `l2`"),

@@ -1,7 +1,7 @@
-//! What the acquisition daemon and the identifier agree on: how counts become angles, what a
-//! recording looks like, how time is written, how configuration is read, and how the programs print.
+//! Common to the acquisition daemon and the identifier: conversion of counts to angles, the format of recordings, time,
+//! configuration files, and output.
 //!
-//! This crate knows neither the bus nor the estimator.
+//! This crate depends on neither the bus nor the estimator.
 
 pub mod config;
 pub mod encoder;

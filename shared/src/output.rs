@@ -6,11 +6,11 @@ use std::fmt::{self, Write as _};
 use std::io::{self, Write as _};
 
 thread_local! {
-    /// What this thread said, where that is not for standard output.
+    /// Output of this thread that is kept instead of printed.
     static KEPT: RefCell<Option<String>> = const { RefCell::new(None) };
 }
 
-/// What `work` returns, and what it said in this thread: for programs whose own output is another one.
+/// Result of `work`, and its output in this thread, for programs whose standard output has another use.
 pub fn kept<T>(work: impl FnOnce() -> T) -> (T, String) {
     let before = KEPT.replace(Some(String::new()));
     let result = work();
@@ -20,7 +20,7 @@ pub fn kept<T>(work: impl FnOnce() -> T) -> (T, String) {
 /// Prints a line.
 ///
 /// # Errors
-/// Where the output cannot be written, such as on a full disk; see [`unless_gone`].
+/// If the output cannot be written, such as on a full disk; see [`unless_gone`].
 pub fn say(line: impl fmt::Display) -> io::Result<()> {
     show(format_args!("{line}\n"))
 }
@@ -37,10 +37,10 @@ pub fn show(text: impl fmt::Display) -> io::Result<()> {
     unless_gone(write!(io::stdout().lock(), "{text}"))
 }
 
-/// An output whose reader has gone (`| head`) has taken all that is wanted of it.
+/// Accepts an output whose reader has closed it (`| head`).
 ///
 /// # Errors
-/// Any other, with what it concerns.
+/// Any other error, with its context.
 pub fn unless_gone(written: io::Result<()>) -> io::Result<()> {
     written.or_else(|error| match error.kind() {
         io::ErrorKind::BrokenPipe => Ok(()),
@@ -48,7 +48,7 @@ pub fn unless_gone(written: io::Result<()>) -> io::Result<()> {
     })
 }
 
-/// The first of some things by name, and how many more there are.
+/// The names of the first `most` things, and the number of the others.
 pub fn named(things: &[impl fmt::Display], most: usize) -> String {
     let shown = things.iter().take(most).map(ToString::to_string).collect::<Vec<_>>().join(", ");
     match things.len().checked_sub(most) {
@@ -57,7 +57,7 @@ pub fn named(things: &[impl fmt::Display], most: usize) -> String {
     }
 }
 
-/// An error with its causes, each once: most of ours name theirs already, so that who has only the error has all of it.
+/// An error with its causes, each once: most of our errors contain their causes.
 pub fn explained(error: &(dyn Error + 'static)) -> String {
     let (mut text, mut next) = (error.to_string(), error.source());
     while let Some(error) = next {

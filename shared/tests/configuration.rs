@@ -1,4 +1,4 @@
-//! What a person is told whose configuration file cannot be read.
+//! Messages on configuration files that cannot be read.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::path::Path;
@@ -11,7 +11,7 @@ fn shipped(name: &str) -> String {
     std::fs::read_to_string(path).unwrap()
 }
 
-fn told<T: serde::de::DeserializeOwned + Validate>(text: &str) -> String {
+fn message<T: serde::de::DeserializeOwned + Validate>(text: &str) -> String {
     match config::parse::<T>(text, Path::new("cell.toml")) {
         Ok(_) => "accepted".to_owned(),
         Err(error) => error.to_string(),
@@ -22,36 +22,35 @@ fn told<T: serde::de::DeserializeOwned + Validate>(text: &str) -> String {
 fn a_key_that_does_not_exist_is_named_with_its_line_and_the_nearest_that_does() {
     let text = shipped("daemon.toml").replace("rate_hz", "rate_Hz");
     let line = 1 + text.lines().position(|line| line.contains("rate_Hz")).unwrap();
-    let told = told::<DaemonConfig>(&text);
-    let begin =
-        format!("cell.toml, line {line}: there is no key `rate_Hz`; did you mean `rate_hz`? Keys here: ");
-    assert!(told.starts_with(&begin), "{told}");
-    assert!(!told.contains("TOML parse error"), "{told}");
+    let message = message::<DaemonConfig>(&text);
+    let begin = format!("cell.toml, line {line}: unknown key `rate_Hz`; did you mean `rate_hz`? Keys here: ");
+    assert!(message.starts_with(&begin), "{message}");
+    assert!(!message.contains("TOML parse error"), "{message}");
 }
 
 #[test]
 fn a_key_of_a_table_is_named_with_the_table() {
-    let told = told::<DaemonConfig>("\n[realtime]\nfifo_prioritty = 3\n");
+    let message = message::<DaemonConfig>("\n[realtime]\nfifo_prioritty = 3\n");
     assert!(
-        told.starts_with(
-            "cell.toml, line 3: there is no key `realtime.fifo_prioritty`; did you mean `fifo_priority`?"
+        message.starts_with(
+            "cell.toml, line 3: unknown key `realtime.fifo_prioritty`; did you mean `fifo_priority`?"
         ),
-        "{told}"
+        "{message}"
     );
 }
 
 #[test]
 fn a_key_like_no_other_gets_no_guess() {
-    let told = told::<DaemonConfig>("zzz = 1\n");
-    assert!(told.starts_with("cell.toml, line 1: there is no key `zzz`. Keys here: "), "{told}");
+    let message = message::<DaemonConfig>("zzz = 1\n");
+    assert!(message.starts_with("cell.toml, line 1: unknown key `zzz`. Keys here: "), "{message}");
 }
 
 #[test]
 fn a_value_of_another_type_is_reported_with_what_was_expected() {
-    let told = told::<DaemonConfig>("# cell\nrate_hz = \"fast\"\n");
+    let message = message::<DaemonConfig>("# cell\nrate_hz = \"fast\"\n");
     assert!(
-        told.starts_with("cell.toml, line 2: key `rate_hz`: invalid type: string \"fast\", expected"),
-        "{told}"
+        message.starts_with("cell.toml, line 2: key `rate_hz`: invalid type: string \"fast\", expected"),
+        "{message}"
     );
 }
 
@@ -76,13 +75,10 @@ fn a_value_of_none_of_several_forms_is_reported_without_names_of_the_program() {
             usable.then_some(()).ok_or_else(|| config::Violation::new("form", "nothing", "give numbers"))
         }
     }
-    assert_eq!(told::<File>("form = [1.0]"), "accepted");
-    let told = told::<File>("\nform = \"1,2\"\n");
-    assert!(
-        told.starts_with("cell.toml, line 2: key `form`: what stands there has none of the forms"),
-        "{told}"
-    );
-    assert!(!told.contains("untagged") && !told.contains("Form"), "{told}");
+    assert_eq!(message::<File>("form = [1.0]"), "accepted");
+    let message = message::<File>("\nform = \"1,2\"\n");
+    assert!(message.starts_with("cell.toml, line 2: key `form`: its value has an unknown form"), "{message}");
+    assert!(!message.contains("untagged") && !message.contains("Form"), "{message}");
 }
 
 #[test]
@@ -92,10 +88,10 @@ fn a_value_that_makes_no_sense_is_named_with_its_line_also_within_a_table_of_sev
         (text.rfind("lines = 3600").unwrap(), |at: usize| text[..at].matches('\n').count() + 1);
     let wrong = format!("{}lines = 0{}", &text[..last], &text[last + "lines = 3600".len()..]);
     let place = format!("cell.toml, line {}: key `encoders[4].lines`: ", line(last));
-    assert!(told::<BallBarConfig>(&wrong).starts_with(&place), "{}", told::<BallBarConfig>(&wrong));
+    assert!(message::<BallBarConfig>(&wrong).starts_with(&place), "{}", message::<BallBarConfig>(&wrong));
     let wrong = text.replace("plate_u_um = 10.0", "plate_u_um = -1.0");
     let place = format!("cell.toml, line {}: key `plate_u_um`: ", line(text.find("plate_u_um =").unwrap()));
-    assert!(told::<BallBarConfig>(&wrong).starts_with(&place), "{}", told::<BallBarConfig>(&wrong));
+    assert!(message::<BallBarConfig>(&wrong).starts_with(&place), "{}", message::<BallBarConfig>(&wrong));
 }
 
 #[test]
@@ -104,11 +100,11 @@ fn an_uncertainty_of_nothing_is_refused_for_the_rod_whose_length_may_be_left_out
         shipped("ball_bar.toml").replace("length_m = 0.6\n", &format!("length_m = 0.6\n{line}\n"))
     };
     for line in ["", "length_u_um = 20.0"] {
-        assert_eq!(told::<BallBarConfig>(&with(line)), "accepted");
+        assert_eq!(message::<BallBarConfig>(&with(line)), "accepted");
     }
     for line in ["length_u_um = 0.0", "length_u_um = -1.0", "length_u_um = nan"] {
-        let told = told::<BallBarConfig>(&with(line));
-        assert!(told.contains("length_u_um") && told.contains("leave it out"), "{told}");
+        let message = message::<BallBarConfig>(&with(line));
+        assert!(message.contains("length_u_um") && message.contains("leave it out"), "{message}");
     }
 }
 
@@ -117,14 +113,14 @@ fn a_key_that_is_missing_is_named() {
     let text = shipped("robots/ur10.toml");
     let without: String =
         text.lines().filter(|line| !line.starts_with("name")).map(|line| format!("{line}\n")).collect();
-    let told = told::<RobotConfig>(&without);
-    assert_eq!(told, "cell.toml: key `name` is missing; add it");
+    let message = message::<RobotConfig>(&without);
+    assert_eq!(message, "cell.toml: key `name` is missing; add it");
 }
 
 #[test]
 fn text_that_is_no_toml_is_reported_with_its_line() {
-    let told = told::<BallBarConfig>("length_m = 0.6\nplate_m 0.1\n");
-    assert!(told.starts_with("cell.toml, line 2: this is not TOML: "), "{told}");
+    let message = message::<BallBarConfig>("length_m = 0.6\nplate_m 0.1\n");
+    assert!(message.starts_with("cell.toml, line 2: this is not TOML: "), "{message}");
 }
 
 #[test]
@@ -162,14 +158,14 @@ proptest! {
             .collect();
         let (number, key) = keys[which % keys.len()];
         let wrong = format!("{}{letter}{}", &key[..2], &key[2..]);
-        let told = told::<DaemonConfig>(&text.replacen(&format!("{key} = "), &format!("{wrong} = "), 1));
-        prop_assert!(told.starts_with(&format!("cell.toml, line {}: there is no key", number + 1)), "{told}");
-        prop_assert!(told.contains(&format!("{wrong}`; did you mean `{key}`?")), "{told}");
+        let message = message::<DaemonConfig>(&text.replacen(&format!("{key} = "), &format!("{wrong} = "), 1));
+        prop_assert!(message.starts_with(&format!("cell.toml, line {}: there is no key", number + 1)), "{message}");
+        prop_assert!(message.contains(&format!("{wrong}`; did you mean `{key}`?")), "{message}");
     }
 
     #[test]
     fn no_text_is_a_panic(text in "\\PC{0,200}") {
-        told::<DaemonConfig>(&text);
-        told::<RobotConfig>(&text);
+        message::<DaemonConfig>(&text);
+        message::<RobotConfig>(&text);
     }
 }

@@ -199,7 +199,7 @@ fn of_files_without_a_byte_nothing_is_kept() {
     assert_eq!(names(directory.path()), [living]);
 }
 
-/// A disk that keeps something else than it was given, and says nothing.
+/// A disk that keeps other bytes than it was given, without an error.
 #[derive(Debug)]
 struct Forgetful;
 

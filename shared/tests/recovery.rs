@@ -44,7 +44,7 @@ static ALLOCATOR: Watching = Watching;
 /// Cycles between two synchronisations.
 const SYNC_CYCLES: u64 = 4;
 const CYCLES: u64 = 16;
-/// Of the bytes at which something goes wrong, a test takes one of so many; the campaign takes all of them.
+/// Stride of the bytes that a test damages; the campaign damages each of them.
 const STEP: usize = 29;
 
 fn small_run() -> RunMetadata {

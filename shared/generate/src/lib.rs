@@ -20,7 +20,7 @@ pub struct GenerateArguments {
 enum What {
     /// Completions, on standard output.
     Completions {
-        /// Which shell
+        /// Shell to complete in
         shell: Shell,
     },
     /// Man pages: one for the program and one for each command.

@@ -10,7 +10,7 @@ use crate::recording::schema::MAX_ENCODERS;
 /// Joints of the bar: three of the gimbal at the base, two of the cardan at the flange.
 pub const BAR_JOINTS: usize = 5;
 
-/// What a person calls a joint of the bar; where its axis lies at angle zero is in the links.
+/// Name of a joint of the bar in messages.
 pub const fn bar_joint_name(joint: u8) -> &'static str {
     match joint {
         1 => "gimbal, about the axis of its base",
@@ -22,7 +22,7 @@ pub const fn bar_joint_name(joint: u8) -> &'static str {
     }
 }
 
-/// One encoder, in the order in which its terminal stands on the bus.
+/// One encoder, in the order of the terminals on the bus.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EncoderConfig {
@@ -32,7 +32,7 @@ pub struct EncoderConfig {
     pub lines: u32,
     /// Interpolation in the terminal, bits per signal period.
     pub interpolation_bits: u8,
-    /// Which way its counts run.
+    /// Direction of its counts.
     pub direction: Direction,
     /// Joint angle at the reference mark, roughly, as an earlier calibration found it: with it a homed encoder shows how near
     /// the bar is to a singular pose. Changes no angle that is recorded \[deg\].
@@ -62,7 +62,7 @@ impl EncoderConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BallBarConfig {
-    /// Which bar, with which rod.
+    /// Name of the bar and its rod.
     pub name: String,
     /// Centre of the gimbal to centre of the cardan \[m\]; it is `d` of link 3.
     pub length_m: f64,

@@ -1,4 +1,4 @@
-//! `config/daemon.toml`: how the bus is cycled and where recordings go.
+//! `config/daemon.toml`: the cycle of the bus and the directories of recordings.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -17,7 +17,7 @@ pub struct RealtimeConfig {
     pub fifo_priority: i32,
 }
 
-/// The acquisition daemon.
+/// Configuration of the acquisition daemon.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DaemonConfig {
@@ -44,14 +44,14 @@ pub struct DaemonConfig {
     pub port: u16,
     /// Where recordings go; relative to the working directory.
     pub directory: PathBuf,
-    /// Where a run goes on whose directory or disk is lost or refuses; best on another disk.
+    /// Directory in which a run continues if its directory or disk is lost or refuses; best on another disk.
     #[serde(default = "default_spare_directory")]
     pub spare_directory: PathBuf,
     /// The cycle's thread.
     pub realtime: RealtimeConfig,
 }
 
-/// A slow cycle's few would fit into nothing.
+/// Smallest ring: a slow bus has few cycles in a second.
 const RING_CYCLES_MIN: usize = 64;
 
 const fn default_disk_floor_mb() -> u32 {
@@ -66,7 +66,7 @@ const fn default_port() -> u16 {
     7311
 }
 
-/// It survives a restart, and users may write there.
+/// A directory that survives a restart and is writable for users.
 fn default_spare_directory() -> PathBuf {
     "/var/tmp/ballbard".into()
 }

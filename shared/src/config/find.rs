@@ -1,11 +1,11 @@
-//! Where a configuration comes from: a path, a name in one of the usual places, or the copy that is built into the programs.
+//! Finds a configuration by a path, by a name in one of the usual directories, or built into the programs.
 
 use std::borrow::Cow;
 use std::path::{Component, Path, PathBuf};
 
 use super::ConfigError;
 
-/// Directories with configuration, in the order in which they count: of this directory, of the machine.
+/// Directories with configuration, the first that has a name counts: of the working directory, of the machine.
 pub const PLACES: [&str; 2] = ["config", "/etc/ballbard"];
 /// Directory of robots in each of [`PLACES`].
 const ROBOTS: &str = "robots";
@@ -72,14 +72,14 @@ const BUILT_IN: [(Kind, &str, &str); 11] = [
 /// A configuration that was found.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Source {
-    /// In this file.
+    /// A file with this path.
     File(PathBuf),
     /// Built into the program: its name and text.
     BuiltIn(&'static str, &'static str),
 }
 
 impl Source {
-    /// The file at a path; where there is none, what a name stands for ([`Source::named`]). A path that is neither stays what it is.
+    /// The file at a path; if there is none, the configuration of that name ([`Source::named`]), or else the path itself.
     pub fn find(given: &Path) -> Self {
         let named = || Self::named(name(given)?);
         let is_file = given.is_file();
@@ -98,7 +98,7 @@ impl Source {
         in_place.or_else(built_in)
     }
 
-    /// A path that stands in a file of `directory`: relative to it, unless it is a name that is found elsewhere.
+    /// A path in a file of `directory`: relative to it, unless it is a name that is found elsewhere.
     pub fn beside(directory: &Path, given: &Path) -> PathBuf {
         let beside = directory.join(given);
         let is_elsewhere = !beside.exists() && Self::find(given) != Self::File(given.to_owned());
@@ -123,7 +123,7 @@ impl Source {
         robots
     }
 
-    /// What errors name it by.
+    /// Path or name for errors.
     pub fn path(&self) -> &Path {
         match self {
             Self::File(path) => path,
@@ -134,7 +134,7 @@ impl Source {
     /// Its text.
     ///
     /// # Errors
-    /// [`ConfigError::Unreadable`], and [`ConfigError::Malformed`] where it is no text.
+    /// [`ConfigError::Unreadable`], and [`ConfigError::Malformed`] if it is not UTF-8.
     pub fn text(&self) -> Result<Cow<'static, str>, ConfigError> {
         let path = match self {
             Self::BuiltIn(_, text) => return Ok(Cow::Borrowed(text)),
@@ -177,7 +177,7 @@ impl Kind {
         BUILT_IN.iter().filter(|(kind, ..)| *kind == self).map(|&(_, name, _)| name).collect()
     }
 
-    /// The text that is built in, whatever the machine has; empty where there is none of this name.
+    /// The text that is built in, independent of the machine; empty for an unknown name.
     pub fn built_in(self, name: &str) -> &'static str {
         BUILT_IN.iter().find(|(kind, other, _)| *kind == self && *other == name).map_or("", |(.., text)| text)
     }

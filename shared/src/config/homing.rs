@@ -1,11 +1,11 @@
-//! `homing.toml`, written by `ballbard home` into the state directory: where each encoder's reference mark lies on its
-//! terminal's counter.
+//! `homing.toml`, written by `ballbard home` into the state directory: the count of each encoder's reference mark on its
+//! terminal.
 //!
-//! A counter begins anew when its terminal loses power. What stays is the mark on the encoder's disc: angles are counted
-//! from it, so the offset that a calibration finds holds as long as the encoder is not taken off its joint. Homing again
-//! gives the counts of this power cycle. A terminal that still shows the count it latched has not lost power since, so
-//! that is what decides whether a mark still holds; one that does not is left out, and its angles then begin at an
-//! arbitrary count. The revolution that the mark was found in does not matter: angles are the same but for whole turns.
+//! A counter restarts when its terminal loses power, but the mark on the encoder's disc is fixed: angles are counted from it, so
+//! the offset that a calibration finds is valid as long as the encoder is not removed from its joint. Homing again gives the counts
+//! of this power cycle. A terminal that still has the count it latched has not lost power since, so its mark is still valid. A mark
+//! without it is not used, and angles then begin at an arbitrary count. The revolution of the mark does not matter: angles are the
+//! same except for whole turns.
 
 use serde::{Deserialize, Serialize};
 
@@ -33,9 +33,9 @@ pub struct HomedEncoder {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct HomingConfig {
-    /// When, UTC as RFC 3339; for people.
+    /// Time of homing, UTC as RFC 3339; for people.
     pub homed: String,
-    /// The encoders.
+    /// The encoders in bus order.
     pub encoders: Vec<HomedEncoder>,
 }
 

@@ -1,11 +1,11 @@
-//! What a person is told of a key that cannot be read, and where a key is.
+//! Messages on keys that cannot be read, and the lines of keys.
 
 use toml::de::{DeTable, DeValue};
 
-/// A name this near to one that is known is taken for a slip of the pen (Jaro and Winkler; 1 is the same).
+/// Similarity from which an unknown name is taken as a typing error (Jaro and Winkler; 1 is the same).
 const ALIKE: f64 = 0.8;
 
-/// The line that an error is about, from 1; none where it is about the whole file.
+/// The line of an error, from 1; `None` if it concerns the whole file.
 pub(super) fn line(text: &str, error: &toml::de::Error) -> Option<usize> {
     let before = text.get(..error.span()?.start)?;
     // What is absent is absent from a table, and the first one begins where the file does.
@@ -13,7 +13,7 @@ pub(super) fn line(text: &str, error: &toml::de::Error) -> Option<usize> {
     (!absent || !before.is_empty()).then(|| before.matches('\n').count() + 1)
 }
 
-/// The line of a key by its dotted path, from 1, or of as much of the path as is there; none where nothing of it is.
+/// The line of a key by its dotted path, from 1, or of the part of the path that is there; `None` if no part is.
 pub(super) fn line_of(text: &str, key: &str) -> Option<usize> {
     let root = DeValue::Table(DeTable::parse(text).ok()?.into_inner());
     let (mut value, mut place) = (&root, None);
@@ -56,7 +56,7 @@ pub(super) fn message(key: Option<&str>, said: &str) -> String {
     match named.as_slice() {
         [wrong, known @ ..] if said.starts_with("unknown field") => {
             let (key, meant) = (of_table(wrong), meant(wrong, known));
-            format!("there is no key {key}{meant} Keys here: {}", known.join(", "))
+            format!("unknown key {key}{meant} Keys here: {}", known.join(", "))
         }
         [wrong, known @ ..] if said.starts_with("unknown variant") => {
             let meant = meant(wrong, known);
@@ -65,10 +65,9 @@ pub(super) fn message(key: Option<&str>, said: &str) -> String {
         [missing] if said.starts_with("missing field") => {
             format!("key {} is missing; add it", of_table(missing))
         }
-        // Serde says a name of the program there.
+        // The text of serde has a name of the program.
         _ if said.starts_with("data did not match any variant") => format!(
-            "key `{key}`: what stands there has none of the forms that it may have; the comment above it in the file that is shipped \
-             (config/) has them"
+            "key `{key}`: its value has an unknown form; the comment above it in the shipped file (config/) lists the forms"
         ),
         _ => format!("key `{key}`: {}", said.trim_end()),
     }

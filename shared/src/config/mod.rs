@@ -29,12 +29,12 @@ pub enum ConfigError {
     /// The file cannot be read.
     #[error("cannot read configuration {}: {source}; check the path and its permissions", path.display())]
     Unreadable {
-        /// The file.
+        /// Path of the file concerned.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the system call.
         source: std::io::Error,
     },
-    /// There is no such file, nor a configuration of that name.
+    /// The path is neither a file nor a known name.
     #[error("there is no file {} and no {} of that name{nearest} Known by name: {known}", path.display(), kind.noun())]
     Unknown {
         /// The path or name that was given.
@@ -49,19 +49,19 @@ pub enum ConfigError {
     /// The text is not TOML, or a key has the wrong name or type.
     #[error("{}: {message}", place(path, *line))]
     Malformed {
-        /// The file.
+        /// Path of the file concerned.
         path: PathBuf,
-        /// From 1; none where the fault is that something is absent.
+        /// From 1; `None` if something is absent.
         line: Option<usize>,
         /// Which key, what is wrong with it, and what was expected.
         message: String,
     },
-    /// A value is outside what makes sense.
+    /// The value of a key is invalid.
     #[error("{}: key `{key}`: {problem}; {remedy}", place(path, *line))]
     Invalid {
-        /// The file.
+        /// Path of the file concerned.
         path: PathBuf,
-        /// From 1; none where the key is absent.
+        /// From 1; `None` if the key is absent.
         line: Option<usize>,
         /// Dotted path of the key.
         key: String,
@@ -95,7 +95,7 @@ impl Violation {
     }
 
     /// Refuses a value of `key` outside `[low, high]`, and one that is not a number.
-    pub(crate) fn outside<N: PartialOrd + fmt::Display>(
+    pub fn outside<N: PartialOrd + fmt::Display>(
         key: impl Into<String>,
         value: N,
         [low, high]: [N; 2],

@@ -4,9 +4,9 @@ use serde::{Deserialize, Serialize};
 
 use super::{Kind, Validate, Violation};
 
-/// Axes of a robot, at least; the last two cannot be told from where an instrument is mounted.
+/// Smallest number of axes of a robot.
 pub const AXES_MIN: usize = 2;
-/// At most: seven of an arm and a track or turntable before it.
+/// Largest number of axes: seven of an arm and a track or turntable before it.
 pub const AXES_MAX: usize = 8;
 
 /// How an axis moves.
@@ -65,7 +65,7 @@ impl TransformConfig {
         if within(self.xyz_m, LENGTH_M_MAX) && within(self.rpy_deg, ANGLE_DEG_MAX) {
             return Ok(());
         }
-        let problem = format!("{:?} m, {:?} deg is no place on a robot", self.xyz_m, self.rpy_deg);
+        let problem = format!("{:?} m, {:?} deg is not on a robot", self.xyz_m, self.rpy_deg);
         Err(Violation::new(key, problem, "lengths are in metres, angles in degrees"))
     }
 }
@@ -103,9 +103,9 @@ fn is_zero(number: &f64) -> bool {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum AngleUnit {
-    /// Radians.
+    /// Radians, the SI unit.
     Rad,
-    /// Degrees.
+    /// Degrees, 360 in a turn.
     Deg,
 }
 
@@ -176,13 +176,13 @@ impl LogConversion {
     }
 }
 
-/// What is known of a robot's gears. Everything may be absent.
+/// Known facts on a robot's gears. Everything may be absent.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DrivesConfig {
-    /// Lobes of the cycloid gear of each axis: ripples of its error in one turn; 0 where it has none or they are unknown.
+    /// Lobes of the cycloid gear of each axis: periods of its error in one turn; 0 if it has none or they are unknown.
     pub cycloid_lobes: Vec<f64>,
-    /// Turns of the motor for one turn of each axis; 0 where unknown. A motor log says it by itself.
+    /// Turns of the motor for one turn of each axis; 0 if unknown. Motor logs need none.
     pub motor_turns: Vec<f64>,
     /// Direction of gravity in the robot's base, of any length; absent: a robot that stands upright.
     pub gravity: Option<[f64; 3]>,
@@ -199,13 +199,13 @@ impl DrivesConfig {
                 ));
             }
             for (axis, number) in numbers.iter().enumerate() {
-                if !(0.0..=1e4).contains(number) {
-                    return Err(Violation::new(
-                        format!("drives.{key}[{axis}]"),
-                        format!("{number} is no number of waves in a turn"),
-                        "give a positive number, or 0 where it is unknown",
-                    ));
-                }
+                let key = format!("drives.{key}[{axis}]");
+                Violation::outside(
+                    key,
+                    *number,
+                    [0.0, 1e4],
+                    "give the number in a turn, or 0 if it is unknown",
+                )?;
             }
         }
         let usable = |direction: &[f64; 3]| {
@@ -267,7 +267,7 @@ impl Maker {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RobotConfig {
-    /// Maker and model.
+    /// Maker and model of the robot.
     pub name: String,
     /// How the links are read.
     #[serde(default)]
@@ -288,13 +288,13 @@ pub struct RobotConfig {
     pub joint_limits_m: Vec<[f64; 2]>,
     /// How the log becomes joint variables.
     pub log: LogConversion,
-    /// Its gears.
+    /// Gears and gravity of the robot.
     #[serde(default)]
     pub drives: DrivesConfig,
 }
 
 impl RobotConfig {
-    /// Number of axes.
+    /// Number of axes, which is that of the links.
     pub fn axes(&self) -> usize {
         self.links.len()
     }
@@ -373,20 +373,13 @@ pub(super) fn validate_links(key: &str, links: &[LinkConfig]) -> Result<(), Viol
             .into_iter()
             .chain(angles.map(|(name, value)| (name, value, ANGLE_DEG_MAX, "angles are in degrees")));
         for (name, value, limit, remedy) in checks {
-            // A range that contains the value: NaN fails too.
-            if !(-limit..=limit).contains(&value) {
-                return Err(Violation::new(
-                    format!("{key}[{index}].{name}"),
-                    format!("{value} is out of range (at most {limit})"),
-                    remedy,
-                ));
-            }
+            Violation::outside(format!("{key}[{index}].{name}"), value, [-limit, limit], remedy)?;
         }
     }
     Ok(())
 }
 
-/// Determinant by elimination with row pivoting; small and only asked whether it is zero.
+/// Determinant by elimination with row pivoting, to test whether it is zero.
 fn determinant(matrix: &[Vec<f64>]) -> f64 {
     let mut m = matrix.to_vec();
     let mut determinant = 1.0;

@@ -1,4 +1,4 @@
-//! From MCAP records to what a recording says: metadata, cycles without a hole, events.
+//! From MCAP records to the content of a recording: metadata, cycles without a hole, events.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -12,7 +12,7 @@ use super::schema::{CycleRecord, EncoderInfo, Event, MAX_ENCODERS, RunEnd, RunMe
 use super::timing::TimingSummary;
 use crate::encoder::{EncoderScale, INTERPOLATION_BITS};
 
-/// What a recording calls the library that wrote it, before its version.
+/// Name of the writing library in a recording, before its version.
 pub(super) const LIBRARY_NAME: &str = "ballbard ";
 
 /// Numbers that a recording's channels of cycles and of events have: they are the first that the writer adds.
@@ -46,7 +46,7 @@ pub(super) fn metadata_of(name: &str, content: &impl Serialize) -> Result<Metada
 struct StoredRun<Run> {
     #[serde(flatten)]
     run: Run,
-    /// Each cycle carries the number of its origin: what the schema says, for a file that has lost it.
+    /// Each cycle has the number of its origin, as in the schema, which a damaged file may have lost.
     #[serde(default)]
     origin_numbers: bool,
     /// [`RunMetadata::is_simulated`] for other readers of the file.
@@ -86,7 +86,7 @@ pub(super) fn is_proven(metadata: &Metadata) -> bool {
     value(CONTENT_KEY).zip(value(CHECKSUM_KEY)).is_some_and(|(json, checksum)| *checksum == checksum_of(json))
 }
 
-/// Encoders as no configuration allows them would make nonsense of every count.
+/// Refuses encoders that no configuration allows.
 fn check_encoders(run: &RunMetadata) -> Result<(), ReadErrorKind> {
     let possible = |encoder: &EncoderInfo| {
         encoder.scale.lines > 0 && INTERPOLATION_BITS.contains(&encoder.scale.interpolation_bits)
@@ -105,7 +105,7 @@ fn checksum_of(json: &str) -> String {
     format!("{:08x}", crc32fast::hash(json.as_bytes()))
 }
 
-/// One thing that a recording says.
+/// Content of one of our records.
 #[derive(Debug)]
 pub(super) enum Item {
     Run(Box<RunMetadata>),
@@ -125,7 +125,7 @@ enum Ours {
 /// Understands the records of one recording, in the order in which they come.
 #[derive(Default)]
 pub(super) struct Decoder {
-    /// Name of each schema, and how it says that counts have a new origin.
+    /// Name of each schema, and how it marks a new origin of the counts.
     schemas: HashMap<u16, (String, CycleLayout)>,
     /// Every channel that is declared; none for those that are not ours (added by another tool).
     channels: HashMap<u16, Option<Ours>>,
@@ -143,7 +143,7 @@ impl Decoder {
         Self { channels, beginning_may_be_lost: true, ..Self::default() }
     }
 
-    /// What the record says; none where it is not ours or only prepares others.
+    /// Content of the record; `None` if it is not ours or only declares others.
     pub fn decode(&mut self, record: Record<'_>) -> Result<Option<Item>, ReadErrorKind> {
         Ok(match record {
             Record::Metadata(metadata) if metadata.name == RUN_METADATA => {
@@ -212,8 +212,8 @@ impl Decoder {
     }
 }
 
-/// Numbers the origins of a file that only flags the first record of each. Records that were lost may have been such ones, so
-/// that what follows them has an origin of its own: a needless one costs a few parameters, a missed one spoils the calibration.
+/// Numbers the origins of a file that only flags the first record of each. A lost record may have had such a flag, so the records
+/// after it get a new origin: a needless one costs a few parameters, a missed one corrupts the calibration.
 #[derive(Default)]
 struct FlaggedOrigins {
     origin: u32,

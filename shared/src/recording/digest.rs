@@ -1,5 +1,5 @@
-//! What the end of a recording states about its content, so that a list of hundreds of recordings reads none of them whole:
-//! the markers, and which cycles are not valid, since when and why.
+//! Summary at the end of a recording, so that a list of hundreds of recordings reads none of them whole: the markers, and the
+//! invalid cycles with their reasons.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -1,4 +1,4 @@
-//! Where the disk enters: every call that recording, recovering and listing, claims, reference marks and the log put to it.
+//! Every call to the disk for recordings, their recovery and lists, claims, reference marks and the log.
 //!
 //! The methods are the system's own; a test overrides them to refuse, delay or cut short any call.
 
@@ -21,7 +21,7 @@ use nix::unistd::{AccessFlags, access, write};
 pub struct FileId {
     device: u64,
     inode: u64,
-    /// None where the file system does not say.
+    /// `None` if the file system does not record it.
     made: Option<SystemTime>,
 }
 
@@ -38,7 +38,7 @@ impl fmt::Display for FileId {
     }
 }
 
-/// What a file system has left.
+/// Free space of a file system.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Space {
     /// Bytes that this user may still write.
@@ -69,12 +69,12 @@ pub trait Disk: Debug + Send + Sync {
         std::fs::read_dir(directory)?.map(|entry| Ok(entry?.path())).collect()
     }
 
-    /// Locks a file against every other process; `WouldBlock` where one has it.
+    /// Locks a file against every other process; `WouldBlock` if one has locked it.
     fn lock(&self, file: File) -> io::Result<Flock<File>> {
         Flock::lock(file, FlockArg::LockExclusiveNonblock).map_err(|(_, error)| error.into())
     }
 
-    /// Whether another has locked the file with [`lock`](Self::lock). Any number may ask at a time.
+    /// Whether another process has locked the file with [`lock`](Self::lock). Any number of processes may test it at a time.
     fn is_locked(&self, file: File) -> io::Result<bool> {
         match Flock::lock(file, FlockArg::LockSharedNonblock) {
             Ok(_) => Ok(false),
@@ -83,16 +83,16 @@ pub trait Disk: Debug + Send + Sync {
         }
     }
 
-    /// Renames without replacing.
+    /// Renames without replacing another file.
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
         match renameat2(AT_FDCWD, from, AT_FDCWD, to, RenameFlags::RENAME_NOREPLACE) {
-            // Some file systems know no such rename; the name was free when the run began.
+            // Some file systems lack such a rename; the name was free when the run began.
             Err(Errno::EINVAL | Errno::ENOSYS) if !to.exists() => std::fs::rename(from, to),
             result => result.map_err(io::Error::from),
         }
     }
 
-    /// Renames, and what had that name is gone.
+    /// Renames and replaces a file of that name.
     fn replace(&self, from: &Path, to: &Path) -> io::Result<()> {
         std::fs::rename(from, to)
     }
@@ -102,7 +102,7 @@ pub trait Disk: Debug + Send + Sync {
         std::fs::hard_link(path, name)
     }
 
-    /// Removes a file.
+    /// Removes a file from its directory.
     fn remove(&self, path: &Path) -> io::Result<()> {
         std::fs::remove_file(path)
     }
@@ -157,7 +157,7 @@ pub trait Disk: Debug + Send + Sync {
         }
     }
 
-    /// What is left where a directory is or will be.
+    /// Free space at a directory that exists or will be created.
     fn space(&self, directory: &Path) -> io::Result<Space> {
         // One that is not there yet will be made on the file system of the nearest one that is.
         let existing = directory.ancestors().find(|path| path.exists()).unwrap_or(Path::new("."));
@@ -170,7 +170,7 @@ pub trait Disk: Debug + Send + Sync {
     }
 }
 
-/// An error that says that nothing has the name.
+/// Whether an error means that the file does not exist.
 pub fn is_absent(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory)
 }
@@ -184,7 +184,7 @@ pub struct OpenFile<'a> {
 }
 
 impl<'a> OpenFile<'a> {
-    /// At its beginning.
+    /// An open file at its beginning.
     pub fn new(disk: &'a dyn Disk, file: &'a File) -> Self {
         Self { disk, file, at: 0 }
     }

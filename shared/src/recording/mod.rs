@@ -2,9 +2,8 @@
 //! show of them: joint states, a log, diagnostics.
 //!
 //! Profile `ros2`, CDR messages with `ros2msg` schemas, so that Foxglove, PlotJuggler, `ros2 bag` and
-//! Python read it without our software. While a run goes on its file ends in `.mcap.active` and is locked; only a
-//! file that was finished and synchronised to disk bears the name `.mcap`. What a crash left is made whole by
-//! [`recover_leftovers`].
+//! Python read it without our software. During a run its file ends in `.mcap.active` and is locked; only a file that was
+//! finished and synchronised to disk has the ending `.mcap`. [`recover_leftovers`] finishes files that a crash left.
 
 mod content;
 mod digest;

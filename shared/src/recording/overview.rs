@@ -1,4 +1,4 @@
-//! What a finished recording is about, from its ends alone: a directory of many is listed at once.
+//! Overview of a finished recording from its beginning and end, so that many are listed quickly.
 
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
@@ -16,10 +16,10 @@ use super::schema::{RunEnd, RunMetadata};
 
 /// The footer: two offsets and a checksum behind its prefix.
 const FOOTER_BYTES: usize = PREFIX_BYTES + 20;
-/// That checksum.
+/// Length of that checksum \[bytes\].
 const CHECKSUM_BYTES: usize = 4;
 
-/// Beginning and end of a finished recording. Says nothing of whether what lies between is whole.
+/// Beginning and end of a finished recording. The data in between are not checked.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RunOverview {
     /// Who, what, with which settings.
@@ -49,7 +49,7 @@ impl RunOverview {
     }
 }
 
-/// Where the summary says that metadata are. Read here and not by the MCAP library, which looks at lengths too late (see
+/// Places of the metadata by the summary. Read here and not by the MCAP library, which checks lengths too late (see
 /// [`parse_record`]).
 fn metadata_indexes(file: &mut OpenFile<'_>) -> Result<Vec<MetadataIndex>, ReadErrorKind> {
     let summary = summary_of(file)?;

@@ -1,7 +1,7 @@
-//! Reads a recording whole, or says why not.
+//! Reads a whole recording, or returns why it cannot.
 //!
 //! A damaged file must never give a wrong number: CRCs are checked before a chunk is unpacked, record lengths
-//! are bounded (a flipped bit in a length would otherwise ask for the whole address space), the CRC over the
+//! are bounded (a flipped bit in a length would otherwise request the whole address space), the CRC over the
 //! data section and cycle numbers without a hole prove that nothing was skipped.
 
 use std::io::{self, BufReader, Read};
@@ -20,7 +20,7 @@ use super::timing::TimingSummary;
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {kind}", path.display())]
 pub struct ReadError {
-    /// The file.
+    /// Path of the file concerned.
     pub path: PathBuf,
     /// What is wrong with it.
     pub kind: ReadErrorKind,
@@ -48,9 +48,9 @@ pub enum ReadErrorKind {
     Message {
         /// Topic of the message.
         topic: &'static str,
-        /// Its number.
+        /// Number of the broken message.
         sequence: u32,
-        /// What is wrong.
+        /// What is wrong with it.
         source: MessageError,
     },
     /// It is an MCAP file, but not one of ours, or the metadata record is broken.
@@ -81,10 +81,9 @@ pub struct Recording {
     pub run: RunMetadata,
     /// Every bus cycle, numbered without a hole.
     pub cycles: Vec<CycleRecord>,
-    /// What happened meanwhile.
+    /// Events of the run, in order.
     pub events: Vec<Event>,
-    /// How well the loop kept its time; none on virtual time. Where the run was cut short it is that of its beginning:
-    /// `cycles` says how far.
+    /// Timing of the loop; `None` on virtual time. If the run was cut short it covers the number of `cycles` in it.
     pub timing: Option<TimingSummary>,
     /// How the run ended.
     pub end: RunEnd,
@@ -157,7 +156,7 @@ impl Outline {
     }
 }
 
-/// The run's metadata stand twice in a file, and say the same.
+/// The run's metadata are in a file twice, and must be equal.
 pub(super) fn take_run(known: &mut Option<RunMetadata>, run: RunMetadata) -> Result<(), ReadErrorKind> {
     match known {
         Some(known) if *known != run => {

@@ -35,11 +35,11 @@ pub struct RunFile {
     finished: PathBuf,
     /// Bytes that the disk has taken.
     length: u64,
-    /// Over these bytes.
+    /// Checksum over all these bytes.
     checksum: Hasher,
 }
 
-/// Where the file of a run should be, for whoever looks whether it still is.
+/// Path and identity of a run's file, to check whether it still exists.
 #[derive(Debug, Clone)]
 pub struct RunPlace {
     disk: Arc<dyn Disk>,
@@ -76,7 +76,7 @@ impl RunFile {
         Ok(Self { place, file: Arc::new(file), finished, length: 0, checksum: Hasher::new() })
     }
 
-    /// Where the bytes are while the run goes on.
+    /// Path and identity of the file during the run.
     pub fn place(&self) -> &RunPlace {
         &self.place
     }
@@ -86,13 +86,13 @@ impl RunFile {
         self.length
     }
 
-    /// For a thread that synchronises it.
+    /// A handle for the thread that synchronises it.
     pub fn synchroniser(&self) -> RunSync {
         RunSync { place: self.place.clone(), file: Arc::clone(&self.file) }
     }
 
-    /// Goes on in a copy of itself in `directory`, under its name or, where that is taken, a numbered one. The file
-    /// it had goes if it is still where it was: the copy has all of it. After an error it is what it was.
+    /// Continues in a copy of itself in `directory`, under its name or, if that is taken, a numbered one. The old file is removed if
+    /// it still exists: the copy has all of it. After an error nothing is changed.
     pub fn move_to(&mut self, directory: &Path) -> Result<(), WriteError> {
         let stem = self.finished.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
         let numbered = (2..COPY_NAMES).map(|number| format!("{stem}-{number}"));
@@ -115,7 +115,7 @@ impl RunFile {
         Ok(())
     }
 
-    /// Copies what another has, and makes sure that it is what was written.
+    /// Copies another file and verifies the copy against what was written.
     fn take_over(&mut self, other: &Self) -> Result<(), WriteError> {
         let disk = Arc::clone(&self.place.disk);
         let unreadable = io_error(&other.place.path);
@@ -145,7 +145,7 @@ impl RunFile {
         disk.sync(&self.file).map_err(io_error(&self.place.path))?;
         self.place.check()?;
         disk.rename(&self.place.path, &self.finished).map_err(exists_or_io(&self.finished))?;
-        // From here on whoever moves the run has to take it away from there.
+        // From here on a move of the run starts from there.
         self.place.path.clone_from(&self.finished);
         sync_parent(&*disk, &self.finished)?;
         self.place.check()?;
@@ -174,7 +174,7 @@ impl RunPlace {
         }
     }
 
-    /// An error that says which file it is about.
+    /// An error with the path of the file.
     fn named(&self, error: &io::Error) -> io::Error {
         io::Error::new(error.kind(), format!("{}: {error}", self.path.display()))
     }
@@ -193,7 +193,7 @@ impl RunSync {
     }
 }
 
-/// Endings that stand for the state of a file.
+/// Endings that mark the state of a file.
 const RESERVED_ENDINGS: [&str; 4] = [FINISHED_ENDING, "active", "torn", "recovering"];
 
 fn is_plain(c: char) -> bool {
@@ -227,8 +227,8 @@ pub fn run_name(typed: &str) -> Option<String> {
     (has_content && check_name(name).is_ok()).then(|| name.to_owned())
 }
 
-/// Refuses names that are not plain file names, that a command would take for an option, or that say what state a
-/// file is in.
+/// Refuses names that are not plain file names, that a command would take as an option, or that have an ending for the state of a
+/// file.
 fn check_name(name: &str) -> Result<(), WriteError> {
     let has_ending = name.split('.').skip(1).any(|part| RESERVED_ENDINGS.contains(&part));
     if name.is_empty()
@@ -242,7 +242,7 @@ fn check_name(name: &str) -> Result<(), WriteError> {
     Ok(())
 }
 
-/// A new file that bears its name only once it is locked, so that nobody takes it for one left behind.
+/// A new file that gets its name only once it is locked, so that it is not taken as one left behind.
 fn create_locked(disk: &dyn Disk, directory: &Path, active: &Path) -> Result<Flock<File>, WriteError> {
     static NUMBER: AtomicU32 = AtomicU32::new(0);
     let number = NUMBER.fetch_add(1, Ordering::Relaxed);

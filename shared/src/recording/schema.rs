@@ -1,4 +1,4 @@
-//! What a recording says of each bus cycle, and the ros2msg text that tells it to other readers.
+//! The content of a recording: bus cycles, events, metadata and the end of the run.
 
 use std::fmt;
 
@@ -23,7 +23,7 @@ pub struct EncoderSample {
     pub status: u16,
     /// 32-bit counter as the terminal gave it, wrapping.
     pub count: u32,
-    /// Counter at the last reference mark (C), meaningful when the status says so.
+    /// Counter at the last reference mark (C), valid if the status has its bit.
     pub latch: u32,
 }
 
@@ -138,7 +138,7 @@ pub enum EventKind {
     Bus = 3,
     /// A clock was stepped or lost.
     Clock = 4,
-    /// The run's file had to go on in another place.
+    /// The run's file continued in another place.
     Disk = 5,
 }
 
@@ -154,13 +154,13 @@ impl EventKind {
 /// Something that happened during a run.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Event {
-    /// When.
+    /// Time of the event, UTC.
     pub time: UtcNs,
-    /// During which cycle.
+    /// Number of the cycle during which it happened.
     pub cycle: u64,
     /// What kind of thing.
     pub kind: EventKind,
-    /// In words.
+    /// Description in words for people.
     pub text: String,
     /// Stable code of what was wrong, as status and log have it; empty for a marker, and in files of older programs.
     pub code: String,
@@ -182,34 +182,34 @@ pub struct DeviceInfo {
     pub position: u16,
     /// Name from its EEPROM.
     pub name: String,
-    /// EtherCAT vendor.
+    /// Number of the EtherCAT vendor.
     pub vendor_id: u32,
-    /// Product code.
+    /// Product code of the vendor.
     pub product_code: u32,
-    /// Revision.
+    /// Revision number of the device.
     pub revision: u32,
     /// Serial number, 0 where the maker gives none.
     pub serial: u32,
 }
 
-/// Who, what, with which settings: written into the file before the first cycle.
+/// Names and settings of a run, written into the file before the first cycle.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RunMetadata {
     /// Name of the run; the file's name without its ending.
     pub name: String,
-    /// Who made it.
+    /// Person who made the recording.
     pub operator: String,
-    /// Which robot.
+    /// Name of the measured robot.
     pub robot: String,
     /// Which bar and ball pair.
     #[serde(default)]
     pub bar: String,
-    /// What the robot carried beside the bar.
+    /// Payload of the robot beside the bar.
     #[serde(default)]
     pub payload: String,
-    /// Free text.
+    /// Free text of the operator.
     pub note: String,
-    /// When it began.
+    /// Beginning of the run, UTC.
     pub started: UtcNs,
     /// Program and version that wrote it.
     pub software: String,
@@ -234,7 +234,7 @@ pub struct RunMetadata {
     pub ball_bar_config: String,
 }
 
-/// Name of the bus whose encoder signals a program makes up.
+/// Name of the bus with simulated encoder signals.
 pub const SIMULATED_BUS: &str = "simulated";
 
 /// The recording whose counts a replay played on the simulated bus. A replay of a replay has the origin of the first.
@@ -251,7 +251,7 @@ pub struct ReplayOrigin {
 /// Where the encoder counts of a run come from, for lists and messages.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Provenance {
-    /// The encoder counts were made up by a program.
+    /// The encoder counts were simulated.
     #[serde(default)]
     pub simulated: bool,
     /// The recording that a replay played.
@@ -331,7 +331,7 @@ impl PortCounts {
 pub struct RunEnd {
     /// Why it ended, in words.
     pub cause: String,
-    /// When.
+    /// End of the run, UTC.
     pub ended: UtcNs,
     /// Cycles in the file.
     pub cycles: u64,

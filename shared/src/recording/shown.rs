@@ -1,5 +1,4 @@
-//! What other programs show of a run, derived from its records: joint states to plot, and once a second how the acquisition
-//! did.
+//! Messages for other programs, derived from the records of a run: joint states to plot, and diagnostics once a second.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -30,7 +29,7 @@ pub(super) struct Shown {
     ports: BTreeMap<(u8, u8), PortCounts>,
 }
 
-/// What came since something was last said of it.
+/// Cycles since the last diagnostics.
 #[derive(Default)]
 struct Second {
     cycles: u64,
@@ -86,7 +85,7 @@ impl Shown {
     }
 
     /// Counts since the cycle before, over the time on the bus' clock, which knows when both were sampled to some ns. Without
-    /// that clock, over a hole or from one origin to another nobody knows.
+    /// that clock, over a hole or from one origin to another they are unknown.
     fn velocities_rad_s(&self, record: &CycleRecord) -> Vec<f64> {
         let before = self.last.as_ref().filter(|last| {
             last.cycle + 1 == record.cycle && last.origin == record.origin && last.dc_time.0 != 0

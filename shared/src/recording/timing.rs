@@ -1,4 +1,4 @@
-//! How well the real-time loop kept its time during a run.
+//! Timing of the real-time loop during a run.
 
 use std::fmt;
 
@@ -8,13 +8,13 @@ use serde::{Deserialize, Serialize};
 /// One duration over all cycles of a run \[ns\].
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Durations {
-    /// Half of all cycles took no longer.
+    /// Median over all cycles.
     pub p50_ns: u64,
-    /// 99 of 100.
+    /// 99th percentile of all cycles.
     pub p99_ns: u64,
-    /// 999 of 1000.
+    /// 99.9th percentile of all cycles.
     pub p999_ns: u64,
-    /// Longest.
+    /// Longest duration of all cycles.
     pub max_ns: u64,
     /// How many cycles took how long, shortest first; bins without a cycle are left out.
     pub histogram: Vec<Bin>,
@@ -25,7 +25,7 @@ pub struct Durations {
 pub struct Bin {
     /// Limit, included \[ns\]; see [`Bin::limit_of`].
     pub up_to_ns: u64,
-    /// Cycles.
+    /// Number of cycles in the bin.
     pub cycles: u64,
 }
 
@@ -41,10 +41,10 @@ pub struct DiskTiming {
     pub backlog_longest_ns: u64,
 }
 
-/// How well the loop kept its time. Runs on virtual time have none.
+/// Timing of the loop. Runs on virtual time have none.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct TimingSummary {
-    /// Cycles measured.
+    /// Number of all measured cycles.
     pub cycles: u64,
     /// From a cycle's deadline until its thread ran.
     pub lateness: Durations,

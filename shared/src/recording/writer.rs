@@ -1,8 +1,8 @@
 //! Writes a recording so that a kill loses at most what came since the last [`RecordingWriter::sync`].
 //!
 //! Each chunk is built in memory and appended in one go with a right header (`disable_seeking`): a file that
-//! was cut ends at a chunk's border or in a torn chunk, never in a record of bogus length. What a sink refused stays in
-//! memory, so that whoever mends or replaces the sink goes on without a hole.
+//! was cut ends at a chunk's border or in a torn chunk, never in a record of bogus length. Bytes that a sink refuses stay
+//! in memory, so that the recording continues without a hole once the sink is repaired or replaced.
 
 use std::collections::BTreeMap;
 use std::io::{self, Write};
@@ -36,7 +36,7 @@ pub enum WriteError {
     /// A file of that name is there already.
     #[error("{} exists already and is never overwritten; choose another run name or directory", .0.display())]
     Exists(PathBuf),
-    /// The system refused.
+    /// A call of the system failed.
     #[error("cannot write {}: {source}; check free space and permissions", path.display())]
     Io {
         /// The file or directory.
@@ -45,7 +45,7 @@ pub enum WriteError {
         source: io::Error,
     },
     /// The run's file was removed, replaced or moved away, or its file system is there no more.
-    #[error("{}: the run's file is not there any more; somebody removed or moved it, or its disk is gone", .0.display())]
+    #[error("{}: the run's file is not there any more; it was removed or moved, or its disk is gone", .0.display())]
     Lost(PathBuf),
     /// The sink refused bytes. They are kept, and go out first once it takes them.
     #[error("cannot write the recording: {0}; check free space and permissions")]
@@ -87,8 +87,8 @@ impl Write for Spool {
 
 /// Writes one run. Calls block on the disk: never use it from the real-time thread.
 ///
-/// Whatever call returns [`WriteError::Sink`] has taken its record all the same: once the sink is mended or replaced,
-/// [`RecordingWriter::write_out`] goes on where it stopped.
+/// A call that returns [`WriteError::Sink`] has taken its record: once the sink is repaired or replaced,
+/// [`RecordingWriter::write_out`] continues where it stopped.
 pub struct RecordingWriter<W: Write> {
     writer: Writer<NoSeek<Spool>>,
     spool: Spool,
@@ -103,7 +103,7 @@ pub struct RecordingWriter<W: Write> {
     cycles_lost: u64,
     events: u32,
     time_last: UtcNs,
-    /// The run's metadata until they stand in the file a second time.
+    /// The run's metadata until they are in the file a second time.
     run_again: Option<Metadata>,
     tap: Option<Tap>,
 }
@@ -182,12 +182,12 @@ impl<W: Write> RecordingWriter<W> {
         self.write_out()
     }
 
-    /// Gives each message to somebody else as well, from now on.
+    /// Passes each message to a tap as well, from now on.
     pub fn set_tap(&mut self, tap: Tap) {
         self.tap = Some(tap);
     }
 
-    /// Says what a port has counted, for the diagnostics from the next cycle on.
+    /// Sets the counts of a port for the diagnostics from the next cycle on.
     pub fn set_port_counts(&mut self, counts: PortCounts) {
         self.shown.set_port_counts(counts);
     }
@@ -202,7 +202,7 @@ impl<W: Write> RecordingWriter<W> {
         self.write_out()
     }
 
-    /// Says how well the loop kept its time so far; the last one said counts. Cuts the chunk.
+    /// Writes the timing of the loop so far, which replaces the one before. Cuts the chunk.
     pub fn write_timing(&mut self, timing: &TimingSummary) -> Result<(), WriteError> {
         self.writer.write_metadata(&metadata_of(TIMING_METADATA, timing)?)?;
         self.write_out()
@@ -223,7 +223,7 @@ impl<W: Write> RecordingWriter<W> {
         Ok(self.sink.flush()?)
     }
 
-    /// Hands the sink what it has not taken yet.
+    /// Passes the sink the bytes that it has not taken yet.
     pub fn write_out(&mut self) -> Result<(), WriteError> {
         let mut bytes = self.spool.bytes();
         while !bytes.is_empty() {
@@ -237,12 +237,12 @@ impl<W: Write> RecordingWriter<W> {
         Ok(())
     }
 
-    /// What takes the bytes.
+    /// The sink that takes the bytes.
     pub fn sink(&self) -> &W {
         &self.sink
     }
 
-    /// What takes the bytes, to be mended or replaced.
+    /// The sink, to be repaired or replaced.
     pub fn sink_mut(&mut self) -> &mut W {
         &mut self.sink
     }
@@ -273,7 +273,7 @@ impl<W: Write> RecordingWriter<W> {
         Ok(self.sink)
     }
 
-    /// [`end`](Self::end) for a sink that may have to be mended before it takes all; nothing can be added any more.
+    /// [`end`](Self::end) for a sink that may have to be repaired before it takes all; nothing can be added any more.
     pub fn close(&mut self, cause: &str, ended: UtcNs) -> Result<(), WriteError> {
         let end = self.end_record(cause, ended);
         self.close_with(&end)
@@ -343,7 +343,7 @@ fn attach_configuration(writer: &mut Writer<NoSeek<Spool>>, run: &RunMetadata) -
     Ok(())
 }
 
-/// Adds schema and channel of a topic, with the QoS profile that `ros2 bag play` asks for.
+/// Adds schema and channel of a topic, with the QoS profile that `ros2 bag play` needs.
 fn add_topic(writer: &mut Writer<NoSeek<Spool>>, topic: &'static Topic) -> Result<u16, McapError> {
     const QOS: &str = "- history: 1\n  depth: 10\n  reliability: 1\n  durability: 2\n  deadline:\n    sec: 9223372036\n    \
         nsec: 854775807\n  lifespan:\n    sec: 9223372036\n    nsec: 854775807\n  liveliness: 1\n  \

@@ -1,4 +1,4 @@
-//! A disk in memory that forgets what was not synchronised, and refuses when told to.
+//! A disk in memory that forgets what was not synchronised, and fails on request.
 
 use std::cell::RefCell;
 use std::io::{self, Seek, SeekFrom, Write};

@@ -1,4 +1,4 @@
-//! A made-up run, the same wherever it is asked for.
+//! A simulated run, the same in all tests.
 
 use shared::encoder::EncoderScale;
 use shared::recording::schema::{

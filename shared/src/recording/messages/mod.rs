@@ -15,7 +15,7 @@ const CDR_LITTLE_ENDIAN: [u8; 4] = [0x00, 0x01, 0x00, 0x00];
 /// A topic of the recording; its messages are CDR.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Topic {
-    /// Its name.
+    /// Name of the topic in MCAP.
     pub topic: &'static str,
     /// Name of the messages' type, as ROS 2 has it.
     pub schema_name: &'static str,
@@ -23,7 +23,7 @@ pub struct Topic {
     pub schema_text: &'static str,
 }
 
-/// All of them.
+/// All topics of a recording.
 pub static TOPICS: [&Topic; 5] = [&CYCLE, &EVENT, &JOINT_STATE, &LOG, &DIAGNOSTICS];
 
 pub(super) static CYCLE: Topic = Topic {
@@ -50,17 +50,17 @@ pub(super) static LOG: Topic = Topic {
     schema_text: include_str!("log.ros2msg"),
 };
 
-/// Where every reader of such messages looks for them.
+/// The usual topic of such messages.
 pub(super) static DIAGNOSTICS: Topic = Topic {
     topic: "/diagnostics",
     schema_name: "diagnostic_msgs/msg/DiagnosticArray",
     schema_text: include_str!("diagnostic_array.ros2msg"),
 };
 
-/// Frame of all that is recorded: where the bar stands.
+/// Frame of the recorded data: the base of the bar.
 const FRAME_ID: &str = "ball_bar_base";
 
-/// Why bytes are not the message that their topic promises.
+/// Why bytes are not a message of their topic.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum MessageError {
     /// The bytes do not begin with the header of little-endian CDR.
@@ -139,10 +139,10 @@ impl From<Absent> for String {
     }
 }
 
-/// How a file says that counts have a new origin.
+/// How a file marks a new origin of the counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum CycleLayout {
-    /// By a bit of the first record only; if that one is lost nobody knows.
+    /// By a bit of the first record only; if that record is lost the origin is unknown.
     OriginFlag,
     /// By a number in each record.
     OriginNumber,
@@ -189,7 +189,7 @@ struct DiagnosticsMessage {
     status: Vec<DiagnosticStatus>,
 }
 
-/// `diagnostic_msgs/DiagnosticStatus`: how one thing does.
+/// `diagnostic_msgs/DiagnosticStatus`: state of one component.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct DiagnosticStatus {
     /// 0 for good, 1 for a warning, 2 for an error.
@@ -348,7 +348,7 @@ pub(super) fn encode_log(event: &Event) -> Result<Vec<u8>, MessageError> {
     })
 }
 
-/// How things did in the second before `time`.
+/// Diagnostics of the second before `time`.
 pub(super) fn encode_diagnostics(
     time: UtcNs,
     status: Vec<DiagnosticStatus>,

@@ -1,8 +1,8 @@
-//! Lengths inside an MCAP record are looked at before the MCAP library is.
+//! Checks lengths inside an MCAP record before the MCAP library reads it.
 //!
-//! The library reserves memory for a text as its length field says, and only then looks whether the bytes are there: one
-//! flipped bit would ask for 4 GB, which ends a process whose memory is locked or limited. It does not look, either,
-//! whether the records of an uncompressed chunk end with it.
+//! The library reserves memory for a text by its length field, and only then checks whether the bytes are there: one flipped bit
+//! would request 4 GB, which ends a process whose memory is locked or limited. It does not check, either, whether the records of
+//! an uncompressed chunk end with it.
 
 use mcap::McapError;
 use mcap::records::{ChunkHeader, Record, op};
@@ -16,9 +16,9 @@ pub(in crate::recording) fn split_prefix(bytes: &[u8]) -> Option<(u8, usize, &[u
     Some((opcode, usize::try_from(u64::from_le_bytes(*length)).unwrap_or(usize::MAX), behind))
 }
 
-/// What a record is made of, as far as it has lengths.
+/// Parts of a record, up to its last length.
 enum Part {
-    /// As many bytes.
+    /// A fixed number of bytes.
     Fixed(usize),
     /// A length of 32 bits, and as many bytes: a text, or numbers.
     Block,
@@ -29,7 +29,7 @@ enum Part {
 /// A record whose lengths stay within it.
 ///
 /// # Errors
-/// [`McapError::UnexpectedEof`] where a length reaches beyond the record, and what the library says.
+/// [`McapError::UnexpectedEof`] if a length extends beyond the record, and errors of the library.
 pub fn parse_record(opcode: u8, data: &[u8]) -> Result<Record<'_>, McapError> {
     pass(data, layout(opcode)).ok_or(McapError::UnexpectedEof)?;
     mcap::parse_record(opcode, data)
@@ -41,8 +41,8 @@ pub(in crate::recording) fn ends_with_its_content(opcode: u8, data: &[u8]) -> bo
     pass(data, layout(opcode)).is_some_and(<[u8]>::is_empty)
 }
 
-/// Whether the records of an uncompressed chunk end with it; the library would go on behind its end. What a compressed
-/// one holds it looks at itself.
+/// Whether the records of an uncompressed chunk end with it; the library would read on behind its end. It checks compressed ones
+/// itself.
 pub(super) fn chunk_is_whole(header: &ChunkHeader, records: &[u8]) -> bool {
     let mut rest = if header.compression.is_empty() { records } else { &[] };
     while let Some((_, length, behind)) = split_prefix(rest) {
@@ -88,7 +88,7 @@ const fn layout(opcode: u8) -> &'static [Part] {
     }
 }
 
-/// What lies behind these parts.
+/// The bytes after these parts.
 fn pass<'a>(mut data: &'a [u8], parts: &[Part]) -> Option<&'a [u8]> {
     for part in parts {
         match part {

@@ -1,4 +1,4 @@
-//! The MCAP layer: hands out each record of a whole file, or says where the file stops being whole.
+//! The MCAP layer: passes on each record of a whole file, or returns the first fault.
 //!
 //! Chunks are opened here and not by the MCAP library, because it lets a chunk pass whose checksum field is zero,
 //! as it is where a power cut left zeros.

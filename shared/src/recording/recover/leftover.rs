@@ -1,7 +1,7 @@
 //! Files that a crash, a kill or a power cut left behind, and damaged ones.
 //!
 //! The original goes only when its successor has been read back, and stays as `.mcap.torn` if any of its bytes
-//! could not be used. At every moment one of the two is there under a name that says what it is.
+//! could not be used. At every moment one of the two exists under a name that states what it is.
 
 use std::fs::File;
 use std::io::{self, BufReader, BufWriter};
@@ -27,24 +27,24 @@ const TORN_MAX: u32 = 1000;
 const LOCK_TRIES: u32 = 100;
 const LOCK_PAUSE: Duration = Duration::from_millis(1);
 
-/// What became of a file.
+/// Result of the recovery of a file.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Recovery {
     /// It is whole and finished; nothing was changed.
     Whole {
-        /// What it holds.
+        /// Content of the whole recording.
         content: Box<Salvaged>,
     },
     /// It was finished and only lacked its final name.
     Renamed {
         /// Under its final name.
         file: PathBuf,
-        /// What it holds.
+        /// Content of the whole recording.
         content: Box<Salvaged>,
     },
     /// What was whole in it is now a finished recording.
     Recovered {
-        /// The finished recording.
+        /// Path of the finished recording.
         file: PathBuf,
         /// The original, where a part of it could not be read.
         torn: Option<PathBuf>,
@@ -56,16 +56,16 @@ pub enum Recovery {
 /// Why a file could not be recovered. It is then as it was.
 #[derive(Debug, thiserror::Error)]
 pub enum RecoverError {
-    /// Not the name of a recording.
+    /// The file does not have the name of a recording.
     #[error("{}: not a recording; its name must end in .mcap or .mcap.active", .0.display())]
     NotARecording(PathBuf),
-    /// A living process has it.
+    /// A running process writes the file.
     #[error("{}: is being written by a running ballbard; stop that run instead", .0.display())]
     Busy(PathBuf),
-    /// The system refused.
+    /// A call of the system failed.
     #[error("{}: cannot be read: {source}; check the path and its permissions", path.display())]
     Io {
-        /// The file.
+        /// Path of the file concerned.
         path: PathBuf,
         /// What the system said.
         source: io::Error,
@@ -73,9 +73,9 @@ pub enum RecoverError {
     /// Its content cannot be taken out.
     #[error("{}: {source}", path.display())]
     Salvage {
-        /// The file.
+        /// Path of the file concerned.
         path: PathBuf,
-        /// Why not.
+        /// Why it cannot be salvaged.
         source: SalvageError,
     },
     /// Names could not be given.
@@ -86,13 +86,13 @@ pub enum RecoverError {
 /// One file that was found left behind.
 #[derive(Debug)]
 pub struct Leftover {
-    /// Where it was.
+    /// Path under which it was found.
     pub file: PathBuf,
     /// What became of it.
     pub outcome: Result<Recovery, RecoverError>,
 }
 
-/// Makes a finished recording out of a file, whatever is wrong with it.
+/// Makes a finished recording out of a damaged or unfinished file.
 pub fn recover_file(path: &Path) -> Result<Recovery, RecoverError> {
     recover_file_on(&SystemDisk, path)
 }
@@ -121,7 +121,7 @@ pub fn recover_file_on(disk: &dyn Disk, path: &Path) -> Result<Recovery, Recover
     }
     if active.is_some() && disk.has(&finished).map_err(io)? {
         let (run, _) = recover::find_run(OpenFile::new(disk, &original)).map_err(salvage)?;
-        return settle_with_existing(disk, path, finished, &run);
+        return keep_existing(disk, path, finished, &run);
     }
     let recovering = path.with_file_name(format!("{stem}.{RECOVERING_ENDING}"));
     let content = rewrite(disk, &original, &recovering).map_err(salvage)?;
@@ -179,7 +179,7 @@ fn unnamed_by(path: &Path) -> Option<&str> {
     name.split_once('-').map(|(process, _)| process)
 }
 
-/// Removes a file in which there is nothing, and which nobody is about to fill.
+/// Removes an empty file that no process is about to fill.
 fn remove_if_empty(disk: &dyn Disk, path: &Path) -> bool {
     let is_empty = |file: &File| disk.length(file).is_ok_and(|length| length == 0);
     let unused = disk.open(path).ok().filter(is_empty).and_then(|_| lock_left_behind(disk, path).ok());
@@ -198,7 +198,7 @@ fn rewrite(disk: &dyn Disk, original: &File, recovering: &Path) -> Result<Salvag
         Ok(content)
     });
     if outcome.is_err() {
-        // The original is untouched; half a copy is of no use to anybody.
+        // The original is untouched; half a copy is useless.
         let _ = disk.remove(recovering);
     }
     outcome
@@ -232,8 +232,8 @@ fn replace(
     Ok(Recovery::Recovered { file: finished.to_owned(), torn, content: Box::new(content) })
 }
 
-/// A crash during an earlier recovery left both; if the finished one is whole and of this run, it stands.
-fn settle_with_existing(
+/// A crash during an earlier recovery left both; if the finished one is whole and of this run, it is kept.
+fn keep_existing(
     disk: &dyn Disk,
     path: &Path,
     finished: PathBuf,

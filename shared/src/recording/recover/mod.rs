@@ -1,7 +1,7 @@
-//! Takes what is whole out of a recording that was cut short or damaged and writes it as a finished one.
+//! Writes the undamaged parts of a recording that was cut short or damaged as a finished one.
 //!
-//! Whatever a checksum proves is kept, wherever it lies in the file. What lay between is given back as lost cycles, so that
-//! numbers stay without a hole and no value is made up. Works on any source and sink; files are in `leftover`.
+//! All records with a valid checksum are kept, wherever they are in the file. Cycles between them are marked as lost, so that
+//! numbers have no hole and no value is invented. Works on any source and sink; files are in `leftover`.
 
 mod leftover;
 mod resync;
@@ -38,7 +38,7 @@ const TIME_SLACK_NS: i128 = 10 * NS_PER_S as i128;
 /// ... and this share of the time between: crystals differ by less. Old blocks of another run's file do not pass.
 const TIME_SHARE_MAX: i128 = 1000;
 
-/// What was taken out of a recording.
+/// Content of a recovered recording.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Salvaged {
     /// Who, what, with which settings.
@@ -51,7 +51,7 @@ pub struct Salvaged {
     pub cycles_lost: u64,
     /// When the last cycle that is whole was sampled.
     pub last_good: Option<UtcNs>,
-    /// How well the loop kept its time, as far as that is known: a run that was cut short says it of its beginning only.
+    /// Timing of the loop, if it is known: of a run that was cut short only of its beginning.
     pub timing: Option<TimingSummary>,
     /// How the run ended, if it did.
     pub end: Option<RunEnd>,
@@ -62,7 +62,7 @@ pub struct Salvaged {
 }
 
 impl Salvaged {
-    /// In words: what happened to the run, what is there, how it would have ended.
+    /// The cause of the end, in words: damage, number of whole cycles, and the end that the run had.
     fn cause(&self) -> String {
         let cut = if self.end.is_none() { ": the run was cut short" } else { "" };
         let damage = self.damage.map_or(String::new(), |damage| format!("; {damage}"));
@@ -92,7 +92,7 @@ pub enum SalvageError {
     /// The finished recording cannot be written.
     #[error(transparent)]
     Write(#[from] WriteError),
-    /// What was written does not read back as it was.
+    /// The written file does not read back as it was written.
     #[error("the recovered file does not read back as it was written ({0}); the disk may be failing")]
     Verification(String),
 }
@@ -103,7 +103,7 @@ impl From<MessageError> for SalvageError {
     }
 }
 
-/// Writes what is whole in `source` into `sink` as a finished recording whose end says that it was recovered.
+/// Writes the undamaged parts of `source` into `sink` as a finished recording that is marked as recovered.
 pub fn salvage<W: Write + Seek>(
     mut source: impl Read + Seek,
     sink: W,
@@ -179,14 +179,14 @@ pub(super) fn check(source: impl Read) -> Result<Salvaged, ReadErrorKind> {
     }
 }
 
-/// Puts what is found into the new file.
+/// Writes undamaged items into the new file.
 struct Rewriting<W: Write + Seek> {
     writer: RecordingWriter<W>,
     seen: Seen,
     run: RunMetadata,
     /// The last cycle that is whole.
     last: Option<CycleRecord>,
-    /// Damage before it.
+    /// Damaged bytes before that cycle.
     damaged_bytes: u64,
 }
 
@@ -289,7 +289,7 @@ impl<W: Write + Seek> Rewriting<W> {
     fn finish(mut self, damage: Damage) -> Result<(Salvaged, W), SalvageError> {
         match self.fill_to_end(&damage) {
             Err(Refused::Stop(error)) => return Err(error),
-            // What cannot be filled is missing at the end.
+            // Cycles that cannot be filled in are missing at the end.
             Err(Refused::Damage) | Ok(()) => {}
         }
         let Self { writer, seen, run, .. } = self;
@@ -301,7 +301,7 @@ impl<W: Write + Seek> Rewriting<W> {
     }
 }
 
-/// What has been seen of a recording, in order.
+/// Content read so far, in order.
 #[derive(Default)]
 struct Seen {
     run: Option<RunMetadata>,
@@ -315,7 +315,7 @@ struct Seen {
 }
 
 impl Seen {
-    /// Takes note of an item, which is given back, or says why it cannot be there.
+    /// Records an item and returns it, or why it cannot be there.
     fn take(&mut self, item: Item) -> Result<Item, ReadErrorKind> {
         let misplaced = |what: &str| Err(ReadErrorKind::Misplaced(what.to_owned()));
         match (&item, &self.run, &self.end) {

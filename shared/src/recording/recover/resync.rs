@@ -1,8 +1,8 @@
-//! Finds what is whole in a damaged MCAP file, wherever it lies.
+//! Finds the undamaged records of an MCAP file.
 //!
-//! A chunk, an attachment and each of our metadata records bring their own checksum, so they are believed at whatever byte they
-//! begin. All else only says where they lie; it is passed over where it is as the writer puts it there, and where it is not,
-//! the next record with a checksum is searched byte by byte. Memory stays bounded by the longest record that there may be.
+//! Chunks, attachments and our metadata records have their own checksums, so they are valid at any byte. The other records only
+//! index them: they are skipped if they are as the writer writes them; otherwise the next record with a checksum is searched for
+//! byte by byte. Memory is bounded by the longest allowed record.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -22,7 +22,7 @@ const BEGINNINGS: [u8; 4] = [op::CHUNK, op::METADATA, op::ATTACHMENT, op::DATA_E
 const HEAD_BYTES: usize = 64;
 /// Read from the source at once.
 const READ_BYTES: usize = 256 << 10;
-/// What a disk gives or refuses at once.
+/// Unit in which a disk reads or fails.
 const SECTOR_BYTES: u64 = 4096;
 /// A chunk's times, sizes and checksum, before the name of its compression.
 const CHUNK_FIXED_BYTES: usize = 28;
@@ -32,9 +32,9 @@ const COMPRESSION_NAME_BYTES_MAX: usize = 4;
 /// Bytes of a file that could not be used.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Damage {
-    /// How many bytes.
+    /// Number of all damaged bytes.
     pub bytes: u64,
-    /// In how many places.
+    /// Number of damaged places in the file.
     pub places: u64,
     /// Where the first of them begins \[bytes\].
     pub first_at: u64,
@@ -48,11 +48,11 @@ impl fmt::Display for Damage {
     }
 }
 
-/// Why what a chunk or a metadata record holds was not taken.
+/// Why the content of a chunk or a metadata record was not used.
 pub(super) enum Refused<E> {
-    /// It is not what can be there: it counts as damage.
+    /// It cannot be there and counts as damage.
     Damage,
-    /// Reading makes no sense any more.
+    /// Reading stops with this error.
     Stop(E),
 }
 
@@ -65,7 +65,7 @@ impl<E> From<ReadErrorKind> for Refused<E> {
 /// Takes a record, and what was damaged before it.
 type Sink<'a, E> = dyn FnMut(Record<'_>, &Damage) -> Result<(), Refused<E>> + 'a;
 
-/// Hands every record of the data section that a checksum proves to `sink`, chunks unpacked, and says what was damaged.
+/// Passes every record of the data section with a valid checksum to `sink`, chunks unpacked, and returns the damage.
 pub(super) fn for_each_proven_record<E: From<io::Error>>(
     source: impl Read + Seek,
     sink: &mut Sink<'_, E>,
@@ -181,7 +181,7 @@ fn attachment<E>(content: &[u8]) -> Result<(), Refused<E>> {
     if whole { Ok(()) } else { Err(Refused::Damage) }
 }
 
-/// Where in a file the search is: what may stand there without a checksum of its own.
+/// Position of the search in a file: which records without a checksum may be there.
 #[derive(Default)]
 struct Surroundings {
     /// Messages of each channel in the last chunk that no index has listed yet.
@@ -191,7 +191,7 @@ struct Surroundings {
 }
 
 impl Surroundings {
-    /// Length of what stands here as the writer puts it there, though nothing proves it.
+    /// Length of a record without a checksum that is as the writer writes it.
     fn passed_over<R: Read + Seek>(&mut self, file: &mut Window<R>) -> io::Result<Option<usize>> {
         if (file.at == 0 || self.after_footer) && file.peek(MAGIC.len())? == MAGIC {
             return Ok(Some(MAGIC.len()));
@@ -246,7 +246,7 @@ impl Surroundings {
     }
 }
 
-/// A part of a source, kept as long as somebody may want to look at it again.
+/// A part of a source, kept as long as it may be read again.
 struct Window<R> {
     source: R,
     source_bytes: u64,
@@ -254,7 +254,7 @@ struct Window<R> {
     start: usize,
     /// Where in the source the window begins \[bytes\].
     at: u64,
-    /// Where the disk has refused once \[bytes\].
+    /// Position at which the disk has failed once \[bytes\].
     refused_at: Option<u64>,
 }
 
@@ -290,8 +290,7 @@ impl<R: Read + Seek> Window<R> {
         Ok(&self.buffer[self.start..end])
     }
 
-    /// A sector that the disk cannot read any more is as good as one of zeros; false where it is the last one. A disk may
-    /// refuse once and then give it.
+    /// Replaces a sector that the disk cannot read by zeros; false if it is the last one. A disk may fail once and then read it.
     fn pass_bad_sector(&mut self) -> io::Result<bool> {
         let at = self.at + (self.buffer.len() - self.start) as u64;
         if self.refused_at.replace(at) != Some(at) {
