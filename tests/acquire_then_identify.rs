@@ -174,7 +174,7 @@ fn a_run_exported_as_a_table_of_counters_calibrates_as_the_recording_does() {
     let of_table = BarLog::load(&table, &bar, None).unwrap();
     let BarLog::Other(other) = &of_table else { panic!("a table is no recording") };
     assert!(other.simulated);
-    assert_eq!(other.unknown, ["how certain its times are", "what another clock showed meanwhile"]);
+    assert_eq!(other.unknown, ["how certain its times are", "the times of a second clock"]);
     let log = logs::load(&files.robot_log, &robot).unwrap();
     let [(cycles, encoders), recorded] =
         [(of_table.cycles(), of_table.encoders()), (&recording.cycles[..], &recording.run.encoders[..])];

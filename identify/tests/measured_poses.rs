@@ -122,7 +122,7 @@ columns = ["a", "b", "c", "d", "e", "f", "g", "h", "i"]"#,
         // Two columns exchanged by their sign: no rotation any more, or numbers of another kind.
         let spoiled = format!("1;0;0;0;0;0;0;1;2;3{}\n", ";0,9".repeat(numbers.len()));
         let error = read(spoiled.repeat(10)).unwrap_err().to_string();
-        assert!(error.contains("is no rotation") && error.contains("order of the columns"), "{error}");
+        assert!(error.contains("is not a rotation") && error.contains("order of the columns"), "{error}");
     }
 }
 

@@ -78,7 +78,7 @@ fn an_encoder_that_is_dead_while_the_others_move_is_named() {
         let until = until.min(run.cycles.len());
         let count = run.cycles[1000].encoders[place].count;
         run.cycles[1000..until].iter_mut().for_each(|cycle| cycle.encoders[place].count = count);
-        let told = format!("the encoder of joint {} says the same from 10.0 s to", place + 1);
+        let told = format!("the encoder of joint {} is constant from 10.0 s to", place + 1);
         typed(&run).refused(&[&told, "record again"], &[]);
     }
 }

@@ -171,9 +171,9 @@ fn what_a_recording_of_another_program_leaves_unsaid_stands_in_the_page() {
     assert!(inputs.contains("recording: ") && inputs.contains("robot log: "));
     for unsaid in [
         "how certain its times are",
-        "what another clock showed meanwhile",
+        "the times of a second clock",
         "which values are not valid",
-        "where counters started anew",
+        "where counters restarted",
         "the date of its stamps",
     ] {
         assert!(inputs.contains(unsaid), "{unsaid}");

@@ -148,7 +148,7 @@ fn what_is_no_force_is_refused_with_what_to_do() {
     let clock = refused(&format!("# clock: wall\n{}", table("force_N", |row| row.to_string())));
     assert!(clock.contains("`wall`") && clock.contains("# clock: bar"), "{clock}");
     let no_sign = refused(&table("force_sign", |row| row.to_string()));
-    assert!(no_sign.contains("line 4 column `force_sign`") && no_sign.contains("no sign"), "{no_sign}");
+    assert!(no_sign.contains("line 4 column `force_sign`") && no_sign.contains("invalid sign"), "{no_sign}");
     let gap = refused(&table("force_N", |row| if row == 9 { "NaN".into() } else { "1".into() }));
     assert!(gap.contains("line 11 column `force_N`"), "{gap}");
     let huge = refused(&table("force_N", |row| if row == 9 { "-1e300".into() } else { "1".into() }));

@@ -1,4 +1,4 @@
-//! Why a log cannot be used: what, where (file, line, column) and what to do.
+//! Errors of logs: what is wrong, where (file, line, column) and what to do.
 
 use std::path::{Path, PathBuf};
 
@@ -7,7 +7,7 @@ use super::robot::writer::seconds_text;
 /// Place of one value in a text file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Cell {
-    /// The file.
+    /// Path of the file concerned.
     pub path: PathBuf,
     /// Line in the file, the first is 1.
     pub line: u64,
@@ -27,7 +27,7 @@ pub enum LogError {
     /// The file cannot be opened or read.
     #[error("cannot read {}: {source}; check the path and its permissions", path.display())]
     Unreadable {
-        /// The file.
+        /// Path of the file concerned.
         path: PathBuf,
         /// What the system said.
         source: std::io::Error,
@@ -35,7 +35,7 @@ pub enum LogError {
     /// The file cannot be written.
     #[error("cannot write {}: {source}; check the folder, its permissions and free space", path.display())]
     Unwritable {
-        /// The file.
+        /// Path of the file concerned.
         path: PathBuf,
         /// What the system said.
         source: std::io::Error,
@@ -43,7 +43,7 @@ pub enum LogError {
     /// The bytes are neither text nor a workbook with one table.
     #[error("{}: no table of text ({problem}); save the table alone, as \"CSV UTF-8\"", path.display())]
     NotText {
-        /// The file.
+        /// Path of the file concerned.
         path: PathBuf,
         /// What was found instead.
         problem: String,
@@ -51,37 +51,37 @@ pub enum LogError {
     /// A row does not have the header's number of cells, or quotes are open.
     #[error("{} line {line}: {problem}; every row needs the header's number of cells", path.display())]
     Malformed {
-        /// The file.
+        /// Path of the file concerned.
         path: PathBuf,
         /// Line in the file.
         line: u64,
         /// What is wrong with the row.
         problem: String,
     },
-    /// There is no header row.
+    /// The table has no header row.
     #[error("{}: no header row; the first line that is not a `#` comment must name the columns", path.display())]
     NoHeader {
-        /// The file.
+        /// Path of the file concerned.
         path: PathBuf,
     },
     /// A column that is needed is absent.
     #[error("{}: column `{column}` is missing; found: {found}. {remedy}", path.display())]
     MissingColumn {
-        /// The file.
+        /// Path of the file concerned.
         path: PathBuf,
         /// The column looked for.
         column: String,
         /// The columns that are there.
         found: String,
-        /// What to do.
+        /// What the user can do.
         remedy: String,
     },
     /// Two columns have the same name.
     #[error("{}: column `{column}` is there twice; remove or rename one", path.display())]
     RepeatedColumn {
-        /// The file.
+        /// Path of the file concerned.
         path: PathBuf,
-        /// Its name.
+        /// Name of that column.
         column: String,
     },
     /// The header's unit and the robot's configuration disagree.
@@ -90,7 +90,7 @@ pub enum LogError {
          correct whichever is wrong, the values are not converted on a guess", path.display()
     )]
     UnitMismatch {
-        /// The file.
+        /// Path of the file concerned.
         path: PathBuf,
         /// The column as the header names it.
         column: String,
@@ -104,30 +104,30 @@ pub enum LogError {
     /// One value cannot be used.
     #[error("{cell}: {problem}; {remedy}")]
     BadValue {
-        /// Where it is.
+        /// Place of the value in the file.
         cell: Cell,
         /// What is wrong with it.
         problem: String,
-        /// What to do.
+        /// What the user can do.
         remedy: &'static str,
     },
-    /// Not enough rows.
+    /// The log has too few rows.
     #[error("{}: {rows} usable rows, at least {needed} are needed; was the export cut short?", path.display())]
     TooFewRows {
-        /// The file.
+        /// Path of the file concerned.
         path: PathBuf,
-        /// How many there are.
+        /// Number of usable rows.
         rows: usize,
-        /// How many are needed.
+        /// Smallest allowed number of rows.
         needed: usize,
     },
-    /// Time stands still or runs backwards.
+    /// Time does not increase from row to row.
     #[error(
         "{} {what} {line}: time goes from {before_s} s ({what} {before_line}) to {after_s} s; \
          sort the rows, or split the file where the clock was set", path.display()
     )]
     TimeNotIncreasing {
-        /// The file.
+        /// Path of the file concerned.
         path: PathBuf,
         /// What rows are called in this format.
         what: &'static str,
@@ -146,60 +146,60 @@ pub enum LogError {
          ({rows_beyond} of {rows} rows beyond a limit); {remedy}", path.display()
     )]
     BeyondLimits {
-        /// The file.
+        /// Path of the file concerned.
         path: PathBuf,
         /// What rows are called in this format.
         what: &'static str,
         /// Line of the first such row.
         line: u64,
-        /// Joint from 1.
+        /// Number of the joint, from 1.
         joint: usize,
         /// Its value and the limits of the configuration, with their unit.
         value: String,
         /// Rows with a joint beyond a limit.
         rows_beyond: usize,
-        /// All rows.
+        /// Number of all rows.
         rows: usize,
         /// The likely cause and what to do.
         remedy: String,
     },
-    /// The file is none of the formats that are known.
+    /// The format of the file is unknown.
     #[error(
-        "{}: not a robot log of any kind that is known; say which with --log-format, or export a CSV", path.display()
+        "{}: not a known kind of robot log; name its kind with --log-format, or export a CSV", path.display()
     )]
     UnknownFormat {
-        /// The file.
+        /// Path of the file concerned.
         path: PathBuf,
     },
-    /// The file has nothing of the bar.
+    /// The file has no data of the bar.
     #[error(
         "{}: neither a recording, nor a table with counters of the bar, nor a ROS 2 bag with its joints; is it the file of \
          the ball-bar?", path.display()
     )]
     NoBarLog {
-        /// The file.
+        /// Path of the file concerned.
         path: PathBuf,
     },
     /// A record of a binary file or a telegram of an XML file cannot be used.
     #[error("{} {place}: {problem}; {remedy}", path.display())]
     BadRecord {
-        /// The file.
+        /// Path of the file concerned.
         path: PathBuf,
         /// Which record, such as `message 12`.
         place: String,
         /// What is wrong with it.
         problem: String,
-        /// What to do.
+        /// What the user can do.
         remedy: &'static str,
     },
-    /// The file as a whole does not hold what its format promises.
+    /// The content of the file as a whole is invalid.
     #[error("{}: {problem}; {remedy}", path.display())]
     Content {
-        /// The file.
+        /// Path of the file concerned.
         path: PathBuf,
-        /// What is wrong.
+        /// What is wrong with the file.
         problem: String,
-        /// What to do.
+        /// What the user can do.
         remedy: String,
     },
     /// The robot's configuration describes motors, the log has joints.
@@ -209,9 +209,9 @@ pub enum LogError {
         path.display()
     )]
     NeedsMapping {
-        /// The file.
+        /// Path of the file concerned.
         path: PathBuf,
-        /// Its format.
+        /// Format of the file.
         format: &'static str,
         /// The robot's name.
         robot: String,

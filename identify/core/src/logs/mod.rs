@@ -1,11 +1,11 @@
-//! What a robot says of its own motion, read from the files that people have.
+//! Reads logs of robots, bars and other instruments from files.
 //!
 //! A robot log ends up as one table, [`RobotLog`]: time stamps of the robot's own clock and joint variables of the
-//! model in radians. Everything robot-specific (motors or joints, units, signs, coupled axes) is settled here by
-//! [`JointConversion`]; later steps never see it. The clock is only named, not trusted: logs of many controllers
-//! count from their own start, so the relation to the bar's clock is found from the motion (`prepare`).
+//! model in radians. Everything robot-specific (motors or joints, units, signs, coupled axes) is converted here by
+//! [`JointConversion`]; later steps never see it. The clock is named but not relied on: logs of many controllers count from their
+//! own start, so the relation to the bar's clock is found from the motion (`prepare`).
 //!
-//! [`BarLog`] is the other side of a run: what the bar's encoders said, in a recording or in the file of another program.
+//! [`BarLog`] is the other side of a run: the bar's encoders in a recording or in the file of another program.
 //!
 //! [`MeasuredLengths`] and [`MeasuredPoses`] are the other kinds of input: single poses of the robot with a measured
 //! length (draw-wire, telescoping bar) or with a measured position or pose (tracker); [`TimedPoses`] is a tracker's log with times
@@ -63,13 +63,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::kinematics::Joints;
 
-/// Fewest rows that make a log.
+/// Smallest number of rows of a log.
 const ROWS_MIN: usize = 50;
 
 /// With this word a simulated table begins after `#`, and the first event of an exported simulation.
 pub(crate) const SIMULATED: &str = "SIMULATED";
 
-/// A table says that it was simulated.
+/// Whether a table is marked as simulated.
 ///
 /// # Errors
 /// [`LogError::Unreadable`].
@@ -78,15 +78,15 @@ pub fn is_simulated(path: &Path) -> Result<bool, LogError> {
     Ok(Source::open(path)?.beginning().starts_with(comment.as_bytes()))
 }
 
-/// Whether joint values are what the encoders read or what the controller asked for.
+/// Whether joint values are measured by the encoders or commanded by the controller.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Origin {
     /// Read from the robot's encoders.
     Measured,
-    /// Interpolator output; servo lag is not in it, so results are worse. Reports say so.
+    /// Interpolator output, without servo lag, so that results are worse. Reports state it.
     Commanded,
-    /// The file does not say.
+    /// The file states neither.
     #[default]
     Unstated,
 }
@@ -102,27 +102,27 @@ impl Origin {
     }
 }
 
-/// How good a log is in itself; reports show it.
+/// Quality of a log, for reports.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct LogQuality {
     /// Rows that repeat the row before, stamp and values; they are dropped.
     pub duplicates_dropped: usize,
     /// Rows that repeat the joints before them under a new stamp in the middle of a motion; they are not used.
     pub frozen_dropped: usize,
-    /// Rows that jump out and come back as nothing moves, mostly zeros; they are not used.
+    /// Rows that jump away and back faster than anything moves, mostly zeros; they are not used.
     pub excursions_dropped: usize,
     /// Rows in which a joint is missing or not a number; they are not used.
     pub incomplete_dropped: usize,
     /// The regular clock behind the stamps, where there is one.
     pub stamps: Option<Stamps>,
-    /// What looks odd but is not wrong by itself, in sentences.
+    /// Observations that are not errors, in sentences.
     pub remarks: Vec<String>,
 }
 
 impl LogQuality {
     /// Adds remarks on repeated and incomplete rows: what rows are called, which values they repeat, what was `done` with them, and
     /// what incomplete ones `lack`.
-    fn tell_counts(&mut self, row: &str, values: &str, done: &str, lack: &str) {
+    fn remark_counts(&mut self, row: &str, values: &str, done: &str, lack: &str) {
         let repeat = format!("repeat {values} before them in the middle of a motion");
         for (count, what) in [(self.frozen_dropped, repeat.as_str()), (self.incomplete_dropped, lack)] {
             if count > 0 {
@@ -141,7 +141,7 @@ pub struct RobotLog {
     pub clock: String,
     /// Measured or commanded values.
     pub origin: Origin,
-    /// Joint variables of the model \[rad, m\], at the times that the file gives but for jitter of the stamps.
+    /// Joint variables of the model \[rad, m\], at the times of the file without the jitter of the stamps.
     pub q_rad: Shared<Stream<Joints>>,
     /// Rates of those joint variables where the log has them, one row per stamp \[rad/s, m/s\].
     pub speed_rad_s: Option<Vec<Joints>>,
@@ -162,7 +162,7 @@ impl RobotLog {
     /// The joints and their rates at any time after the first row. Clones share their rows: a log of ten hours takes a gigabyte.
     ///
     /// # Errors
-    /// [`LogError::NoContinuousPart`] where nothing can be interpolated.
+    /// [`LogError::NoContinuousPart`] if no part can be interpolated.
     pub fn spline(&self) -> Result<Arc<CubicSpline<Joints>>, LogError> {
         let gap_limit_s = self.q_rad.gap_limit_s;
         CubicSpline::through(self.q_rad.clone())

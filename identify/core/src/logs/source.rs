@@ -1,4 +1,4 @@
-//! The bytes of a file, or bytes in memory, of which the first say what they are.
+//! The bytes of a file, or bytes in memory, whose format is recognised by the first ones.
 
 use std::borrow::Cow;
 use std::fs::File;
@@ -7,19 +7,19 @@ use std::path::Path;
 
 use crate::logs::LogError;
 
-/// The header of a table begins within so many bytes, comments before it.
+/// The header of a table, after comments, begins within this number of bytes.
 const BEGINNING_BYTES: u64 = 1 << 16;
 
-/// What a log is read from.
+/// Bytes from which a log is read.
 pub(in crate::logs) struct Source<'a> {
-    /// Only named in errors, but for its ending.
+    /// Named in errors; its ending may determine the format.
     pub path: &'a Path,
     beginning: Cow<'a, [u8]>,
     rest: Option<File>,
 }
 
 impl<'a> Source<'a> {
-    /// Bytes in memory.
+    /// A source of bytes in memory.
     pub fn of(bytes: &'a [u8], path: &'a Path) -> Self {
         Self { path, beginning: bytes.into(), rest: None }
     }
@@ -36,7 +36,7 @@ impl<'a> Source<'a> {
         Ok(Self { path, beginning: beginning.into(), rest: Some(rest) })
     }
 
-    /// Enough to know what it is.
+    /// The first bytes, enough to recognise the format.
     pub fn beginning(&self) -> &[u8] {
         let count = self.beginning.len().min(BEGINNING_BYTES as usize);
         &self.beginning[..count]

@@ -1,83 +1,82 @@
-//! Why recording and robot log cannot be brought together.
+//! Errors of the alignment of recording and robot log.
 
 use super::{Deviations, ForceError};
 use crate::kinematics::InverseError;
 use crate::logs::LogError;
 
-/// What is wrong and what to do.
+/// Why logs cannot be aligned, and what to do.
 #[derive(Debug, thiserror::Error)]
 pub enum PrepareError {
     /// The recording has no usable cycle.
     #[error(
-        "none of the recording's {cycles} cycles has valid counts of all encoders; look at its gaps and events, \
+        "none of the recording's {cycles} cycles has valid counts of all encoders; check its gaps and events, \
          and record again"
     )]
     NoValidCycle {
         /// Cycles in the recording.
         cycles: usize,
     },
-    /// More parts with offsets of their own than are solved for.
+    /// More changes of the counters' origin than are estimated.
     #[error(
-        "the encoders' counters started anew, or may have, at {origins} places, at most {most} are followed; mend the plug, cable or \
-         supply that fails so often and record again, or, if none did, compare lines and interpolation_bits in the bar's \
-         configuration with the encoders"
+        "the encoders' counters restart, or may restart, at {origins} places, at most {most} are allowed; repair the plug, cable or \
+         supply and record again, or compare lines and interpolation_bits in the bar's configuration with the encoders"
     )]
     TooManyOrigins {
-        /// Places where they did.
+        /// Number of places.
         origins: usize,
-        /// Threshold.
+        /// Largest allowed number of places.
         most: usize,
     },
     /// A cycle's encoders are not those that the recording declares.
     #[error(
-        "cycle {cycle} has an encoder on joint {found} where joint {declared} is declared; the recording is damaged \
-         or was put together from different runs; take it as it was recorded"
+        "cycle {cycle} has an encoder on joint {found} where joint {declared} is declared: the recording is damaged \
+         or was assembled from different runs; use the original file"
     )]
     EncoderOrder {
         /// Number of the cycle.
         cycle: u64,
-        /// Joint declared for the place.
+        /// Joint of the encoder that the recording declares there.
         declared: u8,
-        /// Joint found there.
+        /// Joint of the encoder in the cycle.
         found: u8,
     },
     /// The recording declares encoders that a bar cannot have.
     #[error("the recording declares an encoder on joint {joint}; each of the joints 1 to 5 may have one")]
     EncoderJoint {
-        /// The joint.
+        /// Joint that is invalid or has two encoders.
         joint: u8,
     },
-    /// Too little data to match.
+    /// One of the logs is too short.
     #[error(
         "{what} covers {seconds:.1} s, at least {needed:.1} s are needed to match the logs; log a longer motion"
     )]
     TooShort {
-        /// Which log.
+        /// The log that is meant.
         what: &'static str,
-        /// What it covers \[s\].
+        /// Its duration \[s\].
         seconds: f64,
-        /// What is needed \[s\].
+        /// Shortest allowed duration \[s\].
         needed: f64,
     },
-    /// Too much to match, or a time stamp far from the others.
+    /// One of the logs is too long, or has a time stamp far from the others.
     #[error(
         "{what} covers {hours:.1} h, at most {hours_max} h can be matched; cut out the run, or was a clock set \
          during it?"
     )]
     TooLong {
-        /// Which log.
+        /// The log that is meant.
         what: &'static str,
-        /// What it covers \[h\].
+        /// Its duration \[h\].
         hours: f64,
-        /// What can be matched \[h\].
+        /// Longest allowed duration \[h\].
         hours_max: f64,
     },
-    /// Nothing moves.
+    /// No joint moves in one of the logs.
     #[error(
         "{what} shows no motion (largest joint travel {travel_deg:.2} deg); is it the part with the motion?"
     )]
     NoMotion {
-        /// Which log.
+        /// The log that is meant.
         what: &'static str,
         /// Largest travel of a joint \[deg\].
         travel_deg: f64,
@@ -91,9 +90,9 @@ pub enum PrepareError {
         )
     )]
     NotASphere {
-        /// Part of the positions on the best sphere \[%\].
+        /// Share of the positions on the best sphere \[%\].
         inliers_percent: f64,
-        /// Distance that still counts \[mm\].
+        /// Largest distance of a position on the sphere \[mm\].
         tolerance_mm: f64,
         /// What is wrong with the log's joints, where one mistake explains it.
         likely: Option<String>,
@@ -122,50 +121,49 @@ pub enum PrepareError {
     /// The speeds do not match anywhere.
     #[error(
         "robot log and {other} do not match at any clock difference: the best correlation of their speeds is \
-         {correlation:.2} (over {overlap_s:.0} s), at least {needed} is asked for. They do not overlap in time or are \
-         of different runs, or something hides the motion in one of them, such as noise or rows that are no measurements; give the \
-         log of this run, or look for that with `identify inspect`, which shows both"
+         {correlation:.2} (over {overlap_s:.0} s), at least {needed} is required. They do not overlap or are of \
+         different runs, or noise or invalid rows hide the motion in one of them; give the log of this run, or compare both with \
+         `identify inspect`"
     )]
     NoMatch {
-        /// What it was compared with.
+        /// The log with which the robot's was compared.
         other: &'static str,
-        /// Best correlation.
+        /// Highest correlation of the speeds.
         correlation: f64,
         /// Overlap there \[s\].
         overlap_s: f64,
-        /// Threshold.
+        /// Smallest correlation of matching logs.
         needed: f64,
     },
     /// Speeds cannot be compared anywhere.
     #[error(
-        "robot log and {other} cannot be compared: at no clock difference do both say for {needed_s:.0} s how fast the robot moves. \
-         Stamps that come in bunches, or too far apart, give speeds that no robot has, or none; log the time at which each sample \
-         was taken (`identify inspect` shows how far apart stamps are)"
+        "robot log and {other} cannot be compared: at no clock difference both have speeds for {needed_s:.0} s. Stamps in bunches give \
+         speeds that no robot has, stamps too far apart give none; log the time of each sample (`identify inspect` shows their distances)"
     )]
     NoSpeeds {
-        /// What the robot's log was compared with.
+        /// The log with which the robot's was compared.
         other: &'static str,
-        /// For how long both would have to \[s\].
+        /// Shortest time with speeds in both logs \[s\].
         needed_s: f64,
     },
-    /// They match where they hardly overlap.
+    /// The logs match, but hardly overlap.
     #[error(
-        "robot log and tracker's log match, but overlap by {overlap_s:.1} s only, at least {needed_s:.1} s are needed: one of them \
-         ended before the other began in earnest; log both over the whole motion"
+        "robot log and tracker's log match, but overlap by {overlap_s:.1} s only, at least {needed_s:.1} s are needed; log both over \
+         the whole motion"
     )]
     ShortOverlap {
         /// Overlap of the match \[s\].
         overlap_s: f64,
-        /// Threshold \[s\].
+        /// Shortest allowed overlap \[s\].
         needed_s: f64,
     },
-    /// What the tracker follows does not move.
+    /// The tracker's target does not move.
     #[error(
         "the positions in the tracker's log are within {extent_mm:.1} mm: the target does not move; check the columns and unit of \
          [position] in the mapping, or give the log of a motion"
     )]
     TargetStands {
-        /// Diagonal of the box that holds them \[mm\].
+        /// Diagonal of the box that contains the positions \[mm\].
         extent_mm: f64,
     },
     /// The speeds match but the angles do not.
@@ -178,30 +176,29 @@ pub enum PrepareError {
         )
     )]
     NoEncoderMap {
-        /// How the recorded order fits.
+        /// The recorded order with its spread.
         recorded: String,
-        /// Threshold \[mrad\].
+        /// Largest allowed spread \[mrad\].
         limit_mrad: f64,
-        /// What is wrong, where one thing explains it.
+        /// The probable cause, if a single one explains it.
         likely: Option<String>,
     },
     /// Several orders or directions of the encoders fit.
     #[error(
         "the encoders do not fit as recorded, and several other orders or directions fit alike (encoder -> joint):\
-         {fits}\nLook at the bar which is right and type that option (or put `encoders = [..]` under [prepare] of the \
+         {fits}\nCheck on the bar which is right and give that option (or `encoders = [..]` under [prepare] of the \
          configuration), or move more joints"
     )]
     AmbiguousEncoderMap {
-        /// Those that fit.
+        /// A line with the option of each map that fits.
         fits: String,
     },
     /// The encoders see the mirror image of the robot in the log.
     #[error(
-        "the encoders see the mirror image of the motion in the robot's log: either the log has the signs of the robot's {} \
-         reversed, or all encoders on the bar's joints 1, 3 and 5 count the other way than recorded; the angles do not say which, and \
-         the wrong choice calibrates a mirrored robot. Turn joint 1 of the robot towards plus and look which way it turns; correct \
-         the signs in the robot log's mapping, or, if they are right, type --encoders {stated} (or put `encoders = [{stated}]` \
-         under [prepare] of the configuration)",
+        "the encoders see the mirror image of the motion in the robot's log: the log has the signs of the robot's {} reversed, or all \
+         encoders on the bar's joints 1, 3 and 5 count the other way than recorded. The angles cannot distinguish them: check the \
+         direction of the robot's joint 1; correct the signs in the robot log's mapping, or, if they are right, type --encoders {stated} \
+         (or `encoders = [{stated}]` under [prepare] of the configuration)",
         of_joints(joints.as_deref())
     )]
     Mirrored {
@@ -210,57 +207,57 @@ pub enum PrepareError {
         /// The encoders' places as `--encoders` takes them.
         stated: String,
     },
-    /// Another order or direction fits than the recording states, and it is not to be taken.
+    /// Another order or direction fits than the recording states, and only the recorded one is allowed.
     #[error(
         "the encoders do not fit as recorded (encoder -> joint): {recorded}, but as {found}; correct order or \
          direction in the bar's configuration, or let it be found with --encoders find (`encoders = \"find\"` under \
          [prepare])"
     )]
     OtherEncoderMap {
-        /// How the recorded order fits.
+        /// The recorded order with its spread.
         recorded: String,
         /// The one that fits.
         found: String,
     },
     /// Another order or direction fits than was stated.
     #[error(
-        "the encoders do not fit as stated (encoder -> joint): {stated}, but as {found}; take --encoders {as_stated}, or leave it \
-         to the program with --encoders find (`encoders` under [prepare])"
+        "the encoders do not fit as stated (encoder -> joint): {stated}, but as {found}; take --encoders {as_stated}, or let the \
+         program find it with --encoders find (`encoders` under [prepare])"
     )]
     OtherThanStated {
-        /// How the stated order fits.
+        /// The stated order with its spread.
         stated: String,
         /// The one that fits.
         found: String,
         /// As `--encoders` takes it.
         as_stated: String,
     },
-    /// The order stated in the configuration makes no sense.
+    /// The stated order is invalid.
     #[error(
         "the stated encoders (--encoders, or `encoders` under [prepare]) are {stated}; give one bar joint for each of the {encoders} encoders of the recording, \
          1 to 5, none twice, negative where an encoder counts the other way than recorded"
     )]
     StatedEncoderMap {
-        /// As given.
+        /// The list as the user gave it.
         stated: String,
-        /// Encoders of the recording.
+        /// Number of encoders of the recording.
         encoders: usize,
     },
-    /// A clock was set, or samples are missing without a hole in the stamps.
+    /// A clock was set, or samples are missing without a hole in the stamps: the logs shift against each other.
     #[error(
         "a clock jumps during the run: {at_s:.0} s after the first sample the logs are {by_ms:+.1} ms further apart than before; \
          calibrate from one side of the jump, and find out what sets the clock"
     )]
     ClockJump {
-        /// When, about \[s\].
+        /// Approximate time after the first sample \[s\].
         at_s: f64,
-        /// By how much the robot's clock comes later \[ms\].
+        /// Change of robot clock minus bar clock \[ms\].
         by_ms: f64,
     },
-    /// An encoder says the same while the others move.
+    /// An encoder is constant while the others move.
     #[error(
-        "the encoder of joint {joint} says the same from {from_s:.1} s to {to_s:.1} s after the first sample while others move: it, its \
-         cable or its terminal was dead; check them, and record again, or take that part out"
+        "the encoder of joint {joint} is constant from {from_s:.1} s to {to_s:.1} s after the first sample while others move; check it, its \
+         cable and its terminal, and record again, or remove that part"
     )]
     EncoderFrozen {
         /// Bar joint, 1 to 5, as recorded.
@@ -278,59 +275,57 @@ pub enum PrepareError {
     EncoderSlip {
         /// Bar joint, 1 to 5.
         joint: u8,
-        /// When \[s\].
+        /// Time after the first sample \[s\].
         at_s: f64,
         /// By how much \[mrad\].
         by_mrad: f64,
     },
-    /// A joint of the robot is no longer where its log says.
+    /// A joint of the robot is not at the angle that its log reports.
     #[error(
         "the log of the robot's joint {joint} steps: from {at_s:.2} s after the first sample on it reports {by_mrad:+.2} mrad more \
-         than before against the bar; look for a collision, a restart of the controller or a belt that slipped, and record again"
+         than before against the bar; check for a collision, a restart of the controller or a belt that slipped, and record again"
     )]
     JointStep {
         /// Joint of the robot, from 1.
         joint: u8,
-        /// When \[s\].
+        /// Time after the first sample \[s\].
         at_s: f64,
         /// By how much the log reports more \[mrad\].
         by_mrad: f64,
     },
-    /// The bar does not stand where it stood.
+    /// The base of the bar moves during the run.
     #[error(
-        "the base of the bar moves: from {at_s:.2} s after the first sample on it stands {by_mm:.2} mm from where it stood; \
-         fasten it, and record again"
+        "the base of the bar moves by {by_mm:.2} mm at {at_s:.2} s after the first sample; fasten it, and record again"
     )]
     BaseMoved {
-        /// When \[s\].
+        /// Time after the first sample \[s\].
         at_s: f64,
         /// How far \[mm\].
         by_mm: f64,
     },
     /// Even with all numbers of the geometry moved within their tolerances the angles do not fit.
     #[error(
-        "the logs belong together, but the angles stay {spreads} mrad from any geometry near the nominal one, at most \
-         {limit_mrad} is allowed; robot, tool, plate or bar are configured otherwise than in the cell, or something \
-         is loose; compare the configuration with the cell, and try what is bolted on"
+        "the logs match, but the angles deviate by {spreads} mrad from any geometry near the nominal one, at most \
+         {limit_mrad} is allowed; compare robot, tool, plate and bar in the configuration with the cell, and check the bolts"
     )]
     PoorFit {
-        /// Spread by encoder.
+        /// Spread of each encoder \[mrad\].
         spreads: String,
-        /// Threshold \[mrad\].
+        /// Largest allowed spread \[mrad\].
         limit_mrad: f64,
     },
     /// One of the above, found by comparing the angles with the geometry that fits best.
     #[error("{error}")]
     WithDeviations {
-        /// What is wrong.
+        /// The error without its residuals.
         error: Box<PrepareError>,
-        /// What it rests on.
+        /// The residuals behind it.
         deviations: Box<Deviations>,
     },
-    /// The force on the bar cannot be used.
+    /// The force on the bar cannot be used, with the reason.
     #[error(transparent)]
     Force(#[from] ForceError),
-    /// No samples to fit.
+    /// There are no samples to fit.
     #[error(
         "the matched part of the logs is too short or too near to singular poses of the bar to compare angles; record \
          a motion over more of the sphere"
@@ -338,7 +333,7 @@ pub enum PrepareError {
     NothingToFit,
     /// A joint of the bar hardly moves.
     #[error(
-        "joint {joint} of the bar travels only {travel_deg:.1} deg, at least {needed_deg} are needed to tell its zero \
+        "joint {joint} of the bar travels only {travel_deg:.1} deg, at least {needed_deg} are needed to separate its offset \
          from the robot's geometry; turn the flange more, about all axes"
     )]
     LittleTravel {
@@ -346,28 +341,28 @@ pub enum PrepareError {
         joint: u8,
         /// Its travel over the samples kept \[deg\].
         travel_deg: f64,
-        /// Threshold \[deg\].
+        /// Smallest allowed travel \[deg\].
         needed_deg: f64,
     },
     /// The robot moved on a circle or stood.
     #[error(
-        "the motion excites too little: the robot's positions span no sphere (they lie on a line, a circle or in one place); \
-         move the bar over a good part of its sphere, with all joints"
+        "insufficient excitation: the robot's positions span no sphere (they lie on a line, a circle or in one place); \
+         move the bar over a large part of its sphere, with all joints"
     )]
     LittleMotion,
-    /// Hardly anything is left.
+    /// Too few samples remain for a solve.
     #[error(
-        "only {kept} samples are left ({outside} outside the robot's log, {singular} near singular poses, \
+        "only {kept} samples remain ({outside} outside the robot's log, {singular} near singular poses, \
          {standstill} at standstill); record a motion over more of the sphere"
     )]
     NothingLeft {
-        /// Samples kept.
+        /// Number of kept samples.
         kept: usize,
-        /// Samples that the robot's log does not cover.
+        /// Number of samples that the robot's log does not cover.
         outside: usize,
-        /// Samples near singular poses.
+        /// Number of samples near singular poses.
         singular: usize,
-        /// Samples without motion.
+        /// Number of samples without motion.
         standstill: usize,
     },
 }

@@ -1,4 +1,4 @@
-//! What a refusal knows beyond its sentence, for people who look for the cause.
+//! Places and deviations behind a refusal, for reports.
 
 use super::align::refine::Residuals;
 use super::samples::angle_errors::{AngleErrors, LocalShift, local_shifts};
@@ -6,7 +6,7 @@ use super::{PrepareError, Prepared};
 use crate::kinematics::BAR_JOINTS;
 use crate::model::{Clock, Geometry, Observation};
 
-/// Where in a run something is wrong, as far as that is known.
+/// Where in a run something is wrong, if that is known.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Place {
     /// Bar joint, 1 to 5.
@@ -17,7 +17,7 @@ pub struct Place {
     pub robot_s: Option<f64>,
 }
 
-/// What the geometry that fits best leaves of each encoder: errors of the model are waves, what goes wrong in a run is a step.
+/// Residuals of each encoder from the geometry that fits best: errors of the model are waves, faults of a run are steps.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Deviations {
     /// Joints with an encoder.
@@ -27,7 +27,7 @@ pub struct Deviations {
     pub samples: Vec<(f64, [f64; BAR_JOINTS])>,
     /// How the alignment varies along the run; times since the first valid sample.
     pub local_shifts: Vec<LocalShift>,
-    /// Those times to times after the first stamp of the robot's log.
+    /// Clock from those times to times after the first stamp of the robot's log.
     pub clock: Clock,
 }
 
@@ -49,7 +49,7 @@ impl Deviations {
         }
     }
 
-    /// Of the samples that a solve had, at its geometry.
+    /// Residuals of the samples of a solve, at its geometry.
     pub(crate) fn at(prepared: &Prepared, geometry: Geometry) -> Self {
         let (measured, first_s) = (prepared.measured, prepared.first_s());
         let since_reference = prepared.motion.solved(geometry.clock);
@@ -71,9 +71,9 @@ impl Deviations {
 pub struct PoorFit {
     /// Scatter of each encoder about the geometry that fits best \[rad\].
     pub spread_rad: [f64; BAR_JOINTS],
-    /// What is allowed \[mrad\].
+    /// Largest allowed scatter \[mrad\].
     pub limit_mrad: f64,
-    /// What that rests on.
+    /// The residuals behind it.
     pub deviations: Deviations,
 }
 
@@ -90,12 +90,12 @@ impl PoorFit {
 }
 
 impl PrepareError {
-    /// The same with what it rests on.
+    /// The same error with the residuals behind it.
     pub(crate) fn resting_on(self, deviations: Deviations) -> Self {
         Self::WithDeviations { error: Box::new(self), deviations: Box::new(deviations) }
     }
 
-    /// Where it is.
+    /// Joint and instant of the fault, if they are known.
     pub fn place(&self) -> Place {
         match self {
             Self::ClockJump { at_s, .. } | Self::JointStep { at_s, .. } | Self::BaseMoved { at_s, .. } => {
@@ -125,7 +125,7 @@ impl PrepareError {
         }
     }
 
-    /// What it rests on, where the logs were brought together before it.
+    /// The residuals behind it, if the logs were aligned before it.
     pub fn deviations(&self) -> Option<&Deviations> {
         match self {
             Self::WithDeviations { deviations, .. } => Some(deviations),
@@ -133,7 +133,7 @@ impl PrepareError {
         }
     }
 
-    /// What was typed is wrong, whatever the data.
+    /// Whether an option is invalid, independent of the data.
     pub fn is_mistyped(&self) -> bool {
         matches!(self, Self::StatedEncoderMap { .. })
     }

@@ -16,7 +16,7 @@ use crate::statistics::extremes;
 
 /// Force at which the bar has changed sides of its play by three quarters \[N\].
 const SIDE_N: f64 = 5.0;
-/// A force must vary by this much to determine anything \[N\].
+/// A force that varies less determines nothing \[N\].
 const RANGE_MIN_N: f64 = 2.0;
 /// No ball-bar is pulled harder than this \[N\].
 const FORCE_MAX_N: f64 = 20_000.0;
@@ -30,20 +30,20 @@ const EITHER_SIDE_MIN: f64 = 0.02;
 /// The force on the bar in the samples of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct BarForces {
-    /// What was measured.
+    /// The measured quantity and its frame.
     pub kind: ForceKind,
-    /// On whose clock.
+    /// The clock of the force log's stamps.
     pub clock: ForceClock,
     /// Samples that the force log does not cover: they are left out.
     pub uncovered: usize,
     /// Smallest and largest along the bar, as the log counts them \[N\]; signs where only these are known.
     pub range: [f64; 2],
-    /// What gravity, friction and inertia do not explain of the joints' torques, root mean square \[N m\].
+    /// Root mean square of the joint torques that gravity, friction, inertia and the force do not explain \[N m\].
     pub torque_rms_nm: Option<f64>,
 }
 
 impl BarForces {
-    /// What a solve can find with them.
+    /// The parameter that a solve can estimate with them.
     pub fn parameter(&self) -> ParameterId {
         match self.kind {
             ForceKind::Sign => ParameterId::BarPlay,
@@ -57,7 +57,7 @@ impl BarForces {
     }
 }
 
-/// Forces that cannot be used.
+/// Why a force cannot be used.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ForceError {
     /// Wrong clock, or another run.
@@ -69,51 +69,51 @@ pub enum ForceError {
     NotCovered {
         /// Samples with a force.
         covered: usize,
-        /// All.
+        /// Number of all samples.
         samples: usize,
         /// `robot` or `bar`.
         clock: &'static str,
-        /// First force.
+        /// Time of the first force \[s\].
         from_s: f64,
-        /// Last force.
+        /// Time of the last force \[s\].
         to_s: f64,
-        /// First sample.
+        /// Time of the first sample \[s\].
         first_s: f64,
-        /// Last sample.
+        /// Time of the last sample \[s\].
         last_s: f64,
     },
     /// Nothing to correlate with.
     #[error(
-        "the {what} hardly varies ({low:.2} to {high:.2}{unit}): it tells nothing of the bar; check column and unit, or \
+        "the {what} hardly varies ({low:.2} to {high:.2}{unit}) and carries no information; check column and unit, or \
          calibrate without it (--ignore-force)"
     )]
     Flat {
-        /// Kind of force.
+        /// Kind of force, in words.
         what: &'static str,
-        /// Smallest.
+        /// Smallest value of the run.
         low: f64,
-        /// Largest.
+        /// Largest value of the run.
         high: f64,
-        /// With a blank before it.
+        /// Unit with a blank before it.
         unit: &'static str,
     },
-    /// Wrong unit.
-    #[error("the {what} reaches {most:.0} N, no ball-bar is pulled so hard; check its unit")]
+    /// Larger than any force on a bar: the unit is wrong.
+    #[error("the {what} reaches {most:.0} N, more than a ball-bar can bear; check its unit")]
     TooLarge {
-        /// Kind of force.
+        /// Kind of force, in words.
         what: &'static str,
         /// Largest \[N\].
         most: f64,
     },
-    /// The motion does not separate gravity, friction and force.
+    /// The motion does not separate the force from gravity and friction.
     #[error(
-        "the torques of the joints do not tell the force along the bar: robot and bar moved too little to tell it from \
+        "the joint torques do not determine the force along the bar: robot and bar moved too little to separate it from \
          gravity and friction; measure the force itself, or calibrate without it (--ignore-force)"
     )]
     Torques,
 }
 
-/// What a force is brought to the bar with.
+/// Robot, clocks and bar, by which a measured force becomes one along the bar.
 pub(super) struct Surroundings<'a> {
     /// Reference time on the bar's clock.
     pub t_ref: UtcNs,
@@ -121,7 +121,7 @@ pub(super) struct Surroundings<'a> {
     pub alignment: &'a Alignment,
     /// The robot's motion, in robot time since the reference.
     pub motion: &'a AlignedLog,
-    /// The nominal robot.
+    /// Chain of the nominal robot.
     pub robot: &'a Chain,
     /// Centre of the gimbal in the robot's base \[m\].
     pub base_m: Vector3<f64>,
@@ -129,7 +129,7 @@ pub(super) struct Surroundings<'a> {
     pub gravity: Vector3<f64>,
 }
 
-/// Puts the force on each sample; samples without one are taken out. Also tells which of them had one.
+/// Adds the force to each sample and removes samples without one. Also returns which of them had one.
 ///
 /// # Errors
 /// [`ForceError`] where the force log is of another time or cannot be a force on a bar.
@@ -162,7 +162,7 @@ pub(super) fn put_on(
     Ok((forces, has_force))
 }
 
-/// Smallest and largest, if they make sense.
+/// Smallest and largest force along the bar, if they are possible.
 fn check(kind: ForceKind, along: &[f64]) -> Result<[f64; 2], ForceError> {
     let [low, high] = extremes(along.iter().copied());
     let what = kind.describe();
@@ -221,7 +221,7 @@ impl Surroundings<'_> {
         }
     }
 
-    /// Component along the bar of each row, from the gimbal to the flange, and what torques leave unexplained \[N m\].
+    /// Component along the bar of each row, from the gimbal to the flange, and the unexplained torques \[N m\].
     fn along_bar(
         &self,
         kind: ForceKind,

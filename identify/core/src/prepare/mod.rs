@@ -1,27 +1,27 @@
-//! From a recording and a robot log, each on its own clock, to samples that a solve can begin with.
+//! From a recording and a robot log, each on its own clock, to samples and start values of a solve.
 //!
-//! Nothing but nominal geometry is known at the beginning: not the clocks, not the encoders' offsets, not where the bar
-//! stands nor in which of its configurations. The steps, each a plain function on values:
+//! Only nominal geometry is known at the beginning; the clocks, the encoders' offsets, the bar's place and its configuration are
+//! not. The steps, each a plain function on values:
 //!
 //! 1. [`bar_angles`]: counts to angles, bad cycles dropped, runs split where counters lost their origin;
-//!    [`unwrapped_log`]: joints that begin anew after a turn made continuous. A moving average
-//!    ([`Stream::averages`](crate::logs::Stream::averages)) of both logs where it is asked for.
+//!    [`unwrapped_log`]: joints that wrap after a turn made continuous. Optionally a moving average of both logs
+//!    ([`Stream::averages`](crate::logs::Stream::averages)).
 //! 2. [`fit_sphere`]: the robot's own positions give the bar's base and length.
 //! 3. [`Predictor`]: with these, nominal inverse kinematics of the bar predicts its joints from the robot's log.
-//! 4. [`correlate`]: predicted and measured joint *speeds* know no offsets, signs or configurations, and the root of the sum
-//!    of their squares knows no order either; their cross-correlation gives candidates for the clock difference, whatever
-//!    its size. The rate of the clocks is found before, from short parts of the run (`align::rate`).
+//! 4. [`correlate`]: predicted and measured joint *speeds* do not depend on offsets, signs or configurations, and the root of the
+//!    sum of their squares does not depend on the order of the joints; their cross-correlation gives candidates for the clock
+//!    difference, whatever its size. The rate of the clocks is found before, from short parts of the run (`align::rate`).
 //! 5. At each candidate angles are compared: [`find_encoder_map`] finds which encoder is which and which way it counts, then
 //!    offsets and configurations follow, segment by segment between singular poses and origins (`segments`). The shift
 //!    whose angles fit best wins.
 //! 6. `refine` fits clocks, base and offsets to the angles while all numbers of both chains may move within their
-//!    tolerances. By this fit every sample is judged (`samples::angle_errors`): is it an outlier? Whether something changed during the run, only
-//!    calibrated links show (`calibrate::change`), but for what is so large that nothing fits (`slip`, `parts`).
-//! 7. [`select`], [`spread_over_sphere`]: standstill, singular poses and samples beyond what is needed are left out.
+//!    tolerances. Residuals from this fit show the outliers (`samples::angle_errors`). Changes during the run are found with
+//!    calibrated links (`calibrate::change`), except those so large that nothing fits (`slip`, `parts`).
+//! 7. [`select`], [`spread_over_sphere`]: samples at standstill, near singular poses or beyond the wanted number are left out.
 //! 8. Where a force was measured, each sample gets its component along the bar (`forces`).
 //!
-//! The solve gets each sample in the configuration in which it was measured: forward kinematics needs no other, and
-//! converting it would bake the offsets of the preparation into it. Only the [`Timeline`] shows all in one configuration.
+//! The solve gets each sample in the configuration in which it was measured: a conversion would include the offsets of the
+//! preparation in it. Only the [`Timeline`] shows all samples in one configuration.
 //!
 //! Times stay integers until they are small differences: the clocks may be decades apart.
 
@@ -72,47 +72,48 @@ use crate::model::Observation;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PrepareOptions {
-    /// Two logs match where their speeds correlate at least so well (1 is identical). Runs of the same experiment come
-    /// to 0.99; different runs stay below 0.5.
+    /// Smallest correlation of speeds at which two logs match (1 is identical). Runs of the same experiment reach 0.99;
+    /// different runs stay below 0.5.
     pub correlation_min: f64,
-    /// Two logs must overlap at least this long \[s\]...
+    /// Shortest overlap of two logs \[s\]...
     pub overlap_min_s: f64,
-    /// ...and at least by this part of the shorter one.
+    /// ...and its smallest share of the shorter log.
     pub overlap_min_part: f64,
-    /// Measured and predicted angles may differ by this much (1.48 times the median deviation) \[mrad\].
+    /// Largest difference of measured and predicted angles (1.48 times the median deviation) \[mrad\].
     pub spread_max_mrad: f64,
-    /// The robot's positions may be this far from one sphere \[mm\].
+    /// Largest distance of the robot's positions from one sphere \[mm\].
     pub sphere_tolerance_mm: f64,
-    /// The sphere's radius may differ this much from the bar's configured length \[mm\].
+    /// Largest difference of the sphere's radius from the bar's configured length \[mm\].
     pub length_tolerance_mm: f64,
     /// Samples nearer to a singular pose of the bar are left out \[deg\].
     pub singular_margin_deg: f64,
-    /// At most this many samples are kept, spread over the sphere and, on each part of it, over the motion; 0 keeps all
+    /// Largest number of samples that are kept, spread over the sphere and, on each part of it, over the motion; 0 keeps all
     /// that move.
     pub points_max: usize,
     /// Samples are kept only where some bar joint has moved by this much since the last one \[mrad\].
     pub motion_min_mrad: f64,
-    /// Which encoder sits on which joint and which way it counts: `find`, `recorded`, or stated one by one.
+    /// Joint and direction of each encoder: `find`, `recorded`, or stated one by one.
     pub encoders: EncoderMapChoice,
-    /// Centred moving average over both logs \[ms\]; 0 is none. The thesis took 100 ms. Bends of the path stay
+    /// Width of a centred moving average over both logs \[ms\]; 0 is none. The thesis took 100 ms. Bends of the path are preserved
     /// ([`Stream::averages`](crate::logs::Stream::averages)) unless it is much longer.
     pub moving_average_ms: f64,
-    /// Angles may stay this far from the refined fit (1.48 times the median deviation) \[mrad\].
+    /// Largest residual of angles from the refined fit (1.48 times the median deviation) \[mrad\].
     pub fit_max_mrad: f64,
-    /// Every measured joint of the bar must travel at least this far \[deg\].
+    /// Smallest travel of every measured joint of the bar \[deg\].
     pub joint_travel_min_deg: f64,
-    /// Smaller steps of an encoder or of a joint of the robot that are certain are reported and do not refuse a run \[mrad\].
+    /// Significant steps of an encoder or of a robot joint that are smaller than this are reported; larger ones refuse a run
+    /// \[mrad\].
     pub slip_min_mrad: f64,
 }
 
-/// What is added to an encoder's angle to get the joint's.
+/// Difference of a joint's angle and its encoder's.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EncoderOffset {
     /// Bar joint, 1 to 5.
     pub joint: u8,
     /// Offset in (-pi, pi] \[rad\].
     pub offset_rad: f64,
-    /// 1.48 times the median deviation from the refined fit \[rad\]: a standard deviation that outliers do not touch.
+    /// 1.48 times the median deviation from the refined fit \[rad\]: a robust standard deviation.
     pub spread_rad: f64,
 }
 
@@ -137,32 +138,32 @@ impl Default for PrepareOptions {
     }
 }
 
-/// How many samples went where; all are bar cycles.
+/// Number of bar cycles by status.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct SampleCounts {
-    /// In the recording.
+    /// All cycles of the recording.
     pub recorded: usize,
-    /// Not fresh or not trustworthy.
+    /// Cycles with stale or invalid counts.
     pub invalid: usize,
     /// Time stamp not later than the one before.
     pub time_not_increasing: usize,
-    /// In runs between two changes of the counters' origin that are too short to find their offsets.
+    /// Between two changes of the counters' origin that are too close to find the offsets.
     pub other_origin: usize,
-    /// Nearer to an end or a hole than the width of the moving average, where there is one.
+    /// Nearer to an end or a hole than the width of the moving average, if there is one.
     pub not_averaged: usize,
     /// At times that the robot's log does not cover.
     pub outside_robot_log: usize,
     /// Near singular poses of the bar.
     pub singular: usize,
-    /// At a standstill.
+    /// Neither robot nor bar moves.
     pub standstill: usize,
-    /// More than are wanted.
+    /// Beyond the wanted number of samples.
     pub thinned: usize,
-    /// Their angles do not fit those around them.
+    /// Their angles do not fit those of their neighbours.
     pub outliers: usize,
-    /// Without the force that others have.
+    /// Without a force, if others have one.
     pub no_force: usize,
-    /// Kept.
+    /// Kept for the solve.
     pub kept: usize,
 }
 
@@ -196,8 +197,8 @@ pub struct Alignment {
     pub correlation: f64,
     /// Best correlation at a clearly different shift.
     pub runner_up: f64,
-    /// Another shift fits as well by its angles: the motion repeats itself, and the shift with the longest overlap was
-    /// taken. The geometry is the same either way, the clocks are not.
+    /// The angles fit as well at another shift: the motion repeats, and the shift with the longest overlap was taken. The geometry
+    /// is the same either way, the clocks are not.
     pub ambiguous: bool,
     /// How long the logs overlap \[s\].
     pub overlap_s: f64,
@@ -208,7 +209,7 @@ pub struct Alignment {
 }
 
 impl Alignment {
-    /// Robot clock minus the other one at the reference time \[ns\], once a solve has found what is left of the shift.
+    /// Robot clock minus the other one at the reference time \[ns\], with the shift that a solve has found.
     pub fn solved_difference_ns(&self, shift_s: f64) -> i64 {
         self.clock_difference_ns.saturating_add((shift_s * 1e9).round() as i64)
     }
@@ -236,41 +237,39 @@ pub struct Prepared {
     pub t_ref: UtcNs,
     /// Times relative to `t_ref`, angles without offsets.
     pub observations: Vec<Observation>,
-    /// The robot's motion; its time is zero at `t_ref` as far as the alignment knows.
+    /// The robot's motion; by the alignment its time is zero at `t_ref`.
     pub motion: AlignedLog,
     /// Bar joints with an encoder.
     pub measured: [bool; BAR_JOINTS],
-    /// Where a solve begins.
+    /// Start values of a solve.
     pub initial: InitialValues,
-    /// Configuration of the bar in the longest segment between two singular poses. Samples are in whichever they were
-    /// measured in.
+    /// Configuration of the bar in the longest segment between two singular poses. Samples are in the configuration in which they
+    /// were measured.
     pub configuration: Configuration,
-    /// How well the logs fit together in time.
+    /// The clocks and how well the logs match.
     pub alignment: Alignment,
     /// Offset of each encoder and how well it fits the prediction.
     pub offsets: Vec<EncoderOffset>,
     /// The sphere on which the robot moved.
     pub sphere: SphereFit,
-    /// What was dropped and why.
+    /// Number of samples by status.
     pub counts: SampleCounts,
-    /// The run at a glance, for reports.
+    /// Overview of the run for reports.
     pub timeline: Timeline,
-    /// Which encoder sits on which joint, and what else would fit.
+    /// Joint and direction of each encoder, and alternatives that fit.
     pub encoder_map: EncoderMapReport,
     /// Parts of the recording between two changes of the counters' origin, in the order of time.
     pub origins: Vec<OriginSpan>,
     /// How the alignment varies along the run, about every 5 s.
     pub local_shifts: Vec<LocalShift>,
-    /// Why angles fit no geometry near the nominal one, where they do not: the solve says whether something changed, which is
-    /// why.
+    /// Residuals, if the angles fit no geometry near the nominal one. The solve then looks for a change during the run.
     pub poor_fit: Option<PoorFit>,
-    /// The force on the bar, where one was measured.
+    /// The force on the bar, if it was measured.
     pub force: Option<BarForces>,
 }
 
 impl Prepared {
-    /// Samples that need no preparation: on one clock, angles from the marks of their encoders, near nominal links and a bar at
-    /// `base_m`.
+    /// Samples that need no preparation: on one clock, angles from the encoders' marks, near nominal links, with the bar at `base_m`.
     pub fn aligned(
         t_ref: UtcNs,
         observations: Vec<Observation>,
@@ -308,7 +307,7 @@ impl Prepared {
         self.timeline.points.first().map_or(0.0, |point| point.t_s)
     }
 
-    /// Robot clock minus bar clock at the reference time \[ns\], once a solve has found what is left of the shift.
+    /// Robot clock minus bar clock at the reference time \[ns\], with the shift that a solve has found.
     pub fn clock_difference_ns(&self, solved_shift_s: f64) -> i64 {
         self.alignment.solved_difference_ns(solved_shift_s)
     }

@@ -24,9 +24,9 @@ pub struct SphereFit {
     pub inliers: f64,
 }
 
-/// Rows of a long log that are looked at, at most: those of six minutes at 250 Hz.
+/// Largest number of rows of a long log that are used: six minutes at 250 Hz.
 const ROWS_MAX: usize = 100_000;
-/// Robot positions nearer to the last one say nothing new about the sphere \[m\].
+/// Robot positions nearer to the last one are not used \[m\].
 const POSITIONS_APART_M: f64 = 0.005;
 /// Quadruples tried for a first sphere. With half of the positions bad one in sixteen is good.
 const DRAWS: usize = 200;
@@ -34,16 +34,16 @@ const DRAWS: usize = 200;
 const ROUNDS: usize = 5;
 /// Steps of Gauss-Newton in each round.
 const STEPS: usize = 8;
-/// How well the bar's length is known from its configuration, one standard deviation \[m\].
+/// Standard deviation of the bar's configured length \[m\].
 const LENGTH_SIGMA_M: f64 = 0.002;
-/// Distances from the sphere are mostly errors of the nominal robot, alike in neighbouring postures: however many
-/// positions there are, they say as much as so many independent ones.
+/// Distances from the sphere are mostly errors of the nominal robot, similar in neighbouring postures: any number of positions
+/// counts as this number of independent ones.
 const POSITIONS_INDEPENDENT: f64 = 50.0;
 
 /// The sphere of the bar that the robot's positions lie on.
 ///
 /// # Errors
-/// [`PrepareError`] where they lie on none, or on that of another bar, with what most likely went wrong.
+/// [`PrepareError`] if they lie on none, or on that of another bar, with the probable cause.
 pub(super) fn sphere_of_log(
     log: &RobotLog,
     robot: &Chain,
@@ -90,8 +90,8 @@ pub(super) fn sphere_of_log(
     Ok(sphere.drawn_to_length(&positions, tolerance_mm * 1e-3, length_m))
 }
 
-/// What most likely went wrong with the joints of a log whose positions lie on no sphere of the bar's length: what brings them onto
-/// one, in the joints or in the columns of the robot's own log; else a plate that is turned, or a joint that never moves.
+/// Probable mistake in the joints of a log whose positions lie on no sphere of the bar's length: one whose correction, in the joints
+/// or in the columns of the robot's own log, puts them on such a sphere; otherwise a turned plate, or a joint that never moves.
 fn likely_mistake(
     log: &RobotLog,
     robot: &Chain,
@@ -99,7 +99,7 @@ fn likely_mistake(
     length_m: f64,
     options: &PrepareOptions,
 ) -> Option<String> {
-    /// Part of them on the sphere: with a wrong joint a half is, by chance and where it stands still.
+    /// Share of the positions on the sphere: with a wrong joint it is a half, by chance and at standstills.
     const ON_SPHERE: f64 = 0.8;
     /// Rounding of a column that never changes.
     const STILL: f64 = 1e-9;
@@ -126,7 +126,7 @@ fn likely_mistake(
         found.max_by(|(_, a), (_, b)| a.inliers.total_cmp(&b.inliers).then(b.rms_m.total_cmp(&a.rms_m)));
     if let Some((mistake, sphere)) = best {
         return Some(format!(
-            "{mistake}: so {:.0} % lie on a sphere of the bar's length; correct the log's columns or the robot's file",
+            "{mistake}: with this corrected {:.0} % lie on a sphere of the bar's length; correct the log's columns or the robot's file",
             100.0 * sphere.inliers
         ));
     }
@@ -154,8 +154,8 @@ fn tried_joints(log: &RobotLog) -> Vec<Joints> {
     log.q_rad.iter().step_by(every).copied().collect()
 }
 
-/// That the plate is turned about the flange's axis against the configuration, where that brings the positions nearer to one
-/// sphere of the bar's length by far than they are.
+/// Describes a plate that is turned about the flange's axis against the configuration, if that brings the positions much nearer to
+/// one sphere of the bar's length.
 pub(super) fn turned_plate(
     log: &RobotLog,
     robot: &Chain,
@@ -190,8 +190,8 @@ pub(super) fn turned_plate(
     let of_bar = (sphere.radius_m - length_m).abs() * 1e3 < options.length_tolerance_mm;
     (of_bar && by_deg != 0.0 && left_m < PART_LEFT * usual_m).then(|| {
         format!(
-            "the plate is turned by about {by_deg:+.0} degrees on the flange, about its axis, against the configuration: so half of the \
-             positions are within {:.1} mm of a sphere of the bar's length, as configured within {:.1} mm. Add that to theta_deg of the \
+            "the plate is turned by about {by_deg:+.0} degrees on the flange, about its axis, against the configuration: half of the \
+             positions are then within {:.1} mm of a sphere of the bar's length, as configured within {:.1} mm. Add that to theta_deg of the \
              last link in the robot's file, or mount the plate as configured; the zero of joint {} would look the same",
             left_m * 1e3,
             usual_m * 1e3,
@@ -210,7 +210,7 @@ fn is_flat(positions_m: &[Vector3<f64>]) -> bool {
     extents.min() < THICKNESS_MIN * THICKNESS_MIN * extents.max()
 }
 
-/// The sphere that most of `positions_m` lie on within `tolerance_m`; none where they span no sphere.
+/// The sphere that most of `positions_m` lie on within `tolerance_m`; `None` if they span no sphere.
 ///
 /// Logs also hold the way to and from the bar: a first sphere through four positions that most others agree with
 /// (random sample consensus, Fischler and Bolles 1981, fixed seed) keeps those out. Then linear least squares on
@@ -247,8 +247,8 @@ impl SphereFit {
         Sphere { centre_m: self.centre_m, radius_m: self.radius_m }
     }
 
-    /// The same sphere drawn towards a radius that is known from elsewhere: on a part of a sphere, centre and radius
-    /// are hard to separate. Itself where nothing is gained.
+    /// The sphere with a prior on its radius: on a part of a sphere, centre and radius are hard to separate. Unchanged if the fit
+    /// fails.
     pub fn drawn_to_length(self, positions_m: &[Vector3<f64>], tolerance_m: f64, length_m: f64) -> Self {
         let sphere = self.sphere();
         let on_it: Vec<Vector3<f64>> =
@@ -277,7 +277,7 @@ impl Sphere {
         (position_m - self.centre_m).norm() - self.radius_m
     }
 
-    /// Algebraic fit; none where the points lie in a plane.
+    /// Algebraic fit; `None` if the points lie in a plane.
     fn linear(positions_m: &[Vector3<f64>]) -> Option<Self> {
         /// Smallest ratio of singular values of points that span a sphere.
         const RATIO_MIN: f64 = 1e-3;

@@ -25,19 +25,19 @@ use crate::threads;
 
 /// Joints that travel less than this do not move \[deg\].
 const TRAVEL_DEG_MIN: f64 = 3.0;
-/// Longest log \[s\]. A longer one mostly is a clock that was set.
+/// Longest log \[s\]. In a longer one mostly a clock was set.
 const DURATION_S_MAX: f64 = 24.0 * 3600.0;
 
-/// Changes of the counters' origin in one run: an hour of a bus that fails once a minute. Each has five parameters of its own.
+/// Largest number of changes of the counters' origin in one run: an hour of a bus that fails once a minute. Each has five parameters.
 const ORIGIN_CHANGES_MAX: usize = 60;
 
-/// Brings recording and robot log together.
+/// Aligns recording and robot log and selects samples.
 ///
 /// `encoders` are those of the recording, in its order. Parts of the recording after a change of the counters' origin are
 /// used too, each with its own offsets.
 ///
 /// # Errors
-/// [`PrepareError`] says which step failed, with its figures.
+/// [`PrepareError`] of the step that failed, with its figures.
 pub fn prepare(
     cycles: &[CycleRecord],
     encoders: &[EncoderInfo],
@@ -125,7 +125,7 @@ pub fn prepare(
     })
 }
 
-/// Puts the force on the bar, where one was measured, on each sample. Samples without one are left out.
+/// Adds the force on the bar, if it was measured, to each sample. Samples without one are left out.
 fn with_force(
     observations: &mut Vec<Observation>,
     statuses: &mut [SampleStatus],
@@ -134,7 +134,7 @@ fn with_force(
 ) -> Result<Option<BarForces>, PrepareError> {
     let Some(force) = &log.force else { return Ok(None) };
     let (forces, has_force) = put_on(observations, force, around)?;
-    // Samples stand in the order of their cycles.
+    // Samples are in the order of their cycles.
     let kept = statuses.iter_mut().filter(|status| **status == SampleStatus::Kept);
     kept.zip(has_force)
         .filter(|(_, has_force)| !has_force)
@@ -161,7 +161,7 @@ fn initial(
     }
 }
 
-/// Offsets of the reference origin and how well they fit.
+/// Offsets of the reference origin and their scatter.
 fn offsets(found: &Found, reference: usize, sorted: &Sorted) -> Vec<EncoderOffset> {
     let offsets = found.offset_fit.of_origin(reference);
     let measured = found.encoder_map.used.measured();
@@ -173,7 +173,7 @@ fn offsets(found: &Found, reference: usize, sorted: &Sorted) -> Vec<EncoderOffse
     (0..BAR_JOINTS).filter(|joint| measured[*joint]).map(offset).collect()
 }
 
-/// What became of every cycle of the recording.
+/// Status of every cycle of the recording.
 fn statuses_of_all(angles: &BarAngles, of_samples: &[SampleStatus]) -> Vec<SampleStatus> {
     let mut statuses = angles.statuses.clone();
     for (reading, status) in angles.readings.iter().zip(of_samples) {
@@ -184,7 +184,7 @@ fn statuses_of_all(angles: &BarAngles, of_samples: &[SampleStatus]) -> Vec<Sampl
     statuses
 }
 
-/// Both logs hold a motion that is long enough and not too long.
+/// Checks that both logs have a motion that is long enough and not too long.
 fn check(angles: &BarAngles, log: &RobotLog, options: &PrepareOptions) -> Result<(), PrepareError> {
     let readings = &angles.readings;
     if readings.is_empty() {
@@ -203,13 +203,13 @@ fn check(angles: &BarAngles, log: &RobotLog, options: &PrepareOptions) -> Result
     check_length(("the recording", readings.duration_s()), log.q_rad.duration_s(), options)
 }
 
-/// A log whose joints travel so far at most \[rad\].
+/// Checks the largest travel of a joint in a log \[rad\].
 pub(super) fn require_motion(what: &'static str, travel_rad: f64) -> Result<(), PrepareError> {
     let travel_deg = travel_rad.to_degrees();
     if travel_deg < TRAVEL_DEG_MIN { Err(PrepareError::NoMotion { what, travel_deg }) } else { Ok(()) }
 }
 
-/// The robot's log and another one, which covers so much \[s\].
+/// Checks the durations of another log, with its name, and of the robot's log \[s\].
 pub(super) fn check_length(
     other: (&'static str, f64),
     log_s: f64,

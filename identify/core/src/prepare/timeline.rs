@@ -1,4 +1,4 @@
-//! A run at a glance: what a report draws of the preparation, thinned so that ten hours stay a few thousand points.
+//! Overview of a run for reports, thinned so that ten hours have a few thousand points.
 
 use serde::Serialize;
 use shared::recording::schema::CycleRecord;
@@ -12,11 +12,11 @@ use crate::logs::Unwrapped;
 use crate::model::Clock;
 use crate::threads::rows;
 
-/// What became of a bus cycle.
+/// Status of a bus cycle.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SampleStatus {
-    /// More samples than are wanted, or hardly moved since the last one kept.
+    /// Beyond the wanted number of samples, or hardly moved since the last one kept.
     #[default]
     Thinned,
     /// Neither robot nor bar moves.
@@ -25,7 +25,7 @@ pub enum SampleStatus {
     NotAveraged,
     /// The robot's log does not cover it.
     Outside,
-    /// In a run between two changes of the counters' origin that is too short to find its offsets.
+    /// Between two changes of the counters' origin that are too close to find the offsets.
     OtherOrigin,
     /// Near a singular pose of the bar.
     Singular,
@@ -46,10 +46,10 @@ pub enum SampleStatus {
 pub struct TimelinePoint {
     /// Bar time since [`super::Prepared::t_ref`] \[s\].
     pub t_s: f64,
-    /// The most noteworthy status among the cycles that this point stands for, in the order of [`SampleStatus`]: a single outlier
-    /// shows even where a point stands for a minute.
+    /// The last status, in the order of [`SampleStatus`], among the cycles of this point: a single outlier shows even if the point
+    /// covers a minute.
     pub status: SampleStatus,
-    /// Largest speed of a bar joint, over 0.1 s \[rad/s\]; none where neighbours are missing.
+    /// Largest speed of a bar joint, over 0.1 s \[rad/s\]; `None` if neighbours are missing.
     pub bar_speed_rad_s: Option<f64>,
     /// Largest speed of a robot joint, over 0.1 s \[rad/s\]; none outside its log.
     pub robot_speed_rad_s: Option<f64>,
@@ -76,49 +76,49 @@ impl TimelinePoint {
     }
 }
 
-/// What a report draws of the preparation.
+/// Overview of the preparation for reports.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Timeline {
     /// In the order of time, evenly over the cycles of the recording, at most [`Timeline::POINTS_MAX`].
     pub points: Vec<TimelinePoint>,
-    /// How many cycles a point stands for.
+    /// Number of cycles of each point.
     pub cycles_per_point: usize,
     /// Where robot and bar stand still together, bar time.
     pub standstills: Vec<Standstill>,
     /// Noise of the encoders at standstill (figure 5.2 of the thesis).
     pub jitter: Jitter,
-    /// Encoders that began anew and were made continuous; the others never did.
+    /// Encoders that wrapped and were made continuous.
     pub unwrapped_encoders: Vec<Unwrapped>,
-    /// The same of the robot's joints.
+    /// Robot joints that wrapped and were made continuous.
     pub unwrapped_joints: Vec<Unwrapped>,
-    /// What the moving average did, where one was asked for.
+    /// Effect of the moving average, if there is one.
     pub averaged: Option<Averaged>,
 }
 
 impl Timeline {
-    /// Points at most.
+    /// Largest number of points.
     pub const POINTS_MAX: usize = 3000;
 }
 
-/// The run as the preparation leaves it.
+/// The run after the preparation.
 pub(super) struct Run<'a> {
-    /// The whole recording.
+    /// All cycles of the recording.
     pub cycles: &'a [CycleRecord],
-    /// What was read of it and of the robot's log.
+    /// Readings of the recording and of the robot's log.
     pub both: &'a BothLogs<'a>,
-    /// Reference time.
+    /// Reference time on the bar's clock.
     pub t_ref: UtcNs,
     /// Bar time since then to robot time.
     pub clock: Clock,
-    /// Of every cycle.
+    /// Status of every cycle.
     pub statuses: &'a [SampleStatus],
     /// Valid samples in the order of time.
     pub samples: &'a [Sample],
-    /// Which encoder sits where.
+    /// Joint and direction of each encoder.
     pub encoder_map: &'a EncoderMap,
-    /// In which angles are shown.
+    /// Configuration in which angles are shown.
     pub configuration: Configuration,
-    /// The robot's log and what it implies.
+    /// The robot's log and the joints that it implies.
     pub predictor: &'a Predictor<'a>,
 }
 
@@ -203,7 +203,7 @@ impl Run<'_> {
         self.configuration.carry(&filled)
     }
 
-    /// Largest speed of a bar joint about a sample; none where no neighbours are near.
+    /// Largest speed of a bar joint about a sample; `None` without near neighbours.
     fn bar_speed_rad_s(&self, index: usize) -> Option<f64> {
         let here = self.samples.get(index)?;
         let near = |sample: &&Sample| (sample.t_s - here.t_s).abs() <= SPEED_REACH_S * 1.01;

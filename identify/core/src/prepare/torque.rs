@@ -2,9 +2,9 @@
 //!
 //! Held by the bar the robot feels one unknown force `F` along it: `tau = n F + Y p`, with `n = J^T u` for the direction
 //! `u` of the bar. `Y p` is linear in few numbers `p` that hold for the whole run: mass and first moments of each link
-//! (gravity), and Coulomb friction, viscous friction and inertia of each axis. A sample has a torque for each axis and one force; what
-//! is left of it across `n` gives `p` by least squares, then each sample gives its force. The torques may be those of
-//! the motors or external ones: then `p` comes out near zero.
+//! (gravity), and Coulomb friction, viscous friction and inertia of each axis. A sample has a torque for each axis and one force; its
+//! component across `n` gives `p` by least squares, then each sample gives its force. The torques may be those of
+//! the motors or external ones: then `p` is near zero.
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
@@ -20,9 +20,9 @@ const STANDARD_GRAVITY: f64 = 9.806_65;
 /// Combinations of terms that do less than this part of the strongest, in squares, are none: links' masses are not determined
 /// apart one by one.
 const RANK_TOLERANCE: f64 = 1e-10;
-/// Times that the axes are weighed anew by what is left of them.
+/// Number of times that the axes are reweighted by their residuals.
 const ROUNDS: usize = 3;
-/// Axes are never trusted better than this \[N m\].
+/// Smallest standard deviation of an axis \[N m\].
 const SIGMA_MIN_NM: f64 = 1e-3;
 /// Samples for each term, at least.
 const SAMPLES_PER_TERM: usize = 5;
@@ -35,11 +35,11 @@ pub(super) struct TorqueSample {
     by_term: DMatrix<f64>,
 }
 
-/// What torques say.
+/// Forces that torques determine.
 pub(super) struct FromTorques {
     /// Force along the bar of each sample \[N\].
     pub along_n: Vec<f64>,
-    /// What is left of the torques, root mean square \[N m\].
+    /// Root mean square of the residual torques \[N m\].
     pub rms_nm: f64,
 }
 
@@ -80,7 +80,7 @@ impl TorqueSample {
         Self { torque_nm: DVector::from_iterator(axes, torque_nm), by_force, by_term }
     }
 
-    /// The force that fits best to what is left of the torques, each axis with its weight.
+    /// The force that fits best to residual torques, each axis with its weight.
     fn force(&self, left_nm: &DVector<f64>, weights: &DVector<f64>) -> f64 {
         let weighed = self.by_force.component_mul(weights);
         weighed.dot(left_nm) / weighed.dot(&self.by_force).max(f64::MIN_POSITIVE)
@@ -91,7 +91,7 @@ impl TorqueSample {
     }
 }
 
-/// The force of each sample; none where the samples are too few or not finite.
+/// The force of each sample; `None` if the samples are too few or not finite.
 pub(super) fn forces_from_torques(samples: &[TorqueSample]) -> Option<FromTorques> {
     let (axes, terms) = samples.first()?.by_term.shape();
     if samples.len() < SAMPLES_PER_TERM * terms {
@@ -111,7 +111,7 @@ pub(super) fn forces_from_torques(samples: &[TorqueSample]) -> Option<FromTorque
     along_n.iter().all(|force| force.is_finite()).then_some(FromTorques { along_n, rms_nm })
 }
 
-/// Root mean square of what is left of each axis.
+/// Root mean square of the residual torque of each axis.
 fn spread_nm(samples: &[TorqueSample], terms: &DVector<f64>, weights: &DVector<f64>) -> DVector<f64> {
     let axes = weights.len();
     let squares = samples.iter().fold(DVector::zeros(axes), |sum: DVector<f64>, sample| {

@@ -22,7 +22,7 @@ const WANTED: Wanted = Wanted {
     record: "record the topic on which the encoders are published",
 };
 
-/// Reads a bag.
+/// Reads the encoders of the bar from a bag.
 pub(super) fn read(
     bytes: &[u8],
     path: &Path,
@@ -66,7 +66,7 @@ pub(super) fn read(
             let value = place.and_then(|place| state.position.get(place)).copied();
             *count = value.and_then(|value| count_of(value, reading));
         }
-        // Others may publish on the same topic.
+        // Other publishers may use the same topic.
         if is_of_bar {
             raw.push(row)?;
         }
@@ -75,7 +75,7 @@ pub(super) fn read(
     raw.finish(clock.unwrap_or_else(|| clock_name(stamped).into()))
 }
 
-/// What is no count or angle is no value: drivers publish NaN where they have none.
+/// `None` for anything but a count or an angle: drivers publish NaN for missing values.
 fn count_of(value: f64, reading: &Reading) -> Option<i64> {
     /// Whole numbers are exact up to here.
     const EXACT: f64 = 9_007_199_254_740_992.0;

@@ -1,5 +1,4 @@
-//! A TOML file that says how to read the bar's encoders from a file of another program: `config/bar_log.toml` explains each
-//! key.
+//! A TOML file with the format of the bar's encoders in a file of another program: `config/bar_log.toml` explains each key.
 
 use serde::{Deserialize, Serialize};
 use shared::config::{Validate, Violation};
@@ -8,20 +7,20 @@ use crate::kinematics::BAR_JOINTS;
 use crate::logs::robot::mapping::CsvLayout;
 use crate::logs::tables::stamp::TimeColumn;
 
-/// Counters narrower than this cannot be followed, and none is wider than 64 bits.
+/// Narrowest counter that can be followed.
 const WRAPS_AT_MIN: u64 = 1 << 10;
-/// What an EL5021 counts before it begins anew.
+/// Number of values of an EL5021's counter.
 const WRAPS_AT: u64 = 1 << 32;
 
 /// Unit of an encoder's values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum EncoderUnit {
-    /// Raw counts; the bar's configuration says how many make a turn and which way they run.
+    /// Raw counts; the bar's configuration has their number in a turn and their direction.
     Counts,
-    /// Angles in radians.
+    /// Angles in radians, any number of turns.
     Rad,
-    /// Angles in degrees.
+    /// Angles in degrees, any number of turns.
     Deg,
 }
 
@@ -35,7 +34,7 @@ pub struct EncoderColumn {
     pub column: String,
     /// Unit; absent: counts in a table, radians in a bag.
     pub unit: Option<EncoderUnit>,
-    /// Column that is zero (or empty) where the value is not to be used.
+    /// Column that is zero (or empty) if the value is invalid.
     pub valid: Option<String>,
 }
 
@@ -68,7 +67,7 @@ impl Validate for BarLogMapping {
         self.csv.check()?;
         self.time.as_ref().map_or(Ok(()), TimeColumn::check)?;
         if self.wraps_at < WRAPS_AT_MIN {
-            let found = format!("{} is no width of a counter", self.wraps_at);
+            let found = format!("{} is not the width of a counter", self.wraps_at);
             return Err(Violation::new("wraps_at", found, "give the number of its values, such as 65536"));
         }
         if self.encoders.is_empty() {
@@ -91,7 +90,7 @@ impl Validate for BarLogMapping {
 }
 
 impl BarLogMapping {
-    /// What counters wrap at where no mapping says otherwise.
+    /// Number of a counter's values; without a mapping those of an EL5021.
     pub(super) fn wraps_at_of(mapping: Option<&Self>) -> u64 {
         mapping.map_or(WRAPS_AT, |mapping| mapping.wraps_at)
     }

@@ -1,8 +1,8 @@
-//! What the encoders of the bar say, whoever recorded it: our own recordings, tables of counters, ROS 2 bags.
+//! Encoders of the bar from our own recordings, tables of counters, or ROS 2 bags.
 //!
-//! Tables and bags become the records of bus cycles that a recording has, so that everything after this knows one kind of
-//! input only. What such files cannot say (validity of single counts, how certain times are, whether counters started anew)
-//! is not made up: [`OtherBarLog::unknown`] names it.
+//! Tables and bags become records of bus cycles, as recordings have them, so that later steps have one kind of input. Facts that
+//! such files lack (validity of single counts, uncertainty of times, restarts of counters) are not invented:
+//! [`OtherBarLog::unknown`] lists them.
 
 mod bag;
 mod mapping;
@@ -22,25 +22,19 @@ use shared::recording::{ReadError, ReadErrorKind, Recording};
 use super::source::Source;
 use super::{LogError, LogFormat, LogQuality, Unwrapped};
 
-/// What a file may leave unsaid, and what is done then.
+/// Facts that a file may lack, and what is assumed then.
 const UNSAID: [(&str, &str); 5] = [
     ("how certain its times are", "they are taken as exact"),
-    (
-        "what another clock showed meanwhile",
-        "a clock that was set shows only where parts of the run ask for another shift",
-    ),
+    ("the times of a second clock", "a clock step is found only from the shifts of parts of the run"),
     (
         "which values are not valid",
         "every row that has all values is used, but for those that repeat the counts before them, or jump out and come back",
     ),
-    (
-        "where counters started anew",
-        "at a place where two or more encoders jump at once they are taken to have",
-    ),
+    ("where counters restarted", "a place where two or more encoders jump at once is taken as a restart"),
     ("the date of its stamps", "the two clocks are compared by the motion alone"),
 ];
 
-/// How many bytes of a file tell whether it is a recording.
+/// Bytes at the beginning of a file by which a recording is recognised.
 const BEGINNING: u64 = 4096;
 
 /// Why the bar's side of a run cannot be read.
@@ -59,7 +53,7 @@ pub enum BarLogError {
 pub enum BarLog {
     /// Made by `ballbard` or `identify simulate`.
     Recording(Box<Recording>),
-    /// Made by another program.
+    /// From a file of another program.
     Other(Box<OtherBarLog>),
 }
 
@@ -70,24 +64,24 @@ pub struct OtherBarLog {
     pub kind: &'static str,
     /// Name of the clock that made the stamps.
     pub clock: String,
-    /// Stamps count from 1970; otherwise from an instant that nobody knows.
+    /// Whether stamps count from 1970; otherwise from an unknown instant.
     pub is_dated: bool,
     /// In the order of the file.
     pub encoders: Vec<EncoderInfo>,
-    /// One for each row or message; those that cannot be used are not valid.
+    /// One for each row or message; unusable ones are not valid.
     pub cycles: Vec<CycleRecord>,
-    /// How good the log is in itself; rows without a value, frozen ones and those that jump out and back are there and not valid.
+    /// Quality of the log; incomplete and repeated rows and excursions are among the cycles and not valid.
     pub quality: LogQuality,
-    /// Counters and angles that began anew and were made continuous.
+    /// Counters and angles that wrapped and were made continuous.
     pub unwrapped: Vec<Unwrapped>,
-    /// What the file does not say.
+    /// Facts that the file does not have.
     pub unknown: Vec<&'static str>,
     /// `ballbard export` wrote it from a recording of the simulated bus.
     pub simulated: bool,
 }
 
 impl BarLog {
-    /// Reads the file at `path`, recognised by its content. `bar` says how counts become angles.
+    /// Reads the file at `path`, recognised by its content. `bar` converts counts to angles.
     ///
     /// # Errors
     /// Every way in which the file cannot be used.
@@ -111,8 +105,7 @@ impl BarLog {
         }
     }
 
-    /// What the file's counters and angles showed where they began anew, if it is of another program: its records have the
-    /// counts that a terminal's counter would have shown.
+    /// Counters and angles that wrapped, in a file of another program: its records have the counts of a terminal's counter.
     pub fn unwrapped(&self) -> Option<&[Unwrapped]> {
         match self {
             Self::Recording(_) => None,
@@ -129,7 +122,7 @@ impl BarLog {
     }
 }
 
-/// Whether a file is a recording of ours, also a damaged one: it is never read as a bag of others then.
+/// Whether a file is a recording of ours, possibly a damaged one, and so not a bag of another program.
 ///
 /// # Errors
 /// [`ReadErrorKind::Io`] where it cannot be read.
@@ -170,12 +163,12 @@ impl OtherBarLog {
         }
     }
 
-    /// What the file does not say, and what is done instead.
+    /// Facts that the file does not have, and what is assumed instead.
     pub fn unsaid(&self) -> impl Iterator<Item = (&'static str, &'static str)> {
         UNSAID.into_iter().filter(|(what, _)| self.unknown.contains(what))
     }
 
-    /// Whether a text has the columns of the bar's encoders by their usual names: it is no robot's log then.
+    /// Whether a text has the columns of the bar's encoders by their usual names, and so is not a robot's log.
     pub fn is_usual_table(bytes: &[u8]) -> bool {
         table::has_usual_columns(bytes)
     }

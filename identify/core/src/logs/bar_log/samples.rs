@@ -1,4 +1,4 @@
-//! Rows of a table or a bag, judged as a whole, to the records of bus cycles.
+//! Checks the rows of a table or a bag as a whole and converts them to records of bus cycles.
 
 use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ use shared::time::UtcNs;
 
 use super::mapping::EncoderUnit;
 use super::{OtherBarLog, UNSAID};
-use crate::logs::time_series::excursions::{Excursions, Fastest, told};
+use crate::logs::time_series::excursions::{Excursions, Fastest, remark};
 use crate::logs::time_series::frozen::repeated_rows;
 use crate::logs::{LogError, LogQuality, ROWS_MIN, Unwrapped, UnwrappedPoint, since_first_s};
 
@@ -19,12 +19,12 @@ use crate::logs::{LogError, LogQuality, ROWS_MIN, Unwrapped, UnwrappedPoint, sin
 const SPEED_RAD_S_MAX: f64 = 4.0 * std::f64::consts::PI;
 /// Bars are moved by robots and by hand, and both turn back no faster than a robot's own joints.
 const FASTEST: Fastest = Fastest { speed: SPEED_RAD_S_MAX, acceleration: 200.0 };
-/// Smaller steps than this are no new origin \[rad\]: times of reception jitter, and rows come close behind each other.
+/// Smallest step at a new origin \[rad\]: times of reception jitter, so that rows may follow each other closely.
 const JUMP_RAD_MIN: f64 = 0.2;
-/// Places where counters started anew that a remark names: a wrong scale makes thousands.
+/// Largest number of restarts of the counters that a remark names: a wrong scale makes thousands.
 const PLACES_MAX: usize = 5;
-/// Angles become counts of which so many make a turn: one is 1.5 nrad, and angles that begin anew after each turn are
-/// followed by the same arithmetic that follows counters.
+/// Scale by which angles become counts: one is 1.5 nrad. Angles that wrap after each turn are then followed by the arithmetic of
+/// counters.
 const ANGLE_SCALE: EncoderScale = EncoderScale {
     lines: 1 << 24,
     interpolation_bits: 8,
@@ -32,7 +32,7 @@ const ANGLE_SCALE: EncoderScale = EncoderScale {
     offset_rad: 0.0,
     reference_counts: 0,
 };
-/// Angles further from zero are none \[rad\]: a terminal's counter wraps long before.
+/// Largest valid angle \[rad\]: a terminal's counter wraps long before.
 const ANGLE_RAD_MAX: f64 = 1e4;
 
 /// How one encoder of a file is read.
@@ -78,7 +78,7 @@ impl Reading {
         self.unit == EncoderUnit::Counts
     }
 
-    /// What a terminal's counter would show for an angle in the file's unit; none where it is no angle.
+    /// Count of a terminal's counter for an angle in the file's unit; `None` for an invalid angle.
     pub fn count_of_angle(&self, value: f64) -> Option<i64> {
         let turns = match self.unit {
             EncoderUnit::Deg => value / 360.0,
@@ -110,11 +110,11 @@ pub(super) struct RawRow {
     /// Line or number of the message in the file.
     pub place: u64,
     pub stamp_ns: i64,
-    /// Counts as the file has them, in the order of the readings; none where there is no value.
+    /// Counts as the file has them, in the order of the readings; `None` for missing values.
     pub counts: [Option<i64>; MAX_ENCODERS],
-    /// Whether the file says that the value may be used.
+    /// Whether the file marks the value as valid.
     pub valid: [bool; MAX_ENCODERS],
-    /// What the file says of the whole row, see [`flags`].
+    /// Flags of the whole row, see [`flags`].
     pub flags: u32,
 }
 
@@ -124,16 +124,16 @@ impl RawRow {
     }
 }
 
-/// What a file says of itself.
+/// Kind of a file and the facts that it has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Kind {
-    /// In words.
+    /// Name of the kind in messages.
     pub name: &'static str,
     /// What its rows are called: `line` or `message`.
     pub row: &'static str,
-    /// It says which values are valid...
+    /// The file marks invalid values.
     pub has_validity: bool,
-    /// ...and where counters started anew: then nothing is concluded from the values.
+    /// The file marks restarts of the counters: then none are concluded from the values.
     pub has_origins: bool,
     /// Stamps count from 1970.
     pub is_dated: bool,
@@ -153,7 +153,7 @@ impl RawBarLog {
         Self { path: path.to_owned(), kind, readings, rows: Vec::new(), quality: LogQuality::default() }
     }
 
-    /// What is odd and known already.
+    /// Adds a remark.
     pub fn remark(&mut self, remark: impl Into<String>) {
         self.quality.remarks.push(remark.into());
     }
@@ -161,7 +161,7 @@ impl RawBarLog {
     /// Takes the next row; one that repeats the row before it is only counted.
     ///
     /// # Errors
-    /// [`LogError::TimeNotIncreasing`], but beside cycles that the file itself marks as bad.
+    /// [`LogError::TimeNotIncreasing`], except beside cycles that the file marks as bad.
     pub fn push(&mut self, row: RawRow) -> Result<(), LogError> {
         if let Some(before) = self.rows.last() {
             if row.stamp_ns == before.stamp_ns && row.counts == before.counts {
@@ -177,10 +177,10 @@ impl RawBarLog {
         Ok(())
     }
 
-    /// Judges the whole.
+    /// Checks and converts all rows.
     ///
     /// # Errors
-    /// [`LogError::TooFewRows`], and [`LogError::Content`] where counters wrap elsewhere than is known.
+    /// [`LogError::TooFewRows`], and [`LogError::Content`] if counters wrap at another count than configured.
     pub fn finish(mut self, clock: String) -> Result<OtherBarLog, LogError> {
         let usable = self.rows.iter().filter(|row| row.is_valid(self.readings.len())).count();
         LogError::unless_enough(&self.path, usable, ROWS_MIN)?;
@@ -197,7 +197,7 @@ impl RawBarLog {
             self.mark_origins(&mut cycles);
         }
         let stamps_s = self.stamps_s();
-        self.tell();
+        self.remark_counts();
         let Kind { name, is_dated, .. } = self.kind;
         let (unknown, unwrapped) = (self.unknown(), self.unwrapped(&cycles, &stamps_s));
         let encoders = self.readings.iter().map(|reading| reading.info).collect();
@@ -250,7 +250,7 @@ impl RawBarLog {
         steps.fold((0.0, 0), |(most, jumps), step| (step.max(most), jumps + usize::from(step > limit_rad)))
     }
 
-    /// Rows of zeros, or of anything else that is no reading: each would be two places at which counters start anew.
+    /// Rows of zeros, or of any other invalid reading: each would look like two restarts of the counters.
     fn mark_excursions(&mut self) -> Result<(), LogError> {
         let width = self.readings.len();
         let valid: Vec<usize> = (0..self.rows.len()).filter(|row| self.rows[*row].is_valid(width)).collect();
@@ -263,7 +263,8 @@ impl RawBarLog {
         };
         let found = Excursions { t_s: &t_s, columns: width, fastest: FASTEST, step }.find();
         let places: Vec<u64> = found.iter().map(|row| self.rows[valid[*row]].place).collect();
-        let remark = told(&places, valid.len(), (&self.path, self.kind.row), "they are marked and not used")?;
+        let remark =
+            remark(&places, valid.len(), (&self.path, self.kind.row), "they are marked and not used")?;
         self.quality.remarks.extend(remark);
         self.quality.excursions_dropped = found.len();
         found.into_iter().for_each(|row| self.rows[valid[row]].valid = [false; MAX_ENCODERS]);
@@ -283,8 +284,8 @@ impl RawBarLog {
         }
     }
 
-    /// A terminal that lost power begins anew at some count, and so do all its neighbours. If one encoder alone jumps its
-    /// coupling has slipped, which is reported later.
+    /// A terminal that lost power restarts at some count, and so do all its neighbours. A single encoder that jumps has slipped,
+    /// which is reported later.
     fn mark_origins(&mut self, cycles: &mut [CycleRecord]) {
         let (mut places, mut begins) = (Vec::new(), vec![false; cycles.len()]);
         for pair in valid_cycles(cycles).windows(2) {
@@ -301,10 +302,10 @@ impl RawBarLog {
             origin += u32::from(begins);
             cycle.origin = origin;
         }
-        self.tell_origins(&places);
+        self.remark_origins(&places);
     }
 
-    fn tell_origins(&mut self, places: &[u64]) {
+    fn remark_origins(&mut self, places: &[u64]) {
         let remedy = match places.len() {
             0 => return,
             1..=PLACES_MAX => "",
@@ -314,11 +315,11 @@ impl RawBarLog {
         };
         let (row, named) = (self.kind.row, named(places, PLACES_MAX));
         self.remark(format!(
-            "at {row} {named} two or more encoders jump at once: taken for counters that started anew{remedy}"
+            "at {row} {named} two or more encoders jump at once: taken as a restart of the counters{remedy}"
         ));
     }
 
-    /// A counter that is narrower than said jumps by its whole width where it wraps.
+    /// A counter that is narrower than configured jumps by its whole width at a wrap.
     fn check_wrap(&self, place: usize) -> Result<(), LogError> {
         let Some(reading) = self.readings.get(place).filter(|reading| reading.is_counts()) else {
             return Ok(());
@@ -349,7 +350,7 @@ impl RawBarLog {
         Ok(())
     }
 
-    /// The encoders that began anew, as the file shows them and as they were followed.
+    /// The encoders that wrapped, as the file shows them and as they were followed.
     fn unwrapped(&self, cycles: &[CycleRecord], stamps_s: &[f64]) -> Vec<Unwrapped> {
         let of_place = |(place, reading): (usize, &Reading)| {
             let scale = &reading.info.scale;
@@ -371,9 +372,9 @@ impl RawBarLog {
                 let points: Vec<UnwrappedPoint> = points.collect();
                 Unwrapped::of(format!("b{}", reading.info.joint), period_rad, points.len(), |at| points[at])
             };
-            // A counter that lost its origin goes on anywhere.
-            let goes_on = |one: &CycleRecord, next: &CycleRecord| one.origin == next.origin;
-            Unwrapped::of_parts(cycles.chunk_by(goes_on).map(part))
+            // A counter that lost its origin has any count next.
+            let continues = |one: &CycleRecord, next: &CycleRecord| one.origin == next.origin;
+            Unwrapped::of_parts(cycles.chunk_by(continues).map(part))
         };
         self.readings.iter().enumerate().filter_map(of_place).collect()
     }
@@ -383,7 +384,7 @@ impl RawBarLog {
         since_first_s(&self.rows.iter().map(|row| row.stamp_ns).collect::<Vec<_>>())
     }
 
-    fn tell(&mut self) {
+    fn remark_counts(&mut self) {
         if self.quality.duplicates_dropped > 0 {
             let (count, row) = (self.quality.duplicates_dropped, self.kind.row);
             self.remark(format!(
@@ -391,7 +392,7 @@ impl RawBarLog {
             ));
         }
         let done = "they are marked and not used";
-        self.quality.tell_counts(self.kind.row, "the counts", done, "lack a value of an encoder");
+        self.quality.remark_counts(self.kind.row, "the counts", done, "lack a value of an encoder");
     }
 
     fn unknown(&self) -> Vec<&'static str> {

@@ -15,7 +15,7 @@ use crate::logs::tables::csv_text::{Column, Row, Table};
 use crate::logs::tables::stamp::{StampColumn, TimeColumn, TimeUnit};
 use crate::logs::tables::text::Text;
 
-/// Usual names of the time column and what is in it.
+/// Usual names of the time column, with their units.
 const TIMES: [(&str, TimeUnit); 2] = [("time_utc", TimeUnit::DateTime), ("t_s", TimeUnit::S)];
 /// Usual names of an encoder's column, before the joint and after it.
 const VALUES: [(&str, &str, EncoderUnit); 3] = [
@@ -41,7 +41,7 @@ struct Layout {
     events: Option<Column>,
 }
 
-/// Reads a table.
+/// Reads the encoders of the bar from a table.
 pub(super) fn read(
     source: Source<'_>,
     bar: &BallBarConfig,
@@ -171,7 +171,7 @@ impl Layout {
 }
 
 impl Encoder {
-    /// None where the cell is empty or says that it is no number.
+    /// `None` for an empty cell and for NaN.
     fn count(&self, table: &Table<'_>, row: &Row) -> Result<Option<i64>, LogError> {
         let text = table.text(row, &self.value);
         if text.is_empty() || text.eq_ignore_ascii_case("nan") {
@@ -182,7 +182,7 @@ impl Encoder {
         }
         let value = table.number(row, &self.value)?;
         let count = self.reading.count_of_angle(value).ok_or_else(|| {
-            let problem = format!("{value} is no angle of a bar");
+            let problem = format!("{value} is not an angle of a bar");
             table.bad(row, &self.value, problem, "check the unit of the column")
         })?;
         Ok(Some(count))
@@ -196,12 +196,12 @@ impl Encoder {
         let value = table.number(row, &self.value)?;
         let exact = value.fract() == 0.0 && value.abs() < (1_i64 << f64::MANTISSA_DIGITS) as f64;
         exact.then_some(value as i64).ok_or_else(|| {
-            let problem = format!("`{text}` is no whole number of counts");
+            let problem = format!("`{text}` is not a whole number of counts");
             table.bad(
                 row,
                 &self.value,
                 problem,
-                "if the column has angles, say so with unit in a mapping file",
+                "if the column has angles, give their unit in a mapping file",
             )
         })
     }
@@ -212,7 +212,7 @@ fn is_true(table: &Table<'_>, row: &Row, column: &Column) -> Result<bool, LogErr
         "1" | "true" => Ok(true),
         "0" | "false" | "" => Ok(false),
         other => {
-            let problem = format!("`{other}` says neither valid nor not");
+            let problem = format!("`{other}` is neither true nor false");
             Err(table.bad(row, column, problem, "write 1 or 0, true or false"))
         }
     }
@@ -224,7 +224,7 @@ fn flags_of(table: &Table<'_>, row: &Row, column: &Column) -> Result<u32, LogErr
     for word in table.text(row, column).split_whitespace() {
         let known = flags::NAMES.iter().find(|(_, name)| *name == word);
         bits |= known.map(|(bit, _)| *bit).ok_or_else(|| {
-            let problem = format!("`{word}` is no flag of a recording");
+            let problem = format!("`{word}` is not a flag of a recording");
             table.bad(row, column, problem, "rename the column if it is not that of `ballbard export`")
         })?;
     }

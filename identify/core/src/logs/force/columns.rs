@@ -20,9 +20,9 @@ const LBF_N: f64 = 4.448_221_615_260_5;
 /// Unit of a force.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ForceUnit {
-    /// Newtons.
+    /// Newton, the SI unit of force.
     N,
-    /// Kilonewtons.
+    /// Kilonewton, a thousand newtons.
     #[serde(rename = "kN")]
     KN,
     /// Pounds-force.
@@ -56,7 +56,7 @@ pub enum ForceFrame {
     Base,
 }
 
-/// Where a log has the force.
+/// Columns of the force in a log.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ForceColumns {
@@ -97,7 +97,7 @@ impl ForceColumns {
         }
         Err(Violation::new(
             "force",
-            format!("{} columns in {:?} are no force", self.columns.len(), self.unit),
+            format!("{} columns in {:?} are not a force", self.columns.len(), self.unit),
             "write one column along the bar (N, kN, lbf or sign), three components (N, kN, lbf), or torques of all \
              joints (Nm)",
         ))
@@ -108,12 +108,12 @@ impl ForceColumns {
 pub(in crate::logs) struct ForceLayout {
     kind: ForceKind,
     columns: Vec<(Column, f64)>,
-    /// A comment may say that the axes are those of the base.
+    /// Whether a comment may state that the axes are those of the base.
     frame_in_comment: bool,
 }
 
 impl ForceLayout {
-    /// Those that a mapping names; none where the force is in the log's own torques.
+    /// Columns that a mapping names; `None` if the force is in the log's own torques.
     pub fn named(table: &Table<'_>, force: &ForceColumns) -> Result<Option<Self>, LogError> {
         let remedy = "Correct the name under [force] in the mapping file.";
         let column = |name: &String| Ok((table.column(name, remedy)?, force.unit.to_si()));
@@ -122,7 +122,7 @@ impl ForceLayout {
         Ok((!layout.columns.is_empty()).then_some(layout))
     }
 
-    /// Those that say themselves what they are: `force_N`, `force_sign`, `force_x_N` .. `force_z_N` (in the axes of the
+    /// Columns with one of the known names: `force_N`, `force_sign`, `force_x_N` .. `force_z_N` (in the axes of the
     /// flange unless a comment says `# force_frame: base`), torques such as `joint1_Nm`, or the force of a UR.
     pub fn own(table: &Table<'_>, robot: &RobotConfig) -> Result<Option<Self>, LogError> {
         let torques: Vec<String> =
@@ -146,7 +146,7 @@ impl ForceLayout {
         Ok(Some(Self { kind, columns, frame_in_comment: kind == ForceKind::InFlange }))
     }
 
-    /// What the numbers are, once the table is read to its end: comments may stand anywhere.
+    /// Kind of the force, once the table is read to its end: comments may be anywhere.
     pub fn kind(&self, table: &Table<'_>) -> ForceKind {
         let is_base = |frame: &str| frame.eq_ignore_ascii_case("base");
         let in_base = self.frame_in_comment && table.comment("force_frame").is_some_and(is_base);
@@ -164,14 +164,14 @@ impl ForceLayout {
             }
             if self.kind == ForceKind::Sign && !(-1.0..=1.0).contains(value) {
                 let remedy = "give -1, 0 or 1; a force in newtons belongs into `force_N`";
-                return Err(table.bad(row, column, format!("{value} is no sign"), remedy));
+                return Err(table.bad(row, column, format!("invalid sign {value}"), remedy));
             }
         }
         Ok(values)
     }
 }
 
-/// Columns that look like a force but are none of those that are read.
+/// The refusal of a table without a known column of a force.
 pub(in crate::logs) fn unknown(table: &Table<'_>, path: &Path) -> LogError {
     LogError::MissingColumn {
         path: path.to_owned(),

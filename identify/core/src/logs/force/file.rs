@@ -1,7 +1,7 @@
 //! A force in a file of its own, such as the load cell's.
 //!
-//! The header names `t_s` and the columns of [`ForceLayout::own`]; `# clock: bar` says that stamps are of the ball-bar's
-//! clock (UTC), else they are of the robot's. Other tables need a [`ForceLogMapping`].
+//! The header names `t_s` and the columns of [`ForceLayout::own`]; with `# clock: bar` stamps are of the ball-bar's
+//! clock (UTC), otherwise of the robot's. Other tables need a [`ForceLogMapping`].
 
 use std::path::Path;
 
@@ -91,7 +91,7 @@ impl ForceLog {
         Self::new(clock, layout.kind(&table), forces).on_joints(robot)
     }
 
-    /// Torques of what the robot's log has to those of the model's joints.
+    /// Converts torques on the axes of the robot's log to those of the model's joints.
     fn on_joints(mut self, robot: &RobotConfig) -> Result<Self, LogError> {
         if self.kind == ForceKind::JointTorques {
             let conversion = JointConversion::of(robot)?;
@@ -136,7 +136,7 @@ fn rows(
         let stamp = stamps.next_ns(table, &row)?;
         let values = layout.row(table, &row)?;
         match before {
-            // Loggers that are read faster than they are filled give the same row again.
+            // Loggers that read faster than their source is updated give the same row again.
             Some((last, _)) if stamp == last && forces.last() == Some(&values) => continue,
             Some((last, line)) if stamp <= last => {
                 return Err(LogError::time_not_increasing(path, "line", (line, last), (row.line, stamp)));

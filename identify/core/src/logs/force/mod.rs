@@ -14,7 +14,7 @@ use crate::logs::Stream;
 
 /// Column of a force along the bar \[N\].
 pub(super) const ALONG_COLUMN: &str = "force_N";
-/// No robot meets a force \[N\] or gives a torque \[N m\] beyond this; more means a damaged file, and would overflow later.
+/// Largest force \[N\] or torque \[N m\]; a larger number means a damaged file, and would overflow later.
 pub(super) const FORCE_MAX: f64 = 1e7;
 
 /// Which clock made a force's stamps.
@@ -38,13 +38,13 @@ impl ForceClock {
     }
 }
 
-/// What was measured. No sign convention is expected: which sign is tension is found by the calibration.
+/// The measured quantity. No sign convention is required: the calibration finds which sign is tension.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ForceKind {
     /// Along the bar \[N\], as a load cell in it says.
     Along,
-    /// Only on which side the bar is loaded: -1, 0 or 1.
+    /// Only the side on which the bar is loaded: -1, 0 or 1.
     Sign,
     /// x, y, z in the flange's axes \[N\], as a sensor between flange and bar says.
     InFlange,
@@ -55,7 +55,7 @@ pub enum ForceKind {
 }
 
 impl ForceKind {
-    /// In words.
+    /// Name of the kind in messages.
     pub const fn describe(self) -> &'static str {
         match self {
             Self::Along => "force along the bar",
@@ -79,7 +79,7 @@ pub struct ForceLog {
 }
 
 impl ForceLog {
-    /// A force of which rows are bridged that are up to 0.1 s, or 3.5 periods of a slower log, apart.
+    /// A force whose rows are interpolated over gaps of up to 0.1 s, or 3.5 periods of a slower log.
     pub fn new(clock: ForceClock, kind: ForceKind, values: Stream<Joints>) -> Self {
         let gap_limit_s = (3.5 * values.period_s()).max(0.1);
         Self { clock, kind, values: values.with_gap_limit(gap_limit_s) }

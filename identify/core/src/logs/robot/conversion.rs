@@ -8,7 +8,7 @@ use crate::logs::LogError;
 
 /// `q = (raw * unit - offset) * T`, row vector times matrix, and its inverse.
 ///
-/// `T` holds signs, gear ratios and what one motor contributes to another joint (parallel rod, wrist gears).
+/// `T` contains signs, gear ratios and the contribution of a motor to another joint (parallel rod, wrist gears).
 #[derive(Debug, Clone, PartialEq)]
 pub struct JointConversion {
     unit: AngleUnit,
@@ -28,7 +28,7 @@ impl JointConversion {
     /// Of a log whose columns are all angles, or in SI units.
     ///
     /// # Errors
-    /// [`LogError::SingularConversion`] where some joint does not follow from the log.
+    /// [`LogError::SingularConversion`] if a joint does not follow from the log.
     pub fn new(config: &LogConversion) -> Result<Self, LogError> {
         let axes = config.raw_to_joint.len();
         let square = config.raw_to_joint.iter().all(|row| row.len() == axes) && axes <= AXES_MAX;
@@ -76,7 +76,7 @@ impl JointConversion {
         self.to_joint_with_unit(raw, self.unit)
     }
 
-    /// [`Self::to_joint`] as if the log's angles were in `unit`: tells whether a log makes sense in the other unit.
+    /// [`Self::to_joint`] as if the log's angles were in `unit`: to test whether a log is in the other unit.
     pub(in crate::logs) fn to_joint_with_unit(&self, raw: &[f64], unit: AngleUnit) -> Joints {
         let mut from_offset = self.to_si(raw, unit);
         from_offset.iter_mut().zip(self.raw_offset).for_each(|(value, offset)| *value -= offset);

@@ -66,7 +66,7 @@ impl EgmRobot {
     }
 }
 
-/// Reads a capture.
+/// Reads a capture of EGM messages.
 pub(in crate::logs) fn read(
     bytes: &[u8],
     path: &Path,
@@ -79,7 +79,7 @@ pub(in crate::logs) fn read(
     let utc: Option<Vec<i64>> = messages.iter().map(EgmRobot::utc_ns).collect();
     let clock = if utc.is_some() { "controller, UTC" } else { "controller, ms of its own" };
     let mut raw = RawLog::measured(path, "message", mapping, clock);
-    raw.tell_without_force(mapping);
+    raw.remark_unused_force(mapping);
     let commanded = raw.origin == Origin::Commanded;
     let stamps_ns = match utc {
         Some(stamps_ns) => stamps_ns,

@@ -1,4 +1,4 @@
-//! Which kind of file a robot log is, by its content.
+//! Recognises the format of a robot log by its content.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use crate::logs::LogError;
 use crate::logs::tables::text::header_line;
 use crate::logs::tables::workbook::is_workbook;
 
-/// The header of a table begins within so many bytes, comments before it: the rest may be a gigabyte.
+/// The header of a table, after comments, begins within this number of bytes: the rest may be a gigabyte.
 const HEADER_BYTES_MAX: usize = 1 << 16;
 
 /// Kinds of robot logs.
@@ -31,7 +31,7 @@ impl LogFormat {
     /// The kind of the file with these `bytes`.
     ///
     /// # Errors
-    /// [`LogError::UnknownFormat`] where it is none of them.
+    /// [`LogError::UnknownFormat`] if it is none of them.
     pub fn detect(bytes: &[u8], path: &Path) -> Result<Self, LogError> {
         if bytes.starts_with(b"\x89MCAP0\r\n") {
             return Ok(Self::Ros2Mcap);
@@ -50,7 +50,7 @@ impl LogFormat {
         if text.trim_ascii_start().starts_with(b"<") {
             return Ok(Self::Rsi);
         }
-        // UTF-16 and the like are text too: the reader says which.
+        // UTF-16 is text, too: the reader decodes it.
         let binary = text.iter().take(4096).any(|byte| matches!(byte, 0..=8 | 14..=31))
             && !text.starts_with(b"\xff\xfe");
         if binary && !text.starts_with(b"\xfe\xff") {

@@ -1,4 +1,4 @@
-//! A TOML file that says how to read a log that does not say it itself: `config/robot_log.toml` explains each key.
+//! A TOML file with the columns and units of a robot log: `config/robot_log.toml` explains each key.
 
 use serde::{Deserialize, Serialize};
 use shared::config::{AngleUnit, LogConversion, Validate, Violation};
@@ -40,7 +40,7 @@ impl Default for CsvLayout {
 }
 
 impl CsvLayout {
-    /// A delimiter that can separate the cells; none is found in the header, and then is no decimal comma.
+    /// Checks that the delimiter can separate cells and differs from a decimal comma.
     pub(in crate::logs) fn check(&self) -> Result<(), Violation> {
         let delimiter = self.delimiter.unwrap_or(';');
         check_format("csv.delimiter", delimiter, self.decimal_comma)
@@ -55,7 +55,7 @@ pub struct Coupling {
     pub joint: usize,
     /// Joint that it moves with, from 1.
     pub from: usize,
-    /// By how much of it.
+    /// Factor of the other joint's value.
     pub factor: f64,
 }
 
@@ -129,7 +129,7 @@ impl Validate for RobotLogMapping {
             if !known(joint) || !known(from) || joint == from || !(-10.0..=10.0).contains(factor) {
                 return Err(Violation::new(
                     format!("coupling[{index}]"),
-                    format!("joint {joint} from {from} by {factor} is no coupling"),
+                    format!("invalid coupling of joint {joint} to {from} by {factor}"),
                     "write two different joints, counted from 1, and a factor such as 1 or -1",
                 ));
             }

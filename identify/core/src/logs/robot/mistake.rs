@@ -1,15 +1,15 @@
-//! What goes wrong with the joints of a file before anybody calibrates, as it can be undone and tried.
+//! Common mistakes in the joints of a file, which can be undone to test for them.
 
 use std::fmt;
 
 use crate::kinematics::Joints;
 
-/// One thing that is wrong with all rows alike.
+/// A mistake that all rows have.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum JointMistake {
     /// A joint counts the other way.
     Reversed(usize),
-    /// The columns of two joints.
+    /// The columns of two joints are exchanged.
     Exchanged(usize, usize),
     /// All joints are in radians and read as degrees.
     InRadians,
@@ -18,7 +18,7 @@ pub enum JointMistake {
 }
 
 impl JointMistake {
-    /// All that can be made with the joints of an arm.
+    /// All mistakes that are possible with the joints of an arm.
     pub fn all(axes: usize) -> Vec<Self> {
         let exchanged =
             (0..axes).flat_map(|one| (one + 1..axes).map(move |other| Self::Exchanged(one, other)));

@@ -1,4 +1,4 @@
-//! What a log says before it is the model's: rows as they come, then judged as a whole.
+//! Rows of a log in the order of the file, then checked as a whole and converted to the model's joints.
 
 use std::path::{Path, PathBuf};
 
@@ -8,7 +8,7 @@ use super::mapping::RobotLogMapping;
 use crate::kinematics::{Joints, wrapped};
 use crate::logs::force::FORCE_MAX;
 use crate::logs::rows::pose_rows::joints_of_robot;
-use crate::logs::time_series::excursions::{Excursions, Fastest, told};
+use crate::logs::time_series::excursions::{Excursions, Fastest, remark};
 use crate::logs::time_series::frozen::repeated_rows;
 use crate::logs::time_series::sampling::Stamps;
 use crate::logs::time_series::stream::retain;
@@ -22,9 +22,9 @@ use crate::threads;
 /// Joint values may pass the nominal limits by this much before a log is refused \[deg\]: zero positions of real
 /// robots differ a little from the data sheet. Prismatic axes by as much times one metre.
 const LIMIT_SLACK_DEG: f64 = 2.0;
-/// A log whose joints all move less than this \[deg\] cannot identify anything.
+/// A log whose joints all move less than this cannot identify anything \[deg\].
 const MOTION_DEG_MIN: f64 = 5.0;
-/// Hands of small robots reach 1500 deg/s, within 0.13 s.
+/// Wrists of small robots reach 1500 deg/s, within 0.13 s.
 const FASTEST: Fastest = Fastest { speed: 30.0, acceleration: 200.0 };
 
 /// One row of a log in the file's own units.
@@ -50,18 +50,18 @@ pub(in crate::logs) struct RawLog {
     places: Vec<u64>,
     stamps_ns: Vec<i64>,
     joints: Vec<Joints>,
-    /// Speeds, torques and force, each of all rows or of no use.
+    /// Speeds, torques and force; used only if all rows have them.
     more: [Vec<Joints>; 3],
     quality: LogQuality,
     pub robot: Option<String>,
     pub clock: String,
     pub origin: Origin,
     pub remarks: Vec<String>,
-    /// What the force of the rows is, where it has one; joint torques without are taken from the torques.
+    /// Kind of the rows' force, if they have one; missing joint torques are taken from the torques.
     pub force: Option<ForceKind>,
 }
 
-/// How the joints of a file become those of the model, and what they are called there.
+/// Conversion of a file's joints to those of the model, with their names in the file.
 pub(in crate::logs) struct Meaning<'a> {
     robot: &'a RobotConfig,
     unit: AngleUnit,
@@ -74,7 +74,7 @@ impl<'a> Meaning<'a> {
         Ok(Self { robot, unit: log.unit, conversion: JointConversion::new(log)?, names })
     }
 
-    /// What a mapping says of this robot.
+    /// The conversion that a mapping states for this robot.
     pub fn mapped(
         robot: &'a RobotConfig,
         mapping: &RobotLogMapping,
@@ -172,8 +172,8 @@ impl RawLog {
         Ok(())
     }
 
-    /// In a format where no force is looked for: says so where the mapping asks for one.
-    pub fn tell_without_force(&mut self, mapping: Option<&RobotLogMapping>) {
+    /// Adds a remark if the mapping has a force and the format is not searched for one.
+    pub fn remark_unused_force(&mut self, mapping: Option<&RobotLogMapping>) {
         if mapping.is_some_and(|mapping| mapping.force.is_some()) {
             self.remarks.push(format!(
                 "the force on the bar is not used: {}s are not searched for one; give it in a table of its own with \
@@ -183,7 +183,7 @@ impl RawLog {
         }
     }
 
-    /// Judges the whole and converts it.
+    /// Checks and converts all rows.
     pub fn finish(mut self, meaning: &Meaning<'_>) -> Result<RobotLog, LogError> {
         let rows = self.joints.len();
         self.more.iter_mut().filter(|all| all.len() < rows).for_each(Vec::clear);
@@ -199,7 +199,7 @@ impl RawLog {
         let (q_rad, stamps, is_kept) =
             Stream::sampled(std::mem::take(&mut self.stamps_ns), joints, |rows| rows.into());
         self.more.iter_mut().for_each(|all| retain(all, &is_kept));
-        self.tell_equal(is_kept.iter().filter(|is_kept| !**is_kept).count());
+        self.remark_equal(is_kept.iter().filter(|is_kept| !**is_kept).count());
         if q_rad.len() < ROWS_MIN {
             return Err(self.too_few(q_rad.len()));
         }
@@ -230,7 +230,7 @@ impl RawLog {
                 self.what
             ));
         }
-        let quality = self.judge(&q_rad);
+        let quality = self.quality(&q_rad);
         Ok(RobotLog {
             robot: self.robot,
             clock: self.clock,
@@ -254,19 +254,19 @@ impl RawLog {
         self.remove(&repeated);
     }
 
-    /// Rows that are none would be interpolated, and change the motion by which the clocks are compared.
+    /// Invalid rows would be interpolated, and change the motion by which the clocks are compared.
     fn drop_excursions(&mut self, meaning: &Meaning<'_>) -> Result<(), LogError> {
         let rows = threads::rows(self.joints.len(), |row| meaning.conversion.to_joint(&self.joints[row]));
         let kinds: Vec<JointKind> = meaning.robot.joint_kinds().collect();
         let step = |from: usize, to: usize, joint: usize| {
             let by = rows[to][joint] - rows[from][joint];
-            // Angles may begin anew after a turn.
+            // Angles may wrap after a turn.
             if kinds[joint] == JointKind::Prismatic { by } else { wrapped(by) }
         };
         let t_s = since_first_s(&self.stamps_ns);
         let found = Excursions { t_s: &t_s, columns: kinds.len(), fastest: FASTEST, step }.find();
         let places: Vec<u64> = found.iter().map(|row| self.places[*row]).collect();
-        self.remarks.extend(told(&places, rows.len(), (&self.path, self.what), "they are left out")?);
+        self.remarks.extend(remark(&places, rows.len(), (&self.path, self.what), "they are left out")?);
         self.quality.excursions_dropped = found.len();
         self.remove(&found);
         Ok(())
@@ -280,8 +280,8 @@ impl RawLog {
         self.more.iter_mut().chain([&mut self.joints]).for_each(|all| retain(all, &is_kept));
     }
 
-    /// Of rows with one stamp only the first has a time, where no clock says more.
-    fn tell_equal(&mut self, dropped: usize) {
+    /// Adds a remark on rows that were dropped because they have the stamp of the one before.
+    fn remark_equal(&mut self, dropped: usize) {
         if dropped > 0 {
             self.remarks.push(format!(
                 "{dropped} {}s have the stamp of the one before, and no regular clock is behind the stamps; they are left out",
@@ -324,14 +324,14 @@ impl RawLog {
         })
     }
 
-    /// Tries the usual mistakes on the whole log and names the one that would bring every row within the limits.
+    /// The common mistake whose correction brings every row of the log within the limits.
     fn likely_cause(&self, meaning: &Meaning<'_>) -> String {
         let (limits, conversion) = (meaning.robot.joint_limits(), &meaning.conversion);
         let rows: Vec<Joints> = self.joints.iter().map(|q| conversion.to_raw(q)).collect();
         let fits = |to_joint: &dyn Fn(&Joints) -> Joints| {
             rows.iter().all(|row| beyond_limits(&to_joint(row), &limits).is_none())
         };
-        // Angles that are read as a sixtieth of themselves are within any limits, where they hardly move.
+        // Degrees read as radians are within any limits if the joints hardly move.
         let in_deg = |row: &Joints| conversion.to_joint_with_unit(row, AngleUnit::Deg);
         let moves = |joint: usize| {
             let angles = rows.iter().map(|row| in_deg(row)[joint]);
@@ -362,7 +362,7 @@ impl RawLog {
             .into()
     }
 
-    fn judge(&mut self, q_rad: &[Joints]) -> LogQuality {
+    fn quality(&mut self, q_rad: &[Joints]) -> LogQuality {
         let mut quality = std::mem::take(&mut self.quality);
         quality.remarks.append(&mut self.remarks);
         quality.remarks.extend(quality.stamps.iter().flat_map(Stamps::remarks).collect::<Vec<_>>());
@@ -372,7 +372,7 @@ impl RawLog {
                  wrong part of a log?"
             ));
         }
-        quality.tell_counts(self.what, "the joints", "they are left out", "lack a joint");
+        quality.remark_counts(self.what, "the joints", "they are left out", "lack a joint");
         if self.origin == Origin::Commanded {
             quality.remarks.push("the values are commanded, not measured: servo lag is not in them".into());
         }

@@ -14,12 +14,12 @@ use super::{egm, ros, rsi, table};
 use crate::logs::source::Source;
 use crate::logs::{LogError, LogFormat, RobotLog};
 
-/// How a log is to be read where the file does not say it itself.
+/// How to read a log that does not state it.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct LogOptions {
-    /// Kind of the file; none: recognised by its content.
+    /// Kind of the file; `None`: recognised by its content.
     pub format: Option<LogFormat>,
-    /// Which column or joint is what.
+    /// Columns or joints of the file.
     pub mapping: Option<RobotLogMapping>,
 }
 
@@ -31,7 +31,7 @@ pub fn load(path: &Path, robot: &RobotConfig) -> Result<RobotLog, LogError> {
     load_with(path, robot, &LogOptions::default())
 }
 
-/// [`load`] on bytes in memory; `path` is only named in errors and tells the kind of the file by its ending.
+/// [`load`] on bytes in memory; `path` is only named in errors, and its ending may determine the format.
 ///
 /// # Errors
 /// As [`load`].
@@ -39,7 +39,7 @@ pub fn read(bytes: &[u8], path: &Path, robot: &RobotConfig) -> Result<RobotLog, 
     read_with(bytes, path, robot, &LogOptions::default())
 }
 
-/// [`load`] with what the file does not say.
+/// [`load`] with options that the file does not state.
 ///
 /// # Errors
 /// As [`load`].
@@ -47,7 +47,7 @@ pub fn load_with(path: &Path, robot: &RobotConfig, options: &LogOptions) -> Resu
     read_from(Source::open(path)?, robot, options)
 }
 
-/// [`read`] with what the file does not say.
+/// [`read`] with options that the file does not state.
 ///
 /// # Errors
 /// As [`load`].

@@ -21,7 +21,7 @@ use crate::logs::{LogError, LogFormat, Origin, RobotLog};
 /// Attributes of `AIPos` and `ASPos`.
 const AXES: [&str; 6] = ["A1", "A2", "A3", "A4", "A5", "A6"];
 
-/// One telegram.
+/// Joints and counter of one telegram.
 #[derive(Default)]
 struct Telegram {
     joints_deg: Option<[f64; AXES.len()]>,
@@ -39,7 +39,7 @@ pub(in crate::logs) fn read(
     let names = AXES.map(str::to_owned).to_vec();
     let (meaning, to_unit) = Meaning::of_degrees(robot, mapping, names, LogFormat::Rsi, path)?;
     let mut raw = RawLog::measured(path, "telegram", mapping, "IPOC");
-    raw.tell_without_force(mapping);
+    raw.remark_unused_force(mapping);
     let element = if raw.origin == Origin::Commanded { "ASPos" } else { "AIPos" };
     let time = mapping.and_then(|mapping| mapping.time.clone());
     let mut stamps = StampReader::new(&time.unwrap_or_else(|| TimeColumn::new("IPOC", TimeUnit::Ms)));
@@ -98,7 +98,9 @@ fn parse(text: &str, path: &Path, element: &str) -> Result<Vec<Telegram>, LogErr
             Event::Text(content) if in_ipoc => {
                 let text = content.xml10_content().into_owned();
                 current.ipoc = Some(
-                    text.trim().parse().map_err(|_| bad(format!("IPOC `{}` is no number", text.trim())))?,
+                    text.trim()
+                        .parse()
+                        .map_err(|_| bad(format!("IPOC `{}` is not a number", text.trim())))?,
                 );
             }
             Event::End(tag) => {
@@ -126,7 +128,7 @@ fn axes(tag: &BytesStart<'_>) -> Result<[f64; AXES.len()], String> {
         if let Some(axis) = AXES.iter().position(|axis| *axis == key) {
             let text = attribute.value;
             joints_deg[axis] =
-                text.trim().parse().map_err(|_| format!("{} = `{text}` is no number", AXES[axis]))?;
+                text.trim().parse().map_err(|_| format!("{} = `{text}` is not a number", AXES[axis]))?;
         }
     }
     Ok(joints_deg)

@@ -34,7 +34,7 @@ struct Layout {
     force: Option<ForceLayout>,
 }
 
-/// The robot's own columns: `t_s` and those that its configuration names; other columns are passed over.
+/// The robot's own columns: `t_s` and those that its configuration names; other columns are ignored.
 pub(in crate::logs) fn read_own(source: Source<'_>, robot: &RobotConfig) -> Result<RobotLog, LogError> {
     let path = source.path;
     let names = (0..robot.axes()).map(|index| column_name(robot, index, robot.log.unit)).collect();
@@ -48,7 +48,7 @@ pub(in crate::logs) fn read_own(source: Source<'_>, robot: &RobotConfig) -> Resu
     in_seconds(raw.finish(&meaning)?, path)
 }
 
-/// The log, unless its `t_s` counts milliseconds or less: rows seconds apart, between which no joint is ever as fast as any robot's.
+/// The log, unless its `t_s` counts milliseconds or less: then rows are seconds apart, and no joint is as fast as a robot's.
 fn in_seconds(log: RobotLog, path: &Path) -> Result<RobotLog, LogError> {
     /// Logs with longer steps follow no motion \[s\].
     const PERIOD_S_MIN: f64 = 0.9;
@@ -108,7 +108,7 @@ fn own_layout(table: &Table<'_>, path: &Path, robot: &RobotConfig) -> Result<Lay
     Ok(Layout { time: seconds(time), joints, speeds: None, torques: None, force: None })
 }
 
-/// What `record.py` of the RTDE client writes, joints in radians.
+/// A table of `record.py` of the RTDE client, joints in radians.
 pub(in crate::logs) fn read_rtde(source: Source<'_>, robot: &RobotConfig) -> Result<RobotLog, LogError> {
     let path = source.path;
     let table = &mut Table::delimited(Text::new(source, None)?, b' ')?;
@@ -192,7 +192,7 @@ fn named(
     names.iter().zip(factors).map(|(name, factor)| Ok((table.column(name, remedy)?, *factor))).collect()
 }
 
-/// What comment lines say about the whole log.
+/// Takes robot, clock and origin from comment lines.
 fn declare(raw: &mut RawLog, table: &Table<'_>) {
     for (key, value) in table.comments() {
         match key.as_str() {

@@ -1,7 +1,6 @@
 //! Poses at which a ball on the flange is seated in a socket: joints and the name of the socket.
 //!
-//! There is no common file format, so a mapping in TOML says which columns to read and how. An example that explains
-//! each key is `config/contact.toml`.
+//! Files differ, so a mapping in TOML names the columns and their units; `config/contact.toml` explains each key.
 
 use std::path::Path;
 
@@ -14,7 +13,7 @@ use crate::logs::source::Source;
 use crate::logs::tables::csv_text::{Column, Row, Table};
 use crate::logs::{CsvLayout, JointColumn, LogError};
 
-/// Which columns hold what.
+/// Columns of a table of seated balls.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ContactMapping {

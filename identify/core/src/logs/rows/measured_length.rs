@@ -1,7 +1,6 @@
 //! Poses with one measured length each: a draw-wire sensor or a telescoping bar without encoders.
 //!
-//! There is no common file format, so a mapping in TOML says which columns to read and how. An example that explains
-//! each key is `config/measured_length.toml`.
+//! Files differ, so a mapping in TOML names the columns and their units; `config/measured_length.toml` explains each key.
 
 use std::path::Path;
 
@@ -18,6 +17,8 @@ use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError};
 
 /// No wire or bar is longer \[m\]; more means a wrong unit.
 const LENGTH_M_MAX: f64 = 20.0;
+/// Largest excess of all lengths \[mm\].
+const OFFSET_MM_MAX: f64 = 1e3 * LENGTH_M_MAX;
 
 /// The column of the measured length.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -27,7 +28,7 @@ pub struct LengthColumn {
     pub column: String,
     /// Unit of its values.
     pub unit: LengthUnit,
-    /// What is known to be too much in every length \[mm\].
+    /// Known excess of every length \[mm\].
     #[serde(default, skip_serializing_if = "is_zero")]
     pub offset_mm: f64,
 }
@@ -36,7 +37,7 @@ pub struct LengthColumn {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LengthUncertaintyColumn {
-    /// Of the length.
+    /// Column of the length's uncertainty \[mm\].
     pub length_mm: String,
 }
 
@@ -50,20 +51,20 @@ pub struct FlangeColumns {
     pub unit: LengthUnit,
 }
 
-/// Which columns hold what.
+/// Columns of a table of measured lengths.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MeasuredLengthMapping {
     /// Layout of the table.
     #[serde(default)]
     pub csv: CsvLayout,
-    /// The measured length.
+    /// Column of the measured length.
     pub length: LengthColumn,
     /// Joints 1 to 6, in this order.
     pub joints: Vec<JointColumn>,
-    /// The controller's own position, where the file has it: rows that contradict their joint angles are then found.
+    /// Columns of the controller's own position, by which rows that contradict their joint angles are found.
     pub flange: Option<FlangeColumns>,
-    /// What each row is worth, where the file says so.
+    /// Column of the uncertainty of each row, if the file has one.
     pub uncertainty: Option<LengthUncertaintyColumn>,
     /// The column with the name of the place where the wire is anchored, where it has several.
     pub anchor: Option<String>,
@@ -76,14 +77,13 @@ impl Validate for MeasuredLengthMapping {
 
     fn validate(&self) -> Result<(), Violation> {
         self.csv.check()?;
-        let offset_m = self.length.offset_mm * 1e-3;
-        if !(-LENGTH_M_MAX..=LENGTH_M_MAX).contains(&offset_m) {
-            return Err(Violation::new(
-                "length.offset_mm",
-                format!("{} mm is no offset of a length", self.length.offset_mm),
-                "write what every length has too much, in mm, or leave it out",
-            ));
-        }
+        let remedy = "write the excess of every length in mm, or leave it out";
+        Violation::outside(
+            "length.offset_mm",
+            self.length.offset_mm,
+            [-OFFSET_MM_MAX, OFFSET_MM_MAX],
+            remedy,
+        )?;
         check_joints(&self.joints)
     }
 }
@@ -95,7 +95,7 @@ pub struct MeasuredLength {
     pub q_rad: Joints,
     /// The measured length \[m\].
     pub length_m: f64,
-    /// Where the controller says the flange is \[m\].
+    /// Position of the flange from the controller \[m\].
     pub flange_m: Option<[f64; 3]>,
     /// Standard uncertainty of the length, where it is stated \[m\].
     pub uncertainty_m: Option<f64>,
@@ -112,7 +112,7 @@ pub struct MeasuredLength {
 pub struct MeasuredLengths {
     /// In the order of the file.
     pub rows: Vec<MeasuredLength>,
-    /// Names of the anchors in the order in which the file has them; none where it does not name them.
+    /// Names of the anchors in the order of the file; empty if it does not name them.
     pub anchors: Vec<String>,
     /// And of the attachments.
     pub attachments: Vec<String>,
@@ -182,7 +182,7 @@ impl<'a> Columns<'a> {
             return Err(table.bad(
                 row,
                 length,
-                format!("{length_m} m is no length that is measured here (0 to {LENGTH_M_MAX} m)"),
+                format!("the length {length_m} m is outside 0 to {LENGTH_M_MAX} m"),
                 "check the length's unit in the mapping file",
             ));
         }

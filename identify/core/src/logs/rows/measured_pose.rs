@@ -1,8 +1,7 @@
-//! Poses of the robot with the position, or the whole pose, that a tracker measured there. What the robot's joints were is in the
-//! same row, or in the robot's own log at the time of the row.
+//! Poses of the robot with the position, or the whole pose, that a tracker measured there. The robot's joints are in the same row, or
+//! in the robot's own log at the time of the row.
 //!
-//! There is no common file format, so a mapping in TOML says which columns to read and how. An example that explains
-//! each key is `config/measured_pose.toml`.
+//! Files differ, so a mapping in TOML names the columns and their units; `config/measured_pose.toml` explains each key.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -16,13 +15,13 @@ use crate::kinematics::Joints;
 use crate::logs::source::Source;
 use crate::logs::tables::csv_text::{Column, Row, Table};
 use crate::logs::tables::stamp::{StampColumn, TimeColumn};
-use crate::logs::time_series::excursions::{Excursions, Fastest, told};
+use crate::logs::time_series::excursions::{Excursions, Fastest, remark};
 use crate::logs::time_series::stream::retain;
 use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError, Stamps, Stream, since_first_s};
 
-/// No tracker sees further \[m\]; more means a wrong unit.
+/// Range of a tracker \[m\]; a larger number means a wrong unit.
 const POSITION_M_MAX: f64 = 100.0;
-/// No robot moves its end faster \[m/s\], nor turns it back by more than 5 g: no target stays in its nest then.
+/// No robot moves its end faster \[m/s\], nor reverses it by more than 5 g: no target would stay in its nest.
 pub const SPEED_M_S_MAX: f64 = 10.0;
 const FASTEST: Fastest = Fastest { speed: SPEED_M_S_MAX, acceleration: 50.0 };
 /// No angle of an orientation is larger \[rad\]; more means a wrong unit.
@@ -38,7 +37,7 @@ pub struct PositionColumns {
     pub unit: LengthUnit,
 }
 
-/// Which axes the angles of an orientation turn about.
+/// Axes of the angles of an orientation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum EulerFrame {
@@ -52,7 +51,7 @@ pub enum EulerFrame {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RotationForm {
-    /// Three turns one after the other: `unit`, `order` and `frame` say which.
+    /// Three successive rotations by `unit`, `order` and `frame`.
     #[default]
     Euler,
     /// Axis times angle, x, y, z, in `unit`.
@@ -72,7 +71,7 @@ pub struct RotationColumns {
     pub form: RotationForm,
     /// Names in the header.
     pub columns: Vec<String>,
-    /// Unit of angles.
+    /// Unit of the angles of an orientation.
     pub unit: Option<AngleUnit>,
     /// Axes of Euler's turns in the order of the columns, such as `xyz` or `zyz`.
     pub order: Option<String>,
@@ -80,10 +79,10 @@ pub struct RotationColumns {
     pub frame: Option<EulerFrame>,
 }
 
-/// Rounded numbers of an orientation are this far from one at most; more means that they are something else.
+/// Largest deviation of the rounded numbers of an orientation from a rotation; more means that they are something else.
 const NOT_A_ROTATION: f64 = 1e-2;
 
-/// Axes of three turns; none where `order` is not an order.
+/// Axes of three rotations; `None` for an invalid `order`.
 fn axes(order: &str) -> Option<[Vector3<f64>; 3]> {
     let axis = |letter: u8| match letter {
         b'x' => Some(Vector3::x()),
@@ -99,7 +98,7 @@ fn axes(order: &str) -> Option<[Vector3<f64>; 3]> {
 }
 
 impl RotationColumns {
-    /// Everything is there that the form needs, and nothing that it has no use for.
+    /// Checks that all that the form needs is given, and nothing else.
     fn check(&self) -> Result<(), Violation> {
         use RotationForm::{Euler, Matrix, Quaternion, RotationVector};
         let columns = match self.form {
@@ -128,7 +127,7 @@ impl RotationColumns {
         match &self.order {
             Some(order) if axes(order).is_none() => Err(Violation::new(
                 "rotation.order",
-                format!("`{order}` is no order of turns"),
+                format!("`{order}` is not an order of turns"),
                 "write three letters of x, y, z with different neighbours, such as \"xyz\"",
             )),
             _ => Ok(()),
@@ -140,7 +139,7 @@ impl RotationColumns {
         self.unit.map_or((1.0, 1.0 + NOT_A_ROTATION), |unit| (unit.to_rad(), ANGLE_RAD_MAX))
     }
 
-    /// `tracker_from_probe` of the columns' values, angles in radians; none where they are no rotation.
+    /// `tracker_from_probe` of the columns' values, angles in radians; `None` if they are not a rotation.
     fn rotation(&self, values: &[f64]) -> Option<Rotation3<f64>> {
         match (self.form, values) {
             (RotationForm::Euler, &[first, second, third]) => {
@@ -187,26 +186,26 @@ pub struct PoseUncertainty {
     pub rotation_rad: Option<f64>,
 }
 
-/// Which columns hold what.
+/// Columns of a tracker's table.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MeasuredPoseMapping {
     /// Layout of the table.
     #[serde(default)]
     pub csv: CsvLayout,
-    /// The measured position.
+    /// Columns of the measured position.
     pub position: PositionColumns,
     /// The measured orientation; absent where only positions were measured.
     pub rotation: Option<RotationColumns>,
-    /// What each row is worth, where the file says so.
+    /// Columns of the uncertainty of each row, if the file has them.
     pub uncertainty: Option<UncertaintyColumns>,
-    /// The column with the name of the station from which the tracker measured, where it stood in several.
+    /// The column with the name of the tracker's station, if it had several.
     pub station: Option<String>,
-    /// The column with the name of the target that was seen, where the flange has several.
+    /// The column with the name of the measured target, if the flange has several.
     pub target: Option<String>,
     /// When each row was measured, on the tracker's clock; the joints are then in the robot's own log.
     pub time: Option<TimeColumn>,
-    /// Joints of each row, base to flange; none where rows have times.
+    /// Joints of each row, base to flange; empty if rows have times.
     #[serde(default)]
     pub joints: Vec<JointColumn>,
 }
@@ -259,11 +258,11 @@ pub struct MeasuredPose {
     pub position_m: Vector3<f64>,
     /// `tracker_from_probe`, where the file has it.
     pub rotation: Option<Rotation3<f64>>,
-    /// What they are worth.
+    /// Uncertainties that the file states.
     pub uncertainty: PoseUncertainty,
-    /// From where it was measured, by its place among [`MeasuredPoses::stations`]; 0 where those are not named.
+    /// Station of the tracker, by its place among [`MeasuredPoses::stations`]; 0 where those are not named.
     pub station: usize,
-    /// What was seen, by its place among [`MeasuredPoses::targets`].
+    /// Target, by its place among [`MeasuredPoses::targets`].
     pub target: usize,
     /// Line of the source file, so that a row can be found again.
     pub line: u64,
@@ -274,7 +273,7 @@ pub struct MeasuredPose {
 pub struct MeasuredPoses {
     /// In the order of the file, which is that of the robot's motion: backlash goes by the pose before.
     pub rows: Vec<MeasuredPose>,
-    /// Names of the stations in the order in which the file has them; none where it does not name them.
+    /// Names of the stations in the order of the file; empty if it does not name them.
     pub stations: Vec<String>,
     /// And of the targets.
     pub targets: Vec<String>,
@@ -315,18 +314,18 @@ pub struct TimedPose {
     pub position_m: Vector3<f64>,
     /// `tracker_from_probe`, where the file has it.
     pub rotation: Option<Rotation3<f64>>,
-    /// What they are worth.
+    /// Uncertainties that the file states.
     pub uncertainty: PoseUncertainty,
-    /// From where it was measured, by its place among [`TimedPoses::stations`]; 0 where those are not named.
+    /// Station of the tracker, by its place among [`TimedPoses::stations`]; 0 where those are not named.
     pub station: usize,
-    /// What was seen, by its place among [`TimedPoses::targets`].
+    /// Target, by its place among [`TimedPoses::targets`].
     pub target: usize,
     /// Line of the source file, so that a row can be found again.
     pub line: u64,
 }
 
 impl TimedPose {
-    /// Whether both are of one target, seen from one station: only then do positions show a motion.
+    /// Whether both are of one target and station: only then their positions show a motion.
     pub fn is_seen_as(&self, other: &Self) -> bool {
         (self.station, self.target) == (other.station, other.target)
     }
@@ -343,13 +342,13 @@ impl TimedPose {
 pub struct TimedPoses {
     /// At the times of the regular clock behind the stamps, where there is one.
     pub rows: Stream<TimedPose>,
-    /// Names of the stations in the order in which the file has them; none where it does not name them.
+    /// Names of the stations in the order of the file; empty if it does not name them.
     pub stations: Vec<String>,
     /// And of the targets.
     pub targets: Vec<String>,
     /// The stamps against that clock.
     pub stamps: Option<Stamps>,
-    /// What looks odd but is not wrong by itself, in sentences.
+    /// Observations that are not errors, in sentences.
     pub remarks: Vec<String>,
 }
 
@@ -382,7 +381,7 @@ impl TimedPoses {
             let [before, after] = [0, 1].map(|place| (pair[place].1.line, pair[place].0));
             return Err(LogError::time_not_increasing(path, "line", before, after));
         }
-        // Targets that were seen at once are no rows that are there twice.
+        // Rows of two targets at one time are not duplicates.
         for row in 1..rows.len() {
             let (before_ns, before) = rows[row - 1];
             let (stamp_ns, pose) = &mut rows[row];
@@ -397,7 +396,7 @@ impl TimedPoses {
     }
 }
 
-/// Rows of a beam that was broken, of each target that is seen from each station; a remark where there are any.
+/// Removes rows of a broken beam, for each target and station; returns a remark if there are any.
 fn drop_excursions(
     stamps_ns: &mut Vec<i64>,
     rows: &mut Vec<TimedPose>,
@@ -416,13 +415,13 @@ fn drop_excursions(
         found.into_iter().for_each(|row| is_kept[view[row]] = false);
     }
     let lines = rows.iter().zip(&is_kept).filter(|(_, is_kept)| !**is_kept).map(|(row, _)| row.line);
-    let remark = told(&lines.collect::<Vec<_>>(), rows.len(), (path, "line"), "they are left out")?;
+    let remark = remark(&lines.collect::<Vec<_>>(), rows.len(), (path, "line"), "they are left out")?;
     retain(stamps_ns, &is_kept);
     retain(rows, &is_kept);
     Ok(remark)
 }
 
-/// How the target moves from row to row; where another one is seen, or from another station, no motion.
+/// Motion of the target from row to row; none between rows of different targets or stations.
 fn motion(rows: &[TimedPose]) -> Vec<Joints> {
     let mut before: Option<&TimedPose> = None;
     let mut stepped_m = Vector3::zeros();
@@ -532,7 +531,7 @@ fn rotation(
     how.rotation(&values).ok_or_else(|| {
         let names: Vec<&str> = columns.iter().map(|column| column.name.as_str()).collect();
         let cell = Column { index: 0, name: names.join(", ") };
-        let problem = format!("{values:.3?} is no rotation");
+        let problem = format!("{values:.3?} is not a rotation");
         table.bad(row, &cell, problem, "check `as` and the order of the columns in the mapping file")
     })
 }

@@ -1,4 +1,4 @@
-//! Rows that a tracker, a wire, a ball in sockets or a tip on faces gave, a pose of the robot each.
+//! Rows of a tracker, a wire, a ball in sockets or a tip on faces, a pose of the robot each.
 
 pub(super) mod contact;
 pub(super) mod measured_length;

@@ -1,5 +1,5 @@
-//! What tables of single poses share, whatever was measured there: joints by the columns that a mapping names, the layout
-//! of the text, and reading row by row.
+//! Common parts of tables of single poses: joints by the columns that a mapping names, the layout of the text, and reading row by
+//! row.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -12,7 +12,7 @@ use crate::logs::source::Source;
 use crate::logs::tables::csv_text::{Column, Row, Table};
 use crate::logs::{CsvLayout, LogError};
 
-/// Fewest rows that make a table.
+/// Smallest number of rows of a table.
 const ROWS_MIN: usize = 10;
 /// No joint turns further than this from its zero \[rad\]; more means a wrong unit.
 const JOINT_RAD_MAX: f64 = 4.0 * std::f64::consts::PI;
@@ -21,9 +21,9 @@ const JOINT_RAD_MAX: f64 = 4.0 * std::f64::consts::PI;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LengthUnit {
-    /// Metres.
+    /// Metres, the SI unit.
     M,
-    /// Millimetres.
+    /// Millimetres, a thousandth of it.
     Mm,
 }
 
@@ -41,9 +41,9 @@ impl LengthUnit {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum JointUnit {
-    /// Radians.
+    /// Radians, of a revolute joint.
     Rad,
-    /// Degrees.
+    /// Degrees, of a revolute joint.
     Deg,
     /// Metres, of a prismatic joint.
     M,
@@ -118,7 +118,7 @@ pub fn joint_columns(robot: &RobotConfig) -> Vec<JointColumn> {
     (1..).zip(robot.joint_kinds()).map(joint).collect()
 }
 
-/// Of the mapping of any table of single poses what it says of the joints.
+/// Joints in the mapping of any table of single poses.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct JointTableMapping {
     /// Layout of the table.
@@ -189,7 +189,7 @@ pub fn joints_of_robot(joints: &[JointColumn], robot: &RobotConfig, path: &Path)
     })
 }
 
-/// As many joints as a robot may have, with signs and offsets that are some.
+/// Checks the number of joints, their signs and offsets.
 pub(in crate::logs) fn check_joints(joints: &[JointColumn]) -> Result<(), Violation> {
     if !(AXES_MIN..=AXES_MAX).contains(&joints.len()) {
         return Err(Violation::new(
@@ -202,7 +202,7 @@ pub(in crate::logs) fn check_joints(joints: &[JointColumn]) -> Result<(), Violat
         if joint.sign.abs() != 1.0 {
             return Err(Violation::new(
                 format!("joints[{index}].sign"),
-                format!("{} is no sign", joint.sign),
+                format!("invalid sign {}", joint.sign),
                 "write 1 or -1",
             ));
         }
@@ -217,13 +217,8 @@ pub(in crate::logs) fn check_joints(joints: &[JointColumn]) -> Result<(), Violat
                 "write offset_deg for angles, offset_m for lengths",
             ));
         }
-        if !(-360.0..=360.0).contains(&joint.offset_deg) {
-            return Err(Violation::new(
-                format!("joints[{index}].offset_deg"),
-                format!("{} is out of range (at most 360)", joint.offset_deg),
-                "offsets are in degrees",
-            ));
-        }
+        let key = format!("joints[{index}].offset_deg");
+        Violation::outside(key, joint.offset_deg, [-360.0, 360.0], "offsets are in degrees")?;
     }
     Ok(())
 }
@@ -252,7 +247,7 @@ pub(in crate::logs) fn rows<C, R>(
 pub(in crate::logs) struct Names(HashMap<String, usize>);
 
 impl Names {
-    /// The place of the name in a row; 0 where there is no column of names.
+    /// The place of the name in a row; 0 without a column of names.
     pub(in crate::logs) fn place(
         &mut self,
         table: &Table<'_>,
@@ -305,14 +300,14 @@ impl<'a> JointColumns<'a> {
 
 /// A stated standard uncertainty of mm or mrad, in m or rad.
 pub(in crate::logs) fn uncertainty(table: &Table<'_>, row: &Row, column: &Column) -> Result<f64, LogError> {
-    /// Worse is no measurement, but another unit.
+    /// A larger number means another unit.
     const UNCERTAINTY_MAX: f64 = 0.1;
     let value = table.number(row, column)? * 1e-3;
     if value > 0.0 && value <= UNCERTAINTY_MAX {
         return Ok(value);
     }
-    let problem =
-        format!("{} is no standard uncertainty (above 0, at most {})", value * 1e3, UNCERTAINTY_MAX * 1e3);
+    let (given, most) = (value * 1e3, UNCERTAINTY_MAX * 1e3);
+    let problem = format!("the standard uncertainty {given} is not above 0 and up to {most}");
     Err(table.bad(row, column, problem, "correct the row, or the column's name or unit in the mapping file"))
 }
 

@@ -13,7 +13,7 @@ use crate::logs::source::Source;
 use crate::logs::tables::csv_text::{Column, Row, Table};
 use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError};
 
-/// No plunger goes further \[m\]; more means a wrong unit.
+/// Largest reading of a gauge \[m\]; more means a wrong unit.
 const READING_M_MAX: f64 = 0.2;
 
 /// The column of a gauge.
@@ -26,7 +26,7 @@ pub struct ReadingColumn {
     pub unit: LengthUnit,
 }
 
-/// Which columns hold what.
+/// Columns of a table of touched faces.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TouchMapping {
@@ -35,7 +35,7 @@ pub struct TouchMapping {
     pub csv: CsvLayout,
     /// The column with the face's name.
     pub face: String,
-    /// Of a dial gauge: how far its plunger is pushed in.
+    /// Column of a dial gauge's reading.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reading: Option<ReadingColumn>,
     /// All joints, base to flange.

@@ -1,4 +1,4 @@
-//! What the readers of tables share: header, rows, cells.
+//! Header, rows and cells of text tables.
 
 use std::path::Path;
 
@@ -91,7 +91,7 @@ impl<'a> Table<'a> {
         let mut table = Self::open_as(text, format, layout.header)?;
         for _ in 0..layout.unit_lines {
             match table.next_row(&mut Row::default()) {
-                // Whatever stands there is not numbers.
+                // These lines need not have the cells of the table.
                 Ok(_) | Err(LogError::Malformed { .. }) => {}
                 Err(error) => return Err(error),
             }
@@ -105,7 +105,7 @@ impl<'a> Table<'a> {
             .delimiter(format.delimiter)
             .has_headers(has_header)
             .comment(Some(b'#'))
-            // Cells are trimmed where they are looked at: the reader would copy each row for it.
+            // Cells are trimmed when they are read: the reader would copy each row for it.
             .trim(csv::Trim::Headers)
             .from_reader(text);
         let first = rows.headers().cloned().map_err(|error| malformed(error, rows.get_mut()))?;
@@ -123,7 +123,7 @@ impl<'a> Table<'a> {
         self.rows.get_ref().comments()
     }
 
-    /// What a comment says.
+    /// Value of a comment `# key: value`.
     pub fn comment(&self, key: &str) -> Option<&str> {
         self.comments().iter().find(|(known, _)| known == key).map(|(_, value)| &**value)
     }
@@ -149,7 +149,7 @@ impl<'a> Table<'a> {
         Ok(Column { index, name: name.to_owned() })
     }
 
-    /// The first columns by name, for a message: a header that is none may be of any size.
+    /// The first columns by name, for a message: the first line of a file without header may have any size.
     pub fn names(&self) -> String {
         const NAMED: usize = 16;
         const LETTERS: usize = 32;

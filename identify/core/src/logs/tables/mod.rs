@@ -1,4 +1,4 @@
-//! What all readers of text tables share: encodings, cells, stamps.
+//! Encodings, cells and stamps of text tables.
 
 pub(super) mod csv_text;
 pub(super) mod stamp;

@@ -13,14 +13,14 @@ use crate::logs::LogError;
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TimeUnit {
-    /// Seconds.
+    /// Seconds, mostly with decimals.
     #[default]
     S,
-    /// Milliseconds.
+    /// Milliseconds, mostly of a controller.
     Ms,
-    /// Microseconds.
+    /// Microseconds, mostly of a controller.
     Us,
-    /// Nanoseconds.
+    /// Nanoseconds, as ROS has them.
     Ns,
     /// Cycles of a controller, each as long as [`TimeColumn::period_ms`] says.
     Cycles,
@@ -37,7 +37,7 @@ impl TimeUnit {
     }
 }
 
-/// Where the stamps are.
+/// The column of the stamps.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TimeColumn {
@@ -50,7 +50,7 @@ pub struct TimeColumn {
     /// How long one of the cycles lasts that the column counts \[ms\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub period_ms: Option<f64>,
-    /// The column shows times modulo this number, in its unit; absent where it does not begin anew.
+    /// The column has times modulo this number, in its unit; absent if it does not wrap.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub wraps_at: Option<u64>,
 }
@@ -61,39 +61,39 @@ impl TimeColumn {
         Self { column: column.into(), unit, ..Self::default() }
     }
 
-    /// The one that a table needs.
+    /// The time column of a table's mapping.
     pub(in crate::logs) fn of_table<'a>(time: Option<&'a Self>, path: &Path) -> Result<&'a Self, LogError> {
         time.filter(|time| !time.column.is_empty()).ok_or_else(|| LogError::Content {
             path: path.to_owned(),
-            problem: "the mapping does not say which column has the time stamps".into(),
+            problem: "the mapping does not name the column of the time stamps".into(),
             remedy: "write [time] column = \"...\" and its unit into the mapping file".into(),
         })
     }
 
-    /// Cycles have a length and other units have none; what has a date does not begin anew.
+    /// Checks that only cycles have a duration, and that dates do not wrap.
     pub(in crate::logs) fn check(&self) -> Result<(), Violation> {
         match (self.unit, self.period_ms) {
             (TimeUnit::Cycles, None) => {
-                let remedy = "say how long a cycle lasts, such as period_ms = 4";
+                let remedy = "give the duration of a cycle, such as period_ms = 4";
                 return Err(Violation::new(
                     "time.period_ms",
                     "it is missing beside unit = \"cycles\"",
                     remedy,
                 ));
             }
-            (TimeUnit::Cycles, Some(period_ms)) if !(1e-3..=1e6).contains(&period_ms) => {
-                let problem = format!("{period_ms} ms is no cycle of a controller");
-                return Err(Violation::new("time.period_ms", problem, "give 0.001 to 1000000"));
+            (TimeUnit::Cycles, Some(period_ms)) => {
+                let remedy = "give the duration of a controller's cycle in milliseconds";
+                Violation::outside("time.period_ms", period_ms, [1e-3, 1e6], remedy)?;
             }
-            (TimeUnit::Cycles, Some(_)) | (_, None) => {}
+            (_, None) => {}
             (_, Some(_)) => {
                 let remedy = "take it out, or write unit = \"cycles\"";
                 return Err(Violation::new("time.period_ms", "the column does not count cycles", remedy));
             }
         }
         let problem = match self.wraps_at {
-            Some(_) if self.unit.is_dated() => "times with a date do not begin anew",
-            Some(0 | 1) => "it is no number of values",
+            Some(_) if self.unit.is_dated() => "times with a date do not wrap",
+            Some(0 | 1) => "it is not a number of values",
             _ => return Ok(()),
         };
         Err(Violation::new(
@@ -116,12 +116,12 @@ impl TimeColumn {
     }
 }
 
-/// StampReader of a file in the order of its rows.
+/// Converts the stamps of a file in the order of its rows.
 pub(in crate::logs) struct StampReader {
     unit: TimeUnit,
     unit_ns: f64,
     wraps_at_ns: Option<i64>,
-    /// As the row before showed it.
+    /// Time of the row before, as the file has it.
     shown_ns: Option<i64>,
     begun_anew_ns: i64,
 }
@@ -148,7 +148,7 @@ impl StampReader {
         }
     }
 
-    /// What a time is since the first beginning.
+    /// The time with the wraps before it added.
     fn continued(&mut self, shown_ns: i64) -> Option<i64> {
         let before_ns = self.shown_ns.replace(shown_ns);
         if let Some((before_ns, wraps_at_ns)) = before_ns.zip(self.wraps_at_ns)
@@ -166,7 +166,7 @@ fn within_range(ns: f64) -> Option<i64> {
 
 /// A column of a table with time stamps.
 pub(in crate::logs) struct StampColumn {
-    /// Where it is.
+    /// The column in the table.
     pub column: Column,
     stamps: StampReader,
 }
@@ -225,8 +225,8 @@ fn date_ns(table: &Table<'_>, row: &Row, column: &Column) -> Result<i64, LogErro
         table.bad(
             row,
             column,
-            format!("`{text}` is no date and time of the years 1678 to 2262"),
-            "write it as 2026-11-22T10:15:00.25Z, or say with a mapping what it is",
+            format!("`{text}` is not a date and time of the years 1678 to 2262"),
+            "write it as 2026-11-22T10:15:00.25Z, or name its unit in a mapping",
         )
     })
 }

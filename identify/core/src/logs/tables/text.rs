@@ -10,16 +10,16 @@ use super::workbook::{is_workbook, sheets, text_of_sheet};
 use crate::logs::source::Source;
 use crate::logs::{CsvLayout, LogError};
 
-/// So much is decoded at once.
+/// Size of the blocks that are decoded.
 const BLOCK_BYTES: u64 = 1 << 18;
 
 /// The text of a file without byte order mark, decoded as far as it is read: ten hours of a robot's log are a gigabyte. Of a
 /// workbook the named sheet, or its only one, one line for each row, cells between tabs.
 ///
 /// A line that is not UTF-8, in a file without byte order mark, is Windows-1252, as instruments export a micro or degree sign;
-/// a damaged digit is no digit in any of them.
+/// a damaged digit is not a digit in any of these encodings.
 pub(in crate::logs) struct Text<'a> {
-    /// Of the file.
+    /// Path of the file, for errors.
     pub path: &'a Path,
     source: Box<dyn Read + 'a>,
     /// Of a file with byte order mark.
@@ -47,7 +47,7 @@ impl<'a> Text<'a> {
     ///
     /// # Errors
     /// [`LogError::NotText`] for anything else, such as binary data, a workbook with several sheets of which none is named, or
-    /// a sheet of what is no workbook: here or where it is reached.
+    /// a sheet of a file that is not a workbook: here or where it is reached.
     pub fn new(source: Source<'a>, sheet: Option<&str>) -> Result<Self, LogError> {
         let path = source.path;
         let mut text = Self {
@@ -79,7 +79,7 @@ impl<'a> Text<'a> {
         Ok(text)
     }
 
-    /// All of it.
+    /// The whole text as a string.
     ///
     /// # Errors
     /// As [`Self::new`].
@@ -88,7 +88,7 @@ impl<'a> Text<'a> {
         Ok(self.lines)
     }
 
-    /// Takes this and the next lines for no part of the table.
+    /// Skips lines before the table.
     ///
     /// # Errors
     /// As [`Self::new`].
@@ -258,7 +258,7 @@ fn comments(lines: &str) -> impl Iterator<Item = (String, String)> {
     all.map(|(key, value)| (key.trim().to_lowercase(), value.trim().to_owned()))
 }
 
-/// A table's text, line by line and row by row, for who does not know yet what it holds.
+/// A table's text by lines and rows, for guessing its layout.
 pub struct RowsAsText<'a> {
     text: String,
     path: &'a Path,

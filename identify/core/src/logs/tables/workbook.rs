@@ -39,7 +39,7 @@ pub(super) type Sheet = (String, Rows);
 
 /// The sheets of a workbook that have any cell.
 pub(super) fn sheets(bytes: &[u8]) -> Result<Vec<Sheet>, String> {
-    // The parser takes what it unpacks as sound: the checksums of the archive are seen to first.
+    // The parser does not verify what it unpacks: the checksums of the archive are checked first.
     checked(bytes).map_err(|error| format!("a damaged workbook: {error}"))?;
     let unreadable = |error: calamine::XlsxError| format!("a workbook that cannot be read: {error}");
     let mut workbook = Xlsx::new(Cursor::new(bytes)).map_err(unreadable)?;
@@ -50,7 +50,7 @@ pub(super) fn sheets(bytes: &[u8]) -> Result<Vec<Sheet>, String> {
     Ok(all)
 }
 
-/// Everything in an archive unpacks to its checksum.
+/// Checks the checksums of everything in an archive.
 fn checked(bytes: &[u8]) -> Result<(), zip::result::ZipError> {
     let mut archive = ZipArchive::new(Cursor::new(bytes))?;
     for index in 0..archive.len() {

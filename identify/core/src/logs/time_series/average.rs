@@ -1,4 +1,4 @@
-//! A centred moving average, the same for whatever was logged.
+//! A centred moving average of any stream.
 
 use super::spline::CubicSpline;
 use super::stream::{Row, Stream};
@@ -8,8 +8,7 @@ impl<R: Row> Stream<R> {
     /// than `width_s` to an end or to a gap, where a shorter average would be another filter.
     ///
     /// A plain mean of a curved motion lies inside the curve, by `width^2 / 24` times its acceleration. In both logs alike,
-    /// but the bar's joints are no linear function of the robot's: the mean of the one is not what the mean of the other
-    /// implies, and where the robot is fast the two are a tenth of a millimetre apart. A mean over twice the width is off by
+    /// but the bar's joints are not a linear function of the robot's: the mean of the one is not implied by the mean of the other, and where the robot is fast the two are a tenth of a millimetre apart. A mean over twice the width is off by
     /// four times as much, so `(4 mean - mean of twice the width) / 3` is not (Richardson's extrapolation), at 1.2 times the
     /// noise of the mean.
     ///
@@ -47,7 +46,7 @@ struct Integral<'a, R> {
 }
 
 impl<'a, R: Row> Integral<'a, R> {
-    /// None where the rows are too few for a spline.
+    /// `None` if the rows are too few for a spline.
     fn new(part: &'a Stream<R>) -> Option<Self> {
         let count = part.len() as f64;
         let middle = part.first()?.like(|i| part.iter().map(|row| row.numbers()[i]).sum::<f64>() / count);
@@ -62,7 +61,7 @@ impl<'a, R: Row> Integral<'a, R> {
         Some(Self { t_s: &part.t_s, spline, middle, until })
     }
 
-    /// Over `width_s` about `t_s`; none where that reaches beyond an end.
+    /// Mean over `width_s` about `t_s`; `None` if that extends beyond an end.
     fn mean(&self, t_s: f64, width_s: f64) -> Option<R> {
         let (before, after) = (self.at(t_s - 0.5 * width_s)?, self.at(t_s + 0.5 * width_s)?);
         let (before, after) = (before.numbers(), after.numbers());
@@ -71,7 +70,7 @@ impl<'a, R: Row> Integral<'a, R> {
 
     /// From the first row to `t_s`; none outside.
     fn at(&self, t_s: f64) -> Option<R> {
-        /// Stamps that stand for decimal numbers are off by as much \[s\].
+        /// Rounding of stamps that were decimal numbers \[s\].
         const ROUNDING_S: f64 = 1e-9;
         if t_s < -ROUNDING_S || t_s > self.t_s.last()? + ROUNDING_S {
             return None;

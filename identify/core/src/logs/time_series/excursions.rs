@@ -1,5 +1,5 @@
-//! Rows that jump out and come back faster than anything moves: no measurements, but what a logger or an instrument writes where
-//! it has none, mostly zeros.
+//! Rows that jump away and back faster than anything moves: not measurements, but values, mostly zeros, that a logger or an instrument
+//! writes without one.
 
 use std::path::Path;
 
@@ -9,20 +9,20 @@ use super::sampling::{STEPS_PART, trimmed_mean};
 use crate::logs::LogError;
 use crate::statistics::quantile;
 
-/// Rows that jump out together at most. Of independent ones, as many as [`PART_MAX`] allows, longer runs begin at one row in a
+/// Largest number of successive excursions. Of independent ones, as many as [`PART_MAX`] allows, longer runs begin at one row in a
 /// billion.
 const ROWS_MAX: usize = 8;
-/// A row is out by more than so many times the lower quartile of the log's own second differences, of those that are not zero: 9.4
-/// standard deviations of noise beyond both neighbours, which one row in 10^14 is by chance, and twelve steps of a coarse resolution.
+/// An excursion exceeds this multiple of the lower quartile of the log's own second differences that are not zero: 9.4 standard
+/// deviations of noise beyond both neighbours, which one row in 10^14 is by chance, and twelve steps of a coarse resolution.
 const QUARTILES: f64 = 12.0;
-/// A log of which more jumps out is refused, not mended.
+/// A log with a larger share of excursions is refused.
 const PART_MAX: f64 = 0.1;
-/// Rows of a long log by which its period and its noise are judged, about.
+/// Approximate number of rows of a long log from which its period and noise are estimated.
 const LOOKED_AT: usize = 100_000;
-/// Places that a message names.
+/// Largest number of places that a message names.
 const NAMED_MAX: usize = 5;
 
-/// What nothing that is measured exceeds.
+/// Upper bounds of any measured motion.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::logs) struct Fastest {
     /// \[rad/s, m/s\]
@@ -43,9 +43,8 @@ pub(in crate::logs) struct Excursions<'a, S> {
 
 impl<S: Fn(usize, usize, usize) -> f64> Excursions<'_, S> {
     /// The rows that jump out and back, in their order: beyond both neighbours by more than the fastest motion that turns back
-    /// between them, by more than the noise of the log, and by more than the neighbours are apart, which is no more than can be
-    /// moved meanwhile. The longer the
-    /// time between rows, the less is certain: what could be motion is kept.
+    /// between them, by more than the noise of the log, and by more than the distance of the neighbours, which itself is no more than
+    /// the fastest motion between them. Rows that could be motion are kept.
     pub fn find(&self) -> Vec<usize> {
         let every = self.t_s.len().div_ceil(LOOKED_AT).max(1);
         let looked_at: Vec<f64> = self.t_s.iter().step_by(every).copied().collect();
@@ -62,7 +61,7 @@ impl<S: Fn(usize, usize, usize) -> f64> Excursions<'_, S> {
         };
         while before + 2 < self.t_s.len() {
             steps(before, before + 1, &mut next);
-            // What goes on as before need not be looked at: an excursion is more than all motion from before it to after it.
+            // A row that continues the motion need not be checked: an excursion exceeds all motion from before it to after it.
             let leaves =
                 (0..self.columns).any(|column| (next[column] - last[column]).abs() > 0.5 * noise[column]);
             // All that belong together: with fewer, one of them would be taken for where the others come back to.
@@ -110,12 +109,12 @@ impl<S: Fn(usize, usize, usize) -> f64> Excursions<'_, S> {
     }
 }
 
-/// What to say of rows of `path` that jump out, by their places in it; `what` they are called there, and what is `done` with them.
-/// Nothing where there are none.
+/// The remark on excursions of `path`, by their places in it; `what` rows are called there, and what is `done` with them. `None`
+/// without excursions.
 ///
 /// # Errors
-/// [`LogError::Content`] where they are more than a tenth of all `rows`.
-pub(in crate::logs) fn told(
+/// [`LogError::Content`] if they are more than a tenth of all `rows`.
+pub(in crate::logs) fn remark(
     places: &[u64],
     rows: usize,
     (path, what): (&Path, &str),
@@ -131,7 +130,7 @@ pub(in crate::logs) fn told(
         return Err(LogError::Content {
             path: path.to_owned(),
             problem: format!("{count} of {rows} {what}s {whose} ({what} {named})"),
-            remedy: "find out what is written there, take out what is no measurement, or log again".into(),
+            remedy: "find out what is written there, remove invalid rows, or log again".into(),
         });
     }
     Ok(Some(format!(

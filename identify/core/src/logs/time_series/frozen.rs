@@ -4,14 +4,14 @@ use std::ops::Range;
 
 use super::stream::{Row, Stream, ranges};
 
-/// How far another number changes meanwhile \[rad, m\].
+/// Another number changes by more while one is constant \[rad, m\].
 const OTHERS: f64 = 0.1;
-/// What stood goes on from where it stood, what was not read leaps to where it is by now \[rad, m\].
+/// A number that was not read leaps by more when it is read again; one that rested continues from its value \[rad, m\].
 const LEAP: f64 = 0.02;
 
 impl<R: Row> Stream<R> {
-    /// Of each number the first rows in which it is frozen. They are enough where `is_long` says so; of those at the end, which no
-    /// leap follows, `at_end` says whether they count.
+    /// The first range of rows of each number in which it is constant although it should change: one for which `is_long` is true,
+    /// and, at the end of the log, where no leap follows, `at_end`.
     pub fn frozen(
         &self,
         is_long: impl Fn(&Range<usize>) -> bool,
@@ -43,7 +43,7 @@ impl<R: Row> Stream<R> {
     }
 }
 
-/// A row that repeats the one before it is no standstill if the rows moved further than this before and after \[rad\].
+/// Largest step before and after repeated rows of a standstill \[rad\]; larger ones are a motion.
 const REPEATED_STEP_RAD: f64 = 1e-4;
 
 /// Rows that repeat the one before them in the middle of a motion, in runs of at most `run_max`: loggers that read faster than

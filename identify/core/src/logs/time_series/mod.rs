@@ -1,4 +1,4 @@
-//! What was logged over time: rows on one clock, the regular clock behind stamps, values between stamps.
+//! Time series: rows on one clock, the regular clock behind stamps, interpolation between stamps.
 
 mod average;
 pub(super) mod excursions;

@@ -36,7 +36,7 @@ pub struct Stamps {
     pub equal: usize,
     /// Periods of the clock without a row.
     pub missing: usize,
-    /// Where the stamps step although the motion goes on.
+    /// Steps of the stamps during an even motion.
     pub steps: Vec<StampStep>,
 }
 
@@ -45,32 +45,32 @@ pub struct Stamps {
 pub struct StampStep {
     /// Stamp of the first row after it, since the first of the log \[s\].
     pub at_s: f64,
-    /// Later rows are stamped so much too late \[s\].
+    /// Delay of the stamps of later rows \[s\].
     pub by_s: f64,
 }
 
 /// Stamps that scatter by less than this are taken as they are \[s\]: the fastest joint of a calibration turns by 5 urad in it,
 /// less than any encoder of it resolves.
 const EVEN_S: f64 = 5e-6;
-/// Steps of the clock smaller than this are not looked for \[s\]: the fastest joint of a calibration turns by 0.1 mrad in it, what
-/// its gears err by.
+/// Smallest step of the clock that is searched for \[s\]: the fastest joint of a calibration turns by 0.1 mrad in it, as much as the
+/// errors of its gears.
 const STEP_S_MIN: f64 = 1e-4;
-/// A step is larger than so many standard deviations of the jitter: of means of [`BESIDE`] rows this is ten.
+/// Smallest step in standard deviations of the jitter: of means of [`BESIDE`] rows this is ten.
 const STEP_SIGMAS: f64 = 3.0;
-/// A step is seen by at least so many rows to either side...
+/// Smallest number of rows on either side of a step.
 const BESIDE: usize = 25;
-/// ...and by this time \[s\]: rows that are held up come later, but not for so long.
+/// Shortest time on either side of a step \[s\]: delayed rows are late for a shorter time.
 const BESIDE_S: f64 = 0.5;
-/// A log with more steps than this has no regular clock: NTP steps one that it cannot slew, at most once in five minutes (its
-/// step-out threshold), so that these are three hours of a clock that nothing keeps.
+/// A log with more steps has no regular clock: NTP steps a clock that it cannot slew at most once in five minutes (its step-out
+/// threshold), so that these are three hours of an unsynchronised clock.
 const STEPS_MAX: usize = 40;
-/// Rows to either side whose joint steps say how far the robot goes in one period.
+/// Rows to either side whose joint steps determine the step of one period.
 const NEIGHBOURS: usize = 6;
 /// Steps are a multiple of the usual one within this part of it, and the usual one changes by no more.
 const WHOLE: f64 = 0.2;
-/// Of more periods than these the motion does not say how many they are.
+/// The motion does not determine a larger number of periods.
 const PERIODS_MAX: f64 = 4.0;
-/// So many of the neighbours must be whole: steps that only rounding makes would be so once in a thousand rows.
+/// Smallest number of neighbours with whole steps: steps from rounding alone reach it once in a thousand rows.
 const NEIGHBOURS_WHOLE: usize = 10;
 /// Smaller steps of all joints are standstill \[rad, m\].
 const STEP_RAD_MIN: f64 = 50e-6;
@@ -79,11 +79,11 @@ const LAG: usize = 32;
 pub(super) const STEPS_PART: f64 = 0.02;
 /// The rate of a clock follows temperature over minutes: it is free to change at this distance \[s\].
 const KNOTS_S: f64 = 60.0;
-/// Knots at most.
+/// Largest number of knots.
 const KNOTS_MAX: usize = 200;
 /// Rounded stamps are off by 0.29 of their grid, root mean square; where the clock keeps to the grid they are not off at all.
 const ROUNDED_SIGMA: f64 = 0.1;
-/// Finer grids are those of the format \[s\].
+/// Finer grids come from the format \[s\].
 const GRID_S_MIN: f64 = 2e-4;
 /// Stamps are written to microseconds or better \[s\].
 const WRITTEN_S: f64 = 1.5e-6;
@@ -100,11 +100,11 @@ const MISCOUNTED: f64 = 1000.0;
 /// stamps are right, even times come to 1.1 and more as soon as they move joints by half of their noise.
 const AS_SMOOTH: f64 = 1.1;
 
-/// Scatter of less is not worth a word \[s\]: the fastest joint of a calibration turns by 50 urad in it.
+/// Smaller scatter is not reported \[s\]: the fastest joint of a calibration turns by 50 urad in it.
 const SCATTER_S: f64 = 5e-5;
 
 impl Stamps {
-    /// What to know of rows that have the times of the clock, in sentences.
+    /// Remarks on rows that have the times of the clock, in sentences.
     pub(in crate::logs) fn remarks(&self) -> Vec<String> {
         let Self { evened, jitter_s, rounded_to_s, equal, missing, steps, .. } = self;
         if !evened {
@@ -130,7 +130,7 @@ impl Stamps {
         });
         let steps = steps.iter().map(|StampStep { at_s, by_s }| {
             format!(
-                "the stamps step by {:+.2} ms at {at_s:.2} s although the motion goes on evenly: later rows have times \
+                "the stamps step by {:+.2} ms at {at_s:.2} s although the motion continues evenly: later rows have times \
                  without it; find out what sets the clock",
                 by_s * 1e3
             )
@@ -146,7 +146,7 @@ pub(in crate::logs) struct Sampling {
     pub stamps: Stamps,
 }
 
-/// The regular clock behind the stamps, which must not decrease; none where there is none.
+/// The regular clock behind the stamps, which must not decrease; `None` if there is none.
 pub(in crate::logs) fn sampling(stamps_s: Vec<f64>, rows: &[Joints]) -> Option<Sampling> {
     let t_s = &*stamps_s;
     // The motion is compared only where it decides: long logs have millions of rows.
@@ -194,7 +194,7 @@ pub(in crate::logs) fn sampling(stamps_s: Vec<f64>, rows: &[Joints]) -> Option<S
     is_right.then_some(Sampling { t_s: even_s, stamps })
 }
 
-/// Rows that are missing where the motion is heard, of periods from row to row.
+/// Number of missing rows where the motion is known, from the periods between rows.
 fn missing(periods: impl Iterator<Item = f64>, heard: &[bool]) -> usize {
     periods.zip(heard).map(|(periods, heard)| if *heard { periods - 1.0 } else { 0.0 }).sum::<f64>() as usize
 }
@@ -371,7 +371,7 @@ impl Numbered {
     }
 }
 
-/// What stamps are whose distances are all whole multiples of the usual one, and these.
+/// Stamps whose distances are all whole multiples of the usual one, and these multiples.
 fn even_already(t_s: &[f64]) -> Option<(Stamps, Vec<f64>)> {
     let mut steps_s: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
     let usual_s = median(&mut steps_s)?;
@@ -420,7 +420,7 @@ fn rms(values: &[f64]) -> f64 {
     (values.iter().map(|value| value * value).sum::<f64>() / values.len().max(1) as f64).sqrt()
 }
 
-/// Periods from each row to the next as far as the motion says.
+/// Periods from each row to the next, where the motion determines them.
 fn by_motion(rows: &[Joints]) -> Vec<Option<f64>> {
     /// Where many rows are missing, those that are known show what is usual about the others.
     const PASSES: usize = 3;
@@ -440,7 +440,7 @@ fn squared(step: &Joints) -> f64 {
     step.iter().map(|one| one * one).sum()
 }
 
-/// How many of the usual steps about it a step is; `periods` says what is known of those.
+/// Length of a step in usual steps about it; `periods` are the known periods of those.
 fn periods_at(steps: &[Joints], periods: &[Option<f64>], at: usize) -> Option<f64> {
     let sides = [at.checked_sub(NEIGHBOURS)?..at, at + 1..at + 1 + NEIGHBOURS];
     let usual = |side: &Range<usize>| -> Option<Joints> {
@@ -478,7 +478,7 @@ pub(super) fn trimmed_mean(mut values: Vec<f64>, part: f64) -> Option<f64> {
     Some(kept.iter().sum::<f64>() / kept.len() as f64)
 }
 
-/// The period \[s\], from segments in which the motion says how many there are; without motion from the stamps alone.
+/// The period \[s\], from segments in which the motion determines their number; without motion from the stamps alone.
 fn period(t_s: &[f64], motion: &[Option<f64>]) -> Option<f64> {
     let of = |from: usize| {
         let periods: Option<f64> = motion.get(from..from + LAG)?.iter().copied().sum();
@@ -499,11 +499,11 @@ fn period(t_s: &[f64], motion: &[Option<f64>]) -> Option<f64> {
 /// Number of each row on the clock, from 0. Where the motion is silent a row follows the one before it, but where it and those
 /// after it are further away than jitter and rounding, by `apart_s`, explain. Where it is not, the clock was set there.
 fn numbers(t_s: &[f64], motion: &[Option<f64>], period_s: f64, apart_s: f64) -> Vec<f64> {
-    /// The phase follows the stamps over so many rows: the period is known to a thousandth, so that it lags by less than
-    /// half of one, and rows that are missing do not draw it along.
+    /// Number of rows over which the phase follows the stamps: the period is known to a thousandth, so that it lags by less than half
+    /// of one, and missing rows do not change it.
     const PHASE_ROWS: f64 = 200.0;
-    /// A row is further away where three quarters of those that follow for so long are, too \[s\]: rows that are held up are
-    /// late, but not for so long.
+    /// A row is further away if three quarters of the rows in this time after it are, too \[s\]: delayed rows are late for a shorter
+    /// time.
     const LASTS_S: f64 = 0.1;
     let lasts = ((LASTS_S / period_s) as usize).max(5);
     let scatter_s = |from: usize| {
@@ -544,7 +544,7 @@ fn numbers(t_s: &[f64], motion: &[Option<f64>], period_s: f64, apart_s: f64) -> 
         let number = match motion {
             Some(periods) => {
                 let number = before + periods;
-                // So many rows are not missing where the motion goes on: the clock was set here. With fewer the motion may be wrong.
+                // Too many rows to be missing in an even motion: the clock was set here. With fewer the motion may be wrong.
                 if ((t_s[row] - phase_s) / period_s - number).abs() > lasts as f64 {
                     let late = lasting(number);
                     phase_s += if late.abs() > lasts as f64 { late * period_s } else { 0.0 };
@@ -601,7 +601,7 @@ fn breaks(rest_s: &[f64], period_s: f64, apart_s: f64) -> Option<Vec<usize>> {
     Some(found)
 }
 
-/// Steps of whole periods near rows of which the motion is silent: rows were missing there, or were not.
+/// Corrects the numbers at steps of whole periods near rows with unknown motion: rows were missing there, or were not.
 fn recounted(
     numbers: &mut [f64],
     t_s: &[f64],
@@ -617,7 +617,7 @@ fn recounted(
         if by == 0.0 || (step_s / period_s - by).abs() > WHOLE {
             continue;
         }
-        // Where so many rows are missing the stamps step; what steps elsewhere is the clock.
+        // The stamps step where these rows are missing; a step elsewhere is one of the clock.
         let steps = |row: usize| by <= PERIODS_MAX || t_s[row] - t_s[row - 1] > 0.5 * by * period_s;
         let silent = (at.saturating_sub(near).max(1)..(at + near).min(numbers.len())).filter(|row| {
             motion[row - 1].is_none() && numbers[*row] - numbers[row - 1] + by >= 1.0 && steps(*row)
@@ -649,10 +649,10 @@ impl Fit {
         breaks: &[usize],
         grid_s: Option<f64>,
     ) -> Option<Self> {
-        /// Residuals beyond so many standard deviations are drawn in (Huber).
+        /// Limit of the Huber loss in standard deviations.
         const HUBER: f64 = 1.345;
         const ROUNDS: usize = 8;
-        // Steps may be an hour: what is left of them is fitted, in which rounding is small.
+        // Steps may be an hour: only their remainder is fitted, in which rounding is small.
         let middle = |range: Range<usize>| median(&mut rest_s.get(range)?.to_vec());
         let beside = |at: usize| {
             let end = (at + BESIDE).min(rest_s.len());

@@ -1,9 +1,9 @@
-//! A value that several have, copied only by who changes it.
+//! A shared value that is copied when it is changed.
 
 use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
 
-/// Long logs are not copied when something else reads them, too.
+/// Long logs are shared by all that read them.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Shared<T>(Arc<T>);
 

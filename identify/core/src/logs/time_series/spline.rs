@@ -4,14 +4,14 @@
 //! kinks; linear interpolation has neither. Ends are "not-a-knot" (de Boor, A Practical Guide to Splines, ch. IV):
 //! the third derivative passes the last inner knot unbroken, so that the ends are as exact as the middle.
 
-/// Fewest samples of one continuous part: two inner knots for the not-a-knot ends.
+/// Smallest number of samples of one continuous part: two inner knots for the not-a-knot ends.
 pub const KNOTS_MIN: usize = 4;
 
 use super::shared::Shared;
 use super::stream::{Row, Stream};
 
-/// A spline through a row of values per stamp. Parts that are further apart than a limit are separate splines, and there
-/// is no value between them.
+/// A spline through a row of values per stamp. Parts that are further apart than a limit are separate splines without values
+/// between them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CubicSpline<R> {
     knots: Shared<Stream<R>>,
@@ -21,7 +21,7 @@ pub struct CubicSpline<R> {
     bridged: Vec<bool>,
 }
 
-/// Between two knots.
+/// The interval between two knots.
 struct Interval<'a> {
     width_s: f64,
     /// Values at its left and right end.
@@ -32,7 +32,7 @@ struct Interval<'a> {
 /// Value and first two derivatives at one instant.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SplinePoint<R> {
-    /// Values.
+    /// Values at the instant itself.
     pub value: R,
     /// Derivatives \[1/s\].
     pub rate: R,
@@ -41,14 +41,14 @@ pub struct SplinePoint<R> {
 }
 
 impl<R: Row> Stream<R> {
-    /// Through all rows, each of the [`Stream::parts`] by itself; none where no part has four rows.
+    /// A spline through all rows, separate for each of the [`Stream::parts`]; `None` if no part has four rows.
     pub fn spline(self) -> Option<CubicSpline<R>> {
         CubicSpline::through(self.into())
     }
 }
 
 impl<R: Row> CubicSpline<R> {
-    /// [`Stream::spline`] of rows that others have, too.
+    /// [`Stream::spline`] of shared rows.
     pub fn through(knots: Shared<Stream<R>>) -> Option<Self> {
         let width = numbers_of(&knots);
         let mut curvatures = vec![0.0; knots.len() * width];
@@ -61,7 +61,7 @@ impl<R: Row> CubicSpline<R> {
         bridged.contains(&true).then_some(Self { knots, curvatures, bridged })
     }
 
-    /// Value and derivatives at `t_s` after the first row; none outside the rows and inside gaps.
+    /// Value and derivatives at `t_s` after the first row; `None` outside the rows and in gaps.
     pub fn at(&self, t_s: f64) -> Option<SplinePoint<R>> {
         let interval = self.knots.interval(t_s)?;
         let Interval { width_s, ends: [left, right], curvatures: [m_left, m_right] } =

@@ -1,9 +1,8 @@
-//! What was logged on one clock: times that increase, and a row of numbers for each.
+//! A time series on one clock: increasing times, and a row of numbers for each.
 //!
 //! The robot's log, a force, a tracker's log and the bar's readings are all streams, so that what can be done with one exists
 //! once: [`Stream::at`] and [`Stream::spline`] interpolate, [`Stream::averages`] smooths, [`Stream::unwrapped`] makes turns
-//! continuous, [`Stream::filter_map`] takes a part. None of them reaches across a gap, nor across a place where counters
-//! started anew.
+//! continuous, [`Stream::filter_map`] takes a part. None of them extends across a gap or a restart of counters.
 
 use std::borrow::Cow;
 use std::ops::{Deref, DerefMut, Range};
@@ -22,7 +21,7 @@ pub trait Row: Copy {
     /// Another row of the same length, from its places.
     fn like(&self, of: impl FnMut(usize) -> f64) -> Self;
 
-    /// Whether the numbers go on from those of the row before: counters that started anew do not.
+    /// Whether the numbers continue those of the row before: counters that restarted do not.
     fn continues(&self, _before: &Self) -> bool {
         true
     }
@@ -129,7 +128,7 @@ pub fn ranges<R: Row>(rows: &[R]) -> Vec<[f64; 2]> {
     ranges
 }
 
-/// Leaves those that are kept, and what is beyond the list.
+/// Keeps elements by a list, and all beyond its end.
 pub(in crate::logs) fn retain<T>(all: &mut Vec<T>, is_kept: &[bool]) {
     let mut is_kept = is_kept.iter();
     all.retain(|_| is_kept.next().copied().unwrap_or(true));
@@ -167,7 +166,7 @@ impl<R> Stream<R> {
         (Self::new(later_ns(first_ns, begins_s), t_s, rows), Some(stamps), Vec::new())
     }
 
-    /// The same with another limit of gaps \[s\].
+    /// The stream with another limit of gaps \[s\].
     pub fn with_gap_limit(self, gap_limit_s: f64) -> Self {
         Self { gap_limit_s, ..self }
     }
@@ -207,8 +206,7 @@ impl<R> Stream<R> {
         }
     }
 
-    /// What `of` makes of the rows at these places, those left out for which it has nothing; the first that is left is the first
-    /// of the answer.
+    /// Results of `of` on the rows at these places, without rows for which it returns `None`.
     pub fn filter_map<S>(
         &self,
         places: Range<usize>,
@@ -286,7 +284,7 @@ impl<R: Row> Stream<R> {
     }
 }
 
-/// A stamp so much later.
+/// A stamp moved by a number of seconds.
 fn later_ns(stamp_ns: i64, by_s: f64) -> i64 {
     stamp_ns.saturating_add((by_s * 1e9).round() as i64)
 }

@@ -1,4 +1,4 @@
-//! Readings that begin anew after a turn, or at the width of a counter, as they were shown and as they were made continuous.
+//! Readings that wrap after a turn, or at the width of a counter, as they were shown and as they were made continuous.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -7,14 +7,14 @@ use serde::Serialize;
 
 use super::stream::{Row, Stream};
 
-/// Fresh beginnings that one picture shows, at most.
+/// Largest number of wraps in one picture.
 const WRAPS_SHOWN: usize = 8;
 /// Readings that a picture spans, about.
 const READINGS_SHOWN: usize = 2000;
 /// Readings that it has of them, at most; those on either side of a fresh beginning come on top.
 const POINTS_MAX: usize = 250;
 
-/// One reading.
+/// One reading before and after.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct UnwrappedPoint {
     /// Since the first reading \[s\].
@@ -25,23 +25,23 @@ pub struct UnwrappedPoint {
     pub continuous_rad: f64,
 }
 
-/// Readings of one encoder or joint that began anew somewhere.
+/// Readings of one encoder or joint that wrapped.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Unwrapped {
     /// Such as `b1` for an encoder of the bar, by the joint that its file states, or `q6` for a joint of the robot.
     pub name: String,
-    /// After so much they begin anew \[rad\].
+    /// Angle after which they wrap \[rad\].
     pub period_rad: f64,
-    /// How often they did.
+    /// Number of wraps in the log.
     pub wraps: usize,
-    /// Largest change from one reading to the next as part of half a period: from 1 on nobody can tell which way it went.
+    /// Largest change from one reading to the next as part of half a period: from 1 on its direction is ambiguous.
     pub step_part: f64,
-    /// The part of the log with the most fresh beginnings, thinned.
+    /// The part of the log with the most wraps, thinned.
     pub points: Vec<UnwrappedPoint>,
 }
 
 impl Unwrapped {
-    /// From all readings in the order of time; none where nothing began anew.
+    /// From all readings in the order of time; `None` without wraps.
     pub fn of(
         name: impl Into<String>,
         period_rad: f64,
@@ -71,7 +71,7 @@ impl Unwrapped {
         })
     }
 
-    /// Of one encoder over parts of a log that do not follow each other; the liveliest is shown. None where nothing began anew.
+    /// Of one encoder over parts of a log that do not follow each other; the one with most wraps is shown. `None` without wraps.
     pub fn of_parts(parts: impl IntoIterator<Item = Option<Self>>) -> Option<Self> {
         let found: Vec<Self> = parts.into_iter().flatten().collect();
         let wraps = found.iter().map(|one| one.wraps).sum();

@@ -1,4 +1,4 @@
-//! At which shift two sets of signals are most alike.
+//! The shift at which two sets of signals match best.
 //!
 //! Normalised cross-correlation where samples may be unknown (Padfield, "Masked object registration in the Fourier
 //! domain", IEEE Trans. Image Processing 21, 2012): at each shift only samples that both logs know are compared, with
@@ -16,11 +16,11 @@ use crate::threads::each;
 pub struct Channels {
     /// Whether the signals are known, per grid point.
     pub known: Vec<bool>,
-    /// Per channel, per grid point; unknown points are not looked at.
+    /// Per channel, per grid point; unknown points are ignored.
     pub values: Vec<Vec<f64>>,
 }
 
-/// The best shift and how sure it is.
+/// A shift at which two sets of signals match.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Match {
     /// Sample `i` of the second set is sample `i + shift` of the first, in grid steps with a fraction.
@@ -29,7 +29,7 @@ pub struct Match {
     pub correlation: f64,
     /// Grid points that were compared there.
     pub overlap: usize,
-    /// Best correlation at a shift that is clearly another one, 0 where there is none.
+    /// Best correlation at a clearly different shift, 0 if there is none.
     pub runner_up: f64,
 }
 
@@ -38,8 +38,8 @@ const APART: i64 = 100;
 /// Correlations this close are equally good: the motion repeats itself. Then the longer overlap decides.
 const TIE: f64 = 0.02;
 
-/// Finds the shift with the highest correlation of at least `overlap_min` points. None where no shift has so many, or
-/// nothing varies.
+/// Finds the shift with the highest correlation of at least `overlap_min` points. `None` if no shift has as many, or nothing
+/// varies.
 pub fn correlate(first: &Channels, second: &Channels, overlap_min: usize) -> Option<Match> {
     let mut found = candidates(first, second, overlap_min, usize::MAX);
     let highest = found.first()?.correlation;
@@ -54,7 +54,7 @@ pub(in crate::prepare) fn longest_overlap<T>(found: Vec<T>, matched: impl Fn(&T)
     })
 }
 
-/// The best shifts that are clearly different ones, highest correlation first, at most `count`.
+/// The best clearly different shifts, highest correlation first, at most `count`.
 pub fn candidates(first: &Channels, second: &Channels, overlap_min: usize, count: usize) -> Vec<Match> {
     let scores = scores(first, second, overlap_min.max(3));
     let mut peaks: Vec<(usize, f64)> = (0..scores.len())
@@ -99,12 +99,12 @@ impl Correlations {
         usize::try_from(shift - self.0.first()?.shift).ok().filter(|index| *index < self.0.len())
     }
 
-    /// At a shift in grid steps; 0 where the signals do not overlap or do not vary.
+    /// Correlation at a shift in grid steps; 0 if the signals do not overlap or do not vary.
     pub fn at(&self, shift: i64) -> f64 {
         self.index(shift).and_then(|index| self.0[index].correlation).unwrap_or_default()
     }
 
-    /// The highest positive peak at most `reach` from a shift: where it is, with a fraction, and its correlation.
+    /// The highest positive peak at most `reach` from a shift: its shift, with a fraction, and its correlation.
     pub fn peak_near(&self, shift: i64, reach: i64) -> Option<(f64, f64)> {
         let near = (shift - reach..=shift + reach).filter_map(|shift| self.index(shift));
         let peaks = near.filter(|index| is_peak(&self.0, *index));
@@ -118,7 +118,7 @@ impl Correlations {
 struct Score {
     shift: i64,
     overlap: usize,
-    /// None where too little overlaps or nothing varies.
+    /// `None` if too little overlaps or nothing varies.
     correlation: Option<f64>,
 }
 
@@ -203,7 +203,7 @@ fn mean(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 /// One over the standard deviation of the known points: with it all channels count the same. 0 for a joint that does
-/// not move, which has nothing to say.
+/// not move, which carries no information.
 fn inverse_deviation(values: &[f64], known_points: &[bool]) -> f64 {
     let middle = mean(known(values, known_points));
     let deviation = mean(known(values, known_points).map(|value| (value - middle).powi(2))).sqrt();

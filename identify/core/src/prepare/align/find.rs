@@ -34,7 +34,7 @@ pub(in crate::prepare) struct Search<'a> {
     pub options: &'a PrepareOptions,
 }
 
-/// The aligned logs.
+/// A recording aligned with a robot log.
 #[derive(Debug, Clone)]
 pub(in crate::prepare) struct Found {
     /// How the speeds match.
@@ -49,7 +49,7 @@ pub(in crate::prepare) struct Found {
     pub fit: Fit,
 }
 
-/// Candidates that are fitted.
+/// Largest number of candidates that are fitted.
 const FITTED_MAX: usize = 4;
 /// On nominal geometry, candidates within this factor of the best may turn out to be the better one.
 const NEAR_BEST: f64 = 2.0;
@@ -58,9 +58,9 @@ const PAIRS_APART_RAD: f64 = 0.01;
 const PAIRS_MAX: usize = 3000;
 /// Samples of a refinement at most.
 const FIT_MAX: usize = 1500;
-/// In windows longer than [`WINDOW_S`] only every so many-th sample is looked at.
+/// In windows longer than [`WINDOW_S`] only every `LONG_STRIDE`-th sample is used.
 const LONG_STRIDE: usize = 5;
-/// The bar may pass a singular pose unseen in a hole of this length \[s\].
+/// In a hole of this length the bar may pass a singular pose \[s\].
 const HOLE_S: f64 = 1.0;
 
 /// A shift, and how the angles fit there.
@@ -93,9 +93,9 @@ impl Search<'_> {
             match self.hypothesis(&window, shift, step_s) {
                 Ok(hypothesis) => hypotheses.push(hypothesis),
                 Err(error) => {
-                    // A slip is the cause wherever it is seen.
-                    let tells = matches!(error, PrepareError::EncoderSlip { .. });
-                    refusal = refusal.filter(|_| !tells).or(Some(error));
+                    // A slip is the cause wherever it is found.
+                    let is_slip = matches!(error, PrepareError::EncoderSlip { .. });
+                    refusal = refusal.filter(|_| !is_slip).or(Some(error));
                 }
             }
         }
@@ -240,7 +240,7 @@ impl Search<'_> {
         predicted_speeds(self.predictor, self.log_duration_s, &self.joints(), self.margin_rad(), step_s)
     }
 
-    /// What the angles say of a rate and a shift there.
+    /// Offsets, configurations and encoder map at a rate and a shift.
     pub(in crate::prepare) fn hypothesis(
         &self,
         window: &Range<usize>,

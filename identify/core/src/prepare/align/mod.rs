@@ -1,4 +1,4 @@
-//! Two logs on two clocks brought together: coarsely by speeds, which know no offsets, then by angles or positions.
+//! Aligns two logs on two clocks: coarsely by speeds, which do not depend on offsets, then by angles or positions.
 
 pub(super) mod aligned;
 pub(super) mod clock;

@@ -1,4 +1,4 @@
-//! A clock that jumps so far that no one shift matches the whole run: found by its parts.
+//! A clock step so large that no single shift matches the whole run: found from parts of the run.
 
 use std::ops::Range;
 
@@ -7,16 +7,16 @@ use super::find::Search;
 use super::speeds::{measured_speeds, without_order};
 use crate::prepare::PrepareError;
 
-/// Parts of the recording that are looked at one by one.
+/// Number of parts of the recording that are matched one by one.
 const PARTS: usize = 6;
 /// Shifts that differ by this much are different \[s\].
 const DIFFERENT_S: f64 = 0.05;
-/// Part of a part that must lie in the robot's log.
+/// Share of a part that must lie in the robot's log.
 const OVERLAP: f64 = 0.6;
-/// A jump is so many times larger than what the shifts of either side differ by.
+/// Smallest ratio of a step to the largest difference of neighbouring shifts on either side of it.
 const TIMES_SCATTER: f64 = 3.0;
 
-/// A part of the recording that matches by itself.
+/// A part of the recording that matches the robot's log.
 struct Part {
     samples: Range<usize>,
     /// First sample, bar time \[s\].
@@ -27,9 +27,9 @@ struct Part {
 }
 
 impl Search<'_> {
-    /// A clock that jumped, if parts of `window` match by themselves, at shifts that agree before and after some instant.
+    /// A clock step, if each part of `window` matches, at shifts that agree before and after some instant.
     ///
-    /// With another robot than the configured one parts match, too, at shifts that scatter; its angles fit on neither side.
+    /// If the robot is not the configured one parts match, too, but their shifts scatter and the angles fit on neither side.
     pub(in crate::prepare) fn jump_between_parts(
         &self,
         window: &Range<usize>,
@@ -68,7 +68,7 @@ impl Search<'_> {
         window.clone().step_by(length).filter_map(part).collect()
     }
 
-    /// The angles of a side fit at its own shift, as those of a run without jump do.
+    /// Whether the angles of a side fit at its shift, as those of a run without a step do.
     fn side_fits(&self, side: &[Part], step_s: f64) -> bool {
         let (Some(first), Some(last)) = (side.first(), side.last()) else { return false };
         let window = first.samples.start..last.samples.end;
@@ -80,7 +80,7 @@ impl Search<'_> {
     }
 }
 
-/// How far the shifts of neighbouring parts are apart at most \[s\].
+/// Largest difference of the shifts of neighbouring parts \[s\].
 fn scatter_s(side: &[Part]) -> f64 {
     side.windows(2).map(|pair| (pair[1].shift_s - pair[0].shift_s).abs()).fold(0.0, f64::max)
 }

@@ -1,4 +1,4 @@
-//! Where a tracker stands and its probe is, for a robot whose poses are known: what a solve begins with.
+//! Start values for the places of a tracker and its probe, for a robot whose poses are known.
 
 use std::collections::BTreeMap;
 
@@ -7,19 +7,19 @@ use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, SVector, Vector3};
 use crate::kinematics::Pose;
 use crate::model::{Placement, SetUp};
 
-/// The probe is expected within this of the flange \[m\]: decides only where the poses do not determine it.
+/// Standard deviation of the probe's distance from the flange \[m\]: it matters only if the poses do not determine the probe.
 pub const PROBE_SIGMA_M: f64 = 1.0;
-/// Rounds of the alternation; each at least halves what is left of the error.
+/// Rounds of the alternation; each at least halves the error.
 const ROUNDS: usize = 60;
 /// Positions that spread less than this part of their largest spread along the second axis lie on a line.
 const FLATNESS: f64 = 1e-6;
 
-/// Where tracker and probe are if the robot is as `flanges` says, without a first guess; `seen_m` is the probe in the tracker's
-/// frame at each, `turns` its `tracker_from_probe`, where that was measured. None where the positions lie on a line.
+/// Places of tracker and probe for a robot at the poses `flanges`, without a first guess; `seen_m` is the probe in the tracker's
+/// frame at each, `turns` its `tracker_from_probe`, where that was measured. `None` if the positions lie on a line.
 ///
 /// `T s_k = p_k + R_k y`, alternating: for a known probe `y` the tracker's place `T` is the rigid motion between two
 /// clouds of points (Umeyama 1991), for a known `T` the probe is linear. It needs no turns between the poses, where
-/// closed forms for `A X = Z B` need turns about two axes; the probe's rotation is the mean of what each pose says.
+/// closed forms for `A X = Z B` need turns about two axes; the probe's rotation is the mean over all poses.
 pub fn placements(
     flanges: &[Pose],
     seen_m: &[Vector3<f64>],
@@ -40,27 +40,27 @@ pub fn placements(
     Some([Placement::of(&place), Placement::of(&probe)])
 }
 
-/// How the probe is turned on the flange: the mean of what poses of the robot, places of the tracker and `tracker_from_probe` say.
+/// Rotation of the probe on the flange: the mean over poses of the robot, places of the tracker and `tracker_from_probe`.
 fn mean_turn<'a>(seen: impl Iterator<Item = (&'a Pose, &'a Pose, Rotation3<f64>)>) -> Rotation3<f64> {
     let turns =
         seen.map(|(flange, place, turn)| *(flange.rotation.inverse() * place.rotation * turn).matrix());
     nearest_rotation(&turns.sum())
 }
 
-/// What a tracker saw at a pose of the robot.
+/// A target measured by a tracker at a pose of the robot.
 #[derive(Debug, Clone, Copy)]
 pub struct Sighted {
-    /// Of the robot, as it is believed to be.
+    /// Pose of the flange, from the robot's assumed geometry.
     pub flange: Pose,
-    /// Of the target, in the tracker's frame \[m\].
+    /// Position of the target in the tracker's frame \[m\].
     pub seen_m: Vector3<f64>,
     /// `tracker_from_probe`, where that was measured.
     pub turn: Option<Rotation3<f64>>,
-    /// From where which target was seen.
+    /// Station of the tracker and target.
     pub set_up: SetUp,
 }
 
-/// Where stations of a tracker and targets are, by their numbers: those that have rows.
+/// Places of the stations and targets that have rows, by their numbers.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Placements {
     /// `root_from_tracker` of each station.
@@ -70,7 +70,7 @@ pub struct Placements {
 }
 
 /// [`placements`] of all stations and targets. Rows of one set-up begin; each target then follows from the stations that are
-/// known, each station from the targets. None where the rows of a station lie on a line.
+/// known, each station from the targets. `None` if the rows of a station lie on a line.
 pub fn all_placements(rows: &[Sighted]) -> Option<Placements> {
     let mut open: BTreeMap<SetUp, Vec<Sighted>> = BTreeMap::new();
     rows.iter().for_each(|row| open.entry(row.set_up).or_default().push(*row));
@@ -106,7 +106,7 @@ pub fn all_placements(rows: &[Sighted]) -> Option<Placements> {
     Some(Placements { places: all(places), probes: all(probes) })
 }
 
-/// `flange_from_probe` of a target in rows from known places of the tracker: the mean of what they say.
+/// `flange_from_probe` of a target in rows from known places of the tracker: the mean over the rows.
 fn probe(rows: &[(Sighted, Pose)]) -> Pose {
     let at_m = |(row, place): &(Sighted, Pose)| {
         row.flange.inverse_transform_point(&place.transform_point(&row.seen_m.into())).coords
@@ -116,7 +116,7 @@ fn probe(rows: &[(Sighted, Pose)]) -> Pose {
     Pose::from_parts(mean(&at_m).into(), mean_turn(turns))
 }
 
-/// `root_from_tracker` of a station in rows with where the robot holds the target.
+/// `root_from_tracker` of a station, from rows with the pose of the target in the robot's frame.
 fn place(rows: &[(Sighted, Pose)]) -> Option<Pose> {
     let seen_m: Vec<Vector3<f64>> = rows.iter().map(|(row, _)| row.seen_m).collect();
     let held_m: Vec<Vector3<f64>> = rows.iter().map(|(_, held)| held.translation.vector).collect();

@@ -1,4 +1,4 @@
-//! What the bar's joints should be, from the robot's log and nominal geometry.
+//! Bar joints predicted from the robot's log and nominal geometry.
 
 use nalgebra::{Translation3, Vector3};
 
@@ -8,7 +8,7 @@ use crate::kinematics::{
 };
 use crate::logs::CubicSpline;
 
-/// The bar at one instant as the robot's log has it.
+/// The bar at one instant, predicted from the robot's log.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PredictedBar {
     /// Joints in the first configuration, each in (-pi, pi] \[rad\]; [`Configuration::carry`] gives the others.
@@ -34,7 +34,7 @@ impl<'a> Predictor<'a> {
     /// Predicts from `log` with the nominal chains, the bar standing upright at `base_m`.
     ///
     /// # Errors
-    /// [`InverseError`] where `bar` has not the structure of a ball-bar.
+    /// [`InverseError`] if `bar` does not have the structure of a ball-bar.
     pub fn new(
         log: &'a CubicSpline<Joints>,
         robot: &Chain,
@@ -47,12 +47,12 @@ impl<'a> Predictor<'a> {
         Ok(Self { log, robot: Tracer::new(robot), bar })
     }
 
-    /// Where the bar stands \[m\].
+    /// Position of the bar's base \[m\].
     pub fn base_m(&self) -> Vector3<f64> {
         self.bar.root_from_base.translation.vector
     }
 
-    /// The bar at `tau_s` after the log's first stamp; none where the log says nothing.
+    /// The bar at `tau_s` after the log's first stamp; `None` outside the log.
     pub fn at(&self, tau_s: f64) -> Option<PredictedBar> {
         let joints = self.log.at(tau_s)?;
         let mut trace = Trace::default();

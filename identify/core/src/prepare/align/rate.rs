@@ -1,6 +1,6 @@
 //! The rate of one clock against another, from parts of a run that are matched one by one.
 //!
-//! Over a part of some seconds no two clocks drift apart. Over the run the shifts of its parts lie on a line whose slope is the
+//! Over a part of some seconds two clocks do not drift apart measurably. Over the run the shifts of its parts lie on a line whose slope is the
 //! rate. A part alone may match in several places, all parts together in one: the correlations are summed along lines
 //! ("slant stack") before any peak is chosen. A clock that was set in the middle of the run is another explanation of shifts that
 //! differ: two levels instead of a slope. The one that leaves smaller squares is taken.
@@ -14,7 +14,7 @@ use crate::threads::each;
 
 /// Clocks of controllers and instruments differ by less than this; quartz by a hundredth of it.
 const RATE_MAX: f64 = 0.0105;
-/// Shifts that differ by less are bridged by the fit of the angles \[s\]: a joint turns by 6 mrad in it.
+/// The fit of the angles corrects smaller differences of shifts \[s\]: a joint turns by 6 mrad in this time.
 const BRIDGED_S: f64 = 0.02;
 /// Step of the grid on which parts are matched \[s\]; peaks are found between its points.
 const STEP_S: f64 = 0.05;
@@ -22,7 +22,7 @@ const STEP_S: f64 = 0.05;
 const PART_S: f64 = 20.0;
 /// Parts of a short run, and of a long one.
 const PARTS: [usize; 2] = [6, 16];
-/// Part of a part that must lie in the other log.
+/// Share of a part that must lie in the other log.
 const OVERLAP: f64 = 0.6;
 /// A peak of a part belongs to the line if it is so near, in grid steps.
 const NEAR: i64 = 2;

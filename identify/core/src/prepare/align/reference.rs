@@ -11,11 +11,11 @@ use crate::prepare::Alignment;
 pub(in crate::prepare) struct Reference {
     /// Times since the other log's first sample between which both logs have values \[s\].
     overlap_s: [f64; 2],
-    /// The middle of it \[s\]...
+    /// Reference time since the other log's first sample \[s\].
     pub t_ref_s: f64,
-    /// ...on the other log's clock.
+    /// Reference time on the other log's clock.
     pub t_ref: UtcNs,
-    /// The clock for times since then.
+    /// The clock for times since the reference time.
     pub clock: Clock,
 }
 

@@ -1,9 +1,8 @@
 //! Clocks, base and offsets from the angles: finer than the correlation of speeds, and right for runs of hours.
 //!
-//! The residual is what the encoders say less what the robot's pose implies, joint by joint. Nominal geometry is wrong by
-//! millimetres, which would blur everything that is looked for here: the shift, the offsets of a new origin, a slipped
-//! encoder. So all numbers of both chains may move within their tolerances (priors) in the same fit. It is no calibration:
-//! its geometry is thrown away once the samples have been judged by it.
+//! The residual is the encoder angle minus the angle that the robot's pose implies, joint by joint. Nominal geometry is wrong by
+//! millimetres, which would hide the shift, the offsets of a new origin, or a slipped encoder. So all numbers of both chains may
+//! move within their tolerances (priors) in the same fit. The geometry of this fit is used only to classify the samples.
 
 use std::sync::Arc;
 
@@ -22,46 +21,46 @@ use crate::prepare::samples::angle_errors::AngleErrors;
 use crate::solver::{GoodShare, Linearisation, Loss, Options, Prior, Problem, Schedule, Summary, minimise};
 use crate::threads::rows;
 
-/// How far the numbers of the nominal chains are expected to be off, one standard deviation \[m, rad\].
+/// Standard deviation of the numbers of the nominal chains \[m, rad\].
 const CHAIN_SIGMA: f64 = 2e-3;
-/// The sphere through the robot's positions gives the base this well \[m\].
+/// Standard deviation of the base from the sphere through the robot's positions \[m\].
 const BASE_SIGMA_M: f64 = 0.01;
-/// Bases stand level by this much \[rad\].
+/// Standard deviation of the tilt of a base \[rad\].
 const TILT_SIGMA_RAD: f64 = 0.01;
-/// Errors of the encoders that repeat with each turn \[rad\].
+/// Standard deviation of the harmonics of the encoders \[rad\].
 const HARMONIC_SIGMA_RAD: f64 = 50e-6;
-/// Offsets are found on nominal geometry this well \[rad\].
-const ZERO_SIGMA_RAD: f64 = 0.05;
-/// Wide enough at first that nearly all samples pull; where that ends between two sides of a clock that jumps, a narrower
-/// loss finds the larger side. Rounds enough from a radian to a microradian.
+/// Standard deviation of offsets found on nominal geometry \[rad\].
+const OFFSET_SIGMA_RAD: f64 = 0.05;
+/// Wide at first, so that nearly all samples have weight; if that converges between the two sides of a clock step, a narrower
+/// loss finds the larger side. The number of rounds suffices from a radian to a microradian.
 const SCHEDULE: Schedule = Schedule {
     good: [GoodShare::NINE_TENTHS, GoodShare::HALF],
     narrowing: 0.5,
     sharper: Some(0.8),
     rounds_max: 30,
 };
-/// A round ends where the cost falls by less than this part: what it leaves the next one takes.
+/// A round ends if the cost falls by less than this part; the next one continues from there.
 const ROUND_TOLERANCE: f64 = 1e-3;
-/// The last one ends where what is left to gain moves no parameter by a tenth of its standard deviation: the cost of some
-/// thousand samples is some thousand.
+/// The last round ends if the remaining gain moves no parameter by a tenth of its standard deviation: the cost of some thousand
+/// samples is some thousand.
 const LAST_TOLERANCE: f64 = 1e-6;
-/// Residuals below this are rounding \[rad\].
+/// Smaller residuals are rounding \[rad\].
 const SIGMA_MIN_RAD: f64 = 1e-7;
 
-/// What relates the two logs.
+/// Clock, geometry and offsets that fit the two logs.
 #[derive(Debug, Clone, PartialEq)]
 pub(in crate::prepare) struct Fit {
     /// The clocks, for bar times as the samples had them.
     pub clock: Clock,
-    /// Both chains and the base, so that the angles fit.
+    /// Both chains and the base of the fit.
     pub geometry: Geometry,
     /// To be added to the offsets, by origin \[rad\].
     pub offsets_by_rad: Vec<[f64; BAR_JOINTS]>,
     /// Standard deviation of an angle's residual, from the median \[rad\].
     pub sigma_rad: f64,
-    /// The same from nine tenths of the samples: where more than a tenth do not fit, it shows them \[rad\].
+    /// The same from nine tenths of the samples: larger if more than a tenth do not fit \[rad\].
     pub sigma_of_most_rad: f64,
-    /// Whether the fit ended at a minimum: only then what it leaves says something about the run.
+    /// Whether the fit ended at a minimum: only then its residuals are evidence about the run.
     pub converged: bool,
 }
 
@@ -71,7 +70,7 @@ struct ImpliedAngles {
     measured: [bool; BAR_JOINTS],
 }
 
-/// What the robot's pose implies at a sample.
+/// The bar that the robot's pose implies at a sample.
 struct Implied {
     bar: ImpliedBar,
     /// Weight of each joint.
@@ -137,7 +136,7 @@ impl Residual for ImpliedAngles {
     }
 }
 
-/// Expected deviation from where a parameter starts; none for those that stay.
+/// Standard deviation of a parameter from its start value; `None` for fixed ones.
 fn role(id: ParameterId) -> Option<f64> {
     match id {
         // A link's theta is the same as the encoder's offset, which has its own column.
@@ -154,7 +153,7 @@ fn role(id: ParameterId) -> Option<f64> {
 }
 
 /// The closed chain by its angles, with a column for each encoder's offset in each origin.
-struct WithZeros<'a> {
+struct WithOffsets<'a> {
     chain: LoopProblem<'a, ImpliedAngles, AlignedLog>,
     residual: ImpliedAngles,
     observations: &'a [Observation],
@@ -164,7 +163,7 @@ struct WithZeros<'a> {
     priors: Vec<Prior>,
 }
 
-impl Problem for WithZeros<'_> {
+impl Problem for WithOffsets<'_> {
     fn columns(&self) -> usize {
         self.chain_columns + self.origin_count * BAR_JOINTS
     }
@@ -215,7 +214,7 @@ impl Problem for WithZeros<'_> {
 /// Fits clocks, base, offsets and, within their tolerances, all numbers of the chains to `samples`.
 ///
 /// `coarse` relates the clocks for the samples' times; the bar stands upright at `base_m` so far, or as in an earlier fit from
-/// which this one starts. None where the samples determine nothing.
+/// which this one starts. `None` if the samples do not determine the fit.
 pub(in crate::prepare) fn refine(
     log: &Arc<CubicSpline<Joints>>,
     [robot, bar]: [&Chain; 2],
@@ -247,7 +246,7 @@ pub(in crate::prepare) fn refine(
         spread_rad(&model, &motion, &observations, residual, x, good).max(SIGMA_MIN_RAD)
     };
     let solve = |x: &[f64], sigma_rad: f64, cost_tolerance: f64| -> Option<(Vec<f64>, Summary)> {
-        let problem = WithZeros {
+        let problem = WithOffsets {
             chain: LoopProblem::new(&model, &motion, &observations, residual, sigma_rad).ok()?,
             residual,
             observations: &observations,
@@ -294,7 +293,7 @@ fn priors(model: &Model, origin_count: usize) -> Vec<Prior> {
     let offsets = (0..origin_count * BAR_JOINTS).map(|offset| Prior {
         column: first + offset,
         value: 0.0,
-        sigma: ZERO_SIGMA_RAD,
+        sigma: OFFSET_SIGMA_RAD,
     });
     model.priors().into_iter().chain(offsets).collect()
 }
@@ -355,7 +354,7 @@ impl<'a> Residuals<'a> {
         Self { motion, robot_tracer, bar_tracer, bar, geometry, measured }
     }
 
-    /// A sample with its errors weighed; none where they say nothing.
+    /// Weighted errors of a sample; `None` outside the robot's log or at a singular pose.
     pub fn of_sample(
         &self,
         sample: usize,
@@ -377,12 +376,12 @@ impl<'a> Residuals<'a> {
         })
     }
 
-    /// The robot's log says something at bar time `t_s`.
+    /// Whether the robot's log has values at bar time `t_s`.
     pub fn covers(&self, t_s: f64) -> bool {
         self.motion.at(self.geometry.clock.robot_time_s(t_s)).is_some()
     }
 
-    /// None where the robot's log says nothing, or at a singular pose.
+    /// `None` outside the robot's log, or at a singular pose.
     pub fn errors(&self, t_s: f64, bar_rad: &[f64; BAR_JOINTS]) -> Option<Errors> {
         let state = self.motion.at(self.geometry.clock.robot_time_s(t_s))?;
         let mut robot = Trace::default();

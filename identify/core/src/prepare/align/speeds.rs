@@ -1,4 +1,4 @@
-//! Speeds on a uniform grid, without signs or directions: what two logs can be compared by before anything is known.
+//! Unsigned speeds on a uniform grid, by which two logs can be compared before offsets, signs and joints are known.
 
 use super::predict::Predictor;
 use crate::kinematics::{BAR_JOINTS, wrapped};
@@ -8,14 +8,14 @@ use crate::threads::rows;
 
 /// Finest step of the grid \[s\].
 const STEP_S: f64 = 0.01;
-/// Grid points that the robot's log takes at most.
+/// Largest number of grid points of the robot's log.
 const GRID_MAX: f64 = 1e6;
 /// Speeds are differences over this many steps to either side: noise of the readings is divided by their time.
 pub(in crate::prepare) const REACH: usize = 2;
-/// Faster than a bar ever turns \[rad/s\]: a jump of the counters or of the robot's log.
+/// No bar turns faster \[rad/s\]: a higher speed is a jump of the counters or of the robot's log.
 const SPEED_RAD_S_MAX: f64 = 4.0;
 
-/// Angle at each grid point, or none where it is not known.
+/// Angles at each grid point; `None` where they are not known.
 type Angles = Vec<Option<[f64; BAR_JOINTS]>>;
 
 /// Measured speeds of `joints` (from 0), from the first reading on, every `step_s` of a clock that is faster by `rate`.
@@ -62,8 +62,8 @@ fn of_joints(angles: &Angles, joints: &[usize], step_s: f64) -> Channels {
     speeds(angles, joints.len(), REACH, step_s, SPEED_RAD_S_MAX, apart)
 }
 
-/// Speeds of points on a grid, in so many channels, from `reach` steps before to as many after: `apart` says how far two points
-/// are in each. Unknown where a point is, or a speed is more than `most`.
+/// Speeds of points on a grid, in a number of channels, from `reach` steps before to as many after; `apart` is the distance of two
+/// points in a channel. A speed is unknown if one of its points is, or if it is more than `most`.
 pub(in crate::prepare) fn speeds<T>(
     points: &[Option<T>],
     channels: usize,

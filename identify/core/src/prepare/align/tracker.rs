@@ -1,9 +1,9 @@
-//! A tracker's log and the robot's, each on its own clock, brought together: by the speed of the target, which knows no place of
-//! tracker or target, then by its positions, placed on the nominal robot.
+//! Aligns a tracker's log with the robot's, each on its own clock: first by the speed of the target, which does not depend on the
+//! places of tracker and target, then by its positions on the nominal robot.
 //!
-//! Of a robot that moved shift and rate of the clocks follow, as a start for a solve that has them among its parameters. Of one
-//! that stood still at each row (rows are seconds apart) only which standstill is whose: the clocks are then known as well as that
-//! needs, and rows get the joints that the robot had there.
+//! If the robot moved, shift and rate of the clocks are start values of a solve that has them among its parameters. If it stood
+//! still at each row (rows are seconds apart), the alignment finds the standstill of each row, and rows get the joints of the robot
+//! there.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -35,17 +35,17 @@ use crate::solver::{GoodShare, LossName, Options, minimise_robust};
 /// Rows further apart are taken at standstills \[s\]: a tracker that follows a moving target measures faster than once in this
 /// time, and waits longer for one that has to come to rest.
 const STANDING_S: f64 = 0.5;
-/// Positions that spread by less say nothing of a robot's motion \[m\].
+/// Positions that spread by less do not determine a motion \[m\].
 const EXTENT_M_MIN: f64 = 0.02;
-/// Rows of a fit at most.
+/// Largest number of rows of a fit.
 const FIT_MAX: usize = 500;
-/// Where the nominal robot is, one standard deviation \[m\]: the unit in which priors count.
+/// Standard deviation of the nominal robot's position \[m\]: the unit of the residuals.
 const NOMINAL_SIGMA_M: f64 = 1e-3;
-/// A robot that moved less over this time to either side of a row stood still \[s\].
+/// Time to either side of a row over which a robot at rest is slower than [`MOVING_RAD_S`] \[s\].
 const REST_S: f64 = 0.05;
-/// Part of the rows of standstills at which the robot must have stood.
+/// Share of the rows of standstills at which the robot must have been at rest.
 const AT_REST_MIN: f64 = 0.9;
-/// Rates of clocks that are tried on standstills, to twice what clocks differ by either way: the step moves rows an hour from the
+/// Rates of clocks that are tried on standstills, up to two standard deviations either way: one step moves rows an hour from the
 /// middle by less than a robot rests.
 const SKEW_STEP: f64 = 0.1 * SKEW_SIGMA;
 const SKEW_STEPS: i64 = 20;
@@ -53,15 +53,15 @@ const SKEW_STEPS: i64 = 20;
 /// Rows of a tracker with the robot at each.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AlignedPoses {
-    /// Rows that are used, by their place among all.
+    /// Indices of the rows that are used.
     pub rows: Vec<usize>,
-    /// What the robot reports at each, as far as the alignment knows.
+    /// State of the robot at each, by the alignment.
     pub states: Vec<JointState>,
-    /// Of a robot that moved: the times of the rows, and its log.
+    /// Times of the rows, and the log, of a robot that moved.
     pub moving: Option<Moving>,
-    /// How the clocks were brought together; where the robot stood the skew is known as well as standstills say.
+    /// How the clocks were aligned; if the robot stood still at each row, the skew is only as certain as the standstills.
     pub alignment: Alignment,
-    /// Its reference time on the tracker's clock.
+    /// Reference time of the alignment on the tracker's clock.
     pub t_ref: UtcNs,
     /// Rows outside the robot's log, or measured while a robot moved that otherwise stood.
     pub left_out: usize,
@@ -72,16 +72,16 @@ pub struct AlignedPoses {
 pub struct Moving {
     /// Tracker's time of each row since the middle of the overlap \[s\].
     pub t_s: Vec<f64>,
-    /// The robot's log; its time is zero there too, as far as the alignment knows.
+    /// The robot's log; by the alignment its time is zero there, too.
     pub log: AlignedLog,
-    /// How much faster the robot's clock runs.
+    /// Relative rate of the robot's clock minus one.
     pub skew: f64,
 }
 
-/// Brings a tracker's rows and the robot's log together; `robot` is the nominal one, up to its flange.
+/// Aligns a tracker's rows with the robot's log; `robot` is the nominal one, up to its flange.
 ///
 /// # Errors
-/// [`PrepareError`] says what does not match, with its figures.
+/// [`PrepareError`] with what does not match and its figures.
 pub fn align_poses(
     poses: &TimedPoses,
     log: &RobotLog,
@@ -147,7 +147,7 @@ pub fn align_poses(
     })
 }
 
-/// The target that was seen most often, from the station from which it was, in the tracker's frame \[m\]: its motion has the clocks
+/// Positions of the pair of station and target with the most rows, in the tracker's frame \[m\]: their motion determines the clocks
 /// of all rows.
 fn longest_view_m(rows: &Stream<TimedPose>) -> Stream<Vector3<f64>> {
     let mut counts: BTreeMap<(usize, usize), usize> = BTreeMap::new();
@@ -162,7 +162,7 @@ fn longest_view_m(rows: &Stream<TimedPose>) -> Stream<Vector3<f64>> {
     Stream::new(seen_m.first_stamp_ns, seen_m.t_s, seen_m.rows)
 }
 
-/// Where in the robot's log the tracker's lies.
+/// A tracker's log and the robot's log in which it is searched for.
 struct Search<'a> {
     /// One target in the tracker's frame, from one station \[m\].
     seen_m: Stream<Vector3<f64>>,
@@ -176,12 +176,12 @@ struct Search<'a> {
     options: &'a PrepareOptions,
 }
 
-/// Clocks and target that bring the rows to the nominal robot.
+/// Clock and target that fit the rows to the nominal robot.
 struct Fit {
     clock: Clock,
     /// The target in the flange frame \[m\].
     probe_m: Vector3<f64>,
-    /// What nine tenths of the rows stay from it, one standard deviation of a coordinate \[m\].
+    /// Standard deviation of a coordinate from nine tenths of the rows \[m\].
     spread_m: f64,
 }
 
@@ -228,7 +228,7 @@ impl Search<'_> {
         };
         let mut matching: Vec<(Match, Fit)> = Vec::new();
         for fit in fits {
-            // With the target where the fit puts it the speeds are those of the target.
+            // The speeds of the target, at the place that the fit found.
             let of_target = if self.stands() {
                 self.of_chords(window, &fit)
             } else {
@@ -254,7 +254,7 @@ impl Search<'_> {
         times_s.last().zip(times_s.first()).map_or(0.0, |(last, first)| last - first)
     }
 
-    /// Each row was measured while the robot stood still.
+    /// Whether each row was measured at a standstill of the robot.
     fn stands(&self) -> bool {
         self.period_s > STANDING_S
     }
@@ -284,7 +284,7 @@ impl Search<'_> {
         Channels { known: vec![true; steps], values: vec![(0..steps).map(mean).collect()] }
     }
 
-    /// What the nominal robot does with a target there, from the first stamp of its log on.
+    /// Speed of a target on the nominal robot, from the first stamp of its log on.
     fn predicted(&self, probe_m: &Vector3<f64>) -> Channels {
         let steps = (self.log_s / self.step_s) as usize + 1;
         let points: Vec<Option<Vector3<f64>>> =
@@ -299,7 +299,7 @@ impl Search<'_> {
         speeds(points_m, 1, reach, self.step_s, SPEED_M_S_MAX, apart_m)
     }
 
-    /// Where the nominal robot holds the target \[m\]; none outside its log.
+    /// Position of the target on the nominal robot \[m\]; `None` outside its log.
     fn held_m(&self, tau_s: f64, probe_m: &Vector3<f64>) -> Option<Vector3<f64>> {
         Some(self.flange(tau_s)?.transform_point(&(*probe_m).into()).coords)
     }
@@ -318,7 +318,7 @@ impl Search<'_> {
         select(&points, 0.0, FIT_MAX).into_iter().map(|place| rows[place]).collect()
     }
 
-    /// Clocks, place and target from a coarse shift on; none where the rows determine nothing.
+    /// Clock, station and target, starting from a coarse shift; `None` if the rows do not determine them.
     fn fit(&self, window: &Range<usize>, coarse: Clock) -> Option<Fit> {
         let rows = self.fitting(window, coarse);
         // Times about their middle: shift and skew are then nearly independent.
@@ -375,14 +375,14 @@ impl Search<'_> {
         (0..steps).map(rests).collect()
     }
 
-    /// None outside the robot's log.
+    /// Whether the robot is at rest at a time of its log; `None` outside the log.
     fn rests_at(&self, resting: &[bool], tau_s: f64) -> Option<bool> {
         let place = (tau_s / self.step_s).round() as usize;
         resting.get(place).copied().filter(|_| tau_s >= 0.0)
     }
 
-    /// Clocks near a coarse shift at which the robot stands in most of the rows, each in the middle of those that are alike. Of the
-    /// rates by which clocks differ the one at which most rows stay in standstills for most shifts.
+    /// Clocks near a coarse shift at which the robot is at rest in most of the rows: the middle of each range of such shifts, at the
+    /// rate at which most rows are in standstills for most shifts.
     fn standstills(&self, window: &Range<usize>, coarse: Clock) -> Vec<Clock> {
         let resting = self.resting();
         let times_s = self.seen_m.t_s.get(window.clone()).unwrap_or_default();
@@ -407,7 +407,7 @@ impl Search<'_> {
             let all: Vec<(i64, usize)> = (-reach..=reach).filter_map(standing).collect();
             (all.iter().map(|(_, at_rest)| at_rest).sum::<usize>(), skew, all)
         };
-        // The first of those that are as good is the one nearest to clocks that run alike.
+        // Of equally good rates the one nearest to zero is the first.
         let rates = (0..=SKEW_STEPS).flat_map(|place| [place, -place]);
         let mut best = (0, 0.0, Vec::new());
         for other in rates.map(with_rate) {
@@ -420,7 +420,7 @@ impl Search<'_> {
         all.chunk_by(|a, b| b.0 - a.0 == 1).filter_map(middle).collect()
     }
 
-    /// Place and target where the robot stands; the clock stays.
+    /// Station and target from rows at standstills; the clock is fixed.
     fn standing_fit(&self, window: &Range<usize>, clock: Clock) -> Option<Fit> {
         let of_row =
             |row: usize| Some((self.flange(clock.robot_time_s(self.seen_m.t_s[row]))?, self.seen_m[row]));
@@ -434,7 +434,7 @@ impl Search<'_> {
         Some(Fit { clock, probe_m, spread_m: GoodShare::NINE_TENTHS.spread(apart) })
     }
 
-    /// How alike the ways from row to row are, measured and predicted.
+    /// Match of the measured and predicted distances from row to row.
     fn of_chords(&self, window: &Range<usize>, fit: &Fit) -> Option<Match> {
         let of_row = |row: usize| {
             Some((self.held_m(fit.clock.robot_time_s(self.seen_m.t_s[row]), &fit.probe_m)?, self.seen_m[row]))
@@ -444,7 +444,7 @@ impl Search<'_> {
             let lengths: Vec<f64> = points_m.windows(2).map(|pair| (pair[1] - pair[0]).norm()).collect();
             Channels { known: vec![true; lengths.len()], values: vec![lengths] }
         };
-        // Only without a shift do all of them overlap.
+        // All of them overlap only without a shift.
         let found = correlate(&chords(&held_m), &chords(&seen_m), held_m.len().checked_sub(1)?)?;
         let covered_s = held_m.len() as f64 / window.len().max(1) as f64 * self.duration_s(window);
         Some(Match { overlap: (covered_s / self.step_s) as usize, ..found })

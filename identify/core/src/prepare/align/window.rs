@@ -49,8 +49,8 @@ pub(in crate::prepare) struct Best<F> {
     pub fit: F,
 }
 
-/// Of fits at several shifts that one with small residuals whose logs overlap longest: where several fit equally well the motion
-/// repeats, and the longest overlap is the most likely. `are_apart` tells whether two fits have different shifts.
+/// Among the fits with the smallest residuals the one whose logs overlap longest: if several fit equally well the motion
+/// repeats, and the longest overlap is the most likely. `are_apart` is true for two fits with different shifts.
 pub(in crate::prepare) fn best<F>(
     mut fits: Vec<(Match, F)>,
     spread: impl Fn(&F) -> f64,
@@ -68,7 +68,7 @@ pub(in crate::prepare) fn best<F>(
 /// enough for an hour.
 ///
 /// # Errors
-/// [`PrepareError::NothingToFit`] where `refit` finds nothing.
+/// [`PrepareError::NothingToFit`] if `refit` returns `None`.
 pub(in crate::prepare) fn extended<F>(
     t_s: &[f64],
     mut window: Range<usize>,

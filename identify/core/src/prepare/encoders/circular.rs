@@ -1,4 +1,4 @@
-//! Statistics of angles that outliers do not touch.
+//! Robust statistics of angles.
 
 use crate::kinematics::wrapped;
 use crate::statistics::median;
@@ -6,7 +6,7 @@ use crate::statistics::median;
 /// A median deviation times this is the standard deviation of normal numbers.
 const NORMAL: f64 = 1.4826;
 
-/// Median on the circle, about the mean direction \[rad\]; 0 where there is nothing.
+/// Median on the circle, about the mean direction \[rad\]; 0 of no angles.
 pub(in crate::prepare) fn circular_median(angles_rad: &[f64]) -> f64 {
     let (sin, cos) = angles_rad.iter().fold((0.0, 0.0), |(s, c), angle| (s + angle.sin(), c + angle.cos()));
     let mean = sin.atan2(cos);

@@ -5,10 +5,10 @@
 //! orders and directions fit, and all of them are reported.
 //!
 //! One thing no data can determine: an encoder on joint 2 (or 4) that counts the other way is the same as the gimbal (the
-//! cardan) in its other configuration. Both describe the same robot, so the recorded direction stands there.
+//! cardan) in its other configuration. Both describe the same robot, so the recorded direction is kept there.
 //!
 //! Another it cannot determine either: encoders on joints 1, 3 and 5 that all count the other way see the mirror image of the
-//! robot. Where only that fits, encoders and robot log contradict each other and one of them is wrong; which one is asked.
+//! robot. If only that fits, encoders and robot log contradict each other, and the user must state which of them is wrong.
 
 use std::fmt;
 use std::str::FromStr;
@@ -19,14 +19,14 @@ use super::circular::{deviations, spread_of};
 use crate::kinematics::BAR_JOINTS;
 use crate::prepare::{PrepareError, PrepareOptions};
 
-/// What to do about order and directions of the encoders.
+/// How order and directions of the encoders are determined.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", expecting = "\"find\", \"recorded\" or a list such as [1, 2, -3, 5, 4]")]
 pub enum EncoderMapChoice {
-    /// Take those that the recording states if they fit, else those that do, and say so.
+    /// Take those that the recording states if they fit, otherwise those that do, with a remark.
     #[default]
     Find,
-    /// Refuse where others fit better than what the recording states.
+    /// Refuse the run if others fit better than those that the recording states.
     Recorded,
     /// For each encoder in the order of the recording: its bar joint, negative where it counts the other way than the
     /// recording states. Not checked against others.
@@ -159,11 +159,11 @@ pub struct AnglePair {
     pub predicted_rad: [f64; BAR_JOINTS],
 }
 
-/// Spreads this much larger than the best are no longer as good.
+/// Maps within this factor of the smallest spread are equally good.
 const CLEARLY_WORSE: f64 = 3.0;
-/// Segments with fewer pairs say little about which joint is which.
+/// Segments with fewer pairs hardly distinguish joints.
 const PAIRS_MIN: usize = 30;
-/// Fits that are reported at most.
+/// Largest number of reported fits.
 const REPORTED_MAX: usize = 8;
 
 /// Finds or checks order and directions of the encoders on `recorded_joints` (1 to 5).
@@ -209,11 +209,11 @@ pub fn find_encoder_map(
             });
         }
         (false, _) => {
-            let told = |encoder_map: &EncoderMap| {
+            let option = |encoder_map: &EncoderMap| {
                 format!("\n  --encoders {} for {encoder_map}", encoder_map.stated())
             };
             let equals: Vec<String> =
-                fitting.iter().filter(|encoder_map| as_good(encoder_map)).map(told).collect();
+                fitting.iter().filter(|encoder_map| as_good(encoder_map)).map(option).collect();
             if equals.len() > 1 {
                 return Err(PrepareError::AmbiguousEncoderMap { fits: equals.concat() });
             }
@@ -238,8 +238,8 @@ impl<'a> Table<'a> {
     fn new(pairs: &[AnglePair], recorded_joints: &'a [u8]) -> Self {
         let mut segments: Vec<&[AnglePair]> = pairs.chunk_by(|a, b| a.segment == b.segment).collect();
         segments.sort_by_key(|segment| std::cmp::Reverse(segment.len()));
-        let telling = segments.iter().take_while(|segment| segment.len() >= PAIRS_MIN).count();
-        segments.truncate(telling.max(1));
+        let long = segments.iter().take_while(|segment| segment.len() >= PAIRS_MIN).count();
+        segments.truncate(long.max(1));
         let scatter = |segment: &[AnglePair], recorded: usize, joint: usize, sign: f64| {
             let differences =
                 segment.iter().map(|pair| pair.predicted_rad[joint] - sign * pair.recorded_rad[recorded]);
@@ -253,7 +253,7 @@ impl<'a> Table<'a> {
             std::array::from_fn(|joint| {
                 let both = [1.0, -1.0];
                 if joint == 1 || joint == 3 {
-                    // On these the direction is a matter of the configuration, which may change between segments.
+                    // On these the direction depends on the configuration, which may change between segments.
                     let better = |segment: &[AnglePair]| {
                         let [one, other] = both.map(|sign| scatter(segment, recorded, joint, sign));
                         if spread_of(one.clone()) <= spread_of(other.clone()) { one } else { other }
@@ -299,7 +299,7 @@ impl<'a> Table<'a> {
         let places = joints.iter().enumerate().map(|(index, joint)| {
             let place = usize::from(joint.unsigned_abs()) - 1;
             let reversed = *joint < 0;
-            // On joints 2 and 4 the direction is a matter of the configuration.
+            // On joints 2 and 4 the direction depends on the configuration.
             EncoderPlace { reversed, ..self.place(index, place, reversed && place % 2 == 0) }
         });
         Ok(EncoderMap { encoders: places.collect() })

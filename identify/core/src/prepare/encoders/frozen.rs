@@ -1,4 +1,4 @@
-//! An encoder that says the same while the others move: no geometry fits it, and whatever is fitted blames another part.
+//! An encoder with constant readings while the others move: no geometry fits it, and a fit would blame another part.
 
 use crate::kinematics::BAR_JOINTS;
 use crate::logs::Stream;
@@ -6,11 +6,11 @@ use crate::prepare::{BarReading, PrepareError};
 
 /// Shorter ones are turning points \[s\].
 const FROZEN_S_MIN: f64 = 1.0;
-/// What never leaps, since the log ends, is dead only where it changes with so many of the other readings: a joint may stand through
-/// a whole motion, but not in this one then.
+/// Constant readings up to the end of the log have no leap behind them. The encoder is dead only if it changes in at least this share
+/// of the other readings: a joint that rests through a motion does not.
 const CHANGES_MIN: f64 = 0.9;
 
-/// The first encoder that is dead for a while.
+/// The first encoder that is constant for a while.
 pub(in crate::prepare) fn frozen(
     readings: &Stream<BarReading>,
     measured: &[bool; BAR_JOINTS],

@@ -1,4 +1,4 @@
-//! Which encoder of the bar sits where, which way it counts, and where its zero is.
+//! Joint, direction and offset of each encoder of the bar.
 
 pub(super) mod circular;
 pub(super) mod encoder_map;

@@ -16,25 +16,25 @@ pub struct OriginSpan {
     pub from_s: f64,
     /// Last sample \[s\].
     pub to_s: f64,
-    /// Valid samples.
+    /// Number of valid samples.
     pub samples: usize,
-    /// Offsets were found: otherwise the samples are not used.
+    /// Whether offsets were found: otherwise the samples are not used.
     pub used: bool,
     /// Added to the angles of this part so that they have the offsets of the longest one \[rad\].
     pub shift_rad: [f64; BAR_JOINTS],
     /// One standard deviation of each of `shift_rad`; 0 for the longest part \[rad\].
     pub sigma_rad: f64,
-    /// The counters went on from where they were: `shift_rad` is zero exactly.
+    /// The counters continued from their last counts: `shift_rad` is exactly zero.
     pub unchanged: bool,
     /// What [`Observation::origin`] calls the offsets of its samples.
     pub number: usize,
 }
 
-/// Neighbouring samples share the errors of gears and encoders: so many are worth one.
+/// Neighbouring samples share the errors of gears and encoders: this number of samples counts as one.
 const SAMPLES_ALIKE: f64 = 15.0;
-/// A difference within so many standard deviations is none.
+/// Differences within this number of standard deviations are not significant.
 const SIGMAS: f64 = 4.0;
-/// Differences of a terminal that starts anew are whole turns of chance: so small a one is no new origin \[rad\].
+/// A terminal that restarts has a random offset: smaller differences are not a new origin \[rad\].
 const UNCHANGED_RAD: f64 = 200e-6;
 
 /// Describes all origins and makes offsets that did not change the same. The first entry of the answer is the number of

@@ -21,7 +21,7 @@ pub(in crate::prepare) struct Offsets {
 /// Offsets of all origins.
 #[derive(Debug, Clone, PartialEq)]
 pub(in crate::prepare) struct OffsetFit {
-    /// By origin; none where too few pairs determine them.
+    /// By origin; `None` if it has too few pairs.
     by_origin: Vec<Option<Offsets>>,
     /// Configuration in the longest segment of all. Without encoder on joint 2 (or 4) both signs fit, and the positive
     /// one is named.
@@ -33,7 +33,7 @@ pub(in crate::prepare) struct OffsetFit {
 }
 
 impl OffsetFit {
-    /// Number of origins.
+    /// Number of the counters' origins.
     pub fn origins(&self) -> usize {
         self.by_origin.len()
     }
@@ -57,7 +57,7 @@ impl OffsetFit {
     }
 }
 
-/// Fewest pairs that the offsets of an origin are taken from.
+/// Smallest number of pairs that determine the offsets of an origin.
 const PAIRS_MIN: usize = 10;
 
 /// Finds offsets and configurations. Segments in which the median angle is off by more than `limit_rad` are left out.

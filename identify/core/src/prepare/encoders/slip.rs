@@ -1,13 +1,13 @@
-//! An encoder that slipped so far that it fits nowhere: told before anything is fitted, or the refusal would blame the encoder map.
-//! Smaller slips are found against the fitted geometry (`judge`).
+//! An encoder that slipped so far that it fits no joint. It is searched for before any fit, or the refusal would blame the encoder
+//! map. Smaller slips are found against the fitted geometry (`calibrate::change`).
 
 use super::circular::{circular_median, deviations, spread_of};
 use crate::kinematics::{BAR_JOINTS, wrapped};
 use crate::prepare::{AnglePair, PrepareError, PrepareOptions};
 
-/// Pairs to either side of a slip.
+/// Smallest number of pairs on either side of a slip.
 const PAIRS_MIN: usize = 30;
-/// Before and after a slip the angles fit so much better than the limit.
+/// Before and after a slip the angles are within this part of the limit.
 const CLEARLY_WITHIN: f64 = 0.5;
 
 /// One encoder in one segment of the run.

@@ -1,4 +1,4 @@
-//! What the moving average did to both logs, for reports.
+//! Effect of the moving average on both logs, for reports.
 
 use std::borrow::Cow;
 
@@ -11,12 +11,12 @@ use crate::kinematics::BAR_JOINTS;
 use crate::logs::{RobotLog, Row, Stream};
 use crate::prepare::encoders::encoder_map::EncoderMap;
 
-/// A picture spans so many widths of the average to either side...
+/// Part of the log that a picture shows on either side, in widths of the average.
 const WIDTHS_ASIDE: f64 = 5.0;
-/// ...and at least this long \[s\].
+/// Shortest such part \[s\].
 const ASIDE_S_MIN: f64 = 1.0;
 
-/// What became of one reading.
+/// A reading and its average.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct AveragedPoint {
     /// Bar time since [`crate::prepare::Prepared::t_ref`] \[s\].
@@ -29,10 +29,10 @@ pub struct AveragedPoint {
     pub removed_rad: f64,
 }
 
-/// What the average took from the joints of one log.
+/// Effect of the average on the joints of one log.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct AveragedJoints {
-    /// Root mean square of reading minus average of each joint, where robot and bar stand still: noise \[rad\]. None without
+    /// Root mean square of reading minus average of each joint at standstills of robot and bar: noise \[rad\]. `None` without
     /// encoder or standstill.
     pub still_rad: Vec<Option<f64>>,
     /// The same of all other readings: noise, and the bends of the motion.
@@ -43,7 +43,7 @@ pub struct AveragedJoints {
     pub fastest: Vec<AveragedPoint>,
 }
 
-/// What the moving average did.
+/// Effect of the moving average.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Averaged {
     /// Over which time \[s\].
@@ -72,7 +72,7 @@ impl BeforeAverage<'_> {
         standstills: &[Standstill],
     ) -> Averaged {
         let mut bar = Comparison::new(BAR_JOINTS);
-        // Counters that start anew may stand anywhere: what follows is compared by itself.
+        // Counters that restart have any offset: each part is compared separately.
         for part in self.readings.parts_within(f64::INFINITY) {
             let part = self.readings.slice(part);
             let begins_s = UtcNs(part.first_stamp_ns).seconds_since(t_ref);
@@ -94,7 +94,7 @@ impl BeforeAverage<'_> {
     }
 }
 
-/// Sum of squares and how many.
+/// Sum and number of squares.
 #[derive(Debug, Clone, Copy, Default)]
 struct Squares {
     sum: f64,
@@ -174,7 +174,7 @@ impl Comparison {
     }
 }
 
-/// A reading of one joint between its neighbours; none beside a hole.
+/// A reading of one joint between its neighbours; `None` beside a hole.
 fn point<R: Row>(
     t_s: &[f64],
     rows: &[R],

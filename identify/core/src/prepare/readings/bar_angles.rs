@@ -10,7 +10,7 @@ use crate::kinematics::BAR_JOINTS;
 use crate::logs::{Row, Stream};
 use crate::prepare::{PrepareError, SampleStatus};
 
-/// What the encoders say in a valid cycle.
+/// Readings of the encoders in a valid cycle.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct BarReading {
     /// Index of the cycle in the recording.
@@ -36,14 +36,14 @@ impl Row for BarReading {
     }
 }
 
-/// What the encoders of a recording say.
+/// Readings of the encoders of a recording.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct BarAngles {
     /// Joints with an encoder.
     pub measured: [bool; BAR_JOINTS],
     /// On the recording's clock.
     pub readings: Stream<BarReading>,
-    /// What became of each cycle so far: invalid, time not increasing, or anything else.
+    /// Status of each cycle so far: invalid, time not increasing, or `Thinned` for all others.
     pub statuses: Vec<SampleStatus>,
 }
 
@@ -58,7 +58,8 @@ impl BarAngles {
         self.readings.last().map_or(0, |last| last.origin + 1)
     }
 
-    /// Replaces each reading by its average, and gives what it was; those without are left out, and origins without any.
+    /// Replaces each reading by its average and returns the readings. Readings without an average are left out, and origins without
+    /// any.
     pub(in crate::prepare) fn average(&mut self, width_s: f64) -> Stream<BarReading> {
         let mut averaged = self.readings.averaged(width_s);
         let of_origins = averaged.chunk_by_mut(|a, b| a.origin == b.origin);
@@ -73,7 +74,7 @@ impl BarAngles {
 /// Unwraps the counts of all valid cycles.
 ///
 /// # Errors
-/// [`PrepareError::NoValidCycle`], and where cycles and declared encoders disagree.
+/// [`PrepareError::NoValidCycle`], and errors if cycles and declared encoders disagree.
 pub fn bar_angles(cycles: &[CycleRecord], encoders: &[EncoderInfo]) -> Result<BarAngles, PrepareError> {
     let mut angles = BarAngles { measured: measured(encoders)?, ..BarAngles::default() };
     let mut origin = cycles.first().map_or(0, |cycle| cycle.origin);
@@ -115,7 +116,7 @@ fn measured(encoders: &[EncoderInfo]) -> Result<[bool; BAR_JOINTS], PrepareError
     Ok(measured)
 }
 
-/// The counters since they started anew.
+/// The counters since they restarted.
 struct Counters<'a> {
     encoders: &'a [EncoderInfo],
     /// One for each encoder, in the order of the recording.

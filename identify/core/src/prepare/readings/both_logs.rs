@@ -1,4 +1,4 @@
-//! Both logs as all later steps get them: continuous, and averaged where that is asked for.
+//! Both logs made continuous and, optionally, averaged.
 
 use std::borrow::Cow;
 
@@ -14,11 +14,11 @@ use crate::model::Clock;
 use crate::prepare::{EncoderMap, PrepareError, PrepareOptions};
 use crate::threads::both;
 
-/// What the bar and the robot say.
+/// Both logs, continuous and averaged.
 pub(in crate::prepare) struct BothLogs<'a> {
     pub angles: BarAngles,
     pub log: Cow<'a, RobotLog>,
-    /// What began anew in either.
+    /// Encoders of the bar and joints of the robot that wrapped.
     pub unwrapped: [Vec<Unwrapped>; 2],
     before: Option<BeforeAverage<'a>>,
 }
@@ -49,7 +49,7 @@ impl<'a> BothLogs<'a> {
         Ok(Self { angles, log, unwrapped: [of_bar, of_robot], before })
     }
 
-    /// What the average did. `clock` fits times since `t_ref`, as the standstills are.
+    /// Effect of the average. `clock` and the standstills are for times since `t_ref`.
     pub fn averaged(
         &self,
         t_ref: UtcNs,

@@ -1,4 +1,4 @@
-//! What both logs say, made continuous.
+//! Readings of both logs, made continuous.
 
 pub(super) mod averaged;
 pub(super) mod bar_angles;

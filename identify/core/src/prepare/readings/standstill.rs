@@ -1,4 +1,4 @@
-//! Where nothing moves, and how much the encoders' readings jitter there.
+//! Standstills, and the jitter of the encoders' readings in them.
 
 use serde::Serialize;
 
@@ -12,7 +12,7 @@ const DURATION_S_MIN: f64 = 0.4;
 const BREAK_S: f64 = 0.05;
 /// Left out at both ends, where the motion ends and begins \[s\].
 const EDGE_S: f64 = 0.1;
-/// Fewest readings that a deviation is taken from.
+/// Smallest number of readings for a deviation.
 const READINGS_MIN: usize = 10;
 
 /// A time in which neither robot nor bar moves.
@@ -25,7 +25,7 @@ pub struct Standstill {
 }
 
 impl Standstill {
-    /// How long \[s\].
+    /// Last instant minus first \[s\].
     pub fn duration_s(&self) -> f64 {
         self.to_s - self.from_s
     }
@@ -93,7 +93,7 @@ struct Spread {
 }
 
 impl Spread {
-    /// Adds one standstill's readings, about their own line: a robot that settles drifts.
+    /// Adds one standstill's readings, about their own line: a robot that comes to rest drifts.
     fn add(&mut self, readings: impl Iterator<Item = (f64, f64)> + Clone) {
         let count = readings.clone().count();
         if count < READINGS_MIN {

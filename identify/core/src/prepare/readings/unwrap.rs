@@ -1,4 +1,4 @@
-//! Counters and joints that begin anew are made continuous.
+//! Makes counters and joints that wrap continuous.
 
 use std::borrow::Cow;
 use std::f64::consts::TAU;
@@ -12,8 +12,8 @@ use crate::logs::{RobotLog, Unwrapped, UnwrappedPoint};
 /// Values of a terminal's counter.
 const COUNTER_VALUES: f64 = 4_294_967_296.0;
 
-/// The encoders whose 32-bit counters began anew between two samples, by the joints of the recording: what
-/// [`bar_angles`](super::bar_angles::bar_angles()) followed.
+/// The encoders whose 32-bit counters wrapped between two samples, by the joints of the recording, as
+/// [`bar_angles`](super::bar_angles::bar_angles()) followed them.
 pub fn unwrapped_counters(
     cycles: &[CycleRecord],
     encoders: &[EncoderInfo],
@@ -40,8 +40,8 @@ pub fn unwrapped_counters(
     encoders.iter().enumerate().filter_map(of_encoder).collect()
 }
 
-/// The log with joints that begin anew after each turn made continuous, and what was done: a spline or an average across
-/// such a jump would swing through the whole turn.
+/// The log with joints that wrap after each turn made continuous, and which joints these are: a spline or an average across such a
+/// jump would swing through the whole turn.
 pub fn unwrapped_log(log: &RobotLog) -> (Cow<'_, RobotLog>, Vec<Unwrapped>) {
     let Cow::Owned(q_rad) = log.q_rad.unwrapped(TAU) else { return (Cow::Borrowed(log), Vec::new()) };
     let began_anew = |joint: &usize| q_rad.iter().zip(log.q_rad.iter()).any(|(a, b)| a[*joint] != b[*joint]);

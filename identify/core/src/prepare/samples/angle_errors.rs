@@ -1,11 +1,11 @@
-//! What the fitted geometry says of every sample: outliers, and how the alignment varies along the run.
+//! Residuals of the samples from the fitted geometry: outliers, and how the alignment varies along the run.
 
 use serde::Serialize;
 
 use crate::kinematics::BAR_JOINTS;
 use crate::prepare::encoders::circular::spread_of;
 
-/// One sample away from singular poses against the fitted geometry.
+/// Residual of one sample away from singular poses.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(in crate::prepare) struct AngleErrors {
     /// Index among all samples.
@@ -22,23 +22,23 @@ pub(in crate::prepare) struct AngleErrors {
     pub speed_rad_s: [f64; BAR_JOINTS],
 }
 
-/// How far the alignment of a short part of the run is from that of the whole: figure 5.5 of the thesis over time.
+/// Alignment of a short part of the run against that of the whole: figure 5.5 of the thesis over time.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct LocalShift {
     /// Middle of the part, bar time since the reference \[s\].
     pub t_s: f64,
-    /// Shift that the part by itself asks for, less that of the whole run \[s\].
+    /// Shift of the part alone minus that of the whole run \[s\].
     pub shift_s: f64,
 }
 
 /// Length of a part \[s\].
 const PART_S: f64 = 5.0;
-/// Parts in which the joints' speeds vary less than this say nothing about time \[rad/s\].
+/// Parts in which the joints' speeds vary less do not determine a shift \[rad/s\].
 const SPEED_VARIES_RAD_S: f64 = 0.05;
 /// Fewest samples of a part.
 const PART_SAMPLES_MIN: usize = 20;
 
-/// Shift of each part of the run. Offsets are free in each, so that slow errors of the geometry do not pass for time.
+/// Shift of each part of the run. Offsets are free in each, so that slow errors of the geometry do not look like a shift.
 pub(in crate::prepare) fn local_shifts(errors: &[AngleErrors]) -> Vec<LocalShift> {
     let part = |one: &AngleErrors| (one.origin, (one.t_s / PART_S).floor());
     errors.chunk_by(|a, b| part(a) == part(b)).filter_map(local_shift).collect()
@@ -72,14 +72,14 @@ pub(in crate::prepare) fn spreads_rad(errors: &[AngleErrors]) -> [f64; BAR_JOINT
     std::array::from_fn(|joint| spread_of(errors.iter().map(|one| one.error_rad[joint].abs()).collect()))
 }
 
-/// A sample is an outlier where its error is so many standard deviations: of noise none in a million runs.
+/// Error of an outlier in standard deviations: noise exceeds it in none of a million runs.
 const TIMES_USUAL: f64 = 8.0;
-/// Errors are never expected smaller than this \[rad\]: so little is no fault.
+/// Smaller errors are never outliers \[rad\].
 const OUTLIER_RAD_MIN: f64 = 100e-6;
-/// Where more than this part of the samples is as far off, something has changed during the run: the solve has to see it.
+/// If more than this share of the samples exceeds the limit, something has changed during the run, and the solve needs them.
 const OUTLIERS_MAX: f64 = 0.05;
 
-/// Samples of which some joint's error is far beyond the usual; none where they are too many to be exceptions.
+/// Samples with the error of a joint far beyond the usual; no sample if they are too many to be exceptions.
 pub(in crate::prepare) fn outliers(errors: &[AngleErrors], spreads_rad: &[f64; BAR_JOINTS]) -> Vec<usize> {
     let beyond = |one: &&AngleErrors| {
         let mut errors = one.error_rad.iter().zip(spreads_rad);

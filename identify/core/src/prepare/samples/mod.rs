@@ -1,4 +1,4 @@
-//! What becomes of each sample once the logs are brought together.
+//! Status of each sample once the logs are aligned.
 
 pub(super) mod angle_errors;
 pub(super) mod select;
@@ -18,17 +18,17 @@ use crate::model::Observation;
 use crate::statistics::extremes;
 use crate::threads::rows;
 
-/// Samples so near to an end or a hole of the robot's log \[s\] might leave it when a solve moves the clocks.
+/// Samples nearer to an end or a hole of the robot's log might leave it when a solve moves the clocks \[s\].
 const EDGE_S: f64 = 0.03;
-/// Fewest samples that a solve can begin with.
+/// Smallest number of samples of a solve.
 const KEPT_MIN: usize = 50;
-/// Samples of a long recording that are looked at, at most; the others are thinned unseen. Still four per second where a
-/// recording lasts for a day: fewer would not show a clock that jumps.
+/// Largest number of samples of a long recording that are checked; the others are thinned unchecked. In a recording of a day these
+/// are still four per second: fewer would not show a clock step.
 const LOOKED_AT_MAX: usize = 400_000;
 
 /// The samples after all decisions.
 pub(super) struct Sorted {
-    /// Of every sample.
+    /// Status of every sample.
     pub statuses: Vec<SampleStatus>,
     /// Joints of every sample, offsets added; those without encoder are 0 \[rad\].
     pub joints: Vec<Sample>,
@@ -38,12 +38,12 @@ pub(super) struct Sorted {
     pub local_shifts: Vec<LocalShift>,
     /// Scatter of each encoder about the fit \[rad\].
     pub spread_rad: [f64; BAR_JOINTS],
-    /// Where the angles fit no geometry.
+    /// Residuals, if the angles fit no geometry.
     pub poor_fit: Option<PoorFit>,
 }
 
 /// Sorts the samples; `t_ref_s` is the reference time after the first, `reference` the origin whose offsets the
-/// observations have, `numbers` what they call each origin.
+/// observations have, `numbers` the number of each origin in them.
 ///
 /// # Errors
 /// [`PrepareError::NothingLeft`], [`PrepareError::LittleTravel`].
@@ -73,7 +73,7 @@ pub(super) fn sort(
     let local_shifts = local_shifts(&errors);
     let spread_rad = spreads_rad(&errors);
     let is_poor = spread_rad.iter().any(|spread_rad| spread_rad * 1e3 > options.fit_max_mrad);
-    // A fit that has not converged says nothing.
+    // The residuals of a fit that has not converged are no evidence.
     let poor_fit = (is_poor && found.fit.converged).then(|| PoorFit {
         spread_rad,
         limit_mrad: options.fit_max_mrad,
@@ -98,7 +98,7 @@ pub(super) fn sort(
     Ok(Sorted { observations: observations.collect(), statuses, joints, local_shifts, spread_rad, poor_fit })
 }
 
-/// Where samples are usable they are `Standstill` so far: whether they move is seen later.
+/// Usable samples are `Standstill` so far: those that move are found later.
 fn look_at_all(
     readings: &Stream<BarReading>,
     joints: &[Sample],
@@ -135,7 +135,7 @@ fn look_at_all(
     (statuses, looked_at.into_iter().flatten().collect())
 }
 
-/// Every measured joint must move, or what it stands for cannot be separated from its offset.
+/// Every measured joint must move, or its offset cannot be separated from the robot's geometry.
 fn check_travel(
     joints: &[Sample],
     statuses: &[SampleStatus],
@@ -159,7 +159,7 @@ fn check_travel(
     Ok(())
 }
 
-/// Among those that are usable: standstill, thinned, kept.
+/// Classifies the usable samples: standstill, thinned, kept.
 fn choose(
     joints: &[Sample],
     statuses: &mut [SampleStatus],

@@ -1,4 +1,4 @@
-//! Which samples are worth keeping.
+//! Selects samples that are spread over the motion or over the sphere.
 
 use std::f64::consts::PI;
 
@@ -8,7 +8,7 @@ use nalgebra::Vector3;
 const HALVINGS: usize = 40;
 
 /// Indices of samples spread evenly over the *motion*: each kept one is at least some distance from the one before,
-/// and the distance is `motion_min_rad` or so much more that at most `points_max` are kept. Standstill leaves one.
+/// and the distance is `motion_min_rad`, or larger if more than `points_max` would be kept. A standstill leaves one sample.
 ///
 /// Distance is the largest travel of a joint. Spreading over time instead would weigh slow parts more.
 pub fn select<R: AsRef<[f64]>>(angles_rad: &[R], motion_min_rad: f64, points_max: usize) -> Vec<usize> {

@@ -21,22 +21,22 @@ pub(in crate::logs) struct Message {
     pub state: JointState,
 }
 
-/// Joint states of a bag, and what is odd about the bag itself.
+/// Joint states of a bag, with remarks on the bag.
 #[derive(Default)]
 pub(in crate::logs) struct Bag {
     pub topics: Vec<Topic>,
     pub remarks: Vec<String>,
 }
 
-/// Joints that are looked for, in words.
+/// The joints to find in a bag, in words.
 pub(in crate::logs) struct Wanted {
     /// Such as `the six joints of one robot`.
     pub what: &'static str,
-    /// What to do where no topic has them.
+    /// What to do if no topic has them.
     pub remedy: &'static str,
-    /// What to do where several have.
+    /// What to do if several have them.
     pub choose: &'static str,
-    /// Where there is nothing at all.
+    /// What to do if there are no joint states.
     pub record: &'static str,
 }
 
@@ -57,8 +57,7 @@ impl Bag {
         &mut self.topics[index]
     }
 
-    /// The one topic that has what is wanted, and what `names_of` makes of the names of its joints. With `topic`, only that
-    /// one is looked at.
+    /// The one topic with the wanted joints, and the result of `names_of` on its names. With `topic`, only that one is searched.
     pub fn choose<N>(
         &self,
         path: &Path,
@@ -148,6 +147,6 @@ pub(in crate::logs) const fn clock_name(stamped: bool) -> &'static str {
     if stamped { "header.stamp" } else { "receive time of the recorder" }
 }
 
-/// What is odd about messages without stamps.
+/// Remark on messages without stamps.
 pub(in crate::logs) const UNSTAMPED: &str =
     "messages without header.stamp: the time of their reception jitters";

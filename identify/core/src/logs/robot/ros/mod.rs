@@ -1,4 +1,4 @@
-//! ROS 2 bags with `sensor_msgs/JointState`: joints are found by name, whatever their order and whoever else is in it.
+//! ROS 2 bags with `sensor_msgs/JointState`: joints are found by name, in any order and among others.
 //!
 //! A bag has two times: when the recorder received a message, and `header.stamp`, which the publisher set (with
 //! ros2_control the time of the controller manager, not that of the encoders). The stamp is taken where every message has
@@ -46,7 +46,7 @@ const JOINTS: Wanted = Wanted {
     record: "record the topic /joint_states",
 };
 
-/// Reads a bag.
+/// Reads a robot's joints from a bag.
 pub(in crate::logs) fn read(
     bytes: &[u8],
     path: &Path,
@@ -93,7 +93,7 @@ fn of_efforts(force: &ForceColumns, path: &Path) -> Result<ForceKind, LogError> 
     })
 }
 
-/// What values of the joints are multiplied by: a mapping may say that they are degrees, against REP 103.
+/// Factors of the joints' values: a mapping may state that they are degrees, against REP 103.
 fn units(mapping: Option<&RobotLogMapping>, axes: usize) -> Vec<f64> {
     mapping.map_or(vec![1.0; axes], |mapping| mapping.joints.iter().map(|joint| joint.unit.to_si()).collect())
 }
@@ -132,6 +132,6 @@ fn joints_among(found: &[&str], axes: usize, mapping: Option<&RobotLogMapping>) 
     });
     let mut complete = candidates.filter(are_found);
     let first = complete.next();
-    // Two robots in one topic: which is meant must be said.
+    // Of two robots in one topic a mapping must name one.
     first.filter(|_| complete.next().is_none())
 }

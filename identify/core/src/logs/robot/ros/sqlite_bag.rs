@@ -7,7 +7,7 @@ use rusqlite::{Connection, MAIN_DB};
 use super::bag::Bag;
 use crate::logs::LogError;
 
-/// Where the header of an SQLite file says how it is written, and the value for a rollback journal.
+/// Place of the format versions in the header of an SQLite file, and their value for a rollback journal.
 const FORMAT_VERSIONS: std::ops::Range<usize> = 18..20;
 const ROLLBACK_JOURNAL: u8 = 1;
 

@@ -269,8 +269,8 @@ mod tests {
         let fits = "\n  --encoders 1,2 for one; and. so\n  --encoders 2,1 for another".to_owned();
         let what = "dependent rd2|rd3 (fix 1); dependent ra1|ox (fix 1)".to_owned();
         let messages = [
-            (PrepareError::LittleMotion.to_string(), "excites too little", "move the bar"),
-            (PrepareError::AmbiguousEncoderMap { fits }.to_string(), "--encoders 2,1", "Look at the bar"),
+            (PrepareError::LittleMotion.to_string(), "insufficient excitation", "move the bar"),
+            (PrepareError::AmbiguousEncoderMap { fits }.to_string(), "--encoders 2,1", "Check on the bar"),
             (
                 PrepareError::NoMatch { other: "recording", correlation: 0.3, overlap_s: 20.0, needed: 0.9 }
                     .to_string(),
