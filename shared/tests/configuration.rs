@@ -159,7 +159,7 @@ proptest! {
         let (number, key) = keys[which % keys.len()];
         let wrong = format!("{}{letter}{}", &key[..2], &key[2..]);
         let message = message::<DaemonConfig>(&text.replacen(&format!("{key} = "), &format!("{wrong} = "), 1));
-        prop_assert!(message.starts_with(&format!("cell.toml, line {}: there is no key", number + 1)), "{message}");
+        prop_assert!(message.starts_with(&format!("cell.toml, line {}: unknown key", number + 1)), "{message}");
         prop_assert!(message.contains(&format!("{wrong}`; did you mean `{key}`?")), "{message}");
     }
 

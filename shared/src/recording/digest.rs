@@ -40,17 +40,8 @@ pub struct Flagged {
 #[derive(Debug, Default)]
 pub(super) struct Digest {
     marks: Vec<RunMark>,
-    counted: Vec<Counted>,
-}
-
-#[derive(Debug)]
-struct Counted {
-    joint: Option<u8>,
-    reason: &'static str,
-    first: u64,
-    last: u64,
-    cycles: u64,
-    periods: u64,
+    /// With the last cycle of each.
+    flagged: Vec<(Flagged, u64)>,
 }
 
 impl Digest {
@@ -78,19 +69,15 @@ impl Digest {
         }
     }
 
-    fn count(&mut self, joint: Option<u8>, reason: &'static str, cycle: u64) {
-        let known =
-            self.counted.iter_mut().find(|counted| counted.joint == joint && counted.reason == reason);
-        match known {
-            Some(counted) => {
-                counted.periods += u64::from(cycle > counted.last + 1);
-                counted.cycles += 1;
-                counted.last = cycle;
-            }
-            None => {
-                let counted = Counted { joint, reason, first: cycle, last: cycle, cycles: 1, periods: 1 };
-                self.counted.push(counted);
-            }
+    fn count(&mut self, joint: Option<u8>, reason: &str, cycle: u64) {
+        let same = |(flagged, _): &&mut (Flagged, u64)| flagged.joint == joint && flagged.reason == reason;
+        if let Some((flagged, last)) = self.flagged.iter_mut().find(same) {
+            flagged.periods += u64::from(cycle > *last + 1);
+            flagged.cycles += 1;
+            *last = cycle;
+        } else {
+            let flagged = Flagged { joint, reason: reason.into(), first: cycle, cycles: 1, periods: 1 };
+            self.flagged.push((flagged, cycle));
         }
     }
 
@@ -99,11 +86,7 @@ impl Digest {
     }
 
     pub fn flagged(&self) -> Vec<Flagged> {
-        let flagged = |counted: &Counted| {
-            let Counted { joint, reason, first, cycles, periods, .. } = *counted;
-            Flagged { joint, reason: reason.into(), first, cycles, periods }
-        };
-        self.counted.iter().map(flagged).collect()
+        self.flagged.iter().map(|(flagged, _)| flagged.clone()).collect()
     }
 }
 

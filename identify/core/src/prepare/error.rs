@@ -22,7 +22,7 @@ pub enum PrepareError {
          supply and record again, or compare lines and interpolation_bits in the bar's configuration with the encoders"
     )]
     TooManyOrigins {
-        /// Number of places.
+        /// Number of such places in the recording.
         origins: usize,
         /// Largest allowed number of places.
         most: usize,
@@ -325,7 +325,7 @@ pub enum PrepareError {
     /// The force on the bar cannot be used, with the reason.
     #[error(transparent)]
     Force(#[from] ForceError),
-    /// There are no samples to fit.
+    /// Too few samples remain for a fit.
     #[error(
         "the matched part of the logs is too short or too near to singular poses of the bar to compare angles; record \
          a motion over more of the sphere"

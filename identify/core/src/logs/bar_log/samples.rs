@@ -153,7 +153,7 @@ impl RawBarLog {
         Self { path: path.to_owned(), kind, readings, rows: Vec::new(), quality: LogQuality::default() }
     }
 
-    /// Adds a remark.
+    /// Adds a remark on the quality of the log.
     pub fn remark(&mut self, remark: impl Into<String>) {
         self.quality.remarks.push(remark.into());
     }

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use shared::config::{Kind, Validate, Violation};
 
 use super::pose_rows::{
-    JointColumns, Names, check_joints, is_zero, mapped, mapped_if_named, rows, uncertainty,
+    JointColumns, Names, check_joints, is_zero, mapped, mapped_all, mapped_if_named, rows, uncertainty,
 };
 use crate::kinematics::Joints;
 use crate::logs::source::Source;
@@ -153,25 +153,20 @@ struct Columns<'a> {
     anchor: Option<Column>,
     attachment: Option<Column>,
     joints: JointColumns<'a>,
-    flange: Option<([Column; 3], LengthUnit)>,
+    flange: Option<(Vec<Column>, LengthUnit)>,
 }
 
 impl<'a> Columns<'a> {
     fn find(table: &Table<'_>, mapping: &'a MeasuredLengthMapping) -> Result<Self, LogError> {
         let column = |name: &str| mapped(table, name);
-        let flange = match &mapping.flange {
-            Some(FlangeColumns { columns: [x, y, z], unit }) => {
-                Some(([column(x)?, column(y)?, column(z)?], *unit))
-            }
-            None => None,
-        };
+        let flange = mapping.flange.as_ref().map(|of| Ok((mapped_all(table, &of.columns)?, of.unit)));
         Ok(Self {
             length: (column(&mapping.length.column)?, &mapping.length),
             uncertainty: mapped_if_named(table, mapping.uncertainty.as_ref().map(|of| &of.length_mm))?,
             anchor: mapped_if_named(table, mapping.anchor.as_ref())?,
             attachment: mapped_if_named(table, mapping.attachment.as_ref())?,
             joints: JointColumns::find(table, &mapping.joints)?,
-            flange,
+            flange: flange.transpose()?,
         })
     }
 
@@ -187,16 +182,12 @@ impl<'a> Columns<'a> {
             ));
         }
         let q_rad = self.joints.read(table, row)?;
-        let flange_m = match &self.flange {
-            Some((columns, unit)) => {
-                let mut flange_m = [0.0; 3];
-                for (value_m, column) in flange_m.iter_mut().zip(columns) {
-                    *value_m = table.number(row, column)? * unit.to_m();
-                }
-                Some(flange_m)
+        let mut flange_m = self.flange.as_ref().map(|_| [0.0; 3]);
+        for (value_m, (columns, unit)) in flange_m.iter_mut().zip(&self.flange) {
+            for (value_m, column) in value_m.iter_mut().zip(columns) {
+                *value_m = table.number(row, column)? * unit.to_m();
             }
-            None => None,
-        };
+        }
         let stated = self.uncertainty.as_ref().map(|column| uncertainty(table, row, column));
         let uncertainty_m = stated.transpose()?;
         Ok(MeasuredLength {

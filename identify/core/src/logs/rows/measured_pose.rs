@@ -10,7 +10,9 @@ use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use shared::config::{AngleUnit, Kind, Validate, Violation};
 
-use super::pose_rows::{JointColumns, Names, check_joints, mapped, mapped_if_named, rows, uncertainty};
+use super::pose_rows::{
+    JointColumns, Names, check_joints, mapped, mapped_all, mapped_if_named, rows, uncertainty,
+};
 use crate::kinematics::Joints;
 use crate::logs::source::Source;
 use crate::logs::tables::csv_text::{Column, Row, Table};
@@ -302,7 +304,7 @@ impl MeasuredPoses {
                 Ok(seen.read(table, row, &mut names)?.with_joints(joints.read(table, row)?))
             };
         let rows = rows(Source::of(bytes, path), &mapping.csv, find, read)?;
-        let [stations, targets] = names.in_order();
+        let [stations, targets] = names.map(Names::in_order);
         Ok(Self { rows, stations, targets })
     }
 }
@@ -391,7 +393,7 @@ impl TimedPoses {
         let (mut stamps_ns, mut rows): (_, Vec<TimedPose>) = rows.into_iter().unzip();
         let remarks = drop_excursions(&mut stamps_ns, &mut rows, path)?.into_iter().collect();
         let (rows, stamps, _) = Stream::sampled(stamps_ns, rows, |rows| motion(rows).into());
-        let [stations, targets] = names.in_order();
+        let [stations, targets] = names.map(Names::in_order);
         Ok(Self { rows, stations, targets, stamps, remarks })
     }
 }
@@ -435,18 +437,8 @@ fn motion(rows: &[TimedPose]) -> Vec<Joints> {
     each.collect()
 }
 
-/// Names of stations and targets, in the order in which a file has them.
-#[derive(Default)]
-struct SetUpNames {
-    stations: Names,
-    targets: Names,
-}
-
-impl SetUpNames {
-    fn in_order(self) -> [Vec<String>; 2] {
-        [self.stations.in_order(), self.targets.in_order()]
-    }
-}
+/// Names of the stations and of the targets, in the order of the file.
+type SetUpNames = [Names; 2];
 
 /// The mapping's columns of what the tracker measured, found in a file.
 struct SeenColumns<'a> {
@@ -456,10 +448,6 @@ struct SeenColumns<'a> {
     uncertainty: [Option<Column>; 2],
     station: Option<Column>,
     target: Option<Column>,
-}
-
-fn all(table: &Table<'_>, names: &[String]) -> Result<Vec<Column>, LogError> {
-    names.iter().map(|name| mapped(table, name)).collect()
 }
 
 /// Numbers of a row times `to_si`, none of them larger than `largest`.
@@ -485,12 +473,12 @@ fn numbers(
 impl<'a> SeenColumns<'a> {
     fn find(table: &Table<'_>, mapping: &'a MeasuredPoseMapping) -> Result<Self, LogError> {
         let rotation =
-            mapping.rotation.as_ref().map(|rotation| Ok((all(table, &rotation.columns)?, rotation)));
+            mapping.rotation.as_ref().map(|rotation| Ok((mapped_all(table, &rotation.columns)?, rotation)));
         let column = |of: fn(&UncertaintyColumns) -> Option<&String>| {
             mapped_if_named(table, mapping.uncertainty.as_ref().and_then(of))
         };
         Ok(Self {
-            position: (all(table, &mapping.position.columns)?, mapping.position.unit),
+            position: (mapped_all(table, &mapping.position.columns)?, mapping.position.unit),
             rotation: rotation.transpose()?,
             uncertainty: [column(|of| of.position_mm.as_ref())?, column(|of| of.rotation_mrad.as_ref())?],
             station: mapped_if_named(table, mapping.station.as_ref())?,
@@ -514,8 +502,8 @@ impl<'a> SeenColumns<'a> {
                 position_m: uncertainty(position_u)?,
                 rotation_rad: uncertainty(rotation_u)?,
             },
-            station: names.stations.place(table, row, self.station.as_ref())?,
-            target: names.targets.place(table, row, self.target.as_ref())?,
+            station: names[0].place(table, row, self.station.as_ref())?,
+            target: names[1].place(table, row, self.target.as_ref())?,
         })
     }
 }

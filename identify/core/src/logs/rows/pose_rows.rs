@@ -316,6 +316,11 @@ pub(in crate::logs) fn mapped(table: &Table<'_>, name: &str) -> Result<Column, L
     table.column(name, "Correct the column's name in the mapping file, or the header.")
 }
 
+/// Columns that the mapping names.
+pub(in crate::logs) fn mapped_all(table: &Table<'_>, names: &[String]) -> Result<Vec<Column>, LogError> {
+    names.iter().map(|name| mapped(table, name)).collect()
+}
+
 /// A column that the mapping may name.
 pub(in crate::logs) fn mapped_if_named(
     table: &Table<'_>,

@@ -57,23 +57,20 @@ pub(in crate::prepare) fn join(
     for origin in 0..origins {
         let begins = readings.partition_point(|reading| reading.origin < origin);
         let ends = readings.partition_point(|reading| reading.origin <= origin);
-        let offsets = found.offset_fit.of_origin(origin);
-        let mut shift_rad = [0.0; BAR_JOINTS];
-        if let (Some(offsets), Some(reference)) = (offsets, of_reference) {
-            shift_rad = std::array::from_fn(|joint| {
-                wrapped(offsets.offsets_rad[joint] - reference.offsets_rad[joint])
-            });
-        }
         let own_rad = if origin == reference { 0.0 } else { sigma_rad(found, origin) };
         let sigma_rad = own_rad.hypot(if origin == reference { 0.0 } else { sigma_rad(found, reference) });
         let limit_rad = UNCHANGED_RAD.max(SIGMAS * sigma_rad);
-        if let (Some(offsets), Some(reference)) = (found.offset_fit.of_origin_mut(origin), of_reference) {
+        let mut shift_rad = [0.0; BAR_JOINTS];
+        let mut offsets = found.offset_fit.of_origin_mut(origin);
+        if let (Some(offsets), Some(reference)) = (&mut offsets, of_reference) {
             // Terminals lose their origin one by one.
-            for (joint, shift) in
-                shift_rad.iter_mut().enumerate().filter(|(_, shift)| shift.abs() <= limit_rad)
-            {
-                *shift = 0.0;
-                offsets.offsets_rad[joint] = reference.offsets_rad[joint];
+            for (joint, shift) in shift_rad.iter_mut().enumerate() {
+                let by_rad = wrapped(offsets.offsets_rad[joint] - reference.offsets_rad[joint]);
+                if by_rad.abs() > limit_rad {
+                    *shift = by_rad;
+                } else {
+                    offsets.offsets_rad[joint] = reference.offsets_rad[joint];
+                }
             }
         }
         let unchanged = offsets.is_some() && shift_rad == [0.0; BAR_JOINTS];

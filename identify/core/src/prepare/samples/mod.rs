@@ -73,7 +73,7 @@ pub(super) fn sort(
     let local_shifts = local_shifts(&errors);
     let spread_rad = spreads_rad(&errors);
     let is_poor = spread_rad.iter().any(|spread_rad| spread_rad * 1e3 > options.fit_max_mrad);
-    // The residuals of a fit that has not converged are no evidence.
+    // Residuals are evidence only if the fit has converged.
     let poor_fit = (is_poor && found.fit.converged).then(|| PoorFit {
         spread_rad,
         limit_mrad: options.fit_max_mrad,

@@ -36,7 +36,7 @@ pub(in crate::logs) struct Wanted {
     pub remedy: &'static str,
     /// What to do if several have them.
     pub choose: &'static str,
-    /// What to do if there are no joint states.
+    /// What to do without any joint states.
     pub record: &'static str,
 }
 
