@@ -8,7 +8,7 @@ use shared::config::RobotConfig;
 
 use super::{PrepareError, PrepareOptions};
 use crate::kinematics::{Chain, Joints, Trace, Tracer};
-use crate::logs::{JointConversion, JointMistake, RobotLog};
+use crate::logs::{JointConversion, JointMistake, RobotLog, ranges};
 use crate::statistics::median;
 
 /// A sphere through robot positions.
@@ -133,18 +133,12 @@ fn likely_mistake(
     if let Some(turned) = turned_plate(log, robot, length_m, options) {
         return Some(turned);
     }
-    let stands = |rows: &[Joints], joint: usize| {
-        let first = rows.first().map_or(0.0, |row| row[joint]);
-        rows.iter().all(|row| (row[joint] - first).abs() < STILL)
-    };
-    let still = (0..log.axes())
-        .find(|&joint| stands(&joints, joint) || columns.as_ref().is_some_and(|rows| stands(rows, joint)));
-    still.map(|joint| {
-        format!(
-            "joint {} never moves in the log while others do: check what the logger reads for it",
-            joint + 1
-        )
-    })
+    let constant = |rows: &Vec<Joints>| ranges(rows).iter().position(|[low, high]| high - low < STILL);
+    let joint = constant(&joints).into_iter().chain(columns.as_ref().and_then(constant)).min()?;
+    Some(format!(
+        "joint {} never moves in the log while others do: check what the logger reads for it",
+        joint + 1
+    ))
 }
 
 /// Joints at positions enough to distinguish one sphere from none.

@@ -13,8 +13,8 @@ use crate::logs::time_series::frozen::repeated_rows;
 use crate::logs::time_series::sampling::Stamps;
 use crate::logs::time_series::stream::retain;
 use crate::logs::{
-    ForceClock, ForceKind, ForceLog, JointConversion, LogError, LogFormat, LogQuality, Origin, ROWS_MIN,
-    RobotLog, Stream, since_first_s, travel,
+    ForceClock, ForceKind, ForceLog, JointConversion, JointMistake, LogError, LogFormat, LogQuality, Origin,
+    ROWS_MIN, RobotLog, Stream, since_first_s, travel,
 };
 use crate::statistics::extremes;
 use crate::threads;
@@ -343,19 +343,16 @@ impl RawLog {
                     radians, or name the columns `_deg` and set log.unit = \"deg\" in the robot's configuration"
                 .into();
         }
-        let axes = conversion.axes();
-        for (i, j) in (0..axes).flat_map(|i| (i + 1..axes).map(move |j| (i, j))) {
-            let swapped = |row: &Joints| {
-                let mut row = *row;
-                row.swap(i, j);
-                conversion.to_joint(&row)
-            };
-            if fits(&swapped) {
-                return format!(
-                    "with columns `{}` and `{}` exchanged every row fits: check their order in the export",
-                    meaning.names[i], meaning.names[j]
-                );
-            }
+        let explains = |mistake: &JointMistake| {
+            matches!(mistake, JointMistake::Exchanged(..))
+                && fits(&|row| conversion.to_joint(&mistake.undone(row)))
+        };
+        let mistake = JointMistake::all(conversion.axes()).into_iter().find(explains);
+        if let Some(JointMistake::Exchanged(i, j)) = mistake {
+            return format!(
+                "with columns `{}` and `{}` exchanged every row fits: check their order in the export",
+                meaning.names[i], meaning.names[j]
+            );
         }
         "check that the log belongs to this robot, its unit, the order of its columns, and log.raw_offset_rad and \
          joint_limits_deg of the robot's configuration"
