@@ -1,4 +1,4 @@
-//! Judgements that once went wrong on data which nobody here had made, each with its truth.
+//! Decisions that were once wrong on data of other authors, each with its truth.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -61,9 +61,9 @@ fn a_calibration_by_lengths_alone_is_not_green_where_it_is_worse_than_it_claims(
         let run = laboratory::run(&robot, &bar(), seed, &laboratory::Level::HARD, Design::for_robot(&robot));
         let config = IdentifyConfig { cost: Some(CostName::Length), ..IdentifyConfig::default() };
         let found = ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar(), &config);
-        let told = found.and_then(|found| judged(&run, &found, &robot));
-        let Ok((workspace, verdict, [true_m, _])) = told else {
-            println!("{seed}: refused, {:?}", told.err());
+        let outcome = found.and_then(|found| judged(&run, &found, &robot));
+        let Ok((workspace, verdict, [true_m, _])) = outcome else {
+            println!("{seed}: refused, {:?}", outcome.err());
             continue;
         };
         let claimed_m = workspace.budget.expanded_m;
@@ -154,7 +154,7 @@ fn rows_of_a_precise_arm_are_calibrated_whatever_their_order_and_number() {
 fn the_figure_of_rows_that_were_held_out_holds_in_another_part_of_the_joints_range() {
     for seed in 1..=3 {
         let made = rows(Kind::Tracker, &irb2400(), seed, &USUAL);
-        // One half of the first joint's travel calibrates, the other judges: a place of the tracker for both.
+        // One half of the first joint's travel calibrates, the other validates: one place of the tracker for both.
         let (fitted, others): (Vec<PoseRow>, Vec<PoseRow>) =
             made.poses().into_iter().partition(|row| row.joints_rad[0] < 0.3);
         let found = Alone::default().poses(&fitted, &irb2400()).unwrap();

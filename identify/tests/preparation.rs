@@ -218,8 +218,11 @@ fn counters_that_start_anew_all_the_time_are_refused_at_once() {
     for (number, cycle) in run.cycles.iter_mut().enumerate() {
         cycle.origin = number as u32 / 20;
     }
-    let told = refusal(&run, &robot, &bar);
-    assert!(told.contains("at 300 places, at most 60") && told.contains("interpolation_bits"), "{told}");
+    let message = refusal(&run, &robot, &bar);
+    assert!(
+        message.contains("at 300 places, at most 60") && message.contains("interpolation_bits"),
+        "{message}"
+    );
 }
 
 #[test]
@@ -231,8 +234,8 @@ fn stamps_in_bunches_are_named_where_they_leave_no_speed_to_compare() {
         let number = number as i64;
         cycle.sample_time = first.plus_ns((number - number % 10) * 10_000_000 + number % 10 * 100);
     }
-    let told = refusal(&run, &robot, &bar);
-    assert!(told.contains("cannot be compared") && told.contains("bunches"), "{told}");
+    let message = refusal(&run, &robot, &bar);
+    assert!(message.contains("cannot be compared") && message.contains("bunches"), "{message}");
 }
 
 #[test]
@@ -268,15 +271,15 @@ fn logs_that_do_not_overlap_or_are_of_other_runs_are_refused() {
     apart.cycles.truncate(5500);
     let q_rad = &apart.robot_log.q_rad;
     apart.robot_log.q_rad = q_rad.slice(q_rad.t_s.partition_point(|&t| t <= 62.0)..q_rad.len()).into();
-    let told = refusal(&apart, &robot, &bar);
-    println!("no overlap: {told}");
-    assert!(told.contains("do not match at any clock difference"), "{told}");
+    let message = refusal(&apart, &robot, &bar);
+    println!("no overlap: {message}");
+    assert!(message.contains("do not match at any clock difference"), "{message}");
     for seed in 2..6 {
         let mut other = whole.clone();
         other.robot_log = run(&robot, &bar, |e| e.seed = seed).robot_log;
-        let told = refusal(&other, &robot, &bar);
-        println!("other run: {told}");
-        assert!(told.contains("different runs"), "{told}");
+        let message = refusal(&other, &robot, &bar);
+        println!("other run: {message}");
+        assert!(message.contains("different runs"), "{message}");
     }
 }
 
@@ -284,10 +287,10 @@ fn logs_that_do_not_overlap_or_are_of_other_runs_are_refused() {
 fn another_robot_or_another_rod_is_refused() {
     let (robot, bar) = (irb2400(), bar());
     let run = run(&robot, &bar, |_| {});
-    let told = refusal(&run, &robot, &BallBarConfig { length_m: 0.9, ..bar.clone() });
-    assert!(told.contains("sphere of 59") && told.contains("900 mm"), "{told}");
-    let told = refusal(&run, &nj220(), &bar);
-    assert!(told.contains("one sphere"), "{told}");
+    let message = refusal(&run, &robot, &BallBarConfig { length_m: 0.9, ..bar.clone() });
+    assert!(message.contains("sphere of 59") && message.contains("900 mm"), "{message}");
+    let message = refusal(&run, &nj220(), &bar);
+    assert!(message.contains("one sphere"), "{message}");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Encoders in any order, counting either way: found, told, or asked for.
+//! Encoders in any order, counting either way: found, reported, or requested from the user.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use crate::support::laboratory::exchange;
@@ -110,9 +110,9 @@ fn order_and_directions_as_recorded_are_confirmed_and_nothing_else_fits() {
 fn another_order_is_refused_where_only_the_recorded_one_may_be_used_and_named() {
     let mut run = run(&irb2400(), &bar());
     exchange(&mut run, &[4, 1, 2, 3, 0]);
-    let told = prepared(&run, EncoderMapChoice::Recorded).unwrap_err().to_string();
-    println!("{told}");
-    assert!(told.contains("but as 5 -> 1") && told.contains("1 -> 5"), "{told}");
+    let message = prepared(&run, EncoderMapChoice::Recorded).unwrap_err().to_string();
+    println!("{message}");
+    assert!(message.contains("but as 5 -> 1") && message.contains("1 -> 5"), "{message}");
 }
 
 #[test]
@@ -124,8 +124,8 @@ fn a_stated_order_is_taken_and_a_senseless_one_refused() {
     let wanted = vec![(1, false), (2, false), (3, true), (4, false), (5, false)];
     assert_eq!(joints_and_directions(&found.encoder_map.used), wanted);
     for senseless in [vec![1, 2, 3, 4], vec![1, 1, 2, 3, 4], vec![0, 1, 2, 3, 4], vec![1, 2, 3, 4, 6]] {
-        let told = prepared(&run, EncoderMapChoice::Stated(senseless)).unwrap_err().to_string();
-        assert!(told.contains("one bar joint for each of the 5 encoders"), "{told}");
+        let message = prepared(&run, EncoderMapChoice::Stated(senseless)).unwrap_err().to_string();
+        assert!(message.contains("one bar joint for each of the 5 encoders"), "{message}");
     }
 }
 
@@ -133,10 +133,10 @@ fn a_stated_order_is_taken_and_a_senseless_one_refused() {
 fn a_stated_order_that_does_not_fit_is_refused_with_the_one_that_does() {
     let run = run(&irb2400(), &bar());
     for wrong in [vec![1, 2, -3, 4, 5], vec![1, 2, 3, 5, 4], vec![2, 1, 3, 4, 5]] {
-        let told = prepared(&run, EncoderMapChoice::Stated(wrong)).unwrap_err().to_string();
+        let message = prepared(&run, EncoderMapChoice::Stated(wrong)).unwrap_err().to_string();
         assert!(
-            told.contains("do not fit as stated") && told.contains("take --encoders 1,2,3,4,5"),
-            "{told}"
+            message.contains("do not fit as stated") && message.contains("take --encoders 1,2,3,4,5"),
+            "{message}"
         );
     }
 }
@@ -164,14 +164,14 @@ fn joints_that_move_together_leave_the_order_open_and_it_is_asked_for() {
     let clear = find_encoder_map(&pairs(&[]), &[1, 2, 3, 4, 5], &options).unwrap();
     assert_eq!(clear.used.encoders[0].joint, 3);
     let error = find_encoder_map(&pairs(&[[3, 4]]), &[1, 2, 3, 4, 5], &options).unwrap_err();
-    let told = error.to_string();
-    println!("{told}");
-    assert!(matches!(error, PrepareError::AmbiguousEncoderMap { .. }) && told.contains("encoders = [..]"));
-    // What to type for each of them is said.
+    let message = error.to_string();
+    println!("{message}");
+    assert!(matches!(error, PrepareError::AmbiguousEncoderMap { .. }) && message.contains("encoders = [..]"));
+    // The message has the option for each of them.
     for choice in ["--encoders 3,2,1,4,5 for", "--encoders 3,2,1,5,4 for"] {
-        assert!(told.contains(choice), "{told}");
+        assert!(message.contains(choice), "{message}");
     }
-    // The recorded order is among those that fit: it is taken, and the other one is told.
+    // The recorded order is among those that fit: it is taken, and the other one is reported.
     let found = find_encoder_map(&pairs(&[[0, 2]]), &[1, 2, 3, 4, 5], &options).unwrap();
     assert!(found.used.is_as_recorded() && found.others.len() == 1, "{found:?}");
 }
@@ -194,12 +194,12 @@ pub fn ambiguous(robot: &RobotConfig, bar: &BallBarConfig) -> Simulated {
 fn an_ambiguous_encoder_map_of_a_whole_run_is_asked_for_and_what_is_typed_resolves_it() {
     let (robot, bar) = (irb2400(), bar());
     let run = ambiguous(&robot, &bar);
-    let told = prepared(&run, EncoderMapChoice::Find).unwrap_err().to_string();
-    println!("{told}");
+    let message = prepared(&run, EncoderMapChoice::Find).unwrap_err().to_string();
+    println!("{message}");
     let choices: Vec<&str> =
-        told.split("--encoders ").skip(1).map(|rest| rest.split(' ').next().unwrap()).collect();
+        message.split("--encoders ").skip(1).map(|rest| rest.split(' ').next().unwrap()).collect();
     assert!(choices.len() > 1 && choices.contains(&"1,2,3,4,5"), "{choices:?}");
-    // The first encoder of the recording says that it is on joint 2, and is on joint 1.
+    // The recording states joint 2 for the first encoder, which is on joint 1.
     let options = PrepareOptions {
         encoders: "1,2,3,4,5".parse().unwrap(),
         joint_travel_min_deg: 2.0,
@@ -209,7 +209,7 @@ fn an_ambiguous_encoder_map_of_a_whole_run_is_asked_for_and_what_is_typed_resolv
     let wanted: Vec<(u8, bool)> = (1..=5).map(|joint| (joint, false)).collect();
     assert_eq!(joints_and_directions(&found.encoder_map.used), wanted);
     assert!(found.encoder_map.others.is_empty());
-    // On a geometry that is fitted nothing is left of what the leaning base did to the angles.
+    // A fitted geometry removes the effect of the base tilt on the angles.
     let spreads = found.offsets.iter().map(|offset| offset.spread_rad * 1e3);
     assert!(spreads.clone().all(|spread| spread < 1.0), "{:?} mrad", spreads.collect::<Vec<_>>());
 }

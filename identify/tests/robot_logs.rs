@@ -152,15 +152,17 @@ fn rows_that_jump_out_and_back_are_left_out_and_named_by_their_lines() {
             assert!((t_s - expected.q_rad.t_s[row]).abs() < 1e-9);
         }
         let lines: Vec<String> = bad.iter().map(|row| (row + 5).to_string()).collect();
-        let told = inspect::robot_log(&log).suspicious.join("\n");
-        assert!(told.contains(&format!("{} of 60 lines", bad.len())), "{told}");
-        assert!(told.contains(&lines.join(", ")) && !told.contains("no robot is so fast"), "{told}");
+        let refusal = inspect::robot_log(&log).suspicious.join("\n");
+        assert!(refusal.contains(&format!("{} of 60 lines", bad.len())), "{refusal}");
+        assert!(refusal.contains(&lines.join(", ")) && !refusal.contains("no robot is so fast"), "{refusal}");
     }
     let many: Vec<usize> = (5..55).step_by(5).collect();
-    let told = message(with_bad(&many, &zeros));
+    let refusal = message(with_bad(&many, &zeros));
     assert!(
-        told.contains("10 of 60 lines") && told.contains("line 10, 15") && told.contains("log again"),
-        "{told}"
+        refusal.contains("10 of 60 lines")
+            && refusal.contains("line 10, 15")
+            && refusal.contains("log again"),
+        "{refusal}"
     );
 }
 
@@ -295,9 +297,12 @@ fn a_short_row_is_refused_with_its_line() {
 #[test]
 fn a_clock_that_runs_backwards_is_refused_with_both_rows() {
     let text = edited(10, |cells| cells[0] = "1795000000.000000000".into());
-    let told = message(parse(&text, &irb()));
-    assert!(told.contains("line 15") && told.contains("line 14"), "{told}");
-    assert!(told.contains("1795000000.159456789") && told.contains("1795000000.000000000"), "{told}");
+    let refusal = message(parse(&text, &irb()));
+    assert!(refusal.contains("line 15") && refusal.contains("line 14"), "{refusal}");
+    assert!(
+        refusal.contains("1795000000.159456789") && refusal.contains("1795000000.000000000"),
+        "{refusal}"
+    );
     let text = edited(10, |cells| cells[0] = "1795000000.159456788".into());
     assert!(matches!(
         parse(&text, &irb()),
@@ -322,8 +327,8 @@ fn degrees_under_a_header_of_radians_are_recognised() {
     let mut in_degrees = robot.clone();
     in_degrees.log.unit = shared::config::AngleUnit::Deg;
     let text = text_of(&sample_log(), &in_degrees).replace("_deg", "_rad");
-    let told = message(parse(&text, &robot));
-    assert!(told.contains("look like degrees") && told.contains("outside"), "{told}");
+    let refusal = message(parse(&text, &robot));
+    assert!(refusal.contains("look like degrees") && refusal.contains("outside"), "{refusal}");
 }
 
 #[test]
@@ -337,8 +342,8 @@ fn exchanged_columns_are_suspected_where_they_explain_the_limits() {
         .replace("joint1_deg", "first")
         .replace("joint2_deg", "joint1_deg")
         .replace("first", "joint2_deg");
-    let told = message(parse(&text, &nj()));
-    assert!(told.contains("`joint1_deg` and `joint2_deg` exchanged"), "{told}");
+    let refusal = message(parse(&text, &nj()));
+    assert!(refusal.contains("`joint1_deg` and `joint2_deg` exchanged"), "{refusal}");
 }
 
 #[test]
@@ -391,8 +396,8 @@ fn cycles_of_a_controller_are_times_also_where_their_counter_begins_anew() {
     let log = read("unit = \"cycles\"\nperiod_ms = 4\nwraps_at = 65536").unwrap();
     assert_eq!((log.q_rad.len(), log.q_rad.first_stamp_ns), (200, 65_400 * 4_000_000));
     assert!(log.q_rad.t_s.iter().enumerate().all(|(row, t_s)| (t_s - 0.02 * row as f64).abs() < 1e-9));
-    let told = read("unit = \"cycles\"\nperiod_ms = 4").unwrap_err().to_string();
-    assert!(told.contains("line 30"), "{told}");
+    let refusal = read("unit = \"cycles\"\nperiod_ms = 4").unwrap_err().to_string();
+    assert!(refusal.contains("line 30"), "{refusal}");
     for (time, key) in [
         ("unit = \"cycles\"", "period_ms"),
         ("unit = \"ms\"\nperiod_ms = 4", "period_ms"),
@@ -400,8 +405,8 @@ fn cycles_of_a_controller_are_times_also_where_their_counter_begins_anew() {
         ("unit = \"date_time\"\nwraps_at = 65536", "wraps_at"),
         ("unit = \"ms\"\nwraps_at = 0", "wraps_at"),
     ] {
-        let told = mapping(time).unwrap_err().to_string();
-        assert!(told.contains(key), "{told}");
+        let refusal = mapping(time).unwrap_err().to_string();
+        assert!(refusal.contains(key), "{refusal}");
     }
 }
 
@@ -442,13 +447,13 @@ fn a_long_log_is_read_as_a_short_one_is() {
     }
     let line = 2 + 15_000 + 2 * 15;
     let bad = text.replace("\n60.000,", "\n60.000,-");
-    let told = message(parse(&bad, &nj()));
-    assert!(told.contains(&format!("line {line} column `joint1_deg`: `--")), "{told}");
-    let told = message(parse(&text.replace("\n60.000,", "\n60.000\0"), &nj()));
-    assert!(told.contains("character '\\0' at offset"), "{told}");
+    let refusal = message(parse(&bad, &nj()));
+    assert!(refusal.contains(&format!("line {line} column `joint1_deg`: `--")), "{refusal}");
+    let refusal = message(parse(&text.replace("\n60.000,", "\n60.000\0"), &nj()));
+    assert!(refusal.contains("character '\\0' at offset"), "{refusal}");
     let cut = &text[..text.rfind("79.992").unwrap() + 30];
-    let told = message(parse(cut, &nj()));
-    assert!(told.contains(&format!("line {}: ", 2 + 19_998 + 2 * 19)), "{told}");
+    let refusal = message(parse(cut, &nj()));
+    assert!(refusal.contains(&format!("line {}: ", 2 + 19_998 + 2 * 19)), "{refusal}");
 }
 
 #[test]

@@ -103,16 +103,16 @@ fn what_stamps_scatter_by_is_measured_and_said() {
     let mut random = ChaCha8Rng::seed_from_u64(3);
     let back = read_back(&log, jittered(&log.q_rad.t_s, 1e-3, &mut random));
     assert!((stamps(&back).jitter_s - 1e-3).abs() < 5e-5, "{:?}", stamps(&back));
-    let told = inspect::robot_log(&back).suspicious.join("\n");
+    let message = inspect::robot_log(&back).suspicious.join("\n");
     assert!(
-        told.contains("the stamps scatter by 1.0") || told.contains("the stamps scatter by 0.9"),
-        "{told}"
+        message.contains("the stamps scatter by 1.0") || message.contains("the stamps scatter by 0.9"),
+        "{message}"
     );
     let rounded: Vec<f64> = log.q_rad.t_s.iter().map(|t_s| (t_s * 1.00003 / 0.01).round() * 0.01).collect();
-    let told = inspect::robot_log(&read_back(&log, rounded)).suspicious.join("\n");
+    let message = inspect::robot_log(&read_back(&log, rounded)).suspicious.join("\n");
     assert!(
-        told.contains("rounded to 10.0 ms") && told.contains("rows have the stamp of the one before"),
-        "{told}"
+        message.contains("rounded to 10.0 ms") && message.contains("rows have the stamp of the one before"),
+        "{message}"
     );
     // A sound one is not slandered.
     let perfect = read_back(&log, log.q_rad.t_s.clone());
@@ -130,7 +130,7 @@ fn rows_that_are_missing_leave_the_others_where_they_were() {
     let exact = read_back(&log, log.q_rad.t_s.clone());
     assert!(apart_s(&exact.q_rad.t_s, &log.q_rad.t_s) < 2e-6);
     let jittered = read_back(&log, jittered(&log.q_rad.t_s, 1e-3, &mut random));
-    // Where the robot rests nobody can tell which rows are missing, and it does not matter.
+    // While the robot rests it is unknown which rows are missing, and it does not matter.
     let moves = |t_s: f64| (std::f64::consts::TAU * t_s / 20.0).cos() < 0.7;
     let off =
         jittered.q_rad.t_s.iter().zip(&log.q_rad.t_s).filter(|(_, t_s)| moves(**t_s)).map(|(a, b)| a - b);
@@ -201,7 +201,7 @@ fn a_step_of_the_stamps_that_the_motion_does_not_share_is_taken_out_and_said() {
     }
 }
 
-/// Also where whole periods are no sign of rows that are missing, and a rest follows: it says nothing of how long it was.
+/// Also if whole periods do not mean missing rows, and a rest of unknown length follows.
 #[test]
 fn a_clock_that_is_set_by_seconds_or_an_hour_leaves_no_row_missing() {
     let log = log(250.0);

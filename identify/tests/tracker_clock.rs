@@ -31,7 +31,7 @@ fn errors_m(followed: &Followed, aligned: &AlignedPoses, found: &Calibration) ->
 #[test]
 fn clocks_of_a_moving_target_are_found_and_calibrate_as_well_as_perfect_times() {
     for seed in 1..=4 {
-        // Some trackers measure at even times, some when they are told to.
+        // Some trackers measure at even times, some on request.
         let uneven_s = if seed % 2 == 0 { 4e-3 } else { 0.0 };
         let followed = Followed::new(seed, Sizes { with_rotation: seed == 1, uneven_s, ..Sizes::default() });
         let aligned = followed.aligned().unwrap();
@@ -223,7 +223,7 @@ fn the_command_takes_both_logs_and_what_it_writes_repeats_it() {
     assert!(clock.correlation > 0.99 && !clock.ambiguous);
     let json = std::fs::read_to_string(folder.path().join("result/calibration.json")).unwrap();
     assert!(json.contains("\"robot_minus_instrument_ns\":4321"));
-    // Rows with joints judge the robot; rows with times have none.
+    // Rows with joints evaluate the robot; rows with times have none.
     let rows = followed.with_perfect_times(&followed.aligned().unwrap());
     let mut other = String::from("q1;q2;q3;q4;q5;q6;x;y;z\n");
     for row in rows.iter().step_by(20) {

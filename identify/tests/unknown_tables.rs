@@ -1,4 +1,4 @@
-//! Tables that nobody has described are read through the mapping that is proposed for them.
+//! Tables without a mapping are read through the mapping that is proposed for them.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::path::Path;
@@ -45,7 +45,7 @@ fn length_m(row: usize) -> f64 {
     (flange.translation.vector - Vector3::new(2.2, 0.4, 0.1)).norm()
 }
 
-/// How somebody's program writes tables.
+/// How another program writes tables.
 struct Style {
     delimiter: &'static str,
     decimal_comma: bool,
@@ -53,7 +53,7 @@ struct Style {
     title: &'static str,
     /// A line of units follows the header.
     unit_line: bool,
-    /// `#` stands for the joint's number.
+    /// `#` is replaced by the joint's number.
     joint: &'static str,
     /// Number of the first joint.
     first: usize,
@@ -88,7 +88,7 @@ fn latin_1(text: String) -> Vec<u8> {
     text.chars().map(|character| character as u32 as u8).collect()
 }
 
-/// Ten programs.
+/// The tables of ten programs.
 const STYLES: [Style; 10] = [
     USUAL,
     Style { delimiter: ";", decimal_comma: true, joint: "J#", ..USUAL },
@@ -333,16 +333,16 @@ fn a_date_written_as_one_number_is_no_time_in_milliseconds() {
 
 #[test]
 fn what_is_no_table_of_joints_is_refused_with_what_was_found() {
-    let told =
+    let message =
         |text: &str| propose(text.as_bytes(), Path::new("table.txt"), &irb2400()).unwrap_err().to_string();
-    assert!(told("a letter\nto somebody\n").contains("no rows of numbers"), "{}", told(""));
+    assert!(message("a letter\nto somebody\n").contains("no rows of numbers"), "{}", message(""));
     let weather = format!("day,rain,sun,wind,snow,fog,ice\n{}", "1,900000,3,4,5,6,7\n".repeat(20));
-    assert!(told(&weather).contains("day, rain, sun"), "{}", told(&weather));
+    assert!(message(&weather).contains("day, rain, sun"), "{}", message(&weather));
     let joints_only = format!("q1,q2,q3,q4,q5,q6\n{}", "1,2,3,4,5,6\n2,3,4,5,6,7\n".repeat(20));
     assert!(
-        told(&joints_only).contains("neither time stamps nor a measured position"),
+        message(&joints_only).contains("neither time stamps nor a measured position"),
         "{}",
-        told(&joints_only)
+        message(&joints_only)
     );
 }
 

@@ -1,4 +1,4 @@
-//! Whatever happens to the bytes of a log: it is refused in words, or what comes out is finite, ordered or marked.
+//! A log with any bytes is refused with a message, or its values are finite, ordered or marked.
 
 use std::path::Path;
 use std::sync::LazyLock;

@@ -56,7 +56,7 @@ fn read(bytes: &[u8], mapping: Option<&BarLogMapping>) -> Result<OtherBarLog, Lo
     OtherBarLog::read(bytes, Path::new("bar.csv"), &four(), mapping)
 }
 
-fn told(bytes: &[u8], mapping: Option<&BarLogMapping>) -> String {
+fn message(bytes: &[u8], mapping: Option<&BarLogMapping>) -> String {
     read(bytes, mapping).map(drop).unwrap_err().to_string()
 }
 
@@ -139,7 +139,7 @@ fn a_narrow_counter_is_refused_with_what_to_write_and_then_followed() {
     // Slow enough that no wrap is skipped: at 16 bits a turn of the ERN 1080 has 225 wraps.
     let slow = |row: usize, joint: usize| (counts(row, joint) / 100).rem_euclid(65_536).to_string();
     let text = table(slow);
-    let refused = told(text.as_bytes(), None);
+    let refused = message(text.as_bytes(), None);
     assert!(refused.contains("joint 1") && refused.contains("wraps_at = 65536"), "{refused}");
     let columns: String = [1, 2, 4, 5]
         .map(|joint| format!("[[encoders]]\njoint = {joint}\ncolumn = \"count{joint}\"\n"))
@@ -171,9 +171,9 @@ fn missing_frozen_and_repeated_rows_are_marked_and_told() {
     assert_eq!(invalid, [40, 41, 81, 82]);
     assert!(log.cycles[81].flags & flags::STALE_INPUT != 0);
     assert_follows(&log, 1e-6);
-    let told = inspect::bar_log(&log).suspicious.join("\n");
+    let message = inspect::bar_log(&log).suspicious.join("\n");
     for part in ["2 lines lack a value", "2 lines repeat the counts", "1 lines repeat the one before"] {
-        assert!(told.contains(part), "{told}");
+        assert!(message.contains(part), "{message}");
     }
 }
 
@@ -209,13 +209,14 @@ fn counters_that_start_anew_are_marked_and_one_that_slips_is_not_excused() {
             one.step_part
         );
     }
-    // A scale that is wrong by far makes every row such a place: it is told once.
+    // A scale that is wrong by far makes every row such a place: the remark appears once.
     let coarse = |row: usize, joint: usize| ((50 * counts(row, joint)) as u32).to_string();
     let log = read(table(coarse).as_bytes(), None).unwrap();
-    let told: Vec<&String> = log.quality.remarks.iter().filter(|one| one.contains("jump at once")).collect();
+    let message: Vec<&String> =
+        log.quality.remarks.iter().filter(|one| one.contains("jump at once")).collect();
     assert!(
-        matches!(told[..], [one] if one.contains("more") && one.contains("interpolation_bits")),
-        "{told:?}"
+        matches!(message[..], [one] if one.contains("more") && one.contains("interpolation_bits")),
+        "{message:?}"
     );
     let slips = |row: usize, joint: usize| {
         let by = if row >= 100 && joint == 4 { 1_000_000 } else { 0 };
@@ -238,14 +239,16 @@ fn rows_that_jump_out_and_back_are_no_new_origins_but_marked_and_named() {
     assert_eq!((log.quality.excursions_dropped, invalid), (4, vec![40, 41, 90, 120]));
     assert!(log.cycles.iter().all(|cycle| cycle.origin == 0));
     assert_follows(&log, 1e-6);
-    let told = inspect::bar_log(&log).suspicious.join("\n");
-    assert!(told.contains("4 of 200 lines") && told.contains("line 42, 43, 92, 122"), "{told}");
-    // More of them are no fault of single rows.
+    let message = inspect::bar_log(&log).suspicious.join("\n");
+    assert!(message.contains("4 of 200 lines") && message.contains("line 42, 43, 92, 122"), "{message}");
+    // More of them are not faults of single rows.
     let many = table(|row, joint| if row % 7 == 3 { "0".into() } else { shown(row, joint) });
-    let told = self::told(many.as_bytes(), None);
+    let message = self::message(many.as_bytes(), None);
     assert!(
-        told.contains("28 of 200 lines") && told.contains("line 5, 12") && told.contains("log again"),
-        "{told}"
+        message.contains("28 of 200 lines")
+            && message.contains("line 5, 12")
+            && message.contains("log again"),
+        "{message}"
     );
 }
 
@@ -283,12 +286,12 @@ fn what_cannot_be_meant_is_refused_with_place_and_remedy() {
         (good.lines().take(30).collect::<Vec<_>>().join("\n"), &["29 usable rows"]),
         ("<Rob/>".into(), &["neither a recording"]),
     ] {
-        let told = told(text.as_bytes(), None);
-        assert!(parts.iter().all(|part| told.contains(part)), "{told}");
+        let message = message(text.as_bytes(), None);
+        assert!(parts.iter().all(|part| message.contains(part)), "{message}");
     }
     // Counts of an encoder that the bar does not have cannot become angles.
-    let told = told(good.replace("count4", "count3").as_bytes(), None);
-    assert!(told.contains("joint 3") && told.contains("interpolation_bits"), "{told}");
+    let message = message(good.replace("count4", "count3").as_bytes(), None);
+    assert!(message.contains("joint 3") && message.contains("interpolation_bits"), "{message}");
 }
 
 #[test]
@@ -301,8 +304,8 @@ fn impossible_mappings_are_refused_by_key() {
         (format!("wraps_at = 2\n{encoders}"), "wraps_at"),
         (format!("[csv]\ndelimiter = \"#\"\n{encoders}"), "csv.delimiter"),
     ] {
-        let told = config::parse::<BarLogMapping>(&text, Path::new("m.toml")).unwrap_err().to_string();
-        assert!(told.contains(&format!("`{key}`")), "{told}");
+        let message = config::parse::<BarLogMapping>(&text, Path::new("m.toml")).unwrap_err().to_string();
+        assert!(message.contains(&format!("`{key}`")), "{message}");
     }
 }
 
@@ -352,8 +355,8 @@ fn encoders_among_the_joints_of_a_bag_are_found_by_name_and_followed_over_full_t
         (Some(format!("topic = \"/x\"\n{}", named[0])), &["on topic /x"]),
     ] {
         let mapping = text.map(|text| mapping(&text));
-        let told = OtherBarLog::read(&bags::mcap(&messages), Path::new("bag"), &bar(), mapping.as_ref());
-        let told = told.map(drop).unwrap_err().to_string();
-        assert!(parts.iter().all(|part| told.contains(part)), "{told}");
+        let message = OtherBarLog::read(&bags::mcap(&messages), Path::new("bag"), &bar(), mapping.as_ref());
+        let message = message.map(drop).unwrap_err().to_string();
+        assert!(parts.iter().all(|part| message.contains(part)), "{message}");
     }
 }

@@ -1,4 +1,4 @@
-//! Robot logs in the forms that people have them: mapped tables, RTDE, RSI; what is odd in them is dropped and told. The
+//! Robot logs in the forms that people have them: mapped tables, RTDE, RSI; unusable rows are dropped with a remark. The
 //! bar's side in `bar_log`, damage of every kind in `any_bytes`.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
@@ -75,12 +75,12 @@ fn the_shipped_mapping_reads_decimal_commas_units_and_the_coupling_of_a_fanuc() 
 #[test]
 fn an_error_in_a_mapped_table_names_the_line_of_the_file_and_the_column() {
     let text = german_table(80).replace("\r\n80;", "\r\n80;x");
-    let told = read_as(&text, Some(shipped_mapping())).unwrap_err().to_string();
+    let message = read_as(&text, Some(shipped_mapping())).unwrap_err().to_string();
     // Row 10 of the numbers, behind three lines.
-    assert!(told.contains("log.txt line 14 column `J1`"), "{told}");
-    let told =
+    assert!(message.contains("log.txt line 14 column `J1`"), "{message}");
+    let message =
         read_as(&german_table(80).replace("J4", "axis4"), Some(shipped_mapping())).unwrap_err().to_string();
-    assert!(told.contains("`J4` is missing") && told.contains("axis4"), "{told}");
+    assert!(message.contains("`J4` is missing") && message.contains("axis4"), "{message}");
 }
 
 #[test]
@@ -164,27 +164,27 @@ fn telegrams_of_rsi_give_measured_joints_or_commanded_ones_where_a_mapping_asks(
     // Telegrams are not searched for forces.
     let force = mapping(&format!("force = {{ unit = \"Nm\" }}\n{joints}"));
     let log = read_as(&telegrams(60, 4), Some(force)).unwrap();
-    let told = log.quality.remarks.iter().find(|remark| remark.contains("force on the bar is not used"));
-    assert!(log.force.is_none() && told.unwrap().contains("--force-log"), "{told:?}");
+    let message = log.quality.remarks.iter().find(|remark| remark.contains("force on the bar is not used"));
+    assert!(log.force.is_none() && message.unwrap().contains("--force-log"), "{message:?}");
 }
 
 #[test]
 fn a_counter_of_telegrams_is_not_taken_for_milliseconds() {
-    let told = read_as(&telegrams(60, 1), None).unwrap_err().to_string();
-    assert!(told.contains("IPOC") && told.contains("[time]"), "{told}");
+    let message = read_as(&telegrams(60, 1), None).unwrap_err().to_string();
+    assert!(message.contains("IPOC") && message.contains("[time]"), "{message}");
 }
 
 #[test]
 fn a_log_of_telegrams_that_breaks_off_is_refused_with_the_telegram() {
     let text = telegrams(60, 4);
-    let told = read_as(&text[..text.len() - 200], None).map(|log| log.q_rad.len());
+    let read = read_as(&text[..text.len() - 200], None).map(|log| log.q_rad.len());
     // Cut in an attribute: refused; cut between elements: the last one is not whole and not taken.
-    match told {
+    match read {
         Ok(count) => assert_eq!(count, 59),
         Err(error) => assert!(error.to_string().contains("telegram 60"), "{error}"),
     }
-    let told = read_as(&text.replacen("<IPOC>", "<IPOC>x", 1), None).unwrap_err().to_string();
-    assert!(told.contains("telegram 1") && told.contains("IPOC"), "{told}");
+    let message = read_as(&text.replacen("<IPOC>", "<IPOC>x", 1), None).unwrap_err().to_string();
+    assert!(message.contains("telegram 1") && message.contains("IPOC"), "{message}");
 }
 
 #[test]
@@ -221,10 +221,10 @@ fn a_robot_that_stands_still_is_not_frozen() {
 #[test]
 fn joints_for_a_robot_whose_configuration_describes_motors_need_a_mapping() {
     let options = LogOptions::default();
-    let told = read_with(telegrams(60, 4).as_bytes(), Path::new("log.xml"), &irb2400(), &options)
+    let message = read_with(telegrams(60, 4).as_bytes(), Path::new("log.xml"), &irb2400(), &options)
         .unwrap_err()
         .to_string();
-    assert!(told.contains("motors") && told.contains("--log-mapping"), "{told}");
+    assert!(message.contains("motors") && message.contains("--log-mapping"), "{message}");
 }
 
 #[test]
@@ -236,8 +236,8 @@ fn formats_are_told_by_content_and_refused_where_there_is_none() {
     assert_eq!(detect(b"timestamp actual_q_0 actual_q_1\n", "x.csv").unwrap(), LogFormat::UrRtde);
     assert_eq!(detect(b"# robot: x\nt_s,joint1_deg\n", "x.csv").unwrap(), LogFormat::Csv);
     assert_eq!(detect(b"\x2d\x0a\x07", "capture.EGM").unwrap(), LogFormat::Egm);
-    let told = detect(b"\x7fELF\x02\x01\x01\0", "x.bin").unwrap_err().to_string();
-    assert!(told.contains("--log-format"), "{told}");
+    let message = detect(b"\x7fELF\x02\x01\x01\0", "x.bin").unwrap_err().to_string();
+    assert!(message.contains("--log-format"), "{message}");
 }
 
 #[test]
@@ -253,8 +253,8 @@ fn impossible_mappings_are_refused_by_key() {
             "coupling",
         ),
     ] {
-        let told =
+        let message =
             config::parse::<RobotLogMapping>(&format!("{text}{joints}"), Path::new("m.toml")).unwrap_err();
-        assert!(told.to_string().contains(&format!("`{key}`")), "{told}");
+        assert!(message.to_string().contains(&format!("`{key}`")), "{message}");
     }
 }

@@ -183,7 +183,7 @@ impl Kind {
     }
 
     /// Kind of a configuration's text, by its keys.
-    pub(super) fn of(text: &str) -> Option<Self> {
+    pub(super) fn recognise(text: &str) -> Option<Self> {
         let table: toml::Table = text.parse().ok()?;
         let has_all = |keys: &[&str]| keys.iter().all(|key| table.contains_key(*key));
         KINDS.into_iter().find(|(.., keys)| has_all(keys)).map(|(kind, ..)| kind)

@@ -158,7 +158,7 @@ fn did_you_mean<'a>(wrong: &str, known: impl Iterator<Item = &'a str>) -> String
 /// [`load`] on text already in memory; `path` is only named in errors.
 pub fn parse<T: DeserializeOwned + Validate>(text: &str, path: &Path) -> Result<T, ConfigError> {
     let malformed = |key: Option<String>, error: &toml::de::Error| {
-        let (line, message) = match Kind::of(text).filter(|kind| T::KIND != Some(*kind)) {
+        let (line, message) = match Kind::recognise(text).filter(|kind| T::KIND != Some(*kind)) {
             Some(other) => {
                 let (noun, option) = (other.noun(), other.option());
                 (None, format!("this is the configuration of a {noun}; give it with {option}"))

@@ -20,7 +20,7 @@ pub(in crate::logs) struct Source<'a> {
 
 impl<'a> Source<'a> {
     /// A source of bytes in memory.
-    pub fn of(bytes: &'a [u8], path: &'a Path) -> Self {
+    pub fn in_memory(bytes: &'a [u8], path: &'a Path) -> Self {
         Self { path, beginning: bytes.into(), rest: None }
     }
 

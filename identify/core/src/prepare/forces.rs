@@ -230,17 +230,11 @@ impl Surroundings<'_> {
     ) -> Result<(Vec<f64>, Option<f64>), ForceError> {
         let samples = observations.iter().zip(rows);
         if kind == ForceKind::JointTorques {
-            let torques: Vec<TorqueSample> = samples
-                .map(|(observation, row)| {
-                    TorqueSample::new(
-                        self.robot,
-                        self.base_m,
-                        self.gravity,
-                        &self.state(observation.t_s),
-                        *row,
-                    )
-                })
-                .collect();
+            let sample = |(observation, row): (&Observation, &Joints)| {
+                let state = self.state(observation.t_s);
+                TorqueSample::new(self.robot, self.base_m, self.gravity, &state, *row)
+            };
+            let torques: Vec<TorqueSample> = samples.map(sample).collect();
             let found = forces_from_torques(&torques).ok_or(ForceError::Torques)?;
             return Ok((found.along_n, Some(found.rms_nm)));
         }

@@ -169,7 +169,7 @@ pub struct SampleCounts {
 
 impl SampleCounts {
     /// Counts the statuses of all cycles.
-    pub fn of(statuses: &[SampleStatus]) -> Self {
+    pub fn count(statuses: &[SampleStatus]) -> Self {
         let mut counts = Self { recorded: statuses.len(), ..Self::default() };
         for status in statuses {
             *match status {

@@ -225,7 +225,7 @@ pub fn fit_sphere(positions_m: &[Vector3<f64>], tolerance_m: f64) -> Option<Sphe
     let (_, mut sphere) = best?;
     let mut inliers = Vec::new();
     for _ in 0..ROUNDS {
-        inliers = positions_m.iter().filter(|p| sphere.distance(p).abs() < tolerance_m).copied().collect();
+        inliers = sphere.near(positions_m, tolerance_m);
         sphere = Sphere::linear(&inliers)?.refined(&inliers, None)?;
     }
     Some(SphereFit {
@@ -245,18 +245,10 @@ impl SphereFit {
     /// fails.
     pub fn drawn_to_length(self, positions_m: &[Vector3<f64>], tolerance_m: f64, length_m: f64) -> Self {
         let sphere = self.sphere();
-        let on_it: Vec<Vector3<f64>> =
-            positions_m.iter().filter(|p| sphere.distance(p).abs() < tolerance_m).copied().collect();
+        let on_it = sphere.near(positions_m, tolerance_m);
         let weight = on_it.len() as f64 / POSITIONS_INDEPENDENT * (self.rms_m / LENGTH_SIGMA_M).powi(2);
-        match sphere.refined(&on_it, Some((length_m, weight))) {
-            Some(drawn) => Self {
-                centre_m: drawn.centre_m,
-                radius_m: drawn.radius_m,
-                rms_m: drawn.rms(&on_it),
-                inliers: self.inliers,
-            },
-            None => self,
-        }
+        let Some(drawn) = sphere.refined(&on_it, Some((length_m, weight))) else { return self };
+        Self { centre_m: drawn.centre_m, radius_m: drawn.radius_m, rms_m: drawn.rms(&on_it), ..self }
     }
 }
 
@@ -271,6 +263,11 @@ impl Sphere {
         (position_m - self.centre_m).norm() - self.radius_m
     }
 
+    /// The positions within a distance.
+    fn near(&self, positions_m: &[Vector3<f64>], distance_m: f64) -> Vec<Vector3<f64>> {
+        positions_m.iter().filter(|p| self.distance(p).abs() < distance_m).copied().collect()
+    }
+
     /// Algebraic fit; `None` if the points lie in a plane.
     fn linear(positions_m: &[Vector3<f64>]) -> Option<Self> {
         /// Smallest ratio of singular values of points that span a sphere.
@@ -282,13 +279,8 @@ impl Sphere {
         }
         // Scaled to unit size about the mean, so that the columns are comparable.
         let scaled: Vec<Vector3<f64>> = positions_m.iter().map(|p| (p - mean) / size).collect();
-        let a = DMatrix::from_fn(
-            scaled.len(),
-            4,
-            |row, column| {
-                if column < 3 { 2.0 * scaled[row][column] } else { 1.0 }
-            },
-        );
+        let entry = |row: usize, column: usize| if column < 3 { 2.0 * scaled[row][column] } else { 1.0 };
+        let a = DMatrix::from_fn(scaled.len(), 4, entry);
         let squares = DVector::from_iterator(scaled.len(), scaled.iter().map(Vector3::norm_squared));
         let normal: Matrix4<f64> = (a.transpose() * &a).fixed_view::<4, 4>(0, 0).into();
         let eigen = normal.symmetric_eigenvalues();

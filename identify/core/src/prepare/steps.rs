@@ -113,7 +113,7 @@ pub fn prepare(
         alignment,
         offsets,
         sphere,
-        counts: SampleCounts::of(&statuses),
+        counts: SampleCounts::count(&statuses),
         timeline: run.timeline(),
         encoder_map: found.encoder_map,
         origins,
@@ -152,13 +152,8 @@ fn initial(
     for offset in offsets {
         btheta_rad[usize::from(offset.joint) - 1] = offset.offset_rad;
     }
-    InitialValues {
-        clock_shift_s: 0.0,
-        clock_skew: clock.skew,
-        base_m,
-        length_m: sphere.radius_m,
-        btheta_rad,
-    }
+    let (clock_skew, length_m) = (clock.skew, sphere.radius_m);
+    InitialValues { clock_skew, base_m, length_m, btheta_rad, ..InitialValues::default() }
 }
 
 /// Offsets of the reference origin and their scatter.

@@ -102,7 +102,7 @@ struct Header {
 }
 
 impl Header {
-    fn at(time: UtcNs) -> Self {
+    fn new(time: UtcNs) -> Self {
         Self { stamp: time.into(), frame_id: FRAME_ID.to_owned() }
     }
 }
@@ -238,7 +238,7 @@ fn from_cdr<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, MessageError> {
 /// One bus cycle as CDR.
 pub(super) fn encode_cycle(record: &CycleRecord) -> Result<Vec<u8>, MessageError> {
     to_cdr(&CycleMessage {
-        header: Header::at(record.sample_time),
+        header: Header::new(record.sample_time),
         cycle: record.cycle,
         dc_time_ns: record.dc_time.0,
         send_monotonic_ns: record.send_time.0,
@@ -286,7 +286,7 @@ fn cycle_record<Origin: Into<u32>>(message: CycleMessage<Origin>) -> Result<Cycl
 /// An event as CDR.
 pub(super) fn encode_event(event: &Event) -> Result<Vec<u8>, MessageError> {
     to_cdr(&EventMessage {
-        header: Header::at(event.time),
+        header: Header::new(event.time),
         cycle: event.cycle,
         kind: event.kind as u8,
         text: event.text.clone(),
@@ -317,7 +317,7 @@ pub(super) fn encode_joint_state(
     velocity_rad_s: Vec<f64>,
 ) -> Result<Vec<u8>, MessageError> {
     to_cdr(&JointStateMessage {
-        header: Header::at(time),
+        header: Header::new(time),
         name: names.to_vec(),
         position: position_rad,
         velocity: velocity_rad_s,
@@ -353,7 +353,7 @@ pub(super) fn encode_diagnostics(
     time: UtcNs,
     status: Vec<DiagnosticStatus>,
 ) -> Result<Vec<u8>, MessageError> {
-    to_cdr(&DiagnosticsMessage { header: Header::at(time), status })
+    to_cdr(&DiagnosticsMessage { header: Header::new(time), status })
 }
 
 #[cfg(test)]
@@ -427,7 +427,7 @@ mod tests {
             prop_assert_eq!(decode_event(&encode_event(&event).unwrap()), Ok(event.clone()));
             let Event { time, cycle, kind, text, .. } = event;
             let older =
-                EventMessage { header: Header::at(time), cycle, kind: kind as u8, text: text.clone(), code: Absent };
+                EventMessage { header: Header::new(time), cycle, kind: kind as u8, text: text.clone(), code: Absent };
             let plain = Event { time, cycle, kind, text, code: String::new() };
             prop_assert_eq!(decode_event(&to_cdr(&older).unwrap()), Ok(plain));
         }

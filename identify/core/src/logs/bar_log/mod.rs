@@ -144,7 +144,7 @@ impl OtherBarLog {
         bar: &BallBarConfig,
         mapping: Option<&BarLogMapping>,
     ) -> Result<Self, LogError> {
-        Self::read_from(Source::of(bytes, path), bar, mapping)
+        Self::read_from(Source::in_memory(bytes, path), bar, mapping)
     }
 
     fn read_from(

@@ -370,7 +370,7 @@ impl RawBarLog {
                     })
                 });
                 let points: Vec<UnwrappedPoint> = points.collect();
-                Unwrapped::of(format!("b{}", reading.info.joint), period_rad, points.len(), |at| points[at])
+                Unwrapped::find(format!("b{}", reading.info.joint), period_rad, points.len(), |at| points[at])
             };
             // A counter that lost its origin has any count next.
             let continues = |one: &CycleRecord, next: &CycleRecord| one.origin == next.origin;

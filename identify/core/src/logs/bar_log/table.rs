@@ -81,7 +81,7 @@ pub(super) fn read(
 
 /// Whether the header of a text names a counter or angle of the bar.
 pub(super) fn has_usual_columns(bytes: &[u8]) -> bool {
-    let text = Text::new(Source::of(bytes, Path::new("")), None);
+    let text = Text::new(Source::in_memory(bytes, Path::new("")), None);
     let Ok(mut text) = text else { return false };
     let header = text.header_line().unwrap_or_default();
     let mut cells = header.split([',', ';', '\t']).map(|cell| cell.trim().trim_matches('"'));

@@ -114,7 +114,7 @@ pub(in crate::logs) struct ForceLayout {
 
 impl ForceLayout {
     /// Columns that a mapping names; `None` if the force is in the log's own torques.
-    pub fn named(table: &Table<'_>, force: &ForceColumns) -> Result<Option<Self>, LogError> {
+    pub fn find_named(table: &Table<'_>, force: &ForceColumns) -> Result<Option<Self>, LogError> {
         let remedy = "Correct the name under [force] in the mapping file.";
         let column = |name: &String| Ok((table.column(name, remedy)?, force.unit.to_si()));
         let columns = force.columns.iter().map(column).collect::<Result<Vec<_>, LogError>>()?;
@@ -124,7 +124,7 @@ impl ForceLayout {
 
     /// Columns with one of the known names: `force_N`, `force_sign`, `force_x_N` .. `force_z_N` (in the axes of the
     /// flange unless a comment says `# force_frame: base`), torques such as `joint1_Nm`, or the force of a UR.
-    pub fn own(table: &Table<'_>, robot: &RobotConfig) -> Result<Option<Self>, LogError> {
+    pub fn find_usual(table: &Table<'_>, robot: &RobotConfig) -> Result<Option<Self>, LogError> {
         let torques: Vec<String> =
             (1..=robot.axes()).map(|joint| format!("{}{joint}_Nm", robot.log.column)).collect();
         let torques: Vec<&str> = torques.iter().map(String::as_str).collect();

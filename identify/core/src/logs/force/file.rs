@@ -1,6 +1,6 @@
 //! A force in a file of its own, such as the load cell's.
 //!
-//! The header names `t_s` and the columns of [`ForceLayout::own`]; with `# clock: bar` stamps are of the ball-bar's
+//! The header names `t_s` and the columns of [`ForceLayout::find_usual`]; with `# clock: bar` stamps are of the ball-bar's
 //! clock (UTC), otherwise of the robot's. Other tables need a [`ForceLogMapping`].
 
 use std::path::Path;
@@ -70,7 +70,7 @@ impl ForceLog {
         robot: &RobotConfig,
         mapping: Option<&ForceLogMapping>,
     ) -> Result<Self, LogError> {
-        Self::read_from(Source::of(bytes, path), robot, mapping)
+        Self::read_from(Source::in_memory(bytes, path), robot, mapping)
     }
 
     fn read_from(
@@ -82,8 +82,8 @@ impl ForceLog {
         let mut table = Table::of_mapping(source, mapping.map(|mapping| &mapping.csv))?;
         let own_time = TimeColumn::new(TIME_COLUMN, TimeUnit::S);
         let (layout, time) = match mapping {
-            Some(mapping) => (ForceLayout::named(&table, &mapping.force)?, &mapping.time),
-            None => (ForceLayout::own(&table, robot)?, &own_time),
+            Some(mapping) => (ForceLayout::find_named(&table, &mapping.force)?, &mapping.time),
+            None => (ForceLayout::find_usual(&table, robot)?, &own_time),
         };
         let layout = layout.ok_or_else(|| unknown(&table, path))?;
         let forces = rows(&mut table, path, time, &layout)?;

@@ -57,7 +57,7 @@ pub fn read_with(
     robot: &RobotConfig,
     options: &LogOptions,
 ) -> Result<RobotLog, LogError> {
-    read_from(Source::of(bytes, path), robot, options)
+    read_from(Source::in_memory(bytes, path), robot, options)
 }
 
 fn read_from(source: Source<'_>, robot: &RobotConfig, options: &LogOptions) -> Result<RobotLog, LogError> {

@@ -40,7 +40,8 @@ pub(in crate::logs) fn read_own(source: Source<'_>, robot: &RobotConfig) -> Resu
     let names = (0..robot.axes()).map(|index| column_name(robot, index, robot.log.unit)).collect();
     let meaning = Meaning::own(robot, names)?;
     let mut table = Table::open(Text::new(source, None)?)?;
-    let mut layout = Layout { force: ForceLayout::own(&table, robot)?, ..own_layout(&table, path, robot)? };
+    let mut layout =
+        Layout { force: ForceLayout::find_usual(&table, robot)?, ..own_layout(&table, path, robot)? };
     let mut raw = RawLog::new(path, "line");
     read_rows(&mut table, &mut layout, &mut raw)?;
     declare(&mut raw, &table);
@@ -128,7 +129,7 @@ pub(in crate::logs) fn read_rtde(source: Source<'_>, robot: &RobotConfig) -> Res
         joints: named(table, &columns("q"), &as_is, remedy)?,
         speeds: optional(&columns("qd"))?,
         torques: optional(&columns("current"))?,
-        force: ForceLayout::own(table, robot)?,
+        force: ForceLayout::find_usual(table, robot)?,
     };
     let mut raw = RawLog::new(path, "line");
     (raw.clock, raw.origin) = ("since the controller's start".into(), origin);
@@ -178,7 +179,7 @@ fn mapped_layout(table: &Table<'_>, path: &Path, mapping: &RobotLogMapping) -> R
         force: mapping
             .force
             .as_ref()
-            .and_then(|force| ForceLayout::named(table, force).transpose())
+            .and_then(|force| ForceLayout::find_named(table, force).transpose())
             .transpose()?,
     })
 }

@@ -89,6 +89,6 @@ impl Contacts {
             };
             Ok(SeatedRow { q_rad: joints.read(table, row)?, socket: number, line: row.line })
         };
-        rows(Source::of(bytes, path), &mapping.csv, find, read).map(|rows| Self { rows })
+        rows(Source::in_memory(bytes, path), &mapping.csv, find, read).map(|rows| Self { rows })
     }
 }

@@ -141,7 +141,7 @@ impl MeasuredLengths {
                 ..columns.read(table, row)?
             })
         };
-        let rows = rows(Source::of(bytes, path), &mapping.csv, find, read)?;
+        let rows = rows(Source::in_memory(bytes, path), &mapping.csv, find, read)?;
         Ok(Self { rows, anchors: anchors.in_order(), attachments: attachments.in_order() })
     }
 }

@@ -303,7 +303,7 @@ impl MeasuredPoses {
             |(seen, joints): &mut (SeenColumns<'_>, JointColumns<'_>), table: &Table<'_>, row: &Row| {
                 Ok(seen.read(table, row, &mut names)?.with_joints(joints.read(table, row)?))
             };
-        let rows = rows(Source::of(bytes, path), &mapping.csv, find, read)?;
+        let rows = rows(Source::in_memory(bytes, path), &mapping.csv, find, read)?;
         let [stations, targets] = names.map(Names::in_order);
         Ok(Self { rows, stations, targets })
     }
@@ -378,7 +378,7 @@ impl TimedPoses {
             let pose = seen.read(table, row, &mut names)?;
             Ok((stamps.next_ns(table, row)?, pose))
         };
-        let mut rows = rows(Source::of(bytes, path), &mapping.csv, find, read)?;
+        let mut rows = rows(Source::in_memory(bytes, path), &mapping.csv, find, read)?;
         if let Some(pair) = rows.windows(2).find(|pair| pair[1].0 < pair[0].0) {
             let [before, after] = [0, 1].map(|place| (pair[place].1.line, pair[place].0));
             return Err(LogError::time_not_increasing(path, "line", before, after));

@@ -110,7 +110,7 @@ impl Touches {
             };
             Ok(TouchedRow { q_rad: joints.read(table, row)?, face, reading_m, line: row.line })
         };
-        let rows = rows(Source::of(bytes, path), &mapping.csv, find, read)?;
+        let rows = rows(Source::in_memory(bytes, path), &mapping.csv, find, read)?;
         Ok(Self { rows, faces: names.in_order() })
     }
 }

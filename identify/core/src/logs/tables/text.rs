@@ -274,7 +274,7 @@ impl<'a> RowsAsText<'a> {
     /// # Errors
     /// [`LogError::NotText`].
     pub fn new(bytes: &'a [u8], path: &'a Path, sheet: Option<&str>) -> Result<Self, LogError> {
-        let text = Text::new(Source::of(bytes, path), sheet)?.whole()?;
+        let text = Text::new(Source::in_memory(bytes, path), sheet)?.whole()?;
         Ok(Self { text, path, is_workbook: is_workbook(bytes) })
     }
 
@@ -299,7 +299,7 @@ impl<'a> RowsAsText<'a> {
     /// # Errors
     /// [`LogError`] where the layout does not suit them.
     pub fn rows(&self, layout: &CsvLayout, rows_max: usize) -> Result<Cells, LogError> {
-        let text = Text::new(Source::of(self.text.as_bytes(), self.path), None)?;
+        let text = Text::new(Source::in_memory(self.text.as_bytes(), self.path), None)?;
         let mut table = Table::mapped(text, &CsvLayout { unit_lines: 0, ..layout.clone() })?;
         let header = table.header().to_vec();
         let mut rows = Vec::new();

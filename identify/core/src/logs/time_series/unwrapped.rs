@@ -42,7 +42,7 @@ pub struct Unwrapped {
 
 impl Unwrapped {
     /// From all readings in the order of time; `None` without wraps.
-    pub fn of(
+    pub fn find(
         name: impl Into<String>,
         period_rad: f64,
         count: usize,

@@ -33,7 +33,7 @@ pub fn unwrapped_counters(
                 }
             };
             let period_rad = COUNTER_VALUES * rad_per_count;
-            Unwrapped::of(format!("b{}", encoder.joint), period_rad, part.len(), reading)
+            Unwrapped::find(format!("b{}", encoder.joint), period_rad, part.len(), reading)
         };
         Unwrapped::of_parts(readings.parts_within(f64::INFINITY).into_iter().map(of_origin))
     };
@@ -51,7 +51,7 @@ pub fn unwrapped_log(log: &RobotLog) -> (Cow<'_, RobotLog>, Vec<Unwrapped>) {
             shown_rad: log.q_rad[at][joint],
             continuous_rad: q_rad[at][joint],
         };
-        Unwrapped::of(format!("q{}", joint + 1), TAU, q_rad.len(), reading)
+        Unwrapped::find(format!("q{}", joint + 1), TAU, q_rad.len(), reading)
     };
     let unwrapped = (0..log.axes()).filter(began_anew).filter_map(of_joint).collect();
     (Cow::Owned(RobotLog { q_rad: q_rad.into(), ..log.clone() }), unwrapped)

@@ -182,7 +182,7 @@ fn choose(
     if kept.len() >= KEPT_MIN {
         return Ok(());
     }
-    let counts = SampleCounts::of(statuses);
+    let counts = SampleCounts::count(statuses);
     Err(PrepareError::NothingLeft {
         kept: kept.len(),
         outside: counts.outside_robot_log,
