@@ -132,7 +132,7 @@ fn every_kind_of_refusal_has_its_page() {
 #[test]
 fn an_ambiguous_encoder_map_is_shown_line_by_line() {
     let run = ambiguous(&irb2400(), &bar());
-    let Refused { page, .. } = typed(&run).refused(&["--encoders 1,2,3,4,5 for", "Look at the bar"], &[]);
+    let Refused { page, .. } = typed(&run).refused(&["--encoders 1,2,3,4,5 for", "Check on the bar"], &[]);
     assert!(page.contains("\n  --encoders "), "each on a line of its own");
 }
 

@@ -279,7 +279,7 @@ fn what_cannot_be_meant_is_refused_with_place_and_remedy() {
     for (text, parts) in [
         (swapped, &["line 61", "time goes"][..]),
         (no_column, &["`count4` is missing", "counter4", "[[encoders]]", "--recording-mapping"]),
-        (fraction, &["line 60", "`count5`", "no whole number"]),
+        (fraction, &["line 60", "`count5`", "not a whole number"]),
         (word, &["line 60", "`count5`"]),
         (short, &["line 201"]),
         (good.replace("t_s", "seconds"), &["`time_utc` is missing", "seconds"]),
