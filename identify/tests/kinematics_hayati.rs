@@ -1,8 +1,81 @@
 //! Standard links and Hayati's describe the same robot.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
-use identify::kinematics::{Chain, ConversionError, robot_chain};
+use identify::kinematics::{Chain, DhLink, robot_chain};
+use nalgebra::{Rotation3, Vector3};
 use proptest::prelude::*;
+
+/// Below this sine or cosine two directions count as parallel or perpendicular.
+const DEGENERATE: f64 = 1e-12;
+
+/// A point \[m\] and the direction of the next axis, in the frame before the link at joint angle zero.
+fn axis_after(link: &DhLink) -> (Vector3<f64>, Vector3<f64>) {
+    let pose = link.transform(0.0);
+    (pose.translation.vector, pose.rotation * Vector3::z())
+}
+
+/// Hayati's link (Hayati and Mirmirani 1985) to the same axis, with this `d`: to the point where the axis crosses a plane across the
+/// one before, then a second rotation. None if the axis does not cross the plane.
+fn hayati_link(link: &DhLink, d_m: f64) -> Option<DhLink> {
+    let (point_m, direction) = axis_after(link);
+    if direction.z.abs() < DEGENERATE {
+        return None;
+    }
+    let crossing = point_m + direction * ((d_m - point_m.z) / direction.z);
+    let length_m = crossing.x.hypot(crossing.y);
+    let sign = if link.a_m < 0.0 { -1.0 } else { 1.0 };
+    let theta_rad =
+        if length_m > 0.0 { (sign * crossing.y).atan2(sign * crossing.x) } else { link.theta_rad };
+    // Rx(alpha) Ry(beta) z = (sin beta, -sin alpha cos beta, cos alpha cos beta)
+    let turned = Rotation3::from_axis_angle(&Vector3::z_axis(), -theta_rad) * direction;
+    let beta_rad = turned.x.atan2(turned.y.hypot(turned.z));
+    let alpha_rad = (-turned.y).atan2(turned.z);
+    Some(DhLink { a_m: sign * length_m, alpha_rad, d_m, theta_rad, beta_rad, ..*link })
+}
+
+/// The standard link to the same axis. None if the axes are parallel.
+fn standard_link(link: &DhLink) -> Option<DhLink> {
+    let (point_m, u) = axis_after(link);
+    let sine = u.x.hypot(u.y);
+    if sine < DEGENERATE {
+        return None;
+    }
+    // x of the link is across both axes; of its two directions the one that keeps the sign of the length.
+    let foot = point_m - u * ((point_m.x * u.x + point_m.y * u.y) / (sine * sine));
+    let across = Vector3::new(-u.y, u.x, 0.0) / sine;
+    let length = across.dot(&foot);
+    let same = if length.abs() > 0.0 { length * link.a_m >= 0.0 } else { link.alpha_rad >= 0.0 };
+    let x = if same { across } else { -across };
+    Some(DhLink {
+        a_m: x.dot(&foot),
+        alpha_rad: (-u.dot(&Vector3::z().cross(&x))).atan2(u.z),
+        d_m: foot.z,
+        theta_rad: x.y.atan2(x.x),
+        beta_rad: 0.0,
+        ..*link
+    })
+}
+
+/// The chain with another link to the same axis; the next link takes up the difference along and about it.
+fn replaced(chain: &Chain, link: usize, other: impl Fn(&DhLink) -> Option<DhLink>) -> Option<Chain> {
+    let mut chain = chain.clone();
+    let [old, next] = chain.links.get_mut(link..link + 2)? else { return None };
+    let new = other(old)?;
+    let rest = new.transform(0.0).inverse() * old.transform(0.0);
+    let turn = rest.rotation.matrix();
+    next.theta_rad += turn[(1, 0)].atan2(turn[(0, 0)]);
+    next.d_m += rest.translation.z;
+    *old = new;
+    Some(chain)
+}
+
+fn with_hayati(chain: &Chain, link: usize, d_m: f64) -> Option<Chain> {
+    replaced(chain, link, |old| hayati_link(old, d_m))
+}
+
+fn with_standard(chain: &Chain, link: usize) -> Option<Chain> {
+    replaced(chain, link, standard_link)
+}
 
 fn nominal(which: usize) -> Chain {
     let robots = [crate::support::irb2400(), crate::support::nj220()];
@@ -32,11 +105,11 @@ proptest! {
             link.theta_rad += e[3];
         }
         prop_assume!(chain.links[link].alpha_rad.abs() > 1e-5);
-        let hayati = chain.with_hayati(link, d_m).unwrap();
+        let hayati = with_hayati(&chain, link, d_m).unwrap();
         prop_assert_eq!(hayati.links[link].d_m, d_m);
         prop_assert!(hayati.links[link].beta_rad.abs() < 0.1);
         prop_assert!(apart(&chain, &hayati, &joints) < 1e-9, "{}", apart(&chain, &hayati, &joints));
-        let back = hayati.with_standard(link).unwrap();
+        let back = with_standard(&hayati, link).unwrap();
         prop_assert_eq!(back.links[link].beta_rad, 0.0);
         // A nearly parallel axis magnifies rounding: by the inverse of the angle between the axes.
         let limit = 1e-13 / chain.links[link].alpha_rad.abs().powi(2) + 1e-10;
@@ -54,22 +127,22 @@ proptest! {
         let mut chain = nominal(0);
         chain.links[1].alpha_rad = alpha;
         chain.links[1].beta_rad = beta;
-        let standard = chain.with_standard(1).unwrap();
+        let standard = with_standard(&chain, 1).unwrap();
         // The common normal lies at length over angle: metres to kilometres away.
         prop_assert!(apart(&chain, &standard, &joints) < 1e-12 / alpha.min(beta));
     }
 }
 
 #[test]
-fn links_that_only_one_form_describes_are_errors() {
+fn some_links_have_one_form_only() {
     let chain = nominal(0);
-    assert_eq!(chain.with_standard(1).unwrap_err(), ConversionError::Parallel { link: 2 });
-    assert_eq!(chain.with_hayati(5, 0.0).unwrap_err(), ConversionError::LastLink { link: 6 });
-    assert_eq!(chain.with_standard(9).unwrap_err(), ConversionError::LastLink { link: 10 });
+    assert!(with_standard(&chain, 1).is_none());
+    assert!(with_hayati(&chain, 5, 0.0).is_none());
+    assert!(with_standard(&chain, 9).is_none());
     let mut square = chain.clone();
     square.links[2].alpha_rad = std::f64::consts::FRAC_PI_2;
     // cos(pi/2) is not zero in binary, but nothing that could be measured.
-    assert_eq!(square.with_hayati(2, 0.0).unwrap_err(), ConversionError::Perpendicular { link: 3 });
-    let same = chain.with_hayati(1, chain.links[1].d_m).unwrap();
+    assert!(with_hayati(&square, 2, 0.0).is_none());
+    let same = with_hayati(&chain, 1, chain.links[1].d_m).unwrap();
     assert!(apart(&chain, &same, &[0.3; 6]) < 1e-15);
 }

@@ -3,6 +3,8 @@
 use nalgebra::{Rotation3, Translation3, Vector3};
 use shared::config::JointKind;
 
+use super::LinkParameter;
+
 /// A rigid transform `a_from_b`: takes coordinates in frame b to frame a.
 pub type Pose = nalgebra::IsometryMatrix3<f64>;
 
@@ -42,6 +44,17 @@ pub struct DhLink {
 }
 
 impl DhLink {
+    /// One of its numbers.
+    pub const fn number_mut(&mut self, parameter: LinkParameter) -> &mut f64 {
+        match parameter {
+            LinkParameter::A => &mut self.a_m,
+            LinkParameter::D => &mut self.d_m,
+            LinkParameter::Alpha => &mut self.alpha_rad,
+            LinkParameter::Theta => &mut self.theta_rad,
+            LinkParameter::Beta => &mut self.beta_rad,
+        }
+    }
+
     /// Everything of the link after its turn about z: `Tz(d) Tx(a) Rx(alpha) Ry(beta)`.
     pub(crate) fn after_joint(&self) -> Pose {
         let twist = Rotation3::from_axis_angle(&Vector3::x_axis(), self.alpha_rad);

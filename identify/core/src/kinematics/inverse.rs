@@ -211,8 +211,7 @@ pub(super) fn refine<const N: usize>(
         tracer.trace(joints.as_slice(), &mut trace);
         let mut jacobian = SMatrix::<f64, 6, N>::zeros();
         for (mut column, twist) in jacobian.column_iter_mut().zip(trace.joint_twists()) {
-            column.fixed_rows_mut::<3>(0).copy_from(&twist.linear);
-            column.fixed_rows_mut::<3>(3).copy_from(&twist.angular);
+            column.copy_from(&twist.column());
         }
         let Some(step) = least_squares_step(jacobian, pose_error(target, trace.end())) else { break };
         let previous = step_rad;
@@ -261,8 +260,7 @@ pub(super) fn refine_centred<const N: usize>(
         tracer.trace(joints.as_slice(), &mut trace);
         let mut jacobian = SMatrix::<f64, 6, N>::zeros();
         for (axis, (mut column, twist)) in jacobian.column_iter_mut().zip(trace.joint_twists()).enumerate() {
-            column.fixed_rows_mut::<3>(0).copy_from(&(twist.linear * range[axis]));
-            column.fixed_rows_mut::<3>(3).copy_from(&(twist.angular * range[axis]));
+            column.copy_from(&(twist.column() * range[axis]));
         }
         let off_centre = (middle - joints).component_div(&range);
         let error = pose_error(target, trace.end());

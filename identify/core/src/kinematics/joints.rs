@@ -1,7 +1,8 @@
 //! One number for each axis of an arm.
 
-use std::ops::{Deref, DerefMut, Index, IndexMut};
+use std::ops::{Deref, DerefMut};
 
+use rand::Rng;
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 
@@ -40,6 +41,11 @@ impl Joints {
         (0..count).map(of).collect()
     }
 
+    /// Any within limits, each number with the same probability.
+    pub fn random(limits: &[[f64; 2]], random: &mut impl Rng) -> Self {
+        limits.iter().map(|[low, high]| low + (high - low) * random.random::<f64>()).collect()
+    }
+
     /// The same function of each number.
     #[must_use]
     pub fn map(mut self, of: impl FnMut(f64) -> f64 + Copy) -> Self {
@@ -73,22 +79,6 @@ impl Deref for Joints {
     #[inline]
     fn deref(&self) -> &[f64] {
         &self.values[..self.count]
-    }
-}
-
-impl Index<usize> for Joints {
-    type Output = f64;
-
-    #[inline]
-    fn index(&self, axis: usize) -> &f64 {
-        &(**self)[axis]
-    }
-}
-
-impl IndexMut<usize> for Joints {
-    #[inline]
-    fn index_mut(&mut self, axis: usize) -> &mut f64 {
-        &mut (**self)[axis]
     }
 }
 

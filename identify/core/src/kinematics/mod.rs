@@ -8,7 +8,6 @@ mod ball_bar_inverse;
 mod chain;
 mod configured;
 mod from_axes;
-mod hayati;
 mod implied_bar;
 mod inverse;
 mod joints;
@@ -20,14 +19,11 @@ pub use ball_bar_inverse::{
     BAR_JOINTS, Configuration, Side, ball_bar_inverse, ball_bar_inverse_refined, first_ball_bar_inverse,
     singularity_margin_rad,
 };
-pub use chain::roll_pitch_yaw;
-pub use chain::{Chain, DhLink, LENGTH_M_MAX, Pose};
+pub use chain::{Chain, DhLink, LENGTH_M_MAX, Pose, roll_pitch_yaw};
 pub use configured::{ball_bar_chain, flange_chain, robot_chain};
 pub use from_axes::AxisLine;
-pub use hayati::ConversionError;
 pub use implied_bar::{ImpliedBar, ROD_LINK};
-pub use inverse::InverseError;
-pub use inverse::{nearest_turn, rotation_vector, wrapped};
+pub use inverse::{InverseError, nearest_turn, rotation_vector, wrapped};
 pub use joints::{AXES_MAX, Joints};
 pub use mirror::mirroring_joints;
 pub use robot_inverse::{robot_inverse, robot_inverse_all, robot_inverse_centred};

@@ -4,7 +4,7 @@
 //! meets anyway: `theta` and `d` about and along z of frame i-1, `alpha` and `a` about and along x of link i, `beta`
 //! about y of frame i. No differences, no symbolic expressions.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Vector3, Vector6};
 use shared::config::JointKind;
 
 use super::{Chain, Pose};
@@ -31,6 +31,13 @@ impl Twist {
     #[inline]
     pub fn scaled(&self, speed: f64) -> Self {
         Self { angular: self.angular * speed, linear: self.linear * speed }
+    }
+
+    /// Linear, then angular velocity: a column of a Jacobian.
+    #[inline]
+    pub fn column(&self) -> Vector6<f64> {
+        let Self { angular, linear } = self;
+        Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
     }
 
     /// A shift along `axis`.
