@@ -38,14 +38,13 @@ impl Default for ArmErrors {
 }
 
 impl ArmErrors {
-    /// The first that is negative or not finite, with its name.
-    pub(super) fn wrong(&self) -> Option<(&'static str, f64)> {
-        let sizes = [
+    /// All sizes by their options.
+    pub(super) fn sizes(&self) -> [(&'static str, f64); 3] {
+        [
             ("errors_mm_mrad", self.errors_mm_mrad),
             ("robot_noise_urad", self.robot_noise_urad),
             ("gear_sine_urad", self.gear_sine_urad),
-        ];
-        sizes.into_iter().find(|(_, value)| !(value.is_finite() && *value >= 0.0))
+        ]
     }
 }
 

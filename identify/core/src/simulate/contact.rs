@@ -1,22 +1,19 @@
 //! A robot with known errors that seats the ball on its flange in the sockets of a plate: what a calibration by contact should find.
 
-use std::collections::BTreeMap;
-use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use nalgebra::{Point3, Rotation3, Vector3};
 use rand::Rng;
 use rand_distr::StandardNormal;
-use serde::{Deserialize, Serialize};
 use shared::config::RobotConfig;
 
 use super::arm::{Arm, ArmErrors};
-use super::write::write_texts;
+use super::rows::{RowSimulationError, RowTruth, SimulatedRows, check_sizes, rows_csv, write_texts};
 use super::{Stream, WriteError, random};
 use crate::instrument::{ContactRow, KnownDistance, PlacedSocket, SocketTable};
-use crate::kinematics::{Chain, Pose};
-use crate::logs::{ContactMapping, CsvLayout, SIMULATED, joint_columns};
-use crate::model::{Model, ParameterId};
+use crate::kinematics::Pose;
+use crate::logs::{ContactMapping, CsvLayout, joint_columns};
+use crate::model::Model;
 
 /// Centre of the ball in the flange frame \[m\].
 const BALL_M: [f64; 3] = [0.02, -0.03, 0.12];
@@ -62,57 +59,8 @@ impl<'a> ContactExperiment<'a> {
     }
 }
 
-/// Everything that is true of it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct ContactTruth {
-    /// The robot's name.
-    pub robot: String,
-    /// Seed of errors, poses and noise.
-    pub seed: u64,
-    /// Names of the sockets in the order of their parameters.
-    pub sockets: Vec<String>,
-    /// True parameters by name \[m|rad\].
-    pub parameters: BTreeMap<String, f64>,
-}
-
 /// What a simulated experiment gives.
-#[derive(Debug, Clone)]
-pub struct SimulatedContacts {
-    /// Rows in the order of the robot's motion.
-    pub rows: Vec<ContactRow>,
-    /// What is known of the sockets.
-    pub table: SocketTable,
-    /// What a calibration should find.
-    pub truth: ContactTruth,
-    /// The true robot.
-    pub robot: Chain,
-}
-
-/// Why a ball in sockets cannot be simulated.
-#[derive(Debug, thiserror::Error)]
-pub enum ContactSimulationError {
-    /// Places are needed.
-    #[error(
-        "a table of distances does not say where the sockets are; give one with a [[socket]] block for each of at least two"
-    )]
-    NoPlaces,
-    /// A size that is none.
-    #[error("{name} is {value}; give a finite number that is not negative")]
-    Size {
-        /// Option.
-        name: &'static str,
-        /// As given.
-        value: f64,
-    },
-    /// The robot does not get there.
-    #[error(
-        "the robot does not reach socket `{socket}` from above within its limits; give another --place or a smaller plate"
-    )]
-    Unreachable {
-        /// Its name.
-        socket: String,
-    },
-}
+pub type SimulatedContacts = SimulatedRows<ContactRow, SocketTable>;
 
 /// Six sockets on two levels.
 fn usual_sockets(size_mm: f64) -> SocketTable {
@@ -148,13 +96,10 @@ fn distances(table: &SocketTable) -> Vec<KnownDistance> {
 /// Runs an experiment.
 ///
 /// # Errors
-/// [`ContactSimulationError`].
-pub fn run(experiment: &ContactExperiment<'_>) -> Result<SimulatedContacts, ContactSimulationError> {
+/// [`RowSimulationError`].
+pub fn run(experiment: &ContactExperiment<'_>) -> Result<SimulatedContacts, RowSimulationError> {
     let ContactExperiment { robot, seed, errors, seating_um, .. } = *experiment;
-    let seating = Some(("seating_um", seating_um)).filter(|(_, um)| !(um.is_finite() && *um >= 0.0));
-    if let Some((name, value)) = errors.wrong().or(seating) {
-        return Err(ContactSimulationError::Size { name, value });
-    }
+    check_sizes(&errors, &[("seating_um", seating_um)])?;
     let arm = Arm::new(robot, errors, BALL_M.into());
     let mut poses = random(seed, Stream::Path);
     let (places_m, reach_m) = arm.places(&mut poses);
@@ -162,7 +107,7 @@ pub fn run(experiment: &ContactExperiment<'_>) -> Result<SimulatedContacts, Cont
     const SIDE: f64 = 0.2;
     let table = experiment.sockets.clone().unwrap_or_else(|| usual_sockets(SIDE * reach_m * 1e3));
     if table.sockets.len() < 2 {
-        return Err(ContactSimulationError::NoPlaces);
+        return Err(RowSimulationError::NoPlaces);
     }
     let centre_mm = table.sockets.iter().map(|one| Vector3::from(one.position_mm)).sum::<Vector3<f64>>()
         / table.sockets.len() as f64;
@@ -180,12 +125,12 @@ pub fn run(experiment: &ContactExperiment<'_>) -> Result<SimulatedContacts, Cont
             .sockets
             .iter()
             .find(|one| arm.reached(there_m(one), TRIES / 10, &mut poses).is_none())
-            .map(|one| one.name.clone());
+            .map(|one| one.name.as_str());
         out_of_reach.is_none()
     });
-    let Some(plate) = plate else {
-        return Err(ContactSimulationError::Unreachable { socket: out_of_reach.unwrap_or_default() });
-    };
+    let unreachable =
+        |name: &str| RowSimulationError::Unreachable { place: format!("socket `{name}`"), size: "plate" };
+    let plate = plate.ok_or_else(|| unreachable(out_of_reach.unwrap_or_default()))?;
     let mut effects = random(seed, Stream::RobotEffects);
     let mut noise = |sigma: f64| -> f64 { sigma * 1e-6 * effects.sample::<f64, _>(StandardNormal) };
     let sockets_m: Vec<Vector3<f64>> = table
@@ -200,45 +145,23 @@ pub fn run(experiment: &ContactExperiment<'_>) -> Result<SimulatedContacts, Cont
     for row in 0..experiment.rows {
         let socket = row % sockets_m.len();
         let there_m = sockets_m[socket] + Vector3::from_fn(|_, _| noise(seating_um));
-        let Some(stands) = arm.reached(there_m, TRIES, &mut poses) else {
-            return Err(ContactSimulationError::Unreachable { socket: table.sockets[socket].name.clone() });
-        };
+        let stands = arm.reached(there_m, TRIES, &mut poses);
+        let stands = stands.ok_or_else(|| unreachable(&table.sockets[socket].name))?;
         rows.push(ContactRow { joints_rad: arm.reported(&stands, &mut noise), socket });
     }
-    let mut truth = truth(experiment, &table, &arm.chain, &sockets_m);
-    truth.parameters.extend(arm.gear_terms());
+    let model = Model::alone(&arm.chain).with_sockets(sockets_m.len()).without_clocks();
+    let mut geometry = model.geometry(&[]);
+    (geometry.contact.ball_m, geometry.contact.sockets_m) = (BALL_M.into(), sockets_m);
+    let truth = RowTruth {
+        sockets: table.sockets.iter().map(|one| one.name.clone()).collect(),
+        ..RowTruth::new(robot, seed, &model, geometry, &arm)
+    };
     let table = if experiment.distances {
         SocketTable { distances: distances(&table), sockets: Vec::new(), ..table }
     } else {
         table
     };
-    Ok(SimulatedContacts { rows, table, truth, robot: arm.chain })
-}
-
-fn truth(
-    experiment: &ContactExperiment<'_>,
-    table: &SocketTable,
-    chain: &Chain,
-    sockets_m: &[Vector3<f64>],
-) -> ContactTruth {
-    let model = Model::alone(chain).with_sockets(sockets_m.len()).without_clocks();
-    let mut geometry = model.geometry(&[]);
-    geometry.contact.ball_m = BALL_M.into();
-    geometry.contact.sockets_m = sockets_m.to_vec();
-    let of_geometry = model.ids().into_iter();
-    let of_geometry = of_geometry.filter(|id| id.term().is_none());
-    let value = |id: ParameterId| Some((id.to_string(), *geometry.parameter_mut(id)?));
-    ContactTruth {
-        robot: experiment.robot.name.clone(),
-        seed: experiment.seed,
-        sockets: table.sockets.iter().map(|one| one.name.clone()).collect(),
-        parameters: of_geometry.filter_map(value).collect(),
-    }
-}
-
-/// How the columns of simulated rows are called.
-fn mapping(robot: &RobotConfig) -> ContactMapping {
-    ContactMapping { csv: CsvLayout::default(), socket: "socket".into(), joints: joint_columns(robot) }
+    Ok(SimulatedRows { rows, table, truth, robot: arm.chain })
 }
 
 /// Writes `contacts.csv`, its mapping `contact.toml`, `sockets.toml` and `truth.toml` into `directory`, which is made where it is
@@ -251,17 +174,11 @@ pub fn write(
     simulated: &SimulatedContacts,
     robot: &RobotConfig,
 ) -> Result<[PathBuf; 4], WriteError> {
-    let mapping = mapping(robot);
-    let mut table = format!("# {SIMULATED}: identify simulate contact\n");
-    table.extend(mapping.joints.iter().map(|joint| format!("{},", joint.column)));
-    table += "socket\n";
-    for row in &simulated.rows {
-        for (q, joint) in row.joints_rad.iter().zip(&mapping.joints) {
-            // Writing to a string cannot fail.
-            let _ = write!(table, "{:.9},", q / joint.unit.to_si());
-        }
-        let _ = writeln!(table, "{}", simulated.truth.sockets[row.socket]);
-    }
+    let mapping =
+        ContactMapping { csv: CsvLayout::default(), socket: "socket".into(), joints: joint_columns(robot) };
+    let table = rows_csv("contact", (&mapping.joints, "socket"), &simulated.rows, |row| {
+        (&row.joints_rad, simulated.truth.sockets[row.socket].clone())
+    });
     let files = [
         ("contacts.csv", table),
         ("contact.toml", toml::to_string(&mapping)?),

@@ -10,7 +10,7 @@ use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
 use shared::config::RobotConfig;
 
-use super::SimulateError;
+use super::{SimulateError, is_size};
 use crate::kinematics::Joints;
 
 /// Sizes of the effects \[urad\]; zero is none.
@@ -106,7 +106,7 @@ impl Effects {
         let mut sizes = *self;
         for name in Self::KEYS {
             let size = sizes.size_mut(name).map_or(0.0, |size| *size);
-            if !(size.is_finite() && size >= 0.0) {
+            if !is_size(size) {
                 return Err(SimulateError::Effect { name, value_urad: size });
             }
         }

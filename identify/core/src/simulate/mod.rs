@@ -11,22 +11,20 @@ pub mod contact;
 mod effects;
 mod motion;
 mod pairs;
-mod pull;
+mod rows;
 mod sample;
 pub mod touch;
 mod truth;
-mod wire;
 mod write;
 
 pub use arm::ArmErrors;
 pub use comparison::{Compared, Comparison, position_errors_m};
 pub use effects::Effects;
 use effects::{BarReading, RobotReading};
-pub use motion::{BarPath, Motion};
+pub use motion::{BarLoad, BarPath, Motion, Pull};
 pub use pairs::{LEAD_ROWS, Pairs, pairs};
-pub use pull::{BarLoad, Pull};
+pub use rows::{ATTACHMENT_M, RowSimulationError, RowTruth, SimulatedRows, wire_rows};
 pub use truth::{ClockTruth, EncoderTruth, StaticErrors, THESIS_ERRORS, Truth, parameter_names};
-pub use wire::{ATTACHMENT_M, wire_rows};
 pub use write::{SimulationFiles, WriteError, write};
 
 use std::collections::BTreeMap;
@@ -182,6 +180,11 @@ pub enum SimulateError {
     },
 }
 
+/// The size of an error or effect.
+fn is_size(value: f64) -> bool {
+    value.is_finite() && value >= 0.0
+}
+
 /// Independent random streams, so that one more draw for one purpose leaves all others as they were.
 #[derive(Debug, Clone, Copy)]
 enum Stream {
@@ -290,7 +293,7 @@ impl Experiment<'_> {
             return Err(SimulateError::ThesisAxes { robot: self.robot.name.clone(), axes });
         }
         let sizes = self.load.sizes();
-        match sizes.iter().find(|(_, size)| !(size.is_finite() && *size >= 0.0)) {
+        match sizes.iter().find(|(_, size)| !is_size(*size)) {
             Some(&(name, value)) => Err(SimulateError::Load { name, value }),
             None => Ok(()),
         }

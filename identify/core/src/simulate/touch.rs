@@ -1,22 +1,19 @@
 //! A robot with known errors that touches the faces of a block with a tip on its flange: what a calibration by touch should find.
 
-use std::collections::BTreeMap;
-use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use nalgebra::{Rotation3, Vector3};
 use rand::Rng;
 use rand_distr::StandardNormal;
-use serde::{Deserialize, Serialize};
 use shared::config::RobotConfig;
 
 use super::arm::{Arm, ArmErrors};
-use super::write::write_texts;
+use super::rows::{RowSimulationError, RowTruth, SimulatedRows, check_sizes, rows_csv, write_texts};
 use super::{Stream, WriteError, random};
 use crate::instrument::{FaceTable, KnownAngle, Spacing, TouchRow, Touched};
-use crate::kinematics::{Chain, Pose};
-use crate::logs::{CsvLayout, LengthUnit, ReadingColumn, SIMULATED, TouchMapping, joint_columns};
-use crate::model::{Face, Model, ParameterId};
+use crate::kinematics::Pose;
+use crate::logs::{CsvLayout, LengthUnit, ReadingColumn, TouchMapping, joint_columns};
+use crate::model::{Face, Model};
 
 /// Centre of the tip's ball in the flange frame \[m\], and the ball's diameter \[mm\].
 const TIP_M: [f64; 3] = [0.02, -0.03, 0.12];
@@ -74,54 +71,8 @@ impl<'a> TouchExperiment<'a> {
     }
 }
 
-/// Everything that is true of it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct TouchTruth {
-    /// The robot's name.
-    pub robot: String,
-    /// Seed of poses and noise.
-    pub seed: u64,
-    /// Names of the faces in the order of their parameters.
-    pub faces: Vec<String>,
-    /// True parameters by name \[m|rad\].
-    pub parameters: BTreeMap<String, f64>,
-}
-
 /// What a simulated experiment gives.
-#[derive(Debug, Clone)]
-pub struct SimulatedTouches {
-    /// Rows in the order of the robot's motion.
-    pub rows: Vec<TouchRow>,
-    /// What is known of the faces.
-    pub table: FaceTable,
-    /// What a calibration should find.
-    pub truth: TouchTruth,
-    /// The robot with its errors.
-    pub robot: Chain,
-    /// Rows have the readings of a gauge.
-    pub with_readings: bool,
-}
-
-/// Why a touch probe cannot be simulated.
-#[derive(Debug, thiserror::Error)]
-pub enum TouchSimulationError {
-    /// A size that is negative or not finite.
-    #[error("{name} is {value}; give a finite number that is not negative")]
-    Size {
-        /// Name of the option.
-        name: &'static str,
-        /// Its value as given.
-        value: f64,
-    },
-    /// The robot does not get there.
-    #[error(
-        "the robot does not reach face `{face}` from above within its limits; give another --place or a smaller --block-mm"
-    )]
-    Unreachable {
-        /// Name of the face.
-        face: &'static str,
-    },
-}
+pub type SimulatedTouches = SimulatedRows<TouchRow, FaceTable>;
 
 /// What is known of a block with these edges.
 fn known(block_mm: f64) -> FaceTable {
@@ -154,15 +105,11 @@ fn known(block_mm: f64) -> FaceTable {
 /// Simulates an experiment with a touch probe.
 ///
 /// # Errors
-/// [`TouchSimulationError`].
-pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, TouchSimulationError> {
+/// [`RowSimulationError`].
+pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, RowSimulationError> {
     let TouchExperiment { robot, seed, errors, touch_um, gauge_mm, .. } = *experiment;
-    let sizes =
-        [("touch_um", touch_um), ("gauge_mm", gauge_mm), ("block_mm", experiment.block_mm.unwrap_or(1.0))];
-    let wrong = sizes.into_iter().find(|(_, value)| !(value.is_finite() && *value >= 0.0));
-    if let Some((name, value)) = errors.wrong().or(wrong) {
-        return Err(TouchSimulationError::Size { name, value });
-    }
+    let block_mm = experiment.block_mm.unwrap_or(1.0);
+    check_sizes(&errors, &[("touch_um", touch_um), ("gauge_mm", gauge_mm), ("block_mm", block_mm)])?;
     let arm = Arm::new(robot, errors, TIP_M.into());
     let mut poses = random(seed, Stream::Path);
     let (places_m, reach_m) = arm.places(&mut poses);
@@ -190,9 +137,9 @@ pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, TouchSi
             out_of_reach.is_empty()
         },
     );
-    let Some((block_mm, block)) = found else {
-        return Err(TouchSimulationError::Unreachable { face: out_of_reach });
-    };
+    let unreachable =
+        |face: &str| RowSimulationError::Unreachable { place: format!("face `{face}`"), size: "--block-mm" };
+    let (block_mm, block) = found.ok_or_else(|| unreachable(out_of_reach))?;
     let half_m = 0.5e-3 * block_mm;
     let table = known(block_mm);
     let mut effects = random(seed, Stream::RobotEffects);
@@ -232,32 +179,23 @@ pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, TouchSi
             let on_plane_m = place_m - face.normal * (face.normal.dot(&place_m) - face.distance_m);
             arm.reached(on_plane_m + face.normal * out_m, TRIES / 10, &mut poses)
         });
-        let Some(stands) = stands else { return Err(TouchSimulationError::Unreachable { face: name }) };
+        let stands = stands.ok_or_else(|| unreachable(name))?;
         rows.push(TouchRow { joints_rad: arm.reported(&stands, &mut noise), face: number, reading_m });
     }
-    let mut truth = truth(experiment, &arm.chain, &faces);
-    truth.parameters.extend(arm.gear_terms());
-    let table = if experiment.known { table } else { FaceTable::default() };
-    Ok(SimulatedTouches { rows, table, truth, robot: arm.chain, with_readings: gauge_mm > 0.0 })
-}
-
-fn truth(experiment: &TouchExperiment<'_>, chain: &Chain, faces: &[Face]) -> TouchTruth {
-    let model = Model::alone(chain).with_faces(faces.len()).without_clocks();
+    let model = Model::alone(&arm.chain).with_faces(faces.len()).without_clocks();
     let mut geometry = model.geometry(&[]);
     geometry.touch.tip_m = TIP_M.into();
-    for (to, face) in geometry.touch.faces.iter_mut().zip(faces) {
+    for (to, face) in geometry.touch.faces.iter_mut().zip(&faces) {
         // As a calibration has them: the largest component of a normal is one.
         let scale = face.normal.amax();
         *to = Face { normal: face.normal / scale, distance_m: face.distance_m / scale };
     }
-    let ids = model.ids().into_iter().filter(|id| id.term().is_none());
-    let value = |id: ParameterId| Some((id.to_string(), *geometry.parameter_mut(id)?));
-    TouchTruth {
-        robot: experiment.robot.name.clone(),
-        seed: experiment.seed,
+    let truth = RowTruth {
         faces: FACES.map(|(name, _)| name.to_owned()).to_vec(),
-        parameters: ids.filter_map(value).collect(),
-    }
+        ..RowTruth::new(robot, seed, &model, geometry, &arm)
+    };
+    let table = if experiment.known { table } else { FaceTable::default() };
+    Ok(SimulatedRows { rows, table, truth, robot: arm.chain })
 }
 
 /// Writes `touches.csv`, its mapping `touch.toml`, `faces.toml` and `truth.toml` into `directory`, which is made where it is missing;
@@ -270,26 +208,20 @@ pub fn write(
     simulated: &SimulatedTouches,
     robot: &RobotConfig,
 ) -> Result<[PathBuf; 4], WriteError> {
+    // A touch probe without a gauge has no readings.
+    let with_readings = simulated.rows.iter().any(|row| row.reading_m != 0.0);
     let reading = ReadingColumn { column: "reading_mm".into(), unit: LengthUnit::Mm };
     let mapping = TouchMapping {
         csv: CsvLayout::default(),
         face: "face".into(),
-        reading: simulated.with_readings.then_some(reading),
+        reading: with_readings.then_some(reading),
         joints: joint_columns(robot),
     };
-    let mut table = format!("# {SIMULATED}: identify simulate touch\n");
-    table.extend(mapping.joints.iter().map(|joint| format!("{},", joint.column)));
-    table += if simulated.with_readings { "reading_mm,face\n" } else { "face\n" };
-    for row in &simulated.rows {
-        for (q, joint) in row.joints_rad.iter().zip(&mapping.joints) {
-            // Writing to a string cannot fail.
-            let _ = write!(table, "{:.9},", q / joint.unit.to_si());
-        }
-        if simulated.with_readings {
-            let _ = write!(table, "{:.6},", row.reading_m * 1e3);
-        }
-        let _ = writeln!(table, "{}", simulated.truth.faces[row.face]);
-    }
+    let columns = if with_readings { "reading_mm,face" } else { "face" };
+    let table = rows_csv("touch", (&mapping.joints, columns), &simulated.rows, |row| {
+        let reading = if with_readings { format!("{:.6},", row.reading_m * 1e3) } else { String::new() };
+        (&row.joints_rad, reading + &simulated.truth.faces[row.face])
+    });
     let files = [
         ("touches.csv", table),
         ("touch.toml", toml::to_string(&mapping)?),

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use shared::time::UtcNs;
 
 use super::{BarLoad, Design, Effects, Experiment, Stream, random};
-use crate::kinematics::{Chain, Pose};
+use crate::kinematics::{Chain, LinkParameter, Pose};
 use crate::model::{ParameterId, THESIS_FIXED};
 
 /// Static errors of the simulations in the thesis (TFRT-6017 table 3.1) \[mm|mrad\]. Its first row is illegible; the
@@ -85,9 +85,10 @@ impl StaticErrors {
 /// Names of all geometric parameters: links of a robot of `axes` axes and of the bar, base position and tilt.
 pub fn parameter_names(axes: usize) -> Vec<String> {
     let links = |chain: char, count: usize| {
-        ["a", "d", "alpha", "theta"]
+        LinkParameter::STANDARD
+            .map(LinkParameter::name)
             .into_iter()
-            .flat_map(move |kind| (1..=count).map(move |link| format!("{chain}{kind}{link}")))
+            .flat_map(move |name| (1..=count).map(move |link| format!("{chain}{name}{link}")))
     };
     let base = ["ox", "oy", "oz", "orx", "ory"].map(str::to_owned);
     links('r', axes).chain(links('b', 5)).chain(base).collect()
@@ -225,12 +226,10 @@ impl Truth {
     fn with_errors(&self, nominal: &Chain, chain: char) -> Chain {
         let mut moved = nominal.clone();
         for (index, link) in moved.links.iter_mut().enumerate() {
-            let error = |kind: &str| self.error(&format!("{chain}{kind}{}", index + 1));
-            link.a_m += error("a");
-            link.d_m += error("d");
-            link.alpha_rad += error("alpha");
-            link.theta_rad += error("theta");
-            link.beta_rad += error("beta");
+            for parameter in LinkParameter::ALL {
+                let name = format!("{chain}{}{}", parameter.name(), index + 1);
+                *link.number_mut(parameter) += self.error(&name);
+            }
         }
         moved
     }

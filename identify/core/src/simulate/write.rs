@@ -98,20 +98,3 @@ fn metadata(
         ball_bar_config: toml::to_string(bar)?,
     })
 }
-
-/// Writes texts by their names into `directory`, which is made where it is missing; returns where they are.
-pub(super) fn write_texts<const N: usize>(
-    directory: &Path,
-    files: [(&str, String); N],
-) -> Result<[PathBuf; N], WriteError> {
-    let unwritable = |path: &Path| {
-        let path = path.to_owned();
-        move |source| LogError::Unwritable { path, source }
-    };
-    std::fs::create_dir_all(directory).map_err(unwritable(directory))?;
-    for (name, text) in &files {
-        let path = directory.join(name);
-        std::fs::write(&path, text).map_err(unwritable(&path))?;
-    }
-    Ok(files.map(|(name, _)| directory.join(name)))
-}
