@@ -62,7 +62,7 @@ impl Design {
         if self.posture_deg.len() == limits.len() {
             return self.posture_deg.map(f64::to_radians);
         }
-        limits.iter().map(|[low, high]| low + (high - low) * random.random::<f64>()).collect()
+        Joints::random(limits, random)
     }
 
     /// A posture of a six-axis arm keeps its distance from the straight wrist.

@@ -7,7 +7,6 @@
 //! no parameter describes is not in it.
 
 use nalgebra::DMatrix;
-use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use shared::config::{BallBarConfig, RobotConfig};
@@ -357,9 +356,7 @@ fn position_weight(arm: &Chain, columns: &[(usize, ParameterId)], joint_limits: 
     let mut trace = Trace::default();
     let mut rows = DMatrix::zeros(3 * POSTURES, columns.len());
     for posture in 0..POSTURES {
-        let q: Joints =
-            joint_limits.iter().map(|[low, high]| low + (high - low) * random.random::<f64>()).collect();
-        tracer.trace(&q, &mut trace);
+        tracer.trace(&Joints::random(joint_limits, &mut random), &mut trace);
         let mut by = rows.rows_mut(3 * posture, 3);
         for (mut column, (_, id)) in by.column_iter_mut().zip(columns) {
             if let ParameterId::Robot { link, parameter } = *id

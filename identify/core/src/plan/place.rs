@@ -1,10 +1,10 @@
 //! Where the bar should stand and how long its rod should be: places that the robot reaches from many sides, by what a path
 //! there determines.
 
+use std::f64::consts::PI;
 use std::time::{Duration, Instant};
 
 use nalgebra::Vector3;
-use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, UnitSphere};
@@ -129,15 +129,9 @@ impl PlaceRequest<'_> {
         let (arm, mut chain) = (robot_chain(self.robot, bar), ball_bar_chain(bar));
         let limits = self.robot.joint_limits();
         // Within half a turn: a joint that turns further gains nothing here.
-        let range = |[low, high]: [f64; 2]| [low.max(-std::f64::consts::PI), high.min(std::f64::consts::PI)];
+        let ranges: Vec<[f64; 2]> = limits.iter().map(|[low, high]| [low.max(-PI), high.min(PI)]).collect();
         for _ in 0..TRIES {
-            let q: Joints = limits
-                .iter()
-                .map(|limit| {
-                    let [low, high] = range(*limit);
-                    low + (high - low) * random.random::<f64>()
-                })
-                .collect();
+            let q = Joints::random(&ranges, random);
             let end = arm.forward(&q);
             let towards: [f64; 3] = UnitSphere.sample(random);
             let base = end.translation.vector - Vector3::from(towards) * bar.length_m;
@@ -175,10 +169,7 @@ impl PlaceRequest<'_> {
         limits: &[[f64; 2]],
         design: &'c Design,
     ) -> Constraints<'c> {
-        let mut constraints = Constraints::new(arm, bar, limits, design);
-        constraints.acceleration_rad_s2 = self.acceleration_rad_s2;
-        constraints.bodies = Some(self.bodies.clone());
-        constraints
+        Constraints::new(arm, bar, limits, design).with(Some(self.bodies.clone()), self.acceleration_rad_s2)
     }
 
     fn bar_of(&self, length_m: f64) -> BallBarConfig {

@@ -5,8 +5,9 @@
 //! than a few poses determine: without them the best poses crowd at the ends of the joints' ranges and say nothing of what lies
 //! between. Poses are taken one by one, the best first (greedy), then each is exchanged for a better one (Fedorov 1972).
 
+use std::f64::consts::PI;
+
 use nalgebra::{DMatrix, DMatrixView, DVector, Point3, Vector3};
-use rand::Rng;
 use rand::seq::index;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -200,8 +201,8 @@ pub fn random_postures(
 ) -> Result<Vec<Joints>, PosesError> {
     const TRIES_EACH: usize = 100;
     let (arm, mut random) = (flange_chain(robot), ChaCha8Rng::seed_from_u64(seed));
-    let limits = robot.joint_limits();
-    let half_turn = std::f64::consts::PI;
+    let range = |[low, high]: [f64; 2]| [(low + margin_rad).max(-PI), (high - margin_rad).min(PI)];
+    let ranges: Vec<[f64; 2]> = robot.joint_limits().into_iter().map(range).collect();
     let mut found = Vec::with_capacity(count);
     let mut tried = 0;
     while found.len() < count {
@@ -210,11 +211,7 @@ pub fn random_postures(
             return Err(PosesError::NoRoom { found: found.len(), tried, clearance_mm });
         }
         tried += 1;
-        let joint = |[low, high]: &[f64; 2]| {
-            let [low, high] = [(low + margin_rad).max(-half_turn), (high - margin_rad).min(half_turn)];
-            low + (high - low) * random.random::<f64>()
-        };
-        let q: Joints = limits.iter().map(joint).collect();
+        let q = Joints::random(&ranges, &mut random);
         if bodies.is_clear(&arm, &q) {
             found.push(q);
         }

@@ -99,8 +99,17 @@ enum Step {
     Wait(f64),
     /// Stops until a person continues.
     Halt(Halt),
-    /// Drives along a path from where it stands.
-    Follow(Points),
+    /// Stands still on a path \[s\].
+    Stand(f64),
+    /// Drives through points that are `period_s` apart, to a stop at the last.
+    Drive {
+        /// Time between two points \[s\].
+        period_s: f64,
+        /// The controller's numbers, angles in radians.
+        raw_rad: Vec<Joints>,
+    },
+    /// Drives along a path with the speeds of its points.
+    Servo(Points),
 }
 
 /// Why a program stops for a person.
@@ -143,26 +152,19 @@ struct Points {
     rate_rad_s: Vec<Joints>,
 }
 
-/// Part of a path.
-enum Segment<'p> {
-    /// Points that the robot drives through, to a stop at the last.
-    Moves(Vec<&'p Joints>),
-    /// Time at a standstill \[s\].
-    Stands(f64),
-}
-
 impl Points {
     /// Moves and standstills in turn. Points that a program would write with the same digits are standstills: controllers refuse
     /// segments of zero length, or stop at them.
-    fn segments(&self, digits: i32) -> Vec<Segment<'_>> {
+    fn segments(&self, digits: i32) -> Vec<Step> {
         let written = |q: &Joints| q.map(|angle| (angle.to_degrees() * 10f64.powi(digits)).round());
         let moves = |pair: &&[Joints]| written(&pair[0]) != written(&pair[1]);
         let pairs: Vec<&[Joints]> = self.raw_rad.windows(2).collect();
+        let period_s = self.period_s;
         pairs
             .chunk_by(|one, next| moves(one) == moves(next))
             .map(|run| match run.first().is_some_and(moves) {
-                true => Segment::Moves(run.iter().map(|pair| &pair[1]).collect()),
-                false => Segment::Stands(self.period_s * run.len() as f64),
+                true => Step::Drive { period_s, raw_rad: run.iter().map(|pair| pair[1]).collect() },
+                false => Step::Stand(period_s * run.len() as f64),
             })
             .collect()
     }
@@ -247,7 +249,11 @@ pub fn program(
         off_sphere_m * 1e3
     );
     let start = points.raw_rad.first().copied().unwrap_or_default();
-    let steps = [Step::Go(start), Step::Halt(Halt::AttachBar), Step::Wait(SETTLE_S), Step::Follow(points)];
+    let mut steps = vec![Step::Go(start), Step::Halt(Halt::AttachBar), Step::Wait(SETTLE_S)];
+    match language {
+        Language::Urscript => steps.push(Step::Servo(points)),
+        _ => steps.extend(points.segments(language.digits())),
+    }
     Ok(text(language, Task::Path, &about, &steps))
 }
 
@@ -409,23 +415,14 @@ fn rapid(name: &str, about: &str, steps: &[Step]) -> String {
                 let (reason, message) = (halt.reason(), halt.message());
                 writeln!(text, "    ! {reason}\n    TPWrite \"{message}\";\n    {stop};")
             }
-            Step::Follow(points) => {
-                for segment in points.segments(Language::Rapid.digits()) {
-                    let moves = match segment {
-                        Segment::Moves(moves) => moves,
-                        Segment::Stands(wait_s) => {
-                            let _ = writeln!(text, "    WaitTime {wait_s:.3};");
-                            continue;
-                        }
-                    };
-                    for (index, raw_rad) in moves.iter().enumerate() {
-                        let zone = if index + 1 == moves.len() { "fine" } else { "z1" };
-                        let (target, period_s) = (target(raw_rad), points.period_s);
-                        let _ = writeln!(text, "    {target},v1000\\T:={period_s},{zone},tool0;");
-                    }
-                }
-                Ok(())
+            Step::Stand(wait_s) => writeln!(text, "    WaitTime {wait_s:.3};"),
+            Step::Drive { period_s, raw_rad: points } => {
+                points.iter().enumerate().try_for_each(|(index, raw_rad)| {
+                    let zone = if index + 1 == points.len() { "fine" } else { "z1" };
+                    writeln!(text, "    {},v1000\\T:={period_s},{zone},tool0;", target(raw_rad))
+                })
             }
+            Step::Servo(_) => Ok(()),
         };
     }
     text.push_str("  ENDPROC\nENDMODULE\n");
@@ -448,29 +445,21 @@ fn krl(name: &str, about: &str, steps: &[Step]) -> String {
             Step::Go(raw_rad) => writeln!(text, "PTP {}", target(raw_rad)),
             Step::Wait(wait_s) => writeln!(text, "WAIT SEC {wait_s}"),
             Step::Halt(halt) => writeln!(text, "; {}\n; {}\nHALT", halt.reason(), halt.message()),
-            Step::Follow(points) => {
-                for segment in points.segments(Language::Krl.digits()) {
-                    let moves = match segment {
-                        Segment::Moves(moves) => moves,
-                        Segment::Stands(wait_s) => {
-                            let _ = writeln!(text, "WAIT SEC {wait_s:.3}");
-                            continue;
-                        }
-                    };
-                    for block in moves.chunks(BLOCK_POINTS_MAX) {
-                        text.push_str("PTP_SPLINE\n  TIME_BLOCK START\n");
-                        for (index, raw_rad) in block.iter().enumerate() {
-                            let _ = writeln!(text, "  SPTP {}", target(raw_rad));
-                            if index + 1 < block.len() {
-                                text.push_str("  TIME_BLOCK PART = 1\n");
-                            }
-                        }
-                        let block_s = points.period_s * block.len() as f64;
-                        let _ = write!(text, "  TIME_BLOCK END = {block_s:.3}\nENDSPLINE\n");
-                    }
+            Step::Stand(wait_s) => writeln!(text, "WAIT SEC {wait_s:.3}"),
+            Step::Drive { period_s, raw_rad } => {
+                for block in raw_rad.chunks(BLOCK_POINTS_MAX) {
+                    let points: Vec<String> =
+                        block.iter().map(|raw_rad| format!("  SPTP {}\n", target(raw_rad))).collect();
+                    let block_s = period_s * block.len() as f64;
+                    let _ = write!(
+                        text,
+                        "PTP_SPLINE\n  TIME_BLOCK START\n{}  TIME_BLOCK END = {block_s:.3}\nENDSPLINE\n",
+                        points.join("  TIME_BLOCK PART = 1\n")
+                    );
                 }
                 Ok(())
             }
+            Step::Servo(_) => Ok(()),
         };
     }
     text.push_str("END\n");
@@ -498,10 +487,8 @@ fn ur_script(name: &str, about: &str, steps: &[Step]) -> String {
                     ),
                 }
             }
-            Step::Follow(points) => {
-                text.push_str(&ur_script_path(points));
-                Ok(())
-            }
+            Step::Servo(points) => write!(text, "{}", ur_script_path(points)),
+            Step::Stand(_) | Step::Drive { .. } => Ok(()),
         };
     }
     let _ = write!(text, "end\n{name}()\n");
@@ -555,29 +542,20 @@ fn fanuc(name: &str, about: &str, steps: &[Step]) -> String {
                 positions.push(raw_rad);
                 lines.push(format!("J P[{}] 10% FINE", positions.len()));
             }
-            Step::Wait(wait_s) => lines.push(format!("WAIT {wait_s:>6.2}(sec)")),
+            Step::Wait(wait_s) | Step::Stand(wait_s) => lines.push(format!("WAIT {wait_s:>6.2}(sec)")),
             Step::Halt(halt) => {
                 lines.extend(remark(&halt.reason()));
                 let message: String = halt.message().replace('-', " ").chars().take(MESSAGE).collect();
                 lines.extend([format!("MESSAGE[{message}]"), "PAUSE".into()]);
             }
-            Step::Follow(points) => {
-                let period_ms = (points.period_s * 1e3).round();
-                for segment in points.segments(Language::Fanuc.digits()) {
-                    let moves = match segment {
-                        Segment::Moves(moves) => moves,
-                        Segment::Stands(wait_s) => {
-                            lines.push(format!("WAIT {wait_s:>6.2}(sec)"));
-                            continue;
-                        }
-                    };
-                    for (index, raw_rad) in moves.iter().enumerate() {
-                        positions.push(raw_rad);
-                        let end = if index + 1 == moves.len() { "FINE" } else { "CNT100" };
-                        lines.push(format!("J P[{}] {period_ms}msec {end}", positions.len()));
-                    }
+            Step::Drive { period_s, raw_rad: points } => {
+                for (index, raw_rad) in points.iter().enumerate() {
+                    positions.push(raw_rad);
+                    let end = if index + 1 == points.len() { "FINE" } else { "CNT100" };
+                    lines.push(format!("J P[{}] {}msec {end}", positions.len(), (period_s * 1e3).round()));
                 }
             }
+            Step::Servo(_) => {}
         }
     }
     let mut text = format!(

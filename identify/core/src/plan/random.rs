@@ -3,6 +3,8 @@
 //! Random points in all five bar joints excite every direction of the pose, which a hand-made path seldom does; the
 //! seed makes another path of the same experiment.
 
+use std::collections::BTreeMap;
+
 use rand::Rng;
 
 use super::{Constraints, Design, Move, Obstacle, Path, Visited};
@@ -76,18 +78,11 @@ pub enum PlanError {
 }
 
 /// How often each obstacle was met.
-#[derive(Default)]
-struct Obstacles([usize; Obstacle::ALL.len()]);
+type Obstacles = BTreeMap<Obstacle, usize>;
 
-impl Obstacles {
-    fn count(&mut self, obstacle: Obstacle) {
-        self.0[obstacle as usize] += 1;
-    }
-
-    fn worst(&self) -> Obstacle {
-        let most = Obstacle::ALL.into_iter().max_by_key(|&obstacle| self.0[obstacle as usize]);
-        most.unwrap_or(Obstacle::Reach)
-    }
+fn most_frequent(obstacles: &Obstacles) -> Obstacle {
+    let most = obstacles.iter().max_by_key(|(_, count)| **count);
+    most.map_or(Obstacle::Reach, |(obstacle, _)| *obstacle)
 }
 
 /// A path that keeps to the constraints.
@@ -175,13 +170,13 @@ fn start(constraints: &Constraints<'_>, random: &mut impl Rng) -> Result<([f64; 
         let point = point(design, random);
         match constraints.robot_at(&point, &design.posture_rad(&constraints.limits, random)) {
             Ok(robot) => return Ok((point, robot)),
-            Err(obstacle) => obstacles.count(obstacle),
+            Err(obstacle) => *obstacles.entry(obstacle).or_default() += 1,
         }
     }
     Err(PlanError::NoStart {
         length_m: constraints.bar_chain().links.iter().map(|link| link.d_m).sum(),
         base_m: design.base_m,
-        obstacle: obstacles.worst(),
+        obstacle: most_frequent(&obstacles),
     })
 }
 
@@ -228,7 +223,7 @@ fn fill(
         moves: route.path.moves.len(),
         time_s: route.path.moves.last().map_or(0.0, Move::end_s),
         duration_s,
-        obstacle: obstacles.worst(),
+        obstacle: most_frequent(&obstacles),
     })
 }
 
@@ -262,7 +257,7 @@ fn extend(
                 route.robot_rad.extend(robot.last());
                 return Extension::Reached;
             }
-            Err(obstacle) => obstacles.count(obstacle),
+            Err(obstacle) => *obstacles.entry(obstacle).or_default() += 1,
         }
         route.path.moves.pop();
     }

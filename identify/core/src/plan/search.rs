@@ -144,14 +144,11 @@ pub(super) fn tight_design(design: &Design) -> Design {
 
 /// The constraints with that design, and the same room for everything else.
 pub(super) fn tightened<'a>(constraints: &Constraints<'a>, design: &'a Design) -> Constraints<'a> {
-    let mut tight =
-        Constraints::new(constraints.robot(), constraints.bar_chain(), &constraints.limits, design);
-    tight.acceleration_rad_s2 = ACCELERATION_PART * constraints.acceleration_rad_s2;
-    tight.bodies = constraints
-        .bodies
-        .clone()
-        .map(|bodies| Bodies { clearance_m_min: bodies.clearance_m_min + CLEARANCE_ROOM_M, ..bodies });
-    tight
+    let Constraints { limits, bodies, acceleration_rad_s2, .. } = constraints;
+    let farther =
+        |bodies: Bodies| Bodies { clearance_m_min: bodies.clearance_m_min + CLEARANCE_ROOM_M, ..bodies };
+    Constraints::new(constraints.robot(), constraints.bar_chain(), limits, design)
+        .with(bodies.clone().map(farther), ACCELERATION_PART * acceleration_rad_s2)
 }
 
 impl Pieces {

@@ -16,7 +16,7 @@ use crate::kinematics::{
 pub const LOOK_S: f64 = 0.05;
 
 /// What makes a pose or a motion unusable.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Obstacle {
     /// The bar is near a singular pose.
     BarSingularity,
@@ -38,22 +38,6 @@ pub enum Obstacle {
     Cable,
     /// The robot's end is not where the bar lets it be.
     OffSphere,
-}
-
-impl Obstacle {
-    /// All, in their order.
-    pub const ALL: [Self; 10] = [
-        Self::BarSingularity,
-        Self::Reach,
-        Self::JointLimit,
-        Self::Wrist,
-        Self::RobotSingularity,
-        Self::Speed,
-        Self::Acceleration,
-        Self::Collision,
-        Self::Cable,
-        Self::OffSphere,
-    ];
 }
 
 impl std::fmt::Display for Obstacle {
@@ -96,18 +80,22 @@ impl<'a> Constraints<'a> {
     pub fn new(robot: &'a Chain, bar: &'a Chain, limits: &[[f64; 2]], design: &'a Design) -> Self {
         let margin_rad = design.limit_margin_deg.to_radians();
         let limits_rad = limits.iter().map(|[low, high]| [low + margin_rad, high - margin_rad]).collect();
-        let tracer = Tracer::new(robot);
-        let limits = limits.to_vec();
         Self {
             robot,
-            tracer,
+            tracer: Tracer::new(robot),
             bar,
-            limits,
+            limits: limits.to_vec(),
             limits_rad,
             design,
             acceleration_rad_s2: f64::INFINITY,
             bodies: None,
         }
+    }
+
+    /// The same with what must not touch, and with the highest acceleration of a robot joint \[rad/s²\].
+    #[must_use]
+    pub fn with(self, bodies: Option<Bodies>, acceleration_rad_s2: f64) -> Self {
+        Self { bodies, acceleration_rad_s2, ..self }
     }
 
     /// The nominal robot.
@@ -170,11 +158,8 @@ impl<'a> Constraints<'a> {
         let &[_, _, _, _, wrist, _] = robot_rad else { return [true; 3] };
         let mut trace = Trace::default();
         self.tracer.trace(robot_rad, &mut trace);
-        let mut jacobian = Matrix6::zeros();
-        for (mut column, twist) in jacobian.column_iter_mut().zip(trace.joint_twists()) {
-            column.fixed_rows_mut::<3>(0).copy_from(&twist.linear);
-            column.fixed_rows_mut::<3>(3).copy_from(&twist.angular);
-        }
+        let columns: Vec<Vector6<f64>> = trace.joint_twists().map(|twist| twist.column()).collect();
+        let jacobian = Matrix6::from_columns(&columns);
         let axes: Vec<(Vector3<f64>, Vector3<f64>)> = trace.joint_axes().collect();
         let [(shoulder, along), (elbow, _), (wrist_m, _)] = [axes[1], axes[2], axes[4]];
         let side = along.dot(&(elbow - shoulder).cross(&(wrist_m - elbow)));
@@ -185,13 +170,8 @@ impl<'a> Constraints<'a> {
     pub fn dexterity(&self, robot_rad: &[f64]) -> f64 {
         let mut trace = Trace::default();
         self.tracer.trace(robot_rad, &mut trace);
-        let mut squares = Matrix6::zeros();
-        for twist in trace.joint_twists() {
-            let mut column = Vector6::zeros();
-            column.fixed_rows_mut::<3>(0).copy_from(&twist.linear);
-            column.fixed_rows_mut::<3>(3).copy_from(&twist.angular);
-            squares += column * column.transpose();
-        }
+        let columns = trace.joint_twists().map(|twist| twist.column());
+        let squares: Matrix6<f64> = columns.map(|column| column * column.transpose()).sum();
         squares.symmetric_eigenvalues().min().max(0.0).sqrt()
     }
 
