@@ -228,10 +228,6 @@ pub struct UnknownFigure {
     known: String,
 }
 
-fn wrong(key: String, problem: impl Into<String>, remedy: impl Into<String>) -> Violation {
-    Violation::new(key, problem.into(), remedy)
-}
-
 impl StudyFile {
     /// An estimator by its name.
     pub fn estimator(&self, name: &str) -> Option<&Estimator> {
@@ -265,7 +261,11 @@ impl StudyFile {
         for (number, series) in figure.series.iter().enumerate() {
             let key = |name: &str| format!("figures[{at}].series[{number}].{name}");
             if series.x.is_empty() || series.x.iter().any(|x| !x.is_finite()) {
-                return Err(wrong(key("x"), "no sizes, or one that is no number", "give finite numbers"));
+                return Err(Violation::new(
+                    key("x"),
+                    "no sizes, or one that is no number",
+                    "give finite numbers",
+                ));
             }
             for &x in &series.x {
                 let conditions = Conditions::of(self, series, x).map_err(|error| {
@@ -275,11 +275,11 @@ impl StudyFile {
                         (_, true) => key(&format!("with.{named}")),
                         _ => named.to_owned(),
                     };
-                    wrong(place, error.to_string(), "correct the key or the number")
+                    Violation::new(place, error.to_string(), "correct the key or the number")
                 })?;
                 let one_path = self.path.planned.is_some() || self.path.log.is_some();
                 if conditions.stations > 1 && (self.second_base_m.is_none() || one_path) {
-                    return Err(wrong(
+                    return Err(Violation::new(
                         key("with"),
                         "stations = 2 needs another place and another path",
                         "give second_base_m, and random paths",
@@ -288,7 +288,7 @@ impl StudyFile {
             }
             for name in self.estimators_of(figure, series) {
                 if self.estimator(name).is_none() {
-                    return Err(wrong(
+                    return Err(Violation::new(
                         key("estimators"),
                         format!("no estimator is called `{name}`"),
                         "give the name of one of [[estimators]]",
@@ -311,27 +311,27 @@ impl StudyFile {
         }
         let problem =
             format!("no series of figure `{}` is estimated by `{}`", choice.figure, choice.estimator);
-        Err(wrong(key.to_owned(), problem, "name a figure, a series of it and who estimates there"))
+        Err(Violation::new(key, problem, "name a figure, a series of it and who estimates there"))
     }
 }
 
 impl Validate for StudyFile {
     fn validate(&self) -> Result<(), Violation> {
         if self.seeds == 0 {
-            return Err(wrong("seeds".into(), "0", "give at least 1"));
+            return Err(Violation::new("seeds", "0", "give at least 1"));
         }
         for (key, value) in [("duration_s", self.duration_s), ("limit_mm_mrad", self.limit_mm_mrad)] {
             if !(value.is_finite() && value > 0.0) {
-                return Err(wrong(key.into(), value.to_string(), "give a number above zero"));
+                return Err(Violation::new(key, value.to_string(), "give a number above zero"));
             }
         }
         let PathChoice { seed, planned, log } = &self.path;
         if planned.is_none() && log.is_none() && self.duration_s < DURATION_S_MIN {
             let problem = format!("{} s have no room for a random path", self.duration_s);
-            return Err(wrong("duration_s".into(), problem, format!("give at least {DURATION_S_MIN}")));
+            return Err(Violation::new("duration_s", problem, format!("give at least {DURATION_S_MIN}")));
         }
         if [seed.is_some(), planned.is_some(), log.is_some()].into_iter().filter(|given| *given).count() > 1 {
-            return Err(wrong("path".into(), "more than one path", "give `seed`, `planned` or `log`"));
+            return Err(Violation::new("path", "more than one path", "give `seed`, `planned` or `log`"));
         }
         for (at, estimator) in self.estimators.iter().enumerate() {
             estimator.config.validate().map_err(|violation| Violation {
@@ -341,17 +341,21 @@ impl Validate for StudyFile {
             if estimator.instrument == StudyInstrument::Wire && estimator.config != IdentifyConfig::default()
             {
                 let problem = "a draw-wire is calibrated with its defaults";
-                return Err(wrong(format!("estimators[{at}].config"), problem, "leave it out"));
+                return Err(Violation::new(format!("estimators[{at}].config"), problem, "leave it out"));
             }
             if self.estimators.iter().take(at).any(|other| other.name == estimator.name) {
                 let problem = format!("`{}` is there already", estimator.name);
-                return Err(wrong(format!("estimators[{at}].name"), problem, "give each its own name"));
+                return Err(Violation::new(
+                    format!("estimators[{at}].name"),
+                    problem,
+                    "give each its own name",
+                ));
             }
         }
         for (at, figure) in self.figures.iter().enumerate() {
             if self.figures.iter().take(at).any(|other| other.id == figure.id) {
                 let problem = format!("`{}` is there already", figure.id);
-                return Err(wrong(format!("figures[{at}].id"), problem, "give each its own number"));
+                return Err(Violation::new(format!("figures[{at}].id"), problem, "give each its own number"));
             }
             self.check_figure(at, figure)?;
         }
@@ -362,7 +366,7 @@ impl Validate for StudyFile {
             }
             if statement.reaches_limit && statement.against.is_some() {
                 let problem = "two curves have no common size at which they reach the limit";
-                return Err(wrong(
+                return Err(Violation::new(
                     format!("statements[{at}]"),
                     problem,
                     "leave out `against`, or `reaches_limit`",

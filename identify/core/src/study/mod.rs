@@ -23,5 +23,5 @@ pub use file::{
 pub use reference::{Driven, Reference, ReferenceError};
 pub use results::{Results, ResultsError, Row, Share, TrialRows, merge};
 pub use summary::{Curve, CurvePoint, FigureTable, Finding, Reach, Spread, Summary, short};
-pub use table::{TableError, write_csv, write_parquet};
+pub use table::{write_csv, write_parquet};
 pub use trial::{Trial, prepared, run, trials};

@@ -9,9 +9,10 @@ use std::io::{self, BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
+use parquet::errors::ParquetError;
 use serde::{Deserialize, Serialize};
 
-use super::{Definition, Measure};
+use super::{Definition, Measure, Trial, trials};
 
 /// Name of the file in a study's directory.
 const NAME: &str = "trials.jsonl";
@@ -61,6 +62,17 @@ pub enum ResultsError {
     /// A number does not fit JSON.
     #[error("a result cannot be written as JSON: {0}")]
     Json(#[from] serde_json::Error),
+    /// A table does not become CSV.
+    #[error("the table cannot be written as CSV: {0}")]
+    Csv(#[from] csv::Error),
+    /// A table does not become Parquet.
+    #[error("the table cannot be written as Parquet: {0}")]
+    Parquet(#[from] ParquetError),
+}
+
+/// The error of the system on a file.
+pub(super) fn refused(path: &Path) -> impl Fn(io::Error) -> ResultsError + Copy {
+    move |source| ResultsError::Io { path: path.to_owned(), source }
 }
 
 /// What one estimator made of one experiment.
@@ -113,6 +125,25 @@ pub struct TrialRows {
     pub rows: Vec<Row>,
 }
 
+/// A row with its place in the study.
+pub(super) struct Placed<'a> {
+    pub(super) trial: Trial<'a>,
+    pub(super) estimator: &'a str,
+    pub(super) row: &'a Row,
+}
+
+impl Results {
+    /// All rows in the order of the study's experiments.
+    pub(super) fn placed<'a>(&'a self, definition: &'a Definition) -> impl Iterator<Item = Placed<'a>> {
+        trials(definition).filter_map(|trial| Some((trial, self.done.get(&trial.number)?))).flat_map(
+            |(trial, found)| {
+                let names = definition.study.estimators_of(trial.figure, trial.series);
+                names.iter().zip(&found.rows).map(move |(estimator, row)| Placed { trial, estimator, row })
+            },
+        )
+    }
+}
+
 /// Every `of`-th experiment, beginning with the `number`-th.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Share {
@@ -159,7 +190,7 @@ impl Results {
     /// [`ResultsError`].
     pub fn open(directory: &Path, definition: &Definition) -> Result<Self, ResultsError> {
         let path = directory.join(NAME);
-        let io_error = |source| ResultsError::Io { path: path.clone(), source };
+        let io_error = refused(&path);
         let header = serde_json::to_string(definition)?;
         std::fs::create_dir_all(directory).map_err(io_error)?;
         let mut file =
@@ -188,9 +219,7 @@ impl Results {
     /// [`ResultsError`].
     pub fn add(&mut self, rows: TrialRows) -> Result<(), ResultsError> {
         let line = format!("{}\n", serde_json::to_string(&rows)?);
-        self.file
-            .write_all(line.as_bytes())
-            .map_err(|source| ResultsError::Io { path: self.path.clone(), source })?;
+        self.file.write_all(line.as_bytes()).map_err(refused(&self.path))?;
         self.done.insert(rows.trial, rows);
         Ok(())
     }
@@ -208,7 +237,7 @@ impl Results {
         let part = self.path.with_extension("part");
         std::fs::write(&part, text)
             .and_then(|()| std::fs::rename(&part, &self.path))
-            .map_err(|source| ResultsError::Io { path: self.path.clone(), source })
+            .map_err(refused(&self.path))
     }
 
     /// All experiments of the list are there.
@@ -232,7 +261,7 @@ pub fn merge(shards: &[PathBuf], out: &Path) -> Result<(Definition, Results), Re
     let mut all: Option<(Definition, BTreeMap<usize, TrialRows>)> = None;
     for shard in shards {
         let path = shard.join(NAME);
-        let file = File::open(&path).map_err(|source| ResultsError::Io { path: path.clone(), source })?;
+        let file = File::open(&path).map_err(refused(&path))?;
         let Some((definition, done)) = read(&path, &file)?.1 else {
             return Err(ResultsError::Malformed { path, line: 1, reason: "there is no study in it".into() });
         };
@@ -262,9 +291,7 @@ fn read(path: &Path, file: &File) -> Result<Found, ResultsError> {
     let mut found: Option<(Definition, BTreeMap<usize, TrialRows>)> = None;
     loop {
         text.clear();
-        let read = lines
-            .read_until(b'\n', &mut text)
-            .map_err(|source| ResultsError::Io { path: path.to_owned(), source })?;
+        let read = lines.read_until(b'\n', &mut text).map_err(refused(path))?;
         if text.last() != Some(&b'\n') {
             return Ok((bytes, found));
         }

@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-use super::{Choice, Definition, Figure, Kind, Measure, Results, Row, Series, Statement, trials};
+use super::results::Placed;
+use super::{Choice, Definition, Figure, Kind, Measure, Results, Row, Statement};
 use crate::statistics::quantile;
 
 /// A parameter that is off by more is affected (thesis 3.3) \[mm|mrad\].
@@ -119,36 +120,21 @@ pub struct Summary {
     pub failures: BTreeMap<String, usize>,
 }
 
-/// One row with where it is.
-struct Placed<'a> {
-    series: &'a Series,
-    x: f64,
-    seed: u32,
-    estimator: &'a str,
-    row: &'a Row,
-}
-
 impl Summary {
     /// Of all that is there.
     pub fn new(definition: &Definition, results: &Results) -> Self {
         let study = &definition.study;
-        let mut placed: Vec<(&Figure, Placed<'_>)> = Vec::new();
+        let placed: Vec<Placed<'_>> = results.placed(definition).collect();
         let mut failures = BTreeMap::new();
-        for trial in trials(definition) {
-            let Some(rows) = results.done().get(&trial.number) else { continue };
-            let names = study.estimators_of(trial.figure, trial.series);
-            for (estimator, row) in names.iter().zip(&rows.rows) {
-                if let Some(reason) = &row.failed {
-                    *failures.entry(format!("{estimator}: {reason}")).or_default() += 1;
-                }
-                let (series, x, seed) = (trial.series, trial.x, trial.seed);
-                placed.push((trial.figure, Placed { series, x, seed, estimator, row }));
+        for Placed { estimator, row, .. } in &placed {
+            if let Some(reason) = &row.failed {
+                *failures.entry(format!("{estimator}: {reason}")).or_default() += 1;
             }
         }
         let (mut curves, mut tables) = (Vec::new(), Vec::new());
         for figure in &study.figures {
             let own: Vec<&Placed<'_>> =
-                placed.iter().filter(|(of, _)| of.id == figure.id).map(|(_, placed)| placed).collect();
+                placed.iter().filter(|placed| placed.trial.figure.id == figure.id).collect();
             curves.extend(self::curves(definition, figure, &own));
             let table = match figure.kind {
                 Kind::Curves => continue,
@@ -180,7 +166,7 @@ fn curves(definition: &Definition, figure: &Figure, own: &[&Placed<'_>]) -> Vec<
         for estimator in study.estimators_of(figure, series) {
             let of_curve: Vec<&&Placed<'_>> = own
                 .iter()
-                .filter(|placed| std::ptr::eq(placed.series, series) && placed.estimator == estimator)
+                .filter(|placed| std::ptr::eq(placed.trial.series, series) && placed.estimator == estimator)
                 .collect();
             let points: Vec<CurvePoint> = series.x.iter().map(|&x| point(x, &of_curve)).collect();
             let medians = points
@@ -200,7 +186,8 @@ fn curves(definition: &Definition, figure: &Figure, own: &[&Placed<'_>]) -> Vec<
 }
 
 fn point(x: f64, of_curve: &[&&Placed<'_>]) -> CurvePoint {
-    let rows: Vec<&Row> = of_curve.iter().filter(|placed| placed.x == x).map(|placed| placed.row).collect();
+    let rows: Vec<&Row> =
+        of_curve.iter().filter(|placed| placed.trial.x == x).map(|placed| placed.row).collect();
     let failed = rows.iter().filter(|row| row.failed.is_some()).count();
     let mut errors = BTreeMap::new();
     if 2 * failed < rows.len() {
@@ -325,8 +312,10 @@ pub fn short(value: f64) -> String {
     format!("{value:.decimals$}")
 }
 
-fn head(names: &[&str]) -> Vec<String> {
-    names.iter().map(|&name| name.to_owned()).collect()
+/// The table of a figure, which is named later.
+fn table(head: &[&str], rows: impl IntoIterator<Item = Vec<String>>) -> FigureTable {
+    let head = head.iter().map(|&name| name.to_owned()).collect();
+    FigureTable { head, rows: rows.into_iter().collect(), ..FigureTable::default() }
 }
 
 fn levels(definition: &Definition, figure: &Figure, own: &[&Placed<'_>]) -> FigureTable {
@@ -347,7 +336,7 @@ fn levels(definition: &Definition, figure: &Figure, own: &[&Placed<'_>]) -> Figu
             ]
         })
     });
-    let head = head(&[
+    let head = [
         "",
         "estimator",
         "Euclidean, median [mm|mrad]",
@@ -355,8 +344,8 @@ fn levels(definition: &Definition, figure: &Figure, own: &[&Placed<'_>]) -> Figu
         "largest of all",
         "position, median [mm]",
         "failed",
-    ]);
-    FigureTable { head, rows: rows.collect(), ..FigureTable::default() }
+    ];
+    table(&head, rows)
 }
 
 fn affected(own: &[&Placed<'_>]) -> FigureTable {
@@ -365,7 +354,7 @@ fn affected(own: &[&Placed<'_>]) -> FigureTable {
     let mut keys: Vec<(&str, &str)> = Vec::new();
     let mut found: Vec<Errors<'_>> = Vec::new();
     for placed in own {
-        let key = (placed.series.name.as_str(), placed.estimator);
+        let key = (placed.trial.series.name.as_str(), placed.estimator);
         let at = keys.iter().position(|known| *known == key).unwrap_or_else(|| {
             keys.push(key);
             found.push(Errors::new());
@@ -388,29 +377,26 @@ fn affected(own: &[&Placed<'_>]) -> FigureTable {
             if names.is_empty() { "none".into() } else { names },
         ]
     });
-    let head = head(&["error of 1 in", "estimator", "affected", "which, with their error [mm|mrad]"]);
-    FigureTable { head, rows: rows.collect(), ..FigureTable::default() }
+    table(&["error of 1 in", "estimator", "affected", "which, with their error [mm|mrad]"], rows)
 }
 
 fn errors(own: &[&Placed<'_>]) -> FigureTable {
-    let first: Vec<&&Placed<'_>> = own.iter().filter(|placed| placed.seed == 1).collect();
-    let mut names: Vec<&str> = Vec::new();
-    for placed in &first {
-        for name in placed.row.errors.keys() {
-            if !names.contains(&name.as_str()) {
-                names.push(name);
-            }
+    let first: Vec<&&Placed<'_>> = own.iter().filter(|placed| placed.trial.seed == 1).collect();
+    let mut names: Vec<&String> = Vec::new();
+    for name in first.iter().flat_map(|placed| placed.row.errors.keys()) {
+        if !names.contains(&name) {
+            names.push(name);
         }
     }
-    let mut head = head(&["parameter"]);
-    head.extend(first.iter().map(|placed| placed.estimator.to_owned()));
-    let row = |name: &&str| {
+    let head: Vec<&str> =
+        ["parameter"].into_iter().chain(first.iter().map(|placed| placed.estimator)).collect();
+    let row = |name: &&String| {
         let cell = |placed: &&&Placed<'_>| {
             placed.row.errors.get(*name).map_or_else(|| "-".into(), |error| format!("{error:.4}"))
         };
-        std::iter::once((*name).to_owned()).chain(first.iter().map(cell)).collect()
+        std::iter::once((*name).clone()).chain(first.iter().map(cell)).collect()
     };
-    FigureTable { head, rows: names.iter().map(row).collect(), ..FigureTable::default() }
+    table(&head, names.iter().map(row))
 }
 
 fn largest(own: &[&Placed<'_>]) -> FigureTable {
@@ -419,10 +405,9 @@ fn largest(own: &[&Placed<'_>]) -> FigureTable {
             placed.row.errors.iter().map(|(name, error)| (name, error.abs())).collect();
         errors.sort_by(|a, b| b.1.total_cmp(&a.1));
         let names = errors.iter().take(LARGEST).map(|(name, error)| format!("{name} ({})", short(*error)));
-        [placed.seed.to_string(), placed.estimator.to_owned()].into_iter().chain(names).collect()
+        [placed.trial.seed.to_string(), placed.estimator.to_owned()].into_iter().chain(names).collect()
     };
-    let head = head(&["experiment", "estimator", "largest [mm|mrad]", "2nd", "3rd", "4th", "5th"]);
-    FigureTable { head, rows: own.iter().map(row).collect(), ..FigureTable::default() }
+    table(&["experiment", "estimator", "largest [mm|mrad]", "2nd", "3rd", "4th", "5th"], own.iter().map(row))
 }
 
 #[cfg(test)]
