@@ -1,6 +1,6 @@
 //! What a robot's configuration describes, and what looks wrong in it.
 
-use nalgebra::{DMatrix, Vector3};
+use nalgebra::{Matrix6xX, Vector3, Vector6};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -9,6 +9,7 @@ use shared::config::{JointKind, RobotConfig};
 use crate::kinematics::{
     Chain, InverseError, Joints, LENGTH_M_MAX, Trace, Tracer, flange_chain, robot_inverse_all,
 };
+use crate::statistics::extremes;
 
 /// Random postures within the limits that reach and rank are looked for in.
 const POSTURES: usize = 20_000;
@@ -98,12 +99,8 @@ fn arm(chain: &Chain, joints: &[f64]) -> Vec<Vector3<f64>> {
 
 /// Metres and radians weigh the same.
 fn jacobian_rank(trace: &Trace) -> usize {
-    let columns: Vec<_> = trace.joint_twists().collect();
-    let part = |row: usize, column: usize| match row {
-        0..3 => columns[column].linear[row],
-        _ => columns[column].angular[row - 3],
-    };
-    let values = DMatrix::from_fn(6, columns.len(), part).singular_values();
+    let columns: Vec<Vector6<f64>> = trace.joint_twists().map(|twist| twist.column()).collect();
+    let values = Matrix6xX::from_columns(&columns).singular_values();
     values.iter().filter(|value| **value > RANK_TOLERANCE * values.max()).count()
 }
 
@@ -116,12 +113,8 @@ fn facts(
     let kinds: Vec<JointKind> = robot.joint_kinds().collect();
     let prismatic = kinds.iter().filter(|kind| **kind == JointKind::Prismatic).count();
     let range = |of: fn(&Vector3<f64>) -> f64| {
-        let values = || reached_m.iter().map(of);
-        format!(
-            "{:.3} to {:.3} m",
-            values().fold(f64::INFINITY, f64::min),
-            values().fold(f64::NEG_INFINITY, f64::max)
-        )
+        let [low, high] = extremes(reached_m.iter().map(of));
+        format!("{low:.3} to {high:.3} m")
     };
     let p = at_zero.position_m();
     let inverse = match (kinds.len(), robot_inverse_all(chain, at_zero.end())) {
@@ -193,9 +186,7 @@ fn suspicious(
         ));
     }
     // How neighbours lie to each other is the same in all postures.
-    for ((kind, point, along), (other, next, next_along), number) in
-        axes.iter().zip(axes.iter().skip(1)).zip(1..).map(|((axis, next), number)| (axis, next, number))
-    {
+    for (((kind, point, along), (other, next, next_along)), number) in axes.iter().zip(&axes[1..]).zip(1..) {
         let apart_m = match kind {
             JointKind::Revolute => (next - point).cross(along).norm(),
             JointKind::Prismatic => 0.0,
@@ -211,15 +202,12 @@ fn suspicious(
             ));
         }
     }
-    let from_axis = robot.links.iter().zip(1..);
-    for (link, number) in from_axis.clone() {
+    for (link, number) in robot.links.iter().zip(1..) {
         for (key, degrees) in [("alpha_deg", link.alpha_deg), ("theta_deg", link.theta_deg)] {
             let quarters = degrees.abs() / std::f64::consts::FRAC_PI_2;
             if (0.5..2.5).contains(&quarters) && (quarters - quarters.round()).abs() < AS_RADIANS {
                 tell(format!("link {number}: {key} = {degrees} looks like radians; write degrees"));
             }
-        }
-        for (key, degrees) in [("alpha_deg", link.alpha_deg), ("theta_deg", link.theta_deg)] {
             if let Some((rounded_rad, exact_deg)) = rounded(degrees) {
                 tell(format!(
                     "link {number}: {key} = {degrees} may be {rounded_rad} rad, rounded from a whole right angle; if so, write \

@@ -5,6 +5,8 @@
 
 use std::cmp::Reverse;
 
+use shared::output::named;
+
 use super::import::ImportError;
 use super::urdf::{Joint, Urdf};
 
@@ -34,7 +36,10 @@ impl<'a> Ends<'a> {
     pub(super) fn of(urdf: &'a Urdf, base: Option<&str>, tip: Option<&str>) -> Result<Self, ImportError> {
         for link in [base, tip].into_iter().flatten() {
             if !urdf.links.iter().any(|known| known == link) {
-                return Err(ImportError::UnknownLink { link: link.to_owned(), known: listed(&urdf.links) });
+                return Err(ImportError::UnknownLink {
+                    link: link.to_owned(),
+                    known: named(&urdf.links, LISTED_MAX),
+                });
             }
         }
         let mut left_out = Vec::new();
@@ -51,7 +56,7 @@ impl<'a> Ends<'a> {
         let begin = joints.iter().position(|joint| joint.parent == base);
         let Some(begin) = begin.or_else(|| (base == tip).then_some(joints.len())) else {
             let above: Vec<&String> = joints.iter().rev().map(|joint| &joint.parent).collect();
-            return Err(ImportError::NotConnected { base, tip, above: listed(&above) });
+            return Err(ImportError::NotConnected { base, tip, above: named(&above, LISTED_MAX) });
         };
         let joints = joints[begin..].to_vec();
         if let Some(joint) = joints.iter().find(|joint| !urdf.links.contains(&joint.parent)) {
@@ -114,7 +119,7 @@ fn find_tip(urdf: &Urdf, base: Option<&str>, left_out: &mut Vec<String>) -> Resu
             return Err(ImportError::Wrong("it has joints and no <link> that they join".into()));
         }
         let tips: Vec<&String> = urdf.links.iter().filter(|link| !is_parent(link)).collect();
-        return Err(ImportError::Gripper { tips: listed(&tips) });
+        return Err(ImportError::Gripper { tips: named(&tips, LISTED_MAX) });
     };
     if !ends.iter().all(|end| arm.continues(end)) {
         return Err(several(&ends.iter().filter(|end| !is_parent(end.link)).collect::<Vec<_>>()));
@@ -163,16 +168,7 @@ fn several(ends: &[&End<'_>]) -> ImportError {
     let mut ends = ends.to_vec();
     ends.sort_by_key(|end| (end.gripper.is_some(), Reverse(end.axes.len())));
     let tips: Vec<String> = ends.iter().map(|end| format!("{} ({})", end.link, end.axes.len())).collect();
-    ImportError::SeveralTips { tips: listed(&tips) }
-}
-
-/// Names with commas; of many the first.
-fn listed<T: AsRef<str>>(names: &[T]) -> String {
-    let first: Vec<&str> = names.iter().take(LISTED_MAX).map(AsRef::as_ref).collect();
-    match names.len().saturating_sub(LISTED_MAX) {
-        0 => first.join(", "),
-        more => format!("{} and {more} more", first.join(", ")),
-    }
+    ImportError::SeveralTips { tips: named(&tips, LISTED_MAX) }
 }
 
 /// Whether a link has this name, also with a prefix such as `left_`.

@@ -177,7 +177,9 @@ pub fn import(text: &str, base: Option<&str>, tip: Option<&str>) -> Result<Impor
     }
     // What no other command would load is not written either.
     config.validate().map_err(|Violation { key, problem, remedy }| {
-        ImportError::Wrong(format!("its links `{base}` to `{tip}` are no robot: {key}: {problem}, {remedy}"))
+        ImportError::Wrong(format!(
+            "its links `{base}` to `{tip}` are no robot: {key}: {problem}, {remedy}"
+        ))
     })?;
     Ok(Imported { config, base, tip, joints: names, assumed, left_out })
 }
@@ -217,7 +219,10 @@ fn problem(joint: &Joint, problem: impl Into<String>) -> ImportError {
 /// How it moves; none where it is fixed.
 fn kind(joint: &Joint) -> Result<Option<JointKind>, ImportError> {
     if let Some(other) = joint.value("mimic", "joint") {
-        return Err(problem(joint, format!("follows joint `{other}` (mimic) and does not move by itself")));
+        return Err(problem(
+            joint,
+            format!("follows joint `{other}` (mimic) and does not move by itself"),
+        ));
     }
     match joint.kind.as_str() {
         "fixed" => Ok(None),
