@@ -11,7 +11,7 @@ use identify::model::Model;
 use identify::report::result::corrections::{Correction, corrections, csv, log_corrections};
 use identify::report::result::file::{CalibrationFile, ParameterEntry, SolveEntry, Status};
 use identify::report::result::knowledge::CovarianceEntry;
-use identify::report::result::urdf::urdf;
+use identify::report::result::robot_files::urdf;
 use identify::report::{CalibratedRobot, CalibratedRobotError};
 use identify::solver::{Identifiability, Summary, Termination};
 use nalgebra::{DMatrix, Vector3};

@@ -1,5 +1,6 @@
 //! What people and programs get: files, tables on a terminal, and a page.
 
+mod calibrated_robot;
 mod consistency;
 pub mod examination;
 pub mod page;
@@ -12,9 +13,10 @@ pub mod summary;
 pub mod table;
 pub mod verdict;
 
+pub use calibrated_robot::{CalibratedRobot, CalibratedRobotError};
 pub use consistency::{Compared, Consistency, ConsistencyError};
 pub use page::picture;
-pub use result::calibrated_robot::{CalibratedRobot, CalibratedRobotError};
+
 pub use result::read::CalibrationReadError;
 pub use result::robot_files::RobotFileError;
 pub use robot_check::robot_check;

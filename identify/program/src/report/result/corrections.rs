@@ -1,7 +1,7 @@
 //! What a robot engineer types into a controller or a program: corrections with unit, sign and place.
 
 use serde::{Deserialize, Serialize};
-use shared::config::{AngleUnit, RobotConfig};
+use shared::config::RobotConfig;
 
 use super::file::{CalibrationFile, ReadIn};
 use crate::calibrate::validation::deployment::Deployment;
@@ -45,51 +45,44 @@ fn rounded(value: f64, unit: &str) -> f64 {
     (value * per_unit).round() / per_unit + 0.0
 }
 
-/// Rows of one table, which are applied together.
-struct Rows {
+/// Makes the rows of one table, which are applied together.
+fn row_of(
+    file: &CalibrationFile,
     deployment: Deployment,
-    held_out_mm: Option<f64>,
-    rows: Vec<Correction>,
-}
-
-impl Rows {
-    fn of(file: &CalibrationFile, deployment: Deployment) -> Self {
-        let held_out_mm = file.held_out_m(deployment).map(|[_, own_m]| rounded(own_m * 1e3, "mm"));
-        Self { deployment, held_out_mm, rows: Vec::new() }
-    }
-
-    fn push(&mut self, what: String, unit: &str, add: f64, to: &str, sigma: Option<f64>) {
-        self.rows.push(Correction {
-            what,
-            unit: unit.into(),
-            add: rounded(add, unit),
-            to: to.into(),
-            sigma: sigma.map(|sigma| rounded(sigma, unit)),
-            deployment: self.deployment,
-            held_out_mm: self.held_out_mm,
-        });
+) -> impl Fn(String, &str, f64, &str, Option<f64>) -> Correction {
+    let held_out_mm = file.held_out_m(deployment).map(|[_, own_m]| rounded(own_m * 1e3, "mm"));
+    move |what, unit, add, to, sigma| Correction {
+        what,
+        unit: unit.into(),
+        add: rounded(add, unit),
+        to: to.into(),
+        sigma: sigma.map(|sigma| rounded(sigma, unit)),
+        deployment,
+        held_out_mm,
     }
 }
 
 /// What a deployment takes: offsets of the model's joints, then every other correction of a link that is not zero.
 pub fn corrections(file: &CalibrationFile, deployment: Deployment) -> Vec<Correction> {
-    let (mut joints, mut links) = (Rows::of(file, deployment), Rows::of(file, deployment));
+    let row = row_of(file, deployment);
+    let (mut joints, mut links) = (Vec::new(), Vec::new());
     for entry in &file.deployed(deployment).parameters {
         let Ok(ParameterId::Robot { link, parameter }) = entry.name.parse() else { continue };
         let ReadIn { factor, unit, .. } = entry.read_in();
         let (add, sigma) = (entry.correction * factor, entry.sigma.map(|sigma| sigma * factor));
         if parameter == LinkParameter::Theta {
-            joints.push(format!("joint {}", link + 1), unit, add, TO_JOINT, sigma);
+            joints.push(row(format!("joint {}", link + 1), unit, add, TO_JOINT, sigma));
         } else {
-            links.push(format!("link {} {}", link + 1, parameter.name()), unit, add, TO_LINK, sigma);
+            links.push(row(format!("link {} {}", link + 1, parameter.name()), unit, add, TO_LINK, sigma));
         }
     }
-    let links = links.rows.into_iter().filter(|row| row.add != 0.0);
-    joints.rows.into_iter().chain(links).collect()
+    links.retain(|row| row.add != 0.0);
+    joints.append(&mut links);
+    joints
 }
 
 /// The joint offsets of a deployment for the log's own columns, which are a controller's joint values where the log has them: applied
-/// instead of those of the model's joints.
+/// instead of those of the model's joints. With `q + offset = (raw + change - raw_offset) T` they are the changes.
 ///
 /// # Errors
 /// [`LogError::SingularConversion`].
@@ -98,7 +91,8 @@ pub fn log_corrections(
     robot: &RobotConfig,
     deployment: Deployment,
 ) -> Result<Vec<Correction>, LogError> {
-    let mut offsets = Joints::zeros(robot.axes());
+    let none = Joints::zeros(robot.axes());
+    let mut offsets = none;
     for entry in &file.deployed(deployment).parameters {
         if let Ok(ParameterId::Robot { link, parameter: LinkParameter::Theta }) = entry.name.parse()
             && let Some(offset) = offsets.get_mut(link)
@@ -106,26 +100,14 @@ pub fn log_corrections(
             *offset = entry.correction;
         }
     }
-    let mut rows = Rows::of(file, deployment);
-    for (what, unit, add) in of_the_log(robot, &offsets)? {
-        rows.push(what, unit, add, TO_LOG, None);
-    }
-    Ok(rows.rows)
-}
-
-/// `q + offset = (raw + change - raw_offset) T`: what the joint offsets are in the log's own columns: name, unit,
-/// number to add.
-fn of_the_log(robot: &RobotConfig, offsets: &Joints) -> Result<Vec<(String, &'static str, f64)>, LogError> {
     let conversion = JointConversion::of(robot)?;
-    let (with, without) = (conversion.to_raw(offsets), conversion.to_raw(&Joints::zeros(offsets.len())));
-    let unit = match robot.log.unit {
-        AngleUnit::Deg => "deg",
-        AngleUnit::Rad => "rad",
+    let [with, without] = [offsets, none].map(|joints| conversion.to_raw(&joints));
+    let (column, unit) = (&robot.log.column, robot.log.unit.suffix());
+    let row = row_of(file, deployment);
+    let of_joint = |joint: usize| {
+        row(format!("{column}{}_{unit}", joint + 1), unit, with[joint] - without[joint], TO_LOG, None)
     };
-    let row = |joint: usize| {
-        (format!("{}{}_{unit}", robot.log.column, joint + 1), unit, with[joint] - without[joint])
-    };
-    Ok((0..offsets.len()).map(row).collect())
+    Ok((0..none.len()).map(of_joint).collect())
 }
 
 /// The text of a table.

@@ -21,8 +21,7 @@ use crate::calibrate::Calibration;
 use crate::calibrate::selection::terms::Candidate;
 use crate::calibrate::validation::deployment::Deployment;
 use crate::cost::SharedColumns;
-use crate::evaluate::Limit;
-use crate::evaluate::{Budget, Validity, not_separated};
+use crate::evaluate::{Budget, Limit, Validity, not_separated};
 use crate::model::{Group, Model, Parameter, ParameterId, Role, TermGroup, Unit};
 use crate::report::verdict::Verdict;
 use crate::solver::{Covariance, Identifiability, Solution, Summary};
@@ -99,7 +98,7 @@ pub struct ParameterEntry {
     pub nominal: f64,
     /// Identified value.
     pub value: f64,
-    /// Value minus nominal.
+    /// Identified minus nominal.
     pub correction: f64,
     /// One standard deviation; absent for fixed parameters that are taken as exact.
     pub sigma: Option<f64>,
@@ -162,10 +161,8 @@ impl ParameterEntry {
     /// A fixed one for a person: its name, and within what its value holds where that is not exact.
     pub(in crate::report) fn held(&self) -> String {
         let unit = self.id().map_or(Unit::Ratio, ParameterId::unit);
-        match self.sigma {
-            Some(sigma) => format!("{} within {}", self.name, unit.display(sigma)),
-            None => self.name.clone(),
-        }
+        let within = self.sigma.map(|sigma| format!(" within {}", unit.display(sigma)));
+        self.name.clone() + &within.unwrap_or_default()
     }
 
     /// How people read it: angles of the robot's links in degrees, as controllers have them.
@@ -211,7 +208,7 @@ pub(in crate::report) struct ReadIn {
 }
 
 /// How the solve went.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct SolveEntry {
     /// Cost function.
     pub cost: String,
@@ -286,7 +283,7 @@ impl From<&RunMetadata> for MeasurementEntry {
 }
 
 /// The whole file.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct CalibrationFile {
     /// [`SCHEMA`].
     pub schema: u32,
@@ -372,26 +369,10 @@ impl CalibrationFile {
             software: software(),
             robot: robot.to_owned(),
             instrument: instrument.to_owned(),
-            not_separated: Vec::new(),
-            measured: Vec::new(),
-            verdict: None,
-            limits: Vec::new(),
-            scale: None,
             solve,
-            clocks: Vec::new(),
-            forces: Vec::new(),
-            noise: Vec::new(),
             inputs,
-            candidates: Vec::new(),
-            held_out: None,
-            rows: Vec::new(),
             parameters,
-            deployments: Vec::new(),
-            validity: None,
-            expected: None,
-            budget: None,
-            knowledge: None,
-            covariance: None,
+            ..Self::default()
         }
     }
 
@@ -403,9 +384,9 @@ impl CalibrationFile {
     /// Adds what the data do not separate; `model` has the solution's first columns.
     #[must_use]
     pub fn with_separation(mut self, model: &Model, solution: &Solution) -> Self {
-        let joined =
-            |group: Vec<ParameterId>| group.iter().map(ToString::to_string).collect::<Vec<_>>().join("|");
-        self.not_separated = not_separated(model, solution).into_iter().map(joined).collect();
+        let names = |group: Vec<ParameterId>| group.iter().map(ToString::to_string).collect::<Vec<_>>();
+        let groups = not_separated(model, solution).into_iter();
+        self.not_separated = groups.map(|group| names(group).join("|")).collect();
         self
     }
 

@@ -1,6 +1,7 @@
 //! How well the identified parameters are known, apart from each one's sigma.
 
 use serde::{Deserialize, Serialize};
+use shared::output::named;
 
 use super::file::CalibrationFile;
 use crate::cost::AngleNoise;
@@ -13,6 +14,9 @@ use crate::solver::{Observability, SigmasFrom, Solution};
 const NAMED_ABOVE: f64 = 0.8;
 /// So many are named at most.
 const NAMED_MAX: usize = 20;
+
+/// Parameters that are known by their prior alone: this many are named.
+const NAMED_BY_PRIOR: usize = 8;
 
 /// Above this part of its prior's sigma a parameter is known by the prior: the data are worth a tenth of it.
 const BY_PRIOR: f64 = 0.95;
@@ -151,7 +155,7 @@ impl CalibrationFile {
             .map(|name| unit(name).map_or(1.0, |unit| unit.display_factor().recip()))
             .collect();
         let strongest = solution.covariance.strongest_correlations(NAMED_ABOVE);
-        let named = strongest.into_iter().take(NAMED_MAX);
+        let strongest = strongest.into_iter().take(NAMED_MAX);
         let is_by_prior = |(column, prior): &(usize, &Option<f64>)| {
             prior
                 .zip(solution.covariance.sigma(*column))
@@ -165,7 +169,7 @@ impl CalibrationFile {
             observability: found.observability(&units).into(),
             sigmas_from: solution.covariance.sigmas_from,
             by_prior: by_prior.map(|(column, _)| name(column)).collect(),
-            correlations: named
+            correlations: strongest
                 .map(|(a, b, correlation)| CorrelationEntry { first: name(a), second: name(b), correlation })
                 .collect(),
         });
@@ -175,14 +179,6 @@ impl CalibrationFile {
         self.covariance = Some(CovarianceEntry { names: names.to_vec(), rows });
         self
     }
-}
-
-/// The first names and the number of the others.
-fn some_of(names: &[String]) -> String {
-    const SHOWN: usize = 8;
-    let others = names.len().saturating_sub(SHOWN);
-    let shown = names.iter().take(SHOWN).cloned().collect::<Vec<_>>().join(", ");
-    if others == 0 { shown } else { format!("{shown} and {others} others") }
 }
 
 impl Knowledge {
@@ -203,7 +199,7 @@ impl Knowledge {
             let _ = writeln!(
                 text,
                 "not determined by this data, so as uncertain as expected beforehand: {}",
-                some_of(&self.by_prior)
+                named(&self.by_prior, NAMED_BY_PRIOR)
             );
         }
         let (from, of_95) = (self.sigmas_from, self.sigmas_from.sigmas_of_95());

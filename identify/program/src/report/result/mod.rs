@@ -1,6 +1,5 @@
 //! The files of a calibration: its parameters and all that is known of them, and those for other programs.
 
-pub(in crate::report) mod calibrated_robot;
 pub mod clocks;
 pub mod corrections;
 pub mod deployments;
@@ -10,6 +9,5 @@ pub mod force;
 pub mod knowledge;
 pub(in crate::report) mod read;
 pub mod residuals;
-pub(in crate::report) mod robot_files;
-pub mod urdf;
+pub mod robot_files;
 pub mod validation;

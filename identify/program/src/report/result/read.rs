@@ -23,9 +23,13 @@ pub struct CalibrationReadError {
 enum Kind {
     #[error("cannot be read: {0}")]
     Io(#[from] std::io::Error),
-    #[error("is no calibration.json: {0}; give the file that `identify calibrate` wrote, or its directory")]
+    #[error(
+        "is no calibration.json: {0}; give the file that `identify calibrate` wrote, or its directory"
+    )]
     Json(#[from] serde_json::Error),
-    #[error("is no calibration.toml: {0}; give the file that `identify calibrate` wrote, or its directory")]
+    #[error(
+        "is no calibration.toml: {0}; give the file that `identify calibrate` wrote, or its directory"
+    )]
     Toml(#[from] toml::de::Error),
     #[error("has schema {found}, this program knows {SCHEMA}; use the program that wrote it")]
     Schema { found: u32 },

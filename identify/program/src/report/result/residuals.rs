@@ -8,7 +8,7 @@ use crate::calibrate::Calibration;
 use crate::instrument::{Apart, Deviation, Rejection};
 
 /// One sample: robot minus measurement, along the axes of the robot's base.
-#[derive(Debug, Serialize)]
+#[derive(Debug, Default, Serialize)]
 struct Row {
     /// As in `calibration.toml`, from 1.
     data_set: usize,
@@ -80,11 +80,7 @@ pub fn residuals_csv(calibration: &Calibration, lines: &[&[u64]]) -> Result<Stri
                 t_s: run.instrument.time_s(sample).map(|t_s| format!("{t_s:.6}")),
                 used: left_out.is_none(),
                 left_out: left_out.map(reason),
-                x_mm: None,
-                y_mm: None,
-                z_mm: None,
-                length_mm: None,
-                rotation_mrad: None,
+                ..Row::default()
             };
             all.push(row.measured(deviation));
         }

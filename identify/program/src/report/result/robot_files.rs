@@ -1,14 +1,14 @@
 //! Files about the identified robot for other programs, beside a calibration.
 
+use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use shared::config::{BallBarConfig, JointKind, RobotConfig};
 
-use super::corrections::{Correction, corrections, csv, log_corrections};
+use super::corrections::{corrections, csv, log_corrections};
 use super::file::{CalibrationFile, FileError, ParameterEntry, replace};
-use super::urdf::urdf;
 use crate::calibrate::validation::deployment::Deployment;
-use crate::kinematics::{Chain, DhLink, LinkParameter, Pose, flange_chain, robot_chain};
+use crate::kinematics::{Chain, DhLink, Pose, flange_chain, robot_chain, roll_pitch_yaw};
 use crate::logs::LogError;
 use crate::model::ParameterId;
 
@@ -23,16 +23,6 @@ pub enum RobotFileError {
     File(#[from] FileError),
 }
 
-const fn number_of(link: &mut DhLink, parameter: LinkParameter) -> &mut f64 {
-    match parameter {
-        LinkParameter::A => &mut link.a_m,
-        LinkParameter::D => &mut link.d_m,
-        LinkParameter::Alpha => &mut link.alpha_rad,
-        LinkParameter::Theta => &mut link.theta_rad,
-        LinkParameter::Beta => &mut link.beta_rad,
-    }
-}
-
 impl CalibrationFile {
     /// The robot's links with one number of each parameter, standing at the root; joints are as the file says where it is supported.
     pub(crate) fn links(&self, number: impl Fn(&ParameterEntry) -> f64) -> Chain {
@@ -45,7 +35,7 @@ impl CalibrationFile {
                 links.resize_with(link + 1, DhLink::default);
             }
             links[link].joint = joint;
-            *number_of(&mut links[link], parameter) = number(entry);
+            *links[link].number_mut(parameter) = number(entry);
         }
         Chain::new(Pose::identity(), links)
     }
@@ -56,7 +46,7 @@ impl CalibrationFile {
         for entry in &self.parameters {
             let Ok(ParameterId::Robot { link, parameter }) = entry.name.parse() else { continue };
             let Some(link) = chain.links.get_mut(link) else { continue };
-            *number_of(link, parameter) = entry.value;
+            *link.number_mut(parameter) = entry.value;
         }
         chain
     }
@@ -74,17 +64,15 @@ impl CalibrationFile {
         directory: &Path,
     ) -> Result<Vec<PathBuf>, RobotFileError> {
         let mut written = Vec::new();
-        let mut write = |name: &str, rows: &[Correction]| -> Result<(), RobotFileError> {
-            written.push(replace(directory, name, &csv(rows).map_err(FileError::from)?)?);
-            Ok(())
-        };
-        if self.serves(Deployment::Dh) {
-            write("corrections.csv", &corrections(self, Deployment::Dh))?;
-            write("corrections_log.csv", &log_corrections(self, robot, Deployment::Dh)?)?;
-        }
-        if self.serves(Deployment::Offsets) {
-            write("offsets.csv", &corrections(self, Deployment::Offsets))?;
-            write("offsets_log.csv", &log_corrections(self, robot, Deployment::Offsets)?)?;
+        for (name, part) in [("corrections", Deployment::Dh), ("offsets", Deployment::Offsets)] {
+            if !self.serves(part) {
+                continue;
+            }
+            let tables = [("", corrections(self, part)), ("_log", log_corrections(self, robot, part)?)];
+            for (ending, rows) in tables {
+                let text = csv(&rows).map_err(FileError::from)?;
+                written.push(replace(directory, &format!("{name}{ending}.csv"), &text)?);
+            }
         }
         if self.serves(Deployment::Dh) {
             let links = self.deployed(Deployment::Dh).robot_chain(robot, bar);
@@ -99,4 +87,68 @@ impl CalibrationFile {
         }
         Ok(written)
     }
+}
+
+/// Joints move about or along z of frames `axis_1`, `axis_2` and so on; joint variables are those of the model (see the
+/// robot's configuration for signs and zeros of the controller). `flange` is the robot's own, `ball_bar_end` where plate and
+/// tool of the bar end.
+///
+/// `about` is written as a comment. Effort and velocity, which URDF demands, are not known to a calibration and are zero.
+pub fn urdf(robot: &RobotConfig, identified: &Chain, bar: Option<&BallBarConfig>, about: &str) -> String {
+    let mut text = String::from("<?xml version=\"1.0\"?>\n");
+    // Writing to a string cannot fail.
+    let _ = writeln!(text, "<!-- Written by identify. Lengths in m, angles in rad.{about} -->");
+    let _ = writeln!(text, "<robot name=\"{}\">", escaped(&robot.name));
+    let _ = writeln!(text, "  <link name=\"base\"/>");
+    let mut from_parent = identified.root_from_base;
+    let mut parent = "base".to_owned();
+    for ((index, link), limits) in identified.links.iter().enumerate().zip(robot.joint_limits()) {
+        let child = format!("axis_{}", index + 1);
+        let axis = Some((link.joint, limits));
+        joint(&mut text, &format!("joint_{}", index + 1), &parent, &child, &from_parent, axis);
+        from_parent = link.transform(0.0);
+        parent = child;
+    }
+    let end = from_parent * identified.last_from_end;
+    let behind_flange =
+        |bar: &BallBarConfig| DhLink { a_m: bar.plate_m, d_m: bar.tool_m, ..DhLink::default() };
+    let flange = bar.map_or(end, |bar| end * behind_flange(bar).transform(0.0).inverse());
+    joint(&mut text, "to_flange", &parent, "flange", &flange, None);
+    if bar.is_some() {
+        joint(&mut text, "to_ball_bar_end", &parent, "ball_bar_end", &end, None);
+    }
+    text.push_str("</robot>\n");
+    text
+}
+
+/// A joint and the link after it; fixed where it has no axis.
+fn joint(
+    text: &mut String,
+    name: &str,
+    parent: &str,
+    child: &str,
+    origin: &Pose,
+    axis: Option<(JointKind, [f64; 2])>,
+) {
+    let p = origin.translation.vector;
+    let [roll, pitch, yaw] = roll_pitch_yaw(&origin.rotation);
+    let kind = match axis {
+        Some((JointKind::Revolute, _)) => "revolute",
+        Some((JointKind::Prismatic, _)) => "prismatic",
+        None => "fixed",
+    };
+    let _ = writeln!(text, "  <link name=\"{child}\"/>");
+    let _ = writeln!(text, "  <joint name=\"{name}\" type=\"{kind}\">");
+    let _ = writeln!(text, "    <parent link=\"{parent}\"/>");
+    let _ = writeln!(text, "    <child link=\"{child}\"/>");
+    let _ = writeln!(text, "    <origin xyz=\"{} {} {}\" rpy=\"{roll} {pitch} {yaw}\"/>", p.x, p.y, p.z);
+    if let Some((_, [low, high])) = axis {
+        let _ = writeln!(text, "    <axis xyz=\"0 0 1\"/>");
+        let _ = writeln!(text, "    <limit lower=\"{low}\" upper=\"{high}\" effort=\"0\" velocity=\"0\"/>");
+    }
+    let _ = writeln!(text, "  </joint>");
+}
+
+fn escaped(name: &str) -> String {
+    name.replace('&', "&amp;").replace('"', "&quot;").replace('<', "&lt;").replace('>', "&gt;")
 }

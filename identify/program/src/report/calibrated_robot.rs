@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, Matrix6, Matrix6xX};
 use shared::config::{BallBarConfig, RobotConfig};
 
-use super::file::CalibrationFile;
+use super::result::file::CalibrationFile;
 use crate::kinematics::{
     InverseError, Joints, Pose, Trace, Tracer, Twist, flange_chain, robot_chain, robot_inverse,
 };
@@ -151,9 +151,7 @@ impl CalibratedRobot {
                         }
                         _ => None,
                     };
-                    twist.map_or_else(Default::default, |Twist { angular, linear }| {
-                        nalgebra::Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
-                    })
+                    twist.map_or_else(Default::default, |twist: Twist| twist.column())
                 })
                 .collect::<Vec<_>>(),
         );
