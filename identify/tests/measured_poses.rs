@@ -166,7 +166,11 @@ fn the_sheet_with_the_table_is_found_in_a_workbook_that_nobody_has_described() {
     let proposal = propose(&bytes, Path::new("poses.xlsx"), &ur10()).unwrap();
     let Mapping::MeasuredPoses(mapping) = proposal.mapping else { panic!("{:?}", proposal.mapping) };
     assert_eq!(mapping.csv.sheet.as_deref(), Some("Messung"));
-    assert!(proposal.doubts.iter().all(|doubt| !doubt.contains("sheets")), "{:?}", proposal.doubts);
+    assert!(
+        proposal.notes.doubts.iter().all(|doubt| !doubt.contains("sheets")),
+        "{:?}",
+        proposal.notes.doubts
+    );
 }
 
 #[test]

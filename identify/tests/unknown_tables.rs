@@ -267,7 +267,7 @@ fn ten_tables_of_a_tracker_are_read_through_the_mapping_proposed_for_them() {
             same(pose.position_m.as_slice(), seen(row).translation.vector.as_slice(), number);
             same(pose.rotation.unwrap().matrix().as_slice(), seen(row).rotation.matrix().as_slice(), number);
         }
-        assert!(proposal.doubts.is_empty(), "style {number}: {:?}", proposal.doubts);
+        assert!(proposal.notes.doubts.is_empty(), "style {number}: {:?}", proposal.notes.doubts);
     }
 }
 
@@ -305,13 +305,17 @@ fn columns_that_are_exchanged_or_reversed_or_in_another_unit_are_named_by_trying
         [(exchanged, "joints 2 and 3 are exchanged"), (reversed, "joint 4 counts the other way")]
     {
         let proposal = proposed(text.as_bytes());
-        assert!(proposal.doubts.iter().any(|doubt| doubt.starts_with(finding)), "{:?}", proposal.doubts);
+        assert!(
+            proposal.notes.doubts.iter().any(|doubt| doubt.starts_with(finding)),
+            "{:?}",
+            proposal.notes.doubts
+        );
         let Mapping::MeasuredPoses(mapping) = &proposal.mapping else { panic!("{:?}", proposal.mapping) };
         let rows = MeasuredPoses::read(text.as_bytes(), Path::new("table.txt"), mapping).unwrap().rows;
         same(&rows[7].q_rad, &joints_rad(7), 0);
     }
     let radians = Style { degrees: false, ..USUAL }.written(Beside::Tracker);
-    let doubts = proposed(&radians).doubts;
+    let doubts = proposed(&radians).notes.doubts;
     assert!(
         doubts.iter().any(|doubt| doubt.contains("the header says deg") && doubt.contains("rad is written")),
         "{doubts:?}"

@@ -27,9 +27,8 @@ pub fn robot_log(log: &RobotLog) -> Inspection {
     let quality = &log.quality;
     stamps(&mut inspection, &log.q_rad.t_s, quality);
     if log.origin == Origin::Commanded {
-        inspection.suspect(
-            "the angles are what the controller asked for: servo lag is not in them; log the measured ones if possible",
-        );
+        inspection
+            .suspect("the angles are what the controller asked for: servo lag is not in them; log the measured ones if possible");
     }
     let frozen = frozen_rows(&log.q_rad);
     if frozen > 0 {

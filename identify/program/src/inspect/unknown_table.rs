@@ -35,6 +35,13 @@ pub enum Mapping {
 pub struct Proposal {
     /// The mapping.
     pub mapping: Mapping,
+    /// Why it is so.
+    pub notes: Notes,
+}
+
+/// Why a mapping is as it is.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Notes {
     /// What each choice rests on.
     pub reasons: Vec<String>,
     /// What looks wrong, and what to try.
@@ -60,12 +67,8 @@ impl Proposal {
             Mapping::Contacts(_) => "a ball in sockets, for `identify calibrate contact --mapping`",
         };
         let mut text = format!("# Proposed by `identify inspect`: {what}. Read it before you use it.\n");
-        for reason in &self.reasons {
-            text += &format!("# - {reason}\n");
-        }
-        for doubt in &self.doubts {
-            text += &format!("# ! {doubt}\n");
-        }
+        text.extend(self.notes.reasons.iter().map(|reason| format!("# - {reason}\n")));
+        text.extend(self.notes.doubts.iter().map(|doubt| format!("# ! {doubt}\n")));
         Ok(text + "\n" + &body)
     }
 }
@@ -125,7 +128,7 @@ pub fn propose(bytes: &[u8], path: &Path, robot: &RobotConfig) -> Result<Proposa
     let mut first = first?;
     if names.len() > 1 {
         let names = names.join(", ");
-        first.doubts.push(format!("sheets {names} all have such a table; the first is taken"));
+        first.notes.doubts.push(format!("sheets {names} all have such a table; the first is taken"));
     }
     Ok(first)
 }
@@ -144,29 +147,32 @@ fn of_sheet(
         CsvLayout { sheet: sheet.map(str::to_owned), ..layout(&text, robot.axes()).ok_or_else(no_table)? };
     let columns = columns(&text, &csv)?;
     let found = || columns.iter().map(|column| column.name.as_str()).collect::<Vec<_>>().join(", ");
-    let mut reasons = Vec::new();
-    let mut doubts = Vec::new();
-    let joints = joints(&columns, robot, csv.header, &mut reasons, &mut doubts).ok_or_else(|| {
-        ProposeError::NoJoints { path: shown.clone(), joints: robot.axes(), found: found() }
+    let mut notes = Notes::default();
+    let joints = joints(&columns, robot, csv.header, &mut notes).ok_or_else(|| ProposeError::NoJoints {
+        path: shown.clone(),
+        joints: robot.axes(),
+        found: found(),
     })?;
     let taken = |column: &Column| joints.iter().any(|joint| joint.column == column.name);
     let others: Vec<&Column> = columns.iter().filter(|column| !taken(column)).collect();
-    let time = time(&others, &mut reasons);
+    let time = time(&others, &mut notes);
     let length = others.iter().find(|column| column.has_word(LENGTHS)).copied();
     let position = triple(&others, &["x", "y", "z"]);
     let of_tracker = position.is_some_and(|xyz| xyz[0].has_word(TRACKERS));
     let socket = others.iter().find(|column| column.has_word(SOCKETS));
     let mapping = match (time, length, position, socket) {
         (_, _, _, Some(socket)) => {
-            reasons.push(format!("`{}` is the socket that the ball is seated in, by its name", socket.name));
+            notes
+                .reasons
+                .push(format!("`{}` is the socket that the ball is seated in, by its name", socket.name));
             Mapping::Contacts(ContactMapping { csv, socket: socket.name.clone(), joints })
         }
         (_, Some(length), _, _) => {
             let unit = length.length_unit();
-            reasons.push(format!("`{}` is the measured length, by its name; {}", length.name, unit.1));
+            notes.reasons.push(format!("`{}` is the measured length, by its name; {}", length.name, unit.1));
             let length = LengthColumn { column: length.name.clone(), unit: unit.0, offset_mm: 0.0 };
-            let anchor = named(&others, "wire's anchor", &["anchor", "station"], &mut reasons);
-            let attachment = named(&others, "place on the flange", &["attachment", "target"], &mut reasons);
+            let anchor = named(&others, "wire's anchor", &["anchor", "station"], &mut notes);
+            let attachment = named(&others, "place on the flange", &["attachment", "target"], &mut notes);
             Mapping::MeasuredLengths(MeasuredLengthMapping {
                 csv,
                 length,
@@ -192,11 +198,13 @@ fn of_sheet(
         (_, _, Some(xyz), _) => {
             let names = xyz.map(|column| column.name.clone());
             let (unit, why) = xyz[0].length_unit();
-            reasons.push(format!("{} are what the tracker measured, by their names; {why}", listed(&names)));
+            notes
+                .reasons
+                .push(format!("{} are what the tracker measured, by their names; {why}", listed(&names)));
             let position = PositionColumns { columns: names, unit };
-            let station = named(&others, "tracker's station", &["station", "setup"], &mut reasons);
+            let station = named(&others, "tracker's station", &["station", "setup"], &mut notes);
             let targets = ["target", "reflector", "smr"];
-            let target = named(&others, "target that was seen", &targets, &mut reasons);
+            let target = named(&others, "target that was seen", &targets, &mut notes);
             let mapping = MeasuredPoseMapping {
                 csv,
                 position,
@@ -207,12 +215,12 @@ fn of_sheet(
                 time: None,
                 joints,
             };
-            let mapping = Trial { bytes, path, robot }.settled(mapping, &others, &mut reasons, &mut doubts);
+            let mapping = Trial { bytes, path, robot }.settled(mapping, &others, &mut notes);
             Mapping::MeasuredPoses(mapping)
         }
         _ => return Err(ProposeError::NothingMeasured { path: shown, found: found() }),
     };
-    Ok(Proposal { mapping, reasons, doubts })
+    Ok(Proposal { mapping, notes })
 }
 
 fn listed<S: AsRef<str>>(names: &[S]) -> String {
@@ -220,40 +228,18 @@ fn listed<S: AsRef<str>>(names: &[S]) -> String {
 }
 
 /// Words by which a length is recognised.
-const LENGTHS: &[&str] = &["length", "cable", "wire", "rope", "distance", "laenge", "länge", "seil", "draw"];
+const LENGTHS: &str = "length cable wire rope distance laenge länge seil draw";
 /// Words by which the socket of a ball is recognised.
-const SOCKETS: &[&str] = &["socket", "nest", "seat", "cone"];
+const SOCKETS: &str = "socket nest seat cone";
 /// Words by which positions are a tracker's and not the controller's own.
-const TRACKERS: &[&str] =
-    &["tracker", "meas", "measured", "measurement", "laser", "probe", "smr", "leica", "api", "faro"];
-/// Words of columns that go with joints and are none.
-const NOT_ANGLES: &[&str] = &[
-    "vel",
-    "velocity",
-    "speed",
-    "qd",
-    "dq",
-    "qdd",
-    "acc",
-    "tau",
-    "torque",
-    "moment",
-    "effort",
-    "current",
-    "strom",
-    "amp",
-    "temp",
-    "temperature",
-    "force",
-    "error",
-    "dev",
-];
-/// Words of angles that the controller asked for.
-const COMMANDED: &[&str] =
-    &["cmd", "command", "commanded", "target", "soll", "desired", "ref", "reference", "planned", "set"];
+const TRACKERS: &str = "tracker meas measured measurement laser probe smr leica api faro";
+/// Words of columns beside joints that are not joint angles.
+const NOT_ANGLES: &str = "vel velocity speed qd dq qdd acc tau torque moment effort current strom amp temp temperature force \
+                          error dev";
+/// Words of commanded angles.
+const COMMANDED: &str = "cmd command commanded target soll desired ref reference planned set";
 /// Words of time stamps.
-const TIMES: &[&str] =
-    &["t", "time", "timestamp", "stamp", "zeit", "clock", "ipoc", "utc", "date", "datetime", "tick", "ticks"];
+const TIMES: &str = "t time timestamp stamp zeit clock ipoc utc date datetime tick ticks";
 
 /// One column of a table, with its numbers where they are some.
 struct Column {
@@ -270,10 +256,12 @@ impl Column {
         self.plain.split(|character: char| !character.is_alphanumeric()).filter(|word| !word.is_empty())
     }
 
-    fn has_word(&self, words: &[&str]) -> bool {
-        let bare =
-            |word: &str| word.trim_end_matches(|character: char| character.is_ascii_digit()).to_owned();
-        self.words().any(|word| words.contains(&word) || words.contains(&bare(word).as_str()))
+    /// Has one of these words, which are between spaces, also with digits behind it.
+    fn has_word(&self, words: &str) -> bool {
+        self.words().any(|word| {
+            let bare = word.trim_end_matches(|character: char| character.is_ascii_digit());
+            words.split(' ').any(|one| one == word || one == bare)
+        })
     }
 
     fn largest(&self) -> f64 {
@@ -316,7 +304,8 @@ fn layout(text: &RowsAsText<'_>, axes: usize) -> Option<CsvLayout> {
     let lines: Vec<&str> = text.lines().collect();
     let choices =
         [(';', false), (';', true), ('\t', false), ('\t', true), (',', false), ('|', false), (' ', false)];
-    let best = choices.into_iter().filter_map(|(delimiter, decimal_comma)| {
+    // Of equals the first: what reads as numbers both ways has no decimal comma.
+    let best = choices.into_iter().rev().filter_map(|(delimiter, decimal_comma)| {
         let numbers = |line: &str| {
             let cells = cells(line, delimiter);
             let numbers =
@@ -329,12 +318,7 @@ fn layout(text: &RowsAsText<'_>, axes: usize) -> Option<CsvLayout> {
         let total: usize = rows.map(|(_, numbers)| numbers).sum();
         Some((total, delimiter, decimal_comma, first, width))
     });
-    // Of equals the first: what reads as numbers both ways has no decimal comma.
-    let (_, delimiter, decimal_comma, first, width) =
-        best.fold(None, |best: Option<(usize, char, bool, usize, usize)>, one| match best {
-            Some(best) if best.0 >= one.0 => Some(best),
-            _ => Some(one),
-        })?;
+    let (_, delimiter, decimal_comma, first, width) = best.max_by_key(|(total, ..)| *total)?;
     // Above the numbers: a header, then lines of units.
     let above: Vec<usize> = (0..first)
         .rev()
@@ -358,36 +342,27 @@ fn layout(text: &RowsAsText<'_>, axes: usize) -> Option<CsvLayout> {
     })
 }
 
-/// Units as people write them, and what they are.
-const UNITS: &[(&str, &str)] = &[
-    ("deg", "deg"),
-    ("degree", "deg"),
-    ("degrees", "deg"),
-    ("°", "deg"),
-    ("grad", "deg"),
-    ("rad", "rad"),
-    ("radian", "rad"),
-    ("radians", "rad"),
-    ("mm", "mm"),
-    ("m", "m"),
-    ("s", "s"),
-    ("sec", "s"),
-    ("seconds", "s"),
-    ("ms", "ms"),
-    ("msec", "ms"),
-    ("us", "us"),
-    ("µs", "us"),
-    ("ns", "ns"),
-    ("nm", "nm"),
-    ("a", "a"),
-    ("n", "n"),
-    ("deg/s", "deg/s"),
-    ("rad/s", "rad/s"),
+/// Units, each with its other spellings.
+const UNITS: [&str; 13] = [
+    "deg degree degrees ° grad",
+    "rad radian radians",
+    "mm",
+    "m",
+    "s sec seconds",
+    "ms msec",
+    "us µs",
+    "ns",
+    "nm",
+    "a",
+    "n",
+    "deg/s",
+    "rad/s",
 ];
 
 fn unit_named(text: &str) -> Option<String> {
     let text = text.trim().trim_matches(['[', ']', '(', ')']).trim().to_lowercase().replace('μ', "µ");
-    UNITS.iter().find(|(written, _)| *written == text).map(|(_, unit)| (*unit).to_owned())
+    let spellings = UNITS.iter().find(|spellings| spellings.split(' ').any(|one| one == text))?;
+    spellings.split(' ').next().map(str::to_owned)
 }
 
 /// A name in lower case without unit, and the unit: `J1 [deg]`, `q1_deg`, `x(mm)`.
@@ -489,8 +464,7 @@ fn joints(
     columns: &[Column],
     robot: &RobotConfig,
     header: bool,
-    reasons: &mut Vec<String>,
-    doubts: &mut Vec<String>,
+    notes: &mut Notes,
 ) -> Option<Vec<JointColumn>> {
     // Names and ranges of lengths are those of anything.
     let axes = robot.joint_limits_deg.len();
@@ -524,30 +498,28 @@ fn joints(
         choices.retain(|family| suits(family, AngleUnit::Deg) && !family.iter().any(|column| rises(column)));
         choices.truncate(1);
         if !choices.is_empty() {
-            doubts.push(format!(
+            notes.doubts.push(format!(
                 "there is no header: the first {axes} columns that can be angles are taken for the joints"
             ));
         }
     }
-    let best = choices.iter().map(|family| (score(family), family)).filter(|(score, _)| *score > -5);
-    let (_, family) = best.fold(None, |best: Option<(i32, &Vec<&Column>)>, one| match best {
-        Some(best) if best.0 >= one.0 => Some(best),
-        _ => Some(one),
-    })?;
-    let unit = angle_unit(family, reasons, doubts);
+    // Of equals the first.
+    let scored = choices.iter().rev().map(|family| (score(family), family));
+    let (_, family) = scored.filter(|(score, _)| *score > -5).max_by_key(|(score, _)| *score)?;
+    let unit = angle_unit(family, notes);
     if !suits(family, unit) {
-        doubts.push(format!(
+        notes.doubts.push(format!(
             "some joints leave the robot's limits by more than half a turn: is this a log of {}?",
             robot.name
         ));
     }
     if family.iter().any(|column| column.has_word(COMMANDED)) {
-        doubts.push(
+        notes.doubts.push(
             "by their names these are angles that the controller asked for; measured ones are better".into(),
         );
     }
     let names: Vec<&str> = family.iter().map(|column| column.name.as_str()).collect();
-    reasons.insert(0, format!("{} are joints 1 to {axes}, by their names and ranges", listed(&names)));
+    notes.reasons.insert(0, format!("{} are joints 1 to {axes}, by their names and ranges", listed(&names)));
     let unit = if unit == AngleUnit::Deg { JointUnit::Deg } else { JointUnit::Rad };
     let column = |column: &&Column| column.name.clone();
     let joint =
@@ -556,7 +528,7 @@ fn joints(
 }
 
 /// The unit that header and values agree on.
-fn angle_unit(family: &[&Column], reasons: &mut Vec<String>, doubts: &mut Vec<String>) -> AngleUnit {
+fn angle_unit(family: &[&Column], notes: &mut Notes) -> AngleUnit {
     /// A robot's joints turn by at most a turn and a bit either way, mostly less.
     const RAD_MAX: f64 = 6.7;
     let said = family.iter().find_map(|column| match column.unit.as_deref() {
@@ -567,15 +539,16 @@ fn angle_unit(family: &[&Column], reasons: &mut Vec<String>, doubts: &mut Vec<St
     let largest = family.iter().map(|column| column.largest()).fold(0.0, f64::max);
     let seen = if largest > RAD_MAX { AngleUnit::Deg } else { AngleUnit::Rad };
     match said {
-        Some(said) if said == seen => reasons
+        Some(said) if said == seen => notes
+            .reasons
             .push(format!("angles in {}: so says the header, and they reach {largest:.1}", said.suffix())),
-        Some(said) => doubts.push(format!(
+        Some(said) => notes.doubts.push(format!(
             "the header says {}, but the angles reach {largest:.1}, as {} would; {} is written here",
             said.suffix(),
             seen.suffix(),
             seen.suffix()
         )),
-        None => reasons.push(format!("angles in {}: they reach {largest:.1}", seen.suffix())),
+        None => notes.reasons.push(format!("angles in {}: they reach {largest:.1}", seen.suffix())),
     }
     seen
 }
@@ -606,10 +579,10 @@ fn is_date_in_digits(number: f64) -> bool {
 }
 
 /// The time stamps, if there are some.
-fn time(columns: &[&Column], reasons: &mut Vec<String>) -> Option<TimeColumn> {
+fn time(columns: &[&Column], notes: &mut Notes) -> Option<TimeColumn> {
     let dated = columns.iter().find(|column| column.is_date && column.has_word(TIMES));
     if let Some(column) = dated.or_else(|| columns.iter().find(|column| column.is_date)) {
-        reasons.push(format!("`{}` has dates", column.name));
+        notes.reasons.push(format!("`{}` has dates", column.name));
         return Some(TimeColumn::new(&column.name, TimeUnit::DateTime));
     }
     let rising: Vec<&&Column> = columns.iter().filter(|column| column.is_number() && rises(column)).collect();
@@ -622,7 +595,9 @@ fn time(columns: &[&Column], reasons: &mut Vec<String>) -> Option<TimeColumn> {
     /// FILETIME of the years 1980 to 2100.
     const FILETIME: std::ops::Range<f64> = 1.19e17..1.58e17;
     if column.numbers.iter().all(|number| is_date_in_digits(*number)) {
-        reasons.push(format!("`{}` has dates (YYYYMMDDhhmmss), too coarse for times of rows", column.name));
+        notes
+            .reasons
+            .push(format!("`{}` has dates (YYYYMMDDhhmmss), too coarse for times of rows", column.name));
         return None;
     }
     let (unit, why) = match column.unit.as_deref() {
@@ -637,7 +612,11 @@ fn time(columns: &[&Column], reasons: &mut Vec<String>) -> Option<TimeColumn> {
         _ if step < 9e5 => (TimeUnit::Us, format!("stamps are {step:.0} apart")),
         _ => (TimeUnit::Ns, format!("stamps are {step:.0} apart")),
     };
-    reasons.push(format!("`{}` is the time in {}: {why}", column.name, format!("{unit:?}").to_lowercase()));
+    notes.reasons.push(format!(
+        "`{}` is the time in {}: {why}",
+        column.name,
+        format!("{unit:?}").to_lowercase()
+    ));
     Some(TimeColumn::new(&column.name, unit))
 }
 
@@ -667,9 +646,9 @@ fn triple<'c>(columns: &[&'c Column], words: &[&str; 3]) -> Option<[&'c Column; 
 }
 
 /// The column that names what a row belongs to.
-fn named(columns: &[&Column], what: &str, words: &[&str], reasons: &mut Vec<String>) -> Option<String> {
+fn named(columns: &[&Column], what: &str, words: &[&str], notes: &mut Notes) -> Option<String> {
     let column = columns.iter().find(|column| words.contains(&column.plain.as_str()))?;
-    reasons.push(format!("`{}` has the name of the {what}, by its own", column.name));
+    notes.reasons.push(format!("`{}` has the name of the {what}, by its own", column.name));
     Some(column.name.clone())
 }
 
@@ -698,8 +677,7 @@ impl Trial<'_> {
         &self,
         mut mapping: MeasuredPoseMapping,
         others: &[&Column],
-        reasons: &mut Vec<String>,
-        doubts: &mut Vec<String>,
+        notes: &mut Notes,
     ) -> MeasuredPoseMapping {
         // A change that is right shows in the positions; what the orientation means is looked for after that.
         if let Some(rows) = self.rows(&mapping) {
@@ -709,9 +687,9 @@ impl Trial<'_> {
                     if let Mistake::Joints(mistake) = likely.mistake {
                         mend(&mut mapping.joints, mistake);
                     }
-                    doubts.push(format!("{likely}; it is written so"));
+                    notes.doubts.push(format!("{likely}; it is written so"));
                 }
-                None => reasons.extend(self.misfit(&mapping).map(|(position_m, _)| {
+                None => notes.reasons.extend(self.misfit(&mapping).map(|(position_m, _)| {
                     format!("the nominal robot is {:.1} mm from the positions", position_m * 1e3)
                 })),
             }
@@ -726,11 +704,13 @@ impl Trial<'_> {
         const FITS_RAD: f64 = 0.1;
         match tried.min_by(|a, b| a.0.total_cmp(&b.0)) {
             Some((left, found)) if left < FITS_RAD => {
-                reasons.push(format!("the orientation is what fits the robot best, {:.1} mrad", left * 1e3));
+                notes
+                    .reasons
+                    .push(format!("the orientation is what fits the robot best, {:.1} mrad", left * 1e3));
                 found
             }
             Some((left, _)) => {
-                doubts.push(format!(
+                notes.doubts.push(format!(
                     "no reading of the orientation fits the robot ({:.0} mrad at best): left out",
                     left * 1e3
                 ));
@@ -779,7 +759,7 @@ fn orientations(columns: &[&Column]) -> Vec<RotationColumns> {
     let four = FOUR.iter().filter_map(|words| group(columns, words));
     all.extend(four.map(|group| of(RotationForm::Quaternion, group)));
     for three in THREE.iter().filter_map(|words| group(columns, words)) {
-        let unit = Some(angle_unit(&three, &mut Vec::new(), &mut Vec::new()));
+        let unit = Some(angle_unit(&three, &mut Notes::default()));
         let vector = RotationColumns { unit, ..of(RotationForm::RotationVector, three) };
         let euler = |order: &str, frame| RotationColumns {
             form: RotationForm::Euler,
