@@ -6,7 +6,6 @@ mod experiment;
 mod refused;
 mod result;
 mod rows;
-mod sources;
 
 use std::path::{Path, PathBuf};
 
@@ -20,6 +19,7 @@ use crate::model::{ModelError, ParameterId, Waves};
 use crate::report::result::file::Input;
 use crate::solver::LossName;
 use experiment::Experiment;
+use rows::{ContactArguments, RowFile, TouchArguments, TrackerArguments};
 
 /// What is calibrated with.
 #[derive(Debug, Args)]
@@ -39,11 +39,11 @@ enum CalibrateCommand {
     /// From poses with one measured length each: a draw-wire or a telescoping bar
     Wire(RowArguments),
     /// From positions or poses measured by a tracker
-    Tracker(rows::TrackerArguments),
+    Tracker(TrackerArguments),
     /// From a ball on the flange that is seated in sockets whose distances are known
-    Contact(rows::ContactArguments),
+    Contact(ContactArguments),
     /// From a tip on the flange that touches flat faces: a touch probe or a dial gauge
-    Touch(rows::TouchArguments),
+    Touch(TouchArguments),
     /// From any mix of them: --experiment FILE, without this word
     #[command(hide = true)]
     Experiment(experiment::ExperimentArguments),
@@ -156,11 +156,24 @@ pub struct RowArguments {
 pub fn run(arguments: &CalibrateArguments) -> anyhow::Result<()> {
     match &arguments.command {
         CalibrateCommand::Bar(arguments) => bar::run(arguments),
-        CalibrateCommand::Wire(arguments) => rows::run_wire(arguments),
-        CalibrateCommand::Tracker(arguments) => rows::run_tracker(arguments),
-        CalibrateCommand::Contact(arguments) => rows::run_contact(arguments),
-        CalibrateCommand::Touch(arguments) => rows::run_touch(arguments),
+        CalibrateCommand::Wire(rows) => rows.calibrate(|experiment| experiment.wires.push(rows.into())),
+        CalibrateCommand::Tracker(arguments) => arguments.run(),
+        CalibrateCommand::Contact(ContactArguments { rows, sockets }) => rows.calibrate(|experiment| {
+            experiment.contacts.push(RowFile { sockets: Some(sockets.clone()), ..rows.into() });
+        }),
+        CalibrateCommand::Touch(TouchArguments { rows, faces }) => rows.calibrate(|experiment| {
+            experiment.touches.push(RowFile { faces: faces.clone(), ..rows.into() });
+        }),
         CalibrateCommand::Experiment(arguments) => experiment::run(arguments),
+    }
+}
+
+impl RowArguments {
+    /// Calibrates from the files that `add` adds to an experiment.
+    fn calibrate(&self, add: impl FnOnce(&mut Experiment)) -> anyhow::Result<()> {
+        let mut experiment = self.common.experiment()?;
+        add(&mut experiment);
+        driver::calibrate(experiment, &self.common.result, None)
     }
 }
 

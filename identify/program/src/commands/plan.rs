@@ -296,10 +296,8 @@ impl Cell {
 impl Loaded {
     fn constraints(&self) -> Constraints<'_> {
         let limits = self.robot.joint_limits();
-        let mut constraints = Constraints::new(&self.arm, &self.bar_chain, &limits, &self.design);
-        constraints.bodies = Some(self.bodies.clone());
-        constraints.acceleration_rad_s2 = self.acceleration_rad_s2;
-        constraints
+        Constraints::new(&self.arm, &self.bar_chain, &limits, &self.design)
+            .with(Some(self.bodies.clone()), self.acceleration_rad_s2)
     }
 
     fn information(&self, duration_s: f64) -> anyhow::Result<Information> {
@@ -378,12 +376,10 @@ fn find(arguments: &PathArguments) -> anyhow::Result<()> {
     say(csv.display())?;
     let page = PathPage {
         robot: &loaded.robot.name,
-        arm: &loaded.arm,
-        bar: &loaded.bar_chain,
+        constraints: &constraints,
         path: &route.path,
         robot_path: &robot_path,
         checked: &checked,
-        bodies: constraints.bodies.as_ref(),
         summary: &summary,
         sigmas: &information.sigmas(&checked.normal),
     };
@@ -429,9 +425,8 @@ fn poses(arguments: &PosesArguments) -> anyhow::Result<()> {
     let robot: RobotConfig = config::load(&arguments.robot)?;
     can_be_written(&arguments.program, &robot)?;
     ensure_can_write(out)?;
-    for (name, size) in [("noise-mm", *noise_mm), ("noise-mrad", noise_mrad.unwrap_or(1.0))] {
-        anyhow::ensure!(size.is_finite() && size > 0.0, "--{name} is {size}; give a number above zero");
-    }
+    above_zero("noise-mm", *noise_mm)?;
+    above_zero("noise-mrad", noise_mrad.unwrap_or(1.0))?;
     anyhow::ensure!(
         noise_mrad.is_none() || *measures == Measures::Poses,
         "--noise-mrad is that of orientations; give it with --measures poses"

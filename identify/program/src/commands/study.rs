@@ -141,10 +141,7 @@ fn compute(
         }
         on_terminal.finish();
         let left = missing.len() - done;
-        anyhow::ensure!(
-            left == 0,
-            "stopped with {left} experiments to go; the same command goes on from there"
-        );
+        anyhow::ensure!(left == 0, "stopped with {left} experiments to go; the same command goes on from there");
         Ok(())
     })
 }

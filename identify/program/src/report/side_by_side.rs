@@ -2,14 +2,13 @@
 
 use std::fmt::Write;
 
-use maud::{Markup, PreEscaped, html};
+use maud::{Markup, html};
 
 use super::page::document;
-use super::page::drawing::intervals::Intervals;
-use super::page::drawing::plot::{COLOURS, PlotError};
+use super::page::drawing::plot::{COLOURS, Mark, Panel, PlotError, Series};
 use crate::evaluate::Quantiles;
 use crate::model::Unit;
-use crate::report::{Compared, Consistency};
+use crate::report::Consistency;
 
 /// The table on a terminal.
 pub fn table(consistency: &Consistency, names: &[String]) -> String {
@@ -95,11 +94,6 @@ fn verdict(consistency: &Consistency) -> String {
 /// # Errors
 /// [`PlotError`].
 pub fn page(consistency: &Consistency, robot: &str, names: &[String]) -> Result<Markup, PlotError> {
-    let figures = [(Unit::Metre, "Lengths"), (Unit::Radian, "Angles")].map(|(unit, title)| {
-        let of_unit: Vec<&Compared> = consistency.parameters.iter().filter(|one| one.unit == unit).collect();
-        intervals(title, unit, &of_unit, names.len()).draw()
-    });
-    let [lengths, angles] = figures;
     let title = format!("Calibrations of {robot} side by side");
     Ok(document(
         &title,
@@ -113,7 +107,8 @@ pub fn page(consistency: &Consistency, robot: &str, names: &[String]) -> Result<
                 li { span style=(format!("color: rgb({},{},{})", colour.0, colour.1, colour.2)) { "● " } (name) }
             } }
             figure {
-                (PreEscaped(lengths?)) (PreEscaped(angles?))
+                (intervals("Lengths", Unit::Metre, consistency, names.len())?)
+                (intervals("Angles", Unit::Radian, consistency, names.len())?)
                 figcaption {
                     "How far each calibration is from their weighted mean, with 95 % intervals. Intervals that do not meet tell "
                     "more than points that do."
@@ -124,21 +119,28 @@ pub fn page(consistency: &Consistency, robot: &str, names: &[String]) -> Result<
     ))
 }
 
-fn intervals(title: &str, unit: Unit, parameters: &[&Compared], files: usize) -> Intervals {
+/// How far each calibration is from the weighted means, with intervals; calibrations stand side by side at each name.
+fn intervals(title: &str, unit: Unit, consistency: &Consistency, files: usize) -> Result<Markup, PlotError> {
+    let parameters = || consistency.parameters.iter().filter(|one| one.unit == unit);
     let factor = unit.display_factor();
-    let bar = |file: usize| {
-        let of = |one: &&Compared| {
-            let (value, _) = (*one.values.get(file)?)?;
-            Some(((value - one.mean) * factor, (*one.half_widths.get(file)?)? * factor))
-        };
-        parameters.iter().map(of).collect()
-    };
-    Intervals {
-        title: title.into(),
-        y: format!("from the mean [{}]", unit.display_symbol()),
-        names: parameters.iter().map(|one| one.name.clone()).collect(),
-        sets: (0..files).map(bar).collect(),
+    let mut series = Vec::new();
+    for file in 0..files {
+        let (colour, aside) =
+            (COLOURS[file % COLOURS.len()], 0.6 * ((file as f64 + 0.5) / files as f64 - 0.5));
+        let (mut values, mut ends) = (Vec::new(), Vec::new());
+        for (number, one) in parameters().enumerate() {
+            if let (Some((value, _)), Some(half)) = (one.values[file], one.half_widths[file]) {
+                let (x, y) = (number as f64 + aside, (value - one.mean) * factor);
+                values.push((x, y));
+                ends.extend([(x, y - half * factor), (x, y + half * factor)]);
+            }
+        }
+        series.push(Series::new("", colour, Mark::Segments, ends));
+        series.push(Series::new("", colour, Mark::Dots, values));
     }
+    let names = parameters().map(|one| one.name.clone()).collect();
+    let y = format!("from the mean [{}]", unit.display_symbol());
+    Panel::new(title, ["", &y], (920, 260), series).with_names(names).draw()
 }
 
 fn rows(consistency: &Consistency, files: usize) -> Markup {

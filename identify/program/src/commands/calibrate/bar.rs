@@ -14,6 +14,7 @@ use super::experiment::{BarRun, Experiment};
 use crate::calibrate::CalibrateError;
 use crate::calibrate::ball_bar::RunInput;
 use crate::cost::SharedColumns;
+use crate::inspect::{self, curves};
 use crate::instrument::CostName;
 use crate::logs::{
     self, BarLog, BarLogMapping, ForceLog, ForceLogMapping, LogFormat, LogOptions, RobotLog, RobotLogMapping,
@@ -21,6 +22,7 @@ use crate::logs::{
 };
 use crate::model::Model;
 use crate::prepare::{EncoderMapChoice, Prepared, bar_angles};
+use crate::report::page::Source;
 use crate::report::result::clocks::{ClockEntry, SolvedClock};
 use crate::report::result::file::MeasurementEntry;
 use crate::solver::Covariance;
@@ -184,6 +186,28 @@ impl RunFiles<'_> {
         })
     }
 
+    /// What is in the recording and in the robot's log.
+    pub(super) fn sources(&self) -> [Source; 2] {
+        let recording = || match &*self.recording {
+            BarLog::Recording(recording) => inspect::recording(recording),
+            BarLog::Other(other) => inspect::bar_log(other),
+        };
+        let (recording, robot_log) = both(recording, || inspect::robot_log(&self.log));
+        let source = |role, path: &Path, inspection| {
+            let path = path.to_owned();
+            Source { role, path, inspection, curves: Vec::new() }
+        };
+        [source("recording", self.recording_path, recording), source("robot log", self.log_path, robot_log)]
+    }
+
+    /// The same with the joints over time.
+    pub(super) fn sources_with_curves(&self) -> [Source; 2] {
+        let [recording, robot_log] = self.sources();
+        let of_bar = curves::of_bar(self.cycles(), self.recording.encoders());
+        let of_robot = curves::of_robot(&self.log);
+        [Source { curves: of_bar, ..recording }, Source { curves: of_robot, ..robot_log }]
+    }
+
     /// What the recording says of who measured what; none where another program made it.
     pub(super) fn measured(&self) -> Option<MeasurementEntry> {
         match &*self.recording {
@@ -239,7 +263,12 @@ fn load_recording(
 ) -> anyhow::Result<BarLog> {
     let log = BarLog::load(path, bar, mapping)?;
     if let BarLog::Other(other) = &log {
-        tracing::info!("{}: {}; it does not say {}", path.display(), other.kind, other.unknown.join(", "));
+        tracing::info!(
+            "{}: {}; it does not say {}",
+            path.display(),
+            other.kind,
+            other.unknown.join(", ")
+        );
         for remark in &other.quality.remarks {
             tracing::warn!("{}: {remark}", path.display());
         }

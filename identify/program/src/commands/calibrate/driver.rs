@@ -11,7 +11,6 @@ use super::experiment::Experiment;
 use super::refused::refused;
 use super::result::{conclude, limited, write_files};
 use super::rows::{self, Aligned, Beside, Others, WithLogs};
-use super::sources::sources;
 use super::{ResultArguments, inputs};
 use crate::calibrate::Calibration;
 use crate::calibrate::mix::{self, DataSets};
@@ -31,8 +30,7 @@ use crate::report::result::validation::RowsEntry;
 use crate::report::rows as of_rows;
 use crate::report::summary::{summary, wrapped};
 use crate::report::table;
-use crate::simulate::Comparison;
-use crate::simulate::Truth;
+use crate::simulate::{Comparison, Truth};
 use crate::threads::both;
 
 /// Reads, calibrates, writes and prints. With the `truth` of a simulated experiment its first data set is compared with it.
@@ -49,7 +47,6 @@ pub(super) fn calibrate(
     ensure_can_write(directory)?;
     let on_terminal = OnTerminal::all_or_nothing();
     let truth = truth.map(load_truth).transpose()?;
-    experiment.ensure_distinct()?;
     let (rows, beside) = rows_of(&experiment, robot, directory)?;
     experiment.state(&rows);
     let experiment = &experiment;
@@ -62,6 +59,7 @@ pub(super) fn calibrate(
     let others = others.collect::<anyhow::Result<Vec<Others<'_>>>>()?;
     let (inputs, bars) = both(|| inputs(&experiment.files()), || bar::runs(experiment, robot));
     let (mut bars, inputs) = (bars?, inputs?);
+    experiment.ensure_distinct(&inputs)?;
     let calibration = bar::solved(experiment.split_at_changes, &mut bars, |inputs| {
         let data = DataSets { bars: inputs.to_vec(), rows: rows.clone() };
         mix::calibrate(&data, robot, &experiment.identify, Some(&on_terminal))
@@ -98,7 +96,7 @@ pub(super) fn calibrate(
         evidence: &evidence,
         rows: &tables.errors,
         tables: &tables.text,
-        sources: &sources(&bars),
+        sources: &bars.iter().flat_map(RunFiles::sources).collect::<Vec<_>>(),
         configuration: &experiment.write(directory)?,
     };
     let page = page.write(directory).with_context(|| directory.display().to_string())?;

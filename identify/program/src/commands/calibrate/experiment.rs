@@ -8,12 +8,13 @@ use clap::Args;
 use serde::{Deserialize, Serialize};
 use shared::config::{self, Source, Validate, Violation};
 
+use super::ResultArguments;
 use super::driver::calibrate;
 use super::rows::{Kind, RowFile};
-use super::{ResultArguments, inputs};
 use crate::calibrate::IdentifyConfig;
 use crate::instrument::Rows;
 use crate::logs::LogFormat;
+use crate::report::result::file::Input;
 
 /// Name of the file beside a result.
 const NAME: &str = "experiment.toml";
@@ -44,7 +45,7 @@ pub struct BarRun {
 }
 
 /// Everything that was measured on one robot, and how it is calibrated. Paths count from the file's directory.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Experiment {
     /// The robot's configuration.
@@ -165,22 +166,7 @@ impl Validate for Experiment {
 
 impl Experiment {
     pub(super) fn new(robot: &Path, identify: IdentifyConfig) -> Self {
-        Self {
-            robot: robot.to_owned(),
-            recording_mapping: None,
-            log_format: None,
-            log_mapping: None,
-            force_mapping: None,
-            ignore_force: false,
-            split_at_changes: false,
-            bars: Vec::new(),
-            trackers: Vec::new(),
-            wires: Vec::new(),
-            contacts: Vec::new(),
-            touches: Vec::new(),
-            identify,
-            read_from: None,
-        }
+        Self { robot: robot.to_owned(), identify, ..Self::default() }
     }
 
     fn data_sets(&self) -> usize {
@@ -258,42 +244,24 @@ impl Experiment {
         paths
     }
 
-    /// No data set is another one again: what is measured once would count twice, and intervals would be too narrow.
-    pub(super) fn ensure_distinct(&self) -> anyhow::Result<()> {
+    /// No data set is another one again: what is measured once would count twice, and intervals would be too narrow. `inputs` are
+    /// its files with their checksums.
+    pub(super) fn ensure_distinct(&self, inputs: &[Input]) -> anyhow::Result<()> {
         let bars = self.bars.iter().map(|run| [&run.recording, &run.robot_log]);
         let rows = self.rows().map(|(_, of)| [&of.file, &of.mapping]);
         let sets: Vec<[&PathBuf; 2]> = bars.chain(rows).collect();
-        if sets.len() < 2 {
-            return Ok(());
-        }
-        let size = |path: &PathBuf| -> anyhow::Result<u64> {
-            let file = match Source::find(path) {
-                Source::BuiltIn(_, text) => return Ok(text.len() as u64),
-                Source::File(file) => file,
-            };
-            let found =
-                std::fs::metadata(&file).with_context(|| format!("cannot read {}", path.display()))?;
-            Ok(found.len())
-        };
-        let sizes = |set: &[&PathBuf; 2]| -> anyhow::Result<[u64; 2]> { Ok([size(set[0])?, size(set[1])?]) };
-        let sizes = sets.iter().map(sizes).collect::<anyhow::Result<Vec<_>>>()?;
-        let content = |set: &[&PathBuf; 2]| -> anyhow::Result<Vec<String>> {
-            let read = inputs(&set.map(|path| ("", path.as_path())))?;
-            Ok(read.into_iter().map(|input| input.sha256).collect())
-        };
-        let pairs = (0..sets.len()).flat_map(|number| (0..number).map(move |first| (first, number)));
-        // Files of other lengths need not be read for that.
-        for (first, number) in pairs.filter(|(first, number)| sizes[*first] == sizes[*number]) {
-            if content(&sets[first])? != content(&sets[number])? {
-                continue;
+        let checksum = |path: &PathBuf| inputs.iter().find(|input| input.path == *path).map(|of| &of.sha256);
+        let content: Vec<_> = sets.iter().map(|set| set.map(checksum)).collect();
+        for (number, own) in content.iter().enumerate() {
+            if let Some(first) = content[..number].iter().position(|other| other == own) {
+                anyhow::bail!(
+                    "data sets {} and {} are the same measurements, {} and {}; what is measured once counts once, leave one out",
+                    first + 1,
+                    number + 1,
+                    sets[first][0].display(),
+                    sets[number][0].display()
+                );
             }
-            anyhow::bail!(
-                "data sets {} and {} are the same measurements, {} and {}; what is measured once counts once, leave one out",
-                first + 1,
-                number + 1,
-                sets[first][0].display(),
-                sets[number][0].display()
-            );
         }
         Ok(())
     }
@@ -320,6 +288,27 @@ impl Experiment {
         Ok(text)
     }
 
+    /// Takes the experiment of a calibration that was set aside to its place, so that it still repeats it. What the present run was
+    /// read from stays: it is its own.
+    pub(super) fn set_aside(&self, directory: &Path, place: &Path) -> anyhow::Result<()> {
+        let file = directory.join(NAME);
+        let own = self.read_from.as_ref();
+        let is_own = own.is_some_and(|own| own.canonicalize().ok() == file.canonicalize().ok());
+        if is_own || !file.exists() {
+            return Ok(());
+        }
+        match Self::load(&file) {
+            Ok(experiment) => experiment.write(place).map(drop)?,
+            // Of an older program, or edited: as it is.
+            Err(_) => {
+                std::fs::copy(&file, place.join(NAME))
+                    .map(drop)
+                    .with_context(|| file.display().to_string())?;
+            }
+        }
+        std::fs::remove_file(&file).with_context(|| file.display().to_string())
+    }
+
     fn load(path: &Path) -> anyhow::Result<Self> {
         let mut experiment: Self = config::load(path)?;
         let directory = path.parent().unwrap_or(Path::new(""));
@@ -342,22 +331,6 @@ fn relative(to: &Path, from: &Path) -> Option<PathBuf> {
     let up = from.components().skip(common).map(|_| Component::ParentDir);
     (folders >= COMMON_FOLDERS_MIN && up.clone().count() <= UP_MAX)
         .then(|| up.chain(to.components().skip(common)).collect())
-}
-
-/// Takes the experiment of a calibration that was set aside to its place, so that it still repeats it. What the present run was
-/// read from stays: it is its own.
-pub(super) fn set_aside(directory: &Path, place: &Path, own: Option<&Path>) -> anyhow::Result<()> {
-    let file = directory.join(NAME);
-    let is_own = own.is_some_and(|own| own.canonicalize().ok() == file.canonicalize().ok());
-    if is_own || !file.exists() {
-        return Ok(());
-    }
-    match Experiment::load(&file) {
-        Ok(experiment) => experiment.write(place).map(drop)?,
-        // Of an older program, or edited: as it is.
-        Err(_) => drop(std::fs::copy(&file, place.join(NAME)).with_context(|| file.display().to_string())?),
-    }
-    std::fs::remove_file(&file).with_context(|| file.display().to_string())
 }
 
 pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::output::{say, show};
 
-use super::experiment::{self, Experiment};
+use super::experiment::Experiment;
 use crate::calibrate::validation::deployment::Deployment;
 use crate::report::result::deployments::files;
 use crate::report::result::file::{CalibrationFile, replace};
@@ -28,7 +28,7 @@ pub(super) fn write_files(
     if (is_red(file) || Deployment::PARTIAL.into_iter().any(would_stay))
         && let Some(place) = file.set_earlier_aside(directory)?
     {
-        experiment::set_aside(directory, &place, experiment.read_from.as_deref())?;
+        experiment.set_aside(directory, &place)?;
     }
     if is_red(file) {
         return Ok(Vec::new());

@@ -11,7 +11,6 @@ use shared::time::UtcNs;
 
 use super::RowArguments;
 use super::bar::load_log;
-use super::driver::calibrate;
 use crate::calibrate::rows::{WAVES_PER_TURN_MAX, validate};
 use crate::calibrate::{CalibrateError, Calibration};
 use crate::evaluate::Validity;
@@ -51,24 +50,24 @@ pub struct TrackerArguments {
 #[derive(Debug, Args)]
 pub struct ContactArguments {
     #[command(flatten)]
-    rows: RowArguments,
+    pub(super) rows: RowArguments,
     /// Where the sockets are on their plate, or their distances, such as config/sockets.toml
     #[arg(long, value_name = "FILE")]
-    sockets: PathBuf,
+    pub(super) sockets: PathBuf,
 }
 
 /// Options of a calibration with a touch probe or a dial gauge.
 #[derive(Debug, Args)]
 pub struct TouchArguments {
     #[command(flatten)]
-    rows: RowArguments,
+    pub(super) rows: RowArguments,
     /// Distances and angles of the faces, such as config/faces.toml; without it nothing is known of them
     #[arg(long, value_name = "FILE")]
-    faces: Option<PathBuf>,
+    pub(super) faces: Option<PathBuf>,
 }
 
 /// A file of rows as an experiment has it: the keys of a block in an experiment's file.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RowFile {
     /// The rows.
@@ -106,46 +105,28 @@ impl From<&RowArguments> for RowFile {
         Self {
             file: of.file.clone(),
             mapping: of.mapping.clone(),
-            robot_log: None,
-            sockets: None,
-            faces: None,
             hold_out: of.hold_out,
             seed: Some(of.seed),
             joint_waves: of.joint_waves,
             validate: of.validate.clone(),
             validate_mapping: of.validate_mapping.clone(),
+            ..Self::default()
         }
     }
 }
 
-pub(super) fn run_tracker(arguments: &TrackerArguments) -> anyhow::Result<()> {
-    let TrackerArguments { rows, robot_log, log_format, log_mapping } = arguments;
-    let mut experiment = rows.common.experiment()?;
-    (experiment.log_format, experiment.log_mapping) = (*log_format, log_mapping.clone());
-    experiment.trackers.push(RowFile {
-        joint_waves: Some(rows.joint_waves.unwrap_or(WAVES_PER_TURN_MAX)),
-        robot_log: robot_log.clone(),
-        ..rows.into()
-    });
-    calibrate(experiment, &rows.common.result, None)
-}
-
-pub(super) fn run_wire(rows: &RowArguments) -> anyhow::Result<()> {
-    let mut experiment = rows.common.experiment()?;
-    experiment.wires.push(rows.into());
-    calibrate(experiment, &rows.common.result, None)
-}
-
-pub(super) fn run_contact(ContactArguments { rows, sockets }: &ContactArguments) -> anyhow::Result<()> {
-    let mut experiment = rows.common.experiment()?;
-    experiment.contacts.push(RowFile { sockets: Some(sockets.clone()), ..rows.into() });
-    calibrate(experiment, &rows.common.result, None)
-}
-
-pub(super) fn run_touch(TouchArguments { rows, faces }: &TouchArguments) -> anyhow::Result<()> {
-    let mut experiment = rows.common.experiment()?;
-    experiment.touches.push(RowFile { faces: faces.clone(), ..rows.into() });
-    calibrate(experiment, &rows.common.result, None)
+impl TrackerArguments {
+    pub(super) fn run(&self) -> anyhow::Result<()> {
+        let Self { rows, robot_log, log_format, log_mapping } = self;
+        rows.calibrate(|experiment| {
+            (experiment.log_format, experiment.log_mapping) = (*log_format, log_mapping.clone());
+            experiment.trackers.push(RowFile {
+                joint_waves: Some(rows.joint_waves.unwrap_or(WAVES_PER_TURN_MAX)),
+                robot_log: robot_log.clone(),
+                ..rows.into()
+            });
+        })
+    }
 }
 
 /// The instruments whose measurements are rows.

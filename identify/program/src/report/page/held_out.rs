@@ -7,7 +7,6 @@ use super::Page;
 use super::drawing::figures::{HALF, TimeAxis, dots};
 use super::drawing::plot::{BLUE, COLOURS, GREEN, GREY, Mark, Panel, PlotError, Series};
 use super::run::runs;
-use super::sections::svg;
 use crate::evaluate::{HeldOut, HeldOutSegment, PoseError, PoseErrorRms};
 
 const BLACK: RGBColor = RGBColor(30, 36, 44);
@@ -18,12 +17,6 @@ pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
     else {
         return Ok(html! {});
     };
-    let mut figures = Vec::new();
-    for (number, name) in runs::names(page).iter().enumerate() {
-        let segments: Vec<&HeldOutSegment> =
-            held_out.segments.iter().filter(|segment| segment.run == number).collect();
-        figures.push((name.clone(), panels(&segments, page.evidence.rotations)?));
-    }
     let [nominal, predicted, fitted] = held_out.rms();
     Ok(html! {
         h2 { "Held-out validation" }
@@ -41,10 +34,10 @@ pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
             @let parts = page.file.deployments_reported();
             @if !parts.is_empty() { "Who applies only a part of it gets a fit of that part: " (parts.join("; ")) "." }
         }
-        @for (name, panels) in figures {
+        @for (number, name) in runs::names(page).iter().enumerate() {
             figure {
-                @if let Some(name) = &name { p.run { (name) } }
-                div.panels { @for panel in panels { (svg(panel)) } }
+                @if let Some(name) = name { p.run { (name) } }
+                div.panels { (panels(held_out, number, page.evidence.rotations)?) }
             }
         }
         p.note {
@@ -65,18 +58,19 @@ fn rotation(rms: PoseErrorRms) -> String {
 }
 
 /// Position and rotation, nominal and predicted, segments in turns of colour.
-fn panels(segments: &[&HeldOutSegment], rotations: bool) -> Result<Vec<String>, PlotError> {
+fn panels(held_out: &HeldOut, run: usize, rotations: bool) -> Result<Markup, PlotError> {
+    let segments: Vec<&HeldOutSegment> =
+        held_out.segments.iter().filter(|segment| segment.run == run).collect();
     let position = |one: &PoseError| one.position_m * 1e3;
     let rotation = |one: &PoseError| one.rotation_rad * 1e3;
-    let mut panels = vec![
-        panel("Position, nominal", "[mm]", segments, false, position)?,
-        panel("Position, calibrated without the segment", "[mm]", segments, true, position)?,
-    ];
-    if rotations {
-        panels.push(panel("Rotation, nominal", "[mrad]", segments, false, rotation)?);
-        panels.push(panel("Rotation, calibrated without the segment", "[mrad]", segments, true, rotation)?);
-    }
-    Ok(panels)
+    Ok(html! {
+        (panel("Position, nominal", "[mm]", &segments, false, position)?)
+        (panel("Position, calibrated without the segment", "[mm]", &segments, true, position)?)
+        @if rotations {
+            (panel("Rotation, nominal", "[mrad]", &segments, false, rotation)?)
+            (panel("Rotation, calibrated without the segment", "[mrad]", &segments, true, rotation)?)
+        }
+    })
 }
 
 fn panel(
@@ -85,7 +79,7 @@ fn panel(
     segments: &[&HeldOutSegment],
     calibrated: bool,
     value: impl Fn(&PoseError) -> f64,
-) -> Result<String, PlotError> {
+) -> Result<Markup, PlotError> {
     let time = TimeAxis::of(segments.iter().flat_map(|segment| segment.span_s()));
     let mut series = Vec::new();
     for turn in 0..2 {
@@ -112,7 +106,7 @@ fn panel(
     } else {
         series.push(Series::new("", BLACK, Mark::Segments, level(|segment| &segment.nominal)));
     }
-    Panel { title: title.into(), x: time.label, y: y.into(), size: HALF, series, from_zero: true }.draw()
+    Panel::new(title, [&time.label(), y], HALF, series).from_zero().draw()
 }
 
 fn shown(segment: &HeldOutSegment, calibrated: bool) -> &[PoseError] {

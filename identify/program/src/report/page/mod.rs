@@ -28,7 +28,7 @@ pub use drawing::arm::picture;
 pub use drawing::plot::PlotError;
 pub use planned::path::PathPage;
 pub use planned::poses::PosesPage;
-pub use refused::{InspectedLog, InspectedRun, RefusedPage, WrittenRefusal};
+pub use refused::{RefusedPage, WrittenRefusal};
 pub use run::inputs::Source;
 pub use study::StudyPage;
 

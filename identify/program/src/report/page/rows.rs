@@ -5,7 +5,7 @@ use maud::{Markup, html};
 use super::Page;
 use super::drawing::figures::{WIDE, dots};
 use super::drawing::plot::{BLUE, GREY, ORANGE, Panel, PlotError};
-use super::sections::{mm, svg};
+use super::sections::mm;
 use crate::calibrate::rows::{RowErrors, Sizes};
 use crate::instrument::PoseError;
 
@@ -32,20 +32,11 @@ pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
     if page.rows.is_empty() {
         return Ok(html! {});
     }
-    let mut shown = Vec::new();
-    for (name, errors) in page.rows {
-        shown.push((name, panels(errors)?));
-    }
     Ok(html! {
         h2 { "Errors, row by row" }
         p.note { "Robot against what was measured. Mind the scales. Rows that take no part are drawn as well." }
-        @for (name, panels) in shown {
-            @if !panels.is_empty() {
-                figure {
-                    p.run { (name) }
-                    @for panel in panels { (svg(panel)) }
-                }
-            }
+        @for (name, errors) in page.rows {
+            @if !errors.stages[0].is_empty() { figure { p.run { (name) } (panels(errors)?) } }
         }
         pre.table { (page.tables) }
         @for clock in page.file.clocks.iter().filter(|clock| clock.data_set > page.evidence.runs.len()) {
@@ -55,30 +46,25 @@ pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
 }
 
 /// The errors of a file, nominal and calibrated.
-fn panels(errors: &RowErrors) -> Result<Vec<String>, PlotError> {
+fn panels(errors: &RowErrors) -> Result<Markup, PlotError> {
     let [nominal, .., calibrated] = &errors.stages;
-    if nominal.is_empty() {
-        return Ok(Vec::new());
-    }
     let position = |one: &PoseError| Some(one.position_m * 1e3);
     let rotation = |one: &PoseError| Some(one.rotation_rad? * 1e3);
     let panel = |title: &str, y: &str, stage: &[PoseError], value: &dyn Fn(&PoseError) -> Option<f64>| {
         let of = |rows: &[usize]| {
             rows.iter().filter_map(|&row| Some((row as f64 + 1.0, value(stage.get(row)?)?))).collect()
         };
-        let seen = if std::ptr::eq(stage, nominal.as_slice()) { GREY } else { BLUE };
+        let fitted = if std::ptr::eq(stage, nominal.as_slice()) { GREY } else { BLUE };
         let series =
-            vec![dots("fitted", seen, of(&errors.fitted)), dots("held out", ORANGE, of(&errors.held_out))];
-        let (title, y) = (title.into(), y.into());
-        Panel { title, x: "row", y, size: WIDE, series, from_zero: true }.draw()
+            vec![dots("fitted", fitted, of(&errors.fitted)), dots("held out", ORANGE, of(&errors.held_out))];
+        Panel::new(title, ["row", y], WIDE, series).from_zero().draw()
     };
-    let mut panels = vec![
-        panel("Nominal robot", "[mm]", nominal, &position)?,
-        panel("Calibrated robot", "[mm]", calibrated, &position)?,
-    ];
-    if calibrated.iter().any(|one| one.rotation_rad.is_some()) {
-        panels.push(panel("Rotation, nominal", "[mrad]", nominal, &rotation)?);
-        panels.push(panel("Rotation, calibrated", "[mrad]", calibrated, &rotation)?);
-    }
-    Ok(panels)
+    Ok(html! {
+        (panel("Nominal robot", "[mm]", nominal, &position)?)
+        (panel("Calibrated robot", "[mm]", calibrated, &position)?)
+        @if calibrated.iter().any(|one| one.rotation_rad.is_some()) {
+            (panel("Rotation, nominal", "[mrad]", nominal, &rotation)?)
+            (panel("Rotation, calibrated", "[mrad]", calibrated, &rotation)?)
+        }
+    })
 }

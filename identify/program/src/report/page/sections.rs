@@ -1,6 +1,6 @@
 //! The parts of the page in their order: verdict first, origin last.
 
-use maud::{Markup, PreEscaped, html};
+use maud::{Markup, html};
 
 use super::drawing::plot::PlotError;
 use super::drawing::{correlations, figures};
@@ -20,10 +20,6 @@ pub(super) fn mm(metres: f64) -> String {
 /// Four digits, whatever the size.
 pub(super) fn figure(value: f64) -> String {
     if (0.01..1e4).contains(&value) { format!("{value:.4}") } else { format!("{value:.3e}") }
-}
-
-pub(super) fn svg(text: String) -> PreEscaped<String> {
-    PreEscaped(text)
 }
 
 /// An expected error over the workspace.
@@ -200,11 +196,10 @@ pub(super) fn joints(page: &Page<'_>) -> Result<Markup, PlotError> {
     if !page.evidence.by_encoders {
         return Ok(html! {});
     }
-    let panels = figures::by_joint(page.evidence)?;
     Ok(html! {
         h2 { "What is left, by joint and direction" }
         figure {
-            div.panels.three { @for panel in panels { (svg(panel)) } }
+            div.panels.three { @for panel in figures::by_joint(page.evidence)? { (panel) } }
             figcaption {
                 "By how much each joint alone would have to turn on to bring the robot's end nearest to the bar's. A wave over the "
                 "angle points at the gear, two branches by direction at backlash, a slope at the gear's ratio."
@@ -214,11 +209,10 @@ pub(super) fn joints(page: &Page<'_>) -> Result<Markup, PlotError> {
 }
 
 pub(super) fn coverage(page: &Page<'_>) -> Result<Markup, PlotError> {
-    let (coverage, margin) = (figures::coverage(page.evidence)?, figures::margin(page.evidence)?);
     Ok(html! {
         h2 { "Where the bar was" }
         figure {
-            div.panels { (svg(coverage)) (svg(margin)) }
+            div.panels { (figures::coverage(page.evidence)?) (figures::margin(page.evidence)?) }
             figcaption { "Left: equal areas of the sphere are equal areas of the figure. Bare regions say nothing of the robot." }
         }
     })
@@ -250,7 +244,7 @@ pub(super) fn dependence(file: &CalibrationFile) -> Markup {
         }
         @if let Some(covariance) = &file.covariance {
             figure {
-                (svg(correlations::figure(covariance)))
+                (correlations::figure(covariance))
                 figcaption { "Correlations above 0.1: blue together, orange against each other." }
             }
         }

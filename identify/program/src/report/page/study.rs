@@ -6,7 +6,6 @@ use maud::{Markup, html};
 use plotters::style::RGBColor;
 
 use super::drawing::plot::{COLOURS, GREY, INK, Mark, Panel, PlotError, Series};
-use super::sections::svg;
 use super::{PageError, document};
 use crate::report::result::file::{FileError, replace};
 use crate::study::{Curve, CurvePoint, Definition, Figure, Finding, Kind, Measure, Reach, Summary, short};
@@ -42,8 +41,6 @@ impl StudyPage<'_> {
     /// [`PlotError`].
     pub fn render(&self) -> Result<Markup, PlotError> {
         let study = &self.definition.study;
-        let figures =
-            study.figures.iter().map(|figure| self.figure(figure)).collect::<Result<Vec<_>, _>>()?;
         let (claims, answers): (Vec<&Finding>, Vec<&Finding>) =
             self.summary.findings.iter().partition(|finding| finding.holds.is_some());
         Ok(document(
@@ -58,9 +55,9 @@ impl StudyPage<'_> {
                 }
                 main {
                     p { (study.about) }
-                    (answered(&answers))
-                    (claimed(&claims))
-                    @for figure in figures { (figure) }
+                    (findings("Answers", ["question", "answer"], &answers))
+                    (findings("What the thesis found, checked", ["claim", "here"], &claims))
+                    @for figure in &study.figures { (self.figure(figure)?) }
                     (self.failures())
                 }
             },
@@ -122,7 +119,7 @@ impl StudyPage<'_> {
             let most = series.x.first().map(|x| Series::new("", GREY, Mark::Line, vec![(*x, highest)]));
             let title =
                 if series.name.is_empty() { format!("Figure {}", figure.id) } else { series.name.clone() };
-            panels.push(svg(panel(figure, title, lines.chain(most).collect())?));
+            panels.push(panel(figure, title, lines.chain(most).collect())?);
         }
         // A second picture where one curve hides what all others do near the limit.
         let near = NEAR * limit;
@@ -135,7 +132,7 @@ impl StudyPage<'_> {
             let all = sizes(&curves);
             let ends = all.first().zip(all.last()).map(|(first, last)| vec![(*first, limit), (*last, limit)]);
             let line = ends.map(|ends| Series::new("limit", INK, Mark::Segments, ends));
-            panels.push(svg(panel(figure, "Near the limit".into(), lines.chain(line).collect())?));
+            panels.push(panel(figure, "Near the limit".into(), lines.chain(line).collect())?);
         }
         Ok(html! {
             figure {
@@ -181,31 +178,23 @@ impl StudyPage<'_> {
     }
 }
 
-fn answered(answers: &[&Finding]) -> Markup {
+/// Answers to questions, or claims of the thesis with what was found.
+fn findings(title: &str, [asked, found]: [&str; 2], findings: &[&Finding]) -> Markup {
     html! {
-        @if !answers.is_empty() {
-            h2 { "Answers" }
+        @if let Some(first) = findings.first() {
+            h2 { (title) }
             table {
-                thead { tr { th.text { "question" } th.text { "answer" } } }
-                tbody { @for one in answers { tr {
+                thead { tr {
+                    th.text { (asked) } th.text { (found) } @if first.holds.is_some() { th.text { "" } }
+                } }
+                tbody { @for one in findings { tr {
                     td.text { (one.text) @if !one.why.is_empty() { br; span.about { (one.why) } } }
                     td.text { (one.answer) }
-                } } }
-            }
-        }
-    }
-}
-
-fn claimed(claims: &[&Finding]) -> Markup {
-    html! {
-        @if !claims.is_empty() {
-            h2 { "What the thesis found, checked" }
-            table {
-                thead { tr { th.text { "claim" } th.text { "here" } th.text { "" } } }
-                tbody { @for one in claims { tr {
-                    td.text { (one.text) @if !one.why.is_empty() { br; span.about { (one.why) } } }
-                    td.text { (one.answer) }
-                    td.text { @if one.holds == Some(true) { "holds" } @else { b { "does not hold" } } }
+                    @match one.holds {
+                        Some(true) => { td.text { "holds" } }
+                        Some(false) => { td.text { b { "does not hold" } } }
+                        None => {}
+                    }
                 } } }
             }
         }
@@ -247,9 +236,8 @@ fn medians(curve: &Curve, measure: Measure) -> Vec<(f64, f64)> {
     points
 }
 
-fn panel(figure: &Figure, title: String, series: Vec<Series>) -> Result<String, PlotError> {
-    let y = figure.measure.label().into();
-    Panel { title, x: &figure.x, y, size: PANEL, series, from_zero: true }.draw()
+fn panel(figure: &Figure, title: String, series: Vec<Series>) -> Result<Markup, PlotError> {
+    Panel::new(title, [&figure.x, figure.measure.label()], PANEL, series).from_zero().draw()
 }
 
 /// The curve up to where it leaves the picture.

@@ -5,6 +5,7 @@ use shared::config::JointKind;
 
 use super::plot::{BLUE, GREEN, GREY, Mark, ORANGE, Panel, PlotError, Series};
 use crate::robot::RobotCheck;
+use crate::statistics::extremes;
 
 /// Width of the picture without the labels of its axes \[px\].
 const WIDTH_PX: f64 = 620.0;
@@ -21,8 +22,7 @@ pub fn picture(check: &RobotCheck) -> Result<String, PlotError> {
     let side = view(check, "from the side", ["x [m]", "z [m]"], |p| (p.x, p.z))?;
     let above = view(check, "from above", ["x [m]", "y [m]"], |p| (p.x, p.y))?;
     let ((side, side_px), (above, above_px)) = (side, above);
-    let width_px = side_px.0 + above_px.0;
-    let height_px = side_px.1.max(above_px.1);
+    let (width_px, height_px) = (side_px.0 + above_px.0, side_px.1.max(above_px.1));
     Ok(format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width_px}\" height=\"{height_px}\">\n\
          <rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n{}{}</svg>\n",
@@ -41,7 +41,7 @@ fn placed(svg: &str, x_px: u32, (width_px, height_px): (u32, u32)) -> String {
 fn view(
     check: &RobotCheck,
     from: &str,
-    [x, y]: [&'static str; 2],
+    axes: [&str; 2],
     project: fn(&Vector3<f64>) -> (f64, f64),
 ) -> Result<(String, (u32, u32)), PlotError> {
     let reach_m = check.reached_m.iter().map(|p| p.norm()).fold(0.0, f64::max);
@@ -59,17 +59,16 @@ fn view(
         let from = if *kind == JointKind::Prismatic { *point } else { point - half };
         [from, point + half]
     };
-    let axes = check.axes.iter().flat_map(ends);
-    series.push(Series::new("axes at zero", ORANGE, Mark::Segments, axes.map(|p| project(&p)).collect()));
+    let lines = check.axes.iter().flat_map(ends);
+    series.push(Series::new("axes at zero", ORANGE, Mark::Segments, lines.map(|p| project(&p)).collect()));
     // A metre is as long across as up.
     let span = |of: fn(&(f64, f64)) -> f64| {
-        let values = || series.iter().flat_map(|one| &one.points).map(of);
-        (values().fold(f64::NEG_INFINITY, f64::max) - values().fold(f64::INFINITY, f64::min)).max(1e-3)
+        let [low, high] = extremes(series.iter().flat_map(|one| &one.points).map(of));
+        (high - low).max(1e-3)
     };
     let (across_m, up_m) = (span(|p| p.0), span(|p| p.1));
     let scale = WIDTH_PX / across_m.max(up_m);
     let size = ((across_m * scale + LABELS_PX.0) as u32, (up_m * scale + LABELS_PX.1) as u32);
     let title = format!("{} {from}", check.facts.first().map_or("", |(_, name)| name));
-    let panel = Panel { title, x, y: y.into(), size, series, from_zero: false };
-    Ok((panel.draw()?, size))
+    Ok((Panel::new(title, axes, size, series).draw()?.into_string(), size))
 }

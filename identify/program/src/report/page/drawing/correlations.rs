@@ -2,6 +2,7 @@
 
 use std::fmt::Write;
 
+use maud::{Markup, PreEscaped};
 use plotters::prelude::RGBColor;
 
 use super::plot::{BLUE, FONT, ORANGE};
@@ -18,11 +19,10 @@ const NAMES: usize = 84;
 
 /// Of the free parameters of robot and first data set, but waves of axes, which are many and hang together with nothing: blue
 /// together, orange against each other.
-pub(in crate::report::page) fn figure(covariance: &CovarianceEntry) -> String {
-    let is_shown = |name: &&String| name.parse().is_ok_and(|id| !matches!(id, ParameterId::JointWave { .. }));
-    let names: Vec<&String> = covariance.names.iter().filter(is_shown).collect();
-    let columns: Vec<usize> =
-        (0..covariance.names.len()).filter(|&column| is_shown(&&covariance.names[column])).collect();
+pub(in crate::report::page) fn figure(covariance: &CovarianceEntry) -> Markup {
+    let is_shown = |name: &String| name.parse().is_ok_and(|id| !matches!(id, ParameterId::JointWave { .. }));
+    let shown = covariance.names.iter().enumerate().filter(|(_, name)| is_shown(name));
+    let (columns, names): (Vec<usize>, Vec<&String>) = shown.unzip();
     let correlation = |a: usize, b: usize| {
         let own = |a| covariance.between(a, a);
         Some(covariance.between(a, b)? / (own(a)? * own(b)?).sqrt())
@@ -60,7 +60,7 @@ pub(in crate::report::page) fn figure(covariance: &CovarianceEntry) -> String {
         }
     }
     svg.push_str("</svg>");
-    svg
+    PreEscaped(svg)
 }
 
 /// The cells of one strength, as a path.

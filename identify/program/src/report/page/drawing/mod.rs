@@ -3,7 +3,6 @@
 pub(in crate::report::page) mod arm;
 pub(in crate::report::page) mod correlations;
 pub(in crate::report::page) mod figures;
-pub(crate) mod intervals;
 pub(crate) mod plot;
 pub(in crate::report::page) mod thin;
 pub(in crate::report::page) mod workspace;

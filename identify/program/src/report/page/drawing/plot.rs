@@ -4,6 +4,7 @@
 //! times the bytes, and a browser would be slow with them. The title and the names of the sets stand above the axes, where
 //! they hide nothing.
 
+use maud::{Markup, PreEscaped};
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
@@ -15,12 +16,6 @@ use super::thin;
 pub struct PlotError {
     title: String,
     reason: String,
-}
-
-impl PlotError {
-    pub(in crate::report::page) fn new(title: &str, reason: String) -> Self {
-        Self { title: title.to_owned(), reason }
-    }
 }
 
 /// Colours of sets, in their order.
@@ -35,7 +30,7 @@ pub(in crate::report) const COLOURS: [RGBColor; 6] = [
 
 /// How points are shown.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(in crate::report::page) enum Mark {
+pub(in crate::report) enum Mark {
     Dots,
     Line,
     /// Each two points are the ends of a line of their own.
@@ -44,7 +39,7 @@ pub(in crate::report::page) enum Mark {
 
 /// One set of points.
 #[derive(Debug, Clone)]
-pub(in crate::report::page) struct Series {
+pub(in crate::report) struct Series {
     /// Empty: not named above the axes.
     pub name: String,
     pub colour: RGBColor,
@@ -60,15 +55,17 @@ impl Series {
 
 /// One pair of axes.
 #[derive(Debug, Clone)]
-pub(in crate::report::page) struct Panel<'a> {
-    pub title: String,
-    pub x: &'a str,
-    pub y: String,
+pub(in crate::report) struct Panel {
+    title: String,
+    x: String,
+    y: String,
     /// \[px\]
-    pub size: (u32, u32),
-    pub series: Vec<Series>,
+    size: (u32, u32),
+    series: Vec<Series>,
     /// The vertical axis includes zero.
-    pub from_zero: bool,
+    from_zero: bool,
+    /// Stand at 0, 1 and so on below the horizontal axis in place of numbers.
+    names: Vec<String>,
 }
 
 pub(in crate::report::page) const BLUE: RGBColor = COLOURS[0];
@@ -76,7 +73,7 @@ pub(in crate::report::page) const ORANGE: RGBColor = COLOURS[1];
 pub(in crate::report::page) const GREEN: RGBColor = COLOURS[2];
 pub(in crate::report::page) const GREY: RGBColor = RGBColor(150, 158, 168);
 pub(in crate::report::page) const INK: RGBColor = RGBColor(70, 80, 92);
-pub(in crate::report::page) const MESH: RGBColor = RGBColor(230, 234, 239);
+const MESH: RGBColor = RGBColor(230, 234, 239);
 pub(in crate::report::page) const FONT: &str = "system-ui, sans-serif";
 
 /// SVG coordinates of the library are whole numbers: drawn larger, curves are smooth.
@@ -125,14 +122,48 @@ impl Strokes {
     }
 }
 
-impl Panel<'_> {
-    pub fn draw(&self) -> Result<String, PlotError> {
+impl Panel {
+    /// `size` \[px\]; the axes reach as far as the points.
+    pub fn new(title: impl Into<String>, [x, y]: [&str; 2], size: (u32, u32), series: Vec<Series>) -> Self {
+        Self {
+            title: title.into(),
+            x: x.into(),
+            y: y.into(),
+            size,
+            series,
+            from_zero: false,
+            names: Vec::new(),
+        }
+    }
+
+    /// The same with a vertical axis that includes zero.
+    pub fn from_zero(self) -> Self {
+        Self { from_zero: true, ..self }
+    }
+
+    /// The same with names in place of the numbers on the horizontal axis.
+    pub fn with_names(self, names: Vec<String>) -> Self {
+        Self { names, ..self }
+    }
+
+    /// Label of a place on the horizontal axis, which is `width` wide.
+    fn x_label(&self, x: f64, width: f64) -> String {
+        if self.names.is_empty() {
+            return short(x, width);
+        }
+        let is_whole = (x - x.round()).abs() < 1e-6 && x > -0.5;
+        self.names.get(x.round() as usize).filter(|_| is_whole).cloned().unwrap_or_default()
+    }
+
+    /// As an SVG element.
+    pub fn draw(&self) -> Result<Markup, PlotError> {
         let mut text = String::new();
         let strokes = {
             let area = SVGBackend::with_string(&mut text, (self.size.0 * FINE, self.size.1 * FINE))
                 .into_drawing_area();
-            let strokes = self.onto(&area).map_err(|reason| PlotError::new(&self.title, reason))?;
-            area.present().map_err(|error| PlotError::new(&self.title, error.to_string()))?;
+            let error = |reason| PlotError { title: self.title.clone(), reason };
+            let strokes = self.onto(&area).map_err(error)?;
+            area.present().map_err(|failure| error(failure.to_string()))?;
             strokes
         };
         let end = text.rfind("</svg>").unwrap_or(text.len());
@@ -140,7 +171,7 @@ impl Panel<'_> {
         strokes.iter().for_each(|strokes| text.push_str(&strokes.svg()));
         text.push_str(&self.heading());
         text.push_str("</svg>\n");
-        Ok(text)
+        Ok(PreEscaped(text))
     }
 
     fn onto(&self, area: &DrawingArea<SVGBackend<'_>, Shift>) -> Result<Vec<Strokes>, String> {
@@ -157,16 +188,16 @@ impl Panel<'_> {
             .map_err(text)?;
         chart
             .configure_mesh()
-            .x_desc(self.x)
+            .x_desc(&self.x)
             .y_desc(&self.y)
             .label_style((FONT, 12 * FINE).into_font().color(&INK))
             .axis_desc_style((FONT, 13 * FINE).into_font().color(&INK))
             .axis_style(MESH.stroke_width(FINE))
             .bold_line_style(MESH.stroke_width(FINE))
             .light_line_style(TRANSPARENT)
-            .x_labels(7)
+            .x_labels(if self.names.is_empty() { 7 } else { 2 * self.names.len() })
             .y_labels(6)
-            .x_label_formatter(&|value| short(*value, x.1 - x.0))
+            .x_label_formatter(&|value| self.x_label(*value, x.1 - x.0))
             .y_label_formatter(&|value| short(*value, y.1 - y.0))
             .draw()
             .map_err(text)?;
@@ -243,12 +274,12 @@ fn label(x: f64, y: f64, font_px: u32, text: &str) -> String {
     )
 }
 
-pub(in crate::report::page) fn text(error: impl std::fmt::Display) -> String {
+fn text(error: impl std::fmt::Display) -> String {
     error.to_string()
 }
 
 /// Smallest to largest with a little room; something that can be drawn where there is nothing.
-pub(in crate::report::page) fn range(values: impl Iterator<Item = f64>, from_zero: bool) -> (f64, f64) {
+fn range(values: impl Iterator<Item = f64>, from_zero: bool) -> (f64, f64) {
     let start = if from_zero { (0.0, 0.0) } else { (f64::INFINITY, f64::NEG_INFINITY) };
     let (low, high) = values.fold(start, |(low, high), value| (low.min(value), high.max(value)));
     match high - low {
@@ -262,7 +293,7 @@ pub(in crate::report::page) fn range(values: impl Iterator<Item = f64>, from_zer
 }
 
 /// As many decimals as an axis of this width needs; where these would run into what stands beside the axis, a power of ten.
-pub(in crate::report::page) fn short(value: f64, width: f64) -> String {
+fn short(value: f64, width: f64) -> String {
     const DECIMALS_MAX: f64 = 4.0;
     let width = width.abs().max(1e-12);
     let decimals = (1.5 - width.log10()).ceil();

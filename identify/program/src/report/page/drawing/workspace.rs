@@ -6,7 +6,7 @@ use plotters::style::RGBColor;
 use super::figures::dots;
 use super::plot::{Panel, PlotError};
 use crate::evaluate::{PlaceError, WorkspaceError};
-use crate::report::page::sections::{mm, svg};
+use crate::report::page::sections::mm;
 
 /// From the fifth of the places with the smallest errors to that with the largest.
 const FIFTHS: [RGBColor; 5] = [
@@ -25,12 +25,11 @@ pub(in crate::report::page) fn map(workspace: &WorkspaceError) -> Result<Markup,
     if workspace.places.is_empty() {
         return Ok(html! {});
     }
-    let maps = [
-        of("Nominal robot", &workspace.places, |place| place.before_m)?,
-        of("Calibrated robot", &workspace.places, |place| place.after_m)?,
-    ];
     Ok(html! { figure {
-        div.panels { @for map in maps { (svg(map)) } }
+        div.panels {
+            (of("Nominal robot", &workspace.places, |place| place.before_m)?)
+            (of("Calibrated robot", &workspace.places, |place| place.after_m)?)
+        }
         figcaption {
             "Position error that is expected by place, root mean square. Each dot is a posture within the joint limits, each colour a "
             "fifth of the postures; each map has its own scale. Red: the worst fifth, where more measurements help most."
@@ -38,7 +37,7 @@ pub(in crate::report::page) fn map(workspace: &WorkspaceError) -> Result<Markup,
     } })
 }
 
-fn of(title: &str, places: &[PlaceError], error_m: fn(&PlaceError) -> f64) -> Result<String, PlotError> {
+fn of(title: &str, places: &[PlaceError], error_m: fn(&PlaceError) -> f64) -> Result<Markup, PlotError> {
     let mut sorted: Vec<&PlaceError> = places.iter().collect();
     sorted.sort_by(|a, b| error_m(a).total_cmp(&error_m(b)));
     let at = |place: &&PlaceError| {
@@ -50,13 +49,6 @@ fn of(title: &str, places: &[PlaceError], error_m: fn(&PlaceError) -> f64) -> Re
         let most_m = fifth.last().map_or(0.0, |place| error_m(place));
         dots(mm(most_m), colour, fifth.iter().map(at).collect())
     });
-    Panel {
-        title: format!("{title}, up to [mm]"),
-        x: "distance from axis 1 [mm]",
-        y: "height [mm]".into(),
-        size: SHEET,
-        series: series.collect(),
-        from_zero: false,
-    }
-    .draw()
+    let axes = ["distance from axis 1 [mm]", "height [mm]"];
+    Panel::new(format!("{title}, up to [mm]"), axes, SHEET, series.collect()).draw()
 }

@@ -5,13 +5,11 @@ use std::path::{Path, PathBuf};
 use maud::{Markup, html};
 
 use super::path_view::{self, Carried, View, view};
-use crate::kinematics::Chain;
 use crate::logs::RobotLog;
 use crate::model::ParameterId;
-use crate::plan::{Bodies, Checked, Path as BarPath};
-use crate::report::page::drawing::figures::{ROUND, WIDE, dots};
+use crate::plan::{Bodies, Checked, Constraints, Path as BarPath};
+use crate::report::page::drawing::figures::{ROUND, WIDE, dots, from_above, sphere_from_above};
 use crate::report::page::drawing::plot::{BLUE, COLOURS, GREY, Mark, Panel, PlotError, Series};
-use crate::report::page::sections::svg;
 use crate::report::page::{PageError, document_with};
 use crate::report::result::file::replace;
 
@@ -23,18 +21,14 @@ const POINTS: usize = 600;
 pub struct PathPage<'a> {
     /// The robot.
     pub robot: &'a str,
-    /// Its nominal arm with the plate.
-    pub arm: &'a Chain,
-    /// The bar on its base.
-    pub bar: &'a Chain,
+    /// Robot, bar and what must not touch.
+    pub constraints: &'a Constraints<'a>,
     /// The bar's path.
     pub path: &'a BarPath,
     /// The robot's joints along it.
     pub robot_path: &'a RobotLog,
     /// What it does at its worst.
     pub checked: &'a Checked,
-    /// What was looked at for collisions.
-    pub bodies: Option<&'a Bodies>,
     /// What the terminal says.
     pub summary: &'a str,
     /// Expected standard deviation of each parameter, SI.
@@ -57,8 +51,6 @@ impl PathPage<'_> {
     /// [`PlotError`].
     pub fn render(&self) -> Result<Markup, PlotError> {
         let title = format!("Path for {}", self.robot);
-        let [sphere, margin] = [self.sphere()?, self.margin()?];
-        let [angles, speeds, winding] = [self.angles()?, self.speeds()?, self.winding()?];
         let of_robot = |wanted: bool| {
             self.sigmas.iter().filter(move |(id, _)| matches!(id, ParameterId::Robot { .. }) == wanted)
         };
@@ -83,16 +75,16 @@ impl PathPage<'_> {
                 main {
                     (self.view())
                     pre.table { (self.summary) }
-                    @if let Some(bodies) = self.bodies { (collisions(bodies, true)) }
+                    @if let Some(bodies) = &self.constraints.bodies { (collisions(bodies, true)) }
                     h2 { "Where the bar goes" }
                     figure {
-                        div.panels { (svg(sphere)) (svg(margin)) }
+                        div.panels { (self.sphere()?) (self.margin()?) }
                         figcaption { "Left: equal areas of the sphere are equal areas of the figure." }
                     }
                     h2 { "What the robot does" }
-                    figure { (svg(angles)) (svg(speeds)) }
+                    figure { (self.angles()?) (self.speeds()?) }
                     h2 { "How far the bar's cables are wound" }
-                    figure { (svg(winding)) }
+                    figure { (self.winding()?) }
                     h2 { "What a calibration is expected to know" }
                     div.columns { (table("Robot", true)) (table("Bar, base, clock and errors of axes", false)) }
                     p.note {
@@ -107,8 +99,8 @@ impl PathPage<'_> {
     fn view(&self) -> Markup {
         let rows = &self.robot_path.q_rad;
         view(&View {
-            arm: self.arm,
-            carried: Carried::Bar(self.bar.root_from_base.translation.vector),
+            arm: self.constraints.robot(),
+            carried: Carried::Bar(self.constraints.bar_chain().root_from_base.translation.vector),
             motion: rows
                 .t_s
                 .iter()
@@ -117,7 +109,7 @@ impl PathPage<'_> {
                 .step_by(View::every(rows.len()))
                 .collect(),
             frames_per_pose: None,
-            bodies: self.bodies,
+            bodies: self.constraints.bodies.as_ref(),
         })
     }
 
@@ -141,14 +133,14 @@ impl PathPage<'_> {
         (0..count).map(series).collect()
     }
 
-    fn angles(&self) -> Result<String, PlotError> {
+    fn angles(&self) -> Result<Markup, PlotError> {
         let series = self.by_joint("joint ", self.robot_path.axes(), |_, row, joint| {
             Some(self.robot_path.q_rad.get(row)?[joint].to_degrees())
         });
         over_time("Robot joints", "[deg]", series)
     }
 
-    fn speeds(&self) -> Result<String, PlotError> {
+    fn speeds(&self) -> Result<Markup, PlotError> {
         let log = self.robot_path;
         let series = self.by_joint("joint ", log.axes(), |_, row, joint| {
             let next = row + 1;
@@ -158,35 +150,32 @@ impl PathPage<'_> {
         over_time("Their speeds", "[rad/s]", series)
     }
 
-    fn winding(&self) -> Result<String, PlotError> {
+    fn winding(&self) -> Result<Markup, PlotError> {
         let series = self.by_joint("joint ", 5, |t_s, _, joint| {
             Some((self.path.at(t_s)[joint] - self.path.start_rad[joint]).to_degrees())
         });
         over_time("Bar joints from the start", "[deg]", series)
     }
 
-    fn sphere(&self) -> Result<String, PlotError> {
-        let gimbal = self.bar.root_from_base.translation.vector;
+    fn sphere(&self) -> Result<Markup, PlotError> {
+        let bar = self.constraints.bar_chain();
+        let gimbal = bar.root_from_base.translation.vector;
         let place = |t_s: f64| {
-            let rod = self.bar.forward(&self.path.at(t_s)).translation.vector - gimbal;
-            let d = rod / rod.norm().max(1e-12);
-            // Lambert's projection from above; the horizon is at radius one.
-            let (across, radius) = (d.x.hypot(d.y).max(1e-12), (1.0 - d.z).max(0.0).sqrt());
-            (d.x / across * radius, d.y / across * radius)
+            let rod = bar.forward(&self.path.at(t_s)).translation.vector - gimbal;
+            from_above(&(rod / rod.norm().max(1e-12)))
         };
         let line = self.rows().map(|(t_s, _)| place(t_s)).collect();
         let points = self.path.moves.iter().map(|step| place(step.end_s())).collect();
-        let series = vec![Series::new("", BLUE, Mark::Line, line), dots("ends of moves", BLUE, points)];
-        let (x, y) = ("towards the robot's x", "towards y".into());
-        Panel { title: "Directions of the rod".into(), x, y, size: ROUND, series, from_zero: false }.draw()
+        let series = [Series::new("", BLUE, Mark::Line, line), dots("ends of moves", BLUE, points)];
+        sphere_from_above("Directions of the rod", series)
     }
 
-    fn margin(&self) -> Result<String, PlotError> {
+    fn margin(&self) -> Result<Markup, PlotError> {
         let margin = |t_s: f64| crate::kinematics::singularity_margin_rad(&self.path.at(t_s)).to_degrees();
         let series =
             vec![Series::new("", BLUE, Mark::Line, self.rows().map(|(t_s, _)| (t_s, margin(t_s))).collect())];
-        let (title, y) = ("Distance of the bar from a singular pose".into(), "[deg]".into());
-        Panel { title, x: "[s]", y, size: ROUND, series, from_zero: true }.draw()
+        let title = "Distance of the bar from a singular pose";
+        Panel::new(title, ["[s]", "[deg]"], ROUND, series).from_zero().draw()
     }
 }
 
@@ -204,6 +193,6 @@ pub(in crate::report::page) fn collisions(bodies: &Bodies, with_bar: bool) -> Ma
     } }
 }
 
-fn over_time(title: &str, unit: &str, series: Vec<Series>) -> Result<String, PlotError> {
-    Panel { title: title.into(), x: "[s]", y: unit.into(), size: WIDE, series, from_zero: false }.draw()
+fn over_time(title: &str, unit: &str, series: Vec<Series>) -> Result<Markup, PlotError> {
+    Panel::new(title, ["[s]", unit], WIDE, series).draw()
 }

@@ -13,7 +13,7 @@ use crate::model::ParameterId;
 use crate::plan::{Bodies, Determined, PlannedPoses};
 use crate::report::page::drawing::figures::{ROUND, WIDE, dots};
 use crate::report::page::drawing::plot::{BLUE, COLOURS, GREY, Mark, Panel, PlotError, Series};
-use crate::report::page::sections::{mm, svg};
+use crate::report::page::sections::mm;
 use crate::report::page::{PageError, document_with};
 use crate::report::path;
 use crate::report::result::file::replace;
@@ -59,7 +59,6 @@ impl PosesPage<'_> {
     pub fn render(&self) -> Result<Markup, PlotError> {
         let planned = self.planned;
         let title = format!("Poses for {}", self.robot);
-        let (top, side, angles) = (self.above()?, self.beside()?, self.angles()?);
         let number = |error_m: f64, label: String| {
             html! { div.number { b { (mm(error_m)) " mm" } span { (label) } } }
         };
@@ -86,9 +85,9 @@ impl PosesPage<'_> {
                         "calibration expects. What no parameter describes comes on top."
                     }
                     h2 { "Where the target goes" }
-                    figure { div.panels { (svg(top)) (svg(side)) } }
+                    figure { div.panels { (self.above()?) (self.beside()?) } }
                     h2 { "What the robot does" }
-                    figure { (svg(angles)) }
+                    figure { (self.angles()?) }
                     (self.travel())
                     h2 { "What a calibration is expected to know" }
                     (self.determined())
@@ -127,27 +126,23 @@ impl PosesPage<'_> {
     fn places(
         &self,
         title: &str,
-        [x, y]: [&str; 2],
-        of: fn(&Vector3<f64>) -> [f64; 2],
-    ) -> Result<String, PlotError> {
-        let at = |q: &Joints| {
-            let [x, y] = of(&self.target(q));
-            (x, y)
-        };
-        let series = vec![dots("", BLUE, self.planned.joints.iter().map(at).collect())];
-        Panel { title: title.into(), x, y: y.into(), size: ROUND, series, from_zero: false }.draw()
+        axes: [&str; 2],
+        of: fn(&Vector3<f64>) -> (f64, f64),
+    ) -> Result<Markup, PlotError> {
+        let places = self.planned.joints.iter().map(|q| of(&self.target(q))).collect();
+        Panel::new(title, axes, ROUND, vec![dots("", BLUE, places)]).draw()
     }
 
-    fn above(&self) -> Result<String, PlotError> {
-        self.places("From above", ["x [m]", "y [m]"], |at| [at.x, at.y])
+    fn above(&self) -> Result<Markup, PlotError> {
+        self.places("From above", ["x [m]", "y [m]"], |at| (at.x, at.y))
     }
 
-    fn beside(&self) -> Result<String, PlotError> {
+    fn beside(&self) -> Result<Markup, PlotError> {
         let axes = ["distance from the base's z [m]", "z [m]"];
-        self.places("From the side", axes, |at| [at.x.hypot(at.y), at.z])
+        self.places("From the side", axes, |at| (at.x.hypot(at.y), at.z))
     }
 
-    fn angles(&self) -> Result<String, PlotError> {
+    fn angles(&self) -> Result<Markup, PlotError> {
         let series = |joint: usize| {
             let value = |(pose, q): (usize, &Joints)| (pose as f64 + 1.0, q[joint] * self.unit(joint).0);
             let points = self.planned.joints.iter().enumerate().map(value).collect();
@@ -157,8 +152,7 @@ impl PosesPage<'_> {
         let is_deg = (0..self.limits.len()).all(|joint| self.unit(joint).1 == "deg");
         let y = if is_deg { "[deg]" } else { "[deg, mm]" };
         let series = (0..self.limits.len()).map(series).collect();
-        Panel { title: "Robot joints".into(), x: "pose", y: y.into(), size: WIDE, series, from_zero: false }
-            .draw()
+        Panel::new("Robot joints", ["pose", y], WIDE, series).draw()
     }
 
     /// In which a joint is shown, and how many of them are in one of SI.

@@ -1,5 +1,6 @@
 //! Joints over time, with the instant of the trouble in red.
 
+use maud::Markup;
 use plotters::prelude::RGBColor;
 
 use crate::inspect::curves::Curve;
@@ -26,13 +27,13 @@ fn panel(
     time: &TimeAxis,
     mut series: Vec<Series>,
     at_s: Option<f64>,
-) -> Result<String, PlotError> {
+) -> Result<Markup, PlotError> {
     series.extend(mark(time, at_s, &series));
-    Panel { title, x: time.since_first, y: y.into(), size: THIRD, series, from_zero: false }.draw()
+    Panel::new(title, [&time.since_first(), y], THIRD, series).draw()
 }
 
 /// One figure for each joint of a log.
-pub(super) fn joints(curves: &[Curve], at_s: Option<f64>) -> Result<Vec<String>, PlotError> {
+pub(super) fn joints(curves: &[Curve], at_s: Option<f64>) -> Result<Vec<Markup>, PlotError> {
     let one = |curve: &Curve| {
         let points = || curve.parts.iter().flatten();
         let time = TimeAxis::of(points().map(|(t_s, _)| *t_s));
@@ -51,7 +52,7 @@ pub(super) fn joints(curves: &[Curve], at_s: Option<f64>) -> Result<Vec<String>,
 
 /// What is left of each encoder, and the alignment along the run. All are marked: whether others step at the same instant tells a
 /// slip from a clock.
-pub(super) fn deviations(deviations: &Deviations, at_s: Option<f64>) -> Result<Vec<String>, PlotError> {
+pub(super) fn deviations(deviations: &Deviations, at_s: Option<f64>) -> Result<Vec<Markup>, PlotError> {
     let samples = &deviations.samples;
     let time = TimeAxis::of(samples.iter().map(|(t_s, _)| *t_s));
     let measured = deviations.measured.iter().enumerate().filter(|(_, measured)| **measured);
@@ -61,7 +62,7 @@ pub(super) fn deviations(deviations: &Deviations, at_s: Option<f64>) -> Result<V
         panel(format!("b{number}"), "[mrad]", &time, vec![dots("", BLUE, points.collect())], at_s)
     };
     let mut panels =
-        measured.map(|(joint, _)| of_joint(joint)).collect::<Result<Vec<String>, PlotError>>()?;
+        measured.map(|(joint, _)| of_joint(joint)).collect::<Result<Vec<Markup>, PlotError>>()?;
     if !deviations.local_shifts.is_empty() {
         let points = deviations.local_shifts.iter().map(|shift| (time.at(shift.t_s), shift.shift_s * 1e3));
         let series = vec![dots("", ORANGE, points.collect())];

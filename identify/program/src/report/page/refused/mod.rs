@@ -8,12 +8,11 @@ use maud::{Markup, html};
 
 use super::certificate::{identity, sheet, to_the_second};
 use super::drawing::plot::PlotError;
-use super::run::inputs::rows;
-use super::sections::{repeated_with, svg};
+use super::run::inputs::{Source, rows};
+use super::sections::repeated_with;
 use super::{PageError, document};
 use crate::calibrate::refusal::Refusal;
 use crate::inspect::Inspection;
-use crate::inspect::curves::Curve;
 use crate::report::result::earlier::Earlier;
 use crate::report::result::file::{Input, MeasurementEntry, now, replace, software};
 
@@ -28,32 +27,12 @@ pub struct RefusedPage<'a> {
     pub measured: &'a [MeasurementEntry],
     /// Why not.
     pub refusal: &'a Refusal<'a>,
-    /// What is known of each run.
-    pub runs: &'a [InspectedRun<'a>],
+    /// Recording and robot log of each run.
+    pub runs: &'a [[Source; 2]],
     /// Files that were read.
     pub inputs: &'a [Input],
     /// The whole configuration that was used, as text.
     pub configuration: &'a str,
-}
-
-/// The two sides of a run.
-#[derive(Debug)]
-pub struct InspectedRun<'a> {
-    /// The bar's.
-    pub recording: InspectedLog<'a>,
-    /// The robot's.
-    pub robot_log: InspectedLog<'a>,
-}
-
-/// What is known of a log by itself.
-#[derive(Debug)]
-pub struct InspectedLog<'a> {
-    /// Its file.
-    pub path: &'a Path,
-    /// As `identify inspect` says it.
-    pub inspection: Inspection,
-    /// Its joints over time.
-    pub curves: Vec<Curve>,
 }
 
 /// Where the page is.
@@ -84,10 +63,6 @@ impl RefusedPage<'_> {
     /// [`PlotError`].
     pub fn render(&self, set_aside: Option<&Path>) -> Result<Markup, PlotError> {
         let title = format!("Calibration of {}: refused", self.robot);
-        let mut runs = Vec::new();
-        for (number, run) in self.runs.iter().enumerate() {
-            runs.push(self.run(number, run)?);
-        }
         Ok(document(
             &title,
             &html! {
@@ -101,7 +76,7 @@ impl RefusedPage<'_> {
                         (identity(self.robot, self.instrument, self.measured, None, None))
                     }))
                     (self.deviations()?)
-                    @for run in &runs { (run) }
+                    @for (number, run) in self.runs.iter().enumerate() { (self.run(number, run)?) }
                     (repeated_with(self.inputs, &software(), self.configuration))
                 }
             },
@@ -135,8 +110,8 @@ impl RefusedPage<'_> {
     fn place(&self) -> String {
         let place = &self.refusal.place;
         let run = self.refusal.run.and_then(|run| self.runs.get(run).map(|found| (run, found)));
-        let files = run.map(|(run, found)| {
-            let files = format!("{} with {}", found.recording.path.display(), found.robot_log.path.display());
+        let files = run.map(|(run, [recording, robot_log])| {
+            let files = format!("{} with {}", recording.path.display(), robot_log.path.display());
             if self.runs.len() > 1 { format!("{}, {files}", self.number(run)) } else { files }
         });
         let instant = place.bar_s.map(|bar_s| {
@@ -155,11 +130,12 @@ impl RefusedPage<'_> {
     /// Encoders against the geometry that fits best.
     fn deviations(&self) -> Result<Markup, PlotError> {
         let Some(deviations) = self.refusal.deviations else { return Ok(html! {}) };
-        let panels = figures::deviations(deviations, self.refusal.place.bar_s)?;
         Ok(html! {
             h2 { "Encoders against the robot" }
             figure {
-                div.panels.three { @for panel in panels { (svg(panel)) } }
+                div.panels.three {
+                    @for panel in figures::deviations(deviations, self.refusal.place.bar_s)? { (panel) }
+                }
                 figcaption {
                     "What each encoder says beyond what the robot's log and the geometry that fits best ask of it, weighed down "
                     "near singular poses of the bar. Waves are errors of the geometry, a step of one encoder alone is a slip, "
@@ -178,23 +154,18 @@ impl RefusedPage<'_> {
         if self.refusal.place.bar_s.is_some() { " Red: where it is." } else { "" }
     }
 
-    fn run(&self, number: usize, run: &InspectedRun<'_>) -> Result<Markup, PlotError> {
+    fn run(&self, number: usize, [recording, robot_log]: &[Source; 2]) -> Result<Markup, PlotError> {
         let place = (self.refusal.run == Some(number)).then_some(&self.refusal.place);
-        let [bar_s, robot_s] = [place.and_then(|place| place.bar_s), place.and_then(|place| place.robot_s)];
         let name = (self.runs.len() > 1).then(|| self.number(number));
-        let recording = log("Recording of the bar", name.as_deref(), &run.recording, bar_s)?;
-        let robot_log = log("Robot's log", name.as_deref(), &run.robot_log, robot_s)?;
-        Ok(html! { (recording) (robot_log) })
+        Ok(html! {
+            (log("Recording of the bar", name.as_deref(), recording, place.and_then(|place| place.bar_s))?)
+            (log("Robot's log", name.as_deref(), robot_log, place.and_then(|place| place.robot_s))?)
+        })
     }
 }
 
 /// One side of a run; `at_s` is marked.
-fn log(
-    what: &str,
-    run: Option<&str>,
-    log: &InspectedLog<'_>,
-    at_s: Option<f64>,
-) -> Result<Markup, PlotError> {
+fn log(what: &str, run: Option<&str>, log: &Source, at_s: Option<f64>) -> Result<Markup, PlotError> {
     let panels = figures::joints(&log.curves, at_s)?;
     let found = &log.inspection;
     Ok(html! {
@@ -207,7 +178,7 @@ fn log(
         @else { ul.suspicious { @for sentence in &found.suspicious { li { (sentence) } } } }
         @if !panels.is_empty() {
             figure {
-                div.panels.three { @for panel in panels { (svg(panel)) } }
+                div.panels.three { @for panel in panels { (panel) } }
                 figcaption {
                     "Angles by this log alone, on its own clock."
                     @if at_s.is_some() { " Red: where it is." }

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use maud::{Markup, html};
 
+use crate::inspect::curves::Curve;
 use crate::inspect::{Inspection, UNSAID};
 
 /// Facts of one file that the page shows; a long run may have thousands of events.
@@ -18,6 +19,8 @@ pub struct Source {
     pub path: PathBuf,
     /// What was found in it.
     pub inspection: Inspection,
+    /// Its joints over time; empty where a page does not draw them.
+    pub curves: Vec<Curve>,
 }
 
 /// What each file says, side by side.

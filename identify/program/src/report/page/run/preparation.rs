@@ -7,20 +7,17 @@ use crate::kinematics::BAR_JOINTS;
 use crate::prepare::{Prepared, SampleStatus, Timeline, TimelinePoint};
 use crate::report::page::drawing::figures::{THIRD, TimeAxis, WIDE, dots};
 use crate::report::page::drawing::plot::{BLUE, GREEN, GREY, Mark, ORANGE, Panel, PlotError, Series};
-use crate::report::page::sections::svg;
 
 /// Figures and tables of one run.
 pub(in crate::report::page) fn section(prepared: &Prepared) -> Result<Markup, PlotError> {
-    let timeline = &prepared.timeline;
-    let speeds = speeds(timeline)?;
-    let trimmed = trimmed(timeline, &prepared.measured)?;
-    let off = off(timeline, &prepared.measured)?;
+    let Prepared { timeline, measured, .. } = prepared;
+    let joints = || (0..BAR_JOINTS).filter(|&joint| measured[joint]);
     Ok(html! {
         (readings::unwrapping(timeline)?)
         (readings::moving_average(timeline.averaged.as_ref())?)
         (sphere(prepared))
         figure {
-            (svg(speeds))
+            (speeds(timeline)?)
             figcaption {
                 "Fastest joint of robot and bar, on the bar's clock after the alignment. Both stand still together "
                 (timeline.standstills.len()) " times, "
@@ -28,11 +25,11 @@ pub(in crate::report::page) fn section(prepared: &Prepared) -> Result<Markup, Pl
             }
         }
         figure {
-            div.panels.three { @for panel in trimmed { (svg(panel)) } }
+            div.panels.three { @for joint in joints() { (trimmed(timeline, joint)?) } }
             figcaption { "Joints of the bar: what was used, and what was left out for one of the reasons below." }
         }
         figure {
-            div.panels.three { @for panel in off { (svg(panel)) } }
+            div.panels.three { @for joint in joints() { (off(timeline, joint)?) } }
             figcaption {
                 "The used samples of each joint less what the robot's log and the nominal robot and bar say of it. This is what the "
                 "alignment and the encoder offsets were found from; the errors of robot and bar are still in it."
@@ -49,7 +46,7 @@ fn time_axis(timeline: &Timeline) -> TimeAxis {
 }
 
 /// Fastest joint of either log over time.
-fn speeds(timeline: &Timeline) -> Result<String, PlotError> {
+fn speeds(timeline: &Timeline) -> Result<Markup, PlotError> {
     /// Points further apart belong to different motions \[s\].
     const APART_S: f64 = 1.0;
     let time = time_axis(timeline);
@@ -65,65 +62,39 @@ fn speeds(timeline: &Timeline) -> Result<String, PlotError> {
         let point = |point: &TimelinePoint| Some((time.at(point.t_s), speed(point)?.to_degrees()));
         Series::new(name, colour, mark, timeline.points.iter().filter_map(point).collect())
     };
-    Panel {
-        title: "Speed".into(),
-        x: time.label,
-        y: "fastest joint [deg/s]".into(),
-        size: WIDE,
-        series: vec![
-            line("bar", ORANGE, |point| point.bar_speed_rad_s),
-            line("robot", BLUE, |point| point.robot_speed_rad_s),
-            Series::new("both stand still", GREEN, Mark::Segments, still.collect()),
-        ],
-        from_zero: true,
-    }
-    .draw()
+    let series = vec![
+        line("bar", ORANGE, |point| point.bar_speed_rad_s),
+        line("robot", BLUE, |point| point.robot_speed_rad_s),
+        Series::new("both stand still", GREEN, Mark::Segments, still.collect()),
+    ];
+    Panel::new("Speed", [&time.label(), "fastest joint [deg/s]"], WIDE, series).from_zero().draw()
 }
 
-/// Angle of each measured joint over time, by what became of the samples.
-fn trimmed(timeline: &Timeline, measured: &[bool; BAR_JOINTS]) -> Result<Vec<String>, PlotError> {
-    let time = time_axis(timeline);
-    let panel = |joint: usize| {
-        let of = |name, colour, wanted: fn(SampleStatus) -> bool| {
-            let angle =
-                |point: &TimelinePoint| Some((time.at(point.t_s), point.measured_rad?[joint].to_degrees()));
-            let points = timeline.points.iter().filter(|point| wanted(point.status)).filter_map(angle);
-            dots(name, colour, points.collect())
-        };
-        let used = |status| matches!(status, SampleStatus::Kept | SampleStatus::Thinned);
-        Panel {
-            title: format!("b{}", joint + 1),
-            x: time.label,
-            y: "[deg]".into(),
-            size: THIRD,
-            series: vec![
-                of("left out", GREY, |status| !matches!(status, SampleStatus::Kept | SampleStatus::Thinned)),
-                of("usable", BLUE, used),
-            ],
-            from_zero: false,
-        }
-        .draw()
-    };
-    (0..BAR_JOINTS).filter(|&joint| measured[joint]).map(panel).collect()
+const fn is_usable(status: SampleStatus) -> bool {
+    matches!(status, SampleStatus::Kept | SampleStatus::Thinned)
 }
 
-/// What each measured joint says less what the robot says of it, over time.
-fn off(timeline: &Timeline, measured: &[bool; BAR_JOINTS]) -> Result<Vec<String>, PlotError> {
+/// Angle of a joint over time, by the status of the samples.
+fn trimmed(timeline: &Timeline, joint: usize) -> Result<Markup, PlotError> {
     let time = time_axis(timeline);
-    let panel = |joint: usize| {
-        let used = timeline.points.iter().filter(|point| point.status == SampleStatus::Kept);
-        let off = |point: &TimelinePoint| Some((time.at(point.t_s), point.off_rad()?[joint] * 1e3));
-        Panel {
-            title: format!("b{}, measured less predicted", joint + 1),
-            x: time.label,
-            y: "[mrad]".into(),
-            size: THIRD,
-            series: vec![dots("", ORANGE, used.filter_map(off).collect())],
-            from_zero: false,
-        }
-        .draw()
+    let of = |name, colour, usable: bool| {
+        let points = timeline.points.iter().filter(|point| is_usable(point.status) == usable);
+        let angle =
+            |point: &TimelinePoint| Some((time.at(point.t_s), point.measured_rad?[joint].to_degrees()));
+        dots(name, colour, points.filter_map(angle).collect())
     };
-    (0..BAR_JOINTS).filter(|&joint| measured[joint]).map(panel).collect()
+    let series = vec![of("left out", GREY, false), of("usable", BLUE, true)];
+    Panel::new(format!("b{}", joint + 1), [&time.label(), "[deg]"], THIRD, series).draw()
+}
+
+/// Measured minus predicted angle of a joint over time.
+fn off(timeline: &Timeline, joint: usize) -> Result<Markup, PlotError> {
+    let time = time_axis(timeline);
+    let used = timeline.points.iter().filter(|point| point.status == SampleStatus::Kept);
+    let off = |point: &TimelinePoint| Some((time.at(point.t_s), point.off_rad()?[joint] * 1e3));
+    let title = format!("b{}, measured less predicted", joint + 1);
+    let series = vec![dots("", ORANGE, used.filter_map(off).collect())];
+    Panel::new(title, [&time.label(), "[mrad]"], THIRD, series).draw()
 }
 
 /// Where the bar stands and how long it is, by the robot's positions alone.

@@ -1,12 +1,13 @@
 //! What was done to the readings before anything else: made continuous, and averaged where that was asked for.
 
+use std::f64::consts::TAU;
+
 use maud::{Markup, html};
 
 use crate::logs::{Unwrapped, UnwrappedPoint};
 use crate::prepare::{Averaged, AveragedJoints, AveragedPoint, Timeline};
 use crate::report::page::drawing::figures::{HALF, TimeAxis, dots};
 use crate::report::page::drawing::plot::{BLUE, GREY, Mark, ORANGE, Panel, PlotError, Series};
-use crate::report::page::sections::svg;
 
 /// Lower than others: a run may have eleven pairs of them.
 const LOW: (u32, u32) = (450, 170);
@@ -22,11 +23,10 @@ pub(in crate::report::page) fn unwrapping(timeline: &Timeline) -> Result<Markup,
             p { b { "Unwrapping: " } "no counter of the bar and no joint in the robot's log began anew; nothing was to be unwrapped." }
         });
     }
-    let pairs = unwrapped.iter().map(|one| pair(one)).collect::<Result<Vec<_>, PlotError>>()?;
     Ok(html! {
         p { b { "Unwrapping: " } "these began anew while the logs were taken, and were made continuous; all others never did." }
         figure {
-            div.panels { @for pair in pairs { @for panel in pair { (svg(panel)) } } }
+            div.panels { @for one in &unwrapped { (pair(one)?) } }
             figcaption {
                 "Left as the file shows them, right as they are used, where they begin anew most often; b: encoder of the bar by "
                 "the joint that its file states, q: joint in the robot's log. "
@@ -48,29 +48,20 @@ fn percent(part: f64) -> String {
     }
 }
 
-fn pair(one: &Unwrapped) -> Result<[String; 2], PlotError> {
+fn pair(one: &Unwrapped) -> Result<Markup, PlotError> {
     let time = TimeAxis::of(one.points.iter().map(|point| point.t_s));
-    let turns = one.period_rad / std::f64::consts::TAU;
-    let in_turns = turns > TURNS_MIN;
     let panel = |title: &str, unit: &str, scale: f64, colour, of: fn(&UnwrappedPoint) -> f64| {
         let points = one.points.iter().map(|point| (time.at(point.t_s), of(point) * scale));
-        Panel {
-            title: format!("{} {title}", one.name),
-            x: time.since_first,
-            y: unit.into(),
-            size: LOW,
-            series: vec![Series::new("", colour, Mark::Line, points.collect())],
-            from_zero: false,
-        }
-        .draw()
+        let series = vec![Series::new("", colour, Mark::Line, points.collect())];
+        Panel::new(format!("{} {title}", one.name), [&time.since_first(), unit], LOW, series).draw()
     };
     let degrees = 1f64.to_degrees();
-    let (unit, scale) =
-        if in_turns { ("counter [turns]", std::f64::consts::TAU.recip()) } else { ("[deg]", degrees) };
-    Ok([
-        panel("as shown", unit, scale, GREY, |point| point.shown_rad)?,
-        panel("continuous", "[deg]", degrees, BLUE, |point| point.continuous_rad)?,
-    ])
+    let in_turns = one.period_rad > TURNS_MIN * TAU;
+    let (unit, scale) = if in_turns { ("counter [turns]", TAU.recip()) } else { ("[deg]", degrees) };
+    Ok(html! {
+        (panel("as shown", unit, scale, GREY, |point| point.shown_rad)?)
+        (panel("continuous", "[deg]", degrees, BLUE, |point| point.continuous_rad)?)
+    })
 }
 
 /// What the moving average did; that it is off, and why, where it is.
@@ -83,12 +74,6 @@ pub(in crate::report::page) fn moving_average(averaged: Option<&Averaged>) -> Re
             }
         });
     };
-    let panels = [("Robot", "q", &averaged.robot, BLUE), ("Bar", "b", &averaged.bar, ORANGE)];
-    let mut drawn = Vec::new();
-    for (whose, letter, joints, colour) in panels {
-        let name = format!("{whose}, {letter}{}", joints.fastest_joint);
-        drawn.extend(excerpt(&name, joints, colour)?);
-    }
     let width_ms = averaged.width_s * 1e3;
     Ok(html! {
         p {
@@ -97,7 +82,10 @@ pub(in crate::report::page) fn moving_average(averaged: Option<&Averaged>) -> Re
             "Readings nearer than " (format!("{width_ms:.0}")) " ms to an end or a hole were left out."
         }
         figure {
-            div.panels { @for panel in drawn { (svg(panel)) } }
+            div.panels {
+                (excerpt("Robot, q", &averaged.robot, BLUE)?)
+                (excerpt("Bar, b", &averaged.bar, ORANGE)?)
+            }
             figcaption {
                 "The fastest joint of each log about its fastest moment. Left: its speed from the readings (grey) and from the "
                 "averages. Right: what the average took from its angle: noise. Waves are turns too sharp for it: samples there fit worse, "
@@ -113,29 +101,22 @@ fn excerpt(
     name: &str,
     joints: &AveragedJoints,
     colour: plotters::style::RGBColor,
-) -> Result<[String; 2], PlotError> {
+) -> Result<Markup, PlotError> {
     let points = &joints.fastest;
     let time = TimeAxis::of(points.iter().map(|point| point.t_s));
     let of = |value: fn(&AveragedPoint) -> f64| -> Vec<(f64, f64)> {
         points.iter().map(|point| (time.at(point.t_s), value(point))).collect()
     };
-    let panel = |title: String, y: &str, series| Panel {
-        title,
-        x: time.label,
-        y: y.into(),
-        size: HALF,
-        series,
-        from_zero: false,
+    let panel = |title: &str, y: &str, series| {
+        let title = format!("{name}{}: {title}", joints.fastest_joint);
+        Panel::new(title, [&time.label(), y], HALF, series).draw()
     };
     let speeds = vec![
         dots("read", GREY, of(|point| point.speed_rad_s.to_degrees())),
         Series::new("averaged", colour, Mark::Line, of(|point| point.averaged_rad_s.to_degrees())),
     ];
     let removed = vec![dots("", colour, of(|point| point.removed_rad * 1e6))];
-    Ok([
-        panel(format!("{name}: speed"), "[deg/s]", speeds).draw()?,
-        panel(format!("{name}: taken from the angle"), "[µrad]", removed).draw()?,
-    ])
+    Ok(html! { (panel("speed", "[deg/s]", speeds)?) (panel("taken from the angle", "[µrad]", removed)?) })
 }
 
 fn removed(averaged: &Averaged) -> Markup {
