@@ -13,7 +13,7 @@ use identify::kinematics::{
     robot_inverse, robot_inverse_all,
 };
 use identify::model::{DriveTrain, JointTerm, Load, Model, Owner, ParameterId, Period};
-use identify::report::result::urdf::urdf;
+use identify::report::result::robot_files::urdf;
 use identify::robot::{ImportError, Imported, check, import};
 use identify::simulate::{self, Effects, Experiment, StaticErrors};
 use nalgebra::{Rotation3, Vector3};
@@ -155,7 +155,7 @@ fn what_is_assumed_of_limits_says_what_the_file_has() {
     };
     assert!(limits("-2", "2").is_empty());
     assert!(limits("2", "-2")[0].contains("has limits of 114.591559026 to -114.591559026 deg in the file"));
-    assert!(limits("1", "1")[0].contains("which are no range"));
+    assert!(limits("1", "1")[0].contains("which are not a range"));
     assert!(limits("0", "0")[0].contains("no limits in the file, or both are zero"));
 }
 

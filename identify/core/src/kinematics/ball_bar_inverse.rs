@@ -14,9 +14,9 @@ pub const BAR_JOINTS: usize = 5;
 /// Which way a joint is bent: the sign of its sine.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Side {
-    /// Sine not negative.
+    /// The sine is not negative.
     Positive,
-    /// Sine negative.
+    /// The sine is negative.
     Negative,
 }
 
@@ -53,7 +53,7 @@ pub struct Configuration {
 }
 
 impl Configuration {
-    /// All four.
+    /// All four, the positive ones first.
     pub const ALL: [Self; 4] = [
         Self { gimbal: Side::Positive, cardan: Side::Positive },
         Self { gimbal: Side::Positive, cardan: Side::Negative },
@@ -111,7 +111,7 @@ fn twist_signs(chain: &Chain) -> Result<[f64; 4], InverseError> {
 /// [`ball_bar_inverse_refined`].
 ///
 /// # Errors
-/// [`InverseError::Structure`] or [`InverseError::Links`] where the chain is no ball-bar.
+/// [`InverseError::Structure`] or [`InverseError::Links`] if the chain is not a ball-bar.
 pub fn ball_bar_inverse(
     chain: &Chain,
     target: &Pose,

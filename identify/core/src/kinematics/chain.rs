@@ -55,7 +55,7 @@ impl DhLink {
         }
     }
 
-    /// Everything of the link after its turn about z: `Tz(d) Tx(a) Rx(alpha) Ry(beta)`.
+    /// The link without its rotation about z: `Tz(d) Tx(a) Rx(alpha) Ry(beta)`.
     pub(crate) fn after_joint(&self) -> Pose {
         let twist = Rotation3::from_axis_angle(&Vector3::x_axis(), self.alpha_rad);
         let hayati = Rotation3::from_axis_angle(&Vector3::y_axis(), self.beta_rad);
@@ -73,12 +73,12 @@ impl DhLink {
     }
 }
 
-/// Links in a row on a base that stands in the root frame (the robot's base).
+/// A series of links on a base in the root frame (the robot's base).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Chain {
     /// Where the chain stands: identity for the robot, the gimbal's place for the ball-bar.
     pub root_from_base: Pose,
-    /// Base to end.
+    /// Links from base to end.
     pub links: Vec<DhLink>,
     /// From where the last link ends to the chain's end: identity where the last link can hold it.
     pub last_from_end: Pose,
@@ -97,7 +97,7 @@ impl Chain {
 
     /// `root_from_end` at joint variables \[rad, m\], one per link.
     ///
-    /// A link beyond the last one given stands at zero; those beyond the last link are not used.
+    /// Missing joint variables are zero; those beyond the last link are not used.
     pub fn forward(&self, joints: &[f64]) -> Pose {
         let start = self.root_from_base;
         self.joined(joints).fold(start, |pose, (link, joint)| pose * link.transform(joint))

@@ -36,7 +36,7 @@ pub fn robot_chain(robot: &RobotConfig, bar: &BallBarConfig) -> Chain {
     chain
 }
 
-/// The robot by itself, to its flange, as standard links.
+/// The robot without a bar, to its flange, as standard links.
 ///
 /// A modified table says the same with the way to the next axis, `Tx(a) Rx(alpha)`, at the beginning of the next row; the
 /// first row's belongs to the base.

@@ -14,7 +14,7 @@ use super::{Chain, DhLink, LENGTH_M_MAX, Pose, rotation_vector};
 /// An axis at joint zero, in the root frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AxisLine {
-    /// How it moves.
+    /// Revolute or prismatic.
     pub joint: JointKind,
     /// A point on it \[m\]; any where it is prismatic.
     pub point_m: Vector3<f64>,
@@ -54,7 +54,7 @@ impl Chain {
             at *= link.transform(0.0);
             links.push(link);
         }
-        // What is left is a turn about the end's z and a shift along it; the last link has room for neither.
+        // The rest is a rotation about the end's z and a shift along it; the last link cannot hold either.
         let rest = at.inverse() * end;
         Self {
             root_from_base,

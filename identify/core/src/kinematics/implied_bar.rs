@@ -60,7 +60,7 @@ impl ImpliedBar {
     /// `tracer` is `chain` made ready.
     ///
     /// # Errors
-    /// [`InverseError::NotConverged`] at a singular pose, others where the chain is no ball-bar.
+    /// [`InverseError::NotConverged`] at a singular pose, others if the chain is not a ball-bar.
     pub fn new(
         chain: &Chain,
         tracer: &Tracer,
@@ -85,7 +85,7 @@ impl ImpliedBar {
             for (joint, step) in joints_rad.iter_mut().zip(step.iter()) {
                 *joint += step;
             }
-            // The chain stands where it stood before this step: nobody sees a nanometre.
+            // The trace is that before this step: a nanometre is negligible.
             if step_rad < STEP_RAD_LAST {
                 return Ok(Self { joints_rad, trace, by_condition, rod });
             }

@@ -50,13 +50,13 @@ pub enum InverseError {
         /// Position of the target.
         z_m: f64,
     },
-    /// Refinement on the given chain did not settle: a singular pose or a chain far from its nominal structure.
+    /// Refinement on the given chain did not converge: a singular pose or a chain far from its nominal structure.
     #[error(
-        "joint angles did not settle (last step {step_rad:.1e} rad after {iterations} iterations); \
+        "joint angles did not converge (last step {step_rad:.1e} rad after {iterations} iterations); \
          move the pose away from a singularity or check the chain's parameters"
     )]
     NotConverged {
-        /// Iterations made.
+        /// Number of iterations.
         iterations: usize,
         /// Last step, the largest of the joints.
         step_rad: f64,
@@ -197,10 +197,10 @@ pub(super) fn refine<const N: usize>(
 ) -> Result<[f64; N], InverseError> {
     /// Below this the next step would be rounding.
     const STEP_RAD_MIN: f64 = 1e-13;
-    /// Accepted where rounding keeps the steps from shrinking further.
+    /// Accepted if rounding keeps the steps from shrinking further.
     const STEP_RAD_SETTLED: f64 = 1e-10;
     const ITERATIONS_MAX: usize = 30;
-    /// Largest step: far from the target a linear prediction is worth no more.
+    /// Largest step: far from the target a linear prediction is not valid beyond it.
     const STEP_RAD_MAX: f64 = 0.5;
 
     let tracer = Tracer::new(chain);
@@ -239,10 +239,10 @@ pub(super) fn refine_centred<const N: usize>(
     start: [f64; N],
     limits: &[[f64; 2]],
 ) -> Result<[f64; N], InverseError> {
-    /// Below this joints are where rounding lets them be \[parts of their range\].
+    /// Below this joints have converged up to rounding \[parts of their range\].
     const SETTLED: f64 = 1e-12;
     const ITERATIONS_MAX: usize = 200;
-    /// Along the constraint a Gauss-Newton step knows nothing of the constraint's curvature: half of it settles where
+    /// Along the constraint a Gauss-Newton step ignores the constraint's curvature: half of it converges if
     /// the curvature adds up to three times as much.
     const PART: f64 = 0.5;
     /// Largest step \[parts of a range\].
@@ -283,7 +283,7 @@ pub(super) fn refine_centred<const N: usize>(
     Err(InverseError::NotConverged { iterations: ITERATIONS_MAX, step_rad: largest * range.amax() })
 }
 
-/// `argmin |J x - e|` by Householder QR of `[J e]`, with more than six joints the shortest `x` with `J x = e`; none where J
+/// `argmin |J x - e|` by Householder QR of `[J e]`, with more than six joints the shortest `x` with `J x = e`; `None` if J
 /// is singular.
 fn least_squares_step<const N: usize>(
     jacobian: SMatrix<f64, 6, N>,

@@ -18,13 +18,13 @@ pub struct Joints {
 }
 
 impl Joints {
-    /// All zero.
+    /// Zero for each axis.
     pub const fn zeros(count: usize) -> Self {
         let count = if count < AXES_MAX { count } else { AXES_MAX };
         Self { values: [0.0; AXES_MAX], count }
     }
 
-    /// Those of a constant.
+    /// From an array, also in constants.
     pub const fn of<const N: usize>(numbers: [f64; N]) -> Self {
         let mut joints = Self::zeros(N);
         let mut axis = 0;

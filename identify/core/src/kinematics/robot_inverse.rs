@@ -188,8 +188,8 @@ fn six_axes(chain: &Chain, target: &Pose, near: &[f64]) -> Result<Joints, Invers
     Err(failure)
 }
 
-/// All solutions of a six-axis arm with a spherical wrist, up to eight, each joint in (-pi, pi]; those that do not settle on
-/// the given chain are left out.
+/// All solutions of a six-axis arm with a spherical wrist, up to eight, each joint in (-pi, pi]; those that do not converge on
+/// the given chain are omitted.
 ///
 /// # Errors
 /// As [`robot_inverse`], where none is left; [`InverseError::Structure`], [`InverseError::Prismatic`] and [`InverseError::Links`] for

@@ -14,14 +14,14 @@ use super::{Chain, Pose};
 /// With `R`, `p` the end pose: `dR = [angular] R`, `dp = linear`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Twist {
-    /// Angular velocity.
+    /// Angular velocity of the frame.
     pub angular: Vector3<f64>,
     /// Velocity of the end frame's origin.
     pub linear: Vector3<f64>,
 }
 
 impl Twist {
-    /// A turn about `axis` through `point`, seen at `end`.
+    /// A rotation about `axis` through `point`, at `end`.
     #[inline]
     pub fn rotation(axis: Vector3<f64>, point: Vector3<f64>, end: Vector3<f64>) -> Self {
         Self { angular: axis, linear: axis.cross(&(end - point)) }
@@ -50,9 +50,9 @@ impl Twist {
 /// Sine and cosine of an angle, which is all that a rotation needs of it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Turn {
-    /// Sine.
+    /// Sine of the angle.
     pub sin: f64,
-    /// Cosine.
+    /// Cosine of the angle.
     pub cos: f64,
 }
 
@@ -82,7 +82,7 @@ impl Turn {
         }
     }
 
-    /// Of so many times the angle: a few products where sine and cosine of it take ten times as long.
+    /// Of a multiple of the angle, by a few products: sine and cosine of it take ten times as long.
     #[inline]
     pub fn times(self, mut count: u8) -> Self {
         let (mut product, mut doubled) = (Self { sin: 0.0, cos: 1.0 }, self);
@@ -100,20 +100,20 @@ impl Turn {
 /// The five numbers of a link; its joint moves the end as `theta` does, or `d` where it is prismatic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum LinkParameter {
-    /// Length along x.
+    /// `a`: length along x.
     A,
-    /// Offset along z.
+    /// `d`: offset along z.
     D,
-    /// Twist about x.
+    /// `alpha`: twist about x.
     Alpha,
-    /// Turn about z.
+    /// `theta`: rotation about z.
     Theta,
     /// Hayati's rotation about y.
     Beta,
 }
 
 impl LinkParameter {
-    /// All five.
+    /// All five, those of the standard convention first.
     pub const ALL: [Self; 5] = [Self::A, Self::D, Self::Alpha, Self::Theta, Self::Beta];
     /// Those of the standard convention, in the order of the thesis' tables.
     pub const STANDARD: [Self; 4] = [Self::A, Self::D, Self::Alpha, Self::Theta];
@@ -235,7 +235,7 @@ struct PreparedLink {
     joint: JointKind,
     theta: Turn,
     alpha: Turn,
-    /// Hayati's; none where the link is a standard one.
+    /// Hayati's rotation; `None` for a standard link.
     beta: Option<Turn>,
     a_m: f64,
     d_m: f64,
@@ -252,7 +252,7 @@ impl PreparedLink {
 }
 
 impl Tracer {
-    /// Prepares a chain.
+    /// Prepares a chain for forward passes.
     pub fn new(chain: &Chain) -> Self {
         let links = chain.links.iter().map(|link| PreparedLink {
             joint: link.joint,

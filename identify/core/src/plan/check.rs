@@ -1,4 +1,4 @@
-//! Judges a path by the robot's joints alone, whoever made it: constraints at 1 kHz, the first violation of each in time, and
+//! Checks a path by the robot's joints alone: constraints at 1 kHz, the first violation of each in time, and
 //! what the path would determine.
 
 use crate::kinematics::{BAR_JOINTS, Joints, ball_bar_inverse_refined, singularity_margin_rad};
@@ -19,10 +19,10 @@ const CHECKS_PER_POSE: usize = 100;
 /// Rows of a path further apart than this leave open what the robot does between them \[s\].
 const GAP_S_MAX: f64 = 1.0;
 
-/// A path that cannot be judged.
+/// A path that cannot be checked.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum CheckError {
-    /// No continuous part.
+    /// Rows are too far apart.
     #[error(
         "the path has rows more than {GAP_S_MAX} s apart, at {t_s:.3} s; give its joints at least so often"
     )]
@@ -38,10 +38,10 @@ pub enum CheckError {
     },
 }
 
-/// Something that a path must not do.
+/// A constraint that a path violates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Violation {
-    /// What.
+    /// Violated constraint.
     pub obstacle: Obstacle,
     /// When it begins for the first time \[s\].
     pub first_s: f64,
@@ -49,12 +49,12 @@ pub struct Violation {
     pub duration_s: f64,
 }
 
-/// What a path does at its worst.
+/// Extremes of a path.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Checked {
     /// From its first row to its last \[s\].
     pub duration_s: f64,
-    /// What it must not do, in the order of time.
+    /// Violated constraints, in the order of time.
     pub violations: Vec<Violation>,
     /// Highest speed of each robot joint \[rad/s\].
     pub speed_rad_s: Joints,
@@ -70,7 +70,7 @@ pub struct Checked {
     pub bar_margin_rad: f64,
     /// Smallest singular value of the robot's Jacobian (m and rad alike).
     pub dexterity: f64,
-    /// Smallest distance of what must not touch \[m\]; none where nothing is known of it.
+    /// Smallest distance of robot, bar and cell \[m\]; `None` if no bodies are known.
     pub clearance_m: Option<f64>,
     /// Largest distance of the robot's end from where the bar lets it be \[m\].
     pub off_sphere_m: f64,

@@ -1,4 +1,4 @@
-//! Where the bar stands in the cell and how the robot is moved.
+//! Place of the bar in the cell, and limits of the motion.
 
 use rand::Rng;
 use serde::{Deserialize, Serialize};

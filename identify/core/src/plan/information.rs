@@ -1,10 +1,10 @@
-//! What a path can determine: the normal equations of the parameters that a calibration of it would estimate, and one number
+//! Information of a path: the normal equations of the parameters that a calibration of it would estimate, and one number
 //! for how good they are.
 //!
 //! Each pose counts with the whitened residual of the `pose` cost at the nominal geometry, for noise that is white from
 //! sample to sample, of as many samples as a calibration keeps. Encoder harmonics and terms of the robot's axes take part with their priors, all of them: a
-//! calibration takes only those that held-out data support, so that it knows a little more than is expected here. What
-//! no parameter describes is not in it.
+//! calibration takes only those that held-out data support, so that it knows a little more than is expected here. Errors that
+//! no parameter describes are not included.
 
 use nalgebra::DMatrix;
 use rand_chacha::ChaCha8Rng;
@@ -30,8 +30,8 @@ const SAMPLES_PER_S: f64 = 100.0;
 /// Standard deviation of what counts as known, SI.
 const KNOWN_SIGMA: f64 = 1e-9;
 
-/// RMS position errors over the robot's workspace that are expected after a calibration \[m\]; infinite where the place of the
-/// bar or the clocks stay open.
+/// RMS position errors over the robot's workspace that are expected after a calibration \[m\]; infinite if the place of the
+/// bar or the clocks are undetermined.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ExpectedPosition {
     /// Of an arm whose axes have no errors of their own.
@@ -57,7 +57,7 @@ pub enum Criterion {
 /// That of one group of terms alone.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WithTerms {
-    /// Which.
+    /// Group of the terms.
     pub group: TermGroup,
     /// RMS position error over the workspace \[m\].
     pub position_m: f64,
@@ -160,10 +160,10 @@ impl Information {
         })
     }
 
-    /// The same after a calibration, whose covariance this is: `between` of two parameters, none where one was not identified. A
+    /// The same after a calibration, whose covariance this is: `between` of two parameters, `None` if one was not identified. A
     /// new run determines anew where the bar stands, how its encoders are mounted and what the clocks show.
     ///
-    /// None where it knows none of the parameters, or its covariance is none.
+    /// `None` if it has none of the parameters, or if the covariance is not positive definite.
     #[must_use]
     pub fn after(mut self, between: impl Fn(ParameterId, ParameterId) -> Option<f64>) -> Option<Self> {
         let of_encoders = Some(TermGroup::EncoderHarmonics);
@@ -191,7 +191,7 @@ impl Information {
         Some(self)
     }
 
-    /// The same after a run with the bar elsewhere that determines this. None where it leaves a parameter open.
+    /// The same after a run with the bar elsewhere that determines this. `None` if it leaves a parameter undetermined.
     #[must_use]
     pub fn after_run(&self, normal: &Normal) -> Option<Self> {
         let covariance = self.covariance_of(normal)?;
@@ -225,8 +225,8 @@ impl Information {
         of(&problem, &self.model.start())
     }
 
-    /// How a run of this length would best be shared among these poses if there were no motion between them, by the mean squared
-    /// position error over the workspace with all terms of the axes \[m²\]. None where they leave a parameter open.
+    /// The best shares of these poses in a run of this length without any motion between them, by the mean squared
+    /// position error over the workspace with all terms of the axes \[m²\]. `None` if they leave a parameter undetermined.
     pub fn optimum(&self, poses: &Visited, duration_s: f64) -> Option<Optimum> {
         let (_, rows) = self.solved(poses, |problem, start| stacked(problem, start))?;
         let mut known = self.known.matrix.clone();
@@ -247,7 +247,7 @@ impl Information {
         self.model.columns().len()
     }
 
-    /// Expected covariance of all columns with the priors, some counting as known; none where the poses leave one open.
+    /// Expected covariance of all columns with the priors, with some columns known; `None` if the poses leave a column undetermined.
     fn covariance<'c>(
         &self,
         normal: &Normal,
@@ -262,7 +262,7 @@ impl Information {
         factor.is_complete().then(|| factor.inverse())
     }
 
-    /// Expected covariance of all columns, SI; none where a parameter stays open.
+    /// Expected covariance of all columns, SI; `None` if a parameter is undetermined.
     pub fn covariance_of(&self, normal: &Normal) -> Option<DMatrix<f64>> {
         self.covariance(normal, [])
     }

@@ -1,9 +1,9 @@
-//! Paths over the bar's sphere: random ones for simulated experiments, and the ones that are worth driving.
+//! Paths over the bar's sphere: random ones for simulated experiments, and optimised ones.
 //!
-//! `random` finds a path that keeps to the `constraints` (which know `bodies`), `search` makes it better by what
-//! `information` says that a calibration learns from it, `check` judges any path by the robot's joints alone, `programs`
-//! writes it for robot controllers, `optimum` is what any of them could determine at best; `place` looks for where the bar should
-//! stand, `poses` chooses poses for instruments that measure a robot at rest, `way` leads an arm from one to the next round obstacles.
+//! `random` finds a path that keeps to the `constraints` (which know `bodies`), `search` improves it by the
+//! `information` that a calibration gets from it, `check` checks any path by the robot's joints alone, `programs`
+//! writes it for robot controllers, `optimum` is a bound on what any of them can determine; `place` proposes places of the bar,
+//! `poses` chooses poses for instruments that measure a robot at rest, `way` plans the moves between them round obstacles.
 
 mod check;
 mod constraints;
@@ -51,7 +51,7 @@ pub struct PlannedPath {
     pub base_m: [f64; 3],
     /// Joints of the nominal robot at the start \[rad\].
     pub robot_start_rad: Joints,
-    /// Of the bar.
+    /// Path of the bar.
     pub path: Path,
 }
 

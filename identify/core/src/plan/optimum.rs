@@ -1,5 +1,5 @@
-//! The least variance that poses can leave which are chosen freely, as often as one likes and without any motion between them: what a
-//! path or a choice of so many poses gives of it is its efficiency.
+//! The least variance that poses can leave which are chosen freely, as often as one likes and without any motion between them: the ratio
+//! of this variance to that of a path or a choice of poses is its efficiency.
 //!
 //! Weights of poses that count as parts of a measurement are a design measure, in which the variance is convex (Chaloner 1984 with
 //! priors). The multiplicative algorithm (Silvey, Titterington and Torsney 1978) finds the best ones. With covariance `P`, weight `W` and
@@ -19,7 +19,7 @@ use crate::solver::ScaledCholesky;
 const STEPS_MAX: usize = 300;
 /// The bound is found where `(d - m) / v` is no more than this.
 const GAP: f64 = 0.05;
-/// Part of the variance of the best parts that were found which its bound has to reach to be one worth comparing with.
+/// The bound is used if it is more than this part of the variance of the best parts that were found.
 const TIGHT: f64 = 0.9;
 /// Random poses that a path is compared with.
 const RANDOM_POSES: usize = 1000;
@@ -75,8 +75,8 @@ pub fn position_m_min(
 }
 
 /// The parts of poses, as often as one likes, that `measurements` of them should have so that `tr(weight covariance)` is least.
-/// `prior` is the information without any, `rows` has `of_pose` rows of each pose in standard deviations. None where the poses leave
-/// something open.
+/// `prior` is the information without any, `rows` has `of_pose` rows of each pose in standard deviations. `None` if the poses leave
+/// a parameter undetermined.
 pub(super) fn optimum(
     prior: &DMatrix<f64>,
     (rows, of_pose): (&DMatrix<f64>, usize),

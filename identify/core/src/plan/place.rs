@@ -22,7 +22,7 @@ const PATHS: usize = 2;
 /// The robot's foot and what carries the bar have no room nearer to the robot's upright axis than this part of its reach: robots of 0.7 m
 /// reach stand on 0.2 m, of 2 m on 0.6 m.
 const PEDESTAL: f64 = 0.25;
-/// Places are given in steps of this \[m\]: nobody bolts a bar down more finely, and its place is estimated.
+/// Places are given in steps of this \[m\]: a bar is not mounted more accurately, and its place is estimated.
 const STEP_M: f64 = 0.05;
 
 /// A place of the bar and what a path there determines.
@@ -53,16 +53,16 @@ pub struct Second {
     pub twice_as_long: ExpectedPosition,
 }
 
-/// What places are looked for.
+/// Requirements on the places.
 #[derive(Debug, Clone)]
 pub struct PlaceRequest<'a> {
-    /// The robot.
+    /// Configuration of the robot.
     pub robot: &'a RobotConfig,
     /// The bar; its length is the first that is tried.
     pub bar: &'a BallBarConfig,
     /// Margins, speeds and duration of the paths.
     pub design: &'a Design,
-    /// What must not touch.
+    /// Bodies that must not touch.
     pub bodies: &'a Bodies,
     /// Highest acceleration of a robot joint \[rad/s²\].
     pub acceleration_rad_s2: f64,
@@ -77,15 +77,15 @@ pub struct PlaceRequest<'a> {
 /// Places that were tried, the best first, and how many had no path.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Places {
-    /// With a path.
+    /// Places with a path.
     pub found: Vec<Place>,
-    /// Without.
+    /// Number of places without one.
     pub without_path: usize,
-    /// None where only one place with the best one's rod has a path.
+    /// `None` if only one place with the best one's rod has a path.
     pub second: Option<Second>,
 }
 
-/// Tries places until `budget` is over or `is_over` says so, which is told how many were tried.
+/// Tries places until `budget` is over or `is_over` returns true, which receives the number of tried places.
 ///
 /// # Errors
 /// [`ModelError`] where the model lacks a parameter.
@@ -112,7 +112,7 @@ pub fn places(
         };
         match request.at(&bar, base_m, posture_deg, &mut random, &mut is_over)? {
             Some(place) => places.found.push(place),
-            // What was not finished is no place without a path.
+            // A place that was not finished is not counted.
             None if is_over() => {}
             None => places.without_path += 1,
         }

@@ -2,8 +2,8 @@
 //!
 //! The criterion is Bayesian I-optimality (Chaloner and Verdinelli 1995): the mean variance of positions over all candidates, where
 //! links, loads and gears err by as much as the priors of a calibration expect. Waves of gears are hundreds of amplitudes, more
-//! than a few poses determine: without them the best poses crowd at the ends of the joints' ranges and say nothing of what lies
-//! between. Poses are taken one by one, the best first (greedy), then each is exchanged for a better one (Fedorov 1972).
+//! than a few poses determine: without them the best poses crowd at the ends of the joints' ranges and do not determine the
+//! middle. Poses are taken one by one, the best first (greedy), then each is exchanged for a better one (Fedorov 1972).
 
 use std::f64::consts::PI;
 
@@ -33,7 +33,7 @@ use super::optimum::optimum;
 /// Of where instrument and target are, one standard deviation \[m, rad\]: far more than what is measured leaves of it. More than
 /// that would leave nothing but rounding of what poses say of gears.
 const PLACE_SIGMA: f64 = 0.02;
-/// So many exchanges are tried, of each pose one at least. The first round gains most.
+/// Exchanges that are tried, at least one of each pose. The first round gains most.
 const EXCHANGES: usize = 100;
 /// Random choices of as many poses that the planned one is compared with.
 const RANDOM_CHOICES: usize = 5;
@@ -62,7 +62,7 @@ impl Measures {
     }
 }
 
-/// Why there is no plan.
+/// Why poses cannot be chosen.
 #[derive(Debug, thiserror::Error)]
 pub enum PosesError {
     /// Not enough to choose from.
@@ -70,7 +70,7 @@ pub enum PosesError {
     TooFew {
         /// Poses that are wanted.
         wanted: usize,
-        /// Candidates.
+        /// Number of candidates.
         found: usize,
     },
     /// Hardly any random posture is free.
@@ -79,14 +79,14 @@ pub enum PosesError {
          give a smaller --link-radius-mm"
     )]
     NoRoom {
-        /// Free postures.
+        /// Number of free postures.
         found: usize,
-        /// Postures tried.
+        /// Number of postures tried.
         tried: usize,
         /// Least distance \[mm\].
         clearance_mm: f64,
     },
-    /// A candidate has derivatives that are no numbers.
+    /// A candidate has derivatives that are not finite.
     #[error("the robot has no derivatives at a candidate; check the links of its configuration")]
     NotFinite,
     /// The model lacks a parameter.
@@ -97,13 +97,13 @@ pub enum PosesError {
 /// What is measured, and how well.
 #[derive(Debug, Clone, Copy)]
 pub struct PoseRequest<'a> {
-    /// The robot.
+    /// Configuration of the robot.
     pub robot: &'a RobotConfig,
-    /// What is measured.
+    /// Measured quantity.
     pub measures: Measures,
     /// Reflector, probe or the wire's end in the flange's frame \[m\].
     pub target_m: [f64; 3],
-    /// Where the wire comes out, in the robot's base frame \[m\]; nothing for a tracker.
+    /// Outlet of the wire in the robot's base frame \[m\]; unused for a tracker.
     pub anchor_m: [f64; 3],
     /// One standard deviation of what is measured, with the robot's repeatability and what no term describes.
     pub noise: PoseNoise,
@@ -112,9 +112,9 @@ pub struct PoseRequest<'a> {
 /// How well parameters of one kind are determined.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Determined {
-    /// For a person.
+    /// Name for display.
     pub name: String,
-    /// Its parameters.
+    /// Parameters of this kind.
     pub ids: Vec<ParameterId>,
     /// The part of each one's standard deviation before that is left after.
     pub left: Vec<f64>,
@@ -409,7 +409,7 @@ impl<'a> Known<'a> {
         Ok(squared(&rows) / states.len().max(1) as f64)
     }
 
-    /// After these rows; none where they leave something open.
+    /// After these rows; `None` if they leave a parameter undetermined.
     fn covariance(&self, rows: &DMatrix<f64>) -> Option<DMatrix<f64>> {
         let mut normal = squared(rows);
         self.prior

@@ -29,17 +29,17 @@ const BLOCK_POINTS_MAX: usize = 1000;
 /// A controller's language.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum Language {
-    /// ABB
+    /// ABB RAPID
     Rapid,
-    /// KUKA
+    /// KUKA KRL
     Krl,
-    /// Universal Robots
+    /// Universal Robots URScript
     Urscript,
     /// FANUC, as text that its controllers and its offline tools turn into a program
     Fanuc,
 }
 
-/// Why there is no program.
+/// Why a program cannot be written.
 #[derive(Debug, thiserror::Error)]
 pub enum ProgramError {
     /// The path has gaps.
@@ -54,7 +54,7 @@ pub enum ProgramError {
          its log has motor angles; leave --program out and take the joints from the table, or configure a log of joint angles"
     )]
     Motors {
-        /// Its name.
+        /// Name of the robot.
         robot: String,
     },
     /// The language has six axes, others are additional axes somewhere else in its targets.
@@ -62,9 +62,9 @@ pub enum ProgramError {
         "{robot} has {axes} axes, programs are written for six; leave --program out and take the joints from the table"
     )]
     Axes {
-        /// Its name.
+        /// Name of the robot.
         robot: String,
-        /// How many.
+        /// Number of its axes.
         axes: usize,
     },
     /// Joint 3 of the model is counted from another line than that of the controller.
@@ -91,7 +91,7 @@ pub enum ProgramError {
     },
 }
 
-/// One thing that a program does; the controller's angles in radians.
+/// One instruction of a program; the controller's angles in radians.
 enum Step {
     /// Goes there slowly and stops.
     Go(Joints),
@@ -112,7 +112,7 @@ enum Step {
     Servo(Points),
 }
 
-/// Why a program stops for a person.
+/// Why a program stops until a person continues.
 #[derive(Debug, Clone, Copy)]
 enum Halt {
     /// The arm is at the start of the path.
@@ -170,12 +170,12 @@ impl Points {
     }
 }
 
-/// What a program does.
+/// Purpose of a program.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Task {
     /// Drives along a path.
     Path,
-    /// Stops at poses.
+    /// Stops at each pose.
     Poses,
 }
 
@@ -503,8 +503,8 @@ fn ur_script_path(points: &Points) -> String {
         list(first, 1.0),
         list(&Joints::zeros(axes), 1.0)
     );
-    // A cubic between two points with the path's speeds at both, one step of the controller at a time. What is over of a
-    // point's time belongs to the next: steps of 8 ms are no parts of 50.
+    // A cubic between two points with the path's speeds at both, one step of the controller at a time. The rest of a
+    // point's time is added to the next: 50 ms is not a multiple of 8 ms.
     let entries: Vec<String> =
         (0..axes).map(|i| format!("a*q0[{i}]+b*q1[{i}]+c*v0[{i}]+d*v1[{i}]")).collect();
     let _ = write!(

@@ -21,7 +21,7 @@ const MOVES_GIVEN_UP: usize = 4;
 const PART_OF_WAY: std::ops::Range<f64> = 0.3..1.0;
 /// Fewest moves of a path that excites all joints.
 const MOVES_MIN: usize = 4;
-/// Shorter runs have no room for so many moves and the standstills between them; of 13 s, one in three has \[s\].
+/// Shorter runs have no time for these moves and the standstills between them; of runs of 13 s one in three has \[s\].
 pub const DURATION_S_MIN: f64 = 15.0;
 /// Range of a move's peak speed, in parts of the design's.
 const SPEED_RANGE: std::ops::Range<f64> = 0.5..1.0;
@@ -39,7 +39,7 @@ pub enum PlanError {
         length_m: f64,
         /// Base of the bar.
         base_m: [f64; 3],
-        /// What stood in the way most often.
+        /// Constraint that was violated most often.
         obstacle: Obstacle,
     },
     /// No room for the moves of a path.
@@ -51,7 +51,7 @@ pub enum PlanError {
         /// Duration asked for \[s\].
         duration_s: f64,
     },
-    /// Somebody or the budget ended the search for the first path.
+    /// Ctrl-C or the budget ended the search for the first path.
     #[error(
         "a first path of {duration_s} s was not finished when the search ended; give a longer --budget, or a shorter --duration: the \
          robot can drive it again"
@@ -66,13 +66,13 @@ pub enum PlanError {
          give another --seed, --base, bar length or --duration"
     )]
     Stuck {
-        /// Moves found.
+        /// Number of moves found.
         moves: usize,
         /// Duration of the path so far \[s\].
         time_s: f64,
         /// Duration asked for \[s\].
         duration_s: f64,
-        /// What stood in the way most often.
+        /// Constraint that was violated most often.
         obstacle: Obstacle,
     },
 }
@@ -88,7 +88,7 @@ fn most_frequent(obstacles: &Obstacles) -> Obstacle {
 /// A path that keeps to the constraints.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Route {
-    /// Of the bar.
+    /// Path of the bar.
     pub path: Path,
     /// The robot's joints at its start and after each move \[rad\].
     pub robot_rad: Vec<Joints>,
@@ -180,7 +180,7 @@ fn start(constraints: &Constraints<'_>, random: &mut impl Rng) -> Result<([f64; 
     })
 }
 
-/// What trying to add a move came to.
+/// Result of trying to add a move.
 enum Extension {
     Reached,
     TimeIsUp,

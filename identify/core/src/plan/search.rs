@@ -1,8 +1,7 @@
-//! Makes a path better, one point at a time, for as long as there is time: a first path at once, better ones until the
-//! budget ends.
+//! Improves a path, one point at a time, until the time is over.
 //!
-//! A point of the path is moved, also towards poses that are worth most by themselves, or its moves made faster or slower; what two moves and their neighbours determine is computed
-//! again, the rest is kept. A change stays where it makes the criterion better and the path still keeps to all constraints.
+//! A point of the path is moved, also towards the poses with most information, or its moves made faster or slower; the information of two moves and their
+//! neighbours is computed again, the rest is kept. A change stays where it makes the criterion better and the path still keeps to all constraints.
 
 use std::time::{Duration, Instant};
 
@@ -23,13 +22,13 @@ use crate::solver::Normal;
 const STARTS: u64 = 8;
 /// How far a point is moved, one standard deviation of each joint of the bar \[rad\].
 const NUDGE_RAD: f64 = 0.3;
-/// Every how many poses that were looked at one counts for the criterion.
+/// Checked poses for each one that counts for the criterion.
 const LOOKS_PER_POSE: usize = 2;
-/// The robot comes back to where it was by so much after a change \[rad\]: the same solution of its inverse kinematics.
+/// After a changed part the robot is again within this of its old joints \[rad\]: the same solution of its inverse kinematics.
 const SAME_RAD: f64 = 1e-3;
 
 /// Between two poses that are looked at, [`LOOK_S`] apart, an extreme lies beyond both by the acceleration times `LOOK_S^2 / 8`:
-/// 2 mrad at 5 rad/s², 3 mm at the end of an arm. The search keeps so much more away.
+/// 2 mrad at 5 rad/s², 3 mm at the end of an arm. The search keeps this much more distance.
 ///
 /// [`LOOK_S`]: super::constraints::LOOK_S
 const ANGLE_ROOM_DEG: f64 = 0.2;
@@ -41,20 +40,20 @@ const DEXTERITY_PART: f64 = 1.03;
 /// How a search went.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Progress {
-    /// Changes tried.
+    /// Number of changes tried.
     pub tried: usize,
-    /// Changes that stayed.
+    /// Number of changes taken.
     pub taken: usize,
-    /// The criterion now.
+    /// Present value of the criterion.
     pub score: f64,
 }
 
 /// The best path that was found.
 #[derive(Debug, Clone)]
 pub struct Found {
-    /// It.
+    /// Path of bar and robot.
     pub route: Route,
-    /// What it determines.
+    /// Its normal equations.
     pub normal: Normal,
     /// The criterion of each random path, in the order of their seeds.
     pub random_scores: Vec<f64>,
@@ -70,11 +69,11 @@ pub(super) struct Pieces {
     normals: Vec<Normal>,
 }
 
-/// Searches until `budget` is over or `is_over` says so, whichever is first. It is asked without progress while there is nothing
-/// yet that could be made better.
+/// Searches until `budget` is over or `is_over` returns true, whichever is first. It receives no progress before there is a first
+/// path.
 ///
 /// # Errors
-/// [`PlanError`] where there is no path at all.
+/// [`PlanError`] if no path is found.
 pub fn search(
     constraints: &Constraints<'_>,
     information: &Information,
@@ -211,7 +210,7 @@ impl Pieces {
         total
     }
 
-    /// The same with one point moved or one move's speed changed; none where something is in the way.
+    /// The same with one point moved or one move's speed changed; `None` if a constraint is violated.
     fn changed(
         &self,
         constraints: &Constraints<'_>,

@@ -8,13 +8,13 @@ use rand::Rng;
 use super::poses::{Way, far};
 use crate::kinematics::Joints;
 
-/// Random postures that the trees grow towards, at most: where there is no way, the search ends after some seconds.
+/// Random postures that the trees grow towards, at most: without a way the search ends after some seconds.
 const TRIES: usize = 1500;
 /// The same for each posture that is a whole turn from another: where these have a way at all, the first tries find it.
 const TRIES_TURNED: usize = 100;
 /// Largest change of a joint in one step of a tree \[rad, m\].
 const STEP: f64 = 0.4;
-/// Most ways go round what is in their way by less than this beyond both postures \[rad, m\]: every second random posture lies there.
+/// Most ways round an obstacle stay within this of both postures \[rad, m\]: every second random posture is drawn there.
 const ROUND: f64 = 1.0;
 
 /// Postures that are reached from the first one, each with the one before it.
@@ -59,7 +59,7 @@ impl Tree {
 }
 
 /// The way to a posture, or to the same one with joints a whole turn further where no way leads to it: a joint that must not pass an
-/// angle gets there from the other side. Joints stay within `range`; `turns` says which are revolute.
+/// angle gets there from the other side. Joints stay within `range`; `turns` is true for revolute ones.
 pub(super) fn to_posture(
     from: Joints,
     to: Joints,

@@ -1,4 +1,4 @@
-//! What a robot's configuration describes, and what looks wrong in it.
+//! Checks a robot's configuration: facts, and what looks wrong.
 
 use nalgebra::{Matrix6xX, Vector3, Vector6};
 use rand::Rng;
@@ -13,7 +13,7 @@ use crate::statistics::extremes;
 
 /// Random postures within the limits that reach and rank are looked for in.
 const POSTURES: usize = 20_000;
-/// The rank of the Jacobian is looked for in so many of them.
+/// Postures in which the rank of the Jacobian is computed.
 const RANK_POSTURES: usize = 50;
 /// Singular values that are less, beside the largest, are none: two axes do the same.
 const RANK_TOLERANCE: f64 = 1e-6;

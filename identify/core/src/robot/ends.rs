@@ -1,4 +1,4 @@
-//! Where an arm begins and ends in a URDF, for those who do not say it.
+//! Default base and tip of the arm in a URDF.
 //!
 //! Files have more than the arm: a world before it, frames beside it, a gripper behind it. Only what moves decides: links on
 //! which the same joints act are ends of the same arm, and the names of the field choose among them.
@@ -18,14 +18,14 @@ const TOOLS: [&str; 5] = ["link8", "ee_link", "link_ee", "link_eef", "end_effect
 const BASES: [&str; 4] = ["base_link", "base", "link0", "link_0"];
 /// Parts of names that joints of grippers have.
 const GRIPPERS: [&str; 5] = ["gripper", "finger", "jaw", "knuckle", "thumb"];
-/// An error lists so many links.
+/// Links that an error lists, at most.
 const LISTED_MAX: usize = 12;
 
 /// Where an arm begins and ends.
 pub(super) struct Ends<'a> {
     pub(super) base: String,
     pub(super) tip: String,
-    /// Base to tip.
+    /// Joints from base to tip.
     pub(super) joints: Vec<&'a Joint>,
     /// Links that are left out by default, and how to include them.
     pub(super) left_out: Vec<String>,

@@ -31,13 +31,13 @@ pub enum ImportError {
     NoParent {
         /// The joint's name.
         joint: String,
-        /// The missing link.
+        /// Name of the missing link.
         parent: String,
     },
     /// There is no such link.
     #[error("it has no link `{link}`; its links are {known}")]
     UnknownLink {
-        /// As asked for.
+        /// Requested link.
         link: String,
         /// All that it has.
         known: String,
@@ -45,9 +45,9 @@ pub enum ImportError {
     /// No joints lead from one to the other.
     #[error("link `{tip}` does not hang on link `{base}`; going up from it one comes to {above}")]
     NotConnected {
-        /// As asked for.
+        /// Requested base.
         base: String,
-        /// As asked for.
+        /// Requested tip.
         tip: String,
         /// Links above the tip.
         above: String,
@@ -68,15 +68,15 @@ pub enum ImportError {
         /// Links on which nothing hangs.
         tips: String,
     },
-    /// A joint that is no axis of a serial arm.
+    /// A joint that cannot be an axis of a serial arm.
     #[error("joint `{joint}` {problem}; choose --base and --tip so that it is not between them")]
     Joint {
-        /// Its name.
+        /// Name of the joint.
         joint: String,
         /// What is wrong with it.
         problem: String,
     },
-    /// It contradicts itself, or describes what is no robot.
+    /// It contradicts itself, or does not describe a robot.
     #[error("{0}; correct the file")]
     Wrong(String),
     /// Too few or too many.
@@ -84,11 +84,11 @@ pub enum ImportError {
         "{axes} axes are between `{base}` and `{tip}`, a robot has {AXES_MIN} to {AXES_MAX}; choose other links"
     )]
     Axes {
-        /// How many.
+        /// Number of axes.
         axes: usize,
-        /// From here.
+        /// Link before the axes.
         base: String,
-        /// To here.
+        /// Link after the axes.
         tip: String,
     },
 }
@@ -96,7 +96,7 @@ pub enum ImportError {
 /// What a URDF says of an arm.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Imported {
-    /// The robot.
+    /// Configuration of the robot.
     pub config: RobotConfig,
     /// Link where it begins.
     pub base: String,
@@ -178,7 +178,7 @@ pub fn import(text: &str, base: Option<&str>, tip: Option<&str>) -> Result<Impor
     // What no other command would load is not written either.
     config.validate().map_err(|Violation { key, problem, remedy }| {
         ImportError::Wrong(format!(
-            "its links `{base}` to `{tip}` are no robot: {key}: {problem}, {remedy}"
+            "its links `{base}` to `{tip}` do not form a robot: {key}: {problem}, {remedy}"
         ))
     })?;
     Ok(Imported { config, base, tip, joints: names, assumed, left_out })
@@ -216,12 +216,12 @@ fn problem(joint: &Joint, problem: impl Into<String>) -> ImportError {
     ImportError::Joint { joint: joint.name.clone(), problem: problem.into() }
 }
 
-/// How it moves; none where it is fixed.
+/// How it moves; `None` if it is fixed.
 fn kind(joint: &Joint) -> Result<Option<JointKind>, ImportError> {
     if let Some(other) = joint.value("mimic", "joint") {
         return Err(problem(
             joint,
-            format!("follows joint `{other}` (mimic) and does not move by itself"),
+            format!("follows joint `{other}` (mimic) and does not move independently"),
         ));
     }
     match joint.kind.as_str() {
@@ -249,7 +249,7 @@ fn origin(joint: &Joint, assumed: &mut Vec<String>) -> Result<Pose, ImportError>
     Ok(Pose::from_parts(Vector3::from(xyz_m).into(), rotation))
 }
 
-/// Lower and upper limit in the configuration's unit; so much to either side where the file has none.
+/// Lower and upper limit in the configuration's unit; `otherwise` to either side if the file has none.
 fn limits(
     joint: &Joint,
     otherwise: f64,
@@ -266,7 +266,7 @@ fn limits(
         _ if low < high && low.is_finite() && high.is_finite() => return limits,
         // What a file without limits gives, too.
         _ if low == 0.0 && high == 0.0 => "no limits in the file, or both are zero".to_owned(),
-        _ => format!("limits of {low} to {high} {unit} in the file, which are no range"),
+        _ => format!("limits of {low} to {high} {unit} in the file, which are not a range"),
     };
     assumed.push(format!("joint `{}` has {found}: +-{otherwise} {unit} are taken", joint.name));
     [-otherwise, otherwise]
@@ -307,7 +307,7 @@ fn transform(pose: &Pose) -> TransformConfig {
 }
 
 impl Imported {
-    /// The configuration as a file that says what its numbers are; `source` is where they come from.
+    /// The configuration as a file with comments; `source` names the URDF.
     pub fn to_toml(&self, source: &str) -> String {
         let Self { config, base, tip, joints, assumed, left_out } = self;
         let quoted = |text: &str| toml::Value::from(text).to_string();

@@ -13,7 +13,7 @@ use crate::statistics::quantile;
 /// One identified parameter beside its true value.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Compared {
-    /// Which.
+    /// Parameter that is compared.
     pub id: ParameterId,
     /// True value, SI; angles are taken within half a turn of the identified one.
     pub truth: f64,

@@ -1,4 +1,4 @@
-//! A robot with known errors that seats the ball on its flange in the sockets of a plate: what a calibration by contact should find.
+//! A robot with known errors that seats the ball on its flange in the sockets of a plate: input and true result of a calibration by contact.
 
 use std::path::{Path, PathBuf};
 
@@ -29,11 +29,11 @@ pub struct ContactExperiment<'a> {
     pub robot: &'a RobotConfig,
     /// Its sockets by their places; none: six on two levels, by the robot's size. The true ones differ by their uncertainty.
     pub sockets: Option<SocketTable>,
-    /// Where the plate's frame stands in the robot's base \[m\]; none: where the robot reaches it in most ways.
+    /// Place of the plate's frame in the robot's base \[m\]; `None`: where the robot reaches it in most ways.
     pub place_m: Option<[f64; 3]>,
     /// The calibration gets the sockets' distances instead of their places.
     pub distances: bool,
-    /// Rows.
+    /// Number of rows.
     pub rows: usize,
     /// What is wrong with the robot.
     pub errors: ArmErrors,

@@ -1,4 +1,4 @@
-//! What spoils real measurements and is in no estimator's geometry. Each effect is one key and one function.
+//! Errors of real measurements beyond the geometry. Each effect is one key and one function.
 
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -47,7 +47,7 @@ const CYCLOID: usize = 1;
 const CYCLOID_SECOND: f64 = 0.25;
 
 impl Effects {
-    /// None at all.
+    /// Without any effects.
     pub const NONE: Self = Self {
         robot_noise_urad: 0.0,
         encoder_noise_urad: 0.0,
@@ -171,7 +171,7 @@ impl Noisy {
     }
 }
 
-/// What the bar's encoders say.
+/// Readings of the bar's encoders.
 pub(super) struct BarReading {
     noisy: Noisy,
     step_rad: f64,
@@ -199,7 +199,7 @@ impl BarReading {
     }
 }
 
-/// What the robot's log says. Gears err at the angle of their output, which rods and bevel gears pass on to joints.
+/// Readings of the robot's log. Gears err at the angle of their output, which rods and bevel gears pass on to joints.
 pub(super) struct RobotReading {
     noisy: Noisy,
     joints_from_gears: DMatrix<f64>,

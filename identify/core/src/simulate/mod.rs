@@ -1,4 +1,4 @@
-//! Experiments from known true parameters: what the bar's encoders and the robot's log would have said.
+//! Simulated experiments with known true parameters: readings of the bar's encoders and the robot's log.
 //!
 //! A path is chosen in the bar's joints ([`crate::plan`]), so the robot moves on the bar's sphere by construction; the robot's
 //! joints follow from the inverse kinematics of its *true* chain. Encoder counts and robot log are then taken of that
@@ -79,9 +79,9 @@ pub struct Experiment<'a> {
     pub added_errors: BTreeMap<String, f64>,
     /// What no estimator models.
     pub effects: Effects,
-    /// Force along the bar, which then gives way and the robot's log has it.
+    /// Force along the bar, which deflects; the robot's log contains the force.
     pub load: BarLoad,
-    /// The two clocks.
+    /// Clocks of bar and robot.
     pub clocks: Clocks,
     /// The path that is driven; none: a random one.
     pub path: Option<PlannedPath>,
@@ -133,20 +133,20 @@ pub enum SimulateError {
         "{robot} has {axes} axes; the ball-bar leads its flange through any pose, which takes six; any arm: `identify simulate contact`"
     )]
     Axes {
-        /// Its name.
+        /// Name of the robot.
         robot: String,
-        /// How many.
+        /// Number of its axes.
         axes: usize,
     },
     /// The thesis' errors are those of another arm.
     #[error("{robot} has {axes} axes, the errors of the thesis are of six; give --errors drawn, or none")]
     ThesisAxes {
-        /// Its name.
+        /// Name of the robot.
         robot: String,
-        /// How many.
+        /// Number of its axes.
         axes: usize,
     },
-    /// No path.
+    /// No path was found.
     #[error(transparent)]
     Plan(#[from] PlanError),
     /// The true robot cannot follow the path.
@@ -164,18 +164,18 @@ pub enum SimulateError {
     Effect {
         /// Key of the effect.
         name: &'static str,
-        /// Its value.
+        /// Value of the size.
         value_urad: f64,
     },
-    /// Nothing is simulated.
+    /// Too few points or rows.
     #[error("there are too few points or rows of a path to simulate; give more")]
     Empty,
-    /// The force is none.
+    /// A size of the force is negative or not finite.
     #[error("load.{name} is {value}; give a finite number that is not negative")]
     Load {
-        /// Its key.
+        /// Key of the size.
         name: &'static str,
-        /// Its value.
+        /// Value of the size.
         value: f64,
     },
 }
@@ -207,7 +207,7 @@ fn random(seed: u64, stream: Stream) -> ChaCha8Rng {
 /// Runs an experiment.
 ///
 /// # Errors
-/// [`SimulateError`] where base, length and robot do not allow a path, or an effect is no number.
+/// [`SimulateError`] where base, length and robot do not allow a path, or an effect is not a number.
 pub fn run(experiment: &Experiment<'_>) -> Result<Simulated, SimulateError> {
     let (path, start_rad) = experiment.drive()?;
     let (truth, motion, load_random) = experiment.motion(path, start_rad)?;

@@ -55,7 +55,7 @@ impl<P: BarPath + ?Sized> BarPath for &P {
 pub struct Motion<P = Path> {
     /// The bar's path.
     pub path: P,
-    /// The true robot.
+    /// Chain of the true robot.
     pub robot: Chain,
     /// The true bar on its true base.
     pub bar: Chain,

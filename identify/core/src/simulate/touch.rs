@@ -1,4 +1,4 @@
-//! A robot with known errors that touches the faces of a block with a tip on its flange: what a calibration by touch should find.
+//! A robot with known errors that touches the faces of a block with a tip on its flange: input and true result of a calibration by touch.
 
 use std::path::{Path, PathBuf};
 
@@ -42,7 +42,7 @@ pub struct TouchExperiment<'a> {
     pub place_m: Option<[f64; 3]>,
     /// The calibration gets distances and angles of the block; without, nothing of it.
     pub known: bool,
-    /// Number of touches.
+    /// Number of touches to simulate.
     pub rows: usize,
     /// What is wrong with the robot.
     pub errors: ArmErrors,

@@ -48,7 +48,7 @@ pub const THESIS_ERRORS: [(&str, f64); 28] = [
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StaticErrors {
-    /// Not at all.
+    /// True and nominal parameters are equal.
     None,
     /// Table 3.1 of the thesis.
     #[default]
@@ -136,16 +136,16 @@ pub struct Truth {
     pub ball_bar: String,
     /// Seed of path, encoder offsets and noise.
     pub seed: u64,
-    /// The clocks.
+    /// Clocks of bar and robot.
     pub clock: ClockTruth,
     /// How the static errors were chosen.
     pub errors: StaticErrors,
-    /// Unmodelled effects.
+    /// Errors beyond the geometry.
     pub effects: Effects,
     /// Force on the bar.
     #[serde(default)]
     pub load: BarLoad,
-    /// Layout and motion.
+    /// Layout of the cell and motion.
     pub design: Design,
     /// Nominal parameters by name \[m|rad\]; `ox`, `oy`, `oz` are those of the design.
     pub nominal: BTreeMap<String, f64>,

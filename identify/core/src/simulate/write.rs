@@ -18,14 +18,14 @@ pub struct SimulationFiles {
     pub recording: PathBuf,
     /// The robot's log.
     pub robot_log: PathBuf,
-    /// The true parameters.
+    /// File of the true parameters.
     pub truth: PathBuf,
 }
 
 /// Why the files cannot be written.
 #[derive(Debug, thiserror::Error)]
 pub enum WriteError {
-    /// The recording.
+    /// The recording was refused.
     #[error(transparent)]
     Recording(#[from] shared::recording::WriteError),
     /// Robot log or truth.

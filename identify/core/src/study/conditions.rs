@@ -1,4 +1,4 @@
-//! What spoils one experiment, by keys.
+//! The conditions of one experiment, by keys.
 
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -23,24 +23,24 @@ pub const CONDITIONS: [(&str, &str); 9] = [
 /// A condition that is none.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ConditionError {
-    /// No such key.
+    /// The key does not exist.
     #[error(
         "`{key}` is not a condition; there are {}, effects of `identify simulate` such as robot_noise_urad, and parameters such as \
          rd3 [mm|mrad]",
         CONDITIONS.map(|(key, _)| key).join(", ")
     )]
     Unknown {
-        /// As given.
+        /// Key as given.
         key: String,
     },
     /// A number that makes no sense there.
     #[error("{key} = {value} makes no sense; {expected}")]
     Value {
-        /// As given.
+        /// Key as given.
         key: String,
-        /// As given.
+        /// Value as given.
         value: f64,
-        /// What does.
+        /// Valid values.
         expected: &'static str,
     },
 }
@@ -54,7 +54,7 @@ impl ConditionError {
     }
 }
 
-/// What is so in one experiment.
+/// The conditions of one experiment.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Conditions {
     /// Pairs of robot and bar angles.
@@ -67,7 +67,7 @@ pub struct Conditions {
     pub errors: StaticErrors,
     /// Of single parameters, on top \[mm|mrad\].
     pub added_errors: BTreeMap<String, f64>,
-    /// On the angles.
+    /// Errors of the angles.
     pub effects: Effects,
     /// On the bar's length.
     pub load: BarLoad,
@@ -75,7 +75,7 @@ pub struct Conditions {
     pub wire_rows: usize,
     /// White noise of its lengths, standard deviation \[m\].
     pub wire_noise_m: f64,
-    /// The bar's angles are those of so much later \[s\].
+    /// The bar's angles are those of this much later \[s\].
     pub time_difference_s: f64,
 }
 

@@ -30,7 +30,7 @@ pub enum LoadError {
         /// The robot's name.
         robot: String,
     },
-    /// There is no path in the robot's log.
+    /// The robot's log has no path on a sphere.
     #[error(transparent)]
     Reference(#[from] ReferenceError),
 }
@@ -39,7 +39,7 @@ pub enum LoadError {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Definition {
-    /// What is varied.
+    /// The study's file.
     pub study: StudyFile,
     /// The robot, nominal.
     pub robot: RobotConfig,

@@ -1,4 +1,4 @@
-//! The file of a study: what is varied, who estimates, and what is asked of the result.
+//! The file of a study: varied conditions, estimators, and questions about the result.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -10,7 +10,7 @@ use super::Conditions;
 use crate::calibrate::IdentifyConfig;
 use crate::plan::DURATION_S_MIN;
 
-/// A study.
+/// The file of a study.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StudyFile {
@@ -32,16 +32,16 @@ pub struct StudyFile {
     pub points: u32,
     /// Length of a random path \[s\].
     pub duration_s: f64,
-    /// Where the bar stands in the second half of an experiment with two stations \[m\].
+    /// Place of the bar in the second half of an experiment with two stations \[m\].
     #[serde(default)]
     pub second_base_m: Option<[f64; 3]>,
     /// Error that is still acceptable \[mm|mrad\].
     pub limit_mm_mrad: f64,
-    /// Who estimates.
+    /// Estimators by which experiments are solved.
     pub estimators: Vec<Estimator>,
-    /// What is varied.
+    /// Figures with their varied conditions.
     pub figures: Vec<Figure>,
-    /// What is asked of the result.
+    /// Questions about the result.
     #[serde(default)]
     pub statements: Vec<Statement>,
 }
@@ -64,7 +64,7 @@ pub struct PathChoice {
 pub struct Estimator {
     /// By which figures name it.
     pub name: String,
-    /// For people.
+    /// Name for display.
     pub label: String,
     /// What it estimates from.
     #[serde(default)]
@@ -116,7 +116,7 @@ pub enum Measure {
 }
 
 impl Measure {
-    /// All of them.
+    /// All three measures.
     pub const ALL: [Self; 3] = [Self::Euclidean, Self::Largest, Self::Position];
 
     /// For people, with its unit.
@@ -133,9 +133,9 @@ impl Measure {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Figure {
-    /// Its number.
+    /// Number of the figure.
     pub id: String,
-    /// What it shows.
+    /// Title of the figure.
     pub title: String,
     /// What the thesis says of it, in our words.
     #[serde(default)]
@@ -143,7 +143,7 @@ pub struct Figure {
     /// How it is shown.
     #[serde(default)]
     pub kind: Kind,
-    /// What is drawn.
+    /// Measure that is drawn.
     #[serde(default)]
     pub measure: Measure,
     /// What is varied, with its unit.
@@ -162,12 +162,12 @@ pub struct Series {
     /// Empty where the figure has only one.
     #[serde(default)]
     pub name: String,
-    /// Sizes.
+    /// Sizes of the varied conditions.
     pub x: Vec<f64>,
-    /// Condition by key: so much for each unit of the size.
+    /// Condition by key, per unit of the size.
     #[serde(default)]
     pub vary: BTreeMap<String, f64>,
-    /// Conditions that stay.
+    /// Constant conditions by key.
     #[serde(default)]
     pub with: BTreeMap<String, f64>,
     /// Who estimates here; absent: those of the figure.
@@ -189,24 +189,24 @@ pub struct Choice {
     /// Of these sizes, from and to; absent: of all.
     #[serde(default)]
     pub between: Option<[f64; 2]>,
-    /// What is counted.
+    /// Measure of the error.
     #[serde(default)]
     pub measure: Measure,
 }
 
-/// Something that a study is asked: the geometric mean of a curve's medians, or its ratio to that of another one at the same
+/// A question or claim: the geometric mean of a curve's medians, or its ratio to that of another one at the same
 /// sizes, or the size at which the curve reaches the limit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Statement {
     /// The question, or what is claimed.
     pub text: String,
-    /// The curve.
+    /// Curve of the question.
     pub of: Choice,
     /// Another one to compare with.
     #[serde(default)]
     pub against: Option<Choice>,
-    /// The size at which the curve reaches the study's limit is asked for.
+    /// The question is at which size the curve reaches the study's limit.
     #[serde(default)]
     pub reaches_limit: bool,
     /// It is claimed that the value is at least this.
@@ -234,7 +234,7 @@ impl StudyFile {
         self.estimators.iter().find(|one| one.name == name)
     }
 
-    /// Leaves out all other figures, and what is asked of them; all stay where none is named.
+    /// Removes all other figures and the questions about them; keeps all if none is named.
     ///
     /// # Errors
     /// [`UnknownFigure`].
@@ -263,7 +263,7 @@ impl StudyFile {
             if series.x.is_empty() || series.x.iter().any(|x| !x.is_finite()) {
                 return Err(Violation::new(
                     key("x"),
-                    "no sizes, or one that is no number",
+                    "no sizes, or one that is not a finite number",
                     "give finite numbers",
                 ));
             }

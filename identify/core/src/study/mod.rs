@@ -1,9 +1,9 @@
-//! `identify study`: simulated experiments by the thousand, and what each estimator makes of them.
+//! `identify study`: thousands of simulated experiments, and the errors of each estimator.
 //!
-//! A `file` says which errors are varied in which figure and who estimates. It is one flat, numbered list of [`Trial`]s: each
-//! spoils a path in one way (`conditions`, `reference`), asks every estimator of its figure, and is a line of `results`, which
-//! only grows. So a study that was killed goes on where it was, machines share it by numbers, and what they find is put
-//! together by writing it one after the other. `summary` is what is seen in all of it; nothing in it depends on the order.
+//! A `file` defines the varied errors and the estimators of each figure. It is one flat, numbered list of [`Trial`]s: each adds errors
+//! to a path (`conditions`, `reference`), solves with every estimator of its figure, and is a line of `results`, which are only
+//! appended to. So a study that was killed continues where it stopped, machines share it by numbers, and their files are merged by
+//! concatenation. `summary` has curves, tables and answers; nothing in it depends on the order.
 
 mod conditions;
 mod definition;

@@ -1,4 +1,4 @@
-//! The path that experiments follow before they are spoiled.
+//! The path of experiments before errors are added.
 
 use nalgebra::{Translation3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -30,13 +30,13 @@ pub enum Reference {
     Random,
     /// The random one of this seed for all.
     Same(u64),
-    /// Planned.
+    /// `path.toml` of `identify plan`.
     Planned(PlannedPath),
     /// Driven by a real robot.
     Driven(Driven),
 }
 
-/// Why a log is no path.
+/// Why a log has no path.
 #[derive(Debug, thiserror::Error)]
 pub enum ReferenceError {
     /// The robot was not on the bar.

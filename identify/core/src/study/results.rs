@@ -20,10 +20,10 @@ const NAME: &str = "trials.jsonl";
 /// Why results cannot be read or kept.
 #[derive(Debug, thiserror::Error)]
 pub enum ResultsError {
-    /// The system refused.
+    /// The operating system refused.
     #[error("cannot use {}: {source}; check the directory and free space", path.display())]
     Io {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
         /// What the system said.
         source: io::Error,
@@ -31,17 +31,17 @@ pub enum ResultsError {
     /// The file is none of ours.
     #[error("{}, line {line}: {reason}; move the file away, or give another --out", path.display())]
     Malformed {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// From 1.
+        /// Number of the line, from 1.
         line: usize,
-        /// What is wrong.
+        /// Why it cannot be read.
         reason: String,
     },
     /// It is that of something else.
     #[error("{} has the results of another study or version of this program; give another --out", path.display())]
     OtherStudy {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
     },
     /// Not all shards are there.
@@ -49,14 +49,14 @@ pub enum ResultsError {
         "{missing} of {wanted} experiments are missing, the first is number {first}; merge all shards, and let each end first"
     )]
     Missing {
-        /// How many.
+        /// Number of missing experiments.
         missing: usize,
-        /// Of how many.
+        /// Number of all experiments.
         wanted: usize,
         /// The first of them.
         first: usize,
     },
-    /// Nothing to merge.
+    /// No directory to merge.
     #[error("no shard was given; name the directories of all")]
     NoShard,
     /// A number does not fit JSON.
@@ -152,7 +152,7 @@ pub struct Share {
 }
 
 impl Share {
-    /// All experiments.
+    /// Share of all experiments.
     pub const WHOLE: Self = Self { number: 1, of: 1 };
 
     /// An experiment belongs to it.
@@ -169,7 +169,7 @@ impl FromStr for Share {
             text.split_once('/').and_then(|(number, of)| Some((number.parse().ok()?, of.parse().ok()?)));
         match parsed {
             Some((number, of)) if number >= 1 && number <= of => Ok(Self { number, of }),
-            _ => Err(format!("`{text}` is no share; give number and count, such as 3/16")),
+            _ => Err(format!("`{text}` is not a share; give number and count, such as 3/16")),
         }
     }
 }
@@ -184,7 +184,7 @@ pub struct Results {
 }
 
 impl Results {
-    /// Opens or begins the file of a directory. A last line that was not written to its end is cut off.
+    /// Opens or creates the file of a directory. An incomplete last line is cut off.
     ///
     /// # Errors
     /// [`ResultsError`].
@@ -224,7 +224,7 @@ impl Results {
         Ok(())
     }
 
-    /// Puts the file in order, in one go.
+    /// Sorts the file and replaces it atomically.
     ///
     /// # Errors
     /// [`ResultsError`].
@@ -263,7 +263,7 @@ pub fn merge(shards: &[PathBuf], out: &Path) -> Result<(Definition, Results), Re
         let path = shard.join(NAME);
         let file = File::open(&path).map_err(refused(&path))?;
         let Some((definition, done)) = read(&path, &file)?.1 else {
-            return Err(ResultsError::Malformed { path, line: 1, reason: "there is no study in it".into() });
+            return Err(ResultsError::Malformed { path, line: 1, reason: "it has no study".into() });
         };
         match &mut all {
             None => all = Some((definition, done)),

@@ -1,4 +1,4 @@
-//! What is seen in the results: curves, tables, and the answers to what the study asks.
+//! Summary of the results: curves, tables, and answers.
 
 use std::collections::BTreeMap;
 
@@ -22,7 +22,7 @@ pub struct Spread {
     pub lower_quartile: f64,
     /// Three quarters of them are better.
     pub upper_quartile: f64,
-    /// The worst.
+    /// Largest of all.
     pub worst: f64,
 }
 
@@ -36,13 +36,13 @@ impl Spread {
 /// All experiments of one size.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CurvePoint {
-    /// The size.
+    /// Size of the varied conditions.
     pub x: f64,
     /// How many were made.
     pub experiments: usize,
     /// How many of them gave no estimate.
     pub failed: usize,
-    /// Errors of those that did; none where more than half failed.
+    /// Errors of the others; empty if half or more failed.
     pub errors: BTreeMap<Measure, Spread>,
 }
 
@@ -53,7 +53,7 @@ pub struct Curve {
     pub figure: String,
     /// The series' name.
     pub series: String,
-    /// Who estimates.
+    /// Name of the estimator.
     pub estimator: String,
     /// The same for people.
     pub label: String,
@@ -73,7 +73,7 @@ pub enum Reach {
     BetterUpTo(f64),
     /// All sizes are worse, down to this one.
     WorseDownTo(f64),
-    /// There is no curve.
+    /// The curve is empty.
     Unknown,
 }
 
@@ -86,9 +86,9 @@ pub struct Finding {
     pub answer: String,
     /// The number in it.
     pub value: Option<f64>,
-    /// The claim holds; none where nothing is claimed.
+    /// The claim holds; `None` for a question.
     pub holds: Option<bool>,
-    /// What explains it.
+    /// Explanation of the answer.
     pub why: String,
 }
 
@@ -99,11 +99,11 @@ pub struct FigureTable {
     pub figure: String,
     /// Heads of its columns.
     pub head: Vec<String>,
-    /// Its rows.
+    /// Cells of each row.
     pub rows: Vec<Vec<String>>,
 }
 
-/// All that is seen.
+/// Curves, tables and answers.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Summary {
     /// The study's name.
@@ -121,7 +121,7 @@ pub struct Summary {
 }
 
 impl Summary {
-    /// Of all that is there.
+    /// Of all results.
     pub fn new(definition: &Definition, results: &Results) -> Self {
         let study = &definition.study;
         let placed: Vec<Placed<'_>> = results.placed(definition).collect();

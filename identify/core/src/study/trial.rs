@@ -1,4 +1,4 @@
-//! One experiment of a study, and what every estimator makes of it.
+//! One experiment of a study, and the result of every estimator.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -24,11 +24,11 @@ use crate::simulate::{Comparison, position_errors_m};
 pub struct Trial<'a> {
     /// Its place in the list of all.
     pub number: usize,
-    /// What is shown.
+    /// Figure that it belongs to.
     pub figure: &'a Figure,
-    /// What is varied.
+    /// Series that it belongs to.
     pub series: &'a Series,
-    /// Its size.
+    /// Size of the varied conditions.
     pub x: f64,
     /// Seed of path and noise, from 1.
     pub seed: u32,
@@ -45,7 +45,7 @@ pub fn trials(definition: &Definition) -> impl Iterator<Item = Trial<'_>> {
     all.enumerate().map(|(number, (figure, series, x, seed))| Trial { number, figure, series, x, seed })
 }
 
-/// Simulates one and asks its estimators. What cannot be estimated is a row with its reason.
+/// Simulates one and solves it with its estimators. A failed estimate is a row with its reason.
 pub fn run(definition: &Definition, trial: &Trial<'_>) -> TrialRows {
     let study = &definition.study;
     let names = study.estimators_of(trial.figure, trial.series);

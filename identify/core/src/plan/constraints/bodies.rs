@@ -1,4 +1,4 @@
-//! What must not touch: the robot's links, the rod and the plate as capsules, boxes of the cell, the floor.
+//! Bodies that must not touch: the robot's links, the rod and the plate as capsules, boxes of the cell, the floor.
 //!
 //! Distances are those of `parry3d`. Links are capsules between the frames of the Denavit-Hartenberg table, all of one
 //! radius: no data sheet has more in numbers. The links next to what they carry always touch it and are not compared.
@@ -13,10 +13,10 @@ use crate::kinematics::{Chain, DhLink, Joints, Pose, ROD_LINK};
 
 /// The last links turn where they stand: the plate and the rod's end are theirs.
 const WRIST_LINKS: usize = 2;
-/// A move is looked at again after no less than this, where next to nothing is kept clear \[m\].
+/// Shortest step between two checked postures of a move \[m\].
 const ADVANCE_M_MIN: f64 = 1e-3;
 
-/// Sizes of what must not touch.
+/// Sizes of the bodies.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Bodies {
     /// Of the robot's links \[m\].
@@ -25,13 +25,13 @@ pub struct Bodies {
     pub rod_radius_m: f64,
     /// Boxes with edges along the robot's base frame: two opposite corners \[m\].
     pub boxes_m: Vec<[[f64; 3]; 2]>,
-    /// Height of the floor in the robot's base frame \[m\]; none where nothing can reach it.
+    /// Height of the floor in the robot's base frame \[m\]; `None` if nothing can reach it.
     pub floor_m: Option<f64>,
     /// Least distance between any two \[m\].
     pub clearance_m_min: f64,
 }
 
-/// Where the middles of an arm's links are in one pose \[m\].
+/// Middle lines of an arm's links in one pose \[m\].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Skeleton {
     /// Each link: where it begins, along its joint's axis, where it ends.

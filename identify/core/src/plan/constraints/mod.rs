@@ -1,5 +1,4 @@
-//! What a path must keep to: where robot and bar are comfortable, how fast and hard the robot may move, and what must not
-//! touch.
+//! Constraints of a path: singular postures, joint limits, speed, acceleration, and collisions.
 
 mod bodies;
 
@@ -12,7 +11,7 @@ use crate::kinematics::{
     Chain, InverseError, Joints, Pose, Trace, Tracer, robot_inverse_centred, singularity_margin_rad,
 };
 
-/// Time between two poses of a path that are looked at while it is planned \[s\].
+/// Time between two poses of a path that are checked while it is planned \[s\].
 pub const LOOK_S: f64 = 0.05;
 
 /// What makes a pose or a motion unusable.
@@ -57,7 +56,7 @@ impl std::fmt::Display for Obstacle {
     }
 }
 
-/// Nominal robot and bar, and what their motion must keep to.
+/// Nominal robot and bar, and the constraints of their motion.
 #[derive(Debug, Clone)]
 pub struct Constraints<'a> {
     robot: &'a Chain,
@@ -67,11 +66,11 @@ pub struct Constraints<'a> {
     pub limits: Vec<[f64; 2]>,
     /// With the design's margin taken off.
     limits_rad: Vec<[f64; 2]>,
-    /// Margins and speeds.
+    /// Margins and highest speeds.
     pub design: &'a Design,
-    /// Highest acceleration of a robot joint \[rad/s²\]; infinite where none is asked for.
+    /// Highest acceleration of a robot joint \[rad/s²\]; infinite if there is no limit.
     pub acceleration_rad_s2: f64,
-    /// What must not touch; none where nothing is known of it.
+    /// Bodies that must not touch, if they are known.
     pub bodies: Option<Bodies>,
 }
 
@@ -92,18 +91,18 @@ impl<'a> Constraints<'a> {
         }
     }
 
-    /// The same with what must not touch, and with the highest acceleration of a robot joint \[rad/s²\].
+    /// The same with bodies that must not touch, and with the highest acceleration of a robot joint \[rad/s²\].
     #[must_use]
     pub fn with(self, bodies: Option<Bodies>, acceleration_rad_s2: f64) -> Self {
         Self { bodies, acceleration_rad_s2, ..self }
     }
 
-    /// The nominal robot.
+    /// Chain of the nominal robot.
     pub fn robot(&self) -> &'a Chain {
         self.robot
     }
 
-    /// The nominal bar.
+    /// Chain of the nominal bar.
     pub fn bar_chain(&self) -> &'a Chain {
         self.bar
     }
@@ -111,7 +110,7 @@ impl<'a> Constraints<'a> {
     /// The robot's joints at a bar posture, the solution nearest to `near_rad`, if both are comfortable there.
     ///
     /// # Errors
-    /// What is in the way.
+    /// The violated constraint.
     pub fn robot_at(&self, bar_rad: &[f64; 5], near_rad: &[f64]) -> Result<Joints, Obstacle> {
         if singularity_margin_rad(bar_rad) < self.design.bar_margin_deg.to_radians() {
             return Err(Obstacle::BarSingularity);
@@ -132,7 +131,7 @@ impl<'a> Constraints<'a> {
     /// Joint limits, singular postures and bodies.
     ///
     /// # Errors
-    /// What is in the way.
+    /// The violated constraint.
     pub fn robot_is_comfortable(&self, robot_rad: &Joints) -> Result<(), Obstacle> {
         if !robot_rad.iter().zip(&self.limits_rad).all(|(q, [low, high])| (*low..=*high).contains(q)) {
             return Err(Obstacle::JointLimit);
@@ -179,7 +178,7 @@ impl<'a> Constraints<'a> {
     /// nearest to `near_rad`.
     ///
     /// # Errors
-    /// What is in the way first.
+    /// The constraint that is violated first.
     pub fn follow(
         &self,
         path: &Path,
