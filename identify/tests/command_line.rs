@@ -258,7 +258,7 @@ fn numbers_that_no_clock_and_no_table_has_are_refused_and_a_page_is_no_log() {
     let inspect = ["inspect", page.to_str().unwrap(), "--robot"];
     let robot = repository("config/robots").join(IRB);
     let output = Command::new(env!("CARGO_BIN_EXE_identify")).args(inspect).arg(robot).output().unwrap();
-    fails(&output, &["a page for a browser, no log"]);
+    fails(&output, &["a web page, not a log"]);
 }
 
 /// The experiment's counters as the thesis' program wrote them: a date and the counters of joints 1, 2, 4 and 5, no header.

@@ -1,7 +1,7 @@
-//! What people see of a calibration: [`commands`] is what a person types, [`report`] what comes of it; [`inspect`] says what a
-//! file contains, [`examine`] what a cost can identify.
+//! The user interface of a calibration: [`commands`] is the command line, [`report`] the results; [`inspect`] lists the content of
+//! files, [`examine`] what a cost can identify.
 
-// A reader of standard output that has gone must end nothing: commands print with `say` and `show`.
+// A closed standard output must not end a command: print with `say` and `show`.
 #![warn(clippy::print_stdout)]
 
 pub mod commands;

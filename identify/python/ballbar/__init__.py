@@ -130,7 +130,7 @@ class Calibration:
         try:
             self.file = json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
-            raise Error(f"{path} is no calibration: {error}; give the directory that `identify calibrate` wrote") from error
+            raise Error(f"{path} is not a calibration: {error}; give the directory that `identify calibrate` wrote") from error
         robot = robot or self._input("robot")
         if robot is None:
             raise Error(f"{path} does not name its robot's configuration; give robot=")

@@ -69,7 +69,7 @@ fn run(py: Python<'_>, words: Vec<OsString>) -> PyResult<(String, String)> {
     Ok((said, warnings.text()))
 }
 
-/// What was written, for whoever asks.
+/// Collects log lines.
 #[derive(Clone, Default)]
 struct Lines(Arc<Mutex<Vec<u8>>>);
 
@@ -173,7 +173,7 @@ fn pose_of(matrix: &[f64]) -> PyResult<Pose> {
         && position.iter().all(|number| number.is_finite())
         && (0..4).all(|column| at(3, column) == f64::from(u8::from(column == 3)));
     if !is_pose {
-        return Err(Error::new_err("a pose is no homogeneous matrix [R p; 0 0 0 1] with a rotation R"));
+        return Err(Error::new_err("a pose is not a homogeneous matrix [R p; 0 0 0 1] with a rotation R"));
     }
     Ok(Pose::from_parts(position.into(), Rotation3::from_matrix_unchecked(rotation)))
 }
@@ -192,7 +192,7 @@ struct Columns {
     angle_rad: Py<PyBytes>,
     /// Time \[ns\], cycle, kind, words.
     events: Vec<(i64, u64, String, String)>,
-    /// Metadata as JSON.
+    /// Metadata of the run as JSON.
     run: String,
     /// How it ended, as JSON.
     end: String,

@@ -71,25 +71,25 @@ pub struct CommonArguments {
     result: ResultArguments,
 }
 
-/// A name that some model has.
+/// A name that exists in some model.
 fn parameter_name(name: &str) -> Result<String, ModelError> {
     name.parse::<ParameterId>().map(|_| name.to_owned())
 }
 
 impl CommonArguments {
-    /// Nothing measured yet on the robot, and how it is calibrated.
+    /// An experiment without data sets.
     fn experiment(&self) -> anyhow::Result<Experiment> {
         Ok(Experiment::new(&self.robot, self.identify_config()?))
     }
 
-    /// The configuration file with what was typed on top of it.
+    /// The configuration file, overridden by the options.
     fn identify_config(&self) -> anyhow::Result<IdentifyConfig> {
         let Self { free, fix, .. } = self;
         let file = self.config.as_deref();
         let mut config: IdentifyConfig = file.map_or_else(|| Ok(IdentifyConfig::default()), config::load)?;
         config.loss = self.loss.or(config.loss);
         config.require_mm = self.result.require.or(config.require_mm);
-        // What is typed counts more than the file.
+        // Options override the file.
         if let Some(both) = fix.iter().find(|name| free.contains(name)) {
             anyhow::bail!("{both} is in --free and in --fix; leave it out of one");
         }
@@ -101,7 +101,7 @@ impl CommonArguments {
     }
 }
 
-/// Where a result goes, what is asked of it, and how much of it is printed.
+/// Directory of the results, required accuracy, and how much is printed.
 #[derive(Debug, Clone, Args)]
 pub struct ResultArguments {
     /// Directory for all results: report.html, calibration.toml, corrections.csv and others
@@ -120,7 +120,7 @@ fn millimetres(text: &str) -> Result<f64, String> {
     let number = text.strip_suffix("mm").unwrap_or(text).trim().parse::<f64>().ok();
     number
         .filter(|mm| mm.is_finite() && *mm > 0.0)
-        .ok_or_else(|| format!("`{text}` is no length above zero; give millimetres, such as 0.2mm"))
+        .ok_or_else(|| format!("`{text}` is not a length above zero; give millimetres, such as 0.2mm"))
 }
 
 /// What calibrations from tables of measured rows have in common.

@@ -21,7 +21,7 @@ pub struct ExamineArguments {
     /// Costs to examine; default: all
     #[arg(long, value_delimiter = ',')]
     cost: Vec<CostName>,
-    /// Random poses
+    /// Number of random poses
     #[arg(long, default_value_t = 300, value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..=100_000))]
     poses: usize,
     /// Seed of the poses

@@ -27,7 +27,7 @@ pub struct InspectArguments {
     /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16: how its log becomes joint angles
     #[arg(long, value_name = "FILE")]
     robot: Option<PathBuf>,
-    /// The bar's configuration, such as config/ball_bar.toml: says how counters of other programs become angles
+    /// The bar's configuration, such as config/ball_bar.toml: how counters of other programs become angles
     #[arg(long, value_name = "FILE")]
     bar: Option<PathBuf>,
     /// Kind of the robot's logs; default: recognised by their content
@@ -55,7 +55,7 @@ pub struct InspectArguments {
     propose: Option<PathBuf>,
 }
 
-/// What was read of the arguments' files.
+/// Content of the files that the options name.
 struct Settings {
     robot: Option<RobotConfig>,
     log_options: LogOptions,
@@ -141,7 +141,7 @@ pub fn run(arguments: &InspectArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Writes a mapping for a table and says what it rests on.
+/// Writes a mapping for a table and prints its reasons.
 fn propose(path: &Path, robot: &RobotConfig, out: &Path) -> anyhow::Result<()> {
     let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
     let text = inspect::propose(&bytes, path, robot)?.to_toml()?;
@@ -177,7 +177,7 @@ impl Settings {
         };
         anyhow::ensure!(
             !begins("<!doctype html") && !begins("<html"),
-            "it is a page for a browser, no log or recording; open it in one"
+            "it is a web page, not a log or recording; open it in a browser"
         );
         let is_of_bar = OtherBarLog::is_usual_table(&bytes);
         let of_bar = self.bar.as_ref().map(|bar| {
@@ -201,9 +201,9 @@ impl Settings {
                 "{}; for a table of another layout --propose FILE writes a mapping",
                 refusals.join("; ").trim_end_matches('.')
             ),
-            _ if is_of_bar => anyhow::bail!("it has counters of the bar; say with --bar which bar's"),
+            _ if is_of_bar => anyhow::bail!("it has counters of the bar; give its bar with --bar"),
             _ => anyhow::bail!(
-                "it is no recording; if it is a log, say with --robot which robot's, or with --bar which bar's"
+                "it is not a recording; if it is a log, give its robot with --robot, or its bar with --bar"
             ),
         }
     }

@@ -1,4 +1,4 @@
-//! What a person types.
+//! The command line.
 
 mod calibrate;
 mod compare;
@@ -34,7 +34,7 @@ pub struct Arguments {
 enum Command {
     /// Identify the robot's geometry.
     Calibrate(Box<calibrate::CalibrateArguments>),
-    /// Say what each cost can identify on a robot and a bar, before anything is measured.
+    /// List what each cost can identify on a robot and a bar, before anything is measured.
     Examine(examine::ExamineArguments),
     /// Show what is in recordings and robot logs, and what is suspicious in them.
     Inspect(inspect::InspectArguments),
@@ -53,11 +53,11 @@ enum Command {
 }
 
 impl Arguments {
-    /// What was typed, the program's name first. `identify calibrate --recording ..` means the ball-bar,
+    /// Parses the words of a command line, the program's name first. `identify calibrate --recording ..` means the ball-bar,
     /// `identify calibrate --experiment ..` whatever the file says, `identify plan --robot ..` a path, `identify simulate --robot ..` the ball-bar.
     ///
     /// # Errors
-    /// clap's own, with what to type; help and version are errors, too.
+    /// Those of clap; help and version are errors, too.
     pub fn typed(words: impl IntoIterator<Item = OsString>) -> Result<Self, clap::Error> {
         let mut words: Vec<OsString> = words.into_iter().collect();
         let is_option = |word: &OsString| word.to_str().is_some_and(|word| word.starts_with("--"));
@@ -95,7 +95,7 @@ fn ensure_can_write(directory: &Path) -> anyhow::Result<()> {
     })
 }
 
-/// Does what was typed; an error's text is meant for a person.
+/// Runs a command; an error's text is meant for the user.
 pub fn run(arguments: Arguments) -> anyhow::Result<()> {
     match arguments.command {
         Command::Calibrate(arguments) => calibrate::run(&arguments),

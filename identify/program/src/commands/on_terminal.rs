@@ -8,20 +8,20 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use crate::solver::{Progress, Watch};
 
-/// Somebody pressed Ctrl-C.
+/// Ctrl-C was pressed.
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 static HANDLER: OnceLock<()> = OnceLock::new();
 /// The command that runs polls it and ends with what it has.
 static POLLED: AtomicBool = AtomicBool::new(false);
-/// What is shown, so that Ctrl-C leaves a clean line.
+/// The visible bar, so that Ctrl-C leaves a clean line.
 static SHOWN: Mutex<Option<ProgressBar>> = Mutex::new(None);
 
 /// Exit code of a program that Ctrl-C ended, as shells have it.
 const EXIT_INTERRUPTED: i32 = 130;
-/// A solve that is over before this shows nothing.
+/// A shorter solve shows no progress.
 const PATIENCE: Duration = Duration::from_millis(500);
 
-/// Ends the command that runs, as Ctrl-C does, or lets the next one go on.
+/// Ends the running command, as Ctrl-C does, or lets the next one run.
 pub fn interrupt(ends: bool) {
     INTERRUPTED.store(ends, Ordering::Relaxed);
 }

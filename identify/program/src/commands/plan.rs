@@ -71,7 +71,7 @@ struct Cell {
     calibration: Option<PathBuf>,
 }
 
-/// What must not touch.
+/// Objects that the robot must not touch.
 #[derive(Debug, Args)]
 struct Around {
     /// Something in the cell, a box with edges along the robot's base frame: two opposite corners [m]
@@ -92,9 +92,9 @@ fn above_zero(option: &str, value: f64) -> anyhow::Result<()> {
 
 /// From the last axis, a place for a target that shows its turn \[m\].
 const OFF_AXIS_M: f64 = 0.1;
-/// No cell is larger \[m\].
+/// Largest coordinate in a cell \[m\].
 const CELL_M_MAX: f64 = 100.0;
-/// No robot of these gets further \[m\].
+/// Largest coordinate that a robot reaches \[m\].
 const REACH_M_MAX: f64 = 10.0;
 
 /// Coordinates as typed are finite, and of a size that metres have.
@@ -192,7 +192,7 @@ struct PosesArguments {
     /// where no free way to one of the poses was found: the table marks it, and programs stop there
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Poses to choose
+    /// Number of poses to choose
     #[arg(long, default_value_t = 50)]
     count: usize,
     /// A table of poses that the robot reaches, to choose from; default: random ones within half a turn of its joints
@@ -209,7 +209,7 @@ struct PosesArguments {
     /// Reflector, middle of the probe, or the wire's end in the flange's frame [m]
     #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true, default_value = "0,0,0.1")]
     target: [f64; 3],
-    /// Of a wire: where it comes out, in the robot's base frame [m]
+    /// Outlet of a wire in the robot's base frame [m]
     #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
     anchor: Option<[f64; 3]>,
     /// Of a coordinate or a length, one standard deviation, with what the robot repeats worse than that [mm]
@@ -238,7 +238,7 @@ struct CheckArguments {
     cell: Cell,
 }
 
-/// Robot, bar and what is in the way, as configured.
+/// Robot, bar and obstacles, as configured.
 struct Loaded {
     robot: RobotConfig,
     bar: BallBarConfig,
@@ -389,13 +389,13 @@ fn find(arguments: &PathArguments) -> anyhow::Result<()> {
     })
 }
 
-/// Before anything is looked for: what was asked for will be there.
+/// Checks before the search that the programs can be written.
 fn can_be_written(asked: &[Language], robot: &RobotConfig) -> anyhow::Result<()> {
     asked.iter().try_for_each(|language| plan::can_be_programmed(*language, robot)).context("--program")
 }
 
-/// Writes the programs that were asked for, or that of the robot's maker. What was asked for must be there; what goes without
-/// saying is left out with its reason.
+/// Writes the requested programs, or that of the robot's maker. A requested one that cannot be written is an error; without a request
+/// the reason is printed.
 fn programs(
     asked: &[Language],
     robot: &RobotConfig,
@@ -433,11 +433,11 @@ fn poses(arguments: &PosesArguments) -> anyhow::Result<()> {
     );
     anyhow::ensure!(
         anchor.is_some() == (*measures == Measures::Lengths),
-        "--anchor is where a wire comes out; give it with --measures lengths, and with no other"
+        "--anchor is the outlet of a wire; give it with --measures lengths, and with no other"
     );
     anyhow::ensure!(
         arguments.mapping.is_none() || arguments.candidates.is_some(),
-        "--mapping says which columns of --candidates are the joints; give both or none"
+        "--mapping names the columns of --candidates that are joints; give both or none"
     );
     in_metres("target", &arguments.target, REACH_M_MAX)?;
     in_metres("anchor", anchor.as_ref().map_or(&[], |anchor| anchor), CELL_M_MAX)?;
@@ -505,10 +505,10 @@ fn write(path: &Path, text: &str) -> anyhow::Result<()> {
 
 fn place(arguments: &PlaceArguments) -> anyhow::Result<()> {
     let Cell { base, calibration, .. } = &arguments.cell;
-    anyhow::ensure!(base.is_none(), "--base is what is looked for; leave it out");
+    anyhow::ensure!(base.is_none(), "--base is the result of this command; leave it out");
     anyhow::ensure!(
         calibration.is_none(),
-        "places are compared for a robot that nothing is known of; leave --calibration out"
+        "places are compared for an uncalibrated robot; leave --calibration out"
     );
     let mut loaded = arguments.cell.load(arguments.criterion)?;
     loaded.design.duration_s = arguments.duration.as_secs_f64();

@@ -25,7 +25,7 @@ enum Errors {
     None,
 }
 
-/// What is simulated unless something else is asked for.
+/// Default sizes of the effects.
 const LABORATORY: Effects = Effects::LABORATORY;
 
 /// What is simulated; an option without a word before it is one of the ball-bar.
@@ -95,7 +95,7 @@ struct ContactArguments {
     /// Write the sockets' distances into sockets.toml instead of their places
     #[arg(long)]
     distances: bool,
-    /// Number of poses
+    /// Number of poses to simulate
     #[arg(long, value_name = "N", default_value_t = 200)]
     rows: usize,
     /// How well the ball finds its seat, standard deviation along each axis [um]
@@ -113,7 +113,7 @@ struct TouchArguments {
     /// Write a table of faces of which nothing is known
     #[arg(long)]
     unknown: bool,
-    /// Number of touches
+    /// Number of touches to simulate
     #[arg(long, value_name = "N", default_value_t = 300)]
     rows: usize,
     /// How well a touch is found, standard deviation [um]
@@ -162,7 +162,7 @@ struct BarArguments {
     /// How much faster the robot's clock runs [ppm]
     #[arg(long, value_name = "PPM", default_value_t = 25.0, allow_hyphen_values = true)]
     skew_ppm: f64,
-    /// None of the effects below: what is left of the errors is the estimator's own
+    /// None of the effects below, to test the estimator alone
     #[arg(long, conflicts_with_all = Effects::KEYS)]
     exact: bool,
     /// White noise of each robot joint [urad]
@@ -210,13 +210,13 @@ struct BarArguments {
 pub(super) fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
     let numbers: Vec<f64> = text
         .split(',')
-        .map(|number| number.trim().parse().map_err(|_| format!("`{number}` is no number")))
+        .map(|number| number.trim().parse().map_err(|_| format!("`{number}` is not a number")))
         .collect::<Result<_, String>>()?;
     let count = numbers.len();
     numbers.try_into().map_err(|_| format!("{count} numbers are given, {N} belong here"))
 }
 
-/// No clock runs so badly [ppm].
+/// Largest difference of the rates of two clocks [ppm].
 const SKEW_PPM_MAX: f64 = 1e4;
 /// Clocks count nanoseconds since 1970 in 64 bits, up to the year 2262; a run of any length is to fit in [s].
 const CLOCK_S_MAX: f64 = 9e9;

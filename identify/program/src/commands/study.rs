@@ -35,8 +35,8 @@ pub struct StudyArguments {
     /// config/studies/thesis.toml
     #[arg(value_name = "STUDY", required = true)]
     study: Option<String>,
-    /// Directory for trials.jsonl, points.csv, points.parquet, summary.json and study.html; what is there already of the same
-    /// study is not computed again
+    /// Directory for trials.jsonl, points.csv, points.parquet, summary.json and study.html; existing results of the same
+    /// study are not computed again
     #[arg(long, value_name = "DIR", required = true)]
     out: Option<PathBuf>,
     /// Experiments of each point, instead of those in the file
@@ -98,7 +98,7 @@ pub fn run(arguments: &StudyArguments) -> anyhow::Result<()> {
     conclude(out, &definition, &results)
 }
 
-/// Runs experiments on all processors and keeps each as it comes.
+/// Runs experiments on all processors and stores each result.
 fn compute(
     definition: &Definition,
     missing: &[Trial<'_>],
@@ -141,12 +141,12 @@ fn compute(
         }
         on_terminal.finish();
         let left = missing.len() - done;
-        anyhow::ensure!(left == 0, "stopped with {left} experiments to go; the same command goes on from there");
+        anyhow::ensure!(left == 0, "stopped with {left} experiments to go; repeat the command to continue");
         Ok(())
     })
 }
 
-/// Puts the results in order and writes all that is seen in them.
+/// Sorts the results and writes tables, figures and answers.
 fn conclude(out: &Path, definition: &Definition, results: &Results) -> anyhow::Result<()> {
     results.require(trials(definition).count())?;
     results.put_in_order()?;
@@ -172,7 +172,7 @@ fn conclude(out: &Path, definition: &Definition, results: &Results) -> anyhow::R
     ensure_one_succeeded(results)
 }
 
-/// A study without a single estimate is wrong as a whole.
+/// An error if every estimate failed.
 fn ensure_one_succeeded(results: &Results) -> anyhow::Result<()> {
     let rows = || results.done().values().flat_map(|trial| &trial.rows);
     let reason = rows().next().and_then(|row| row.failed.as_deref());

@@ -25,10 +25,10 @@ use crate::solver::{
 /// Noise by which `pose` weighs; both kinds alike, since here only directions count.
 const NOISE: AngleNoise = AngleNoise { encoder_rad: 1e-5, robot_rad: 1e-5 };
 
-/// Why nothing can be said.
+/// Why a cost cannot be examined.
 #[derive(Debug, thiserror::Error)]
 pub enum ExamineError {
-    /// No poses.
+    /// Too few poses were found.
     #[error(transparent)]
     Poses(#[from] PoseError),
     /// The model lacks a parameter.
@@ -45,7 +45,7 @@ pub enum ExamineError {
 /// What one cost identifies.
 #[derive(Debug, Clone)]
 pub struct Examination {
-    /// The cost.
+    /// Name of the cost.
     pub cost: CostName,
     /// With the 47 parameters of the thesis free: both chains and the place of the bar's base.
     pub all: Identifiability,

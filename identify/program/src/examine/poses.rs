@@ -18,9 +18,9 @@ const TRIES_PER_POSE: usize = 2000;
      ones; choose another place or length of the bar"
 )]
 pub struct PoseError {
-    /// Poses found.
+    /// Number of poses found.
     pub found: usize,
-    /// Poses wanted.
+    /// Number of poses needed.
     pub wanted: usize,
     /// Where the bar stands.
     pub base_m: [f64; 3],
@@ -29,9 +29,9 @@ pub struct PoseError {
 /// Bar and robot joints of each pose.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Poses {
-    /// Bar joints.
+    /// Bar joints of each pose.
     pub observations: Vec<Observation>,
-    /// Robot joints.
+    /// Robot joints of each pose.
     pub joints: PerObservation,
 }
 

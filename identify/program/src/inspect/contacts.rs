@@ -37,7 +37,7 @@ pub(super) fn ranges(
     rows: impl Iterator<Item = Joints> + Clone,
     robot: &RobotConfig,
 ) {
-    /// A joint that turned less says nothing of its link \[deg\].
+    /// A joint that turned less does not determine its link \[deg\].
     const TRAVEL_MIN_DEG: f64 = 5.0;
     for (joint, kind) in robot.joint_kinds().enumerate() {
         let (name, unit) =
@@ -47,13 +47,13 @@ pub(super) fn ranges(
         inspection.fact(&name, format!("{low:.1} to {high:.1} {unit}"));
         if kind == JointKind::Revolute && high - low < TRAVEL_MIN_DEG {
             inspection.suspect(format!(
-                "{name} moved by less than {TRAVEL_MIN_DEG} degrees, which says nothing of its link: choose postures that move it"
+                "{name} moved by less than {TRAVEL_MIN_DEG} degrees, which does not determine its link: choose postures that move it"
             ));
         }
     }
 }
 
-/// Sockets that are visited in one orientation only say little: the robot repeats the same error there.
+/// In one orientation only, a socket adds little information: the robot repeats the same error there.
 fn few_orientations(inspection: &mut Inspection, rows: &[SeatedRow], table: &SocketTable, chain: &Chain) {
     /// \[rad\]
     const TURN_MIN_RAD: f64 = 0.35;

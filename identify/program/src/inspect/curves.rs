@@ -10,7 +10,7 @@ use crate::prepare::{BarAngles, bar_angles};
 
 /// Columns of a figure, about.
 const COLUMNS: f64 = 400.0;
-/// Rows further apart than so many usual steps, and than a column, have a hole between them.
+/// Rows further apart than this number of usual steps, and than a column, have a gap between them.
 const HOLE_STEPS: f64 = 10.0;
 
 /// One joint over time.

@@ -1,4 +1,4 @@
-//! What is in a log or a recording, and what is suspicious in it, before anything is solved.
+//! Content of logs and recordings, and warnings, before anything is solved.
 
 mod bar_log;
 mod contacts;
@@ -17,10 +17,10 @@ pub use unknown_table::{Mapping, Proposal, ProposeError, propose};
 
 use crate::logs::{LogQuality, Row, Unwrapped, ranges, usual_and_longest_step_s};
 
-/// What a fact is called that the file should say, and does not.
+/// Name of a fact that is missing in the file.
 pub const UNSAID: &str = "not in the file";
 
-/// What was found.
+/// Facts about a file, and warnings.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Inspection {
     /// What it is, in the order in which people ask.
@@ -56,7 +56,7 @@ impl Inspection {
 
 /// How far stamps of a log are apart, and what was done about those that repeat.
 fn stamps(inspection: &mut Inspection, t_s: &[f64], quality: &LogQuality) {
-    /// Stamps further apart than so many periods are a hole.
+    /// Longest distance of stamps without a gap, in periods.
     const GAP_PERIODS: f64 = 5.0;
     let [period_s, longest_gap_s] = usual_and_longest_step_s(t_s);
     inspection
@@ -74,7 +74,7 @@ fn stamps(inspection: &mut Inspection, t_s: &[f64], quality: &LogQuality) {
     }
     if longest_gap_s > GAP_PERIODS * period_s {
         inspection.suspect(format!(
-            "stamps are up to {:.0} ms apart: samples in such holes are not used",
+            "stamps are up to {:.0} ms apart: samples in such gaps are not used",
             longest_gap_s * 1e3
         ));
     }
@@ -110,7 +110,7 @@ fn joint_lines<R: Row>(prefix: char, t_s: &[f64], rows: &[R]) -> Vec<JointLine> 
     (1..).zip(ranges_rad).zip(fastest_rad_s).map(line).collect()
 }
 
-/// Joints that hardly move say nothing of their link.
+/// A joint that hardly moves does not determine its link.
 fn suspect_still(inspection: &mut Inspection) {
     /// \[deg\]
     const TRAVEL_MIN_DEG: f64 = 5.0;

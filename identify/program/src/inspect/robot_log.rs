@@ -28,7 +28,7 @@ pub fn robot_log(log: &RobotLog) -> Inspection {
     stamps(&mut inspection, &log.q_rad.t_s, quality);
     if log.origin == Origin::Commanded {
         inspection
-            .suspect("the angles are what the controller asked for: servo lag is not in them; log the measured ones if possible");
+            .suspect("the angles are commanded ones, without servo lag; log the measured ones if possible");
     }
     let frozen = frozen_rows(&log.q_rad);
     if frozen > 0 {

@@ -1,6 +1,6 @@
 //! A mapping for a table that none was written for: what its columns are by name, unit and range, tried on the robot.
 //!
-//! Nothing here is certain, so all of it is said: the mapping carries what each choice rests on, and a person reads it.
+//! None of it is certain, so the mapping lists the reason of each choice for the user to check.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -20,7 +20,7 @@ use crate::statistics::median;
 /// What a table holds, with the mapping that reads it.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Mapping {
-    /// Joints over time.
+    /// Robot log: joints over time.
     RobotLog(Box<RobotLogMapping>),
     /// Joints and where a tracker saw the flange.
     MeasuredPoses(MeasuredPoseMapping),
@@ -33,7 +33,7 @@ pub enum Mapping {
 /// A mapping and what it rests on.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Proposal {
-    /// The mapping.
+    /// Mapping for the table.
     pub mapping: Mapping,
     /// Why it is so.
     pub notes: Notes,
@@ -73,7 +73,7 @@ impl Proposal {
     }
 }
 
-/// Why nothing can be proposed.
+/// Why no mapping can be proposed.
 #[derive(Debug, thiserror::Error)]
 pub enum ProposeError {
     /// The file cannot be read as a table.
@@ -81,10 +81,10 @@ pub enum ProposeError {
     Log(#[from] LogError),
     /// No rows of numbers.
     #[error(
-        "{path}: no rows of numbers with a column for each of {joints} joints; it is no table of this robot's joints"
+        "{path}: no rows of numbers with a column for each of {joints} joints; it is not a table of this robot's joints"
     )]
     NoTable {
-        /// The file.
+        /// Path of the file.
         path: String,
         /// Joints of the robot.
         joints: usize,
@@ -94,7 +94,7 @@ pub enum ProposeError {
         "{path}: no {joints} columns look like the robot's joints; found {found}. Write a mapping as config/robot_log.toml explains"
     )]
     NoJoints {
-        /// The file.
+        /// Path of the file.
         path: String,
         /// Joints of the robot.
         joints: usize,
@@ -106,7 +106,7 @@ pub enum ProposeError {
         "{path}: joints, but neither time stamps nor a measured position, a length or a socket; found {found}"
     )]
     NothingMeasured {
-        /// The file.
+        /// Path of the file.
         path: String,
         /// Columns that are there.
         found: String,
@@ -499,7 +499,7 @@ fn joints(
         choices.truncate(1);
         if !choices.is_empty() {
             notes.doubts.push(format!(
-                "there is no header: the first {axes} columns that can be angles are taken for the joints"
+                "the table has no header: the first {axes} columns that can be angles are taken for the joints"
             ));
         }
     }

@@ -1,4 +1,4 @@
-//! The robot that a calibration found: where it is at reported joints, how to bring it somewhere, and how sure that is.
+//! A calibrated robot: its pose at reported joints, the joints for a pose, and the covariance of both.
 
 use nalgebra::{DMatrix, Matrix6, Matrix6xX};
 use shared::config::{BallBarConfig, RobotConfig};
@@ -9,12 +9,12 @@ use crate::kinematics::{
 };
 use crate::model::{DriveTrain, Geometry, JointErrors, JointState, Owner, ParameterId};
 
-/// Joints are known well enough \[rad, m\]: a hundred times below what any encoder resolves.
+/// Joints have converged \[rad, m\]: a hundred times below what any encoder resolves.
 const SETTLED: f64 = 1e-10;
 /// Errors of joints shrink by their slope, a few thousandths, in each of these.
 const ITERATIONS_MAX: usize = 20;
 
-/// Why a calibrated robot has no answer.
+/// Why a calibrated robot gives no pose, joints or covariance.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum CalibratedRobotError {
     /// The calibration is of another robot.
@@ -22,29 +22,29 @@ pub enum CalibratedRobotError {
         "the calibration's parameter `{name}` is none of {robot}; give the robot's configuration that it was made with"
     )]
     Parameter {
-        /// The parameter.
+        /// Such as `ra1`.
         name: String,
-        /// The robot.
+        /// Name of the configured robot.
         robot: String,
     },
     /// A posture has another number of joints.
     #[error("a posture has {found} joints where the robot has {expected}")]
     Joints {
-        /// Numbers given.
+        /// Joints in the posture.
         found: usize,
         /// Axes of the robot.
         expected: usize,
     },
     /// A number is not finite.
-    #[error("joint {joint} of a posture is no finite number")]
+    #[error("joint {joint} of a posture is not a finite number")]
     NotFinite {
-        /// From 1.
+        /// Number of the joint, from 1.
         joint: usize,
     },
     /// No joints bring it there.
     #[error(transparent)]
     Inverse(#[from] InverseError),
-    /// The file does not say how sure its numbers are.
+    /// The file has no covariance.
     #[error("the calibration has no covariance: calibration.json has one, calibration.toml has not")]
     NoCovariance,
 }
@@ -53,7 +53,7 @@ pub enum CalibratedRobotError {
 #[derive(Debug, Clone)]
 pub struct CalibratedRobot {
     geometry: Geometry,
-    /// Of which parameters, and how sure they are; none where the file does not say.
+    /// Parameters and their covariance; `None` if the file has none.
     covariance: Option<(Vec<ParameterId>, DMatrix<f64>)>,
 }
 
@@ -101,7 +101,7 @@ impl CalibratedRobot {
         Ok(self.geometry.robot_end(&self.at_rest(reported)?))
     }
 
-    /// What the robot has to report to stand at a pose, of all ways the one nearest to `near` \[rad, m\].
+    /// The joints that the robot reports at a pose, of all solutions the one nearest to `near` \[rad, m\].
     ///
     /// # Errors
     /// All but [`CalibratedRobotError::NoCovariance`].

@@ -1,4 +1,4 @@
-//! Do several calibrations of one robot agree within what they say of themselves?
+//! Test whether several calibrations of one robot agree within their uncertainties.
 //!
 //! The thesis could only compare its paths, speeds and days by eye (its figures 5.12 to 5.17). Here every parameter of the
 //! robot gets a chi-square test of homogeneity over the calibrations, and the smallest p-value is corrected for the number
@@ -20,11 +20,11 @@ const SAME_NOMINAL: f64 = 1e-9;
 /// One parameter in several calibrations.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Compared {
-    /// Name.
+    /// Such as `ra1`.
     pub name: String,
-    /// How people read it.
+    /// Its unit for display.
     pub unit: Unit,
-    /// Identified value and sigma in each calibration, SI; none where it was fixed there. Angles are within half a turn of the first.
+    /// Identified value and sigma in each calibration, SI; `None` if it was fixed there. Angles are within half a turn of the first.
     pub values: Vec<Option<(f64, f64)>>,
     /// Half the width of the 95 % interval in each calibration, SI.
     pub half_widths: Vec<Option<f64>>,
@@ -41,38 +41,38 @@ pub struct Consistency {
     pub parameters: Vec<Compared>,
     /// Parameters of the robot whose nominal value is not the same in all of them.
     pub other_nominals: Vec<String>,
-    /// Smallest probability times the number of tests, at most one; none where nothing could be tested.
+    /// Smallest probability times the number of tests, at most one; `None` if no parameter was identified twice.
     pub p_corrected: Option<f64>,
     /// How far the ends of the robots with each calibration after the first are from that with the first, over the joints that
-    /// both measured; none if these ranges have nothing in common.
+    /// both measured; `None` if these ranges do not overlap.
     pub apart: Vec<Option<Quantiles>>,
 }
 
 /// Calibrations that cannot be compared.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ConsistencyError {
-    /// One is not enough.
+    /// There is only one file.
     #[error("there is one calibration only; give at least two")]
     One,
-    /// Another robot.
+    /// The files are of different robots.
     #[error(
         "these are calibrations of different robots, `{first}` and `{other}`; compare those of one robot"
     )]
     OtherRobot {
-        /// Of the first file.
+        /// Robot of the first file.
         first: String,
-        /// Of another.
+        /// Robot of another file.
         other: String,
     },
 }
 
 impl Consistency {
-    /// All of them measured the same robot, as far as can be told.
+    /// The test does not reject that all of them measured the same robot.
     pub fn is_consistent(&self) -> bool {
         self.p_corrected.is_none_or(|p| p >= P_MIN)
     }
 
-    /// Compares the robot's parameters: those of bar and clocks differ from run to run by right.
+    /// Compares the robot's parameters: those of bar and clocks may differ from run to run.
     ///
     /// # Errors
     /// [`ConsistencyError`].

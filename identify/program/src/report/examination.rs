@@ -5,9 +5,9 @@ use std::fmt::Write;
 use crate::examine::Examination;
 use crate::solver::{Identifiability, Influence};
 
-/// An estimate is affected that follows a held value by more than this part of its error (thesis section 3.3).
+/// An estimate is affected if it changes by more than this part of the error of a fixed parameter (thesis section 3.3).
 const AFFECTED: f64 = 0.05;
-/// Above so many names, their number says more.
+/// Longer lists of names end with the number of the others.
 const NAMES_MAX: usize = 8;
 
 /// One block for each cost: rank, gap, zero columns and groups, influence of what is fixed, observability.
@@ -57,7 +57,7 @@ fn rank(text: &mut String, found: &Identifiability) {
             .columns
             .iter()
             .partition(|column| found.groups[..i].iter().any(|other| other.columns.contains(column)));
-        // Which member of another group takes part is arbitrary: say which groups.
+        // Which member of another group depends on it is arbitrary: the groups are named.
         let through: Vec<String> = found.groups[..i]
             .iter()
             .filter(|other| shared.iter().any(|column| other.columns.contains(column)))

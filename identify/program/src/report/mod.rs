@@ -1,4 +1,4 @@
-//! What people and programs get: files, tables on a terminal, and a page.
+//! Results: files, tables on a terminal, and pages.
 
 mod calibrated_robot;
 mod consistency;

@@ -14,9 +14,9 @@ use crate::plan::{
     position_m_min,
 };
 
-/// So many places are shown.
+/// Places that are shown, at most.
 const PLACES_SHOWN: usize = 10;
-/// So many parameters of a kind are named.
+/// Parameters of a kind that are named, at most.
 const NAMED: usize = 12;
 
 /// The lines about a path, each ended. `found` is how it was found.
@@ -189,7 +189,7 @@ pub fn places(places: &Places, duration_s: f64) -> String {
     text
 }
 
-/// What so many of the candidates determine.
+/// Parameters that chosen poses determine, out of this number of candidates.
 pub fn poses(planned: &PlannedPoses, candidates: usize) -> String {
     let mut text = format!(
         "{} of {candidates} poses; RMS position error over all of them that is expected of a calibration:\n\

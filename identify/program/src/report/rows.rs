@@ -13,7 +13,7 @@ use crate::model::{Model, ParameterId, Phase, Waves};
 /// The calibrated robot on another file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Validation {
-    /// The file.
+    /// Path of the file.
     pub name: String,
     /// With the nominal and with the calibrated robot.
     pub figures: [PoseFigures; 2],
@@ -89,7 +89,7 @@ fn stages(text: &mut String, name: &str, [what, last]: [&str; 2], stages: &Stage
 const FIGURES: &str = "    mean      RMS      p95      max";
 
 /// Errors of rows that the fit saw and of rows that it did not, in each stage, on other files, and of parts of the instrument; then
-/// what takes no part. `lines` gives each row's line in its file.
+/// the rejected rows. `lines` gives each row's line in its file.
 pub fn table(
     set: &RowSet,
     instrument: &Instrument,
@@ -197,7 +197,7 @@ fn rejected_rows(report: &RowSet, remarks: &[(usize, String)], lines: &[u64]) ->
     text
 }
 
-/// Rows of a file that are no measurements, `name` being what the file is called; `lines` gives each row's line in it.
+/// Rows of a file that are not measurements, `name` being what the file is called; `lines` gives each row's line in it.
 pub fn left_out(set: &RowSet, name: &str, lines: &[u64]) -> Option<Limit> {
     /// Named, at most.
     const NAMED: usize = 8;
@@ -208,7 +208,7 @@ pub fn left_out(set: &RowSet, name: &str, lines: &[u64]) -> Option<Limit> {
     let rejected_lines: Vec<u64> = rejected.iter().filter_map(|one| lines.get(one.row)).copied().collect();
     (!rejected.is_empty()).then(|| Limit {
         sentence: format!(
-            "{} of {} rows of the {name} (lines {}) are further from the robot than it can be off and take no part: look for \
+            "{} of {} rows of the {name} (lines {}) are further from the robot than its errors can be and are rejected: look for \
              broken beams, wrong targets and joints of another pose.",
             rejected.len(),
             lines.len(),

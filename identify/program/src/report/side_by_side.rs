@@ -110,8 +110,8 @@ pub fn page(consistency: &Consistency, robot: &str, names: &[String]) -> Result<
                 (intervals("Lengths", Unit::Metre, consistency, names.len())?)
                 (intervals("Angles", Unit::Radian, consistency, names.len())?)
                 figcaption {
-                    "How far each calibration is from their weighted mean, with 95 % intervals. Intervals that do not meet tell "
-                    "more than points that do."
+                    "How far each calibration is from their weighted mean, with 95 % intervals. Intervals that do not overlap "
+                    "are a difference."
                 }
             }
             div.wide { (rows(consistency, names.len())) }

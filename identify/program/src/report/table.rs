@@ -57,7 +57,7 @@ pub fn calibration(file: &CalibrationFile) -> String {
     text
 }
 
-/// What each data set of a mix is worth: its samples, the noise that the solve gave it, and what is left.
+/// Each data set of a mix: its samples, and the noise by which the solve weights it.
 pub fn data_sets(found: &Calibration) -> String {
     let mut text = format!("{:<12}{:>8}{:>24}\n", "instrument", "samples", "noise");
     for (Run { instrument, .. }, sigma) in found.runs.iter().zip(&found.solved.sigmas) {
@@ -75,7 +75,7 @@ pub fn data_sets(found: &Calibration) -> String {
         };
         let left_out = match instrument.rejected().len() {
             0 => String::new(),
-            rows => format!(", {rows} rows that do not belong with the rest take no part"),
+            rows => format!(", {rows} rows that do not fit the others are rejected"),
         };
         // Writing to a string cannot fail.
         let _ = writeln!(text, "{name:<12}{samples:>8}{noise}{left_out}");
@@ -120,7 +120,7 @@ fn parameters(file: &CalibrationFile) -> String {
 
 /// How uncertain positions are, and the contributions that make nearly all of it.
 fn budget(file: &CalibrationFile) -> String {
-    /// Parts of the variance that are worth a line.
+    /// Smaller parts of the variance are not listed.
     const PART_MIN: f64 = 0.01;
     let Some(budget) = file.budget.as_ref().filter(|budget| budget.u_m > 0.0) else { return String::new() };
     let mut text = format!(

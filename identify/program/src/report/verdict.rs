@@ -1,4 +1,4 @@
-//! What a calibration is worth, by two questions: does it predict data that no fit has seen better than the nominal robot, in
+//! The verdict on a calibration, by two questions: does it predict data that no fit has seen better than the nominal robot, in
 //! position and in rotation; and is the robot then as accurate as it must be?
 
 use std::fmt;
@@ -28,7 +28,7 @@ pub enum Grade {
     Red,
 }
 
-/// What a calibration is worth.
+/// The verdict on a calibration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Verdict {
     /// Both questions in one word.
@@ -133,7 +133,7 @@ impl CalibrationFile {
                 )
             });
             let serious = || limits.iter().find(|limit| limit.serious).map(|limit| limit.sentence.clone());
-            let unknown = || better.is_none().then(|| "Nothing was held out to judge it by.".to_owned());
+            let unknown = || better.is_none().then(|| "Nothing was held out to check it.".to_owned());
             let missed = || missed(workspace, &predicted, required_m);
             let nowhere_else = || known_nowhere_else(workspace);
             let reason = same.or_else(missed).or_else(serious).or_else(nowhere_else).or_else(unknown);
@@ -159,7 +159,7 @@ impl CalibrationFile {
         self.limits.iter().filter(move |limit| Some(&limit.sentence) != reason)
     }
 
-    /// Held-out data do not say that the nominal robot is as good.
+    /// Held-out data are not predicted as well by the nominal robot.
     pub fn may_be_applied(&self) -> bool {
         self.verdict.as_ref().and_then(|verdict| verdict.better) != Some(false)
     }
@@ -208,7 +208,7 @@ fn largest_contribution(WorkspaceError { budget, .. }: &WorkspaceError) -> Optio
     Some(Limit { sentence, serious: false })
 }
 
-/// The geometry is more uncertain over the workspace than the nominal one is wrong: what was measured says nothing of the rest.
+/// The geometry is more uncertain over the workspace than the nominal one is wrong: the measurements do not determine the rest.
 fn known_nowhere_else(workspace: &WorkspaceError) -> Option<String> {
     let (expanded_m, before_m) = (workspace.budget.expanded_m, workspace.before.mean_m);
     (expanded_m > before_m).then(|| {
@@ -227,7 +227,7 @@ fn missed(workspace: &WorkspaceError, predicted: &[Predicted], required_m: Optio
     let expected_m = workspace.after.p95_upper_m;
     let of_workspace = (expected_m > required_m).then(|| {
         format!(
-            "the error in 95 % of the workspace is sure (97.5 %) to be below {:.3} mm only",
+            "the error in 95 % of the workspace has an upper 97.5 % confidence bound of {:.3} mm",
             expected_m * 1e3
         )
     });

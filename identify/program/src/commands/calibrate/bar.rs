@@ -78,7 +78,7 @@ pub struct BarArguments {
     pub(super) truth: Option<PathBuf>,
 }
 
-/// What was typed, as an experiment.
+/// The options as an experiment.
 fn experiment(arguments: &BarArguments) -> anyhow::Result<Experiment> {
     let BarArguments { recording, robot_log, bar, force_log, .. } = arguments;
     let runs = recording.len();
@@ -135,7 +135,7 @@ pub(super) struct RunFiles<'a> {
     cycles: Range<usize>,
     pub(super) log: Arc<RobotLog>,
     pub(super) bar: BallBarConfig,
-    /// File that states it.
+    /// Configuration file of the bar.
     pub(super) bar_path: &'a Path,
 }
 
@@ -154,7 +154,7 @@ impl RunFiles<'_> {
         self.recording.cycles().get(self.cycles.clone()).unwrap_or_default()
     }
 
-    /// The parts before and after an instant, since the first valid sample \[s\]; none where one of them is empty.
+    /// The parts before and after an instant, since the first valid sample \[s\]; `None` if one of them is empty.
     fn cut(&self, at_s: f64) -> Option<[Self; 2]> {
         let angles = bar_angles(self.cycles(), self.recording.encoders()).ok()?;
         let first = angles.first_time();
@@ -208,7 +208,7 @@ impl RunFiles<'_> {
         [Source { curves: of_bar, ..recording }, Source { curves: of_robot, ..robot_log }]
     }
 
-    /// What the recording says of who measured what; none where another program made it.
+    /// Operator, robot and bar of the recording; `None` if another program made it.
     pub(super) fn measured(&self) -> Option<MeasurementEntry> {
         match &*self.recording {
             BarLog::Recording(recording) => Some((&recording.run).into()),
@@ -255,7 +255,7 @@ pub(super) fn runs<'a>(experiment: &'a Experiment, robot: &RobotConfig) -> anyho
     Ok(files)
 }
 
-/// Reads the bar's side of a run and says what is odd about it, and what its file cannot say.
+/// Reads the recording of a run and logs its anomalies, and what its file does not contain.
 fn load_recording(
     path: &Path,
     bar: &BallBarConfig,
@@ -264,7 +264,7 @@ fn load_recording(
     let log = BarLog::load(path, bar, mapping)?;
     if let BarLog::Other(other) = &log {
         tracing::info!(
-            "{}: {}; it does not say {}",
+            "{}: {}; it does not contain {}",
             path.display(),
             other.kind,
             other.unknown.join(", ")
@@ -276,7 +276,7 @@ fn load_recording(
     Ok(log)
 }
 
-/// Reads a robot's log and says what is odd about it.
+/// Reads a robot's log and logs its anomalies.
 pub(super) fn load_log(path: &Path, robot: &RobotConfig, options: &LogOptions) -> anyhow::Result<RobotLog> {
     anyhow::ensure!(
         !is_recording(path).unwrap_or(false),
@@ -290,13 +290,13 @@ pub(super) fn load_log(path: &Path, robot: &RobotConfig, options: &LogOptions) -
     Ok(log)
 }
 
-/// Solves, where it is asked for with runs cut in two at what refuses them and is known to have changed at one instant.
+/// Solves; with `split_at_changes` a run is cut in two where it was refused for a change at a known instant.
 pub(super) fn solved<T>(
     split_at_changes: bool,
     runs: &mut Vec<RunFiles<'_>>,
     solve: impl Fn(&[RunInput<'_>]) -> Result<T, CalibrateError>,
 ) -> Result<T, CalibrateError> {
-    /// A run with more is no measurement.
+    /// A run with more changes is not usable.
     const CUTS_MAX: usize = 8;
     let mut cuts = if split_at_changes { CUTS_MAX } else { 0 };
     loop {

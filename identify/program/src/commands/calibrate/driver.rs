@@ -1,4 +1,4 @@
-//! From an experiment to its files, its page and what the terminal says: the one way of every calibration.
+//! From an experiment to its files, its page and the terminal, for every calibration.
 
 use std::path::Path;
 
@@ -125,7 +125,7 @@ fn rows_of(
     })
 }
 
-/// What is written of a calibration, whatever it was measured with, but for the figures of files of rows.
+/// The content of `calibration.toml` for any instruments, without the figures of files of rows.
 fn calibration_file(
     inputs: Vec<Input>,
     robot: &RobotConfig,
@@ -177,7 +177,7 @@ fn instruments(bars: &[RunFiles<'_>], runs: &[Run]) -> String {
 struct Tables<'a> {
     /// For the page, and for the terminal where all is printed.
     text: String,
-    /// Lines of the terminal that an option asked for.
+    /// Lines of the terminal about files of `--validate`.
     asked: String,
     entries: Vec<RowsEntry>,
     limits: Vec<Limit>,
@@ -235,5 +235,5 @@ impl<'a> Tables<'a> {
 fn load_truth(path: &Path) -> anyhow::Result<Truth> {
     let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
     toml::from_str(&text)
-        .with_context(|| format!("{} is no truth.toml of `identify simulate`", path.display()))
+        .with_context(|| format!("{} is not a truth.toml of `identify simulate`", path.display()))
 }

@@ -33,7 +33,7 @@ pub struct ExperimentArguments {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BarRun {
-    /// Recording.
+    /// Recording of the bar.
     pub recording: PathBuf,
     /// The robot's own log.
     pub robot_log: PathBuf,
@@ -71,7 +71,7 @@ pub struct Experiment {
     /// Runs with the ball-bar.
     #[serde(default, rename = "bar", skip_serializing_if = "Vec::is_empty")]
     pub bars: Vec<BarRun>,
-    /// Files of trackers.
+    /// Files of laser trackers.
     #[serde(default, rename = "tracker", skip_serializing_if = "Vec::is_empty")]
     pub trackers: Vec<RowFile>,
     /// Files of draw-wires or telescoping bars.
@@ -86,7 +86,7 @@ pub struct Experiment {
     /// How to calibrate: the keys of identify.toml.
     #[serde(default)]
     pub identify: IdentifyConfig,
-    /// The file that says so.
+    /// The file it was read from.
     #[serde(skip)]
     pub(super) read_from: Option<PathBuf>,
 }
@@ -192,7 +192,7 @@ impl Experiment {
         self.kinds().into_iter().flat_map(|(kind, files)| files.iter().map(move |of| (kind, of)))
     }
 
-    /// States which rows of each file are held out, where nobody has said so: what is usual may be another thing one day.
+    /// Sets which rows of each file are held out, if this was left open: a later version may have other defaults.
     pub(super) fn state(&mut self, rows: &[Rows]) {
         for (of, rows) in self.rows_mut().zip(rows) {
             (of.hold_out, of.seed) = (Some(rows.hold_out()), Some(rows.seed()));
@@ -270,15 +270,15 @@ impl Experiment {
     /// is moved or copied; its text.
     pub(super) fn write(&self, directory: &Path) -> anyhow::Result<String> {
         let mut moved = self.clone();
-        // As the system finds `..` from there, whatever links have led there.
+        // Without links, as `..` is resolved there.
         let from = directory.canonicalize().with_context(|| directory.display().to_string())?;
         for path in moved.paths() {
             let file = match Source::find(path) {
-                // Whoever repeats it has the same one.
+                // It is in the program.
                 Source::BuiltIn(..) => continue,
                 Source::File(file) => file,
             };
-            // One that is gone is still named.
+            // A missing file is still named.
             let found = file.canonicalize().or_else(|_| std::path::absolute(&file));
             let found = found.with_context(|| path.display().to_string())?;
             *path = relative(&found, &from).unwrap_or(found);
@@ -320,8 +320,8 @@ impl Experiment {
     }
 }
 
-/// The way from a directory to a file, both without links; none where they do not belong together: what they have in common is
-/// far above the directory, or a place where everything lies, such as `/tmp`.
+/// The relative path from a directory to a file, both without links; `None` if they are unrelated: their common folder is far above
+/// the directory, or a shared one such as `/tmp`.
 fn relative(to: &Path, from: &Path) -> Option<PathBuf> {
     /// `project/results/monday/earlier` belongs with `project/data`.
     const UP_MAX: usize = 3;

@@ -1,4 +1,4 @@
-//! What a refusal leaves: a page that shows what is known, and a message that says where it is.
+//! A refused calibration: its page, and a message with the path of the page.
 
 use std::path::Path;
 
@@ -38,7 +38,7 @@ pub(super) fn refused(
     let written = error.refusal().and_then(|refusal| {
         let written = write_page(directory, robot, experiment, runs, &refusal);
         let written = written.inspect_err(|why| {
-            tracing::warn!("there is no page of this refusal: {}", explained(why.as_ref()));
+            tracing::warn!("the page of this refusal cannot be written: {}", explained(why.as_ref()));
         });
         written.ok()
     });
@@ -66,7 +66,7 @@ fn write_page(
         refusal,
         runs: &runs.iter().map(RunFiles::sources_with_curves).collect::<Vec<_>>(),
         inputs: &inputs(&experiment.files())?,
-        // Without its configuration a page is still of use.
+        // A page without its configuration is still useful.
         configuration: &toml::to_string(experiment).unwrap_or_else(|error| error.to_string()),
     };
     let written = page.write(directory).with_context(|| directory.display().to_string())?;

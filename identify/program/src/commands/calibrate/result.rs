@@ -1,4 +1,4 @@
-//! What is written and printed of a calibration.
+//! Writes and prints a calibration.
 
 use std::path::{Path, PathBuf};
 
@@ -50,7 +50,7 @@ pub(super) fn limited(file: &CalibrationFile) -> String {
     others.map(|limit| format!("{} {}\n", if limit.serious { '!' } else { '-' }, limit.sentence)).collect()
 }
 
-/// Prints what a person asked for and the last lines.
+/// Prints the tables of --verbose and the summary.
 pub(super) fn conclude(
     file: &CalibrationFile,
     all: Option<&str>,

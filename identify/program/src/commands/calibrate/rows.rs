@@ -70,7 +70,7 @@ pub struct TouchArguments {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RowFile {
-    /// The rows.
+    /// Table of the rows.
     pub file: PathBuf,
     /// Which of its columns is what.
     pub mapping: PathBuf,
@@ -149,7 +149,7 @@ impl Kind {
         }
     }
 
-    /// What its rows are, for a person.
+    /// What its rows are, for display.
     pub(super) const fn role(self) -> &'static str {
         match self {
             Self::Tracker => "measured poses",
@@ -160,7 +160,7 @@ impl Kind {
     }
 }
 
-/// What a file says beside its rows.
+/// Content of a file beside its rows.
 #[derive(Default)]
 pub(super) struct Beside {
     /// Of each row in its file.
@@ -170,7 +170,7 @@ pub(super) struct Beside {
     pub(super) names: BTreeMap<String, Vec<String>>,
     /// How its clock and the robot's were brought together, where rows have times.
     pub(super) aligned: Option<Aligned>,
-    /// It says that it was simulated.
+    /// It is marked as simulated.
     pub(super) simulated: bool,
 }
 
@@ -341,7 +341,7 @@ impl Aligned {
         Some(ClockEntry { skew_ppm, ..solved })
     }
 
-    /// For a person.
+    /// Number of rejected rows, as a sentence.
     pub(super) fn line(&self) -> String {
         format!("{} rows left out: outside the robot's log, or not at its standstills\n", self.left_out)
     }
@@ -354,7 +354,7 @@ pub(super) struct Others<'a> {
 }
 
 impl<'a> Others<'a> {
-    /// Read before the fit: a file that is missing is said at once.
+    /// Read before the fit, so that a missing file is reported immediately.
     pub(super) fn read(
         kind: Kind,
         of: &'a RowFile,
@@ -367,7 +367,7 @@ impl<'a> Others<'a> {
             let read: MeasuredPoseMapping = config::load(mapping)?;
             anyhow::ensure!(
                 read.time.is_none(),
-                "{}: rows that judge the robot need its joints, and [time] says that these have none; export them with the robot's \
+                "{}: rows of --validate need the robot's joints, and the mapping has [time] instead; export them with the robot's \
                  joints in each row, and name their columns in a mapping of their own (--validate-mapping, or validate_mapping in \
                  the [[tracker]] block)",
                 mapping.display()

@@ -1,4 +1,4 @@
-//! The first sheet of the page: what an engineer signs. One A4, results in the words of ISO 9283 with the uncertainty of the GUM.
+//! The first sheet of the page, which an engineer signs: one A4, results in the terms of ISO 9283 with uncertainties by the GUM.
 
 use maud::{Markup, html};
 
@@ -43,14 +43,14 @@ pub(super) fn sheet(simulated: bool, content: &Markup) -> Markup {
     }
 }
 
-/// When it was measured by the instrument's clock, where no recording says it.
+/// When it was measured by the instrument's clock, for files without the time of a recording.
 fn dated(file: &CalibrationFile) -> Option<String> {
     let mut dates = file.clocks.iter().map(|clock| to_the_second(&clock.reference_utc));
     // Clocks without a date count from the epoch.
     dates.find(|date| !date.starts_with("1970"))
 }
 
-/// Whether it is calibrated, and the one reason for doubt.
+/// Whether it is calibrated, and the one reason that limits the verdict.
 fn verdict(file: &CalibrationFile, workspace: &WorkspaceError) -> Markup {
     let verdict = file.verdict.as_ref();
     let class = match verdict.map(|verdict| verdict.grade) {
@@ -81,8 +81,8 @@ pub(super) fn to_the_second(utc: &str) -> String {
     utc.get(..19).map_or_else(|| utc.to_owned(), |second| format!("{} UTC", second.replace('T', " ")))
 }
 
-/// Robot, instrument, who and when: what no file says is left to be written by hand. `dated` is when it was measured, where no
-/// recording says it.
+/// Robot, instrument, operator and time; unknown items are blank lines to be filled in by hand. `dated` is when it was measured if no
+/// recording contains it.
 pub(super) fn identity(
     robot: &str,
     instrument: &str,
@@ -168,7 +168,7 @@ fn results(file: &CalibrationFile, workspace: &WorkspaceError) -> Markup {
     }
 }
 
-/// Where it holds, for whom, and on what it rests.
+/// Validity, deployments, and fixed parameters.
 fn conditions(file: &CalibrationFile) -> Markup {
     let parts = file.deployments_reported();
     let held = |entry: &&ParameterEntry| entry.status == Status::Fixed;
@@ -195,7 +195,7 @@ fn conditions(file: &CalibrationFile) -> Markup {
     }
 }
 
-/// Lines for who answers for it.
+/// Lines for the signature.
 pub(super) fn signature() -> Markup {
     html! { dl.signature {
         @for what in ["Place and date", "Name", "Signature"] { dt { (what) } dd.blank {} }

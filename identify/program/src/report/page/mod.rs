@@ -32,26 +32,26 @@ pub use refused::{RefusedPage, WrittenRefusal};
 pub use run::inputs::Source;
 pub use study::StudyPage;
 
-/// Everything that the page shows.
+/// Content of the page.
 #[derive(Debug)]
 pub struct Page<'a> {
     /// Results as they are written.
     pub file: &'a CalibrationFile,
     /// The solve and the preparation.
     pub calibration: &'a Calibration,
-    /// What is drawn.
+    /// Figures of the result.
     pub evidence: &'a Evidence,
     /// Each file of rows with its name, in the order of the data sets.
     pub rows: &'a [(String, &'a RowErrors)],
-    /// What the terminal says of these.
+    /// Tables of these as on the terminal.
     pub tables: &'a str,
-    /// What the logs of each run say of themselves; empty where nobody looked.
+    /// Contents of the logs of each run; may be empty.
     pub sources: &'a [Source],
     /// The whole configuration that was used, as text.
     pub configuration: &'a str,
 }
 
-/// Why there is no page.
+/// Why a page cannot be written.
 #[derive(Debug, thiserror::Error)]
 pub enum PageError {
     /// A figure cannot be drawn.

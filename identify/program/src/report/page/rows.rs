@@ -1,4 +1,4 @@
-//! What files of rows show: errors row by row, and the tables that the terminal has of them.
+//! Files of rows: errors row by row, and their tables as on the terminal.
 
 use maud::{Markup, html};
 
@@ -27,14 +27,14 @@ pub(super) fn numbers(page: &Page<'_>) -> Markup {
     }
 }
 
-/// Each file by itself.
+/// Figures and tables of each file.
 pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
     if page.rows.is_empty() {
         return Ok(html! {});
     }
     Ok(html! {
         h2 { "Errors, row by row" }
-        p.note { "Robot against what was measured. Mind the scales. Rows that take no part are drawn as well." }
+        p.note { "Robot against what was measured. Mind the scales. Rejected rows are drawn as well." }
         @for (name, errors) in page.rows {
             @if !errors.stages[0].is_empty() { figure { p.run { (name) } (panels(errors)?) } }
         }

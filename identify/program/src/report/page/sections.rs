@@ -166,7 +166,7 @@ pub(super) fn candidates(file: &CalibrationFile) -> Markup {
     } }
 }
 
-/// Parameters that nobody freed and nobody changed only fill the table.
+/// Fixed parameters are listed below the tables.
 fn shown(entry: &ParameterEntry) -> bool {
     entry.status != Status::Fixed
 }
@@ -213,7 +213,7 @@ pub(super) fn coverage(page: &Page<'_>) -> Result<Markup, PlotError> {
         h2 { "Where the bar was" }
         figure {
             div.panels { (figures::coverage(page.evidence)?) (figures::margin(page.evidence)?) }
-            figcaption { "Left: equal areas of the sphere are equal areas of the figure. Bare regions say nothing of the robot." }
+            figcaption { "Left: equal areas of the sphere are equal areas of the figure. Empty regions were not measured." }
         }
     })
 }
@@ -229,7 +229,7 @@ pub(super) fn dependence(file: &CalibrationFile) -> Markup {
             " samples, " (solve.parameters) " parameters, all identified; condition " (format!("{:.0}", solve.condition))
             "; residual RMS "
             (figure(solve.residual_rms_start)) " to " (figure(solve.residual_rms)) "."
-            @for noise in &file.noise { " Found in what is left: " (noise.sentence()) "." }
+            @for noise in &file.noise { " Estimated from the residuals: " (noise.sentence()) "." }
             @if let Some(groups) = not_separated(file) { " Beyond that: " (groups) "." }
         }
         @if !strongest.is_empty() {

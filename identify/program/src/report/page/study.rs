@@ -1,4 +1,4 @@
-//! `study.html`: the figures of a study in their order, beside what was said of them, and the answers.
+//! `study.html`: the figures of a study in their order with the statements of the thesis, and the answers.
 
 use std::path::{Path, PathBuf};
 
@@ -12,15 +12,15 @@ use crate::study::{Curve, CurvePoint, Definition, Figure, Finding, Kind, Measure
 
 /// \[px\]
 const PANEL: (u32, u32) = (450, 330);
-/// The right panel of a figure shows errors up to so many times the limit.
+/// The right panel of a figure shows errors up to this multiple of the limit.
 const NEAR: f64 = 2.0;
 
-/// Everything that the page shows.
+/// Content of the page.
 #[derive(Debug)]
 pub struct StudyPage<'a> {
-    /// What was varied.
+    /// Robot, bar, path and conditions.
     pub definition: &'a Definition,
-    /// What was found.
+    /// Curves, tables and answers.
     pub summary: &'a Summary,
 }
 

@@ -1,4 +1,4 @@
-//! How the clocks of instrument and robot differ, as files, terminal and page say it.
+//! The difference of the clocks of instrument and robot, for files, terminal and page.
 
 use serde::{Deserialize, Serialize};
 use shared::time::UtcNs;
@@ -19,12 +19,12 @@ pub struct ClockEntry {
     pub reference_utc: String,
     /// Robot clock minus the instrument's there \[ns\].
     pub robot_minus_instrument_ns: i64,
-    /// One standard deviation of it \[ns\]; none where no solve found it.
+    /// One standard deviation of it \[ns\]; absent if no solve estimated it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sigma_ns: Option<f64>,
     /// How much faster the robot's clock runs \[ppm\].
     pub skew_ppm: f64,
-    /// One standard deviation of it \[ppm\]; none where no solve found it.
+    /// One standard deviation of it \[ppm\]; absent if no solve estimated it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub skew_sigma_ppm: Option<f64>,
     /// Correlation of the speeds at the coarse alignment.
@@ -38,9 +38,9 @@ pub struct ClockEntry {
 
 /// A data set with its own clock, at the solution of all.
 pub struct SolvedClock<'a> {
-    /// Its number, from 0.
+    /// Number of the data set, from 0.
     pub run: usize,
-    /// The instrument.
+    /// Name of the instrument.
     pub instrument: &'a str,
     /// Reference time on its clock.
     pub reference: UtcNs,
@@ -48,11 +48,11 @@ pub struct SolvedClock<'a> {
     pub is_dated: bool,
     /// How the logs were brought together before the solve.
     pub alignment: &'a Alignment,
-    /// At the solution.
+    /// Model at the solution.
     pub model: &'a Model,
-    /// Which columns of the covariance are whose.
+    /// Columns of the covariance of each data set.
     pub columns: &'a SharedColumns,
-    /// Of the solution.
+    /// Covariance of the solution.
     pub covariance: &'a Covariance,
 }
 
@@ -97,7 +97,7 @@ impl ClockEntry {
         )
     }
 
-    /// The same, with what it rests on.
+    /// The same with correlation and overlap.
     pub fn sentence(&self) -> String {
         let repeats = if self.ambiguous {
             "; the motion repeats itself and other shifts fit as well: the geometry is the same, the clocks are not"

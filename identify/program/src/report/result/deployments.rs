@@ -1,4 +1,4 @@
-//! What of a calibration is for which controller: geometry, held-out figures, files.
+//! Parts of a calibration for different controllers: geometry, held-out figures, files.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,10 +9,10 @@ use crate::calibrate::validation::deployment::{Deployed, Deployment};
 use crate::model::ParameterId;
 use crate::report::verdict::INDEPENDENT_OF_SEGMENT;
 
-/// The robot for who applies only part of the model.
+/// The robot if only part of the model is applied.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DeploymentEntry {
-    /// What is applied.
+    /// Part of the model that is applied.
     pub deployment: Deployment,
     /// The numbers of the links of robot and ball-bar, by a fit of nothing else of the robot.
     pub links: Vec<ParameterEntry>,
@@ -73,7 +73,7 @@ impl CalibrationFile {
     }
 
     /// Held-out data are predicted better than with the nominal robot by what a deployment takes, and surely so; true where none
-    /// were held out. Part of the full model is no fit of that part.
+    /// were held out. A part of the full model differs from a fit of that part.
     pub fn serves(&self, deployment: Deployment) -> bool {
         let rows = || self.rows.iter().map(|rows| &rows.held_out).filter(|of| of.nominal.rows > 0);
         self.may_be_applied()
@@ -107,7 +107,7 @@ impl CalibrationFile {
         segments.or_else(rows)
     }
 
-    /// What each deployment that leaves something out is worth on held-out data; nothing where there is none.
+    /// Held-out errors of each deployment that leaves terms out.
     pub(in crate::report) fn deployments_reported(&self) -> Vec<String> {
         let told = |deployment: Deployment| {
             let what = match deployment {

@@ -1,4 +1,4 @@
-//! What an earlier run left in the directory of results.
+//! Files of an earlier run in the directory of results.
 
 use std::path::{Path, PathBuf};
 
@@ -19,7 +19,7 @@ const FILES: [&str; 10] = [
     "report.html",
 ];
 
-/// An earlier calibration.
+/// Files of an earlier calibration.
 #[derive(Debug)]
 pub(in crate::report) struct Earlier<'d> {
     directory: &'d Path,
@@ -27,7 +27,7 @@ pub(in crate::report) struct Earlier<'d> {
 }
 
 impl<'d> Earlier<'d> {
-    /// The calibration in a directory; none where there is none.
+    /// The calibration in a directory, if it has one.
     pub fn in_directory(directory: &'d Path) -> Option<Self> {
         let is_there =
             ["calibration.toml", "calibration.json"].iter().any(|name| directory.join(name).exists());

@@ -32,7 +32,7 @@ pub const SCHEMA: u32 = 2;
 /// Why the file cannot be written.
 #[derive(Debug, thiserror::Error)]
 pub enum FileError {
-    /// The system refused.
+    /// The operating system refused.
     #[error("cannot write {}: {source}; check the directory and free space", path.display())]
     Io {
         /// The file or directory.
@@ -54,9 +54,9 @@ pub enum FileError {
 /// A file that the calibration was made from.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Input {
-    /// What it is.
+    /// Such as `recording` or `robot`.
     pub role: String,
-    /// Where it was.
+    /// Path of the file.
     pub path: PathBuf,
     /// Its checksum, hexadecimal.
     pub sha256: String,
@@ -75,7 +75,7 @@ impl Input {
     }
 }
 
-/// What became of a parameter.
+/// How a parameter was determined.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Status {
@@ -96,13 +96,13 @@ pub struct ParameterEntry {
     pub unit: String,
     /// Data sheet or first guess.
     pub nominal: f64,
-    /// Identified value.
+    /// Value at the solution.
     pub value: f64,
-    /// Identified minus nominal.
+    /// Identified value minus nominal value.
     pub correction: f64,
     /// One standard deviation; absent for fixed parameters that are taken as exact.
     pub sigma: Option<f64>,
-    /// What became of it.
+    /// Identified or fixed.
     pub status: Status,
 }
 
@@ -210,13 +210,13 @@ pub(in crate::report) struct ReadIn {
 /// How the solve went.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct SolveEntry {
-    /// Cost function.
+    /// Name of the cost function.
     pub cost: String,
-    /// Why it ended.
+    /// Why the solve ended.
     pub ended: String,
-    /// Accepted steps.
+    /// Number of accepted steps.
     pub iterations: usize,
-    /// Samples that took part.
+    /// Samples that were used.
     pub samples: usize,
     /// Free parameters, all of them identified.
     pub parameters: usize,
@@ -247,11 +247,11 @@ impl SolveEntry {
 /// Who measured what, as a recording says; empty where it does not.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct MeasurementEntry {
-    /// When it began.
+    /// When the recording began.
     pub started: String,
-    /// Who.
+    /// Name of the operator.
     pub operator: String,
-    /// Which robot.
+    /// Serial number of the robot.
     pub robot: String,
     /// Which bar and ball pair.
     pub bar: String,
@@ -282,16 +282,16 @@ impl From<&RunMetadata> for MeasurementEntry {
     }
 }
 
-/// The whole file.
+/// The content of `calibration.toml` and `calibration.json`.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct CalibrationFile {
     /// [`SCHEMA`].
     pub schema: u32,
     /// When it was made.
     pub created: String,
-    /// Program and version.
+    /// Program and version that made it.
     pub software: String,
-    /// Robot.
+    /// Name of the robot.
     pub robot: String,
     /// What it was measured with.
     pub instrument: String,
@@ -301,7 +301,7 @@ pub struct CalibrationFile {
     /// What each recording says of its measurement.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub measured: Vec<MeasurementEntry>,
-    /// What it is worth; files of earlier versions have none.
+    /// The verdict; files of earlier versions have none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub verdict: Option<Verdict>,
     /// What limits it, the most important first; the verdict names the first that is serious.
@@ -310,7 +310,7 @@ pub struct CalibrationFile {
     /// What the scale of all lengths rests on.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scale: Option<String>,
-    /// Solve.
+    /// Figures of the solve.
     pub solve: SolveEntry,
     /// Clocks of instrument and robot, of each data set that has its own.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -334,7 +334,7 @@ pub struct CalibrationFile {
     pub rows: Vec<RowsEntry>,
     /// Every parameter of the model; those of run 2 alone are called `ox@2`.
     pub parameters: Vec<ParameterEntry>,
-    /// The robot for who applies only part of the model.
+    /// The robot if only part of the model is applied.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub deployments: Vec<DeploymentEntry>,
     /// Where in joint space it is supported.
@@ -390,8 +390,8 @@ impl CalibrationFile {
         self
     }
 
-    /// Parameters for a person, and how many amplitudes of waves of the axes are not among them: more than forty would fill a
-    /// page and say nothing.
+    /// Parameters for a person, and how many amplitudes of waves of the axes are not among them: more than forty would
+    /// fill a page.
     pub fn reported(&self) -> (Vec<&ParameterEntry>, usize) {
         const WAVES_MAX: usize = 40;
         let is_wave = |entry: &ParameterEntry| matches!(entry.id(), Some(ParameterId::JointWave { .. }));
@@ -457,7 +457,7 @@ impl CalibrationFile {
 pub struct DhRow {
     /// `robot` or `ball_bar`.
     pub chain: String,
-    /// Link from 1.
+    /// Number of the link, from 1.
     pub link: usize,
     /// `a`, `d`, `alpha`, `theta` or `beta`.
     pub parameter: String,
@@ -465,9 +465,9 @@ pub struct DhRow {
     pub unit: String,
     /// Data sheet or first guess.
     pub nominal: f64,
-    /// Identified value.
+    /// Value at the solution.
     pub identified: f64,
-    /// Identified minus nominal.
+    /// Identified value minus nominal value.
     pub correction: f64,
     /// One standard deviation; absent for fixed parameters that are taken as exact.
     pub sigma: Option<f64>,
@@ -482,7 +482,7 @@ pub(in crate::report) fn now() -> String {
     UtcNs::from_datetime(chrono::Utc::now()).to_string()
 }
 
-/// Program and version.
+/// Name and version of this program.
 pub(in crate::report) fn software() -> String {
     shared::version::software("identify")
 }

@@ -1,4 +1,4 @@
-//! What a force on the bar did, for programs.
+//! The effect of a force on the bar, for programs.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,15 +10,15 @@ use crate::logs::{ForceClock, ForceKind};
 pub struct ForceEntry {
     /// Number of the run, from 1.
     pub run: usize,
-    /// What was measured.
+    /// Kind of the measured force.
     pub kind: ForceKind,
-    /// On whose clock.
+    /// Clock of the force log.
     pub clock: ForceClock,
     /// `tension`, `compression` or `not determined`: which the log's positive force is.
     pub positive: String,
     /// `bcompliance` \[m/N\] or `bplay` \[m\]: positive where the log's positive force makes the bar longer.
     pub parameter: String,
-    /// Its value.
+    /// Value at the solution.
     pub value: f64,
     /// One standard deviation; absent where it was fixed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -31,7 +31,7 @@ pub struct ForceEntry {
     pub off_sphere_rms_m: f64,
     /// The same without what the force explains \[m\].
     pub unexplained_rms_m: f64,
-    /// In words.
+    /// The same as a sentence.
     pub sentence: String,
 }
 

@@ -12,21 +12,21 @@ use crate::solver::{Observability, SigmasFrom, Solution};
 
 /// Correlations above this are named.
 const NAMED_ABOVE: f64 = 0.8;
-/// So many are named at most.
+/// Pairs that are named, at most.
 const NAMED_MAX: usize = 20;
 
 /// Parameters that are known by their prior alone: this many are named.
 const NAMED_BY_PRIOR: usize = 8;
 
-/// Above this part of its prior's sigma a parameter is known by the prior: the data are worth a tenth of it.
+/// Above this part of its prior's sigma a parameter is known by the prior: the data contribute a tenth of the information.
 const BY_PRIOR: f64 = 0.95;
 
 /// Two parameters that the data can hardly separate.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CorrelationEntry {
-    /// One of them.
+    /// Name of one parameter.
     pub first: String,
-    /// The other.
+    /// Name of the other parameter.
     pub second: String,
     /// -1 to 1.
     pub correlation: f64,
@@ -35,15 +35,15 @@ pub struct CorrelationEntry {
 /// The five indices of [`Observability`], of the samples without priors.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ObservabilityEntry {
-    /// Volume.
+    /// Volume of the confidence ellipsoid.
     pub o1: f64,
-    /// Inverse condition.
+    /// Inverse of the condition number.
     pub o2: f64,
-    /// Smallest singular value.
+    /// Smallest singular value, scaled.
     pub o3: f64,
-    /// Noise amplification.
+    /// Index of noise amplification.
     pub o4: f64,
-    /// Harmonic mean.
+    /// Harmonic mean of the singular values.
     pub o5: f64,
 }
 
@@ -79,15 +79,15 @@ pub struct Knowledge {
 pub struct NoiseEntry {
     /// Number of the run, from 1.
     pub run: usize,
-    /// Of each bar encoder, found in what is left.
+    /// Of each bar encoder, estimated from the residuals.
     pub encoder_rad: f64,
-    /// As configured.
+    /// Configured noise of the encoders.
     pub encoder_rad_configured: f64,
-    /// Of each robot joint, found in what is left.
+    /// Of each robot joint, estimated from the residuals.
     pub robot_rad: f64,
-    /// As configured.
+    /// Configured noise of the joints.
     pub robot_rad_configured: f64,
-    /// Correlation of what is left of neighbouring samples: the part of its variance that is no noise.
+    /// Correlation of the residuals of neighbouring samples: the part of their variance that is not white.
     pub autocorrelation: f64,
 }
 
@@ -110,7 +110,7 @@ impl NoiseEntry {
         runs.iter().enumerate().filter_map(entry).collect()
     }
 
-    /// For a person.
+    /// The same as a sentence.
     pub(in crate::report) fn sentence(&self) -> String {
         let urad = |found: f64, configured: f64| {
             format!("{:.1} urad (configured {:.1})", found * 1e6, configured * 1e6)
@@ -135,14 +135,14 @@ pub struct CovarianceEntry {
 }
 
 impl CovarianceEntry {
-    /// Of two parameters by their places; none where one is not identified.
+    /// Of two parameters by their places; `None` if one is not identified.
     pub fn between(&self, a: usize, b: usize) -> Option<f64> {
         self.rows.get(a.max(b))?.get(a.min(b)).copied().flatten()
     }
 }
 
 impl CalibrationFile {
-    /// Adds what a solution says of itself. The covariance goes into `calibration.json` alone.
+    /// Adds rank, observability, correlations and covariance of a solution. The covariance goes into `calibration.json` alone.
     pub fn with_knowledge(mut self, solution: &Solution) -> Self {
         let found = &solution.identifiability;
         let names = solution.covariance.names();

@@ -24,17 +24,17 @@ enum Kind {
     #[error("cannot be read: {0}")]
     Io(#[from] std::io::Error),
     #[error(
-        "is no calibration.json: {0}; give the file that `identify calibrate` wrote, or its directory"
+        "is not a calibration.json: {0}; give the file that `identify calibrate` wrote, or its directory"
     )]
     Json(#[from] serde_json::Error),
     #[error(
-        "is no calibration.toml: {0}; give the file that `identify calibrate` wrote, or its directory"
+        "is not a calibration.toml: {0}; give the file that `identify calibrate` wrote, or its directory"
     )]
     Toml(#[from] toml::de::Error),
     #[error("has schema {found}, this program knows {SCHEMA}; use the program that wrote it")]
     Schema { found: u32 },
     #[error(
-        "says {value:e} of parameter `{name}`, which no calibration does; it was damaged or edited, calibrate again"
+        "has {value:e} for parameter `{name}`, which is out of range; it was damaged or edited, calibrate again"
     )]
     Number { name: String, value: f64 },
 }
@@ -51,7 +51,7 @@ impl CalibrationFile {
         Self::parse(&text, &path)
     }
 
-    /// [`Self::open`] on text in memory; the ending of `path` tells which of the two it is.
+    /// [`Self::open`] on text in memory; the ending of `path` selects the format.
     ///
     /// # Errors
     /// As [`Self::open`].

@@ -24,7 +24,7 @@ pub struct PoseErrorEntry {
 /// Segments of time that were predicted from fits to all others.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct HeldOutEntry {
-    /// How many.
+    /// Number of segments.
     pub segments: usize,
     /// The nominal robot, the bar fitted to it.
     pub nominal: PoseErrorEntry,
@@ -37,11 +37,11 @@ pub struct HeldOutEntry {
 /// Rows of a tracker or a wire, each a stage further: instrument alone, the robot's links, errors of its joints.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RowsEntry {
-    /// Which, from 1 in the order of the data sets.
+    /// Number of the data set, from 1.
     pub data_set: usize,
     /// What was held out together.
     pub hold_out: HoldOut,
-    /// Decided which rows.
+    /// Seed that selected the rows.
     pub seed: u64,
     /// What the file calls places of the instrument and on the flange, after the parameters that are theirs: `tracker` has
     /// `tracker_x`, `tracker2_x` and so on.
@@ -65,7 +65,7 @@ impl CalibrationFile {
                 let [nominal, calibrated, fitted] = held_out.rms().map(entry);
                 HeldOutEntry { segments: held_out.segments.len(), nominal, calibrated, fitted }
             });
-        // Segments that its fit cannot predict either tell nothing of a deployment.
+        // A deployment is compared on the same segments only.
         let comparable =
             |held_out: &HeldOut| Some(held_out.segments.len()) == self.held_out.map(|all| all.segments);
         let deployed = evidence.deployed.iter().map(|(deployed, held_out)| {

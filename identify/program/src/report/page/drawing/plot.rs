@@ -292,7 +292,7 @@ fn range(values: impl Iterator<Item = f64>, from_zero: bool) -> (f64, f64) {
     }
 }
 
-/// As many decimals as an axis of this width needs; where these would run into what stands beside the axis, a power of ten.
+/// As many decimals as an axis of this width needs; a power of ten if these would be too long for the margin.
 fn short(value: f64, width: f64) -> String {
     const DECIMALS_MAX: f64 = 4.0;
     let width = width.abs().max(1e-12);

@@ -1,4 +1,4 @@
-//! `path.html`: what a path does and what it is expected to determine.
+//! `path.html`: the motion of a path and the parameters that it is expected to determine.
 
 use std::path::{Path, PathBuf};
 
@@ -16,10 +16,10 @@ use crate::report::result::file::replace;
 /// Points of a curve on the page.
 const POINTS: usize = 600;
 
-/// Everything that the page shows.
+/// Content of the page.
 #[derive(Debug)]
 pub struct PathPage<'a> {
-    /// The robot.
+    /// Name of the robot.
     pub robot: &'a str,
     /// Robot, bar and what must not touch.
     pub constraints: &'a Constraints<'a>,
@@ -27,9 +27,9 @@ pub struct PathPage<'a> {
     pub path: &'a BarPath,
     /// The robot's joints along it.
     pub robot_path: &'a RobotLog,
-    /// What it does at its worst.
+    /// Its extremes and violations.
     pub checked: &'a Checked,
-    /// What the terminal says.
+    /// The summary as on the terminal.
     pub summary: &'a str,
     /// Expected standard deviation of each parameter, SI.
     pub sigmas: &'a [(ParameterId, f64)],
@@ -179,7 +179,7 @@ impl PathPage<'_> {
     }
 }
 
-/// What was looked at for collisions.
+/// Which bodies were checked for collisions.
 pub(in crate::report::page) fn collisions(bodies: &Bodies, with_bar: bool) -> Markup {
     html! { p.note {
         "Collisions: links of the robot as capsules of " (format!("{:.0}", bodies.link_radius_m * 1e3)) " mm"
@@ -189,7 +189,7 @@ pub(in crate::report::page) fn collisions(bodies: &Bodies, with_bar: bool) -> Ma
             Some(floor_m) => { "floor at " (format!("{floor_m:.3}")) " m." }
             None => { "no floor." }
         }
-        " Cables and what else stands in the cell are not known here: drive it slowly first."
+        " Cables and other objects in the cell are not included: drive it slowly first."
     } }
 }
 

@@ -1,4 +1,4 @@
-//! `poses.html`: poses that were chosen, as the robot stands in them, and what they are expected to determine.
+//! `poses.html`: chosen poses in three dimensions, and the parameters that they are expected to determine.
 
 use std::path::{Path, PathBuf};
 
@@ -20,13 +20,13 @@ use crate::report::result::file::replace;
 
 /// Poses of the animation from one chosen pose to the next.
 const FRAMES_PER_MOVE: usize = 12;
-/// So many of the parameters that are known worst are listed.
+/// The least determined parameters that are listed, at most.
 const WEAKEST: usize = 12;
 
-/// Everything that the page shows.
+/// Content of the page.
 #[derive(Debug)]
 pub struct PosesPage<'a> {
-    /// The robot.
+    /// Name of the robot.
     pub robot: &'a str,
     /// Its nominal arm to the flange.
     pub arm: &'a Chain,
@@ -34,11 +34,11 @@ pub struct PosesPage<'a> {
     pub limits: &'a [[f64; 2]],
     /// What is measured, in the flange's frame \[m\].
     pub target_m: [f64; 3],
-    /// The poses.
+    /// The chosen poses.
     pub planned: &'a PlannedPoses,
-    /// So many they were chosen from.
+    /// Number of candidates.
     pub candidates: usize,
-    /// What was looked at for collisions.
+    /// Bodies that were checked for collisions.
     pub bodies: Option<&'a Bodies>,
 }
 
@@ -155,7 +155,7 @@ impl PosesPage<'_> {
         Panel::new("Robot joints", ["pose", y], WIDE, series).draw()
     }
 
-    /// In which a joint is shown, and how many of them are in one of SI.
+    /// Factor from SI to the displayed unit of a joint, and that unit.
     fn unit(&self, joint: usize) -> (f64, &'static str) {
         match self.arm.links.get(joint).map(|link| link.joint) {
             Some(JointKind::Prismatic) => (1e3, "mm"),

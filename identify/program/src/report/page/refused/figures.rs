@@ -1,4 +1,4 @@
-//! Joints over time, with the instant of the trouble in red.
+//! Joints over time, with the instant of the failure in red.
 
 use maud::Markup;
 use plotters::prelude::RGBColor;
@@ -13,7 +13,7 @@ const RED: RGBColor = COLOURS[5];
 /// A log with more holes is shown as dots.
 const PARTS_MAX: usize = 200;
 
-/// A line across the figure; nothing where the instant is not known or there is nothing else to see.
+/// A line across the figure; `None` if the instant is unknown or the figure is empty.
 fn mark(time: &TimeAxis, at_s: Option<f64>, series: &[Series]) -> Option<Series> {
     let x = time.at(at_s?);
     let heights = series.iter().flat_map(|one| &one.points).map(|(_, y)| *y);
@@ -50,8 +50,8 @@ pub(super) fn joints(curves: &[Curve], at_s: Option<f64>) -> Result<Vec<Markup>,
     curves.iter().map(one).collect()
 }
 
-/// What is left of each encoder, and the alignment along the run. All are marked: whether others step at the same instant tells a
-/// slip from a clock.
+/// Residuals of each encoder, and the alignment along the run. All are marked: a step of one encoder alone is a slip, steps of several
+/// at the same instant are a clock.
 pub(super) fn deviations(deviations: &Deviations, at_s: Option<f64>) -> Result<Vec<Markup>, PlotError> {
     let samples = &deviations.samples;
     let time = TimeAxis::of(samples.iter().map(|(t_s, _)| *t_s));

@@ -1,4 +1,4 @@
-//! The page of a refusal: what is wrong, where and what to do, then what is known of the inputs.
+//! The page of a refusal: what is wrong, where and what to do, then the content of the inputs.
 
 mod figures;
 
@@ -16,7 +16,7 @@ use crate::inspect::Inspection;
 use crate::report::result::earlier::Earlier;
 use crate::report::result::file::{Input, MeasurementEntry, now, replace, software};
 
-/// Everything that the page shows.
+/// Content of the page.
 #[derive(Debug)]
 pub struct RefusedPage<'a> {
     /// Name of the robot.
@@ -25,7 +25,7 @@ pub struct RefusedPage<'a> {
     pub instrument: &'a str,
     /// What each recording says of its measurement.
     pub measured: &'a [MeasurementEntry],
-    /// Why not.
+    /// Message and place of the refusal.
     pub refusal: &'a Refusal<'a>,
     /// Recording and robot log of each run.
     pub runs: &'a [[Source; 2]],
@@ -38,15 +38,15 @@ pub struct RefusedPage<'a> {
 /// Where the page is.
 #[derive(Debug)]
 pub struct WrittenRefusal {
-    /// The page.
+    /// Path of the page.
     pub page: PathBuf,
     /// Where an older calibration of the same directory is now.
     pub set_aside: Option<PathBuf>,
 }
 
 impl RefusedPage<'_> {
-    /// Writes `report.html` into the directory, whole or not at all. An older calibration in it is set aside: its files
-    /// must not stand beside a page that is not theirs.
+    /// Writes `report.html` into the directory, whole or not at all. An older calibration in it is moved to a folder
+    /// of its own, because the page does not describe it.
     ///
     /// # Errors
     /// [`PageError`].
@@ -96,8 +96,8 @@ impl RefusedPage<'_> {
                 }
             }
             p.note {
-                "There is no calibration of these inputs: no file of parameters was written."
-                @if !self.runs.is_empty() { " Below is what is known of the inputs by themselves." }
+                "These inputs were not calibrated: no file of parameters was written."
+                @if !self.runs.is_empty() { " Below is the content of each input." }
                 @if let Some(set_aside) = set_aside {
                     " An older calibration that was in this directory, of other inputs or settings, is now in "
                     code { (set_aside.display()) } "."
@@ -141,7 +141,7 @@ impl RefusedPage<'_> {
                     "near singular poses of the bar. Waves are errors of the geometry, a step of one encoder alone is a slip, "
                     "steps of several by their speeds are a clock"
                     @if !deviations.local_shifts.is_empty() {
-                        "; the last figure is the time shift that each 5 s ask for by themselves"
+                        "; the last figure is the time shift of each 5 s alone"
                     }
                     "." (self.legend())
                 }
@@ -174,7 +174,7 @@ fn log(what: &str, run: Option<&str>, log: &Source, at_s: Option<f64>) -> Result
             @if let Some(run) = run { span.run { " · " (run) } }
             span.run { " · " (log.path.display()) }
         }
-        @if found.suspicious.is_empty() { p.note { "Nothing suspicious by itself." } }
+        @if found.suspicious.is_empty() { p.note { "Nothing suspicious." } }
         @else { ul.suspicious { @for sentence in &found.suspicious { li { (sentence) } } } }
         @if !panels.is_empty() {
             figure {

@@ -1,4 +1,4 @@
-//! What the logs of a calibration say of themselves, and what they leave unsaid.
+//! Contents of the logs of a calibration, and what they do not contain.
 
 use std::path::PathBuf;
 
@@ -15,7 +15,7 @@ const FACTS_MAX: usize = 24;
 pub struct Source {
     /// Such as `recording`.
     pub role: &'static str,
-    /// Its file.
+    /// Path of its file.
     pub path: PathBuf,
     /// What was found in it.
     pub inspection: Inspection,

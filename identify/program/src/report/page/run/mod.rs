@@ -1,4 +1,4 @@
-//! What a run shows by itself: its inputs, readings and preparation, and residuals over time.
+//! Sections of one run: its inputs, readings and preparation, and residuals over time.
 
 pub(in crate::report::page) mod inputs;
 pub(in crate::report::page) mod preparation;

@@ -26,7 +26,7 @@ pub(in crate::report::page) fn section(prepared: &Prepared) -> Result<Markup, Pl
         }
         figure {
             div.panels.three { @for joint in joints() { (trimmed(timeline, joint)?) } }
-            figcaption { "Joints of the bar: what was used, and what was left out for one of the reasons below." }
+            figcaption { "Joints of the bar: samples that were used, and samples that were rejected for one of the reasons below." }
         }
         figure {
             div.panels.three { @for joint in joints() { (off(timeline, joint)?) } }

@@ -1,4 +1,4 @@
-//! What was done to the readings before anything else: made continuous, and averaged where that was asked for.
+//! Readings made continuous, and averaged if this is configured.
 
 use std::f64::consts::TAU;
 
@@ -11,7 +11,7 @@ use crate::report::page::drawing::plot::{BLUE, GREY, Mark, ORANGE, Panel, PlotEr
 
 /// Lower than others: a run may have eleven pairs of them.
 const LOW: (u32, u32) = (450, 170);
-/// A period of so many turns is shown in turns, not degrees.
+/// A longer period is shown in turns, not degrees \[turns\].
 const TURNS_MIN: f64 = 1.5;
 
 /// Readings as they were shown and as they were used.

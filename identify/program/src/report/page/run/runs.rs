@@ -1,4 +1,4 @@
-//! What each run shows by itself: residuals over time, alignment, preparation.
+//! Sections of each run: residuals over time, alignment, preparation.
 
 use maud::{Markup, html};
 
@@ -83,8 +83,8 @@ fn alignment(
             figcaption {
                 "Everything but the time shift as in the solution. "
                 @if !local_shifts.is_empty() {
-                    "Right: the shift that each part of the run asks for by itself, from that of the whole run, as the "
-                    "preparation saw it."
+                    "Right: the shift of each part of the run alone, minus that of the whole run, as the preparation "
+                    "estimated it."
                 }
             }
         }

@@ -13,7 +13,7 @@ use crate::report::page::drawing::plot::{BLUE, GREEN, GREY, Mark, ORANGE, Panel,
 /// Samples that a map shows, at most.
 const DOTS_MAX: usize = 1500;
 
-/// Each run by itself: another force, another place of the bar.
+/// One section for each run: force and place of the bar differ.
 pub(in crate::report::page) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
     Ok(html! { @for (sphere, name) in page.evidence.spheres.iter().zip(runs::names(page)) {
         (runs::title("Deviation from the sphere", name.as_ref()))

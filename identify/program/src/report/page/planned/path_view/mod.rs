@@ -7,7 +7,7 @@ use serde::Serialize;
 use crate::kinematics::{Chain, Joints};
 use crate::plan::{Bodies, Skeleton};
 
-/// OGL comes first.
+/// Scripts in their order: OGL, then the view.
 pub(super) const SCRIPTS: &[&str] = &[include_str!("ogl/ogl.iife.min.js"), include_str!("view.js")];
 
 /// Poses of the animation; between two of them points move along lines.
@@ -15,18 +15,18 @@ const FRAMES: usize = 1000;
 /// Shorter pieces of a link are not drawn \[m\].
 const PIECE_M_MIN: f64 = 1e-3;
 
-/// What is drawn.
+/// The animation.
 pub(super) struct View<'a> {
     pub arm: &'a Chain,
     pub carried: Carried,
     /// Time \[s\] and joints of each frame, at least two.
     pub motion: Vec<(f64, Joints)>,
-    /// Where the arm stands at every so many frames: its poses are marked and counted instead of the time.
+    /// Frames from one pose to the next; with them poses are marked and counted instead of the time.
     pub frames_per_pose: Option<usize>,
     pub bodies: Option<&'a Bodies>,
 }
 
-/// What begins where the arm ends.
+/// What the arm carries.
 pub(super) enum Carried {
     /// The bar, up to its gimbal in the robot's base frame \[m\].
     Bar(Vector3<f64>),
@@ -35,7 +35,7 @@ pub(super) enum Carried {
 }
 
 impl View<'_> {
-    /// Every so many rows of a path of so many are enough for the animation.
+    /// Step between the rows of a path that the animation shows.
     pub fn every(rows: usize) -> usize {
         rows.div_ceil(FRAMES).max(1)
     }
@@ -122,7 +122,7 @@ pub(super) fn view(view: &View<'_>) -> Markup {
         }
         Carried::Target(_) => ("The robot in each pose", "Pose", "Links"),
     };
-    // A `<` would end the element that it stands in; numbers are finite.
+    // A `<` would end the surrounding element; numbers are finite.
     let scene = serde_json::to_string(&scene).unwrap_or_default().replace('<', "\\u003c");
     html! {
         figure #path-view {
