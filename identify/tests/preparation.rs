@@ -150,7 +150,7 @@ fn each_configuration_of_the_bar_is_recognised() {
         });
         let found = prepared(&run, &robot, &bar).unwrap();
         assert_eq!(found.configuration, wanted);
-        check(&found, &run, &wanted.to_string());
+        check(&found, &run, &format!("{wanted:?}"));
     }
 }
 

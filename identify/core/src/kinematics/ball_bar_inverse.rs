@@ -1,7 +1,6 @@
 //! Inverse kinematics of the ball-bar: four named configurations, and how near a pose is to a singular one.
 
 use std::f64::consts::PI;
-use std::fmt;
 
 use super::inverse::{
     distance_squared, nearest_turn, point_z, refine, right_angle, turn_and_twist, wrapped, wrist_angles,
@@ -29,13 +28,6 @@ impl Side {
         match self {
             Self::Positive => 1.0,
             Self::Negative => -1.0,
-        }
-    }
-
-    const fn symbol(self) -> char {
-        match self {
-            Self::Positive => '+',
-            Self::Negative => '-',
         }
     }
 }
@@ -80,12 +72,6 @@ impl Configuration {
             b = [b[0], b[1], b[2] + PI, -b[3], b[4] + PI];
         }
         b
-    }
-}
-
-impl fmt::Display for Configuration {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "gimbal{} cardan{}", self.gimbal.symbol(), self.cardan.symbol())
     }
 }
 

@@ -98,7 +98,14 @@ enum Step {
     /// Stands still \[s\].
     Wait(f64),
     /// Stops until a person continues.
-    Halt(Halt),
+    Halt {
+        /// Instruction for the controller's display: the shortest of them takes 24 characters.
+        message: String,
+        /// Why, for a comment.
+        reason: String,
+        /// Pose to which the arm is jogged by hand, counted from 1.
+        jogged_to: Option<usize>,
+    },
     /// Stands still on a path \[s\].
     Stand(f64),
     /// Drives through points that are `period_s` apart, to a stop at the last.
@@ -110,36 +117,6 @@ enum Step {
     },
     /// Drives along a path with the speeds of its points.
     Servo(Points),
-}
-
-/// Why a program stops until a person continues.
-#[derive(Debug, Clone, Copy)]
-enum Halt {
-    /// The arm is at the start of the path.
-    AttachBar,
-    /// No free way is known to this pose, counted from 1.
-    NoWay {
-        /// The pose that is next.
-        to: usize,
-    },
-}
-
-impl Halt {
-    /// What to do, for the controller's display: the shortest of them takes 24 characters.
-    fn message(self) -> String {
-        match self {
-            Self::AttachBar => "attach the ball-bar now".into(),
-            Self::NoWay { to } => format!("jog by hand to pose {to}"),
-        }
-    }
-
-    /// Why, for a comment.
-    fn reason(self) -> String {
-        match self {
-            Self::AttachBar => "the arm is at the start of the path".into(),
-            Self::NoWay { to } => format!("no free way from pose {} to pose {to} was found", to - 1),
-        }
-    }
 }
 
 /// Points of a path, the first where the robot stands before.
@@ -249,7 +226,12 @@ pub fn program(
         off_sphere_m * 1e3
     );
     let start = points.raw_rad.first().copied().unwrap_or_default();
-    let mut steps = vec![Step::Go(start), Step::Halt(Halt::AttachBar), Step::Wait(SETTLE_S)];
+    let attach = Step::Halt {
+        message: "attach the ball-bar now".into(),
+        reason: "the arm is at the start of the path".into(),
+        jogged_to: None,
+    };
+    let mut steps = vec![Step::Go(start), attach, Step::Wait(SETTLE_S)];
     match language {
         Language::Urscript => steps.push(Step::Servo(points)),
         _ => steps.extend(points.segments(language.digits())),
@@ -275,7 +257,11 @@ pub fn pose_program(
             Way::Through(postures) => {
                 steps.extend(postures.iter().map(|q| Step::Go(conversion.to_raw(q))));
             }
-            Way::Blocked => steps.push(Step::Halt(Halt::NoWay { to: number })),
+            Way::Blocked => steps.push(Step::Halt {
+                message: format!("jog by hand to pose {number}"),
+                reason: format!("no free way from pose {} to pose {number} was found", number - 1),
+                jogged_to: Some(number),
+            }),
         }
         steps.extend([Step::Go(conversion.to_raw(q)), Step::Wait(wait_s)]);
     }
@@ -409,10 +395,9 @@ fn rapid(name: &str, about: &str, steps: &[Step]) -> String {
         let _ = match step {
             Step::Go(raw_rad) => writeln!(text, "    {},v50,fine,tool0;", target(raw_rad)),
             Step::Wait(wait_s) => writeln!(text, "    WaitTime {wait_s};"),
-            Step::Halt(halt) => {
+            Step::Halt { message, reason, jogged_to } => {
                 // Where it was jogged away it must not go back.
-                let stop = if matches!(halt, Halt::NoWay { .. }) { "Stop\\NoRegain" } else { "Stop" };
-                let (reason, message) = (halt.reason(), halt.message());
+                let stop = if jogged_to.is_some() { "Stop\\NoRegain" } else { "Stop" };
                 writeln!(text, "    ! {reason}\n    TPWrite \"{message}\";\n    {stop};")
             }
             Step::Stand(wait_s) => writeln!(text, "    WaitTime {wait_s:.3};"),
@@ -444,7 +429,7 @@ fn krl(name: &str, about: &str, steps: &[Step]) -> String {
         let _ = match step {
             Step::Go(raw_rad) => writeln!(text, "PTP {}", target(raw_rad)),
             Step::Wait(wait_s) => writeln!(text, "WAIT SEC {wait_s}"),
-            Step::Halt(halt) => writeln!(text, "; {}\n; {}\nHALT", halt.reason(), halt.message()),
+            Step::Halt { message, reason, .. } => writeln!(text, "; {reason}\n; {message}\nHALT"),
             Step::Stand(wait_s) => writeln!(text, "WAIT SEC {wait_s:.3}"),
             Step::Drive { period_s, raw_rad } => {
                 for block in raw_rad.chunks(BLOCK_POINTS_MAX) {
@@ -472,15 +457,12 @@ fn ur_script(name: &str, about: &str, steps: &[Step]) -> String {
         let _ = match step {
             Step::Go(raw_rad) => writeln!(text, "  movej([{}], a=0.3, v=0.2)", list(raw_rad, 1.0)),
             Step::Wait(wait_s) => writeln!(text, "  sleep({wait_s})"),
-            Step::Halt(halt) => {
-                let message = halt.message();
-                let _ = writeln!(text, "  # {}", halt.reason());
-                match halt {
-                    Halt::AttachBar => {
-                        writeln!(text, "  popup(\"{message}\", title=\"{name}\", blocking=True)")
-                    }
+            Step::Halt { message, reason, jogged_to } => {
+                let _ = writeln!(text, "  # {reason}");
+                match jogged_to {
+                    None => writeln!(text, "  popup(\"{message}\", title=\"{name}\", blocking=True)"),
                     // The arm cannot be jogged while a program runs.
-                    Halt::NoWay { to } => writeln!(
+                    Some(to) => writeln!(
                         text,
                         "  # stop here, {message}, and start again without what is above, for poses {to} and following\n  \
                          popup(\"{message}\", title=\"{name}\", warning=True)\n  halt"
@@ -543,9 +525,9 @@ fn fanuc(name: &str, about: &str, steps: &[Step]) -> String {
                 lines.push(format!("J P[{}] 10% FINE", positions.len()));
             }
             Step::Wait(wait_s) | Step::Stand(wait_s) => lines.push(format!("WAIT {wait_s:>6.2}(sec)")),
-            Step::Halt(halt) => {
-                lines.extend(remark(&halt.reason()));
-                let message: String = halt.message().replace('-', " ").chars().take(MESSAGE).collect();
+            Step::Halt { message, reason, .. } => {
+                lines.extend(remark(reason));
+                let message: String = message.replace('-', " ").chars().take(MESSAGE).collect();
                 lines.extend([format!("MESSAGE[{message}]"), "PAUSE".into()]);
             }
             Step::Drive { period_s, raw_rad: points } => {

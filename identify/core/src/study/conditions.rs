@@ -115,41 +115,33 @@ impl Conditions {
         if !value.is_finite() {
             return refuse("give a finite number");
         }
-        match key {
-            "points" if (POINTS_MIN..=1e6).contains(&value) => self.points = value.round() as usize,
-            "points" => return refuse("give 20 to a million"),
-            "encoders" => {
-                self.measured = match value {
-                    5.0 => [true; 5],
-                    4.0 => [true, true, false, true, true],
-                    2.0 => [true, true, false, false, false],
-                    0.0 => [false; 5],
-                    _ => return refuse("give 5, 4 (all but that of joint 3), 2 (joints 1 and 2) or 0"),
-                };
-            }
-            "stations" if value == 1.0 || value == 2.0 => self.stations = value as usize,
-            "stations" => return refuse("give 1 or 2"),
-            "static_errors" => {
-                self.errors = match value {
-                    0.0 => StaticErrors::None,
-                    1.0 => StaticErrors::Thesis,
-                    _ => return refuse("give 0 (none) or 1 (table 3.1 of the thesis)"),
-                };
-            }
-            "time_difference_ms" => self.time_difference_s = value * 1e-3,
-            "wire_rows" if (POINTS_MIN..=1e6).contains(&value) => self.wire_rows = value.round() as usize,
-            "wire_rows" => return refuse("give 20 to a million"),
-            "wire_noise_um" if value >= 0.0 => self.wire_noise_m = value * 1e-6,
-            "wire_noise_um" => return refuse("give no negative number"),
-            "encoder_bits" if (1.0..=64.0).contains(&value) => {
-                self.effects.encoder_step_urad = TAU / value.exp2() * 1e6;
-            }
-            "encoder_bits" => return refuse("give 1 to 64 bits for each turn"),
+        let (valid, expected) = match key {
+            "points" | "wire_rows" => (POINTS_MIN..=1e6, "give 20 to a million"),
+            "stations" => (1.0..=2.0, "give 1 or 2"),
+            "encoder_bits" => (1.0..=64.0, "give 1 to 64 bits for each turn"),
+            "wire_noise_um" | "bar_play_um" => (0.0..=f64::MAX, "give no negative number"),
+            _ => (f64::MIN..=f64::MAX, ""),
+        };
+        if !valid.contains(&value) || (key == "stations" && value.fract() != 0.0) {
+            return refuse(expected);
+        }
+        match (key, value) {
+            ("points", _) => self.points = value.round() as usize,
+            ("encoders", 5.0) => self.measured = [true; 5],
+            ("encoders", 4.0) => self.measured = [true, true, false, true, true],
+            ("encoders", 2.0) => self.measured = [true, true, false, false, false],
+            ("encoders", 0.0) => self.measured = [false; 5],
+            ("encoders", _) => return refuse("give 5, 4 (all but that of joint 3), 2 (joints 1 and 2) or 0"),
+            ("stations", _) => self.stations = value as usize,
+            ("static_errors", 0.0) => self.errors = StaticErrors::None,
+            ("static_errors", 1.0) => self.errors = StaticErrors::Thesis,
+            ("static_errors", _) => return refuse("give 0 (none) or 1 (table 3.1 of the thesis)"),
+            ("time_difference_ms", _) => self.time_difference_s = value * 1e-3,
+            ("wire_rows", _) => self.wire_rows = value.round() as usize,
+            ("wire_noise_um", _) => self.wire_noise_m = value * 1e-6,
+            ("encoder_bits", _) => self.effects.encoder_step_urad = TAU / value.exp2() * 1e6,
             // Whatever the force is, play makes the bar longer under tension and shorter under compression.
-            "bar_play_um" if value >= 0.0 => {
-                self.load = BarLoad { force_n: 1.0, play_um: value, ..self.load }
-            }
-            "bar_play_um" => return refuse("give no negative number"),
+            ("bar_play_um", _) => self.load = BarLoad { force_n: 1.0, play_um: value, ..self.load },
             _ => return self.set_effect_or_parameter(key, value),
         }
         Ok(())

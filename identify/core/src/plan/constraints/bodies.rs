@@ -36,8 +36,6 @@ pub struct Bodies {
 pub struct Skeleton {
     /// Each link: where it begins, along its joint's axis, where it ends.
     pub links: Vec<[Vector3<f64>; 3]>,
-    /// Where the plate begins.
-    pub plate_from: Vector3<f64>,
     /// Where the plate ends.
     pub end: Vector3<f64>,
 }
@@ -46,9 +44,7 @@ impl Skeleton {
     /// Of a posture of the robot.
     pub fn of(robot: &Chain, robot_rad: &[f64]) -> Self {
         let (links, end) = links(robot, robot_rad);
-        let end = end.translation.vector;
-        let plate_from = links.last().map_or(end, |[_, elbow, _]| *elbow);
-        Self { links, plate_from, end }
+        Self { links, end: end.translation.vector }
     }
 }
 
@@ -68,9 +64,9 @@ impl Bodies {
     /// Smallest distance between rod or plate and everything else, and between the forearm with what it carries and the
     /// cell \[m\]; zero where two overlap.
     pub fn clearance_m(&self, robot: &Chain, bar: &Chain, robot_rad: &[f64]) -> f64 {
-        let Skeleton { links, plate_from, end } = Skeleton::of(robot, robot_rad);
+        let Skeleton { links, end } = Skeleton::of(robot, robot_rad);
         let gimbal = bar.root_from_base.translation.vector;
-        let plate = self.rod([plate_from, end]);
+        let plate = self.rod([links.last().map_or(end, |[_, elbow, _]| *elbow), end]);
         let rod = self.rod([gimbal, end]);
         // The last piece of the rod is at the plate, whatever the pose.
         let length_m = bar.links.get(ROD_LINK).map_or(0.0, |rod| rod.d_m);
