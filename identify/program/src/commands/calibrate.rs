@@ -14,8 +14,7 @@ use clap::{Args, Subcommand};
 use shared::config;
 
 use crate::calibrate::IdentifyConfig;
-use crate::instrument::{HoldOut, SEED};
-use crate::model::{ModelError, ParameterId, Waves};
+use crate::model::{ModelError, ParameterId};
 use crate::report::result::file::Input;
 use crate::solver::LossName;
 use experiment::Experiment;
@@ -126,29 +125,8 @@ fn millimetres(text: &str) -> Result<f64, String> {
 /// What calibrations from tables of measured rows have in common.
 #[derive(Debug, Args)]
 pub struct RowArguments {
-    /// What was measured (.csv), a row for each pose, in the order of the robot's motion
-    file: PathBuf,
-    /// Which column of the file is what, such as config/measured_pose.toml of a tracker, config/measured_length.toml of a wire,
-    /// config/contact.toml of a ball in sockets, config/touch.toml of a tip on faces
-    #[arg(long, value_name = "FILE")]
-    mapping: PathBuf,
-    /// Which rows are held out together; default: regions of poses, otherwise single rows
-    #[arg(long, value_enum)]
-    hold_out: Option<HoldOut>,
-    /// Decides which rows are held out
-    #[arg(long, default_value_t = SEED)]
-    seed: u64,
-    /// Other files of the same instrument, which may stand elsewhere, to check the robot with
-    #[arg(long, value_name = "FILES", value_delimiter = ',')]
-    validate: Vec<PathBuf>,
-    /// Which column of these is what; default: as --mapping says. Their rows have joints, also where the others have times
-    #[arg(long, value_name = "FILE", requires = "validate")]
-    validate_mapping: Option<PathBuf>,
-    /// Highest number of waves per turn that the errors of joints may have, 3 to 127; default: 64 with a tracker, otherwise by
-    /// the number of rows
-    #[arg(long, value_name = "N",
-          value_parser = clap::value_parser!(u8).range(i64::from(*Waves::OF_AXIS.start())..=i64::from(*Waves::OF_AXIS.end())))]
-    joint_waves: Option<u8>,
+    #[command(flatten)]
+    file: RowFile,
     #[command(flatten)]
     common: CommonArguments,
 }
@@ -156,13 +134,13 @@ pub struct RowArguments {
 pub fn run(arguments: &CalibrateArguments) -> anyhow::Result<()> {
     match &arguments.command {
         CalibrateCommand::Bar(arguments) => bar::run(arguments),
-        CalibrateCommand::Wire(rows) => rows.calibrate(|experiment| experiment.wires.push(rows.into())),
+        CalibrateCommand::Wire(rows) => rows.calibrate(|experiment| experiment.wires.push(rows.file.clone())),
         CalibrateCommand::Tracker(arguments) => arguments.run(),
         CalibrateCommand::Contact(ContactArguments { rows, sockets }) => rows.calibrate(|experiment| {
-            experiment.contacts.push(RowFile { sockets: Some(sockets.clone()), ..rows.into() });
+            experiment.contacts.push(RowFile { sockets: Some(sockets.clone()), ..rows.file.clone() });
         }),
         CalibrateCommand::Touch(TouchArguments { rows, faces }) => rows.calibrate(|experiment| {
-            experiment.touches.push(RowFile { faces: faces.clone(), ..rows.into() });
+            experiment.touches.push(RowFile { faces: faces.clone(), ..rows.file.clone() });
         }),
         CalibrateCommand::Experiment(arguments) => experiment::run(arguments),
     }

@@ -232,12 +232,6 @@ fn within(option: &str, value: f64, limit: f64) -> anyhow::Result<()> {
 }
 
 pub fn run(arguments: &SimulateArguments) -> anyhow::Result<()> {
-    let out = match &arguments.command {
-        SimulateCommand::Bar(arguments) => &arguments.out,
-        SimulateCommand::Contact(arguments) => &arguments.arm.out,
-        SimulateCommand::Touch(arguments) => &arguments.arm.out,
-    };
-    ensure_can_write(out)?;
     match &arguments.command {
         SimulateCommand::Bar(arguments) => bar(arguments),
         SimulateCommand::Contact(arguments) => contacts(arguments),
@@ -253,6 +247,7 @@ fn at_least_one(rows: usize) -> anyhow::Result<usize> {
 fn contacts(
     ContactArguments { arm, sockets, distances, rows, seating_um }: &ContactArguments,
 ) -> anyhow::Result<()> {
+    ensure_can_write(&arm.out)?;
     let robot: RobotConfig = config::load(&arm.robot)?;
     let simulated = contact::run(&ContactExperiment {
         robot: &robot,
@@ -270,6 +265,7 @@ fn contacts(
 fn touches(
     TouchArguments { arm, block_mm, unknown, rows, touch_um, gauge_mm }: &TouchArguments,
 ) -> anyhow::Result<()> {
+    ensure_can_write(&arm.out)?;
     let robot: RobotConfig = config::load(&arm.robot)?;
     let simulated = touch::run(&TouchExperiment {
         robot: &robot,
@@ -286,6 +282,7 @@ fn touches(
 }
 
 fn bar(arguments: &BarArguments) -> anyhow::Result<()> {
+    ensure_can_write(&arguments.out)?;
     let robot: RobotConfig = config::load(&arguments.robot)?;
     let bar: BallBarConfig = config::load(&arguments.bar)?;
     let mut experiment = Experiment::new(&robot, &bar);

@@ -34,28 +34,38 @@ pub fn of_robot(log: &RobotLog) -> Vec<Curve> {
     curves('q', &log.q_rad, 0..log.axes())
 }
 
-/// Of each column of a part without holes the first, lowest, highest and last angle.
+/// Of each part without gaps the points that a figure needs.
 fn curves<R: Row>(prefix: char, rows: &Stream<R>, joints: impl Iterator<Item = usize>) -> Vec<Curve> {
     let span_s = rows.duration_s();
-    let column_s = span_s / COLUMNS;
+    let column_s = (span_s / COLUMNS).max(f64::MIN_POSITIVE);
     let parts = rows.parts_within(column_s.max(HOLE_STEPS * span_s / rows.len().max(1) as f64));
-    let column = |row: usize| if column_s > 0.0 { (rows.t_s[row] / column_s).floor() } else { 0.0 };
     let curve = |joint: usize| {
-        let angle_rad = |row: usize| rows[row].numbers()[joint];
-        let of_column = |within: &[usize]| {
-            let by_angle = |a: &&usize, b: &&usize| angle_rad(**a).total_cmp(&angle_rad(**b));
-            let lowest_highest = [within.iter().min_by(by_angle), within.iter().max_by(by_angle)];
-            let ends = [within.first(), within.last()];
-            let mut kept: Vec<usize> = ends.into_iter().chain(lowest_highest).flatten().copied().collect();
-            kept.sort_unstable();
-            kept.dedup();
-            kept.into_iter().map(|row| (rows.t_s[row], angle_rad(row).to_degrees())).collect::<Vec<_>>()
-        };
+        let point = |row: usize| (rows.t_s[row], rows[row].numbers()[joint].to_degrees());
         let thinned = |part: &Range<usize>| {
-            let places: Vec<usize> = part.clone().collect();
-            places.chunk_by(|a, b| column(*a) == column(*b)).flat_map(of_column).collect()
+            let points: Vec<(f64, f64)> = part.clone().map(point).collect();
+            extremes_of_columns(&points, |(t_s, _)| (t_s / column_s) as i64, |(_, deg)| *deg)
         };
         Curve { name: format!("{prefix}{}", joint + 1), parts: parts.iter().map(thinned).collect() }
     };
     joints.map(curve).collect()
+}
+
+/// The first, lowest, highest and last of all points in each column (Jugel et al. 2014, "M4: a visualization-oriented time series data
+/// aggregation").
+pub(crate) fn extremes_of_columns<P: Copy>(
+    points: &[P],
+    column: impl Fn(&P) -> i64,
+    height: impl Fn(&P) -> f64,
+) -> Vec<P> {
+    let mut kept = Vec::new();
+    for within in points.chunk_by(|a, b| column(a) == column(b)) {
+        let by_height = |a: &usize, b: &usize| height(&within[*a]).total_cmp(&height(&within[*b]));
+        let [lowest, highest] = [(0..within.len()).min_by(by_height), (0..within.len()).max_by(by_height)]
+            .map(Option::unwrap_or_default);
+        let mut picked = [0, lowest, highest, within.len() - 1].to_vec();
+        picked.sort_unstable();
+        picked.dedup();
+        kept.extend(picked.into_iter().map(|at| within[at]));
+    }
+    kept
 }

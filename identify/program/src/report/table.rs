@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use super::result::corrections::TO_JOINT;
-use super::result::file::{CalibrationFile, ReadIn, Status};
+use super::result::file::{CalibrationFile, ParameterEntry, ReadIn, Status};
 use crate::calibrate::Calibration;
 use crate::calibrate::validation::deployment::Deployment;
 use crate::inspect::{Inspection, JointLine};
@@ -88,13 +88,9 @@ fn parameters(file: &CalibrationFile) -> String {
     let mut text = String::new();
     let applied = file.applied();
     let _ = writeln!(text, "\n{:<16}{:>14}{:>12}{:>10}  unit", "parameter", "nominal", "correction", "sigma");
-    let (mut exact, mut held) = (Vec::new(), Vec::new());
-    let (told, waves) = applied.reported();
-    for entry in told {
-        if entry.status == Status::Fixed {
-            if entry.sigma.is_some() { &mut held } else { &mut exact }.push(entry.held());
-            continue;
-        }
+    let (entries, waves) = applied.reported();
+    let [exact, held] = ParameterEntry::fixed(entries.iter().copied());
+    for entry in entries.into_iter().filter(|entry| entry.status != Status::Fixed) {
         let ReadIn { factor, unit, decimals } = entry.read_in();
         let sigma = entry.sigma.map_or_else(|| "-".into(), |sigma| format!("{:.5}", sigma * factor));
         let prior = if entry.status == Status::IdentifiedWithPrior { " (prior)" } else { "" };

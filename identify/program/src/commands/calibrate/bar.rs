@@ -13,19 +13,15 @@ use super::driver::calibrate;
 use super::experiment::{BarRun, Experiment};
 use crate::calibrate::CalibrateError;
 use crate::calibrate::ball_bar::RunInput;
-use crate::cost::SharedColumns;
 use crate::inspect::{self, curves};
 use crate::instrument::CostName;
 use crate::logs::{
     self, BarLog, BarLogMapping, ForceLog, ForceLogMapping, LogFormat, LogOptions, RobotLog, RobotLogMapping,
     is_recording,
 };
-use crate::model::Model;
-use crate::prepare::{EncoderMapChoice, Prepared, bar_angles};
+use crate::prepare::{EncoderMapChoice, bar_angles};
 use crate::report::page::Source;
-use crate::report::result::clocks::{ClockEntry, SolvedClock};
 use crate::report::result::file::MeasurementEntry;
-use crate::solver::Covariance;
 use crate::threads::both;
 
 /// Options of a calibration with the ball-bar.
@@ -165,25 +161,9 @@ impl RunFiles<'_> {
         Some([part(self.cycles.start..at)?, part(at..self.cycles.end)?])
     }
 
-    /// Its clocks at the solution of all runs, of which it is number `run` from 0.
-    pub(super) fn clock(
-        &self,
-        run: usize,
-        prepared: &Prepared,
-        model: &Model,
-        columns: &SharedColumns,
-        covariance: &Covariance,
-    ) -> ClockEntry {
-        ClockEntry::from(SolvedClock {
-            run,
-            instrument: "ball-bar",
-            reference: prepared.t_ref,
-            is_dated: !matches!(&*self.recording, BarLog::Other(other) if !other.is_dated),
-            alignment: &prepared.alignment,
-            model,
-            columns,
-            covariance,
-        })
+    /// The recording's clock shows a date.
+    pub(super) fn is_dated(&self) -> bool {
+        !matches!(&*self.recording, BarLog::Other(other) if !other.is_dated)
     }
 
     /// What is in the recording and in the robot's log.

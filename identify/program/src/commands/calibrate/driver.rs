@@ -22,6 +22,7 @@ use crate::instrument::{Rows, Run};
 use crate::kinematics::flange_chain;
 use crate::logs::LogOptions;
 use crate::report::page::Page;
+use crate::report::result::clocks::ClockEntry;
 use crate::report::result::file::{CalibrationFile, Input, MeasurementEntry, ParameterEntry, SolveEntry};
 use crate::report::result::force::ForceEntry;
 use crate::report::result::knowledge::NoiseEntry;
@@ -135,10 +136,10 @@ fn calibration_file(
     evidence: &Evidence,
 ) -> CalibrationFile {
     let solution = calibration.solution();
-    let of_bar = |(run, (files, (prepared, model))): (usize, (&RunFiles<'_>, _))| {
-        files.clock(run, prepared, model, &calibration.solved.columns, &solution.covariance)
-    };
-    let of_bars = bars.iter().zip(calibration.bar_runs()).enumerate().map(of_bar);
+    let of_bars = bars.iter().zip(calibration.bar_runs()).enumerate();
+    let of_bars = of_bars.filter_map(|(run, (files, (prepared, _)))| {
+        ClockEntry::solved(calibration, run, (prepared.t_ref, files.is_dated()), &prepared.alignment)
+    });
     let of_trackers = (bars.len()..).zip(beside);
     let of_trackers =
         of_trackers.filter_map(|(number, beside)| beside.aligned.as_ref()?.clock(number, calibration));

@@ -23,9 +23,9 @@ use crate::logs::{
     ContactMapping, Contacts, LogFormat, LogOptions, MeasuredLengthMapping, MeasuredLengths,
     MeasuredPoseMapping, MeasuredPoses, TimedPoses, TouchMapping, Touches, is_simulated, joints_of_robot,
 };
-use crate::model::{JointState, Model, further};
+use crate::model::{JointState, Model, Waves, further};
 use crate::prepare::{AlignedPoses, Alignment, PrepareOptions, align_poses};
-use crate::report::result::clocks::{ClockEntry, SolvedClock};
+use crate::report::result::clocks::ClockEntry;
 use crate::report::rows as of_rows;
 use serde::{Deserialize, Serialize};
 
@@ -66,53 +66,50 @@ pub struct TouchArguments {
     pub(super) faces: Option<PathBuf>,
 }
 
-/// A file of rows as an experiment has it: the keys of a block in an experiment's file.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+/// A file of rows: options of its command, and the keys of its block in an experiment's file.
+#[derive(Debug, Clone, Default, PartialEq, Args, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RowFile {
-    /// Table of the rows.
+    /// What was measured (.csv), a row for each pose, in the order of the robot's motion
     pub file: PathBuf,
-    /// Which of its columns is what.
+    /// Which column of the file is what, such as config/measured_pose.toml of a tracker, config/measured_length.toml of a wire,
+    /// config/contact.toml of a ball in sockets, config/touch.toml of a tip on faces
+    #[arg(long, value_name = "FILE")]
     pub mapping: PathBuf,
     /// Of a tracker whose rows have times in place of joints: the robot's own log.
+    #[arg(skip)]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub robot_log: Option<PathBuf>,
     /// Of a ball in sockets, which needs it: the table of these.
+    #[arg(skip)]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sockets: Option<PathBuf>,
     /// Of a touch probe: what is known of the faces.
+    #[arg(skip)]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub faces: Option<PathBuf>,
-    /// Which rows are held out together; absent: regions of poses, rows of lengths and contacts.
+    /// Which rows are held out together; default: regions of poses, otherwise single rows
+    #[arg(long, value_enum)]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub hold_out: Option<HoldOut>,
-    /// Decides which; absent: that of the command line.
+    /// Decides which rows are held out; default: 1042
+    #[arg(long)]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seed: Option<u64>,
-    /// Highest number of waves per turn that the errors of joints may have; the lowest of all files counts.
+    /// Highest number of waves per turn that the errors of joints may have, 3 to 127; default: 64 with a tracker, otherwise by
+    /// the number of rows. The lowest of all files counts
+    #[arg(long, value_name = "N",
+          value_parser = clap::value_parser!(u8).range(i64::from(*Waves::OF_AXIS.start())..=i64::from(*Waves::OF_AXIS.end())))]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub joint_waves: Option<u8>,
-    /// Other files of the same instrument to check the robot with.
+    /// Other files of the same instrument, which may stand elsewhere, to check the robot with
+    #[arg(long, value_name = "FILES", value_delimiter = ',')]
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub validate: Vec<PathBuf>,
-    /// Which of their columns is what; absent: as `mapping` says.
+    /// Which column of these is what; default: as --mapping says. Their rows have joints, also where the others have times
+    #[arg(long, value_name = "FILE", requires = "validate")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub validate_mapping: Option<PathBuf>,
-}
-
-impl From<&RowArguments> for RowFile {
-    fn from(of: &RowArguments) -> Self {
-        Self {
-            file: of.file.clone(),
-            mapping: of.mapping.clone(),
-            hold_out: of.hold_out,
-            seed: Some(of.seed),
-            joint_waves: of.joint_waves,
-            validate: of.validate.clone(),
-            validate_mapping: of.validate_mapping.clone(),
-            ..Self::default()
-        }
-    }
 }
 
 impl TrackerArguments {
@@ -121,9 +118,9 @@ impl TrackerArguments {
         rows.calibrate(|experiment| {
             (experiment.log_format, experiment.log_mapping) = (*log_format, log_mapping.clone());
             experiment.trackers.push(RowFile {
-                joint_waves: Some(rows.joint_waves.unwrap_or(WAVES_PER_TURN_MAX)),
+                joint_waves: Some(rows.file.joint_waves.unwrap_or(WAVES_PER_TURN_MAX)),
                 robot_log: robot_log.clone(),
-                ..rows.into()
+                ..rows.file.clone()
             });
         })
     }
@@ -327,16 +324,7 @@ impl Aligned {
     /// The clocks at the solution of all data sets, of which the tracker's is number `run` from 0: as the solve found them, or as
     /// far as standstills say.
     pub(super) fn clock(&self, run: usize, found: &Calibration) -> Option<ClockEntry> {
-        let solved = ClockEntry::from(SolvedClock {
-            run,
-            instrument: Kind::Tracker.key(),
-            reference: self.t_ref,
-            is_dated: self.is_dated,
-            alignment: &self.alignment,
-            model: &found.runs.get(run)?.model,
-            columns: &found.solved.columns,
-            covariance: &found.solved.solution.covariance,
-        });
+        let solved = ClockEntry::solved(found, run, (self.t_ref, self.is_dated), &self.alignment)?;
         let skew_ppm = if self.stood { self.alignment.skew * 1e6 } else { solved.skew_ppm };
         Some(ClockEntry { skew_ppm, ..solved })
     }

@@ -7,7 +7,7 @@ use super::drawing::workspace;
 use super::sections::mm;
 use crate::calibrate::validation::deployment::Deployment;
 use crate::evaluate::{CubeError, Expected, WorkspaceError};
-use crate::report::result::file::{CalibrationFile, MeasurementEntry, ParameterEntry, Status};
+use crate::report::result::file::{CalibrationFile, MeasurementEntry, ParameterEntry};
 use crate::report::verdict::Grade;
 
 /// What is certified of a calibration, whatever it was measured with.
@@ -171,11 +171,7 @@ fn results(file: &CalibrationFile, workspace: &WorkspaceError) -> Markup {
 /// Validity, deployments, and fixed parameters.
 fn conditions(file: &CalibrationFile) -> Markup {
     let parts = file.deployments_reported();
-    let held = |entry: &&ParameterEntry| entry.status == Status::Fixed;
-    let (held, exact): (Vec<&ParameterEntry>, Vec<&ParameterEntry>) =
-        file.parameters.iter().filter(held).partition(|entry| entry.sigma.is_some());
-    let names =
-        |entries: &[&ParameterEntry]| entries.iter().map(|entry| entry.held()).collect::<Vec<_>>().join(", ");
+    let [exact, held] = ParameterEntry::fixed(&file.parameters);
     html! {
         dl.conditions {
             @if let Some(scale) = &file.scale { dt { "Scale rests on" } dd { (scale) } }
@@ -189,8 +185,8 @@ fn conditions(file: &CalibrationFile) -> Markup {
                     "held-out data: " (parts.join("; ")) ". Held-out data were predicted by fits without them; what is in the files is fitted to all."
                 }
             }
-            @if !held.is_empty() { dt { "Held within" } dd { (names(&held)) } }
-            @if !exact.is_empty() { dt { "Taken as exact" } dd { (names(&exact)) } }
+            @if !held.is_empty() { dt { "Held within" } dd { (held.join(", ")) } }
+            @if !exact.is_empty() { dt { "Taken as exact" } dd { (exact.join(", ")) } }
         }
     }
 }

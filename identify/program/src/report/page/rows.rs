@@ -5,7 +5,7 @@ use maud::{Markup, html};
 use super::Page;
 use super::drawing::figures::{WIDE, dots};
 use super::drawing::plot::{BLUE, GREY, ORANGE, Panel, PlotError};
-use super::sections::mm;
+use super::sections::{mm, number};
 use crate::calibrate::rows::{RowErrors, Sizes};
 use crate::instrument::PoseError;
 
@@ -18,10 +18,8 @@ pub(super) fn numbers(page: &Page<'_>) -> Markup {
         @for (name, errors) in page.rows.iter().filter(|(_, errors)| !errors.held_out.is_empty()) {
             @let held_out = errors.of(&errors.held_out);
             @for (robot, figures) in [("nominal robot", held_out.nominal), ("calibrated", held_out.joints)] {
-                div.number {
-                    b { (mm(figures.position_m.rms)) " mm" }
-                    span { (name) ", " (figures.rows) " held-out rows, " (robot) ", RMS; " (sizes(figures.position_m)) }
-                }
+                @let label = format!("{name}, {} held-out rows, {robot}, RMS; {}", figures.rows, sizes(figures.position_m));
+                (number(mm(figures.position_m.rms) + " mm", label))
             }
         }
     }

@@ -1,6 +1,6 @@
 //! The parts of the page in their order: verdict first, origin last.
 
-use maud::{Markup, html};
+use maud::{Markup, Render, html};
 
 use super::drawing::plot::PlotError;
 use super::drawing::{correlations, figures};
@@ -22,14 +22,18 @@ pub(super) fn figure(value: f64) -> String {
     if (0.01..1e4).contains(&value) { format!("{value:.4}") } else { format!("{value:.3e}") }
 }
 
+/// A large number with its explanation.
+pub(super) fn number(value: impl Render, label: impl Render) -> Markup {
+    html! { div.number { b { (value) } span { (label) } } }
+}
+
 /// An expected error over the workspace.
-pub(super) fn expected(label: &str, expected: &Expected) -> Markup {
-    let [low, high] = expected.interval_m.map(mm);
-    html! { div.number {
-        b { (mm(expected.mean_m)) " mm" }
-        span { (label) ", mean over the workspace; 95 % interval " (low) " to " (high) " mm; 95 % of all postures below "
-            (mm(expected.p95_m)) " mm" }
-    } }
+fn expected(label: &str, Expected { mean_m, interval_m, p95_m, .. }: &Expected) -> Markup {
+    let ([low, high], p95) = (interval_m.map(mm), mm(*p95_m));
+    let label = format!(
+        "{label}, mean over the workspace; 95 % interval {low} to {high} mm; 95 % of all postures below {p95} mm"
+    );
+    number(mm(*mean_m) + " mm", label)
 }
 
 /// What limits a calibration beside what its verdict names, as the terminal has it.
@@ -41,10 +45,9 @@ pub(super) fn numbers(page: &Page<'_>) -> Markup {
     let expected_errors = &page.evidence.workspace;
     let (before, after) = (&expected_errors.before, &expected_errors.after);
     let gap = |label: &str, gap: &Quantiles| {
-        html! { div.number {
-            b { (mm(gap.mean)) " mm" }
-            span { "robot against bar, " (label) "; median " (mm(gap.median)) ", 95 % " (mm(gap.p95)) ", largest " (mm(gap.max)) " mm" }
-        } }
+        let [median, p95, max] = [gap.median, gap.p95, gap.max].map(mm);
+        let label = format!("robot against bar, {label}; median {median}, 95 % {p95}, largest {max} mm");
+        number(mm(gap.mean) + " mm", label)
     };
     html! {
         h2 { "Before and after" }
@@ -71,19 +74,14 @@ pub(super) fn numbers(page: &Page<'_>) -> Markup {
 pub(super) fn parameters(file: &CalibrationFile, place: &str, others: &[String]) -> Markup {
     let applied = file.applied();
     let (entries, waves) = applied.reported();
-    let fixed = |with_sigma: bool| -> Vec<String> {
-        let wanted =
-            |entry: &&&ParameterEntry| entry.status == Status::Fixed && entry.sigma.is_some() == with_sigma;
-        entries.iter().filter(wanted).map(|entry| entry.held()).collect()
-    };
-    let (exact, held) = (fixed(false), fixed(true));
+    let [exact, held] = ParameterEntry::fixed(entries.iter().copied());
     // What a run after the first has for itself is called `ox@2`.
     let own = |entry: &ParameterEntry, run: usize| match entry.name.split_once('@') {
         Some((_, number)) => number.parse() == Ok(run + 1),
         None => run == 0,
     };
     let of = |wanted: &dyn Fn(&ParameterEntry) -> bool| -> Vec<&ParameterEntry> {
-        entries.iter().copied().filter(|entry| shown(entry) && wanted(entry)).collect()
+        entries.iter().copied().filter(|entry| entry.status != Status::Fixed && wanted(entry)).collect()
     };
     let owner = |entry: &ParameterEntry| entry.id().map(ParameterId::owner);
     let is_bar = |entry: &ParameterEntry| entry.name.starts_with('b') && owner(entry) == Some(Owner::BallBar);
@@ -164,11 +162,6 @@ pub(super) fn candidates(file: &CalibrationFile) -> Markup {
         }
         p.note { "Each of eight groups of samples was predicted from a fit that had not seen it. Residuals in standard deviations of the cost." }
     } }
-}
-
-/// Fixed parameters are listed below the tables.
-fn shown(entry: &ParameterEntry) -> bool {
-    entry.status != Status::Fixed
 }
 
 fn table(caption: &str, entries: &[&ParameterEntry]) -> Markup {

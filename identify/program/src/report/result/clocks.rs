@@ -3,10 +3,10 @@
 use serde::{Deserialize, Serialize};
 use shared::time::UtcNs;
 
-use crate::cost::SharedColumns;
-use crate::model::{Model, ParameterId};
+use crate::calibrate::Calibration;
+use crate::instrument::Run;
+use crate::model::ParameterId;
 use crate::prepare::Alignment;
-use crate::solver::Covariance;
 
 /// How the logs of an instrument and the robot were brought together.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -36,51 +36,40 @@ pub struct ClockEntry {
     pub ambiguous: bool,
 }
 
-/// A data set with its own clock, at the solution of all.
-pub struct SolvedClock<'a> {
-    /// Number of the data set, from 0.
-    pub run: usize,
-    /// Name of the instrument.
-    pub instrument: &'a str,
-    /// Reference time on its clock.
-    pub reference: UtcNs,
-    /// That clock shows a date.
-    pub is_dated: bool,
-    /// How the logs were brought together before the solve.
-    pub alignment: &'a Alignment,
-    /// Model at the solution.
-    pub model: &'a Model,
-    /// Columns of the covariance of each data set.
-    pub columns: &'a SharedColumns,
-    /// Covariance of the solution.
-    pub covariance: &'a Covariance,
-}
-
-impl From<SolvedClock<'_>> for ClockEntry {
-    fn from(of: SolvedClock<'_>) -> Self {
-        let value = |id| of.model.parameter(id).map_or(0.0, |parameter| parameter.value);
-        let sigma = |id| of.covariance.sigma(*of.columns.of_run(of.run).get(of.model.column_of(id)?)?);
-        let reference_s = of.reference.0 as f64 * 1e-9;
-        Self {
-            data_set: of.run + 1,
-            instrument: of.instrument.to_owned(),
-            reference_utc: if of.is_dated {
-                of.reference.to_string()
+impl ClockEntry {
+    /// The clock of a data set at the solution of all, of which it is number `run` from 0. `reference` is on its own clock, which may be
+    /// dated; `alignment` was found before the solve.
+    pub fn solved(
+        calibration: &Calibration,
+        run: usize,
+        (reference, is_dated): (UtcNs, bool),
+        alignment: &Alignment,
+    ) -> Option<Self> {
+        let Run { instrument, model } = calibration.runs.get(run)?;
+        let solved = &calibration.solved;
+        let value = |id| model.parameter(id).map_or(0.0, |parameter| parameter.value);
+        let columns = solved.columns.of_run(run);
+        let sigma = |id| solved.solution.covariance.sigma(*columns.get(model.column_of(id)?)?);
+        let instrument = instrument.name();
+        let reference_s = reference.0 as f64 * 1e-9;
+        Some(Self {
+            data_set: run + 1,
+            instrument: instrument.to_owned(),
+            reference_utc: if is_dated {
+                reference.to_string()
             } else {
-                format!("{reference_s:.3} s (the {}'s clock, zero unknown)", of.instrument)
+                format!("{reference_s:.3} s (the {instrument}'s clock, zero unknown)")
             },
-            robot_minus_instrument_ns: of.alignment.solved_difference_ns(value(ParameterId::ClockShift)),
+            robot_minus_instrument_ns: alignment.solved_difference_ns(value(ParameterId::ClockShift)),
             sigma_ns: sigma(ParameterId::ClockShift).map(|sigma_s| sigma_s * 1e9),
             skew_ppm: value(ParameterId::ClockSkew) * 1e6,
             skew_sigma_ppm: sigma(ParameterId::ClockSkew).map(|sigma| sigma * 1e6),
-            correlation: of.alignment.correlation,
-            overlap_s: of.alignment.overlap_s,
-            ambiguous: of.alignment.ambiguous,
-        }
+            correlation: alignment.correlation,
+            overlap_s: alignment.overlap_s,
+            ambiguous: alignment.ambiguous,
+        })
     }
-}
 
-impl ClockEntry {
     /// Difference and rate, for a person.
     pub fn difference(&self) -> String {
         let within = |sigma: Option<f64>, unit: &str| {

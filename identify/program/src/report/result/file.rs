@@ -165,6 +165,15 @@ impl ParameterEntry {
         self.name.clone() + &within.unwrap_or_default()
     }
 
+    /// Names of the fixed ones: exact ones, and those with an uncertainty.
+    pub(in crate::report) fn fixed<'e>(entries: impl IntoIterator<Item = &'e Self>) -> [Vec<String>; 2] {
+        let mut names = [Vec::new(), Vec::new()];
+        for entry in entries.into_iter().filter(|entry| entry.status == Status::Fixed) {
+            names[usize::from(entry.sigma.is_some())].push(entry.held());
+        }
+        names
+    }
+
     /// How people read it: angles of the robot's links in degrees, as controllers have them.
     pub(in crate::report) fn read_in(&self) -> ReadIn {
         let unit = self.id().map_or(Unit::Ratio, ParameterId::unit);

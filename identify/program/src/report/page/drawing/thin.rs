@@ -2,33 +2,18 @@
 
 use std::collections::HashSet;
 
+use crate::inspect::curves::extremes_of_columns;
+
 /// Where something is drawn, in steps of the figure's grid.
 pub(in crate::report::page) type Place = (i32, i32);
 
 /// Dots of one set, at most.
 const DOTS_MAX: usize = 4000;
 
-/// A line through the first, lowest, highest and last point of each run of points in one column: on a screen whose columns
-/// are so wide it looks as the whole line does (Jugel et al. 2014, "M4: a visualization-oriented time series data
-/// aggregation").
+/// A line through the first, lowest, highest and last point of each run of points in one column: with columns of this width it looks
+/// as the whole line does.
 pub(in crate::report::page) fn line(points: &[Place], column: i32) -> Vec<Place> {
-    let column_of = |point: &Place| point.0.div_euclid(column.max(1));
-    let mut kept = Vec::new();
-    for within in points.chunk_by(|a, b| column_of(a) == column_of(b)) {
-        let by_height = |a: &usize, b: &usize| within[*a].1.cmp(&within[*b].1);
-        let lowest = (0..within.len()).min_by(by_height).unwrap_or(0);
-        let highest = (0..within.len()).max_by(by_height).unwrap_or(0);
-        let mut picked = [0, lowest.min(highest), lowest.max(highest), within.len() - 1];
-        picked.sort_unstable();
-        kept.extend(
-            picked
-                .iter()
-                .enumerate()
-                .filter(|(i, at)| *i == 0 || **at != picked[*i - 1])
-                .map(|(_, at)| within[*at]),
-        );
-    }
-    kept
+    extremes_of_columns(points, |(x, _)| i64::from(x.div_euclid(column.max(1))), |(_, y)| f64::from(*y))
 }
 
 /// One dot for each cell that has any. Cells are as small as can be with so few dots that a page stays light, so that a

@@ -13,7 +13,7 @@ use crate::model::ParameterId;
 use crate::plan::{Bodies, Determined, PlannedPoses};
 use crate::report::page::drawing::figures::{ROUND, WIDE, dots};
 use crate::report::page::drawing::plot::{BLUE, COLOURS, GREY, Mark, Panel, PlotError, Series};
-use crate::report::page::sections::mm;
+use crate::report::page::sections::{mm, number};
 use crate::report::page::{PageError, document_with};
 use crate::report::path;
 use crate::report::result::file::replace;
@@ -59,9 +59,7 @@ impl PosesPage<'_> {
     pub fn render(&self) -> Result<Markup, PlotError> {
         let planned = self.planned;
         let title = format!("Poses for {}", self.robot);
-        let number = |error_m: f64, label: String| {
-            html! { div.number { b { (mm(error_m)) " mm" } span { (label) } } }
-        };
+        let count = planned.joints.len();
         Ok(document_with(
             &title,
             path_view::SCRIPTS,
@@ -76,9 +74,9 @@ impl PosesPage<'_> {
                     @if let Some(bodies) = self.bodies { (collisions(bodies, false)) }
                     h2 { "Position error that is expected" }
                     div.numbers {
-                        (number(planned.before_m, "of the robot as it is".into()))
-                        (number(planned.position_m, "after a calibration with these poses".into()))
-                        (number(planned.random_m, format!("with {} random ones, the median", planned.joints.len())))
+                        (number(mm(planned.before_m) + " mm", "of the robot as it is"))
+                        (number(mm(planned.position_m) + " mm", "after a calibration with these poses"))
+                        (number(mm(planned.random_m) + " mm", format!("with {count} random ones, the median")))
                     }
                     p.note {
                         "Root mean square over all poses that were chosen from, for white noise and the errors of links, loads and gears that a "

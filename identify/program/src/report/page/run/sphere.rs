@@ -4,11 +4,12 @@ use maud::{Markup, html};
 use plotters::style::RGBColor;
 
 use super::runs;
-use crate::evaluate::{Deviation, Elongation, OffSphere, SphereDeviation};
+use crate::evaluate::{Deviation, Elongation, OffSphere, Quantiles, SphereDeviation};
 use crate::model::ParameterId;
 use crate::report::page::Page;
 use crate::report::page::drawing::figures::{HALF, TimeAxis, WIDE, dots, from_above, sphere_from_above};
 use crate::report::page::drawing::plot::{BLUE, GREEN, GREY, Mark, ORANGE, Panel, PlotError, Series};
+use crate::report::page::sections::number;
 
 /// Samples that a map shows, at most.
 const DOTS_MAX: usize = 1500;
@@ -63,21 +64,18 @@ fn um(metres: f64) -> String {
 
 fn figures_of(sphere: &SphereDeviation) -> Markup {
     let row = |name: &str, deviation: &Deviation| {
-        html! { div.number {
-            b { (um(deviation.rms_m)) }
-            span { (name) ", RMS; median " (um(deviation.size_m.median)) ", 95 % below " (um(deviation.size_m.p95)) ", largest "
-                (um(deviation.size_m.max)) }
-        } }
+        let Quantiles { median, p95, max, .. } = deviation.size_m;
+        let [median, p95, max] = [median, p95, max].map(um);
+        let label = format!("{name}, RMS; median {median}, 95 % below {p95}, largest {max}");
+        number(um(deviation.rms_m), label)
     };
     html! {
         div.numbers {
             (row("nominal robot", &sphere.before))
             (row("calibrated robot", &sphere.after))
             @if sphere.elongation.is_some() {
-                div.number {
-                    b { (um(sphere.after.unexplained_rms_m)) }
-                    span { "calibrated robot, RMS without what the force explains" }
-                }
+                @let label = "calibrated robot, RMS without what the force explains";
+                (number(um(sphere.after.unexplained_rms_m), label))
             }
         }
     }
