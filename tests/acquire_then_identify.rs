@@ -6,9 +6,7 @@ use std::path::Path;
 
 use ballbard::control::recordings::table::{Layout, write_csv};
 use ballbard::run::{BusChoice, RunRequest};
-use identify::calibrate::CalibrateError;
-use identify::calibrate::ball_bar;
-use identify::calibrate::{IdentifyConfig, SelectionName};
+use identify::calibrate::{CalibrateError, IdentifyConfig, SelectionName, calibrate_run};
 use identify::instrument::CostName;
 use identify::logs::{self, BarLog};
 use identify::model::ParameterId;
@@ -51,8 +49,7 @@ fn all_38_parameters_are_recovered_for_both_robots() {
         assert!(truth.clock.shift_s.abs() > 1.0 && (truth.clock.skew - 25e-6).abs() < 1e-12);
         let config = IdentifyConfig { selection: SelectionName::Thesis, ..IdentifyConfig::default() };
         let calibration =
-            ball_bar::calibrate(&recording.cycles, &recording.run.encoders, &log, &robot, &bar, &config)
-                .unwrap();
+            calibrate_run(&recording.cycles, &recording.run.encoders, &log, &robot, &bar, &config).unwrap();
         assert_eq!(calibration.cost(), Some(CostName::Pose));
         let comparison = Comparison::new(&calibration, &truth);
         assert_eq!(comparison.parameters.len(), 38);
@@ -74,7 +71,7 @@ fn the_bar_of_the_thesis_without_encoder_3_calibrates_too() {
     assert_eq!(recording.run.encoders.len(), 4);
     let config = IdentifyConfig { selection: SelectionName::Thesis, ..IdentifyConfig::default() };
     let calibration =
-        ball_bar::calibrate(&recording.cycles, &recording.run.encoders, &log, &robot, &bar, &config).unwrap();
+        calibrate_run(&recording.cycles, &recording.run.encoders, &log, &robot, &bar, &config).unwrap();
     assert_eq!(calibration.cost(), Some(CostName::Pose));
     let robot_error = Comparison::new(&calibration, &truth)
         .only(|id| matches!(id, ParameterId::Robot { .. }))
@@ -122,7 +119,7 @@ fn errors_clean_and_faulty(seed: u64) -> [f64; 2] {
     let skipped = (clean.cycles.len() - valid) / 2;
     let error = |cycles: &[CycleRecord], encoders: &[EncoderInfo]| {
         let config = IdentifyConfig::default();
-        let found = ball_bar::calibrate(cycles, encoders, &log, &robot, &bar, &config).unwrap();
+        let found = calibrate_run(cycles, encoders, &log, &robot, &bar, &config).unwrap();
         let comparison = Comparison::new(&found, &truth);
         let error = comparison.only(|id| matches!(id, ParameterId::Robot { .. })).euclidean_mm_mrad();
         println!(
@@ -181,7 +178,7 @@ fn a_run_exported_as_a_table_of_counters_calibrates_as_the_recording_does() {
     // Times, angles and breaks are the same to the last bit, and so is all that follows from them.
     assert_eq!(bar_angles(cycles, encoders).unwrap(), bar_angles(recorded.0, recorded.1).unwrap());
     let config = IdentifyConfig::default();
-    let of_table = ball_bar::calibrate(cycles, encoders, &log, &robot, &bar, &config).unwrap();
+    let of_table = calibrate_run(cycles, encoders, &log, &robot, &bar, &config).unwrap();
     assert_eq!(
         (of_table.prepared().unwrap().counts.invalid, of_table.prepared().unwrap().origins.len()),
         (30, 2)
@@ -200,7 +197,7 @@ fn the_log_of_another_run_is_refused() {
     let (_, log, _) =
         experiment(other.path(), &Experiment { seed: 7, ..Experiment::new(&robot, &bar) }, &bar);
     let config = IdentifyConfig::default();
-    let error = ball_bar::calibrate(&recording.cycles, &recording.run.encoders, &log, &robot, &bar, &config)
+    let error = calibrate_run(&recording.cycles, &recording.run.encoders, &log, &robot, &bar, &config)
         .map(|_| ())
         .unwrap_err();
     assert!(matches!(error, CalibrateError::Prepare { run: 0, .. }), "{error}");

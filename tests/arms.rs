@@ -6,8 +6,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use identify::calibrate::mix::{DataSets, calibrate};
-use identify::calibrate::{IdentifyConfig, JointTermsConfig};
+use identify::calibrate::{DataSets, IdentifyConfig, JointTermsConfig, calibrate};
 use identify::instrument::HoldOut;
 use identify::instrument::PoseRow;
 use identify::instrument::{Rows, Tracker};

@@ -6,9 +6,7 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use identify::calibrate::Calibration;
-use identify::calibrate::ball_bar;
-use identify::calibrate::{IdentifyConfig, JointTermsConfig};
+use identify::calibrate::{Calibration, IdentifyConfig, JointTermsConfig, calibrate_run};
 use identify::evaluate::{Elongation, PositiveForce};
 use identify::instrument::CostName;
 use identify::kinematics::{Chain, Joints};
@@ -78,7 +76,7 @@ fn calibrated(run: &Simulated, log: &RobotLog) -> Calibration {
         joint_terms: JointTermsConfig { candidates: Vec::new(), ..JointTermsConfig::default() },
         ..IdentifyConfig::default()
     };
-    ball_bar::calibrate(&run.cycles, &run.encoders, log, &robot(), &shipped_bar(), &config).unwrap()
+    calibrate_run(&run.cycles, &run.encoders, log, &robot(), &shipped_bar(), &config).unwrap()
 }
 
 /// Error of the force along the bar in the samples of a calibration, whose log counts it by `sign`; root mean square \[N\].

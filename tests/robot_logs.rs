@@ -5,7 +5,7 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use identify::calibrate::{IdentifyConfig, ball_bar};
+use identify::calibrate::{IdentifyConfig, calibrate_run};
 use identify::logs::{
     BarLog, LogError, LogOptions, Origin, RobotLog, RobotLogMapping, load, load_with, read,
 };
@@ -140,8 +140,7 @@ fn a_bar_s_joint_states_in_bags_by_rosbags_calibrate_as_the_recording_does() {
     let joints: Vec<u8> = encoders.iter().map(|encoder| encoder.joint).collect();
     assert_eq!(joints, [1, 2, 3, 4, 5]);
     let log = load(&files.robot_log, &robot).unwrap();
-    let found =
-        ball_bar::calibrate(cycles, encoders, &log, &robot, &bar, &IdentifyConfig::default()).unwrap();
+    let found = calibrate_run(cycles, encoders, &log, &robot, &bar, &IdentifyConfig::default()).unwrap();
     let error = Comparison::new(&found, &simulated.truth)
         .only(|id| matches!(id, ParameterId::Robot { .. }))
         .euclidean_mm_mrad();

@@ -15,8 +15,7 @@ use std::hint::black_box;
 use std::num::NonZeroUsize;
 use std::time::{Duration, Instant};
 
-use identify::calibrate::IdentifyConfig;
-use identify::calibrate::ball_bar::calibrate;
+use identify::calibrate::{IdentifyConfig, calibrate_run};
 use identify::cost::{AngleNoise, LoopProblem, Residual, Transform, WhitenedPose};
 use identify::model::{Model, Observation, PerObservation, Selection};
 use identify::simulate::{Experiment, run};
@@ -144,7 +143,7 @@ fn whole_calibration() {
     let runs = (0..5).map(|_| {
         timed(|| {
             let (cycles, encoders) = (&simulated.cycles, &simulated.encoders);
-            calibrate(cycles, encoders, &simulated.robot_log, &robot, &bar, &config).unwrap()
+            calibrate_run(cycles, encoders, &simulated.robot_log, &robot, &bar, &config).unwrap()
         })
     });
     let (shortest, middle) = shortest_and_middle(runs.collect());

@@ -6,7 +6,7 @@ use std::f64::consts::FRAC_PI_2;
 use std::path::PathBuf;
 use std::process::Command;
 
-use identify::calibrate::{IdentifyConfig, JointTermsConfig, ball_bar};
+use identify::calibrate::{IdentifyConfig, JointTermsConfig, calibrate_run};
 use identify::instrument::PoseRow;
 use identify::kinematics::{
     Chain, InverseError, Joints, LinkParameter, Pose, Trace, Tracer, flange_chain, robot_chain,
@@ -638,8 +638,7 @@ fn seven_axes_and_an_arm_on_a_track_are_calibrated_by_the_ball_bar() {
         }
         let terms = JointTermsConfig { candidates: Vec::new(), ..JointTermsConfig::default() };
         let config = IdentifyConfig { joint_terms: terms, ..IdentifyConfig::default() };
-        let found =
-            ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config).unwrap();
+        let found = calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config).unwrap();
         // The distance of two positions, whatever frame they are in: where a track is drawn is a matter of taste.
         let nominal = robot_chain(&robot, &bar);
         let truth = run.truth.robot_chain(&nominal);

@@ -3,7 +3,7 @@
 
 use crate::support::campaign::size;
 use crate::support::{bar, irb2400};
-use identify::calibrate::{IdentifyConfig, ball_bar};
+use identify::calibrate::{IdentifyConfig, calibrate_run};
 use identify::evaluate::Validity;
 use identify::report::result::file::{CalibrationFile, ParameterEntry, SolveEntry};
 use identify::report::side_by_side;
@@ -20,8 +20,7 @@ fn file(path: u64, errors: u64) -> CalibrationFile {
     let experiment = Experiment { seed: path, errors, effects: NOISE, ..Experiment::new(&robot, &bar) };
     let run = simulate::run(&experiment).unwrap();
     let config = IdentifyConfig { encoder_harmonics_urad: 0.0, ..IdentifyConfig::default() };
-    let found =
-        ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config).unwrap();
+    let found = calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config).unwrap();
     let (model, solution) = (found.model(), found.solution());
     CalibrationFile::new(
         &robot.name,

@@ -6,9 +6,7 @@ use crate::support::campaign::{fewest, size};
 use crate::support::rows::Alone;
 use crate::support::truth::position_error_m;
 use crate::support::{bar, irb2400, ur10};
-use identify::calibrate::Calibration;
-use identify::calibrate::ball_bar;
-use identify::calibrate::{IdentifyConfig, JointTermsConfig, SelectionName};
+use identify::calibrate::{Calibration, IdentifyConfig, JointTermsConfig, SelectionName, calibrate_run};
 use identify::evaluate::{Budget, Evaluation, Expected, workspace_error};
 use identify::instrument::CostName;
 use identify::instrument::PoseRow;
@@ -42,7 +40,7 @@ fn calibrated(
     bar: &BallBarConfig,
     config: &IdentifyConfig,
 ) -> Calibration {
-    ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, robot, bar, config).unwrap()
+    calibrate_run(&run.cycles, &run.encoders, &run.robot_log, robot, bar, config).unwrap()
 }
 
 /// True mean position error \[m\] and what is claimed, with a plate that is wrong by its uncertainty.

@@ -4,9 +4,7 @@
 
 use std::path::Path;
 
-use identify::calibrate::Calibration;
-use identify::calibrate::IdentifyConfig;
-use identify::calibrate::mix::{DataSets, calibrate};
+use identify::calibrate::{Calibration, DataSets, IdentifyConfig, calibrate};
 use identify::instrument::{
     Contact, ContactRow, KnownDistance, Knowns as _, PlacedSocket, SocketTable, Sockets,
 };

@@ -4,9 +4,8 @@
 
 use std::sync::Mutex;
 
-use identify::calibrate::IdentifyConfig;
-use identify::calibrate::mix::{DataSets, calibrate};
 use identify::calibrate::rows::{PoseFigures, RunCause, Sizes};
+use identify::calibrate::{DataSets, IdentifyConfig, calibrate};
 use identify::instrument::{HoldOut, LengthRow, Measures as _, Rejection, Rows, Wire};
 use identify::kinematics::{Joints, flange_chain};
 use identify::model::{Axis, ParameterId};

@@ -6,11 +6,9 @@
 
 use crate::support::campaign::{is_full, size};
 use crate::support::{bar, irb2400, nj220};
-use identify::calibrate::Calibration;
-use identify::calibrate::ball_bar;
 use identify::calibrate::validation::deployment::Deployment;
 use identify::calibrate::validation::held_out::without_each_segment;
-use identify::calibrate::{IdentifyConfig, JointTermsConfig, SelectionName};
+use identify::calibrate::{Calibration, IdentifyConfig, JointTermsConfig, SelectionName, calibrate_run};
 use identify::evaluate::{evidence, held_out, nominals};
 use identify::instrument::CostName;
 use identify::model::ParameterId;
@@ -24,7 +22,7 @@ fn calibrated(
     bar: &BallBarConfig,
     config: &IdentifyConfig,
 ) -> Calibration {
-    ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, robot, bar, config).unwrap()
+    calibrate_run(&run.cycles, &run.encoders, &run.robot_log, robot, bar, config).unwrap()
 }
 
 /// What one way of solving does over several seeds.

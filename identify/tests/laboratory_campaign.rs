@@ -9,7 +9,7 @@ use crate::support::campaign::size;
 use crate::support::laboratory::{self, Level};
 use crate::support::truth::position_error_m;
 use crate::support::{bar, irb2400, nj220};
-use identify::calibrate::{IdentifyConfig, SelectionName, ball_bar};
+use identify::calibrate::{IdentifyConfig, SelectionName, calibrate_run};
 use identify::evaluate::workspace_error;
 use identify::instrument::CostName;
 use identify::model::ParameterId;
@@ -40,7 +40,7 @@ impl Outcome {
 }
 
 fn calibrated(run: &Simulated, robot: &RobotConfig, bar: &BallBarConfig, config: &IdentifyConfig) -> Outcome {
-    let found = ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, robot, bar, config).unwrap();
+    let found = calibrate_run(&run.cycles, &run.encoders, &run.robot_log, robot, bar, config).unwrap();
     let comparison = Comparison::new(&found, &run.truth);
     let of_robot = comparison.only(|id| matches!(id, ParameterId::Robot { .. }));
     let of_part =

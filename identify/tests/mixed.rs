@@ -3,11 +3,8 @@
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
-use identify::calibrate::Calibration;
-use identify::calibrate::ball_bar::RunInput;
-use identify::calibrate::mix::{DataSets, calibrate};
 use identify::calibrate::validation::agreement::disagreeing;
-use identify::calibrate::{IdentifyConfig, SelectionName};
+use identify::calibrate::{Calibration, DataSets, IdentifyConfig, RunInput, SelectionName, calibrate};
 use identify::evaluate::{WorkspaceError, limits};
 use identify::instrument::{
     Contact, ContactRow, LengthRow, PlacedSocket, PoseRow, Rows, SocketTable, Tracker, Wire,
@@ -95,7 +92,7 @@ impl Cell {
     }
 
     fn calibrated(&self, [with_bar, tracker, wire, contact]: [bool; 4]) -> Calibration {
-        let (robot, bar) = (irb2400(), &self.bar);
+        let (robot, bar, config) = (irb2400(), &self.bar, IdentifyConfig::default());
         let run = RunInput {
             cycles: &self.run.cycles,
             encoders: &self.run.encoders,
@@ -103,16 +100,17 @@ impl Cell {
             log: &self.run.robot_log,
             bar,
         };
+        let runs: Vec<RunInput<'_>> = with_bar.then_some(run).into_iter().collect();
         let rows = [
             tracker.then(|| Rows::from(Tracker::new(&self.poses))),
             wire.then(|| Wire::new(&self.lengths).into()),
             contact.then(|| Contact::new(&self.contacts, &self.sockets).unwrap().into()),
         ];
         let data = DataSets {
-            bars: with_bar.then_some(run).into_iter().collect(),
+            bars: RunInput::prepare_all(&runs, &robot, &config.prepare).unwrap(),
             rows: rows.into_iter().flatten().collect(),
         };
-        calibrate(&data, &robot, &IdentifyConfig::default(), None).unwrap()
+        calibrate(&data, &robot, &config, None).unwrap()
     }
 
     /// Where the true robot and an identified one have the centre of the wrist, one minus the other \[m\], over postures.

@@ -7,9 +7,7 @@ use crate::support::campaign::size;
 use crate::support::laboratory::{self, Level};
 use crate::support::truth::position_error_m;
 use crate::support::{bar, irb2400, nj220};
-use identify::calibrate::Calibration;
-use identify::calibrate::ball_bar;
-use identify::calibrate::{IdentifyConfig, JointTermsConfig};
+use identify::calibrate::{Calibration, IdentifyConfig, JointTermsConfig, calibrate_run};
 use identify::cost::AngleNoise;
 use identify::instrument::{CostName, Noise, NoiseConfig};
 use identify::simulate::{self, Design, Effects, Experiment, Simulated};
@@ -24,7 +22,7 @@ const fn noise(encoder_noise_urad: f64, robot_noise_urad: f64) -> Effects {
 }
 
 fn calibrated(run: &Simulated, robot: &RobotConfig, config: &IdentifyConfig) -> Calibration {
-    ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, robot, &bar(), config).unwrap()
+    calibrate_run(&run.cycles, &run.encoders, &run.robot_log, robot, &bar(), config).unwrap()
 }
 
 fn told(encoder_urad: f64, robot_urad: f64) -> IdentifyConfig {

@@ -2,10 +2,8 @@
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
-use identify::calibrate::Calibration;
-use identify::calibrate::ball_bar;
 use identify::calibrate::rows::validate;
-use identify::calibrate::{IdentifyConfig, JointTermsConfig};
+use identify::calibrate::{Calibration, IdentifyConfig, JointTermsConfig, calibrate_run};
 use identify::evaluate::{Elongation, evidence};
 use identify::instrument::{CostName, PoseRow, Tracker};
 use identify::kinematics::{Joints, flange_chain};
@@ -25,7 +23,7 @@ use crate::support::{bar, irb120, irb2400, nj220};
 use crate::verdict_campaign::judged;
 
 fn calibrated(run: &Simulated, robot: &RobotConfig, config: &IdentifyConfig) -> Calibration {
-    ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, robot, &bar(), config).unwrap()
+    calibrate_run(&run.cycles, &run.encoders, &run.robot_log, robot, &bar(), config).unwrap()
 }
 
 /// Terms that the robot does not have cost a third of the accuracy.
@@ -60,7 +58,7 @@ fn a_calibration_by_lengths_alone_is_not_green_where_it_is_worse_than_it_claims(
     for (seed, robot) in [(1, irb2400()), (2, nj220()), (3, irb2400())] {
         let run = laboratory::run(&robot, &bar(), seed, &laboratory::Level::HARD, Design::for_robot(&robot));
         let config = IdentifyConfig { cost: Some(CostName::Length), ..IdentifyConfig::default() };
-        let found = ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar(), &config);
+        let found = calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar(), &config);
         let outcome = found.and_then(|found| judged(&run, &found, &robot));
         let Ok((workspace, verdict, [true_m, _])) = outcome else {
             println!("{seed}: refused, {:?}", outcome.err());
@@ -176,7 +174,7 @@ fn a_plate_that_is_longer_than_was_stated_is_named() {
         let run = simulate::run(&Experiment { seed, ..Experiment::new(&robot, &bar()) }).unwrap();
         let wrong = BallBarConfig { plate_m: bar().plate_m + 1.5e-3, ..bar() };
         let config = IdentifyConfig::default();
-        let found = ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &wrong, &config);
+        let found = calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &robot, &wrong, &config);
         let (_, verdict, [true_m, _]) = judged(&run, &found.unwrap(), &robot).unwrap();
         println!("{}: {true_m:.2e} m, {:?}", robot.name, verdict.reason);
         assert!(true_m > 3e-3 && verdict.grade == Grade::Amber);

@@ -2,8 +2,7 @@
 //! and gets tables, residuals, page, limits, held-out figures, deployments and change detection like those of the library.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
-use identify::calibrate::mix::{DataSets, calibrate};
-use identify::calibrate::{Calibration, IdentifyConfig};
+use identify::calibrate::{Calibration, DataSets, IdentifyConfig, calibrate};
 use identify::cost::{CostError, DataSet, LoopProblem, Movement, Residual, Scene};
 use identify::evaluate::evidence;
 use identify::instrument::{

@@ -5,9 +5,7 @@ use std::f64::consts::TAU;
 use std::process::Command;
 use std::time::Duration;
 
-use identify::calibrate::Calibration;
-use identify::calibrate::IdentifyConfig;
-use identify::calibrate::ball_bar;
+use identify::calibrate::{Calibration, IdentifyConfig, calibrate_run};
 use identify::kinematics::{Chain, Joints, ball_bar_chain, robot_chain, robot_inverse};
 use identify::logs::{RobotLog, Stream};
 use identify::model::ParameterId;
@@ -101,7 +99,7 @@ impl Cell {
         experiment.seed = seed;
         experiment.path = path.cloned();
         let run = simulate::run(&experiment).unwrap();
-        let calibration = ball_bar::calibrate(
+        let calibration = calibrate_run(
             &run.cycles,
             run.encoders.as_slice(),
             &run.robot_log,

@@ -2,8 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use crate::support::{bar, irb2400};
-use identify::calibrate::Calibration;
-use identify::calibrate::{IdentifyConfig, ball_bar};
+use identify::calibrate::{Calibration, IdentifyConfig, calibrate_run};
 use identify::model::ParameterId;
 use identify::prepare::SampleStatus;
 use identify::simulate::Comparison;
@@ -26,7 +25,7 @@ fn crossing_with(effects: Effects, joint: usize, range_deg: [f64; 2]) -> Simulat
 
 fn calibrated(run: &Simulated) -> Calibration {
     let config = IdentifyConfig::default();
-    ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &irb2400(), &bar(), &config).unwrap()
+    calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &irb2400(), &bar(), &config).unwrap()
 }
 
 fn robot_error(found: &Calibration, run: &Simulated) -> f64 {

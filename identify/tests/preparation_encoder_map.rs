@@ -3,7 +3,7 @@
 
 use crate::support::laboratory::exchange;
 use crate::support::{bar, irb2400, nj220};
-use identify::calibrate::{IdentifyConfig, ball_bar};
+use identify::calibrate::{IdentifyConfig, calibrate_run};
 use identify::model::ParameterId;
 use identify::prepare::{
     AnglePair, EncoderMap, EncoderMapChoice, PrepareError, PrepareOptions, Prepared, find_encoder_map,
@@ -61,7 +61,7 @@ fn shuffled_and_reversed_encoders_calibrate_without_a_hand() {
         assert!(found.encoder_map.others.is_empty());
         let config = IdentifyConfig::default();
         let calibration =
-            ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config).unwrap();
+            calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config).unwrap();
         let of_robot =
             Comparison::new(&calibration, &run.truth).only(|id| matches!(id, ParameterId::Robot { .. }));
         let error = of_robot.euclidean_mm_mrad();
@@ -77,7 +77,7 @@ fn a_mirrored_robot_fits_reversed_encoders_and_which_of_both_it_is_gets_asked() 
         let calibrated = |run: &Simulated, encoders: EncoderMapChoice| {
             let mut config = config.clone();
             config.prepare.encoders = encoders;
-            ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config)
+            calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config)
         };
         let mut mirrored = run(&robot, &bar);
         for joints in mirrored.robot_log.q_rad.iter_mut() {

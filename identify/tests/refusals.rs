@@ -3,7 +3,7 @@
 
 use crate::support::refused::Typed;
 use crate::support::{bar, irb2400};
-use identify::calibrate::{IdentifyConfig, ball_bar};
+use identify::calibrate::{IdentifyConfig, calibrate_run};
 use identify::instrument::CostName;
 use identify::simulate::{self, Design, Effects, Experiment, Simulated};
 use shared::config::BallBarConfig;
@@ -25,7 +25,7 @@ fn laboratory(change: impl Fn(&mut Experiment<'_>)) -> Simulated {
 }
 
 fn refusal(run: &Simulated, bar: &BallBarConfig, config: &IdentifyConfig) -> String {
-    let found = ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &irb2400(), bar, config);
+    let found = calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &irb2400(), bar, config);
     let told = found.map(drop).unwrap_err().to_string();
     println!("{told}\n");
     told

@@ -5,10 +5,10 @@ use std::sync::OnceLock;
 
 use crate::support::truth::position_error_m;
 use crate::support::{browser, irb2400};
-use identify::calibrate::Calibration;
-use identify::calibrate::ball_bar::{self, RunInput};
 use identify::calibrate::validation::held_out::without_each_segment;
-use identify::calibrate::{IdentifyConfig, JointTermsConfig};
+use identify::calibrate::{
+    Calibration, IdentifyConfig, JointTermsConfig, RunInput, calibrate_run, calibrate_runs,
+};
 use identify::evaluate::{Evidence, evidence, held_out, nominals, workspace_error};
 use identify::instrument::CostName;
 use identify::model::ParameterId;
@@ -44,8 +44,8 @@ fn simulated(robot: &RobotConfig, seed: u64) -> Simulated {
 
 fn calibrated(robot: &RobotConfig, seed: u64, cost: Option<CostName>) -> (Simulated, Calibration) {
     let run = simulated(robot, seed);
-    let found = ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, robot, &bar(), &config(cost))
-        .unwrap();
+    let found =
+        calibrate_run(&run.cycles, &run.encoders, &run.robot_log, robot, &bar(), &config(cost)).unwrap();
     (run, found)
 }
 
@@ -136,8 +136,7 @@ fn an_error_that_one_segment_alone_has_shows_where_it_is_held_out() {
         joint_terms: JointTermsConfig { candidates: Vec::new(), ..JointTermsConfig::default() },
         ..quick()
     };
-    let found =
-        ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar(), &only_geometry);
+    let found = calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar(), &only_geometry);
     let found = found.unwrap();
     let segments = without_each_segment(&found, None).unwrap();
     let held_out = held_out(&found, &segments, &nominals(&found, &segments));
@@ -180,7 +179,7 @@ fn with_fewer_encoders_no_rotation_is_shown() {
     let mut bar = bar();
     bar.encoders.retain(|encoder| encoder.joint != 3);
     let run = simulate::run(&Experiment { effects: NOISE, ..Experiment::new(&robot, &bar) }).unwrap();
-    let found = ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &quick());
+    let found = calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &quick());
     let found = found.unwrap();
     let text = page_text(&found, &evidence_of(&found, &robot), &robot);
     // Without all encoders the bar's rotation is what the robot says: comparing the two would flatter.
@@ -203,7 +202,7 @@ fn a_page_of_several_runs_shows_each_of_them() {
         log: &run.robot_log,
         bar: &bar,
     });
-    let found = ball_bar::calibrate_runs(&inputs, &robot, &quick(), None).unwrap();
+    let found = calibrate_runs(&inputs, &robot, &quick(), None).unwrap();
     let evidence = evidence_of(&found, &robot);
     assert_eq!(evidence.runs.len(), 2);
     let held_out = evidence.held_out.as_ref().unwrap();

@@ -7,9 +7,9 @@ use std::path::Path;
 use crate::report_page::page_text;
 use crate::support::command::identify;
 use crate::support::{bar, browser, irb2400, repository};
-use identify::calibrate::Calibration;
-use identify::calibrate::ball_bar::{self, RunInput};
-use identify::calibrate::{IdentifyConfig, JointTermsConfig};
+use identify::calibrate::{
+    Calibration, IdentifyConfig, JointTermsConfig, RunInput, calibrate_run, calibrate_runs,
+};
 use identify::evaluate::{WorkspaceError, evidence};
 use identify::prepare::PrepareOptions;
 use identify::simulate::{self, BarLoad, Design, Effects, Experiment, Simulated};
@@ -40,7 +40,7 @@ fn calibrated(runs: &[&Simulated], prepare: PrepareOptions) -> Calibration {
         bar: &bar,
     });
     let inputs: Vec<RunInput<'_>> = inputs.collect();
-    ball_bar::calibrate_runs(&inputs, &irb2400(), &config, None).unwrap()
+    calibrate_runs(&inputs, &irb2400(), &config, None).unwrap()
 }
 
 fn shown(found: &Calibration) -> String {
@@ -121,7 +121,7 @@ fn a_calibration_of_the_bar_alone_expects_of_the_robot_what_it_was_before() {
         prepare: PrepareOptions { points_max: 300, ..PrepareOptions::default() },
         ..IdentifyConfig::default()
     };
-    let found = ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar(), &config);
+    let found = calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar(), &config);
     let found = found.unwrap();
     let limits = &robot.joint_limits();
     let evidence = evidence(&found, limits).with_validation(&found, None).unwrap();

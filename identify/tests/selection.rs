@@ -6,10 +6,8 @@ use std::collections::BTreeSet;
 
 use crate::support::laboratory::{self, Level};
 use crate::support::{Cell, bar, irb2400, spread_poses};
-use identify::calibrate::Calibration;
-use identify::calibrate::ball_bar;
 use identify::calibrate::selection::structure::identifiable;
-use identify::calibrate::{IdentifyConfig, SelectionName};
+use identify::calibrate::{Calibration, IdentifyConfig, SelectionName, calibrate_run};
 use identify::evaluate::{evidence, uncalibrated};
 use identify::instrument::CostName;
 use identify::model::TermGroup;
@@ -22,8 +20,7 @@ fn calibrated(effects: Effects, selection: SelectionName) -> Calibration {
     let design = Design { duration_s: 60.0, ..Design::for_robot(&robot) };
     let run = simulate::run(&Experiment { effects, design, ..Experiment::new(&robot, &bar) }).unwrap();
     let config = IdentifyConfig { selection, ..IdentifyConfig::default() };
-    let found =
-        ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config).unwrap();
+    let found = calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config).unwrap();
     for candidate in &found.solved.candidates {
         println!("{effects:?} {candidate:?}");
     }
@@ -101,7 +98,7 @@ fn with_lobes(config: &IdentifyConfig) -> Calibration {
         Effects { cycloid_urad: 20.0, robot_noise_urad: 15.0, encoder_noise_urad: 5.0, ..Effects::default() };
     let run = simulate::run(&Experiment { effects, ..Experiment::new(&robot, &bar) }).unwrap();
     robot.drives.cycloid_lobes = vec![39.0, 0.0, 0.0, 0.0, 0.0, 0.0];
-    ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, config).unwrap()
+    calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, config).unwrap()
 }
 
 #[test]
@@ -168,15 +165,9 @@ fn how_the_length_of_the_bar_follows_its_direction_is_found() {
     let (robot, bar) = (irb2400(), bar());
     let level = Level { bar_um: 25.0, gear_sine_urad: 0.0, cycloid_urad: 0.0, ..Level::USUAL };
     let run = laboratory::run(&robot, &bar, 1, &level, Design::for_robot(&robot));
-    let found = ball_bar::calibrate(
-        &run.cycles,
-        &run.encoders,
-        &run.robot_log,
-        &robot,
-        &bar,
-        &IdentifyConfig::default(),
-    )
-    .unwrap();
+    let found =
+        calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &IdentifyConfig::default())
+            .unwrap();
     assert!(taken(&found).contains(TermGroup::BarLength.name()), "{:?}", taken(&found));
     let amplitude_um = |joint, order| {
         let of = |phase| {

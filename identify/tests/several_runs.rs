@@ -2,9 +2,9 @@
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
 use crate::support::{Cell, bar, irb2400};
-use identify::calibrate::Calibration;
-use identify::calibrate::ball_bar::{self, RunInput};
-use identify::calibrate::{IdentifyConfig, JointTermsConfig, SelectionName};
+use identify::calibrate::{
+    Calibration, IdentifyConfig, JointTermsConfig, RunInput, SelectionName, calibrate_runs,
+};
 use identify::cost::SharedColumns;
 use identify::instrument::CostName;
 use identify::model::{ParameterId, Role};
@@ -40,7 +40,7 @@ fn by_data(cost: CostName) -> IdentifyConfig {
 }
 
 fn calibrated(runs: &[RunInput<'_>], cost: CostName) -> Calibration {
-    ball_bar::calibrate_runs(runs, &irb2400(), &by_data(cost), None).unwrap()
+    calibrate_runs(runs, &irb2400(), &by_data(cost), None).unwrap()
 }
 
 fn is_robot(id: ParameterId) -> bool {

@@ -5,8 +5,7 @@
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
-use identify::calibrate::IdentifyConfig;
-use identify::calibrate::ball_bar;
+use identify::calibrate::{IdentifyConfig, calibrate_run};
 use identify::logs::RobotLog;
 use identify::model::ParameterId;
 use identify::prepare::{PrepareOptions, prepare};
@@ -140,7 +139,7 @@ impl Case {
         let run = self.run(seed);
         let log = self.log(&run, seed);
         let config = IdentifyConfig::default();
-        ball_bar::calibrate(&run.cycles, &run.encoders, &log, &irb2400(), &bar(), &config)
+        calibrate_run(&run.cycles, &run.encoders, &log, &irb2400(), &bar(), &config)
             .map(|found| {
                 let all = Comparison::new(&found, &run.truth);
                 all.only(|id| matches!(id, ParameterId::Robot { .. })).euclidean_mm_mrad()

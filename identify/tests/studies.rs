@@ -7,7 +7,7 @@ use std::path::Path;
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use identify::calibrate::ball_bar::calibrate_prepared;
+use identify::calibrate::{BarRun, DataSets, calibrate};
 use identify::robot::import;
 use identify::simulate::{Effects, Experiment, LEAD_ROWS, pairs};
 use identify::study::{Definition, Results, THESIS, prepared, run, trials};
@@ -335,8 +335,8 @@ fn scipy_finds_the_same_from_the_same_angles_and_takes_longer() {
     let config = definition.study.estimator("transform").unwrap().config.clone();
     let began = Instant::now();
     let prepared = prepared(&pairs, [true; 5], experiment.design.base_m).unwrap();
-    let found =
-        calibrate_prepared(vec![(prepared, &definition.bar)], &definition.robot, &config, None).unwrap();
+    let data = DataSets { bars: vec![BarRun { prepared, bar: &definition.bar }], rows: Vec::new() };
+    let found = calibrate(&data, &definition.robot, &config, None).unwrap();
     let ours_s = began.elapsed().as_secs_f64();
     let free: Vec<String> = found.model().columns().map(|parameter| parameter.id.to_string()).collect();
     let room = tempfile::tempdir().unwrap();

@@ -8,9 +8,7 @@ use std::collections::BTreeSet;
 use crate::support::rows::Alone;
 use crate::support::truth::position_error_m;
 use crate::support::{bar, irb2400, ur10};
-use identify::calibrate::Calibration;
-use identify::calibrate::ball_bar;
-use identify::calibrate::{IdentifyConfig, JointTermsConfig};
+use identify::calibrate::{Calibration, IdentifyConfig, JointTermsConfig, calibrate_run};
 use identify::evaluate::{not_separated, workspace_error};
 use identify::instrument::PoseRow;
 use identify::kinematics::{LinkParameter, Pose, flange_chain};
@@ -39,7 +37,7 @@ fn run(robot: &RobotConfig) -> Simulated {
 }
 
 fn calibrated(run: &Simulated, robot: &RobotConfig, config: &IdentifyConfig) -> Calibration {
-    ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, robot, &bar(), config).unwrap()
+    calibrate_run(&run.cycles, &run.encoders, &run.robot_log, robot, &bar(), config).unwrap()
 }
 
 fn names(ids: &[ParameterId]) -> String {
@@ -148,8 +146,8 @@ fn a_parameter_that_has_a_role_by_name_has_to_be_one_of_the_model() {
         IdentifyConfig { priors: [("probe_x".to_owned(), 1.0)].into(), ..quick() },
     ] {
         let run = run(&robot);
-        let error = ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar(), &config)
-            .unwrap_err();
+        let error =
+            calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar(), &config).unwrap_err();
         assert!(error.to_string().contains("no parameter `probe_x`"), "{error}");
     }
 }

@@ -5,8 +5,7 @@
 use std::path::Path;
 use std::process::Command;
 
-use identify::calibrate::mix::{DataSets, calibrate};
-use identify::calibrate::{CalibrateError, Calibration, IdentifyConfig};
+use identify::calibrate::{CalibrateError, Calibration, DataSets, IdentifyConfig, calibrate};
 use identify::evaluate::{limits, workspace_error};
 use identify::instrument::{FaceTable, Touch, TouchRow};
 use identify::kinematics::flange_chain;

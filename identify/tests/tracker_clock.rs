@@ -4,8 +4,7 @@
 
 use std::path::Path;
 
-use identify::calibrate::Calibration;
-use identify::calibrate::mix::{DataSets, calibrate};
+use identify::calibrate::{Calibration, DataSets, calibrate};
 use identify::instrument::Tracker;
 use identify::logs::{MeasuredPoseMapping, TimedPoses};
 use identify::model::ParameterId;

@@ -5,9 +5,7 @@
 
 use std::collections::BTreeMap;
 
-use identify::calibrate::IdentifyConfig;
-use identify::calibrate::ball_bar::calibrate;
-use identify::calibrate::{CalibrateError, Calibration};
+use identify::calibrate::{CalibrateError, Calibration, IdentifyConfig, calibrate_run};
 use identify::evaluate::{Expected, WorkspaceError, evidence};
 use identify::kinematics::Joints;
 use identify::report::result::file::{CalibrationFile, ParameterEntry, SolveEntry};
@@ -82,7 +80,7 @@ fn nothing_is_green_that_is_wrong_and_no_good_run_is_refused() {
         let robot = if seed % 2 == 0 { irb2400() } else { nj220() };
         let (run, bar) = experiment(&robot, seed);
         let config = IdentifyConfig::default();
-        let found = calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config);
+        let found = calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config);
         let judged = found.and_then(|found| judged(&run, &found, &robot));
         let (WorkspaceError { after, budget, .. }, verdict, [true_m, true_p95_m]) = match judged {
             Ok(judged) => judged,
@@ -233,7 +231,7 @@ fn what_is_spoiled_is_refused_or_flagged_or_does_no_harm() {
             let (mut run, mut bar) = (clean.clone(), bar());
             spoil(&mut run, &mut bar, &robot);
             let config = IdentifyConfig::default();
-            let found = calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config);
+            let found = calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config);
             let told = match found.and_then(|found| judged(&run, &found, &robot)) {
                 Err(error) => format!("refused: {error}"),
                 Ok((workspace, verdict, [true_m, _])) => {

@@ -3,9 +3,7 @@
 
 use crate::support::laboratory::of_drive;
 use crate::support::{bar, irb2400, nj220};
-use identify::calibrate::Calibration;
-use identify::calibrate::ball_bar;
-use identify::calibrate::{IdentifyConfig, JointTermsConfig};
+use identify::calibrate::{Calibration, IdentifyConfig, JointTermsConfig, calibrate_run};
 use identify::evaluate::{WorkspaceError, limits};
 use identify::kinematics::Joints;
 use identify::logs::JointConversion;
@@ -41,7 +39,7 @@ fn longer(robot: &RobotConfig, by_m: &[(Length, f64)]) -> RobotConfig {
 
 fn is_told_as_another_robot(run: &Simulated, robot: &RobotConfig, what: &str) {
     let config = IdentifyConfig::default();
-    let found = ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, robot, &bar(), &config);
+    let found = calibrate_run(&run.cycles, &run.encoders, &run.robot_log, robot, &bar(), &config);
     let told = found.map(drop).unwrap_err().to_string();
     println!("{what}: {told}\n");
     let named = ["jumps", "slips", "steps", "moves", "turned"].iter().any(|change| told.contains(change));
@@ -100,8 +98,7 @@ fn a_run_that_is_refused_for_a_turned_plate_says_so() {
         for by_deg in [9.0, -12.0, 20.0, -45.0, 90.0, 170.0] {
             let run = laboratory(&with_plate_turned(&robot, by_deg), seed);
             let config = IdentifyConfig::default();
-            let found =
-                ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar(), &config);
+            let found = calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar(), &config);
             let told = match found {
                 Ok(found) => limits(&found, &WorkspaceError::default())
                     .into_iter()
@@ -128,7 +125,7 @@ fn calibrated(run: &Simulated, robot: &RobotConfig, bar: &BallBarConfig) -> Cali
         joint_terms: JointTermsConfig { candidates: Vec::new(), ..JointTermsConfig::default() },
         ..IdentifyConfig::default()
     };
-    ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, robot, bar, &config).unwrap()
+    calibrate_run(&run.cycles, &run.encoders, &run.robot_log, robot, bar, &config).unwrap()
 }
 
 /// Names of the lengths that are told to come out far from the configured ones, and by how much \[mm\].
@@ -189,8 +186,7 @@ fn a_wrong_ratio_contradicts_what_is_expected_and_is_reported_and_expectations_t
     let mut run = laboratory(&robot, 1);
     let told = |run: &Simulated| {
         let config = IdentifyConfig::default();
-        let found =
-            ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config).unwrap();
+        let found = calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config).unwrap();
         let all = limits(&found, &WorkspaceError::default());
         all.into_iter().find(|limit| limit.sentence.starts_with("What was measured contradicts"))
     };
@@ -211,7 +207,7 @@ fn a_late_drive_and_a_wrong_ratio_are_named_and_taken_out() {
         spoil(&mut run);
         let config = IdentifyConfig::default();
         let found =
-            ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar(), &config).unwrap();
+            calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar(), &config).unwrap();
         let told: Vec<String> =
             limits(&found, &WorkspaceError::default()).into_iter().map(|one| one.sentence).collect();
         let of_robot = Comparison::new(&found, &run.truth).only(|id| matches!(id, ParameterId::Robot { .. }));
@@ -238,8 +234,7 @@ fn what_went_wrong_with_the_joints_of_a_log_is_named() {
             let mut run = run.clone();
             run.robot_log.q_rad.iter_mut().for_each(change);
             let config = IdentifyConfig::default();
-            let found =
-                ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar(), &config);
+            let found = calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar(), &config);
             found.map(drop).unwrap_err().to_string()
         };
         let of_columns = |q: &mut Joints| {

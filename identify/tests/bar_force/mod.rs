@@ -5,9 +5,7 @@
 mod files;
 
 use crate::support::{bar, irb2400};
-use identify::calibrate::ball_bar;
-use identify::calibrate::{CalibrateError, Calibration};
-use identify::calibrate::{IdentifyConfig, JointTermsConfig};
+use identify::calibrate::{CalibrateError, Calibration, IdentifyConfig, JointTermsConfig, calibrate_run};
 use identify::evaluate::{Elongation, PositiveForce, evidence};
 use identify::instrument::CostName;
 use identify::kinematics::{Chain, Joints, Trace, Tracer};
@@ -37,7 +35,7 @@ fn calibrated(run: &Simulated, cost: CostName) -> Result<Calibration, CalibrateE
         joint_terms: JointTermsConfig { candidates: Vec::new(), ..JointTermsConfig::default() },
         ..IdentifyConfig::default()
     };
-    ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &irb2400(), &bar(), &config)
+    calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &irb2400(), &bar(), &config)
 }
 
 fn robot_error(found: &Calibration, run: &Simulated) -> f64 {

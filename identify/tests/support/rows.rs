@@ -1,10 +1,9 @@
 //! One file of rows, calibrated with nothing beside it.
 
-use identify::calibrate::CalibrateError;
-use identify::calibrate::Calibration;
-use identify::calibrate::mix::{DataSets, calibrate};
 use identify::calibrate::rows::{RowSet, Stages};
-use identify::calibrate::{IdentifyConfig, JointTermsConfig};
+use identify::calibrate::{
+    CalibrateError, Calibration, DataSets, IdentifyConfig, JointTermsConfig, calibrate,
+};
 use identify::instrument::{HoldOut, Instrument, LengthRow, PoseRow, Rows, Tracker, Wire};
 use identify::model::{Model, ParameterId};
 use shared::config::RobotConfig;

@@ -1,7 +1,7 @@
 //! What a calibration is, whatever it was measured with.
 
-use super::ball_bar::measured;
 use super::change::Changed;
+use super::lay_out::measured;
 use super::pipeline::Solved;
 use super::rows::RowSet;
 use crate::instrument::{CostName, Run};

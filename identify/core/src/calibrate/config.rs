@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use shared::config::{BallBarConfig, Validate, Violation};
 
+use super::error::CalibrateError;
 use super::selection::links::link_ids;
 use super::selection::terms::CandidateGroup;
 use crate::instrument::{CostName, NoiseConfig};
@@ -167,9 +168,15 @@ const fn says_where_frames_are(id: ParameterId) -> bool {
 }
 
 impl IdentifyConfig {
-    /// The loss for a cost.
-    pub fn loss_for(&self, cost: CostName) -> LossName {
-        self.loss.unwrap_or(cost.usual_loss())
+    /// What is free follows from tolerances and names, as calibrations have it; other selections are for the estimators of studies.
+    ///
+    /// # Errors
+    /// [`CalibrateError::Selection`].
+    pub fn require_usual_selection(&self) -> Result<(), CalibrateError> {
+        match self.selection {
+            SelectionName::Cell => Ok(()),
+            other => Err(CalibrateError::Selection(other.name())),
+        }
     }
 
     /// Gives every parameter of a model with a ball-bar its role for a cost that identifies what `identifies` says. `identifiable`

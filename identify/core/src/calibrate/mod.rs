@@ -1,11 +1,12 @@
-//! The way from measurements to a calibration, in one call each.
+//! The way from measurements to a calibration: data sets are laid out, estimated and validated.
 
-pub mod ball_bar;
 mod calibration;
 pub mod change;
 mod config;
+mod data_sets;
+mod driver;
 mod error;
-pub mod mix;
+mod lay_out;
 pub mod pipeline;
 pub mod refusal;
 pub mod rows;
@@ -14,4 +15,6 @@ pub mod validation;
 
 pub use calibration::Calibration;
 pub use config::{IdentifyConfig, JointTermsConfig, SelectionName};
+pub use data_sets::{BarRun, DataSets, RunInput};
+pub use driver::{calibrate, calibrate_run, calibrate_runs};
 pub use error::CalibrateError;

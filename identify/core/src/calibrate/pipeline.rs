@@ -102,6 +102,13 @@ pub(super) fn problem<'p>(
     Ok(DataSets::new(sets.collect::<Result<_, _>>()?, columns))
 }
 
+/// The cost in whose unit the residuals of all data sets are.
+pub(super) fn in_unit_of(runs: &[Run]) -> Option<CostName> {
+    let mut costs = runs.iter().map(|run| run.instrument.in_unit_of());
+    let first = costs.next()??;
+    costs.all(|cost| cost == Some(first)).then_some(first)
+}
+
 /// Runs that are solved together.
 struct Solver<'a> {
     runs: &'a mut [Run],
@@ -241,9 +248,7 @@ impl<'a> Solver<'a> {
 
     /// The cost in whose unit the residuals of all data sets are.
     fn in_unit_of(&self) -> Option<CostName> {
-        let mut costs = self.runs.iter().map(|run| run.instrument.in_unit_of());
-        let first = costs.next()??;
-        costs.all(|cost| cost == Some(first)).then_some(first)
+        in_unit_of(self.runs)
     }
 
     /// What residuals in reports are multiplied by, for the unit of a cost that all data sets have.

@@ -7,9 +7,7 @@ use nalgebra::Vector3;
 use shared::time::UtcNs;
 
 use super::{Conditions, Definition, Estimator, Figure, Kind, Row, Series, StudyInstrument, TrialRows};
-use crate::calibrate::IdentifyConfig;
-use crate::calibrate::ball_bar::calibrate_prepared;
-use crate::calibrate::mix::{self, DataSets};
+use crate::calibrate::{BarRun, DataSets, IdentifyConfig, calibrate};
 use crate::instrument::Wire;
 use crate::logs::Stream;
 use crate::model::{Model, Observation, Selection};
@@ -141,9 +139,9 @@ fn by_bar(
     with_errors: bool,
 ) -> Result<Row, String> {
     let bar = &definition.bar;
-    let prepared = simulated.stations.iter().map(|prepared| (prepared.clone(), bar)).collect();
-    let found =
-        calibrate_prepared(prepared, &definition.robot, config, None).map_err(|error| error.to_string())?;
+    let bars = simulated.stations.iter().map(|prepared| BarRun { prepared: prepared.clone(), bar }).collect();
+    let data = DataSets { bars, rows: Vec::new() };
+    let found = calibrate(&data, &definition.robot, config, None).map_err(|error| error.to_string())?;
     let compared = Comparison::new(&found, &simulated.truth).only(|id| Selection::Thesis.contains(id));
     let errors = compared.parameters.iter().map(|one| (one.id.to_string(), one.error_displayed()));
     Ok(Row {
@@ -159,7 +157,7 @@ fn by_wire(definition: &Definition, seed: u32, conditions: &Conditions) -> Resul
     let (rows, truth) = wire_rows(&experiment, conditions.wire_rows, conditions.wire_noise_m)
         .map_err(|error| error.to_string())?;
     let data = DataSets { rows: vec![Wire::new(&rows).into()], ..DataSets::default() };
-    let found = mix::calibrate(&data, &definition.robot, &IdentifyConfig::default(), None);
+    let found = calibrate(&data, &definition.robot, &IdentifyConfig::default(), None);
     let found = found.map_err(|error| error.to_string())?;
     let model = &found.runs.first().ok_or("there is no data set")?.model;
     Ok(position(model, &truth, definition, [model.geometry(&[]).wire.attachments_m[0], ATTACHMENT_M.into()]))

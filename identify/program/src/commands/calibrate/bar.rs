@@ -11,8 +11,7 @@ use shared::recording::schema::CycleRecord;
 use super::CommonArguments;
 use super::driver::calibrate;
 use super::experiment::{BarRun, Experiment};
-use crate::calibrate::CalibrateError;
-use crate::calibrate::ball_bar::RunInput;
+use crate::calibrate::{CalibrateError, RunInput};
 use crate::inspect::{self, curves};
 use crate::instrument::CostName;
 use crate::logs::{

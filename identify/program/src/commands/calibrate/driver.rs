@@ -12,9 +12,8 @@ use super::refused::refused;
 use super::result::{conclude, limited, write_files};
 use super::rows::{self, Aligned, Beside, Others, WithLogs};
 use super::{ResultArguments, inputs};
-use crate::calibrate::Calibration;
-use crate::calibrate::mix::{self, DataSets};
 use crate::calibrate::rows::RowErrors;
+use crate::calibrate::{self, Calibration, DataSets, RunInput};
 use crate::commands::ensure_can_write;
 use crate::commands::on_terminal::OnTerminal;
 use crate::evaluate::{Evidence, Limit, Validity, evidence, scale_sentence};
@@ -62,8 +61,10 @@ pub(super) fn calibrate(
     let (mut bars, inputs) = (bars?, inputs?);
     experiment.ensure_distinct(&inputs)?;
     let calibration = bar::solved(experiment.split_at_changes, &mut bars, |inputs| {
-        let data = DataSets { bars: inputs.to_vec(), rows: rows.clone() };
-        mix::calibrate(&data, robot, &experiment.identify, Some(&on_terminal))
+        experiment.identify.require_usual_selection()?;
+        let bars = RunInput::prepare_all(inputs, robot, &experiment.identify.prepare)?;
+        let data = DataSets { bars, rows: rows.clone() };
+        calibrate::calibrate(&data, robot, &experiment.identify, Some(&on_terminal))
     });
     let studied = calibration.and_then(|calibration| {
         let evidence = evidence(&calibration, &robot.joint_limits());

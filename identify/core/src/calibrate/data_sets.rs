@@ -1,0 +1,102 @@
+//! What was measured on one robot.
+
+use shared::config::{BallBarConfig, RobotConfig};
+use shared::recording::schema::{CycleRecord, EncoderInfo};
+
+use super::config::IdentifyConfig;
+use super::error::CalibrateError;
+use crate::instrument::Rows;
+use crate::logs::{RobotLog, Unwrapped};
+use crate::prepare::{PrepareOptions, Prepared, prepare};
+
+/// Data sets of one robot that are calibrated together.
+#[derive(Debug, Clone, Default)]
+pub struct DataSets<'a> {
+    /// Runs with the ball-bar.
+    pub bars: Vec<BarRun<'a>>,
+    /// Files of other instruments.
+    pub rows: Vec<Rows>,
+}
+
+/// A run with the ball-bar whose logs are brought together.
+#[derive(Debug, Clone)]
+pub struct BarRun<'a> {
+    /// Its samples, the robot's motion, and where the preparation found the bar.
+    pub prepared: Prepared,
+    /// The bar of this run: bars of several runs may differ in length.
+    pub bar: &'a BallBarConfig,
+}
+
+/// What one run with the ball-bar left behind.
+#[derive(Debug, Clone, Copy)]
+pub struct RunInput<'a> {
+    /// Of the recording.
+    pub cycles: &'a [CycleRecord],
+    /// Encoders of the recording, in its order.
+    pub encoders: &'a [EncoderInfo],
+    /// What the reader of the recording has unwrapped itself: its records then show what no counter showed.
+    pub unwrapped: Option<&'a [Unwrapped]>,
+    /// The robot's own log.
+    pub log: &'a RobotLog,
+    /// The bar of this run.
+    pub bar: &'a BallBarConfig,
+}
+
+impl<'a> RunInput<'a> {
+    /// Brings the logs of each run together.
+    ///
+    /// # Errors
+    /// [`CalibrateError::Prepare`] names the run.
+    pub fn prepare_all(
+        inputs: &[Self],
+        robot: &RobotConfig,
+        options: &PrepareOptions,
+    ) -> Result<Vec<BarRun<'a>>, CalibrateError> {
+        let prepared = |(run, input): (usize, &Self)| {
+            let mut prepared = prepare(input.cycles, input.encoders, input.log, robot, input.bar, options)
+                .map_err(|error| CalibrateError::Prepare { run, error: Box::new(error) })?;
+            if let Some(unwrapped) = input.unwrapped {
+                prepared.timeline.unwrapped_encoders = unwrapped.to_vec();
+            }
+            Ok(BarRun { prepared, bar: input.bar })
+        };
+        inputs.iter().enumerate().map(prepared).collect()
+    }
+}
+
+impl DataSets<'_> {
+    /// There are data, and the configuration gives nothing that has no effect on them.
+    ///
+    /// # Errors
+    /// [`CalibrateError::NoRun`], [`CalibrateError::Selection`], [`CalibrateError::NoEffect`] with the option.
+    pub(super) fn check(&self, config: &IdentifyConfig) -> Result<(), CalibrateError> {
+        if self.rows.is_empty() {
+            return if self.bars.is_empty() { Err(CalibrateError::NoRun) } else { Ok(()) };
+        }
+        config.require_usual_selection()?;
+        if !self.bars.is_empty() {
+            return Ok(());
+        }
+        let usual = IdentifyConfig::default();
+        let terms = (&config.joint_terms, &usual.joint_terms);
+        let follows_log = self.rows.iter().any(|rows| rows.instrument.first_s().is_some());
+        let of_bars = [
+            ("cost", config.cost != usual.cost),
+            ("encoder_harmonics_urad", config.encoder_harmonics_urad != usual.encoder_harmonics_urad),
+            ("bar_length_um", config.bar_length_um != usual.bar_length_um),
+            ("joint_terms.amplitude_urad", terms.0.amplitude_urad != terms.1.amplitude_urad),
+            ("joint_terms.ratio_ppm", terms.0.ratio_ppm != terms.1.ratio_ppm),
+            ("joint_terms.delay_ms", terms.0.delay_ms != terms.1.delay_ms),
+            (
+                "joint_terms.compliance_urad_per_m",
+                terms.0.compliance_urad_per_m != terms.1.compliance_urad_per_m,
+            ),
+            ("noise", config.noise != usual.noise),
+            ("prepare", config.prepare != usual.prepare && !follows_log),
+        ];
+        match of_bars.into_iter().find(|(_, is_given)| *is_given) {
+            Some((option, _)) => Err(CalibrateError::NoEffect { option }),
+            None => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,115 @@
+//! From data sets to a calibration, for one run, one file of rows or any mix: they share the robot, and each data set counts as
+//! much as its own residuals show it to be worth.
+
+use shared::config::{BallBarConfig, RobotConfig};
+use shared::recording::schema::{CycleRecord, EncoderInfo};
+
+use super::calibration::Calibration;
+use super::change;
+use super::config::IdentifyConfig;
+use super::data_sets::{DataSets, RunInput};
+use super::error::CalibrateError;
+use super::lay_out::{LaidOut, lay_out};
+use super::pipeline::{Plan, Solved, estimate, refit};
+use super::rows;
+use super::validation::deployment::{Deployment, fitted};
+use crate::kinematics::flange_chain;
+use crate::logs::RobotLog;
+use crate::solver::Watch;
+
+/// Estimates the robot from all data sets together, each number of its links expected at nominal within the configured tolerance,
+/// which is widened until left-out groups of samples are predicted best. Runs with the ball-bar share its links; each has its own
+/// clock, place of the bar, encoder offsets and, where it differs, length. A fifth of each file of rows is predicted by a fit of
+/// everything else, and then takes part; nothing is held out where the rest is too little. `watch` sees each solve and may end it.
+///
+/// # Errors
+/// [`CalibrateError`]: a calibration that is returned has converged and every free parameter of it is identified.
+pub fn calibrate(
+    data: &DataSets<'_>,
+    robot: &RobotConfig,
+    config: &IdentifyConfig,
+    watch: Option<&dyn Watch>,
+) -> Result<Calibration, CalibrateError> {
+    data.check(config)?;
+    let failed = match staged(data, robot, config, true, watch) {
+        Err(error) if error.is_of_solve() && !data.rows.is_empty() => error,
+        done => return done,
+    };
+    if let Some(likely) = rows::likely_of_all(&data.rows, &flange_chain(robot)) {
+        return Err(CalibrateError::Implausible { found: failed.to_string(), likely: Some(likely) });
+    }
+    let found = staged(data, robot, config, false, watch)?;
+    tracing::warn!("no rows are predicted by a solve without them: {failed}");
+    Ok(found)
+}
+
+/// Prepares and solves one run with the ball-bar; `encoders` are those of the recording, in its order.
+///
+/// # Errors
+/// As [`calibrate`].
+pub fn calibrate_run(
+    cycles: &[CycleRecord],
+    encoders: &[EncoderInfo],
+    log: &RobotLog,
+    robot: &RobotConfig,
+    bar: &BallBarConfig,
+    config: &IdentifyConfig,
+) -> Result<Calibration, CalibrateError> {
+    calibrate_runs(&[RunInput { cycles, encoders, unwrapped: None, log, bar }], robot, config, None)
+}
+
+/// Prepares each run with the ball-bar and solves all in one.
+///
+/// # Errors
+/// As [`calibrate`].
+pub fn calibrate_runs(
+    inputs: &[RunInput<'_>],
+    robot: &RobotConfig,
+    config: &IdentifyConfig,
+    watch: Option<&dyn Watch>,
+) -> Result<Calibration, CalibrateError> {
+    let bars = RunInput::prepare_all(inputs, robot, &config.prepare)?;
+    calibrate(&DataSets { bars, rows: Vec::new() }, robot, config, watch)
+}
+
+/// The stages of a calibration; with `held_out`, a part of each file of rows is predicted before it takes part.
+fn staged(
+    data: &DataSets<'_>,
+    robot: &RobotConfig,
+    config: &IdentifyConfig,
+    held_out: bool,
+    watch: Option<&dyn Watch>,
+) -> Result<Calibration, CalibrateError> {
+    let LaidOut { mut runs, mut rows, plan } = lay_out(data, robot, config, held_out, watch)?;
+    let bars = data.bars.len();
+    if !rows.is_empty() {
+        // Rows that do not belong with the rest, and a drift, are found in what the best links leave.
+        let of_links = Plan { groups: Vec::new(), tolerances: Vec::new(), alike: Vec::new(), ..plan.clone() };
+        let Solved { sigmas, .. } = estimate(&mut runs, &of_links)?;
+        let offsets = fitted(&runs, Deployment::Offsets, plan.loss, watch)?;
+        let offsets = offsets.map_or_else(Vec::new, |found| found.runs);
+        for (number, set) in (bars..).zip(&mut rows) {
+            let run = &mut runs[number];
+            set.judge_links(offsets.get(number).map(|run| &run.model), &run.model);
+            set.screen(number + 1, run, sigmas[number])?;
+        }
+    }
+    let mut solved = estimate(&mut runs, &plan)?;
+    if !rows.is_empty() {
+        rows.iter_mut().zip(&runs[bars..]).for_each(|(set, run)| set.judge_joints(&run.model));
+        rows::unless_implausible(&data.rows, &rows, &runs, &flange_chain(robot))?;
+        // The figures on held-out rows are taken: now these rows take part.
+        for (set, run) in rows.iter_mut().zip(&mut runs[bars..]) {
+            set.leave_out_gross(&run.model);
+            run.instrument = set.everything(&run.model)?;
+        }
+        let (columns, mut solution, sigmas) = refit(&mut runs, plan.loss, watch)?;
+        for ((number, set), run) in (bars..).zip(&rows).zip(&runs[bars..]) {
+            let times = set.widens(&run.model, sigmas[number])?;
+            solution.covariance = solution.covariance.widened(number, times);
+        }
+        solved = Solved { columns, solution, sigmas, ..solved };
+    }
+    let changed = change::checked(&runs, &solved.sigmas, &config.prepare)?;
+    Ok(Calibration { runs, rows, solved, changed, loss: plan.loss })
+}

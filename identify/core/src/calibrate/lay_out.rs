@@ -1,0 +1,222 @@
+//! The model of each data set at the nominal robot: what is free in it, and where its instrument stands.
+
+use std::collections::BTreeSet;
+
+use shared::config::{BallBarConfig, RobotConfig};
+
+use super::config::{IdentifyConfig, SelectionName};
+use super::data_sets::{BarRun, DataSets};
+use super::error::CalibrateError;
+use super::pipeline::{Plan, estimate, in_unit_of, waves_per_turn};
+use super::rows::{self, RowSet};
+use super::selection::structure::identifiable;
+use super::selection::terms::CandidateGroup;
+use crate::instrument::{BallBar, CostName, Run, ScaleFrom};
+use crate::kinematics::{BAR_JOINTS, Chain, LinkParameter, ball_bar_chain, flange_chain, robot_chain};
+use crate::model::{Axis, DriveTrain, Group, Model, ModelError, Parameter, ParameterId, Role, Unit};
+use crate::prepare::Prepared;
+use crate::solver::{LossName, Watch};
+
+/// Data sets with their models at the nominal robot, and how they are solved.
+pub(super) struct LaidOut<'w> {
+    /// Runs with the ball-bar, then files of rows; of these what the fit sees.
+    pub(super) runs: Vec<Run>,
+    pub(super) rows: Vec<RowSet>,
+    pub(super) plan: Plan<'w>,
+}
+
+/// Lays out the data sets; with `held_out`, the fit does not see a fifth of each file of rows.
+///
+/// # Errors
+/// [`CalibrateError`] where names, data or their places do not fit the robot.
+pub(super) fn lay_out<'w>(
+    data: &DataSets<'_>,
+    robot: &RobotConfig,
+    config: &IdentifyConfig,
+    held_out: bool,
+    watch: Option<&'w dyn Watch>,
+) -> Result<LaidOut<'w>, CalibrateError> {
+    let flange = flange_chain(robot);
+    let mut runs = bar_runs(&data.bars, robot, config)?;
+    let mut sets = Vec::new();
+    let alone = data.bars.is_empty() && data.rows.len() == 1;
+    for file in &data.rows {
+        let data_set = runs.len() + 1;
+        let bad = |error| CalibrateError::Rows { data_set, error };
+        let contradicting = rows::checked(&file.instrument, alone, &flange).map_err(bad)?;
+        let set = RowSet::new(file.grouped(&flange), contradicting, held_out);
+        let model = file.instrument.at_nominal(&flange);
+        let model = model.with_drives(DriveTrain::of(robot, &flange)).with(config.named());
+        let mut run = Run { instrument: set.fitting(), model };
+        place(&mut run, &set, data_set, config, watch, &flange)?;
+        runs.push(run);
+        sets.push(set);
+    }
+    for (set, Run { model, .. }) in sets.iter_mut().zip(&mut runs[data.bars.len()..]) {
+        set.judge_nominal(model);
+        config.set_link_roles(model)?;
+    }
+    // Without any scale a smaller robot between nearer faces fits as well: its longest link then keeps its length.
+    if !runs.is_empty() && runs.iter().all(|run| run.instrument.scale() == ScaleFrom::Robot) {
+        let longest = longest_length(&runs[0].model);
+        for Run { model, .. } in &mut runs {
+            longest.iter().try_for_each(|id| config.consider(model, *id))?;
+        }
+    }
+    config.require_known(runs.iter().map(|run| &run.model))?;
+    let groups = candidates(data, &mut runs, config)?;
+    let plan = Plan {
+        loss: config.loss.unwrap_or(in_unit_of(&runs).map_or(LossName::Huber, CostName::usual_loss)),
+        groups,
+        fix: config.fixed(),
+        tolerances: tolerances(&runs, config),
+        alike: config.alike().collect(),
+        watch,
+    };
+    Ok(LaidOut { runs, rows: sets, plan })
+}
+
+/// Finds where an instrument is, from its rows and the nominal robot.
+fn place(
+    run: &mut Run,
+    set: &RowSet,
+    data_set: usize,
+    config: &IdentifyConfig,
+    watch: Option<&dyn Watch>,
+    flange: &Chain,
+) -> Result<(), CalibrateError> {
+    if !run.instrument.place(&mut run.model, &config.fixed())? {
+        return Err(CalibrateError::NoPlace { data_set });
+    }
+    if run.model.columns().len() > 0 {
+        let plan = Plan { watch, ..Plan::new(LossName::Huber, Vec::new()) };
+        let placed = estimate(std::slice::from_mut(run), &plan);
+        // Lengths in another unit may allow no solution at all.
+        rows::unless_other_unit(set.whole(), &run.model, flange)?;
+        placed?;
+    }
+    Ok(())
+}
+
+/// The longest of the lengths of links that are estimated.
+fn longest_length(model: &Model) -> Option<ParameterId> {
+    let is_length = |one: &&Parameter| {
+        matches!(one.id, ParameterId::Robot { .. }) && one.id.unit() == Unit::Metre && one.role.is_estimated()
+    };
+    let lengths = model.parameters().iter().filter(is_length);
+    let longest = lengths.max_by(|a, b| a.nominal.abs().total_cmp(&b.nominal.abs()))?;
+    Some(longest.id)
+}
+
+/// Terms that are tried. Without a ball-bar the models get waves of the robot's axes, up to the order that the number of rows allows.
+fn candidates(
+    data: &DataSets<'_>,
+    runs: &mut [Run],
+    config: &IdentifyConfig,
+) -> Result<Vec<CandidateGroup>, CalibrateError> {
+    let Some(Run { instrument, model }) = runs.first() else { return Ok(Vec::new()) };
+    if !data.bars.is_empty() {
+        return Ok(config.groups(model, |id| instrument.identifies(id)));
+    }
+    let axes = model.axes();
+    let measured =
+        |run: &Run| Ok(run.instrument.samples() * run.instrument.data_set(&run.model, 1.0)?.rows());
+    let measured = runs.iter().map(measured).sum::<Result<_, CalibrateError>>()?;
+    let asked = data.rows.iter().filter_map(|file| file.joint_waves).min();
+    let last = asked.unwrap_or_else(|| waves_per_turn(measured, axes));
+    for run in &mut *runs {
+        run.model = run.model.clone().with(ParameterId::joint_waves(last));
+    }
+    let known = |id: &ParameterId| runs.iter().any(|run| run.model.parameter(*id).is_some());
+    let mut groups = rows::groups(last, |id| known(id) && !config.named().any(|named| named == *id));
+    groups.retain(|group| config.joint_terms.candidates.contains(&group.group));
+    Ok(groups)
+}
+
+/// Bar joints whose encoder all runs have.
+pub(super) fn measured<'p>(runs: impl Iterator<Item = &'p Prepared>) -> [bool; BAR_JOINTS] {
+    runs.fold([true; BAR_JOINTS], |all, run| std::array::from_fn(|joint| all[joint] && run.measured[joint]))
+}
+
+/// Runs with the ball-bar, their parameters where the preparation found them, with their roles.
+fn bar_runs(
+    bars: &[BarRun<'_>],
+    robot: &RobotConfig,
+    config: &IdentifyConfig,
+) -> Result<Vec<Run>, CalibrateError> {
+    let measured = measured(bars.iter().map(|run| &run.prepared));
+    let cost = config.cost.unwrap_or_else(|| CostName::for_encoders(&measured));
+    let run = |BarRun { prepared, bar }: &BarRun<'_>| {
+        // Hundreds of waves have a name: a model has those that the configuration names, and later those that are found.
+        let named = config.named().filter(|id| matches!(id, ParameterId::JointWave { .. }));
+        let model = start_model(prepared, robot, bar)?.with(named);
+        let known_m = config.known_lengths_m(bar, model.axes());
+        let prepared = prepared.clone();
+        let bar = BallBar { prepared, cost, configured: config.noise, found: None, measured, known_m };
+        Ok(Run { instrument: bar.into(), model })
+    };
+    let mut runs = bars.iter().map(run).collect::<Result<Vec<_>, CalibrateError>>()?;
+    let identifiable = match (config.selection.fixed(), bars.first(), runs.first()) {
+        (None, Some(BarRun { prepared, .. }), Some(Run { model, .. })) => {
+            let Prepared { motion, observations, measured, .. } = prepared;
+            identifiable(model, motion, observations, cost.unweighed(measured))?
+        }
+        _ => Vec::new(),
+    };
+    let mut held = config.fixed();
+    let plate = runs.first().map(|run| ParameterId::plate(run.model.axes()));
+    held.extend(plate.filter(|_| config.selection == SelectionName::Thesis));
+    for Run { instrument, model } in &mut runs {
+        config.set_roles(model, &identifiable, |id| instrument.identifies(id))?;
+        instrument.place(model, &held)?;
+        if let Some(force) = instrument.prepared().and_then(|prepared| prepared.force.as_ref()) {
+            config.free_for_force(model, force.parameter())?;
+        }
+    }
+    Ok(runs)
+}
+
+/// Numbers of links whose tolerances are widened where the samples require it; stated standard deviations stay.
+fn tolerances(runs: &[Run], config: &IdentifyConfig) -> Vec<ParameterId> {
+    let known = ParameterId::known_lengths(runs.first().map_or(0, |run| run.model.axes()));
+    let has_tolerance = |one: &&Parameter| {
+        let is_link = matches!(one.id.group(), Group::Link | Group::InPlaceOfAnother);
+        let is_stated = known.contains(&one.id) || config.priors.contains_key(&one.id.to_string());
+        is_link && matches!(one.role, Role::Prior { .. }) && !is_stated
+    };
+    let of_runs = runs.iter().flat_map(|run| run.model.columns());
+    let ids: BTreeSet<ParameterId> = of_runs.filter(has_tolerance).map(|one| one.id).collect();
+    ids.into_iter().collect()
+}
+
+/// Nominal robot and bar, at the place and with the encoder offsets that the preparation found.
+fn start_model(prepared: &Prepared, robot: &RobotConfig, bar: &BallBarConfig) -> Result<Model, ModelError> {
+    let arm = robot_chain(robot, bar);
+    let mut model = Model::ball_bar(&arm, &ball_bar_chain(bar))
+        .with_drives(DriveTrain::of(robot, &arm))
+        .with(changed_offsets(prepared));
+    let initial = &prepared.initial;
+    for axis in Axis::ALL {
+        model.set_value(ParameterId::Base { axis }, initial.base_m[axis.index()])?;
+    }
+    for link in 0..BAR_JOINTS {
+        let theta = ParameterId::Bar { link, parameter: LinkParameter::Theta };
+        let nominal = model.parameter(theta).map_or(0.0, |parameter| parameter.nominal);
+        model.set_value(theta, nominal + initial.btheta_rad[link])?;
+    }
+    model.set_value(ParameterId::ClockShift, initial.clock_shift_s)?;
+    model.set_value(ParameterId::ClockSkew, initial.clock_skew)?;
+    Ok(model)
+}
+
+/// Encoders whose counters lost their origin, with samples left since.
+fn changed_offsets(prepared: &Prepared) -> impl Iterator<Item = ParameterId> {
+    let has_samples = |number: usize| prepared.observations.iter().any(|one| one.origin == number);
+    let spans = prepared.origins.iter().filter(move |span| {
+        (1..=ParameterId::LAST_ORIGIN).contains(&span.number) && has_samples(span.number)
+    });
+    spans.flat_map(|span| {
+        let changed = (0..BAR_JOINTS).filter(|joint| span.shift_rad[*joint] != 0.0);
+        changed.map(|joint| ParameterId::EncoderOffset { origin: span.number, joint })
+    })
+}
