@@ -7,15 +7,14 @@
 
 use crate::support::campaign::size;
 use crate::support::laboratory::{self, Level};
-use crate::support::truth::position_error_m;
 use crate::support::{bar, irb2400, nj220};
 use identify::calibrate::{IdentifyConfig, SelectionName, calibrate_run};
 use identify::evaluate::workspace_error;
 use identify::instrument::CostName;
 use identify::model::ParameterId;
 use identify::prepare::LocalShift;
-use identify::simulate::Comparison;
-use identify::simulate::{Design, Simulated};
+use identify::simulate::{Comparison, Design, Simulated, position_errors_m};
+use nalgebra::Vector3;
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::encoder::Direction;
 
@@ -27,7 +26,7 @@ struct Outcome {
     skew_ppm: f64,
     /// Standard deviation of the alignment over disjoint parts of about 20 s \[ms\].
     repeats_ms: f64,
-    /// Mean position error over the workspace \[mm\]...
+    /// Mean position error over the workspace, with the errors of joints \[mm\]...
     position_mm: f64,
     /// ...and the 95 % interval in which the report expects it.
     expected_mm: [f64; 2],
@@ -50,7 +49,7 @@ fn calibrated(run: &Simulated, robot: &RobotConfig, bar: &BallBarConfig, config:
     let variance = shifts.iter().map(|shift| (shift - mean).powi(2)).sum::<f64>() / (shifts.len() - 1) as f64;
     let expected = workspace_error(found.model(), &found.solution().covariance, &robot.joint_limits()).after;
     Outcome {
-        position_mm: position_error_m(run, &found, robot) * 1e3,
+        position_mm: position_errors_m(found.model(), &run.truth, robot, [Vector3::zeros(); 2]).0 * 1e3,
         expected_mm: expected.interval_m.map(|limit_m| limit_m * 1e3),
         robot_mm_mrad: of_robot.euclidean_mm_mrad(),
         shift_ms: comparison.clock_shift_error_s * 1e3,

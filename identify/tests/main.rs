@@ -7,6 +7,7 @@ mod support;
 mod any_arm;
 mod bar_force;
 mod change_points;
+mod claims;
 mod command_line;
 mod compare;
 mod configuration;

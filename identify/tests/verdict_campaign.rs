@@ -51,14 +51,15 @@ fn experiment(robot: &RobotConfig, seed: u64) -> (Simulated, BallBarConfig) {
     (run, BallBarConfig { plate_m: bar.plate_m + 1e-6 * PLATE_U_UM * off, ..bar })
 }
 
-/// What is claimed over the workspace, the verdict, and what is true: the mean and what 95 % of the postures do not exceed \[m\].
+/// What is claimed over the workspace, the verdict, and what is true with the errors of joints: the mean and what 95 % of the postures
+/// do not exceed \[m\].
 pub fn judged(
     run: &Simulated,
     found: &Calibration,
     robot: &RobotConfig,
 ) -> Result<(WorkspaceError, Verdict, [f64; 2]), CalibrateError> {
     let limits = &robot.joint_limits();
-    let evidence = evidence(found, limits).with_validation(found, None)?;
+    let evidence = evidence(found, limits).with_validation(found, limits, None)?;
     let solution = found.solution();
     let solve = SolveEntry::new(found.cost_name(), &solution.summary, &solution.identifiability);
     let parameters = ParameterEntry::of_calibration(found);

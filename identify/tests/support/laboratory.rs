@@ -125,6 +125,15 @@ fn add_to_robot(run: &mut Simulated, robot: &RobotConfig, level: &Level, random:
     let mut trace = Trace::default();
     let rows = run.robot_log.q_rad.clone();
     let before_bar_start_ns = run.robot_log.q_rad.first_stamp_ns - truth.robot_at_bar_start_ns;
+    for (drive, phase) in phases.iter().enumerate() {
+        let (lobes, axis) = (LOBES[drive], drive + 1);
+        let errors = [
+            (format!("rsin{lobes}_{axis}"), level.cycloid_urad * phase.cos()),
+            (format!("rcos{lobes}_{axis}"), level.cycloid_urad * phase.sin()),
+            (format!("rbacklash_{axis}"), 0.5 * level.backlash_urad),
+        ];
+        run.truth.parameters.extend(errors.map(|(name, shown_urad)| (name, -1e-6 * shown_urad)));
+    }
     for (k, q) in run.robot_log.q_rad.iter_mut().enumerate() {
         let t_s = (rows.t_s[k] + before_bar_start_ns as f64 * 1e-9) / (1.0 + truth.skew);
         let bar = run.motion.path.at(t_s);

@@ -12,9 +12,15 @@ use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use shared::config::RobotConfig;
 
-/// Mean distance between the end of the true robot and that of the identified one over postures within the limits \[m\].
+/// Mean distance between the end of the true robot and that of the identified one over postures within the limits, by their links
+/// alone \[m\].
 pub fn position_error_m(run: &Simulated, found: &Calibration, robot: &RobotConfig) -> f64 {
-    position_errors_m(found.model(), &run.truth, robot, [Vector3::zeros(); 2]).0
+    let (mut links, mut truth) = (found.model().clone(), run.truth.clone());
+    truth.parameters.retain(|name, _| name.parse().is_ok_and(|id: ParameterId| id.term().is_none()));
+    for id in links.ids().into_iter().filter(|id| id.term().is_some()) {
+        links.set_value(id, 0.0).unwrap();
+    }
+    position_errors_m(&links, &truth, robot, [Vector3::zeros(); 2]).0
 }
 
 /// Mean distance of two robots' wrists over postures within the limits, one robot moved as a whole to where it fits the other

@@ -478,15 +478,17 @@ impl<'a> Solver<'a> {
         let all = SharedColumns::new(&models, |id| is_own(id, &self.differ));
         let place = |name: &String| all.names().iter().position(|other| other == name);
         let places: Vec<usize> = columns.names().iter().filter_map(place).collect();
+        let left_out: Vec<usize> = (0..all.names().len()).filter(|column| !places.contains(column)).collect();
         if let Some((normals, of_run)) = self.normals(&models, &all, solution.loss, LEFT_OUT)?
             && let Some(mut spread) = normals.jackknife(|group| of_run[group])
         {
-            if all.names().len() > columns.names().len()
+            if !left_out.is_empty()
                 && let Some(step) = normals.step()
             {
                 spread.add(Source::LeftOut, &step);
             }
-            covariance = covariance.by_jackknife(spread.of(&places), normals.folds());
+            let names = left_out.iter().map(|column| all.names()[*column].clone()).collect();
+            covariance = covariance.by_jackknife(spread.of(&places, &left_out), normals.folds(), names);
         }
         Ok(match self.considered(columns, solution.loss)? {
             Some(considered) => covariance.with_considered(considered),

@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use crate::kinematics::{BAR_JOINTS, Chain, LinkParameter, ROD_LINK, Trace, Tracer, Turn, Twist};
-use crate::model::{Axis, DriveState, Geometry, JointTerm, MovingJoints, Observation, ParameterId, Phase};
+use crate::model::{Axis, Geometry, MovingJoints, Observation, ParameterId};
 
 /// What a parameter moves.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -48,8 +48,8 @@ impl Scene<'_> {
     #[inline(always)]
     pub fn movement(&self, id: ParameterId) -> Movement {
         match id {
-            ParameterId::Robot { link, parameter } => {
-                self.robot.twist(link, parameter).map_or(Movement::None, Movement::Robot)
+            ParameterId::Robot { .. } | ParameterId::Joint { .. } | ParameterId::JointWave { .. } => {
+                self.geometry.end_twist(self.joints, self.robot, id).map_or(Movement::None, Movement::Robot)
             }
             ParameterId::Bar { .. }
             | ParameterId::Base { .. }
@@ -69,8 +69,6 @@ impl Scene<'_> {
                 let twist = self.bar.twist(joint, LinkParameter::Theta);
                 twist.filter(|_| origin == self.observation.origin).map_or(Movement::None, Movement::Bar)
             }
-            ParameterId::JointWave { axis, order, phase } => self.joint_wave(axis, order, phase),
-            ParameterId::Joint { axis, term } => Movement::Robot(self.joint_error(axis, term)),
             ParameterId::ClockShift => Movement::Robot(self.robot_rate),
             ParameterId::ClockSkew => {
                 let t_s = self.observation.t_s;
@@ -79,29 +77,6 @@ impl Scene<'_> {
             // Those of other instruments.
             _ => Movement::None,
         }
-    }
-
-    fn drives(&self) -> &DriveState {
-        self.joints.drives(&self.geometry.joints.drives)
-    }
-
-    fn joint_wave(&self, axis: usize, order: u8, phase: Phase) -> Movement {
-        let drives = &self.geometry.joints.drives;
-        let wave = self.drives().turn.get(axis).map_or(0.0, |angle| phase.wave(order, *angle));
-        // Hundreds of waves are tried: most drives turn one joint.
-        if let Some(joint) = drives.only_joint(axis) {
-            let twist = self.robot.twist(joint, LinkParameter::Theta);
-            return twist.map_or(Movement::None, |twist| Movement::Robot(twist.scaled(wave)));
-        }
-        let turned = drives.joint_from_drive.get(axis).map(|row| row.map(|part| part * wave));
-        turned.map_or(Movement::None, |turned| Movement::Robot(self.robot.moved_by(&turned)))
-    }
-
-    /// An error of a robot axis turns each joint that its drive turns.
-    fn joint_error(&self, axis: usize, term: JointTerm) -> Twist {
-        let MovingJoints { reported, delayed, .. } = self.joints;
-        let of = if term == JointTerm::Delay { delayed } else { reported };
-        self.robot.moved_by(&self.geometry.joints.by_amplitude(axis, term, of, self.drives()))
     }
 
     /// How the end of the bar moves with a number of its links or of its base, where its joints stand as in `bar`.

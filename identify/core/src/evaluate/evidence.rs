@@ -2,8 +2,8 @@
 
 use super::limits::gap_m;
 use super::{
-    HeldOut, JointGap, Limit, Quantiles, ShiftCurve, SphereDeviation, WorkspaceError, held_out, joint_gaps,
-    limits, nominals, shift_curve, uncalibrated, workspace_error,
+    HeldOut, JointGap, Limit, Quantiles, ShiftCurve, SphereDeviation, WorkspaceError, delivered_error,
+    held_out, joint_gaps, limits, nominals, shift_curve, uncalibrated, workspace_error,
 };
 use crate::calibrate::validation::deployment::{Deployed, Deployment};
 use crate::calibrate::validation::held_out::without_each_segment;
@@ -102,14 +102,15 @@ pub fn evidence(calibration: &Calibration, joint_limits: &[[f64; 2]]) -> Evidenc
 }
 
 impl Evidence {
-    /// Adds what the calibration and its deployments predict of segments of the ball-bar's runs that no fit has seen: some solves
-    /// more.
+    /// Adds what the calibration and its deployments predict of segments of the ball-bar's runs that no fit has seen, and the error of
+    /// each deployment that is expected over the workspace: some solves more. `joint_limits` as for [`evidence`].
     ///
     /// # Errors
     /// [`CalibrateError`] where `watch` ended it.
     pub fn with_validation(
         mut self,
         calibration: &Calibration,
+        joint_limits: &[[f64; 2]],
         watch: Option<&dyn Watch>,
     ) -> Result<Self, CalibrateError> {
         if let Some(watch) = watch {
@@ -128,6 +129,11 @@ impl Evidence {
         let deployed = each(Deployment::PARTIAL.len(), |number| deployed(Deployment::PARTIAL[number]));
         self.deployed = deployed.into_iter().filter_map(Result::transpose).collect::<Result<_, _>>()?;
         self.held_out = Some(held_out(calibration, &segments, &nominals));
+        let (model, covariance) = (calibration.model(), &calibration.solution().covariance);
+        let expected = |(deployed, _): &(Deployed, HeldOut)| {
+            (deployed.deployment, delivered_error(model, covariance, joint_limits, &deployed.model))
+        };
+        self.workspace.deployed = self.deployed.iter().map(expected).collect();
         Ok(self)
     }
 }

@@ -4,8 +4,11 @@ use std::cell::OnceCell;
 
 use nalgebra::{Rotation3, Translation3, Vector3};
 
-use super::{BarForce, DriveState, DriveTrain, JointErrors, JointState, RobotMotion, SetUp, Tracker, Waves};
-use crate::kinematics::{AXES_MAX, BAR_JOINTS, Chain, DhLink, Pose, Turn};
+use super::{
+    BarForce, DriveState, DriveTrain, JointErrors, JointState, JointTerm, ParameterId, RobotMotion, SetUp,
+    Tracker, Waves,
+};
+use crate::kinematics::{AXES_MAX, BAR_JOINTS, Chain, DhLink, LinkParameter, Pose, Trace, Turn, Twist};
 
 /// Joints of the bar before its rod: those that give it its direction.
 pub(super) const DIRECTION_JOINTS: usize = 2;
@@ -189,6 +192,38 @@ impl Geometry {
     /// Where the robot's end is when it reports these joints.
     pub fn robot_end(&self, reported: &JointState) -> Pose {
         self.robot.forward(&self.corrected(reported).q)
+    }
+
+    /// How the robot's end moves when a number of its links or an error of its joints changes at unit speed; none for parameters of
+    /// anything else. `end` is the robot with its joints corrected.
+    #[inline]
+    pub fn end_twist(&self, joints: &MovingJoints, end: &Trace, id: ParameterId) -> Option<Twist> {
+        let drives = &self.joints.drives;
+        match id {
+            ParameterId::Robot { link, parameter } => end.twist(link, parameter),
+            // An error of a drive turns each joint that the drive turns.
+            ParameterId::Joint { axis, term } => {
+                let MovingJoints { reported, delayed, .. } = joints;
+                let of = if term == JointTerm::Delay { delayed } else { reported };
+                Some(end.moved_by(&self.joints.by_amplitude(axis, term, of, joints.drives(drives))))
+            }
+            ParameterId::JointWave { axis, order, phase } => {
+                let wave =
+                    joints.drives(drives).turn.get(axis).map_or(0.0, |angle| phase.wave(order, *angle));
+                // Hundreds of waves are tried: most drives turn one joint.
+                if let Some(joint) = drives.only_joint(axis) {
+                    return Some(end.twist(joint, LinkParameter::Theta)?.scaled(wave));
+                }
+                Some(end.moved_by(&drives.joint_from_drive.get(axis)?.map(|part| part * wave)))
+            }
+            _ => None,
+        }
+    }
+
+    /// The robot at rest.
+    pub fn at_rest(&self, reported: JointState) -> MovingJoints {
+        let corrected = self.corrected(&reported);
+        MovingJoints { reported, delayed: reported, corrected, drives: OnceCell::new() }
     }
 
     /// The robot's joints without their errors, where it stands still or all joints were logged at one instant.

@@ -5,8 +5,9 @@ use shared::config::RobotConfig;
 
 use crate::calibrate::Calibration;
 use crate::calibrate::selection::links::inseparable_offsets;
+use crate::instrument::standing;
 use crate::kinematics::{Joints, LinkParameter, nearest_turn};
-use crate::model::{Model, ParameterId, Unit};
+use crate::model::{JointState, Model, Owner, ParameterId, Unit};
 use crate::simulate::Truth;
 use crate::statistics::quantile;
 
@@ -87,9 +88,20 @@ impl Comparison {
     }
 }
 
-/// How far a point of the identified robot is from that of the true one, over postures within the limits: the mean, and what
-/// 95 % of them do not exceed \[m\]. The point is that of the chain's last frame at `points_m`, first as it was found, then as it
-/// is true.
+/// The model with the true robot, its links and the errors of its joints.
+pub fn true_model(found: &Model, truth: &Truth) -> Model {
+    let mut model = found.clone().with(truth.parameters.keys().filter_map(|name| name.parse().ok()));
+    for id in model.ids().into_iter().filter(|id| id.owner() == Owner::Robot) {
+        let nominal = model.parameter(id).map_or(0.0, |parameter| parameter.nominal);
+        // Every parameter comes from the model itself.
+        let _ = model.set_value(id, truth.parameters.get(&id.to_string()).copied().unwrap_or(nominal));
+    }
+    model
+}
+
+/// How far a point of the identified robot is from that of the true one, over postures within the limits, each with the errors of
+/// its joints: the mean, and what 95 % of them do not exceed \[m\]. The point is that of the chain's last frame at `points_m`,
+/// first as it was found, then as it is true.
 pub fn position_errors_m(
     found: &Model,
     truth: &Truth,
@@ -99,25 +111,21 @@ pub fn position_errors_m(
     /// Steps along each joint, prime to each other so that every combination comes.
     const STEPS: [usize; 8] = [7, 11, 13, 17, 19, 23, 29, 31];
     const POSTURES: usize = 2000;
-    let mut true_model = found.clone();
-    for parameter in found.parameters().iter().filter(|one| matches!(one.id, ParameterId::Robot { .. })) {
-        let value = truth.parameters.get(&parameter.id.to_string()).copied();
-        // Every parameter comes from the model itself.
-        let _ = true_model.set_value(parameter.id, value.unwrap_or(parameter.nominal));
-    }
-    let [identified, truth] = [found, &true_model].map(|model| model.geometry(&model.start()).robot);
+    let [identified, truth] = [found, &true_model(found, truth)].map(|model| model.geometry(&model.start()));
     let limits = robot.joint_limits();
-    let distance_m = |posture: usize| {
-        let q = Joints::from_fn(identified.links.len(), |joint| {
+    let posture = |posture: usize| {
+        Joints::from_fn(identified.robot.links.len(), |joint| {
             let [low, high] = limits.get(joint).copied().unwrap_or_default();
             let steps = STEPS[joint % STEPS.len()];
             let part = (posture % steps) as f64 / (steps - 1) as f64;
             low + (high - low) * part
-        });
-        let [found_m, true_m] = points_m.map(Point3::from);
-        (identified.forward(&q) * found_m - truth.forward(&q) * true_m).norm()
+        })
     };
-    let mut distances_m: Vec<f64> = (0..POSTURES).map(distance_m).collect();
+    let distance_m = |reported: &JointState| {
+        let [found_m, true_m] = points_m.map(Point3::from);
+        (identified.robot_end(reported) * found_m - truth.robot_end(reported) * true_m).norm()
+    };
+    let mut distances_m: Vec<f64> = standing((0..POSTURES).map(posture)).iter().map(distance_m).collect();
     (distances_m.iter().sum::<f64>() / POSTURES as f64, quantile(&mut distances_m, 0.95))
 }
 

@@ -18,7 +18,7 @@ mod truth;
 mod write;
 
 pub use arm::ArmErrors;
-pub use comparison::{Compared, Comparison, position_errors_m};
+pub use comparison::{Compared, Comparison, position_errors_m, true_model};
 pub use effects::Effects;
 use effects::{BarReading, RobotReading};
 pub use motion::{BarLoad, BarPath, Motion, Pull};

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use super::result::deployments::what;
 use super::result::file::CalibrationFile;
 use super::verdict::Grade;
 use crate::calibrate::validation::deployment::Deployment;
@@ -32,15 +33,19 @@ pub fn summary(
     }
     let mm = |metres: f64| format!("{:.3} mm", metres * 1e3);
     let (before, after) = (&workspace.before, &workspace.after);
-    let expanded = file.budget.as_ref().map(|budget| {
-        format!("; the geometry is known within {} (k = {})", mm(budget.expanded_m), budget.coverage_factor)
-    });
+    let expanded = file
+        .budget
+        .as_ref()
+        .map(|budget| format!("; known within {} (k = {})", mm(budget.expanded_m), budget.coverage_factor));
+    let deployed: String = (workspace.deployed.iter().rev())
+        .map(|(deployment, one)| format!(", {} with {}", mm(one.mean_m), what(*deployment)))
+        .collect();
     let parts = file.deployments_reported();
     let lines = [
         file.is_simulated().then(|| SIMULATED.to_owned()),
         Some(file.verdict_sentence()),
         Some(format!(
-            "position error by geometry: {} before, {} after, mean over the workspace{}",
+            "position error, mean over the workspace: {} before, {} after{deployed}{}",
             mm(before.mean_m),
             mm(after.mean_m),
             expanded.unwrap_or_default(),

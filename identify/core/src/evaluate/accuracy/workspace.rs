@@ -1,6 +1,8 @@
 //! What the calibration is worth where the robot works: position error over the whole range of its joints.
 
-use nalgebra::{DMatrix, SymmetricEigen, Vector3};
+use std::collections::BTreeMap;
+
+use nalgebra::{DMatrix, DVectorView, SymmetricEigen, Vector3};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -9,9 +11,11 @@ use serde::{Deserialize, Serialize};
 
 use super::budget::Budget;
 use super::cube::{Cube, CubeError};
+use crate::calibrate::validation::deployment::Deployment;
 use crate::evaluate::rms;
-use crate::kinematics::{Chain, Joints, Trace, Tracer};
-use crate::model::{Model, ParameterId};
+use crate::instrument::standing;
+use crate::kinematics::{Joints, Trace, Tracer};
+use crate::model::{JointState, Model, Owner, ParameterId, TermGroup};
 use crate::solver::{Covariance, Spread};
 use crate::statistics::quantile;
 
@@ -44,13 +48,15 @@ pub struct PlaceError {
     pub after_m: f64,
 }
 
-/// Position error of the point where the bar is bolted on, over all postures within the joint limits.
+/// Position error of the robot's end, over all postures within the joint limits, each reached from the one before.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct WorkspaceError {
     /// With the nominal geometry.
     pub before: Expected,
-    /// With the calibrated one, as far as its covariance says.
+    /// With the calibrated one, as far as its covariance says: links and errors of joints, compensated.
     pub after: Expected,
+    /// With what a controller takes of it; empty before deployments are fitted.
+    pub deployed: BTreeMap<Deployment, Expected>,
     /// The combination of parameters that contributes most to what is left, largest part first: name and its part of
     /// the combination, 0 to 1.
     pub weakest: Vec<(String, f64)>,
@@ -62,9 +68,12 @@ pub struct WorkspaceError {
     pub cube: Option<CubeError>,
 }
 
-/// Postures with the error that calibration took away, and how what it left depends on the free parameters.
+/// Postures with the error that calibration took away, and how what it left depends on the robot's parameters.
 pub(in crate::evaluate) struct Postures {
+    states: Vec<JointState>,
+    /// Of the calibrated robot's end.
     positions_m: Vec<Vector3<f64>>,
+    /// Calibrated minus nominal.
     corrected_m: Vec<Vector3<f64>>,
     /// Three rows for each posture.
     pub(in crate::evaluate) by_parameter: DMatrix<f64>,
@@ -72,16 +81,17 @@ pub(in crate::evaluate) struct Postures {
 
 /// Expected position errors: nominal robot against robots drawn from the solution's covariance.
 ///
-/// `joint_limits` are those of the model's joints. Only the links' parameters are drawn, those among them that stay fixed at
-/// uncertain values, too; the robot's base frame is defined by the others.
+/// `joint_limits` are those of the model's joints. What is drawn is the robot's own: its links, those among them that stay fixed at
+/// uncertain values, too, and the errors of its joints, with those that were left out. The rest defines the robot's base frame.
 pub fn workspace_error(model: &Model, covariance: &Covariance, joint_limits: &[[f64; 2]]) -> WorkspaceError {
-    let columns = of_links(model, covariance);
+    let columns = of_robot(model, covariance);
     let postures = Postures::new(model, &columns, random_postures(joint_limits));
     let left_m = postures.left_m(covariance, &columns);
     let [before, after] = postures.errors(&left_m);
     WorkspaceError {
         before,
         after,
+        deployed: BTreeMap::new(),
         places: postures.places(&left_m),
         weakest: weakest(&root(covariance, &columns), &postures.by_parameter, &columns),
         budget: Budget::new(model, covariance, &columns, &postures),
@@ -89,12 +99,25 @@ pub fn workspace_error(model: &Model, covariance: &Covariance, joint_limits: &[[
     }
 }
 
+/// Expected position errors of a robot that is given `delivered`, a part of what `model` describes; the rest as in
+/// [`workspace_error`].
+pub fn delivered_error(
+    model: &Model,
+    covariance: &Covariance,
+    joint_limits: &[[f64; 2]],
+    delivered: &Model,
+) -> Expected {
+    let columns = of_robot(model, covariance);
+    let postures = Postures::new(model, &columns, random_postures(joint_limits));
+    expected(&postures.apart_m(delivered), &postures.left_m(covariance, &columns))
+}
+
 impl WorkspaceError {
     /// Adds the error over the standard's poses; arguments as [`workspace_error`].
     #[must_use]
     pub fn with_cube(mut self, model: &Model, covariance: &Covariance, joint_limits: &[[f64; 2]]) -> Self {
         self.cube = Cube::largest(&model.geometry(&model.start()).robot, joint_limits).map(|cube| {
-            let columns = of_links(model, covariance);
+            let columns = of_robot(model, covariance);
             let postures = Postures::new(model, &columns, cube.postures.into_iter());
             let [before, after] = postures.errors(&postures.left_m(covariance, &columns));
             CubeError { edge_m: cube.edge_m, centre_m: cube.centre_m.into(), before, after }
@@ -103,15 +126,15 @@ impl WorkspaceError {
     }
 }
 
-/// Columns of the covariance that are numbers of the robot's links.
-fn of_links(model: &Model, covariance: &Covariance) -> Vec<(usize, ParameterId)> {
+/// Columns of the covariance that move the robot's end where it stands still: of its links and of errors of its joints.
+fn of_robot(model: &Model, covariance: &Covariance) -> Vec<(usize, ParameterId)> {
     model
         .columns()
         .enumerate()
         .filter(|(column, _)| covariance.sigma(*column).is_some())
         .map(|(column, parameter)| (column, parameter.id))
-        .chain(covariance.considered().filter_map(|(name, column)| Some((column, name.parse().ok()?))))
-        .filter(|(_, id)| matches!(id, ParameterId::Robot { .. }))
+        .chain(covariance.beside().filter_map(|(name, column)| Some((column, name.parse().ok()?))))
+        .filter(|(_, id)| id.owner() == Owner::Robot && id.term() != Some(TermGroup::Delay))
         .collect()
 }
 
@@ -164,26 +187,31 @@ impl Postures {
             // The model has each of its own parameters.
             let _ = nominal.set_value(parameter.id, parameter.nominal);
         }
-        let chain = |model: &Model| -> Chain { model.geometry(&model.start()).robot };
-        let (calibrated, nominal) = (Tracer::new(&chain(model)), Tracer::new(&chain(&nominal)));
-        let (mut here, mut there) = (Trace::default(), Trace::default());
-        let by_parameter = DMatrix::zeros(3 * of_joints.len(), columns.len());
-        let mut postures = Self { positions_m: Vec::new(), corrected_m: Vec::new(), by_parameter };
-        for (posture, q) in of_joints.enumerate() {
-            calibrated.trace(&q, &mut here);
-            nominal.trace(&q, &mut there);
-            postures.positions_m.push(here.position_m());
-            postures.corrected_m.push(here.position_m() - there.position_m());
+        let geometry = model.geometry(&model.start());
+        let (tracer, mut end) = (Tracer::new(&geometry.robot), Trace::default());
+        let states = standing(of_joints);
+        let by_parameter = DMatrix::zeros(3 * states.len(), columns.len());
+        let mut postures = Self { states, positions_m: Vec::new(), corrected_m: Vec::new(), by_parameter };
+        for (posture, reported) in postures.states.iter().enumerate() {
+            let joints = geometry.at_rest(*reported);
+            tracer.trace(&joints.corrected.q, &mut end);
+            postures.positions_m.push(end.position_m());
             let mut by = postures.by_parameter.rows_mut(3 * posture, 3);
             for (mut column, (_, id)) in by.column_iter_mut().zip(columns) {
-                if let ParameterId::Robot { link, parameter } = *id
-                    && let Some(twist) = here.twist(link, parameter)
-                {
+                if let Some(twist) = geometry.end_twist(&joints, &end, *id) {
                     column.copy_from(&twist.linear);
                 }
             }
         }
+        postures.corrected_m = postures.apart_m(&nominal);
         postures
+    }
+
+    /// The calibrated robot's end minus that of another model \[m\].
+    fn apart_m(&self, other: &Model) -> Vec<Vector3<f64>> {
+        let other = other.geometry(&other.start());
+        let ends = self.states.iter().map(|state| other.robot_end(state).translation.vector);
+        self.positions_m.iter().zip(ends).map(|(here, there)| here - there).collect()
     }
 
     /// What robots drawn from the covariance are off by: three rows for each posture, a draw in each column \[m\].
@@ -205,21 +233,21 @@ impl Postures {
         self.positions_m.iter().zip(&self.corrected_m).enumerate().map(of_posture).collect()
     }
 
-    /// Of the nominal and the calibrated robot, where the true one is the calibrated one with errors that were drawn.
+    /// Of the nominal and the calibrated robot.
     fn errors(&self, left_m: &DMatrix<f64>) -> [Expected; 2] {
-        let (mut before, mut after) = (Vec::new(), Vec::new());
-        for draw in left_m.column_iter() {
-            let left = |posture: usize| Vector3::from(draw.fixed_rows::<3>(3 * posture));
-            let was = self.corrected_m.iter().enumerate();
-            before.push(was.clone().map(|(posture, was)| (was + left(posture)).norm()).collect());
-            after.push(was.map(|(posture, _)| left(posture).norm()).collect());
-        }
-        [before, after].map(expected)
+        [&self.corrected_m, &vec![Vector3::zeros(); self.states.len()]]
+            .map(|apart_m| expected(apart_m, left_m))
     }
 }
 
-/// `errors_m`: per draw, per posture.
-fn expected(errors_m: Vec<Vec<f64>>) -> Expected {
+/// Of a robot from which the calibrated one is `apart_m` in each posture, where the true one is the calibrated one with errors that
+/// were drawn.
+fn expected(apart_m: &[Vector3<f64>], left_m: &DMatrix<f64>) -> Expected {
+    let of_draw = |draw: DVectorView<'_, f64>| -> Vec<f64> {
+        let left = |posture: usize| Vector3::from(draw.fixed_rows::<3>(3 * posture));
+        apart_m.iter().enumerate().map(|(posture, apart)| (apart + left(posture)).norm()).collect()
+    };
+    let errors_m: Vec<Vec<f64>> = left_m.column_iter().map(of_draw).collect();
     let mean = |errors: &Vec<f64>| errors.iter().sum::<f64>() / errors.len().max(1) as f64;
     let mut means: Vec<f64> = errors_m.iter().map(mean).collect();
     let mut p95s: Vec<f64> = errors_m.iter().map(|errors| quantile(&mut errors.clone(), 0.95)).collect();

@@ -158,9 +158,10 @@ impl Spread {
         self.sources.push(source);
     }
 
-    /// Of some of the parameters, by their places; priors of the others are those of terms that were left out.
+    /// Of the parameters in these places, and after them of those that were left out of the solution, whose priors are
+    /// [`Source::LeftOut`].
     #[must_use]
-    pub fn of(&self, places: &[usize]) -> Self {
+    pub fn of(&self, places: &[usize], left_out: &[usize]) -> Self {
         let source = |source: &Source| match *source {
             Source::Prior { column } => match places.iter().position(|place| *place == column) {
                 Some(column) => Source::Prior { column },
@@ -169,7 +170,7 @@ impl Spread {
             other => other,
         };
         Self {
-            by_source: self.by_source.select_rows(places),
+            by_source: self.by_source.select_rows(&[places, left_out].concat()),
             sources: self.sources.iter().map(source).collect(),
         }
     }
@@ -191,7 +192,7 @@ pub struct Considered {
     pub change: DMatrix<f64>,
 }
 
-/// Covariance of the free parameters that are identified, and after them of those that were considered.
+/// Covariance of the free parameters that are identified, and after them of those that were left out or considered.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Covariance {
     matrix: DMatrix<f64>,
@@ -200,6 +201,8 @@ pub struct Covariance {
     determined: Vec<bool>,
     /// Columns that were estimated: the first.
     estimated: usize,
+    /// Columns of terms that were left out: the next.
+    left_out: usize,
     /// What it rests on.
     pub sigmas_from: SigmasFrom,
     /// The factor on the unit covariance: one for known noise, the estimated variance of a residual row otherwise.
@@ -226,31 +229,35 @@ impl Covariance {
         let spread = Spread { sources: vec![Source::Together; by_source.ncols()], by_source };
         let determined = (0..columns).map(|column| !undetermined.contains(&column)).collect();
         let (sigmas_from, estimated) = (SigmasFrom::IndependentNoise, columns);
-        Self { matrix, spread, names, determined, estimated, sigmas_from, variance_factor }
+        Self { matrix, spread, names, determined, estimated, left_out: 0, sigmas_from, variance_factor }
     }
 
-    /// The same columns as the jackknife over `folds` has them spread.
-    pub fn by_jackknife(self, spread: Spread, folds: usize) -> Self {
-        if spread.by_source.nrows() != self.determined.len() {
+    /// The same columns as the jackknife over `folds` has them spread, and after them terms that were `left_out` of the solution and
+    /// may be there, zero there.
+    pub fn by_jackknife(mut self, spread: Spread, folds: usize, left_out: Vec<String>) -> Self {
+        if spread.by_source.nrows() != self.determined.len() + left_out.len() {
             return self;
         }
+        self.determined.extend(std::iter::repeat_n(true, left_out.len()));
+        self.left_out = left_out.len();
+        self.names.extend(left_out);
         Self { matrix: spread.covariance(), spread, sigmas_from: SigmasFrom::Jackknife { folds }, ..self }
     }
 
     /// The consider covariance (Schmidt 1966): with `x` estimated, `c` considered and `G = dx / dc`, it is
     /// `[[P_xx + G P_cc G^T, G P_cc], [P_cc G^T, P_cc]]`.
     pub fn with_considered(mut self, of: Considered) -> Self {
-        let (estimated, known) = (self.spread.by_source.nrows(), self.spread.by_source.ncols());
+        let (rows, known) = self.spread.by_source.shape();
         let count = of.names.len();
-        if of.change.shape() != (estimated, count) || of.sigmas.len() != count {
+        if of.change.shape() != (self.estimated, count) || of.sigmas.len() != count {
             return self;
         }
-        let mut by_source = self.spread.by_source.resize(estimated + count, known + count, 0.0);
-        by_source.view_mut((0, known), (estimated, count)).copy_from(&of.change);
+        let mut by_source = self.spread.by_source.resize(rows + count, known + count, 0.0);
+        by_source.view_mut((0, known), (self.estimated, count)).copy_from(&of.change);
         for (index, sigma) in of.sigmas.into_iter().enumerate() {
-            by_source[(estimated + index, known + index)] = 1.0;
+            by_source[(rows + index, known + index)] = 1.0;
             by_source.column_mut(known + index).scale_mut(sigma);
-            self.spread.sources.push(Source::Considered { column: estimated + index });
+            self.spread.sources.push(Source::Considered { column: rows + index });
         }
         self.spread.by_source = by_source;
         self.matrix = self.spread.covariance();
@@ -285,15 +292,15 @@ impl Covariance {
         &self.spread
     }
 
-    /// Parameters that were considered, with their columns.
-    pub fn considered(&self) -> impl Iterator<Item = (&str, usize)> {
+    /// Parameters that were not estimated but are uncertain, considered ones and terms that were left out, with their columns.
+    pub fn beside(&self) -> impl Iterator<Item = (&str, usize)> {
         let all = self.names.iter().enumerate().skip(self.estimated);
         all.map(|(column, name)| (name.as_str(), column))
     }
 
-    /// Names of all columns.
-    pub fn names(&self) -> &[String] {
-        &self.names
+    /// Columns of what was estimated or considered, without terms that were left out.
+    pub fn stated(&self) -> Vec<usize> {
+        (0..self.estimated).chain(self.estimated + self.left_out..self.names.len()).collect()
     }
 
     /// Name of a column.
@@ -322,9 +329,10 @@ impl Covariance {
 
     /// Pairs of columns, considered ones among them, by the size of their correlation, those above `least`, largest first.
     pub fn strongest_correlations(&self, least: f64) -> Vec<(usize, usize, f64)> {
-        let columns = self.determined.len();
-        let mut pairs: Vec<(usize, usize, f64)> = (0..columns)
-            .flat_map(|a| (0..a).map(move |b| (b, a)))
+        let columns = self.stated();
+        let pairs =
+            columns.iter().enumerate().flat_map(|(a, column)| columns[..a].iter().map(|b| (*b, *column)));
+        let mut pairs: Vec<(usize, usize, f64)> = pairs
             .filter_map(|(a, b)| Some((a, b, self.correlation(a, b)?)))
             .filter(|(_, _, correlation)| correlation.abs() > least)
             .collect();
@@ -344,8 +352,9 @@ mod tests {
         let columns = sources.map(|source| (source, DVector::from_vec(vec![1.0, 2.0, 3.0])));
         let mut spread = Spread::new(3, &columns);
         spread.add(Source::LeftOut, &DVector::from_vec(vec![4.0, 5.0, 6.0]));
-        let of = spread.of(&[2, 0]);
         let expected = [sources[0], Source::LeftOut, Source::Prior { column: 0 }, Source::LeftOut];
+        assert_eq!(spread.of(&[2, 0], &[1]).sources, expected);
+        let of = spread.of(&[2, 0], &[]);
         assert_eq!(of.sources, expected);
         assert_eq!(of.covariance(), DMatrix::from_row_slice(2, 2, &[63.0, 33.0, 33.0, 19.0]));
     }

@@ -68,7 +68,7 @@ pub(super) fn calibrate(
     });
     let studied = calibration.and_then(|calibration| {
         let evidence = evidence(&calibration, &robot.joint_limits());
-        let evidence = evidence.with_validation(&calibration, Some(&on_terminal))?;
+        let evidence = evidence.with_validation(&calibration, &robot.joint_limits(), Some(&on_terminal))?;
         Ok((calibration, evidence))
     });
     on_terminal.finish();

@@ -7,6 +7,7 @@ use super::drawing::workspace;
 use super::sections::mm;
 use crate::calibrate::validation::deployment::Deployment;
 use crate::evaluate::{CubeError, Expected, WorkspaceError};
+use crate::report::result::deployments::what;
 use crate::report::result::file::{CalibrationFile, MeasurementEntry, ParameterEntry};
 use crate::report::verdict::Grade;
 
@@ -140,6 +141,9 @@ fn results(file: &CalibrationFile, workspace: &WorkspaceError) -> Markup {
             thead { tr { th.text { "position error" } th { "nominal" } th { "calibrated" } th { "" } } }
             tbody {
                 (expected("Expected over the workspace", &workspace.before, &workspace.after))
+                @for (deployment, one) in &workspace.deployed {
+                    (expected(&format!("The same with {}", what(*deployment)), &workspace.before, one))
+                }
                 @if let Some(CubeError { edge_m, centre_m, before, after }) = &workspace.cube {
                     (expected(
                         &format!(
@@ -155,15 +159,16 @@ fn results(file: &CalibrationFile, workspace: &WorkspaceError) -> Markup {
                     td { (mm(one.nominal)) } td { (mm(one.calibrated)) } td { (one.unit) }
                 } }
                 @if let Some(budget) = &file.budget { tr {
-                    td.text { "Expanded uncertainty of a position by the calibrated geometry, RMS over the workspace, k = "
+                    td.text { "Expanded uncertainty of a position by the calibrated robot, RMS over the workspace, k = "
                         (budget.coverage_factor) }
                     td { "" } td { b { (mm(budget.expanded_m)) } } td { "mm" }
                 } }
             }
         }
         p.note {
-            "Expected: nominal against identified geometry where the instrument was mounted, and what the uncertainty of that geometry "
-            "leaves. Errors that do not depend on it (gears, load, temperature) come on top; data that no fit has seen have them."
+            "Expected: nominal against identified robot where the instrument was mounted, at rest, and what the uncertainty of its links "
+            "and of the errors of its joints leaves. What the model does not describe (temperature, other loads) comes on top; data that "
+            "no fit has seen have it."
         }
     }
 }

@@ -134,7 +134,7 @@ pub(super) fn budget(file: &CalibrationFile) -> Markup {
             }
         }
         p.note {
-            "Of the position by the calibrated geometry, root mean square over the workspace (GUM, JCGM 100). A: from the scatter "
+            "Of the position by the calibrated robot, root mean square over the workspace (GUM, JCGM 100). A: from the scatter "
             "of samples; B: from what is stated."
             @if let Some(freedom) = budget.freedom {
                 " Effective degrees of freedom: " (format!("{freedom:.0}")) "."

@@ -40,6 +40,15 @@ pub const fn files(deployment: Deployment) -> &'static [&'static str] {
     }
 }
 
+/// What a deployment takes, for a person.
+pub(in crate::report) const fn what(deployment: Deployment) -> &'static str {
+    match deployment {
+        Deployment::Offsets => "joint offsets alone",
+        Deployment::Dh => "links alone",
+        Deployment::Full => "all terms",
+    }
+}
+
 const fn stage(stages: &Stages, deployment: Deployment) -> &PoseFigures {
     match deployment {
         Deployment::Offsets => &stages.offsets,
@@ -110,11 +119,7 @@ impl CalibrationFile {
     /// Held-out errors of each deployment that leaves terms out.
     pub(in crate::report) fn deployments_reported(&self) -> Vec<String> {
         let told = |deployment: Deployment| {
-            let what = match deployment {
-                Deployment::Offsets => "joint offsets alone",
-                Deployment::Dh => "links alone",
-                Deployment::Full => "all terms",
-            };
+            let what = what(deployment);
             if self.entry(deployment).is_none() {
                 return Some(format!("no fit of {what} converges: they are not written"));
             }

@@ -1,9 +1,12 @@
 //! How well the identified parameters are known, apart from each one's sigma.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 use shared::output::named;
 
 use super::file::CalibrationFile;
+use crate::calibrate::validation::deployment::Deployment;
 use crate::cost::AngleNoise;
 use crate::evaluate::{CubeError, Expected, WorkspaceError};
 use crate::instrument::{Noise, NoiseConfig, Run};
@@ -145,7 +148,6 @@ impl CalibrationFile {
     /// Adds rank, observability, correlations and covariance of a solution. The covariance goes into `calibration.json` alone.
     pub fn with_knowledge(mut self, solution: &Solution) -> Self {
         let found = &solution.identifiability;
-        let names = solution.covariance.names();
         let name = |column: usize| solution.covariance.name(column).to_owned();
         // Columns of other runs are called as those of the first, with the run's number.
         let unit = |name: &String| name.split('@').next()?.parse::<ParameterId>().ok().map(ParameterId::unit);
@@ -173,10 +175,13 @@ impl CalibrationFile {
                 .map(|(a, b, correlation)| CorrelationEntry { first: name(a), second: name(b), correlation })
                 .collect(),
         });
-        let columns = names.len();
-        let rows =
-            (0..columns).map(|a| (0..=a).map(|b| solution.covariance.between(a, b)).collect()).collect();
-        self.covariance = Some(CovarianceEntry { names: names.to_vec(), rows });
+        let columns = solution.covariance.stated();
+        let row =
+            |a: usize| columns[..=a].iter().map(|b| solution.covariance.between(columns[a], *b)).collect();
+        self.covariance = Some(CovarianceEntry {
+            names: columns.iter().map(|column| name(*column)).collect(),
+            rows: (0..columns.len()).map(row).collect(),
+        });
         self
     }
 }
@@ -227,8 +232,11 @@ impl Knowledge {
 pub struct ExpectedEntry {
     /// Over the workspace, with the nominal geometry.
     pub nominal: Expected,
-    /// With the calibrated one.
+    /// With the calibrated one: links and errors of joints, compensated.
     pub calibrated: Expected,
+    /// With what a controller takes of it, by deployment.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub deployed: BTreeMap<Deployment, Expected>,
     /// The same at the five poses of ISO 9283; absent where the robot reaches no such cube.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cube: Option<CubeError>,
@@ -238,6 +246,6 @@ impl ExpectedEntry {
     /// Of what was found over the workspace.
     pub fn of(workspace: &WorkspaceError) -> Self {
         let WorkspaceError { before, after, cube, .. } = *workspace;
-        Self { nominal: before, calibrated: after, cube }
+        Self { nominal: before, calibrated: after, deployed: workspace.deployed.clone(), cube }
     }
 }

@@ -1,0 +1,119 @@
+//! What a calibration claims of the robot's position error, for all that it describes and for what controllers take of it, against
+//! the error that is true. `CAMPAIGNS=full` for more runs of each kind.
+#![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
+#![allow(clippy::print_stdout, reason = "figures of a run")]
+
+use identify::calibrate::validation::deployment::Deployment;
+use identify::calibrate::{IdentifyConfig, calibrate_run};
+use identify::evaluate::{Expected, evidence, random_postures};
+use identify::instrument::standing;
+use identify::model::Model;
+use identify::simulate::{Design, Simulated, true_model};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+use shared::config::{BallBarConfig, RobotConfig};
+use statrs::distribution::{Binomial, DiscreteCDF};
+
+use crate::support::campaign::size;
+use crate::support::laboratory::{self, Level};
+use crate::support::{bar, irb2400, nj220};
+
+/// Claimed and true mean error over the workspace \[m\].
+struct Claim {
+    claimed: Expected,
+    true_m: f64,
+}
+
+impl Claim {
+    fn holds(&self) -> bool {
+        let [low_m, high_m] = self.claimed.interval_m;
+        (low_m..=high_m).contains(&self.true_m)
+    }
+}
+
+/// The nominal robot, the calibrated one, and what a controller takes of it.
+fn claims(run: &Simulated, robot: &RobotConfig, bar: &BallBarConfig) -> Vec<(&'static str, Claim)> {
+    let found =
+        calibrate_run(&run.cycles, &run.encoders, &run.robot_log, robot, bar, &IdentifyConfig::default())
+            .unwrap();
+    let limits = &robot.joint_limits();
+    let seen = evidence(&found, limits).with_validation(&found, limits, None).unwrap();
+    let truth = true_model(found.model(), &run.truth);
+    let postures = standing(random_postures(limits));
+    let claim = |model: &Model, claimed: Expected| {
+        let [true_robot, robot] = [&truth, model].map(|model| model.geometry(&model.start()));
+        let apart_m = postures.iter().map(|state| {
+            (true_robot.robot_end(state).translation.vector - robot.robot_end(state).translation.vector)
+                .norm()
+        });
+        Claim { claimed, true_m: apart_m.sum::<f64>() / postures.len() as f64 }
+    };
+    let mut nominal = found.model().clone();
+    for parameter in found.model().parameters() {
+        nominal.set_value(parameter.id, parameter.nominal).unwrap();
+    }
+    let mut all = vec![
+        ("nominal", claim(&nominal, seen.workspace.before)),
+        ("full", claim(found.model(), seen.workspace.after)),
+    ];
+    for (deployed, _) in &seen.deployed {
+        let name = if deployed.deployment == Deployment::Dh { "links" } else { "offsets" };
+        all.push((name, claim(&deployed.model, seen.workspace.deployed[&deployed.deployment])));
+    }
+    all
+}
+
+/// The bar as it is believed to be: its plate is off by what is stated.
+fn measured(seed: u64) -> BallBarConfig {
+    let off: f64 = ChaCha8Rng::seed_from_u64(41_000 + seed).sample(StandardNormal);
+    BallBarConfig { plate_m: bar().plate_m + 1e-6 * bar().plate_u_um * off, ..bar() }
+}
+
+/// Claims of so many runs of each kind and robot; prints how many hold and how large they are.
+fn of_runs(seeds: u64) -> Vec<(&'static str, Claim)> {
+    let mut all = Vec::new();
+    for robot in [irb2400(), nj220()] {
+        for (kind, level) in [("usual", Level::USUAL), ("hard", Level::HARD)] {
+            for seed in 1..=seeds {
+                let run = laboratory::run(&robot, &bar(), seed, &level, Design::for_robot(&robot));
+                for (name, claim) in claims(&run, &robot, &measured(seed)) {
+                    let Claim { claimed: Expected { mean_m, interval_m: [low_m, high_m], .. }, true_m } =
+                        claim;
+                    println!(
+                        "{} {kind} {seed} {name}: claimed {:.4} ({:.4} to {:.4}), true {:.4} mm{}",
+                        robot.name,
+                        mean_m * 1e3,
+                        low_m * 1e3,
+                        high_m * 1e3,
+                        true_m * 1e3,
+                        if claim.holds() { "" } else { ", OUTSIDE" }
+                    );
+                    all.push((name, claim));
+                }
+            }
+        }
+    }
+    all
+}
+
+fn hold(all: &[(&'static str, Claim)]) {
+    for name in ["nominal", "full", "links", "offsets"] {
+        let of: Vec<&Claim> = all.iter().filter(|(of, _)| *of == name).map(|(_, claim)| claim).collect();
+        let holding = of.iter().filter(|claim| claim.holds()).count() as u64;
+        let mut times: Vec<f64> = of.iter().map(|claim| claim.claimed.mean_m / claim.true_m).collect();
+        times.sort_by(f64::total_cmp);
+        let median = times[times.len() / 2];
+        println!("{name}: {holding} of {} hold, claimed over true {median:.2} (median)", of.len());
+        // Fewer come by chance once in a hundred times.
+        let least = Binomial::new(0.95, of.len() as u64).unwrap().inverse_cdf(0.01);
+        assert!(holding >= least, "{name}: {holding} of {}", of.len());
+        assert!((0.8..2.5).contains(&median), "{name}: {median}");
+    }
+}
+
+#[test]
+#[ignore = "calibrations and their deployments: half a minute"]
+fn claims_of_the_full_model_of_links_and_of_offsets_contain_the_truth() {
+    hold(&of_runs(size(2, 10)));
+}
