@@ -116,7 +116,9 @@ fn a_fifth_of_gross_faults_changes_little() {
     }
     let faulty = links.poses(&rows, &ur10()).unwrap();
     let on_clean = |report: &Found| {
-        validate(&Tracker::new(&untouched).into(), &ur10(), report.model(), 1).unwrap()[1].position_m.rms
+        validate(&Tracker::new(&untouched).into(), &ur10(), report.model(), 1).unwrap().figures[1]
+            .position_m
+            .rms
     };
     println!("{:.2e} -> {:.2e}", on_clean(&clean), on_clean(&faulty));
     assert!(on_clean(&faulty) < 1.5 * on_clean(&clean));
@@ -197,8 +199,9 @@ fn rows_of_two_qualities_calibrate_better_with_their_uncertainties() {
     let links = Alone::quick().without_joint_errors();
     let error_m = |rows: &[PoseRow]| {
         let found = links.poses(rows, &ur10()).unwrap();
-        let truly =
-            validate(&Tracker::new(&clean).into(), &ur10(), found.model(), 1).unwrap()[1].position_m.rms;
+        let truly = validate(&Tracker::new(&clean).into(), &ur10(), found.model(), 1).unwrap().figures[1]
+            .position_m
+            .rms;
         // Beyond the noise of the rows that judge.
         let beyond = |rms: f64| (rms.powi(2) - 3.0 * good * good).max(0.0).sqrt();
         (beyond(truly), found.sigma("ra2".parse().unwrap()).unwrap())
@@ -397,7 +400,7 @@ fn the_real_ur10_on_its_grid_and_from_its_grid_to_its_cubes() {
 fn grid_and_from_grid_to_cubes(grid: &[PoseRow], cubes: &[PoseRow]) -> (Stages, [f64; 2]) {
     let report = Alone { joint_waves: Some(40), ..Alone::default() }.poses(grid, &ur10()).unwrap();
     let others = Instrument::from(Tracker::new(cubes));
-    let figures = validate(&others, &ur10(), report.model(), 1).unwrap();
+    let figures = validate(&others, &ur10(), report.model(), 1).unwrap().figures;
     println!("{}cubes: {figures:?}", report.table());
     below(&report.held_out().joints, GRID);
     below(&figures[1], CUBES);
@@ -405,7 +408,7 @@ fn grid_and_from_grid_to_cubes(grid: &[PoseRow], cubes: &[PoseRow]) -> (Stages, 
     let Stages { nominal, offsets, links, joints } = report.held_out();
     let held_out = [nominal, offsets, links, joints].map(|of| of.position_m.rms);
     assert!(held_out.is_sorted_by(|more, less| more > less), "{held_out:?}");
-    let on_cubes = |model: &Model| validate(&others, &ur10(), model, 1).unwrap()[1].position_m.rms;
+    let on_cubes = |model: &Model| validate(&others, &ur10(), model, 1).unwrap().figures[1].position_m.rms;
     let [offsets, links] =
         Deployment::PARTIAL.map(|part| on_cubes(report.0.deployed(part, None).unwrap().unwrap().model()));
     let mut truncated = report.model().clone();

@@ -1,13 +1,16 @@
 //! What a calibration is worth: green, amber or red, and which files a person gets to apply.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use crate::support::command::identify;
 use crate::support::{irb2400, lengths, repository};
+use identify::calibrate::rows::{PoseFigures, Sizes, Stages};
 use identify::evaluate::{Budget, Expected, Limit, WorkspaceError};
+use identify::instrument::HoldOut;
 use identify::report::result::file::{CalibrationFile, SolveEntry};
-use identify::report::result::validation::{HeldOutEntry, PoseErrorEntry};
+use identify::report::result::validation::{HeldOutEntry, PoseErrorEntry, RowsEntry, ValidationEntry};
 use identify::report::verdict::{Grade, Verdict};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
@@ -26,6 +29,11 @@ fn judged_within(
     limits: &[Limit],
     required_m: Option<f64>,
 ) -> Verdict {
+    let (file, workspace) = file(expanded_m, position, rotation);
+    file.with_verdict(&workspace, limits, required_m).verdict.unwrap()
+}
+
+fn file(expanded_m: f64, position: [f64; 2], rotation: [f64; 2]) -> (CalibrationFile, WorkspaceError) {
     let solve = SolveEntry {
         cost: "pose".into(),
         ended: String::new(),
@@ -47,8 +55,50 @@ fn judged_within(
         Expected { mean_m: 0.05e-3, p95_m: 0.1e-3, p95_upper_m: 0.15e-3, interval_m: [0.02e-3, 0.08e-3] };
     let before = Expected { mean_m: 1e-3, ..after };
     let budget = Budget { expanded_m, coverage_factor: 2.0, ..Budget::default() };
-    let workspace = WorkspaceError { before, after, budget, ..WorkspaceError::default() };
-    file.with_verdict(&workspace, limits, required_m).verdict.unwrap()
+    (file, WorkspaceError { before, after, budget, ..WorkspaceError::default() })
+}
+
+#[test]
+fn green_needs_unseen_data_within_the_claim_beyond_chance() {
+    // Rows of another file, and what the fit leaves of its own [mm].
+    let verdict = |rows: usize, calibrated_mm: f64, fitted_mm: f64| {
+        let (mut file, workspace) = file(0.1e-3, [1.0, 0.05], [1.0, 0.1]);
+        let figures = |mm: f64| PoseFigures {
+            rows,
+            position_m: Sizes { rms: mm * 1e-3, ..Sizes::default() },
+            rotation_rad: None,
+        };
+        let stages = |mm| Stages { nominal: figures(1.0), joints: figures(mm), ..Stages::default() };
+        file.rows.push(RowsEntry {
+            data_set: 1,
+            hold_out: HoldOut::Rows,
+            seed: 1,
+            names: BTreeMap::new(),
+            fitted: stages(fitted_mm),
+            held_out: stages(fitted_mm),
+        });
+        file.validations.push(ValidationEntry {
+            name: "other.csv".into(),
+            data_set: 1,
+            nominal: figures(1.0),
+            calibrated: figures(calibrated_mm),
+            unsupported: 0,
+            left_out: 0,
+        });
+        file.with_verdict(&workspace, &[], None).verdict.unwrap()
+    };
+    let amber = verdict(100, 0.3, 0.05);
+    let reason = amber.reason.unwrap();
+    assert_eq!(amber.grade, Grade::Amber);
+    assert!(
+        reason.contains("rows of other.csv are 0.300 mm off") && reason.contains("claim of 0.100 mm"),
+        "{reason}"
+    );
+    assert_eq!(verdict(100, 0.1, 0.05).grade, Grade::Green);
+    // Noise that the fit has, too, is not the robot's; of three rows the scatter is large.
+    assert_eq!(verdict(100, 0.42, 0.41).grade, Grade::Green);
+    assert_eq!(verdict(3, 0.2, 0.15).grade, Grade::Green);
+    assert_eq!(verdict(100, 1.5, 0.05).grade, Grade::Red);
 }
 
 #[test]

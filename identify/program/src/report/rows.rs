@@ -4,19 +4,22 @@ use std::fmt::Write;
 
 use shared::output::named;
 
-use crate::calibrate::rows::{PoseFigures, RowSet, RunCause, Sizes, Stages};
+use crate::calibrate::rows::{PoseFigures, RowSet, RunCause, Sizes, Stages, Validated};
 use crate::evaluate::{Limit, Validity};
-use crate::instrument::{Instrument, PoseError, RejectedRow, Rejection, Section};
+use crate::instrument::{Instrument, PoseError, Rejection, Run, Section};
 use crate::kinematics::Joints;
 use crate::model::{Model, ParameterId, Phase, Waves};
+use crate::report::result::validation::ValidationEntry;
 
 /// The calibrated robot on another file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Validation {
     /// Path of the file.
     pub name: String,
-    /// With the nominal and with the calibrated robot.
-    pub figures: [PoseFigures; 2],
+    /// What its rows say.
+    pub found: Validated,
+    /// Lines of rows that neither robot comes near.
+    pub gross: Vec<u64>,
     /// Rows where the calibration is not supported: line of the file, and joints from 0 that were not measured there.
     pub outside: Vec<(u64, Vec<usize>)>,
 }
@@ -32,23 +35,49 @@ pub fn outside(
 }
 
 impl Validation {
+    /// For the file; `data_set` is that whose instrument measured it, from 1.
+    pub fn entry(&self, data_set: usize) -> ValidationEntry {
+        let Self { name, found: Validated { figures: [nominal, calibrated], gross }, outside, .. } = self;
+        ValidationEntry {
+            name: name.clone(),
+            data_set,
+            nominal: *nominal,
+            calibrated: *calibrated,
+            unsupported: outside.len(),
+            left_out: gross.len(),
+        }
+    }
+
     /// One line for a terminal.
     pub fn line(&self) -> String {
-        let [nominal, calibrated] = &self.figures;
+        let [nominal, calibrated] = &self.found.figures;
         let mm = |figures: &PoseFigures| figures.position_m.rms * 1e3;
         let name = &self.name;
         format!(
-            "{name}: {:.4} mm RMS with the nominal robot, {:.4} mm calibrated{}\n",
+            "{name}: {:.4} mm RMS with the nominal robot, {:.4} mm calibrated{}{}\n",
             mm(nominal),
             mm(calibrated),
             self.unsupported(),
+            self.left_out(),
         )
+    }
+
+    /// Which rows are no measurements.
+    fn left_out(&self) -> String {
+        const NAMED: usize = 8;
+        match self.gross.len() {
+            0 => String::new(),
+            count => format!(
+                "; {count} rows (lines {}) are further from both robots than they can be off and do not count",
+                named(&self.gross, NAMED)
+            ),
+        }
     }
 
     /// Which rows lie outside of what was measured.
     fn unsupported(&self) -> String {
         const NAMED: usize = 8;
-        let (outside, rows) = (self.outside.len(), self.figures[0].rows);
+        let (outside, rows) = (self.outside.len(), self.found.figures[0].rows + self.gross.len());
         if outside == 0 {
             return String::new();
         }
@@ -114,9 +143,9 @@ pub fn table(
         stages(&mut text, "held out, with faulty rows", named, &with_rejected);
     }
     for validation in validations {
-        let Validation { name, figures: [nominal, calibrated], .. } = validation;
-        let unsupported = validation.unsupported();
-        let _ = writeln!(text, "{name}, {} fitted to other rows of it{unsupported}", instrument.parts());
+        let Validation { name, found: Validated { figures: [nominal, calibrated], .. }, .. } = validation;
+        let beside = validation.unsupported() + &validation.left_out();
+        let _ = writeln!(text, "{name}, {} fitted to other rows of it{beside}", instrument.parts());
         line(&mut text, "  nominal robot", nominal);
         line(&mut text, "  calibrated robot", calibrated);
     }
@@ -197,22 +226,36 @@ fn rejected_rows(report: &RowSet, remarks: &[(usize, String)], lines: &[u64]) ->
     text
 }
 
-/// Rows of a file that are not measurements, `name` being what the file is called; `lines` gives each row's line in it.
-pub fn left_out(set: &RowSet, name: &str, lines: &[u64]) -> Option<Limit> {
+/// Rows that are rejected in the last solve, `name` being what the file is called; `lines` gives each row's line in it.
+pub fn left_out(set: &RowSet, run: &Run, name: &str, lines: &[u64]) -> Option<Limit> {
     /// Named, at most.
     const NAMED: usize = 8;
     /// Where more than this part of a file is wrong, the others may be, too.
     const SERIOUS: f64 = 0.05;
-    let is_gross = |one: &&RejectedRow| matches!(one.why, Rejection::GrossResidual { .. });
-    let rejected: Vec<&RejectedRow> = set.rejected.iter().filter(is_gross).collect();
-    let rejected_lines: Vec<u64> = rejected.iter().filter_map(|one| lines.get(one.row)).copied().collect();
+    let (mut rejected, mut counts) = (Vec::new(), [0; 3]);
+    for ((_, why), line) in set.deviations(run).into_iter().zip(lines) {
+        let Some(why) = why else { continue };
+        rejected.push(*line);
+        counts[match why {
+            Rejection::GrossResidual { .. } => 0,
+            Rejection::FaultyRun { .. } => 1,
+            Rejection::FlangeContradicts { .. } => 2,
+        }] += 1;
+    }
+    let whys = [
+        "further from the robot than its errors can be",
+        "off together with the rows around them",
+        "at odds with the controller's own position",
+    ];
+    let counted = counts.iter().zip(whys).filter(|(count, _)| **count > 0);
+    let whys: Vec<String> = counted.map(|(count, why)| format!("{count} {why}")).collect();
     (!rejected.is_empty()).then(|| Limit {
         sentence: format!(
-            "{} of {} rows of the {name} (lines {}) are further from the robot than its errors can be and are rejected: look for \
-             broken beams, wrong targets and joints of another pose.",
+            "{} of {} rows of the {name} (lines {}) are rejected, {}: look for broken beams, wrong targets and joints of another pose.",
             rejected.len(),
             lines.len(),
-            named(&rejected_lines, NAMED)
+            named(&rejected, NAMED),
+            whys.join(", ")
         ),
         serious: rejected.len() as f64 > SERIOUS * lines.len() as f64,
     })

@@ -9,7 +9,8 @@ use serde::{Deserialize, Serialize};
 use super::result::earlier::Earlier;
 use super::result::file::{CalibrationFile, FileError};
 use super::result::knowledge::ExpectedEntry;
-use crate::calibrate::rows::is_surely_worse;
+use super::result::validation::ValidationEntry;
+use crate::calibrate::rows::{PoseFigures, is_surely_worse};
 use crate::calibrate::validation::deployment::Deployment;
 use crate::evaluate::{Limit, WorkspaceError};
 
@@ -74,6 +75,8 @@ pub(super) struct Predicted {
     pub(super) what: String,
     pub(super) nominal: f64,
     pub(super) calibrated: f64,
+    /// Of data that the fit saw.
+    fitted: f64,
     /// Independent numbers behind each of both.
     independent: usize,
     pub(super) unit: &'static str,
@@ -89,6 +92,14 @@ impl Predicted {
     /// most: they are of the same rows.
     fn is_worse_beyond_chance(&self) -> bool {
         is_surely_worse(self.independent, [self.nominal, self.calibrated])
+    }
+
+    /// It is worse than what the fit saw, by more than chance and by more than the claim.
+    fn is_beyond(&self, expanded_m: f64) -> bool {
+        let more_m = (self.calibrated.powi(2) - self.fitted.powi(2)).max(0.0).sqrt();
+        self.is_position
+            && more_m > expanded_m
+            && is_surely_worse(self.independent, [self.fitted, self.calibrated])
     }
 
     fn sentence(&self) -> String {
@@ -135,8 +146,10 @@ impl CalibrationFile {
             let serious = || limits.iter().find(|limit| limit.serious).map(|limit| limit.sentence.clone());
             let unknown = || better.is_none().then(|| "Nothing was held out to check it.".to_owned());
             let missed = || missed(workspace, &predicted, required_m);
+            let beyond = || beyond(workspace, &predicted);
             let nowhere_else = || known_nowhere_else(workspace);
-            let reason = same.or_else(missed).or_else(serious).or_else(nowhere_else).or_else(unknown);
+            let reason =
+                same.or_else(missed).or_else(beyond).or_else(serious).or_else(nowhere_else).or_else(unknown);
             (if reason.is_some() { Grade::Amber } else { Grade::Green }, reason)
         };
         self.verdict = Some(Verdict { grade, better, required_m, reason });
@@ -175,26 +188,39 @@ impl CalibrationFile {
     /// Held-out errors of each data set.
     pub(super) fn predicted(&self) -> Vec<Predicted> {
         let mut all = Vec::new();
-        let mut add = |what: &str, independent: usize, position: [f64; 2], rotation: Option<[f64; 2]>| {
+        let mut add = |what: &str, independent: usize, position: [f64; 3], rotation: Option<[f64; 3]>| {
             let position = (format!("Positions of {what}"), "mm", position, true);
             let rotation = rotation.map(|rotation| (format!("Rotations of {what}"), "mrad", rotation, false));
-            for (what, unit, [nominal, calibrated], is_position) in std::iter::once(position).chain(rotation)
-            {
-                all.push(Predicted { what, nominal, calibrated, independent, unit, is_position });
+            let both = std::iter::once(position).chain(rotation);
+            for (what, unit, [nominal, calibrated, fitted], is_position) in both {
+                all.push(Predicted { what, nominal, calibrated, fitted, independent, unit, is_position });
             }
         };
+        let of_rows = |figures: [&PoseFigures; 3]| {
+            let [Some(before), Some(after), Some(fitted)] = figures.map(|one| one.rotation_rad) else {
+                return (figures.map(|one| one.position_m.rms), None);
+            };
+            (figures.map(|one| one.position_m.rms), Some([before.rms, after.rms, fitted.rms]))
+        };
         if let Some(held_out) = &self.held_out {
-            let [before, after] = [held_out.nominal, held_out.calibrated];
-            let rotation = before.rotation_rad.zip(after.rotation_rad).map(<[f64; 2]>::from);
+            let all = [held_out.nominal, held_out.calibrated, held_out.fitted];
+            let rotation = match all.map(|one| one.rotation_rad) {
+                [Some(before), Some(after), Some(fitted)] => Some([before, after, fitted]),
+                _ => None,
+            };
             let independent = INDEPENDENT_OF_SEGMENT * held_out.segments;
-            add("held-out segments", independent, [before.position_m, after.position_m], rotation);
+            add("held-out segments", independent, all.map(|one| one.position_m), rotation);
         }
         for rows in &self.rows {
-            let [before, after] = [&rows.held_out.nominal, &rows.held_out.joints];
-            let rotations = before.rotation_rad.as_ref().zip(after.rotation_rad.as_ref());
-            let rotation = rotations.map(|(before, after)| [before.rms, after.rms]);
-            let what = format!("held-out rows of data set {}", rows.data_set);
-            add(&what, after.rows, [before.position_m.rms, after.position_m.rms], rotation);
+            let after = &rows.held_out.joints;
+            let (position, rotation) = of_rows([&rows.held_out.nominal, after, &rows.fitted.joints]);
+            add(&format!("held-out rows of data set {}", rows.data_set), after.rows, position, rotation);
+        }
+        for ValidationEntry { name, data_set, nominal, calibrated, .. } in &self.validations {
+            let rows = self.rows.iter().find(|rows| rows.data_set == *data_set);
+            let fitted = rows.map_or(calibrated, |rows| &rows.fitted.joints);
+            let (position, rotation) = of_rows([nominal, calibrated, fitted]);
+            add(&format!("the rows of {name}"), calibrated.rows, position, rotation);
         }
         all
     }
@@ -213,12 +239,23 @@ fn known_nowhere_else(workspace: &WorkspaceError) -> Option<String> {
     let (expanded_m, before_m) = (workspace.budget.expanded_m, workspace.before.mean_m);
     (expanded_m > before_m).then(|| {
         format!(
-            "It holds where joints were measured; over the whole workspace the geometry is known within {:.3} mm (k = 2), and \
+            "It holds where joints were measured; over the whole workspace the robot is known within {:.3} mm (k = 2), and \
              the nominal one is off by {:.3} mm in the mean. Measure poses that are spread further.",
             expanded_m * 1e3,
             before_m * 1e3
         )
     })
+}
+
+/// What no fit has seen is further off than the claim and the scatter of what it saw allow.
+fn beyond(WorkspaceError { budget, .. }: &WorkspaceError, predicted: &[Predicted]) -> Option<String> {
+    let one = predicted.iter().find(|one| one.is_beyond(budget.expanded_m))?;
+    let [calibrated, fitted, expanded] = [one.calibrated, one.fitted, budget.expanded_m].map(|m| m * 1e3);
+    Some(format!(
+        "{} are {calibrated:.3} mm off (RMS), what the fit saw {fitted:.3} mm: the claim of {expanded:.3} mm (k = 2) does not cover \
+         that. Measure more poses like these, or look for what changed in between.",
+        one.what
+    ))
 }
 
 /// Why the requirement is not met.

@@ -27,7 +27,7 @@ pub(super) use implausible::unless_implausible;
 pub use likely::{Likely, likely, misfit, some_of};
 pub(super) use likely::{likely_of_all, unless_other_unit};
 pub(crate) use terms::groups;
-pub use validate::validate;
+pub use validate::{Validated, validate};
 
 /// Highest order of the joints' waves that is tried as a rule: there is no finer tooth near the output of a strain wave gear.
 pub const WAVES_PER_TURN_MAX: u8 = 64;

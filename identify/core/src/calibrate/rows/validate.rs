@@ -5,14 +5,23 @@ use shared::config::RobotConfig;
 use super::PoseFigures;
 use super::likely::placed;
 use crate::calibrate::CalibrateError;
-use crate::instrument::{HoldOut, Instrument, PoseError, RowError, Rows};
+use crate::instrument::{HoldOut, Instrument, PoseError, RowError, Rows, gross_rows};
 use crate::kinematics::flange_chain;
 use crate::model::Model;
 
 /// Parts of the rows, each predicted with the instrument placed by the others.
 const FOLDS: usize = 5;
 
-/// Figures of other rows with the nominal and with a calibrated robot, whose model is that of a file of rows.
+/// What other rows say of a calibrated robot.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Validated {
+    /// With the nominal and with the calibrated robot.
+    pub figures: [PoseFigures; 2],
+    /// Rows that neither robot comes near: no measurements, and not in the figures.
+    pub gross: Vec<usize>,
+}
+
+/// Compares other rows with the nominal and with a calibrated robot, whose model is that of a file of rows.
 ///
 /// The instrument stands elsewhere and was mounted again, so its own numbers are found from four fifths of the rows and the errors
 /// taken on the last fifth, in turn. Nothing of the robot is changed.
@@ -24,7 +33,7 @@ pub fn validate(
     robot: &RobotConfig,
     calibrated: &Model,
     seed: u64,
-) -> Result<[PoseFigures; 2], CalibrateError> {
+) -> Result<Validated, CalibrateError> {
     let bad = |error| CalibrateError::Rows { data_set: 1, error };
     let nominal = flange_chain(robot);
     instrument.contradicting(&nominal).map_err(bad)?;
@@ -36,17 +45,23 @@ pub fn validate(
     robot_only.free_only(|_| false);
     let rows = Rows { hold_out: Some(HoldOut::Rows), seed: Some(seed), ..instrument.clone().into() };
     let instrument = rows.grouped(&nominal);
-    Ok([predicted(&instrument, &Model::alone(&nominal))?, predicted(&instrument, &robot_only)?])
+    let errors = [predicted(&instrument, &Model::alone(&nominal))?, predicted(&instrument, &robot_only)?];
+    let is_gross = gross_rows(&errors[0], &errors[1], &instrument.relative_noise());
+    let (gross, kept): (Vec<usize>, Vec<usize>) = (0..is_gross.len()).partition(|row| is_gross[*row]);
+    let figures =
+        errors.map(|errors| PoseFigures::of(&kept.iter().map(|row| errors[*row]).collect::<Vec<_>>()));
+    Ok(Validated { figures, gross })
 }
 
-fn predicted(instrument: &Instrument, robot: &Model) -> Result<PoseFigures, CalibrateError> {
-    let mut errors: Vec<PoseError> = Vec::new();
+/// The error of each row with a robot, the instrument placed by other rows.
+fn predicted(instrument: &Instrument, robot: &Model) -> Result<Vec<PoseError>, CalibrateError> {
+    let mut errors = vec![PoseError::default(); instrument.samples()];
     for left_out in instrument.independent(FOLDS) {
         let fitting: Vec<usize> = (0..instrument.samples()).filter(|row| !left_out.contains(row)).collect();
         let model = placed(instrument.part(&fitting), robot.clone())?;
         let model = model.ok_or(CalibrateError::NoPlace { data_set: 1 })?;
         let found = instrument.errors(&model.geometry(&[]));
-        errors.extend(left_out.iter().filter_map(|&row| found.get(row)));
+        left_out.iter().for_each(|&row| errors[row] = found[row]);
     }
-    Ok(PoseFigures::of(&errors))
+    Ok(errors)
 }

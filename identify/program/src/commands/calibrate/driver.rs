@@ -26,7 +26,7 @@ use crate::report::result::file::{CalibrationFile, Input, MeasurementEntry, Para
 use crate::report::result::force::ForceEntry;
 use crate::report::result::knowledge::NoiseEntry;
 use crate::report::result::residuals::residuals_csv;
-use crate::report::result::validation::RowsEntry;
+use crate::report::result::validation::{RowsEntry, ValidationEntry};
 use crate::report::rows as of_rows;
 use crate::report::summary::{summary, wrapped};
 use crate::report::table;
@@ -80,6 +80,7 @@ pub(super) fn calibrate(
     let validity = Validity::of(calibration.poses(), &flange_chain(robot));
     let tables = Tables::of_rows(&calibration, &rows, &beside, &others, robot, &validity)?;
     file.rows = tables.entries;
+    file.validations = tables.validations;
     file.validity = Some(validity);
     let limits = [tables.limits, evidence.limits.clone()].concat();
     let required_m = experiment.identify.require_mm.map(|mm| mm * 1e-3);
@@ -182,6 +183,7 @@ struct Tables<'a> {
     /// Lines of the terminal about files of `--validate`.
     asked: String,
     entries: Vec<RowsEntry>,
+    validations: Vec<ValidationEntry>,
     limits: Vec<Limit>,
     /// Each file of rows with its name.
     errors: Vec<(String, &'a RowErrors)>,
@@ -200,6 +202,7 @@ impl<'a> Tables<'a> {
             text: table::data_sets(calibration),
             asked: String::new(),
             entries: Vec::new(),
+            validations: Vec::new(),
             limits: Vec::new(),
             errors: Vec::new(),
         };
@@ -213,10 +216,11 @@ impl<'a> Tables<'a> {
             };
             let validations = others.judge(robot, validity, model)?;
             tables.asked.extend(validations.iter().map(of_rows::Validation::line));
+            tables.validations.extend(validations.iter().map(|one| one.entry(number + 1)));
             let table = of_rows::table(set, instrument, model, &beside.lines, &validations);
             tables.text += &format!("\n{name}\n{table}{}", beside.set_ups());
             tables.text.extend(beside.aligned.as_ref().map(Aligned::line));
-            tables.limits.extend(of_rows::left_out(set, &name, &beside.lines));
+            tables.limits.extend(of_rows::left_out(set, &calibration.runs[number], &name, &beside.lines));
             tables.entries.extend((!set.errors.held_out.is_empty()).then(|| RowsEntry {
                 data_set: number + 1,
                 hold_out: rows.hold_out(),

@@ -377,9 +377,10 @@ impl<'a> Others<'a> {
     ) -> anyhow::Result<Vec<of_rows::Validation>> {
         let one = |(path, instrument, lines): &(&PathBuf, Instrument, Vec<u64>)| {
             let name = path.display().to_string();
-            let figures = validate(instrument, robot, model, self.seed).with_context(|| name.clone())?;
+            let found = validate(instrument, robot, model, self.seed).with_context(|| name.clone())?;
+            let gross = found.gross.iter().filter_map(|row| lines.get(*row)).copied().collect();
             let outside = of_rows::outside(validity, instrument.joints().into_iter(), lines);
-            Ok(of_rows::Validation { name, figures, outside })
+            Ok(of_rows::Validation { name, found, gross, outside })
         };
         self.files.iter().map(one).collect()
     }

@@ -16,7 +16,7 @@ use super::deployments::DeploymentEntry;
 use super::earlier::remove_page;
 use super::force::ForceEntry;
 use super::knowledge::{CovarianceEntry, ExpectedEntry, Knowledge, NoiseEntry};
-use super::validation::{HeldOutEntry, RowsEntry};
+use super::validation::{HeldOutEntry, RowsEntry, ValidationEntry};
 use crate::calibrate::Calibration;
 use crate::calibrate::selection::terms::Candidate;
 use crate::calibrate::validation::deployment::Deployment;
@@ -341,6 +341,9 @@ pub struct CalibrationFile {
     /// How well rows of trackers and wires were predicted that the fit did not see.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub rows: Vec<RowsEntry>,
+    /// How well rows of other files were predicted.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub validations: Vec<ValidationEntry>,
     /// Every parameter of the model; those of run 2 alone are called `ox@2`.
     pub parameters: Vec<ParameterEntry>,
     /// The robot if only part of the model is applied.

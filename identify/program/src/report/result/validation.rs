@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::deployments::DeploymentEntry;
 use super::file::CalibrationFile;
-use crate::calibrate::rows::Stages;
+use crate::calibrate::rows::{PoseFigures, Stages};
 use crate::evaluate::{Evidence, HeldOut, PoseErrorRms};
 use crate::instrument::HoldOut;
 
@@ -51,6 +51,23 @@ pub struct RowsEntry {
     pub fitted: Stages,
     /// Rows that it did not see.
     pub held_out: Stages,
+}
+
+/// Rows of a file that took no part in the calibration.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ValidationEntry {
+    /// The file.
+    pub name: String,
+    /// Data set whose instrument measured it, from 1.
+    pub data_set: usize,
+    /// With the nominal robot, the instrument placed by other rows of the file.
+    pub nominal: PoseFigures,
+    /// With the calibrated robot.
+    pub calibrated: PoseFigures,
+    /// Rows where the calibration is not supported.
+    pub unsupported: usize,
+    /// Rows that neither robot comes near, which are not in the figures.
+    pub left_out: usize,
 }
 
 impl CalibrationFile {
