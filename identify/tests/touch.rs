@@ -188,6 +188,13 @@ fn a_simulated_block_is_inspected_and_calibrates_from_its_files_and_its_experime
     let (done, text) = told(at, &[&calibrate[..], &wrong].concat());
     assert!(done && text.contains("verdict amber"), "{text}");
     assert!(text.contains("the table of sockets or faces: the distance between faces `"), "{text}");
+    // A name that no row has loses what is known of it, not without a word.
+    std::fs::write(at.join("spelt.toml"), faces.replace("\"right\"", "\"rihgt\"")).unwrap();
+    let spelt = ["--faces", "spelt.toml", "--robot", "irb120_3", "--out", "spelt"];
+    let mut command = Command::new(env!("CARGO_BIN_EXE_identify"));
+    command.current_dir(at).args(calibrate).args(spelt).env("RUST_LOG", "warn");
+    let warned = String::from_utf8(command.output().unwrap().stderr).unwrap();
+    assert!(warned.contains("touches face `rihgt`"), "{warned}");
 }
 
 #[test]

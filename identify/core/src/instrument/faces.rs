@@ -1,5 +1,7 @@
 //! The flat faces that a tip touches, and what is known of how they stand to each other.
 
+use std::collections::BTreeSet;
+
 use nalgebra::{DMatrix, DVector, RowDVector, RowVector3, Vector3};
 use serde::{Deserialize, Serialize};
 use shared::config::{Validate, Violation};
@@ -96,6 +98,15 @@ impl Default for FaceTable {
 
 /// Larger than any robot's cell \[mm\]: more means a wrong unit.
 const SPAN_MM_MAX: f64 = 20_000.0;
+
+impl FaceTable {
+    /// Faces of known distances and angles that are none of `touched`, each once.
+    pub fn untouched(&self, touched: &[String]) -> BTreeSet<&str> {
+        let distances = self.distances.iter().flat_map(|one| &one.between);
+        let named = distances.chain(self.angles.iter().flat_map(|one| &one.between));
+        named.filter(|name| !touched.contains(name)).map(String::as_str).collect()
+    }
+}
 
 impl Validate for FaceTable {
     fn validate(&self) -> Result<(), Violation> {

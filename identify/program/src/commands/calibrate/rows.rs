@@ -271,6 +271,13 @@ fn measured(
             let read = Touches::load(file, &of_file)?;
             let (rows, lines): (Vec<TouchRow>, _) =
                 read.rows.iter().map(|row| (TouchRow::from(row), row.line)).unzip();
+            if let (Some(path), Some(face)) = (&of.faces, table.untouched(&read.faces).first()) {
+                tracing::warn!(
+                    "{}: no row of {} touches face `{face}`, and what is known of it does not count; check how both write it",
+                    path.display(),
+                    file.display()
+                );
+            }
             let touch = Touch::new(&rows, &read.faces, &table, &flange_chain(robot));
             (touch.into(), Beside { lines, ..Beside::default() })
         }
