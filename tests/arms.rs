@@ -11,7 +11,7 @@ use identify::instrument::HoldOut;
 use identify::instrument::PoseRow;
 use identify::instrument::{Rows, Tracker};
 use identify::kinematics::{Chain, Joints, Pose, flange_chain};
-use identify::report::result::urdf::urdf;
+use identify::report::result::robot_files::urdf;
 use identify::robot::import;
 use serde_json::{Value, json};
 use shared::config::{self, JointKind, RobotConfig};

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use ballbard::clock::Clock;
-use ballbard::run::{self, About, BusChoice, RunError, RunRequest, RunSummary, Stop, Storage};
+use ballbard::run::{self, About, BusChoice, RunDetails, RunError, RunRequest, RunSummary, Stop, Storage};
 use ballbard::scheduler::Threads;
 use shared::config::{self, BallBarConfig, DaemonConfig};
 use shared::recording::Recording;
@@ -30,10 +30,9 @@ pub fn daemon(directory: &Path) -> DaemonConfig {
 
 /// A request for a run on the simulated segment.
 pub fn request(name: &str, bus: BusChoice, duration: Option<Duration>, fast: bool) -> RunRequest {
+    let about = About { operator: "test".into(), robot: "none".into(), ..About::default() };
     RunRequest {
-        name: name.into(),
-        about: About { operator: "test".into(), robot: "none".into(), ..About::default() },
-        duration,
+        run: RunDetails { name: name.into(), about, duration, homing: None },
         bus,
         fast,
         // In real time a busy machine may keep an emulated terminal from answering before its time-out: then it is tried again.
