@@ -62,7 +62,7 @@ fn frozen_and_commanded_logs_are_suspected() {
     let held = log.q_rad[fastest];
     log.q_rad[fastest..fastest + 30].fill(held);
     let told = inspect::robot_log(&log).suspicious.join("\n");
-    assert!(told.contains("29 rows repeat") && told.contains("asked for"), "{told}");
+    assert!(told.contains("29 rows repeat") && told.contains("commanded ones"), "{told}");
 }
 
 #[test]

@@ -106,7 +106,7 @@ fn panel(
     } else {
         series.push(Series::new("", BLACK, Mark::Segments, level(|segment| &segment.nominal)));
     }
-    Panel::new(title, [&time.label(), y], HALF, series).from_zero().draw()
+    Panel::new(title, [&time.label(), y], HALF, series).with_zero().draw()
 }
 
 fn shown(segment: &HeldOutSegment, calibrated: bool) -> &[PoseError] {

@@ -55,7 +55,7 @@ fn panels(errors: &RowErrors) -> Result<Markup, PlotError> {
         let fitted = if std::ptr::eq(stage, nominal.as_slice()) { GREY } else { BLUE };
         let series =
             vec![dots("fitted", fitted, of(&errors.fitted)), dots("held out", ORANGE, of(&errors.held_out))];
-        Panel::new(title, ["row", y], WIDE, series).from_zero().draw()
+        Panel::new(title, ["row", y], WIDE, series).with_zero().draw()
     };
     Ok(html! {
         (panel("Nominal robot", "[mm]", nominal, &position)?)

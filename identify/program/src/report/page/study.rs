@@ -237,7 +237,7 @@ fn medians(curve: &Curve, measure: Measure) -> Vec<(f64, f64)> {
 }
 
 fn panel(figure: &Figure, title: String, series: Vec<Series>) -> Result<Markup, PlotError> {
-    Panel::new(title, [&figure.x, figure.measure.label()], PANEL, series).from_zero().draw()
+    Panel::new(title, [&figure.x, figure.measure.label()], PANEL, series).with_zero().draw()
 }
 
 /// The curve up to where it leaves the picture.

@@ -97,7 +97,7 @@ pub(in crate::report::page) fn gap_over_time(
     let point = |one: &Closure| (time.at(one.t_s), 1e3 * one.gap_m(by_encoders));
     let panel = |title: &str, colour, closures: &[Closure]| {
         let series = vec![dots("", colour, closures.iter().map(point).collect())];
-        Panel::new(title, [&time.label(), "distance [mm]"], WIDE, series).from_zero().draw()
+        Panel::new(title, [&time.label(), "distance [mm]"], WIDE, series).with_zero().draw()
     };
     Ok([
         panel("Nominal robot, the bar fitted to it", GREY, &run.before)?,
@@ -145,7 +145,7 @@ pub(in crate::report::page) fn by_joint(evidence: &Evidence) -> Result<Vec<Marku
 pub(in crate::report::page) fn shift(title: &str, curve: &ShiftCurve) -> Result<Markup, PlotError> {
     let points = curve.shift_s.iter().zip(&curve.rms_m).map(|(shift_s, rms_m)| (shift_s * 1e3, rms_m * 1e3));
     let series = vec![Series::new("", BLUE, Mark::Line, points.collect())];
-    Panel::new(title, ["added time shift [ms]", "RMS distance [mm]"], THIRD, series).from_zero().draw()
+    Panel::new(title, ["added time shift [ms]", "RMS distance [mm]"], THIRD, series).with_zero().draw()
 }
 
 /// How the alignment varies along a run.
@@ -178,5 +178,5 @@ pub(in crate::report::page) fn margin(evidence: &Evidence) -> Result<Markup, Plo
     let time = TimeAxis::of(times);
     let series = by_run(evidence, |one| (time.at(one.t_s), one.margin_rad.to_degrees()));
     let title = "Distance of the bar from a singular pose";
-    Panel::new(title, [&time.label(), "[deg]"], ROUND, series).from_zero().draw()
+    Panel::new(title, [&time.label(), "[deg]"], ROUND, series).with_zero().draw()
 }

@@ -63,7 +63,7 @@ pub(in crate::report) struct Panel {
     size: (u32, u32),
     series: Vec<Series>,
     /// The vertical axis includes zero.
-    from_zero: bool,
+    with_zero: bool,
     /// Stand at 0, 1 and so on below the horizontal axis in place of numbers.
     names: Vec<String>,
 }
@@ -131,14 +131,14 @@ impl Panel {
             y: y.into(),
             size,
             series,
-            from_zero: false,
+            with_zero: false,
             names: Vec::new(),
         }
     }
 
     /// The same with a vertical axis that includes zero.
-    pub fn from_zero(self) -> Self {
-        Self { from_zero: true, ..self }
+    pub fn with_zero(self) -> Self {
+        Self { with_zero: true, ..self }
     }
 
     /// The same with names in place of the numbers on the horizontal axis.
@@ -177,7 +177,7 @@ impl Panel {
     fn onto(&self, area: &DrawingArea<SVGBackend<'_>, Shift>) -> Result<Vec<Strokes>, String> {
         let finite =
             || self.series.iter().flat_map(|one| &one.points).filter(|(x, y)| x.is_finite() && y.is_finite());
-        let (x, y) = (range(finite().map(|p| p.0), false), range(finite().map(|p| p.1), self.from_zero));
+        let (x, y) = (range(finite().map(|p| p.0), false), range(finite().map(|p| p.1), self.with_zero));
         let mut chart = ChartBuilder::on(area)
             .margin(MARGIN_PX * FINE)
             .margin_top((self.heading_lines() * TITLE_PX + 4) * FINE)
@@ -279,12 +279,12 @@ fn text(error: impl std::fmt::Display) -> String {
 }
 
 /// Smallest to largest with a little room; something that can be drawn where there is nothing.
-fn range(values: impl Iterator<Item = f64>, from_zero: bool) -> (f64, f64) {
-    let start = if from_zero { (0.0, 0.0) } else { (f64::INFINITY, f64::NEG_INFINITY) };
+fn range(values: impl Iterator<Item = f64>, with_zero: bool) -> (f64, f64) {
+    let start = if with_zero { (0.0, 0.0) } else { (f64::INFINITY, f64::NEG_INFINITY) };
     let (low, high) = values.fold(start, |(low, high), value| (low.min(value), high.max(value)));
     match high - low {
         width if width > 0.0 && width.is_finite() => {
-            let low_room = if from_zero && low == 0.0 { 0.0 } else { 0.04 * width };
+            let low_room = if with_zero && low == 0.0 { 0.0 } else { 0.04 * width };
             (low - low_room, high + 0.06 * width)
         }
         _ if low.is_finite() => (low - 0.5, low + 0.5),

@@ -175,7 +175,7 @@ impl PathPage<'_> {
         let series =
             vec![Series::new("", BLUE, Mark::Line, self.rows().map(|(t_s, _)| (t_s, margin(t_s))).collect())];
         let title = "Distance of the bar from a singular pose";
-        Panel::new(title, ["[s]", "[deg]"], ROUND, series).from_zero().draw()
+        Panel::new(title, ["[s]", "[deg]"], ROUND, series).with_zero().draw()
     }
 }
 

@@ -67,7 +67,7 @@ fn speeds(timeline: &Timeline) -> Result<Markup, PlotError> {
         line("robot", BLUE, |point| point.robot_speed_rad_s),
         Series::new("both stand still", GREEN, Mark::Segments, still.collect()),
     ];
-    Panel::new("Speed", [&time.label(), "fastest joint [deg/s]"], WIDE, series).from_zero().draw()
+    Panel::new("Speed", [&time.label(), "fastest joint [deg/s]"], WIDE, series).with_zero().draw()
 }
 
 const fn is_usable(status: SampleStatus) -> bool {
