@@ -37,8 +37,9 @@ pub fn summary(
         .budget
         .as_ref()
         .map(|budget| format!("; known within {} (k = {})", mm(budget.expanded_m), budget.coverage_factor));
-    let deployed: String = (workspace.deployed.iter().rev())
-        .map(|(deployment, one)| format!(", {} with {}", mm(one.mean_m), what(*deployment)))
+    let deployed: String = file
+        .deployments_expected(workspace)
+        .map(|(deployment, one)| format!(", {} with {}", mm(one.mean_m), what(deployment)))
         .collect();
     let parts = file.deployments_reported();
     let lines = [

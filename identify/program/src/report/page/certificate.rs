@@ -70,7 +70,7 @@ fn verdict(file: &CalibrationFile, workspace: &WorkspaceError) -> Markup {
             "The required " (mm(required_m)) " mm are met. "
         }
         @if red { "Nothing of it may be applied." } @else {
-            "The position error that is expected of the geometry alone falls from "
+            "The expected position error falls from "
             b { (mm(workspace.before.mean_m)) " mm" } " to " b { (mm(workspace.after.mean_m)) " mm" }
             " in the mean over the workspace."
         }
@@ -141,9 +141,10 @@ fn results(file: &CalibrationFile, workspace: &WorkspaceError) -> Markup {
             thead { tr { th.text { "position error" } th { "nominal" } th { "calibrated" } th { "" } } }
             tbody {
                 (expected("Expected over the workspace", &workspace.before, &workspace.after))
-                @for (deployment, one) in &workspace.deployed {
-                    (expected(&format!("The same with {}", what(*deployment)), &workspace.before, one))
-                }
+                @for (deployment, one) in file.deployments_expected(workspace) { tr {
+                    td.text { "The same with " (what(deployment)) ", mean" }
+                    td { (mm(workspace.before.mean_m)) } td { (mm(one.mean_m)) } td { "mm" }
+                } }
                 @if let Some(CubeError { edge_m, centre_m, before, after }) = &workspace.cube {
                     (expected(
                         &format!(

@@ -6,6 +6,7 @@ use super::file::{CalibrationFile, ParameterEntry};
 use super::validation::{HeldOutEntry, PoseErrorEntry};
 use crate::calibrate::rows::{PoseFigures, Stages, is_surely_better};
 use crate::calibrate::validation::deployment::{Deployed, Deployment};
+use crate::evaluate::{Expected, WorkspaceError};
 use crate::model::ParameterId;
 use crate::report::verdict::INDEPENDENT_OF_SEGMENT;
 
@@ -114,6 +115,15 @@ impl CalibrationFile {
             (own.rows > 0).then_some([held_out.nominal.position_m.rms, own.position_m.rms])
         };
         segments.or_else(rows)
+    }
+
+    /// Expected error over the workspace of each deployment that is written, the one that takes most first.
+    pub(in crate::report) fn deployments_expected<'w>(
+        &'w self,
+        workspace: &'w WorkspaceError,
+    ) -> impl Iterator<Item = (Deployment, &'w Expected)> {
+        let all = workspace.deployed.iter().rev().map(|(deployment, expected)| (*deployment, expected));
+        all.filter(|(deployment, _)| self.serves(*deployment))
     }
 
     /// Held-out errors of each deployment that leaves terms out.
