@@ -121,7 +121,7 @@ fn green_needs_both_answers_and_amber_names_what_is_missed() {
     let good = |limits: &[Limit], required_m| judged([1.0, 0.05], [1.0, 0.1], limits, required_m);
     assert_eq!(good(&[], None).grade, Grade::Green);
     assert_eq!(good(&[], Some(0.2e-3)).grade, Grade::Green);
-    for (required_m, why) in [(0.12e-3, "below 0.150 mm only"), (0.04e-3, "95 % of the workspace")] {
+    for (required_m, why) in [(0.12e-3, "confidence bound of 0.150 mm"), (0.04e-3, "95 % of the workspace")] {
         let missed = good(&[], Some(required_m));
         assert_eq!(missed.grade, Grade::Amber);
         assert!(missed.reason.unwrap().contains(why));
@@ -209,7 +209,7 @@ fn a_required_accuracy_is_judged_and_repeated_for_every_instrument() {
     let out = tempfile::tempdir().unwrap();
     let (output, files) = wire(&csv, &["--require", "0"], out.path());
     assert!(!output.status.success() && files.is_empty());
-    assert!(String::from_utf8_lossy(&output.stderr).contains("no length above zero"));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("not a length above zero"));
 }
 
 #[test]
