@@ -52,7 +52,7 @@ impl Injected {
                 format!("the log of the robot's joint {} steps", joint + 1),
                 format!("the zero of joint {} steps by", joint + 1),
             ],
-            Self::Base(_) => both("the base of the bar moves: ", "the base of the bar steps by"),
+            Self::Base(_) => both("the base of the bar moves by", "the base of the bar steps by"),
             Self::Clock(_) => both("a clock jumps", "the robot's clock steps by"),
             Self::LateJoint(joint, _) => {
                 both("no late joint is refused", &format!("later than the others: joint {} by ", joint + 1))
