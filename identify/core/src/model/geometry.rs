@@ -1,4 +1,4 @@
-//! The closed chain that a set of parameter values describes.
+//! The closed kinematic chain described by a set of parameter values.
 
 use std::cell::OnceCell;
 
@@ -10,42 +10,42 @@ use super::{
 };
 use crate::kinematics::{AXES_MAX, BAR_JOINTS, Chain, DhLink, LinkParameter, Pose, Trace, Turn, Twist};
 
-/// Joints of the bar before its rod: those that give it its direction.
+/// Number of bar joints before the rod: they define the direction of the bar.
 pub(super) const DIRECTION_JOINTS: usize = 2;
 
-/// The joints of a robot that moves. Reused from sample to sample.
+/// Joint states of a moving robot. The buffer is reused from sample to sample.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct MovingJoints {
-    /// As logged.
+    /// Joint state as reported by the log.
     pub reported: JointState,
-    /// All of one instant.
+    /// Joint state after the correction of single-axis delays: all joints at one instant.
     pub delayed: JointState,
-    /// ...and without their other errors.
+    /// Delayed state with all other joint errors added: the estimated true joint state.
     pub corrected: JointState,
-    /// Where the drives are, as logged, once something goes by it.
+    /// Drive states that belong to `reported`, computed on first use.
     drives: OnceCell<DriveState>,
 }
 
 impl MovingJoints {
-    /// Where the drives are, as logged.
+    /// Drive states that belong to `reported`, computed on first use.
     pub fn drives(&self, drives: &DriveTrain) -> &DriveState {
         self.drives.get_or_init(|| drives.state(&self.reported))
     }
 }
 
-/// Where the ball-bar stands: `T(origin) Rx(rx) Ry(ry)`; the turn about z is the bar's `btheta1`.
+/// Pose of the ball-bar's base: `T(origin) Rx(rx) Ry(ry)`; the rotation about z is the bar's `btheta1`.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct BasePlacement {
     /// Centre of the gimbal in the robot's base \[m\].
     pub origin_m: Vector3<f64>,
-    /// About x \[rad\].
+    /// Rotation about x \[rad\].
     pub rx_rad: f64,
-    /// About the turned y \[rad\].
+    /// Rotation about the rotated y axis \[rad\].
     pub ry_rad: f64,
 }
 
 impl BasePlacement {
-    /// `root_from_base`.
+    /// The transform `root_from_base`, without the rotation about z.
     pub fn pose(&self) -> Pose {
         let tilt = Rotation3::from_axis_angle(&Vector3::x_axis(), self.rx_rad)
             * Rotation3::from_axis_angle(&Vector3::y_axis(), self.ry_rad);
@@ -53,24 +53,24 @@ impl BasePlacement {
     }
 }
 
-/// How the ball-bar's length follows the force along it (TFRT-6017 section 5.3).
+/// Elongation of the ball-bar under an axial force (TFRT-6017 section 5.3).
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct BarElongation {
-    /// Longer by this for each newton \[m/N\]; negative where the log counts compression as positive.
+    /// Elongation per newton \[m/N\]; negative if the log counts compression as positive.
     pub compliance_m_per_n: f64,
-    /// Longer by this on the positive side of its play, shorter on the other \[m\].
+    /// Half of the axial play \[m\]: the bar is longer by this value on the positive side, shorter on the negative side.
     pub play_m: f64,
 }
 
 impl BarElongation {
-    /// How much longer the bar is under a force, `c F + h s` \[m\].
+    /// Elongation of the bar under a force, `c F + h s` \[m\].
     #[inline]
     pub fn extension_m(&self, force: &BarForce) -> f64 {
         self.compliance_m_per_n * force.along_n + self.play_m * force.side
     }
 }
 
-/// From the bar's clock to the robot's.
+/// Conversion from the bar's clock to the robot's clock.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Clock {
     /// Robot clock minus bar clock at the reference time \[s\].
@@ -89,83 +89,83 @@ impl Clock {
 /// A draw-wire or telescoping bar.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Wire {
-    /// Where it is attached, in the flange frame \[m\].
+    /// Attachment points of the wire, in the flange frame \[m\].
     pub attachments_m: Vec<Vector3<f64>>,
-    /// Where it is anchored, in the robot's base \[m\].
+    /// Anchor points of the wire, in the robot's base \[m\].
     pub anchors_m: Vec<Vector3<f64>>,
     /// Measured length minus distance \[m\].
     pub offset_m: f64,
 }
 
 impl Wire {
-    /// Anchor and attachment of a set-up \[m\]; none of one that is not there.
+    /// Anchor and attachment of a set-up \[m\]; `None` if the set-up does not exist.
     pub fn at(&self, set_up: SetUp) -> Option<(&Vector3<f64>, &Vector3<f64>)> {
         Some((self.anchors_m.get(set_up.station)?, self.attachments_m.get(set_up.target)?))
     }
 }
 
-/// A ball on the flange and the sockets that it is seated in.
+/// A ball on the flange and the sockets in which it is seated.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Contact {
     /// Centre of the ball in the flange frame \[m\].
     pub ball_m: Vector3<f64>,
-    /// Where that centre is in each socket, in the robot's base \[m\].
+    /// Ball centre when seated in each socket, in the robot's base \[m\].
     pub sockets_m: Vec<Vector3<f64>>,
 }
 
-/// A flat face: the plane `normal . x = distance` in the robot's base. The length of the normal is a matter of choice.
+/// A flat face: the plane `normal . x = distance` in the robot's base. The length of the normal is arbitrary.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Face {
-    /// Away from the material.
+    /// Normal that points away from the material; its length is arbitrary.
     pub normal: Vector3<f64>,
-    /// From the origin of the robot's base, times the length of the normal \[m\].
+    /// Distance from the origin of the robot's base, times the length of the normal \[m\].
     pub distance_m: f64,
 }
 
-/// A tip on the flange and the faces that it touches.
+/// A probe tip on the flange and the faces that it touches.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Touch {
     /// Centre of the tip's ball in the flange frame \[m\].
     pub tip_m: Vector3<f64>,
-    /// Where that centre is when it touches each face.
+    /// For each face, the plane on which the ball centre lies at contact.
     pub faces: Vec<Face>,
 }
 
-/// All numbers that residuals are made of.
+/// The values of all parameters, as the residuals use them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Geometry {
-    /// The robot, on its own base.
+    /// Kinematic chain of the robot, on its own base.
     pub robot: Chain,
-    /// Errors of its joint angles.
+    /// Errors of the robot's joint angles.
     pub joints: JointErrors,
-    /// And those that come back many times per turn.
+    /// Line spectrum of each robot axis: errors with three or more waves per turn.
     pub axis_waves: [Waves; AXES_MAX],
-    /// Links of the ball-bar; its base is `base`.
+    /// DH links of the ball-bar; its base is `base`.
     pub bar_links: Vec<DhLink>,
-    /// Where the bar stands.
+    /// Pose of the ball-bar's base in the robot's base.
     pub base: BasePlacement,
-    /// What a force does to its length.
+    /// Elongation of the bar under an axial force.
     pub elongation: BarElongation,
-    /// And its direction.
+    /// Elongation of the bar as a function of its direction.
     pub bar_waves: [Waves; DIRECTION_JOINTS],
-    /// Errors of the bar's encoders.
+    /// Periodic errors of the bar's encoders.
     pub encoder_waves: [Waves; BAR_JOINTS],
-    /// What is added to the encoders' angles in each origin of the counters but the first \[rad\].
+    /// Offsets added to the encoder angles for each counter origin except the first \[rad\].
     pub origin_offsets_rad: Vec<[f64; BAR_JOINTS]>,
-    /// Clocks of the two logs.
+    /// Relation between the clocks of bar and robot.
     pub clock: Clock,
-    /// For measured lengths.
+    /// Draw-wire or telescoping bar, for measured lengths.
     pub wire: Wire,
-    /// For measured positions and poses.
+    /// Tracker and its targets, for measured positions and poses.
     pub tracker: Tracker,
-    /// For a ball in sockets.
+    /// Ball and sockets, for ball-in-socket measurements.
     pub contact: Contact,
-    /// For a tip on faces.
+    /// Tip and faces, for touch measurements.
     pub touch: Touch,
 }
 
 impl Geometry {
-    /// A robot alone, everything else at zero.
+    /// Robot and, if given, ball-bar with nominal links; all other parameters are zero.
     pub fn new(robot: Chain, bar: Option<&Chain>) -> Self {
         let (bar_links, base) = bar.map_or_else(Default::default, |bar| {
             let origin_m = bar.root_from_base.translation.vector;
@@ -189,19 +189,19 @@ impl Geometry {
         }
     }
 
-    /// Where the robot's end is when it reports these joints.
+    /// Pose of the robot's end for reported joints.
     pub fn robot_end(&self, reported: &JointState) -> Pose {
         self.robot.forward(&self.corrected(reported).q)
     }
 
-    /// How the robot's end moves when a number of its links or an error of its joints changes at unit speed; none for parameters of
-    /// anything else. `end` is the robot with its joints corrected.
+    /// Twist of the robot's end per unit rate of a robot parameter (link, joint error, wave); `None` for parameters of any
+    /// other owner. `end` is the trace of the robot at its corrected joints.
     #[inline]
     pub fn end_twist(&self, joints: &MovingJoints, end: &Trace, id: ParameterId) -> Option<Twist> {
         let drives = &self.joints.drives;
         match id {
             ParameterId::Robot { link, parameter } => end.twist(link, parameter),
-            // An error of a drive turns each joint that the drive turns.
+            // The error of a drive moves every joint that this drive turns.
             ParameterId::Joint { axis, term } => {
                 let MovingJoints { reported, delayed, .. } = joints;
                 let of = if term == JointTerm::Delay { delayed } else { reported };
@@ -210,7 +210,7 @@ impl Geometry {
             ParameterId::JointWave { axis, order, phase } => {
                 let wave =
                     joints.drives(drives).turn.get(axis).map_or(0.0, |angle| phase.wave(order, *angle));
-                // Hundreds of waves are tried: most drives turn one joint.
+                // Hundreds of orders are tried, and most drives turn one joint only: this is the fast path.
                 if let Some(joint) = drives.only_joint(axis) {
                     return Some(end.twist(joint, LinkParameter::Theta)?.scaled(wave));
                 }
@@ -220,21 +220,21 @@ impl Geometry {
         }
     }
 
-    /// The robot at rest.
+    /// Joint states of a robot at rest.
     pub fn at_rest(&self, reported: JointState) -> MovingJoints {
         let corrected = self.corrected(&reported);
         MovingJoints { reported, delayed: reported, corrected, drives: OnceCell::new() }
     }
 
-    /// The robot's joints without their errors, where it stands still or all joints were logged at one instant.
+    /// Joints with their errors added, for a robot at rest or a log that samples all joints at one instant.
     pub fn corrected(&self, reported: &JointState) -> JointState {
         let mut corrected = *reported;
         self.take_errors(&mut corrected, reported, &OnceCell::new());
         corrected
     }
 
-    /// The robot's joints at a time of the bar's clock, into joints that are overwritten; false where the robot's log does not
-    /// cover it.
+    /// Writes the robot's joint states at bar time `t_s` into `joints`, overwriting them; false if the robot's log does not
+    /// cover this time.
     #[must_use]
     pub fn joints_at(&self, motion: &impl RobotMotion, t_s: f64, joints: &mut MovingJoints) -> bool {
         let tau_s = self.clock.robot_time_s(t_s);
@@ -247,9 +247,9 @@ impl Geometry {
         true
     }
 
-    /// Takes errors out of joints, all of one instant.
+    /// Adds joint errors and line spectrum to `corrected`; all states belong to one instant.
     fn take_errors(&self, corrected: &mut JointState, reported: &JointState, drives: &OnceCell<DriveState>) {
-        // Sines and cosines of all drives take longer than to look.
+        // This test is cheaper than the sines and cosines of all drives.
         if !self.joints.any() && self.axis_waves.iter().all(Waves::is_none) {
             return;
         }
@@ -266,13 +266,13 @@ impl Geometry {
         }
     }
 
-    /// What the bar's encoders show too much at these readings \[rad\].
+    /// Errors of the bar's encoders at these readings, to be subtracted \[rad\].
     #[inline]
     pub fn encoder_errors_rad(&self, readings: &[Turn; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
         std::array::from_fn(|joint| self.encoder_waves[joint].at(readings[joint]).0)
     }
 
-    /// What is added to the encoders' angles in one of the origins of the counters \[rad\].
+    /// Offsets added to the encoder angles for one counter origin \[rad\]; zero for origin 0.
     pub fn offsets_of_origin(&self, origin: usize) -> [f64; BAR_JOINTS] {
         origin
             .checked_sub(1)
@@ -281,7 +281,7 @@ impl Geometry {
             .unwrap_or_default()
     }
 
-    /// The same of one encoder, in an origin from 1 on.
+    /// The offset of one encoder for an origin from 1 on; the table grows as needed.
     pub(super) fn offset_of_origin_mut(&mut self, origin: usize, joint: usize) -> Option<&mut f64> {
         let index = origin.checked_sub(1)?;
         if self.origin_offsets_rad.len() <= index {
@@ -290,7 +290,7 @@ impl Geometry {
         self.origin_offsets_rad.get_mut(index)?.get_mut(joint)
     }
 
-    /// How much longer the ball-bar is under a force and in the direction of these readings \[m\].
+    /// Elongation of the ball-bar due to an axial force and to its direction, given by these readings \[m\].
     #[inline]
     pub fn extension_m(&self, force: &BarForce, readings: &[Turn; BAR_JOINTS]) -> f64 {
         let by_direction: f64 =
@@ -298,7 +298,7 @@ impl Geometry {
         self.elongation.extension_m(force) + by_direction
     }
 
-    /// The ball-bar on its base, without any force on it.
+    /// Kinematic chain of the ball-bar on its base, without axial force.
     pub fn bar_chain(&self) -> Chain {
         Chain::new(self.base.pose(), self.bar_links.clone())
     }

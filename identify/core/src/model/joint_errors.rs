@@ -1,17 +1,17 @@
-//! From the joint angles that a robot reports to those that it has.
+//! Conversion from reported joint angles to true joint angles.
 //!
-//! Errors of gears repeat with the angle of the gear's output, which is not always a joint of the model: where a rod or
-//! bevel gears couple drives, `g = q C^-1` are the drives' angles (row vector times matrix) and `C` says what a drive's
-//! turn does to each joint. With amplitudes `a` and shapes `s`
+//! Gear errors are periodic in the angle of the gear's output. This angle is not always a joint angle of the model: rods or
+//! bevel gears may couple drives. The drive angles are then `g = q C^-1` (row vector times matrix); row `i` of `C` is the
+//! motion of each joint per radian of drive `i`. With amplitudes `a` and shapes `s`
 //!
 //! `q' = q + e(g, dg/dt) C`, `e_i = sum_t a_it s_t(g_i)`.
 //!
-//! Where drives are coupled a joint may have errors of its own beside, `s_t(q_i)` on joint `i` alone: of a bearing, or of an encoder
-//! on the joint.
+//! Where drives are coupled, a joint may also have errors of its own, `s_t(q_i)` on joint `i` only: errors of its bearing or of
+//! an encoder on the joint.
 //!
-//! Shapes are functions of what was reported, so that errors enter linearly: `dq'/da_it = s_t(g_i) C_i`. But for a delay `d_i`,
-//! which takes the drive's angle from another instant of the log: `e_i = g_i(t + d_i - d) - g_i(t)`. As a shape, a rate, it would
-//! multiply the noise of the log. What all have in common, their mean `d`, is the clock's.
+//! Shapes are functions of the reported state, so errors are linear in their amplitudes: `dq'/da_it = s_t(g_i) C_i`. The
+//! exception is a delay `d_i`. It reads the drive's angle at another instant of the log: `e_i = g_i(t + d_i - d) - g_i(t)`. A
+//! delay modelled as a shape (a rate) would amplify the noise of the log. The mean `d` of all delays belongs to the clock.
 
 use nalgebra::{DMatrix, Vector3};
 use shared::config::{JointKind, RobotConfig};
@@ -19,38 +19,38 @@ use shared::config::{JointKind, RobotConfig};
 use super::{JointState, JointTerm, Load, Period, RobotMotion};
 use crate::kinematics::{AXES_MAX, Chain, Joints, Trace, Tracer, Turn, Twist};
 
-/// Speed at which backlash has changed sides by three quarters \[rad/s\]: the shape is `tanh(rate / speed)`. Slower than
-/// any motion that is calibrated on, faster than what is left of a standstill in a noisy log. At a standstill the shape
-/// is zero, although a real joint stays on the side from which it came.
+/// Drive speed scale of the backlash shape `tanh(rate / speed)` \[rad/s\]; at this speed the shape is about 0.76. It is lower
+/// than the speeds of calibration motions and higher than the residual speed of a noisy log at standstill. At standstill the
+/// shape is zero, although a real joint stays on the side from which it came.
 pub const BACKLASH_SPEED_RAD_S: f64 = 0.01;
 
-/// Logs whose columns turn faster than the joint by this factor are of motors.
+/// Log columns that turn faster than the joint by this factor are taken as motor angles.
 const GEAR_RATIO_MIN: f64 = 2.0;
 
 fn rows(matrix: &DMatrix<f64>) -> Vec<Joints> {
     matrix.row_iter().map(|row| row.iter().copied().collect()).collect()
 }
 
-/// How drives move joints, and what errors they can have.
+/// Couplings between drives and joints, and the data that determine which error terms an axis can have.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DriveTrain {
-    /// Row i: what one radian of drive i's output does to each joint.
+    /// Row i: motion of each joint per radian of drive i's output.
     pub joint_from_drive: Vec<Joints>,
-    /// Row i: how much each drive turns for one radian of joint i; the inverse.
+    /// Row i: motion of each drive per radian of joint i; the inverse of `joint_from_drive`.
     pub drive_from_joint: Vec<Joints>,
-    /// Lobes of each drive's cycloid gear; none where there is no such gear or its number is not known.
+    /// Number of lobes of each drive's cycloid gear; `None` without such a gear or if the number is unknown.
     pub cycloid_lobes: Vec<Option<f64>>,
-    /// Turns of each motor for one turn of its drive's output; none where not known.
+    /// Motor turns per turn of each drive's output; `None` if unknown.
     pub motor_turns: Vec<Option<f64>>,
-    /// Direction of gravity in the robot's base.
+    /// Unit vector of gravity in the robot's base.
     pub gravity: Vector3<f64>,
     joints: Vec<JointKind>,
     arm: Tracer,
 }
 
 impl DriveTrain {
-    /// One drive for each joint, the robot standing upright. `arm` is the nominal chain, from which levers of weights are
-    /// computed: millimetres make no difference to them.
+    /// One drive per joint, robot upright. `arm` is the nominal chain. It gives the lever arms of weights, for which errors of
+    /// a few millimetres do not matter.
     pub fn direct(arm: &Chain) -> Self {
         let axes = arm.links.len();
         let identity = rows(&DMatrix::identity(axes, axes));
@@ -65,8 +65,8 @@ impl DriveTrain {
         }
     }
 
-    /// As the robot's file says: couplings are those of its log (`raw_to_joint`, each row over its diagonal entry), the
-    /// motors' turns too where it is a log of motors.
+    /// Drive train from the robot's file. Couplings are those of its log (`raw_to_joint`, each row divided by its diagonal
+    /// entry). If the log contains motor angles, the gear ratios come from it as well.
     pub fn of(robot: &RobotConfig, arm: &Chain) -> Self {
         let table = &robot.log.raw_to_joint;
         let axes = table.len();
@@ -84,7 +84,7 @@ impl DriveTrain {
         if let Some(gravity) = robot.drives.gravity {
             drives.gravity = Vector3::from(gravity).normalize();
         }
-        // A log whose columns are in another order says nothing of couplings.
+        // If the columns are permuted, the matrix does not describe couplings.
         if let Some(inverse) =
             coupled.clone().try_inverse().filter(|m| m.iter().all(|entry| entry.is_finite()))
         {
@@ -94,7 +94,7 @@ impl DriveTrain {
         drives
     }
 
-    /// Where the drives are while the robot reports these joints.
+    /// Drive states for a reported joint state.
     pub fn state(&self, reported: &JointState) -> DriveState {
         let mut state = DriveState::default();
         for axis in 0..self.axes() {
@@ -116,14 +116,14 @@ impl DriveTrain {
         }
     }
 
-    /// The joint is not turned by its drive alone, or the drive turns others.
+    /// Whether other drives turn this joint, or this drive turns other joints.
     fn is_coupled(&self, axis: usize) -> bool {
         let mut rows = self.joint_from_drive.iter().enumerate();
         self.only_joint(axis).is_none()
             || rows.any(|(drive, row)| drive != axis && row.get(axis).is_some_and(|part| *part != 0.0))
     }
 
-    /// How each joint moves with an error of one radian.
+    /// Motion of each joint per radian of this error term.
     fn moved_by(&self, axis: usize, term: JointTerm) -> Joints {
         if term.is_of_joint() {
             return Joints::from_fn(self.axes(), |joint| f64::from(u8::from(joint == axis)));
@@ -131,14 +131,15 @@ impl DriveTrain {
         self.joint_from_drive.get(axis).copied().unwrap_or_default()
     }
 
-    /// Number of drives, and of axes.
+    /// Number of axes, equal to the number of drives.
     pub fn axes(&self) -> usize {
         self.joints.len()
     }
 
-    /// This robot's axis (from 0) can have the term: a prismatic one another ratio or a delay; a revolute one waves whose number is known,
-    /// and a load that it moves up and down. Which those are is known of arms of six revolute axes ([`Load::acts_on`]); of
-    /// others the tool is taken, on every axis after the first.
+    /// Whether this axis (from 0) can have the term. A prismatic axis can have a ratio error and a delay. A revolute axis can
+    /// also have backlash, waves with a known number per turn, and compliance under a load that it raises and lowers. The loads
+    /// are known for arms with six revolute axes ([`Load::acts_on`]). Other arms have the tool as load of every axis but the
+    /// first.
     pub fn has(&self, axis: usize, term: JointTerm) -> bool {
         if !self.turns(axis) {
             return axis < self.axes() && matches!(term, JointTerm::Ratio | JointTerm::Delay);
@@ -153,27 +154,27 @@ impl DriveTrain {
         }
     }
 
-    /// The axis is there and revolute.
+    /// Whether the axis exists and is revolute.
     pub fn turns(&self, axis: usize) -> bool {
         self.joints.get(axis) == Some(&JointKind::Revolute)
     }
 
-    /// A drive's angle or speed from those of the joints.
+    /// Angle or rate of one drive, from those of the joints.
     pub fn of_drive(&self, axis: usize, joints: &Joints) -> f64 {
         joints.iter().zip(&self.drive_from_joint).map(|(joint, row)| joint * row[axis]).sum()
     }
 
-    /// The joint that a drive turns alone; none where it turns others, too.
+    /// The only joint that this drive turns; `None` if it turns others as well.
     pub fn only_joint(&self, axis: usize) -> Option<usize> {
         let mut parts = self.joint_from_drive.get(axis)?.iter().enumerate();
         parts.all(|(joint, part)| *part == f64::from(u8::from(joint == axis))).then_some(axis)
     }
 
-    /// A term's value for an amplitude of one, and how fast it changes \[1/s\].
+    /// Value of a term for unit amplitude, and its time derivative \[1/s\].
     fn shape(&self, axis: usize, term: JointTerm, reported: &JointState, state: &DriveState) -> (f64, f64) {
         let DriveState { angle, rate, turn } = state;
         let (angle, rate, turn) = (angle[axis], rate[axis], turn[axis]);
-        // Angle of the wave, how fast it grows.
+        // Phase angle of the wave and its time derivative.
         let wave = |period| {
             let n = self.waves_per_turn(axis, period).unwrap_or_default();
             match period {
@@ -205,13 +206,13 @@ impl DriveTrain {
         }
     }
 
-    /// Torque of one newton of weight about an axis \[N m\], `z . ((p - o) x g)`, and how fast it changes.
+    /// Torque about an axis per newton of weight \[N m\], `z . ((p - o) x g)`, and its time derivative.
     fn lever(&self, axis: usize, load: Load, reported: &JointState) -> (f64, f64) {
         let mut trace = Trace::default();
         self.arm.trace(&reported.q, &mut trace);
         let axes: Vec<(Vector3<f64>, Vector3<f64>)> = trace.joint_axes().collect();
         let Some(&(origin, z)) = axes.get(axis) else { return (0.0, 0.0) };
-        // The point and the number of joints before it.
+        // Point of the load, and the number of joints that move it.
         let (point, before) = match load {
             Load::Elbow => (axes.get(2).map(|at| at.0), 2),
             Load::Wrist => (axes.get(4).map(|at| at.0), 4),
@@ -230,14 +231,14 @@ impl DriveTrain {
     }
 }
 
-/// Where drives are, by which errors of gears go.
+/// Drive outputs at one instant: the arguments of the gear errors.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DriveState {
-    /// Of each drive's output \[rad\], of a prismatic one \[m\].
+    /// Output angle of each drive \[rad\]; position of a prismatic one \[m\].
     pub angle: [f64; AXES_MAX],
-    /// How fast it changes, per second.
+    /// Rate of change of `angle`, per second.
     pub rate: [f64; AXES_MAX],
-    /// Sine and cosine of the angle.
+    /// Sine and cosine of each `angle`.
     pub turn: [Turn; AXES_MAX],
 }
 
@@ -248,17 +249,17 @@ impl Default for DriveState {
     }
 }
 
-/// Amplitudes of terms of axes, and what they belong to.
+/// Amplitudes of the error terms of all axes, with their drive train.
 #[derive(Debug, Clone, PartialEq)]
 pub struct JointErrors {
     /// How drives move joints.
     pub drives: DriveTrain,
-    /// Axis, term, amplitude; in the order of axes and terms. Those that are not there are zero.
+    /// Axis, term, amplitude; sorted by axis and term. Missing entries are zero.
     amplitudes: Vec<(usize, JointTerm, f64)>,
 }
 
 impl JointErrors {
-    /// No errors.
+    /// Joint errors with all amplitudes zero.
     pub fn none(drives: DriveTrain) -> Self {
         Self { drives, amplitudes: Vec::new() }
     }
@@ -268,7 +269,7 @@ impl JointErrors {
         self.amplitudes.iter().any(|(_, _, amplitude)| *amplitude != 0.0)
     }
 
-    /// One amplitude; none where the robot cannot have the term.
+    /// Mutable amplitude of a term; `None` if the robot cannot have it.
     pub fn amplitude_mut(&mut self, axis: usize, term: JointTerm) -> Option<&mut f64> {
         if !self.drives.has(axis, term) {
             return None;
@@ -281,13 +282,13 @@ impl JointErrors {
         Some(&mut self.amplitudes[place].2)
     }
 
-    /// The same errors without those of zero, which each sample would look at.
+    /// Removes zero amplitudes, which would otherwise cost time in each sample.
     pub(super) fn drop_zeros(&mut self) {
         self.amplitudes.retain(|(_, _, amplitude)| *amplitude != 0.0);
     }
 
-    /// How each joint moves with one amplitude, the drives standing like this; with a delay it does as the delayed joints move,
-    /// which are `reported` then.
+    /// Motion of each joint per unit amplitude of a term, at this drive state. For a delay pass the delayed joints as
+    /// `reported`.
     pub fn by_amplitude(
         &self,
         axis: usize,
@@ -301,7 +302,7 @@ impl JointErrors {
         Joints::from_fn(row.len(), |joint| row[joint] * shape - of_all * reported.qd[joint])
     }
 
-    /// What the log has of each drive when it comes later than the others; near an end or a hole of the log by its rate.
+    /// Joints with the delay of each drive applied; near an end or a gap of the log by extrapolation from `reported`.
     pub(super) fn delayed(&self, reported: &JointState, motion: &impl RobotMotion, tau_s: f64) -> JointState {
         let mut delayed = *reported;
         let delays = || self.amplitudes.iter().filter(|(_, term, _)| *term == JointTerm::Delay);
@@ -330,11 +331,11 @@ impl JointErrors {
         delayed
     }
 
-    /// Adds the errors of joints and rates, but delays. Accelerations stay as they are.
+    /// Adds all errors except delays to joint positions and rates. Accelerations are not changed.
     pub(super) fn add_to(&self, corrected: &mut JointState, reported: &JointState, state: &DriveState) {
         for of_axis in self.amplitudes.chunk_by(|one, next| one.0 == next.0) {
             let axis = of_axis[0].0;
-            // Of the drive, of the joint.
+            // Index 0: errors of the drive; index 1: errors of the joint.
             let mut errors = [(0.0, 0.0); 2];
             let terms = of_axis.iter().map(|(_, term, amplitude)| (*term, *amplitude));
             for (term, amplitude) in terms.filter(|(term, _)| *term != JointTerm::Delay) {

@@ -1,24 +1,24 @@
-//! What a robot's joint angle is wrong by, as far as it repeats with the motion.
+//! Error terms of a robot's joint angle that repeat with the motion.
 
 use std::cmp::Ordering;
 use std::fmt;
 
 use super::{TermGroup, Unit};
 
-/// How often a wave comes back while a drive's output makes one turn.
+/// Number of waves per turn of a drive's output.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Period {
-    /// Once: an eccentric output gear or joint encoder.
+    /// Once per turn: an eccentric output gear or joint encoder.
     Once,
-    /// Twice: an elliptic or tilted one.
+    /// Twice per turn: an elliptic or tilted gear or encoder.
     Twice,
-    /// Once for each lobe of a cycloid gear; only where the robot's file has the number.
+    /// Once per lobe of a cycloid gear; only if the robot's file contains the number of lobes.
     Cycloid,
-    /// Once for each turn of the motor; only where the robot's file has the ratio.
+    /// Once per motor turn; only if the gear ratio is known.
     Motor,
-    /// Once while the joint itself makes a turn, not the drive: a bearing or an encoder of the joint; only where these differ.
+    /// Once per turn of the joint (not the drive): a bearing or an encoder of the joint; only where drives are coupled.
     JointOnce,
-    /// Twice, the same.
+    /// Twice per turn of the joint; otherwise as [`Self::JointOnce`].
     JointTwice,
 }
 
@@ -35,7 +35,7 @@ impl Period {
     }
 }
 
-/// What pulls a joint out of place by its weight.
+/// The mass whose weight deflects a joint.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Load {
     /// The upper arm: a weight on axis 3.
@@ -47,11 +47,11 @@ pub enum Load {
 }
 
 impl Load {
-    /// All of them.
+    /// All loads, from elbow to tool.
     pub const ALL: [Self; 3] = [Self::Elbow, Self::Wrist, Self::Tool];
 
-    /// Axes (from 0) of a six-axis arm on which a load can be identified: those that it moves up and down in most postures. Axis 1 stands
-    /// upright, axis 4 points along the forearm, axis 6 along the tool.
+    /// Axes (from 0) of a six-axis arm whose compliance under this load can be identified: those that raise and lower it in
+    /// most postures. Axis 1 is vertical; axis 4 points along the forearm, axis 6 along the tool.
     pub const fn acts_on(self, axis: usize) -> bool {
         matches!((self, axis), (Self::Elbow, 1) | (Self::Wrist, 1 | 2) | (Self::Tool, 1 | 2 | 4))
     }
@@ -65,25 +65,26 @@ impl Load {
     }
 }
 
-/// One term of the error of a robot axis. A constant offset is the link's `theta` and has no term.
+/// One error term of a robot axis. A constant offset is not a term: it is the link's `theta`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum JointTerm {
-    /// `sin(n g)` of the drive's output angle `g`: `rsin1`, `rsin2`, `rsinc`, `rsinm`; or of the joint's: `rsinj1`, `rsinj2`.
+    /// `sin(n g)` of the drive's output angle `g`: `rsin1`, `rsin2`, `rsinc`, `rsinm`; or of the joint angle: `rsinj1`,
+    /// `rsinj2`.
     Sine(Period),
-    /// `cos(n g)`
+    /// `cos(n g)`, named as the sines: `rcos1` .. `rcosj2`.
     Cosine(Period),
-    /// Half of the lost motion, by the direction in which the drive turns: `rbacklash`.
+    /// Half of the lost motion, with the sign of the drive's speed: `rbacklash`.
     Backlash,
-    /// The drive turns by another ratio than its file says: `rratio`.
+    /// Relative error of the gear ratio in the robot's file: `rratio`.
     Ratio,
-    /// The log has the axis later than the others by so much \[s\], as servo lag or a filter make it: `rdelay`.
+    /// Delay of this axis in the log relative to the other axes \[s\], caused by servo lag or a filter: `rdelay`.
     Delay,
     /// The axis deflects under a weight: `relbow`, `rwrist`, `rtool`.
     Compliance(Load),
 }
 
 impl JointTerm {
-    /// All of them.
+    /// All terms, in the order of reports.
     pub const ALL: [Self; 18] = [
         Self::Sine(Period::Once),
         Self::Cosine(Period::Once),
@@ -105,12 +106,12 @@ impl JointTerm {
         Self::Compliance(Load::Tool),
     ];
 
-    /// Whether it moves the joint and goes by its angle, not by the drive's.
+    /// Whether the term depends on the joint angle and moves this joint only; other terms depend on the drive angle.
     pub const fn is_of_joint(self) -> bool {
         matches!(self, Self::Sine(period) | Self::Cosine(period) if matches!(period, Period::JointOnce | Period::JointTwice))
     }
 
-    /// The kind of error that it is a part of.
+    /// The group of terms to which it belongs.
     pub const fn group(self) -> TermGroup {
         match self {
             Self::Sine(period) | Self::Cosine(period) => match period {
@@ -136,7 +137,7 @@ impl JointTerm {
         }
     }
 
-    /// Place in [`Self::ALL`].
+    /// Index of the term in [`Self::ALL`].
     pub(super) const fn index(self) -> usize {
         match self {
             Self::Sine(period) => 2 * period as usize,

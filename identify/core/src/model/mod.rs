@@ -1,6 +1,6 @@
-//! What is estimated and what is measured: named parameters with roles, the geometry they describe, observations.
+//! Estimated and measured quantities: named parameters with roles, the geometry that they describe, observations.
 //!
-//! [`Model`] is the one place that maps names to columns of the solve.
+//! [`Model`] is the only place that maps parameter names to columns of the solve.
 
 mod geometry;
 mod joint_errors;

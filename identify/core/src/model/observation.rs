@@ -2,40 +2,40 @@
 
 use crate::kinematics::{BAR_JOINTS, Joints};
 
-/// What pulls or presses on the ball-bar, counted as its log counts it: which sign is tension is not known.
+/// Axial force on the ball-bar with the sign of its log; whether tension is positive is not known.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct BarForce {
-    /// Along the bar \[N\]; 0 where it was not measured.
+    /// Force along the bar \[N\]; 0 if not measured.
     pub along_n: f64,
-    /// Its sign, from -1 to 1: on which side of its play the bar is.
+    /// Side of the axial play, from -1 to 1: the smoothed sign of the force.
     pub side: f64,
 }
 
-/// What the ball-bar or the wire measured at one instant.
+/// Measurement of the ball-bar or the wire at one instant.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Observation {
-    /// Bar clock, since the reference time \[s\].
+    /// Time on the bar's clock, since the reference time \[s\].
     pub t_s: f64,
-    /// Bar joints \[rad\], encoder offsets not yet added; entries that are not measured do not count.
+    /// Bar joints \[rad\], encoder offsets not yet added; entries that are not `measured` are ignored.
     pub bar_rad: [f64; BAR_JOINTS],
-    /// Joints that have an encoder.
+    /// Which joints have an encoder value.
     pub measured: [bool; BAR_JOINTS],
-    /// Which zeros the encoders had: 0 those of the bar's links, others also [`super::ParameterId::EncoderOffset`] of this number.
+    /// Index of the counter origin: 0 uses the offsets of the bar's links; others add [`super::ParameterId::EncoderOffset`].
     pub origin: usize,
     /// Length of a wire or telescoping bar \[m\].
     pub length_m: Option<f64>,
-    /// On the ball-bar.
+    /// Axial force on the ball-bar.
     pub force: BarForce,
 }
 
 impl Observation {
-    /// A bar with all five encoders.
+    /// Observation of a bar with all five encoders.
     pub fn bar(t_s: f64, bar_rad: [f64; BAR_JOINTS]) -> Self {
         let force = BarForce::default();
         Self { t_s, bar_rad, measured: [true; BAR_JOINTS], origin: 0, length_m: None, force }
     }
 
-    /// A measured length alone.
+    /// Observation of a measured length only.
     pub fn length(t_s: f64, length_m: f64) -> Self {
         let measured = [false; BAR_JOINTS];
         Self { measured, length_m: Some(length_m), ..Self::bar(t_s, [0.0; BAR_JOINTS]) }
@@ -54,7 +54,7 @@ pub struct JointState {
 }
 
 impl JointState {
-    /// So much later, at the same acceleration \[s\].
+    /// State `by_s` seconds later, extrapolated with constant acceleration.
     pub fn after(&self, by_s: f64) -> Self {
         let Self { q, qd, qdd } = self;
         Self {
@@ -64,7 +64,7 @@ impl JointState {
         }
     }
 
-    /// Standing still.
+    /// Joint state at rest: rates and accelerations are zero.
     pub fn at_rest(q: impl Into<Joints>) -> Self {
         let q = q.into();
         let rest = Joints::zeros(q.len());
@@ -72,13 +72,13 @@ impl JointState {
     }
 }
 
-/// The robot's motion on its own clock, smooth enough to be differentiated.
+/// The robot's motion on its own clock, differentiable in time.
 pub trait RobotMotion: Sync {
-    /// Joints at robot time `tau_s` since the reference \[s\]; none outside the log.
+    /// Joints at robot time `tau_s` since the reference \[s\]; `None` outside the log.
     fn at(&self, tau_s: f64) -> Option<JointState>;
 }
 
-/// Joints given per observation, for data without clocks: observation `i` has time `i`.
+/// Joints given per observation, for data without clocks: observation `i` has time `i` seconds.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PerObservation(pub Vec<Joints>);
 

@@ -1,6 +1,6 @@
-//! All parameters, in blocks: one row says what a block is called, whose it is, what kind of number, and where it stands.
+//! All parameters, in blocks. One row defines a block's name, owner, group, unit, and the place of its number in [`Geometry`].
 //!
-//! A new term or instrument is a new row here, and what moves with it where residuals are ([`crate::cost`]).
+//! A new term or instrument needs a new row here, and its twist where residuals are computed ([`crate::cost`]).
 
 use std::collections::HashMap;
 use std::fmt;
@@ -14,19 +14,19 @@ use crate::kinematics::{AXES_MAX, BAR_JOINTS, DhLink, LinkParameter, ROD_LINK};
 /// A coordinate axis of the root frame or of the flange.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Axis {
-    /// x
+    /// The first axis, `x`.
     X,
-    /// y
+    /// The second axis, `y`.
     Y,
-    /// z
+    /// The third axis, `z`.
     Z,
 }
 
 impl Axis {
-    /// All three.
+    /// All axes in the order x, y, z.
     pub const ALL: [Self; 3] = [Self::X, Self::Y, Self::Z];
 
-    /// 0 to 2.
+    /// Index of the axis, 0 to 2.
     pub const fn index(self) -> usize {
         self as usize
     }
@@ -40,21 +40,21 @@ impl Axis {
     }
 }
 
-/// One of the numbers of a face.
+/// One of the four parameters of a face.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum FaceNumber {
-    /// Of its normal: `nx`, `ny`, `nz`. The largest is one, and stays.
+    /// Component of the normal: `nx`, `ny`, `nz`. The largest component is fixed at one.
     Normal(Axis),
-    /// Its distance from the origin: `d`.
+    /// Distance of the plane from the origin: `d`.
     Distance,
 }
 
 impl FaceNumber {
-    /// All four numbers of a face.
+    /// All four parameters of a face.
     pub const ALL: [Self; 4] =
         [Self::Normal(Axis::X), Self::Normal(Axis::Y), Self::Normal(Axis::Z), Self::Distance];
 
-    /// Place among them, 0 to 3.
+    /// Index in [`Self::ALL`], 0 to 3.
     pub const fn index(self) -> usize {
         match self {
             Self::Normal(axis) => axis.index(),
@@ -79,12 +79,12 @@ impl fmt::Display for FaceNumber {
     }
 }
 
-/// What a parameter belongs to.
+/// The part of the set-up to which a parameter belongs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Owner {
-    /// The robot: its links and the errors of its joints.
+    /// The robot: its links and joint errors.
     Robot,
-    /// The clocks of two logs.
+    /// The clocks of the two logs.
     Clocks,
     /// The ball-bar, its base or its encoders.
     BallBar,
@@ -94,28 +94,28 @@ pub enum Owner {
     Tracker,
     /// A ball and its sockets.
     Contact,
-    /// A tip and the faces that it touches.
+    /// A probe tip and the faces that it touches.
     Touch,
 }
 
-/// What kind of number a parameter is, from which follows what is known of it before anything is measured.
+/// Type of a parameter; it determines the prior knowledge.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Group {
-    /// Of a link as it was made, within a tolerance.
+    /// Manufactured dimension of a link, within a tolerance.
     Link,
-    /// A second way to say what another number says: opted into by name, in place of that.
+    /// Alternative parametrisation of another parameter: freed by name, instead of that one.
     InPlaceOfAnother,
-    /// Where something stands, how it is mounted or what it counts from: anywhere.
+    /// Location, mounting or counter origin; no prior knowledge.
     Placement,
-    /// Of a clock.
+    /// Shift or skew of a clock.
     Clock,
-    /// What a force does.
+    /// Response to an axial force.
     Force,
-    /// An error that is there or not.
+    /// Amplitude of an optional error term.
     Term(TermGroup),
 }
 
-/// What a parameter is measured in, and how people read it.
+/// SI unit of a parameter, with the unit in which it is displayed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Unit {
     /// Metres, read in mm.
@@ -126,15 +126,15 @@ pub enum Unit {
     Second,
     /// Ratio, read in ppm.
     Ratio,
-    /// Radians per newton metre times newtons: by how much an axis deflects for each metre of its load's lever, read in
-    /// mrad/m.
+    /// Deflection of an axis per metre of its load's lever arm \[rad/m\], that is compliance \[rad/(N m)\] times weight \[N\];
+    /// read in mrad/m.
     RadianPerMetre,
     /// Metres per newton, read in um/N.
     MetrePerNewton,
 }
 
 impl Unit {
-    /// Displayed number for one of the SI unit.
+    /// Factor from the SI unit to the displayed unit.
     pub const fn display_factor(self) -> f64 {
         match self {
             Self::Metre | Self::Radian | Self::Second | Self::RadianPerMetre => 1e3,
@@ -154,10 +154,10 @@ impl Unit {
         }
     }
 
-    /// A size for a person, four digits at most, with its unit.
+    /// A magnitude with its displayed unit, rounded to four significant digits.
     pub fn display(self, si: f64) -> String {
         let displayed = si * self.display_factor();
-        // The shortest text of the number that four digits leave.
+        // Parsing the rounded text removes trailing zeros.
         let rounded = format!("{displayed:.3e}").parse().unwrap_or(displayed);
         format!("{rounded} {}", self.display_symbol())
     }
@@ -175,18 +175,18 @@ impl Unit {
     }
 }
 
-/// What the parameters of a block have in common.
+/// The properties that all parameters of a block share.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ParameterBlock {
-    /// Whose they are.
+    /// The part of the set-up to which they belong.
     pub owner: Owner,
-    /// What kind of number.
+    /// Type of parameter, which determines the prior knowledge.
     pub group: Group,
     /// SI unit and display unit.
     pub unit: Unit,
-    /// Another number in every run: set up anew, or counted from a new zero.
+    /// Whether every run has its own value, because of a new set-up or a new counter origin.
     pub of_run: bool,
-    /// A model has them where they are asked for; all others where its geometry has them.
+    /// Whether a model has them only on request; others are present whenever the geometry has them.
     pub on_request: bool,
 }
 
@@ -220,7 +220,7 @@ impl ParameterBlock {
     }
 }
 
-/// One row for each block: its numbers and their ranges, name, what it has in common, where the number stands.
+/// One row per block: fields with their ranges, name, common properties, and the place of the number in [`Geometry`].
 macro_rules! parameters {
     ($(
         $(#[$doc:meta])*
@@ -229,7 +229,8 @@ macro_rules! parameters {
             is $common:expr,
             at |$geometry:ident| $number:expr;
     )*) => {
-        /// One parameter, in the order of reports. Links, axes and all else count from 0 here, from 1 in names.
+        /// Identifier of a parameter, in the order of reports. Links, axes and other indices count from 0 here, from 1 in
+        /// names.
         #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
         pub enum ParameterId {
             $( $(#[$doc])* $block $({ $( $(#[$field_doc])* $field: $type, )* })?, )*
@@ -240,15 +241,15 @@ macro_rules! parameters {
                 match self { $( Self::$block { $($($field),*)? } => $name.to_string(), )* }
             }
 
-            /// What it has in common with others.
+            /// The properties that it shares with its block.
             #[allow(unused_variables, reason = "most blocks have all in common")]
             pub const fn block(self) -> ParameterBlock {
                 match self { $( Self::$block { $($($field),*)? } => $common, )* }
             }
 
-            /// Every parameter that has a name.
+            /// All parameters that have a name.
             pub fn all() -> impl Iterator<Item = Self> {
-                // There are thousands, and each model that is made goes through them.
+                // The list has thousands of entries, and each new model iterates over it.
                 static ALL: LazyLock<Vec<ParameterId>> = LazyLock::new(ParameterId::list);
                 ALL.iter().copied()
             }
@@ -261,7 +262,7 @@ macro_rules! parameters {
         }
 
         impl Geometry {
-            /// The number that a parameter names; none for a link, a joint or a station that is not there.
+            /// The number that a parameter identifies; `None` if its link, joint or station does not exist.
             pub fn parameter_mut(&mut self, id: ParameterId) -> Option<&mut f64> {
                 match id { $( ParameterId::$block { $($($field),*)? } => { let $geometry = self; $number } )* }
             }
@@ -274,36 +275,36 @@ macro_rules! parameters {
 }
 
 parameters! {
-    /// Of the robot's link: `ra1`, `rd1`, `ralpha1`, `rtheta1`, `rbeta2`.
+    /// Link parameter of the robot: `ra1`, `rd1`, `ralpha1`, `rtheta1`, `rbeta2`.
     Robot {
-        /// Link.
+        /// Index of the link, from 0.
         link: usize = 0..AXES_MAX,
-        /// Which of its numbers.
+        /// DH parameter of the link.
         parameter: LinkParameter = LinkParameter::ALL,
     }
         called format!("r{}{}", parameter.name(), link + 1),
         is ParameterBlock::of_link(Owner::Robot, parameter),
         at |geometry| geometry.robot.links.get_mut(link).map(|link| of_link(link, parameter));
 
-    /// Error of a robot axis that repeats with its motion: `rsin1_1` (sine of once drive 1's angle) .. `rtool_5`.
+    /// Error of a robot axis that repeats with its motion: `rsin1_1` (sine of drive 1's angle) .. `rtool_5`.
     Joint {
-        /// Axis.
+        /// Index of the axis, from 0.
         axis: usize = 0..AXES_MAX,
-        /// Which term.
+        /// Error term of the axis.
         term: JointTerm = JointTerm::ALL,
     }
         called format_args!("r{term}_{}", axis + 1),
         is ParameterBlock::new(Owner::Robot, Group::Term(term.group()), term.unit()),
         at |geometry| geometry.joints.amplitude_mut(axis, term);
 
-    /// Error of a robot axis that comes back a whole number of times per turn, more than twice: `rsin17_1` (sine of 17
-    /// times drive 1's angle).
+    /// Error of a robot axis with an integer number of waves per turn, three or more: `rsin17_1` (sine of 17 times drive 1's
+    /// angle).
     JointWave {
-        /// Axis.
+        /// Index of the axis, from 0.
         axis: usize = 0..AXES_MAX,
-        /// Waves per turn.
+        /// Number of waves per turn.
         order: u8 = Waves::OF_AXIS,
-        /// Sine or cosine.
+        /// Sine or cosine component.
         phase: Phase = Phase::ALL,
     }
         called format_args!("r{phase}{order}_{}", axis + 1),
@@ -314,11 +315,11 @@ parameters! {
             None
         };
 
-    /// Of the ball-bar's link: `ba1`, `bd1`, `balpha1`, `btheta1`; the last is the zero of its encoder.
+    /// Link parameter of the ball-bar: `ba1`, `bd1`, `balpha1`, `btheta1`; the last is the encoder offset.
     Bar {
-        /// Link.
+        /// Index of the link, from 0.
         link: usize = 0..BAR_JOINTS,
-        /// Which of its numbers.
+        /// DH parameter of the link.
         parameter: LinkParameter = LinkParameter::STANDARD,
     }
         called format!("b{}{}", parameter.name(), link + 1),
@@ -330,18 +331,18 @@ parameters! {
         },
         at |geometry| geometry.bar_links.get_mut(link).map(|link| of_link(link, parameter));
 
-    /// Place of the bar's base: `ox`, `oy`, `oz`.
+    /// Position of the bar's base: `ox`, `oy`, `oz`.
     Base {
-        /// Which coordinate.
+        /// Coordinate of the position.
         axis: Axis = Axis::ALL,
     }
         called format_args!("o{}", axis.letter()),
         is ParameterBlock::new(Owner::BallBar, Group::Placement, Unit::Metre).of_run(),
         at |geometry| geometry.base.origin_m.get_mut(axis.index());
 
-    /// Rotation of the bar's base about x, then y: `orx`, `ory`. About z it would be `btheta1` a second time.
+    /// Rotation of the bar's base about x, then y: `orx`, `ory`. A rotation about z would duplicate `btheta1`.
     BaseRotation {
-        /// About which axis.
+        /// Axis of the rotation.
         axis: Axis = [Axis::X, Axis::Y],
     }
         called format_args!("or{}", axis.letter()),
@@ -352,141 +353,142 @@ parameters! {
             Axis::Z => None,
         };
 
-    /// Error of a bar encoder that repeats with its turns: `bsin1_1` (sine of once joint 1's reading) .. `bcos2_5`.
+    /// Periodic error of a bar encoder: `bsin1_1` (sine of joint 1's reading) .. `bcos2_5`.
     EncoderWave {
-        /// Joint.
+        /// Index of the joint, from 0.
         joint: usize = 0..BAR_JOINTS,
-        /// Waves per turn.
+        /// Number of waves per turn.
         order: u8 = Waves::OF_ENCODER,
-        /// Sine or cosine.
+        /// Sine or cosine component.
         phase: Phase = Phase::ALL,
     }
         called format_args!("b{phase}{order}_{}", joint + 1),
         is ParameterBlock::new(Owner::BallBar, Group::Term(TermGroup::EncoderHarmonics), Unit::Radian).of_run(),
         at |geometry| geometry.encoder_waves.get_mut(joint).map(|waves| waves.amplitude_mut(order, phase));
 
-    /// What is added to a bar encoder's angle after its counter lost its origin during the run, beside `btheta`: `boffset1_2`
+    /// Offset of a bar encoder, in addition to `btheta`, after its counter lost its origin during the run: `boffset1_2`
     /// (encoder 2 after the first loss).
     EncoderOffset {
-        /// Which origin, from 1: 0 is that of `btheta`.
+        /// Index of the counter origin, from 1; origin 0 uses `btheta` alone.
         origin: usize = 1..=ParameterId::LAST_ORIGIN,
-        /// Joint.
+        /// Index of the joint, from 0.
         joint: usize = 0..BAR_JOINTS,
     }
         called format_args!("boffset{origin}_{}", joint + 1),
         is ParameterBlock::new(Owner::BallBar, Group::Placement, Unit::Radian).of_run().on_request(),
         at |geometry| geometry.offset_of_origin_mut(origin, joint);
 
-    /// How much longer the bar is for each newton along it: `bcompliance`.
+    /// Elongation of the bar per newton of axial force: `bcompliance`.
     BarCompliance
         called "bcompliance",
         is ParameterBlock::new(Owner::BallBar, Group::Force, Unit::MetrePerNewton),
         at |geometry| Some(&mut geometry.elongation.compliance_m_per_n);
 
-    /// How much longer it is on one side of its play than in the middle, by the sign of the force: `bplay`.
+    /// Half of the bar's axial play, with the sign of the force: `bplay`.
     BarPlay
         called "bplay",
         is ParameterBlock::new(Owner::BallBar, Group::Force, Unit::Metre),
         at |geometry| Some(&mut geometry.elongation.play_m);
 
-    /// How much longer the bar is in some directions, a whole number of times per turn of its first two joints: `bdsin2_1`
-    /// (sine of twice joint 1's reading) .. `bdcos3_2`.
+    /// Elongation of the bar by direction, with an integer number of waves per turn of its first two joints: `bdsin2_1` (sine
+    /// of twice joint 1's reading) .. `bdcos3_2`.
     BarWave {
-        /// Joint.
+        /// Index of the joint, from 0.
         joint: usize = 0..DIRECTION_JOINTS,
-        /// Waves per turn.
+        /// Number of waves per turn.
         order: u8 = Waves::OF_LENGTH,
-        /// Sine or cosine.
+        /// Sine or cosine component.
         phase: Phase = Phase::ALL,
     }
         called format_args!("bd{phase}{order}_{}", joint + 1),
         is ParameterBlock::new(Owner::BallBar, Group::Term(TermGroup::BarLength), Unit::Metre).of_run(),
         at |geometry| geometry.bar_waves.get_mut(joint).map(|waves| waves.amplitude_mut(order, phase));
 
-    /// Where a wire or telescoping bar is attached, in the flange frame: `attachment_x` ..., in the second place `attachment2_x`
+    /// Attachment point of a wire or telescoping bar, in the flange frame: `attachment_x` ..., the second `attachment2_x` ...
     Attachment {
-        /// Place on the flange.
+        /// Index of the attachment point on the flange, from 0.
         target: usize = 0..ParameterId::SET_UPS_MAX,
-        /// Which coordinate.
+        /// Coordinate of the point.
         axis: Axis = Axis::ALL,
     }
         called format_args!("attachment{}_{}", further(target), axis.letter()),
         is ParameterBlock::new(Owner::Wire, Group::Placement, Unit::Metre),
         at |geometry| geometry.wire.attachments_m.get_mut(target)?.get_mut(axis.index());
 
-    /// Where it is anchored, in the robot's base: `anchor_x` ..., in the second place `anchor2_x`
+    /// Anchor point of the wire, in the robot's base: `anchor_x` ..., the second `anchor2_x` ...
     Anchor {
-        /// Place in the cell.
+        /// Index of the anchor point in the cell, from 0.
         station: usize = 0..ParameterId::SET_UPS_MAX,
-        /// Which coordinate.
+        /// Coordinate of the point.
         axis: Axis = Axis::ALL,
     }
         called format_args!("anchor{}_{}", further(station), axis.letter()),
         is ParameterBlock::new(Owner::Wire, Group::Placement, Unit::Metre),
         at |geometry| geometry.wire.anchors_m.get_mut(station)?.get_mut(axis.index());
 
-    /// Added to the distance to give the measured length.
+    /// Measured length minus distance: `length_offset`.
     LengthOffset
         called "length_offset",
         is ParameterBlock::new(Owner::Wire, Group::Placement, Unit::Metre),
         at |geometry| Some(&mut geometry.wire.offset_m);
 
-    /// Where a tracker stands, in the robot's base: `tracker_x` .. `tracker_rz`, in its second station `tracker2_x` ...
+    /// Pose of a tracker in the robot's base: `tracker_x` .. `tracker_rz`, in its second station `tracker2_x` ...
     Tracker {
-        /// Station.
+        /// Index of the station, from 0.
         station: usize = 0..ParameterId::SET_UPS_MAX,
-        /// Which of its numbers.
+        /// Coordinate of the pose.
         coordinate: Coordinate = Coordinate::ALL,
     }
         called format_args!("tracker{}_{coordinate}", further(station)),
         is ParameterBlock::placed(Owner::Tracker, coordinate),
         at |geometry| Some(geometry.tracker.places.get_mut(station)?.coordinate_mut(coordinate));
 
-    /// Where what the tracker sees is, in the flange frame: `probe_x` .. `probe_rz`, the second target `probe2_x` ...
+    /// Pose of the tracker's target in the flange frame: `probe_x` .. `probe_rz`, the second target `probe2_x` ...
     Probe {
-        /// Target.
+        /// Index of the target, from 0.
         target: usize = 0..ParameterId::SET_UPS_MAX,
-        /// Which of its numbers.
+        /// Coordinate of the pose.
         coordinate: Coordinate = Coordinate::ALL,
     }
         called format_args!("probe{}_{coordinate}", further(target)),
         is ParameterBlock::placed(Owner::Tracker, coordinate),
         at |geometry| Some(geometry.tracker.probes.get_mut(target)?.coordinate_mut(coordinate));
 
-    /// Centre of a ball that is seated in sockets, in the flange frame: `ball_x` ...
+    /// Centre of the ball that is seated in sockets, in the flange frame: `ball_x` ...
     Ball {
-        /// Which coordinate.
+        /// Coordinate of the centre.
         axis: Axis = Axis::ALL,
     }
         called format_args!("ball_{}", axis.letter()),
         is ParameterBlock::new(Owner::Contact, Group::Placement, Unit::Metre),
         at |geometry| geometry.contact.ball_m.get_mut(axis.index());
 
-    /// Where the ball's centre is when it is seated in a socket, in the robot's base: `socket1_x` ...
+    /// Position of the ball's centre when seated in a socket, in the robot's base: `socket1_x` ...
     Socket {
-        /// Socket.
+        /// Index of the socket, from 0.
         socket: usize = 0..ParameterId::SOCKETS_MAX,
-        /// Which coordinate.
+        /// Coordinate of the position.
         axis: Axis = Axis::ALL,
     }
         called format_args!("socket{}_{}", socket + 1, axis.letter()),
         is ParameterBlock::new(Owner::Contact, Group::Placement, Unit::Metre),
         at |geometry| geometry.contact.sockets_m.get_mut(socket)?.get_mut(axis.index());
 
-    /// Centre of a tip that touches faces, in the flange frame: `tip_x` ...
+    /// Centre of the tip's ball that touches faces, in the flange frame: `tip_x` ...
     Tip {
-        /// Which coordinate.
+        /// Coordinate of the centre.
         axis: Axis = Axis::ALL,
     }
         called format_args!("tip_{}", axis.letter()),
         is ParameterBlock::new(Owner::Touch, Group::Placement, Unit::Metre),
         at |geometry| geometry.touch.tip_m.get_mut(axis.index());
 
-    /// Where that centre is when it touches a face, `n.x = d` in the robot's base: `face1_nx`, `face1_ny`, `face1_nz`, `face1_d`
+    /// Plane of the tip's centre at contact with a face, `n.x = d` in the robot's base: `face1_nx`, `face1_ny`, `face1_nz`,
+    /// `face1_d`
     Face {
-        /// Number of the face, from 0.
+        /// Index of the face, from 0.
         face: usize = 0..ParameterId::SET_UPS_MAX,
-        /// Which of its numbers.
+        /// Component of the normal, or the distance.
         number: FaceNumber = FaceNumber::ALL,
     }
         called format_args!("face{}_{number}", face + 1),
@@ -505,7 +507,7 @@ parameters! {
         is ParameterBlock::new(Owner::Clocks, Group::Clock, Unit::Second),
         at |geometry| Some(&mut geometry.clock.shift_s);
 
-    /// How much faster the robot's clock runs.
+    /// Relative rate of the robot's clock minus one.
     ClockSkew
         called "clock_skew",
         is ParameterBlock::new(Owner::Clocks, Group::Clock, Unit::Ratio),
@@ -513,16 +515,16 @@ parameters! {
 }
 
 impl ParameterId {
-    /// Sockets that have parameters.
+    /// Number of sockets that have parameters.
     pub const SOCKETS_MAX: usize = 99;
-    /// Stations of a tracker, anchors of a wire, targets on a flange and faces, that have parameters.
+    /// Number of tracker stations, wire anchors, flange targets and faces that have parameters (each).
     pub const SET_UPS_MAX: usize = 99;
-    /// Origins of counters that have parameters of their own: a run that loses more keeps what the preparation found.
+    /// Last counter origin that has parameters. A run that loses the origin more often keeps the offsets from the preparation.
     pub const LAST_ORIGIN: usize = 99;
     /// Length of the ball-bar: `bd3`.
     pub const ROD: Self = Self::Bar { link: ROD_LINK, parameter: LinkParameter::D };
 
-    /// Offset plate between the last of `axes` axes of the robot and axis 5 of the ball-bar: `ra6` of six.
+    /// Offset plate between the last of the robot's `axes` axes and axis 5 of the ball-bar: `ra6` for six axes.
     pub const fn plate(axes: usize) -> Self {
         Self::Robot { link: axes.saturating_sub(1), parameter: LinkParameter::A }
     }
@@ -532,17 +534,17 @@ impl ParameterId {
         [Self::plate(axes), Self::ROD]
     }
 
-    /// What it belongs to.
+    /// The part of the set-up to which it belongs.
     pub const fn owner(self) -> Owner {
         self.block().owner
     }
 
-    /// What kind of number it is.
+    /// Type of parameter, which determines the prior knowledge.
     pub const fn group(self) -> Group {
         self.block().group
     }
 
-    /// The kind of error that it is a part of; none for geometry and clocks.
+    /// Its group of error terms; `None` for geometry and clocks.
     pub const fn term(self) -> Option<TermGroup> {
         match self.group() {
             Group::Term(group) => Some(group),
@@ -555,7 +557,7 @@ impl ParameterId {
         self.block().unit
     }
 
-    /// The link of the ball-bar that the parameter belongs to, from 0.
+    /// The link of the ball-bar to which the parameter belongs, from 0.
     pub const fn bar_link(self) -> Option<usize> {
         match self {
             Self::Bar { link, .. } => Some(link),
@@ -564,18 +566,18 @@ impl ParameterId {
         }
     }
 
-    /// It changes what an instrument measures, as far as its owner says: the robot's, the clocks' and the instrument's own.
+    /// Whether it can affect this instrument's measurements: it belongs to the robot, the clocks or the instrument.
     pub fn affects(self, instrument: Owner) -> bool {
         let owner = self.owner();
         owner == instrument || matches!(owner, Owner::Robot | Owner::Clocks)
     }
 
-    /// All parameters of a kind of error.
+    /// All parameters of a group of error terms.
     pub fn of_term(group: TermGroup) -> impl Iterator<Item = Self> {
         Self::all().filter(move |id| id.term() == Some(group))
     }
 
-    /// Waves of all robot axes, whether a robot has them or not, up to `last` per turn.
+    /// Waves of all robot axes up to order `last`, whether or not a robot has these axes.
     pub fn joint_waves(last: u8) -> impl Iterator<Item = Self> {
         Self::of_term(TermGroup::LineSpectrum)
             .filter(move |id| matches!(id, Self::JointWave { order, .. } if *order <= last))
@@ -592,7 +594,7 @@ fn of_link(link: &mut DhLink, parameter: LinkParameter) -> &mut f64 {
     }
 }
 
-/// The number of a station or target in names, from 1; the first has none.
+/// Suffix of a station or target in names, counted from 1; empty for the first.
 pub fn further(number: usize) -> String {
     if number == 0 { String::new() } else { (number + 1).to_string() }
 }

@@ -1,4 +1,4 @@
-//! Which parameters are free, which are fixed, which have a prior; names to columns and back.
+//! Roles of parameters (free, fixed, considered, with prior), and the map between names and columns.
 
 use nalgebra::Vector3;
 
@@ -6,29 +6,29 @@ use super::{DriveTrain, Face, Geometry, Group, JointErrors, Owner, ParameterId, 
 use crate::kinematics::Chain;
 use crate::solver::Prior;
 
-/// What the solve does with a parameter.
+/// How the solve treats a parameter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Role {
-    /// Found from the samples alone.
+    /// Estimated from the samples alone.
     Free,
-    /// Stays at its value, which is exact or a matter of choice.
+    /// Constant: the value is exact or arbitrary.
     Fixed,
-    /// Stays at its value, which may be wrong: what is estimated beside it is less certain for that.
+    /// Constant, but uncertain: its uncertainty adds to that of the estimated parameters.
     Considered {
-        /// Standard deviation, SI.
+        /// Standard deviation of the value, SI.
         sigma: f64,
     },
-    /// Found from the samples and from what is known about it.
+    /// Estimated from the samples and a prior.
     Prior {
         /// Expected value, SI.
         value: f64,
-        /// Standard deviation, SI.
+        /// Standard deviation of the prior, SI.
         sigma: f64,
     },
 }
 
 impl Role {
-    /// The solve finds its value.
+    /// Whether the solve estimates its value.
     pub const fn is_estimated(self) -> bool {
         matches!(self, Self::Free | Self::Prior { .. })
     }
@@ -37,17 +37,17 @@ impl Role {
 /// One parameter of a model.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Parameter {
-    /// Which.
+    /// Identifier of the parameter.
     pub id: ParameterId,
-    /// Data sheet or first guess: what reports compare with, SI.
+    /// Value from the data sheet or first estimate, the reference in reports, SI.
     pub nominal: f64,
-    /// Where the solve starts, or where the parameter stays if fixed, SI.
+    /// Start value of the solve, or the constant value if not estimated, SI.
     pub value: f64,
-    /// What the solve does with it.
+    /// How the solve treats it.
     pub role: Role,
 }
 
-/// A parameter that does not exist or a prior that is none.
+/// Unknown parameter or invalid prior.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ModelError {
     /// No parameter has this name.
@@ -56,30 +56,30 @@ pub enum ModelError {
         |nearest| format!("did you mean `{nearest}`?")
     ))]
     UnknownName {
-        /// As given.
+        /// The name as given.
         name: String,
-        /// The parameter that was probably meant.
+        /// The most similar known name.
         nearest: Option<String>,
     },
     /// The model does not have this parameter.
     #[error("this model has no parameter `{id}`; take it out of the selection")]
     NotInModel {
-        /// Which.
+        /// The parameter that is missing.
         id: ParameterId,
     },
     /// A prior needs a finite value and a positive standard deviation.
     #[error("the prior of `{id}` is {value} +- {sigma}; give finite numbers and a sigma above zero")]
     BadPrior {
-        /// Which.
+        /// Parameter of the prior.
         id: ParameterId,
-        /// As given.
+        /// Expected value as given, SI.
         value: f64,
-        /// As given.
+        /// Standard deviation as given, SI.
         sigma: f64,
     },
 }
 
-/// The first and the last name of each kind of number, for a message.
+/// First and last name of each type of parameter, for a message.
 fn ranges() -> String {
     let mut ranges: Vec<(String, [String; 2])> = Vec::new();
     for name in ParameterId::all().map(|id| id.to_string()) {
@@ -96,44 +96,44 @@ fn ranges() -> String {
     ranges.into_iter().map(range).collect::<Vec<_>>().join(", ")
 }
 
-/// A parameter that stays where it is in a geometry; none where it is not there.
+/// A parameter fixed at its value in a geometry; `None` if the geometry does not have it.
 fn fixed(structure: &mut Geometry, id: ParameterId) -> Option<Parameter> {
     let value = *structure.parameter_mut(id)?;
     Some(Parameter { id, nominal: value, value, role: Role::Fixed })
 }
 
-/// Parameters in blocks, their roles, and the geometry they describe.
+/// Parameters in blocks, their roles, and the geometry that they describe.
 ///
-/// A model starts with everything fixed at its nominal value; select, free or set priors from there.
+/// In a new model all parameters are fixed at their nominal values; select, free or set priors from there.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Model {
     structure: Geometry,
     parameters: Vec<Parameter>,
-    /// Parameter of each column.
+    /// Index into `parameters` of each column.
     columns: Vec<usize>,
 }
 
 impl Model {
-    /// A geometry with all of its numbers that belong to these.
+    /// A model of a geometry with the parameters of these owners.
     fn new(structure: Geometry, owners: &[Owner]) -> Self {
         let mut model = Self { structure, parameters: Vec::new(), columns: Vec::new() };
         model.take_up(|id| owners.contains(&id.owner()));
         model
     }
 
-    /// Robot and ball-bar: both sets of links, the bar's base (its nominal place is that of `bar`),
-    /// how its length follows force and direction, the encoders' harmonics, terms of the robot's axes and the clocks.
+    /// Robot and ball-bar: links of both, the bar's base (nominal position from `bar`), elongation by force and direction,
+    /// encoder harmonics, error terms of the robot's axes, and the clocks.
     pub fn ball_bar(robot: &Chain, bar: &Chain) -> Self {
         let structure = Geometry::new(robot.clone(), Some(bar));
         Self::new(structure, &[Owner::Robot, Owner::Clocks, Owner::BallBar])
     }
 
-    /// A robot whose log has a clock.
+    /// A robot without instrument, with the clock of its log.
     pub fn alone(robot: &Chain) -> Self {
         Self::new(Geometry::new(robot.clone(), None), &[Owner::Robot, Owner::Clocks])
     }
 
-    /// Takes those of the geometry's numbers up that are wanted, fixed where they are.
+    /// Replaces the parameters that match `wanted` with those of the geometry, fixed at their values.
     fn take_up(&mut self, wanted: impl Fn(ParameterId) -> bool) {
         self.parameters.retain(|one| !wanted(one.id));
         for id in ParameterId::all().filter(|id| !id.block().on_request && wanted(*id)) {
@@ -142,14 +142,14 @@ impl Model {
         self.put_in_order();
     }
 
-    /// Of parameters that are there twice the one stays that was there before.
+    /// Sorts the parameters. Of duplicates the first is kept, which is the older one.
     fn put_in_order(&mut self) {
         self.parameters.sort_by_key(|one| one.id);
         self.parameters.dedup_by_key(|one| one.id);
         self.find_columns();
     }
 
-    /// The same with drives other than [`DriveTrain::direct`]: terms that they can have join the parameters, fixed at zero.
+    /// The model with other drives than [`DriveTrain::direct`]; error terms that they can have are added, fixed at zero.
     #[must_use]
     pub fn with_drives(mut self, drives: DriveTrain) -> Self {
         self.structure.joints = JointErrors::none(drives);
@@ -157,8 +157,8 @@ impl Model {
         self
     }
 
-    /// The same with more parameters, of those that are there on request, fixed at zero, where the robot and the bar can have
-    /// them; values and roles of all others stay.
+    /// The model with additional on-request parameters, fixed at zero, if the robot and the bar can have them. Values and
+    /// roles of all other parameters stay the same.
     #[must_use]
     pub fn with(mut self, more: impl IntoIterator<Item = ParameterId>) -> Self {
         for id in more.into_iter().filter(|id| id.block().on_request) {
@@ -168,7 +168,7 @@ impl Model {
         self
     }
 
-    /// The same with so many stations and targets of a tracker, or anchors and attachments of a wire, all fixed at zero.
+    /// The model with a number of stations and targets (tracker), or anchors and attachments (wire), all fixed at zero.
     #[must_use]
     pub fn with_set_ups(mut self, owner: Owner, [stations, targets]: [usize; 2]) -> Self {
         let Geometry { tracker, wire, .. } = &mut self.structure;
@@ -187,7 +187,7 @@ impl Model {
         self
     }
 
-    /// The same with a ball on the flange and a number of sockets, all at zero.
+    /// The model with a ball on the flange and a number of sockets, all fixed at zero.
     #[must_use]
     pub fn with_sockets(mut self, sockets: usize) -> Self {
         self.structure.contact.sockets_m = vec![Vector3::zeros(); sockets];
@@ -195,7 +195,7 @@ impl Model {
         self
     }
 
-    /// The same with a tip on the flange and a number of faces, all at zero.
+    /// The model with a tip on the flange and a number of faces, all fixed at zero.
     #[must_use]
     pub fn with_faces(mut self, faces: usize) -> Self {
         self.structure.touch.faces = vec![Face::default(); faces];
@@ -203,7 +203,7 @@ impl Model {
         self
     }
 
-    /// The same without clocks, for measurements that have no times.
+    /// The model without clock parameters, for measurements without time stamps.
     #[must_use]
     pub fn without_clocks(mut self) -> Self {
         self.parameters.retain(|one| one.id.group() != Group::Clock);
@@ -211,7 +211,7 @@ impl Model {
         self
     }
 
-    /// Axes of the robot.
+    /// Number of axes of the robot.
     pub fn axes(&self) -> usize {
         self.structure.robot.links.len()
     }
@@ -221,12 +221,12 @@ impl Model {
         &self.parameters
     }
 
-    /// The names of all parameters, in the same order.
+    /// Identifiers of all parameters, in the same order.
     pub fn ids(&self) -> Vec<ParameterId> {
         self.parameters.iter().map(|parameter| parameter.id).collect()
     }
 
-    /// One parameter; none where the model does not have it.
+    /// A parameter by its identifier; `None` if the model does not have it.
     pub fn parameter(&self, id: ParameterId) -> Option<&Parameter> {
         self.parameters.get(self.place_of(id)?)
     }
@@ -240,7 +240,7 @@ impl Model {
         Ok(&mut self.parameters[place])
     }
 
-    /// Sets where a parameter starts or stays.
+    /// Sets the start value or constant value of a parameter.
     ///
     /// # Errors
     /// [`ModelError::NotInModel`].
@@ -249,7 +249,7 @@ impl Model {
         Ok(())
     }
 
-    /// Sets what the solve does with a parameter.
+    /// Sets the role of a parameter.
     ///
     /// # Errors
     /// [`ModelError::NotInModel`], [`ModelError::BadPrior`].
@@ -275,7 +275,7 @@ impl Model {
         self.columns = free.map(|(index, _)| index).collect();
     }
 
-    /// The same with another role for what is [`Role::Considered`] within a standard deviation, where `role` has one for it.
+    /// The model with a new role for each [`Role::Considered`] parameter for which `role` (parameter, sigma) returns one.
     #[must_use]
     pub fn with_considered(&self, role: impl Fn(&Parameter, f64) -> Option<Role>) -> Self {
         let mut model = self.clone();
@@ -288,7 +288,7 @@ impl Model {
         model
     }
 
-    /// [`Model::set_role`] for several parameters at once.
+    /// [`Model::set_role`] for a number of parameters.
     ///
     /// # Errors
     /// As [`Model::set_role`].
@@ -313,12 +313,12 @@ impl Model {
         self.columns.iter().map(|&index| &self.parameters[index])
     }
 
-    /// The column of a parameter; none where it is fixed or absent.
+    /// Column of a parameter; `None` if it is not estimated or absent.
     pub fn column_of(&self, id: ParameterId) -> Option<usize> {
         self.columns.binary_search(&self.place_of(id)?).ok()
     }
 
-    /// Starting values of the columns.
+    /// Start values of the columns.
     pub fn start(&self) -> Vec<f64> {
         self.columns().map(|parameter| parameter.value).collect()
     }
@@ -332,7 +332,7 @@ impl Model {
         self.columns().enumerate().filter_map(prior).collect()
     }
 
-    /// Geometry with the columns at `x` and everything else at its value; missing entries of `x` stay at theirs too.
+    /// Geometry with the columns at `x` and all other parameters at their values; columns missing in `x` keep their values.
     pub fn geometry(&self, x: &[f64]) -> Geometry {
         let mut geometry = self.structure.clone();
         for parameter in &self.parameters {
@@ -349,7 +349,7 @@ impl Model {
         geometry
     }
 
-    /// Takes a solution over as the values to start from.
+    /// Uses a solution as new start values.
     pub fn adopt(&mut self, x: &[f64]) {
         for (&index, &x) in self.columns.iter().zip(x) {
             self.parameters[index].value = x;

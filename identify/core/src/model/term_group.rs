@@ -1,39 +1,39 @@
-//! Kinds of errors that a robot or an instrument has or not.
+//! Groups of optional error terms of a robot or an instrument.
 
 use serde::{Deserialize, Serialize};
 
-/// Kinds of errors that come together or not at all.
+/// Group of error terms that are included or omitted together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TermGroup {
-    /// Robot axes once per turn.
+    /// Errors of robot axes, once per turn.
     GearOnce,
-    /// Robot axes twice per turn.
+    /// Errors of robot axes, twice per turn.
     GearTwice,
-    /// Robot axes per lobe of their cycloid gears.
+    /// Errors of robot axes, once per lobe of the cycloid gear.
     Cycloid,
-    /// Robot axes per turn of their motors.
+    /// Errors of robot axes, once per motor turn.
     Motor,
-    /// Joints that their drive does not turn alone, once and twice per turn of the joint.
+    /// Errors of joints with coupled drives, once and twice per turn of the joint.
     Joint,
-    /// Robot axes by waves whose number per turn is found in what is left.
+    /// Errors of robot axes at orders (waves per turn) found in the residuals.
     LineSpectrum,
-    /// Robot axes by the sign of their speed.
+    /// Errors of robot axes with the sign of the speed.
     Backlash,
-    /// Gear ratios.
+    /// Relative errors of gear ratios.
     Ratio,
-    /// Axes that the log has later than others.
+    /// Delays of single axes in the log.
     Delay,
-    /// Axes that deflect under weight.
+    /// Deflection of axes under weight.
     Compliance,
-    /// Bar encoders once and twice per turn.
+    /// Errors of bar encoders, once and twice per turn.
     EncoderHarmonics,
-    /// The bar's length by its direction.
+    /// Elongation of the bar by its direction.
     BarLength,
 }
 
 impl TermGroup {
-    /// Those of the robot.
+    /// The groups that belong to the robot.
     pub const OF_ROBOT: [Self; 10] = [
         Self::GearOnce,
         Self::GearTwice,
@@ -47,7 +47,7 @@ impl TermGroup {
         Self::Compliance,
     ];
 
-    /// Name in reports.
+    /// Name of the group in reports.
     pub const fn name(self) -> &'static str {
         match self {
             Self::GearOnce => "gear, once per turn",
@@ -65,8 +65,8 @@ impl TermGroup {
         }
     }
 
-    /// What its priors may be multiplied by. No gear is cut so that its ratio is off by a hundredth; what is configured wrong is, and
-    /// is found only where it may be.
+    /// Factors by which its prior standard deviations may be multiplied. Manufacturing errors of a gear ratio are far below one
+    /// percent; a wrong value in the configuration is not, and is found only if a wide prior allows it.
     pub const fn scales(self) -> &'static [f64] {
         match self {
             Self::Ratio => &[1.0, 10.0, 100.0],

@@ -1,4 +1,4 @@
-//! Where a tracker stands and what it follows: two unknown rigid transforms between it and the robot.
+//! Pose of a tracker and of its targets: two unknown rigid transforms between tracker and robot.
 
 use std::fmt;
 
@@ -7,17 +7,17 @@ use nalgebra::{Rotation3, Vector3};
 use super::Axis;
 use crate::kinematics::Pose;
 
-/// One of the six numbers of a [`Placement`].
+/// One of the six coordinates of a [`Placement`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Coordinate {
-    /// Of its origin: `x`, `y`, `z`.
+    /// Coordinate of the origin: `x`, `y`, `z`.
     Position(Axis),
-    /// Of its rotation vector: `rx`, `ry`, `rz`.
+    /// Component of the rotation vector: `rx`, `ry`, `rz`.
     Rotation(Axis),
 }
 
 impl Coordinate {
-    /// All six, the origin's first.
+    /// All six coordinates, the origin first.
     pub const ALL: [Self; 6] = {
         let [x, y, z] = Axis::ALL;
         [
@@ -40,30 +40,30 @@ impl fmt::Display for Coordinate {
     }
 }
 
-/// A rigid transform in six numbers: position and rotation vector, so that no orientation of a real set-up is singular
-/// (a rotation vector is regular up to a whole turn, and none longer than half a turn is needed).
+/// A rigid transform as position and rotation vector. No orientation of a real set-up is singular: a rotation vector is
+/// regular up to a full turn, and half a turn is sufficient.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Placement {
     /// Origin \[m\].
     pub position_m: Vector3<f64>,
-    /// Axis times angle \[rad\].
+    /// Rotation vector: axis times angle \[rad\].
     pub rotation_rad: Vector3<f64>,
 }
 
 impl Placement {
-    /// The six numbers of a transform.
+    /// Position and rotation vector of a transform.
     pub fn of(pose: &Pose) -> Self {
-        // Through the quaternion: the matrix' own logarithm loses digits near zero and near half a turn.
+        // By way of the quaternion: the logarithm of the matrix loses digits near zero and near half a turn.
         let rotation = nalgebra::UnitQuaternion::from_rotation_matrix(&pose.rotation);
         Self { position_m: pose.translation.vector, rotation_rad: rotation.scaled_axis() }
     }
 
-    /// The transform.
+    /// The transform as position and rotation matrix.
     pub fn pose(&self) -> Pose {
         Pose::from_parts(self.position_m.into(), Rotation3::new(self.rotation_rad))
     }
 
-    /// One of its numbers \[m, rad\].
+    /// Mutable access to a coordinate \[m, rad\].
     pub fn coordinate_mut(&mut self, coordinate: Coordinate) -> &mut f64 {
         match coordinate {
             Coordinate::Position(axis) => &mut self.position_m[axis.index()],
@@ -71,17 +71,17 @@ impl Placement {
         }
     }
 
-    /// The same \[m, rad\].
+    /// Value of a coordinate \[m, rad\].
     pub fn coordinate(mut self, coordinate: Coordinate) -> f64 {
         *self.coordinate_mut(coordinate)
     }
 
-    /// Angular velocity, in the frame that the placement is given in, when one entry of the rotation vector grows at
-    /// unit speed: a column of the left Jacobian `1 + (1 - cos t)/t^2 [w] + (t - sin t)/t^3 [w]^2`, `t = |w|`.
+    /// Angular velocity, in the parent frame of the placement, per unit rate of one component of the rotation vector: a column
+    /// of the left Jacobian `1 + (1 - cos t)/t^2 [w] + (t - sin t)/t^3 [w]^2`, `t = |w|`.
     pub fn turning(&self, axis: Axis) -> Vector3<f64> {
         let w = self.rotation_rad;
         let squared = w.norm_squared();
-        // Both quotients cancel for small angles; their series there.
+        // For small angles both quotients suffer cancellation; use their series.
         let (once, twice) = if squared < 1e-4 {
             (
                 0.5 - squared / 24.0 + squared * squared / 720.0,
@@ -97,17 +97,17 @@ impl Placement {
     }
 }
 
-/// From where a row was measured, and what was seen.
+/// Station and target of a measured row.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct SetUp {
-    /// Station of the tracker from 0; the anchor of a wire.
+    /// Index of the tracker's station or the wire's anchor, from 0.
     pub station: usize,
-    /// Target on the flange from 0; where a wire is attached.
+    /// Index of the target on the flange or the wire's attachment, from 0.
     pub target: usize,
 }
 
 impl SetUp {
-    /// So many stations and targets have the rows of a file, of one each at least.
+    /// Number of stations and of targets in the rows of a file, at least one each.
     pub fn counts(all: impl Iterator<Item = Self> + Clone) -> [usize; 2] {
         let count = |of: fn(Self) -> usize| all.clone().map(of).max().map_or(1, |last| last + 1);
         [count(|one| one.station), count(|one| one.target)]
@@ -117,14 +117,14 @@ impl SetUp {
 /// A tracker that follows targets on the flange, from one station or several.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Tracker {
-    /// `root_from_tracker` of each station: where the tracker stands.
+    /// `root_from_tracker` of each station: the tracker's pose.
     pub places: Vec<Placement>,
-    /// `flange_from_probe` of each target: how it is mounted.
+    /// `flange_from_probe` of each target: its mounting pose.
     pub probes: Vec<Placement>,
 }
 
 impl Tracker {
-    /// Place and probe of a set-up; none of one that is not there.
+    /// Tracker pose and probe pose of a set-up; `None` if the set-up does not exist.
     pub fn at(&self, set_up: SetUp) -> Option<(&Placement, &Placement)> {
         Some((self.places.get(set_up.station)?, self.probes.get(set_up.target)?))
     }

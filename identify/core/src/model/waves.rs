@@ -1,35 +1,35 @@
-//! What comes back a whole number of times with each turn of an angle: errors of a robot's axis, of a bar's encoder, of the bar's
-//! length. Its Fourier series is the curve, `e(b) = sum_n a_n sin(n b) + c_n cos(n b)`.
+//! Periodic functions of an angle: errors of a robot axis, of a bar encoder, or of the bar's length. Each is a Fourier series,
+//! `e(b) = sum_n a_n sin(n b) + c_n cos(n b)`.
 //!
-//! - A robot's axis, over the angle of its drive's output: its encoder, the teeth of its last gear and the flexspline of a
-//!   harmonic drive. Once and twice per turn are terms of their own ([`super::JointTerm`]). Amplitudes are many and small, so
-//!   they are estimated with a prior, never free.
-//! - A bar's encoder, over its reading: once per turn is an eccentric grating, twice an elliptic or tilted one.
-//! - The bar's length, over the readings of its first two joints, which give it its direction: a bearing that is oval or has
-//!   three lobes moves the bar's end out and in. Once per turn is an axis beside its place, which the bar's base and the
-//!   encoders' waves already say; more lobes are flattened by the bearing's balls.
+//! - A robot axis, by the angle of its drive's output: encoder, teeth of the last gear, flexspline of a harmonic drive. Once
+//!   and twice per turn are separate terms ([`super::JointTerm`]). Amplitudes are many and small, so they are estimated with a
+//!   prior, never free.
+//! - A bar encoder, by its reading: an eccentric grating gives one wave per turn, an elliptic or tilted one gives two.
+//! - The bar's length, by the readings of its first two joints, which define its direction: an oval or three-lobed bearing
+//!   moves the bar's end radially. One wave per turn is an axis offset, which the bar's base and the encoder waves already
+//!   describe; the balls of the bearing average out higher orders.
 //!
-//! Phases of the bar's waves count from the recording's own zero of each encoder.
+//! The phases of the bar's waves refer to each encoder's offset in the recording.
 
 use std::fmt;
 use std::ops::RangeInclusive;
 
 use crate::kinematics::Turn;
 
-/// Which part of a wave.
+/// Sine or cosine component of a wave.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Phase {
-    /// Of the sine.
+    /// The sine component, `sin`.
     Sine,
-    /// Of the cosine.
+    /// The cosine component, `cos`.
     Cosine,
 }
 
 impl Phase {
-    /// Both.
+    /// Both components, sine first.
     pub const ALL: [Self; 2] = [Self::Sine, Self::Cosine];
 
-    /// A wave of amplitude one at an angle.
+    /// Value at an angle of a wave with unit amplitude.
     #[inline]
     pub fn wave(self, order: u8, angle: Turn) -> f64 {
         let Turn { sin, cos } = angle.times(order);
@@ -49,27 +49,27 @@ impl fmt::Display for Phase {
     }
 }
 
-/// The waves over one angle.
+/// A Fourier series over one angle.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Waves {
-    /// Waves per turn, amplitudes of sine and cosine; in ascending order.
+    /// Order (waves per turn) with amplitudes of sine and cosine; in ascending order.
     of_orders: Vec<(u8, [f64; 2])>,
 }
 
 impl Waves {
-    /// Waves per turn of a robot's axis.
+    /// Orders (waves per turn) of a robot axis.
     pub const OF_AXIS: RangeInclusive<u8> = 3..=127;
-    /// Of a bar's encoder.
+    /// Orders (waves per turn) of a bar encoder.
     pub const OF_ENCODER: RangeInclusive<u8> = 1..=2;
-    /// Of the bar's length.
+    /// Orders (waves per turn) of the bar's length.
     pub const OF_LENGTH: RangeInclusive<u8> = 2..=3;
 
-    /// Nobody has asked for any.
+    /// Whether the series has no entries.
     pub(super) fn is_none(&self) -> bool {
         self.of_orders.is_empty()
     }
 
-    /// One amplitude.
+    /// Mutable amplitude; a missing order is inserted with zero.
     pub fn amplitude_mut(&mut self, order: u8, phase: Phase) -> &mut f64 {
         let place =
             self.of_orders.binary_search_by_key(&order, |(order, _)| *order).unwrap_or_else(|place| {
@@ -79,7 +79,7 @@ impl Waves {
         &mut self.of_orders[place].1[phase as usize]
     }
 
-    /// Their sum at an angle, and its slope.
+    /// Value of the series at an angle, and its derivative with respect to the angle.
     #[inline]
     pub fn at(&self, angle: Turn) -> (f64, f64) {
         let mut reached: Option<(u8, Turn)> = None;
