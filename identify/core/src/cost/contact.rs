@@ -1,4 +1,4 @@
-//! A ball on the flange that is seated in sockets: nothing is measured but the robot's joints and which socket.
+//! A ball on the flange, seated in sockets: each sample consists of the robot's joints and the number of the socket.
 
 use nalgebra::Vector3;
 
@@ -6,16 +6,16 @@ use super::scene::unit;
 use super::{Movement, Residual, Scene};
 use crate::model::{Owner, ParameterId};
 
-/// `R ball - socket` \[m\], entries in the robot's base: `R` is the robot's pose. Divide by the standard deviation of a
+/// `R ball - socket` \[m\], entries in the robot's base; `R` is the robot's pose. Divide by the standard deviation of a
 /// coordinate.
 #[derive(Debug, Clone, Copy)]
 pub struct SeatedBall<'a> {
-    /// Socket of each sample.
+    /// Socket of each sample, from 0.
     pub sockets: &'a [usize],
 }
 
 impl Residual for SeatedBall<'_> {
-    /// The socket, and from the flange to the ball in the robot's base \[m\].
+    /// Index of the socket, and the vector from the flange to the ball in the robot's base \[m\].
     type Local = (usize, Vector3<f64>);
 
     const NAME: &'static str = "contact";

@@ -1,25 +1,25 @@
-//! Several data sets of one robot as one problem: other paths, bars and places of the bar, other instruments.
+//! Data sets of one robot as one problem: different paths, bars, positions of the bar, or instruments.
 
 use crate::model::{Model, ParameterId};
 use crate::solver::{Linearisation, Prior, Problem};
 
-/// Samples of one kind in standard deviations, whatever their residual.
+/// Whitened samples of one instrument, independent of the type of residual.
 pub trait DataSet: Problem {
-    /// [`Problem::at`] with the derivatives of each parameter in a column of the caller's choice.
+    /// [`Problem::at`], with the derivatives by each parameter in a column that the caller chooses.
     fn at_into<'a>(&'a self, x: &[f64], columns: &'a [usize]) -> Linearisation<'a>;
 }
 
-/// Where the columns of each run are among those of all runs.
+/// Map from the columns of each run to the columns of the joint problem.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SharedColumns {
-    /// For each run the column of each of its parameters.
+    /// For each run, the joint column of each of its parameters.
     of_run: Vec<Vec<usize>>,
     names: Vec<String>,
 }
 
 impl SharedColumns {
-    /// `own` tells which parameters each run has for itself; the others are those of the first run that has them. All of
-    /// the first run come first, in its order; those of run `n` alone are called `ox@n`.
+    /// `own` returns true for parameters that each run has for itself; all others are shared with the first run that has them.
+    /// Columns of the first run are first, in its order. Parameters that belong to run `n` only are named `ox@n`.
     pub fn new<'m>(models: impl IntoIterator<Item = &'m Model>, own: impl Fn(ParameterId) -> bool) -> Self {
         let mut shared: Vec<(ParameterId, usize)> = Vec::new();
         let mut columns = Self { of_run: Vec::new(), names: Vec::new() };
@@ -42,22 +42,22 @@ impl SharedColumns {
         columns
     }
 
-    /// Columns of one run, in the order of its model.
+    /// Joint columns of one run, in the order of its model.
     pub fn of_run(&self, run: usize) -> &[usize] {
         self.of_run.get(run).map_or(&[], Vec::as_slice)
     }
 
-    /// Names of all columns.
+    /// Names of all joint columns.
     pub fn names(&self) -> &[String] {
         &self.names
     }
 
-    /// The values of one run out of those of all.
+    /// The parameter values of one run, from those of the joint problem.
     pub fn values(&self, run: usize, x: &[f64]) -> Vec<f64> {
         self.of_run(run).iter().map(|&column| x.get(column).copied().unwrap_or_default()).collect()
     }
 
-    /// One value for each column, from each run's own values; the first run that has a column decides.
+    /// One value per joint column, from each run's own values. The first run that has a column provides its value.
     pub fn gather<T: Clone>(&self, of_runs: &[Vec<T>]) -> Vec<T> {
         let first = |column: usize| {
             let of_run = |(columns, values): (&Vec<usize>, &Vec<T>)| {
@@ -70,18 +70,18 @@ impl SharedColumns {
     }
 }
 
-/// Samples of all data sets one after the other.
+/// The samples of all data sets, one set after the other.
 pub struct DataSets<'a> {
     sets: Vec<Box<dyn DataSet + 'a>>,
     columns: &'a SharedColumns,
     rows: usize,
     priors: Vec<Prior>,
-    /// First sample of each set, and their total.
+    /// Index of the first sample of each set, then the total number of samples.
     starts: Vec<usize>,
 }
 
 impl<'a> DataSets<'a> {
-    /// `columns` are those of the sets' models.
+    /// Combines data sets; `columns` are those of the models of the sets.
     pub fn new(sets: Vec<Box<dyn DataSet + 'a>>, columns: &'a SharedColumns) -> Self {
         let mut starts = vec![0];
         for set in &sets {
@@ -91,7 +91,7 @@ impl<'a> DataSets<'a> {
         for (run, set) in sets.iter().enumerate() {
             for prior in set.priors() {
                 let Some(&column) = columns.of_run(run).get(prior.column) else { continue };
-                // What is known of a shared parameter is known once.
+                // A prior of a shared parameter counts once.
                 if priors.iter().all(|known| known.column != column) {
                     priors.push(Prior { column, ..*prior });
                 }
@@ -101,7 +101,7 @@ impl<'a> DataSets<'a> {
         Self { sets, columns, rows, priors, starts }
     }
 
-    /// First sample of each set, and their total.
+    /// Index of the first sample of each set, then the total number of samples.
     pub fn starts(&self) -> &[usize] {
         &self.starts
     }

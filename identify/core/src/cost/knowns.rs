@@ -1,11 +1,11 @@
-//! Rows, then what is known of an instrument's parts, as samples of their own.
+//! Rows, followed by the known properties of an instrument's parts as additional samples.
 
 use super::{CostError, DataSet, LoopProblem, Residual};
 use crate::instrument::Knowns;
 use crate::model::{Model, Observation, RobotMotion};
 use crate::solver::{Linearisation, Prior, Problem};
 
-/// Rows with their residual, then what is known.
+/// Rows with their residual, followed by known properties of the instrument.
 #[derive(Debug)]
 pub struct BesideKnowns<'a, R, M, K> {
     rows: LoopProblem<'a, R, M>,
@@ -13,7 +13,7 @@ pub struct BesideKnowns<'a, R, M, K> {
 }
 
 impl<'a, R: Residual, M: RobotMotion, K: Knowns> BesideKnowns<'a, R, M, K> {
-    /// `sigma` is the standard deviation of a residual of a row; knowns have their own.
+    /// `sigma` is the standard deviation of a row's residual; known properties have their own.
     ///
     /// # Errors
     /// [`CostError`].

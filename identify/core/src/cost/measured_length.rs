@@ -6,23 +6,23 @@ use super::scene::unit;
 use super::{Movement, Residual, Scene};
 use crate::model::{Owner, ParameterId, SetUp};
 
-/// `|R attachment - anchor| + offset - measured` over the sample's noise relative to that of the median one \[m\].
+/// `|R attachment - anchor| + offset - measured` \[m\], divided by the sample's noise relative to that of the median sample.
 #[derive(Debug, Clone, Copy)]
 pub struct MeasuredLength<'a> {
-    /// Standard deviation of each sample over that of the median one; a sample without has no value.
+    /// Standard deviation of each sample relative to that of the median sample; a sample without entry is ignored.
     pub relative_noise: &'a [f64],
-    /// Anchor and attachment of each sample; one without has no value.
+    /// Anchor and attachment of each sample; a sample without entry is ignored.
     pub set_ups: &'a [SetUp],
 }
 
-/// A wire in the root frame.
+/// The wire at one sample, in the root frame.
 #[derive(Debug, Clone, Copy)]
 pub struct Stretched {
     set_up: SetUp,
     relative_noise: f64,
-    /// From the robot's end to the attachment \[m\].
+    /// Vector from the robot's end to the attachment \[m\].
     attachment_m: Vector3<f64>,
-    /// From anchor to attachment \[m\].
+    /// Vector from anchor to attachment \[m\].
     along_m: Vector3<f64>,
 }
 
@@ -55,7 +55,7 @@ impl Residual for MeasuredLength<'_> {
 
     fn derivative(&self, scene: &Scene<'_>, wire: &Stretched, id: ParameterId, out: &mut [f64]) {
         let Stretched { set_up, relative_noise, attachment_m, along_m } = wire;
-        // At length zero it has no direction; there the derivative is taken as zero.
+        // At zero length the direction is undefined; the derivative is taken as zero.
         let direction = if along_m.norm() > 0.0 { along_m.normalize() } else { *along_m };
         let derivative = match (id, scene.movement(id)) {
             (_, Movement::Robot(twist)) => direction.dot(&(twist.linear + twist.angular.cross(attachment_m))),

@@ -1,4 +1,4 @@
-//! A pose measured at each pose of the robot: a tracker with a probe of six degrees of freedom on the flange.
+//! A pose measured at each pose of the robot: a tracker with a six-degree-of-freedom probe on the flange.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -8,31 +8,31 @@ use super::{Residual, Scene};
 use crate::kinematics::{Pose, rotation_vector};
 use crate::model::{Owner, ParameterId, SetUp};
 
-/// What a measured pose is worth, one standard deviation of each coordinate.
+/// Noise of a measured pose: standard deviation of each coordinate.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PoseNoise {
-    /// \[m\]
+    /// Standard deviation of each position coordinate \[m\].
     pub position_m: f64,
-    /// \[rad\]
+    /// Standard deviation of each component of the rotation vector \[rad\].
     pub rotation_rad: f64,
 }
 
-/// With `H = R probe` where the robot holds the probe and `S = T measured` where the tracker sees it: position of `H`
-/// minus `S` in the robot's base and rotation vector of `S^-1 H`, each over its standard deviation.
+/// `H = R probe` is the probe's pose by the robot, `S = T measured` that by the tracker. The residual is the position of `H`
+/// minus that of `S` in the robot's base, and the rotation vector of `S^-1 H`, each divided by its standard deviation.
 ///
-/// The measurements stand beside the observations, which only give the time: one for each, in the same order. A
-/// sample without one has no value.
+/// The observations only give the time. The measurements are a separate slice, in the same order, one per observation. A sample
+/// without measurement is ignored.
 #[derive(Debug, Clone, Copy)]
 pub struct MeasuredPose<'a> {
     /// `tracker_from_probe` of each sample.
     pub measured: &'a [Pose],
-    /// What each is worth.
+    /// Noise of each measurement.
     pub noise: &'a [PoseNoise],
-    /// Station and target of each.
+    /// Station and target of each measurement.
     pub set_ups: &'a [SetUp],
 }
 
-/// The two probes, and what turning them apart does to the rotation vector.
+/// Both poses of the probe, and the derivative of the rotation vector by their relative angular velocity.
 #[derive(Debug, Clone, Copy)]
 pub struct TurnedSighting {
     sighting: Sighting,
@@ -72,7 +72,7 @@ impl Residual for MeasuredPose<'_> {
 }
 
 impl TurnedSighting {
-    /// Six numbers in standard deviations.
+    /// Writes six numbers in units of their standard deviations.
     fn write(&self, linear_m: &Vector3<f64>, angular_rad: &Vector3<f64>, out: &mut [f64]) {
         let linear = linear_m / self.sighting.noise.position_m;
         let angular = angular_rad / self.sighting.noise.rotation_rad;

@@ -7,35 +7,35 @@ use super::{Movement, PoseNoise, Residual, Scene};
 use crate::kinematics::{Pose, Twist};
 use crate::model::{Coordinate, Owner, ParameterId, SetUp};
 
-/// `R probe - T measured`, entries in the robot's base over the standard deviation of a coordinate: `R` is the robot's pose, `T`
-/// the tracker's place.
+/// `R probe - T measured`, entries in the robot's base, divided by the standard deviation of a coordinate: `R` is the robot's
+/// pose, `T` the tracker's pose.
 ///
-/// The measurements stand beside the observations, which only give the time: one for each, in the same order. A
-/// sample without one has no value.
+/// The observations only give the time. The measurements are a separate slice, in the same order, one per observation. A
+/// sample without measurement is ignored.
 #[derive(Debug, Clone, Copy)]
 pub struct MeasuredPosition<'a> {
-    /// Of the reflector in the tracker's frame \[m\].
+    /// Position of the reflector in the tracker's frame \[m\].
     pub measured_m: &'a [Vector3<f64>],
-    /// What each is worth.
+    /// Noise of each measurement.
     pub noise: &'a [PoseNoise],
-    /// Station and target of each.
+    /// Station and target of each measurement.
     pub set_ups: &'a [SetUp],
 }
 
-/// The probe where the robot holds it and where the tracker sees it.
+/// The pose of the probe predicted by the robot and that observed by the tracker.
 #[derive(Debug, Clone, Copy)]
 pub struct Sighting {
-    /// `root_from_probe` by the robot.
+    /// `root_from_probe` predicted by the robot.
     pub(super) held: Pose,
-    /// `root_from_probe` by the tracker.
+    /// `root_from_probe` observed by the tracker.
     pub(super) seen: Pose,
-    /// What that is worth.
+    /// Noise of the observed pose.
     pub(super) noise: PoseNoise,
     set_up: SetUp,
 }
 
 impl Sighting {
-    /// None of a set-up that is not there.
+    /// Both poses at one sample; `None` if the set-up does not exist.
     pub(super) fn new(
         scene: &Scene<'_>,
         tracker_from_probe: &Pose,
@@ -47,12 +47,12 @@ impl Sighting {
         Some(Self { held, seen: place.pose() * tracker_from_probe, noise, set_up })
     }
 
-    /// From where the tracker sees it to where the robot holds it \[m\].
+    /// Predicted minus observed position, in the robot's base \[m\].
     pub(super) fn position_error_m(&self) -> Vector3<f64> {
         self.held.translation.vector - self.seen.translation.vector
     }
 
-    /// How the probe that is held moves away from the one that is seen when a parameter moves at unit speed.
+    /// Twist of the predicted probe relative to the observed one, per unit rate of a parameter.
     pub(super) fn parting(&self, scene: &Scene<'_>, id: ParameterId) -> Option<Twist> {
         use Coordinate::{Position, Rotation};
         let (place, probe) = scene.geometry.tracker.at(self.set_up)?;

@@ -1,7 +1,7 @@
-//! Residuals of the closed chain, and the problem that the solver gets.
+//! Residuals of the closed chain, and the least-squares problem for the solver.
 //!
-//! A cost says what its residual is and how it changes when the robot's end or the bar's end moves by a twist; where
-//! each parameter's twist comes from is said once, in [`Scene`]. A new cost is a new [`Residual`].
+//! A cost defines its residual and the residual's derivative by the twist of the robot's end or the bar's end. The twist per
+//! parameter is defined in one place, [`Scene`]. A new cost is a new [`Residual`].
 
 mod bar;
 mod contact;

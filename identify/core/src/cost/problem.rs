@@ -1,4 +1,4 @@
-//! A model, a motion, observations and a cost, as the least-squares problem that the solver gets.
+//! Model, motion, observations and cost as a least-squares problem for the solver.
 
 use nalgebra::Vector3;
 
@@ -7,7 +7,7 @@ use crate::kinematics::{BAR_JOINTS, Chain, ROD_LINK, Trace, Tracer, Turn};
 use crate::model::{Geometry, Model, MovingJoints, Observation, ParameterId, RobotMotion};
 use crate::solver::{Linearisation, Prior, Problem};
 
-/// Observations that a cost cannot use.
+/// Reason why a cost cannot use the observations.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum CostError {
     /// An encoder that the cost needs is missing.
@@ -15,31 +15,31 @@ pub enum CostError {
         "cost `{cost}` needs the encoder of bar joint {joint}, sample {sample} has none; choose another cost"
     )]
     NoEncoder {
-        /// Cost.
+        /// Name of the cost.
         cost: &'static str,
-        /// Joint from 1.
+        /// Bar joint, counted from 1.
         joint: usize,
-        /// Sample from 0.
+        /// Index of the sample, from 0.
         sample: usize,
     },
     /// The cost needs a measured length.
     #[error("cost `{cost}` needs a measured length, sample {sample} has none; choose another cost")]
     NoLength {
-        /// Cost.
+        /// Name of the cost.
         cost: &'static str,
-        /// Sample from 0.
+        /// Index of the sample, from 0.
         sample: usize,
     },
-    /// Something measured is not a number.
+    /// A measured value is not finite.
     #[error("sample {sample} has a value that is not finite; take it out of the data")]
     NotFinite {
-        /// Sample from 0.
+        /// Index of the sample, from 0.
         sample: usize,
     },
-    /// The unit of the residual must be positive.
+    /// The standard deviation of the residual must be positive.
     #[error("a residual's standard deviation of {sigma} makes no sense; give a number above zero")]
     BadSigma {
-        /// As given.
+        /// The standard deviation as given.
         sigma: f64,
     },
 }
@@ -50,7 +50,7 @@ pub struct LoopProblem<'a, R, M> {
     model: &'a Model,
     motion: &'a M,
     observations: &'a [Observation],
-    /// Sines and cosines of the bar's readings, the same for every step of a solve.
+    /// Sines and cosines of the bar's readings, which are constant in a solve.
     readings: Vec<[Turn; BAR_JOINTS]>,
     residual: R,
     ids: Vec<ParameterId>,
@@ -60,11 +60,11 @@ pub struct LoopProblem<'a, R, M> {
 }
 
 impl<'a, R: Residual, M: RobotMotion> LoopProblem<'a, R, M> {
-    /// `sigma` is the standard deviation of a residual entry in its own unit: residuals are divided by it, so that
-    /// priors and robust scales count in sigmas. With one and without priors the residual is as the cost defines it.
+    /// `sigma` is the standard deviation of a residual entry in its own unit. Residuals are divided by it, so that priors and
+    /// robust scales are in units of sigma. With `sigma` one and without priors the residual is as the cost defines it.
     ///
     /// # Errors
-    /// [`CostError`] where the observations are not what the cost needs.
+    /// [`CostError`] if the observations lack what the cost needs.
     pub fn new(
         model: &'a Model,
         motion: &'a M,
@@ -88,23 +88,23 @@ impl<'a, R: Residual, M: RobotMotion> LoopProblem<'a, R, M> {
 }
 
 impl<R, M> LoopProblem<'_, R, M> {
-    /// What the chains are of.
+    /// The model whose columns are estimated.
     pub(super) fn model(&self) -> &Model {
         self.model
     }
 
-    /// Each parameter in the column of its own number.
+    /// The identity map: each parameter in its own column.
     pub(super) fn own_columns(&self) -> &[usize] {
         &self.own_columns
     }
 
-    /// Parameters of the columns.
+    /// Parameter of each column.
     pub(super) fn ids(&self) -> &[ParameterId] {
         &self.ids
     }
 }
 
-/// Sines and cosines of what the bar's encoders show.
+/// Sines and cosines of the readings of the bar's encoders.
 pub(super) fn readings(observation: &Observation) -> [Turn; BAR_JOINTS] {
     observation.bar_rad.map(Turn::of)
 }
@@ -128,7 +128,7 @@ fn check<R: Residual>(sample: usize, observation: &Observation) -> Result<(), Co
     }
 }
 
-/// Chains made ready for one set of parameters, and scratch space.
+/// Chains prepared for one set of parameters, with scratch buffers.
 #[derive(Debug)]
 pub struct LoopPoint {
     geometry: Geometry,
@@ -156,7 +156,7 @@ impl LoopPoint {
         }
     }
 
-    /// Both chains at one observation; none where the robot's log does not cover it.
+    /// Both chains at one observation; `None` if the robot's log does not cover it.
     pub(super) fn scene<'a>(
         &'a mut self,
         motion: &impl RobotMotion,
@@ -197,7 +197,7 @@ impl LoopPoint {
 }
 
 impl<R: Residual, M: RobotMotion> LoopProblem<'_, R, M> {
-    /// [`DataSet::at_into`] where the parameters make this geometry.
+    /// [`DataSet::at_into`] for a geometry that was built from the parameters.
     pub(super) fn linearised<'a>(&'a self, geometry: Geometry, columns: &'a [usize]) -> Linearisation<'a> {
         let mut point = LoopPoint::new(geometry);
         Box::new(move |sample, residual, block| {

@@ -1,50 +1,50 @@
-//! One sample with everything that residuals are made of.
+//! One sample with all quantities that residuals need.
 
 use nalgebra::Vector3;
 
 use crate::kinematics::{BAR_JOINTS, Chain, LinkParameter, ROD_LINK, Trace, Tracer, Turn, Twist};
 use crate::model::{Axis, Geometry, MovingJoints, Observation, ParameterId};
 
-/// What a parameter moves.
+/// Effect of a parameter on the ends of the chains.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Movement {
-    /// The robot's end.
+    /// Moves the robot's end by this twist.
     Robot(Twist),
-    /// The bar's end, as far as the bar's joints and links determine.
+    /// Moves the bar's end by this twist, as given by the bar's joints and links.
     Bar(Twist),
-    /// Neither: the parameter stands in the residual itself.
+    /// Moves neither end; the parameter may occur in the residual itself.
     None,
 }
 
 /// Both chains at one sample.
 #[derive(Debug)]
 pub struct Scene<'a> {
-    /// Parameters.
+    /// Parameter values of the solve.
     pub geometry: &'a Geometry,
-    /// Number of the sample.
+    /// Index of the sample, from 0.
     pub sample: usize,
-    /// What was measured.
+    /// Measurement of the bar or wire at this sample.
     pub observation: &'a Observation,
     /// Sines and cosines of the bar's readings.
     pub readings: &'a [Turn; BAR_JOINTS],
-    /// Bar joints without the encoders' harmonics, in the first origin's zeros \[rad\]; offsets not yet added.
+    /// Bar joints corrected for encoder harmonics and counter origin \[rad\]; offsets (`btheta`) not yet added.
     pub bar_rad: [f64; BAR_JOINTS],
-    /// The bar on its base, as long as force and direction make it, and the same made ready for forward passes.
+    /// The bar on its base, its rod elongated by force and direction, and its tracer for forward passes.
     pub bar_chain: (&'a Chain, &'a Tracer),
-    /// Of the robot.
+    /// Joint states of the robot.
     pub joints: &'a MovingJoints,
-    /// The robot at this instant, its joints without their errors.
+    /// Trace of the robot at its corrected joints.
     pub robot: &'a Trace,
-    /// The bar as its encoders claim; without meaning where the cost needs no encoders.
+    /// Trace of the bar at its encoder angles; meaningless for a cost without encoders.
     pub bar: &'a Trace,
-    /// Motion of the robot's end per second of its clock.
+    /// Twist of the robot's end by its motion, per second of the robot's clock.
     pub robot_rate: Twist,
-    /// Where the base's second rotation has its axis.
+    /// Axis of the base's second rotation, in the root frame.
     pub(super) base_y: Vector3<f64>,
 }
 
 impl Scene<'_> {
-    /// What moves, and how, when a parameter moves at unit speed.
+    /// Twist of the robot's end or the bar's end per unit rate of a parameter.
     #[inline(always)]
     pub fn movement(&self, id: ParameterId) -> Movement {
         match id {
@@ -74,12 +74,12 @@ impl Scene<'_> {
                 let t_s = self.observation.t_s;
                 Movement::Robot(self.robot_rate.scaled(t_s))
             }
-            // Those of other instruments.
+            // Parameters of other instruments.
             _ => Movement::None,
         }
     }
 
-    /// How the end of the bar moves with a number of its links or of its base, where its joints stand as in `bar`.
+    /// Twist of the bar's end per unit rate of a parameter of its links or base, with the joints as in `bar`.
     #[inline(always)]
     pub fn bar_twist(&self, bar: &Trace, id: ParameterId) -> Option<Twist> {
         match id {
@@ -93,7 +93,7 @@ impl Scene<'_> {
         }
     }
 
-    /// How much longer the bar becomes with a parameter: its rod itself, what a force does to it, or its bearings.
+    /// Elongation of the bar per unit of a parameter: rod length, force response, or bearing waves.
     #[inline]
     pub fn elongation(&self, id: ParameterId) -> f64 {
         match id {
@@ -112,7 +112,7 @@ impl Scene<'_> {
         self.bar_chain.0.links.get(ROD_LINK).map_or(0.0, |rod| rod.d_m)
     }
 
-    /// `T(o) Rx(rx) Ry(ry)`: the second axis is carried along by the first.
+    /// `T(o) Rx(rx) Ry(ry)`: the first rotation carries the axis of the second.
     fn base_rotation(&self, axis: Axis, end_m: Vector3<f64>) -> Twist {
         let axis = match axis {
             Axis::X => Vector3::x(),
@@ -123,13 +123,13 @@ impl Scene<'_> {
     }
 }
 
-/// Unit vector along an axis.
+/// Unit vector along a coordinate axis.
 pub(super) fn unit(axis: Axis) -> Vector3<f64> {
     Vector3::ith(axis.index(), 1.0)
 }
 
-/// Waves and zeros of an encoder, and what follows its reading, are seen by costs that need the encoder; anything else
-/// is not in question.
+/// Whether a cost with these encoders can depend on the parameter. Harmonics and offsets of an encoder, and waves over its
+/// reading, need that encoder; all other parameters return true.
 pub(super) fn encoders_suffice(id: ParameterId, encoders: &[usize]) -> bool {
     match id {
         ParameterId::EncoderWave { joint, .. }
@@ -139,34 +139,34 @@ pub(super) fn encoders_suffice(id: ParameterId, encoders: &[usize]) -> bool {
     }
 }
 
-/// One cost function: a residual vector per sample and its derivative by each parameter.
+/// A cost function: a residual vector per sample and its derivatives by the parameters.
 pub trait Residual: Sync {
-    /// What a sample computes once for its residual and all derivatives.
+    /// Intermediate results of a sample, computed once for its residual and all derivatives.
     type Local;
     /// Name in reports and on the command line.
     const NAME: &'static str;
-    /// Entries of the residual.
+    /// Number of residual entries per sample.
     const ROWS: usize;
-    /// Encoders that must be there, joints from 0.
+    /// Joints (from 0) whose encoders are required.
     const ENCODERS: &'static [usize];
-    /// A measured length must be there.
+    /// Whether a measured length is required.
     const NEEDS_LENGTH: bool = false;
 
-    /// The parameter changes the residual; others need not be free.
+    /// Whether the parameter changes the residual; parameters that do not need not be free.
     fn depends_on(id: ParameterId) -> bool;
 
-    /// Named selections free the parameter with this cost: it depends on it and separates it from the others of the selection.
+    /// Whether named selections free the parameter with this cost: the residual depends on it and separates it from the others.
     fn identifies(id: ParameterId) -> bool {
         Self::depends_on(id)
     }
 
-    /// What this sample computes once; none where the residual has no value here.
+    /// Computes the intermediate results of a sample; `None` if the residual has no value there.
     fn local(&self, scene: &Scene<'_>) -> Option<Self::Local>;
 
-    /// The residual, `ROWS` entries.
+    /// Writes the residual, `ROWS` entries.
     fn residual(&self, scene: &Scene<'_>, local: &Self::Local, out: &mut [f64]);
 
-    /// Its derivative by one parameter, `ROWS` entries that come as zeros.
+    /// Writes the derivative by one parameter, `ROWS` entries that are zero on entry.
     fn derivative(&self, scene: &Scene<'_>, local: &Self::Local, id: ParameterId, out: &mut [f64]);
 }
 
@@ -201,12 +201,12 @@ impl<R: Residual> Residual for &R {
     }
 }
 
-/// The joint about the rod, from 0. Where its encoder is missing only the turn about the rod is unknown.
+/// Index (from 0) of the joint whose axis is the rod. Without its encoder only the rotation about the rod is unknown.
 pub(crate) const TORSION: usize = ROD_LINK;
-/// Encoders of the bar without it.
+/// Bar encoders without that of [`TORSION`].
 pub(super) const ALL_BUT_TORSION: &[usize] = &[0, 1, 3, 4];
 
-/// All five encoders.
+/// Indices of all five bar encoders.
 pub(super) const ALL_ENCODERS: &[usize] = &{
     let mut all = [0; BAR_JOINTS];
     let mut i = 0;

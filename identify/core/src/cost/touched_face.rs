@@ -1,5 +1,5 @@
-//! A tip on the flange that touches a flat face: nothing is measured but the robot's joints and which face, and with a gauge how far
-//! its plunger is pushed in.
+//! A tip on the flange that touches a flat face: each sample consists of the robot's joints, the number of the face and, with a
+//! gauge, the displacement of its plunger.
 
 use nalgebra::Vector3;
 
@@ -11,21 +11,21 @@ use crate::model::{FaceNumber, Owner, ParameterId};
 /// material, `p` and `R` are the robot's pose. Divide by the standard deviation of a distance.
 #[derive(Debug, Clone, Copy)]
 pub struct TouchedFace<'a> {
-    /// Face of each sample, and how far the plunger of a gauge is pushed in \[m\].
+    /// Face of each sample (from 0), and the displacement of the gauge's plunger \[m\], positive inwards.
     pub touched: &'a [(usize, f64)],
 }
 
-/// The tip over a face.
+/// The tip relative to a face.
 #[derive(Debug, Clone, Copy)]
 pub struct OverFace {
     face: usize,
     reading_m: f64,
     normal: Vector3<f64>,
     length: f64,
-    /// From the flange to the tip in the robot's base, and the tip \[m\].
+    /// `stem_m`: vector from the flange to the tip, in the robot's base; `tip_m`: position of the tip \[m\].
     stem_m: Vector3<f64>,
     tip_m: Vector3<f64>,
-    /// Of the tip from the face, along the normal \[m\].
+    /// Distance of the tip from the face, along the normal \[m\].
     height_m: f64,
 }
 

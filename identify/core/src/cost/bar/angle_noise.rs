@@ -1,21 +1,21 @@
-//! How large the noise of the angles is, from what is left of the poses that they give.
+//! Noise of the angles, estimated from the residuals of the poses that they give.
 //!
-//! Encoders and joints move a pose in different directions, so that the scatter of poses says how much comes from which: the
-//! covariance of a sample is `V = s_e^2 E + s_r^2 R + K`, with `E` and `R` what angles of variance one make of the pose and `K`
-//! what is known beside. Both variances are those of the greatest likelihood, by Fisher scoring (Rao 1971 for the equations;
-//! they need no good start: for any weights they are free of bias).
+//! Encoders and joints move a pose in different directions, so the scatter of the poses separates both noises. The covariance
+//! of a sample is `V = s_e^2 E + s_r^2 R + K`: `E` and `R` are the pose covariances for angles of unit variance, `K` is the
+//! known rest. Both variances are maximum likelihood estimates, by Fisher scoring (Rao 1971 for the equations; they need no
+//! good start, since they are unbiased for any weights).
 
 use nalgebra::{Matrix6, Vector6};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use crate::solver::GoodShare;
 
-/// White noise of the angles, one standard deviation.
+/// White noise of the angles, as standard deviations.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AngleNoise {
-    /// Of each bar encoder \[rad\].
+    /// Noise of each bar encoder \[rad\].
     pub encoder_rad: f64,
-    /// Of each robot joint \[rad\].
+    /// Noise of each robot joint \[rad\].
     pub robot_rad: f64,
 }
 
@@ -29,31 +29,31 @@ impl AngleNoise {
     }
 }
 
-/// The noise that residuals show.
+/// The noise estimated from residuals.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FoundNoise {
-    /// All that the model leaves, whether it is white or lasts.
+    /// Estimated noise: all of the residuals, white or correlated.
     pub noise: AngleNoise,
-    /// Correlation of what is left with what is left one sample later: zero of white noise, and the part of the variance that
-    /// lasts longer where some of it does.
+    /// Correlation of successive residuals: zero for white noise; if a part of the variance is slowly varying, the size of
+    /// that part.
     pub autocorrelation: f64,
-    /// One standard deviation of that for white noise.
+    /// Standard deviation of `autocorrelation` for white noise.
     pub autocorrelation_sigma: f64,
 }
 
-/// What is left of one sample, and what its angles make of it.
+/// Residual of one sample, with the covariances that its angles contribute.
 #[derive(Debug, Clone)]
 pub(in crate::cost) struct NoisySample {
     /// Position \[m\] and rotation \[rad\].
     pub residual: Vector6<f64>,
-    /// Covariance of it for encoders, and for robot joints, of variance one.
+    /// Covariance of the residual for unit variance of the encoders, and of the robot joints.
     pub by_angles: [Matrix6<f64>; 2],
-    /// Covariance from all else.
+    /// Covariance from all other sources.
     pub known: Matrix6<f64>,
 }
 
 impl NoisySample {
-    /// Covariance of the residual.
+    /// Covariance of the residual for the given noise.
     pub fn covariance(&self, noise: AngleNoise) -> Matrix6<f64> {
         self.at(noise.variances())
     }
@@ -63,18 +63,18 @@ impl NoisySample {
     }
 }
 
-/// Rows of a sample.
+/// Residual entries per sample.
 const ROWS: usize = 6;
-/// Samples that take part, at most: two numbers do not need more.
+/// Maximum number of samples used: two variances do not need more.
 const SAMPLES_MAX: usize = 3000;
-/// Angles are not taken to be better than this part of what is configured: below, interpolation and rounding have their say.
+/// Lower limit of the estimates, relative to the configured noise: below it, interpolation and rounding dominate.
 const BETTER_MAX: f64 = 0.1;
-/// Chance that a good sample is taken for an outlier, which has no say.
+/// Probability that a good sample is rejected as an outlier.
 const CUT: f64 = 1e-3;
 
 impl FoundNoise {
-    /// From samples in the order of time, those without a value being none, `columns` of whose numbers a fit has taken up.
-    /// None where too few are left to find it.
+    /// Noise estimated from samples in order of time (`None` where a sample has no value), after a fit of `columns` parameters.
+    /// `None` if there are too few samples.
     pub(in crate::cost) fn of(
         samples: &[Option<NoisySample>],
         columns: usize,
@@ -87,7 +87,7 @@ impl FoundNoise {
         if rows < 2 * columns {
             return None;
         }
-        // What a fit has taken up is missing in what it leaves.
+        // The fitted parameters reduce the residuals; this is the factor for their squares.
         let freedom = (rows - columns) as f64 / rows as f64;
         let thinned: Vec<&NoisySample> =
             present.iter().step_by(present.len().div_ceil(SAMPLES_MAX).max(1)).copied().collect();
@@ -107,7 +107,7 @@ impl FoundNoise {
     }
 }
 
-/// The variances of the next step, where samples weigh by these, none less than the `least`.
+/// One scoring step: new variances from samples weighted with the variances `at`, limited from below by `least`.
 fn step(samples: &[&NoisySample], at: [f64; 2], least: [f64; 2], freedom: f64) -> Option<[f64; 2]> {
     let weighed: Vec<(&NoisySample, Matrix6<f64>, Vector6<f64>)> = samples
         .iter()
@@ -143,18 +143,18 @@ fn step(samples: &[&NoisySample], at: [f64; 2], least: [f64; 2], freedom: f64) -
     found.iter().all(|variance| variance.is_finite()).then_some(found)
 }
 
-/// Trace of a product.
+/// Trace of the matrix product `a b`.
 fn trace(a: &Matrix6<f64>, b: &Matrix6<f64>) -> f64 {
     a.component_mul(&b.transpose()).sum()
 }
 
-/// Squared norm beyond which a sample is an outlier, from those of all.
+/// Limit of the squared norm beyond which a sample is an outlier, from the squared norms of all samples.
 fn cut(squared: impl Iterator<Item = f64>) -> Option<f64> {
     let spread = GoodShare::HALF.spread(squared.map(|squared| (squared, ROWS)));
     Some(spread.powi(2) * ChiSquared::new(ROWS as f64).ok()?.inverse_cdf(1.0 - CUT))
 }
 
-/// Correlation of neighbours, and its standard deviation for white noise.
+/// Correlation of successive whitened residuals, and its standard deviation for white noise.
 fn autocorrelation(samples: &[Option<NoisySample>], variances: [f64; 2]) -> Option<(f64, f64)> {
     let whitened =
         |sample: &NoisySample| sample.at(variances).cholesky()?.l().solve_lower_triangular(&sample.residual);
@@ -180,7 +180,7 @@ mod tests {
 
     use super::*;
 
-    /// Poses that five encoders and six joints move in directions of their own, every tenth by something else.
+    /// Poses moved by five encoders and six joints in random directions; optionally every tenth is an outlier.
     fn samples(truth: AngleNoise, outliers: bool) -> Vec<Option<NoisySample>> {
         let mut random = StdRng::seed_from_u64(5);
         let mut normal = move || random.sample::<f64, _>(StandardNormal);
@@ -213,7 +213,7 @@ mod tests {
                 let found = FoundNoise::of(&samples(truth, outliers), 0, start);
                 let FoundNoise { noise, autocorrelation, autocorrelation_sigma } =
                     found.unwrap_or_else(|| panic!("nothing"));
-                // The smaller of two that are far apart is lost in the larger.
+                // The smaller of two very different variances is poorly determined.
                 let within =
                     |found: f64, truth: f64, other: f64| (found - truth).abs() < 0.05 * truth + 0.1 * other;
                 assert!(within(noise.encoder_rad, truth.encoder_rad, truth.robot_rad), "{noise:?}");

@@ -1,4 +1,4 @@
-//! How far the two chains are from closing, sample by sample: what reports draw.
+//! Closure errors of the two chains, sample by sample, for the figures of reports.
 
 use nalgebra::Vector3;
 
@@ -9,37 +9,38 @@ use crate::model::{BarForce, Geometry, JointState, Observation, RobotMotion};
 /// The closed chain at one sample.
 #[derive(Debug, Clone)]
 pub struct Closure {
-    /// Bar clock, since the reference time \[s\].
+    /// Time on the bar's clock, since the reference time \[s\].
     pub t_s: f64,
-    /// Robot joints at that instant.
+    /// Reported robot joints at that instant.
     pub joints: JointState,
     /// Robot's end minus bar's end, in the robot's base \[m\].
     pub position_error_m: Vector3<f64>,
     /// Rotation from the bar's end to the robot's, in the robot's base \[rad\].
     pub turned_rad: Vector3<f64>,
-    /// Distance of the robot's end from the centre of the gimbal minus the bar's length under its force and in its direction \[m\].
+    /// Distance of the robot's end from the centre of the gimbal, minus the bar's length under its force and in its direction
+    /// \[m\].
     pub off_sphere_m: f64,
-    /// What the force adds to the bar's length \[m\].
+    /// Elongation of the bar by the force \[m\].
     pub by_force_m: f64,
-    /// On the bar.
+    /// Axial force on the bar.
     pub force: BarForce,
-    /// From the centre of the gimbal to the robot's end, in the robot's base, unit length.
+    /// Unit vector from the centre of the gimbal to the robot's end, in the robot's base.
     pub direction: Vector3<f64>,
-    /// Distance from the bar's nearest singular pose \[rad\].
+    /// Distance from the nearest singular pose of the bar \[rad\].
     pub margin_rad: f64,
-    /// How the robot's end moves with each joint.
+    /// Twist of the robot's end per unit rate of each joint.
     pub joint_twists: Vec<Twist>,
 }
 
 impl Closure {
-    /// Distance of the two ends; without encoders they do not tell where the bar's is, and it is that from its sphere \[m\].
+    /// Distance of the two ends; without encoders the bar's end is unknown, and this is the distance from its sphere \[m\].
     pub fn gap_m(&self, by_encoders: bool) -> f64 {
         if by_encoders { self.position_error_m.norm() } else { self.off_sphere_m.abs() }
     }
 }
 
-/// The closed chain at each observation, on one geometry. Joints without encoder must have been filled in.
-/// Observations outside the robot's log are left out.
+/// The closed chain at each observation, for one geometry. Joints without encoder must have been filled in.
+/// Observations outside the robot's log are omitted.
 pub fn closures(
     geometry: &Geometry,
     motion: &impl RobotMotion,

@@ -1,14 +1,14 @@
-//! Angles for the bar's joints that have no encoder.
+//! Angles of the bar's joints that have no encoder.
 
 use super::position_angles::measured;
 use crate::kinematics::{BAR_JOINTS, ImpliedBar, Tracer};
 use crate::model::{Geometry, MovingJoints, Observation, RobotMotion};
 
-/// Sets the angle of each joint without encoder to the one that the robot's pose implies on this geometry.
+/// Sets the angle of each joint without encoder to the value implied by the robot's pose on this geometry.
 ///
-/// Costs for fewer encoders hang on these joints only by lever arms of a fraction of a millimetre, so the geometry need
-/// not be exact: after a solve, filling in once more and solving again takes the rest away. Samples outside the robot's
-/// log stay as they are.
+/// Costs that need fewer encoders depend on these joints only through lever arms of a fraction of a millimetre, so the
+/// geometry need not be exact: filling in again after a solve and solving once more removes the remaining error. Samples
+/// outside the robot's log are not changed.
 pub fn fill_in(geometry: &Geometry, motion: &impl RobotMotion, observations: &mut [Observation]) {
     let bar = geometry.bar_chain();
     let (tracer, mut joints) = (Tracer::new(&bar), MovingJoints::default());

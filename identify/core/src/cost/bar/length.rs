@@ -1,4 +1,4 @@
-//! The bar as a distance: no encoders needed.
+//! The bar as a distance; needs no encoders.
 
 use nalgebra::Vector3;
 
@@ -6,13 +6,13 @@ use crate::cost::{Movement, Residual, Scene};
 use crate::kinematics::LinkParameter;
 use crate::model::{Group, Owner, ParameterId};
 
-/// `|R_p - o|^2 - L^2` (thesis eq. 2.1): the robot's end lies on the sphere of the bar \[m^2\]. `L` is `bd3` and what the
-/// force and the direction at the sample add to it.
+/// `|R_p - o|^2 - L^2` (thesis eq. 2.1): the robot's end lies on the sphere of the bar \[m^2\]. `L` is `bd3` plus the
+/// elongation by force and direction.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Length;
 
 impl Residual for Length {
-    /// From the bar's base to the robot's end \[m\].
+    /// Vector from the bar's base to the robot's end \[m\].
     type Local = Vector3<f64>;
 
     const NAME: &'static str = "length";
@@ -21,7 +21,7 @@ impl Residual for Length {
 
     fn depends_on(id: ParameterId) -> bool {
         match id {
-            // The last twist turns the end frame about its own origin.
+            // The last rotation turns the end frame about its own origin.
             ParameterId::Robot { link, parameter } => {
                 link != 5 || !matches!(parameter, LinkParameter::Alpha | LinkParameter::Beta)
             }
@@ -31,8 +31,8 @@ impl Residual for Length {
     }
 
     fn identifies(id: ParameterId) -> bool {
-        // A robot on the sphere moves along it: when a sample was taken makes no difference but noise. Without encoders
-        // nothing says in which direction the bar points.
+        // The robot moves along the sphere, so the time of a sample affects the residual only through noise. Without encoders
+        // the direction of the bar is unknown.
         let of_clock = id.group() == Group::Clock;
         let of_reading = matches!(id, ParameterId::BarWave { .. });
         !of_clock && !of_reading && Self::depends_on(id)

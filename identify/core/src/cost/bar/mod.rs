@@ -1,4 +1,4 @@
-//! Costs of the ball-bar: what of the chain that it closes is compared, and what its angles are worth.
+//! Costs of the ball-bar: the compared quantities of the closed chain, and the noise of its angles.
 
 pub(in crate::cost) mod angle_noise;
 pub(in crate::cost) mod closure;

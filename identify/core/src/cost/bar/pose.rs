@@ -1,4 +1,4 @@
-//! The whole pose, each number weighed by what it is worth: all five encoders, or all but that of joint 3.
+//! The whole pose, whitened by its covariance: with all five encoders, or with all except that of joint 3.
 
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
@@ -9,39 +9,38 @@ use crate::cost::{AngleNoise, FoundNoise, Movement, Residual, Scene};
 use crate::kinematics::{LinkParameter, ROD_LINK, Trace, Twist, rotation_vector};
 use crate::model::{Geometry, Observation, Owner, ParameterId, RobotMotion};
 
-/// Standard deviation that is added in each direction \[m, rad\]: keeps a direction that neither chain's noise reaches,
-/// near a singular pose, from weighing without limit.
+/// Standard deviation added in each direction \[m, rad\]. It limits the weight of directions that neither chain's noise
+/// reaches, near a singular pose.
 const FLOOR: f64 = 1e-7;
-/// An angle without encoder is as good as unknown: beside microradians this leaves it without weight, and covariances can
-/// still be factorised \[rad\].
+/// Standard deviation of an angle without encoder \[rad\]. Compared with microradians it has practically no weight, and
+/// the covariance can still be factorised.
 const UNKNOWN_RAD: f64 = 0.1;
 
-/// Position \[m\] and rotation vector \[rad\] of `B^-1 R`, whitened: six numbers of standard deviation one.
+/// Position \[m\] and rotation vector \[rad\] of `B^-1 R`, whitened: six numbers with unit standard deviation.
 ///
-/// The covariance of a sample is what the noise of its eleven angles propagates into it. It is frozen: computed once, on
-/// the geometry given to [`WhitenedPose::new`], and the same for every step of a solve, so that residual and derivative
-/// belong to one function. Errors of millimetres change it by thousandths; whiten again at the solution and solve once
-/// more where that matters.
+/// The covariance of a sample is propagated from the noise of its eleven angles. It is computed once, on the geometry given
+/// to [`WhitenedPose::new`], and is constant in a solve, so that residual and derivative belong to one function. Errors of
+/// millimetres change it by thousandths. If that matters, whiten again at the solution and solve once more.
 ///
-/// Weights in metres that are frozen would reward a smaller world, whose positions are nearer to each other: by sigmas, where
-/// nothing but a prior fixes the scale. So the weights of positions follow the length of the rod.
+/// Constant weights of positions in metres would favour a smaller scale, by several sigmas if only a prior fixes the scale:
+/// distances shrink with it. The weights of positions are therefore inversely proportional to the length of the rod.
 ///
-/// Without encoder 3 the turn about the rod is not known, and what it moves has no weight.
+/// Without encoder 3 the rotation about the rod is unknown; directions that it moves have no weight.
 #[derive(Debug, Clone)]
 pub struct PoseByNoise<const ENCODER_3: bool> {
-    /// Inverse of the Cholesky factor of each sample's covariance; none where the sample has no value.
+    /// Inverse of the Cholesky factor of each sample's covariance; `None` if the sample has no value.
     whitening: Vec<Option<Matrix6<f64>>>,
-    /// Length of the rod for which that is \[m\].
+    /// Length of the rod for which `whitening` was computed \[m\].
     rod_m: f64,
 }
 
-/// With all five encoders.
+/// The cost with all five encoders.
 pub type WhitenedPose = PoseByNoise<true>;
-/// With encoders 1, 2, 4 and 5.
+/// The cost with encoders 1, 2, 4 and 5.
 pub type WhitenedPoseOfFour = PoseByNoise<false>;
 
 impl<const ENCODER_3: bool> PoseByNoise<ENCODER_3> {
-    /// Whitening of each observation on this geometry.
+    /// Computes the whitening of each observation on this geometry.
     pub fn new(
         geometry: &Geometry,
         motion: &impl RobotMotion,
@@ -55,8 +54,8 @@ impl<const ENCODER_3: bool> PoseByNoise<ENCODER_3> {
         Self { whitening: whitening.collect(), rod_m: rod_m(geometry) }
     }
 
-    /// The noise that the observations show on the geometry of a fit with so many columns, sought from `start` on; none where
-    /// they are too few.
+    /// Noise estimated from the observations on a geometry fitted with a number of `columns`, iterated from `start`; `None` if
+    /// there are too few observations.
     pub fn noise(
         geometry: &Geometry,
         motion: &impl RobotMotion,
@@ -81,12 +80,12 @@ impl<const ENCODER_3: bool> PoseByNoise<ENCODER_3> {
     }
 }
 
-/// Length of the rod, by which positions scale \[m\].
+/// Length of the rod, to which the weights of positions refer \[m\].
 fn rod_m(geometry: &Geometry) -> f64 {
     geometry.bar_links.get(ROD_LINK).map_or(1.0, |rod| rod.d_m)
 }
 
-/// Pose of the robot's end seen from the bar's, and how it moves with either.
+/// Pose of the robot's end relative to the bar's end, with its derivatives by the twists of both ends.
 struct Seen {
     value: Vector6<f64>,
     by_robot: Matrix6<f64>,
@@ -114,7 +113,7 @@ impl Seen {
 /// `d log(Q) = J dw` for `dQ = [dw] Q` at rotation vector `w`: `1 - [w]/2 + c [w]^2`.
 pub(in crate::cost) fn inverse_left_jacobian(w: &Vector3<f64>) -> Matrix3<f64> {
     let squared = w.norm_squared();
-    // 1/t^2 - cot(t/2)/(2t) cancels for small angles; its series there.
+    // For small angles 1/t^2 - cot(t/2)/(2t) suffers cancellation; use its series.
     let c = if squared < 1e-2 {
         1.0 / 12.0 + squared * (1.0 / 720.0 + squared * (1.0 / 30240.0 + squared / 1_209_600.0))
     } else {
@@ -149,13 +148,13 @@ fn noisy<const ENCODER_3: bool>(scene: &Scene<'_>) -> NoisySample {
     NoisySample { residual: seen.value, by_angles, known }
 }
 
-/// The whitened residual and what it makes of twists of either end (linear, then angular).
+/// The whitened residual and its derivatives by the twists of both ends (linear, then angular).
 #[derive(Debug, Clone)]
 pub struct Whitened {
     residual: Vector6<f64>,
     by_robot: Matrix6<f64>,
     by_bar: Matrix6<f64>,
-    /// What a longer rod makes of the weights.
+    /// Derivative of the whitened residual through the weights, by the length of the rod.
     by_scale: Vector6<f64>,
 }
 

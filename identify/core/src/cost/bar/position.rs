@@ -9,17 +9,17 @@ use crate::model::{Owner, ParameterId};
 
 /// `R_p - B_p` \[m\] (thesis eq. 2.2).
 ///
-/// The bar's point hangs on joints 3 to 5 only by lever arms that are zero in the design (`ba3 ba4 ba5 bd4 bd5`). Where
+/// The bar's point depends on joints 3 to 5 only through lever arms that are nominally zero (`ba3 ba4 ba5 bd4 bd5`). If
 /// these joints have no encoder their angles must be filled in, see [`super::fill_in`].
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Position;
 
-/// Robot minus bar \[m\].
+/// Position of the robot's end minus that of the bar's end \[m\].
 pub(in crate::cost) fn difference(scene: &Scene<'_>) -> Vector3<f64> {
     scene.robot.position_m() - scene.bar.position_m()
 }
 
-/// How [`difference`] changes with a parameter.
+/// Derivative of [`difference`] by a parameter.
 #[inline]
 pub(in crate::cost) fn derivative(scene: &Scene<'_>, id: ParameterId) -> Vector3<f64> {
     match scene.movement(id) {
@@ -38,11 +38,11 @@ impl Residual for Position {
 
     fn depends_on(id: ParameterId) -> bool {
         match id {
-            // The last twist turns the end frame about its own origin.
+            // The last rotation turns the end frame about its own origin.
             ParameterId::Robot { link: 5, parameter } => {
                 !matches!(parameter, LinkParameter::Alpha | LinkParameter::Beta)
             }
-            // So do the angles of cardan and rod, as long as it has no lever arms.
+            // So do the angles of cardan and rod, if the lever arms are zero.
             ParameterId::Bar { link: 2..=4, parameter } => {
                 matches!(parameter, LinkParameter::A | LinkParameter::D)
             }
@@ -51,7 +51,7 @@ impl Residual for Position {
     }
 
     fn identifies(id: ParameterId) -> bool {
-        // `ba2` moves the rod's end sideways, as `btheta2` does: without the cardan's angles the two are one.
+        // `ba2` moves the rod's end sideways, as `btheta2` does: without the cardan's angles the two are not separable.
         id != ParameterId::Bar { link: 1, parameter: LinkParameter::A } && Self::depends_on(id)
     }
 

@@ -8,22 +8,22 @@ use crate::cost::{Movement, Residual, Scene};
 use crate::kinematics::{BAR_JOINTS, ImpliedBar, LinkParameter, Turn};
 use crate::model::{Observation, Owner, ParameterId};
 
-/// `R_p - B_p` \[m\], `sin(b4^ - b4)` and `sin(b5^ - b5)` (thesis eq. 2.3); `b^` are the joints that the robot's pose
-/// implies, see [`ImpliedBar`]. Metres and sines weigh the same, as there.
+/// `R_p - B_p` \[m\], `sin(b4^ - b4)` and `sin(b5^ - b5)` (thesis eq. 2.3); `b^` are the joints implied by the robot's
+/// pose, see [`ImpliedBar`]. As in the thesis, metres and sines have equal weights.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct PositionAngles;
 
 /// Joints whose angles are compared.
 const COMPARED: [usize; 2] = [3, 4];
 
-/// What the robot's pose implies of the bar, less what was measured.
+/// Bar joints implied by the robot's pose, and their differences from the measured ones.
 #[derive(Debug, Clone)]
 pub struct Compared {
     implied: ImpliedBar,
     differences: [Turn; COMPARED.len()],
 }
 
-/// Measured joints, none where there is no encoder.
+/// Angle of each bar joint \[rad\]; `None` for joints without encoder.
 pub(in crate::cost) fn measured(observation: &Observation) -> [Option<f64>; BAR_JOINTS] {
     std::array::from_fn(|joint| observation.measured[joint].then_some(observation.bar_rad[joint]))
 }
@@ -36,7 +36,7 @@ impl Residual for PositionAngles {
     const ENCODERS: &'static [usize] = ALL_BUT_TORSION;
 
     fn depends_on(id: ParameterId) -> bool {
-        // Joint 3 is in neither: its zero moves the implied angle 3 alone.
+        // The residual does not contain joint 3: its offset changes the implied angle 3 only.
         id != ParameterId::Bar { link: TORSION, parameter: LinkParameter::Theta }
             && id.affects(Owner::BallBar)
             && encoders_suffice(id, Self::ENCODERS)
@@ -63,7 +63,7 @@ impl Residual for PositionAngles {
         position.copy_from_slice(derivative(scene, id).as_slice());
         let joints = match (scene.movement(id), id) {
             (Movement::Robot(twist), _) => implied.by_pose(&twist),
-            // The measured joint changes, the implied one does not.
+            // The parameter changes the measured joint, not the implied one.
             (_, ParameterId::EncoderWave { joint, order, phase }) => {
                 let wave = phase.wave(order, scene.readings[joint]);
                 Vector5::from_fn(|i, _| if i == joint { wave } else { 0.0 })

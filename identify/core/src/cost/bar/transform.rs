@@ -7,8 +7,8 @@ use crate::cost::{Movement, Residual, Scene};
 use crate::kinematics::Twist;
 use crate::model::{Owner, ParameterId};
 
-/// The twelve entries of `R - B` (thesis eq. 2.4), columns of the rotation, then the position \[m\]. Metres and matrix
-/// entries weigh the same, as there.
+/// The twelve entries of `R - B` (thesis eq. 2.4): columns of the rotation, then the position \[m\]. As in the thesis,
+/// metres and matrix entries have equal weights.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Transform;
 
@@ -19,7 +19,7 @@ fn moved(twist: &Twist, rotation: &Matrix3<f64>, sign: f64, out: &mut [f64]) {
     let w: Vector3<f64> = twist.angular * sign;
     let (v, r) = (twist.linear * sign, rotation);
     [out[9], out[10], out[11]] = v.into();
-    // A shift turns nothing: the rest stays zero.
+    // A translation does not rotate: the other entries stay zero.
     if w == Vector3::zeros() {
         return;
     }
