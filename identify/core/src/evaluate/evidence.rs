@@ -1,4 +1,4 @@
-//! Everything that a report draws, from one calibration.
+//! All data that the report of a calibration shows.
 
 use super::limits::gap_m;
 use super::{
@@ -14,23 +14,23 @@ use crate::prepare::Prepared;
 use crate::solver::Watch;
 use crate::threads::each;
 
-/// What one run of a calibration shows.
+/// Results of one run of a calibration.
 #[derive(Debug, Clone)]
 pub struct RunEvidence {
-    /// Each sample with the nominal robot, the bar fitted to it.
+    /// Closure of each sample with the nominal robot and the bar fitted to it.
     pub before: Vec<Closure>,
-    /// Each sample at the solution.
+    /// Closure of each sample at the solution.
     pub after: Vec<Closure>,
-    /// Gap against time shift, wide.
+    /// Gap against time shift over a wide range.
     pub shift_wide: ShiftCurve,
-    /// The same about the minimum.
+    /// Gap against time shift near the minimum.
     pub shift_near: ShiftCurve,
 }
 
 impl RunEvidence {
-    /// Of a run whose model is at the solution.
+    /// Results of a run whose model is at the solution.
     pub fn new(prepared: &Prepared, model: &Model) -> Self {
-        /// Reach of the two curves \[s\]: that of the thesis' figure 5.5, and the neighbourhood of the minimum.
+        /// Half widths of the two curves \[s\]: that of figure 5.5 in the thesis, and the neighbourhood of the minimum.
         const WIDE_S: f64 = 0.2;
         const NEAR_S: f64 = 0.005;
         const STEPS: usize = 20;
@@ -48,35 +48,35 @@ impl RunEvidence {
     }
 }
 
-/// What one calibration shows.
+/// Results of a calibration.
 #[derive(Debug, Clone)]
 pub struct Evidence {
-    /// Position gaps need encoders; without any only the distance from the sphere means something.
+    /// Whether any bar joint has an encoder; without encoders only the distance from the sphere is known.
     pub by_encoders: bool,
-    /// Rotations need all five.
+    /// Whether rotations are known, which needs all five encoders.
     pub rotations: bool,
-    /// Each run, the first one first.
+    /// Results of each run, in order.
     pub runs: Vec<RunEvidence>,
     /// Gap with the nominal robot, all runs \[m\].
     pub gap_before_m: Quantiles,
     /// Gap at the solution, all runs \[m\].
     pub gap_after_m: Quantiles,
-    /// The samples of all runs at the solution, from each joint.
+    /// Residuals of all runs at the solution, per robot joint and sample.
     pub joints: Vec<Vec<JointGap>>,
-    /// How far the robot's end is from the bar's sphere, in each run.
+    /// Deviation of the robot's end from the bar's sphere, per run.
     pub spheres: Vec<SphereDeviation>,
-    /// Expected error over the workspace.
+    /// Expected position error over the workspace.
     pub workspace: WorkspaceError,
-    /// What limits the result.
+    /// Limitations of the result.
     pub limits: Vec<Limit>,
-    /// Prediction of segments that no fit has seen, where somebody asked for it.
+    /// Prediction of held-out segments; `None` if not requested.
     pub held_out: Option<HeldOut>,
-    /// The best fit of each deployment that leaves something out, and its prediction of the same segments, where somebody asked
-    /// for it; without those that do not converge.
+    /// The best fit of each partial deployment with its prediction of the held-out segments, if requested; deployments whose
+    /// fit does not converge are omitted.
     pub deployed: Vec<(Deployed, HeldOut)>,
 }
 
-/// Looks at a calibration.
+/// Computes the results of a calibration; `joint_limits` are those of the model's joints.
 pub fn evidence(calibration: &Calibration, joint_limits: &[[f64; 2]]) -> Evidence {
     let runs: Vec<RunEvidence> =
         calibration.bar_runs().map(|(prepared, model)| RunEvidence::new(prepared, model)).collect();
@@ -102,11 +102,11 @@ pub fn evidence(calibration: &Calibration, joint_limits: &[[f64; 2]]) -> Evidenc
 }
 
 impl Evidence {
-    /// Adds what the calibration and its deployments predict of segments of the ball-bar's runs that no fit has seen, and the error of
-    /// each deployment that is expected over the workspace: some solves more. `joint_limits` as for [`evidence`].
+    /// Adds the predictions of held-out ball-bar segments by the calibration and its deployments, and the expected error of
+    /// each deployment over the workspace. This needs more solves. `joint_limits` as for [`evidence`].
     ///
     /// # Errors
-    /// [`CalibrateError`] where `watch` ended it.
+    /// [`CalibrateError`] if a solve fails or `watch` cancels it.
     pub fn with_validation(
         mut self,
         calibration: &Calibration,

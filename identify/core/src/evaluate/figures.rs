@@ -1,22 +1,22 @@
-//! Figures of a set of numbers.
+//! Summary statistics of a set of numbers.
 
 use crate::statistics::quantile;
 
-/// Mean, median, 95 % and largest of a set.
+/// Mean, median, 95 % quantile and maximum of a set.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Quantiles {
     /// Arithmetic mean.
     pub mean: f64,
-    /// Half of the set is below.
+    /// 50 % quantile of the set.
     pub median: f64,
-    /// 95 % of the set is below.
+    /// 95 % quantile of the set.
     pub p95: f64,
-    /// Largest.
+    /// Largest value of the set.
     pub max: f64,
 }
 
 impl Quantiles {
-    /// Of a set; zeros for an empty one.
+    /// Statistics of a set; zeros for an empty one.
     pub fn of(mut values: Vec<f64>) -> Self {
         let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
         let [median, p95, max] = [0.5, 0.95, 1.0].map(|part| quantile(&mut values, part));
@@ -24,7 +24,7 @@ impl Quantiles {
     }
 }
 
-/// Root of the mean square; zero for an empty set.
+/// Root mean square; zero for an empty set.
 pub fn rms(values: impl Iterator<Item = f64>) -> f64 {
     let (count, sum) = values.fold((0usize, 0.0), |(count, sum), value| (count + 1, sum + value * value));
     (sum / count.max(1) as f64).sqrt()

@@ -1,27 +1,27 @@
-//! Residuals by joint: which turn of one robot joint would close most of the gap between robot and bar.
+//! Residuals by joint: the rotation of one robot joint that closes most of the gap between robot and bar.
 
 use crate::cost::Closure;
 
-/// One sample seen from one joint.
+/// The gap at one sample, expressed as an error of one joint.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct JointGap {
-    /// The joint as the robot reports it \[rad\].
+    /// Reported joint angle \[rad\].
     pub q_rad: f64,
-    /// Its speed \[rad/s\].
+    /// Reported joint speed \[rad/s\].
     pub qd_rad_s: f64,
-    /// By how much it would have to turn on to bring the robot's end nearest to the bar's \[rad\].
+    /// Additional rotation that brings the robot's end nearest to the bar's end \[rad\].
     pub turn_rad: f64,
 }
 
-/// Per robot joint (of so many) and sample: the least-squares turn of this joint alone.
+/// The least-squares rotation of each robot joint alone, per joint and sample; `axes` is the number of joints.
 ///
-/// Position only; joints that hardly move the end at a sample (lever arm below a tenth of a metre) have no say there.
-/// An error of the joint's gear shows as a wave over its angle, backlash as two branches by direction.
+/// Uses positions only. A sample is omitted for joints that hardly move the end (lever arm below a tenth of a metre).
+/// A gear error appears as a wave over the joint angle, backlash as two branches by direction.
 pub fn joint_gaps<'a>(
     axes: usize,
     closures: impl Iterator<Item = &'a Closure> + Clone,
 ) -> Vec<Vec<JointGap>> {
-    /// \[m\]
+    /// Minimum lever arm \[m\].
     const LEVER_MIN_M: f64 = 0.1;
     let of_joint = |joint: usize| {
         let seen = |closure: &Closure| {

@@ -1,4 +1,4 @@
-//! Robot against bar on segments of time that no fit has seen, before and after calibration.
+//! Robot against bar on held-out segments of time, before and after calibration.
 
 use super::nominal::bar_fitted;
 use super::{rms, uncalibrated};
@@ -8,23 +8,23 @@ use crate::cost::{Closure, closures};
 use crate::kinematics::LinkParameter;
 use crate::model::{Geometry, Model, Observation, ParameterId};
 
-/// Robot against bar at one sample.
+/// Difference between robot and bar at one sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PoseError {
-    /// Bar clock, since the run's reference time \[s\].
+    /// Time on the bar's clock, since the run's reference time \[s\].
     pub t_s: f64,
     /// Distance of the two ends; without encoders the distance from the bar's sphere \[m\].
     pub position_m: f64,
-    /// Angle between them \[rad\].
+    /// Rotation angle between the two ends \[rad\].
     pub rotation_rad: f64,
 }
 
-/// Root mean squares over some samples.
+/// Root mean square errors over a number of samples.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct PoseErrorRms {
-    /// \[m\]
+    /// Root mean square of the position error \[m\].
     pub position_m: f64,
-    /// \[rad\]
+    /// Root mean square of the rotation angle \[rad\].
     pub rotation_rad: f64,
 }
 
@@ -37,44 +37,44 @@ impl PoseErrorRms {
     }
 }
 
-/// One segment.
+/// Errors of one held-out segment.
 #[derive(Debug, Clone, PartialEq)]
 pub struct HeldOutSegment {
-    /// Number of its run, from 0.
+    /// Index of its run, from 0.
     pub run: usize,
-    /// Nominal robot, the bar fitted to it on the rest of the run.
+    /// Errors of the nominal robot, with the bar fitted to it on the rest of the run.
     pub nominal: Vec<PoseError>,
-    /// Robot, bar and clocks as fitted to everything else; with a cost that leaves encoders out, the bar fitted as to the nominal
+    /// Errors of the fit to all other data. With a cost that needs fewer encoders, the bar is fitted as for the nominal
     /// robot.
     pub predicted: Vec<PoseError>,
-    /// The whole fit, which has seen the segment.
+    /// Errors of the full fit, which includes the segment.
     pub fitted: Vec<PoseError>,
 }
 
 impl HeldOutSegment {
-    /// First and last sample, bar clock since the run's reference time \[s\].
+    /// Times of the first and last sample on the bar's clock, since the run's reference time \[s\].
     pub fn span_s(&self) -> [f64; 2] {
         let at = |one: Option<&PoseError>| one.map_or(0.0, |one| one.t_s);
         [at(self.fitted.first()), at(self.fitted.last())]
     }
 
-    /// Root mean squares: nominal, predicted, fitted.
+    /// Root mean square errors: nominal, predicted, fitted.
     pub fn rms(&self) -> [PoseErrorRms; 3] {
         [&self.nominal, &self.predicted, &self.fitted].map(|samples| PoseErrorRms::of(samples.iter()))
     }
 }
 
-/// All segments of all runs.
+/// All held-out segments of all runs.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct HeldOut {
-    /// In the order of runs and time, but those that the rest could not predict.
+    /// Segments in the order of runs and time, without those that the other data could not predict.
     pub segments: Vec<HeldOutSegment>,
-    /// Segments without which the parameters are not determined.
+    /// Number of segments whose remaining data do not determine the parameters.
     pub undetermined: usize,
 }
 
 impl HeldOut {
-    /// Root mean squares over all segments: nominal, predicted, fitted.
+    /// Root mean square errors over all segments: nominal, predicted, fitted.
     pub fn rms(&self) -> [PoseErrorRms; 3] {
         let all =
             |of: fn(&HeldOutSegment) -> &Vec<PoseError>| PoseErrorRms::of(self.segments.iter().flat_map(of));
@@ -82,7 +82,8 @@ impl HeldOut {
     }
 }
 
-/// The nominal robot of each segment, the bar fitted to it on the rest of the run; none where the rest could not predict it.
+/// The nominal robot of each segment, with the bar fitted to it on the rest of the run; `None` if the rest could not predict
+/// it.
 pub fn nominals(calibration: &Calibration, segments: &[Segment]) -> Vec<Option<Geometry>> {
     let runs: Vec<_> = calibration.bar_runs().collect();
     let nominal = |segment: &Segment| {
@@ -92,14 +93,14 @@ pub fn nominals(calibration: &Calibration, segments: &[Segment]) -> Vec<Option<G
     segments.iter().map(nominal).collect()
 }
 
-/// Looks at each segment with the parameters that were found without it, and with the nominal robot.
+/// Errors of each segment for the parameters estimated without it, and for the nominal robot.
 pub fn held_out(calibration: &Calibration, segments: &[Segment], nominals: &[Option<Geometry>]) -> HeldOut {
     let Some(cost) = calibration.cost() else { return HeldOut::default() };
     let measured = calibration.measured();
     let by_encoders = measured.contains(&true);
     let is_estimated =
         |link| cost.identifies(&measured, ParameterId::Bar { link, parameter: LinkParameter::Theta });
-    // A cost without some of the encoders leaves their offsets as they were: robots are compared, each with its bar fitted.
+    // A cost that does not use all encoders does not estimate their offsets. Then compare robots, each with its bar fitted.
     let all_estimated = measured.iter().enumerate().all(|(link, measured)| !measured || is_estimated(link));
     let geometry = |model: &Model, motion: &_, observations: &[Observation]| {
         if all_estimated { model.geometry(&[]) } else { bar_fitted(model.clone(), motion, observations) }

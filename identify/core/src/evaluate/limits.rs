@@ -1,4 +1,4 @@
-//! What limits a calibration, in sentences that a person can act on.
+//! Limitations of a calibration, as sentences that suggest an action.
 
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
@@ -17,53 +17,53 @@ use crate::model::{JointTerm, Model, ParameterId, Role};
 use crate::solver::{Loss, Solution};
 use crate::statistics::{extremes, median};
 
-/// A joint that turned less than this determines little of its link \[deg\].
+/// A joint that moved by less determines the parameters of its link poorly \[deg\].
 const TRAVEL_MIN_DEG: f64 = 20.0;
-/// Where more than half of the variance of what is left lasts from sample to sample, errors of the model limit, not noise.
+/// Above this autocorrelation of the residuals, model errors limit the result rather than noise.
 const AUTOCORRELATION_MAX: f64 = 0.5;
-/// Standard deviations within which white noise keeps its autocorrelation but once in a thousand runs.
+/// Quantile of the normal distribution at which the autocorrelation of white noise exceeds the limit once in a thousand runs.
 const BY_CHANCE: f64 = 3.09;
-/// Samples that the loss trusts less than half are outliers.
+/// Samples with a weight below this in the robust loss are outliers.
 const WEIGHT_MIN: f64 = 0.5;
 
-/// No robot is built and no bar measured so badly \[m\].
+/// Larger length errors are not manufacturing or measurement errors \[m\].
 const LENGTH_OFF_M: f64 = 5e-3;
-/// Standard deviation of what a robot's lengths are off by \[m\]: `tolerance_mm_mrad` where nobody says otherwise.
+/// Standard deviation of a robot's length errors \[m\]: the default of `tolerance_mm_mrad`.
 const LENGTH_SIGMA_M: f64 = 1e-3;
-/// Chance that the scale is doubted although it is right.
+/// Probability of a false report of a wrong scale.
 const OTHER_SCALE_BY_CHANCE: f64 = 1e-3;
 
-/// A zero of a joint is set better, and a plate is mounted worse \[rad\].
+/// Larger angles are not errors of a joint's offset but of the plate's mounting \[rad\].
 const TURNED_RAD: f64 = 17e-3;
 
-/// Ratios of gears are those of whole numbers of teeth: one that is off by more is configured wrong. What elastic parts of a
-/// drive add is below a tenth of this.
+/// Gear ratios are ratios of tooth numbers, so a larger relative error is a wrong configuration. Elastic parts of a drive
+/// contribute less than a tenth of this.
 const RATIO_OFF: f64 = 500e-6;
-/// A joint that is later in the log by less is not worth a word \[s\]: at 1 rad/s it is off by half a milliradian.
+/// Smaller delays of a joint are not reported \[s\]: at 1 rad/s this is an error of half a milliradian.
 const DELAY_S: f64 = 5e-4;
 
-/// Chance that something is said of a prior although all of them hold.
+/// Probability of a false report if all priors are correct.
 const STRAINED_BY_CHANCE: f64 = 1e-3;
-/// Part by which what a prior moves is other than the derivatives at the solution say: a parameter of which the samples say nothing
-/// stays where it was expected but for that.
+/// Relative nonlinearity of a prior's influence. The influence on a parameter that the samples do not determine is linear
+/// except for this part.
 const NONLINEAR: f64 = 0.1;
 
-/// A contribution below this part of an uncertainty adds less than 6 % to it.
+/// A contribution below this fraction of an uncertainty adds less than 6 % to it.
 const NEGLIGIBLE: f64 = 1.0 / 3.0;
 
-/// Most names in one sentence; it ends with the number of further ones.
+/// Maximum number of names in one sentence, which ends with the number of further ones.
 const NAMED: usize = 3;
 
-/// One thing that limits a calibration.
+/// One limitation of a calibration.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Limit {
-    /// For a person.
+    /// The limitation as text for the report.
     pub sentence: String,
-    /// The figures of the calibration cannot be taken as they are.
+    /// Whether the limitation invalidates the reported accuracy.
     pub serious: bool,
 }
 
-/// What limits a calibration, whatever it was measured with, the most important first.
+/// Limitations of a calibration with any instruments, the most important first.
 pub fn limits(calibration: &Calibration, workspace: &WorkspaceError) -> Vec<Limit> {
     let mut limits = Vec::new();
     for (number, Run { instrument, model }) in calibration.runs.iter().enumerate() {
@@ -77,12 +77,12 @@ pub fn limits(calibration: &Calibration, workspace: &WorkspaceError) -> Vec<Limi
     let scales = calibration.runs.iter().map(|run| run.instrument.scale());
     limits.extend(of_changes(&calibration.changed, reach_m, workspace.budget.expanded_m));
     limits.extend(of_drives(model, solution));
-    // Another instrument takes the turn of what it holds for its own mounting.
+    // With other instruments the rotation of the last link is part of the target's mounting.
     if scales.clone().any(|scale| scale == ScaleFrom::Plate) {
         limits.extend(turned_plate(model, solution));
     }
     limits.extend(of_disagreement(&calibration.runs, &calibration.solved.sigmas, solution.loss));
-    // A wrong scale strains the priors of all lengths, too.
+    // A wrong scale contradicts the priors of all lengths as well.
     limits.extend(of_lengths(model, solution, scales));
     limits.extend(strained_priors(model, solution));
     limits.extend(lasting_errors(calibration));
@@ -93,7 +93,7 @@ pub fn limits(calibration: &Calibration, workspace: &WorkspaceError) -> Vec<Limi
     limits
 }
 
-/// Joints that hardly moved.
+/// Joints with too little motion.
 fn little_travel(calibration: &Calibration) -> Vec<Limit> {
     let little = |(joint, travel_deg): (usize, f64)| Limit {
         sentence: format!(
@@ -106,10 +106,10 @@ fn little_travel(calibration: &Calibration) -> Vec<Limit> {
     travel.filter(|(_, travel_deg)| *travel_deg < TRAVEL_MIN_DEG).map(little).collect()
 }
 
-/// Samples that the loss hardly trusts.
+/// Samples with a low weight in the robust loss.
 fn outliers(solution: &Solution) -> Option<Limit> {
     let weights = &solution.sample_weights;
-    // At its scale a loss trusts a sample half, but for the one that trusts it by the square of that.
+    // At its scale a loss has weight one half; Geman-McClure has the square of that.
     let least = match solution.loss {
         Loss::GemanMcClure { .. } => WEIGHT_MIN.powi(2),
         _ => WEIGHT_MIN,
@@ -124,7 +124,7 @@ fn outliers(solution: &Solution) -> Option<Limit> {
     })
 }
 
-/// What other poses would improve most.
+/// The parameter combination that limits the accuracy most.
 fn weakest(workspace: &WorkspaceError) -> Option<Limit> {
     let names: Vec<&str> = workspace.weakest.iter().map(|(name, _)| name.as_str()).take(NAMED).collect();
     (!names.is_empty()).then(|| Limit {
@@ -175,7 +175,7 @@ fn of_disagreement(runs: &[Run], sigmas: &[f64], loss: Loss) -> Option<Limit> {
     })
 }
 
-/// Lengths that nobody expected, found with any instruments.
+/// Lengths that differ from the configured ones, for any instruments.
 fn of_lengths(model: &Model, solution: &Solution, scales: impl Iterator<Item = ScaleFrom>) -> Vec<Limit> {
     let scale = scales.map(describe).fold(Vec::new(), |mut told: Vec<&str>, one| {
         if !told.contains(&one) {
@@ -186,9 +186,9 @@ fn of_lengths(model: &Model, solution: &Solution, scales: impl Iterator<Item = S
     other_lengths(model, solution, &scale.join(". "))
 }
 
-/// What did not stay while it was measured: serious where the end of an arm of this reach moves by more than a negligible part of what
-/// its geometry is said to be known within. That part is small: a change is in the uncertainty, too, since other samples say other
-/// things.
+/// Changes during the measurement. They are serious if the end of an arm of this reach moves by more than a negligible
+/// fraction of the stated uncertainty. The fraction is small because a change also increases that uncertainty: the samples
+/// contradict each other.
 fn of_changes(changed: &[Changed], reach_m: f64, known_m: f64) -> Option<Limit> {
     (!changed.is_empty()).then(|| Limit {
         sentence: format!(
@@ -200,12 +200,12 @@ fn of_changes(changed: &[Changed], reach_m: f64, known_m: f64) -> Option<Limit> 
     })
 }
 
-/// Of which run something is said, where there are several.
+/// Prefix that names the run, if there is more than one.
 fn place(calibration: &Calibration, run: usize) -> String {
     if calibration.runs.len() == 1 { String::new() } else { format!("Data set {}: ", run + 1) }
 }
 
-/// Runs of which more is left than noise.
+/// Runs whose residuals are larger than noise.
 fn lasting_errors(calibration: &Calibration) -> impl Iterator<Item = Limit> {
     let found = calibration.runs.iter().map(|run| run.instrument.autocorrelation()).enumerate();
     let lasting = found.filter_map(|(run, found)| {
@@ -223,7 +223,7 @@ fn lasting_errors(calibration: &Calibration) -> impl Iterator<Item = Limit> {
     })
 }
 
-/// Forces that explain nothing.
+/// Forces that do not explain the bar's length.
 fn forces_without_sign(calibration: &Calibration) -> impl Iterator<Item = Limit> {
     let without =
         Elongation::all(calibration).into_iter().filter(|one| one.positive == PositiveForce::NotDetermined);
@@ -238,12 +238,12 @@ fn forces_without_sign(calibration: &Calibration) -> impl Iterator<Item = Limit>
     })
 }
 
-/// Parameters that the samples want where their priors hardly let them: the test of Evans and Moshonov (2006) for each of the
-/// `n` priors, at a chance of [`STRAINED_BY_CHANCE`] for all.
+/// Parameters whose estimates contradict their priors: the test of Evans and Moshonov (2006) for each of the `n` priors,
+/// with probability [`STRAINED_BY_CHANCE`] of a false report in all.
 ///
-/// A prior of `x0` with sigma `s0` that holds moves what is found by `g` where it is off by `s0`. Then `x - x0` has the variance
-/// `(s0 - g)^2` ([`NONLINEAR`] of `g` is left open), and with it what all other sources (samples, other priors, fixed parameters that
-/// are wrong) make of `x`. Where sources are not known one by one it is that of independent noise, `s0^2 - s^2`.
+/// A correct prior of `x0` with sigma `s0` shifts the estimate by `g` if it is off by `s0`. Then `x - x0` has the variance
+/// `(s0 - g)^2` ([`NONLINEAR`] of `g` is added as a tolerance) plus the variance of `x` from all other sources: samples, other
+/// priors, errors of fixed parameters. If the sources are not known separately, use that of independent noise, `s0^2 - s^2`.
 fn strained_priors(model: &Model, solution: &Solution) -> Option<Limit> {
     let Solution { x, covariance, .. } = solution;
     let priors = model.columns().enumerate().filter_map(|(column, parameter)| match parameter.role {
@@ -263,7 +263,7 @@ fn strained_priors(model: &Model, solution: &Solution) -> Option<Limit> {
     let mut strained: Vec<Strained> = Vec::new();
     for Prior { id, off, expected, sigma, own, spread } in priors {
         if spread > 0.0 && off.abs() > most * spread {
-            // Without the prior it would be further off.
+            // Without the prior the estimate would differ more from the expected value.
             let pulls = off.abs() * own > sigma * (expected - own);
             let (unit, times) = (id.unit(), off.abs() / spread);
             let [off, expected] = [off, expected].map(|value| value * unit.display_factor());
@@ -286,11 +286,11 @@ fn strained_priors(model: &Model, solution: &Solution) -> Option<Limit> {
 
 /// A prior that the samples contradict.
 struct Strained {
-    /// Name, size and expectation, as part of a sentence.
+    /// Name, deviation and expectation, as part of a sentence.
     sentence: String,
-    /// It moves the result towards itself by more than that is uncertain.
+    /// Whether the prior biases the result by more than its uncertainty.
     pulls: bool,
-    /// How many times further off than where all priors hold.
+    /// Deviation relative to its standard deviation if all priors are correct.
     times: f64,
 }
 
@@ -300,22 +300,22 @@ impl std::fmt::Display for Strained {
     }
 }
 
-/// A parameter with a prior, in its unit.
+/// A parameter with a prior, in SI units.
 struct Prior {
     id: ParameterId,
-    /// What was found less what was expected.
+    /// Estimated minus expected value.
     off: f64,
     /// Standard deviation of the prior.
     expected: f64,
-    /// Of what was found.
+    /// Standard deviation of the estimate.
     sigma: f64,
-    /// How far the prior moves what is found, where it is off by its standard deviation.
+    /// Shift of the estimate if the prior is off by its standard deviation.
     own: f64,
-    /// Standard deviation of `off` where all priors hold.
+    /// Standard deviation of `off` if all priors are correct.
     spread: f64,
 }
 
-/// Ratios that no gear has, and joints that the log has later than the others, each beyond doubt.
+/// Errors of gear ratios beyond manufacturing tolerances, and significant delays of single joints in the log.
 fn of_drives(model: &Model, solution: &Solution) -> Vec<Limit> {
     let found = |wanted: JointTerm| -> Vec<(usize, f64, f64)> {
         let columns = model.columns().enumerate();
@@ -339,7 +339,7 @@ fn of_drives(model: &Model, solution: &Solution) -> Vec<Limit> {
         ),
         serious: true,
     });
-    // A delay of all is the clocks'.
+    // A delay that all joints share belongs to the clocks.
     let delays = found(JointTerm::Delay);
     let mut all_s: Vec<f64> = delays.iter().map(|(_, delay_s, _)| *delay_s).collect();
     let of_others_s = median(&mut all_s).unwrap_or_default();
@@ -358,7 +358,7 @@ fn of_drives(model: &Model, solution: &Solution) -> Vec<Limit> {
     ratios.chain(late).collect()
 }
 
-/// The plate on the flange, or the zero of the last joint, turned about the flange's axis against the configuration.
+/// Rotation of the flange plate, or of the last joint's offset, about the flange's axis relative to the configuration.
 fn turned_plate(model: &Model, solution: &Solution) -> Option<Limit> {
     let last = model.axes().checked_sub(1)?;
     let theta = ParameterId::Robot { link: last, parameter: LinkParameter::Theta };
@@ -375,7 +375,7 @@ fn turned_plate(model: &Model, solution: &Solution) -> Option<Limit> {
     })
 }
 
-/// Lengths that come out far from the configured ones: of another robot or bar, or all by the same part.
+/// Lengths far from the configured ones: a different robot or bar, or a wrong scale of all lengths.
 fn other_lengths(model: &Model, solution: &Solution, scale: &str) -> Vec<Limit> {
     let mut off: Vec<Length> =
         lengths(model, solution).filter(|length| length.off_m.abs() > LENGTH_OFF_M).collect();
@@ -393,7 +393,7 @@ fn other_lengths(model: &Model, solution: &Solution, scale: &str) -> Vec<Limit> 
         .collect()
 }
 
-/// A length of robot or bar that was estimated.
+/// An estimated length of robot or bar.
 struct Length {
     id: ParameterId,
     column: usize,
@@ -419,9 +419,9 @@ fn lengths(model: &Model, solution: &Solution) -> impl Iterator<Item = Length> {
     })
 }
 
-/// All lengths of the robot off by one part `s`, which is that of what fixes their scale: by generalised least squares from `off = s L` with the
-/// covariance `(1 mm)^2 I + P`, of the robots and of the estimate; said at a chance of [`OTHER_SCALE_BY_CHANCE`] where the scale
-/// is right.
+/// A common relative error `s` of all robot lengths, which is that of the scale: generalised least squares of `off = s L`
+/// with the covariance `(1 mm)^2 I + P`, from manufacturing and from the estimate. It is reported with probability
+/// [`OTHER_SCALE_BY_CHANCE`] if the scale is correct.
 fn other_scale(model: &Model, solution: &Solution, scale: &str) -> Option<String> {
     let covariance = &solution.covariance;
     let of_robot = |length: &Length| {
@@ -451,7 +451,7 @@ fn other_scale(model: &Model, solution: &Solution, scale: &str) -> Option<String
     })
 }
 
-/// What makes the figures of a data set doubtful.
+/// Reason why the result of a data set is questionable, as text.
 fn doubt(doubt: &Doubt) -> String {
     match doubt {
         Doubt::OtherEncoders(used) => format!(
@@ -469,7 +469,7 @@ fn doubt(doubt: &Doubt) -> String {
     }
 }
 
-/// Widest range of each revolute joint over the samples \[deg\].
+/// Range of motion of each revolute joint over all samples \[deg\].
 fn travel_deg(calibration: &Calibration) -> Vec<(usize, f64)> {
     let poses: Vec<Joints> = calibration.poses().collect();
     let robot = calibration.model().geometry(&[]).robot;
@@ -480,7 +480,7 @@ fn travel_deg(calibration: &Calibration) -> Vec<(usize, f64)> {
     robot.links.iter().enumerate().filter_map(turned).collect()
 }
 
-/// Distances of robot and bar \[m\].
+/// Statistics of the distances between robot and bar \[m\].
 pub(super) fn gap_m<'a>(closures: impl Iterator<Item = &'a Closure>, by_encoders: bool) -> Quantiles {
     Quantiles::of(closures.map(|closure| closure.gap_m(by_encoders)).collect())
 }

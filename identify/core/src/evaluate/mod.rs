@@ -1,4 +1,4 @@
-//! What a calibration shows when one looks at it: figures for the report, computed from a solve and never fed back.
+//! Evaluation of a calibration: figures for the report, computed from a solution and not used by any solve.
 
 mod accuracy;
 mod evidence;

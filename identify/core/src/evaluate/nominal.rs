@@ -1,28 +1,29 @@
-//! The robot as its maker sold it, with everything around it at its best: what a calibration is compared with.
+//! The nominal robot with a fitted bar: the reference with which a calibration is compared.
 
 use crate::cost::{LoopProblem, Position, Residual, Transform};
 use crate::model::{Geometry, Model, Observation, Owner, ParameterId, RobotMotion};
 use crate::solver::{Options, minimise};
 
-/// A root mean square of this cost is compared: it changes by half of this part.
+/// Relative tolerance of the cost; the root mean square compared changes by half of it.
 const COST_TOLERANCE: f64 = 1e-6;
 
-/// The calibrated model with its robot put back to nominal, and the bar's place and encoder offsets fitted to that.
+/// The calibrated model with its robot reset to nominal, and the bar's base and encoder offsets fitted to it.
 ///
-/// Without the fit all errors of the robot would show as a displaced bar. Where the fit fails the bar stays as calibrated.
+/// Without the fit, all errors of the robot would appear as a displacement of the bar. If the fit fails the bar stays as
+/// calibrated.
 pub fn uncalibrated(model: &Model, motion: &impl RobotMotion, observations: &[Observation]) -> Geometry {
     let mut nominal = model.clone();
     let all: Vec<_> = model.parameters().iter().map(|parameter| (parameter.id, parameter.nominal)).collect();
     for (id, value) in all {
         if id.owner() == Owner::Robot {
-            // The model has each of its own parameters.
+            // Cannot fail: the identifiers are those of the model.
             let _ = nominal.set_value(id, value);
         }
     }
     bar_fitted(nominal, motion, observations)
 }
 
-/// The model's robot as it is, and the bar's place and encoder offsets fitted to that. Where the fit fails the bar stays.
+/// The model's robot unchanged, and the bar's base and encoder offsets fitted to it. If the fit fails the bar is unchanged.
 pub(super) fn bar_fitted(
     mut model: Model,
     motion: &impl RobotMotion,
@@ -32,7 +33,7 @@ pub(super) fn bar_fitted(
     let fitted = |id: ParameterId| match id {
         ParameterId::Base { .. } | ParameterId::BaseRotation { .. } => true,
         ParameterId::Bar { link, parameter } => {
-            // The first offset is the bar's turn about z; those behind the sphere only matter with five encoders.
+            // The first offset is the bar's rotation about z; offsets after the second joint matter only with five encoders.
             parameter == crate::kinematics::LinkParameter::Theta && (five || link < 2)
         }
         _ => false,

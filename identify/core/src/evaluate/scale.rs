@@ -1,4 +1,4 @@
-//! What the scale of all lengths rests on, in words: nothing else that is measured can tell whether it is right.
+//! The reference of the scale of all lengths, as text. No other measurement can verify it.
 
 use std::path::Path;
 
@@ -8,11 +8,11 @@ use shared::output::named;
 use super::Budget;
 use crate::instrument::ScaleFrom;
 
-/// How much longer a plate is that the sentence takes as an example \[m\].
+/// Length error of a plate that the sentence uses as an example \[m\].
 const LONGER_M: f64 = 1e-4;
 
-/// One sentence on what fixes the scale: the plates of `bars`, each with the file that states it, and the `others` instruments. What
-/// a wrong plate does to positions is the derivative of the solution, which the budget has.
+/// A sentence on what fixes the scale: the plates of `bars`, each with the file that states it, and the `others`
+/// instruments. The effect of a plate error on positions is the derivative of the solution, from the budget.
 pub fn scale_sentence<'a>(
     bars: impl IntoIterator<Item = (&'a BallBarConfig, &'a Path)>,
     others: impl IntoIterator<Item = ScaleFrom>,
@@ -48,7 +48,7 @@ fn plate(bar: &BallBarConfig, file: &Path) -> String {
     } else {
         format!("the offset plate of {plate_mm:.3} mm, taken as exact")
     };
-    // Whether it was stated or is the default, what it means is the same.
+    // A stated value equal to the default has the same meaning as the default.
     let calliper = bar.plate_u_um == BallBarConfig::PLATE_U_UM;
     let source = if calliper {
         format!("a calliper's unless {file} states another")

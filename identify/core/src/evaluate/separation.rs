@@ -1,12 +1,13 @@
-//! Which numbers of the robot's links the data do not separate.
+//! Link parameters of the robot that the data do not separate.
 
 use crate::calibrate::selection::links::inseparable_offsets;
 use crate::model::{Group, Model, ParameterId, Role};
 use crate::solver::Solution;
 
-/// Groups of links' numbers of which the data determine no more than a combination, by name: offsets along parallel axes, whose sum
-/// is all that any data show, and those that follow their tolerance more than they follow these data. A group of one is a number
-/// that the data do not determine. Lengths that were measured apart are neither. `model` has the solution's first columns.
+/// Groups of link parameters of which the data determine only a combination: offsets along parallel axes, of which only the
+/// sum is observable, and parameters determined more by their tolerances than by the data. A group of one is a parameter
+/// that the data do not determine. Lengths that were measured separately are excluded. The first columns of the solution are
+/// those of `model`.
 pub fn not_separated(model: &Model, solution: &Solution) -> Vec<Vec<ParameterId>> {
     let known = ParameterId::known_lengths(model.axes());
     let with_tolerance = model.columns().enumerate().filter(|(_, one)| {

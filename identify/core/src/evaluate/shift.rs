@@ -1,24 +1,24 @@
-//! The alignment as the thesis drew it (its figure 5.5): what the gap becomes when one log is moved in time.
+//! The alignment as in figure 5.5 of the thesis: the gap when one log is shifted in time.
 
 use super::rms;
 use crate::cost::closures;
 use crate::model::{Geometry, Observation, RobotMotion};
 
-/// Gap between robot and bar against an added time shift.
+/// Gap between robot and bar as a function of an added time shift.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ShiftCurve {
-    /// Added to the robot's clock \[s\], ascending.
+    /// Shifts added to the robot's clock \[s\], ascending.
     pub shift_s: Vec<f64>,
     /// Root mean square distance of the robot's end from the bar's \[m\].
     pub rms_m: Vec<f64>,
-    /// Where a parabola through the smallest value has its vertex \[s\]; none where the smallest is at an end.
+    /// Time shift at the vertex of a parabola through the minimum \[s\]; `None` if the minimum is at an end.
     pub minimum_s: Option<f64>,
 }
 
-/// Samples that a curve is made of at most; more do not change it visibly.
+/// Maximum number of samples of a curve; more do not change it visibly.
 const SAMPLES_MAX: usize = 300;
 
-/// The curve over `-reach_s .. reach_s`, everything but the shift as in `geometry`.
+/// The curve over `-reach_s .. reach_s`; all parameters except the shift as in `geometry`.
 pub fn shift_curve(
     geometry: &Geometry,
     motion: &impl RobotMotion,
@@ -44,7 +44,7 @@ pub fn shift_curve(
     curve
 }
 
-/// Vertex of the parabola through the smallest square and its neighbours: squares of gaps are parabolas of the shift.
+/// Vertex of the parabola through the smallest square and its neighbours: squared gaps are quadratic in the shift.
 fn minimum(shift_s: &[f64], rms_m: &[f64]) -> Option<f64> {
     let least = (0..rms_m.len()).min_by(|&a, &b| rms_m[a].total_cmp(&rms_m[b]))?;
     let square = |index: usize| rms_m.get(index).map(|rms| rms * rms);

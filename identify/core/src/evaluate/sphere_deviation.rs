@@ -1,7 +1,7 @@
-//! How far the robot's end is from the sphere of a rigid bar, and what of it a force explains (TFRT-6017 section 5.3).
+//! Distance of the robot's end from the sphere of a rigid bar, and the part explained by a force (TFRT-6017 section 5.3).
 //!
-//! Where the bar's encoders give its direction the deviation is the gap between robot and bar along the rod: a bar whose axes
-//! miss each other by some hundredths of a millimetre leads the robot on no exact sphere about the gimbal.
+//! If the bar's encoders give its direction, the deviation is the gap between robot and bar along the rod. The axes of a real
+//! bar miss each other by some hundredths of a millimetre, so the robot does not move on an exact sphere about the gimbal.
 
 use nalgebra::Vector3;
 
@@ -13,31 +13,31 @@ use crate::cost::Closure;
 use crate::model::{Model, ParameterId};
 use crate::prepare::{BarForces, Prepared};
 
-/// One sample on the sphere.
+/// Deviation of one sample from the sphere.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OffSphere {
-    /// Bar clock, since the reference time \[s\].
+    /// Time on the bar's clock, since the reference time \[s\].
     pub t_s: f64,
-    /// From the centre to the robot's end, unit length, in the robot's base.
+    /// Unit vector from the centre to the robot's end, in the robot's base.
     pub direction: Vector3<f64>,
-    /// Farther out than a bar without force would hold it \[m\].
+    /// Radial distance beyond the end of a bar without force \[m\].
     pub off_m: f64,
-    /// The same minus what the force explains \[m\].
+    /// `off_m` minus the elongation by the force \[m\].
     pub unexplained_m: f64,
-    /// Force along the bar as its log counts it \[N\], or its sign where only that is known.
+    /// Axial force on the bar with the sign of its log \[N\], or only its sign.
     pub force: f64,
 }
 
-/// The deviation with one robot.
+/// Deviation from the sphere for one robot model.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Deviation {
-    /// In the order of time.
+    /// Samples in order of time.
     pub samples: Vec<OffSphere>,
-    /// Of [`OffSphere::off_m`] \[m\].
+    /// Root mean square of [`OffSphere::off_m`] \[m\].
     pub rms_m: f64,
-    /// Sizes of the same \[m\].
+    /// Statistics of the absolute values of [`OffSphere::off_m`] \[m\].
     pub size_m: Quantiles,
-    /// Of [`OffSphere::unexplained_m`] \[m\].
+    /// Root mean square of [`OffSphere::unexplained_m`] \[m\].
     pub unexplained_rms_m: f64,
 }
 
@@ -63,41 +63,41 @@ impl Deviation {
     }
 }
 
-/// Which sign of the log's force pulls the bar.
+/// Meaning of a positive force in the log.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PositiveForce {
-    /// The bar is longer where the log is positive.
+    /// Tension: the bar is longer if the force is positive.
     Tension,
-    /// It is shorter there.
+    /// Compression: the bar is shorter if the force is positive.
     Compression,
-    /// The bar's length does not follow the force by more than chance.
+    /// The force has no significant effect on the bar's length.
     NotDetermined,
 }
 
-/// What a force did to the bar.
+/// Elongation of the bar by a force, as estimated.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Elongation {
-    /// Number of the run, from 0.
+    /// Index of the run, from 0.
     pub run: usize,
-    /// As it was measured.
+    /// The force measurement of the run.
     pub measured: BarForces,
-    /// `bcompliance`, or `bplay` where only the sign was measured or where that explains more.
+    /// `bcompliance`, or `bplay` if only the sign was measured or if that explains more.
     pub parameter: ParameterId,
-    /// Its value: longer by this for a newton as the log counts, or on the positive side \[m/N or m\].
+    /// Value of the parameter \[m/N or m\]: elongation per newton, or on the positive side; with the sign of the log.
     pub value: f64,
-    /// One standard deviation; none where a person fixed it.
+    /// Standard deviation of `value`; `None` if the parameter was fixed.
     pub sigma: Option<f64>,
-    /// What the sign means.
+    /// Meaning of a positive force.
     pub positive: PositiveForce,
 }
 
 impl Elongation {
-    /// Of the first run of a calibration that has a force; none without any.
+    /// Elongation of the first run with a force; `None` without any.
     pub fn of(calibration: &Calibration) -> Option<Self> {
         Self::all(calibration).into_iter().next()
     }
 
-    /// Of each run of a calibration that has a force.
+    /// Elongation of each run with a force.
     pub fn all(calibration: &Calibration) -> Vec<Self> {
         let runs = calibration.bar_runs().enumerate();
         runs.filter_map(|(run, (prepared, model))| Self::of_run(calibration, run, prepared, model)).collect()
@@ -106,7 +106,7 @@ impl Elongation {
     fn of_run(calibration: &Calibration, run: usize, prepared: &Prepared, model: &Model) -> Option<Self> {
         let Solved { columns, solution, .. } = &calibration.solved;
         let measured = prepared.force?;
-        // Play where it explains more than compliance, see the estimate.
+        // The estimate frees the play instead of the compliance if it explains more.
         let free = [ParameterId::BarCompliance, ParameterId::BarPlay].into_iter();
         let mut free = free.filter(|id| model.column_of(*id).is_some());
         let parameter = free.next().unwrap_or_else(|| measured.parameter());
@@ -123,10 +123,10 @@ impl Elongation {
         Some(Self { run, measured, parameter, value: found.value, sigma, positive })
     }
 
-    /// In a sentence or two.
+    /// The result as one or two sentences.
     pub fn sentence(&self) -> String {
         let unit = self.parameter.unit();
-        // Play is read in um here: it is some hundredths of a millimetre.
+        // Play is displayed in um: it is some hundredths of a millimetre.
         let (factor, symbol) = if self.parameter == ParameterId::BarPlay {
             (1e6, "um")
         } else {
@@ -150,19 +150,19 @@ impl Elongation {
     }
 }
 
-/// One run's deviation from the sphere before and after, and the force where there is one.
+/// Deviation of one run from the sphere before and after calibration, and its elongation if a force was measured.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SphereDeviation {
-    /// With the nominal robot, the bar fitted to it.
+    /// Deviation with the nominal robot and the bar fitted to it.
     pub before: Deviation,
-    /// With the calibrated one.
+    /// Deviation with the calibrated robot.
     pub after: Deviation,
-    /// What a force did.
+    /// Elongation by the force; `None` without a force.
     pub elongation: Option<Elongation>,
 }
 
 impl SphereDeviation {
-    /// Of each run.
+    /// Deviations of each run.
     pub fn all(calibration: &Calibration, runs: &[RunEvidence]) -> Vec<Self> {
         let [first, second, ..] = calibration.measured();
         let of_run = |((run, seen), (prepared, model)): ((usize, &RunEvidence), (&Prepared, &Model))| {

@@ -1,4 +1,4 @@
-//! What makes positions uncertain, contribution by contribution, in the manner of the GUM (JCGM 100:2008).
+//! Uncertainty budget of positions, by contribution, as in the GUM (JCGM 100:2008).
 
 use serde::{Deserialize, Serialize};
 
@@ -6,53 +6,53 @@ use super::workspace::{POSTURES, Postures};
 use crate::model::{Group, Model, ParameterId, Role};
 use crate::solver::{Covariance, Source};
 
-/// How a contribution is evaluated.
+/// Type of evaluation of a contribution (GUM 3.3.4).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Evaluation {
-    /// From the scatter of samples.
+    /// Type A: from the scatter of samples.
     #[serde(rename = "A")]
     Statistical,
-    /// From what somebody states.
+    /// Type B: from a stated uncertainty.
     #[serde(rename = "B")]
     Stated,
 }
 
-/// One contribution.
+/// One contribution to the uncertainty.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Contribution {
-    /// For a person.
+    /// Name of the source, as text for the report.
     pub source: String,
-    /// How it is evaluated.
+    /// Type of evaluation: A or B.
     pub evaluation: Evaluation,
     /// Standard uncertainty of a position, root mean square over the workspace \[m\].
     pub u_m: f64,
 }
 
-/// All contributions to the uncertainty of a position, which are independent of each other.
+/// All contributions to the uncertainty of a position; they are independent of each other.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Budget {
     /// Combined standard uncertainty, root mean square over the workspace \[m\].
     pub u_m: f64,
-    /// Its effective degrees of freedom (Welch and Satterthwaite); absent where it is as good as known.
+    /// Effective degrees of freedom of `u_m` (Welch and Satterthwaite); absent if practically infinite.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub freedom: Option<f64>,
     /// Coverage factor of the expanded uncertainty.
     pub coverage_factor: f64,
-    /// Expanded uncertainty \[m\].
+    /// Expanded uncertainty: coverage factor times `u_m` \[m\].
     pub expanded_m: f64,
-    /// The largest first.
+    /// The contributions, largest first.
     pub contributions: Vec<Contribution>,
-    /// How far positions move, root mean square over the workspace, for each metre by which the bar's offset plate is longer than
-    /// stated: the derivative of the solution. Absent without a plate, or where it is taken as exact.
+    /// Displacement of positions, root mean square over the workspace, per metre by which the bar's offset plate is longer than
+    /// stated: the derivative of the solution. Absent without a plate or if its length is taken as exact.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub moved_by_plate: Option<f64>,
 }
 
-/// Coverage factor: 95 % of normal errors along an axis, and more of a distance in space.
+/// Coverage factor: 95 % of normal errors along an axis, more for a distance in space.
 const K: f64 = 2.0;
 
 impl Budget {
-    /// `columns` are those of the covariance that the postures are derived by.
+    /// `columns` are the covariance columns that correspond to the columns of `postures.by_parameter`.
     pub(in crate::evaluate) fn new(
         model: &Model,
         covariance: &Covariance,
@@ -97,13 +97,13 @@ impl Budget {
         }
     }
 
-    /// Part of the variance that is a contribution's, 0 to 1.
+    /// Fraction of the variance due to a contribution, 0 to 1.
     pub fn part(&self, of: &Contribution) -> f64 {
         if self.u_m > 0.0 { (of.u_m / self.u_m).powi(2) } else { 0.0 }
     }
 }
 
-/// Standard deviation that is stated of a parameter, SI.
+/// Stated standard deviation of a parameter, SI; `None` if it is free or fixed.
 fn stated_sigma(model: &Model, id: ParameterId) -> Option<f64> {
     match model.parameter(id)?.role {
         Role::Prior { sigma, .. } | Role::Considered { sigma } => Some(sigma),
@@ -111,7 +111,7 @@ fn stated_sigma(model: &Model, id: ParameterId) -> Option<f64> {
     }
 }
 
-/// For a person: what is stated of one length by itself, of others by what they are.
+/// Name of a source for the report. Stated lengths are named one by one; other sources by type.
 fn named(source: Source, model: &Model, covariance: &Covariance) -> String {
     let (column, how) = match source {
         Source::Together => return "errors of the samples, with all priors".into(),

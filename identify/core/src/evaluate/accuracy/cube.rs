@@ -1,4 +1,4 @@
-//! Pose accuracy where the standard measures it: ISO 9283:1998, 6.8, five poses in a cube in the working space.
+//! Pose accuracy as defined by ISO 9283:1998, 6.8: five poses in a cube in the working space.
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -6,29 +6,29 @@ use serde::{Deserialize, Serialize};
 use super::workspace::{Expected, random_postures};
 use crate::kinematics::{Chain, Joints, Pose, robot_inverse};
 
-/// Edges that are tried, the largest first: the standard's and smaller ones for small arms \[m\].
+/// Candidate edge lengths, largest first: that of the standard, then smaller ones for small arms \[m\].
 const EDGES_M: [f64; 6] = [1.0, 0.63, 0.4, 0.25, 0.16, 0.1];
-/// Postures whose position is tried as the centre.
+/// Number of random postures whose position is tried as the centre.
 const CENTRES: usize = 100;
-/// The outer poses are a tenth of the diagonal away from its ends.
+/// Distance of the outer poses from the centre, as a fraction of half the diagonal: a tenth of the diagonal from its ends.
 const FROM_CENTRE: f64 = 0.8;
-/// No joint turns further from the centre's posture, or moves further \[rad, m\]: the poses are reached in one configuration.
+/// Maximum distance of each joint from the centre's posture \[rad, m\], so that all poses are in one configuration.
 const APART_MAX: f64 = 1.5;
 
-/// Distance between where the robot is told to go and where it is, over the standard's five poses.
+/// Distance between commanded and actual position, over the five poses of the standard.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct CubeError {
-    /// Edge of the cube, along the base's axes \[m\].
+    /// Edge length of the cube, whose edges are parallel to the base's axes \[m\].
     pub edge_m: f64,
-    /// Its centre in the robot's base frame \[m\].
+    /// Centre of the cube in the robot's base frame \[m\].
     pub centre_m: [f64; 3],
-    /// With the nominal geometry.
+    /// Position error with the nominal geometry.
     pub before: Expected,
-    /// With the calibrated one, as far as its covariance says.
+    /// Position error with the calibrated geometry, from its covariance.
     pub after: Expected,
 }
 
-/// The standard's poses, the centre first.
+/// The cube and the five poses of the standard, the centre first.
 pub(in crate::evaluate) struct Cube {
     pub(in crate::evaluate) edge_m: f64,
     pub(in crate::evaluate) centre_m: Vector3<f64>,
@@ -36,8 +36,8 @@ pub(in crate::evaluate) struct Cube {
 }
 
 impl Cube {
-    /// The largest cube of which the robot reaches all five poses with one orientation, within its joint limits and in one
-    /// configuration; of those as large the one that turns the joints least. None where it reaches none.
+    /// The largest cube whose five poses the robot reaches with one orientation, within its joint limits and in one
+    /// configuration. Among cubes of this size, the one with the smallest joint motion. `None` if the robot reaches none.
     pub(in crate::evaluate) fn largest(robot: &Chain, joint_limits: &[[f64; 2]]) -> Option<Self> {
         let centres: Vec<Joints> = random_postures(joint_limits).take(CENTRES).collect();
         EDGES_M.into_iter().find_map(|edge_m| {
@@ -47,7 +47,7 @@ impl Cube {
         })
     }
 
-    /// The cube about where a posture is, and by how much joints turn in it.
+    /// The cube centred at the position of a posture, and the largest joint motion in it; `None` if not reachable.
     fn at(robot: &Chain, joint_limits: &[[f64; 2]], q: &Joints, edge_m: f64) -> Option<(Self, f64)> {
         let centre = robot.forward(q);
         let mut furthest: f64 = 0.0;
@@ -87,7 +87,7 @@ mod tests {
         for (pose, q) in poses.iter().zip(&cube.postures) {
             assert!(pose.rotation.angle_to(&poses[0].rotation) < 1e-6);
             let from_centre = pose.translation.vector - cube.centre_m;
-            // A tenth of the diagonal of a face's plane from its corner: the standard has (10 +- 2) %.
+            // A tenth of the cube's diagonal from its end: the standard allows (10 +- 2) %.
             let diagonal = cube.edge_m * 3.0_f64.sqrt();
             let is_centre = from_centre.norm() < 1e-6;
             assert!(is_centre || (from_centre.norm() - 0.4 * diagonal).abs() < 1e-6, "{from_centre}");

@@ -1,4 +1,4 @@
-//! How accurate the calibrated robot is: over its workspace, at the standard's cube, at a pose, and beside other calibrations.
+//! Accuracy of the calibrated robot: over its workspace, in the cube of ISO 9283, and the region where it is valid.
 
 pub(in crate::evaluate) mod budget;
 pub(in crate::evaluate) mod cube;

@@ -1,4 +1,4 @@
-//! Where in joint space a calibration is supported.
+//! The region of joint space in which a calibration is valid.
 
 use std::fmt;
 
@@ -7,23 +7,23 @@ use shared::config::JointKind;
 
 use crate::kinematics::{Chain, Joints};
 
-/// A joint is supported up to this far from where it was measured \[rad, m\]: errors of links go once or twice per turn and
-/// change by less than half of themselves over it.
+/// Maximum distance from measured joint values \[rad, m\]: link errors have one or two waves per turn and change by less
+/// than half of their amplitude over it.
 const BESIDE: f64 = 0.2;
 
-/// Intervals in which each joint was measured: a calibration is supported where every joint is in one of its own, or next to it.
-/// Whether a joint was measured there together with the others is not said.
+/// Intervals in which each joint was measured. A calibration is valid for a pose if each joint is within or near one of its
+/// intervals. Combinations of joint values are not checked.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Validity {
-    /// Of each joint, base to flange, ascending \[rad, m\].
+    /// Intervals of each joint, base to flange, in ascending order \[rad, m\].
     pub joints: Vec<Vec<[f64; 2]>>,
-    /// Joints from 0 that are in metres.
+    /// Indices (from 0) of the prismatic joints, whose intervals are in metres.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub prismatic: Vec<usize>,
 }
 
 impl Validity {
-    /// Of the poses that were measured, with a robot's joints; no joint of none.
+    /// Intervals of the measured poses; empty without poses.
     pub fn of(poses: impl Iterator<Item = Joints>, robot: &Chain) -> Self {
         let is_prismatic = |joint: &usize| robot.links[*joint].joint == JointKind::Prismatic;
         let poses: Vec<Joints> = poses.collect();
@@ -38,7 +38,7 @@ impl Validity {
         Self { joints: (0..axes).map(of_joint).collect(), prismatic }
     }
 
-    /// The joints, from 0, that a pose has further from all intervals than is supported.
+    /// Joints (from 0) of a pose that are too far from all of their intervals.
     pub fn outside(&self, q: &Joints) -> Vec<usize> {
         let is_beside = |value: f64, [low, high]: &[f64; 2]| (low - BESIDE..=high + BESIDE).contains(&value);
         let is_outside = |&joint: &usize| !self.joints[joint].iter().any(|own| is_beside(q[joint], own));
@@ -49,7 +49,7 @@ impl Validity {
 impl fmt::Display for Validity {
     /// `joint 1 -170..170, joint 2 -95..-20 and 10..40, joint 3 -60..80 in 7 parts`, in degrees; prismatic joints in mm.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        /// What a person reads one by one.
+        /// Maximum number of intervals that are listed one by one.
         const PARTS_TOLD: usize = 3;
         for (joint, intervals) in self.joints.iter().enumerate() {
             let (factor, unit) =

@@ -1,4 +1,4 @@
-//! What the calibration is worth where the robot works: position error over the whole range of its joints.
+//! Accuracy of the calibrated robot in its workspace: position error over the whole range of its joints.
 
 use std::collections::BTreeMap;
 
@@ -19,70 +19,71 @@ use crate::model::{JointState, Model, Owner, ParameterId, TermGroup};
 use crate::solver::{Covariance, Spread};
 use crate::statistics::quantile;
 
-/// Postures, evenly spread over the joint limits.
+/// Number of random postures, uniformly distributed over the joint limits.
 pub(in crate::evaluate) const POSTURES: usize = 400;
-/// Robots drawn from the covariance.
+/// Number of robots drawn from the covariance.
 const DRAWS: usize = 400;
 
-/// A position error that is expected, and how sure that is.
+/// An expected position error, with its confidence bounds.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Expected {
     /// Mean over the workspace \[m\].
     pub mean_m: f64,
-    /// 95 % of the workspace is better than this \[m\].
+    /// 95 % quantile over the workspace \[m\].
     pub p95_m: f64,
-    /// That is below this with 97.5 % \[m\].
+    /// Upper 97.5 % confidence bound of `p95_m` \[m\].
     pub p95_upper_m: f64,
-    /// The mean lies between these with 95 % \[m\].
+    /// 95 % confidence interval of the mean \[m\].
     pub interval_m: [f64; 2],
 }
 
-/// Position errors that are expected at one place.
+/// Expected position errors in one posture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlaceError {
-    /// In the robot's base \[m\].
+    /// Position in the robot's base \[m\].
     pub position_m: [f64; 3],
-    /// With the nominal geometry, root mean square \[m\].
+    /// Error with the nominal geometry, root mean square \[m\].
     pub before_m: f64,
-    /// With the calibrated one, root mean square \[m\].
+    /// Error with the calibrated geometry, root mean square \[m\].
     pub after_m: f64,
 }
 
-/// Position error of the robot's end, over all postures within the joint limits, each reached from the one before.
+/// Position error of the robot's end over random postures within the joint limits.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct WorkspaceError {
-    /// With the nominal geometry.
+    /// Error with the nominal geometry.
     pub before: Expected,
-    /// With the calibrated one, as far as its covariance says: links and errors of joints, compensated.
+    /// Error with the calibrated geometry (links and joint errors compensated), from its covariance.
     pub after: Expected,
-    /// With what a controller takes of it; empty before deployments are fitted.
+    /// Error with the part of the model that a controller applies; empty before deployments are fitted.
     pub deployed: BTreeMap<Deployment, Expected>,
-    /// The combination of parameters that contributes most to what is left, largest part first: name and its part of
-    /// the combination, 0 to 1.
+    /// The combination of parameters that contributes most to the remaining error, largest first: name and fraction of the
+    /// combination, 0 to 1.
     pub weakest: Vec<(String, f64)>,
-    /// What its uncertainty comes from.
+    /// Uncertainty budget of the position error.
     pub budget: Budget,
-    /// In each of the postures.
+    /// Errors in each of the postures.
     pub places: Vec<PlaceError>,
-    /// The same over the poses of the standard; none where nobody asked, or the robot reaches none.
+    /// Errors over the five poses of ISO 9283; `None` if not requested or if the robot reaches no cube.
     pub cube: Option<CubeError>,
 }
 
-/// Postures with the error that calibration took away, and how what it left depends on the robot's parameters.
+/// Postures with the error removed by calibration, and the derivatives of positions by the robot's parameters.
 pub(in crate::evaluate) struct Postures {
     states: Vec<JointState>,
-    /// Of the calibrated robot's end.
+    /// Positions of the calibrated robot's end.
     positions_m: Vec<Vector3<f64>>,
-    /// Calibrated minus nominal.
+    /// Calibrated minus nominal position.
     corrected_m: Vec<Vector3<f64>>,
-    /// Three rows for each posture.
+    /// Derivatives of the positions by parameters: three rows per posture.
     pub(in crate::evaluate) by_parameter: DMatrix<f64>,
 }
 
-/// Expected position errors: nominal robot against robots drawn from the solution's covariance.
+/// Expected position errors: nominal robot and calibrated robot, each against robots drawn from the solution's covariance.
 ///
-/// `joint_limits` are those of the model's joints. What is drawn is the robot's own: its links, those among them that stay fixed at
-/// uncertain values, too, and the errors of its joints, with those that were left out. The rest defines the robot's base frame.
+/// `joint_limits` are those of the model's joints. The drawn errors are those of the robot itself: its links, including
+/// links fixed at uncertain values, and its joint errors, including excluded terms. All other parameters define the robot's
+/// base frame.
 pub fn workspace_error(model: &Model, covariance: &Covariance, joint_limits: &[[f64; 2]]) -> WorkspaceError {
     let columns = of_robot(model, covariance);
     let postures = Postures::new(model, &columns, random_postures(joint_limits));
@@ -99,7 +100,7 @@ pub fn workspace_error(model: &Model, covariance: &Covariance, joint_limits: &[[
     }
 }
 
-/// Expected position errors of a robot that is given `delivered`, a part of what `model` describes; the rest as in
+/// Expected position errors of a robot whose controller applies `delivered`, a part of `model`; otherwise as
 /// [`workspace_error`].
 pub fn delivered_error(
     model: &Model,
@@ -113,7 +114,7 @@ pub fn delivered_error(
 }
 
 impl WorkspaceError {
-    /// Adds the error over the standard's poses; arguments as [`workspace_error`].
+    /// Adds the error over the poses of ISO 9283; arguments as for [`workspace_error`].
     #[must_use]
     pub fn with_cube(mut self, model: &Model, covariance: &Covariance, joint_limits: &[[f64; 2]]) -> Self {
         self.cube = Cube::largest(&model.geometry(&model.start()).robot, joint_limits).map(|cube| {
@@ -126,7 +127,7 @@ impl WorkspaceError {
     }
 }
 
-/// Columns of the covariance that move the robot's end where it stands still: of its links and of errors of its joints.
+/// Columns of the covariance that move the robot's end at standstill: of its links and joint errors.
 fn of_robot(model: &Model, covariance: &Covariance) -> Vec<(usize, ParameterId)> {
     model
         .columns()
@@ -138,13 +139,13 @@ fn of_robot(model: &Model, covariance: &Covariance) -> Vec<(usize, ParameterId)>
         .collect()
 }
 
-/// Errors of these columns, a robot drawn from the covariance in each column.
+/// Errors of these parameters, one robot drawn from the covariance per column.
 fn drawn(covariance: &Covariance, columns: &[(usize, ParameterId)]) -> DMatrix<f64> {
     let Spread { by_source, sources } = covariance.spread();
     let spread = by_source.select_rows(columns.iter().map(|(column, _)| column));
     let mut random = ChaCha8Rng::seed_from_u64(0);
     let mut drawn = DMatrix::from_fn(sources.len(), DRAWS, |_, _| StandardNormal.sample(&mut random));
-    // Sigmas from few folds are uncertain themselves: multivariate t (Kotz and Nadarajah 2004).
+    // Standard deviations from a few folds are uncertain themselves: multivariate t (Kotz and Nadarajah 2004).
     if let Some((freedom, chi_squared)) =
         covariance.sigmas_from.freedom().and_then(|freedom| Some((freedom, ChiSquared::new(freedom).ok()?)))
     {
@@ -157,10 +158,10 @@ fn drawn(covariance: &Covariance, columns: &[(usize, ParameterId)]) -> DMatrix<f
     spread * drawn
 }
 
-/// `S`, where `S S^T` is the covariance of these columns.
+/// A matrix `S` for which `S S^T` is the covariance of these columns.
 fn root(covariance: &Covariance, columns: &[(usize, ParameterId)]) -> DMatrix<f64> {
     if columns.is_empty() {
-        // Of nothing there is no decomposition.
+        // An empty matrix cannot be decomposed.
         return DMatrix::zeros(0, 0);
     }
     let between = |i: usize, j: usize| covariance.between(columns[i].0, columns[j].0).unwrap_or(0.0);
@@ -168,7 +169,7 @@ fn root(covariance: &Covariance, columns: &[(usize, ParameterId)]) -> DMatrix<f6
     &eigen.eigenvectors * DMatrix::from_diagonal(&eigen.eigenvalues.map(|value| value.max(0.0).sqrt()))
 }
 
-/// Joint variables evenly spread over the limits \[rad, m\].
+/// Joint variables uniformly distributed over the limits \[rad, m\].
 pub fn random_postures(joint_limits: &[[f64; 2]]) -> impl ExactSizeIterator<Item = Joints> + '_ {
     let mut random = ChaCha8Rng::seed_from_u64(1);
     let posture =
@@ -184,7 +185,7 @@ impl Postures {
     ) -> Self {
         let mut nominal = model.clone();
         for parameter in model.parameters() {
-            // The model has each of its own parameters.
+            // Cannot fail: the identifiers are those of the model.
             let _ = nominal.set_value(parameter.id, parameter.nominal);
         }
         let geometry = model.geometry(&model.start());
@@ -207,19 +208,19 @@ impl Postures {
         postures
     }
 
-    /// The calibrated robot's end minus that of another model \[m\].
+    /// Position of the calibrated robot's end minus that of another model, per posture \[m\].
     fn apart_m(&self, other: &Model) -> Vec<Vector3<f64>> {
         let other = other.geometry(&other.start());
         let ends = self.states.iter().map(|state| other.robot_end(state).translation.vector);
         self.positions_m.iter().zip(ends).map(|(here, there)| here - there).collect()
     }
 
-    /// What robots drawn from the covariance are off by: three rows for each posture, a draw in each column \[m\].
+    /// Position errors of robots drawn from the covariance: three rows per posture, one draw per column \[m\].
     fn left_m(&self, covariance: &Covariance, columns: &[(usize, ParameterId)]) -> DMatrix<f64> {
         &self.by_parameter * drawn(covariance, columns)
     }
 
-    /// Each posture over all draws, as in [`Self::errors`].
+    /// Errors of each posture over all draws, as in [`Self::errors`].
     fn places(&self, left_m: &DMatrix<f64>) -> Vec<PlaceError> {
         let of_posture = |(posture, (position_m, was)): (usize, (&Vector3<f64>, &Vector3<f64>))| {
             let left = |draw| Vector3::from(left_m.fixed_view::<3, 1>(3 * posture, draw));
@@ -233,15 +234,15 @@ impl Postures {
         self.positions_m.iter().zip(&self.corrected_m).enumerate().map(of_posture).collect()
     }
 
-    /// Of the nominal and the calibrated robot.
+    /// Expected errors of the nominal and the calibrated robot.
     fn errors(&self, left_m: &DMatrix<f64>) -> [Expected; 2] {
         [&self.corrected_m, &vec![Vector3::zeros(); self.states.len()]]
             .map(|apart_m| expected(apart_m, left_m))
     }
 }
 
-/// Of a robot from which the calibrated one is `apart_m` in each posture, where the true one is the calibrated one with errors that
-/// were drawn.
+/// Expected error of a robot from which the calibrated one differs by `apart_m` in each posture. The true robot is the
+/// calibrated one with the drawn errors `left_m`.
 fn expected(apart_m: &[Vector3<f64>], left_m: &DMatrix<f64>) -> Expected {
     let of_draw = |draw: DVectorView<'_, f64>| -> Vec<f64> {
         let left = |posture: usize| Vector3::from(draw.fixed_rows::<3>(3 * posture));
@@ -256,20 +257,20 @@ fn expected(apart_m: &[Vector3<f64>], left_m: &DMatrix<f64>) -> Expected {
     Expected {
         mean_m: mean(&all),
         p95_m,
-        // Of five poses each robot's own 95 % is between its two worst, that of all robots among the worst.
+        // With five poses the quantile of each robot lies between its two largest errors, that of all robots among the largest.
         p95_upper_m: quantile(&mut p95s, 0.975).max(p95_m),
         interval_m: [0.025, 0.975].map(|part| quantile(&mut means, part)),
     }
 }
 
-/// The direction in which the covariance spoils positions most: largest eigenvector of `S^T M S`, where `S S^T` is the
-/// covariance and `M` the mean of `J^T J` over the postures.
+/// The parameter combination that contributes most to position errors: the largest eigenvector of `S^T M S`, where `S S^T`
+/// is the covariance and `M` is proportional to the mean of `J^T J` over the postures.
 fn weakest(
     root: &DMatrix<f64>,
     by_parameter: &DMatrix<f64>,
     columns: &[(usize, ParameterId)],
 ) -> Vec<(String, f64)> {
-    /// Smaller parts of the combination are not reported.
+    /// Smaller fractions of the combination are not reported.
     const PART_MIN: f64 = 0.05;
     if columns.is_empty() {
         return Vec::new();
@@ -277,7 +278,7 @@ fn weakest(
     let worth = by_parameter.tr_mul(by_parameter);
     let eigen = SymmetricEigen::new(root.transpose() * &worth * root);
     let direction = root * eigen.eigenvectors.column(eigen.eigenvalues.imax());
-    // Each parameter's own effect on positions makes metres and radians comparable.
+    // The effect on positions makes metres and radians comparable.
     let effect = |i: usize| direction[i] * direction[i] * worth[(i, i)];
     let whole: f64 = (0..columns.len()).map(effect).sum();
     let mut parts: Vec<(String, f64)> = columns
