@@ -5,7 +5,7 @@ use crate::statistics::quantile;
 /// Mean, median, 95 % quantile and maximum of a set.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Quantiles {
-    /// Arithmetic mean.
+    /// Arithmetic mean of the set.
     pub mean: f64,
     /// 50 % quantile of the set.
     pub median: f64,

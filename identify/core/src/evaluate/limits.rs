@@ -21,7 +21,7 @@ use crate::statistics::{extremes, median};
 const TRAVEL_MIN_DEG: f64 = 20.0;
 /// Above this autocorrelation of the residuals, model errors limit the result rather than noise.
 const AUTOCORRELATION_MAX: f64 = 0.5;
-/// Quantile of the normal distribution at which the autocorrelation of white noise exceeds the limit once in a thousand runs.
+/// Significance limit in standard deviations: white noise exceeds it once in a thousand runs.
 const BY_CHANCE: f64 = 3.09;
 /// Samples with a weight below this in the robust loss are outliers.
 const WEIGHT_MIN: f64 = 0.5;
@@ -33,7 +33,7 @@ const LENGTH_SIGMA_M: f64 = 1e-3;
 /// Probability of a false report of a wrong scale.
 const OTHER_SCALE_BY_CHANCE: f64 = 1e-3;
 
-/// Larger angles are not errors of a joint's offset but of the plate's mounting \[rad\].
+/// Limit of the report \[rad\]: offsets of joints have smaller errors, mountings of plates may have larger ones.
 const TURNED_RAD: f64 = 17e-3;
 
 /// Gear ratios are ratios of tooth numbers, so a larger relative error is a wrong configuration. Elastic parts of a drive
