@@ -1,4 +1,4 @@
-//! What a calibration is, whatever it was measured with.
+//! The result of a calibration, for any instruments.
 
 use super::change::Changed;
 use super::lay_out::measured;
@@ -10,19 +10,19 @@ use crate::model::{Model, ParameterId};
 use crate::prepare::Prepared;
 use crate::solver::{LossName, Solution};
 
-/// A calibrated robot.
+/// A calibrated robot, with the data and the solve behind it.
 #[derive(Debug, Clone)]
 pub struct Calibration {
-    /// Data sets with their parameters at the solution, one at least: runs with the ball-bar, then files of rows, each in their
-    /// order. The columns of the first come first in the solution.
+    /// Data sets (one or more) with their parameters at the solution: first ball-bar runs, then files of rows, each in their
+    /// order. The columns of the first data set are first in the solution.
     pub runs: Vec<Run>,
-    /// What the stages of the calibration say of each file of rows.
+    /// For each file of rows, its errors per stage, rejected rows and drift.
     pub rows: Vec<RowSet>,
-    /// The solve of all.
+    /// The joint solve of all data sets.
     pub solved: Solved,
-    /// What did not stay while it was measured, but so little that it is not refused.
+    /// Changes during the measurement that are too small for a refusal.
     pub changed: Vec<Changed>,
-    /// How much samples counted that do not fit.
+    /// Robust loss, which reduces the weight of samples with large residuals.
     pub loss: LossName,
 }
 
@@ -32,50 +32,50 @@ impl Calibration {
         &self.runs[0].model
     }
 
-    /// The solve of all data sets.
+    /// Solution of the joint solve.
     pub fn solution(&self) -> &Solution {
         &self.solved.solution
     }
 
-    /// Standard deviation of a parameter of the first data set, SI; none where it was fixed.
+    /// Standard deviation of a parameter of the first data set, SI; `None` if it was fixed.
     pub fn sigma(&self, id: ParameterId) -> Option<f64> {
         let column = self.model().column_of(id)?;
         self.solution().covariance.sigma(*self.solved.columns.of_run(0).get(column)?)
     }
 
-    /// Cost of the runs with a ball-bar.
+    /// Cost of the ball-bar runs; `None` without any.
     pub fn cost(&self) -> Option<CostName> {
         self.runs.iter().find_map(|run| run.instrument.in_unit_of())
     }
 
-    /// What was minimised, in reports.
+    /// Name of the minimised cost, for reports.
     pub fn cost_name(&self) -> &'static str {
         let mut names = self.runs.iter().map(|run| run.instrument.cost());
         let first = names.next().filter(|first| names.all(|name| name == *first));
         first.unwrap_or("each instrument's own")
     }
 
-    /// Preparation and parameters of each run with a ball-bar, the first one first.
+    /// Preparation and parameters of each ball-bar run, in order.
     pub fn bar_runs(&self) -> impl Iterator<Item = (&Prepared, &Model)> {
         self.runs.iter().filter_map(|run| Some((run.instrument.prepared()?, &run.model)))
     }
 
-    /// How the logs of the first run with a ball-bar were brought together; none without any.
+    /// Preparation of the first ball-bar run, with the alignment of its logs; `None` without any.
     pub fn prepared(&self) -> Option<&Prepared> {
         self.bar_runs().next().map(|(prepared, _)| prepared)
     }
 
-    /// Bar joints with an encoder in every run.
+    /// Bar joints that have an encoder in every run.
     pub fn measured(&self) -> [bool; BAR_JOINTS] {
         measured(self.bar_runs().map(|(prepared, _)| prepared))
     }
 
-    /// What the robot reports at each sample of all data sets.
+    /// Reported robot joints at each sample of all data sets.
     pub fn poses(&self) -> impl Iterator<Item = Joints> {
         self.runs.iter().flat_map(|run| run.instrument.poses(&run.model))
     }
 
-    /// Copies of the data sets with at most so many samples in all, evenly taken: for figures that need no more.
+    /// Copies of the data sets thinned to at most about `samples_max` samples in total, for statistics that need no more.
     pub(super) fn thinned(&self, samples_max: usize) -> Vec<Run> {
         let samples: usize = self.runs.iter().map(|run| run.instrument.samples()).sum();
         let every = samples.div_ceil(samples_max.max(1)).max(1);

@@ -1,7 +1,7 @@
-//! What does not stay during a run or a file of rows: an encoder slips, a joint of the robot is not where its log says, the
-//! bar or another instrument is moved, a clock steps, or one of them drifts. Nothing else shows it: the fit spreads it over links
-//! and terms, and held-out samples are wrong in the same way. All are tried on the same residuals, those of the solution with its
-//! terms, at one rate of false alarms ([`change_point`]).
+//! Changes during a run or a file of rows: an encoder slips, a joint offset steps, the bar or another instrument is moved, a
+//! clock steps, or one of them drifts. Other checks do not detect this: the fit distributes the change over links and terms,
+//! and held-out samples have the same error. All hypotheses are tested on the same residuals, those of the solution with its
+//! terms, at one false alarm rate ([`change_point`]).
 
 use std::fmt;
 
@@ -12,55 +12,55 @@ use crate::model::{ParameterId, Role};
 use crate::prepare::{Deviations, PoorFit, PrepareError, PrepareOptions};
 use crate::solver::{Change, Course, LossName, Problem, change_point};
 
-/// Of data sets in which nothing changes, one in so many is said to have a change.
+/// Probability of a false alarm in a data set without change.
 const FALSE_ALARMS: f64 = 1e-4;
-/// Steps of a clock larger than this refuse a run \[s\]: at 0.15 rad/s they are what `slip_min_mrad` is.
+/// Minimum clock step that refuses a run \[s\]: at 0.15 rad/s it corresponds to `slip_min_mrad`.
 const CLOCK_S_MIN: f64 = 0.002;
-/// Of the base of the bar, for each radian of `slip_min_mrad` \[m\]: a rod of half a metre.
+/// Minimum displacement of the bar's base per radian of `slip_min_mrad` \[m\]: a rod of half a metre.
 const LEVER_M: f64 = 0.5;
-/// A change refuses a run where it explains so much of the squared residuals: with less, what the model lacks weighs more, and may
-/// look like a change where the path is not the same all along.
+/// Minimum fraction of the squared residuals that a change must explain to refuse a run. Below it model errors dominate, and
+/// these can look like a change if the path differs from part to part.
 const EXPLAINED: f64 = 0.3;
-/// Samples that are looked at, at most: what only more would show is too small to matter.
+/// Maximum number of samples tested: a change that needs more samples is too small to matter.
 const SAMPLES_MAX: usize = 3000;
 
-/// When it changes.
+/// Course of a change in time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum When {
-    /// At once, so long after the first sample \[s\].
+    /// A step, this long after the first sample \[s\].
     At(f64),
-    /// At once, after this part of the rows of a robot at rest.
+    /// A step, after this fraction of the rows (robot at rest, no time).
     After(f64),
-    /// Evenly, from the first sample to the last.
+    /// A linear drift from the first sample to the last.
     Drift,
 }
 
-/// A change that is certain.
+/// A statistically significant change.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Changed {
-    /// Data set from 0.
+    /// Index of the data set, from 0.
     pub data_set: usize,
-    /// What.
+    /// The cause that explains the change best.
     pub cause: Cause,
-    /// When.
+    /// Time of the change.
     pub when: When,
-    /// By how much each of its numbers, SI.
+    /// Change of each parameter of the cause, SI.
     pub by: Vec<f64>,
-    /// Part of the squared residuals that it explains.
+    /// Fraction of the squared residuals that the change explains.
     pub explained: f64,
 }
 
-/// The refusal of the first run whose angles fit no geometry, in place of what a solve has ended in because of that.
+/// Refusal of the first run whose angles fit no geometry. It replaces the error of a solve that failed for this reason.
 pub(super) fn poor_fit(runs: &[Run]) -> Option<CalibrateError> {
     let of_run = |run: &Run| Some(run.instrument.prepared()?.poor_fit.as_ref()?.refusal());
     let found = runs.iter().enumerate().find_map(|(number, run)| Some((number, of_run(run)?)));
     found.map(|(run, error)| CalibrateError::Prepare { run, error: Box::new(error) })
 }
 
-/// What changed in data sets at their solution; `sigmas` are what residuals of each are worth.
+/// Changes in data sets at their solution; `sigmas` are the residual standard deviations of each data set.
 ///
 /// # Errors
-/// [`CalibrateError::Prepare`] with the first run of the ball-bar that a change refuses, or whose angles fit no geometry.
+/// [`CalibrateError::Prepare`] with the first ball-bar run that has a large change, or whose angles fit no geometry.
 pub(super) fn checked(
     runs: &[Run],
     sigmas: &[f64],
@@ -80,7 +80,7 @@ fn changes(runs: &[Run], sigmas: &[f64]) -> Result<Vec<Changed>, CalibrateError>
 }
 
 fn of_run(Run { instrument, model }: &Run, sigma: f64) -> Result<Option<Changed>, CalibrateError> {
-    // What stayed at an uncertain value takes its share first: its error is no change.
+    // Parameters fixed at uncertain values are estimated as well, so that their errors are not reported as a change.
     let model = &model.with_considered(|one, sigma| Some(Role::Prior { value: one.value, sigma }));
     let known = |id: &ParameterId| instrument.identifies(*id) && model.parameter(*id).is_some();
     let joints = (0..model.axes()).map(Cause::Joint);
@@ -114,18 +114,18 @@ fn of_run(Run { instrument, model }: &Run, sigma: f64) -> Result<Option<Changed>
     }))
 }
 
-/// The instant before a place among the samples that were looked at.
+/// Time of a change that lies before the sample with index `at` among those tested.
 fn when(instrument: &Instrument, samples: &[usize], at: usize) -> Option<When> {
     let Some(first_s) = instrument.first_s() else {
         return Some(When::After(at as f64 / samples.len() as f64));
     };
     let time_s = |at: usize| instrument.time_s(*samples.get(at)?);
-    // Somewhere between two samples that may be apart.
+    // The middle of the interval between two samples, which may be long.
     Some(When::At(0.5 * (time_s(at.checked_sub(1)?)? + time_s(at)?) - first_s))
 }
 
 impl Changed {
-    /// Its size, SI: of a place the distance.
+    /// Magnitude of the change, SI; for a tracker the distance.
     pub fn size(&self) -> f64 {
         let numbers = if matches!(self.cause, Cause::Tracker(_)) { 3 } else { self.by.len() };
         self.by.iter().take(numbers).map(|by| by * by).sum::<f64>().sqrt()
@@ -135,7 +135,7 @@ impl Changed {
         self.by.first().copied().unwrap_or_default()
     }
 
-    /// How far it moves the end of an arm of this reach \[m\]; clocks are none of its geometry.
+    /// Displacement of the end of an arm with this reach \[m\]; a clock does not change the geometry.
     pub fn moves_m(&self, reach_m: f64) -> f64 {
         match self.cause {
             Cause::Encoder(_) | Cause::Joint(_) => self.size() * reach_m,
@@ -144,11 +144,11 @@ impl Changed {
         }
     }
 
-    /// Why a run of the ball-bar with it is refused: a step that is larger than what a calibration may carry.
+    /// The reason to refuse a ball-bar run with this change: a step above the limit; `None` otherwise.
     fn refusal(&self, options: &PrepareOptions) -> Option<PrepareError> {
         let When::At(at_s) = self.when else { return None };
         let slip_min_rad = options.slip_min_mrad * 1e-3;
-        // What an encoder or a joint reports too much its offset has to take away.
+        // The offset has the opposite sign of the error in the reported angle.
         let by_mrad = -self.only() * 1e3;
         let (error, least) = match self.cause {
             Cause::Encoder(joint) => {
@@ -167,8 +167,8 @@ impl Changed {
     }
 }
 
-/// Runs of the ball-bar become no calibration with a large change, nor where angles fitted no geometry from the beginning, which a
-/// change may have been the reason of.
+/// Refuses ball-bar runs with a large change, and runs whose angles fitted no geometry in the preparation, for which a
+/// change may be the cause.
 fn refuse(runs: &[Run], changed: &[Changed], options: &PrepareOptions) -> Result<(), CalibrateError> {
     for (run, Run { instrument, model }) in runs.iter().enumerate() {
         let Some(prepared) = instrument.prepared() else { continue };

@@ -1,4 +1,4 @@
-//! `config/identify.toml`: what to minimise, what is free, and the limits of the preparation.
+//! `config/identify.toml`: cost, free parameters, and the limits of the preparation.
 
 use std::collections::BTreeMap;
 
@@ -14,29 +14,30 @@ use crate::model::{Group, Model, ModelError, Owner, ParameterId, Role, Selection
 use crate::prepare::PrepareOptions;
 use crate::solver::LossName;
 
-/// Zeros after a loss of a counter's origin start where the preparation found them, on nominal geometry. Far more than it
-/// errs, so that samples decide; a segment that is held out with all samples of an origin leaves them there \[rad\].
+/// Prior of encoder offsets after the loss of a counter's origin \[rad\]. They start at the preparation's values, on nominal
+/// geometry. The prior is much wider than their error, so that the samples determine them. If a held-out segment contains all
+/// samples of an origin, its offsets stay at their start.
 const ZERO_SIGMA_RAD: f64 = 0.01;
-/// How far the bar's base may lean where that is not estimated: one that is set up by eye \[rad\].
+/// Tilt of the bar's base if it is not estimated, for a set-up by eye, standard deviation \[rad\].
 const BASE_TILT_SIGMA_RAD: f64 = 5e-3;
 
 /// Named sets of free parameters.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SelectionName {
-    /// The thesis' 38 and the clocks.
+    /// The 38 parameters of the thesis and the clocks.
     Thesis,
-    /// Every number of the links, each expected at its nominal value within the tolerance, which is widened where held-out
-    /// samples are predicted better; and where the instrument stands and how it is mounted.
+    /// All link parameters, each with a prior at its nominal value with the tolerance, which is widened if held-out samples
+    /// are then predicted better; and the pose and mounting of the instrument.
     #[default]
     #[serde(alias = "automatic")]
     Cell,
-    /// All that the poses determine, without priors: of each dependent group the parameter that is best fixed is left out.
+    /// All parameters that the poses determine, without priors. Of each dependent group the most suitable parameter is fixed.
     AllIdentifiable,
 }
 
 impl SelectionName {
-    /// As configurations write it.
+    /// Name in configuration files.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Thesis => "thesis",
@@ -45,7 +46,7 @@ impl SelectionName {
         }
     }
 
-    /// The set, where it does not depend on the poses.
+    /// The selection, if it does not depend on the poses.
     pub const fn fixed(self) -> Option<Selection> {
         match self {
             Self::Thesis => Some(Selection::ThesisWithClocks),
@@ -55,19 +56,19 @@ impl SelectionName {
     }
 }
 
-/// Errors of the robot's axes that repeat with the motion, and how large they are expected to be.
+/// Errors of the robot's axes that repeat with the motion, and their expected magnitudes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct JointTermsConfig {
-    /// Kinds that are tried; each stays only where it predicts held-out segments of the run better.
+    /// Groups of terms to try; a group is accepted only if it improves the prediction of held-out segments of the run.
     pub candidates: Vec<TermGroup>,
-    /// Amplitude of each wave and half of each backlash: zero within this standard deviation \[urad\].
+    /// Standard deviation of the prior at zero for amplitudes of waves and half of the backlash \[urad\].
     pub amplitude_urad: f64,
-    /// Error of each ratio \[ppm\].
+    /// Standard deviation of gear ratio errors \[ppm\].
     pub ratio_ppm: f64,
-    /// By how much the log has one joint later than the others \[ms\].
+    /// Standard deviation of the delay of a joint relative to the others in the log \[ms\].
     pub delay_ms: f64,
-    /// How much an axis deflects for each metre of its load's lever \[urad/m\].
+    /// Standard deviation of an axis' deflection per metre of its load's lever arm \[urad/m\].
     pub compliance_urad_per_m: f64,
 }
 
@@ -83,7 +84,7 @@ impl Default for JointTermsConfig {
     }
 }
 
-/// Starts from random subsets of the samples are no longer made; files that say `ransac = false` are still read.
+/// Obsolete key: solves no longer start from random subsets; files with `ransac = false` can still be read.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
 #[serde(try_from = "bool")]
 pub struct NoRansac;
@@ -98,40 +99,40 @@ impl TryFrom<bool> for NoRansac {
     }
 }
 
-/// How to calibrate.
+/// Options of a calibration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct IdentifyConfig {
-    /// Cost; absent: the best that the encoders allow.
+    /// Cost; absent: the best cost for the available encoders.
     pub cost: Option<CostName>,
     /// Loss; absent: [`CostName::usual_loss`].
     pub loss: Option<LossName>,
-    /// What earlier versions had here.
+    /// Obsolete key of earlier versions.
     #[serde(skip_serializing)]
     pub ransac: NoRansac,
-    /// Free parameters.
+    /// Named set of free parameters.
     pub selection: SelectionName,
     /// Parameters freed on top of the selection.
     pub free: Vec<String>,
-    /// Parameters fixed all the same.
+    /// Parameters fixed in spite of the selection.
     pub fix: Vec<String>,
-    /// With any selection but `thesis`, each harmonic of an encoder is expected to be zero within this standard deviation
-    /// \[urad\], or as much less as the samples say of all of them; zero leaves them out.
+    /// Standard deviation of the prior at zero for each encoder harmonic \[urad\], with any selection except `thesis`. The
+    /// samples may scale it for all of them; zero excludes them.
     pub encoder_harmonics_urad: f64,
-    /// With any selection but `thesis`, how much longer or shorter the bar may be by its direction: each wave is expected
-    /// to be zero within this standard deviation \[um\], and all stay only where they predict held-out segments of the
-    /// run better; zero leaves them out.
+    /// Standard deviation of the prior at zero for each wave of the bar's length by direction \[um\], with any selection except
+    /// `thesis`. All waves are accepted only if they improve the prediction of held-out segments of the run; zero excludes
+    /// them.
     pub bar_length_um: f64,
-    /// Errors of the robot's axes, with any selection but `thesis`.
+    /// Errors of the robot's axes, with any selection except `thesis`.
     pub joint_terms: JointTermsConfig,
-    /// The tolerance of the links' numbers, one standard deviation: with selection `cell` of those that are estimated, with any of
-    /// those that are fixed \[mm|mrad\].
+    /// Tolerance of link parameters, as standard deviation \[mm|mrad\]: with selection `cell` of the estimated ones, with any
+    /// selection of the fixed ones.
     pub tolerance_mm_mrad: f64,
-    /// Position error that the calibrated robot may have at most; absent: none is required \[mm\].
+    /// Required position error of the calibrated robot, an upper limit \[mm\]; absent: no requirement.
     pub require_mm: Option<f64>,
-    /// Parameters expected at their starting value within a standard deviation \[mm, mrad, ms or ppm\].
+    /// Priors at the start value of parameters: standard deviations \[mm, mrad, ms or ppm\].
     pub priors: BTreeMap<String, f64>,
-    /// What angles are worth.
+    /// Noise of encoder and robot angles.
     pub noise: NoiseConfig,
     /// Limits of the preparation.
     pub prepare: PrepareOptions,
@@ -158,7 +159,7 @@ impl Default for IdentifyConfig {
     }
 }
 
-/// A number of the bar's links that only says where its frames are, on its base and on the robot's flange.
+/// Whether a bar link parameter only defines the position of frames on the bar's base or on the robot's flange.
 const fn says_where_frames_are(id: ParameterId) -> bool {
     const LAST: usize = BAR_JOINTS - 1;
     matches!(
@@ -168,7 +169,7 @@ const fn says_where_frames_are(id: ParameterId) -> bool {
 }
 
 impl IdentifyConfig {
-    /// What is free follows from tolerances and names, as calibrations have it; other selections are for the estimators of studies.
+    /// Checks that the selection is that of calibrations (tolerances and names); others are for the estimators of studies.
     ///
     /// # Errors
     /// [`CalibrateError::Selection`].
@@ -179,11 +180,11 @@ impl IdentifyConfig {
         }
     }
 
-    /// Gives every parameter of a model with a ball-bar its role for a cost that identifies what `identifies` says. `identifiable`
-    /// is the set of a selection that depends on the poses. Terms that are candidates are left out.
+    /// Sets the role of every parameter of a ball-bar model, for a cost that identifies the parameters for which `identifies`
+    /// is true. `identifiable` is the set of a selection that depends on the poses. Candidate terms are not freed.
     ///
     /// # Errors
-    /// [`ModelError`] where a name or a standard deviation makes no sense.
+    /// [`ModelError`] for an invalid name or standard deviation.
     pub fn set_roles(
         &self,
         model: &mut Model,
@@ -205,7 +206,7 @@ impl IdentifyConfig {
             model.set_roles(harmonics, Role::Prior { value: 0.0, sigma: self.sigma(group) })?;
         }
         if self.selection == SelectionName::Cell {
-            // The rod is measured, or found.
+            // The rod has a measured length, or is estimated without tolerance.
             let of_bar = |id: &ParameterId| {
                 let is_link = id.owner() == Owner::BallBar && id.group() == Group::Link;
                 is_link && !says_where_frames_are(*id) && *id != ParameterId::ROD && identifies(*id)
@@ -224,12 +225,12 @@ impl IdentifyConfig {
         Ok(())
     }
 
-    /// Gives the numbers of the robot's links their roles, the same whatever measures its end: each is expected at its nominal
-    /// value within the tolerance. Those of the last link belong to what is mounted there and stay as they are; those that only say
-    /// where frames are stay fixed. Then come those parameters of the model that have a role by name.
+    /// Sets the roles of the robot's link parameters, independent of the instrument: each has a prior at its nominal value with
+    /// the tolerance. Parameters of the last link belong to the mounted instrument and are not changed. Parameters that only
+    /// define frames stay fixed. Then parameters that have a role by name receive it.
     ///
     /// # Errors
-    /// [`ModelError`] where a name or a standard deviation makes no sense.
+    /// [`ModelError`] for an invalid name or standard deviation.
     pub(crate) fn set_link_roles(&self, model: &mut Model) -> Result<(), ModelError> {
         let last = model.axes().saturating_sub(1);
         let of_links = |id: &ParameterId| matches!(id, ParameterId::Robot { link, .. } if *link < last);
@@ -244,23 +245,23 @@ impl IdentifyConfig {
         fixed.into_iter().try_for_each(|id| self.consider(model, id))
     }
 
-    /// Keeps a number of a link at its value, which may be wrong by its tolerance.
+    /// Fixes a link parameter at its value, with its tolerance as uncertainty.
     pub(crate) fn consider(&self, model: &mut Model, id: ParameterId) -> Result<(), ModelError> {
         let sigma = self.stated(id).unwrap_or_else(|| self.tolerance());
         model.set_role(id, Role::Considered { sigma })
     }
 
-    /// Standard deviation that is stated of a parameter by name, SI.
+    /// Stated standard deviation of a parameter, by name, SI.
     fn stated(&self, id: ParameterId) -> Option<f64> {
         Some(self.priors.get(&id.to_string())? / id.unit().display_factor())
     }
 
-    /// One standard deviation \[m, rad\].
+    /// Tolerance of link parameters, as standard deviation \[m, rad\].
     fn tolerance(&self) -> f64 {
         self.tolerance_mm_mrad * 1e-3
     }
 
-    /// Expects parameters at their nominal values within the tolerance.
+    /// Sets priors at the nominal values with the tolerance.
     fn set_tolerances(&self, model: &mut Model, ids: Vec<ParameterId>) -> Result<(), ModelError> {
         for id in ids {
             let Some(value) = model.parameter(id).map(|parameter| parameter.nominal) else { continue };
@@ -269,7 +270,7 @@ impl IdentifyConfig {
         Ok(())
     }
 
-    /// Gives those parameters of a model their roles that have one by name.
+    /// Sets the roles of parameters that have one by name.
     fn set_named_roles(&self, model: &mut Model) -> Result<(), ModelError> {
         for (name, sigma) in &self.priors {
             let id: ParameterId = name.parse()?;
@@ -287,10 +288,10 @@ impl IdentifyConfig {
         Ok(())
     }
 
-    /// Every parameter that has a role by name is one of some of the models.
+    /// Checks that each parameter with a role by name exists in at least one model.
     ///
     /// # Errors
-    /// [`ModelError`] names one that is not.
+    /// [`ModelError`] names a parameter that does not exist.
     pub(crate) fn require_known<'m>(
         &self,
         models: impl Iterator<Item = &'m Model> + Clone,
@@ -305,8 +306,8 @@ impl IdentifyConfig {
         Ok(())
     }
 
-    /// Known lengths of a bar on a robot of `axes` axes, with their standard uncertainties \[m\], but for those that are
-    /// free by name or have a prior.
+    /// Known lengths of a bar on a robot with `axes` axes, with their standard uncertainties \[m\], except those that are free
+    /// by name or have a prior.
     pub fn known_lengths_m(&self, bar: &BallBarConfig, axes: usize) -> Vec<(ParameterId, f64)> {
         let u_um = |id| if id == ParameterId::ROD { bar.length_u_um } else { Some(bar.plate_u_um) };
         let is_open = |name: String| !self.free.contains(&name) && !self.priors.contains_key(&name);
@@ -314,15 +315,15 @@ impl IdentifyConfig {
         known.filter_map(|id| Some((id, u_um(id).filter(|u_um| *u_um > 0.0)? * 1e-6))).collect()
     }
 
-    /// How uncertain the value of a parameter is that stays fixed, SI; none where nothing is stated, and of those that say
-    /// where frames are, whose values are a matter of choice. The plate's is in the bar's configuration.
+    /// Standard deviation of a fixed parameter, SI; `None` if it is not stated or if the value is arbitrary because it only
+    /// defines a frame. The uncertainty of the plate is in the bar's configuration.
     fn uncertainty(&self, id: ParameterId, axes: usize) -> Option<f64> {
         let name = id.to_string();
         if let Some(sigma) = self.stated(id) {
             return Some(sigma);
         }
         let is_made = match (self.selection, id) {
-            // Where the robot's links have their roles they have this, too, but for the last one.
+            // Roles of the robot's links already contain this, except those of the last link.
             (SelectionName::Cell, ParameterId::Robot { link, .. }) => {
                 link + 1 == axes && id != ParameterId::plate(axes)
             }
@@ -339,7 +340,7 @@ impl IdentifyConfig {
 }
 
 impl IdentifyConfig {
-    /// Frees what a force determines, unless it is fixed or has a prior.
+    /// Frees a parameter that a force determines, unless it is fixed or has a prior.
     ///
     /// # Errors
     /// [`ModelError::NotInModel`].
@@ -351,24 +352,24 @@ impl IdentifyConfig {
         model.set_role(id, Role::Free)
     }
 
-    /// Parameters that are freed, fixed or given a prior by name, as far as such names exist.
+    /// Parameters that are freed, fixed or given a prior by name; unknown names are ignored.
     pub fn named(&self) -> impl Iterator<Item = ParameterId> + '_ {
         let names = self.priors.keys().chain(&self.free).chain(&self.fix);
         names.filter_map(|name| name.parse().ok())
     }
 
-    /// Parameters that are fixed by name, as far as such names exist.
+    /// Parameters that are fixed by name; unknown names are ignored.
     pub(crate) fn fixed(&self) -> Vec<ParameterId> {
         self.fix.iter().filter_map(|name| name.parse().ok()).collect()
     }
 
-    /// Harmonics of the bar's encoders that nobody has named.
+    /// Harmonics of the bar's encoders that have no role by name; they share one prior scale.
     pub fn alike(&self) -> impl Iterator<Item = ParameterId> + '_ {
         let harmonics = ParameterId::of_term(TermGroup::EncoderHarmonics);
         harmonics.filter(|id| !self.named().any(|named| named == *id))
     }
 
-    /// Kinds of terms that are tried on top of the selection.
+    /// Groups of terms that are tried in addition to the selection.
     pub fn candidates(&self) -> Vec<TermGroup> {
         let mut groups = match self.selection {
             SelectionName::Thesis => Vec::new(),
@@ -380,7 +381,7 @@ impl IdentifyConfig {
         groups
     }
 
-    /// [`Self::candidates`] with those of a model's parameters that its samples determine and nobody has freed or fixed by name.
+    /// [`Self::candidates`] with the model's parameters that its samples determine and that are not freed or fixed by name.
     pub fn groups(&self, model: &Model, identifies: impl Fn(ParameterId) -> bool) -> Vec<CandidateGroup> {
         let group = |group: TermGroup| {
             let open = model
@@ -398,7 +399,7 @@ impl IdentifyConfig {
             .collect()
     }
 
-    /// Standard deviation of the prior of a term, SI.
+    /// Standard deviation of the prior of a term group, SI.
     fn sigma(&self, group: TermGroup) -> f64 {
         let terms = &self.joint_terms;
         1e-6 * match group {
@@ -419,9 +420,9 @@ fn positive(key: String, value: f64) -> Result<(), Violation> {
     Err(Violation::new(key, format!("{value} is no standard deviation"), "give a number above zero"))
 }
 
-/// What lies outside decides nothing, or leaves nothing to decide on.
+/// Values out of these ranges disable a check, or reject all data.
 fn validate_preparation(prepare: &PrepareOptions) -> Result<(), Violation> {
-    /// Fewer samples than twice the parameters of robot, bar and clocks determine none of them.
+    /// Fewer samples than twice the parameters of robot, bar and clocks are insufficient.
     const POINTS_MIN: usize = 100;
     for (key, value, [low, high]) in [
         ("correlation_min", prepare.correlation_min, [0.0, 1.0]),
@@ -437,7 +438,7 @@ fn validate_preparation(prepare: &PrepareOptions) -> Result<(), Violation> {
         ("joint_travel_min_deg", prepare.joint_travel_min_deg, [0.0, 360.0]),
         ("slip_min_mrad", prepare.slip_min_mrad, [0.001, 1000.0]),
     ] {
-        // A range that contains the value: NaN fails too.
+        // Test for values within the range: it rejects NaN too.
         if !(low..=high).contains(&value) {
             let remedy = format!("give a number from {low} to {high}");
             return Err(Violation::new(format!("prepare.{key}"), format!("{value} is out of range"), remedy));

@@ -1,4 +1,4 @@
-//! What was measured on one robot.
+//! Measurements on one robot.
 
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
@@ -9,32 +9,32 @@ use crate::instrument::Rows;
 use crate::logs::{RobotLog, Unwrapped};
 use crate::prepare::{PrepareOptions, Prepared, prepare};
 
-/// Data sets of one robot that are calibrated together.
+/// Data sets of one robot for a joint calibration.
 #[derive(Debug, Clone, Default)]
 pub struct DataSets<'a> {
     /// Runs with the ball-bar.
     pub bars: Vec<BarRun<'a>>,
-    /// Files of other instruments.
+    /// Files of rows from other instruments.
     pub rows: Vec<Rows>,
 }
 
-/// A run with the ball-bar whose logs are brought together.
+/// A ball-bar run after preparation: its logs are aligned.
 #[derive(Debug, Clone)]
 pub struct BarRun<'a> {
-    /// Its samples, the robot's motion, and where the preparation found the bar.
+    /// Samples, motion of the robot, and initial estimate of the bar's pose.
     pub prepared: Prepared,
-    /// The bar of this run: bars of several runs may differ in length.
+    /// The bar of this run; bars of different runs may differ in length.
     pub bar: &'a BallBarConfig,
 }
 
-/// What one run with the ball-bar left behind.
+/// Input of one ball-bar run.
 #[derive(Debug, Clone, Copy)]
 pub struct RunInput<'a> {
-    /// Of the recording.
+    /// Cycle records of the recording.
     pub cycles: &'a [CycleRecord],
     /// Encoders of the recording, in its order.
     pub encoders: &'a [EncoderInfo],
-    /// What the reader of the recording has unwrapped itself: its records then show what no counter showed.
+    /// Encoders that the recording's reader unwrapped itself; the records then contain values that no counter showed.
     pub unwrapped: Option<&'a [Unwrapped]>,
     /// The robot's own log.
     pub log: &'a RobotLog,
@@ -43,10 +43,10 @@ pub struct RunInput<'a> {
 }
 
 impl<'a> RunInput<'a> {
-    /// Brings the logs of each run together.
+    /// Prepares each run: aligns its logs.
     ///
     /// # Errors
-    /// [`CalibrateError::Prepare`] names the run.
+    /// [`CalibrateError::Prepare`] with the number of the run.
     pub fn prepare_all(
         inputs: &[Self],
         robot: &RobotConfig,
@@ -65,10 +65,10 @@ impl<'a> RunInput<'a> {
 }
 
 impl DataSets<'_> {
-    /// There are data, and the configuration gives nothing that has no effect on them.
+    /// Checks that there are data and that every given option affects them.
     ///
     /// # Errors
-    /// [`CalibrateError::NoRun`], [`CalibrateError::Selection`], [`CalibrateError::NoEffect`] with the option.
+    /// [`CalibrateError::NoRun`], [`CalibrateError::Selection`], or [`CalibrateError::NoEffect`] with the option.
     pub(super) fn check(&self, config: &IdentifyConfig) -> Result<(), CalibrateError> {
         if self.rows.is_empty() {
             return if self.bars.is_empty() { Err(CalibrateError::NoRun) } else { Ok(()) };

@@ -1,5 +1,5 @@
-//! From data sets to a calibration, for one run, one file of rows or any mix: they share the robot, and each data set counts as
-//! much as its own residuals show it to be worth.
+//! Calibration from one run, one file of rows, or any combination. All data sets share the robot; each is weighted by its own
+//! residuals.
 
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
@@ -17,13 +17,14 @@ use crate::kinematics::flange_chain;
 use crate::logs::RobotLog;
 use crate::solver::Watch;
 
-/// Estimates the robot from all data sets together, each number of its links expected at nominal within the configured tolerance,
-/// which is widened until left-out groups of samples are predicted best. Runs with the ball-bar share its links; each has its own
-/// clock, place of the bar, encoder offsets and, where it differs, length. A fifth of each file of rows is predicted by a fit of
-/// everything else, and then takes part; nothing is held out where the rest is too little. `watch` sees each solve and may end it.
+/// Estimates the robot from all data sets. Each link parameter has a prior at its nominal value with the configured tolerance,
+/// which is widened until left-out groups of samples are predicted best. Ball-bar runs share the bar's links; each has its own
+/// clock, position of the bar, encoder offsets and, if it differs, length. A fifth of each file of rows is predicted by a fit
+/// of all other data and then included. If the other data are too few, nothing is held out. `watch` observes each solve and may
+/// cancel it.
 ///
 /// # Errors
-/// [`CalibrateError`]: a calibration that is returned has converged and every free parameter of it is identified.
+/// [`CalibrateError`]: a calibration that is returned has converged, and each of its free parameters is identified.
 pub fn calibrate(
     data: &DataSets<'_>,
     robot: &RobotConfig,
@@ -43,7 +44,7 @@ pub fn calibrate(
     Ok(found)
 }
 
-/// Prepares and solves one run with the ball-bar; `encoders` are those of the recording, in its order.
+/// Prepares and solves one ball-bar run; `encoders` are those of the recording, in its order.
 ///
 /// # Errors
 /// As [`calibrate`].
@@ -58,7 +59,7 @@ pub fn calibrate_run(
     calibrate_runs(&[RunInput { cycles, encoders, unwrapped: None, log, bar }], robot, config, None)
 }
 
-/// Prepares each run with the ball-bar and solves all in one.
+/// Prepares each ball-bar run and solves all of them together.
 ///
 /// # Errors
 /// As [`calibrate`].
@@ -72,7 +73,7 @@ pub fn calibrate_runs(
     calibrate(&DataSets { bars, rows: Vec::new() }, robot, config, watch)
 }
 
-/// The stages of a calibration; with `held_out`, a part of each file of rows is predicted before it takes part.
+/// The stages of a calibration; with `held_out`, a part of each file of rows is predicted before it is included.
 fn staged(
     data: &DataSets<'_>,
     robot: &RobotConfig,
@@ -83,7 +84,7 @@ fn staged(
     let LaidOut { mut runs, mut rows, plan } = lay_out(data, robot, config, held_out, watch)?;
     let bars = data.bars.len();
     if !rows.is_empty() {
-        // Rows that do not belong with the rest, and a drift, are found in what the best links leave.
+        // Outlier rows and a drift are detected in the residuals of the best links.
         let of_links = Plan { groups: Vec::new(), tolerances: Vec::new(), alike: Vec::new(), ..plan.clone() };
         let Solved { sigmas, .. } = estimate(&mut runs, &of_links)?;
         let offsets = fitted(&runs, Deployment::Offsets, plan.loss, watch)?;
@@ -98,7 +99,7 @@ fn staged(
     if !rows.is_empty() {
         rows.iter_mut().zip(&runs[bars..]).for_each(|(set, run)| set.judge_joints(&run.model));
         rows::unless_implausible(&data.rows, &rows, &runs, &flange_chain(robot))?;
-        // The figures on held-out rows are taken: now these rows take part.
+        // The errors of held-out rows are known now, so these rows can be included.
         for (set, run) in rows.iter_mut().zip(&mut runs[bars..]) {
             set.leave_out_gross(&run.model);
             run.instrument = set.everything(&run.model)?;

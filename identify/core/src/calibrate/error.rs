@@ -1,4 +1,4 @@
-//! Why there is no calibration.
+//! Errors of a calibration.
 
 use super::rows::Likely;
 use super::selection::structure::StructureError;
@@ -8,33 +8,33 @@ use crate::model::ModelError;
 use crate::prepare::PrepareError;
 use crate::solver::{NotConverged, SolveError, Unidentifiable};
 
-/// Why there is no calibration.
+/// Reason why a calibration failed.
 #[derive(Debug, thiserror::Error)]
 pub enum CalibrateError {
-    /// The logs do not fit together, or are not enough.
+    /// The logs cannot be aligned, or are insufficient.
     #[error("{error}")]
     Prepare {
-        /// Which run, from 0.
+        /// Index of the run, from 0.
         run: usize,
-        /// What is wrong with it.
+        /// Error of the preparation.
         error: Box<PrepareError>,
     },
-    /// A named parameter or prior does not exist.
+    /// A named parameter does not exist, or a prior is invalid.
     #[error(transparent)]
     Model(#[from] ModelError),
-    /// The samples do not suit the cost.
+    /// The samples do not fit the cost.
     #[error(transparent)]
     Cost(#[from] CostError),
-    /// The solve could not start.
+    /// The solve could not start, or was cancelled.
     #[error(transparent)]
     Solve(#[from] SolveError),
-    /// What the samples determine cannot be found.
+    /// The identifiable parameters cannot be determined.
     #[error(transparent)]
     Structure(#[from] StructureError),
-    /// Nothing was given.
+    /// There are no data.
     #[error("there is no run to calibrate from; give at least one recording with its robot log")]
     NoRun,
-    /// Another set of free parameters than that which calibrations have.
+    /// The selection of free parameters is not that of calibrations.
     #[error(
         "`selection` is \"{0}\", which is for the estimators of a study (`identify study`); leave it out, and change with `free` \
          and `fix` what is free"
@@ -43,49 +43,49 @@ pub enum CalibrateError {
     /// An option that has no effect on rows.
     #[error("option `{option}` is for runs with the ball-bar, and there are none; leave it out")]
     NoEffect {
-        /// In the configuration.
+        /// Key in the configuration.
         option: &'static str,
     },
-    /// Where an instrument stands does not follow from its rows.
+    /// The rows do not determine the pose of the instrument.
     #[error(
         "data set {data_set}: where the instrument stands does not follow from its rows, which lie in a plane, on a line or \
          in a point; measure poses further apart"
     )]
     NoPlace {
-        /// From 1: ball-bars, trackers, wires, contacts, each in their order.
+        /// Number of the data set, from 1: ball-bars, trackers, wires, contacts, each in their order.
         data_set: usize,
     },
-    /// A tracker's log and the robot's do not fit together.
+    /// The logs of a tracker and of the robot cannot be aligned.
     #[error("data set {data_set}: {error}")]
     Align {
-        /// From 1: ball-bars, trackers, wires, contacts, each in their order.
+        /// Number of the data set, from 1: ball-bars, trackers, wires, contacts, each in their order.
         data_set: usize,
-        /// What is wrong with them.
+        /// Error of the alignment.
         error: Box<PrepareError>,
     },
-    /// Rows that calibrate no robot.
+    /// Rows that are insufficient or invalid.
     #[error("data set {data_set}: {error}")]
     Rows {
-        /// From 1: ball-bars, trackers, wires, contacts, each in their order.
+        /// Number of the data set, from 1: ball-bars, trackers, wires, contacts, each in their order.
         data_set: usize,
-        /// What is wrong with it.
+        /// Error of the rows.
         error: RowError,
     },
-    /// No robot like the configured one gives such rows.
+    /// The rows are not plausible for the configured robot.
     #[error("{found}; {}", .likely.map_or_else(
         || "rows, their mapping, the table of sockets or the robot's file are wrong; see `identify inspect --propose`".to_owned(),
         |likely| format!("most likely {likely}; mend the mapping or the robot's file"),
     ))]
     Implausible {
-        /// What gave it away.
+        /// The observation that revealed it.
         found: String,
-        /// What went wrong.
+        /// The most likely mistake, if any explains the rows.
         likely: Option<Likely>,
     },
-    /// The samples do not determine what is free.
+    /// The samples do not determine all free parameters.
     #[error(transparent)]
     Unidentifiable(#[from] Unidentifiable),
-    /// The solve ended elsewhere than at a minimum.
+    /// The solve did not converge to a minimum.
     #[error(transparent)]
     NotConverged(#[from] NotConverged),
 }

@@ -1,4 +1,4 @@
-//! The model of each data set at the nominal robot: what is free in it, and where its instrument stands.
+//! Model of each data set at the nominal robot: free parameters, and the pose of its instrument.
 
 use std::collections::BTreeSet;
 
@@ -17,18 +17,18 @@ use crate::model::{Axis, DriveTrain, Group, Model, ModelError, Parameter, Parame
 use crate::prepare::Prepared;
 use crate::solver::{LossName, Watch};
 
-/// Data sets with their models at the nominal robot, and how they are solved.
+/// Data sets with their models at the nominal robot, and the plan of the solve.
 pub(super) struct LaidOut<'w> {
-    /// Runs with the ball-bar, then files of rows; of these what the fit sees.
+    /// Ball-bar runs, then files of rows with only the rows that the fit uses.
     pub(super) runs: Vec<Run>,
     pub(super) rows: Vec<RowSet>,
     pub(super) plan: Plan<'w>,
 }
 
-/// Lays out the data sets; with `held_out`, the fit does not see a fifth of each file of rows.
+/// Creates the models of all data sets; with `held_out`, the fit does not use a fifth of each file of rows.
 ///
 /// # Errors
-/// [`CalibrateError`] where names, data or their places do not fit the robot.
+/// [`CalibrateError`] if names, data or positions of instruments do not fit the robot.
 pub(super) fn lay_out<'w>(
     data: &DataSets<'_>,
     robot: &RobotConfig,
@@ -56,7 +56,7 @@ pub(super) fn lay_out<'w>(
         set.judge_nominal(model);
         config.set_link_roles(model)?;
     }
-    // Without any scale a smaller robot between nearer faces fits as well: its longest link then keeps its length.
+    // Without a known length, the scale of robot and face distances is free: fix the length of the longest link.
     if !runs.is_empty() && runs.iter().all(|run| run.instrument.scale() == ScaleFrom::Robot) {
         let longest = longest_length(&runs[0].model);
         for Run { model, .. } in &mut runs {
@@ -76,7 +76,7 @@ pub(super) fn lay_out<'w>(
     Ok(LaidOut { runs, rows: sets, plan })
 }
 
-/// Finds where an instrument is, from its rows and the nominal robot.
+/// Estimates the pose of an instrument from its rows and the nominal robot.
 fn place(
     run: &mut Run,
     set: &RowSet,
@@ -91,14 +91,14 @@ fn place(
     if run.model.columns().len() > 0 {
         let plan = Plan { watch, ..Plan::new(LossName::Huber, Vec::new()) };
         let placed = estimate(std::slice::from_mut(run), &plan);
-        // Lengths in another unit may allow no solution at all.
+        // Lengths in a wrong unit may allow no solution; check the unit first.
         rows::unless_other_unit(set.whole(), &run.model, flange)?;
         placed?;
     }
     Ok(())
 }
 
-/// The longest of the lengths of links that are estimated.
+/// The longest of the estimated link lengths.
 fn longest_length(model: &Model) -> Option<ParameterId> {
     let is_length = |one: &&Parameter| {
         matches!(one.id, ParameterId::Robot { .. }) && one.id.unit() == Unit::Metre && one.role.is_estimated()
@@ -108,7 +108,8 @@ fn longest_length(model: &Model) -> Option<ParameterId> {
     Some(longest.id)
 }
 
-/// Terms that are tried. Without a ball-bar the models get waves of the robot's axes, up to the order that the number of rows allows.
+/// Groups of terms to try. Without a ball-bar the models receive waves of the robot's axes, up to an order limited by the
+/// number of rows.
 fn candidates(
     data: &DataSets<'_>,
     runs: &mut [Run],
@@ -133,12 +134,12 @@ fn candidates(
     Ok(groups)
 }
 
-/// Bar joints whose encoder all runs have.
+/// Bar joints that have an encoder in all runs.
 pub(super) fn measured<'p>(runs: impl Iterator<Item = &'p Prepared>) -> [bool; BAR_JOINTS] {
     runs.fold([true; BAR_JOINTS], |all, run| std::array::from_fn(|joint| all[joint] && run.measured[joint]))
 }
 
-/// Runs with the ball-bar, their parameters where the preparation found them, with their roles.
+/// Ball-bar runs, with parameters at the initial estimates of the preparation, and their roles.
 fn bar_runs(
     bars: &[BarRun<'_>],
     robot: &RobotConfig,
@@ -147,7 +148,7 @@ fn bar_runs(
     let measured = measured(bars.iter().map(|run| &run.prepared));
     let cost = config.cost.unwrap_or_else(|| CostName::for_encoders(&measured));
     let run = |BarRun { prepared, bar }: &BarRun<'_>| {
-        // Hundreds of waves have a name: a model has those that the configuration names, and later those that are found.
+        // There are hundreds of waves. A model has only those named in the configuration, and later those that are detected.
         let named = config.named().filter(|id| matches!(id, ParameterId::JointWave { .. }));
         let model = start_model(prepared, robot, bar)?.with(named);
         let known_m = config.known_lengths_m(bar, model.axes());
@@ -176,7 +177,7 @@ fn bar_runs(
     Ok(runs)
 }
 
-/// Numbers of links whose tolerances are widened where the samples require it; stated standard deviations stay.
+/// Link parameters whose tolerances are widened if the samples require it; stated standard deviations are not changed.
 fn tolerances(runs: &[Run], config: &IdentifyConfig) -> Vec<ParameterId> {
     let known = ParameterId::known_lengths(runs.first().map_or(0, |run| run.model.axes()));
     let has_tolerance = |one: &&Parameter| {
@@ -189,7 +190,7 @@ fn tolerances(runs: &[Run], config: &IdentifyConfig) -> Vec<ParameterId> {
     ids.into_iter().collect()
 }
 
-/// Nominal robot and bar, at the place and with the encoder offsets that the preparation found.
+/// Nominal robot and bar, with the position and encoder offsets estimated by the preparation.
 fn start_model(prepared: &Prepared, robot: &RobotConfig, bar: &BallBarConfig) -> Result<Model, ModelError> {
     let arm = robot_chain(robot, bar);
     let mut model = Model::ball_bar(&arm, &ball_bar_chain(bar))
@@ -209,7 +210,7 @@ fn start_model(prepared: &Prepared, robot: &RobotConfig, bar: &BallBarConfig) ->
     Ok(model)
 }
 
-/// Encoders whose counters lost their origin, with samples left since.
+/// Offsets of encoders whose counters lost their origin, if there are samples after it.
 fn changed_offsets(prepared: &Prepared) -> impl Iterator<Item = ParameterId> {
     let has_samples = |number: usize| prepared.observations.iter().any(|one| one.origin == number);
     let spans = prepared.origins.iter().filter(move |span| {

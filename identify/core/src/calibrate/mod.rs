@@ -1,4 +1,4 @@
-//! The way from measurements to a calibration: data sets are laid out, estimated and validated.
+//! Calibration from measurements: models of data sets, estimation and validation.
 
 mod calibration;
 pub mod change;

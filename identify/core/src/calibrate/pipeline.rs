@@ -1,6 +1,6 @@
-//! The one way from data sets to parameters, for any mix of instruments on one robot: solve until each data set counts as much
-//! as it is worth, without the samples that do not belong with its rest; choose terms on left-out groups of samples, solve
-//! again, and say how far to trust the result.
+//! The estimation of all parameters, for any combination of instruments on one robot. Solve until the weight of each data set
+//! agrees with its residuals, without its outliers; choose terms on left-out groups of samples; solve again; compute the
+//! covariance.
 
 use nalgebra::DMatrix;
 
@@ -17,82 +17,82 @@ use crate::solver::{
     Summary, Watch, influence, minimise, minimise_robust, solve,
 };
 
-/// The thesis' residuals enter as it defines them; `pose` is whitened by itself.
+/// Standard deviation one: residuals as defined in the thesis, or already whitened (`pose`).
 const UNWEIGHTED: f64 = 1.0;
-/// Residuals without any error still count as this uncertain against priors, in the unit of the residual.
+/// Lower limit of the residual standard deviation against priors, in the unit of the residual.
 const SIGMA_MIN: f64 = 1e-9;
-/// Whitened residuals below this are rounding: there is nothing left that a term could explain.
+/// Whitened residuals below this are rounding errors that no term could explain.
 const RESIDUAL_MIN: f64 = 1e-3;
-/// Where a solve that is not the last may end, as a part of the cost: nothing that is reported changes by more.
+/// Relative cost tolerance of all solves except the last: no reported value changes by more.
 const COST_TOLERANCE: f64 = 1e-6;
-/// And the last: with ten thousand residuals every parameter is within a ten-thousandth of its standard deviation. What is less
-/// is soon rounding.
+/// Relative cost tolerance of the last solve. With ten thousand residuals every parameter is within a ten-thousandth of its
+/// standard deviation; a smaller tolerance is close to rounding.
 const COST_TOLERANCE_LAST: f64 = 1e-12;
-/// Groups of each data set that are held out in turn to choose terms.
+/// Number of groups of each data set that are held out in turn to choose terms.
 const HELD_OUT: usize = 8;
-/// Groups of each data set that are left out in turn for the covariance.
+/// Number of groups of each data set that are left out in turn for the covariance.
 pub(super) const LEFT_OUT: usize = 30;
 
-/// What a solve is given beside the data sets, whose models have their roles and start values.
+/// Settings of a solve, in addition to the data sets, whose models have their roles and start values.
 #[derive(Debug, Clone)]
 pub struct Plan<'a> {
-    /// How much samples count that do not fit.
+    /// Robust loss, which reduces the weight of samples with large residuals.
     pub loss: LossName,
-    /// Terms that are tried; a line spectrum without parameters is found in what is left.
+    /// Groups of terms to try; a line spectrum without parameters is detected in the residuals.
     pub groups: Vec<CandidateGroup>,
-    /// Parameters that stay where they are.
+    /// Parameters that stay fixed.
     pub fix: Vec<ParameterId>,
     /// Parameters whose priors are widened until left-out groups are predicted best.
     pub tolerances: Vec<ParameterId>,
-    /// Parameters of one kind whose priors are as narrow as the samples say of all of them.
+    /// Parameters with a common prior, whose width the samples determine.
     pub alike: Vec<ParameterId>,
-    /// Sees each solve and may end it.
+    /// Observes each solve and may cancel it.
     pub watch: Option<&'a dyn Watch>,
 }
 
 impl Plan<'_> {
-    /// Of rows of one instrument.
+    /// Plan for rows of one instrument, with default settings.
     pub fn new(loss: LossName, groups: Vec<CandidateGroup>) -> Self {
         Plan { loss, groups, fix: Vec::new(), tolerances: Vec::new(), alike: Vec::new(), watch: None }
     }
 }
 
-/// Highest order of the joints' waves that is tried: no left-out group could support more than one wave's number for four
-/// measured ones of each axis.
+/// Highest order of joint waves to try: left-out groups could not support more than one amplitude per four measured values of
+/// each axis.
 pub(super) fn waves_per_turn(measured: usize, axes: usize) -> u8 {
     const MEASURED_PER_WAVE: usize = 4;
     let orders = measured / (MEASURED_PER_WAVE * Phase::ALL.len() * axes.max(1));
     u8::try_from(orders).unwrap_or(u8::MAX).min(WAVES_PER_TURN_MAX)
 }
 
-/// A solve of all runs.
+/// A joint solve of all runs.
 #[derive(Debug, Clone)]
 pub struct Solved {
-    /// Which columns of the solution are whose.
+    /// Map from the columns of each run to those of the solution.
     pub columns: SharedColumns,
-    /// The solve.
+    /// Solution of the last solve.
     pub solution: Solution,
-    /// The runs' models before any of the terms was taken.
+    /// Models of the runs before any term was accepted.
     pub without_terms: Vec<Model>,
-    /// Kinds of terms that were tried.
+    /// Groups of terms that were tried, with the results.
     pub candidates: Vec<Candidate>,
-    /// Scale of the links' tolerances.
+    /// Scale factor of the link tolerances.
     pub prior_scale: f64,
-    /// What a residual of each run is worth, one standard deviation.
+    /// Standard deviation of a residual of each run.
     pub sigmas: Vec<f64>,
 }
 
-/// A term that is considered, under its prior.
+/// The prior that includes a considered term; `None` for other parameters.
 fn let_in(one: &Parameter, sigma: f64) -> Option<Role> {
     one.id.term().map(|_| Role::Prior { value: one.value, sigma })
 }
 
-/// What a residual of a solve is worth against priors, one standard deviation: `pose` is whitened by itself.
+/// Standard deviation of a residual relative to priors; residuals of `pose` are already whitened.
 fn residual_sigma(cost: CostName, reached: &Summary) -> f64 {
     if cost == CostName::Pose { UNWEIGHTED } else { reached.residual_rms.max(SIGMA_MIN) }
 }
 
-/// All runs where their models are.
+/// The least-squares problem of all runs at the values of their models.
 pub(super) fn problem<'p>(
     runs: &'p [Run],
     columns: &'p SharedColumns,
@@ -102,7 +102,7 @@ pub(super) fn problem<'p>(
     Ok(DataSets::new(sets.collect::<Result<_, _>>()?, columns))
 }
 
-/// The cost in whose unit the residuals of all data sets are.
+/// The cost that defines the unit of the residuals of all data sets; `None` if they differ.
 pub(super) fn in_unit_of(runs: &[Run]) -> Option<CostName> {
     let mut costs = runs.iter().map(|run| run.instrument.in_unit_of());
     let first = costs.next()??;
@@ -113,24 +113,24 @@ pub(super) fn in_unit_of(runs: &[Run]) -> Option<CostName> {
 struct Solver<'a> {
     runs: &'a mut [Run],
     plan: &'a Plan<'a>,
-    /// What a residual of each run is worth.
+    /// Standard deviation of a residual of each run.
     sigmas: Vec<f64>,
-    /// Of rod and plate those that are not the same in all runs.
+    /// Those of rod and plate lengths that differ between runs.
     differ: Vec<ParameterId>,
-    /// Waves that residuals have shown.
+    /// Waves that were detected in residuals.
     shown: Shown,
-    /// Parameters that are alike, with their configured standard deviations.
+    /// Parameters with a common prior, with their configured standard deviations.
     alike: Vec<(ParameterId, f64)>,
 }
 
-/// Solves, chooses terms, solves again and leaves the models at the solution.
+/// Solves, chooses terms, solves again, and sets the models to the solution.
 ///
 /// # Errors
-/// [`CalibrateError`] where the runs do not suit their residuals or do not determine what is free.
+/// [`CalibrateError`] if the runs do not fit their residuals or do not determine all free parameters.
 pub fn estimate(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateError> {
     let poor_fit = change::poor_fit(runs);
     estimated(runs, plan).map_err(|error| match poor_fit {
-        // A solve that fails on such angles says less than they do.
+        // If angles fit no geometry, that error is more informative than the failed solve.
         Some(poor_fit) if error.is_of_solve() => poor_fit,
         _ => error,
     })
@@ -150,7 +150,7 @@ fn estimated(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateError
     let to_choose = !(plan.groups.is_empty() && plan.tolerances.is_empty() && solver.alike.is_empty());
     if to_choose && solution.summary.residual_rms > RESIDUAL_MIN * solver.unit() {
         let finds_noise = solver.in_unit_of().is_none_or(|cost| cost == CostName::Pose);
-        // Known terms leave less noise: the second choice weighs their priors by it.
+        // Accepted terms reduce the noise: the second selection weights their priors with it.
         let rounds = if finds_noise { 2 } else { 1 };
         for _ in 0..rounds {
             let scaled;
@@ -167,7 +167,7 @@ fn estimated(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateError
         }
         if finds_noise || scale != 1.0 || candidates.iter().any(|candidate| candidate.accepted) {
             (columns, solution) = if solver.in_unit_of().is_some() {
-                // The terms that were taken leave less, and the scale of the loss was that of more.
+                // Accepted terms reduce the residuals, so the scale of the loss is estimated again.
                 solver.approach()?;
                 solver.solve()?
             } else {
@@ -181,8 +181,8 @@ fn estimated(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateError
     Ok(Solved { columns, solution, without_terms, candidates, prior_scale: scale, sigmas })
 }
 
-/// Solves for what is free in the models, from where they are, tries no other terms and leaves the models at the solution,
-/// with which columns are whose and what a residual of each run is worth there.
+/// Solves for the free parameters from the current values, without trying other terms, and sets the models to the solution.
+/// Returns the column map, the solution, and the standard deviation of a residual of each run.
 ///
 /// # Errors
 /// As [`estimate`].
@@ -198,7 +198,7 @@ pub(super) fn refit(
     Ok((columns, solution, solver.sigmas))
 }
 
-/// Of rod and plate those that are not the same in all runs with a bar.
+/// Those of rod and plate lengths that differ between the runs with a bar.
 pub(super) fn differ(runs: &[Run]) -> Vec<ParameterId> {
     let differs = |id: &ParameterId| {
         let bars = runs.iter().filter(|run| run.instrument.scale() == ScaleFrom::Plate);
@@ -210,10 +210,10 @@ pub(super) fn differ(runs: &[Run]) -> Vec<ParameterId> {
     ParameterId::known_lengths(axes).into_iter().filter(differs).collect()
 }
 
-/// What a data set has for itself: the robot is that of all and the bar that of all runs with one, but instruments are set up
-/// anew and encoders count from new zeros.
+/// Whether each data set has its own value. The robot is shared by all and the bar by all runs with one. Instruments are set
+/// up anew, and encoders have new offsets.
 pub(super) fn is_own(id: ParameterId, differ: &[ParameterId]) -> bool {
-    // Another bar deflects by another amount.
+    // A different bar has a different compliance.
     let length = if id.group() == Group::Force { ParameterId::ROD } else { id };
     id.block().of_run || differ.contains(&length)
 }
@@ -246,29 +246,29 @@ impl<'a> Solver<'a> {
         }
     }
 
-    /// The cost in whose unit the residuals of all data sets are.
+    /// The cost that defines the unit of the residuals of all data sets; `None` if they differ.
     fn in_unit_of(&self) -> Option<CostName> {
         in_unit_of(self.runs)
     }
 
-    /// What residuals in reports are multiplied by, for the unit of a cost that all data sets have.
+    /// Factor of reported residuals: the unit of the cost, if all data sets share one.
     fn unit(&self) -> f64 {
         let first = self.sigmas.first().copied().unwrap_or(UNWEIGHTED);
         if self.in_unit_of().is_some() { first } else { UNWEIGHTED }
     }
 
-    /// Solves until residuals count as much as they are worth.
+    /// Solves repeatedly until the weights of the residuals agree with their size.
     fn settle(&mut self) -> Result<(SharedColumns, Solution), CalibrateError> {
-        /// The noise has settled when it falls by less than this part.
+        /// Converged when the noise decreases by less than this fraction.
         const SETTLED: f64 = 0.02;
         const ROUNDS_MAX: usize = 20;
         if let Some(cost) = self.in_unit_of() {
             self.sigmas.fill(UNWEIGHTED);
             let first = self.approach()?;
             self.learn_noise();
-            // Whitening, angles without encoder and the weight of a residual against priors were those of the nominal geometry;
-            // now they are those of the solution. A weight that is too small keeps the solution near its priors, where residuals
-            // are large: the weight is repeated until it does not grow any more.
+            // Whitening, angles without encoder, and the weight of residuals against priors were computed at the nominal
+            // geometry; now they are computed at the solution. A weight that is too small keeps the solution near its priors,
+            // where residuals are large. Repeat until the weight no longer increases.
             let mut sigma = residual_sigma(cost, &first);
             for _ in 0..ROUNDS_MAX {
                 self.sigmas.fill(sigma);
@@ -279,7 +279,7 @@ impl<'a> Solver<'a> {
                 sigma = (sigma * part).max(SIGMA_MIN);
             }
             let (columns, mut solution) = self.solve()?;
-            // In the unit of the noise that was found.
+            // Convert to the unit of the estimated noise.
             let unit = solution.summary.residual_rms_start / first.residual_rms.max(SIGMA_MIN);
             let unit = if cost == CostName::Pose { unit } else { UNWEIGHTED };
             solution.summary.residual_rms_start = unit * first.residual_rms_start;
@@ -287,7 +287,7 @@ impl<'a> Solver<'a> {
         }
         let mut noise = self.weigh()?;
         for _ in 0..ROUNDS_MAX {
-            // Samples that do not fit lose their pull on the way.
+            // The Cauchy loss suppresses outliers during these iterations.
             self.descend(LossName::Cauchy)?;
             self.learn_noise();
             let screened = self.screen();
@@ -299,22 +299,22 @@ impl<'a> Solver<'a> {
         self.solve()
     }
 
-    /// Takes the noise of readings from what is left at the models.
+    /// Estimates the noise of the readings from the residuals of the current models.
     fn learn_noise(&mut self) {
         for Run { instrument, model } in &mut *self.runs {
             instrument.learn_noise(model);
         }
     }
 
-    /// Each data set without the samples that do not belong with its rest; whether other ones take part than before.
+    /// Excludes the outliers of each data set; true if the set of used samples changed.
     fn screen(&mut self) -> bool {
         let runs = self.runs.iter_mut();
         runs.fold(false, |others, Run { instrument, model }| instrument.screen(model) || others)
     }
 
-    /// By how much the errors of each data set are larger than what is left of them, since parameters bend towards them:
-    /// `sqrt(n / (n - p))`, where `p` of its `n` numbers are taken by the fit. Without it, where terms are as many as numbers,
-    /// each fit would leave less than the last, down to nothing.
+    /// Factor by which the errors of each data set exceed its residuals, because the fit adapts to them: `sqrt(n / (n - p))`,
+    /// with `p` effective parameters for its `n` numbers. Without the factor, if terms are as many as numbers, residuals would
+    /// decrease with each fit, down to zero.
     fn bent(&self) -> Result<Vec<f64>, CostError> {
         let columns = self.columns();
         let all = problem(self.runs, &columns, &self.sigmas)?;
@@ -327,8 +327,8 @@ impl<'a> Solver<'a> {
         Ok(taken.unwrap_or_else(|| vec![UNWEIGHTED; self.runs.len()]))
     }
 
-    /// Takes the noise of each data set from what is left at its model: variance components, each from its own residuals.
-    /// Returns the noise, in units of each.
+    /// Estimates the noise of each data set from its own residuals: variance components. Returns the noise of each in its own
+    /// unit.
     fn weigh(&mut self) -> Result<Vec<f64>, CostError> {
         let (several, mut all, bent) = (self.runs.len() > 1, Vec::new(), self.bent()?);
         for ((Run { instrument, model }, sigma), bent) in self.runs.iter_mut().zip(&mut self.sigmas).zip(bent)
@@ -342,7 +342,7 @@ impl<'a> Solver<'a> {
                     None => GoodShare::HALF.spread_at(&alone, &model.start()).max(SIGMA_MIN),
                 };
             if several {
-                // Errors that last for many samples make these worth less than as many independent ones.
+                // Correlated errors carry less information than independent ones.
                 let groups = instrument.independent(LEFT_OUT);
                 let loss = LossName::Cauchy.for_spread(*sigma, alone.rows());
                 let options = Options { loss, ..Options::default() };
@@ -355,8 +355,8 @@ impl<'a> Solver<'a> {
         Ok(all)
     }
 
-    /// Improves the models with residuals in standard deviations, without a word on rank and covariance: for hundreds of
-    /// columns, and solves that are not the last. Returns the loss.
+    /// Improves the models, with residuals in standard deviations, without rank analysis and covariance: for hundreds of
+    /// columns and for all solves except the last. Returns the loss.
     fn descend(&mut self, loss: LossName) -> Result<Loss, CalibrateError> {
         let columns = self.columns();
         let problem = problem(self.runs, &columns, &self.sigmas)?;
@@ -369,7 +369,7 @@ impl<'a> Solver<'a> {
         Ok(loss)
     }
 
-    /// Runs of ball-bars weighed anew where the models are.
+    /// Recomputes the weights of ball-bar runs at the current models.
     fn adapt(&mut self) {
         for Run { instrument, model } in &mut *self.runs {
             instrument.adapt(model);
@@ -382,7 +382,7 @@ impl<'a> Solver<'a> {
         }
     }
 
-    /// Brings the models of runs of ball-bars near their solution: what is left there says what their residuals are worth.
+    /// Moves the models of ball-bar runs near their solution, where the residuals determine the weights.
     fn approach(&mut self) -> Result<Summary, CalibrateError> {
         self.adapt();
         let columns = self.columns();
@@ -395,7 +395,7 @@ impl<'a> Solver<'a> {
         Ok(reached)
     }
 
-    /// The last solve, from near the solution, where the models are left.
+    /// The last solve, from near the solution; sets the models to the solution.
     fn solve(&mut self) -> Result<(SharedColumns, Solution), CalibrateError> {
         let of_bars = self.in_unit_of().is_some();
         if of_bars {
@@ -406,7 +406,7 @@ impl<'a> Solver<'a> {
         let Plan { loss, watch, .. } = *self.plan;
         let options = Options { cost_tolerance: COST_TOLERANCE_LAST, watch, ..Options::default() };
         let problem = problem(self.runs, &columns, &self.sigmas)?;
-        // The noise has settled, and every residual but those of the ball-bar alone is in standard deviations.
+        // The noise has converged. Residuals are in standard deviations, except those of the ball-bar alone.
         let loss =
             if of_bars { loss.settled(&problem, &start) } else { loss.for_spread(1.0, problem.rows()) };
         let solution = solve(&problem, &start, &Options { loss, ..options });
@@ -419,7 +419,7 @@ impl<'a> Solver<'a> {
         Ok((columns, solution))
     }
 
-    /// All runs with other models than theirs.
+    /// The least-squares problem of all runs with other models.
     fn with_models<'p>(
         &'p self,
         models: &'p [Model],
@@ -430,8 +430,8 @@ impl<'a> Solver<'a> {
         Ok(DataSets::new(sets.collect::<Result<_, _>>()?, columns))
     }
 
-    /// Normal equations of the independent groups of all runs where the models are, and the run of each; none where residuals
-    /// are not finite.
+    /// Normal equations of the independent groups of all runs at the models' values, and the run of each group; `None` if
+    /// residuals are not finite.
     fn normals(
         &self,
         models: &[Model],
@@ -453,7 +453,7 @@ impl<'a> Solver<'a> {
         Ok(normals.map(|normals| (normals, of_run)))
     }
 
-    /// The columns of what is free, whose they are, and [`Self::normals`] where the models are.
+    /// The free columns, their parameters, and [`Self::normals`] at the current models.
     fn normals_here(
         &self,
         loss: Loss,
@@ -466,11 +466,11 @@ impl<'a> Solver<'a> {
         Ok((columns, ids, normals))
     }
 
-    /// How sure the solution is: by the jackknife where there are groups enough, with what parameters leave in doubt that
-    /// stayed at uncertain values.
+    /// Covariance of the solution: by the jackknife if there are enough groups, with the contribution of parameters that are
+    /// fixed at uncertain values.
     ///
-    /// Terms that were left out are there or not: with them under their priors the solution has another spread and is
-    /// elsewhere, and both count (the mean squared error of a solution without them, where they are as is expected).
+    /// It is unknown whether excluded terms exist. With these terms and their priors, both the covariance and the solution
+    /// differ, and both differences are included (the mean squared error of a solution without them, if they are as expected).
     fn covariance(&self, columns: &SharedColumns, solution: &Solution) -> Result<Covariance, CalibrateError> {
         self.begins("uncertainty");
         let mut covariance = solution.covariance.clone();
@@ -496,7 +496,7 @@ impl<'a> Solver<'a> {
         })
     }
 
-    /// What the errors of [`Role::Considered`] parameters do to the solution; none where there are none.
+    /// Effect of the errors of [`Role::Considered`] parameters on the solution; `None` if there are none.
     fn considered(&self, columns: &SharedColumns, loss: Loss) -> Result<Option<Considered>, CalibrateError> {
         let free = |one: &Parameter, _| one.id.term().is_none().then_some(Role::Free);
         let models: Vec<Model> = self.runs.iter().map(|run| run.model.with_considered(free)).collect();
@@ -529,9 +529,9 @@ impl<'a> Solver<'a> {
         Ok(Some(Considered { names: found.held, sigmas, change }))
     }
 
-    /// Gives parameters that are alike the prior under which the samples are most probable (empirical Bayes: type-II maximum
-    /// likelihood, Berger 1985), errors that last for several samples counted as one. Encoders without eccentricity then cost
-    /// nothing, and one that is configured too narrow costs nothing either.
+    /// Sets the common prior to the width under which the samples are most probable (empirical Bayes: type-II maximum
+    /// likelihood, Berger 1985); correlated errors are counted once. Then harmonics of encoders without eccentricity do not
+    /// increase the uncertainty, and a configured width that is too small does not bias them.
     fn narrow_alike(&mut self, loss: Loss) -> Result<(), CalibrateError> {
         const SCALES: [f64; 7] = [2.0, 1.0, 0.5, 0.2, 0.1, 0.05, 0.02];
         if self.alike.is_empty() {
@@ -557,8 +557,8 @@ impl<'a> Solver<'a> {
         Ok(())
     }
 
-    /// A force along the bar lengthens it as a spring or takes up its play: where left-out groups are predicted better by play,
-    /// play is free instead of compliance.
+    /// An axial force elongates the bar as a spring, or takes up its play. If play predicts left-out groups better, it is freed
+    /// instead of compliance.
     fn explains_by_play(&mut self, loss: Loss) -> Result<bool, CalibrateError> {
         const OTHERS: [ParameterId; 2] = [ParameterId::BarPlay, ParameterId::BarCompliance];
         let is_open = |run: &Run| {
@@ -572,7 +572,7 @@ impl<'a> Solver<'a> {
         let (columns, ids, normals) = self.normals_here(loss, HELD_OUT)?;
         let without = |other: ParameterId| {
             let kept: Vec<usize> = (0..ids.len()).filter(|column| ids[*column] != other).collect();
-            // Compliance is as large as it was found to be: without it is at zero.
+            // Compliance has its estimated value; without compliance it is zero.
             let mut about = self.start(&columns);
             about.iter_mut().zip(&ids).filter(|(_, id)| **id == other).for_each(|(value, _)| *value = 0.0);
             let normals = normals.as_ref()?.about(&about);
@@ -586,7 +586,7 @@ impl<'a> Solver<'a> {
         Ok(by_play)
     }
 
-    /// Tries each kind of terms on held-out groups, gives those that stay their priors, and finds the scale of tolerances.
+    /// Tries each group of terms on held-out groups, sets the priors of accepted terms, and chooses the scale of tolerances.
     fn choose_terms(&mut self, solution: &Solution) -> Result<(Vec<Candidate>, f64), CalibrateError> {
         self.begins("errors of joints");
         let mut groups = self.plan.groups.clone();
@@ -595,7 +595,7 @@ impl<'a> Solver<'a> {
         if let Some(open) = groups.iter_mut().find(is_open) {
             self.offer_line_spectrum(&solution.sample_weights)?;
             open.ids.clone_from(&self.shown.by_all);
-            // Those that only a part of the samples shows stand for themselves in predictions, and nowhere else.
+            // Waves detected in only a part of the samples are used for the prediction of single folds only.
             self.set_roles(&self.shown.by_parts(), Role::Prior { value: 0.0, sigma: open.sigma })?;
         }
         let by_parts = self.shown.by_parts();
@@ -621,7 +621,7 @@ impl<'a> Solver<'a> {
             offers.iter().any(|offer| offer.has(*column)) || by_parts.contains(&ids[*column])
         };
         let (own, mut kept): (Vec<usize>, Vec<usize>) = (0..ids.len()).partition(offered);
-        // About the models without any of them, weighed as they are.
+        // Relative to the models without any of them, at the current weights.
         let mut without = self.start(&columns);
         own.iter().for_each(|&column| without[column] = 0.0);
         let normals = normals.map(|normals| normals.about(&without));
@@ -652,9 +652,9 @@ impl<'a> Solver<'a> {
         }
         self.set_roles(&by_parts, Role::Fixed)?;
         self.set_to_zero(&by_parts)?;
-        // Waves of high orders look like noise to all that is estimated; others look like links. They are as large as the smallest
-        // that is usual: left-out groups did not ask for more. Encoders of a bar tell terms and links apart: claims of its runs hold
-        // without (95 % of 185 simulated ones).
+        // For all other parameters, waves of high order act as noise. Other terms resemble link errors. Their assumed size is
+        // the smallest usual one, since left-out groups did not require more. Encoders of a bar separate terms from links: the
+        // stated uncertainty of ball-bar runs is correct without them (95 % of 185 simulated runs).
         let bars = self.in_unit_of().is_some();
         let looks_like_links = |group: &&CandidateGroup| group.group != TermGroup::LineSpectrum && !bars;
         for verdict in verdicts.iter().filter(|verdict| !verdict.accepted) {
@@ -665,14 +665,14 @@ impl<'a> Solver<'a> {
         let Some(normals) = normals.filter(|_| !self.plan.tolerances.is_empty()) else {
             return Ok((report, 1.0));
         };
-        // Terms were weighed above, and what a person gave stays as it is.
+        // The scales of terms were chosen above; priors stated by the user are not changed.
         let tolerance = |id: ParameterId| self.plan.tolerances.contains(&id);
         let scale = prior_scale(&normals, &kept, |column| ids.get(column).copied().is_some_and(tolerance));
         self.scale_priors(scale)?;
         Ok((report, scale))
     }
 
-    /// Gives all models the waves of the axes that what is left shows.
+    /// Adds to all models the axis waves that are detected in the residuals.
     fn offer_line_spectrum(&mut self, weights: &[f64]) -> Result<(), CalibrateError> {
         let mut spectrum = LineSpectrum::default();
         let columns = self.columns();
@@ -698,7 +698,7 @@ impl<'a> Solver<'a> {
         self.runs.iter().map(|run| run.model.columns().map(|parameter| parameter.id).collect()).collect()
     }
 
-    /// Gives parameters a role in every model that has them and whose samples show them.
+    /// Sets a role in every model that has the parameter and whose samples identify it.
     fn set_roles(&mut self, ids: &[ParameterId], role: Role) -> Result<(), ModelError> {
         for Run { instrument, model } in &mut *self.runs {
             for &id in ids.iter().filter(|id| instrument.identifies(**id)) {

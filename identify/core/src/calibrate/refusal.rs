@@ -1,4 +1,4 @@
-//! Refusals taken apart: a page says more of them than a line on a terminal.
+//! Refusals in structured form, for reports that show more than the message on a terminal.
 
 use super::error::CalibrateError;
 use super::selection::structure::StructureError;
@@ -6,21 +6,21 @@ use crate::cost::CostError;
 use crate::prepare::{Deviations, Place};
 use crate::solver::SolveError;
 
-/// Why the data gave no calibration.
+/// Reason why the data gave no calibration.
 #[derive(Debug, Clone)]
 pub struct Refusal<'e> {
-    /// As on the terminal: what is wrong, then what to do.
+    /// Message as on the terminal: the problem, then the remedy.
     pub message: String,
-    /// Which run, from 0; none where it is all of them together.
+    /// Index of the run, from 0; `None` if the refusal concerns all data.
     pub run: Option<usize>,
-    /// Where in that run.
+    /// Location of the problem within that run.
     pub place: Place,
-    /// What it rests on, where the logs of the run were brought together before it.
+    /// Deviations on which the refusal is based, if the logs of the run were aligned before it.
     pub deviations: Option<&'e Deviations>,
 }
 
 impl CalibrateError {
-    /// The refusal; none where the data are not to blame: something was mistyped, or somebody ended the solve.
+    /// The refusal; `None` for errors that are not due to the data, such as an invalid option or a cancelled solve.
     pub fn refusal(&self) -> Option<Refusal<'_>> {
         let of_data = match self {
             Self::Model(_) | Self::Structure(StructureError::Model(_)) => false,
@@ -43,7 +43,7 @@ impl CalibrateError {
 }
 
 impl CalibrateError {
-    /// The samples that were given did not lead a solve to its end.
+    /// Whether a solve failed because of the samples.
     pub(super) fn is_of_solve(&self) -> bool {
         match self {
             Self::Solve(error) => solve_is_of_data(error),
@@ -61,7 +61,7 @@ fn cost_is_of_data(error: &CostError) -> bool {
     !matches!(error, CostError::BadSigma { .. })
 }
 
-/// Nothing was freed, or somebody pressed Ctrl-C.
+/// False if no parameter was free or the solve was cancelled.
 fn solve_is_of_data(error: &SolveError) -> bool {
     !matches!(error, SolveError::NothingFree | SolveError::Cancelled { .. })
 }

@@ -1,12 +1,12 @@
-//! A zero of the instrument that wanders along the file.
+//! Drift of an instrument's offset over the rows of a file.
 //!
-//! A wire that is wound anew, slips or warms up measures with another zero from then on: rows next to each other are off
-//! together. The drift is a stationary random walk (Ornstein and Uhlenbeck 1930) over the number of the row, with a size
-//! and a length of memory; residuals are `r = f - l = g + e` with `g` drift and `e` white. Its covariance has a
-//! tridiagonal inverse, so that the best drift for given residuals costs one sweep, and the least squares of the robot
-//! with the drift taken out (generalised least squares) little more than without.
+//! A wire that is rewound, slips or warms up changes its offset, so neighbouring rows have correlated errors. The drift is
+//! modelled as a stationary random walk (Ornstein and Uhlenbeck 1930) over the row number, with a standard deviation and a
+//! correlation length. The residuals are `r = f - l = g + e` with `g` drift and `e` white noise. The inverse covariance of `g`
+//! is tridiagonal. The best drift for given residuals therefore costs one sweep, and generalised least squares of the robot
+//! with the drift removed costs little more than without.
 //!
-//! Whether there is a drift, its size and its memory are decided by fitting rows left out in turn.
+//! Existence, size and memory of a drift are chosen by cross-validation over the fitting rows.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -17,31 +17,31 @@ use crate::instrument::Instrument;
 use crate::model::{Model, ParameterId};
 use crate::solver::{Loss, Normal, Prior, ScaledCholesky, stacked};
 
-/// Size and memory of a drift.
+/// Size and memory of a drift, with the errors of the cross-validation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Drift {
-    /// Standard deviation of the zero \[m\].
+    /// Standard deviation of the offset \[m\].
     pub size_m: f64,
-    /// Rows after which it has forgotten two thirds.
+    /// Correlation length in rows: the correlation has fallen to 1/e.
     pub memory_rows: f64,
-    /// Standard deviation of a single length beside it, of rows that state theirs that of the median one \[m\].
+    /// Standard deviation of a single length without drift \[m\]; if rows state their noise, that of the median row.
     pub white_m: f64,
-    /// Root mean square of fitting rows left out in turn, without a drift \[m\].
+    /// Root mean square error of cross-validated fitting rows, without a drift \[m\].
     pub rms_without_m: f64,
-    /// And with it \[m\].
+    /// Root mean square error of cross-validated fitting rows, with the drift \[m\].
     pub rms_with_m: f64,
 }
 
-/// Parts of the fitting rows that are left out in turn.
+/// Number of folds of the cross-validation.
 const FOLDS: usize = 8;
-/// So small, in standard deviations of a length, that it is none.
+/// Size of a negligible drift, in standard deviations of a length.
 const NONE: f64 = 1e-6;
-/// Steps of the generalised least squares; the third changes nothing that is printed.
+/// Number of steps of generalised least squares; the third changes no printed digit.
 const STEPS: usize = 8;
-/// Beyond this many standard deviations a row pulls no harder.
+/// Residuals beyond this number of standard deviations have a constant influence.
 const HUBER: Loss = Loss::Huber { scale: 3.0 };
 
-/// Sizes and memories to choose from: standard deviations in those of a length as it fits without a drift.
+/// Candidate sizes and memories; standard deviations are relative to `sigma_m`, that of a length in the fit without a drift.
 fn candidates(sigma_m: f64) -> impl Iterator<Item = Drift> {
     const WHITE: [f64; 3] = [0.3, 0.6, 1.0];
     const SIZES: [f64; 4] = [0.5, 1.5, 5.0, 15.0];
@@ -61,7 +61,7 @@ fn candidates(sigma_m: f64) -> impl Iterator<Item = Drift> {
 
 /// Solves for the drift of all rows: `(K^-1 + W / s^2) g = W r / s^2`, factored once (Thomas 1949).
 struct Sweep {
-    /// `W / s^2` of each row, zero for rows that do not count.
+    /// `W / s^2` of each row; zero for rows that are not used.
     weights: Vec<f64>,
     off_diagonal: f64,
     pivots: Vec<f64>,
@@ -83,7 +83,7 @@ impl Sweep {
         Self { weights, off_diagonal, pivots }
     }
 
-    /// The drift behind residuals of all rows \[m\].
+    /// The estimated drift for residuals of all rows \[m\].
     fn drift(&self, residuals: &[f64]) -> Vec<f64> {
         let mut g: Vec<f64> = residuals.iter().zip(&self.weights).map(|(r, w)| r * w).collect();
         for row in 1..g.len() {
@@ -96,21 +96,21 @@ impl Sweep {
         g
     }
 
-    /// What is left of residuals without the drift, over the white variance: the inverse covariance times them.
+    /// Residuals minus drift, divided by the white variance: the product of the inverse covariance and the residuals.
     fn whitened(&self, residuals: &[f64]) -> Vec<f64> {
         let drift = self.drift(residuals);
         residuals.iter().zip(drift).zip(&self.weights).map(|((r, g), w)| w * (r - g)).collect()
     }
 }
 
-/// Residuals and Jacobian of the rows that take part \[m\], spread over all rows of the file.
+/// Residuals and Jacobian of the rows used \[m\], as vectors over all rows of the file.
 struct Linear {
     residuals: Vec<f64>,
-    /// Noise of each row over that of the median one.
+    /// Noise of each row relative to that of the median row.
     relative_noise: Vec<f64>,
-    /// A column for each free parameter.
+    /// Jacobian: one column for each free parameter.
     columns: Vec<Vec<f64>>,
-    /// On the step.
+    /// Priors relative to the start of the step.
     priors: Vec<Prior>,
 }
 
@@ -137,13 +137,13 @@ impl Linear {
         }))
     }
 
-    /// The sweep over rows that count by their noise, times these weights.
+    /// The sweep with weights divided by the squared relative noise.
     fn sweep(&self, drift: &Drift, weights: &[f64]) -> Sweep {
         let by_noise = weights.iter().zip(&self.relative_noise).map(|(weight, noise)| weight / noise.powi(2));
         Sweep::new(drift, &by_noise.collect::<Vec<_>>())
     }
 
-    /// Normal equations of generalised least squares, with the priors.
+    /// Normal equations of generalised least squares, including the priors.
     fn normal(&self, sweep: &Sweep) -> Normal {
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let whitened: Vec<Vec<f64>> = self.columns.iter().map(|column| sweep.whitened(column)).collect();
@@ -159,18 +159,18 @@ impl Linear {
         normal
     }
 
-    /// The step of generalised least squares.
+    /// A step of generalised least squares.
     fn step(&self, sweep: &Sweep) -> Option<DVector<f64>> {
         let normal = self.normal(sweep);
         Some(-ScaledCholesky::new(normal.matrix)?.solve(&normal.gradient))
     }
 
-    /// Variances of the columns; none where they are not determined.
+    /// Variances of the columns; `None` if they are not determined.
     fn variances(&self, sweep: &Sweep) -> Option<DVector<f64>> {
         Some(ScaledCholesky::new(self.normal(sweep).matrix)?.inverse().diagonal())
     }
 
-    /// Residuals after a step.
+    /// Predicted residuals after a step.
     fn after(&self, step: &DVector<f64>) -> Vec<f64> {
         let mut after = self.residuals.clone();
         for (column, by) in self.columns.iter().zip(step.iter()) {
@@ -179,7 +179,7 @@ impl Linear {
         after
     }
 
-    /// Mean squared error of each fold, left out in turn, in the noise of the median row \[m^2\].
+    /// Mean squared error of each left-out fold, in the noise of the median row \[m^2\].
     fn left_out(&self, drift: &Drift, folds: &[Vec<usize>]) -> Option<Vec<f64>> {
         let error = |fold: &Vec<usize>| {
             let mut weights = vec![0.0; self.residuals.len()];
@@ -196,11 +196,12 @@ impl Linear {
     }
 }
 
-/// Takes a drift where left-out fitting rows ask for it, with that of every row \[m\], also of rows that did not take part:
-/// there it is what their neighbours say. The model, which stands at its fit without one, is then at that with it.
+/// Chooses a drift if it improves the prediction of left-out fitting rows. Returns it with its value at every row \[m\]; rows
+/// that were not used receive the value predicted from their neighbours. The model must be at its fit without drift; afterwards
+/// it is at the fit with drift.
 ///
 /// # Errors
-/// [`CalibrateError::Cost`].
+/// [`CalibrateError::Cost`] if the data do not fit the cost.
 pub(super) fn find(
     model: &mut Model,
     all: &Instrument,
@@ -213,8 +214,8 @@ pub(super) fn find(
     Ok(Some((drift, drift_m)))
 }
 
-/// The drift that predicts left-out fitting rows best, none where it is not clearly better than none. The model stands at
-/// its fit without drift; `folds` are places among the fitting rows.
+/// The drift that predicts left-out fitting rows best; `None` if it is not significantly better than no drift. The model is at
+/// its fit without drift; `folds` are indices into the fitting rows.
 fn choose(
     model: &Model,
     all: &Instrument,
@@ -242,7 +243,7 @@ fn choose(
     Ok(best.filter(|(_, with)| falls(&without, with)).map(|(best, _)| best))
 }
 
-/// Fits the model with the drift taken out of its residuals; the drift of every row \[m\].
+/// Fits the model with the drift removed from its residuals; returns the drift of every row \[m\].
 pub(super) fn fit(
     model: &mut Model,
     all: &Instrument,
@@ -268,8 +269,8 @@ pub(super) fn fit(
     Ok(known)
 }
 
-/// How many times less certain the robot is than where the drift were known and what is left of the lengths, `sigma_m`, the
-/// only error: the drift takes what it can of both, and lengths next to each other tell less than others.
+/// Factor by which the robot's standard deviations exceed those for a known drift with residuals `sigma_m` as the only error.
+/// The drift absorbs a part of the information, and neighbouring lengths are correlated.
 pub(super) fn widens(
     model: &Model,
     all: &Instrument,
@@ -293,7 +294,7 @@ pub(super) fn widens(
 mod tests {
     use super::*;
 
-    /// The sweep against the dense formula `K (K + S)^-1 r`, with a row that does not count.
+    /// The sweep against the dense formula `K (K + S)^-1 r`, with one row not used.
     #[test]
     fn the_sweep_is_the_best_prediction_of_the_random_walk() {
         let drift =

@@ -1,35 +1,35 @@
-//! What would explain a run of rows that is off as a whole: hints for whoever mends the data. Nothing is repaired here.
+//! Possible causes of a run of rows with a common error: hints for the repair of the data. The data are not changed here.
 
 use crate::instrument::{Instrument, Mistake, RejectedRow, Rejection};
 use crate::logs::JointMistake;
 use crate::model::Model;
 use crate::statistics::{median_size, quantile};
 
-/// What would explain a run.
+/// Possible cause of the errors of a run.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum RunCause {
-    /// The instrument's zero moved.
+    /// The offset of the instrument changed.
     ZeroMoved {
-        /// By this much \[m\].
+        /// Change of the offset \[m\].
         by_m: f64,
     },
-    /// A joint was logged with the other sign.
+    /// A joint was logged with the opposite sign.
     SignReversed {
-        /// Joint from 1.
+        /// Number of the joint, from 1.
         joint: usize,
     },
 }
 
-/// Consecutive rows that are off together.
+/// Consecutive rows with a common error.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FaultyRun {
     /// First row, from 0.
     pub first: usize,
     /// Last row, from 0.
     pub last: usize,
-    /// Median size of the residuals \[m\].
+    /// Median of the absolute residuals \[m\].
     pub median_m: f64,
-    /// What brings it down to a third or less; the best of what was tried.
+    /// The best of the causes that reduce the median to a third or less; `None` if there is none.
     pub cause: Option<RunCause>,
 }
 
@@ -38,7 +38,7 @@ fn zero_moved(residuals_m: &[f64]) -> (f64, RunCause) {
     (median_size(residuals_m.iter().map(|r| r - by_m)), RunCause::ZeroMoved { by_m: -by_m })
 }
 
-/// Of lengths, robot minus measurement \[m\].
+/// Signed residuals, robot minus measurement \[m\].
 fn residuals_m(of: &Instrument, model: &Model) -> Vec<f64> {
     let deviations = of.deviations(&model.geometry(&[])).into_iter();
     deviations.map(|deviation| deviation.signed_m()).collect()
@@ -50,7 +50,7 @@ fn sign_reversed(model: &Model, rows: &Instrument, joint: usize) -> Option<(f64,
 }
 
 fn explain(model: &Model, rows: &Instrument, residuals_m: &[f64], median_m: f64) -> Option<RunCause> {
-    /// A cause must leave no more than this part of the residuals.
+    /// A cause must reduce the residuals to this fraction or less.
     const PART_LEFT: f64 = 1.0 / 3.0;
     (0..model.axes())
         .filter_map(|joint| sign_reversed(model, rows, joint))
@@ -60,7 +60,7 @@ fn explain(model: &Model, rows: &Instrument, residuals_m: &[f64], median_m: f64)
         .map(|(_, cause)| cause)
 }
 
-/// Runs among rejected rows (ascending).
+/// Faulty runs among rejected rows (in ascending order).
 pub(super) fn runs(model: &Model, all: &Instrument, rejected: &[RejectedRow]) -> Vec<FaultyRun> {
     let faulty: Vec<usize> =
         rejected.iter().filter(|r| matches!(r.why, Rejection::FaultyRun { .. })).map(|r| r.row).collect();

@@ -1,4 +1,4 @@
-//! Figures of position, orientation and length errors.
+//! Statistics of position, orientation and length errors.
 
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, Normal};
@@ -6,21 +6,21 @@ use statrs::distribution::{ContinuousCDF, Normal};
 use crate::instrument::PoseError;
 use crate::statistics::quantile;
 
-/// Sizes of errors over some rows, all in one unit.
+/// Statistics of error magnitudes over a number of rows, all in one unit.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Sizes {
-    /// Mean.
+    /// Arithmetic mean of the magnitudes.
     pub mean: f64,
-    /// Root mean square.
+    /// Root of the mean square.
     pub rms: f64,
-    /// Nineteen of twenty are below it.
+    /// 95 % quantile of the magnitudes.
     pub p95: f64,
-    /// Largest.
+    /// Largest of the magnitudes.
     pub max: f64,
 }
 
 impl Sizes {
-    /// Of these sizes; zeros where there are none.
+    /// Statistics of these magnitudes; zeros for an empty set.
     pub fn of(sizes: impl Iterator<Item = f64>) -> Self {
         let mut sizes: Vec<f64> = sizes.collect();
         let count = sizes.len().max(1) as f64;
@@ -33,20 +33,20 @@ impl Sizes {
     }
 }
 
-/// Figures over some rows.
+/// Statistics of pose errors over a number of rows.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct PoseFigures {
-    /// Rows.
+    /// Number of rows in the statistics.
     pub rows: usize,
-    /// Distances, or sizes of the errors of lengths \[m\].
+    /// Position errors, or absolute errors of lengths \[m\].
     pub position_m: Sizes,
-    /// Angles \[rad\]; none where only positions were measured.
+    /// Rotation angles \[rad\]; `None` if only positions were measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rotation_rad: Option<Sizes>,
 }
 
 impl PoseFigures {
-    /// Of these errors.
+    /// Statistics of these errors.
     pub fn of(errors: &[PoseError]) -> Self {
         let angles: Option<Vec<f64>> = errors.iter().map(|error| error.rotation_rad).collect();
         Self {
@@ -57,11 +57,11 @@ impl PoseFigures {
     }
 }
 
-/// Chance that a geometry which is as good as the nominal one counts as better.
+/// Probability that a geometry no better than the nominal one is classified as better.
 const BETTER_BY_CHANCE: f64 = 0.05;
 
-/// Whether the second of two root mean squares of `n` errors each is smaller: in position beyond chance, in rotation at all. Their
-/// logarithms differ by a variance of `1 / n` at most.
+/// Whether the second of two root mean squares of `n` errors each is smaller: in position significantly, in rotation by any
+/// amount. The difference of their logarithms has a variance of at most `1 / n`.
 pub fn is_surely_better(n: usize, position: [f64; 2], rotation: Option<[f64; 2]>) -> bool {
     let sigma = (n.max(1) as f64).sqrt().recip();
     let limit = (Normal::standard().inverse_cdf(BETTER_BY_CHANCE) * sigma).exp();
@@ -69,18 +69,18 @@ pub fn is_surely_better(n: usize, position: [f64; 2], rotation: Option<[f64; 2]>
     n > 0 && own < limit * nominal && rotation.is_none_or(|[nominal, own]| own < nominal)
 }
 
-/// Chance that a calibration that is as good as the nominal robot is called worse.
+/// Probability that a calibration no worse than the nominal robot is classified as worse.
 const WORSE_BY_CHANCE: f64 = 1e-3;
 
-/// Whether the second of two root mean squares of `n` errors each is larger beyond chance. Their logarithms differ by a variance of
-/// `1 / n` at most: they are of the same rows.
+/// Whether the second of two root mean squares of `n` errors each is significantly larger. The difference of their logarithms
+/// has a variance of at most `1 / n`, since they are of the same rows.
 pub fn is_surely_worse(n: usize, [nominal, calibrated]: [f64; 2]) -> bool {
     let sigma = (n.max(1) as f64).sqrt().recip();
     calibrated > nominal * (Normal::standard().inverse_cdf(1.0 - WORSE_BY_CHANCE) * sigma).exp()
 }
 
 impl PoseFigures {
-    /// Smaller than those of the same rows with the nominal robot, by [`is_surely_better`].
+    /// Whether the errors are smaller than those of the same rows with the nominal robot, by [`is_surely_better`].
     pub fn are_surely_better_than(&self, nominal: &Self) -> bool {
         let rotations = nominal.rotation_rad.zip(self.rotation_rad);
         is_surely_better(
@@ -91,33 +91,33 @@ impl PoseFigures {
     }
 }
 
-/// The same rows in stages, each fitted to the fitting rows.
+/// Errors of the same rows after successive fits to the fitting rows.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Stages {
-    /// Tracker and probe, or the wire; the robot nominal.
+    /// Fit of tracker and probe, or wire; robot nominal.
     pub nominal: PoseFigures,
-    /// And the robot's joint offsets.
+    /// Fit that adds the robot's joint offsets.
     #[serde(default)]
     pub offsets: PoseFigures,
-    /// And the other numbers of its links.
+    /// Fit that adds the other link parameters.
     pub links: PoseFigures,
-    /// And the errors of its joints, and of the wire's zero.
+    /// Fit that adds joint errors, and the drift of the wire's offset.
     pub joints: PoseFigures,
 }
 
-/// Errors of each row of a file in the stages of [`Stages`], and which rows the fit saw.
+/// Errors of each row of a file in the stages of [`Stages`], with the rows that the fit used.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct RowErrors {
-    /// Of all rows, stage by stage.
+    /// Errors of all rows, stage by stage.
     pub stages: [Vec<PoseError>; 4],
-    /// Rows that the fit saw.
+    /// Rows that the fit used.
     pub fitted: Vec<usize>,
-    /// Rows that it did not see.
+    /// Rows that were held out.
     pub held_out: Vec<usize>,
 }
 
 impl RowErrors {
-    /// Figures of chosen rows.
+    /// Statistics of the chosen rows, per stage.
     pub fn of(&self, chosen: &[usize]) -> Stages {
         let of_stage = |errors: &Vec<PoseError>| {
             PoseFigures::of(&chosen.iter().filter_map(|&row| errors.get(row).copied()).collect::<Vec<_>>())

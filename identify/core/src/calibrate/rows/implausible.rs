@@ -1,7 +1,7 @@
-//! Rows that no robot like the configured one can have given: refused, with what most likely went wrong.
+//! Refusal of rows that are not plausible for the configured robot, with the most likely mistake.
 //!
-//! A fit with priors always ends somewhere. What gives a mistake away is where it ends: beyond the links' tolerances, no
-//! better on rows that it has not seen, further from the rows than joints are ever off, or with a step in time.
+//! A fit with priors always has a solution. A mistake is detected from the solution: corrections beyond the links' tolerances,
+//! no improvement on held-out rows, residuals beyond usual joint errors, or a step in time.
 
 use std::fmt;
 
@@ -16,38 +16,38 @@ use crate::kinematics::Chain;
 use crate::model::{Model, ParameterId, Role, Unit};
 use crate::statistics::{median_size, quantile};
 
-/// What the rows cannot be.
+/// Reason why the rows are not plausible.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Reason {
-    /// A link is further from nominal than tolerances allow.
+    /// A link parameter is further from nominal than tolerances allow.
     Link {
-        /// Which number.
+        /// Identifier of the link parameter.
         id: ParameterId,
-        /// Off nominal \[m, rad\].
+        /// Deviation from nominal \[m, rad\].
         correction: f64,
-        /// Its tolerance, one standard deviation \[m, rad\].
+        /// Assumed standard deviation of the parameter \[m, rad\].
         sigma: f64,
     },
-    /// The robot is further from the rows than its joints can be off.
+    /// The residuals of the robot are larger than joint errors can cause.
     TooFar {
-        /// Median distance \[m\].
+        /// Median residual \[m\].
         median_m: f64,
-        /// What joints of this arm can make of it \[m\].
+        /// Maximum residual that joint errors of this arm can cause \[m\].
         limit_m: f64,
     },
-    /// Rows that the fit has not seen are further from the calibrated robot than from the nominal one.
+    /// Held-out rows have larger errors with the calibrated robot than with the nominal one.
     WorseThanNominal {
-        /// Root mean squares \[m\].
+        /// Root mean square error with the nominal robot \[m\].
         nominal_m: f64,
-        /// Root mean squares \[m\].
+        /// Root mean square error with the calibrated robot \[m\].
         calibrated_m: f64,
     },
-    /// Positions fit where orientations are beyond what any robot is off.
+    /// Positions fit, but orientations differ more than those of any real robot.
     Turned {
-        /// Angle between the nominal robot and what was measured \[rad\].
+        /// Angle between nominal and measured orientation \[rad\].
         turned_rad: f64,
     },
-    /// Tracker, probe or robot were moved.
+    /// Tracker, probe or robot were moved during the measurement.
     Moved(Step),
 }
 
@@ -86,18 +86,18 @@ impl fmt::Display for Reason {
     }
 }
 
-/// A sudden change of where the robot is seen.
+/// A step of the observed positions.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Step {
-    /// First row after it, from 1.
+    /// First row after the step, from 1.
     pub row: usize,
-    /// Its size \[m\].
+    /// Magnitude of the step \[m\].
     pub moved_m: f64,
 }
 
 impl Step {
-    /// The nominal robot fits the rows before and after it far better than all of them: its own errors step where the path
-    /// goes to another place, by less.
+    /// Whether the nominal robot fits the rows before and after the step much better separately than together. Errors of the
+    /// robot itself may also step, by less, where the path continues at another place.
     fn explains(&self, instrument: &Instrument, robot: &Chain) -> bool {
         likely(instrument, robot, &[Mistake::Moved(self.row - 1)]).is_some()
     }
@@ -115,11 +115,11 @@ impl fmt::Display for Step {
     }
 }
 
-/// Nothing of a calibration is what no robot like the nominal one explains; `sets` are those of the `files`, and `runs` where
-/// they were solved.
+/// Refuses a calibration that is not plausible for a robot like the nominal one; `sets` belong to `files`, and `runs` are at
+/// their solution.
 ///
 /// # Errors
-/// [`CalibrateError::Implausible`] with the mistake that is likely.
+/// [`CalibrateError::Implausible`] with the most likely mistake.
 pub(in crate::calibrate) fn unless_implausible(
     files: &[Rows],
     sets: &[RowSet],
@@ -148,11 +148,11 @@ fn of_set(set: &RowSet, instrument: &Instrument, model: &Model, robot: &Chain) -
     found.into_iter().flatten().collect()
 }
 
-/// Tolerances are standard deviations: of 30 numbers one is beyond this by chance once in 50 000 robots.
+/// Limit in standard deviations: one of 30 parameters exceeds it by chance once in 50 000 robots.
 const SIGMAS_MAX: f64 = 5.0;
-/// What lengths of links are off at most in arms that were typed by hand, one standard deviation \[m\].
+/// Standard deviation of length errors, large enough for robot files typed by hand \[m\].
 const LINK_M: f64 = 1e-2;
-/// And angles, zeros of joints among them \[rad\].
+/// Standard deviation of angle errors, including joint offsets \[rad\].
 const LINK_RAD: f64 = 2e-2;
 
 fn furthest_link(model: &Model) -> Option<Reason> {
@@ -170,9 +170,9 @@ fn furthest_link(model: &Model) -> Option<Reason> {
 }
 
 fn turned(set: &RowSet) -> Option<Reason> {
-    /// The nominal robot's orientation is better than this, any wrong order is worse \[rad\].
+    /// The nominal robot's orientation errors are smaller, those of a wrong angle convention are larger \[rad\].
     const WRONG_RAD: f64 = 0.1;
-    /// Part of the rows that are better: of one in five that is no measurement nothing follows for the others.
+    /// Quantile of the orientation errors: one row in five may be an outlier.
     const PART: f64 = 0.78;
     let nominal = || set.errors.fitted.iter().filter_map(|row| set.errors.stages[0].get(*row));
     let mut turned_rad: Vec<f64> = nominal().map(|error| error.rotation_rad).collect::<Option<_>>()?;
@@ -181,8 +181,8 @@ fn turned(set: &RowSet) -> Option<Reason> {
     (fits && turned_rad > WRONG_RAD).then_some(Reason::Turned { turned_rad })
 }
 
-/// What joints of industrial arms are off at most once their links are known: gears, resolvers, and commanded angles rounded to a
-/// tenth of a degree \[rad\].
+/// Maximum joint errors of industrial arms with known links: gears, resolvers, and commanded angles rounded to a tenth of a
+/// degree \[rad\].
 const JOINT_ERROR_RAD_MAX: f64 = 2e-3;
 
 fn too_far(errors: &[PoseError], robot: &Chain) -> Option<Reason> {
@@ -198,7 +198,7 @@ fn worse_than_nominal(set: &RowSet) -> Option<Reason> {
         .then_some(Reason::WorseThanNominal { nominal_m, calibrated_m })
 }
 
-/// Blocks of the rows, in their order.
+/// Number of blocks of consecutive rows.
 const BLOCKS: usize = 40;
 
 /// Median error of each block of rows, by axis, with its first row.
@@ -214,14 +214,15 @@ fn blocks(errors_m: &[Vector3<f64>]) -> Vec<(usize, Vector3<f64>)> {
     errors_m.chunks(size).enumerate().map(median).collect()
 }
 
-/// The most certain step in time that is left of the positions beside a linear drift, if one is certain.
+/// The most significant step in time of the position errors beside a linear drift, if it is significant.
 ///
-/// Medians of blocks of rows, so that single rows that are wrong make none; Student's t of the step's three coordinates in a
-/// line with a step, over all places of the step (Bonferroni). What blocks scatter by includes errors that last.
+/// Medians of blocks are used, so that single outliers cause no step. The test is Student's t for the three coordinates of a
+/// step in a linear regression, over all positions of the step (Bonferroni). The scatter of the blocks includes correlated
+/// errors.
 pub(super) fn step(instrument: &Instrument, model: &Model) -> Option<Step> {
-    /// Of runs without a step one in so many has one by chance.
+    /// Probability of a false alarm in a file without a step.
     const FALSE_ALARMS: f64 = 1e-4;
-    /// Blocks before and after.
+    /// Minimum number of blocks before and after a step.
     const BESIDE: usize = 3;
     if !instrument.mistakes(0).iter().any(|mistake| matches!(mistake, Mistake::Moved(_))) {
         return None;

@@ -1,4 +1,4 @@
-//! Which mistake explains rows that do not fit the nominal robot: the one without which they do.
+//! The mistake that explains rows that do not fit the nominal robot: without it, they fit.
 
 use std::fmt;
 
@@ -11,14 +11,14 @@ use crate::model::Model;
 use crate::solver::LossName;
 use crate::statistics::median_size;
 
-/// A mistake whose undoing brings the nominal robot to the rows.
+/// A mistake whose correction makes the rows fit the nominal robot.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Likely {
     /// The mistake that explains the rows.
     pub mistake: Mistake,
-    /// Distance of the nominal robot from the rows as they are \[m\]: root mean square, of lengths the median.
+    /// Error of the nominal robot for the rows as read \[m\]: root mean square, for lengths the median.
     pub as_read_m: f64,
-    /// And without the mistake \[m\].
+    /// Error after correction of the mistake \[m\].
     pub undone_m: f64,
 }
 
@@ -34,7 +34,7 @@ impl fmt::Display for Likely {
     }
 }
 
-/// The model with the instrument placed for its robot, which stays; `None` if it cannot be placed.
+/// The model with the instrument placed for its robot, which is not changed; `None` if it cannot be placed.
 pub(super) fn placed(instrument: Instrument, model: Model) -> Result<Option<Model>, CalibrateError> {
     let model = instrument.fitted_out(model);
     let mut run = Run { instrument, model };
@@ -45,14 +45,14 @@ pub(super) fn placed(instrument: Instrument, model: Model) -> Result<Option<Mode
     Ok(Some(run.model))
 }
 
-/// How far a robot is from samples, the instrument placed by the same; `None` if it cannot be placed.
+/// Errors of a robot for samples, with the instrument placed by the same samples; `None` if it cannot be placed.
 pub fn misfit(instrument: &Instrument, robot: &Chain) -> Option<PoseFigures> {
     instrument.contradicting(robot).ok().filter(|_| instrument.samples() >= instrument.samples_min())?;
     let model = placed(instrument.clone(), Model::alone(robot)).ok()??;
     Some(PoseFigures::of(&instrument.errors(&model.geometry(&[]))))
 }
 
-/// Some of the samples, evenly taken: as many as distinguish one robot from another, since what is wrong is wrong in all.
+/// An evenly thinned part of the samples, large enough to distinguish robots, since a mistake affects all samples.
 pub fn some_of(instrument: &Instrument) -> Instrument {
     const TRIED: usize = 60;
     let (all, some) = (instrument.samples(), TRIED.max(instrument.samples_min()));
@@ -60,15 +60,15 @@ pub fn some_of(instrument: &Instrument) -> Instrument {
     instrument.part(&(0..all).step_by(every).collect::<Vec<_>>())
 }
 
-/// Root mean square distance of a robot from the samples at the end of a tool \[m\].
+/// Root mean square error of a robot at the end of a tool \[m\].
 fn misfit_m(instrument: &Instrument, robot: &Chain) -> Option<f64> {
-    /// Length of the tool: orientations count by where it ends.
+    /// Length of the tool, which converts orientation errors to positions \[m\].
     const TOOL_M: f64 = 0.1;
     let figures = misfit(&some_of(instrument), robot)?;
     Some(figures.position_m.rms.hypot(TOOL_M * figures.rotation_rad.map_or(0.0, |sizes| sizes.rms)))
 }
 
-/// Distance of the nominal robot from the samples without the mistake \[m\]; `None` if nothing can be placed.
+/// Error of the nominal robot after correction of the mistake \[m\]; `None` if the instrument cannot be placed.
 fn undone_m(mistake: Mistake, instrument: &Instrument, robot: &Chain) -> Option<f64> {
     match mistake {
         Mistake::Moved(row) => {
@@ -94,15 +94,15 @@ fn undone_m(mistake: Mistake, instrument: &Instrument, robot: &Chain) -> Option<
     }
 }
 
-/// Nominal arms are nearer to rows that are read right \[m\].
+/// Upper limit of the nominal robot's error for rows without a mistake \[m\].
 const NEAR_M: f64 = 0.05;
 
-/// The mistake among these that brings the nominal robot to the samples, where one does.
+/// The one of these mistakes whose correction makes the samples fit the nominal robot; `None` if there is none.
 pub fn likely(instrument: &Instrument, robot: &Chain, mistakes: &[Mistake]) -> Option<Likely> {
-    /// Undoing a mistake leaves less than this part of the distance: the robot's own error, millimetres where mistakes make
+    /// Maximum remaining fraction of the error after correction: the robot's own errors are millimetres, those of mistakes are
     /// centimetres.
     const LEFT: f64 = 0.3;
-    // Where no place of the instrument can be found, any is better.
+    // If the instrument cannot be placed at all, any placement is an improvement.
     let as_read_m = misfit_m(instrument, robot).unwrap_or(f64::INFINITY);
     let of = |&mistake: &Mistake| {
         Some(Likely { mistake, as_read_m, undone_m: undone_m(mistake, instrument, robot)? })
@@ -111,16 +111,17 @@ pub fn likely(instrument: &Instrument, robot: &Chain, mistakes: &[Mistake]) -> O
     (best.undone_m < NEAR_M.min(LEFT * as_read_m)).then_some(best)
 }
 
-/// The most likely of all mistakes, in the first of these files that shows one.
+/// The most likely of all mistakes, in the first of these files that has one.
 pub(in crate::calibrate) fn likely_of_all(files: &[Rows], robot: &Chain) -> Option<Likely> {
     let of =
         |Rows { instrument, .. }: &Rows| likely(instrument, robot, &instrument.mistakes(robot.links.len()));
     files.iter().find_map(of)
 }
 
-/// Refuses lengths that are in another unit than the mapping states. `nominal` has the nominal robot, the instrument fitted to it.
+/// Refuses lengths in a different unit from that of the mapping. `nominal` has the nominal robot, with the instrument fitted to
+/// it.
 ///
-/// Lengths whose variation the nominal robot does not explain, and does explain where they are in another usual unit, are in that.
+/// The unit is wrong if the nominal robot does not explain the variation of the lengths, but does in another usual unit.
 ///
 /// # Errors
 /// [`CalibrateError::Implausible`] with the unit.
@@ -129,7 +130,7 @@ pub(in crate::calibrate) fn unless_other_unit(
     nominal: &Model,
     robot: &Chain,
 ) -> Result<(), CalibrateError> {
-    /// The nominal robot leaves less than this part of the variation of lengths that are read right: its own millimetres of decimetres.
+    /// Maximum unexplained fraction of the variation of lengths in the right unit: errors of millimetres against decimetres.
     const UNEXPLAINED: f64 = 0.3;
     if whole.lengths_m().is_empty() {
         return Ok(());

@@ -1,8 +1,7 @@
-//! What files of rows have for themselves in a calibration, each row a pose at which the robot stood still and what was measured
-//! there.
+//! The parts of a calibration that are specific to files of rows. Each row is a pose of the robot at rest with its measurement.
 //!
-//! A fifth of each file is held out: it takes part in nothing, neither in the choice of the errors of joints nor in which rows
-//! belong with the rest, and the figures on it are what counts. The result is a last fit to all rows.
+//! A fifth of each file is held out. It is used neither for the choice of joint errors nor for the detection of outliers, and
+//! its errors are the result of the validation. The final result is a fit to all rows.
 
 mod drift;
 mod faulty_runs;
@@ -29,13 +28,13 @@ pub(super) use likely::{likely_of_all, unless_other_unit};
 pub(crate) use terms::groups;
 pub use validate::{Validated, validate};
 
-/// Highest order of the joints' waves that is tried as a rule: there is no finer tooth near the output of a strain wave gear.
+/// Default maximum order of joint waves: strain wave gears have no finer teeth near their output.
 pub const WAVES_PER_TURN_MAX: u8 = 64;
 
-/// Parts of a file, of which one is held out.
+/// Number of parts of a file, of which one is held out.
 const PARTS: usize = 5;
 
-/// Rows whose own data contradict each other; all others are measurements, and enough for a fit where they are `alone`.
+/// Rows with contradictory data; all others are used. If the file is `alone`, the others must be sufficient for a fit.
 pub(super) fn checked(
     instrument: &Instrument,
     alone: bool,
@@ -50,32 +49,32 @@ pub(super) fn checked(
     Ok(contradicting)
 }
 
-/// A file of rows, what of it was held out, and what the stages of the calibration say of it.
+/// A file of rows, its held-out rows, and the results of each stage of the calibration.
 #[derive(Debug, Clone)]
 pub struct RowSet {
-    /// All rows.
+    /// All rows of the file.
     whole: Instrument,
-    /// Each row, rejected or not.
+    /// Errors of all rows, including rejected ones.
     pub errors: RowErrors,
-    /// Rows that did not take part, and why.
+    /// Rejected rows, with the reason.
     pub rejected: Vec<RejectedRow>,
-    /// Faulty runs of rows, with what would explain them.
+    /// Faulty runs of rows, with possible causes.
     pub runs: Vec<FaultyRun>,
-    /// Drift of the instrument's zero, where left-out rows asked for it; it is part of the last stage of all figures.
+    /// Drift of the instrument's offset, if left-out rows require it; it is part of the last stage of all statistics.
     pub drift: Option<Drift>,
-    /// Of each row \[m\].
+    /// Drift of each row \[m\]; empty without a drift.
     drift_m: Vec<f64>,
-    /// Rows of the last solve, before its own screening.
+    /// Rows given to the last solve, before its own screening.
     given: Vec<usize>,
-    /// A sudden change of where the nominal robot is seen.
+    /// A step of the observed positions, relative to the nominal robot.
     step: Option<Step>,
 }
 
 impl RowSet {
-    /// All rows of a file but for those `rejected`, a part of them held out where it is `judged`.
+    /// All rows of a file except those `rejected`; with `judged`, a part is held out.
     pub(super) fn new(whole: Instrument, rejected: Vec<RejectedRow>, judged: bool) -> Self {
         let parts = if judged { whole.independent(PARTS) } else { Vec::new() };
-        // Of rows that are all alike none judges the others.
+        // With a single group of similar rows nothing can be held out.
         let several = parts.len() > 1;
         let mut held_out = parts.into_iter().next().filter(|_| several).unwrap_or_default();
         held_out.sort_unstable();
@@ -98,31 +97,31 @@ impl RowSet {
         &self.whole
     }
 
-    /// The rows that a fit sees.
+    /// The instrument with the rows that a fit uses.
     pub(super) fn fitting(&self) -> Instrument {
         self.whole.part(&without(&self.errors.fitted, &self.rejected))
     }
 
-    /// With the nominal robot, the instrument fitted to it.
+    /// Records the errors of the nominal robot, with the instrument fitted to it.
     pub(super) fn judge_nominal(&mut self, model: &Model) {
         self.errors.stages[0] = self.at(model);
         self.step = implausible::step(&self.whole, model);
     }
 
-    /// With the best offsets of the joints, and with the best links.
+    /// Records the errors with the best joint offsets, and with the best links.
     pub(super) fn judge_links(&mut self, offsets: Option<&Model>, links: &Model) {
         self.errors.stages[1] = offsets.map_or_else(Vec::new, |model| self.at(model));
         self.errors.stages[2] = self.at(links);
     }
 
-    /// With everything that the rows ask for.
+    /// Records the errors with all accepted joint errors and the drift; rejects misplaced rows.
     pub(super) fn judge_joints(&mut self, model: &Model) {
         self.errors.stages[3] = self.steady().errors(&model.geometry(&[]));
         self.runs = faulty_runs::runs(model, &self.whole, &self.rejected);
         self.reject(&self.whole.misplaced(model));
     }
 
-    /// Leaves out more rows.
+    /// Rejects additional rows; `more` is in ascending order.
     fn reject(&mut self, more: &[RejectedRow]) {
         self.errors.fitted = without(&self.errors.fitted, more);
         self.errors.held_out = without(&self.errors.held_out, more);
@@ -130,9 +129,9 @@ impl RowSet {
         self.rejected.sort_by_key(|one| one.row);
     }
 
-    /// Rows that neither the nominal robot nor the calibrated one comes near are no measurements, whether a fit saw them or not: a
-    /// beam that broke, another target, a length that was read wrong. A calibration that predicts badly leaves its held-out rows
-    /// near the nominal robot, and they stay.
+    /// Rejects rows that are far from both the nominal and the calibrated robot, fitted or held out: a broken beam, a wrong
+    /// target, a misread length. If a calibration predicts poorly, its held-out rows are still near the nominal robot and are
+    /// kept.
     pub(super) fn leave_out_gross(&mut self, model: &Model) {
         let mut whole = self.whole.clone();
         whole.adapt(model);
@@ -150,17 +149,18 @@ impl RowSet {
         self.whole.errors(&model.geometry(&[]))
     }
 
-    /// The instrument without the drift of its zero.
+    /// The instrument with the drift of its offset removed.
     fn steady(&self) -> Instrument {
         let steady = self.drift.as_ref().and_then(|_| self.whole.longer_by(&self.drift_m));
         steady.unwrap_or_else(|| self.whole.clone())
     }
 
-    /// Finds the rows of lengths that do not belong with the rest, and a drift of their zero, where the run, which sees the fitting
-    /// rows, is at its best links. From then on the drift is known.
+    /// Detects outliers among rows of lengths, and a drift of their offset, in a run at its best links with the fitting rows.
+    /// The drift is known in later stages.
     ///
-    /// Single gross residuals are rejected from the fit only; faulty runs everywhere, but judged by their fitting rows alone;
-    /// with a drift they take part again: what moved their zero is part of it. Lengths of held-out rows decide nothing.
+    /// Single gross residuals are rejected from the fit only. Faulty runs are rejected everywhere, but detected from their
+    /// fitting rows only. With a drift, faulty runs are used again: the drift includes the change of their offset. Lengths of
+    /// held-out rows have no influence.
     pub(super) fn screen(
         &mut self,
         data_set: usize,
@@ -194,7 +194,7 @@ impl RowSet {
         Ok(())
     }
 
-    /// Rows without those that are wrong even where the zero drifts.
+    /// Rows without those that are outliers even with a drift.
     fn beside_drift(&self, rows: &[usize]) -> Vec<usize> {
         without(rows, &self.rejected_where(|why| !matches!(why, Rejection::FaultyRun { .. })))
     }
@@ -203,7 +203,7 @@ impl RowSet {
         self.rejected.iter().filter(|one| wanted(one.why)).copied().collect()
     }
 
-    /// All rows that may take part once the held-out ones have judged.
+    /// The instrument with all valid rows, including held-out ones, for the last fit.
     pub(super) fn everything(&mut self, model: &Model) -> Result<Instrument, CalibrateError> {
         let all: Vec<usize> = (0..self.whole.samples()).collect();
         if let Some(drift) = &self.drift {
@@ -221,7 +221,8 @@ impl RowSet {
         Ok(self.whole.part(&self.given))
     }
 
-    /// Robot minus measurement in every row at the last solution, with the reason of a row that it left out; `run` is its data set.
+    /// Robot minus measurement in every row at the last solution, with the reason if the row was excluded; `run` is its data
+    /// set.
     pub fn deviations(&self, run: &Run) -> Vec<(Deviation, Option<Rejection>)> {
         let geometry = run.model.geometry(&[]);
         let deviations = self.steady().deviations(&geometry);
@@ -236,23 +237,23 @@ impl RowSet {
         all
     }
 
-    /// How many times less certain all rows leave the robot than they would with a drift that is known.
+    /// Factor by which the robot's standard deviations from all rows exceed those for a known drift.
     pub(super) fn widens(&self, model: &Model, sigma_m: f64) -> Result<f64, CalibrateError> {
         let Some(drift) = &self.drift else { return Ok(1.0) };
         drift::widens(model, &self.whole, &self.given, drift, sigma_m)
     }
 
-    /// Rows that the fit saw, without rejected ones.
+    /// Errors of the rows that the fit used, without rejected ones.
     pub fn fitted(&self) -> Stages {
         self.errors.of(&without(&self.errors.fitted, &self.rejected))
     }
 
-    /// Held-out rows, without those whose own data contradict each other and those in faulty runs.
+    /// Errors of held-out rows, without rejected ones (contradictory data, faulty runs, gross or misplaced rows).
     pub fn held_out(&self) -> Stages {
         self.errors.of(&without(&self.errors.held_out, &self.rejected))
     }
 
-    /// All held-out rows.
+    /// Errors of all held-out rows.
     pub fn held_out_with_rejected(&self) -> Stages {
         self.errors.of(&self.errors.held_out)
     }

@@ -1,4 +1,4 @@
-//! Errors that joints of a robot which stands still at each pose can have.
+//! Candidate joint errors of a robot that is at rest in each pose.
 
 use crate::calibrate::selection::terms::CandidateGroup;
 use crate::model::{ParameterId, TermGroup, Waves};
@@ -7,7 +7,7 @@ fn joint_terms(wanted: &[TermGroup]) -> Vec<ParameterId> {
     ParameterId::all().filter(|id| id.term().is_some_and(|group| wanted.contains(&group))).collect()
 }
 
-/// What a robot's joints can be wrong by, of the parameters that are offered.
+/// Groups of joint errors, restricted to the parameters for which `offered` is true.
 pub(crate) fn groups(waves_last: u8, offered: impl Fn(&ParameterId) -> bool) -> Vec<CandidateGroup> {
     const ANGLES_RAD: &[f64] = &[20e-6, 100e-6, 500e-6];
     const SHARES: &[f64] = &[20e-6, 100e-6, 500e-6];
@@ -28,11 +28,11 @@ pub(crate) fn groups(waves_last: u8, offered: impl Fn(&ParameterId) -> bool) -> 
     groups
 }
 
-/// Waves per turn that are judged together: what is left of eccentric gears, encoders and flexsplines, fine teeth.
+/// Bands of waves per turn that are tried together: eccentric gears, encoders and flexsplines, fine teeth.
 const BANDS: [std::ops::RangeInclusive<u8>; 3] =
     [*Waves::OF_AXIS.start()..=10, 11..=30, 31..=*Waves::OF_AXIS.end()];
 
-/// The waves of a band, as far as they are wanted.
+/// The waves of a band up to order `last`; `None` if there are none.
 fn waves(band: &std::ops::RangeInclusive<u8>, last: u8) -> Option<CandidateGroup> {
     const SIGMAS_RAD: &[f64] = &[10e-6, 20e-6, 50e-6, 100e-6];
     let (first, last) = (*band.start(), last.min(*band.end()));

@@ -1,4 +1,4 @@
-//! A calibrated robot on rows of another file, which it was not calibrated from.
+//! Validation of a calibrated robot with rows that were not used for the calibration.
 
 use shared::config::RobotConfig;
 
@@ -9,25 +9,25 @@ use crate::instrument::{HoldOut, Instrument, PoseError, RowError, Rows, gross_ro
 use crate::kinematics::flange_chain;
 use crate::model::Model;
 
-/// Parts of the rows, each predicted with the instrument placed by the others.
+/// Number of folds; each is predicted with the instrument placed by the others.
 const FOLDS: usize = 5;
 
-/// What other rows say of a calibrated robot.
+/// Errors of a nominal and a calibrated robot for validation rows.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Validated {
-    /// With the nominal and with the calibrated robot.
+    /// Statistics with the nominal robot, then with the calibrated one.
     pub figures: [PoseFigures; 2],
-    /// Rows that neither robot comes near: no measurements, and not in the figures.
+    /// Outliers for both robots, which are excluded from the statistics.
     pub gross: Vec<usize>,
 }
 
-/// Compares other rows with the nominal and with a calibrated robot, whose model is that of a file of rows.
+/// Compares validation rows with the nominal and with a calibrated robot. The model must be that of a file of rows.
 ///
-/// The instrument stands elsewhere and was mounted again, so its own numbers are found from four fifths of the rows and the errors
-/// taken on the last fifth, in turn. Nothing of the robot is changed.
+/// The instrument has a new pose and mounting. Its parameters are estimated from four fifths of the rows, and errors are
+/// computed for the last fifth, in turn. The robot is not changed.
 ///
 /// # Errors
-/// [`CalibrateError`] for rows that allow no place of the instrument.
+/// [`CalibrateError`] if the rows are too few, or do not determine the pose of the instrument.
 pub fn validate(
     instrument: &Instrument,
     robot: &RobotConfig,
@@ -53,7 +53,7 @@ pub fn validate(
     Ok(Validated { figures, gross })
 }
 
-/// The error of each row with a robot, the instrument placed by other rows.
+/// Errors of each row for a robot, with the instrument placed by the other folds.
 fn predicted(instrument: &Instrument, robot: &Model) -> Result<Vec<PoseError>, CalibrateError> {
     let mut errors = vec![PoseError::default(); instrument.samples()];
     for left_out in instrument.independent(FOLDS) {

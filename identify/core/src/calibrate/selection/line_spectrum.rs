@@ -1,14 +1,14 @@
-//! Which waves of the robot's axes are left in the residuals: the teeth and lobes of gears that nobody has counted.
+//! Detection of waves of the robot's axes in the residuals: teeth and lobes of gears whose numbers are unknown.
 //!
-//! An error `a sin(n g) + b cos(n g)` of a drive at angle `g` adds `(a sin(n g) + b cos(n g)) J` to a residual, where `J`
-//! is what the drive's turn does to it. How much the sum of squares would fall with the best `a` and `b` is, over all
-//! orders `n`, a periodogram of the residuals over the drive's angle (Lomb 1976, with `J` for weights). The wave that stands
-//! out most is fitted and taken away, then the next one is looked for (orthogonal matching pursuit, Pati 1993): axes that
-//! move together show each other's waves. What the solve has taken out already is orthogonal to the residuals, so that
-//! parameters near a wave can only hide it, never feign it.
+//! An error `a sin(n g) + b cos(n g)` of a drive at angle `g` adds `(a sin(n g) + b cos(n g)) J` to a residual; `J` is the
+//! derivative of the residual by the drive's angle. The decrease of the sum of squares for the best `a` and `b`, over all
+//! orders `n`, is a periodogram of the residuals over the drive's angle (Lomb 1976, weighted with `J`). The strongest wave is
+//! fitted and subtracted, then the next one is detected (orthogonal matching pursuit, Pati 1993), because axes that move
+//! together show each other's waves. The residuals are orthogonal to the solved parameters. Parameters that resemble a wave can
+//! therefore hide it but not create it.
 //!
-//! Orders are looked for in all samples and in those without each fold, so that no fold confirms what it was asked for. Both
-//! work on sums over the samples of each fold, which are made once.
+//! Orders are detected in all samples, and in all samples without each fold, so that no fold confirms an order that it
+//! suggested. Both use sums over the samples of each fold, which are computed once.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::TAU;
@@ -22,57 +22,57 @@ use crate::model::{DriveTrain, JointState, JointTerm, Model, ParameterId, Period
 use crate::solver::{Problem, Subset, stacked};
 use crate::statistics::extremes;
 
-/// Samples of a run that are looked at, at most: what only more would show is too small to matter.
+/// Maximum number of samples of a run: a wave that needs more samples is too small to matter.
 const SAMPLES_MAX: usize = 3000;
 const FIRST: u8 = *Waves::OF_AXIS.start();
 const ORDERS: usize = (*Waves::OF_AXIS.end() - FIRST + 1) as usize;
-/// What a wave takes away of noise of variance one is chi-squared with two degrees of freedom. Beyond this it stands out:
-/// that none of some 700 tries gets there by chance is certain to one in ten thousand.
+/// Detection limit, relative to the noise variance. The decrease due to one wave in white noise is chi-squared with two
+/// degrees of freedom. Some 700 tries exceed the limit by chance with a probability of one in ten thousand.
 const STANDS_OUT: f64 = 32.0;
-/// Median of the same.
+/// Median of the chi-squared distribution with two degrees of freedom.
 const MEDIAN: f64 = 1.386;
-/// Waves per turn that are terms of their own, at most.
+/// Highest order that is a separate term.
 const TWICE: f64 = 2.0;
-/// Waves of one axis at most: the order itself, twice that, and another stage of the gear.
+/// Maximum number of waves of one axis: the order itself, twice that, and another stage of the gear.
 const WAVES_MAX: usize = 3;
 
-/// A wave of an axis: axis from 0, times per turn.
+/// A wave of an axis: axis from 0, order (waves per turn).
 type Wave = (usize, u8);
 
 /// Normal equations of one wave: `ss`, `sc`, `cc`.
 type Normal = [f64; 3];
 
-/// Products of sine and cosine of the waves of an axis with those of one wave.
+/// Cross products of sine and cosine of one wave with those of all waves, per axis and order.
 type Cross = Vec<[[[f64; 2]; 2]; ORDERS]>;
 
-/// Waves that residuals show, sine and cosine of each.
+/// Detected waves, with sine and cosine parameters of each.
 #[derive(Debug, Clone, Default)]
 pub(in crate::calibrate) struct Shown {
-    /// By all samples.
+    /// Waves detected in all samples.
     pub by_all: Vec<ParameterId>,
-    /// By the samples of all folds but each one: what that fold may confirm.
+    /// For each fold, the waves detected in the other folds, which this fold may confirm.
     pub without: Vec<Vec<ParameterId>>,
 }
 
 impl Shown {
-    /// All of them, each once.
+    /// All detected waves, without duplicates.
     pub fn ids(&self) -> Vec<ParameterId> {
         let all: BTreeSet<ParameterId> =
             self.without.iter().chain([&self.by_all]).flatten().copied().collect();
         all.into_iter().collect()
     }
 
-    /// Those that only a part of the samples shows.
+    /// Waves that are detected only in a part of the samples.
     pub fn by_parts(&self) -> Vec<ParameterId> {
         self.ids().into_iter().filter(|id| !self.by_all.contains(id)).collect()
     }
 
-    /// Leaves out those that are not wanted.
+    /// Removes all waves for which `wanted` is false.
     pub fn retain(&mut self, wanted: impl Fn(&ParameterId) -> bool) {
         self.without.iter_mut().chain([&mut self.by_all]).for_each(|ids| ids.retain(&wanted));
     }
 
-    /// Takes up what is shown once these are taken out: they no longer are in what is left.
+    /// Adds the waves detected after the present ones were fitted. These are no longer in the residuals and are kept.
     pub fn extend(&mut self, others: Self) {
         let add = |own: &mut Vec<ParameterId>, new: Vec<ParameterId>| {
             own.retain(|id| !new.contains(id));
@@ -84,23 +84,23 @@ impl Shown {
     }
 }
 
-/// What turns of the drives do to the rows of a sample, each multiplied by the root of its weight.
+/// Products of one sample's residuals and derivatives by the drives' angles, multiplied by its weight.
 #[derive(Debug)]
 struct Sample {
     fold: usize,
-    /// Of the drives \[rad\].
+    /// Angle of each drive \[rad\].
     angles_rad: Joints,
-    /// `J^T J`
+    /// The matrix `J^T J`.
     stiffness: Vec<Joints>,
-    /// `J^T r`
+    /// The vector `J^T r`.
     pull: Joints,
-    /// `r^T r`
+    /// The square `r^T r`.
     squared: f64,
-    /// Entries of `r`.
+    /// Number of entries of `r`.
     rows: f64,
 }
 
-/// What the samples of some folds say of all waves.
+/// Sums over the samples of some folds, for all waves.
 #[derive(Debug, Clone)]
 struct Sums {
     squared: f64,
@@ -146,21 +146,21 @@ fn add(to: &mut [f64], by: &[f64]) {
     to.iter_mut().zip(by).for_each(|(to, by)| *to += by);
 }
 
-/// Samples of all runs and what they say of waves, fold by fold.
+/// Samples of all runs, with their folds.
 #[derive(Debug, Default)]
 pub(in crate::calibrate) struct LineSpectrum {
     samples: Vec<Sample>,
     folds: usize,
-    /// Orders that are terms of their own.
+    /// Orders that are separate terms.
     known: BTreeSet<Wave>,
 }
 
 impl LineSpectrum {
-    /// Adds the samples of a run where its model is, with their weights; `folds` are groups of them, which are left out in
+    /// Adds the samples of a run at its model's values, with their weights; `folds` are groups of samples that are left out in
     /// turn.
     ///
     /// # Errors
-    /// [`CostError`] where the samples are not what the cost needs.
+    /// [`CostError`] if the samples do not fit the cost.
     pub fn add(
         &mut self,
         Run { instrument, model }: &Run,
@@ -176,7 +176,7 @@ impl LineSpectrum {
         let Some(of_joints) = joints_only(model) else { return Ok(()) };
         let columns = SharedColumns::new([&of_joints], |_| false);
         let problem = DataSets::new(vec![instrument.data_set(&of_joints, sigma)?], &columns);
-        // Samples without a value have no weight.
+        // Samples without a value have weight zero.
         let every = problem.samples().div_ceil(SAMPLES_MAX).max(1);
         let mut present: Vec<(usize, usize, f64, JointState)> = folds
             .iter()
@@ -219,7 +219,7 @@ impl LineSpectrum {
         Ok(())
     }
 
-    /// The waves that stand out of the noise and of each axis' other waves.
+    /// Detects the waves that exceed the noise and the other waves of their axis.
     pub fn shown(&self) -> Shown {
         let axes = self.samples.first().map_or(0, |sample| sample.angles_rad.len());
         let mut folds = vec![Sums::zeros(axes); self.folds];
@@ -232,13 +232,13 @@ impl LineSpectrum {
         }
     }
 
-    /// Orders that are distinguished over the travel of a drive.
+    /// Minimum difference of orders that can be distinguished over the travel of a drive.
     fn resolved(&self, axis: usize) -> f64 {
         let [low, high] = extremes(self.samples.iter().map(|sample| sample.angles_rad[axis]));
         (TAU / (high - low)).ceil()
     }
 
-    /// What a wave has in common with all waves, in each fold.
+    /// Cross products of a wave with all waves, in each fold.
     fn crosses(&self, (axis, order): Wave) -> Vec<Cross> {
         let axes = self.samples.first().map_or(0, |sample| sample.angles_rad.len());
         let mut crosses = vec![vec![[[[0.0; 2]; 2]; ORDERS]; axes]; self.folds];
@@ -258,18 +258,18 @@ impl LineSpectrum {
     }
 }
 
-/// The search in all folds, and in all but each.
+/// The detection in all folds, and in all folds except one.
 struct Search<'a> {
     of: &'a LineSpectrum,
     folds: Vec<Sums>,
-    /// Orders that are distinguished on each axis.
+    /// Minimum difference of distinguishable orders on each axis.
     resolved: Vec<f64>,
-    /// What waves that were found in some folds have in common with others.
+    /// Cross products of waves that were detected in some folds.
     crosses: BTreeMap<Wave, Vec<Cross>>,
 }
 
 impl Search<'_> {
-    /// The waves that all folds show but one.
+    /// The waves detected in all folds, or in all folds except `without`.
     fn found(&mut self, without: Option<usize>) -> Vec<ParameterId> {
         let taken = |fold: &usize| Some(*fold) != without;
         let folds: Vec<usize> = (0..self.folds.len()).filter(taken).collect();
@@ -288,12 +288,12 @@ impl Search<'_> {
             .collect()
     }
 
-    /// The wave that stands out most of what is left.
+    /// The strongest wave in the residuals, if it is significant.
     fn next(&self, left: &Sums, found: &[Wave]) -> Option<Wave> {
         let is_new = |&(_, (axis, order)): &(f64, Wave)| {
             let of_axis = found.iter().filter(|wave| wave.0 == axis);
-            // Over a part of a turn a wave looks like its neighbours: they are its shadows. Those of once and twice
-            // per turn are in the way, too: these are terms of their own and may not have been taken out yet.
+            // Over a part of a turn a wave resembles waves of neighbouring orders, which are excluded. Waves with one and two
+            // periods per turn have the same effect: they are separate terms that may not have been fitted yet.
             let mut apart = of_axis.clone().map(|wave| f64::from(wave.1.abs_diff(order)));
             let slow = f64::from(order) <= TWICE + self.resolved[axis];
             !slow && of_axis.clone().count() < WAVES_MAX && apart.all(|apart| apart > self.resolved[axis])
@@ -306,7 +306,7 @@ impl Search<'_> {
         standing.filter(is_new).max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, wave)| wave)
     }
 
-    /// What these waves, fitted together, leave of the residuals of some folds; none where one is the others.
+    /// Sums after a joint fit of these waves to the residuals of some folds; `None` if the waves are not separable.
     fn left(&self, all: &Sums, waves: &[Wave], folds: &[usize]) -> Option<Sums> {
         let crosses: Vec<Cross> = waves.iter().map(|wave| sum(&self.crosses[wave], folds)).collect();
         let index = |order: u8| usize::from(order - FIRST);
@@ -343,29 +343,29 @@ fn sum(crosses: &[Cross], folds: &[usize]) -> Cross {
     sum
 }
 
-/// Orders of an axis that stand out of what is left, of this variance, with by how much.
+/// Orders of an axis that are significant in residuals of this variance, with the ratio to the noise.
 fn standing(gradients: &[[f64; 2]; ORDERS], normals: &[Normal; ORDERS], variance: f64) -> Vec<(f64, u8)> {
     let falls: [f64; ORDERS] = std::array::from_fn(|order| fall(gradients[order], normals[order]));
     let mut sorted = falls;
     sorted.sort_unstable_by(f64::total_cmp);
-    // Errors of other kinds lift all waves: peaks have to stand out of these, too.
+    // Other errors increase all orders; peaks must exceed this floor, too.
     let floor = sorted[ORDERS / 2] / MEDIAN;
     let noise = floor.max(variance);
     let standing = falls.into_iter().zip(FIRST..).filter(|(fall, _)| *fall > STANDS_OUT * noise);
     standing.map(|(fall, order)| (fall / noise, order)).collect()
 }
 
-/// How much the sum of squares falls with one wave.
+/// Decrease of the sum of squares with one wave.
 fn fall([s, c]: [f64; 2], [ss, sc, cc]: Normal) -> f64 {
     let determinant = ss * cc - sc * sc;
-    // The axis stood still, or sine and cosine are one over its travel.
+    // The axis did not move, or sine and cosine are proportional over its travel.
     if determinant <= 1e-6 * ss * cc {
         return 0.0;
     }
     (s * s * cc - 2.0 * s * c * sc + c * c * ss) / determinant
 }
 
-/// Orders that other terms of the axes have.
+/// Orders of other terms of the axes.
 fn known(drives: &DriveTrain) -> impl Iterator<Item = (usize, u8)> + '_ {
     let turns = [(Period::Cycloid, &drives.cycloid_lobes), (Period::Motor, &drives.motor_turns)];
     turns.into_iter().flat_map(move |(period, numbers)| {
@@ -377,7 +377,7 @@ fn known(drives: &DriveTrain) -> impl Iterator<Item = (usize, u8)> + '_ {
     })
 }
 
-/// The model with nothing free but the turn of each joint.
+/// The model with only the `theta` of each joint free; `None` if one is missing.
 fn joints_only(model: &Model) -> Option<Model> {
     let mut model = model.clone();
     model.free_only(|id| matches!(id, ParameterId::Robot { parameter: LinkParameter::Theta, .. }));
@@ -402,7 +402,7 @@ mod tests {
 
     const FOLDS: usize = 8;
 
-    /// Two axes that turn whole turns, each seen by a residual of its own with noise of one, and waves with this amplitude in
+    /// Two axes that make full turns, each observed by its own residual with unit noise, and waves with the given amplitude in
     /// each fold.
     fn spectrum(waves: &[(Wave, [f64; FOLDS])]) -> LineSpectrum {
         let mut random = StdRng::seed_from_u64(5);

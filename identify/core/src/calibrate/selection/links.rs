@@ -1,4 +1,4 @@
-//! Which numbers of a robot's links are free, whatever instrument measures its end.
+//! The free link parameters of a robot, independent of the instrument at its end.
 
 use nalgebra::Vector3;
 use shared::config::JointKind;
@@ -6,18 +6,18 @@ use shared::config::JointKind;
 use crate::kinematics::{Chain, LinkParameter, Trace, Tracer};
 use crate::model::ParameterId;
 
-/// What the links are freed to do: 4 numbers of each, by the two axes that it joins.
+/// Free parameters of a link: four for each, depending on the two axes that it connects.
 ///
-/// The first link's `d` and `theta` are the instrument's place, the last link is its mounting. Between nearly
-/// parallel axes `d` has no value and Hayati's `beta` takes its place; a length along such axes is told once, by the `d`
+/// `d` and `theta` of the first link are part of the instrument's pose; the last link is part of the mounting. Between nearly
+/// parallel axes `d` is not defined, and Hayati's `beta` replaces it. A length along such axes is represented once, by the `d`
 /// of the link after them.
 ///
-/// A prismatic axis has a direction but no place: where it is drawn, across it, is a matter of taste, so that its link has no
-/// length and the next one no offset; 2 numbers are left. An offset along axes that are all parallel, from the base on or up to
-/// the flange, is the tracker's place or the probe's. That makes `4 revolute + 2 prismatic + 6` numbers with these two.
+/// A prismatic axis has a direction but no position: its lateral position is arbitrary. Its link therefore has no length and
+/// the next one no offset, which leaves two parameters. An offset along axes that are all parallel, from the base on or up to
+/// the flange, is part of the tracker's pose or the probe's. The total with these two is `4 revolute + 2 prismatic + 6`.
 fn link_parameters(robot: &Chain, directions: &[Vector3<f64>], link: usize) -> Vec<LinkParameter> {
     use LinkParameter::{A, Alpha, Beta, D, Theta};
-    /// Less than this from parallel.
+    /// Limit of the sine of the angle between axes that are taken as parallel.
     const PARALLEL: f64 = 0.1;
     let prismatic = |link: usize| robot.links.get(link).is_some_and(|at| at.joint == JointKind::Prismatic);
     let parallel = robot.links.get(link).is_some_and(|at| at.alpha_rad.sin().abs() < PARALLEL);
@@ -27,7 +27,7 @@ fn link_parameters(robot: &Chain, directions: &[Vector3<f64>], link: usize) -> V
     let first: &[LinkParameter] = match (link, prismatic(link)) {
         (0, true) => &[],
         (0, false) => &[A],
-        // About and along a prismatic axis the next one parallel to it turns and moves as well.
+        // If the next axis is parallel to a prismatic axis, rotations about both and translations along both coincide.
         (_, true) if parallel => &[D],
         (_, true) => &[D, Theta],
         (_, false) if parallel => &[A, Theta],
@@ -42,14 +42,14 @@ fn link_parameters(robot: &Chain, directions: &[Vector3<f64>], link: usize) -> V
     free
 }
 
-/// Directions of the joints' axes of the nominal robot.
+/// Directions of the joint axes of the nominal robot.
 fn directions(robot: &Chain) -> Vec<Vector3<f64>> {
     let mut trace = Trace::default();
     Tracer::new(robot).trace(&[], &mut trace);
     trace.joint_axes().map(|(_, direction)| direction).collect()
 }
 
-/// The numbers of all links that are free.
+/// The free parameters of all links.
 pub(in crate::calibrate) fn link_ids(robot: &Chain) -> Vec<ParameterId> {
     let directions = directions(robot);
     let of = |link: usize| {
@@ -59,7 +59,7 @@ pub(in crate::calibrate) fn link_ids(robot: &Chain) -> Vec<ParameterId> {
     (0..robot.links.len()).flat_map(of).collect()
 }
 
-/// Offsets along parallel axes, of which any data determine the sum alone. The last of each group is the one that is free.
+/// Offsets along parallel axes, of which only the sum is observable. The last of each group is the free one.
 pub(crate) fn inseparable_offsets(robot: &Chain) -> Vec<Vec<ParameterId>> {
     let free = link_ids(robot);
     let offset = |link: usize| ParameterId::Robot { link, parameter: LinkParameter::D };

@@ -1,4 +1,4 @@
-//! What is free: links that poses determine, and terms that predict what they were not fitted to.
+//! Selection of free parameters: links that the poses determine, and terms that improve the prediction of left-out data.
 
 pub(in crate::calibrate) mod line_spectrum;
 pub(crate) mod links;

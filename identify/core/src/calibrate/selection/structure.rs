@@ -1,4 +1,4 @@
-//! What the poses of a run can identify at all, whatever the noise.
+//! The parameters that the poses of a run can identify, independent of noise.
 
 use crate::cost::{CostError, Length, LoopProblem, Position, PositionAngles, Residual, Transform, fill_in};
 use crate::kinematics::{LinkParameter, robot_inverse};
@@ -9,25 +9,25 @@ use crate::solver::{Identifiability, Options, SolveError, identifiability};
 
 use crate::instrument::CostName;
 
-/// Poses that are looked at: ranks do not need more.
+/// Maximum number of poses: a rank analysis does not need more.
 const POSES_MAX: usize = 300;
 
-/// Why the structure cannot be found.
+/// Reason why the structure cannot be determined.
 #[derive(Debug, thiserror::Error)]
 pub enum StructureError {
     /// A parameter does not exist.
     #[error(transparent)]
     Model(#[from] ModelError),
-    /// The samples do not suit the cost.
+    /// The samples do not fit the cost.
     #[error(transparent)]
     Cost(#[from] CostError),
-    /// No pose is usable.
+    /// No pose can be used.
     #[error(transparent)]
     Solve(#[from] SolveError),
 }
 
-/// The earlier of dependent parameters is fixed: the thesis' choice first (TFRT-6017 section 3.3), then the bar, whose
-/// numbers nobody needs afterwards, then the robot, the bar's place last.
+/// Order in which one of several dependent parameters is fixed: first the choice of the thesis (TFRT-6017 section 3.3), then
+/// the bar, whose parameters are not needed afterwards, then the robot, last the bar's base.
 fn preference(id: ParameterId) -> usize {
     let name = id.to_string();
     let of_thesis = THESIS_FIXED.iter().position(|fixed| *fixed == name);
@@ -38,8 +38,8 @@ fn preference(id: ParameterId) -> usize {
     })
 }
 
-/// Poses in which robot and bar meet exactly on the nominal geometry: with millimetres between them dependent parameters
-/// look independent, by singular values that are nothing but those errors.
+/// Poses in which robot and bar coincide exactly on the nominal geometry. With gaps of millimetres, dependent parameters would
+/// appear independent, with singular values that are due to these errors only.
 fn consistent_poses(
     model: &Model,
     motion: &impl RobotMotion,
@@ -63,7 +63,7 @@ fn consistent_poses(
     (poses, PerObservation(joints))
 }
 
-/// Links, place and lean of the bar: what an identification is about, without Hayati's rotations.
+/// Whether the parameter is a link parameter (except Hayati's rotations) or part of the pose of the bar's base.
 pub fn is_geometry(id: ParameterId) -> bool {
     match id {
         ParameterId::Robot { parameter, .. } => parameter != LinkParameter::Beta,
@@ -72,11 +72,11 @@ pub fn is_geometry(id: ParameterId) -> bool {
     }
 }
 
-/// The largest set of parameters that the poses determine: of each dependent group those are left out that are best
-/// fixed. Clocks are not looked at.
+/// The largest set of parameters that the poses determine. Of each dependent group the most suitable parameter is fixed. Clocks
+/// are excluded.
 ///
 /// # Errors
-/// [`StructureError`].
+/// [`StructureError`] if a parameter does not exist, or the poses cannot be used.
 pub fn identifiable(
     model: &Model,
     motion: &impl RobotMotion,
@@ -85,7 +85,7 @@ pub fn identifiable(
 ) -> Result<Vec<ParameterId>, StructureError> {
     let mut model = model.clone();
     let (poses, joints) = consistent_poses(&model, motion, observations);
-    // These poses have no clock.
+    // These poses have no time.
     for id in [ParameterId::ClockShift, ParameterId::ClockSkew] {
         model.set_value(id, 0.0)?;
     }
@@ -116,7 +116,7 @@ fn reduce<R: Residual + Copy>(
     }
 }
 
-/// What does nothing, and one of each dependent group: what is best fixed of the `free` parameters that were examined.
+/// The parameters to fix: those without effect, and the most suitable one of each dependent group of the `free` ones.
 pub fn surplus(found: &Identifiability, free: &[ParameterId]) -> Vec<ParameterId> {
     let named = |columns: &[usize]| -> Vec<ParameterId> {
         columns.iter().filter_map(|column| free.get(*column).copied()).collect()

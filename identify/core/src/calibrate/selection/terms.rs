@@ -1,4 +1,4 @@
-//! Terms that a robot may have or not: a group of them is taken only where it predicts folds that it was not fitted to.
+//! Selection of optional terms: a group is accepted only if it improves the prediction of left-out folds.
 
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, StudentsT};
@@ -9,98 +9,98 @@ use crate::solver::{Normals, Prior};
 /// Terms that are tried together, the same for all axes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CandidateGroup {
-    /// Which.
+    /// Group of error terms.
     pub group: TermGroup,
-    /// Name in reports.
+    /// Name of the group in reports.
     pub name: String,
-    /// Its parameters.
+    /// Parameters of the group.
     pub ids: Vec<ParameterId>,
-    /// Standard deviation of their prior around zero, SI.
+    /// Standard deviation of their prior at zero, SI.
     pub sigma: f64,
-    /// What it may be multiplied by.
+    /// Candidate factors of `sigma`.
     pub scales: Vec<f64>,
 }
 
-/// What became of one kind of terms.
+/// Result for one group of terms.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Candidate {
-    /// Which.
+    /// Group of error terms.
     pub group: TermGroup,
-    /// Name in reports.
+    /// Name of the group in reports.
     #[serde(default)]
     pub name: String,
-    /// Standard deviation of its prior around zero, in the parameters' SI unit; absent where it was not taken.
+    /// Standard deviation of its prior at zero, in the parameters' SI unit; absent if the group was rejected.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sigma: Option<f64>,
-    /// How many parameters it has.
+    /// Number of parameters in the group.
     pub parameters: usize,
-    /// Root mean square residual of held-out segments without it, in standard deviations of the cost.
+    /// Root mean square residual of held-out segments without the group, in standard deviations of the cost.
     pub held_out_before: f64,
-    /// With it.
+    /// Root mean square residual of held-out segments with the group, in standard deviations of the cost.
     pub held_out_after: f64,
-    /// It predicts held-out segments better by more than chance.
+    /// Whether the group improves the prediction of held-out segments significantly.
     pub accepted: bool,
 }
 
 impl Candidate {
-    /// For a person.
+    /// Name of the group for the report.
     pub fn name(&self) -> &str {
         if self.name.is_empty() { self.group.name() } else { &self.name }
     }
 }
 
-/// Terms that come together or not at all.
+/// Terms that are accepted or rejected together.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Offer {
-    /// Their columns.
+    /// Columns of the terms.
     pub columns: Vec<usize>,
-    /// Those that the other folds show, for each fold; empty where they are the same for all.
+    /// For each fold, the columns detected in the other folds; empty if they are the same for all folds.
     pub without: Vec<Vec<usize>>,
-    /// What the standard deviations of their priors may be multiplied by.
+    /// Candidate factors of the standard deviations of their priors.
     pub scales: Vec<f64>,
 }
 
 impl Offer {
-    /// Columns with which a fold is predicted.
+    /// Columns that are used to predict a fold.
     fn columns(&self, fold: usize) -> &[usize] {
         self.without.get(fold).unwrap_or(&self.columns)
     }
 
-    /// A fold or all samples have this column.
+    /// Whether the column is used for any fold or for all samples.
     pub(in crate::calibrate) fn has(&self, column: usize) -> bool {
         self.without.iter().chain([&self.columns]).any(|columns| columns.contains(&column))
     }
 }
 
-/// What became of an offer.
+/// Result for one offer.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Verdict {
-    /// Place among the offers.
+    /// Index of the offer.
     pub offer: usize,
     /// Scale of the priors at which left-out folds are predicted best.
     pub scale: f64,
-    /// Mean squared residual of left-out folds without it, beside all that was taken before.
+    /// Mean squared residual of left-out folds without the offer, with all offers accepted before.
     pub before: f64,
-    /// With it.
+    /// Mean squared residual of left-out folds with the offer.
     pub after: f64,
-    /// It is taken.
+    /// Whether the offer is accepted.
     pub accepted: bool,
 }
 
-/// One-sided level of the test whether left-out folds are predicted better. Terms that fit nothing but noise make predictions
-/// worse, so that of terms that are not there far fewer are taken: simulated, 3 to 4 of 100 groups of one parameter, 1 to 4
-/// of groups of twelve, with noise that is white and with noise that lasts for ten samples.
+/// One-sided level of the test whether left-out folds are predicted better. Terms that fit only noise make predictions worse,
+/// so far fewer terms without real effect are accepted: in simulations 3 to 4 of 100 groups of one parameter and 1 to 4 of
+/// groups of twelve, for white noise and for noise correlated over ten samples.
 const LEVEL: f64 = 0.15;
-/// A fall of less than this part of the mean squared residual changes nothing that is reported.
+/// A smaller relative decrease of the mean squared residual does not change any reported value.
 const TRIFLE: f64 = 1e-3;
 
-/// Zero of none.
+/// Arithmetic mean; zero for an empty slice.
 pub(in crate::calibrate) fn mean(values: &[f64]) -> f64 {
     if values.is_empty() { 0.0 } else { values.iter().sum::<f64>() / values.len() as f64 }
 }
 
-/// Errors fall by a factor that its scatter over the folds does not explain (Student's t of its logarithm, one-sided: folds
-/// may differ much in how large their errors are), and their mean by more than a trifle.
+/// Whether the errors of the folds decrease significantly (one-sided Student's t of the logarithms, since errors may differ
+/// much between folds), and their mean by more than `TRIFLE`.
 pub(in crate::calibrate) fn falls(before: &[f64], after: &[f64]) -> bool {
     let logarithm = |squared: f64| squared.max(f64::MIN_POSITIVE).ln();
     let fall: Vec<f64> =
@@ -113,9 +113,9 @@ pub(in crate::calibrate) fn falls(before: &[f64], after: &[f64]) -> bool {
     by > student.inverse_cdf(1.0 - LEVEL) * standard_error && mean(after) < (1.0 - TRIFLE) * mean(before)
 }
 
-/// Forward selection: of all offers the one that predicts left-out folds best is taken, then the best of the rest beside
-/// it, until none improves the prediction; then the scales of those taken are gone over once more. `always` are the
-/// columns in any case. Verdicts come in the order in which offers were taken, then those left out.
+/// Forward selection: accept the offer with which left-out folds are predicted best, then the best of the others in addition,
+/// until none improves the prediction. Then choose the scales of the accepted offers once more. The columns `always` are
+/// always included. The result contains accepted offers in the order of acceptance, then the rejected ones.
 pub fn select(normals: &Normals, always: &[usize], offers: &[Offer]) -> Vec<Verdict> {
     let mut taken: Vec<Verdict> = Vec::new();
     let Some(mut before) = predicted(normals, always, offers, &taken) else { return taken };
@@ -144,7 +144,7 @@ pub fn select(normals: &Normals, always: &[usize], offers: &[Offer]) -> Vec<Verd
     }
 }
 
-/// The last of those taken, each at the best of its scales.
+/// Chooses the scale of each accepted offer again.
 fn rescale(normals: &Normals, always: &[usize], offers: &[Offer], taken: &mut Vec<Verdict>) {
     if taken.iter().any(|one| offers[one.offer].scales.len() > 1) {
         for _ in 0..taken.len() {
@@ -155,7 +155,7 @@ fn rescale(normals: &Normals, always: &[usize], offers: &[Offer], taken: &mut Ve
     }
 }
 
-/// Gives the last of those taken the scale that predicts best; the squared residuals with it. None where the folds do not
+/// Sets the scale of the last offer that predicts best; returns the squared residuals with it. `None` if the folds do not
 /// determine the columns.
 fn best_scale(
     normals: &Normals,
@@ -192,9 +192,9 @@ fn scaled(priors: &[Prior], scale: impl Fn(usize) -> f64) -> Vec<Prior> {
     priors.iter().map(|prior| Prior { sigma: prior.sigma * scale(prior.column), ..*prior }).collect()
 }
 
-/// By how much to widen the standard deviations of the priors on some columns: the value on a grid that predicts left-out
-/// folds best, if it does so by more than chance, otherwise one. Never less: samples that determine little of the columns are predicted
-/// best where these stay, which says nothing of how near to nominal they are.
+/// Factor that widens the prior standard deviations of some columns: the value on a grid that predicts left-out folds best, if
+/// the improvement is significant, otherwise one. It is never less than one: parameters that the samples hardly determine are
+/// predicted best with narrow priors; this does not show that they are near nominal.
 pub fn prior_scale(normals: &Normals, columns: &[usize], of_scale: impl Fn(usize) -> bool) -> f64 {
     const GRID: [f64; 5] = [2.0, 5.0, 10.0, 30.0, 100.0];
     let errors = |scale: f64| {
@@ -218,7 +218,7 @@ mod tests {
     use super::*;
     use crate::solver::{Linearisation, Options, Problem};
 
-    /// Rows of a line with a wave that may be there and one that is not.
+    /// Rows on a straight line plus a wave, which may be zero; a second wave is never present.
     struct Waves {
         t: Vec<f64>,
         noise: Vec<f64>,

@@ -1,10 +1,10 @@
-//! Whether data sets that were solved together agree about the robot.
+//! Test whether data sets that were solved together agree about the robot.
 //!
-//! A data set by itself would have the robot elsewhere than all together. With `H` and `g` its normal equations and their gradient
-//! at the common solution, both with what is expected of the parameters, it would gain `g' H^-1 g` squares there. Where all data
-//! sets are of one robot in one unit these are noise, at most that of the `p` numbers which it determines of what it shares
-//! with the others (specification test, Hausman 1978): `g' H^-1 g / (p s^2)` is Fisher's F at most, with `s^2` what errors of
-//! the data set are worth at its own solution, those that last for several samples counted as one.
+//! The solution of a single data set differs from the joint solution. Let `H` and `g` be its normal equations and their
+//! gradient at the joint solution, both with the priors. Its own solution reduces the sum of squares by `g' H^-1 g`. If all
+//! data sets are of one robot in one unit, this reduction is noise, at most that of the `p` effective parameters that it shares
+//! with the others (specification test, Hausman 1978): `g' H^-1 g / (p s^2)` follows at most Fisher's F. Here `s^2` is the
+//! error variance of the data set at its own solution, with correlated errors counted once.
 
 use nalgebra::DVector;
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
@@ -14,20 +14,20 @@ use crate::cost::{DataSets, SharedColumns};
 use crate::instrument::Run;
 use crate::solver::{Loss, Normals, Options};
 
-/// Chance that something is said although all data sets agree.
+/// Probability of a false report if all data sets agree.
 const DISAGREES_BY_CHANCE: f64 = 1e-3;
 
 /// A data set that contradicts the others.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Disagreement {
-    /// From 0.
+    /// Index of the data set, from 0.
     pub data_set: usize,
-    /// How many times larger its residuals are than by itself.
+    /// Ratio of its residuals in the joint solution to those of its own solution.
     pub times: f64,
 }
 
-/// Data sets that contradict the others at their common solution, which the runs' models are at; `sigmas` are what residuals of each
-/// are worth, `loss` that of the solve. One alone agrees with itself.
+/// Data sets that contradict the others at the joint solution, which the models have as values; `sigmas` are the residual
+/// standard deviations of each, `loss` that of the solve. The result is empty for a single data set.
 pub fn disagreeing(runs: &[Run], sigmas: &[f64], loss: Loss) -> Vec<Disagreement> {
     if runs.len() < 2 {
         return Vec::new();

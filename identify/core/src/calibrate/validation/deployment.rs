@@ -1,8 +1,8 @@
-//! A calibration for what can be applied: the best geometry for a controller that takes only part of the model.
+//! Calibration for deployment: the best geometry for a controller that applies only part of the model.
 //!
-//! Errors of one axis resemble each other: an offset, a ratio, a compliance and a slow wave of a gear partly take each other's
-//! place. A geometry that was found beside terms which nobody then applies is not the best one without them, and can be worse
-//! than the nominal one. So each deployment has its own fit, of what it takes and nothing else of the robot.
+//! Errors of one axis are correlated: an offset, a ratio, a compliance and a slow gear wave partly replace each other. If only
+//! part of the model is applied, a geometry estimated together with the other terms is not the best one, and can be worse than
+//! the nominal one. Therefore each deployment has its own fit, of the robot parameters that it applies and no others.
 
 use serde::{Deserialize, Serialize};
 
@@ -14,20 +14,20 @@ use crate::kinematics::LinkParameter;
 use crate::model::{Model, ModelError, Owner, ParameterId, Role};
 use crate::solver::{LossName, Solution, Watch};
 
-/// What a controller takes.
+/// The part of the model that a controller applies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Deployment {
-    /// The offset of each joint, and nothing else.
+    /// The offset of each joint only.
     Offsets,
-    /// Every number of every link.
+    /// All parameters of all links.
     Dh,
-    /// Links and the errors of the joints: own compensation.
+    /// Links and joint errors, with compensation outside the controller.
     Full,
 }
 
 impl Deployment {
-    /// Those that leave something out.
+    /// The deployments that apply only part of the model.
     pub const PARTIAL: [Self; 2] = [Self::Offsets, Self::Dh];
 
     fn leaves_out(self, id: ParameterId) -> bool {
@@ -39,7 +39,7 @@ impl Deployment {
         }
     }
 
-    /// What the deployment leaves out is nominal in the model and stays there.
+    /// Sets the parameters that the deployment does not apply to nominal and fixes them.
     fn restrict(self, model: &mut Model) -> Result<(), ModelError> {
         let nominal = |id: &ParameterId| Some((*id, model.parameter(*id)?.nominal));
         let ids = model.ids().into_iter();
@@ -52,29 +52,29 @@ impl Deployment {
     }
 }
 
-/// The best fit of what a deployment takes.
+/// The best fit of the parameters that a deployment applies.
 #[derive(Debug, Clone)]
 pub struct Deployed {
-    /// Which.
+    /// The part of the model that is applied.
     pub deployment: Deployment,
-    /// Of the first run.
+    /// Model of the first run at the fit.
     pub model: Model,
-    /// The solve.
+    /// Solution of the fit.
     pub solution: Solution,
 }
 
 impl Deployed {
-    /// Of the calibration for a deployment.
+    /// The fit for a deployment, from its calibration.
     pub fn new(deployment: Deployment, found: Calibration) -> Self {
         Self { deployment, model: found.model().clone(), solution: found.solved.solution }
     }
 }
 
 impl Calibration {
-    /// The calibration for a deployment: its best fit to the same samples; none where the solve does not converge.
+    /// The calibration for a deployment: its best fit to the same samples; `None` if the solve does not converge.
     ///
     /// # Errors
-    /// [`CalibrateError`].
+    /// [`CalibrateError`] if the solve fails for another reason.
     pub fn deployed(
         &self,
         deployment: Deployment,
@@ -88,7 +88,7 @@ impl Calibration {
     }
 }
 
-/// Runs at the best fit of what a deployment takes.
+/// Runs at the best fit of the parameters that a deployment applies.
 pub(in crate::calibrate) struct Fitted {
     pub(in crate::calibrate) runs: Vec<Run>,
     columns: SharedColumns,
@@ -96,10 +96,10 @@ pub(in crate::calibrate) struct Fitted {
     sigmas: Vec<f64>,
 }
 
-/// The runs at the best fit of what a deployment takes; none where the solve does not converge.
+/// Fits the runs with the parameters that a deployment applies; `None` if the solve does not converge.
 ///
 /// # Errors
-/// [`CalibrateError`].
+/// [`CalibrateError`] if the solve fails for another reason.
 pub(in crate::calibrate) fn fitted(
     runs: &[Run],
     deployment: Deployment,

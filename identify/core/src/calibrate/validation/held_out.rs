@@ -1,4 +1,4 @@
-//! What a calibration says of segments of time that it has not seen: the validation that no fit can flatter.
+//! Prediction of held-out segments of time: a validation on data that the fit did not use.
 
 use std::ops::Range;
 
@@ -9,31 +9,31 @@ use crate::instrument::{Run, segments};
 use crate::model::{Model, Observation, ParameterId};
 use crate::solver::{Normals, Options, Watch};
 
-/// Samples of all runs that are looked at, at most.
+/// Maximum number of samples of all runs.
 const SAMPLES_MAX: usize = 3000;
-/// Segments of a run, and of all runs together, at most.
+/// Maximum number of segments of a run.
 const SEGMENTS: usize = 8;
 const SEGMENTS_OF_ALL: usize = 16;
 
-/// A segment of one run, and the run's parameters by a fit to everything else.
+/// A held-out segment of one run, with the run's parameters from a fit to all other data.
 #[derive(Debug, Clone)]
 pub struct Segment {
-    /// Number of the run, from 0.
+    /// Index of the run, from 0.
     pub run: usize,
-    /// Its samples.
+    /// Samples of the held-out segment.
     pub seen_by_none: Vec<Observation>,
     /// The other samples of its run.
     pub others: Vec<Observation>,
-    /// None where the rest does not determine all parameters.
+    /// Model from the fit to all other data; `None` if they do not determine all parameters.
     pub model: Option<Model>,
 }
 
-/// The calibration's parameters without each segment of time of a run with the ball-bar: by one step on the normal equations of the others, from the
-/// calibration on. The minimum without a segment is so near that it is reached (residuals are linear over what errors of
-/// one segment move). Which terms the model has was decided by the whole runs.
+/// The calibration's parameters without each segment of time of a ball-bar run, by one step on the normal equations of the
+/// other segments, starting at the calibration. One step reaches the minimum, because residuals are linear over the influence
+/// of one segment. The terms of the model were chosen with the whole runs.
 ///
 /// # Errors
-/// [`CalibrateError`] where `watch` ended it or the samples do not suit the cost.
+/// [`CalibrateError`] if `watch` cancelled it or the samples do not fit the cost.
 pub fn without_each_segment(
     calibration: &Calibration,
     watch: Option<&dyn Watch>,
@@ -75,14 +75,14 @@ fn segment(
     Some(Segment { run: number, seen_by_none: observations.get(samples)?.to_vec(), others, model })
 }
 
-/// Zeros of encoders that lost their origin and that no other sample determines stay as the whole fit has them: no fit could
-/// predict them.
+/// Keeps the offsets of encoders that lost their origin, if no other sample determines them, at the values of the full fit:
+/// no fit could predict them.
 fn keep_own_offsets(model: &mut Model, whole: &Model, others: &[Observation]) {
     for parameter in whole.columns() {
         if let ParameterId::EncoderOffset { origin, .. } = parameter.id
             && others.iter().all(|one| one.origin != origin)
         {
-            // Both models have the same parameters.
+            // Cannot fail: both models have the same parameters.
             let _ = model.set_value(parameter.id, parameter.value);
         }
     }

@@ -1,4 +1,4 @@
-//! What judges a calibration: samples that were held out, controllers that take a part of it.
+//! Validation of a calibration: held-out samples, agreement of data sets, and partial deployments.
 
 pub mod agreement;
 pub mod deployment;
