@@ -252,7 +252,7 @@ impl Default for DriveState {
 /// Amplitudes of the error terms of all axes, with their drive train.
 #[derive(Debug, Clone, PartialEq)]
 pub struct JointErrors {
-    /// How drives move joints.
+    /// Couplings between drives and joints.
     pub drives: DriveTrain,
     /// Axis, term, amplitude; sorted by axis and term. Missing entries are zero.
     amplitudes: Vec<(usize, JointTerm, f64)>,

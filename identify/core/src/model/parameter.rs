@@ -220,7 +220,7 @@ impl ParameterBlock {
     }
 }
 
-/// One row per block: fields with their ranges, name, common properties, and the place of the number in [`Geometry`].
+/// One row per block: fields with their ranges, name, common properties, and the place of the number in `Geometry`.
 macro_rules! parameters {
     ($(
         $(#[$doc:meta])*
