@@ -34,11 +34,11 @@ pub enum CostName {
 }
 
 impl CostName {
-    /// Every cost, the most telling first.
+    /// All costs, in decreasing order of the parameters that they identify.
     pub const ALL: [Self; 5] =
         [Self::Pose, Self::Transform, Self::PositionAngles, Self::Position, Self::Length];
 
-    /// Bar joints whose encoders it needs, from 0.
+    /// Bar joints whose encoders are required, from 0.
     pub const fn encoders(self) -> &'static [usize] {
         match self {
             Self::Pose => WhitenedPoseOfFour::ENCODERS,
@@ -49,7 +49,7 @@ impl CostName {
         }
     }
 
-    /// The cost that identifies as much where noise is not weighed: which parameters poses can identify at all.
+    /// The unweighted cost with the same residuals: used to find which parameters a set of poses can identify.
     pub(crate) fn unweighed(self, measured: &[bool; BAR_JOINTS]) -> Self {
         match self {
             Self::Pose if is_of_four(measured) => Self::PositionAngles,
@@ -58,7 +58,7 @@ impl CostName {
         }
     }
 
-    /// The best cost that these encoders allow.
+    /// Cost that uses as many of the available encoders as possible.
     pub fn for_encoders(measured: &[bool; BAR_JOINTS]) -> Self {
         match measured {
             [true, true, _, true, true] => Self::Pose,
@@ -67,7 +67,7 @@ impl CostName {
         }
     }
 
-    /// Loss where none is asked for: the thesis' costs are plain sums of squares.
+    /// Default loss: the costs of the thesis are plain sums of squares.
     pub const fn usual_loss(self) -> LossName {
         match self {
             Self::Pose => LossName::Huber,
@@ -86,7 +86,7 @@ impl CostName {
         }
     }
 
-    /// [`Residual::identifies`] of its residual with the encoders that there are.
+    /// [`Residual::identifies`] of the cost's residual, with the available encoders.
     pub fn identifies(self, measured: &[bool; BAR_JOINTS], id: ParameterId) -> bool {
         match self {
             Self::Pose if is_of_four(measured) => WhitenedPoseOfFour::identifies(id),
@@ -99,18 +99,18 @@ impl CostName {
     }
 }
 
-/// Encoder 3 is missing, which the whitened pose can do without.
+/// Whether encoder 3 is missing; the whitened pose does not require it.
 const fn is_of_four(measured: &[bool; BAR_JOINTS]) -> bool {
     !measured[TORSION]
 }
 
-/// White noise of the angles, by which the `pose` cost weighs.
+/// White noise of the angles; gives the weights of the `pose` cost.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct NoiseConfig {
-    /// Of each bar encoder, one standard deviation \[urad\].
+    /// Standard deviation of each bar encoder \[urad\].
     pub encoder_urad: f64,
-    /// Of each robot joint, one standard deviation \[urad\].
+    /// Standard deviation of each robot joint \[urad\].
     pub robot_urad: f64,
 }
 
@@ -126,25 +126,25 @@ impl From<NoiseConfig> for AngleNoise {
     }
 }
 
-/// One run.
+/// One run of the ball-bar, with the cost to minimise.
 #[derive(Debug, Clone)]
 pub struct BallBar {
-    /// How its logs were brought together.
+    /// Aligned logs of robot and bar.
     pub prepared: Prepared,
-    /// Cost that is minimised.
+    /// The cost that is minimised.
     pub cost: CostName,
-    /// What angles are configured to be worth to the cost `pose`.
+    /// Configured noise of the angles, for the cost `pose`.
     pub configured: NoiseConfig,
-    /// What its residuals say of that.
+    /// Noise estimated from the residuals; `None` before the first estimate.
     pub found: Option<FoundNoise>,
-    /// Bar joints with an encoder, in all runs that are solved together.
+    /// Whether each bar joint has an encoder, in all runs that are solved together.
     pub measured: [bool; BAR_JOINTS],
-    /// Lengths of the bar that are known, which give the scale, with their standard uncertainties \[m\].
+    /// Known lengths of the bar, which fix the scale, with their standard uncertainties \[m\].
     pub known_m: Vec<(ParameterId, f64)>,
 }
 
 impl BallBar {
-    /// What angles are worth.
+    /// Noise of the angles: the estimate if there is one, else the configured value.
     pub fn angle_noise(&self) -> AngleNoise {
         self.found.map_or_else(|| self.configured.into(), |found| found.noise)
     }
@@ -181,8 +181,8 @@ impl Measures for BallBar {
         Noise::Angles(self.angle_noise())
     }
 
-    /// The robot's end minus the bar's, as far as the cost estimates the offsets of the encoders that say where the bar's is; without
-    /// any the robot's distance from the gimbal minus the bar's length.
+    /// Pose of the robot's end minus that of the bar's, for costs that estimate the required encoder offsets. For the cost
+    /// `length`: the robot's distance from the gimbal minus the bar's length.
     fn deviations(&self, geometry: &Geometry) -> Vec<Deviation> {
         let Prepared { motion, observations, .. } = &self.prepared;
         let mut closures = closures(geometry, motion, observations).into_iter().peekable();
@@ -232,8 +232,9 @@ impl Measures for BallBar {
         self.prepared.observations.len()
     }
 
-    /// The preparation has done so, and the configuration says what is free but for known lengths. Costs whose residuals a
-    /// smaller world makes smaller expect none anywhere: there they stay at their values, or are as free as the others.
+    /// Sets the roles of known lengths only: the preparation sets the start values, the configuration the other roles. The `pose`
+    /// cost takes priors on known lengths. Other costs decrease if all lengths shrink: a known length that is not estimated keeps
+    /// its value there, with a considered uncertainty.
     fn place(&self, model: &mut Model, fix: &[ParameterId]) -> Result<bool, ModelError> {
         for &(id, sigma) in &self.known_m {
             let Some(&Parameter { nominal: value, role, .. }) = model.parameter(id) else { continue };

@@ -1,33 +1,33 @@
-//! What an instrument, a robot and their clocks can change by while they measure.
+//! Sudden changes of an instrument, a robot or their clocks during a measurement.
 
 use crate::kinematics::LinkParameter;
 use crate::model::{Axis, Coordinate, ParameterId};
 
-/// What can change while it is measured.
+/// What can change during a measurement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Cause {
-    /// The offset of the encoder of this joint of the bar, from 0.
+    /// Offset of the encoder of this bar joint, from 0.
     Encoder(usize),
-    /// The zero of this joint of the robot, from 0.
+    /// Zero position of this robot joint, from 0.
     Joint(usize),
-    /// Where the bar stands.
+    /// Position of the bar's base.
     Base,
-    /// The time of one log against the other.
+    /// Time offset between the two logs.
     Clock,
-    /// Where the tracker stands in this station, from 0.
+    /// Pose of the tracker in this station, from 0.
     Tracker(usize),
-    /// Where this target is on the flange, from 0.
+    /// Position of this target on the flange, from 0.
     Probe(usize),
-    /// Where the wire is anchored in this place, from 0.
+    /// Position of this anchor of the wire, from 0.
     Anchor(usize),
-    /// What its lengths begin with.
+    /// Offset of the lengths.
     LengthOffset,
-    /// Where the tip is on the flange.
+    /// Position of the tip on the flange.
     Tip,
 }
 
 impl Cause {
-    /// The parameters that change with it.
+    /// Parameters that change with this cause.
     pub(crate) fn ids(self) -> Vec<ParameterId> {
         let parameter = LinkParameter::Theta;
         match self {

@@ -1,5 +1,5 @@
-//! A ball on the flange that is seated in one of several sockets, row by row: the robot's joints and which socket are all that is
-//! read. Poses that put the ball into the same socket close a loop; known distances of the sockets give the scale.
+//! A ball on the flange that is seated in one of several sockets. A row contains the robot's joints and the name of the socket.
+//! Poses with the ball in the same socket close a loop; known distances of the sockets fix the scale.
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
@@ -21,7 +21,7 @@ use crate::statistics::median_size;
 pub struct ContactRow {
     /// Joint variables of the model \[rad, m\].
     pub joints_rad: Joints,
-    /// The socket, by its place in [`SocketTable::names`].
+    /// Index of the socket in [`SocketTable::names`].
     pub socket: usize,
 }
 
@@ -34,16 +34,16 @@ impl From<&logs::SeatedRow> for ContactRow {
 /// Why rows of a ball in sockets cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ContactError {
-    /// A joint is not a number.
+    /// A joint is not finite.
     #[error("row {row} has a joint that is not finite; take it out or mend it")]
     BadRow {
-        /// From 1.
+        /// Number of the row, from 1.
         row: usize,
     },
-    /// The table does not have the socket.
+    /// The table does not contain the socket.
     #[error("row {row} is of a socket that the table of sockets does not have; correct one of them")]
     UnknownSocket {
-        /// From 1.
+        /// Number of the row, from 1.
         row: usize,
     },
     /// Only one socket was visited.
@@ -52,15 +52,15 @@ pub enum ContactError {
          distance is known"
     )]
     OneSocket {
-        /// Its name.
+        /// Name of the only visited socket.
         socket: String,
     },
-    /// A socket was visited once.
+    /// A socket was visited only once.
     #[error(
         "socket `{socket}` has one row, which closes no loop; seat the ball in it in at least two postures, or leave the row out"
     )]
     VisitedOnce {
-        /// Its name.
+        /// Name of the socket with one row.
         socket: String,
     },
     /// None of the visited sockets has a known distance.
@@ -78,35 +78,35 @@ pub enum ContactError {
         "{rows} rows in {sockets} sockets are too few, at least {needed} are needed; seat the ball in more postures"
     )]
     TooFewRows {
-        /// Rows.
+        /// Number of rows in the file.
         rows: usize,
-        /// Sockets that they visit.
+        /// Number of visited sockets.
         sockets: usize,
-        /// Least number.
+        /// Least number of rows.
         needed: usize,
     },
 }
 
-/// The ball is expected within this of the flange \[m\]: decides only where the poses do not determine it.
+/// Prior of the ball's distance from the flange \[m\]: effective only if the poses do not determine the ball.
 const BALL_SIGMA_M: f64 = 1.0;
 
-/// Rows of one set-up.
+/// Rows of one set-up, and the noise of the seated ball.
 #[derive(Debug, Clone)]
 pub struct Contact {
     rows: Screened<ContactRow>,
     sockets: Sockets,
-    /// Those that take part, and the socket of each.
+    /// Observations of the rows in use; below, the socket of each.
     observations: Vec<Observation>,
     socket_of: Vec<usize>,
-    /// Standard deviation of a coordinate of the seated ball, from the spread of the residuals \[m\].
+    /// Standard deviation of a coordinate of the seated ball, estimated from the residuals \[m\].
     noise_m: f64,
 }
 
 impl Contact {
-    /// Of rows at which the ball was seated, in the order in which the robot went there.
+    /// From rows at which the ball was seated, in the order in which the robot visited them.
     ///
     /// # Errors
-    /// [`ContactError`] where rows and table calibrate no robot.
+    /// [`ContactError`] if rows and table cannot calibrate a robot.
     pub fn new(rows: &[ContactRow], table: &SocketTable) -> Result<Self, ContactError> {
         let mut all = Standing::new(rows, |row| row.joints_rad);
         let names = table.names();
@@ -152,12 +152,12 @@ impl Contact {
         contact
     }
 
-    /// Other rows in the same sockets.
+    /// The same instrument with other rows in the same sockets.
     fn with_rows(&self, all: Standing<ContactRow>) -> Self {
         Self::of(all, self.sockets.clone(), self.noise_m)
     }
 
-    /// Takes over which rows take part.
+    /// Updates observations and sockets from the rows in use.
     fn take_part(&mut self) {
         let rows = &self.rows.at.rows;
         let observation = |row| Observation::bar(PerObservation::time_s(row), Default::default());
@@ -165,7 +165,7 @@ impl Contact {
         self.socket_of = rows.iter().map(|row| row.socket).collect();
     }
 
-    /// From its socket to where the robot holds the ball, in every row, whether it takes part or not \[m\].
+    /// Position of the ball predicted by the robot minus its socket, for every row, in use or not \[m\].
     fn errors_m(&self, geometry: &Geometry) -> Vec<Vector3<f64>> {
         let of = &geometry.contact;
         let one = |(row, state): (&ContactRow, &JointState)| {
@@ -178,7 +178,7 @@ impl Contact {
     }
 }
 
-/// Fewest rows: twice as many numbers as ball, sockets and links together.
+/// Fewest rows: twice the number of unknowns of ball, sockets and links.
 fn rows_min(sockets: usize, axes: usize) -> usize {
     const NUMBERS_OF_LINK: usize = 4;
     (2 * (3 * (1 + sockets) + NUMBERS_OF_LINK * axes)).div_ceil(SeatedBall::ROWS)
@@ -219,7 +219,7 @@ impl Measures for Contact {
         Section::each(self.sockets.names(), "socket", self.rows.all.rows.iter().map(|row| row.socket))
     }
 
-    /// The socket that the ball is nearest to.
+    /// Names the socket that is nearest to the ball.
     fn remarks(&self, geometry: &Geometry) -> Vec<(usize, String)> {
         let (names, sockets_m) = (self.sockets.names(), &geometry.contact.sockets_m);
         let errors_m = self.errors_m(geometry);
@@ -232,12 +232,12 @@ impl Measures for Contact {
         self.rows.rejected.iter().filter_map(remark).collect()
     }
 
-    /// With the sockets that were visited.
+    /// Adds the visited sockets.
     fn fitted_out(&self, robot: Model) -> Model {
         robot.with_sockets(self.sockets.names().len()).without_clocks()
     }
 
-    /// The ball and the sockets: `p_k + R_k ball = socket` is linear in both.
+    /// Start values of ball and sockets: `p_k + R_k ball = socket` is linear in both.
     fn place(&self, model: &mut Model, fix: &[ParameterId]) -> Result<bool, ModelError> {
         let geometry = model.geometry(&[]);
         let size = 3 * (1 + self.sockets.names().len());
@@ -286,7 +286,7 @@ impl Measures for Contact {
         self.rows.at.states.get(sample).copied()
     }
 
-    /// Sockets are fixed to one body.
+    /// None: all sockets are on one rigid body.
     fn causes(&self, _: &Geometry) -> Vec<Cause> {
         Vec::new()
     }
@@ -295,7 +295,7 @@ impl Measures for Contact {
         SeatedBall::depends_on(id) && id.owner() != Owner::Clocks
     }
 
-    /// Standard deviation of a coordinate that is behind errors which are mostly normal, by their median.
+    /// Standard deviation of a coordinate, from the median of mostly normal errors.
     fn adapt(&mut self, model: &Model) -> Option<f64> {
         /// Data without any noise still need a unit.
         const LEAST_M: f64 = 1e-9;
@@ -305,7 +305,7 @@ impl Measures for Contact {
         Some(self.noise_m)
     }
 
-    /// Where most rows agree with each other, and each socket keeps a row.
+    /// Leaves rows out if most rows agree with each other and each socket keeps a row.
     fn screen(&mut self, model: &Model) -> bool {
         let residuals_m: Vec<f64> =
             self.errors_m(&model.geometry(&[])).iter().map(|error| error.norm()).collect();
@@ -336,7 +336,7 @@ impl Measures for Contact {
         self.rows.all.joints()
     }
 
-    /// Balls in another socket than their rows say: nothing could predict them.
+    /// Rows with the ball in another socket than stated, which no model can predict.
     fn misplaced(&self, model: &Model) -> Vec<RejectedRow> {
         let mut screened = self.clone();
         screened.screen(model);

@@ -5,35 +5,35 @@ use nalgebra::Vector3;
 /// Robot minus measurement at one sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Deviation {
-    /// Difference of two positions along the axes of the robot's base, or of two lengths.
+    /// Position difference along the axes of the robot's base, or length difference \[m\].
     pub apart: Apart,
     /// Angle between the two orientations \[rad\]; `None` without a measured orientation.
     pub rotation_rad: Option<f64>,
 }
 
-/// What was compared.
+/// Difference of two positions or of two lengths.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Apart {
-    /// Where the robot's end is minus where it was measured \[m\].
+    /// Position of the robot's end minus the measured position \[m\].
     Place(Vector3<f64>),
-    /// A length by the robot minus the measured one \[m\].
+    /// Length from the robot's pose minus the measured length \[m\].
     Length(f64),
 }
 
 impl Deviation {
-    /// Of two positions without orientations.
+    /// A difference of two positions, without orientations.
     pub const fn of_place(offset_m: Vector3<f64>) -> Self {
         Self { apart: Apart::Place(offset_m), rotation_rad: None }
     }
 
-    /// Of two lengths.
+    /// A difference of two lengths \[m\].
     pub const fn of_length(longer_m: f64) -> Self {
         Self { apart: Apart::Length(longer_m), rotation_rad: None }
     }
 }
 
 impl Deviation {
-    /// A difference of lengths with its sign, the size of one of places \[m\].
+    /// Signed difference of lengths, or distance of two positions \[m\].
     pub(crate) fn signed_m(&self) -> f64 {
         match self.apart {
             Apart::Place(offset_m) => offset_m.norm(),
@@ -45,7 +45,7 @@ impl Deviation {
 /// The size of a [`Deviation`].
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct PoseError {
-    /// \[m\]
+    /// Distance of the positions, or size of the length difference \[m\].
     pub position_m: f64,
     /// Angle \[rad\]; `None` without a measured orientation.
     pub rotation_rad: Option<f64>,

@@ -1,4 +1,4 @@
-//! The flat faces that a tip touches, and what is known of how they stand to each other.
+//! Flat faces that a tip touches, and their known distances and angles.
 
 use std::collections::BTreeSet;
 
@@ -9,62 +9,62 @@ use shared::config::{Validate, Violation};
 use super::Knowns;
 use crate::model::{Face, FaceNumber, Geometry, ParameterId, Unit};
 
-/// From which sides two parallel faces are touched.
+/// Sides from which two parallel faces are touched.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Touched {
-    /// Both ends of a block: the tip's centre is its diameter further apart than the faces.
+    /// Both ends of a block: the centre of the tip moves by the distance of the faces plus the tip's diameter.
     #[default]
     Outside,
-    /// Two walls of a gap: its diameter less.
+    /// Two walls of a gap: the centre moves by the distance minus the diameter.
     Inside,
-    /// Both from the same side: a step.
+    /// A step, both faces touched from the same side: the centre moves by the distance.
     Step,
 }
 
-/// The distance of two parallel faces.
+/// Known distance of two parallel faces.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Spacing {
-    /// The two faces, as the rows call them.
+    /// Names of the two faces in the rows.
     pub between: [String; 2],
-    /// Of the faces themselves \[mm\].
+    /// Distance of the faces themselves \[mm\].
     pub distance_mm: f64,
-    /// How they are touched.
+    /// Sides from which they are touched.
     #[serde(default)]
     pub touched: Touched,
-    /// Its standard uncertainty \[um\]; absent: that of all.
+    /// Standard uncertainty \[um\]; absent: that of the table.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub u_um: Option<f64>,
 }
 
-/// The angle between two faces.
+/// Known angle between two faces.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct KnownAngle {
-    /// The two faces, as the rows call them.
+    /// Names of the two faces in the rows.
     pub between: [String; 2],
-    /// Between their planes, 0 to 90 \[deg\].
+    /// Angle between their planes, 0 to 90 \[deg\].
     pub angle_deg: f64,
-    /// Its standard uncertainty \[urad\]; absent: that of all.
+    /// Standard uncertainty \[urad\]; absent: that of the table.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub u_urad: Option<f64>,
 }
 
-/// What is known of faces: of a datum cube, a surface plate, the walls of a fixture.
+/// Known geometry of faces, such as a datum cube, a surface plate or the walls of a fixture.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FaceTable {
-    /// Standard uncertainty of each distance that has none of its own \[um\].
+    /// Standard uncertainty of each distance without one of its own \[um\].
     #[serde(default = "usual_u")]
     pub u_um: f64,
-    /// Of each angle \[urad\].
+    /// Standard uncertainty of each angle without one of its own \[urad\].
     #[serde(default = "usual_u_angle")]
     pub u_urad: f64,
     /// Diameter of the tip's ball, for faces that are touched from opposite sides \[mm\].
     #[serde(default)]
     pub tip_diameter_mm: f64,
-    /// Centre of the tip's ball in the flange frame, as far as it is known \[mm\].
+    /// Centre of the tip's ball in the flange frame, if known \[mm\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tip_mm: Option<[f64; 3]>,
     /// Known distances of parallel faces.
@@ -96,11 +96,11 @@ impl Default for FaceTable {
     }
 }
 
-/// Larger than any robot's cell \[mm\]: more means a wrong unit.
+/// Largest distance \[mm\]: a larger one has a wrong unit.
 const SPAN_MM_MAX: f64 = 20_000.0;
 
 impl FaceTable {
-    /// Faces of known distances and angles that are none of `touched`, each once.
+    /// Names of faces with a known distance or angle that are not in `touched`, each once.
     pub fn untouched(&self, touched: &[String]) -> BTreeSet<&str> {
         let distances = self.distances.iter().flat_map(|one| &one.between);
         let named = distances.chain(self.angles.iter().flat_map(|one| &one.between));
@@ -161,25 +161,25 @@ impl Validate for FaceTable {
     }
 }
 
-/// Something known of two faces.
+/// A known quantity of two faces.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Known {
-    /// How far the second is from the first where it is touched, for the tip's centre \[m\].
+    /// Distance from the first face to the second at `at_m`, where the second is touched, for the centre of the tip \[m\].
     Distance { faces: [usize; 2], distance_m: f64, sigma_m: f64, at_m: Vector3<f64> },
-    /// Of their planes, not parallel.
+    /// Angle of two planes that are not parallel.
     Angle { faces: [usize; 2], angle_rad: f64, sigma_rad: f64 },
-    /// Two planes are parallel.
+    /// Two planes that are parallel.
     Parallel { faces: [usize; 2], sigma_rad: f64 },
 }
 
-/// Faces that rows touch, numbered as their parameters, and what is known of them.
+/// Faces that rows touch, numbered as their parameters, and their known geometry.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Faces {
     names: Vec<String>,
     known: Vec<Known>,
 }
 
-/// A normal of length one, and its derivative by the normal as it is.
+/// Unit normal of a face, and its derivative by the normal's parameters.
 fn unit_normal(face: &Face) -> (Vector3<f64>, nalgebra::Matrix3<f64>) {
     let length = face.normal.norm();
     let normal = face.normal / length;
@@ -187,9 +187,10 @@ fn unit_normal(face: &Face) -> (Vector3<f64>, nalgebra::Matrix3<f64>) {
 }
 
 impl Faces {
-    /// Those of a table that `names` gives, in this order; `centre_m` is about where each is touched, in the robot's base.
+    /// The faces of a table that are in `names`, in this order; `centre_m` is the approximate touched position of each, in the robot's
+    /// base.
     pub fn new(table: &FaceTable, names: &[String], centre_m: &[Vector3<f64>]) -> Self {
-        /// Planes that are known to be nearer to parallel have no direction in which they lean \[deg\].
+        /// Below this angle planes count as parallel: the direction of their inclination is undefined \[deg\].
         const PARALLEL_DEG: f64 = 0.1;
         let number = |name: &String| names.iter().position(|other| other == name);
         let pair = |between: &[String; 2]| {
@@ -219,12 +220,12 @@ impl Faces {
         Self { names: names.to_vec(), known: distances.chain(angles).collect() }
     }
 
-    /// How the rows call them.
+    /// Names in the rows.
     pub fn names(&self) -> &[String] {
         &self.names
     }
 
-    /// A distance is known: the scale of the robot.
+    /// Whether a distance is known, which fixes the scale of the robot.
     pub fn has_distance(&self) -> bool {
         self.known.iter().any(|known| matches!(known, Known::Distance { .. }))
     }
@@ -270,7 +271,7 @@ impl Knowns for Faces {
         match *self.known.get(known)? {
             Known::Distance { faces: [one, other], distance_m, sigma_m, at_m } => {
                 let (first, second) = (faces.get(one)?, faces.get(other)?);
-                // The foot of the place on the second face, and its height over the first one.
+                // Foot of the touched position on the second face, and its height above the first face.
                 let (length_1, squared_2) = (first.normal.norm(), second.normal.norm_squared());
                 let over_2 = second.normal.dot(&at_m) - second.distance_m;
                 let foot_m = at_m - second.normal * (over_2 / squared_2);
@@ -292,7 +293,7 @@ impl Knowns for Faces {
                 let (normal_1, by_1) = unit_normal(faces.get(one)?);
                 let (normal_2, by_2) = unit_normal(faces.get(other)?);
                 let cosine = normal_1.dot(&normal_2);
-                // The angle of planes is that of normals whichever way these point.
+                // The angle of two planes does not depend on the signs of their normals.
                 let sign = if cosine < 0.0 { -1.0 } else { 1.0 };
                 let found_rad = (sign * cosine).clamp(-1.0, 1.0).acos();
                 let slope = -sign / (found_rad.sin().max(f64::MIN_POSITIVE) * sigma_rad);
@@ -317,7 +318,7 @@ impl Knowns for Faces {
         }
     }
 
-    /// Four for each face.
+    /// Four columns for each face.
     fn column(&self, id: ParameterId) -> Option<usize> {
         let ParameterId::Face { face, number } = id else { return None };
         Some(FaceNumber::ALL.len() * face + number.index())
@@ -329,7 +330,7 @@ mod tests {
     use super::*;
     use crate::kinematics::Chain;
 
-    /// Each known thing against differences of its own residual.
+    /// Each known quantity: derivatives against finite differences of its residual.
     #[test]
     fn what_is_known_has_its_derivatives() {
         let named = |names: &[&str]| names.iter().map(ToString::to_string).collect::<Vec<_>>();

@@ -1,4 +1,4 @@
-//! What is known of an instrument's parts before anything is measured: samples of their own beside the rows.
+//! Prior knowledge of an instrument's parts, such as distances of sockets: additional samples in the fit.
 
 use std::fmt;
 
@@ -7,34 +7,34 @@ use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use crate::model::{Geometry, ParameterId, Unit};
 
-/// Chance of a false alarm for a table that is right.
+/// Probability of a false alarm for a correct table.
 const CONTRADICTED_BY_CHANCE: f64 = 1e-3;
 
 /// Known lengths, places and angles.
 pub trait Knowns: fmt::Debug + Sync {
-    /// How many there are.
+    /// Number of known quantities.
     fn knowns(&self) -> usize;
 
-    /// Numbers of one of them.
+    /// Number of residuals of one known quantity.
     fn rows_of(&self, known: usize) -> usize;
 
     /// Name in messages, such as `the distance between faces ...`.
     fn name_of(&self, known: usize) -> String;
 
-    /// Its standard uncertainty, SI.
+    /// Standard uncertainty of one, in SI units, and its unit.
     fn sigma_of(&self, known: usize) -> (f64, Unit);
 
-    /// Found minus known, in standard deviations, and its derivatives in the columns of [`Knowns::column`]; `None` for a part that
-    /// the geometry lacks.
+    /// Estimated minus known value, in standard deviations, and its derivatives by the columns of [`Knowns::column`]; `None`
+    /// for a part that the geometry lacks.
     fn known(&self, known: usize, geometry: &Geometry) -> Option<(DVector<f64>, DMatrix<f64>)>;
 
-    /// The column of a parameter in these derivatives.
+    /// Column of a parameter in these derivatives.
     fn column(&self, id: ParameterId) -> Option<usize>;
 
-    /// What is known but contradicted by the geometry.
+    /// Known quantities that the estimated geometry contradicts.
     ///
-    /// The chi-squared test of each, at a chance of [`CONTRADICTED_BY_CHANCE`] for all: what is found is drawn to what is known,
-    /// so that fewer are named that hold.
+    /// Chi-squared test of each, with a probability of [`CONTRADICTED_BY_CHANCE`] for all together. The estimates are
+    /// constrained to the known values, so the test is conservative.
     fn contradicted(&self, geometry: &Geometry) -> Vec<Contradiction> {
         let chance = CONTRADICTED_BY_CHANCE / self.knowns().max(1) as f64;
         let one = |known: usize| {
@@ -49,16 +49,16 @@ pub trait Knowns: fmt::Debug + Sync {
     }
 }
 
-/// A known length, place or angle that samples contradict.
+/// A known length, position or angle that the samples contradict.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Contradiction {
-    /// As messages call it.
+    /// Name of the quantity in messages.
     pub name: String,
-    /// How far it is off, SI.
+    /// Difference between estimated and known value, SI.
     pub off: f64,
     /// Its standard uncertainty, SI.
     pub sigma: f64,
-    /// Unit of both.
+    /// Unit of `off` and `sigma`.
     pub unit: Unit,
 }
 

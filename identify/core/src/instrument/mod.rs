@@ -1,5 +1,5 @@
-//! What closes the loop beside the robot: one file for each instrument, with its measurements and its residual. The robot
-//! knows no instrument, and no instrument knows how robots are estimated.
+//! Instruments that measure the robot, one file each with its measurements and residuals. The robot model does not depend on
+//! instruments, and instruments do not depend on the estimator.
 
 mod ball_bar;
 mod cause;
@@ -35,78 +35,79 @@ use crate::kinematics::{Chain, Joints};
 use crate::model::{Clock, Geometry, JointState, Model, ModelError, ParameterId};
 use crate::prepare::{EncoderMap, Prepared};
 
-/// What an estimator asks of an instrument.
+/// The interface of an instrument to the estimator.
 pub trait Measures: Boxed + fmt::Debug + Send + Sync {
     /// Name in messages and files.
     fn name(&self) -> &'static str;
 
-    /// Name of what is minimised.
+    /// Name of the minimised cost.
     fn cost(&self) -> &'static str;
 
-    /// The cost in whose unit residuals are until their noise is found; `None` if they are standard deviations from the start.
+    /// The cost in whose unit the residuals are until their noise is estimated; `None` if they are in standard deviations from
+    /// the start.
     fn in_unit_of(&self) -> Option<CostName> {
         None
     }
 
-    /// What fixes the scale of all lengths.
+    /// Source of the scale of all lengths.
     fn scale(&self) -> ScaleFrom;
 
-    /// Standard deviation of a reading at the last solution: of the median sample, over the sigma of the data set.
+    /// Standard deviation of a reading of the median sample at the last solution, relative to the sigma of the data set.
     fn noise(&self) -> Noise;
 
-    /// Number of samples.
+    /// Number of samples in use.
     fn samples(&self) -> usize;
 
-    /// The model of a robot with what is the instrument's own, at zero.
+    /// Adds the parameters of the instrument to the model of a robot, with value zero.
     fn fitted_out(&self, robot: Model) -> Model {
         robot
     }
 
-    /// Sets where the instrument stands for the robot as the model has it, and frees what is its own but for parameters in
-    /// `fix`. False where that does not follow from the samples.
+    /// Sets start values of the instrument's parameters for the robot of the model, and frees those that are not in `fix`.
+    /// Returns false if the samples do not determine a start.
     ///
     /// # Errors
-    /// [`ModelError`] where the model is that of another instrument.
+    /// [`ModelError`] if the model is of another instrument.
     fn place(&self, model: &mut Model, fix: &[ParameterId]) -> Result<bool, ModelError>;
 
-    /// The samples where the model is, residuals over `sigma`.
+    /// The samples as residuals at the parameters of the model, divided by `sigma`.
     ///
     /// # Errors
-    /// [`CostError`] where the samples are not what the residual needs.
+    /// [`CostError`] if the residual cannot be computed from the samples.
     fn data_set<'a>(&'a self, model: &'a Model, sigma: f64) -> Result<Box<dyn DataSet + 'a>, CostError>;
 
-    /// What the robot reports at a sample; none outside its log.
+    /// State that the robot reports at a sample; `None` outside its log.
     fn reported(&self, sample: usize, clock: &Clock) -> Option<JointState>;
 
-    /// The samples separate the parameter from the others that are usually free.
+    /// Whether the samples separate the parameter from the others that are usually free.
     fn identifies(&self, id: ParameterId) -> bool;
 
-    /// What of it can change while it measures.
+    /// Sudden changes that can occur during a measurement.
     fn causes(&self, geometry: &Geometry) -> Vec<Cause>;
 
-    /// Takes over what hangs on the geometry, before a solve from where the model is. The noise of a measurement, in its unit,
-    /// where the instrument estimates that by itself: its residuals are then in standard deviations.
+    /// Updates quantities that depend on the geometry, before a solve that starts at the model. Returns the noise of a
+    /// measurement, in its unit, if the instrument estimates it: its residuals are then in standard deviations.
     fn adapt(&mut self, model: &Model) -> Option<f64>;
 
-    /// Finds the noise of its readings in what is left where the model is, which is at a solution, and weighs by that.
+    /// Estimates the noise of the readings from the residuals at a solution, and weights them by it.
     fn learn_noise(&mut self, _model: &Model) {}
 
-    /// Leaves out samples that do not belong with the rest where the model is, and takes back those that do; whether other ones
-    /// take part now.
+    /// Leaves out samples that are outliers at the model, and includes those that no longer are. Returns whether the set of
+    /// samples in use has changed.
     fn screen(&mut self, _model: &Model) -> bool {
         false
     }
 
-    /// At most `count` groups of samples, with errors that have nothing in common.
+    /// At most `count` groups of samples with independent errors.
     fn independent(&self, count: usize) -> Vec<Vec<usize>>;
 
-    /// Some of the samples.
+    /// The instrument with a part of its samples.
     fn part(&self, samples: &[usize]) -> Instrument;
 
-    /// Sets which samples are left out together, by the group of each; `seed` decides which groups come together.
+    /// Sets the group of each sample, held out together, and the `seed` of the assignment of groups to folds.
     fn group(&mut self, _groups: &[usize], _seed: u64) {}
 
-    /// The usual way to leave samples out.
+    /// Default way to hold samples out.
     fn hold_out(&self) -> HoldOut {
         HoldOut::Rows
     }
@@ -114,32 +115,32 @@ pub trait Measures: Boxed + fmt::Debug + Send + Sync {
     /// Robot minus measurement in every sample, used or not; NaN outside the robot's log and for set-ups that the geometry lacks.
     fn deviations(&self, geometry: &Geometry) -> Vec<Deviation>;
 
-    /// The sizes of [`Measures::deviations`].
+    /// Sizes of [`Measures::deviations`].
     fn errors(&self, geometry: &Geometry) -> Vec<PoseError> {
         self.deviations(geometry).into_iter().map(PoseError::from).collect()
     }
 
-    /// Samples that the fit leaves out.
+    /// Samples that are left out of the fit.
     fn rejected(&self) -> &[RejectedRow] {
         &[]
     }
 
-    /// What is fitted of it beside the robot, as tables call it.
+    /// Name in tables of what is fitted besides the robot.
     fn parts(&self) -> &'static str {
         self.name()
     }
 
-    /// Groups of its samples that have figures of their own.
+    /// Groups of samples that are reported separately.
     fn sections(&self) -> Vec<Section> {
         Vec::new()
     }
 
-    /// What may explain why samples take no part, in words, with the number of each.
+    /// Possible reasons, as text, why samples are left out, with the number of each sample.
     fn remarks(&self, _geometry: &Geometry) -> Vec<(usize, String)> {
         Vec::new()
     }
 
-    /// How its log and the robot's were brought together, where it has measured all the time.
+    /// How the log and the robot's were aligned; `None` for an instrument without continuous measurement.
     fn prepared(&self) -> Option<&Prepared> {
         None
     }
@@ -154,125 +155,126 @@ pub trait Measures: Boxed + fmt::Debug + Send + Sync {
         self.time_s(0)
     }
 
-    /// What makes its figures doubtful at a solution.
+    /// Reasons why the figures at a solution may be wrong.
     fn doubts(&self, _geometry: &Geometry) -> Vec<Doubt> {
         Vec::new()
     }
 
-    /// Correlation of what the model leaves with what it leaves one sample later, as of the last [`Measures::learn_noise`], and one
-    /// standard deviation of that for white noise: above zero by the part of the variance that lasts.
+    /// Lag-one autocorrelation of the residuals, as of the last [`Measures::learn_noise`], and its standard deviation for white
+    /// noise. Above zero by the part of the variance that is correlated.
     fn autocorrelation(&self) -> Option<[f64; 2]> {
         None
     }
 
-    /// Noise of each of these over that of the median one, where files state what rows are worth, as of the last [`Measures::adapt`].
+    /// Noise of each sample relative to the median one, from uncertainties that files state, as of the last
+    /// [`Measures::adapt`].
     fn relative_noise(&self) -> Vec<f64> {
         vec![1.0; self.samples()]
     }
 
-    /// The same by what these samples alone show where the model is.
+    /// Estimates the relative noise from these samples alone, at the model.
     fn weigh_by(&mut self, _model: &Model, _samples: &[usize]) {}
 
-    /// Samples whose own data contradict each other; all others are measurements.
+    /// Samples whose own data contradict each other.
     ///
     /// # Errors
-    /// [`RowError`] where they are none, or cannot say where the instrument stands.
+    /// [`RowError`] if samples are invalid, or too few to locate the instrument.
     fn contradicting(&self, _robot: &Chain) -> Result<Vec<RejectedRow>, RowError> {
         Ok(Vec::new())
     }
 
-    /// Fewest samples of a fit that has nothing else.
+    /// Fewest samples of a fit with this instrument alone.
     fn samples_min(&self) -> usize {
         0
     }
 
-    /// Samples that cannot be measurements where the model is, whether a fit saw them or not.
+    /// Samples that cannot be measurements at the model, whether they were fitted or held out.
     fn misplaced(&self, _model: &Model) -> Vec<RejectedRow> {
         Vec::new()
     }
 
-    /// Samples with gross residuals are found anew at each solve ([`Measures::screen`]).
+    /// Whether outliers are determined again at each solve ([`Measures::screen`]).
     fn judges_gross(&self) -> bool {
         false
     }
 
-    /// The joints of the robot at each sample, as far as they were known when it was read.
+    /// Joints of the robot at each sample, as known when it was read.
     fn joints(&self) -> Vec<Joints> {
         let clock = Clock::default();
         (0..self.samples()).map(|sample| self.reported(sample, &clock).unwrap_or_default().q).collect()
     }
 
-    /// Mistakes that a file of this instrument may have, for an arm with this number of axes.
+    /// Mistakes that a file of this instrument can contain, for an arm with this number of axes.
     fn mistakes(&self, _axes: usize) -> Vec<Mistake> {
         Vec::new()
     }
 
-    /// The samples without a mistake, in each direction that it may have; empty if it cannot be undone.
+    /// The samples with a mistake undone, one result for each direction that it can have; empty if it cannot be undone.
     fn undone(&self, _mistake: Mistake) -> Vec<Instrument> {
         Vec::new()
     }
 
-    /// Lengths that were read \[m\]; empty for other instruments.
+    /// Measured lengths \[m\]; empty for instruments without lengths.
     fn lengths_m(&self) -> Vec<f64> {
         Vec::new()
     }
 
-    /// The same with each length longer by `by_m`; `None` for an instrument without lengths, whose zero could wander.
+    /// The same with each length increased by `by_m` \[m\]; `None` for an instrument without lengths.
     fn longer_by(&self, _by_m: &[f64]) -> Option<Instrument> {
         None
     }
 }
 
-/// Samples that have something of the instrument in common.
+/// Samples that share a part of the instrument, such as a station.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Section {
-    /// What a person calls it.
+    /// Name of the section in reports.
     pub name: String,
-    /// What the names of its parameters begin with.
+    /// Prefix of the names of its parameters.
     pub parameters: String,
     /// Its samples, used or not.
     pub samples: Vec<usize>,
 }
 
-/// What makes the figures of a data set doubtful.
+/// Reason why the figures of a data set may be wrong.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Doubt {
-    /// The encoders sit or count otherwise than the recording says.
+    /// The encoder map or a counting direction differs from that of the recording.
     OtherEncoders(EncoderMap),
-    /// Another alignment in time fits nearly as well.
+    /// Another time alignment fits nearly as well, because the motion repeats.
     MotionRepeats,
-    /// Rows contradict what is known of sockets or faces.
+    /// Rows contradict the table of sockets or faces.
     OtherTable(Vec<Contradiction>),
 }
 
-/// What fixes the scale of all lengths.
+/// Source of the scale of all lengths.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ScaleFrom {
-    /// Of the ball-bar.
+    /// Dimensions of the ball-bar.
     Plate,
-    /// Its positions.
+    /// Positions measured by the tracker.
     Tracker,
-    /// Its lengths.
+    /// Lengths measured by the wire.
     Wire,
-    /// Their table.
+    /// Table of the sockets.
     Sockets,
     /// Known distances between faces.
     Faces,
-    /// Nothing that is measured: the robot's own file.
+    /// The robot's file alone: nothing measured has a scale.
     Robot,
 }
 
 /// Standard deviation of a reading.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Noise {
-    /// Of bar encoders and robot joints.
+    /// Bar encoders and robot joints.
     Angles(AngleNoise),
-    /// Of a coordinate or a length \[m\].
+    /// A coordinate or a length \[m\].
     Length(f64),
 }
 
 impl Section {
-    /// A section for each named part of an instrument, whose parameters are numbered from 1; `part_of` gives that of each sample.
+    /// One section for each named part, with parameters numbered from 1; `part_of` yields the part of each sample, from 0.
     fn each(names: &[String], parameters: &str, part_of: impl Iterator<Item = usize>) -> Vec<Self> {
         let mut sections: Vec<Self> = (1..)
             .zip(names)
@@ -291,7 +293,8 @@ impl Section {
     }
 }
 
-/// Which other part of an instrument a sample fits best, in words; `off_m` is its distance from each.
+/// Text that names the other part which a sample fits best; `off_m` returns its distance from each part. Empty if its own is
+/// nearest.
 fn nearest(names: &[String], own: usize, off_m: impl Fn(usize) -> f64) -> String {
     let near = (0..names.len()).min_by(|a, b| off_m(*a).total_cmp(&off_m(*b)));
     near.filter(|near| *near != own).map_or_else(String::new, |near| {
@@ -299,7 +302,7 @@ fn nearest(names: &[String], own: usize, off_m: impl Fn(usize) -> f64) -> String
     })
 }
 
-/// What makes a copy of an instrument of any kind.
+/// Copies an instrument of any kind.
 pub trait Boxed {
     /// A copy with all its samples.
     fn boxed(&self) -> Instrument;
@@ -311,7 +314,7 @@ impl<M: Measures + Clone + 'static> Boxed for M {
     }
 }
 
-/// An instrument of any kind, with its samples.
+/// An instrument of any kind with its samples.
 #[derive(Debug)]
 pub struct Instrument(Box<dyn Measures>);
 
@@ -328,13 +331,13 @@ impl Clone for Instrument {
 }
 
 impl Instrument {
-    /// What the robot reports at each sample; the model has the clocks.
+    /// Joints that the robot reports at each sample, with the clock of the model.
     pub fn poses(&self, model: &Model) -> impl Iterator<Item = Joints> {
         let clock = model.geometry(&[]).clock;
         (0..self.samples()).filter_map(move |sample| Some(self.reported(sample, &clock)?.q))
     }
 
-    /// The model of the nominal robot with what is the instrument's own.
+    /// Model of the nominal robot with the parameters of the instrument.
     pub fn at_nominal(&self, robot: &Chain) -> Model {
         self.fitted_out(Model::alone(robot))
     }
@@ -354,11 +357,11 @@ impl DerefMut for Instrument {
     }
 }
 
-/// One run or file of one instrument, and the parameters there.
+/// One run or file of one instrument, with the parameters of its fit.
 #[derive(Debug, Clone)]
 pub struct Run {
-    /// What was measured.
+    /// Instrument with its samples.
     pub instrument: Instrument,
-    /// Robot and instrument.
+    /// Parameters of robot and instrument.
     pub model: Model,
 }

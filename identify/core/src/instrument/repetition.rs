@@ -1,29 +1,30 @@
-//! Motions that come again within a run: their samples share the errors of gears and encoders, so that none of the
-//! repetitions says anything about another that was left out.
+//! Motions that repeat within a run. Repetitions share the errors of gears and encoders, so a repetition that is held out
+//! is not independent of the fitted ones.
 
 use std::ops::Range;
 
 use super::segments;
 use crate::model::{JointState, RobotMotion};
 
-/// Samples of a run that are compared with each other, at most.
+/// Highest number of samples of a run that are compared with each other.
 const COMPARED_MAX: usize = 600;
-/// Samples nearer in time are neighbours, not repetitions \[s\].
+/// Samples closer in time than this are neighbours, not repetitions \[s\].
 const APART_S: f64 = 5.0;
-/// Poses are alike at first where no joint differs by more: samples of two repetitions lie beside each other \[rad\].
+/// First test: two poses are similar if no joint differs by more, because samples of two repetitions are offset in time
+/// \[rad\].
 const ALIKE_RAD: f64 = 0.1;
-/// Repetitions are the same motion where joints differ by no more than this (root mean square) \[rad\].
+/// Second test: two motions are the same if the root mean square difference of the joints is at most this \[rad\].
 const SAME_RAD: f64 = 2e-3;
-/// Periods are counted in bins of this width \[s\].
+/// Bin width of the histogram of periods \[s\].
 const BIN_S: f64 = 0.5;
-/// So many segments there are in any case.
+/// Lowest number of segments.
 const SEGMENTS_MIN: usize = 8;
-/// Part of the samples that must have their like one period away.
+/// Part of the samples that must have a similar sample one period later.
 const SHARE: f64 = 0.4;
 
-/// Samples of each segment of a run seen at `times_s`: at most `count` segments, a motion that comes again with all of its
-/// repetitions in one. It has fewer of them, so that they last as long as those of a run that does not repeat: errors of gears
-/// and bearings go on for seconds.
+/// Samples of each segment of a run measured at `times_s`: at most `count` segments. All repetitions of a motion are in one
+/// segment. A repeating run has fewer segments, so that each lasts as long as in a run without repetitions: errors of gears and
+/// bearings are correlated over seconds.
 pub fn independent_segments(motion: &impl RobotMotion, times_s: &[f64], count: usize) -> Vec<Vec<usize>> {
     let samples: Vec<usize> = (0..times_s.len()).collect();
     let span_s = times_s.last().zip(times_s.first()).map_or(0.0, |(last, first)| last - first);
@@ -44,7 +45,7 @@ fn by_phase(mut samples: Vec<usize>, times_s: &[f64], period_s: f64) -> Vec<usiz
     samples
 }
 
-/// After how long the robot does the same again, seen at `times_s` \[s\]; none where it does not.
+/// Period of a motion sampled at `times_s` \[s\]; `None` if it does not repeat.
 pub fn period_s(motion: &impl RobotMotion, times_s: &[f64]) -> Option<f64> {
     let every = times_s.len().div_ceil(COMPARED_MAX).max(1);
     let states: Vec<(f64, JointState)> =
@@ -69,7 +70,7 @@ fn farthest_rad(a: &JointState, b: &JointState) -> f64 {
     a.q.iter().zip(&b.q).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }
 
-/// Gauss-Newton on the period: `q(t + period)` against `q(t)`. None where the joints then do not agree.
+/// Refines the period by Gauss-Newton: `q(t + period)` against `q(t)`. `None` if the joints then still differ.
 fn refined(motion: &impl RobotMotion, states: &[(f64, JointState)], start_s: f64) -> Option<f64> {
     const STEPS: usize = 8;
     let mut period_s = start_s;
@@ -99,7 +100,7 @@ fn refined(motion: &impl RobotMotion, states: &[(f64, JointState)], start_s: f64
 mod tests {
     use super::*;
 
-    /// Joints that swing with their own frequencies \[Hz\].
+    /// Joints that oscillate at different frequencies \[Hz\].
     struct Swing([f64; 6]);
 
     impl RobotMotion for Swing {

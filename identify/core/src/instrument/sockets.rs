@@ -1,4 +1,4 @@
-//! The sockets that a ball is seated in, and what is known of how far they are from each other.
+//! Sockets that hold the ball, and their known positions or distances.
 
 use std::collections::BTreeSet;
 
@@ -10,47 +10,47 @@ use super::Knowns;
 use crate::model::{Axis, Geometry, ParameterId, Unit};
 use crate::prepare::nearest_rotation;
 
-/// A socket whose place on its plate is known.
+/// A socket whose position on its plate is known.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlacedSocket {
-    /// As the rows call it.
+    /// Name in the rows.
     pub name: String,
     /// Centre of the seated ball in any frame of the plate \[mm\].
     pub position_mm: [f64; 3],
-    /// Standard uncertainty of each coordinate \[um\]; absent: that of all.
+    /// Standard uncertainty of each coordinate \[um\]; absent: that of the table.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub u_um: Option<f64>,
 }
 
-/// A distance that is known.
+/// A known distance of two sockets.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct KnownDistance {
-    /// The two sockets, as the rows call them.
+    /// Names of the two sockets in the rows.
     pub between: [String; 2],
-    /// Between the centres of the seated ball \[mm\].
+    /// Distance between the centres of the seated ball \[mm\].
     pub distance_mm: f64,
-    /// Its standard uncertainty \[um\]; absent: that of all.
+    /// Standard uncertainty \[um\]; absent: that of the table.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub u_um: Option<f64>,
 }
 
-/// What is known of the sockets: where they are on their plate, or some of their distances, or both.
+/// Known geometry of the sockets: positions on their plate, distances, or both.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SocketTable {
-    /// Standard uncertainty of each number below that has none of its own \[um\].
+    /// Standard uncertainty of each number without one of its own \[um\].
     pub u_um: f64,
-    /// Sockets of one plate.
+    /// Sockets of one plate, with their positions.
     #[serde(default, rename = "socket", skip_serializing_if = "Vec::is_empty")]
     pub sockets: Vec<PlacedSocket>,
-    /// Distances.
+    /// Known distances of pairs of sockets.
     #[serde(default, rename = "distance", skip_serializing_if = "Vec::is_empty")]
     pub distances: Vec<KnownDistance>,
 }
 
-/// Sockets further apart are no artefact of a robot's cell \[mm\]; more means a wrong unit.
+/// Largest distance of sockets \[mm\]: a larger one has a wrong unit.
 const SPAN_MM_MAX: f64 = 20_000.0;
 
 impl Validate for SocketTable {
@@ -109,7 +109,7 @@ impl Validate for SocketTable {
 }
 
 impl SocketTable {
-    /// Every socket that it names: those of the plate in their order, then those of distances alone.
+    /// Names of all sockets: those of the plate in their order, then those that only distances have.
     pub fn names(&self) -> Vec<&str> {
         let mut names: Vec<&str> = self.sockets.iter().map(|one| one.name.as_str()).collect();
         for name in self.distances.iter().flat_map(|one| &one.between) {
@@ -121,18 +121,18 @@ impl SocketTable {
     }
 }
 
-/// Sockets that rows visit, numbered as their parameters, and what is known of them. Numbers in metres.
+/// Sockets that rows visit, numbered as their parameters, and their known geometry \[m\].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sockets {
     names: Vec<String>,
-    /// Socket, place on the plate and standard uncertainty of a coordinate.
+    /// Socket, position on the plate, and standard uncertainty of a coordinate.
     placed: Vec<(usize, Vector3<f64>, f64)>,
     /// Two sockets, their distance and its standard uncertainty.
     distances: Vec<([usize; 2], f64, f64)>,
 }
 
 impl Sockets {
-    /// Those of a table that `names` gives, in this order.
+    /// The sockets of a table that are in `names`, in this order.
     pub fn new(table: &SocketTable, names: &[&str]) -> Self {
         let number = |name: &String| names.iter().position(|other| other == name);
         let sigma_m = |u_um: Option<f64>| u_um.unwrap_or(table.u_um) * 1e-6;
@@ -146,21 +146,21 @@ impl Sockets {
         });
         Self {
             names: names.iter().map(ToString::to_string).collect(),
-            // One alone can be anywhere.
+            // A single position on a plate contains no information.
             placed: if placed.len() > 1 { placed } else { Vec::new() },
             distances: distances.collect(),
         }
     }
 
-    /// How the rows call them.
+    /// Names in the rows.
     pub fn names(&self) -> &[String] {
         &self.names
     }
 
-    /// `(s_j - T c_j) / u_j` of the sockets of the plate, which lies where it fits them best, and its derivatives by their
-    /// places: what moves them as one is taken out (variable projection, Golub and Pereyra 1973, in Kaufman's form).
+    /// `(s_j - T c_j) / u_j` of the sockets of the plate, with the pose `T` of the plate that fits them best, and the
+    /// derivatives by their positions. The pose is eliminated (variable projection, Golub and Pereyra 1973, in Kaufman's form).
     fn of_plate(&self, sockets_m: &[Vector3<f64>]) -> Option<(DVector<f64>, DMatrix<f64>)> {
-        /// Moves that this part of the largest does not reach are none: a turn about the line of all sockets.
+        /// Singular values below this part of the largest count as zero, such as a rotation about a line through all sockets.
         const RANK: f64 = 1e-9;
         let size = 3 * self.placed.len();
         let found: Vec<Vector3<f64>> =
@@ -202,7 +202,7 @@ impl Sockets {
 }
 
 impl Knowns for Sockets {
-    /// The place of a socket among the others of the plate, or a distance.
+    /// Number of positions on the plate and distances.
     fn knowns(&self) -> usize {
         self.placed.len() + self.distances.len()
     }
@@ -249,7 +249,7 @@ impl Knowns for Sockets {
         Some((residual, by))
     }
 
-    /// Three for each socket.
+    /// Three columns for each socket.
     fn column(&self, id: ParameterId) -> Option<usize> {
         let ParameterId::Socket { socket, axis } = id else { return None };
         Some(Axis::ALL.len() * socket + axis.index())

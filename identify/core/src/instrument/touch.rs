@@ -1,5 +1,5 @@
-//! A tip on the flange that touches flat faces, row by row: the robot's joints and which face are all that is read, and with a dial
-//! gauge how far its plunger is pushed in. Faces stand anywhere; known distances between them give the scale.
+//! A tip on the flange that touches flat faces. A row contains the robot's joints, the name of the face, and with a dial gauge
+//! the travel of its plunger. Faces have any orientation; known distances between them fix the scale.
 
 use nalgebra::{DMatrix, DVector, Matrix3, SymmetricEigen, Vector3};
 
@@ -22,9 +22,9 @@ use crate::statistics::median_size;
 pub struct TouchRow {
     /// Joint variables of the model \[rad, m\].
     pub joints_rad: Joints,
-    /// The face, by its place among the names.
+    /// Index of the face among the names.
     pub face: usize,
-    /// How far the plunger of a gauge is pushed in, along the face's normal \[m\]; zero of a probe without one.
+    /// Travel of a gauge's plunger along the face's normal \[m\]; zero for a probe without one.
     pub reading_m: f64,
 }
 
@@ -34,27 +34,27 @@ impl From<&logs::TouchedRow> for TouchRow {
     }
 }
 
-/// Fewest rows of a face: its three numbers twice.
+/// Fewest rows of a face: twice the three unknowns of its plane.
 const FACE_ROWS_MIN: usize = 6;
-/// The tip is expected within this of the flange \[m\]: decides only where the poses do not determine it.
+/// Prior of the tip's distance from the flange \[m\]: effective only if the poses do not determine the tip.
 const TIP_SIGMA_M: f64 = 1.0;
 
-/// Rows of one set-up.
+/// Rows of one set-up, and the noise of the touched distances.
 #[derive(Debug, Clone)]
 pub struct Touch {
     rows: Screened<TouchRow>,
     table: FaceTable,
     faces: Faces,
-    /// Those that take part, and the face and reading of each.
+    /// Observations of the rows in use; below, the face and reading of each.
     observations: Vec<Observation>,
     touched: Vec<(usize, f64)>,
-    /// Standard deviation of a distance, from the spread of the residuals \[m\].
+    /// Standard deviation of a distance, estimated from the residuals \[m\].
     noise_m: f64,
 }
 
 impl Touch {
-    /// Of rows in the order in which the robot went there, the names of their faces, and what is known of these; `robot` is the nominal
-    /// one, up to its flange.
+    /// From rows in the order in which the robot visited them, the names of their faces, and the table of known geometry.
+    /// `robot` is the nominal chain up to the flange.
     pub fn new(rows: &[TouchRow], names: &[String], table: &FaceTable, robot: &Chain) -> Self {
         let all = Standing::new(rows, |row| row.joints_rad);
         let tip_m = Vector3::from(table.tip_mm.unwrap_or_default()) * 1e-3;
@@ -75,7 +75,7 @@ impl Touch {
         touch
     }
 
-    /// Takes over which rows take part.
+    /// Updates observations and faces from the rows in use.
     fn take_part(&mut self) {
         let rows = &self.rows.at.rows;
         let observation = |row| Observation::bar(PerObservation::time_s(row), Default::default());
@@ -83,12 +83,12 @@ impl Touch {
         self.touched = rows.iter().map(|row| (row.face, row.reading_m)).collect();
     }
 
-    /// Other rows on the same faces.
+    /// The same instrument with other rows on the same faces.
     fn with_rows(&self, all: Standing<TouchRow>) -> Self {
         Self::of(Screened::new(all), self.table.clone(), self.faces.clone(), self.noise_m)
     }
 
-    /// Of the tip from the plane of a face, along its normal, at a row \[m\].
+    /// Distance of the tip from the plane of a face, along its normal, plus the reading \[m\].
     fn residual_m(geometry: &Geometry, row: &TouchRow, state: &JointState, face: usize) -> f64 {
         let touch = &geometry.touch;
         let Some(of) = touch.faces.get(face) else { return f64::NAN };
@@ -96,7 +96,7 @@ impl Touch {
         (of.normal.dot(&tip_m) - of.distance_m) / of.normal.norm() + row.reading_m
     }
 
-    /// The same of every row and its own face, whether it takes part or not \[m\].
+    /// Residual of every row to its own face, in use or not \[m\].
     fn residuals_m(&self, geometry: &Geometry) -> Vec<f64> {
         let all = &self.rows.all;
         let one = |(row, state): (&TouchRow, &JointState)| Self::residual_m(geometry, row, state, row.face);
@@ -104,21 +104,21 @@ impl Touch {
     }
 }
 
-/// Poses of the flange at the rows, with face and reading of each.
+/// Pose of the flange at each row, with the row.
 type Touches = Vec<(Pose, TouchRow)>;
 
-/// Tip and faces that fit poses of a robot, from a first tip on; and what they leave, root mean square \[m\].
+/// Fits tip and faces to poses of a robot, from a start value of the tip; also returns the root mean square residual \[m\].
 ///
-/// Planes for a known tip are those of least squares, and a tip for known normals is linear: in turn they reach a minimum.
+/// Alternates two linear steps until they converge: planes for a known tip by least squares, then the tip for known normals.
 fn fitted(touches: &Touches, faces: usize, first_m: Vector3<f64>) -> Option<(Vector3<f64>, Vec<Face>, f64)> {
     const ROUNDS: usize = 60;
-    /// A tip that the poses do not determine stays where it was \[m\].
+    /// Keeps a tip near its start value if the poses do not determine it \[m\].
     const WEAK_M: f64 = 1e-3;
     let mut tip_m = first_m;
     let mut planes = Vec::new();
     for _ in 0..ROUNDS {
         planes = (0..faces).map(|face| plane(touches, face, tip_m)).collect::<Option<Vec<Face>>>()?;
-        // n.(p + R t) - d + reading = 0 in t and the d of all faces.
+        // `n.(p + R t) - d + reading = 0`, linear in `t` and in the `d` of all faces.
         let size = 3 + faces;
         let (mut matrix, mut right) = (DMatrix::zeros(size, size), DVector::zeros(size));
         let weak = touches.len() as f64 * (WEAK_M / TIP_SIGMA_M).powi(2);
@@ -145,7 +145,7 @@ fn fitted(touches: &Touches, faces: usize, first_m: Vector3<f64>) -> Option<(Vec
     Some((tip_m, planes, rms_m))
 }
 
-/// The plane that fits the tips at a face; its normal points to where a gauge's plunger is pushed in by less.
+/// Plane through the tips of a face; its normal points to decreasing travel of a gauge's plunger.
 fn plane(touches: &Touches, face: usize, tip_m: Vector3<f64>) -> Option<Face> {
     let own = || touches.iter().filter(|(_, row)| row.face == face);
     let tips_m: Vec<Vector3<f64>> =
@@ -200,7 +200,7 @@ impl Measures for Touch {
         Section::each(self.faces.names(), "face", self.rows.all.rows.iter().map(|row| row.face))
     }
 
-    /// The face that the tip is nearest to.
+    /// Names the face that is nearest to the tip.
     fn remarks(&self, geometry: &Geometry) -> Vec<(usize, String)> {
         let (names, all) = (self.faces.names(), &self.rows.all);
         let remark = |one: &RejectedRow| {
@@ -211,12 +211,12 @@ impl Measures for Touch {
         self.rows.rejected.iter().filter_map(remark).collect()
     }
 
-    /// With the faces that were touched.
+    /// Adds the touched faces.
     fn fitted_out(&self, robot: Model) -> Model {
         robot.with_faces(self.faces.names().len()).without_clocks()
     }
 
-    /// From the tip that the table states, or from the best of some along the flange's axis.
+    /// Start values from the tip in the table, or from the best of several tips along the flange's axis.
     fn place(&self, model: &mut Model, fix: &[ParameterId]) -> Result<bool, ModelError> {
         const TRIED_M: [f64; 5] = [0.0, 0.1, 0.2, 0.3, 0.4];
         let geometry = model.geometry(&[]);
@@ -268,7 +268,7 @@ impl Measures for Touch {
         self.rows.at.states.get(sample).copied()
     }
 
-    /// Faces are of one body.
+    /// The tip alone: all faces are on one rigid body.
     fn causes(&self, _: &Geometry) -> Vec<Cause> {
         vec![Cause::Tip]
     }
@@ -277,7 +277,7 @@ impl Measures for Touch {
         TouchedFace::depends_on(id) && id.owner() != Owner::Clocks
     }
 
-    /// Standard deviation that is behind residuals which are mostly normal, by their median.
+    /// Standard deviation, from the median of mostly normal residuals.
     fn adapt(&mut self, model: &Model) -> Option<f64> {
         /// Data without any noise still need a unit.
         const LEAST_M: f64 = 1e-9;
@@ -286,7 +286,7 @@ impl Measures for Touch {
         Some(self.noise_m)
     }
 
-    /// Where most rows agree with each other, and each face keeps enough.
+    /// Leaves rows out if most rows agree with each other and each face keeps enough.
     fn screen(&mut self, model: &Model) -> bool {
         let residuals_m = self.residuals_m(&model.geometry(&[]));
         let before = self.rows.clone();
@@ -324,7 +324,7 @@ impl Measures for Touch {
         self.rows.all.joints()
     }
 
-    /// Twice as many as tip, faces and links have numbers.
+    /// Twice the number of unknowns of tip, faces and links.
     fn samples_min(&self) -> usize {
         const NUMBERS_OF_LINK: usize = 4;
         let axes = self.rows.all.states.first().map_or(0, |state| state.q.len());
@@ -338,7 +338,7 @@ impl Measures for Touch {
         Ok(Vec::new())
     }
 
-    /// Touches of another face than their rows say: nothing could predict them.
+    /// Rows with the tip on another face than stated, which no model can predict.
     fn misplaced(&self, model: &Model) -> Vec<RejectedRow> {
         let mut screened = self.clone();
         screened.screen(model);
@@ -349,7 +349,7 @@ impl Measures for Touch {
         true
     }
 
-    /// Not those of the joints' unit: an arm that hardly moves touches any plane.
+    /// Without wrong units of the joints: an arm that hardly moves is consistent with any plane.
     fn mistakes(&self, axes: usize) -> Vec<Mistake> {
         let of_unit = |mistake: &Mistake| {
             matches!(mistake, Mistake::Joints(JointMistake::InRadians | JointMistake::InDegrees))

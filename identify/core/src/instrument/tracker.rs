@@ -1,5 +1,5 @@
-//! A tracker that measures the position or the whole pose of targets on the flange, row by row, from one station or several, of a
-//! robot that stands or moves.
+//! A tracker that measures positions or poses of targets on the flange, from one or several stations, while the robot stands or
+//! moves.
 
 use nalgebra::{Rotation3, Vector3};
 
@@ -18,18 +18,18 @@ use crate::model::{
 use crate::prepare::{Moving, PROBE_SIGMA_M, Sighted, all_placements};
 use crate::statistics::median_size;
 
-/// A pose of the robot and what the tracker measured there.
+/// Joints of one pose and the target measured there.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct PoseRow {
-    /// Joint variables of the model \[rad, m\]; of a robot that moved those of the first alignment.
+    /// Joint variables of the model \[rad, m\]; for a moving robot those of the first alignment.
     pub joints_rad: Joints,
-    /// Of the probe, in the tracker's frame \[m\].
+    /// Position of the probe in the tracker's frame \[m\].
     pub position_m: Vector3<f64>,
-    /// `tracker_from_probe`; used where every row has it.
+    /// `tracker_from_probe`; used if every row has one.
     pub rotation: Option<Rotation3<f64>>,
-    /// What the measurement is stated to be worth.
+    /// Stated uncertainty of the measurement.
     pub uncertainty: PoseUncertainty,
-    /// From where which target was seen.
+    /// Station of the tracker and target.
     pub set_up: SetUp,
 }
 
@@ -41,14 +41,14 @@ impl From<&logs::MeasuredPose> for PoseRow {
     }
 }
 
-/// Fewest rows of a fit: as many numbers as tracker, probe and links together, twice.
+/// Fewest rows of a fit: twice as many measured numbers as unknowns of tracker, probe and links.
 const ROWS_MIN: usize = 20;
-/// Of each station, where there are several: its six numbers twice, and a part is held out.
+/// Fewest rows of each of several stations: twice its six unknowns, of which a part is held out.
 const STATION_ROWS_MIN: usize = 5;
 /// Fewest rows of each target.
 const TARGET_ROWS_MIN: usize = 3;
 
-/// Rows of one set-up.
+/// Rows of one set-up, and the noise of each.
 #[derive(Debug, Clone)]
 pub struct Tracker {
     at: Standing<PoseRow>,
@@ -57,22 +57,22 @@ pub struct Tracker {
     positions_m: Vec<Vector3<f64>>,
     poses: Option<Vec<Pose>>,
     set_ups: Vec<SetUp>,
-    /// What each measurement is worth, from the spread of the residuals and what is stated of it.
+    /// Noise of each measurement, from the spread of the residuals and the stated uncertainties.
     noise: Vec<PoseNoise>,
 }
 
 impl Tracker {
-    /// Of rows at which the robot stood still, in the order in which it went there.
+    /// From rows at which the robot stood still, in the order in which it visited them.
     pub fn new(rows: &[PoseRow]) -> Self {
         Self::of(Standing::new(rows, |row| row.joints_rad), None)
     }
 
-    /// Of rows that were measured while the robot moved.
+    /// From rows that were measured while the robot moved.
     pub fn of_moving(rows: &[PoseRow], moving: Moving) -> Self {
         Self::of(Standing::new(rows, |row| row.joints_rad), Some(moving))
     }
 
-    /// Rows of a robot that stood still, as far as the first alignment says where.
+    /// Rows as of a robot at rest, with the joints of the first alignment.
     fn at_rest(at: Standing<PoseRow>) -> Instrument {
         Self::of(at, None).into()
     }
@@ -94,7 +94,7 @@ impl Tracker {
         }
     }
 
-    /// What the robot reports at each row, by its clock as it is in `geometry`.
+    /// State that the robot reports at each row, with the clock of `geometry`.
     fn states(&self, geometry: &Geometry) -> impl Iterator<Item = JointState> {
         let clock = geometry.clock;
         // The preparation keeps rows away from the ends of the log.
@@ -102,7 +102,7 @@ impl Tracker {
         self.at.states.iter().enumerate().map(state)
     }
 
-    /// Some of the rows.
+    /// The tracker with some of the rows.
     fn chosen(&self, rows: &[usize]) -> Self {
         let moving = self.moving.as_ref().map(|moving| Moving {
             t_s: rows.iter().map(|&row| moving.t_s[row]).collect(),
@@ -112,7 +112,7 @@ impl Tracker {
         Self { noise, ..Self::of(self.at.chosen(rows), moving) }
     }
 
-    /// Place of the tracker and where the robot holds the probe, at each row; none of a set-up that the geometry does not have.
+    /// Pose of the tracker and pose of the probe held by the robot, at each row; `None` for a set-up that the geometry lacks.
     fn sighted(&self, geometry: &Geometry) -> impl Iterator<Item = (&PoseRow, Option<[Pose; 2]>)> {
         let tracker = &geometry.tracker;
         let stations: Vec<Pose> = tracker.places.iter().map(Placement::pose).collect();
@@ -124,7 +124,7 @@ impl Tracker {
         })
     }
 
-    /// What a coordinate is worth, one standard deviation of the median row \[m\].
+    /// Standard deviation of a coordinate of the median row \[m\].
     pub fn noise_m(&self) -> f64 {
         median_size(self.noise.iter().map(|noise| noise.position_m))
     }
@@ -170,13 +170,13 @@ impl Measures for Tracker {
         "tracker and probe"
     }
 
-    /// With the stations and targets of the rows.
+    /// Adds the stations and targets of the rows.
     fn fitted_out(&self, robot: Model) -> Model {
         let model = robot.with_set_ups(Owner::Tracker, SetUp::counts(self.set_ups.iter().copied()));
         if self.moving.is_some() { model } else { model.without_clocks() }
     }
 
-    /// Not where the positions of a station lie on a line.
+    /// Start values of stations and targets; false if the positions of a station lie on a line.
     fn place(&self, model: &mut Model, fix: &[ParameterId]) -> Result<bool, ModelError> {
         let geometry = model.geometry(&[]);
         let sighted = |(row, state): (&PoseRow, JointState)| Sighted {
@@ -202,7 +202,7 @@ impl Measures for Tracker {
                 ParameterId::Probe { target, coordinate } => {
                     let role = match coordinate {
                         Coordinate::Position(_) => Role::Prior { value: 0.0, sigma: PROBE_SIGMA_M },
-                        // Positions alone do not determine how the probe is turned.
+                        // Positions alone do not determine the orientation of the probe.
                         Coordinate::Rotation(_) if self.poses.is_none() => Role::Fixed,
                         Coordinate::Rotation(_) => Role::Free,
                     };
@@ -211,7 +211,7 @@ impl Measures for Tracker {
                 _ => continue,
             };
             let role = if fix.contains(&id) { Role::Fixed } else { role };
-            // Of what no row sees nothing follows.
+            // A station or target without rows cannot be estimated.
             let Some(placement) = placement else { continue };
             if role != Role::Fixed {
                 model.set_value(id, placement.coordinate(coordinate))?;
@@ -245,8 +245,8 @@ impl Measures for Tracker {
         depends && (self.moving.is_some() || id.group() != Group::Clock)
     }
 
-    /// Standard deviations of a coordinate and of an angle that are behind errors which are mostly normal; the median one of a
-    /// coordinate is returned.
+    /// Standard deviations of a coordinate and of an angle, from the median of mostly normal errors. Returns that of a
+    /// coordinate of the median row.
     fn adapt(&mut self, model: &Model) -> Option<f64> {
         let errors = self.errors(&model.geometry(&[]));
         let sigmas = |of: fn(&PoseError) -> f64, stated: fn(&PoseUncertainty) -> Option<f64>| {
@@ -273,7 +273,7 @@ impl Measures for Tracker {
         self.at.group(groups, seed);
     }
 
-    /// A region could have all rows of a station.
+    /// Single poses if there are several stations, because a region could contain all rows of one.
     fn hold_out(&self) -> HoldOut {
         let several = self.moving.is_none() && self.set_ups.iter().any(|set_up| set_up.station > 0);
         if several { HoldOut::Rows } else { HoldOut::Regions }
@@ -298,7 +298,7 @@ impl Measures for Tracker {
     }
 
     fn mistakes(&self, axes: usize) -> Vec<Mistake> {
-        /// Places of a step in time that are tried.
+        /// Number of positions in the file at which a displacement is tried.
         const PLACES: usize = 40;
         let others = [Mistake::RowsShifted, Mistake::Mirrored, Mistake::ModifiedTable];
         let moved = (1..PLACES).map(|place| Mistake::Moved(place * self.samples() / PLACES));
@@ -324,7 +324,7 @@ impl Measures for Tracker {
         }
     }
 
-    /// Where the robot holds the probe minus where it was seen.
+    /// Position of the probe predicted by the robot minus the measured position.
     fn deviations(&self, geometry: &Geometry) -> Vec<Deviation> {
         let one = |(row, sighted): (&PoseRow, Option<[Pose; 2]>)| {
             let Some([place, held]) = sighted else { return Deviation::of_place(Vector3::repeat(f64::NAN)) };

@@ -1,6 +1,6 @@
-//! A draw-wire or telescoping bar that measures one length at each pose. Lengths have heavy tails (the wire sags, catches, is
-//! read late), and a zero that slipped or a joint logged with another sign puts whole runs of rows off together: rows that do
-//! not belong with the rest take no part, judged anew wherever a solve has come.
+//! A draw-wire or telescoping bar that measures one length at each pose. The errors of lengths have heavy tails (the wire sags,
+//! sticks or is read late). A zero that slipped, or a joint logged with the wrong sign, shifts whole runs of rows. Rows that
+//! contradict the others are left out; they are determined again after each solve.
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
@@ -17,18 +17,18 @@ use crate::model::{
 };
 use crate::statistics::median_size;
 
-/// One pose and its length.
+/// Joints of one pose and the length measured there.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct LengthRow {
     /// Joint variables of the model \[rad, m\].
     pub joints_rad: Joints,
     /// Measured length \[m\].
     pub length_m: f64,
-    /// Where the controller says the flange is \[m\]; used to find rows whose parts do not belong together.
+    /// Flange position reported by the controller \[m\]; used to find rows whose columns contradict each other.
     pub flange_m: Option<[f64; 3]>,
-    /// Standard uncertainty of the length, where it is stated \[m\].
+    /// Standard uncertainty of the length \[m\]; `None` if the file states none.
     pub uncertainty_m: Option<f64>,
-    /// Anchor and attachment.
+    /// Anchor (as station) and attachment (as target) of the wire.
     pub set_up: SetUp,
 }
 
@@ -40,27 +40,27 @@ impl From<&logs::MeasuredLength> for LengthRow {
     }
 }
 
-/// Fewest rows of a fit: the seven unknowns of the wire and as many again.
+/// Fewest rows of a fit: twice the seven unknowns of the wire.
 const ROWS_MIN: usize = 14;
-/// Of each anchor, where there are several: its start is linear in four numbers, and a part is held out.
+/// Fewest rows of each of several anchors: the equations of its start value have four unknowns, and some rows are held out.
 const ANCHOR_ROWS_MIN: usize = 8;
-/// Of each place on the flange: its three numbers twice.
+/// Fewest rows of each of several attachments: twice its three coordinates.
 const ATTACHMENT_ROWS_MIN: usize = 6;
 
-/// Rows of one set-up.
+/// Rows of one set-up, and the noise of their lengths.
 #[derive(Debug, Clone)]
 pub struct Wire {
     rows: Screened<LengthRow>,
-    /// From the spread of the residuals and what is stated of the rows.
+    /// Estimated from the spread of the residuals and the stated uncertainties.
     noise: RowNoise,
-    /// Of those that take part, with the set-up of each and its noise over that of the median one.
+    /// Observations of the rows in use; below, their set-ups, and their noise relative to the median row.
     observations: Vec<Observation>,
     set_ups: Vec<SetUp>,
     relative_noise: Vec<f64>,
 }
 
 impl Wire {
-    /// Of rows at which the robot stood still, in the order in which it went there.
+    /// From rows at which the robot stood still, in the order in which it visited them.
     pub fn new(rows: &[LengthRow]) -> Self {
         Self::of(Screened::new(Standing::new(rows, |row| row.joints_rad)), RowNoise::ALIKE)
     }
@@ -71,7 +71,7 @@ impl Wire {
         Self { rows, noise, observations, set_ups, relative_noise }
     }
 
-    /// Other rows that count in the same way.
+    /// The same instrument with other rows and the same noise.
     fn with_rows(&self, all: Standing<LengthRow>) -> Self {
         Self::of(Screened::new(all), self.noise)
     }
@@ -83,7 +83,7 @@ impl Wire {
         self.with_rows(all).into()
     }
 
-    /// Predicted minus measured length of every row, whether it takes part or not \[m\].
+    /// Predicted minus measured length of every row, in use or not \[m\].
     pub fn residuals_m(&self, geometry: &Geometry) -> Vec<f64> {
         residuals_m(&self.rows.all, geometry)
     }
@@ -100,14 +100,14 @@ fn residuals_m(at: &Standing<LengthRow>, geometry: &Geometry) -> Vec<f64> {
     at.rows.iter().zip(&at.states).map(residual).collect()
 }
 
-/// Noise behind the residuals of some rows; `None` if no row states its uncertainty.
+/// Noise that explains the residuals of some rows; `None` if no row states its uncertainty.
 fn noise(at: &Standing<LengthRow>, geometry: &Geometry) -> Option<RowNoise> {
     let stated = || at.rows.iter().map(|row| row.uncertainty_m);
     let errors_m = residuals_m(at, geometry).into_iter().map(f64::abs);
     stated().any(|stated| stated.is_some()).then(|| RowNoise::behind(errors_m.zip(stated()), MEDIAN_OF_ONE))
 }
 
-/// Single rows are of another pose; where most contradict the robot's file, that is of another robot.
+/// A few contradicting rows have wrong joints. If most rows contradict the robot's file, the file is of another robot.
 fn ensure_this_robot(contradicting: &[RejectedRow], rows: usize) -> Result<(), RowError> {
     let rejected = contradicting.len();
     if 2 * rejected <= rows {
@@ -120,7 +120,7 @@ fn ensure_this_robot(contradicting: &[RejectedRow], rows: usize) -> Result<(), R
     Err(RowError::OtherRobot { rejected, rows, median_mm: median_size(distances_m) * 1e3 })
 }
 
-/// What was measured at each row, and with which anchor and attachment.
+/// Observation and set-up of each row.
 fn observations(at: &Standing<LengthRow>) -> (Vec<Observation>, Vec<SetUp>) {
     let of = |(index, row): (usize, &LengthRow)| {
         (Observation::length(PerObservation::time_s(index), row.length_m), row.set_up)
@@ -128,7 +128,8 @@ fn observations(at: &Standing<LengthRow>) -> (Vec<Observation>, Vec<SetUp>) {
     at.rows.iter().enumerate().map(of).unzip()
 }
 
-/// A first anchor for a wire that is attached near the flange's origin, at `positions_m`; none where these do not span space.
+/// Start value of the anchor of a wire that is attached near the flange's origin, at `positions_m`; `None` if these lie in a
+/// plane.
 ///
 /// `|p - c|^2 = l^2` is linear in `c` and `|c|^2 - offset terms`: `2 p.c - k = |p|^2 - l^2`.
 fn anchor(positions_m: &[Vector3<f64>], lengths_m: &[f64]) -> Option<Vector3<f64>> {
@@ -166,13 +167,13 @@ impl Measures for Wire {
         self.rows.at.rows.len()
     }
 
-    /// With the anchors and attachments of the rows.
+    /// Adds the anchors and attachments of the rows.
     fn fitted_out(&self, robot: Model) -> Model {
         let set_ups = self.rows.all.rows.iter().map(|row| row.set_up);
         robot.with_set_ups(Owner::Wire, SetUp::counts(set_ups)).without_clocks()
     }
 
-    /// First anchors; not where the positions of one do not span space.
+    /// Sets start values of the anchors; false if the positions of an anchor's rows lie in a plane.
     fn place(&self, model: &mut Model, fix: &[ParameterId]) -> Result<bool, ModelError> {
         let geometry = model.geometry(&[]);
         let rows = || self.rows.at.rows.iter().zip(&self.rows.at.states);
@@ -181,7 +182,7 @@ impl Measures for Wire {
             let own = rows().filter(|(row, _)| row.set_up.station == station);
             let (positions_m, lengths_m): (Vec<Vector3<f64>>, Vec<f64>) =
                 own.map(|(row, state)| (geometry.robot_end(state).translation.vector, row.length_m)).unzip();
-            // Of what no row has nothing follows.
+            // An anchor without rows cannot be estimated.
             if positions_m.is_empty() {
                 continue;
             }
@@ -214,7 +215,8 @@ impl Measures for Wire {
         MeasuredLength::depends_on(id) && id.group() != Group::Clock
     }
 
-    /// Which row is worth more than the median one; what that is worth is left to who solves: residuals stay in metres.
+    /// Updates the relative noise of the rows. Returns `None`: residuals stay in metres, and the solver estimates their common
+    /// sigma.
     fn adapt(&mut self, model: &Model) -> Option<f64> {
         if let Some(noise) = noise(&self.rows.at, &model.geometry(&[])) {
             *self = Self::of(self.rows.clone(), noise);
@@ -228,7 +230,7 @@ impl Measures for Wire {
         }
     }
 
-    /// Where most rows agree with each other.
+    /// Leaves rows out if most rows agree with each other.
     fn screen(&mut self, model: &Model) -> bool {
         let residuals_m = self.residuals_m(&model.geometry(&[]));
         let others = self.rows.screen(&residuals_m, &self.relative_noise());
@@ -258,7 +260,7 @@ impl Measures for Wire {
 
     /// Rows whose controller position is not where their joint angles put the flange.
     fn contradicting(&self, robot: &Chain) -> Result<Vec<RejectedRow>, RowError> {
-        /// Above what controllers round, and nominal links they know better \[m\].
+        /// Above the rounding of controllers and the error of nominal links \[m\].
         const TOLERANCE_M: f64 = 5e-3;
         let all = &self.rows.all;
         all.ensure_finite(|row| row.flange_m.into_iter().flatten())?;
@@ -286,7 +288,7 @@ impl Measures for Wire {
     }
 
     fn mistakes(&self, axes: usize) -> Vec<Mistake> {
-        /// m read as mm, cm as mm, inches as mm or as m, and each the other way round \[1/1000\].
+        /// Wrong units: m read as mm, cm as mm, inches as mm or as m, and each the other way round \[1/1000\].
         const THOUSANDTHS: [u32; 6] = [1_000_000, 10_000, 25_400, 100, 39, 1];
         let units = THOUSANDTHS.into_iter().map(Mistake::LengthUnit);
         Mistake::of_joints(axes).into_iter().chain([Mistake::ModifiedTable]).chain(units).collect()
@@ -323,7 +325,7 @@ impl Measures for Wire {
         &self.rows.rejected
     }
 
-    /// Whether a row takes part or not.
+    /// Position of each anchor, and the offset of the lengths.
     fn causes(&self, Geometry { wire, .. }: &Geometry) -> Vec<Cause> {
         (0..wire.anchors_m.len()).map(Cause::Anchor).chain([Cause::LengthOffset]).collect()
     }

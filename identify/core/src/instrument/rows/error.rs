@@ -16,7 +16,7 @@ pub enum RowError {
         /// Least number of rows.
         needed: usize,
     },
-    /// The controller's positions are not where the robot's file has the flange.
+    /// The controller's flange positions contradict the robot's file.
     #[error(
         "in {rejected} of {rows} rows the controller's flange is not where the robot's file has it at these joints, {median_mm:.0} mm \
          away in the median; give the file of this robot, or correct units and signs of joints or [flange] in the mapping"
@@ -75,7 +75,7 @@ pub enum RowError {
         /// Rows that are fitted.
         rows: usize,
     },
-    /// Of a ball in sockets.
+    /// Error of the rows of a ball in sockets.
     #[error(transparent)]
     Contact(#[from] ContactError),
 }

@@ -1,28 +1,28 @@
-//! What goes wrong between robot, instrument and file before anybody calibrates.
+//! Mistakes in the robot's file, the mapping or the rows of an instrument.
 
 use std::fmt;
 
 use crate::logs::JointMistake;
 
-/// One thing that is wrong with a file of rows, its mapping or the robot's file.
+/// One mistake in a file of rows, its mapping or the robot's file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Mistake {
-    /// A mistake of the joints.
+    /// A mistake in the joint columns.
     Joints(JointMistake),
-    /// Joints are in the row before or after what was measured there.
+    /// Joints are one row before or after the measurement they belong to.
     RowsShifted,
     /// Two axes of the positions are exchanged, or one has the other sign.
     Mirrored,
-    /// From this row on, from 0, the instrument, what it measures or the robot stand elsewhere.
+    /// The instrument, its target or the robot was displaced at this row, from 0.
     Moved(usize),
-    /// Lengths are this many thousandths of what they are read as.
+    /// True length over the length as read \[1/1000\].
     LengthUnit(u32),
-    /// Lengths and twists of the robot's file are in the row of the next joint: Craig's convention, read as the standard one.
+    /// The table of the robot's file uses Craig's modified convention and is read as the standard one.
     ModifiedTable,
 }
 
 impl Mistake {
-    /// All that can be made with the joints of an arm.
+    /// All mistakes of the joint columns of an arm with `axes` axes.
     pub fn of_joints(axes: usize) -> Vec<Self> {
         JointMistake::all(axes).into_iter().map(Self::Joints).collect()
     }

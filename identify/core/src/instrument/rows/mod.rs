@@ -1,4 +1,4 @@
-//! Rows of measurements at poses of the robot: what every instrument has in common that measures such.
+//! Rows of measurements at poses of the robot: what all instruments that measure row by row have in common.
 
 mod error;
 mod mistake;
@@ -21,19 +21,19 @@ pub use standing::standing;
 use super::{Instrument, Measures};
 use crate::kinematics::Chain;
 
-/// Usual seed of the choice which groups of rows come together.
+/// Default seed of the assignment of groups to folds.
 pub const SEED: u64 = 1042;
 
-/// Rows of one set-up, in the order in which the robot went there, and how they are used.
+/// Rows of one set-up, in the order in which the robot visited them, and how they are validated.
 #[derive(Debug, Clone)]
 pub struct Rows {
     /// The instrument with its rows.
     pub instrument: Instrument,
-    /// Which are left out together; none: as is usual for the instrument.
+    /// Which rows are held out together; `None`: the default of the instrument.
     pub hold_out: Option<HoldOut>,
-    /// Decides which groups come together.
+    /// Seed of the assignment of groups to folds.
     pub seed: Option<u64>,
-    /// Highest number of waves per turn that the errors of joints may have, without a ball-bar.
+    /// Highest harmonic order of the joint errors, per turn of a joint, in a fit without a ball-bar.
     pub joint_waves: Option<u8>,
 }
 
@@ -50,17 +50,17 @@ impl<M: Measures + 'static> From<M> for Rows {
 }
 
 impl Rows {
-    /// What is left out together.
+    /// Which rows are held out together.
     pub fn hold_out(&self) -> HoldOut {
         self.hold_out.unwrap_or_else(|| self.instrument.hold_out())
     }
 
-    /// Decides which groups come together.
+    /// Seed of the assignment of groups to folds.
     pub fn seed(&self) -> u64 {
         self.seed.unwrap_or(SEED)
     }
 
-    /// The instrument with its rows in the groups that are left out together; `robot` is the nominal one.
+    /// The instrument with its rows in groups that are held out together; `robot` is the nominal chain.
     pub(crate) fn grouped(&self, robot: &Chain) -> Instrument {
         let mut grouped = self.instrument.clone();
         let groups = self.hold_out().groups(robot, &self.instrument.joints());

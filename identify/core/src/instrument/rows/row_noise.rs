@@ -1,29 +1,30 @@
-//! Noise of rows whose file states it: an instrument knows its own uncertainty, but not what the robot adds to all rows alike, which is
-//! found in the residuals.
+//! Noise of rows whose file states an uncertainty. The stated uncertainty covers the instrument; what the robot adds to every
+//! row is estimated from the residuals.
 
 use crate::statistics::median_size;
 
-/// Median size of a standard normal number.
+/// Median absolute value of a standard normal variable.
 pub(in crate::instrument) const MEDIAN_OF_ONE: f64 = 0.6745;
-/// Median of the norm of three.
+/// Median norm of three independent standard normal variables.
 pub(in crate::instrument) const MEDIAN_OF_THREE: f64 = 1.538;
 
-/// Standard deviations of rows, in the unit of what is stated of them: `factor * sqrt(stated^2 + added^2)`.
+/// Standard deviations of rows, in the unit of the stated uncertainty: `factor * sqrt(stated^2 + added^2)`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(in crate::instrument) struct RowNoise {
     factor: f64,
-    /// What the robot adds.
+    /// Contribution of the robot.
     added: f64,
 }
 
 impl RowNoise {
-    /// Before anything is known all rows count the same.
+    /// Equal weights, before the first solve.
     pub(in crate::instrument) const ALIKE: Self = Self { factor: 1.0, added: 1.0 };
 
-    /// Behind errors, each with what is stated of its row. `median` is that of an error whose standard deviation is one.
+    /// Estimates the noise from errors, each with the stated uncertainty of its row. `median` is the median size of an error of
+    /// standard deviation one.
     ///
-    /// What errors are larger than is stated the robot adds, where half of the errors are within their median. Where they are
-    /// smaller already, all that is stated is too large by one factor. Of rows of which nothing is stated all is added.
+    /// `added` is chosen such that half of the errors are within their median. If the errors are smaller than stated even
+    /// without it, `factor` scales the stated uncertainties down. Rows without a stated uncertainty have `added` alone.
     pub(in crate::instrument) fn behind(
         errors: impl Iterator<Item = (f64, Option<f64>)>,
         median: f64,
@@ -49,12 +50,12 @@ impl RowNoise {
         Self { factor: 1.0, added: high }
     }
 
-    /// Of a row of which this is stated.
+    /// Standard deviation of a row with this stated uncertainty.
     pub(in crate::instrument) fn of(&self, stated: Option<f64>) -> f64 {
         self.factor * stated.unwrap_or(0.0).hypot(self.added)
     }
 
-    /// Of each row, over that of the median one.
+    /// Standard deviation of each row, relative to the median row.
     pub(in crate::instrument) fn relative(&self, stated: impl Iterator<Item = Option<f64>>) -> Vec<f64> {
         let each: Vec<f64> = stated.map(|stated| self.of(stated)).collect();
         let usual = median_size(each.iter().copied());

@@ -1,67 +1,67 @@
-//! Rows without those that do not belong with the rest, which are found anew after each solve: single ones with gross residuals, and
-//! runs of rows that are off together.
+//! Rows without outliers. Outliers are determined again after each solve: single rows with gross residuals, and runs of
+//! consecutive rows that are off together.
 
 use super::Standing;
 use crate::instrument::PoseError;
 use crate::statistics::median_size;
 
-/// Standard deviations beyond which a single row is gross: no row of a normal distribution is, and few of a heavy tail.
+/// Standard deviations beyond which a single row is gross: no row of a normal distribution, and few rows of a heavy-tailed one.
 const GROSS: f64 = 8.0;
 
-/// Why a row takes no part.
+/// Why a row is left out.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Rejection {
-    /// Controller position and joint angles do not belong together.
+    /// Controller position and joint angles contradict each other.
     FlangeContradicts {
-        /// Between the two positions \[m\].
+        /// Distance of the two positions \[m\].
         distance_m: f64,
     },
-    /// What was measured is far from what all others say.
+    /// The measurement is far from the prediction of all other rows.
     GrossResidual {
         /// Predicted minus measured \[m\].
         residual_m: f64,
     },
-    /// The rows around it are off together.
+    /// The row is in a run of rows that are off together.
     FaultyRun {
         /// Median size of the residuals of neighbouring rows \[m\].
         median_m: f64,
     },
 }
 
-/// A row that takes no part.
+/// A row that is left out.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RejectedRow {
     /// Number of the row, from 0.
     pub row: usize,
-    /// Why it takes no part.
+    /// Reason for leaving it out.
     pub why: Rejection,
 }
 
-/// Rows of one set-up, without those that do not belong with the rest.
+/// Rows of one set-up, with and without outliers.
 #[derive(Debug, Clone)]
 pub(in crate::instrument) struct Screened<R> {
     /// All rows of the file.
     pub(in crate::instrument) all: Standing<R>,
-    /// Rows of `all` that do not belong with the rest, ascending.
+    /// Outliers among `all`, ascending.
     pub(in crate::instrument) rejected: Vec<RejectedRow>,
-    /// Rows that take part.
+    /// Rows of `all` in use.
     pub(in crate::instrument) at: Standing<R>,
 }
 
 impl<R: Copy> Screened<R> {
-    /// With all rows taking part.
+    /// All rows are in use.
     pub(in crate::instrument) fn new(all: Standing<R>) -> Self {
         Self { rejected: Vec::new(), at: all.clone(), all }
     }
 
-    /// [`Standing::group`] of rows that all take part.
+    /// [`Standing::group`] while all rows are in use.
     pub(in crate::instrument) fn group(&mut self, groups: &[usize], seed: u64) {
         self.all.group(groups, seed);
         self.at.group(groups, seed);
     }
 
-    /// Leaves rows out by the residuals of all of them \[m\] and their noise over that of the median row, where most agree with
-    /// each other; whether other ones take part now.
+    /// Determines the outliers from the residuals of all rows \[m\] and their noise relative to the median row. Nothing changes
+    /// if more than half of the rows were outliers. Returns whether the set of rows in use has changed.
     pub(in crate::instrument) fn screen(&mut self, residuals_m: &[f64], relative_noise: &[f64]) -> bool {
         let fitting: Vec<usize> = (0..residuals_m.len()).collect();
         let kept = without(&fitting, &self.rejected);
@@ -77,16 +77,17 @@ impl<R: Copy> Screened<R> {
     }
 }
 
-/// Rows that a fit should not see: single fitting rows with gross residuals, and every row, fitting or not, inside a run of
-/// which the fitting rows are mostly off; by the residuals of all rows \[m\] and the noise of each over that of the median row, on
-/// the scale of the `kept` ones.
+/// Rows that a fit must not use: single fitting rows with gross residuals, and every row, fitting or not, inside a run whose
+/// fitting rows are mostly off. `residuals_m` are of all rows \[m\], `relative_noise` is relative to the median row; the scale
+/// is the spread of the `kept` rows.
 pub(crate) fn faulty(
     residuals_m: &[f64],
     relative_noise: &[f64],
     fitting: &[usize],
     kept: &[usize],
 ) -> Vec<RejectedRow> {
-    /// And the median of neighbouring rows: what independent ones reach less than once in a million times.
+    /// Limit of the median of neighbouring rows, in standard deviations: independent rows exceed it less than once in a
+    /// million.
     const RUN: f64 = 3.0;
     // As if all rows were as uncertain as the median one.
     let alike_m: Vec<f64> = residuals_m.iter().zip(relative_noise).map(|(r, noise)| r / noise).collect();
@@ -108,21 +109,21 @@ pub(crate) fn faulty(
     found
 }
 
-/// Which rows are far from both the nominal and the calibrated robot, by the errors of each in all rows and the noise of these over that
-/// of the median row.
+/// Rows that are far from both the nominal and the calibrated robot, from the errors of all rows and their noise relative to
+/// the median row.
 pub(crate) fn gross_rows(
     nominal: &[PoseError],
     calibrated: &[PoseError],
     relative_noise: &[f64],
 ) -> Vec<bool> {
-    /// Robust standard deviations that errors of the nominal robot stay within: of a distance these are seven of a coordinate.
+    /// Limit for the nominal robot, in robust standard deviations of distances: about seven of a single coordinate.
     const OF_NOMINAL: f64 = 3.0;
     let far = [(nominal, OF_NOMINAL), (calibrated, GROSS)];
     let far = far.map(|(errors, sigmas)| beyond(errors, relative_noise, sigmas));
     far[0].iter().zip(&far[1]).map(|(nominal, calibrated)| *nominal && *calibrated).collect()
 }
 
-/// Which errors, of position or of rotation, exceed this number of robust standard deviations of all.
+/// Errors of position or rotation that exceed this number of robust standard deviations.
 fn beyond(errors: &[PoseError], relative_noise: &[f64], sigmas: f64) -> Vec<bool> {
     // As if all rows were as uncertain as the median one.
     let alike = |(error, noise): (&PoseError, &f64)| PoseError {
@@ -141,7 +142,7 @@ fn beyond(errors: &[PoseError], relative_noise: &[f64], sigmas: f64) -> Vec<bool
     errors.iter().map(is_beyond).collect()
 }
 
-/// Standard deviation of residuals that are mostly normal, by their median size.
+/// Standard deviation of mostly normal residuals, from their median size.
 fn robust_sigma(residuals: impl Iterator<Item = f64>) -> f64 {
     /// Median absolute deviation from zero to standard deviation of a normal distribution.
     const SIGMA_PER_MEDIAN: f64 = 1.4826;

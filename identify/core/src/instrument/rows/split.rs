@@ -1,4 +1,4 @@
-//! Which samples are held out together.
+//! Assigns samples to groups that are held out together, and groups to folds.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -25,13 +25,13 @@ pub enum HoldOut {
     Regions,
 }
 
-/// Segments that a file is cut into.
+/// Number of segments of a file.
 const BLOCKS: usize = 25;
-/// Boxes along the longest side of the workspace.
+/// Number of boxes along the longest side of the workspace.
 const BOXES: f64 = 5.0;
 
 impl HoldOut {
-    /// The group of each pose: those of one group are held out together. `robot` is the nominal chain.
+    /// Group of each pose; poses of one group are held out together. `robot` is the nominal chain.
     pub(crate) fn groups(self, robot: &Chain, joints_rad: &[Joints]) -> Vec<usize> {
         let positions_m: Vec<Vector3<f64>> =
             joints_rad.iter().map(|q| robot.forward(q).translation.vector).collect();
@@ -39,7 +39,7 @@ impl HoldOut {
     }
 }
 
-/// The group of each row: rows of one group are held out together.
+/// Group of each row; rows of one group are held out together.
 fn groups(hold_out: HoldOut, poses: &[usize], positions_m: &[Vector3<f64>]) -> Vec<usize> {
     match hold_out {
         HoldOut::Rows => poses.to_vec(),
@@ -65,7 +65,8 @@ fn boxes(positions_m: &[Vector3<f64>]) -> Vec<usize> {
     numbered.collect()
 }
 
-/// `count` segments of nearly equal length in each run, of which `starts` gives the first samples and the total.
+/// `count` segments of nearly equal length in each run; `starts` has the first sample of each run and the total number of
+/// samples.
 pub(crate) fn segments(starts: &[usize], count: usize) -> Vec<Range<usize>> {
     let of_run = |run: &[usize]| {
         let (start, length) = (run[0], run[1] - run[0]);
@@ -74,8 +75,8 @@ pub(crate) fn segments(starts: &[usize], count: usize) -> Vec<Range<usize>> {
     starts.windows(2).flat_map(of_run).filter(|segment| !segment.is_empty()).collect()
 }
 
-/// Deals the groups of rows out to at most `count` folds of about equal size: the rows that each has. Groups of one `class` of rows
-/// are dealt one after the other, so that each fold has its part of them.
+/// Assigns the groups of rows to at most `count` folds of about equal size; returns the rows of each fold. Groups of one
+/// `class` are assigned consecutively, so that every fold has rows of each class.
 pub(super) fn folds(
     groups: &[usize],
     count: usize,

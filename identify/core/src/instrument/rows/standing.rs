@@ -1,4 +1,4 @@
-//! Poses at which the robot stood still while something was measured: what tracker, wire and contact have in common.
+//! Poses at which the robot stood still during a measurement: common to tracker, wire and contact.
 
 use std::collections::BTreeMap;
 
@@ -6,11 +6,11 @@ use super::{RowError, split};
 use crate::kinematics::Joints;
 use crate::model::{JointState, ParameterId, RobotMotion, SetUp};
 
-/// A joint that moved less than this since the pose before keeps the direction that it had \[rad\].
+/// A joint that moved less than this since the previous pose keeps its direction of motion \[rad\].
 const MOVED_RAD_MIN: f64 = 1e-3;
 
-/// The state of the robot at each pose: rates are the way each joint last moved, by the poses in the order in which the robot
-/// went there, at one radian per second; 0 where it has not yet moved.
+/// State of the robot at each pose, in the order of the poses. The rate of a joint is the sign of its last motion, at one
+/// radian per second; 0 before its first motion.
 pub fn standing(joints_rad: impl Iterator<Item = Joints>) -> Vec<JointState> {
     let mut ways = Joints::default();
     let mut before: Option<Joints> = None;
@@ -31,8 +31,8 @@ pub fn standing(joints_rad: impl Iterator<Item = Joints>) -> Vec<JointState> {
     each.collect()
 }
 
-/// The number of each row's pose: rows that follow each other without a motion, such as those of several targets, have the
-/// robot's error there in common.
+/// Pose number of each row. Consecutive rows without a motion between them, such as those of several targets, are of one pose
+/// and share the robot's error.
 pub(super) fn poses(joints_rad: &[Joints]) -> Vec<usize> {
     let (mut number, mut first) = (0, joints_rad.first());
     let each = joints_rad.iter().map(|q| {
@@ -45,10 +45,10 @@ pub(super) fn poses(joints_rad: &[Joints]) -> Vec<usize> {
     each.collect()
 }
 
-/// Rows of one set-up, in the order in which the robot went there; sample `i` has time `i`.
+/// Rows of one set-up, in the order in which the robot visited them; sample `i` has time `i`.
 #[derive(Debug, Clone)]
 pub(in crate::instrument) struct Standing<R> {
-    /// What was measured at each.
+    /// Measurement of each row.
     pub(in crate::instrument) rows: Vec<R>,
     /// State of the robot at each row.
     pub(in crate::instrument) states: Vec<JointState>,
@@ -58,7 +58,7 @@ pub(in crate::instrument) struct Standing<R> {
 }
 
 impl<R: Copy> Standing<R> {
-    /// Rows, of which `joints_rad` gives the joints; each pose is a group before [`Standing::group`].
+    /// From rows whose joints `joints_rad` returns; each pose is a group of its own until [`Standing::group`] is called.
     pub(in crate::instrument) fn new(rows: &[R], joints_rad: impl Fn(&R) -> Joints) -> Self {
         let joints_rad: Vec<Joints> = rows.iter().map(joints_rad).collect();
         Self {
@@ -69,7 +69,7 @@ impl<R: Copy> Standing<R> {
         }
     }
 
-    /// Sets which rows are left out together; `seed` decides which groups come together.
+    /// Sets the group of each row, held out together, and the `seed` of the assignment of groups to folds.
     pub(in crate::instrument) fn group(&mut self, groups: &[usize], seed: u64) {
         (self.groups, self.seed) = (groups.to_vec(), seed);
     }
@@ -84,7 +84,7 @@ impl<R: Copy> Standing<R> {
         Self { states: standing(self.states.iter().map(|state| other(&state.q))), ..self.clone() }
     }
 
-    /// What was measured at each row with the joints of the row after it; then with those of the row before it.
+    /// The measurements with the joints of the following row, then with those of the preceding row.
     pub(in crate::instrument) fn shifted(&self) -> [Self; 2] {
         let count = self.rows.len().saturating_sub(1);
         let (first, last) = ((0..count).collect::<Vec<_>>(), (1..=count).collect::<Vec<_>>());
@@ -95,7 +95,7 @@ impl<R: Copy> Standing<R> {
         if count == 0 { [self.clone(), self.clone()] } else { [of(&first, &last), of(&last, &first)] }
     }
 
-    /// Each number is one, each joint and what else `numbers` gives of a row.
+    /// Checks that all joints, and the numbers that `numbers` returns for a row, are finite.
     pub(in crate::instrument) fn ensure_finite<'r, N: Iterator<Item = f64>>(
         &'r self,
         numbers: impl Fn(&'r R) -> N,
@@ -108,8 +108,8 @@ impl<R: Copy> Standing<R> {
         Ok(())
     }
 
-    /// No more stations or targets than have parameters, and where there are several, each has enough rows to stay placed whichever
-    /// part of the file is left out; `needed` has their names and least numbers of rows.
+    /// Checks the number of stations and targets, and that each of several has enough rows to be located with any part of the
+    /// file held out; `needed` has their names and least numbers of rows.
     pub(in crate::instrument) fn ensure_each_has_rows(
         &self,
         set_up: impl Fn(&R) -> SetUp,
@@ -140,7 +140,7 @@ impl<R: Copy> Standing<R> {
         }
     }
 
-    /// At most `count` folds of the rows by their groups, each with rows of all classes as far as there are enough.
+    /// At most `count` folds of the rows by their groups, each with rows of all classes if there are enough.
     pub(in crate::instrument) fn independent(
         &self,
         count: usize,
