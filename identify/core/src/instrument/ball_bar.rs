@@ -232,9 +232,9 @@ impl Measures for BallBar {
         self.prepared.observations.len()
     }
 
-    /// Sets the roles of known lengths only: the preparation sets the start values, the configuration the other roles. The `pose`
-    /// cost takes priors on known lengths. Other costs decrease if all lengths shrink: a known length that is not estimated keeps
-    /// its value there, with a considered uncertainty.
+    /// Sets the roles of known lengths only: the preparation sets the start values, the configuration the other roles. The
+    /// `pose` cost takes priors on known lengths. Other costs decrease if all lengths shrink: a known length that is not
+    /// estimated keeps its value there, with a considered uncertainty.
     fn place(&self, model: &mut Model, fix: &[ParameterId]) -> Result<bool, ModelError> {
         for &(id, sigma) in &self.known_m {
             let Some(&Parameter { nominal: value, role, .. }) = model.parameter(id) else { continue };

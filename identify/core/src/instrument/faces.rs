@@ -187,8 +187,8 @@ fn unit_normal(face: &Face) -> (Vector3<f64>, nalgebra::Matrix3<f64>) {
 }
 
 impl Faces {
-    /// The faces of a table that are in `names`, in this order; `centre_m` is the approximate touched position of each, in the robot's
-    /// base.
+    /// The faces of a table that are in `names`, in this order; `centre_m` is the approximate touched position of each, in the
+    /// robot's base.
     pub fn new(table: &FaceTable, names: &[String], centre_m: &[Vector3<f64>]) -> Self {
         /// Below this angle planes count as parallel: the direction of their inclination is undefined \[deg\].
         const PARALLEL_DEG: f64 = 0.1;

@@ -112,7 +112,8 @@ pub trait Measures: Boxed + fmt::Debug + Send + Sync {
         HoldOut::Rows
     }
 
-    /// Robot minus measurement in every sample, used or not; NaN outside the robot's log and for set-ups that the geometry lacks.
+    /// Robot minus measurement in every sample, used or not; NaN outside the robot's log and for set-ups that the geometry
+    /// lacks.
     fn deviations(&self, geometry: &Geometry) -> Vec<Deviation>;
 
     /// Sizes of [`Measures::deviations`].

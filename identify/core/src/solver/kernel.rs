@@ -1,33 +1,33 @@
-//! The two inner loops of a solve, in the widest SIMD that the processor has: products of columns and Householder
-//! reflections of a short panel. Which instructions there are is found at run time (crate `pulp`), so that a binary for
-//! any x86-64 uses AVX2 and FMA where it can.
+//! The two inner loops of a solve: products of columns and Householder reflections of a short panel. The widest SIMD
+//! instructions of the processor are selected at run time (crate `pulp`), so that a binary for any x86-64 uses AVX2 and FMA
+//! where available.
 //!
-//! A panel is column-major: column `c` is `panel[c * stride..][..rows]`, and `rows` is a multiple of [`ROW_STEP`], the
-//! surplus rows being zero.
+//! A panel is column-major: column `c` is `panel[c * stride..][..rows]`, and `rows` is a multiple of [`ROW_STEP`], padded with
+//! zeros.
 
 use pulp::{Arch, Simd, WithSimd};
 
-/// Rows of a panel come in multiples of this: no register of today holds more numbers.
+/// The number of rows of a panel is a multiple of this, the size of the widest SIMD register.
 pub(super) const ROW_STEP: usize = 8;
 
-/// Columns of a panel come in multiples of this for [`add_products`].
+/// The number of columns of a panel is a multiple of this for [`add_products`].
 pub(super) const COLUMN_STEP: usize = TILE;
 
-/// Products are formed for so many columns by so many columns at once: nine sums stay in registers, and each number
-/// that is loaded is used three times.
+/// Products are formed in square tiles of this many columns: nine sums stay in registers, and each loaded number is used three
+/// times.
 const TILE: usize = 3;
 
-/// A column whose squares sum to less is zero: what divides by it would leave the range of numbers.
+/// A column with a smaller sum of squares counts as zero: division by it would overflow.
 const SQUARE_MIN: f64 = f64::MIN_POSITIVE / f64::EPSILON;
 
-/// A panel of columns.
+/// Dimensions of a column-major panel.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Shape {
-    /// From one column to the next.
+    /// Distance between the starts of two columns.
     pub(super) stride: usize,
     /// Rows in use, a multiple of [`ROW_STEP`].
     pub(super) rows: usize,
-    /// Columns in use.
+    /// Number of columns in use.
     pub(super) columns: usize,
 }
 
@@ -90,8 +90,8 @@ fn tile<S: Simd>(simd: S, x: [&[S::f64s]; TILE], y: [&[S::f64s]; TILE]) -> [[f64
     reduced
 }
 
-/// Replaces `triangle` (column-major, upper, square) by the triangle of `[triangle; panel]` by Householder reflections,
-/// so that `R^T R` grows by `panel^T panel` without being formed. What is left in the panel has no meaning.
+/// Replaces `triangle` (column-major, upper, square) by the triangle of `[triangle; panel]` with Householder reflections, so
+/// that `R^T R` grows by `panel^T panel` without being formed. The panel then contains no useful numbers.
 pub(super) fn fold_into_triangle(panel: &mut [f64], shape: Shape, triangle: &mut [f64]) {
     Arch::new().dispatch(FoldTriangle { panel, shape, triangle });
 }
@@ -135,7 +135,7 @@ impl WithSimd for FoldTriangle<'_> {
     }
 }
 
-/// In four sums, so that one addition need not wait for the other.
+/// Uses four sums, so that consecutive additions are independent.
 #[inline(always)]
 fn dot<S: Simd>(simd: S, x: &[S::f64s], y: &[S::f64s]) -> f64 {
     const SUMS: usize = 4;
@@ -154,7 +154,7 @@ fn dot<S: Simd>(simd: S, x: &[S::f64s], y: &[S::f64s]) -> f64 {
     simd.reduce_sum_f64s(sum)
 }
 
-/// Every number of these columns is finite.
+/// Whether every number of these columns is finite.
 pub(super) fn is_finite(panel: &[f64], shape: Shape) -> bool {
     Arch::new().dispatch(IsFinite { panel, shape })
 }
@@ -173,7 +173,7 @@ impl WithSimd for IsFinite<'_> {
         let mut sum = zero;
         for column in self.panel.chunks_exact(self.shape.stride).take(self.shape.columns) {
             for &value in S::as_simd_f64s(&column[..self.shape.rows]).0 {
-                // Zero for a finite number, not a number for any other.
+                // Zero for a finite number, NaN otherwise.
                 sum = simd.mul_add_e_f64s(value, zero, sum);
             }
         }
@@ -225,7 +225,7 @@ mod tests {
         assert!((triangle.tr_mul(&triangle) - expected).amax() < 1e-12);
     }
 
-    /// Their squares are no numbers any more.
+    /// The squares of such small numbers underflow.
     #[test]
     fn numbers_next_to_nothing_leave_a_triangle_finite() {
         for size in [1e-140, 1e-155, 1e-162, 1e-200] {

@@ -1,6 +1,6 @@
 //! Levenberg-Marquardt with Marquardt's column scaling and Nielsen's damping.
 //!
-//! References: Marquardt 1963; More 1978 (scaling that only grows); Nielsen, IMM-REP-1999-05 (damping by the gain
+//! References: Marquardt 1963; More 1978 (monotone scaling); Nielsen, IMM-REP-1999-05 (damping by the gain
 //! ratio); Madsen, Nielsen, Tingleff 2004.
 
 use nalgebra::DVector;
@@ -25,7 +25,7 @@ fn quadratic_model(pass: &Pass<'_>) -> Result<QuadraticModel, PassError> {
     Ok(QuadraticModel { cost: 0.5 * (of_samples + of_priors), normal, fits })
 }
 
-/// Damping and scaling between steps.
+/// Damping and scaling, updated after each step.
 struct Damping {
     lambda: f64,
     growth: f64,
@@ -46,9 +46,9 @@ impl Damping {
         }
     }
 
-    /// Step of `(H + lambda D) step = -g` and the decrease it promises.
+    /// Step of `(H + lambda D) step = -g`, and the decrease of the cost that it predicts.
     ///
-    /// A column that does nothing gets no step, rather than a singular matrix: it is named afterwards.
+    /// A column without effect gets a step of zero, instead of a singular matrix: identifiability names it afterwards.
     fn step(&self, at: &QuadraticModel, lambda: f64) -> Option<(DVector<f64>, f64)> {
         let Normal { matrix, gradient, .. } = &at.normal;
         let step = -ScaledCholesky::damped(matrix.clone(), &self.scale_squared, lambda)?.solve(gradient);
@@ -57,7 +57,7 @@ impl Damping {
     }
 
     fn accept(&mut self, gain: f64) {
-        // Nielsen's rule, with a faster fall after a step that kept its promise.
+        // Nielsen's rule, with a faster decrease of the damping if the prediction was accurate.
         self.lambda *= (1.0 - (2.0 * gain - 1.0).powi(3)).max(0.1);
         self.growth = 2.0;
     }
@@ -76,7 +76,7 @@ impl Damping {
     }
 }
 
-/// Root mean square of the residual entries of the samples that take part.
+/// Root mean square of the residual entries of the samples in use.
 fn residual_rms(fits: &[SampleFit]) -> f64 {
     let (count, sum) =
         fits.iter().fold((0usize, 0.0), |(count, sum), fit| (count + fit.rows, sum + fit.squared));
@@ -94,7 +94,7 @@ fn gradient_cosine(at: &QuadraticModel) -> f64 {
     cosines.map(|(g, d)| (g / (d.sqrt() * norm)).abs()).fold(0.0, f64::max)
 }
 
-/// What the descent hands on.
+/// State of the iteration.
 struct Descent {
     x: DVector<f64>,
     at: QuadraticModel,
@@ -103,13 +103,13 @@ struct Descent {
     evaluations: usize,
 }
 
-/// Where no step lowers the cost any more the solve has converged all the same if the best step promises less than this part
-/// of a residual's variance: every parameter is then within a thousandth of its standard deviation of the minimum, and what
-/// is left is rounding.
+/// If no step lowers the cost, the solve counts as converged when the best step predicts a smaller decrease than this part of a
+/// residual's variance: every parameter is then within a thousandth of its standard deviation of the minimum, at the level of
+/// rounding errors.
 const NEGLIGIBLE: f64 = 1e-6;
 
-/// Where the descent stands is a minimum, as far as the step says that hardly any damping holds back: neither a trial that
-/// was refused nor heavy damping can pass for one. A step that promises no more than `negligible` is none.
+/// Whether the current point is a minimum, tested with the step at the initial, small damping: a refused trial or heavy damping
+/// must not count as convergence. A step that predicts a decrease of at most `negligible` counts as zero.
 fn at_minimum(
     now: &Descent,
     damping: &Damping,
@@ -129,7 +129,7 @@ fn at_minimum(
     (promised <= negligible).then_some(Termination::SmallDecrease)
 }
 
-/// The iteration itself. Only the start and accepted steps can end it at a minimum.
+/// The iteration. It can end at a minimum only at the start or after an accepted step.
 fn descend(
     problem: &dyn Problem,
     start: QuadraticModel,
@@ -158,7 +158,7 @@ fn descend(
     }
 }
 
-/// Tries shorter and shorter steps until one lowers the cost; false where none does.
+/// Increases the damping until a step lowers the cost; false if none does.
 fn accept_step(
     problem: &dyn Problem,
     now: &mut Descent,
@@ -171,7 +171,7 @@ fn accept_step(
             continue;
         };
         if predicted <= options.cost_tolerance * now.at.cost {
-            // Shorter steps promise nothing that could be told from rounding.
+            // Shorter steps predict a decrease below the rounding error.
             return Ok(false);
         }
         let trial_x = &now.x + &step;
@@ -195,7 +195,7 @@ fn accept_step(
     Ok(false)
 }
 
-/// The descent of [`solve`] alone, without a word on rank and covariance: for studies that solve thousands of times.
+/// The descent of [`solve`] without rank and covariance, for studies that solve thousands of times.
 ///
 /// # Errors
 /// As [`solve`].
@@ -207,7 +207,7 @@ pub fn minimise(
     descended(problem, start, options).map(|(x, summary, _)| (x.as_slice().to_vec(), summary))
 }
 
-/// The minimum, how it was reached, and each sample's fit there.
+/// The minimum, its summary, and each sample's fit there.
 fn descended(
     problem: &dyn Problem,
     start: &[f64],
@@ -241,13 +241,13 @@ fn descended(
     Ok((end.x, summary, end.at.fits))
 }
 
-/// Minimises a problem from `start`, and says at the end what was identified and how well.
+/// Minimises a problem from `start`, and evaluates identifiability and covariance at the minimum.
 ///
-/// Free parameters that the samples do not determine stay near their start and are named in
-/// [`Solution::identifiability`]; [`Solution::identified`] turns them into an error.
+/// Free parameters that the samples do not determine stay near their start. [`Solution::identifiability`] names them;
+/// [`Solution::identified`] returns an error for them.
 ///
 /// # Errors
-/// [`SolveError`] where the solve cannot start or was cancelled.
+/// [`SolveError`] if the solve cannot start or was cancelled.
 pub fn solve(problem: &dyn Problem, start: &[f64], options: &Options<'_>) -> Result<Solution, SolveError> {
     let (x, summary, fits) = descended(problem, start, options)?;
     let (identifiability, covariance) = at_solution(problem, x.as_slice(), options, &fits)?;

@@ -17,32 +17,32 @@ pub enum LossName {
     GemanMcclure,
 }
 
-/// Quantile of the squared norm of `rows` standard normal numbers, by that of a single one (Wilson and Hilferty 1931).
+/// Quantile of the squared norm of `rows` standard normal variables, from that of one variable (Wilson and Hilferty 1931).
 pub(super) fn squared_norm_quantile(rows: usize, normal: f64) -> f64 {
     let n = rows as f64;
     let ninth = 2.0 / (9.0 * n);
     n * (1.0 - ninth + normal * ninth.sqrt()).powi(3)
 }
 
-/// How a sample's squared norm enters the cost. Scales are in the residual's own (whitened) unit.
+/// Contribution of a sample's squared norm to the cost. Scales are in the residual's (whitened) unit.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub enum Loss {
-    /// Plain least squares.
+    /// Least squares without a robust loss.
     #[default]
     Squared,
     /// Quadratic up to `scale`, linear beyond (Huber 1964).
     Huber {
-        /// Where it turns linear.
+        /// Norm at which it becomes linear.
         scale: f64,
     },
     /// `c^2 ln(1 + s / c^2)`.
     Cauchy {
-        /// c.
+        /// The constant `c`, as a norm of the residual.
         scale: f64,
     },
-    /// `c^2 s / (c^2 + s)`: bounded, so a gross outlier has no pull (Geman and McClure 1985).
+    /// `c^2 s / (c^2 + s)`: bounded, so that a gross outlier has almost no weight (Geman and McClure 1985).
     GemanMcClure {
-        /// c.
+        /// The constant `c`, as a norm of the residual.
         scale: f64,
     },
 }
@@ -70,15 +70,15 @@ impl Loss {
         }
     }
 
-    /// The loss of a sample of `rows` residuals where this one is that of samples of `usual`: as few clean ones are beyond its
-    /// scale.
+    /// The loss for samples of `rows` residuals if this one is for samples of `usual` residuals: the same part of clean samples
+    /// is beyond its scale.
     pub(super) fn of_rows(self, rows: usize, usual: usize) -> Self {
         /// Standard normal quantile of 0.99.
         const BEYOND: f64 = 2.326;
         self.widened((squared_norm_quantile(rows, BEYOND) / squared_norm_quantile(usual, BEYOND)).sqrt())
     }
 
-    /// The same loss with its scale multiplied.
+    /// The loss with its scale multiplied by `factor`.
     pub fn widened(self, factor: f64) -> Self {
         match self {
             Self::Squared => Self::Squared,
@@ -88,7 +88,7 @@ impl Loss {
         }
     }
 
-    /// The scale, none for plain least squares.
+    /// The scale; `None` for plain least squares.
     pub fn scale(self) -> Option<f64> {
         match self {
             Self::Squared => None,

@@ -1,9 +1,9 @@
-//! Nonlinear least squares over samples: a solve that says why it ended, what it could identify and how well.
+//! Nonlinear least squares over samples. A solution contains the reason of termination, identifiability and covariance.
 //!
-//! It knows residuals, Jacobians, priors and names of columns, nothing of robots. Each sample's small dense block is
-//! added into the normal matrix; no tall matrix is stored. At the solution the blocks are folded once more into a
-//! triangle by orthogonal transformations, from which rank, dependent groups and covariance are read: the normal
-//! matrix itself would square the condition number.
+//! The solver works on residuals, Jacobians, priors and names of columns, and is independent of robots. Each sample's small
+//! dense block is added to the normal matrix; no tall matrix is stored. At the solution the blocks are reduced once more to a
+//! triangle by orthogonal transformations. Rank, dependent groups and covariance are computed from it, because the normal
+//! matrix would square the condition number.
 
 mod information;
 mod kernel;
@@ -32,12 +32,12 @@ pub use robust::{GoodShare, Schedule, minimise_robust};
 pub use subset::Subset;
 pub use watch::{Progress, Watch};
 
-/// Knowledge of one column apart from the samples: `x[column] = value +- sigma`, one extra residual row.
+/// Prior on one column, independent of the samples: `x[column] = value +- sigma`, one additional residual row.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Prior {
     /// Column of the free parameters.
     pub column: usize,
-    /// Expected value.
+    /// Expected value, in the parameter's unit.
     pub value: f64,
     /// Standard deviation, in the parameter's unit.
     pub sigma: f64,
@@ -51,10 +51,10 @@ pub trait Problem: Sync {
     /// Name of a column, for messages and reports.
     fn column_name(&self, column: usize) -> String;
 
-    /// Number of samples.
+    /// Number of samples of the problem.
     fn samples(&self) -> usize;
 
-    /// Residual rows of a sample, at most. Scales of losses are those of a sample with as many.
+    /// Largest number of residual rows of a sample. Scales of losses are for samples with this number.
     fn rows(&self) -> usize;
 
     /// Residual rows of one sample.
@@ -62,38 +62,39 @@ pub trait Problem: Sync {
         self.rows()
     }
 
-    /// The sample is knowledge from elsewhere: it belongs to no fold, and counts whichever fold is left out.
+    /// Whether the sample is prior knowledge: it is in no fold, and is included whichever fold is held out.
     fn is_known(&self, _sample: usize) -> bool {
         false
     }
 
-    /// Priors on columns.
+    /// Priors on some columns.
     fn priors(&self) -> &[Prior] {
         &[]
     }
 
-    /// Residuals and Jacobians at `x`. What depends on `x` alone is computed here; each thread has a linearisation of its own.
+    /// Residuals and Jacobians at `x`. Quantities that depend only on `x` are computed here; each thread has its own
+    /// linearisation.
     fn at<'a>(&'a self, x: &[f64]) -> Linearisation<'a>;
 }
 
-/// Writes residual and Jacobian of the sample of this number; the block comes filled with zeros.
+/// Writes residual and Jacobian of the sample of this number; both are zero on entry.
 ///
-/// False where the sample has no value at this point (its time is outside the other log). A sample that has none at the start
-/// is left out and counted; a step that loses one later is refused.
+/// Returns false if the sample has no value at this point, for example because its time is outside the other log. A sample
+/// without a value at the start is left out and counted; a step after which another sample has none is refused.
 pub type Linearisation<'a> = Box<dyn FnMut(usize, &mut [f64], &mut Block<'_>) -> bool + 'a>;
 
-/// Why there is no solution.
+/// Why a solve has no result.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SolveError {
-    /// Start and columns do not fit.
+    /// The start does not have one value for each column.
     #[error("the start has {found} values for {expected} free parameters; give one for each")]
     StartLength {
-        /// Values given.
+        /// Number of given values.
         found: usize,
-        /// Free parameters.
+        /// Number of free parameters.
         expected: usize,
     },
-    /// Nothing to solve for.
+    /// No parameter is free.
     #[error("no parameter is free; free at least one")]
     NothingFree,
     /// No sample is usable at the start.
@@ -101,26 +102,26 @@ pub enum SolveError {
         "none of the {samples} samples has a value at the start; check that the two logs overlap in time"
     )]
     NoSamples {
-        /// Samples offered.
+        /// Number of samples of the problem.
         samples: usize,
     },
-    /// A residual or derivative is not a number.
+    /// A residual or derivative is not finite.
     #[error(
         "sample {sample} gives a residual or derivative that is not finite at the start; check its input"
     )]
     NotFinite {
-        /// Sample, from 0.
+        /// Number of the sample, from 0.
         sample: usize,
     },
-    /// The estimates depend on each other.
+    /// The estimated columns are linearly dependent.
     #[error(
         "the columns that are estimated depend on each other; hold more of them, or measure more varied poses"
     )]
     Dependent,
-    /// Who looked on ended it.
+    /// Cancelled by the observer.
     #[error("the solve was cancelled after {iterations} iterations; there is no result")]
     Cancelled {
-        /// Accepted steps.
+        /// Number of accepted steps.
         iterations: usize,
     },
 }

@@ -1,4 +1,4 @@
-//! What a solve is asked, and what it answers.
+//! Options and results of a solve.
 
 use std::fmt;
 use std::num::NonZeroUsize;
@@ -7,29 +7,30 @@ use super::information::covariance::{Covariance, Noise};
 use super::information::identifiability::{Identifiability, Unidentifiable};
 use super::{Loss, Watch};
 
-/// When to stop and what to assume.
+/// Termination criteria and assumptions.
 #[derive(Debug, Clone, Copy)]
 pub struct Options<'a> {
     /// Loss of each sample.
     pub loss: Loss,
-    /// Accepted steps at most.
+    /// Highest number of accepted steps.
     pub iterations_max: usize,
-    /// Stop where the scaled step is this part of the scaled parameters.
+    /// Stop if the norm of the scaled step, relative to that of the scaled parameters, is at most this.
     pub step_tolerance: f64,
-    /// Stop where the decrease that a step promises is this part of the cost.
+    /// Stop if the decrease that a step predicts, relative to the cost, is at most this.
     pub cost_tolerance: f64,
-    /// Stop where the cosine between residual and every column is below this.
+    /// Stop if the cosine between the residual and every column is at most this.
     pub gradient_tolerance: f64,
-    /// First damping, relative to the scaled normal matrix. Small: the start is good to millimetres, and a larger one
-    /// would hold back exactly the weak directions.
+    /// Initial damping, relative to the scaled normal matrix. Small, because the start is accurate to millimetres, and a larger
+    /// damping would suppress steps along the weak directions.
     pub damping_start: f64,
     /// Singular values of the column-scaled Jacobian below this part of the largest count as zero.
     pub rank_tolerance: f64,
-    /// What residuals are worth.
+    /// Assumed noise of the residuals.
     pub noise: Noise,
-    /// Threads at most; none: as many as the problem's size makes pay. The result is the same with any number.
+    /// Highest number of threads; `None`: as many as are efficient for the size of the problem. The result does not depend on
+    /// it.
     pub threads: Option<NonZeroUsize>,
-    /// Who looks on and may end it.
+    /// Observer that may cancel the solve.
     pub watch: Option<&'a dyn Watch>,
 }
 
@@ -50,12 +51,12 @@ impl Default for Options<'_> {
     }
 }
 
-/// Why the solve ended.
+/// Why the solve ended, at a minimum or not.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Termination {
-    /// Steps became as small as asked.
+    /// The step is within `step_tolerance`.
     SmallStep,
-    /// The cost no longer falls.
+    /// The predicted decrease of the cost is negligible.
     SmallDecrease,
     /// Residual and columns are orthogonal.
     SmallGradient,
@@ -63,12 +64,12 @@ pub enum Termination {
     ZeroResidual,
     /// The limit of iterations was reached first.
     IterationLimit,
-    /// No damping gives a lower cost: derivatives are wrong or the problem is rounding.
+    /// No damping gives a lower cost: the derivatives are wrong, or the problem is dominated by rounding errors.
     NoDecrease,
 }
 
 impl Termination {
-    /// The solve ended at a minimum.
+    /// Whether the solve ended at a minimum.
     pub fn converged(self) -> bool {
         !matches!(self, Self::IterationLimit | Self::NoDecrease)
     }
@@ -87,14 +88,14 @@ impl fmt::Display for Termination {
     }
 }
 
-/// How the solve went.
+/// Iterations, cost and residuals of a solve.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Summary {
-    /// Why it ended.
+    /// Why the solve ended.
     pub termination: Termination,
-    /// Accepted steps.
+    /// Number of accepted steps.
     pub iterations: usize,
-    /// Passes over all samples.
+    /// Number of passes over all samples.
     pub evaluations: usize,
     /// Half the sum of losses and squared prior residuals at the start.
     pub cost_start: f64,
@@ -104,13 +105,13 @@ pub struct Summary {
     pub residual_rms_start: f64,
     /// The same at the end.
     pub residual_rms: f64,
-    /// Samples that took part.
+    /// Number of samples in use.
     pub samples_used: usize,
-    /// Samples without a value at the start.
+    /// Number of samples without a value at the start.
     pub samples_left_out: usize,
 }
 
-/// A solve ended elsewhere than at a minimum.
+/// The solve did not end at a minimum.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[error(
     "the solve did not converge ({}, {} iterations, residual RMS {:.3e}); the robot, the instrument or the log may be \
@@ -118,42 +119,42 @@ pub struct Summary {
     summary.termination, summary.iterations, summary.residual_rms
 )]
 pub struct NotConverged {
-    /// How it went.
+    /// Summary of the solve that failed.
     pub summary: Summary,
 }
 
 impl Summary {
-    /// Nothing, if the solve ended at a minimum.
+    /// Checks that the solve ended at a minimum.
     ///
     /// # Errors
-    /// [`NotConverged`].
+    /// [`NotConverged`] if it did not.
     pub fn require_converged(&self) -> Result<(), NotConverged> {
         if self.termination.converged() { Ok(()) } else { Err(NotConverged { summary: *self }) }
     }
 }
 
-/// A solve's outcome.
+/// Result of a solve.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Solution {
-    /// Free parameters.
+    /// Values of the free parameters at the minimum.
     pub x: Vec<f64>,
-    /// How it went.
+    /// Iterations, cost and residuals.
     pub summary: Summary,
-    /// What the samples could identify.
+    /// Which parameters the samples determine.
     pub identifiability: Identifiability,
-    /// How well.
+    /// Uncertainty of the parameters.
     pub covariance: Covariance,
-    /// The loss that had the last word.
+    /// Loss of the last iterations.
     pub loss: Loss,
-    /// Weight that the loss gave each sample, zero where left out.
+    /// Weight of each sample by the loss, zero if left out.
     pub sample_weights: Vec<f64>,
 }
 
 impl Solution {
-    /// The solution if every free parameter is identified.
+    /// Returns the solution if every free parameter is identified.
     ///
     /// # Errors
-    /// Names the columns that are not.
+    /// [`Unidentifiable`] names the columns that are not.
     pub fn identified(self) -> Result<Self, Unidentifiable> {
         self.identifiability.require_full()?;
         Ok(self)

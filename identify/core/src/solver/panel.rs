@@ -1,10 +1,10 @@
-//! Samples gathered into a short panel of rows, which is folded into a normal matrix or a triangle when it is full.
+//! Samples collected in a short panel of rows. A full panel is reduced to a normal matrix or a triangle.
 
 use nalgebra::DMatrix;
 
 use super::kernel::{self, COLUMN_STEP, ROW_STEP, Shape};
 
-/// Rows gathered before they are folded: a panel of 40 columns stays in the second-level cache.
+/// Number of rows of a panel: with 40 columns it fits into the second-level cache.
 const PANEL_ROWS: usize = 240;
 
 /// Jacobian of one sample: `rows` entries for each column.
@@ -17,14 +17,14 @@ pub struct Block<'a> {
 }
 
 impl Block<'_> {
-    /// The derivatives of all rows by one column; empty for a column that does not exist.
+    /// Derivatives of all rows by one column; empty for a column that does not exist.
     #[inline]
     pub fn column_mut(&mut self, column: usize) -> &mut [f64] {
         let start = column * self.stride + self.offset;
         self.data.get_mut(start..start + self.rows).unwrap_or_default()
     }
 
-    /// Multiplies all derivatives: a weight or a unit.
+    /// Multiplies all derivatives by a factor, such as a weight or a unit.
     pub fn scale(&mut self, factor: f64) {
         self.for_each(|value| *value *= factor);
     }
@@ -41,19 +41,19 @@ impl Block<'_> {
     }
 }
 
-/// Weighted rows of several samples, column-major: the Jacobian's columns, the residual as one more, and columns of zeros
-/// up to a full step of the kernel.
+/// Weighted rows of several samples, column-major: the columns of the Jacobian, the residual, and zero columns up to a multiple
+/// of the kernel's step.
 pub(super) struct Panel {
     data: Vec<f64>,
     stride: usize,
-    /// Columns of the Jacobian.
+    /// Number of columns of the Jacobian.
     columns: usize,
     width: usize,
-    /// Rows that a sample has at most.
+    /// Largest number of rows of a sample.
     rows_max: usize,
     capacity: usize,
     used: usize,
-    /// Each sample in use with the row after its last.
+    /// Number of each sample, and the end of its rows.
     samples: Vec<(usize, usize)>,
 }
 
@@ -79,7 +79,7 @@ impl Panel {
         self.used = 0;
     }
 
-    /// Residual and Jacobian of the next sample, so many rows of zeros. They count once [`Panel::keep`] says so.
+    /// Residual and Jacobian of the next sample, with `rows` rows of zeros. [`Panel::keep`] adds them to the rows in use.
     pub(super) fn next(&mut self, rows: usize) -> (&mut [f64], Block<'_>) {
         let offset = self.used;
         let (jacobian, rest) = self.data.split_at_mut(self.columns * self.stride);
@@ -92,13 +92,13 @@ impl Panel {
         self.samples.push((sample, self.used));
     }
 
-    /// Rows in use and zeros up to a full step; Jacobian and residual, without the columns of zeros.
+    /// Rows in use, padded to a multiple of the step; Jacobian and residual without zero columns.
     fn shape(&self) -> Shape {
         let rows = self.used.next_multiple_of(ROW_STEP);
         Shape { stride: self.stride, rows, columns: self.columns + 1 }
     }
 
-    /// The first sample with a number that is none.
+    /// The first sample with a number that is not finite.
     pub(super) fn not_finite(&self) -> Option<usize> {
         if kernel::is_finite(&self.data, self.shape()) {
             return None;
@@ -113,7 +113,7 @@ impl Panel {
         kernel::add_products(&self.data, Shape { columns: self.width, ..self.shape() }, sums);
     }
 
-    /// Folds Jacobian and residual into a triangle of `columns + 1` columns; the panel's numbers are lost.
+    /// Reduces Jacobian and residual to a triangle of `columns + 1` columns; overwrites the panel.
     pub(super) fn fold_into_triangle(&mut self, triangle: &mut [f64]) {
         let shape = self.shape();
         kernel::fold_into_triangle(&mut self.data, shape, triangle);
@@ -128,12 +128,12 @@ impl Panel {
     }
 }
 
-/// Columns of a panel, with the residual and padding.
+/// Number of columns of a panel, with the residual and padding.
 pub(super) fn width(columns: usize) -> usize {
     (columns + 1).next_multiple_of(COLUMN_STEP)
 }
 
-/// Folds one triangle (upper, square, column-major) into another of the same size.
+/// Adds one triangle (upper, square, column-major) to another of the same size.
 pub(super) fn fold_triangles(from: &DMatrix<f64>, into: &mut DMatrix<f64>) {
     let columns = into.ncols();
     let stride = columns.next_multiple_of(ROW_STEP);

@@ -1,7 +1,7 @@
-//! One pass over all samples, by one thread or several, with a result that does not depend on how many.
+//! One pass over all samples, with one or several threads. The result does not depend on the number of threads.
 //!
-//! Samples are cut into parts whose size depends on their number alone. Each part is folded by itself, and parts are
-//! merged in their order. Memory is that of a few dozen normal matrices and one small record per sample.
+//! Samples are divided into parts whose size depends only on the number of samples. Each part is reduced separately, and the
+//! parts are merged in order. Memory: a few dozen normal matrices, and one small record for each sample.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -12,46 +12,46 @@ use super::panel::{Panel, fold_triangles, width};
 use super::{Linearisation, Loss, Normal, Options, Problem, Progress, SolveError, Watch};
 use crate::threads::{on_threads, threads_there};
 
-/// Samples of a part, at least: about a millisecond.
+/// Least number of samples of a part: about a millisecond of work.
 const PART_SAMPLES_MIN: usize = 128;
-/// Parts at most, so that partial sums stay small whatever the input.
+/// Highest number of parts, to bound the memory of partial sums.
 const PARTS_MAX: usize = 64;
-/// Entries of the Jacobian for which another thread pays: about a millisecond of work against some 50 us to start one.
+/// Entries of the Jacobian for each additional thread: about a millisecond of work, against some 50 us to start a thread.
 const ENTRIES_PER_THREAD: usize = 1 << 17;
 
-/// What one sample is worth in a pass.
+/// Residual, loss and weight of one sample in a pass.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct SampleFit {
     /// The sample has a value here.
     pub(super) present: bool,
     /// Squared norm of its residual, unweighted.
     pub(super) squared: f64,
-    /// What the robust loss makes of it.
+    /// Robust loss of the squared norm.
     pub(super) cost: f64,
     /// Weight of the robust loss.
     pub(super) weight: f64,
-    /// Entries of its residual.
+    /// Number of entries of its residual.
     pub(super) rows: usize,
 }
 
-/// Entries of the residuals that take part, each as much as its weight.
+/// Number of residual entries of the samples in use, each counted with its weight.
 pub(super) fn weighed_rows(fits: &[SampleFit]) -> f64 {
     fits.iter().map(|fit| fit.weight * fit.rows as f64).sum()
 }
 
-/// Why a pass over the samples was given up.
+/// Why a pass over the samples ended early.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum PassError {
-    /// A sample that takes part has no value here.
+    /// A sample in use has no value at this point.
     Lost,
     /// A residual or derivative of this sample is not finite.
     NotFinite(usize),
-    /// Who looks on said stop.
+    /// Cancelled by the observer.
     Cancelled,
 }
 
 impl PassError {
-    /// What it means for a solve that begins.
+    /// The error of a solve whose first pass fails.
     pub(super) fn at_start(self, samples: usize) -> SolveError {
         match self {
             Self::NotFinite(sample) => SolveError::NotFinite { sample },
@@ -61,25 +61,25 @@ impl PassError {
     }
 }
 
-/// Which samples take part.
+/// Samples that a pass uses.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Taking<'a> {
-    /// All that have a value: the first pass, which decides.
+    /// All samples with a value: the first pass, which determines the set.
     WhatIsThere,
-    /// Exactly these.
+    /// Exactly the samples that are present in these fits.
     These(&'a [SampleFit]),
 }
 
-/// What becomes of the rows of a part.
+/// Reduction of the rows of a part.
 pub(super) trait Fold: Send {
-    /// Takes a panel of rows, whose numbers it may destroy, or names the sample whose are not finite.
+    /// Adds a panel of rows, which it may overwrite; an error names a sample that is not finite.
     fn fold(&mut self, panel: &mut Panel) -> Result<(), PassError>;
 
-    /// Adds the samples that come next.
+    /// Adds the reduction of the samples that follow.
     fn merge(&mut self, later: Self);
 }
 
-/// Nothing: only the fits of the samples are wanted.
+/// No reduction: only the fits of the samples are needed.
 impl Fold for () {
     fn fold(&mut self, panel: &mut Panel) -> Result<(), PassError> {
         require_finite(panel)
@@ -99,7 +99,7 @@ impl Products {
         Self { columns, sums: vec![0.0; width(columns).pow(2)] }
     }
 
-    /// The normal equations of rows that count as `rows` entries.
+    /// Normal equations of the rows, whose weighted number is `rows`.
     pub(super) fn normal(&self, rows: f64) -> Normal {
         let side = width(self.columns);
         let product = |i: usize, j: usize| self.sums[i.min(j) * side + i.max(j)];
@@ -116,7 +116,7 @@ impl Products {
 impl Fold for Products {
     fn fold(&mut self, panel: &mut Panel) -> Result<(), PassError> {
         panel.add_products(&mut self.sums);
-        // The squared length of a column tells of each of its numbers.
+        // The squared norm of a column is finite only if all its entries are.
         let side = width(self.columns);
         let mut squares = self.sums.iter().step_by(side + 1);
         if squares.all(|square| square.is_finite()) { Ok(()) } else { require_finite(panel) }
@@ -154,7 +154,7 @@ impl Fold for Triangle {
     }
 }
 
-/// All rows, as they are.
+/// All rows without reduction.
 #[derive(Default)]
 pub(super) struct Rows {
     residual: Vec<f64>,
@@ -174,21 +174,21 @@ impl Fold for Rows {
     }
 }
 
-/// One pass: where, which samples, and how much each counts.
+/// One pass: point, samples, loss and threads.
 pub(super) struct Pass<'a> {
     pub(super) problem: &'a dyn Problem,
     pub(super) x: &'a [f64],
     pub(super) loss: Loss,
     pub(super) taking: Taking<'a>,
-    /// Threads at most; none: as many as pay.
+    /// Highest number of threads; `None`: as many as are efficient.
     pub(super) threads: Option<usize>,
     pub(super) watch: Option<&'a dyn Watch>,
-    /// Steps so far, for who looks on.
+    /// Accepted steps, their limit, and the cost, for the observer.
     pub(super) progress: (usize, usize, Option<f64>),
 }
 
 impl<'a> Pass<'a> {
-    /// As the options say, apart from any iteration.
+    /// A pass with these options, outside an iteration.
     pub(super) fn new(
         problem: &'a dyn Problem,
         x: &'a [f64],
@@ -206,7 +206,7 @@ impl<'a> Pass<'a> {
         }
     }
 
-    /// Folds the rows of all samples; returns each sample's fit too.
+    /// Reduces the rows of all samples; also returns each sample's fit.
     pub(super) fn run<F: Fold>(&self, new: impl Fn() -> F + Sync) -> Result<(F, Vec<SampleFit>), PassError> {
         let samples = self.problem.samples();
         let part_samples = samples.div_ceil(PARTS_MAX).max(PART_SAMPLES_MIN);
@@ -243,7 +243,7 @@ impl<'a> Pass<'a> {
         if watch.goes_on(&progress) { Ok(()) } else { Err(PassError::Cancelled) }
     }
 
-    /// The samples of one part, in their order.
+    /// Reduces the samples of one part, in order.
     fn part<F: Fold>(&self, samples: Range<usize>, mut fold: F) -> Result<(F, Vec<SampleFit>), PassError> {
         let mut linearisation = self.problem.at(self.x);
         let mut panel = Panel::new(self.problem.columns(), self.problem.rows());
@@ -261,7 +261,7 @@ impl<'a> Pass<'a> {
         Ok((fold, fits))
     }
 
-    /// Puts a sample into the panel, weighted.
+    /// Adds a weighted sample to the panel.
     fn sample(
         &self,
         linearisation: &mut Linearisation<'_>,
@@ -307,7 +307,7 @@ fn require_finite(panel: &Panel) -> Result<(), PassError> {
     panel.not_finite().map_or(Ok(()), |sample| Err(PassError::NotFinite(sample)))
 }
 
-/// Threads for a pass over all samples of a problem.
+/// Efficient number of threads for a pass over all samples of a problem.
 pub(super) fn threads_that_pay(problem: &dyn Problem) -> usize {
     let pays = problem.samples() * problem.rows() * problem.columns() / ENTRIES_PER_THREAD;
     if pays > 1 { threads_there().min(pays) } else { 1 }
@@ -318,13 +318,13 @@ fn plain<'a>(problem: &'a dyn Problem, x: &'a [f64]) -> Pass<'a> {
     Pass { problem, x, loss: Loss::Squared, taking, threads: None, watch: None, progress: (0, 0, None) }
 }
 
-/// The fit of each sample at `x`, without loss. Empty where one is not finite.
+/// Fit of each sample at `x`, without loss. Empty if one is not finite.
 pub(super) fn fits(problem: &dyn Problem, x: &[f64]) -> Vec<SampleFit> {
     plain(problem, x).run(|| ()).map(|((), fits)| fits).unwrap_or_default()
 }
 
-/// Residuals and Jacobian of all samples that have a value at `x`, stacked, without loss and priors: for looking at,
-/// and for other solvers. None where one of them is not finite.
+/// Residuals and Jacobian of all samples that have a value at `x`, stacked, without loss and priors: for inspection and for
+/// other solvers. `None` if one of them is not finite.
 pub fn stacked(problem: &dyn Problem, x: &[f64]) -> Option<(DVector<f64>, DMatrix<f64>)> {
     let (rows, _) = plain(problem, x).run(Rows::default).ok()?;
     let count = rows.residual.len();

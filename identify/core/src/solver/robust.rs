@@ -1,24 +1,24 @@
-//! The one robust schedule: a loss whose scale follows the spread of the residuals down.
+//! The robust schedule of all solves: a loss whose scale decreases with the spread of the residuals.
 //!
-//! At the start residuals show errors of the model, not outliers, and a narrow bounded loss has a minimum at every wrong
-//! start. A Cauchy loss at the scale of what most samples leave, narrowed as that falls, keeps outliers behind (graduated
-//! non-convexity, Blake and Zisserman 1987, with the data's own schedule). The loss asked for has the last word.
+//! At the start, residuals show errors of the model rather than outliers, and a narrow bounded loss has many local minima. The
+//! schedule uses a Cauchy loss at the scale of the residuals of most samples, and narrows it as these decrease (graduated
+//! non-convexity, Blake and Zisserman 1987, with a schedule from the data). The requested loss is used in the last solve.
 
 use super::loss::squared_norm_quantile;
 use super::pass::fits;
 use super::{Loss, LossName, Options, Problem, SolveError, Summary, minimise};
 
-/// Standard normal quantiles of 0.95 and 0.99: beyond the scale of a loss on the way, and of the last one.
+/// Standard normal quantiles of 0.95 and 0.99, which define the scale of intermediate losses and of the last one.
 const ON_THE_WAY: f64 = 1.645;
 const LAST: f64 = 2.326;
-/// Accepted steps between two looks at the spread.
+/// Accepted steps between two estimates of the spread.
 const STEPS_BETWEEN: usize = 2;
-/// The spread has settled when it falls by less than this part.
+/// The spread has converged when it decreases by less than this part.
 const SETTLED: f64 = 0.02;
-/// Residuals below this are rounding: there is nothing to be robust against.
+/// Residuals below this are rounding errors: no robust loss is needed.
 const SPREAD_MIN: f64 = 1e-12;
 
-/// A share of the samples that is taken as good, with its standard normal quantile.
+/// Part of the samples that is assumed to be good, with its standard normal quantile.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GoodShare {
     share: f64,
@@ -26,13 +26,13 @@ pub struct GoodShare {
 }
 
 impl GoodShare {
-    /// Half of the samples may be wrong.
+    /// Half of the samples: the others may be wrong.
     pub const HALF: Self = Self { share: 0.5, normal: 0.0 };
-    /// All but gross outliers.
+    /// Nine tenths of the samples: all except gross outliers.
     pub const NINE_TENTHS: Self = Self { share: 0.9, normal: 1.2816 };
 
-    /// Standard deviation of a residual, from samples given by their squared norm and how many residuals they have; zero of
-    /// none.
+    /// Standard deviation of a residual, from the squared norm and the number of residuals of each sample; zero without
+    /// samples.
     pub fn spread(self, samples: impl Iterator<Item = (f64, usize)>) -> f64 {
         let mut variances: Vec<f64> =
             samples.map(|(squared, rows)| squared / squared_norm_quantile(rows, self.normal)).collect();
@@ -49,25 +49,25 @@ impl GoodShare {
     }
 }
 
-/// How the scale is narrowed.
+/// How the scale of the loss is narrowed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Schedule {
-    /// Samples taken as good at the start, and later.
+    /// Assumed part of good samples, at the start and later.
     pub good: [GoodShare; 2],
-    /// The scale falls by at most this factor from round to round: a faster fall ends with those samples that fit by chance.
+    /// Lowest ratio of consecutive scales: a faster decrease can converge to samples that fit by chance.
     pub narrowing: f64,
-    /// Where the scale has settled, a loss narrower by `narrowing` is tried: it found another minimum where it lowers the
-    /// spread to this part. None: it is not tried.
+    /// After convergence a loss narrower by `narrowing` is tried: it has found another minimum if it reduces the spread to this
+    /// part or less. `None`: it is not tried.
     pub sharper: Option<f64>,
-    /// Rounds at most.
+    /// Highest number of rounds.
     pub rounds_max: usize,
 }
 
 impl Schedule {
-    /// Half of the samples good all along.
+    /// Half of the samples are assumed to be good throughout.
     const USUAL: Self = Self { good: [GoodShare::HALF; 2], narrowing: 0.0, sharper: None, rounds_max: 20 };
 
-    /// Parameters and standard deviation of a residual where the spread has settled. `solve` improves parameters with a loss
+    /// Parameters and standard deviation of a residual when the spread has converged. `solve` improves parameters with a loss
     /// for that standard deviation ([`LossName::Cauchy`], [`Loss::on_the_way`]).
     ///
     /// # Errors
@@ -102,14 +102,14 @@ impl Schedule {
 }
 
 impl Loss {
-    /// The loss of a schedule's rounds, for samples of `rows` residuals of this standard deviation.
+    /// Intermediate loss of a schedule, for samples of `rows` residuals with this standard deviation.
     pub fn on_the_way(sigma: f64, rows: usize) -> Self {
         Self::Cauchy { scale: sigma * squared_norm_quantile(rows, ON_THE_WAY).sqrt() }
     }
 }
 
 impl LossName {
-    /// The loss for samples of `rows` residuals of this standard deviation: one clean sample in a hundred is beyond its scale.
+    /// Loss for samples of `rows` residuals with this standard deviation: one clean sample in a hundred is beyond its scale.
     pub fn for_spread(self, sigma: f64, rows: usize) -> Loss {
         let scale = sigma * squared_norm_quantile(rows, LAST).sqrt();
         match self {
@@ -121,7 +121,7 @@ impl LossName {
         }
     }
 
-    /// The loss with the scale of the residuals at `x`, where the spread has settled already.
+    /// The loss with the scale of the residuals at `x`, for an `x` at which the spread has converged.
     pub fn settled(self, problem: &dyn Problem, x: &[f64]) -> Loss {
         if self == Self::None {
             return Loss::Squared;
@@ -130,7 +130,7 @@ impl LossName {
     }
 }
 
-/// Parameters of a solve with a loss whose scale is found on the way, without a word on rank and covariance.
+/// Minimises with a loss whose scale is estimated during the solve; computes no rank and covariance.
 ///
 /// # Errors
 /// As [`minimise`].

@@ -1,12 +1,12 @@
-//! A part of a problem's samples as a problem of its own.
+//! A part of a problem's samples as a separate problem.
 
 use super::{Linearisation, Prior, Problem};
 
 /// Some samples of a problem, with all of its columns and priors.
 pub struct Subset<'p> {
-    /// The whole.
+    /// The problem that contains the samples.
     pub of: &'p dyn Problem,
-    /// Numbers of its samples, in the order in which they come here.
+    /// Numbers of the selected samples, in the order of the subset.
     pub samples: Vec<usize>,
 }
 

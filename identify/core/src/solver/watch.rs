@@ -1,30 +1,30 @@
-//! Looking on while a solve goes on, and ending it.
+//! Observation and cancellation of a running solve.
 
 use std::fmt;
 
-/// How far a solve has come.
+/// Progress of a solve.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Progress {
-    /// Accepted steps so far.
+    /// Number of accepted steps so far.
     pub iteration: usize,
-    /// Steps at most.
+    /// Highest number of steps.
     pub iterations_max: usize,
-    /// Cost where the solve stands; none before the first pass over the samples is through.
+    /// Cost at the current point; `None` before the first pass over the samples ends.
     pub cost: Option<f64>,
-    /// Samples of this pass that are done.
+    /// Number of samples completed in this pass.
     pub samples_done: usize,
-    /// Samples of a pass.
+    /// Number of samples of a pass.
     pub samples: usize,
 }
 
-/// Someone who looks on: a progress bar, a button that says stop.
+/// An observer, such as a progress bar with a stop button.
 pub trait Watch: fmt::Debug + Sync {
-    /// A part of the work begins; `stage` names it in a few words.
+    /// Called when a stage of the work begins; `stage` is a short description.
     fn begins(&self, stage: &str) {
         let _ = stage;
     }
 
-    /// Called whenever a part of the samples (a millisecond to some tens of them) is done, by the thread that did it.
-    /// False ends the solve with [`super::SolveError::Cancelled`].
+    /// Called after each part of the samples (one millisecond to some tens of them), by the thread that computed it. Returns
+    /// false to end the solve with [`super::SolveError::Cancelled`].
     fn goes_on(&self, progress: &Progress) -> bool;
 }

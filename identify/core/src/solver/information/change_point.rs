@@ -1,20 +1,20 @@
-//! What changes during a run: a parameter that steps at an unknown instant, or drifts.
+//! Changes during a run: a parameter with a step at an unknown instant, or with a drift.
 //!
-//! A change is a few more columns of the problem, those of the parameters that change, each times a course in time: zero
-//! before an instant and one from it on, or a ramp. With `C` these columns, `J` those of what was estimated, `N = J'J` with the
-//! priors, `g = J'r`, `n = J'C`, `s = C'C` and `p = C'r`, the problem solved anew with it has the change
-//! `b = -S^-1 (p - n' N^-1 g)`, `S = s - n' N^-1 n`, and `(p - n' N^-1 g)' S^-1 (p - n' N^-1 g)` less squares (score test, Rao
-//! 1948): all else that is estimated takes its share first, so that neither an uneven motion nor a solve that ended early passes
-//! for a change.
+//! A change adds columns to the problem: those of the parameters that change, each multiplied by its course in time, which is a
+//! step (zero before an instant, one after it) or a ramp. With `C` these columns, `J` those of the estimated parameters, `N =
+//! J'J` with the priors, `g = J'r`, `n = J'C`, `s = C'C` and `p = C'r`, the solution of the extended problem has the change `b
+//! = -S^-1 (p - n' N^-1 g)`, `S = s - n' N^-1 n`, and a sum of squares that is lower by `(p - n' N^-1 g)' S^-1 (p - n' N^-1 g)`
+//! (score test, Rao 1948). The other parameters are estimated again with the change, so neither an uneven motion nor an early
+//! end of the solve is mistaken for a change.
 //!
-//! Whether it is one, its own uncertainty decides, and residuals are not independent: errors of gears and encoders last for
-//! seconds. So their scatter is measured, not assumed, from the sums over blocks of the run, in two ways. `pooled`: how much
-//! more the blocks' scores scatter than independent noise does, in the mean of all blocks. `clustered`: the scatter of what
-//! each block adds to this change (Liang and Zeger 1986, each block's pull on the fit taken out as by Bell and McCaffrey 2002),
-//! with as many degrees of freedom as blocks share in it; it holds where the noise is not the same all along. Each is taken of
-//! blocks and of several neighbours as one, for errors that last longer, and the one that is least sure of the change counts
-//! (Student's t, and Hotelling's for changes of several numbers). All instants and alternatives are tried, so each has its
-//! part of the rate of false alarms (Bonferroni).
+//! A change is significant relative to its own uncertainty, and residuals are not independent: errors of gears and encoders are
+//! correlated over seconds. Their scatter is therefore estimated from sums over blocks of the run, in two ways. `pooled`: ratio
+//! of the scatter of the blocks' scores to that of independent noise, averaged over all blocks. `clustered`: scatter of the
+//! contributions of the blocks to this change (Liang and Zeger 1986; the influence of each block on the fit is removed as by
+//! Bell and McCaffrey 2002), with as many degrees of freedom as blocks contribute; it is valid if the noise varies along the
+//! run. Both are computed for single blocks and for groups of neighbouring blocks, to cover longer correlations. The least
+//! significant result counts (Student's t, and Hotelling's for changes of several numbers). Because all instants and
+//! alternatives are tried, the rate of false alarms is divided by their number (Bonferroni).
 
 use std::ops::Range;
 
@@ -24,48 +24,48 @@ use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 use crate::solver::{Loss, Problem, ScaledCholesky, Subset, stacked};
 use crate::threads::each;
 
-/// Blocks of a run, at most.
+/// Highest number of blocks of a run.
 const BLOCKS: usize = 128;
-/// Of fewer samples their scatter would be measured too ill.
+/// Least number of samples of a block, to estimate the scatter.
 const SAMPLES_PER_BLOCK_MIN: usize = 2;
-/// Instants of a step that are tried, evenly; then each sample beside the best one.
+/// Number of evenly spaced instants of a step in the first search; the second tries each sample near the best one.
 const INSTANTS: usize = 32;
-/// Neighbouring blocks that are taken as one, for the mean over all blocks and for those that share in a change: the more, the
-/// longer errors may last, and the fewer degrees of freedom are left.
+/// Numbers of neighbouring blocks that form a group, for `pooled` and for `clustered`. Larger groups allow longer correlations,
+/// but have fewer degrees of freedom.
 const POOLED: [usize; 4] = [1, 2, 4, 8];
 const CLUSTERED: [usize; 2] = [1, 2];
-/// Of fewer groups of blocks the mean is too uncertain.
+/// Least number of groups: the mean of fewer is too uncertain.
 const GROUPS_MIN: usize = 15;
-/// With less nothing is certain.
+/// Least number of degrees of freedom for any significance.
 const FREEDOM_MIN: f64 = 3.0;
-/// Part of a column that other columns must leave of it.
+/// Least part of a column that must be independent of the other columns.
 const INDEPENDENT: f64 = 1e-4;
 
-/// How a change goes on in time.
+/// Course of a change in time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Course {
-    /// From this sample on, by its place among those that were looked at.
+    /// A step at this sample, by its index among the given samples.
     Step(usize),
-    /// Evenly over the run.
+    /// A ramp over the whole run.
     Drift,
 }
 
-/// What changed.
+/// A significant change of some columns.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Change {
-    /// Which of the alternatives.
+    /// Index of the alternative.
     pub alternative: usize,
-    /// When.
+    /// Step with its instant, or drift.
     pub course: Course,
-    /// By how much each of its columns, in their units: after a step, or from begin to end.
+    /// Change of each column, in its unit: after a step, or from begin to end of a drift.
     pub by: Vec<f64>,
-    /// Part of the squared residuals, solved anew without it, that it takes away.
+    /// Reduction of the squared residuals by the change, as a part of those of a solution without it.
     pub explained: f64,
 }
 
-/// The change that `samples`, in the order of time, show of `problem` at its solution `x` for the columns `estimated`; none
-/// where a sound run shows as much more often than in this part `false_alarms` of runs, or samples are too few. An alternative is
-/// one column or several that change together.
+/// The most significant change in `samples`, in the order of time, of `problem` at its solution `x` for the columns
+/// `estimated`. `None` if a run without changes shows as much in more than this part `false_alarms` of runs, or if there are
+/// too few samples. An alternative is one column, or several that change together.
 pub fn change_point(
     problem: &dyn Problem,
     x: &[f64],
@@ -82,7 +82,7 @@ pub fn change_point(
     let of_one = |alternative: usize| {
         let columns = &alternatives[alternative];
         let mut best: Option<(f64, Change)> = None;
-        // Were the instant not the right one, the samples between would pass for scatter.
+        // With a wrong instant, the samples between it and the right one would increase the scatter.
         let near = |at: usize| -> Vec<usize> {
             (at.saturating_sub(reach).max(1)..(at + reach).min(samples.len())).collect()
         };
@@ -93,7 +93,7 @@ pub fn change_point(
             if tried.chance() * tests > false_alarms {
                 continue;
             }
-            // By what each explains, as independent blocks would have it; the instant is one more number (Schwarz 1978).
+            // Score by the reduction, for independent blocks; the instant counts as one more parameter (Schwarz 1978).
             let groups = (run.blocks.len() / POOLED[POOLED.len() - 1]) as f64;
             let numbers = columns.len() as f64 + if course == Course::Drift { 0.0 } else { 1.0 };
             let left = (run.squared - tried.fall).max(f64::MIN_POSITIVE);
@@ -110,21 +110,21 @@ pub fn change_point(
     found.reduce(|best, other| if other.0 < best.0 { other } else { best }).map(|(_, change)| change)
 }
 
-/// A run sample by sample, weighed.
+/// Weighted residuals and Jacobian of a run.
 struct Run {
     r: DVector<f64>,
-    /// Of every column.
+    /// Jacobian of all columns.
     all: DMatrix<f64>,
-    /// Of those that were estimated.
+    /// Jacobian of the estimated columns.
     j: DMatrix<f64>,
-    /// First row of each sample that is looked at, and their end; what is known apart from them comes behind.
+    /// First row of each given sample, and the end of the last one; rows of prior knowledge follow.
     first: Vec<usize>,
-    /// Rows of each block.
+    /// Row range of each block.
     blocks: Vec<Range<usize>>,
     factor: ScaledCholesky,
     /// `N^-1 g`
     pulled: DVector<f64>,
-    /// Of the samples that are looked at, solved anew without a change.
+    /// Squared residuals of the given samples, for a solution without a change.
     squared: f64,
 }
 
@@ -144,7 +144,7 @@ impl Run {
         let shown: Vec<usize> = samples.iter().copied().chain(known).collect();
         let rows: Vec<usize> = shown.iter().map(|sample| problem.rows_of(*sample)).collect();
         let (mut r, mut all) = stacked(&Subset { of: problem, samples: shown }, x)?;
-        // A sample without a value would move all behind it.
+        // A sample without a value would shift all following rows.
         if r.len() != rows.iter().sum::<usize>() {
             return None;
         }
@@ -174,7 +174,7 @@ impl Run {
         Some(Self { r, all, j, first, blocks, factor, pulled, squared })
     }
 
-    /// The columns over a course, one row for each residual.
+    /// The changing columns multiplied by a course, one row for each residual.
     fn changing(&self, columns: &[usize], course: Course) -> DMatrix<f64> {
         let mut c = DMatrix::zeros(self.r.len(), columns.len());
         let samples = self.first.len() - 1;
@@ -192,7 +192,7 @@ impl Run {
         c
     }
 
-    /// The instant, of these in their order, whose step takes most squares away; none where every one is taken by other columns.
+    /// The instant whose step reduces the squares most; `instants` ascend. `None` if other columns explain every step.
     fn best_step(&self, columns: &[usize], instants: &[usize]) -> Option<usize> {
         let c = self.changing(columns, Course::Step(0));
         let mut sums = Sums::zeros(self.j.ncols(), columns.len());
@@ -210,7 +210,7 @@ impl Run {
     }
 }
 
-/// What a change adds to the normal equations.
+/// Terms of a change in the normal equations.
 struct Sums {
     n: DMatrix<f64>,
     s: DMatrix<f64>,
@@ -234,7 +234,7 @@ impl Sums {
         self.p += c.tr_mul(&run.r.rows(from, count));
     }
 
-    /// None where other columns leave nothing of it.
+    /// `None` if other columns explain the change.
     fn solved(&self, run: &Run) -> Option<Solved> {
         let mut taken = self.n.clone();
         for mut column in taken.column_iter_mut() {
@@ -252,7 +252,7 @@ impl Sums {
     }
 }
 
-/// A change where everything is solved anew with it.
+/// Solution of the problem with a change.
 struct Solved {
     /// `N^-1 n`
     taken: DMatrix<f64>,
@@ -260,18 +260,18 @@ struct Solved {
     stiffness: DMatrix<f64>,
     /// `b`
     by: DVector<f64>,
-    /// The squares that it takes away.
+    /// Reduction of the squared residuals.
     fall: f64,
 }
 
-/// A change and what each part of the run says of it.
+/// A change, with the contribution of each block of the run.
 struct Tried {
     by: DVector<f64>,
     fall: f64,
     stiffness: DMatrix<f64>,
-    /// What each block adds to the change's score and to its stiffness.
+    /// Contribution of each block to score and stiffness of the change.
     own: Vec<(DVector<f64>, DMatrix<f64>)>,
-    /// The same of the columns all along, as if they did not change.
+    /// The same for the columns without a course in time.
     along: Vec<(DVector<f64>, DMatrix<f64>)>,
 }
 
@@ -294,7 +294,7 @@ impl Tried {
         Some(Self { by, fall, stiffness, own, along })
     }
 
-    /// How likely a sound run shows as much at this instant.
+    /// Probability that a run without changes shows as much at this instant.
     fn chance(&self) -> f64 {
         let pooled = POOLED.iter().filter_map(|together| self.pooled(*together));
         let least_sure = pooled.reduce(f64::max).unwrap_or(1.0);
@@ -303,7 +303,7 @@ impl Tried {
         clustered.fold(least_sure, f64::max)
     }
 
-    /// None where too few groups show all of its numbers: two positions do not show how an instrument is turned.
+    /// `None` if too few groups determine all numbers: two positions do not determine the rotation of an instrument.
     fn pooled(&self, together: usize) -> Option<f64> {
         let scatter: Vec<f64> = summed(&self.along, together)
             .into_iter()
@@ -337,7 +337,7 @@ impl Tried {
     }
 }
 
-/// So many neighbours as one.
+/// Sums over groups of this number of neighbouring blocks.
 fn summed(blocks: &[(DVector<f64>, DMatrix<f64>)], together: usize) -> Vec<(DVector<f64>, DMatrix<f64>)> {
     let sum = |group: &[(DVector<f64>, DMatrix<f64>)]| {
         let mut group = group.iter().cloned();
@@ -347,7 +347,7 @@ fn summed(blocks: &[(DVector<f64>, DMatrix<f64>)], together: usize) -> Vec<(DVec
     blocks.chunks(together).filter_map(sum).collect()
 }
 
-/// Probability that Hotelling's T squared of so many numbers is larger.
+/// Probability that Hotelling's T squared of this number of variables exceeds `squared`.
 fn tail(squared: f64, numbers: usize, freedom: f64) -> f64 {
     let numbers = numbers as f64;
     let left = freedom - numbers + 1.0;

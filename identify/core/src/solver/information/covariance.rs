@@ -1,11 +1,11 @@
-//! How well the identified parameters are known.
+//! Uncertainty of the identified parameters.
 //!
-//! First order: the covariance of least squares with independent noise of equal size on the (weighted) residual rows,
-//! `s^2 (J^T J)^-1`, from singular values, never from the inverted normal matrix. It says nothing of effects that
-//! the model leaves out. Priors count as measurements. Parameters that only appear in combinations have none.
+//! To first order: the covariance of least squares with independent noise of equal size on the (weighted) residual rows,
+//! `s^2 (J^T J)^-1`, from singular values, never from the inverted normal matrix. It does not include effects that the model
+//! omits. Priors count as measurements. Parameters that are only determined in combinations have no covariance.
 //!
-//! Whatever it rests on, a covariance is `S S^T`, where each column of `S` is what one source of uncertainty contributes:
-//! the errors of some samples, a prior, or the value of a parameter that was not estimated.
+//! Every covariance is represented as `S S^T`, where each column of `S` is the contribution of one source of uncertainty: the
+//! errors of some samples, a prior, or the value of a parameter that was not estimated.
 
 use std::fmt;
 
@@ -17,12 +17,12 @@ use super::identifiability::ScaledSpectrum;
 use crate::solver::Problem;
 use crate::solver::pass::{SampleFit, weighed_rows};
 
-/// What a residual row is worth.
+/// Standard deviation of a residual row.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Noise {
-    /// Residuals are whitened: standard deviation one.
+    /// One: the residuals are whitened.
     Known,
-    /// All rows have one unknown standard deviation, estimated from what is left at the solution.
+    /// Unknown, equal for all rows, and estimated from the residuals at the solution.
     Estimated,
 }
 
@@ -50,22 +50,22 @@ impl Noise {
     }
 }
 
-/// What standard deviations rest on.
+/// Assumption behind standard deviations.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum SigmasFrom {
-    /// Noise that is independent from sample to sample: too small where errors last for many samples.
+    /// Noise is independent from sample to sample: too small if errors are correlated over many samples.
     #[default]
     IndependentNoise,
-    /// How much the solution moves where one of so many folds is left out.
+    /// Jackknife: change of the solution when one of several folds is left out.
     Jackknife {
-        /// Folds that were left out in turn.
+        /// Number of folds that were left out in turn.
         folds: usize,
     },
 }
 
 impl SigmasFrom {
-    /// Degrees of freedom of Student's t; none where sigmas are as good as known.
+    /// Degrees of freedom of Student's t; `None` if the standard deviations count as known.
     pub fn freedom(self) -> Option<f64> {
         match self {
             Self::IndependentNoise => None,
@@ -73,13 +73,13 @@ impl SigmasFrom {
         }
     }
 
-    /// Standard deviations on either side of a value between which the true one lies with 95 %: 1.96, more where few folds
-    /// tell the sigma.
+    /// Half-width of a 95 % confidence interval, in standard deviations: 1.96, or more if the standard deviation is estimated
+    /// from few folds.
     pub fn sigmas_of_95(self) -> f64 {
         self.sigmas_within(0.05)
     }
 
-    /// Standard deviations on either side of a value between which the true one lies, but for this chance.
+    /// Half-width, in standard deviations, of an interval that misses the true value with probability `chance`.
     pub fn sigmas_within(self, chance: f64) -> f64 {
         let student = self.freedom().and_then(|freedom| StudentsT::new(0.0, 1.0, freedom).ok());
         let upper = 1.0 - 0.5 * chance;
@@ -98,50 +98,50 @@ impl fmt::Display for SigmasFrom {
     }
 }
 
-/// What makes a solution uncertain.
+/// A source of uncertainty of a solution.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Source {
-    /// Errors of all samples, with the priors.
+    /// Errors of all samples and the priors, not separated.
     Together,
     /// Errors of the samples of a data set, from 0.
     Samples {
-        /// Its number.
+        /// Index of the data set, from 0.
         data_set: usize,
     },
     /// The prior of a column.
     Prior {
-        /// Which.
+        /// Column with the prior.
         column: usize,
     },
-    /// What is known from elsewhere and takes part as samples.
+    /// Prior knowledge that is included as samples.
     Known,
-    /// Terms that were left out of the solution and may be there.
+    /// Terms that were left out of the solution although they may be present.
     LeftOut,
-    /// The value of a parameter that was considered, not estimated.
+    /// The value of a considered parameter, which is not estimated.
     Considered {
-        /// Its column in the covariance, after those of the solution.
+        /// Column in the covariance, after those of the solution.
         column: usize,
     },
 }
 
 impl Source {
-    /// Known from the scatter of samples (type A of the GUM), and not from what somebody states (type B).
+    /// Whether it is estimated from the scatter of samples (type A of the GUM) rather than stated (type B).
     pub const fn is_statistical(self) -> bool {
         matches!(self, Self::Together | Self::Samples { .. })
     }
 }
 
-/// `S` and where its columns come from.
+/// The matrix `S` and the source of each column.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Spread {
-    /// One standard deviation of each source in a column, in the parameters' units.
+    /// Each column is one standard deviation of a source, in the parameters' units.
     pub by_source: DMatrix<f64>,
-    /// Of each column.
+    /// Source of each column.
     pub sources: Vec<Source>,
 }
 
 impl Spread {
-    /// One row for each parameter.
+    /// From the contributions of the sources, which have one row for each parameter.
     pub fn new(parameters: usize, columns: &[(Source, DVector<f64>)]) -> Self {
         let mut by_source = DMatrix::zeros(parameters, columns.len());
         for (mut column, (_, one)) in by_source.column_iter_mut().zip(columns) {
@@ -150,7 +150,7 @@ impl Spread {
         Self { by_source, sources: columns.iter().map(|(source, _)| *source).collect() }
     }
 
-    /// One more source, one standard deviation of it.
+    /// Adds a source with the contribution of one standard deviation.
     pub fn add(&mut self, source: Source, one: &DVector<f64>) {
         let known = self.sources.len();
         self.by_source.resize_horizontally_mut(known + 1, 0.0);
@@ -158,8 +158,8 @@ impl Spread {
         self.sources.push(source);
     }
 
-    /// Of the parameters in these places, and after them of those that were left out of the solution, whose priors are
-    /// [`Source::LeftOut`].
+    /// The rows `places`, followed by the rows `left_out` of terms that were left out of the solution. Priors of other columns
+    /// than `places` become [`Source::LeftOut`].
     #[must_use]
     pub fn of(&self, places: &[usize], left_out: &[usize]) -> Self {
         let source = |source: &Source| match *source {
@@ -181,31 +181,31 @@ impl Spread {
     }
 }
 
-/// Parameters that were considered: their values are uncertain and stayed as they are.
+/// Considered parameters: their values are uncertain but not estimated.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Considered {
-    /// Names.
+    /// Names of the parameters.
     pub names: Vec<String>,
-    /// Standard deviations.
+    /// Standard deviations of their values.
     pub sigmas: Vec<f64>,
-    /// Row for each column of the solution, column for each of these: change of the estimate over the error of the value.
+    /// One row for each column of the solution, one column for each parameter: change of the estimate per error of the value.
     pub change: DMatrix<f64>,
 }
 
-/// Covariance of the free parameters that are identified, and after them of those that were left out or considered.
+/// Covariance of the identified free parameters, followed by those that were left out or considered.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Covariance {
     matrix: DMatrix<f64>,
     spread: Spread,
     names: Vec<String>,
     determined: Vec<bool>,
-    /// Columns that were estimated: the first.
+    /// Number of estimated columns, which come first.
     estimated: usize,
-    /// Columns of terms that were left out: the next.
+    /// Number of columns of left-out terms, which follow.
     left_out: usize,
-    /// What it rests on.
+    /// Assumption behind the standard deviations.
     pub sigmas_from: SigmasFrom,
-    /// The factor on the unit covariance: one for known noise, the estimated variance of a residual row otherwise.
+    /// Factor on the unit covariance: one for known noise, else the estimated variance of a residual row.
     pub variance_factor: f64,
 }
 
@@ -232,8 +232,8 @@ impl Covariance {
         Self { matrix, spread, names, determined, estimated, left_out: 0, sigmas_from, variance_factor }
     }
 
-    /// The same columns as the jackknife over `folds` has them spread, and after them terms that were `left_out` of the solution and
-    /// may be there, zero there.
+    /// Replaces the covariance by that of the jackknife over `folds`, with additional columns for terms that were `left_out` of
+    /// the solution with value zero and may be present.
     pub fn by_jackknife(mut self, spread: Spread, folds: usize, left_out: Vec<String>) -> Self {
         if spread.by_source.nrows() != self.determined.len() + left_out.len() {
             return self;
@@ -266,7 +266,7 @@ impl Covariance {
         self
     }
 
-    /// The same where the samples of a data set determine this many times less; what rests on all of them together does, too.
+    /// Multiplies the contribution of the samples of a data set by `times`, and that of [`Source::Together`].
     #[must_use]
     pub fn widened(mut self, data_set: usize, times: f64) -> Self {
         let Spread { by_source, sources } = &mut self.spread;
@@ -279,26 +279,26 @@ impl Covariance {
         self
     }
 
-    /// How far the prior of a column moves its estimate where it is off by one standard deviation; none where sources are not
-    /// known one by one.
+    /// Change of the estimate of a column if its prior is wrong by one standard deviation; `None` if the sources are not
+    /// separated.
     pub fn by_prior(&self, column: usize) -> Option<f64> {
         let Spread { by_source, sources } = &self.spread;
         let own = sources.iter().position(|source| *source == Source::Prior { column })?;
         Some(by_source[(column, own)].abs())
     }
 
-    /// By its sources.
+    /// Contributions of the sources.
     pub fn spread(&self) -> &Spread {
         &self.spread
     }
 
-    /// Parameters that were not estimated but are uncertain, considered ones and terms that were left out, with their columns.
+    /// Name and column of each uncertain parameter that was not estimated: considered parameters and left-out terms.
     pub fn beside(&self) -> impl Iterator<Item = (&str, usize)> {
         let all = self.names.iter().enumerate().skip(self.estimated);
         all.map(|(column, name)| (name.as_str(), column))
     }
 
-    /// Columns of what was estimated or considered, without terms that were left out.
+    /// Columns of estimated and considered parameters, without left-out terms.
     pub fn stated(&self) -> Vec<usize> {
         (0..self.estimated).chain(self.estimated + self.left_out..self.names.len()).collect()
     }
@@ -312,22 +312,22 @@ impl Covariance {
         self.determined.get(column).copied().unwrap_or(false)
     }
 
-    /// Covariance of two columns in their units; none where one is not identified.
+    /// Covariance of two columns in their units; `None` if one is not identified.
     pub fn between(&self, a: usize, b: usize) -> Option<f64> {
         (self.is_determined(a) && self.is_determined(b)).then(|| self.matrix[(a, b)])
     }
 
-    /// Standard deviation of a column; none where it is not identified.
+    /// Standard deviation of a column; `None` if it is not identified.
     pub fn sigma(&self, column: usize) -> Option<f64> {
         self.between(column, column).map(f64::sqrt)
     }
 
-    /// Correlation of two columns, -1 to 1; none where one is not identified.
+    /// Correlation of two columns, -1 to 1; `None` if one is not identified.
     pub fn correlation(&self, a: usize, b: usize) -> Option<f64> {
         Some(self.between(a, b)? / (self.sigma(a)? * self.sigma(b)?))
     }
 
-    /// Pairs of columns, considered ones among them, by the size of their correlation, those above `least`, largest first.
+    /// Pairs of columns, considered ones included, whose correlation exceeds `least` in size, largest first.
     pub fn strongest_correlations(&self, least: f64) -> Vec<(usize, usize, f64)> {
         let columns = self.stated();
         let pairs =

@@ -1,10 +1,10 @@
-//! Which free parameters are determined, by an orthogonal factorisation of the Jacobian.
+//! Identifiability of the free parameters, from an orthogonal factorisation of the Jacobian.
 //!
-//! A prior determines its parameter, however wide it is and however exact the samples are: the rank of `[J_f J_p; 0 P]` is
-//! that of `J_f`, the samples' columns without prior, and the number of the others. So the answer depends neither on the
-//! noise nor on the number of samples; a parameter that the samples hardly determine has a large sigma. Columns are scaled to unit
-//! length first, so that metres, radians and seconds compare. The singular values show the rank and how clear its gap is; the
-//! null space shows who depends on whom.
+//! A prior determines its parameter, however wide it is and however exact the samples are: the rank of `[J_f J_p; 0 P]` is the
+//! rank of `J_f`, the samples' columns without prior, plus the number of columns with a prior. Rank therefore depends neither
+//! on the noise nor on the number of samples; a parameter that the samples hardly determine has a large standard deviation.
+//! Columns are scaled to unit length first, so that metres, radians and seconds are comparable. The singular values show the
+//! rank and the size of its gap; the null space shows which parameters depend on each other.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -16,35 +16,35 @@ use super::null_space::dependent_groups;
 use crate::solver::pass::{Pass, PassError, SampleFit, Taking, Triangle};
 use crate::solver::{Observability, Options, Prior, Problem, SolveError};
 
-/// Parameters of which only combinations are determined.
+/// Parameters that are only determined in combinations.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DependentGroup {
     /// Columns, ascending.
     pub columns: Vec<usize>,
-    /// How many of them must be fixed before the rest is determined.
+    /// Number of columns to fix so that the others are determined.
     pub excess: usize,
 }
 
-/// What the samples and priors determine.
+/// Rank of a problem with samples and priors, and its undetermined parameters.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Identifiability {
     /// Names of the columns.
     pub names: Vec<String>,
-    /// Standard deviations of their priors; none where they have none.
+    /// Standard deviations of their priors; `None` for a column without prior.
     pub prior_sigmas: Vec<Option<f64>>,
-    /// Rank with samples and priors.
+    /// Rank from samples and priors.
     pub rank: usize,
-    /// Rank with samples alone.
+    /// Rank from samples alone.
     pub rank_of_samples: usize,
     /// Singular values of the column-scaled Jacobian (samples and priors), descending.
     pub singular_values: Vec<f64>,
-    /// Columns that change nothing.
+    /// Columns without effect on the residuals.
     pub zero_columns: Vec<usize>,
     /// Columns that depend on each other, smallest groups first.
     pub groups: Vec<DependentGroup>,
     /// The triangle `R` of the samples' weighted Jacobian: `R^T R = J^T J`.
     pub triangle: DMatrix<f64>,
-    /// Samples that took part.
+    /// Number of samples in use.
     pub samples: usize,
 }
 
@@ -55,30 +55,29 @@ pub struct Identifiability {
      give them a prior, or measure more varied poses"
 )]
 pub struct Unidentifiable {
-    /// Rank found.
+    /// Number of identified parameters.
     pub rank: usize,
-    /// Free parameters.
+    /// Number of free parameters.
     pub columns: usize,
-    /// The culprits by name.
+    /// Names of the parameters that are not identified.
     pub what: String,
-    /// What to fix, so that the others are determined, as it is typed.
+    /// Names of the parameters to fix so that the others are determined, as an option's value.
     pub fix: String,
 }
 
 impl Identifiability {
-    /// Every free parameter is determined.
+    /// Whether every free parameter is determined.
     pub fn is_full(&self) -> bool {
         self.rank == self.names.len()
     }
 
-    /// How clear the rank is: the smallest singular value that counts over the largest that does not. None where all
-    /// count.
+    /// Size of the rank's gap: the smallest nonzero singular value over the largest that counts as zero. `None` at full rank.
     pub fn gap(&self) -> Option<f64> {
         let smallest = self.singular_values.get(self.rank.checked_sub(1)?)?;
         Some(smallest / self.singular_values.get(self.rank)?)
     }
 
-    /// Smallest singular value over the largest, of those that count: the inverse of the condition number.
+    /// Smallest nonzero singular value over the largest: the inverse of the condition number.
     pub fn weakest(&self) -> f64 {
         let last = self.rank.checked_sub(1).and_then(|i| self.singular_values.get(i));
         match (last, self.singular_values.first()) {
@@ -87,19 +86,19 @@ impl Identifiability {
         }
     }
 
-    /// Observability indices of the samples without priors, with columns in the units given.
+    /// Observability indices of the samples without priors, with columns in the given units.
     pub fn observability(&self, units: &[f64]) -> Observability {
         Observability::new(&self.triangle, units, self.samples, 1e-9)
     }
 
-    /// Groups of these columns, which have priors, of which the samples with all other priors determine some combination less well
-    /// than the groups' own priors do. A group may be a single column.
+    /// Groups of these columns, which have priors, with a combination that their own priors determine better than the samples
+    /// and all other priors do. A group can be a single column.
     ///
-    /// In units of the priors' standard deviations the information of everything else about the columns is `S`, the Schur complement
-    /// of the normal matrix. Directions whose eigenvalue of `S` is below one follow the priors; `P` is the projection onto them,
-    /// and columns `i` and `j` with an entry `P_ij` belong to one group.
+    /// In units of the priors' standard deviations, the information of all other data about the columns is `S`, the Schur
+    /// complement of the normal matrix. Directions with an eigenvalue of `S` below one follow the priors. `P` is the projection
+    /// onto them, and columns `i` and `j` with an entry `P_ij` belong to one group.
     pub fn by_priors(&self, columns: &[usize]) -> Vec<Vec<usize>> {
-        /// A column with a smaller part in such a direction is determined.
+        /// A column with a smaller component in such a direction counts as determined.
         const PART: f64 = 0.1;
         let of_others: Vec<usize> =
             (0..self.names.len()).filter(|column| !columns.contains(column)).collect();
@@ -146,17 +145,17 @@ impl Identifiability {
         columns
     }
 
-    /// Nothing, if every free parameter is determined.
+    /// Checks that every free parameter is determined.
     ///
     /// # Errors
-    /// Names zero columns and dependent groups.
+    /// [`Unidentifiable`] names zero columns and dependent groups.
     pub fn require_full(&self) -> Result<(), Unidentifiable> {
         if self.is_full() {
             return Ok(());
         }
         let of_groups = self.groups.iter().flat_map(|group| group.columns.iter().take(group.excess));
         let fix: Vec<usize> = self.zero_columns.iter().chain(of_groups).copied().collect();
-        // A parameter is typed without the number of its run.
+        // An option names a parameter without the number of its run.
         let names = fix.iter().filter_map(|column| self.name(*column).split('@').next());
         let names: BTreeSet<&str> = names.collect();
         let (what, fix) = (self.describe(), names.into_iter().collect::<Vec<_>>().join(","));
@@ -193,33 +192,33 @@ impl fmt::Display for Identifiability {
     }
 }
 
-/// Singular values take about two iterations each.
+/// Limit of the iterations; singular values need about two each.
 const SVD_ITERATIONS_PER_COLUMN: usize = 100;
 
 /// Singular values and right singular vectors of a triangle with columns scaled to unit length.
 pub(in crate::solver) struct ScaledSpectrum {
-    /// Column lengths before scaling, zero where the column is.
+    /// Column lengths before scaling; zero for a zero column.
     pub(in crate::solver) lengths: DVector<f64>,
-    /// Descending.
+    /// Singular values in descending order.
     pub(in crate::solver) singular_values: DVector<f64>,
     /// One row for each singular value.
     pub(in crate::solver) v_transposed: DMatrix<f64>,
-    /// Singular values that count.
+    /// Number of singular values that count as nonzero.
     pub(in crate::solver) rank: usize,
 }
 
-/// A triangle with columns scaled to unit length, and their lengths before, zero where the column is.
+/// A triangle with columns scaled to unit length, and their lengths before scaling, zero for a zero column.
 fn scaled(triangle: &DMatrix<f64>) -> (DMatrix<f64>, DVector<f64>) {
     let columns = triangle.ncols();
     let mut lengths = DVector::from_iterator(columns, triangle.column_iter().map(|c| c.norm()));
-    // A column of rounding noise beside real ones is zero.
+    // A column that is negligible relative to the longest one is rounding noise and counts as zero.
     let longest = lengths.max();
     lengths.iter_mut().for_each(|l| {
         if *l <= 1e-12 * longest {
             *l = 0.0;
         }
     });
-    // Square, so that there is a right singular vector for every column.
+    // Square, so that every column has a right singular vector.
     let mut scaled = DMatrix::zeros(columns.max(triangle.nrows()), columns);
     scaled.rows_mut(0, triangle.nrows()).copy_from(triangle);
     for (mut column, &length) in scaled.column_iter_mut().zip(lengths.iter()) {
@@ -228,7 +227,7 @@ fn scaled(triangle: &DMatrix<f64>) -> (DMatrix<f64>, DVector<f64>) {
     (scaled, lengths)
 }
 
-/// Singular values that count.
+/// Number of singular values above the tolerance.
 fn rank(singular_values: &DVector<f64>, tolerance: f64) -> usize {
     let floor = tolerance * singular_values.max();
     singular_values.iter().filter(|s| **s > floor).count()
@@ -238,7 +237,7 @@ impl ScaledSpectrum {
     fn new(triangle: &DMatrix<f64>, tolerance: f64) -> Self {
         let (scaled, lengths) = scaled(triangle);
         let columns = lengths.len();
-        // A matrix that is not finite has no end of iterations.
+        // Limited, because the iteration does not end for a matrix that is not finite.
         let svd = scaled.try_svd(false, true, 5.0 * f64::EPSILON, SVD_ITERATIONS_PER_COLUMN * columns);
         let (singular_values, v_transposed) = svd
             .and_then(|svd| Some((svd.singular_values, svd.v_t?)))
@@ -264,11 +263,11 @@ pub(in crate::solver) fn sample_triangle(
     let pass = Pass::new(problem, x, options, taking);
     let (triangle, fits) = pass.run(|| Triangle::new(problem.columns()))?;
     let triangle = triangle.of_jacobian();
-    // Derivatives may be finite and their squares not.
+    // Squares of finite derivatives can overflow.
     if triangle.iter().all(|entry| entry.is_finite()) { Ok((triangle, fits)) } else { Err(PassError::Lost) }
 }
 
-/// Adds the priors' rows.
+/// Adds the rows of the priors to a triangle.
 pub(in crate::solver) fn with_priors<'a>(
     priors: impl Iterator<Item = &'a Prior> + Clone,
     triangle: &DMatrix<f64>,
@@ -281,7 +280,7 @@ pub(in crate::solver) fn with_priors<'a>(
     stacked.qr().unpack_r()
 }
 
-/// The point has a value for each column.
+/// Checks that the point has a value for each column.
 pub(in crate::solver) fn require_start(problem: &dyn Problem, x: &[f64]) -> Result<(), SolveError> {
     if x.len() == problem.columns() {
         return Ok(());
@@ -289,16 +288,16 @@ pub(in crate::solver) fn require_start(problem: &dyn Problem, x: &[f64]) -> Resu
     Err(SolveError::StartLength { found: x.len(), expected: problem.columns() })
 }
 
-/// What samples determine of the columns that have no prior.
+/// Spectrum of the columns without prior.
 pub(in crate::solver) struct Open {
-    /// Which these are.
+    /// Numbers of the columns without prior.
     columns: Vec<usize>,
-    /// None where there are none.
+    /// `None` if every column has a prior.
     spectrum: Option<ScaledSpectrum>,
 }
 
 impl Open {
-    /// Of the columns without prior among `all`.
+    /// From the columns without prior among `all`.
     pub(in crate::solver) fn new(
         triangle: &DMatrix<f64>,
         all: impl Iterator<Item = usize>,
@@ -312,7 +311,7 @@ impl Open {
         Self { columns, spectrum }
     }
 
-    /// Directions that nothing determines.
+    /// Number of undetermined directions.
     pub(in crate::solver) fn missing(&self) -> usize {
         self.spectrum.as_ref().map_or(0, |spectrum| self.columns.len() - spectrum.rank)
     }
@@ -367,10 +366,10 @@ fn examine(
     (identifiability, spectrum)
 }
 
-/// What the samples can identify at `x`, without solving: for choosing parameters and poses.
+/// Identifiability at `x` without a solve, for the selection of parameters and poses.
 ///
 /// # Errors
-/// [`SolveError`] where no sample is usable or it was cancelled.
+/// [`SolveError`] if no sample is usable or the pass was cancelled.
 pub fn identifiability(
     problem: &dyn Problem,
     x: &[f64],
@@ -385,7 +384,7 @@ pub fn identifiability(
     Ok(examine(problem, &triangle, &fits, options).0)
 }
 
-/// Identifiability and covariance where a solve ended.
+/// Identifiability and covariance at the end of a solve.
 pub(in crate::solver) fn at_solution(
     problem: &dyn Problem,
     x: &[f64],
@@ -397,7 +396,7 @@ pub(in crate::solver) fn at_solution(
         Err(PassError::Cancelled) => {
             return Err(SolveError::Cancelled { iterations: options.iterations_max });
         }
-        // The same samples at the same point were finite a moment ago.
+        // Cannot occur: the same samples were finite at this point during the solve.
         Err(PassError::Lost | PassError::NotFinite(_)) => DMatrix::zeros(0, problem.columns()),
     };
     let (identifiability, spectrum) = examine(problem, &triangle, fits, options);

@@ -1,4 +1,4 @@
-//! What an error in a value that is held fixed does to those that are estimated.
+//! Effect of an error in a fixed value on the estimated values.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -6,26 +6,26 @@ use super::identifiability::{Open, require_start, sample_triangle, with_priors};
 use crate::solver::pass::Taking;
 use crate::solver::{Options, Problem, SolveError};
 
-/// How estimates follow values that are held fixed, to first order.
+/// Sensitivity of estimates to fixed values, to first order.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Influence {
-    /// Names of the columns that are estimated.
+    /// Names of the estimated columns.
     pub estimated: Vec<String>,
-    /// Names of the columns that are held.
+    /// Names of the fixed columns.
     pub held: Vec<String>,
-    /// Row for each estimate, column for each held value: change of the estimate over the error of the held value, in
+    /// One row for each estimate, one column for each fixed value: change of the estimate per error of the fixed value, in
     /// their units.
     pub change: DMatrix<f64>,
 }
 
 /// Influence of the columns `held` of a problem on its other columns.
 ///
-/// The problem has all of them free. Where the estimates minimise `|J_e dx + J_h dh|` with an error `dh`, they move by
-/// `-J_e^+ J_h dh`. Samples count with their weight at `x`, priors of estimated columns hold them back.
-/// The estimated columns must be identified by themselves.
+/// All of them are free in the problem. Estimates that minimise `|J_e dx + J_h dh|` with an error `dh` change by
+/// `-J_e^+ J_h dh`. Samples have their weight at `x`; priors of estimated columns are included. The estimated columns must be
+/// identifiable without the fixed ones.
 ///
 /// # Errors
-/// [`SolveError`] where no sample is usable, or [`SolveError::Dependent`] where estimates depend on each other.
+/// [`SolveError`] if no sample is usable, or [`SolveError::Dependent`] if the estimated columns are linearly dependent.
 pub fn influence(
     problem: &dyn Problem,
     x: &[f64],
@@ -48,7 +48,7 @@ pub fn influence(
     Ok(Influence { estimated: names(&estimated), held: names(held), change })
 }
 
-/// `argmin |A X - B|` by singular values of the column-scaled matrix; none where columns of `A` are zero.
+/// `argmin |A X - B|` by singular values of the column-scaled matrix; `None` if a column of `A` is zero.
 fn least_squares(a: &DMatrix<f64>, b: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     let lengths = DVector::from_iterator(a.ncols(), a.column_iter().map(|column| column.norm()));
     if a.nrows() < a.ncols() || !lengths.iter().all(|length| length.is_finite() && *length > 0.0) {

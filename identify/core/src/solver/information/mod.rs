@@ -1,4 +1,4 @@
-//! What samples say of parameters: normal equations by fold, which parameters they determine and how well, and what changes.
+//! Information of samples about parameters: normal equations by fold, identifiability, covariance, and changes during a run.
 
 pub(in crate::solver) mod change_point;
 pub(in crate::solver) mod covariance;

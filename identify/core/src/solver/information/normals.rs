@@ -1,9 +1,9 @@
-//! Normal equations by fold: what the samples of each fold say, linearised at a point.
+//! Normal equations by fold, linearised at a point.
 //!
-//! `|r + J dx|^2 = r^T r + 2 (J^T r) dx + dx (J^T J) dx`: one pass over the samples gives the three sums of each fold with
-//! the columns of every term that may be wanted. Steps, covariances, jackknife, choice of terms, scales of priors and
-//! predictions of left-out folds are then small linear algebra, and no sample is looked at again. Errors of gears and
-//! encoders last for seconds, so folds of several seconds are nearly independent where single samples are far from it.
+//! `|r + J dx|^2 = r^T r + 2 (J^T r) dx + dx (J^T J) dx`: one pass over the samples gives the three sums of each fold, with
+//! the columns of all candidate terms. Steps, covariances, jackknife, selection of terms, scales of priors and predictions of
+//! held-out folds then need only small matrices, without another pass. Errors of gears and encoders are correlated over
+//! seconds, so folds of several seconds are nearly independent, while single samples are not.
 
 use std::num::NonZeroUsize;
 use std::ops::{AddAssign, Sub};
@@ -15,7 +15,7 @@ use crate::solver::pass::{Pass, PassError, Products, Taking, threads_that_pay, w
 use crate::solver::{Options, Prior, Problem, ScaledCholesky, SolveError, Subset};
 use crate::threads::on_threads;
 
-/// Normal equations of some samples about a point.
+/// Normal equations of some samples, linearised at a point.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Normal {
     /// `J^T W J`
@@ -24,12 +24,12 @@ pub struct Normal {
     pub gradient: DVector<f64>,
     /// `r^T W r`
     pub squared: f64,
-    /// Residual entries, each as much as its weight.
+    /// Number of residual entries, each counted with its weight.
     pub rows: f64,
 }
 
 impl Normal {
-    /// Of no rows.
+    /// Normal equations without rows.
     pub fn zeros(columns: usize) -> Self {
         Self {
             matrix: DMatrix::zeros(columns, columns),
@@ -44,13 +44,13 @@ impl Normal {
         self.squared + 2.0 * self.gradient.dot(step) + step.dot(&(&self.matrix * step))
     }
 
-    /// The same rows about a point that is a step away.
+    /// The same rows, linearised at a point that differs by `step`.
     #[must_use]
     fn moved(&self, step: &DVector<f64>) -> Self {
         Self { gradient: &self.gradient + &self.matrix * step, squared: self.after(step), ..self.clone() }
     }
 
-    /// The same rows with some of the columns, in this order.
+    /// The same rows with a selection of the columns, in this order.
     fn only(&self, columns: &[usize]) -> Self {
         let count = columns.len();
         Self {
@@ -60,7 +60,7 @@ impl Normal {
         }
     }
 
-    /// Adds what is known of some columns at `x`; returns the sum of its squares, which stays apart from that of the rows.
+    /// Adds priors of some columns at `x`; returns their sum of squares, which is not added to that of the rows.
     pub fn add_priors(&mut self, priors: &[Prior], x: &[f64]) -> f64 {
         let mut squared = 0.0;
         for prior in priors {
@@ -96,23 +96,23 @@ impl Sub for &Normal {
     }
 }
 
-/// Normal equations of every fold about one point, and what is known of the columns apart from the samples.
+/// Normal equations of every fold at one point, with prior knowledge of the columns.
 #[derive(Debug, Clone)]
 pub struct Normals {
     folds: Vec<Normal>,
     total: Normal,
-    /// Of samples that are known from elsewhere.
+    /// Samples of prior knowledge.
     known: Normal,
     priors: Vec<Prior>,
     x: Vec<f64>,
 }
 
 impl Normals {
-    /// One pass over the samples of all folds at `x`, each weighed by the options' loss there; samples without a value are
+    /// One pass over the samples of all folds at `x`, with the weights of the options' loss; samples without a value are
     /// left out.
     ///
     /// # Errors
-    /// [`SolveError`] where a residual or derivative is not finite, or the pass was cancelled.
+    /// [`SolveError`] if a residual or derivative is not finite, or the pass was cancelled.
     pub fn new(
         problem: &dyn Problem,
         x: &[f64],
@@ -143,17 +143,17 @@ impl Normals {
         Ok(Self { folds: of_folds, total, known, priors: problem.priors().to_vec(), x: x.to_vec() })
     }
 
-    /// What is known of the columns.
+    /// Priors of the columns.
     pub fn priors(&self) -> &[Prior] {
         &self.priors
     }
 
-    /// Those of each fold, without priors.
+    /// Normal equations of each fold, without priors.
     pub fn of_folds(&self) -> &[Normal] {
         &self.folds
     }
 
-    /// All folds with what is known and the priors.
+    /// Sum of all folds, prior knowledge and priors.
     pub fn whole(&self) -> Normal {
         let mut whole = self.total.clone();
         whole += &self.known;
@@ -161,11 +161,10 @@ impl Normals {
         whole
     }
 
-    /// How much more the folds' gradients scatter than independent noise of variance one lets them, as variances, in the mean
-    /// over all directions: 1 where errors do not last within a fold (design effect, Kish 1965). None with fewer than two
-    /// folds.
+    /// Variance of the folds' gradients relative to that for independent noise of variance one, averaged over all directions:
+    /// 1 if errors are not correlated within a fold (design effect, Kish 1965). `None` for fewer than two folds.
     pub fn overdispersion(&self) -> Option<f64> {
-        /// Keeps directions that only other samples determine from dividing by zero.
+        /// Avoids division by zero in directions that only other samples determine.
         const RIDGE: f64 = 1e-12;
         let (whole, count) = (self.whole().matrix, self.folds() as f64);
         if count < 2.0 {
@@ -178,8 +177,8 @@ impl Normals {
         Some(scatter * count / ((count - 1.0) * expected)).filter(|found| found.is_finite())
     }
 
-    /// Logarithm of the probability of the samples with these priors, but for a constant (evidence, MacKay 1992), where their
-    /// residuals have `dispersion` times the variance of independent ones. None where columns depend on each other.
+    /// Logarithm of the evidence of the samples with these priors, up to a constant (MacKay 1992), for residuals with
+    /// `dispersion` times the variance of independent ones. `None` if columns are linearly dependent.
     pub fn evidence(&self, priors: &[Prior], dispersion: f64) -> Option<f64> {
         let mut all = self.total.clone();
         all += &self.known;
@@ -193,20 +192,20 @@ impl Normals {
         Some(-0.5 * (all.after(&step) + factor.log_determinant()) - of_priors)
     }
 
-    /// How many numbers the solution `x` takes from each fold: `tr(H^-1 N)` with `H` of all and `N` of the fold, less than its
-    /// parameters where priors or other folds determine them, too (effective degrees of freedom, MacKay 1992). None where
-    /// columns depend on each other.
+    /// Effective number of parameters that each fold determines: `tr(H^-1 N)` with `H` of all data and `N` of the fold. Less
+    /// than the number of its parameters if priors or other folds also determine them (MacKay 1992). `None` if columns are
+    /// linearly dependent.
     pub fn taken(&self) -> Option<Vec<f64>> {
         let inverse = self.covariance()?;
         Some(self.folds.iter().map(|fold| inverse.dot(&fold.matrix)).collect())
     }
 
-    /// Folds that have samples.
+    /// Number of folds with samples.
     pub fn folds(&self) -> usize {
         self.folds.iter().filter(|fold| fold.rows > 0.0).count()
     }
 
-    /// The same about another point: exact where residuals are linear between the two, as they are in small terms.
+    /// The same at another point: exact if residuals are linear between the two, as for small terms.
     #[must_use]
     pub fn about(&self, x: &[f64]) -> Self {
         let step = DVector::from_column_slice(x) - DVector::from_column_slice(&self.x);
@@ -220,12 +219,12 @@ impl Normals {
     }
 
     /// Mean squared residual of each fold, predicted by a solution for `columns` from all other folds; the other columns
-    /// stay where they are. None where the others do not determine the columns.
+    /// keep their values. `None` if the other folds do not determine the columns.
     pub fn held_out(&self, columns: &[usize], priors: &[Prior]) -> Option<Vec<f64>> {
         self.held_out_each(|_| columns.to_vec(), priors)
     }
 
-    /// The same with columns that each fold has for itself, by its number.
+    /// The same with `columns` as a function of the fold's index.
     pub fn held_out_each(&self, columns: impl Fn(usize) -> Vec<usize>, priors: &[Prior]) -> Option<Vec<f64>> {
         let error = |(number, fold): (usize, &Normal)| {
             let columns = columns(number);
@@ -245,26 +244,26 @@ impl Normals {
         self.folds.iter().enumerate().filter(|(_, fold)| fold.rows > 0.0).map(error).collect()
     }
 
-    /// [`Self::whole`] and its factor. None where columns depend on each other.
+    /// [`Self::whole`] and its factor. `None` if columns are linearly dependent.
     fn factored(&self) -> Option<(DMatrix<f64>, ScaledCholesky)> {
         let matrix = self.whole().matrix;
         let factor = ScaledCholesky::new(matrix.clone()).filter(ScaledCholesky::is_complete)?;
         Some((matrix, factor))
     }
 
-    /// Covariance of the solution `x` for independent noise of variance one on every residual entry. None where the
+    /// Covariance of the solution `x` for independent noise of variance one on every residual entry. `None` if the
     /// samples and priors do not determine every column.
     pub fn covariance(&self) -> Option<DMatrix<f64>> {
         Some(self.factored()?.1.inverse())
     }
 
-    /// From `x` to the solution. None where the samples and priors do not determine every column.
+    /// Step from `x` to the solution. `None` if the samples and priors do not determine every column.
     pub fn step(&self) -> Option<DVector<f64>> {
         Some(-self.factored()?.1.solve(&self.whole().gradient))
     }
 
-    /// The solution without each fold, from `x`. None for a fold without which the others and the priors do not determine every
-    /// column.
+    /// Solution without each fold, linearised at `x`. `None` for a fold without which the others and the priors do not
+    /// determine every column.
     pub fn without_each(&self) -> Vec<Option<Vec<f64>>> {
         let whole = self.whole();
         let without = |fold: &Normal| {
@@ -276,11 +275,11 @@ impl Normals {
         self.folds.iter().map(without).collect()
     }
 
-    /// Spread of the solution `x` by the jackknife over folds: how much it moves where one is left out. It holds
-    /// whatever errors the residuals have within a fold, as long as folds are independent; what priors contribute is
-    /// added. Approximately `H^-1 (sum g g') H^-1` (a sandwich, Liang and Zeger 1986) with the correction that a fold
-    /// pulls the solution towards itself (Bell and McCaffrey 2002, CR3). None with fewer than two folds, or where the
-    /// others do not determine every column. `data_set` is that of a fold.
+    /// Spread of the solution `x` by the jackknife over folds: its change when one fold is left out. It is valid for any
+    /// correlation of errors within a fold, if folds are independent; the contribution of the priors is added. Approximately
+    /// `H^-1 (sum g g') H^-1` (a sandwich, Liang and Zeger 1986), corrected for the influence of each fold on the solution
+    /// (Bell and McCaffrey 2002, CR3). `None` for fewer than two folds, or if the others do not determine every column.
+    /// `data_set` returns the data set of a fold.
     pub fn jackknife(&self, data_set: impl Fn(usize) -> usize) -> Option<Spread> {
         let count = self.folds() as f64;
         if count < 2.0 {
@@ -293,7 +292,7 @@ impl Normals {
             let moved = others.solve(&fold.gradient) * ((count - 1.0) / count).sqrt();
             columns.push((Source::Samples { data_set: data_set(number) }, moved));
         }
-        // `H^-1 P H^-1`, of which the prior weights `P` are a diagonal; what is known has others.
+        // `H^-1 P H^-1`, where the weights `P` of priors are diagonal; those of prior knowledge are not.
         let inverse = factor.inverse();
         for &Prior { column, sigma, .. } in &self.priors {
             columns.push((Source::Prior { column }, inverse.column(column) / sigma));
@@ -312,11 +311,11 @@ mod tests {
     use super::*;
     use crate::solver::{Linearisation, minimise};
 
-    /// Lines with noise that is the same within a fold: `r = a + b t - y`.
+    /// A line with noise that is constant within each fold: `r = a + b t - y`.
     struct Line {
         y: Vec<f64>,
         priors: Vec<Prior>,
-        /// The slope is known as one more sample, that it is so much with this standard deviation.
+        /// Prior knowledge of the slope as an additional sample: value and standard deviation.
         slope: Option<[f64; 2]>,
     }
 
@@ -431,7 +430,7 @@ mod tests {
     fn what_no_sample_and_no_prior_shows_has_no_covariance() {
         let line = Line { y: vec![1.0], priors: Vec::new(), slope: None };
         let normals = Normals::new(&line, &[0.0, 0.0], &Options::default(), &[vec![0]]);
-        // One sample at t = 0 leaves the slope open.
+        // One sample at `t = 0` does not determine the slope.
         assert_eq!(normals.map(|normals| normals.covariance()).ok(), Some(None));
     }
 }

@@ -1,14 +1,14 @@
-//! From a null space to names: sparse vectors of it, gathered into groups of parameters.
+//! Groups of dependent parameters from a sparse basis of the null space.
 //!
-//! An orthonormal basis mixes everything with everything. Here the basis is reduced with pivots chosen so that what
-//! runs through many parameters (a common scale of all lengths) gets one vector of its own and leaves the others
-//! short: two parameters that add up, three that shift the same height.
+//! All entries of an orthonormal basis are usually nonzero. Here the basis is reduced with pivots chosen such that a direction
+//! with many parameters (a common scale of all lengths) gets a vector of its own, and the other vectors become sparse: two
+//! parameters that add up, or three that shift the same height.
 
 use nalgebra::DMatrix;
 
 use crate::solver::DependentGroup;
 
-/// Entries below this part of their vector's largest do not take part. Gaps of ranks are much clearer than this.
+/// Entries below this part of their vector's largest count as zero. The gaps of ranks are much larger than this.
 const ENTRY_TOLERANCE: f64 = 1e-4;
 
 /// Groups of dependent columns from an orthonormal null basis (one column per vector) of the column-scaled Jacobian.
@@ -24,12 +24,12 @@ pub(in crate::solver) fn dependent_groups(
     supports.retain(|members| !members.is_empty());
     supports.sort_by_key(Vec::len);
     let mut groups = gather(supports);
-    // What small differences of the numbers leave open is settled by the order of the columns.
+    // The order of columns decides, not small numerical differences.
     groups.sort_by(|a, b| (a.columns.len(), &a.columns).cmp(&(b.columns.len(), &b.columns)));
     groups
 }
 
-/// A support that overlaps one group extends it; one that overlaps several runs through them and stays by itself.
+/// A support that overlaps one group extends it. A support that overlaps several groups becomes a group of its own.
 fn gather(supports: Vec<Vec<usize>>) -> Vec<DependentGroup> {
     let mut groups: Vec<DependentGroup> = Vec::new();
     for members in supports {
@@ -54,7 +54,7 @@ fn support(vector: &[f64]) -> Vec<usize> {
     vector.iter().enumerate().filter(|(_, v)| counts(v)).map(|(i, _)| i).collect()
 }
 
-/// Null vectors that are each zero at the others' pivots.
+/// Null vectors, each of which is zero at the pivots of the others.
 fn sparse_basis(mut basis: DMatrix<f64>) -> Vec<Vec<f64>> {
     let full = basis.clone();
     let mut pivots = Vec::new();
@@ -66,14 +66,14 @@ fn sparse_basis(mut basis: DMatrix<f64>) -> Vec<Vec<f64>> {
     if pivots.is_empty() {
         return Vec::new();
     }
-    // Coefficients that give one at the own pivot and zero at the others.
+    // Coefficients that yield one at the own pivot and zero at the others.
     let at_pivots = full.select_rows(&pivots);
     let Some(inverse) = at_pivots.pseudo_inverse(1e-12).ok() else { return Vec::new() };
     let reduced = full * inverse;
     reduced.column_iter().map(|column| column.iter().copied().collect()).collect()
 }
 
-/// The parameter with the most companions whose rows are parallel to its own: they share one null direction.
+/// The parameter with the largest number of rows parallel to its own: these parameters share one null direction.
 fn next_pivot(basis: &DMatrix<f64>) -> Option<usize> {
     let norms: Vec<f64> = basis.row_iter().map(|row| row.norm()).collect();
     let largest = norms.iter().copied().fold(0.0, f64::max);
@@ -86,7 +86,7 @@ fn next_pivot(basis: &DMatrix<f64>) -> Option<usize> {
         };
         alive.iter().filter(parallel).count()
     };
-    // Of equals the longest row: the best conditioned pivot.
+    // If several have the same number, the longest row is the best conditioned pivot.
     alive
         .iter()
         .copied()
@@ -95,7 +95,7 @@ fn next_pivot(basis: &DMatrix<f64>) -> Option<usize> {
 
 /// Orthonormal basis of the vectors in the span of `basis` that are zero at `pivot`.
 fn vanishing_at(basis: &DMatrix<f64>, pivot: usize) -> DMatrix<f64> {
-    // A reflection that turns the pivot's row onto the first coefficient; the other columns then vanish there.
+    // A reflection that maps the pivot's row onto the first coefficient; the other columns are then zero there.
     let row = basis.row(pivot).transpose();
     let mut axis = row.clone();
     axis[0] += row.norm().copysign(row[0]);

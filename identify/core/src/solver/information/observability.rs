@@ -1,20 +1,20 @@
-//! How well a set of poses shows the parameters, in one number: the five observability indices.
+//! The five observability indices: how well a set of poses determines the parameters, in one number.
 //!
 //! Names and formulas as in Sun and Hollerbach, "Observability index selection for robot calibration" (ICRA 2008), with
 //! `s1 >= .. >= sL` the singular values of the Jacobian over `m` poses and `L` parameters. Larger is better. All of them
-//! depend on units: the columns are scaled by what is given, such as one millimetre for lengths.
+//! depend on units: the columns are scaled by given units, such as one millimetre for lengths.
 
 use nalgebra::DMatrix;
 
-/// O1 to O5. All are zero where a parameter is not determined.
+/// O1 to O5. All are zero if a parameter is not determined.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Observability {
-    /// `(s1 s2 .. sL)^(1/L) / sqrt(m)`: volume of the ellipsoid of what is seen; its maximum is D-optimal (Borm and Menq
+    /// `(s1 s2 .. sL)^(1/L) / sqrt(m)`: volume of the ellipsoid of the Jacobian; its maximum is D-optimal (Borm and Menq
     /// 1991).
     pub o1: f64,
     /// `sL / s1`: the inverse condition number (Driels and Pathre 1990).
     pub o2: f64,
-    /// `sL`: what the worst direction shows; E-optimal (Nahvi, Hollerbach and Hayward 1994).
+    /// `sL`: information about the weakest direction; E-optimal (Nahvi, Hollerbach and Hayward 1994).
     pub o3: f64,
     /// `sL^2 / s1`: the noise amplification index (Nahvi and Hollerbach 1996).
     pub o4: f64,
@@ -58,7 +58,7 @@ mod tests {
 
     #[test]
     fn the_indices_of_known_singular_values() {
-        // Rotated, so that the values are not those of the diagonal; scaled back by the scales.
+        // Rotated, so that the singular values are not the diagonal; the scales undo the columns' factors.
         let turn = DMatrix::from_row_slice(2, 2, &[0.6, -0.8, 0.8, 0.6]);
         let triangle = turn * DMatrix::from_row_slice(2, 2, &[8.0, 0.0, 0.0, 1.0]);
         let found = Observability::new(&triangle, &[1.0, 2.0], 4, 1e-6);

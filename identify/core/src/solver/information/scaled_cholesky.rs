@@ -1,4 +1,4 @@
-//! The one factorisation of normal equations: columns in metres, radians and seconds are scaled to unit length first.
+//! Factorisation of normal equations, with columns in metres, radians and seconds scaled to unit length first.
 
 use nalgebra::linalg::Cholesky;
 use nalgebra::{DMatrix, DVector, Dyn};
@@ -7,18 +7,18 @@ use nalgebra::{DMatrix, DVector, Dyn};
 #[derive(Debug, Clone)]
 pub struct ScaledCholesky {
     factor: Cholesky<f64, Dyn>,
-    /// Diagonal of `S`; zero for a column that nothing determines, so that its solution is zero.
+    /// Diagonal of `S`; zero for an undetermined column, whose solution is then zero.
     scale: DVector<f64>,
 }
 
 impl ScaledCholesky {
-    /// Of a symmetric matrix. None where its columns depend on each other; one that is zero does not count.
+    /// Factor of a symmetric matrix. `None` if its columns are linearly dependent; zero columns are ignored.
     pub fn new(normal: DMatrix<f64>) -> Option<Self> {
         let squared = normal.diagonal();
         Self::damped(normal, &squared, 0.0)
     }
 
-    /// Of `N + lambda D`, columns scaled by the square root of the diagonal `D` (Marquardt 1963).
+    /// Factor of `N + lambda D`, with columns scaled by the square root of the diagonal `D` (Marquardt 1963).
     pub fn damped(mut normal: DMatrix<f64>, squared: &DVector<f64>, lambda: f64) -> Option<Self> {
         let scale = squared.map(|squared| if squared > 0.0 { squared.sqrt().recip() } else { 0.0 });
         for (j, mut column) in normal.column_iter_mut().enumerate() {
@@ -29,7 +29,8 @@ impl ScaledCholesky {
         Some(Self { factor: normal.cholesky()?, scale })
     }
 
-    /// Every column is determined, by more than rounding: none is a combination of those before it but for a millionth part.
+    /// Whether every column is determined: each has a part of at least a millionth that is independent of the columns before
+    /// it.
     pub fn is_complete(&self) -> bool {
         const APART_MIN: f64 = 1e-6;
         let apart = self.factor.l_dirty().diagonal();
@@ -41,7 +42,7 @@ impl ScaledCholesky {
         self.factor.solve(&b.component_mul(&self.scale)).component_mul(&self.scale)
     }
 
-    /// `ln det N` of the columns that something determines.
+    /// `ln det N` of the columns that are not zero.
     pub fn log_determinant(&self) -> f64 {
         let of_scale = self.scale.iter().filter(|scale| **scale > 0.0).map(|scale| scale.ln()).sum::<f64>();
         2.0 * (self.factor.l_dirty().diagonal().iter().map(|pivot| pivot.ln()).sum::<f64>() - of_scale)
