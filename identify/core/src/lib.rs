@@ -1,10 +1,9 @@
-//! Calibration of a robot from what a ball-bar, a tracker, a wire or sockets say beside the robot's own log: the numbers, without
-//! what people see of them.
+//! Calibration of a robot from its log and the measurements of a ball-bar, a tracker, a draw-wire, or sockets and faces: the
+//! numerical part, without reports.
 //!
-//! The way of the data: [`logs`] and the recording -> [`prepare`] -> [`model`] and [`cost`] -> [`solver`] ->
-//! [`calibrate`] ties them together -> [`evaluate`] looks at the result; [`plan`] finds paths worth driving,
-//! [`simulate`] makes experiments with known truth, [`study`] makes them by the thousand, [`robot`] takes a robot from a URDF and
-//! checks it.
+//! Flow of the data: [`logs`] and the recording -> [`prepare`] -> [`model`] and [`cost`] -> [`solver`] -> [`calibrate`], which
+//! connects them -> [`evaluate`], which assesses the result. [`plan`] searches paths and poses, [`simulate`] generates
+//! experiments with known truth, [`study`] runs thousands of them, and [`robot`] imports a robot from a URDF and checks it.
 
 pub mod calibrate;
 pub mod cost;

@@ -1,18 +1,18 @@
-//! What is asked of any numbers.
+//! Order statistics of plain numbers.
 
-/// The upper median of values, which it reorders; none where there is none.
+/// The upper median of `values`, which it reorders; `None` if there are no values.
 pub fn median(values: &mut [f64]) -> Option<f64> {
     let middle = values.len() / 2;
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
-/// Smallest and largest; the smallest is infinite and the largest less where there is none.
+/// Smallest and largest value; without values infinity and minus infinity.
 pub fn extremes(values: impl IntoIterator<Item = f64>) -> [f64; 2] {
     let wider = |[low, high]: [f64; 2], value: f64| [low.min(value), high.max(value)];
     values.into_iter().fold([f64::INFINITY, f64::NEG_INFINITY], wider)
 }
 
-/// Quantile of numbers in any order, which it changes; linear between two of them, zero of none.
+/// Quantile `part` (0 to 1) of `values`, which it reorders; linear interpolation, zero without values.
 pub(crate) fn quantile(values: &mut [f64], part: f64) -> f64 {
     if values.is_empty() {
         return 0.0;
@@ -23,7 +23,7 @@ pub(crate) fn quantile(values: &mut [f64], part: f64) -> f64 {
     *below + place.fract() * (next - *below)
 }
 
-/// Median of the absolute values; zero of none.
+/// Median of the absolute values; zero without values.
 pub(crate) fn median_size(values: impl Iterator<Item = f64>) -> f64 {
     quantile(&mut values.map(f64::abs).collect::<Vec<_>>(), 0.5)
 }

@@ -1,23 +1,23 @@
-//! Work on several threads, with a result that does not depend on how many.
+//! Work on several threads, with a result that does not depend on their number.
 
 use std::convert::Infallible;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-/// Rows that one thread takes at once: about a millisecond of work on each of a log's.
+/// Number of rows in one unit of work: about a millisecond.
 const ROWS_AT_ONCE: usize = 256;
 
-/// Threads that this machine runs side by side. The answer takes reading files: a tenth of a millisecond.
+/// Number of threads that this machine runs in parallel. The call reads files: a tenth of a millisecond.
 pub(crate) fn threads_there() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
 }
 
-/// What `work` makes of 0 to `count`, in that order. Each is long.
+/// Results of `work` for 0 to `count`, in order. For long work, one number at a time.
 pub(crate) fn each<T: Send>(count: usize, work: impl Fn(usize) -> T + Sync) -> Vec<T> {
     let threads = if count > 1 { threads_there().min(count) } else { 1 };
     on_threads(threads, count, |number| Ok::<_, Infallible>(work(number))).unwrap_or_default()
 }
 
-/// What `of` makes of 0 to `count`, in that order. Each is short.
+/// Results of `of` for 0 to `count`, in order. For short work, [`ROWS_AT_ONCE`] numbers at a time.
 pub(crate) fn rows<T: Send>(count: usize, of: impl Fn(usize) -> T + Sync) -> Vec<T> {
     let part = |part: usize| -> Vec<T> {
         (part * ROWS_AT_ONCE..count.min((part + 1) * ROWS_AT_ONCE)).map(&of).collect()
@@ -25,7 +25,7 @@ pub(crate) fn rows<T: Send>(count: usize, of: impl Fn(usize) -> T + Sync) -> Vec
     each(count.div_ceil(ROWS_AT_ONCE), part).into_iter().flatten().collect()
 }
 
-/// What both give, the first on a thread of its own.
+/// Results of both functions; the first runs on a thread of its own.
 pub fn both<A: Send, B>(aside: impl FnOnce() -> A + Send, here: impl FnOnce() -> B) -> (A, B) {
     std::thread::scope(|scope| {
         let aside = scope.spawn(aside);
@@ -34,11 +34,11 @@ pub fn both<A: Send, B>(aside: impl FnOnce() -> A + Send, here: impl FnOnce() ->
     })
 }
 
-/// What `work` makes of 0 to `count`, in that order, on so many threads, this one among them. Work is begun in its order and
-/// ended once begun: of several errors the first one in that order is always found.
+/// Results of `work` for 0 to `count`, in order, with this number of threads including the calling one. Work starts in order
+/// and is not interrupted: of several errors the first one in order is returned.
 ///
 /// # Errors
-/// That of `work`.
+/// The error of `work`.
 pub(crate) fn on_threads<T: Send, E: Send>(
     threads: usize,
     count: usize,

@@ -7,7 +7,7 @@ use super::{Series, StudyFile};
 use crate::model::ParameterId;
 use crate::simulate::{BarLoad, Effects, StaticErrors};
 
-/// Keys of conditions but effects and parameters, with their meaning.
+/// Keys of conditions other than effects and parameters, with their meaning.
 pub const CONDITIONS: [(&str, &str); 9] = [
     ("points", "pairs of robot and bar angles"),
     ("encoders", "joints of the bar with an encoder: 5, 4, 2 or 0"),
@@ -20,7 +20,7 @@ pub const CONDITIONS: [(&str, &str); 9] = [
     ("bar_play_um", "how much longer the bar is under tension, and shorter under compression"),
 ];
 
-/// A condition that is none.
+/// A condition that is not valid.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ConditionError {
     /// The key does not exist.
@@ -30,23 +30,23 @@ pub enum ConditionError {
         CONDITIONS.map(|(key, _)| key).join(", ")
     )]
     Unknown {
-        /// Key as given.
+        /// Key as given in the file.
         key: String,
     },
-    /// A number that makes no sense there.
+    /// A value outside the valid range.
     #[error("{key} = {value} makes no sense; {expected}")]
     Value {
-        /// Key as given.
+        /// Key as given in the file.
         key: String,
-        /// Value as given.
+        /// Value as given in the file.
         value: f64,
-        /// Valid values.
+        /// Valid values of this key.
         expected: &'static str,
     },
 }
 
 impl ConditionError {
-    /// The key as given.
+    /// The key as given in the file.
     pub fn key(&self) -> &str {
         match self {
             Self::Unknown { key } | Self::Value { key, .. } => key,
@@ -57,33 +57,33 @@ impl ConditionError {
 /// The conditions of one experiment.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Conditions {
-    /// Pairs of robot and bar angles.
+    /// Number of pairs of robot and bar angles.
     pub points: usize,
-    /// Bar joints with an encoder.
+    /// Whether each bar joint has an encoder.
     pub measured: [bool; 5],
-    /// Places at which the bar stands one after the other, 1 or 2; each has its share of the points.
+    /// Number of stations of the bar, 1 or 2; the points are shared equally.
     pub stations: usize,
-    /// Of robot and bar.
+    /// Errors of the links of robot and bar.
     pub errors: StaticErrors,
-    /// Of single parameters, on top \[mm|mrad\].
+    /// Additional errors of single parameters \[mm|mrad\].
     pub added_errors: BTreeMap<String, f64>,
     /// Errors of the angles.
     pub effects: Effects,
-    /// On the bar's length.
+    /// Effect of a force on the bar's length.
     pub load: BarLoad,
-    /// Postures that a draw-wire measures.
+    /// Number of postures that a draw-wire measures.
     pub wire_rows: usize,
-    /// White noise of its lengths, standard deviation \[m\].
+    /// Standard deviation of the white noise of the lengths \[m\].
     pub wire_noise_m: f64,
-    /// The bar's angles are those of this much later \[s\].
+    /// Delay of the bar's angles \[s\].
     pub time_difference_s: f64,
 }
 
-/// Fewest pairs that are solved: three rows of each have to determine some forty numbers.
+/// Fewest pairs of an experiment: three rows of each pair determine some forty parameters.
 const POINTS_MIN: f64 = 20.0;
 
 impl Conditions {
-    /// Those of a series at a size.
+    /// The conditions of a series at a size.
     ///
     /// # Errors
     /// [`ConditionError`].
@@ -140,7 +140,7 @@ impl Conditions {
             ("wire_rows", _) => self.wire_rows = value.round() as usize,
             ("wire_noise_um", _) => self.wire_noise_m = value * 1e-6,
             ("encoder_bits", _) => self.effects.encoder_step_urad = TAU / value.exp2() * 1e6,
-            // Whatever the force is, play makes the bar longer under tension and shorter under compression.
+            // Play makes the bar longer under tension and shorter under compression, whatever the size of the force.
             ("bar_play_um", _) => self.load = BarLoad { force_n: 1.0, play_um: value, ..self.load },
             _ => return self.set_effect_or_parameter(key, value),
         }

@@ -1,4 +1,4 @@
-//! A study with all that it needs: what is written beside its results, so that they can be put together anywhere.
+//! A study with all its inputs. It is stored with the results, so that they can be merged on any machine.
 
 use std::path::{Path, PathBuf};
 
@@ -10,24 +10,24 @@ use super::{Driven, PathChoice, Reference, ReferenceError, StudyFile};
 use crate::logs::{self, LogError};
 use crate::simulate::Experiment;
 
-/// The word for the shipped study of the thesis' chapter 3.
+/// Name of the built-in study of chapter 3 of the thesis.
 pub const THESIS: &str = "thesis";
 
 /// Why a study cannot begin.
 #[derive(Debug, thiserror::Error)]
 pub enum LoadError {
-    /// A file of it.
+    /// A file of the study cannot be loaded.
     #[error(transparent)]
     File(#[from] ConfigError),
-    /// The robot's log.
+    /// The robot's log cannot be read.
     #[error(transparent)]
     Log(#[from] LogError),
-    /// Neither the bar nor a wire is simulated with such an arm.
+    /// Bar and wire cannot be simulated with such an arm.
     #[error(
         "{robot} is not an arm of six revolute axes, which studies simulate; name another file as `robot`"
     )]
     Arm {
-        /// The robot's name.
+        /// Name of the robot.
         robot: String,
     },
     /// The robot's log has no path on a sphere.
@@ -39,20 +39,20 @@ pub enum LoadError {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Definition {
-    /// The study's file.
+    /// Contents of the study's file.
     pub study: StudyFile,
-    /// The robot, nominal.
+    /// Nominal robot.
     pub robot: RobotConfig,
-    /// The bar, nominal.
+    /// Nominal bar.
     pub bar: BallBarConfig,
-    /// The path that is driven.
+    /// Path of the experiments.
     pub reference: Reference,
-    /// Who computes: numbers of other versions do not belong with these.
+    /// Version of the program: results of different versions are not merged.
     pub software: String,
 }
 
 impl Definition {
-    /// The shipped study [`THESIS`], or that of a file.
+    /// Loads the built-in study [`THESIS`], or a study from a file.
     ///
     /// # Errors
     /// [`LoadError`].
@@ -88,10 +88,10 @@ impl Definition {
         Self { study, robot, bar, reference, software: shared::version::software("identify") }
     }
 
-    /// Checksum of all of it, hexadecimal: results of equal ones belong together.
+    /// Hexadecimal checksum of the definition: results with the same checksum can be merged.
     ///
     /// # Errors
-    /// A number that does not fit JSON.
+    /// A number that JSON cannot represent.
     pub fn sha256(&self) -> Result<String, serde_json::Error> {
         let sum = Sha256::digest(serde_json::to_vec(self)?);
         Ok(sum.iter().map(|byte| format!("{byte:02x}")).collect())

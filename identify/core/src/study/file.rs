@@ -14,28 +14,28 @@ use crate::plan::DURATION_S_MIN;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StudyFile {
-    /// What it is called.
+    /// Name of the study.
     pub title: String,
-    /// What it is about, for the head of the page.
+    /// Subject of the study, for the head of the page.
     #[serde(default)]
     pub about: String,
-    /// The robot's configuration, seen from the study's file.
+    /// The robot's configuration, relative to the study's file.
     pub robot: PathBuf,
-    /// The bar's configuration, seen from the study's file.
+    /// The bar's configuration, relative to the study's file.
     pub bar: PathBuf,
-    /// The path that is driven; absent: a random one, another for each seed.
+    /// Path of the experiments; absent: a random one for each seed.
     #[serde(default)]
     pub path: PathChoice,
-    /// Experiments of each point.
+    /// Number of experiments of each point.
     pub seeds: u32,
-    /// Pairs of robot and bar angles in each experiment, where a series does not say otherwise.
+    /// Number of pairs of robot and bar angles in each experiment, unless a series states another.
     pub points: u32,
     /// Length of a random path \[s\].
     pub duration_s: f64,
-    /// Place of the bar in the second half of an experiment with two stations \[m\].
+    /// Position of the bar in the second half of an experiment with two stations \[m\].
     #[serde(default)]
     pub second_base_m: Option<[f64; 3]>,
-    /// Error that is still acceptable \[mm|mrad\].
+    /// Largest acceptable error \[mm|mrad\].
     pub limit_mm_mrad: f64,
     /// Estimators by which experiments are solved.
     pub estimators: Vec<Estimator>,
@@ -46,7 +46,7 @@ pub struct StudyFile {
     pub statements: Vec<Statement>,
 }
 
-/// Where the path comes from; at most one of the three.
+/// Source of the path; at most one of the three.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PathChoice {
@@ -58,34 +58,34 @@ pub struct PathChoice {
     pub log: Option<PathBuf>,
 }
 
-/// A way to estimate.
+/// A method of estimation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Estimator {
-    /// By which figures name it.
+    /// Name in figures.
     pub name: String,
-    /// Name for display.
+    /// Name for display in reports.
     pub label: String,
-    /// What it estimates from.
+    /// Instrument that it uses.
     #[serde(default)]
     pub instrument: StudyInstrument,
-    /// As in `config/identify.toml`; a draw-wire has its defaults.
+    /// Configuration as in `config/identify.toml`; a draw-wire uses the defaults.
     #[serde(default)]
     pub config: IdentifyConfig,
 }
 
-/// What is beside the robot.
+/// Instrument of an estimator.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StudyInstrument {
     /// The ball-bar.
     #[default]
     BallBar,
-    /// A draw-wire, with `wire_rows` postures anywhere.
+    /// A draw-wire, with `wire_rows` random postures.
     Wire,
 }
 
-/// How a figure is shown.
+/// Presentation of a figure.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
@@ -94,7 +94,7 @@ pub enum Kind {
     Curves,
     /// Median and largest error of each estimator.
     Levels,
-    /// Which parameters are off by more than 0.05 mm|mrad.
+    /// Parameters with an error above 0.05 mm|mrad.
     Affected,
     /// The error of each parameter in the first experiment.
     Errors,
@@ -102,24 +102,24 @@ pub enum Kind {
     Largest,
 }
 
-/// What is counted as the error of an estimate.
+/// Measure of the error of an estimate.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Measure {
-    /// Euclidean norm over the thesis' parameters \[mm|mrad\].
+    /// Euclidean norm of the errors of the thesis' parameters \[mm|mrad\].
     #[default]
     Euclidean,
-    /// The largest of them \[mm|mrad\].
+    /// Largest of these errors \[mm|mrad\].
     Largest,
-    /// Mean distance of the robot's end from where it is believed to be, over all postures \[mm\].
+    /// Mean distance between true and estimated position of the robot's end, over all postures \[mm\].
     Position,
 }
 
 impl Measure {
-    /// All three measures.
+    /// All measures, in the order of the tables.
     pub const ALL: [Self; 3] = [Self::Euclidean, Self::Largest, Self::Position];
 
-    /// For people, with its unit.
+    /// Text for display, with the unit.
     pub const fn label(self) -> &'static str {
         match self {
             Self::Euclidean => "Euclidean error [mm|mrad]",
@@ -137,40 +137,40 @@ pub struct Figure {
     pub id: String,
     /// Title of the figure.
     pub title: String,
-    /// What the thesis says of it, in our words.
+    /// Result of the thesis, in our words.
     #[serde(default)]
     pub thesis: String,
-    /// How it is shown.
+    /// Presentation of the figure.
     #[serde(default)]
     pub kind: Kind,
-    /// Measure that is drawn.
+    /// Measure of the curves.
     #[serde(default)]
     pub measure: Measure,
-    /// What is varied, with its unit.
+    /// Varied quantity, with its unit.
     #[serde(default)]
     pub x: String,
-    /// Who estimates, by name.
+    /// Names of the estimators.
     pub estimators: Vec<String>,
-    /// What is varied how.
+    /// Series of varied conditions.
     pub series: Vec<Series>,
 }
 
-/// One way to vary.
+/// One series of a figure.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Series {
-    /// Empty where the figure has only one.
+    /// Name; empty if the figure has only one series.
     #[serde(default)]
     pub name: String,
     /// Sizes of the varied conditions.
     pub x: Vec<f64>,
-    /// Condition by key, per unit of the size.
+    /// Change of each condition per unit of the size, by key.
     #[serde(default)]
     pub vary: BTreeMap<String, f64>,
     /// Constant conditions by key.
     #[serde(default)]
     pub with: BTreeMap<String, f64>,
-    /// Who estimates here; absent: those of the figure.
+    /// Names of the estimators of this series; absent: those of the figure.
     #[serde(default)]
     pub estimators: Option<Vec<String>>,
 }
@@ -181,12 +181,12 @@ pub struct Series {
 pub struct Choice {
     /// The figure's number.
     pub figure: String,
-    /// The series' name; absent: of all.
+    /// The series' name; absent: all series.
     #[serde(default)]
     pub series: Option<String>,
     /// The estimator's name.
     pub estimator: String,
-    /// Of these sizes, from and to; absent: of all.
+    /// Range of sizes, from and to; absent: all sizes.
     #[serde(default)]
     pub between: Option<[f64; 2]>,
     /// Measure of the error.
@@ -199,28 +199,28 @@ pub struct Choice {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Statement {
-    /// The question, or what is claimed.
+    /// Text of the question or claim.
     pub text: String,
     /// Curve of the question.
     pub of: Choice,
-    /// Another one to compare with.
+    /// Curve to compare with.
     #[serde(default)]
     pub against: Option<Choice>,
-    /// The question is at which size the curve reaches the study's limit.
+    /// Whether the result is the size at which the curve reaches the study's limit.
     #[serde(default)]
     pub reaches_limit: bool,
-    /// It is claimed that the value is at least this.
+    /// Lower bound of the claim.
     #[serde(default)]
     pub at_least: Option<f64>,
-    /// It is claimed that the value is at most this.
+    /// Upper bound of the claim.
     #[serde(default)]
     pub at_most: Option<f64>,
-    /// What explains the answer.
+    /// Explanation of the answer.
     #[serde(default)]
     pub why: String,
 }
 
-/// A figure that the study does not have.
+/// A figure that the study does not contain.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("the study has no figure `{id}`; there are {known}")]
 pub struct UnknownFigure {
@@ -252,7 +252,7 @@ impl StudyFile {
         Ok(())
     }
 
-    /// Names of those who estimate in a series.
+    /// Names of the estimators of a series.
     pub fn estimators_of<'a>(&'a self, figure: &'a Figure, series: &'a Series) -> &'a [String] {
         series.estimators.as_deref().unwrap_or(&figure.estimators)
     }

@@ -13,30 +13,30 @@ use crate::plan::PlannedPath;
 use crate::prepare::fit_sphere;
 use crate::simulate::{BarPath, Experiment, SimulateError};
 
-/// Time between two rows that are kept of a log, at least \[s\].
+/// Least time between two rows of a log that are used \[s\].
 const ROW_S: f64 = 0.02;
-/// Positions this far from the sphere are not on the bar \[m\].
+/// Positions further than this from the sphere are not on the bar \[m\].
 const ON_SPHERE_M: f64 = 0.02;
-/// Rows on the sphere without a break, at least.
+/// Least number of consecutive rows on the sphere.
 const ROWS_MIN: usize = 100;
 /// Longest time between two rows of one path \[s\].
 const GAP_S: f64 = 0.5;
 
-/// Where the path comes from.
+/// Source of the path.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Reference {
-    /// A random one for each seed.
+    /// A different random path for each seed.
     Random,
-    /// The random one of this seed for all.
+    /// The random path of this seed, for all experiments.
     Same(u64),
     /// `path.toml` of `identify plan`.
     Planned(PlannedPath),
-    /// Driven by a real robot.
+    /// A path driven by a real robot.
     Driven(Driven),
 }
 
-/// Why a log has no path.
+/// Why a log contains no path.
 #[derive(Debug, thiserror::Error)]
 pub enum ReferenceError {
     /// The robot was not on the bar.
@@ -45,15 +45,15 @@ pub enum ReferenceError {
          give the log of a run on the bar"
     )]
     NoSphere {
-        /// Most rows in one go.
+        /// Largest number of consecutive rows on the sphere.
         rows: usize,
     },
-    /// The bar has no solution.
+    /// The bar's inverse kinematics has no solution.
     #[error(transparent)]
     Inverse(#[from] InverseError),
 }
 
-/// The bar's joints while a real robot drove, as the nominal robot has them.
+/// Joints of the bar along the path of a real robot, from the nominal robot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Driven {
@@ -61,14 +61,14 @@ pub struct Driven {
     pub base_m: [f64; 3],
     /// Joints of the nominal robot at the start \[rad\].
     pub start_rad: [f64; 6],
-    /// Since the start \[s\].
+    /// Time since the start \[s\].
     pub t_s: Vec<f64>,
-    /// Of the bar, continuous \[rad\].
+    /// Joints of the bar, without jumps \[rad\].
     pub bar_rad: Vec<[f64; BAR_JOINTS]>,
 }
 
 impl Driven {
-    /// The longest part of a log in which the robot is on a sphere.
+    /// Finds the longest part of a log in which the robot's end is on a sphere.
     ///
     /// # Errors
     /// [`ReferenceError`].
@@ -121,14 +121,14 @@ impl Driven {
     }
 }
 
-/// A path and where the nominal robot is at its start \[rad\].
+/// A path, and the nominal robot's joints at its start \[rad\].
 pub(super) type Drive = (Box<dyn BarPath>, Joints);
 
 impl Reference {
-    /// Puts the bar of an experiment where the path needs it, and gives that path.
+    /// Moves the bar of an experiment to the base of the path, and returns the path.
     ///
     /// # Errors
-    /// [`SimulateError`] where a random path is not found, or a log cannot be interpolated.
+    /// [`SimulateError`] if no random path is found, or a log cannot be interpolated.
     pub(super) fn drive(&self, experiment: &mut Experiment<'_>) -> Result<Drive, SimulateError> {
         let random = |experiment: &Experiment<'_>| -> Result<Drive, SimulateError> {
             let (path, start_rad) = experiment.drive()?;

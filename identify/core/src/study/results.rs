@@ -1,7 +1,7 @@
-//! `trials.jsonl`: a first line with the study, then one line for each experiment, in whatever order they came.
+//! `trials.jsonl`: a first line with the study, then one line for each experiment, in any order.
 //!
-//! The file only grows while a study runs, so that one which is killed loses the line that was being written. At the end it is
-//! put in order: then it is the same whoever computed what.
+//! Lines are only appended while a study runs, so a process that is killed loses at most the line being written. At the end the
+//! lines are sorted: the file then does not depend on which machine computed them.
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
@@ -17,18 +17,18 @@ use super::{Definition, Measure, Trial, trials};
 /// Name of the file in a study's directory.
 const NAME: &str = "trials.jsonl";
 
-/// Why results cannot be read or kept.
+/// Why results cannot be read or written.
 #[derive(Debug, thiserror::Error)]
 pub enum ResultsError {
-    /// The operating system refused.
+    /// Error of the operating system.
     #[error("cannot use {}: {source}; check the directory and free space", path.display())]
     Io {
         /// Path of the file.
         path: PathBuf,
-        /// What the system said.
+        /// Text of the system's error.
         source: io::Error,
     },
-    /// The file is none of ours.
+    /// The file has another format.
     #[error("{}, line {line}: {reason}; move the file away, or give another --out", path.display())]
     Malformed {
         /// Path of the file.
@@ -38,13 +38,13 @@ pub enum ResultsError {
         /// Why it cannot be read.
         reason: String,
     },
-    /// It is that of something else.
+    /// The file is of another study.
     #[error("{} has the results of another study or version of this program; give another --out", path.display())]
     OtherStudy {
         /// Path of the file.
         path: PathBuf,
     },
-    /// Not all shards are there.
+    /// Shards are missing.
     #[error(
         "{missing} of {wanted} experiments are missing, the first is number {first}; merge all shards, and let each end first"
     )]
@@ -53,59 +53,59 @@ pub enum ResultsError {
         missing: usize,
         /// Number of all experiments.
         wanted: usize,
-        /// The first of them.
+        /// Number of the first missing experiment.
         first: usize,
     },
-    /// No directory to merge.
+    /// No directories to merge.
     #[error("no shard was given; name the directories of all")]
     NoShard,
-    /// A number does not fit JSON.
+    /// JSON cannot represent a number.
     #[error("a result cannot be written as JSON: {0}")]
     Json(#[from] serde_json::Error),
-    /// A table does not become CSV.
+    /// A table cannot be written as CSV.
     #[error("the table cannot be written as CSV: {0}")]
     Csv(#[from] csv::Error),
-    /// A table does not become Parquet.
+    /// A table cannot be written as Parquet.
     #[error("the table cannot be written as Parquet: {0}")]
     Parquet(#[from] ParquetError),
 }
 
-/// The error of the system on a file.
+/// Error of the system for a file.
 pub(super) fn refused(path: &Path) -> impl Fn(io::Error) -> ResultsError + Copy {
     move |source| ResultsError::Io { path: path.to_owned(), source }
 }
 
-/// What one estimator made of one experiment.
+/// Errors of one estimator in one experiment.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Row {
     /// Euclidean norm of the errors of the thesis' parameters \[mm|mrad\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub euclidean_mm_mrad: Option<f64>,
-    /// The largest of them \[mm|mrad\].
+    /// Largest of these errors \[mm|mrad\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub largest_mm_mrad: Option<f64>,
     /// Mean error of the robot's position over all postures \[mm\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub position_mm: Option<f64>,
-    /// 95 % of all postures are better \[mm\].
+    /// 95 % quantile of the position error over all postures \[mm\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub position_p95_mm: Option<f64>,
-    /// Of each parameter, where the figure shows them \[mm|mrad\].
+    /// Error of each parameter, for figures that show them \[mm|mrad\].
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub errors: BTreeMap<String, f64>,
-    /// Why there is none of all these.
+    /// Reason for a missing estimate.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub failed: Option<String>,
 }
 
 impl Row {
-    /// No estimate, and why.
+    /// A missing estimate with its reason.
     pub fn failed(reason: String) -> Self {
         Self { failed: Some(reason), ..Self::default() }
     }
 
-    /// One of the errors.
+    /// The error by a measure.
     pub const fn error(&self, measure: Measure) -> Option<f64> {
         match measure {
             Measure::Euclidean => self.euclidean_mm_mrad,
@@ -115,13 +115,13 @@ impl Row {
     }
 }
 
-/// What all estimators of a figure made of one experiment.
+/// Results of all estimators of a figure in one experiment.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrialRows {
     /// The experiment's number.
     pub trial: usize,
-    /// In the order of the figure's estimators.
+    /// Results in the order of the figure's estimators.
     pub rows: Vec<Row>,
 }
 
@@ -144,7 +144,7 @@ impl Results {
     }
 }
 
-/// Every `of`-th experiment, beginning with the `number`-th.
+/// Every `of`-th experiment, starting with the `number`-th.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Share {
     number: usize,
@@ -152,10 +152,10 @@ pub struct Share {
 }
 
 impl Share {
-    /// Share of all experiments.
+    /// All experiments in one shard.
     pub const WHOLE: Self = Self { number: 1, of: 1 };
 
-    /// An experiment belongs to it.
+    /// Whether the shard contains an experiment.
     pub const fn has(self, trial: usize) -> bool {
         trial % self.of == self.number - 1
     }
@@ -174,7 +174,7 @@ impl FromStr for Share {
     }
 }
 
-/// The file, open to be added to.
+/// The file, open for appending.
 #[derive(Debug)]
 pub struct Results {
     path: PathBuf,
@@ -184,7 +184,7 @@ pub struct Results {
 }
 
 impl Results {
-    /// Opens or creates the file of a directory. An incomplete last line is cut off.
+    /// Opens or creates the file in a directory. Removes an incomplete last line.
     ///
     /// # Errors
     /// [`ResultsError`].
@@ -208,12 +208,12 @@ impl Results {
         Ok(Self { path, file, header, done })
     }
 
-    /// What is there so far, by number.
+    /// Results so far, by number of the experiment.
     pub const fn done(&self) -> &BTreeMap<usize, TrialRows> {
         &self.done
     }
 
-    /// Adds an experiment.
+    /// Appends the results of an experiment.
     ///
     /// # Errors
     /// [`ResultsError`].
@@ -240,7 +240,7 @@ impl Results {
             .map_err(refused(&self.path))
     }
 
-    /// All experiments of the list are there.
+    /// Checks that the results of all experiments are present.
     ///
     /// # Errors
     /// [`ResultsError::Missing`].
@@ -253,10 +253,10 @@ impl Results {
     }
 }
 
-/// The study of all these directories, and their experiments in the first one's place.
+/// Merges the results of the directories `shards` of one study into `out`; returns the study and all results.
 ///
 /// # Errors
-/// [`ResultsError`] where they are not of one study.
+/// [`ResultsError`] if they are of different studies.
 pub fn merge(shards: &[PathBuf], out: &Path) -> Result<(Definition, Results), ResultsError> {
     let mut all: Option<(Definition, BTreeMap<usize, TrialRows>)> = None;
     for shard in shards {

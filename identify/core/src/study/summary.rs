@@ -8,21 +8,21 @@ use super::results::Placed;
 use super::{Choice, Definition, Figure, Kind, Measure, Results, Row, Statement};
 use crate::statistics::quantile;
 
-/// A parameter that is off by more is affected (thesis 3.3) \[mm|mrad\].
+/// A parameter with a larger error counts as affected (thesis 3.3) \[mm|mrad\].
 const AFFECTED_MM_MRAD: f64 = 0.05;
-/// Parameters that a row of table B.1 names.
+/// Number of parameters in a row of table B.1.
 const LARGEST: usize = 5;
 
-/// Errors of all experiments of one point.
+/// Quantiles of the errors of all experiments of one point.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Spread {
-    /// Half of them are better.
+    /// Median of the errors.
     pub median: f64,
-    /// A quarter of them is better.
+    /// Lower quartile of the errors.
     pub lower_quartile: f64,
-    /// Three quarters of them are better.
+    /// Upper quartile of the errors.
     pub upper_quartile: f64,
-    /// Largest of all.
+    /// Largest of the errors.
     pub worst: f64,
 }
 
@@ -38,15 +38,15 @@ impl Spread {
 pub struct CurvePoint {
     /// Size of the varied conditions.
     pub x: f64,
-    /// How many were made.
+    /// Number of experiments.
     pub experiments: usize,
-    /// How many of them gave no estimate.
+    /// Number of experiments without an estimate.
     pub failed: usize,
-    /// Errors of the others; empty if half or more failed.
+    /// Quantiles of the other errors by measure; empty if half or more failed.
     pub errors: BTreeMap<Measure, Spread>,
 }
 
-/// What one estimator makes of one series.
+/// Errors of one estimator in one series.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Curve {
     /// The figure's number.
@@ -55,44 +55,44 @@ pub struct Curve {
     pub series: String,
     /// Name of the estimator.
     pub estimator: String,
-    /// The same for people.
+    /// Name of the estimator for display.
     pub label: String,
-    /// In the order of the series' sizes.
+    /// Points in the order of the series' sizes.
     pub points: Vec<CurvePoint>,
     /// The size at which the Euclidean error reaches the limit.
     pub limit_at: Reach,
 }
 
-/// Where a curve reaches a limit.
+/// Size at which a curve reaches a limit.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Reach {
-    /// There, between two sizes as on a straight line in logarithms.
+    /// Between two sizes, by linear interpolation of logarithms.
     At(f64),
-    /// All sizes are better, up to this one.
+    /// Above the largest size: all errors are below the limit.
     BetterUpTo(f64),
-    /// All sizes are worse, down to this one.
+    /// Below the smallest size: all errors are above the limit.
     WorseDownTo(f64),
-    /// The curve is empty.
+    /// The curve has no points.
     Unknown,
 }
 
 /// The answer to a [`Statement`].
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Finding {
-    /// What was asked or claimed.
+    /// Text of the question or claim.
     pub text: String,
-    /// What was found, as a sentence.
+    /// Result as a sentence.
     pub answer: String,
-    /// The number in it.
+    /// Value of the result.
     pub value: Option<f64>,
-    /// The claim holds; `None` for a question.
+    /// Whether the claim holds; `None` for a question.
     pub holds: Option<bool>,
     /// Explanation of the answer.
     pub why: String,
 }
 
-/// A table of a figure that is none.
+/// Table of a figure that is presented as a table.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct FigureTable {
     /// The figure's number.
@@ -108,20 +108,20 @@ pub struct FigureTable {
 pub struct Summary {
     /// The study's name.
     pub title: String,
-    /// Experiments of each point.
+    /// Number of experiments of each point.
     pub seeds: u32,
     /// Every curve, in the order of the study's file.
     pub curves: Vec<Curve>,
-    /// Tables of figures that are tables.
+    /// Tables of figures that are presented as tables.
     pub tables: Vec<FigureTable>,
     /// Answers, in the order of the study's file.
     pub findings: Vec<Finding>,
-    /// Why experiments gave no estimate, and how many of them.
+    /// Reasons for missing estimates, with their numbers of experiments.
     pub failures: BTreeMap<String, usize>,
 }
 
 impl Summary {
-    /// Of all results.
+    /// Summarises the results of all experiments.
     pub fn new(definition: &Definition, results: &Results) -> Self {
         let study = &definition.study;
         let placed: Vec<Placed<'_>> = results.placed(definition).collect();
@@ -201,7 +201,7 @@ fn point(x: f64, of_curve: &[&&Placed<'_>]) -> CurvePoint {
     CurvePoint { x, experiments: rows.len(), failed, errors }
 }
 
-/// The first size, going up, where the curve passes the limit in either direction.
+/// The smallest size at which the curve passes the limit in either direction.
 fn reach(medians: &[(f64, f64)], limit: f64) -> Reach {
     let mut sorted: Vec<(f64, f64)> = medians.to_vec();
     sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -246,7 +246,7 @@ fn finding(statement: &Statement, curves: &[Curve], limit: f64) -> Finding {
     }
 }
 
-/// Series, size and median of all that is meant.
+/// Series, size and median of the selected points.
 fn chosen<'a>(curves: &'a [Curve], choice: &Choice) -> Vec<(&'a str, f64, f64)> {
     let is_meant = |curve: &&Curve| {
         curve.figure == choice.figure
@@ -267,7 +267,7 @@ fn reached(of: &[(&str, f64, f64)], limit: f64) -> (Option<f64>, Option<String>)
     }
 }
 
-/// Mean ratio at equal sizes, whatever the series are called; of parts at other sizes the ratio of their means.
+/// Mean ratio at equal sizes, for series of any name; for different ranges of sizes the ratio of the geometric means.
 fn ratio(
     of: &[(&str, f64, f64)],
     against: &[(&str, f64, f64)],
@@ -349,7 +349,7 @@ fn levels(definition: &Definition, figure: &Figure, own: &[&Placed<'_>]) -> Figu
 }
 
 fn affected(own: &[&Placed<'_>]) -> FigureTable {
-    // By series and estimator, in the order in which they came: each parameter's error, one for each seed.
+    // Errors of each parameter by series and estimator, in order of appearance; one value for each seed.
     type Errors<'a> = BTreeMap<&'a str, Vec<f64>>;
     let mut keys: Vec<(&str, &str)> = Vec::new();
     let mut found: Vec<Errors<'_>> = Vec::new();

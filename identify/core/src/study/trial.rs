@@ -20,11 +20,11 @@ use crate::simulate::{Comparison, position_errors_m};
 /// One experiment: a place in the study's list of figures, series, sizes and seeds.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Trial<'a> {
-    /// Its place in the list of all.
+    /// Index in the list of all experiments.
     pub number: usize,
-    /// Figure that it belongs to.
+    /// Figure that contains the experiment.
     pub figure: &'a Figure,
-    /// Series that it belongs to.
+    /// Series that contains the experiment.
     pub series: &'a Series,
     /// Size of the varied conditions.
     pub x: f64,
@@ -32,7 +32,7 @@ pub struct Trial<'a> {
     pub seed: u32,
 }
 
-/// All experiments of a study, in their order.
+/// All experiments of a study, in order.
 pub fn trials(definition: &Definition) -> impl Iterator<Item = Trial<'_>> {
     let study = &definition.study;
     let sizes = study.figures.iter().flat_map(|figure| {
@@ -43,7 +43,7 @@ pub fn trials(definition: &Definition) -> impl Iterator<Item = Trial<'_>> {
     all.enumerate().map(|(number, (figure, series, x, seed))| Trial { number, figure, series, x, seed })
 }
 
-/// Simulates one and solves it with its estimators. A failed estimate is a row with its reason.
+/// Simulates one experiment and solves it with its estimators. A failed estimate is a row with its reason.
 pub fn run(definition: &Definition, trial: &Trial<'_>) -> TrialRows {
     let study = &definition.study;
     let names = study.estimators_of(trial.figure, trial.series);
@@ -73,7 +73,7 @@ pub fn run(definition: &Definition, trial: &Trial<'_>) -> TrialRows {
     TrialRows { trial: trial.number, rows }
 }
 
-/// What robot and bar showed, station by station.
+/// Readings of robot and bar, for each station.
 struct Simulated {
     stations: Vec<Prepared>,
     truth: Truth,
@@ -98,7 +98,7 @@ fn simulate(definition: &Definition, seed: u32, conditions: &Conditions) -> Resu
     for station in 0..conditions.stations {
         let mut experiment = experiment(definition, seed, conditions);
         if station > 0 {
-            // The same robot and bar at another place, on another path, with noise of its own.
+            // The same robot and bar at another station, on another path, with independent noise.
             experiment.robot_seed = Some(experiment.seed);
             experiment.seed += (station as u64) << 32;
             experiment.design.base_m = definition.study.second_base_m.unwrap_or(experiment.design.base_m);
@@ -112,11 +112,11 @@ fn simulate(definition: &Definition, seed: u32, conditions: &Conditions) -> Resu
     Ok(Simulated { stations, truth: truth.ok_or(SimulateError::Empty)? })
 }
 
-/// Pairs as the preparation would have left them: aligned, with angles from the encoders' marks, near nominal links and a bar at
-/// `base_m`. `measured`: bar joints with an encoder.
+/// Pairs of angles as after the preparation: aligned, with encoder angles from the reference marks, nearly nominal links and
+/// the bar at `base_m`. `measured`: bar joints with an encoder.
 ///
 /// # Errors
-/// [`SimulateError::Empty`] of too few pairs to go through.
+/// [`SimulateError::Empty`] if there are too few pairs to interpolate.
 pub fn prepared(pairs: &Pairs, measured: [bool; 5], base_m: [f64; 3]) -> Result<Prepared, SimulateError> {
     let first_s = pairs.t_s.first().copied().unwrap_or_default();
     let t_s = pairs.t_s.iter().map(|t_s| t_s - first_s).collect();

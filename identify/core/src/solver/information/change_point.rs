@@ -1,11 +1,11 @@
 //! Changes during a run: a parameter with a step at an unknown instant, or with a drift.
 //!
 //! A change adds columns to the problem: those of the parameters that change, each multiplied by its course in time, which is a
-//! step (zero before an instant, one after it) or a ramp. With `C` these columns, `J` those of the estimated parameters, `N =
-//! J'J` with the priors, `g = J'r`, `n = J'C`, `s = C'C` and `p = C'r`, the solution of the extended problem has the change `b
-//! = -S^-1 (p - n' N^-1 g)`, `S = s - n' N^-1 n`, and a sum of squares that is lower by `(p - n' N^-1 g)' S^-1 (p - n' N^-1 g)`
-//! (score test, Rao 1948). The other parameters are estimated again with the change, so neither an uneven motion nor an early
-//! end of the solve is mistaken for a change.
+//! step (zero before an instant, one after it) or a ramp. With `C` these columns, `J` those of the estimated parameters,
+//! `N = J'J` with the priors, `g = J'r`, `n = J'C`, `s = C'C` and `p = C'r`, the solution of the extended problem has the
+//! change `b = -S^-1 (p - n' N^-1 g)`, `S = s - n' N^-1 n`. Its sum of squares is lower by
+//! `(p - n' N^-1 g)' S^-1 (p - n' N^-1 g)` (score test, Rao 1948). The other parameters are estimated again with the change, so
+//! neither an uneven motion nor an early end of the solve is mistaken for a change.
 //!
 //! A change is significant relative to its own uncertainty, and residuals are not independent: errors of gears and encoders are
 //! correlated over seconds. Their scatter is therefore estimated from sums over blocks of the run, in two ways. `pooled`: ratio
