@@ -1,4 +1,5 @@
-//! Arms of any number of axes, revolute or prismatic: taken from a URDF, in either convention, inverted, calibrated, checked.
+//! Arms with any number of revolute or prismatic axes: import from URDF in both conventions, inverse kinematics, calibration,
+//! checks.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 #![allow(clippy::approx_constant, reason = "as people write it who mean radians")]
 
@@ -26,7 +27,7 @@ use crate::support::independent::{Matrix, identity, product, shift, turn};
 use crate::support::repository;
 use crate::support::rows::{Alone, Found};
 
-/// File, base and tip.
+/// File, base link and tip link.
 const ARMS: [(&str, &str, &str); 3] =
     [("ur10", "base_link", "tool0"), ("seven_axes", "base", "flange"), ("on_a_track", "cell", "tool")];
 
@@ -44,7 +45,7 @@ fn parsed(toml: &str) -> RobotConfig {
     robot
 }
 
-/// Forward kinematics of a URDF as its specification says, on `urdf-rs`' reading of it. Its right angles of nine decimals are exact.
+/// Forward kinematics of a URDF by its specification, read with `urdf-rs`. Its right angles of nine decimals become exact.
 fn by_urdf(text: &str, base: &str, tip: &str, joints: &[f64]) -> Matrix<f64> {
     let robot = urdf_rs::read_from_string(text).unwrap();
     let mut path = Vec::new();
@@ -83,7 +84,7 @@ fn by_urdf(text: &str, base: &str, tip: &str, joints: &[f64]) -> Matrix<f64> {
     })
 }
 
-/// Largest difference of two poses' entries.
+/// Largest difference between the entries of two poses.
 fn apart(found: &Pose, expected: &Matrix<f64>) -> f64 {
     let found = found.to_homogeneous();
     (0..16).map(|at| (found[(at / 4, at % 4)] - expected[at / 4][at % 4]).abs()).fold(0.0, f64::max)
@@ -116,7 +117,7 @@ fn links_of_a_urdf_are_those_of_the_data_sheet_where_it_has_any() {
     let robot = imported(ARMS[0]).config;
     let lengths: Vec<[f64; 2]> = robot.links.iter().map(|link| [link.a_m, link.d_m]).collect();
     let rounded = lengths.iter().flatten().map(|length| (length.abs() * 1e6).round() / 1e6);
-    // Which of three parallel axes has the offset along them is free; its sum is the shoulder's.
+    // Any of three parallel axes can have the offset along them; the sum is that of the shoulder.
     let expected = [0.0, 0.1273, 0.612, 0.0, 0.5723, 0.0, 0.0, 0.163941, 0.0, 0.1157, 0.0, 0.0922];
     assert_eq!(rounded.collect::<Vec<f64>>(), expected);
     assert_eq!(imported(ARMS[1]).joints, ["a1", "a2", "a3", "a4", "a5", "a6", "a7"]);
@@ -181,7 +182,7 @@ fn a_urdf_that_gives_no_serial_arm_is_refused_with_what_to_do() {
     assert!(refusal(&mimic, None, None).to_string().contains("follows joint `a2`"));
     let nowhere = seven.replacen("<axis xyz=\"0 0 1\"/>", "<axis xyz=\"0 0 0\"/>", 1);
     assert!(refusal(&nowhere, None, None).to_string().contains("axis without direction"));
-    // What no command would load, and what contradicts itself.
+    // Unsupported or contradictory URDF files are refused.
     for (from, to, told) in [
         ("xyz=\"0 0 0.2025\"", "xyz=\"nan 0 0.2025\"", "joint `a2` has NaN in its origin or axis"),
         ("xyz=\"0 0 0.2025\"", "xyz=\"0 0 202.5\"", "links[0].d_m: 202.6575 is outside -10 to 10"),
@@ -194,15 +195,15 @@ fn a_urdf_that_gives_no_serial_arm_is_refused_with_what_to_do() {
     }
 }
 
-/// A joint of a URDF from its attributes and those of its origin, axis and so on.
+/// A joint of a URDF from its attributes and its elements, such as origin and axis.
 fn joint(name: &str, kind: &str, [parent, child]: [&str; 2], rest: &str) -> String {
     format!(
         "<joint name=\"{name}\" type=\"{kind}\"><parent link=\"{parent}\"/><child link=\"{child}\"/>{rest}</joint>\n"
     )
 }
 
-/// A URDF in the style of ROS-Industrial: frames `base` and `tool0` beside the arm, shapes with materials twice, sensors of a
-/// simulator, transmissions; six axes of a FANUC arm with spherical wrist, whose axes 2 and 3 point against each other.
+/// A URDF in the style of ROS-Industrial: frames `base` and `tool0` besides the arm, duplicate materials, sensors of a
+/// simulator, transmissions; six axes of a FANUC arm with spherical wrist, whose axes 2 and 3 have opposite directions.
 fn fanuc_urdf() -> String {
     let links =
         ["base_link", "link_1", "link_2", "link_3", "link_4", "link_5", "link_6", "base", "flange", "tool0"];
@@ -242,7 +243,7 @@ fn an_arm_is_found_among_the_frames_shapes_and_sensors_of_its_urdf() {
     assert_eq!((imported.base.as_str(), imported.tip.as_str()), ("base_link", "tool0"));
     assert_eq!(imported.joints, ["joint_1", "joint_2", "joint_3", "joint_4", "joint_5", "joint_6"]);
     assert_eq!(imported.config.links[0].d_m, 0.33);
-    // Fixed links after the last axis and before the first one, a gripper, and a second end that moves less.
+    // Fixed links before the first and after the last axis, a gripper, and a second end with fewer axes.
     let fixed = |parent: &str, child: &str| {
         format!("<link name=\"{child}\"/>{}", joint(child, "fixed", [parent, child], ""))
     };
@@ -268,11 +269,11 @@ fn an_arm_is_found_among_the_frames_shapes_and_sensors_of_its_urdf() {
     );
     assert_eq!(base, "base_link");
     assert!(left_out[0].contains("--base world"), "{left_out:?}");
-    // A flange with its usual name counts more than what is mounted on it; an axis may end at a link with a gripper's name.
+    // A standard flange name has priority over mounted parts; the last axis may end at a link with a gripper's name.
     assert_eq!(of(&[fixed("tcp", "hand"), fixed("link_6", "arm_link8")], "tcp").1, "arm_link8");
     let wrist = fanuc_urdf().replace("\"link_6\"", "\"gripper\"").replace("\"tool0\"", "\"tcp\"");
     assert_eq!(import(&wrist.replace("\"flange\"", "\"plate\""), None, None).unwrap().config.axes(), 6);
-    // What moves in two ways is for people to choose.
+    // The user selects the tip if there are two arms.
     let told = ends(&[moving("link_4", "other")], "tcp").unwrap_err().to_string();
     assert!(told.ends_with(": tcp (6), other (5)"), "{told}");
 }
@@ -299,7 +300,7 @@ fn a_urdf_that_is_none_is_told_by_what_is_wrong_with_it() {
         let told = told(&text);
         assert!(told.contains(expected) && !told.contains("xacro"), "{told}");
     }
-    // Joints that are not in the arm may be as they are.
+    // Joints outside the arm may be of any kind.
     let broken = "<link name=\"lamp\"/><joint name=\"x\" type=\"planar\"><parent link=\"base\"/><child link=\"lamp\"/>\
                   <axis/></joint></robot>";
     let beside = fanuc_urdf().replace("</robot>", broken);
@@ -318,7 +319,7 @@ fn numbers_are_written_as_people_mean_them() {
     );
     let imported = import(&urdf, None, None).unwrap();
     let written = imported.to_toml("x");
-    // Limits stay as the file has them.
+    // Limits keep the values of the file.
     let lines = written.lines().filter(|line| !line.starts_with('#') && !line.starts_with("joint_limits"));
     let numbers = lines.flat_map(|line| {
         line.split(|c: char| !(c.is_ascii_alphanumeric() || ".-".contains(c)))
@@ -337,13 +338,13 @@ fn numbers_are_written_as_people_mean_them() {
     let told = imported.assumed.concat();
     assert!(told.contains("turned by 1.57 rad in the file: 90 deg are taken"), "{told}");
     assert_eq!(told.matches("are taken").count(), 1, "{told}");
-    // Nine decimals of many UR files.
+    // Many UR files have nine decimals.
     let turned = |rpy: &str| {
         let urdf = fanuc_urdf().replacen("rpy=\"0 0 0\"", &format!("rpy=\"{rpy}\""), 1);
         import(&urdf, None, None).unwrap().config
     };
     assert_eq!(turned("1.570796325 0 0"), turned("1.5707963267948966 0 0"));
-    // A measured angle stays.
+    // A measured angle keeps its value.
     let measured = fanuc_urdf().replacen("rpy=\"0 0 0\"", "rpy=\"1.5702 0 1.5699\"", 1);
     assert!(!import(&measured, None, None).unwrap().assumed.concat().contains("are taken"));
 }
@@ -358,7 +359,7 @@ fn joint_3_of_a_fanuc_controller_does_not_include_joint_2() {
     let other = import(&fanuc_urdf().replace("fanuc_lrmate200id", "arm"), None, None).unwrap();
     assert_eq!(other.config.log.raw_to_joint[1][2], 0.0);
     assert_eq!(other.assumed, Vec::<String>::new());
-    // Another sense of the axes is for people.
+    // The user decides about reversed axes.
     let along = import(&fanuc_urdf().replacen("0 -1 0", "0 1 0", 1), None, None).unwrap();
     assert_eq!(along.config.log.raw_to_joint[1][2], 0.0);
     assert!(along.assumed[0].contains("J3 of a FANUC controller does not include J2"), "{:?}", along.assumed);
@@ -411,7 +412,7 @@ fn a_wrist_with_an_offset_has_no_closed_form_and_is_inverted_numerically() {
 
 #[test]
 fn two_axes_on_one_line_are_reported_also_where_others_make_up_for_them() {
-    // An arm in the middle of a turntable.
+    // An arm in the centre of a turntable.
     let table = "<link name=\"table\"/><link name=\"floor\"/>".to_owned()
         + &joint("turn", "continuous", ["floor", "table"], "<axis xyz=\"0 0 1\"/>")
         + &joint("mount", "fixed", ["table", "base_link"], "<origin xyz=\"0 0 0.4\"/>")
@@ -424,7 +425,7 @@ fn two_axes_on_one_line_are_reported_also_where_others_make_up_for_them() {
     assert_eq!(found(&slides), Vec::<String>::new());
 }
 
-/// Franka Emika Panda, Craig's convention as its maker prints it, on a track.
+/// Franka Emika Panda in Craig's convention, as published by its manufacturer, on a linear track.
 const MODIFIED: &str = r#"
 name = "seven axes on a track"
 convention = "modified"
@@ -496,7 +497,7 @@ fn twists_of_prismatic_axes_and_of_links_behind_them_are_the_derivatives() {
             chain.forward(&joints)
         };
         let (before, after) = (end(-1e-6), end(1e-6));
-        // The arc cosine in nalgebra's own logarithm loses half the digits.
+        // The arc cosine in nalgebra's own logarithm loses half of the digits.
         let turn = *(after.rotation * before.rotation.inverse()).matrix();
         let turned = 0.5
             * Vector3::new(
@@ -535,7 +536,8 @@ fn arms_without_a_closed_form_are_inverted_from_near_and_move_no_further_than_th
             assert!((chain.forward(&found).to_homogeneous() - target.to_homogeneous()).amax() < 1e-9);
             let moved = found.iter().zip(&joints).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
             let known = by.iter().map(|by| by * by).sum::<f64>().sqrt();
-            // More axes than six find a shorter way than the one that is known; a little longer where it bends.
+            // With more than six axes a shorter solution than the known one exists, or a slightly longer one where the path
+            // bends.
             assert!(moved < 1.05 * known + 1e-9, "{}: {moved} {known}", arm.0);
         }
         let regular = Joints::from_fn(robot.axes(), |axis| 0.4 + 0.1 * axis as f64);
@@ -550,7 +552,7 @@ fn arms_without_a_closed_form_are_inverted_from_near_and_move_no_further_than_th
     assert_eq!(refused, InverseError::Links { found: 3, expected: 6 });
 }
 
-/// Rows of a tracker that follows an arm with errors in all its links, noise of 20 um and urad.
+/// Rows of a tracker for an arm with errors in all links; noise of 20 um and urad.
 fn tracked(robot: &RobotConfig, count: usize) -> (Vec<PoseRow>, Chain) {
     const NOISE: f64 = 2e-5;
     let mut random = StdRng::seed_from_u64(5);
@@ -594,11 +596,11 @@ fn seven_axes_and_an_arm_on_a_track_are_calibrated_by_a_tracker_and_written_as_u
         let robot = imported(arm).config;
         let report = calibrated(&robot);
         let (nominal, found) = (report.held_out().nominal.position_m, report.held_out().joints.position_m);
-        // Noise of three coordinates is 35 um.
+        // The norm of the noise of three coordinates is 35 um.
         assert!(nominal.rms > 1e-3 && found.rms < 4.2e-5, "{}: {nominal:?} {found:?}", arm.0);
         assert!(report.held_out().joints.rotation_rad.unwrap().rms < 4.2e-5, "{}", arm.0);
-        // 4 numbers of each revolute axis, 2 of a prismatic one and 6, of which tracker and probe have 12; every one is
-        // identified far better than its prior knows it.
+        // 4 parameters of each revolute axis, 2 of each prismatic one, and 6, of which tracker and probe have 12; all are
+        // identified much better than by their priors.
         let links = report.model().ids().into_iter();
         let links = links.filter(|id| matches!(id, ParameterId::Robot { .. }));
         let sigmas: Vec<_> = links.filter_map(|id| Some((id, report.sigma(id)?))).collect();
@@ -612,7 +614,7 @@ fn seven_axes_and_an_arm_on_a_track_are_calibrated_by_a_tracker_and_written_as_u
             let off = apart(&chain.forward(&joints), &by_urdf(&written, "base", "flange", &joints));
             assert!(off < 1e-12, "{}: {off:e}", arm.0);
         }
-        // And back again.
+        // The inverse conversion restores the joints.
         let again = import(&written, None, None).unwrap().config;
         assert!(
             (flange_chain(&again).forward(&[]).to_homogeneous() - chain.forward(&[]).to_homogeneous()).amax()
@@ -639,7 +641,7 @@ fn seven_axes_and_an_arm_on_a_track_are_calibrated_by_the_ball_bar() {
         let terms = JointTermsConfig { candidates: Vec::new(), ..JointTermsConfig::default() };
         let config = IdentifyConfig { joint_terms: terms, ..IdentifyConfig::default() };
         let found = calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config).unwrap();
-        // The distance of two positions, whatever frame they are in: where a track is drawn is a matter of taste.
+        // Distance of two positions, independent of the frame: the position of a track's frame is arbitrary.
         let nominal = robot_chain(&robot, &bar);
         let truth = run.truth.robot_chain(&nominal);
         let mut random = StdRng::seed_from_u64(8);
@@ -685,7 +687,7 @@ fn a_check_states_what_an_arm_is_and_what_looks_wrong() {
     let ur10 = check(&imported(ARMS[0]).config);
     let fact = |what: &str| ur10.facts.iter().find(|fact| fact.0 == what).unwrap().1.clone();
     assert!(fact("inverse kinematics").contains("numerical"), "{}", fact("inverse kinematics"));
-    // Both arms stretched out, and the shoulder's and wrist's offsets.
+    // Lengths of both stretched arms, plus the offsets of shoulder and wrist.
     let reach_m: f64 = fact("flange from the z axis").split(' ').nth(2).unwrap().parse().unwrap();
     assert!((1.25..1.40).contains(&reach_m), "{reach_m}");
     let on_a_track = check(&imported(ARMS[2]).config);
@@ -707,7 +709,7 @@ fn a_check_states_what_an_arm_is_and_what_looks_wrong() {
     ] {
         wrong(&|robot| robot.links[1].alpha_deg = rounded_deg, &format!("may be {rad}"));
     }
-    // Of a robot that was calibrated nothing is said.
+    // A calibrated robot gets no such message.
     for calibrated_deg in [-0.06499325789, 0.001, 89.95321, 179.9981237, 90.0, 180.0] {
         let mut robot: RobotConfig = config::load(&repository("config/robots/ur10.toml")).unwrap();
         robot.links[0].alpha_deg = calibrated_deg;
@@ -718,7 +720,7 @@ fn a_check_states_what_an_arm_is_and_what_looks_wrong() {
         &|robot| robot.joint_limits_deg[2] = [-3.1416, 3.1416],
         "axis 3: limits of -3.1416 to 3.1416 look like radians",
     );
-    // Cobots have such limits.
+    // Typical limits of cobots.
     let mut without_zero: RobotConfig = config::load(&repository("config/robots/ur10.toml")).unwrap();
     without_zero.joint_limits_deg[4] = [10.0, 50.0];
     let without_zero = check(&without_zero);
@@ -746,7 +748,7 @@ fn import_and_check_on_the_command_line() {
     let urdf = urdf.to_str().unwrap();
     let (done, told) = run(&["import", urdf, "--base", "base", "--tip", "flange"]);
     assert!(done && told.contains("7 axes from link `base` to link `flange`"), "{told}");
-    // A file that may have been edited is overwritten only on demand.
+    // A file that may have been edited is only overwritten on request.
     let file = directory.path().join("seven_axes.toml");
     std::fs::write(&file, "edited").unwrap();
     for out in [&[][..], &["--out", "seven_axes.toml"]] {

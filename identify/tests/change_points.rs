@@ -1,4 +1,4 @@
-//! The detector of changes on made-up residuals: how often it cries wolf, and what it finds.
+//! The detector of changes on generated residuals: rate of false alarms, and detected changes.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use identify::solver::{Change, Course, Linearisation, Loss, Prior, Problem, change_point, minimise};
@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal, StudentT};
 
 const SAMPLES: usize = 1500;
-/// Offsets of both channels, a lag behind a motion that both share, and two errors of geometry that bend with it.
+/// Offsets of both channels, a delay relative to a common motion, and two errors of geometry.
 const COLUMNS: usize = 5;
 
 /// Two channels over an irregular motion: `r = offset + lag speed + bends - y`.
@@ -57,7 +57,7 @@ impl Problem for Channels {
 const OFFSETS: [usize; 2] = [0, 1];
 const LAG: usize = 2;
 
-/// What the program looks for: either offset, the lag, and both offsets at once.
+/// The alternatives of the program: each offset, the delay, and both offsets together.
 fn alternatives() -> Vec<Vec<usize>> {
     vec![vec![0], vec![1], vec![LAG], vec![0, 1]]
 }
@@ -65,13 +65,13 @@ fn alternatives() -> Vec<Vec<usize>> {
 #[derive(Debug, Clone, Copy)]
 enum Noise {
     White,
-    /// First-order autoregression: each sample keeps this part of the one before.
+    /// First-order autoregression: correlation of consecutive samples.
     Lasting(f64),
-    /// Three times as much in the middle third of the run.
+    /// Three times the noise in the middle third of the run.
     Uneven,
-    /// Student's t of three degrees of freedom.
+    /// Student's t distribution with three degrees of freedom.
     HeavyTails,
-    /// A wave of so many periods in each radian of an angle that no column explains, four times the white noise on it: gears.
+    /// Harmonic of an angle with this number of periods per radian, without a column, four times the white noise: gear errors.
     Gear(f64),
 }
 
@@ -139,7 +139,7 @@ fn runs_in_which_nothing_changes_show_a_change_no_more_often_than_stated() {
         let often = alarms(0.05);
         let seldom = if often == 0 { 0 } else { alarms(1e-4) };
         println!("{noise:?}: {often} and {seldom} of {RUNS}");
-        // Five are stated; five standard deviations more are no chance.
+        // The allowed rate plus five standard deviations of the count.
         assert!(often <= 5 + 11, "{noise:?}: {often}");
         assert_eq!(seldom, 0, "{noise:?}");
     }
@@ -147,7 +147,7 @@ fn runs_in_which_nothing_changes_show_a_change_no_more_often_than_stated() {
 
 #[test]
 fn a_step_is_found_where_and_as_large_as_it_is() {
-    // Near an end few blocks share in a step: only a larger one is certain.
+    // Near an end a step affects few blocks: only a larger one is significant.
     for (at, size) in [(700, 3.0), (250, 6.0), (1300, -8.0)] {
         for seed in 0..10 {
             let mut stepped = run(Noise::Lasting(0.8), 100 + seed);

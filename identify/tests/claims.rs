@@ -1,5 +1,5 @@
-//! What a calibration claims of the robot's position error, for all that it describes and for what controllers take of it, against
-//! the error that is true. `CAMPAIGNS=full` for more runs of each kind.
+//! Claimed position error of the robot after a calibration, for the whole model and for what a controller applies, against the
+//! true error. `CAMPAIGNS=full` for more runs of each kind.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -32,7 +32,7 @@ impl Claim {
     }
 }
 
-/// The nominal robot, the calibrated one, and what a controller takes of it.
+/// The nominal robot, the calibrated one, and the part of it that a controller applies.
 fn claims(run: &Simulated, robot: &RobotConfig, bar: &BallBarConfig) -> Vec<(&'static str, Claim)> {
     let found =
         calibrate_run(&run.cycles, &run.encoders, &run.robot_log, robot, bar, &IdentifyConfig::default())
@@ -64,13 +64,13 @@ fn claims(run: &Simulated, robot: &RobotConfig, bar: &BallBarConfig) -> Vec<(&'s
     all
 }
 
-/// The bar as it is believed to be: its plate is off by what is stated.
+/// The configured bar, whose plate deviates from the true one by its stated uncertainty.
 fn measured(seed: u64) -> BallBarConfig {
     let off: f64 = ChaCha8Rng::seed_from_u64(41_000 + seed).sample(StandardNormal);
     BallBarConfig { plate_m: bar().plate_m + 1e-6 * bar().plate_u_um * off, ..bar() }
 }
 
-/// Claims of so many runs of each kind and robot; prints how many hold and how large they are.
+/// Claims of this number of runs for each kind and robot; prints how many hold, and their size.
 fn of_runs(seeds: u64) -> Vec<(&'static str, Claim)> {
     let mut all = Vec::new();
     for robot in [irb2400(), nj220()] {
@@ -105,7 +105,7 @@ fn hold(all: &[(&'static str, Claim)]) {
         times.sort_by(f64::total_cmp);
         let median = times[times.len() / 2];
         println!("{name}: {holding} of {} hold, claimed over true {median:.2} (median)", of.len());
-        // Fewer come by chance once in a hundred times.
+        // A smaller number occurs by chance once in a hundred cases.
         let least = Binomial::new(0.95, of.len() as u64).unwrap().inverse_cdf(0.01);
         assert!(holding >= least, "{name}: {holding} of {}", of.len());
         assert!((0.8..2.5).contains(&median), "{name}: {median}");

@@ -1,4 +1,4 @@
-//! What a person types and what comes back: exit codes, messages, files.
+//! The command line: exit codes, messages and files.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::path::{Path, PathBuf};
@@ -18,7 +18,7 @@ fn config(name: &str) -> PathBuf {
 
 const IRB: &str = "irb2400_16.toml";
 
-/// One experiment that all tests read: its directory holds recording.mcap, robot_log.csv and truth.toml.
+/// One experiment shared by all tests: its directory contains recording.mcap, robot_log.csv and truth.toml.
 fn experiment() -> &'static Path {
     static EXPERIMENT: OnceLock<TempDir> = OnceLock::new();
     EXPERIMENT
@@ -44,13 +44,13 @@ fn calibrate(recording: &Path, log: &Path, extra: &[&str], out: &Path) -> Output
     identify(&arguments, IRB, out)
 }
 
-/// The command fails, says `why`, and leaves nothing in `out`: it was mistyped, or an input is unreadable.
+/// The command fails with the text `why` and writes nothing to `out`: wrong option or unreadable input.
 fn refused(output: &Output, why: &[&str], out: &Path) {
     fails(output, why);
     assert_eq!(std::fs::read_dir(out).unwrap().count(), 0, "something was left behind");
 }
 
-/// The command fails, says `why`, and leaves a page that says so, and no calibration: the data are judged.
+/// The command fails with the text `why` and writes a page with it but no calibration: the data are not usable.
 fn refused_with_page(output: &Output, why: &[&str], out: &Path) {
     fails(output, why);
     let left: Vec<_> = std::fs::read_dir(out).unwrap().map(|one| one.unwrap().file_name()).collect();
@@ -66,7 +66,7 @@ fn fails(output: &Output, why: &[&str]) {
     }
 }
 
-/// The experiment's robot log with something done to each data line.
+/// The experiment's robot log with each data line changed.
 fn edited_log(directory: &Path, edit: impl Fn(usize, &str) -> String) -> PathBuf {
     let text = std::fs::read_to_string(experiment().join("robot_log.csv")).unwrap();
     let mut row = 0;
@@ -107,7 +107,7 @@ fn a_calibration_prints_a_table_and_writes_every_parameter_with_sigma_and_state(
     let file: toml::Table = written.parse().unwrap();
     assert_eq!(file["schema"].as_integer(), Some(2));
     assert_eq!(file["inputs"].as_array().unwrap().len(), 4);
-    // Every sample of the solve, a perfect robot's on its bar.
+    // Every sample of the solve, for a perfect robot on its bar.
     let residuals = std::fs::read_to_string(out.path().join("residuals.csv")).unwrap();
     let mut lines = residuals.lines();
     let names: Vec<&str> = lines.next().unwrap().split(',').collect();
@@ -130,11 +130,12 @@ fn a_calibration_prints_a_table_and_writes_every_parameter_with_sigma_and_state(
             found["correction"].clone(),
         )
     };
-    // Table 3.1 of the thesis: ra3 is 1.52 mm short.
+    // Table 3.1 of the thesis: the error of ra3 is -1.52 mm.
     let (status, has_sigma, correction) = entry("ra3");
     assert_eq!((status.as_str(), has_sigma), ("identified_with_prior", true));
     assert!((correction.as_float().unwrap() + 1.52e-3).abs() < 1e-6);
-    // The plate is what its measurement says; balpha4 was fixed by name and has its tolerance; rd1 says where the base is.
+    // The plate has its measured uncertainty; balpha4 is fixed by name and has its tolerance; rd1 defines the position of the
+    // base.
     let (status, has_sigma, correction) = entry("ra6");
     assert_eq!((status.as_str(), has_sigma), ("identified_with_prior", true));
     assert!(correction.as_float().unwrap().abs() < 1e-7);
@@ -166,7 +167,7 @@ fn no_option_is_taken_and_ignored() {
     refused(&["--free", "rd1", "--fix", "rd1"], &["rd1 is in --free and in --fix"]);
     let mapping = config("bar_log.toml");
     refused(&["--recording-mapping", mapping.to_str().unwrap()], &["--recording-mapping", "leave it out"]);
-    // What is typed counts more than the file.
+    // An option has priority over the file.
     let fixed = inputs.path().join("identify.toml");
     std::fs::write(&fixed, "fix = [\"ra1\"]\n").unwrap();
     let freed =
@@ -261,7 +262,7 @@ fn numbers_that_no_clock_and_no_table_has_are_refused_and_a_page_is_no_log() {
     fails(&output, &["a web page, not a log"]);
 }
 
-/// The experiment's counters as the thesis' program wrote them: a date and the counters of joints 1, 2, 4 and 5, no header.
+/// The experiment's counters in the format of the thesis' program: a date and the counters of joints 1, 2, 4 and 5, no header.
 fn counters(directory: &Path) -> (PathBuf, Vec<String>) {
     let recording = Recording::open(&experiment().join("recording.mcap")).unwrap();
     let line = |cycle: &CycleRecord| {
@@ -345,7 +346,7 @@ fn the_encoder_map_that_is_typed_is_the_one_that_is_used() {
     refused(&told, &["--encoders", "5 encoders"], out.path());
     let told = calibrate(&recording, &log, &["--encoders", "left"], out.path());
     refused(&told, &["find, recorded"], out.path());
-    // Not as the cables are: no geometry near the nominal one explains that.
+    // A wrong encoder map: no geometry near the nominal one explains the data.
     let told = calibrate(&recording, &log, &["--encoders", "2,1,3,4,5"], out.path());
     refused_with_page(&told, &["error:"], out.path());
 }
@@ -414,7 +415,7 @@ fn a_clock_that_runs_backwards_is_refused() {
 
 #[test]
 fn logs_without_overlap_in_time_are_refused() {
-    // Only the standstill of the first half second is left of the robot's log.
+    // The robot's log contains only the standstill of the first half second.
     let (inputs, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let still = |row: usize, line: &str| if row <= 120 { line.to_owned() } else { String::new() };
     let log = edited_log(inputs.path(), still);
@@ -478,7 +479,7 @@ fn measured_lengths_calibrate_from_a_csv_with_a_mapping() {
         let output = identify(&[&arguments[..], &bar_only].concat(), "irb120_3.toml", out.path());
         refused(&output, &["unexpected argument", bar_only[0]], out.path());
     }
-    // What is typed and what the configuration says count both.
+    // Options and configuration are combined.
     let out = tempfile::tempdir().unwrap();
     let config = out.path().join("identify.toml");
     std::fs::write(&config, "fix = [\"ra2\"]\n").unwrap();
@@ -563,7 +564,7 @@ fn a_place_for_results_that_cannot_be_used_is_found_before_any_work() {
     let inputs = tempfile::tempdir().unwrap();
     let file = inputs.path().join("result.csv");
     std::fs::write(&file, "").unwrap();
-    // The log is not read: it is not there.
+    // The log does not exist and is not read.
     let missing = inputs.path().join("missing.csv");
     for out in [file.as_path(), &file.join("deeper"), Path::new("/proc/results")] {
         let output = calibrate(&experiment().join("recording.mcap"), &missing, &[], out);
@@ -573,7 +574,7 @@ fn a_place_for_results_that_cannot_be_used_is_found_before_any_work() {
     let bar = config("ball_bar.toml");
     let simulated = identify(&["simulate", "--duration", "2h", "--bar", bar.to_str().unwrap()], IRB, &file);
     fails(&simulated, &["--out", "give a directory"]);
-    // Nothing is left of the trial.
+    // The trial leaves no files.
     let out = inputs.path().join("not/yet");
     fails(&calibrate(&experiment().join("recording.mcap"), &missing, &[], &out), &["missing.csv"]);
     let left: Vec<_> =
@@ -599,7 +600,7 @@ fn milliseconds_under_a_header_of_seconds_and_decimal_commas_are_refused_with_wh
     refused_log(commas, &["has a decimal comma", "decimal_comma = true", "--log-mapping", "--propose"]);
 }
 
-/// The first sheet of a result of the simulated bus, or of a robot.
+/// First sheet of a result, of the simulated bus or of a robot.
 #[test]
 fn a_result_of_the_simulated_bus_says_so_first_and_one_of_a_robot_does_not() {
     let directory = experiment();
@@ -615,7 +616,7 @@ fn a_result_of_the_simulated_bus_says_so_first_and_one_of_a_robot_does_not() {
         let text = String::from_utf8_lossy(&output.stdout);
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
         assert_eq!(text.starts_with("SIMULATED: "), simulated, "{text}");
-        // What the scale rests on, and what a plate of another length would do.
+        // Source of the scale, and the effect of a plate of another length.
         let words = text.split_whitespace().collect::<Vec<_>>().join(" ");
         let scale = "scale: the offset plate of 250.000 mm within 0.010 mm (one sigma), as ball_bar.toml states; a plate longer by \
                      0.1 mm would move positions by ";
@@ -627,7 +628,7 @@ fn a_result_of_the_simulated_bus_says_so_first_and_one_of_a_robot_does_not() {
     }
 }
 
-/// Rewrites a recording as if it were of a network interface.
+/// Changes a recording to one of a network interface.
 fn on_another_bus(path: &Path) {
     let recording = Recording::open(path).unwrap();
     let mut run = recording.run.clone();
@@ -637,12 +638,12 @@ fn on_another_bus(path: &Path) {
     std::fs::write(path, writer.end("stopped", run.started).unwrap()).unwrap();
 }
 
-/// Ctrl-C ends a calibration from rows as it ends one with the bar, wherever it is, and nothing is written.
+/// Ctrl-C cancels a calibration from rows at any stage, as one with the bar, and nothing is written.
 #[test]
 fn ctrl_c_ends_a_calibration_from_rows_with_the_shells_code() {
     let (inputs, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let robot: shared::config::RobotConfig = shared::config::load(&config("robots").join(IRB)).unwrap();
-    // Minutes of work.
+    // A solve of several minutes.
     let path = inputs.path().join("lengths.csv");
     std::fs::write(&path, lengths::table(&robot, 50_000, 12.0)).unwrap();
     let mut command = Command::new(env!("CARGO_BIN_EXE_identify"));
@@ -654,7 +655,7 @@ fn ctrl_c_ends_a_calibration_from_rows_with_the_shells_code() {
     let pid = child.id().to_string();
     assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
     let status = child.wait().unwrap();
-    // Before its handler is there the signal itself ends it, which shells show as the same.
+    // Before the handler is installed, the signal ends the process; shells report the same exit code.
     assert!(status.code() == Some(130) || status.code().is_none(), "{status}");
     assert_eq!(std::fs::read_dir(out.path()).unwrap().count(), 0);
 }

@@ -1,4 +1,4 @@
-//! What `config/identify.toml` says of the program.
+//! `config/identify.toml` contains the defaults of the program.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::path::Path;
@@ -46,7 +46,7 @@ fn a_parameter_is_free_or_fixed_and_not_both() {
     assert!(error.contains("`fix[1]`") && error.contains("`rd3` is in free as well"), "{error}");
 }
 
-/// Keys of `all` that `said` does not have.
+/// Keys of `all` that are missing in `said`.
 fn unsaid(all: &toml::Table, said: &toml::Table) -> Vec<String> {
     let absent = |(key, value): (&String, &toml::Value)| match (value, said.get(key)) {
         (toml::Value::Table(all), Some(toml::Value::Table(said))) => {

@@ -1,4 +1,4 @@
-//! Parameters that stay at values that are wrong by their tolerance: the error that is claimed over the workspace holds.
+//! Parameters fixed at values that are wrong by their tolerance: the claimed error over the workspace holds.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -18,7 +18,7 @@ use rand::{Rng, SeedableRng};
 use rand_distr::StandardNormal;
 use shared::config::{BallBarConfig, RobotConfig};
 
-/// No terms, which would only take time.
+/// Without terms, to save time.
 fn quick(fix: &[&str]) -> IdentifyConfig {
     IdentifyConfig {
         fix: fix.iter().map(|&name| name.into()).collect(),
@@ -28,7 +28,7 @@ fn quick(fix: &[&str]) -> IdentifyConfig {
     }
 }
 
-/// A robot of which every number is wrong by a millimetre or milliradian, before a bar on a leaning base.
+/// A robot with errors of a millimetre or milliradian in every parameter, and a bar with a tilted base.
 fn simulated(seed: u64) -> Simulated {
     let (errors, effects) = (StaticErrors::Drawn { seed }, Effects::LABORATORY);
     simulate::run(&Experiment { seed, errors, effects, ..Experiment::new(&irb2400(), &bar()) }).unwrap()
@@ -43,7 +43,7 @@ fn calibrated(
     calibrate_run(&run.cycles, &run.encoders, &run.robot_log, robot, bar, config).unwrap()
 }
 
-/// True mean position error \[m\] and what is claimed, with a plate that is wrong by its uncertainty.
+/// True and claimed mean position error \[m\], with a plate that is wrong by its uncertainty.
 fn with_the_bar(seed: u64, plate_u_um: f64, config: &IdentifyConfig) -> (f64, Expected) {
     let (run, robot, mut bar) = (simulated(seed), irb2400(), bar());
     let off: f64 = StdRng::seed_from_u64(seed).sample(StandardNormal);
@@ -53,7 +53,7 @@ fn with_the_bar(seed: u64, plate_u_um: f64, config: &IdentifyConfig) -> (f64, Ex
     (position_error_m(&run, &found, &robot), claimed)
 }
 
-/// The same of a UR10 before a tracker that measures to 20 um, two of its lengths fixed.
+/// The same for a UR10 and a tracker with 20 um noise; two of its lengths are fixed.
 fn with_a_tracker(seed: u64) -> (f64, Expected) {
     let robot = ur10();
     let nominal = flange_chain(&robot);
@@ -92,7 +92,7 @@ fn with_a_tracker(seed: u64) -> (f64, Expected) {
     (error_m, workspace_error(found.model(), &found.0.solved.solution.covariance, &limits).after)
 }
 
-/// How many errors lie within the 95 % interval that is claimed for them, and how many are not above it.
+/// Number of errors within their claimed 95 % interval, and number of errors below its upper end.
 fn held(name: &str, found: impl Iterator<Item = (f64, Expected)>) -> [usize; 2] {
     let mut held = [0; 2];
     for (error_m, Expected { interval_m: [low, high], mean_m, .. }) in found {
@@ -104,8 +104,8 @@ fn held(name: &str, found: impl Iterator<Item = (f64, Expected)>) -> [usize; 2] 
     held
 }
 
-/// Errors within and not above their intervals, of so many experiments each: links, plate, base and other costs fixed, and a
-/// tracker.
+/// Errors within their intervals and below the upper ends, in this number of experiments each: fixed links, fixed plate, fixed
+/// base, other costs, and a tracker.
 fn campaign(seeds: u64) -> Vec<[usize; 2]> {
     let thesis = IdentifyConfig { selection: SelectionName::Thesis, ..quick(&[]) };
     let position = IdentifyConfig { cost: Some(CostName::Position), ..quick(&[]) };
@@ -126,7 +126,7 @@ fn campaign(seeds: u64) -> Vec<[usize; 2]> {
     of_bars.into_iter().chain([of_tracker]).collect()
 }
 
-/// Of three intervals that hold with 95 %, fewer than two do once in 140 times.
+/// Of three 95 % intervals, fewer than two contain the value once in 140 cases.
 #[test]
 #[ignore = "several calibrations: a quarter of a minute"]
 fn what_is_fixed_at_a_wrong_value_is_part_of_the_error_that_is_claimed() {
@@ -159,12 +159,12 @@ fn a_rod_that_is_known_gives_the_scale_where_the_plate_does_not() {
         (position_error_m(&run, &found, &robot) * 1e3, claimed.interval_m[1] * 1e3)
     });
     println!("error and claim [mm]: {by_plate:?} by the plate, {by_rod:?} by the rod");
-    // Links within a millimetre of nominal say something of the scale, too.
+    // Links within a millimetre of nominal also contain information about the scale.
     assert!(by_plate.0 > 1.0 && by_plate.1 > by_plate.0, "{by_plate:?}");
     assert!(by_rod.0 < 0.1 && by_rod.1 < 0.3, "{by_rod:?}");
 }
 
-/// RMS distance of two robots' ends over postures within the limits \[m\].
+/// RMS distance between the ends of two robots over postures within the limits \[m\].
 fn apart_m(one: &Calibration, other: &Calibration, robot: &RobotConfig) -> f64 {
     const POSTURES: usize = 400;
     let mut random = StdRng::seed_from_u64(3);
@@ -196,7 +196,7 @@ fn each_contribution_of_the_budget_is_what_its_source_does_to_the_robot() {
         plate.source.contains("0.1 mm") && link.source.contains("fixed within 1 mrad"),
         "{contributions:?}"
     );
-    // What happens where the value that is stated is wrong by what is stated.
+    // Effect of a stated value that is wrong by its stated uncertainty.
     let mut other = robot.clone();
     other.links[2].alpha_deg += 1e-3_f64.to_degrees();
     let longer = BallBarConfig { plate_m: bar.plate_m + 1e-4, ..bar.clone() };
@@ -216,7 +216,7 @@ fn each_contribution_of_the_budget_is_what_its_source_does_to_the_robot() {
     }
     let sum: f64 = contributions.iter().map(|one| one.u_m.powi(2)).sum();
     assert!((sum.sqrt() - u_m).abs() < 1e-9 && (expanded_m - 2.0 * u_m).abs() < 1e-12);
-    // The mean of a length is below its root mean square.
+    // The mean of a norm is below its root mean square.
     let mean_m = claimed.after.mean_m;
     assert!(mean_m < *u_m && mean_m > 0.7 * u_m, "{mean_m} {u_m}");
 }

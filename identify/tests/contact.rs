@@ -1,4 +1,4 @@
-//! A ball on the flange, seated in sockets whose distances are known: made-up rows with known truth, on arms of six and seven axes.
+//! A ball on the flange in sockets with known distances: simulated rows with known truth, for arms of six and seven axes.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -73,7 +73,7 @@ fn distances_serve_as_well_as_places_and_two_sockets_are_enough() {
     assert!(places < 0.1 && distances < 0.1 && two < 0.2, "{places} {distances} {two}");
 }
 
-/// What is known of sockets is differentiated as differences say, on a plate and along distances.
+/// Derivatives of the known positions and distances of sockets against finite differences.
 #[test]
 fn what_is_known_of_sockets_has_the_derivatives_of_their_places() {
     let placed = |name: &str, at, u_um| PlacedSocket { name: name.into(), position_mm: at, u_um };
@@ -91,7 +91,7 @@ fn what_is_known_of_sockets_has_the_derivatives_of_their_places() {
     table.validate().unwrap();
     let sockets = Sockets::new(&table, &table.names());
     let turn = Rotation3::new(Vector3::new(0.4, -1.9, 0.7));
-    // Where the plate fits: the derivative leaves out what residuals add to it, as Gauss and Newton do.
+    // At the best fit of the plate: the derivative omits the terms with residuals, as in the Gauss-Newton method.
     let at: Vec<Vector3<f64>> = table
         .sockets
         .iter()
@@ -136,7 +136,7 @@ fn rows_of_a_wrong_socket_take_no_part() {
         found.runs[0].instrument.rejected().iter().map(|one| one.row).collect::<Vec<_>>(),
         [20, 77, 131]
     );
-    // The file of residuals has all rows with their lines, and says which took no part: a socket's distance away.
+    // The file of residuals contains all rows with their lines, and marks the rows that are left out: one socket distance away.
     let lines: Vec<u64> = (2..).take(rows.len()).collect();
     let text = residuals_csv(&found, &[&lines]).unwrap();
     let table: Vec<Vec<&str>> = text.lines().skip(1).map(|line| line.split(',').collect()).collect();
@@ -176,13 +176,13 @@ fn within(robot: &RobotConfig, seeds: u64) -> f64 {
 fn intervals_of_links_hold_95_percent_over_robots() {
     for robot in [irb2400(), irb120(), seven_axes()] {
         let within = within(&robot, size(6, 30));
-        // Links of one robot err together, so that few robots leave a larger spread.
+        // Errors of the links of one robot are correlated, so few robots give a larger spread.
         let allowed = if is_full() { 0.92..=0.99 } else { 0.86..=1.0 };
         assert!(allowed.contains(&within), "{}: {within}", robot.name);
     }
 }
 
-/// What a person is told by `identify` about the files in a directory, as text, and whether it ended well.
+/// Output of `identify` for the files in a directory, and whether it succeeded.
 fn told(directory: &Path, rows: &str, sockets: &str) -> (bool, String) {
     let [rows, sockets, mapping] = [rows, sockets, "contact.toml"].map(|name| directory.join(name));
     let [rows, sockets, mapping] = [&rows, &sockets, &mapping].map(|path| path.to_str().unwrap());
@@ -194,7 +194,7 @@ fn told(directory: &Path, rows: &str, sockets: &str) -> (bool, String) {
     (output.status.success(), words.join(" "))
 }
 
-/// What a person is told of an experiment file.
+/// Output for an experiment file.
 fn experiment(file: &Path, out: &Path, more: &[&str]) -> String {
     let run = std::process::Command::new(env!("CARGO_BIN_EXE_identify"))
         .args(["calibrate", "--verbose", "--experiment"])
@@ -207,7 +207,7 @@ fn experiment(file: &Path, out: &Path, more: &[&str]) -> String {
     String::from_utf8([run.stdout, run.stderr].concat()).unwrap()
 }
 
-/// What is in the rows, and in rows with one wrong name, is said without any calibration; a mapping is proposed for them.
+/// `inspect` describes the rows, and rows with one wrong name, without a calibration, and proposes a mapping.
 fn inspected(at: &Path, rows: &str) {
     let robot = repository("config/robots/irb120_3.toml");
     let inspect = |file: &str, more: &[&str]| {
@@ -251,9 +251,9 @@ fn a_person_simulates_calibrates_and_repeats_it() {
     let page = std::fs::read_to_string(at.join("out/report.html")).unwrap();
     assert!(page.contains("contact, ") && page.contains("held-out rows, calibrated, RMS"));
     assert!(page.contains("what is known of sockets or faces") && page.contains("mounting of the ball"));
-    // A name that begins as those of the bar's parameters do is none of them.
+    // A name with the prefix of the bar's parameters is not one of them.
     assert!(page.contains(">ball_x") && !page.contains("Ball-bar and encoders"));
-    // Another plate of the same robot beside it, from one experiment file.
+    // A second plate for the same robot in one experiment file.
     let other = at.join("other");
     let simulated =
         identify(&["simulate", "contact", "--seed", "2", "--robot-seed", "1"], "irb120_3.toml", &other);
@@ -273,7 +273,7 @@ fn a_person_simulates_calibrates_and_repeats_it() {
         of_both.contains("instrument = \"2 times contact\"") && of_both.contains("socket6_z@2"),
         "{of_both}"
     );
-    // The same measurements twice are none more.
+    // Repeated measurements do not count twice.
     let twice = format!("robot = {:?}\n{}{}", robot.to_str().unwrap(), block(""), block("copy/"));
     std::fs::create_dir(at.join("copy")).unwrap();
     for name in ["contacts.csv", "contact.toml", "sockets.toml"] {
@@ -283,12 +283,12 @@ fn a_person_simulates_calibrates_and_repeats_it() {
     let text = experiment(&at.join("twice.toml"), &at.join("twice"), &[]);
     assert!(text.contains("data sets 1 and 2 are the same measurements"), "{text}");
     assert!(!at.join("twice").exists());
-    // A table of sockets goes with a ball in sockets, and with nothing else.
+    // A table of sockets is only accepted with a ball in sockets.
     let without = format!("robot = {:?}\n{}", robot.to_str().unwrap(), block("").replace("sockets =", "#"));
     std::fs::write(at.join("without.toml"), without).unwrap();
     let text = experiment(&at.join("without.toml"), &at.join("without"), &[]);
     assert!(text.contains("contact[0].sockets"), "{text}");
-    // The experiment beside the result repeats it to the last digit.
+    // The experiment file next to the result reproduces it to the last digit.
     let values = |out: &Path| {
         let text = std::fs::read_to_string(out.join("calibration.toml")).unwrap();
         text.lines().filter(|line| line.starts_with("value")).map(str::to_owned).collect::<Vec<_>>()
@@ -297,7 +297,7 @@ fn a_person_simulates_calibrates_and_repeats_it() {
     let text = experiment(&at.join("out/experiment.toml"), &again, &[]);
     assert!(text.contains("verdict green"), "{text}");
     assert!(!values(&again).is_empty() && values(&again) == values(&at.join("out")));
-    // Also where the folder of data and result was moved, and with another requirement.
+    // Also after the folder of data and result was moved, and with another requirement.
     let moved = at.join("moved");
     std::fs::create_dir_all(moved.join("out")).unwrap();
     for name in ["contacts.csv", "contact.toml", "sockets.toml", "out/experiment.toml"] {
@@ -312,7 +312,7 @@ fn a_person_simulates_calibrates_and_repeats_it() {
     assert_eq!(values(&again), values(&at.join("out")));
     std::fs::rename(at.join("gone.csv"), at.join("contacts.csv")).unwrap();
 
-    // Without the comment that they are simulated.
+    // Without the comment that marks simulated rows.
     let rows = std::fs::read_to_string(at.join("contacts.csv")).unwrap();
     let rows = rows.split_once('\n').unwrap().1.to_owned();
     inspected(at, &rows);
@@ -352,7 +352,7 @@ fn a_person_simulates_calibrates_and_repeats_it() {
     refused(rows.clone(), &doubled, &["key `socket[1].name`", "`A` is there twice"]);
     refused(rows.clone(), &doubled.replacen("\"A\"", "\"B\"", 1), &["`A` is where `B` is"]);
 
-    // A place that is wrong is named, and the verdict is not green.
+    // A wrong position is named, and the verdict is not green.
     let place = sockets
         .lines()
         .find(|line| line.starts_with("position_mm = [") && !line.contains("[0.0, 0.0"))
@@ -363,7 +363,7 @@ fn a_person_simulates_calibrates_and_repeats_it() {
             && text.contains("The rows contradict the table of sockets or faces: the place of socket `"),
         "{text}"
     );
-    // A row of another socket is named with the right one.
+    // A row with a wrong socket is reported with the correct one.
     let (done, text) = with(rows.replacen(",D\n", ",E\n", 1), sockets.clone());
     assert!(
         done && text.contains("line 5: off by ") && text.contains("from `D`: look for a wrong name"),
@@ -371,7 +371,7 @@ fn a_person_simulates_calibrates_and_repeats_it() {
     );
 }
 
-/// The ball is in its sockets at the joints that the truth's gear terms correct.
+/// The ball is in its sockets at the joints corrected by the true gear terms.
 #[test]
 fn gear_errors_of_the_truth_seat_the_ball() {
     for robot in [irb120(), seven_axes()] {

@@ -1,5 +1,5 @@
-//! What a controller takes of a calibration, beside direct fits of the same freedom by another program: pybotics' kinematic chain
-//! with SciPy's least squares. `CAMPAIGNS=full` for twenty arms.
+//! What a controller applies of a calibration, compared with direct fits of the same parameters by another program: pybotics'
+//! kinematic chain with SciPy's least squares. `CAMPAIGNS=full` for twenty arms.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -24,7 +24,7 @@ use crate::support::campaign::size;
 use crate::support::rows::Alone;
 use crate::support::{irb120, irb2400, nj220, ur10};
 
-/// Root mean square distance of rows from where a model has its probe \[m\].
+/// Root mean square distance between measured and predicted positions of the probe \[m\].
 fn apart_m(model: &Model, rows: &[PoseRow]) -> f64 {
     let geometry = model.geometry(&[]);
     let (place, probe) = (geometry.tracker.places[0].pose(), geometry.tracker.probes[0].pose());
@@ -35,7 +35,7 @@ fn apart_m(model: &Model, rows: &[PoseRow]) -> f64 {
     rms(rows.iter().map(one))
 }
 
-/// What pybotics finds for each deployment and for the nominal robot [m].
+/// Results of pybotics for each deployment and for the nominal robot [m].
 fn direct_m(robot: &RobotConfig, fitted: &[PoseRow], others: &[PoseRow]) -> BTreeMap<String, f64> {
     let python =
         std::env::var_os("BALLBAR_PYTHON").expect("BALLBAR_PYTHON: a Python with tests/requirements.txt");
@@ -61,7 +61,7 @@ fn direct_m(robot: &RobotConfig, fitted: &[PoseRow], others: &[PoseRow]) -> BTre
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// Errors of rows that no fit has seen by those of a direct fit; what would be written is not worse than the nominal robot.
+/// Ratio of the held-out errors to those of a direct fit; what is written is not worse than the nominal robot.
 fn by_direct_fit(name: &str, robot: &RobotConfig, rows: &[PoseRow]) -> [f64; 2] {
     let (fitted, others) = rows.split_at(rows.len() * 3 / 4);
     let found = Alone::default().poses(fitted, robot).unwrap();
@@ -96,7 +96,7 @@ fn what_a_controller_takes_predicts_as_well_as_a_direct_fit_of_it() {
         by_direct_fit(&format!("{} {seed}", robot.name), robot, &made.poses())
     };
     let mut ratios: Vec<[f64; 2]> = (1..=arms).map(of_arm).collect();
-    // The grid's rows follow each other; every fourth is judged.
+    // Consecutive rows of the grid are adjacent; every fourth row is held out.
     let grid: Vec<PoseRow> =
         fixture("grid.csv").iter().map(|row| PoseRow { rotation: None, ..*row }).collect();
     let (others, mut grid): (Vec<_>, Vec<_>) =
@@ -109,7 +109,7 @@ fn what_a_controller_takes_predicts_as_well_as_a_direct_fit_of_it() {
         let mean = (of_word().map(f64::ln).sum::<f64>() / ratios.len() as f64).exp();
         let most = of_word().fold(0.0, f64::max);
         println!("{word}: {mean:.3} of a direct fit as a mean, {most:.3} at most");
-        // Of fifty rows each; the loss and the priors are others.
+        // Fifty rows each; loss and priors differ from those of the direct fit.
         assert!(mean < 1.01 && most < 1.05, "{word}: {mean} {most}");
     }
 }

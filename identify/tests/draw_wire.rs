@@ -1,4 +1,4 @@
-//! Calibration by measured lengths: on made-up rows with known truth, and on a real IRB 120 with a draw-wire sensor.
+//! Calibration from measured lengths: on simulated rows with known truth, and on a real IRB 120 with a draw-wire sensor.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -18,7 +18,7 @@ use rand_distr::StandardNormal;
 use crate::support::irb120;
 use crate::support::rows::Alone;
 
-/// The measured rows, whose licence lets nobody copy them into a repository.
+/// The measured rows; their licence does not permit a copy in this repository.
 fn real_rows() -> Vec<LengthRow> {
     let path = crate::support::measured_data().join("irb120-draw-wire/draw_wire_1042.csv");
     let rows = csv::Reader::from_path(&path).unwrap().into_deserialize::<[f64; 10]>().map(|row| {
@@ -45,7 +45,7 @@ fn show(name: &str, figures: &PoseFigures) {
     );
 }
 
-/// A robot with errors of some mm and mrad, a wire, noise of 0.1 mm, and faults where asked.
+/// A robot with errors of some mm and mrad, a wire, noise of 0.1 mm, and optional faults.
 fn made_up(count: usize) -> (Vec<LengthRow>, Vector3<f64>) {
     let mut random = StdRng::seed_from_u64(5);
     let nominal = flange_chain(&irb120());
@@ -70,7 +70,8 @@ fn made_up(count: usize) -> (Vec<LengthRow>, Vector3<f64>) {
         }
     });
     let rows = rows.collect();
-    // The calibrated robot's base is turned with its first axis, whose zero lengths do not tell from the anchor's place.
+    // The base of the calibrated robot is rotated about its first axis: lengths do not separate its zero from the anchor's
+    // position.
     let turned_rad = truth.links[0].theta_rad - nominal.links[0].theta_rad;
     (rows, Rotation3::from_axis_angle(&Vector3::z_axis(), -turned_rad) * anchor_m)
 }
@@ -130,13 +131,13 @@ fn lengths_in_another_unit_are_refused_with_the_unit_and_short_strokes_are_not()
     let read_as = |factor: f64| -> Vec<LengthRow> {
         rows.iter().map(|row| LengthRow { length_m: factor * row.length_m, ..*row }).collect()
     };
-    // Metres, centimetres and inches read as millimetres, millimetres read as centimetres.
+    // Metres, centimetres and inches read as millimetres; millimetres read as centimetres.
     for (factor, why) in [(1e-3, "1000"), (0.1, "10"), (1.0 / 25.4, "25.4"), (10.0, "0.1")] {
         let refused = Alone::default().lengths(&read_as(factor), &irb120()).err().unwrap().to_string();
         let why = format!("the lengths are {why} times as long as read");
         assert!(refused.contains(&why), "{factor}: {refused}");
     }
-    // A telescoping bar that moves by less than the nominal robot is off.
+    // A telescoping bar whose travel is smaller than the error of the nominal robot.
     let (anchor_m, stroke_m) = (Vector3::new(0.3, -0.9, 0.1), 2e-3);
     let chain = flange_chain(&irb120());
     let near = |row: &&LengthRow| {
@@ -150,7 +151,7 @@ fn lengths_in_another_unit_are_refused_with_the_unit_and_short_strokes_are_not()
     assert!(told.is_none_or(|told| !told.contains("times as long")));
 }
 
-/// What a progress bar is given.
+/// Records the progress reports.
 #[derive(Debug, Default)]
 struct Stages(Mutex<Vec<String>>);
 
@@ -160,7 +161,7 @@ impl Watch for Stages {
     }
 
     fn goes_on(&self, progress: &Progress) -> bool {
-        // Each pass belongs to a stage that has a name.
+        // Each pass belongs to a named stage.
         assert!(progress.samples > 0 && !self.0.lock().unwrap().is_empty());
         true
     }
@@ -185,7 +186,7 @@ fn rows_that_all_contradict_the_robots_file_are_of_another_robot_and_not_too_few
     assert!(refused.contains("give the file of this robot"), "{refused}");
 }
 
-/// Half of the rows are fifteen times worse, and which is known.
+/// Half of the rows have fifteen times the noise, and the file states it.
 #[test]
 fn lengths_of_two_qualities_calibrate_better_with_their_uncertainties() {
     let (good, bad) = (1e-4, 1.5e-3);
@@ -206,17 +207,17 @@ fn lengths_of_two_qualities_calibrate_better_with_their_uncertainties() {
         let found = alone.lengths(rows, &irb120()).unwrap();
         let errors = Wire::new(judging).errors(&found.model().geometry(&[]));
         let squared = errors.iter().map(|error| error.position_m.powi(2)).sum::<f64>() / errors.len() as f64;
-        // Beyond the noise of the rows that judge.
+        // Error after subtraction of the noise of the held-out rows.
         let beyond_m = (squared - good * good).max(0.0).sqrt();
         let rejected = found.rows().rejected.len();
         let wanders = found.rows().drift.is_some();
         (beyond_m, found.sigma("ra2".parse().unwrap()).unwrap(), rejected, wanders)
     };
-    // Uncertainties that are all too small or too large by one factor still say which row is worth more.
+    // Uncertainties with a common wrong factor still determine the relative weights.
     let [untold, stated, too_small, too_large] =
         [untold.clone(), stated(1.0), stated(0.5), stated(5.0)].map(|rows| calibrated(&rows));
     println!("without {untold:?}, with {stated:?}, too small {too_small:?}, too large {too_large:?}");
-    // Without them the worst rows take no part: that is worth something, too.
+    // Without uncertainties the worst rows are left out, which also improves the result.
     assert!(stated.0 < 0.8 * untold.0 && stated.1 < 0.8 * untold.1, "{stated:?} {untold:?}");
     for told in [stated, too_small, too_large] {
         assert!(told.0 < untold.0 && told.2 == 0 && !told.3, "{told:?}");
@@ -295,7 +296,7 @@ fn all_rows_of_the_real_irb_120_predict_rows_that_no_fit_has_seen() {
     show("held out, accepted, after", &report.held_out().joints);
     show("held out, all, before", &report.rows().held_out_with_rejected().nominal);
     show("held out, all, after", &report.rows().held_out_with_rejected().joints);
-    // Its controller position is 99 mm from its joint angles.
+    // Its controller position is 99 mm from the position by its joint angles.
     assert!(
         report
             .rows()
@@ -308,7 +309,7 @@ fn all_rows_of_the_real_irb_120_predict_rows_that_no_fit_has_seen() {
     assert!(rows >= 140);
 }
 
-/// Best published here, from different methods, over all 208 held-out rows: mean, RMS, max \[mm\].
+/// Best published results for these data, from different methods, over all 208 held-out rows: mean, RMS, max \[mm\].
 const WIRE: [f64; 3] = [0.94, 1.60, 4.5];
 
 #[test]
@@ -328,7 +329,7 @@ fn all_rows_of_the_real_irb_120_over_several_splits() {
     }
 }
 
-/// Where whole segments of the file are held out their zero is not known, and the figures say what that costs.
+/// If whole segments of the file are held out, their zero is unknown; the figures contain the effect.
 #[test]
 #[ignore = "needs the measured rows in the folder BALLBAR_DATA"]
 fn all_rows_of_the_real_irb_120_where_segments_and_regions_are_held_out() {

@@ -1,5 +1,5 @@
-//! What `pose` makes of noise: how near its errors come to the Cramer-Rao bound, whether its intervals hold, and what
-//! gross outliers do. `CAMPAIGNS=full` repeats more often.
+//! Efficiency of the cost `pose`: its errors relative to the Cramer-Rao bound, coverage of its intervals, and the effect of
+//! gross outliers. `CAMPAIGNS=full` repeats more often.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -52,7 +52,7 @@ impl Setup {
         (observations, joints)
     }
 
-    /// As a calibration does it: whitened on the nominal geometry, then on the first solution.
+    /// As in a calibration: whitened at the nominal geometry, then at the first solution.
     fn pose(&self, (observations, joints): &(Vec<Observation>, PerObservation), loss: LossName) -> Solution {
         let solve_from = |x: &[f64]| {
             let whitened = WhitenedPose::new(&self.model.geometry(x), joints, observations, NOISE);
@@ -71,7 +71,7 @@ impl Setup {
         minimise(&problem, &self.model.start(), &Options::default()).unwrap().0
     }
 
-    /// Standard deviations at the truth, with noise known: the least that any unbiased estimate can have.
+    /// Standard deviations at the truth for known noise: the lower bound of any unbiased estimate.
     fn bound(&self) -> Vec<f64> {
         let geometry = self.model.geometry(&self.truth);
         let whitened = WhitenedPose::new(&geometry, &self.joints, &self.observations, NOISE);
@@ -86,7 +86,7 @@ impl Setup {
     }
 }
 
-/// Root mean square error of each parameter over its bound, averaged over the parameters.
+/// Root mean square error of each parameter relative to its bound, averaged over the parameters.
 fn over_bound(errors: &[Vec<f64>], bound: &[f64]) -> f64 {
     let of = |(column, bound): (usize, &f64)| {
         let squares: f64 = errors.iter().map(|error| error[column].powi(2)).sum();

@@ -1,4 +1,4 @@
-//! What costs can identify, as a snapshot for both robots, and that the influence of fixed parameters is what solves show.
+//! Parameters that each cost can identify, as a snapshot for both robots; the influence of fixed parameters agrees with solves.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
 use crate::support::Cell;
@@ -13,7 +13,7 @@ use identify::solver::{Options, minimise};
 const COSTS: [CostName; 5] =
     [CostName::Length, CostName::Position, CostName::PositionAngles, CostName::Transform, CostName::Pose];
 
-/// `IDENTIFY_WRITE_SNAPSHOTS=1` writes it anew; read the difference before it is committed.
+/// `IDENTIFY_WRITE_SNAPSHOTS=1` writes the snapshot; check the difference before a commit.
 #[test]
 fn ranks_groups_and_influences_of_all_costs_and_both_robots_are_those_of_the_snapshot() {
     let mut text = String::new();
@@ -35,7 +35,7 @@ fn ranks_groups_and_influences_of_all_costs_and_both_robots_are_those_of_the_sna
     assert_eq!(text.lines().count(), expected.lines().count());
 }
 
-/// Axes 2 to 4 are parallel: their offsets shift the same height, which no cost and no pose separates.
+/// Axes 2 to 4 are parallel: their offsets shift the same height, and no cost and no pose separates them.
 #[test]
 fn offsets_along_parallel_axes_are_named_and_do_not_end_the_examination() {
     let found: Vec<_> = COSTS
@@ -50,7 +50,7 @@ fn offsets_along_parallel_axes_are_named_and_do_not_end_the_examination() {
     }
 }
 
-/// The thesis' way: 1 mm|mrad of error in one fixed parameter, a solve, and a look at the others.
+/// The method of the thesis: 1 mm|mrad of error in one fixed parameter, a solve, and the changes of the others.
 fn solves_show_the_influence<R: Residual>(residual: R, cost: CostName) {
     let (robot, bar) = (crate::support::irb2400(), crate::support::bar());
     let examined = examine(&robot, &bar, cost, 300, 1).unwrap();
@@ -82,9 +82,9 @@ fn a_solve_with_an_error_in_a_fixed_parameter_moves_the_others_as_the_table_says
     solves_show_the_influence(Position, CostName::Position);
 }
 
-/// Table 3.4 of the thesis, for the costs with encoders. It differs in one place: there an error in balpha2 moves bd2 and
-/// bd3; with the bar as it is reconstructed here bd2 takes it (0.6 mm per mrad, the length of the rod), and with the costs
-/// that see rotations a few angles take some of it.
+/// Table 3.4 of the thesis, for the costs with encoders. It differs in one entry: there an error of balpha2 changes bd2 and
+/// bd3. With the reconstructed bar it changes bd2 (0.6 mm per mrad, the length of the rod), and with costs that include
+/// rotations also a few angles.
 #[test]
 fn the_thesis_table_of_influences_is_reproduced() {
     let affected = |cost, held: &str| -> Vec<String> {

@@ -1,4 +1,4 @@
-//! Robots and bars by name from a directory that has none of them, and what is said of a file in the wrong place.
+//! Robots and bars by name in a directory without files of that name, and messages for a file in the wrong place.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::path::Path;
@@ -6,7 +6,7 @@ use std::process::{Command, Output};
 
 use crate::support::repository;
 
-/// `identify` in a directory; its exit code, and all that it prints.
+/// Runs `identify` in a directory; returns its exit code and all output.
 fn identify(directory: &Path, arguments: &[&str]) -> (Option<i32>, String) {
     let Output { status, stdout, stderr } = Command::new(env!("CARGO_BIN_EXE_identify"))
         .current_dir(directory)
@@ -32,7 +32,7 @@ fn an_empty_directory_has_the_robots_and_the_bar_of_the_program() {
         told.contains("ABB IRB 2400/16 with double ball-bar") && told.contains("`ball_bar` as built into"),
         "{told}"
     );
-    // A file of this directory counts more, and says so.
+    // A file in this directory has priority, and the output mentions it.
     std::fs::create_dir_all(at.join("config/robots")).unwrap();
     for name in ["ball_bar.toml", "robots/irb2400_16.toml"] {
         let text = std::fs::read_to_string(repository("config").join(name)).unwrap();

@@ -1,4 +1,4 @@
-//! What the costs can identify in the reference set-up, and that it is identified.
+//! Parameters that the costs can identify in the reference set-up, and their identification.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -13,7 +13,7 @@ use identify::solver::{Identifiability, Options, Solution, identifiability, mini
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 
-/// The 47 of the thesis: no Hayati, no base rotations, no clocks.
+/// The 47 parameters of the thesis: without Hayati's parameters, rotations of the base and clocks.
 fn thesis_47(model: &mut Model) {
     let ids = model.ids();
     for id in ids {
@@ -141,7 +141,7 @@ fn every_selection_is_identified_by_its_cost() {
     selection_is_identified(Length, [23, 23]);
 }
 
-/// True chains: nominal with the thesis' static errors and, if wanted, a tilted base.
+/// True chains: nominal with the thesis' static errors and, optionally, a tilted base.
 fn true_chains(model: &Model, more: &[(&str, f64)]) -> (Model, Chain, Chain) {
     let mut truth = model.clone();
     for (name, error) in THESIS_ERRORS.iter().chain(more) {
@@ -192,7 +192,7 @@ fn static_errors_of_the_thesis_are_recovered_from_1500_poses() {
     }
 }
 
-/// Of `seeds` starts with every free parameter up to 20 mm|mrad off, how many end at the truth.
+/// Number of solves, out of `seeds` starts with errors of up to 20 mm|mrad in every free parameter, that end at the truth.
 fn recovered_from_afar<R: Residual>(cell: &Cell, residual: R, seeds: u64) -> usize {
     let mut model = cell.model();
     model.select(Selection::Thesis, R::identifies);
@@ -232,7 +232,7 @@ fn starts_20_mm_and_mrad_away_lead_to_the_truth_with_every_cost() {
     }
 }
 
-/// A robot that follows the bar along a smooth path, on a clock that is `shift_s` ahead and runs fast by `skew`.
+/// A robot that follows the bar along a smooth path, with a clock that is ahead by `shift_s` and fast by `skew`.
 struct Following<'a> {
     robot: &'a Chain,
     bar: &'a Chain,

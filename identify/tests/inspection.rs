@@ -1,4 +1,4 @@
-//! What is suspicious in a log is told before anything is solved, and a sound one is not slandered.
+//! Faults of a log are reported before a solve, without false reports for a sound log.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use crate::support::{bar, irb2400};
@@ -11,7 +11,7 @@ fn simulated() -> Simulated {
     simulate::run(&Experiment::new(&irb2400(), &bar())).unwrap()
 }
 
-/// The recording as a file gives it back.
+/// The recording as read from a file.
 fn recording() -> Recording {
     let directory = tempfile::tempdir().unwrap();
     let (robot, bar) = (irb2400(), bar());
@@ -56,7 +56,7 @@ fn clocks_that_jump_and_counters_with_a_new_origin_are_suspected() {
 fn frozen_and_commanded_logs_are_suspected() {
     let mut log: RobotLog = simulated().robot_log;
     log.origin = Origin::Commanded;
-    // Where the robot is fastest: held there for 30 rows it jumps afterwards.
+    // At the highest speed: the joints are frozen for 30 rows and then jump.
     let step = |row: &usize| (log.q_rad[row + 30][0] - log.q_rad[*row][0]).abs();
     let fastest = (0..log.q_rad.len() - 30).max_by(|a, b| step(a).total_cmp(&step(b))).unwrap();
     let held = log.q_rad[fastest];
@@ -82,7 +82,7 @@ fn a_column_that_freezes_for_a_while_is_suspected_by_name_and_a_joint_that_stand
     let told = inspect::robot_log(&log).suspicious.join("\n");
     assert!(told.contains("q2 has the same number in every row from"), "{told}");
     assert!(!told.contains("q1 has") && !told.contains("q3 has"), "{told}");
-    // One that stands goes on from there.
+    // A joint at rest continues from its position.
     let by = log.q_rad[to][1] - held;
     log.q_rad[to..].iter_mut().for_each(|q| q[1] -= by);
     let told = inspect::robot_log(&log).suspicious.join("\n");
@@ -119,7 +119,7 @@ fn curves_keep_extremes_and_holes_and_stay_small() {
         of_bar.iter().map(|curve| curve.name.as_str()).collect::<Vec<_>>(),
         ["b1", "b2", "b3", "b4", "b5"]
     );
-    // A spike of one row is there, and the ten seconds that are missing are not bridged.
+    // A spike of one row remains; ten missing seconds are not interpolated.
     let spike = robot_log.q_rad.len() / 3;
     robot_log.q_rad[spike][2] = 3.0;
     let until_s = robot_log.q_rad.duration_s() / 2.0 + 10.0;

@@ -94,7 +94,7 @@ fn errors(size: f64) -> impl Strategy<Value = Vec<f64>> {
     prop::collection::vec(-size..size, 30)
 }
 
-/// Joint angles away from singular shoulders (wrist over axis 1), elbows and wrists, where no way leads back.
+/// Joint angles away from singular shoulders (wrist on axis 1), elbows and wrists, where the inverse is not unique.
 fn regular_robot() -> impl Strategy<Value = [f64; 6]> {
     let ranges = [-3.0..3.0, -0.2..1.4, -0.9..1.0, -3.0..3.0, -1.4..1.4, -3.0..3.0];
     ranges.prop_map(|mut q: [f64; 6]| {
@@ -238,7 +238,7 @@ fn signs_that_mirror_an_arm_are_found_where_there_are_any() {
     for robot in [crate::support::irb2400(), crate::support::nj220()] {
         assert_eq!(mirroring_joints(&flange_chain(&robot)), Some(vec![0, 3, 5]), "{}", robot.name);
     }
-    // Its wrist lies beside the plane of its arm.
+    // Its wrist is outside the plane of its arm.
     let [mut beside, ..] = nominal();
     beside.links[1].d_m = 0.16;
     assert_eq!(mirroring_joints(&beside), None);

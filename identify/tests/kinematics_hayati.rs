@@ -1,4 +1,4 @@
-//! Standard links and Hayati's describe the same robot.
+//! Standard and Hayati links describe the same robot.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
 use identify::kinematics::{Chain, DhLink, robot_chain};
@@ -14,8 +14,8 @@ fn axis_after(link: &DhLink) -> (Vector3<f64>, Vector3<f64>) {
     (pose.translation.vector, pose.rotation * Vector3::z())
 }
 
-/// Hayati's link (Hayati and Mirmirani 1985) to the same axis, with this `d`: to the point where the axis crosses a plane across the
-/// one before, then a second rotation. None if the axis does not cross the plane.
+/// Hayati's link (Hayati and Mirmirani 1985) to the same axis, with this `d`: to the intersection of the axis with a plane
+/// across the previous axis, then a second rotation. `None` if they do not intersect.
 fn hayati_link(link: &DhLink, d_m: f64) -> Option<DhLink> {
     let (point_m, direction) = axis_after(link);
     if direction.z.abs() < DEGENERATE {
@@ -33,14 +33,14 @@ fn hayati_link(link: &DhLink, d_m: f64) -> Option<DhLink> {
     Some(DhLink { a_m: sign * length_m, alpha_rad, d_m, theta_rad, beta_rad, ..*link })
 }
 
-/// The standard link to the same axis. None if the axes are parallel.
+/// The standard link to the same axis. `None` if the axes are parallel.
 fn standard_link(link: &DhLink) -> Option<DhLink> {
     let (point_m, u) = axis_after(link);
     let sine = u.x.hypot(u.y);
     if sine < DEGENERATE {
         return None;
     }
-    // x of the link is across both axes; of its two directions the one that keeps the sign of the length.
+    // x of the link is perpendicular to both axes; of its two directions the one that keeps the sign of the length.
     let foot = point_m - u * ((point_m.x * u.x + point_m.y * u.y) / (sine * sine));
     let across = Vector3::new(-u.y, u.x, 0.0) / sine;
     let length = across.dot(&foot);
@@ -56,7 +56,7 @@ fn standard_link(link: &DhLink) -> Option<DhLink> {
     })
 }
 
-/// The chain with another link to the same axis; the next link takes up the difference along and about it.
+/// The chain with another link to the same axis; the next link contains the difference along and about it.
 fn replaced(chain: &Chain, link: usize, other: impl Fn(&DhLink) -> Option<DhLink>) -> Option<Chain> {
     let mut chain = chain.clone();
     let [old, next] = chain.links.get_mut(link..link + 2)? else { return None };
@@ -87,8 +87,8 @@ fn apart(a: &Chain, b: &Chain, joints: &[f64; 6]) -> f64 {
 }
 
 proptest! {
-    /// Errors of some milliradians on every link, as a calibration finds them: axes 2 and 3 are then nearly parallel, and
-    /// the standard `d` of link 2 may be hundreds of metres.
+    /// Errors of some milliradians on every link, as in a calibration: axes 2 and 3 are then nearly parallel, and the standard
+    /// `d` of link 2 can be hundreds of metres.
     #[test]
     fn there_and_back_gives_the_same_poses_and_the_same_links(
         which in 0..2usize,
@@ -111,7 +111,7 @@ proptest! {
         prop_assert!(apart(&chain, &hayati, &joints) < 1e-9, "{}", apart(&chain, &hayati, &joints));
         let back = with_standard(&hayati, link).unwrap();
         prop_assert_eq!(back.links[link].beta_rad, 0.0);
-        // A nearly parallel axis magnifies rounding: by the inverse of the angle between the axes.
+        // A nearly parallel axis amplifies rounding errors by the inverse of the angle between the axes.
         let limit = 1e-13 / chain.links[link].alpha_rad.abs().powi(2) + 1e-10;
         prop_assert!(apart(&chain, &back, &joints) < limit);
         prop_assert!((back.links[link].a_m - chain.links[link].a_m).abs() < limit);
@@ -119,7 +119,7 @@ proptest! {
         prop_assert!((back.links[link].theta_rad - chain.links[link].theta_rad).sin().abs() < limit);
     }
 
-    /// A link of Hayati's with its own errors, for which the standard form is large but exact.
+    /// A Hayati link with errors, for which the standard parameters are large but exact.
     #[test]
     fn a_hayati_link_becomes_a_standard_one_however_far_its_common_normal_lies(
         alpha in 1e-4..2e-2f64, beta in 1e-4..2e-2f64, joints in prop::array::uniform6(-3.0..3.0f64),
@@ -128,7 +128,7 @@ proptest! {
         chain.links[1].alpha_rad = alpha;
         chain.links[1].beta_rad = beta;
         let standard = with_standard(&chain, 1).unwrap();
-        // The common normal lies at length over angle: metres to kilometres away.
+        // The common normal is at the distance length over angle: metres to kilometres.
         prop_assert!(apart(&chain, &standard, &joints) < 1e-12 / alpha.min(beta));
     }
 }
@@ -141,7 +141,7 @@ fn some_links_have_one_form_only() {
     assert!(with_standard(&chain, 9).is_none());
     let mut square = chain.clone();
     square.links[2].alpha_rad = std::f64::consts::FRAC_PI_2;
-    // cos(pi/2) is not zero in binary, but nothing that could be measured.
+    // cos(pi/2) is not exactly zero in binary, but negligible.
     assert!(with_hayati(&square, 2, 0.0).is_none());
     let same = with_hayati(&chain, 1, chain.links[1].d_m).unwrap();
     assert!(apart(&chain, &same, &[0.3; 6]) < 1e-15);

@@ -1,6 +1,6 @@
-//! All tests of `identify` that need no more than its library and binary, in one program: one link, and long tests side by side.
+//! All tests of `identify` that need only its library and binary, in one program: one link step, and long tests in parallel.
 //!
-//! One file of them: `cargo test -p identify --test all preparation_crossing`.
+//! To run one file: `cargo test -p identify --test all preparation_crossing`.
 
 mod support;
 

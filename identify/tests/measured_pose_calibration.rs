@@ -1,4 +1,4 @@
-//! Calibration by measured poses: on made-up rows with known truth, and on a real UR10 with a laser tracker.
+//! Calibration from measured poses: on simulated rows with known truth, and on a real UR10 with a laser tracker.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -33,7 +33,7 @@ fn real_rows(path: &Path) -> Vec<PoseRow> {
     MeasuredPoses::load(path, &mapping).unwrap().rows.iter().map(PoseRow::from).collect()
 }
 
-/// A robot with errors of some mm and mrad and a wave of 17 per turn on joint 2, seen by a tracker that stands anywhere.
+/// A robot with errors of some mm and mrad and a harmonic of order 17 on joint 2, measured by a tracker at a random position.
 fn made_up(count: usize, noise: f64, wave_rad: f64) -> (Vec<PoseRow>, Chain, Pose, Pose) {
     let mut random = StdRng::seed_from_u64(5);
     let mut truth = flange_chain(&ur10());
@@ -64,7 +64,7 @@ fn made_up(count: usize, noise: f64, wave_rad: f64) -> (Vec<PoseRow>, Chain, Pos
     (rows.collect(), truth, place, probe)
 }
 
-/// Root mean square of found minus true error of joint 2, apart from a constant, which is the link's.
+/// Root mean square of estimated minus true error of joint 2, without the constant part, which belongs to the link.
 fn wave_error_rad(geometry: &identify::model::Geometry) -> f64 {
     let wrong = |k: i32| {
         let angle = 0.01 * f64::from(k);
@@ -84,9 +84,9 @@ fn tracker_probe_robot_and_joint_waves_are_found_and_what_is_not_there_is_left_o
     let Stages { nominal, links, joints, .. } = report.held_out();
     assert_eq!((nominal.rows, report.fitted().joints.rows), (160, 640));
     assert!(nominal.position_m.rms > 1e-3 && links.position_m.rms > 1e-4);
-    // Judged by rows that the fit had not seen, then fitted to all.
+    // Evaluated on held-out rows, then fitted to all rows.
     assert_eq!(report.0.solved.solution.summary.samples_used, 800);
-    // Noise of three coordinates is 3.5e-5.
+    // The norm of the noise of three coordinates is 3.5e-5.
     assert!(joints.position_m.rms < 4.5e-5, "{joints:?}");
     assert!(joints.rotation_rad.unwrap().rms < 4.5e-5, "{joints:?}");
     let taken: Vec<&str> =
@@ -96,7 +96,7 @@ fn tracker_probe_robot_and_joint_waves_are_found_and_what_is_not_there_is_left_o
     let geometry = report.model().geometry(&report.model().start());
     assert!(wave_error_rad(&geometry) < 2e-5, "{}", wave_error_rad(&geometry));
     let value = |name: &str| report.model().parameter(name.parse().unwrap()).unwrap().value;
-    // The tracker's height and turn also hold what link 1 would: compare where it is not so.
+    // The height and rotation of the tracker include the offset and zero of link 1: compare other parameters.
     let tracker = geometry.tracker.places[0].pose();
     assert!((tracker.translation.vector - place.translation.vector).norm() < 2e-2);
     assert!((value("ra2") - truth.links[1].a_m).abs() < 5e-5);
@@ -173,7 +173,7 @@ fn positions_alone_calibrate_too() {
     assert!(report.held_out().links.position_m.rms < 4.5e-5, "{:?}", report.held_out().links);
 }
 
-/// Half of the rows are fifteen times worse, and which is known.
+/// Half of the rows have fifteen times the noise, and the file states it.
 #[test]
 fn rows_of_two_qualities_calibrate_better_with_their_uncertainties() {
     let (clean, ..) = made_up(500, 2e-5, 0.0);
@@ -192,7 +192,7 @@ fn rows_of_two_qualities_calibrate_better_with_their_uncertainties() {
         }
     };
     state(&mut stated, 1.0);
-    // Uncertainties that are all too small or too large by one factor still say which row is worth more.
+    // Uncertainties with a common wrong factor still determine the relative weights.
     let (mut too_small, mut too_large) = (stated.clone(), stated.clone());
     state(&mut too_small, 0.5);
     state(&mut too_large, 5.0);
@@ -202,7 +202,7 @@ fn rows_of_two_qualities_calibrate_better_with_their_uncertainties() {
         let truly = validate(&Tracker::new(&clean).into(), &ur10(), found.model(), 1).unwrap().figures[1]
             .position_m
             .rms;
-        // Beyond the noise of the rows that judge.
+        // Error after subtraction of the noise of the held-out rows.
         let beyond = |rms: f64| (rms.powi(2) - 3.0 * good * good).max(0.0).sqrt();
         (beyond(truly), found.sigma("ra2".parse().unwrap()).unwrap())
     };
@@ -226,7 +226,7 @@ fn rows_and_options_that_make_no_sense_are_errors() {
     assert!(text(&rows).contains("row 8"));
 }
 
-/// The rows as the shipped mapping reads them.
+/// The rows read with the shipped mapping.
 fn csv(rows: &[PoseRow]) -> String {
     let mut text = String::from(
         "shoulder_pan_joint;shoulder_lift_joint;elbow_joint;wrist_1_joint;wrist_2_joint;wrist_3_joint;measurement_x;\
@@ -284,7 +284,7 @@ fn the_command_calibrates_validates_and_writes_what_it_took() {
     let (offsets, links) = (corrections("offsets.csv"), corrections("corrections.csv"));
     assert!(offsets.iter().all(|row| row.deployment == Deployment::Offsets && !row.what.starts_with("link")));
     assert!(links.iter().any(|row| row.what == "link 2 a") && links[0].held_out_mm < offsets[0].held_out_mm);
-    // A row that bends a joint further than any that was measured is named.
+    // A row with a joint angle outside the measured range is reported.
     let mut beyond = rows[400..].to_vec();
     beyond[6].joints_rad[3] = 2.2;
     std::fs::write(folder.path().join("other.csv"), csv(&beyond)).unwrap();
@@ -299,14 +299,14 @@ fn the_command_calibrates_validates_and_writes_what_it_took() {
     assert!(said.contains("supported (deg): joint 1 -8"), "{said}");
     std::fs::write(folder.path().join("other.csv"), csv(&rows[400..])).unwrap();
     let page = std::fs::read_to_string(folder.path().join("out/report.html")).unwrap();
-    // Rows without times have no clock that could be taken as exact.
+    // Rows without times have no clock parameters.
     assert!(!page.contains("clock_sk"));
     let shown = crate::support::browser::shown(&page);
     assert!(shown.foreign.is_empty(), "{:?}", shown.foreign);
     for part in ["tracker, 80 held-out rows, calibrated", "Rotation, calibrated", "tracker_rx", "other.csv"] {
         assert!(shown.document.contains(part), "{part}");
     }
-    // What is written beside the result repeats it, from anywhere.
+    // The experiment file next to the result reproduces it from any directory.
     let experiment = |file: &Path| {
         let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_identify"));
         command.args(["calibrate", "--out", "again", "--experiment"]).arg(file);
@@ -322,13 +322,13 @@ fn the_command_calibrates_validates_and_writes_what_it_took() {
     let second =
         "\n[[tracker]]\nfile = \"../other.csv\"\nmapping = \"MAPPING\"\n".replace("MAPPING", mapping[1]);
     let two = text.clone() + &second;
-    // Its paths count from there.
+    // Paths are relative to the file.
     let path = folder.path().join("out/two.toml");
     std::fs::write(&path, &two).unwrap();
     let (solved, err) = experiment(&path);
     assert!(solved, "{err}");
     let names: Vec<String> = found("again").parameters.into_iter().map(|one| one.name).collect();
-    // A fifth of single rows; whole regions come as near to it as they can.
+    // One fifth of the single rows; whole regions approximate this part.
     let held_out: Vec<(usize, u64)> =
         found("again").rows.iter().map(|rows| (rows.held_out.joints.rows, rows.seed)).collect();
     assert!(held_out[0] == (80, 1042) && (15..=25).contains(&held_out[1].0), "{held_out:?}");
@@ -350,13 +350,13 @@ fn the_command_calibrates_validates_and_writes_what_it_took() {
         String::from_utf8(output.stderr).unwrap()
     };
     assert!(refused(&[]).contains("--mapping"));
-    // What a calibration with a tracker does not know is no option of it.
+    // Options that do not apply to a tracker are refused.
     for bar_only in [["--cost", "length"], ["--encoders", "find"], ["--truth", "truth.toml"]] {
         let said = refused(&[&mapping[..], &bar_only].concat());
         assert!(said.contains("unexpected argument") && said.contains(bar_only[0]), "{said}");
     }
     assert!(refused(&[&mapping[..2], &["--fix", "bd3"]].concat()).contains("bd3"));
-    // A file that is missing is said before the fit, and nothing is written.
+    // A missing file is reported before the fit, and nothing is written.
     std::fs::remove_dir_all(folder.path().join("out")).unwrap();
     assert!(refused(&[&mapping[..2], &["--validate", "missing.csv"]].concat()).contains("missing.csv"));
     assert!(!folder.path().join("out").exists());
@@ -374,13 +374,13 @@ fn what_is_fixed_by_name_stays_where_it_starts() {
     }
 }
 
-/// Mean, p95 and max of the position \[mm\] are below these.
+/// Upper limits of mean, p95 and max of the position error \[mm\].
 fn below(figures: &PoseFigures, [mean, p95, max]: [f64; 3]) {
     let of = figures.position_m;
     assert!(of.mean < 1e-3 * mean && of.p95 < 1e-3 * p95 && of.max < 1e-3 * max, "{of:?}");
 }
 
-/// Best published here for 30 DH and Hayati parameters on rows held out at random.
+/// Best published result for these data with 30 DH and Hayati parameters, on random held-out rows.
 const GRID: [f64; 3] = [0.399, 0.76, 1.18];
 const CUBES: [f64; 3] = [0.354, 0.71, 1.28];
 
@@ -391,12 +391,12 @@ fn the_real_ur10_on_its_grid_and_from_its_grid_to_its_cubes() {
     let (grid, cubes) = (fixture("grid.csv"), fixture("iso_cubes.csv"));
     assert_eq!((grid.len(), cubes.len()), (373, 316));
     let (Stages { nominal, offsets, links, .. }, on_cubes) = grid_and_from_grid_to_cubes(&grid, &cubes);
-    // Joint offsets alone are a little better on held-out rows, which may be chance, and worse on the cubes.
+    // Joint offsets alone are slightly better on held-out rows, possibly by chance, and worse on the cubes.
     assert!(links.are_surely_better_than(&nominal) && !offsets.are_surely_better_than(&nominal));
     assert!(offsets.position_m.rms < nominal.position_m.rms && on_cubes[1] > on_cubes[0], "{on_cubes:?}");
 }
 
-/// Figures of held-out rows of the grid, and root mean squares on the cubes: nominal, and with joint offsets alone \[m\].
+/// Errors on held-out rows of the grid, and RMS errors on the cubes: nominal, and with joint offsets alone \[m\].
 fn grid_and_from_grid_to_cubes(grid: &[PoseRow], cubes: &[PoseRow]) -> (Stages, [f64; 2]) {
     let report = Alone { joint_waves: Some(40), ..Alone::default() }.poses(grid, &ur10()).unwrap();
     let others = Instrument::from(Tracker::new(cubes));
@@ -404,7 +404,8 @@ fn grid_and_from_grid_to_cubes(grid: &[PoseRow], cubes: &[PoseRow]) -> (Stages, 
     println!("{}cubes: {figures:?}", report.table());
     below(&report.held_out().joints, GRID);
     below(&figures[1], CUBES);
-    // Who applies less gets what is best alone: better on another file than that part of the full calibration.
+    // If only part of the model is applied, its own best fit is delivered: better on another file than that part of the full
+    // model.
     let Stages { nominal, offsets, links, joints } = report.held_out();
     let held_out = [nominal, offsets, links, joints].map(|of| of.position_m.rms);
     assert!(held_out.is_sorted_by(|more, less| more > less), "{held_out:?}");
@@ -458,7 +459,7 @@ fn all_rows_of_the_real_ur10() {
     let folder = crate::support::measured_data().join("ur10-tracker");
     let cubes = real_rows(&folder.join("iso_cubes_632.csv"));
     cubes_whatever_is_held_out(&cubes);
-    // Every fourth row: the whole file takes minutes and says the same.
+    // Every fourth row: the whole file takes minutes with the same result.
     let grid: Vec<PoseRow> = real_rows(&folder.join("grid_11911.csv")).into_iter().step_by(4).collect();
     grid_and_from_grid_to_cubes(&grid, &cubes);
 }

@@ -1,5 +1,5 @@
-//! A ball-bar, a tracker, a draw-wire and a ball in sockets on one robot, whose gears have errors that no model has: one solve of all is nearer to
-//! the truth than each of them alone, and its intervals hold.
+//! A ball-bar, a tracker, a draw-wire and a ball in sockets on one robot with unmodelled gear errors: a combined solve is
+//! nearer to the truth than each instrument alone, and its intervals hold.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -25,7 +25,7 @@ use crate::support::{bar, irb2400};
 
 const ROWS: usize = 150;
 
-/// Everything that was measured on one robot.
+/// All measurements of one robot.
 struct Cell {
     run: Simulated,
     poses: Vec<PoseRow>,
@@ -33,12 +33,12 @@ struct Cell {
     contacts: Vec<ContactRow>,
     sockets: SocketTable,
     truth: Chain,
-    /// As configured: the plate is not exactly so.
+    /// The configured bar: its plate differs from the true one.
     bar: BallBarConfig,
 }
 
 impl Cell {
-    /// A run of two minutes, 150 poses within 0.05 mm, 150 lengths within 0.1 mm and 150 balls seated within 0.01 mm.
+    /// A run of two minutes, 150 poses with 0.05 mm noise, 150 lengths with 0.1 mm and 150 seated balls with 0.01 mm.
     fn new(seed: u64) -> Self {
         let (robot, bar) = (irb2400(), bar());
         let level = Level { gear_sine_urad: 0.0, cycloid_urad: 0.0, ..Level::USUAL };
@@ -52,7 +52,7 @@ impl Cell {
             }
         }
         let mut truth = model.geometry(&[]).robot;
-        // What is mounted on the flange is the instrument's.
+        // The last link belongs to the instrument mounted on the flange.
         *truth.links.last_mut().unwrap() = *flange_chain(&robot).links.last().unwrap();
         let gears = Gears::new(DriveTrain::of(&robot, &truth), &mut random);
         for q in run.robot_log.q_rad.iter_mut() {
@@ -113,7 +113,7 @@ impl Cell {
         calibrate(&data, &robot, &config, None).unwrap()
     }
 
-    /// Where the true robot and an identified one have the centre of the wrist, one minus the other \[m\], over postures.
+    /// Difference between the wrist centres of the true and an identified robot \[m\], over postures.
     fn errors_m(&self, model: &Model) -> Vec<Vector3<f64>> {
         const POSTURES: usize = 400;
         let identified = model.geometry(&[]).robot;
@@ -137,7 +137,7 @@ impl Cell {
         errors_m.iter().map(|error| error.norm()).sum::<f64>() / errors_m.len() as f64
     }
 
-    /// How many coordinates of the wrist are within their 95 % interval, and of how many.
+    /// Number of wrist coordinates within their 95 % interval, and number of coordinates.
     fn covered(&self, found: &Calibration) -> [usize; 2] {
         const STEP: f64 = 1e-6;
         let (model, covariance) = (&found.runs[0].model, &found.solved.solution.covariance);
@@ -170,7 +170,7 @@ impl Cell {
     }
 }
 
-/// A ball that the robot seats in four sockets from many sides, and what is known of these.
+/// A ball that the robot seats in four sockets from many sides, and the table of sockets.
 fn seated(truth: &Chain, gears: &Gears, random: &mut StdRng) -> (Vec<ContactRow>, SocketTable) {
     let (robot, ball_m) = (irb2400(), Vector3::new(0.03, 0.01, 0.1));
     let places_mm =
@@ -199,8 +199,8 @@ fn seated(truth: &Chain, gears: &Gears, random: &mut StdRng) -> (Vec<ContactRow>
 
 const ALL: [bool; 4] = [true; 4];
 
-/// Mean errors of all together and of each alone \[mm\], and the part of the coordinates of the wrist that are within their
-/// 95 % intervals where all are together.
+/// Mean error of the combined solve and of each instrument alone \[mm\], and the part of the wrist coordinates that are within
+/// their 95 % intervals in the combined solve.
 fn means_mm(seeds: u64) -> ([f64; 5], f64) {
     let ways = [
         ("all", ALL),
@@ -243,11 +243,11 @@ fn a_mix_is_nearer_to_the_truth_than_bar_tracker_wire_or_contact_alone() {
 fn over_twenty_robots_a_mix_is_nearer_than_each_alone_and_its_intervals_hold() {
     let ([all, alone @ ..], within) = means_mm(size(4, 20));
     assert!(alone.iter().all(|alone| all < *alone), "{all} {alone:?}");
-    // Coordinates of one robot err together, so that twenty robots leave a spread of some hundredths.
+    // Coordinates of one robot are correlated, so twenty robots leave a spread of some hundredths.
     assert!(within > 0.85, "{within}");
 }
 
-/// Data sets that are said to contradict the others.
+/// Data sets that are reported to contradict the others.
 fn contradicting(found: &Calibration) -> Vec<usize> {
     let loss = found.solved.solution.loss;
     let all = disagreeing(&found.runs, &found.solved.sigmas, loss);
@@ -270,7 +270,7 @@ fn data_sets_of_one_robot_agree_and_a_scale_or_zero_of_their_own_is_said() {
         assert!(contradicting(&cell.calibrated(with)).is_empty(), "{with:?}");
         assert!(!contradicting(&scaled(1.002).calibrated(with)).is_empty(), "{with:?}");
     }
-    // Joint 2 was mastered anew before the tracker came.
+    // Joint 2 was mastered again before the tracker measured.
     let mut mastered = Cell::new(1);
     mastered.poses.iter_mut().for_each(|row| row.joints_rad[1] += 1e-3);
     assert!(!contradicting(&mastered.calibrated([true, true, false, false])).is_empty());
@@ -314,11 +314,11 @@ fn a_plate_that_is_hardly_known_does_not_make_the_robot_smaller() {
     let [exact, hardly_known] = [exact, hardly_known].map(|found| cell.errors_m(&found.runs[0].model));
     let apart_m = exact.iter().zip(&hardly_known).map(far_m).fold(0.0, f64::max);
     println!("{} um apart", apart_m * 1e6);
-    // The links' tolerances give the scale to one part in a thousand, the plate alone to four.
+    // The tolerances of the links determine the scale to one part in a thousand, the plate alone to four.
     assert!(apart_m < 1e-3, "{apart_m}");
 }
 
-/// A drive that turns otherwise than its log says is named in the same words by each instrument and by any mix.
+/// A drive that moves differently from its log is reported in the same words by each instrument and by any combination.
 #[test]
 fn a_wrong_gear_ratio_is_the_same_sentence_whatever_measured_it() {
     let mut cell = Cell::new(1);

@@ -1,5 +1,5 @@
-//! What angles are worth is found in the data: the configuration starts the estimate, and who configures another noise gets the
-//! same robot. `CAMPAIGNS=full` repeats the campaign more often.
+//! The noise of the angles is estimated from the data: the configuration is the start value, and another configured noise gives
+//! the same robot. `CAMPAIGNS=full` repeats the campaign more often.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -79,7 +79,7 @@ fn campaign_of_noises_with_both_robots() {
     }
 }
 
-/// Whoever configures another noise than the run has gets the same robot and is told the noise that there was.
+/// With another configured noise than that of the run, the robot is the same and the estimated noise is reported.
 #[test]
 fn the_noise_of_a_run_is_found_whatever_is_configured() {
     let robot = irb2400();

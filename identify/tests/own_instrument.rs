@@ -1,5 +1,6 @@
-//! An instrument that is defined here alone, a column that measures how high a point of the flange is above a plate, calibrates a robot
-//! and gets tables, residuals, page, limits, held-out figures, deployments and change detection like those of the library.
+//! An instrument defined only in this file, a gauge that measures the height of a flange point above a plate, calibrates a
+//! robot. It gets tables, residuals, page, limits, held-out figures, deployments and change detection like the instruments of
+//! the library.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
 use identify::calibrate::{Calibration, DataSets, IdentifyConfig, calibrate};
@@ -23,7 +24,7 @@ use rand_distr::StandardNormal;
 
 use crate::support::irb120;
 
-/// Rows: joints and a height over the plate \[m\].
+/// Rows of joints and height above the plate \[m\].
 #[derive(Debug, Clone)]
 struct Column {
     states: Vec<JointState>,
@@ -50,7 +51,7 @@ impl Column {
     }
 }
 
-/// `z(p + R attachment) + offset - height` \[m\]: the names are those of a wire, whose numbers mean the same.
+/// `z(p + R attachment) + offset - height` \[m\]: with the parameter names of a wire, which have the same meaning.
 struct Height<'a>(&'a [f64]);
 
 impl Residual for Height<'_> {
@@ -184,7 +185,7 @@ impl identify::model::RobotMotion for Column {
     }
 }
 
-/// Heights of a robot with drawn errors.
+/// Heights of a robot with random errors.
 fn measured(rows: usize) -> Vec<(Joints, f64)> {
     let (robot, mut random) = (irb120(), StdRng::seed_from_u64(3));
     let mut truth = flange_chain(&robot);

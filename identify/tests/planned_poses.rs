@@ -1,4 +1,4 @@
-//! Poses that are chosen for a tracker or a wire: within limits, clear of the cell, and worth more than random ones on a real robot.
+//! Poses planned for a tracker or a wire: within limits, free of collisions, and better than random poses for a real robot.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -30,7 +30,7 @@ fn request(robot: &RobotConfig, measures: Measures) -> PoseRequest<'_> {
     PoseRequest { robot, measures, target_m: [0.0, 0.0, 0.1], anchor_m: [1.5, -0.5, 0.2], noise }
 }
 
-/// Rows of a real UR10, half of which a plan may choose from; the others judge.
+/// Rows of a real UR10; a plan may select from one half, the other half is held out.
 struct Rows {
     offered: Vec<PoseRow>,
     others: Vec<PoseRow>,
@@ -43,7 +43,7 @@ impl Rows {
             MeasuredPoses::load(path, &mapping).unwrap().rows.iter().map(PoseRow::from).collect();
         let mixed =
             index::sample(&mut ChaCha8Rng::seed_from_u64(seed), all.len(), offered + others).into_vec();
-        // In the order of the file, which is that of the motion.
+        // In the order of the file, which is the order of the motion.
         let some = |part: &[usize]| {
             part.iter().collect::<BTreeSet<_>>().into_iter().map(|&row| all[row]).collect::<Vec<_>>()
         };
@@ -55,7 +55,7 @@ impl Rows {
         poses(&request(&ur10(), measures), &joints, count, None, 1).unwrap().chosen
     }
 
-    /// Mean position error of the other rows after a calibration with these \[m\].
+    /// Mean position error of the held-out rows after a calibration with these rows \[m\].
     fn error_m(&self, how: &Alone, chosen: &[usize]) -> f64 {
         let chosen: BTreeSet<usize> = chosen.iter().copied().collect();
         let rows: Vec<PoseRow> = chosen.into_iter().map(|row| self.offered[row]).collect();
@@ -86,7 +86,7 @@ fn fifty_planned_rows_calibrate_a_real_robot_better_than_most_random_fifties() {
     assert!(planned < random[2], "{planned} {random:?}");
 }
 
-/// Fifty planned rows come near to 200 random ones, not below: gears have more amplitudes than fifty poses have numbers.
+/// Fifty planned rows are almost as good as 200 random ones: gears have more amplitudes than fifty poses have measured numbers.
 #[test]
 #[ignore = "needs the measured data: set BALLBAR_DATA; calibrates a hundred times"]
 fn all_rows_of_the_real_grid_offer_poses_that_do_the_work_of_twice_as_many_random_ones() {
@@ -156,13 +156,13 @@ fn a_browser_draws_the_arm_from_pose_to_pose_and_asks_nobody_else() {
     ];
     assert!(identify(&arguments, "ur10.toml", directory.path()).status.success());
     let shown = browser::shown(&std::fs::read_to_string(directory.path().join("poses.html")).unwrap());
-    // The script writes which pose it draws.
+    // The script writes the number of the pose that it draws.
     let pose = shown.document.split_once("id=\"path-shown\">").unwrap().1.split_once('<').unwrap().0;
     assert!(pose.starts_with("pose ") && pose.ends_with(" of 8"), "{pose:?} {}", shown.stderr);
     assert_eq!(shown.foreign, Vec::<String>::new());
 }
 
-/// From pose to pose, and how far each joint goes at most.
+/// Largest motion of any joint between consecutive poses.
 fn moves(joints: &[Joints]) -> impl Iterator<Item = f64> + '_ {
     let far =
         |pair: &[Joints]| pair[0].iter().zip(&pair[1]).fold(0.0_f64, |most, (a, b)| most.max((a - b).abs()));
@@ -188,21 +188,21 @@ fn poses_of_any_arm_and_instrument_are_clear_within_limits_and_expected_to_be_be
         assert_eq!(found.chosen.iter().collect::<BTreeSet<_>>().len(), 40);
         for q in &found.joints {
             assert!(q.iter().zip(robot.joint_limits()).all(|(q, [low, high])| (low..=high).contains(q)));
-            // The radius of the links and the clearance are over the floor.
+            // The links keep their radius plus the clearance above the floor.
             let height_m = arm.forward(q).translation.vector.z;
             assert!(height_m > -0.1 + bodies.link_radius_m + 0.02 - 1e-9, "{height_m}");
         }
         println!("{} {measures:?}: {} {} {}", robot.name, found.position_m, found.random_m, found.before_m);
         assert!(found.position_m < found.random_m && found.random_m < found.before_m);
-        // Shorter than in the order of the candidates, in which they are random.
+        // Shorter than in the random order of the candidates.
         let mut by_number: Vec<_> = found.chosen.iter().zip(&found.joints).collect();
         by_number.sort_by_key(|(number, _)| **number);
         let by_number: Vec<Joints> = by_number.into_iter().map(|(_, q)| *q).collect();
         let [short, long]: [f64; 2] = [&found.joints, &by_number].map(|order| moves(order).sum());
         assert!(short < 0.8 * long, "{short} {long}");
-        // A joint that cannot pass an angle gets there from the other side.
+        // A joint that must not pass an angle moves in the other direction.
         assert!(found.blocked().is_empty(), "{} {measures:?}: {:?}", robot.name, found.blocked());
-        // Each way is clear, looked at more closely than by the planner.
+        // Each motion is free of collisions, checked with smaller steps than in the planner.
         for (postures, way) in found.moves().zip(&found.ways[1..]) {
             assert_eq!(postures.len() > 2, *way != Way::Straight);
             for pair in postures.windows(2) {
@@ -223,7 +223,7 @@ fn the_arm_that_folds_into_itself_is_not_clear() {
     let arm = flange_chain(&robot);
     let is_clear = |degrees: [f64; 6]| bodies.is_clear(&arm, &degrees.map(f64::to_radians));
     assert!(is_clear([0.0, -90.0, 60.0, 0.0, 90.0, 0.0]));
-    // Forearm on the upper arm: the wrist is at the shoulder.
+    // Forearm folded onto the upper arm: the wrist is at the shoulder.
     assert!(!is_clear([0.0, -90.0, 175.0, 0.0, 90.0, 0.0]));
 }
 
@@ -231,7 +231,7 @@ fn the_arm_that_folds_into_itself_is_not_clear() {
 fn the_command_writes_poses_that_calibrate_reads_and_a_program_that_stops_at_each() {
     let directory = tempfile::tempdir().unwrap();
     let out = directory.path();
-    // Links of the default radius leave the folded arm no way out of some of these poses.
+    // With links of the default radius the folded arm cannot leave some of these poses.
     let common = ["plan", "poses", "--draw", "60", "--link-radius-mm", "40"];
     let plan = |count: &str, more: &[&str]| {
         identify(&[&common[..], &["--count", count], more].concat(), "ur10.toml", out)
@@ -248,7 +248,7 @@ fn the_command_writes_poses_that_calibrate_reads_and_a_program_that_stops_at_eac
     assert_eq!(joints.len(), 20);
     let _: MeasuredPoseMapping = config::load(&out.join("poses.toml")).unwrap();
     let read = |name: &str| std::fs::read_to_string(out.join(name)).unwrap();
-    // The page has the arm in each of them: where the target is at every stop is where the joints of the table have it.
+    // The page shows the arm in each pose: at every stop the target is where the joints of the table put it.
     let page = read("poses.html");
     let scene = browser::scene(&page);
     let (frames, point) = (scene["frames"].as_array().unwrap(), scene["ends"].as_u64().unwrap() as usize);
@@ -278,7 +278,7 @@ fn the_command_writes_poses_that_calibrate_reads_and_a_program_that_stops_at_eac
         let program = read(name);
         assert_eq!([program.matches(stop).count(), program.matches(wait).count()], [20, 20], "{name}");
     }
-    // From the table that was written.
+    // Read from the written table.
     let (table, mapping) = (out.join("poses.csv"), out.join("poses.toml"));
     let [table, mapping] = [&table, &mapping].map(|path| path.to_str().unwrap());
     let again = identify(
@@ -310,7 +310,7 @@ fn the_command_writes_poses_that_calibrate_reads_and_a_program_that_stops_at_eac
     }
 }
 
-/// What each language does before a pose that no free way leads to, and on a way through another posture.
+/// Output of each language for a pose without a free path to it, and for a path through an intermediate posture.
 #[test]
 fn programs_stop_before_a_pose_without_a_free_way_and_drive_through_the_postures_of_others() {
     let mut robot = ur10();
@@ -341,7 +341,7 @@ fn programs_stop_before_a_pose_without_a_free_way_and_drive_through_the_postures
         let is = |line: &&str| [moves, waits, stop].iter().position(|word| line.contains(word)).unwrap();
         assert_eq!(lines.iter().map(is).collect::<Vec<_>>(), [0, 1, 0, 0, 1, 2, 0, 1], "{text}");
         assert!(text.contains("jog by hand to pose 3"), "{text}");
-        // Comments are broken into lines of the language.
+        // Comments are wrapped to the line length of the language.
         let before = text.split_once(stop).unwrap().0.replace(['!', ';', '\n'], " ");
         let is_word =
             |word: &&str| word.strip_suffix(':').is_none_or(|number| number.parse::<u32>().is_err());
@@ -350,7 +350,7 @@ fn programs_stop_before_a_pose_without_a_free_way_and_drive_through_the_postures
     }
 }
 
-/// Walls on both sides of the arm: from one half of the cell to the other it has to fold.
+/// Walls on both sides of the arm: it must fold to move from one half of the cell to the other.
 #[test]
 fn moves_go_round_a_wall_through_postures_that_are_clear() {
     let robot = ur10();
@@ -376,7 +376,7 @@ fn moves_go_round_a_wall_through_postures_that_are_clear() {
     }
 }
 
-/// Two walls with less room between them than the wrist needs: no way leads from one side to the other.
+/// Two walls with a gap narrower than the wrist: no path connects the two sides.
 #[test]
 #[ignore = "plans among obstacles: half a minute"]
 fn poses_without_a_free_way_between_them_are_marked_everywhere_and_end_with_an_error() {
@@ -408,7 +408,7 @@ fn poses_without_a_free_way_between_them_are_marked_everywhere_and_end_with_an_e
             assert!(program.contains(&format!("jog by hand to pose {pose}")), "{name}");
         }
     }
-    // The table is read in spite of its marks.
+    // The table can be read despite its marks.
     let mapping: JointTableMapping = config::load(&out.join("poses.toml")).unwrap();
     assert_eq!(mapping.load(&out.join("poses.csv")).unwrap().len(), 12);
 }
