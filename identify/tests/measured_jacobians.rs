@@ -1,4 +1,5 @@
-//! Analytic Jacobians of the costs of tracker and ball in sockets against automatic differentiation of an independent kinematics.
+//! Analytic Jacobians of the costs of tracker and ball in sockets against automatic differentiation of an independent
+//! kinematics.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
 use crate::support::Cell;

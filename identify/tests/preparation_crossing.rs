@@ -13,7 +13,7 @@ fn crossing(effects: Effects) -> Simulated {
     crossing_with(effects, 1, [-60.0, 85.0])
 }
 
-/// A path on which joint `joint` (from 0) has another range than usual.
+/// A path on which joint `joint` (from 0) has another range than by default.
 fn crossing_with(effects: Effects, joint: usize, range_deg: [f64; 2]) -> Simulated {
     let (robot, bar) = (irb2400(), bar());
     let usual = Design::for_robot(&robot);
@@ -33,7 +33,7 @@ fn robot_error(found: &Calibration, run: &Simulated) -> f64 {
     comparison.only(|id| matches!(id, ParameterId::Robot { .. })).euclidean_mm_mrad()
 }
 
-/// From cycle `at` on, counters go on from elsewhere.
+/// From cycle `at` on, the counters have another origin.
 fn new_origin(run: &mut Simulated, at: usize) {
     for (k, cycle) in run.cycles.iter_mut().enumerate().skip(at) {
         for (place, encoder) in cycle.encoders.iter_mut().enumerate() {
@@ -43,7 +43,7 @@ fn new_origin(run: &mut Simulated, at: usize) {
             cycle.encoders[0].valid = false;
         }
     }
-    // It counts from the first valid record on, as the daemon has it.
+    // Counted from the first valid record, as in the daemon.
     run.cycles[at + 30..].iter_mut().for_each(|cycle| cycle.origin += 1);
 }
 
@@ -110,7 +110,7 @@ fn a_run_with_lost_origins_is_used_whole_and_calibrates_as_well_as_a_clean_one()
         for at in [2500, 5000, 9000] {
             new_origin(&mut lossy, at);
         }
-        // An origin that may have changed and did not.
+        // An origin that may have changed but has not.
         lossy.cycles[10_500..].iter_mut().for_each(|cycle| cycle.origin += 1);
         let [of_clean, of_lossy] = [&clean, &lossy].map(calibrated);
         let errors = [robot_error(&of_clean, &clean), robot_error(&of_lossy, &clean)];

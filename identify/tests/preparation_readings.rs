@@ -1,5 +1,4 @@
-//! What is done to the readings before the logs are brought together: counters and joints that begin anew, and the moving
-//! average, as a report shows them.
+//! Processing of the readings before alignment: counters and joints that wrap, and the moving average, as reports show them.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::f64::consts::TAU;
@@ -15,7 +14,7 @@ fn middle(values: impl Iterator<Item = f64>) -> f64 {
     0.5 * (low + high)
 }
 
-/// What is used has no jump, and differs from what was shown by whole periods but for a constant; `sign` is that of counts.
+/// The used readings have no jump, and differ from the recorded ones by whole periods and a constant; `sign` is that of counts.
 fn assert_continuous(one: &Unwrapped, sign: f64) {
     let points = &one.points;
     assert!(points.len() > 20 && points.windows(2).all(|pair| pair[0].t_s < pair[1].t_s));
@@ -35,12 +34,12 @@ fn assert_continuous(one: &Unwrapped, sign: f64) {
 fn counters_and_joints_that_begin_anew_change_nothing_and_are_shown() {
     let as_it_was = run(Effects::NONE);
     let mut wrapped = as_it_was.clone();
-    // The counter of b3 passes its end in the middle of its motion; those of the others do not.
+    // The counter of b3 wraps in the middle of its motion; the others do not.
     let middle_count = middle(wrapped.cycles.iter().map(|cycle| f64::from(cycle.encoders[2].count))) as u32;
     for cycle in &mut wrapped.cycles {
         cycle.encoders[2].count = cycle.encoders[2].count.wrapping_sub(middle_count);
     }
-    // A controller that shows joint 6 within one turn, which ends where the joint moves.
+    // A controller that reports joint 6 within one turn, which wraps within the joint's motion.
     let end_rad = middle(wrapped.robot_log.q_rad.iter().map(|q| q[5]));
     wrapped.robot_log.q_rad.iter_mut().filter(|q| q[5] > end_rad).for_each(|q| q[5] -= TAU);
     let [expected, found] = [&as_it_was, &wrapped].map(|run| prepared(run, ""));
@@ -59,7 +58,7 @@ fn counters_and_joints_that_begin_anew_change_nothing_and_are_shown() {
         crossed.filter(|pair| (pair[0][5] > end_rad) != (pair[1][5] > end_rad)).count()
     );
 
-    // The same samples with the same clocks: only the encoder's offset is another.
+    // The same samples with the same clocks: only the encoder's offset differs.
     assert_eq!(found.observations.len(), expected.observations.len());
     assert_eq!(found.alignment.clock_difference_ns, expected.alignment.clock_difference_ns);
     for (a, b) in found.observations.iter().zip(&expected.observations) {
@@ -73,7 +72,7 @@ fn a_log_without_jumps_is_taken_as_it_is_and_one_with_them_moves_by_whole_turns(
     let log = run(Effects::NONE).robot_log;
     let (same, none) = unwrapped_log(&log);
     assert!(*same == log && none.is_empty());
-    // Ten seconds are missing, in which joint 6 turned by more than half a turn.
+    // Ten seconds are missing, during which joint 6 turned by more than half a turn.
     let mut holed = log.clone();
     let at = holed.q_rad.t_s.len() / 2;
     holed.q_rad.t_s[at..].iter_mut().for_each(|t_s| *t_s += 10.0);
@@ -97,12 +96,12 @@ fn the_average_takes_noise_and_in_motion_hardly_more_than_at_standstill() {
     assert_eq!(prepared(&noisy, "").timeline.averaged, None);
     let found = prepared(&noisy, "moving_average_ms = 100.0");
     let averaged = found.timeline.averaged.unwrap();
-    // Its width at either end of the recording.
+    // The average loses its width at each end of the recording.
     assert_eq!((averaged.width_s, found.counts.not_averaged), (0.1, 20));
     for side in [&averaged.bar, &averaged.robot] {
         for (still, moving) in side.still_rad.iter().zip(&side.moving_rad) {
             let (still, moving) = (still.unwrap() * 1e6, moving.unwrap() * 1e6);
-            // The average has a small part of each reading's own noise.
+            // The average contains a small part of each reading's own noise.
             assert!((25.0..30.5).contains(&still) && (moving - still).abs() < 3.0, "{still} {moving}");
         }
         let fastest = &side.fastest;
@@ -115,7 +114,7 @@ fn the_average_takes_noise_and_in_motion_hardly_more_than_at_standstill() {
         let (read, averaged) = (about_line(|one| one.speed_rad_s), about_line(|one| one.averaged_rad_s));
         assert!(averaged < 0.2 * read, "speeds are smoother: {averaged} {read}");
     }
-    // The speed that is shown is that of the motion.
+    // The reported speed is that of the motion.
     let truth_s = found.t_ref.seconds_since(noisy.truth.clock.bar_start);
     let joint = averaged.bar.fastest_joint - 1;
     let point = averaged.bar.fastest[averaged.bar.fastest.len() / 2];
@@ -128,7 +127,7 @@ fn the_average_takes_noise_and_in_motion_hardly_more_than_at_standstill() {
 fn readings_keep_the_order_of_time_and_begin_near_zero_wherever_counters_start_anew() {
     let mut run = run(Effects::NONE);
     let middle = run.cycles.len() / 2;
-    // Terminals that start anew, and a clock that is half a second behind from then on.
+    // Terminals that restart, and a clock that is half a second behind from then on.
     for cycle in &mut run.cycles[middle..] {
         cycle.origin += 1;
         cycle.sample_time = cycle.sample_time.plus_ns(-500_000_000);

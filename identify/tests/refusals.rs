@@ -1,4 +1,4 @@
-//! What must not become a calibration: each case with the words that a person reads.
+//! Data that must be refused, each with the words of the message.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use crate::support::refused::Typed;
@@ -35,12 +35,12 @@ fn refused(run: &Simulated) -> String {
     refusal(run, &bar(), &IdentifyConfig::default())
 }
 
-/// The same from files and typed: it is refused with the same words, and a page that says so is all that is left.
+/// The same from files and on the command line: refused with the same words, and only a page with the message is written.
 fn leaves_a_page(run: &Simulated, bar: &BallBarConfig, why: &str, extra: &[&str]) {
     Typed::new(run, &irb2400(), bar).refused(&[why], extra);
 }
 
-/// The number before a unit in a message.
+/// Number before a unit in a message.
 fn number_before(text: &str, unit: &str) -> f64 {
     let before = text.split(unit).next().unwrap();
     before.rsplit(' ').next().unwrap().parse().unwrap()
@@ -54,7 +54,7 @@ fn a_slipped_encoder_is_named_with_time_and_size() {
 #[test]
 #[ignore = "eleven runs: a quarter of a minute"]
 fn slips_of_all_sizes_are_named_with_time_and_size() {
-    // The smallest drown in the errors of nominal links: only the calibrated ones show them.
+    // The smallest are below the errors of nominal links: only the calibrated ones reveal them.
     let smallest = [(1, 3000, 0.5), (2, 6000, -0.6), (3, 1500, 0.5), (4, 4000, -0.6)];
     let small = [(0, 3000, 5.0), (3, 4000, -0.6), (4, 5000, 15.0), (2, 2000, 40.0)];
     // So large that the encoder fits no joint, or so large and late that most of the run still fits.
@@ -62,7 +62,7 @@ fn slips_of_all_sizes_are_named_with_time_and_size() {
     slips_are_named(&[&smallest[..], &small, &large].concat());
 }
 
-/// Each a joint of the bar from 0, the cycle from which on it slipped, and by how much \[mrad\].
+/// Joint of the bar from 0, first cycle after the slip, and size of the slip \[mrad\].
 fn slips_are_named(slips: &[(usize, usize, f64)]) {
     let clean = laboratory(|_| {});
     for &(place, at, mrad) in slips {
@@ -95,7 +95,7 @@ fn jumps_of_all_sizes_are_told_with_time_and_size() {
     jumps_are_told(&in_the_middle.into_iter().chain(elsewhere).collect::<Vec<_>>());
 }
 
-/// Each by how much the robot's clock jumps \[s\], after which part of the log.
+/// Jump of the robot's clock \[s\], and the part of the log before it.
 fn jumps_are_told(jumps: &[(f64, f64)]) {
     let clean = laboratory(|_| {});
     for &(jump_s, part) in jumps {
@@ -109,13 +109,12 @@ fn jumps_are_told(jumps: &[(f64, f64)]) {
             run.robot_log.q_rad.rows.drain(at..at + surplus);
         }
         let told = refused(&run);
-        // Read from a file, stamps that step while the motion goes on are none the worse; rows that are missing without a
-        // hole in the stamps are.
+        // Stamps with steps during an even motion, read from a file, do no harm; missing rows without a gap in the stamps do.
         if jump_s == -0.04 {
             leaves_a_page(&run, &bar(), "a clock jumps during the run", &[]);
         }
         assert!(told.contains("a clock jumps during the run"), "{told}");
-        // Jumps that only whole parts of the run show are told less sharply.
+        // Jumps that only whole parts of the run reveal are reported less precisely.
         let within_s = if jump_s < 0.1 { 3.0 } else { 15.0 };
         assert!((number_before(&told, " s after") - 80.0 * part).abs() < within_s, "{part}: {told}");
         assert!(
@@ -135,7 +134,7 @@ fn a_motion_that_tells_too_little_is_refused() {
     let told = refused(&circle);
     assert!(told.contains("span no sphere"), "{told}");
     leaves_a_page(&circle, &bar(), "span no sphere", &[]);
-    // The rod moves, the cardan hardly does.
+    // The rod moves, but the cardan hardly does.
     let stiff = laboratory(|e| {
         e.design.bar_range_deg[2] = [10.0, 10.5];
         e.design.bar_range_deg[3] = [120.0, 120.5];

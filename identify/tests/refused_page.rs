@@ -1,4 +1,4 @@
-//! The page of a refusal: what is wrong, where it shows, and nothing beside it that could be taken for a result.
+//! The page of a refusal: cause, time of the fault in the figures, and no result.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::path::Path;
@@ -12,7 +12,7 @@ use identify::simulate::{self, Design, Effects, Experiment, Simulated};
 use shared::config::RobotConfig;
 
 const DURATION_S: f64 = 40.0;
-/// Of the instant of a trouble, in the pictures.
+/// Mark of the time of a fault in the figures.
 const RED: &str = "stroke=\"rgb(180,40,60)\"";
 
 fn simulated(seed: u64) -> Simulated {
@@ -26,7 +26,7 @@ fn typed(run: &Simulated) -> Typed {
     Typed::new(run, &irb2400(), &bar())
 }
 
-/// Encoder `place` jumps by so much from cycle `at` on.
+/// Encoder `place` jumps by this amount at cycle `at`.
 fn slipped(mut run: Simulated, place: usize, at: usize, mrad: f64) -> Simulated {
     let counts = (mrad * 1e-3 / run.encoders[place].scale.rad_per_count()) as i32;
     for cycle in &mut run.cycles[at..] {
@@ -40,9 +40,9 @@ fn slip() -> Refused {
     typed(&slipped(simulated(1), 0, 1000, 15.0)).refused(&["encoder of joint 1 slips"], &[])
 }
 
-/// Where along the axis of time the red line of each figure is, 0 to 1, by the figure's title; figures without are left out.
+/// Position of the red line on each figure's time axis, 0 to 1, by the figure's title; figures without a line are omitted.
 fn marks(page: &str) -> Vec<(String, f64)> {
-    // As the figures are laid out: three units to a pixel, the axis from 62 to 326 px of 340.
+    // Layout of the figures: three units per pixel, the axis from 62 to 326 px of 340.
     const AXIS: [f64; 2] = [186.0, 978.0];
     let figures = page.split("<svg").skip(1).map(|figure| figure.split("</svg>").next().unwrap());
     let mark = |figure: &str| {
@@ -65,7 +65,7 @@ fn a_slip_is_marked_where_it_is_in_both_logs_and_beside_the_robot() {
     let (encoders, joints) = (["b1", "b2", "b3", "b4", "b5"], ["q1", "q2", "q3", "q4", "q5", "q6"]);
     assert_eq!(titles, [&encoders[..], &["Alignment"], &encoders, &joints].concat());
     for (title, at) in &marks[6..11] {
-        // A quarter of the recording, in a figure with a little room to either side.
+        // A quarter of the recording, in a figure with a small margin on either side.
         assert!((at - (0.04 + 0.25) / 1.1).abs() < 0.02, "{title}: {at}");
     }
 }
@@ -86,7 +86,7 @@ fn an_encoder_that_is_dead_while_the_others_move_is_named() {
 #[test]
 fn a_clock_that_jumps_is_marked_in_all_joints() {
     let mut run = simulated(1);
-    // That of the bar: steps of the robot's stamps show in its own log.
+    // Only in the figure of the bar: steps of the robot's stamps are found in its own log.
     let at = run.cycles.len() / 2;
     run.cycles[at..].iter_mut().for_each(|cycle| cycle.sample_time = cycle.sample_time.plus_ns(20_000_000));
     let Refused { page, .. } = typed(&run).refused(&["a clock jumps during the run"], &[]);
@@ -105,10 +105,10 @@ fn every_kind_of_refusal_has_its_page() {
         typed(&other).refused(&["different runs", "give the log of this run"], &[]);
     assert!(marks(&page).is_empty(), "nothing is known of a place");
     let sheet = page.split_once("</section>").unwrap().0;
-    // There is nothing to sign.
+    // The page has no field for a signature.
     assert!(!sheet.contains("Signature") && sheet.contains("2026-05-28 20:26:40 UTC"), "{sheet}");
     assert!(stderr.contains("recording.mcap with "), "{stderr}");
-    // Another robot, of the same columns.
+    // Another robot with the same columns.
     let mut longer: RobotConfig = irb2400();
     longer.links[2].a_m += 0.4;
     Typed::new(&run, &longer, &bar())
@@ -116,12 +116,12 @@ fn every_kind_of_refusal_has_its_page() {
     // Another bar.
     let longer = shared::config::BallBarConfig { length_m: 0.7, ..bar() };
     Typed::new(&run, &irb2400(), &longer).refused(&["sphere of 59", "700 mm"], &[]);
-    // An encoder map that is stated otherwise than it is.
+    // An encoder map that differs from the true one.
     typed(&run).refused(&["do not fit as stated", "--encoders 1,2,3,4,5"], &["--encoders", "2,1,3,4,5"]);
-    // A parameter that the motion does not tell.
+    // A parameter that the motion does not determine.
     typed(&run)
         .refused(&["free parameters are identified", "dependent rd1|oz", "--fix rd1"], &["--free", "rd1"]);
-    // An encoder that the cost needs.
+    // An encoder that the cost requires.
     let mut four = bar();
     four.encoders.remove(2);
     let of_four = simulate::run(&Experiment::new(&irb2400(), &four)).unwrap();
@@ -145,7 +145,7 @@ fn of_several_runs_the_one_that_is_refused_is_named() {
     let first = good.inputs.path().to_str().unwrap();
     assert!(!stderr.split("not calibrated").next().unwrap().contains(first), "{stderr}");
     assert!(page.contains("<dd>Run 2 of 2, "));
-    // Of the first run nothing is marked.
+    // The figures of the first run have no mark.
     assert_eq!(marks(&page).len(), 6 + 5 + 6);
 }
 
@@ -189,7 +189,8 @@ fn an_older_calibration_is_set_aside_and_a_newer_one_takes_the_page_away() {
     for name in older {
         assert_eq!(std::fs::read_to_string(earlier.join(name)).unwrap(), format!("older {name}"));
     }
-    // Refused again: there is no calibration to set aside. One that came since does not meet the first one.
+    // A second refusal: there is no calibration to set aside. A calibration written in between does not collide with the first
+    // one.
     let (told, _) = refused();
     assert!(!told.contains("is now in") && !out.path().join("earlier-2").exists(), "{told}");
     std::fs::write(out.path().join("calibration.toml"), "newer").unwrap();
@@ -197,7 +198,7 @@ fn an_older_calibration_is_set_aside_and_a_newer_one_takes_the_page_away() {
     assert_eq!(names(out.path()), ["earlier", "earlier-2", "notes.txt", "report.html"]);
     assert_eq!(names(&out.path().join("earlier-2")), ["calibration.toml", "report.html"]);
 
-    // A calibration puts its own page in place of that of the refusal, or of an older calibration.
+    // A calibration replaces the page of the refusal, or of an older calibration.
     let page = out.path().join("report.html");
     for text in [None, Some("<main><div class=\"verdict doubt\">"), Some("older")] {
         text.map_or(Ok(()), |text| std::fs::write(&page, text)).unwrap();
@@ -211,7 +212,7 @@ fn an_older_calibration_is_set_aside_and_a_newer_one_takes_the_page_away() {
     }
 }
 
-/// Types lengths from an anchor to the flange of a nominal IRB 120.
+/// Writes lengths from an anchor to the flange of a nominal IRB 120.
 fn calibrated_from_lengths(rows: u32, out: &Path) -> Output {
     const ROBOT: &str = "irb120_3.toml";
     let robot = shared::config::load(&repository("config/robots").join(ROBOT)).unwrap();
@@ -250,7 +251,7 @@ fn what_was_mistyped_has_no_page_and_a_page_that_cannot_be_written_changes_nothi
         assert!(!output.status.success() && !told.contains("not calibrated"), "{told}");
         assert!(!out.exists(), "{mistyped:?}");
     }
-    // A directory where the page should be.
+    // A directory with the name of the page.
     std::fs::create_dir_all(out.join("report.html/kept")).unwrap();
     let output = typed(&slipped(clean, 0, 1000, 15.0)).calibrate(&[], &out);
     let told = String::from_utf8_lossy(&output.stderr);

@@ -1,4 +1,4 @@
-//! The page of a calibration: what it says is true, and a browser shows it without asking anybody else.
+//! The page of a calibration: its statements are true, and a browser shows it without requests to other hosts.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::sync::OnceLock;
@@ -26,13 +26,13 @@ fn config(cost: Option<CostName>) -> IdentifyConfig {
     IdentifyConfig { encoder_harmonics_urad: 0.0, cost, ..IdentifyConfig::default() }
 }
 
-/// Enough samples for a test of what a page shows.
+/// Enough samples to test the contents of the page.
 fn quick() -> IdentifyConfig {
     let prepare = PrepareOptions { points_max: 500, ..PrepareOptions::default() };
     IdentifyConfig { prepare, ..config(None) }
 }
 
-/// As it is simulated: its plate is exact.
+/// The simulated bar: its plate is exact.
 fn bar() -> BallBarConfig {
     BallBarConfig { plate_u_um: 0.0, ..crate::support::bar() }
 }
@@ -49,7 +49,7 @@ fn calibrated(robot: &RobotConfig, seed: u64, cost: Option<CostName>) -> (Simula
     (run, found)
 }
 
-/// A calibration by the default cost, with everything that a page can show of it.
+/// A calibration with the default cost and everything that a page can show.
 fn validated() -> &'static (Simulated, Calibration, Evidence) {
     static VALIDATED: OnceLock<(Simulated, Calibration, Evidence)> = OnceLock::new();
     VALIDATED.get_or_init(|| {
@@ -103,7 +103,7 @@ fn the_error_that_the_page_expects_is_the_error_that_the_robot_has() {
         let [low, high] = expected.interval_m;
         inside += usize::from((low..=high).contains(&truth_m));
     }
-    // With intervals of 95 % two of eight outside come once in twenty times, three once in two hundred.
+    // Of eight 95 % intervals, two do not contain the value once in twenty cases, three once in two hundred.
     assert!(inside >= 6, "{inside} of {SEEDS} inside");
 }
 
@@ -113,7 +113,7 @@ fn segments_that_no_fit_has_seen_are_predicted_to_the_noise() {
     let held_out = evidence.held_out.as_ref().unwrap();
     assert_eq!((held_out.segments.len(), held_out.undetermined), (8, 0));
     let [nominal, predicted, fitted] = held_out.rms();
-    // The noise of the angles is all that is left, and 40 parameters explain little of 1500 samples of it.
+    // The residuals are the noise of the angles alone; 40 parameters explain little of the noise of 1500 samples.
     assert!(predicted.position_m < 1.1 * fitted.position_m, "{predicted:?} {fitted:?}");
     assert!(predicted.rotation_rad < 1.1 * fitted.rotation_rad, "{predicted:?} {fitted:?}");
     assert!(predicted.rotation_rad < 60e-6 && nominal.rotation_rad > 500e-6, "{predicted:?} {nominal:?}");
@@ -127,7 +127,7 @@ fn segments_that_no_fit_has_seen_are_predicted_to_the_noise() {
 fn an_error_that_one_segment_alone_has_shows_where_it_is_held_out() {
     let robot = irb2400();
     let mut run = simulated(&robot, 2);
-    // Something gave way: from here on the third joint says too much, ever more so that no step is to be found.
+    // A drift: from here on the third joint reads too much by an increasing amount, without a step.
     let rows = run.robot_log.q_rad.len();
     for (row, q) in run.robot_log.q_rad.iter_mut().enumerate().skip(rows * 7 / 8) {
         q[2] += 1e-3 * (8.0 * row as f64 / rows as f64 - 7.0);
@@ -167,7 +167,7 @@ fn every_cost_finds_the_true_robot_within_what_it_says_of_itself() {
         assert!((0.3..2.5).contains(&ratio), "{}: {ratio}", cost.name());
         sigmas.push((cost, sizes.iter().sum::<f64>().sqrt()));
     }
-    // The statistically sound cost knows most, the one without encoders least.
+    // The statistically weighted cost has the smallest uncertainties, the one without encoders the largest.
     let of = |wanted| sigmas.iter().find(|(cost, _)| *cost == wanted).unwrap().1;
     let [least, most] = [CostName::Pose, CostName::Length].map(of);
     assert!(sigmas.iter().all(|(_, sigma)| (least..=most).contains(sigma)), "{sigmas:?}");
@@ -182,7 +182,7 @@ fn with_fewer_encoders_no_rotation_is_shown() {
     let found = calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &quick());
     let found = found.unwrap();
     let text = page_text(&found, &evidence_of(&found, &robot), &robot);
-    // Without all encoders the bar's rotation is what the robot says: comparing the two would flatter.
+    // Without all encoders the bar's rotation is taken from the robot: a comparison of the two would be too favourable.
     assert!(text.contains("Position, calibrated without") && !text.contains("Rotation"));
 }
 
@@ -209,7 +209,7 @@ fn a_page_of_several_runs_shows_each_of_them() {
     let of_run = |number| held_out.segments.iter().filter(|segment| segment.run == number).count();
     assert_eq!((of_run(0), of_run(1)), (8, 8));
     let text = page_text(&found, &evidence, &robot);
-    // Held-out segments, residuals, sphere, alignment, preparation; the second has a table of its own parameters.
+    // Held-out segments, residuals, sphere, alignment, preparation; the second run has a table of its own parameters.
     assert_eq!(["Run 1 of 2", "Run 2 of 2"].map(|run| text.matches(run).count()), [5, 6]);
     let row = text.split("<tr>").find(|row| row.contains("ox@2")).unwrap();
     assert!(row.contains("mm</td>"), "{row}");

@@ -1,4 +1,4 @@
-//! What a calibration leaves behind reads back as the same robot.
+//! The files of a calibration can be read and give the same robot.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test stops at the first surprise")]
 
 use crate::support::{Cell, noisy_poses};
@@ -30,7 +30,7 @@ fn file(model: &Model, solution: &Solution) -> CalibrationFile {
         .with_knowledge(solution)
 }
 
-/// Robot and bar (standing at the root) of a table of links.
+/// Robot and bar (with its base at the root) from a table of links.
 fn chain(rows: &[DhRow], name: &str, links: usize) -> Chain {
     let mut chain = Chain::new(Pose::identity(), vec![DhLink::default(); links]);
     for row in rows.iter().filter(|row| row.chain == name) {
@@ -78,7 +78,7 @@ fn the_table_of_links_and_both_files_give_the_poses_of_the_solution() {
     }
 }
 
-/// The correction of a joint's zero as the table has it \[deg\].
+/// The correction of a joint's zero in the table \[deg\].
 fn offset_deg(table: &str, joint: usize) -> f64 {
     let name = format!("rtheta{joint} ");
     let line = table.lines().find(|line| line.starts_with(&name)).unwrap();
@@ -91,7 +91,7 @@ fn offset_deg(table: &str, joint: usize) -> f64 {
 fn a_joint_has_one_offset_in_the_table_and_in_what_a_controller_takes() {
     let (model, solution) = solved();
     let mut written = file(&model, &solution);
-    // The links alone fit best elsewhere than the links of the full model.
+    // The best fit of the links alone differs from the links of the full model.
     let mut alone = model.clone();
     for joint in 2..6 {
         let id = format!("rtheta{joint}").parse().unwrap();
@@ -106,7 +106,7 @@ fn a_joint_has_one_offset_in_the_table_and_in_what_a_controller_takes() {
         assert!(row.add != 0.0 && row.to.starts_with("the joint angle of the model"));
     }
     assert_eq!(text.matches("added to the joint angle of the model").count(), 1, "{text}");
-    // No alternative beside it, and nothing that no controller takes.
+    // Without alternatives, and without parameters that no controller applies.
     assert!(rows.iter().all(|row| row.what.starts_with("joint ") || row.what.starts_with("link ")));
     let digits = |value: f64| format!("{value}").split_once('.').map_or(0, |(_, digits)| digits.len());
     assert!(rows.iter().all(|row| digits(row.add) <= 5), "{rows:?}");
@@ -144,7 +144,7 @@ fn the_covariance_in_the_file_has_the_sigmas_on_its_diagonal_and_names_what_is_c
         let variance = covariance.between(k, k).unwrap();
         assert!((variance.sqrt() - entry.sigma.unwrap()).abs() < 1e-9 * variance.sqrt(), "{}", entry.name);
     }
-    // Nothing is written twice.
+    // No value is written twice.
     assert!(covariance.rows.iter().enumerate().all(|(k, row)| row.len() == k + 1));
     assert!(!knowledge.correlations.is_empty());
     for one in &knowledge.correlations {

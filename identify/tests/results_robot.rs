@@ -1,4 +1,4 @@
-//! The identified robot in the formats that others read, held against its own poses.
+//! The identified robot in the formats of other programs, compared with its own poses.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
 use std::f64::consts::FRAC_PI_2;
@@ -17,7 +17,7 @@ use identify::solver::{Identifiability, Summary, Termination};
 use nalgebra::{DMatrix, Vector3};
 use shared::config::RobotConfig;
 
-/// Every number of the robot wrong by its own amount, Hayati's rotation of link 2 too.
+/// A different error in every parameter of the robot, also in Hayati's rotation of link 2.
 fn identified(robot: &RobotConfig) -> Chain {
     let mut chain = robot_chain(robot, &crate::support::bar());
     for (i, link) in chain.links.iter_mut().enumerate() {
@@ -74,7 +74,7 @@ fn robots() -> [RobotConfig; 2] {
 const JOINTS: [[f64; 6]; 3] =
     [[0.0; 6], [0.3, -0.4, 0.5, 0.6, -0.7, 0.8], [-1.2, 0.9, -0.6, 2.0, FRAC_PI_2, -3.0]];
 
-/// Forward kinematics of a URDF as its specification says, on the crate `urdf-rs`' reading of it.
+/// Forward kinematics of a URDF by its specification, read with the crate `urdf-rs`.
 fn by_urdf(robot: &urdf_rs::Robot, end: &str, joints: &[f64; 6]) -> Matrix<f64> {
     let mut path = Vec::new();
     let mut link = end.to_owned();
@@ -126,7 +126,7 @@ fn read_back(text: &str) -> Vec<Correction> {
     csv::Reader::from_reader(text.as_bytes()).deserialize().map(|row| row.unwrap()).collect()
 }
 
-/// As an engineer would: nominal robot, numbers added where the rows say.
+/// Manual evaluation: nominal robot, with the numbers of the rows added.
 fn corrected_links(nominal: &Chain, rows: &[Correction]) -> Chain {
     let mut chain = nominal.clone();
     for row in rows.iter().filter(|row| row.what.starts_with("link")) {
@@ -163,7 +163,7 @@ fn corrections_read_back_and_applied_to_joints_or_to_the_log_give_the_identified
             let by_log = conversion.to_joint(&Joints::from_fn(6, |i| logged[i] + to_log[i]));
             for corrected in [by_joints, by_log] {
                 let found = links.forward(&corrected).to_homogeneous();
-                // But for the digits that controllers take.
+                // Equal up to the digits that controllers accept.
                 assert!((found - chain.forward(joints).to_homogeneous()).amax() < 5e-6);
             }
         }
@@ -195,7 +195,7 @@ fn a_calibration_of_schema_1_is_read_with_all_of_its_clocks() {
     let written = file(&crate::support::irb2400());
     let directory = tempfile::tempdir().unwrap();
     let toml = written.write(directory.path()).unwrap();
-    // The first clock stood apart from the others, in the earliest files without a number and under another name.
+    // The first clock was stored apart from the others, in the oldest files without a number and with another name.
     let of_schema_1 = std::fs::read_to_string(&toml).unwrap().replace("schema = 2", "schema = 1")
         + r#"
         [clock]
@@ -221,7 +221,7 @@ fn a_calibration_of_schema_1_is_read_with_all_of_its_clocks() {
     assert_eq!(CalibrationFile { clocks: Vec::new(), ..read }, written);
 }
 
-/// The same with errors of gears: of the first joint, of a wrist joint many times a turn, and under the tool's weight.
+/// The same with gear errors: of the first joint, of a wrist joint with a high harmonic order, and under the tool's weight.
 const TERMS: [(&str, f64); 3] = [("rsin1_1", 2e-4), ("rcos17_5", 3e-5), ("rtool_2", 1e-4)];
 
 fn file_with_terms(robot: &RobotConfig) -> CalibrationFile {
@@ -244,7 +244,7 @@ fn calibrated(file: &CalibrationFile, robot: &RobotConfig) -> CalibratedRobot {
 
 #[test]
 fn a_calibrated_robot_is_where_its_links_and_the_errors_of_its_gears_put_it_and_is_brought_back_there() {
-    // Its drives turn one joint each, so that the errors can be written down here.
+    // Each of its drives moves one joint, so the errors can be written explicitly.
     let config = crate::support::nj220();
     let robot = calibrated(&file_with_terms(&config), &config);
     let without_weight = {
@@ -277,7 +277,7 @@ fn the_uncertainty_of_a_pose_is_that_of_moving_each_parameter() {
     const H: f64 = 1e-6;
     let config = crate::support::irb2400();
     let mut file = file_with_terms(&config);
-    // Of another run, and of the bar: they move no robot.
+    // Terms of another run and of the bar: they do not move the robot.
     let others = ["clock_shift", "btheta2@2"];
     let links = ["ra2", "rd4", "ralpha1", "rbeta2", "rtheta6"];
     let names: Vec<String> =
@@ -300,7 +300,7 @@ fn the_uncertainty_of_a_pose_is_that_of_moving_each_parameter() {
         for (column, name) in names.iter().enumerate() {
             let [less, more] = [-H, H].map(|by| moved(name, by).forward(q).unwrap());
             let linear = (more.translation.vector - less.translation.vector) / (2.0 * H);
-            // Of a small turn; an angle out of a trace has half the digits.
+            // For a small rotation; an angle from the trace has half of the digits.
             let turn = (more.rotation * less.rotation.inverse()).into_inner();
             let angular = Vector3::new(
                 turn[(2, 1)] - turn[(1, 2)],

@@ -1,4 +1,4 @@
-//! Robot logs in and out: conversions, round trips and every refusal.
+//! Robot logs: conversion, round trips and all refusals.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::f64::consts::{PI, TAU};
@@ -17,7 +17,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
 use shared::config::RobotConfig;
 
-/// A log of 60 rows at 4 ms whose stamps need more digits than an f64 has.
+/// A log of 60 rows at 4 ms with stamps of more digits than an f64 has.
 fn sample_log() -> RobotLog {
     let t_s: Vec<f64> = (0..60).map(|k| f64::from(k) * 0.004).collect();
     let q_rad =
@@ -41,7 +41,7 @@ fn parse(text: &str, robot: &RobotConfig) -> Result<RobotLog, LogError> {
     read(text.as_bytes(), Path::new("log.csv"), robot)
 }
 
-/// The sample log of the IRB 2400 with row `row` (from 0) changed by `edit`, as text; that row is line `row + 5`.
+/// The sample log of the IRB 2400 as text, with row `row` (from 0) changed by `edit`; that row is line `row + 5`.
 fn edited(row: usize, edit: impl Fn(&mut Vec<String>)) -> String {
     let text = text_of(&sample_log(), &irb());
     let lines: Vec<String> = text
@@ -84,7 +84,7 @@ fn a_written_log_reads_back_the_same_for_both_robots() {
 #[test]
 fn motors_of_the_irb_2400_turn_its_joints_as_the_transmission_says() {
     let conversion = JointConversion::new(&irb().log).unwrap();
-    // By hand from the gear ratios: motor 2 at 12999/100 rad turns joint 2 by 1 and joint 3 by -1 (parallel rod).
+    // Computed from the gear ratios: motor 2 at 12999/100 rad turns joint 2 by 1 and joint 3 by -1 (parallel rod).
     let q = conversion.to_joint(&[0.0, 129.99, 0.0, 0.0, 0.0, 0.0]);
     let expected = [0.0, 1.0, -1.0, 0.0, 0.0, 0.0];
     assert!(q.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{q:?}");
@@ -166,7 +166,7 @@ fn rows_that_jump_out_and_back_are_left_out_and_named_by_their_lines() {
     );
 }
 
-/// Joints that sweep evenly, turn back with 130 rad/s² and more, and rest for a second every 20 s.
+/// Joints that move evenly, reverse with at least 130 rad/s², and rest for a second every 20 s.
 fn hard(t_s: f64) -> Joints {
     let along = t_s - (TAU * t_s / 20.0).sin() * 20.0 / TAU;
     Joints::from_fn(6, |joint| 0.3 * (0.995 * (along * (2.0 + 0.25 * joint as f64)).sin()).asin())
@@ -189,7 +189,7 @@ fn no_healthy_log_loses_a_row() {
         };
         let (fine, rough) = (noisy(20e-6), noisy(1e-3));
         let coarse = |deg: f64| smooth.iter().map(|q| stepped(q, deg.to_radians())).collect::<Vec<_>>();
-        // Play that is taken up at once where joints turn back.
+        // Play that closes immediately when joints reverse.
         let play: Vec<Joints> = smooth
             .windows(2)
             .map(|pair| Joints::from_fn(6, |j| pair[1][j] + 0.6e-3 * (pair[1][j] - pair[0][j]).signum()))
@@ -375,7 +375,7 @@ fn a_workbook_with_dates_and_units_is_a_log() {
     assert!((log.q_rad[100][2] - 7.0_f64.to_radians()).abs() < 1e-9, "{}", log.q_rad[100][2].to_degrees());
 }
 
-/// A controller's counter of 4 ms cycles with 16 bits begins anew after 262 s.
+/// A controller's 16-bit counter of 4 ms cycles wraps after 262 s.
 #[test]
 fn cycles_of_a_controller_are_times_also_where_their_counter_begins_anew() {
     let joints: String =
@@ -418,7 +418,7 @@ fn what_is_no_text_is_refused() {
     }
 }
 
-/// Longer than what is decoded at once, with comments and blank lines on the way.
+/// Longer than one decoded block, with comments and blank lines in between.
 #[test]
 fn a_long_log_is_read_as_a_short_one_is() {
     const ROWS: usize = 20_000;

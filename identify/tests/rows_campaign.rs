@@ -1,6 +1,6 @@
-//! Trackers, wires and balls in sockets as a person uses them: files in, the command's verdict out, on robots whose truth is known
-//! and whose gears and loads no model contains. Good files are not refused and their claims hold; spoiled ones are refused,
-//! flagged, or do no harm. `IDENTIFY_SPOILS=joint` for what has this in its name.
+//! Calibrations from files of trackers, wires and balls in sockets by the command, on robots with known truth and unmodelled
+//! gear and load errors. Good files are not refused and their claims hold; corrupted ones are refused, flagged, or harmless.
+//! `IDENTIFY_SPOILS=joint` selects those with this text in their name.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -37,26 +37,26 @@ pub enum Kind {
 
 const KINDS: [Kind; 4] = [Kind::Tracker, Kind::Positions, Kind::Wire, Kind::Contact];
 
-/// What was measured beside the joints.
+/// The instrument.
 #[derive(Clone)]
 enum Readings {
-    /// Whole poses, or their positions alone.
+    /// Whole poses, or positions alone.
     Poses(Vec<Pose>, bool),
     Lengths(Vec<f64>),
     Contacts(Box<SimulatedContacts>),
 }
 
-/// A file of rows, and what is true.
+/// A file of rows, and its truth.
 #[derive(Clone)]
 pub struct Rows {
-    /// As configured.
+    /// The robot as configured.
     robot: RobotConfig,
     pub truth: Chain,
     joints: Vec<Joints>,
     measured: Readings,
 }
 
-/// How much gears, loads and links are wrong, in what is usual.
+/// Size of the errors of gears, loads and links, relative to the usual ones.
 pub struct Level {
     pub links: f64,
     pub gears: f64,
@@ -73,7 +73,7 @@ impl Level {
     }
 }
 
-/// A robot before an instrument. Rows are random postures within 70 % of the joints' travel.
+/// A robot with an instrument. Rows are random postures within 70 % of the joints' travel.
 pub fn rows(kind: Kind, robot: &RobotConfig, seed: u64, level: &Level) -> Rows {
     const COUNT: usize = 200;
     const SAG_RAD_PER_M: f64 = 0.1e-3;
@@ -143,10 +143,10 @@ pub fn rows(kind: Kind, robot: &RobotConfig, seed: u64, level: &Level) -> Rows {
     Rows { robot: robot.clone(), truth, joints, measured }
 }
 
-/// What the command says of a file.
+/// Result of the command for a file.
 pub enum Told {
     Refused(String),
-    /// Verdict, what is claimed with k = 2, and the true error, mean over the workspace \[m\].
+    /// Verdict, claimed error (k = 2), and true error, mean over the workspace \[m\].
     Calibrated(Grade, f64, f64, String),
 }
 
@@ -157,7 +157,7 @@ unit = "deg"
 "#;
 
 impl Rows {
-    /// What a tracker measured.
+    /// Measurements of a tracker.
     pub fn poses(&self) -> Vec<PoseRow> {
         let Readings::Poses(poses, rotations) = &self.measured else { return Vec::new() };
         let row = |(joints_rad, pose): (&Joints, &Pose)| PoseRow {
@@ -169,7 +169,7 @@ impl Rows {
         self.joints.iter().zip(poses).map(row).collect()
     }
 
-    /// Writes what a person has, and calibrates.
+    /// Writes the files of a user, and calibrates.
     pub fn reported(&self) -> Told {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name).display().to_string();
@@ -254,7 +254,7 @@ impl Rows {
         self.from(0.0, change);
     }
 
-    /// Moves what the instrument sees by the part of the file that has passed.
+    /// Moves the measured positions in proportion to the part of the file that has passed.
     fn moved(&mut self, by_m: impl Fn(f64) -> f64) {
         let part = |row: usize, count: usize| row as f64 / count as f64;
         match &mut self.measured {
@@ -274,7 +274,7 @@ impl Rows {
         }
     }
 
-    /// What measures is too large by this factor.
+    /// Multiplies the measurements by this factor.
     fn scaled(&mut self, by: f64) {
         match &mut self.measured {
             Readings::Poses(poses, _) => poses.iter_mut().for_each(|pose| pose.translation.vector *= by),
@@ -301,11 +301,11 @@ impl Rows {
     }
 }
 
-/// What somebody did wrong, or believed of the robot.
+/// A mistake in the file, or a wrong assumption about the robot.
 type Spoil = fn(&mut Rows);
 
 const EACH: &[Kind] = &KINDS;
-/// Lengths are those of the mirror image, too.
+/// Lengths are also those of the mirror image.
 const NO_WIRE: &[Kind] = &[Kind::Tracker, Kind::Positions, Kind::Contact];
 const TRACKER: &[Kind] = &[Kind::Tracker, Kind::Positions];
 const TURNS: &[Kind] = &[Kind::Tracker];
@@ -402,7 +402,7 @@ fn spoils() -> Vec<(&'static str, &'static [Kind], Spoil)> {
 #[ignore = "a hundred calibrations of two robots each, most of which end early: minutes"]
 fn spoiled_rows_are_refused_or_flagged_or_do_no_harm() {
     let wanted = std::env::var("IDENTIFY_SPOILS").unwrap_or_default();
-    // One after the other of those that somebody asks for.
+    // The selected mistakes, one after the other.
     let step = if wanted.is_empty() { step() } else { 1 };
     let (mut wrong, mut number) = (Vec::new(), 0);
     for robot in [irb2400(), ur10()] {

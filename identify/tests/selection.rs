@@ -1,4 +1,4 @@
-//! What is free: named selections, and terms that stay only where they predict what they were not fitted to.
+//! Free parameters: named selections, and terms that are only kept if they improve the prediction of held-out data.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -45,7 +45,7 @@ fn all_identifiable_frees_as_many_as_the_rank_and_leaves_out_what_the_thesis_fix
     let transform = free(CostName::Transform);
     assert_eq!(transform.len(), 41);
     assert_eq!(transform, free(CostName::Pose));
-    // The whole pose tells `balpha2`, which the thesis fixes for the other costs.
+    // The whole pose determines `balpha2`, which the thesis fixes for the other costs.
     for name in THESIS_FIXED {
         assert_eq!(transform.contains(name), name == "balpha2", "{name}");
     }
@@ -60,7 +60,7 @@ fn terms_are_taken_where_the_robot_has_the_error_and_left_out_where_not() {
     let offered: Vec<TermGroup> = none.solved.candidates.iter().map(|one| one.group).collect();
     let groups = TermGroup::OF_ROBOT.into_iter().chain([TermGroup::BarLength]);
     for group in groups {
-        // There is nothing to find in noise.
+        // Noise contains no terms.
         assert_eq!(offered.contains(&group), group != TermGroup::LineSpectrum, "{group:?}");
     }
     for (effects, group) in [
@@ -84,13 +84,13 @@ fn harmonics_of_encoders_are_found_and_tolerances_that_hold_stay() {
     let value = |phase| found.model().parameter(wave(phase)).unwrap().value * 1e6;
     let amplitude_urad: f64 = f64::hypot(value(Phase::Sine), value(Phase::Cosine));
     assert!((amplitude_urad - 40.0).abs() < 12.0, "{amplitude_urad}");
-    // True errors are around 1 mm|mrad.
+    // True errors have a size of about 1 mm|mrad.
     assert!((1.0..=2.0).contains(&found.solved.prior_scale), "{}", found.solved.prior_scale);
 }
 
 const LOBES: [f64; 6] = [57.0, 31.0, 44.0, 63.0, 52.0, 35.0];
 
-/// The gears have 57, 31, 44 .. lobes; the file that the calibration gets knows of none, or guesses wrongly.
+/// The gears have 57, 31, 44 .. lobes; the configuration of the calibration has none, or wrong numbers.
 fn with_lobes(config: &IdentifyConfig) -> Calibration {
     let (mut robot, bar) = (irb2400(), bar());
     robot.drives.cycloid_lobes = LOBES.to_vec();
@@ -116,19 +116,19 @@ fn lobes_of_gears_that_nobody_has_counted_are_found() {
     let waves: Vec<(usize, f64, f64)> = waves.collect();
     println!("{waves:?}");
     for (axis, lobes) in LOBES.into_iter().enumerate() {
-        // A drive that turns by a sixth of a turn shows 45 waves where 44 are.
+        // A drive that turns by a sixth of a turn shows an order of 45 instead of 44.
         let mut near = waves.iter().filter(|wave| wave.0 == axis && (wave.1 - lobes).abs() <= 1.0);
         let found = near.next().map(|(_, _, urad)| *urad);
         assert!(found.is_some_and(|urad| (urad - 20.0).abs() < 5.0), "axis {}: {found:?} urad", axis + 1);
     }
-    // The simulated ripple has twice its order at a fourth of its amplitude; nothing else is there.
+    // The simulated ripple has a harmonic of twice its order and a quarter of its amplitude; no others are present.
     let is_true = |(axis, order, _): &(usize, f64, f64)| {
         let lobes = LOBES[*axis];
         (order - lobes).abs() <= 1.0 || (order - 2.0 * lobes).abs() <= 2.0
     };
     assert!(waves.iter().all(is_true), "{waves:?}");
 
-    // What a calibration is compared with is the robot as its maker sold it.
+    // A calibration is compared with the nominal robot of its manufacturer.
     let mut nominal = uncalibrated(
         found.model(),
         &found.prepared().unwrap().motion,
@@ -159,7 +159,7 @@ fn waves_can_be_freed_and_fixed_by_name() {
 }
 
 /// The laboratory's bar is longer by 15 um twice per turn of joint 1, and by 10 um three times per turn of joint 2, each way.
-/// Joint 2 swings over less than half a turn, in which two and three waves look much alike: only joint 1's are compared.
+/// Joint 2 moves by less than half a turn, where orders two and three are similar: only joint 1's are compared.
 #[test]
 fn how_the_length_of_the_bar_follows_its_direction_is_found() {
     let (robot, bar) = (irb2400(), bar());
@@ -180,7 +180,7 @@ fn how_the_length_of_the_bar_follows_its_direction_is_found() {
         println!("joint {}, {order} per turn: {um:.2} um of {expected_um}", joint + 1);
         assert!((um - expected_um).abs() < 4.0, "joint {}, {order} per turn: {um}", joint + 1);
     }
-    // Nothing of that is the work of a force.
+    // None of these errors is caused by a force.
     let sphere = evidence(&found, &robot.joint_limits()).spheres.remove(0).after;
     assert!(sphere.rms_m > 0.0 && sphere.rms_m == sphere.unexplained_rms_m, "{sphere:?}");
 }

@@ -1,5 +1,4 @@
-//! From a simulated recording and robot log to the parameters that made them: simulation, preparation and solve
-//! together.
+//! From a simulated recording and robot log to the true parameters: simulation, preparation and solve together.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::f64::consts::TAU;
@@ -13,7 +12,7 @@ use identify::simulate::{self, Experiment, Simulated, StaticErrors};
 use identify::solver::{Options, Solution, solve};
 use shared::config::{BallBarConfig, RobotConfig};
 
-/// The thesis' 38 parameters and the two clocks, from the values that the preparation found.
+/// The thesis' 38 parameters and the two clocks, from the start values of the preparation.
 fn model(prepared: &Prepared, robot: &RobotConfig, bar: &BallBarConfig) -> Model {
     let mut bar_chain = ball_bar_chain(bar);
     bar_chain.root_from_base.translation.vector = prepared.initial.base_m;
@@ -27,7 +26,7 @@ fn model(prepared: &Prepared, robot: &RobotConfig, bar: &BallBarConfig) -> Model
     model
 }
 
-/// What each free parameter should come to \[SI\].
+/// True value of each free parameter \[SI\].
 fn truth(run: &Simulated, prepared: &Prepared, id: ParameterId) -> f64 {
     let clock = &run.truth.clock;
     let name = id.to_string();
@@ -47,7 +46,7 @@ fn truth(run: &Simulated, prepared: &Prepared, id: ParameterId) -> f64 {
     }
 }
 
-/// Error of each free parameter: mm, mrad, ms and 0.1 % alike.
+/// Error of each free parameter; mm, mrad, ms and 0.1 % have equal weight.
 fn errors(
     run: &Simulated,
     prepared: &Prepared,

@@ -1,4 +1,4 @@
-//! The solver against certified results, against another solver, and against Monte Carlo.
+//! The solver compared with certified results, another solver, and Monte Carlo simulation.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -80,7 +80,7 @@ fn close(found: &[f64], expected: &[f64], relative: f64) {
     }
 }
 
-/// Of two columns that only appear as their sum one has a wide prior: nothing is open then, however exact the samples are.
+/// Two columns appear only as their sum and one has a wide prior: both are determined, however exact the samples are.
 #[test]
 fn a_prior_determines_its_parameter_whatever_the_samples_are_worth() {
     for noise in [1.0, 1e-4, 1e-9] {
@@ -182,7 +182,7 @@ fn rosenbrocks_valley_ends_at_one_one() {
     close(&solution.x, &[1.0, 1.0], 1e-10);
 }
 
-/// 60 noisy poses of the reference cell, the thesis' 38 parameters.
+/// 60 noisy poses of the reference cell, with the thesis' 38 parameters.
 #[test]
 fn the_closed_chain_with_noise_ends_where_another_solver_ends() {
     let cell = Cell::irb2400();
@@ -259,7 +259,7 @@ fn known_noise_scales_the_covariance_and_estimated_noise_finds_it() {
     assert!(strongest[0].2.abs() >= strongest[2].2.abs());
 }
 
-/// x0 + x1 and x2 are determined, x0 and x1 are not, x3 does nothing.
+/// x0 + x1 and x2 are determined, x0 and x1 are not, x3 has no effect.
 fn sums(x: &[f64], k: usize) -> (f64, Vec<f64>) {
     let t = k as f64;
     (x[0] + x[1] + t * x[2] - 3.0 - 0.5 * t, vec![1.0, 1.0, t, 0.0])
@@ -353,7 +353,7 @@ fn an_iteration_limit_is_not_called_convergence() {
     assert!(!solution.summary.termination.converged());
 }
 
-/// Derivatives with the wrong sign: every step climbs.
+/// Derivatives with the wrong sign: every step increases the cost.
 #[test]
 fn steps_that_were_all_refused_are_not_called_convergence() {
     let climbing = |x: &[f64], k: usize| (x[0] - k as f64, vec![-1.0]);
@@ -363,7 +363,7 @@ fn steps_that_were_all_refused_are_not_called_convergence() {
     assert_eq!((solution.x[0], solution.summary.iterations), (9.0, 0));
 }
 
-/// The minimum lies where one sample has no value: beyond the end of a log.
+/// The minimum is at a point where one sample has no value: beyond the end of a log.
 #[test]
 fn a_minimum_that_costs_a_sample_is_not_called_convergence() {
     let row = |x: &[f64], k: usize| {
@@ -375,7 +375,7 @@ fn a_minimum_that_costs_a_sample_is_not_called_convergence() {
     assert!(solution.x[0] <= 2.0);
 }
 
-/// A line by samples of one, two and three rows in turn.
+/// A line with samples of one, two and three rows in turn.
 struct Ragged<'a>(&'a [f64]);
 
 impl Problem for Ragged<'_> {

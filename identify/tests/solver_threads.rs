@@ -1,4 +1,4 @@
-//! Threads, progress and cancellation: what a long solve owes to who waits for it.
+//! Threads, progress and cancellation of a long solve.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
 use std::num::NonZeroUsize;
@@ -16,7 +16,7 @@ struct Poses {
 }
 
 impl Poses {
-    /// Enough for several parts.
+    /// Enough samples for several parts.
     fn new() -> Self {
         let cell = Cell::irb2400();
         let (observations, joints) = noisy_poses(&cell, 3000, 2, 1e-3);
@@ -74,7 +74,7 @@ fn watched(calls_max: usize) -> (Result<identify::solver::Solution, SolveError>,
 fn who_looks_on_sees_every_part_of_every_pass() {
     let (solution, count) = watched(usize::MAX);
     let summary = solution.unwrap().summary;
-    // 24 parts of 128 of the 3000 samples, and one pass more for what is identified.
+    // 24 parts of 128 of the 3000 samples, and one more pass for identifiability.
     assert_eq!(count.calls.into_inner(), 24 * (summary.evaluations + 1));
     assert!(count.last.into_inner() + 1 >= summary.iterations);
 }
@@ -84,7 +84,7 @@ fn a_solve_ends_when_it_is_told_to_and_says_so() {
     for calls in [1, 4, 8] {
         let (result, count) = watched(calls);
         assert!(matches!(result, Err(SolveError::Cancelled { .. })), "{result:?}");
-        // Not one part more than those that were under way.
+        // At most the parts that were in progress are completed.
         assert!(count.calls.into_inner() <= calls + 2);
     }
 }

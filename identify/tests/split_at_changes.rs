@@ -1,4 +1,4 @@
-//! A run in which something changes at one instant, calibrated from both sides of it.
+//! A run with a change at one instant, calibrated from both sides of it.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use crate::support::refused::Typed;
@@ -6,7 +6,7 @@ use crate::support::{bar, irb2400};
 use identify::simulate::{self, Effects, Experiment, Simulated};
 use shared::recording::schema::CycleRecord;
 
-/// Error of the robot's parameters as the terminal compares them with the truth \[mm|mrad\].
+/// Error of the robot's parameters as printed by the terminal's comparison with the truth \[mm|mrad\].
 fn robot_error(run: &Simulated, extra: &[&str]) -> f64 {
     let typed = Typed::new(run, &irb2400(), &bar());
     let out = tempfile::tempdir().unwrap();
@@ -14,14 +14,14 @@ fn robot_error(run: &Simulated, extra: &[&str]) -> f64 {
     let output = typed.calibrate(&[&["--truth", truth.to_str().unwrap()], extra].concat(), out.path());
     let told = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(output.status.success(), "{told}\n{}", String::from_utf8_lossy(&output.stderr));
-    // What was typed can be repeated.
+    // The options can be repeated.
     let repeated = std::fs::read_to_string(out.path().join("experiment.toml")).unwrap();
     assert_eq!(repeated.contains("split_at_changes = true"), !extra.is_empty());
     let (_, after) = told.split_once("robot alone (").unwrap();
     after.split_once(": ").unwrap().1.split_whitespace().next().unwrap().parse().unwrap()
 }
 
-/// Cycle before which it changes.
+/// First cycle after the change.
 const AT: usize = 6000;
 
 #[test]
@@ -40,7 +40,7 @@ fn both_sides_of_a_slip_and_of_a_jump_calibrate_better_than_either() {
         cycle.sample_time = cycle.sample_time.plus_ns(20_000_000);
     }
     Typed::new(&slipped, &robot, &bar).refused(&["encoder of joint 4 slips"], &[]);
-    // A recording of its own begins with its own first cycle.
+    // A separate recording starts with its own first cycle.
     let numbered = |(cycle, record): (u64, &CycleRecord)| CycleRecord { cycle, ..*record };
     let of_side = |cycles: &[CycleRecord]| {
         let cycles = (0..).zip(cycles).map(numbered).collect();

@@ -1,4 +1,4 @@
-//! Measured poses that were spoiled on their way are refused, and what went wrong is named.
+//! Corrupted files of measured poses are refused, and the cause is named.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -21,12 +21,12 @@ fn measured(name: &str) -> Vec<PoseRow> {
     MeasuredPoses::load(&path, &mapping).unwrap().rows.iter().map(PoseRow::from).collect()
 }
 
-/// Links alone: what is spoiled shows there.
+/// Links alone: the fit then reveals the corruption.
 fn calibrated(rows: &[PoseRow], robot: &RobotConfig) -> Result<Found, String> {
     Alone::quick().without_joint_errors().poses(rows, robot).map_err(|error| error.to_string())
 }
 
-/// What is said of rows of each file so changed.
+/// Messages for each file with changed rows.
 fn said(change: impl Fn(Vec<PoseRow>) -> Vec<PoseRow>) -> Vec<String> {
     let of = |name: &&str| {
         calibrated(&change(measured(name)), &ur10()).map_or_else(|said| said, |_| "accepted".into())
@@ -149,7 +149,7 @@ fn angles_of_orientation_in_another_order_or_unit_are_named() {
 
 #[test]
 fn a_table_in_the_other_convention_is_named() {
-    // As a table in the modified convention would be typed: lengths and twists a row later.
+    // A table in the modified convention: lengths and twists are one row later.
     let mut typed = ur10();
     let links = typed.links.clone();
     for (link, before) in typed.links.iter_mut().skip(1).zip(&links) {

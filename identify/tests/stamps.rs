@@ -1,4 +1,4 @@
-//! Logs whose stamps are written as controllers write them: rows get the times of the regular clock behind the stamps.
+//! Logs with the stamps of real controllers: rows get the times of the regular clock behind the stamps.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::collections::BTreeSet;
@@ -13,7 +13,7 @@ use rand_distr::{Distribution, Normal};
 use crate::support::irb2400;
 use crate::support::stamped::stamped;
 
-/// Five joints in smooth motion between rests, for a minute.
+/// Five joints in smooth motion with rests, for a minute.
 fn log(rate_hz: f64) -> RobotLog {
     let t_s: Vec<f64> = (0..(60.0 * rate_hz) as usize).map(|row| row as f64 / rate_hz).collect();
     let at = |t_s: f64| {
@@ -25,12 +25,12 @@ fn log(rate_hz: f64) -> RobotLog {
     RobotLog { q_rad: Stream::new(0, t_s, q_rad).into(), ..RobotLog::default() }
 }
 
-/// The log as it comes back from a file with these stamps \[s\].
+/// The log as read from a file with these stamps \[s\].
 fn read_back(log: &RobotLog, stamps_s: Vec<f64>) -> RobotLog {
     stamped(log, &irb2400(), stamps_s.into_iter().map(|stamp_s| Some(stamp_s + 100.0)), 6)
 }
 
-/// Largest difference of two clocks but for shift and rate, which a calibration finds \[s\].
+/// Largest difference of two clocks without shift and rate, which a calibration estimates \[s\].
 fn apart_s(a: &[f64], b: &[f64]) -> f64 {
     assert_eq!(a.len(), b.len());
     let middle = 0.5 * (a.len() - 1) as f64;
@@ -114,7 +114,7 @@ fn what_stamps_scatter_by_is_measured_and_said() {
         message.contains("rounded to 10.0 ms") && message.contains("rows have the stamp of the one before"),
         "{message}"
     );
-    // A sound one is not slandered.
+    // A sound log gets no remark.
     let perfect = read_back(&log, log.q_rad.t_s.clone());
     assert!(!stamps(&perfect).evened);
     assert_eq!(inspect::robot_log(&perfect).suspicious, Vec::<String>::new());
@@ -130,7 +130,7 @@ fn rows_that_are_missing_leave_the_others_where_they_were() {
     let exact = read_back(&log, log.q_rad.t_s.clone());
     assert!(apart_s(&exact.q_rad.t_s, &log.q_rad.t_s) < 2e-6);
     let jittered = read_back(&log, jittered(&log.q_rad.t_s, 1e-3, &mut random));
-    // While the robot rests it is unknown which rows are missing, and it does not matter.
+    // During a rest the missing rows cannot be located, which has no effect.
     let moves = |t_s: f64| (std::f64::consts::TAU * t_s / 20.0).cos() < 0.7;
     let off =
         jittered.q_rad.t_s.iter().zip(&log.q_rad.t_s).filter(|(_, t_s)| moves(**t_s)).map(|(a, b)| a - b);
@@ -140,14 +140,14 @@ fn rows_that_are_missing_leave_the_others_where_they_were() {
     assert!(rms_s < 1e-3, "{rms_s}");
 }
 
-/// Stamps of 4 ms whose clock passes from one to the next once in a minute, rows of 4 ms that are missing, and both.
+/// Stamps rounded to 4 ms with a clock that drifts to the next multiple about once a minute, missing rows of 4 ms, and both.
 #[test]
 fn rounded_stamps_are_no_missing_rows_and_missing_rows_no_rounding() {
     let noise = Normal::new(0.0, 15e-6).unwrap();
     for (missing, ppm) in [(0.0, 50.0), (2e-4, 50.0), (0.01, 50.0), (0.05, 50.0), (0.01, 0.0), (0.05, 0.0)] {
         let mut random = ChaCha8Rng::seed_from_u64(11);
         let mut whole = log(250.0);
-        // So slow that noise hides a single row.
+        // A motion so slow that noise hides a single row.
         whole.q_rad.iter_mut().flatten().for_each(|q| *q = 0.2 * *q + noise.sample(&mut random));
         let kept: Vec<bool> = whole.q_rad.iter().map(|_| !random.random_bool(missing)).collect();
         let kept_row = |row: usize, q: &Joints| kept[row].then_some(*q);
@@ -165,7 +165,7 @@ fn rounded_stamps_are_no_missing_rows_and_missing_rows_no_rounding() {
     }
 }
 
-/// Near a rest the motion hardly says whether a row is missing or a clock passes from one multiple of 4 ms to the next.
+/// Near a rest the motion hardly separates a missing row from a clock that drifts to the next multiple of 4 ms.
 #[test]
 fn rows_that_are_lost_near_a_rest_are_missing_rows() {
     let noise = Normal::new(0.0, 15e-6).unwrap();
@@ -227,7 +227,7 @@ fn no_step_is_said_of_stamps_that_only_scatter() {
     }
 }
 
-/// A program that samples when it gets round to it and stamps rightly has no regular clock.
+/// A program that samples at irregular times with correct stamps has no regular clock.
 #[test]
 fn stamps_that_are_right_stay_as_they_are_even_if_rows_come_as_they_like() {
     let even = log(100.0);

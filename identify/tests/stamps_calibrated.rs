@@ -1,4 +1,4 @@
-//! Runs whose logs are stamped as controllers stamp them: calibrated as well as with perfect stamps.
+//! Calibrations from logs with the stamps of real controllers are as accurate as with perfect stamps.
 //!
 //! `cargo test -p identify --test all stamps_calibrated -- --include-ignored --nocapture` prints the table;
 //! `IDENTIFY_SEEDS=6` runs that many of each row.
@@ -18,15 +18,15 @@ use rand_distr::{Distribution, Normal};
 use crate::support::stamped::{resampled, stamped};
 use crate::support::{bar, irb2400};
 
-/// How a stamp follows from the time of its sample.
+/// Relation between a stamp and the time of its sample.
 #[derive(Debug, Clone, Copy)]
 enum Stamp {
     Exact,
-    /// Rounded down to this \[ms\].
+    /// Rounded down to a multiple of this \[ms\].
     Floor(f64),
-    /// Rounded to this \[ms\].
+    /// Rounded to the nearest multiple of this \[ms\].
     Nearest(f64),
-    /// Late or early by this standard deviation \[ms\].
+    /// Standard deviation of the stamp \[ms\].
     Jittered(f64),
 }
 
@@ -37,9 +37,9 @@ struct Case {
     rate_hz: f64,
     /// Rate of the robot's clock minus one \[%\].
     skew_percent: f64,
-    /// Rate of the clock that stamps against the one that samples, minus one \[ppm\].
+    /// Rate of the stamping clock relative to the sampling clock, minus one \[ppm\].
     stamp_ppm: f64,
-    /// Rows that are missing \[%\].
+    /// Part of the rows that is missing \[%\].
     missing_percent: f64,
     decimals: usize,
 }
@@ -53,7 +53,7 @@ const PERFECT: Case = Case {
     decimals: 9,
 };
 
-/// Stamped by another clock than the one that samples.
+/// Stamped by another clock than the sampling clock.
 const STAMPED: Case = Case { stamp_ppm: 50.0, ..PERFECT };
 
 const fn rounded(stamp: Stamp) -> Case {
@@ -72,7 +72,7 @@ const fn sampled(rate_hz: f64, stamp: Stamp) -> Case {
     Case { rate_hz, stamp, ..STAMPED }
 }
 
-/// Rates, grids, gaps and clocks of controllers.
+/// Rates, resolutions, gaps and clocks of controllers.
 const CASES: [Case; 26] = [
     rounded(Stamp::Floor(4.0)),
     rounded(Stamp::Nearest(4.0)),
@@ -88,7 +88,7 @@ const CASES: [Case; 26] = [
     incomplete(Stamp::Floor(4.0), 0.01),
     incomplete(Stamp::Floor(4.0), 1.0),
     incomplete(Stamp::Exact, 5.0),
-    // The clock is the one that samples: stamps are whole cycles.
+    // The sampling clock gives the stamps: they are whole cycles.
     Case { stamp_ppm: 0.0, ..incomplete(Stamp::Nearest(4.0), 1.0) },
     Case { stamp_ppm: 0.0, ..incomplete(Stamp::Nearest(4.0), 5.0) },
     clock_off(0.01),
@@ -134,7 +134,7 @@ impl Case {
         stamped(&log, &irb2400(), stamps_s, self.decimals)
     }
 
-    /// Error of the robot's parameters \[mm|mrad\], or why there is none.
+    /// Error of the robot's parameters \[mm|mrad\], or the reason of the failure.
     fn calibrated(&self, seed: u64) -> Result<f64, String> {
         let run = self.run(seed);
         let log = self.log(&run, seed);
@@ -178,5 +178,5 @@ fn what_controllers_write_calibrates_as_perfect_stamps_do() {
     assert!(wrong.is_empty(), "{wrong:#?}");
 }
 
-/// Perfect stamps leave 0.007 to 0.034 mm|mrad, by the rate of the clock: another one is another run.
+/// Perfect stamps give errors of 0.007 to 0.034 mm|mrad, depending on the rate of the clock: each rate is another run.
 const LIMIT_MM_MRAD: f64 = 0.04;

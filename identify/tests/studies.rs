@@ -1,4 +1,4 @@
-//! `identify study`: its results do not depend on who computed them when, and its answers are right where they are known.
+//! `identify study`: results that do not depend on order or machine, and correct answers for known cases.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test stops at the first surprise")]
 
 use std::collections::BTreeMap;
@@ -83,7 +83,7 @@ fn study(arguments: &[&str]) -> Output {
     command(arguments).output().unwrap()
 }
 
-/// Every file of a directory by its name.
+/// Contents of every file of a directory, by name.
 fn files(directory: &Path) -> BTreeMap<String, Vec<u8>> {
     let entries = fs::read_dir(directory).unwrap().map(|entry| entry.unwrap().path());
     entries
@@ -124,7 +124,7 @@ fn threads_shards_and_a_torn_line_make_no_difference() {
     let mut merge = vec!["merge", "--out"];
     let merged = at("merged");
     merge.push(&merged);
-    // All but the first: what is missing is said.
+    // All except the first: missing experiments are reported.
     let incomplete = study(&[merge.clone(), shards[1..].iter().map(String::as_str).collect()].concat());
     assert!(!incomplete.status.success());
     assert!(said(&incomplete).contains("3 of 12 experiments are missing"), "{}", said(&incomplete));
@@ -132,7 +132,7 @@ fn threads_shards_and_a_torn_line_make_no_difference() {
     assert!(study(&merge).status.success());
     assert_same(Path::new(&at("whole")), Path::new(&merged));
 
-    // A line was being written when the machine went down.
+    // The process was killed while writing a line.
     let lines = fs::read_to_string(Path::new(&at("whole")).join("trials.jsonl")).unwrap();
     let half: Vec<&str> = lines.split_inclusive('\n').take(6).collect();
     fs::create_dir(at("resumed")).unwrap();
@@ -141,7 +141,7 @@ fn threads_shards_and_a_torn_line_make_no_difference() {
     assert!(study(&[&file, "--out", &at("resumed")]).status.success());
     assert_same(Path::new(&at("whole")), Path::new(&at("resumed")));
 
-    // Another study's results are not added to.
+    // Results of another study are not extended.
     let other = study(&[&file, "--out", &at("one"), "--seeds", "4"]);
     assert!(!other.status.success());
     assert!(said(&other).contains("results of another study"), "{}", said(&other));
@@ -187,7 +187,7 @@ fn a_study_without_a_single_estimate_ends_with_an_error_and_its_reason() {
     let room = tempfile::tempdir().unwrap();
     let file = small(room.path(), "");
     let text = fs::read_to_string(&file).unwrap();
-    // No encoder, which the cost needs.
+    // The encoder that the cost requires is missing.
     let text = text.replace("x = [0]\n", "x = [0]\nwith = { encoders = 0 }\n");
     fs::write(&file, text).unwrap();
     for (out, shard) in [("whole", &[][..]), ("shard", &["--shard", "1/2"])] {
@@ -231,7 +231,7 @@ fn the_help_lists_every_condition_and_the_log_of_a_batch_job_has_lines_of_progre
     assert!(log.contains("1 of 3 experiments") && log.contains("3 of 3 experiments"), "{log}");
 }
 
-/// The path of a real robot is its log: what the bar's joints did follows from it, and all costs find the errors on it.
+/// The path of a real robot comes from its log: the bar's joints follow from it, and all costs find the errors on it.
 #[test]
 fn the_log_of_a_run_is_a_path_for_a_study() {
     let room = tempfile::tempdir().unwrap();
@@ -248,7 +248,7 @@ fn the_log_of_a_run_is_a_path_for_a_study() {
     assert!(said(&done).contains("holds: exact") && !said(&done).contains("failed"), "{}", said(&done));
 }
 
-/// The thesis: every cost finds the errors again where nothing varies, and the length is the most sensitive to noise.
+/// Thesis: every cost finds the errors if no condition varies, and the length is most sensitive to noise.
 #[test]
 fn the_shipped_study_is_that_of_the_file_and_checks_itself() {
     let definition = Definition::load(THESIS).unwrap();
@@ -262,7 +262,7 @@ fn the_shipped_study_is_that_of_the_file_and_checks_itself() {
     for row in &results.done()[&0].rows {
         assert!(row.euclidean_mm_mrad.unwrap() < 2e-3 && row.largest_mm_mrad.unwrap() < 1e-3, "{row:?}");
     }
-    // Written and read back it is the same study, so that it can go on.
+    // A study that is written and read again is the same study, so that it can continue.
     drop(results);
     assert_eq!(Results::open(room.path(), &definition).unwrap().done().len(), 1);
 }
@@ -293,7 +293,7 @@ for a, b in zip(table, rows):
     assert!(checked.status.success(), "{}", said(&checked));
 }
 
-/// The transform's residuals from Denavit and Hartenberg's matrices, and their least squares by SciPy.
+/// Residuals of the transform by matrices of Denavit and Hartenberg, and their least squares by SciPy.
 const SCIPY: &str = r#"
 import json, sys, time
 import numpy as np
@@ -361,7 +361,7 @@ fn scipy_finds_the_same_from_the_same_angles_and_takes_longer() {
     }
 }
 
-/// What the documentation shows for several machines, as it stands there.
+/// The commands of the documentation for several machines.
 #[test]
 #[ignore = "computes figure 3.2 twice: half a minute"]
 fn the_documented_shards_give_what_one_machine_gives() {

@@ -1,5 +1,5 @@
-//! What is free by default: every number of the links, each expected at its nominal value within its tolerance, whatever measures the
-//! robot and whichever numbers the data separate.
+//! Parameters that are free by default: every link parameter, with a prior at its nominal value and its tolerance, for any
+//! instrument and any separable parameters.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -20,7 +20,7 @@ use rand::{Rng, SeedableRng};
 use rand_distr::StandardNormal;
 use shared::config::RobotConfig;
 
-/// No terms, which would only take time.
+/// Without terms, to save time.
 fn quick() -> IdentifyConfig {
     IdentifyConfig {
         bar_length_um: 0.0,
@@ -29,7 +29,7 @@ fn quick() -> IdentifyConfig {
     }
 }
 
-/// A minute with the bar on a robot of which every number is wrong by a millimetre or milliradian.
+/// A minute with the bar on a robot with errors of a millimetre or milliradian in every parameter.
 fn run(robot: &RobotConfig) -> Simulated {
     let (errors, effects) = (StaticErrors::Drawn { seed: 3 }, Effects::LABORATORY);
     let design = Design { duration_s: 60.0, ..Design::for_robot(robot) };
@@ -44,14 +44,14 @@ fn names(ids: &[ParameterId]) -> String {
     ids.iter().map(ToString::to_string).collect::<Vec<_>>().join("|")
 }
 
-/// Numbers of links that have a tolerance, without the last link, on which instruments are mounted.
+/// Link parameters with a tolerance, without the last link, to which instruments are mounted.
 fn with_tolerance(model: &Model) -> BTreeSet<ParameterId> {
     let is_one = |id: ParameterId| matches!(id, ParameterId::Robot { link, .. } if link < 5);
     let of_links = model.columns().filter(|one| is_one(one.id));
     of_links.filter(|one| matches!(one.role, Role::Prior { .. })).map(|one| one.id).collect()
 }
 
-/// A tracker's rows of a robot whose links are as its file says but for the errors, at joints within so many radians.
+/// A tracker's rows of a robot with known link errors, at joints within this range \[rad\].
 fn tracked(robot: &RobotConfig, reach_rad: [f64; 6]) -> Vec<PoseRow> {
     let mut random = StdRng::seed_from_u64(5);
     let mut truth = flange_chain(robot);
@@ -96,7 +96,7 @@ fn the_same_numbers_are_free_whichever_instrument_measures_the_robot() {
     assert!(named(LinkParameter::Beta) && !named(LinkParameter::D), "{by_bar:?}");
 }
 
-/// What is fixed by name stays, is exact where it only says where a frame is, and is uncertain by its tolerance otherwise.
+/// A parameter fixed by name keeps its value. It is exact if it only defines a frame, else it has its tolerance as uncertainty.
 #[test]
 fn only_what_is_fixed_by_name_is_fixed() {
     let robot = ur10();
@@ -116,7 +116,7 @@ fn only_what_is_fixed_by_name_is_fixed() {
     assert_eq!(fixed.into_iter().collect::<BTreeSet<_>>(), expected);
 }
 
-/// Joint 3 stands still: what it would separate is named and stays near nominal, and the rest is found.
+/// Joint 3 does not move: parameters that it would separate are named and stay near nominal; the others are estimated.
 #[test]
 fn what_the_data_do_not_determine_is_named_and_stays_near_nominal() {
     let robot = irb2400();

@@ -1,4 +1,4 @@
-//! A tip on the flange that touches the faces of a block: simulated rows with known truth, on arms of six and seven axes.
+//! A tip on the flange that touches the faces of a block: simulated rows with known truth, for arms of six and seven axes.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -45,7 +45,7 @@ fn calibrated(robot: &RobotConfig, made: &SimulatedTouches) -> Calibration {
     try_calibrate(robot, &made.rows, &made.table, made).unwrap()
 }
 
-/// Error of the calibrated robot over that of the nominal one.
+/// Error of the calibrated robot relative to the nominal one.
 fn part_left(robot: &RobotConfig, made: &SimulatedTouches) -> f64 {
     let found = calibrated(robot, made);
     let before_m = apart_m(robot, &flange_chain(robot), &made.robot);
@@ -84,10 +84,10 @@ fn faces_of_which_nothing_is_known_leave_the_scale_to_the_robots_file_and_say_so
         &workspace.budget,
     );
     assert!(scale.contains("no distance between the faces is known"), "{scale}");
-    // Nothing that holds is named as wrong.
+    // No correct value is reported as wrong.
     let limits = limits(&found, &workspace);
     assert!(limits.iter().all(|limit| !limit.sentence.contains("contradict")), "{limits:?}");
-    // What is known of positions has the uncertainty of the scale in it.
+    // The uncertainty of known positions includes that of the scale.
     let after_m = apart_m(&robot, &model.geometry(&[]).robot, &made.robot);
     assert!(workspace.budget.expanded_m > 0.9e-3, "{}", workspace.budget.expanded_m);
     assert!(after_m < 1.5 * workspace.budget.expanded_m, "{after_m}");
@@ -132,13 +132,13 @@ fn within(robot: &RobotConfig, seeds: u64) -> f64 {
 fn intervals_of_links_hold_95_percent_over_robots_that_touch() {
     for robot in [irb2400(), irb120()] {
         let within = within(&robot, size(10, 50));
-        // Links of one robot err together, so that few robots leave a larger spread.
+        // Errors of the links of one robot are correlated, so few robots give a larger spread.
         let allowed = if is_full() { 0.92..=0.99 } else { 0.86..=1.0 };
         assert!(allowed.contains(&within), "{}: {within}", robot.name);
     }
 }
 
-/// `identify` in a directory: whether it ended well, and all it said.
+/// Runs `identify` in a directory; returns whether it succeeded, and its output.
 fn told(directory: &Path, arguments: &[&str]) -> (bool, String) {
     let run = Command::new(env!("CARGO_BIN_EXE_identify"))
         .current_dir(directory)
@@ -178,7 +178,7 @@ fn a_simulated_block_is_inspected_and_calibrates_from_its_files_and_its_experime
         .map(|out| std::fs::read_to_string(at.join(out).join("corrections.csv")).unwrap_or_default());
     assert!(!first.is_empty() && first == second);
 
-    // A block that is longer than its table says is named.
+    // A block that is longer than in its table is reported.
     let faces = std::fs::read_to_string(at.join("cube/faces.toml")).unwrap();
     let line = faces.lines().find(|line| line.starts_with("distance_mm")).unwrap();
     let mm: f64 = line.split_once("= ").unwrap().1.parse().unwrap();
@@ -188,7 +188,7 @@ fn a_simulated_block_is_inspected_and_calibrates_from_its_files_and_its_experime
     let (done, text) = told(at, &[&calibrate[..], &wrong].concat());
     assert!(done && text.contains("verdict amber"), "{text}");
     assert!(text.contains("the table of sockets or faces: the distance between faces `"), "{text}");
-    // A name that no row has loses what is known of it, not without a word.
+    // Known values of a name without rows are not used, and a warning is printed.
     std::fs::write(at.join("spelt.toml"), faces.replace("\"right\"", "\"rihgt\"")).unwrap();
     let spelt = ["--faces", "spelt.toml", "--robot", "irb120_3", "--out", "spelt"];
     let mut command = Command::new(env!("CARGO_BIN_EXE_identify"));

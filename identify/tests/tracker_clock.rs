@@ -1,4 +1,4 @@
-//! A tracker and a robot on clocks of their own: brought together by the motion, with shift and rate in the solve.
+//! A tracker and a robot with independent clocks: aligned by the motion, with shift and rate in the solve.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -21,7 +21,7 @@ fn calibrated(tracker: Tracker) -> Calibration {
     calibrate(&DataSets { rows, ..DataSets::default() }, &ur10(), &config, None).unwrap()
 }
 
-/// Error of a calibration, and of one of the same rows with the times at which they were truly taken \[m\].
+/// Error of a calibration, and of one of the same rows with the true times of measurement \[m\].
 fn errors_m(followed: &Followed, aligned: &AlignedPoses, found: &Calibration) -> [f64; 2] {
     let perfect = calibrated(Tracker::new(&followed.with_perfect_times(aligned)));
     [found, &perfect].map(|found| followed.error_m(&found.runs[0].model))
@@ -30,7 +30,7 @@ fn errors_m(followed: &Followed, aligned: &AlignedPoses, found: &Calibration) ->
 #[test]
 fn clocks_of_a_moving_target_are_found_and_calibrate_as_well_as_perfect_times() {
     for seed in 1..=4 {
-        // Some trackers measure at even times, some on request.
+        // Some trackers measure at regular times, some on request.
         let uneven_s = if seed % 2 == 0 { 4e-3 } else { 0.0 };
         let followed = Followed::new(seed, Sizes { with_rotation: seed == 1, uneven_s, ..Sizes::default() });
         let aligned = followed.aligned().unwrap();
@@ -73,7 +73,7 @@ fn two_milliseconds_of_jitter_leave_a_third_of_one() {
             perfect_m * 1e6,
         );
         assert!(shift_s.abs() < 3e-4, "{shift_s}");
-        // Times of a regular clock are found; others stay uncertain, and so does where the target was.
+        // Times of a regular clock are recovered; others remain uncertain, and so do the measured positions.
         assert_eq!(evened, uneven_s == 0.0);
         assert!(error_m < if evened { 3.0 * perfect_m } else { 1.5e-4 }, "{error_m} {perfect_m}");
     }
@@ -126,7 +126,7 @@ fn a_tracker_that_is_moved_and_sees_two_targets_is_aligned_as_one() {
     }
 }
 
-/// An hour of stops of 1.2 s each, the robot's clock fast by twice what clocks are: a third of a second at the ends.
+/// An hour with stops of 1.2 s each; the robot's clock is fast by twice the usual rate error: a third of a second at the ends.
 #[test]
 fn clocks_that_run_apart_over_an_hour_of_stops_lose_no_row() {
     let sizes = Sizes { rate_hz: 0.1, duration_s: 3600.0, skew: 190e-6, stay: 0.06, ..Sizes::default() };
@@ -146,7 +146,7 @@ fn logs_that_do_not_belong_together_are_errors_that_say_so() {
         |tracker: &Followed, robot: &Followed| tracker.aligned_with(&robot.log).unwrap_err().to_string();
     let another_run = said(&one, &other);
     assert!(another_run.contains("tracker's log do not match at any clock difference"), "{another_run}");
-    // The robot's log ends when the tracker's has just begun.
+    // The robot's log ends shortly after the start of the tracker's.
     let late = Followed::new(1, Sizes { lead_s: [60.0, -110.0], ..Sizes::default() });
     let late = late.aligned().unwrap_err().to_string();
     println!("{late}");
@@ -162,7 +162,7 @@ fn a_motion_that_repeats_itself_fits_elsewhere_too_and_is_said_to() {
     let followed = Followed::new(1, Sizes { lap_s: Some(40.0), ..Sizes::default() });
     let aligned = followed.aligned().unwrap();
     assert!(aligned.alignment.ambiguous);
-    // The longest overlap is taken, which is the right one here.
+    // The longest overlap is used, which is the correct one here.
     let found = calibrated(followed.measured(&aligned));
     let [shift_s, _] = followed.clock_errors(&aligned, &found.runs[0].model);
     assert!(shift_s.abs() < 5e-5, "{shift_s}");
@@ -205,7 +205,7 @@ fn the_command_takes_both_logs_and_what_it_writes_repeats_it() {
     let found = |name: &str| CalibrationFile::open(&folder.path().join(name)).unwrap();
     assert_eq!(found("result").parameters, found("again").parameters);
     assert!(found("result").inputs.iter().any(|input| input.role == "robot log"));
-    // What the solve found of the clocks.
+    // Estimated clock parameters.
     let clock = found("result").clocks.remove(0);
     assert_eq!((clock.data_set, clock.instrument.as_str()), (1, "tracker"));
     let reference_s: f64 = clock.reference_utc.split(' ').next().unwrap().parse().unwrap();
@@ -222,7 +222,7 @@ fn the_command_takes_both_logs_and_what_it_writes_repeats_it() {
     assert!(clock.correlation > 0.99 && !clock.ambiguous);
     let json = std::fs::read_to_string(folder.path().join("result/calibration.json")).unwrap();
     assert!(json.contains("\"robot_minus_instrument_ns\":4321"));
-    // Rows with joints evaluate the robot; rows with times have none.
+    // Rows with joints are used to validate the robot; rows with times have none.
     let rows = followed.with_perfect_times(&followed.aligned().unwrap());
     let mut other = String::from("q1;q2;q3;q4;q5;q6;x;y;z\n");
     for row in rows.iter().step_by(20) {
@@ -254,7 +254,7 @@ fn the_command_takes_both_logs_and_what_it_writes_repeats_it() {
     std::fs::write(folder.path().join("tracker.toml"), both).unwrap();
     let (done, _, err) = with(&["--robot-log", "robot.csv"], "out");
     assert!(!done && err.contains("rows with [time] get their joints from the robot's own log"), "{err}");
-    // Another run is refused with a page, and sets an older calibration aside.
+    // Another run is refused with a page, and an older calibration is set aside.
     followed.write(folder.path());
     let other = Followed::new(2, followed.sizes);
     std::fs::write(folder.path().join("tracker.csv"), &other.text).unwrap();
@@ -263,7 +263,7 @@ fn the_command_takes_both_logs_and_what_it_writes_repeats_it() {
     assert!(err.contains("report.html") && !folder.path().join("result/calibration.toml").exists(), "{err}");
 }
 
-/// A tracker whose beam is broken writes zeros.
+/// A tracker writes zeros when its beam is interrupted.
 #[test]
 fn rows_of_a_broken_beam_are_left_out_and_named() {
     let mut followed = Followed::new(1, Sizes::default());
@@ -292,7 +292,7 @@ fn stamps_that_go_back_are_refused_by_their_line() {
     assert!(error.to_string().contains("line 22"), "{error}");
 }
 
-/// Each stamp has the first target once and the second twice, as a logger writes that is read faster than it is filled.
+/// Each stamp has the first target once and the second twice, as from a logger that reads faster than the buffer is filled.
 #[test]
 fn targets_that_are_seen_at_once_are_all_read_at_their_time() {
     let stamp_ms = |row: usize| 1e3 * row as f64 + 37.0 * (row * row % 7) as f64;

@@ -1,4 +1,4 @@
-//! Tables without a mapping are read through the mapping that is proposed for them.
+//! Tables without a mapping are read through the proposed mapping.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::path::Path;
@@ -14,7 +14,7 @@ use shared::config;
 
 use crate::support::irb2400;
 
-/// Rows of every table.
+/// Number of rows of every table.
 const ROWS: usize = 80;
 
 /// Joints of a row \[rad\]: a motion through much of the workspace.
@@ -45,23 +45,23 @@ fn length_m(row: usize) -> f64 {
     (flange.translation.vector - Vector3::new(2.2, 0.4, 0.1)).norm()
 }
 
-/// How another program writes tables.
+/// Table format of another program.
 struct Style {
     delimiter: &'static str,
     decimal_comma: bool,
-    /// Lines before the header.
+    /// Number of lines before the header.
     title: &'static str,
-    /// A line of units follows the header.
+    /// Whether a line of units follows the header.
     unit_line: bool,
     /// `#` is replaced by the joint's number.
     joint: &'static str,
     /// Number of the first joint.
     first: usize,
     degrees: bool,
-    /// Column of other things between time and joints.
+    /// A column with other data between time and joints.
     between: &'static str,
     time: &'static str,
-    /// Time stamps in one second.
+    /// Number of time stamps in one second.
     ticks: f64,
     encode: fn(String) -> Vec<u8>,
 }
@@ -88,7 +88,7 @@ fn latin_1(text: String) -> Vec<u8> {
     text.chars().map(|character| character as u32 as u8).collect()
 }
 
-/// The tables of ten programs.
+/// Table formats of ten programs.
 const STYLES: [Style; 10] = [
     USUAL,
     Style { delimiter: ";", decimal_comma: true, joint: "J#", ..USUAL },
@@ -148,7 +148,7 @@ const STYLES: [Style; 10] = [
     },
 ];
 
-/// What a table has beside the joints.
+/// Data of a table other than joints.
 #[derive(Clone, Copy, PartialEq)]
 enum Beside {
     Time,
@@ -227,7 +227,7 @@ fn proposed(bytes: &[u8]) -> Proposal {
     propose(bytes, Path::new("table.txt"), &irb2400()).unwrap()
 }
 
-/// The mapping as a person gets it: out of its file.
+/// The mapping read from its file, as a user gets it.
 fn from_file<T: serde::de::DeserializeOwned + config::Validate>(proposal: &Proposal) -> T {
     config::parse(&proposal.to_toml().unwrap(), Path::new("mapping.toml")).unwrap()
 }

@@ -1,4 +1,4 @@
-//! What a calibration is worth: green, amber or red, and which files a person gets to apply.
+//! The verdict of a calibration, green, amber or red, and the files that the user gets to apply.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::collections::BTreeMap;
@@ -21,7 +21,7 @@ fn judged(position: [f64; 2], rotation: [f64; 2], limits: &[Limit], required_m: 
     judged_within(0.1e-3, position, rotation, limits, required_m)
 }
 
-/// The same where the geometry is known within this over the workspace, and the nominal one is off by a millimetre \[m\].
+/// The same for a geometry known within this over the workspace, with an error of a millimetre of the nominal one \[m\].
 fn judged_within(
     expanded_m: f64,
     position: [f64; 2],
@@ -60,7 +60,7 @@ fn file(expanded_m: f64, position: [f64; 2], rotation: [f64; 2]) -> (Calibration
 
 #[test]
 fn green_needs_unseen_data_within_the_claim_beyond_chance() {
-    // Rows of another file, and what the fit leaves of its own [mm].
+    // Rows of another file, and residuals of the fitted file [mm].
     let verdict = |rows: usize, calibrated_mm: f64, fitted_mm: f64| {
         let (mut file, workspace) = file(0.1e-3, [1.0, 0.05], [1.0, 0.1]);
         let figures = |mm: f64| PoseFigures {
@@ -95,7 +95,7 @@ fn green_needs_unseen_data_within_the_claim_beyond_chance() {
         "{reason}"
     );
     assert_eq!(verdict(100, 0.1, 0.05).grade, Grade::Green);
-    // Noise that the fit has, too, is not the robot's; of three rows the scatter is large.
+    // Noise that the fit also has is not an error of the robot; the scatter of three rows is large.
     assert_eq!(verdict(100, 0.42, 0.41).grade, Grade::Green);
     assert_eq!(verdict(3, 0.2, 0.15).grade, Grade::Green);
     assert_eq!(verdict(100, 1.5, 0.05).grade, Grade::Red);
@@ -126,13 +126,13 @@ fn green_needs_both_answers_and_amber_names_what_is_missed() {
         assert_eq!(missed.grade, Grade::Amber);
         assert!(missed.reason.unwrap().contains(why));
     }
-    // The covariance promises what held-out data do not hold.
+    // The covariance claims an accuracy that held-out data contradict.
     let belied = judged([1.0, 0.4], [1.0, 0.1], &[], Some(0.2e-3)).reason.unwrap();
     assert!(belied.contains("required 0.2 mm") && belied.contains("0.400 mm"), "{belied}");
     let limit = |serious| Limit { sentence: "Joint 3 turned by 2 degrees only.".into(), serious };
     assert_eq!(good(&[limit(false)], None).grade, Grade::Green);
     assert_eq!(good(&[limit(true)], None).reason.unwrap(), limit(true).sentence);
-    // Rows of one corner of the workspace predict each other.
+    // Rows in one corner of the workspace predict each other.
     let of_a_corner = judged_within(1.5e-3, [1.0, 0.05], [1.0, 0.1], &[], None);
     assert_eq!(of_a_corner.grade, Grade::Amber);
     assert!(of_a_corner.reason.unwrap().contains("holds where joints were measured"));
@@ -153,7 +153,7 @@ fn wire(csv: &str, extra: &[&str], out: &Path) -> (std::process::Output, Vec<Str
     (output, files)
 }
 
-/// Lengths of a robot with millimetres of error in two of its links, and noise of 20 um.
+/// Lengths of a robot with errors of millimetres in two of its links, and noise of 20 um.
 fn of_another_robot() -> String {
     let mut robot = irb2400();
     robot.links[1].a_m += 2e-3;
@@ -181,11 +181,12 @@ fn a_required_accuracy_is_judged_and_repeated_for_every_instrument() {
         let text = String::from_utf8_lossy(&output.stdout);
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
         assert!(text.starts_with(&format!("verdict {grade}: ")), "{text}");
-        // Verdict, before and after, parts, scale, limits, what is not separated, files, next step; the rest needs --verbose.
+        // Verdict, errors before and after, parts, scale, limits, unseparated parameters, files, next step; the rest needs
+        // --verbose.
         let fits = |line: &str| line.chars().count() <= 100 || !line.trim().contains(' ');
         assert!(text.lines().all(fits), "{text}");
         assert_eq!(text.lines().filter(|line| !line.starts_with("  ")).count(), 8, "{text}");
-        // The number stands first.
+        // The number is at the start.
         assert!(
             text.starts_with(&format!("verdict {grade}: 0.0"))
                 && text.contains("scale: the lengths of the wire")
@@ -196,7 +197,7 @@ fn a_required_accuracy_is_judged_and_repeated_for_every_instrument() {
         assert!(experiment.contains("require_mm"), "{experiment}");
         let page = std::fs::read_to_string(out.path().join("report.html")).unwrap();
         assert_eq!(page.contains("<div class=\"verdict doubt\">"), grade == "amber");
-        // What is certified is in the file that programs read.
+        // The certified values are in the file for programs.
         let expected = CalibrationFile::open(out.path()).unwrap().expected.unwrap();
         let cube = expected.cube.unwrap();
         assert!(expected.calibrated.mean_m < expected.nominal.mean_m, "{expected:?}");

@@ -1,5 +1,5 @@
-//! Verdicts on many experiments whose truth is known: what is claimed of the robot's error holds, and nothing is green that is
-//! not as accurate as that. `CAMPAIGNS=full` for all of them.
+//! Verdicts of many experiments with known truth: the claimed error of the robot holds, and no green result is less accurate
+//! than claimed. `CAMPAIGNS=full` for all of them.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -23,10 +23,11 @@ use crate::support::campaign::size;
 use crate::support::laboratory::{self, Level};
 use crate::support::{bar, irb2400, nj220};
 
-/// A calliper measures a plate as well.
+/// The plate as measured with a calliper.
 const PLATE_U_UM: f64 = 50.0;
 
-/// A run between noise alone and worse than `hard`, and what is believed of its bar: the plate is wrong by a calliper's error.
+/// A run with errors between noise alone and more than `hard`, and the configured bar: its plate is wrong by a calliper's
+/// error.
 fn experiment(robot: &RobotConfig, seed: u64) -> (Simulated, BallBarConfig) {
     let mut random = ChaCha8Rng::seed_from_u64(31_000 + seed);
     let mut up_to = |most: f64| random.random_range(0.0..most);
@@ -51,8 +52,8 @@ fn experiment(robot: &RobotConfig, seed: u64) -> (Simulated, BallBarConfig) {
     (run, BallBarConfig { plate_m: bar.plate_m + 1e-6 * PLATE_U_UM * off, ..bar })
 }
 
-/// What is claimed over the workspace, the verdict, and what is true with the errors of joints: the mean and what 95 % of the postures
-/// do not exceed \[m\].
+/// Claimed error over the workspace, verdict, and true error with the errors of joints: the mean and the 95 % quantile over the
+/// postures \[m\].
 pub fn judged(
     run: &Simulated,
     found: &Calibration,
@@ -70,7 +71,7 @@ pub fn judged(
     Ok((evidence.workspace, file.verdict.unwrap(), [mean_m, p95_m]))
 }
 
-/// Of so many experiments with two robots.
+/// Results of this number of experiments with two robots.
 #[test]
 #[ignore = "a dozen calibrations with everything that is said of them: most of a minute"]
 fn nothing_is_green_that_is_wrong_and_no_good_run_is_refused() {
@@ -117,12 +118,12 @@ fn nothing_is_green_that_is_wrong_and_no_good_run_is_refused() {
     println!("{verdicts:#?}\nin the 95 % interval {within}, below the 97.5 % limit {below}, of {cases}");
     assert!(!verdicts.contains_key("refused"), "good runs are refused");
     assert!(!verdicts.contains_key("Green, true error beyond twice the claim"), "green and wrong");
-    // Fewer come by chance once in a hundred times.
+    // A smaller number occurs by chance once in a hundred cases.
     let least = |part| Binomial::new(part, cases).unwrap().inverse_cdf(0.01);
     assert!(within >= least(0.95) && below >= least(0.975), "{within}, {below} of {cases}");
 }
 
-/// What somebody did wrong to a run, or believed of its bar and robot.
+/// A mistake in a run, or a wrong configuration of bar and robot.
 type Spoil = fn(&mut Simulated, &mut BallBarConfig, &RobotConfig);
 
 fn spoils() -> Vec<(&'static str, Spoil)> {
@@ -178,7 +179,7 @@ fn spoils() -> Vec<(&'static str, Spoil)> {
     ]
 }
 
-/// Changes the joints of each row by the part of the run that has passed.
+/// Changes the joints of each row as a function of the part of the run that has passed.
 fn rows(run: &mut Simulated, change: impl Fn(&mut Joints, f64)) {
     let count = run.robot_log.q_rad.len() as f64;
     for (row, q) in run.robot_log.q_rad.iter_mut().enumerate() {
