@@ -1,5 +1,5 @@
-//! A laboratory with what real ones have and estimators leave out: two clocks, a leaning base, eccentric encoders, gears
-//! and noise. How far each way of solving gets on the robot's own parameters. `CAMPAIGNS=full`: all ways, more
+//! A laboratory with errors that real ones have and estimators do not model: two clocks, base tilt, eccentric encoders, gears
+//! and noise. Errors of the robot's parameters for each estimation method. `CAMPAIGNS=full`: all methods, more
 //! seeds.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
@@ -25,12 +25,12 @@ fn calibrated(
     calibrate_run(&run.cycles, &run.encoders, &run.robot_log, robot, bar, config).unwrap()
 }
 
-/// What one way of solving does over several seeds.
+/// Results of one estimation method over several seeds.
 #[derive(Default)]
 struct Score {
     /// Error of the robot's parameters \[mm|mrad\].
     errors: Vec<f64>,
-    /// Their errors in units of their sigma.
+    /// Their errors in standard deviations.
     in_sigmas: Vec<f64>,
 }
 
@@ -52,13 +52,13 @@ impl Score {
         self.errors.iter().copied().fold(0.0, f64::max)
     }
 
-    /// Part of the true values that lies within the 95 % interval.
+    /// Part of the true values within the 95 % interval.
     fn coverage(&self) -> f64 {
         self.in_sigmas.iter().filter(|error| error.abs() < 1.96).count() as f64 / self.in_sigmas.len() as f64
     }
 }
 
-/// The ways to solve, the thesis' first, the default last.
+/// Estimation methods, from that of the thesis to the default.
 fn ways() -> Vec<(&'static str, IdentifyConfig)> {
     let with = |cost, selection, encoder_harmonics_urad| IdentifyConfig {
         cost: Some(cost),

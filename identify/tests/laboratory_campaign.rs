@@ -1,4 +1,4 @@
-//! The laboratory of the acceptance: unknown zeros and clocks, and all that spoils a run; both robots, ten seeds each.
+//! The laboratory of the acceptance test: unknown offsets and clocks, and all error sources; both robots, ten seeds each.
 //!
 //! The whole campaign: `cargo test --release -p identify --test all laboratory_campaign -- --ignored --nocapture`;
 //! `IDENTIFY_KINDS=four,hard` runs the kinds with one of these in their name, `IDENTIFY_SEEDS=40` as many runs of each kind.
@@ -18,7 +18,7 @@ use nalgebra::Vector3;
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::encoder::Direction;
 
-/// What a calibration comes to.
+/// Result of a calibration.
 #[derive(Debug, Clone, Copy)]
 struct Outcome {
     robot_mm_mrad: f64,
@@ -26,9 +26,9 @@ struct Outcome {
     skew_ppm: f64,
     /// Standard deviation of the alignment over disjoint parts of about 20 s \[ms\].
     repeats_ms: f64,
-    /// Mean position error over the workspace, with the errors of joints \[mm\]...
+    /// Mean position error over the workspace, with the errors of joints \[mm\].
     position_mm: f64,
-    /// ...and the 95 % interval in which the report expects it.
+    /// 95 % interval of that error in the report.
     expected_mm: [f64; 2],
 }
 
@@ -58,7 +58,7 @@ fn calibrated(run: &Simulated, robot: &RobotConfig, bar: &BallBarConfig, config:
     }
 }
 
-/// Mean and largest error of the robot, after printing.
+/// Mean and largest error of the robot; prints both.
 fn summary(name: &str, outcomes: &[Outcome]) -> (f64, f64) {
     let largest = |of: &dyn Fn(&Outcome) -> f64| outcomes.iter().map(of).fold(0.0, f64::max);
     let mean = outcomes.iter().map(|one| one.robot_mm_mrad).sum::<f64>() / outcomes.len() as f64;
@@ -81,7 +81,7 @@ fn summary(name: &str, outcomes: &[Outcome]) -> (f64, f64) {
     (mean, most)
 }
 
-/// How a run is made from a seed.
+/// Makes a run from a seed.
 type Make = fn(&RobotConfig, &BallBarConfig, u64) -> Simulated;
 
 fn usual(robot: &RobotConfig, bar: &BallBarConfig, seed: u64) -> Simulated {
@@ -107,7 +107,7 @@ fn crossing(robot: &RobotConfig, bar: &BallBarConfig, seed: u64) -> Simulated {
     laboratory::run(robot, bar, seed, &Level::USUAL, design)
 }
 
-/// A motion of 60 s done twice within the recording and the log.
+/// A motion of 60 s driven twice within the recording and the log.
 fn repeated(robot: &RobotConfig, bar: &BallBarConfig, seed: u64) -> Simulated {
     let design = Design { duration_s: 60.0, ..Design::for_robot(robot) };
     let mut run = laboratory::without_noise(robot, bar, seed, &Level::USUAL, design);
@@ -181,7 +181,7 @@ fn ten_runs_of_each_kind_with_both_robots() {
     assert!(missed.is_empty(), "{missed:#?}");
 }
 
-/// The thesis' cost and parameters on the files of the usual runs, aligned and chosen as here: what the rest is worth.
+/// The thesis' cost and parameters on the files of the default runs, with the same alignment and selection: effect of the rest.
 fn as_the_thesis(robot: &RobotConfig, bar: &BallBarConfig, seeds: u64) {
     let config = IdentifyConfig {
         cost: Some(CostName::Transform),

@@ -148,7 +148,7 @@ const STYLES: [Style; 10] = [
     },
 ];
 
-/// Data of a table other than joints.
+/// Columns of a table besides the joints.
 #[derive(Clone, Copy, PartialEq)]
 enum Beside {
     Time,

@@ -1,4 +1,4 @@
-//! Forces in robot logs and in files of their own: read as they are meant, or refused with what to do.
+//! Forces in robot logs and in separate files: read with the intended meaning, or refused with a remedy.
 
 use identify::kinematics::Joints;
 use std::path::Path;
@@ -46,7 +46,7 @@ fn parse_force(text: &str, mapping: Option<&ForceLogMapping>) -> Result<ForceLog
     ForceLog::read(text.as_bytes(), Path::new("force.csv"), &nj220(), mapping)
 }
 
-/// A table of 60 rows with a stamp every 4 ms and these cells behind it.
+/// A table of 60 rows with a stamp every 4 ms and these cells after it.
 fn table(header: &str, cells: impl Fn(usize) -> String) -> String {
     let rows = (0..60).map(|row| format!("{},{}\n", row as f64 * 0.004, cells(row)));
     format!("t_s,{header}\n{}", rows.collect::<String>())
@@ -82,7 +82,7 @@ fn columns_say_what_they_hold_on_which_clock_and_in_which_axes() {
     assert_eq!(base.kind, ForceKind::InBase);
 }
 
-/// Motors and joints do the same work, whatever gears, rods and signs are between them.
+/// Motors and joints do equal work, for any gears, rods and signs between them.
 #[test]
 fn torques_of_motors_do_the_work_of_those_of_the_joints() {
     for robot in [irb2400(), nj220()] {

@@ -1,5 +1,5 @@
-//! The closed chain a second time over any scalar: all of its numbers, a motion known as a function of time, and errors
-//! of the joints by their definition.
+//! An independent implementation of the closed chain over any scalar: all parameters, a motion as an analytic function of time,
+//! and joint errors by their definition.
 
 use identify::kinematics::{Chain, DhLink, LinkParameter, Pose};
 use identify::model::{
@@ -11,7 +11,7 @@ use num_dual::{Dual64, DualNum};
 use crate::support::Cell;
 use crate::support::independent::{Link, Matrix, forward, identity, product, shift, turn};
 
-/// A smooth motion whose joints are known as functions of time.
+/// A smooth motion with joints as analytic functions of time.
 #[derive(Debug)]
 pub struct Sines;
 
@@ -41,24 +41,24 @@ impl RobotMotion for Sines {
     }
 }
 
-/// All numbers of the closed chain over any scalar, in the order of [`ParameterId`]s given.
+/// All parameters of the closed chain over any scalar, in the order of the given [`ParameterId`]s.
 #[derive(Clone)]
 pub struct Numbers<D> {
     pub robot: Vec<Link<D>>,
     pub bar: Vec<Link<D>>,
     pub origin: [D; 3],
     pub tilt: [D; 2],
-    /// Compliance and play.
+    /// Compliance and play of the bar.
     pub elongation: [D; 2],
-    /// Of the bar's length: joint, two or three times per turn, sine or cosine.
+    /// Harmonics of the bar's length: joint, order two or three per turn, sine or cosine.
     pub bar_waves: [[[D; 2]; 2]; 2],
     pub encoder_waves: [[[D; 2]; 2]; 5],
     /// Added to the encoders' angles in origin 1.
     pub zeros: [D; 5],
     pub joint_errors: [[D; 18]; 6],
-    /// Three and four times per turn, sine and cosine.
+    /// Orders three and four per turn, sine and cosine.
     pub joint_waves: [[[D; 2]; 2]; 6],
-    /// Nominal robot, from which levers of weights are computed.
+    /// Nominal robot, for the lever arms of weights.
     pub arm: Vec<DhLink>,
     pub clock: [D; 2],
     pub attachment: [D; 3],
@@ -98,7 +98,8 @@ pub fn joint_waves(g: &Geometry) -> [[[f64; 2]; 2]; 6] {
     std::array::from_fn(|axis| [3, 4].map(|order| Phase::ALL.map(|phase| amplitude(axis, order, phase))))
 }
 
-/// Drive 2 turns joint 3 back, drive 4 turns joints 5 and 6 along; lobes and turns are anything; the robot hangs askew.
+/// Drive 2 also turns joint 3 backwards, drive 4 also turns joints 5 and 6; lobes and turns are arbitrary; the robot is mounted
+/// askew.
 pub fn coupled_drives(arm: &Chain) -> DriveTrain {
     let mut drives = DriveTrain::direct(arm);
     let couplings = [(1, 2, -1.0), (3, 4, 0.1), (3, 5, 0.05), (4, 5, 0.4)];
@@ -122,8 +123,8 @@ pub fn coupled(cell: &Cell) -> Model {
         .with(ParameterId::all().filter(|id| matches!(id, ParameterId::EncoderOffset { origin: 1, .. })))
 }
 
-/// Joints with all errors of [`coupled_drives`], by definition: shapes over the reported angles of the drives. `fine` are the
-/// waves three and four times per turn.
+/// Joints with all errors of [`coupled_drives`], by definition: basis functions of the reported angles of the drives. `fine`
+/// has the harmonics of orders three and four per turn.
 pub fn true_joints<D: DualNum<f64> + Copy>(
     arm: &[DhLink],
     errors: &[[D; 18]; 6],
@@ -132,7 +133,7 @@ pub fn true_joints<D: DualNum<f64> + Copy>(
 ) -> [D; 6] {
     let arm: Vec<Link<D>> = links(arm);
     let (q, qd) = (sines(tau), sines_rates(tau));
-    // joints = drives C, solved for the drives by hand.
+    // joints = drives C, solved explicitly for the drives.
     let drives = |q: [D; 6]| {
         let [q1, q2, q3, q4, q5, q6] = q;
         let d5 = q5 - q4 * 0.1;
@@ -156,7 +157,7 @@ pub fn true_joints<D: DualNum<f64> + Copy>(
             g[i],
             D::from(0.0),
         ]);
-        // No shape: the angle of another instant.
+        // Not a basis function: the angle at another instant.
         let delay = |i: usize| errors[i][place(JointTerm::Delay)];
         let mean = (0..6).map(delay).fold(D::from(0.0), |a, b| a + b) / 6.0;
         let later = drives(sines(tau + delay(i) - mean))[i] - g[i];
@@ -173,7 +174,7 @@ pub fn true_joints<D: DualNum<f64> + Copy>(
     let [e1, e2, e3, e4, e5, e6] = error;
     let moved = [e1, e2, e3 - e2, e4, e5 + e4 * 0.1, e6 + e4 * 0.05 + e5 * 0.4];
     std::array::from_fn(|i| {
-        // Of the joint beside its drive.
+        // Of the joint, in addition to its drive.
         let own = [(1.0, Period::JointOnce), (2.0, Period::JointTwice)].map(|(n, period)| {
             let [sine, cosine] =
                 [JointTerm::Sine(period), JointTerm::Cosine(period)].map(|term| errors[i][place(term)]);
@@ -265,7 +266,7 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
         })
     }
 
-    /// The same with the bar as long as it is under a force and in the direction of its readings.
+    /// The same with the length of the bar under a force and with the harmonics of its direction.
     pub fn with_length_at(&self, o: &Observation) -> Self {
         let mut elongated = self.clone();
         let Some(rod) = elongated.bar.get_mut(2) else { return elongated };
@@ -305,7 +306,7 @@ impl Numbers<Dual64> {
         }
     }
 
-    /// Robot and bar as the library has them.
+    /// Robot and bar as configured in the library.
     pub fn chains(&self) -> (Chain, Chain) {
         let links = |links: &[Link<Dual64>]| {
             let link = |l: &Link<Dual64>| DhLink {

@@ -1,4 +1,4 @@
-//! Analytic Jacobians of the costs against automatic differentiation of an independent kinematics.
+//! Analytic Jacobians of the costs, compared with automatic differentiation of an independent kinematics.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
 mod closed_chain;
@@ -34,11 +34,11 @@ fn independent_position(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual64> {
     independent_transform(n, o).split_off(9)
 }
 
-/// Rotation met exactly, and both positions across the rod: five numbers that are zero at the implied joints.
+/// Five equations that vanish at the implied joints: the rotation, and both positions across the rod.
 fn conditions(n: &Numbers<Dual64>, target: &Matrix<Dual64>, bar: &[Dual64; 5]) -> [Dual64; 5] {
     let end = n.bar_end(bar);
     let gimbal = forward(&n.bar_base(), &n.bar[..2], &bar[..2]);
-    // Of the turn that is left to do, the antisymmetric part.
+    // Antisymmetric part of the remaining rotation.
     let turned = |i: usize, j: usize| (0..3).map(|k| target[i][k] * end[j][k]).sum::<Dual64>();
     let across = |axis: usize| (0..3).map(|i| gimbal[i][axis] * (target[i][3] - end[i][3])).sum::<Dual64>();
     [
@@ -50,7 +50,7 @@ fn conditions(n: &Numbers<Dual64>, target: &Matrix<Dual64>, bar: &[Dual64; 5]) -
     ]
 }
 
-/// Newton's method on dual numbers: the derivative of the joints comes out with the joints.
+/// Newton's method on dual numbers yields the joints with their derivatives.
 fn independent_implied(n: &Numbers<Dual64>, target: &Matrix<Dual64>, start: [f64; 5]) -> [Dual64; 5] {
     let mut bar = start.map(Dual64::from);
     for _ in 0..12 {
@@ -72,7 +72,7 @@ fn independent_implied(n: &Numbers<Dual64>, target: &Matrix<Dual64>, start: [f64
 }
 
 fn independent_position_angles(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual64> {
-    // The library says only which of the solutions is meant.
+    // The library only selects one of the solutions.
     let (robot, bar) = n.chains();
     let tau = n.clock[0].re + (1.0 + n.clock[1].re) * o.t_s;
     let errors = n.joint_errors.map(|axis| axis.map(|x| x.re));
@@ -86,7 +86,7 @@ fn independent_position_angles(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual
     residual
 }
 
-/// Noise of each length over that of the median one.
+/// Noise of each length relative to the median one.
 const LENGTH_NOISE: f64 = 0.4;
 
 fn independent_measured_length(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual64> {
@@ -100,12 +100,12 @@ fn independent_measured_length(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual
     vec![apart / LENGTH_NOISE]
 }
 
-/// Every parameter of the model free, none of them at a value where derivatives vanish by symmetry.
+/// All parameters of the model are free, and none has a value at which derivatives vanish by symmetry.
 fn all_free(model: Model) -> Model {
     all_free_but(model, |_| false)
 }
 
-/// The same, where parameters of a kind stay at their nominal value.
+/// The same, with parameters of one kind at their nominal values.
 fn all_free_but(mut model: Model, nominal: impl Fn(&str) -> bool) -> Model {
     let ids = model.ids();
     for (i, id) in ids.into_iter().enumerate() {
@@ -134,7 +134,7 @@ fn observations() -> Vec<Observation> {
         .collect()
 }
 
-/// Every column agrees to 1e-9 of the largest entry of its kind, and columns that the cost does not see are zero.
+/// Every column agrees to 1e-9 of the largest entry of its kind; columns without effect on the cost are zero.
 fn agrees<R: Residual>(arm: &Chain, model: &Model, residual: R, independent: Independent) {
     let observations = observations();
     let problem = LoopProblem::new(model, &Sines, &observations, residual, 1.0).unwrap();
@@ -170,10 +170,10 @@ fn length_and_transform_have_the_derivatives_of_the_closed_chain_for_both_robots
     }
 }
 
-/// Without these the bar's point does not see joints 3 to 5.
+/// Without these the bar's point does not depend on joints 3 to 5.
 const LEVER_ARMS: [&str; 5] = ["ba3", "ba4", "ba5", "bd4", "bd5"];
 
-/// `B^-1 R` as position and rotation vector, by matrices on dual numbers; not whitened.
+/// `B^-1 R` as position and rotation vector, from matrices of dual numbers; not whitened.
 fn independent_pose(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual64> {
     let (r, b) = (n.robot_end(o.t_s), n.bar_end(&n.bar_joints(o)));
     let sum = |terms: [Dual64; 3]| terms[0] + terms[1] + terms[2];
@@ -187,8 +187,8 @@ fn independent_pose(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual64> {
     pose
 }
 
-/// The whitening is frozen but for the scale: on the same parameters, one matrix for each sample takes all derivatives of the
-/// plain pose, its position in lengths of the rod, to those of the cost.
+/// The whitening is constant except for the scale: at the same parameters, one matrix for each sample maps all derivatives of
+/// the plain pose, with its position in lengths of the rod, to those of the cost.
 #[test]
 fn pose_has_the_derivatives_of_the_plain_pose_times_one_matrix_for_each_sample() {
     for cell in [Cell::irb2400(), Cell::nj220()] {
@@ -214,7 +214,7 @@ fn pose_has_the_derivatives_of_the_plain_pose_times_one_matrix_for_each_sample()
                     plain[(i, model.columns().len())] = value.re;
                 }
             }
-            // By the law of propagation: columns are `theta` of each joint.
+            // By propagation of uncertainty: columns are `theta` of each joint.
             let angle =
                 |name: String| plain.column(model.column_of(name.parse().unwrap()).unwrap()).into_owned();
             let mut covariance = DMatrix::identity(6, 6) * 1e-14;

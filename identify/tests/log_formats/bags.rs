@@ -1,4 +1,4 @@
-//! Bags of ROS 2 with joint states, small ones made here; those of other programs are read in the system's tests.
+//! Small bags of ROS 2 with joint states, generated here; bags of other programs are read in the tests of the workspace.
 
 use std::collections::BTreeMap;
 use std::io::Cursor;
@@ -15,7 +15,7 @@ pub struct JointState {
 }
 
 impl JointState {
-    /// Little-endian CDR, each number aligned to its size behind the header.
+    /// Little-endian CDR; each number is aligned to its size, counted from the end of the header.
     fn cdr(&self) -> Vec<u8> {
         let mut body = Vec::new();
         body.extend(((self.stamp_ns / 1_000_000_000) as i32).to_le_bytes());

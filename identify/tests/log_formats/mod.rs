@@ -1,5 +1,5 @@
-//! Robot logs in the forms that people have them: mapped tables, RTDE, RSI; unusable rows are dropped with a remark. The
-//! bar's side in `bar_log`, damage of every kind in `any_bytes`.
+//! Robot logs in common formats: mapped tables, RTDE, RSI; unusable rows are dropped with a remark. The logs of the bar are in
+//! `bar_log`, corrupted files in `any_bytes`.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 mod any_bytes;
@@ -12,7 +12,7 @@ use crate::support::irb2400;
 use identify::logs::{LogError, LogFormat, LogOptions, Origin, RobotLog, RobotLogMapping, read_with};
 use shared::config::{self, RobotConfig};
 
-/// A robot whose controller's joints are the model's.
+/// A robot whose controller reports the joints of the model.
 fn irb120() -> RobotConfig {
     config::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../config/robots/irb120_3.toml")).unwrap()
 }
@@ -52,7 +52,7 @@ fn cells(values: &[f64], separator: &str) -> String {
     values.iter().map(f64::to_string).collect::<Vec<_>>().join(separator)
 }
 
-/// As the shipped mapping describes it: a line before the header, units, semicolons, decimal commas, byte order mark, CRLF.
+/// As in the shipped mapping: a line before the header, units, semicolons, decimal commas, byte order mark, CRLF.
 fn german_table(count: usize) -> String {
     let mut text = "\u{feff}exported 2026-11-20\r\nTime;J1;J2;J3;J4;J5;J6;I1\r\n[ms];[deg];[deg];[deg];[deg];[deg];[deg];[A]\r\n".to_owned();
     for (row, deg) in rows(count) {
@@ -76,7 +76,7 @@ fn the_shipped_mapping_reads_decimal_commas_units_and_the_coupling_of_a_fanuc() 
 fn an_error_in_a_mapped_table_names_the_line_of_the_file_and_the_column() {
     let text = german_table(80).replace("\r\n80;", "\r\n80;x");
     let message = read_as(&text, Some(shipped_mapping())).unwrap_err().to_string();
-    // Row 10 of the numbers, behind three lines.
+    // Row 10 of the numbers, after three lines.
     assert!(message.contains("log.txt line 14 column `J1`"), "{message}");
     let message =
         read_as(&german_table(80).replace("J4", "axis4"), Some(shipped_mapping())).unwrap_err().to_string();
@@ -93,7 +93,7 @@ fn sign_offset_and_coupling_apply_in_that_order() {
     for (row, deg) in rows(60) {
         let mut values = deg.map(f64::to_radians);
         values[0] = deg[0];
-        // 2026-11-21 in FILETIME, more digits than an f64 holds.
+        // 2026-11-21 in FILETIME, with more digits than an f64 has.
         table += &format!("{} {}\n", 134_082_000_000_000_001_i64 + row as i64 * 40_000, cells(&values, " "));
     }
     let text = format!("[csv]\ndelimiter = \" \"\n{text}");
@@ -161,7 +161,7 @@ fn telegrams_of_rsi_give_measured_joints_or_commanded_ones_where_a_mapping_asks(
         read_as(&telegrams(60, 4), Some(mapping(&format!("values = \"commanded\"\n{joints}")))).unwrap();
     assert_follows(&log, 60, |row, joint| angle_deg(row, joint) + 1.0);
     assert!(log.quality.remarks.iter().all(|remark| !remark.contains("force")));
-    // Telegrams are not searched for forces.
+    // Forces are not read from telegrams.
     let force = mapping(&format!("force = {{ unit = \"Nm\" }}\n{joints}"));
     let log = read_as(&telegrams(60, 4), Some(force)).unwrap();
     let message = log.quality.remarks.iter().find(|remark| remark.contains("force on the bar is not used"));
@@ -178,7 +178,7 @@ fn a_counter_of_telegrams_is_not_taken_for_milliseconds() {
 fn a_log_of_telegrams_that_breaks_off_is_refused_with_the_telegram() {
     let text = telegrams(60, 4);
     let read = read_as(&text[..text.len() - 200], None).map(|log| log.q_rad.len());
-    // Cut in an attribute: refused; cut between elements: the last one is not whole and not taken.
+    // A file that ends within an attribute is refused; one that ends between elements loses its incomplete last element.
     match read {
         Ok(count) => assert_eq!(count, 59),
         Err(error) => assert!(error.to_string().contains("telegram 60"), "{error}"),

@@ -5,24 +5,24 @@ use std::process::Command;
 
 use serde_json::Value;
 
-/// What a browser makes of a page, and whom it asks on the way.
+/// Contents of a page in a browser, and its requests to other hosts.
 pub struct Shown {
-    /// What a parser of HTML made of the text, not what we wrote.
+    /// Document after parsing by the browser.
     pub document: String,
-    /// Addresses on the web that it asked for.
+    /// Addresses on the web that it requested.
     pub foreign: Vec<String>,
-    /// What the browser said of itself.
+    /// Messages of the browser.
     pub stderr: String,
 }
 
-/// Opens a page.
+/// Opens a page in the browser and reads its contents.
 pub fn shown(text: &str) -> Shown {
     let directory = tempfile::tempdir().unwrap();
     let page = directory.path().join("report.html");
     std::fs::write(&page, text).unwrap();
     let requests = directory.path().join("requests.json");
     let log = format!("--log-net-log={}", requests.display());
-    // A second of the page's own time, so that scripts have drawn; in software where there is no graphics processor.
+    // One second of virtual time, so that scripts have drawn; software rendering, for machines without a graphics processor.
     let drawn = ["--enable-unsafe-swiftshader", "--virtual-time-budget=1000"];
     let output =
         browser(directory.path()).args(drawn).args(["--dump-dom", &log]).arg(&page).output().unwrap();
@@ -33,13 +33,13 @@ pub fn shown(text: &str) -> Shown {
     }
 }
 
-/// What the view in three dimensions of a page draws.
+/// Contents of a page's view in three dimensions.
 pub fn scene(page: &str) -> Value {
     let scene = page.split_once("id=\"path-scene\"").unwrap().1.split_once('>').unwrap().1;
     serde_json::from_str(scene.split_once("</script>").unwrap().0).unwrap()
 }
 
-/// The text of each sheet of paper that a page is printed on, as another program reads the PDF.
+/// Text of each printed sheet of a page, extracted from the PDF by another program.
 pub fn printed(text: &str) -> Vec<String> {
     const READ: &str = "import json, sys, pypdf; print(json.dumps([sheet.extract_text() for sheet in pypdf.PdfReader(sys.argv[1]).pages]))";
     let directory = tempfile::tempdir().unwrap();
@@ -56,7 +56,7 @@ pub fn printed(text: &str) -> Vec<String> {
     serde_json::from_slice(&read.stdout).unwrap()
 }
 
-/// Addresses on the web that a browser's log of requests names, without those that it visits by itself at any start.
+/// Addresses on the web in a browser's log of requests, without those that the browser requests at every start.
 fn foreign(log: &Path) -> Vec<String> {
     let log: Value = serde_json::from_slice(&std::fs::read(log).unwrap()).unwrap();
     let address = |event: &Value| event["params"]["url"].as_str().map(str::to_owned);
@@ -65,7 +65,7 @@ fn foreign(log: &Path) -> Vec<String> {
     events.filter(|url| url.starts_with("http") && !of_browser(url)).collect()
 }
 
-/// Chromium without a window, which keeps what it keeps in a directory; a file's path is an address to it.
+/// Chromium without a window, with its data in a directory; a file's path is an address to it.
 fn browser(directory: &Path) -> Command {
     let mut command = Command::new(chromium());
     command

@@ -16,7 +16,7 @@ pub fn is_full() -> bool {
     std::env::var_os("CAMPAIGNS").is_some_and(|size| size == "full")
 }
 
-/// Fewest of `all` independent events of this probability that occur, but for one campaign in 280.
+/// Number of `all` independent events of this probability that occur at least, except in one campaign of 280.
 pub fn fewest(all: u64, probability: f64) -> u64 {
     let mut of_count = (1.0 - probability).powi(i32::try_from(all).unwrap());
     let (mut count, mut below) = (0, 0.0);

@@ -1,4 +1,4 @@
-//! What a person types.
+//! Command lines of `identify`.
 
 use std::path::Path;
 use std::process::{Command, Output};

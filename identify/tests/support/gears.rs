@@ -5,7 +5,8 @@ use identify::model::DriveTrain;
 use rand::Rng;
 use rand::rngs::StdRng;
 
-/// What the gears of one robot add to what it reports, at the angles of their outputs: other orders than models guess.
+/// Errors of one robot's gears in its reported joints, as functions of their output angles, with other orders than models
+/// contain.
 pub struct Gears {
     drives: DriveTrain,
     teeth: [f64; 6],

@@ -1,5 +1,5 @@
-//! Kinematics a second time, by products of 4 x 4 matrices over any scalar, sharing nothing with the library.
-//! On dual numbers it is the automatic differentiation that analytic Jacobians are held against.
+//! An independent kinematics from products of 4 x 4 matrices over any scalar, which shares no code with the library.
+//! On dual numbers it is automatic differentiation, with which analytic Jacobians are compared.
 
 use num_dual::DualNum;
 
@@ -24,7 +24,7 @@ pub fn shift<D: DualNum<f64> + Copy>(x: D, y: D, z: D) -> Matrix<D> {
     m
 }
 
-/// A turn in the plane of axes `i` and `j`: (0, 1) about z, (1, 2) about x, (2, 0) about y.
+/// A rotation in the plane of axes `i` and `j`: (0, 1) about z, (1, 2) about x, (2, 0) about y.
 pub fn turn<D: DualNum<f64> + Copy>(i: usize, j: usize, angle: D) -> Matrix<D> {
     let (s, c) = (angle.sin(), angle.cos());
     let mut m = identity();

@@ -1,4 +1,4 @@
-//! A laboratory with what real ones have: everything that spoils a run, on top of what `simulate` itself knows.
+//! A laboratory with realistic errors in addition to those of `simulate`.
 #![allow(dead_code, reason = "each test uses its part")]
 
 use std::f64::consts::TAU;
@@ -12,22 +12,22 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use shared::config::{BallBarConfig, RobotConfig};
 
-/// How bad it is.
+/// Size of the errors.
 #[derive(Debug, Clone, Copy)]
 pub struct Level {
     pub robot_noise_urad: f64,
     pub encoder_noise_urad: f64,
-    /// Eccentric output gears, twice per turn.
+    /// Eccentric output gears, order two per turn.
     pub gear_sine_urad: f64,
     /// Ripple of cycloid gears.
     pub cycloid_urad: f64,
-    /// Of the robot's axes, from end to end.
+    /// Backlash of the robot's axes, from end to end.
     pub backlash_urad: f64,
-    /// Of the bar's encoders, once per turn...
+    /// Bar encoders, order one per turn.
     pub eccentricity_urad: f64,
-    /// ...and twice.
+    /// Bar encoders, order two per turn.
     pub second_harmonic_urad: f64,
-    /// The bar is shorter and longer by this, depending on its direction.
+    /// Amplitude of the bar's length as a function of its direction.
     pub bar_um: f64,
     pub base_tilt_urad: f64,
 }
@@ -57,19 +57,19 @@ impl Level {
     };
 }
 
-/// Lobes of each drive's cycloid gear: other ones than the robots' files guess.
+/// Lobes of each drive's cycloid gear, which differ from those in the robots' files.
 const LOBES: [f64; 6] = [59.0, 59.0, 39.0, 41.0, 47.0, 43.0];
-/// Speed over which backlash changes sides \[rad/s\].
+/// Speed range in which the backlash changes sides \[rad/s\].
 const BACKLASH_RAD_S: f64 = 2e-3;
 
-/// A run: clocks up to an hour and 80 ppm apart, encoder offsets anywhere, two minutes unless `design` says otherwise.
+/// A run: clocks up to an hour and 80 ppm apart, arbitrary encoder offsets, two minutes unless `design` states otherwise.
 pub fn run(robot: &RobotConfig, bar: &BallBarConfig, seed: u64, level: &Level, design: Design) -> Simulated {
     let mut clean = without_noise(robot, bar, seed, level, design);
     add_noise(&mut clean, seed, level);
     clean
 }
 
-/// The same before any noise is added.
+/// The same without noise.
 pub fn without_noise(
     robot: &RobotConfig,
     bar: &BallBarConfig,
@@ -115,7 +115,7 @@ fn add(count: &mut u32, by_rad: f64, encoder: &shared::recording::schema::Encode
     *count = count.wrapping_add((encoder.scale.direction.sign() * counts) as u32);
 }
 
-/// Cycloid ripple and backlash, which sit in the drives, and the joints that a bar of varying length would have led to.
+/// Adds cycloid ripple and backlash of the drives, and the joints for a bar of varying length.
 fn add_to_robot(run: &mut Simulated, robot: &RobotConfig, level: &Level, random: &mut ChaCha8Rng) {
     let phases: [f64; 6] = std::array::from_fn(|_| random.random_range(0.0..TAU));
     let azimuth = random.random_range(0.0..TAU);
@@ -162,7 +162,7 @@ fn add_to_robot(run: &mut Simulated, robot: &RobotConfig, level: &Level, random:
     }
 }
 
-/// White noise on encoders and robot joints; each row of both logs gets its own.
+/// White noise on encoders and robot joints, independent for each row of both logs.
 pub fn add_noise(run: &mut Simulated, seed: u64, level: &Level) {
     let mut random = ChaCha8Rng::seed_from_u64(2000 + seed);
     let mut noise = |urad: f64| {
@@ -179,7 +179,7 @@ pub fn add_noise(run: &mut Simulated, seed: u64, level: &Level) {
     }
 }
 
-/// Encoder `place` is declared on the joint of `order[place]`, as if cables had been exchanged.
+/// Encoder `place` is assigned to the joint of `order[place]`, as after an exchange of cables.
 pub fn exchange(run: &mut Simulated, order: &[usize]) {
     let joints: Vec<u8> = order.iter().map(|&place| run.encoders[place].joint).collect();
     for (encoder, joint) in run.encoders.iter_mut().zip(&joints) {
@@ -192,8 +192,7 @@ pub fn exchange(run: &mut Simulated, order: &[usize]) {
     }
 }
 
-/// What the log has of one drive, in every row made of all rows: a controller knows its drives, and what it does wrong it does to
-/// one of them.
+/// Replaces the values of one drive in every row by a function of all rows: faults of controllers affect single drives.
 pub fn of_drive(
     run: &mut Simulated,
     robot: &RobotConfig,
@@ -210,7 +209,7 @@ pub fn of_drive(
     }
 }
 
-/// The run done twice, `pause_s` after its beginning for the second time.
+/// The run driven twice; the second run starts `pause_s` after the first start.
 pub fn repeat(run: &mut Simulated, pause_s: f64) {
     let again: Vec<_> = run
         .cycles

@@ -1,4 +1,4 @@
-//! Runs of a minute, prepared with options as a person writes them.
+//! Runs of a minute, prepared with options of a configuration file.
 
 use std::path::Path;
 
@@ -15,7 +15,7 @@ pub fn run(effects: Effects) -> Simulated {
     simulate::run(&Experiment { effects, design, ..Experiment::new(&robot, &bar) }).unwrap()
 }
 
-/// `options` are those under `[prepare]`.
+/// `options` is the text under `[prepare]`.
 pub fn prepared(run: &Simulated, options: &str) -> Prepared {
     let text = format!("[prepare]\n{options}\n");
     let config: IdentifyConfig = config::parse(&text, Path::new("identify.toml")).unwrap();

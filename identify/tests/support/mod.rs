@@ -31,7 +31,7 @@ pub fn repository(path: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(path)
 }
 
-/// Folder of measured data that are not ours to copy.
+/// Folder of measured data that may not be copied into the repository.
 pub fn measured_data() -> PathBuf {
     std::env::var_os("BALLBAR_DATA").expect("BALLBAR_DATA names the folder of the measured data").into()
 }
@@ -56,7 +56,7 @@ pub fn bar() -> BallBarConfig {
     config::load(&repository("config/ball_bar.toml")).unwrap()
 }
 
-/// A robot and a bar that stands where the robot reaches the sphere from many sides.
+/// A robot, and a bar at a position where the robot reaches the sphere from many sides.
 pub struct Cell {
     pub robot: Chain,
     pub bar: Chain,
@@ -64,7 +64,7 @@ pub struct Cell {
 
 impl Cell {
     /// The reference set-up: bar at (1.0, 0.05, 0.35), L 0.6, plate 0.25.
-    /// Folder of measured data that are not ours to copy.
+    /// Folder of measured data that may not be copied into the repository.
     pub fn measured_data() -> PathBuf {
         std::env::var_os("BALLBAR_DATA").expect("BALLBAR_DATA names the folder of the measured data").into()
     }
@@ -89,7 +89,7 @@ impl Cell {
     }
 }
 
-/// Bar angles where robot and bar are regular, and the robot's joints there, on the chains given.
+/// Bar angles at regular poses of robot and bar, and the robot's joints there, for the given chains.
 pub fn spread_poses(
     robot: &Chain,
     bar: &Chain,
@@ -115,7 +115,7 @@ pub fn spread_poses(
     (observations, PerObservation(joints))
 }
 
-/// [`spread_poses`] of nominal chains with noise on all angles of both sides, one standard deviation \[rad\].
+/// [`spread_poses`] of nominal chains with this standard deviation of the noise on all angles of both sides \[rad\].
 pub fn noisy_poses(
     cell: &Cell,
     count: usize,

@@ -1,4 +1,4 @@
-//! Any problem of ours as one of the crate `levenberg-marquardt`, a port of MINPACK's lmder.
+//! Adapts a problem of this project to the crate `levenberg-marquardt`, a port of MINPACK's lmder.
 
 use identify::solver::{Problem, stacked};
 use levenberg_marquardt::LeastSquaresProblem;
@@ -8,7 +8,7 @@ use nalgebra::{DMatrix, DVector, Dyn};
 pub struct Other<'a> {
     problem: &'a dyn Problem,
     pub x: DVector<f64>,
-    /// That crate asks for residuals and Jacobian of a point one after the other.
+    /// That crate requests residuals and Jacobian of a point separately.
     at_x: Option<(DVector<f64>, DMatrix<f64>)>,
 }
 

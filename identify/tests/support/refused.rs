@@ -1,4 +1,4 @@
-//! Runs that the command refuses, and the page that it leaves.
+//! Runs that the command refuses, and the page that it writes.
 
 use std::path::PathBuf;
 use std::process::Command;
@@ -7,16 +7,16 @@ use identify::simulate::{self, Simulated};
 use shared::config::{BallBarConfig, RobotConfig};
 use tempfile::TempDir;
 
-/// What was typed and what came back.
+/// Command line and output.
 pub struct Refused {
-    /// `--out`.
+    /// Directory of `--out`.
     pub out: TempDir,
     pub stderr: String,
-    /// The page that it left.
+    /// The page that it wrote.
     pub page: String,
 }
 
-/// One run as files; `--robot` and `--bar` are what is given here, whatever it was simulated with.
+/// One run as files; `--robot` and `--bar` are the given ones, whatever the run was simulated with.
 pub struct Typed {
     pub inputs: TempDir,
     pub arguments: Vec<PathBuf>,
@@ -51,7 +51,7 @@ impl Typed {
             .unwrap()
     }
 
-    /// It is refused: the terminal says `why` and where the page is, and nothing but the page is left.
+    /// Checks a refusal: the output contains `why` and the path of the page, and no other file is written.
     pub fn refused(&self, why: &[&str], extra: &[&str]) -> Refused {
         let out = tempfile::tempdir().unwrap();
         let output = self.calibrate(extra, out.path());
@@ -64,7 +64,7 @@ impl Typed {
         let page = std::fs::read_to_string(&path).unwrap();
         for why in why {
             assert!(stderr.contains(why), "`{why}` is missing in: {stderr}");
-            // The first word may have become the first of a sentence.
+            // The first word may start a sentence with a capital letter.
             let escaped = maud_escaped(why);
             let without_first = escaped.get(1..).unwrap();
             assert!(page.contains(without_first), "`{why}` is missing on the page");
@@ -78,7 +78,7 @@ fn maud_escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
-/// What every page of a refusal has: verdict, cause and remedy, both logs with their joints, the inputs' checksums.
+/// Checks common contents of a refusal's page: verdict, cause and remedy, both logs with their joints, the inputs' checksums.
 pub fn states_the_verdict(page: &str) {
     assert!(page.contains("<strong>Not calibrated. </strong>") && !page.contains("<strong>Calibrated"));
     for heading in [

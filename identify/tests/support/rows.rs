@@ -1,4 +1,4 @@
-//! One file of rows, calibrated with nothing beside it.
+//! Calibration of a single file of rows.
 
 use identify::calibrate::rows::{RowSet, Stages};
 use identify::calibrate::{
@@ -8,7 +8,7 @@ use identify::instrument::{HoldOut, Instrument, LengthRow, PoseRow, Rows, Tracke
 use identify::model::{Model, ParameterId};
 use shared::config::RobotConfig;
 
-/// How such a file is calibrated.
+/// Configuration of the calibration of such a file.
 #[derive(Clone, Default)]
 pub struct Alone {
     pub hold_out: Option<HoldOut>,
@@ -17,16 +17,16 @@ pub struct Alone {
     pub config: IdentifyConfig,
 }
 
-/// Its calibration.
+/// Calibration of a single file of rows.
 pub struct Found(pub Calibration);
 
 impl Alone {
-    /// Single rows are held out, and the errors of joints have few waves.
+    /// Single rows are held out, and joint errors have few harmonics.
     pub fn quick() -> Self {
         Self { hold_out: Some(HoldOut::Rows), joint_waves: Some(20), ..Self::default() }
     }
 
-    /// Links alone.
+    /// The parameters of the links alone.
     pub fn without_joint_errors(mut self) -> Self {
         self.config.joint_terms = JointTermsConfig { candidates: Vec::new(), ..self.config.joint_terms };
         self
@@ -73,7 +73,7 @@ impl Found {
         self.0.sigma(id)
     }
 
-    /// What a person reads.
+    /// Output of the command for a user.
     pub fn table(&self) -> String {
         let run = &self.0.runs[0];
         identify::report::rows::table(self.rows(), &run.instrument, &run.model, &[], &[])

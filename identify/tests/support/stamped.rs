@@ -1,4 +1,4 @@
-//! Logs with other stamps than those of their samples.
+//! Logs with stamps that differ from the times of their samples.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use identify::kinematics::Joints;
 use identify::logs::{RobotLog, Stream, read, write};
 use shared::config::RobotConfig;
 
-/// `log` as read from a file whose rows have `stamps_s` with this number of decimals; a row without a stamp is missing.
+/// `log` as read from a file whose rows have `stamps_s` with this number of decimals; rows without a stamp are missing.
 pub fn stamped(
     log: &RobotLog,
     robot: &RobotConfig,

@@ -1,4 +1,4 @@
-//! A UR10 whose links have errors, followed by a tracker on a clock of its own.
+//! A UR10 with link errors, measured by a tracker with an independent clock.
 
 use std::f64::consts::TAU;
 use std::path::Path;
@@ -15,31 +15,31 @@ use rand_distr::StandardNormal;
 
 use super::ur10;
 
-/// What is in the logs beside the motion.
+/// Properties of the logs.
 #[derive(Debug, Clone, Copy)]
 pub struct Sizes {
-    /// Of the tracker's log \[s\].
+    /// Duration of the tracker's log \[s\].
     pub duration_s: f64,
-    /// Rows of the tracker each second; below one the robot stands still for each.
+    /// Rows of the tracker per second; below one, the robot stands still for each row.
     pub rate_hz: f64,
-    /// Each coordinate, one standard deviation \[m\].
+    /// Standard deviation of each coordinate \[m\].
     pub noise_m: f64,
-    /// Each stamp of the tracker, one standard deviation; none is before the one before it \[s\].
+    /// Standard deviation of each stamp of the tracker; stamps never decrease \[s\].
     pub jitter_s: f64,
-    /// Rows are taken so long before or after an even time, at most \[s\].
+    /// Largest difference between the time of a row and a regular time \[s\].
     pub uneven_s: f64,
-    /// The robot's clock is faster by this.
+    /// Rate error of the robot's clock.
     pub skew: f64,
     /// Robot clock minus tracker clock at the tracker's first row \[s\].
     pub shift_s: f64,
-    /// The robot's log begins so long before the tracker's, and ends so long after it \[s\].
+    /// The robot's log begins this much before the tracker's, and ends this much after it \[s\].
     pub lead_s: [f64; 2],
-    /// After how long the motion begins anew \[s\].
+    /// Period of the motion \[s\].
     pub lap_s: Option<f64>,
-    /// The tracker is moved when three quarters of the time have passed, and sees a second target: at each stop of the robot, or of
-    /// one that does not stop after half of the time.
+    /// The tracker is moved after three quarters of the time, and measures a second target: at each stop of the robot, or, if
+    /// it does not stop, after half of the time.
     pub moved: bool,
-    /// A robot that stops does so for this part of the way to the next stop, before and after.
+    /// A robot that stops does so for this part of the time to the next stop, before and after it.
     pub stay: f64,
     pub with_rotation: bool,
 }
@@ -68,28 +68,28 @@ pub struct Followed {
     pub sizes: Sizes,
     pub truth: Chain,
     pub log: RobotLog,
-    /// As a file: `t_ms;x;y;z` in mm, and a rotation vector in rad where there is one.
+    /// Contents of a file: `t_ms;x;y;z` in mm, and a rotation vector in rad if there is one.
     pub text: String,
-    /// When each row of the tracker was truly taken, on its clock since the first even time \[s\].
+    /// True time of each row of the tracker, on its clock since the first regular time \[s\].
     taken_s: Vec<f64>,
     path: PathOfJoints,
-    /// Of the stations.
+    /// Poses of the stations.
     places: [Pose; 2],
-    /// Targets on the flange.
+    /// Poses of the targets on the flange.
     pub probes: [Pose; 2],
     seed: u64,
 }
 
-/// The tracker's time of its first row \[s\].
+/// Time of its first row on the tracker's clock \[s\].
 const FIRST_S: f64 = 1000.25;
-/// And that of the robot's log between rows \[s\].
+/// Time between rows of the robot's log \[s\].
 const ROBOT_PERIOD_S: f64 = 0.008;
 const NOISE_RAD: f64 = 1e-5;
 
-/// Joints as functions of time, by another motion for each seed.
+/// Joints as functions of time, with a different motion for each seed.
 struct PathOfJoints {
     sines: [[(f64, f64, f64); 3]; 6],
-    /// Distance of two stops \[s\]; none where it never stops.
+    /// Time between two stops \[s\]; `None` if it never stops.
     stops_s: Option<f64>,
     stay: f64,
 }
@@ -99,7 +99,7 @@ impl PathOfJoints {
         let stops_s = (rate_hz < 1.0).then_some(1.0 / rate_hz);
         let mut sine = || {
             let period_s: f64 = random.random_range(4.0..15.0);
-            // A whole number of times in each lap.
+            // An integer number of periods in each lap.
             let period_s = lap_s.map_or(period_s, |lap_s| lap_s / (lap_s / period_s).round());
             (random.random_range(0.15..0.4), period_s, random.random_range(0.0..TAU))
         };
@@ -110,7 +110,7 @@ impl PathOfJoints {
         const MIDDLE: [f64; 6] = [0.3, -1.2, 1.4, -0.6, -1.2, 0.2];
         let along_s = self.stops_s.map_or(t_s, |stop_s| {
             let (number, part) = ((t_s / stop_s).floor(), (t_s / stop_s).rem_euclid(1.0));
-            // Moves in the middle, smoothly, and further than the time between two stops would bring it.
+            // Moves smoothly in the middle of the interval, and further than the time between two stops requires.
             let u = ((part - self.stay) / (1.0 - 2.0 * self.stay)).clamp(0.0, 1.0);
             7.3 * (number + u * u * u * (10.0 + u * (6.0 * u - 15.0)))
         });
@@ -144,7 +144,7 @@ impl Followed {
         let rows = ((sizes.duration_s + sizes.lead_s[0] + sizes.lead_s[1]) / ROBOT_PERIOD_S) as usize;
         let (mut stamps_s, mut q_rad) = (Vec::new(), Vec::new());
         for row in 0..rows {
-            // Even on the robot's own clock.
+            // Regular on the robot's own clock.
             let tau_s = row as f64 * ROBOT_PERIOD_S;
             let t_s = tau_s / (1.0 + sizes.skew) - sizes.lead_s[0];
             stamps_s.push(tau_s);
@@ -222,7 +222,7 @@ impl Followed {
         std::fs::write(directory.join("tracker.toml"), self.mapping()).unwrap();
     }
 
-    /// Rows of an alignment as they are calibrated.
+    /// Rows of an alignment, as used in a calibration.
     pub fn measured(&self, aligned: &AlignedPoses) -> Tracker {
         let poses = self.poses();
         let rows: Vec<PoseRow> = aligned
@@ -237,11 +237,11 @@ impl Followed {
         }
     }
 
-    /// The same rows with the joints that the robot truly had.
+    /// The same rows with the true joints of the robot.
     pub fn with_perfect_times(&self, aligned: &AlignedPoses) -> Vec<PoseRow> {
         let (poses, mut random) = (self.poses(), StdRng::seed_from_u64(1000 + self.seed));
         let rows = aligned.rows.iter().map(|row| {
-            // Rows with the stamp of the one before may be left out; the header is line 1.
+            // Rows with the stamp of the previous row may be dropped; the header is line 1.
             let joints = self.path.at(self.taken_s[poses.rows[*row].line as usize - 2]);
             let noisy = joints.iter().map(|q| q + NOISE_RAD * random.sample::<f64, _>(StandardNormal));
             PoseRow::from(&poses.rows[*row].with_joints(noisy.collect()))
@@ -249,24 +249,24 @@ impl Followed {
         rows.collect()
     }
 
-    /// Error of shift \[s\] and skew where a model of a moving target was solved.
+    /// Errors of shift \[s\] and skew, for a solved model of a moving target.
     pub fn clock_errors(&self, aligned: &AlignedPoses, model: &Model) -> [f64; 2] {
         let value = |id| model.parameter(id).unwrap().value;
         let moving = aligned.moving.as_ref().unwrap();
         let t_ref_s = self.poses().rows.t_s[aligned.rows[0]] - moving.t_s[0];
-        // Since the first even time; the first stamp may be off from it.
+        // Time since the first regular time, from which the first stamp may differ.
         let t_ref_s = t_ref_s + self.poses().rows.first_stamp_ns as f64 * 1e-9 - FIRST_S;
         let found_s = aligned.alignment.clock_difference_ns as f64 * 1e-9 + value(ParameterId::ClockShift);
         let truly_s = self.sizes.shift_s + self.sizes.skew * t_ref_s;
         [found_s - truly_s, value(ParameterId::ClockSkew) - self.sizes.skew]
     }
 
-    /// Robot clock minus tracker clock when the tracker's shows `t_s` \[s\].
+    /// Robot clock minus tracker clock at tracker time `t_s` \[s\].
     pub fn clock_difference_s(&self, t_s: f64) -> f64 {
         self.sizes.shift_s + self.sizes.skew * (t_s - FIRST_S)
     }
 
-    /// Mean distance of the probe as an identified and the true robot hold it, tracker and probe included \[m\].
+    /// Mean distance between the probe positions of an identified and the true robot, tracker and probe included \[m\].
     pub fn error_m(&self, model: &Model) -> f64 {
         let geometry = model.geometry(&[]);
         let (place, probe) = geometry.tracker.at(SetUp::default()).unwrap();

@@ -1,4 +1,4 @@
-//! What a calibration is worth when the truth is known.
+//! Error of a calibration with known truth.
 
 use std::collections::BTreeMap;
 
@@ -12,7 +12,7 @@ use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use shared::config::RobotConfig;
 
-/// Mean distance between the end of the true robot and that of the identified one over postures within the limits, by their links
+/// Mean distance between the ends of the true and the identified robot over postures within the limits, from their links
 /// alone \[m\].
 pub fn position_error_m(run: &Simulated, found: &Calibration, robot: &RobotConfig) -> f64 {
     let (mut links, mut truth) = (found.model().clone(), run.truth.clone());
@@ -23,8 +23,8 @@ pub fn position_error_m(run: &Simulated, found: &Calibration, robot: &RobotConfi
     position_errors_m(&links, &truth, robot, [Vector3::zeros(); 2]).0
 }
 
-/// Mean distance of two robots' wrists over postures within the limits, one robot moved as a whole to where it fits the other
-/// best: base and flange are the instrument's \[m\].
+/// Mean distance of two robots' wrists over postures within the limits \[m\], after a best-fit rigid motion of one robot,
+/// because base and flange belong to the instrument.
 pub fn apart_m(robot: &RobotConfig, one: &Chain, other: &Chain) -> f64 {
     const POSTURES: usize = 400;
     let mut random = StdRng::seed_from_u64(7);
@@ -48,7 +48,8 @@ pub fn apart_m(robot: &RobotConfig, one: &Chain, other: &Chain) -> f64 {
     pairs.iter().map(|[p, q]| (p - a - turn * (q - b)).norm()).sum::<f64>() / POSTURES as f64
 }
 
-/// Pulls of the parameters of links, found minus true over the 95 % interval; of `d` of nearly parallel axes only the sum counts.
+/// Normalised errors of link parameters: estimate minus truth over the 95 % interval; of `d` of nearly parallel axes the sum
+/// alone.
 pub fn pulls(
     robot: &RobotConfig,
     found: &Calibration,
