@@ -1,9 +1,9 @@
-//! Every robot, every kind of path, calibrated as a user would: files in, result or refusal out.
+//! Calibrations of every robot on every kind of path by the command: files in, result or refusal out.
 //!
-//! `CAMPAIGNS=full cargo test -p identify --test all independent_campaign -- --ignored --nocapture`; `IDENTIFY_SEEDS=10` runs so
-//! many of each, `IDENTIFY_FIRST_SEED=100` begins with another, `IDENTIFY_ROBOTS=irb2400,nj220` and `IDENTIFY_PATHS=bursts` choose,
-//! `IDENTIFY_STAMPS=jittered` spoils the stamps of the robot's log, `IDENTIFY_STAMPS=all` in all ways, one after the other, with
-//! the same run's perfect stamps beside each; `IDENTIFY_KEEP=directory` keeps the files.
+//! `CAMPAIGNS=full cargo test -p identify --test all independent_campaign -- --ignored --nocapture`. `IDENTIFY_SEEDS=10` sets
+//! the number of runs of each kind, `IDENTIFY_FIRST_SEED=100` the first seed; `IDENTIFY_ROBOTS=irb2400,nj220` and
+//! `IDENTIFY_PATHS=bursts` select. `IDENTIFY_STAMPS=jittered` corrupts the stamps of the robot's log, `IDENTIFY_STAMPS=all` in
+//! all ways in turn, each compared with the same run's perfect stamps; `IDENTIFY_KEEP=directory` keeps the files.
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
 use std::process::{Command, Output};
@@ -13,19 +13,19 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use super::*;
 use crate::support::campaign::step;
 
-/// What became of one run.
+/// Result of one run.
 pub(super) enum Outcome {
     Refused(String),
     Calibrated {
         identified: usize,
         error_mm_mrad: f64,
-        /// Errors in standard uncertainties, root mean square.
+        /// Root mean square of the errors in standard uncertainties.
         error_sigmas: f64,
-        /// Mean error of the end's position over the robot's range, and what is claimed of it (k = 2) \[mm\].
+        /// Mean position error of the end over the robot's range, and the claimed error (k = 2) \[mm\].
         true_mm: f64,
         claimed_mm: f64,
         largest: String,
-        /// Grade of the verdict and, where it is not green, the reason.
+        /// Grade of the verdict and, if it is not green, the reason.
         verdict: String,
     },
 }
@@ -39,7 +39,7 @@ pub(super) fn number(variable: &str, otherwise: u64) -> u64 {
     std::env::var(variable).map_or(otherwise, |value| value.parse().unwrap())
 }
 
-/// Stamps as controllers write them.
+/// Stamps with the errors of controllers.
 const STAMPS: [Stamps; 11] = [
     Stamps::Rounded(1.0),
     Stamps::Jittered(2.0),
@@ -54,7 +54,7 @@ const STAMPS: [Stamps; 11] = [
     Stamps::Jittered(1.0),
 ];
 
-/// Those that the environment asks for, as a seed chooses; each family begins with others.
+/// The stamps that the environment selects, in an order that depends on seed and family.
 fn stamps(family: Family, seed: u64) -> Stamps {
     let kind = std::env::var("IDENTIFY_STAMPS").unwrap_or_default();
     let chosen = |stamps: &&Stamps| kind == "all" || format!("{stamps:?}").to_lowercase().starts_with(&kind);
@@ -64,7 +64,7 @@ fn stamps(family: Family, seed: u64) -> Stamps {
     if kind.is_empty() { Stamps::Perfect } else { *chosen[(begin + seed as usize) % chosen.len()] }
 }
 
-/// Sizes of a run: rates of all kinds of controllers, as fast as the path needs; stamps as the environment says.
+/// Sizes of a run: rates of all kinds of controllers, the speed that the path needs, and the selected stamps.
 pub(super) fn sizes(family: Family, seed: u64) -> Sizes {
     let rates_hz = match family {
         Family::Fast => &[250.0, 500.0, 1000.0][..],
@@ -79,7 +79,7 @@ pub(super) fn sizes(family: Family, seed: u64) -> Sizes {
     }
 }
 
-/// `identify calibrate` on files of a run.
+/// Runs `identify calibrate` on the files of a run.
 pub(super) fn calibrate(files: &Files, out: &Path) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_identify"));
     command
@@ -99,7 +99,7 @@ fn calibrated(run: &Run, directory: &Path) -> Outcome {
 }
 
 impl Outcome {
-    /// Of a calibration that has ended, beside the truth of its run.
+    /// Compares a successful calibration with the truth of its run.
     pub(super) fn of(run: &Run, output: &Output, out: &Path) -> Self {
         if !output.status.success() {
             let directory = format!("{}/", out.parent().unwrap().display());
@@ -113,7 +113,7 @@ impl Outcome {
         let correction =
             |entry: &toml::Value| Some((entry["name"].as_str()?.to_owned(), entry["correction"].as_float()?));
         let found: BTreeMap<String, f64> = entries.iter().filter_map(correction).collect();
-        // Of parallel axes the last has the sum of all offsets, of which the first alone is wrong.
+        // Of parallel axes the last one has the sum of all offsets; the first one alone is wrong.
         let mut truth = run.truth.robot.clone();
         let last = run.robot.undetermined.iter().rfind(|name| name.starts_with("rd"));
         if let Some(last) = last.filter(|last| **last != "rd1") {

@@ -1,42 +1,42 @@
-//! Sudden changes during a run: what is said of them, by kind and size, and of runs in which nothing changes.
+//! Sudden changes during a run: messages by kind and size of the change, and for runs without a change.
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
 use super::campaign::{Outcome, calibrate, chosen, number, sizes};
 use super::*;
 use crate::support::campaign::step;
 
-/// Before why a run was refused.
+/// Prefix of the reason of a refusal.
 const REFUSED: &str = "REFUSED";
 
-/// What changes, and by how much.
+/// A change and its size.
 #[derive(Debug, Clone, Copy)]
 enum Injected {
     Nothing,
     /// Encoder of a bar joint, from 0 \[mrad\].
     Encoder(usize, f64),
-    /// The same, evenly from the first cycle to the last.
+    /// The same as a drift from the first cycle to the last.
     Drift(usize, f64),
-    /// What a joint of the robot is more than its log says, from 0 \[mrad\].
+    /// True angle minus logged angle of a robot joint, from 0 \[mrad\].
     Joint(usize, f64),
-    /// The base of the bar, along x \[mm\].
+    /// Position of the bar's base along x \[mm\].
     Base(f64),
-    /// Stamps of the bar, which has no even clock of its own that a step would show in \[ms\].
+    /// Stamps of the bar, whose clock is too irregular to reveal a step by itself \[ms\].
     Clock(f64),
-    /// All along the log has a drive, from 0, later than the others \[ms\].
+    /// Delay of a drive, from 0, in the whole log \[ms\].
     LateJoint(usize, f64),
-    /// All along a drive, from 0, turns by this more than its log says \[%\].
+    /// True minus logged motion of a drive, from 0, in the whole log \[%\].
     Ratio(usize, f64),
-    /// All along the plate is turned about the flange's axis \[deg\].
+    /// Rotation of the plate about the flange's axis, in the whole run \[deg\].
     Plate(f64),
 }
 
 impl Injected {
-    /// It is so from the first row to the last.
+    /// Whether it lasts from the first row to the last.
     fn lasts(self) -> bool {
         matches!(self, Self::LateJoint(..) | Self::Ratio(..) | Self::Plate(_))
     }
 
-    /// What the program has to say of it, as a refusal or as a warning.
+    /// Required message of the program, as a refusal or as a warning.
     fn named(self) -> [String; 2] {
         let both = |refused: &str, warned: &str| [refused.to_owned(), warned.to_owned()];
         match self {
@@ -67,7 +67,7 @@ impl Injected {
 }
 
 impl Run {
-    /// True angles between the rows of the log.
+    /// True angles, interpolated between the rows of the log.
     fn true_angles(&self, time_s: f64) -> RowVector6<f64> {
         let after = self.true_rows.partition_point(|row| row.0 <= time_s).clamp(1, self.true_rows.len() - 1);
         let [(from_s, from), (to_s, to)] = [self.true_rows[after - 1], self.true_rows[after]];
@@ -75,7 +75,7 @@ impl Run {
         RowVector6::from_fn(|_, joint| from[joint] + part * (to[joint] - from[joint]))
     }
 
-    /// The files of a run in which something changes when so much of it has passed.
+    /// The files of a run with a change after this part of it.
     fn write_changed(&self, injected: Injected, part: f64, directory: &Path) -> Files {
         let (mut rows, mut cycles) = (self.rows.clone(), self.cycles.clone());
         let at_s = part * self.motion.duration_s;
@@ -126,7 +126,7 @@ impl Run {
     }
 }
 
-/// What the program says of a run in which something changes, and what became of it: why it is refused, or all that it writes of a
+/// Messages of the program for a run with a change, and the result: the reason of a refusal, or all output of a
 /// calibration.
 fn said_of(run: &Run, injected: Injected, part: f64) -> (String, Outcome) {
     let directory = tempfile::tempdir().unwrap();
@@ -160,8 +160,9 @@ fn what_changes_is_named_and_nothing_is_named_that_does_not() {
     }
 }
 
-/// `cargo test -p identify --test all changes_by_size -- --ignored --nocapture`; the environment chooses as for
-/// `independent_campaign`, `IDENTIFY_SIZES=none` leaves only sound runs, `lasting` only what is so from the first row to the last beside them.
+/// `cargo test -p identify --test all changes_by_size -- --ignored --nocapture`; environment variables select as for
+/// `independent_campaign`. `IDENTIFY_SIZES=none` runs only sound runs, `lasting` only these and changes from the first row to
+/// the last.
 #[test]
 #[ignore = "five runs with 73 changes each: minutes"]
 fn changes_by_size() {
@@ -181,7 +182,7 @@ fn changes_by_size() {
         all.extend([0.1, 0.3, 1.0].map(|percent| Injected::Ratio(2, percent)));
         all.extend([2.0, 5.0, 45.0, 90.0].map(Injected::Plate));
     }
-    // Each robot on a path of its own.
+    // A different path for each robot.
     let paths = Robot::all().into_iter().zip(Family::ALL).filter(|(robot, family)| {
         chosen("IDENTIFY_ROBOTS", robot.name) && chosen("IDENTIFY_PATHS", &format!("{family:?}"))
     });

@@ -1,4 +1,4 @@
-//! What keeps a healthy robot and a healthy bar from being what their parameters say.
+//! Deviations of a sound robot and a sound bar from their parameters.
 
 use std::f64::consts::TAU;
 
@@ -8,7 +8,7 @@ use rand_chacha::ChaCha8Rng;
 use super::Sizes;
 use super::robots::{Gear, Robot};
 
-/// Sines of one angle.
+/// Sum of sines of one angle.
 #[derive(Debug, Clone, Default)]
 pub struct Waves(Vec<Wave>);
 
@@ -25,12 +25,12 @@ impl Waves {
         self.0.push(Wave { per_turn, amplitude: amplitude_millionths * 1e-6, phase_rad });
     }
 
-    /// Their sum at an angle \[rad\].
+    /// Value at an angle \[rad\].
     pub fn at(&self, angle_rad: f64) -> f64 {
         self.0.iter().map(|w| w.amplitude * (w.per_turn * angle_rad + w.phase_rad).sin()).sum()
     }
 
-    /// Of an encoder's disc, whose middle is not quite on the axis.
+    /// Encoder disc with an eccentricity.
     pub fn of_encoder(sizes: &Sizes, random: &mut ChaCha8Rng) -> Self {
         let mut waves = Self::default();
         waves.add(1.0, sizes.encoder_once_urad, random);
@@ -38,14 +38,14 @@ impl Waves {
         waves
     }
 
-    /// Of the bar's length \[m\] with one of its joints: an oval bearing.
+    /// Bar length \[m\] as a function of one of its joints: an oval bearing.
     pub fn of_bar(sizes: &Sizes, random: &mut ChaCha8Rng) -> Self {
         let mut waves = Self::default();
         waves.add(2.0, sizes.bar_runout_um, random);
         waves
     }
 
-    /// Of a robot's axis: once and twice per turn, and what its gear repeats.
+    /// Robot axis: orders one and two per turn, and the orders of its gear.
     pub fn of_axis(robot: &Robot, axis: usize, sizes: &Sizes, random: &mut ChaCha8Rng) -> Self {
         let repeats = match robot.gears[axis] {
             Gear::Cycloid => f64::from(random.random_range(sizes.lobes.0..=sizes.lobes.1)),
@@ -62,11 +62,11 @@ impl Waves {
     }
 }
 
-/// Play of a gear: the joint follows the motor only after the whole width at a reversal.
+/// Play of a gear: after a reversal the joint follows the motor only after the whole width.
 #[derive(Debug, Clone, Copy)]
 pub struct Play {
     half_rad: f64,
-    /// Where the joint is within the play, -1 to 1.
+    /// Position of the joint within the play, -1 to 1.
     place: f64,
     last_rad: Option<f64>,
 }
@@ -76,7 +76,7 @@ impl Play {
         Self { half_rad: width_urad * 0.5e-6, place: 0.0, last_rad: None }
     }
 
-    /// How far the motor is ahead of the joint, which has moved on to `joint_rad`.
+    /// Lead of the motor over the joint, which has moved to `joint_rad`.
     pub fn ahead_rad(&mut self, joint_rad: f64) -> f64 {
         if self.half_rad > 0.0 {
             let moved = joint_rad - self.last_rad.unwrap_or(joint_rad);

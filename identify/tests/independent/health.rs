@@ -1,26 +1,26 @@
-//! Whether a motion determines the robot: without that, refusing a run is right.
+//! Whether a motion determines the robot: if it does not, a refusal is correct.
 
 use nalgebra::{DMatrix, DVector, Matrix6, SMatrix, Vector6};
 
 use super::kinematics::{Arm, Bar, difference};
 use super::robots::Robot;
 
-/// What gears, resolvers and encoders leave in each angle \[rad\].
+/// Error of each angle by gears, resolvers and encoders \[rad\].
 const ANGLE_RAD: f64 = 30e-6;
 
-/// Poses that are taken as independent: gears' errors last for seconds, so that more of them say little more.
+/// Number of poses that count as independent: gear errors are correlated over seconds, so more poses add little information.
 const POSES: usize = 150;
 
-/// One number of the model that a calibration has to find.
+/// One parameter that a calibration must identify.
 #[derive(Clone, Copy)]
 enum Number {
-    /// Of a link of the robot: a, alpha, d or theta.
+    /// Parameter of a robot link: a, alpha, d or theta.
     Link(usize, usize),
     /// Offset of an encoder.
     Offset(usize),
-    /// Place of the bar's base along an axis.
+    /// Position of the bar's base along an axis.
     Place(usize),
-    /// Lean of it about x or y.
+    /// Base tilt about x or y.
     Lean(usize),
     Length,
 }
@@ -43,7 +43,7 @@ impl Number {
         all
     }
 
-    /// How far the chains end apart if this number is `by` off.
+    /// Gap between the ends of the chains if this parameter is wrong by `by`.
     fn apart(self, by: f64, arm: &Arm, bar: &Bar, bar_rad: &[f64; 5], robot_rad: &[f64; 6]) -> Vector6<f64> {
         let (mut arm, mut bar) = (arm.clone(), bar.clone());
         match self {
@@ -63,8 +63,8 @@ impl Number {
     }
 }
 
-/// What is to be expected of the robot's block at best \[mm|mrad\]: the Euclidean norm of its standard deviations
-/// (Cramer-Rao bound) for angles that are wrong by 30 urad each.
+/// Lower bound of the error of the robot's parameters \[mm|mrad\]: the Euclidean norm of their standard deviations
+/// (Cramer-Rao bound) for errors of 30 urad in each angle.
 pub fn bound_mm_mrad(robot: &Robot, arm: &Arm, bar: &Bar, poses: &[([f64; 5], [f64; 6])]) -> f64 {
     const STEP: f64 = 1e-6;
     let numbers = Number::all(robot);
@@ -86,7 +86,7 @@ pub fn bound_mm_mrad(robot: &Robot, arm: &Arm, bar: &Bar, poses: &[([f64; 5], [f
         let jacobian = DMatrix::from_fn(6, columns.len(), |row, column| columns[column][row]);
         normal += jacobian.transpose() * DMatrix::from_column_slice(6, 6, weight.as_slice()) * &jacobian;
     }
-    // One mm or mrad is as good as another: no scaling is needed.
+    // Millimetres and milliradians have equal weight: no scaling is needed.
     let Some(covariance) = normal.cholesky().map(|factor| factor.inverse()) else { return f64::INFINITY };
     let variances: DVector<f64> = covariance.diagonal();
     let of_robot =

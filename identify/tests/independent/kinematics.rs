@@ -2,7 +2,8 @@
 
 use nalgebra::{Matrix3, Matrix4, Matrix6, Vector3, Vector6};
 
-/// One link, standard convention: `Rz(theta) Tz(d) Tx(a) Rx(alpha)`, then `Ry(beta)` \[m, rad\]; the joint's angle is added to theta.
+/// One link, standard convention: `Rz(theta) Tz(d) Tx(a) Rx(alpha)`, then `Ry(beta)` \[m, rad\]; the joint's angle is added to
+/// theta.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Dh {
     pub a_m: f64,
@@ -13,12 +14,12 @@ pub struct Dh {
 }
 
 impl Dh {
-    /// From the units that data sheets have \[m, deg\].
+    /// From the units of data sheets \[m, deg\].
     pub fn new(a_m: f64, alpha_deg: f64, d_m: f64, theta_deg: f64) -> Self {
         Self { a_m, alpha_rad: alpha_deg.to_radians(), d_m, theta_rad: theta_deg.to_radians(), beta_rad: 0.0 }
     }
 
-    /// `previous_from_link` where the joint stands at `angle_rad`.
+    /// `previous_from_link` at the joint angle `angle_rad`.
     fn matrix(&self, angle_rad: f64) -> Matrix4<f64> {
         let (st, ct) = (self.theta_rad + angle_rad).sin_cos();
         let (sa, ca) = self.alpha_rad.sin_cos();
@@ -56,9 +57,9 @@ pub fn position(pose: &Matrix4<f64>) -> Vector3<f64> {
     pose.fixed_view::<3, 1>(0, 3).into_owned()
 }
 
-/// What moves `from` to `to`: difference of positions and rotation vector, both in the base's axes \[m, rad\].
+/// Difference from `from` to `to`: of positions, and as a rotation vector, both in the base's axes \[m, rad\].
 ///
-/// The angle is taken from sine and cosine: the arc cosine alone loses half of the digits of small ones.
+/// The angle is computed from sine and cosine: the arc cosine alone loses half of the digits of small angles.
 pub fn difference(to: &Matrix4<f64>, from: &Matrix4<f64>) -> Vector6<f64> {
     let step = position(to) - position(from);
     let m = rotation(to) * rotation(from).transpose();
@@ -68,7 +69,7 @@ pub fn difference(to: &Matrix4<f64>, from: &Matrix4<f64>) -> Vector6<f64> {
     Vector6::new(step.x, step.y, step.z, turn.x, turn.y, turn.z)
 }
 
-/// Six links and the angles at which they reach a pose.
+/// Six links, and the inverse kinematics of their end.
 #[derive(Debug, Clone)]
 pub struct Arm {
     pub links: [Dh; 6],
@@ -93,8 +94,8 @@ impl Arm {
         (end, columns)
     }
 
-    /// Angles near `start_rad` with which the arm ends at `target`, to 1e-12 m and rad; none where Newton's steps do not
-    /// get there, as at singular poses and beyond the reach.
+    /// Angles near `start_rad` at which the arm ends at `target`, to 1e-12 m and rad; `None` if Newton's method does not
+    /// converge, as at singular poses and outside the reach.
     pub fn inverse_near(&self, target: &Matrix4<f64>, start_rad: &[f64; 6]) -> Option<[f64; 6]> {
         let mut angles = *start_rad;
         for _ in 0..12 {
@@ -114,12 +115,12 @@ impl Arm {
     }
 }
 
-/// Whether no joint is beyond its limits.
+/// Whether all joints are within their limits.
 pub fn within(angles_rad: &[f64; 6], limits_rad: &[[f64; 2]; 6]) -> bool {
     angles_rad.iter().zip(limits_rad).all(|(angle, [low, high])| (low..=high).contains(&angle))
 }
 
-/// The sensed ball-bar: five links on a base that stands somewhere and is not quite upright.
+/// The sensed ball-bar: five links on a base with arbitrary position and a small tilt.
 #[derive(Debug, Clone)]
 pub struct Bar {
     pub world_from_base: Matrix4<f64>,
@@ -127,7 +128,7 @@ pub struct Bar {
 }
 
 impl Bar {
-    /// Pose of the end where the joints stand at `angles_rad` and the rod is `longer_m` longer than its parameter.
+    /// Pose of the end at the joint angles `angles_rad`, with a rod longer than its parameter by `longer_m`.
     pub fn pose(&self, angles_rad: &[f64; 5], longer_m: f64) -> Matrix4<f64> {
         let mut links = self.links;
         links[2].d_m += longer_m;

@@ -1,4 +1,4 @@
-//! The two files of a run: what the robot's controller and the bar's counters write.
+//! The two files of a run: the log of the robot's controller and the bar's counters.
 
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
@@ -11,25 +11,25 @@ use rand_distr::{Distribution, Normal};
 
 use super::robots::Robot;
 
-/// Counts of one turn of a bar joint: 3600 lines, each divided by 4096.
+/// Counts per turn of a bar joint: 3600 lines, each divided by 4096.
 pub const COUNTS_PER_TURN: f64 = 14_745_600.0;
 
-/// How the stamps of a robot's log came about.
+/// Errors of the stamps of a robot's log.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Stamps {
-    /// Each row has the time at which it was sampled.
+    /// Each row has its sampling time.
     Perfect,
-    /// The clock that they are read from ticks so slowly \[ms\].
+    /// Read from a clock with this period \[ms\].
     Rounded(f64),
-    /// Stamped on arrival, with a standard deviation \[ms\]; never backwards.
+    /// Stamped on arrival, with this standard deviation \[ms\]; never decreasing.
     Jittered(f64),
-    /// This share of the rows is there twice.
+    /// This part of the rows is duplicated.
     Duplicated(f64),
-    /// So many rows arrive at once, stamped as they are taken in, 20 us each.
+    /// This number of rows arrives at once; they are stamped when read, 20 us each.
     Batched(usize),
-    /// This share of the rows is stamped 10 ms late.
+    /// This part of the rows is stamped 10 ms late.
     Late(f64),
-    /// This share of the rows is not there, and stamps have a standard deviation \[ms\].
+    /// This part of the rows is missing, and stamps have a standard deviation \[ms\].
     Missing(f64, f64),
 }
 
@@ -37,7 +37,7 @@ pub enum Stamps {
 pub type Row = (f64, [f64; 6]);
 
 impl Stamps {
-    /// The rows as they are written.
+    /// The rows in the order of the file.
     pub fn applied(self, rows: &[Row], random: &mut ChaCha8Rng) -> Vec<Row> {
         match self {
             Self::Perfect => rows.to_vec(),
@@ -70,7 +70,7 @@ impl Stamps {
     }
 }
 
-/// Rows stamped later by so much \[s\], never backwards.
+/// Delays the stamps of the rows by these times \[s\]; they never decrease.
 fn later(rows: &[Row], mut by_s: impl FnMut() -> f64) -> Vec<Row> {
     let mut last_s = f64::MIN;
     let mut stamp = |time_s: f64| {
@@ -80,7 +80,7 @@ fn later(rows: &[Row], mut by_s: impl FnMut() -> f64) -> Vec<Row> {
     rows.iter().map(|(time_s, values)| (stamp(*time_s), *values)).collect()
 }
 
-/// Writes the robot's log in the form that its file names.
+/// Writes the robot's log in the format of the robot.
 pub fn write_robot(robot: &Robot, rows: &[Row], directory: &Path) -> PathBuf {
     let form = robot.log;
     let mut text = String::from("t_s");
@@ -98,16 +98,16 @@ pub fn write_robot(robot: &Robot, rows: &[Row], directory: &Path) -> PathBuf {
     path
 }
 
-/// Where time on the bar's clock begins.
+/// Origin of time on the bar's clock.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum BarTime {
-    /// Seconds since this one: `t_s`.
+    /// Seconds since this instant: `t_s`.
     Seconds(f64),
     /// Seconds since 1970: `time_utc`.
     Utc(i64),
 }
 
-/// Writes the counters, one row for each cycle: seconds since the first, counts.
+/// Writes the counters, one row for each cycle: seconds since the first one, and counts.
 pub fn write_bar(begin: BarTime, cycles: &[(f64, [u32; 5])], directory: &Path) -> PathBuf {
     let name = if matches!(begin, BarTime::Utc(_)) { "time_utc" } else { "t_s" };
     let mut text = format!("{name},count1,count2,count3,count4,count5\n");
@@ -128,7 +128,7 @@ pub fn write_bar(begin: BarTime, cycles: &[(f64, [u32; 5])], directory: &Path) -
     path
 }
 
-/// What a counter shows that showed zero at the count `origin`.
+/// Reading of a counter with zero at the count `origin`.
 pub fn counter(angle_rad: f64, origin: i64) -> u32 {
     ((angle_rad / TAU * COUNTS_PER_TURN).round() as i64 - origin).rem_euclid(1 << 32) as u32
 }

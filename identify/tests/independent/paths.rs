@@ -1,4 +1,4 @@
-//! Where the bar goes (a smooth curve of its five joints) and when (moves with soft starts, and rests).
+//! Paths of the bar: a smooth curve of its five joints, and its timing, which consists of moves with soft starts and rests.
 
 use std::f64::consts::{PI, TAU};
 
@@ -10,27 +10,27 @@ use rand_chacha::ChaCha8Rng;
 /// Kind of path on the sphere.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Family {
-    /// Each joint of the bar a sine of its own frequency.
+    /// A sine with its own frequency for each joint of the bar.
     Lissajous,
-    /// The rod turns about a direction, further and nearer.
+    /// A cone of the rod about a direction, with varying width.
     Spiral,
-    /// B-spline through random points.
+    /// A B-spline through random points.
     Waypoints,
-    /// Circles one after the other, not quite round, the flange keeping its direction on each.
+    /// A sequence of imperfect circles, with a constant direction of the flange in each.
     Circles,
-    /// One closed curve again and again.
+    /// A closed curve, repeated.
     Laps,
-    /// Mostly at rest.
+    /// Short moves between long rests.
     Bursts,
     /// Joint speeds up to 1.5 rad/s.
     Fast,
-    /// Half a minute.
+    /// A run of half a minute.
     Short,
-    /// Ten minutes.
+    /// A run of ten minutes.
     Long,
-    /// The rod comes within a few degrees of the gimbal's first axis.
+    /// The angle between the rod and the gimbal's first axis decreases to a few degrees.
     NearSingular,
-    /// The rod passes through the gimbal's first axis, so that the bar leaves its configuration.
+    /// The rod passes through the gimbal's first axis, so that the bar changes its configuration.
     ThroughSingular,
 }
 
@@ -49,7 +49,7 @@ impl Family {
         Self::ThroughSingular,
     ];
 
-    /// How long the run lasts where nobody says otherwise \[s\].
+    /// Default duration of the run \[s\].
     pub fn duration_s(self) -> f64 {
         match self {
             Self::Short => 30.0,
@@ -60,7 +60,7 @@ impl Family {
         }
     }
 
-    /// Speed of the fastest joint of robot and bar where it is fastest \[rad/s\].
+    /// Highest speed of any joint of robot and bar \[rad/s\].
     pub fn speed_rad_s(self) -> f64 {
         match self {
             Self::Fast => 1.5,
@@ -73,14 +73,14 @@ impl Family {
 
 type Curve = Box<dyn Fn(f64) -> [f64; 5]>;
 
-/// Joints of the bar over a path coordinate, along which the fastest of them turns by one radian for each unit or less.
+/// Joints of the bar as functions of a path coordinate; the fastest turns by at most one radian per unit.
 pub struct Path {
     curve: Curve,
     unit: f64,
 }
 
 impl Path {
-    /// A curve of `length` about some posture.
+    /// A curve of length `length` about some posture.
     pub fn new(family: Family, length: f64, sweep: Sweep, random: &mut ChaCha8Rng) -> Self {
         let curve = curve(family, length, sweep, random);
         let step = 0.01;
@@ -101,7 +101,7 @@ impl Path {
     }
 }
 
-/// Middle and half width of the sweep of each joint \[rad\].
+/// Centre and half width of the sweep of each joint \[rad\].
 #[derive(Debug, Clone, Copy)]
 pub struct Sweep {
     pub middle: [f64; 5],
@@ -109,8 +109,8 @@ pub struct Sweep {
 }
 
 impl Sweep {
-    /// Sweeps `scale` times as wide as usual, with the flange turned to `flange` in the bar's base: its third joint and
-    /// the cardan take what the rod leaves. None where the rod would be nearly along the flange's axis.
+    /// Sweeps `scale` times as wide as by default, with the flange turned to `flange` in the bar's base: the third joint and
+    /// the cardan follow from it and the rod. `None` if the rod would be nearly along the flange's axis.
     pub fn about(
         flange: &Rotation3<f64>,
         family: Family,
@@ -121,12 +121,12 @@ impl Sweep {
         let mut half = [(35.0, 65.0), (18.0, 32.0), (30.0, 70.0), (20.0, 35.0), (50.0, 100.0)]
             .map(|(low, high)| scale * degrees(low, high));
         if family == Family::ThroughSingular {
-            // There the gimbal lets the rod move in one plane only.
+            // There the gimbal restricts the rod to one plane.
             half[0] *= 0.4;
         }
         let b1 = degrees(-150.0, 150.0);
         let b2 = match family {
-            // Nearest 2 to 6 degrees from the axis.
+            // Smallest distance from the axis: 2 to 6 degrees.
             Family::NearSingular => half[1] + degrees(2.0, 6.0),
             Family::ThroughSingular => degrees(5.0, 12.0),
             _ => half[1] + degrees(10.0, 60.0),
@@ -153,12 +153,12 @@ fn curve(family: Family, length: f64, sweep: Sweep, random: &mut ChaCha8Rng) -> 
     }
 }
 
-/// Frequencies that have no common period; joints with wide sweeps are slower.
+/// Incommensurable frequencies; joints with wide sweeps are slower.
 fn open_frequencies(random: &mut ChaCha8Rng) -> [f64; 5] {
     [0.9, 2.1, 1.0, 1.7, 0.6].map(|frequency: f64| frequency * random.random_range(0.8..1.25))
 }
 
-/// Whole numbers, so that the curve closes.
+/// Integers, so that the curve is closed.
 fn closed_frequencies(random: &mut ChaCha8Rng) -> [f64; 5] {
     let mut of = |choice: &[f64]| *choice.choose(random).unwrap();
     [of(&[1.0, 2.0]), of(&[2.0, 3.0]), of(&[1.0, 2.0]), of(&[2.0, 3.0]), 1.0]
@@ -178,7 +178,7 @@ fn spiral(sweep: Sweep, random: &mut ChaCha8Rng) -> Curve {
     let phases = phases(random);
     let turns = random.random_range(6.0..10.0);
     Box::new(move |at| {
-        // Out and in again once in so many turns; never still at the middle.
+        // One motion out and back in this number of turns, without a standstill at the centre.
         let radius = 0.55 - 0.45 * (at / turns).cos();
         let wave = |joint: usize| (0.37 * frequencies[joint] * at + phases[joint]).sin();
         sweep.at([
@@ -192,7 +192,7 @@ fn spiral(sweep: Sweep, random: &mut ChaCha8Rng) -> Curve {
 }
 
 fn waypoints(sweep: Sweep, length: f64, random: &mut ChaCha8Rng) -> Curve {
-    // Control points of a uniform cubic B-spline, further out than the curve that they pull; one unit between them at most.
+    // Control points of a uniform cubic B-spline, at most one unit apart; the curve stays inside of them.
     let count = (length * 2.0) as usize + 8;
     let points: Vec<[f64; 5]> = (0..count)
         .map(|_| std::array::from_fn(|_| (1.4 * random.random_range(-1.0..1.0f64)).clamp(-1.2, 1.2)))
@@ -213,7 +213,7 @@ fn waypoints(sweep: Sweep, length: f64, random: &mut ChaCha8Rng) -> Curve {
     })
 }
 
-/// One circle: where its middle is and how large, and the flange's direction while it lasts.
+/// One circle: its centre and size, and the direction of the flange.
 #[derive(Clone, Copy)]
 struct Circle {
     middle: [f64; 2],
@@ -221,7 +221,7 @@ struct Circle {
     world_from_flange: Rotation3<f64>,
 }
 
-/// Turns about z and y by which rod and flange stand: see the bar's table, whose middle links turn about y of the one before.
+/// Rotations about z and y from the rod to the flange: in the bar's table the middle links rotate about y of the previous link.
 fn zyz(first: f64, second: f64, third: f64) -> Rotation3<f64> {
     let about = |axis: &Vector3<f64>, angle: f64| Rotation3::new(axis * angle);
     about(&Vector3::z(), first) * about(&Vector3::y(), second) * about(&Vector3::z(), third)
@@ -246,10 +246,10 @@ fn circles(sweep: Sweep, length: f64, random: &mut ChaCha8Rng) -> Curve {
     Box::new(move |at| {
         let turn = (at / (TAU * TURNS)).clamp(0.0, (count - 2) as f64);
         let (one, next) = (circles[turn as usize], circles[turn as usize + 1]);
-        // Each leads over to the next: no two laps are the same.
+        // Each circle continues into the next: all laps differ.
         let part = smooth(turn.fract());
         let mix = |from: f64, to: f64| from + (to - from) * part;
-        // A hand is not steady: some percent of the radius.
+        // Manual motion is irregular: some percent of the radius.
         let hand = 1.0 + 0.04 * (2.3 * at + wobble[0]).sin() + 0.03 * (3.7 * at + wobble[1]).sin();
         let b1 = mix(one.middle[0], next.middle[0]) + hand * mix(one.half[0], next.half[0]) * at.cos();
         let b2 = mix(one.middle[1], next.middle[1]) + hand * mix(one.half[1], next.half[1]) * at.sin();
@@ -259,7 +259,7 @@ fn circles(sweep: Sweep, length: f64, random: &mut ChaCha8Rng) -> Curve {
     })
 }
 
-/// Angles of joints 3 to 5 that turn the rod's frame into the flange's, on the side and turn that are nearest to `middle`.
+/// Angles of joints 3 to 5 that turn the rod's frame into the flange's, in the configuration and turn nearest to `middle`.
 fn cardan(rod_from_flange: &Matrix3<f64>, middle: &[f64; 5]) -> [f64; 3] {
     let m = rod_from_flange;
     let side = middle[3].signum();
@@ -270,7 +270,7 @@ fn cardan(rod_from_flange: &Matrix3<f64>, middle: &[f64; 5]) -> [f64; 3] {
     [near(b3, middle[2]), b4, near(b5, middle[4])]
 }
 
-/// From 0 to 1 with no speed or acceleration at the ends, and no jerk that jumps.
+/// From 0 to 1 with zero speed and acceleration at both ends, and continuous jerk.
 fn smooth(x: f64) -> f64 {
     x.powi(4) * (35.0 - 84.0 * x + 70.0 * x.powi(2) - 20.0 * x.powi(3))
 }
@@ -285,12 +285,12 @@ struct Move {
 }
 
 impl Move {
-    /// Time to get to full speed \[s\].
+    /// Time to reach full speed \[s\].
     fn ramp_s(&self) -> f64 {
         (self.duration_s / 2.0).min(1.5)
     }
 
-    /// Way after so much time, at full speed 1; a ramp's speed is 3x^2 - 2x^3.
+    /// Distance after this time, for a full speed of 1; the speed of a ramp is 3x^2 - 2x^3.
     fn way(&self, time_s: f64) -> f64 {
         let ramp_s = self.ramp_s();
         let of_ramp = |time_s: f64| {
@@ -309,14 +309,14 @@ impl Move {
     }
 }
 
-/// Path coordinate over time: moves, between them rests.
+/// Path coordinate over time: moves with rests between them.
 #[derive(Debug, Clone)]
 pub struct Schedule {
     moves: Vec<Move>,
 }
 
 impl Schedule {
-    /// One move or, for bursts, many short ones, all within `duration_s` with a rest at both ends.
+    /// One move, or for bursts many short ones, within `duration_s` with a rest at both ends.
     pub fn new(family: Family, duration_s: f64, speed: f64, random: &mut ChaCha8Rng) -> Self {
         let mut moves = Vec::new();
         let end_s = duration_s - random.random_range(1.0..2.5);
@@ -333,23 +333,23 @@ impl Schedule {
         Self { moves }
     }
 
-    /// Path coordinate.
+    /// Path coordinate at a time.
     pub fn at(&self, time_s: f64) -> f64 {
         let index = self.moves.partition_point(|one| one.start_s <= time_s);
         let Some(one) = index.checked_sub(1).map(|index| &self.moves[index]) else { return 0.0 };
         one.from + one.speed * one.way(time_s - one.start_s)
     }
 
-    /// Where the last move ends.
+    /// Path coordinate at the end of the last move.
     pub fn length(&self) -> f64 {
         self.at(f64::MAX)
     }
 
-    /// Whether the robot is on its way.
+    /// Whether the robot is moving.
     pub fn moves(&self, time_s: f64) -> bool {
         self.moves.iter().any(|one| (one.start_s..one.start_s + one.duration_s).contains(&time_s))
     }
 }
 
-/// Angles of a turn that cables allow \[rad\].
+/// Angles of a turn that the cables permit \[rad\].
 pub const CABLE_RAD: f64 = 2.0 * PI;

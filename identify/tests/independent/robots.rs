@@ -1,4 +1,4 @@
-//! The robots that are measured: nominal links, limits and gears from data sheets, and how their logs are written.
+//! The simulated robots: nominal links, limits and gears from data sheets, and the format of their logs.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -7,46 +7,46 @@ use nalgebra::{Matrix6, RowVector6};
 
 use super::kinematics::{Arm, Dh};
 
-/// What turns the motors' motion into the joints'.
+/// Gear between motor and joint.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Gear {
-    /// Cycloid: ripple once per lobe and joint turn.
+    /// Cycloid: ripple of one period per lobe and joint turn.
     Cycloid,
-    /// Strain wave: two waves for each turn of its generator.
+    /// Strain wave: two periods per turn of the generator.
     StrainWave,
-    /// Spur and bevel wheels: one wave for each turn of the motor.
+    /// Spur and bevel wheels: one period per turn of the motor.
     Wheels,
 }
 
-/// How the angles of a robot's log are called and written.
+/// Names and format of the angles in a robot's log.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LogForm {
-    /// Columns are `motor1_rad` or `joint1_deg`, for example.
+    /// Columns such as `motor1_rad` or `joint1_deg`.
     pub column: &'static str,
     pub unit: &'static str,
     pub unit_rad: f64,
     pub decimals: usize,
 }
 
-/// One robot, as its data sheet has it.
+/// One robot with the values of its data sheet.
 #[derive(Debug, Clone)]
 pub struct Robot {
     pub name: &'static str,
-    /// Flange at the end, without plate and tool.
+    /// Links to the flange, without plate and tool.
     pub nominal: Arm,
     pub limits_deg: [[f64; 2]; 6],
     pub gears: [Gear; 6],
-    /// Motor turns for each turn of the joint.
+    /// Motor turns per turn of the joint.
     pub gear_ratio: [f64; 6],
     pub log: LogForm,
     /// `q = raw * joints_from_raw`, row vectors, both in radians.
     pub joints_from_raw: Matrix6<f64>,
-    /// Bar that fits the robot: length and offset plate \[m\].
+    /// Matching bar: length and offset plate \[m\].
     pub bar_length_m: f64,
     pub plate_m: f64,
     /// Parameters that the loop of robot and bar cannot determine for this arm (table 3.2 of TFRT-6017 and parallel axes).
     pub undetermined: &'static [&'static str],
-    /// Its file among the shipped ones; none: written beside the logs.
+    /// Name of its shipped file; `None`: a file is written next to the logs.
     shipped: Option<&'static str>,
 }
 
@@ -55,7 +55,7 @@ const DEGREES: LogForm =
     LogForm { column: "joint", unit: "deg", unit_rad: std::f64::consts::PI / 180.0, decimals: 4 };
 
 impl Robot {
-    /// All five.
+    /// All five robots of this file.
     pub fn all() -> Vec<Self> {
         vec![Self::irb2400(), Self::nj220(), Self::irb120(), Self::kr10(), Self::ur10()]
     }
@@ -178,7 +178,7 @@ impl Robot {
         }
     }
 
-    /// KUKA KR 10 R1100: axes count the other way than the links' z, zero with the arm stretched forward (A3 90 deg when bent).
+    /// KUKA KR 10 R1100: axes opposite to the links' z, zero with the arm stretched forward (A3 90 deg when bent).
     pub fn kr10() -> Self {
         let signs = RowVector6::new(-1.0, 1.0, 1.0, -1.0, 1.0, -1.0);
         Self {
@@ -243,7 +243,7 @@ impl Robot {
         self.limits_deg.map(|limits| limits.map(f64::to_radians))
     }
 
-    /// The robot's file: a shipped one, or written to `directory` in the shipped ones' form.
+    /// The robot's file: a shipped one, or one in the same format written to `directory`.
     pub fn file(&self, directory: &Path) -> PathBuf {
         if let Some(shipped) = self.shipped {
             return Path::new(env!("CARGO_MANIFEST_DIR")).join("../config/robots").join(shipped);
@@ -269,7 +269,7 @@ impl Robot {
     }
 }
 
-/// A link as the files have it.
+/// A link in the format of the files.
 pub fn link_toml(link: &Dh) -> String {
     format!(
         "\n[[links]]\na_m = {:?}\nalpha_deg = {:?}\nd_m = {:?}\ntheta_deg = {:?}\n",
