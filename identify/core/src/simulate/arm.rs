@@ -1,4 +1,4 @@
-//! A robot with drawn errors that puts a point on its flange somewhere, from above and within its limits.
+//! A robot with random errors that moves a point of its flange to a given position, from above and within its limits.
 
 use std::f64::consts::TAU;
 
@@ -13,21 +13,21 @@ use super::{Stream, random};
 use crate::kinematics::{Chain, DhLink, Joints, Trace, Tracer, flange_chain};
 use crate::model::DriveTrain;
 
-/// The stem comes from above, within this of the vertical: cosine.
+/// Largest angle between the stem and the vertical, as a cosine.
 const STEM_COSINE: f64 = 0.4;
-/// Part of the joints' travel that is used.
+/// Part of the joints' travel to use.
 const TRAVEL: f64 = 0.9;
 
-/// What is wrong with a simulated robot.
+/// Errors of a simulated robot.
 #[derive(Debug, Clone, Copy)]
 pub struct ArmErrors {
-    /// Standard deviation of the error of each number of each link \[mm|mrad\].
+    /// Standard deviation of the error of each link parameter \[mm|mrad\].
     pub errors_mm_mrad: f64,
-    /// White noise of each joint \[urad|um\].
+    /// Standard deviation of the white noise of each joint \[urad|um\].
     pub robot_noise_urad: f64,
-    /// Sine of twice the angle of each drive's output, amplitude \[urad\]: an eccentric gear.
+    /// Amplitude of the error of order two per turn of each drive's output \[urad\]: an eccentric gear.
     pub gear_sine_urad: f64,
-    /// Seed of the robot's errors: another set-up of one robot has the same.
+    /// Seed of the robot's errors; the same in another set-up of the same robot.
     pub robot_seed: u64,
 }
 
@@ -38,7 +38,7 @@ impl Default for ArmErrors {
 }
 
 impl ArmErrors {
-    /// All sizes by their options.
+    /// All sizes, with the names of their options.
     pub(super) fn sizes(&self) -> [(&'static str, f64); 3] {
         [
             ("errors_mm_mrad", self.errors_mm_mrad),
@@ -48,9 +48,9 @@ impl ArmErrors {
     }
 }
 
-/// The robot with its errors, and how it moves.
+/// The robot with its errors and its motion.
 pub(super) struct Arm {
-    /// With the links as they are.
+    /// Chain with the true links.
     pub(super) chain: Chain,
     errors: ArmErrors,
     drives: DriveTrain,
@@ -61,7 +61,7 @@ pub(super) struct Arm {
 }
 
 impl Arm {
-    /// `point_m` is the point in the flange frame.
+    /// `point_m` is a position in the flange frame.
     pub(super) fn new(robot: &RobotConfig, errors: ArmErrors, point_m: Vector3<f64>) -> Self {
         let mut drawn = random(errors.robot_seed, Stream::StaticErrors);
         let by = errors.errors_mm_mrad * 1e-3;
@@ -90,7 +90,7 @@ impl Arm {
         }
     }
 
-    /// What the controller reports where the robot stands; `noise` gives a number with this standard deviation \[1e-6\].
+    /// Joints reported by the controller at a pose; `noise` returns a number with this standard deviation \[1e-6\].
     pub(super) fn reported(&self, stands: &Joints, mut noise: impl FnMut(f64) -> f64) -> Joints {
         let mut joints =
             Joints::from_fn(stands.len(), |joint| stands[joint] + noise(self.errors.robot_noise_urad));
@@ -106,7 +106,7 @@ impl Arm {
         self.gears.iter().enumerate().filter(|(drive, _)| self.drives.turns(*drive))
     }
 
-    /// The terms by which a calibration takes the errors of the gears out, by name \[rad\].
+    /// Terms of a calibration that correct the errors of the gears, by name \[rad\].
     pub(super) fn gear_terms(&self) -> Vec<(String, f64)> {
         if self.errors.gear_sine_urad == 0.0 {
             return Vec::new();
@@ -122,14 +122,14 @@ impl Arm {
         self.limits.iter().map(joint).collect()
     }
 
-    /// The point with joints there, and whether its stem comes from above.
+    /// Position of the point at these joints, and whether its stem points from above.
     fn point(&self, joints: &Joints, trace: &mut Trace) -> (Vector3<f64>, bool) {
         self.tracer.trace(joints, trace);
         let stem = trace.rotation() * self.point_m;
         (trace.position_m() + stem, -stem.z > STEM_COSINE * stem.norm())
     }
 
-    /// Joints near `start` that put the point there; none within the limits and from above.
+    /// Joints near `start` for this position; `None` if they are outside the limits or not from above.
     fn reach(&self, start: Joints, there_m: Vector3<f64>) -> Option<Joints> {
         const STEPS: usize = 60;
         const STEP_MAX: f64 = 0.3;
@@ -153,11 +153,11 @@ impl Arm {
         None
     }
 
-    /// The point in random postures, those places first that most of the others are near, and how far it gets.
+    /// Positions of the point in random postures, those with many neighbours first, and the largest reach.
     pub(super) fn places(&self, random: &mut ChaCha8Rng) -> (Vec<Vector3<f64>>, f64) {
         const POSTURES: usize = 600;
         const NEAR: f64 = 0.2;
-        /// Where the robot itself stands nothing else does.
+        /// Positions closer to the first axis are excluded, because the robot stands there \[parts of the reach\].
         const BESIDE: f64 = 0.45;
         let mut trace = Trace::default();
         let points: Vec<(Vector3<f64>, bool)> =
@@ -174,7 +174,7 @@ impl Arm {
         (places, reach_m)
     }
 
-    /// The first try of so many that puts the point there.
+    /// The first of this number of trials that reaches the position.
     pub(super) fn reached(
         &self,
         there_m: Vector3<f64>,

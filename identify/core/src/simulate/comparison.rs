@@ -1,4 +1,4 @@
-//! Identified against true parameters, for experiments that were simulated.
+//! Comparison of identified and true parameters of simulated experiments.
 
 use nalgebra::{Point3, Vector3};
 use shared::config::RobotConfig;
@@ -11,25 +11,25 @@ use crate::model::{JointState, Model, Owner, ParameterId, Unit};
 use crate::simulate::Truth;
 use crate::statistics::quantile;
 
-/// One identified parameter beside its true value.
+/// An identified parameter with its true value.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Compared {
-    /// Parameter that is compared.
+    /// The compared parameter.
     pub id: ParameterId,
-    /// True value, SI; angles are taken within half a turn of the identified one.
+    /// True value, SI; angles within half a turn of the identified one.
     pub truth: f64,
     /// Identified value, SI.
     pub identified: f64,
 }
 
 impl Compared {
-    /// Identified minus true in the unit that people read (mm, mrad).
+    /// Identified minus true value in the unit of reports (mm, mrad).
     pub fn error_displayed(&self) -> f64 {
         (self.identified - self.truth) * self.id.unit().display_factor()
     }
 }
 
-/// Identified against true parameters.
+/// Identified and true parameters of an experiment.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Comparison {
     /// Identified geometry: robot, bar and base.
@@ -41,7 +41,7 @@ pub struct Comparison {
 }
 
 impl Comparison {
-    /// Sets a calibration beside the truth of its experiment.
+    /// Compares a calibration with the truth of its experiment.
     pub fn new(calibration: &Calibration, truth: &Truth) -> Self {
         let parameters = calibration
             .model()
@@ -71,44 +71,44 @@ impl Comparison {
         }
     }
 
-    /// Euclidean norm of the errors, mm and mrad as equals: the thesis' measure.
+    /// Euclidean norm of the errors, mm and mrad with equal weight: the measure of the thesis.
     pub fn euclidean_mm_mrad(&self) -> f64 {
         self.parameters.iter().map(|one| one.error_displayed().powi(2)).sum::<f64>().sqrt()
     }
 
-    /// Largest error, mm and mrad as equals.
+    /// Largest error, mm and mrad with equal weight.
     pub fn max_mm_mrad(&self) -> f64 {
         self.parameters.iter().map(|one| one.error_displayed().abs()).fold(0.0, f64::max)
     }
 
-    /// The same comparison for some of the parameters.
+    /// The comparison restricted to some of the parameters.
     pub fn only(&self, wanted: impl Fn(ParameterId) -> bool) -> Self {
         let parameters = self.parameters.iter().filter(|one| wanted(one.id)).copied().collect();
         Self { parameters, ..self.clone() }
     }
 }
 
-/// The model with the true robot, its links and the errors of its joints.
+/// The model with the true links and joint errors of the robot.
 pub fn true_model(found: &Model, truth: &Truth) -> Model {
     let mut model = found.clone().with(truth.parameters.keys().filter_map(|name| name.parse().ok()));
     for id in model.ids().into_iter().filter(|id| id.owner() == Owner::Robot) {
         let nominal = model.parameter(id).map_or(0.0, |parameter| parameter.nominal);
-        // Every parameter comes from the model itself.
+        // Cannot fail: the parameters are those of the model.
         let _ = model.set_value(id, truth.parameters.get(&id.to_string()).copied().unwrap_or(nominal));
     }
     model
 }
 
-/// How far a point of the identified robot is from that of the true one, over postures within the limits, each with the errors of
-/// its joints: the mean, and what 95 % of them do not exceed \[m\]. The point is that of the chain's last frame at `points_m`,
-/// first as it was found, then as it is true.
+/// Distance between a point of the identified and of the true robot over postures within the limits, each with its joint
+/// errors: mean and 95 % quantile \[m\]. `points_m` is the position of the point in the last frame, first for the identified
+/// robot, then for the true one.
 pub fn position_errors_m(
     found: &Model,
     truth: &Truth,
     robot: &RobotConfig,
     points_m: [Vector3<f64>; 2],
 ) -> (f64, f64) {
-    /// Steps along each joint, prime to each other so that every combination comes.
+    /// Number of steps along each joint; coprime, so that every combination occurs.
     const STEPS: [usize; 8] = [7, 11, 13, 17, 19, 23, 29, 31];
     const POSTURES: usize = 2000;
     let [identified, truth] = [found, &true_model(found, truth)].map(|model| model.geometry(&model.start()));
@@ -129,8 +129,8 @@ pub fn position_errors_m(
     (distances_m.iter().sum::<f64>() / POSTURES as f64, quantile(&mut distances_m, 0.95))
 }
 
-/// What the offsets along parallel axes before that of a link add to it \[m\]: data determine their sum alone, which is found as the
-/// last of them while the others stay where they are.
+/// Sum of the offsets along the parallel axes before that of a link \[m\]: data determine only the sum, which is identified as
+/// the last offset while the others keep their values.
 fn carried_m(found: &Model, truth: &Truth, id: ParameterId) -> f64 {
     let robot = found.geometry(&[]).robot;
     let Some(group) = inseparable_offsets(&robot).into_iter().find(|group| group.last() == Some(&id)) else {
@@ -147,13 +147,13 @@ fn carried_m(found: &Model, truth: &Truth, id: ParameterId) -> f64 {
         if stays(&one) {
             sum_m += truth.parameters.get(&one.to_string()).map_or(0.0, |truth| truth - value);
         }
-        // Of axes that point against each other the offsets count against each other.
+        // Offsets of antiparallel axes have opposite signs.
         sum_m *= robot.links.get(link).map_or(1.0, |at| at.alpha_rad.cos().signum());
     }
     sum_m
 }
 
-/// The identified `btheta` holds the encoder's unknown offset too; whole turns of an angle mean nothing.
+/// The identified `btheta` includes the encoder's unknown offset; whole turns of an angle have no meaning.
 fn true_value(truth: &Truth, id: ParameterId, identified: f64) -> f64 {
     let named = truth.parameters.get(&id.to_string()).copied().unwrap_or(0.0);
     let offset = match id {

@@ -1,4 +1,5 @@
-//! A robot with known errors that seats the ball on its flange in the sockets of a plate: input and true result of a calibration by contact.
+//! A robot with known errors that seats the ball on its flange in the sockets of a plate: input and truth of a calibration by
+//! contact.
 
 use std::path::{Path, PathBuf};
 
@@ -17,34 +18,34 @@ use crate::model::Model;
 
 /// Centre of the ball in the flange frame \[m\].
 const BALL_M: [f64; 3] = [0.02, -0.03, 0.12];
-/// Starts that are tried for a row.
+/// Number of start postures to try for a row.
 const TRIES: usize = 3000;
-/// Places that are tried for the plate.
+/// Number of positions to try for the plate.
 const PLACES: usize = 20;
 
-/// Everything that decides a simulated experiment with a ball in sockets. Equal experiments give equal results.
+/// All inputs of a simulated experiment with a ball in sockets. Equal experiments give equal results.
 #[derive(Debug, Clone)]
 pub struct ContactExperiment<'a> {
-    /// The robot, nominal.
+    /// Nominal robot.
     pub robot: &'a RobotConfig,
-    /// Its sockets by their places; none: six on two levels, by the robot's size. The true ones differ by their uncertainty.
+    /// Positions of the sockets; `None`: six on two levels, scaled to the robot. The true ones differ by their uncertainty.
     pub sockets: Option<SocketTable>,
-    /// Place of the plate's frame in the robot's base \[m\]; `None`: where the robot reaches it in most ways.
+    /// Position of the plate's frame in the robot's base \[m\]; `None`: where the robot reaches it in most postures.
     pub place_m: Option<[f64; 3]>,
-    /// The calibration gets the sockets' distances instead of their places.
+    /// Whether the calibration gets the sockets' distances instead of their positions.
     pub distances: bool,
-    /// Number of rows.
+    /// Number of simulated rows.
     pub rows: usize,
-    /// What is wrong with the robot.
+    /// Errors of the robot.
     pub errors: ArmErrors,
-    /// How well the ball finds its seat, standard deviation along each axis \[um\].
+    /// Standard deviation of the seated ball along each axis \[um\].
     pub seating_um: f64,
     /// Seed of poses, noise and the sockets' errors.
     pub seed: u64,
 }
 
 impl<'a> ContactExperiment<'a> {
-    /// The usual one with this robot.
+    /// The default experiment with this robot.
     pub fn new(robot: &'a RobotConfig) -> Self {
         Self {
             robot,
@@ -59,7 +60,7 @@ impl<'a> ContactExperiment<'a> {
     }
 }
 
-/// What a simulated experiment gives.
+/// Result of a simulated experiment.
 pub type SimulatedContacts = SimulatedRows<ContactRow, SocketTable>;
 
 /// Six sockets on two levels.
@@ -81,7 +82,7 @@ fn usual_sockets(size_mm: f64) -> SocketTable {
     SocketTable { u_um: 5.0, sockets: places.map(socket).to_vec(), distances: Vec::new() }
 }
 
-/// All distances of a table of places.
+/// All distances of the sockets of a table with positions.
 fn distances(table: &SocketTable) -> Vec<KnownDistance> {
     let pairs =
         table.sockets.iter().enumerate().flat_map(|(i, a)| table.sockets[..i].iter().map(move |b| (b, a)));
@@ -93,7 +94,7 @@ fn distances(table: &SocketTable) -> Vec<KnownDistance> {
     pairs.map(of).collect()
 }
 
-/// Runs an experiment.
+/// Simulates an experiment.
 ///
 /// # Errors
 /// [`RowSimulationError`].
@@ -103,7 +104,7 @@ pub fn run(experiment: &ContactExperiment<'_>) -> Result<SimulatedContacts, RowS
     let arm = Arm::new(robot, errors, BALL_M.into());
     let mut poses = random(seed, Stream::Path);
     let (places_m, reach_m) = arm.places(&mut poses);
-    /// Side of the plate, part of the robot's reach.
+    /// Side of the plate, as a part of the robot's reach.
     const SIDE: f64 = 0.2;
     let table = experiment.sockets.clone().unwrap_or_else(|| usual_sockets(SIDE * reach_m * 1e3));
     if table.sockets.len() < 2 {
@@ -164,8 +165,8 @@ pub fn run(experiment: &ContactExperiment<'_>) -> Result<SimulatedContacts, RowS
     Ok(SimulatedRows { rows, table, truth, robot: arm.chain })
 }
 
-/// Writes `contacts.csv`, its mapping `contact.toml`, `sockets.toml` and `truth.toml` into `directory`, which is made where it is
-/// missing; returns where they are.
+/// Writes `contacts.csv`, its mapping `contact.toml`, `sockets.toml` and `truth.toml` into `directory`, which is created if it
+/// is missing; returns their paths.
 ///
 /// # Errors
 /// [`WriteError`].

@@ -13,41 +13,41 @@ use shared::config::RobotConfig;
 use super::{SimulateError, is_size};
 use crate::kinematics::Joints;
 
-/// Sizes of the effects \[urad\]; zero is none.
+/// Sizes of the effects \[urad\]; zero disables an effect.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Effects {
-    /// White noise of each robot joint, standard deviation.
+    /// Standard deviation of the white noise of each robot joint.
     pub robot_noise_urad: f64,
-    /// White noise of each bar encoder, standard deviation.
+    /// Standard deviation of the white noise of each bar encoder.
     pub encoder_noise_urad: f64,
-    /// Sine of twice the angle of each robot gear's output, amplitude: an eccentric output gear (thesis 2.3).
+    /// Amplitude of the error of order two per turn of each robot gear's output: an eccentric output gear (thesis 2.3).
     pub gear_sine_urad: f64,
-    /// Ripple of each cycloid gear at its number of lobes, amplitude, and a fourth of it at twice that: no pure sine, as
-    /// in Yang and Blanche 1990. Robot axes whose number of lobes is not configured have none.
+    /// Amplitude of the ripple of each cycloid gear at its number of lobes, with a second harmonic of a quarter of it, as
+    /// in Yang and Blanche 1990. Robot axes without a configured number of lobes have none.
     pub cycloid_urad: f64,
-    /// Half of the play between each robot motor and its joint.
+    /// Half of the backlash between each robot motor and its joint.
     pub backlash_urad: f64,
-    /// Sine of the joint angle on each bar encoder, amplitude: an eccentric grating.
+    /// Amplitude of the error of order one per turn of each bar encoder: an eccentric grating.
     pub encoder_eccentricity_urad: f64,
-    /// Sine of twice the joint angle on each bar encoder, amplitude: an elliptic one.
+    /// Amplitude of the error of order two per turn of each bar encoder: an elliptic grating.
     pub encoder_ellipticity_urad: f64,
-    /// Smallest difference of two angles that a bar encoder shows, which gives the middle of each step: the thesis (3.1) cuts off
-    /// what is less, but what all angles are off by is the encoder's offset.
+    /// Resolution of a bar encoder, which is rounded to the middle of each step: the thesis (3.1) truncates, but a common shift
+    /// of all angles is part of the encoder's offset.
     pub encoder_step_urad: f64,
-    /// How far the bar's base leans, about x and by 0.6 of it about -y.
+    /// Tilt of the bar's base about x, and by 0.6 of it about -y.
     pub base_tilt_urad: f64,
 }
 
-/// Turns of the gear error in one turn of the gear's output.
+/// Order of the gear error per turn of the gear's output.
 pub(super) const GEAR_PERIODS: f64 = 2.0;
-/// Place of a cycloid's first wave among the waves of a gear; a calibration names it by the lobes, not by their number.
+/// Index of a cycloid's first harmonic among the errors of a gear; a calibration names it by the lobes.
 const CYCLOID: usize = 1;
-/// Second wave of a cycloid's ripple, part of the first.
+/// Second harmonic of a cycloid's ripple, relative to the first.
 const CYCLOID_SECOND: f64 = 0.25;
 
 impl Effects {
-    /// Without any effects.
+    /// All effects disabled.
     pub const NONE: Self = Self {
         robot_noise_urad: 0.0,
         encoder_noise_urad: 0.0,
@@ -60,8 +60,8 @@ impl Effects {
         base_tilt_urad: 0.0,
     };
 
-    /// As in a laboratory with a robot in good repair: gears by the thesis (2.3), encoders of 18 arc-sec behind couplings,
-    /// a base set up by eye.
+    /// A laboratory with a robot in good condition: gears of the thesis (2.3), encoders of 18 arc-sec behind couplings,
+    /// a base aligned by eye.
     pub const LABORATORY: Self = Self {
         robot_noise_urad: 15.0,
         encoder_noise_urad: 5.0,
@@ -73,7 +73,7 @@ impl Effects {
         ..Self::NONE
     };
 
-    /// Keys of all sizes.
+    /// Keys of all effects.
     pub const KEYS: [&str; 9] = [
         "robot_noise_urad",
         "encoder_noise_urad",
@@ -86,7 +86,7 @@ impl Effects {
         "base_tilt_urad",
     ];
 
-    /// A size by its key.
+    /// Size of an effect by its key.
     pub fn size_mut(&mut self, key: &str) -> Option<&mut f64> {
         Some(match key {
             "robot_noise_urad" => &mut self.robot_noise_urad,
@@ -132,7 +132,7 @@ impl Wave {
         self.amplitude_rad * (self.periods * angle_rad + self.phase_rad).sin()
     }
 
-    /// The terms by which a calibration takes the error out of a drive's reading (from 0), named after `order` \[rad\].
+    /// Terms of a calibration that correct the error of a drive's reading (from 0), named after `order` \[rad\].
     pub fn terms(&self, order: &str, drive: usize) -> [(String, f64); 2] {
         let (sin, cos) = self.phase_rad.sin_cos();
         [("sin", cos), ("cos", sin)]
@@ -140,7 +140,7 @@ impl Wave {
     }
 }
 
-/// Waves of one kind on each joint, with phases of their own.
+/// Harmonics of one order on each joint, with independent phases.
 fn waves(amplitude_urad: f64, periods: &[f64], random: &mut ChaCha8Rng) -> Vec<Wave> {
     let wave = |&periods: &f64| Wave {
         amplitude_rad: if periods > 0.0 { amplitude_urad * 1e-6 } else { 0.0 },
@@ -150,9 +150,9 @@ fn waves(amplitude_urad: f64, periods: &[f64], random: &mut ChaCha8Rng) -> Vec<W
     periods.iter().map(wave).collect()
 }
 
-/// One kind of angle reading with its own phases and noise.
+/// Readings of one kind of angles, with their phases and noise.
 struct Noisy {
-    /// Kinds of waves, each with one for every angle.
+    /// Orders, each with one harmonic for every angle.
     waves: Vec<Vec<Wave>>,
     noise_rad: f64,
     random: ChaCha8Rng,
@@ -178,7 +178,7 @@ pub(super) struct BarReading {
 }
 
 impl BarReading {
-    /// `random` makes what the encoders are like and, unless another generator does, their noise.
+    /// `random` draws the properties of the encoders and, unless another generator is given, their noise.
     pub fn new(effects: &Effects, mut random: ChaCha8Rng, noise: Option<ChaCha8Rng>) -> Self {
         let waves = vec![
             waves(effects.encoder_eccentricity_urad, &[1.0; 5], &mut random),
@@ -189,7 +189,7 @@ impl BarReading {
         Self { noisy, step_rad: effects.encoder_step_urad * 1e-6 }
     }
 
-    /// Where the joints are at `true_rad`.
+    /// Readings at the true joints `true_rad`.
     pub fn of(&mut self, true_rad: &[f64; 5]) -> [f64; 5] {
         let off = self.noisy.off_rad(true_rad);
         let step = |rad: f64| {
@@ -199,18 +199,18 @@ impl BarReading {
     }
 }
 
-/// Readings of the robot's log. Gears err at the angle of their output, which rods and bevel gears pass on to joints.
+/// Readings of the robot's log. Gear errors depend on the angle of their output; rods and bevel gears pass them on to joints.
 pub(super) struct RobotReading {
     noisy: Noisy,
     joints_from_gears: DMatrix<f64>,
     gears_from_joints: DMatrix<f64>,
     play_rad: f64,
-    /// Where each motor is, as an angle of its gear's output; none before the first reading.
+    /// Angle of each motor at its gear's output; `None` before the first reading.
     motors_rad: Option<Vec<f64>>,
 }
 
 impl RobotReading {
-    /// `random` makes what the gears are like and, unless another generator does, the noise.
+    /// `random` draws the properties of the gears and, unless another generator is given, the noise.
     pub fn new(
         robot: &RobotConfig,
         effects: &Effects,
@@ -218,7 +218,7 @@ impl RobotReading {
         noise: Option<ChaCha8Rng>,
     ) -> Self {
         let (table, axes) = (&robot.log.raw_to_joint, robot.axes());
-        // A gear's output turns with its own entry of the table; the rest of the row is what it takes along.
+        // A gear's output turns with its own entry of the table; the other entries of the row are coupled joints.
         let joints_from_gears = DMatrix::from_fn(axes, axes, |i, j| table[i][j] / table[i][i]);
         let inverse = joints_from_gears.clone().try_inverse();
         let usable = inverse.filter(|inverse| inverse.iter().all(|x| x.is_finite()));
@@ -240,7 +240,7 @@ impl RobotReading {
         Self { noisy, joints_from_gears, gears_from_joints, play_rad, motors_rad: None }
     }
 
-    /// Errors of the gears as the terms of a calibration by their names \[rad\].
+    /// Errors of the gears as terms of a calibration, by name \[rad\].
     pub fn terms(&self) -> BTreeMap<String, f64> {
         let mut terms = BTreeMap::new();
         for (kind, waves) in self.noisy.waves.iter().enumerate() {
@@ -252,7 +252,7 @@ impl RobotReading {
         terms
     }
 
-    /// Where the joints are at `true_rad`, after they were where it was asked before.
+    /// Readings at the true joints `true_rad`, after those of the previous call.
     pub fn of(&mut self, true_rad: &Joints) -> Joints {
         let gears = RowDVector::from_row_slice(true_rad) * &self.gears_from_joints;
         let gears = gears.as_slice();

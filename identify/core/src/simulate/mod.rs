@@ -1,9 +1,9 @@
 //! Simulated experiments with known true parameters: readings of the bar's encoders and the robot's log.
 //!
-//! A path is chosen in the bar's joints ([`crate::plan`]), so the robot moves on the bar's sphere by construction; the robot's
-//! joints follow from the inverse kinematics of its *true* chain. Encoder counts and robot log are then taken of that
-//! motion as the real things would, each on its own clock, with [`Effects`] that no estimator models. Nothing here is
-//! shared with the estimator but kinematics and names: otherwise a simulation would only prove that a model inverts itself.
+//! A path is defined by the bar's joints ([`crate::plan`]), so the robot moves on the bar's sphere by construction; the robot's
+//! joints follow from the inverse kinematics of its *true* chain. Encoder counts and robot log are then sampled from that
+//! motion, each on its own clock, with [`Effects`] that no estimator models. Simulation and estimator share only kinematics and
+//! names: otherwise a simulation would only prove that a model inverts itself.
 
 mod arm;
 mod comparison;
@@ -41,20 +41,20 @@ use crate::logs::RobotLog;
 pub use crate::plan::Design;
 use crate::plan::{Constraints, Path, PlanError, PlannedPath, Route, random_route};
 
-/// How the robot's clock relates to the bar's.
+/// Relation of the robot's clock to the bar's.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Clocks {
     /// First bar sample \[UTC ns\].
     pub bar_start: UtcNs,
-    /// What the robot's clock shows at that instant \[ns\]; its zero may be anything.
+    /// Reading of the robot's clock at that instant \[ns\], with an arbitrary origin.
     pub robot_at_bar_start_ns: i64,
     /// Robot seconds per bar second, minus one.
     pub skew: f64,
 }
 
 impl Default for Clocks {
-    /// A bar run in 2026; a controller that was started 1.03 hours before and whose clock gains 25 ppm.
+    /// A bar run in 2026, with a controller that was started 1.03 hours earlier and whose clock is 25 ppm fast.
     fn default() -> Self {
         Self {
             bar_start: UtcNs(1_780_000_000_000_000_000),
@@ -64,35 +64,35 @@ impl Default for Clocks {
     }
 }
 
-/// Everything that decides a simulated experiment. Equal experiments give equal results, bit for bit.
+/// All inputs of a simulated experiment. Equal experiments give equal results, bit for bit.
 #[derive(Debug, Clone)]
 pub struct Experiment<'a> {
-    /// The robot, nominal.
+    /// Nominal robot.
     pub robot: &'a RobotConfig,
-    /// The ball-bar, nominal, with its encoders.
+    /// Nominal ball-bar with its encoders.
     pub bar: &'a BallBarConfig,
-    /// Where the bar stands and how the robot moves.
+    /// Position of the bar and motion of the robot.
     pub design: Design,
-    /// How the true parameters differ from the nominal ones.
+    /// Errors of the true parameters relative to the nominal ones.
     pub errors: StaticErrors,
-    /// Errors of further parameters by name, on top of these \[mm|mrad\].
+    /// Additional errors of single parameters by name \[mm|mrad\].
     pub added_errors: BTreeMap<String, f64>,
-    /// What no estimator models.
+    /// Effects that no estimator models.
     pub effects: Effects,
     /// Force along the bar, which deflects; the robot's log contains the force.
     pub load: BarLoad,
     /// Clocks of bar and robot.
     pub clocks: Clocks,
-    /// The path that is driven; none: a random one.
+    /// Path of the experiment; `None`: a random one.
     pub path: Option<PlannedPath>,
     /// Seed of path, encoder offsets and noise.
     pub seed: u64,
-    /// Seed of the phases of gears and encoders, where it is another one: another run of the same robot and bar.
+    /// Seed of the phases of gears and encoders, if it differs: for another run of the same robot and bar.
     pub robot_seed: Option<u64>,
 }
 
 impl<'a> Experiment<'a> {
-    /// The usual experiment with this robot and bar: the thesis' static errors and nothing else.
+    /// The default experiment with this robot and bar: only the static errors of the thesis.
     pub fn new(robot: &'a RobotConfig, bar: &'a BallBarConfig) -> Self {
         Self {
             robot,
@@ -110,7 +110,7 @@ impl<'a> Experiment<'a> {
     }
 }
 
-/// What a simulated experiment gives.
+/// Result of a simulated experiment.
 #[derive(Debug, Clone)]
 pub struct Simulated {
     /// The bar's recording: one valid record per 10 ms.
@@ -119,7 +119,7 @@ pub struct Simulated {
     pub encoders: Vec<EncoderInfo>,
     /// The robot's log.
     pub robot_log: RobotLog,
-    /// What an identification should find.
+    /// True parameters.
     pub truth: Truth,
     /// The error-free motion.
     pub motion: Motion,
@@ -128,7 +128,7 @@ pub struct Simulated {
 /// Why an experiment cannot be simulated.
 #[derive(Debug, thiserror::Error)]
 pub enum SimulateError {
-    /// It cannot follow the bar.
+    /// The robot cannot follow the bar.
     #[error(
         "{robot} has {axes} axes; the ball-bar leads its flange through any pose, which takes six; any arm: `identify simulate contact`"
     )]
@@ -156,7 +156,7 @@ pub enum SimulateError {
     Follow {
         /// Time on the path \[s\].
         t_s: f64,
-        /// What the inverse kinematics said.
+        /// Error of the inverse kinematics.
         source: InverseError,
     },
     /// The noise cannot be drawn.
@@ -185,7 +185,7 @@ fn is_size(value: f64) -> bool {
     value.is_finite() && value >= 0.0
 }
 
-/// Independent random streams, so that one more draw for one purpose leaves all others as they were.
+/// Independent random streams: an additional draw in one does not change the others.
 #[derive(Debug, Clone, Copy)]
 enum Stream {
     Path = 1,

@@ -1,4 +1,4 @@
-//! Motion of the true bar and of the robot that follows; the robot pulls and presses on the bar, which deflects (TFRT-6017 section 5.3).
+//! Motion of the true bar and of the robot that follows; the force of the robot on the bar deflects it (TFRT-6017 section 5.3).
 
 use std::f64::consts::TAU;
 
@@ -10,12 +10,12 @@ use crate::kinematics::{BAR_JOINTS, Chain, InverseError, Joints, Pose, ROD_LINK,
 use crate::logs::CubicSpline;
 use crate::plan::Path;
 
-/// Where the bar's joints are, whatever its links are like.
+/// Path of the bar's joints, independent of its links.
 pub trait BarPath {
-    /// At `t_s`, 0 to [`Self::duration_s`]; it holds still before and after \[rad\].
+    /// Joints at `t_s`, 0 to [`Self::duration_s`]; at rest before and after \[rad\].
     fn bar_rad(&self, t_s: f64) -> [f64; BAR_JOINTS];
 
-    /// \[s\]
+    /// Duration of the path \[s\].
     fn duration_s(&self) -> f64;
 }
 
@@ -29,7 +29,7 @@ impl BarPath for Path {
     }
 }
 
-/// A path that was driven, through samples of it.
+/// A recorded path, interpolated between its samples.
 impl BarPath for CubicSpline<[f64; BAR_JOINTS]> {
     fn bar_rad(&self, t_s: f64) -> [f64; BAR_JOINTS] {
         self.at(t_s.clamp(0.0, self.duration_s())).map_or([0.0; BAR_JOINTS], |point| point.value)
@@ -61,9 +61,9 @@ pub struct Motion<P = Path> {
     pub bar: Chain,
     /// Joints of the nominal robot at the start of the path \[rad\].
     pub start_rad: Joints,
-    /// Of its joints \[rad, m\].
+    /// Limits of the robot's joints \[rad, m\].
     pub limits: Vec<[f64; 2]>,
-    /// What makes the bar longer and shorter; none leaves it rigid.
+    /// Force that changes the bar's length; `None` for a rigid bar.
     pub pull: Option<Pull>,
 }
 
@@ -84,8 +84,8 @@ impl<P: BarPath> Motion<P> {
         self.pull.as_ref().map_or(0.0, |pull| pull.force_n(t_s, &self.path.bar_rad(t_s)))
     }
 
-    /// Joints of the true robot at `t_s` \[rad\], the solution nearest to `near_rad`; in the middle of its limits, as its path was planned,
-    /// where it has more axes than it needs.
+    /// Joints of the true robot at `t_s` \[rad\]: the solution nearest to `near_rad`. With more axes than a pose needs, the
+    /// solution in the middle of the limits, as in planning.
     ///
     /// # Errors
     /// Those of the inverse kinematics.
@@ -94,17 +94,17 @@ impl<P: BarPath> Motion<P> {
     }
 }
 
-/// How hard the robot pulls, and what that does.
+/// Force of the robot on the bar, and its effect.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BarLoad {
-    /// Largest force along the bar \[N\]; the thesis has some 150. Zero: none, and no force in the log.
+    /// Largest force along the bar \[N\]; about 150 in the thesis. Zero: no force, and none in the log.
     pub force_n: f64,
-    /// How much longer the bar becomes for each newton of tension \[um/N\]; the thesis computes 0.055 and measures 0.17.
+    /// Elongation of the bar per newton of tension \[um/N\]; the thesis computes 0.055 and measures 0.17.
     pub compliance_um_per_n: f64,
-    /// How much longer the bar is under tension and shorter under compression, whatever the force: play of its joints \[um\].
+    /// Play of the bar's joints: elongation under tension and shortening under compression, independent of the force \[um\].
     pub play_um: f64,
-    /// White noise of the force in the log, standard deviation \[N\].
+    /// Standard deviation of the white noise of the force in the log \[N\].
     pub noise_n: f64,
 }
 
@@ -120,10 +120,10 @@ impl BarLoad {
     }
 }
 
-/// Part of the force that comes and goes with the posture, as errors of the robot's geometry press; the rest comes and
-/// goes with time, as following errors do.
+/// Part of the force that depends on the posture, like that of errors of the robot's geometry; the rest depends on
+/// time, like that of following errors.
 const BY_POSTURE: f64 = 0.6;
-/// Period of the rest \[s\].
+/// Period of the part that depends on time \[s\].
 const PERIOD_S: f64 = 7.3;
 
 /// The force on the bar over a path.
@@ -139,7 +139,7 @@ impl Pull {
         (load.force_n > 0.0).then_some(Self { load, phases })
     }
 
-    /// Along the bar, tension positive, of a bar whose joints stand so \[N\].
+    /// Force along the bar at these joints of it, tension positive \[N\].
     pub fn force_n(&self, t_s: f64, joints_rad: &[f64; 5]) -> f64 {
         let [a, b, c] = self.phases;
         let posture = 0.5 * ((2.0 * joints_rad[0] + a).sin() + (3.0 * joints_rad[1] + b).sin());
@@ -147,7 +147,7 @@ impl Pull {
         self.load.force_n * (BY_POSTURE * posture + (1.0 - BY_POSTURE) * rest)
     }
 
-    /// How much longer the bar is \[m\].
+    /// Elongation of the bar \[m\].
     pub fn extension_m(&self, t_s: f64, joints_rad: &[f64; 5]) -> f64 {
         let force_n = self.force_n(t_s, joints_rad);
         1e-6 * (self.load.compliance_um_per_n * force_n + self.load.play_um * force_n.signum())

@@ -1,25 +1,25 @@
-//! Angles of robot and bar of the same instants: an experiment without clocks and counters, as the thesis simulates it.
+//! Simultaneous angles of robot and bar: an experiment without clocks and counters, as simulated in the thesis.
 
 use super::{BarPath, Experiment, SimulateError, Truth};
 use crate::kinematics::{BAR_JOINTS, Joints};
 
-/// Further rows of the robot before the first pair and after the last: its motion is known a little beyond both.
+/// Additional rows of the robot before the first and after the last pair, so that its motion can be interpolated at both ends.
 pub const LEAD_ROWS: usize = 4;
 
-/// What robot and bar show, seen at once.
+/// Simultaneous readings of robot and bar.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Pairs {
-    /// Of each row of the robot \[s\], evenly spaced; the path begins at 0.
+    /// Time of each row of the robot \[s\], evenly spaced; the path starts at 0.
     pub t_s: Vec<f64>,
-    /// The robot's joints, [`LEAD_ROWS`] more than there are pairs at either end \[rad\].
+    /// The robot's joints, with [`LEAD_ROWS`] more rows than pairs at each end \[rad\].
     pub robot_rad: Vec<Joints>,
     /// The bar's joints, one row for each pair \[rad\].
     pub bar_rad: Vec<[f64; BAR_JOINTS]>,
-    /// What an identification should find.
+    /// True parameters.
     pub truth: Truth,
 }
 
-/// `count` pairs, evenly spaced in time along a path. The bar's angles of each are those of `time_difference_s` later than the
+/// `count` pairs, evenly spaced in time along a path. The bar's angles are delayed by `time_difference_s` relative to the
 /// robot's.
 ///
 /// # Errors

@@ -1,4 +1,4 @@
-//! Simulated rows: what those of a ball in sockets and of a touch probe have in common, and the lengths of a draw-wire.
+//! Simulated rows: common parts of balls in sockets and touch probes, and the lengths of a draw-wire.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -16,14 +16,14 @@ use crate::kinematics::{Chain, Joints, flange_chain};
 use crate::logs::{JointColumn, LogError, SIMULATED};
 use crate::model::{Geometry, Model, ParameterId};
 
-/// What a simulated experiment gives: `R` is a row, `T` the table of what is known of sockets or faces.
+/// Result of a simulated experiment: `R` is a row, `T` the table of sockets or faces.
 #[derive(Debug, Clone)]
 pub struct SimulatedRows<R, T> {
     /// Rows in the order of the robot's motion.
     pub rows: Vec<R>,
-    /// What is known of the sockets or faces.
+    /// Table of the sockets or faces, with their known geometry.
     pub table: T,
-    /// What a calibration should find.
+    /// True parameters.
     pub truth: RowTruth,
     /// The robot with its errors.
     pub robot: Chain,
@@ -65,7 +65,7 @@ impl RowTruth {
 /// Why rows cannot be simulated.
 #[derive(Debug, thiserror::Error)]
 pub enum RowSimulationError {
-    /// The table has no places.
+    /// The table contains no positions.
     #[error(
         "a table of distances does not contain the places of the sockets; give one with a [[socket]] block for each of at least two"
     )]
@@ -75,22 +75,22 @@ pub enum RowSimulationError {
     Size {
         /// Name of the option.
         name: &'static str,
-        /// Its value.
+        /// Value of the option.
         value: f64,
     },
-    /// The robot does not get there.
+    /// The robot cannot reach a position.
     #[error(
         "the robot does not reach {place} from above within its limits; give another --place or a smaller {size}"
     )]
     Unreachable {
         /// Such as "socket `A`".
         place: String,
-        /// What may be smaller.
+        /// Object to make smaller.
         size: &'static str,
     },
 }
 
-/// Sizes of an experiment by their options.
+/// Checks the sizes of an experiment, which have the names of their options.
 pub(super) fn check_sizes(
     errors: &ArmErrors,
     others: &[(&'static str, f64)],
@@ -99,7 +99,8 @@ pub(super) fn check_sizes(
     wrong.map_or(Ok(()), |(name, value)| Err(RowSimulationError::Size { name, value }))
 }
 
-/// The text of simulated rows. `command` has made them, `columns` are those after the joints, `row` gives joints and the other cells.
+/// Text of a file of simulated rows. `command` is named as its origin, `columns` follow the joints, `row` returns joints and
+/// the other cells.
 pub(super) fn rows_csv<'r, R: 'r>(
     command: &str,
     (joints, columns): (&[JointColumn], &str),
@@ -118,7 +119,7 @@ pub(super) fn rows_csv<'r, R: 'r>(
     table
 }
 
-/// Writes texts by their names into `directory`, which is made if it is missing; returns their paths.
+/// Writes texts to files of these names in `directory`, which is created if it is missing; returns their paths.
 pub(super) fn write_texts<const N: usize>(
     directory: &Path,
     files: [(&str, String); N],
@@ -132,18 +133,18 @@ pub(super) fn write_texts<const N: usize>(
     Ok(files.map(|(name, _)| directory.join(name)))
 }
 
-/// Where the wire is held, in the flange's frame \[m\].
+/// Attachment of the wire in the flange frame \[m\].
 pub const ATTACHMENT_M: [f64; 3] = [0.12, 0.03, 0.05];
-/// The wire comes out of the instrument there, in the robot's base \[m\].
+/// Anchor of the wire: its exit from the instrument, in the robot's base \[m\].
 const ANCHOR_M: [f64; 3] = [0.6, -1.1, 0.1];
-/// The instrument shows so much more than the wire's length \[m\].
+/// Reading of the instrument minus the length of the wire \[m\].
 const OFFSET_M: f64 = 0.15;
 
-/// `count` random postures within the joint limits, each with the length that an instrument with this noise \[m\] shows; and what
-/// is true of the robot to its flange.
+/// `count` random postures within the joint limits, each with the length that an instrument with this noise \[m\] measures, and
+/// the true parameters up to the flange.
 ///
 /// # Errors
-/// [`SimulateError`] where the experiment makes no sense.
+/// [`SimulateError`] if the experiment is invalid.
 pub fn wire_rows(
     experiment: &Experiment<'_>,
     count: usize,

@@ -1,4 +1,4 @@
-//! What the bar's encoders and the robot's log say of a motion, each on its own clock.
+//! Sampling of a motion by the bar's encoders and the robot's log, each on its own clock.
 
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
@@ -15,20 +15,20 @@ use crate::logs::{self, ForceClock, ForceKind, ForceLog, Origin, RobotLog};
 pub(super) const CYCLE_NS: i64 = 10_000_000;
 /// Time between two stamps of the robot's log, on its own clock \[ns\]: 250 Hz.
 const ROBOT_PERIOD_NS: i64 = 4_000_000;
-/// The robot's log begins so long before the bar's recording and ends so long after it \[s\].
+/// Time by which the robot's log begins before the bar's recording and ends after it \[s\].
 const LOG_LEAD_S: f64 = 1.5;
-/// 2000-01-01 in UTC, where distributed clocks count from \[ns\] (ETG.1000.4).
+/// 2000-01-01 in UTC, the origin of distributed clocks \[ns\] (ETG.1000.4).
 const DC_EPOCH_NS: i64 = 946_684_800_000_000_000;
 /// Uptime of the measurement PC at the first cycle \[ns\].
 const MONOTONIC_START_NS: i64 = 86_400_000_000_000;
-/// From sending a frame to having it back \[ns\].
+/// Round-trip time of a frame \[ns\].
 const ROUND_TRIP_NS: i64 = 60_000;
-/// Error of the UTC estimate, one standard deviation \[ns\].
+/// Standard deviation of the UTC estimate \[ns\].
 const UTC_UNCERTAINTY_NS: u32 = 1_000;
-/// What one EL5021 adds to the working counter (one logical read and write).
+/// Contribution of one EL5021 to the working counter (one logical read and write).
 const WORKING_COUNTER_PER_ENCODER: u16 = 3;
 
-/// The robot's log of the motion; `force_random` makes the noise of the force.
+/// The robot's log of the motion; `force_random` generates the noise of the force.
 pub(super) fn robot_log(
     experiment: &Experiment<'_>,
     motion: &Motion,
@@ -67,7 +67,7 @@ pub(super) fn robot_log(
     })
 }
 
-/// The bar's recording of the motion, its encoders, and where their zeros truly are.
+/// The bar's recording of the motion, its encoders, and their true offsets.
 pub(super) fn recording(
     experiment: &Experiment<'_>,
     motion: &Motion,
@@ -98,12 +98,12 @@ pub(super) fn recording(
     (records, encoders, truth)
 }
 
-/// The offset of an encoder whose counter shows `shown` at the first sample: it may be any of its 2^32 counts, read as a
-/// signed number as [`EncoderScale::unwrapper`] does.
+/// Offset of an encoder whose counter reads `shown` at the first sample: any of its 2^32 counts, interpreted as a signed number
+/// as in [`EncoderScale::unwrapper`].
 fn encoder_truth(encoder: &EncoderInfo, first_rad: f64, shown: i32) -> EncoderTruth {
     let zero_counts = i64::from(shown) - encoder.scale.rad_to_counts(first_rad);
     let EncoderScale { direction, .. } = encoder.scale;
-    // Whole turns are dropped in integers, so that the angle is exact.
+    // Whole turns are removed in integers, so that the angle is exact.
     let turns = (direction.sign() * zero_counts).rem_euclid(encoder.scale.counts_per_revolution());
     let offset_rad = -(turns as f64) * encoder.scale.rad_per_count();
     let offset_rad =

@@ -1,4 +1,5 @@
-//! A robot with known errors that touches the faces of a block with a tip on its flange: input and true result of a calibration by touch.
+//! A robot with known errors that touches the faces of a block with a tip on its flange: input and truth of a calibration by
+//! touch.
 
 use std::path::{Path, PathBuf};
 
@@ -18,11 +19,11 @@ use crate::model::{Face, Model};
 /// Centre of the tip's ball in the flange frame \[m\], and the ball's diameter \[mm\].
 const TIP_M: [f64; 3] = [0.02, -0.03, 0.12];
 const TIP_DIAMETER_MM: f64 = 4.0;
-/// Starts that are tried for a row.
+/// Number of start postures to try for a row.
 const TRIES: usize = 3000;
-/// Places that are tried for the block.
+/// Number of positions to try for the block.
 const PLACES: usize = 20;
-/// Faces of the block with their outward normals; it stands on the sixth.
+/// Faces of the block with their outward normals; the sixth is at the bottom.
 const FACES: [(&str, [f64; 3]); 5] = [
     ("right", [1.0, 0.0, 0.0]),
     ("left", [-1.0, 0.0, 0.0]),
@@ -31,31 +32,31 @@ const FACES: [(&str, [f64; 3]); 5] = [
     ("top", [0.0, 0.0, 1.0]),
 ];
 
-/// Everything that decides a simulated experiment with a touch probe. Equal experiments give equal results.
+/// All inputs of a simulated experiment with a touch probe. Equal experiments give equal results.
 #[derive(Debug, Clone)]
 pub struct TouchExperiment<'a> {
-    /// The robot, nominal.
+    /// Nominal robot.
     pub robot: &'a RobotConfig,
-    /// Edge of the block \[mm\]; none: by the robot's size.
+    /// Edge of the block \[mm\]; `None`: scaled to the robot.
     pub block_mm: Option<f64>,
-    /// Centre of the block in the robot's base \[m\]; `None`: where the robot reaches it in most ways.
+    /// Centre of the block in the robot's base \[m\]; `None`: where the robot reaches it in most postures.
     pub place_m: Option<[f64; 3]>,
-    /// The calibration gets distances and angles of the block; without, nothing of it.
+    /// Whether the calibration gets distances and angles of the block.
     pub known: bool,
     /// Number of touches to simulate.
     pub rows: usize,
-    /// What is wrong with the robot.
+    /// Errors of the robot.
     pub errors: ArmErrors,
-    /// How well a touch is found, standard deviation \[um\].
+    /// Standard deviation of a touch \[um\].
     pub touch_um: f64,
-    /// Travel of a dial gauge in place of a touch probe \[mm\]; 0: a touch probe.
+    /// Travel of a dial gauge \[mm\]; 0: a touch probe instead.
     pub gauge_mm: f64,
     /// Seed of poses, noise and the block's errors.
     pub seed: u64,
 }
 
 impl<'a> TouchExperiment<'a> {
-    /// The usual one with this robot.
+    /// The default experiment with this robot.
     pub fn new(robot: &'a RobotConfig) -> Self {
         Self {
             robot,
@@ -71,10 +72,10 @@ impl<'a> TouchExperiment<'a> {
     }
 }
 
-/// What a simulated experiment gives.
+/// Result of a simulated experiment.
 pub type SimulatedTouches = SimulatedRows<TouchRow, FaceTable>;
 
-/// What is known of a block with these edges.
+/// Table of a block with these edges.
 fn known(block_mm: f64) -> FaceTable {
     let pair = |one: &str, other: &str| [one.to_owned(), other.to_owned()];
     let distance = |(one, other)| Spacing {
@@ -113,7 +114,7 @@ pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, RowSimu
     let arm = Arm::new(robot, errors, TIP_M.into());
     let mut poses = random(seed, Stream::Path);
     let (places_m, reach_m) = arm.places(&mut poses);
-    /// Edges of the block that are tried, parts of the robot's reach.
+    /// Edges of the block to try, as parts of the robot's reach.
     const EDGES: [f64; 3] = [0.15, 0.1, 0.07];
     let edges_mm = experiment
         .block_mm
@@ -145,7 +146,7 @@ pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, RowSimu
     let mut effects = random(seed, Stream::RobotEffects);
     let mut noise = |sigma: f64| -> f64 { sigma * 1e-6 * effects.sample::<f64, _>(StandardNormal) };
     let radius_m = 0.5e-3 * TIP_DIAMETER_MM;
-    // Each face is off by the uncertainty of the table.
+    // Each face deviates by the uncertainty of the table.
     let faces: Vec<Face> = FACES
         .iter()
         .map(|(_, normal)| {
@@ -160,7 +161,7 @@ pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, RowSimu
     for row in 0..experiment.rows {
         let number = row % FACES.len();
         let (face, (name, outward)) = (faces[number], FACES[number]);
-        // A probe answers too late or too early, a gauge shows too much or too little.
+        // A probe triggers too late or too early, a gauge reads too much or too little.
         let off_m = noise(touch_um);
         let [out_m, reading_m] = if gauge_mm > 0.0 {
             let pushed_m = 1e-3 * poses.random_range(0.0..gauge_mm);
@@ -168,9 +169,9 @@ pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, RowSimu
         } else {
             [off_m, 0.0]
         };
-        // Of a face that the robot reaches it may not reach every corner.
+        // The robot may not reach every corner of a face that it reaches.
         let stands = (0..PLACES).find_map(|_| {
-            // A place of the face, within nine tenths of it, taken onto the plane of the tip's centre.
+            // A position within nine tenths of the face, projected onto the plane of the tip's centre.
             let place = Vector3::from_fn(|axis, _| {
                 let along = poses.random_range(-0.9..0.9);
                 half_m * if outward[axis] == 0.0 { along } else { outward[axis] }
@@ -186,7 +187,7 @@ pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, RowSimu
     let mut geometry = model.geometry(&[]);
     geometry.touch.tip_m = TIP_M.into();
     for (to, face) in geometry.touch.faces.iter_mut().zip(&faces) {
-        // As a calibration has them: the largest component of a normal is one.
+        // Scaled as in a calibration: the largest component of a normal is one.
         let scale = face.normal.amax();
         *to = Face { normal: face.normal / scale, distance_m: face.distance_m / scale };
     }
@@ -198,8 +199,8 @@ pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, RowSimu
     Ok(SimulatedRows { rows, table, truth, robot: arm.chain })
 }
 
-/// Writes `touches.csv`, its mapping `touch.toml`, `faces.toml` and `truth.toml` into `directory`, which is made where it is missing;
-/// returns where they are.
+/// Writes `touches.csv`, its mapping `touch.toml`, `faces.toml` and `truth.toml` into `directory`, which is created if it is
+/// missing; returns their paths.
 ///
 /// # Errors
 /// [`WriteError`].
@@ -208,7 +209,7 @@ pub fn write(
     simulated: &SimulatedTouches,
     robot: &RobotConfig,
 ) -> Result<[PathBuf; 4], WriteError> {
-    // A touch probe without a gauge has no readings.
+    // A touch probe has no readings.
     let with_readings = simulated.rows.iter().any(|row| row.reading_m != 0.0);
     let reading = ReadingColumn { column: "reading_mm".into(), unit: LengthUnit::Mm };
     let mapping = TouchMapping {

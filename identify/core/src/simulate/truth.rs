@@ -1,4 +1,4 @@
-//! The parameters that an identification should find.
+//! True parameters of simulated experiments.
 
 use std::collections::BTreeMap;
 
@@ -12,7 +12,7 @@ use crate::kinematics::{Chain, LinkParameter, Pose};
 use crate::model::{ParameterId, THESIS_FIXED};
 
 /// Static errors of the simulations in the thesis (TFRT-6017 table 3.1) \[mm|mrad\]. Its first row is illegible; the
-/// values of `ra1`, `ralpha1`, `btheta1` and `ox` are our own.
+/// values of `ra1`, `ralpha1`, `btheta1` and `ox` are ours.
 pub const THESIS_ERRORS: [(&str, f64); 28] = [
     ("ra1", 0.47),
     ("ralpha1", -0.64),
@@ -44,7 +44,7 @@ pub const THESIS_ERRORS: [(&str, f64); 28] = [
     ("rtheta6", -0.22),
 ];
 
-/// How the true parameters differ from the nominal ones.
+/// Errors of the true parameters relative to the nominal ones.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StaticErrors {
@@ -61,7 +61,7 @@ pub enum StaticErrors {
 }
 
 impl StaticErrors {
-    /// Error by parameter \[m|rad\]; those not named have none.
+    /// Error of each named parameter \[m|rad\]; others have none.
     fn by_name(self, axes: usize) -> BTreeMap<String, f64> {
         match self {
             Self::None => BTreeMap::new(),
@@ -94,21 +94,21 @@ pub fn parameter_names(axes: usize) -> Vec<String> {
     links('r', axes).chain(links('b', 5)).chain(base).collect()
 }
 
-/// The two clocks, as a solve should find them.
+/// True parameters of the two clocks.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ClockTruth {
     /// First bar sample \[UTC ns\].
     pub bar_start: UtcNs,
     /// The robot's clock at that instant \[ns\].
     pub robot_at_bar_start_ns: i64,
-    /// Robot clock minus bar clock at that instant \[s\], rounded to what a number holds.
+    /// Robot clock minus bar clock at that instant \[s\], rounded to the precision of an `f64`.
     pub shift_s: f64,
     /// Robot seconds per bar second, minus one.
     pub skew: f64,
 }
 
 impl ClockTruth {
-    /// The robot's clock where the bar's shows `bar` \[ns\].
+    /// Reading of the robot's clock when the bar's reads `bar` \[ns\].
     pub fn robot_ns(&self, bar: UtcNs) -> f64 {
         let passed = bar.ns_since(self.bar_start) as f64;
         self.robot_at_bar_start_ns as f64 + passed * (1.0 + self.skew)
@@ -122,12 +122,11 @@ pub struct EncoderTruth {
     pub joint: u8,
     /// Count at joint angle zero.
     pub zero_counts: i64,
-    /// Joint angle at count zero, in (-pi, pi] \[rad\]. With `btheta` of the joint it is all of the offset that can be
-    /// identified.
+    /// Joint angle at count zero, in (-pi, pi] \[rad\]. Only its sum with `btheta` of the joint can be identified.
     pub offset_rad: f64,
 }
 
-/// Everything that is true of a simulated experiment.
+/// All true values of a simulated experiment.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Truth {
     /// The robot's name.
@@ -138,7 +137,7 @@ pub struct Truth {
     pub seed: u64,
     /// Clocks of bar and robot.
     pub clock: ClockTruth,
-    /// How the static errors were chosen.
+    /// Source of the static errors.
     pub errors: StaticErrors,
     /// Errors beyond the geometry.
     pub effects: Effects,
@@ -202,18 +201,18 @@ impl Truth {
         }
     }
 
-    /// True minus nominal value \[m|rad\]; 0 for a name that is none.
+    /// True minus nominal value \[m|rad\]; 0 for an unknown name.
     pub fn error(&self, name: &str) -> f64 {
         let value = |map: &BTreeMap<String, f64>| map.get(name).copied().unwrap_or(0.0);
         value(&self.parameters) - value(&self.nominal)
     }
 
-    /// The true robot, from the nominal one.
+    /// The true robot, computed from the nominal one.
     pub fn robot_chain(&self, nominal: &Chain) -> Chain {
         self.with_errors(nominal, 'r')
     }
 
-    /// The true bar on its true base, from the nominal one (whose base is not looked at).
+    /// The true bar on its true base, computed from the nominal one (whose base is ignored).
     pub fn bar_chain(&self, nominal: &Chain) -> Chain {
         let value = |name: &str| self.parameters.get(name).copied().unwrap_or(0.0);
         let position = nalgebra::Translation3::new(value("ox"), value("oy"), value("oz"));

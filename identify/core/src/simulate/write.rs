@@ -1,4 +1,4 @@
-//! Puts a simulated experiment into files: the same three that a real one leaves, and the truth beside them.
+//! Writes a simulated experiment to the files of a real one, and the truth to a file next to them.
 
 use std::path::{Path, PathBuf};
 
@@ -11,7 +11,7 @@ use super::Simulated;
 use super::sample::CYCLE_NS;
 use crate::logs::{self, LogError};
 
-/// Where the files of a simulated experiment are.
+/// Paths of the files of a simulated experiment.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SimulationFiles {
     /// The bar's recording.
@@ -25,21 +25,21 @@ pub struct SimulationFiles {
 /// Why the files cannot be written.
 #[derive(Debug, thiserror::Error)]
 pub enum WriteError {
-    /// The recording was refused.
+    /// The recording cannot be written.
     #[error(transparent)]
     Recording(#[from] shared::recording::WriteError),
-    /// Robot log or truth.
+    /// Robot log or truth cannot be written.
     #[error(transparent)]
     File(#[from] LogError),
-    /// The truth does not fit TOML.
+    /// TOML cannot represent the truth.
     #[error("the true parameters cannot be written as TOML: {0}; use finite effects and clocks")]
     Truth(#[from] toml::ser::Error),
 }
 
-/// Writes `recording.mcap`, `robot_log.csv` and `truth.toml` into `directory`, which is made where it is missing.
+/// Writes `recording.mcap`, `robot_log.csv` and `truth.toml` into `directory`, which is created if it is missing.
 ///
 /// # Errors
-/// [`WriteError`]; a recording that exists already is never overwritten.
+/// [`WriteError`]; an existing recording is never overwritten.
 pub fn write(
     directory: &Path,
     simulated: &Simulated,
