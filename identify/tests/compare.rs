@@ -105,7 +105,7 @@ fn identified_values_are_compared_whatever_the_nominal_ones_were() {
     assert!(!other.is_consistent() && other.other_nominals == ["ra2"], "{other:?}");
     let equal = moved(0.0, 0.0);
     assert!(equal.is_consistent() && equal.other_nominals.is_empty(), "{equal:?}");
-    // Whole turns are no difference.
+    // Whole turns do not count as a difference.
     let mut turned = one.clone();
     let entry = turned.parameters.iter_mut().find(|entry| entry.name == "rtheta2").unwrap();
     entry.value += std::f64::consts::TAU;

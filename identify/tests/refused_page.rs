@@ -189,7 +189,7 @@ fn an_older_calibration_is_set_aside_and_a_newer_one_takes_the_page_away() {
     for name in older {
         assert_eq!(std::fs::read_to_string(earlier.join(name)).unwrap(), format!("older {name}"));
     }
-    // A second refusal: there is no calibration to set aside. A calibration written in between does not collide with the first
+    // A second refusal: no calibration has to be set aside. A calibration written in between does not collide with the first
     // one.
     let (told, _) = refused();
     assert!(!told.contains("is now in") && !out.path().join("earlier-2").exists(), "{told}");

@@ -37,7 +37,7 @@ pub enum Kind {
 
 const KINDS: [Kind; 4] = [Kind::Tracker, Kind::Positions, Kind::Wire, Kind::Contact];
 
-/// The instrument.
+/// The instrument of the rows.
 #[derive(Clone)]
 enum Readings {
     /// Whole poses, or positions alone.

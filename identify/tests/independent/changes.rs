@@ -20,7 +20,7 @@ enum Injected {
     Joint(usize, f64),
     /// Position of the bar's base along x \[mm\].
     Base(f64),
-    /// Stamps of the bar, whose clock is too irregular to reveal a step by itself \[ms\].
+    /// Stamps of the bar, whose clock is too irregular to reveal a step alone \[ms\].
     Clock(f64),
     /// Delay of a drive, from 0, in the whole log \[ms\].
     LateJoint(usize, f64),
