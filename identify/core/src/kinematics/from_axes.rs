@@ -14,7 +14,7 @@ use super::{Chain, DhLink, LENGTH_M_MAX, Pose, rotation_vector};
 /// An axis at joint zero, in the root frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AxisLine {
-    /// Revolute or prismatic.
+    /// Kind of the joint, revolute or prismatic.
     pub joint: JointKind,
     /// A point on it \[m\]; any where it is prismatic.
     pub point_m: Vector3<f64>,
@@ -25,8 +25,8 @@ pub struct AxisLine {
 /// Directions whose sine is less are parallel but for what a calibration or rounding makes of them: their common normal is
 /// anywhere.
 const NEARLY_PARALLEL: f64 = 1e-3;
-/// Between directions whose sine is less, Hayati's link is taken where their common normal is further away than any link is long.
-/// The plane across one axis is crossed by the other well within the link's own length more.
+/// Between directions whose sine is less, Hayati's link is taken where their common normal is further away than any link is
+/// long. The plane across one axis is crossed by the other well within the link's own length more.
 const ASLANT: f64 = 0.5;
 /// Lengths \[m\] and angles \[rad\] below this are rounding.
 const ROUNDING: f64 = 1e-12;

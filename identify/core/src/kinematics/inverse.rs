@@ -56,7 +56,7 @@ pub enum InverseError {
          move the pose away from a singularity or check the chain's parameters"
     )]
     NotConverged {
-        /// Number of iterations.
+        /// Number of iterations made.
         iterations: usize,
         /// Last step, the largest of the joints.
         step_rad: f64,

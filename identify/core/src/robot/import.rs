@@ -37,17 +37,17 @@ pub enum ImportError {
     /// There is no such link.
     #[error("it has no link `{link}`; its links are {known}")]
     UnknownLink {
-        /// Requested link.
+        /// Name of the requested link.
         link: String,
-        /// All that it has.
+        /// Names of its links.
         known: String,
     },
     /// No joints lead from one to the other.
     #[error("link `{tip}` does not hang on link `{base}`; going up from it one comes to {above}")]
     NotConnected {
-        /// Requested base.
+        /// Name of the requested base.
         base: String,
-        /// Requested tip.
+        /// Name of the requested tip.
         tip: String,
         /// Links above the tip.
         above: String,
@@ -84,7 +84,7 @@ pub enum ImportError {
         "{axes} axes are between `{base}` and `{tip}`, a robot has {AXES_MIN} to {AXES_MAX}; choose other links"
     )]
     Axes {
-        /// Number of axes.
+        /// Number of axes found.
         axes: usize,
         /// Link before the axes.
         base: String,
@@ -113,7 +113,8 @@ pub struct Imported {
 /// The arm between links `base` and `tip`. Without `base` it is the link called so, or the one on which the first axis is;
 /// without `tip` the link called `tool0` or `flange`, or the only end of the longest row of axes, less a gripper.
 ///
-/// Forward kinematics from `base` to `tip` at the joints' values are those of the file, within the decimals of its right angles.
+/// Forward kinematics from `base` to `tip` at the joints' values are those of the file, within the decimals of its right
+/// angles.
 ///
 /// # Errors
 /// [`ImportError`].
