@@ -1,5 +1,5 @@
-//! Checks a path by the robot's joints alone: constraints at 1 kHz, the first violation of each in time, and
-//! what the path would determine.
+//! Checks a path given by the robot's joints: constraints at 1 kHz, the first violation of each, and the parameters that the
+//! path determines.
 
 use crate::kinematics::{BAR_JOINTS, Joints, ball_bar_inverse_refined, singularity_margin_rad};
 use crate::logs::{CubicSpline, RobotLog};
@@ -8,15 +8,15 @@ use crate::solver::Normal;
 
 use super::{Constraints, Information, Obstacle, Visited};
 
-/// Time between two poses that are checked \[s\].
+/// Time between two checked poses \[s\].
 const CHECK_S: f64 = 1e-3;
-/// A cable may be wound so far from where the path begins \[rad\].
+/// Largest rotation of a cable from the start of the path \[rad\].
 const WINDING_RAD_MAX: f64 = std::f64::consts::TAU;
-/// The nominal robot's end may be so far from where the bar lets it be \[m\]: robots err by more without calibration.
+/// Largest gap between the ends of the nominal robot and the bar \[m\]: smaller than the errors of robots before calibration.
 const OFF_SPHERE_M_MAX: f64 = 0.5e-3;
-/// Every how many poses that are checked one counts for what the path determines.
+/// One in this number of checked poses is used for the information of the path.
 const CHECKS_PER_POSE: usize = 100;
-/// Rows of a path further apart than this leave open what the robot does between them \[s\].
+/// Largest time between two rows of a path, so that the motion between them is known \[s\].
 const GAP_S_MAX: f64 = 1.0;
 
 /// A path that cannot be checked.
@@ -27,13 +27,13 @@ pub enum CheckError {
         "the path has rows more than {GAP_S_MAX} s apart, at {t_s:.3} s; give its joints at least so often"
     )]
     Gap {
-        /// Where the gap begins \[s\].
+        /// Start of the gap \[s\].
         t_s: f64,
     },
-    /// The bar cannot be where the robot's end is.
+    /// The bar cannot reach the robot's end.
     #[error("the bar does not reach the robot's end at {t_s:.3} s; check --base and the lengths of the bar")]
     NoBar {
-        /// When \[s\].
+        /// Time on the path \[s\].
         t_s: f64,
     },
 }
@@ -41,18 +41,18 @@ pub enum CheckError {
 /// A constraint that a path violates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Violation {
-    /// Violated constraint.
+    /// Kind of the constraint.
     pub obstacle: Obstacle,
-    /// When it begins for the first time \[s\].
+    /// Start of the first violation \[s\].
     pub first_s: f64,
-    /// For how long in all \[s\].
+    /// Total duration of its violations \[s\].
     pub duration_s: f64,
 }
 
-/// Extremes of a path.
+/// Extremes and information of a path.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Checked {
-    /// From its first row to its last \[s\].
+    /// Duration from its first row to its last \[s\].
     pub duration_s: f64,
     /// Violated constraints, in the order of time.
     pub violations: Vec<Violation>,
@@ -64,23 +64,23 @@ pub struct Checked {
     pub jerk_rad_s3: Joints,
     /// Lowest and highest angle of each robot joint \[rad\].
     pub joint_range_rad: Vec<[f64; 2]>,
-    /// Lowest and highest angle of each bar joint from where the path begins \[rad\].
+    /// Lowest and highest angle of each bar joint, relative to the start of the path \[rad\].
     pub winding_rad: [[f64; 2]; BAR_JOINTS],
-    /// Nearest to a singular pose of the bar \[rad\].
+    /// Smallest distance to a singular pose of the bar \[rad\].
     pub bar_margin_rad: f64,
     /// Smallest singular value of the robot's Jacobian (m and rad alike).
     pub dexterity: f64,
     /// Smallest distance of robot, bar and cell \[m\]; `None` if no bodies are known.
     pub clearance_m: Option<f64>,
-    /// Largest distance of the robot's end from where the bar lets it be \[m\].
+    /// Largest gap between the ends of robot and bar \[m\].
     pub off_sphere_m: f64,
     /// Poses along it, a tenth of a second apart.
     pub visited: Visited,
-    /// What the path determines.
+    /// Expected accuracy of a calibration on the path.
     pub normal: Normal,
 }
 
-/// The curve through the rows of a path.
+/// Interpolation of the rows of a path.
 ///
 /// # Errors
 /// [`CheckError::Gap`].
@@ -93,7 +93,7 @@ pub(super) fn curve(path: &RobotLog) -> Result<CubicSpline<Joints>, CheckError> 
 /// Checks a path of the nominal robot.
 ///
 /// # Errors
-/// [`CheckError`] where the path has gaps or the bar cannot follow at all.
+/// [`CheckError`] if the path has gaps or the bar cannot follow it.
 pub fn check(
     path: &RobotLog,
     constraints: &Constraints<'_>,

@@ -12,13 +12,12 @@ use crate::kinematics::Joints;
 pub struct Design {
     /// Centre of the gimbal in the robot's base frame \[m\].
     pub base_m: [f64; 3],
-    /// A posture of the robot near which the motion begins \[deg, mm\]; it selects elbow and wrist. One of another number of
-    /// axes selects nothing.
+    /// A posture of the robot near which the motion begins \[deg, mm\]; it selects elbow and wrist. It is ignored if its number
+    /// of axes differs.
     pub posture_deg: Joints,
-    /// Lower and upper end of each bar joint on the path \[deg\]. The signs of joints 2 and 4 are the bar's
-    /// configuration.
+    /// Range of each bar joint on the path \[deg\]. The signs of joints 2 and 4 select the bar's configuration.
     pub bar_range_deg: [[f64; 2]; 5],
-    /// From the first to the last bar sample \[s\].
+    /// Time from the first to the last bar sample \[s\].
     pub duration_s: f64,
     /// Highest speed of a bar joint \[rad/s\].
     pub bar_speed_rad_s: f64,
@@ -32,8 +31,8 @@ pub struct Design {
     pub wrist_margin_deg: f64,
     /// Distance of the robot's joints from their limits \[deg\].
     pub limit_margin_deg: f64,
-    /// Smallest singular value of the robot's Jacobian (m and rad alike): keeps away from the stretched elbow and all
-    /// other postures where small errors of the geometry make joints jump.
+    /// Smallest singular value of the robot's Jacobian (m and rad alike): excludes the stretched elbow and all other postures
+    /// in which small errors of the geometry cause large joint motions.
     pub dexterity_min: f64,
 }
 
@@ -56,8 +55,8 @@ impl Design {
     /// Comau NJ 220-2.7 with a bar of 0.5 to 1.0 m.
     pub const NJ_220: Self = Self { base_m: [1.7, 0.05, 0.6], ..Self::IRB_2400 };
 
-    /// Where a posture of an arm with these limits is looked for \[rad, m\]: any of an arm with another number of axes, whose elbow
-    /// and wrist are as good as others.
+    /// Range in which a posture of an arm with these limits is searched \[rad, m\]: the whole range for an arm with another
+    /// number of axes.
     pub fn posture_rad(&self, limits: &[[f64; 2]], random: &mut impl Rng) -> Joints {
         if self.posture_deg.len() == limits.len() {
             return self.posture_deg.map(f64::to_radians);
@@ -65,13 +64,13 @@ impl Design {
         Joints::random(limits, random)
     }
 
-    /// A posture of a six-axis arm keeps its distance from the straight wrist.
+    /// For six axes the posture keeps its distance from the straight wrist.
     pub fn wrist_is_bent(&self, joints_rad: &[f64]) -> bool {
         let margin = self.wrist_margin_deg.to_radians().sin();
         !matches!(joints_rad, [_, _, _, _, wrist, _] if wrist.sin().abs() < margin)
     }
 
-    /// The layout for a robot, by its reach: the upper arm of large robots is longer than a metre.
+    /// The layout for a robot, selected by its reach: the upper arm of large robots is longer than a metre.
     pub fn for_robot(robot: &RobotConfig) -> Self {
         let upper_arm_m = robot.links.get(1).map_or(0.0, |link| link.a_m);
         if upper_arm_m > 1.0 { Self::NJ_220 } else { Self::IRB_2400 }

@@ -1,10 +1,9 @@
-//! Information of a path: the normal equations of the parameters that a calibration of it would estimate, and one number
-//! for how good they are.
+//! Information of a path: the normal equations of the parameters that a calibration would estimate, and a scalar criterion.
 //!
-//! Each pose counts with the whitened residual of the `pose` cost at the nominal geometry, for noise that is white from
-//! sample to sample, of as many samples as a calibration keeps. Encoder harmonics and terms of the robot's axes take part with their priors, all of them: a
-//! calibration takes only those that held-out data support, so that it knows a little more than is expected here. Errors that
-//! no parameter describes are not included.
+//! Each pose contributes the whitened residual of the `pose` cost at the nominal geometry, for white noise and as many samples
+//! as a calibration keeps. Encoder harmonics and all terms of the robot's axes are included with their priors. A calibration
+//! includes only terms that held-out data support, so its accuracy is slightly better than expected here. Errors without a
+//! parameter are not included.
 
 use nalgebra::DMatrix;
 use rand_chacha::ChaCha8Rng;
@@ -22,23 +21,23 @@ use crate::solver::{Normal, Normals, Options, ScaledCholesky, stacked};
 
 use super::optimum::{Optimum, optimum};
 
-/// Postures over which position errors are averaged.
+/// Number of postures for the mean of position errors.
 const POSTURES: usize = 300;
 /// Rate of the recording \[1/s\].
 const SAMPLES_PER_S: f64 = 100.0;
 
-/// Standard deviation of what counts as known, SI.
+/// Standard deviation of parameters that count as known, SI.
 const KNOWN_SIGMA: f64 = 1e-9;
 
-/// RMS position errors over the robot's workspace that are expected after a calibration \[m\]; infinite if the place of the
-/// bar or the clocks are undetermined.
+/// Expected RMS position errors over the robot's workspace after a calibration \[m\]; infinite if the position of the bar or
+/// the clocks are undetermined.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ExpectedPosition {
-    /// Of an arm whose axes have no errors of their own.
+    /// For axes without errors.
     pub axes_exact_m: f64,
-    /// With all terms of the axes as wide as their priors.
+    /// With all terms of the axes, with the width of their priors.
     pub with_terms_m: f64,
-    /// And with the uncertainty of the plate's length, to which all lengths are in proportion.
+    /// Also with the uncertainty of the plate's length, to which all lengths are proportional.
     pub with_plate_m: f64,
 }
 
@@ -54,7 +53,7 @@ pub enum Criterion {
     Worst,
 }
 
-/// That of one group of terms alone.
+/// Error from one group of terms alone.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WithTerms {
     /// Group of the terms.
@@ -63,25 +62,25 @@ pub struct WithTerms {
     pub position_m: f64,
 }
 
-/// The parameters of a calibration, and what their errors do to positions.
+/// The parameters of a calibration, and their effect on positions.
 #[derive(Debug, Clone)]
 pub struct Information {
     model: Model,
     noise: AngleNoise,
-    /// Samples that a calibration keeps of each second \[1/s\].
+    /// Number of samples per second that a calibration keeps \[1/s\].
     samples_per_s: f64,
-    /// What is known of the columns whatever the path.
+    /// Prior information about the columns, for every path.
     known: Normal,
-    /// Standard deviation of each before anything is measured, SI; infinite where nothing is known.
+    /// Prior standard deviation of each column, SI; infinite without a prior.
     expected: Vec<f64>,
     /// Columns of the robot's links.
     robot: Vec<usize>,
-    /// Mean of `J^T J` of positions over the workspace, of those columns \[m²\].
+    /// Mean of `J^T J` of positions over the workspace, for the columns of the links \[m²\].
     weight: DMatrix<f64>,
     criterion: Criterion,
     /// Columns of errors of the robot's axes and of the bar's length.
     terms: Vec<(TermGroup, usize)>,
-    /// Column of the plate's length, which no path determines: all lengths are as uncertain as it is.
+    /// Column of the plate's length, which no path determines: the relative uncertainty of all lengths is that of the plate.
     scale: Option<usize>,
 }
 
@@ -104,10 +103,10 @@ impl RobotMotion for States<'_> {
 }
 
 impl Information {
-    /// For a run of this length, with what a calibration with default settings estimates and as many samples as it keeps.
+    /// For a run of this length, with the parameters and number of samples of a calibration with default settings.
     ///
     /// # Errors
-    /// [`ModelError`] where the model lacks a parameter.
+    /// [`ModelError`] if the model lacks a parameter.
     pub fn new(
         (robot, bar): (&RobotConfig, &BallBarConfig),
         (arm, bar_chain): (&Chain, &Chain),
@@ -123,7 +122,7 @@ impl Information {
             terms.extend(group.ids.iter().map(|id| (group.group, *id)));
             model.set_roles(group.ids, Role::Prior { value: 0.0, sigma: group.sigma })?;
         }
-        // The whole run fixes it well, whatever the path.
+        // Every whole run determines it well.
         model.set_role(ParameterId::ClockSkew, Role::Fixed)?;
         let plate = ParameterId::plate(model.axes());
         if bar.plate_u_um > 0.0 {
@@ -160,10 +159,10 @@ impl Information {
         })
     }
 
-    /// The same after a calibration, whose covariance this is: `between` of two parameters, `None` if one was not identified. A
-    /// new run determines anew where the bar stands, how its encoders are mounted and what the clocks show.
+    /// The information after a calibration with this covariance: `between` returns that of two parameters, `None` if one was
+    /// not identified. In a new run the position of the bar, the encoder offsets and the clocks are estimated again.
     ///
-    /// `None` if it has none of the parameters, or if the covariance is not positive definite.
+    /// `None` if the calibration has none of the parameters, or the covariance is not positive definite.
     #[must_use]
     pub fn after(mut self, between: impl Fn(ParameterId, ParameterId) -> Option<f64>) -> Option<Self> {
         let of_encoders = Some(TermGroup::EncoderHarmonics);
@@ -184,14 +183,14 @@ impl Information {
         let information = ScaledCholesky::new(covariance)?.inverse();
         for (i, (row, _)) in columns.iter().enumerate() {
             for (j, (column, _)) in columns.iter().enumerate() {
-                // The priors were part of the calibration.
+                // The calibration already includes the priors.
                 self.known.matrix[(*row, *column)] = information[(i, j)];
             }
         }
         Some(self)
     }
 
-    /// The same after a run with the bar elsewhere that determines this. `None` if it leaves a parameter undetermined.
+    /// The information after a run with the bar at another position. `None` if it leaves a parameter undetermined.
     #[must_use]
     pub fn after_run(&self, normal: &Normal) -> Option<Self> {
         let covariance = self.covariance_of(normal)?;
@@ -199,7 +198,7 @@ impl Information {
         self.clone().after(between)
     }
 
-    /// Normal equations of poses that are `period_s` apart, each counting as all samples of that time.
+    /// Normal equations of poses that are `period_s` apart; each represents all samples of its period.
     pub fn of(&self, poses: &Visited, period_s: f64) -> Normal {
         let folds = [(0..poses.bar_rad.len()).collect()];
         let normal = self.solved(poses, |problem, start| {
@@ -211,7 +210,7 @@ impl Information {
         normal
     }
 
-    /// What `of` makes of the problem that these poses are, and of its start.
+    /// Result of `of` for the problem of these poses and its start values.
     fn solved<T>(
         &self,
         poses: &Visited,
@@ -225,8 +224,8 @@ impl Information {
         of(&problem, &self.model.start())
     }
 
-    /// The best shares of these poses in a run of this length without any motion between them, by the mean squared
-    /// position error over the workspace with all terms of the axes \[m²\]. `None` if they leave a parameter undetermined.
+    /// Optimal parts of time of these poses in a run of this length, without motion between them, for the mean squared position
+    /// error over the workspace with all terms of the axes \[m²\]. `None` if they leave a parameter undetermined.
     pub fn optimum(&self, poses: &Visited, duration_s: f64) -> Option<Optimum> {
         let (_, rows) = self.solved(poses, |problem, start| stacked(problem, start))?;
         let mut known = self.known.matrix.clone();
@@ -242,12 +241,13 @@ impl Information {
         optimum(&known, (&rows, WhitenedPose::ROWS), duration_s * self.samples_per_s, &weight)
     }
 
-    /// Columns of the normal equations.
+    /// Number of columns of the normal equations.
     pub fn columns(&self) -> usize {
         self.model.columns().len()
     }
 
-    /// Expected covariance of all columns with the priors, with some columns known; `None` if the poses leave a column undetermined.
+    /// Expected covariance of all columns with the priors, with some columns fixed; `None` if the poses leave a column
+    /// undetermined.
     fn covariance<'c>(
         &self,
         normal: &Normal,
@@ -267,8 +267,8 @@ impl Information {
         self.covariance(normal, [])
     }
 
-    /// How good normal equations are, smaller is better; infinite where a parameter stays open. The plate counts as known:
-    /// its part is the same for all paths.
+    /// Criterion of normal equations, smaller is better; infinite if a parameter is undetermined. The plate counts as known,
+    /// because its contribution is the same for all paths.
     pub fn score(&self, normal: &Normal) -> f64 {
         self.worth(normal, self.criterion, &self.scale)
     }
@@ -295,7 +295,7 @@ impl Information {
         }
     }
 
-    /// What a calibration of a path is expected to leave of position errors.
+    /// Expected position errors after a calibration on a path.
     pub fn position(&self, normal: &Normal) -> ExpectedPosition {
         ExpectedPosition {
             axes_exact_m: self.position_with(normal, &[]),
@@ -304,13 +304,13 @@ impl Information {
         }
     }
 
-    /// RMS position error over the workspace that a calibration is expected to leave which estimates terms of these groups \[m\].
+    /// Expected RMS position error over the workspace after a calibration that estimates terms of these groups \[m\].
     pub fn position_with(&self, normal: &Normal, groups: &[TermGroup]) -> f64 {
         let others = self.terms.iter().filter(|(group, _)| !groups.contains(group));
         self.worth(normal, Criterion::Position, others.map(|(_, column)| column).chain(&self.scale))
     }
 
-    /// The same for each group alone that a calibration would try.
+    /// The same for each candidate group alone.
     pub fn with_each(&self, normal: &Normal) -> Vec<WithTerms> {
         let mut groups: Vec<TermGroup> = self.terms.iter().map(|(group, _)| *group).collect();
         groups.dedup();
@@ -318,13 +318,13 @@ impl Information {
         groups.into_iter().map(alone).collect()
     }
 
-    /// Numbers of the robot's links of which the data determine no more than a combination: offsets along parallel axes, and those
-    /// of which their priors determine some combination better.
+    /// Link parameters that the data determine only in combinations: offsets along parallel axes, and parameters with a
+    /// combination that their priors determine better.
     pub fn not_separated(&self, normal: &Normal) -> Vec<ParameterId> {
-        /// A number with a smaller part in such a combination is determined.
+        /// A parameter with a smaller component in such a combination counts as determined.
         const PART: f64 = 0.1;
         let Some(covariance) = self.covariance_of(normal) else { return Vec::new() };
-        // In units of the priors' standard deviations more than half of the variance is left where the priors know more.
+        // In units of the priors' standard deviations, more than half of the variance remains if the priors are more accurate.
         let left = DMatrix::from_fn(self.robot.len(), self.robot.len(), |i, j| {
             let [i, j] = [self.robot[i], self.robot[j]];
             covariance[(i, j)] / (self.expected[i] * self.expected[j])
@@ -335,7 +335,7 @@ impl Information {
         let part = |row: usize| open.iter().map(|direction| direction[row].powi(2)).sum::<f64>();
         let ids: Vec<ParameterId> = self.model.columns().map(|parameter| parameter.id).collect();
         let columns = self.robot.iter().enumerate().filter(|(row, _)| part(*row) > PART);
-        // The plate is what its measurement says, whatever the path.
+        // The plate has its measured uncertainty for every path.
         let columns = columns.map(|(_, column)| *column).filter(|column| Some(*column) != self.scale);
         let of_axes = inseparable_offsets(&self.model.geometry(&[]).robot).into_iter().flatten();
         of_axes.chain(columns.map(|column| ids[column])).collect()

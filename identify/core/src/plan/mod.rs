@@ -1,9 +1,9 @@
 //! Paths over the bar's sphere: random ones for simulated experiments, and optimised ones.
 //!
-//! `random` finds a path that keeps to the `constraints` (which know `bodies`), `search` improves it by the
-//! `information` that a calibration gets from it, `check` checks any path by the robot's joints alone, `programs`
-//! writes it for robot controllers, `optimum` is a bound on what any of them can determine; `place` proposes places of the bar,
-//! `poses` chooses poses for instruments that measure a robot at rest, `way` plans the moves between them round obstacles.
+//! `random` generates a path within the `constraints` (which use `bodies`), `search` improves it by the `information` of a
+//! calibration on it, `check` checks any path from the robot's joints, `programs` writes it for robot controllers, `optimum`
+//! computes a bound for every path. `place` proposes positions of the bar, `poses` selects poses for instruments that measure a
+//! robot at rest, and `way` plans collision-free moves between them.
 
 mod check;
 mod constraints;
@@ -41,7 +41,7 @@ use crate::logs::{Origin, RobotLog, Stream};
 /// Time between two rows of a planned path \[s\].
 const ROW_S: f64 = 0.004;
 
-/// `path.toml`: a path of the bar that `identify simulate --path` drives.
+/// `path.toml`: a path of the bar for `identify simulate --path`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlannedPath {
@@ -76,7 +76,7 @@ impl shared::config::Validate for PlannedPath {
 /// The nominal robot's joints along a path, as a log on the path's own clock.
 ///
 /// # Errors
-/// Those of the inverse kinematics, with the time \[s\].
+/// Errors of the inverse kinematics, with the time \[s\].
 pub fn robot_path(
     robot: &str,
     constraints: &Constraints<'_>,

@@ -1,10 +1,11 @@
-//! The least variance that poses can leave which are chosen freely, as often as one likes and without any motion between them: the ratio
-//! of this variance to that of a path or a choice of poses is its efficiency.
+//! Lower bound of the variance for freely chosen poses, with any repetition and without motion between them. Its ratio to the
+//! variance of a path or a selection of poses is their efficiency.
 //!
-//! Weights of poses that count as parts of a measurement are a design measure, in which the variance is convex (Chaloner 1984 with
-//! priors). The multiplicative algorithm (Silvey, Titterington and Torsney 1978) finds the best ones. With covariance `P`, weight `W` and
-//! `d` the largest fall of the variance `v` along any pose against the mean fall `m`, no weights leave less than `v^2 / (v + d - m)`: the
-//! bound of duality, as `tr(W P') >= 2 s tr(W P) - s^2 tr(P W P P'^-1)` for every covariance `P'` and number `s`.
+//! Weights of poses as parts of a measurement are a design measure, and the variance is convex in it (Chaloner 1984 with
+//! priors). The multiplicative algorithm (Silvey, Titterington and Torsney 1978) finds the optimal weights. With covariance
+//! `P`, weight `W`, the largest decrease `d` of the variance `v` along any pose and the mean decrease `m`, no weights have a
+//! variance below `v^2 / (v + d - m)`. This is the bound of duality, from `tr(W P') >= 2 s tr(W P) - s^2 tr(P W P P'^-1)` for
+//! every covariance `P'` and number `s`.
 
 use nalgebra::{DMatrix, DVector};
 use rand::Rng;
@@ -15,32 +16,33 @@ use super::poses::{squared, times};
 use super::{Checked, Constraints, Information, random_poses};
 use crate::solver::ScaledCholesky;
 
-/// Steps of the algorithm at most.
+/// Highest number of steps of the algorithm.
 const STEPS_MAX: usize = 300;
-/// The bound is found where `(d - m) / v` is no more than this.
+/// The bound has converged if `(d - m) / v` is at most this.
 const GAP: f64 = 0.05;
-/// The bound is used if it is more than this part of the variance of the best parts that were found.
+/// The bound is used if it exceeds this part of the variance of the best weights found.
 const TIGHT: f64 = 0.9;
-/// Random poses that a path is compared with.
+/// Number of random poses for comparison with a path.
 const RANDOM_POSES: usize = 1000;
-/// Poses of the path beside them at most: those of four minutes. Of a longer path every second or third says as much.
+/// Highest number of poses of the path in addition: those of four minutes. Longer paths are thinned without loss of
+/// information.
 const PATH_POSES_MAX: usize = 2400;
-/// Those of the best parts that a path is drawn towards: about twice as many as share most of the time.
+/// Number of poses with the largest weights that attract a path: about twice the number that has most of the weight.
 const GOALS: usize = 60;
 
-/// The best parts of poses, nearly.
+/// Nearly optimal weights of poses.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Optimum {
-    /// No parts leave less \[SI\].
+    /// Lower bound of the variance for any weights \[SI\].
     pub variance_min: f64,
-    /// What these parts leave \[SI\].
+    /// Variance for these weights \[SI\].
     pub variance: f64,
-    /// Of each pose, one in all.
+    /// Weight of each pose; their sum is one.
     pub parts: Vec<f64>,
 }
 
-/// Poses of the bar that a run learns most from, those with the largest parts of the optimum of random ones \[rad\]; empty where these
-/// leave a parameter open.
+/// The most informative poses of the bar, those with the largest optimal weights among random ones \[rad\]; empty if these
+/// leave a parameter undetermined.
 pub(super) fn goals(
     constraints: &Constraints<'_>,
     information: &Information,
@@ -53,15 +55,15 @@ pub(super) fn goals(
     largest.into_iter().take(GOALS).map(|pose| poses.bar_rad[pose]).collect()
 }
 
-/// What every run of a path's length leaves at least of the RMS position error with all terms of the axes \[m\], if it bends elbow and wrist
-/// as the path does, by its poses and random ones. None if they leave a parameter open, if the bound did not
-/// converge, and for an arm that has more than six axes.
+/// Lower bound of the RMS position error with all terms of the axes \[m\] for every run of a path's length with the same elbow
+/// and wrist, from its poses and random ones. `None` if they leave a parameter undetermined, if the bound did not converge, and
+/// for arms with more than six axes.
 pub fn position_m_min(
     checked: &Checked,
     constraints: &Constraints<'_>,
     information: &Information,
 ) -> Option<f64> {
-    // How elbow and wrist are bent is known of six axes only: freely bent ones leave far less than any path.
+    // The configuration of elbow and wrist is only known for six axes: with a free one the bound is far below any path.
     if constraints.limits.len() != 6 {
         return None;
     }
@@ -75,8 +77,8 @@ pub fn position_m_min(
 }
 
 /// The parts of poses, as often as one likes, that `measurements` of them should have so that `tr(weight covariance)` is least.
-/// `prior` is the information without any, `rows` has `of_pose` rows of each pose in standard deviations. `None` if the poses leave
-/// a parameter undetermined.
+/// `prior` is the information without any, `rows` has `of_pose` rows of each pose in standard deviations. `None` if the poses
+/// leave a parameter undetermined.
 pub(super) fn optimum(
     prior: &DMatrix<f64>,
     (rows, of_pose): (&DMatrix<f64>, usize),

@@ -16,28 +16,28 @@ const END_STANDSTILLS: f64 = 2.0;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Move {
-    /// When it begins \[s\].
+    /// Start time \[s\].
     pub start_s: f64,
-    /// How long it takes \[s\].
+    /// Duration \[s\].
     pub duration_s: f64,
-    /// By how much each joint moves \[rad\].
+    /// Motion of each joint \[rad\].
     pub by_rad: [f64; 5],
-    /// Bar joints when all moves before it are over \[rad\].
+    /// Bar joints at the end of all previous moves \[rad\].
     pub from_rad: [f64; 5],
 }
 
 impl Move {
     /// Peak of the profile's speed over its mean.
     const PEAK_SPEED: f64 = 1.875;
-    /// Short moves too take some time: no jerks \[s\].
+    /// Least duration of a move, to avoid large jerks \[s\].
     const DURATION_S_MIN: f64 = 0.5;
 
-    /// When it ends \[s\].
+    /// End time \[s\].
     pub fn end_s(&self) -> f64 {
         self.start_s + self.duration_s
     }
 
-    /// Bar joints when it and all moves before it are over \[rad\].
+    /// Bar joints at the end of this move and all previous ones \[rad\].
     pub(super) fn end_rad(&self) -> [f64; 5] {
         std::array::from_fn(|joint| self.from_rad[joint] + self.by_rad[joint])
     }
@@ -54,20 +54,20 @@ impl Move {
     }
 }
 
-/// A start and moves that are added up: where two overlap in time the corner between them is rounded.
+/// A start and a sum of moves: if two overlap in time, the corner between them is rounded.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Path {
     /// Bar joints before the first move \[rad\].
     pub start_rad: [f64; 5],
-    /// In the order of their beginning; at most neighbours overlap.
+    /// Moves in the order of their start; at most neighbours overlap.
     pub moves: Vec<Move>,
-    /// Length of the recording that is taken of it \[s\]; the path holds still before 0 and after its last move.
+    /// Duration of the recording \[s\]; the path is at rest before 0 and after its last move.
     pub duration_s: f64,
 }
 
 impl Path {
-    /// Stands still for as long as the design's run takes.
+    /// A path at rest for the duration of the design's run.
     pub fn at_rest(start_rad: [f64; 5], design: &Design) -> Self {
         Self { start_rad, moves: Vec::new(), duration_s: design.duration_s }
     }
@@ -77,7 +77,7 @@ impl Path {
         self.moves.last().map_or(self.start_rad, Move::end_rad)
     }
 
-    /// Adds a move to `to_rad`, whose fastest joint reaches `speed_rad_s`, timed so that it joins the path.
+    /// Adds a move to `to_rad`, whose fastest joint reaches `speed_rad_s`, with a start time that continues the path.
     pub fn push(&mut self, to_rad: &[f64; 5], speed_rad_s: f64, design: &Design) -> Move {
         let from_rad = self.end_rad();
         let by_rad: [f64; 5] = std::array::from_fn(|i| to_rad[i] - from_rad[i]);
@@ -95,7 +95,7 @@ impl Path {
         step
     }
 
-    /// Its last move is over in time for the standstill at the end.
+    /// Whether its last move ends early enough for the standstill at the end.
     pub fn is_in_time(&self, design: &Design) -> bool {
         self.moves.last().map_or(0.0, Move::end_s) <= self.duration_s - END_STANDSTILLS * design.standstill_s
     }
@@ -103,7 +103,7 @@ impl Path {
     /// Bar joints at `t_s` \[rad\].
     pub fn at(&self, t_s: f64) -> [f64; 5] {
         let begun = self.moves.partition_point(|step| step.start_s <= t_s);
-        // All but the last two are over: a path of ten hours costs as little as one of two minutes.
+        // All except the last two are complete: a path of ten hours is evaluated as fast as one of two minutes.
         let going_on = self.moves.get(begun.saturating_sub(2)..begun).unwrap_or_default();
         let mut joints = going_on.first().map_or(self.start_rad, |step| step.from_rad);
         for step in going_on {

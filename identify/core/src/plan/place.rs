@@ -1,5 +1,5 @@
-//! Where the bar should stand and how long its rod should be: places that the robot reaches from many sides, by what a path
-//! there determines.
+//! Position of the bar and length of its rod: positions that the robot reaches from many sides, ranked by the expected accuracy
+//! of a calibration there.
 
 use std::f64::consts::PI;
 use std::time::{Duration, Instant};
@@ -17,15 +17,15 @@ use crate::kinematics::{Chain, Joints, ball_bar_chain, ball_bar_inverse, robot_c
 use crate::model::ModelError;
 use crate::solver::Normal;
 
-/// Random paths at each place; the best counts.
+/// Number of random paths at each position; the best one counts.
 const PATHS: usize = 2;
-/// The robot's foot and what carries the bar have no room nearer to the robot's upright axis than this part of its reach: robots of 0.7 m
+/// Space of the robot's foot and the bar's stand around the robot's vertical axis, as a part of its reach: robots of 0.7 m
 /// reach stand on 0.2 m, of 2 m on 0.6 m.
 const PEDESTAL: f64 = 0.25;
-/// Places are given in steps of this \[m\]: a bar is not mounted more accurately, and its place is estimated.
+/// Positions are multiples of this \[m\]: a bar is not mounted more accurately, and its position is estimated.
 const STEP_M: f64 = 0.05;
 
-/// A place of the bar and what a path there determines.
+/// A position of the bar, and the expected accuracy of a calibration there.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Place {
     /// Centre of the gimbal in the robot's base frame \[m\].
@@ -34,22 +34,22 @@ pub struct Place {
     pub length_m: f64,
     /// A posture of the robot on the sphere \[deg\].
     pub posture_deg: Joints,
-    /// The criterion, smaller is better.
+    /// Value of the criterion, smaller is better.
     pub score: f64,
-    /// Position errors that a calibration leaves.
+    /// Expected position errors after a calibration.
     pub expected: ExpectedPosition,
-    /// What the path there determines.
+    /// Information of the path there.
     pub normal: Normal,
 }
 
-/// What a second run adds to one at the best place.
+/// Effect of a second run in addition to one at the best position.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Second {
-    /// Where the same bar adds most.
+    /// Best second position of the same bar.
     pub place: Place,
-    /// Position errors that a calibration of both runs leaves, each with its own base, offsets and clocks.
+    /// Expected position errors after a calibration of both runs, each with its own base, offsets and clocks.
     pub expected: ExpectedPosition,
-    /// And where the run at the best place is twice as long instead.
+    /// The same for a run of twice the length at the best position instead.
     pub twice_as_long: ExpectedPosition,
 }
 
@@ -58,7 +58,7 @@ pub struct Second {
 pub struct PlaceRequest<'a> {
     /// Configuration of the robot.
     pub robot: &'a RobotConfig,
-    /// The bar; its length is the first that is tried.
+    /// The bar; its configured length is tried first.
     pub bar: &'a BallBarConfig,
     /// Margins, speeds and duration of the paths.
     pub design: &'a Design,
@@ -68,27 +68,27 @@ pub struct PlaceRequest<'a> {
     pub acceleration_rad_s2: f64,
     /// Lengths of the rod \[m\].
     pub lengths_m: &'a [f64],
-    /// Lowest and highest gimbal over the robot's base frame \[m\].
+    /// Lowest and highest position of the gimbal above the robot's base frame \[m\].
     pub height_m: [f64; 2],
-    /// What a path is to be best at.
+    /// Criterion of the search.
     pub criterion: Criterion,
 }
 
-/// Places that were tried, the best first, and how many had no path.
+/// Positions with and without a path.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Places {
-    /// Places with a path.
+    /// Positions with a path, best first.
     pub found: Vec<Place>,
     /// Number of places without one.
     pub without_path: usize,
-    /// `None` if only one place with the best one's rod has a path.
+    /// Second position; `None` if only one position with the best rod length has a path.
     pub second: Option<Second>,
 }
 
-/// Tries places until `budget` is over or `is_over` returns true, which receives the number of tried places.
+/// Tries positions until `budget` has elapsed or `is_over` returns true, which receives the number of positions tried.
 ///
 /// # Errors
-/// [`ModelError`] where the model lacks a parameter.
+/// [`ModelError`] if the model lacks a parameter.
 pub fn places(
     request: &PlaceRequest<'_>,
     seed: u64,
@@ -102,7 +102,7 @@ pub fn places(
     while begun.elapsed() < budget && !is_over(tried) {
         let length_m = request.lengths_m.get(tried % request.lengths_m.len().max(1)).copied();
         let bar = request.bar_of(length_m.unwrap_or(request.bar.length_m));
-        // While a place is looked at it is not yet tried.
+        // A position in progress does not count as tried.
         let before = tried;
         let mut is_over = || begun.elapsed() >= budget || is_over(before);
         tried += 1;
@@ -112,7 +112,7 @@ pub fn places(
         };
         match request.at(&bar, base_m, posture_deg, &mut random, &mut is_over)? {
             Some(place) => places.found.push(place),
-            // A place that was not finished is not counted.
+            // An incomplete position is not counted.
             None if is_over() => {}
             None => places.without_path += 1,
         }
@@ -128,7 +128,7 @@ impl PlaceRequest<'_> {
         const TRIES: usize = 2000;
         let (arm, mut chain) = (robot_chain(self.robot, bar), ball_bar_chain(bar));
         let limits = self.robot.joint_limits();
-        // Within half a turn: a joint that turns further gains nothing here.
+        // Within half a turn: a larger rotation of a joint has no advantage.
         let ranges: Vec<[f64; 2]> = limits.iter().map(|[low, high]| [low.max(-PI), high.min(PI)]).collect();
         for _ in 0..TRIES {
             let q = Joints::random(&ranges, random);
@@ -154,7 +154,7 @@ impl PlaceRequest<'_> {
                 continue;
             };
             let constraints = self.constraints(&arm, &chain, &limits, self.design);
-            // The base was moved to where it can be bolted.
+            // The base was rounded to a position for mounting.
             if let Ok(q) = constraints.robot_at(bar_rad, &q) {
                 return Some((base_m, q.map(|angle| angle.to_degrees().round())));
             }
@@ -180,7 +180,7 @@ impl PlaceRequest<'_> {
         Information::new((self.robot, bar), chains, self.criterion, self.design.duration_s)
     }
 
-    /// Which of the places after the first adds most to it.
+    /// The position after the first that improves its result most.
     fn second(&self, found: &[Place]) -> Result<Option<Second>, ModelError> {
         let Some((first, others)) = found.split_first() else { return Ok(None) };
         let bar = self.bar_of(first.length_m);
@@ -218,7 +218,7 @@ impl PlaceRequest<'_> {
         let tight = tightened(&constraints, &tight_design);
         let mut best: Option<Place> = None;
         for _ in 0..PATHS {
-            // A place where the first path gets stuck is cramped.
+            // A position at which the first path fails has too little space.
             let Ok(route) = random_route_until(&tight, random, is_over) else { break };
             let Ok(pieces) = Pieces::of(&tight, &information, &route, is_over) else { continue };
             let normal = pieces.total(&information);

@@ -1,9 +1,10 @@
-//! Poses worth measuring with a tracker or a wire: of many that the robot reaches, those that leave the least error of positions.
+//! Selection of poses for a tracker or a wire: of many reachable poses, those with the least expected position error.
 //!
-//! The criterion is Bayesian I-optimality (Chaloner and Verdinelli 1995): the mean variance of positions over all candidates, where
-//! links, loads and gears err by as much as the priors of a calibration expect. Waves of gears are hundreds of amplitudes, more
-//! than a few poses determine: without them the best poses crowd at the ends of the joints' ranges and do not determine the
-//! middle. Poses are taken one by one, the best first (greedy), then each is exchanged for a better one (Fedorov 1972).
+//! The criterion is Bayesian I-optimality (Chaloner and Verdinelli 1995): the mean variance of positions over all candidates,
+//! with errors of links, loads and gears as large as in the priors of a calibration. Harmonics of gears have hundreds of
+//! amplitudes, more than a few poses determine: without their priors the best poses would be at the ends of the joints' ranges
+//! and would not determine the middle. Poses are selected one by one, the best first (greedy); then each is exchanged for a
+//! better one (Fedorov 1972).
 
 use std::f64::consts::PI;
 
@@ -30,14 +31,14 @@ use crate::statistics::median;
 use super::information::States;
 use super::optimum::optimum;
 
-/// Of where instrument and target are, one standard deviation \[m, rad\]: far more than what is measured leaves of it. More than
-/// that would leave nothing but rounding of what poses say of gears.
+/// Prior standard deviation of the poses of instrument and target \[m, rad\]: much larger than after the measurement. A still
+/// larger value would cause rounding errors in the information about gears.
 const PLACE_SIGMA: f64 = 0.02;
-/// Exchanges that are tried, at least one of each pose. The first round gains most.
+/// Number of exchanges to try; at least one of each pose. The first round gains most.
 const EXCHANGES: usize = 100;
-/// Random choices of as many poses that the planned one is compared with.
+/// Number of random selections of the same size for comparison.
 const RANDOM_CHOICES: usize = 5;
-/// Parameters of which more than this part of the expected standard deviation is left are named.
+/// Parameters that keep more than this part of their expected standard deviation are named.
 const UNDETERMINED: f64 = 0.9;
 
 /// What is measured at each pose.
@@ -62,18 +63,18 @@ impl Measures {
     }
 }
 
-/// Why poses cannot be chosen.
+/// Why poses cannot be selected.
 #[derive(Debug, thiserror::Error)]
 pub enum PosesError {
-    /// Not enough to choose from.
+    /// Too few candidates.
     #[error("{wanted} of {found} poses cannot be chosen; give a smaller --count, or more candidates")]
     TooFew {
-        /// Poses that are wanted.
+        /// Number of requested poses.
         wanted: usize,
-        /// Number of candidates.
+        /// Number of available candidates.
         found: usize,
     },
-    /// Hardly any random posture is free.
+    /// Too few random postures are free of collisions.
     #[error(
         "only {found} of {tried} random postures keep {clearance_mm:.0} mm from links, floor and boxes; check --floor and --box, or \
          give a smaller --link-radius-mm"
@@ -94,81 +95,81 @@ pub enum PosesError {
     Model(#[from] ModelError),
 }
 
-/// What is measured, and how well.
+/// Robot, instrument and noise of the measurements.
 #[derive(Debug, Clone, Copy)]
 pub struct PoseRequest<'a> {
     /// Configuration of the robot.
     pub robot: &'a RobotConfig,
-    /// Measured quantity.
+    /// Quantity measured at each pose.
     pub measures: Measures,
     /// Reflector, probe or the wire's end in the flange's frame \[m\].
     pub target_m: [f64; 3],
     /// Outlet of the wire in the robot's base frame \[m\]; unused for a tracker.
     pub anchor_m: [f64; 3],
-    /// One standard deviation of what is measured, with the robot's repeatability and what no term describes.
+    /// Standard deviation of a measurement, including the robot's repeatability and unmodelled errors.
     pub noise: PoseNoise,
 }
 
-/// How well parameters of one kind are determined.
+/// Expected accuracy of parameters of one kind.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Determined {
-    /// Name for display.
+    /// Name for display in reports.
     pub name: String,
     /// Parameters of this kind.
     pub ids: Vec<ParameterId>,
-    /// The part of each one's standard deviation before that is left after.
+    /// Ratio of the standard deviation after to that before the measurements, for each.
     pub left: Vec<f64>,
-    /// Expected before, one standard deviation, SI.
+    /// Standard deviation before, SI.
     pub prior: f64,
-    /// And after, root mean square, SI.
+    /// Root mean square of the standard deviations after, SI.
     pub sigma: f64,
 }
 
 impl Determined {
-    /// The parameters that are hardly determined.
+    /// Parameters that the poses hardly determine.
     pub fn undetermined(&self) -> impl Iterator<Item = ParameterId> + '_ {
         self.ids.iter().zip(&self.left).filter(|(_, left)| **left > UNDETERMINED).map(|(id, _)| *id)
     }
 }
 
-/// The poses that were chosen.
+/// The selected poses.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlannedPoses {
-    /// In the order in which they are driven; places among the candidates.
+    /// Indices of the candidates, in the order of the motion.
     pub chosen: Vec<usize>,
-    /// The poses \[rad, m\]; a joint may be a whole turn further than in the candidate, where no other way leads there.
+    /// The poses \[rad, m\]; a joint may differ from the candidate by a whole turn, if no other path leads there.
     pub joints: Vec<Joints>,
-    /// RMS position error over the candidates that is expected without a calibration \[m\].
+    /// Expected RMS position error over the candidates without a calibration \[m\].
     pub before_m: f64,
-    /// After one with these poses \[m\].
+    /// The same after a calibration with these poses \[m\].
     pub position_m: f64,
-    /// After one with as many random ones, the median \[m\].
+    /// The same after a calibration with as many random poses, median \[m\].
     pub random_m: f64,
-    /// How well the poses determine links, loads and gears.
+    /// Expected accuracy of links, loads and gears.
     pub determined: Vec<Determined>,
-    /// How the arm gets to each pose from the one before.
+    /// Motion of the arm to each pose from the previous one.
     pub ways: Vec<Way>,
 }
 
 /// How an arm moves to a pose.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Way {
-    /// Along the straight line of the joints; nothing is in the way as far as that is known.
+    /// A straight line in joint space, free of collisions with known bodies.
     Straight,
-    /// Along straight lines of the joints through these postures \[rad, m\].
+    /// Straight lines in joint space through these postures \[rad, m\].
     Through(Vec<Joints>),
-    /// No way was found that keeps its distance from everything.
+    /// No path with the required clearance was found.
     Blocked,
 }
 
 impl PlannedPoses {
-    /// Numbers of the poses to which no way was found, from 1.
+    /// Numbers of the poses without a path to them, from 1.
     pub fn blocked(&self) -> Vec<usize> {
         let numbered = self.ways.iter().zip(1..);
         numbered.filter(|(way, _)| **way == Way::Blocked).map(|(_, number)| number).collect()
     }
 
-    /// Postures of each move: the pose before, those on the way, the pose.
+    /// Postures of each move: previous pose, intermediate postures, pose.
     pub fn moves(&self) -> impl Iterator<Item = Vec<Joints>> + '_ {
         self.joints.windows(2).zip(self.ways.iter().skip(1)).map(|(pair, way)| {
             let between: &[Joints] = if let Way::Through(postures) = way { postures } else { &[] };
@@ -188,7 +189,7 @@ pub fn is_on_last_axis(robot: &RobotConfig, target_m: &[f64; 3]) -> bool {
     turned.is_some_and(|twist| twist.linear.norm() < NEAR_M)
 }
 
-/// Random postures that touch nothing, within half a turn of each joint and `margin_rad` from its limits.
+/// Random postures free of collisions, within half a turn of each joint and `margin_rad` inside its limits.
 ///
 /// # Errors
 /// [`PosesError::NoRoom`].
@@ -219,8 +220,8 @@ pub fn random_postures(
     Ok(found)
 }
 
-/// Chooses `count` of the candidates. Between two of them the robot moves along a straight line of its joints, away from `bodies`
-/// where these are known.
+/// Selects `count` of the candidates. Between two of them the robot moves along a straight line in joint space, clear of
+/// `bodies` if these are known.
 ///
 /// # Errors
 /// [`PosesError`].
@@ -256,7 +257,7 @@ pub fn poses(
         joints.push(to);
         ways.push(way);
     }
-    // How backlash is approached follows from the order, as if all moves were straight.
+    // The direction of motion before each pose, for backlash, follows from the order with straight moves.
     let of = |poses: &mut dyn Iterator<Item = Joints>| -> Result<Option<DMatrix<f64>>, PosesError> {
         Ok(known.covariance(&known.measured(&standing(poses))?))
     };
@@ -267,7 +268,7 @@ pub fn poses(
         let some = index::sample(&mut random, candidates.len(), count).into_vec();
         random_m.extend(of(&mut some.iter().map(|&pose| candidates[pose]))?.as_ref().map(position_m));
     }
-    // As chosen: a whole turn more changes nothing but what an error of a gear's ratio does.
+    // The selected candidates: a whole turn only changes the effect of an error of a gear's ratio.
     let covariance = of(&mut order.iter().map(|&pose| candidates[pose]))?.ok_or(PosesError::NotFinite)?;
     Ok(PlannedPoses {
         joints,
@@ -280,8 +281,8 @@ pub fn poses(
     })
 }
 
-/// A bound below the RMS position error over the candidates that any `count` of them leave \[m\], even where one may be measured more
-/// than once: how far a choice is from the best one at most.
+/// Lower bound of the RMS position error over the candidates for any `count` of them \[m\], even with repeated poses: the
+/// largest distance of a selection from the optimum.
 ///
 /// # Errors
 /// [`PosesError`].
@@ -299,22 +300,22 @@ pub fn poses_position_m_min(
     best.map(|best| best.variance_min.sqrt()).ok_or(PosesError::NotFinite)
 }
 
-/// The parameters of a calibration under what is expected of them.
+/// Parameters of a calibration with their priors.
 struct Known<'a> {
     request: &'a PoseRequest<'a>,
     model: Model,
     groups: Vec<CandidateGroup>,
     ids: Vec<ParameterId>,
-    /// Variance of each column before anything is measured.
+    /// Prior variance of each column.
     prior: Vec<f64>,
 }
 
 impl<'a> Known<'a> {
-    /// As a calibration lays it out, all terms of the joints under the middle of the standard deviations that it tries.
+    /// Parameters of a calibration; all joint terms have the middle one of the candidate standard deviations.
     fn new(request: &'a PoseRequest<'a>) -> Result<Self, ModelError> {
         let flange = flange_chain(request.robot);
         let (model, owner) = match request.measures {
-            // Where the end of the wire is counts as a tracker in the robot's base would see it.
+            // The position of the wire's end is equivalent to the measurement of a tracker in the robot's base.
             Measures::Lengths => (
                 Model::alone(&flange).with_set_ups(Owner::Wire, [1, 1]).with_set_ups(Owner::Tracker, [1, 1]),
                 Owner::Wire,
@@ -357,7 +358,7 @@ impl<'a> Known<'a> {
         Ok(Self { request, model, groups, ids, prior })
     }
 
-    /// Rows of each pose, in standard deviations.
+    /// Rows of each pose, divided by their standard deviations.
     fn measured(&self, states: &[JointState]) -> Result<DMatrix<f64>, PosesError> {
         let (noise, set_ups) =
             (&vec![self.request.noise; states.len()], &vec![SetUp::default(); states.len()]);
@@ -373,7 +374,7 @@ impl<'a> Known<'a> {
         }
     }
 
-    /// What a tracker in the robot's base sees.
+    /// Measurement of a tracker in the robot's base.
     fn seen(&self, states: &[JointState]) -> Vec<Pose> {
         let geometry = self.model.geometry(&[]);
         let probe = geometry.tracker.probes.first().map_or_else(Pose::identity, Placement::pose);
@@ -393,7 +394,7 @@ impl<'a> Known<'a> {
         residual: R,
         sigma: f64,
     ) -> Result<DMatrix<f64>, PosesError> {
-        // The length that is measured changes no derivative.
+        // The derivatives do not depend on the measured length.
         let observations: Vec<Observation> =
             (0..states.len()).map(|pose| Observation::length(pose as f64, 1.0)).collect();
         let motion = States(states);
@@ -409,7 +410,7 @@ impl<'a> Known<'a> {
         Ok(squared(&rows) / states.len().max(1) as f64)
     }
 
-    /// After these rows; `None` if they leave a parameter undetermined.
+    /// Covariance after these rows; `None` if they leave a parameter undetermined.
     fn covariance(&self, rows: &DMatrix<f64>) -> Option<DMatrix<f64>> {
         let mut normal = squared(rows);
         self.prior
@@ -423,7 +424,7 @@ impl<'a> Known<'a> {
         id.owner() == Owner::Robot
     }
 
-    /// Mean squared position error that links, loads and gears make before anything is measured \[m²\].
+    /// Mean squared position error due to links, loads and gears before the measurements \[m²\].
     fn robot_only(&self, weight: &DMatrix<f64>) -> f64 {
         let columns = self.ids.iter().zip(&self.prior).enumerate();
         let of_robot = columns.filter(|(_, (id, _))| Self::is_of_robot(**id));
@@ -453,15 +454,15 @@ impl<'a> Known<'a> {
     }
 }
 
-/// What each candidate would add to those that were taken.
+/// Gain of each candidate in addition to the selected poses.
 ///
-/// With covariance `P`, weight `W` and the whitened rows `J` of a pose, taking it lowers `tr(W P)` by
-/// `tr((I + J P J^T)^-1 J P W P J^T)`: both small matrices are kept for all candidates.
+/// With covariance `P`, weight `W` and the whitened rows `J` of a pose, its selection reduces `tr(W P)` by
+/// `tr((I + J P J^T)^-1 J P W P J^T)`: both small matrices are stored for all candidates.
 struct Choice<'k> {
     jacobian: &'k DMatrix<f64>,
     weight: &'k DMatrix<f64>,
     covariance: DMatrix<f64>,
-    /// Rows of a pose.
+    /// Number of rows of a pose.
     rows: usize,
     /// `J P J^T` of each candidate, stacked.
     spread: DMatrix<f64>,
@@ -491,7 +492,7 @@ impl<'k> Choice<'k> {
         Self { jacobian, weight, covariance, rows, spread, worth, taken }
     }
 
-    /// The best of them, one by one, then exchanged.
+    /// Selects the best candidates one by one, then exchanges them.
     fn best(mut self, count: usize) -> Vec<usize> {
         let mut chosen: Vec<usize> = (0..count).filter_map(|_| self.take_best()).collect();
         for _ in 0..(EXCHANGES / count).max(1) {
@@ -526,7 +527,7 @@ impl<'k> Choice<'k> {
         spread.cholesky().map_or(0.0, |factor| factor.solve(&self.of(&self.worth, pose).into_owned()).trace())
     }
 
-    /// Takes a pose (`sign` 1) or gives it back (-1); false where rounding forbids it.
+    /// Adds a pose (`sign` 1) or removes it (-1); false if rounding errors prevent it.
     fn change(&mut self, pose: usize, sign: f64) -> bool {
         let identity = DMatrix::<f64>::identity(self.rows, self.rows);
         let Some(factor) = (identity + self.of(&self.spread, pose) * sign).cholesky() else { return false };
@@ -555,7 +556,7 @@ impl<'k> Choice<'k> {
     }
 }
 
-/// A product with many rows on the left, on all threads.
+/// Product with a tall matrix on the left, on all threads.
 pub(super) fn times(left: &DMatrix<f64>, right: &DMatrix<f64>) -> DMatrix<f64> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let share = left.nrows().div_ceil(threads).max(1);
@@ -579,13 +580,13 @@ pub(super) fn squared(rows: &DMatrix<f64>) -> DMatrix<f64> {
     times(&rows.transpose(), rows)
 }
 
-/// Largest change of a joint between two postures, which decides how long the move takes.
+/// Largest change of a joint between two postures, which determines the duration of the move.
 pub(super) fn far(q: &Joints, other: &Joints) -> f64 {
     q.iter().zip(other).fold(0.0_f64, |most, (a, b)| most.max((a - b).abs()))
 }
 
-/// A short way through poses from the one nearest to the joints' zeros: to the nearest next one, then shorter by turning parts of it
-/// round (2-opt, Croes 1958). A move takes as long as its largest joint.
+/// A short tour through poses from the one nearest to the joints' zeros: always to the nearest remaining pose, then shortened
+/// by reversing parts of it (2-opt, Croes 1958). The duration of a move is that of its largest joint motion.
 fn driven(chosen: &[usize], candidates: &[Joints], is_clear: impl Fn(usize, usize) -> bool) -> Vec<usize> {
     let zeros = candidates.first().map_or_else(Joints::default, |q| Joints::zeros(q.len()));
     let way = |a: usize, b: usize| far(&candidates[a], &candidates[b]);

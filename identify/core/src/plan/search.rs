@@ -1,7 +1,8 @@
 //! Improves a path, one point at a time, until the time is over.
 //!
-//! A point of the path is moved, also towards the poses with most information, or its moves made faster or slower; the information of two moves and their
-//! neighbours is computed again, the rest is kept. A change stays where it makes the criterion better and the path still keeps to all constraints.
+//! A point of the path is moved, also towards the poses with most information, or its moves made faster or slower; the
+//! information of two moves and their neighbours is computed again, the rest is kept. A change stays where it makes the
+//! criterion better and the path still keeps to all constraints.
 
 use std::time::{Duration, Instant};
 
@@ -27,8 +28,8 @@ const LOOKS_PER_POSE: usize = 2;
 /// After a changed part the robot is again within this of its old joints \[rad\]: the same solution of its inverse kinematics.
 const SAME_RAD: f64 = 1e-3;
 
-/// Between two poses that are looked at, [`LOOK_S`] apart, an extreme lies beyond both by the acceleration times `LOOK_S^2 / 8`:
-/// 2 mrad at 5 rad/s², 3 mm at the end of an arm. The search keeps this much more distance.
+/// Between two evaluated poses, [`LOOK_S`] apart, an extreme exceeds both by at most the acceleration times `LOOK_S^2 / 8`:
+/// 2 mrad at 5 rad/s², 3 mm at the end of an arm. The search keeps this additional distance.
 ///
 /// [`LOOK_S`]: super::constraints::LOOK_S
 const ANGLE_ROOM_DEG: f64 = 0.2;
@@ -53,11 +54,11 @@ pub struct Progress {
 pub struct Found {
     /// Path of bar and robot.
     pub route: Route,
-    /// Its normal equations.
+    /// Normal equations of the path.
     pub normal: Normal,
     /// The criterion of each random path, in the order of their seeds.
     pub random_scores: Vec<f64>,
-    /// What the search did.
+    /// Number of changes, and the value of the criterion.
     pub progress: Progress,
 }
 
@@ -69,8 +70,8 @@ pub(super) struct Pieces {
     normals: Vec<Normal>,
 }
 
-/// Searches until `budget` is over or `is_over` returns true, whichever is first. It receives no progress before there is a first
-/// path.
+/// Searches until `budget` is over or `is_over` returns true, whichever is first. It receives no progress before there is a
+/// first path.
 ///
 /// # Errors
 /// [`PlanError`] if no path is found.

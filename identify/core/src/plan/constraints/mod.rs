@@ -68,7 +68,7 @@ pub struct Constraints<'a> {
     limits_rad: Vec<[f64; 2]>,
     /// Margins and highest speeds.
     pub design: &'a Design,
-    /// Highest acceleration of a robot joint \[rad/s²\]; infinite if there is no limit.
+    /// Highest acceleration of a robot joint \[rad/s²\]; infinite for an unlimited one.
     pub acceleration_rad_s2: f64,
     /// Bodies that must not touch, if they are known.
     pub bodies: Option<Bodies>,
@@ -119,8 +119,8 @@ impl<'a> Constraints<'a> {
         self.robot_is_comfortable(&robot).map(|()| robot)
     }
 
-    /// The robot's joints at a pose of its end, the solution nearest to `near_rad`; where an arm has more axes than it needs, the
-    /// one in the middle of its limits.
+    /// The robot's joints at a pose of its end, the solution nearest to `near_rad`; where an arm has more axes than it needs,
+    /// the one in the middle of its limits.
     ///
     /// # Errors
     /// Those of the inverse kinematics.
@@ -150,9 +150,9 @@ impl<'a> Constraints<'a> {
         }
     }
 
-    /// Which way wrist, elbow and shoulder of an arm of six axes are bent: the sign of joint 5, the side of the upper arm on which the
-    /// wrist is, and the sign of the Jacobian's determinant, which changes with each of the three. No path changes them that stays
-    /// away from singular postures.
+    /// Which way wrist, elbow and shoulder of an arm of six axes are bent: the sign of joint 5, the side of the upper arm on
+    /// which the wrist is, and the sign of the Jacobian's determinant, which changes with each of the three. No path changes
+    /// them that stays away from singular postures.
     pub(super) fn bent(&self, robot_rad: &[f64]) -> [bool; 3] {
         let &[_, _, _, _, wrist, _] = robot_rad else { return [true; 3] };
         let mut trace = Trace::default();
