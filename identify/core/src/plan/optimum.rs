@@ -76,9 +76,9 @@ pub fn position_m_min(
     (best.variance_min > TIGHT * best.variance).then(|| best.variance_min.sqrt())
 }
 
-/// The parts of poses, as often as one likes, that `measurements` of them should have so that `tr(weight covariance)` is least.
-/// `prior` is the information without any, `rows` has `of_pose` rows of each pose in standard deviations. `None` if the poses
-/// leave a parameter undetermined.
+/// Optimal parts of poses, with any repetition, of `measurements` of them for the least `tr(weight covariance)`. `prior` is the
+/// information without measurements, `rows` has `of_pose` rows of each pose in standard deviations. `None` if the poses leave a
+/// parameter undetermined.
 pub(super) fn optimum(
     prior: &DMatrix<f64>,
     (rows, of_pose): (&DMatrix<f64>, usize),
@@ -97,7 +97,7 @@ pub(super) fn optimum(
         counted.column_iter_mut().for_each(|mut column| column.component_mul_assign(&root));
         let covariance = ScaledCholesky::new(prior + squared(&counted))?.inverse();
         let variance = weight.dot(&covariance);
-        // By how much the variance falls with the part of each pose.
+        // Decrease of the variance with the part of each pose.
         let worth = times(rows, &(&covariance * weight * &covariance));
         let falls = |pose: usize| {
             let [worth, own] = [&worth, rows].map(|all| all.rows(pose * of_pose, of_pose));

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Design;
 
-/// Every how many points the robot stands still.
+/// Number of moves between two standstills.
 const MOVES_PER_STOP: usize = 3;
 /// A move begins this part of its own or the former's duration before the former ends, whichever is shorter.
 const OVERLAP: f64 = 0.3;

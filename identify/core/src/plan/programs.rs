@@ -1,10 +1,10 @@
 //! A path, or poses to stop at, as programs of robot controllers.
 //!
 //! Points of a path are so close that the robot leaves the sphere by no more than [`OFF_SPHERE_M_MAX`] between them, as each
-//! controller interpolates: joints along lines (RAPID, FANUC), or along curves (KRL's splines, URScript's servo loop).
-//! Sources: ABB, Technical reference manual RAPID (3HAC050917), `MoveAbsJ`; KUKA System Software 8.3, Operating and
-//! Programming Instructions for System Integrators, `PTP_SPLINE` with `TIME_BLOCK`; Universal Robots, Script Manual,
-//! `servoj`, `get_steptime`; FANUC, R-30iA Operator's Manual, motion instructions (joint motion by time, `CNT`), and programs that
+//! controller interpolates: joints along lines (RAPID, FANUC), or along curves (KRL's splines, URScript's servo loop). Sources:
+//! ABB, Technical reference manual RAPID (3HAC050917), `MoveAbsJ`; KUKA System Software 8.3, Operating and Programming
+//! Instructions for System Integrators, `PTP_SPLINE` with `TIME_BLOCK`; Universal Robots, Script Manual, `servoj`,
+//! `get_steptime`; FANUC, R-30iA Operator's Manual, motion instructions (joint motion by time, `CNT`), and programs that
 //! controllers have written as text.
 
 use std::fmt::Write;
@@ -130,7 +130,7 @@ struct Points {
 }
 
 impl Points {
-    /// Moves and standstills in turn. Points that a program would write with the same digits are standstills: controllers refuse
+    /// Alternating moves and standstills. Points with equal digits in the program count as a standstill: controllers refuse
     /// segments of zero length, or stop at them.
     fn segments(&self, digits: i32) -> Vec<Step> {
         let written = |q: &Joints| q.map(|angle| (angle.to_degrees() * 10f64.powi(digits)).round());
@@ -150,14 +150,14 @@ impl Points {
 /// Purpose of a program.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Task {
-    /// Drives along a path.
+    /// Moves along a path.
     Path,
     /// Stops at each pose.
     Poses,
 }
 
 impl Language {
-    /// That of the maker in a robot's name, if it is one of these.
+    /// The language of the maker in a robot's name, if it is one of these.
     pub fn of(robot: &RobotConfig) -> Option<Self> {
         Some(match robot.maker()? {
             Maker::Abb => Self::Rapid,
@@ -167,7 +167,7 @@ impl Language {
         })
     }
 
-    /// Name of the file that a controller takes.
+    /// Name of the program's file.
     pub fn file_name(self, task: Task) -> String {
         let extension = match self {
             Self::Rapid => "mod",
@@ -188,18 +188,18 @@ impl Language {
         }
     }
 
-    /// Decimals of a degree that its programs have.
+    /// Number of decimals of a degree in the program.
     const fn digits(self) -> i32 {
         if matches!(self, Self::Fanuc) { 3 } else { 6 }
     }
 
-    /// The controller goes from point to point along curves that pass their speeds.
+    /// Whether the controller interpolates with the speeds at the points.
     const fn is_smooth(self) -> bool {
         !matches!(self, Self::Rapid | Self::Fanuc)
     }
 }
 
-/// The controller of this robot takes programs in this language.
+/// Checks that the controller of this robot supports this language.
 ///
 /// # Errors
 /// [`ProgramError`].
@@ -207,7 +207,7 @@ pub fn can_be_programmed(language: Language, robot: &RobotConfig) -> Result<(), 
     conversion(language, robot).map(drop)
 }
 
-/// The program of a path.
+/// Writes the program of a path.
 ///
 /// # Errors
 /// [`ProgramError`].
@@ -239,7 +239,8 @@ pub fn program(
     Ok(text(language, Task::Path, &about, &steps))
 }
 
-/// The program that stops at poses, for `wait_s` at each \[s\]. Before a pose to which no free way is known it stops for a person.
+/// Writes the program that stops at poses for `wait_s` \[s\] each. Before a pose without a known free path it waits for the
+/// operator.
 ///
 /// # Errors
 /// [`ProgramError`].
@@ -279,12 +280,12 @@ fn text(language: Language, task: Task, about: &str, steps: &[Step]) -> String {
     }
 }
 
-/// From joints to the numbers that the controller takes, angles in radians.
+/// Converts joints to the controller's values, angles in radians.
 fn conversion(language: Language, robot: &RobotConfig) -> Result<JointConversion, ProgramError> {
     if robot.axes() != 6 {
         return Err(ProgramError::Axes { robot: robot.name.clone(), axes: robot.axes() });
     }
-    // A controller takes the angles that its log has where these are joint angles, whatever their signs and coupling.
+    // A controller accepts the angles of its own log if these are joint angles, with any signs and coupling.
     let is_joint = |entry: &f64| [-1.0, 0.0, 1.0].contains(entry);
     if !robot.log.raw_to_joint.iter().flatten().all(is_joint) {
         return Err(ProgramError::Motors { robot: robot.name.clone() });
@@ -295,8 +296,8 @@ fn conversion(language: Language, robot: &RobotConfig) -> Result<JointConversion
     Ok(JointConversion::new(&LogConversion { unit: AngleUnit::Rad, ..robot.log.clone() })?)
 }
 
-/// FANUC controllers count joint 3 from the horizontal: it keeps its number where joint 2 alone turns and the forearm keeps its
-/// direction. Robot descriptions often count from the upper arm, so that joint 2 is part of the model's joint 3.
+/// FANUC controllers measure joint 3 from the horizontal: its value does not change if joint 2 alone turns and the forearm
+/// keeps its direction. Robot descriptions often measure it from the upper arm, so that joint 2 is part of the model's joint 3.
 fn counts_from_horizontal(robot: &RobotConfig) -> Result<(), ProgramError> {
     let mut trace = Trace::default();
     Tracer::new(&flange_chain(robot)).trace(&Joints::zeros(robot.axes()), &mut trace);
@@ -311,7 +312,7 @@ fn counts_from_horizontal(robot: &RobotConfig) -> Result<(), ProgramError> {
     Err(ProgramError::Coupling { robot: robot.name.clone(), row })
 }
 
-/// Points of a path, and how far it leaves the sphere between them \[m\].
+/// Points of a path, and largest distance from the sphere between them \[m\].
 fn points(
     language: Language,
     path: &RobotLog,
@@ -372,7 +373,7 @@ fn off_sphere(
     most_m
 }
 
-/// Cubic from `a` to `b` with these slopes for a part of the way.
+/// Cubic from `a` to `b` with these slopes, at a part of the interval.
 fn hermite(u: f64, [a, b]: [f64; 2], [slope_a, slope_b]: [f64; 2]) -> f64 {
     let (u2, u3) = (u * u, u * u * u);
     (2.0 * u3 - 3.0 * u2 + 1.0) * a
@@ -396,7 +397,7 @@ fn rapid(name: &str, about: &str, steps: &[Step]) -> String {
             Step::Go(raw_rad) => writeln!(text, "    {},v50,fine,tool0;", target(raw_rad)),
             Step::Wait(wait_s) => writeln!(text, "    WaitTime {wait_s};"),
             Step::Halt { message, reason, jogged_to } => {
-                // Where it was jogged away it must not go back.
+                // After the operator has jogged the arm, it must not return to the previous position.
                 let stop = if jogged_to.is_some() { "Stop\\NoRegain" } else { "Stop" };
                 writeln!(text, "    ! {reason}\n    TPWrite \"{message}\";\n    {stop};")
             }
@@ -421,7 +422,7 @@ fn krl(name: &str, about: &str, steps: &[Step]) -> String {
             axes.map(|(axis, angle)| format!("A{} {:.6}", axis + 1, angle.to_degrees())).collect();
         format!("{{{}}}", axes.join(","))
     };
-    // Targets are angles of axes, which tool and base do not change; a controller without valid ones does not move.
+    // Targets are joint angles, independent of tool and base; but a controller without valid ones does not move.
     let mut text = format!(
         "&ACCESS RVP\nDEF {name}()\n; {about}\nBAS(#INITMOV,0)\nBAS(#VEL_PTP,10)\n$TOOL=$NULLFRAME\n$BASE=$NULLFRAME\n"
     );
@@ -485,8 +486,8 @@ fn ur_script_path(points: &Points) -> String {
         list(first, 1.0),
         list(&Joints::zeros(axes), 1.0)
     );
-    // A cubic between two points with the path's speeds at both, one step of the controller at a time. The rest of a
-    // point's time is added to the next: 50 ms is not a multiple of 8 ms.
+    // A cubic between two points with the path's speeds at both, evaluated at each step of the controller. The remaining time
+    // of a point is added to the next: 50 ms is not a multiple of 8 ms.
     let entries: Vec<String> =
         (0..axes).map(|i| format!("a*q0[{i}]+b*q1[{i}]+c*v0[{i}]+d*v1[{i}]")).collect();
     let _ = write!(
@@ -506,11 +507,11 @@ fn ur_script_path(points: &Points) -> String {
     text
 }
 
-/// Joint 3 is counted from the horizontal, by the coupling in `raw_to_joint` ([`counts_from_horizontal`]).
+/// Joint 3 is measured from the horizontal, by the coupling in `raw_to_joint` ([`counts_from_horizontal`]).
 fn fanuc(name: &str, about: &str, steps: &[Step]) -> String {
-    /// Characters of a remark that a controller takes.
+    /// Highest number of characters of a remark.
     const REMARK: usize = 32;
-    /// Characters of a message.
+    /// Highest number of characters of a message.
     const MESSAGE: usize = 24;
     let remark = |text: &str| -> Vec<String> {
         textwrap::wrap(text, REMARK).into_iter().map(|part| format!("!{part}")).collect()

@@ -1,7 +1,7 @@
-//! Finds a path over the bar's sphere that robot and bar can follow: random points, each move tried before it is taken.
+//! Generates a path over the bar's sphere within all constraints: random points, each move checked before it is added.
 //!
-//! Random points in all five bar joints excite every direction of the pose, which a hand-made path seldom does; the
-//! seed makes another path of the same experiment.
+//! Random points in all five bar joints excite every direction of the pose, which manual paths seldom do; the
+//! seed selects another path of the same experiment.
 
 use std::collections::BTreeMap;
 
@@ -11,25 +11,25 @@ use super::{Constraints, Design, Move, Obstacle, Path, Visited};
 use crate::kinematics::Joints;
 use crate::model::JointState;
 
-/// Points tried before giving up.
+/// Highest number of points to try.
 const TRIES: usize = 300;
-/// How often corners without a way out may be left again before the path grows.
+/// Highest number of backtracks without progress of the path.
 const RETREATS: usize = 60;
-/// Moves given up then.
+/// Number of moves removed in a backtrack.
 const MOVES_GIVEN_UP: usize = 4;
-/// A move goes this part of the way to a random point.
+/// Part of the way to a random point that a move covers.
 const PART_OF_WAY: std::ops::Range<f64> = 0.3..1.0;
 /// Fewest moves of a path that excites all joints.
 const MOVES_MIN: usize = 4;
-/// Shorter runs have no time for these moves and the standstills between them; of runs of 13 s one in three has \[s\].
+/// Least duration for these moves and the standstills between them; of runs of 13 s one in three succeeds \[s\].
 pub const DURATION_S_MIN: f64 = 15.0;
-/// Range of a move's peak speed, in parts of the design's.
+/// Range of a move's peak speed, relative to the design's.
 const SPEED_RANGE: std::ops::Range<f64> = 0.5..1.0;
 
 /// Why no path was found.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum PlanError {
-    /// Nowhere on the sphere can the robot hold the bar.
+    /// The robot cannot hold the bar at any point of the sphere.
     #[error(
         "no pose of the robot holds the bar of {length_m} m at base {base_m:?} m ({obstacle} in the way most often); \
          give another --base, --posture or bar length: `identify plan place` proposes them"
@@ -42,25 +42,25 @@ pub enum PlanError {
         /// Constraint that was violated most often.
         obstacle: Obstacle,
     },
-    /// No room for the moves of a path.
+    /// The constraints leave no moves for a path.
     #[error(
         "a run of {duration_s} s has no room for the {MOVES_MIN} moves that excite all joints; give a --duration of at least \
          {DURATION_S_MIN} s"
     )]
     TooShort {
-        /// Duration asked for \[s\].
+        /// Requested duration \[s\].
         duration_s: f64,
     },
-    /// Ctrl-C or the budget ended the search for the first path.
+    /// The search for the first path was cancelled, or its time has elapsed.
     #[error(
         "a first path of {duration_s} s was not finished when the search ended; give a longer --budget, or a shorter --duration: the \
          robot can drive it again"
     )]
     Ended {
-        /// Duration asked for \[s\].
+        /// Requested duration \[s\].
         duration_s: f64,
     },
-    /// The path ends in a corner.
+    /// The path cannot be continued.
     #[error(
         "the path gets stuck after {moves} moves, {time_s:.1} of {duration_s} s ({obstacle} in the way most often); \
          give another --seed, --base, bar length or --duration"
@@ -70,14 +70,14 @@ pub enum PlanError {
         moves: usize,
         /// Duration of the path so far \[s\].
         time_s: f64,
-        /// Duration asked for \[s\].
+        /// Requested duration \[s\].
         duration_s: f64,
         /// Constraint that was violated most often.
         obstacle: Obstacle,
     },
 }
 
-/// How often each obstacle was met.
+/// Number of violations of each constraint.
 type Obstacles = BTreeMap<Obstacle, usize>;
 
 fn most_frequent(obstacles: &Obstacles) -> Obstacle {
@@ -85,7 +85,7 @@ fn most_frequent(obstacles: &Obstacles) -> Obstacle {
     most.map_or(Obstacle::Reach, |(obstacle, _)| *obstacle)
 }
 
-/// A path that keeps to the constraints.
+/// A path within the constraints.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Route {
     /// Path of the bar.
@@ -94,15 +94,15 @@ pub struct Route {
     pub robot_rad: Vec<Joints>,
 }
 
-/// A path through random points, as long as the design's run.
+/// A path through random points, with the duration of the design's run.
 ///
 /// # Errors
-/// [`PlanError`] where base, length, ranges and robot do not go together.
+/// [`PlanError`] if base, length, ranges and robot are incompatible.
 pub fn random_route(constraints: &Constraints<'_>, random: &mut impl Rng) -> Result<Route, PlanError> {
     random_route_until(constraints, random, &mut || false)
 }
 
-/// [`random_route`], but for the end of the search, which `is_over` says before each move that is tried.
+/// [`random_route`] with cancellation: `is_over` is called before each trial of a move.
 pub(super) fn random_route_until(
     constraints: &Constraints<'_>,
     random: &mut impl Rng,
@@ -118,21 +118,20 @@ pub(super) fn random_route_until(
     Ok(route)
 }
 
-/// Any bar posture within the design's ranges \[rad\].
+/// A random bar posture within the design's ranges \[rad\].
 pub(super) fn point(design: &Design, random: &mut impl Rng) -> [f64; 5] {
     design.bar_range_deg.map(|[low, high]| (low + (high - low) * random.random::<f64>()).to_radians())
 }
 
-/// A peak speed of the bar's fastest joint \[rad/s\].
+/// A random peak speed of the bar's fastest joint \[rad/s\].
 pub(super) fn speed_rad_s(design: &Design, random: &mut impl Rng) -> f64 {
     design.bar_speed_rad_s * random.random_range(SPEED_RANGE)
 }
 
-/// Poses anywhere on the sphere, each moving somewhere at a speed that the robot can drive: those of all paths that bend elbow and
-/// wrist as one does, in no order.
-/// Fewer where hardly any is found.
+/// Random poses on the sphere in no order, each with a speed that the robot can reach: those of all paths with the same
+/// configuration of elbow and wrist. Fewer if hardly any are found.
 pub fn random_poses(constraints: &Constraints<'_>, count: usize, random: &mut impl Rng) -> Visited {
-    /// Time in which a pose moves on \[s\].
+    /// Time step along the motion of a pose \[s\].
     const STEP_S: f64 = 1e-3;
     const TRIES_EACH: usize = 200;
     let design = constraints.design;
@@ -180,7 +179,7 @@ fn start(constraints: &Constraints<'_>, random: &mut impl Rng) -> Result<([f64; 
     })
 }
 
-/// Result of trying to add a move.
+/// Result of a trial of a move.
 enum Extension {
     Reached,
     TimeIsUp,
@@ -188,8 +187,8 @@ enum Extension {
     Ended,
 }
 
-/// Adds moves until the time is used up. Where no next move is found the last few are given up: a joint near its limit may
-/// leave no way on.
+/// Adds moves until the duration is reached. If no next move is found, the last few are removed: a joint near its limit may
+/// prevent a continuation.
 fn fill(
     constraints: &Constraints<'_>,
     route: &mut Route,
@@ -227,7 +226,7 @@ fn fill(
     })
 }
 
-/// Tries moves from the last point until one is found.
+/// Tries moves from the last point until one is feasible.
 fn extend(
     constraints: &Constraints<'_>,
     route: &mut Route,
@@ -241,7 +240,7 @@ fn extend(
         if is_over() {
             return Extension::Ended;
         }
-        // Part of the way to a point anywhere: a line stays within the ranges, and a short one is found more easily.
+        // Part of the way to a random point: a line stays within the ranges, and a short one is feasible more often.
         let (goal, part) = (point(design, random), random.random_range(PART_OF_WAY));
         let to_rad = std::array::from_fn(|i| from_rad[i] + part * (goal[i] - from_rad[i]));
         let step = route.path.push(&to_rad, speed_rad_s(design, random), design);
@@ -249,8 +248,8 @@ fn extend(
             route.path.moves.pop();
             return Extension::TimeIsUp;
         }
-        // The robot's joints are known at the former move's end; the nearest solution at this move's beginning is the same
-        // branch, because the path between the two was looked at with the former move.
+        // The robot's joints are known at the previous move's end. The nearest solution at this move's start is in the same
+        // configuration, because the path between the two was checked with the previous move.
         let Some(near_rad) = route.robot_rad.last() else { return Extension::None };
         match constraints.follow(&route.path, step.start_s, step.end_s(), near_rad) {
             Ok(robot) => {

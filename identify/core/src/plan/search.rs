@@ -1,8 +1,8 @@
-//! Improves a path, one point at a time, until the time is over.
+//! Improves a path, one point at a time, until the time has elapsed.
 //!
-//! A point of the path is moved, also towards the poses with most information, or its moves made faster or slower; the
-//! information of two moves and their neighbours is computed again, the rest is kept. A change stays where it makes the
-//! criterion better and the path still keeps to all constraints.
+//! A point of the path is moved, sometimes towards the most informative poses, or the speed of its moves is changed. The
+//! information of two moves and their neighbours is computed again. A change is kept if it improves the criterion and the path
+//! still satisfies all constraints.
 
 use std::time::{Duration, Instant};
 
@@ -19,13 +19,14 @@ use crate::kinematics::Joints;
 use crate::model::JointState;
 use crate::solver::Normal;
 
-/// Paths through random points to begin with, the best of which is made better.
+/// Number of random paths at the start, of which the best is improved.
 const STARTS: u64 = 8;
-/// How far a point is moved, one standard deviation of each joint of the bar \[rad\].
+/// Standard deviation of the change of a point, for each joint of the bar \[rad\].
 const NUDGE_RAD: f64 = 0.3;
-/// Checked poses for each one that counts for the criterion.
+/// Number of checked poses per pose that is used in the criterion.
 const LOOKS_PER_POSE: usize = 2;
-/// After a changed part the robot is again within this of its old joints \[rad\]: the same solution of its inverse kinematics.
+/// After a changed part the robot's joints must agree with the old ones within this \[rad\]: the same solution of the inverse
+/// kinematics.
 const SAME_RAD: f64 = 1e-3;
 
 /// Between two evaluated poses, [`LOOK_S`] apart, an extreme exceeds both by at most the acceleration times `LOOK_S^2 / 8`:
@@ -38,18 +39,18 @@ const SPEED_PART: f64 = 0.95;
 const ACCELERATION_PART: f64 = 0.85;
 const DEXTERITY_PART: f64 = 1.03;
 
-/// How a search went.
+/// Progress of a search.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Progress {
     /// Number of changes tried.
     pub tried: usize,
-    /// Number of changes taken.
+    /// Number of changes kept.
     pub taken: usize,
     /// Present value of the criterion.
     pub score: f64,
 }
 
-/// The best path that was found.
+/// Best path of a search.
 #[derive(Debug, Clone)]
 pub struct Found {
     /// Path of bar and robot.
@@ -62,16 +63,16 @@ pub struct Found {
     pub progress: Progress,
 }
 
-/// A path in pieces, each from the beginning of a move to that of the next.
+/// A path divided into pieces, from the start of each move to that of the next.
 pub(super) struct Pieces {
     path: Path,
-    /// Robot at the start of the path and at the beginning of each move.
+    /// Robot at the start of the path and at the start of each move.
     robot_rad: Vec<Joints>,
     normals: Vec<Normal>,
 }
 
-/// Searches until `budget` is over or `is_over` returns true, whichever is first. It receives no progress before there is a
-/// first path.
+/// Searches until `budget` has elapsed or `is_over` returns true. Before the first path is found, `is_over` receives no
+/// progress.
 ///
 /// # Errors
 /// [`PlanError`] if no path is found.
@@ -90,7 +91,7 @@ pub fn search(
     let (mut best, mut random_scores) = (None, Vec::new());
     let mut refused = None;
     for _ in 0..STARTS {
-        // A first path may take all of the time, others a part of it.
+        // The first path may use all of the time, the others only a part of it.
         let until = if best.is_none() { budget } else { budget / 4 };
         let mut is_over = || begun.elapsed() > until || is_over(None);
         let route = random_route_until(constraints, &mut random, &mut is_over);
@@ -130,7 +131,7 @@ pub fn search(
     Ok(Found { route, normal: total, random_scores, progress })
 }
 
-/// The design with room for what happens between two poses that are looked at.
+/// The design with additional margins for the motion between two evaluated poses.
 pub(super) fn tight_design(design: &Design) -> Design {
     Design {
         robot_speed_rad_s: SPEED_PART * design.robot_speed_rad_s,
@@ -142,7 +143,7 @@ pub(super) fn tight_design(design: &Design) -> Design {
     }
 }
 
-/// The constraints with that design, and the same room for everything else.
+/// The constraints with that design, and the same margin for all other quantities.
 pub(super) fn tightened<'a>(constraints: &Constraints<'a>, design: &'a Design) -> Constraints<'a> {
     let Constraints { limits, bodies, acceleration_rad_s2, .. } = constraints;
     let farther =
@@ -173,14 +174,14 @@ impl Pieces {
         Ok(pieces)
     }
 
-    /// Where piece `index` begins and ends \[s\].
+    /// Start and end of piece `index` \[s\].
     fn span_s(&self, index: usize) -> (f64, f64) {
         let start_s = |index: usize| self.path.moves.get(index).map(|step| step.start_s);
         let end_s = start_s(index + 1).unwrap_or(self.path.duration_s);
         (start_s(index).unwrap_or(0.0), end_s)
     }
 
-    /// Follows some pieces again, each from where the one before it ends.
+    /// Computes some pieces again, each from the end of the previous one.
     fn redo(
         &mut self,
         constraints: &Constraints<'_>,
@@ -211,7 +212,7 @@ impl Pieces {
         total
     }
 
-    /// The same with one point moved or one move's speed changed; `None` if a constraint is violated.
+    /// The path with one point moved or one move's speed changed; `None` if a constraint is violated.
     fn changed(
         &self,
         constraints: &Constraints<'_>,
@@ -221,7 +222,7 @@ impl Pieces {
     ) -> Option<Self> {
         let design = constraints.design;
         let count = self.path.moves.len();
-        // One beyond the last: a move that is added.
+        // One after the last: an additional move.
         let index = random.random_range(0..=count);
         let old_rad = self.path.moves.get(index).map_or_else(|| self.path.end_rad(), |step| step.end_rad());
         let to_rad = match random.random_range(0..4) {
@@ -240,7 +241,7 @@ impl Pieces {
                 (old_rad[i] + NUDGE_RAD * by).clamp(low, high)
             }),
         };
-        // Most points that are tried are out of reach: that is known at once.
+        // Most points are unreachable, which is detected before anything else.
         constraints.robot_at(&to_rad, self.robot_rad.get(index + 1).or(self.robot_rad.last())?).ok()?;
         let mut path = Path::at_rest(self.path.start_rad, design);
         for (at, step) in self.path.moves.iter().enumerate() {
@@ -258,7 +259,7 @@ impl Pieces {
             return None;
         }
         let mut changed = Self { path, robot_rad: self.robot_rad.clone(), normals: self.normals.clone() };
-        // Where the move before begins nothing has changed yet, and two moves later nothing does any more.
+        // The change has an effect from the start of the previous move to two moves later.
         let first = index.saturating_sub(1);
         let last = (index + 3).min(changed.path.moves.len());
         changed.redo(constraints, information, first..last).ok()?;
@@ -269,7 +270,7 @@ impl Pieces {
     }
 }
 
-/// What a followed piece determines, with the robot's speeds from neighbouring poses.
+/// Information of a piece, with the robot's speeds from neighbouring poses.
 fn piece_information(
     path: &Path,
     information: &Information,

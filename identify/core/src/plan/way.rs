@@ -1,5 +1,5 @@
-//! A way of an arm round what is in its way: two trees of postures, one from each end, grow towards random postures and towards each
-//! other until they meet (RRT-Connect, Kuffner and LaValle 2000). Postures that the way does not need are left out.
+//! Collision-free path of an arm: two trees of postures, one from each end, grow towards random postures and towards each
+//! other until they meet (RRT-Connect, Kuffner and LaValle 2000). Unnecessary postures are then removed.
 
 use std::f64::consts::TAU;
 
@@ -8,16 +8,17 @@ use rand::Rng;
 use super::poses::{Way, far};
 use crate::kinematics::Joints;
 
-/// Random postures that the trees grow towards, at most: without a way the search ends after some seconds.
+/// Highest number of random postures: without a path the search ends after some seconds.
 const TRIES: usize = 1500;
-/// The same for each posture that is a whole turn from another: where these have a way at all, the first tries find it.
+/// The same for each posture that differs by whole turns: if a path exists, the first trials find it.
 const TRIES_TURNED: usize = 100;
 /// Largest change of a joint in one step of a tree \[rad, m\].
 const STEP: f64 = 0.4;
-/// Most ways round an obstacle stay within this of both postures \[rad, m\]: every second random posture is drawn there.
+/// Most paths around an obstacle stay within this distance of both postures \[rad, m\]: every second random posture is drawn
+/// there.
 const ROUND: f64 = 1.0;
 
-/// Postures that are reached from the first one, each with the one before it.
+/// Tree of postures reached from the first one, each with its predecessor.
 struct Tree {
     postures: Vec<Joints>,
     before: Vec<usize>,
@@ -28,7 +29,7 @@ impl Tree {
         Self { postures: vec![root], before: vec![0] }
     }
 
-    /// One step from the nearest posture towards another one: the step's end, if its way is clear.
+    /// One step from the nearest posture towards another one: the end of the step, if the motion is free of collisions.
     fn grow(&mut self, towards: &Joints, is_clear: impl Fn(&Joints, &Joints) -> bool) -> Option<Joints> {
         let distance = |at: usize| far(&self.postures[at], towards);
         let nearest = (0..self.postures.len()).min_by(|a, b| distance(*a).total_cmp(&distance(*b)))?;
@@ -46,7 +47,7 @@ impl Tree {
         Some(to)
     }
 
-    /// From the posture that was reached last to the first one.
+    /// Postures from the last one reached back to the first.
     fn branch(&self) -> Vec<Joints> {
         let mut at = self.postures.len() - 1;
         let mut branch = vec![self.postures[at]];
@@ -58,8 +59,8 @@ impl Tree {
     }
 }
 
-/// The way to a posture, or to the same one with joints a whole turn further where no way leads to it: a joint that must not pass an
-/// angle gets there from the other side. Joints stay within `range`; `turns` is true for revolute ones.
+/// Path to a posture, or to the same one with joints that differ by whole turns if there is no path: a joint that must not pass
+/// an angle then moves in the other direction. Joints stay within `range`; `turns` is true for revolute ones.
 pub(super) fn to_posture(
     from: Joints,
     to: Joints,
@@ -78,7 +79,7 @@ pub(super) fn to_posture(
     turned(&from, &to, range, turns).iter().find_map(few).unwrap_or((to, Way::Blocked))
 }
 
-/// A posture with one or two joints a whole turn further, the nearest first.
+/// Postures with one or two joints a whole turn further, nearest first.
 fn turned(from: &Joints, to: &Joints, range: &[[f64; 2]], turns: &[bool]) -> Vec<Joints> {
     let once = |posture: &Joints| {
         let axes = (0..posture.len()).filter(|axis| turns[*axis]);
@@ -100,7 +101,8 @@ fn turned(from: &Joints, to: &Joints, range: &[[f64; 2]], turns: &[bool]) -> Vec
     others
 }
 
-/// Postures between two others, with clear straight ways of the joints all along; joints stay within `range`. None if none was found.
+/// Postures between two others, connected by free straight lines in joint space; joints stay within `range`. `None` if none
+/// were found.
 fn round(
     [from, to]: [Joints; 2],
     range: &[[f64; 2]],
@@ -137,7 +139,7 @@ fn round(
     None
 }
 
-/// The postures of a way, but its ends, that are needed: from each to the farthest one that is reached in a straight line.
+/// The necessary intermediate postures of a path: from each to the farthest one that a free straight line reaches.
 fn shortened(way: &[Joints], is_clear: impl Fn(&Joints, &Joints) -> bool) -> Vec<Joints> {
     let (mut at, last) = (0, way.len() - 1);
     let mut needed = Vec::new();

@@ -1,7 +1,7 @@
 //! Bodies that must not touch: the robot's links, the rod and the plate as capsules, boxes of the cell, the floor.
 //!
-//! Distances are those of `parry3d`. Links are capsules between the frames of the Denavit-Hartenberg table, all of one
-//! radius: no data sheet has more in numbers. The links next to what they carry always touch it and are not compared.
+//! Distances are computed by `parry3d`. Links are capsules between the frames of the Denavit-Hartenberg table, all with one
+//! radius, because data sheets have no more numbers. Adjacent links always touch and are not compared.
 
 use nalgebra::Vector3;
 use parry3d_f64::math::{Pose as Placement, Vector};
@@ -11,7 +11,7 @@ use shared::config::JointKind;
 
 use crate::kinematics::{Chain, DhLink, Joints, Pose, ROD_LINK};
 
-/// The last links turn where they stand: the plate and the rod's end are theirs.
+/// Number of last links, which only rotate in place: the plate and the rod's end represent them.
 const WRIST_LINKS: usize = 2;
 /// Shortest step between two checked postures of a move \[m\].
 const ADVANCE_M_MIN: f64 = 1e-3;
@@ -19,29 +19,29 @@ const ADVANCE_M_MIN: f64 = 1e-3;
 /// Sizes of the bodies.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Bodies {
-    /// Of the robot's links \[m\].
+    /// Radius of the robot's links \[m\].
     pub link_radius_m: f64,
-    /// Of rod and plate \[m\].
+    /// Radius of rod and plate \[m\].
     pub rod_radius_m: f64,
     /// Boxes with edges along the robot's base frame: two opposite corners \[m\].
     pub boxes_m: Vec<[[f64; 3]; 2]>,
-    /// Height of the floor in the robot's base frame \[m\]; `None` if nothing can reach it.
+    /// Height of the floor in the robot's base frame \[m\]; `None` for no floor.
     pub floor_m: Option<f64>,
-    /// Least distance between any two \[m\].
+    /// Least distance between two bodies \[m\].
     pub clearance_m_min: f64,
 }
 
-/// Middle lines of an arm's links in one pose \[m\].
+/// Centre lines of an arm's links in one pose \[m\].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Skeleton {
-    /// Each link: where it begins, along its joint's axis, where it ends.
+    /// Each link: its start, the point along its joint's axis, and its end.
     pub links: Vec<[Vector3<f64>; 3]>,
-    /// Where the plate ends.
+    /// End of the plate.
     pub end: Vector3<f64>,
 }
 
 impl Skeleton {
-    /// Of a posture of the robot.
+    /// Centre lines for a posture of the robot.
     pub fn of(robot: &Chain, robot_rad: &[f64]) -> Self {
         let (links, end) = links(robot, robot_rad);
         Self { links, end: end.translation.vector }
@@ -49,8 +49,8 @@ impl Skeleton {
 }
 
 impl Bodies {
-    /// For a robot of this reach: links a tenth of it thick, as those of the arms in `config/robots` are; rod and plate of
-    /// 20 mm radius, 20 mm apart from everything.
+    /// Default sizes for a robot of this reach: link diameters of a tenth of it, as for the arms in `config/robots`; rod and
+    /// plate of 20 mm radius, and a clearance of 20 mm.
     pub fn for_reach(reach_m: f64) -> Self {
         Self {
             link_radius_m: 0.05 * reach_m,
@@ -61,14 +61,14 @@ impl Bodies {
         }
     }
 
-    /// Smallest distance between rod or plate and everything else, and between the forearm with what it carries and the
-    /// cell \[m\]; zero where two overlap.
+    /// Smallest distance between rod or plate and everything else, and between the forearm with its load and the
+    /// cell \[m\]; zero for an overlap.
     pub fn clearance_m(&self, robot: &Chain, bar: &Chain, robot_rad: &[f64]) -> f64 {
         let Skeleton { links, end } = Skeleton::of(robot, robot_rad);
         let gimbal = bar.root_from_base.translation.vector;
         let plate = self.rod([links.last().map_or(end, |[_, elbow, _]| *elbow), end]);
         let rod = self.rod([gimbal, end]);
-        // The last piece of the rod is at the plate, whatever the pose.
+        // The last part of the rod is at the plate in every pose.
         let length_m = bar.links.get(ROD_LINK).map_or(0.0, |rod| rod.d_m);
         let near_end = end + (gimbal - end) * (4.0 * self.rod_radius_m / length_m.max(1e-3)).min(0.5);
         let free_rod = self.rod([gimbal, near_end]);
@@ -83,7 +83,7 @@ impl Bodies {
                 if index < carrying {
                     compare(&free_rod, &piece);
                 }
-                // The forearm ends where the wrist begins.
+                // The forearm ends at the start of the wrist.
                 if index + 1 < carrying {
                     compare(&plate, &piece);
                 }
@@ -92,7 +92,7 @@ impl Bodies {
         clearance_m.min(self.cell_clearance_m(&links, &[&plate, &rod], Some(&plate))).max(0.0)
     }
 
-    /// An arm that carries nothing keeps its distance from itself and the cell.
+    /// Whether an arm without load keeps its clearance from itself and the cell.
     pub fn is_clear(&self, arm: &Chain, robot_rad: &[f64]) -> bool {
         self.arm_clearance_m(arm, robot_rad) >= self.clearance_m_min
     }
@@ -102,8 +102,8 @@ impl Bodies {
         self.cell_clearance_m(&links, &[], None).min(self.own_clearance_m(&links))
     }
 
-    /// It does so on the straight line of its joints between two postures, and touches nothing on the way: nothing comes nearer
-    /// by more than its joints move it, so that what is free now stays so for a while (conservative advancement, Mirtich 1996).
+    /// Whether the same holds on the straight line in joint space between two postures. The joints' motion bounds the change of
+    /// all distances, so that a free posture remains free for a certain step (conservative advancement, Mirtich 1996).
     pub fn is_way_clear(&self, arm: &Chain, from: &Joints, to: &Joints) -> bool {
         let reach_m = arm.reach_m();
         let moved_m = |((link, from), to): ((&DhLink, &f64), &f64)| match link.joint {
@@ -125,7 +125,7 @@ impl Bodies {
         }
     }
 
-    /// Smallest distance between two links that what lies between them lets come apart \[m\].
+    /// Smallest distance between two links, if the chain between them is long enough for them to be apart \[m\].
     fn own_clearance_m(&self, links: &[[Vector3<f64>; 3]]) -> f64 {
         let length_m =
             |[before, elbow, after]: &[Vector3<f64>; 3]| (elbow - before).norm() + (after - elbow).norm();
@@ -147,7 +147,8 @@ impl Bodies {
         clearance_m
     }
 
-    /// Smallest distance of links but the first, and of what they carry, from boxes, and of links and `plate` from the floor \[m\].
+    /// Smallest distance of all links except the first, and of their load, from boxes, and of links and `plate` from the floor
+    /// \[m\].
     fn cell_clearance_m(
         &self,
         links: &[[Vector3<f64>; 3]],
@@ -180,7 +181,7 @@ impl Bodies {
         clearance_m
     }
 
-    /// A link along its joint's axis, and along the link.
+    /// Capsules of a link: along its joint's axis, and along the link.
     fn pieces(&self, [before, elbow, after]: &[Vector3<f64>; 3]) -> impl Iterator<Item = Capsule> {
         let radius_m = self.link_radius_m;
         [[*before, *elbow], [*elbow, *after]]
@@ -194,7 +195,7 @@ impl Bodies {
     }
 }
 
-/// Each link of a posture: where it begins, along its joint's axis, where it ends \[m\]; and the arm's end.
+/// Each link of a posture: its start, the point along its joint's axis, and its end \[m\]; and the arm's end.
 fn links(arm: &Chain, robot_rad: &[f64]) -> (Vec<[Vector3<f64>; 3]>, Pose) {
     let mut at = arm.root_from_base;
     let mut links = Vec::with_capacity(arm.links.len());
@@ -213,7 +214,7 @@ fn capsule([a, b]: [Vector3<f64>; 2], radius_m: f64) -> Capsule {
     Capsule::new(Vector::new(a.x, a.y, a.z), Vector::new(b.x, b.y, b.z), radius_m)
 }
 
-/// Distance of two capsules, zero where they overlap \[m\].
+/// Distance of two capsules, zero for an overlap \[m\].
 fn between_m(one: &Capsule, other: &Capsule) -> f64 {
     let here = Placement::IDENTITY;
     query::distance(&here, one, &here, other).map_or(f64::INFINITY, |found| found.distance)

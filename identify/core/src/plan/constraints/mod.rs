@@ -11,10 +11,10 @@ use crate::kinematics::{
     Chain, InverseError, Joints, Pose, Trace, Tracer, robot_inverse_centred, singularity_margin_rad,
 };
 
-/// Time between two poses of a path that are checked while it is planned \[s\].
+/// Time between two checked poses of a path during planning \[s\].
 pub const LOOK_S: f64 = 0.05;
 
-/// What makes a pose or a motion unusable.
+/// Violated constraint of a pose or a motion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Obstacle {
     /// The bar is near a singular pose.
@@ -27,15 +27,15 @@ pub enum Obstacle {
     Wrist,
     /// The robot is near another singular posture.
     RobotSingularity,
-    /// A robot joint would have to move too fast.
+    /// A robot joint would exceed its speed limit.
     Speed,
-    /// A robot joint would have to gain speed too fast.
+    /// A robot joint would exceed its acceleration limit.
     Acceleration,
-    /// Rod or plate come too near to the robot or to something in the cell.
+    /// The clearance between rod or plate and the robot or the cell is too small.
     Collision,
-    /// A cable is wound further than it may be.
+    /// A cable is rotated too far.
     Cable,
-    /// The robot's end is not where the bar lets it be.
+    /// The gap between the ends of robot and bar is too large.
     OffSphere,
 }
 
@@ -64,7 +64,7 @@ pub struct Constraints<'a> {
     bar: &'a Chain,
     /// Joint limits of the robot \[rad\].
     pub limits: Vec<[f64; 2]>,
-    /// With the design's margin taken off.
+    /// Joint limits reduced by the design's margin.
     limits_rad: Vec<[f64; 2]>,
     /// Margins and highest speeds.
     pub design: &'a Design,
@@ -75,7 +75,7 @@ pub struct Constraints<'a> {
 }
 
 impl<'a> Constraints<'a> {
-    /// Margins and speeds of a design, for a bar that stands where the design has it.
+    /// Constraints by the margins and speeds of a design, for a bar at the design's position.
     pub fn new(robot: &'a Chain, bar: &'a Chain, limits: &[[f64; 2]], design: &'a Design) -> Self {
         let margin_rad = design.limit_margin_deg.to_radians();
         let limits_rad = limits.iter().map(|[low, high]| [low + margin_rad, high - margin_rad]).collect();
@@ -91,7 +91,7 @@ impl<'a> Constraints<'a> {
         }
     }
 
-    /// The same with bodies that must not touch, and with the highest acceleration of a robot joint \[rad/s²\].
+    /// Adds bodies that must not touch, and the highest acceleration of a robot joint \[rad/s²\].
     #[must_use]
     pub fn with(self, bodies: Option<Bodies>, acceleration_rad_s2: f64) -> Self {
         Self { bodies, acceleration_rad_s2, ..self }
@@ -107,7 +107,7 @@ impl<'a> Constraints<'a> {
         self.bar
     }
 
-    /// The robot's joints at a bar posture, the solution nearest to `near_rad`, if both are comfortable there.
+    /// The robot's joints at a bar posture, the solution nearest to `near_rad`, if both satisfy the constraints.
     ///
     /// # Errors
     /// The violated constraint.
@@ -119,16 +119,16 @@ impl<'a> Constraints<'a> {
         self.robot_is_comfortable(&robot).map(|()| robot)
     }
 
-    /// The robot's joints at a pose of its end, the solution nearest to `near_rad`; where an arm has more axes than it needs,
-    /// the one in the middle of its limits.
+    /// The robot's joints at a pose of its end: the solution nearest to `near_rad`, or, for an arm with more axes than a pose
+    /// needs, the one in the middle of its limits.
     ///
     /// # Errors
-    /// Those of the inverse kinematics.
+    /// Errors of the inverse kinematics.
     pub fn inverse(&self, target: &Pose, near_rad: &[f64]) -> Result<Joints, InverseError> {
         robot_inverse_centred(self.robot, target, near_rad, &self.limits)
     }
 
-    /// Joint limits, singular postures and bodies.
+    /// Checks joint limits, singular postures and bodies.
     ///
     /// # Errors
     /// The violated constraint.
@@ -150,9 +150,9 @@ impl<'a> Constraints<'a> {
         }
     }
 
-    /// Which way wrist, elbow and shoulder of an arm of six axes are bent: the sign of joint 5, the side of the upper arm on
-    /// which the wrist is, and the sign of the Jacobian's determinant, which changes with each of the three. No path changes
-    /// them that stays away from singular postures.
+    /// Configuration of wrist, elbow and shoulder of an arm with six axes: the sign of joint 5, the side of the upper arm on
+    /// which the wrist is, and the sign of the Jacobian's determinant, which changes with each of the three. No path away from
+    /// singular postures changes it.
     pub(super) fn bent(&self, robot_rad: &[f64]) -> [bool; 3] {
         let &[_, _, _, _, wrist, _] = robot_rad else { return [true; 3] };
         let mut trace = Trace::default();
