@@ -8,15 +8,15 @@ use super::LinkParameter;
 /// A rigid transform `a_from_b`: takes coordinates in frame b to frame a.
 pub type Pose = nalgebra::IsometryMatrix3<f64>;
 
-/// The longest link of a robot; beyond, lengths are mostly millimetres or wrong \[m\].
+/// Longest link of a robot \[m\]: larger values are mostly millimetres.
 pub const LENGTH_M_MAX: f64 = 4.0;
 
-/// `R = Rz(yaw) Ry(pitch) Rx(roll)`, as URDF has it. Roll is what yaw and pitch leave over: where a pitch of a quarter turn
-/// makes the two one, their sum is still exact.
+/// `R = Rz(yaw) Ry(pitch) Rx(roll)`, as in URDF. Roll is computed after yaw and pitch: at a pitch of a quarter turn,
+/// where only their sum is determined, the sum is still exact.
 pub fn roll_pitch_yaw(rotation: &Rotation3<f64>) -> [f64; 3] {
     let r = rotation.matrix();
     let across = r[(0, 0)].hypot(r[(1, 0)]);
-    // With x upright only the sum of yaw and roll is determined.
+    // At a pitch of a quarter turn only the sum of yaw and roll is determined.
     let yaw = if across < 1e-12 { 0.0 } else { r[(1, 0)].atan2(r[(0, 0)]) };
     let pitch = (-r[(2, 0)]).atan2(across);
     let rest = Rotation3::from_euler_angles(0.0, pitch, yaw).inverse() * rotation;
@@ -29,7 +29,7 @@ pub fn roll_pitch_yaw(rotation: &Rotation3<f64>) -> [f64; 3] {
 /// for an axis nearly parallel to the one before (Hayati and Mirmirani 1985).
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct DhLink {
-    /// How its joint moves.
+    /// Kind of its joint.
     pub joint: JointKind,
     /// Length along x \[m\].
     pub a_m: f64,
@@ -44,7 +44,7 @@ pub struct DhLink {
 }
 
 impl DhLink {
-    /// One of its numbers.
+    /// The value of one parameter.
     pub const fn number_mut(&mut self, parameter: LinkParameter) -> &mut f64 {
         match parameter {
             LinkParameter::A => &mut self.a_m,
@@ -76,21 +76,21 @@ impl DhLink {
 /// A series of links on a base in the root frame (the robot's base).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Chain {
-    /// Where the chain stands: identity for the robot, the gimbal's place for the ball-bar.
+    /// Base of the chain: identity for the robot, the gimbal's position for the ball-bar.
     pub root_from_base: Pose,
     /// Links from base to end.
     pub links: Vec<DhLink>,
-    /// From where the last link ends to the chain's end: identity where the last link can hold it.
+    /// Transform from the end of the last link to the end of the chain: identity if the last link can include it.
     pub last_from_end: Pose,
 }
 
 impl Chain {
-    /// Links on a base, ending where the last link ends.
+    /// A chain of links on a base, which ends at the end of the last link.
     pub fn new(root_from_base: Pose, links: Vec<DhLink>) -> Self {
         Self { root_from_base, links, last_from_end: Pose::identity() }
     }
 
-    /// How far the end gets at most: all links in a line \[m\].
+    /// Upper bound of the reach: all links in a line \[m\].
     pub fn reach_m(&self) -> f64 {
         self.links.iter().map(|link| link.a_m.hypot(link.d_m)).sum()
     }

@@ -21,7 +21,7 @@ fn pose(config: &TransformConfig) -> Pose {
     Pose::from_parts(Vector3::from(config.xyz_m).into(), Rotation3::from_euler_angles(roll, pitch, yaw))
 }
 
-/// The robot with the bar's tool and offset plate: in its last link (`d` and `a`), or behind the flange where that does not
+/// The robot with the bar's tool and offset plate: in its last link (`d` and `a`), or after the flange if the flange does not
 /// continue the last link.
 pub fn robot_chain(robot: &RobotConfig, bar: &BallBarConfig) -> Chain {
     let mut chain = flange_chain(robot);
@@ -36,15 +36,15 @@ pub fn robot_chain(robot: &RobotConfig, bar: &BallBarConfig) -> Chain {
     chain
 }
 
-/// The robot without a bar, to its flange, as standard links.
+/// The robot without a bar up to its flange, as standard links.
 ///
-/// A modified table says the same with the way to the next axis, `Tx(a) Rx(alpha)`, at the beginning of the next row; the
+/// A modified table has the transform to the next axis, `Tx(a) Rx(alpha)`, at the start of the next row; the
 /// first row's belongs to the base.
 pub fn flange_chain(robot: &RobotConfig) -> Chain {
     let mut chain = Chain::new(pose(&robot.base), robot.links.iter().map(link).collect());
     chain.last_from_end = pose(&robot.flange);
     if robot.convention == Convention::Modified {
-        // After the last axis comes nothing; before the first, what the first row begins with.
+        // No transform follows the last axis; the first row's precedes the first axis.
         let mut after = DhLink::default();
         for link in chain.links.iter_mut().rev() {
             let before = DhLink { theta_rad: 0.0, d_m: 0.0, ..*link };
@@ -56,7 +56,7 @@ pub fn flange_chain(robot: &RobotConfig) -> Chain {
     chain
 }
 
-/// The ball-bar with its length in `d` of link 3, standing at the root's origin: its base is found by calibration.
+/// The ball-bar with its length in `d` of link 3 and its base at the root's origin: a calibration estimates the base.
 pub fn ball_bar_chain(bar: &BallBarConfig) -> Chain {
     /// The rod lies along z of frame 2.
     const ROD_LINK: usize = 2;

@@ -1,10 +1,9 @@
-//! Denavit-Hartenberg links of an arm that is given by the lines of its axes, as a URDF gives it.
+//! Denavit-Hartenberg links of an arm that is given by the lines of its axes, as in a URDF.
 //!
-//! At joint zero an axis is a point and a direction. What the arm does follows from these lines and from where its end then
-//! is (product of exponentials, Brockett 1984), so that links along the same lines move the end in the same way. Each
-//! link leads from one line to the next: by their common normal, or, where that is further away than robots are long or not
-//! unique, because the two are nearly parallel, by Hayati's link to the point where the next line crosses the plane across the
-//! one before.
+//! At joint zero an axis is a point and a direction. The motion of the arm depends only on these lines and on the pose of its
+//! end (product of exponentials, Brockett 1984), so links along the same lines move the end in the same way. Each link connects
+//! one line with the next: by their common normal, or, if the lines are nearly parallel and the normal is further away than
+//! robots are long or not unique, by Hayati's link to the intersection of the next line with the plane across the previous one.
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use shared::config::JointKind;
@@ -16,23 +15,23 @@ use super::{Chain, DhLink, LENGTH_M_MAX, Pose, rotation_vector};
 pub struct AxisLine {
     /// Kind of the joint, revolute or prismatic.
     pub joint: JointKind,
-    /// A point on it \[m\]; any where it is prismatic.
+    /// A point on it \[m\]; arbitrary for a prismatic axis.
     pub point_m: Vector3<f64>,
     /// Its direction, unit length.
     pub direction: Vector3<f64>,
 }
 
-/// Directions whose sine is less are parallel but for what a calibration or rounding makes of them: their common normal is
-/// anywhere.
+/// Directions with a smaller sine are parallel up to calibration and rounding: the position of their common normal is
+/// arbitrary.
 const NEARLY_PARALLEL: f64 = 1e-3;
-/// Between directions whose sine is less, Hayati's link is taken where their common normal is further away than any link is
-/// long. The plane across one axis is crossed by the other well within the link's own length more.
+/// For directions with a smaller sine, Hayati's link is used if the common normal is further away than the longest link.
+/// The plane across one axis intersects the other one within about the link's own length.
 const ASLANT: f64 = 0.5;
-/// Lengths \[m\] and angles \[rad\] below this are rounding.
+/// Lengths \[m\] and angles \[rad\] below this are rounding errors.
 const ROUNDING: f64 = 1e-12;
 
 impl Chain {
-    /// Links along `axes`, base to end, that end at `end` when all joints are zero.
+    /// Links along `axes`, base to end, with the pose `end` at joints of zero.
     pub fn from_axes(axes: &[AxisLine], end: &Pose) -> Self {
         let Some(first) = axes.first() else {
             return Self { last_from_end: *end, ..Self::new(Pose::identity(), vec![]) };
@@ -45,7 +44,7 @@ impl Chain {
             direction: end.rotation * Vector3::z(),
         };
         for (axis, next) in axes.iter().zip(axes.iter().skip(1).map(Some).chain([None])) {
-            // Of planes across parallel axes one is as good as another, but at the end.
+            // For parallel axes any plane is possible, except at the end.
             let link = next.map_or_else(
                 || link_to(&at, &last, at.inverse_transform_point(&last.point_m.into()).z),
                 |next| link_to(&at, next, 0.0),
@@ -54,7 +53,7 @@ impl Chain {
             at *= link.transform(0.0);
             links.push(link);
         }
-        // The rest is a rotation about the end's z and a shift along it; the last link cannot hold either.
+        // The remaining transform is a rotation about the end's z and a shift along it; the last link cannot include either.
         let rest = at.inverse() * end;
         Self {
             root_from_base,
@@ -70,7 +69,7 @@ fn is_identity(pose: &Pose) -> bool {
         && pose.rotation.matrix().trace() > 0.0
 }
 
-/// z along the first axis, at its point nearest to the root, x as near to the root's as can be.
+/// z along the first axis, at its point nearest to the root; x as near to the root's as possible.
 fn start(first: &AxisLine) -> Pose {
     let z = first.direction;
     let origin_m = match first.joint {
@@ -85,11 +84,11 @@ fn start(first: &AxisLine) -> Pose {
     if is_identity(&pose) { Pose::identity() } else { pose }
 }
 
-/// The link from a frame, whose z is an axis, to the next axis; to where that crosses the plane at this height where the two
-/// are nearly parallel.
+/// The link from a frame, whose z is an axis, to the next axis; for nearly parallel axes to its intersection with the plane at
+/// this height.
 fn link_to(at: &Pose, next: &AxisLine, plane_m: f64) -> DhLink {
     let u = at.rotation.inverse() * next.direction;
-    // A prismatic axis is where it is wanted.
+    // The position of a prismatic axis is arbitrary.
     let p = match next.joint {
         JointKind::Revolute => at.inverse_transform_point(&next.point_m.into()).coords,
         JointKind::Prismatic => Vector3::zeros(),
@@ -100,7 +99,7 @@ fn link_to(at: &Pose, next: &AxisLine, plane_m: f64) -> DhLink {
     // The foot of the common normal on the next axis.
     let foot = p - u * ((p.x * u.x + p.y * u.y) / (sine * sine));
     if sine < NEARLY_PARALLEL || (sine < ASLANT && foot.z.abs() > LENGTH_M_MAX) {
-        // Where the next axis crosses the plane.
+        // Intersection of the next axis with the plane.
         let crossing = p - u * ((p.z - plane_m) / u.z);
         let a_m = snapped(crossing.x.hypot(crossing.y));
         let theta_rad = if a_m > 0.0 { angle(crossing.y, crossing.x) } else { 0.0 };
@@ -116,7 +115,7 @@ fn link_to(at: &Pose, next: &AxisLine, plane_m: f64) -> DhLink {
             ..DhLink::default()
         };
     }
-    // The common normal runs along x. Of two lines that meet, x with the smaller turn.
+    // The common normal is along x. For two intersecting lines, x with the smaller rotation.
     let normal = Vector3::new(-u.y, u.x, 0.0) / sine;
     let length = normal.dot(&foot);
     let x = match snapped(length) {

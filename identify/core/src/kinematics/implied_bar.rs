@@ -1,7 +1,7 @@
-//! The bar's joints that a pose implies, on a bar with whatever errors it has, and how they change.
+//! Joints of a bar with arbitrary errors at a given pose, and their derivatives.
 //!
-//! A pose has six freedoms, the bar five. Met are the rotation and both positions across the rod; the distance along
-//! the rod is left over. That makes five smooth equations `f(joints, bar, pose) = 0`, exact for every set of parameters,
+//! A pose has six degrees of freedom, the bar five. The rotation and both positions across the rod are met; the distance along
+//! the rod remains. These are five smooth equations `f(joints, bar, pose) = 0`, exact for every set of parameters,
 //! and the implicit function theorem gives `d joints = -(df/d joints)^-1 df` without symbolic expressions.
 
 use nalgebra::{Matrix5, Vector3, Vector5};
@@ -10,12 +10,12 @@ use super::ball_bar_inverse::ball_bar_inverse;
 use super::inverse::{pose_error, wrapped};
 use super::{BAR_JOINTS, Chain, InverseError, LinkParameter, Pose, Trace, Tracer, Twist};
 
-/// Link of the bar, from 0, whose `d` is its length: the rod lies along z before it.
+/// Link of the bar, from 0, with the bar's length as `d`: the rod is along z of the previous frame.
 pub const ROD_LINK: usize = 2;
-/// After a step as short as this the next one would be rounding: each is some square of the one before.
+/// After a step this short the next one is a rounding error: convergence is quadratic.
 const STEP_RAD_LAST: f64 = 1e-9;
 const ITERATIONS_MAX: usize = 20;
-/// Between configurations that fit the measured joints equally well the first one is taken, whatever the rounding.
+/// Of configurations that fit the measured joints equally well the first one is selected, independent of rounding errors.
 const TIE: f64 = 1e-6;
 
 /// Joints of the bar at a pose, and their derivatives.
@@ -29,7 +29,7 @@ pub struct ImpliedBar {
     rod: Rod,
 }
 
-/// Direction of the rod, two directions across it, and how far the pose is beyond the bar's end \[m\].
+/// Direction of the rod, two directions across it, and distance of the pose beyond the bar's end \[m\].
 #[derive(Debug, Clone, Copy)]
 struct Rod {
     along: Vector3<f64>,
@@ -45,7 +45,7 @@ impl Rod {
         Self { along, across: [first, along.cross(&first)], beyond_m }
     }
 
-    /// Change of the five conditions when the bar's end moves, and with it, if `turns`, the rod.
+    /// Derivative of the five equations by a motion of the bar's end, and, if `turns`, of the rod.
     fn conditions(&self, twist: &Twist, turns: bool) -> Vector5<f64> {
         let turned = if turns { twist.angular.cross(&self.along) * self.beyond_m } else { Vector3::zeros() };
         let linear = twist.linear + turned;
@@ -55,12 +55,12 @@ impl Rod {
 }
 
 impl ImpliedBar {
-    /// Solves for `target` in the configuration nearest to `near` \[rad\], where each joint is compared that is given.
+    /// Solves for `target` in the configuration nearest to `near` \[rad\]; joints without a value in `near` are not compared.
     ///
-    /// `tracer` is `chain` made ready.
+    /// `tracer` is `chain` prepared for forward passes.
     ///
     /// # Errors
-    /// [`InverseError::NotConverged`] at a singular pose, others if the chain is not a ball-bar.
+    /// [`InverseError::NotConverged`] at a singular pose; other errors if the chain is not a ball-bar.
     pub fn new(
         chain: &Chain,
         tracer: &Tracer,
@@ -85,7 +85,7 @@ impl ImpliedBar {
             for (joint, step) in joints_rad.iter_mut().zip(step.iter()) {
                 *joint += step;
             }
-            // The trace is that before this step: a nanometre is negligible.
+            // The trace is that before this step, which is negligible at a nanometre.
             if step_rad < STEP_RAD_LAST {
                 return Ok(Self { joints_rad, trace, by_condition, rod });
             }
@@ -93,24 +93,24 @@ impl ImpliedBar {
         Err(InverseError::NotConverged { iterations: ITERATIONS_MAX, step_rad })
     }
 
-    /// Change of the joints when the pose moves.
+    /// Derivative of the joints by a motion of the pose.
     pub fn by_pose(&self, twist: &Twist) -> Vector5<f64> {
         self.by_condition * self.rod.conditions(twist, false)
     }
 
-    /// Change of the joints when a number of link `link` moves the bar's end by `twist` at fixed joints; no link stands
-    /// for the base.
+    /// Derivative of the joints by a parameter of link `link` that moves the bar's end by `twist` at fixed joints; `None` is
+    /// the base.
     pub fn by_bar(&self, link: Option<usize>, twist: &Twist) -> Vector5<f64> {
         -(self.by_condition * self.rod.conditions(twist, turns_rod(link)))
     }
 }
 
-/// What stands before the rod turns it.
+/// Parameters before the rod rotate it.
 fn turns_rod(link: Option<usize>) -> bool {
     link.is_none_or(|link| link < ROD_LINK)
 }
 
-/// How the five conditions change with the joints, one column each.
+/// Derivatives of the five equations by the joints, one column each.
 fn joint_conditions(trace: &Trace, rod: &Rod) -> Matrix5<f64> {
     let mut matrix = Matrix5::zeros();
     for (joint, twist) in trace.joint_twists().enumerate().take(BAR_JOINTS) {
@@ -119,7 +119,7 @@ fn joint_conditions(trace: &Trace, rod: &Rod) -> Matrix5<f64> {
     matrix
 }
 
-/// Closed form on the nominal structure, in the configuration nearest to what was measured.
+/// Closed form of the nominal structure, in the configuration nearest to the measured joints.
 fn nearest(
     chain: &Chain,
     target: &Pose,

@@ -1,4 +1,4 @@
-//! What both inverse kinematics share: right-angled twists, three-axis wrists, refinement on the true chain.
+//! Common parts of both inverse kinematics: right-angled twists, three-axis wrists, refinement on the true chain.
 
 use std::f64::consts::{PI, TAU};
 
@@ -7,35 +7,35 @@ use shared::config::JointKind;
 
 use super::{Chain, Pose, Trace, Tracer};
 
-/// Why no joint angles were found.
+/// Why the inverse kinematics has no solution.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum InverseError {
-    /// The links are not those of the structure that the closed form solves.
+    /// The links do not have the structure of the closed form.
     #[error("link {link} has {key} = {value:.4}, the closed form needs {expected}; check the configuration")]
     Structure {
-        /// Link, from 1.
+        /// Number of the link, from 1.
         link: usize,
-        /// Which of its numbers, `alpha_deg`, `a_m` or `d_m`.
+        /// Name of the parameter: `alpha_deg`, `a_m` or `d_m`.
         key: &'static str,
-        /// Value of this number \[deg, m\].
+        /// Value of the parameter \[deg, m\].
         value: f64,
-        /// The value of the structure.
+        /// Value in the structure \[deg, m\].
         expected: &'static str,
     },
-    /// The closed form is of arms without.
+    /// An axis is prismatic, which the closed form does not support.
     #[error(
         "axis {link} is prismatic, the closed form needs revolute axes; check `joint` in the configuration"
     )]
     Prismatic {
-        /// Link, from 1.
+        /// Number of the link, from 1.
         link: usize,
     },
     /// The chain has another number of links.
     #[error("the chain has {found} links, {expected} are needed; check the links in the configuration")]
     Links {
-        /// Links of the chain.
+        /// Number of links of the chain.
         found: usize,
-        /// Links of the structure.
+        /// Number of links of the structure.
         expected: usize,
     },
     /// The pose is outside the workspace.
@@ -58,7 +58,7 @@ pub enum InverseError {
     NotConverged {
         /// Number of iterations made.
         iterations: usize,
-        /// Last step, the largest of the joints.
+        /// Largest joint motion of the last step.
         step_rad: f64,
     },
 }
@@ -70,10 +70,10 @@ impl InverseError {
     }
 }
 
-/// How far a twist may be from a multiple of 90 degrees and still count as one \[rad\].
+/// Tolerance of a twist that counts as a multiple of 90 degrees \[rad\].
 const TWIST_TOLERANCE_RAD: f64 = 0.1;
-/// How far a length may be from zero and still be an error of a chain whose nominal length is zero \[m\]: ten times what
-/// robots are made to, and a tenth of the smallest offset that a wrist is designed with.
+/// Tolerance of a length that is zero in the nominal structure \[m\]: ten times the manufacturing errors of
+/// robots, and a tenth of the smallest designed offset of a wrist.
 const LENGTH_TOLERANCE_M: f64 = 5e-3;
 
 /// Checks that no axis is prismatic.
@@ -100,7 +100,7 @@ pub(super) fn parallel(chain: &Chain, index: usize) -> Result<f64, InverseError>
     Err(other_twist(chain, index, "0 or 180"))
 }
 
-/// Checks that a length of a link (from 1) is zero but for errors.
+/// Checks that a length of a link (from 1) is zero up to errors.
 pub(super) fn without_length(link: usize, key: &'static str, value: f64) -> Result<(), InverseError> {
     if value.abs() < LENGTH_TOLERANCE_M {
         return Ok(());
@@ -117,14 +117,14 @@ fn other_twist(chain: &Chain, index: usize, expected: &'static str) -> InverseEr
     InverseError::Structure { link: index + 1, key: "alpha_deg", value, expected }
 }
 
-/// Turn about z, then a twist of `sign * 90` degrees about x: a link's rotation on the nominal structure.
+/// Rotation about z, then a twist of `sign * 90` degrees about x: the rotation of a nominal link.
 pub(super) fn turn_and_twist(theta_rad: f64, sign: f64) -> Matrix3<f64> {
     let (s, c) = theta_rad.sin_cos();
     Matrix3::new(c, 0.0, sign * s, s, 0.0, -sign * c, 0.0, sign, 0.0)
 }
 
-/// Turns `(first, second)` with `Rz(first) Rx(sign0 90) Rz(second) Rx(sign1 90) z = direction`; `side` is the sign of
-/// sin(second). Where the direction lies along z the first turn is free and `first_if_free` is taken.
+/// Angles `(first, second)` with `Rz(first) Rx(sign0 90) Rz(second) Rx(sign1 90) z = direction`; `side` is the sign of
+/// sin(second). If the direction is along z, the first angle is free and is `first_if_free`.
 pub(super) fn point_z(
     direction: &Vector3<f64>,
     signs: [f64; 2],
@@ -140,7 +140,7 @@ pub(super) fn point_z(
     (first, second)
 }
 
-/// Turns of three axes that meet at right angles: `Rz(t0) Rx(signs0 90) Rz(t1) Rx(signs1 90) Rz(t2) = rotation`.
+/// Angles of three perpendicular axes: `Rz(t0) Rx(signs0 90) Rz(t1) Rx(signs1 90) Rz(t2) = rotation`.
 pub(super) fn wrist_angles(
     rotation: &Matrix3<f64>,
     signs: [f64; 2],
@@ -158,7 +158,7 @@ pub fn nearest_turn(angle_rad: f64, near_rad: f64) -> f64 {
     angle_rad + ((near_rad - angle_rad) / TAU).round() * TAU
 }
 
-/// The angle less whole turns, in (-pi, pi] \[rad\].
+/// The angle without whole turns, in (-pi, pi] \[rad\].
 pub fn wrapped(angle_rad: f64) -> f64 {
     let wrapped = nearest_turn(angle_rad, 0.0);
     if wrapped <= -PI { wrapped + TAU } else { wrapped }
@@ -169,7 +169,7 @@ pub(super) fn distance_squared(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum()
 }
 
-/// Target minus end: position \[m\], then the rotation vector that takes the end's rotation to the target's \[rad\].
+/// Target minus end: position \[m\], then the rotation vector from the end's rotation to the target's \[rad\].
 pub(super) fn pose_error(target: &Pose, end: &Pose) -> SVector<f64, 6> {
     let position = target.translation.vector - end.translation.vector;
     let rotation: Rotation3<f64> = target.rotation * end.rotation.inverse();
@@ -177,30 +177,30 @@ pub(super) fn pose_error(target: &Pose, end: &Pose) -> SVector<f64, 6> {
     SVector::from_iterator(position.iter().chain(turn.iter()).copied())
 }
 
-/// Axis times angle \[rad\]. By arc tangent: the arc cosine of the trace loses half the digits at small angles.
-/// At half a turn, where no axis is preferred, it is zero.
+/// Rotation vector \[rad\]. Computed by the arc tangent: the arc cosine of the trace loses half of the digits at small angles.
+/// Zero at half a turn, where the axis has no preferred sign.
 pub fn rotation_vector(rotation: &Matrix3<f64>) -> Vector3<f64> {
     let r = rotation;
     let twice_sine = Vector3::new(r[(2, 1)] - r[(1, 2)], r[(0, 2)] - r[(2, 0)], r[(1, 0)] - r[(0, 1)]);
     let sine = 0.5 * twice_sine.norm();
     let angle = sine.atan2(0.5 * (r.trace() - 1.0));
-    // Below this, angle and sine are the same number.
+    // Below this, angle and sine are equal numbers.
     if sine < 1e-9 { 0.5 * twice_sine } else { twice_sine * (0.5 * angle / sine) }
 }
 
-/// Gauss-Newton on the chain as it is; with six joints it is Newton's method, with more the joints move no further than
-/// they must. Metres and radians weigh the same.
+/// Gauss-Newton on the given chain: Newton's method for six joints; for more joints the step of least norm. Metres and radians
+/// have equal weight.
 pub(super) fn refine<const N: usize>(
     chain: &Chain,
     target: &Pose,
     start: [f64; N],
 ) -> Result<[f64; N], InverseError> {
-    /// Below this the next step would be rounding.
+    /// Below this the next step would be a rounding error.
     const STEP_RAD_MIN: f64 = 1e-13;
-    /// Accepted if rounding keeps the steps from shrinking further.
+    /// Accepted if rounding errors prevent a further decrease of the steps.
     const STEP_RAD_SETTLED: f64 = 1e-10;
     const ITERATIONS_MAX: usize = 30;
-    /// Largest step: far from the target a linear prediction is not valid beyond it.
+    /// Largest step: far from the target the linearisation is not valid beyond it.
     const STEP_RAD_MAX: f64 = 0.5;
 
     let tracer = Tracer::new(chain);
@@ -230,8 +230,8 @@ pub(super) fn refine<const N: usize>(
     Err(InverseError::NotConverged { iterations: ITERATIONS_MAX, step_rad })
 }
 
-/// As [`refine`] for more axes than a pose needs: of all solutions around `start` the one that is nearest to the middle of the
-/// joints' limits, each in proportion to its range \[rad, m\]. The pose alone decides on it, not the way there (Liegeois 1977;
+/// As [`refine`] for more axes than a pose needs: of all solutions around `start` the one nearest to the middle of the
+/// joints' limits, each relative to its range \[rad, m\]. It depends only on the pose, not on the path to it (Liegeois 1977;
 /// Newton's method on the constraint, half of a Gauss-Newton step along it).
 pub(super) fn refine_centred<const N: usize>(
     chain: &Chain,
@@ -239,7 +239,7 @@ pub(super) fn refine_centred<const N: usize>(
     start: [f64; N],
     limits: &[[f64; 2]],
 ) -> Result<[f64; N], InverseError> {
-    /// Below this joints have converged up to rounding \[parts of their range\].
+    /// Below this the joints have converged up to rounding errors \[parts of their range\].
     const SETTLED: f64 = 1e-12;
     const ITERATIONS_MAX: usize = 200;
     /// Along the constraint a Gauss-Newton step ignores the constraint's curvature: half of it converges if
@@ -276,20 +276,20 @@ pub(super) fn refine_centred<const N: usize>(
             break;
         }
     }
-    // What remains moves along the constraint alone, by less than a controller resolves.
+    // The remaining motion is along the constraint, and below the resolution of a controller.
     if largest < 1e-9 {
         return Ok(joints.into());
     }
     Err(InverseError::NotConverged { iterations: ITERATIONS_MAX, step_rad: largest * range.amax() })
 }
 
-/// `argmin |J x - e|` by Householder QR of `[J e]`, with more than six joints the shortest `x` with `J x = e`; `None` if J
+/// `argmin |J x - e|` by Householder QR of `[J e]`; for more than six joints the shortest `x` with `J x = e`; `None` if J
 /// is singular.
 fn least_squares_step<const N: usize>(
     jacobian: SMatrix<f64, 6, N>,
     error: SVector<f64, 6>,
 ) -> Option<SVector<f64, N>> {
-    /// Smallest pivot that still gives a usable step.
+    /// Smallest usable pivot.
     const PIVOT_MIN: f64 = 1e-9;
     if N > 6 {
         let squares = (jacobian * jacobian.transpose()).cholesky()?;

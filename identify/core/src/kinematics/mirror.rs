@@ -4,15 +4,15 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::{Chain, Joints, Pose};
 
-/// Poses at which arm and mirror image are compared.
+/// Number of poses at which arm and mirror image are compared.
 const POSES: usize = 12;
-/// How far the two may be apart for one to be the image of the other, of the arm's reach.
+/// Largest distance between arm and mirror image, relative to the arm's reach.
 const APART_MAX: f64 = 0.02;
 
-/// Joints, from 0, whose reversed signs make the arm its own mirror image in the plane of the base's x and z axes; none
-/// where no signs do. Links out of that plane by less than 2 % of the reach count as in it.
+/// Joints, from 0, with reversed signs in the mirror image of the arm in the plane of the base's x and z axes; `None`
+/// if the arm is not symmetric. Links out of that plane by less than 2 % of the reach count as in it.
 ///
-/// The images by a plane turned about the base's z axis differ in the first joint's offset only.
+/// Images in planes rotated about the base's z axis differ in the first joint's offset only.
 pub fn mirroring_joints(arm: &Chain) -> Option<Vec<usize>> {
     let mirror = Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, 1.0));
     let count = arm.links.len();
@@ -21,7 +21,7 @@ pub fn mirroring_joints(arm: &Chain) -> Option<Vec<usize>> {
         .collect();
     let ends: Vec<_> = poses.iter().map(|joints| arm.forward(joints)).collect();
     let reach_m = ends.iter().map(|end| end.translation.vector.norm()).fold(0.0, f64::max);
-    // Two axes of the end's frame stay, or go to their opposite: which is a matter of its convention.
+    // Two axes of the end's frame keep or reverse their direction, depending on its convention.
     let apart = |reversed: usize| {
         let of_pose = |(joints, end): (&Joints, &Pose)| {
             let image = Joints::from_fn(count, |joint| {

@@ -1,5 +1,5 @@
-//! Inverse kinematics: closed form for a six-axis arm with a spherical wrist, numerical for every other arm that can take
-//! any pose; also when it has errors everywhere.
+//! Inverse kinematics: closed form for a six-axis arm with a spherical wrist, numerical for every other arm with at least six
+//! axes; also for arms with errors in every parameter.
 
 use nalgebra::Matrix3;
 
@@ -9,14 +9,14 @@ use super::inverse::{
 };
 use super::{Chain, InverseError, Joints, Pose};
 
-/// Axes without which an arm cannot take any pose.
+/// Least number of axes for arbitrary poses.
 const AXES: usize = 6;
 
-/// What the closed form needs: twists snapped to right angles, offsets that the structure does not have dropped.
+/// Parameters of the closed form: twists rounded to right angles, without offsets that the structure does not have.
 struct Arm {
-    /// Signs of the twists of links 1, 3, 4, 5, with axis 3 taken along axis 2.
+    /// Signs of the twists of links 1, 3, 4, 5, for an axis 3 in the direction of axis 2.
     signs: [f64; 4],
-    /// Whether axis 3 is along axis 2 (1) or against it (-1, as in arms by FANUC): joint 3 then turns the other way.
+    /// Whether axis 3 is along axis 2 (1) or against it (-1, as in arms by FANUC), which reverses joint 3.
     sense: f64,
     a1_m: f64,
     d1_m: f64,
@@ -55,7 +55,7 @@ impl Arm {
         })
     }
 
-    /// First three link angles that bring the wrist's centre to `wrist`, four ways at most.
+    /// First three link angles that move the wrist's centre to `wrist`: up to four solutions.
     fn reach(&self, wrist: [f64; 3]) -> Vec<[f64; 3]> {
         let [sign1, sign3, ..] = self.signs;
         let [x, y, z] = wrist;
@@ -89,8 +89,8 @@ impl Arm {
     }
 }
 
-/// A sine or cosine, with some room beyond one: errors of the chain may put a reachable pose just outside the
-/// nominal workspace. None far outside or where it is not a number.
+/// A sine or cosine, with a tolerance beyond one: errors of the chain can put a reachable pose slightly outside the
+/// nominal workspace. `None` far outside or for NaN.
 fn clamped(value: f64) -> Option<f64> {
     (value.abs() < 1.02).then(|| value.clamp(-1.0, 1.0))
 }
@@ -115,17 +115,17 @@ fn closed_form(chain: &Chain, target: &Pose, near: &[f64; AXES]) -> Result<Vec<[
     if solutions.is_empty() { Err(InverseError::unreachable(target)) } else { Ok(solutions) }
 }
 
-/// Joint variables \[rad, m\] that bring the end of `chain` to `target`, of all solutions the one nearest to `near`, which
-/// has one for each axis.
+/// Joint variables \[rad, m\] that move the end of `chain` to `target`: of all solutions the one nearest to `near`, which
+/// has one value for each axis.
 ///
 /// The closed form of the spherical-wrist arm (six revolute axes, twists of links 1, 3, 4, 5 at right angles, axes 2 and 3
-/// parallel in either sense, axes 4 to 6 through one point) starts Newton's method on the chain as it is, which may have errors of some mm and mrad in every parameter.
-/// Other arms start at `near`, so that they find a solution where it is not far; seven and eight axes leave it no
-/// further than they must.
+/// parallel in either direction, axes 4 to 6 through one point) is the start of Newton's method on the given chain, which may
+/// have errors of some mm and mrad in every parameter. Other arms start at `near`, so they find a solution only if it is near;
+/// with seven and eight axes it is the one with the least change.
 ///
 /// # Errors
 /// [`InverseError::Unreachable`] outside the workspace, [`InverseError::NotConverged`] at a singularity or too far from
-/// `near`, [`InverseError::Links`] where there are fewer than six axes or `near` has not one number for each.
+/// `near`, [`InverseError::Links`] for fewer than six axes or another number of values in `near`.
 pub fn robot_inverse(chain: &Chain, target: &Pose, near: &[f64]) -> Result<Joints, InverseError> {
     if near.len() != chain.links.len() {
         return Err(InverseError::Links { found: chain.links.len(), expected: near.len() });
@@ -138,8 +138,8 @@ pub fn robot_inverse(chain: &Chain, target: &Pose, near: &[f64]) -> Result<Joint
     }
 }
 
-/// As [`robot_inverse`], but an arm with more than six axes takes the posture nearest to the middle of its joint limits
-/// \[rad, m\], of those that it comes to from `near`: it depends on the pose alone, and comes back on a closed path.
+/// As [`robot_inverse`], but for more than six axes the posture nearest to the middle of the joint limits
+/// \[rad, m\], of those that are connected with `near`: it depends on the pose alone, and repeats on a closed path.
 ///
 /// # Errors
 /// Those of [`robot_inverse`].
@@ -191,9 +191,8 @@ fn six_axes(chain: &Chain, target: &Pose, near: &[f64]) -> Result<Joints, Invers
 /// All solutions of a six-axis arm with a spherical wrist, up to eight, each joint in (-pi, pi]; those that do not converge on
 /// the given chain are omitted.
 ///
-/// # Errors
-/// As [`robot_inverse`], where none is left; [`InverseError::Structure`], [`InverseError::Prismatic`] and [`InverseError::Links`] for
-/// another kind of arm, which may have more solutions than can be listed.
+/// # Errors As [`robot_inverse`], where none is left; [`InverseError::Structure`], [`InverseError::Prismatic`] and
+/// [`InverseError::Links`] for another kind of arm, which may have more solutions than can be listed.
 pub fn robot_inverse_all(chain: &Chain, target: &Pose) -> Result<Vec<Joints>, InverseError> {
     let mut failure = InverseError::unreachable(target);
     let mut solutions = Vec::with_capacity(8);

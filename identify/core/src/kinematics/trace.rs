@@ -1,8 +1,8 @@
 //! One forward pass that yields the end pose and its derivative by every parameter of every link.
 //!
 //! A parameter of link i moves everything after it as one rigid body, by a twist about an axis that the forward pass
-//! meets anyway: `theta` and `d` about and along z of frame i-1, `alpha` and `a` about and along x of link i, `beta`
-//! about y of frame i. No differences, no symbolic expressions.
+//! computes: `theta` and `d` about and along z of frame i-1, `alpha` and `a` about and along x of link i, `beta`
+//! about y of frame i. Neither finite differences nor symbolic expressions are needed.
 
 use nalgebra::{Matrix3, Vector3, Vector6};
 use shared::config::JointKind;
@@ -47,7 +47,7 @@ impl Twist {
     }
 }
 
-/// Sine and cosine of an angle, which is all that a rotation needs of it.
+/// Sine and cosine of an angle: a rotation needs nothing else.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Turn {
     /// Sine of the angle.
@@ -57,10 +57,10 @@ pub struct Turn {
 }
 
 impl Turn {
-    /// Of an angle \[rad\].
+    /// Sine and cosine of an angle \[rad\].
     #[inline]
     pub fn of(angle_rad: f64) -> Self {
-        /// Below this the series are exact to rounding with the terms taken.
+        /// Below this the truncated series are exact to rounding.
         const SMALL_RAD: f64 = 1e-3;
         if angle_rad.abs() > SMALL_RAD {
             let (sin, cos) = angle_rad.sin_cos();
@@ -73,7 +73,7 @@ impl Turn {
         }
     }
 
-    /// Of the sum of both angles.
+    /// Sine and cosine of the sum of both angles.
     #[inline]
     pub fn and(self, other: Self) -> Self {
         Self {
@@ -82,7 +82,7 @@ impl Turn {
         }
     }
 
-    /// Of a multiple of the angle, by a few products: sine and cosine of it take ten times as long.
+    /// Sine and cosine of a multiple of the angle, by a few products: a direct evaluation takes ten times as long.
     #[inline]
     pub fn times(self, mut count: u8) -> Self {
         let (mut product, mut doubled) = (Self { sin: 0.0, cos: 1.0 }, self);
@@ -97,7 +97,7 @@ impl Turn {
     }
 }
 
-/// The five numbers of a link; its joint moves the end as `theta` does, or `d` where it is prismatic.
+/// The five parameters of a link; its joint has the effect of `theta`, or of `d` if it is prismatic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum LinkParameter {
     /// `a`: length along x.
@@ -113,9 +113,9 @@ pub enum LinkParameter {
 }
 
 impl LinkParameter {
-    /// All five, those of the standard convention first.
+    /// All five parameters, those of the standard convention first.
     pub const ALL: [Self; 5] = [Self::A, Self::D, Self::Alpha, Self::Theta, Self::Beta];
-    /// Those of the standard convention, in the order of the thesis' tables.
+    /// Parameters of the standard convention, in the order of the thesis' tables.
     pub const STANDARD: [Self; 4] = [Self::A, Self::D, Self::Alpha, Self::Theta];
 
     /// `a`, `d`, `alpha`, `theta` or `beta`.
@@ -130,7 +130,7 @@ impl LinkParameter {
     }
 }
 
-/// What a forward pass met at one link, in root coordinates.
+/// Intermediate results of a forward pass at one link, in root coordinates.
 #[derive(Debug, Clone, Copy)]
 struct LinkAxes {
     joint: JointKind,
@@ -142,7 +142,7 @@ struct LinkAxes {
 }
 
 impl LinkAxes {
-    /// How a point beyond the joint moves with it.
+    /// Twist of a point after the joint by the joint's motion.
     #[inline]
     fn twist(&self, point: Vector3<f64>) -> Twist {
         match self.joint {
@@ -183,7 +183,7 @@ impl Trace {
         self.end.rotation.matrix()
     }
 
-    /// How the end frame moves with a parameter of link `link` (from 0); none beyond the last link.
+    /// Twist of the end frame by a parameter of link `link` (from 0); `None` after the last link.
     #[inline]
     pub fn twist(&self, link: usize, parameter: LinkParameter) -> Option<Twist> {
         let at = self.axes.get(link)?;
@@ -202,7 +202,7 @@ impl Trace {
         self.axes.iter().map(|at| (at.origin_before, at.z_before))
     }
 
-    /// How a point that the first `joints` joints carry moves with each of them.
+    /// Twists of a point carried by the first `joints` joints, by each of them.
     pub fn point_twists(&self, point: Vector3<f64>, joints: usize) -> impl Iterator<Item = Twist> {
         self.axes.iter().take(joints).map(move |at| at.twist(point))
     }
@@ -221,12 +221,12 @@ impl Trace {
     }
 }
 
-/// A chain made ready for many forward passes: what does not depend on the joints is computed once.
+/// A chain prepared for many forward passes: quantities that do not depend on the joints are computed once.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tracer {
     root_from_base: Pose,
     links: Vec<PreparedLink>,
-    /// None for the identity.
+    /// Base of the chain; `None` for the identity.
     last_from_end: Option<Pose>,
 }
 
@@ -242,7 +242,7 @@ struct PreparedLink {
 }
 
 impl PreparedLink {
-    /// Axes turned by `Rx(alpha) Ry(beta)`: each turn mixes two of them.
+    /// Axes rotated by `Rx(alpha) Ry(beta)`: each rotation combines two of them.
     #[inline]
     fn after_turn(&self, x: Vector3<f64>, y: Vector3<f64>, z: Vector3<f64>) -> Matrix3<f64> {
         let (y, z) = (y * self.alpha.cos + z * self.alpha.sin, z * self.alpha.cos - y * self.alpha.sin);
@@ -266,7 +266,7 @@ impl Tracer {
         Self { root_from_base: chain.root_from_base, links: links.collect(), last_from_end }
     }
 
-    /// Sets `d` of one link (from 0) \[m\]; nothing for a link that is not there.
+    /// Sets `d` of one link (from 0) \[m\]; no effect for a link that does not exist.
     #[inline]
     pub fn set_d(&mut self, link: usize, d_m: f64) {
         if let Some(link) = self.links.get_mut(link) {
@@ -274,7 +274,7 @@ impl Tracer {
         }
     }
 
-    /// Forward pass at joint variables \[rad, m\] (missing ones count as zero), into a trace that is overwritten.
+    /// Forward pass at joint variables \[rad, m\] (missing ones are zero), into a trace that is overwritten.
     pub fn trace(&self, joints: &[f64], trace: &mut Trace) {
         let joints = joints.iter().copied().chain(std::iter::repeat(0.0));
         self.pass(trace, joints, |link, joint| match link.joint {
@@ -283,12 +283,12 @@ impl Tracer {
         });
     }
 
-    /// The same where all joints are revolute and sines and cosines of their angles are known, one for each link.
+    /// The same for revolute joints with known sines and cosines of their angles, one for each link.
     pub fn trace_turns(&self, joints: impl IntoIterator<Item = Turn>, trace: &mut Trace) {
         self.pass(trace, joints, |link, joint| (link.theta.and(joint), link.d_m));
     }
 
-    /// `about_z` gives turn and offset of a link at its joint variable.
+    /// `about_z` returns rotation and offset of a link at its joint variable.
     #[inline]
     fn pass<J>(
         &self,

@@ -1,4 +1,4 @@
-//! Checks a robot's configuration: facts, and what looks wrong.
+//! Checks a robot's configuration: facts and probable mistakes.
 
 use nalgebra::{Matrix6xX, Vector3, Vector6};
 use rand::Rng;
@@ -11,40 +11,40 @@ use crate::kinematics::{
 };
 use crate::statistics::extremes;
 
-/// Random postures within the limits that reach and rank are looked for in.
+/// Number of random postures within the limits for the reach.
 const POSTURES: usize = 20_000;
-/// Postures in which the rank of the Jacobian is computed.
+/// Number of postures for the rank of the Jacobian.
 const RANK_POSTURES: usize = 50;
-/// Singular values that are less, beside the largest, are none: two axes do the same.
+/// Singular values below this part of the largest count as zero: two axes have the same effect.
 const RANK_TOLERANCE: f64 = 1e-6;
-/// Numbers of decimals to which people round a right or straight angle in radians. In degrees it needs none.
+/// Usual numbers of decimals of a rounded right or straight angle in radians; in degrees it is exact.
 const RADIAN_DECIMALS: std::ops::RangeInclusive<i32> = 2..=5;
 /// Decimals of an angle in degrees that a conversion from radians keeps.
 const CONVERTED_DIGITS: usize = 9;
-/// Angles in degrees that are so near to a part of a turn in radians were mostly meant as radians \[deg\].
+/// Angles in degrees this near to a simple part of a turn in radians were probably meant as radians \[deg\].
 const AS_RADIANS: f64 = 1e-3;
-/// Neighbouring axes as near as this \[m\] and to this parallel (sine) are one: a calibration cannot separate them.
+/// Neighbouring axes closer than this \[m\] and parallel within this sine coincide: a calibration cannot separate them.
 const SAME_AXIS_M: f64 = 1e-3;
 const SAME_DIRECTION: f64 = 1e-3;
-/// A revolute axis turns by this at most; more is no data sheet's \[deg\].
+/// Largest range of a revolute axis in data sheets \[deg\].
 const RANGE_DEG_MAX: f64 = 1440.0;
 
-/// What a configuration describes.
+/// Contents of a configuration.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RobotCheck {
-    /// Facts: what and how much.
+    /// Facts: name and value.
     pub facts: Vec<(&'static str, String)>,
-    /// What looks wrong, and what to do.
+    /// Probable mistakes with their remedies.
     pub suspicious: Vec<String>,
     /// Points along the arm, base to flange, in two postures: all joints at zero, all in the middle of their range \[m\].
     pub postures: [(&'static str, Vec<Vector3<f64>>); 2],
     /// Each axis with all joints at zero: a point \[m\] and its direction.
     pub axes: Vec<(JointKind, Vector3<f64>, Vector3<f64>)>,
-    /// Places of the flange, random postures within the limits \[m\].
+    /// Positions of the flange in random postures within the limits \[m\].
     pub reached_m: Vec<Vector3<f64>>,
 }
 
-/// Looks at a configuration.
+/// Checks a configuration.
 pub fn check(robot: &RobotConfig) -> RobotCheck {
     let (chain, limits) = (flange_chain(robot), robot.joint_limits());
     let zero = Joints::zeros(limits.len());
@@ -97,7 +97,7 @@ fn arm(chain: &Chain, joints: &[f64]) -> Vec<Vector3<f64>> {
     points
 }
 
-/// Metres and radians weigh the same.
+/// Metres and radians have equal weight.
 fn jacobian_rank(trace: &Trace) -> usize {
     let columns: Vec<Vector6<f64>> = trace.joint_twists().map(|twist| twist.column()).collect();
     let values = Matrix6xX::from_columns(&columns).singular_values();
@@ -149,8 +149,8 @@ fn facts(
     facts
 }
 
-/// What rounding a multiple of a right angle in radians makes of it, and that multiple in degrees: where the angle is this to the
-/// last digit that is written, which one that was measured or calibrated hardly is.
+/// Rounding error of a multiple of a right angle in radians, and that multiple in degrees, if the angle agrees with it to the
+/// last digit, which is improbable for a measured or calibrated angle.
 fn rounded(degrees: f64) -> Option<(f64, f64)> {
     let exact_deg = (degrees / 90.0).round() * 90.0;
     if degrees == exact_deg {
@@ -163,7 +163,7 @@ fn rounded(degrees: f64) -> Option<(f64, f64)> {
         .flat_map(|decimals| {
             let in_rad = 10f64.powi(decimals);
             let exact = exact_deg.to_radians() * in_rad;
-            // Some round, others cut off.
+            // Some files round, others truncate.
             [exact.round(), exact.trunc()].map(|digits| digits / in_rad)
         })
         .find(|rounded_rad| as_written(rounded_rad.to_degrees()) == as_written(degrees))
@@ -185,7 +185,7 @@ fn suspicious(
              line, or more than three are parallel; check alpha_deg and a_m"
         ));
     }
-    // How neighbours lie to each other is the same in all postures.
+    // The relation of neighbouring axes is the same in all postures.
     for (((kind, point, along), (other, next, next_along)), number) in axes.iter().zip(&axes[1..]).zip(1..) {
         let apart_m = match kind {
             JointKind::Revolute => (next - point).cross(along).norm(),

@@ -1,7 +1,7 @@
 //! Default base and tip of the arm in a URDF.
 //!
-//! Files have more than the arm: a world before it, frames beside it, a gripper behind it. Only what moves decides: links on
-//! which the same joints act are ends of the same arm, and the names of the field choose among them.
+//! A file can contain a world before the arm, frames beside it and a gripper after it. Links that the same joints move are ends
+//! of the same arm; standard names select among them.
 
 use std::cmp::Reverse;
 
@@ -10,18 +10,18 @@ use shared::output::named;
 use super::import::ImportError;
 use super::urdf::{Joint, Urdf};
 
-/// Names of a mechanical interface (ISO 9787), wherever it is; the first counts most.
+/// Names of a mechanical interface (ISO 9787) at any link, by decreasing priority.
 const FLANGES: [&str; 2] = ["tool0", "flange"];
-/// Names of one where several links follow the last axis.
+/// Names of a mechanical interface if several links follow the last axis.
 const TOOLS: [&str; 5] = ["link8", "ee_link", "link_ee", "link_eef", "end_effector"];
 /// Names of a robot's own base.
 const BASES: [&str; 4] = ["base_link", "base", "link0", "link_0"];
-/// Parts of names that joints of grippers have.
+/// Parts of the names of gripper joints.
 const GRIPPERS: [&str; 5] = ["gripper", "finger", "jaw", "knuckle", "thumb"];
-/// Links that an error lists, at most.
+/// Highest number of links in an error.
 const LISTED_MAX: usize = 12;
 
-/// Where an arm begins and ends.
+/// Base and tip of an arm.
 pub(super) struct Ends<'a> {
     pub(super) base: String,
     pub(super) tip: String,
@@ -32,7 +32,7 @@ pub(super) struct Ends<'a> {
 }
 
 impl<'a> Ends<'a> {
-    /// Those that were given, or the usual ones.
+    /// The given ends, or the defaults.
     pub(super) fn of(urdf: &'a Urdf, base: Option<&str>, tip: Option<&str>) -> Result<Self, ImportError> {
         for link in [base, tip].into_iter().flatten() {
             if !urdf.links.iter().any(|known| known == link) {
@@ -67,7 +67,7 @@ impl<'a> Ends<'a> {
     }
 }
 
-/// A link and the axes of the arm that move it; the joint with which a gripper begins, where it belongs to one.
+/// A link with the axes that move it, and the first joint of a gripper if it belongs to one.
 struct End<'a> {
     link: &'a str,
     axes: Vec<&'a Joint>,
@@ -86,7 +86,7 @@ impl<'a> End<'a> {
         Self { link, axes: axes.collect(), gripper }
     }
 
-    /// Whether the axes of another end are the first of its own.
+    /// Whether the axes of another end are the first ones of this end.
     fn continues(&self, other: &Self) -> bool {
         let mut pairs = self.axes.iter().zip(&other.axes);
         self.axes.len() >= other.axes.len() && pairs.all(|(own, other)| own.name == other.name)
@@ -150,7 +150,7 @@ fn find_tip(urdf: &Urdf, base: Option<&str>, left_out: &mut Vec<String>) -> Resu
     Ok(tip.link.to_owned())
 }
 
-/// The link named as a robot's base, or else the one on which the first axis is, of those that do not move.
+/// The link named as a robot's base, or else the fixed link that carries the first axis.
 fn find_base(root: &str, joints: &[&Joint], left_out: &mut Vec<String>) -> String {
     let fixed = joints.iter().position(|joint| joint.moves()).unwrap_or(0);
     let children = joints[..fixed].iter().map(|joint| joint.child.as_str());
@@ -163,7 +163,7 @@ fn find_base(root: &str, joints: &[&Joint], left_out: &mut Vec<String>) -> Strin
     base.to_owned()
 }
 
-/// Those with most axes first, those of grippers last.
+/// Ends by decreasing number of axes, those of grippers last.
 fn several(ends: &[&End<'_>]) -> ImportError {
     let mut ends = ends.to_vec();
     ends.sort_by_key(|end| (end.gripper.is_some(), Reverse(end.axes.len())));

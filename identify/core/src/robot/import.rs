@@ -13,10 +13,10 @@ use super::ends::Ends;
 use super::urdf::{DECIMALS_FINE, Joint, Urdf, angle_rad, decimals};
 use crate::kinematics::{AxisLine, Chain, DhLink, Pose};
 
-/// Why a URDF gives no robot.
+/// Why a URDF cannot be imported.
 #[derive(Debug, thiserror::Error)]
 pub enum ImportError {
-    /// The text is something else.
+    /// The text is not a URDF.
     #[error("this is not a URDF: {0}")]
     NotUrdf(String),
     /// Macros are not expanded.
@@ -24,7 +24,7 @@ pub enum ImportError {
         "it has <{0}> and is thus not expanded; run `xacro arm.urdf.xacro > arm.urdf` and import the result"
     )]
     Xacro(String),
-    /// A joint hangs on nothing.
+    /// The parent link of a joint does not exist.
     #[error(
         "parent `{parent}` of joint `{joint}` is not among the links; give with --base the link where the arm begins"
     )]
@@ -34,7 +34,7 @@ pub enum ImportError {
         /// Name of the missing link.
         parent: String,
     },
-    /// There is no such link.
+    /// The link does not exist.
     #[error("it has no link `{link}`; its links are {known}")]
     UnknownLink {
         /// Name of the requested link.
@@ -42,7 +42,7 @@ pub enum ImportError {
         /// Names of its links.
         known: String,
     },
-    /// No joints lead from one to the other.
+    /// The links are not connected by joints.
     #[error("link `{tip}` does not hang on link `{base}`; going up from it one comes to {above}")]
     NotConnected {
         /// Name of the requested base.
@@ -52,20 +52,20 @@ pub enum ImportError {
         /// Links above the tip.
         above: String,
     },
-    /// The end of the arm has to be said.
+    /// The end of the arm is ambiguous.
     #[error(
         "it ends in several links; say with --tip which is the flange (number of axes before it): {tips}"
     )]
     SeveralTips {
-        /// Links on which nothing hangs.
+        /// Links without child joints.
         tips: String,
     },
-    /// Every joint has a name as those of grippers have.
+    /// Every joint has the name of a gripper's joint.
     #[error(
         "each joint that moves is named as a gripper's; if it is an arm, say with --tip which link is its flange: {tips}"
     )]
     Gripper {
-        /// Links on which nothing hangs.
+        /// Links without child joints.
         tips: String,
     },
     /// A joint that cannot be an axis of a serial arm.
@@ -76,10 +76,10 @@ pub enum ImportError {
         /// What is wrong with it.
         problem: String,
     },
-    /// It contradicts itself, or does not describe a robot.
+    /// The file contradicts itself, or does not describe a robot.
     #[error("{0}; correct the file")]
     Wrong(String),
-    /// Too few or too many.
+    /// The number of axes is not supported.
     #[error(
         "{axes} axes are between `{base}` and `{tip}`, a robot has {AXES_MIN} to {AXES_MAX}; choose other links"
     )]
@@ -93,25 +93,25 @@ pub enum ImportError {
     },
 }
 
-/// What a URDF says of an arm.
+/// An arm imported from a URDF.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Imported {
     /// Configuration of the robot.
     pub config: RobotConfig,
-    /// Link where it begins.
+    /// Link at the base of the arm.
     pub base: String,
-    /// Link where it ends.
+    /// Link at the tip of the arm.
     pub tip: String,
     /// Name of each axis' joint.
     pub joints: Vec<String>,
-    /// What the file does not state and was assumed.
+    /// Assumptions for values that the file does not contain.
     pub assumed: Vec<String>,
-    /// Links before `base` and joints behind `tip` that were left out by default.
+    /// Links before `base` and joints after `tip` that were left out by default.
     pub left_out: Vec<String>,
 }
 
-/// The arm between links `base` and `tip`. Without `base` it is the link called so, or the one on which the first axis is;
-/// without `tip` the link called `tool0` or `flange`, or the only end of the longest row of axes, less a gripper.
+/// The arm between links `base` and `tip`. Default of `base`: the link with that name, or the one that carries the first axis.
+/// Default of `tip`: the link named `tool0` or `flange`, or the only end of the longest chain of axes, without a gripper.
 ///
 /// Forward kinematics from `base` to `tip` at the joints' values are those of the file, within the decimals of its right
 /// angles.
@@ -176,7 +176,7 @@ pub fn import(text: &str, base: Option<&str>, tip: Option<&str>) -> Result<Impor
     if config.maker() == Some(Maker::Fanuc) {
         assumed.push(couple_joint_3(&mut config, &axes));
     }
-    // What no other command would load is not written either.
+    // A configuration that no other command accepts is not written.
     config.validate().map_err(|Violation { key, problem, remedy }| {
         ImportError::Wrong(format!(
             "its links `{base}` to `{tip}` do not form a robot: {key}: {problem}, {remedy}"
@@ -207,7 +207,7 @@ fn couple_joint_3(config: &mut RobotConfig, axes: &[AxisLine]) -> String {
     .to_owned()
 }
 
-/// A name that is there more than once.
+/// A name that occurs more than once.
 fn repeated<'a>(mut names: impl Iterator<Item = &'a String>) -> Option<&'a String> {
     let mut seen = HashSet::new();
     names.find(|name| !seen.insert(*name))
@@ -217,7 +217,7 @@ fn problem(joint: &Joint, problem: impl Into<String>) -> ImportError {
     ImportError::Joint { joint: joint.name.clone(), problem: problem.into() }
 }
 
-/// How it moves; `None` if it is fixed.
+/// Kind of its motion; `None` for a fixed joint.
 fn kind(joint: &Joint) -> Result<Option<JointKind>, ImportError> {
     if let Some(other) = joint.value("mimic", "joint") {
         return Err(problem(
@@ -258,14 +258,14 @@ fn limits(
     read: fn(&str) -> Option<f64>,
     assumed: &mut Vec<String>,
 ) -> [f64; 2] {
-    // Absent is zero, as URDF has it.
+    // A missing value is zero, as in the URDF specification.
     let limit = |key| joint.value("limit", key).map_or(Some(0.0), read).unwrap_or(f64::NAN);
     let limits = ["lower", "upper"].map(|key| (limit(key) * 1e9).round() / 1e9);
     let [low, high] = limits;
     let found = match joint.kind.as_str() {
         "continuous" => "no limits in the file".to_owned(),
         _ if low < high && low.is_finite() && high.is_finite() => return limits,
-        // What a file without limits gives, too.
+        // The default of a file without limits.
         _ if low == 0.0 && high == 0.0 => "no limits in the file, or both are zero".to_owned(),
         _ => format!("limits of {low} to {high} {unit} in the file, which are not a range"),
     };
@@ -273,7 +273,7 @@ fn limits(
     [-otherwise, otherwise]
 }
 
-/// A length as files have it: what arithmetic adds is less than any robot is made to.
+/// A length rounded to the accuracy of files: rounding errors are smaller than manufacturing errors.
 fn length_m(length_m: f64) -> f64 {
     without_rounding(length_m, 1e-12)
 }
@@ -283,7 +283,7 @@ fn angle_deg(angle_rad: f64) -> f64 {
     without_rounding(angle_rad.to_degrees(), 1e-9)
 }
 
-/// The nearest number of six decimals where that is nearer than `rounding`; any other keeps all digits that mean something.
+/// The nearest number of six decimals if it differs by less than `rounding`; others keep all significant digits.
 fn without_rounding(value: f64, rounding: f64) -> f64 {
     let to = |decimals: f64| (value * decimals).round() / decimals;
     let (rounded, digits) = (to(1e6), to(1e3 / rounding));

@@ -1,5 +1,5 @@
-//! Links and joints of a URDF. Shapes, materials, masses, transmissions and extensions of simulators are skipped, whatever they
-//! contain. Numbers are read of those joints only that an arm has.
+//! Links and joints of a URDF. Shapes, materials, masses, transmissions and extensions of simulators are skipped without
+//! checks. Numbers are only read for the joints of the arm.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -29,7 +29,7 @@ pub(super) struct Joint {
 
 impl Urdf {
     pub(super) fn read(text: &str) -> Result<Self, ImportError> {
-        // A binary file has control characters, which are not for a terminal.
+        // A binary file has control characters, which must not be printed on a terminal.
         let not_urdf = |problem: String| ImportError::NotUrdf(problem.escape_debug().to_string());
         let mut is_begun = false;
         let mut urdf = Self { name: String::new(), links: Vec::new(), joints: Vec::new() };
@@ -65,7 +65,7 @@ impl Urdf {
         Ok(urdf)
     }
 
-    /// Takes an element inside those that are open.
+    /// Processes an element inside the open ones.
     fn element(&mut self, open: &[String], tag: &BytesStart<'_>) -> Result<(), ImportError> {
         let name = tag.name();
         let name = name.as_ref();
@@ -95,7 +95,7 @@ impl Urdf {
         Ok(())
     }
 
-    /// The joints from where the tree begins to a link, root first.
+    /// The joints from the root of the tree to a link, root first.
     pub(super) fn joints_to(&self, link: &str) -> Vec<&Joint> {
         let (mut joints, mut link): (Vec<&Joint>, _) = (Vec::new(), link);
         // Links in a circle have no root.
@@ -111,7 +111,7 @@ impl Urdf {
 }
 
 impl Joint {
-    /// An attribute of one of its elements.
+    /// An attribute of a child element.
     pub(super) fn value(&self, element: &str, attribute: &str) -> Option<&str> {
         let (_, attributes) = self.elements.iter().find(|(name, _)| name == element)?;
         attributes.iter().find(|(key, _)| key == attribute).map(|(_, value)| value.as_str())
@@ -121,7 +121,7 @@ impl Joint {
         self.kind != "fixed"
     }
 
-    /// Direction of its axis, of any length; x where the file has none.
+    /// Direction of its axis, of any length; x if the file has none.
     pub(super) fn axis(&self) -> Result<[f64; 3], ImportError> {
         let is_given = self.elements.iter().any(|(name, _)| name == "axis");
         self.numbers("axis", "xyz", (!is_given).then_some([1.0, 0.0, 0.0]), |text| text.parse().ok())
@@ -154,8 +154,8 @@ impl Joint {
     }
 }
 
-/// An angle \[rad\]. Files have right angles with some decimals: an angle that is a whole number of right angles to its last
-/// digit, or of 15 degrees if it has [`DECIMALS_FINE`] decimals, is taken as exactly that.
+/// An angle \[rad\]. Files contain right angles with some decimals: an angle that equals a multiple of a right angle to its
+/// last digit, or of 15 degrees if it has [`DECIMALS_FINE`] decimals, is replaced by the exact one.
 pub(super) fn angle_rad(text: &str) -> Option<f64> {
     /// More are beyond the resolution of a double.
     const DECIMALS_MAX: usize = 14;
@@ -173,7 +173,7 @@ pub(super) fn angle_rad(text: &str) -> Option<f64> {
     Some(if is_exact { exact } else { written })
 }
 
-/// Fewer decimals change an angle by more than a robot repeats.
+/// With fewer decimals the replacement would exceed the repeatability of a robot.
 pub(super) const DECIMALS_FINE: usize = 4;
 
 /// Digits after the point.
