@@ -29,7 +29,7 @@ pub enum LogError {
     Unreadable {
         /// Path of the file concerned.
         path: PathBuf,
-        /// What the system said.
+        /// Text of the system's error.
         source: std::io::Error,
     },
     /// The file cannot be written.
@@ -37,7 +37,7 @@ pub enum LogError {
     Unwritable {
         /// Path of the file concerned.
         path: PathBuf,
-        /// What the system said.
+        /// Text of the system's error.
         source: std::io::Error,
     },
     /// The bytes are neither text nor a workbook with one table.
@@ -64,14 +64,14 @@ pub enum LogError {
         /// Path of the file concerned.
         path: PathBuf,
     },
-    /// A column that is needed is absent.
+    /// A required column is missing.
     #[error("{}: column `{column}` is missing; found: {found}. {remedy}", path.display())]
     MissingColumn {
         /// Path of the file concerned.
         path: PathBuf,
         /// The column looked for.
         column: String,
-        /// The columns that are there.
+        /// The columns of the file.
         found: String,
         /// What the user can do.
         remedy: String,
@@ -129,7 +129,7 @@ pub enum LogError {
     TimeNotIncreasing {
         /// Path of the file concerned.
         path: PathBuf,
-        /// What rows are called in this format.
+        /// Name of a row in this format, such as `line`.
         what: &'static str,
         /// Line of the later row.
         line: u64,
@@ -148,7 +148,7 @@ pub enum LogError {
     BeyondLimits {
         /// Path of the file concerned.
         path: PathBuf,
-        /// What rows are called in this format.
+        /// Name of a row in this format, such as `line`.
         what: &'static str,
         /// Line of the first such row.
         line: u64,
@@ -230,13 +230,13 @@ pub enum LogError {
     NoContinuousPart {
         /// Stamps needed in a row.
         needed: usize,
-        /// Longest distance that is bridged \[s\].
+        /// Longest gap that is interpolated \[s\].
         gap_limit_s: f64,
     },
 }
 
 impl LogError {
-    /// [`Self::TooFewRows`] where `rows` are less than `needed`.
+    /// [`Self::TooFewRows`] if `rows` is less than `needed`.
     pub(super) fn unless_enough(path: &Path, rows: usize, needed: usize) -> Result<(), Self> {
         if rows < needed { Err(Self::TooFewRows { path: path.to_owned(), rows, needed }) } else { Ok(()) }
     }

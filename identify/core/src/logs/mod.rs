@@ -1,14 +1,14 @@
 //! Reads logs of robots, bars and other instruments from files.
 //!
-//! A robot log ends up as one table, [`RobotLog`]: time stamps of the robot's own clock and joint variables of the
-//! model in radians. Everything robot-specific (motors or joints, units, signs, coupled axes) is converted here by
-//! [`JointConversion`]; later steps never see it. The clock is named but not relied on: logs of many controllers count from their
-//! own start, so the relation to the bar's clock is found from the motion (`prepare`).
+//! A robot log ends up as one table, [`RobotLog`]: time stamps of the robot's own clock and joint variables of the model in
+//! radians. Everything robot-specific (motors or joints, units, signs, coupled axes) is converted here by [`JointConversion`];
+//! later steps never see it. The clock is named but not relied on: logs of many controllers count from their own start, so the
+//! relation to the bar's clock is found from the motion (`prepare`).
 //!
 //! [`BarLog`] is the other side of a run: the bar's encoders in a recording or in the file of another program.
 //!
-//! [`MeasuredLengths`] and [`MeasuredPoses`] are the other kinds of input: single poses of the robot with a measured
-//! length (draw-wire, telescoping bar) or with a measured position or pose (tracker); [`TimedPoses`] is a tracker's log with times
+//! [`MeasuredLengths`] and [`MeasuredPoses`] are the other kinds of input: single poses of the robot with a measured length
+//! (draw-wire, telescoping bar) or with a measured position or pose (tracker); [`TimedPoses`] is a tracker's log with times
 //! instead of joints, beside a [`RobotLog`].
 
 mod bar_log;
@@ -113,15 +113,15 @@ pub struct LogQuality {
     pub excursions_dropped: usize,
     /// Rows in which a joint is missing or not a number; they are not used.
     pub incomplete_dropped: usize,
-    /// The regular clock behind the stamps, where there is one.
+    /// The regular clock behind the stamps; `None` if there is none.
     pub stamps: Option<Stamps>,
     /// Observations that are not errors, in sentences.
     pub remarks: Vec<String>,
 }
 
 impl LogQuality {
-    /// Adds remarks on repeated and incomplete rows: what rows are called, which values they repeat, what was `done` with them, and
-    /// what incomplete ones `lack`.
+    /// Adds remarks on repeated and incomplete rows: what rows are called, which values they repeat, what was `done` with them,
+    /// and what incomplete ones `lack`.
     fn remark_counts(&mut self, row: &str, values: &str, done: &str, lack: &str) {
         let repeat = format!("repeat {values} before them in the middle of a motion");
         for (count, what) in [(self.frozen_dropped, repeat.as_str()), (self.incomplete_dropped, lack)] {
@@ -143,7 +143,7 @@ pub struct RobotLog {
     pub origin: Origin,
     /// Joint variables of the model \[rad, m\], at the times of the file without the jitter of the stamps.
     pub q_rad: Shared<Stream<Joints>>,
-    /// Rates of those joint variables where the log has them, one row per stamp \[rad/s, m/s\].
+    /// Rates of the joint variables, one row per stamp \[rad/s, m/s\]; `None` if the log has none.
     pub speed_rad_s: Option<Vec<Joints>>,
     /// Torques or motor currents where the log has them, in the unit and on the axes of the file.
     pub torque: Option<Vec<Joints>>,
@@ -159,7 +159,8 @@ impl RobotLog {
         self.q_rad.first().map_or(0, |q| q.len())
     }
 
-    /// The joints and their rates at any time after the first row. Clones share their rows: a log of ten hours takes a gigabyte.
+    /// The joints and their rates at any time after the first row. Clones share their rows: a log of ten hours takes a
+    /// gigabyte.
     ///
     /// # Errors
     /// [`LogError::NoContinuousPart`] if no part can be interpolated.

@@ -11,7 +11,7 @@ use super::{LogError, LogFormat, OtherBarLog};
 use crate::kinematics::BAR_JOINTS;
 use crate::logs::robot::ros::{Bag, UNSTAMPED, Wanted, clock_name};
 
-/// What `ballbard` calls its joints; a prefix such as `ball_` may stand before all.
+/// Names of the joints by `ballbard`; all may have a common prefix such as `ball_`.
 const USUAL: &str = "bar_joint_";
 
 const WANTED: Wanted = Wanted {

@@ -24,7 +24,7 @@ pub enum EncoderUnit {
     Deg,
 }
 
-/// Where the values of one encoder are.
+/// Column or topic of the values of one encoder.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EncoderColumn {
@@ -44,12 +44,12 @@ pub struct EncoderColumn {
 pub struct BarLogMapping {
     /// Name of the clock that made the stamps.
     pub clock: Option<String>,
-    /// Topic of a bag, where it has several with the bar's joints.
+    /// Topic of a bag that has several with the bar's joints.
     pub topic: Option<String>,
     /// Layout of a text table.
     #[serde(default)]
     pub csv: CsvLayout,
-    /// Where the stamps of a table are.
+    /// Column and unit of the stamps of a table.
     pub time: Option<TimeColumn>,
     /// Counters show the count modulo this number.
     #[serde(default = "wraps_at")]

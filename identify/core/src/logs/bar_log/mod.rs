@@ -1,7 +1,7 @@
 //! Encoders of the bar from our own recordings, tables of counters, or ROS 2 bags.
 //!
-//! Tables and bags become records of bus cycles, as recordings have them, so that later steps have one kind of input. Facts that
-//! such files lack (validity of single counts, uncertainty of times, restarts of counters) are not invented:
+//! Tables and bags become records of bus cycles, as recordings have them, so that later steps have one kind of input. Facts
+//! that such files lack (validity of single counts, uncertainty of times, restarts of counters) are not invented:
 //! [`OtherBarLog::unknown`] lists them.
 
 mod bag;
@@ -22,7 +22,7 @@ use shared::recording::{ReadError, ReadErrorKind, Recording};
 use super::source::Source;
 use super::{LogError, LogFormat, LogQuality, Unwrapped};
 
-/// Facts that a file may lack, and what is assumed then.
+/// Facts that a file may lack, with the assumption for each.
 const UNSAID: [(&str, &str); 5] = [
     ("how certain its times are", "they are taken as exact"),
     ("the times of a second clock", "a clock step is found only from the shifts of parts of the run"),
@@ -125,7 +125,7 @@ impl BarLog {
 /// Whether a file is a recording of ours, possibly a damaged one, and so not a bag of another program.
 ///
 /// # Errors
-/// [`ReadErrorKind::Io`] where it cannot be read.
+/// [`ReadErrorKind::Io`] if it cannot be read.
 pub fn is_recording(path: &Path) -> Result<bool, ReadError> {
     let mut beginning = Vec::new();
     let read = File::open(path).and_then(|file| file.take(BEGINNING).read_to_end(&mut beginning));
@@ -163,7 +163,7 @@ impl OtherBarLog {
         }
     }
 
-    /// Facts that the file does not have, and what is assumed instead.
+    /// Facts that the file lacks, with the assumption for each.
     pub fn unsaid(&self) -> impl Iterator<Item = (&'static str, &'static str)> {
         UNSAID.into_iter().filter(|(what, _)| self.unknown.contains(what))
     }

@@ -23,8 +23,8 @@ const FASTEST: Fastest = Fastest { speed: SPEED_RAD_S_MAX, acceleration: 200.0 }
 const JUMP_RAD_MIN: f64 = 0.2;
 /// Largest number of restarts of the counters that a remark names: a wrong scale makes thousands.
 const PLACES_MAX: usize = 5;
-/// Scale by which angles become counts: one is 1.5 nrad. Angles that wrap after each turn are then followed by the arithmetic of
-/// counters.
+/// Scale by which angles become counts: one is 1.5 nrad. Angles that wrap after each turn are then followed by the arithmetic
+/// of counters.
 const ANGLE_SCALE: EncoderScale = EncoderScale {
     lines: 1 << 24,
     interpolation_bits: 8,
@@ -41,15 +41,15 @@ pub(super) struct Reading {
     pub info: EncoderInfo,
     unit: EncoderUnit,
     wraps_at: u64,
-    /// The last count as it was shown, and what it counts to without wraps.
+    /// The last count as read, and unwrapped.
     last: Option<(i64, i64)>,
 }
 
 impl Reading {
-    /// The encoder of `joint`; `place` is what its values are called in the file.
+    /// The encoder of `joint`; `place` is the name of its values in the file.
     ///
     /// # Errors
-    /// [`LogError::Content`] where counts are given and the bar's configuration has no encoder there.
+    /// [`LogError::Content`] if the values are counts and the bar's configuration has no encoder there.
     pub fn new(
         joint: u8,
         unit: EncoderUnit,
@@ -96,7 +96,7 @@ impl Reading {
         wrap(unwrapped)
     }
 
-    /// From one count that is shown to another, the shorter way around.
+    /// Difference of two counts as read, in the shorter direction.
     fn step(&self, before: i64, shown: i64) -> i64 {
         let width = i128::from(self.wraps_at);
         let half = width / 2;
@@ -129,7 +129,7 @@ impl RawRow {
 pub(super) struct Kind {
     /// Name of the kind in messages.
     pub name: &'static str,
-    /// What its rows are called: `line` or `message`.
+    /// Name of its rows: `line` or `message`.
     pub row: &'static str,
     /// The file marks invalid values.
     pub has_validity: bool,
@@ -158,7 +158,7 @@ impl RawBarLog {
         self.quality.remarks.push(remark.into());
     }
 
-    /// Takes the next row; one that repeats the row before it is only counted.
+    /// Adds the next row; a repetition of the previous row is only counted.
     ///
     /// # Errors
     /// [`LogError::TimeNotIncreasing`], except beside cycles that the file marks as bad.
@@ -284,8 +284,8 @@ impl RawBarLog {
         }
     }
 
-    /// A terminal that lost power restarts at some count, and so do all its neighbours. A single encoder that jumps has slipped,
-    /// which is reported later.
+    /// A terminal that lost power restarts at some count, and so do all its neighbours. A single encoder that jumps has
+    /// slipped, which is reported later.
     fn mark_origins(&mut self, cycles: &mut [CycleRecord]) {
         let (mut places, mut begins) = (Vec::new(), vec![false; cycles.len()]);
         for pair in valid_cycles(cycles).windows(2) {
@@ -319,7 +319,7 @@ impl RawBarLog {
         ));
     }
 
-    /// A counter that is narrower than configured jumps by its whole width at a wrap.
+    /// A counter with fewer bits than configured jumps by its whole width at a wrap.
     fn check_wrap(&self, place: usize) -> Result<(), LogError> {
         let Some(reading) = self.readings.get(place).filter(|reading| reading.is_counts()) else {
             return Ok(());

@@ -1,4 +1,4 @@
-//! Encoders of the bar from a text table: what `ballbard export --csv` writes, the thesis' counters, what a mapping names.
+//! Encoders of the bar from a text table: output of `ballbard export --csv`, the thesis' counters, or columns of a mapping.
 
 use std::path::Path;
 

@@ -72,7 +72,7 @@ pub struct ForceColumns {
 }
 
 impl ForceColumns {
-    /// What the columns hold.
+    /// Meaning of the columns.
     pub fn kind(&self) -> ForceKind {
         match (self.columns.len(), self.frame) {
             _ if self.unit == ForceUnit::Nm => ForceKind::JointTorques,

@@ -28,9 +28,9 @@ pub struct ForceLogMapping {
     /// Layout of the table.
     #[serde(default)]
     pub csv: CsvLayout,
-    /// Where the stamps are.
+    /// Column and unit of the stamps.
     pub time: TimeColumn,
-    /// Where the force is.
+    /// Columns of the force.
     pub force: ForceColumns,
 }
 
@@ -101,7 +101,7 @@ impl ForceLog {
     }
 }
 
-/// The clock that comments declare; the robot's where they do not.
+/// The clock that comments declare; by default the robot's.
 fn declared_clock(table: &Table<'_>, path: &Path) -> Result<ForceClock, LogError> {
     let Some(name) = table.comment("clock") else {
         return Ok(ForceClock::default());

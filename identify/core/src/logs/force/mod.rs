@@ -24,7 +24,7 @@ pub enum ForceClock {
     /// That of the robot's log.
     #[default]
     Robot,
-    /// That of the bar's recording: UTC, where it is one of ours.
+    /// The clock of the bar's recording: UTC for recordings of `ballbard`.
     Bar,
 }
 
@@ -72,7 +72,7 @@ impl ForceKind {
 pub struct ForceLog {
     /// Which clock made the stamps.
     pub clock: ForceClock,
-    /// What the numbers are.
+    /// Quantity of the values.
     pub kind: ForceKind,
     /// Rows of as many numbers as its kind has \[N or N m\].
     pub values: Stream<Joints>,

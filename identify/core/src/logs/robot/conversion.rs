@@ -25,7 +25,7 @@ fn times(row: &[f64], matrix: &[Joints]) -> Joints {
 }
 
 impl JointConversion {
-    /// Of a log whose columns are all angles, or in SI units.
+    /// For a log whose columns are all angles, or in SI units.
     ///
     /// # Errors
     /// [`LogError::SingularConversion`] if a joint does not follow from the log.
@@ -49,7 +49,7 @@ impl JointConversion {
         })
     }
 
-    /// Of the robot's own log, where columns of prismatic axes are in metres.
+    /// For the robot's own log, with columns of prismatic axes in metres.
     ///
     /// # Errors
     /// As [`Self::new`].

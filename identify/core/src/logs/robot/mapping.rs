@@ -17,7 +17,7 @@ pub struct CsvLayout {
     pub decimal_comma: bool,
     /// Lines before the header.
     pub skip_lines: usize,
-    /// There is a header; without one columns are called by their number, `1`, `2` and so on.
+    /// Whether there is a header; without one the columns are named by their numbers, `1`, `2` and so on.
     pub header: bool,
     /// Lines between header and numbers, such as units.
     pub unit_lines: usize,
@@ -51,7 +51,7 @@ impl CsvLayout {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Coupling {
-    /// Joint that is corrected, from 1.
+    /// Number of the corrected joint, from 1.
     pub joint: usize,
     /// Joint that it moves with, from 1.
     pub from: usize,
@@ -70,12 +70,12 @@ pub struct RobotLogMapping {
     pub clock: Option<String>,
     /// Whether values are measured or commanded; of formats that have both, which are read.
     pub values: Option<Origin>,
-    /// Topic of a bag, where it has several with joint states.
+    /// Topic of a bag that has several with joint states.
     pub topic: Option<String>,
     /// Layout of a text table.
     #[serde(default)]
     pub csv: CsvLayout,
-    /// Where the stamps are.
+    /// Column and unit of the stamps.
     pub time: Option<TimeColumn>,
     /// All joints, base to flange: `q = sign * (value - offset)`.
     pub joints: Vec<JointColumn>,
@@ -83,9 +83,9 @@ pub struct RobotLogMapping {
     pub speeds: Option<Columns>,
     /// Columns with joint torques or motor currents, taken as they are.
     pub torques: Option<Columns>,
-    /// Where the force on the ball-bar is, if the log has it.
+    /// Columns of the force on the ball-bar, if the log has one.
     pub force: Option<ForceColumns>,
-    /// What one joint of the file contributes to another of the model.
+    /// Contribution of one joint of the file to another of the model.
     #[serde(default)]
     pub coupling: Vec<Coupling>,
 }

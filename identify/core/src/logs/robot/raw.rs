@@ -22,7 +22,7 @@ use crate::threads;
 /// Joint values may pass the nominal limits by this much before a log is refused \[deg\]: zero positions of real
 /// robots differ a little from the data sheet. Prismatic axes by as much times one metre.
 const LIMIT_SLACK_DEG: f64 = 2.0;
-/// A log whose joints all move less than this cannot identify anything \[deg\].
+/// Least motion of some joint for a log that can identify anything \[deg\].
 const MOTION_DEG_MIN: f64 = 5.0;
 /// Wrists of small robots reach 1500 deg/s, within 0.13 s.
 const FASTEST: Fastest = Fastest { speed: 30.0, acceleration: 200.0 };
@@ -33,7 +33,7 @@ pub(in crate::logs) struct RawRow {
     /// Line or number in the file.
     pub place: u64,
     pub stamp_ns: i64,
-    /// NaN where the file has no value.
+    /// NaN for a missing value.
     pub joints: Joints,
     pub speeds: Option<Joints>,
     pub torques: Option<Joints>,
@@ -45,7 +45,7 @@ pub(in crate::logs) struct RawRow {
 /// speeds nor torques.
 pub(in crate::logs) struct RawLog {
     path: PathBuf,
-    /// What rows are called: `line`, `message` or `telegram`.
+    /// Name of a row: `line`, `message` or `telegram`.
     what: &'static str,
     places: Vec<u64>,
     stamps_ns: Vec<i64>,
@@ -90,8 +90,8 @@ impl<'a> Meaning<'a> {
         Ok(Self { conversion: JointConversion::of(robot)?, ..Self::new(robot, &robot.log, names)? })
     }
 
-    /// Angles of a format in degrees: as a mapping converts them, or the robot's configuration. Also what they are multiplied by
-    /// first.
+    /// Angles of a format in degrees: as a mapping converts them, or the robot's configuration. Also what they are multiplied
+    /// by first.
     pub fn of_degrees(
         robot: &'a RobotConfig,
         mapping: Option<&RobotLogMapping>,
@@ -139,7 +139,7 @@ impl RawLog {
         }
     }
 
-    /// Of a format with measured joints on a clock, where a mapping states nothing else.
+    /// Default for a format with measured joints on a clock, unless a mapping states another.
     pub fn measured(path: &Path, what: &'static str, mapping: Option<&RobotLogMapping>, clock: &str) -> Self {
         let stated = mapping.and_then(|mapping| mapping.clock.clone());
         Self {
@@ -324,7 +324,7 @@ impl RawLog {
         })
     }
 
-    /// The common mistake whose correction brings every row of the log within the limits.
+    /// The common mistake whose correction moves every row of the log within the limits.
     fn likely_cause(&self, meaning: &Meaning<'_>) -> String {
         let (limits, conversion) = (meaning.robot.joint_limits(), &meaning.conversion);
         let rows: Vec<Joints> = self.joints.iter().map(|q| conversion.to_raw(q)).collect();

@@ -1,4 +1,4 @@
-//! Reads a robot's joint log, whatever kind it is of.
+//! Reads a robot's joint log of any supported format.
 //!
 //! The robot's own CSV has a header row with `t_s` and the six columns that the robot's configuration names,
 //! `{column}{1..6}_{rad|deg}`; other columns are ignored. Lines `# key: value` before or between rows declare `robot`,

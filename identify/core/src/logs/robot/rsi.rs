@@ -119,7 +119,7 @@ fn is(tag: &BytesStart<'_>, name: &str) -> bool {
     tag.local_name().as_ref() == name
 }
 
-/// The six axes of a position; one that is absent is NaN.
+/// The six axes of a position; NaN for a missing one.
 fn axes(tag: &BytesStart<'_>) -> Result<[f64; AXES.len()], String> {
     let mut joints_deg = [f64::NAN; AXES.len()];
     for attribute in tag.attributes() {

@@ -1,4 +1,4 @@
-//! Robot logs that are text tables: the robot's own columns, RTDE's, or what a mapping names.
+//! Robot logs in text tables: the robot's own columns, RTDE's, or those of a mapping.
 
 use std::path::Path;
 
@@ -27,7 +27,7 @@ pub(in crate::logs) fn column_name(robot: &RobotConfig, index: usize, unit: Angl
 /// The columns of a table that are read.
 struct Layout {
     time: StampColumn,
-    /// Columns and what their values are multiplied by.
+    /// Columns and the factors of their values.
     joints: Vec<(Column, f64)>,
     speeds: Option<Vec<(Column, f64)>>,
     torques: Option<Vec<(Column, f64)>>,

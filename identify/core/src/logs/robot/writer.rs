@@ -12,7 +12,7 @@ use crate::logs::{ForceKind, JointConversion, RobotLog};
 /// stamps.
 ///
 /// # Errors
-/// Those of the sink, and `InvalidInput` where the robot's conversion cannot be inverted.
+/// Errors of the sink, and `InvalidInput` if the robot's conversion cannot be inverted.
 pub fn write(log: &RobotLog, robot: &RobotConfig, sink: impl Write) -> std::io::Result<()> {
     let conversion = JointConversion::of(robot).map_err(std::io::Error::other)?;
     let mut sink = std::io::BufWriter::new(sink);

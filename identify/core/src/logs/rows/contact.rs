@@ -49,12 +49,12 @@ pub struct SeatedRow {
 /// The rows of a file.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Contacts {
-    /// In the order of the file, which is that of the robot's motion: backlash goes by the pose before.
+    /// Rows in the order of the file, which is that of the robot's motion: backlash depends on the previous pose.
     pub rows: Vec<SeatedRow>,
 }
 
 impl Contacts {
-    /// Reads the table at `path`, whose sockets have these names.
+    /// Reads the table at `path`, with these names of the sockets.
     ///
     /// # Errors
     /// Every way in which the file cannot be used, see [`LogError`].

@@ -33,7 +33,7 @@ pub struct LengthColumn {
     pub offset_mm: f64,
 }
 
-/// The column of stated standard uncertainties, by the unit that it is in.
+/// Column of the stated standard uncertainties, by its unit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LengthUncertaintyColumn {
@@ -66,9 +66,9 @@ pub struct MeasuredLengthMapping {
     pub flange: Option<FlangeColumns>,
     /// Column of the uncertainty of each row, if the file has one.
     pub uncertainty: Option<LengthUncertaintyColumn>,
-    /// The column with the name of the place where the wire is anchored, where it has several.
+    /// Column with the name of the anchor, if there are several.
     pub anchor: Option<String>,
-    /// The column with the name of the place on the flange where it is attached, where it has several.
+    /// Column with the name of the attachment on the flange, if there are several.
     pub attachment: Option<String>,
 }
 
@@ -97,11 +97,11 @@ pub struct MeasuredLength {
     pub length_m: f64,
     /// Position of the flange from the controller \[m\].
     pub flange_m: Option<[f64; 3]>,
-    /// Standard uncertainty of the length, where it is stated \[m\].
+    /// Standard uncertainty of the length \[m\]; `None` if none is stated.
     pub uncertainty_m: Option<f64>,
-    /// Where the wire is anchored, by its place among [`MeasuredLengths::anchors`]; 0 where those are not named.
+    /// Index of the anchor in [`MeasuredLengths::anchors`]; 0 if anchors have no names.
     pub anchor: usize,
-    /// Where it is attached, by its place among [`MeasuredLengths::attachments`].
+    /// Index of the attachment in [`MeasuredLengths::attachments`].
     pub attachment: usize,
     /// Line of the source file, so that a screened row can be found again.
     pub line: u64,

@@ -1,5 +1,5 @@
-//! Poses of the robot with the position, or the whole pose, that a tracker measured there. The robot's joints are in the same row, or
-//! in the robot's own log at the time of the row.
+//! Poses of the robot with the position, or the whole pose, that a tracker measured there. The robot's joints are in the same
+//! row, or in the robot's own log at the time of the row.
 //!
 //! Files differ, so a mapping in TOML names the columns and their units; `config/measured_pose.toml` explains each key.
 
@@ -68,7 +68,7 @@ pub enum RotationForm {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RotationColumns {
-    /// What the columns are.
+    /// Meaning of the columns.
     #[serde(default, rename = "as")]
     pub form: RotationForm,
     /// Names in the header.
@@ -197,7 +197,7 @@ pub struct MeasuredPoseMapping {
     pub csv: CsvLayout,
     /// Columns of the measured position.
     pub position: PositionColumns,
-    /// The measured orientation; absent where only positions were measured.
+    /// Column of the measured orientation; `None` if only positions were measured.
     pub rotation: Option<RotationColumns>,
     /// Columns of the uncertainty of each row, if the file has them.
     pub uncertainty: Option<UncertaintyColumns>,
@@ -251,18 +251,18 @@ impl Validate for MeasuredPoseMapping {
     }
 }
 
-/// A pose of the robot and what the tracker measured there.
+/// A pose of the robot, and the measurement of the tracker there.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MeasuredPose {
     /// Joint variables of the model \[rad\].
     pub q_rad: Joints,
     /// Of the probe, in the tracker's frame \[m\].
     pub position_m: Vector3<f64>,
-    /// `tracker_from_probe`, where the file has it.
+    /// `tracker_from_probe`; `None` if the file has none.
     pub rotation: Option<Rotation3<f64>>,
     /// Uncertainties that the file states.
     pub uncertainty: PoseUncertainty,
-    /// Station of the tracker, by its place among [`MeasuredPoses::stations`]; 0 where those are not named.
+    /// Index of the tracker's station in [`MeasuredPoses::stations`]; 0 if stations have no names.
     pub station: usize,
     /// Target, by its place among [`MeasuredPoses::targets`].
     pub target: usize,
@@ -273,7 +273,7 @@ pub struct MeasuredPose {
 /// The rows of a file.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct MeasuredPoses {
-    /// In the order of the file, which is that of the robot's motion: backlash goes by the pose before.
+    /// Rows in the order of the file, which is that of the robot's motion: backlash depends on the previous pose.
     pub rows: Vec<MeasuredPose>,
     /// Names of the stations in the order of the file; empty if it does not name them.
     pub stations: Vec<String>,
@@ -309,16 +309,16 @@ impl MeasuredPoses {
     }
 }
 
-/// What the tracker measured at one time of its clock.
+/// Measurement of the tracker at one time of its clock.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TimedPose {
     /// Of the probe, in the tracker's frame \[m\].
     pub position_m: Vector3<f64>,
-    /// `tracker_from_probe`, where the file has it.
+    /// `tracker_from_probe`; `None` if the file has none.
     pub rotation: Option<Rotation3<f64>>,
     /// Uncertainties that the file states.
     pub uncertainty: PoseUncertainty,
-    /// Station of the tracker, by its place among [`TimedPoses::stations`]; 0 where those are not named.
+    /// Index of the tracker's station in [`TimedPoses::stations`]; 0 if stations have no names.
     pub station: usize,
     /// Target, by its place among [`TimedPoses::targets`].
     pub target: usize,
@@ -342,7 +342,7 @@ impl TimedPose {
 /// A tracker's log on its own clock.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct TimedPoses {
-    /// At the times of the regular clock behind the stamps, where there is one.
+    /// Rows at the times of the regular clock behind the stamps, if there is one.
     pub rows: Stream<TimedPose>,
     /// Names of the stations in the order of the file; empty if it does not name them.
     pub stations: Vec<String>,
@@ -440,7 +440,7 @@ fn motion(rows: &[TimedPose]) -> Vec<Joints> {
 /// Names of the stations and of the targets, in the order of the file.
 type SetUpNames = [Names; 2];
 
-/// The mapping's columns of what the tracker measured, found in a file.
+/// Columns of the tracker's measurements in a file, by the mapping.
 struct SeenColumns<'a> {
     position: (Vec<Column>, LengthUnit),
     rotation: Option<(Vec<Column>, &'a RotationColumns)>,

@@ -1,5 +1,5 @@
-//! Common parts of tables of single poses: joints by the columns that a mapping names, the layout of the text, and reading row by
-//! row.
+//! Common parts of tables of single poses: joints by the columns that a mapping names, the layout of the text, and reading row
+//! by row.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -77,7 +77,7 @@ pub struct JointColumn {
     pub column: String,
     /// Unit of its values.
     pub unit: JointUnit,
-    /// +1, or -1 where the file counts the other way than the model.
+    /// +1, or -1 if the file has the opposite sign of the model.
     #[serde(default = "positive")]
     pub sign: f64,
     /// Value of the file at the model's zero \[deg\].
@@ -106,7 +106,7 @@ fn positive() -> f64 {
     1.0
 }
 
-/// The columns of a table that is written: `q1_deg` and so on, lengths in mm.
+/// The columns of a written table: `q1_deg` and so on, lengths in mm.
 pub fn joint_columns(robot: &RobotConfig) -> Vec<JointColumn> {
     let joint = |(number, kind): (usize, JointKind)| {
         let (unit, name) = match kind {
@@ -172,7 +172,7 @@ pub(in crate::logs) fn check_format(
 /// The joints of a mapping are those of the robot.
 ///
 /// # Errors
-/// [`LogError::Content`] where they are not as many, or not of the same kinds.
+/// [`LogError::Content`] if their number or kinds differ.
 pub fn joints_of_robot(joints: &[JointColumn], robot: &RobotConfig, path: &Path) -> Result<(), LogError> {
     let kinds = joints.iter().map(|joint| joint.unit.kind());
     if kinds.eq(robot.joint_kinds()) {

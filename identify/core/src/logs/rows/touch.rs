@@ -67,7 +67,7 @@ pub struct TouchedRow {
 /// The rows of a file.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Touches {
-    /// In the order of the file, which is that of the robot's motion: backlash goes by the pose before.
+    /// Rows in the order of the file, which is that of the robot's motion: backlash depends on the previous pose.
     pub rows: Vec<TouchedRow>,
     /// Names of the faces, in the order in which the file names them.
     pub faces: Vec<String>,

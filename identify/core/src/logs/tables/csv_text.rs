@@ -132,7 +132,7 @@ impl<'a> Table<'a> {
         self.rows.get_ref().path
     }
 
-    /// The column named `name`, which must be there once.
+    /// The column named `name`, which must occur once.
     pub fn column(&self, name: &str, remedy: &str) -> Result<Column, LogError> {
         let mut matching = self.header.iter().enumerate().filter(|(_, header)| *header == name);
         let Some((index, _)) = matching.next() else {

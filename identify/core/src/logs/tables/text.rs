@@ -229,7 +229,7 @@ fn each_utf8_or_windows_1252(lines: &[u8]) -> String {
     lines.split_inclusive(|&byte| byte == b'\n').map(line).collect()
 }
 
-/// The first character that no table has, and where it is.
+/// The first character that is invalid in a table, and its position.
 fn control_character(text: &str) -> Option<(usize, char)> {
     let control = |character: char| character.is_control() && !character.is_whitespace();
     // Bytes that are none, in any of these encodings, are passed over first: texts are long.
@@ -278,7 +278,7 @@ impl<'a> RowsAsText<'a> {
         Ok(Self { text, path, is_workbook: is_workbook(bytes) })
     }
 
-    /// Names of a workbook's sheets with cells, where it has several: one of them is to be chosen.
+    /// Names of a workbook's sheets with cells, if there are several: the user must select one.
     pub fn sheets(bytes: &[u8]) -> Vec<String> {
         let sheets = if is_workbook(bytes) { sheets(bytes).unwrap_or_default() } else { Vec::new() };
         if sheets.len() > 1 { sheets.into_iter().map(|(name, _)| name).collect() } else { Vec::new() }
@@ -297,7 +297,7 @@ impl<'a> RowsAsText<'a> {
     /// The first rows in a layout.
     ///
     /// # Errors
-    /// [`LogError`] where the layout does not suit them.
+    /// [`LogError`] if the layout does not suit them.
     pub fn rows(&self, layout: &CsvLayout, rows_max: usize) -> Result<Cells, LogError> {
         let text = Text::new(Source::in_memory(self.text.as_bytes(), self.path), None)?;
         let mut table = Table::mapped(text, &CsvLayout { unit_lines: 0, ..layout.clone() })?;
