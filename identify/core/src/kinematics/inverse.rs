@@ -289,7 +289,7 @@ fn least_squares_step<const N: usize>(
     jacobian: SMatrix<f64, 6, N>,
     error: SVector<f64, 6>,
 ) -> Option<SVector<f64, N>> {
-    /// Smallest usable pivot.
+    /// Smallest pivot that gives a usable step.
     const PIVOT_MIN: f64 = 1e-9;
     if N > 6 {
         let squares = (jacobian * jacobian.transpose()).cholesky()?;

@@ -66,7 +66,7 @@ impl Measures {
 /// Why poses cannot be selected.
 #[derive(Debug, thiserror::Error)]
 pub enum PosesError {
-    /// Too few candidates.
+    /// Fewer candidates than requested poses.
     #[error("{wanted} of {found} poses cannot be chosen; give a smaller --count, or more candidates")]
     TooFew {
         /// Number of requested poses.
@@ -132,7 +132,7 @@ impl Determined {
     }
 }
 
-/// The selected poses.
+/// The selected poses and their expected accuracy.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlannedPoses {
     /// Indices of the candidates, in the order of the motion.

@@ -59,7 +59,7 @@ impl Tree {
     }
 }
 
-/// Path to a posture, or to the same one with joints that differ by whole turns if there is no path: a joint that must not pass
+/// Path to a posture, or to the same one with joints that differ by whole turns if no path exists: a joint that must not pass
 /// an angle then moves in the other direction. Joints stay within `range`; `turns` is true for revolute ones.
 pub(super) fn to_posture(
     from: Joints,

@@ -44,7 +44,7 @@ pub struct RobotCheck {
     pub reached_m: Vec<Vector3<f64>>,
 }
 
-/// Checks a configuration.
+/// Checks a configuration for probable mistakes.
 pub fn check(robot: &RobotConfig) -> RobotCheck {
     let (chain, limits) = (flange_chain(robot), robot.joint_limits());
     let zero = Joints::zeros(limits.len());

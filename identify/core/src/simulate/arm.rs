@@ -157,7 +157,7 @@ impl Arm {
     pub(super) fn places(&self, random: &mut ChaCha8Rng) -> (Vec<Vector3<f64>>, f64) {
         const POSTURES: usize = 600;
         const NEAR: f64 = 0.2;
-        /// Positions closer to the first axis are excluded, because the robot stands there \[parts of the reach\].
+        /// Positions closer to the first axis are excluded, because the robot occupies them \[parts of the reach\].
         const BESIDE: f64 = 0.45;
         let mut trace = Trace::default();
         let points: Vec<(Vector3<f64>, bool)> =

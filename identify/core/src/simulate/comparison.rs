@@ -14,7 +14,7 @@ use crate::statistics::quantile;
 /// An identified parameter with its true value.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Compared {
-    /// The compared parameter.
+    /// The parameter that is compared.
     pub id: ParameterId,
     /// True value, SI; angles within half a turn of the identified one.
     pub truth: f64,

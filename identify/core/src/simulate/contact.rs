@@ -26,7 +26,7 @@ const PLACES: usize = 20;
 /// All inputs of a simulated experiment with a ball in sockets. Equal experiments give equal results.
 #[derive(Debug, Clone)]
 pub struct ContactExperiment<'a> {
-    /// Nominal robot.
+    /// Configuration of the nominal robot.
     pub robot: &'a RobotConfig,
     /// Positions of the sockets; `None`: six on two levels, scaled to the robot. The true ones differ by their uncertainty.
     pub sockets: Option<SocketTable>,

@@ -47,7 +47,7 @@ const CYCLOID: usize = 1;
 const CYCLOID_SECOND: f64 = 0.25;
 
 impl Effects {
-    /// All effects disabled.
+    /// All effects are disabled: sizes of zero.
     pub const NONE: Self = Self {
         robot_noise_urad: 0.0,
         encoder_noise_urad: 0.0,

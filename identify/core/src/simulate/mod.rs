@@ -67,7 +67,7 @@ impl Default for Clocks {
 /// All inputs of a simulated experiment. Equal experiments give equal results, bit for bit.
 #[derive(Debug, Clone)]
 pub struct Experiment<'a> {
-    /// Nominal robot.
+    /// Configuration of the nominal robot.
     pub robot: &'a RobotConfig,
     /// Nominal ball-bar with its encoders.
     pub bar: &'a BallBarConfig,
@@ -119,7 +119,7 @@ pub struct Simulated {
     pub encoders: Vec<EncoderInfo>,
     /// The robot's log.
     pub robot_log: RobotLog,
-    /// True parameters.
+    /// True parameters of robot and bar.
     pub truth: Truth,
     /// The error-free motion.
     pub motion: Motion,

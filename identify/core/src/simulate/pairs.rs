@@ -15,7 +15,7 @@ pub struct Pairs {
     pub robot_rad: Vec<Joints>,
     /// The bar's joints, one row for each pair \[rad\].
     pub bar_rad: Vec<[f64; BAR_JOINTS]>,
-    /// True parameters.
+    /// True parameters of robot and bar.
     pub truth: Truth,
 }
 

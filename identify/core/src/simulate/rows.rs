@@ -23,7 +23,7 @@ pub struct SimulatedRows<R, T> {
     pub rows: Vec<R>,
     /// Table of the sockets or faces, with their known geometry.
     pub table: T,
-    /// True parameters.
+    /// True parameters of robot and instrument.
     pub truth: RowTruth,
     /// The robot with its errors.
     pub robot: Chain,

@@ -35,7 +35,7 @@ const FACES: [(&str, [f64; 3]); 5] = [
 /// All inputs of a simulated experiment with a touch probe. Equal experiments give equal results.
 #[derive(Debug, Clone)]
 pub struct TouchExperiment<'a> {
-    /// Nominal robot.
+    /// Configuration of the nominal robot.
     pub robot: &'a RobotConfig,
     /// Edge of the block \[mm\]; `None`: scaled to the robot.
     pub block_mm: Option<f64>,

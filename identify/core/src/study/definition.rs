@@ -41,9 +41,9 @@ pub enum LoadError {
 pub struct Definition {
     /// Contents of the study's file.
     pub study: StudyFile,
-    /// Nominal robot.
+    /// Configuration of the nominal robot.
     pub robot: RobotConfig,
-    /// Nominal bar.
+    /// Configuration of the nominal bar.
     pub bar: BallBarConfig,
     /// Path of the experiments.
     pub reference: Reference,

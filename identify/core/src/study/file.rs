@@ -62,7 +62,7 @@ pub struct PathChoice {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Estimator {
-    /// Name in figures.
+    /// Name by which figures select it.
     pub name: String,
     /// Name for display in reports.
     pub label: String,

@@ -44,7 +44,7 @@ pub enum ResultsError {
         /// Path of the file.
         path: PathBuf,
     },
-    /// Shards are missing.
+    /// Experiments of some shards are missing.
     #[error(
         "{missing} of {wanted} experiments are missing, the first is number {first}; merge all shards, and let each end first"
     )]

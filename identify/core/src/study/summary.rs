@@ -38,7 +38,7 @@ impl Spread {
 pub struct CurvePoint {
     /// Size of the varied conditions.
     pub x: f64,
-    /// Number of experiments.
+    /// Number of experiments of this size.
     pub experiments: usize,
     /// Number of experiments without an estimate.
     pub failed: usize,
