@@ -1,5 +1,5 @@
-//! What a crash, a failing disk or a flipped bit leaves of a recording is taken out, or refused; nothing else
-//! comes out, ever.
+//! Recovery of recordings after a crash, a disk failure or a flipped bit: the undamaged cycles are recovered, or the file
+//! is refused. The result never contains wrong data.
 #![allow(unsafe_code, clippy::unwrap_used, clippy::panic, reason = "tests; an allocator that looks")]
 
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -14,14 +14,14 @@ use shared::recording::{Recording, RecordingWriter, SalvageError, WriteError, sa
 use crate::support::disk::DiskFile;
 use crate::support::run::{START, cycle, run, timing};
 
-/// Remembers the largest amount of memory that the calling thread asked for at once.
+/// Stores the largest single allocation of the calling thread \[bytes\].
 struct Watching;
 
 thread_local! {
     static LARGEST: Cell<usize> = const { Cell::new(0) };
 }
 
-// SAFETY: everything is handed to the system's allocator unchanged.
+// SAFETY: all calls are passed to the system's allocator unchanged.
 unsafe impl GlobalAlloc for Watching {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         LARGEST.set(LARGEST.get().max(layout.size()));
@@ -62,7 +62,7 @@ trait OnlyUsed {
 }
 
 impl OnlyUsed for CycleRecord {
-    /// What lies behind the used encoders is not in the file.
+    /// Entries after the used encoders are not in the file.
     fn only_used(mut self) -> Self {
         let used = usize::from(self.encoder_count);
         self.encoders[used..].fill_with(Default::default);
@@ -93,7 +93,7 @@ fn write_until_refused(disk: DiskFile) -> Result<RecordingWriter<DiskFile>, Writ
     Ok(writer)
 }
 
-/// A run that was never ended: its bytes and the lengths at which it was synchronised.
+/// A run without an end: its bytes and the lengths at its synchronisations.
 fn unfinished() -> (Vec<u8>, Vec<usize>) {
     let disk = DiskFile::default();
     let writer = write_until_refused(disk.clone()).unwrap();
@@ -110,8 +110,8 @@ fn finished() -> Vec<u8> {
     disk.bytes()
 }
 
-/// Cycles that come out of `bytes` with what they said, which must be true; none if it is refused. The others are lost, and
-/// say so.
+/// Number of recovered cycles in `bytes`, whose data must be the original ones; `None` if the file is refused. All other
+/// cycles must be flagged as lost.
 fn true_cycles_in(bytes: &[u8]) -> Option<u64> {
     let (salvaged, recovered) = match salvage(Cursor::new(bytes), Cursor::new(Vec::new())) {
         Ok(whole) => whole,
@@ -132,7 +132,7 @@ fn true_cycles_in(bytes: &[u8]) -> Option<u64> {
     Some(kept)
 }
 
-/// Cycles that are as `truth` has them; each of the others must be lost, and hold nothing.
+/// Number of cycles equal to `truth`. Each of the others must be flagged as lost and have no data.
 fn true_cycles_of(recording: &Recording, truth: impl Fn(u64) -> CycleRecord) -> u64 {
     let lost: Vec<_> = recording.cycles.iter().filter(|cycle| cycle.flags & flags::LOST != 0).collect();
     for cycle in &lost {
@@ -166,7 +166,7 @@ fn every_prefix_gives_all_that_was_synchronised_in_it_by(step: usize) {
     assert_eq!(true_cycles_in(&bytes), Some(CYCLES));
 }
 
-/// Calls `look` with each single bit of these bytes flipped, one after the other.
+/// Flips each single bit of these bytes in turn, and calls `look` with the result.
 fn for_each_flipped_bit(
     bytes: &[u8],
     positions: impl Iterator<Item = usize>,
@@ -226,7 +226,7 @@ fn flips_cost_one_chunk_at_most(flips: impl Fn(usize, usize) -> Box<dyn Iterator
     }
 }
 
-/// A minute's half of five encoders, and where it was synchronised.
+/// Half a minute of five encoders, and the lengths at its synchronisations.
 fn long_run() -> (Vec<u8>, Vec<usize>) {
     const SYNC_CYCLES: u64 = 50;
     let disk = DiskFile::default();
@@ -244,7 +244,7 @@ fn long_run() -> (Vec<u8>, Vec<usize>) {
 
 const LONG_CYCLES: u64 = 3000;
 
-/// Whole cycles in a damaged copy of the long run, and all that its recovered file has.
+/// Number of undamaged cycles that are recovered from a damaged copy of the long run.
 fn long_cycles_in(bytes: &[u8]) -> u64 {
     let (salvaged, recovered) = salvage(Cursor::new(bytes), Cursor::new(Vec::new())).unwrap();
     verify(&recovered.get_ref()[..], &salvaged).unwrap();
@@ -253,7 +253,7 @@ fn long_cycles_in(bytes: &[u8]) -> u64 {
     true_cycles_of(&recording, cycle)
 }
 
-/// Rows kept over `count` flips of one bit each, of all that there were.
+/// Checks the share of rows that survive one flipped bit, in `count` random cases.
 fn rows_kept_over_flips(count: u64) {
     let (bytes, _) = long_run();
     let mut random = StdRng::seed_from_u64(11);
@@ -268,7 +268,7 @@ fn rows_kept_over_flips(count: u64) {
     assert!(share >= 0.97 && least >= LONG_CYCLES - 50, "{share}, {least}");
 }
 
-/// All that was synchronised before a cut is there after it, over `count` of them.
+/// Checks in `count` random truncations that all synchronised cycles are recovered.
 fn whole_chunks_kept_over_cuts(count: u64) {
     let (bytes, synced) = long_run();
     let mut random = StdRng::seed_from_u64(12);
@@ -305,7 +305,7 @@ fn a_thousand_random_cuts_cost_no_whole_chunk() {
 #[test]
 fn a_beginning_that_is_lost_costs_only_the_cycles_in_it() {
     let (bytes, synced) = unfinished();
-    // Metadata, schemas and the first cycles are gone; the metadata behind them are not.
+    // Metadata, schemas and the first cycles are lost; the second copy of the metadata is kept.
     let mut damaged = bytes.clone();
     damaged[..synced[0] + 100].fill(0);
     assert_eq!(true_cycles_in(&damaged), Some(CYCLES - SYNC_CYCLES));
@@ -332,7 +332,7 @@ fn old_blocks_of_another_run_behind_the_end_add_nothing() {
     assert_eq!(true_cycles_in(&on_disk), Some(SYNC_CYCLES));
 }
 
-/// A disk that cannot read one of its sectors any more.
+/// A disk with one unreadable sector.
 struct BadSector {
     bytes: Cursor<Vec<u8>>,
     bad: std::ops::Range<u64>,
@@ -399,13 +399,13 @@ fn no_flipped_bit_asks_for_more_memory_than_a_record_may_have_by(step: usize) {
     let mut bytes = finished();
     LARGEST.set(0);
     for position in (0..bytes.len()).step_by(step) {
-        // The highest bit of a length is in its last byte.
+        // The highest bit of a length is in its last byte (little-endian).
         bytes[position] ^= 0x80;
         let _ = salvage(Cursor::new(&bytes[..]), Cursor::new(Vec::new()));
         let _ = Recording::read(&bytes[..]);
         bytes[position] ^= 0x80;
     }
-    // 64 MB, and what a growing buffer adds.
+    // 64 MB, and the spare capacity of a growing buffer.
     assert!(LARGEST.get() <= 160 << 20, "{} bytes at once", LARGEST.get());
 }
 
@@ -511,7 +511,7 @@ fn a_disk_that_refuses_once_at_any_offset_and_then_goes_on_leaves_no_wrong_recor
     let (bytes, _) = unfinished();
     for offset in (0..bytes.len()).step_by(step) {
         let disk = DiskFile::refusing_once_at(offset, nix::libc::EIO);
-        // What was begun is dropped, which may write what was still in memory behind the hole.
+        // The unfinished writer is dropped, which may write its buffered data behind the gap.
         assert!(write_until_refused(disk.clone()).is_err(), "byte {offset}");
         let expected = cycles_synced_within(offset, &disk.0.borrow().synced);
         assert!(true_cycles_in(&disk.bytes()) >= expected, "byte {offset}");
@@ -537,7 +537,7 @@ fn a_tear_at_any_offset_with_what_follows_on_disk_falsifies_nothing_by(step: usi
     for &keep in &synced {
         let expected = cycles_synced_within(keep, &synced);
         for tear in (keep..bytes.len()).step_by(step) {
-            // The later write reached the disk, the earlier one did not; then the two of them exchanged.
+            // The later write reached the disk and the earlier one did not; then the reverse.
             let hole = [&bytes[..keep], &vec![0; tear - keep], &bytes[tear..]].concat();
             let exchanged = [&bytes[..keep], &bytes[tear..], &bytes[keep..tear]].concat();
             for on_disk in [hole, exchanged] {
@@ -607,7 +607,7 @@ fn the_same_at_every_single_byte() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(100))]
 
-    /// What was not synchronised when the power went is on the disk in parts, in any order, torn or not at all.
+    /// Data that were not synchronised at a power failure are on the disk in parts, in any order, torn, or not at all.
     #[test]
     fn unsynchronised_writes_in_any_order_never_give_a_wrong_record(
         last_sync in 0_usize..5,
@@ -618,7 +618,7 @@ proptest! {
         let (bytes, synced) = unfinished();
         let keep = synced[last_sync.min(synced.len() - 1)];
         let mut on_disk = bytes[..keep].to_vec();
-        // Sectors of the rest, each kept, torn, or left as it was before.
+        // Remaining sectors, each written, torn, or unchanged.
         for (index, sector) in bytes[keep..].chunks(64).take(extra_writes).enumerate() {
             let (kept, part) = fate[index % fate.len()];
             let whole = if kept { sector.len() } else { (sector.len() as f64 * part * 0.99) as usize };
@@ -629,7 +629,7 @@ proptest! {
         prop_assert!(true_cycles_in(&on_disk) >= expected);
     }
 
-    /// Bytes that were never a recording, alone and behind the beginning of one.
+    /// Random bytes, alone and appended to the beginning of a recording.
     #[test]
     fn any_bytes_are_refused_or_add_nothing(bytes in prop::collection::vec(any::<u8>(), 0..2000), at in 0_usize..5) {
         prop_assert_eq!(true_cycles_in(&bytes), None);
@@ -639,7 +639,7 @@ proptest! {
         prop_assert_eq!(true_cycles_in(&tail), Some(at as u64 * SYNC_CYCLES));
     }
 
-    /// Bytes moved about inside a recording.
+    /// Bytes moved to another place in a recording.
     #[test]
     fn shuffled_parts_never_give_a_wrong_record(
         from in any::<prop::sample::Index>(),

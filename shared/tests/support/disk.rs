@@ -1,56 +1,56 @@
-//! A disk in memory that forgets what was not synchronised, and fails on request.
+//! A disk in memory that loses unsynchronised data, and fails on request.
 
 use std::cell::RefCell;
 use std::io::{self, Seek, SeekFrom, Write};
 use std::rc::Rc;
 
-/// Everything that was written, and what of it was synchronised.
+/// All written bytes, and the state of their synchronisation.
 #[derive(Debug, Default)]
 pub struct Disk {
     /// The file as the writing program sees it.
     pub bytes: Vec<u8>,
-    /// Length at each synchronisation.
+    /// Length of the file at each synchronisation \[bytes\].
     pub synced: Vec<usize>,
-    /// Where each write that is not synchronised yet begins and ends.
+    /// Begin and end of each unsynchronised write \[bytes\].
     pub unsynced: Vec<(usize, usize)>,
     /// Writes beyond this length are refused.
     pub capacity: Option<usize>,
     /// The write that crosses this length is refused, once.
     pub refuse_once_at: Option<usize>,
-    /// Most bytes that one write takes.
+    /// Largest number of bytes that one write accepts.
     pub at_once: Option<usize>,
-    /// The error that refusing gives.
+    /// Error number of a refused write.
     pub errno: i32,
-    /// Synchronisations that still succeed.
+    /// Number of synchronisations that still succeed.
     pub syncs_left: Option<usize>,
 }
 
-/// The file on that disk. Clones are the same file.
+/// The file on that disk. Clones share the file.
 #[derive(Debug, Clone, Default)]
 pub struct DiskFile(pub Rc<RefCell<Disk>>);
 
 impl DiskFile {
-    /// A disk that refuses with `errno` what does not fit into `capacity` bytes.
+    /// A disk that refuses writes beyond `capacity` bytes with `errno`.
     pub fn full_at(capacity: usize, errno: i32) -> Self {
         Self(Rc::new(RefCell::new(Disk { capacity: Some(capacity), errno, ..Disk::default() })))
     }
 
-    /// A disk that takes what comes before byte `offset`, refuses with `errno` once, and takes everything again.
+    /// A disk that refuses the write across byte `offset` with `errno` once, and accepts all others.
     pub fn refusing_once_at(offset: usize, errno: i32) -> Self {
         Self(Rc::new(RefCell::new(Disk { refuse_once_at: Some(offset), errno, ..Disk::default() })))
     }
 
-    /// A disk that takes at most `bytes` with each write.
+    /// A disk that accepts at most `bytes` with each write.
     pub fn taking_at_most(bytes: usize) -> Self {
         Self(Rc::new(RefCell::new(Disk { at_once: Some(bytes), ..Disk::default() })))
     }
 
-    /// A disk whose synchronisation fails for good after `syncs` of them.
+    /// A disk whose synchronisation fails permanently after `syncs` of them.
     pub fn failing_after(syncs: usize, errno: i32) -> Self {
         Self(Rc::new(RefCell::new(Disk { syncs_left: Some(syncs), errno, ..Disk::default() })))
     }
 
-    /// What is on the disk now.
+    /// Current content of the disk.
     pub fn bytes(&self) -> Vec<u8> {
         self.0.borrow().bytes.clone()
     }
@@ -88,7 +88,7 @@ impl Write for DiskFile {
 
 impl Seek for DiskFile {
     fn seek(&mut self, position: SeekFrom) -> io::Result<u64> {
-        // A recording is appended to, never patched.
+        // Recordings are only appended to.
         match position {
             SeekFrom::Current(0) | SeekFrom::End(0) => Ok(self.0.borrow().bytes.len() as u64),
             other => Err(io::Error::other(format!("a recording must not seek: {other:?}"))),

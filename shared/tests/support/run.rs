@@ -1,4 +1,4 @@
-//! A simulated run, the same in all tests.
+//! A generated run, the same in all tests.
 
 use shared::encoder::EncoderScale;
 use shared::recording::schema::{
@@ -7,10 +7,10 @@ use shared::recording::schema::{
 use shared::recording::{Bin, DiskTiming, Durations, TimingSummary};
 use shared::time::{DcNs, MonoNs, UtcNs};
 
-/// When the made-up run began.
+/// Start of the generated run (UTC).
 pub const START: UtcNs = UtcNs(1_790_000_000_000_000_000);
 
-/// A made-up run.
+/// Metadata of a generated run with this name.
 pub fn run(name: &str) -> RunMetadata {
     RunMetadata {
         name: name.into(),
@@ -42,7 +42,7 @@ pub fn run(name: &str) -> RunMetadata {
     }
 }
 
-/// How well its loop kept its time.
+/// Timing statistics of its cycles.
 #[allow(dead_code, reason = "not every user needs it")]
 pub fn timing() -> TimingSummary {
     let durations = |ns: u64| Durations {
@@ -57,7 +57,7 @@ pub fn timing() -> TimingSummary {
     TimingSummary { cycles: 10, lateness, round_trip, duration, disk }
 }
 
-/// Its cycles, each different from every other.
+/// Cycle of this number; all cycles differ.
 pub fn cycle(number: u64) -> CycleRecord {
     let encoders = std::array::from_fn(|index| EncoderSample {
         joint: index as u8 + 1,
