@@ -1,5 +1,5 @@
-//! The main job, end to end: an experiment with known errors is recorded over the simulated bus, and the errors are
-//! found again.
+//! The main purpose, end to end: an experiment with known errors is recorded over the simulated bus, and the calibration
+//! identifies the errors.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use std::path::Path;
@@ -79,7 +79,7 @@ fn the_bar_of_the_thesis_without_encoder_3_calibrates_too() {
     assert!(robot_error < 0.05, "{robot_error} mm|mrad");
 }
 
-/// Each fault that a cable, a terminal or a host brings, one after the other, within two minutes.
+/// Each kind of fault of cable, terminal and host, one after the other, within two minutes.
 const FAULTS: [&str; 9] = [
     "lost:0.02@5s-20s",
     "late:0.02,6ms@20s-30s",
@@ -92,8 +92,8 @@ const FAULTS: [&str; 9] = [
     "clock-step:3ms@100s",
 ];
 
-/// Error of the robot's parameters \[mm|mrad\] from a clean recording and from one with faults, which has as many valid
-/// cycles as the part of the clean one that is used.
+/// Error of the robot's parameters \[mm|mrad\] from a recording without and from one with faults, with the same number of
+/// valid cycles: only a part of the recording without faults is used.
 fn errors_clean_and_faulty(seed: u64) -> [f64; 2] {
     let (robot, bar) = (robot("irb2400_16.toml"), ball_bar());
     let directory = tempfile::tempdir().unwrap();
@@ -113,9 +113,9 @@ fn errors_clean_and_faulty(seed: u64) -> [f64; 2] {
         record(directory.path(), &RunRequest { faults, ..request("faulty", simulated, None, true) }, &bar);
     let is_valid = |cycle: &&CycleRecord| cycle.encoders.iter().all(|encoder| encoder.valid);
     let valid = faulty.cycles.iter().filter(is_valid).count();
-    // Some 480: those that the faults hit, and none because the one before it was lost.
+    // About 480 are invalid: those with a fault. A lost cycle does not invalidate the next one.
     assert!(valid < clean.cycles.len() - 400, "{valid} of {}", clean.cycles.len());
-    // As many cycles out of the middle of the clean run.
+    // The same number of cycles from the middle of the run without faults.
     let skipped = (clean.cycles.len() - valid) / 2;
     let error = |cycles: &[CycleRecord], encoders: &[EncoderInfo]| {
         let config = IdentifyConfig::default();
@@ -143,7 +143,7 @@ fn runs_with_faults_calibrate_as_well_as_clean_ones_of_the_same_valid_length() {
         of_clean += clean / 2.0;
         of_faulty += faulty / 2.0;
     }
-    // Which samples are chosen differs, and that alone makes such errors differ by half.
+    // The selected samples differ, which alone changes such errors by half.
     assert!(of_faulty < 1.6 * of_clean, "{of_faulty} mm|mrad with faults, {of_clean} without");
 }
 
@@ -153,7 +153,7 @@ fn a_run_exported_as_a_table_of_counters_calibrates_as_the_recording_does() {
     let directory = tempfile::tempdir().unwrap();
     let design = Design { duration_s: 80.0, ..Design::for_robot(&robot) };
     let mut simulated = simulate::run(&Experiment { design, ..Experiment::new(&robot, &bar) }).unwrap();
-    // Some cycles gave nothing, and the counters start anew after it.
+    // Some cycles have no reply, and the counters have a new origin after them.
     for cycle in &mut simulated.cycles[5000..5030] {
         cycle.flags |= flags::NO_REPLY;
         cycle.encoders.iter_mut().for_each(|sample| sample.valid = false);
@@ -175,7 +175,7 @@ fn a_run_exported_as_a_table_of_counters_calibrates_as_the_recording_does() {
     let log = logs::load(&files.robot_log, &robot).unwrap();
     let [(cycles, encoders), recorded] =
         [(of_table.cycles(), of_table.encoders()), (&recording.cycles[..], &recording.run.encoders[..])];
-    // Times, angles and breaks are the same to the last bit, and so is all that follows from them.
+    // Times, angles and origins are equal bit by bit, and so are all results.
     assert_eq!(bar_angles(cycles, encoders).unwrap(), bar_angles(recorded.0, recorded.1).unwrap());
     let config = IdentifyConfig::default();
     let of_table = calibrate_run(cycles, encoders, &log, &robot, &bar, &config).unwrap();

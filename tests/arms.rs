@@ -1,5 +1,5 @@
-//! Arms of any kind beside other programs: forward kinematics by yourdfpy on URDFs that we read and on those that we write,
-//! and by numpy on tables in either convention.
+//! Kinematics of all kinds of arms, compared with other programs: yourdfpy on imported and on exported URDFs, numpy on
+//! Denavit-Hartenberg tables in both conventions.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::io::Write;
@@ -17,7 +17,7 @@ use serde_json::{Value, json};
 use shared::config::{self, JointKind, RobotConfig};
 use system_tests::{config_directory, python_with};
 
-/// File, base and tip.
+/// URDF file, base link and tip link of each arm.
 const ARMS: [(&str, &str, &str); 3] =
     [("ur10", "base_link", "tool0"), ("seven_axes", "base", "flange"), ("on_a_track", "cell", "tool")];
 
@@ -29,7 +29,7 @@ fn imported((name, base, tip): (&str, &str, &str)) -> RobotConfig {
     import(&std::fs::read_to_string(file(name)).unwrap(), Some(base), Some(tip)).unwrap().config
 }
 
-/// Postures spread over the limits without chance: steps that are no parts of each other.
+/// Deterministic postures spread over the joint limits: the steps of the axes are incommensurable.
 fn postures(robot: &RobotConfig, count: usize) -> Vec<Joints> {
     let part = |posture: usize, axis: usize| (posture as f64 * (0.618_034 + 0.137 * axis as f64)).fract();
     let limits = robot.joint_limits();
@@ -41,7 +41,7 @@ fn postures(robot: &RobotConfig, count: usize) -> Vec<Joints> {
     (1..=count).map(posture).collect()
 }
 
-/// Poses by `forward.py`.
+/// Poses computed by `forward.py`, as homogeneous matrices \[m\].
 fn by_python(modules: &[&str], arguments: &[&str], asked: &Value) -> Vec<[[f64; 4]; 4]> {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("forward.py");
     let mut child = Command::new(python_with(modules))
@@ -58,7 +58,7 @@ fn by_python(modules: &[&str], arguments: &[&str], asked: &Value) -> Vec<[[f64; 
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// Largest difference of an entry, m and 1.
+/// Largest difference of an entry of the homogeneous matrices \[m, 1\].
 fn apart(chain: &Chain, postures: &[Joints], expected: &[[[f64; 4]; 4]]) -> f64 {
     assert_eq!(postures.len(), expected.len());
     let of = |(joints, expected): (&Joints, &[[f64; 4]; 4])| {
@@ -82,12 +82,12 @@ fn a_urdf_has_the_forward_kinematics_that_yourdfpy_gives_it() {
         );
         let off_m = apart(&flange_chain(&robot), &postures, &expected);
         println!("{}: {} axes, largest difference {off_m:.1e} m", arm.0, robot.axes());
-        // One file has right angles with nine decimals, which an import takes as right angles.
+        // One file has right angles with nine decimals, which the import rounds to right angles.
         assert!(off_m < 1e-8, "{}: {off_m:e}", arm.0);
     }
 }
 
-/// What a tracker without noise sees of an arm whose links are all a little wrong.
+/// Rows of a tracker without noise, of an arm with small errors in all links.
 fn rows(robot: &RobotConfig) -> Vec<PoseRow> {
     let mut truth = flange_chain(robot);
     for (link, sign) in truth.links.iter_mut().zip([1.0, -1.0].into_iter().cycle()) {

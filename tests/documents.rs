@@ -1,4 +1,4 @@
-//! The documents say what the programs do.
+//! The documents agree with the programs: links, fields, flags, parameters and limits.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::path::{Path, PathBuf};
@@ -18,7 +18,7 @@ fn page(name: &str) -> String {
     text(&repository("docs/src").join(name))
 }
 
-/// Where the links of a Markdown text lead.
+/// Targets of the links in a Markdown text.
 fn links(text: &str) -> impl Iterator<Item = &str> {
     text.split("](").skip(1).filter_map(|rest| rest.split_once(')').map(|(link, _)| link))
 }
@@ -52,7 +52,7 @@ fn the_page_on_recordings_names_every_field_and_flag_of_a_cycle() {
     let schema = text(&repository("shared/src/recording/messages/bus_cycle.ros2msg"));
     let own = schema.split("====").next().unwrap_or_default();
     for line in own.lines().map(|line| line.split('#').next().unwrap_or_default().trim()) {
-        // Constants are the flags, which are looked for above.
+        // Constants are the flags, which are checked above.
         let Some((_, field)) = line.split_once(' ').filter(|(_, field)| !field.contains('=')) else {
             continue;
         };

@@ -1,5 +1,5 @@
-//! Forces on the bar in robot logs that other programs wrote: read with their unit and sign, and what the bar gives way
-//! under them is found again.
+//! Forces on the bar in robot logs of other programs: they are read with their unit and sign, and the calibration
+//! identifies the compliance of the bar.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::fmt::Write;
@@ -15,12 +15,12 @@ use identify::simulate::{self, BarLoad, Design, Effects, Experiment, Simulated};
 use shared::config::{self, AngleUnit, LogConversion, RobotConfig};
 use system_tests::{ball_bar as shipped_bar, config_directory, python_with};
 
-/// Force of the thesis' runs and what its experiment found of the bar: +-25 um (TFRT-6017 section 5.3).
+/// Force of the thesis' runs and elongation of its bar: +-25 um (TFRT-6017 section 5.3).
 const LOAD: BarLoad = BarLoad { force_n: 150.0, compliance_um_per_n: 0.17, play_um: 0.0, noise_n: 1.0 };
 const COMPLIANCE_M_PER_N: f64 = 0.17e-6;
 const GRAVITY_M_PER_S2: f64 = 9.80665;
 
-/// The robot of the reference set-up, as a controller sees it that logs joints.
+/// The robot of the reference set-up with a controller that logs joint angles.
 fn robot() -> RobotConfig {
     let robot: RobotConfig = config::load(&config_directory().join("robots/irb2400_16.toml")).unwrap();
     RobotConfig { log: LogConversion::direct(AngleUnit::Rad, 6), ..robot }
@@ -35,8 +35,8 @@ fn simulated() -> Simulated {
         .unwrap()
 }
 
-/// One row of a table for `write_robot_log.py`: stamp, joints, and what a sensor says of the force that the robot puts on
-/// the bar, in the axes of its base \[N\].
+/// One row of a table for `write_robot_log.py`: stamp \[ns\], joints \[rad\], and the output of a force sensor for the force of
+/// the robot on the bar.
 type Row = (i64, Joints, Vec<f64>);
 
 fn rows(run: &Simulated, sensor: impl Fn(&Chain, &Joints, [f64; 3]) -> Vec<f64>) -> Vec<Row> {
@@ -52,7 +52,7 @@ fn rows(run: &Simulated, sensor: impl Fn(&Chain, &Joints, [f64; 3]) -> Vec<f64>)
         .collect()
 }
 
-/// The file that another program writes of these rows.
+/// Writes these rows to a file with another program.
 fn written(directory: &Path, modules: &[&str], kind: &str, rows: &[Row]) -> PathBuf {
     let python = python_with(modules);
     let mut text = String::new();
@@ -79,7 +79,8 @@ fn calibrated(run: &Simulated, log: &RobotLog) -> Calibration {
     calibrate_run(&run.cycles, &run.encoders, log, &robot(), &shipped_bar(), &config).unwrap()
 }
 
-/// Error of the force along the bar in the samples of a calibration, whose log counts it by `sign`; root mean square \[N\].
+/// Root mean square error of the force along the bar in the samples of a calibration \[N\]; `sign` is the sign of tension in
+/// the log.
 fn force_error_n(found: &Calibration, run: &Simulated, sign: f64) -> f64 {
     let (start, truth) = (run.truth.clock, run.robot_log.force.as_ref().unwrap());
     let lead_s = (start.robot_at_bar_start_ns - truth.values.first_stamp_ns) as f64 * 1e-9;
@@ -96,7 +97,7 @@ fn force_error_n(found: &Calibration, run: &Simulated, sign: f64) -> f64 {
 #[ignore = "needs Python with tests/requirements.txt"]
 fn the_tcp_force_of_a_rtde_client_is_the_one_on_the_bar_with_its_sign() {
     let (directory, run) = (tempfile::tempdir().unwrap(), simulated());
-    // What the bar does to the tool; the stamps count from the controller's start.
+    // Force of the bar on the tool; stamps count from the controller's start.
     let mut rows = rows(&run, |_, _, [x, y, z]| vec![-x, -y, -z]);
     let first_ns = rows[0].0;
     rows.iter_mut().for_each(|(stamp_ns, ..)| *stamp_ns -= first_ns - 250_000_000_000);
@@ -109,7 +110,7 @@ fn the_tcp_force_of_a_rtde_client_is_the_one_on_the_bar_with_its_sign() {
         assert!(written.iter().zip(read).all(|(a, b)| (a - b).abs() < 1e-9), "{written:?} {read:?}");
     }
     let found = calibrated(&run, &log);
-    // Where the bar is pulled, it pulls the tool back.
+    // A bar under tension pulls the tool back, hence the negative sign.
     assert!(force_error_n(&found, &run, -1.0) < 1.0);
     let elongation = Elongation::of(&found).unwrap();
     println!("{}", elongation.sentence());
@@ -120,8 +121,8 @@ fn the_tcp_force_of_a_rtde_client_is_the_one_on_the_bar_with_its_sign() {
     );
 }
 
-/// Torques that hold arm and bar \[N m\]: what the potential energy of two masses on the arm, and the work at the flange,
-/// change with each joint.
+/// Static joint torques of arm and bar \[N m\]: derivatives, by each joint, of the potential energy of two masses on the arm
+/// and of the work at the flange.
 fn holding_torques_nm(robot: &Chain, q: &Joints, force_n: [f64; 3]) -> Vec<f64> {
     let masses = [(2, 80.0, [-0.3, 0.02, 0.1]), (4, 60.0, [0.03, 0.05, -0.2])]
         .map(|(links, kg, at)| (Chain::new(robot.root_from_base, robot.links[..links].to_vec()), kg, at));
@@ -141,7 +142,7 @@ fn holding_torques_nm(robot: &Chain, q: &Joints, force_n: [f64; 3]) -> Vec<f64> 
     (0..6).map(|joint| (moved(joint, 1e-4) - moved(joint, -1e-4)) / 2e-4).collect()
 }
 
-/// Joints as the driver calls them; joint 4 counts the other way there.
+/// Mapping with the joint names of the driver; its joint 4 has the opposite sign.
 fn mapping(more: &str) -> LogOptions {
     let joint = |n: usize| {
         let sign = if n == 4 { -1 } else { 1 };
@@ -183,7 +184,7 @@ fn efforts_of_joint_states_in_bags_by_rosbags_are_the_torques_behind_which_the_f
         "{elongation:?}"
     );
 
-    // Nobody asked for a force: efforts are only the log's torques.
+    // No force is configured: efforts are only the torques of the log.
     let plain = load_with(&mcap, &robot(), &mapping("")).unwrap();
     assert!(plain.force.is_none() && plain.torque.is_some());
     let columns = mapping("force = { columns = [\"Fx\", \"Fy\", \"Fz\"], unit = \"N\" }");

@@ -1,4 +1,4 @@
-//! What the whole-system tests have in common: the shipped configuration, a run, and Python.
+//! Shared by the whole-system tests: the shipped configuration, a run, and Python.
 #![allow(clippy::expect_used, clippy::panic, reason = "tests")]
 
 pub mod fuzzing;
@@ -17,7 +17,7 @@ pub fn config_directory() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../config")
 }
 
-/// The shipped bar.
+/// Bar configuration of `config/ball_bar.toml`.
 pub fn ball_bar() -> BallBarConfig {
     config::load(&config_directory().join("ball_bar.toml")).expect("shipped ball_bar.toml")
 }
@@ -35,7 +35,7 @@ pub fn request(name: &str, bus: BusChoice, duration: Option<Duration>, fast: boo
         run: RunDetails { name: name.into(), about, duration, homing: None },
         bus,
         fast,
-        // In real time a busy machine may keep an emulated terminal from answering before its time-out: then it is tried again.
+        // On a busy machine an emulated terminal may miss its time-out in real time; the bring-up is then repeated.
         wait: !fast,
         ..RunRequest::default()
     }
@@ -60,7 +60,7 @@ pub fn record(directory: &Path, request: &RunRequest, bar: &BallBarConfig) -> (P
     (summary.path, recording)
 }
 
-/// Python with the independent readers: what `BALLBAR_PYTHON` names, or `python3`.
+/// Python interpreter with the independent readers: the one in `BALLBAR_PYTHON`, or `python3`.
 pub fn python_with(modules: &[&str]) -> PathBuf {
     let python = std::env::var_os("BALLBAR_PYTHON").map_or_else(|| "python3".into(), PathBuf::from);
     let import = format!("import {}", modules.join(", "));

@@ -1,4 +1,4 @@
-//! Whole-system tests in one program: one link, and long tests side by side.
+//! Whole-system tests in one program, which links once and runs long tests in parallel.
 //!
 //! One file of them: `cargo test -p system-tests --test all replay`.
 

@@ -1,4 +1,4 @@
-//! The recording opens with two implementations that are not ours, every message decoded.
+//! Two independent implementations open the recording and decode every message.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use std::path::{Path, PathBuf};
@@ -62,7 +62,7 @@ fn python_mcap_plots_what_the_ports_have_counted() {
             (errors.parse().unwrap(), ports.map_or(0, |ports| ports["level"].as_u64().unwrap()))
         })
         .collect();
-    // None before, more each second while it lasts, the same afterwards.
+    // Zero before the fault, increasing each second during it, constant afterwards.
     assert_eq!((counted.len(), counted[0]), (20, (0, 0)), "{counted:?}");
     assert!(counted.is_sorted_by_key(|(errors, _)| *errors), "{counted:?}");
     assert!(counted.windows(2).filter(|pair| pair[0].0 < pair[1].0).count() >= 4, "{counted:?}");
@@ -80,8 +80,8 @@ fn read_with(python: &Path, reader: &str, recording: &Path) -> Value {
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// A finished recording, and what is recovered of it where it is cut short, torn, or followed by the zeros of a power
-/// cut.
+/// A finished recording, and the recovered files after a truncation, a torn write, or the trailing zeros of a power
+/// failure.
 fn compare_with(python: &Path, reader: &str) {
     let directory = tempfile::tempdir().unwrap();
     let seconds = Some(Duration::from_secs(20));
@@ -96,7 +96,7 @@ fn compare_with(python: &Path, reader: &str) {
     for (name, left) in [("killed", killed), ("flipped", flipped), ("zeros", zeros)] {
         let (path, recovered) = recover(&directory.path().join(format!("{name}.{ACTIVE_ENDING}")), &left);
         assert!(recovered.end.recovered && !recovered.cycles.is_empty(), "{name}");
-        // What is not as it was is lost, and holds nothing.
+        // A cycle that differs from the original is flagged as lost and has no data.
         let lost = recovered.cycles.iter().zip(&ours.cycles).filter(|(one, other)| one != other);
         assert!(lost.clone().all(|(cycle, _)| cycle.flags == flags::LOST), "{name}");
         assert_eq!(lost.count() as u64, recovered.end.cycles_lost);
@@ -128,7 +128,7 @@ fn compare(python: &Path, reader: &str, path: &Path, ours: &Recording) {
     }
 }
 
-/// Each event is a line of the log, too.
+/// Each event is also a message of the log.
 fn compare_events(ours: &Recording, theirs: &Value) {
     let [events, log] = ["events", "log"].map(|key| theirs[key].as_array().unwrap());
     assert_eq!((events.len(), log.len()), (ours.events.len(), ours.events.len()));
@@ -140,7 +140,7 @@ fn compare_events(ours: &Recording, theirs: &Value) {
     }
 }
 
-/// One a second, which says how many of its cycles were valid: of all, and of each encoder.
+/// One message per second with the number of valid cycles: for all encoders together, and for each.
 fn compare_diagnostics(ours: &Recording, theirs: &[Value]) {
     let seconds = ours.cycles.chunks_exact(100);
     assert_eq!(theirs.len(), seconds.len());
@@ -196,8 +196,8 @@ fn compare_cycles(ours: &Recording, theirs: &[Value]) {
     }
 }
 
-/// Positions of the plotted joint states turn by 2 pi / 14 745 600 a count; velocities are that over the bus' time, from one
-/// valid cycle to the next.
+/// Positions of the joint states change by 2 pi / 14 745 600 rad per count. Velocities are the change between successive valid
+/// cycles divided by the bus time between them.
 fn compare_joint_states(ours: &Recording, theirs: &[Value]) {
     assert_eq!(ours.cycles.len(), theirs.len());
     let number = |key: &str, index: usize, joint: usize| theirs[index][key][joint].as_f64();

@@ -1,5 +1,5 @@
-//! Robot logs that other programs wrote are read as they were meant: rosbags for ROS 2 bags, Google's protobuf for EGM,
-//! Python's own CSV and XML writers for the rest.
+//! Robot logs of other programs are read correctly: ROS 2 bags by rosbags, EGM by Google's protobuf, the other formats by
+//! Python's CSV and XML writers.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use std::path::{Path, PathBuf};
@@ -15,7 +15,7 @@ use identify::simulate::{self, Design, Experiment};
 use shared::config::{self, RobotConfig};
 use system_tests::{ball_bar as shipped_bar, config_directory, python_with};
 
-/// As `write_robot_log.py` has them.
+/// The same constants as in `write_robot_log.py`.
 const ROWS: usize = 5000;
 const START_NS: i64 = 1_795_000_000_123_456_789;
 const PERIOD_S: f64 = 0.008;
@@ -37,7 +37,7 @@ fn written(directory: &Path, modules: &[&str], kind: &str) -> PathBuf {
     path
 }
 
-/// Every row but `left_out`, within `tolerance_rad`.
+/// Checks that all rows but `left_out` agree with the written ones within `tolerance_rad`.
 fn assert_follows(log: &RobotLog, left_out: Option<usize>, tolerance_rad: f64) {
     let rows: Vec<usize> = (0..ROWS).filter(|row| Some(*row) != left_out).collect();
     assert_eq!(log.q_rad.len(), rows.len());
@@ -53,7 +53,7 @@ fn bag_reads_by_name(kind: &str) {
     let directory = tempfile::tempdir().unwrap();
     let path = written(directory.path(), &["rosbags"], kind);
     let log = load(&path, &robot()).unwrap();
-    // One message has a joint that is not a number.
+    // One message has a joint that is NaN.
     assert_follows(&log, Some(100), 1e-12);
     assert_eq!((log.quality.incomplete_dropped, log.q_rad.first_stamp_ns), (1, START_NS));
     assert_eq!((log.clock.as_str(), log.origin), ("header.stamp", Origin::Measured));
@@ -156,10 +156,10 @@ fn egm_messages_by_googles_protobuf_are_read_in_degrees_on_either_clock() {
         let path = written(directory.path(), &["google.protobuf"], kind);
         let log = load(&path, &robot()).unwrap();
         if kind == "egm" {
-            // Its milliseconds wrap after 20 s of these 40.
+            // The counter of milliseconds wraps after 20 s of the 40 s.
             assert_follows(&log, None, 1e-12);
         } else {
-            // Whole microseconds.
+            // Stamps are whole microseconds.
             assert_eq!(log.q_rad.first_stamp_ns, START_NS / 1000 * 1000);
         }
         assert_eq!((log.q_rad.len(), log.quality.duplicates_dropped), (ROWS, 1));

@@ -1,4 +1,4 @@
-//! The service's HTTP interface under any requests.
+//! The service's HTTP interface with arbitrary requests.
 
 use std::path::Path;
 use std::sync::LazyLock;
@@ -12,10 +12,10 @@ use ballbard::homing::MarksFile;
 use ballbard::run::BusChoice;
 use tower::ServiceExt;
 
-/// Longest answer.
+/// Longest accepted answer \[bytes\].
 const ANSWER_BYTES_MAX: usize = 1 << 20;
 
-/// A service whose bus is not there, so that no request starts a thread or a file.
+/// A service without a bus, so that no request starts a thread or creates a file.
 struct Served {
     router: Router,
     runtime: tokio::runtime::Runtime,
@@ -35,7 +35,7 @@ static SERVED: LazyLock<Served> = LazyLock::new(|| {
     Served { router: api::router(Service::start(settings).expect("a service")), runtime }
 });
 
-/// Requests, one a line: `METHOD PATH CONTENT-TYPE HOST BODY`. Each is answered in JSON, with a reason if refused.
+/// Requests, one per line: `METHOD PATH CONTENT-TYPE HOST BODY`. The answer to each is JSON, with a reason if it is refused.
 pub fn any_requests(bytes: &[u8]) {
     for line in bytes.split(|byte| *byte == b'\n') {
         let mut parts = line.splitn(5, |byte| *byte == b' ');
@@ -58,14 +58,14 @@ fn answered(request: Request<Body>) {
     let answer =
         SERVED.runtime.block_on(SERVED.router.clone().oneshot(request)).expect("a router never fails");
     let kind = answer.headers().get(header::CONTENT_TYPE);
-    // The page is no JSON, and its events have no end.
+    // The page has another content type than JSON, and its event stream does not end.
     if answer.status().is_success() && kind.is_none_or(|kind| kind != "application/json") {
         return;
     }
     let (status, body) = (answer.status(), to_bytes(answer.into_body(), ANSWER_BYTES_MAX));
     let body = SERVED.runtime.block_on(body).expect("a body in memory");
     assert!(!status.is_server_error(), "{status}: {}", String::from_utf8_lossy(&body));
-    // A method that a path does not have is refused by status alone, and a HEAD has no body.
+    // An unsupported method is refused by its status alone, and the answer to HEAD has no body.
     if status.as_u16() != 405 && !head {
         let answer: serde_json::Value = serde_json::from_slice(&body).expect("JSON");
         let reason = answer.get("error").and_then(|error| error.as_str());
@@ -73,7 +73,7 @@ fn answered(request: Request<Body>) {
     }
 }
 
-/// What the commands send, and what they do not.
+/// Requests of the commands, and invalid ones.
 pub fn requests() -> Vec<Vec<u8>> {
     let json = "application/json 127.0.0.1:7311";
     let bodies = [

@@ -1,4 +1,4 @@
-//! The daemon's MainDevice against a bus whose replies are damaged as the fuzzer says.
+//! The daemon's MainDevice on a bus with replies damaged by the fuzzer.
 
 use std::cell::RefCell;
 use std::time::Duration;
@@ -13,9 +13,9 @@ use shared::time::{NS_PER_S, UtcNs};
 use super::explained;
 use super::replies::{DamagedWire, Script};
 
-/// Cyclic frames after the bus came up.
+/// Number of cyclic frames after the bring-up.
 const CYCLES: usize = 5;
-/// Bringing a bus up ends within this much of its own time, whatever it answers.
+/// Longest permitted bring-up of a bus, in its own time, for any replies.
 const BRING_UP_NS_MAX: i64 = 600 * NS_PER_S;
 
 struct Rig {
@@ -23,7 +23,7 @@ struct Rig {
     wire: DamagedWire,
 }
 
-/// A coupler and one terminal.
+/// A segment of a coupler and one terminal.
 pub(super) fn segment(clock: &Clock) -> InProcessWire {
     let config = SegmentConfig { terminals: 1, ..SegmentConfig::default() };
     InProcessWire::new(SimulatedSegment::new(&config, Box::new(SmoothMotion::new(1, 3600, 1))), clock.clone())
@@ -37,7 +37,7 @@ impl Rig {
     }
 }
 
-/// The bus comes up, its clock is followed and it is cycled, or is refused with a reason; either way in bounded time.
+/// Either the bus comes up, its clock is followed and it is cycled, or it is refused with a reason; both in bounded time.
 pub fn any_replies(bytes: &[u8]) {
     thread_local!(static RIG: RefCell<Rig> = RefCell::new(Rig::new()));
     RIG.with_borrow_mut(|rig| {
@@ -45,7 +45,7 @@ pub fn any_replies(bytes: &[u8]) {
         rig.wire.play(Script::of(bytes));
         let begun = rig.clock.now();
         let plan = plan();
-        // It takes the stack that the one before left.
+        // Reuses the EtherCAT stack of the previous bus.
         let bus = Bus::new(Box::new(rig.wire.clone()), rig.clock.clone(), plan.reply_timeout);
         match Acquisition::start(bus, &plan, rig.clock.clone()) {
             Ok(mut acquisition) => (0..CYCLES).for_each(|_| acquisition.idle()),
@@ -55,7 +55,7 @@ pub fn any_replies(bytes: &[u8]) {
     });
 }
 
-/// What the bus of [`segment`] should be.
+/// Configuration that matches the bus of [`segment`].
 pub(super) fn plan() -> BusPlan {
     let bar = crate::ball_bar();
     BusPlan {
@@ -68,7 +68,7 @@ pub(super) fn plan() -> BusPlan {
     }
 }
 
-/// Nothing wrong; a lost reply; an emergency and an abort instead of the first answers; a wrong length.
+/// Seeds: no damage; a lost reply; an emergency and an abort in place of the first answers; a wrong length.
 pub fn scripts() -> Vec<Vec<u8>> {
     vec![
         vec![],

@@ -1,10 +1,10 @@
-//! What a target is fed before a fuzzer has ideas of its own. Of each target are kept, in `tests/fuzz`:
+//! Initial inputs of the fuzz targets. For each target `tests/fuzz` contains:
 //!
-//! - `regressions/TARGET/NAME`: what once broke a promise, named after what it is,
-//! - `corpus/TARGET.tar.zst`: what fuzzing found to reach other code than the rest.
+//! - `regressions/TARGET/NAME`: inputs that once caused a failure, each named after its property,
+//! - `corpus/TARGET.tar.zst`: inputs found by fuzzing that each reach additional code.
 //!
-//! A fuzz target unpacks both, with its seeds, into `tests/fuzz/corpus/TARGET` when it starts, where `cargo fuzz` reads
-//! and adds to them. What it has found is kept by (in `tests/fuzz`):
+//! At its start a fuzz target unpacks both, with its seeds, into `tests/fuzz/corpus/TARGET`. `cargo fuzz` reads that
+//! directory and adds to it. These commands, in `tests/fuzz`, save new inputs:
 //!
 //! ```sh
 //! cargo +nightly fuzz cmin -s none --fuzz-dir . TARGET
@@ -22,7 +22,7 @@ fn folder() -> PathBuf {
 }
 
 impl Target {
-    /// Seeds, regressions and the archive, each with its name.
+    /// All inputs with their names: seeds, regressions and the archive.
     ///
     /// # Errors
     /// A file that cannot be read.
@@ -34,7 +34,7 @@ impl Target {
         Ok(inputs)
     }
 
-    /// What once broke a promise.
+    /// Inputs that once caused a failure, with their names.
     ///
     /// # Errors
     /// A file that cannot be read.
@@ -50,10 +50,10 @@ impl Target {
         fs::read_dir(folder)?.map(read).collect()
     }
 
-    /// What the archive has.
+    /// Inputs of the archive, with their names.
     ///
     /// # Errors
-    /// No archive, or one that cannot be read.
+    /// The archive is missing or cannot be read.
     pub fn archived(&self) -> io::Result<Vec<(String, Vec<u8>)>> {
         let archive = fs::File::open(folder().join("corpus").join(format!("{}.tar.zst", self.name)))?;
         let mut archive = tar::Archive::new(zstd::Decoder::new(archive)?);
@@ -71,7 +71,7 @@ impl Target {
     }
 }
 
-/// Puts the inputs of the target of that name where `cargo fuzz` reads them.
+/// Writes the inputs of the target of that name to the directory that `cargo fuzz` reads.
 ///
 /// # Panics
 /// If they cannot be read or written.

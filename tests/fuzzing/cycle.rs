@@ -1,4 +1,4 @@
-//! The cycle of a bus in operation whose replies are damaged as the fuzzer says.
+//! The cycle of a bus in operation with replies damaged by the fuzzer.
 
 use std::cell::RefCell;
 
@@ -11,12 +11,12 @@ use shared::time::UtcNs;
 use super::bring_up::{plan, segment};
 use super::replies::{DamagedWire, Script};
 
-/// Cycles at most until the script is over ...
+/// Largest number of cycles until the script ends.
 const CYCLES_MAX: usize = 200;
-/// ... and then until there is a valid sample again: seconds, in which the bus is brought up anew if need be.
+/// Largest number of cycles from there to the next valid sample: seconds, with a new bring-up of the bus if needed.
 const RECOVERY_CYCLES_MAX: usize = 1000;
 
-/// An acquisition that goes on from one script to the next; only so is one quick.
+/// An acquisition that continues from one script to the next, because a bring-up for each script would be slow.
 struct Rig {
     acquisition: Acquisition,
     wire: DamagedWire,
@@ -34,7 +34,7 @@ impl Rig {
         Self { acquisition, wire, last: None }
     }
 
-    /// One cycle, whose records are as they have to be.
+    /// Runs one cycle and checks its records.
     fn cycle(&mut self) {
         let last = &mut self.last;
         self.acquisition.next_cycle(&mut |record| {
@@ -53,7 +53,7 @@ impl Rig {
     }
 }
 
-/// Every cycle that is due gives its record, time goes forward, and a bus that is well again gives valid samples again.
+/// Every due cycle has its record, time increases, and a bus without further faults returns to valid samples.
 pub fn any_replies(bytes: &[u8]) {
     thread_local!(static RIG: RefCell<Rig> = RefCell::new(Rig::new()));
     RIG.with_borrow_mut(|rig| {
@@ -73,7 +73,7 @@ pub fn any_replies(bytes: &[u8]) {
     });
 }
 
-/// Nothing wrong; a lost reply; inputs, working counters and bus times that are not so; a cut reply.
+/// Seeds: no damage; a lost reply; wrong inputs, working counters and bus times; a truncated reply.
 pub fn scripts() -> Vec<Vec<u8>> {
     vec![
         vec![],

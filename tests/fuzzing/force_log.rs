@@ -1,4 +1,4 @@
-//! Forces on the bar in files of their own, from any bytes.
+//! Forces on the bar in separate files, from arbitrary bytes.
 
 use std::path::Path;
 use std::sync::LazyLock;
@@ -8,7 +8,7 @@ use shared::config::{self, RobotConfig};
 
 use super::explained;
 
-/// Components without header on the other clock, and torques of six motors.
+/// Mappings: components without header on the other clock, and torques of six motors.
 const MAPPINGS: [&str; 2] = [
     "clock = \"bar\"\n[csv]\nheader = false\n[time]\ncolumn = \"1\"\nunit = \"date_time\"\n\
      [force]\ncolumns = [\"2\", \"3\", \"4\"]\nunit = \"lbf\"\nframe = \"base\"\n",
@@ -31,7 +31,8 @@ static SETTING: LazyLock<Setting> = LazyLock::new(|| {
     }
 });
 
-/// Reads a table with each mapping and without: what comes out is finite and ordered, or it is refused with a reason.
+/// Reads a table with each mapping and without one. Either the result is finite and in order, or the table is refused with a
+/// reason.
 pub fn any_table(bytes: &[u8]) {
     for mapping in &SETTING.mappings {
         match ForceLog::read(bytes, Path::new("force"), &SETTING.robot, mapping.as_ref()) {
@@ -41,7 +42,7 @@ pub fn any_table(bytes: &[u8]) {
     }
 }
 
-/// What every force promises, wherever it was read from.
+/// Checks the properties of every force, for any source.
 pub fn check(log: &ForceLog) {
     let log = &log.values;
     assert!(log.t_s.len() == log.rows.len() && log.t_s.first() == Some(&0.0));
@@ -56,7 +57,7 @@ pub fn check(log: &ForceLog) {
     assert_eq!(log.at(2.0 * end_s + 1.0), None);
 }
 
-/// Tables that say themselves what they hold, and one for each mapping.
+/// Seeds: tables with the standard columns, and one table for each mapping.
 pub fn tables() -> Vec<Vec<u8>> {
     let rows = |header: &str, row: &dyn Fn(usize) -> String| {
         (header.to_owned() + &(0..52).map(row).collect::<String>()).into_bytes()

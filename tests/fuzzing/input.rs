@@ -1,6 +1,6 @@
-//! Cuts fuzzed bytes into values; what is missing at the end reads as zero.
+//! Splits fuzzed bytes into values; missing bytes at the end read as zero.
 
-/// Bytes that were not taken yet.
+/// Bytes that are not used yet.
 pub struct Input<'a>(pub &'a [u8]);
 
 impl<'a> Input<'a> {

@@ -1,4 +1,4 @@
-//! Bags of ROS 2 with joint states, as seeds: messages lie in the file as they are, so that fuzzing reaches into them.
+//! ROS 2 bags with joint states, as seeds. The messages are not compressed, so that fuzzing can change them.
 
 use std::collections::BTreeMap;
 use std::io::Cursor;

@@ -1,7 +1,8 @@
-//! What fuzzing feeds: each [`Target`] takes any bytes and panics where a promise is broken.
+//! Fuzz targets: each [`Target`] takes arbitrary bytes and panics if a guarantee is violated.
 //!
 //! The same functions serve `cargo fuzz` (`tests/fuzz`, needs nightly) and the ordinary test `corpus`, which runs
-//! everything that fuzzing has found worth keeping (`corpus.rs` says where that is and how it is kept). Errors are asked for their message: that must not fail either.
+//! them on all saved inputs (`corpus.rs` describes their directories and how to save new ones). The message of each error is
+//! formatted too, because that must not fail either.
 
 mod api;
 mod bar_log;
@@ -22,17 +23,17 @@ mod segment;
 pub use corpus::unpack;
 use input::Input;
 
-/// One way in for bytes from outside.
+/// A function that takes bytes from an external source.
 pub struct Target {
-    /// Name of the fuzz target and of what is kept of it.
+    /// Name of the fuzz target and of its saved inputs.
     pub name: &'static str,
-    /// Takes any bytes; panics where a promise is broken.
+    /// Takes arbitrary bytes; panics if a guarantee is violated.
     pub run: fn(&[u8]),
-    /// Well-formed inputs to begin with.
+    /// Well-formed initial inputs.
     pub seeds: fn() -> Vec<Vec<u8>>,
 }
 
-/// Every way in.
+/// All fuzz targets, one for each kind of external input.
 pub const TARGETS: &[Target] = &[
     Target { name: "recording", run: recording::any_bytes, seeds: recording::whole_and_cut },
     Target { name: "recording_content", run: recording::any_content, seeds: recording::contents },
@@ -60,7 +61,7 @@ pub fn run(name: &str, bytes: &[u8]) {
     (target.run)(bytes);
 }
 
-/// What a refusal says to a person is more than nothing.
+/// Checks that the message of a refusal is not empty.
 fn explained(error: &dyn std::fmt::Display) {
     assert!(error.to_string().len() > 10, "an error without words");
 }

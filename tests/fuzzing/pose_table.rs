@@ -1,4 +1,5 @@
-//! Tables of single poses with a measured length, position or pose, the socket of a ball or the face that a tip touches, from any bytes.
+//! Tables of single poses with a measured length, position or pose, the socket of a ball or the face that a tip touches, from
+//! arbitrary bytes.
 
 use std::path::Path;
 use std::sync::LazyLock;
@@ -31,7 +32,7 @@ static SETTING: LazyLock<Setting> = LazyLock::new(|| {
     }
 });
 
-/// Reads a table by the shipped mappings: numbers are finite, or it is refused with a reason.
+/// Reads a table with the shipped mappings. Either its numbers are finite, or it is refused with a reason.
 pub fn any_table(bytes: &[u8]) {
     match MeasuredLengths::read(bytes, Path::new("lengths"), &SETTING.lengths) {
         Ok(lengths) => {
@@ -72,7 +73,7 @@ pub fn any_table(bytes: &[u8]) {
     }
 }
 
-/// One table for each shipped mapping.
+/// Seeds: one table for each shipped mapping.
 pub fn tables() -> Vec<Vec<u8>> {
     let lengths = "x_mm,y_mm,z_mm,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,cable_mm\n";
     let joints =

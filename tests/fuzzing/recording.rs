@@ -1,4 +1,4 @@
-//! Recordings from any bytes, and with right checksums around any content.
+//! Recordings from arbitrary bytes, and from arbitrary content with correct checksums.
 
 use std::collections::BTreeMap;
 use std::io::{Cursor, Read};
@@ -16,7 +16,7 @@ const START: UtcNs = UtcNs(1_790_000_000_000_000_000);
 const RUN: &str = "ballbard.run";
 const END: &str = "ballbard.end";
 
-/// A file is read, or refused with a reason; what is salvaged from it is a recording again.
+/// A file is read, or refused with a reason; the result of a recovery is a valid recording.
 pub fn any_bytes(bytes: &[u8]) {
     let read = Recording::read(bytes);
     match &read {
@@ -46,7 +46,7 @@ fn check(recording: &Recording) {
     assert_eq!(recording.cycles.len() as u64, recording.end.cycles);
 }
 
-/// A file with the right checksums whose messages and metadata are the fuzzer's: pieces of kind, length, bytes.
+/// A file with correct checksums and with messages and metadata from the fuzzer: pieces of kind, length, bytes.
 pub fn any_content(bytes: &[u8]) {
     let mut writer = mcap::WriteOptions::new()
         .profile("ros2")
@@ -96,7 +96,7 @@ fn metadata(name: &str, content: &[u8]) -> Metadata {
     Metadata { name: name.to_owned(), metadata }
 }
 
-/// A finished recording, an unfinished one, and one that was recovered.
+/// Seeds: a finished, an unfinished and a recovered recording.
 pub fn whole_and_cut() -> Vec<Vec<u8>> {
     let finished = recording(12);
     let unfinished = finished[..finished.len() * 2 / 3].to_vec();
@@ -104,7 +104,7 @@ pub fn whole_and_cut() -> Vec<Vec<u8>> {
     vec![finished, unfinished, recovered.into_inner(), recording(0)]
 }
 
-/// The pieces of those recordings.
+/// Seeds: the pieces of those recordings.
 pub fn contents() -> Vec<Vec<u8>> {
     whole_and_cut().iter().map(|file| pieces(file)).collect()
 }

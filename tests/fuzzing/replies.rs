@@ -1,4 +1,4 @@
-//! Replies of a simulated bus, damaged as the fuzzer says.
+//! Replies of a simulated bus, damaged by the fuzzer.
 
 use std::io;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -8,7 +8,7 @@ use shared::time::MonoNs;
 
 use super::Input;
 
-/// What happens to replies: each entry waits for a number of replies (of mailbox replies where so chosen).
+/// Script of damage to replies: each entry waits for a number of replies, or of mailbox replies if selected.
 pub struct Script {
     entries: Vec<Entry>,
     passed: u16,
@@ -23,12 +23,12 @@ struct Entry {
 enum Damage {
     Drop,
     Cut(usize),
-    /// From this byte of the first datagram's data on.
+    /// First byte of the damage, in the data of the first datagram.
     Overwrite(usize, Vec<u8>),
 }
 
 impl Script {
-    /// Entry after entry until the bytes end.
+    /// Parses entries until the bytes end.
     pub fn of(bytes: &[u8]) -> Self {
         let mut input = Input(bytes);
         let mut entries = Vec::new();
@@ -48,7 +48,7 @@ impl Script {
         Self { entries, passed: 0 }
     }
 
-    /// Damages a reply or not; none if it is lost.
+    /// Returns the reply, damaged if the script requires it; `None` if it is lost.
     fn apply(&mut self, reply: &mut [u8]) -> Option<usize> {
         let Some(next) = self.entries.last() else { return Some(reply.len()) };
         if next.only_mailbox && !is_mailbox_reply(reply) {
@@ -71,7 +71,7 @@ impl Script {
     }
 }
 
-/// The first datagram read the mailbox of a terminal, and something lay in it.
+/// True if the first datagram read the mailbox of a terminal and the mailbox was not empty.
 fn is_mailbox_reply(frame: &[u8]) -> bool {
     frame.get(16) == Some(&4)
         && frame.get(20..22) == Some(&[0x80, 0x10])
@@ -79,13 +79,13 @@ fn is_mailbox_reply(frame: &[u8]) -> bool {
         && frame.get(26 + 128) == Some(&1)
 }
 
-/// A wire to a segment that can be exchanged for a new one (ethercrab lends its frame storage once per process), and what
-/// happens to its replies. Clones are the same wire.
+/// A wire to a segment, with the damage to its replies. The segment can be replaced by a new one, because ethercrab lends its
+/// frame storage once per process. Clones share the wire.
 #[derive(Clone)]
 pub struct DamagedWire(Arc<Mutex<(InProcessWire, Script)>>);
 
 impl DamagedWire {
-    /// Nothing happens to its replies.
+    /// A wire that does not damage its replies.
     pub fn new(segment: InProcessWire) -> Self {
         Self(Arc::new(Mutex::new((segment, Script::of(&[])))))
     }
@@ -94,12 +94,12 @@ impl DamagedWire {
         self.lock().0 = segment;
     }
 
-    /// From the next reply on.
+    /// Applies the script from the next reply on.
     pub fn play(&self, script: Script) {
         self.lock().1 = script;
     }
 
-    /// Nothing is left that could happen.
+    /// True if the script has ended.
     pub fn is_over(&self) -> bool {
         self.lock().1.entries.is_empty()
     }

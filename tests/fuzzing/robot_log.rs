@@ -1,4 +1,4 @@
-//! Robot logs of every kind from any bytes.
+//! Robot logs of every format, from arbitrary bytes.
 
 use std::path::Path;
 use std::sync::LazyLock;
@@ -17,7 +17,7 @@ struct Setting {
 
 static SETTING: LazyLock<Setting> = LazyLock::new(|| {
     let directory = crate::config_directory();
-    // Limits that nothing reaches, so that most logs come through.
+    // Limits that no joint reaches, so that most logs are accepted.
     let mut robot: RobotConfig =
         config::load(&directory.join("robots/irb120_3.toml")).expect("a shipped file");
     robot.joint_limits_deg = vec![[-1e6, 1e6]; 6];
@@ -26,7 +26,8 @@ static SETTING: LazyLock<Setting> = LazyLock::new(|| {
     Setting { robot, mapping: RobotLogMapping { force: Some(torques), ..shipped } }
 });
 
-/// Reads a log of that kind, with and without a mapping: it has what it promises, or is refused with a reason.
+/// Reads a log of that format, with and without a mapping. Either it has the guaranteed properties, or it is refused with a
+/// reason.
 fn any_log(format: LogFormat, bytes: &[u8]) {
     let Setting { robot, mapping } = &*SETTING;
     for mapping in [None, Some(mapping.clone())] {
@@ -75,7 +76,7 @@ fn row(row: usize) -> [f64; 6] {
     std::array::from_fn(|joint| 20.0 * (0.3 * row as f64 + joint as f64).sin())
 }
 
-/// The robot's own table and RTDE's, both with a force, and that of the shipped mapping.
+/// Seeds: the robot's own table and RTDE's, both with a force, and that of the shipped mapping.
 pub fn tables() -> Vec<Vec<u8>> {
     let table = |header: &str, separator: &str, step: f64, more: &str| {
         let mut text = header.to_owned();
@@ -98,7 +99,7 @@ pub fn tables() -> Vec<Vec<u8>> {
     .to_vec()
 }
 
-/// Telegrams with and without a root element.
+/// Seeds: telegrams with and without a root element.
 pub fn telegrams() -> Vec<Vec<u8>> {
     let telegram = |index: usize| {
         let axes: String =
@@ -109,7 +110,7 @@ pub fn telegrams() -> Vec<Vec<u8>> {
     vec![format!("<?xml version=\"1.0\"?>\n<Log>{text}</Log>").into_bytes(), text.into_bytes()]
 }
 
-/// Messages with the controller's milliseconds.
+/// Seeds: messages with the controller's milliseconds.
 pub fn egm_messages() -> Vec<Vec<u8>> {
     let message = |index: usize| {
         let mut joints = Vec::new();
@@ -129,7 +130,7 @@ pub fn egm_messages() -> Vec<Vec<u8>> {
     vec![(0..30).flat_map(message).collect(), message(1)]
 }
 
-/// Bags whose joints have efforts, by the names of drivers and of the shipped mapping, and our own recordings.
+/// Seeds: bags with efforts and the joint names of drivers or of the shipped mapping, and our own recordings.
 pub fn mcap_bags() -> Vec<Vec<u8>> {
     let driver = ["joint_2", "joint_1", "joint_3", "gripper", "joint_4", "joint_5", "joint_6"];
     let mut bags = vec![joint_states::bag(&driver), joint_states::bag(&["J1", "J2", "J3", "J4", "J5", "J6"])];
@@ -137,7 +138,7 @@ pub fn mcap_bags() -> Vec<Vec<u8>> {
     bags
 }
 
-/// None: `small.db3` in the archive was written by another program.
+/// No seeds: `small.db3` in the archive was written by another program.
 pub fn sqlite_bags() -> Vec<Vec<u8>> {
     Vec::new()
 }

@@ -1,4 +1,4 @@
-//! The simulated segment under any frames and any mailbox requests.
+//! The simulated segment with arbitrary frames and mailbox requests.
 
 use super::Input;
 use frames::*;
@@ -11,7 +11,7 @@ use ballbard::segment::simulated::{Conversion, EncoderSource, Periods, Signal};
 
 const MAILBOX_BYTES: usize = 128;
 
-/// Every encoder turns.
+/// Encoder source in which all encoders turn, reported as 238 periods per second.
 struct Turning;
 
 impl EncoderSource for Turning {
@@ -26,7 +26,7 @@ impl EncoderSource for Turning {
     }
 }
 
-/// Frames of any bytes to a terminal in OP: each returns with its own length or not at all.
+/// Frames of arbitrary bytes to a terminal in OP: each returns with its own length or not at all.
 pub fn any_frames(bytes: &[u8]) {
     let mut wire = Wire::new(2, Turning);
     wire.enter_safeop(TERMINAL);
@@ -46,7 +46,7 @@ pub fn any_frames(bytes: &[u8]) {
     }
 }
 
-/// Command, index and length of each datagram: no device may change them.
+/// Command, index and length of each datagram, which no device may change.
 fn headers(frame: &[u8]) -> Vec<(u8, u8, u16)> {
     let mut headers = Vec::new();
     let mut rest = frame.get(16..).unwrap_or_default();
@@ -61,7 +61,8 @@ fn headers(frame: &[u8]) -> Vec<(u8, u8, u16)> {
     headers
 }
 
-/// Mailbox requests of any bytes to a terminal in PRE-OP: answers are well-formed, and it still answers afterwards.
+/// Mailbox requests of arbitrary bytes to a terminal in PRE-OP: answers are well-formed, and the terminal still responds
+/// afterwards.
 pub fn any_requests(bytes: &[u8]) {
     let mut wire = Wire::new(1, Turning);
     wire.enter_preop(TERMINAL);
@@ -75,7 +76,7 @@ pub fn any_requests(bytes: &[u8]) {
             fetch(&mut wire, &request);
         }
     }
-    // Any SDO: what 0x1018:01 (vendor) holds is always 2.
+    // For any SDO request: object 0x1018:01 (vendor) is always 2.
     assert_eq!(wire.sdo(TERMINAL, &[0x40, 0x18, 0x10, 1, 0, 0, 0, 0])[..5], [0x43, 0x18, 0x10, 1, 2]);
 }
 
@@ -91,7 +92,7 @@ fn fetch(wire: &mut Wire, request: &[u8]) {
     assert_eq!(reply.data[5] & 0x70, request[5] & 0x70, "the counter is echoed");
 }
 
-/// Frames as they bring a terminal to OP.
+/// Seeds: the frames that bring a terminal to OP.
 pub fn frames() -> Vec<Vec<u8>> {
     let sequences: [&[Datagram]; 4] = [
         &[datagram(BRD, 0, 0x0130, &[0; 6]), datagram(FPRD, TERMINAL, 0x092c, &[0; 4])],
@@ -108,7 +109,7 @@ pub fn frames() -> Vec<Vec<u8>> {
     seeds
 }
 
-/// SDO upload, download (expedited and not), the list of objects, and a protocol that is not there.
+/// Seeds: SDO upload, download (expedited and normal), the list of objects, and an unsupported protocol.
 pub fn requests() -> Vec<Vec<u8>> {
     let sdo = |content: &[u8]| mailbox(3, &[&[0, 0x20], content].concat());
     let requests = [
