@@ -50,9 +50,7 @@ fn claims(run: &Simulated, robot: &RobotConfig, bar: &BallBarConfig) -> Vec<(&'s
         Claim { claimed, true_m: apart_m.sum::<f64>() / postures.len() as f64 }
     };
     let mut nominal = found.model().clone();
-    for parameter in found.model().parameters() {
-        nominal.set_value(parameter.id, parameter.nominal).unwrap();
-    }
+    nominal.reset_to_nominal(|_| true);
     let mut all = vec![
         ("nominal", claim(&nominal, seen.workspace.before)),
         ("full", claim(found.model(), seen.workspace.after)),

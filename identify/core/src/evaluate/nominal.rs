@@ -13,13 +13,7 @@ const COST_TOLERANCE: f64 = 1e-6;
 /// calibrated.
 pub fn uncalibrated(model: &Model, motion: &impl RobotMotion, observations: &[Observation]) -> Geometry {
     let mut nominal = model.clone();
-    let all: Vec<_> = model.parameters().iter().map(|parameter| (parameter.id, parameter.nominal)).collect();
-    for (id, value) in all {
-        if id.owner() == Owner::Robot {
-            // Cannot fail: the identifiers are those of the model.
-            let _ = nominal.set_value(id, value);
-        }
-    }
+    nominal.reset_to_nominal(|id| id.owner() == Owner::Robot);
     bar_fitted(nominal, motion, observations)
 }
 

@@ -249,6 +249,13 @@ impl Model {
         Ok(())
     }
 
+    /// Sets these parameters to their nominal values.
+    pub fn reset_to_nominal(&mut self, is_reset: impl Fn(ParameterId) -> bool) {
+        for one in self.parameters.iter_mut().filter(|one| is_reset(one.id)) {
+            one.value = one.nominal;
+        }
+    }
+
     /// Sets the role of a parameter.
     ///
     /// # Errors
