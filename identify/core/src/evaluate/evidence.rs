@@ -2,8 +2,8 @@
 
 use super::limits::gap_m;
 use super::{
-    HeldOut, JointGap, Limit, Quantiles, ShiftCurve, SphereDeviation, WorkspaceError, delivered_error,
-    held_out, joint_gaps, limits, nominals, shift_curve, uncalibrated, workspace_error,
+    HeldOut, JointGap, Limit, Quantiles, ShiftCurve, SphereDeviation, WorkspaceError, held_out, joint_gaps,
+    limits, nominals, shift_curve, uncalibrated, workspace_error,
 };
 use crate::calibrate::validation::deployment::{Deployed, Deployment};
 use crate::calibrate::validation::held_out::without_each_segment;
@@ -130,10 +130,8 @@ impl Evidence {
         self.deployed = deployed.into_iter().filter_map(Result::transpose).collect::<Result<_, _>>()?;
         self.held_out = Some(held_out(calibration, &segments, &nominals));
         let (model, covariance) = (calibration.model(), &calibration.solution().covariance);
-        let expected = |(deployed, _): &(Deployed, HeldOut)| {
-            (deployed.deployment, delivered_error(model, covariance, joint_limits, &deployed.model))
-        };
-        self.workspace.deployed = self.deployed.iter().map(expected).collect();
+        let deployed = self.deployed.iter().map(|(deployed, _)| deployed);
+        self.workspace = self.workspace.with_deployed(model, covariance, joint_limits, deployed);
         Ok(self)
     }
 }

@@ -15,7 +15,6 @@ mod sphere_deviation;
 pub use accuracy::budget::{Budget, Contribution, Evaluation};
 pub use accuracy::cube::CubeError;
 pub use accuracy::validity::Validity;
-use accuracy::workspace::delivered_error;
 pub use accuracy::workspace::random_postures;
 pub use accuracy::workspace::{Expected, PlaceError, WorkspaceError, workspace_error};
 pub use evidence::{Evidence, RunEvidence, evidence};

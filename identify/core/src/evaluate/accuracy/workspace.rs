@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::budget::Budget;
 use super::cube::{Cube, CubeError};
-use crate::calibrate::validation::deployment::Deployment;
+use crate::calibrate::validation::deployment::{Deployed, Deployment};
 use crate::evaluate::rms;
 use crate::instrument::standing;
 use crate::kinematics::{Joints, Trace, Tracer};
@@ -100,20 +100,24 @@ pub fn workspace_error(model: &Model, covariance: &Covariance, joint_limits: &[[
     }
 }
 
-/// Expected position errors of a robot whose controller applies `delivered`, a part of `model`; otherwise as
-/// [`workspace_error`].
-pub fn delivered_error(
-    model: &Model,
-    covariance: &Covariance,
-    joint_limits: &[[f64; 2]],
-    delivered: &Model,
-) -> Expected {
-    let columns = of_robot(model, covariance);
-    let postures = Postures::new(model, &columns, random_postures(joint_limits));
-    expected(&postures.apart_m(delivered), &postures.left_m(covariance, &columns))
-}
-
 impl WorkspaceError {
+    /// Adds the expected errors with the parts of `model` that a controller applies; arguments as for [`workspace_error`].
+    #[must_use]
+    pub(in crate::evaluate) fn with_deployed<'a>(
+        mut self,
+        model: &Model,
+        covariance: &Covariance,
+        joint_limits: &[[f64; 2]],
+        deployed: impl Iterator<Item = &'a Deployed>,
+    ) -> Self {
+        let columns = of_robot(model, covariance);
+        let postures = Postures::new(model, &columns, random_postures(joint_limits));
+        let left_m = postures.left_m(covariance, &columns);
+        let of_part = |part: &Deployed| (part.deployment, expected(&postures.apart_m(&part.model), &left_m));
+        self.deployed = deployed.map(of_part).collect();
+        self
+    }
+
     /// Adds the error over the poses of ISO 9283; arguments as for [`workspace_error`].
     #[must_use]
     pub fn with_cube(mut self, model: &Model, covariance: &Covariance, joint_limits: &[[f64; 2]]) -> Self {
@@ -184,10 +188,7 @@ impl Postures {
         of_joints: impl ExactSizeIterator<Item = Joints>,
     ) -> Self {
         let mut nominal = model.clone();
-        for parameter in model.parameters() {
-            // Cannot fail: the identifiers are those of the model.
-            let _ = nominal.set_value(parameter.id, parameter.nominal);
-        }
+        nominal.reset_to_nominal(|_| true);
         let geometry = model.geometry(&model.start());
         let (tracer, mut end) = (Tracer::new(&geometry.robot), Trace::default());
         let states = standing(of_joints);
