@@ -16,7 +16,7 @@ use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
 use super::content::{END_METADATA, LIBRARY_NAME, TIMING_METADATA, metadata_of, metadata_of_run};
 use super::digest::{Digest, Flagged};
 use super::disk::{Disk, SystemDisk};
-use super::messages::{self, MessageError, TOPICS, Topic};
+use super::messages::{self, MessageError, Topic};
 use super::run_file::RunFile;
 use super::schema::{CycleRecord, Event, PortCounts, RunEnd, RunMetadata};
 use super::shown::Shown;
@@ -64,6 +64,13 @@ pub enum WriteError {
 /// Given each message as it is written: topic, log time \[ns since 1970\], CDR bytes. The recording waits for it.
 pub type Tap = Box<dyn FnMut(&'static Topic, u64, &[u8]) + Send>;
 
+/// A topic in this file.
+#[derive(Clone, Copy)]
+struct Channel {
+    id: u16,
+    topic: &'static Topic,
+}
+
 /// What is built and not yet written out.
 #[derive(Clone, Default)]
 struct Spool(Arc<Mutex<Vec<u8>>>);
@@ -93,8 +100,11 @@ pub struct RecordingWriter<W: Write> {
     writer: Writer<NoSeek<Spool>>,
     spool: Spool,
     sink: W,
-    /// Topics with the numbers of their channels in this file.
-    channels: Vec<(&'static Topic, u16)>,
+    cycle_channel: Channel,
+    event_channel: Channel,
+    joint_state_channel: Channel,
+    log_channel: Channel,
+    diagnostics_channel: Channel,
     shown: Shown,
     digest: Digest,
     started: UtcNs,
@@ -142,13 +152,15 @@ impl<W: Write> RecordingWriter<W> {
         let run_metadata = metadata_of_run(run)?;
         writer.write_metadata(&run_metadata)?;
         attach_configuration(&mut writer, run)?;
-        let channels = TOPICS.into_iter().map(|topic| Ok((topic, add_topic(&mut writer, topic)?)));
-        let channels = channels.collect::<Result<_, McapError>>()?;
         let mut recording = Self {
+            cycle_channel: add_topic(&mut writer, &messages::CYCLE)?,
+            event_channel: add_topic(&mut writer, &messages::EVENT)?,
+            joint_state_channel: add_topic(&mut writer, &messages::JOINT_STATE)?,
+            log_channel: add_topic(&mut writer, &messages::LOG)?,
+            diagnostics_channel: add_topic(&mut writer, &messages::DIAGNOSTICS)?,
             writer,
             spool,
             sink,
-            channels,
             shown: Shown::new(run),
             digest: Digest::default(),
             started: run.started,
@@ -169,11 +181,11 @@ impl<W: Write> RecordingWriter<W> {
     pub fn write_cycle(&mut self, record: &CycleRecord) -> Result<(), WriteError> {
         let sequence = record.cycle as u32;
         let data = messages::encode_cycle(record)?;
-        self.add_message(&messages::CYCLE, sequence, record.sample_time, &data)?;
+        self.add_message(self.cycle_channel, sequence, record.sample_time, &data)?;
         let data = self.shown.joint_state(record)?;
-        self.add_message(&messages::JOINT_STATE, sequence, record.sample_time, &data)?;
+        self.add_message(self.joint_state_channel, sequence, record.sample_time, &data)?;
         if let Some(data) = self.shown.diagnostics(record) {
-            self.add_message(&messages::DIAGNOSTICS, sequence, record.sample_time, &data?)?;
+            self.add_message(self.diagnostics_channel, sequence, record.sample_time, &data?)?;
         }
         self.digest.take_cycle(record);
         self.cycles += 1;
@@ -197,8 +209,8 @@ impl<W: Write> RecordingWriter<W> {
         let data = messages::encode_event(event)?;
         self.digest.take_event(event, self.started);
         self.events = self.events.wrapping_add(1);
-        self.add_message(&messages::EVENT, self.events, event.time, &data)?;
-        self.add_message(&messages::LOG, self.events, event.time, &messages::encode_log(event)?)?;
+        self.add_message(self.event_channel, self.events, event.time, &data)?;
+        self.add_message(self.log_channel, self.events, event.time, &messages::encode_log(event)?)?;
         self.write_out()
     }
 
@@ -308,7 +320,7 @@ impl<W: Write> RecordingWriter<W> {
 
     fn add_message(
         &mut self,
-        topic: &'static Topic,
+        channel: Channel,
         sequence: u32,
         time: UtcNs,
         data: &[u8],
@@ -317,11 +329,9 @@ impl<W: Write> RecordingWriter<W> {
         self.time_last = self.time_last.max(time);
         let log_time = self.time_last.0.max(0) as u64;
         if let Some(tap) = &mut self.tap {
-            tap(topic, log_time, data);
+            tap(channel.topic, log_time, data);
         }
-        let channel = self.channels.iter().find(|(known, _)| std::ptr::eq(*known, topic));
-        let channel_id = channel.map_or(0, |(_, id)| *id);
-        let header = MessageHeader { channel_id, sequence, log_time, publish_time: log_time };
+        let header = MessageHeader { channel_id: channel.id, sequence, log_time, publish_time: log_time };
         Ok(self.writer.write_to_known_channel(&header, data)?)
     }
 }
@@ -344,7 +354,7 @@ fn attach_configuration(writer: &mut Writer<NoSeek<Spool>>, run: &RunMetadata) -
 }
 
 /// Adds schema and channel of a topic, with the QoS profile that `ros2 bag play` needs.
-fn add_topic(writer: &mut Writer<NoSeek<Spool>>, topic: &'static Topic) -> Result<u16, McapError> {
+fn add_topic(writer: &mut Writer<NoSeek<Spool>>, topic: &'static Topic) -> Result<Channel, McapError> {
     const QOS: &str = "- history: 1\n  depth: 10\n  reliability: 1\n  durability: 2\n  deadline:\n    sec: 9223372036\n    \
         nsec: 854775807\n  lifespan:\n    sec: 9223372036\n    nsec: 854775807\n  liveliness: 1\n  \
         liveliness_lease_duration:\n    sec: 9223372036\n    nsec: 854775807\n  avoid_ros_namespace_conventions: false";
@@ -353,5 +363,5 @@ fn add_topic(writer: &mut Writer<NoSeek<Spool>>, topic: &'static Topic) -> Resul
         ("offered_qos_profiles".to_owned(), QOS.to_owned()),
         ("topic_type_hash".to_owned(), String::new()),
     ]);
-    writer.add_channel(schema, topic.topic, "cdr", &metadata)
+    Ok(Channel { id: writer.add_channel(schema, topic.topic, "cdr", &metadata)?, topic })
 }
