@@ -251,9 +251,11 @@ impl Experiment {
         let rows = self.rows().map(|(_, of)| [&of.file, &of.mapping]);
         let sets: Vec<[&PathBuf; 2]> = bars.chain(rows).collect();
         let checksum = |path: &PathBuf| inputs.iter().find(|input| input.path == *path).map(|of| &of.sha256);
-        let content: Vec<_> = sets.iter().map(|set| set.map(checksum)).collect();
+        let content: Vec<Option<Vec<_>>> =
+            sets.iter().map(|set| set.map(checksum).into_iter().collect()).collect();
         for (number, own) in content.iter().enumerate() {
-            if let Some(first) = content[..number].iter().position(|other| other == own) {
+            let is_same = |other: &Option<Vec<_>>| own.is_some() && other == own;
+            if let Some(first) = content[..number].iter().position(is_same) {
                 anyhow::bail!(
                     "data sets {} and {} are the same measurements, {} and {}; what is measured once counts once, leave one out",
                     first + 1,
