@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use shared::config::{Kind, Validate, Violation};
 
 use super::pose_rows::{
-    JointColumns, Names, check_joints, is_zero, mapped, mapped_all, mapped_if_named, rows, uncertainty,
+    JointColumns, Names, check_joints, is_zero, mapped, mapped_if_named, rows, uncertainty,
 };
 use crate::kinematics::Joints;
 use crate::logs::source::Source;
@@ -153,13 +153,16 @@ struct Columns<'a> {
     anchor: Option<Column>,
     attachment: Option<Column>,
     joints: JointColumns<'a>,
-    flange: Option<(Vec<Column>, LengthUnit)>,
+    flange: Option<([Column; 3], LengthUnit)>,
 }
 
 impl<'a> Columns<'a> {
     fn find(table: &Table<'_>, mapping: &'a MeasuredLengthMapping) -> Result<Self, LogError> {
         let column = |name: &str| mapped(table, name);
-        let flange = mapping.flange.as_ref().map(|of| Ok((mapped_all(table, &of.columns)?, of.unit)));
+        let flange = mapping.flange.as_ref().map(|of| {
+            let [x, y, z] = of.columns.each_ref().map(|name| column(name));
+            Ok(([x?, y?, z?], of.unit))
+        });
         Ok(Self {
             length: (column(&mapping.length.column)?, &mapping.length),
             uncertainty: mapped_if_named(table, mapping.uncertainty.as_ref().map(|of| &of.length_mm))?,
@@ -182,12 +185,13 @@ impl<'a> Columns<'a> {
             ));
         }
         let q_rad = self.joints.read(table, row)?;
-        let mut flange_m = self.flange.as_ref().map(|_| [0.0; 3]);
-        for (value_m, (columns, unit)) in flange_m.iter_mut().zip(&self.flange) {
-            for (value_m, column) in value_m.iter_mut().zip(columns) {
-                *value_m = table.number(row, column)? * unit.to_m();
+        let flange_m = match &self.flange {
+            Some(([x, y, z], unit)) => {
+                let number_m = |column: &Column| Ok(table.number(row, column)? * unit.to_m());
+                Some([number_m(x)?, number_m(y)?, number_m(z)?])
             }
-        }
+            None => None,
+        };
         let stated = self.uncertainty.as_ref().map(|column| uncertainty(table, row, column));
         let uncertainty_m = stated.transpose()?;
         Ok(MeasuredLength {
