@@ -18,6 +18,14 @@ fn page(name: &str) -> String {
     text(&repository("docs/src").join(name))
 }
 
+/// Every page of the book, in its folders.
+fn pages_below(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let (folders, files): (Vec<_>, Vec<_>) = entries.partition(|path| path.is_dir());
+    let pages = files.into_iter().filter(|path| path.extension().is_some_and(|ending| ending == "md"));
+    pages.chain(folders.iter().flat_map(|folder| pages_below(folder))).collect()
+}
+
 /// Targets of the links in a Markdown text.
 fn links(text: &str) -> impl Iterator<Item = &str> {
     text.split("](").skip(1).filter_map(|rest| rest.split_once(')').map(|(link, _)| link))
@@ -25,11 +33,10 @@ fn links(text: &str) -> impl Iterator<Item = &str> {
 
 #[test]
 fn every_link_between_documents_leads_to_a_file_and_the_summary_has_every_page() {
-    let mut pages: Vec<PathBuf> =
-        ["README.md", "ARCHITECTURE.md", "CHANGELOG.md", "CONTRIBUTING.md"].map(repository).to_vec();
-    let book = std::fs::read_dir(repository("docs/src")).unwrap().map(|entry| entry.unwrap().path());
-    pages.extend(book.filter(|path| path.extension().is_some_and(|ending| ending == "md")));
-    for page in &pages {
+    let book = repository("docs/src");
+    let of_book = pages_below(&book);
+    let others = ["README.md", "ARCHITECTURE.md", "CHANGELOG.md", "CONTRIBUTING.md"].map(repository);
+    for page in others.iter().chain(&of_book) {
         let text = text(page);
         for link in links(&text).filter(|link| !link.contains("://") && !link.starts_with('#')) {
             let file = link.split('#').next().unwrap_or(link);
@@ -37,15 +44,14 @@ fn every_link_between_documents_leads_to_a_file_and_the_summary_has_every_page()
         }
     }
     let summary = page("SUMMARY.md");
-    for page in pages.iter().filter(|page| page.parent().is_some_and(|folder| folder.ends_with("src"))) {
-        let name = page.file_name().unwrap().to_str().unwrap();
-        assert!(name == "SUMMARY.md" || summary.contains(&format!("]({name})")), "{name}");
+    for page in of_book.iter().filter_map(|page| page.strip_prefix(&book).ok()?.to_str()) {
+        assert!(page == "SUMMARY.md" || summary.contains(&format!("]({page})")), "{page}");
     }
 }
 
 #[test]
 fn the_page_on_recordings_names_every_field_and_flag_of_a_cycle() {
-    let page = page("recording.md");
+    let page = page("reference/recording.md");
     for (bit, name) in flags::NAMES {
         assert!(page.contains(&format!("| `{name}` | {} |", bit.trailing_zeros())), "{name}");
     }
@@ -62,7 +68,7 @@ fn the_page_on_recordings_names_every_field_and_flag_of_a_cycle() {
 
 #[test]
 fn the_page_on_the_method_names_every_kind_of_parameter() {
-    let page = page("method.md");
+    let page = page("explanation/method.md");
     for name in ParameterId::all().map(|id| id.to_string()) {
         let kind = name.split(|character: char| character.is_ascii_digit()).next().unwrap_or_default();
         // Vectors are named by their first coordinate.
@@ -74,7 +80,7 @@ fn the_page_on_the_method_names_every_kind_of_parameter() {
 
 #[test]
 fn the_page_on_judgements_has_the_numbers_of_the_program_and_every_key_of_the_configuration() {
-    let page = page("judgements.md");
+    let page = page("reference/judgements.md");
     let constants = page.lines().filter_map(|line| {
         let mut cells = line.split('|').map(|cell| cell.trim().trim_matches('`'));
         let (_, name, value, file) = (cells.next()?, cells.next()?, cells.next()?, cells.next()?);

@@ -1,7 +1,7 @@
 //! Problems of bus, disk, encoders, cables and host, as values.
 //!
 //! A [`Fact`] is made once, where it is detected. Its code, severity, text and remedy are derived here only; file, log,
-//! status, check, page, metrics and API show them. Codes are stable: `docs/src/warnings.md` explains each.
+//! status, check, page, metrics and API show them. Codes are stable: `docs/src/reference/warnings.md` explains each.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -589,8 +589,8 @@ mod tests {
 
     #[test]
     fn every_code_has_a_row_in_the_manual() {
-        let manual = include_str!("../../docs/src/warnings.md");
+        let manual = include_str!("../../docs/src/reference/warnings.md");
         let missing: Vec<_> = CODES.iter().filter(|code| !manual.contains(&format!("`{code}`"))).collect();
-        assert!(missing.is_empty(), "docs/src/warnings.md has no row for {missing:?}");
+        assert!(missing.is_empty(), "docs/src/reference/warnings.md has no row for {missing:?}");
     }
 }

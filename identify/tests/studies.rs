@@ -365,7 +365,7 @@ fn scipy_finds_the_same_from_the_same_angles_and_takes_longer() {
 #[test]
 #[ignore = "computes figure 3.2 twice: half a minute"]
 fn the_documented_shards_give_what_one_machine_gives() {
-    let text = fs::read_to_string(repository("docs/src/study.md")).unwrap();
+    let text = fs::read_to_string(repository("docs/src/how-to/study.md")).unwrap();
     let script = text.split("```sh\n").find(|block| block.starts_with("for k in")).unwrap();
     let script = script.split("```").next().unwrap();
     let room = tempfile::tempdir().unwrap();
