@@ -1,8 +1,10 @@
-//! The documents agree with the programs: links, fields, flags, parameters and limits.
+//! The documents agree with the programs: links, commands, fields, flags, parameters and limits.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
+use clap::Parser;
 use identify::model::ParameterId;
 use shared::recording::schema::flags;
 
@@ -47,6 +49,63 @@ fn every_link_between_documents_leads_to_a_file_and_the_summary_has_every_page()
     for page in of_book.iter().filter_map(|page| page.strip_prefix(&book).ok()?.to_str()) {
         assert!(page == "SUMMARY.md" || summary.contains(&format!("]({page})")), "{page}");
     }
+}
+
+/// Lines of the shell blocks of a Markdown text, continued lines joined.
+fn shell_lines(text: &str) -> Vec<String> {
+    let blocks = text.split("```sh\n").skip(1).filter_map(|rest| rest.split_once("\n```"));
+    blocks
+        .flat_map(|(block, _)| block.replace("\\\n", " ").lines().map(str::to_owned).collect::<Vec<_>>())
+        .collect()
+}
+
+/// Commands of a shell line as words. Quotes join words, a comment ends the line, the loop variable `$k` is 1.
+fn commands(line: &str) -> Vec<Vec<String>> {
+    let mut commands = vec![Vec::new()];
+    let (mut word, mut quote) = (None::<String>, None);
+    for character in line.chars().chain([' ']) {
+        match character {
+            '"' | '\'' if quote.is_none() => {
+                (quote, word) = (Some(character), Some(word.unwrap_or_default()))
+            }
+            _ if quote == Some(character) => quote = None,
+            '#' if quote.is_none() && word.is_none() => break,
+            ' ' | '&' | '|' | ';' | '>' if quote.is_none() => {
+                commands.last_mut().unwrap().extend(word.take().map(|word| word.replace("$k", "1")));
+                if character != ' ' {
+                    commands.push(Vec::new());
+                }
+            }
+            _ => word.get_or_insert_default().push(character),
+        }
+    }
+    commands
+}
+
+#[test]
+fn every_command_in_a_shell_block_of_a_document_is_one_that_the_programs_accept() {
+    let mut count = 0;
+    let readme = repository("README.md");
+    for page in pages_below(&repository("docs/src")).iter().chain([&readme]) {
+        for line in shell_lines(&text(page)) {
+            for words in commands(&line) {
+                let program = words.first().and_then(|word| word.rsplit('/').next()).unwrap_or_default();
+                let accepted = match program {
+                    "identify" => {
+                        identify::commands::Arguments::typed(words.iter().map(OsString::from)).map(drop)
+                    }
+                    "ballbard" => ballbard::commands::Arguments::try_parse_from(&words).map(drop),
+                    _ => continue,
+                };
+                // Help and version are errors of the parser, too, for standard output.
+                if let Err(error) = accepted {
+                    assert!(!error.use_stderr(), "{}: {line}\n{error}", page.display());
+                }
+                count += 1;
+            }
+        }
+    }
+    assert!(count > 50, "{count} commands");
 }
 
 #[test]
