@@ -75,7 +75,8 @@ pub struct BallBarConfig {
     /// Standard uncertainty of `plate_m`; 0 takes it as exact \[um\].
     #[serde(default = "plate_u_um")]
     pub plate_u_um: f64,
-    /// Robot flange to offset plate: tool changer and adapters \[m\]; added to `d` of the robot's link 6.
+    /// Face of the robot's flange to the centre of the cardan, along axis 6 \[m\]: tool changer, adapters, part of the plate and
+    /// the cardan; added to `d` of the robot's link 6.
     pub tool_m: f64,
     /// Links 1 to 5, without `length_m`.
     pub links: Vec<LinkConfig>,
