@@ -1,9 +1,10 @@
 //! Common to the acquisition daemon and the identifier: conversion of counts to angles, the format of recordings, time,
-//! configuration files, and output.
+//! configuration files, the drawing of the bar, and output.
 //!
 //! This crate depends on neither the bus nor the estimator.
 
 pub mod config;
+pub mod drawing;
 pub mod encoder;
 pub mod output;
 pub mod recording;

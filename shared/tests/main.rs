@@ -1,8 +1,9 @@
-//! Tests of the recording's format and of configuration files, in one program.
+//! Tests of the recording's format, of configuration files and of the drawing, in one program.
 
 mod support;
 
 mod configuration;
+mod drawing;
 mod leftovers;
 mod recording;
 mod recovery;

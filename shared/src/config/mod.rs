@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 
 use serde::de::DeserializeOwned;
 
-pub use ball_bar::{BallBarConfig, EncoderConfig, bar_joint_name};
+pub use ball_bar::{BAR_JOINTS, BallBarConfig, EncoderConfig, bar_joint_name};
 pub use daemon::{DaemonConfig, RealtimeConfig};
 pub use find::{Kind, PLACES, Source};
 pub use homing::{HomedEncoder, HomingConfig};

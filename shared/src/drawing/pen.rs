@@ -1,0 +1,215 @@
+//! Solids, arrows and lengths in parallel projection, as elements of an SVG.
+
+use std::fmt::Write;
+use std::ops::{Add, Mul, Neg, Sub};
+
+/// A point or a direction in space \[px\].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Vector(pub [f64; 3]);
+
+impl Vector {
+    fn dot(self, other: Self) -> f64 {
+        self.0.iter().zip(other.0).map(|(one, two)| one * two).sum()
+    }
+
+    /// Outer product.
+    pub fn cross(self, Self([x, y, z]): Self) -> Self {
+        let Self([a, b, c]) = self;
+        Self([b * z - c * y, c * x - a * z, a * y - b * x])
+    }
+
+    fn unit(self) -> Self {
+        self * (1.0 / self.dot(self).sqrt().max(f64::MIN_POSITIVE))
+    }
+}
+
+impl Add for Vector {
+    type Output = Self;
+    fn add(self, other: Self) -> Self {
+        Self([0, 1, 2].map(|i| self.0[i] + other.0[i]))
+    }
+}
+
+impl Mul<f64> for Vector {
+    type Output = Self;
+    fn mul(self, factor: f64) -> Self {
+        Self(self.0.map(|one| one * factor))
+    }
+}
+
+impl Neg for Vector {
+    type Output = Self;
+    fn neg(self) -> Self {
+        self * -1.0
+    }
+}
+
+impl Sub for Vector {
+    type Output = Self;
+    fn sub(self, other: Self) -> Self {
+        self + -other
+    }
+}
+
+/// A point of the SVG, right and down \[px\].
+type Place = [f64; 2];
+
+/// A coordinate of the SVG, to a tenth of a pixel.
+fn px(value: f64) -> f64 {
+    // The sum has no negative zero.
+    (value * 10.0).round() / 10.0 + 0.0
+}
+
+fn unit(from: Place, to: Place) -> Place {
+    let [x, y] = [to[0] - from[0], to[1] - from[1]];
+    [x, y].map(|part| part / x.hypot(y).max(f64::MIN_POSITIVE))
+}
+
+/// Draws from back to front: an element covers those before it.
+#[derive(Debug)]
+pub struct Pen {
+    right: Vector,
+    up: Vector,
+    /// From the drawing to the observer.
+    towards: Vector,
+    elements: String,
+    low: Place,
+    high: Place,
+}
+
+impl Pen {
+    /// For an observer in the direction of `-y`, turned about z, then raised \[deg\].
+    pub fn new([azimuth_deg, elevation_deg]: [f64; 2]) -> Self {
+        let (sin, cos) = azimuth_deg.to_radians().sin_cos();
+        let (rise, level) = elevation_deg.to_radians().sin_cos();
+        let (right, towards) = (Vector([cos, sin, 0.0]), Vector([sin * level, -cos * level, rise]));
+        let (low, high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
+        Self { right, up: towards.cross(right), towards, elements: String::new(), low, high }
+    }
+
+    fn project(&self, point: Vector) -> Place {
+        [point.dot(self.right), -point.dot(self.up)]
+    }
+
+    fn include(&mut self, place: Place) {
+        for (i, value) in place.into_iter().enumerate() {
+            (self.low[i], self.high[i]) = (self.low[i].min(value), self.high[i].max(value));
+        }
+    }
+
+    fn path(&mut self, class: &str, data: &str) {
+        _ = writeln!(self.elements, "<path class=\"{class}\" d=\"{data}\"/>");
+    }
+
+    fn corners(&mut self, class: &str, corners: &[Place], end: &str) {
+        corners.iter().for_each(|corner| self.include(*corner));
+        let points: Vec<String> = corners.iter().map(|[x, y]| format!("{} {}", px(*x), px(*y))).collect();
+        self.path(class, &format!("M{}{end}", points.join("L")));
+    }
+
+    fn tip(&mut self, from: Place, to: Place) {
+        let [x, y] = unit(from, to);
+        let side = |half: f64| [to[0] - 10.0 * x - half * y, to[1] - 10.0 * y + half * x];
+        self.corners("tip", &[to, side(3.5), side(-3.5)], "Z");
+    }
+
+    /// A group of the elements that `draw` makes.
+    pub fn group(&mut self, attributes: &str, draw: impl FnOnce(&mut Self)) {
+        _ = writeln!(self.elements, "<g {attributes}>");
+        draw(self);
+        self.elements.push_str("</g>\n");
+    }
+
+    /// A line through points.
+    pub fn line(&mut self, class: &str, points: &[Vector]) {
+        let points: Vec<Place> = points.iter().map(|point| self.project(*point)).collect();
+        self.corners(class, &points, "");
+    }
+
+    /// A cylinder between the centres of its ends: its outline, then the end that the observer sees.
+    pub fn cylinder(&mut self, class: &str, ends: [Vector; 2], radius: f64) {
+        let towards = (ends[1] - ends[0]).unit().dot(self.towards);
+        let [near, far] = if towards < 0.0 { ends } else { [ends[1], ends[0]] }.map(|end| self.project(end));
+        let [x, y] = unit(far, near).map(|part| part * radius);
+        let arc = format!("A{radius} {} {} 0 1", px(radius * towards.abs()), px(x.atan2(-y).to_degrees()));
+        let [[right, left], [far_right, far_left]] = [near, far].map(|[at_x, at_y]| {
+            self.include([at_x - radius, at_y - radius]);
+            self.include([at_x + radius, at_y + radius]);
+            [1.0, -1.0].map(|side| format!("{} {}", px(at_x - side * y), px(at_y + side * x)))
+        });
+        self.path(class, &format!("M{far_right}{arc} {far_left}L{left}{arc} {right}Z"));
+        self.path(class, &format!("M{right}{arc} {left}{arc} {right}Z"));
+    }
+
+    /// A block around its centre, by its half edges.
+    pub fn block(&mut self, class: &str, centre: Vector, halves: [Vector; 3]) {
+        for turn in 0..3 {
+            let [normal, one, two] = [0, 1, 2].map(|i| halves[(turn + i) % 3]);
+            let face = centre + normal * normal.dot(self.towards).signum();
+            let corners = [one + two, one - two, -one - two, two - one];
+            self.corners(class, &corners.map(|corner| self.project(face + corner)), "Z");
+        }
+    }
+
+    /// An axis of a frame, with its name at the tip.
+    pub fn axis(&mut self, from: Vector, to: Vector, beside: Place, name: &str) {
+        self.line("thin", &[from, to - (to - from).unit() * 6.0]);
+        self.tip(self.project(from), self.project(to));
+        self.label(to, beside, name);
+    }
+
+    /// An arrow about an axis, in the direction of the right-hand rule, on the observer's side.
+    pub fn turn(&mut self, centre: Vector, axis: Vector, radius: f64) {
+        let front = (self.towards - axis * self.towards.dot(axis)).unit();
+        let side = axis.cross(front);
+        let at = |deg: i32| {
+            let (sin, cos) = f64::from(deg).to_radians().sin_cos();
+            centre + (front * cos + side * sin) * radius
+        };
+        let points: Vec<Vector> = (-10..=10).map(|step| at(step * 10)).collect();
+        self.line("turn", &points);
+        self.tip(self.project(at(100)), self.project(at(116)));
+    }
+
+    /// A dimension beside the line between two points, from left to right, with a text above it.
+    pub fn dimension(&mut self, ends: [Vector; 2], beside: Vector, text: &str) {
+        for end in ends {
+            self.line("thin", &[end, end + beside + beside.unit() * 6.0]);
+        }
+        let ends = ends.map(|end| end + beside);
+        self.line("thin", &ends);
+        let [from, to] = ends.map(|end| self.project(end));
+        self.tip(to, from);
+        self.tip(from, to);
+        let ([right, down], [x, y]) = (unit(from, to), [0, 1].map(|i| px((from[i] + to[i]) / 2.0)));
+        let place = format!("translate({x} {y}) rotate({})", px(down.atan2(right).to_degrees()));
+        _ = writeln!(
+            self.elements,
+            "<text text-anchor=\"middle\" transform=\"{place}\" y=\"-6\">{text}</text>"
+        );
+    }
+
+    /// A text beside a point: it begins at `beside` if that is to the right, and ends there otherwise.
+    pub fn label(&mut self, at: Vector, beside: Place, text: &str) {
+        /// Width of a character, and height of a line.
+        const CHARACTER_PX: Place = [7.5, 14.0];
+        let at = self.project(at);
+        let [x, y] = [0, 1].map(|i| px(at[i] + beside[i]));
+        self.include([x + CHARACTER_PX[0] * text.len() as f64 * beside[0].signum(), y - CHARACTER_PX[1]]);
+        self.include([x, y + 4.0]);
+        let anchor = if beside[0] < 0.0 { "end" } else { "start" };
+        _ = writeln!(self.elements, "<text x=\"{x}\" y=\"{y}\" text-anchor=\"{anchor}\">{text}</text>");
+    }
+
+    /// The SVG of all elements; `head` is its content before them.
+    pub fn finish(self, attributes: &str, head: &str) -> String {
+        const MARGIN_PX: f64 = 12.0;
+        let [left, top] = self.low.map(|low| (low - MARGIN_PX).floor());
+        let [width, height] = [self.high[0] - left, self.high[1] - top].map(|size| (size + MARGIN_PX).ceil());
+        format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" \
+             viewBox=\"{left} {top} {width} {height}\" {attributes}>\n{head}{}</svg>\n",
+            self.elements
+        )
+    }
+}
