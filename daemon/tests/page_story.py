@@ -315,6 +315,12 @@ def joint_asked_for(page, joint):
               " && !document.getElementById('homing-now').hidden", f"the question for joint {joint}")
     assert page.shown("#homing-stop").startswith("Stop homing") and page.shown("#homing-error") == ""
     assert page.shown("#homing-close") == "Close here"
+    # The drawing shows this joint, and no other, in the colour of an action.
+    assert page.run("[...document.querySelectorAll('#homing-now .asked')].map(drawn => drawn.id)") == [f"bar-joint-{joint}"]
+    colour = "getComputedStyle(document.querySelector('{}')).fill"
+    encoders = [page.run(colour.format(f"#bar-joint-{one} .encoder")) for one in range(1, 6)]
+    assert len(set(encoders)) == 2 and encoders.count(encoders[joint - 1]) == 1, encoders
+    assert page.run(f"document.getElementById('bar-joint-{joint}').getBoundingClientRect().width") > 20
 
 
 def homing_ends(page, error):

@@ -159,6 +159,9 @@ export class Homing {
     const joint = joints.find((one) => one.joint === homing.joint);
     $("homing-now").hidden = !joint;
     if (joint) {
+      for (const drawn of document.querySelectorAll(".bar-joint")) {
+        drawn.classList.toggle("asked", drawn.id === `bar-joint-${joint.joint}`);
+      }
       text($("homing-joint"), `Turn joint ${joint.joint}: ${joint.name}`);
       text($("homing-way"), WAYS[joint.joint] ?? "");
       const turned = homing.turned_deg;

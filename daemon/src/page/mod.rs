@@ -11,6 +11,8 @@ use axum::routing::get;
 use flate2::Compression;
 use flate2::write::GzEncoder;
 use sha2::{Digest, Sha256};
+use shared::config::BallBarConfig;
+use shared::drawing;
 
 /// Length of the digest that identifies a file in a browser's cache.
 const TAG_BYTES: usize = 16;
@@ -31,16 +33,20 @@ const HTML: &str = "text/html; charset=utf-8";
 const CSS: &str = "text/css; charset=utf-8";
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
+/// Place of the drawing of the bar in the page.
+const BAR: &str = "<!-- drawing of the bar -->";
+
 /// No content from elsewhere, no inline script, and no frame around the page.
 const POLICY: HeaderValue = HeaderValue::from_static(
     "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; connect-src 'self'; img-src 'self' data:; \
      base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
 );
 
-/// A route for each file. Browsers check each time whether a file has changed, so that a new version is used at once.
-pub fn routes<S: Clone + Send + Sync + 'static>() -> Router<S> {
+/// A route for each file; the page has the drawing of `bar`. Browsers check each time whether a file has changed, so that a new version is used at once.
+pub fn routes<S: Clone + Send + Sync + 'static>(bar: &BallBarConfig) -> Router<S> {
+    let drawing = drawing::ball_bar(bar);
     FILES.iter().fold(Router::new(), |router, (path, media_type, text)| {
-        let file = Arc::new(File::new(media_type, text));
+        let file = Arc::new(File::new(media_type, text.replace(BAR, &drawing)));
         router.route(path, get(move |headers: HeaderMap| async move { file.answer(&headers) }))
     })
 }
@@ -48,21 +54,21 @@ pub fn routes<S: Clone + Send + Sync + 'static>() -> Router<S> {
 /// One file, also compressed.
 struct File {
     media_type: &'static str,
-    plain: &'static str,
+    plain: Bytes,
     /// Empty if compression failed.
     compressed: Bytes,
     tag: Option<HeaderValue>,
 }
 
 impl File {
-    fn new(media_type: &'static str, plain: &'static str) -> Self {
+    fn new(media_type: &'static str, plain: String) -> Self {
         let mut encoder = GzEncoder::new(Vec::new(), Compression::best());
         let compressed = encoder.write_all(plain.as_bytes()).and_then(|()| encoder.finish());
         let digest = Sha256::digest(plain.as_bytes());
         let tag: String = digest.iter().take(TAG_BYTES).map(|byte| format!("{byte:02x}")).collect();
         Self {
             media_type,
-            plain,
+            plain: plain.into(),
             compressed: compressed.unwrap_or_default().into(),
             tag: HeaderValue::from_str(&format!("\"{tag}\"")).ok(),
         }
@@ -90,7 +96,7 @@ impl File {
                 let encoding = [(header::CONTENT_ENCODING, HeaderValue::from_static("gzip"))];
                 (headers, encoding, self.compressed.clone()).into_response()
             }
-            _ => (headers, self.plain).into_response(),
+            _ => (headers, self.plain.clone()).into_response(),
         };
         response.headers_mut().extend(self.tag.clone().map(|tag| (header::ETAG, tag)));
         response

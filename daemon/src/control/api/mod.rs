@@ -247,6 +247,7 @@ fn routes(service: Service, gate: Option<Gate>, remote: Option<String>) -> Route
     let foxgloves = Arc::new(Semaphore::new(foxglove::CLIENTS_MAX));
     let origins = service.settings().live_tap.as_ref().map_or_else(Vec::new, |tap| tap.origins().to_vec());
     let admission = Arc::new(Admission { gate, service: service.clone(), origins });
+    let page = page::routes(&service.settings().bar);
     let shared = Shared { service, downloads: Downloads::default(), viewers, foxgloves, remote, pairing };
     let operations = operations();
     let (described, handlers): (Vec<_>, Vec<_>) = operations.into_iter().unzip();
@@ -260,7 +261,7 @@ fn routes(service: Service, gate: Option<Gate>, remote: Option<String>) -> Route
         .nest("/api", api)
         .route("/metrics", get(prometheus))
         .route(foxglove::PATH, get(foxglove::connect))
-        .merge(page::routes())
+        .merge(page)
         .fallback(|| async {
             refusal(StatusCode::NOT_FOUND, "not found; the web page is /, the API is under /api/")
         })
