@@ -77,8 +77,17 @@ pub fn page_text(calibration: &Calibration, evidence: &Evidence, robot: &RobotCo
     )
     .with_verdict(&evidence.workspace, &evidence.limits, None);
     let configuration = "cost = \"pose\"";
-    let page =
-        Page { file: &file, calibration, evidence, rows: &[], tables: "", sources: &[], configuration };
+    let bar = bar();
+    let page = Page {
+        file: &file,
+        calibration,
+        evidence,
+        bar: Some(&bar),
+        rows: &[],
+        tables: "",
+        sources: &[],
+        configuration,
+    };
     page.render().unwrap().into_string()
 }
 
@@ -224,6 +233,16 @@ fn markup_in_a_name_is_shown_and_not_obeyed() {
     let text = page_text(found, evidence, &robot);
     assert!(!text.contains("<script"));
     assert!(text.contains("&lt;script&gt;"));
+}
+
+#[test]
+fn the_bar_is_drawn_with_its_identified_length() {
+    let (_, found, evidence) = validated();
+    let parameters = ParameterEntry::of_calibration(found);
+    let length = parameters.iter().find(|entry| entry.name == "bd3").unwrap();
+    assert!(length.correction.abs() > 1e-6, "{length:?}");
+    let label = format!(">length {} mm<", (length.value * 1e6).round() / 1e3);
+    assert!(page_text(found, evidence, &irb2400()).contains(&label), "{label}");
 }
 
 #[test]

@@ -97,6 +97,7 @@ pub(super) fn calibrate(
         file: &file,
         calibration: &calibration,
         evidence: &evidence,
+        bar,
         rows: &tables.errors,
         tables: &tables.text,
         sources: &bars.iter().flat_map(RunFiles::sources).collect::<Vec<_>>(),

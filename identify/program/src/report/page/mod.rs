@@ -16,6 +16,7 @@ use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use sha2::{Digest, Sha256};
+use shared::config::BallBarConfig;
 
 use crate::calibrate::Calibration;
 use crate::calibrate::rows::RowErrors;
@@ -41,6 +42,8 @@ pub struct Page<'a> {
     pub calibration: &'a Calibration,
     /// Figures of the result.
     pub evidence: &'a Evidence,
+    /// The bar of the first run, as configured.
+    pub bar: Option<&'a BallBarConfig>,
     /// Each file of rows with its name, in the order of the data sets.
     pub rows: &'a [(String, &'a RowErrors)],
     /// Tables of these as on the terminal.
@@ -100,6 +103,7 @@ impl Page<'_> {
                     (rows::section(self)?)
                     (of_bars(runs::gaps)?)
                     (of_bars(sphere::section)?)
+                    (sections::bar(self))
                     (sections::parameters(self.file, place, &others))
                     (sections::budget(self.file))
                     (sections::candidates(self.file))

@@ -1,6 +1,8 @@
 //! The parts of the page in their order: verdict first, origin last.
 
-use maud::{Markup, Render, html};
+use maud::{Markup, PreEscaped, Render, html};
+use shared::config::BallBarConfig;
+use shared::drawing::ball_bar;
 
 use super::drawing::plot::PlotError;
 use super::drawing::{correlations, figures};
@@ -68,6 +70,24 @@ pub(super) fn numbers(page: &Page<'_>) -> Markup {
             "figures."
         }
     }
+}
+
+/// The bar of the first run, with the length of the solution.
+pub(super) fn bar(page: &Page<'_>) -> Markup {
+    let identified = page.file.parameters.iter().find(|entry| entry.name == "bd3");
+    html! { @if let Some(bar) = page.bar {
+        @let correction_m = identified.map_or(0.0, |entry| entry.correction);
+        @let identified = BallBarConfig { length_m: bar.length_m + correction_m, ..bar.clone() };
+        h2 { "Ball-bar" }
+        figure.bar {
+            (PreEscaped(ball_bar(&identified)))
+            figcaption {
+                (bar.name) @if page.evidence.runs.len() > 1 { " (first run)" } ". The length is that of the solution, "
+                (format!("{:+.4}", correction_m * 1e3)) " mm from the configured one; the other lengths are configured. Arrows: "
+                "positive directions of the joints."
+            }
+        }
+    } }
 }
 
 /// `place` is what the first data set has for itself, `others` the names of the data sets after it.
