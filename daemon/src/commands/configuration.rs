@@ -19,7 +19,7 @@ const BALL_BAR: &str = "ball_bar";
 pub struct Configuration {
     /// Directory with daemon.toml and ball_bar.toml; default: `config` in this directory, then /etc/ballbard, then the
     /// built-in configuration
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, help_heading = "Input", value_name = "DIR")]
     config: Option<PathBuf>,
 }
 
@@ -80,7 +80,7 @@ impl Configuration {
 pub struct State {
     /// Directory for reference marks, token and certificate; default: $STATE_DIRECTORY as systemd sets it,
     /// /var/lib/ballbard if it exists, else `ballbard` in $XDG_STATE_HOME or ~/.local/state
-    #[arg(long = "state", value_name = "DIR")]
+    #[arg(long = "state", help_heading = "Input", value_name = "DIR")]
     directory: Option<PathBuf>,
 }
 

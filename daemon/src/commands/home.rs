@@ -24,7 +24,7 @@ const POLL: Duration = Duration::from_millis(200);
 pub struct HomeArguments {
     /// Without a service: network interface of the coupler, such as eth1, or `simulated`, where the joints turn
     /// automatically. Default: use the running service, which has the bus
-    #[arg(long, value_name = "INTERFACE", conflicts_with = "service")]
+    #[arg(long, help_heading = "Connection", value_name = "INTERFACE", conflicts_with = "service")]
     bus: Option<String>,
     #[command(flatten)]
     state: State,

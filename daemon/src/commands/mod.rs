@@ -26,14 +26,18 @@ use shared::output::{named, say};
 use shared::recording::schema::SIMULATED_BUS;
 use shared::version::version;
 
-const EXIT_CODES: &str = "Exit codes: 0: success; 1: failure, a check that found what stops a run, a tune that found a \
-    problem, a smoke test that did not pass, or a run rated BAD; 2: usage error, such as a run without --bus.";
+const AFTER_HELP: &str = "Example: ballbard run --bus eth1\n\n\
+    Exit codes:\n  \
+    0  success\n  \
+    1  failure; a check that found what stops a run, a tune that found a problem,\n     \
+       a smoke test that did not pass, a run that is rated BAD or has no valid cycle\n  \
+    2  usage error: an unknown option or invalid value, a missing --bus";
 /// Number of interfaces that a message lists.
 const INTERFACES_MAX: usize = 8;
 
 /// Records a sensed double ball-bar over EtherCAT.
 #[derive(Debug, Parser)]
-#[command(name = "ballbard", version = version(), about, after_help = EXIT_CODES)]
+#[command(name = "ballbard", version = version(), after_help = AFTER_HELP)]
 pub struct Arguments {
     #[command(subcommand)]
     command: Command,
@@ -42,44 +46,67 @@ pub struct Arguments {
 #[derive(Debug, Subcommand)]
 enum Command {
     /// Keep the bus in operation and record on request.
+    #[command(after_help = "Example: ballbard run --bus eth1")]
     Run(serve::RunArguments),
     /// Begin a run of the running service.
+    #[command(after_help = "Example: ballbard start --name monday-1 --duration 2m")]
     Start(requests::StartArguments),
     /// End the current run; returns when its file is finished.
+    #[command(after_help = "Example: ballbard stop")]
     Stop(ServiceArguments),
     /// Print the state of the service.
+    #[command(after_help = "Example: ballbard status --timing")]
     Status(requests::StatusArguments),
     /// Put a marker into the run.
+    #[command(after_help = "Example: ballbard mark collision")]
     Mark(requests::MarkArguments),
     /// Change the note of a finished run; the recording itself is unchanged.
+    #[command(after_help = "Example: ballbard note monday-1 \"payload 10 kg\"")]
     Note(requests::NoteArguments),
     /// Run pre-flight checks.
+    #[command(after_help = "Example: ballbard check")]
     Check(ServiceArguments),
     /// List recordings with their grades.
+    #[command(after_help = "Example: ballbard runs --json")]
     Runs(requests::RunsArguments),
     /// Move a recording into the bin.
+    #[command(after_help = "Example: ballbard delete monday-1")]
     Delete(requests::NameArguments),
     /// Move a recording out of the bin.
+    #[command(after_help = "Example: ballbard restore monday-1")]
     Restore(requests::NameArguments),
     /// List the recordings in the bin, or remove all of them.
+    #[command(after_help = "Example: ballbard bin --empty")]
     Bin(requests::BinArguments),
     /// Show a QR code with which a phone opens the service's page without typing the token.
+    #[command(after_help = "Example: ballbard pair")]
     Pair(ServiceArguments),
     /// Record one run and exit.
+    #[command(after_help = "Example: ballbard record --bus eth1 --name monday-1 --duration 2m")]
     Record(record::RecordArguments),
     /// Find the encoders' reference marks and check their order and direction, joint by joint.
+    #[command(after_help = "Example: ballbard home")]
     Home(home::HomeArguments),
     /// Check a bus before its first use, and write a report to send back.
+    #[command(after_help = "Example: ballbard smoke --bus eth1 --report smoke.json")]
     Smoke(smoke::SmokeArguments),
     /// Check this machine's real-time settings and print the commands that fix them.
+    #[command(after_help = "Example: ballbard tune --interface eth1")]
     Tune(tune::TuneArguments),
     /// Write a recording as a table.
+    #[command(after_help = "Example: ballbard export monday-1 --out monday-1.csv")]
     Export(export::ExportArguments),
     /// Repair a truncated or damaged recording.
+    #[command(after_help = "Example: ballbard recover runs/monday-1.mcap.active")]
     Recover(recover::RecoverArguments),
     /// Write shell completions or man pages.
+    #[command(
+        after_help = "Example: ballbard generate completions bash",
+        mut_subcommands(generate::with_example("ballbard"))
+    )]
     Generate(GenerateArguments),
     /// Serve a simulated EK1100 with EL5021 terminals on a network interface.
+    #[command(after_help = "Example: ballbard segment --interface veth1 --fault gone:3@10s-15s")]
     Segment(segment::SegmentArguments),
 }
 
@@ -113,7 +140,7 @@ pub fn run(arguments: Arguments) -> anyhow::Result<()> {
 #[derive(Debug, Clone, Copy, Args)]
 struct Format {
     /// Print the result as JSON
-    #[arg(long)]
+    #[arg(long, help_heading = "Output")]
     json: bool,
 }
 

@@ -21,30 +21,30 @@ use crate::segment::faults::FaultWindow;
 #[derive(Debug, Args)]
 pub struct RecordArguments {
     /// Name of the run and of its file, in which spaces and the like become `-`; default: date and time
-    #[arg(long)]
+    #[arg(long, help_heading = "Recording")]
     name: Option<String>,
     /// Duration: 90 (seconds), 90s or 2m; default: until Ctrl-C, or to the end of a replay
-    #[arg(long, value_parser = shared::time::parse_duration)]
+    #[arg(long, help_heading = "Recording", value_parser = shared::time::parse_duration)]
     duration: Option<Duration>,
     /// Network interface of the coupler, such as eth1; `simulated` records generated data without hardware
-    #[arg(long, value_name = "INTERFACE")]
+    #[arg(long, help_heading = "Connection", value_name = "INTERFACE")]
     bus: Option<String>,
     /// Let the encoders of the simulated bus follow this recording
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, help_heading = "Simulation", value_name = "FILE")]
     replay: Option<PathBuf>,
     /// If the bus does not come up, print the problem and retry until it does
-    #[arg(long)]
+    #[arg(long, help_heading = "Connection")]
     wait: bool,
     /// Inject a fault into the simulated bus, such as lost:0.01 or gone:3@10s-15s (repeatable; an invalid one lists all)
-    #[arg(long = "fault", value_name = "FAULT[@FROM[-UNTIL]]")]
+    #[arg(long = "fault", help_heading = "Simulation", value_name = "FAULT[@FROM[-UNTIL]]")]
     faults: Vec<FaultWindow>,
     /// Virtual time: as fast as the machine allows (simulated bus only)
-    #[arg(long)]
+    #[arg(long, help_heading = "Simulation")]
     fast: bool,
     #[command(flatten)]
     about: About,
     /// Directory for the recording; default: `directory` of daemon.toml
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, help_heading = "Output", value_name = "DIR")]
     out: Option<PathBuf>,
     #[command(flatten)]
     state: State,

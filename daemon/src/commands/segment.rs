@@ -19,23 +19,23 @@ use crate::segment::{EthernetWire, FRAME_BYTES_MAX, Wire};
 #[derive(Debug, Args)]
 pub struct SegmentArguments {
     /// Network interface to serve, such as one end of a veth pair
-    #[arg(long)]
+    #[arg(long, help_heading = "Connection")]
     interface: String,
-    /// EL5021 terminals behind the EK1100
-    #[arg(long, default_value_t = SegmentConfig::default().terminals)]
+    /// Number of EL5021 terminals behind the EK1100
+    #[arg(long, help_heading = "Simulation", default_value_t = SegmentConfig::default().terminals)]
     terminals: usize,
     /// Signal periods per revolution of the simulated encoders
-    #[arg(long, default_value_t = 3600)]
+    #[arg(long, help_heading = "Simulation", default_value_t = 3600)]
     lines: u32,
     /// Revision of the terminals, 16 to 22: up to 18 status bits are in other objects, 22 also measures frequency
-    #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u8).range(16..=22))]
+    #[arg(long, help_heading = "Simulation", default_value_t = 20, value_parser = clap::value_parser!(u8).range(16..=22))]
     revision: u8,
     /// Seed of the motion, of the devices' clocks and of random faults
-    #[arg(long, default_value_t = SegmentConfig::default().seed)]
+    #[arg(long, help_heading = "Simulation", default_value_t = SegmentConfig::default().seed)]
     seed: u64,
     /// Inject a fault, such as lost:0.01 or gone:3@10s-15s (repeatable; an invalid one lists all). Lines on the standard
     /// input switch faults, too: `on gone:3`, `off gone:3`
-    #[arg(long = "fault", value_name = "FAULT[@FROM[-UNTIL]]")]
+    #[arg(long = "fault", help_heading = "Simulation", value_name = "FAULT[@FROM[-UNTIL]]")]
     faults: Vec<FaultWindow>,
 }
 

@@ -14,7 +14,7 @@ use crate::tuning::{self, Machine, Verdict};
 #[derive(Debug, Args)]
 pub struct TuneArguments {
     /// Network interface of the bus, such as eth1
-    #[arg(long)]
+    #[arg(long, help_heading = "Connection")]
     interface: Option<String>,
     #[command(flatten)]
     format: Format,

@@ -22,21 +22,22 @@ pub enum BusChoice {
 
 /// Texts that describe a run, for its file.
 #[derive(Debug, Clone, Default, PartialEq, Eq, clap::Args)]
+#[command(next_help_heading = "Recording")]
 pub struct About {
     /// Name of the person who records
-    #[arg(long, default_value = "")]
+    #[arg(long, default_value = "", hide_default_value = true)]
     pub operator: String,
     /// Name of the robot
-    #[arg(long, default_value = "")]
+    #[arg(long, default_value = "", hide_default_value = true)]
     pub robot: String,
     /// Bar and ball pair
-    #[arg(long, default_value = "")]
+    #[arg(long, default_value = "", hide_default_value = true)]
     pub bar: String,
     /// Payload of the robot beside the bar
-    #[arg(long, default_value = "")]
+    #[arg(long, default_value = "", hide_default_value = true)]
     pub payload: String,
     /// Free text about the run
-    #[arg(long, default_value = "")]
+    #[arg(long, default_value = "", hide_default_value = true)]
     pub note: String,
 }
 

@@ -1,4 +1,6 @@
-//! `generate` of both programs: completions and man pages, made of what their commands are.
+//! `generate` of both programs: completions and man pages from the tree of their commands; and the page of the book on them.
+
+pub mod page;
 
 use std::fs;
 use std::io;
@@ -9,7 +11,16 @@ use clap_complete::Shell;
 
 use shared::output::show;
 
-/// What is typed after `generate`.
+/// Adds to each command below `generate` its example for a program.
+pub fn with_example(program: &str) -> impl Fn(Command) -> Command {
+    move |command| {
+        let value = if command.get_name() == "man" { "man1" } else { "bash" };
+        let example = format!("{}{program} generate {} {value}", page::EXAMPLE, command.get_name());
+        command.after_help(example)
+    }
+}
+
+/// Arguments of `generate`.
 #[derive(Debug, Args)]
 pub struct GenerateArguments {
     #[command(subcommand)]
@@ -18,23 +29,23 @@ pub struct GenerateArguments {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    /// Completions, on standard output.
+    /// Print completions for a shell
     Completions {
         /// Shell to complete in
         shell: Shell,
     },
-    /// Man pages: one for the program and one for each command.
+    /// Write man pages: one for the program and one for each command
     Man {
-        /// Directory, which must be there
+        /// Existing directory for the pages
         directory: PathBuf,
     },
 }
 
 impl GenerateArguments {
-    /// Writes what was asked for of this program.
+    /// Writes the requested completions or man pages of this program.
     ///
     /// # Errors
-    /// Where it cannot be written, with where.
+    /// If they cannot be written; the text has the directory.
     pub fn run(&self, mut program: Command) -> io::Result<()> {
         match &self.what {
             What::Completions { shell } => {

@@ -37,6 +37,7 @@ use crate::control::api::{Fingerprint, token_in};
 
 /// Options that name a service of another machine.
 #[derive(Debug, Clone, Args)]
+#[command(next_help_heading = "Connection")]
 pub struct ElsewhereArguments {
     /// Use the service of another machine, https://HOST:PORT as its `ballbard status` prints
     #[arg(long, value_name = "URL", requires_all = ["token_file", "fingerprint"], conflicts_with_all = ["port", "config"])]

@@ -18,19 +18,19 @@ pub struct ExportArguments {
     /// The recording: a file, or the name of a run
     recording: PathBuf,
     /// Comma-separated values, the only format: time stamp and counters, then angles and validity, events and marks
-    #[arg(long)]
+    #[arg(long, help_heading = "Output")]
     csv: bool,
     /// Output file; `-` for standard output; default: beside the recording, or here for a name, with the ending .csv
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, help_heading = "Output", value_name = "FILE")]
     out: Option<PathBuf>,
     /// Replace an existing table
-    #[arg(long)]
+    #[arg(long, help_heading = "Output")]
     force: bool,
     /// Seconds since the first cycle (`t_s`) instead of `time_utc`
-    #[arg(long)]
+    #[arg(long, help_heading = "Output")]
     relative: bool,
     /// For spreadsheets of continental Europe: semicolons between columns, commas in numbers
-    #[arg(long)]
+    #[arg(long, help_heading = "Output")]
     excel: bool,
     #[command(flatten)]
     service: ServiceArguments,

@@ -32,7 +32,7 @@ pub struct ServiceArguments {
     #[command(flatten)]
     configuration: Configuration,
     /// Port of the service; default: `port` of daemon.toml
-    #[arg(long)]
+    #[arg(long, help_heading = "Connection")]
     port: Option<u16>,
     #[command(flatten)]
     elsewhere: ElsewhereArguments,

@@ -25,13 +25,13 @@ use crate::run::About;
 #[derive(Debug, Args)]
 pub struct StartArguments {
     /// Name of the run and of its file, in which spaces and the like become `-`; default: date, robot, bar and a number
-    #[arg(long)]
+    #[arg(long, help_heading = "Recording")]
     name: Option<String>,
     /// Duration: 90 (seconds), 90s or 2m; default: until stopped
-    #[arg(long, value_parser = shared::time::parse_duration)]
+    #[arg(long, help_heading = "Recording", value_parser = shared::time::parse_duration)]
     duration: Option<Duration>,
     /// Reason to begin although the check stops the run; stored in the file
-    #[arg(long)]
+    #[arg(long, help_heading = "Recording")]
     reason: Option<String>,
     #[command(flatten)]
     about: About,
@@ -50,7 +50,7 @@ pub struct NameArguments {
 #[derive(Debug, Args)]
 pub struct BinArguments {
     /// Remove every recording in the bin from the disk permanently
-    #[arg(long)]
+    #[arg(long, help_heading = "Recording")]
     empty: bool,
     #[command(flatten)]
     service: ServiceArguments,
@@ -59,7 +59,7 @@ pub struct BinArguments {
 #[derive(Debug, Args)]
 pub struct StatusArguments {
     /// Also print lateness and duration of the run's cycles
-    #[arg(long)]
+    #[arg(long, help_heading = "Output")]
     timing: bool,
     #[command(flatten)]
     service: ServiceArguments,

@@ -41,7 +41,7 @@ pub struct ExpectedPosition {
     pub with_plate_m: f64,
 }
 
-/// What a plan is to be best at.
+/// Criterion of a plan.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum Criterion {
     /// RMS position error over the robot's workspace (I-optimal)
@@ -49,7 +49,7 @@ pub enum Criterion {
     Position,
     /// Volume of the ellipsoid of the robot's parameters (D-optimal)
     Determinant,
-    /// The robot's parameter that is known worst, position errors of the workspace for comparison
+    /// The most uncertain parameter of the robot, in position errors over the workspace
     Worst,
 }
 

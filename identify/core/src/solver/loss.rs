@@ -2,18 +2,18 @@
 
 use serde::{Deserialize, Serialize};
 
-/// How much a sample counts that does not fit. Scales are such that one clean sample in a hundred is beyond them.
+/// Weight of samples that do not fit. Scales are such that one clean sample in a hundred is beyond them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
 #[value(rename_all = "snake_case")]
 pub enum LossName {
-    /// Every sample counts fully.
+    /// Every sample has its full weight.
     None,
-    /// Beyond the scale a sample pulls no harder: costs nothing where there are no outliers.
+    /// Beyond the scale the influence of a residual is constant: for few outliers.
     Huber,
-    /// Beyond the scale a sample pulls ever less.
+    /// Beyond the scale the influence of a residual decreases.
     Cauchy,
-    /// A gross outlier has no pull: for many of them.
+    /// A gross outlier has no influence: for many outliers.
     GemanMcclure,
 }
 

@@ -20,12 +20,15 @@ use crate::solver::LossName;
 use experiment::Experiment;
 use rows::{ContactArguments, RowFile, TouchArguments, TrackerArguments};
 
-/// What is calibrated with.
+const AFTER_HELP: &str = "Example: identify calibrate --recording runs/monday-1.mcap --robot-log monday-1.csv --robot irb2400_16 \
+    --out monday-1\n\n\
+    Without a command the options are those of `bar`. `identify calibrate --experiment FILE --out DIR`\n\
+    calibrates from any mix of instruments, as config/experiment.toml explains, and repeats a result from\n\
+    the experiment.toml beside it.";
+
+/// The instruments, each with its options.
 #[derive(Debug, Args)]
-#[command(
-    after_help = "Options alone are those of `bar`. `identify calibrate --experiment FILE --out DIR` calibrates from any mix of \
-                        instruments, as config/experiment.toml explains, and repeats a result from the experiment.toml beside it."
-)]
+#[command(after_help = AFTER_HELP)]
 pub struct CalibrateArguments {
     #[command(subcommand)]
     command: CalibrateCommand,
@@ -34,17 +37,32 @@ pub struct CalibrateArguments {
 #[derive(Debug, Subcommand)]
 enum CalibrateCommand {
     /// From recordings of the ball-bar and the robot's own logs
+    #[command(
+        after_help = "Example: identify calibrate bar --recording runs/monday-1.mcap --robot-log monday-1.csv --robot irb2400_16 --out monday-1"
+    )]
     Bar(Box<bar::BarArguments>),
     /// From poses with one measured length each: a draw-wire or a telescoping bar
+    #[command(
+        after_help = "Example: identify calibrate wire lengths.csv --mapping measured_length --robot irb120_3 --out wire"
+    )]
     Wire(RowArguments),
     /// From positions or poses measured by a tracker
+    #[command(
+        after_help = "Example: identify calibrate tracker poses.csv --mapping measured_pose --robot ur10 --out tracker"
+    )]
     Tracker(TrackerArguments),
     /// From a ball on the flange that is seated in sockets whose distances are known
+    #[command(
+        after_help = "Example: identify calibrate contact contacts.csv --sockets sockets.toml --mapping contact --robot irb120_3 --out contact"
+    )]
     Contact(ContactArguments),
     /// From a tip on the flange that touches flat faces: a touch probe or a dial gauge
+    #[command(
+        after_help = "Example: identify calibrate touch touches.csv --faces faces.toml --mapping touch --robot irb120_3 --out touch"
+    )]
     Touch(TouchArguments),
-    /// From any mix of them: --experiment FILE, without this word
-    #[command(hide = true)]
+    /// From any mix of them; `identify calibrate --experiment` means this
+    #[command(hide = true, after_help = "Example: identify calibrate --experiment cell3.toml --out cell3")]
     Experiment(experiment::ExperimentArguments),
 }
 
@@ -52,19 +70,19 @@ enum CalibrateCommand {
 #[derive(Debug, Args)]
 pub struct CommonArguments {
     /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, help_heading = "Input", value_name = "FILE")]
     robot: PathBuf,
-    /// How it is calibrated; default: see config/identify.toml
-    #[arg(long, value_name = "FILE")]
+    /// Settings of the calibration; default: those of config/identify.toml
+    #[arg(long, help_heading = "Input", value_name = "FILE")]
     config: Option<PathBuf>,
-    /// How much samples count that do not fit; default: huber, or none with a cost of the ball-bar other than pose
-    #[arg(long)]
+    /// Weight of samples that do not fit; default: huber, or none with a cost of the ball-bar other than pose
+    #[arg(long, help_heading = "Estimation")]
     loss: Option<LossName>,
     /// Also free these parameters, such as ra6,rd6: with commas, or --free several times
-    #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = parameter_name)]
+    #[arg(long, help_heading = "Estimation", value_name = "NAMES", value_delimiter = ',', value_parser = parameter_name)]
     free: Vec<String>,
     /// Fix these parameters, such as ra6,rd6: with commas, or --fix several times
-    #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = parameter_name)]
+    #[arg(long, help_heading = "Estimation", value_name = "NAMES", value_delimiter = ',', value_parser = parameter_name)]
     fix: Vec<String>,
     #[command(flatten)]
     result: ResultArguments,
@@ -104,13 +122,14 @@ impl CommonArguments {
 #[derive(Debug, Clone, Args)]
 pub struct ResultArguments {
     /// Directory for all results: report.html, calibration.toml, corrections.csv and others
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, help_heading = "Output", value_name = "DIR")]
     out: PathBuf,
-    /// Print every parameter, what its uncertainty rests on, terms, held-out figures and all that limits
-    #[arg(long)]
+    /// Print every parameter, the source of its uncertainty, terms, held-out figures and all limitations
+    #[arg(long, help_heading = "Output")]
     verbose: bool,
-    /// Position error that the calibrated robot may have at most, such as 0.2mm; the verdict says whether it is met
-    #[arg(long, value_name = "MM", value_parser = millimetres)]
+    /// Largest permitted position error of the calibrated robot, such as 0.2mm; the verdict reports whether it is met; default: no
+    /// requirement
+    #[arg(long, help_heading = "Estimation", value_name = "MM", value_parser = millimetres)]
     require: Option<f64>,
 }
 

@@ -16,7 +16,7 @@ pub struct CompareArguments {
     #[arg(required = true, num_args = 2.., value_name = "CALIBRATIONS")]
     calibrations: Vec<PathBuf>,
     /// Page with figures to write
-    #[arg(long, value_name = "FILE.html")]
+    #[arg(long, help_heading = "Output", value_name = "FILE.html")]
     out: Option<PathBuf>,
 }
 

@@ -13,19 +13,19 @@ use crate::report::examination::examinations;
 #[derive(Debug, Args)]
 pub struct ExamineArguments {
     /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, help_heading = "Input", value_name = "FILE")]
     robot: PathBuf,
     /// The bar's configuration; by default ball_bar.toml in config or /etc/ballbard, or the one that is built in
-    #[arg(long, value_name = "FILE", default_value = "ball_bar")]
+    #[arg(long, help_heading = "Input", value_name = "FILE", default_value = "ball_bar")]
     bar: PathBuf,
     /// Costs to examine; default: all
-    #[arg(long, value_delimiter = ',')]
+    #[arg(long, help_heading = "Estimation", value_delimiter = ',')]
     cost: Vec<CostName>,
     /// Number of random poses
-    #[arg(long, default_value_t = 300, value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..=100_000))]
+    #[arg(long, help_heading = "Estimation", default_value_t = 300, value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..=100_000))]
     poses: usize,
     /// Seed of the poses
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, help_heading = "Estimation", default_value_t = 1)]
     seed: u64,
 }
 

@@ -25,33 +25,33 @@ pub struct InspectArguments {
     #[arg(required = true, value_name = "FILES")]
     files: Vec<PathBuf>,
     /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16: how its log becomes joint angles
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, help_heading = "Input", value_name = "FILE")]
     robot: Option<PathBuf>,
     /// The bar's configuration, such as config/ball_bar.toml: how counters of other programs become angles
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, help_heading = "Input", value_name = "FILE")]
     bar: Option<PathBuf>,
     /// Kind of the robot's logs; default: recognised by their content
-    #[arg(long, value_name = "KIND", requires = "robot")]
+    #[arg(long, help_heading = "Input", value_name = "KIND", requires = "robot")]
     log_format: Option<LogFormat>,
-    /// Which column or joint of the robot's logs is what, such as config/robot_log.toml
-    #[arg(long, value_name = "FILE", requires = "robot")]
+    /// Mapping of the columns or joints of the robot's logs, such as config/robot_log.toml
+    #[arg(long, help_heading = "Input", value_name = "FILE", requires = "robot")]
     log_mapping: Option<PathBuf>,
-    /// Which column or joint of recordings of other programs is what, such as config/bar_log.toml
-    #[arg(long, value_name = "FILE", requires = "bar")]
+    /// Mapping of the columns or joints of other programs' recordings, such as config/bar_log.toml
+    #[arg(long, help_heading = "Input", value_name = "FILE", requires = "bar")]
     recording_mapping: Option<PathBuf>,
-    /// Which column of rows of a tracker, a wire or a touch probe is what, such as config/measured_pose.toml,
+    /// Mapping of the columns of rows of a tracker, a wire or a touch probe, such as config/measured_pose.toml,
     /// config/measured_length.toml or config/touch.toml; all files are then read as such rows
-    #[arg(long, value_name = "FILE", requires = "robot", conflicts_with_all = ["log_mapping", "log_format", "bar", "recording_mapping", "sockets"])]
+    #[arg(long, help_heading = "Input", value_name = "FILE", requires = "robot", conflicts_with_all = ["log_mapping", "log_format", "bar", "recording_mapping", "sockets"])]
     mapping: Option<PathBuf>,
     /// Table of the sockets that a ball is seated in, such as config/sockets.toml: the files are rows of it
-    #[arg(long, value_name = "FILE", requires = "robot", requires = "contact_mapping",
+    #[arg(long, help_heading = "Input", value_name = "FILE", requires = "robot", requires = "contact_mapping",
           conflicts_with_all = ["log_mapping", "log_format", "bar", "recording_mapping"])]
     sockets: Option<PathBuf>,
-    /// Which column of such rows is what, such as config/contact.toml
-    #[arg(long, value_name = "FILE", requires = "sockets")]
+    /// Mapping of the columns of such rows, such as config/contact.toml
+    #[arg(long, help_heading = "Input", value_name = "FILE", requires = "sockets")]
     contact_mapping: Option<PathBuf>,
-    /// Look for what the columns of a table of joints are, and write a mapping for it into this file
-    #[arg(long, value_name = "FILE", requires = "robot", conflicts_with_all = ["log_mapping", "log_format", "bar", "recording_mapping", "sockets", "mapping"])]
+    /// Propose a mapping of the columns of a table of joints, and write it to this file
+    #[arg(long, help_heading = "Output", value_name = "FILE", requires = "robot", conflicts_with_all = ["log_mapping", "log_format", "bar", "recording_mapping", "sockets", "mapping"])]
     propose: Option<PathBuf>,
 }
 

@@ -22,9 +22,20 @@ use generate::GenerateArguments;
 
 use shared::version::version;
 
-/// Calibrates a robot from a ball-bar recording and the robot's own log.
+const AFTER_HELP: &str = "Example: identify calibrate --recording runs/monday-1.mcap --robot-log monday-1.csv --robot irb2400_16 \
+    --out monday-1\n\n\
+    Exit codes:\n  \
+    0    success\n  \
+    1    failure; refused data or a red verdict of calibrate, a violated constraint of\n       \
+         plan check, a pose of plan poses without a free way, a study that was\n       \
+         interrupted or in which every estimate failed\n  \
+    2    usage error: an unknown option or invalid value\n  \
+    130  ended by Ctrl-C";
+
+/// Calibrates a robot with a double ball-bar, a laser tracker, a draw-wire, a ball in sockets (contact), a touch probe or dial gauge
+/// (touch), or any mix of them.
 #[derive(Debug, Parser)]
-#[command(name = "identify", version = version(), about)]
+#[command(name = "identify", version = version(), about, after_help = AFTER_HELP)]
 pub struct Arguments {
     #[command(subcommand)]
     command: Command,
@@ -32,23 +43,33 @@ pub struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Identify the robot's geometry.
+    /// Identify the robot's geometry from measurements: bar, tracker, wire, contact, touch.
     Calibrate(Box<calibrate::CalibrateArguments>),
     /// List what each cost can identify on a robot and a bar, before anything is measured.
+    #[command(after_help = "Example: identify examine --robot irb2400_16 --cost pose")]
     Examine(examine::ExamineArguments),
-    /// Show what is in recordings and robot logs, and what is suspicious in them.
+    /// Describe recordings, robot logs and tables, and list suspicious content.
+    #[command(after_help = "Example: identify inspect runs/monday-1.mcap monday-1.csv --robot irb2400_16")]
     Inspect(inspect::InspectArguments),
-    /// Put several calibrations of one robot side by side: do they agree within their uncertainty?
+    /// Compare calibrations of one robot: do they agree within their uncertainty?
+    #[command(after_help = "Example: identify compare monday-1 tuesday-1 --out days.html")]
     Compare(compare::CompareArguments),
-    /// Take a robot's configuration from a URDF, or check and draw one.
+    /// Import a robot's configuration from a URDF, list the known ones, or check and draw one.
+    #[command(after_help = "Example: identify robot check irb2400_16")]
     Robot(robot::RobotArguments),
-    /// Plan a path that the robot can drive and a calibration learns much from, or check one.
+    /// Plan a path or poses that give a calibration much information, or check a path.
+    #[command(after_help = "Example: identify plan --robot irb2400_16 --base 1.0,0.05,0.35 --out path")]
     Plan(Box<plan::PlanArguments>),
-    /// Make an experiment with known errors: what was measured, and the truth beside it.
+    /// Simulate an experiment with known errors: its measurements and the true values.
+    #[command(after_help = "Example: identify simulate --robot irb2400_16 --out demo")]
     Simulate(simulate::SimulateArguments),
-    /// Simulate experiments by the thousand and show what each estimator makes of them: the thesis' chapter 3.
+    /// Simulate thousands of experiments and compare estimators on them, as in chapter 3 of the thesis.
     Study(Box<study::StudyArguments>),
     /// Write completions for a shell, or man pages.
+    #[command(
+        after_help = "Example: identify generate completions bash",
+        mut_subcommands(generate::with_example("identify"))
+    )]
     Generate(GenerateArguments),
 }
 

@@ -36,48 +36,59 @@ pub struct PlanArguments {
 
 #[derive(Debug, Subcommand)]
 enum PlanCommand {
-    /// Find a path; the word may be left out.
+    /// Find a path; `identify plan` without a command means this.
+    #[command(
+        after_help = "Example: identify plan path --robot irb2400_16 --duration 2m --floor 0 --out path"
+    )]
     Path(PathArguments),
-    /// Propose where the bar should stand and how long its rod should be.
+    /// Propose a position of the bar and a length of its rod.
+    #[command(after_help = "Example: identify plan place --robot ur10 --lengths 0.4,0.6 --height 0,0.5")]
     Place(PlaceArguments),
-    /// Choose poses worth measuring with a tracker or a wire.
+    /// Select poses for a tracker or a wire.
+    #[command(
+        after_help = "Example: identify plan poses --robot ur10 --measures positions --count 50 --out poses"
+    )]
     Poses(Box<PosesArguments>),
-    /// Check a path of the robot: constraints at 1 kHz with the first violation in time, and what it determines.
+    /// Check a path of the robot: violated constraints at 1 kHz, and the expected result of a calibration.
+    #[command(
+        after_help = "Example: identify plan check robot_path.csv --robot irb2400_16 --base 1.0,0.05,0.35"
+    )]
     Check(CheckArguments),
 }
 
 #[derive(Debug, Args)]
 struct Cell {
     /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, help_heading = "Input", value_name = "FILE")]
     robot: PathBuf,
     /// The bar's configuration; by default ball_bar.toml in config or /etc/ballbard, or the one that is built in
-    #[arg(long, value_name = "FILE", default_value = "ball_bar")]
+    #[arg(long, help_heading = "Input", value_name = "FILE", default_value = "ball_bar")]
     bar: PathBuf,
-    /// Centre of the bar's gimbal in the robot's base frame [m]; default: by the robot's size
-    #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
+    /// Centre of the bar's gimbal in the robot's base frame [m]; default: 1.0,0.05,0.35, or 1.7,0.05,0.6 if link 2 is longer
+    /// than a metre
+    #[arg(long, help_heading = "Planning", value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
     base: Option<[f64; 3]>,
     /// Highest speed of a robot joint [rad/s]
-    #[arg(long, value_name = "RAD_S", default_value_t = Design::IRB_2400.robot_speed_rad_s)]
+    #[arg(long, help_heading = "Planning", value_name = "RAD_S", default_value_t = Design::IRB_2400.robot_speed_rad_s)]
     speed: f64,
     /// Highest acceleration of a robot joint [rad/s^2]
-    #[arg(long, value_name = "RAD_S2", default_value_t = 5.0)]
+    #[arg(long, help_heading = "Planning", value_name = "RAD_S2", default_value_t = 5.0)]
     acceleration: f64,
     #[command(flatten)]
     around: Around,
-    /// A calibration of this robot and bar, or its directory: what it knows already counts, and a path that adds most to it is
-    /// looked for
-    #[arg(long, value_name = "PATH")]
+    /// A calibration of this robot and bar, or its directory: the path is the one that adds most to its information
+    #[arg(long, help_heading = "Input", value_name = "PATH")]
     calibration: Option<PathBuf>,
 }
 
 /// Objects that the robot must not touch.
 #[derive(Debug, Args)]
+#[command(next_help_heading = "Planning")]
 struct Around {
-    /// Something in the cell, a box with edges along the robot's base frame: two opposite corners [m]
+    /// A box in the cell with edges along the axes of the robot's base frame: two opposite corners [m] (repeatable)
     #[arg(long = "box", value_name = "X,Y,Z,X,Y,Z", value_parser = numbers::<6>, allow_hyphen_values = true)]
     boxes: Vec<[f64; 6]>,
-    /// Height of the floor in the robot's base frame [m]
+    /// Height of the floor in the robot's base frame [m]; default: no floor
     #[arg(long, value_name = "Z", allow_hyphen_values = true)]
     floor: Option<f64>,
     /// Radius of the robot's links [mm]; default: a twentieth of its reach
@@ -133,26 +144,33 @@ impl Around {
 struct PathArguments {
     #[command(flatten)]
     cell: Cell,
-    /// What the path is to be best at
-    #[arg(long, value_enum, default_value_t)]
+    /// Criterion of the best path
+    #[arg(long, help_heading = "Planning", value_enum, default_value_t)]
     criterion: Criterion,
     /// Directory for the path: path.toml, robot_path.csv, path.html, a program for the robot's controller
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, help_heading = "Output", value_name = "DIR")]
     out: PathBuf,
-    /// A posture of the robot near which the motion begins [deg]; it selects elbow and wrist
-    #[arg(long, value_name = "Q1,Q2,..", value_delimiter = ',', allow_hyphen_values = true)]
+    /// A posture of the robot near which the motion begins, one number for each axis [deg]; it selects elbow and wrist; default:
+    /// 0,20,10,0,60,0 of six axes, otherwise a random one
+    #[arg(
+        long,
+        help_heading = "Planning",
+        value_name = "Q1,Q2,..",
+        value_delimiter = ',',
+        allow_hyphen_values = true
+    )]
     posture: Vec<f64>,
-    /// Length of the run
-    #[arg(long, default_value = "2m", value_parser = parse_duration)]
+    /// Length of the run, such as 90s or 2m; a plain number is seconds
+    #[arg(long, help_heading = "Planning", default_value = "2m", value_parser = parse_duration)]
     duration: Duration,
-    /// How long to look for better paths; the one that is found is checked every millisecond after that
-    #[arg(long, default_value = "50s", value_parser = parse_duration)]
+    /// Time to search for better paths, such as 50s; then the best one is checked every millisecond
+    #[arg(long, help_heading = "Planning", default_value = "50s", value_parser = parse_duration)]
     budget: Duration,
     /// Programs for controllers; default: that of the robot's maker, by its name
-    #[arg(long, value_enum, value_delimiter = ',')]
+    #[arg(long, help_heading = "Output", value_enum, value_delimiter = ',')]
     program: Vec<Language>,
-    /// Decides the paths that are tried
-    #[arg(long, default_value_t = 1)]
+    /// Seed of the paths that are tried
+    #[arg(long, help_heading = "Planning", default_value_t = 1)]
     seed: u64,
 }
 
@@ -160,72 +178,72 @@ struct PathArguments {
 struct PlaceArguments {
     #[command(flatten)]
     cell: Cell,
-    /// What the path of a place is to be best at
-    #[arg(long, value_enum, default_value_t)]
+    /// Criterion of the best path at a place
+    #[arg(long, help_heading = "Planning", value_enum, default_value_t)]
     criterion: Criterion,
     /// Lengths of the rod to compare [m]; default: that of the bar
-    #[arg(long, value_name = "M", value_delimiter = ',')]
+    #[arg(long, help_heading = "Planning", value_name = "M", value_delimiter = ',')]
     lengths: Vec<f64>,
     /// Lowest and highest gimbal over the robot's base frame [m]
-    #[arg(long, value_name = "LOW,HIGH", value_parser = numbers::<2>, allow_hyphen_values = true, default_value = "0,1")]
+    #[arg(long, help_heading = "Planning", value_name = "LOW,HIGH", value_parser = numbers::<2>, allow_hyphen_values = true, default_value = "0,1")]
     height: [f64; 2],
-    /// Length of the run
-    #[arg(long, default_value = "2m", value_parser = parse_duration)]
+    /// Length of the run, such as 90s or 2m; a plain number is seconds
+    #[arg(long, help_heading = "Planning", default_value = "2m", value_parser = parse_duration)]
     duration: Duration,
-    /// How long to look for places
-    #[arg(long, default_value = "60s", value_parser = parse_duration)]
+    /// Time to search for places, such as 60s
+    #[arg(long, help_heading = "Planning", default_value = "60s", value_parser = parse_duration)]
     budget: Duration,
-    /// Decides the places that are tried
-    #[arg(long, default_value_t = 1)]
+    /// Seed of the places that are tried
+    #[arg(long, help_heading = "Planning", default_value_t = 1)]
     seed: u64,
 }
 
 #[derive(Debug, Args)]
 struct PosesArguments {
     /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, help_heading = "Input", value_name = "FILE")]
     robot: PathBuf,
     /// What is measured at each pose
-    #[arg(long, value_enum)]
+    #[arg(long, help_heading = "Planning", value_enum)]
     measures: Measures,
     /// Directory for poses.csv, its mapping poses.toml, poses.html and a program for the robot's controller. The exit code is 1
-    /// where no free way to one of the poses was found: the table marks it, and programs stop there
-    #[arg(long, value_name = "DIR")]
+    /// if no free way to one of the poses was found: the table marks it, and programs stop there
+    #[arg(long, help_heading = "Output", value_name = "DIR")]
     out: PathBuf,
     /// Number of poses to choose
-    #[arg(long, default_value_t = 50)]
+    #[arg(long, help_heading = "Planning", default_value_t = 50)]
     count: usize,
     /// A table of poses that the robot reaches, to choose from; default: random ones within half a turn of its joints
-    #[arg(long, value_name = "FILE", requires = "mapping", conflicts_with_all = ["draw", "boxes", "floor", "link_radius_mm"])]
+    #[arg(long, help_heading = "Input", value_name = "FILE", requires = "mapping", conflicts_with_all = ["draw", "boxes", "floor", "link_radius_mm"])]
     candidates: Option<PathBuf>,
     /// Which columns of the table are the joints: the mapping of any file that `calibrate tracker`, `wire` or `contact` reads
-    #[arg(long, value_name = "FILE", requires = "candidates")]
+    #[arg(long, help_heading = "Input", value_name = "FILE", requires = "candidates")]
     mapping: Option<PathBuf>,
     /// Random poses to choose from
-    #[arg(long, value_name = "N", default_value_t = 2000)]
+    #[arg(long, help_heading = "Planning", value_name = "N", default_value_t = 2000)]
     draw: usize,
     #[command(flatten)]
     around: Around,
     /// Reflector, middle of the probe, or the wire's end in the flange's frame [m]
-    #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true, default_value = "0,0,0.1")]
+    #[arg(long, help_heading = "Planning", value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true, default_value = "0,0,0.1")]
     target: [f64; 3],
-    /// Outlet of a wire in the robot's base frame [m]
-    #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
+    /// Outlet of a wire in the robot's base frame [m]; needed with --measures lengths, and with no other
+    #[arg(long, help_heading = "Planning", value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
     anchor: Option<[f64; 3]>,
-    /// Of a coordinate or a length, one standard deviation, with what the robot repeats worse than that [mm]
-    #[arg(long, value_name = "MM", default_value_t = 0.05)]
+    /// Standard deviation of a measured coordinate or length, including the repeatability of the robot [mm]
+    #[arg(long, help_heading = "Planning", value_name = "MM", default_value_t = 0.05)]
     noise_mm: f64,
-    /// Of an orientation about each axis, likewise [mrad]; default: 0.1
-    #[arg(long, value_name = "MRAD")]
+    /// Standard deviation of a measured orientation about each axis [mrad]; default: 0.1, with --measures poses only
+    #[arg(long, help_heading = "Planning", value_name = "MRAD")]
     noise_mrad: Option<f64>,
     /// Programs for controllers; default: that of the robot's maker, by its name
-    #[arg(long, value_enum, value_delimiter = ',')]
+    #[arg(long, help_heading = "Output", value_enum, value_delimiter = ',')]
     program: Vec<Language>,
-    /// How long the robot stands at each pose of a program
-    #[arg(long, default_value = "3s", value_parser = parse_duration)]
+    /// Wait of a program at each pose, such as 3s
+    #[arg(long, help_heading = "Output", default_value = "3s", value_parser = parse_duration)]
     stand: Duration,
-    /// Decides which random poses there are
-    #[arg(long, default_value_t = 1)]
+    /// Seed of the random poses
+    #[arg(long, help_heading = "Planning", default_value_t = 1)]
     seed: u64,
 }
 

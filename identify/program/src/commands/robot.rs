@@ -20,11 +20,14 @@ pub struct RobotArguments {
 
 #[derive(Debug, Subcommand)]
 enum RobotCommand {
-    /// Make a configuration from a URDF: the joints between two of its links as Denavit-Hartenberg links.
+    /// Make a configuration from a URDF: Denavit-Hartenberg links for the joints between two of its links.
+    #[command(after_help = "Example: identify robot import arm.urdf --tip tool0 --out arm.toml")]
     Import(ImportArguments),
-    /// List the robots that have a name, which `--robot` takes in place of a file.
+    /// List the robots whose names `--robot` takes in place of a file.
+    #[command(after_help = "Example: identify robot list")]
     List,
-    /// Draw and explain a configuration: axes, conventions, limits, reach, and what looks wrong.
+    /// Describe and draw a configuration: axes, conventions, limits, reach, and suspicious values.
+    #[command(after_help = "Example: identify robot check arm.toml --picture arm.svg")]
     Check(CheckArguments),
 }
 
@@ -33,17 +36,17 @@ struct ImportArguments {
     /// The robot's URDF
     #[arg(value_name = "URDF")]
     urdf: PathBuf,
-    /// Link where the robot's base frame is; default: base_link or base, else the link that has the first axis
-    #[arg(long, value_name = "LINK")]
+    /// Link with the robot's base frame; default: base_link or base, else the link that has the first axis
+    #[arg(long, help_heading = "Input", value_name = "LINK")]
     base: Option<String>,
     /// Link that is the flange; default: tool0 or flange, else the end of the longest row of axes, without a gripper
-    #[arg(long, value_name = "LINK")]
+    #[arg(long, help_heading = "Input", value_name = "LINK")]
     tip: Option<String>,
-    /// Where the configuration goes; default: the URDF's name with .toml, in the current directory
-    #[arg(long, value_name = "FILE")]
+    /// File for the configuration; default: the URDF's name with .toml, in the current directory
+    #[arg(long, help_heading = "Output", value_name = "FILE")]
     out: Option<PathBuf>,
     /// Overwrite the configuration if it exists
-    #[arg(long)]
+    #[arg(long, help_heading = "Output")]
     force: bool,
 }
 
@@ -52,8 +55,8 @@ struct CheckArguments {
     /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16
     #[arg(value_name = "FILE")]
     robot: PathBuf,
-    /// Where the picture goes; default: the configuration's name with .svg, in the current directory
-    #[arg(long, value_name = "FILE")]
+    /// File for the picture (SVG); default: the configuration's name with .svg, in the current directory
+    #[arg(long, help_heading = "Output", value_name = "FILE")]
     picture: Option<PathBuf>,
 }
 

@@ -38,10 +38,13 @@ pub struct SimulateArguments {
 #[derive(Debug, Subcommand)]
 enum SimulateCommand {
     /// A recording of the ball-bar and the robot's own log
+    #[command(after_help = "Example: identify simulate bar --robot irb2400_16 --errors drawn --out demo")]
     Bar(Box<BarArguments>),
     /// Poses at which a ball on the flange is seated in sockets
+    #[command(after_help = "Example: identify simulate contact --robot irb120_3 --rows 200 --out seats")]
     Contact(ContactArguments),
     /// Poses at which a tip on the flange touches the faces of a block
+    #[command(after_help = "Example: identify simulate touch --robot irb120_3 --block-mm 100 --out cube")]
     Touch(TouchArguments),
 }
 
@@ -49,28 +52,28 @@ enum SimulateCommand {
 #[derive(Debug, Args)]
 struct ArmArguments {
     /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, help_heading = "Input", value_name = "FILE")]
     robot: PathBuf,
     /// Directory for the rows, their mapping, what is known beside them, and truth.toml
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, help_heading = "Output", value_name = "DIR")]
     out: PathBuf,
-    /// Plate's frame or block's centre in the robot's base [m]; default: where the robot reaches it in most ways
-    #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
+    /// Plate's frame or block's centre in the robot's base [m]; default: where most postures of the robot reach it
+    #[arg(long, help_heading = "Simulation", value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
     place: Option<[f64; 3]>,
-    /// Decides poses, noise and the errors of what is measured
-    #[arg(long, default_value_t = 1)]
+    /// Seed of poses, noise and errors of the measured objects
+    #[arg(long, help_heading = "Simulation", default_value_t = 1)]
     seed: u64,
-    /// Decides the robot's errors, the same for another set-up of one robot; default: as --seed
-    #[arg(long, value_name = "SEED")]
+    /// Seed of the robot's errors, the same for another set-up of one robot; default: as --seed
+    #[arg(long, help_heading = "Simulation", value_name = "SEED")]
     robot_seed: Option<u64>,
     /// Error of each number of each link, standard deviation [mm|mrad]
-    #[arg(long, value_name = "MM", default_value_t = 1.0)]
+    #[arg(long, help_heading = "Simulation", value_name = "MM", default_value_t = 1.0)]
     errors_mm_mrad: f64,
     /// White noise of each joint [urad|um]
-    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.robot_noise_urad)]
+    #[arg(long, help_heading = "Simulation", value_name = "URAD", default_value_t = LABORATORY.robot_noise_urad)]
     robot_noise_urad: f64,
     /// Sinusoidal error of each robot gear, amplitude [urad]
-    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.gear_sine_urad)]
+    #[arg(long, help_heading = "Simulation", value_name = "URAD", default_value_t = LABORATORY.gear_sine_urad)]
     gear_sine_urad: f64,
 }
 
@@ -90,16 +93,16 @@ struct ContactArguments {
     #[command(flatten)]
     arm: ArmArguments,
     /// Places of the sockets on their plate, such as config/sockets.toml; default: six on two levels, by the robot's size
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, help_heading = "Input", value_name = "FILE")]
     sockets: Option<PathBuf>,
     /// Write the sockets' distances into sockets.toml instead of their places
-    #[arg(long)]
+    #[arg(long, help_heading = "Simulation")]
     distances: bool,
     /// Number of poses to simulate
-    #[arg(long, value_name = "N", default_value_t = 200)]
+    #[arg(long, help_heading = "Simulation", value_name = "N", default_value_t = 200)]
     rows: usize,
-    /// How well the ball finds its seat, standard deviation along each axis [um]
-    #[arg(long, value_name = "UM", default_value_t = 5.0)]
+    /// Repeatability of the seated ball, standard deviation along each axis [um]
+    #[arg(long, help_heading = "Simulation", value_name = "UM", default_value_t = 5.0)]
     seating_um: f64,
 }
 
@@ -108,101 +111,110 @@ struct TouchArguments {
     #[command(flatten)]
     arm: ArmArguments,
     /// Edge of the block [mm]; default: by the robot's size
-    #[arg(long, value_name = "MM")]
+    #[arg(long, help_heading = "Simulation", value_name = "MM")]
     block_mm: Option<f64>,
-    /// Write a table of faces of which nothing is known
-    #[arg(long)]
+    /// Write a table of faces without known distances and angles
+    #[arg(long, help_heading = "Simulation")]
     unknown: bool,
     /// Number of touches to simulate
-    #[arg(long, value_name = "N", default_value_t = 300)]
+    #[arg(long, help_heading = "Simulation", value_name = "N", default_value_t = 300)]
     rows: usize,
-    /// How well a touch is found, standard deviation [um]
-    #[arg(long, value_name = "UM", default_value_t = 2.0)]
+    /// Repeatability of a touch, standard deviation [um]
+    #[arg(long, help_heading = "Simulation", value_name = "UM", default_value_t = 2.0)]
     touch_um: f64,
     /// Travel of a dial gauge in place of a touch probe [mm]
-    #[arg(long, value_name = "MM", default_value_t = 0.0)]
+    #[arg(long, help_heading = "Simulation", value_name = "MM", default_value_t = 0.0)]
     gauge_mm: f64,
 }
 
 #[derive(Debug, Args)]
 struct BarArguments {
     /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, help_heading = "Input", value_name = "FILE")]
     robot: PathBuf,
     /// The bar's configuration; by default ball_bar.toml in config or /etc/ballbard, or the one that is built in
-    #[arg(long, value_name = "FILE", default_value = "ball_bar")]
+    #[arg(long, help_heading = "Input", value_name = "FILE", default_value = "ball_bar")]
     bar: PathBuf,
     /// Directory for recording.mcap, robot_log.csv and truth.toml
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, help_heading = "Output", value_name = "DIR")]
     out: PathBuf,
-    /// Decides path, encoder offsets and noise
-    #[arg(long, default_value_t = 1)]
+    /// Seed of path, encoder offsets and noise
+    #[arg(long, help_heading = "Simulation", default_value_t = 1)]
     seed: u64,
-    /// Decides drawn errors and the phases of gears and encoders, the same for another run of one robot and bar; default: as --seed
-    #[arg(long, value_name = "SEED")]
+    /// Seed of drawn errors and of the phases of gears and encoders, the same for another run of one robot and bar; default: as
+    /// --seed
+    #[arg(long, help_heading = "Simulation", value_name = "SEED")]
     robot_seed: Option<u64>,
     /// Errors of robot and bar
-    #[arg(long, value_enum, default_value = "thesis")]
+    #[arg(long, help_heading = "Simulation", value_enum, default_value = "thesis")]
     errors: Errors,
-    /// Centre of the bar's gimbal in the robot's base frame [m]; default: by the robot's size
-    #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
+    /// Centre of the bar's gimbal in the robot's base frame [m]; default: 1.0,0.05,0.35, or 1.7,0.05,0.6 if link 2 is longer
+    /// than a metre
+    #[arg(long, help_heading = "Simulation", value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
     base: Option<[f64; 3]>,
-    /// Posture of the robot near which the motion begins [deg]; it selects elbow and wrist
-    #[arg(long, value_name = "Q1,..,Q6", value_parser = numbers::<6>, allow_hyphen_values = true)]
+    /// Posture of the robot near which the motion begins [deg]; it selects elbow and wrist; default:
+    /// 0,20,10,0,60,0
+    #[arg(long, help_heading = "Simulation", value_name = "Q1,..,Q6", value_parser = numbers::<6>, allow_hyphen_values = true)]
     posture: Option<[f64; 6]>,
-    /// Length of the run
-    #[arg(long, default_value = "2m", value_parser = parse_duration)]
+    /// Length of the run, such as 90s or 2m; a plain number is seconds
+    #[arg(long, help_heading = "Simulation", default_value = "2m", value_parser = parse_duration)]
     duration: Duration,
     /// The path that the robot drives, such as path.toml of `identify plan`; default: a random one
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["base", "posture", "duration"])]
+    #[arg(long, help_heading = "Input", value_name = "FILE", conflicts_with_all = ["base", "posture", "duration"])]
     path: Option<PathBuf>,
-    /// What the robot's clock shows when the recording begins [s]
-    #[arg(long, value_name = "S", allow_hyphen_values = true)]
+    /// Time of the robot's clock when the recording begins [s], at most 9e9; default: 3712.345678901
+    #[arg(long, help_heading = "Simulation", value_name = "S", allow_hyphen_values = true)]
     robot_clock_s: Option<f64>,
-    /// How much faster the robot's clock runs [ppm]
-    #[arg(long, value_name = "PPM", default_value_t = 25.0, allow_hyphen_values = true)]
+    /// Rate of the robot's clock against the bar's, -10000 to 10000 [ppm]
+    #[arg(
+        long,
+        help_heading = "Simulation",
+        value_name = "PPM",
+        default_value_t = 25.0,
+        allow_hyphen_values = true
+    )]
     skew_ppm: f64,
     /// None of the effects below, to test the estimator alone
-    #[arg(long, conflicts_with_all = Effects::KEYS)]
+    #[arg(long, help_heading = "Simulation", conflicts_with_all = Effects::KEYS)]
     exact: bool,
     /// White noise of each robot joint [urad]
-    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.robot_noise_urad)]
+    #[arg(long, help_heading = "Simulation", value_name = "URAD", default_value_t = LABORATORY.robot_noise_urad)]
     robot_noise_urad: f64,
     /// White noise of each bar encoder [urad]
-    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.encoder_noise_urad)]
+    #[arg(long, help_heading = "Simulation", value_name = "URAD", default_value_t = LABORATORY.encoder_noise_urad)]
     encoder_noise_urad: f64,
     /// Sinusoidal error of each robot gear, amplitude [urad]
-    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.gear_sine_urad)]
+    #[arg(long, help_heading = "Simulation", value_name = "URAD", default_value_t = LABORATORY.gear_sine_urad)]
     gear_sine_urad: f64,
     /// Ripple of each cycloid gear, amplitude [urad]
-    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.cycloid_urad)]
+    #[arg(long, help_heading = "Simulation", value_name = "URAD", default_value_t = LABORATORY.cycloid_urad)]
     cycloid_urad: f64,
     /// Half of the play of each robot gear [urad]
-    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.backlash_urad)]
+    #[arg(long, help_heading = "Simulation", value_name = "URAD", default_value_t = LABORATORY.backlash_urad)]
     backlash_urad: f64,
     /// Eccentricity of each bar encoder, amplitude [urad]
-    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.encoder_eccentricity_urad)]
+    #[arg(long, help_heading = "Simulation", value_name = "URAD", default_value_t = LABORATORY.encoder_eccentricity_urad)]
     encoder_eccentricity_urad: f64,
     /// The same twice per turn, amplitude [urad]
-    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.encoder_ellipticity_urad)]
+    #[arg(long, help_heading = "Simulation", value_name = "URAD", default_value_t = LABORATORY.encoder_ellipticity_urad)]
     encoder_ellipticity_urad: f64,
     /// Smallest difference of two angles that a bar encoder shows, on top of its counts [urad]
-    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.encoder_step_urad)]
+    #[arg(long, help_heading = "Simulation", value_name = "URAD", default_value_t = LABORATORY.encoder_step_urad)]
     encoder_step_urad: f64,
     /// Tilt of the bar's base against the robot's [urad]
-    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.base_tilt_urad)]
+    #[arg(long, help_heading = "Simulation", value_name = "URAD", default_value_t = LABORATORY.base_tilt_urad)]
     base_tilt_urad: f64,
     /// Largest force along the bar, which the robot's log then has as `force_N` [N]
-    #[arg(long, value_name = "N", default_value_t = 0.0)]
+    #[arg(long, help_heading = "Simulation", value_name = "N", default_value_t = 0.0)]
     force_n: f64,
-    /// How much longer the bar becomes for each newton of tension [um/N]
-    #[arg(long, value_name = "UM", default_value_t = 0.0, requires = "force_n")]
+    /// Elongation of the bar for each newton of tension [um/N]
+    #[arg(long, help_heading = "Simulation", value_name = "UM", default_value_t = 0.0, requires = "force_n")]
     compliance_um_per_n: f64,
-    /// How much longer the bar is under any tension, and shorter under compression: play [um]
-    #[arg(long, value_name = "UM", default_value_t = 0.0, requires = "force_n")]
+    /// Play of the bar: elongation under any tension, and shortening under compression [um]
+    #[arg(long, help_heading = "Simulation", value_name = "UM", default_value_t = 0.0, requires = "force_n")]
     bar_play_um: f64,
     /// White noise of the force in the log [N]
-    #[arg(long, value_name = "N", default_value_t = 1.0)]
+    #[arg(long, help_heading = "Simulation", value_name = "N", default_value_t = 1.0)]
     force_noise_n: f64,
 }
 

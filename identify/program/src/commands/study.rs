@@ -18,9 +18,11 @@ use crate::study::{self, Definition, Results, Share, Summary, Trial, TrialRows, 
 /// Lines of progress in the log of a batch job.
 const LINES: usize = 20;
 
+const EXAMPLE: &str = "Example: identify study thesis --figures 3.2 --seeds 3 --out study";
+
 /// What `[[figures]]` may vary, for `--help`.
 fn conditions() -> String {
-    let mut text = String::from("Conditions of `vary` and `with` in the file of a study:\n");
+    let mut text = format!("{EXAMPLE}\n\nConditions of `vary` and `with` in the file of a study:\n");
     for (key, meaning) in study::CONDITIONS {
         text += &format!("  {key:<20}{meaning}\n");
     }
@@ -29,7 +31,7 @@ fn conditions() -> String {
 }
 
 #[derive(Debug, Args)]
-#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true, after_long_help = conditions())]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true, after_help = EXAMPLE, after_long_help = conditions())]
 pub struct StudyArguments {
     /// `thesis` for the shipped study of the thesis' simulations, or the file of another one, such as
     /// config/studies/thesis.toml
@@ -37,19 +39,19 @@ pub struct StudyArguments {
     study: Option<String>,
     /// Directory for trials.jsonl, points.csv, points.parquet, summary.json and study.html; existing results of the same
     /// study are not computed again
-    #[arg(long, value_name = "DIR", required = true)]
+    #[arg(long, help_heading = "Output", value_name = "DIR", required = true)]
     out: Option<PathBuf>,
-    /// Experiments of each point, instead of those in the file
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    /// Experiments of each point; default: `seeds` of the file
+    #[arg(long, help_heading = "Simulation", value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     seeds: Option<u32>,
-    /// Only these figures, by their numbers
-    #[arg(long, value_name = "NUMBER", num_args = 1..)]
+    /// Only these figures, by their numbers; default: all
+    #[arg(long, help_heading = "Simulation", value_name = "NUMBER", num_args = 1..)]
     figures: Vec<String>,
-    /// Part of the work for one of several machines, such as 3/16; put together with `identify study merge`
-    #[arg(long, value_name = "K/N")]
+    /// Part of the work for one of several machines, such as 3/16; `identify study merge` puts the parts together
+    #[arg(long, help_heading = "Simulation", value_name = "K/N")]
     shard: Option<Share>,
-    /// Experiments at once; default: as many as there are processors. The numbers do not depend on it
-    #[arg(long, value_name = "N")]
+    /// Experiments at once; default: one for each processor. The results do not depend on it
+    #[arg(long, help_heading = "Simulation", value_name = "N")]
     threads: Option<NonZeroUsize>,
     #[command(subcommand)]
     command: Option<StudyCommand>,
@@ -58,6 +60,7 @@ pub struct StudyArguments {
 #[derive(Debug, Subcommand)]
 enum StudyCommand {
     /// Put the results of all shards together.
+    #[command(after_help = "Example: identify study merge shard-1 shard-2 --out merged")]
     Merge(MergeArguments),
 }
 
@@ -66,8 +69,8 @@ struct MergeArguments {
     /// Directories of all shards
     #[arg(value_name = "SHARD", required = true)]
     shards: Vec<PathBuf>,
-    /// Directory for the whole
-    #[arg(long, value_name = "DIR")]
+    /// Directory for the merged results
+    #[arg(long, help_heading = "Output", value_name = "DIR")]
     out: PathBuf,
 }
 

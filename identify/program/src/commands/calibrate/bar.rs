@@ -27,49 +27,50 @@ use crate::threads::both;
 #[derive(Debug, Args)]
 pub struct BarArguments {
     /// Recording of the ball-bar (.mcap; or a CSV of counters, or a ROS 2 bag); several runs of one robot are solved together
-    #[arg(long, value_name = "FILE", required = true)]
+    #[arg(long, help_heading = "Input", value_name = "FILE", required = true)]
     pub(super) recording: Vec<PathBuf>,
-    /// Which column or joint of recordings of other programs is what, such as config/bar_log.toml
-    #[arg(long, value_name = "FILE")]
+    /// Mapping of the columns or joints of other programs' recordings, such as config/bar_log.toml
+    #[arg(long, help_heading = "Input", value_name = "FILE")]
     pub(super) recording_mapping: Option<PathBuf>,
     /// The robot's own log (CSV, ROS 2 bag, UR RTDE, ABB EGM, KUKA RSI), one for each recording in the same order
-    #[arg(long, value_name = "FILE", required = true)]
+    #[arg(long, help_heading = "Input", value_name = "FILE", required = true)]
     pub(super) robot_log: Vec<PathBuf>,
     /// Kind of the robot's logs; default: recognised by their content
-    #[arg(long, value_name = "KIND")]
+    #[arg(long, help_heading = "Input", value_name = "KIND")]
     pub(super) log_format: Option<LogFormat>,
-    /// Which column or joint of the robot's logs is what, such as config/robot_log.toml
-    #[arg(long, value_name = "FILE")]
+    /// Mapping of the columns or joints of the robot's logs, such as config/robot_log.toml; default: `[log]` of the robot's
+    /// configuration
+    #[arg(long, help_heading = "Input", value_name = "FILE")]
     pub(super) log_mapping: Option<PathBuf>,
     /// Force on the bar (.csv with t_s and force_N), one for each recording, on the robot's clock or the bar's; a force in the
     /// robot's log is then not read
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, help_heading = "Input", value_name = "FILE")]
     pub(super) force_log: Vec<PathBuf>,
-    /// Which column of the force logs is what, such as config/force_log.toml
-    #[arg(long, value_name = "FILE", requires = "force_log")]
+    /// Mapping of the columns of the force logs, such as config/force_log.toml
+    #[arg(long, help_heading = "Input", value_name = "FILE", requires = "force_log")]
     pub(super) force_mapping: Option<PathBuf>,
-    /// Take the bar as rigid although the robot's log has a force
-    #[arg(long, conflicts_with = "force_log")]
+    /// Treat the bar as rigid although the robot's log has a force
+    #[arg(long, help_heading = "Estimation", conflicts_with = "force_log")]
     pub(super) ignore_force: bool,
     /// The bar's configuration, one for all recordings or one for each; by default ball_bar.toml in config or /etc/ballbard, or
     /// the one that is built in
-    #[arg(long, value_name = "FILE", default_value = "ball_bar")]
+    #[arg(long, help_heading = "Input", value_name = "FILE", default_value = "ball_bar")]
     pub(super) bar: Vec<PathBuf>,
     /// Where an encoder slips, a clock jumps or the bar is moved at one instant, calibrate the run in two parts, each with its
     /// own clocks, base and offsets
-    #[arg(long)]
+    #[arg(long, help_heading = "Estimation")]
     pub(super) split_at_changes: bool,
     #[command(flatten)]
     pub(super) common: CommonArguments,
     /// Cost; default: the best that the encoders allow
-    #[arg(long)]
+    #[arg(long, help_heading = "Estimation")]
     pub(super) cost: Option<CostName>,
-    /// Which encoder sits on which joint: find, recorded, or for each encoder of the recording its joint, negative where
+    /// Joint of each encoder: find, recorded, or for each encoder of the recording its joint, negative where
     /// it counts the other way, such as 1,2,-3,5,4; default: find
-    #[arg(long, value_name = "ENCODERS", allow_hyphen_values = true)]
+    #[arg(long, help_heading = "Estimation", value_name = "ENCODERS", allow_hyphen_values = true)]
     pub(super) encoders: Option<EncoderMapChoice>,
     /// True parameters of a simulated experiment (the first one), to compare with
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, help_heading = "Input", value_name = "FILE")]
     pub(super) truth: Option<PathBuf>,
 }
 

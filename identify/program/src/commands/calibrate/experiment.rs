@@ -23,7 +23,7 @@ const NAME: &str = "experiment.toml";
 #[derive(Debug, Args)]
 pub struct ExperimentArguments {
     /// Everything that was measured on one robot and how it is calibrated, such as config/experiment.toml
-    #[arg(long, value_name = "FILE", required = true)]
+    #[arg(long, help_heading = "Input", value_name = "FILE", required = true)]
     experiment: PathBuf,
     #[command(flatten)]
     result: ResultArguments,

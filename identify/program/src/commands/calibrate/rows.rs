@@ -36,13 +36,13 @@ pub struct TrackerArguments {
     rows: RowArguments,
     /// The robot's own log (CSV, ROS 2 bag, UR RTDE, ABB EGM, KUKA RSI), where the rows have times on the tracker's clock in place
     /// of joints: the clocks are brought together by the motion
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, help_heading = "Input", value_name = "FILE")]
     robot_log: Option<PathBuf>,
     /// Kind of the robot's log; default: recognised by its content
-    #[arg(long, value_name = "KIND", requires = "robot_log")]
+    #[arg(long, help_heading = "Input", value_name = "KIND", requires = "robot_log")]
     log_format: Option<LogFormat>,
-    /// Which column or joint of the robot's log is what, such as config/robot_log.toml
-    #[arg(long, value_name = "FILE", requires = "robot_log")]
+    /// Mapping of the columns or joints of the robot's log, such as config/robot_log.toml
+    #[arg(long, help_heading = "Input", value_name = "FILE", requires = "robot_log")]
     log_mapping: Option<PathBuf>,
 }
 
@@ -51,8 +51,8 @@ pub struct TrackerArguments {
 pub struct ContactArguments {
     #[command(flatten)]
     pub(super) rows: RowArguments,
-    /// Where the sockets are on their plate, or their distances, such as config/sockets.toml
-    #[arg(long, value_name = "FILE")]
+    /// Positions of the sockets on their plate, or their distances, such as config/sockets.toml
+    #[arg(long, help_heading = "Input", value_name = "FILE")]
     pub(super) sockets: PathBuf,
 }
 
@@ -61,8 +61,8 @@ pub struct ContactArguments {
 pub struct TouchArguments {
     #[command(flatten)]
     pub(super) rows: RowArguments,
-    /// Distances and angles of the faces, such as config/faces.toml; without it nothing is known of them
-    #[arg(long, value_name = "FILE")]
+    /// Distances and angles of the faces, such as config/faces.toml; default: none is known
+    #[arg(long, help_heading = "Input", value_name = "FILE")]
     pub(super) faces: Option<PathBuf>,
 }
 
@@ -70,11 +70,11 @@ pub struct TouchArguments {
 #[derive(Debug, Clone, Default, PartialEq, Args, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RowFile {
-    /// What was measured (.csv), a row for each pose, in the order of the robot's motion
+    /// Table of measurements (.csv, .xlsx), a row for each pose, in the order of the robot's motion
     pub file: PathBuf,
-    /// Which column of the file is what, such as config/measured_pose.toml of a tracker, config/measured_length.toml of a wire,
+    /// Mapping of the columns of the file, such as config/measured_pose.toml of a tracker, config/measured_length.toml of a wire,
     /// config/contact.toml of a ball in sockets, config/touch.toml of a tip on faces
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, help_heading = "Input", value_name = "FILE")]
     pub mapping: PathBuf,
     /// Of a tracker whose rows have times in place of joints: the robot's own log.
     #[arg(skip)]
@@ -89,25 +89,25 @@ pub struct RowFile {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub faces: Option<PathBuf>,
     /// Which rows are held out together; default: regions of poses, otherwise single rows
-    #[arg(long, value_enum)]
+    #[arg(long, help_heading = "Estimation", value_enum)]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub hold_out: Option<HoldOut>,
-    /// Decides which rows are held out; default: 1042
-    #[arg(long)]
+    /// Seed that selects the held-out rows; default: 1042
+    #[arg(long, help_heading = "Estimation")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seed: Option<u64>,
     /// Highest number of waves per turn that the errors of joints may have, 3 to 127; default: 64 with a tracker, otherwise by
     /// the number of rows. The lowest of all files counts
-    #[arg(long, value_name = "N",
+    #[arg(long, help_heading = "Estimation", value_name = "N",
           value_parser = clap::value_parser!(u8).range(i64::from(*Waves::OF_AXIS.start())..=i64::from(*Waves::OF_AXIS.end())))]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub joint_waves: Option<u8>,
-    /// Other files of the same instrument, which may stand elsewhere, to check the robot with
-    #[arg(long, value_name = "FILES", value_delimiter = ',')]
+    /// Other files of the same instrument, which may have another position, to check the robot
+    #[arg(long, help_heading = "Input", value_name = "FILES", value_delimiter = ',')]
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub validate: Vec<PathBuf>,
-    /// Which column of these is what; default: as --mapping says. Their rows have joints, also where the others have times
-    #[arg(long, value_name = "FILE", requires = "validate")]
+    /// Mapping of the columns of these; default: that of --mapping. Their rows have joints, also if the others have times
+    #[arg(long, help_heading = "Input", value_name = "FILE", requires = "validate")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub validate_mapping: Option<PathBuf>,
 }
@@ -190,7 +190,7 @@ pub(super) struct Aligned {
     t_ref: UtcNs,
     /// The tracker's times have a date.
     is_dated: bool,
-    /// The robot stood still at each row: standstills have said what the clocks are, no solve.
+    /// The robot stood still at each row: the clocks follow from the standstills, not from a solve.
     stood: bool,
     /// Rows outside the robot's log, or taken while a robot moved that otherwise stood.
     left_out: usize,
