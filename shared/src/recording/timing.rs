@@ -23,7 +23,7 @@ pub struct Durations {
 /// One bin of a histogram: longer than the limit of the bin before, up to its own.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Bin {
-    /// Limit, included \[ns\]; see [`Bin::limit_of`].
+    /// Limit, included \[ns\].
     pub up_to_ns: u64,
     /// Number of cycles in the bin.
     pub cycles: u64,

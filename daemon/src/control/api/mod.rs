@@ -236,6 +236,12 @@ fn operations() -> Vec<(Operation, MethodRouter<Shared>)> {
     ]
 }
 
+/// The OpenAPI document of the service.
+pub fn document() -> serde_json::Value {
+    let (described, _): (Vec<_>, Vec<_>) = operations().into_iter().unzip();
+    openapi::document(&described)
+}
+
 /// All routes, for programs of this machine.
 pub fn router(service: Service) -> Router {
     routes(service, None, None)

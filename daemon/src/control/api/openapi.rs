@@ -14,6 +14,33 @@ use crate::control::status::Refusal;
 /// Location of schemas in the document.
 const SCHEMAS: &str = "/components/schemas";
 
+/// Status codes of refusals with their reasons.
+const REFUSALS: [(StatusCode, &str); 14] = [
+    (StatusCode::BAD_REQUEST, "the body is not JSON, or a query parameter is unknown or invalid"),
+    (StatusCode::UNAUTHORIZED, "a request from another machine has no valid token"),
+    (
+        StatusCode::FORBIDDEN,
+        "the request has a foreign origin or host, or passed a proxy without --behind-proxy",
+    ),
+    (StatusCode::NOT_FOUND, "no such path, recording or run"),
+    (StatusCode::METHOD_NOT_ALLOWED, "the path has another method; this reply has no body"),
+    (StatusCode::REQUEST_TIMEOUT, "the request did not arrive within 5 seconds"),
+    (
+        StatusCode::CONFLICT,
+        "the state of the service forbids it: a run is active, none is, or the check found what stops a run",
+    ),
+    (StatusCode::PAYLOAD_TOO_LARGE, "the request is longer than 64 kB, or was cut"),
+    (StatusCode::UNSUPPORTED_MEDIA_TYPE, "the body is not declared as application/json"),
+    (StatusCode::UNPROCESSABLE_ENTITY, "a value of the body is invalid, or a field is unknown"),
+    (StatusCode::TOO_MANY_REQUESTS, "too many wrong tokens in the last minute"),
+    (
+        StatusCode::INTERNAL_SERVER_ERROR,
+        "the disk reports an error, or the file of a run could not be finished",
+    ),
+    (StatusCode::SERVICE_UNAVAILABLE, "the service is ending, or has too many requests or viewers"),
+    (StatusCode::GATEWAY_TIMEOUT, "the disk, the file of a run or the service did not answer in time"),
+];
+
 /// One operation of the API.
 pub(super) struct Operation {
     /// Path below `/api`.
@@ -96,6 +123,7 @@ pub(super) fn document(operations: &[Operation]) -> Value {
         described["parameters"] = names.map(parameter).chain(options.iter().map(option)).collect();
         paths.entry(format!("/api{path}")).or_default().insert((*method).to_owned(), described);
     }
+    let refused = REFUSALS.map(|(code, reason)| (code.as_str().to_owned(), json!({"description": reason})));
     let mut schemas = asked.take_definitions(true);
     schemas.append(&mut answered.take_definitions(true));
     json!({
@@ -113,6 +141,7 @@ pub(super) fn document(operations: &[Operation]) -> Value {
         "security": [{}, {"token": []}, {"browser": []}],
         "components": {
             "schemas": schemas,
+            "responses": Map::from_iter(refused),
             "securitySchemes": {
                 "token": {
                     "type": "http",
