@@ -223,7 +223,7 @@ impl ParameterBlock {
 /// One row per block: fields with their ranges, name, common properties, and the place of the number in `Geometry`.
 macro_rules! parameters {
     ($(
-        $(#[$doc:meta])*
+        $(#[doc = $doc:literal])*
         $block:ident $({ $( $(#[$field_doc:meta])* $field:ident: $type:ty = $values:expr, )* })?
             called $name:expr,
             is $common:expr,
@@ -233,12 +233,17 @@ macro_rules! parameters {
         /// names.
         #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
         pub enum ParameterId {
-            $( $(#[$doc])* $block $({ $( $(#[$field_doc])* $field: $type, )* })?, )*
+            $( $(#[doc = $doc])* $block $({ $( $(#[$field_doc])* $field: $type, )* })?, )*
         }
 
         impl ParameterId {
             fn name(self) -> String {
                 match self { $( Self::$block { $($($field),*)? } => $name.to_string(), )* }
+            }
+
+            /// The meaning of its block: that of its row in the table of parameters.
+            pub fn meaning(self) -> &'static str {
+                match self { $( Self::$block { .. } => concat!($($doc),*).trim_ascii(), )* }
             }
 
             /// The properties that it shares with its block.
