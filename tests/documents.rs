@@ -8,7 +8,7 @@ use clap::Parser;
 use identify::model::ParameterId;
 use shared::recording::schema::flags;
 
-fn repository(path: &str) -> PathBuf {
+pub(crate) fn repository(path: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(path)
 }
 

@@ -11,3 +11,4 @@ mod forces;
 mod readers;
 mod replay;
 mod robot_logs;
+mod words;

@@ -56,7 +56,7 @@ fn clocks_that_jump_and_counters_with_a_new_origin_are_suspected() {
 fn frozen_and_commanded_logs_are_suspected() {
     let mut log: RobotLog = simulated().robot_log;
     log.origin = Origin::Commanded;
-    // At the highest speed: the joints are frozen for 30 rows and then jump.
+    // At the highest speed: the joints are repeated for 30 rows and then jump.
     let step = |row: &usize| (log.q_rad[row + 30][0] - log.q_rad[*row][0]).abs();
     let fastest = (0..log.q_rad.len() - 30).max_by(|a, b| step(a).total_cmp(&step(b))).unwrap();
     let held = log.q_rad[fastest];

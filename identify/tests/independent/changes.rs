@@ -1,4 +1,4 @@
-//! Sudden changes during a run: messages by kind and size of the change, and for runs without a change.
+//! Changes at one instant of a run: messages by kind and size of the change, and for runs without a change.
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
 use super::campaign::{Outcome, calibrate, chosen, number, sizes};

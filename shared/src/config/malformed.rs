@@ -43,7 +43,7 @@ pub fn nearest<'a>(wrong: &str, known: impl Iterator<Item = &'a str>) -> Option<
     nearest.filter(|(alike, _)| *alike >= ALIKE).map(|(_, name)| name)
 }
 
-/// The sentence about `key`, its dotted path, from what serde and toml say.
+/// The sentence about `key`, its dotted path, from the messages of serde and toml.
 pub(super) fn message(key: Option<&str>, said: &str) -> String {
     let Some(key) = key else { return format!("this is not TOML: {}", said.trim_end()) };
     let named: Vec<&str> = said.split('`').skip(1).step_by(2).collect();

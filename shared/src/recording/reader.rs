@@ -64,7 +64,7 @@ pub enum ReadErrorKind {
     /// The run has no end record.
     #[error("the run was never finished (its end is missing); run `ballbard recover` on it")]
     Unfinished,
-    /// Cycle numbers have a hole, or their count differs from what the end record says.
+    /// Cycle numbers have a hole, or their count differs from that of the end record.
     #[error("cycle {found} follows where {expected} should be; a part of the file is missing or damaged")]
     Hole {
         /// Cycle number that should come.

@@ -26,7 +26,7 @@ const COPY_BYTES: usize = 1 << 20;
 /// Names that are tried for the copy of a run in another directory.
 const COPY_NAMES: u32 = 100;
 
-/// A run's file on disk, `.mcap.active` until it is finished. Whoever has one holds the lock on the file, which
+/// A run's file on disk, `.mcap.active` until it is finished. Its owner has the lock on the file, which
 /// ends with the process however it ends: a file without the lock has been left behind.
 #[derive(Debug)]
 pub struct RunFile {

@@ -41,7 +41,7 @@ pub enum WriteError {
     Io {
         /// The file or directory.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the operating system.
         source: io::Error,
     },
     /// The run's file was removed, replaced or moved away, or its file system is there no more.

@@ -1,4 +1,4 @@
-//! Sudden changes of an instrument, a robot or their clocks during a measurement.
+//! Changes at one instant of an instrument, a robot or their clocks during a measurement.
 
 use crate::kinematics::LinkParameter;
 use crate::model::{Axis, Coordinate, ParameterId};

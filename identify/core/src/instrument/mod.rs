@@ -82,7 +82,7 @@ pub trait Measures: Boxed + fmt::Debug + Send + Sync {
     /// Whether the samples separate the parameter from the others that are usually free.
     fn identifies(&self, id: ParameterId) -> bool;
 
-    /// Sudden changes that can occur during a measurement.
+    /// Changes at one instant that can occur during a measurement.
     fn causes(&self, geometry: &Geometry) -> Vec<Cause>;
 
     /// Updates quantities that depend on the geometry, before a solve that starts at the model. Returns the noise of a

@@ -75,7 +75,7 @@ enum Command {
 
 impl Arguments {
     /// Parses the words of a command line, the program's name first. `identify calibrate --recording ..` means the ball-bar,
-    /// `identify calibrate --experiment ..` whatever the file says, `identify plan --robot ..` a path, `identify simulate --robot ..` the ball-bar.
+    /// `identify calibrate --experiment ..` the instruments of the file, `identify plan --robot ..` a path, `identify simulate --robot ..` the ball-bar.
     ///
     /// # Errors
     /// Those of clap; help and version are errors, too.

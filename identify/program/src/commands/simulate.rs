@@ -21,7 +21,7 @@ enum Errors {
     Thesis,
     /// Drawn by --robot-seed, 1 mm|mrad standard deviation
     Drawn,
-    /// The robot is as its data sheet says
+    /// The nominal robot of the data sheet
     None,
 }
 

@@ -27,7 +27,7 @@ pub struct Inspection {
     pub facts: Vec<(String, String)>,
     /// One row per joint.
     pub joints: Vec<JointLine>,
-    /// What may spoil a calibration, and what to do about it.
+    /// Content that reduces the accuracy of a calibration or prevents it, with the remedy.
     pub suspicious: Vec<String>,
 }
 

@@ -8,7 +8,7 @@ use crate::prepare::{BarAngles, bar_angles};
 
 /// Faster than this no bar is moved by a robot; counts that jump are \[deg/s\].
 const SPEED_MAX_DEG_S: f64 = 720.0;
-/// Sample times less certain than this spoil a calibration: 0.5 rad/s times 150 us is the whole budget of 75 urad.
+/// Sample times less certain than this reduce the accuracy of a calibration: 0.5 rad/s times 150 us is the whole budget of 75 urad.
 const UNCERTAINTY_MAX_NS: u32 = 150_000;
 
 /// What a recording holds.

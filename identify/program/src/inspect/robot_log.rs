@@ -5,9 +5,9 @@ use crate::kinematics::Joints;
 use crate::logs::{Origin, RobotLog};
 use crate::prepare::unwrapped_log;
 
-/// Rows that repeat all joints while the log moves on either side are frozen, not still.
+/// Rows that repeat all joints while the log moves on either side are repeated rows, no standstill.
 const FROZEN_ROWS_MIN: usize = 3;
-/// A joint that moved by this much over a frozen segment was moving \[rad\].
+/// A joint that moved by this much over a segment of repeated rows was moving \[rad\].
 const FROZEN_STEP_RAD: f64 = 1e-3;
 
 /// What a robot's log holds.

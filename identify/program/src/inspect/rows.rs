@@ -45,7 +45,7 @@ fn nominal_robot(inspection: &mut Inspection, instrument: &Instrument, robot: &R
     let fact = format!("{:.2} mm{rotation} (RMS) from the rows", rms_m * 1e3);
     inspection.fact("nominal robot", fact);
     let mut mistakes = instrument.mistakes(robot.axes());
-    // Where something was moved a calibration says.
+    // A calibration finds where something was moved.
     mistakes.retain(|mistake| !matches!(mistake, Mistake::Moved(_)));
     if let Some(likely) = likely(instrument, &chain, &mistakes) {
         inspection.suspect(format!("most likely {likely}"));

@@ -49,7 +49,7 @@ pub struct Notes {
 }
 
 impl Proposal {
-    /// The mapping as the text of a file, reasons and doubts as its comments.
+    /// The mapping as the text of a file, with reasons and open questions as its comments.
     ///
     /// # Errors
     /// Where a value cannot be written as TOML.
@@ -652,7 +652,7 @@ fn named(columns: &[&Column], what: &str, words: &[&str], notes: &mut Notes) -> 
     Some(column.name.clone())
 }
 
-/// Tries on the nominal robot what names alone do not say.
+/// Tests on the nominal robot what names alone do not determine.
 struct Trial<'a> {
     bytes: &'a [u8],
     path: &'a Path,

@@ -16,7 +16,7 @@ use crate::report::result::validation::ValidationEntry;
 pub struct Validation {
     /// Path of the file.
     pub name: String,
-    /// What its rows say.
+    /// Figures of its rows.
     pub found: Validated,
     /// Lines of rows that neither robot comes near.
     pub gross: Vec<u64>,
@@ -201,7 +201,7 @@ fn rejected_rows(report: &RowSet, remarks: &[(usize, String)], lines: &[u64]) ->
             Rejection::GrossResidual { residual_m } => {
                 writeln!(text, "  line {}: off by {:.2} mm{remark}", line(rejected.row), residual_m * 1e3)
             }
-            // Told as a run below.
+            // Listed with its run below.
             Rejection::FaultyRun { .. } => Ok(()),
         };
     }

@@ -66,7 +66,7 @@ pub enum MessageError {
     /// The bytes do not begin with the header of little-endian CDR.
     #[error("not little-endian CDR")]
     Encapsulation,
-    /// The bytes end early, go on after the message, or hold an impossible value.
+    /// The bytes end early, continue after the message, or hold an impossible value.
     #[error("not a whole message of this type: {0}")]
     Content(String),
 }

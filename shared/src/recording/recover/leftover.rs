@@ -67,7 +67,7 @@ pub enum RecoverError {
     Io {
         /// Path of the file concerned.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the operating system.
         source: io::Error,
     },
     /// Its content cannot be taken out.
@@ -155,7 +155,7 @@ pub fn recover_leftovers_on(disk: &dyn Disk, directory: &Path) -> Vec<Leftover> 
             if let Err(RecoverError::Salvage { source: SalvageError::NothingWhole(_), .. }) = leftover.outcome
             {
                 // Its outcome is reported; that it keeps its name would only be tried again. There may be nothing in it after
-                // all, which the disk did not say before.
+                // all, which the disk did not report before.
                 let _ = remove_if_empty(disk, &leftover.file) || set_aside(disk, &leftover.file).is_ok();
             }
         })

@@ -33,7 +33,7 @@ const CYCLE_BYTES_MIN: u64 = 16;
 const DAMAGED_CODE: &str = "file_damaged";
 /// As many cycles may be missing though no byte is damaged: a write that never reached the disk left no trace.
 const UNTRACED_CYCLES_MAX: u64 = 100_000;
-/// What follows a hole was sampled when its number says, but for this \[ns\] ...
+/// What follows a hole was sampled at the time of its number, except for this \[ns\] ...
 const TIME_SLACK_NS: i128 = 10 * NS_PER_S as i128;
 /// ... and this share of the time between: crystals differ by less. Old blocks of another run's file do not pass.
 const TIME_SHARE_MAX: i128 = 1000;
@@ -148,7 +148,7 @@ pub(super) fn find_run(source: impl Read + Seek) -> Result<(RunMetadata, CycleLa
     }
 }
 
-/// Reads a recovered recording back: it must be finished, and hold what `salvaged` says, bit for bit.
+/// Reads a recovered recording back: it must be finished, and contain what `salvaged` has, bit for bit.
 pub fn verify(source: impl Read, salvaged: &Salvaged) -> Result<(), SalvageError> {
     let differs = |what: &str| Err(SalvageError::Verification(what.to_owned()));
     let written = check(source).map_err(|damage| SalvageError::Verification(damage.to_string()))?;
@@ -165,7 +165,7 @@ pub fn verify(source: impl Read, salvaged: &Salvaged) -> Result<(), SalvageError
     Ok(())
 }
 
-/// Reads a file through without keeping it: it is finished and whole, or the error says why not.
+/// Reads a file through without keeping it: it is finished and whole, or the error has the reason.
 pub(super) fn check(source: impl Read) -> Result<Salvaged, ReadErrorKind> {
     let (mut decoder, mut seen) = (Decoder::default(), Seen::default());
     for_each_record(source, &mut |record| {
@@ -245,7 +245,7 @@ impl<W: Write + Seek> Rewriting<W> {
         })
     }
 
-    /// Cycles that the run had behind the last whole one, as its end says.
+    /// Cycles that the run had behind the last whole one, by its end record.
     fn fill_to_end(&mut self, damage: &Damage) -> Result<(), Refused<SalvageError>> {
         let (Some(last), Some(end)) = (self.last, &self.seen.end) else { return Ok(()) };
         let missing = self.seen.cycles..end.cycles;

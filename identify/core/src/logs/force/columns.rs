@@ -123,7 +123,7 @@ impl ForceLayout {
     }
 
     /// Columns with one of the known names: `force_N`, `force_sign`, `force_x_N` .. `force_z_N` (in the axes of the
-    /// flange unless a comment says `# force_frame: base`), torques such as `joint1_Nm`, or the force of a UR.
+    /// flange unless a comment states `# force_frame: base`), torques such as `joint1_Nm`, or the force of a UR.
     pub fn find_usual(table: &Table<'_>, robot: &RobotConfig) -> Result<Option<Self>, LogError> {
         let torques: Vec<String> =
             (1..=robot.axes()).map(|joint| format!("{}{joint}_Nm", robot.log.column)).collect();

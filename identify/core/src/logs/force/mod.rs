@@ -42,11 +42,11 @@ impl ForceClock {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ForceKind {
-    /// Along the bar \[N\], as a load cell in it says.
+    /// Along the bar \[N\], as a load cell in it measures.
     Along,
     /// Only the side on which the bar is loaded: -1, 0 or 1.
     Sign,
-    /// x, y, z in the flange's axes \[N\], as a sensor between flange and bar says.
+    /// x, y, z in the flange's axes \[N\], as a sensor between flange and bar measures.
     InFlange,
     /// x, y, z in the axes of the robot's base \[N\].
     InBase,

@@ -22,7 +22,7 @@ pub enum TimeUnit {
     Us,
     /// Nanoseconds, as ROS has them.
     Ns,
-    /// Cycles of a controller, each as long as [`TimeColumn::period_ms`] says.
+    /// Cycles of a controller, each with the duration [`TimeColumn::period_ms`].
     Cycles,
     /// Windows FILETIME: 100 ns since 1601, as TwinCAT exports it.
     Filetime,

@@ -283,7 +283,7 @@ struct Numbered {
 }
 
 impl Numbered {
-    /// Each row follows the one before it, but where the motion or what rounding and jitter do not explain says otherwise.
+    /// Each row follows the one before it, unless the motion, or a deviation beyond rounding and jitter, shows otherwise.
     fn new(t_s: &[f64], motion: &[Option<f64>], grid_s: Option<f64>) -> Option<Self> {
         let apart_s = ROUNDED * grid_s.unwrap_or_default();
         let period_s = period(t_s, motion)?;
@@ -588,7 +588,7 @@ fn breaks(rest_s: &[f64], period_s: f64, apart_s: f64) -> Option<Vec<usize>> {
         }
         let sizes: Vec<(usize, f64)> = (at..(at + 2 * beside).min(end)).map(|at| (at, step_s(at))).collect();
         let largest_s = sizes.iter().map(|(_, size_s)| *size_s).fold(0.0, f64::max);
-        // Means of many rows say the place by a few rows only; the step itself is between two.
+        // Means of many rows give the place to a few rows only; the step itself is between two.
         let sharp = |at: usize| (rest_s[at] - rest_s[at - 1]).abs();
         let near = sizes.iter().filter(|(_, size_s)| *size_s > NEARLY * largest_s).map(|(at, _)| *at);
         let best = near.max_by(|a, b| sharp(*a).total_cmp(&sharp(*b)))?;

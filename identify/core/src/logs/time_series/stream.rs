@@ -243,7 +243,7 @@ impl<R> Stream<R> {
 }
 
 impl<R: Row> Stream<R> {
-    /// Parts without gaps in which the numbers go on from row to row, in the order of time; none is empty.
+    /// Parts without gaps in which the numbers are continuous from row to row, in the order of time; none is empty.
     pub fn parts(&self) -> Vec<Range<usize>> {
         self.parts_within(self.gap_limit_s)
     }

@@ -1,7 +1,7 @@
 //! Which encoder sits on which joint, and which way it counts: found from the angles.
 //!
 //! Each recorded encoder is compared with each predicted joint, counting either way. Where they are the same joint the
-//! difference is one constant; otherwise it varies with the motion. So a table of encoders by joints says at once which
+//! difference is one constant; otherwise it varies with the motion. So a table of encoders by joints shows at once which
 //! orders and directions fit, and all of them are reported.
 //!
 //! One thing no data can determine: an encoder on joint 2 (or 4) that counts the other way is the same as the gimbal (the

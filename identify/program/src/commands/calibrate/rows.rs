@@ -203,7 +203,7 @@ pub(super) struct WithLogs<'a> {
     pub(super) options: &'a PrepareOptions,
 }
 
-/// The rows of a file, read as the file of its mapping says; `data_set` is its number.
+/// The rows of a file, read by its mapping; `data_set` is its number.
 pub(super) fn read(
     kind: Kind,
     of: &RowFile,
@@ -329,7 +329,7 @@ fn timed_poses(
 
 impl Aligned {
     /// The clocks at the solution of all data sets, of which the tracker's is number `run` from 0: as the solve found them, or as
-    /// far as standstills say.
+    /// far as standstills show.
     pub(super) fn clock(&self, run: usize, found: &Calibration) -> Option<ClockEntry> {
         let solved = ClockEntry::solved(found, run, (self.t_ref, self.is_dated), &self.alignment)?;
         let skew_ppm = if self.stood { self.alignment.skew * 1e6 } else { solved.skew_ppm };

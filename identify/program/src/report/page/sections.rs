@@ -163,7 +163,7 @@ pub(super) fn budget(file: &CalibrationFile) -> Markup {
     } }
 }
 
-/// Terms of robot and instruments that were tried, and what held-out groups of samples said.
+/// Terms of robot and instruments that were tried, and the result on held-out groups of samples.
 pub(super) fn candidates(file: &CalibrationFile) -> Markup {
     let candidates = &file.candidates;
     html! { @if !candidates.is_empty() {

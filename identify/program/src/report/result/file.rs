@@ -37,7 +37,7 @@ pub enum FileError {
     Io {
         /// The file or directory.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the operating system.
         source: io::Error,
     },
     /// A number does not fit TOML.
@@ -253,7 +253,7 @@ impl SolveEntry {
     }
 }
 
-/// Who measured what, as a recording says; empty where it does not.
+/// Description of a measurement in its recording; empty fields are not in it.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct MeasurementEntry {
     /// When the recording began.
@@ -272,7 +272,7 @@ pub struct MeasurementEntry {
 }
 
 impl MeasurementEntry {
-    /// Of a table, which says no more of itself than that it was simulated, if it was.
+    /// Of a table, which contains only whether it was simulated.
     pub fn of_table(simulated: bool) -> Option<Self> {
         simulated.then(|| Self { simulated, ..Self::default() })
     }
@@ -307,7 +307,7 @@ pub struct CalibrationFile {
     /// Numbers of the robot's links of which the data determine no more than a combination, such as `rd2|rd3|rd4`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub not_separated: Vec<String>,
-    /// What each recording says of its measurement.
+    /// Description of the measurement in each recording.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub measured: Vec<MeasurementEntry>,
     /// The verdict; files of earlier versions have none.

@@ -63,7 +63,7 @@ pub struct Knowledge {
     pub rank: usize,
     /// Directions determined by the samples alone.
     pub rank_of_samples: usize,
-    /// Singular values of the column-scaled Jacobian with priors, descending: a gap among them is a doubtful rank.
+    /// Singular values of the column-scaled Jacobian with priors, descending: a gap among them makes the rank uncertain.
     pub singular_values: Vec<f64>,
     /// With columns in mm, mrad, ms and ppm; all zero where priors are needed.
     pub observability: ObservabilityEntry,

@@ -24,7 +24,7 @@ pub enum RobotFileError {
 }
 
 impl CalibrationFile {
-    /// The robot's links with one number of each parameter, standing at the root; joints are as the file says where it is supported.
+    /// The robot's links with one number of each parameter, standing at the root; kinds of joints are those of the validity range.
     pub(crate) fn links(&self, number: impl Fn(&ParameterEntry) -> f64) -> Chain {
         let mut links: Vec<DhLink> = Vec::new();
         for entry in &self.parameters {

@@ -127,7 +127,7 @@ pub(in crate::report::page) fn components_over_time(
     Ok(panels)
 }
 
-/// What is left, seen from each joint and by its direction of motion.
+/// The residual by each joint's angle and by its direction of motion.
 pub(in crate::report::page) fn by_joint(evidence: &Evidence) -> Result<Vec<Markup>, PlotError> {
     let panel = |joint: usize| {
         let side = |name, colour, forward: bool| {

@@ -23,7 +23,7 @@ pub struct RefusedPage<'a> {
     pub robot: &'a str,
     /// What it was to be measured with.
     pub instrument: &'a str,
-    /// What each recording says of its measurement.
+    /// Description of the measurement in each recording.
     pub measured: &'a [MeasurementEntry],
     /// Message and place of the refusal.
     pub refusal: &'a Refusal<'a>,

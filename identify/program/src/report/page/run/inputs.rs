@@ -23,7 +23,7 @@ pub struct Source {
     pub curves: Vec<Curve>,
 }
 
-/// What each file says, side by side.
+/// Content of the files, side by side.
 pub(in crate::report::page) fn section(sources: &[Source]) -> Markup {
     html! { @if !sources.is_empty() {
         h2 { "What the logs say of themselves, and what they leave unsaid" }
@@ -43,7 +43,7 @@ pub(in crate::report::page) fn rows(facts: &[(String, String)]) -> Markup {
     }
 }
 
-/// What one file says; what it does not say stands out.
+/// Content of one file; missing information is emphasised.
 fn facts(source: &Source) -> Markup {
     let Inspection { facts, suspicious, .. } = &source.inspection;
     html! {

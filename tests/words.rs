@@ -1,0 +1,85 @@
+//! No page of the book, help text or comment has a word of `docs/words.toml`.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+
+use crate::documents::repository;
+
+/// The content of `docs/words.toml`.
+#[derive(Deserialize)]
+struct List {
+    word: Vec<Word>,
+}
+
+#[derive(Deserialize)]
+struct Word {
+    /// Words or phrases, in lower case.
+    not: Vec<String>,
+    write: String,
+    /// Phrases in which the word is right.
+    #[serde(default)]
+    allow: Vec<String>,
+}
+
+impl Word {
+    /// The first of these words in a text of lower-case words, each between two spaces.
+    fn in_text(&self, text: &str) -> Option<&str> {
+        let right =
+            self.allow.iter().fold(text.to_owned(), |text, right| text.replace(&format!(" {right} "), "  "));
+        self.not.iter().find(|not| right.contains(&format!(" {not} "))).map(String::as_str)
+    }
+}
+
+/// Files with prose below a folder, without those that other programs or projects made.
+fn files(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let is_foreign = |path: &Path| ["target", "ogl", "uplot", ".git"].iter().any(|name| path.ends_with(name));
+    let (folders, files): (Vec<_>, Vec<_>) =
+        entries.filter(|path| !is_foreign(path)).partition(|path| path.is_dir());
+    let has_prose = |path: &PathBuf| {
+        path.extension().is_some_and(|ending| ["md", "rs", "toml"].iter().any(|e| ending == *e))
+    };
+    let below = folders.iter().flat_map(|folder| self::files(folder));
+    files.into_iter().filter(has_prose).chain(below).collect()
+}
+
+/// What people read of a line: the whole line of a document, otherwise a comment that has the line for itself.
+fn prose<'l>(file: &Path, line: &'l str) -> &'l str {
+    let mark = match file.extension().and_then(|ending| ending.to_str()) {
+        Some("rs") => "//",
+        Some("toml") => "#",
+        _ => return line,
+    };
+    line.trim_start().strip_prefix(mark).unwrap_or_default()
+}
+
+/// The words of a text outside of code, in lower case, each between two spaces.
+fn words(text: &str) -> String {
+    let outside: Vec<&str> = text.split('`').step_by(2).collect();
+    let lower = outside.join(" ` ").to_lowercase();
+    let words: Vec<&str> = lower.split(|letter: char| !letter.is_alphanumeric() && letter != '`').collect();
+    format!(" {} ", words.join(" ").split_whitespace().collect::<Vec<_>>().join(" "))
+}
+
+#[test]
+fn no_document_help_text_or_comment_has_a_word_of_the_list() {
+    let list: List =
+        toml::from_str(&std::fs::read_to_string(repository("docs/words.toml")).unwrap()).unwrap();
+    let mut found = Vec::new();
+    for file in files(&repository("")) {
+        if file.ends_with("docs/words.toml") {
+            continue;
+        }
+        let text = std::fs::read_to_string(&file).unwrap();
+        for (number, line) in (1..).zip(text.lines()) {
+            let text = words(prose(&file, line));
+            let hits = list.word.iter().filter_map(|word| Some((word.in_text(&text)?, &word.write)));
+            found.extend(
+                hits.map(|(not, write)| format!("{}:{number}: not `{not}` but {write}", file.display())),
+            );
+        }
+    }
+    assert!(found.is_empty(), "{} words of docs/words.toml:\n{}", found.len(), found.join("\n"));
+}
