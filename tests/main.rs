@@ -9,6 +9,7 @@ mod corpus;
 mod documents;
 mod forces;
 mod readers;
+mod reference;
 mod replay;
 mod robot_logs;
 mod words;

@@ -1,0 +1,137 @@
+//! `configuration.md`: the files in `config/`, described by their own comments.
+
+use std::collections::HashSet;
+use std::fmt::Write;
+use std::mem::take;
+
+use generate::page::cell;
+use toml::{Table, Value};
+
+use super::check;
+use crate::documents::repository;
+
+/// Endings of keys that are units.
+const UNITS: &str = "hz s ms us mb m mm um deg rad mrad urad ppm per";
+/// Longest value that is shown whole.
+const VALUE_CHARS_MAX: usize = 60;
+
+/// Type of a value, with the unit at the end of its key, such as `mm, mrad` of `tolerance_mm_mrad`.
+fn kind(key: &str, value: &Value) -> String {
+    let kind = match value {
+        Value::String(_) | Value::Datetime(_) => "text",
+        Value::Integer(_) | Value::Float(_) => "number",
+        Value::Boolean(_) => "true or false",
+        Value::Array(_) => "list",
+        Value::Table(_) => "table",
+    };
+    let units = key.rsplit('_').take_while(|part| UNITS.split(' ').any(|unit| unit == *part));
+    let mut parts: Vec<&str> = units.chain([kind]).collect();
+    parts.reverse();
+    parts.join(", ").replace(", per, ", "/").replace(", hz", ", Hz").replace(", mb", ", MB")
+}
+
+/// A section of a file, of all its blocks with the same title.
+#[derive(Default)]
+struct Section {
+    title: String,
+    about: String,
+    rows: String,
+    keys: HashSet<String>,
+}
+
+impl Section {
+    /// Adds a comment that belongs to no key; its indented lines are an example.
+    fn add_paragraph(&mut self, lines: &[String]) {
+        let is_code = |line: &String| line.starts_with("    ");
+        for part in lines.chunk_by(|one, next| is_code(one) == is_code(next)) {
+            let text = part.join("\n");
+            let text = if is_code(&part[0]) { format!("```text\n{text}\n```") } else { cell(&text) };
+            let _ = writeln!(self.about, "\n{text}");
+        }
+    }
+
+    fn add_key(&mut self, Entry { key, value, text, is_set }: &Entry, comment: &[String]) {
+        if !self.keys.insert(key.clone()) {
+            return;
+        }
+        let is_long = text.contains('\n') || text.chars().count() > VALUE_CHARS_MAX;
+        let shown = if is_long { "...".to_owned() } else { format!("`{}`", text.replace('|', "\\|")) };
+        let absent = if *is_set { "" } else { "absent, such as " };
+        let meaning = cell(&comment.join(" "));
+        let meaning = if meaning.is_empty() { "see above" } else { &meaning };
+        let _ = writeln!(self.rows, "| `{key}` | {} | {absent}{shown} | {meaning} |", kind(key, value));
+    }
+
+    fn markdown(&self) -> String {
+        let Self { title, about, rows, .. } = self;
+        let title = if title.is_empty() { String::new() } else { format!("\n**`{title}`**\n") };
+        let head = "\n| key | type, unit | in the file | meaning |\n|---|---|---|---|\n";
+        if rows.is_empty() { format!("{title}{about}") } else { format!("{title}{about}{head}{rows}") }
+    }
+}
+
+/// A key with its value, which is a comment if it is not set.
+struct Entry {
+    key: String,
+    value: Value,
+    text: String,
+    is_set: bool,
+}
+
+impl Entry {
+    /// The key of a line; its value may continue in further lines.
+    fn parse<'t>(line: &'t str, is_set: bool, further: &mut impl Iterator<Item = &'t str>) -> Option<Self> {
+        let (key, _) = line.split_once(" = ").filter(|(key, _)| !key.contains(char::is_whitespace))?;
+        let mut text = line.to_owned();
+        loop {
+            if let Ok(table) = text.parse::<Table>() {
+                let (key, value, text) =
+                    (key.to_owned(), table.get(key)?.clone(), text[key.len() + 3..].to_owned());
+                return Some(Self { key, value, text, is_set });
+            }
+            text = format!("{text}\n{}", if is_set { further.next()? } else { return None });
+        }
+    }
+}
+
+fn page(file: &str) -> String {
+    let text = std::fs::read_to_string(repository("config").join(file)).unwrap();
+    let (mut sections, mut at, mut comment) = (vec![Section::default()], 0, Vec::new());
+    let mut lines = text.lines();
+    while let Some(line) = lines.next() {
+        let remark = line.strip_prefix('#').map(|remark| remark.strip_prefix(' ').unwrap_or(remark));
+        let content = remark.unwrap_or(line);
+        if content.starts_with('[') && content.ends_with(']') {
+            let known = sections.iter().position(|section| section.title == content);
+            at = known.unwrap_or(sections.len());
+            if known.is_none() {
+                sections.push(Section { title: content.to_owned(), ..Section::default() });
+                sections[at].add_paragraph(&comment);
+            }
+            comment.clear();
+        } else if let Some(entry) = Entry::parse(content, remark.is_none(), &mut lines) {
+            sections[at].add_key(&entry, &take(&mut comment));
+        } else if let Some(remark) = remark {
+            comment.push(remark.to_owned());
+        } else {
+            sections[at].add_paragraph(&take(&mut comment));
+        }
+    }
+    format!("\n## config/{file}\n") + &sections.iter().map(Section::markdown).collect::<String>()
+}
+
+#[test]
+fn the_page_on_configuration_has_every_key_and_comment_of_the_shipped_files() {
+    let about = "\
+Both programs refuse unknown keys and name the nearest known one. Units are the endings of the keys. *In the file* is the
+default, except in mappings, tables and experiments, which are examples. An absent key has the default that its meaning states.
+";
+    let entries = std::fs::read_dir(repository("config")).unwrap();
+    let names = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    let mut files: Vec<String> = names.filter(|name| name.ends_with(".toml")).collect();
+    files.sort();
+    files.extend(["robots/irb2400_16.toml".to_owned(), "studies/thesis.toml".to_owned()]);
+    let pages: String = files.iter().map(|file| page(file)).collect();
+    let content = about.to_owned() + &pages;
+    check("configuration.md", "Configuration files", "the comments of the files in `config/`", &content);
+}

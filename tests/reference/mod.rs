@@ -1,0 +1,48 @@
+//! Generated pages of the book: their committed text is what programs, configuration files and tables give today.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+
+mod commands;
+mod configuration;
+mod http_api;
+mod parameters;
+
+use crate::documents::repository;
+
+/// Set, the tests write the pages instead of comparing them.
+const WRITE: &str = "WRITE_REFERENCE";
+/// The command that writes all generated pages.
+const RENEW: &str = "WRITE_REFERENCE=1 cargo test -p system-tests --test all reference";
+
+/// Longest line of prose \[characters\].
+const WIDTH: usize = 120;
+
+/// Breaks lines of prose; tables, headings and code stay as they are.
+fn wrapped(text: &str) -> String {
+    let options = textwrap::Options::new(WIDTH).word_splitter(textwrap::WordSplitter::NoHyphenation);
+    let mut is_code = false;
+    let lines = text.lines().map(|line| {
+        is_code ^= line.starts_with("```");
+        let is_prose = !is_code && !line.starts_with(['|', '#']);
+        if is_prose { textwrap::fill(line, &options) } else { line.to_owned() }
+    });
+    lines.map(|line| line + "\n").collect()
+}
+
+/// Compares a page with its generated content, or writes it.
+fn check(name: &str, title: &str, source: &str, content: &str) {
+    let path = repository("docs/src/reference").join(name);
+    let head = format!(
+        "# {title}\n\nGenerated from {source}; do not edit. To write it again:\n\n```sh\n{RENEW}\n```\n"
+    );
+    let text = wrapped(&format!("{head}\n{}", content.trim()));
+    if std::env::var_os(WRITE).is_some() {
+        std::fs::write(&path, &text).expect("a writable page");
+    }
+    let committed = std::fs::read_to_string(&path).unwrap_or_default();
+    let mut lines = committed.lines().zip(text.lines());
+    let difference = lines.find(|(committed, generated)| committed != generated);
+    assert!(
+        committed == text,
+        "{name} is out of date; renew it with {RENEW}\nfirst difference: {difference:?}"
+    );
+}
