@@ -66,6 +66,7 @@ mod stamps_calibrated;
 mod stations_and_targets;
 mod streams;
 mod studies;
+mod terms_campaign;
 mod tolerances;
 mod touch;
 mod tracker_clock;

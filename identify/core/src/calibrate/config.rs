@@ -364,7 +364,7 @@ impl IdentifyConfig {
     }
 
     /// Harmonics of the bar's encoders that have no role by name; they share one prior scale.
-    pub fn alike(&self) -> impl Iterator<Item = ParameterId> + '_ {
+    pub(crate) fn harmonics(&self) -> impl Iterator<Item = ParameterId> + '_ {
         let harmonics = ParameterId::of_term(TermGroup::EncoderHarmonics);
         harmonics.filter(|id| !self.named().any(|named| named == *id))
     }

@@ -85,7 +85,8 @@ fn staged(
     let bars = data.bars.len();
     if !rows.is_empty() {
         // Outlier rows and a drift are detected in the residuals of the best links.
-        let of_links = Plan { groups: Vec::new(), tolerances: Vec::new(), alike: Vec::new(), ..plan.clone() };
+        let of_links =
+            Plan { groups: Vec::new(), tolerances: Vec::new(), common: Vec::new(), ..plan.clone() };
         let Solved { sigmas, .. } = estimate(&mut runs, &of_links)?;
         let offsets = fitted(&runs, Deployment::Offsets, plan.loss, watch)?;
         let offsets = offsets.map_or_else(Vec::new, |found| found.runs);

@@ -9,6 +9,7 @@ use super::data_sets::{BarRun, DataSets};
 use super::error::CalibrateError;
 use super::pipeline::{Plan, estimate, in_unit_of, waves_per_turn};
 use super::rows::{self, RowSet};
+use super::selection::choose::CommonPrior;
 use super::selection::structure::identifiable;
 use super::selection::terms::CandidateGroup;
 use crate::instrument::{BallBar, CostName, Run, ScaleFrom};
@@ -65,12 +66,13 @@ pub(super) fn lay_out<'w>(
     }
     config.require_known(runs.iter().map(|run| &run.model))?;
     let groups = candidates(data, &mut runs, config)?;
+    let tolerances = tolerances(&runs, config);
     let plan = Plan {
         loss: config.loss.unwrap_or(in_unit_of(&runs).map_or(LossName::Huber, CostName::usual_loss)),
         groups,
         fix: config.fixed(),
-        tolerances: tolerances(&runs, config),
-        alike: config.alike().collect(),
+        common: vec![CommonPrior::new(&runs, config.harmonics(), CommonPrior::HARMONICS)],
+        tolerances,
         watch,
     };
     Ok(LaidOut { runs, rows: sets, plan })

@@ -7,14 +7,15 @@ use nalgebra::DMatrix;
 use super::change;
 use super::error::CalibrateError;
 use super::rows::WAVES_PER_TURN_MAX;
-use super::selection::line_spectrum::{LineSpectrum, Shown};
-use super::selection::terms::{Candidate, CandidateGroup, Offer, mean, prior_scale, select};
+use super::selection::choose::CommonPrior;
+use super::selection::line_spectrum::Shown;
+use super::selection::terms::{Candidate, CandidateGroup, mean};
 use crate::cost::{CostError, DataSets, SharedColumns};
 use crate::instrument::{CostName, Run, ScaleFrom};
-use crate::model::{Group, Model, ModelError, Parameter, ParameterId, Phase, Role, TermGroup};
+use crate::model::{Group, Model, ModelError, Parameter, ParameterId, Phase, Role};
 use crate::solver::{
-    Considered, Covariance, GoodShare, Loss, LossName, Normals, Options, Prior, Problem, Solution, Source,
-    Summary, Watch, influence, minimise, minimise_robust, solve,
+    Considered, Covariance, GoodShare, Loss, LossName, Normals, Options, Problem, Solution, Source, Summary,
+    Watch, influence, minimise, minimise_robust, solve,
 };
 
 /// Standard deviation one: residuals as defined in the thesis, or already whitened (`pose`).
@@ -29,7 +30,7 @@ const COST_TOLERANCE: f64 = 1e-6;
 /// standard deviation; a smaller tolerance is close to rounding.
 const COST_TOLERANCE_LAST: f64 = 1e-12;
 /// Number of groups of each data set that are held out in turn to choose terms.
-const HELD_OUT: usize = 8;
+pub(super) const HELD_OUT: usize = 8;
 /// Number of groups of each data set that are left out in turn for the covariance.
 pub(super) const LEFT_OUT: usize = 30;
 
@@ -44,8 +45,8 @@ pub struct Plan<'a> {
     pub fix: Vec<ParameterId>,
     /// Parameters whose priors are widened until left-out groups are predicted best.
     pub tolerances: Vec<ParameterId>,
-    /// Parameters with a common prior, whose width the samples determine.
-    pub alike: Vec<ParameterId>,
+    /// Priors whose widths the samples determine.
+    pub(super) common: Vec<CommonPrior>,
     /// Observes each solve and may cancel it.
     pub watch: Option<&'a dyn Watch>,
 }
@@ -53,7 +54,7 @@ pub struct Plan<'a> {
 impl Plan<'_> {
     /// Plan for rows of one instrument, with default settings.
     pub fn new(loss: LossName, groups: Vec<CandidateGroup>) -> Self {
-        Plan { loss, groups, fix: Vec::new(), tolerances: Vec::new(), alike: Vec::new(), watch: None }
+        Plan { loss, groups, fix: Vec::new(), tolerances: Vec::new(), common: Vec::new(), watch: None }
     }
 }
 
@@ -110,17 +111,15 @@ pub(super) fn in_unit_of(runs: &[Run]) -> Option<CostName> {
 }
 
 /// Runs that are solved together.
-struct Solver<'a> {
-    runs: &'a mut [Run],
-    plan: &'a Plan<'a>,
+pub(super) struct Solver<'a> {
+    pub(super) runs: &'a mut [Run],
+    pub(super) plan: &'a Plan<'a>,
     /// Standard deviation of a residual of each run.
-    sigmas: Vec<f64>,
+    pub(super) sigmas: Vec<f64>,
     /// Those of rod and plate lengths that differ between runs.
     differ: Vec<ParameterId>,
     /// Waves that were detected in residuals.
-    shown: Shown,
-    /// Parameters with a common prior, with their configured standard deviations.
-    alike: Vec<(ParameterId, f64)>,
+    pub(super) shown: Shown,
 }
 
 /// Solves, chooses terms, solves again, and sets the models to the solution.
@@ -147,7 +146,7 @@ fn estimated(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateError
     let without_terms = solver.runs.iter().map(|run| run.model.clone()).collect();
     let mut candidates = Vec::new();
     let mut scale = 1.0;
-    let to_choose = !(plan.groups.is_empty() && plan.tolerances.is_empty() && solver.alike.is_empty());
+    let to_choose = !(plan.groups.is_empty() && plan.tolerances.is_empty() && plan.common.is_empty());
     if to_choose && solution.summary.residual_rms > RESIDUAL_MIN * solver.unit() {
         let finds_noise = solver.in_unit_of().is_none_or(|cost| cost == CostName::Pose);
         // Accepted terms reduce the noise: the second selection weights their priors with it.
@@ -159,7 +158,7 @@ fn estimated(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateError
             if finds_noise {
                 solution.loss = solver.descend(plan.loss)?;
                 solver.learn_noise();
-                solver.narrow_alike(solution.loss)?;
+                solver.fit_common_priors(solution.loss)?;
             }
             if solver.in_unit_of().is_none() {
                 solver.weigh()?;
@@ -222,21 +221,14 @@ impl<'a> Solver<'a> {
     fn new(runs: &'a mut [Run], plan: &'a Plan<'a>) -> Self {
         let differ = differ(runs);
         let sigmas = vec![UNWEIGHTED; runs.len()];
-        let sigma = |id: &ParameterId| {
-            runs.iter().find_map(|run| match run.model.parameter(*id)?.role {
-                Role::Prior { sigma, .. } => Some((*id, sigma)),
-                _ => None,
-            })
-        };
-        let alike = plan.alike.iter().filter_map(sigma).collect();
-        Self { runs, plan, sigmas, differ, shown: Shown::default(), alike }
+        Self { runs, plan, sigmas, differ, shown: Shown::default() }
     }
 
-    fn columns(&self) -> SharedColumns {
+    pub(super) fn columns(&self) -> SharedColumns {
         SharedColumns::new(self.runs.iter().map(|run| &run.model), |id| is_own(id, &self.differ))
     }
 
-    fn start(&self, columns: &SharedColumns) -> Vec<f64> {
+    pub(super) fn start(&self, columns: &SharedColumns) -> Vec<f64> {
         columns.gather(&self.runs.iter().map(|run| run.model.start()).collect::<Vec<_>>())
     }
 
@@ -247,7 +239,7 @@ impl<'a> Solver<'a> {
     }
 
     /// The cost that defines the unit of the residuals of all data sets; `None` if they differ.
-    fn in_unit_of(&self) -> Option<CostName> {
+    pub(super) fn in_unit_of(&self) -> Option<CostName> {
         in_unit_of(self.runs)
     }
 
@@ -376,7 +368,7 @@ impl<'a> Solver<'a> {
         }
     }
 
-    fn begins(&self, stage: &str) {
+    pub(super) fn begins(&self, stage: &str) {
         if let Some(watch) = self.plan.watch {
             watch.begins(stage);
         }
@@ -454,7 +446,7 @@ impl<'a> Solver<'a> {
     }
 
     /// The free columns, their parameters, and [`Self::normals`] at the current models.
-    fn normals_here(
+    pub(super) fn normals_here(
         &self,
         loss: Loss,
         count: usize,
@@ -529,34 +521,6 @@ impl<'a> Solver<'a> {
         Ok(Some(Considered { names: found.held, sigmas, change }))
     }
 
-    /// Sets the common prior to the width under which the samples are most probable (empirical Bayes: type-II maximum
-    /// likelihood, Berger 1985); correlated errors are counted once. Then harmonics of encoders without eccentricity do not
-    /// increase the uncertainty, and a configured width that is too small does not bias them.
-    fn narrow_alike(&mut self, loss: Loss) -> Result<(), CalibrateError> {
-        const SCALES: [f64; 7] = [2.0, 1.0, 0.5, 0.2, 0.1, 0.05, 0.02];
-        if self.alike.is_empty() {
-            return Ok(());
-        }
-        let (_, ids, normals) = self.normals_here(loss, LEFT_OUT)?;
-        let Some(normals) = normals else { return Ok(()) };
-        let dispersion = normals.overdispersion().unwrap_or(1.0).max(1.0);
-        let configured = |column: usize| self.alike.iter().find(|(id, _)| *id == ids[column]);
-        let evidence = |scale: f64| {
-            let prior = |prior: &Prior| match configured(prior.column) {
-                Some((_, sigma)) => Prior { sigma: sigma * scale, ..*prior },
-                None => *prior,
-            };
-            let priors: Vec<Prior> = normals.priors().iter().map(prior).collect();
-            Some((scale, normals.evidence(&priors, dispersion)?))
-        };
-        let best = SCALES.into_iter().filter_map(evidence).max_by(|a, b| a.1.total_cmp(&b.1));
-        let Some((scale, _)) = best else { return Ok(()) };
-        for (id, sigma) in self.alike.clone() {
-            self.set_roles(&[id], Role::Prior { value: 0.0, sigma: sigma * scale })?;
-        }
-        Ok(())
-    }
-
     /// An axial force elongates the bar as a spring, or takes up its play. If play predicts left-out groups better, it is freed
     /// instead of compliance.
     fn explains_by_play(&mut self, loss: Loss) -> Result<bool, CalibrateError> {
@@ -586,120 +550,12 @@ impl<'a> Solver<'a> {
         Ok(by_play)
     }
 
-    /// Tries each group of terms on held-out groups, sets the priors of accepted terms, and chooses the scale of tolerances.
-    fn choose_terms(&mut self, solution: &Solution) -> Result<(Vec<Candidate>, f64), CalibrateError> {
-        self.begins("errors of joints");
-        let mut groups = self.plan.groups.clone();
-        let is_open =
-            |group: &&mut CandidateGroup| group.group == TermGroup::LineSpectrum && group.ids.is_empty();
-        if let Some(open) = groups.iter_mut().find(is_open) {
-            self.offer_line_spectrum(&solution.sample_weights)?;
-            open.ids.clone_from(&self.shown.by_all);
-            // Waves detected in only a part of the samples are used for the prediction of single folds only.
-            self.set_roles(&self.shown.by_parts(), Role::Prior { value: 0.0, sigma: open.sigma })?;
-        }
-        let by_parts = self.shown.by_parts();
-        for group in &groups {
-            self.set_roles(&group.ids, Role::Prior { value: 0.0, sigma: group.sigma })?;
-        }
-        let (columns, ids, normals) = self.normals_here(solution.loss, HELD_OUT)?;
-        let columns_of = |wanted: &[ParameterId]| -> Vec<usize> {
-            (0..ids.len()).filter(|column| wanted.contains(&ids[*column])).collect()
-        };
-        let offer = |group: &CandidateGroup| {
-            let without = self.shown.without.iter().filter(|_| group.group == TermGroup::LineSpectrum);
-            Offer {
-                columns: columns_of(&group.ids),
-                without: without.map(|ids| columns_of(ids)).collect(),
-                scales: group.scales.clone(),
-            }
-        };
-        let offers: Vec<Offer> = groups.iter().map(offer).collect();
-        let (groups, offers): (Vec<CandidateGroup>, Vec<Offer>) =
-            groups.into_iter().zip(offers).filter(|(_, offer)| !offer.columns.is_empty()).unzip();
-        let offered = |column: &usize| {
-            offers.iter().any(|offer| offer.has(*column)) || by_parts.contains(&ids[*column])
-        };
-        let (own, mut kept): (Vec<usize>, Vec<usize>) = (0..ids.len()).partition(offered);
-        // Relative to the models without any of them, at the current weights.
-        let mut without = self.start(&columns);
-        own.iter().for_each(|&column| without[column] = 0.0);
-        let normals = normals.map(|normals| normals.about(&without));
-        let verdicts = normals.as_ref().map_or_else(Vec::new, |normals| select(normals, &kept, &offers));
-        let mut report = Vec::new();
-        for verdict in &verdicts {
-            let (group, columns) = (&groups[verdict.offer], &offers[verdict.offer].columns);
-            let sigma = verdict.accepted.then_some(group.sigma * verdict.scale);
-            if let Some(sigma) = sigma {
-                kept.extend(columns);
-                self.set_roles(&group.ids, Role::Prior { value: 0.0, sigma })?;
-            }
-            report.push(Candidate {
-                group: group.group,
-                name: group.name.clone(),
-                parameters: columns.len(),
-                sigma,
-                held_out_before: verdict.before.sqrt(),
-                held_out_after: verdict.after.sqrt(),
-                accepted: verdict.accepted,
-            });
-        }
-        for group in
-            groups.iter().filter(|group| !report.iter().any(|one| one.accepted && one.name == group.name))
-        {
-            self.set_roles(&group.ids, Role::Fixed)?;
-            self.set_to_zero(&group.ids)?;
-        }
-        self.set_roles(&by_parts, Role::Fixed)?;
-        self.set_to_zero(&by_parts)?;
-        // For all other parameters, waves of high order act as noise. Other terms resemble link errors. Their assumed size is
-        // the smallest usual one, since left-out groups did not require more. Encoders of a bar separate terms from links: the
-        // stated uncertainty of ball-bar runs is correct without them (95 % of 185 simulated runs).
-        let bars = self.in_unit_of().is_some();
-        let looks_like_links = |group: &&CandidateGroup| group.group != TermGroup::LineSpectrum && !bars;
-        for verdict in verdicts.iter().filter(|verdict| !verdict.accepted) {
-            if let Some(group) = groups.get(verdict.offer).filter(looks_like_links) {
-                self.set_roles(&group.ids, Role::Considered { sigma: group.sigma })?;
-            }
-        }
-        let Some(normals) = normals.filter(|_| !self.plan.tolerances.is_empty()) else {
-            return Ok((report, 1.0));
-        };
-        // The scales of terms were chosen above; priors stated by the user are not changed.
-        let tolerance = |id: ParameterId| self.plan.tolerances.contains(&id);
-        let scale = prior_scale(&normals, &kept, |column| ids.get(column).copied().is_some_and(tolerance));
-        self.scale_priors(scale)?;
-        Ok((report, scale))
-    }
-
-    /// Adds to all models the axis waves that are detected in the residuals.
-    fn offer_line_spectrum(&mut self, weights: &[f64]) -> Result<(), CalibrateError> {
-        let mut spectrum = LineSpectrum::default();
-        let columns = self.columns();
-        let starts = problem(self.runs, &columns, &self.sigmas)?.starts().to_vec();
-        for ((run, sigma), samples) in self.runs.iter().zip(&self.sigmas).zip(starts.windows(2)) {
-            let weights = weights.get(samples[0]..samples[1]).unwrap_or_default();
-            spectrum.add(run, *sigma, weights, &run.instrument.independent(HELD_OUT))?;
-        }
-        let mut shown = spectrum.shown();
-        let is_asked_for = |id: &ParameterId| {
-            let role = |run: &Run| run.model.parameter(*id).map(|parameter| parameter.role);
-            self.runs.iter().any(|run| role(run).is_some_and(|role| role != Role::Fixed))
-        };
-        shown.retain(|id| !self.plan.fix.contains(id) && !is_asked_for(id));
-        for run in &mut *self.runs {
-            run.model = run.model.clone().with(shown.ids());
-        }
-        self.shown.extend(shown);
-        Ok(())
-    }
-
     fn ids(&self) -> Vec<Vec<ParameterId>> {
         self.runs.iter().map(|run| run.model.columns().map(|parameter| parameter.id).collect()).collect()
     }
 
     /// Sets a role in every model that has the parameter and whose samples identify it.
-    fn set_roles(&mut self, ids: &[ParameterId], role: Role) -> Result<(), ModelError> {
+    pub(super) fn set_roles(&mut self, ids: &[ParameterId], role: Role) -> Result<(), ModelError> {
         for Run { instrument, model } in &mut *self.runs {
             for &id in ids.iter().filter(|id| instrument.identifies(**id)) {
                 if model.parameter(id).is_some() {
@@ -710,24 +566,11 @@ impl<'a> Solver<'a> {
         Ok(())
     }
 
-    fn set_to_zero(&mut self, ids: &[ParameterId]) -> Result<(), ModelError> {
+    pub(super) fn set_to_zero(&mut self, ids: &[ParameterId]) -> Result<(), ModelError> {
         for Run { model, .. } in &mut *self.runs {
             for &id in ids {
                 if model.parameter(id).is_some() {
                     model.set_value(id, 0.0)?;
-                }
-            }
-        }
-        Ok(())
-    }
-
-    fn scale_priors(&mut self, scale: f64) -> Result<(), ModelError> {
-        for Run { model, .. } in &mut *self.runs {
-            let priors: Vec<(ParameterId, Role)> =
-                model.columns().map(|parameter| (parameter.id, parameter.role)).collect();
-            for (id, role) in priors.into_iter().filter(|(id, _)| self.plan.tolerances.contains(id)) {
-                if let Role::Prior { value, sigma } = role {
-                    model.set_role(id, Role::Prior { value, sigma: sigma * scale })?;
                 }
             }
         }

@@ -577,6 +577,15 @@ impl ParameterId {
         owner == instrument || matches!(owner, Owner::Robot | Owner::Clocks)
     }
 
+    /// The robot's axis or the bar's joint whose error a term describes, from 0; `None` for geometry and clocks.
+    pub const fn axis(self) -> Option<usize> {
+        match self {
+            Self::Joint { axis, .. } | Self::JointWave { axis, .. } => Some(axis),
+            Self::EncoderWave { joint, .. } | Self::BarWave { joint, .. } => Some(joint),
+            _ => None,
+        }
+    }
+
     /// All parameters of a group of error terms.
     pub fn of_term(group: TermGroup) -> impl Iterator<Item = Self> {
         Self::all().filter(move |id| id.term() == Some(group))

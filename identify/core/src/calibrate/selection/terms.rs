@@ -1,12 +1,14 @@
 //! Selection of optional terms: a group is accepted only if it improves the prediction of left-out folds.
 
+use std::collections::BTreeSet;
+
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use crate::model::{ParameterId, TermGroup};
-use crate::solver::{Normals, Prior};
+use crate::solver::{Normals, Prior, Scores};
 
-/// Terms that are tried together, the same for all axes.
+/// Terms that are tried together: those of all axes, or of one.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CandidateGroup {
     /// Group of error terms.
@@ -19,6 +21,19 @@ pub struct CandidateGroup {
     pub sigma: f64,
     /// Candidate factors of `sigma`.
     pub scales: Vec<f64>,
+}
+
+impl CandidateGroup {
+    /// The terms of each axis as a group of its own; none if all belong to one axis.
+    pub(super) fn by_axis(&self) -> Vec<Self> {
+        let axes: BTreeSet<usize> = self.ids.iter().filter_map(|id| id.axis()).collect();
+        let of_axis = |axis: usize| Self {
+            name: format!("{}, axis {}", self.name, axis + 1),
+            ids: self.ids.iter().copied().filter(|id| id.axis() == Some(axis)).collect(),
+            ..self.clone()
+        };
+        if axes.len() > 1 { axes.into_iter().map(of_axis).collect() } else { Vec::new() }
+    }
 }
 
 /// Result for one group of terms.
@@ -93,6 +108,8 @@ pub struct Verdict {
 const LEVEL: f64 = 0.15;
 /// A smaller relative decrease of the mean squared residual does not change any reported value.
 const TRIFLE: f64 = 1e-3;
+/// Probability that any axis of a rejected group is accepted by chance.
+const AXIS_BY_CHANCE: f64 = 0.02;
 
 /// Arithmetic mean; zero for an empty slice.
 pub(in crate::calibrate) fn mean(values: &[f64]) -> f64 {
@@ -117,75 +134,117 @@ pub(in crate::calibrate) fn falls(before: &[f64], after: &[f64]) -> bool {
 /// until none improves the prediction. Then choose the scales of the accepted offers once more. The columns `always` are
 /// always included. The result contains accepted offers in the order of acceptance, then the rejected ones.
 pub fn select(normals: &Normals, always: &[usize], offers: &[Offer]) -> Vec<Verdict> {
-    let mut taken: Vec<Verdict> = Vec::new();
-    let Some(mut before) = predicted(normals, always, offers, &taken) else { return taken };
+    let mut choice = Choice { normals, always, offers, taken: Vec::new() };
+    let Some(mut before) = choice.predicted() else { return Vec::new() };
     loop {
-        let is_open = |offer: &usize| taken.iter().all(|one| one.offer != *offer);
-        let open: Vec<usize> = (0..offers.len()).filter(is_open).collect();
-        let mut tried: Vec<(Verdict, Vec<f64>)> = open
-            .into_iter()
-            .filter_map(|offer| {
-                let start = Verdict { offer, scale: 1.0, before: mean(&before), after: 0.0, accepted: false };
-                taken.push(start);
-                let best = best_scale(normals, always, offers, &mut taken);
-                let (verdict, after) = (taken.pop()?, best?);
-                Some((Verdict { accepted: falls(&before, &after), ..verdict }, after))
-            })
-            .collect();
+        let tried = choice.open().into_iter().filter_map(|offer| {
+            let (verdict, after) = choice.with(offer, &before)?;
+            Some((Verdict { accepted: falls(&before, &after), ..verdict }, after))
+        });
+        let mut tried: Vec<(Verdict, Vec<f64>)> = tried.collect();
         tried.sort_by(|a, b| a.0.after.total_cmp(&b.0.after));
         let Some(best) = tried.iter().position(|(verdict, _)| verdict.accepted) else {
-            rescale(normals, always, offers, &mut taken);
-            taken.extend(tried.into_iter().map(|(verdict, _)| verdict));
-            return taken;
+            choice.rescale();
+            choice.taken.extend(tried.into_iter().map(|(verdict, _)| verdict));
+            return choice.taken;
         };
         let (verdict, after) = tried.swap_remove(best);
-        taken.push(verdict);
+        choice.taken.push(verdict);
         before = after;
     }
 }
 
-/// Chooses the scale of each accepted offer again.
-fn rescale(normals: &Normals, always: &[usize], offers: &[Offer], taken: &mut Vec<Verdict>) {
-    if taken.iter().any(|one| offers[one.offer].scales.len() > 1) {
-        for _ in 0..taken.len() {
-            let after = taken.remove(0);
-            taken.push(after);
-            best_scale(normals, always, offers, taken);
+/// Forward selection of single axes: the errors of one drive disappear among those of the others. The prediction of left-out
+/// folds improves only if a term is larger than its uncertainty, so the gradients of the folds are tested instead. The offer
+/// that is least probable by chance is accepted first, until none is left below its part of [`AXIS_BY_CHANCE`] (Bonferroni).
+/// The result contains the accepted offers.
+pub fn select_axes(normals: &Normals, always: &[usize], offers: &[Offer]) -> Vec<Verdict> {
+    let mut choice = Choice { normals, always, offers, taken: Vec::new() };
+    let level = AXIS_BY_CHANCE / offers.len().max(1) as f64;
+    while let (Some(scores), Some(before)) = (choice.scores(), choice.predicted()) {
+        let open = choice.open().into_iter();
+        let chances = open.filter_map(|axis| Some((axis, scores.chance(&offers[axis].columns)?)));
+        let least = chances.min_by(|a, b| a.1.total_cmp(&b.1)).filter(|(_, chance)| *chance < level);
+        let Some((verdict, _)) = least.and_then(|(axis, _)| choice.with(axis, &before)) else { break };
+        choice.taken.push(Verdict { accepted: true, ..verdict });
+    }
+    choice.taken
+}
+
+/// Offers that are accepted so far.
+struct Choice<'a> {
+    normals: &'a Normals,
+    /// Columns that are always included.
+    always: &'a [usize],
+    offers: &'a [Offer],
+    taken: Vec<Verdict>,
+}
+
+impl Choice<'_> {
+    /// Offers that are not accepted.
+    fn open(&self) -> Vec<usize> {
+        let is_open = |offer: &usize| self.taken.iter().all(|one| one.offer != *offer);
+        (0..self.offers.len()).filter(is_open).collect()
+    }
+
+    /// Gradients of the folds at the solution with all accepted offers.
+    fn scores(&self) -> Option<Scores> {
+        let of_taken = self.taken.iter().flat_map(|one| &self.offers[one.offer].columns);
+        let kept: Vec<usize> = self.always.iter().chain(of_taken).copied().collect();
+        self.normals.scores(&kept, &self.priors())
+    }
+
+    /// The offer in addition, at the scale that predicts best, with the mean squared residual of each left-out fold. `None` if
+    /// the folds do not determine the columns.
+    fn with(&mut self, offer: usize, before: &[f64]) -> Option<(Verdict, Vec<f64>)> {
+        self.taken.push(Verdict { offer, scale: 1.0, before: mean(before), after: 0.0, accepted: false });
+        let best = self.choose_scale();
+        Some((self.taken.pop()?, best?))
+    }
+
+    /// Chooses the scale of each accepted offer again.
+    fn rescale(&mut self) {
+        if self.taken.iter().any(|one| self.offers[one.offer].scales.len() > 1) {
+            for _ in 0..self.taken.len() {
+                let after = self.taken.remove(0);
+                self.taken.push(after);
+                self.choose_scale();
+            }
         }
     }
-}
 
-/// Sets the scale of the last offer that predicts best; returns the squared residuals with it. `None` if the folds do not
-/// determine the columns.
-fn best_scale(
-    normals: &Normals,
-    always: &[usize],
-    offers: &[Offer],
-    taken: &mut [Verdict],
-) -> Option<Vec<f64>> {
-    let last = taken.len().checked_sub(1)?;
-    let scales = &offers[taken[last].offer].scales;
-    let tried = scales.iter().filter_map(|&scale| {
-        taken[last].scale = scale;
-        Some((scale, predicted(normals, always, offers, taken)?))
-    });
-    let best = tried.min_by(|a, b| mean(&a.1).total_cmp(&mean(&b.1)));
-    let (scale, errors) = best?;
-    (taken[last].scale, taken[last].after) = (scale, mean(&errors));
-    Some(errors)
-}
+    /// Sets the scale of the last offer that predicts best; returns the squared residuals with it. `None` if the folds do not
+    /// determine the columns.
+    fn choose_scale(&mut self) -> Option<Vec<f64>> {
+        let (last, offers) = (self.taken.len().checked_sub(1)?, self.offers);
+        let mut best: Option<(f64, Vec<f64>)> = None;
+        for &scale in &offers[self.taken[last].offer].scales {
+            self.taken[last].scale = scale;
+            let tried = self.predicted().map(|errors| (scale, errors));
+            let is_better = |(_, errors): &(f64, Vec<f64>)| {
+                best.as_ref().is_none_or(|(_, least)| mean(errors) < mean(least))
+            };
+            best = tried.filter(is_better).or(best);
+        }
+        let (scale, errors) = best?;
+        (self.taken[last].scale, self.taken[last].after) = (scale, mean(&errors));
+        Some(errors)
+    }
 
-/// Mean squared residual of each left-out fold.
-fn predicted(normals: &Normals, always: &[usize], offers: &[Offer], taken: &[Verdict]) -> Option<Vec<f64>> {
-    let columns = |fold: usize| -> Vec<usize> {
-        let own = |one: &Verdict| offers[one.offer].columns(fold).iter().copied();
-        always.iter().copied().chain(taken.iter().flat_map(own)).collect()
-    };
-    let scale = |column: usize| {
-        let of = taken.iter().find(|one| offers[one.offer].has(column));
-        of.map_or(1.0, |one| one.scale)
-    };
-    normals.held_out_each(columns, &scaled(normals.priors(), scale))
+    /// Mean squared residual of each left-out fold.
+    fn predicted(&self) -> Option<Vec<f64>> {
+        let columns = |fold: usize| -> Vec<usize> {
+            let own = |one: &Verdict| self.offers[one.offer].columns(fold).iter().copied();
+            self.always.iter().copied().chain(self.taken.iter().flat_map(own)).collect()
+        };
+        self.normals.held_out_each(columns, &self.priors())
+    }
+
+    /// Priors at the scales of the accepted offers.
+    fn priors(&self) -> Vec<Prior> {
+        let of = |column: usize| self.taken.iter().find(|one| self.offers[one.offer].has(column));
+        scaled(self.normals.priors(), |column| of(column).map_or(1.0, |one| one.scale))
+    }
 }
 
 fn scaled(priors: &[Prior], scale: impl Fn(usize) -> f64) -> Vec<Prior> {

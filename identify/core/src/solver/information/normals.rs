@@ -6,9 +6,10 @@
 //! seconds, so folds of several seconds are nearly independent, while single samples are not.
 
 use std::num::NonZeroUsize;
-use std::ops::{AddAssign, Sub};
+use std::ops::{Add, AddAssign, Sub};
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
+use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 use super::covariance::{Source, Spread};
 use crate::solver::pass::{Pass, PassError, Products, Taking, threads_that_pay, weighed_rows};
@@ -80,6 +81,16 @@ impl AddAssign<&Self> for Normal {
         self.gradient += &other.gradient;
         self.squared += other.squared;
         self.rows += other.rows;
+    }
+}
+
+impl Add for &Normal {
+    type Output = Normal;
+
+    fn add(self, other: Self) -> Normal {
+        let mut sum = self.clone();
+        sum += other;
+        sum
     }
 }
 
@@ -192,6 +203,24 @@ impl Normals {
         Some(-0.5 * (all.after(&step) + factor.log_determinant()) - of_priors)
     }
 
+    /// Gradients of the folds at the solution for `kept`, for tests of further columns. `None` if the columns are linearly
+    /// dependent.
+    pub fn scores(&self, kept: &[usize], priors: &[Prior]) -> Option<Scores> {
+        let priors = priors_among(priors, kept);
+        let x: Vec<f64> = kept.iter().map(|&column| self.x[column]).collect();
+        let all = &self.total + &self.known;
+        let mut own = all.only(kept);
+        own.add_priors(&priors, &x);
+        let factor = ScaledCholesky::new(own.matrix).filter(ScaledCholesky::is_complete)?;
+        let mut step = DVector::zeros(self.x.len());
+        for (column, by) in kept.iter().zip(&factor.solve(&own.gradient)) {
+            step[*column] = -by;
+        }
+        let folds = self.folds.iter().filter(|fold| fold.rows > 0.0);
+        let gradients = folds.map(|fold| &fold.gradient + &fold.matrix * &step).collect();
+        Some(Scores { gradients, matrix: all.matrix, kept: kept.to_vec(), factor })
+    }
+
     /// Effective number of parameters that each fold determines: `tr(H^-1 N)` with `H` of all data and `N` of the fold. Less
     /// than the number of its parameters if priors or other folds also determine them (MacKay 1992). `None` if columns are
     /// linearly dependent.
@@ -228,11 +257,7 @@ impl Normals {
     pub fn held_out_each(&self, columns: impl Fn(usize) -> Vec<usize>, priors: &[Prior]) -> Option<Vec<f64>> {
         let error = |(number, fold): (usize, &Normal)| {
             let columns = columns(number);
-            let place = |prior: &Prior| {
-                let column = columns.iter().position(|column| *column == prior.column)?;
-                Some(Prior { column, ..*prior })
-            };
-            let known: Vec<Prior> = priors.iter().filter_map(place).collect();
+            let known = priors_among(priors, &columns);
             let x: Vec<f64> = columns.iter().map(|&column| self.x[column]).collect();
             let fold = fold.only(&columns);
             let mut others = &self.total.only(&columns) - &fold;
@@ -304,6 +329,59 @@ impl Normals {
         }
         Some(Spread::new(self.x.len(), &columns))
     }
+}
+
+/// Gradients of folds at the solution for some columns.
+pub struct Scores {
+    gradients: Vec<DVector<f64>>,
+    matrix: DMatrix<f64>,
+    kept: Vec<usize>,
+    factor: ScaledCholesky,
+}
+
+impl Scores {
+    /// Probability of gradients along further columns that are at least as far from zero if their parameters are zero: Rao's
+    /// score test with the scatter of the folds, whose errors are correlated (Hotelling's T squared). `None` if there are too
+    /// few folds.
+    pub fn chance(&self, tried: &[usize]) -> Option<f64> {
+        let (count, size) = (self.gradients.len(), tried.len());
+        let fisher = FisherSnedecor::new(size as f64, count.checked_sub(size)? as f64).ok()?;
+        // Without the part that the kept columns can take up.
+        let taken: Vec<DVector<f64>> = tried
+            .iter()
+            .map(|&column| {
+                let with = DVector::from_iterator(
+                    self.kept.len(),
+                    self.kept.iter().map(|&row| self.matrix[(row, column)]),
+                );
+                self.factor.solve(&with)
+            })
+            .collect();
+        let own = |gradient: &DVector<f64>| {
+            let kept = gradient.select_rows(&self.kept);
+            DVector::from_iterator(
+                size,
+                tried.iter().zip(&taken).map(|(&column, taken)| gradient[column] - taken.dot(&kept)),
+            )
+        };
+        let own: Vec<DVector<f64>> = self.gradients.iter().map(own).collect();
+        let mean = own.iter().sum::<DVector<f64>>() / count as f64;
+        let scatter: DMatrix<f64> = own.iter().map(|one| (one - &mean) * (one - &mean).transpose()).sum();
+        let covariance =
+            ScaledCholesky::new(scatter / (count as f64 - 1.0)).filter(ScaledCholesky::is_complete)?;
+        let squared = count as f64 * mean.dot(&covariance.solve(&mean));
+        let f = squared * (count - size) as f64 / (size as f64 * (count as f64 - 1.0));
+        Some(fisher.sf(f))
+    }
+}
+
+/// Priors of a selection of the columns, numbered as in the selection.
+fn priors_among(priors: &[Prior], columns: &[usize]) -> Vec<Prior> {
+    let place = |prior: &Prior| {
+        let column = columns.iter().position(|column| *column == prior.column)?;
+        Some(Prior { column, ..*prior })
+    };
+    priors.iter().filter_map(place).collect()
 }
 
 #[cfg(test)]
