@@ -317,7 +317,7 @@ fn columns_that_are_exchanged_or_reversed_or_in_another_unit_are_named_by_trying
     let radians = Style { degrees: false, ..USUAL }.written(Beside::Tracker);
     let doubts = proposed(&radians).notes.doubts;
     assert!(
-        doubts.iter().any(|doubt| doubt.contains("the header says deg") && doubt.contains("rad is written")),
+        doubts.iter().any(|doubt| doubt.contains("the header has deg") && doubt.contains("rad is written")),
         "{doubts:?}"
     );
 }

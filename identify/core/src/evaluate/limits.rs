@@ -159,16 +159,13 @@ const fn describe(scale: ScaleFrom) -> &'static str {
 fn of_disagreement(runs: &[Run], sigmas: &[f64], loss: Loss) -> Option<Limit> {
     let of = |Disagreement { data_set, times }: &Disagreement| {
         let name = runs.get(*data_set).map_or("", |run| run.instrument.name());
-        format!(
-            "{name} (data set {}): what is left of it is {times:.2} times as large as by itself",
-            data_set + 1
-        )
+        format!("{name} (data set {}): its residuals are {times:.2} times as large as alone", data_set + 1)
     };
     let told: Vec<String> = disagreeing(runs, sigmas, loss).iter().map(of).collect();
     (!told.is_empty()).then(|| Limit {
         sentence: format!(
             "The data sets contradict each other: {}. They are of different robots, or of one that was changed in between, or one \
-             of them is in another scale: calibrate each by itself and `identify compare` them.",
+             of them is in another scale: calibrate each alone and `identify compare` them.",
             named(&told, NAMED)
         ),
         serious: true,
@@ -214,7 +211,7 @@ fn lasting_errors(calibration: &Calibration) -> impl Iterator<Item = Limit> {
     });
     lasting.map(|(run, lasts)| Limit {
         sentence: format!(
-            "{}{:.0} % of the variance of what is left lasts from sample to sample and is no noise: errors that the model does \
+            "{}{:.0} % of the variance of the residuals is correlated from sample to sample and is no noise: errors that the model does \
              not contain (gears, bar, deflection) limit the result. The figures by joint show where.",
             place(calibration, run),
             100.0 * lasts

@@ -276,8 +276,8 @@ impl Column {
         /// No arm reaches so far in metres, and none measures so little in millimetres.
         const M_MAX: f64 = 20.0;
         match self.unit.as_deref() {
-            Some("mm") => (LengthUnit::Mm, "the header says mm".into()),
-            Some("m") => (LengthUnit::M, "the header says m".into()),
+            Some("mm") => (LengthUnit::Mm, "from the header".into()),
+            Some("m") => (LengthUnit::M, "from the header".into()),
             _ if self.largest() > M_MAX => (LengthUnit::Mm, format!("up to {:.0}, so mm", self.largest())),
             _ => (LengthUnit::M, format!("up to {:.2}, so m", self.largest())),
         }
@@ -541,9 +541,9 @@ fn angle_unit(family: &[&Column], notes: &mut Notes) -> AngleUnit {
     match said {
         Some(said) if said == seen => notes
             .reasons
-            .push(format!("angles in {}: so says the header, and they reach {largest:.1}", said.suffix())),
+            .push(format!("angles in {}, from the header; they reach {largest:.1}", said.suffix())),
         Some(said) => notes.doubts.push(format!(
-            "the header says {}, but the angles reach {largest:.1}, as {} would; {} is written here",
+            "the header has {}, but the angles reach {largest:.1}, as {} would; {} is written here",
             said.suffix(),
             seen.suffix(),
             seen.suffix()
@@ -601,10 +601,10 @@ fn time(columns: &[&Column], notes: &mut Notes) -> Option<TimeColumn> {
         return None;
     }
     let (unit, why) = match column.unit.as_deref() {
-        Some("s") => (TimeUnit::S, "the header says so".to_owned()),
-        Some("ms") => (TimeUnit::Ms, "the header says so".into()),
-        Some("us") => (TimeUnit::Us, "the header says so".into()),
-        Some("ns") => (TimeUnit::Ns, "the header says so".into()),
+        Some("s") => (TimeUnit::S, "from the header".to_owned()),
+        Some("ms") => (TimeUnit::Ms, "from the header".into()),
+        Some("us") => (TimeUnit::Us, "from the header".into()),
+        Some("ns") => (TimeUnit::Ns, "from the header".into()),
         _ if FILETIME.contains(&column.numbers[0]) => (TimeUnit::Filetime, "by its size".into()),
         // Robots log at 1 Hz to 1 kHz and stamps hardly have more digits than that.
         _ if step < 0.9 => (TimeUnit::S, format!("stamps are {step:.4} apart")),
