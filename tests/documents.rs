@@ -60,7 +60,7 @@ fn shell_lines(text: &str) -> Vec<String> {
 }
 
 /// Commands of a shell line as words. Quotes join words, a comment ends the line, the loop variable `$k` is 1.
-fn commands(line: &str) -> Vec<Vec<String>> {
+pub(crate) fn commands(line: &str) -> Vec<Vec<String>> {
     let mut commands = vec![Vec::new()];
     let (mut word, mut quote) = (None::<String>, None);
     for character in line.chars().chain([' ']) {

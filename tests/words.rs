@@ -68,7 +68,9 @@ fn no_document_help_text_or_comment_has_a_word_of_the_list() {
     let list: List =
         toml::from_str(&std::fs::read_to_string(repository("docs/words.toml")).unwrap()).unwrap();
     let mut found = Vec::new();
-    for file in files(&repository("")) {
+    let folders = ["config", "daemon", "docs", "identify", "shared", "tests"].map(repository);
+    let pages = ["README.md", "ARCHITECTURE.md", "CHANGELOG.md", "CONTRIBUTING.md"].map(repository);
+    for file in folders.iter().flat_map(|folder| files(folder)).chain(pages) {
         if file.ends_with("docs/words.toml") {
             continue;
         }

@@ -16,16 +16,8 @@ fn the_page_on_commands_is_that_of_the_programs() {
     check("commands.md", "Commands", "the help of both programs", &content);
 }
 
-/// The words of a command line, as a shell splits it.
-fn words(line: &str) -> Vec<OsString> {
-    let words = |(n, part): (usize, &str)| -> Vec<OsString> {
-        if n % 2 == 1 { vec![part.into()] } else { part.split_whitespace().map(Into::into).collect() }
-    };
-    line.split('"').enumerate().flat_map(words).collect()
-}
-
 /// Checks the help of a program and of every command below it.
-fn check_help(mut program: clap::Command, parse: impl Fn(Vec<OsString>) -> Result<(), clap::Error>) {
+fn check_help(mut program: clap::Command, parse: impl Fn(Vec<String>) -> Result<(), clap::Error>) {
     program.build();
     for command in commands(&program) {
         let name = name(command);
@@ -33,7 +25,8 @@ fn check_help(mut program: clap::Command, parse: impl Fn(Vec<OsString>) -> Resul
         // The word of a hidden command may be omitted.
         let begin = if command.is_hide_set() { name.rsplit_once(' ').unwrap().0 } else { name };
         assert!(example.starts_with(begin), "{name}: {example}");
-        parse(words(&example)).unwrap_or_else(|error| panic!("{example}: {error}"));
+        let words = crate::documents::commands(&example).remove(0);
+        parse(words).unwrap_or_else(|error| panic!("{example}: {error}"));
         for argument in arguments(command) {
             let (id, heading) = (argument.get_id(), argument.get_help_heading());
             assert!(argument.get_help().is_some(), "{name}: {id} has no text");
@@ -50,5 +43,5 @@ fn check_help(mut program: clap::Command, parse: impl Fn(Vec<OsString>) -> Resul
 #[test]
 fn every_command_has_an_example_that_parses_options_with_a_heading_and_values_with_a_text() {
     check_help(Ballbard::command(), |words| Ballbard::try_parse_from(words).map(drop));
-    check_help(Identify::command(), |words| Identify::typed(words).map(drop));
+    check_help(Identify::command(), |words| Identify::typed(words.into_iter().map(OsString::from)).map(drop));
 }
