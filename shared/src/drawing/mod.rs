@@ -67,7 +67,7 @@ fn mm(length_m: f64) -> String {
     format!("{} mm", (length_m * 1e6).round() / 1e3)
 }
 
-/// All parts from back to front: the rod leans to the robot, whose flange looks down. Numbers are sizes of symbols \[px\].
+/// All parts from back to front: the rod is tilted towards the robot, whose flange looks down. Numbers are sizes of symbols \[px\].
 fn draw(pen: &mut Pen, bar: &BallBarConfig) {
     let (sin, cos) = TILT_DEG.to_radians().sin_cos();
     let px_per_m = WIDTH_PX / (bar.length_m * sin + bar.plate_m);
