@@ -9,7 +9,7 @@ use crate::support::rows::Alone;
 use crate::support::truth::position_error_m;
 use crate::support::{bar, irb2400, ur10};
 use identify::calibrate::{Calibration, IdentifyConfig, JointTermsConfig, calibrate_run};
-use identify::evaluate::{not_separated, workspace_error};
+use identify::evaluate::{limits, not_separated, workspace_error};
 use identify::instrument::PoseRow;
 use identify::kinematics::{LinkParameter, Pose, flange_chain};
 use identify::model::{Model, ParameterId, Role};
@@ -150,4 +150,21 @@ fn a_parameter_that_has_a_role_by_name_has_to_be_one_of_the_model() {
             calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar(), &config).unwrap_err();
         assert!(error.to_string().contains("no parameter `probe_x`"), "{error}");
     }
+}
+
+/// Cobots have such zeros. The nominal robot is the one in the file; the true one differs by its joints' zeros, too.
+#[test]
+fn zeros_of_joints_half_a_degree_off_contradict_no_expectation() {
+    let robot = ur10();
+    let run = run(&robot);
+    let mut file = robot.clone();
+    for (link, sign) in file.links.iter_mut().take(5).zip([0.0, 1.0, -1.0, 1.0, -1.0]) {
+        link.theta_deg += 0.5 * sign;
+    }
+    let found = calibrated(&run, &file, &quick());
+    let workspace = workspace_error(found.model(), &found.solution().covariance, &robot.joint_limits());
+    let limits: Vec<String> = limits(&found, &workspace).into_iter().map(|one| one.sentence).collect();
+    assert!(!limits.iter().any(|limit| limit.contains("what was expected of")), "{limits:#?}");
+    let error_m = position_error_m(&run, &found, &robot);
+    assert!(error_m < 0.2e-3 && error_m < workspace.after.interval_m[1], "{error_m} {:?}", workspace.after);
 }

@@ -57,7 +57,7 @@ fn in_sigmas(elongation: &Elongation, truth: f64) -> f64 {
 fn the_force_tells_how_the_bar_gives_way_and_brings_the_robot_nearer_to_the_truth() {
     let run = simulated(THESIS, 2);
     let rigid = without_force(&run);
-    for (cost, gain) in [(CostName::Length, 0.9), (CostName::Pose, 0.5)] {
+    for (cost, gain) in [(CostName::Length, 0.9), (CostName::Pose, 0.7)] {
         let (found, without) = (calibrated(&run, cost).unwrap(), calibrated(&rigid, cost).unwrap());
         let elongation = Elongation::of(&found).unwrap();
         let errors = [robot_error(&without, &run), robot_error(&found, &run)];

@@ -71,7 +71,7 @@ pub(super) fn lay_out<'w>(
         loss: config.loss.unwrap_or(in_unit_of(&runs).map_or(LossName::Huber, CostName::usual_loss)),
         groups,
         fix: config.fixed(),
-        common: vec![CommonPrior::new(&runs, config.harmonics(), CommonPrior::HARMONICS)],
+        common: common_priors(&runs, &tolerances, config),
         tolerances,
         watch,
     };
@@ -190,6 +190,17 @@ fn tolerances(runs: &[Run], config: &IdentifyConfig) -> Vec<ParameterId> {
     let of_runs = runs.iter().flat_map(|run| run.model.columns());
     let ids: BTreeSet<ParameterId> = of_runs.filter(has_tolerance).map(|one| one.id).collect();
     ids.into_iter().collect()
+}
+
+/// Priors of the encoders' harmonics and of the joints' zeros.
+fn common_priors(runs: &[Run], tolerances: &[ParameterId], config: &IdentifyConfig) -> Vec<CommonPrior> {
+    let is_zero = |id: &ParameterId| matches!(id, ParameterId::Robot { parameter: LinkParameter::Theta, .. });
+    let zeros = tolerances.iter().copied().filter(is_zero);
+    let all = [
+        CommonPrior::new(runs, config.harmonics(), CommonPrior::HARMONICS),
+        CommonPrior::new(runs, zeros, CommonPrior::ZEROS),
+    ];
+    all.into_iter().filter(|common| !common.sigmas.is_empty()).collect()
 }
 
 /// Nominal robot and bar, with the position and encoder offsets estimated by the preparation.

@@ -22,6 +22,8 @@ pub(in crate::calibrate) struct CommonPrior {
 impl CommonPrior {
     /// Harmonics of the bar's encoders.
     pub const HARMONICS: &'static [f64] = &[2.0, 1.0, 0.5, 0.2, 0.1, 0.05, 0.02];
+    /// Zeros of joints: within the tolerance of links, or off by hand, up to a degree on cobots.
+    pub const ZEROS: &'static [f64] = &[1.0, 2.0, 5.0, 10.0, 20.0];
 
     /// The prior of those of these parameters that have one in any model.
     pub fn new(runs: &[Run], ids: impl Iterator<Item = ParameterId>, scales: &'static [f64]) -> Self {
