@@ -74,29 +74,32 @@ impl Solver<'_> {
             }
         }
         let offered = self.offer(&mut groups, solution.loss, HELD_OUT)?;
-        let verdicts =
-            offered.normals.as_ref().map_or_else(Vec::new, |of| select(of, &offered.always, &offered.offers));
+        let verdicts = offered
+            .normals
+            .as_ref()
+            .map_or_else(Vec::new, |normals| select(normals, &offered.always, &offered.offers));
         self.leave_out(&self.shown.by_parts())?;
         let mut report = Vec::new();
         let mut accepted = self.take(&groups, &offered, &verdicts, &mut report)?;
         // The orders of a line spectrum were found in the same samples.
-        let rejected =
-            verdicts.iter().filter(|verdict| !verdict.accepted).map(|verdict| &groups[verdict.offer]);
+        let rejected = verdicts.iter().filter(|one| !one.accepted).map(|one| &groups[one.offer]);
         let rejected = rejected.filter(|group| group.group != TermGroup::LineSpectrum);
         let rejected: Vec<&CandidateGroup> = rejected.collect();
         let mut axes: Vec<CandidateGroup> = rejected.iter().flat_map(|group| group.by_axis()).collect();
-        let by_axis = self.offer(&mut axes, solution.loss, LEFT_OUT)?;
-        let of_axes = by_axis
-            .normals
-            .as_ref()
-            .map_or_else(Vec::new, |of| select_axes(of, &by_axis.always, &by_axis.offers));
-        accepted.extend(self.take(&axes, &by_axis, &of_axes, &mut report)?);
+        if !axes.is_empty() {
+            let offered = self.offer(&mut axes, solution.loss, LEFT_OUT)?;
+            let verdicts = offered
+                .normals
+                .as_ref()
+                .map_or_else(Vec::new, |normals| select_axes(normals, &offered.always, &offered.offers));
+            accepted.extend(self.take(&axes, &offered, &verdicts, &mut report)?);
+        }
         // Other terms than waves of high order resemble link errors. Their assumed size is the smallest usual one, since
         // left-out groups did not require more. Encoders of a bar separate terms from links: the stated uncertainty of ball-bar
         // runs is correct without them (95 % of 185 simulated runs).
         if self.in_unit_of().is_none() {
             for group in rejected {
-                let is_left = |id: &ParameterId| !accepted.contains_key(id);
+                let is_left = |id: &ParameterId| !accepted.contains(id);
                 let left: Vec<ParameterId> = group.ids.iter().copied().filter(is_left).collect();
                 self.set_roles(&left, Role::Considered { sigma: group.sigma })?;
             }
@@ -105,8 +108,7 @@ impl Solver<'_> {
             return Ok((report, 1.0));
         };
         // The scales of terms were chosen above; priors stated by the user are not changed.
-        let ids: Vec<ParameterId> = accepted.into_keys().collect();
-        let kept: Vec<usize> = offered.always.iter().copied().chain(offered.columns_of(&ids)).collect();
+        let kept: Vec<usize> = offered.always.iter().copied().chain(offered.columns_of(&accepted)).collect();
         let tolerance = |column: usize| self.plan.tolerances.contains(&offered.ids[column]);
         let scale = prior_scale(normals, &kept, tolerance);
         self.scale_priors(scale)?;
@@ -145,25 +147,23 @@ impl Solver<'_> {
         Ok(offered)
     }
 
-    /// Gives accepted terms their priors and leaves out the others. Returns the accepted ones with the standard deviations of
-    /// their priors.
+    /// Gives accepted terms their priors and leaves out the others. Returns the accepted ones.
     fn take(
         &mut self,
         groups: &[CandidateGroup],
         offered: &Offered,
         verdicts: &[Verdict],
         report: &mut Vec<Candidate>,
-    ) -> Result<BTreeMap<ParameterId, f64>, CalibrateError> {
-        let mut accepted = BTreeMap::new();
+    ) -> Result<Vec<ParameterId>, CalibrateError> {
+        let mut accepted = Vec::new();
         for (number, group) in groups.iter().enumerate() {
             let verdict = verdicts.iter().find(|verdict| verdict.offer == number && verdict.accepted);
             let Some(Verdict { scale, .. }) = verdict else {
                 self.leave_out(&group.ids)?;
                 continue;
             };
-            let sigma = group.sigma * scale;
-            self.set_roles(&group.ids, Role::Prior { value: 0.0, sigma })?;
-            accepted.extend(group.ids.iter().map(|id| (*id, sigma)));
+            self.set_roles(&group.ids, Role::Prior { value: 0.0, sigma: group.sigma * scale })?;
+            accepted.extend(&group.ids);
         }
         report.extend(verdicts.iter().map(|verdict| {
             let group = &groups[verdict.offer];

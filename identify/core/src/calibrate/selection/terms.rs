@@ -294,8 +294,19 @@ mod tests {
             Self { t, noise, wave, priors }
         }
 
+        /// Verdicts on the absent wave and on the other one.
         fn verdicts(&self) -> Vec<Verdict> {
-            let folds: Vec<Vec<usize>> = (0..8).map(|fold| (40 * fold..40 * (fold + 1)).collect()).collect();
+            self.selected(8, select)
+        }
+
+        fn selected(
+            &self,
+            folds: usize,
+            select: fn(&Normals, &[usize], &[Offer]) -> Vec<Verdict>,
+        ) -> Vec<Verdict> {
+            let size = self.t.len() / folds;
+            let folds: Vec<Vec<usize>> =
+                (0..folds).map(|fold| (size * fold..size * (fold + 1)).collect()).collect();
             let normals = Normals::new(self, &[0.0; 4], &Options::default(), &folds).ok();
             let offer =
                 |column| Offer { columns: vec![column], without: Vec::new(), scales: vec![1.0, 100.0] };
@@ -354,5 +365,23 @@ mod tests {
         let taken = |seed| Waves::new(seed, 0.0).verdicts().iter().filter(|one| one.accepted).count();
         let rate = (0..trials).map(taken).sum::<usize>() as f64 / (2.0 * trials as f64);
         assert!(rate < 0.05, "{rate}");
+    }
+
+    #[test]
+    fn an_axis_that_is_not_there_is_taken_as_often_as_stated_and_one_that_is_there_nearly_always() {
+        let trials = 1000;
+        let taken = |wave: f64, offer: Option<usize>| {
+            let is_taken = |seed: &u64| {
+                let verdicts = Waves::new(*seed, wave).selected(32, select_axes);
+                verdicts.iter().any(|one| offer.is_none_or(|offer| one.offer == offer))
+            };
+            (0..trials).filter(is_taken).count() as f64 / trials as f64
+        };
+        // Three standard deviations of the number of events.
+        let within = 3.0 * (AXIS_BY_CHANCE / trials as f64).sqrt();
+        let by_chance = taken(0.0, None);
+        assert!((by_chance - AXIS_BY_CHANCE).abs() < within, "{by_chance}");
+        // Five standard deviations of its estimate.
+        assert!(taken(0.04, Some(1)) > 0.9);
     }
 }
