@@ -50,6 +50,9 @@ impl Outcome {
     }
 }
 
+/// Calibrates a robot from data of a seed; a drive may have a wave once per turn.
+type Run = fn(&RobotConfig, u64, Option<usize>) -> Outcome;
+
 /// Phase of the wave, different for each seed.
 fn phase(seed: u64) -> f64 {
     TAU * (0.618 * seed as f64).fract()
@@ -97,7 +100,7 @@ fn most(probability: f64, of: usize) -> u64 {
 fn the_wave_of_a_single_drive_is_found_and_no_term_that_does_not_exist() {
     let seeds = size(6, 30);
     let (mut tried, mut wrong, mut runs, mut missed) = (0, 0, 0, 0);
-    let kinds: [(&str, RobotConfig, fn(&RobotConfig, u64, Option<usize>) -> Outcome); 3] = [
+    let kinds: [(&str, RobotConfig, Run); 3] = [
         ("ball-bar", irb2400(), with_bar),
         ("ball-bar", nj220(), with_bar),
         ("tracker", irb120(), with_tracker),
