@@ -1,6 +1,7 @@
 //! The documents agree with the programs: links, commands, fields, flags, parameters and limits.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
+use std::collections::BTreeSet;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
@@ -33,16 +34,48 @@ fn links(text: &str) -> impl Iterator<Item = &str> {
     text.split("](").skip(1).filter_map(|rest| rest.split_once(')').map(|(link, _)| link))
 }
 
+/// Anchors of the headings of a page, as mdBook makes them of their text, or named with `{#name}`.
+fn anchors(text: &str) -> BTreeSet<String> {
+    let mut is_code = false;
+    let headings = text.lines().filter(|line| {
+        is_code ^= line.starts_with("```");
+        !is_code && line.starts_with('#')
+    });
+    let mut anchors = BTreeSet::new();
+    for heading in headings.map(|line| line.trim_start_matches('#').trim()) {
+        let named = heading.split_once("{#").and_then(|(_, name)| name.strip_suffix('}'));
+        let anchor: String =
+            named.map_or_else(|| heading.chars().filter_map(of_anchor).collect(), str::to_owned);
+        // A heading that occurs again gets a number.
+        let again = (1..).map(|number| format!("{anchor}-{number}"));
+        let mut names = std::iter::once(anchor.clone()).chain(again);
+        anchors.extend(names.find(|name| !anchors.contains(name)));
+    }
+    anchors
+}
+
+/// A character of a heading in its anchor.
+fn of_anchor(character: char) -> Option<char> {
+    match character {
+        _ if character.is_whitespace() => Some('-'),
+        '_' | '-' => Some(character),
+        _ => character.is_alphanumeric().then(|| character.to_ascii_lowercase()),
+    }
+}
+
 #[test]
-fn every_link_between_documents_leads_to_a_file_and_the_summary_has_every_page() {
+fn every_link_between_documents_leads_to_a_place_and_the_summary_has_every_page() {
     let book = repository("docs/src");
     let of_book = pages_below(&book);
     let others = ["README.md", "ARCHITECTURE.md", "CHANGELOG.md", "CONTRIBUTING.md"].map(repository);
     for page in others.iter().chain(&of_book) {
         let text = text(page);
-        for link in links(&text).filter(|link| !link.contains("://") && !link.starts_with('#')) {
-            let file = link.split('#').next().unwrap_or(link);
-            assert!(page.with_file_name(file).exists(), "{}: {link}", page.display());
+        for link in links(&text).filter(|link| !link.contains("://")) {
+            let (file, anchor) = link.split_once('#').unwrap_or((link, ""));
+            let target = if file.is_empty() { page.clone() } else { page.with_file_name(file) };
+            assert!(target.exists(), "{}: {link}", page.display());
+            let has_anchor = || anchors(&self::text(&target)).contains(anchor);
+            assert!(anchor.is_empty() || has_anchor(), "{}: {link}", page.display());
         }
     }
     let summary = page("SUMMARY.md");
