@@ -111,7 +111,8 @@ impl Solver<'_> {
         let kept: Vec<usize> = offered.always.iter().copied().chain(offered.columns_of(&accepted)).collect();
         let tolerance = |column: usize| self.plan.tolerances.contains(&offered.ids[column]);
         let scale = prior_scale(normals, &kept, tolerance);
-        self.scale_priors(scale)?;
+        let plan = self.plan;
+        self.set_sigmas(|id, sigma| plan.tolerances.contains(&id).then_some(sigma * scale))?;
         Ok((report, scale))
     }
 
@@ -211,38 +212,41 @@ impl Solver<'_> {
     /// likelihood, Berger 1985); correlated errors are counted once. Then harmonics of encoders without eccentricity do not
     /// increase the uncertainty, and a configured width that is too small does not bias them.
     pub(in crate::calibrate) fn fit_common_priors(&mut self, loss: Loss) -> Result<(), CalibrateError> {
-        for CommonPrior { sigmas, scales } in self.plan.common.clone() {
-            let (_, ids, normals) = self.normals_here(loss, LEFT_OUT)?;
-            let Some(normals) = normals else { return Ok(()) };
+        let plan = self.plan;
+        if plan.common.is_empty() {
+            return Ok(());
+        }
+        let (_, ids, normals) = self.normals_here(loss, LEFT_OUT)?;
+        let Some(mut normals) = normals else { return Ok(()) };
+        for CommonPrior { sigmas, scales } in &plan.common {
             let dispersion = normals.overdispersion().unwrap_or(1.0).max(1.0);
-            let evidence = |scale: f64| {
+            let priors = |scale: f64| -> Vec<Prior> {
                 let prior = |prior: &Prior| {
                     let sigma = sigmas.get(&ids[prior.column]).map_or(prior.sigma, |sigma| sigma * scale);
                     Prior { sigma, ..*prior }
                 };
-                let priors: Vec<Prior> = normals.priors().iter().map(prior).collect();
-                Some((scale, normals.evidence(&priors, dispersion)?))
+                normals.priors().iter().map(prior).collect()
             };
-            let best = scales.iter().copied().filter_map(evidence).max_by(|a, b| a.1.total_cmp(&b.1));
+            let evidence = |&scale: &f64| Some((scale, normals.evidence(&priors(scale), dispersion)?));
+            let best = scales.iter().filter_map(evidence).max_by(|a, b| a.1.total_cmp(&b.1));
             let Some((scale, _)) = best else { continue };
-            for Run { model, .. } in &mut *self.runs {
-                for (&id, sigma) in &sigmas {
-                    if let Some(Role::Prior { value, .. }) = model.parameter(id).map(|one| one.role) {
-                        model.set_role(id, Role::Prior { value, sigma: sigma * scale })?;
-                    }
-                }
-            }
+            let chosen = priors(scale);
+            normals = normals.with_priors(chosen);
+            self.set_sigmas(|id, _| sigmas.get(&id).map(|sigma| sigma * scale))?;
         }
         Ok(())
     }
 
-    fn scale_priors(&mut self, scale: f64) -> Result<(), ModelError> {
+    /// Changes the standard deviations of priors; `sigma` is given the present one and returns the new one, or `None`.
+    fn set_sigmas(&mut self, sigma: impl Fn(ParameterId, f64) -> Option<f64>) -> Result<(), ModelError> {
         for Run { model, .. } in &mut *self.runs {
             let priors: Vec<(ParameterId, Role)> =
                 model.columns().map(|parameter| (parameter.id, parameter.role)).collect();
-            for (id, role) in priors.into_iter().filter(|(id, _)| self.plan.tolerances.contains(id)) {
-                if let Role::Prior { value, sigma } = role {
-                    model.set_role(id, Role::Prior { value, sigma: sigma * scale })?;
+            for (id, role) in priors {
+                if let Role::Prior { value, sigma: present } = role
+                    && let Some(sigma) = sigma(id, present)
+                {
+                    model.set_role(id, Role::Prior { value, sigma })?;
                 }
             }
         }

@@ -161,11 +161,14 @@ pub fn select(normals: &Normals, always: &[usize], offers: &[Offer]) -> Vec<Verd
 pub fn select_axes(normals: &Normals, always: &[usize], offers: &[Offer]) -> Vec<Verdict> {
     let mut choice = Choice { normals, always, offers, taken: Vec::new() };
     let level = AXIS_BY_CHANCE / offers.len().max(1) as f64;
-    while let (Some(scores), Some(before)) = (choice.scores(), choice.predicted()) {
+    while let Some(scores) = choice.scores() {
         let open = choice.open().into_iter();
         let chances = open.filter_map(|axis| Some((axis, scores.chance(&offers[axis].columns)?)));
         let least = chances.min_by(|a, b| a.1.total_cmp(&b.1)).filter(|(_, chance)| *chance < level);
-        let Some((verdict, _)) = least.and_then(|(axis, _)| choice.with(axis, &before)) else { break };
+        let Some((axis, _)) = least else { break };
+        let Some((verdict, _)) = choice.predicted().and_then(|before| choice.with(axis, &before)) else {
+            break;
+        };
         choice.taken.push(Verdict { accepted: true, ..verdict });
     }
     choice.taken
@@ -217,16 +220,12 @@ impl Choice<'_> {
     /// determine the columns.
     fn choose_scale(&mut self) -> Option<Vec<f64>> {
         let (last, offers) = (self.taken.len().checked_sub(1)?, self.offers);
-        let mut best: Option<(f64, Vec<f64>)> = None;
-        for &scale in &offers[self.taken[last].offer].scales {
+        let scales = &offers[self.taken[last].offer].scales;
+        let tried = scales.iter().filter_map(|&scale| {
             self.taken[last].scale = scale;
-            let tried = self.predicted().map(|errors| (scale, errors));
-            let is_better = |(_, errors): &(f64, Vec<f64>)| {
-                best.as_ref().is_none_or(|(_, least)| mean(errors) < mean(least))
-            };
-            best = tried.filter(is_better).or(best);
-        }
-        let (scale, errors) = best?;
+            Some((scale, self.predicted()?))
+        });
+        let (scale, errors) = tried.min_by(|a, b| mean(&a.1).total_cmp(&mean(&b.1)))?;
         (self.taken[last].scale, self.taken[last].after) = (scale, mean(&errors));
         Some(errors)
     }

@@ -159,6 +159,12 @@ impl Normals {
         &self.priors
     }
 
+    /// The same samples with other priors.
+    #[must_use]
+    pub fn with_priors(self, priors: Vec<Prior>) -> Self {
+        Self { priors, ..self }
+    }
+
     /// Normal equations of each fold, without priors.
     pub fn of_folds(&self) -> &[Normal] {
         &self.folds
@@ -166,8 +172,7 @@ impl Normals {
 
     /// Sum of all folds, prior knowledge and priors.
     pub fn whole(&self) -> Normal {
-        let mut whole = self.total.clone();
-        whole += &self.known;
+        let mut whole = &self.total + &self.known;
         whole.add_priors(&self.priors, &self.x);
         whole
     }
@@ -191,8 +196,7 @@ impl Normals {
     /// Logarithm of the evidence of the samples with these priors, up to a constant (MacKay 1992), for residuals with
     /// `dispersion` times the variance of independent ones. `None` if columns are linearly dependent.
     pub fn evidence(&self, priors: &[Prior], dispersion: f64) -> Option<f64> {
-        let mut all = self.total.clone();
-        all += &self.known;
+        let mut all = &self.total + &self.known;
         all.matrix /= dispersion;
         all.gradient /= dispersion;
         all.squared /= dispersion;
