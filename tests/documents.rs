@@ -21,12 +21,17 @@ fn page(name: &str) -> String {
     text(&repository("docs/src").join(name))
 }
 
-/// Every page of the book, in its folders.
-fn pages_below(folder: &Path) -> Vec<PathBuf> {
+/// Files with these endings below a folder, without those that other programs or projects made.
+pub(crate) fn files_below(folder: &Path, endings: &[&str]) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
-    let (folders, files): (Vec<_>, Vec<_>) = entries.partition(|path| path.is_dir());
-    let pages = files.into_iter().filter(|path| path.extension().is_some_and(|ending| ending == "md"));
-    pages.chain(folders.iter().flat_map(|folder| pages_below(folder))).collect()
+    let is_foreign = |path: &Path| ["target", "ogl", "uplot"].iter().any(|name| path.ends_with(name));
+    let (folders, files): (Vec<_>, Vec<_>) =
+        entries.filter(|path| !is_foreign(path)).partition(|path| path.is_dir());
+    let has_ending = |path: &PathBuf| {
+        path.extension().is_some_and(|ending| endings.iter().any(|wanted| ending == *wanted))
+    };
+    let below = folders.iter().flat_map(|folder| files_below(folder, endings));
+    files.into_iter().filter(has_ending).chain(below).collect()
 }
 
 /// Targets of the links in a Markdown text.
@@ -66,7 +71,7 @@ fn of_anchor(character: char) -> Option<char> {
 #[test]
 fn every_link_between_documents_leads_to_a_place_and_the_summary_has_every_page() {
     let book = repository("docs/src");
-    let of_book = pages_below(&book);
+    let of_book = files_below(&book, &["md"]);
     let others = ["README.md", "ARCHITECTURE.md", "CHANGELOG.md", "CONTRIBUTING.md"].map(repository);
     for page in others.iter().chain(&of_book) {
         let text = text(page);
@@ -119,7 +124,7 @@ pub(crate) fn commands(line: &str) -> Vec<Vec<String>> {
 fn every_command_in_a_shell_block_of_a_document_is_one_that_the_programs_accept() {
     let mut count = 0;
     let readme = repository("README.md");
-    for page in pages_below(&repository("docs/src")).iter().chain([&readme]) {
+    for page in files_below(&repository("docs/src"), &["md"]).iter().chain([&readme]) {
         for line in shell_lines(&text(page)) {
             for words in commands(&line) {
                 let program = words.first().and_then(|word| word.rsplit('/').next()).unwrap_or_default();

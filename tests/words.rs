@@ -1,11 +1,11 @@
 //! No page of the book, help text or comment has a word of `docs/words.toml`.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::Deserialize;
 
-use crate::documents::repository;
+use crate::documents::{files_below, repository};
 
 /// The content of `docs/words.toml`.
 #[derive(Deserialize)]
@@ -30,19 +30,6 @@ impl Word {
             self.allow.iter().fold(text.to_owned(), |text, right| text.replace(&format!(" {right} "), "  "));
         self.not.iter().find(|not| right.contains(&format!(" {not} "))).map(String::as_str)
     }
-}
-
-/// Files with prose below a folder, without those that other programs or projects made.
-fn files(folder: &Path) -> Vec<PathBuf> {
-    let entries = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
-    let is_foreign = |path: &Path| ["target", "ogl", "uplot", ".git"].iter().any(|name| path.ends_with(name));
-    let (folders, files): (Vec<_>, Vec<_>) =
-        entries.filter(|path| !is_foreign(path)).partition(|path| path.is_dir());
-    let has_prose = |path: &PathBuf| {
-        path.extension().is_some_and(|ending| ["md", "rs", "toml"].iter().any(|e| ending == *e))
-    };
-    let below = folders.iter().flat_map(|folder| self::files(folder));
-    files.into_iter().filter(has_prose).chain(below).collect()
 }
 
 /// What people read of a line: the whole line of a document, otherwise a comment that has the line for itself.
@@ -70,7 +57,7 @@ fn no_document_help_text_or_comment_has_a_word_of_the_list() {
     let mut found = Vec::new();
     let folders = ["config", "daemon", "docs", "identify", "shared", "tests"].map(repository);
     let pages = ["README.md", "ARCHITECTURE.md", "CHANGELOG.md", "CONTRIBUTING.md"].map(repository);
-    for file in folders.iter().flat_map(|folder| files(folder)).chain(pages) {
+    for file in folders.iter().flat_map(|folder| files_below(folder, &["md", "rs", "toml"])).chain(pages) {
         if file.ends_with("docs/words.toml") {
             continue;
         }

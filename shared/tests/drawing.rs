@@ -1,13 +1,10 @@
-//! The drawing of the bar: its lengths, its joints, and the picture of the book.
+//! The drawing of the bar: its lengths and its joints.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::path::{Path, PathBuf};
 
 use shared::config::{self, BallBarConfig};
-use shared::drawing::{ball_bar, ball_bar_file};
-
-/// If it is set, the test writes the picture in place of comparing it.
-const WRITE: &str = "WRITE_REFERENCE";
+use shared::drawing::ball_bar;
 
 fn repository(path: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(path)
@@ -20,16 +17,6 @@ fn shipped() -> BallBarConfig {
 /// Lines of the SVG with this text.
 fn lines<'a>(svg: &'a str, text: &str) -> Vec<&'a str> {
     svg.lines().filter(|line| line.contains(text)).collect()
-}
-
-#[test]
-fn the_picture_of_the_book_shows_the_bar_of_the_configuration() {
-    let (picture, drawn) = (repository("docs/src/pictures/ball_bar.svg"), ball_bar_file(&shipped()));
-    if std::env::var_os(WRITE).is_some() {
-        std::fs::write(&picture, &drawn).unwrap();
-    }
-    let is_current = std::fs::read_to_string(&picture).unwrap_or_default() == drawn;
-    assert!(is_current, "out of date; renew it: {WRITE}=1 cargo test -p shared --test all drawing");
 }
 
 #[test]

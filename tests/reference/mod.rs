@@ -1,4 +1,4 @@
-//! Generated pages of the book: their committed text is what programs, configuration files and tables give today.
+//! Generated pages and pictures of the book: their committed text is what programs, configuration files and tables give today.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 mod commands;
@@ -30,13 +30,17 @@ fn wrapped(text: &str) -> String {
 
 /// Compares a page with its generated content, or writes it.
 fn check(name: &str, title: &str, source: &str, content: &str) {
-    let path = repository("docs/src/reference").join(name);
     let head = format!(
         "# {title}\n\nGenerated from {source}; do not edit. To write it again:\n\n```sh\n{RENEW}\n```\n"
     );
-    let text = wrapped(&format!("{head}\n{}", content.trim()));
+    check_file(&format!("reference/{name}"), &wrapped(&format!("{head}\n{}", content.trim())));
+}
+
+/// Compares a file of the book with its generated text, or writes it.
+fn check_file(name: &str, text: &str) {
+    let path = repository("docs/src").join(name);
     if std::env::var_os(WRITE).is_some() {
-        std::fs::write(&path, &text).expect("a writable page");
+        std::fs::write(&path, text).expect("a writable file");
     }
     let committed = std::fs::read_to_string(&path).unwrap_or_default();
     let mut lines = committed.lines().zip(text.lines());
@@ -45,4 +49,10 @@ fn check(name: &str, title: &str, source: &str, content: &str) {
         committed == text,
         "{name} is out of date; renew it with {RENEW}\nfirst difference: {difference:?}"
     );
+}
+
+#[test]
+fn the_picture_of_the_bar_shows_that_of_the_configuration() {
+    let bar = shared::config::load(&repository("config/ball_bar.toml")).unwrap();
+    check_file("pictures/ball_bar.svg", &shared::drawing::ball_bar_file(&bar));
 }
