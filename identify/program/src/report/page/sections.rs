@@ -74,7 +74,7 @@ pub(super) fn numbers(page: &Page<'_>) -> Markup {
 
 /// The bar of the first run, with the length of the solution.
 pub(super) fn bar(page: &Page<'_>) -> Markup {
-    let identified = page.file.parameters.iter().find(|entry| entry.name == "bd3");
+    let identified = page.file.parameters.iter().find(|entry| entry.id() == Some(ParameterId::ROD));
     html! { @if let Some(bar) = page.bar {
         @let correction_m = identified.map_or(0.0, |entry| entry.correction);
         @let identified = BallBarConfig { length_m: bar.length_m + correction_m, ..bar.clone() };
