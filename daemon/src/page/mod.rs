@@ -42,7 +42,8 @@ const POLICY: HeaderValue = HeaderValue::from_static(
      base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
 );
 
-/// A route for each file; the page has the drawing of `bar`. Browsers check each time whether a file has changed, so that a new version is used at once.
+/// A route for each file; the page has the drawing of `bar`. Browsers check each time whether a file has changed, so that a new
+/// version is used at once.
 pub fn routes<S: Clone + Send + Sync + 'static>(bar: &BallBarConfig) -> Router<S> {
     let drawing = drawing::ball_bar(bar);
     FILES.iter().fold(Router::new(), |router, (path, media_type, text)| {
