@@ -88,7 +88,7 @@ fn each_fault_of_the_bus_has_the_same_code_wherever_it_is_reported() {
         (&["no-signal:2@7s-11s"], "encoder_invalid"),
         (&["noise:3,0.05@2s"], "link_errors"),
     ];
-    in_parallel(&cases, 4, |(faults, code)| check(faults, code));
+    in_parallel(&cases, cases.len(), |(faults, code)| check(faults, code));
 }
 
 #[test]

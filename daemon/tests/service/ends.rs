@@ -113,6 +113,9 @@ fn a_disk_that_others_fill_ends_the_run_with_a_finished_file() {
 fn status_and_check_say_what_the_last_attempt_to_bring_the_bus_up_met() {
     // Incomplete from the start; then complete for some time, with a terminal that refuses its settings.
     let incomplete = Running::with(tempfile::tempdir().unwrap(), &shipped(), &["--fault", "gone:4"]);
+    let faults = ["--fault", "gone:3@3s-4s", "--fault", "abort:1,0x06090011@3s-8s"];
+    let refusing = Running::with(tempfile::tempdir().unwrap(), &shipped(), &faults);
+    refusing.wait_for("waiting");
     let reason = incomplete.wait_until("the first attempt", |status| {
         status.reason.as_ref().is_some_and(|reason| reason.contains("terminal 4 and all"))
     });
@@ -121,10 +124,6 @@ fn status_and_check_say_what_the_last_attempt_to_bring_the_bus_up_met() {
     }
     let checked = text(&incomplete.command(&["check"]));
     assert!(checked.contains("PROBLEM  bus: terminal 4 and all"), "{checked}");
-    drop(incomplete);
-    let faults = ["--fault", "gone:3@3s-4s", "--fault", "abort:1,0x06090011@3s-8s"];
-    let refusing = Running::with(tempfile::tempdir().unwrap(), &shipped(), &faults);
-    refusing.wait_for("waiting");
     let told = |status: &Status| {
         let reason = status.reason.as_deref().unwrap_or_default();
         reason.contains("terminal 1, while setting the interpolation")

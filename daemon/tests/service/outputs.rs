@@ -14,13 +14,18 @@ use serde_json::json;
 
 use super::rig::{Running, shipped, text};
 use crate::support::ballbard;
+use crate::support::runs::in_parallel;
 
-/// A standard error of the service; the reader lives as long as this value.
-struct Broken {
-    name: &'static str,
-    stderr: Stdio,
-    _reader: Option<PipeReader>,
-}
+/// A standard error of the service, and the reader of it, if it has one.
+type Log = (Stdio, Option<PipeReader>);
+
+const BROKEN_LOGS: [(&str, fn() -> Log); 5] = [
+    ("closed", || (File::open("/dev/null").unwrap().into(), None)),
+    ("full", || (full(), None)),
+    ("its reader gone", || (gone(), None)),
+    ("without a journal", without_journal),
+    ("without a reader", blocked),
+];
 
 fn full() -> Stdio {
     OpenOptions::new().write(true).open("/dev/full").unwrap().into()
@@ -32,31 +37,22 @@ fn gone() -> Stdio {
 }
 
 /// A full pipe whose reader reads nothing.
-fn blocked() -> (PipeReader, Stdio) {
+fn blocked() -> Log {
     let (reader, mut writer) = pipe().unwrap();
     let bytes = fcntl(&writer, FcntlArg::F_SETPIPE_SZ(4096)).unwrap();
     writer.write_all(&vec![b'.'; usize::try_from(bytes).unwrap()]).unwrap();
-    (reader, writer.into())
+    (writer.into(), Some(reader))
 }
 
-fn broken_logs() -> Vec<Broken> {
-    let (reader, stderr) = blocked();
-    // The journal of a service manager that has died.
-    let (journal, ours) = UnixStream::pair().unwrap();
-    drop(journal);
-    let broken = |name, stderr| Broken { name, stderr, _reader: None };
-    vec![
-        broken("closed", File::open("/dev/null").unwrap().into()),
-        broken("full", full()),
-        broken("its reader gone", gone()),
-        broken("without a journal", OwnedFd::from(ours).into()),
-        Broken { name: "without a reader", stderr, _reader: Some(reader) },
-    ]
+/// The journal of a service manager that has died.
+fn without_journal() -> Log {
+    (OwnedFd::from(UnixStream::pair().unwrap().1).into(), None)
 }
 
 #[test]
 fn a_log_that_cannot_be_written_costs_lines_and_nothing_else() {
-    for Broken { name, stderr, _reader } in broken_logs() {
+    in_parallel(&BROKEN_LOGS, BROKEN_LOGS.len(), |(name, log)| {
+        let (stderr, _reader) = log();
         let mut service = Running::logging_to(stderr, tempfile::tempdir().unwrap(), &shipped(), &[]);
         service.wait_for("waiting");
         service.granted("start", &json!({"name": "logged"}));
@@ -66,15 +62,16 @@ fn a_log_that_cannot_be_written_costs_lines_and_nothing_else() {
         let lines: Vec<CheckLine> = service.get("check");
         let log = lines.iter().find(|line| line.subject == "log").unwrap();
         // A queue without a reader keeps its lines until it is full.
-        assert_eq!(log.remedy.is_some(), name != "without a reader", "{name}: {log:?}");
+        assert_eq!(log.remedy.is_some(), *name != "without a reader", "{name}: {log:?}");
         service.signal(Signal::SIGTERM);
         assert!(service.ended(Duration::from_secs(20)).success(), "{name}");
-    }
+    });
 }
 
 #[test]
 fn a_run_is_recorded_whatever_becomes_of_the_log() {
-    for Broken { name, stderr, _reader } in broken_logs() {
+    in_parallel(&BROKEN_LOGS, BROKEN_LOGS.len(), |(name, log)| {
+        let (stderr, _reader) = log();
         let out = tempfile::tempdir().unwrap();
         let mut command = ballbard();
         command.args([
@@ -94,7 +91,7 @@ fn a_run_is_recorded_whatever_becomes_of_the_log() {
         // The last message of a command that fails does not delay its end.
         command.arg("--replay").arg("nothing.mcap");
         assert_eq!(command.status().unwrap().code(), Some(1), "{name}");
-    }
+    });
 }
 
 #[test]

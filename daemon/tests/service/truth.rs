@@ -17,7 +17,7 @@ fn terminals_that_were_gone_are_in_the_log() {
     let directory = tempfile::tempdir().unwrap();
     let log = directory.path().join("log");
     let stderr: Stdio = File::create(&log).unwrap().into();
-    let faults = ["--fault", "gone:3@4s-9s"];
+    let faults = ["--fault", "gone:3@4s-6s"];
     let service = Running::logging_to(stderr, tempfile::tempdir().unwrap(), &shipped(), &faults);
     service.wait_for("waiting");
     service.wait_for("fault");

@@ -6,7 +6,7 @@ use std::io;
 use std::os::fd::BorrowedFd;
 use std::os::unix::fs::{FileExt, MetadataExt};
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard};
+use std::sync::{Condvar, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
 use nix::fcntl::Flock;
@@ -60,7 +60,7 @@ pub enum Fault {
     Dies,
     /// Refuses this call and all later ones.
     DiesEverywhere,
-    /// Delays this call only.
+    /// Delays this call only, on real time until [`Wall::release`] at most.
     Hangs(Duration),
     /// Transfers a single byte, in this call only.
     CutsShort,
@@ -74,6 +74,7 @@ pub struct Wall {
     /// The run's own directory.
     home: PathBuf,
     state: Mutex<State>,
+    released: Condvar,
 }
 
 #[derive(Debug, Default)]
@@ -86,6 +87,7 @@ struct State {
     synced: HashMap<u64, u64>,
     inodes: HashMap<u64, bool>,
     is_dead: bool,
+    is_released: bool,
     struck: Option<Instant>,
     /// The same on virtual time.
     struck_at: Option<MonoNs>,
@@ -100,7 +102,7 @@ enum Permit {
 impl Wall {
     pub fn new(home: &Path, fault: Option<(Call, usize, Fault)>) -> Self {
         let state = Mutex::new(State { fault, ..State::default() });
-        Self { sync_takes: Duration::ZERO, home: home.to_owned(), state }
+        Self { sync_takes: Duration::ZERO, home: home.to_owned(), state, released: Condvar::new() }
     }
 
     /// A disk whose synchronisation takes this time.
@@ -121,7 +123,13 @@ impl Wall {
     pub fn strike_next(&self, call: Call, fault: Fault) {
         let mut state = self.state();
         let nth = state.calls.get(&call).copied().unwrap_or(0);
-        (state.fault, state.struck) = (Some((call, nth, fault)), None);
+        (state.fault, state.struck, state.is_released) = (Some((call, nth, fault)), None, false);
+    }
+
+    /// Ends a hang on real time.
+    pub fn release(&self) {
+        self.state().is_released = true;
+        self.released.notify_all();
     }
 
     /// Real time of the fault.
@@ -161,8 +169,13 @@ impl Wall {
             Fault::Fails => refusal(),
             Fault::CutsShort => Ok(Permit::OneByte),
             Fault::Hangs(time) => {
-                drop(state);
-                pass(time);
+                if World::here().is_some() {
+                    drop(state);
+                    pass(time);
+                } else {
+                    let is_held = |state: &mut State| !state.is_released;
+                    drop(self.released.wait_timeout_while(state, time, is_held).unwrap());
+                }
                 Ok(Permit::All)
             }
         }
