@@ -68,15 +68,15 @@ fn pictures(text: &str) -> usize {
 #[test]
 fn what_was_not_unwrapped_and_not_averaged_is_told_in_a_line_and_what_was_has_a_picture() {
     let [plain, text] = plain_and_averaged();
-    assert!(plain.contains("nothing was to be unwrapped") && plain.contains("off, as usual"));
-    assert!(!plain.contains("as shown"));
-    for part in ["b1 as shown", "b1 continuous", "of what can be followed", "averaged over 100 ms"] {
+    assert!(plain.contains("nothing was to be unwrapped") && plain.contains("off (default)"));
+    assert!(!plain.contains("b1 in the file"));
+    for part in ["b1 in the file", "b1 continuous", "that can be unwrapped", "averaged over 100 ms"] {
         assert!(text.contains(part), "{part}");
     }
-    assert!(text.contains("What the average took from the angles, RMS [µrad]"));
+    assert!(text.contains("Reading minus average, RMS [µrad]"));
     // Two figures of the counter, four of the average.
     assert_eq!(pictures(&text), pictures(&plain) + 6);
-    assert!(!text.contains("nothing was to be unwrapped") && !text.contains("off, as usual"));
+    assert!(!text.contains("nothing was to be unwrapped") && !text.contains("off (default)"));
 }
 
 #[test]
@@ -168,7 +168,7 @@ fn what_a_recording_of_another_program_leaves_unsaid_stands_in_the_page() {
         Path::new(&out),
     );
     let text = std::fs::read_to_string(Path::new(&out).join("report.html")).unwrap();
-    let inputs = text.split("<h2>").find(|section| section.starts_with("What the logs say")).unwrap();
+    let inputs = text.split("<h2>").find(|section| section.starts_with("Content of the logs")).unwrap();
     assert!(inputs.contains("recording: ") && inputs.contains("robot log: "));
     for unsaid in [
         "how certain its times are",
@@ -182,6 +182,6 @@ fn what_a_recording_of_another_program_leaves_unsaid_stands_in_the_page() {
     assert_eq!(inputs.matches("not in the file").count(), 5);
     // The figure shows the file's 24 bits, not the 32 bits of the records.
     let turns = 16_777_216.0 / 14_745_600.0;
-    assert!(turns < 1.5 && text.contains("as shown") && !text.contains("counter [turns]"));
+    assert!(turns < 1.5 && text.contains("b1 in the file") && !text.contains("counter [turns]"));
     assert!(text.len() < 3_000_000, "{} bytes", text.len());
 }

@@ -87,7 +87,7 @@ fn unwrapped(inspection: &mut Inspection, all: &[Unwrapped]) {
         let percent = 100.0 * step_part;
         inspection.fact(
             "unwrapped",
-            format!("{name}, {wraps} {times}; its largest step is {percent:.1} % of what can be followed"),
+            format!("{name}, {wraps} {times}; its largest step is {percent:.1} % of the largest that can be unwrapped"),
         );
     }
 }

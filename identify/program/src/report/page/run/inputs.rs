@@ -1,4 +1,4 @@
-//! Contents of the logs of a calibration, and what they do not contain.
+//! Contents of the logs of a calibration, and missing information.
 
 use std::path::PathBuf;
 
@@ -17,16 +17,16 @@ pub struct Source {
     pub role: &'static str,
     /// Path of its file.
     pub path: PathBuf,
-    /// What was found in it.
+    /// Its content.
     pub inspection: Inspection,
-    /// Its joints over time; empty where a page does not draw them.
+    /// Its joints over time; empty if the page does not draw them.
     pub curves: Vec<Curve>,
 }
 
 /// Content of the files, side by side.
 pub(in crate::report::page) fn section(sources: &[Source]) -> Markup {
     html! { @if !sources.is_empty() {
-        h2 { "What the logs say of themselves, and what they leave unsaid" }
+        h2 { "Content of the logs, and missing information" }
         div.columns.sources { @for source in sources { (facts(source)) } }
     } }
 }
@@ -51,7 +51,7 @@ fn facts(source: &Source) -> Markup {
             caption { (source.role) ": " (source.path.display()) }
             tbody {
                 (rows(facts))
-                @for sentence in suspicious { tr.unsaid { td { "mind" } td.text { (sentence) } } }
+                @for sentence in suspicious { tr.unsaid { td { "suspicious" } td.text { (sentence) } } }
             }
         }
     }

@@ -1,4 +1,4 @@
-//! How the two logs were brought together: what the thesis drew as its figures 5.2 to 5.4.
+//! Preparation of the two logs of a run: figures 5.2 to 5.4 of the thesis.
 
 use maud::{Markup, html};
 
@@ -25,14 +25,14 @@ pub(in crate::report::page) fn section(prepared: &Prepared) -> Result<Markup, Pl
             }
         }
         figure {
-            div.panels.three { @for joint in joints() { (trimmed(timeline, joint)?) } }
-            figcaption { "Joints of the bar: samples that were used, and samples that were rejected for one of the reasons below." }
+            div.panels.three { @for joint in joints() { (angle_by_status(timeline, joint)?) } }
+            figcaption { "Joints of the bar: usable samples, and samples that were left out for one of the reasons below." }
         }
         figure {
-            div.panels.three { @for joint in joints() { (off(timeline, joint)?) } }
+            div.panels.three { @for joint in joints() { (residuals(timeline, joint)?) } }
             figcaption {
-                "The used samples of each joint less what the robot's log and the nominal robot and bar say of it. This is what the "
-                "alignment and the encoder offsets were found from; the errors of robot and bar are still in it."
+                "Used samples of each joint minus the angles that the robot's log implies for the nominal robot and bar. Alignment "
+                "and encoder offsets were estimated from these differences; they contain the errors of robot and bar."
             }
         }
         (encoders(prepared))
@@ -74,8 +74,8 @@ const fn is_usable(status: SampleStatus) -> bool {
     matches!(status, SampleStatus::Kept | SampleStatus::Thinned)
 }
 
-/// Angle of a joint over time, by the status of the samples.
-fn trimmed(timeline: &Timeline, joint: usize) -> Result<Markup, PlotError> {
+/// Angle of a bar joint over time: usable samples and those that were left out.
+fn angle_by_status(timeline: &Timeline, joint: usize) -> Result<Markup, PlotError> {
     let time = time_axis(timeline);
     let of = |name, colour, usable: bool| {
         let points = timeline.points.iter().filter(|point| is_usable(point.status) == usable);
@@ -87,17 +87,17 @@ fn trimmed(timeline: &Timeline, joint: usize) -> Result<Markup, PlotError> {
     Panel::new(format!("b{}", joint + 1), [&time.label(), "[deg]"], THIRD, series).draw()
 }
 
-/// Measured minus predicted angle of a joint over time.
-fn off(timeline: &Timeline, joint: usize) -> Result<Markup, PlotError> {
+/// Measured minus predicted angle of a bar joint over time.
+fn residuals(timeline: &Timeline, joint: usize) -> Result<Markup, PlotError> {
     let time = time_axis(timeline);
     let used = timeline.points.iter().filter(|point| point.status == SampleStatus::Kept);
     let off = |point: &TimelinePoint| Some((time.at(point.t_s), point.off_rad()?[joint] * 1e3));
-    let title = format!("b{}, measured less predicted", joint + 1);
+    let title = format!("b{}, measured minus predicted", joint + 1);
     let series = vec![dots("", ORANGE, used.filter_map(off).collect())];
     Panel::new(title, [&time.label(), "[mrad]"], THIRD, series).draw()
 }
 
-/// Where the bar stands and how long it is, by the robot's positions alone.
+/// Position and length of the bar, estimated from the robot's positions alone.
 fn sphere(prepared: &Prepared) -> Markup {
     let sphere = &prepared.sphere;
     let centre_m = sphere.centre_m;
@@ -110,19 +110,19 @@ fn sphere(prepared: &Prepared) -> Markup {
     }
 }
 
-/// Where each encoder sits, which way it counts, its offset, and how well all that fits.
+/// Joint, direction and offset of each encoder, and how well they fit the motion.
 fn encoders(prepared: &Prepared) -> Markup {
     let encoder_map = &prepared.encoder_map;
     let offset = |joint: u8| prepared.offsets.iter().find(|offset| offset.joint == joint);
     html! {
         @if !encoder_map.used.encoders.is_empty() { table {
             caption {
-                "Encoders of the bar: joint by the recording, joint and direction that the motion confirms, offset, and 1.48 times the "
+                "Encoders of the bar: joint by the recording, joint and direction by the motion, offset, and 1.48 times the "
                 "median deviation from the motion of the robot, nominal and with all lengths and angles moved within their tolerances"
                 @if !encoder_map.others.is_empty() { "; " (encoder_map.others.len()) " other orders or directions fit within the limit, worse" }
             }
             thead { tr {
-                th { "recorded as" } th { "sits on" } th.text { "" } th { "offset [deg]" } th { "nominal [mrad]" } th { "fitted [mrad]" }
+                th { "recorded as" } th { "used as" } th.text { "" } th { "offset [deg]" } th { "nominal [mrad]" } th { "fitted [mrad]" }
             } }
             tbody { @for place in &encoder_map.used.encoders { tr {
                 td { "b" (place.recorded_joint) }
@@ -136,6 +136,7 @@ fn encoders(prepared: &Prepared) -> Markup {
     }
 }
 
+/// Jitter of each joint of both logs at standstill.
 fn jitter(timeline: &Timeline) -> Markup {
     let jitter = &timeline.jitter;
     let rows = [("robot", jitter.robot_urad.to_vec()), ("bar", jitter.bar_urad.to_vec())];
@@ -144,7 +145,7 @@ fn jitter(timeline: &Timeline) -> Markup {
     readings::by_joint(&caption, &rows)
 }
 
-/// The table of what became of all samples.
+/// Number of samples by status.
 fn statuses(prepared: &Prepared) -> Markup {
     let counts = &prepared.counts;
     let average = prepared.timeline.averaged.as_ref();
@@ -152,7 +153,7 @@ fn statuses(prepared: &Prepared) -> Markup {
         Some(("recorded", counts.recorded)),
         Some(("not valid", counts.invalid)),
         Some(("time did not increase", counts.time_not_increasing)),
-        average.map(|_| ("too near to an end or a hole for the average", counts.not_averaged)),
+        average.map(|_| ("too near to an end or a gap for the average", counts.not_averaged)),
         Some(("other origin of the counters", counts.other_origin)),
         Some(("outside the robot's log", counts.outside_robot_log)),
         Some(("near a singular pose", counts.singular)),
@@ -164,7 +165,7 @@ fn statuses(prepared: &Prepared) -> Markup {
     ];
     html! {
         table.narrow {
-            caption { "What became of the samples" }
+            caption { "Status of the samples" }
             tbody { @for (what, count) in rows.into_iter().flatten() { tr { td { (what) } td { (count) } } } }
         }
     }

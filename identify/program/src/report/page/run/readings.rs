@@ -9,31 +9,31 @@ use crate::prepare::{Averaged, AveragedJoints, AveragedPoint, Timeline};
 use crate::report::page::drawing::figures::{HALF, TimeAxis, dots};
 use crate::report::page::drawing::plot::{BLUE, GREY, Mark, ORANGE, Panel, PlotError, Series};
 
-/// Lower than others: a run may have eleven pairs of them.
-const LOW: (u32, u32) = (450, 170);
-/// A longer period is shown in turns, not degrees \[turns\].
+/// Width and height of a panel \[px\]; low, because a run may have eleven pairs of panels: five encoders and six joints.
+const PAIR_SIZE: (u32, u32) = (450, 170);
+/// Readings with a longer period are drawn in turns, not degrees \[turns\].
 const TURNS_MIN: f64 = 1.5;
 
-/// Readings as they were shown and as they were used.
+/// Readings that wrapped: as their files contain them, and as they were used.
 pub(in crate::report::page) fn unwrapping(timeline: &Timeline) -> Result<Markup, PlotError> {
     let unwrapped: Vec<&Unwrapped> =
         timeline.unwrapped_encoders.iter().chain(&timeline.unwrapped_joints).collect();
     if unwrapped.is_empty() {
         return Ok(html! {
-            p { b { "Unwrapping: " } "no counter of the bar and no joint in the robot's log began anew; nothing was to be unwrapped." }
+            p { b { "Unwrapping: " } "no counter of the bar and no joint in the robot's log wrapped; nothing was to be unwrapped." }
         });
     }
     Ok(html! {
-        p { b { "Unwrapping: " } "these began anew while the logs were taken, and were made continuous; all others never did." }
+        p { b { "Unwrapping: " } "these readings wrapped during the run and were made continuous; the others did not wrap." }
         figure {
             div.panels { @for one in &unwrapped { (pair(one)?) } }
             figcaption {
-                "Left as the file shows them, right as they are used, where they begin anew most often; b: encoder of the bar by "
+                "Left: as in the file. Right: as used. The section with the most wraps is shown. b: encoder of the bar by "
                 "the joint that its file states, q: joint in the robot's log. "
                 @for (index, one) in unwrapped.iter().enumerate() {
                     @if index > 0 { "; " }
                     (one.name) ": " (one.wraps) @if one.wraps == 1 { " time" } @else { " times" }
-                    ", largest step " (percent(one.step_part)) " of what can be followed"
+                    ", largest step " (percent(one.step_part)) " of the largest that can be unwrapped"
                 }
                 "."
             }
@@ -42,34 +42,32 @@ pub(in crate::report::page) fn unwrapping(timeline: &Timeline) -> Result<Markup,
 }
 
 fn percent(part: f64) -> String {
-    match 100.0 * part {
-        percent if percent < 0.1 => "less than 0.1 %".into(),
-        percent => format!("{percent:.1} %"),
-    }
+    if part < 1e-3 { "less than 0.1 %".into() } else { format!("{:.1} %", 100.0 * part) }
 }
 
+/// The readings in the file beside the continuous ones, over time.
 fn pair(one: &Unwrapped) -> Result<Markup, PlotError> {
     let time = TimeAxis::of(one.points.iter().map(|point| point.t_s));
     let panel = |title: &str, unit: &str, scale: f64, colour, of: fn(&UnwrappedPoint) -> f64| {
         let points = one.points.iter().map(|point| (time.at(point.t_s), of(point) * scale));
         let series = vec![Series::new("", colour, Mark::Line, points.collect())];
-        Panel::new(format!("{} {title}", one.name), [&time.since_first(), unit], LOW, series).draw()
+        Panel::new(format!("{} {title}", one.name), [&time.since_first(), unit], PAIR_SIZE, series).draw()
     };
     let degrees = 1f64.to_degrees();
     let in_turns = one.period_rad > TURNS_MIN * TAU;
     let (unit, scale) = if in_turns { ("counter [turns]", TAU.recip()) } else { ("[deg]", degrees) };
     Ok(html! {
-        (panel("as shown", unit, scale, GREY, |point| point.shown_rad)?)
+        (panel("in the file", unit, scale, GREY, |point| point.shown_rad)?)
         (panel("continuous", "[deg]", degrees, BLUE, |point| point.continuous_rad)?)
     })
 }
 
-/// What the moving average did; that it is off, and why, where it is.
+/// Effect of the moving average, or a note that it is off.
 pub(in crate::report::page) fn moving_average(averaged: Option<&Averaged>) -> Result<Markup, PlotError> {
     let Some(averaged) = averaged else {
         return Ok(html! {
             p {
-                b { "Moving average: " } "off, as usual: the cost knows the noise of the angles and weighs it. "
+                b { "Moving average: " } "off (default): the cost contains the noise of the angles. "
                 code { "prepare.moving_average_ms" } " switches it on, for both logs alike."
             }
         });
@@ -78,8 +76,8 @@ pub(in crate::report::page) fn moving_average(averaged: Option<&Averaged>) -> Re
     Ok(html! {
         p {
             b { "Moving average: " } "both logs were averaged over " (format!("{width_ms:.0}")) " ms, centred and in the same way. "
-            "A mean of a curved motion lies inside the curve; by how much is known from the mean over twice the time, and was given back. "
-            "Readings nearer than " (format!("{width_ms:.0}")) " ms to an end or a hole were left out."
+            "The mean of a curved motion lies inside the curve. This bias was estimated from the mean over twice the time, and corrected. "
+            "Readings nearer than " (format!("{width_ms:.0}")) " ms to an end or a gap were left out."
         }
         figure {
             div.panels {
@@ -87,16 +85,16 @@ pub(in crate::report::page) fn moving_average(averaged: Option<&Averaged>) -> Re
                 (excerpt("Bar, b", &averaged.bar, ORANGE)?)
             }
             figcaption {
-                "The fastest joint of each log about its fastest moment. Left: its speed from the readings (grey) and from the "
-                "averages. Right: what the average took from its angle: noise. Waves are turns too sharp for it: samples there fit worse, "
+                "The fastest joint of each log around its fastest moment. Left: its speed from the readings (grey) and from the "
+                "averages. Right: reading minus average: noise. A wave is motion that is too fast for this width: samples there fit worse, "
                 "and a shorter average is better."
             }
         }
-        (removed(averaged))
+        (removed_table(averaged))
     })
 }
 
-/// Speed before and after, and what was taken from the angle.
+/// Speeds from the readings and from the averages, and the differences of the angles, over time.
 fn excerpt(
     name: &str,
     joints: &AveragedJoints,
@@ -116,10 +114,11 @@ fn excerpt(
         Series::new("averaged", colour, Mark::Line, of(|point| point.averaged_rad_s.to_degrees())),
     ];
     let removed = vec![dots("", colour, of(|point| point.removed_rad * 1e6))];
-    Ok(html! { (panel("speed", "[deg/s]", speeds)?) (panel("taken from the angle", "[µrad]", removed)?) })
+    Ok(html! { (panel("speed", "[deg/s]", speeds)?) (panel("reading minus average", "[µrad]", removed)?) })
 }
 
-fn removed(averaged: &Averaged) -> Markup {
+/// RMS of reading minus average of each joint, at standstill and in motion.
+fn removed_table(averaged: &Averaged) -> Markup {
     let rows = [
         ("robot, at standstill", &averaged.robot.still_rad),
         ("robot, moving", &averaged.robot.moving_rad),
@@ -128,21 +127,39 @@ fn removed(averaged: &Averaged) -> Markup {
     ];
     let in_urad = |values: &[Option<f64>]| values.iter().map(|value| value.map(|rad| rad * 1e6)).collect();
     let rows = rows.map(|(what, values)| (what, in_urad(values)));
-    by_joint("What the average took from the angles, RMS [µrad]", &rows)
+    by_joint("Reading minus average, RMS [µrad]", &rows)
 }
 
-/// A table with a column for each joint.
+/// A table with a row for each name and a column for each joint, as many as the longest row has values; `None` is a dash.
 pub(in crate::report::page) fn by_joint(caption: &str, rows: &[(&str, Vec<Option<f64>>)]) -> Markup {
-    let cell = |value: &Option<f64>| value.map_or_else(|| "–".to_owned(), |urad| format!("{urad:.2}"));
+    let cell = |value: &Option<f64>| value.map_or_else(|| "–".to_owned(), |value| format!("{value:.2}"));
+    let joints = rows.iter().map(|(_, values)| values.len()).max().unwrap_or_default();
     html! {
         table {
             caption { (caption) }
-            thead { tr { th { "joint" } @for joint in 1..=6 { th { (joint) } } } }
+            thead { tr { th { "joint" } @for joint in 1..=joints { th { (joint) } } } }
             tbody {
-                @for (what, values) in rows {
-                    tr { td { (what) } @for value in values { td { (cell(value)) } } @for _ in values.len()..6 { td {} } }
+                @for (name, values) in rows {
+                    tr { td { (name) } @for value in values { td { (cell(value)) } } @for _ in values.len()..joints { td {} } }
                 }
             }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_table_by_joint_has_a_column_for_each_axis_of_the_robot() {
+        for axes in [2, 6, 8] {
+            let rows = [("robot", vec![Some(1.0); axes]), ("bar", vec![None; axes.min(5)])];
+            let table = by_joint("Jitter", &rows).into_string();
+            let cells: Vec<usize> =
+                table.split("<tr>").skip(1).map(|row| row.matches("<t").count()).collect();
+            assert_eq!(cells[1..], [axes + 1; 2], "{table}");
+            assert!(table.contains(&format!("<th>{axes}</th></tr>")), "{table}");
         }
     }
 }

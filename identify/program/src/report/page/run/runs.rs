@@ -9,7 +9,7 @@ use crate::report::page::Page;
 use crate::report::page::drawing::figures;
 use crate::report::page::drawing::plot::PlotError;
 
-/// Name of each run where there are several, with that of its file.
+/// Name of each run with that of its file; `None` if there is only one run.
 pub(in crate::report::page) fn names(page: &Page<'_>) -> Vec<Option<String>> {
     let count = page.evidence.runs.len();
     let recordings = page.file.inputs.iter().filter(|input| input.role == "recording");
@@ -18,7 +18,7 @@ pub(in crate::report::page) fn names(page: &Page<'_>) -> Vec<Option<String>> {
     (1..=count).map(|number| (count > 1).then(|| name(number))).collect()
 }
 
-/// Title of a section, with the run's name where there are several.
+/// Title of a section, with the run's name if there is one.
 pub(in crate::report::page) fn title(what: &str, name: Option<&String>) -> Markup {
     html! { h2 { (what) @if let Some(name) = name { span.run { " · " (name) } } } }
 }
@@ -28,7 +28,7 @@ pub(in crate::report::page) fn gaps(page: &Page<'_>) -> Result<Markup, PlotError
     let Evidence { runs, by_encoders, rotations, .. } = page.evidence;
     Ok(html! {
         h2 { "Residuals over time" }
-        p.note { "Distance between the robot's end and the bar's at each sample that was used. Mind the scales." }
+        p.note { "Distance between the robot's end and the bar's at each sample that was used. The scales differ." }
         @for (run, name) in runs.iter().zip(names(page)) {
             figure {
                 @if let Some(name) = name { p.run { (name) } }
@@ -57,6 +57,7 @@ pub(in crate::report::page) fn alignments(page: &Page<'_>) -> Result<Markup, Plo
     })
 }
 
+/// Alignment of the logs of a run: figures and the error by time shift.
 fn alignment(
     page: &Page<'_>,
     number: usize,
@@ -81,7 +82,7 @@ fn alignment(
                 @if !local_shifts.is_empty() { (figures::local_shifts(local_shifts)?) }
             }
             figcaption {
-                "Everything but the time shift as in the solution. "
+                "All other parameters as in the solution. "
                 @if !local_shifts.is_empty() {
                     "Right: the shift of each part of the run alone, minus that of the whole run, as the preparation "
                     "estimated it."

@@ -1,4 +1,4 @@
-//! Deviation from the sphere, and the force beside it: what the thesis measured in its section 5.3.
+//! Deviation from the sphere, and the force on the bar: section 5.3 of the thesis.
 
 use maud::{Markup, html};
 use plotters::style::RGBColor;
@@ -11,10 +11,10 @@ use crate::report::page::drawing::figures::{HALF, TimeAxis, WIDE, dots, from_abo
 use crate::report::page::drawing::plot::{BLUE, GREEN, GREY, Mark, ORANGE, Panel, PlotError, Series};
 use crate::report::page::sections::number;
 
-/// Samples that a map shows, at most.
+/// Largest number of samples in a map.
 const DOTS_MAX: usize = 1500;
 
-/// One section for each run: force and place of the bar differ.
+/// One section for each run, because runs differ in force and position of the bar.
 pub(in crate::report::page) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
     Ok(html! { @for (sphere, name) in page.evidence.spheres.iter().zip(runs::names(page)) {
         (runs::title("Deviation from the sphere", name.as_ref()))
@@ -22,22 +22,23 @@ pub(in crate::report::page) fn section(page: &Page<'_>) -> Result<Markup, PlotEr
     } })
 }
 
+/// Figures of one run.
 fn of_run(sphere: &SphereDeviation) -> Result<Markup, PlotError> {
     let elongation = sphere.elongation;
     Ok(html! {
-        (figures_of(sphere))
-        @if let Some(elongation) = elongation { p { (sentence(&elongation)) } }
+        (error_numbers(sphere))
+        @if let Some(elongation) = elongation { p { (force_text(&elongation)) } }
         figure {
-            (over_time(sphere)?)
+            (deviation_over_time(sphere)?)
             figcaption {
-                "How much farther out the robot's end is than the bar would hold it if it were rigid. "
-                @if elongation.is_some() { "Green: minus what the force explains." }
+                "Distance of the robot's end from the centre of the gimbal, minus the length of the bar if it were rigid. "
+                @if elongation.is_some() { "Green: minus the elongation by the force." }
             }
         }
         figure {
             div.panels {
-                (map("Nominal robot", &sphere.before)?)
-                (map("Calibrated robot", &sphere.after)?)
+                (sphere_map("Nominal robot", &sphere.before)?)
+                (sphere_map("Calibrated robot", &sphere.after)?)
             }
             figcaption {
                 "The same over the part of the sphere where the bar was, from above, the robot's x to the right: blue inside, orange "
@@ -47,11 +48,12 @@ fn of_run(sphere: &SphereDeviation) -> Result<Markup, PlotError> {
         }
         @if let Some(elongation) = elongation { figure {
             div.panels { (forces(&sphere.after, &elongation)?) }
-            figcaption { "The force as its log counts it, and the deviation of the calibrated robot beside it. The line is what the solve found." }
+            figcaption { "The force with the sign of its log, and the deviation of the calibrated robot over it. The line is the estimated elongation." }
         } }
     })
 }
 
+/// A length in micrometres, as text.
 fn um(metres: f64) -> String {
     let um = metres * 1e6;
     let decimals = match um {
@@ -62,7 +64,8 @@ fn um(metres: f64) -> String {
     format!("{um:.decimals$} µm")
 }
 
-fn figures_of(sphere: &SphereDeviation) -> Markup {
+/// RMS and quantiles of the deviations as large numbers.
+fn error_numbers(sphere: &SphereDeviation) -> Markup {
     let row = |name: &str, deviation: &Deviation| {
         let Quantiles { median, p95, max, .. } = deviation.size_m;
         let [median, p95, max] = [median, p95, max].map(um);
@@ -74,14 +77,15 @@ fn figures_of(sphere: &SphereDeviation) -> Markup {
             (row("nominal robot", &sphere.before))
             (row("calibrated robot", &sphere.after))
             @if sphere.elongation.is_some() {
-                @let label = "calibrated robot, RMS without what the force explains";
+                @let label = "calibrated robot, RMS without the elongation by the force";
                 (number(um(sphere.after.unexplained_rms_m), label))
             }
         }
     }
 }
 
-fn sentence(elongation: &Elongation) -> Markup {
+/// The force and the estimated elongation as text.
+fn force_text(elongation: &Elongation) -> Markup {
     let measured = &elongation.measured;
     let [low, high] = measured.range;
     let unit = measured.unit();
@@ -96,7 +100,8 @@ fn sentence(elongation: &Elongation) -> Markup {
     }
 }
 
-fn over_time(sphere: &SphereDeviation) -> Result<Markup, PlotError> {
+/// Deviations of the nominal and the calibrated robot over time.
+fn deviation_over_time(sphere: &SphereDeviation) -> Result<Markup, PlotError> {
     let time = TimeAxis::of(sphere.after.samples.iter().map(|one| one.t_s));
     let series = |name: &str, colour, deviation: &Deviation, of: fn(&OffSphere) -> f64| {
         dots(name, colour, deviation.samples.iter().map(|one| (time.at(one.t_s), of(one) * 1e6)).collect())
@@ -128,9 +133,9 @@ fn forces(after: &Deviation, elongation: &Elongation) -> Result<Markup, PlotErro
     })
 }
 
-/// The deviation by direction of the bar, from above. Colours reach their full strength where 95 % of the samples are below.
-fn map(title: &str, deviation: &Deviation) -> Result<Markup, PlotError> {
-    /// Steps of the scale to either side.
+/// The deviation by direction of the bar, from above. Colours are strongest at the 95 % quantile of the deviations.
+fn sphere_map(title: &str, deviation: &Deviation) -> Result<Markup, PlotError> {
+    /// Number of colours for each sign.
     const STEPS: i32 = 10;
     let every = deviation.samples.len().div_ceil(DOTS_MAX).max(1);
     let full_m = deviation.size_m.p95.max(f64::MIN_POSITIVE);
@@ -143,7 +148,7 @@ fn map(title: &str, deviation: &Deviation) -> Result<Markup, PlotError> {
         let colour = colour(f64::from(step) / f64::from(STEPS));
         dots(name, colour, own.map(|sample| from_above(&sample.direction)).collect())
     };
-    // The strongest on top.
+    // The strongest colours are drawn last, on top.
     sphere_from_above(title, (0..=STEPS).flat_map(|size| [-size, size]).skip(1).map(series))
 }
 
