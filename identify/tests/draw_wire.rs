@@ -182,7 +182,7 @@ fn a_calibration_from_rows_reports_its_stages_to_who_watches() {
 fn rows_that_all_contradict_the_robots_file_are_of_another_robot_and_not_too_few() {
     let (rows, _) = made_up(200);
     let refused = Alone::default().lengths(&rows, &crate::support::ur10()).err().unwrap().to_string();
-    assert!(refused.contains("in 200 of 200 rows the controller's flange is not where"), "{refused}");
+    assert!(refused.contains("200 of 200 flange positions of the controller differ"), "{refused}");
     assert!(refused.contains("give the file of this robot"), "{refused}");
 }
 

@@ -119,8 +119,10 @@ fn every_kind_of_refusal_has_its_page() {
     // An encoder map that differs from the true one.
     typed(&run).refused(&["do not fit as stated", "--encoders 1,2,3,4,5"], &["--encoders", "2,1,3,4,5"]);
     // A parameter that the motion does not determine.
-    typed(&run)
-        .refused(&["free parameters are identified", "dependent rd1|oz", "--fix rd1"], &["--free", "rd1"]);
+    typed(&run).refused(
+        &["free parameters are identified", "not identified: dependent rd1|oz", "--fix rd1"],
+        &["--free", "rd1"],
+    );
     // An encoder that the cost requires.
     let mut four = bar();
     four.encoders.remove(2);
@@ -231,9 +233,11 @@ fn measured_lengths_that_are_refused_leave_a_page_and_no_older_calibration() {
     let output = calibrated_from_lengths(12, out.path());
     let told = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{told}");
-    assert!(told.contains("too few") && told.contains("is now in"), "{told}");
+    assert!(told.contains("remain for the fit") && told.contains("is now in"), "{told}");
     let page = std::fs::read_to_string(out.path().join("report.html")).unwrap();
-    for part in ["Not calibrated.", "too few", "Measure more poses.", "lengths.csv", "SHA-256", "hold_out"] {
+    for part in
+        ["Not calibrated.", "remain for the fit", "Measure more poses.", "lengths.csv", "SHA-256", "hold_out"]
+    {
         assert!(page.contains(part), "`{part}` is missing");
     }
     assert!(!out.path().join("calibration.toml").exists());

@@ -164,7 +164,7 @@ fn zeros_of_joints_half_a_degree_off_contradict_no_expectation() {
     let found = calibrated(&run, &file, &quick());
     let workspace = workspace_error(found.model(), &found.solution().covariance, &robot.joint_limits());
     let limits: Vec<String> = limits(&found, &workspace).into_iter().map(|one| one.sentence).collect();
-    assert!(!limits.iter().any(|limit| limit.contains("what was expected of")), "{limits:#?}");
+    assert!(!limits.iter().any(|limit| limit.contains("contradict the prior of")), "{limits:#?}");
     let error_m = position_error_m(&run, &found, &robot);
     assert!(error_m < 0.2e-3 && error_m < workspace.after.interval_m[1], "{error_m} {:?}", workspace.after);
 }

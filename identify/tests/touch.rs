@@ -163,7 +163,7 @@ fn a_simulated_block_is_inspected_and_calibrates_from_its_files_and_its_experime
     assert!(done && text.contains("faces 5: right, left, back, front, top"), "{text}");
     assert!(text.contains("nothing suspicious"), "{text}");
     let (done, text) = told(at, &[&inspect[..5], &["nj220_2_7"]].concat());
-    assert!(done && text.contains("further from the rows than robots are off"), "{text}");
+    assert!(done && text.contains("differ from the nominal robot by more than"), "{text}");
     let calibrate = ["calibrate", "touch", "cube/touches.csv", "--mapping", "cube/touch.toml", "--verbose"];
     let known = ["--faces", "cube/faces.toml", "--robot", "irb120_3", "--out", "result"];
     let (done, text) = told(at, &[&calibrate[..], &known].concat());

@@ -135,7 +135,7 @@ fn green_needs_both_answers_and_amber_names_what_is_missed() {
     // Rows in one corner of the workspace predict each other.
     let of_a_corner = judged_within(1.5e-3, [1.0, 0.05], [1.0, 0.1], &[], None);
     assert_eq!(of_a_corner.grade, Grade::Amber);
-    assert!(of_a_corner.reason.unwrap().contains("holds where joints were measured"));
+    assert!(of_a_corner.reason.unwrap().contains("valid near the measured poses only"));
 }
 
 fn wire(csv: &str, extra: &[&str], out: &Path) -> (std::process::Output, Vec<String>) {

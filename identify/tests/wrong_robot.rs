@@ -82,7 +82,7 @@ fn a_plate_that_is_turned_on_the_flange_is_found_and_told_as_that() {
                 let run = laboratory(&with_plate_turned(&robot, by_deg), seed);
                 let found = calibrated(&run, &robot, &bar());
                 let told = limits(&found, &WorkspaceError::default());
-                let told = told.iter().find(|limit| limit.sentence.contains("plate is turned"));
+                let told = told.iter().find(|limit| limit.sentence.contains("plate is rotated"));
                 println!("{}, seed {seed}, {by_deg}: {told:?}", robot.name);
                 let by = format!("{by_deg:+.1} degrees");
                 assert!(told.map_or(by_deg == 0.0, |told| told.serious && told.sentence.contains(&by)));
@@ -102,12 +102,12 @@ fn a_run_that_is_refused_for_a_turned_plate_says_so() {
             let told = match found {
                 Ok(found) => limits(&found, &WorkspaceError::default())
                     .into_iter()
-                    .find(|limit| limit.sentence.contains("turned"))
+                    .find(|limit| limit.sentence.contains("rotated"))
                     .map(|limit| limit.sentence),
                 Err(error) => Some(error.to_string()),
             };
             println!("{}, seed {seed}, {by_deg}: {told:?}\n", robot.name);
-            assert!(told.is_some_and(|told| told.contains("plate is turned by about")), "{by_deg}");
+            assert!(told.is_some_and(|told| told.contains("offset plate is rotated by about")), "{by_deg}");
         }
     }
 }
@@ -131,7 +131,7 @@ fn calibrated(run: &Simulated, robot: &RobotConfig, bar: &BallBarConfig) -> Cali
 /// Names of lengths that are reported as far from the configured ones, and their differences \[mm\].
 fn told_of_lengths(found: &Calibration) -> Vec<(String, f64)> {
     let told = limits(found, &WorkspaceError::default());
-    let Some(told) = told.into_iter().find(|limit| limit.sentence.starts_with("Lengths come out")) else {
+    let Some(told) = told.into_iter().find(|limit| limit.sentence.starts_with("Estimated lengths")) else {
         return Vec::new();
     };
     assert!(told.serious && told.sentence.contains("plate_m"));
@@ -188,7 +188,7 @@ fn a_wrong_ratio_contradicts_what_is_expected_and_is_reported_and_expectations_t
         let config = IdentifyConfig::default();
         let found = calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config).unwrap();
         let all = limits(&found, &WorkspaceError::default());
-        all.into_iter().find(|limit| limit.sentence.starts_with("What was measured contradicts"))
+        all.into_iter().find(|limit| limit.sentence.starts_with("The data contradict the prior"))
     };
     assert_eq!(told(&run), None);
     for joints in run.robot_log.q_rad.iter_mut() {

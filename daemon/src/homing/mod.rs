@@ -128,8 +128,8 @@ impl HomingStep {
     pub fn line(self) -> Option<String> {
         match self {
             Self::Turn { joint, .. } => Some(format!(
-                "joint {joint} ({}): turn it slowly in its positive direction, alone, by 5 degrees or more and over its \
-                 reference mark",
+                "joint {joint} ({}): hold the other joints and turn it slowly in its positive direction, by 5 degrees or more, \
+                 until its reference mark is found",
                 bar_joint_name(joint)
             )),
             Self::Turning { .. } => None,

@@ -61,7 +61,7 @@ impl Injected {
                 let joint = joint + 1;
                 [format!("joint {joint} turns by another part"), format!("Joint {joint} turns by ")]
             }
-            Self::Plate(_) => both("the plate is turned by about", "The plate is turned by about"),
+            Self::Plate(_) => both("the offset plate is rotated by", "The offset plate is rotated by"),
         }
     }
 }

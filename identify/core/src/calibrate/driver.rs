@@ -40,7 +40,7 @@ pub fn calibrate(
         return Err(CalibrateError::Implausible { found: failed.to_string(), likely: Some(likely) });
     }
     let found = staged(data, robot, config, false, watch)?;
-    tracing::warn!("no rows are predicted by a solve without them: {failed}");
+    tracing::warn!("errors on held-out rows are not determined: {failed}");
     Ok(found)
 }
 

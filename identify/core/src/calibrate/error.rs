@@ -74,7 +74,7 @@ pub enum CalibrateError {
     /// The rows are not plausible for the configured robot.
     #[error("{found}; {}", .likely.map_or_else(
         || "rows, their mapping, the table of sockets or the robot's file are wrong; see `identify inspect --propose`".to_owned(),
-        |likely| format!("most likely {likely}; mend the mapping or the robot's file"),
+        |likely| format!("most likely {likely}; correct the mapping or the robot's file"),
     ))]
     Implausible {
         /// The observation that revealed it.

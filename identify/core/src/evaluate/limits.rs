@@ -138,9 +138,9 @@ fn weakest(workspace: &WorkspaceError) -> Option<Limit> {
 
 const fn describe(scale: ScaleFrom) -> &'static str {
     match scale {
-        ScaleFrom::Plate => "plate_m fixes the scale: measure the plate, or state more under plate_u_um",
+        ScaleFrom::Plate => "plate_m fixes the scale: measure the plate, or increase plate_u_um",
         ScaleFrom::Tracker => {
-            "The tracker fixes the scale: check its unit, its target's constant and what it knows of the air"
+            "The tracker fixes the scale: check its unit, its target's constant and its correction for air"
         }
         ScaleFrom::Wire => {
             "The wire fixes the scale: check its unit, and its readings against a known length"
@@ -151,7 +151,7 @@ const fn describe(scale: ScaleFrom) -> &'static str {
         ScaleFrom::Faces => {
             "The distances between faces fix the scale: check their unit, and measure them again"
         }
-        ScaleFrom::Robot => "Nothing that was measured fixes the scale: state a distance between two faces",
+        ScaleFrom::Robot => "No measured length fixes the scale: state a distance between two faces",
     }
 }
 
@@ -164,8 +164,8 @@ fn of_disagreement(runs: &[Run], sigmas: &[f64], loss: Loss) -> Option<Limit> {
     let told: Vec<String> = disagreeing(runs, sigmas, loss).iter().map(of).collect();
     (!told.is_empty()).then(|| Limit {
         sentence: format!(
-            "The data sets contradict each other: {}. They are of different robots, or of one that was changed in between, or one \
-             of them is in another scale: calibrate each alone and `identify compare` them.",
+            "The data sets contradict each other: {}. They are of different robots, the robot was changed in between, or one of \
+             them has another scale: calibrate each alone and `identify compare` them.",
             named(&told, NAMED)
         ),
         serious: true,
@@ -189,8 +189,8 @@ fn of_lengths(model: &Model, solution: &Solution, scales: impl Iterator<Item = S
 fn of_changes(changed: &[Changed], reach_m: f64, known_m: f64) -> Option<Limit> {
     (!changed.is_empty()).then(|| Limit {
         sentence: format!(
-            "Something changed while it was measured: {}. The robot is calibrated for what lies between: let it warm up, look at what is \
-             named, or calibrate from what was measured before or after it.",
+            "Something changed during the measurement: {}. The result is a mean of the states before and after: let the robot warm up, \
+             check the named parts, or calibrate from the data on one side of the change.",
             named(changed, NAMED)
         ),
         serious: changed.iter().any(|one| one.moves_m(reach_m) > NEGLIGIBLE * known_m),
@@ -211,8 +211,8 @@ fn lasting_errors(calibration: &Calibration) -> impl Iterator<Item = Limit> {
     });
     lasting.map(|(run, lasts)| Limit {
         sentence: format!(
-            "{}{:.0} % of the variance of the residuals is correlated from sample to sample and is no noise: errors that the model does \
-             not contain (gears, bar, deflection) limit the result. The figures by joint show where.",
+            "{}{:.0} % of the variance of the residuals is correlated from sample to sample, so it is not noise: errors that the model \
+             does not contain (gears, bar, deflection) limit the result. The figures by joint show where.",
             place(calibration, run),
             100.0 * lasts
         ),
@@ -272,9 +272,9 @@ fn strained_priors(model: &Model, solution: &Solution) -> Option<Limit> {
     strained.sort_by(|a, b| b.times.total_cmp(&a.times));
     (!strained.is_empty()).then(|| Limit {
         sentence: format!(
-            "What was measured contradicts what was expected of {}. Look for the cause (the ratio in the controller, a worn gear or \
-             grating, a plate or rod of another length), or expect more under [priors] or [joint_terms] of the configuration: \
-             so tight, the expectation pulls the result towards it.",
+            "The data contradict the prior of {}. Look for the cause (the ratio in the controller, a worn gear or grating, a plate or \
+             rod of another length), or widen the prior under [priors] or [joint_terms] of the configuration: with this width it \
+             biases the result.",
             named(&strained, NAMED)
         ),
         serious: strained.iter().any(|one| one.pulls),
@@ -329,8 +329,8 @@ fn of_drives(model: &Model, solution: &Solution) -> Vec<Limit> {
         found(JointTerm::Ratio).into_iter().filter(|(_, off, sigma)| is_certain(*off, RATIO_OFF, *sigma));
     let ratios = ratios.map(|(joint, off, _)| Limit {
         sentence: format!(
-            "Joint {joint} turns by {:.2} % {} than its log says, which no gear is cut wrong by: correct its ratio in the \
-             controller, or log.raw_to_joint in the robot's configuration.",
+            "Joint {joint} turns by {:.2} % {} than its log says, more than gear manufacturing explains: correct its ratio \
+             in the controller, or log.raw_to_joint in the robot's file.",
             1e2 * off.abs(),
             if off > 0.0 { "more" } else { "less" }
         ),
@@ -346,8 +346,8 @@ fn of_drives(model: &Model, solution: &Solution) -> Vec<Limit> {
         late.map(|(joint, delay_s, _)| format!("joint {joint} by {:+.1} ms", 1e3 * delay_s)).collect();
     let late = (!late.is_empty()).then(|| Limit {
         sentence: format!(
-            "The log has joints later than the others: {}, as servo lag of commanded values or a filter makes them. It is taken out \
-             as far as it is the same at all speeds; log measured values, all of one instant, if the controller can.",
+            "The log has joints later than the others: {}. Causes are servo lag of commanded values, or a filter. The delay is corrected \
+             as far as it is the same at all speeds; if the controller can, log measured values, all of one instant.",
             late.join(", ")
         ),
         serious: false,
@@ -362,9 +362,9 @@ fn turned_plate(model: &Model, solution: &Solution) -> Option<Limit> {
     let by_rad = solution.x.get(model.column_of(theta)?)? - model.parameter(theta)?.nominal;
     (by_rad.abs() > TURNED_RAD).then(|| Limit {
         sentence: format!(
-            "The plate is turned by about {:+.1} degrees on the flange, about its axis, against the configuration, or the zero of joint {} \
-             is off by that: the bar cannot tell which. Add it to theta_deg of the last link in the robot's file, unless it is the \
-             joint; errors before the calibration have it in them.",
+            "The offset plate is rotated by about {:+.1} degrees on the flange relative to the robot's file, or the zero of joint {} \
+             is wrong by this angle: the bar cannot distinguish them. If it is the plate, add the angle to theta_deg of the last link. \
+             Errors before the calibration include this angle.",
             by_rad.to_degrees(),
             last + 1
         ),
@@ -379,8 +379,8 @@ fn other_lengths(model: &Model, solution: &Solution, scale: &str) -> Vec<Limit> 
     off.sort_by(|a, b| b.off_m.abs().total_cmp(&a.off_m.abs()));
     let off = (!off.is_empty()).then(|| {
         format!(
-            "Lengths come out far from the configured ones: {}. Where one or two are off, the robot's or the bar's configuration \
-             is not that of the cell; where all are, by one part, their scale is not, and all lengths are wrong by as much. {scale}.",
+            "Estimated lengths are far from the configured ones: {}. If it is one or two, the robot's or the bar's file is not that \
+             of the cell; if it is all of them by the same ratio, the scale is wrong, and all lengths with it. {scale}.",
             named(&off, NAMED)
         )
     });
@@ -439,8 +439,8 @@ fn other_scale(model: &Model, solution: &Solution, scale: &str) -> Option<String
     let most = Normal::standard().inverse_cdf(1.0 - OTHER_SCALE_BY_CHANCE / 2.0);
     (sigmas.abs() > most).then(|| {
         format!(
-            "The robot's lengths come out {:+.1} per mille from the configured ones all together, {:.1} standard deviations of what \
-             links of {:.0} mm tolerance let expect; positions may be wrong by as much. {scale}.",
+            "The robot's estimated lengths have a common scale error of {:+.1} per mille, {:.1} standard deviations for links of {:.0} mm \
+             tolerance; positions may be wrong by the same ratio. {scale}.",
             1e3 * along / information,
             sigmas.abs(),
             1e3 * LENGTH_SIGMA_M
@@ -452,15 +452,15 @@ fn other_scale(model: &Model, solution: &Solution, scale: &str) -> Option<String
 fn doubt(doubt: &Doubt) -> String {
     match doubt {
         Doubt::OtherEncoders(used) => format!(
-            "The encoders do not sit or count as the recording says; this fits instead and was used: {used}. Check the plugs, and \
-             correct ball_bar.toml."
+            "Joints or directions of the encoders differ from those in the recording. Used instead (recorded joint -> joint): {used}. \
+             Check which encoder is plugged into which terminal, and correct ball_bar.toml."
         ),
         Doubt::MotionRepeats => {
             "The motion repeats itself: another alignment in time fits nearly as well.".to_owned()
         }
         Doubt::OtherTable(contradicted) => format!(
-            "The rows contradict the table of sockets or faces: {}. Correct the table, or give a larger uncertainty: so tight, it \
-             pulls the result towards it.",
+            "The rows contradict the table of sockets or faces: {}. Correct the table or increase its uncertainty: with this one it \
+             biases the result.",
             named(contradicted, NAMED)
         ),
     }

@@ -35,7 +35,7 @@ impl From<&logs::SeatedRow> for ContactRow {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ContactError {
     /// A joint is not finite.
-    #[error("row {row} has a joint that is not finite; take it out or mend it")]
+    #[error("row {row} has a joint that is not finite; remove or correct it")]
     BadRow {
         /// Number of the row, from 1.
         row: usize,
@@ -48,7 +48,7 @@ pub enum ContactError {
     },
     /// Only one socket was visited.
     #[error(
-        "all rows are of socket `{socket}`: nothing then gives the scale of the robot; seat the ball in at least two sockets whose \
+        "all rows are of socket `{socket}`: they do not determine the scale of the robot; seat the ball in at least two sockets whose \
          distance is known"
     )]
     OneSocket {
@@ -65,7 +65,7 @@ pub enum ContactError {
     },
     /// None of the visited sockets has a known distance.
     #[error(
-        "no distance is known between the sockets of these rows ({}): nothing then gives the scale of the robot; give places \
+        "no distance is known between the sockets of these rows ({}): they do not determine the scale of the robot; give places \
          or distances of at least two of them",
         .sockets.join(", ")
     )]

@@ -62,7 +62,7 @@ pub enum ModelError {
         nearest: Option<String>,
     },
     /// The model does not have this parameter.
-    #[error("this model has no parameter `{id}`; take it out of the selection")]
+    #[error("this model has no parameter `{id}`; remove it from the selection")]
     NotInModel {
         /// The parameter that is missing.
         id: ParameterId,

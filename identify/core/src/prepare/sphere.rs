@@ -184,12 +184,12 @@ pub(super) fn turned_plate(
     let of_bar = (sphere.radius_m - length_m).abs() * 1e3 < options.length_tolerance_mm;
     (of_bar && by_deg != 0.0 && left_m < PART_LEFT * usual_m).then(|| {
         format!(
-            "the plate is turned by about {by_deg:+.0} degrees on the flange, about its axis, against the configuration: half of the \
-             positions are then within {:.1} mm of a sphere of the bar's length, as configured within {:.1} mm. Add that to theta_deg of the \
-             last link in the robot's file, or mount the plate as configured; the zero of joint {} would look the same",
+            "the offset plate is rotated by about {by_deg:+.0} degrees on the flange, or the zero of joint {} is wrong by this angle: \
+             with it half of the positions are within {:.1} mm of a sphere of the bar's length, without it within {:.1} mm. Add it to \
+             theta_deg of the last link in the robot's file, or mount the plate as configured",
+            last + 1,
             left_m * 1e3,
-            usual_m * 1e3,
-            last + 1
+            usual_m * 1e3
         )
     })
 }

@@ -43,7 +43,7 @@ pub enum ImportError {
         known: String,
     },
     /// The links are not connected by joints.
-    #[error("link `{tip}` does not hang on link `{base}`; going up from it one comes to {above}")]
+    #[error("link `{tip}` is not below link `{base}`; the links above it are {above}")]
     NotConnected {
         /// Name of the requested base.
         base: String,

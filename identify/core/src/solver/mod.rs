@@ -114,9 +114,7 @@ pub enum SolveError {
         sample: usize,
     },
     /// The estimated columns are linearly dependent.
-    #[error(
-        "the columns that are estimated depend on each other; hold more of them, or measure more varied poses"
-    )]
+    #[error("the estimated parameters depend on each other; fix more of them, or measure more varied poses")]
     Dependent,
     /// Cancelled by the observer.
     #[error("the solve was cancelled after {iterations} iterations; there is no result")]

@@ -51,8 +51,8 @@ fn nominal_robot(inspection: &mut Inspection, instrument: &Instrument, robot: &R
         inspection.suspect(format!("most likely {likely}"));
     } else if rms_m > OTHER_ROBOT_M || rotation_rad.is_some_and(|rad| rad > OTHER_ROBOT_RAD) {
         inspection.suspect(
-            "the nominal robot is further from the rows than robots are off: check that it is this robot's file, and units, signs and \
-             frames of what was measured",
+            "the rows differ from the nominal robot by more than errors of a robot: check that the file is that of this robot, and \
+             units, signs and frames of the measurement",
         );
     }
 }

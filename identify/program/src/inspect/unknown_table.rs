@@ -81,7 +81,7 @@ pub enum ProposeError {
     Log(#[from] LogError),
     /// No rows of numbers.
     #[error(
-        "{path}: no rows of numbers with a column for each of {joints} joints; it is not a table of this robot's joints"
+        "{path}: no rows of numbers with a column for each of {joints} joints; give the file of the robot that was logged, or another table"
     )]
     NoTable {
         /// Path of the file.

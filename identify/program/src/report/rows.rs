@@ -152,8 +152,8 @@ pub fn table(
     if let Some(drift) = &set.drift {
         let _ = writeln!(
             text,
-            "drift of the zero along the file: {:.2} mm over {:.0} rows, beside {:.2} mm white; fitting rows left out in \
-             turn: RMS {:.3} -> {:.3} mm",
+            "drift of the zero along the file: {:.2} mm over {:.0} rows, beside {:.2} mm white; rows of the fit, each predicted \
+             without itself: RMS {:.3} -> {:.3} mm",
             drift.size_m * 1e3,
             drift.memory_rows,
             drift.white_m * 1e3,
@@ -217,7 +217,7 @@ fn rejected_rows(report: &RowSet, remarks: &[(usize, String)], lines: &[u64]) ->
         };
         let _ = writeln!(
             text,
-            "  lines {} to {}: off together by {:.1} mm{cause}",
+            "  lines {} to {}: deviate together by {:.1} mm{cause}",
             line(run.first),
             line(run.last),
             run.median_m * 1e3
@@ -243,15 +243,15 @@ pub fn left_out(set: &RowSet, run: &Run, name: &str, lines: &[u64]) -> Option<Li
         }] += 1;
     }
     let whys = [
-        "further from the robot than its errors can be",
-        "off together with the rows around them",
-        "at odds with the controller's own position",
+        "deviate by more than errors of robot and instrument explain",
+        "deviate together with the rows around them",
+        "contradict the controller's own position",
     ];
     let counted = counts.iter().zip(whys).filter(|(count, _)| **count > 0);
     let whys: Vec<String> = counted.map(|(count, why)| format!("{count} {why}")).collect();
     (!rejected.is_empty()).then(|| Limit {
         sentence: format!(
-            "{} of {} rows of the {name} (lines {}) are rejected, {}: look for broken beams, wrong targets and joints of another pose.",
+            "{} of {} rows of the {name} are rejected (lines {}): {}. Look for interruptions, a wrong target or socket, or joints of another pose.",
             rejected.len(),
             lines.len(),
             named(&rejected, NAMED),

@@ -1,4 +1,4 @@
-//! The verdict on a calibration, by two questions: does it predict data that no fit has seen better than the nominal robot, in
+//! The verdict on a calibration, by two questions: does it predict held-out data better than the nominal robot, in
 //! position and in rotation; and is the robot then as accurate as it must be?
 
 use std::fmt;
@@ -75,7 +75,7 @@ pub(super) struct Predicted {
     pub(super) what: String,
     pub(super) nominal: f64,
     pub(super) calibrated: f64,
-    /// Of data that the fit saw.
+    /// Of the data of the fit.
     fitted: f64,
     /// Independent numbers behind each of both.
     independent: usize,
@@ -94,7 +94,7 @@ impl Predicted {
         is_surely_worse(self.independent, [self.nominal, self.calibrated])
     }
 
-    /// It is worse than what the fit saw, by more than chance and by more than the claim.
+    /// The error is larger than that of the data of the fit, by more than chance and by more than the stated uncertainty.
     fn is_beyond(&self, expanded_m: f64) -> bool {
         let more_m = (self.calibrated.powi(2) - self.fitted.powi(2)).max(0.0).sqrt();
         self.is_position
@@ -131,20 +131,21 @@ impl CalibrationFile {
         let worse = predicted.iter().find(|one| one.is_worse_beyond_chance());
         let (grade, reason) = if let Some(worse) = worse {
             let reason = format!(
-                "It predicts worse than the nominal robot what it has not seen: {}. Free fewer parameters, measure poses that are \
-                 spread further, or take the usual cost.",
+                "The calibrated robot predicts held-out data worse than the nominal robot: {}. Free fewer parameters, measure \
+                 poses that are spread further, or use the default cost.",
                 worse.sentence()
             );
             (Grade::Red, Some(reason))
         } else {
             let same = predicted.iter().find(|one| !one.is_better()).map(|same| {
                 format!(
-                    "It predicts what it has not seen no better than the nominal robot: {}.",
+                    "The calibrated robot predicts held-out data no better than the nominal robot: {}.",
                     same.sentence()
                 )
             });
             let serious = || limits.iter().find(|limit| limit.serious).map(|limit| limit.sentence.clone());
-            let unknown = || better.is_none().then(|| "Nothing was held out to check it.".to_owned());
+            let unknown =
+                || better.is_none().then(|| "No data were held out to check the result.".to_owned());
             let missed = || missed(workspace, &predicted, required_m);
             let beyond = || beyond(workspace, &predicted);
             let nowhere_else = || known_nowhere_else(workspace);
@@ -239,21 +240,21 @@ fn known_nowhere_else(workspace: &WorkspaceError) -> Option<String> {
     let (expanded_m, before_m) = (workspace.budget.expanded_m, workspace.before.mean_m);
     (expanded_m > before_m).then(|| {
         format!(
-            "It holds where joints were measured; over the whole workspace the robot is known within {:.3} mm (k = 2), and \
-             the nominal one is off by {:.3} mm in the mean. Measure poses that are spread further.",
+            "The result is valid near the measured poses only: over the whole workspace the robot is known within {:.3} mm (k = 2), \
+             while the nominal one is off by {:.3} mm in the mean. Measure poses that are spread further.",
             expanded_m * 1e3,
             before_m * 1e3
         )
     })
 }
 
-/// What no fit has seen is further off than the claim and the scatter of what it saw allow.
+/// The error of held-out data is larger than stated uncertainty and residuals of the fit allow.
 fn beyond(WorkspaceError { budget, .. }: &WorkspaceError, predicted: &[Predicted]) -> Option<String> {
     let one = predicted.iter().find(|one| one.is_beyond(budget.expanded_m))?;
     let [calibrated, fitted, expanded] = [one.calibrated, one.fitted, budget.expanded_m].map(|m| m * 1e3);
     Some(format!(
-        "{} are {calibrated:.3} mm off (RMS), what the fit saw {fitted:.3} mm: the claim of {expanded:.3} mm (k = 2) does not cover \
-         that. Measure more poses like these, or look for what changed in between.",
+        "{} are {calibrated:.3} mm off (RMS), data of the fit {fitted:.3} mm: more than the stated uncertainty of {expanded:.3} mm \
+         (k = 2) explains. Measure more poses like these, or look for a change in between.",
         one.what
     ))
 }

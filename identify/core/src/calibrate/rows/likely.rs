@@ -27,7 +27,7 @@ impl fmt::Display for Likely {
         let Self { mistake, as_read_m, undone_m } = self;
         write!(
             f,
-            "{mistake}: so the nominal robot is {:.1} mm from the rows, as read {:.1} mm",
+            "{mistake}: with this corrected the nominal robot is {:.1} mm from the rows, without {:.1} mm",
             undone_m * 1e3,
             as_read_m * 1e3
         )

@@ -7,8 +7,7 @@ use crate::instrument::ContactError;
 pub enum RowError {
     /// Too few rows for the unknowns.
     #[error(
-        "{rows} usable rows are too few for a fit beside those that are held out to judge it, at least {needed} are needed; measure \
-         more poses"
+        "{rows} usable rows remain for the fit beside the held-out ones, at least {needed} are needed; measure more poses"
     )]
     TooFewRows {
         /// Rows left for fitting.
@@ -18,8 +17,8 @@ pub enum RowError {
     },
     /// The controller's flange positions contradict the robot's file.
     #[error(
-        "in {rejected} of {rows} rows the controller's flange is not where the robot's file has it at these joints, {median_mm:.0} mm \
-         away in the median; give the file of this robot, or correct units and signs of joints or [flange] in the mapping"
+        "{rejected} of {rows} flange positions of the controller differ from those of the robot's file at the same joints, by \
+         {median_mm:.0} mm in the median; give the file of this robot, or correct units and signs of joints or [flange] in the mapping"
     )]
     OtherRobot {
         /// Number of rows that contradict it.
@@ -31,7 +30,7 @@ pub enum RowError {
     },
     /// Too few rows for one of several stations or targets.
     #[error(
-        "{what} {number} has {rows} rows, too few to place it, at least {needed} are needed; measure more there or take them out"
+        "{what} {number} has {rows} rows, at least {needed} are needed to find its place; measure more with it, or remove them"
     )]
     TooFewOfSetUp {
         /// Such as station or target.
@@ -45,7 +44,7 @@ pub enum RowError {
     },
     /// More stations or targets than have parameters.
     #[error(
-        "{count} {what}s are more than one file can have ({most}); check the column of their names in the mapping, or make several \
+        "{count} {what}s, one file can have {most}; check the column of their names in the mapping, or make several \
          files"
     )]
     TooManySetUps {
@@ -57,7 +56,7 @@ pub enum RowError {
         most: usize,
     },
     /// A row is not a measurement.
-    #[error("row {row} has {what}; take it out or correct it")]
+    #[error("row {row} has {what}; remove or correct it")]
     BadRow {
         /// Number of the row, from 1.
         row: usize,
@@ -66,8 +65,8 @@ pub enum RowError {
     },
     /// Most rows contradict the rest.
     #[error(
-        "only {kept} of {rows} fitting rows agree with each other; check units, signs and zero of the joint angles and \
-         the unit of the lengths"
+        "only {kept} of the {rows} rows of the fit agree with each other; check units, signs and zeros of the joint angles \
+         and the unit of the lengths"
     )]
     TooManyRejected {
         /// Rows that agree with the rest.

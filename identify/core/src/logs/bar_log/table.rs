@@ -23,8 +23,8 @@ const VALUES: [(&str, &str, EncoderUnit); 3] = [
     ("angle", "_rad", EncoderUnit::Rad),
     ("angle", "_deg", EncoderUnit::Deg),
 ];
-const REMEDY: &str = "Name the columns as `ballbard export --csv` does (`time_utc` or `t_s`, `count1` to `count5`), or say \
-                      with --recording-mapping which hold what.";
+const REMEDY: &str = "Name the columns as `ballbard export --csv` does (`time_utc` or `t_s`, `count1` to `count5`), or \
+                      assign them in a mapping (--recording-mapping).";
 
 /// The columns of one encoder.
 struct Encoder {

@@ -178,7 +178,7 @@ pub(in crate::logs) fn unknown(table: &Table<'_>, path: &Path) -> LogError {
         column: ALONG_COLUMN.into(),
         found: table.names(),
         remedy: "A force is in `force_N` (along the bar), `force_sign`, `force_x_N` to `force_z_N` or torques such as \
-                 `joint1_Nm`; say with --force-mapping which columns hold what, and in which unit."
+                 `joint1_Nm`; for other columns or units write a mapping (--force-mapping)."
             .into(),
     }
 }

@@ -126,7 +126,7 @@ fn rows(
 ) -> Result<Stream<Joints>, LogError> {
     let column = table.column(
         &time.column,
-        "Name the column of time stamps `t_s` (seconds), or say it with --force-mapping.",
+        "Name the column of time stamps `t_s` (seconds), or name it in a mapping (--force-mapping).",
     )?;
     let mut stamps = StampColumn::new(column, time);
     let mut forces = Stream::default();

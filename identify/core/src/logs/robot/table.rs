@@ -79,7 +79,7 @@ fn in_seconds(log: RobotLog, path: &Path) -> Result<RobotLog, LogError> {
 }
 
 fn own_layout(table: &Table<'_>, path: &Path, robot: &RobotConfig) -> Result<Layout, LogError> {
-    let time = table.column(TIME_COLUMN, "Name the column of time stamps, in seconds, `t_s`; or say with --log-mapping which columns hold what.")?;
+    let time = table.column(TIME_COLUMN, "Name the column of time stamps, in seconds, `t_s`, or assign the columns in a mapping (--log-mapping).")?;
     let unit = robot.log.unit;
     let other = match unit {
         AngleUnit::Rad => AngleUnit::Deg,
@@ -99,7 +99,7 @@ fn own_layout(table: &Table<'_>, path: &Path, robot: &RobotConfig) -> Result<Lay
             });
         }
         let remedy = format!(
-            "A log of {} has {} to {}; rename the columns, say with --log-mapping which hold what, or correct `log` in the robot's configuration.",
+            "The robot's file of {} expects the columns {} to {}; rename the columns, assign them in a mapping (--log-mapping), or correct [log] in the file.",
             robot.name,
             column_name(robot, 0, unit),
             column_name(robot, robot.axes() - 1, unit)

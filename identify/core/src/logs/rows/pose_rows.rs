@@ -258,7 +258,7 @@ impl Names {
         let name = table.text(row, column).trim();
         if name.is_empty() {
             let problem = "no name is given".to_owned();
-            return Err(table.bad(row, column, problem, "write it, or take the row out"));
+            return Err(table.bad(row, column, problem, "write it, or remove the row"));
         }
         let next = self.0.len();
         Ok(*self.0.entry(name.to_owned()).or_insert(next))

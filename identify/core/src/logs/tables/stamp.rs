@@ -87,7 +87,7 @@ impl TimeColumn {
             }
             (_, None) => {}
             (_, Some(_)) => {
-                let remedy = "take it out, or write unit = \"cycles\"";
+                let remedy = "remove it, or write unit = \"cycles\"";
                 return Err(Violation::new("time.period_ms", "the column does not count cycles", remedy));
             }
         }
@@ -99,7 +99,7 @@ impl TimeColumn {
         Err(Violation::new(
             "time.wraps_at",
             problem,
-            "take it out, or give the number of values, such as 65536",
+            "remove it, or give the number of values, such as 65536",
         ))
     }
 

@@ -1,5 +1,5 @@
-//! Rows that jump away and back faster than anything moves: not measurements, but values, mostly zeros, that a logger or an instrument
-//! writes without one.
+//! Rows that jump away and back faster than any motion: no measurements, but values, mostly zeros, that a logger or an instrument
+//! writes in place of a missing one.
 
 use std::path::Path;
 
@@ -9,8 +9,8 @@ use super::sampling::{STEPS_PART, trimmed_mean};
 use crate::logs::LogError;
 use crate::statistics::quantile;
 
-/// Largest number of successive excursions. Of independent ones, as many as [`PART_MAX`] allows, longer runs begin at one row in a
-/// billion.
+/// Largest number of successive excursions. If a share [`PART_MAX`] of the rows are independent excursions, longer runs begin at
+/// one row in a billion.
 const ROWS_MAX: usize = 8;
 /// An excursion exceeds this multiple of the lower quartile of the log's own second differences that are not zero: 9.4 standard
 /// deviations of noise beyond both neighbours, which one row in 10^14 is by chance, and twelve steps of a coarse resolution.
@@ -34,10 +34,10 @@ pub(in crate::logs) struct Fastest {
 /// Rows of a log at times that do not decrease \[s\], to be searched for excursions.
 pub(in crate::logs) struct Excursions<'a, S> {
     pub t_s: &'a [f64],
-    /// Numbers of each row.
+    /// Number of values of each row.
     pub columns: usize,
     pub fastest: Fastest,
-    /// How far a number is from one row to another: `step(from, to, column)` \[rad, m\].
+    /// Change of a value from one row to another: `step(from, to, column)` \[rad, m\].
     pub step: S,
 }
 
@@ -64,7 +64,7 @@ impl<S: Fn(usize, usize, usize) -> f64> Excursions<'_, S> {
             // A row that continues the motion need not be checked: an excursion exceeds all motion from before it to after it.
             let leaves =
                 (0..self.columns).any(|column| (next[column] - last[column]).abs() > 0.5 * noise[column]);
-            // All that belong together: with fewer, one of them would be taken for where the others come back to.
+            // The longest run first: of a shorter one, a row of the same excursion would be taken for the return.
             let run = (1..=ROWS_MAX)
                 .rev()
                 .filter(|_| leaves)
@@ -80,7 +80,7 @@ impl<S: Fn(usize, usize, usize) -> f64> Excursions<'_, S> {
         found
     }
 
-    /// Whether the `rows` after `before` are out, and the next one is back.
+    /// Whether the `rows` after `before` are an excursion, from which the next row is back.
     fn is_out(&self, before: usize, rows: usize, period_s: f64, noise: &[f64]) -> bool {
         let after = before + rows + 1;
         let Some(after_s) = self.t_s.get(after) else { return false };
@@ -100,7 +100,7 @@ impl<S: Fn(usize, usize, usize) -> f64> Excursions<'_, S> {
             && (before + 1..after).all(|row| (0..self.columns).any(|column| is_beyond(row, column)))
     }
 
-    /// The lower quartile of those that are not zero: resolution and noise make them, and bad rows three each.
+    /// Lower quartile of the second differences that are not zero: most come from resolution and noise, three from each bad row.
     fn second_difference(&self, column: usize, every: usize) -> f64 {
         let rows = (1..self.t_s.len().saturating_sub(1)).step_by(every);
         let sizes = rows.map(|row| (self.step)(row, row + 1, column) - (self.step)(row - 1, row, column));
@@ -109,8 +109,8 @@ impl<S: Fn(usize, usize, usize) -> f64> Excursions<'_, S> {
     }
 }
 
-/// The remark on excursions of `path`, by their places in it; `what` rows are called there, and what is `done` with them. `None`
-/// without excursions.
+/// The remark on excursions at `places` (such as lines) of the file `path`; `what` is the word for a row, `done` what is done with
+/// them. `None` without excursions.
 ///
 /// # Errors
 /// [`LogError::Content`] if they are more than a tenth of all `rows`.
@@ -125,7 +125,7 @@ pub(in crate::logs) fn remark(
         return Ok(None);
     }
     let named = named(places, NAMED_MAX);
-    let whose = "jump away from those before and after them, as nothing moves";
+    let whose = "jump away from those before and after them, faster than anything moves";
     if count as f64 > PART_MAX * rows as f64 {
         return Err(LogError::Content {
             path: path.to_owned(),

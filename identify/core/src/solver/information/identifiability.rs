@@ -51,7 +51,7 @@ pub struct Identifiability {
 /// Some free parameters are not determined by the samples.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{rank} of {columns} free parameters are identified: {what}; fix the surplus ones (`--fix {fix}`), \
+    "only {rank} of {columns} free parameters are identified; not identified: {what}. Fix some of these (`--fix {fix}`), \
      give them a prior, or measure more varied poses"
 )]
 pub struct Unidentifiable {

@@ -128,7 +128,7 @@ fn required(file: &CalibrationFile) -> String {
     })
 }
 
-/// Before and after: expected, at the standard's poses, and on data that no fit has seen.
+/// Before and after: expected, at the standard's poses, and on held-out data.
 fn results(file: &CalibrationFile, workspace: &WorkspaceError) -> Markup {
     let expected = |what: &str, before: &Expected, after: &Expected| {
         html! {
@@ -156,7 +156,7 @@ fn results(file: &CalibrationFile, workspace: &WorkspaceError) -> Markup {
                     ))
                 }
                 @for one in file.predicted() { tr {
-                    td.text { (one.what) ", no fit has seen them, RMS" }
+                    td.text { (one.what) ", not used in the fit, RMS" }
                     td { (mm(one.nominal)) } td { (mm(one.calibrated)) } td { (one.unit) }
                 } }
                 @if let Some(budget) = &file.budget { tr {
@@ -168,8 +168,8 @@ fn results(file: &CalibrationFile, workspace: &WorkspaceError) -> Markup {
         }
         p.note {
             "Expected: nominal against identified robot where the instrument was mounted, at rest, and what the uncertainty of its links "
-            "and of the errors of its joints leaves. What the model does not describe (temperature, other loads) comes on top; data that "
-            "no fit has seen have it."
+            "and of the errors of its joints leaves. Other errors (temperature, other loads) come on top; the errors on held-out data "
+            "include them."
         }
     }
 }

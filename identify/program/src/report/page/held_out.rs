@@ -23,7 +23,7 @@ pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
         p {
             "Each of " (held_out.segments.len()) " segments of time was predicted from a fit to all others. Robot against bar "
             "there, RMS: " (position(nominal)) " mm with the nominal robot, " b { (position(predicted)) " mm" }
-            " with the calibrated one (" (position(fitted)) " mm where the fit has seen the segment)"
+            " with the calibrated one (" (position(fitted)) " mm in the fit with this segment)"
             @if page.evidence.rotations {
                 "; in rotation " (rotation(nominal)) " mrad, " b { (rotation(predicted)) " mrad" } " (" (rotation(fitted)) " mrad)"
             }
@@ -32,7 +32,7 @@ pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
                 (held_out.undetermined) " more cannot be left out: without them the parameters are not determined. "
             }
             @let parts = page.file.deployments_reported();
-            @if !parts.is_empty() { "Who applies only a part of it gets a fit of that part: " (parts.join("; ")) "." }
+            @if !parts.is_empty() { "If only a part of the model is applied, that part is fitted alone: " (parts.join("; ")) "." }
         }
         @for (number, name) in runs::names(page).iter().enumerate() {
             figure {

@@ -32,7 +32,7 @@ pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
     }
     Ok(html! {
         h2 { "Errors, row by row" }
-        p.note { "Robot against what was measured. Mind the scales. Rejected rows are drawn as well." }
+        p.note { "Robot against measurement. The scales differ. Rejected rows are drawn, too." }
         @for (name, errors) in page.rows {
             @if !errors.stages[0].is_empty() { figure { p.run { (name) } (panels(errors)?) } }
         }

@@ -177,10 +177,10 @@ pub(super) fn candidates(file: &CalibrationFile) -> Markup {
                 td { (one.parameters) }
                 td { (figure(one.held_out_before)) }
                 td { (figure(one.held_out_after)) }
-                td.unit { @if one.accepted { "taken" } @else { "left out" } }
+                td.unit { @if one.accepted { "used" } @else { "left out" } }
             } } }
         }
-        p.note { "Each of eight groups of samples was predicted from a fit that had not seen it. Residuals in standard deviations of the cost." }
+        p.note { "Each of eight groups of samples was predicted from a fit to the others. Residuals in standard deviations of the cost." }
     } }
 }
 

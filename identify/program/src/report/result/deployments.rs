@@ -101,7 +101,7 @@ impl CalibrationFile {
         })
     }
 
-    /// Root mean squares of the positions of data that no fit has seen, of the first data set that has some: with the nominal
+    /// Root mean squares of the positions of held-out data, of the first data set that has some: with the nominal
     /// robot, and with what a deployment takes \[m\].
     pub fn held_out_m(&self, deployment: Deployment) -> Option<[f64; 2]> {
         let own = |all: HeldOutEntry| match deployment {

@@ -49,7 +49,7 @@ const fn reason(why: Rejection) -> &'static str {
     match why {
         Rejection::FlangeContradicts { .. } => "flange contradicts joints",
         Rejection::GrossResidual { .. } => "far from all others",
-        Rejection::FaultyRun { .. } => "rows around it are off together",
+        Rejection::FaultyRun { .. } => "deviates together with the rows around it",
     }
 }
 

@@ -252,7 +252,7 @@ mod tests {
                 CalibrateError::from(Unidentifiable { rank: 1, columns: 3, what, fix: "rd2,ra1".into() })
                     .to_string(),
                 "ra1|ox (fix 1)",
-                "fix the surplus",
+                "Fix some",
             ),
         ];
         for (message, wrong, remedy) in messages {
