@@ -6,15 +6,15 @@ use std::fmt::{self, Write as _};
 use std::io::{self, Write as _};
 
 thread_local! {
-    /// Output of this thread that is kept instead of printed.
-    static KEPT: RefCell<Option<String>> = const { RefCell::new(None) };
+    /// Output of this thread that is captured instead of printed.
+    static CAPTURED: RefCell<Option<String>> = const { RefCell::new(None) };
 }
 
-/// Result of `work`, and its output in this thread, for programs whose standard output has another use.
-pub fn kept<T>(work: impl FnOnce() -> T) -> (T, String) {
-    let before = KEPT.replace(Some(String::new()));
+/// Result of `work`, and its standard output in this thread as text: nothing is printed.
+pub fn captured<T>(work: impl FnOnce() -> T) -> (T, String) {
+    let before = CAPTURED.replace(Some(String::new()));
     let result = work();
-    (result, KEPT.replace(before).unwrap_or_default())
+    (result, CAPTURED.replace(before).unwrap_or_default())
 }
 
 /// Prints a line.
@@ -30,8 +30,8 @@ pub fn say(line: impl fmt::Display) -> io::Result<()> {
 /// # Errors
 /// As [`say`].
 pub fn show(text: impl fmt::Display) -> io::Result<()> {
-    let is_kept = KEPT.with_borrow_mut(|kept| kept.as_mut().map(|kept| write!(kept, "{text}")));
-    if is_kept.is_some() {
+    let written = CAPTURED.with_borrow_mut(|output| output.as_mut().map(|output| write!(output, "{text}")));
+    if written.is_some() {
         return Ok(());
     }
     unless_gone(write!(io::stdout().lock(), "{text}"))

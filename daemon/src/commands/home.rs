@@ -103,7 +103,7 @@ async fn on_own_bus(
     }
     let request = RunRequest { bus: bus_choice(Some(bus))?, ..RunRequest::default() };
     let storage = Storage::new(&daemon, &**scheduler)?;
-    let session = run::connect(scheduler, &storage, &request, &daemon, &bar, stop).await?;
+    let session = run::open_with_retry(scheduler, &storage, &request, &daemon, &bar, stop).await?;
     session.log();
     let (mut printer, mut homing) = (Printer::new(service.format), Homing::begin(&session));
     while !homing.poll(&bar.encoders, &marks) {

@@ -82,7 +82,7 @@ impl Service {
         let (bus, faults) = (settings.bus.clone(), settings.faults.clone());
         let (daemon, bar) = (settings.daemon.clone(), settings.bar.clone());
         let (places, on) = (storage.clone(), Arc::clone(&scheduler));
-        let connect = move || run::begin_to_open(&bus, &faults, &daemon, &bar, &places, &on);
+        let connect = move || run::start_opening(&bus, &faults, &daemon, &bar, &places, &on);
         Self::start_with(scheduler, settings, storage, Arc::new(connect))
     }
 
@@ -515,7 +515,7 @@ pub(crate) mod tests {
             let motion = SmoothMotion::new(on_bar.encoders.len(), 3600, 1);
             let segment = SimulatedSegment::new(&SegmentConfig::default(), Box::new(motion));
             let wire = Deadly(InProcessWire::new(segment, Clock::Real), Arc::clone(&armed));
-            run::open_on(Box::new(wire), &on_daemon, &on_bar, &places)
+            run::open_on_wire(Box::new(wire), &on_daemon, &on_bar, &places)
         };
         (Service::start_with(scheduler, settings, storage, Arc::new(connect)).unwrap(), deadly)
     }

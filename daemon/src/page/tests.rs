@@ -43,7 +43,7 @@ impl Bench {
             let (segment, faults) = FaultySegment::new(segment, 1);
             *by_hand.lock().unwrap() = Some((faults, hand));
             let wire = InProcessWire::with_faults(segment, Clock::Real);
-            run::open_on(Box::new(wire), &on_daemon, &on_bar, &places)
+            run::open_on_wire(Box::new(wire), &on_daemon, &on_bar, &places)
         };
         Self {
             service: Service::start_with(scheduler, settings, storage, Arc::new(connect)).unwrap(),

@@ -55,8 +55,8 @@ pub(super) enum Pace {
     Fast,
 }
 
-/// Connections of the cycle's thread.
-pub(super) struct Ends {
+/// Channels and stops of the cycle's thread.
+pub(super) struct Channels {
     pub ready: SyncSender<Result<Ready, RunError>>,
     pub jobs: Receiver<Job>,
     pub live: Arc<Live>,
@@ -64,7 +64,7 @@ pub(super) struct Ends {
     pub opening: Stop,
     /// Ends later attempts between two runs; a run or a homing has its own request.
     pub ending: Stop,
-    /// Receives a message at a regular end.
+    /// Gets a message when the thread ends without a panic.
     pub over: SyncSender<()>,
 }
 
@@ -80,11 +80,11 @@ pub(super) struct CycleLoop {
 
 /// Job that the cycle is executing.
 enum Task {
-    Run(Serving),
+    Run(RunTask),
     Home(Box<Homing>),
 }
 
-/// The bus and its observers.
+/// The bus, and where its samples are published.
 struct OnBus {
     acquisition: Acquisition,
     clock: Clock,
@@ -95,10 +95,15 @@ struct OnBus {
 }
 
 impl CycleLoop {
-    /// Brings the bus into operation; `None` if that fails, which is reported.
-    pub fn start(prepared: Prepared, realtime: RealtimeRequest, pace: Pace, ends: Ends) -> Option<Self> {
+    /// Brings the bus into operation and reports the result to `channels.ready`; `None` if it fails.
+    pub fn start(
+        prepared: Prepared,
+        realtime: RealtimeRequest,
+        pace: Pace,
+        channels: Channels,
+    ) -> Option<Self> {
         let Prepared { wire, clock, plan, replay, hand, .. } = prepared;
-        let Ends { ready, jobs, live, opening, ending, over } = ends;
+        let Channels { ready, jobs, live, opening, ending, over } = channels;
         let realtime = clock.is_real().then(|| realtime.apply());
         let mut bus = Bus::new(wire, clock.clone(), plan.reply_timeout);
         bus.interrupt_by(opening.flag());
@@ -115,7 +120,7 @@ impl CycleLoop {
         let clocks = operational.clocks.clone();
         let mut acquisition = Acquisition::on(bus, operational, &plan, clock.clone());
         acquisition.interrupt_by(ending.flag());
-        // The first sample that others see of the bus.
+        // The first sample is published before the bus is reported as ready.
         acquisition.next_cycle(&mut |record| live.publish(record));
         if let Some((_, first_sample)) = &replay {
             acquisition.set_first_sample_time(*first_sample);
@@ -151,7 +156,7 @@ impl CycleLoop {
         match job {
             Ok(Job::Run(job)) => {
                 self.on_bus.acquisition.interrupt_by(job.stop.flag());
-                self.task = Some(Task::Run(Serving::begin(job, &mut self.on_bus)));
+                self.task = Some(Task::Run(RunTask::begin(job, &mut self.on_bus)));
             }
             Ok(Job::Home(job)) => {
                 let OnBus { acquisition, plan, hand, .. } = &mut self.on_bus;
@@ -187,18 +192,21 @@ impl Stepper for Option<CycleLoop> {
 }
 
 impl OnBus {
+    /// A cycle without a job.
     fn idle(&mut self) {
         let live = &self.live;
         self.acquisition.next_cycle(&mut |record| live.publish(record));
         self.publish();
     }
 
+    /// A cycle of a homing; false once it is over.
     fn home(&mut self, homing: &mut Homing) -> bool {
         let continues = homing.step(&mut self.acquisition, &self.live);
         self.publish();
         continues
     }
 
+    /// Publishes the states of bus and links.
     fn publish(&self) {
         self.live.publish_bus(&self.acquisition.bus_state(), &self.plan.name);
         self.live.publish_links(self.acquisition.links());
@@ -206,19 +214,20 @@ impl OnBus {
 }
 
 /// A run that is being recorded.
-struct Serving {
+struct RunTask {
     // Dropped before the ring: the recorder must not finish the file without the cause.
     guard: PanicGuard,
     sink: CycleSink,
     cycles: Option<u64>,
     full_fault_cycles: u64,
+    /// Number of cycles so far.
     done: u64,
-    /// Cycles in a row without a valid sample, and their flags.
-    blind: u64,
-    reasons: u32,
+    /// Consecutive cycles without a valid sample of any encoder, and all their flags.
+    invalid_cycles: u64,
+    invalid_flags: u32,
 }
 
-impl Serving {
+impl RunTask {
     fn begin(job: RunJob, on_bus: &mut OnBus) -> Self {
         let RunJob { sink, stop, cycles, full_fault_cycles, utc_minus_monotonic_ns } = job;
         let OnBus { acquisition, replay, .. } = on_bus;
@@ -228,12 +237,28 @@ impl Serving {
                 replay.start_at(first_sample.0);
             }
         });
-        Self { guard: PanicGuard(stop), sink, cycles, full_fault_cycles, done: 0, blind: 0, reasons: 0 }
+        Self {
+            guard: PanicGuard(stop),
+            sink,
+            cycles,
+            full_fault_cycles,
+            done: 0,
+            invalid_cycles: 0,
+            invalid_flags: 0,
+        }
     }
 
     /// One cycle; false once the run is over.
     fn step(&mut self, on_bus: &mut OnBus) -> bool {
-        let Self { guard: PanicGuard(stop), sink, cycles, full_fault_cycles, done, blind, reasons } = self;
+        let Self {
+            guard: PanicGuard(stop),
+            sink,
+            cycles,
+            full_fault_cycles,
+            done,
+            invalid_cycles,
+            invalid_flags,
+        } = self;
         if stop.is_stopped() || sink.is_abandoned() || cycles.is_some_and(|wanted| *done >= wanted) {
             self.end(on_bus.replay.is_some());
             return false;
@@ -246,17 +271,17 @@ impl Serving {
             }
             live.publish(record);
             if record.encoders().iter().any(|encoder| encoder.valid) {
-                (*blind, *reasons) = (0, 0);
+                (*invalid_cycles, *invalid_flags) = (0, 0);
             } else {
-                (*blind, *reasons) = (*blind + 1, *reasons | record.flags);
+                (*invalid_cycles, *invalid_flags) = (*invalid_cycles + 1, *invalid_flags | record.flags);
             }
         });
         on_bus.publish();
         if let Some(timing) = on_bus.acquisition.last_timing() {
             sink.push_timing(timing);
         }
-        if *blind >= *full_fault_cycles {
-            stop.stop(&full_fault(*blind, *reasons));
+        if *invalid_cycles >= *full_fault_cycles {
+            stop.stop(&full_fault(*invalid_cycles, *invalid_flags));
         }
         while let Some(event) = on_bus.acquisition.take_event() {
             sink.push_event(event);
@@ -264,6 +289,7 @@ impl Serving {
         true
     }
 
+    /// Sets the cause of the end, if none is set.
     fn end(&self, is_replay: bool) {
         self.guard.0.stop(match is_replay {
             _ if self.sink.is_abandoned() => "the recorder has ended",
@@ -288,8 +314,9 @@ impl Drop for PanicGuard {
     }
 }
 
-fn full_fault(cycles: u64, reasons: u32) -> String {
-    let names = flag_names(reasons).join(", ");
+/// Cause of a run's end after this number of cycles without a valid sample, with these flags.
+fn full_fault(cycles: u64, flags: u32) -> String {
+    let names = flag_names(flags).join(", ");
     format!("full fault: no encoder gave a valid sample for {cycles} cycles ({names})")
 }
 
@@ -328,7 +355,7 @@ mod tests {
             full_fault_cycles: 1000,
             utc_minus_monotonic_ns: 0,
         };
-        assert!(!Serving::begin(job, &mut on_bus).step(&mut on_bus));
+        assert!(!RunTask::begin(job, &mut on_bus).step(&mut on_bus));
         assert_eq!(stop.cause(), "the recorder has ended");
     }
 }

@@ -75,12 +75,12 @@ pub enum RunError {
         content: Option<Box<RunSummary>>,
     },
     /// The end was requested before the bus was in operation.
-    #[error("{cause} while waiting for the bus; nothing was recorded: {missing}")]
+    #[error("{cause} while waiting for the bus; nothing was recorded: {problem}")]
     Waiting {
         /// Cause of the end, such as a signal.
         cause: String,
         /// Problem of the bus.
-        missing: String,
+        problem: String,
     },
     /// The system refused a thread, or one died.
     #[error("a thread of the acquisition failed: {0}")]
@@ -104,7 +104,7 @@ impl RunError {
     }
 
     /// Whether a person can correct it while this program waits: a cable, power, a terminal, an interface.
-    pub(super) fn may_pass(&self) -> bool {
+    pub(super) fn is_retryable(&self) -> bool {
         matches!(
             self,
             Self::Bus { .. }

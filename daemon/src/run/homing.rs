@@ -16,7 +16,7 @@ use crate::segment::simulated::Hand;
 /// Cause of a homing's end if the cycle's thread has ended.
 const CYCLE_ENDED: &str = "the thread of the cycle has ended; its cause is in the log";
 
-/// Queue of steps to be shown; further ones are dropped if the control does not read.
+/// Largest number of queued steps; further ones are dropped if the control does not read.
 const STEPS_MAX: usize = 64;
 
 /// Homing, for the cycle's thread.
@@ -60,7 +60,7 @@ impl Homing {
         encoders: &[EncoderConfig],
         hand: Option<&Hand>,
     ) -> Self {
-        // On the simulated bus no person turns joints.
+        // On the simulated bus the program turns the joints.
         hand.iter().for_each(|hand| hand.hold());
         let directions = encoders.iter().map(|encoder| encoder.direction).collect();
         Self { job, sequence: Sequence::begin(acquisition, encoders), directions, hand: hand.cloned() }

@@ -14,7 +14,8 @@ use crate::problem::Fact;
 pub const BUS_FLAGS: u32 =
     flags::NO_REPLY | flags::WORKING_COUNTER | flags::NOT_OPERATIONAL | flags::BUS_DOWN;
 
-/// The latest sample of each encoder, for people. Each encoder is consistent in itself, but not with the others.
+/// The latest sample of each encoder, for display. Count, status and validity of one encoder are of one cycle; different encoders
+/// may be of different cycles.
 #[derive(Debug, Default)]
 pub struct Live {
     at_ns: AtomicI64,
@@ -32,7 +33,7 @@ pub struct Live {
     origin: AtomicU32,
     encoders: [AtomicU64; MAX_ENCODERS],
     latches: [AtomicU32; MAX_ENCODERS],
-    /// 0 if no device is missing: without the coupler nothing could stay in use.
+    /// Position of the first missing device; 0 if none is missing, because the bus is down without the coupler (position 0).
     missing_from: AtomicU32,
     /// Outage of the bus while it is down, with its number.
     outage: Mutex<(u32, Option<Fact>)>,

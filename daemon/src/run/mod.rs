@@ -42,11 +42,11 @@ const SLOW_BUS: &str = "the bus is not in operation after 5 s: replies are late 
                         `reply_timeout_us` in daemon.toml";
 /// Period in which waiting tasks check whether they are to end.
 const STOP_PERIOD: Duration = Duration::from_millis(10);
-/// How long the end waits for work on disk that the next start would repeat: the end takes less than 2 s.
-pub(crate) const LEAVES_WITHIN: Duration = Duration::from_millis(1500);
+/// Longest wait for the disk after a request to end, so that the program ends within 2 s. The next start repeats the work.
+pub(crate) const DISK_WAIT_AT_END: Duration = Duration::from_millis(1500);
 
 /// Begins to bring a bus into operation for several runs. `faults` are injected into a simulated one.
-pub fn begin_to_open(
+pub fn start_opening(
     bus: &BusChoice,
     faults: &[FaultWindow],
     daemon: &DaemonConfig,
@@ -61,7 +61,7 @@ pub fn begin_to_open(
 
 /// A bus in operation over another wire, for tests of the layers above.
 #[cfg(test)]
-pub(crate) fn open_on(
+pub(crate) fn open_on_wire(
     wire: Box<dyn crate::segment::Wire>,
     daemon: &DaemonConfig,
     bar: &BallBarConfig,
@@ -71,7 +71,7 @@ pub(crate) fn open_on(
     Session::open(source::on_wire(wire, daemon, bar), daemon, bar, storage, &Stop::default(), scheduler)
 }
 
-/// Records one run; completes when its file is finished and its bus is left. The caller waits on `scheduler`.
+/// Records one run; completes when its file is finished and its bus is closed. The caller waits on `scheduler`.
 pub async fn record(
     scheduler: &Arc<dyn Scheduler>,
     storage: &Storage,
@@ -81,18 +81,19 @@ pub async fn record(
     stop: &Stop,
 ) -> Result<RunSummary, RunError> {
     source::check(request)?;
-    let session = connect(scheduler, storage, request, daemon, bar, stop).await?;
+    let session = open_with_retry(scheduler, storage, request, daemon, bar, stop).await?;
     session.log();
-    let outcome = record_from(&**scheduler, storage, &session, &request.run, stop).await;
-    // On virtual time no bus must be left in order, and the cycle may wait for a disk that hangs.
+    let outcome = record_in_session(&**scheduler, storage, &session, &request.run, stop).await;
+    // After an error on virtual time the cycle may wait for a disk that hangs, and there is no real bus to close.
     if outcome.is_ok() || !request.fast {
         session.close().await?;
     }
     outcome
 }
 
-/// A run that is stopped before it has a file does not wait for the disk that should create it.
-async fn record_from(
+/// Claims the directory, records one run in an open session, and waits for its end. If the run is stopped before it has a
+/// file, the wait for the disk is limited to [`DISK_WAIT_AT_END`].
+async fn record_in_session(
     scheduler: &dyn Scheduler,
     storage: &Storage,
     session: &Session,
@@ -100,10 +101,10 @@ async fn record_from(
     stop: &Stop,
 ) -> Result<RunSummary, RunError> {
     let clock = scheduler.clock();
-    let mut stopped = None;
+    let mut stopped_at = None;
     let mut is_too_late = || {
-        let since = stop.is_stopped().then(|| *stopped.get_or_insert_with(|| clock.now()));
-        since.is_some_and(|since| clock.now().ns_since(since) > LEAVES_WITHIN.as_nanos() as i64)
+        let since = stop.is_stopped().then(|| *stopped_at.get_or_insert_with(|| clock.now()));
+        since.is_some_and(|since| clock.now().ns_since(since) > DISK_WAIT_AT_END.as_nanos() as i64)
     };
     let no_file = || {
         let silent = || Fact::DiskSilent { directory: None, silent_s: None }.into();
@@ -111,15 +112,15 @@ async fn record_from(
     };
     // Only now: a run that does not begin creates no directory.
     let place = storage.clone();
-    let claim = Pending::start(scheduler, "claim", move || claim_directory(&place));
+    let claim_task = Pending::start(scheduler, "claim", move || claim_directory(&place));
     let died = |_| Err(RunError::Thread("claim panicked; its cause is in the log".into()));
-    let claimed = || storage.is_known().then(|| claim.poll()).flatten();
-    let _claim = until(scheduler, STOP_PERIOD, || match claimed() {
+    let poll_claim = || storage.is_known().then(|| claim_task.poll()).flatten();
+    let _claim = until(scheduler, STOP_PERIOD, || match poll_claim() {
         Some(claim) => Some(claim.unwrap_or_else(died)),
         None => is_too_late().then(|| Err(no_file())),
     })
     .await?;
-    // A run that ends without a request waits for the disk.
+    // A stop of its own, which the run also sets when it is complete: only a request limits the wait for the disk.
     let run = session.begin(details, &Stop::default(), None)?;
     until(scheduler, STOP_PERIOD, || {
         if stop.is_stopped() {
@@ -131,9 +132,9 @@ async fn record_from(
     .await
 }
 
-/// A bus in operation. If the request waits for the bus, the attempt is repeated, and its problem is logged whenever it
-/// changes.
-pub async fn connect(
+/// Brings the bus into operation. If the request waits for the bus, failed attempts are repeated, and the problem is logged
+/// whenever it changes.
+pub async fn open_with_retry(
     scheduler: &Arc<dyn Scheduler>,
     storage: &Storage,
     request: &RunRequest,
@@ -143,14 +144,14 @@ pub async fn connect(
 ) -> Result<Session, RunError> {
     let mut logged = String::new();
     loop {
-        let (own, pace) = if request.fast {
+        let (run_scheduler, pace) = if request.fast {
             let clock = Clock::virtual_from(UtcNs::from_datetime(chrono::Utc::now()));
             (Threads::on(clock), Pace::Fast)
         } else {
             (Arc::clone(scheduler), Pace::Clock)
         };
-        let opening = source::prepare(request, daemon, bar, own.clock().clone())
-            .and_then(|prepared| Session::open(prepared, daemon, bar, storage, stop, (&own, pace)));
+        let opening = source::prepare(request, daemon, bar, run_scheduler.clock().clone())
+            .and_then(|prepared| Session::open(prepared, daemon, bar, storage, stop, (&run_scheduler, pace)));
         let outcome = match opening {
             Ok(mut opening) => {
                 let slow_at = scheduler.clock().now().plus_ns(SLOW_AFTER.as_nanos() as i64);
@@ -166,19 +167,19 @@ pub async fn connect(
             }
             Err(error) => Err(error),
         };
-        let missing = match outcome {
-            Err(error) if request.wait && error.may_pass() => error.to_string(),
+        let problem = match outcome {
+            Err(error) if request.wait && error.is_retryable() => error.to_string(),
             outcome => return outcome,
         };
-        if missing != logged {
-            tracing::warn!("waiting for the bus: {missing}");
-            logged.clone_from(&missing);
+        if problem != logged {
+            tracing::warn!("waiting for the bus: {problem}");
+            logged.clone_from(&problem);
         }
         let retry_at = scheduler.clock().now().plus_ns(RETRY_PERIOD.as_nanos() as i64);
         let is_over = || (stop.is_stopped() || scheduler.clock().now() >= retry_at).then_some(());
         until(&**scheduler, STOP_PERIOD, is_over).await;
         if stop.is_stopped() {
-            return Err(RunError::Waiting { cause: stop.cause(), missing });
+            return Err(RunError::Waiting { cause: stop.cause(), problem });
         }
     }
 }

@@ -70,7 +70,7 @@ pub struct RunDetails {
 }
 
 impl About {
-    /// Refuses texts that could control the terminals of readers.
+    /// Refuses texts that are too long, or that could control the terminal of a person who reads them.
     pub fn check(&self) -> Result<(), &'static str> {
         let Self { operator, robot, bar, payload, note } = self;
         [operator, robot, bar, payload, note].into_iter().try_for_each(|text| check_text(text))
@@ -88,7 +88,7 @@ pub fn typed_name(typed: &str) -> Result<String, String> {
         .ok_or_else(|| format!("run name {typed:?} has no letter or digit; choose another, or omit it"))
 }
 
-/// Longest name, note and so on \[bytes\].
+/// Largest length of a text of a run \[bytes\].
 const TEXT_BYTES_MAX: usize = 4000;
 
 /// Refuses a text of a run that is too long or contains control characters.

@@ -11,7 +11,7 @@ use shared::recording::{
 };
 use shared::time::{MonoNs, UtcNs};
 
-use super::cycle_thread::{CycleLoop, Ends, Job, Pace, Ready, RunJob};
+use super::cycle_thread::{Channels, CycleLoop, Job, Pace, Ready, RunJob};
 use super::error::RunError;
 use super::homing::{self, ActiveHoming};
 use super::live::Live;
@@ -30,9 +30,9 @@ use crate::record::{
 use crate::scheduler::{Scheduler, Stepper, until};
 use crate::segment::faults::FaultHandle;
 
-/// Queue of jobs for the cycle, of which all but the last have been given up.
+/// Largest number of queued jobs for the cycle; all but the last are those of ended runs.
 const JOBS_MAX: usize = 8;
-/// Queue of markers for the recorder.
+/// Largest number of queued markers for the recorder.
 const MARKS_MAX: usize = 1000;
 /// Period of checks whether the cycle has ended.
 const CLOSE_PERIOD: Duration = Duration::from_millis(1);
@@ -83,7 +83,7 @@ pub struct Opening {
 }
 
 impl Session {
-    /// Begins to bring the bus into operation. `opening` ends the attempt early.
+    /// Starts to bring the bus into operation. `opening` can end the attempt early.
     pub(super) fn open(
         prepared: Prepared,
         daemon: &DaemonConfig,
@@ -116,8 +116,9 @@ impl Session {
         };
         let realtime =
             RealtimeRequest { core: daemon.realtime.core, fifo_priority: daemon.realtime.fifo_priority };
-        let ends = Ends { ready: ready_tx, jobs: jobs_rx, live, opening: opening.clone(), ending, over };
-        start(&**scheduler, "cycle", move || CycleLoop::start(prepared, realtime, pace, ends))?;
+        let channels =
+            Channels { ready: ready_tx, jobs: jobs_rx, live, opening: opening.clone(), ending, over };
+        start(&**scheduler, "cycle", move || CycleLoop::start(prepared, realtime, pace, channels))?;
         Ok(Opening { ready, session: Some(session) })
     }
 
@@ -151,10 +152,10 @@ impl Session {
             storage: self.storage.clone(),
             scheduler: Arc::clone(&self.scheduler),
         };
-        let job = self.job(sink, stop, details.duration, metadata.utc_minus_monotonic_ns);
+        let job = self.run_job(sink, stop, details.duration, metadata.utc_minus_monotonic_ns);
         let (result, outcome) = sync_channel(1);
         let recording = RunRecording {
-            file: Some(NoFile { ring, link, metadata, tap }),
+            pending: Some(PendingRun { ring, link, metadata, tap }),
             recorder: None,
             stop: stop.clone(),
             progress: Arc::clone(&progress),
@@ -171,17 +172,19 @@ impl Session {
     /// Provides cycles, events and timing without a file, for this duration or until `stop`.
     pub fn begin_watch(&self, duration: Option<Duration>, stop: &Stop) -> CycleSource {
         let (sink, source) = self.ring(self.daemon.ring_cycles(self.period));
-        let job = self.job(sink, stop, duration, self.clock().utc_minus_monotonic_ns());
+        let job = self.run_job(sink, stop, duration, self.clock().utc_minus_monotonic_ns());
         // If the cycle does not take the job, the source ends at once.
         let _ = self.jobs.try_send(Job::Run(job));
         source
     }
 
+    /// A ring of this number of cycles between cycle and recorder.
     fn ring(&self, cycles: usize) -> (CycleSink, CycleSource) {
         record::ring(cycles, if self.pace == Pace::Fast { FullRing::Waits } else { FullRing::Drops })
     }
 
-    fn job(
+    /// The job of the cycle's thread for a run or a watch.
+    fn run_job(
         &self,
         sink: CycleSink,
         stop: &Stop,
@@ -208,7 +211,7 @@ impl Session {
     }
 
     /// The encoders, with those reference marks of `details.homing` that their terminals still have.
-    fn homed(&self, details: &RunDetails) -> Vec<EncoderInfo> {
+    fn encoders_with_marks(&self, details: &RunDetails) -> Vec<EncoderInfo> {
         let mut encoders = self.encoders.clone();
         let stale = details.homing.as_ref().map(|homing| homing.apply(&mut encoders, &self.live.latches()));
         if let Some(stale) = stale.filter(|stale| !stale.is_empty()) {
@@ -296,15 +299,18 @@ impl Session {
         self.cycle
     }
 
+    /// Number of whole cycles in a time.
     fn cycles_of_time(&self, time: Duration) -> u64 {
         u64::try_from(time.as_nanos() / self.period.as_nanos().max(1)).unwrap_or(u64::MAX)
     }
 
+    /// Cycles after which a run ends: its duration or the end of a replay, whichever is first.
     fn cycles_of(&self, duration: Option<Duration>) -> Option<u64> {
         let wanted = duration.map(|duration| self.cycles_of_time(duration));
         [wanted, self.cycles].into_iter().flatten().min()
     }
 
+    /// Metadata of a run that begins now.
     fn metadata(&self, details: &RunDetails) -> RunMetadata {
         // The bus may be in operation for days, so each run reads the offset again.
         let utc_minus_monotonic_ns = match self.pace {
@@ -326,7 +332,7 @@ impl Session {
             cycle_period_ns: self.period.as_nanos() as u64,
             distributed_clocks: self.daemon.distributed_clocks,
             utc_minus_monotonic_ns,
-            encoders: self.homed(details),
+            encoders: self.encoders_with_marks(details),
             devices: self.ready.devices.clone(),
             daemon_config: toml_text(&self.daemon),
             ball_bar_config: toml_text(&self.bar),
@@ -335,7 +341,7 @@ impl Session {
 }
 
 impl ActiveRun {
-    /// Puts a marker of this instant into the file; false if the queue is full.
+    /// Queues a marker of this instant for the file; false if the queue is full.
     pub fn mark(&self, at: MonoNs, text: String) -> bool {
         self.marks.try_send(Mark { at, text }).is_ok()
     }
@@ -376,7 +382,7 @@ impl Opening {
 }
 
 /// A run before it has its file.
-struct NoFile {
+struct PendingRun {
     ring: CycleSource,
     link: RunLink,
     metadata: RunMetadata,
@@ -385,7 +391,7 @@ struct NoFile {
 
 /// Creates the file of a run, records into it, and finishes it.
 struct RunRecording {
-    file: Option<NoFile>,
+    pending: Option<PendingRun>,
     recorder: Option<Recorder>,
     stop: Stop,
     progress: Arc<Progress>,
@@ -394,9 +400,9 @@ struct RunRecording {
 }
 
 impl RunRecording {
-    /// The summary once the file is finished.
+    /// Creates the file in the first step, then records what the ring has; the summary once the file is finished.
     fn step(&mut self) -> Result<Option<RunSummary>, RunError> {
-        if let Some(NoFile { ring, link, metadata, tap }) = self.file.take() {
+        if let Some(PendingRun { ring, link, metadata, tap }) = self.pending.take() {
             let mut writer = create(&link, &metadata)?;
             tap.into_iter().for_each(|tap| writer.set_tap(tap));
             self.recorder = Some(Recorder::new(ring, writer, &metadata, link));
@@ -407,9 +413,9 @@ impl RunRecording {
             Ok(false) => self.recorder.take().map(|recorder| recorder.finish(self.stop.cause())).transpose(),
             Err(error) => Err(error),
         };
-        // Unlocks the file for its recovery.
+        // Release the lock of the file: a failed file is recovered below.
         self.recorder = None;
-        finished.map_err(|error| broken(error, &self.progress, &*self.disk, self.stop.cause()))
+        finished.map_err(|error| salvage(error, &self.progress, &*self.disk, self.stop.cause()))
     }
 }
 
@@ -417,13 +423,13 @@ impl Stepper for RunRecording {
     fn poll(&mut self, _: MonoNs) -> Option<Duration> {
         let outcome = self.step().transpose();
         let Some(outcome) = outcome else { return Some(Recorder::PERIOD) };
-        // A service that ends may not wait for it.
+        // A service that ends may have dropped the receiver.
         let _ = self.result.send(outcome);
         None
     }
 }
 
-/// The run's file, after crashed runs are recovered: one of them may have had its name.
+/// Creates the run's file. Crashed runs are recovered before: one of them may have its name.
 fn create(link: &RunLink, run: &RunMetadata) -> Result<RecordingWriter<RunFile>, RunError> {
     let RunLink { progress, storage, .. } = link;
     progress.opening("to recover earlier runs");
@@ -442,8 +448,8 @@ fn create(link: &RunLink, run: &RunMetadata) -> Result<RecordingWriter<RunFile>,
     Ok(writer)
 }
 
-/// After a failure of the disk: finishes the cycles written before, if there is space for that.
-fn broken(source: WriteError, progress: &Progress, disk: &dyn Disk, cause: String) -> RunError {
+/// Recovers the cycles that were written before a failure of the disk, and returns the error that describes them.
+fn salvage(source: WriteError, progress: &Progress, disk: &dyn Disk, cause: String) -> RunError {
     let Some(place) = progress.place() else { return source.into() };
     let (file, content) = match recover_file_on(disk, place.path()) {
         Ok(Recovery::Recovered { file, content, .. } | Recovery::Renamed { file, content }) => {
@@ -470,6 +476,7 @@ fn broken(source: WriteError, progress: &Progress, disk: &dyn Disk, cause: Strin
     RunError::Broken { source, saved, content: Some(Box::new(summary)) }
 }
 
+/// Starts a thread or task that `begin` creates.
 fn start<S: Stepper + 'static>(
     scheduler: &dyn Scheduler,
     name: &str,

@@ -1,4 +1,4 @@
-//! From the request to a wire, a clock and a plan: every check before a thread starts.
+//! Derives wire, clock and plan from the request, and checks them, before a thread starts.
 
 use std::path::Path;
 use std::time::Duration;
@@ -18,16 +18,16 @@ use crate::segment::simulated::{
 };
 use crate::segment::{EthernetWire, InProcessWire, Wire};
 
-/// All that follows from the request before a thread starts.
+/// Result of [`prepare`].
 pub(super) struct Prepared {
     pub wire: Box<dyn Wire>,
     pub clock: Clock,
     pub plan: BusPlan,
     /// Encoders of the run, in bus order.
     pub encoders: Vec<EncoderInfo>,
-    /// The recording to replay.
+    /// Origin of the replayed recording.
     pub replay_of: Option<ReplayOrigin>,
-    /// Starts the replay, with the time of its first sample.
+    /// Starts the replay; the time is that of its first sample.
     pub replay: Option<(ReplayHandle, UtcNs)>,
     /// Turns the simulated joints when they are homed.
     pub hand: Option<Hand>,
@@ -50,7 +50,7 @@ pub(super) fn prepare(
             Prepared::from_config(wire, clock, name, daemon, bar)
         }
         BusChoice::Simulated => {
-            // One motion for all encoders of the bar, whose discs are alike.
+            // One motion for all encoders of the bar: their discs have the same number of lines.
             let lines = bar.encoders.first().map_or(0, |encoder| encoder.lines);
             let config = SegmentConfig { terminals: bar.encoders.len(), ..SegmentConfig::default() };
             let (source, hand) = HandTurned::new(SmoothMotion::new(bar.encoders.len(), lines, config.seed));
@@ -58,7 +58,7 @@ pub(super) fn prepare(
             let prepared = Prepared::from_config(wire, clock, SIMULATED_BUS, daemon, bar);
             Prepared { hand: Some(hand), faults: Some(faults), ..prepared }
         }
-        BusChoice::Replay(path) => follow(path, clock, daemon, bar, &request.faults)?,
+        BusChoice::Replay(path) => prepare_replay(path, clock, daemon, bar, &request.faults)?,
     };
     Ok(prepared)
 }
@@ -109,12 +109,13 @@ impl Prepared {
     }
 }
 
-/// Real time on any wire.
+/// A bus on this wire, in real time.
 #[cfg(test)]
 pub(super) fn on_wire(wire: Box<dyn Wire>, daemon: &DaemonConfig, bar: &BallBarConfig) -> Prepared {
     Prepared::from_config(wire, crate::clock::Clock::Real, SIMULATED_BUS, daemon, bar)
 }
 
+/// The simulated segment as a wire of this process, with `faults` scheduled.
 fn in_process(
     config: &SegmentConfig,
     source: Box<dyn EncoderSource>,
@@ -126,8 +127,8 @@ fn in_process(
     (Box::new(InProcessWire::with_faults(segment, clock.clone())), handle)
 }
 
-/// The simulated encoders follow a recording, which also gives period and encoders.
-fn follow(
+/// A simulated bus whose encoders follow a recording; period and encoders are those of the recording.
+fn prepare_replay(
     path: &Path,
     clock: Clock,
     daemon: &DaemonConfig,

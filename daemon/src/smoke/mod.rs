@@ -121,7 +121,7 @@ impl Test<'_> {
             ring_s: RING_S,
             ..daemon.clone()
         };
-        match run::connect(self.scheduler, &self.storage, request, &own, bar, stop).await {
+        match run::open_with_retry(self.scheduler, &self.storage, request, &own, bar, stop).await {
             Ok(session) => {
                 self.identify(session.devices(), Outcome::passed(self.devices_expected()));
                 Ok(session)

@@ -167,7 +167,7 @@ class Calibration:
     def forward(self, joints: ArrayLike) -> Numbers:
         """Poses (.., 4, 4) of the robot's end in its base at postures (.., axes)."""
         q = self._postures(joints)
-        poses = _table(self._robot.forward(q.tobytes()), 4, 4).swapaxes(-1, -2)
+        poses = _table(self._robot.forward(q.tobytes()), 4, 4)
         return poses.reshape(*q.shape[:-1], 4, 4)
 
     def inverse(self, poses: ArrayLike, near: ArrayLike) -> Numbers:

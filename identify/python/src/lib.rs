@@ -17,56 +17,56 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use shared::config::{self, BallBarConfig, RobotConfig};
-use shared::output::{explained, kept};
+use shared::output::{captured, explained};
 use shared::recording::Recording;
 use shared::recording::schema::CycleRecord;
 
-/// How long the end of a command or Ctrl-C waits to be seen.
-const PATIENCE: Duration = Duration::from_millis(10);
-/// How far the columns of a rotation may be from unit length and right angles.
+/// Period in which the calling thread checks whether the command has ended, and for Ctrl-C.
+const POLL_PERIOD: Duration = Duration::from_millis(10);
+/// Largest deviation of an entry of `R^T R` from the unit matrix, for a rotation `R`.
 const ROTATION_TOLERANCE: f64 = 1e-6;
 
 create_exception!(ballbar, Error, PyValueError, "What is wrong, where, and what to do.");
 
-fn refused(error: impl Into<Box<dyn std::error::Error>>) -> PyErr {
+fn to_python_error(error: impl Into<Box<dyn std::error::Error>>) -> PyErr {
     Error::new_err(explained(error.into().as_ref()))
 }
 
-/// Runs a command as a terminal would, the program's name first, and returns what it printed and what it warned of. Ctrl-C
-/// ends it.
+/// Runs a command line, which begins with the program's name. Returns standard output and warnings. Ctrl-C ends the command.
 #[pyfunction]
 fn run(py: Python<'_>, words: Vec<OsString>) -> PyResult<(String, String)> {
     let arguments = Arguments::typed(words).map_err(|error| Error::new_err(error.render().to_string()))?;
+    // Forget a Ctrl-C that ended an earlier command.
     interrupt(false);
     let warnings = Lines::default();
-    let lines = warnings.clone();
+    let writer = warnings.clone();
     let subscriber = tracing_subscriber::fmt()
         .with_max_level(tracing::Level::WARN)
         .with_ansi(false)
         .with_target(false)
         .with_level(false)
         .without_time()
-        .with_writer(move || lines.clone())
+        .with_writer(move || writer.clone())
         .finish();
     let work = move || {
-        let (result, said) =
-            kept(|| tracing::subscriber::with_default(subscriber, || commands::run(arguments)));
-        (result.map_err(|error| explained(error.as_ref())), said)
+        let (result, printed) =
+            captured(|| tracing::subscriber::with_default(subscriber, || commands::run(arguments)));
+        (result.map_err(|error| explained(error.as_ref())), printed)
     };
     let work = std::thread::Builder::new().name("identify".into()).spawn(work)?;
-    let mut pressed = Ok(());
+    let mut interrupted = Ok(());
     while !work.is_finished() {
-        py.detach(|| std::thread::sleep(PATIENCE));
+        py.detach(|| std::thread::sleep(POLL_PERIOD));
         if let Err(signal) = py.check_signals() {
             interrupt(true);
-            pressed = Err(signal);
+            interrupted = Err(signal);
         }
     }
-    let broke_down = |_| Error::new_err("the command broke down; report it with what you called");
-    let (result, said) = work.join().map_err(broke_down)?;
-    pressed?;
+    let panicked = |_| Error::new_err("the command panicked; report this error with the call");
+    let (result, printed) = work.join().map_err(panicked)?;
+    interrupted?;
     result.map_err(Error::new_err)?;
-    Ok((said, warnings.text()))
+    Ok((printed, warnings.text()))
 }
 
 /// Collects log lines.
@@ -89,6 +89,7 @@ impl io::Write for Lines {
     }
 }
 
+/// Encoded numbers of `N` bytes one after the other.
 fn bytes<'py, const N: usize>(
     py: Python<'py>,
     numbers: impl Iterator<Item = [u8; N]>,
@@ -96,28 +97,28 @@ fn bytes<'py, const N: usize>(
     PyBytes::new(py, &numbers.flatten().collect::<Vec<u8>>())
 }
 
-/// Rows of `width` numbers.
+/// The numbers in `bytes` as rows of `width`.
 fn rows(bytes: &[u8], width: usize) -> Vec<Vec<f64>> {
     let (numbers, _) = bytes.as_chunks::<8>();
     let rows = numbers.chunks_exact(width);
     rows.map(|row| row.iter().map(|number| f64::from_ne_bytes(*number)).collect()).collect()
 }
 
-/// A robot as a calibration found it.
+/// A calibrated robot. The numbers of a matrix are row by row, as in NumPy.
 #[pyclass(frozen)]
 struct Robot(CalibratedRobot);
 
 impl Robot {
-    /// What each row of joints has as an answer.
-    fn of_each<'py, const N: usize>(
+    /// Calls `of` with each row of joints and returns the results one after the other.
+    fn map_rows<'py, const N: usize>(
         &self,
         py: Python<'py>,
         joints: &[u8],
-        answer: impl Fn(&[f64]) -> PyResult<[f64; N]>,
+        of: impl Fn(&[f64]) -> PyResult<[f64; N]>,
     ) -> PyResult<Bound<'py, PyBytes>> {
-        let answers: Vec<[f64; N]> =
-            rows(joints, self.0.axes()).iter().map(|q| answer(q)).collect::<PyResult<_>>()?;
-        Ok(bytes(py, answers.iter().flatten().map(|number| number.to_ne_bytes())))
+        let results: Vec<[f64; N]> =
+            rows(joints, self.0.axes()).iter().map(|q| of(q)).collect::<PyResult<_>>()?;
+        Ok(bytes(py, results.iter().flatten().map(|number| number.to_ne_bytes())))
     }
 }
 
@@ -126,10 +127,11 @@ impl Robot {
     #[new]
     #[pyo3(signature = (calibration, robot, bar=None))]
     fn new(calibration: PathBuf, robot: PathBuf, bar: Option<PathBuf>) -> PyResult<Self> {
-        let file = CalibrationFile::open(&calibration).map_err(refused)?;
-        let robot: RobotConfig = config::load(&robot).map_err(refused)?;
-        let bar: Option<BallBarConfig> = bar.map(|path| config::load(&path)).transpose().map_err(refused)?;
-        CalibratedRobot::new(&file, &robot, bar.as_ref()).map(Self).map_err(refused)
+        let file = CalibrationFile::open(&calibration).map_err(to_python_error)?;
+        let robot: RobotConfig = config::load(&robot).map_err(to_python_error)?;
+        let bar: Option<BallBarConfig> =
+            bar.map(|path| config::load(&path)).transpose().map_err(to_python_error)?;
+        CalibratedRobot::new(&file, &robot, bar.as_ref()).map(Self).map_err(to_python_error)
     }
 
     #[getter]
@@ -137,38 +139,39 @@ impl Robot {
         self.0.axes()
     }
 
-    /// Rows of joints to homogeneous matrices, column by column.
+    /// Rows of joints \[rad, m\] to homogeneous matrices \[m\], 16 numbers each.
     fn forward<'py>(&self, py: Python<'py>, joints: &[u8]) -> PyResult<Bound<'py, PyBytes>> {
-        self.of_each::<16>(py, joints, |q| {
-            let pose = self.0.forward(q).map_err(refused)?.to_homogeneous();
-            Ok(std::array::from_fn(|index| pose[index]))
+        self.map_rows::<16>(py, joints, |q| {
+            let pose = self.0.forward(q).map_err(to_python_error)?.to_homogeneous();
+            Ok(std::array::from_fn(|index| pose[(index / 4, index % 4)]))
         })
     }
 
-    /// Rows of joints to covariances of position and rotation vector.
+    /// Rows of joints \[rad, m\] to covariances of position \[m\] and rotation vector \[rad\], 36 numbers each.
     fn covariance<'py>(&self, py: Python<'py>, joints: &[u8]) -> PyResult<Bound<'py, PyBytes>> {
-        self.of_each::<36>(py, joints, |q| {
-            let covariance = self.0.covariance(q).map_err(refused)?;
+        self.map_rows::<36>(py, joints, |q| {
+            let covariance = self.0.covariance(q).map_err(to_python_error)?;
             Ok(std::array::from_fn(|index| covariance[index]))
         })
     }
 
-    /// Homogeneous matrices, row by row, and for each the joints near which it is reached, to rows of joints.
+    /// Homogeneous matrices \[m\], and a row of joints near which each is to be reached, to rows of joints \[rad, m\].
     fn inverse<'py>(&self, py: Python<'py>, poses: &[u8], near: &[u8]) -> PyResult<Bound<'py, PyBytes>> {
         let mut reached = Vec::new();
         for (pose, near) in rows(poses, 16).iter().zip(rows(near, self.0.axes())) {
-            reached.extend(&self.0.inverse(&pose_of(pose)?, &near).map_err(refused)?);
+            reached.extend(&self.0.inverse(&pose_of(pose)?, &near).map_err(to_python_error)?);
         }
         Ok(bytes(py, reached.iter().map(|joint: &f64| joint.to_ne_bytes())))
     }
 }
 
+/// The pose of a homogeneous matrix, row by row; an error if it is none.
 fn pose_of(matrix: &[f64]) -> PyResult<Pose> {
     let at = |row: usize, column: usize| matrix.get(4 * row + column).copied().unwrap_or(f64::NAN);
     let rotation = Matrix3::from_fn(at);
-    let apart = (rotation.transpose() * rotation - Matrix3::identity()).amax();
+    let deviation = (rotation.transpose() * rotation - Matrix3::identity()).amax();
     let position = Vector3::from_fn(|row, _| at(row, 3));
-    let is_pose = apart < ROTATION_TOLERANCE
+    let is_pose = deviation < ROTATION_TOLERANCE
         && rotation.determinant() > 0.0
         && position.iter().all(|number| number.is_finite())
         && (0..4).all(|column| at(3, column) == f64::from(u8::from(column == 3)));
@@ -178,9 +181,9 @@ fn pose_of(matrix: &[f64]) -> PyResult<Pose> {
     Ok(Pose::from_parts(position.into(), Rotation3::from_matrix_unchecked(rotation)))
 }
 
-/// A recording, its tables as bytes: a row for each cycle, in it a column for each encoder.
+/// A recording; its tables are bytes, a row for each cycle, in it a column for each encoder.
 #[pyclass(frozen, get_all)]
-struct Columns {
+struct RecordingTables {
     joints: Vec<u8>,
     cycle: Py<PyBytes>,
     time_ns: Py<PyBytes>,
@@ -190,18 +193,19 @@ struct Columns {
     count: Py<PyBytes>,
     valid: Py<PyBytes>,
     angle_rad: Py<PyBytes>,
-    /// Time \[ns\], cycle, kind, words.
+    /// Time \[ns\], cycle, kind, text.
     events: Vec<(i64, u64, String, String)>,
     /// Metadata of the run as JSON.
     run: String,
-    /// How it ended, as JSON.
+    /// End of the run as JSON.
     end: String,
 }
 
 /// Reads a finished recording.
 #[pyfunction]
-fn read_recording(py: Python<'_>, path: PathBuf) -> PyResult<Columns> {
-    let Recording { run, cycles, events, end, .. } = py.detach(|| Recording::open(&path)).map_err(refused)?;
+fn read_recording(py: Python<'_>, path: PathBuf) -> PyResult<RecordingTables> {
+    let Recording { run, cycles, events, end, .. } =
+        py.detach(|| Recording::open(&path)).map_err(to_python_error)?;
     let mut unwrappers: Vec<_> = run.encoders.iter().map(|encoder| encoder.scale.unwrapper()).collect();
     let mut angles_rad = Vec::with_capacity(cycles.len() * run.encoders.len());
     for cycle in &cycles {
@@ -212,7 +216,7 @@ fn read_recording(py: Python<'_>, path: PathBuf) -> PyResult<Columns> {
     }
     let encoders = || cycles.iter().flat_map(CycleRecord::encoders);
     let event_kind = |kind| format!("{kind:?}").to_lowercase();
-    Ok(Columns {
+    Ok(RecordingTables {
         joints: run.encoders.iter().map(|encoder| encoder.joint).collect(),
         cycle: bytes(py, cycles.iter().map(|one| one.cycle.to_ne_bytes())).unbind(),
         time_ns: bytes(py, cycles.iter().map(|one| one.sample_time.0.to_ne_bytes())).unbind(),
@@ -226,15 +230,16 @@ fn read_recording(py: Python<'_>, path: PathBuf) -> PyResult<Columns> {
         events: (events.into_iter())
             .map(|event| (event.time.0, event.cycle, event_kind(event.kind), event.text))
             .collect(),
-        run: serde_json::to_string(&run).map_err(refused)?,
-        end: serde_json::to_string(&end).map_err(refused)?,
+        run: serde_json::to_string(&run).map_err(to_python_error)?,
+        end: serde_json::to_string(&end).map_err(to_python_error)?,
     })
 }
 
 /// SHA-256 of a file, or of a configuration that is built in under this name, hexadecimal.
 #[pyfunction]
 fn checksum(path: PathBuf) -> PyResult<String> {
-    let read = Input::of("", &path).map_err(|error| refused(format!("{}: {error}", path.display())))?;
+    let read =
+        Input::of("", &path).map_err(|error| to_python_error(format!("{}: {error}", path.display())))?;
     Ok(read.sha256)
 }
 
@@ -242,7 +247,7 @@ fn checksum(path: PathBuf) -> PyResult<String> {
 fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("Error", module.py().get_type::<Error>())?;
     module.add_class::<Robot>()?;
-    module.add_class::<Columns>()?;
+    module.add_class::<RecordingTables>()?;
     module.add_function(wrap_pyfunction!(run, module)?)?;
     module.add_function(wrap_pyfunction!(checksum, module)?)?;
     module.add_function(wrap_pyfunction!(read_recording, module)?)

@@ -166,7 +166,7 @@ fn missing_frozen_and_repeated_rows_are_marked_and_told() {
     let text = text.replace(&line, &format!("{line}\n{line}"));
     let log = read(text.as_bytes(), None).unwrap();
     let quality = &log.quality;
-    assert_eq!((quality.incomplete_dropped, quality.frozen_dropped, quality.duplicates_dropped), (2, 2, 1));
+    assert_eq!((quality.incomplete_dropped, quality.repeated_dropped, quality.duplicates_dropped), (2, 2, 1));
     let invalid: Vec<usize> = (0..log.cycles.len()).filter(|row| !log.cycles[*row].is_valid()).collect();
     assert_eq!(invalid, [40, 41, 81, 82]);
     assert!(log.cycles[81].flags & flags::STALE_INPUT != 0);

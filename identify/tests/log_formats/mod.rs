@@ -195,7 +195,7 @@ fn frozen_telegrams_and_those_that_lack_an_axis_are_left_out_and_told() {
     lines[21] = lines[21].replace(&frozen, &before);
     lines[40] = lines[40].replacen("A3=", "B3=", 1);
     let log = read_as(&lines.join("\n"), None).unwrap();
-    assert_eq!((log.quality.frozen_dropped, log.quality.incomplete_dropped, log.q_rad.len()), (1, 1, 78));
+    assert_eq!((log.quality.repeated_dropped, log.quality.incomplete_dropped, log.q_rad.len()), (1, 1, 78));
     let remarks = log.quality.remarks.join("\n");
     assert!(
         remarks.contains("1 telegrams repeat") && remarks.contains("1 telegrams lack a joint"),
@@ -215,7 +215,7 @@ fn a_robot_that_stands_still_is_not_frozen() {
         })
         .collect();
     let log = read_as(&text, None).unwrap();
-    assert_eq!((log.quality.frozen_dropped, log.q_rad.len()), (0, 60));
+    assert_eq!((log.quality.repeated_dropped, log.q_rad.len()), (0, 60));
 }
 
 #[test]

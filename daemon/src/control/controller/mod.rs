@@ -23,7 +23,7 @@ use crate::control::settings::{Connect, Settings};
 use crate::control::status::{CheckLine, LastRun, ServiceState, Status, Totals};
 use crate::problem::{Fact, Problem};
 use crate::record::{RunSummary, Snapshot};
-use crate::run::{self, ActiveRun, LEAVES_WITHIN, RunDetails, RunError, Stop, Storage};
+use crate::run::{self, ActiveRun, DISK_WAIT_AT_END, RunDetails, RunError, Stop, Storage};
 use crate::scheduler::{Pending, Scheduler};
 use bus_link::BusLink;
 use homing::Homing;
@@ -197,7 +197,7 @@ impl Controller {
         if self.preparing.is_none() && !self.is_opening() && keeping.is_none() {
             return self.exit;
         }
-        let is_over = self.now.ns_since(since) > LEAVES_WITHIN.as_nanos() as i64;
+        let is_over = self.now.ns_since(since) > DISK_WAIT_AT_END.as_nanos() as i64;
         if is_over {
             let problems = self.disk_problems();
             tracing::warn!("the disk is not waited for: {}", Problem::line(&problems));

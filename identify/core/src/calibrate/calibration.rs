@@ -45,7 +45,7 @@ impl Calibration {
 
     /// Cost of the ball-bar runs; `None` without any.
     pub fn cost(&self) -> Option<CostName> {
-        self.runs.iter().find_map(|run| run.instrument.in_unit_of())
+        self.runs.iter().find_map(|run| run.instrument.residual_unit_of())
     }
 
     /// Name of the minimised cost, for reports.

@@ -308,7 +308,7 @@ impl IdentifyConfig {
 
     /// Known lengths of a bar on a robot with `axes` axes, with their standard uncertainties \[m\], except those that are free
     /// by name or have a prior.
-    pub fn known_lengths_m(&self, bar: &BallBarConfig, axes: usize) -> Vec<(ParameterId, f64)> {
+    pub fn known_length_sigmas_m(&self, bar: &BallBarConfig, axes: usize) -> Vec<(ParameterId, f64)> {
         let u_um = |id| if id == ParameterId::ROD { bar.length_u_um } else { Some(bar.plate_u_um) };
         let is_open = |name: String| !self.free.contains(&name) && !self.priors.contains_key(&name);
         let known = ParameterId::known_lengths(axes).into_iter().filter(|id| is_open(id.to_string()));

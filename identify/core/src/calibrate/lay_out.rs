@@ -7,7 +7,7 @@ use shared::config::{BallBarConfig, RobotConfig};
 use super::config::{IdentifyConfig, SelectionName};
 use super::data_sets::{BarRun, DataSets};
 use super::error::CalibrateError;
-use super::pipeline::{Plan, estimate, in_unit_of, waves_per_turn};
+use super::pipeline::{Plan, estimate, residual_unit_of, waves_per_turn};
 use super::rows::{self, RowSet};
 use super::selection::choose::CommonPrior;
 use super::selection::structure::identifiable;
@@ -68,7 +68,7 @@ pub(super) fn lay_out<'w>(
     let groups = candidates(data, &mut runs, config)?;
     let tolerances = tolerances(&runs, config);
     let plan = Plan {
-        loss: config.loss.unwrap_or(in_unit_of(&runs).map_or(LossName::Huber, CostName::usual_loss)),
+        loss: config.loss.unwrap_or(residual_unit_of(&runs).map_or(LossName::Huber, CostName::usual_loss)),
         groups,
         fix: config.fixed(),
         common: common_priors(&runs, &tolerances, config),
@@ -153,16 +153,23 @@ fn bar_runs(
         // There are hundreds of waves. A model has only those named in the configuration, and later those that are detected.
         let named = config.named().filter(|id| matches!(id, ParameterId::JointWave { .. }));
         let model = start_model(prepared, robot, bar)?.with(named);
-        let known_m = config.known_lengths_m(bar, model.axes());
+        let known_sigmas_m = config.known_length_sigmas_m(bar, model.axes());
         let prepared = prepared.clone();
-        let bar = BallBar { prepared, cost, configured: config.noise, found: None, measured, known_m };
+        let bar = BallBar {
+            prepared,
+            cost,
+            configured: config.noise,
+            estimated_noise: None,
+            measured,
+            known_sigmas_m,
+        };
         Ok(Run { instrument: bar.into(), model })
     };
     let mut runs = bars.iter().map(run).collect::<Result<Vec<_>, CalibrateError>>()?;
     let identifiable = match (config.selection.fixed(), bars.first(), runs.first()) {
         (None, Some(BarRun { prepared, .. }), Some(Run { model, .. })) => {
             let Prepared { motion, observations, measured, .. } = prepared;
-            identifiable(model, motion, observations, cost.unweighed(measured))?
+            identifiable(model, motion, observations, cost.unweighted(measured))?
         }
         _ => Vec::new(),
     };

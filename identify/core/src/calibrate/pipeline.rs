@@ -104,8 +104,8 @@ pub(super) fn problem<'p>(
 }
 
 /// The cost that defines the unit of the residuals of all data sets; `None` if they differ.
-pub(super) fn in_unit_of(runs: &[Run]) -> Option<CostName> {
-    let mut costs = runs.iter().map(|run| run.instrument.in_unit_of());
+pub(super) fn residual_unit_of(runs: &[Run]) -> Option<CostName> {
+    let mut costs = runs.iter().map(|run| run.instrument.residual_unit_of());
     let first = costs.next()??;
     costs.all(|cost| cost == Some(first)).then_some(first)
 }
@@ -148,7 +148,7 @@ fn estimated(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateError
     let mut scale = 1.0;
     let to_choose = !(plan.groups.is_empty() && plan.tolerances.is_empty() && plan.common.is_empty());
     if to_choose && solution.summary.residual_rms > RESIDUAL_MIN * solver.unit() {
-        let finds_noise = solver.in_unit_of().is_none_or(|cost| cost == CostName::Pose);
+        let finds_noise = solver.residual_unit_of().is_none_or(|cost| cost == CostName::Pose);
         // Accepted terms reduce the noise: the second selection weights their priors with it.
         let rounds = if finds_noise { 2 } else { 1 };
         for _ in 0..rounds {
@@ -160,12 +160,12 @@ fn estimated(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateError
                 solver.learn_noise();
                 solver.fit_common_priors(solution.loss)?;
             }
-            if solver.in_unit_of().is_none() {
+            if solver.residual_unit_of().is_none() {
                 solver.weigh()?;
             }
         }
         if finds_noise || scale != 1.0 || candidates.iter().any(|candidate| candidate.accepted) {
-            (columns, solution) = if solver.in_unit_of().is_some() {
+            (columns, solution) = if solver.residual_unit_of().is_some() {
                 // Accepted terms reduce the residuals, so the scale of the loss is estimated again.
                 solver.approach()?;
                 solver.solve()?
@@ -239,14 +239,14 @@ impl<'a> Solver<'a> {
     }
 
     /// The cost that defines the unit of the residuals of all data sets; `None` if they differ.
-    pub(super) fn in_unit_of(&self) -> Option<CostName> {
-        in_unit_of(self.runs)
+    pub(super) fn residual_unit_of(&self) -> Option<CostName> {
+        residual_unit_of(self.runs)
     }
 
     /// Factor of reported residuals: the unit of the cost, if all data sets share one.
     fn unit(&self) -> f64 {
         let first = self.sigmas.first().copied().unwrap_or(UNWEIGHTED);
-        if self.in_unit_of().is_some() { first } else { UNWEIGHTED }
+        if self.residual_unit_of().is_some() { first } else { UNWEIGHTED }
     }
 
     /// Solves repeatedly until the weights of the residuals agree with their size.
@@ -254,7 +254,7 @@ impl<'a> Solver<'a> {
         /// Converged when the noise decreases by less than this fraction.
         const SETTLED: f64 = 0.02;
         const ROUNDS_MAX: usize = 20;
-        if let Some(cost) = self.in_unit_of() {
+        if let Some(cost) = self.residual_unit_of() {
             self.sigmas.fill(UNWEIGHTED);
             let first = self.approach()?;
             self.learn_noise();
@@ -389,7 +389,7 @@ impl<'a> Solver<'a> {
 
     /// The last solve, from near the solution; sets the models to the solution.
     fn solve(&mut self) -> Result<(SharedColumns, Solution), CalibrateError> {
-        let of_bars = self.in_unit_of().is_some();
+        let of_bars = self.residual_unit_of().is_some();
         if of_bars {
             self.adapt();
         }

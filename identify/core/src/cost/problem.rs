@@ -31,7 +31,7 @@ pub enum CostError {
         sample: usize,
     },
     /// A measured value is not finite.
-    #[error("sample {sample} has a value that is not finite; take it out of the data")]
+    #[error("sample {sample} has a value that is not finite; remove it from the data")]
     NotFinite {
         /// Index of the sample, from 0.
         sample: usize,
@@ -186,7 +186,8 @@ impl LoopPoint {
             observation,
             readings,
             bar_rad: std::array::from_fn(|joint| observation.bar_rad[joint] + added_rad[joint]),
-            bar_chain: (&self.bar_chain, &self.bar_tracer),
+            bar_chain: &self.bar_chain,
+            bar_tracer: &self.bar_tracer,
             joints,
             robot: &self.robot,
             bar: &self.bar,

@@ -8,7 +8,7 @@ use super::{
 use crate::calibrate::validation::deployment::{Deployed, Deployment};
 use crate::calibrate::validation::held_out::without_each_segment;
 use crate::calibrate::{CalibrateError, Calibration};
-use crate::cost::{Closure, closures};
+use crate::cost::{Closure, loop_closures};
 use crate::model::Model;
 use crate::prepare::Prepared;
 use crate::solver::Watch;
@@ -39,8 +39,8 @@ impl RunEvidence {
         let curve = |reach_s| shift_curve(&solved, motion, observations, reach_s, STEPS);
         std::thread::scope(|scope| {
             let curves = scope.spawn(|| [WIDE_S, NEAR_S].map(curve));
-            let before = closures(&uncalibrated(model, motion, observations), motion, observations);
-            let after = closures(&solved, motion, observations);
+            let before = loop_closures(&uncalibrated(model, motion, observations), motion, observations);
+            let after = loop_closures(&solved, motion, observations);
             let curves = curves.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
             let [shift_wide, shift_near] = curves;
             Self { before, after, shift_wide, shift_near }

@@ -4,7 +4,7 @@ use super::nominal::bar_fitted;
 use super::{rms, uncalibrated};
 use crate::calibrate::Calibration;
 use crate::calibrate::validation::held_out::Segment;
-use crate::cost::{Closure, closures};
+use crate::cost::{Closure, loop_closures};
 use crate::kinematics::LinkParameter;
 use crate::model::{Geometry, Model, Observation, ParameterId};
 
@@ -120,7 +120,7 @@ pub fn held_out(calibration: &Calibration, segments: &[Segment], nominals: &[Opt
             continue;
         };
         let at = |geometry: &Geometry| -> Vec<PoseError> {
-            let seen = closures(geometry, &prepared.motion, &segment.seen_by_none);
+            let seen = loop_closures(geometry, &prepared.motion, &segment.seen_by_none);
             seen.iter().map(|closure| apart(closure, by_encoders)).collect()
         };
         all.segments.push(HeldOutSegment {

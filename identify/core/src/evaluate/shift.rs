@@ -1,7 +1,7 @@
 //! The alignment as in figure 5.5 of the thesis: the gap when one log is shifted in time.
 
 use super::rms;
-use crate::cost::closures;
+use crate::cost::loop_closures;
 use crate::model::{Geometry, Observation, RobotMotion};
 
 /// Gap between robot and bar as a function of an added time shift.
@@ -33,7 +33,7 @@ pub fn shift_curve(
         let shift_s = reach_s * (step as f64 / steps as f64 - 1.0);
         let mut moved = geometry.clone();
         moved.clock.shift_s += shift_s;
-        let seen = closures(&moved, motion, &sparse);
+        let seen = loop_closures(&moved, motion, &sparse);
         if seen.is_empty() {
             continue;
         }

@@ -6,8 +6,8 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use crate::cost::{
-    AngleNoise, CostError, DataSet, FoundNoise, Length, LoopProblem, Position, PositionAngles, Residual,
-    TORSION, Transform, WhitenedPose, WhitenedPoseOfFour, closures, fill_in,
+    AngleNoise, CostError, DataSet, FoundNoise, Length, LoopProblem, Position, PositionAngles,
+    ROD_ROTATION_JOINT, Residual, Transform, WhitenedPose, WhitenedPoseOfFour, fill_in, loop_closures,
 };
 use crate::kinematics::BAR_JOINTS;
 use crate::model::{
@@ -49,10 +49,10 @@ impl CostName {
         }
     }
 
-    /// The unweighted cost with the same residuals: used to find which parameters a set of poses can identify.
-    pub(crate) fn unweighed(self, measured: &[bool; BAR_JOINTS]) -> Self {
+    /// The cost of the thesis with the same residuals, but without weights: for the parameters that a set of poses can identify.
+    pub(crate) fn unweighted(self, measured: &[bool; BAR_JOINTS]) -> Self {
         match self {
-            Self::Pose if is_of_four(measured) => Self::PositionAngles,
+            Self::Pose if lacks_rod_encoder(measured) => Self::PositionAngles,
             Self::Pose => Self::Transform,
             other => other,
         }
@@ -67,7 +67,7 @@ impl CostName {
         }
     }
 
-    /// Default loss: the costs of the thesis are plain sums of squares.
+    /// Default loss: none for the costs of the thesis, which are sums of squares.
     pub const fn usual_loss(self) -> LossName {
         match self {
             Self::Pose => LossName::Huber,
@@ -89,7 +89,7 @@ impl CostName {
     /// [`Residual::identifies`] of the cost's residual, with the available encoders.
     pub fn identifies(self, measured: &[bool; BAR_JOINTS], id: ParameterId) -> bool {
         match self {
-            Self::Pose if is_of_four(measured) => WhitenedPoseOfFour::identifies(id),
+            Self::Pose if lacks_rod_encoder(measured) => WhitenedPoseOfFour::identifies(id),
             Self::Pose => WhitenedPose::identifies(id),
             Self::Transform => Transform::identifies(id),
             Self::PositionAngles => PositionAngles::identifies(id),
@@ -99,9 +99,9 @@ impl CostName {
     }
 }
 
-/// Whether encoder 3 is missing; the whitened pose does not require it.
-const fn is_of_four(measured: &[bool; BAR_JOINTS]) -> bool {
-    !measured[TORSION]
+/// Whether encoder 3, of the rotation about the rod, is missing; the whitened pose does not require it.
+const fn lacks_rod_encoder(measured: &[bool; BAR_JOINTS]) -> bool {
+    !measured[ROD_ROTATION_JOINT]
 }
 
 /// White noise of the angles; gives the weights of the `pose` cost.
@@ -136,20 +136,21 @@ pub struct BallBar {
     /// Configured noise of the angles, for the cost `pose`.
     pub configured: NoiseConfig,
     /// Noise estimated from the residuals; `None` before the first estimate.
-    pub found: Option<FoundNoise>,
+    pub estimated_noise: Option<FoundNoise>,
     /// Whether each bar joint has an encoder, in all runs that are solved together.
     pub measured: [bool; BAR_JOINTS],
-    /// Known lengths of the bar, which fix the scale, with their standard uncertainties \[m\].
-    pub known_m: Vec<(ParameterId, f64)>,
+    /// Standard uncertainty of each known length of the bar; these lengths fix the scale \[m\].
+    pub known_sigmas_m: Vec<(ParameterId, f64)>,
 }
 
 impl BallBar {
     /// Noise of the angles: the estimate if there is one, else the configured value.
     pub fn angle_noise(&self) -> AngleNoise {
-        self.found.map_or_else(|| self.configured.into(), |found| found.noise)
+        self.estimated_noise.map_or_else(|| self.configured.into(), |estimate| estimate.noise)
     }
 
-    fn boxed<'a, R: Residual + 'a>(
+    /// The residuals of all samples, divided by `sigma`.
+    fn loop_problem<'a, R: Residual + 'a>(
         &'a self,
         model: &'a Model,
         residual: R,
@@ -169,7 +170,7 @@ impl Measures for BallBar {
         self.cost.name()
     }
 
-    fn in_unit_of(&self) -> Option<CostName> {
+    fn residual_unit_of(&self) -> Option<CostName> {
         Some(self.cost)
     }
 
@@ -181,20 +182,20 @@ impl Measures for BallBar {
         Noise::Angles(self.angle_noise())
     }
 
-    /// Pose of the robot's end minus that of the bar's, for costs that estimate the required encoder offsets. For the cost
-    /// `length`: the robot's distance from the gimbal minus the bar's length.
+    /// Robot's end minus bar's end: the pose, for costs that use only the position the position. For the cost `length`: the
+    /// robot's distance from the gimbal minus the bar's length.
     fn deviations(&self, geometry: &Geometry) -> Vec<Deviation> {
         let Prepared { motion, observations, .. } = &self.prepared;
-        let mut closures = closures(geometry, motion, observations).into_iter().peekable();
+        let mut closures = loop_closures(geometry, motion, observations).into_iter().peekable();
         let one = |observation: &Observation| {
             let closure = closures.next_if(|closure| closure.t_s == observation.t_s);
             let Some(closure) = closure else { return Deviation::of_place(Vector3::repeat(f64::NAN)) };
-            let place = Deviation::of_place(closure.position_error_m);
+            let position = Deviation::of_place(closure.position_error_m);
             match self.cost {
                 CostName::Length => Deviation::of_length(closure.off_sphere_m),
-                CostName::Position | CostName::PositionAngles => place,
+                CostName::Position | CostName::PositionAngles => position,
                 CostName::Pose | CostName::Transform => {
-                    Deviation { rotation_rad: Some(closure.turned_rad.norm()), ..place }
+                    Deviation { rotation_rad: Some(closure.turned_rad.norm()), ..position }
                 }
             }
         };
@@ -225,18 +226,18 @@ impl Measures for BallBar {
     }
 
     fn autocorrelation(&self) -> Option<[f64; 2]> {
-        self.found.map(|found| [found.autocorrelation, found.autocorrelation_sigma])
+        self.estimated_noise.map(|estimate| [estimate.autocorrelation, estimate.autocorrelation_sigma])
     }
 
     fn samples(&self) -> usize {
         self.prepared.observations.len()
     }
 
-    /// Sets the roles of known lengths only: the preparation sets the start values, the configuration the other roles. The
-    /// `pose` cost takes priors on known lengths. Other costs decrease if all lengths shrink: a known length that is not
-    /// estimated keeps its value there, with a considered uncertainty.
+    /// Sets the roles of known lengths only: the preparation sets the start values, the configuration the other roles. With the
+    /// cost `pose` a known length gets a prior. The other costs would decrease if all lengths shrank: with them a known length
+    /// stays fixed, and its uncertainty is considered.
     fn place(&self, model: &mut Model, fix: &[ParameterId]) -> Result<bool, ModelError> {
-        for &(id, sigma) in &self.known_m {
+        for &(id, sigma) in &self.known_sigmas_m {
             let Some(&Parameter { nominal: value, role, .. }) = model.parameter(id) else { continue };
             if self.cost == CostName::Pose && !fix.contains(&id) {
                 model.set_role(id, Role::Prior { value, sigma })?;
@@ -249,19 +250,20 @@ impl Measures for BallBar {
 
     fn data_set<'a>(&'a self, model: &'a Model, sigma: f64) -> Result<Box<dyn DataSet + 'a>, CostError> {
         let Prepared { motion, observations, .. } = &self.prepared;
-        let (geometry, noise) = (|| model.geometry(&[]), self.angle_noise());
+        let geometry = || model.geometry(&[]);
+        let noise = self.angle_noise();
         match self.cost {
-            CostName::Pose if is_of_four(&self.measured) => {
+            CostName::Pose if lacks_rod_encoder(&self.measured) => {
                 let residual = WhitenedPoseOfFour::new(&geometry(), motion, observations, noise);
-                self.boxed(model, residual, sigma)
+                self.loop_problem(model, residual, sigma)
             }
             CostName::Pose => {
-                self.boxed(model, WhitenedPose::new(&geometry(), motion, observations, noise), sigma)
+                self.loop_problem(model, WhitenedPose::new(&geometry(), motion, observations, noise), sigma)
             }
-            CostName::Transform => self.boxed(model, Transform, sigma),
-            CostName::PositionAngles => self.boxed(model, PositionAngles, sigma),
-            CostName::Position => self.boxed(model, Position, sigma),
-            CostName::Length => self.boxed(model, Length, sigma),
+            CostName::Transform => self.loop_problem(model, Transform, sigma),
+            CostName::PositionAngles => self.loop_problem(model, PositionAngles, sigma),
+            CostName::Position => self.loop_problem(model, Position, sigma),
+            CostName::Length => self.loop_problem(model, Length, sigma),
         }
     }
 
@@ -274,6 +276,7 @@ impl Measures for BallBar {
         self.cost.identifies(&self.measured, id)
     }
 
+    /// Sets the angles of joints without encoder to those that the robot's pose implies. The noise is estimated elsewhere: `None`.
     fn adapt(&mut self, model: &Model) -> Option<f64> {
         if !self.cost.encoders().is_empty() {
             fill_in(&model.geometry(&[]), &self.prepared.motion, &mut self.prepared.observations);
@@ -288,7 +291,7 @@ impl Measures for BallBar {
         let Prepared { motion, observations, .. } = &self.prepared;
         let (geometry, columns) = (model.geometry(&[]), model.columns().count());
         let start = self.configured.into();
-        self.found = if is_of_four(&self.measured) {
+        self.estimated_noise = if lacks_rod_encoder(&self.measured) {
             WhitenedPoseOfFour::noise(&geometry, motion, observations, columns, start)
         } else {
             WhitenedPose::noise(&geometry, motion, observations, columns, start)

@@ -45,7 +45,7 @@ pub trait Measures: Boxed + fmt::Debug + Send + Sync {
 
     /// The cost in whose unit the residuals are until their noise is estimated; `None` if they are in standard deviations from
     /// the start.
-    fn in_unit_of(&self) -> Option<CostName> {
+    fn residual_unit_of(&self) -> Option<CostName> {
         None
     }
 

@@ -108,7 +108,7 @@ pub struct LogQuality {
     /// Rows that repeat the row before, stamp and values; they are dropped.
     pub duplicates_dropped: usize,
     /// Rows that repeat the joints before them under a new stamp in the middle of a motion; they are not used.
-    pub frozen_dropped: usize,
+    pub repeated_dropped: usize,
     /// Rows that jump away and back faster than anything moves, mostly zeros; they are not used.
     pub excursions_dropped: usize,
     /// Rows in which a joint is missing or not a number; they are not used.
@@ -124,7 +124,7 @@ impl LogQuality {
     /// and what incomplete ones `lack`.
     fn remark_counts(&mut self, row: &str, values: &str, done: &str, lack: &str) {
         let repeat = format!("repeat {values} before them in the middle of a motion");
-        for (count, what) in [(self.frozen_dropped, repeat.as_str()), (self.incomplete_dropped, lack)] {
+        for (count, what) in [(self.repeated_dropped, repeat.as_str()), (self.incomplete_dropped, lack)] {
             if count > 0 {
                 self.remarks.push(format!("{count} {row}s {what}; {done}"));
             }

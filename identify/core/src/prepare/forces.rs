@@ -205,7 +205,7 @@ impl Surroundings<'_> {
         let (Some(before), Some(after)) = (at(-RATE_REACH_S), at(RATE_REACH_S)) else { return here };
         let rate = |i: usize| (after.q[i] - before.q[i]) / (2.0 * RATE_REACH_S);
         let bend = |i: usize| (after.q[i] - 2.0 * here.q[i] + before.q[i]) / (RATE_REACH_S * RATE_REACH_S);
-        JointState { q: here.q, qd: here.q.like(rate), qdd: here.q.like(bend) }
+        JointState { q: here.q, qd: here.q.with_numbers(rate), qdd: here.q.with_numbers(bend) }
     }
 
     fn not_covered(&self, log: &ForceLog, observations: &[Observation], covered: usize) -> ForceError {

@@ -6,7 +6,7 @@ use shared::recording::schema::{CycleRecord, EncoderInfo};
 
 use super::align::find::{Found, Search};
 use super::align::reference::Reference;
-use super::encoders::frozen::frozen;
+use super::encoders::frozen::constant_encoder;
 use super::encoders::origins::join;
 use super::forces::{Surroundings, put_on};
 use super::readings::bar_angles::BarAngles;
@@ -189,7 +189,7 @@ fn check(angles: &BarAngles, log: &RobotLog, options: &PrepareOptions) -> Result
     if origins > ORIGIN_CHANGES_MAX {
         return Err(PrepareError::TooManyOrigins { origins, most: ORIGIN_CHANGES_MAX });
     }
-    if let Some(dead) = frozen(readings, &angles.measured) {
+    if let Some(dead) = constant_encoder(readings, &angles.measured) {
         return Err(dead);
     }
     let of_bar = readings.chunk_by(|a, b| a.origin == b.origin).map(travel).fold(0.0, f64::max);

@@ -16,7 +16,7 @@ use crate::threads::rows;
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SampleStatus {
-    /// Beyond the wanted number of samples, or hardly moved since the last one kept.
+    /// Beyond the wanted number of samples, or hardly moved since the last one kept. Also: not yet decided.
     #[default]
     Thinned,
     /// Neither robot nor bar moves.

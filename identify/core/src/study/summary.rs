@@ -8,7 +8,7 @@ use super::results::Placed;
 use super::{Choice, Definition, Figure, Kind, Measure, Results, Row, Statement};
 use crate::statistics::quantile;
 
-/// A parameter with a larger error counts as affected (thesis 3.3) \[mm|mrad\].
+/// A parameter with a larger median error counts as affected (thesis 3.3) \[mm|mrad\].
 const AFFECTED_MM_MRAD: f64 = 0.05;
 /// Number of parameters in a row of table B.1.
 const LARGEST: usize = 5;
@@ -67,7 +67,7 @@ pub struct Curve {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Reach {
-    /// Between two sizes, by linear interpolation of logarithms.
+    /// Between two sizes: by interpolation of logarithms, or linear if a number is not positive.
     At(f64),
     /// Above the largest size: all errors are below the limit.
     BetterUpTo(f64),
@@ -133,15 +133,15 @@ impl Summary {
         }
         let (mut curves, mut tables) = (Vec::new(), Vec::new());
         for figure in &study.figures {
-            let own: Vec<&Placed<'_>> =
+            let of_figure: Vec<&Placed<'_>> =
                 placed.iter().filter(|placed| placed.trial.figure.id == figure.id).collect();
-            curves.extend(self::curves(definition, figure, &own));
+            curves.extend(curves_of(definition, figure, &of_figure));
             let table = match figure.kind {
                 Kind::Curves => continue,
-                Kind::Levels => levels(definition, figure, &own),
-                Kind::Affected => affected(&own),
-                Kind::Errors => errors(&own),
-                Kind::Largest => largest(&own),
+                Kind::Levels => levels_table(definition, figure, &of_figure),
+                Kind::Affected => affected_table(&of_figure),
+                Kind::Errors => errors_table(&of_figure),
+                Kind::Largest => largest_table(&of_figure),
             };
             tables.push(FigureTable { figure: figure.id.clone(), ..table });
         }
@@ -152,6 +152,7 @@ impl Summary {
 }
 
 impl Curve {
+    /// Size and median error of the points within the chosen range of sizes.
     fn medians(&self, choice: &Choice) -> impl Iterator<Item = (f64, f64)> {
         let between = choice.between.unwrap_or([f64::NEG_INFINITY, f64::INFINITY]);
         let points = self.points.iter().filter(move |point| between[0] <= point.x && point.x <= between[1]);
@@ -159,12 +160,14 @@ impl Curve {
     }
 }
 
-fn curves(definition: &Definition, figure: &Figure, own: &[&Placed<'_>]) -> Vec<Curve> {
+/// A curve for each series and estimator of the figure.
+fn curves_of(definition: &Definition, figure: &Figure, of_figure: &[&Placed<'_>]) -> Vec<Curve> {
     let study = &definition.study;
     let mut curves = Vec::new();
     for series in &figure.series {
         for estimator in study.estimators_of(figure, series) {
-            let of_curve: Vec<&&Placed<'_>> = own
+            // By address: the names of series need not differ.
+            let of_curve: Vec<&&Placed<'_>> = of_figure
                 .iter()
                 .filter(|placed| std::ptr::eq(placed.trial.series, series) && placed.estimator == estimator)
                 .collect();
@@ -185,6 +188,7 @@ fn curves(definition: &Definition, figure: &Figure, own: &[&Placed<'_>]) -> Vec<
     curves
 }
 
+/// The results of one size.
 fn point(x: f64, of_curve: &[&&Placed<'_>]) -> CurvePoint {
     let rows: Vec<&Row> =
         of_curve.iter().filter(|placed| placed.trial.x == x).map(|placed| placed.row).collect();
@@ -220,17 +224,18 @@ fn reach(medians: &[(f64, f64)], limit: f64) -> Reach {
     }
 }
 
+/// Answers a question, or checks a claim, by the curves; `limit` is that of the study \[mm|mrad\].
 fn finding(statement: &Statement, curves: &[Curve], limit: f64) -> Finding {
     let of = chosen(curves, &statement.of);
     let (value, answer) = match &statement.against {
         None if statement.reaches_limit => reached(&of, limit),
         None => {
-            let mean = geometric_mean(of.iter().map(|(_, _, y)| *y));
+            let mean = mean_of(&of);
             (mean, mean.map(|mean| format!("{} {}", short(mean), unit(statement.of.measure))))
         }
         Some(against) => {
-            let ratio = ratio(&of, &chosen(curves, against), &statement.of, against);
-            (ratio, ratio.map(|ratio| format!("{} times as large", short(ratio))))
+            let times = ratio(&of, &chosen(curves, against), &statement.of, against);
+            (times, times.map(|times| format!("{} times as large", short(times))))
         }
     };
     let Statement { at_least, at_most, .. } = *statement;
@@ -246,20 +251,32 @@ fn finding(statement: &Statement, curves: &[Curve], limit: f64) -> Finding {
     }
 }
 
-/// Series, size and median of the selected points.
-fn chosen<'a>(curves: &'a [Curve], choice: &Choice) -> Vec<(&'a str, f64, f64)> {
+/// A point of a curve, for statements.
+struct Point<'a> {
+    series: &'a str,
+    /// Size of the varied conditions.
+    x: f64,
+    /// Median of the errors.
+    median: f64,
+}
+
+/// The points that a statement selects.
+fn chosen<'a>(curves: &'a [Curve], choice: &Choice) -> Vec<Point<'a>> {
     let is_meant = |curve: &&Curve| {
         curve.figure == choice.figure
             && curve.estimator == choice.estimator
             && choice.series.as_ref().is_none_or(|series| *series == curve.series)
     };
-    let of_curve = |curve: &'a Curve| curve.medians(choice).map(|(x, y)| (curve.series.as_str(), x, y));
-    curves.iter().filter(is_meant).flat_map(of_curve).collect()
+    let points = |curve: &'a Curve| {
+        curve.medians(choice).map(|(x, median)| Point { series: &curve.series, x, median })
+    };
+    curves.iter().filter(is_meant).flat_map(points).collect()
 }
 
-fn reached(of: &[(&str, f64, f64)], limit: f64) -> (Option<f64>, Option<String>) {
-    let points: Vec<(f64, f64)> = of.iter().map(|(_, x, y)| (*x, *y)).collect();
-    match reach(&points, limit) {
+/// The size at which the points reach the limit, as a number if there is one, and as a sentence.
+fn reached(points: &[Point<'_>], limit: f64) -> (Option<f64>, Option<String>) {
+    let medians: Vec<(f64, f64)> = points.iter().map(|point| (point.x, point.median)).collect();
+    match reach(&medians, limit) {
         Reach::At(x) => (Some(x), Some(format!("{} is reached at {}", short(limit), short(x)))),
         Reach::BetterUpTo(x) => (None, Some(format!("better than {} up to {}", short(limit), short(x)))),
         Reach::WorseDownTo(x) => (None, Some(format!("worse than {} down to {}", short(limit), short(x)))),
@@ -267,23 +284,23 @@ fn reached(of: &[(&str, f64, f64)], limit: f64) -> (Option<f64>, Option<String>)
     }
 }
 
-/// Mean ratio at equal sizes, for series of any name; for different ranges of sizes the ratio of the geometric means.
-fn ratio(
-    of: &[(&str, f64, f64)],
-    against: &[(&str, f64, f64)],
-    choice: &Choice,
-    other: &Choice,
-) -> Option<f64> {
+/// Geometric mean of the ratios at equal sizes; for choices with different ranges of sizes the ratio of the geometric means. Points
+/// are compared within one series if both choices select the same series, else across series.
+fn ratio(of: &[Point<'_>], against: &[Point<'_>], choice: &Choice, other: &Choice) -> Option<f64> {
     if choice.between != other.between {
-        let mean = |points: &[(&str, f64, f64)]| geometric_mean(points.iter().map(|(_, _, y)| *y));
-        return Some(mean(of)? / mean(against)?);
+        return Some(mean_of(of)? / mean_of(against)?);
     }
     let same_series = choice.series == other.series;
-    let ratio = |(series, x, y): &(&str, f64, f64)| {
-        let is_beside = |one: &&(&str, f64, f64)| one.1 == *x && (!same_series || one.0 == *series);
-        against.iter().find(is_beside).map(|one| y / one.2)
-    };
-    geometric_mean(of.iter().filter_map(ratio))
+    let ratios = of.iter().filter_map(|point| {
+        let is_comparable =
+            |other: &&Point<'_>| other.x == point.x && (!same_series || other.series == point.series);
+        against.iter().find(is_comparable).map(|other| point.median / other.median)
+    });
+    geometric_mean(ratios)
+}
+
+fn mean_of(points: &[Point<'_>]) -> Option<f64> {
+    geometric_mean(points.iter().map(|point| point.median))
 }
 
 const fn unit(measure: Measure) -> &'static str {
@@ -293,13 +310,14 @@ const fn unit(measure: Measure) -> &'static str {
     }
 }
 
+/// Geometric mean of the positive finite values; `None` without any.
 fn geometric_mean(values: impl Iterator<Item = f64>) -> Option<f64> {
     let logarithms = values.filter(|value| *value > 0.0 && value.is_finite()).map(f64::ln);
     let (count, sum) = logarithms.fold((0usize, 0.0), |(count, sum), value| (count + 1, sum + value));
     (count > 0).then(|| (sum / count as f64).exp())
 }
 
-/// Three significant digits; a power of ten where these would stand far from the point.
+/// Three significant digits; exponential notation below 1e-4 and from 1e6 on.
 pub fn short(value: f64) -> String {
     if value == 0.0 || !value.is_finite() {
         return format!("{value}");
@@ -312,14 +330,15 @@ pub fn short(value: f64) -> String {
     format!("{value:.decimals$}")
 }
 
-/// The table of a figure, which is named later.
+/// A table whose `figure` is still empty.
 fn table(head: &[&str], rows: impl IntoIterator<Item = Vec<String>>) -> FigureTable {
     let head = head.iter().map(|&name| name.to_owned()).collect();
     FigureTable { head, rows: rows.into_iter().collect(), ..FigureTable::default() }
 }
 
-fn levels(definition: &Definition, figure: &Figure, own: &[&Placed<'_>]) -> FigureTable {
-    let rows = curves(definition, figure, own).into_iter().flat_map(|curve| {
+/// A row for each point of each curve: median and worst errors.
+fn levels_table(definition: &Definition, figure: &Figure, of_figure: &[&Placed<'_>]) -> FigureTable {
+    let rows = curves_of(definition, figure, of_figure).into_iter().flat_map(|curve| {
         let Curve { series, label, points, .. } = curve;
         points.into_iter().map(move |point| {
             let cell = |measure, of: fn(&Spread) -> f64| {
@@ -348,12 +367,13 @@ fn levels(definition: &Definition, figure: &Figure, own: &[&Placed<'_>]) -> Figu
     table(&head, rows)
 }
 
-fn affected(own: &[&Placed<'_>]) -> FigureTable {
+/// A row for each series and estimator: the parameters whose median error exceeds [`AFFECTED_MM_MRAD`].
+fn affected_table(of_figure: &[&Placed<'_>]) -> FigureTable {
     // Errors of each parameter by series and estimator, in order of appearance; one value for each seed.
     type Errors<'a> = BTreeMap<&'a str, Vec<f64>>;
     let mut keys: Vec<(&str, &str)> = Vec::new();
     let mut found: Vec<Errors<'_>> = Vec::new();
-    for placed in own {
+    for placed in of_figure {
         let key = (placed.trial.series.name.as_str(), placed.estimator);
         let at = keys.iter().position(|known| *known == key).unwrap_or_else(|| {
             keys.push(key);
@@ -380,8 +400,9 @@ fn affected(own: &[&Placed<'_>]) -> FigureTable {
     table(&["error of 1 in", "estimator", "affected", "which, with their error [mm|mrad]"], rows)
 }
 
-fn errors(own: &[&Placed<'_>]) -> FigureTable {
-    let first: Vec<&&Placed<'_>> = own.iter().filter(|placed| placed.trial.seed == 1).collect();
+/// A row for each parameter, a column for each estimator: errors of the first experiment.
+fn errors_table(of_figure: &[&Placed<'_>]) -> FigureTable {
+    let first: Vec<&&Placed<'_>> = of_figure.iter().filter(|placed| placed.trial.seed == 1).collect();
     let mut names: Vec<&String> = Vec::new();
     for name in first.iter().flat_map(|placed| placed.row.errors.keys()) {
         if !names.contains(&name) {
@@ -399,7 +420,8 @@ fn errors(own: &[&Placed<'_>]) -> FigureTable {
     table(&head, names.iter().map(row))
 }
 
-fn largest(own: &[&Placed<'_>]) -> FigureTable {
+/// A row for each experiment and estimator: the [`LARGEST`] errors with their parameters.
+fn largest_table(of_figure: &[&Placed<'_>]) -> FigureTable {
     let row = |placed: &&Placed<'_>| {
         let mut errors: Vec<(&String, f64)> =
             placed.row.errors.iter().map(|(name, error)| (name, error.abs())).collect();
@@ -407,7 +429,10 @@ fn largest(own: &[&Placed<'_>]) -> FigureTable {
         let names = errors.iter().take(LARGEST).map(|(name, error)| format!("{name} ({})", short(*error)));
         [placed.trial.seed.to_string(), placed.estimator.to_owned()].into_iter().chain(names).collect()
     };
-    table(&["experiment", "estimator", "largest [mm|mrad]", "2nd", "3rd", "4th", "5th"], own.iter().map(row))
+    table(
+        &["experiment", "estimator", "largest [mm|mrad]", "2nd", "3rd", "4th", "5th"],
+        of_figure.iter().map(row),
+    )
 }
 
 #[cfg(test)]

@@ -30,10 +30,10 @@ pub fn robot_log(log: &RobotLog) -> Inspection {
         inspection
             .suspect("the angles are commanded ones, without servo lag; log the measured ones if possible");
     }
-    let frozen = frozen_rows(&log.q_rad);
-    if frozen > 0 {
+    let repeated = repeated_rows(&log.q_rad);
+    if repeated > 0 {
         inspection.suspect(format!(
-            "{frozen} rows repeat the joints of the row before and then jump: the logger was not served in time"
+            "{repeated} rows repeat the joints of the row before, and then the joints jump: the logger got no new values"
         ));
     }
     for remark in &quality.remarks {
@@ -43,25 +43,24 @@ pub fn robot_log(log: &RobotLog) -> Inspection {
     unwrapped(&mut inspection, &begun_anew);
     inspection.joints = joint_lines('q', &continuous.q_rad.t_s, &continuous.q_rad);
     suspect_still(&mut inspection);
-    suspect_frozen_columns(&mut inspection, log);
+    suspect_constant_columns(&mut inspection, log);
     suspect_fast(&mut inspection);
     inspection
 }
 
-/// A joint that repeats itself exactly while others move was not read.
-fn suspect_frozen_columns(inspection: &mut Inspection, log: &RobotLog) {
+/// Reports joints that are constant while others move: they were not read.
+fn suspect_constant_columns(inspection: &mut Inspection, log: &RobotLog) {
     let rows = &log.q_rad;
-    let frozen = rows.frozen(|part| part.len() >= FROZEN_ROWS_MIN, |_, _| true);
-    for (joint, part) in (1..).zip(frozen).filter_map(|(joint, part)| Some((joint, part?))) {
+    let constant = rows.constant_ranges(|part| part.len() >= FROZEN_ROWS_MIN, |_, _| true);
+    for (joint, part) in (1..).zip(constant).filter_map(|(joint, part)| Some((joint, part?))) {
         let (from_s, to_s) = (rows.t_s[part.start], rows.t_s[part.end - 1]);
         inspection.suspect(format!(
-            "q{joint} has the same number in every row from {from_s:.2} s to {to_s:.2} s while other joints move: its column is frozen; \
-             check what the logger reads for it"
+            "q{joint} is constant from {from_s:.2} s to {to_s:.2} s while other joints move; check what the logger reads for it"
         ));
     }
 }
 
-/// Stamps or values are wrong where a joint is faster than any robot's.
+/// Reports joints that are faster than those of any robot: stamps or values are wrong.
 fn suspect_fast(inspection: &mut Inspection) {
     /// Hands of small robots reach 1500 deg/s \[deg/s\].
     const SPEED_MAX_DEG_S: f64 = 3000.0;
@@ -79,9 +78,9 @@ fn suspect_fast(inspection: &mut Inspection) {
     }
 }
 
-/// Rows in segments where every joint repeats itself exactly, and that end in a jump.
-fn frozen_rows(rows: &[Joints]) -> usize {
-    let mut frozen = 0;
+/// Number of rows in segments in which all joints are constant, and after which a joint jumps.
+fn repeated_rows(rows: &[Joints]) -> usize {
+    let mut count = 0;
     let mut start = 0;
     for index in 1..rows.len() {
         if rows[index] == rows[index - 1] {
@@ -90,9 +89,9 @@ fn frozen_rows(rows: &[Joints]) -> usize {
         let repeated = index - 1 - start;
         let step = rows[index].iter().zip(&rows[start]).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         if repeated >= FROZEN_ROWS_MIN && step > FROZEN_STEP_RAD {
-            frozen += repeated;
+            count += repeated;
         }
         start = index;
     }
-    frozen
+    count
 }

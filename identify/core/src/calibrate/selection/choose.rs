@@ -97,7 +97,7 @@ impl Solver<'_> {
         // Other terms than waves of high order resemble link errors. Their assumed size is the smallest usual one, since
         // left-out groups did not require more. Encoders of a bar separate terms from links: the stated uncertainty of ball-bar
         // runs is correct without them (95 % of 185 simulated runs).
-        if self.in_unit_of().is_none() {
+        if self.residual_unit_of().is_none() {
             for group in rejected {
                 let is_left = |id: &ParameterId| !accepted.contains(id);
                 let left: Vec<ParameterId> = group.ids.iter().copied().filter(is_left).collect();

@@ -41,7 +41,7 @@ impl Closure {
 
 /// The closed chain at each observation, for one geometry. Joints without encoder must have been filled in.
 /// Observations outside the robot's log are omitted.
-pub fn closures(
+pub fn loop_closures(
     geometry: &Geometry,
     motion: &impl RobotMotion,
     observations: &[Observation],

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use crate::cost::scene::encoders_suffice;
+use crate::cost::residual::encoders_suffice;
 use crate::cost::{Movement, Residual, Scene};
 use crate::kinematics::LinkParameter;
 use crate::model::{Owner, ParameterId};

@@ -3,7 +3,7 @@
 use nalgebra::Vector5;
 
 use super::position::{derivative, difference};
-use crate::cost::scene::{ALL_BUT_TORSION, TORSION, encoders_suffice};
+use crate::cost::residual::{ALL_BUT_ROD_ROTATION, ROD_ROTATION_JOINT, encoders_suffice};
 use crate::cost::{Movement, Residual, Scene};
 use crate::kinematics::{BAR_JOINTS, ImpliedBar, LinkParameter, Turn};
 use crate::model::{Observation, Owner, ParameterId};
@@ -33,17 +33,17 @@ impl Residual for PositionAngles {
 
     const NAME: &'static str = "position_angles";
     const ROWS: usize = 5;
-    const ENCODERS: &'static [usize] = ALL_BUT_TORSION;
+    const ENCODERS: &'static [usize] = ALL_BUT_ROD_ROTATION;
 
     fn depends_on(id: ParameterId) -> bool {
         // The residual does not contain joint 3: its offset changes the implied angle 3 only.
-        id != ParameterId::Bar { link: TORSION, parameter: LinkParameter::Theta }
+        id != ParameterId::Bar { link: ROD_ROTATION_JOINT, parameter: LinkParameter::Theta }
             && id.affects(Owner::BallBar)
             && encoders_suffice(id, Self::ENCODERS)
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<Compared> {
-        let (chain, tracer) = scene.bar_chain;
+        let (chain, tracer) = (scene.bar_chain, scene.bar_tracer);
         let implied = ImpliedBar::new(chain, tracer, scene.robot.end(), &measured(scene.observation)).ok()?;
         let differences = COMPARED.map(|joint| Turn::of(implied.joints_rad[joint] - scene.bar_rad[joint]));
         Some(Compared { implied, differences })

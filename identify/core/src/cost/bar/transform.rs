@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use crate::cost::scene::{ALL_ENCODERS, encoders_suffice};
+use crate::cost::residual::{ALL_ENCODERS, encoders_suffice};
 use crate::cost::{Movement, Residual, Scene};
 use crate::kinematics::Twist;
 use crate::model::{Owner, ParameterId};

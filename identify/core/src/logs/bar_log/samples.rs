@@ -276,7 +276,7 @@ impl RawBarLog {
         let valid = valid_cycles(cycles);
         let step_rad = |from: usize, to: usize| self.step(&cycles[valid[from]], &cycles[valid[to]], 0.0).0;
         let repeated = repeated_rows(valid.len(), usize::MAX, step_rad);
-        self.quality.frozen_dropped += repeated.len();
+        self.quality.repeated_dropped += repeated.len();
         for index in repeated {
             let cycle = &mut cycles[valid[index]];
             cycle.flags |= flags::STALE_INPUT;

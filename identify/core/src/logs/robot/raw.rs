@@ -197,7 +197,7 @@ impl RawLog {
         self.places = Vec::new();
         let joints = std::mem::take(&mut self.joints);
         let (q_rad, stamps, is_kept) =
-            Stream::sampled(std::mem::take(&mut self.stamps_ns), joints, |rows| rows.into());
+            Stream::from_stamps(std::mem::take(&mut self.stamps_ns), joints, |rows| rows.into());
         self.more.iter_mut().for_each(|all| retain(all, &is_kept));
         self.remark_equal(is_kept.iter().filter(|is_kept| !**is_kept).count());
         if q_rad.len() < ROWS_MIN {
@@ -250,7 +250,7 @@ impl RawLog {
         };
         let step_rad = |from: usize, to: usize| largest(&self.joints[from], &self.joints[to]);
         let repeated = repeated_rows(self.joints.len(), 1, step_rad);
-        self.quality.frozen_dropped = repeated.len();
+        self.quality.repeated_dropped = repeated.len();
         self.remove(&repeated);
     }
 

@@ -121,7 +121,7 @@ impl RotationColumns {
         ] {
             let (problem, remedy) = match (given, needed) {
                 (false, true) => ("it is missing", format!("write {example}")),
-                (true, false) => ("an orientation of this form has none", "take it out".to_owned()),
+                (true, false) => ("an orientation of this form has none", "remove it".to_owned()),
                 _ => continue,
             };
             return Err(Violation::new(format!("rotation.{key}"), problem, remedy));
@@ -244,7 +244,7 @@ impl Validate for MeasuredPoseMapping {
             Some(_) if !self.joints.is_empty() => Err(Violation::new(
                 "joints",
                 "rows with [time] get their joints from the robot's own log",
-                "take the [[joints]] out, or [time] where the joints of each row are those of its measurement",
+                "remove the [[joints]], or [time] if the joints of each row are those of its measurement",
             )),
             Some(_) => Ok(()),
         }
@@ -392,7 +392,7 @@ impl TimedPoses {
         }
         let (mut stamps_ns, mut rows): (_, Vec<TimedPose>) = rows.into_iter().unzip();
         let remarks = drop_excursions(&mut stamps_ns, &mut rows, path)?.into_iter().collect();
-        let (rows, stamps, _) = Stream::sampled(stamps_ns, rows, |rows| motion(rows).into());
+        let (rows, stamps, _) = Stream::from_stamps(stamps_ns, rows, |rows| motion(rows).into());
         let [stations, targets] = names.map(Names::in_order);
         Ok(Self { rows, stations, targets, stamps, remarks })
     }

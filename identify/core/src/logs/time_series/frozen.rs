@@ -1,18 +1,19 @@
-//! Numbers that repeat while others change, and rows that repeat in the middle of a motion.
+//! Numbers that are constant while others change, and rows that repeat in the middle of a motion.
 
 use std::ops::Range;
 
 use super::stream::{Row, Stream, ranges};
 
-/// Another number changes by more while one is constant \[rad, m\].
+/// While a number is constant, another one must change by more than this \[rad, m\].
 const OTHERS: f64 = 0.1;
-/// A number that was not read leaps by more when it is read again; one that rested continues from its value \[rad, m\].
+/// A number that was not read changes by more than this when it is read again; one that rested continues from its value
+/// \[rad, m\].
 const LEAP: f64 = 0.02;
 
 impl<R: Row> Stream<R> {
-    /// The first range of rows of each number in which it is constant although it should change: one for which `is_long` is true,
-    /// and, at the end of the log, where no leap follows, `at_end`.
-    pub fn frozen(
+    /// For each number the first range of rows in which it is constant although another number changes. `is_long` decides
+    /// whether a range is long enough, `at_end` whether a range counts that reaches the end of the log: no step follows it.
+    pub fn constant_ranges(
         &self,
         is_long: impl Fn(&Range<usize>) -> bool,
         at_end: impl Fn(usize, &Range<usize>) -> bool,
@@ -20,23 +21,23 @@ impl<R: Row> Stream<R> {
         let width = self.first().map_or(0, |row| row.numbers().len());
         let (mut starts, mut found) = (vec![0; width], vec![None; width]);
         for row in 1..=self.len() {
-            for place in 0..width {
+            for column in 0..width {
                 let before = &self[row - 1];
                 let next = self.get(row).filter(|next| next.continues(before));
-                if next.is_some_and(|next| next.numbers()[place] == before.numbers()[place]) {
+                if next.is_some_and(|next| next.numbers()[column] == before.numbers()[column]) {
                     continue;
                 }
-                let part = std::mem::replace(&mut starts[place], row)..row;
-                if found[place].is_some() || !is_long(&part) {
+                let part = std::mem::replace(&mut starts[column], row)..row;
+                if found[column].is_some() || !is_long(&part) {
                     continue;
                 }
                 let leaps = match next {
-                    Some(next) => (next.numbers()[place] - before.numbers()[place]).abs() > LEAP,
-                    None => row == self.len() && at_end(place, &part),
+                    Some(next) => (next.numbers()[column] - before.numbers()[column]).abs() > LEAP,
+                    None => row == self.len() && at_end(column, &part),
                 };
                 let others = ranges(&self[part.clone()]).into_iter().enumerate();
-                let mut others = others.filter(|(other, _)| *other != place);
-                found[place] = (leaps && others.any(|(_, [low, high])| high - low > OTHERS)).then_some(part);
+                let mut others = others.filter(|(other, _)| *other != column);
+                found[column] = (leaps && others.any(|(_, [low, high])| high - low > OTHERS)).then_some(part);
             }
         }
         found

@@ -2,7 +2,7 @@
 //!
 //! The alignment of two logs needs the speed as much as the value, and a least-squares solve needs both without
 //! kinks; linear interpolation has neither. Ends are "not-a-knot" (de Boor, A Practical Guide to Splines, ch. IV):
-//! the third derivative passes the last inner knot unbroken, so that the ends are as exact as the middle.
+//! the third derivative is continuous at the last inner knot, so that the ends are as accurate as the middle.
 
 /// Smallest number of samples of one continuous part: two inner knots for the not-a-knot ends.
 pub const KNOTS_MIN: usize = 4;
@@ -10,14 +10,13 @@ pub const KNOTS_MIN: usize = 4;
 use super::shared::Shared;
 use super::stream::{Row, Stream};
 
-/// A spline through a row of values per stamp. Parts that are further apart than a limit are separate splines without values
-/// between them.
+/// A cubic spline through the rows of a stream. It has no values in gaps, which separate its parts.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CubicSpline<R> {
     knots: Shared<Stream<R>>,
-    /// Second derivatives at each knot, as many as it has numbers.
+    /// Second derivatives at the knots \[1/s²\], knot by knot, one for each number of the row.
     curvatures: Vec<f64>,
-    /// Interval `i` lies between knots `i` and `i + 1`.
+    /// Whether the spline has values between knots `i` and `i + 1`.
     bridged: Vec<bool>,
 }
 
@@ -26,15 +25,16 @@ struct Interval<'a> {
     width_s: f64,
     /// Values at its left and right end.
     ends: [&'a [f64]; 2],
+    /// Second derivatives at its left and right end.
     curvatures: [&'a [f64]; 2],
 }
 
 /// Value and first two derivatives at one instant.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SplinePoint<R> {
-    /// Values at the instant itself.
+    /// Values.
     pub value: R,
-    /// Derivatives \[1/s\].
+    /// First derivatives \[1/s\].
     pub rate: R,
     /// Second derivatives \[1/s²\].
     pub acceleration: R,
@@ -50,13 +50,13 @@ impl<R: Row> Stream<R> {
 impl<R: Row> CubicSpline<R> {
     /// [`Stream::spline`] of shared rows.
     pub fn through(knots: Shared<Stream<R>>) -> Option<Self> {
-        let width = numbers_of(&knots);
+        let width = row_length(&knots);
         let mut curvatures = vec![0.0; knots.len() * width];
         let mut bridged = vec![false; knots.len().saturating_sub(1)];
         for part in knots.parts().into_iter().filter(|part| part.len() >= KNOTS_MIN) {
             bridged[part.start..part.end - 1].fill(true);
             let out = &mut curvatures[part.start * width..part.end * width];
-            bend(&knots.t_s[part.clone()], &knots.rows[part], out);
+            solve_curvatures(&knots.t_s[part.clone()], &knots.rows[part], out);
         }
         bridged.contains(&true).then_some(Self { knots, curvatures, bridged })
     }
@@ -71,14 +71,14 @@ impl<R: Row> CubicSpline<R> {
         let h2 = width_s * width_s / 6.0;
         let row = &self.knots[interval];
         Some(SplinePoint {
-            value: row.like(|i| {
+            value: row.with_numbers(|i| {
                 w * left[i] + u * right[i] + h2 * ((w * w * w - w) * m_left[i] + (u * u * u - u) * m_right[i])
             }),
-            rate: row.like(|i| {
+            rate: row.with_numbers(|i| {
                 (right[i] - left[i]) / width_s
                     + width_s / 6.0 * ((1.0 - 3.0 * w * w) * m_left[i] + (3.0 * u * u - 1.0) * m_right[i])
             }),
-            acceleration: row.like(|i| w * m_left[i] + u * m_right[i]),
+            acceleration: row.with_numbers(|i| w * m_left[i] + u * m_right[i]),
         })
     }
 
@@ -87,7 +87,7 @@ impl<R: Row> CubicSpline<R> {
         self.knots.interval(t_s).is_some_and(|interval| self.bridged[interval])
     }
 
-    /// Integral from knot `interval` over the part `u` (0 to 1) of the way to the next one; none in gaps.
+    /// Integral over time from knot `interval` to the fraction `u` (0 to 1) of the way to the next one; `None` in gaps.
     pub fn integral_within(&self, interval: usize, u: f64) -> Option<R> {
         let Interval { width_s, ends: [left, right], curvatures: [m_left, m_right] } =
             self.interval(interval)?;
@@ -96,7 +96,7 @@ impl<R: Row> CubicSpline<R> {
         let h2 = width_s * width_s / 6.0;
         let (of_m_left, of_m_right) =
             (h2 * (0.25 * (1.0 - w2 * w2) - of_left), h2 * (0.25 * u2 * u2 - of_right));
-        Some(self.knots[interval].like(|i| {
+        Some(self.knots[interval].with_numbers(|i| {
             width_s
                 * (of_left * left[i] + of_right * right[i] + of_m_left * m_left[i] + of_m_right * m_right[i])
         }))
@@ -107,10 +107,10 @@ impl<R: Row> CubicSpline<R> {
         self.knots.duration_s()
     }
 
-    /// That from knot `left` to the next one; none in gaps.
+    /// The interval from knot `left` to the next one; `None` in gaps.
     fn interval(&self, left: usize) -> Option<Interval<'_>> {
         let ends = [left, left + 1];
-        let width = numbers_of(&self.knots);
+        let width = row_length(&self.knots);
         self.bridged.get(left)?.then(|| {
             let width_s = self.knots.t_s[left + 1] - self.knots.t_s[left];
             let curvatures = ends.map(|knot| &self.curvatures[knot * width..(knot + 1) * width]);
@@ -119,15 +119,15 @@ impl<R: Row> CubicSpline<R> {
     }
 }
 
-/// How many each row has.
-fn numbers_of<R: Row>(rows: &[R]) -> usize {
+/// Number of values of each row.
+fn row_length<R: Row>(rows: &[R]) -> usize {
     rows.first().map_or(0, |row| row.numbers().len())
 }
 
-/// Second derivatives at the knots of one part (at least [`KNOTS_MIN`]): the tridiagonal system of continuous first
+/// Writes the second derivatives at the knots of one part (at least [`KNOTS_MIN`]) to `out`, knot by knot: the tridiagonal system of continuous first
 /// derivatives, solved by elimination without pivoting (it is diagonally dominant).
-fn bend<R: Row>(t_s: &[f64], values: &[R], out: &mut [f64]) {
-    let (last, width) = (t_s.len() - 1, numbers_of(values));
+fn solve_curvatures<R: Row>(t_s: &[f64], values: &[R], out: &mut [f64]) {
+    let (last, width) = (t_s.len() - 1, row_length(values));
     let h = |i: usize| t_s[i + 1] - t_s[i];
     let slope = |i: usize, n: usize| (values[i + 1].numbers()[n] - values[i].numbers()[n]) / h(i);
     let mut upper_over_diagonal = vec![0.0; t_s.len()];

@@ -1,4 +1,4 @@
-//! Readings that wrap after a turn, or at the width of a counter, as they were shown and as they were made continuous.
+//! Readings that wrap after a turn, or at the width of a counter: as in the file, and made continuous.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -9,17 +9,17 @@ use super::stream::{Row, Stream};
 
 /// Largest number of wraps in one picture.
 const WRAPS_SHOWN: usize = 8;
-/// Readings that a picture spans, about.
+/// Approximate number of readings that a picture spans.
 const READINGS_SHOWN: usize = 2000;
-/// Readings that it has of them, at most; those on either side of a fresh beginning come on top.
+/// Largest number of these that are drawn, beside the two at each wrap.
 const POINTS_MAX: usize = 250;
 
-/// One reading before and after.
+/// One reading before and after unwrapping.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct UnwrappedPoint {
     /// Since the first reading \[s\].
     pub t_s: f64,
-    /// As it was shown \[rad\].
+    /// As in the file \[rad\].
     pub shown_rad: f64,
     /// As it is used \[rad\].
     pub continuous_rad: f64,
@@ -30,18 +30,18 @@ pub struct UnwrappedPoint {
 pub struct Unwrapped {
     /// Such as `b1` for an encoder of the bar, by the joint that its file states, or `q6` for a joint of the robot.
     pub name: String,
-    /// Angle after which they wrap \[rad\].
+    /// Range of the readings, after which they wrap \[rad\].
     pub period_rad: f64,
     /// Number of wraps in the log.
     pub wraps: usize,
-    /// Largest change from one reading to the next as part of half a period: from 1 on its direction is ambiguous.
+    /// Largest change from one reading to the next, as a fraction of half a period; from 1 on its direction is ambiguous.
     pub step_part: f64,
     /// The part of the log with the most wraps, thinned.
     pub points: Vec<UnwrappedPoint>,
 }
 
 impl Unwrapped {
-    /// From all readings in the order of time; `None` without wraps.
+    /// Finds the wraps among `count` readings in the order of time; `None` without wraps.
     pub fn find(
         name: impl Into<String>,
         period_rad: f64,
@@ -54,7 +54,7 @@ impl Unwrapped {
             (after.shown_rad - before.shown_rad).abs() > 0.5 * period_rad
         };
         let wraps: Vec<usize> = (1..count).filter(|at| is_wrap(*at)).collect();
-        let within = liveliest(&wraps)?;
+        let within = densest(&wraps)?;
         let within = within.start..within.end.min(count);
         let steps = (1..count).map(pair).map(|(a, b)| (b.continuous_rad - a.continuous_rad).abs());
         let every = within.len().div_ceil(POINTS_MAX).max(1);
@@ -71,7 +71,7 @@ impl Unwrapped {
         })
     }
 
-    /// Of one encoder over parts of a log that do not follow each other; the one with most wraps is shown. `None` without wraps.
+    /// Combines the parts of a log of one encoder; the part with the most wraps is shown. `None` without wraps.
     pub fn of_parts(parts: impl IntoIterator<Item = Option<Self>>) -> Option<Self> {
         let found: Vec<Self> = parts.into_iter().flatten().collect();
         let wraps = found.iter().map(|one| one.wraps).sum();
@@ -82,21 +82,21 @@ impl Unwrapped {
 }
 
 impl<R: Row> Stream<R> {
-    /// The stream with the numbers that begin anew after each `period` made continuous; itself where there are none.
+    /// The stream with numbers that wrap after a `period` made continuous; borrowed if none wraps.
     ///
-    /// Of two rows more than half a period apart the second is moved by whole periods until it is nearest to the first. Across
-    /// a gap whole periods are not determined.
+    /// A number that differs from the row before by more than half a period is moved by whole periods to the value nearest to
+    /// it. Across a gap the number of periods is not determined, and stays.
     pub fn unwrapped(&self, period: f64) -> Cow<'_, Self> {
         let mut continuous = Cow::Borrowed(self);
         let mut periods = vec![0.0; self.first().map_or(0, |row| row.numbers().len())];
         for part in self.parts() {
             for row in part.clone() {
                 let (before, here) = (self[row.max(part.start + 1) - 1], self[row]);
-                for (place, periods) in periods.iter_mut().enumerate() {
-                    *periods -= ((here.numbers()[place] - before.numbers()[place]) / period).round();
+                for (column, periods) in periods.iter_mut().enumerate() {
+                    *periods -= ((here.numbers()[column] - before.numbers()[column]) / period).round();
                 }
                 if periods.iter().any(|periods| *periods != 0.0) {
-                    continuous.to_mut()[row] = here.like(|i| here.numbers()[i] + periods[i] * period);
+                    continuous.to_mut()[row] = here.with_numbers(|i| here.numbers()[i] + periods[i] * period);
                 }
             }
         }
@@ -104,13 +104,13 @@ impl<R: Row> Stream<R> {
     }
 }
 
-/// The readings about as many wraps as one picture can have.
-fn liveliest(wraps: &[usize]) -> Option<Range<usize>> {
+/// The range of readings with the most wraps that one picture can show.
+fn densest(wraps: &[usize]) -> Option<Range<usize>> {
     let followers = |first: usize| {
         let near = wraps[first..].iter().take(WRAPS_SHOWN);
         near.take_while(|at| **at < wraps[first] + READINGS_SHOWN).count()
     };
-    // Of as many, those that follow each other fastest.
+    // Of ranges with the same number of wraps, the shortest.
     let span = |first: usize| wraps[first + followers(first) - 1] - wraps[first];
     let first = (0..wraps.len()).max_by_key(|&first| (followers(first), std::cmp::Reverse(span(first))))?;
     let aside = match followers(first) {

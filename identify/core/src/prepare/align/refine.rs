@@ -97,7 +97,7 @@ impl Residual for ImpliedAngles {
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<Implied> {
-        let (chain, tracer) = scene.bar_chain;
+        let (chain, tracer) = (scene.bar_chain, scene.bar_tracer);
         let measured_rad = &scene.observation.bar_rad;
         let near = std::array::from_fn(|joint| self.measured[joint].then_some(measured_rad[joint]));
         let bar = ImpliedBar::new(chain, tracer, scene.robot.end(), &near).ok()?;

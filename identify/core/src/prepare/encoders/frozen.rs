@@ -4,14 +4,14 @@ use crate::kinematics::BAR_JOINTS;
 use crate::logs::Stream;
 use crate::prepare::{BarReading, PrepareError};
 
-/// Shorter ones are turning points \[s\].
+/// Shortest time of constant readings \[s\]; shorter ones are turning points.
 const FROZEN_S_MIN: f64 = 1.0;
-/// Constant readings up to the end of the log have no leap behind them. The encoder is dead only if it changes in at least this share
+/// Constant readings at the end of the log are not followed by a step. The encoder is then dead only if it changes in at least this share
 /// of the other readings: a joint that rests through a motion does not.
 const CHANGES_MIN: f64 = 0.9;
 
-/// The first encoder that is constant for a while.
-pub(in crate::prepare) fn frozen(
+/// The error of the first encoder whose readings are constant while others move; `None` without one.
+pub(in crate::prepare) fn constant_encoder(
     readings: &Stream<BarReading>,
     measured: &[bool; BAR_JOINTS],
 ) -> Option<PrepareError> {
@@ -22,8 +22,8 @@ pub(in crate::prepare) fn frozen(
         let changes = readings.windows(2).filter(differ).count();
         changes as f64 > CHANGES_MIN * (readings.len() - part.len()) as f64
     };
-    let of_joints = readings.frozen(is_long, changes).into_iter().zip(measured).enumerate();
-    of_joints.filter(|(_, (_, measured))| **measured).find_map(|(joint, (part, _))| {
+    let by_joint = readings.constant_ranges(is_long, changes).into_iter().zip(measured).enumerate();
+    by_joint.filter(|(_, (_, measured))| **measured).find_map(|(joint, (part, _))| {
         let part = part?;
         let (from_s, to_s) = (readings.t_s[part.start], readings.t_s[part.end - 1]);
         Some(PrepareError::EncoderFrozen { joint: joint as u8 + 1, from_s, to_s })

@@ -11,10 +11,10 @@ use crate::kinematics::BAR_JOINTS;
 use crate::logs::{RobotLog, Row, Stream};
 use crate::prepare::encoders::encoder_map::EncoderMap;
 
-/// Part of the log that a picture shows on either side, in widths of the average.
-const WIDTHS_ASIDE: f64 = 5.0;
-/// Shortest such part \[s\].
-const ASIDE_S_MIN: f64 = 1.0;
+/// Time shown before and after the fastest moment, in widths of the average.
+const SHOWN_WIDTHS: f64 = 5.0;
+/// Its minimum \[s\].
+const SHOWN_S_MIN: f64 = 1.0;
 
 /// A reading and its average.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -35,22 +35,22 @@ pub struct AveragedJoints {
     /// Root mean square of reading minus average of each joint at standstills of robot and bar: noise \[rad\]. `None` without
     /// encoder or standstill.
     pub still_rad: Vec<Option<f64>>,
-    /// The same of all other readings: noise, and the bends of the motion.
+    /// The same for all other readings \[rad\]: noise, and curvature of the motion that the average does not follow.
     pub moving_rad: Vec<Option<f64>>,
-    /// The joint that was fastest of all, from 1.
+    /// The joint with the largest speed, from 1.
     pub fastest_joint: usize,
-    /// Its readings about that moment.
+    /// Readings of that joint around its fastest moment.
     pub fastest: Vec<AveragedPoint>,
 }
 
 /// Effect of the moving average.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Averaged {
-    /// Over which time \[s\].
+    /// Width of the average \[s\].
     pub width_s: f64,
-    /// To the robot's log.
+    /// Effect on the robot's log.
     pub robot: AveragedJoints,
-    /// To the recording, by the joints on which the encoders sit.
+    /// Effect on the recording, by the bar joints that the encoders measure.
     pub bar: AveragedJoints,
 }
 
@@ -62,17 +62,17 @@ pub(in crate::prepare) struct BeforeAverage<'a> {
 }
 
 impl BeforeAverage<'_> {
-    /// Averages both once more and compares. `standstills` count from `t_ref`, and `robot_time_s` takes a time of the robot's log
-    /// there.
+    /// Averages both logs once more and compares. `standstills` are in seconds since `t_ref`; `bar_time_s` converts a time of
+    /// the robot's log to the same scale.
     pub fn compared(
         &self,
         t_ref: UtcNs,
-        robot_time_s: impl Fn(f64) -> f64,
+        bar_time_s: impl Fn(f64) -> f64,
         encoder_map: &EncoderMap,
         standstills: &[Standstill],
     ) -> Averaged {
         let mut bar = Comparison::new(BAR_JOINTS);
-        // Counters that restart have any offset: each part is compared separately.
+        // Counters have another offset after a restart: each part is compared separately.
         for part in self.readings.parts_within(f64::INFINITY) {
             let part = self.readings.slice(part);
             let begins_s = UtcNs(part.first_stamp_ns).seconds_since(t_ref);
@@ -80,11 +80,11 @@ impl BeforeAverage<'_> {
             bar.add(&angles, |t_s| begins_s + t_s, self.width_s, standstills);
         }
         let mut robot = Comparison::new(self.log.axes());
-        robot.add(&self.log.q_rad, robot_time_s, self.width_s, standstills);
+        robot.add(&self.log.q_rad, bar_time_s, self.width_s, standstills);
         let mut bar = bar.finish();
         let measured = encoder_map.measured();
-        for of_joints in [&mut bar.still_rad, &mut bar.moving_rad] {
-            of_joints
+        for rms_rad in [&mut bar.still_rad, &mut bar.moving_rad] {
+            rms_rad
                 .iter_mut()
                 .zip(measured)
                 .filter(|(_, measured)| !measured)
@@ -112,7 +112,7 @@ impl Squares {
     }
 }
 
-/// Readings beside their averages, part by part of a log.
+/// Collects the differences of readings and averages of one log, part by part.
 #[derive(Debug, Clone)]
 struct Comparison {
     still: Vec<Squares>,
@@ -128,7 +128,7 @@ impl Comparison {
         Self { still: none.clone(), moving: none, fastest_rad_s: 0.0, fastest_joint: 0, fastest: Vec::new() }
     }
 
-    /// Adds a part; `standstills` are in the order of time.
+    /// Adds a part of the log; `time_s` converts its times to those of `standstills`, which are in the order of time.
     fn add<R: Row>(
         &mut self,
         rows: &Stream<R>,
@@ -142,29 +142,31 @@ impl Comparison {
             let Some(average) = average else { continue };
             let next = standstills.partition_point(|one| one.to_s < *t_s);
             let still = standstills.get(next).is_some_and(|one| one.from_s <= *t_s);
-            let squares = if still { &mut self.still } else { &mut self.moving };
-            for (squares, (shown, average)) in
-                squares.iter_mut().zip(row.numbers().iter().zip(average.numbers()))
+            let sums = if still { &mut self.still } else { &mut self.moving };
+            for (squares, (logged, average)) in
+                sums.iter_mut().zip(row.numbers().iter().zip(average.numbers()))
             {
-                squares.add(shown - average);
+                squares.add(logged - average);
             }
         }
         let joints = self.still.len();
-        let point = |at: usize, joint: usize| point(&t_s, rows, &averages, at, joint);
+        let point_at = |row: usize, joint: usize| point(&t_s, rows, &averages, row, joint);
         let fastest = (1..averages.len().saturating_sub(1))
-            .flat_map(|at| (0..joints).map(move |joint| (at, joint)))
-            .filter_map(|(at, joint)| Some((point(at, joint)?.averaged_rad_s.abs(), at, joint)))
+            .flat_map(|row| (0..joints).map(move |joint| (row, joint)))
+            .filter_map(|(row, joint)| Some((point_at(row, joint)?.averaged_rad_s.abs(), row, joint)))
             .max_by(|a, b| a.0.total_cmp(&b.0));
-        let Some((speed_rad_s, at, joint)) = fastest.filter(|one| one.0 > self.fastest_rad_s) else { return };
-        let aside_s = ASIDE_S_MIN.max(WIDTHS_ASIDE * width_s);
-        let from = t_s.partition_point(|t| *t < t_s[at] - aside_s).max(1);
-        let to = t_s.partition_point(|t| *t <= t_s[at] + aside_s).min(averages.len() - 1);
+        let Some((speed_rad_s, row, joint)) = fastest.filter(|one| one.0 > self.fastest_rad_s) else {
+            return;
+        };
+        let shown_s = SHOWN_S_MIN.max(SHOWN_WIDTHS * width_s);
+        let from = t_s.partition_point(|t| *t < t_s[row] - shown_s).max(1);
+        let to = t_s.partition_point(|t| *t <= t_s[row] + shown_s).min(averages.len() - 1);
         (self.fastest_rad_s, self.fastest_joint) = (speed_rad_s, joint + 1);
-        self.fastest = (from..to).filter_map(|at| point(at, joint)).collect();
+        self.fastest = (from..to).filter_map(|row| point_at(row, joint)).collect();
     }
 
     fn finish(self) -> AveragedJoints {
-        let rms = |of_joints: Vec<Squares>| of_joints.into_iter().map(Squares::rms).collect();
+        let rms = |by_joint: Vec<Squares>| by_joint.into_iter().map(Squares::rms).collect();
         AveragedJoints {
             still_rad: rms(self.still),
             moving_rad: rms(self.moving),
@@ -174,22 +176,23 @@ impl Comparison {
     }
 }
 
-/// A reading of one joint between its neighbours; `None` beside a hole.
+/// The reading of a joint with speeds from the rows before and after; `None` if one of the three has no average. The row is
+/// neither the first nor the last.
 fn point<R: Row>(
     t_s: &[f64],
     rows: &[R],
     averages: &[Option<R>],
-    at: usize,
+    row: usize,
     joint: usize,
 ) -> Option<AveragedPoint> {
-    let [before, here, after] = [at - 1, at, at + 1].map(|at| averages[at].map(|row| row.numbers()[joint]));
-    let (before, here, after) = (before?, here?, after?);
-    let shown = |at: usize| rows[at].numbers()[joint];
-    let time_s = t_s[at + 1] - t_s[at - 1];
+    let average = |row: usize| averages[row].map(|average| average.numbers()[joint]);
+    let (before, here, after) = (average(row - 1)?, average(row)?, average(row + 1)?);
+    let logged = |row: usize| rows[row].numbers()[joint];
+    let time_s = t_s[row + 1] - t_s[row - 1];
     Some(AveragedPoint {
-        t_s: t_s[at],
-        speed_rad_s: (shown(at + 1) - shown(at - 1)) / time_s,
+        t_s: t_s[row],
+        speed_rad_s: (logged(row + 1) - logged(row - 1)) / time_s,
         averaged_rad_s: (after - before) / time_s,
-        removed_rad: shown(at) - here,
+        removed_rad: logged(row) - here,
     })
 }

@@ -15,7 +15,7 @@ use crate::prepare::{PrepareError, SampleStatus};
 pub struct BarReading {
     /// Index of the cycle in the recording.
     pub cycle: usize,
-    /// Number of the counters' origin, from 0 without a break: while it is the same the offsets are.
+    /// Number of the counters' origin, from 0 without gaps; readings with the same number have the same encoder offsets.
     pub origin: usize,
     /// Angles by recorded joint, offsets unknown \[rad\]; continuous, and within half a turn of zero where an origin begins.
     /// Joints without encoder are 0.
@@ -27,7 +27,7 @@ impl Row for BarReading {
         &self.recorded_rad
     }
 
-    fn like(&self, of: impl FnMut(usize) -> f64) -> Self {
+    fn with_numbers(&self, of: impl FnMut(usize) -> f64) -> Self {
         Self { recorded_rad: std::array::from_fn(of), ..*self }
     }
 
@@ -43,7 +43,7 @@ pub struct BarAngles {
     pub measured: [bool; BAR_JOINTS],
     /// On the recording's clock.
     pub readings: Stream<BarReading>,
-    /// Status of each cycle so far: invalid, time not increasing, or `Thinned` for all others.
+    /// Status of each cycle: invalid, time not increasing, or `Thinned` if a later step of the preparation decides.
     pub statuses: Vec<SampleStatus>,
 }
 
@@ -53,18 +53,18 @@ impl BarAngles {
         UtcNs(self.readings.first_stamp_ns)
     }
 
-    /// Origins of the counters.
+    /// Number of origins of the counters.
     pub fn origins(&self) -> usize {
         self.readings.last().map_or(0, |last| last.origin + 1)
     }
 
-    /// Replaces each reading by its average and returns the readings. Readings without an average are left out, and origins without
-    /// any.
+    /// Replaces each reading by its average and returns the readings before that. Readings without an average are left out;
+    /// origins are numbered again, because some may have no reading left.
     pub(in crate::prepare) fn average(&mut self, width_s: f64) -> Stream<BarReading> {
         let mut averaged = self.readings.averaged(width_s);
-        let of_origins = averaged.chunk_by_mut(|a, b| a.origin == b.origin);
-        of_origins.enumerate().for_each(|(origin, rows)| rows.iter_mut().for_each(|row| row.origin = origin));
-        // Those that have an average get their status later.
+        let by_origin = averaged.chunk_by_mut(|a, b| a.origin == b.origin);
+        by_origin.enumerate().for_each(|(origin, rows)| rows.iter_mut().for_each(|row| row.origin = origin));
+        // The selection of samples sets the status of readings with an average.
         let valid = self.statuses.iter_mut().filter(|status| **status == SampleStatus::Thinned);
         valid.for_each(|status| *status = SampleStatus::NotAveraged);
         std::mem::replace(&mut self.readings, averaged)
@@ -77,24 +77,24 @@ impl BarAngles {
 /// [`PrepareError::NoValidCycle`], and errors if cycles and declared encoders disagree.
 pub fn bar_angles(cycles: &[CycleRecord], encoders: &[EncoderInfo]) -> Result<BarAngles, PrepareError> {
     let mut angles = BarAngles { measured: measured(encoders)?, ..BarAngles::default() };
-    let mut origin = cycles.first().map_or(0, |cycle| cycle.origin);
+    let mut recorded_origin = cycles.first().map_or(0, |cycle| cycle.origin);
     let mut counters = Counters::new(encoders);
-    let mut last: Option<UtcNs> = None;
+    let mut last_time: Option<UtcNs> = None;
     for (index, cycle) in cycles.iter().enumerate() {
-        if std::mem::replace(&mut origin, cycle.origin) != cycle.origin {
+        if std::mem::replace(&mut recorded_origin, cycle.origin) != cycle.origin {
             counters = Counters::new(encoders);
         }
         if !cycle.is_valid() {
             angles.statuses.push(SampleStatus::Invalid);
             continue;
         }
-        if last.is_some_and(|before| cycle.sample_time <= before) {
+        if last_time.is_some_and(|last| cycle.sample_time <= last) {
             angles.statuses.push(SampleStatus::TimeNotIncreasing);
             continue;
         }
-        last = Some(cycle.sample_time);
-        let before = angles.readings.last();
-        let origin = before.map_or(0, |before| before.origin + usize::from(counters.is_new()));
+        last_time = Some(cycle.sample_time);
+        let last = angles.readings.last();
+        let origin = last.map_or(0, |last| last.origin + usize::from(counters.is_new()));
         let recorded_rad = counters.angles_rad(cycle)?;
         angles.readings.push(cycle.sample_time.0, BarReading { cycle: index, origin, recorded_rad });
         angles.statuses.push(SampleStatus::Thinned);
@@ -105,6 +105,7 @@ pub fn bar_angles(cycles: &[CycleRecord], encoders: &[EncoderInfo]) -> Result<Ba
     Ok(angles)
 }
 
+/// Whether each bar joint has an encoder.
 fn measured(encoders: &[EncoderInfo]) -> Result<[bool; BAR_JOINTS], PrepareError> {
     let mut measured = [false; BAR_JOINTS];
     for encoder in encoders {
@@ -116,12 +117,12 @@ fn measured(encoders: &[EncoderInfo]) -> Result<[bool; BAR_JOINTS], PrepareError
     Ok(measured)
 }
 
-/// The counters since they restarted.
+/// Unwraps the counters of one origin.
 struct Counters<'a> {
     encoders: &'a [EncoderInfo],
     /// One for each encoder, in the order of the recording.
     unwrappers: Vec<Unwrapper>,
-    /// Whole turns taken off each joint, once there is a reading.
+    /// Whole turns that are subtracted from each joint \[rad\], chosen at the first reading; `None` before it.
     turns_rad: Option<[f64; BAR_JOINTS]>,
 }
 
@@ -131,10 +132,12 @@ impl<'a> Counters<'a> {
         Self { encoders, unwrappers, turns_rad: None }
     }
 
+    /// Whether no reading of this origin was unwrapped yet.
     fn is_new(&self) -> bool {
         self.turns_rad.is_none()
     }
 
+    /// Continuous angles of a cycle by recorded joint \[rad\].
     fn angles_rad(&mut self, cycle: &CycleRecord) -> Result<[f64; BAR_JOINTS], PrepareError> {
         let mut raw_rad = [0.0; BAR_JOINTS];
         for (place, (encoder, unwrapper)) in self.encoders.iter().zip(&mut self.unwrappers).enumerate() {

@@ -24,6 +24,8 @@ pub(in crate::prepare) struct BothLogs<'a> {
 }
 
 impl<'a> BothLogs<'a> {
+    /// Unwraps both logs, and averages them if the options have a width.
+    ///
     /// # Errors
     /// As [`bar_angles`].
     pub fn new(
@@ -49,7 +51,7 @@ impl<'a> BothLogs<'a> {
         Ok(Self { angles, log, unwrapped: [of_bar, of_robot], before })
     }
 
-    /// Effect of the average. `clock` and the standstills are for times since `t_ref`.
+    /// Effect of the average; `None` if there is none. `clock` and the standstills are for times since `t_ref`.
     pub fn averaged(
         &self,
         t_ref: UtcNs,
@@ -58,10 +60,10 @@ impl<'a> BothLogs<'a> {
         standstills: &[Standstill],
     ) -> Option<Averaged> {
         let before = self.before.as_ref()?;
-        // The first average is a width after the first row.
+        // The averaged log begins later than the log: its first rows have no average.
         let first_ns = before.log.q_rad.first_stamp_ns;
         let begins_s = self.log.q_rad.first_stamp_ns.saturating_sub(first_ns) as f64 * 1e-9;
-        let robot_time_s = |tau_s| (tau_s - begins_s - clock.shift_s) / (1.0 + clock.skew);
-        Some(before.compared(t_ref, robot_time_s, encoder_map, standstills))
+        let bar_time_s = |tau_s| (tau_s - begins_s - clock.shift_s) / (1.0 + clock.skew);
+        Some(before.compared(t_ref, bar_time_s, encoder_map, standstills))
     }
 }

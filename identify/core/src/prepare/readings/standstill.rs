@@ -4,15 +4,15 @@ use serde::Serialize;
 
 use crate::kinematics::{BAR_JOINTS, Joints};
 
-/// Joints slower than this stand still \[rad/s\]: noise of 75 urad, differenced over 0.1 s, stays below.
+/// A joint that is slower than this stands still \[rad/s\]; noise of 75 urad, differenced over 0.1 s, is slower.
 pub const MOVING_RAD_S: f64 = 3e-3;
-/// Shorter ones are turning points \[s\].
+/// Shortest standstill \[s\]; shorter ones are turning points of the motion.
 const DURATION_S_MIN: f64 = 0.4;
-/// Still readings further apart belong to two standstills \[s\].
+/// Readings at standstill that are further apart belong to two standstills \[s\].
 const BREAK_S: f64 = 0.05;
-/// Left out at both ends, where the motion ends and begins \[s\].
+/// Time at both ends of a standstill that does not count for the jitter: the motion ends and begins there \[s\].
 const EDGE_S: f64 = 0.1;
-/// Smallest number of readings for a deviation.
+/// Fewest readings of a standstill that counts for the jitter.
 const READINGS_MIN: usize = 10;
 
 /// A time in which neither robot nor bar moves.
@@ -31,8 +31,8 @@ impl Standstill {
     }
 }
 
-/// Standard deviation of the readings about the straight line through each standstill, over all standstills; none
-/// without encoder or where nothing stands still long enough.
+/// Standard deviation of the readings about the straight line through each standstill, over all standstills; `None`
+/// without encoder or without a standstill that is long enough.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Jitter {
     /// Each bar encoder \[urad\].
@@ -52,7 +52,7 @@ pub(in crate::prepare) struct Readings {
     pub robot_rad: Joints,
 }
 
-/// Standstills, and the jitter in them. `still` are the readings at which nothing moves, in the order of time.
+/// Standstills, and the jitter in them. `still` are the readings at which neither robot nor bar moves, in the order of time.
 pub(in crate::prepare) fn standstills(
     still: &[Readings],
     measured: &[bool; BAR_JOINTS],
@@ -110,6 +110,7 @@ impl Spread {
         self.freedoms += count - 2;
     }
 
+    /// Standard deviation \[urad\]; `None` without readings.
     fn deviation_urad(self) -> Option<f64> {
         (self.freedoms > 0).then(|| (self.squares / self.freedoms as f64).sqrt() * 1e6)
     }

@@ -9,11 +9,11 @@ use shared::recording::schema::{CycleRecord, EncoderInfo};
 use super::bar_angles::{BarAngles, BarReading};
 use crate::logs::{RobotLog, Unwrapped, UnwrappedPoint};
 
-/// Values of a terminal's counter.
+/// Number of values of a terminal's 32-bit counter.
 const COUNTER_VALUES: f64 = 4_294_967_296.0;
 
-/// The encoders whose 32-bit counters wrapped between two samples, by the joints of the recording, as
-/// [`bar_angles`](super::bar_angles::bar_angles()) followed them.
+/// The encoders whose counters wrapped between two samples, by recorded joint; `angles` are the result of
+/// [`bar_angles`](super::bar_angles::bar_angles()) for these cycles.
 pub fn unwrapped_counters(
     cycles: &[CycleRecord],
     encoders: &[EncoderInfo],
@@ -40,19 +40,19 @@ pub fn unwrapped_counters(
     encoders.iter().enumerate().filter_map(of_encoder).collect()
 }
 
-/// The log with joints that wrap after each turn made continuous, and which joints these are: a spline or an average across such a
-/// jump would swing through the whole turn.
+/// The log with joints that wrap after each turn made continuous, and a description of these joints. Without this a spline or an
+/// average across a wrap would pass through the whole turn.
 pub fn unwrapped_log(log: &RobotLog) -> (Cow<'_, RobotLog>, Vec<Unwrapped>) {
     let Cow::Owned(q_rad) = log.q_rad.unwrapped(TAU) else { return (Cow::Borrowed(log), Vec::new()) };
-    let began_anew = |joint: &usize| q_rad.iter().zip(log.q_rad.iter()).any(|(a, b)| a[*joint] != b[*joint]);
+    let has_wrapped = |joint: &usize| q_rad.iter().zip(log.q_rad.iter()).any(|(a, b)| a[*joint] != b[*joint]);
     let of_joint = |joint: usize| {
-        let reading = |at: usize| UnwrappedPoint {
-            t_s: q_rad.t_s[at],
-            shown_rad: log.q_rad[at][joint],
-            continuous_rad: q_rad[at][joint],
+        let reading = |row: usize| UnwrappedPoint {
+            t_s: q_rad.t_s[row],
+            shown_rad: log.q_rad[row][joint],
+            continuous_rad: q_rad[row][joint],
         };
         Unwrapped::find(format!("q{}", joint + 1), TAU, q_rad.len(), reading)
     };
-    let unwrapped = (0..log.axes()).filter(began_anew).filter_map(of_joint).collect();
+    let unwrapped = (0..log.axes()).filter(has_wrapped).filter_map(of_joint).collect();
     (Cow::Owned(RobotLog { q_rad: q_rad.into(), ..log.clone() }), unwrapped)
 }

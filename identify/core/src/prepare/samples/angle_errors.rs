@@ -14,11 +14,11 @@ pub(in crate::prepare) struct AngleErrors {
     pub t_s: f64,
     /// Number of the counters' origin.
     pub origin: usize,
-    /// Measured less implied joints, times the sine of the distance from singular poses \[rad\].
+    /// Measured joints minus those that the robot's pose implies, times the sine of `margin_rad` \[rad\].
     pub error_rad: [f64; BAR_JOINTS],
-    /// That distance \[rad\].
+    /// Distance from the nearest singular pose \[rad\].
     pub margin_rad: f64,
-    /// Speed of the joints, weighed in the same way \[rad/s\].
+    /// Speed of the joints, times the same sine \[rad/s\].
     pub speed_rad_s: [f64; BAR_JOINTS],
 }
 
@@ -33,8 +33,8 @@ pub struct LocalShift {
 
 /// Length of a part \[s\].
 const PART_S: f64 = 5.0;
-/// Parts in which the joints' speeds vary less do not determine a shift \[rad/s\].
-const SPEED_VARIES_RAD_S: f64 = 0.05;
+/// A part determines a shift if the standard deviation of its speeds, over all joints together, is larger \[rad/s\].
+const SPEED_SPREAD_MIN_RAD_S: f64 = 0.05;
 /// Fewest samples of a part.
 const PART_SAMPLES_MIN: usize = 20;
 
@@ -61,7 +61,7 @@ fn local_shift(part: &[AngleErrors]) -> Option<LocalShift> {
             squares += speed * speed;
         }
     }
-    (squares > n * SPEED_VARIES_RAD_S.powi(2)).then(|| LocalShift {
+    (squares > n * SPEED_SPREAD_MIN_RAD_S.powi(2)).then(|| LocalShift {
         t_s: part.iter().map(|one| one.t_s).sum::<f64>() / n,
         shift_s: products / squares,
     })
@@ -72,19 +72,19 @@ pub(in crate::prepare) fn spreads_rad(errors: &[AngleErrors]) -> [f64; BAR_JOINT
     std::array::from_fn(|joint| spread_of(errors.iter().map(|one| one.error_rad[joint].abs()).collect()))
 }
 
-/// Error of an outlier in standard deviations: noise exceeds it in none of a million runs.
-const TIMES_USUAL: f64 = 8.0;
+/// Smallest error of an outlier, in standard deviations: noise exceeds it in none of a million runs.
+const OUTLIER_SIGMAS: f64 = 8.0;
 /// Smaller errors are never outliers \[rad\].
 const OUTLIER_RAD_MIN: f64 = 100e-6;
 /// If more than this share of the samples exceeds the limit, something has changed during the run, and the solve needs them.
-const OUTLIERS_MAX: f64 = 0.05;
+const OUTLIER_SHARE_MAX: f64 = 0.05;
 
-/// Samples with the error of a joint far beyond the usual; no sample if they are too many to be exceptions.
+/// Indices of the samples in which the error of a joint is an outlier; none if their share is above [`OUTLIER_SHARE_MAX`].
 pub(in crate::prepare) fn outliers(errors: &[AngleErrors], spreads_rad: &[f64; BAR_JOINTS]) -> Vec<usize> {
-    let beyond = |one: &&AngleErrors| {
+    let is_outlier = |one: &&AngleErrors| {
         let mut errors = one.error_rad.iter().zip(spreads_rad);
-        errors.any(|(error, spread)| error.abs() > OUTLIER_RAD_MIN.max(TIMES_USUAL * spread))
+        errors.any(|(error, spread)| error.abs() > OUTLIER_RAD_MIN.max(OUTLIER_SIGMAS * spread))
     };
-    let found: Vec<usize> = errors.iter().filter(beyond).map(|one| one.sample).collect();
-    if found.len() as f64 > OUTLIERS_MAX * errors.len() as f64 { Vec::new() } else { found }
+    let found: Vec<usize> = errors.iter().filter(is_outlier).map(|one| one.sample).collect();
+    if found.len() as f64 > OUTLIER_SHARE_MAX * errors.len() as f64 { Vec::new() } else { found }
 }

@@ -1,0 +1,94 @@
+//! What a cost function provides: a residual per sample, its derivatives, and the encoders that it requires.
+
+use super::scene::Scene;
+use crate::kinematics::{BAR_JOINTS, ROD_LINK};
+use crate::model::ParameterId;
+
+/// Whether a cost with these encoders can depend on the parameter. Harmonics and offsets of an encoder, and waves over its
+/// reading, need that encoder; all other parameters return true.
+pub(super) fn encoders_suffice(id: ParameterId, encoders: &[usize]) -> bool {
+    match id {
+        ParameterId::EncoderWave { joint, .. }
+        | ParameterId::EncoderOffset { joint, .. }
+        | ParameterId::BarWave { joint, .. } => encoders.contains(&joint),
+        _ => true,
+    }
+}
+
+/// A cost function: a residual vector per sample and its derivatives by the parameters.
+pub trait Residual: Sync {
+    /// Intermediate results of a sample, computed once for its residual and all derivatives.
+    type Local;
+    /// Name in reports and on the command line.
+    const NAME: &'static str;
+    /// Number of residual entries per sample.
+    const ROWS: usize;
+    /// Joints (from 0) whose encoders are required.
+    const ENCODERS: &'static [usize];
+    /// Whether a measured length is required.
+    const NEEDS_LENGTH: bool = false;
+
+    /// Whether the parameter changes the residual. Other parameters need not be free.
+    fn depends_on(id: ParameterId) -> bool;
+
+    /// Whether named selections free the parameter with this cost: the residual distinguishes it from the others.
+    fn identifies(id: ParameterId) -> bool {
+        Self::depends_on(id)
+    }
+
+    /// Computes the intermediate results of a sample; `None` if the residual has no value there.
+    fn local(&self, scene: &Scene<'_>) -> Option<Self::Local>;
+
+    /// Writes the residual, `ROWS` entries.
+    fn residual(&self, scene: &Scene<'_>, local: &Self::Local, out: &mut [f64]);
+
+    /// Writes the derivative by one parameter, `ROWS` entries that are zero on entry.
+    fn derivative(&self, scene: &Scene<'_>, local: &Self::Local, id: ParameterId, out: &mut [f64]);
+}
+
+impl<R: Residual> Residual for &R {
+    type Local = R::Local;
+
+    const NAME: &'static str = R::NAME;
+    const ROWS: usize = R::ROWS;
+    const ENCODERS: &'static [usize] = R::ENCODERS;
+    const NEEDS_LENGTH: bool = R::NEEDS_LENGTH;
+
+    fn depends_on(id: ParameterId) -> bool {
+        R::depends_on(id)
+    }
+
+    fn identifies(id: ParameterId) -> bool {
+        R::identifies(id)
+    }
+
+    fn local(&self, scene: &Scene<'_>) -> Option<R::Local> {
+        R::local(self, scene)
+    }
+
+    #[inline]
+    fn residual(&self, scene: &Scene<'_>, local: &R::Local, out: &mut [f64]) {
+        R::residual(self, scene, local, out);
+    }
+
+    #[inline]
+    fn derivative(&self, scene: &Scene<'_>, local: &R::Local, id: ParameterId, out: &mut [f64]) {
+        R::derivative(self, scene, local, id, out);
+    }
+}
+
+/// Index (from 0) of the joint whose axis is the rod. Without its encoder only the rotation about the rod is unknown.
+pub(crate) const ROD_ROTATION_JOINT: usize = ROD_LINK;
+/// Bar encoders without that of [`ROD_ROTATION_JOINT`].
+pub(super) const ALL_BUT_ROD_ROTATION: &[usize] = &[0, 1, 3, 4];
+
+/// Indices of all five bar encoders.
+pub(super) const ALL_ENCODERS: &[usize] = &{
+    let mut all = [0; BAR_JOINTS];
+    let mut i = 0;
+    while i < BAR_JOINTS {
+        all[i] = i;
+        i += 1;
+    }
+    all
+};
