@@ -130,7 +130,7 @@ fn reference_marks(controller: &Controller, found: Option<&Found>) -> Finding {
         Err(error) => return Err(vec![Fact::MarksUnreadable { error: error.clone() }.into()]),
     };
     let Some(session) = controller.bus.session() else {
-        return Ok("to be seen when the bus is in operation".into());
+        return Ok("known when the bus is in operation".into());
     };
     let stale = homing.apply(&mut session.encoders.clone(), &session.live.latches());
     if stale.is_empty() {

@@ -182,8 +182,8 @@ impl Measures for BallBar {
         Noise::Angles(self.angle_noise())
     }
 
-    /// Robot's end minus bar's end: the pose, for costs that use only the position the position. For the cost `length`: the
-    /// robot's distance from the gimbal minus the bar's length.
+    /// Robot's end minus bar's end: position, and for the costs `pose` and `transform` also rotation. For the cost `length`: the
+    /// distance of the robot's end from the gimbal minus the bar's length.
     fn deviations(&self, geometry: &Geometry) -> Vec<Deviation> {
         let Prepared { motion, observations, .. } = &self.prepared;
         let mut closures = loop_closures(geometry, motion, observations).into_iter().peekable();

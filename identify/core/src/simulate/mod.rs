@@ -130,7 +130,7 @@ pub struct Simulated {
 pub enum SimulateError {
     /// The robot cannot follow the bar.
     #[error(
-        "{robot} has {axes} axes; the ball-bar leads its flange through any pose, which takes six; any arm: `identify simulate contact`"
+        "{robot} has {axes} axes, a run on the ball-bar needs six or more; for any arm use `identify simulate contact`"
     )]
     Axes {
         /// Name of the robot.
@@ -139,7 +139,7 @@ pub enum SimulateError {
         axes: usize,
     },
     /// The thesis' errors are those of another arm.
-    #[error("{robot} has {axes} axes, the errors of the thesis are of six; give --errors drawn, or none")]
+    #[error("{robot} has {axes} axes, the errors of the thesis are for six; give --errors drawn, or none")]
     ThesisAxes {
         /// Name of the robot.
         robot: String,

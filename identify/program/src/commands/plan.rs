@@ -374,7 +374,7 @@ fn find(arguments: &PathArguments) -> anyhow::Result<()> {
     show(&summary)?;
     anyhow::ensure!(
         checked.violations.is_empty(),
-        "the path that was found does not keep to its constraints; give another --seed, or a lower --speed"
+        "the path that was found violates its constraints; give another --seed, or a lower --speed"
     );
     let out = &arguments.out;
     fs::create_dir_all(out).with_context(|| format!("cannot create {}", out.display()))?;

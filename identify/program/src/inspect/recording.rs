@@ -103,7 +103,7 @@ fn times(inspection: &mut Inspection, recording: &Recording) {
     if uncertain > 0 && recording.run.distributed_clocks {
         inspection.suspect(format!(
             "the time of {uncertain} valid cycles is uncertain by more than {} us: the machine stalled or its clock was \
-             set; `ballbard tune` says what to do",
+             set; `ballbard tune` shows what to do",
             UNCERTAINTY_MAX_NS / 1000
         ));
     }

@@ -66,7 +66,7 @@ impl fmt::Display for Reason {
             }
             Self::TooFar { median_m, limit_m } => write!(
                 f,
-                "the calibrated robot stays {:.1} mm from the rows, and joints that turn wrong explain {:.1} mm",
+                "the calibrated robot is {:.1} mm from the rows in the median, errors of the joints explain {:.1} mm",
                 median_m * 1e3,
                 limit_m * 1e3
             ),

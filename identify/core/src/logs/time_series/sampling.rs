@@ -1,15 +1,14 @@
 //! The regular clock behind the stamps of a log.
 //!
 //! Controllers sample by a clock that is even to microseconds, and stamp by one that may be rounded, read late, or once for
-//! several rows. The stamp of row `k` is `offset + n_k period + steps + jitter`, rounded to a grid, with whole `n_k` that leaves out
-//! lost rows. The grid is found first: it is common to all stamps. How many periods lie between two rows the motion shows better
-//! than the stamps, as long as the robot moves evenly: a row that is missing leaves a step of twice the usual size. The rest is
-//! least squares with a robust loss.
+//! several rows. The stamp of row `k` is `offset + n_k period + steps + jitter`, rounded to a grid; the whole numbers `n_k`
+//! increase by more than one where rows are missing. The grid is estimated first: it is common to all stamps. While the robot
+//! moves evenly, the motion shows the number of periods between two rows better than the stamps do: a missing row leaves a step
+//! of twice the usual size. Then offset, period and steps are estimated by least squares with a robust loss.
 //!
 //! Stamps that are whole periods apart have several explanations: they are right and rows are missing, or they were rounded and no
-//! row is missing, or both. The shortest description of the log is taken (minimum description length, [`Numbered::description`]):
-//! each counts what it states beyond the clock, in nats, so that a wrong choice that is preferred by `d` nats has a probability below
-//! `exp(-d)`.
+//! row is missing, or both. The explanation with the shortest description of the log is used (minimum description length,
+//! [`Numbered::description`]), in nats: a wrong one that is shorter by `d` nats has a probability below `exp(-d)`.
 
 use std::ops::Range;
 
@@ -26,15 +25,15 @@ pub struct Stamps {
     pub evened: bool,
     /// Period of the clock \[s\].
     pub period_s: f64,
-    /// How far stamps are from it, root mean square \[s\].
+    /// Root mean square of the differences of stamps and clock \[s\].
     pub jitter_s: f64,
-    /// ...and at most \[s\].
+    /// Largest of these differences \[s\].
     pub jitter_max_s: f64,
-    /// Stamps are whole multiples of this \[s\], coarser than they scatter.
+    /// Stamps are whole multiples of this \[s\], which is larger than their scatter; `None` if they are not rounded.
     pub rounded_to_s: Option<f64>,
-    /// Rows with the stamp of the row before.
+    /// Number of rows with the stamp of the row before.
     pub equal: usize,
-    /// Periods of the clock without a row.
+    /// Number of periods of the clock without a row.
     pub missing: usize,
     /// Steps of the stamps during an even motion.
     pub steps: Vec<StampStep>,
@@ -64,11 +63,11 @@ const BESIDE_S: f64 = 0.5;
 /// A log with more steps has no regular clock: NTP steps a clock that it cannot slew at most once in five minutes (its step-out
 /// threshold), so that these are three hours of an unsynchronised clock.
 const STEPS_MAX: usize = 40;
-/// Rows to either side whose joint steps determine the step of one period.
+/// Number of rows on either side whose joint steps determine the usual step, that of one period.
 const NEIGHBOURS: usize = 6;
-/// Steps are a multiple of the usual one within this part of it, and the usual one changes by no more.
+/// A step is a multiple of the usual one if it differs by less than this fraction of the usual one, which changes by less.
 const WHOLE: f64 = 0.2;
-/// The motion does not determine a larger number of periods.
+/// Largest number of periods between two rows that the motion determines.
 const PERIODS_MAX: f64 = 4.0;
 /// Smallest number of neighbours with whole steps: steps from rounding alone reach it once in a thousand rows.
 const NEIGHBOURS_WHOLE: usize = 10;
@@ -100,7 +99,7 @@ const MISCOUNTED: f64 = 1000.0;
 /// stamps are right, even times come to 1.1 and more as soon as they move joints by half of their noise.
 const AS_SMOOTH: f64 = 1.1;
 
-/// Smaller scatter is not reported \[s\]: the fastest joint of a calibration turns by 50 urad in it.
+/// Smallest scatter that is reported \[s\]: the fastest joint of a calibration turns by 50 urad in it.
 const SCATTER_S: f64 = 5e-5;
 
 impl Stamps {
@@ -147,39 +146,39 @@ pub(in crate::logs) struct Sampling {
 }
 
 /// The regular clock behind the stamps, which must not decrease; `None` if there is none.
-pub(in crate::logs) fn sampling(stamps_s: Vec<f64>, rows: &[Joints]) -> Option<Sampling> {
+pub(in crate::logs) fn find_sampling(stamps_s: Vec<f64>, rows: &[Joints]) -> Option<Sampling> {
     let t_s = &*stamps_s;
     // The motion is compared only where it decides: long logs have millions of rows.
-    let even = even_already(t_s);
+    let even = already_even(t_s);
     if let Some((stamps, _)) = even.as_ref().filter(|(stamps, _)| stamps.missing == 0) {
         return Some(Sampling { stamps: stamps.clone(), t_s: stamps_s });
     }
-    let motion = by_motion(rows);
+    let motion = periods_by_motion(rows);
     // Without motion stamps cannot be compared with anything.
     let moves = motion.iter().flatten().count() >= ROWS_MIN;
     // Where the motion is unknown a row follows the one before it, or the stamps are right.
     let closer = even.as_ref().map(|(stamps, periods)| {
         let side = ((CURVE_S / stamps.period_s).round() as usize).min(BESIDE);
-        let (follows, _) = compared(&motion, periods, (rows, side), |_| 1.0);
-        let (mut right, contradicted) = compared(&motion, periods, (rows, side), |stamped| stamped);
+        let (follows, _) = compare_motion(&motion, periods, (rows, side), |_| 1.0);
+        let (mut right, contradicted) = compare_motion(&motion, periods, (rows, side), |stamped| stamped);
         right.iter_mut().zip(periods).for_each(|(shown, stamped)| *shown = shown.or(Some(*stamped)));
         ([follows, right], contradicted)
     });
     let contradicted = closer.as_ref().map(|(_, contradicted)| *contradicted);
     let explanations = closer.map_or_else(|| vec![motion.clone()], |(explanations, _)| explanations.into());
-    let grid_s = grid(t_s);
+    let grid_s = find_grid(t_s);
     // Where joints rest, a row that is missing and a clock that passes from cell to cell look the same: they decide nothing.
-    let heard: Vec<bool> = explanations[0].iter().map(Option::is_some).collect();
-    let missing = even.as_ref().map_or(0, |(_, periods)| missing(periods.iter().copied(), &heard));
+    let is_known: Vec<bool> = explanations[0].iter().map(Option::is_some).collect();
+    let missing = even.as_ref().map_or(0, |(_, periods)| missing(periods.iter().copied(), &is_known));
     let numbered = explanations.iter().filter(|_| moves).filter_map(|periods| {
         let numbered = Numbered::new(t_s, periods, grid_s)?;
         // One explanation alone is compared with nothing.
-        let description = if even.is_some() { numbered.description(&heard) } else { 0.0 };
+        let description = if even.is_some() { numbered.description(&is_known) } else { 0.0 };
         Some((numbered, description))
     });
     let shortest = numbered.min_by(|a, b| a.1.total_cmp(&b.1));
     let right = even.zip(contradicted).filter(|((_, periods), contradicted)| {
-        let as_right = places(missing, periods.len()) + contradicted;
+        let as_right = nats_of_places(missing, periods.len()) + contradicted;
         shortest.as_ref().is_none_or(|(_, description)| as_right <= *description)
     });
     if let Some(((stamps, _), _)) = right {
@@ -195,19 +194,20 @@ pub(in crate::logs) fn sampling(stamps_s: Vec<f64>, rows: &[Joints]) -> Option<S
 }
 
 /// Number of missing rows where the motion is known, from the periods between rows.
-fn missing(periods: impl Iterator<Item = f64>, heard: &[bool]) -> usize {
-    periods.zip(heard).map(|(periods, heard)| if *heard { periods - 1.0 } else { 0.0 }).sum::<f64>() as usize
+fn missing(periods: impl Iterator<Item = f64>, is_known: &[bool]) -> usize {
+    periods.zip(is_known).map(|(periods, is_known)| if *is_known { periods - 1.0 } else { 0.0 }).sum::<f64>()
+        as usize
 }
 
-/// Description of the places of some of the rows \[nats\].
-fn places(some: usize, rows: usize) -> f64 {
+/// Length of the description of which `some` of the `rows` are meant \[nats\].
+fn nats_of_places(some: usize, rows: usize) -> f64 {
     let (some, rows) = (some as f64, rows as f64);
     if some > 0.0 { some * ((rows / some).ln() + 1.0) } else { 0.0 }
 }
 
-/// Periods from row to row by the motion, which is compared over `side` rows to either side where stamps that are whole `periods` apart have rows
-/// missing, and by how much it contradicts them \[nats\]; `silent` gives the periods where it is unknown.
-fn compared(
+/// Periods from row to row by the motion, and how strongly it contradicts the `periods` of the stamps \[nats\]. Where the stamps
+/// have missing rows, a curve through `side` rows on either side decides; `silent` gives the periods where the motion is unknown.
+fn compare_motion(
     motion: &[Option<f64>],
     periods: &[f64],
     (rows, side): (&[Joints], usize),
@@ -227,20 +227,26 @@ fn compared(
         }
         let is_open = stamped > 1.0 && stamped <= PERIODS_MAX;
         tests += usize::from(is_open);
-        let closer = if is_open { by_curve((rows, side), &numbers, at, stamped as usize) } else { None };
+        let closer =
+            if is_open { periods_by_curve((rows, side), &numbers, at, stamped as usize) } else { None };
         *shown = closer.map(|(periods, _)| periods).or(*shown);
         if shown.is_some_and(|shown| shown != stamped) {
             nats.push(closer.map_or(MISCOUNTED.ln(), |(_, nats)| nats));
         }
     }
-    // Of many places one contradicts by chance.
+    // Among many places one contradicts by chance.
     let by_chance = f64::ln(tests.max(1) as f64);
     (motion, nats.iter().map(|nats| (nats - by_chance).max(0.0)).sum())
 }
 
 /// Periods, 1 to `most`, from row `at` to the next one for which `side` rows on both sides are on the smoothest curve, with the
-/// log-likelihood ratio to the second best; none if that is too small.
-fn by_curve((rows, side): (&[Joints], usize), numbers: &[f64], at: usize, most: usize) -> Option<(f64, f64)> {
+/// log-likelihood ratio to the second best; `None` if that is too small.
+fn periods_by_curve(
+    (rows, side): (&[Joints], usize),
+    numbers: &[f64],
+    at: usize,
+    most: usize,
+) -> Option<(f64, f64)> {
     /// Rows of each side that determine a cubic.
     const SIDE_MIN: usize = 8;
     const TERMS: usize = 4;
@@ -265,17 +271,18 @@ fn by_curve((rows, side): (&[Joints], usize), numbers: &[f64], at: usize, most: 
     fits.sort_by(|a, b| a.1.total_cmp(&b.1));
     let [(best, least), (_, second), ..] = fits[..] else { return None };
     let variance = least / (axes * (count - TERMS)) as f64;
-    // What a cubic leaves of a motion lasts from row to row: two count as one.
+    // Residuals of the cubic are correlated from row to row: two rows count as one.
     let nats = 0.25 * (second - least) / variance;
     (nats > MISCOUNTED.ln()).then_some((best as f64, nats))
 }
 
-/// Rows numbered on a clock, which may not be that of their stamps.
+/// Rows with their numbers on a regular clock.
 struct Numbered {
     grid_s: Option<f64>,
     period_s: f64,
+    /// Number of periods from the first row to each row.
     numbers: Vec<f64>,
-    /// Stamps less their numbers' periods \[s\].
+    /// Stamps minus number times period \[s\].
     rest_s: Vec<f64>,
     /// First rows after a step of the clock.
     breaks_at: Vec<usize>,
@@ -286,40 +293,41 @@ impl Numbered {
     /// Each row follows the one before it, unless the motion, or a deviation beyond rounding and jitter, shows otherwise.
     fn new(t_s: &[f64], motion: &[Option<f64>], grid_s: Option<f64>) -> Option<Self> {
         let apart_s = ROUNDED * grid_s.unwrap_or_default();
-        let period_s = period(t_s, motion)?;
-        let mut numbers = numbers(t_s, motion, period_s, apart_s);
+        let period_s = estimate_period(t_s, motion)?;
+        let mut numbers = number_rows(t_s, motion, period_s, apart_s);
         let rest = |numbers: &[f64]| -> Vec<f64> {
             t_s.iter().zip(numbers).map(|(t_s, number)| t_s - period_s * number).collect()
         };
         let mut rest_s = rest(&numbers);
-        let mut breaks_at = breaks(&rest_s, period_s, apart_s)?;
+        let mut breaks_at = find_breaks(&rest_s, period_s, apart_s)?;
         let mut fit = Fit::new(&rest_s, &numbers, period_s, &breaks_at, grid_s)?;
-        if recounted(&mut numbers, t_s, motion, &breaks_at, &fit.steps_s, period_s) {
+        if correct_numbers(&mut numbers, t_s, motion, &breaks_at, &fit.steps_s, period_s) {
             rest_s = rest(&numbers);
-            breaks_at = breaks(&rest_s, period_s, apart_s)?;
+            breaks_at = find_breaks(&rest_s, period_s, apart_s)?;
             fit = Fit::new(&rest_s, &numbers, period_s, &breaks_at, grid_s)?;
         }
         Some(Self { grid_s, period_s, numbers, rest_s, breaks_at, fit })
     }
 
+    /// Number of missing rows.
     fn missing(&self) -> usize {
         self.numbers.windows(2).map(|pair| pair[1] - pair[0] - 1.0).sum::<f64>() as usize
     }
 
-    /// How late each stamp is by the clock \[s\].
+    /// Stamp minus time of the clock, of each row \[s\].
     fn late_s(&self) -> impl Iterator<Item = f64> {
         self.rest_s.iter().zip(&self.fit.whole_s).map(|(rest_s, whole_s)| rest_s - whole_s)
     }
 
-    /// What a log states beyond its clock \[nats\]: which rows are missing, where the clock was set and by how much, in which cell of
-    /// the grid a stamp is that rounding does not put there, and where the clock passes from cell to cell, which its phase and its rate
-    /// decide. Rows count where the motion is `heard`.
-    fn description(&self, heard: &[bool]) -> f64 {
+    /// Length of the description of the stamps \[nats\]: which rows are missing, where the clock was set and by how much, in which
+    /// cell of the grid a stamp is if not in that of rounding, and phase and rate of the clock, which decide where it passes from
+    /// cell to cell. Missing rows count if the motion at them `is_known`.
+    fn description(&self, is_known: &[bool]) -> f64 {
         /// Differential entropy of a normal distribution of unit deviation, as a number of cells.
         const CELLS: f64 = 4.13;
-        /// Rounding moves a stamp by half a cell; least squares find the line that puts all there to a tenth of one.
+        /// Largest deviation of a stamp by rounding: half a cell, and a tenth for the error of the fitted line.
         const HALF: f64 = 0.6;
-        /// The phase of the clock that explains most, in cells: means of few passes from cell to cell know it to a quarter.
+        /// Tried phases of the clock, in cells: a few passes from cell to cell determine the phase to a quarter.
         const PHASES: [f64; 7] = [-0.25, -0.15, -0.05, 0.0, 0.05, 0.15, 0.25];
         let rows = self.numbers.len() as f64;
         let cell_s = self.grid_s.unwrap_or(WRITTEN_S);
@@ -329,24 +337,24 @@ impl Numbered {
         };
         let least = PHASES.into_iter().map(beyond).fold(f64::INFINITY, f64::min);
         let cells = rows * (1.0 + CELLS * least).ln();
-        let missing = missing(self.numbers.windows(2).map(|pair| pair[1] - pair[0]), heard);
+        let missing = missing(self.numbers.windows(2).map(|pair| pair[1] - pair[0]), is_known);
         let clock = if self.breaks_at.is_empty() { 2 } else { 0 };
         let once = (clock + 2 * self.breaks_at.len()) as f64 * rows.ln();
-        places(missing, self.numbers.len()) + cells + once
+        nats_of_places(missing, self.numbers.len()) + cells + once
     }
 
-    /// The times of the clock, where it is not the stamps themselves that are believed, and what the stamps are against it.
+    /// Times of the clock for all rows, and the stamps against it. Steps at which the motion is unknown stay in the times.
     fn times(&self, t_s: &[f64], motion: &[Option<f64>]) -> (Vec<f64>, Stamps) {
         let Self { grid_s, period_s, numbers, breaks_at, fit, .. } = self;
-        // Near a hole of the log the motion is unknown, and the place of a step is known to some rows.
-        let sure = |at: usize| {
+        // The place of a step is known to some rows only, and near a gap the motion is unknown.
+        let has_motion = |at: usize| {
             let about = motion.get(at.saturating_sub(NEIGHBOURS)..at + NEIGHBOURS);
             about.is_some_and(|about| about.iter().all(Option::is_some))
         };
         let (mut steps, mut stays_s) = (Vec::new(), vec![0.0; breaks_at.len()]);
         for (place, (&at, &by_s)) in breaks_at.iter().zip(&fit.steps_s).enumerate() {
-            // How long the robot stands only the stamps show.
-            if sure(at) { steps.push(StampStep { at_s: t_s[at], by_s }) } else { stays_s[place] = by_s }
+            // Only the stamps show how long the robot stands still.
+            if has_motion(at) { steps.push(StampStep { at_s: t_s[at], by_s }) } else { stays_s[place] = by_s }
         }
         let even = |row: usize| {
             let stays: f64 =
@@ -371,8 +379,8 @@ impl Numbered {
     }
 }
 
-/// Stamps whose distances are all whole multiples of the usual one, and these multiples.
-fn even_already(t_s: &[f64]) -> Option<(Stamps, Vec<f64>)> {
+/// If all distances of stamps are whole multiples of the usual one: the stamps, and these multiples.
+fn already_even(t_s: &[f64]) -> Option<(Stamps, Vec<f64>)> {
     let mut steps_s: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
     let usual_s = median(&mut steps_s)?;
     let pairs = t_s.windows(2).map(|pair| pair[1] - pair[0]);
@@ -382,7 +390,7 @@ fn even_already(t_s: &[f64]) -> Option<(Stamps, Vec<f64>)> {
     let is_even =
         periods.iter().all(|periods| *periods >= 1.0) && steps_s.iter().all(|off_s| *off_s <= EVEN_S);
     let missing = periods.iter().map(|periods| periods - 1.0).sum::<f64>();
-    // A clock that has no row at most of its instants is none.
+    // If most periods have no row, the usual distance is not the period of a clock.
     (is_even && missing < periods.len() as f64).then(|| {
         let jitter_max_s = steps_s.iter().copied().fold(0.0, f64::max);
         let (jitter_s, missing) = (rms(&steps_s), missing as usize);
@@ -390,13 +398,13 @@ fn even_already(t_s: &[f64]) -> Option<(Stamps, Vec<f64>)> {
     })
 }
 
-/// The grid on which stamps are \[s\]: all are multiples of it beside one offset, which changes only where the clock is set.
-fn grid(t_s: &[f64]) -> Option<f64> {
-    /// Parts that the least distance has at most.
+/// The grid of the stamps \[s\]: all are whole multiples of it plus an offset, which changes only where the clock is set.
+fn find_grid(t_s: &[f64]) -> Option<f64> {
+    /// Largest number of cells in the smallest distance of stamps.
     const PARTS_MAX: u32 = 32;
     /// Grids are multiples of this \[s\], or whole parts of a second: a clock that is even is on no grid, but for a rare rate.
     const ROUND_S: f64 = 1e-5;
-    /// The offset changes so often at most.
+    /// Largest number of changes of the offset.
     const SET_MAX: usize = 3;
     let steps_s = t_s.windows(2).map(|pair| pair[1] - pair[0]).filter(|step_s| *step_s > WRITTEN_S);
     let least_s = steps_s.fold(f64::INFINITY, f64::min);
@@ -420,14 +428,14 @@ fn rms(values: &[f64]) -> f64 {
     (values.iter().map(|value| value * value).sum::<f64>() / values.len().max(1) as f64).sqrt()
 }
 
-/// Periods from each row to the next, where the motion determines them.
-fn by_motion(rows: &[Joints]) -> Vec<Option<f64>> {
-    /// Where many rows are missing, those that are known show what is usual about the others.
+/// Number of periods from each row to the next, where the motion determines it.
+fn periods_by_motion(rows: &[Joints]) -> Vec<Option<f64>> {
+    /// Where many rows are missing, periods known from one pass determine the usual step for others in the next.
     const PASSES: usize = 3;
     let steps: Vec<Joints> = rows.windows(2).map(|pair| difference(&pair[1], &pair[0])).collect();
     let mut periods = vec![Some(1.0); steps.len()];
     for _ in 0..PASSES {
-        periods = (0..steps.len()).map(|at| periods_at(&steps, &periods, at)).collect();
+        periods = (0..steps.len()).map(|at| periods_of_step(&steps, &periods, at)).collect();
     }
     periods
 }
@@ -436,12 +444,12 @@ fn difference(a: &Joints, b: &Joints) -> Joints {
     a.iter().zip(b).map(|(a, b)| a - b).collect()
 }
 
-fn squared(step: &Joints) -> f64 {
+fn norm_squared(step: &Joints) -> f64 {
     step.iter().map(|one| one * one).sum()
 }
 
-/// Length of a step in usual steps about it; `periods` are the known periods of those.
-fn periods_at(steps: &[Joints], periods: &[Option<f64>], at: usize) -> Option<f64> {
+/// Number of usual steps in step `at`; `periods` are the known numbers of periods of the steps around it, which define the usual one.
+fn periods_of_step(steps: &[Joints], periods: &[Option<f64>], at: usize) -> Option<f64> {
     let sides = [at.checked_sub(NEIGHBOURS)?..at, at + 1..at + 1 + NEIGHBOURS];
     let usual = |side: &Range<usize>| -> Option<Joints> {
         let known = steps.get(side.clone())?.iter().zip(&periods[side.clone()]);
@@ -455,22 +463,22 @@ fn periods_at(steps: &[Joints], periods: &[Option<f64>], at: usize) -> Option<f6
     };
     let [one, other] = [usual(&sides[0])?, usual(&sides[1])?];
     let unit: Joints = one.iter().zip(&other).map(|(a, b)| 0.5 * (a + b)).collect();
-    let unit_squared = squared(&unit);
+    let unit_squared = norm_squared(&unit);
     let whole = |step: &Joints| {
         let times = step.iter().zip(&unit).map(|(a, b)| a * b).sum::<f64>() / unit_squared;
-        let aside = squared(&difference(step, &unit.map(|one| times * one)));
+        let aside = norm_squared(&difference(step, &unit.map(|one| times * one)));
         let is_whole =
             (1.0 - WHOLE..PERIODS_MAX + WHOLE).contains(&times) && (times - times.round()).abs() < WHOLE;
-        (is_whole && aside < WHOLE * WHOLE * squared(step)).then(|| times.round())
+        (is_whole && aside < WHOLE * WHOLE * norm_squared(step)).then(|| times.round())
     };
     let is_even = unit_squared > STEP_RAD_MIN.powi(2)
-        && squared(&difference(&one, &other)) < WHOLE * WHOLE * unit_squared;
+        && norm_squared(&difference(&one, &other)) < WHOLE * WHOLE * unit_squared;
     let neighbours =
         || sides.iter().flat_map(|side| &steps[side.clone()]).filter(|step| whole(step).is_some()).count();
     if is_even && neighbours() >= NEIGHBOURS_WHOLE { whole(&steps[at]) } else { None }
 }
 
-/// Mean of the values but for this part of them at either end.
+/// Mean of the values without this fraction of them at either end.
 pub(super) fn trimmed_mean(mut values: Vec<f64>, part: f64) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     let ends = (part * values.len() as f64) as usize;
@@ -478,8 +486,8 @@ pub(super) fn trimmed_mean(mut values: Vec<f64>, part: f64) -> Option<f64> {
     Some(kept.iter().sum::<f64>() / kept.len() as f64)
 }
 
-/// The period \[s\], from segments in which the motion determines their number; without motion from the stamps alone.
-fn period(t_s: &[f64], motion: &[Option<f64>]) -> Option<f64> {
+/// The period \[s\], from segments in which the motion determines the number of periods; without motion from the stamps alone.
+fn estimate_period(t_s: &[f64], motion: &[Option<f64>]) -> Option<f64> {
     let of = |from: usize| {
         let periods: Option<f64> = motion.get(from..from + LAG)?.iter().copied().sum();
         Some((t_s[from + LAG] - t_s[from]) / periods?)
@@ -496,9 +504,9 @@ fn period(t_s: &[f64], motion: &[Option<f64>]) -> Option<f64> {
     period_s.filter(|period_s| *period_s > 0.0)
 }
 
-/// Number of each row on the clock, from 0. Where the motion is silent a row follows the one before it, but where it and those
-/// after it are further away than jitter and rounding, by `apart_s`, explain. Where it is not, the clock was set there.
-fn numbers(t_s: &[f64], motion: &[Option<f64>], period_s: f64, apart_s: f64) -> Vec<f64> {
+/// Number of each row on the clock, from 0. Where the motion is unknown, the number is the next one, unless this row and those
+/// after it are later than jitter and rounding, by `apart_s`, explain. Where the motion is known, the clock was set there instead.
+fn number_rows(t_s: &[f64], motion: &[Option<f64>], period_s: f64, apart_s: f64) -> Vec<f64> {
     /// Number of rows over which the phase follows the stamps: the period is known to a thousandth, so that it lags by less than half
     /// of one, and missing rows do not change it.
     const PHASE_ROWS: f64 = 200.0;
@@ -563,8 +571,8 @@ fn numbers(t_s: &[f64], motion: &[Option<f64>], period_s: f64, apart_s: f64) -> 
     numbers
 }
 
-/// First rows after a step of more than `apart_s` of the stamps against a regular clock; none if it steps all the time.
-fn breaks(rest_s: &[f64], period_s: f64, apart_s: f64) -> Option<Vec<usize>> {
+/// First rows after the steps, of more than `apart_s`, of the stamps against a regular clock; `None` if there are too many.
+fn find_breaks(rest_s: &[f64], period_s: f64, apart_s: f64) -> Option<Vec<usize>> {
     /// Part of the largest difference that places near the step have, too.
     const NEARLY: f64 = 0.9;
     let beside = BESIDE.max((BESIDE_S / period_s) as usize);
@@ -601,8 +609,9 @@ fn breaks(rest_s: &[f64], period_s: f64, apart_s: f64) -> Option<Vec<usize>> {
     Some(found)
 }
 
-/// Corrects the numbers at steps of whole periods near rows with unknown motion: rows were missing there, or were not.
-fn recounted(
+/// Corrects the numbers at steps of whole periods near rows with unknown motion: rows are missing there, or were wrongly taken as
+/// missing. Returns whether a number changed.
+fn correct_numbers(
     numbers: &mut [f64],
     t_s: &[f64],
     motion: &[Option<f64>],
@@ -630,18 +639,18 @@ fn recounted(
     any
 }
 
-/// The rest of the stamps as a line with a bend at each knot, and a step at each break.
+/// A fit to stamp minus number times period: a line with a bend at each knot, and a step at each break.
 struct Fit {
-    /// Without and with the steps, row by row \[s\].
+    /// Fit without and with the steps, row by row \[s\].
     smooth_s: Vec<f64>,
     whole_s: Vec<f64>,
     steps_s: Vec<f64>,
-    /// How much longer than assumed a period is \[s\].
+    /// Estimated minus assumed period \[s\].
     slope_s: f64,
 }
 
 impl Fit {
-    /// Stamps of one cell of the grid are off together, as long as it takes the clock to pass it.
+    /// The fit is robust, and smooth for rounded stamps: those of one cell of the grid share their error.
     fn new(
         rest_s: &[f64],
         numbers: &[f64],
@@ -704,7 +713,7 @@ impl Fit {
                     bend.iter().for_each(|&(j, b)| matrix[(i, j)] += straight * a * b);
                 }
             }
-            // A piece without rows follows its neighbours.
+            // Makes the matrix regular for pieces without rows.
             (0..columns).for_each(|i| matrix[(i, i)] += 1e-9 * (1.0 + matrix[(i, i)]));
             x = matrix.cholesky()?.solve(&right);
             let mut left: Vec<f64> =

@@ -124,8 +124,8 @@ fn row_length<R: Row>(rows: &[R]) -> usize {
     rows.first().map_or(0, |row| row.numbers().len())
 }
 
-/// Writes the second derivatives at the knots of one part (at least [`KNOTS_MIN`]) to `out`, knot by knot: the tridiagonal system of continuous first
-/// derivatives, solved by elimination without pivoting (it is diagonally dominant).
+/// Writes the second derivatives at the knots of one part (at least [`KNOTS_MIN`]) to `out`, knot by knot: the tridiagonal
+/// system of continuous first derivatives, solved by elimination without pivoting (it is diagonally dominant).
 fn solve_curvatures<R: Row>(t_s: &[f64], values: &[R], out: &mut [f64]) {
     let (last, width) = (t_s.len() - 1, row_length(values));
     let h = |i: usize| t_s[i + 1] - t_s[i];

@@ -154,7 +154,7 @@ impl Validate for Experiment {
                 if row.validate_mapping.is_some() && row.validate.is_empty() {
                     return Err(Violation::new(
                         format!("{key}[{index}].validate_mapping"),
-                        "no file is there that it could be the mapping of",
+                        "it is the mapping of no file",
                         "name the files in validate, or leave it out",
                     ));
                 }
@@ -257,7 +257,7 @@ impl Experiment {
             let is_same = |other: &Option<Vec<_>>| own.is_some() && other == own;
             if let Some(first) = content[..number].iter().position(is_same) {
                 anyhow::bail!(
-                    "data sets {} and {} are the same measurements, {} and {}; what is measured once counts once, leave one out",
+                    "data sets {} and {} are the same measurements ({} and {}); leave one of them out",
                     first + 1,
                     number + 1,
                     sets[first][0].display(),

@@ -273,7 +273,7 @@ fn measured(
                 read.rows.iter().map(|row| (TouchRow::from(row), row.line)).unzip();
             if let (Some(path), Some(face)) = (&of.faces, table.untouched(&read.faces).first()) {
                 tracing::warn!(
-                    "{}: no row of {} touches face `{face}`, and what is known of it does not count; check how both write it",
+                    "{}: no row of {} touches face `{face}`, so its known distances and angles have no effect; check its name in both files",
                     path.display(),
                     file.display()
                 );
