@@ -91,7 +91,8 @@ fn green_needs_unseen_data_within_the_claim_beyond_chance() {
     let reason = amber.reason.unwrap();
     assert_eq!(amber.grade, Grade::Amber);
     assert!(
-        reason.contains("rows of other.csv are 0.300 mm off") && reason.contains("claim of 0.100 mm"),
+        reason.contains("rows of other.csv are 0.300 mm off")
+            && reason.contains("stated uncertainty of 0.100 mm"),
         "{reason}"
     );
     assert_eq!(verdict(100, 0.1, 0.05).grade, Grade::Green);

@@ -217,7 +217,7 @@ fn a_late_drive_and_a_wrong_ratio_are_named_and_taken_out() {
     assert!(!told.contains("later than the others") && !told.contains("than its log says"), "{told}");
     let late = |run: &mut Simulated| of_drive(run, &robot, 4, |g, row| g[row.saturating_sub(2)]);
     let (error, told) = calibrated(&late);
-    assert!(told.contains("later than the others: joint 5 by +8.0 ms,"), "{told}");
+    assert!(told.contains("later than the others: joint 5 by +8.0 ms."), "{told}");
     assert!(error < 2.0 * sound, "{error} {sound}");
     let (error, told) = calibrated(&|run| of_drive(run, &robot, 1, |g, row| 1.01 * g[row]));
     assert!(told.contains("Joint 2 turns by 0.99 % less than its log says"), "{told}");
