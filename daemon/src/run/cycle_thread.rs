@@ -95,15 +95,10 @@ struct OnBus {
 }
 
 impl CycleLoop {
-    /// Brings the bus into operation and reports the result to `channels.ready`; `None` if it fails.
-    pub fn start(
-        prepared: Prepared,
-        realtime: RealtimeRequest,
-        pace: Pace,
-        channels: Channels,
-    ) -> Option<Self> {
+    /// Brings the bus into operation and reports the result to `ends.ready`; `None` if it fails.
+    pub fn start(prepared: Prepared, realtime: RealtimeRequest, pace: Pace, ends: Channels) -> Option<Self> {
         let Prepared { wire, clock, plan, replay, hand, .. } = prepared;
-        let Channels { ready, jobs, live, opening, ending, over } = channels;
+        let Channels { ready, jobs, live, opening, ending, over } = ends;
         let realtime = clock.is_real().then(|| realtime.apply());
         let mut bus = Bus::new(wire, clock.clone(), plan.reply_timeout);
         bus.interrupt_by(opening.flag());
@@ -223,8 +218,8 @@ struct RunTask {
     /// Number of cycles so far.
     done: u64,
     /// Consecutive cycles without a valid sample of any encoder, and all their flags.
-    invalid_cycles: u64,
-    invalid_flags: u32,
+    invalid: u64,
+    flags: u32,
 }
 
 impl RunTask {
@@ -237,28 +232,12 @@ impl RunTask {
                 replay.start_at(first_sample.0);
             }
         });
-        Self {
-            guard: PanicGuard(stop),
-            sink,
-            cycles,
-            full_fault_cycles,
-            done: 0,
-            invalid_cycles: 0,
-            invalid_flags: 0,
-        }
+        Self { guard: PanicGuard(stop), sink, cycles, full_fault_cycles, done: 0, invalid: 0, flags: 0 }
     }
 
     /// One cycle; false once the run is over.
     fn step(&mut self, on_bus: &mut OnBus) -> bool {
-        let Self {
-            guard: PanicGuard(stop),
-            sink,
-            cycles,
-            full_fault_cycles,
-            done,
-            invalid_cycles,
-            invalid_flags,
-        } = self;
+        let Self { guard: PanicGuard(stop), sink, cycles, full_fault_cycles, done, invalid, flags } = self;
         if stop.is_stopped() || sink.is_abandoned() || cycles.is_some_and(|wanted| *done >= wanted) {
             self.end(on_bus.replay.is_some());
             return false;
@@ -271,17 +250,17 @@ impl RunTask {
             }
             live.publish(record);
             if record.encoders().iter().any(|encoder| encoder.valid) {
-                (*invalid_cycles, *invalid_flags) = (0, 0);
+                (*invalid, *flags) = (0, 0);
             } else {
-                (*invalid_cycles, *invalid_flags) = (*invalid_cycles + 1, *invalid_flags | record.flags);
+                (*invalid, *flags) = (*invalid + 1, *flags | record.flags);
             }
         });
         on_bus.publish();
         if let Some(timing) = on_bus.acquisition.last_timing() {
             sink.push_timing(timing);
         }
-        if *invalid_cycles >= *full_fault_cycles {
-            stop.stop(&full_fault(*invalid_cycles, *invalid_flags));
+        if *invalid >= *full_fault_cycles {
+            stop.stop(&full_fault(*invalid, *flags));
         }
         while let Some(event) = on_bus.acquisition.take_event() {
             sink.push_event(event);

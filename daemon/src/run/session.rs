@@ -116,9 +116,8 @@ impl Session {
         };
         let realtime =
             RealtimeRequest { core: daemon.realtime.core, fifo_priority: daemon.realtime.fifo_priority };
-        let channels =
-            Channels { ready: ready_tx, jobs: jobs_rx, live, opening: opening.clone(), ending, over };
-        start(&**scheduler, "cycle", move || CycleLoop::start(prepared, realtime, pace, channels))?;
+        let ends = Channels { ready: ready_tx, jobs: jobs_rx, live, opening: opening.clone(), ending, over };
+        start(&**scheduler, "cycle", move || CycleLoop::start(prepared, realtime, pace, ends))?;
         Ok(Opening { ready, session: Some(session) })
     }
 

@@ -28,7 +28,7 @@ const ROTATION_TOLERANCE: f64 = 1e-6;
 
 create_exception!(ballbar, Error, PyValueError, "What is wrong, where, and what to do.");
 
-fn to_python_error(error: impl Into<Box<dyn std::error::Error>>) -> PyErr {
+fn py_error(error: impl Into<Box<dyn std::error::Error>>) -> PyErr {
     Error::new_err(explained(error.into().as_ref()))
 }
 
@@ -127,11 +127,10 @@ impl Robot {
     #[new]
     #[pyo3(signature = (calibration, robot, bar=None))]
     fn new(calibration: PathBuf, robot: PathBuf, bar: Option<PathBuf>) -> PyResult<Self> {
-        let file = CalibrationFile::open(&calibration).map_err(to_python_error)?;
-        let robot: RobotConfig = config::load(&robot).map_err(to_python_error)?;
-        let bar: Option<BallBarConfig> =
-            bar.map(|path| config::load(&path)).transpose().map_err(to_python_error)?;
-        CalibratedRobot::new(&file, &robot, bar.as_ref()).map(Self).map_err(to_python_error)
+        let file = CalibrationFile::open(&calibration).map_err(py_error)?;
+        let robot: RobotConfig = config::load(&robot).map_err(py_error)?;
+        let bar: Option<BallBarConfig> = bar.map(|path| config::load(&path)).transpose().map_err(py_error)?;
+        CalibratedRobot::new(&file, &robot, bar.as_ref()).map(Self).map_err(py_error)
     }
 
     #[getter]
@@ -142,7 +141,7 @@ impl Robot {
     /// Rows of joints \[rad, m\] to homogeneous matrices \[m\], 16 numbers each.
     fn forward<'py>(&self, py: Python<'py>, joints: &[u8]) -> PyResult<Bound<'py, PyBytes>> {
         self.map_rows::<16>(py, joints, |q| {
-            let pose = self.0.forward(q).map_err(to_python_error)?.to_homogeneous();
+            let pose = self.0.forward(q).map_err(py_error)?.to_homogeneous();
             Ok(std::array::from_fn(|index| pose[(index / 4, index % 4)]))
         })
     }
@@ -150,7 +149,7 @@ impl Robot {
     /// Rows of joints \[rad, m\] to covariances of position \[m\] and rotation vector \[rad\], 36 numbers each.
     fn covariance<'py>(&self, py: Python<'py>, joints: &[u8]) -> PyResult<Bound<'py, PyBytes>> {
         self.map_rows::<36>(py, joints, |q| {
-            let covariance = self.0.covariance(q).map_err(to_python_error)?;
+            let covariance = self.0.covariance(q).map_err(py_error)?;
             Ok(std::array::from_fn(|index| covariance[index]))
         })
     }
@@ -159,7 +158,7 @@ impl Robot {
     fn inverse<'py>(&self, py: Python<'py>, poses: &[u8], near: &[u8]) -> PyResult<Bound<'py, PyBytes>> {
         let mut reached = Vec::new();
         for (pose, near) in rows(poses, 16).iter().zip(rows(near, self.0.axes())) {
-            reached.extend(&self.0.inverse(&pose_of(pose)?, &near).map_err(to_python_error)?);
+            reached.extend(&self.0.inverse(&pose_of(pose)?, &near).map_err(py_error)?);
         }
         Ok(bytes(py, reached.iter().map(|joint: &f64| joint.to_ne_bytes())))
     }
@@ -205,7 +204,7 @@ struct RecordingTables {
 #[pyfunction]
 fn read_recording(py: Python<'_>, path: PathBuf) -> PyResult<RecordingTables> {
     let Recording { run, cycles, events, end, .. } =
-        py.detach(|| Recording::open(&path)).map_err(to_python_error)?;
+        py.detach(|| Recording::open(&path)).map_err(py_error)?;
     let mut unwrappers: Vec<_> = run.encoders.iter().map(|encoder| encoder.scale.unwrapper()).collect();
     let mut angles_rad = Vec::with_capacity(cycles.len() * run.encoders.len());
     for cycle in &cycles {
@@ -230,16 +229,15 @@ fn read_recording(py: Python<'_>, path: PathBuf) -> PyResult<RecordingTables> {
         events: (events.into_iter())
             .map(|event| (event.time.0, event.cycle, event_kind(event.kind), event.text))
             .collect(),
-        run: serde_json::to_string(&run).map_err(to_python_error)?,
-        end: serde_json::to_string(&end).map_err(to_python_error)?,
+        run: serde_json::to_string(&run).map_err(py_error)?,
+        end: serde_json::to_string(&end).map_err(py_error)?,
     })
 }
 
 /// SHA-256 of a file, or of a configuration that is built in under this name, hexadecimal.
 #[pyfunction]
 fn checksum(path: PathBuf) -> PyResult<String> {
-    let read =
-        Input::of("", &path).map_err(|error| to_python_error(format!("{}: {error}", path.display())))?;
+    let read = Input::of("", &path).map_err(|error| py_error(format!("{}: {error}", path.display())))?;
     Ok(read.sha256)
 }
 

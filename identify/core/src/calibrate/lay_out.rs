@@ -153,16 +153,9 @@ fn bar_runs(
         // There are hundreds of waves. A model has only those named in the configuration, and later those that are detected.
         let named = config.named().filter(|id| matches!(id, ParameterId::JointWave { .. }));
         let model = start_model(prepared, robot, bar)?.with(named);
-        let known_sigmas_m = config.known_length_sigmas_m(bar, model.axes());
+        let sigmas_m = config.known_length_sigmas_m(bar, model.axes());
         let prepared = prepared.clone();
-        let bar = BallBar {
-            prepared,
-            cost,
-            configured: config.noise,
-            estimated_noise: None,
-            measured,
-            known_sigmas_m,
-        };
+        let bar = BallBar { prepared, cost, configured: config.noise, estimated: None, measured, sigmas_m };
         Ok(Run { instrument: bar.into(), model })
     };
     let mut runs = bars.iter().map(run).collect::<Result<Vec<_>, CalibrateError>>()?;

@@ -30,7 +30,6 @@ pub use measured_length::MeasuredLength;
 pub use measured_pose::{MeasuredPose, PoseNoise};
 pub use measured_position::MeasuredPosition;
 pub use problem::{CostError, LoopProblem};
-pub(crate) use residual::ROD_ROTATION_JOINT;
-pub use residual::Residual;
+pub use residual::{ROD_JOINT, Residual};
 pub use scene::{Movement, Scene};
 pub use touched_face::TouchedFace;

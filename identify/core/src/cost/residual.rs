@@ -1,7 +1,7 @@
 //! What a cost function provides: a residual per sample, its derivatives, and the encoders that it requires.
 
 use super::scene::Scene;
-use crate::kinematics::{BAR_JOINTS, ROD_LINK};
+use crate::kinematics::ROD_LINK;
 use crate::model::ParameterId;
 
 /// Whether a cost with these encoders can depend on the parameter. Harmonics and offsets of an encoder, and waves over its
@@ -78,17 +78,9 @@ impl<R: Residual> Residual for &R {
 }
 
 /// Index (from 0) of the joint whose axis is the rod. Without its encoder only the rotation about the rod is unknown.
-pub(crate) const ROD_ROTATION_JOINT: usize = ROD_LINK;
-/// Bar encoders without that of [`ROD_ROTATION_JOINT`].
-pub(super) const ALL_BUT_ROD_ROTATION: &[usize] = &[0, 1, 3, 4];
+pub const ROD_JOINT: usize = ROD_LINK;
+/// Bar encoders without that of [`ROD_JOINT`].
+pub(super) const ALL_BUT_ROD_JOINT: &[usize] = &[0, 1, 3, 4];
 
 /// Indices of all five bar encoders.
-pub(super) const ALL_ENCODERS: &[usize] = &{
-    let mut all = [0; BAR_JOINTS];
-    let mut i = 0;
-    while i < BAR_JOINTS {
-        all[i] = i;
-        i += 1;
-    }
-    all
-};
+pub(super) const ALL_ENCODERS: &[usize] = &[0, 1, 2, 3, 4];

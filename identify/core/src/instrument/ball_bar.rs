@@ -6,8 +6,8 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use crate::cost::{
-    AngleNoise, CostError, DataSet, FoundNoise, Length, LoopProblem, Position, PositionAngles,
-    ROD_ROTATION_JOINT, Residual, Transform, WhitenedPose, WhitenedPoseOfFour, fill_in, loop_closures,
+    AngleNoise, CostError, DataSet, FoundNoise, Length, LoopProblem, Position, PositionAngles, ROD_JOINT,
+    Residual, Transform, WhitenedPose, WhitenedPoseOfFour, fill_in, loop_closures,
 };
 use crate::kinematics::BAR_JOINTS;
 use crate::model::{
@@ -101,7 +101,7 @@ impl CostName {
 
 /// Whether encoder 3, of the rotation about the rod, is missing; the whitened pose does not require it.
 const fn lacks_rod_encoder(measured: &[bool; BAR_JOINTS]) -> bool {
-    !measured[ROD_ROTATION_JOINT]
+    !measured[ROD_JOINT]
 }
 
 /// White noise of the angles; gives the weights of the `pose` cost.
@@ -136,17 +136,17 @@ pub struct BallBar {
     /// Configured noise of the angles, for the cost `pose`.
     pub configured: NoiseConfig,
     /// Noise estimated from the residuals; `None` before the first estimate.
-    pub estimated_noise: Option<FoundNoise>,
+    pub estimated: Option<FoundNoise>,
     /// Whether each bar joint has an encoder, in all runs that are solved together.
     pub measured: [bool; BAR_JOINTS],
     /// Standard uncertainty of each known length of the bar; these lengths fix the scale \[m\].
-    pub known_sigmas_m: Vec<(ParameterId, f64)>,
+    pub sigmas_m: Vec<(ParameterId, f64)>,
 }
 
 impl BallBar {
     /// Noise of the angles: the estimate if there is one, else the configured value.
     pub fn angle_noise(&self) -> AngleNoise {
-        self.estimated_noise.map_or_else(|| self.configured.into(), |estimate| estimate.noise)
+        self.estimated.map_or_else(|| self.configured.into(), |estimate| estimate.noise)
     }
 
     /// The residuals of all samples, divided by `sigma`.
@@ -226,7 +226,7 @@ impl Measures for BallBar {
     }
 
     fn autocorrelation(&self) -> Option<[f64; 2]> {
-        self.estimated_noise.map(|estimate| [estimate.autocorrelation, estimate.autocorrelation_sigma])
+        self.estimated.map(|estimate| [estimate.autocorrelation, estimate.autocorrelation_sigma])
     }
 
     fn samples(&self) -> usize {
@@ -237,7 +237,7 @@ impl Measures for BallBar {
     /// cost `pose` a known length gets a prior. The other costs would decrease if all lengths shrank: with them a known length
     /// stays fixed, and its uncertainty is considered.
     fn place(&self, model: &mut Model, fix: &[ParameterId]) -> Result<bool, ModelError> {
-        for &(id, sigma) in &self.known_sigmas_m {
+        for &(id, sigma) in &self.sigmas_m {
             let Some(&Parameter { nominal: value, role, .. }) = model.parameter(id) else { continue };
             if self.cost == CostName::Pose && !fix.contains(&id) {
                 model.set_role(id, Role::Prior { value, sigma })?;
@@ -291,7 +291,7 @@ impl Measures for BallBar {
         let Prepared { motion, observations, .. } = &self.prepared;
         let (geometry, columns) = (model.geometry(&[]), model.columns().count());
         let start = self.configured.into();
-        self.estimated_noise = if lacks_rod_encoder(&self.measured) {
+        self.estimated = if lacks_rod_encoder(&self.measured) {
             WhitenedPoseOfFour::noise(&geometry, motion, observations, columns, start)
         } else {
             WhitenedPose::noise(&geometry, motion, observations, columns, start)

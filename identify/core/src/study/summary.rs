@@ -172,15 +172,14 @@ fn curves_of(definition: &Definition, figure: &Figure, of_figure: &[&Placed<'_>]
                 .filter(|placed| std::ptr::eq(placed.trial.series, series) && placed.estimator == estimator)
                 .collect();
             let points: Vec<CurvePoint> = series.x.iter().map(|&x| point(x, &of_curve)).collect();
-            let medians = points
-                .iter()
-                .filter_map(|point| Some((point.x, point.errors.get(&Measure::Euclidean)?.median)));
+            let median = |point: &CurvePoint| Some((point.x, point.errors.get(&Measure::Euclidean)?.median));
+            let medians: Vec<(f64, f64)> = points.iter().filter_map(median).collect();
             curves.push(Curve {
                 figure: figure.id.clone(),
                 series: series.name.clone(),
                 estimator: estimator.clone(),
                 label: study.estimator(estimator).map_or_else(String::new, |one| one.label.clone()),
-                limit_at: reach(&medians.collect::<Vec<_>>(), study.limit_mm_mrad),
+                limit_at: reach(&medians, study.limit_mm_mrad),
                 points,
             });
         }

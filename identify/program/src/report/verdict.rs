@@ -144,8 +144,7 @@ impl CalibrationFile {
                 )
             });
             let serious = || limits.iter().find(|limit| limit.serious).map(|limit| limit.sentence.clone());
-            let unknown =
-                || better.is_none().then(|| "No data were held out to check the result.".to_owned());
+            let unknown = || better.is_none().then(|| "No data were held out to check it.".to_owned());
             let missed = || missed(workspace, &predicted, required_m);
             let beyond = || beyond(workspace, &predicted);
             let nowhere_else = || known_nowhere_else(workspace);

@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 use super::angle_noise::NoisySample;
 use crate::cost::problem::{LoopPoint, readings};
-use crate::cost::residual::{ALL_BUT_ROD_ROTATION, ALL_ENCODERS, ROD_ROTATION_JOINT, encoders_suffice};
+use crate::cost::residual::{ALL_BUT_ROD_JOINT, ALL_ENCODERS, ROD_JOINT, encoders_suffice};
 use crate::cost::{AngleNoise, FoundNoise, Movement, Residual, Scene};
 use crate::kinematics::{LinkParameter, ROD_LINK, Trace, Twist, rotation_vector};
 use crate::model::{Geometry, Observation, Owner, ParameterId, RobotMotion};
@@ -141,9 +141,8 @@ fn noisy<const ENCODER_3: bool>(scene: &Scene<'_>) -> NoisySample {
     let mut known = Matrix6::identity() * (FLOOR * FLOOR);
     let mut is_measured: fn(usize) -> bool = |_| true;
     if !ENCODER_3 {
-        is_measured = |joint| joint != ROD_ROTATION_JOINT;
-        known +=
-            of(scene.bar, &seen.by_bar, |joint| joint == ROD_ROTATION_JOINT) * (UNKNOWN_RAD * UNKNOWN_RAD);
+        is_measured = |joint| joint != ROD_JOINT;
+        known += of(scene.bar, &seen.by_bar, |joint| joint == ROD_JOINT) * (UNKNOWN_RAD * UNKNOWN_RAD);
     }
     let by_angles = [of(scene.bar, &seen.by_bar, is_measured), of(scene.robot, &seen.by_robot, |_| true)];
     NoisySample { residual: seen.value, by_angles, known }
@@ -164,11 +163,10 @@ impl<const ENCODER_3: bool> Residual for PoseByNoise<ENCODER_3> {
 
     const NAME: &'static str = "pose";
     const ROWS: usize = 6;
-    const ENCODERS: &'static [usize] = if ENCODER_3 { ALL_ENCODERS } else { ALL_BUT_ROD_ROTATION };
+    const ENCODERS: &'static [usize] = if ENCODER_3 { ALL_ENCODERS } else { ALL_BUT_ROD_JOINT };
 
     fn depends_on(id: ParameterId) -> bool {
-        let is_rod_rotation =
-            id == ParameterId::Bar { link: ROD_ROTATION_JOINT, parameter: LinkParameter::Theta };
+        let is_rod_rotation = id == ParameterId::Bar { link: ROD_JOINT, parameter: LinkParameter::Theta };
         id.affects(Owner::BallBar) && encoders_suffice(id, Self::ENCODERS) && (ENCODER_3 || !is_rod_rotation)
     }
 

@@ -3,7 +3,7 @@
 use nalgebra::Vector5;
 
 use super::position::{derivative, difference};
-use crate::cost::residual::{ALL_BUT_ROD_ROTATION, ROD_ROTATION_JOINT, encoders_suffice};
+use crate::cost::residual::{ALL_BUT_ROD_JOINT, ROD_JOINT, encoders_suffice};
 use crate::cost::{Movement, Residual, Scene};
 use crate::kinematics::{BAR_JOINTS, ImpliedBar, LinkParameter, Turn};
 use crate::model::{Observation, Owner, ParameterId};
@@ -33,11 +33,11 @@ impl Residual for PositionAngles {
 
     const NAME: &'static str = "position_angles";
     const ROWS: usize = 5;
-    const ENCODERS: &'static [usize] = ALL_BUT_ROD_ROTATION;
+    const ENCODERS: &'static [usize] = ALL_BUT_ROD_JOINT;
 
     fn depends_on(id: ParameterId) -> bool {
         // The residual does not contain joint 3: its offset changes the implied angle 3 only.
-        id != ParameterId::Bar { link: ROD_ROTATION_JOINT, parameter: LinkParameter::Theta }
+        id != ParameterId::Bar { link: ROD_JOINT, parameter: LinkParameter::Theta }
             && id.affects(Owner::BallBar)
             && encoders_suffice(id, Self::ENCODERS)
     }

@@ -20,8 +20,7 @@ impl<R: Row> Stream<R> {
             let integral = Integral::new(&part);
             let average = |(row, t_s): (&R, &f64)| {
                 let integral = integral.as_ref()?;
-                let (mean, wider) =
-                    (integral.mean_around(*t_s, width_s)?, integral.mean_around(*t_s, 2.0 * width_s)?);
+                let (mean, wider) = (integral.mean(*t_s, width_s)?, integral.mean(*t_s, 2.0 * width_s)?);
                 let (mean, wider) = (mean.numbers(), wider.numbers());
                 Some(row.with_numbers(|i| (4.0 * mean[i] - wider[i]) / 3.0))
             };
@@ -42,7 +41,7 @@ struct Integral<'a, R> {
     t_s: &'a [f64],
     spline: CubicSpline<R>,
     /// Mean of each number over the rows.
-    mean: R,
+    centre: R,
     /// Integral from the first row to each row.
     until: Vec<R>,
 }
@@ -51,24 +50,23 @@ impl<'a, R: Row> Integral<'a, R> {
     /// `None` if the rows are too few for a spline.
     fn new(part: &'a Stream<R>) -> Option<Self> {
         let count = part.len() as f64;
-        let mean =
-            part.first()?.with_numbers(|i| part.iter().map(|row| row.numbers()[i]).sum::<f64>() / count);
-        let spline = part.map(|row| row.with_numbers(|i| row.numbers()[i] - mean.numbers()[i])).spline()?;
-        let mut sum = mean.with_numbers(|_| 0.0);
+        let centre = part.first()?.with_numbers(|i| part.iter().map(|r| r.numbers()[i]).sum::<f64>() / count);
+        let spline = part.map(|row| row.with_numbers(|i| row.numbers()[i] - centre.numbers()[i])).spline()?;
+        let mut sum = centre.with_numbers(|_| 0.0);
         let mut until = vec![sum];
         for interval in 0..part.len() - 1 {
             let by = spline.integral_within(interval, 1.0)?;
             sum = sum.with_numbers(|i| sum.numbers()[i] + by.numbers()[i]);
             until.push(sum);
         }
-        Some(Self { t_s: &part.t_s, spline, mean, until })
+        Some(Self { t_s: &part.t_s, spline, centre, until })
     }
 
     /// Mean of the spline over `width_s` around `t_s`; `None` if that extends beyond an end.
-    fn mean_around(&self, t_s: f64, width_s: f64) -> Option<R> {
+    fn mean(&self, t_s: f64, width_s: f64) -> Option<R> {
         let (before, after) = (self.at(t_s - 0.5 * width_s)?, self.at(t_s + 0.5 * width_s)?);
         let (before, after) = (before.numbers(), after.numbers());
-        Some(self.mean.with_numbers(|i| (after[i] - before[i]) / width_s + self.mean.numbers()[i]))
+        Some(self.centre.with_numbers(|i| (after[i] - before[i]) / width_s + self.centre.numbers()[i]))
     }
 
     /// Integral from the first row to `t_s`; `None` outside the part.

@@ -146,7 +146,7 @@ pub(in crate::logs) struct Sampling {
 }
 
 /// The regular clock behind the stamps, which must not decrease; `None` if there is none.
-pub(in crate::logs) fn find_sampling(stamps_s: Vec<f64>, rows: &[Joints]) -> Option<Sampling> {
+pub(in crate::logs) fn find_clock(stamps_s: Vec<f64>, rows: &[Joints]) -> Option<Sampling> {
     let t_s = &*stamps_s;
     // The motion is compared only where it decides: long logs have millions of rows.
     let even = already_even(t_s);
@@ -168,12 +168,12 @@ pub(in crate::logs) fn find_sampling(stamps_s: Vec<f64>, rows: &[Joints]) -> Opt
     let explanations = closer.map_or_else(|| vec![motion.clone()], |(explanations, _)| explanations.into());
     let grid_s = find_grid(t_s);
     // Where joints rest, a row that is missing and a clock that passes from cell to cell look the same: they decide nothing.
-    let is_known: Vec<bool> = explanations[0].iter().map(Option::is_some).collect();
-    let missing = even.as_ref().map_or(0, |(_, periods)| missing(periods.iter().copied(), &is_known));
+    let known: Vec<bool> = explanations[0].iter().map(Option::is_some).collect();
+    let missing = even.as_ref().map_or(0, |(_, periods)| missing(periods.iter().copied(), &known));
     let numbered = explanations.iter().filter(|_| moves).filter_map(|periods| {
         let numbered = Numbered::new(t_s, periods, grid_s)?;
         // One explanation alone is compared with nothing.
-        let description = if even.is_some() { numbered.description(&is_known) } else { 0.0 };
+        let description = if even.is_some() { numbered.description(&known) } else { 0.0 };
         Some((numbered, description))
     });
     let shortest = numbered.min_by(|a, b| a.1.total_cmp(&b.1));
@@ -194,9 +194,8 @@ pub(in crate::logs) fn find_sampling(stamps_s: Vec<f64>, rows: &[Joints]) -> Opt
 }
 
 /// Number of missing rows where the motion is known, from the periods between rows.
-fn missing(periods: impl Iterator<Item = f64>, is_known: &[bool]) -> usize {
-    periods.zip(is_known).map(|(periods, is_known)| if *is_known { periods - 1.0 } else { 0.0 }).sum::<f64>()
-        as usize
+fn missing(periods: impl Iterator<Item = f64>, known: &[bool]) -> usize {
+    periods.zip(known).map(|(periods, known)| if *known { periods - 1.0 } else { 0.0 }).sum::<f64>() as usize
 }
 
 /// Length of the description of which `some` of the `rows` are meant \[nats\].
@@ -227,8 +226,7 @@ fn compare_motion(
         }
         let is_open = stamped > 1.0 && stamped <= PERIODS_MAX;
         tests += usize::from(is_open);
-        let closer =
-            if is_open { periods_by_curve((rows, side), &numbers, at, stamped as usize) } else { None };
+        let closer = if is_open { by_curve((rows, side), &numbers, at, stamped as usize) } else { None };
         *shown = closer.map(|(periods, _)| periods).or(*shown);
         if shown.is_some_and(|shown| shown != stamped) {
             nats.push(closer.map_or(MISCOUNTED.ln(), |(_, nats)| nats));
@@ -241,12 +239,7 @@ fn compare_motion(
 
 /// Periods, 1 to `most`, from row `at` to the next one for which `side` rows on both sides are on the smoothest curve, with the
 /// log-likelihood ratio to the second best; `None` if that is too small.
-fn periods_by_curve(
-    (rows, side): (&[Joints], usize),
-    numbers: &[f64],
-    at: usize,
-    most: usize,
-) -> Option<(f64, f64)> {
+fn by_curve((rows, side): (&[Joints], usize), numbers: &[f64], at: usize, most: usize) -> Option<(f64, f64)> {
     /// Rows of each side that determine a cubic.
     const SIDE_MIN: usize = 8;
     const TERMS: usize = 4;
@@ -321,8 +314,8 @@ impl Numbered {
 
     /// Length of the description of the stamps \[nats\]: which rows are missing, where the clock was set and by how much, in which
     /// cell of the grid a stamp is if not in that of rounding, and phase and rate of the clock, which decide where it passes from
-    /// cell to cell. Missing rows count if the motion at them `is_known`.
-    fn description(&self, is_known: &[bool]) -> f64 {
+    /// cell to cell. Missing rows count where the motion is `known`.
+    fn description(&self, known: &[bool]) -> f64 {
         /// Differential entropy of a normal distribution of unit deviation, as a number of cells.
         const CELLS: f64 = 4.13;
         /// Largest deviation of a stamp by rounding: half a cell, and a tenth for the error of the fitted line.
@@ -337,7 +330,7 @@ impl Numbered {
         };
         let least = PHASES.into_iter().map(beyond).fold(f64::INFINITY, f64::min);
         let cells = rows * (1.0 + CELLS * least).ln();
-        let missing = missing(self.numbers.windows(2).map(|pair| pair[1] - pair[0]), is_known);
+        let missing = missing(self.numbers.windows(2).map(|pair| pair[1] - pair[0]), known);
         let clock = if self.breaks_at.is_empty() { 2 } else { 0 };
         let once = (clock + 2 * self.breaks_at.len()) as f64 * rows.ln();
         nats_of_places(missing, self.numbers.len()) + cells + once

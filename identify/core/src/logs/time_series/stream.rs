@@ -9,7 +9,7 @@ use std::ops::{Deref, DerefMut, Range};
 
 use nalgebra::Vector3;
 
-use super::sampling::{Sampling, Stamps, find_sampling};
+use super::sampling::{Sampling, Stamps, find_clock};
 use crate::kinematics::Joints;
 use crate::statistics::median;
 
@@ -155,8 +155,7 @@ impl<R> Stream<R> {
         motion: impl FnOnce(&[R]) -> Cow<'_, [Joints]>,
     ) -> (Self, Option<Stamps>, Vec<bool>) {
         let first_ns = stamps_ns.first().copied().unwrap_or_default();
-        let Some(Sampling { mut t_s, stamps }) = find_sampling(since_first_s(&stamps_ns), &motion(&rows))
-        else {
+        let Some(Sampling { mut t_s, stamps }) = find_clock(since_first_s(&stamps_ns), &motion(&rows)) else {
             let mut last_ns = None;
             let is_new = |stamp_ns: &i64| last_ns.replace(*stamp_ns) != Some(*stamp_ns);
             let is_new: Vec<bool> = stamps_ns.iter().map(is_new).collect();

@@ -84,11 +84,8 @@ impl BeforeAverage<'_> {
         let mut bar = bar.finish();
         let measured = encoder_map.measured();
         for rms_rad in [&mut bar.still_rad, &mut bar.moving_rad] {
-            rms_rad
-                .iter_mut()
-                .zip(measured)
-                .filter(|(_, measured)| !measured)
-                .for_each(|(rms, _)| *rms = None);
+            let unmeasured = rms_rad.iter_mut().zip(measured).filter(|(_, measured)| !measured);
+            unmeasured.for_each(|(rms, _)| *rms = None);
         }
         Averaged { width_s: self.width_s, robot: robot.finish(), bar }
     }
@@ -155,13 +152,11 @@ impl Comparison {
             .flat_map(|row| (0..joints).map(move |joint| (row, joint)))
             .filter_map(|(row, joint)| Some((point_at(row, joint)?.averaged_rad_s.abs(), row, joint)))
             .max_by(|a, b| a.0.total_cmp(&b.0));
-        let Some((speed_rad_s, row, joint)) = fastest.filter(|one| one.0 > self.fastest_rad_s) else {
-            return;
-        };
+        let Some((rad_s, row, joint)) = fastest.filter(|one| one.0 > self.fastest_rad_s) else { return };
         let shown_s = SHOWN_S_MIN.max(SHOWN_WIDTHS * width_s);
         let from = t_s.partition_point(|t| *t < t_s[row] - shown_s).max(1);
         let to = t_s.partition_point(|t| *t <= t_s[row] + shown_s).min(averages.len() - 1);
-        (self.fastest_rad_s, self.fastest_joint) = (speed_rad_s, joint + 1);
+        (self.fastest_rad_s, self.fastest_joint) = (rad_s, joint + 1);
         self.fastest = (from..to).filter_map(|row| point_at(row, joint)).collect();
     }
 
