@@ -199,7 +199,9 @@ fn a_bus_gone_for_good_ends_the_run_with_a_finished_file_that_says_so() {
     // The full fault ends the run long before its duration.
     let output =
         record(out.path(), &["--name", "gone", "--duration", "1h", "--fast", "--fault", "link-down@3s"]);
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    // Most of its cycles are invalid: a batch job must notice.
+    assert_eq!(output.status.code(), Some(1), "{}", said(&output));
+    assert!(said(&output).contains("run `gone` is unusable: 60"), "{}", said(&output));
     let recording = Recording::open(&out.path().join("gone.mcap")).unwrap();
     assert!(recording.end.cause.contains("full fault"), "{}", recording.end.cause);
     let blind = recording.cycles.iter().rev().take_while(|cycle| !cycle.is_valid()).count();
@@ -397,6 +399,7 @@ fn commands_without_a_service_answer_programs_too() {
     assert_ne!(last["cycles_valid"], last["cycles"]);
     let (blind, code) = recorded("blind", "no-signal:1");
     assert_eq!((code, &blind["cycles_valid"]), (Some(1), &0.into()), "{blind}");
+    assert_eq!((&last["verdict"]["level"], &blind["verdict"]["level"]), (&"check".into(), &"bad".into()));
 
     let file = file.to_str().unwrap();
     let (table, _) = json(&["export", "--csv", file]);

@@ -9,10 +9,11 @@ use shared::output::say;
 use shared::recording::SystemDisk;
 use shared::recording::schema::SIMULATED_BUS;
 
-use super::client::text::{ensure_any_valid, last_run};
+use super::client::text::{ensure_usable, last_run};
 use super::configuration::{Configuration, State};
 use super::{Format, bus_choice, on_signal};
 use crate::clock::Clock;
+use crate::control::recordings::runs;
 use crate::control::status::LastRun;
 use crate::run::{self, About, BusChoice, RunDetails, RunRequest, Stop, Storage};
 use crate::scheduler::Threads;
@@ -69,12 +70,14 @@ pub fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
         Ok(run::record(&scheduler, &storage, &request, &daemon, &bar, &stop).await?)
     };
     let summary = on_signal(work, |signal| stop.stop(&format!("stopped by {signal}")))?;
-    let last = LastRun::of(name, summary);
+    let mut last = LastRun::of(name, summary);
+    let file = last.file.clone().map(PathBuf::from);
+    last.verdict = file.and_then(|file| runs::finished(&SystemDisk, last.name.clone(), file).verdict);
     if !arguments.format.prints(&last)? {
         say(last_run(&last))?;
         last.timing.iter().try_for_each(say)?;
     }
-    ensure_any_valid(last.cycles, last.cycles_valid)
+    ensure_usable(&last.name, last.verdict.as_ref())
 }
 
 fn request(arguments: &RecordArguments, homing: Option<HomingConfig>) -> anyhow::Result<RunRequest> {

@@ -11,13 +11,12 @@ use qrcode::render::unicode::Dense1x2;
 use shared::output::say;
 use shared::recording::RunMark;
 
-use super::text::{codes, last_run, next_step, print_list, running};
+use super::text::{codes, ensure_usable, last_run, next_step, print_list, running};
 use super::{ServiceArguments, listed_in};
 use crate::control::recordings::runs::RunLine;
-use crate::control::recordings::verdict::Verdict;
 use crate::control::status::{
-    CheckLine, DeleteRequest, EmptyBinRequest, Granted, Level, MarkRequest, NoteRequest, PairReply,
-    PairRequest, PairingLink, Reply, StartRequest, Status, StopRequest,
+    CheckLine, DeleteRequest, EmptyBinRequest, Granted, MarkRequest, NoteRequest, PairReply, PairRequest,
+    PairingLink, Reply, StartRequest, Status, StopRequest,
 };
 use crate::problem::clock_time;
 use crate::run::About;
@@ -115,9 +114,7 @@ pub fn stop(service: &ServiceArguments) -> anyhow::Result<()> {
                 verdict.iter().try_for_each(say)?;
                 last.next.iter().try_for_each(|next| say(next_step(&last.name, next)))?;
             }
-            if let Some(Verdict { level: Level::Bad, reasons }) = verdict {
-                bail!("run `{}` is unusable: {}", last.name, reasons.join("; "));
-            }
+            ensure_usable(&last.name, verdict.as_ref())?;
         }
         _ if printed => {}
         _ => homing.as_ref().map_or_else(|| say("no run is active"), say)?,

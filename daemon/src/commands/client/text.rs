@@ -9,8 +9,9 @@ use shared::recording::RunMark;
 
 use crate::commands::Format;
 use crate::control::recordings::runs::RunLine;
+use crate::control::recordings::verdict::Verdict;
 use crate::control::status::{IN_SPITE_OF, LastRun, RunStatus};
-use crate::problem::Problem;
+use crate::problem::{Level, Problem};
 
 /// The codes under which the manual explains these problems.
 pub fn codes(problems: &[Problem]) -> String {
@@ -40,14 +41,14 @@ pub fn print_list(lines: &[RunLine], none: &str, format: Format) -> anyhow::Resu
     Ok(())
 }
 
-/// A run without a single valid cycle has failed, although its file is complete.
-pub fn ensure_any_valid(cycles: u64, cycles_valid: u64) -> anyhow::Result<()> {
-    if cycles > 0 && cycles_valid == 0 {
-        bail!(
-            "none of the {cycles} cycles is valid; `ballbard check` shows the problems of bus and encoders"
-        );
+/// A run that is rated BAD has failed, although its file is complete.
+pub fn ensure_usable(name: &str, verdict: Option<&Verdict>) -> anyhow::Result<()> {
+    match verdict {
+        Some(Verdict { level: Level::Bad, reasons }) => {
+            bail!("run `{name}` is unusable: {}", reasons.join("; "))
+        }
+        _ => Ok(()),
     }
-    Ok(())
 }
 
 pub fn running(run: &RunStatus) -> String {
