@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
 use std::ffi::OsStr;
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::Duration;
@@ -282,6 +283,19 @@ fn homing_without_a_service_or_a_bus_says_what_to_do() {
     let elsewhere = home(&["--state", "elsewhere"]);
     assert!(String::from_utf8_lossy(&elsewhere.stderr).contains("--state needs --bus"), "{elsewhere:?}");
     assert!(!config().join("homing.toml").exists());
+}
+
+#[test]
+fn a_homing_of_simulated_encoders_says_so_before_the_first_joint() {
+    let state = tempfile::tempdir().unwrap();
+    let mut command = ballbard();
+    command.args(["home", "--bus", "simulated", "--config"]).arg(config()).arg("--state").arg(state.path());
+    let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
+    let mut line = String::new();
+    BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    kill(&child, nix::sys::signal::Signal::SIGINT);
+    child.wait().unwrap();
+    assert!(line.starts_with("SIMULATED: "), "{line}");
 }
 
 #[test]

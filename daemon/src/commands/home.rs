@@ -8,6 +8,7 @@ use clap::Args;
 use shared::output::{explained, say};
 use shared::recording::SystemDisk;
 
+use super::client::text::SIMULATED;
 use super::client::{NoService, ServiceArguments};
 use super::configuration::State;
 use super::{Format, bus_choice, on_signal};
@@ -63,7 +64,7 @@ async fn by_service(
     if !is_ours && !service.format.json {
         say("another client is homing the encoders already; its progress follows")?;
     }
-    let mut printer = Printer::new(service.format);
+    let mut printer = Printer::new(service.format, reply.simulated)?;
     let mut stop_requested = false;
     loop {
         let status: Status = service.get("status")?;
@@ -105,7 +106,8 @@ async fn on_own_bus(
     let storage = Storage::new(&daemon, &**scheduler)?;
     let session = run::open_with_retry(scheduler, &storage, &request, &daemon, &bar, stop).await?;
     session.log();
-    let (mut printer, mut homing) = (Printer::new(service.format), Homing::begin(&session));
+    let mut printer = Printer::new(service.format, session.is_simulated())?;
+    let mut homing = Homing::begin(&session);
     while !homing.poll(&bar.encoders, &marks) {
         if let Err(error) = printer.print(homing.status()) {
             stop.stop(&explained(error.as_ref()));
@@ -135,8 +137,11 @@ struct Printer {
 }
 
 impl Printer {
-    fn new(format: Format) -> Self {
-        Self { format, printed: HomingStatus::default() }
+    fn new(format: Format, is_simulated: bool) -> anyhow::Result<Self> {
+        if is_simulated && !format.json {
+            say(SIMULATED)?;
+        }
+        Ok(Self { format, printed: HomingStatus::default() })
     }
 
     fn print(&mut self, status: &HomingStatus) -> anyhow::Result<()> {

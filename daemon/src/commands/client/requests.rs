@@ -11,7 +11,7 @@ use qrcode::render::unicode::Dense1x2;
 use shared::output::say;
 use shared::recording::RunMark;
 
-use super::text::{codes, ensure_usable, last_run, next_step, print_list, running};
+use super::text::{SIMULATED, codes, ensure_usable, last_run, next_step, print_list, running};
 use super::{ServiceArguments, listed_in};
 use crate::control::recordings::runs::RunLine;
 use crate::control::status::{
@@ -189,7 +189,7 @@ pub fn status(arguments: &StatusArguments) -> anyhow::Result<()> {
     let reason = status.reason.as_ref().map_or(String::new(), |why| format!(": {why}"));
     say(format_args!("{}{reason}{}", status.headline().word, codes(&status.problems)))?;
     if status.simulated {
-        say("SIMULATED: no hardware; the encoder counts are generated")?;
+        say(SIMULATED)?;
     }
     if let Some(run) = &status.run {
         say(running(run))?;

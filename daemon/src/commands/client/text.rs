@@ -13,6 +13,9 @@ use crate::control::recordings::verdict::Verdict;
 use crate::control::status::{IN_SPITE_OF, LastRun, RunStatus};
 use crate::problem::{Level, Problem};
 
+/// Line before values of the simulated bus.
+pub const SIMULATED: &str = "SIMULATED: no hardware; the encoder counts are generated";
+
 /// The codes under which the manual explains these problems.
 pub fn codes(problems: &[Problem]) -> String {
     let mut codes: Vec<_> = problems.iter().map(Problem::code).collect();
