@@ -132,7 +132,8 @@ fn a_short_fault_leaves_the_run_as_it_is_and_the_status_says_so() {
 fn a_homing_is_followed_while_a_joint_is_turned_and_stopped_in_the_middle() {
     live_on_bus(&[], async |day| {
         day.wait_for(ServiceState::Waiting).await;
-        assert_eq!(day.post("/home", &json!({})).await.0, 200);
+        let (status, begun) = day.post("/home", &json!({})).await;
+        assert_eq!((status, &begun["simulated"]), (200, &true.into()));
         let turned =
             |status: &Status| status.homing.as_ref().and_then(|homing| homing.turned_deg).unwrap_or(0.0);
         let early = day.wait(Duration::from_secs(60), |status| turned(status) > 1.0).await;
@@ -142,7 +143,18 @@ fn a_homing_is_followed_while_a_joint_is_turned_and_stopped_in_the_middle() {
         assert!(later.sampled > early.sampled && later.encoders.iter().all(|encoder| encoder.valid));
         let (status, answer) = day.post("/stop", &json!({"cause": "enough"})).await;
         assert!(status == 200 && answer["homing"]["error"].as_str().unwrap().contains("enough"), "{answer}");
+        assert_eq!(day.post("/stop", &json!({})).await.1["simulated"], true);
         day.begin_run().await;
+        for (path, body) in [
+            ("/mark", json!({})),
+            ("/stop", json!({})),
+            ("/note", json!({"name": "day", "note": "text"})),
+            ("/delete", json!({"name": "day"})),
+            ("/bin/empty", json!({})),
+        ] {
+            let (status, answer) = day.post(path, &body).await;
+            assert_eq!((status, &answer["simulated"]), (200, &true.into()), "{path}: {answer}");
+        }
         day.end().await;
     });
 }

@@ -3,7 +3,7 @@
 use axum::Json;
 use axum::extract::{self, State};
 use axum::http::StatusCode;
-use axum::response::{IntoResponse, Response};
+use axum::response::Response;
 
 use super::{Asked, found, on_disk, places, refusal, reply};
 use crate::control::recordings::bin::{self, Places};
@@ -28,7 +28,7 @@ pub(super) async fn delete(
     let (file, _) = found(&service, Ok(extract::Path(name))).await?;
     tracing::warn!(file = %file.display(), "recording moved into the bin on request");
     let name = on_disk(&service, move |disk| bin::put(disk, &file)).await?;
-    Ok(reply(Granted::Deleted, Some(name), None))
+    Ok(reply(&service, Reply { answer: Granted::Deleted, run: Some(name), ..Reply::default() }))
 }
 
 pub(super) async fn restore(
@@ -37,7 +37,9 @@ pub(super) async fn restore(
 ) -> Result<Response, Response> {
     let bins = bins(&service);
     match on_disk(&service, move |disk| bins.restore(disk, &name)).await? {
-        Some(name) => Ok(reply(Granted::Restored, Some(name), None)),
+        Some(name) => {
+            Ok(reply(&service, Reply { answer: Granted::Restored, run: Some(name), ..Reply::default() }))
+        }
         None => Err(refusal(
             StatusCode::NOT_FOUND,
             "the bin has no recording of that name; `ballbard bin` lists its content",
@@ -52,5 +54,5 @@ pub(super) async fn empty(
     let bins = bins(&service);
     let removed = on_disk(&service, move |disk| bins.empty(disk)).await?;
     tracing::warn!(removed, "bin emptied on request");
-    Ok(Json(Reply { answer: Granted::Emptied, removed: Some(removed), ..Reply::default() }).into_response())
+    Ok(reply(&service, Reply { answer: Granted::Emptied, removed: Some(removed), ..Reply::default() }))
 }

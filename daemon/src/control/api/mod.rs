@@ -429,7 +429,7 @@ async fn change_note(
     check_text(&note).map_err(unusable)?;
     let (file, name) = found(&service, Ok(extract::Path(name))).await?;
     on_disk(&service, move |disk| note::keep(disk, &file, note)).await?;
-    Ok(reply(Granted::Noted, Some(name), None))
+    Ok(reply(&service, Reply { answer: Granted::Noted, run: Some(name), ..Reply::default() }))
 }
 
 /// Lines of the check that stop a run.
@@ -486,13 +486,12 @@ async fn start(
     let ended = |_| Err(Problem::from(Fact::ServiceEnding {}).into());
     let answer = answer.unwrap_or_else(ended);
     let answer = answer.map_err(|refusal| refused(StatusCode::UNPROCESSABLE_ENTITY, refusal))?;
-    let Status { run, simulated, .. } = service.status();
     let (answer, run) = match answer {
-        Answer::Beginning => (Granted::Begun, run.map(|run| run.name).or(named)),
+        Answer::Beginning => (Granted::Begun, service.status().run.map(|run| run.name).or(named)),
         Answer::Running(run) => (Granted::Running, Some(run)),
         other => return Err(not_granted(other, "stop it first, or wait until its file is finished")),
     };
-    Ok(Json(Reply { answer, run, simulated, ..Reply::default() }).into_response())
+    Ok(reply(&service, Reply { answer, run, ..Reply::default() }))
 }
 
 async fn stop(
@@ -515,16 +514,16 @@ async fn stop(
             let verdict = verdict(&service, &last).await;
             let last = LastRun { verdict: verdict.clone(), ..last };
             let (answer, run, last) = (Granted::Stopped, Some(run), Some(last));
-            Ok(Json(Reply { answer, run, last, verdict, ..Reply::default() }).into_response())
+            Ok(reply(&service, Reply { answer, run, last, verdict, ..Reply::default() }))
         }
         (Answer::Homing, _) => {
             let homing = homed(&service).await.ok_or_else(|| {
                 late("the homing is ending, but its marks are not saved yet; `ballbard status` shows the state")
             })?;
             let (answer, homing) = (Granted::Homing, Some(homing));
-            Ok(Json(Reply { answer, homing, ..Reply::default() }).into_response())
+            Ok(reply(&service, Reply { answer, homing, ..Reply::default() }))
         }
-        _ => Ok(reply(Granted::Idle, None, service.status().last)),
+        _ => Ok(reply(&service, Reply { last: service.status().last, ..Reply::default() })),
     }
 }
 
@@ -532,11 +531,12 @@ async fn home(
     State(service): State<Service>,
     Asked(HomeRequest {}): Asked<HomeRequest>,
 ) -> Result<Response, Response> {
-    match service.home().await.map_err(unavailable)? {
-        Answer::Beginning => Ok(reply(Granted::Begun, None, None)),
-        Answer::Homing => Ok(reply(Granted::Homing, None, None)),
-        other => Err(not_granted(other, "encoders are homed between runs")),
-    }
+    let answer = match service.home().await.map_err(unavailable)? {
+        Answer::Beginning => Granted::Begun,
+        Answer::Homing => Granted::Homing,
+        other => return Err(not_granted(other, "encoders are homed between runs")),
+    };
+    Ok(reply(&service, Reply { answer, ..Reply::default() }))
 }
 
 /// The refusal of a run or a homing; `while_busy` is the advice during a run.
@@ -560,7 +560,7 @@ async fn mark(
     let (run, text) = marked
         .ok_or_else(|| refusal(StatusCode::CONFLICT, "no run is active, so there is nothing to mark"))?;
     let (answer, run, mark) = (Granted::Marked, Some(run), Some(text));
-    Ok(Json(Reply { answer, run, mark, ..Reply::default() }).into_response())
+    Ok(reply(&service, Reply { answer, run, mark, ..Reply::default() }))
 }
 
 fn some_text(text: &str) -> Result<(), &'static str> {
@@ -664,8 +664,9 @@ fn is_local(headers: &HeaderMap, origins: &[String]) -> bool {
         })
 }
 
-fn reply(answer: Granted, run: Option<String>, last: Option<LastRun>) -> Response {
-    Json(Reply { answer, run, last, ..Reply::default() }).into_response()
+/// Every reply states whether the bus is simulated.
+fn reply(service: &Service, reply: Reply) -> Response {
+    Json(Reply { simulated: service.status().simulated, ..reply }).into_response()
 }
 
 /// Refuses an invalid value.
