@@ -118,6 +118,9 @@ fn simulated_data_are_called_that_from_the_beginning_to_the_end() {
         let origin = file.file_stem().unwrap().to_str().unwrap();
         assert!(said(&output).contains(&format!("replay of `{origin}`, recorded 20")), "{}", said(&output));
     }
+    let again = out.path().join("again.mcap").display().to_string();
+    let part = ["record", "--replay", &again, "--name", "part", "--duration", "0.5s", "--fast"];
+    recorded(&part);
     let listed = ballbard().arg("runs").arg(out.path()).output().unwrap();
     let lines = said(&listed);
     let line = |name: &str| lines.lines().find(|line| line.starts_with(name)).unwrap();
@@ -128,6 +131,8 @@ fn simulated_data_are_called_that_from_the_beginning_to_the_end() {
         "{lines}"
     );
     assert!(!line("measured").contains('['), "{lines}");
+    assert!(line("again").contains("; end of the replayed recording  ["), "{lines}");
+    assert!(line("part").contains("; duration reached  ["), "{lines}");
 }
 
 #[test]

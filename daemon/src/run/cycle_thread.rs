@@ -38,8 +38,8 @@ pub(super) enum Job {
 pub(super) struct RunJob {
     pub sink: CycleSink,
     pub stop: Stop,
-    /// Cycles after which the run ends.
-    pub cycles: Option<u64>,
+    /// Cycles after which the run ends, and the cause of that end.
+    pub cycles: Option<(u64, &'static str)>,
     /// Number of cycles without a valid sample of any encoder that end the run (full fault).
     pub full_fault_cycles: u64,
     /// `UTC - monotonic` for the run's sample times \[ns\].
@@ -213,7 +213,7 @@ struct RunTask {
     // Dropped before the ring: the recorder must not finish the file without the cause.
     guard: PanicGuard,
     sink: CycleSink,
-    cycles: Option<u64>,
+    cycles: Option<(u64, &'static str)>,
     full_fault_cycles: u64,
     /// Number of cycles so far.
     done: u64,
@@ -238,13 +238,14 @@ impl RunTask {
     /// One cycle; false once the run is over.
     fn step(&mut self, on_bus: &mut OnBus) -> bool {
         let Self { guard: PanicGuard(stop), sink, cycles, full_fault_cycles, done, invalid, flags } = self;
-        if stop.is_stopped() || sink.is_abandoned() || cycles.is_some_and(|wanted| *done >= wanted) {
-            self.end(on_bus.replay.is_some());
+        let cause = cycles.and_then(|(wanted, cause)| (*done >= wanted).then_some(cause));
+        if stop.is_stopped() || sink.is_abandoned() || cause.is_some() {
+            self.end(cause);
             return false;
         }
         let live = &on_bus.live;
         on_bus.acquisition.next_cycle(&mut |record| {
-            if cycles.is_none_or(|wanted| record.cycle < wanted) {
+            if cycles.is_none_or(|(wanted, _)| record.cycle < wanted) {
                 sink.push(record);
                 *done = record.cycle + 1;
             }
@@ -269,12 +270,8 @@ impl RunTask {
     }
 
     /// Sets the cause of the end, if none is set.
-    fn end(&self, is_replay: bool) {
-        self.guard.0.stop(match is_replay {
-            _ if self.sink.is_abandoned() => "the recorder has ended",
-            true => "end of the replayed recording",
-            false => "duration reached",
-        });
+    fn end(&self, cause: Option<&str>) {
+        self.guard.0.stop(cause.filter(|_| !self.sink.is_abandoned()).unwrap_or("the recorder has ended"));
         // The recorder ends first if the start was refused or the disk failed, which the service reports.
         if !self.sink.is_abandoned() {
             tracing::info!("the last cycle of the run is recorded");
@@ -330,7 +327,7 @@ mod tests {
         let job = RunJob {
             sink,
             stop: stop.clone(),
-            cycles: Some(1),
+            cycles: Some((1, "duration reached")),
             full_fault_cycles: 1000,
             utc_minus_monotonic_ns: 0,
         };

@@ -303,10 +303,11 @@ impl Session {
         u64::try_from(time.as_nanos() / self.period.as_nanos().max(1)).unwrap_or(u64::MAX)
     }
 
-    /// Cycles after which a run ends: its duration or the end of a replay, whichever is first.
-    fn cycles_of(&self, duration: Option<Duration>) -> Option<u64> {
-        let wanted = duration.map(|duration| self.cycles_of_time(duration));
-        [wanted, self.cycles].into_iter().flatten().min()
+    /// Cycles after which a run ends, its duration or the end of a replay, whichever is first, and that cause.
+    fn cycles_of(&self, duration: Option<Duration>) -> Option<(u64, &'static str)> {
+        let wanted = duration.map(|duration| (self.cycles_of_time(duration), "duration reached"));
+        let replayed = self.cycles.map(|cycles| (cycles, "end of the replayed recording"));
+        [wanted, replayed].into_iter().flatten().min_by_key(|(cycles, _)| *cycles)
     }
 
     /// Metadata of a run that begins now.
