@@ -112,7 +112,7 @@ pub struct Coverage {
     pub cells: String,
     /// Number of visited cells.
     pub visited: usize,
-    /// Time since the last new cell \[s\]; absent before the first.
+    /// Time since the last new cell of the run \[s\]; absent before the first, and without a run.
     pub newest_s: Option<f64>,
     /// The cell that the rod is in now, column and row.
     pub here: Option<(usize, usize)>,
@@ -312,7 +312,7 @@ impl Observer {
                     so_far(run, &joints, run_s, 1.0 / f64::from(self.rate_hz.max(1)))
                 }),
                 run_s,
-                coverage: self.coverage.to_coverage(now, self.is_absolute()),
+                coverage: self.coverage.to_coverage(run_s.map(|_| now), self.is_absolute()),
                 restarted: self.restarted,
                 joints,
                 status: without_histograms(status),
@@ -621,7 +621,8 @@ impl Visited {
         self.cells.iter().flatten().filter(|visited| **visited).count()
     }
 
-    fn to_coverage(&self, now: MonoNs, absolute: bool) -> Coverage {
+    /// `now` in a run.
+    fn to_coverage(&self, now: Option<MonoNs>, absolute: bool) -> Coverage {
         let digit = |four: &[bool]| {
             let bits = four.iter().fold(0, |bits, visited| bits << 1 | u32::from(*visited));
             char::from_digit(bits, 16).unwrap_or('0')
@@ -630,7 +631,7 @@ impl Visited {
         Coverage {
             cells: flat.chunks(4).map(digit).collect(),
             visited: self.count(),
-            newest_s: self.newest.map(|newest| now.seconds_since(newest)),
+            newest_s: now.zip(self.newest).map(|(now, newest)| now.seconds_since(newest)),
             here: self.here,
             absolute,
         }
@@ -828,8 +829,14 @@ mod tests {
     #[test]
     fn coverage_grows_with_the_directions_of_the_rod_and_begins_with_the_run() {
         let mut bench = Bench::new(|_| {});
-        bench.turn(1, 95.0, 50.0);
+        let live = bench.turn(1, 95.0, 50.0);
+        assert_eq!(
+            (live.coverage.visited, live.coverage.newest_s),
+            (10, None),
+            "without a run nothing grows"
+        );
         let live = bench.at([Some(0.0); 5], Some("one"));
+        assert_eq!(live.coverage.newest_s, Some(0.0));
         assert_eq!((live.coverage.visited, live.coverage.here), (1, Some((18, 18))));
         let live =
             (0..30).map(|step| bench.at([3.0 * f64::from(step), 0.0, 0.0, 0.0, 0.0].map(Some), Some("one")));
