@@ -295,10 +295,16 @@ def stop(page):
 
 def second_run(page):
     page.wait("document.getElementById('begin').textContent === 'Start' && !document.getElementById('begin').disabled", "a free start")
+    assert page.run("!document.getElementById('after').hidden")
+    assert "still growing" not in page.shown("#cover-text"), page.shown("#cover-text")
     page.click("#begin")
     word(page, "RECORDING")
-    # Long enough that no joint was at a turning point throughout.
-    page.wait("Number(document.getElementById('run-disk').textContent) > 1000", "ten seconds on disk")
+    # The previous run's result goes, and the list has this one.
+    page.wait("document.getElementById('after').hidden", "the end of the previous run's result")
+    current = "document.querySelector(`#runs [data-run='${document.getElementById('run-name').textContent}']`)"
+    page.wait(f"{current}?.innerText.includes('is being recorded')", "the run in the list")
+    # Long enough for a calibration, and that no joint was at a turning point throughout.
+    page.wait("Number(document.getElementById('run-disk').textContent) > 1100", "eleven seconds on disk")
     page.wait("[...document.querySelectorAll('.joint .moved')].every(light => light.classList.contains('on'))", "every joint moved")
     return stop(page)
 

@@ -16,7 +16,7 @@ const homing = new Homing();
 const form = $("run-form");
 let latest;
 let checks = [];
-let runs_over;
+let shown_list;
 
 // ---- display
 
@@ -162,9 +162,11 @@ function show(moment, age_s) {
     text($("cover-text"), cover(moment.coverage, moment.restarted));
   }
   show_begin();
-  if (moment.status.runs_over !== runs_over) {
-    runs_over = moment.status.runs_over;
-    refresh(moment.status.last);
+  // A run has its file, or is over.
+  const listed = `${moment.status.runs_over} ${moment.status.run?.file}`;
+  if (shown_list !== listed) {
+    shown_list = listed;
+    refresh(moment.status.run ? null : moment.status.last);
     show_name();
   }
 }

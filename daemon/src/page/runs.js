@@ -9,7 +9,7 @@ let runs = [];
 let all = false;
 
 let deleted = [];
-// The run that ended last, since the service began.
+// The run that ended last, since the service began; null during the next.
 let last = null;
 
 export async function refresh(of_service = last) {
