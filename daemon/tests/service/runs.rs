@@ -238,6 +238,8 @@ fn marks_are_numbered_by_the_service_and_stand_in_status_list_and_file() {
         Some("mark 1"),
         "numbered from one in each run"
     );
+    service.granted("stop", &json!({}));
+    assert!(text(&service.command(&["runs"])).contains("[1 mark]"));
 }
 
 #[test]

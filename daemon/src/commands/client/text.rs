@@ -109,7 +109,7 @@ fn listed(line: &RunLine) -> String {
         let _ = write!(text, "  [{}]", reason.replace(char::is_control, " "));
     }
     if !marks.is_empty() {
-        let _ = write!(text, "  [{} marks]", marks.len());
+        let _ = write!(text, "  [{} mark{}]", marks.len(), if marks.len() == 1 { "" } else { "s" });
     }
     if !line.note.is_empty() {
         let _ = write!(text, "  {}", line.note.replace(char::is_control, " "));
