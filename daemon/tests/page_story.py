@@ -94,11 +94,12 @@ class Page:
         for kind in ["mousePressed", "mouseReleased"]:
             self.call("Input.dispatchMouseEvent", type=kind, x=place[0], y=place[1], button="left", clickCount=1)
 
-    def key(self, key, modifiers=0):
-        for kind in ["keyDown", "keyUp"]:
+    def key(self, key, modifiers=0, repeats=0):
+        for kind in ["keyDown", *["repeat"] * repeats, "keyUp"]:
             types = {"Enter": "\r"}.get(key, key if len(key) == 1 else None)
-            text = {"text": types} if kind == "keyDown" and types else {}
-            self.call("Input.dispatchKeyEvent", type=kind, key=key, modifiers=modifiers, **text)
+            text = {"text": types} if kind != "keyUp" and types else {}
+            self.call("Input.dispatchKeyEvent", type=kind.replace("repeat", "keyDown"), autoRepeat=kind == "repeat", key=key,
+                      modifiers=modifiers, **text)
 
     def type(self, selector, said):
         self.run(f"document.querySelector({json.dumps(selector)}).select()")
@@ -222,7 +223,8 @@ def names(page):
 
 def marks(page):
     """Marks get their numbers from the service, also with Shift or Caps Lock, and appear in the list and on the strip."""
-    page.key("m")
+    # A key that is held sets one mark.
+    page.key("m", repeats=5)
     page.wait("document.getElementById('said').innerText.includes('mark 1')", "the mark")
     page.key("M")
     page.wait("document.getElementById('said').innerText.includes('mark 2')", "the mark of a capital letter")

@@ -358,7 +358,7 @@ $("note").addEventListener("click", note);
 $("stop").addEventListener("click", stop);
 document.addEventListener("keydown", (event) => {
   const typing = event.target.closest("input, select, textarea, dialog");
-  if (typing || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (typing || event.repeat || event.ctrlKey || event.metaKey || event.altKey) return;
   // Also with Shift or Caps Lock.
   const key = event.key.toLowerCase();
   if (key === "m" || key === "n") {
