@@ -253,7 +253,7 @@ fn a_run_that_is_cut_off_or_too_short_says_so_in_the_list() {
     let mut list = ballbard();
     let listed = text(&list.arg("runs").arg(service.directory.path()).output().unwrap());
     assert!(listed.contains("stopped by SIGTERM") && listed.contains("CHECK"), "{listed}");
-    assert!(listed.contains("`identify` needs at least 10 s"), "{listed}");
+    assert!(listed.contains("record at least 11 s: `identify` needs 10 s of motion"), "{listed}");
 }
 
 #[test]

@@ -14,6 +14,9 @@ use crate::problem::{Level, clock_time};
 pub const VALID_SHARE_GOOD: f64 = 0.99;
 /// Below this share a run is bad: sigmas are at least 41 % larger, and the valid cycles are fragmented.
 pub const VALID_SHARE_BAD: f64 = 0.5;
+/// A run lasts this much longer than the overlap that `identify` requires: speeds need a sample on each side, the log ends
+/// between two of its rows, and its clock differs \[s\].
+pub const LENGTH_MARGIN_S: f64 = 1.0;
 /// Number of causes of invalid cycles that are listed.
 const CAUSES_MAX: usize = 3;
 
@@ -68,12 +71,15 @@ impl Verdict {
         if cycles_lost > 0 {
             verdict.add(Level::Check, format!("{cycles_lost} cycles were lost between bus and disk"));
         }
-        let length_s = cycles as f64 * content.period_s;
-        if length_s < OVERLAP_MIN_S {
+        // Rounded down: at most 0.1 s too short, and never equal to the length that is required.
+        let length_s = (10.0 * cycles as f64 * content.period_s + 1e-6).floor() / 10.0;
+        let length_s_min = OVERLAP_MIN_S + LENGTH_MARGIN_S;
+        if length_s < length_s_min {
             verdict.add(
                 Level::Check,
                 format!(
-                    "it is {length_s:.1} s long; `identify` needs at least {OVERLAP_MIN_S:.0} s of motion"
+                    "it is {length_s:.1} s long; record at least {length_s_min:.0} s: `identify` needs \
+                     {OVERLAP_MIN_S:.0} s of motion"
                 ),
             );
         }
@@ -204,7 +210,16 @@ mod tests {
             (Content { turned_deg: &[(5, 2.9)], ..WHOLE }, "at least 3\u{b0} of each joint"),
             (
                 Content { cycles: 990, cycles_valid: 990, ..WHOLE },
-                "it is 9.9 s long; `identify` needs at least 10 s",
+                "it is 9.9 s long; record at least 11 s: `identify` needs 10 s of motion",
+            ),
+            // Ends and clocks differ: `identify` needs more than its overlap.
+            (
+                Content { cycles: 1_000, cycles_valid: 1_000, ..WHOLE },
+                "it is 10.0 s long; record at least 11 s",
+            ),
+            (
+                Content { cycles: 1_099, cycles_valid: 1_099, ..WHOLE },
+                "it is 10.9 s long; record at least 11 s",
             ),
         ] {
             let grade = grade(&content);
