@@ -8,7 +8,7 @@ use shared::recording::schema::EventKind;
 
 use super::rig::live_on_bus;
 use crate::support::assert_bad_cycles_have_reasons;
-use crate::support::world::{now, since};
+use crate::support::world::{now, since, sleep};
 
 fn line<'a>(lines: &'a Value, subject: &str) -> &'a Value {
     lines.as_array().unwrap().iter().find(|line| line["subject"] == subject).unwrap()
@@ -48,6 +48,9 @@ fn an_encoder_without_signal_needs_a_reason_for_a_run_which_is_in_the_file() {
         assert!(is_named(&writing.reason.unwrap()));
         assert_eq!(day.post("/start", &json!({"name": "four"})).await.1["answer"], "running");
         assert_eq!(day.post("/stop", &json!({})).await.0, 200);
+        // The end of the run is not the end of the problem.
+        sleep(Duration::from_secs(1)).await;
+        assert_eq!(day.service.status().totals.problems["encoder_invalid"], 1);
         let events = day.recording("four").events;
         let said = events.iter().find(|event| event.kind == EventKind::Marker).unwrap();
         assert!(is_named(&said.text) && said.text.contains("joint 2 is not needed"), "{said:?}");

@@ -25,8 +25,6 @@ impl Controller {
     fn bus_problems(&self) -> Vec<Problem> {
         let fault = match self.machine.state() {
             State::Fault => self.machine.fault(),
-            // The state of the bus does not matter any more.
-            State::Closing => return Vec::new(),
             _ => self.machine.bus_fault(),
         };
         fault.map_or_else(
