@@ -68,11 +68,14 @@ impl Live {
             counted.fetch_add(1, Ordering::Relaxed);
         }
         self.counted.fetch_add(1, Ordering::Relaxed);
-        if record.flags & BUS_FLAGS == 0 {
-            self.whole_at_ns.store(record.send_time.0, Ordering::Relaxed);
-        }
+        // A cycle without a frame of its own gives no evidence of the bus.
         if record.flags & flags::DEADLINE_MISSED != 0 {
             self.counted_late.fetch_add(1, Ordering::Relaxed);
+        } else {
+            if record.flags & BUS_FLAGS == 0 {
+                self.whole_at_ns.store(record.send_time.0, Ordering::Relaxed);
+            }
+            self.flags.store(record.flags.into(), Ordering::Relaxed);
         }
         if record.is_valid() {
             self.counted_whole.fetch_add(1, Ordering::Relaxed);
@@ -80,7 +83,6 @@ impl Live {
                 place.store(encoder.latch, Ordering::Relaxed);
             }
         }
-        self.flags.store(record.flags.into(), Ordering::Relaxed);
         self.origin.store(record.origin, Ordering::Relaxed);
         self.at_ns.store(record.send_time.0, Ordering::Release);
     }
@@ -166,7 +168,7 @@ impl Live {
         std::array::from_fn(|index| self.latches[index].load(Ordering::Relaxed))
     }
 
-    /// Flags of the latest cycle, see `schema::flags`.
+    /// Flags of the latest cycle that sent its frame, see `schema::flags`.
     pub fn flags(&self) -> u32 {
         self.flags.load(Ordering::Relaxed) as u32
     }
