@@ -549,6 +549,10 @@ fn an_export_replaces_nothing_unasked_and_has_marks_relative_seconds_and_contine
         first.contains(",gap: ") || first.contains("; gap: ") || first.contains("bus: "),
         "no event is in it"
     );
+    let nowhere = out.path().join("nodir");
+    let failed = export(&["--out", nowhere.join("x.csv").to_str().unwrap()]);
+    let message = format!("--out: the directory {} does not exist", nowhere.display());
+    assert!(!failed.status.success() && said(&failed).contains(&message), "{}", said(&failed));
     let again = export(&["--excel", "--relative"]);
     assert!(!again.status.success() && said(&again).contains("--force"), "{}", said(&again));
     assert_eq!(std::fs::read_to_string(&table).unwrap(), first);

@@ -57,6 +57,9 @@ pub fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
     if out.exists() && !arguments.force {
         bail!("{} exists; --force replaces it, --out writes another", out.display());
     }
+    if let Some(directory) = out.parent().filter(|path| !path.as_os_str().is_empty() && !path.is_dir()) {
+        bail!("--out: the directory {} does not exist; create it, or name another", directory.display());
+    }
     // Under its final name the table is complete.
     let part = out.with_extension("csv.part");
     let sink = File::create(&part).with_context(|| format!("cannot create {}", part.display()))?;
