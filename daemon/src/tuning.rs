@@ -73,6 +73,8 @@ pub struct Machine {
     pub clock_source: Option<String>,
     /// What `ethtool -c INTERFACE` prints.
     pub coalescing: Option<String>,
+    /// The program is that of the Debian package, whose service has its rights from systemd.
+    pub is_package: bool,
 }
 
 impl Machine {
@@ -98,6 +100,7 @@ impl Machine {
             swaps: file("proc/swaps"),
             clock_source: file("sys/devices/system/clocksource/clocksource0/current_clocksource"),
             coalescing: interface.and_then(coalescing_of),
+            is_package: is_package(root),
         }
     }
 
@@ -160,6 +163,13 @@ pub enum LockError {
     /// Neither capabilities nor limits could be read.
     #[error("limits cannot be read")]
     Unknown,
+}
+
+/// Whether this is the program of the Debian package.
+pub fn is_package(root: &Path) -> bool {
+    let program = std::env::current_exe();
+    program.is_ok_and(|program| program == root.join("usr/bin/ballbard"))
+        && root.join("etc/default/ballbard").exists()
 }
 
 fn coalescing_of(interface: &str) -> Option<String> {
@@ -339,17 +349,27 @@ fn clock_source(machine: &Machine) -> Found {
 const CAP_IPC_LOCK: u32 = 14;
 const CAP_SYS_NICE: u32 = 23;
 
-const GRANT: &str = "sudo setcap cap_net_raw,cap_sys_nice,cap_ipc_lock+ep \"$(command -v ballbard)\"";
+/// Command that gives the rights of the cycle. The unit of the Debian package limits capabilities to one, and the kernel
+/// does not start a program there that has more.
+pub fn grant(is_package: bool) -> &'static str {
+    if is_package {
+        "sudo systemctl stop ballbard && sudo ballbard ..; without sudo only the package's service has the rights"
+    } else {
+        "sudo setcap cap_net_raw,cap_sys_nice,cap_ipc_lock+ep \"$(command -v ballbard)\""
+    }
+}
 
 fn priority(machine: &Machine) -> Found {
     if machine.has_capability(CAP_SYS_NICE) {
         return fine("SCHED_FIFO is permitted (CAP_SYS_NICE)");
     }
     match machine.limit("Max realtime priority").map(str::parse::<u32>) {
-        Some(Ok(0)) => problem("SCHED_FIFO is not permitted: any program may delay the cycle", GRANT),
+        Some(Ok(0)) => {
+            problem("SCHED_FIFO is not permitted: any program may delay the cycle", grant(machine.is_package))
+        }
         Some(Ok(highest)) => fine(format!("SCHED_FIFO is permitted up to {highest}")),
         Some(Err(_)) => fine("SCHED_FIFO is permitted without limit"),
-        None => unknown("limits cannot be read", GRANT),
+        None => unknown("limits cannot be read", grant(machine.is_package)),
     }
 }
 
@@ -357,9 +377,9 @@ fn locked_memory(machine: &Machine) -> Found {
     match machine.may_lock_memory() {
         Ok(()) => fine("permitted"),
         Err(error @ LockError::Limited { .. }) => {
-            problem(format!("{error}: a page fault may delay the cycle"), GRANT)
+            problem(format!("{error}: a page fault may delay the cycle"), grant(machine.is_package))
         }
-        Err(error @ LockError::Unknown) => unknown(error.to_string(), GRANT),
+        Err(error @ LockError::Unknown) => unknown(error.to_string(), grant(machine.is_package)),
     }
 }
 

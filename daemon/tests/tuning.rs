@@ -35,6 +35,7 @@ fn untuned() -> Machine {
         swaps: Some("Filename\tType\tSize\tUsed\tPriority\n/dev/sda2 partition 1 0 -2\n".into()),
         clock_source: Some("hpet\n".into()),
         coalescing: Some(COALESCING.into()),
+        is_package: false,
     }
 }
 
@@ -58,6 +59,7 @@ fn tuned() -> Machine {
         swaps: Some("Filename\tType\tSize\tUsed\tPriority\n".into()),
         clock_source: Some("tsc\n".into()),
         coalescing: Some(COALESCING.replace("rx-usecs: 3", "rx-usecs: 0")),
+        is_package: false,
     }
 }
 
@@ -89,6 +91,17 @@ fn every_problem_of_an_untuned_machine_says_what_to_type() {
         let finding = find(&untuned(), subject);
         assert_eq!(finding.verdict, Verdict::Problem, "{finding}");
         assert!(finding.remedy.contains(types), "{finding}");
+    }
+}
+
+/// The package's service runs with fewer capabilities than a program with these has, so it could not start.
+#[test]
+fn the_program_of_the_package_is_given_no_capabilities() {
+    let installed = Machine { is_package: true, ..untuned() };
+    for subject in ["priority", "locked memory"] {
+        let finding = find(&installed, subject);
+        assert_eq!(finding.verdict, Verdict::Problem, "{finding}");
+        assert!(finding.remedy.starts_with("sudo systemctl stop ballbard && sudo ballbard"), "{finding}");
     }
 }
 

@@ -2,6 +2,7 @@
 
 use std::io;
 use std::os::fd::{AsFd, AsRawFd, FromRawFd, OwnedFd};
+use std::path::Path;
 
 use nix::errno::Errno;
 use nix::net::if_::if_nametoindex;
@@ -13,6 +14,7 @@ use shared::time::{MonoNs, NS_PER_S};
 use super::{FRAME_BYTES_MAX, Wire};
 use crate::claim::{Claim, Holder};
 use crate::clock::Clock;
+use crate::tuning;
 
 /// EtherType of EtherCAT (IEEE, ETG.1000.4).
 const ETHERTYPE_ETHERCAT: u16 = 0x88a4;
@@ -33,8 +35,8 @@ pub enum OpenError {
     },
     /// Raw sockets need root or CAP_NET_RAW.
     #[error(
-        "no permission to open a raw socket on `{name}`; run as root, or once: \
-         sudo setcap cap_net_raw,cap_sys_nice,cap_ipc_lock+ep \"$(command -v ballbard)\""
+        "no permission to open a raw socket on `{name}`; type: {}",
+        tuning::grant(tuning::is_package(Path::new("/")))
     )]
     Permission {
         /// Name of the interface.
