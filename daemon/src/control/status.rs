@@ -155,7 +155,7 @@ pub struct RunStatus {
     pub flagged: Vec<Flagged>,
     /// Path of its file; empty until that is created.
     pub file: String,
-    /// Cycles on disk: synchronised, so that they survive a power failure.
+    /// Cycles safe on disk: they survive a power failure.
     pub cycles: u64,
     /// Cycles among them in which every encoder is valid.
     pub cycles_valid: u64,
@@ -169,7 +169,7 @@ pub struct RunStatus {
     pub bytes: u64,
     /// Age of the last complete synchronisation \[ms\]; absent before the first.
     pub sync_age_ms: Option<i64>,
-    /// Duration of cycles that are not synchronised: the loss at a power failure \[s\].
+    /// Duration of cycles that are not safe on disk: the loss at a power failure \[s\].
     pub unsynced_s: f64,
     /// Duration of cycles that are not written: the loss at a kill \[s\].
     pub backlog_s: f64,

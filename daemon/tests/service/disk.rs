@@ -124,12 +124,12 @@ fn status_separates_what_is_taken_what_is_written_and_what_is_synchronised() {
     );
     assert!(run.file.ends_with("parts.mcap.active"));
     let told = text(&service.command(&["status"]));
-    for part in ["cycles on disk", "not synchronised yet", "not written yet (at 60 s cycles are lost)"] {
+    for part in ["cycles on disk", "not safe on disk yet", "not written yet (at 60 s cycles are lost)"] {
         assert!(told.contains(part), "`{part}` is missing in: {told}");
     }
     let lines: Vec<CheckLine> = service.get("check");
     let disk = lines.iter().find(|line| line.subject == "disk").unwrap();
-    assert!(disk.finding.contains("longest synchronisation"), "{disk:?}");
+    assert!(disk.finding.contains("longest until safe on disk"), "{disk:?}");
     service.granted("stop", &json!({}));
     assert!(service.recording("parts").timing.unwrap().disk.sync_longest_ns > 0);
 }

@@ -82,7 +82,7 @@ impl fmt::Display for DiskTiming {
         let Self { sync_longest_ns, write_longest_ns, backlog_longest_ns } = *self;
         write!(
             f,
-            "disk: longest synchronisation {:.3} s, longest write {:.3} s, at most {:.3} s of cycles waiting",
+            "disk: longest until safe on disk {:.3} s, longest write {:.3} s, at most {:.3} s of cycles waiting",
             s(sync_longest_ns),
             s(write_longest_ns),
             s(backlog_longest_ns)

@@ -57,7 +57,7 @@ pub fn ensure_usable(name: &str, verdict: Option<&Verdict>) -> anyhow::Result<()
 pub fn running(run: &RunStatus) -> String {
     let age = run.sync_age_ms.map_or("nothing on disk yet".into(), |age| format!("all up to {age} ms ago"));
     format!(
-        "run `{}`: {} cycles on disk, {} valid, {} lost, {:.1} MB, {age}\n{}; {:.1} s not synchronised yet, {:.1} s not \
+        "run `{}`: {} cycles on disk, {} valid, {} lost, {:.1} MB, {age}\n{}; {:.1} s not safe on disk yet, {:.1} s not \
          written yet (at {:.0} s cycles are lost)",
         run.name,
         run.cycles,

@@ -76,7 +76,7 @@ fn add_run(registry: &mut Registry, status: &Status) {
     let Some(run) = &status.run else { return };
     let counts = [
         ("run_cycles_taken", "Cycles that were due", run.cycles_taken),
-        ("run_cycles_synced", "Cycles on disk, synchronised", run.cycles),
+        ("run_cycles_synced", "Cycles safe on disk", run.cycles),
         ("run_cycles_valid", "Cycles among them in which every encoder is valid", run.cycles_valid),
         ("run_cycles_lost", "Cycles lost between bus and file", run.cycles_lost),
         ("run_file_bytes", "Length of the file", run.bytes),
