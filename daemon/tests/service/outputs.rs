@@ -19,7 +19,10 @@ use crate::support::runs::in_parallel;
 /// A standard error of the service, and the reader of it, if it has one.
 type Log = (Stdio, Option<PipeReader>);
 
-const BROKEN_LOGS: [(&str, fn() -> Log); 5] = [
+/// A log under its name.
+type Case = (&'static str, fn() -> Log);
+
+const BROKEN_LOGS: [Case; 5] = [
     ("closed", || (File::open("/dev/null").unwrap().into(), None)),
     ("full", || (full(), None)),
     ("its reader gone", || (gone(), None)),
