@@ -1,6 +1,6 @@
 //! The sphere that the robot's positions lie on: base and length of the bar without any encoder.
 
-use nalgebra::{DMatrix, DVector, Matrix3, Matrix4, Vector3, Vector4};
+use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -156,8 +156,10 @@ pub(super) fn turned_plate(
     length_m: f64,
     options: &PrepareOptions,
 ) -> Option<String> {
-    /// Turns that are tried \[deg\]: positions at the nearest one are within what nominal robots err by.
+    /// Turns that are tried, and those that are tried first \[deg\]: half a step moves positions by no more than nominal robots err
+    /// by, and half a first step by less than the tolerance of a sphere.
     const STEP_DEG: f64 = 1.0;
+    const FIRST_STEP_DEG: f64 = 3.0;
     /// A turned plate leaves no more than this part of the distances from the sphere.
     const PART_LEFT: f64 = 0.4;
     let joints = tried_joints(log);
@@ -178,9 +180,13 @@ pub(super) fn turned_plate(
         Some((by_deg, sphere, median(&mut away_m)?))
     };
     let (_, _, usual_m) = fitted(0.0)?;
-    let steps = (180.0 / STEP_DEG) as i32;
-    let all = (-steps..steps).filter_map(|step| fitted(f64::from(step) * STEP_DEG));
-    let (by_deg, sphere, left_m) = all.min_by(|a, b| a.2.total_cmp(&b.2))?;
+    let best = |from_deg: f64, to_deg: f64, step_deg: f64| {
+        let steps = ((to_deg - from_deg) / step_deg) as u32;
+        let all = (0..=steps).filter_map(|step| fitted(from_deg + f64::from(step) * step_deg));
+        all.min_by(|a, b| a.2.total_cmp(&b.2))
+    };
+    let (near_deg, ..) = best(-180.0, 180.0 - FIRST_STEP_DEG, FIRST_STEP_DEG)?;
+    let (by_deg, sphere, left_m) = best(near_deg - FIRST_STEP_DEG, near_deg + FIRST_STEP_DEG, STEP_DEG)?;
     let of_bar = (sphere.radius_m - length_m).abs() * 1e3 < options.length_tolerance_mm;
     (of_bar && by_deg != 0.0 && left_m < PART_LEFT * usual_m).then(|| {
         format!(
@@ -277,17 +283,18 @@ impl Sphere {
         if positions_m.len() < 4 || size.partial_cmp(&1e-6).is_none_or(std::cmp::Ordering::is_le) {
             return None;
         }
-        // Scaled to unit size about the mean, so that the columns are comparable.
-        let scaled: Vec<Vector3<f64>> = positions_m.iter().map(|p| (p - mean) / size).collect();
-        let entry = |row: usize, column: usize| if column < 3 { 2.0 * scaled[row][column] } else { 1.0 };
-        let a = DMatrix::from_fn(scaled.len(), 4, entry);
-        let squares = DVector::from_iterator(scaled.len(), scaled.iter().map(Vector3::norm_squared));
-        let normal: Matrix4<f64> = (a.transpose() * &a).fixed_view::<4, 4>(0, 0).into();
+        let (mut normal, mut right) = (Matrix4::zeros(), Vector4::zeros());
+        for position in positions_m {
+            // Scaled to unit size about the mean, so that the columns are comparable.
+            let scaled = (position - mean) / size;
+            let row = (2.0 * scaled).push(1.0);
+            normal += row * row.transpose();
+            right += row * scaled.norm_squared();
+        }
         let eigen = normal.symmetric_eigenvalues();
         if eigen.min() < RATIO_MIN * RATIO_MIN * eigen.max() {
             return None;
         }
-        let right: Vector4<f64> = (a.transpose() * squares).fixed_rows::<4>(0).into();
         let solution = normal.cholesky()?.solve(&right);
         let centre = Vector3::new(solution[0], solution[1], solution[2]);
         let radius = (solution[3] + centre.norm_squared()).sqrt();
