@@ -20,7 +20,8 @@ const SOURCES: [&str; 10] = [
 fn main() {
     println!("cargo::rerun-if-changed=build.rs\ncargo::rerun-if-changed=commit.txt");
     println!("cargo::rerun-if-env-changed=SOURCE_DATE_EPOCH");
-    // To follow every commit and edit would build all crates anew after each: a debug build states the commit of this crate's last build.
+    // To follow every commit and edit would build all crates anew after each: a debug build states the commit of this
+    // crate's last build, "or later".
     let is_debug = std::env::var("PROFILE").is_ok_and(|profile| profile != "release");
     let archived = std::fs::read_to_string("commit.txt").ok().filter(|text| !text.starts_with("$Format"));
     let commit = archived.or_else(|| commit_of_git(!is_debug)).unwrap_or_default();

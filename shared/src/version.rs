@@ -6,6 +6,8 @@ use chrono::DateTime;
 
 /// Digits of a commit's hash: enough for a repository a thousand times as large.
 const HASH_DIGITS: usize = 10;
+/// What `build.rs` calls a build that is none for release.
+const DEBUG_BUILD: &str = "debug build";
 
 /// Such as `0.1.0 (56eed98a1b 2026-11-26)`, and in the brackets whether it is a debug build, or one of a modified checkout.
 pub fn version() -> &'static str {
@@ -24,6 +26,8 @@ fn described(version: &str, hash: &str, time_s: &str, state: &str) -> String {
     let date = time_s.parse().ok().and_then(|seconds| DateTime::from_timestamp(seconds, 0));
     let date = date.map(|date| date.format("%Y-%m-%d").to_string());
     let commit = [hash.get(..HASH_DIGITS).unwrap_or(hash), date.as_deref().unwrap_or("")].join(" ");
+    // A debug build does not follow the commits (`build.rs`).
+    let state = if state == DEBUG_BUILD && !hash.is_empty() { "or later, debug build" } else { state };
     let details: Vec<&str> = [commit.trim(), state].into_iter().filter(|part| !part.is_empty()).collect();
     if details.is_empty() { version.to_owned() } else { format!("{version} ({})", details.join(", ")) }
 }
@@ -40,6 +44,10 @@ mod tests {
         assert_eq!(
             described("0.1.0", HASH, "1795651200", "modified"),
             "0.1.0 (56eed98a1b 2026-11-26, modified)"
+        );
+        assert_eq!(
+            described("0.1.0", HASH, "1795651200", "debug build"),
+            "0.1.0 (56eed98a1b 2026-11-26, or later, debug build)"
         );
         assert_eq!(described("0.1.0", "", "", "debug build"), "0.1.0 (debug build)");
         assert_eq!(described("0.1.0", "", "1795651200", ""), "0.1.0 (2026-11-26)");
