@@ -32,6 +32,13 @@ fn an_empty_directory_has_the_robots_and_the_bar_of_the_program() {
         told.contains("ABB IRB 2400/16 with double ball-bar") && told.contains("`ball_bar` as built into"),
         "{told}"
     );
+    // What is named as a file is never built in: lengths of another bar would give a wrong scale.
+    let (code, told) = identify(at, &["examine", "--robot", "irb2400_16", "--bar", "ball_bar.toml"]);
+    assert_eq!(code, Some(1), "{told}");
+    assert!(
+        told.contains("there is no file ball_bar.toml") && told.contains("did you mean `ball_bar`?"),
+        "{told}"
+    );
     // A file in this directory has priority, and the output mentions it.
     std::fs::create_dir_all(at.join("config/robots")).unwrap();
     for name in ["ball_bar.toml", "robots/irb2400_16.toml"] {

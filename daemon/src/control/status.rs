@@ -252,9 +252,7 @@ pub fn next_command(name: &str, file: &str) -> String {
     };
     let (file, log) = (quoted(file), quoted(&format!("{name}.csv")));
     let out = quoted(name);
-    format!(
-        "identify calibrate --recording {file} --robot-log {log} --robot ROBOT.toml --bar ball_bar.toml --out {out}"
-    )
+    format!("identify calibrate --recording {file} --robot-log {log} --robot ROBOT --out {out}")
 }
 
 /// Progress of a homing.

@@ -36,7 +36,7 @@ pub enum Kind {
 const KINDS: [(Kind, &str, &str, &[&str]); 8] = [
     (Kind::Robot, "robot", "--robot", &["links", "log"]),
     (Kind::BallBar, "ball-bar", "--bar", &["links", "encoders"]),
-    (Kind::Daemon, "daemon", "--config", &["rate_hz"]),
+    (Kind::Daemon, "daemon", "`ballbard --config` with its directory", &["rate_hz"]),
     (Kind::Smoke, "smoke test", "`ballbard smoke --checks`", &["cycles", "terminal_revisions"]),
     (Kind::TrackerMapping, "tracker's table", "`identify calibrate tracker --mapping`", &["position"]),
     (Kind::WireMapping, "wire's table", "`identify calibrate wire --mapping`", &["length"]),
@@ -79,9 +79,12 @@ pub enum Source {
 }
 
 impl Source {
-    /// The file at a path; if there is none, the configuration of that name ([`Source::named`]), or else the path itself.
+    /// The file at a path; if there is none, the configuration of that name ([`Source::named`]), or else the path itself. A name of
+    /// a file, with its ending, never means what is built in: a bar's lengths set the scale of all results.
     pub fn find(given: &Path) -> Self {
-        let named = || Self::named(name(given)?);
+        let is_file_name = given.extension().is_some_and(|ending| ending == ENDING);
+        let is_meant = |found: &Self| !is_file_name || matches!(found, Self::File(_));
+        let named = || Self::named(name(given)?).filter(is_meant);
         let is_file = given.is_file();
         (!is_file).then(named).flatten().unwrap_or_else(|| Self::File(given.to_owned()))
     }

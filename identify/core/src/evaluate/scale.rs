@@ -1,8 +1,6 @@
 //! The reference of the scale of all lengths, as text. No other measurement can verify it.
 
-use std::path::Path;
-
-use shared::config::BallBarConfig;
+use shared::config::{BallBarConfig, Source};
 use shared::output::named;
 
 use super::Budget;
@@ -11,16 +9,16 @@ use crate::instrument::ScaleFrom;
 /// Length error of a plate that the sentence uses as an example \[m\].
 const LONGER_M: f64 = 1e-4;
 
-/// A sentence on what fixes the scale: the plates of `bars`, each with the file that states it, and the `others`
+/// A sentence on what fixes the scale: the plates of `bars`, each with what states it, and the `others`
 /// instruments. The effect of a plate error on positions is the derivative of the solution, from the budget.
 pub fn scale_sentence<'a>(
-    bars: impl IntoIterator<Item = (&'a BallBarConfig, &'a Path)>,
+    bars: impl IntoIterator<Item = (&'a BallBarConfig, Source)>,
     others: impl IntoIterator<Item = ScaleFrom>,
     budget: &Budget,
 ) -> String {
     const NAMED: usize = 3;
     let mut told: Vec<String> = Vec::new();
-    let plates = bars.into_iter().map(|(bar, file)| plate(bar, file));
+    let plates = bars.into_iter().map(|(bar, source)| plate(bar, &source));
     let others = others.into_iter().filter_map(of_other).map(str::to_owned);
     for one in plates.chain(others) {
         if !told.contains(&one) {
@@ -37,8 +35,8 @@ pub fn scale_sentence<'a>(
     named(&told, NAMED) + &moved.unwrap_or_default()
 }
 
-fn plate(bar: &BallBarConfig, file: &Path) -> String {
-    let file = file.file_name().unwrap_or(file.as_os_str()).to_string_lossy();
+fn plate(bar: &BallBarConfig, source: &Source) -> String {
+    let file = source.path().file_name().unwrap_or(source.path().as_os_str()).to_string_lossy();
     let plate_mm = bar.plate_m * 1e3;
     let rod = bar.length_u_um.map(|u_um| {
         format!(" and the rod's length of {:.3} mm within {:.3} mm", bar.length_m * 1e3, u_um * 1e-3)
@@ -50,7 +48,9 @@ fn plate(bar: &BallBarConfig, file: &Path) -> String {
     };
     // A stated value equal to the default has the same meaning as the default.
     let calliper = bar.plate_u_um == BallBarConfig::PLATE_U_UM;
-    let source = if calliper {
+    let source = if matches!(source, Source::BuiltIn(..)) {
+        "an example that is built in: write the lengths of your bar into ball_bar.toml".to_owned()
+    } else if calliper {
         format!("a calliper's unless {file} states another")
     } else {
         format!("as {file} states")

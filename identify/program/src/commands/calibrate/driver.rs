@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use anyhow::Context;
-use shared::config::{self, RobotConfig};
+use shared::config::{self, RobotConfig, Source};
 use shared::output::show;
 
 use super::bar::{self, RunFiles};
@@ -85,7 +85,7 @@ pub(super) fn calibrate(
     let limits = [tables.limits, evidence.limits.clone()].concat();
     let required_m = experiment.identify.require_mm.map(|mm| mm * 1e-3);
     let mut file = file.with_verdict(&evidence.workspace, &limits, required_m);
-    let plates = bars.iter().map(|run| (&run.bar, run.bar_path));
+    let plates = bars.iter().map(|run| (&run.bar, Source::find(run.bar_path)));
     let scales = calibration.runs.iter().map(|run| run.instrument.scale());
     file.scale = Some(scale_sentence(plates, scales, &evidence.workspace.budget));
 
