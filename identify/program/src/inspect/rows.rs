@@ -9,13 +9,12 @@ use crate::calibrate::rows::{likely, misfit, some_of};
 use crate::instrument::{FaceTable, Instrument, LengthRow, Mistake, PoseRow, Touch, TouchRow, Tracker, Wire};
 use crate::kinematics::flange_chain;
 use crate::logs::{LogQuality, MeasuredLengths, MeasuredPoses, TimedPoses, Touches};
+use crate::report::rows::OTHER_ROBOT_M;
 use crate::statistics::extremes;
 
 /// Names of set-ups that are listed.
 const NAMED: usize = 8;
-/// What lengths of links are off at most in arms that were typed by hand: a nominal robot further from its rows is another one \[m\].
-const OTHER_ROBOT_M: f64 = 0.01;
-/// The same of orientations \[rad\].
+/// As [`OTHER_ROBOT_M`], of orientations \[rad\].
 const OTHER_ROBOT_RAD: f64 = 0.1;
 
 /// Rows of a tracker with the robot's joints, and how far the nominal robot is from them where tracker and probe are fitted to it.

@@ -226,8 +226,11 @@ fn rejected_rows(report: &RowSet, remarks: &[(usize, String)], lines: &[u64]) ->
     text
 }
 
+/// What lengths of links are off at most in arms that were typed by hand: a nominal robot further from its rows is another one \[m\].
+pub(crate) const OTHER_ROBOT_M: f64 = 0.01;
+
 /// Rows that are rejected in the last solve, `name` being what the file is called; `lines` gives each row's line in it.
-pub fn left_out(set: &RowSet, run: &Run, name: &str, lines: &[u64]) -> Option<Limit> {
+pub fn left_out(set: &RowSet, run: &Run, [name, robot]: [&str; 2], lines: &[u64]) -> Option<Limit> {
     /// Named, at most.
     const NAMED: usize = 8;
     /// Where more than this part of a file is wrong, the others may be, too.
@@ -249,15 +252,27 @@ pub fn left_out(set: &RowSet, run: &Run, name: &str, lines: &[u64]) -> Option<Li
     ];
     let counted = counts.iter().zip(whys).filter(|(count, _)| **count > 0);
     let whys: Vec<String> = counted.map(|(count, why)| format!("{count} {why}")).collect();
+    let serious = rejected.len() as f64 > SERIOUS * lines.len() as f64;
+    let nominal_m = set.fitted().nominal.position_m.rms;
+    // With enough terms any robot fits most rows of a wire.
+    let advice = if serious && nominal_m > OTHER_ROBOT_M {
+        format!(
+            "The nominal robot is {:.1} mm (RMS) from the others, more than robots deviate: check that they are rows of {robot}, and \
+             their units, signs and frames.",
+            nominal_m * 1e3
+        )
+    } else {
+        "Look for interruptions, a wrong target or socket, or joints of another pose.".to_owned()
+    };
     (!rejected.is_empty()).then(|| Limit {
         sentence: format!(
-            "{} of {} rows of the {name} are rejected (lines {}): {}. Look for interruptions, a wrong target or socket, or joints of another pose.",
+            "{} of {} rows of the {name} are rejected (lines {}): {}. {advice}",
             rejected.len(),
             lines.len(),
             named(&rejected, NAMED),
             whys.join(", ")
         ),
-        serious: rejected.len() as f64 > SERIOUS * lines.len() as f64,
+        serious,
     })
 }
 

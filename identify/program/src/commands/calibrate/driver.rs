@@ -221,7 +221,12 @@ impl<'a> Tables<'a> {
             let table = of_rows::table(set, instrument, model, &beside.lines, &validations);
             tables.text += &format!("\n{name}\n{table}{}", beside.set_ups());
             tables.text.extend(beside.aligned.as_ref().map(Aligned::line));
-            tables.limits.extend(of_rows::left_out(set, &calibration.runs[number], &name, &beside.lines));
+            tables.limits.extend(of_rows::left_out(
+                set,
+                &calibration.runs[number],
+                [&name, &robot.name],
+                &beside.lines,
+            ));
             tables.entries.extend((!set.errors.held_out.is_empty()).then(|| RowsEntry {
                 data_set: number + 1,
                 hold_out: rows.hold_out(),
