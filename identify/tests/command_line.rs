@@ -604,8 +604,9 @@ fn milliseconds_under_a_header_of_seconds_and_decimal_commas_are_refused_with_wh
 #[test]
 fn a_result_of_the_simulated_bus_says_so_first_and_one_of_a_robot_does_not() {
     let directory = experiment();
-    for simulated in [true, false] {
-        let (inputs, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let outs = [(); 2].map(|()| tempfile::tempdir().unwrap());
+    for (simulated, out) in [true, false].into_iter().zip(&outs) {
+        let inputs = tempfile::tempdir().unwrap();
         let recording = inputs.path().join("recording.mcap");
         let bytes = std::fs::read(directory.join("recording.mcap")).unwrap();
         std::fs::write(&recording, bytes).unwrap();
@@ -625,7 +626,19 @@ fn a_result_of_the_simulated_bus_says_so_first_and_one_of_a_robot_does_not() {
         assert_eq!(page.contains("<div class=\"band\">SIMULATED"), simulated);
         let written = std::fs::read_to_string(out.path().join("calibration.toml")).unwrap();
         assert_eq!(written.contains("simulated = true"), simulated);
+        let inspected = program(&["inspect", recording.to_str().unwrap()]);
+        assert_eq!(inspected.contains("SIMULATED: no robot was measured"), simulated, "{inspected}");
     }
+    let [one, other] = outs.each_ref().map(|out| out.path().to_str().unwrap());
+    let compared = program(&["compare", one, other]);
+    assert_eq!(compared.matches("SIMULATED").count(), 1, "{compared}");
+}
+
+/// Output of the program, which must succeed.
+fn program(arguments: &[&str]) -> String {
+    let output = Command::new(env!("CARGO_BIN_EXE_identify")).args(arguments).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
 }
 
 /// Changes a recording to one of a network interface.

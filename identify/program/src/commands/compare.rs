@@ -36,7 +36,10 @@ pub fn run(arguments: &CompareArguments) -> anyhow::Result<()> {
         .calibrations
         .iter()
         .zip(&files)
-        .map(|(path, file)| format!("{} ({}, {})", path.display(), file.solve.cost, file.created))
+        .map(|(path, file)| {
+            let simulated = if file.is_simulated() { ", SIMULATED" } else { "" };
+            format!("{} ({}, {}{simulated})", path.display(), file.solve.cost, file.created)
+        })
         .collect();
     show(side_by_side::table(&consistency, &names))?;
     if let Some(out) = &arguments.out {

@@ -5,6 +5,7 @@ use shared::recording::schema::{CycleRecord, EncoderInfo, EventKind, flags};
 
 use super::{Inspection, joint_lines, suspect_still};
 use crate::prepare::{BarAngles, bar_angles};
+use crate::report::summary::SIMULATED;
 
 /// Faster than this no bar is moved by a robot; counts that jump are \[deg/s\].
 const SPEED_MAX_DEG_S: f64 = 720.0;
@@ -33,6 +34,9 @@ pub fn recording(recording: &Recording) -> Inspection {
 
 fn facts(inspection: &mut Inspection, recording: &Recording) {
     let run = &recording.run;
+    if run.is_simulated() {
+        inspection.fact("origin", SIMULATED);
+    }
     inspection.fact("run", run.name.clone());
     let said = [
         ("operator", &run.operator),

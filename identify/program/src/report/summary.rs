@@ -62,7 +62,7 @@ pub fn summary(
 }
 
 /// What stands above every result of simulated measurements.
-pub(super) const SIMULATED: &str = "SIMULATED: no robot was measured";
+pub(crate) const SIMULATED: &str = "SIMULATED: no robot was measured";
 
 /// Numbers of the robot's links that the data determine in combination only, and those that they do not determine at all.
 pub(in crate::report) fn not_separated(file: &CalibrationFile) -> Option<String> {
