@@ -598,6 +598,26 @@ fn milliseconds_under_a_header_of_seconds_and_decimal_commas_are_refused_with_wh
     fails(&inspected(&edited_log(inputs.path(), in_ms)), &["`t_s` counts ms", "--propose FILE writes"]);
     let commas = |_: usize, line: &str| line.replace(',', ";").replace('.', ",");
     refused_log(commas, &["has a decimal comma", "decimal_comma = true", "--log-mapping", "--propose"]);
+    // The proposed mapping reads them: the columns are those of the robot's own log, motor angles with their gear ratios.
+    for (number, edit) in [&in_ms as &dyn Fn(usize, &str) -> String, &commas].into_iter().enumerate() {
+        let log = edited_log(inputs.path(), edit);
+        let mapping = inputs.path().join(format!("mapping{number}.toml"));
+        let mapping = mapping.to_str().unwrap();
+        let robot = config("robots").join(IRB);
+        program(&[
+            "inspect",
+            log.to_str().unwrap(),
+            "--robot",
+            robot.to_str().unwrap(),
+            "--propose",
+            mapping,
+        ]);
+        let out = tempfile::tempdir().unwrap();
+        let recording = experiment().join("recording.mcap");
+        let output = calibrate(&recording, &log, &["--log-mapping", mapping], out.path());
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        assert!(String::from_utf8_lossy(&output.stdout).contains("verdict green"));
+    }
 }
 
 /// First sheet of a result, of the simulated bus or of a robot.

@@ -6,7 +6,7 @@ use std::f64::consts::FRAC_PI_2;
 use crate::support::independent::{Matrix, identity, product, shift, turn};
 use identify::calibrate::validation::deployment::Deployment;
 use identify::kinematics::{Chain, InverseError, Joints, Pose, robot_chain};
-use identify::logs::JointConversion;
+use identify::logs::{JointConversion, RobotLogMapping};
 use identify::model::Model;
 use identify::report::result::corrections::{Correction, corrections, csv, log_corrections};
 use identify::report::result::file::{CalibrationFile, ParameterEntry, SolveEntry, Status};
@@ -148,7 +148,7 @@ fn corrections_read_back_and_applied_to_joints_or_to_the_log_give_the_identified
     for config in robots() {
         let chain = identified(&config);
         let rows = read_back(&csv(&corrections(&file(&config), Deployment::Dh)).unwrap());
-        let of_log = log_corrections(&file(&config), &config, Deployment::Dh).unwrap();
+        let of_log = log_corrections(&file(&config), &config, None, Deployment::Dh).unwrap();
         let of_log = read_back(&csv(&of_log).unwrap());
         let links = corrected_links(&robot_chain(&config, &crate::support::bar()), &rows);
         let add = |rows: &[Correction], prefix: &str| -> [f64; 6] {
@@ -156,12 +156,27 @@ fn corrections_read_back_and_applied_to_joints_or_to_the_log_give_the_identified
             std::array::from_fn(|i| of(i).unwrap().add)
         };
         let conversion = JointConversion::new(&config.log).unwrap();
+        // A log of the controller's joints, of which one counts the other way and one contains another.
+        let joints = (1..=6).map(|joint| {
+            let sign = if joint == 5 { -1 } else { 1 };
+            format!(
+                "[[joints]]\ncolumn = \"J{joint}\"\nunit = \"deg\"\nsign = {sign}\noffset_deg = {joint}\n"
+            )
+        });
+        let coupling = "[[coupling]]\njoint = 3\nfrom = 2\nfactor = 1\n";
+        let mapping: RobotLogMapping = toml::from_str(&(joints.collect::<String>() + coupling)).unwrap();
+        let mapped = JointConversion::new(&mapping.conversion()).unwrap();
+        let to_exported = log_corrections(&file(&config), &config, Some(&mapping), Deployment::Dh).unwrap();
+        assert!(to_exported.iter().all(|row| row.unit == "deg" && row.what.starts_with('J')));
         let (to_joints, to_log) = (add(&rows, "joint "), add(&of_log, &config.log.column));
         for joints in &JOINTS {
             let by_joints = Joints::from_fn(6, |i| joints[i] + to_joints[i].to_radians());
             let logged = conversion.to_raw(joints);
             let by_log = conversion.to_joint(&Joints::from_fn(6, |i| logged[i] + to_log[i]));
-            for corrected in [by_joints, by_log] {
+            let exported = mapped.to_raw(joints);
+            let of = |i: usize| exported[i] + to_exported[i].add.to_radians();
+            let by_mapped_log = mapped.to_joint(&Joints::from_fn(6, of));
+            for corrected in [by_joints, by_log, by_mapped_log] {
                 let found = links.forward(&corrected).to_homogeneous();
                 // Equal up to the digits that controllers accept.
                 assert!((found - chain.forward(joints).to_homogeneous()).amax() < 5e-6);

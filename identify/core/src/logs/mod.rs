@@ -30,6 +30,7 @@ pub use robot::format::LogFormat;
 pub use robot::mapping::{Columns, Coupling, CsvLayout, RobotLogMapping};
 pub use robot::mistake::JointMistake;
 pub use robot::reader::{LogOptions, load, load_with, read, read_with};
+pub use robot::table::own_columns;
 pub use robot::writer::write;
 pub use rows::contact::{ContactMapping, Contacts, SeatedRow};
 pub use rows::measured_length::{

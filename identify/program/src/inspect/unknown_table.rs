@@ -13,7 +13,7 @@ use crate::kinematics::flange_chain;
 use crate::logs::{
     ContactMapping, CsvLayout, EulerFrame, JointColumn, JointMistake, JointUnit, LengthColumn, LengthUnit,
     LogError, MeasuredLengthMapping, MeasuredPoseMapping, MeasuredPoses, PositionColumns, RobotLogMapping,
-    RotationColumns, RotationForm, RowsAsText, TimeColumn, TimeUnit,
+    RotationColumns, RotationForm, RowsAsText, TimeColumn, TimeUnit, own_columns,
 };
 use crate::statistics::median;
 
@@ -148,12 +148,16 @@ fn of_sheet(
     let columns = columns(&text, &csv)?;
     let found = || columns.iter().map(|column| column.name.as_str()).collect::<Vec<_>>().join(", ");
     let mut notes = Notes::default();
-    let joints = joints(&columns, robot, csv.header, &mut notes).ok_or_else(|| ProposeError::NoJoints {
-        path: shown.clone(),
-        joints: robot.axes(),
-        found: found(),
-    })?;
-    let taken = |column: &Column| joints.iter().any(|joint| joint.column == column.name);
+    let own = own_columns(robot);
+    let has_own = own.iter().all(|name| columns.iter().any(|column| column.name == *name));
+    let mut of_joints = Notes::default();
+    let joints = joints(&columns, robot, csv.header, &mut of_joints);
+    if joints.is_none() && !has_own {
+        return Err(ProposeError::NoJoints { path: shown, joints: robot.axes(), found: found() });
+    }
+    let joints = joints.unwrap_or_default();
+    let is_joint = |column: &Column| joints.iter().any(|joint| joint.column == column.name);
+    let taken = |column: &Column| is_joint(column) || (has_own && own.contains(&column.name));
     let others: Vec<&Column> = columns.iter().filter(|column| !taken(column)).collect();
     let time = time(&others, &mut notes);
     let length = others.iter().find(|column| column.has_word(LENGTHS)).copied();
@@ -183,18 +187,27 @@ fn of_sheet(
                 attachment,
             })
         }
-        (Some(time), _, _, _) if !of_tracker => Mapping::RobotLog(Box::new(RobotLogMapping {
-            csv,
-            time: Some(time),
-            joints,
-            clock: None,
-            values: None,
-            topic: None,
-            speeds: None,
-            torques: None,
-            force: None,
-            coupling: Vec::new(),
-        })),
+        (Some(time), _, _, _) if !of_tracker => {
+            let joints = if has_own {
+                let reason = format!("{} are the columns of the robot's own log", listed(&own));
+                of_joints = Notes { reasons: vec![reason], ..Notes::default() };
+                Vec::new()
+            } else {
+                joints
+            };
+            Mapping::RobotLog(Box::new(RobotLogMapping {
+                csv,
+                time: Some(time),
+                joints,
+                clock: None,
+                values: None,
+                topic: None,
+                speeds: None,
+                torques: None,
+                force: None,
+                coupling: Vec::new(),
+            }))
+        }
         (_, _, Some(xyz), _) => {
             let names = xyz.map(|column| column.name.clone());
             let (unit, why) = xyz[0].length_unit();
@@ -220,6 +233,8 @@ fn of_sheet(
         }
         _ => return Err(ProposeError::NothingMeasured { path: shown, found: found() }),
     };
+    notes.reasons.splice(0..0, of_joints.reasons);
+    notes.doubts.splice(0..0, of_joints.doubts);
     Ok(Proposal { mapping, notes })
 }
 

@@ -77,7 +77,9 @@ pub struct RobotLogMapping {
     pub csv: CsvLayout,
     /// Column and unit of the stamps.
     pub time: Option<TimeColumn>,
-    /// All joints, base to flange: `q = sign * (value - offset)`.
+    /// All joints, base to flange: `q = sign * (value - offset)`. Without any, joints and their conversion are those of the
+    /// robot's own log.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub joints: Vec<JointColumn>,
     /// Columns with joint speeds, in the joints' unit per second.
     pub speeds: Option<Columns>,
@@ -92,7 +94,7 @@ pub struct RobotLogMapping {
 
 impl RobotLogMapping {
     /// Values of the file in radians or metres to joint variables of the model.
-    pub(in crate::logs) fn conversion(&self) -> LogConversion {
+    pub fn conversion(&self) -> LogConversion {
         let mut conversion = LogConversion::direct(AngleUnit::Rad, self.joints.len());
         let coupled = &mut conversion.raw_to_joint;
         for Coupling { joint, from, factor } in &self.coupling {
@@ -115,8 +117,16 @@ impl Validate for RobotLogMapping {
     fn validate(&self) -> Result<(), Violation> {
         self.csv.check()?;
         self.time.as_ref().map_or(Ok(()), TimeColumn::check)?;
-        check_joints(&self.joints)?;
         let axes = self.joints.len();
+        if axes == 0 {
+            let needing = [("speeds", self.speeds.is_some()), ("torques", self.torques.is_some())];
+            let needing = needing.into_iter().chain([("coupling", !self.coupling.is_empty())]);
+            return needing.into_iter().find(|(_, is_there)| *is_there).map_or_else(
+                || self.force.as_ref().map_or(Ok(()), ForceColumns::check),
+                |(key, _)| Err(Violation::new(key, "there are no [[joints]]", "write one for each joint")),
+            );
+        }
+        check_joints(&self.joints)?;
         for (key, columns) in [("speeds", &self.speeds), ("torques", &self.torques)] {
             if let Some(columns) = columns.as_ref().filter(|columns| columns.len() != axes) {
                 let problem = format!("{} columns for {axes} joints", columns.len());

@@ -24,6 +24,11 @@ pub(in crate::logs) fn column_name(robot: &RobotConfig, index: usize, unit: Angl
     format!("{}{}_{suffix}", robot.log.column, index + 1)
 }
 
+/// Names of the columns with the joints of the robot's own log, base to flange.
+pub fn own_columns(robot: &RobotConfig) -> Columns {
+    (0..robot.axes()).map(|index| column_name(robot, index, robot.log.unit)).collect()
+}
+
 /// The columns of a table that are read.
 struct Layout {
     time: StampColumn,
@@ -37,11 +42,15 @@ struct Layout {
 /// The robot's own columns: `t_s` and those that its configuration names; other columns are ignored.
 pub(in crate::logs) fn read_own(source: Source<'_>, robot: &RobotConfig) -> Result<RobotLog, LogError> {
     let path = source.path;
-    let names = (0..robot.axes()).map(|index| column_name(robot, index, robot.log.unit)).collect();
-    let meaning = Meaning::own(robot, names)?;
+    let meaning = Meaning::own(robot, own_columns(robot))?;
     let mut table = Table::open(Text::new(source, None)?)?;
-    let mut layout =
-        Layout { force: ForceLayout::find_usual(&table, robot)?, ..own_layout(&table, path, robot)? };
+    let mut layout = Layout {
+        time: seconds(table.column(TIME_COLUMN, "Name the column of time stamps, in seconds, `t_s`, or assign the columns in a mapping (--log-mapping).")?),
+        joints: own_joints(&table, path, robot)?,
+        speeds: None,
+        torques: None,
+        force: ForceLayout::find_usual(&table, robot)?,
+    };
     let mut raw = RawLog::new(path, "line");
     read_rows(&mut table, &mut layout, &mut raw)?;
     declare(&mut raw, &table);
@@ -78,8 +87,8 @@ fn in_seconds(log: RobotLog, path: &Path) -> Result<RobotLog, LogError> {
     })
 }
 
-fn own_layout(table: &Table<'_>, path: &Path, robot: &RobotConfig) -> Result<Layout, LogError> {
-    let time = table.column(TIME_COLUMN, "Name the column of time stamps, in seconds, `t_s`, or assign the columns in a mapping (--log-mapping).")?;
+/// The columns with the joints of the robot's own log.
+fn own_joints(table: &Table<'_>, path: &Path, robot: &RobotConfig) -> Result<Vec<(Column, f64)>, LogError> {
     let unit = robot.log.unit;
     let other = match unit {
         AngleUnit::Rad => AngleUnit::Deg,
@@ -106,7 +115,7 @@ fn own_layout(table: &Table<'_>, path: &Path, robot: &RobotConfig) -> Result<Lay
         );
         joints.push((table.column(&name, &remedy)?, 1.0));
     }
-    Ok(Layout { time: seconds(time), joints, speeds: None, torques: None, force: None })
+    Ok(joints)
 }
 
 /// A table of `record.py` of the RTDE client, joints in radians.
@@ -147,8 +156,11 @@ pub(in crate::logs) fn read_mapped(
     let path = source.path;
     let text = Text::new(source, mapping.csv.sheet.as_deref())?;
     let mut table = Table::mapped(text, &mapping.csv)?;
-    let mut columns = mapped_layout(&table, path, mapping)?;
-    let names: Vec<String> = mapping.joints.iter().map(|joint| joint.column.clone()).collect();
+    let mut columns = mapped_layout(&table, robot, path, mapping)?;
+    let names = match mapping.joints.as_slice() {
+        [] => own_columns(robot),
+        joints => joints.iter().map(|joint| joint.column.clone()).collect(),
+    };
     let meaning = Meaning::mapped(robot, mapping, names, path)?;
     let mut raw = RawLog::new(path, "line");
     read_rows(&mut table, &mut columns, &mut raw)?;
@@ -163,17 +175,27 @@ fn seconds(column: Column) -> StampColumn {
     StampColumn::new(column, &TimeColumn::new("", TimeUnit::S))
 }
 
-fn mapped_layout(table: &Table<'_>, path: &Path, mapping: &RobotLogMapping) -> Result<Layout, LogError> {
+fn mapped_layout(
+    table: &Table<'_>,
+    robot: &RobotConfig,
+    path: &Path,
+    mapping: &RobotLogMapping,
+) -> Result<Layout, LogError> {
     let remedy = "Correct the name in the mapping file.";
     let time = TimeColumn::of_table(mapping.time.as_ref(), path)?;
     let to_rad: Vec<f64> = mapping.joints.iter().map(|joint| joint.unit.to_si()).collect();
     let joints: Columns = mapping.joints.iter().map(|joint| joint.column.clone()).collect();
+    let joints = if joints.is_empty() {
+        own_joints(table, path, robot)?
+    } else {
+        named(table, &joints, &to_rad, remedy)?
+    };
     let optional = |names: &Option<Columns>, factors: &[f64]| {
         names.as_ref().map(|names| named(table, names, factors, remedy)).transpose()
     };
     Ok(Layout {
         time: StampColumn::new(table.column(&time.column, remedy)?, time),
-        joints: named(table, &joints, &to_rad, remedy)?,
+        joints,
         speeds: optional(&mapping.speeds, &to_rad)?,
         torques: optional(&mapping.torques, &vec![1.0; mapping.joints.len()])?,
         force: mapping

@@ -61,6 +61,16 @@ impl JointUnit {
         }
     }
 
+    /// Its symbol.
+    pub const fn suffix(self) -> &'static str {
+        match self {
+            Self::Rad => "rad",
+            Self::Deg => "deg",
+            Self::M => "m",
+            Self::Mm => "mm",
+        }
+    }
+
     const fn kind(self) -> JointKind {
         match self {
             Self::Rad | Self::Deg => JointKind::Revolute,

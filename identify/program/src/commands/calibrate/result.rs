@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use shared::config::{BallBarConfig, RobotConfig};
+use shared::config::{self, BallBarConfig, RobotConfig};
 use shared::output::{say, show};
 
 use super::experiment::Experiment;
@@ -35,7 +35,8 @@ pub(super) fn write_files(
     }
     let mut written = vec![file.write(directory)?, replace(directory, "residuals.csv", residuals)?];
     if file.may_be_applied() {
-        written.extend(file.write_robot(robot, bar, directory)?);
+        let log_mapping = experiment.log_mapping.as_deref().map(config::load).transpose()?;
+        written.extend(file.write_robot(robot, bar, log_mapping.as_ref(), directory)?);
     }
     Ok(written)
 }

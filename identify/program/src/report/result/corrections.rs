@@ -1,12 +1,12 @@
 //! What a robot engineer types into a controller or a program: corrections with unit, sign and place.
 
 use serde::{Deserialize, Serialize};
-use shared::config::RobotConfig;
+use shared::config::{JointKind, RobotConfig};
 
 use super::file::{CalibrationFile, ReadIn};
 use crate::calibrate::validation::deployment::Deployment;
 use crate::kinematics::{Joints, LinkParameter};
-use crate::logs::{JointConversion, LogError};
+use crate::logs::{JointColumn, JointConversion, LogError, RobotLogMapping, own_columns};
 use crate::model::ParameterId;
 
 /// One row of `corrections.csv` or `offsets.csv`, or of their `_log.csv`.
@@ -81,14 +81,16 @@ pub fn corrections(file: &CalibrationFile, deployment: Deployment) -> Vec<Correc
     joints
 }
 
-/// The joint offsets of a deployment for the log's own columns, which are a controller's joint values where the log has them: applied
-/// instead of those of the model's joints. With `q + offset = (raw + change - raw_offset) T` they are the changes.
+/// The joint offsets of a deployment for the columns of the log, as a mapping or the robot's file names and converts them. These are
+/// a controller's joint values where the log has them: applied instead of those of the model's joints. With
+/// `q + offset = (raw + change - raw_offset) T` they are the changes.
 ///
 /// # Errors
 /// [`LogError::SingularConversion`].
 pub fn log_corrections(
     file: &CalibrationFile,
     robot: &RobotConfig,
+    mapping: Option<&RobotLogMapping>,
     deployment: Deployment,
 ) -> Result<Vec<Correction>, LogError> {
     let none = Joints::zeros(robot.axes());
@@ -100,14 +102,30 @@ pub fn log_corrections(
             *offset = entry.correction;
         }
     }
-    let conversion = JointConversion::of(robot)?;
-    let [with, without] = [offsets, none].map(|joints| conversion.to_raw(&joints));
-    let (column, unit) = (&robot.log.column, robot.log.unit.suffix());
-    let row = row_of(file, deployment);
-    let of_joint = |joint: usize| {
-        row(format!("{column}{}_{unit}", joint + 1), unit, with[joint] - without[joint], TO_LOG, None)
+    let own = |(column, kind): (String, JointKind)| match kind {
+        JointKind::Revolute => (column, robot.log.unit.suffix(), 1.0),
+        JointKind::Prismatic => (column, kind.si_symbol(), 1.0),
     };
-    Ok((0..none.len()).map(of_joint).collect())
+    let (conversion, columns): (_, Vec<(String, &str, f64)>) = match mapping
+        .filter(|mapping| !mapping.joints.is_empty())
+    {
+        None => (
+            JointConversion::of(robot)?,
+            own_columns(robot).into_iter().zip(robot.joint_kinds()).map(own).collect(),
+        ),
+        Some(mapping) => {
+            let of = |joint: &JointColumn| (joint.column.clone(), joint.unit.suffix(), joint.unit.to_si());
+            (JointConversion::new(&mapping.conversion())?, mapping.joints.iter().map(of).collect())
+        }
+    };
+    let [with, without] = [offsets, none].map(|joints| conversion.to_raw(&joints));
+    let row = row_of(file, deployment);
+    let changes = columns.into_iter().zip(with.iter().zip(&without));
+    Ok(changes
+        .map(|((column, unit, to_si), (with, without))| {
+            row(column, unit, (with - without) / to_si, TO_LOG, None)
+        })
+        .collect())
 }
 
 /// The text of a table.

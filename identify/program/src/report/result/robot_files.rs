@@ -9,7 +9,7 @@ use super::corrections::{corrections, csv, log_corrections};
 use super::file::{CalibrationFile, FileError, ParameterEntry, replace};
 use crate::calibrate::validation::deployment::Deployment;
 use crate::kinematics::{Chain, DhLink, Pose, flange_chain, robot_chain, roll_pitch_yaw};
-use crate::logs::LogError;
+use crate::logs::{LogError, RobotLogMapping};
 use crate::model::ParameterId;
 
 /// Why there is no such file.
@@ -61,6 +61,7 @@ impl CalibrationFile {
         &self,
         robot: &RobotConfig,
         bar: Option<&BallBarConfig>,
+        log_mapping: Option<&RobotLogMapping>,
         directory: &Path,
     ) -> Result<Vec<PathBuf>, RobotFileError> {
         let mut written = Vec::new();
@@ -68,7 +69,8 @@ impl CalibrationFile {
             if !self.serves(part) {
                 continue;
             }
-            let tables = [("", corrections(self, part)), ("_log", log_corrections(self, robot, part)?)];
+            let tables =
+                [("", corrections(self, part)), ("_log", log_corrections(self, robot, log_mapping, part)?)];
             for (ending, rows) in tables {
                 let text = csv(&rows).map_err(FileError::from)?;
                 written.push(replace(directory, &format!("{name}{ending}.csv"), &text)?);

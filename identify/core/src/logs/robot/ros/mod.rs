@@ -56,9 +56,10 @@ pub(in crate::logs) fn read(
 ) -> Result<RobotLog, LogError> {
     let bag = Bag::open(bytes, path, format)?;
     let topic = mapping.and_then(|mapping| mapping.topic.as_deref());
+    let of_joints = mapping.filter(|mapping| !mapping.joints.is_empty());
     let (topic, names) =
-        bag.choose(path, topic, &JOINTS, |found| joints_among(found, robot.axes(), mapping))?;
-    let meaning = match mapping {
+        bag.choose(path, topic, &JOINTS, |found| joints_among(found, robot.axes(), of_joints))?;
+    let meaning = match of_joints {
         Some(mapping) => Meaning::mapped(robot, mapping, names.clone(), path)?,
         None => Meaning::of_controller(robot, AngleUnit::Rad, names.clone(), format, path)?,
     };
@@ -72,7 +73,7 @@ pub(in crate::logs) fn read(
     if !stamped {
         raw.remarks.push(UNSTAMPED.into());
     }
-    let to_rad = units(mapping, robot.axes());
+    let to_rad = units(of_joints, robot.axes());
     for message in &topic.messages {
         raw.push(row(message, &names, &to_rad, stamped))?;
     }
