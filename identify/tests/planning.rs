@@ -916,12 +916,22 @@ fn the_command_plans_checks_and_simulates_what_it_planned() {
     let bar = crate::support::repository("config/ball_bar.toml");
     let bar = bar.to_str().unwrap();
     let robot = "irb2400_16.toml";
-    let planned = identify(&["plan", "--bar", bar, "--duration", "40s", "--budget", "2s"], robot, out);
+    // The wrist is bent the other way than in the usual posture.
+    let posture = ["--posture", "0,20,10,0,-60,0"];
+    let planned = [&["plan", "--bar", bar, "--duration", "40s", "--budget", "2s"], &posture[..]].concat();
+    let planned = identify(&planned, robot, out);
     assert!(planned.status.success(), "{}", String::from_utf8_lossy(&planned.stderr));
     let said = String::from_utf8(planned.stdout).unwrap();
     assert!(said.contains("all constraints are kept"), "{said}");
-    let efficiency = said.split_once("\nefficiency ").unwrap().1.split_once(" %").unwrap().0;
-    assert!((1.0..=100.0).contains(&efficiency.parse::<f64>().unwrap()), "{said}");
+    let efficiency =
+        |said: &str| said.split_once("\nefficiency ").unwrap().1.lines().next().unwrap().to_owned();
+    let percent = efficiency(&said).split_once(" %").unwrap().0.parse::<f64>().unwrap();
+    assert!((1.0..=100.0).contains(&percent), "{said}");
+    let mut check = Command::new(env!("CARGO_BIN_EXE_identify"));
+    check.args(["plan", "check"]).arg(out.join("robot_path.csv")).args(["--bar", bar, "--robot"]);
+    let checked = check.arg(crate::support::repository("config/robots").join(robot)).output().unwrap();
+    let checked = String::from_utf8_lossy(&checked.stdout).into_owned();
+    assert_eq!(efficiency(&checked), efficiency(&said), "{checked}");
     let path: PlannedPath = config::load(&out.join("path.toml")).unwrap();
     assert_eq!(path.path.duration_s, 40.0);
     let file = out.join("path.toml");

@@ -30,7 +30,7 @@ pub use poses::{
     poses_position_m_min, random_postures,
 };
 pub use programs::{Language, ProgramError, Task, can_be_programmed, pose_program, program};
-pub use random::{DURATION_S_MIN, PlanError, Route, random_poses, random_route};
+pub use random::{DURATION_S_MIN, PlanError, Route, random_route};
 pub use search::{Found, Progress, search};
 
 use serde::{Deserialize, Serialize};

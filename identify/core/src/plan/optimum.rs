@@ -13,7 +13,8 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
 use super::poses::{squared, times};
-use super::{Checked, Constraints, Information, random_poses};
+use super::random::{random_poses, start};
+use super::{Checked, Constraints, Information};
 use crate::solver::ScaledCholesky;
 
 /// Highest number of steps of the algorithm.
@@ -48,7 +49,8 @@ pub(super) fn goals(
     information: &Information,
     random: &mut impl Rng,
 ) -> Vec<[f64; 5]> {
-    let poses = random_poses(constraints, RANDOM_POSES / 2, random);
+    let Ok((_, near_rad)) = start(constraints, random) else { return Vec::new() };
+    let poses = random_poses(constraints, near_rad, RANDOM_POSES / 2, random);
     let Some(best) = information.optimum(&poses, constraints.design.duration_s) else { return Vec::new() };
     let mut largest: Vec<usize> = (0..best.parts.len()).collect();
     largest.sort_by(|a, b| best.parts[*b].total_cmp(&best.parts[*a]));
@@ -67,8 +69,9 @@ pub fn position_m_min(
     if constraints.limits.len() != 6 {
         return None;
     }
-    let mut poses = random_poses(constraints, RANDOM_POSES, &mut ChaCha8Rng::seed_from_u64(1));
     let visited = &checked.visited;
+    let random = &mut ChaCha8Rng::seed_from_u64(1);
+    let mut poses = random_poses(constraints, visited.robot.first()?.q, RANDOM_POSES, random);
     let every = visited.robot.len().div_ceil(PATH_POSES_MAX).max(1);
     poses.bar_rad.extend(visited.bar_rad.iter().step_by(every));
     poses.robot.extend(visited.robot.iter().step_by(every));

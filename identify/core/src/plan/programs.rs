@@ -51,16 +51,14 @@ pub enum ProgramError {
     /// The log has something else than what a controller takes.
     #[error(
         "how the controller of {robot} counts its joints is not known: `raw_to_joint` of its configuration has gear ratios, so \
-         its log has motor angles; leave --program out and take the joints from the table, or configure a log of joint angles"
+         its log has motor angles; take the joints from the table, or configure a log of joint angles"
     )]
     Motors {
         /// Name of the robot.
         robot: String,
     },
     /// The language has six axes, others are additional axes somewhere else in its targets.
-    #[error(
-        "{robot} has {axes} axes, programs are written for six; leave --program out and take the joints from the table"
-    )]
+    #[error("{robot} has {axes} axes, programs are written for six; take the joints from the table")]
     Axes {
         /// Name of the robot.
         robot: String,

@@ -128,15 +128,19 @@ pub(super) fn speed_rad_s(design: &Design, random: &mut impl Rng) -> f64 {
     design.bar_speed_rad_s * random.random_range(SPEED_RANGE)
 }
 
-/// Random poses on the sphere in no order, each with a speed that the robot can reach: those of all paths with the same
-/// configuration of elbow and wrist. Fewer if hardly any are found.
-pub fn random_poses(constraints: &Constraints<'_>, count: usize, random: &mut impl Rng) -> Visited {
+/// Random poses on the sphere in no order, each with a speed that the robot can reach: those of all paths with the configuration
+/// of elbow and wrist that `near_rad` has. Fewer if hardly any are found.
+pub(super) fn random_poses(
+    constraints: &Constraints<'_>,
+    mut near_rad: Joints,
+    count: usize,
+    random: &mut impl Rng,
+) -> Visited {
     /// Time step along the motion of a pose \[s\].
     const STEP_S: f64 = 1e-3;
     const TRIES_EACH: usize = 200;
     let design = constraints.design;
     let mut visited = Visited::default();
-    let Ok((_, mut near_rad)) = start(constraints, random) else { return visited };
     let bent = constraints.bent(&near_rad);
     for _ in 0..TRIES_EACH * count {
         if visited.robot.len() == count {
@@ -162,7 +166,11 @@ pub fn random_poses(constraints: &Constraints<'_>, count: usize, random: &mut im
     visited
 }
 
-fn start(constraints: &Constraints<'_>, random: &mut impl Rng) -> Result<([f64; 5], Joints), PlanError> {
+/// A random bar posture near the design's posture of the robot, and the robot's joints there \[rad\].
+pub(super) fn start(
+    constraints: &Constraints<'_>,
+    random: &mut impl Rng,
+) -> Result<([f64; 5], Joints), PlanError> {
     let design = constraints.design;
     let mut obstacles = Obstacles::default();
     for _ in 0..TRIES {
