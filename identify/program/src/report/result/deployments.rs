@@ -20,6 +20,9 @@ pub struct DeploymentEntry {
     /// Held-out segments as predicted with it; those of rows have their own place.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub held_out: Option<PoseErrorEntry>,
+    /// Expected position error over the workspace, mean \[m\]: of the nominal robot, and with it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub expected_m: Option<[f64; 2]>,
 }
 
 impl From<&Deployed> for DeploymentEntry {
@@ -28,7 +31,8 @@ impl From<&Deployed> for DeploymentEntry {
         let is_link = |entry: &ParameterEntry| {
             matches!(entry.id(), Some(ParameterId::Robot { .. } | ParameterId::Bar { .. }))
         };
-        Self { deployment: *deployment, links: all.into_iter().filter(is_link).collect(), held_out: None }
+        let links = all.into_iter().filter(is_link).collect();
+        Self { deployment: *deployment, links, held_out: None, expected_m: None }
     }
 }
 
@@ -83,8 +87,18 @@ impl CalibrationFile {
     }
 
     /// Held-out data are predicted better than with the nominal robot by what a deployment takes, and surely so; true where none
-    /// were held out. A part of the full model differs from a fit of that part.
+    /// were held out. It must also be expected to reduce the errors elsewhere in the workspace. A part of the full model differs
+    /// from a fit of that part.
     pub fn serves(&self, deployment: Deployment) -> bool {
+        self.serves_held_out(deployment) && !self.is_worse_elsewhere(deployment)
+    }
+
+    fn is_worse_elsewhere(&self, deployment: Deployment) -> bool {
+        let expected = self.entry(deployment).and_then(|entry| entry.expected_m);
+        expected.is_some_and(|[nominal_m, with_it_m]| with_it_m >= nominal_m)
+    }
+
+    fn serves_held_out(&self, deployment: Deployment) -> bool {
         let rows = || self.rows.iter().map(|rows| &rows.held_out).filter(|of| of.nominal.rows > 0);
         self.may_be_applied()
             && self.entry(deployment).is_some_and(|entry| self.segments_are_better(entry))
@@ -137,8 +151,13 @@ impl CalibrationFile {
                 return (!self.serves(deployment))
                     .then(|| format!("{what} could not be tried on them: they are not written"));
             };
-            let files =
-                if self.serves(deployment) { "" } else { ", not surely better than nominal: not written" };
+            let files = if !self.serves_held_out(deployment) {
+                ", not surely better than nominal: not written"
+            } else if self.is_worse_elsewhere(deployment) {
+                ", but expected to be worse than nominal elsewhere in the workspace: not written"
+            } else {
+                ""
+            };
             Some(format!("{:.3} mm with {what}{files}", rms_m * 1e3))
         };
         Deployment::PARTIAL.into_iter().filter_map(told).collect()

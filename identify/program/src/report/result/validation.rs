@@ -88,7 +88,9 @@ impl CalibrationFile {
         let deployed = evidence.deployed.iter().map(|(deployed, held_out)| {
             let [_, predicted, _] = held_out.rms().map(entry);
             let held_out = comparable(held_out).then_some(predicted);
-            DeploymentEntry { held_out, ..DeploymentEntry::from(deployed) }
+            let with_it = evidence.workspace.deployed.get(&deployed.deployment);
+            let expected_m = with_it.map(|with_it| [evidence.workspace.before.mean_m, with_it.mean_m]);
+            DeploymentEntry { held_out, expected_m, ..DeploymentEntry::from(deployed) }
         });
         self.deployments = deployed.collect();
         self
