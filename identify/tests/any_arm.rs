@@ -296,6 +296,10 @@ fn a_urdf_that_is_none_is_told_by_what_is_wrong_with_it() {
         ),
         (fanuc_urdf().replacen("0.330", "0,330", 1), "joint `joint_1` has `0 0 0,330` as xyz of its origin"),
         ("<robot name=\"empty\"/>".to_owned(), "no joint moves in it"),
+        (
+            fanuc_urdf().replacen("<parent link=\"base_link\"", "<parent link=\"link_5\"", 1),
+            "its joints form a circle through joint `joint_",
+        ),
     ] {
         let told = told(&text);
         assert!(told.contains(expected) && !told.contains("xacro"), "{told}");

@@ -49,9 +49,15 @@ impl<'a> Ends<'a> {
         };
         let joints = urdf.joints_to(&tip);
         let root = joints.first().map_or(tip.as_str(), |joint| &joint.parent);
+        if let Some(joint) = urdf.joints.iter().find(|joint| joint.child == root) {
+            return Err(ImportError::Wrong(format!(
+                "its joints form a circle through joint `{}`",
+                joint.name
+            )));
+        }
         let base = match base {
             Some(base) => base.to_owned(),
-            None => find_base(root, &joints, &mut left_out),
+            None => find_base(urdf, root, &joints, &mut left_out),
         };
         let begin = joints.iter().position(|joint| joint.parent == base);
         let Some(begin) = begin.or_else(|| (base == tip).then_some(joints.len())) else {
@@ -151,14 +157,16 @@ fn find_tip(urdf: &Urdf, base: Option<&str>, left_out: &mut Vec<String>) -> Resu
 }
 
 /// The link named as a robot's base, or else the fixed link that carries the first axis.
-fn find_base(root: &str, joints: &[&Joint], left_out: &mut Vec<String>) -> String {
+fn find_base(urdf: &Urdf, root: &str, joints: &[&Joint], left_out: &mut Vec<String>) -> String {
     let fixed = joints.iter().position(|joint| joint.moves()).unwrap_or(0);
     let children = joints[..fixed].iter().map(|joint| joint.child.as_str());
     let links: Vec<&str> = std::iter::once(root).chain(children).collect();
     let named = BASES.iter().find_map(|name| links.iter().rfind(|link| is_called(link, name)));
     let base = named.or(links.last()).map_or(root, |base| *base);
     if base != root {
-        left_out.push(format!("link `{root}` before `{base}` is left out; `--base {root}` includes it"));
+        let is_link = urdf.links.iter().any(|link| link == root);
+        let includes = if is_link { format!("; `--base {root}` includes it") } else { String::new() };
+        left_out.push(format!("link `{root}` before `{base}` is left out{includes}"));
     }
     base.to_owned()
 }
