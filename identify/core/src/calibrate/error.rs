@@ -73,7 +73,7 @@ pub enum CalibrateError {
     },
     /// The rows are not plausible for the configured robot.
     #[error("{found}; {}", .likely.map_or_else(
-        || "rows, their mapping, the table of sockets or the robot's file are wrong; see `identify inspect --propose`".to_owned(),
+        || "the rows, a file that describes them, or the robot's file are wrong; see `identify inspect --propose`".to_owned(),
         |likely| format!("most likely {likely}; correct the mapping or the robot's file"),
     ))]
     Implausible {

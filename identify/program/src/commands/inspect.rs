@@ -1,7 +1,7 @@
 //! `identify inspect`.
 
 use std::fs::File;
-use std::io::Write;
+use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
@@ -145,7 +145,13 @@ pub fn run(arguments: &InspectArguments) -> anyhow::Result<()> {
 fn propose(path: &Path, robot: &RobotConfig, out: &Path) -> anyhow::Result<()> {
     let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
     let text = inspect::propose(&bytes, path, robot)?.to_toml()?;
-    let mut file = File::create_new(out).with_context(|| format!("cannot create {}", out.display()))?;
+    let mut file = File::create_new(out).map_err(|error| match error.kind() {
+        ErrorKind::AlreadyExists => anyhow::anyhow!(
+            "{} exists and may have been edited; give another name with --propose",
+            out.display()
+        ),
+        _ => anyhow::Error::new(error).context(format!("cannot create {}", out.display())),
+    })?;
     file.write_all(text.as_bytes()).with_context(|| format!("cannot write {}", out.display()))?;
     show(
         text.lines()

@@ -108,6 +108,7 @@ impl Watch for OnTerminal {
     fn begins(&self, stage: &str) {
         stage.clone_into(&mut self.stage.lock().unwrap_or_else(PoisonError::into_inner));
         self.bar.set_message(stage.to_owned());
+        self.bar.set_position(0);
     }
 
     fn goes_on(&self, progress: &Progress) -> bool {

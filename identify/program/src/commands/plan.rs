@@ -106,10 +106,10 @@ const OFF_AXIS_M: f64 = 0.1;
 /// Largest coordinate in a cell \[m\].
 const CELL_M_MAX: f64 = 100.0;
 /// Largest coordinate that a robot reaches \[m\].
-const REACH_M_MAX: f64 = 10.0;
+pub(super) const REACH_M_MAX: f64 = 10.0;
 
 /// Coordinates as typed are finite, and of a size that metres have.
-fn in_metres(option: &str, numbers: &[f64], limit_m: f64) -> anyhow::Result<()> {
+pub(super) fn in_metres(option: &str, numbers: &[f64], limit_m: f64) -> anyhow::Result<()> {
     let list = |divisor: f64| {
         numbers.iter().map(|number| (number / divisor).to_string()).collect::<Vec<_>>().join(",")
     };
@@ -424,7 +424,7 @@ fn programs(
     let by_itself = Language::of(robot).filter(|_| asked.is_empty());
     if asked.is_empty() && by_itself.is_none() {
         say(format_args!(
-            "no program: the maker of {} is not one of its languages; choose with --program",
+            "no program: the name `{}` has no maker whose language is known; choose one with --program",
             robot.name
         ))?;
     }

@@ -9,6 +9,7 @@ use shared::output::say;
 use shared::time::parse_duration;
 
 use super::ensure_can_write;
+use super::plan::{REACH_M_MAX, in_metres};
 use crate::plan::PlannedPath;
 use crate::simulate::ArmErrors;
 use crate::simulate::contact::{self, ContactExperiment};
@@ -306,6 +307,7 @@ fn bar(arguments: &BarArguments) -> anyhow::Result<()> {
         Errors::None => StaticErrors::None,
     };
     experiment.design.base_m = arguments.base.unwrap_or(experiment.design.base_m);
+    in_metres("base", &experiment.design.base_m, REACH_M_MAX)?;
     experiment.design.posture_deg =
         arguments.posture.map_or(experiment.design.posture_deg, crate::kinematics::Joints::from);
     experiment.design.duration_s = arguments.duration.as_secs_f64();

@@ -50,7 +50,7 @@ impl StudyPage<'_> {
                     h1 { (study.title) }
                     p.about {
                         (self.definition.robot.name) " · " (self.definition.bar.name) " · "
-                        (study.seeds) " experiments a point · " (self.definition.software)
+                        (study.seeds) @if study.seeds == 1 { " experiment" } @else { " experiments" } " a point · " (self.definition.software)
                     }
                 }
                 main {
