@@ -186,9 +186,9 @@ fn the_page_on_judgements_has_the_numbers_of_the_program_and_every_key_of_the_co
     let mut count = 0;
     for (name, value, file) in constants {
         let of_program = text(&repository(file));
-        let defined = of_program.lines().map(|line| line.trim().trim_start_matches("pub ")).any(|line| {
-            line.starts_with(&format!("const {name}: ")) && line.ends_with(&format!(" = {value};"))
-        });
+        let begin = format!("const {name}: ");
+        let mut definitions = of_program.lines().filter_map(|line| line.find(&begin).map(|at| &line[at..]));
+        let defined = definitions.any(|line| line.ends_with(&format!(" = {value};")));
         assert!(defined, "{file}: const {name} = {value}");
         count += 1;
     }
