@@ -93,7 +93,7 @@ fn a_clock_that_jumps_is_marked_in_all_joints() {
     let marks = marks(&page);
     // Five encoders and the alignment against the robot, five of the recording, six of the robot's log.
     assert_eq!(marks.len(), 6 + 5 + 6, "{marks:?}");
-    assert!(page.contains("Calibrate from one side of the jump"));
+    assert!(page.contains("Find out what sets the clock and record again"));
 }
 
 #[test]

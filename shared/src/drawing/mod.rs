@@ -55,9 +55,10 @@ fn svg(bar: &BallBarConfig, style: &str) -> String {
     let [length, plate] = [bar.length_m, bar.plate_m].map(mm);
     let head = format!(
         "<title id=\"bar-title\">The double ball-bar and its joints</title>\n<desc id=\"bar-desc\">A gimbal on the base has joints 1 \
-         to 3: about the axis of the base, across the rod, and about the rod. {length} from its centre, a cardan has joints 4 and 5: \
-         across the rod, and about an axis parallel to axis 6 of the robot. The offset plate puts both axes {plate} apart. Arrows \
-         show the positive directions. Lengths are to scale, joints are not.</desc>\n{style}"
+         to 3: joint 1 turns about the axis of the base, joint 2 about an axis across the rod, joint 3 about the rod. A cardan, \
+         {length} from the centre of the gimbal, has joints 4 and 5: joint 4 turns about an axis across the rod, joint 5 about an \
+         axis parallel to axis 6 of the robot. The offset plate keeps axis 5 at {plate} from axis 6. Arrows show the positive \
+         directions. Lengths are to scale, joints are not.</desc>\n{style}"
     );
     pen.finish("class=\"bar-drawing\" role=\"img\" aria-labelledby=\"bar-title bar-desc\"", &head)
 }

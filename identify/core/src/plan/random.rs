@@ -42,7 +42,7 @@ pub enum PlanError {
         /// Constraint that was violated most often.
         obstacle: Obstacle,
     },
-    /// The constraints leave no moves for a path.
+    /// The requested duration is too short for the fewest moves.
     #[error(
         "a run of {duration_s} s has no room for the {MOVES_MIN} moves that excite all joints; give a --duration of at least \
          {DURATION_S_MIN} s"
@@ -128,8 +128,8 @@ pub(super) fn speed_rad_s(design: &Design, random: &mut impl Rng) -> f64 {
     design.bar_speed_rad_s * random.random_range(SPEED_RANGE)
 }
 
-/// Random poses on the sphere in no order, each with a speed that the robot can reach: those of all paths with the configuration
-/// of elbow and wrist that `near_rad` has. Fewer if hardly any are found.
+/// Random poses on the sphere in no order, each with a speed that the robot can reach: a sample of what any path visits in the
+/// configuration of shoulder, elbow and wrist that `near_rad` has. Fewer than `count` if hardly any are found.
 pub(super) fn random_poses(
     constraints: &Constraints<'_>,
     mut near_rad: Joints,
@@ -187,12 +187,16 @@ pub(super) fn start(
     })
 }
 
-/// Result of a trial of a move.
+/// Result of the search for the next move.
 enum Extension {
-    Reached,
-    TimeIsUp,
-    None,
-    Ended,
+    /// A move was added.
+    Added,
+    /// The next move would end after the run: the path is full.
+    PathFull,
+    /// None of the tried moves is feasible.
+    NoneFeasible,
+    /// The search was cancelled, or its time has elapsed.
+    SearchEnded,
 }
 
 /// Adds moves until the duration is reached. If no next move is found, the last few are removed: a joint near its limit may
@@ -208,14 +212,14 @@ fn fill(
     let (mut retreats, mut longest) = (0, 0);
     loop {
         match extend(constraints, route, &mut obstacles, random, is_over) {
-            Extension::Ended => return Err(PlanError::Ended { duration_s }),
-            Extension::Reached => {
+            Extension::SearchEnded => return Err(PlanError::Ended { duration_s }),
+            Extension::Added => {
                 if route.path.moves.len() > longest {
                     (retreats, longest) = (0, route.path.moves.len());
                 }
             }
-            Extension::TimeIsUp if route.path.moves.len() >= MOVES_MIN => return Ok(()),
-            Extension::TimeIsUp | Extension::None => {
+            Extension::PathFull if route.path.moves.len() >= MOVES_MIN => return Ok(()),
+            Extension::PathFull | Extension::NoneFeasible => {
                 retreats += 1;
                 if retreats > RETREATS {
                     break;
@@ -246,7 +250,7 @@ fn extend(
     let from_rad = route.path.end_rad();
     for _ in 0..TRIES {
         if is_over() {
-            return Extension::Ended;
+            return Extension::SearchEnded;
         }
         // Part of the way to a random point: a line stays within the ranges, and a short one is feasible more often.
         let (goal, part) = (point(design, random), random.random_range(PART_OF_WAY));
@@ -254,19 +258,19 @@ fn extend(
         let step = route.path.push(&to_rad, speed_rad_s(design, random), design);
         if !route.path.is_in_time(design) {
             route.path.moves.pop();
-            return Extension::TimeIsUp;
+            return Extension::PathFull;
         }
         // The robot's joints are known at the previous move's end. The nearest solution at this move's start is in the same
         // configuration, because the path between the two was checked with the previous move.
-        let Some(near_rad) = route.robot_rad.last() else { return Extension::None };
+        let Some(near_rad) = route.robot_rad.last() else { return Extension::NoneFeasible };
         match constraints.follow(&route.path, step.start_s, step.end_s(), near_rad) {
             Ok(robot) => {
                 route.robot_rad.extend(robot.last());
-                return Extension::Reached;
+                return Extension::Added;
             }
             Err(obstacle) => *obstacles.entry(obstacle).or_default() += 1,
         }
         route.path.moves.pop();
     }
-    Extension::None
+    Extension::NoneFeasible
 }

@@ -13,8 +13,8 @@ use super::{Stream, random};
 use crate::kinematics::{Chain, DhLink, Joints, Trace, Tracer, flange_chain};
 use crate::model::DriveTrain;
 
-/// Largest angle between the stem and the vertical, as a cosine.
-const STEM_COSINE: f64 = 0.4;
+/// Least cosine of the angle between the stem, the line from the flange to the point, and the downward vertical.
+const STEM_COSINE_MIN: f64 = 0.4;
 /// Part of the joints' travel to use.
 const TRAVEL: f64 = 0.9;
 
@@ -64,12 +64,12 @@ impl Arm {
     /// `point_m` is a position in the flange frame.
     pub(super) fn new(robot: &RobotConfig, errors: ArmErrors, point_m: Vector3<f64>) -> Self {
         let mut drawn = random(errors.robot_seed, Stream::StaticErrors);
-        let by = errors.errors_mm_mrad * 1e-3;
+        let sigma = errors.errors_mm_mrad * 1e-3;
         let mut chain = flange_chain(robot);
         for link in &mut chain.links {
             let DhLink { a_m, d_m, alpha_rad, theta_rad, .. } = link;
             for number in [a_m, d_m, alpha_rad, theta_rad] {
-                *number += by * drawn.sample::<f64, _>(StandardNormal);
+                *number += sigma * drawn.sample::<f64, _>(StandardNormal);
             }
         }
         let gear = |_: &DhLink| Wave {
@@ -90,18 +90,20 @@ impl Arm {
         }
     }
 
-    /// Joints reported by the controller at a pose; `noise` returns a number with this standard deviation \[1e-6\].
-    pub(super) fn reported(&self, stands: &Joints, mut noise: impl FnMut(f64) -> f64) -> Joints {
+    /// Joints that the controller reports at these true joints; `noise(s)` returns a random number of the standard deviation `s`
+    /// \[urad|um\], in rad or m.
+    pub(super) fn reported(&self, true_joints: &Joints, mut noise: impl FnMut(f64) -> f64) -> Joints {
         let mut joints =
-            Joints::from_fn(stands.len(), |joint| stands[joint] + noise(self.errors.robot_noise_urad));
+            Joints::from_fn(true_joints.len(), |joint| true_joints[joint] + noise(self.errors.robot_noise_urad));
         for (drive, gear) in self.turning() {
-            let error = gear.at(self.drives.of_drive(drive, stands));
+            let error = gear.at(self.drives.of_drive(drive, true_joints));
             let turned = joints.iter_mut().zip(&self.drives.joint_from_drive[drive]);
             turned.for_each(|(q, part)| *q += part * error);
         }
         joints
     }
 
+    /// Gears of the revolute drives, each with the index of its drive.
     fn turning(&self) -> impl Iterator<Item = (usize, &Wave)> {
         self.gears.iter().enumerate().filter(|(drive, _)| self.drives.turns(*drive))
     }
@@ -126,11 +128,11 @@ impl Arm {
     fn point(&self, joints: &Joints, trace: &mut Trace) -> (Vector3<f64>, bool) {
         self.tracer.trace(joints, trace);
         let stem = trace.rotation() * self.point_m;
-        (trace.position_m() + stem, -stem.z > STEM_COSINE * stem.norm())
+        (trace.position_m() + stem, -stem.z > STEM_COSINE_MIN * stem.norm())
     }
 
     /// Joints near `start` for this position; `None` if they are outside the limits or not from above.
-    fn reach(&self, start: Joints, there_m: Vector3<f64>) -> Option<Joints> {
+    fn joints_near(&self, start: Joints, there_m: Vector3<f64>) -> Option<Joints> {
         const STEPS: usize = 60;
         const STEP_MAX: f64 = 0.3;
         const MISS_M: f64 = 1e-12;
@@ -142,13 +144,13 @@ impl Arm {
                 let within = joints.iter().zip(&self.limits).all(|(q, [low, high])| low <= q && q <= high);
                 return (within && from_above).then_some(joints);
             }
-            let by: Vec<Vector3<f64>> =
+            let columns: Vec<Vector3<f64>> =
                 trace.point_twists(held_m, joints.len()).map(|twist| twist.linear).collect();
-            let square: Matrix3<f64> = by.iter().map(|column| column * column.transpose()).sum();
+            let square: Matrix3<f64> = columns.iter().map(|column| column * column.transpose()).sum();
             let pull = (square + Matrix3::identity() * 1e-12).try_inverse()? * miss;
-            let longest = by.iter().map(|column| column.dot(&pull).abs()).fold(0.0, f64::max);
+            let longest = columns.iter().map(|column| column.dot(&pull).abs()).fold(0.0, f64::max);
             let part = (STEP_MAX / longest).min(1.0);
-            joints.iter_mut().zip(&by).for_each(|(q, column)| *q += part * column.dot(&pull));
+            joints.iter_mut().zip(&columns).for_each(|(q, column)| *q += part * column.dot(&pull));
         }
         None
     }
@@ -174,13 +176,13 @@ impl Arm {
         (places, reach_m)
     }
 
-    /// The first of this number of trials that reaches the position.
-    pub(super) fn reached(
+    /// Joints that bring the point to the position, from the first of `tries` random start postures that leads there.
+    pub(super) fn joints_at(
         &self,
         there_m: Vector3<f64>,
         tries: usize,
         random: &mut ChaCha8Rng,
     ) -> Option<Joints> {
-        (0..tries).find_map(|_| self.reach(self.random(random), there_m))
+        (0..tries).find_map(|_| self.joints_near(self.random(random), there_m))
     }
 }

@@ -125,7 +125,7 @@ pub fn run(experiment: &ContactExperiment<'_>) -> Result<SimulatedContacts, RowS
         out_of_reach = table
             .sockets
             .iter()
-            .find(|one| arm.reached(there_m(one), TRIES / 10, &mut poses).is_none())
+            .find(|one| arm.joints_at(there_m(one), TRIES / 10, &mut poses).is_none())
             .map(|one| one.name.as_str());
         out_of_reach.is_none()
     });
@@ -146,7 +146,7 @@ pub fn run(experiment: &ContactExperiment<'_>) -> Result<SimulatedContacts, RowS
     for row in 0..experiment.rows {
         let socket = row % sockets_m.len();
         let there_m = sockets_m[socket] + Vector3::from_fn(|_, _| noise(seating_um));
-        let stands = arm.reached(there_m, TRIES, &mut poses);
+        let stands = arm.joints_at(there_m, TRIES, &mut poses);
         let stands = stands.ok_or_else(|| unreachable(&table.sockets[socket].name))?;
         rows.push(ContactRow { joints_rad: arm.reported(&stands, &mut noise), socket });
     }

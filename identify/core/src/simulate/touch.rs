@@ -133,7 +133,7 @@ pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, RowSimu
             };
             let found = FACES
                 .iter()
-                .find(|(_, normal)| arm.reached(there_m(*normal), TRIES / 10, &mut poses).is_none());
+                .find(|(_, normal)| arm.joints_at(there_m(*normal), TRIES / 10, &mut poses).is_none());
             out_of_reach = found.map_or("", |(name, _)| *name);
             out_of_reach.is_empty()
         },
@@ -178,7 +178,7 @@ pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, RowSimu
             });
             let place_m = block.transform_point(&place.into()).coords;
             let on_plane_m = place_m - face.normal * (face.normal.dot(&place_m) - face.distance_m);
-            arm.reached(on_plane_m + face.normal * out_m, TRIES / 10, &mut poses)
+            arm.joints_at(on_plane_m + face.normal * out_m, TRIES / 10, &mut poses)
         });
         let stands = stands.ok_or_else(|| unreachable(name))?;
         rows.push(TouchRow { joints_rad: arm.reported(&stands, &mut noise), face: number, reading_m });

@@ -21,7 +21,7 @@ pub use file::{
     UnknownFigure,
 };
 pub use reference::{Driven, Reference, ReferenceError};
-pub use results::{Results, ResultsError, Row, Share, TrialRows, merge};
+pub use results::{Results, ResultsError, Row, Shard, TrialRows, merge};
 pub use summary::{Curve, CurvePoint, FigureTable, Finding, Reach, Spread, Summary, short};
 pub use table::{write_csv, write_parquet};
 pub use trial::{Trial, prepared, run, trials};

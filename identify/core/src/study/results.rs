@@ -146,12 +146,12 @@ impl Results {
 
 /// Every `of`-th experiment, starting with the `number`-th.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Share {
+pub struct Shard {
     number: usize,
     of: usize,
 }
 
-impl Share {
+impl Shard {
     /// All experiments in one shard.
     pub const WHOLE: Self = Self { number: 1, of: 1 };
 
@@ -161,7 +161,7 @@ impl Share {
     }
 }
 
-impl FromStr for Share {
+impl FromStr for Shard {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
@@ -169,7 +169,7 @@ impl FromStr for Share {
             text.split_once('/').and_then(|(number, of)| Some((number.parse().ok()?, of.parse().ok()?)));
         match parsed {
             Some((number, of)) if number >= 1 && number <= of => Ok(Self { number, of }),
-            _ => Err(format!("`{text}` is not a share; give number and count, such as 3/16")),
+            _ => Err(format!("`{text}` is not a shard; give K/N for part K of N parts, K from 1 to N, such as 3/16")),
         }
     }
 }

@@ -13,7 +13,7 @@ use shared::output::say;
 use super::on_terminal::OnTerminal;
 use crate::report::page::StudyPage;
 use crate::simulate::Effects;
-use crate::study::{self, Definition, Results, Share, Summary, Trial, TrialRows, trials};
+use crate::study::{self, Definition, Results, Shard, Summary, Trial, TrialRows, trials};
 
 /// Lines of progress in the log of a batch job.
 const LINES: usize = 20;
@@ -49,7 +49,7 @@ pub struct StudyArguments {
     figures: Vec<String>,
     /// Part of the work for one of several machines, such as 3/16; `identify study merge` puts the parts together
     #[arg(long, help_heading = "Simulation", value_name = "K/N")]
-    shard: Option<Share>,
+    shard: Option<Shard>,
     /// Experiments at once; default: one for each processor. The results do not depend on it
     #[arg(long, help_heading = "Simulation", value_name = "N")]
     threads: Option<NonZeroUsize>,
@@ -87,10 +87,10 @@ pub fn run(arguments: &StudyArguments) -> anyhow::Result<()> {
         definition.study.seeds = seeds;
     }
     definition.study.keep_figures(&arguments.figures)?;
-    let share = arguments.shard.unwrap_or(Share::WHOLE);
+    let shard = arguments.shard.unwrap_or(Shard::WHOLE);
     let mut results = Results::open(out, &definition)?;
     let missing: Vec<Trial<'_>> = trials(&definition)
-        .filter(|trial| share.has(trial.number) && !results.done().contains_key(&trial.number))
+        .filter(|trial| shard.has(trial.number) && !results.done().contains_key(&trial.number))
         .collect();
     compute(&definition, &missing, arguments.threads, &mut results)?;
     if arguments.shard.is_some() {

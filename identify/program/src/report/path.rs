@@ -235,7 +235,7 @@ pub fn ways(planned: &PlannedPoses) -> Option<String> {
     let blocked: Vec<String> = planned.blocked().iter().map(usize::to_string).collect();
     match (round, blocked.is_empty()) {
         (0, true) => None,
-        (_, true) => Some(format!("{round} of the moves go round something through further postures")),
+        (_, true) => Some(format!("{round} moves avoid an obstacle by way of intermediate postures (column `way` of the table)")),
         _ => Some(format!(
             "no free way of the joints was found to pose {}: a program stops before it, jog there by hand",
             blocked.join(", ")

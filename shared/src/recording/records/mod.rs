@@ -54,7 +54,9 @@ pub(super) fn open_chunk<E: From<ReadErrorKind>>(
     let reader = LinearReader::new_with_options(
         options().with_skip_start_magic(true).with_skip_end_magic(true).with_prevalidate_chunk_crcs(true),
     );
-    let mut prefix = [op::CHUNK; PREFIX_BYTES];
+    // The reader needs opcode and length of the chunk before its content, as in a file.
+    let mut prefix = [0; PREFIX_BYTES];
+    prefix[0] = op::CHUNK;
     prefix[1..].copy_from_slice(&(chunk.len() as u64).to_le_bytes());
     drive(reader, prefix.chain(chunk), &mut |opcode, data| sink(parse(opcode, data)?))
 }

@@ -339,8 +339,8 @@ impl RawBarLog {
                 return Err(LogError::Content {
                     path: self.path.clone(),
                     problem: format!(
-                        "the counts of joint {} stay within {width} values and jump by most of them at {} {line}: this \
-                         counter wraps there",
+                        "the counts of joint {} stay within a range of {width} and jump by more than half of it at {} \
+                         {line}: the counter wraps at {width}",
                         reading.info.joint, self.kind.row
                     ),
                     remedy: format!("write wraps_at = {width} into the mapping file (--recording-mapping)"),

@@ -55,7 +55,7 @@ pub(super) fn read(
             let remedy = "Correct the name in the mapping file.";
             Layout::find(&table, path, bar, time, &mapping.encoders, mapping.wraps_at, remedy)?
         }
-        None => usual(&table, path, bar)?,
+        None => usual_layout(&table, path, bar)?,
     };
     let kind = Kind {
         name: if layout.flags.is_some() { "table of `ballbard export`" } else { "table" },
@@ -85,17 +85,18 @@ pub(super) fn has_usual_columns(bytes: &[u8]) -> bool {
     let Ok(mut text) = text else { return false };
     let header = text.header_line().unwrap_or_default();
     let mut cells = header.split([',', ';', '\t']).map(|cell| cell.trim().trim_matches('"'));
-    let is_value = |cell: &str| (1..=BAR_JOINTS).any(|joint| value_of(cell, joint).is_some());
+    let is_value = |cell: &str| (1..=BAR_JOINTS).any(|joint| unit_of(cell, joint).is_some());
     cells.any(is_value)
 }
 
-/// The unit of a column, if its name is usual for a joint's encoder.
-fn value_of(name: &str, joint: usize) -> Option<EncoderUnit> {
+/// The unit of a column that has a usual name for this joint's encoder.
+fn unit_of(name: &str, joint: usize) -> Option<EncoderUnit> {
     let of = VALUES.iter().find(|(before, after, _)| name == format!("{before}{joint}{after}"));
     of.map(|(.., unit)| *unit)
 }
 
-fn usual(table: &Table<'_>, path: &Path, bar: &BallBarConfig) -> Result<Layout, LogError> {
+/// Layout of a table without a mapping, whose columns have the usual names; encoders in the order of the columns.
+fn usual_layout(table: &Table<'_>, path: &Path, bar: &BallBarConfig) -> Result<Layout, LogError> {
     let (time, unit) =
         TIMES.into_iter().find(|(name, _)| table.has(name)).unwrap_or(("time_utc", TimeUnit::DateTime));
     let mut columns = Vec::new();
@@ -109,6 +110,7 @@ fn usual(table: &Table<'_>, path: &Path, bar: &BallBarConfig) -> Result<Layout, 
                     "The bar's configuration has an encoder on joint {joint}; take its [[encoders]] block out if it \
                      was not mounted. {REMEDY}"
                 );
+                // The column does not exist: this returns the error that names it.
                 table.column(&names[0].0, &remedy)?;
             }
             continue;

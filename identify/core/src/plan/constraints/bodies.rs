@@ -34,7 +34,7 @@ pub struct Bodies {
 /// Centre lines of an arm's links in one pose \[m\].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Skeleton {
-    /// Each link: its start, the point along its joint's axis, and its end.
+    /// Each link: its start, its corner (the point along its joint's axis), and its end.
     pub links: Vec<[Vector3<f64>; 3]>,
     /// End of the plate.
     pub end: Vector3<f64>,
@@ -61,12 +61,12 @@ impl Bodies {
         }
     }
 
-    /// Smallest distance between rod or plate and everything else, and between the forearm with its load and the
-    /// cell \[m\]; zero for an overlap.
+    /// Smallest distance of the rod from the links before the wrist, of the plate from these except the forearm, and of the cell
+    /// from rod, plate and all links except the first \[m\]; the floor is not compared with the rod. Zero for an overlap.
     pub fn clearance_m(&self, robot: &Chain, bar: &Chain, robot_rad: &[f64]) -> f64 {
         let Skeleton { links, end } = Skeleton::of(robot, robot_rad);
         let gimbal = bar.root_from_base.translation.vector;
-        let plate = self.rod([links.last().map_or(end, |[_, elbow, _]| *elbow), end]);
+        let plate = self.rod([links.last().map_or(end, |[_, corner, _]| *corner), end]);
         let rod = self.rod([gimbal, end]);
         // The last part of the rod is at the plate in every pose.
         let length_m = bar.links.get(ROD_LINK).map_or(0.0, |rod| rod.d_m);
@@ -77,14 +77,14 @@ impl Bodies {
         let mut compare = |one: &Capsule, other: &Capsule| {
             clearance_m = clearance_m.min(between_m(one, other));
         };
-        let carrying = links.len().saturating_sub(WRIST_LINKS);
+        let before_wrist = links.len().saturating_sub(WRIST_LINKS);
         for (index, link) in links.iter().enumerate() {
             for piece in self.pieces(link) {
-                if index < carrying {
+                if index < before_wrist {
                     compare(&free_rod, &piece);
                 }
                 // The forearm ends at the start of the wrist.
-                if index + 1 < carrying {
+                if index + 1 < before_wrist {
                     compare(&plate, &piece);
                 }
             }
@@ -102,8 +102,8 @@ impl Bodies {
         self.cell_clearance_m(&links, &[], None).min(self.own_clearance_m(&links))
     }
 
-    /// Whether the same holds on the straight line in joint space between two postures. The joints' motion bounds the change of
-    /// all distances, so that a free posture remains free for a certain step (conservative advancement, Mirtich 1996).
+    /// Whether [`Self::is_clear`] holds on the straight line in joint space between two postures. The joints' motion bounds the
+    /// change of all distances, so that a free posture remains free for a certain step (conservative advancement, Mirtich 1996).
     pub fn is_way_clear(&self, arm: &Chain, from: &Joints, to: &Joints) -> bool {
         let reach_m = arm.reach_m();
         let moved_m = |((link, from), to): ((&DhLink, &f64), &f64)| match link.joint {
@@ -128,18 +128,19 @@ impl Bodies {
     /// Smallest distance between two links, if the chain between them is long enough for them to be apart \[m\].
     fn own_clearance_m(&self, links: &[[Vector3<f64>; 3]]) -> f64 {
         let length_m =
-            |[before, elbow, after]: &[Vector3<f64>; 3]| (elbow - before).norm() + (after - elbow).norm();
+            |[before, corner, after]: &[Vector3<f64>; 3]| (corner - before).norm() + (after - corner).norm();
         let apart_m = 2.0 * self.link_radius_m + self.clearance_m_min;
         let mut clearance_m = f64::INFINITY;
         for (first, one) in links.iter().enumerate() {
+            // Length of the chain from the end of `one` to the start of `other`.
             let mut way_m = 0.0;
-            for (other, after) in links.iter().zip(links.iter().skip(1)).skip(first + 1) {
-                way_m += length_m(other);
-                if way_m <= apart_m || length_m(after) < 1e-6 {
+            for (between, other) in links.iter().zip(links.iter().skip(1)).skip(first + 1) {
+                way_m += length_m(between);
+                if way_m <= apart_m || length_m(other) < 1e-6 {
                     continue;
                 }
                 for piece in self.pieces(one) {
-                    let nearest_m = self.pieces(after).map(|other| between_m(&piece, &other));
+                    let nearest_m = self.pieces(other).map(|other_piece| between_m(&piece, &other_piece));
                     clearance_m = nearest_m.fold(clearance_m, f64::min);
                 }
             }
@@ -182,9 +183,9 @@ impl Bodies {
     }
 
     /// Capsules of a link: along its joint's axis, and along the link.
-    fn pieces(&self, [before, elbow, after]: &[Vector3<f64>; 3]) -> impl Iterator<Item = Capsule> {
+    fn pieces(&self, [before, corner, after]: &[Vector3<f64>; 3]) -> impl Iterator<Item = Capsule> {
         let radius_m = self.link_radius_m;
-        [[*before, *elbow], [*elbow, *after]]
+        [[*before, *corner], [*corner, *after]]
             .into_iter()
             .filter(|[a, b]| (b - a).norm() >= 1e-6)
             .map(move |ends| capsule(ends, radius_m))
@@ -195,7 +196,7 @@ impl Bodies {
     }
 }
 
-/// Each link of a posture: its start, the point along its joint's axis, and its end \[m\]; and the arm's end.
+/// Each link of a posture: its start, its corner (the point along its joint's axis), and its end \[m\]; and the arm's end.
 fn links(arm: &Chain, robot_rad: &[f64]) -> (Vec<[Vector3<f64>; 3]>, Pose) {
     let mut at = arm.root_from_base;
     let mut links = Vec::with_capacity(arm.links.len());
@@ -203,9 +204,9 @@ fn links(arm: &Chain, robot_rad: &[f64]) -> (Vec<[Vector3<f64>; 3]>, Pose) {
         let before = at.translation.vector;
         let moved_m = if link.joint == JointKind::Prismatic { *joint } else { 0.0 };
         // Along the joint's axis first, then along the link.
-        let elbow = before + at.rotation * Vector3::z() * (link.d_m + moved_m);
+        let corner = before + at.rotation * Vector3::z() * (link.d_m + moved_m);
         at *= link.transform(*joint);
-        links.push([before, elbow, at.translation.vector]);
+        links.push([before, corner, at.translation.vector]);
     }
     (links, at * arm.last_from_end)
 }

@@ -46,7 +46,7 @@ pub struct Page<'a> {
     pub bar: Option<&'a BallBarConfig>,
     /// Each file of rows with its name, in the order of the data sets.
     pub rows: &'a [(String, &'a RowErrors)],
-    /// Tables of these as on the terminal.
+    /// Tables of the rows' errors, as on the command line.
     pub tables: &'a str,
     /// Contents of the logs of each run; may be empty.
     pub sources: &'a [Source],
@@ -83,7 +83,8 @@ impl Page<'_> {
         let title = format!("Calibration of {}", self.file.robot);
         let has_bars = !self.evidence.runs.is_empty();
         let of_rows = self.rows.iter().map(|(name, _)| name.clone());
-        let (place, others): (_, Vec<String>) = match self.rows.first() {
+        // Headings for the tables of parameters that belong to one data set: that of the first, and those of the others.
+        let (first_heading, other_headings): (_, Vec<String>) = match self.rows.first() {
             Some((first, _)) if !has_bars => (first.as_str(), of_rows.skip(1).collect()),
             _ => {
                 let bars = runs::names(self).into_iter().skip(1).flatten();
@@ -104,7 +105,7 @@ impl Page<'_> {
                     (of_bars(runs::gaps)?)
                     (of_bars(sphere::section)?)
                     (sections::bar(self))
-                    (sections::parameters(self.file, place, &others))
+                    (sections::parameters(self.file, first_heading, &other_headings))
                     (sections::budget(self.file))
                     (sections::candidates(self.file))
                     (of_bars(sections::joints)?)

@@ -90,8 +90,8 @@ pub(super) fn bar(page: &Page<'_>) -> Markup {
     } }
 }
 
-/// `place` is what the first data set has for itself, `others` the names of the data sets after it.
-pub(super) fn parameters(file: &CalibrationFile, place: &str, others: &[String]) -> Markup {
+/// Headings are those of the tables of parameters that belong to one data set: of the first, and of the others.
+pub(super) fn parameters(file: &CalibrationFile, first_heading: &str, other_headings: &[String]) -> Markup {
     let applied = file.applied();
     let (entries, waves) = applied.reported();
     let [exact, held] = ParameterEntry::fixed(entries.iter().copied());
@@ -111,8 +111,8 @@ pub(super) fn parameters(file: &CalibrationFile, place: &str, others: &[String])
         div.columns {
             (table("Robot", &of(&|entry| owner(entry) == Some(Owner::Robot))))
             (table("Ball-bar and encoders", &of(&|entry| is_bar(entry) && own(entry, 0))))
-            (table(place, &of(&|entry| is_place(entry) && own(entry, 0))))
-            @for (run, name) in others.iter().enumerate() {
+            (table(first_heading, &of(&|entry| is_place(entry) && own(entry, 0))))
+            @for (run, name) in other_headings.iter().enumerate() {
                 (table(name, &of(&|entry| own(entry, run + 1))))
             }
         }
