@@ -17,7 +17,7 @@ use crate::kinematics::{Chain, Joints, Trace, Tracer};
 use crate::model::{
     DriveTrain, JointState, Model, ModelError, Observation, ParameterId, RobotMotion, Role, TermGroup,
 };
-use crate::solver::{Normal, Normals, Options, ScaledCholesky, stacked};
+use crate::solver::{Normal, Normals, Options, ScaledCholesky, combined, stacked};
 
 use super::optimum::{Optimum, optimum};
 
@@ -318,11 +318,9 @@ impl Information {
         groups.into_iter().map(alone).collect()
     }
 
-    /// Link parameters that the data determine only in combinations: offsets along parallel axes, and parameters with a
-    /// combination that their priors determine better.
-    pub fn not_separated(&self, normal: &Normal) -> Vec<ParameterId> {
-        /// A parameter with a smaller component in such a combination counts as determined.
-        const PART: f64 = 0.1;
+    /// Groups of link parameters of which the data determine only a combination: offsets along parallel axes, and parameters
+    /// with a combination that their priors determine better. A group of one is a parameter that the data do not determine.
+    pub fn not_separated(&self, normal: &Normal) -> Vec<Vec<ParameterId>> {
         let Some(covariance) = self.covariance_of(normal) else { return Vec::new() };
         // In units of the priors' standard deviations, more than half of the variance remains if the priors are more accurate.
         let left = DMatrix::from_fn(self.robot.len(), self.robot.len(), |i, j| {
@@ -330,15 +328,20 @@ impl Information {
             covariance[(i, j)] / (self.expected[i] * self.expected[j])
         });
         let eigen = left.symmetric_eigen();
-        let open = eigen.eigenvectors.column_iter().zip(eigen.eigenvalues.iter());
-        let open: Vec<_> = open.filter(|(_, left)| **left > 0.5).map(|(direction, _)| direction).collect();
-        let part = |row: usize| open.iter().map(|direction| direction[row].powi(2)).sum::<f64>();
+        let mut by_prior = DMatrix::<f64>::zeros(self.robot.len(), self.robot.len());
+        for (direction, left) in eigen.eigenvectors.column_iter().zip(eigen.eigenvalues.iter()) {
+            if *left > 0.5 {
+                by_prior += direction * direction.transpose();
+            }
+        }
         let ids: Vec<ParameterId> = self.model.columns().map(|parameter| parameter.id).collect();
-        let columns = self.robot.iter().enumerate().filter(|(row, _)| part(*row) > PART);
-        // The plate has its measured uncertainty for every path.
-        let columns = columns.map(|(_, column)| *column).filter(|column| Some(*column) != self.scale);
-        let of_axes = inseparable_offsets(&self.model.geometry(&[]).robot).into_iter().flatten();
-        of_axes.chain(columns.map(|column| ids[column])).collect()
+        let named = |group: Vec<usize>| -> Vec<ParameterId> {
+            let columns = group.into_iter().map(|row| self.robot[row]);
+            // The plate has its measured uncertainty for every path.
+            columns.filter(|column| Some(*column) != self.scale).map(|column| ids[column]).collect()
+        };
+        let of_data = combined(&by_prior).into_iter().map(named).filter(|group| !group.is_empty());
+        inseparable_offsets(&self.model.geometry(&[]).robot).into_iter().chain(of_data).collect()
     }
 
     /// Name and expected standard deviation of each parameter, SI, in the order of the columns.

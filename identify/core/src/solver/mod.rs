@@ -18,7 +18,9 @@ mod watch;
 
 pub use information::change_point::{Change, Course, change_point};
 pub use information::covariance::{Considered, Covariance, Noise, SigmasFrom, Source, Spread};
-pub use information::identifiability::{DependentGroup, Identifiability, Unidentifiable, identifiability};
+pub use information::identifiability::{
+    DependentGroup, Identifiability, Unidentifiable, combined, identifiability,
+};
 pub use information::influence::{Influence, influence};
 pub use information::normals::{Normal, Normals, Scores};
 pub use information::observability::Observability;

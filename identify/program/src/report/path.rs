@@ -9,6 +9,7 @@ use crate::logs::{
     CsvLayout, EulerFrame, LengthColumn, LengthUnit, MeasuredLengthMapping, MeasuredPoseMapping,
     PositionColumns, RotationColumns, RotationForm, joint_columns,
 };
+use crate::model::ParameterId;
 use crate::plan::{
     Checked, Constraints, ExpectedPosition, Found, Information, Measures, Places, PlannedPoses, Way,
     position_m_min,
@@ -43,15 +44,16 @@ pub fn summary(
     for one in information.with_each(&checked.normal) {
         let _ = writeln!(text, "  {:<33} {}", one.group.name(), mm(one.position_m));
     }
-    let open: Vec<String> =
-        information.not_separated(&checked.normal).iter().map(ToString::to_string).collect();
+    let names =
+        |group: &Vec<ParameterId>| group.iter().map(ToString::to_string).collect::<Vec<_>>().join("|");
+    let open: Vec<String> = information.not_separated(&checked.normal).iter().map(names).collect();
     if !open.is_empty() {
         let _ = writeln!(text, "not separated by the data of this path: {}", open.join(", "));
     }
     if let Some(least_m) = position_m_min(checked, constraints, information) {
         let _ = writeln!(
             text,
-            "efficiency {:.0} %: poses without any motion between them, as often as one likes, leave at least {} with all terms",
+            "efficiency {:.0} %: no run of this length in this configuration of the arm leaves less than {} with all terms",
             100.0 * (least_m / expected.with_terms_m).powi(2),
             mm(least_m)
         );
@@ -235,7 +237,9 @@ pub fn ways(planned: &PlannedPoses) -> Option<String> {
     let blocked: Vec<String> = planned.blocked().iter().map(usize::to_string).collect();
     match (round, blocked.is_empty()) {
         (0, true) => None,
-        (_, true) => Some(format!("{round} moves avoid an obstacle by way of intermediate postures (column `way` of the table)")),
+        (_, true) => Some(format!(
+            "{round} moves avoid an obstacle by way of intermediate postures (column `way` of the table)"
+        )),
         _ => Some(format!(
             "no free way of the joints was found to pose {}: a program stops before it, jog there by hand",
             blocked.join(", ")

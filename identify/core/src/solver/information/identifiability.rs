@@ -65,6 +65,20 @@ pub struct Unidentifiable {
     pub fix: String,
 }
 
+/// Groups of columns that a projection `P` combines: `i` and `j` with an entry `P_ij` belong to one group.
+pub fn combined(projection: &DMatrix<f64>) -> Vec<Vec<usize>> {
+    /// A column with a smaller component in the projection's directions counts as determined.
+    const PART: f64 = 0.1;
+    let mut groups: Vec<Vec<usize>> = Vec::new();
+    for i in (0..projection.ncols()).filter(|i| projection[(*i, *i)] > PART) {
+        let is_joined = |group: &Vec<usize>| group.iter().any(|j| projection[(i, *j)].abs() > PART);
+        let (joined, apart): (Vec<_>, Vec<_>) = groups.into_iter().partition(is_joined);
+        groups = apart;
+        groups.push([joined.concat(), vec![i]].concat());
+    }
+    groups
+}
+
 impl Identifiability {
     /// Whether every free parameter is determined.
     pub fn is_full(&self) -> bool {
@@ -98,8 +112,6 @@ impl Identifiability {
     /// complement of the normal matrix. Directions with an eigenvalue of `S` below one follow the priors. `P` is the projection
     /// onto them, and columns `i` and `j` with an entry `P_ij` belong to one group.
     pub fn by_priors(&self, columns: &[usize]) -> Vec<Vec<usize>> {
-        /// A column with a smaller component in such a direction counts as determined.
-        const PART: f64 = 0.1;
         let of_others: Vec<usize> =
             (0..self.names.len()).filter(|column| !columns.contains(column)).collect();
         let sigma = |column: &usize| self.prior_sigmas.get(*column).copied().flatten();
@@ -125,15 +137,8 @@ impl Identifiability {
                 by_prior += direction * direction.transpose();
             }
         }
-        let mut groups: Vec<Vec<usize>> = Vec::new();
-        for i in (0..columns.len()).filter(|i| by_prior[(*i, *i)] > PART) {
-            let is_joined = |group: &Vec<usize>| group.iter().any(|j| by_prior[(i, *j)].abs() > PART);
-            let (joined, apart): (Vec<_>, Vec<_>) = groups.into_iter().partition(is_joined);
-            groups = apart;
-            groups.push([joined.concat(), vec![i]].concat());
-        }
         let named = |group: Vec<usize>| group.into_iter().map(|i| columns[i]).collect();
-        groups.into_iter().map(named).collect()
+        combined(&by_prior).into_iter().map(named).collect()
     }
 
     /// Columns that are not determined: zero or in a dependent group.
