@@ -4,6 +4,7 @@ use std::fmt::Write;
 
 use maud::{Markup, html};
 
+use super::consistency::P_MIN;
 use super::page::document;
 use super::page::drawing::plot::{COLOURS, Mark, Panel, PlotError, Series};
 use crate::evaluate::Quantiles;
@@ -78,12 +79,13 @@ fn verdict(consistency: &Consistency) -> String {
         None => "no parameter was identified twice: nothing to compare".into(),
         Some(p) if consistency.is_consistent() => {
             format!(
-                "consistent: differences like these come by chance (p {p:.3}: the smallest times the number of parameters)"
+                "consistent: differences like these come by chance (p {p:.3}, at least {P_MIN}: the smallest p multiplied by the number \
+                 of parameters)"
             )
         }
         Some(p) => format!(
-            "not consistent: differences like these do not come by chance (p {}: the smallest times the number of parameters); something \
-             that the model lacks differs between the runs, or their sigmas are too small",
+            "not consistent: differences like these do not come by chance (p {}, below {P_MIN}: the smallest p multiplied by the \
+             number of parameters); something that the model lacks differs between the runs, or their sigmas are too small",
             probability(Some(p))
         ),
     }

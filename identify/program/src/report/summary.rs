@@ -51,7 +51,7 @@ pub fn summary(
             mm(after.mean_m),
             expanded.unwrap_or_default(),
         )),
-        (!parts.is_empty()).then(|| format!("held-out data with a part of it: {}", parts.join("; "))),
+        (!parts.is_empty()).then(|| format!("held-out data with a part of the model: {}", parts.join("; "))),
         file.scale.as_ref().map(|scale| format!("scale: {scale}")),
         Some(format!("limited by: {}{}", limit(file).trim_end_matches('.'), measured(file))),
         not_separated(file),

@@ -23,7 +23,7 @@ pub(super) const INDEPENDENT_OF_SEGMENT: usize = 3;
 pub enum Grade {
     /// Better than the nominal robot and, where an accuracy is required, as accurate.
     Green,
-    /// One of both is open or missed.
+    /// A condition of green does not hold or could not be tested.
     Amber,
     /// Worse than the nominal robot: nothing of it may be applied.
     Red,
