@@ -1,4 +1,4 @@
-//! Error terms of a robot's joint angle that repeat with the motion.
+//! Error terms of a robot axis beyond its link.
 
 use std::cmp::Ordering;
 use std::fmt;

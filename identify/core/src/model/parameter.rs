@@ -291,7 +291,7 @@ parameters! {
         is ParameterBlock::of_link(Owner::Robot, parameter),
         at |geometry| geometry.robot.links.get_mut(link).map(|link| of_link(link, parameter));
 
-    /// Error of a robot axis that repeats with its motion: `rsin1_1` (sine of drive 1's angle) .. `rtool_5`.
+    /// Error of a robot axis beyond its link: `rsin1_1` (sine of drive 1's angle) .. `rtool_5`.
     Joint {
         /// Index of the axis, from 0.
         axis: usize = 0..AXES_MAX,
@@ -320,7 +320,7 @@ parameters! {
             None
         };
 
-    /// Link parameter of the ball-bar: `ba1`, `bd1`, `balpha1`, `btheta1`; the last is the encoder offset.
+    /// Link parameter of the ball-bar: `ba1`, `bd1`, `balpha1`, `btheta1`; `btheta` is the offset of the encoder.
     Bar {
         /// Index of the link, from 0.
         link: usize = 0..BAR_JOINTS,

@@ -122,8 +122,9 @@ pub enum PrepareError {
     #[error(
         "robot log and {other} do not match at any clock difference: the best correlation of their speeds is \
          {correlation:.2} (over {overlap_s:.0} s), at least {needed} is required. They do not overlap or are of \
-         different runs, or noise or invalid rows hide the motion in one of them; give the log of this run, or compare both with \
-         `identify inspect`"
+         different runs, {}or noise or invalid rows hide the motion; give the log of this run, or compare both with \
+         `identify inspect`",
+        bar_came_off(other)
     )]
     NoMatch {
         /// The log with which the robot's was compared.
@@ -365,6 +366,11 @@ pub enum PrepareError {
         /// Number of samples without motion.
         standstill: usize,
     },
+}
+
+/// A cause that only a run with the bar has.
+fn bar_came_off(other: &str) -> &'static str {
+    if other == "recording" { "the bar came off during the run, " } else { "" }
 }
 
 /// `joints 1, 4 and 6`, from joints counted from 0.

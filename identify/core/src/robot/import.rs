@@ -198,7 +198,7 @@ fn couple_joint_3(config: &mut RobotConfig, axes: &[AxisLine]) -> String {
         Some(third) if opposite => {
             *third = 1.0;
             "the log has J1 to J6 of the FANUC controller, whose J3 does not include J2: joint 3 is J3 + J2 (raw_to_joint); \
-             for a log of joint_states (ROS) write 0.0 there"
+             a log of joint_states (ROS) has joint 3 already and needs a mapping without [[coupling]]"
         }
         _ => {
             "J3 of a FANUC controller does not include J2, but joint 3 of this file may; raw_to_joint has no such coupling"

@@ -93,8 +93,9 @@ impl Arm {
     /// Joints that the controller reports at these true joints; `noise(s)` returns a random number of the standard deviation `s`
     /// \[urad|um\], in rad or m.
     pub(super) fn reported(&self, true_joints: &Joints, mut noise: impl FnMut(f64) -> f64) -> Joints {
-        let mut joints =
-            Joints::from_fn(true_joints.len(), |joint| true_joints[joint] + noise(self.errors.robot_noise_urad));
+        let mut joints = Joints::from_fn(true_joints.len(), |joint| {
+            true_joints[joint] + noise(self.errors.robot_noise_urad)
+        });
         for (drive, gear) in self.turning() {
             let error = gear.at(self.drives.of_drive(drive, true_joints));
             let turned = joints.iter_mut().zip(&self.drives.joint_from_drive[drive]);

@@ -19,8 +19,8 @@ pub struct Pairs {
     pub truth: Truth,
 }
 
-/// `count` pairs, evenly spaced in time along a path. The bar's angles are delayed by `time_difference_s` relative to the
-/// robot's.
+/// `count` pairs, evenly spaced in time along a path. The bar is sampled later than the robot by
+/// `time_difference_s`.
 ///
 /// # Errors
 /// [`SimulateError`].

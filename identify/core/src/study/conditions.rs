@@ -13,7 +13,7 @@ pub const CONDITIONS: [(&str, &str); 9] = [
     ("encoders", "joints of the bar with an encoder: 5, 4, 2 or 0"),
     ("stations", "places of the bar: 1 or 2"),
     ("static_errors", "1: table 3.1 of the thesis; 0: none"),
-    ("time_difference_ms", "the bar's angles are those of this much later"),
+    ("time_difference_ms", "the bar is sampled later than the robot by this time"),
     ("encoder_bits", "the step of an encoder with this many bits for each turn"),
     ("wire_rows", "postures that a draw-wire measures"),
     ("wire_noise_um", "noise of its lengths"),
@@ -75,7 +75,7 @@ pub struct Conditions {
     pub wire_rows: usize,
     /// Standard deviation of the white noise of the lengths \[m\].
     pub wire_noise_m: f64,
-    /// Delay of the bar's angles \[s\].
+    /// Time by which the bar is sampled later than the robot \[s\].
     pub time_difference_s: f64,
 }
 

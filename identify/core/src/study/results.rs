@@ -169,7 +169,9 @@ impl FromStr for Shard {
             text.split_once('/').and_then(|(number, of)| Some((number.parse().ok()?, of.parse().ok()?)));
         match parsed {
             Some((number, of)) if number >= 1 && number <= of => Ok(Self { number, of }),
-            _ => Err(format!("`{text}` is not a shard; give K/N for part K of N parts, K from 1 to N, such as 3/16")),
+            _ => Err(format!(
+                "`{text}` is not a shard; give K/N for part K of N parts, K from 1 to N, such as 3/16"
+            )),
         }
     }
 }

@@ -216,7 +216,8 @@ struct PosesArguments {
     /// A table of poses that the robot reaches, to choose from; default: random ones within half a turn of its joints
     #[arg(long, help_heading = "Input", value_name = "FILE", requires = "mapping", conflicts_with_all = ["draw", "boxes", "floor", "link_radius_mm"])]
     candidates: Option<PathBuf>,
-    /// Which columns of the table are the joints: the mapping of any file that `calibrate tracker`, `wire` or `contact` reads
+    /// Which columns of the table are the joints: the mapping of any file that `calibrate tracker`, `wire`, `contact` or `touch`
+    /// reads
     #[arg(long, help_heading = "Input", value_name = "FILE", requires = "candidates")]
     mapping: Option<PathBuf>,
     /// Random poses to choose from

@@ -36,7 +36,7 @@ struct ImportArguments {
     /// The robot's URDF
     #[arg(value_name = "URDF")]
     urdf: PathBuf,
-    /// Link with the robot's base frame; default: base_link or base, else the link that has the first axis
+    /// Link with the robot's base frame; default: base_link, base, link0 or link_0, else the link that has the first axis
     #[arg(long, help_heading = "Input", value_name = "LINK")]
     base: Option<String>,
     /// Link that is the flange; default: tool0 or flange, else the end of the longest row of axes, without a gripper

@@ -166,14 +166,18 @@ fn of_sheet(
     let socket = others.iter().find(|column| column.has_word(SOCKETS));
     let mapping = match (time, length, position, socket) {
         (_, _, _, Some(socket)) => {
-            notes
-                .reasons
-                .push(format!("column `{}` contains the socket in which the ball is seated: inferred from its name", socket.name));
+            notes.reasons.push(format!(
+                "column `{}` contains the socket in which the ball is seated: inferred from its name",
+                socket.name
+            ));
             Mapping::Contacts(ContactMapping { csv, socket: socket.name.clone(), joints })
         }
         (_, Some(length), _, _) => {
             let unit = length.length_unit();
-            notes.reasons.push(format!("`{}` is the measured length: inferred from the column's name; {}", length.name, unit.1));
+            notes.reasons.push(format!(
+                "`{}` is the measured length: inferred from the column's name; {}",
+                length.name, unit.1
+            ));
             let length = LengthColumn { column: length.name.clone(), unit: unit.0, offset_mm: 0.0 };
             let anchor = named(&others, "wire's anchor", &["anchor", "station"], &mut notes);
             let attachment = named(&others, "place on the flange", &["attachment", "target"], &mut notes);
@@ -211,9 +215,10 @@ fn of_sheet(
         (_, _, Some(xyz), _) => {
             let names = xyz.map(|column| column.name.clone());
             let (unit, why) = xyz[0].length_unit();
-            notes
-                .reasons
-                .push(format!("{} are positions that the tracker measured: inferred from the columns' names; {why}", listed(&names)));
+            notes.reasons.push(format!(
+                "{} are positions that the tracker measured: inferred from the columns' names; {why}",
+                listed(&names)
+            ));
             let position = PositionColumns { columns: names, unit };
             let station = named(&others, "tracker's station", &["station", "setup"], &mut notes);
             let targets = ["target", "reflector", "smr"];
@@ -534,7 +539,10 @@ fn joints(
         );
     }
     let names: Vec<&str> = family.iter().map(|column| column.name.as_str()).collect();
-    notes.reasons.insert(0, format!("{} are joints 1 to {axes}: inferred from the columns' names and ranges", listed(&names)));
+    notes.reasons.insert(
+        0,
+        format!("{} are joints 1 to {axes}: inferred from the columns' names and ranges", listed(&names)),
+    );
     let unit = if unit == AngleUnit::Deg { JointUnit::Deg } else { JointUnit::Rad };
     let column = |column: &&Column| column.name.clone();
     let joint =
@@ -663,7 +671,9 @@ fn triple<'c>(columns: &[&'c Column], words: &[&str; 3]) -> Option<[&'c Column; 
 /// The column that names what a row belongs to.
 fn named(columns: &[&Column], what: &str, words: &[&str], notes: &mut Notes) -> Option<String> {
     let column = columns.iter().find(|column| words.contains(&column.plain.as_str()))?;
-    notes.reasons.push(format!("`{}` has the name of the {what}: inferred from the column's name", column.name));
+    notes
+        .reasons
+        .push(format!("`{}` has the name of the {what}: inferred from the column's name", column.name));
     Some(column.name.clone())
 }
 
