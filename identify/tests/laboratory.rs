@@ -150,6 +150,7 @@ fn a_moving_average_over_both_logs_costs_no_accuracy() {
 }
 
 #[test]
+#[ignore = "takes more than four seconds"]
 fn links_alone_are_a_fit_of_their_own_and_predict_better_than_the_links_of_a_calibration_with_gears() {
     let robots = [(irb2400(), 1), (nj220(), 2)];
     for (robot, seed) in robots {

@@ -285,6 +285,7 @@ fn over_thirty_robots_data_sets_agree() {
 }
 
 #[test]
+#[ignore = "takes more than four seconds"]
 fn lengths_that_do_not_belong_with_the_rest_take_no_part_in_a_mix() {
     let mut cell = Cell::new(1);
     let without_m = cell.error_m(&cell.calibrated(ALL));
@@ -320,6 +321,7 @@ fn a_plate_that_is_hardly_known_does_not_make_the_robot_smaller() {
 
 /// A drive that moves differently from its log is reported in the same words by each instrument and by any combination.
 #[test]
+#[ignore = "takes more than four seconds"]
 fn a_wrong_gear_ratio_is_the_same_sentence_whatever_measured_it() {
     let mut cell = Cell::new(1);
     let wrong = |q: &mut Joints| q[0] *= 1.0 - 1.5e-3;

@@ -228,6 +228,7 @@ fn the_arm_that_folds_into_itself_is_not_clear() {
 }
 
 #[test]
+#[ignore = "takes more than four seconds"]
 fn the_command_writes_poses_that_calibrate_reads_and_a_program_that_stops_at_each() {
     let directory = tempfile::tempdir().unwrap();
     let out = directory.path();
@@ -352,6 +353,7 @@ fn programs_stop_before_a_pose_without_a_free_way_and_drive_through_the_postures
 
 /// Walls on both sides of the arm: it must fold to move from one half of the cell to the other.
 #[test]
+#[ignore = "takes more than four seconds"]
 fn moves_go_round_a_wall_through_postures_that_are_clear() {
     let robot = ur10();
     let bodies = Bodies {

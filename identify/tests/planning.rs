@@ -264,6 +264,7 @@ fn a_planned_path_determines_the_robot_better_than_a_spiral_drawn_by_hand() {
 }
 
 #[test]
+#[ignore = "takes more than four seconds"]
 fn a_search_makes_paths_better_and_is_the_same_for_the_same_seed() {
     let cell = Cell::new(irb2400(), 60.0);
     let [few, many, again] = [20, 600, 600].map(|changes| cell.search(3, changes));
@@ -351,6 +352,7 @@ fn no_path_is_better_than_poses_without_any_motion_between_them() {
 }
 
 #[test]
+#[ignore = "takes more than four seconds"]
 fn what_a_path_must_not_do_is_named_with_the_first_time() {
     let cell = Cell::new(irb2400(), 40.0);
     let sound = cell.robot_path(&cell.search(1, 0));
@@ -910,6 +912,7 @@ fn a_search_ends_inside_a_path_that_is_longer_than_its_time() {
 }
 
 #[test]
+#[ignore = "takes more than four seconds"]
 fn the_command_plans_checks_and_simulates_what_it_planned() {
     let directory = tempfile::tempdir().unwrap();
     let out = directory.path();
@@ -1077,6 +1080,7 @@ fn places_in_millimetres_and_unknown_units_of_time_are_answered_with_what_to_typ
 }
 
 #[test]
+#[ignore = "takes more than four seconds"]
 fn a_path_of_seven_axes_says_where_the_bar_stands_and_no_program_has_its_reason() {
     let directory = tempfile::tempdir().unwrap();
     let room = directory.path();

@@ -155,6 +155,7 @@ fn an_error_that_one_segment_alone_has_shows_where_it_is_held_out() {
 }
 
 #[test]
+#[ignore = "takes more than four seconds"]
 fn every_cost_finds_the_true_robot_within_what_it_says_of_itself() {
     let robot = irb2400();
     let mut sigmas = Vec::new();

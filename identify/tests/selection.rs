@@ -54,6 +54,7 @@ fn all_identifiable_frees_as_many_as_the_rank_and_leaves_out_what_the_thesis_fix
 }
 
 #[test]
+#[ignore = "takes more than four seconds"]
 fn terms_are_taken_where_the_robot_has_the_error_and_left_out_where_not() {
     let none = calibrated(Effects::default(), SelectionName::Cell);
     assert!(taken(&none).len() <= 1, "{:?}", taken(&none));

@@ -60,6 +60,7 @@ fn stamps(log: &RobotLog) -> &Stamps {
 }
 
 #[test]
+#[ignore = "takes more than four seconds"]
 fn stamps_of_every_kind_lead_back_to_the_clock_behind_them() {
     for rate_hz in [50.0, 250.0, 1000.0] {
         let log = log(rate_hz);
