@@ -246,7 +246,7 @@ pub enum PrepareError {
     },
     /// A clock was set, or samples are missing without a hole in the stamps: the logs shift against each other.
     #[error(
-        "a clock jumps during the run: {at_s:.0} s after the first sample, robot clock minus bar clock changes by \
+        "a clock jumps during the run: {at_s:.0} s after the first sample, the robot's clock minus the other one changes by \
          {by_ms:+.1} ms; find out what sets the clock and record again, or calibrate both sides with --split-at-changes"
     )]
     ClockJump {
