@@ -1,5 +1,5 @@
 //! Calibrations from files of trackers, wires and balls in sockets by the command, on robots with known truth and unmodelled
-//! gear and load errors. Good files are not refused and their claims hold; corrupted ones are refused, flagged, or harmless.
+//! gear and load errors. What is claimed and compared is the full model, with its terms of joints. Good files are not refused and their claims hold; corrupted ones are refused, flagged, or harmless.
 //! `IDENTIFY_SPOILS=joint` selects those with this text in their name.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
@@ -7,10 +7,12 @@
 use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::Path;
+use std::rc::Rc;
 
 use identify::instrument::PoseRow;
 use identify::kinematics::{Chain, Joints, Pose, Trace, Tracer, flange_chain};
 use identify::model::DriveTrain;
+use identify::report::CalibratedRobot;
 use identify::report::result::file::CalibrationFile;
 use identify::report::verdict::Grade;
 use identify::simulate::ArmErrors;
@@ -24,7 +26,7 @@ use shared::config::RobotConfig;
 use crate::support::campaign::{fewest, size, step};
 use crate::support::command::identify;
 use crate::support::gears::Gears;
-use crate::support::truth::apart_m;
+use crate::support::truth::{apart_m, wrist_m, wrists_apart_m};
 use crate::support::{irb120, irb2400, nj220, ur10};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -52,6 +54,8 @@ pub struct Rows {
     /// The robot as configured.
     robot: RobotConfig,
     pub truth: Chain,
+    /// Where its joints stand if the controller reports these; none for contacts, whose links alone are compared.
+    stands: Option<Rc<dyn Fn(&Joints) -> Joints>>,
     joints: Vec<Joints>,
     measured: Readings,
 }
@@ -94,6 +98,7 @@ pub fn rows(kind: Kind, robot: &RobotConfig, seed: u64, level: &Level) -> Rows {
         return Rows {
             robot: robot.clone(),
             truth: simulated.robot.clone(),
+            stands: None,
             joints: simulated.rows.iter().map(|row| row.joints_rad).collect(),
             measured: Readings::Contacts(Box::new(simulated)),
         };
@@ -107,7 +112,18 @@ pub fn rows(kind: Kind, robot: &RobotConfig, seed: u64, level: &Level) -> Rows {
     }
     let drives = DriveTrain::of(robot, &truth);
     let gears = Gears::new(drives, &mut random);
-    let (tracer, mut trace) = (Tracer::new(&truth), Trace::default());
+    let (arm, gear_level, sag_level) = (truth.clone(), level.gears, level.sag);
+    let stands = Rc::new(move |q: &Joints| {
+        let mut trace = Trace::default();
+        Tracer::new(&arm).trace(q, &mut trace);
+        let raised: Vec<f64> =
+            trace.point_twists(trace.position_m(), q.len()).map(|twist| twist.linear.z).collect();
+        let error_rad = gears.error_rad(q);
+        Joints::from_fn(q.len(), |joint| {
+            let sag = if matches!(joint, 1 | 2) { SAG_RAD_PER_M * sag_level * raised[joint] } else { 0.0 };
+            q[joint] - gear_level * error_rad[joint] - sag
+        })
+    });
     let place =
         Pose::from_parts(Vector3::new(3.0, 0.5, 0.3).into(), Rotation3::new(Vector3::new(0.1, -0.2, 2.5)));
     let probe =
@@ -119,16 +135,10 @@ pub fn rows(kind: Kind, robot: &RobotConfig, seed: u64, level: &Level) -> Rows {
     for _ in 0..COUNT {
         let q: Joints =
             robot.joint_limits().iter().map(|&[low, high]| 0.7 * random.random_range(low..high)).collect();
-        tracer.trace(&q, &mut trace);
-        let raised: Vec<f64> =
-            trace.point_twists(trace.position_m(), q.len()).map(|twist| twist.linear.z).collect();
-        let error_rad = gears.error_rad(&q);
         let mut normal = |sigma: f64| -> f64 { sigma * random.sample::<f64, _>(StandardNormal) };
-        let stands = Joints::from_fn(q.len(), |joint| {
-            let sag = if matches!(joint, 1 | 2) { SAG_RAD_PER_M * level.sag * raised[joint] } else { 0.0 };
-            q[joint] - level.gears * error_rad[joint] - sag + normal(15e-6)
-        });
-        let held = truth.forward(&stands) * probe;
+        let without_noise = stands(&q);
+        let held =
+            truth.forward(&Joints::from_fn(q.len(), |joint| without_noise[joint] + normal(15e-6))) * probe;
         let mut pose = place.inverse() * held;
         pose.translation.vector += Vector3::from_fn(|_, _| normal(noise_m));
         pose.rotation = Rotation3::new(Vector3::from_fn(|_, _| normal(noise_rad))) * pose.rotation;
@@ -140,7 +150,7 @@ pub fn rows(kind: Kind, robot: &RobotConfig, seed: u64, level: &Level) -> Rows {
         Kind::Wire => Readings::Lengths(lengths),
         _ => Readings::Poses(seen, kind == Kind::Tracker),
     };
-    Rows { robot: robot.clone(), truth, joints, measured }
+    Rows { robot: robot.clone(), truth, stands: Some(stands), joints, measured }
 }
 
 /// Result of the command for a file.
@@ -239,7 +249,16 @@ impl Rows {
 
     fn judged(&self, out: &Path) -> Told {
         let file = CalibrationFile::open(out).unwrap();
-        let true_m = apart_m(&self.robot, &file.robot_chain(&self.robot, None), &self.truth);
+        let links = file.robot_chain(&self.robot, None);
+        let true_m = self.stands.as_ref().map_or_else(
+            || apart_m(&self.robot, &links, &self.truth),
+            |stands| {
+                let calibrated = CalibratedRobot::new(&file, &self.robot, None).unwrap();
+                let wrist_from_end = links.links.last().unwrap().transform(0.0).inverse();
+                let wrist = |q: &Joints| (calibrated.forward(q).unwrap() * wrist_from_end).translation.vector;
+                wrists_apart_m(&self.robot, wrist, |q| wrist_m(&self.truth, &stands(q)))
+            },
+        );
         let (verdict, budget) = (file.verdict.unwrap(), file.budget.unwrap());
         Told::Calibrated(verdict.grade, budget.expanded_m, true_m, verdict.reason.unwrap_or_default())
     }

@@ -23,21 +23,32 @@ pub fn position_error_m(run: &Simulated, found: &Calibration, robot: &RobotConfi
     position_errors_m(&links, &truth, robot, [Vector3::zeros(); 2]).0
 }
 
+/// Start of the last link at these joints \[m\].
+pub fn wrist_m(chain: &Chain, q: &Joints) -> Vector3<f64> {
+    let mut chain = chain.clone();
+    *chain.links.last_mut().unwrap() = DhLink::default();
+    chain.forward(q).translation.vector
+}
+
+/// [`wrists_apart_m`] of two robots without errors of joints.
+pub fn apart_m(robot: &RobotConfig, one: &Chain, other: &Chain) -> f64 {
+    wrists_apart_m(robot, |q| wrist_m(one, q), |q| wrist_m(other, q))
+}
+
 /// Mean distance of two robots' wrists over postures within the limits \[m\], after a best-fit rigid motion of one robot,
 /// because base and flange belong to the instrument.
-pub fn apart_m(robot: &RobotConfig, one: &Chain, other: &Chain) -> f64 {
+pub fn wrists_apart_m(
+    robot: &RobotConfig,
+    one: impl Fn(&Joints) -> Vector3<f64>,
+    other: impl Fn(&Joints) -> Vector3<f64>,
+) -> f64 {
     const POSTURES: usize = 400;
     let mut random = StdRng::seed_from_u64(7);
-    let wrists = |chain: &Chain, q: &Joints| {
-        let mut chain = chain.clone();
-        *chain.links.last_mut().unwrap() = DhLink::default();
-        chain.forward(q).translation.vector
-    };
     let limits = robot.joint_limits();
     let pairs: Vec<[Vector3<f64>; 2]> = (0..POSTURES)
         .map(|_| {
             let q: Joints = limits.iter().map(|&[low, high]| random.random_range(low..high)).collect();
-            [wrists(one, &q), wrists(other, &q)]
+            [one(&q), other(&q)]
         })
         .collect();
     let centre = |which: usize| pairs.iter().map(|pair| pair[which]).sum::<Vector3<f64>>() / POSTURES as f64;
