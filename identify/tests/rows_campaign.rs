@@ -48,14 +48,17 @@ enum Readings {
     Contacts(Box<SimulatedContacts>),
 }
 
+/// True joints of a robot that reports these.
+type Stands = Rc<dyn Fn(&Joints) -> Joints>;
+
 /// A file of rows, and its truth.
 #[derive(Clone)]
 pub struct Rows {
     /// The robot as configured.
     robot: RobotConfig,
     pub truth: Chain,
-    /// Where its joints stand if the controller reports these; none for contacts, whose links alone are compared.
-    stands: Option<Rc<dyn Fn(&Joints) -> Joints>>,
+    /// None for contacts, whose links alone are compared.
+    stands: Option<Stands>,
     joints: Vec<Joints>,
     measured: Readings,
 }
