@@ -118,7 +118,7 @@ fn jumps_are_told(jumps: &[(f64, f64)]) {
         let within_s = if jump_s < 0.1 { 3.0 } else { 15.0 };
         assert!((number_before(&told, " s after") - 80.0 * part).abs() < within_s, "{part}: {told}");
         assert!(
-            (number_before(&told, " ms further") - 1e3 * jump_s).abs() < 0.2 * 1e3 * jump_s.abs(),
+            (number_before(&told, " ms;") - 1e3 * jump_s).abs() < 0.2 * 1e3 * jump_s.abs(),
             "{part}, {jump_s}: {told}"
         );
     }
