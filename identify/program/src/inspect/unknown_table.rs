@@ -203,13 +203,7 @@ fn of_sheet(
                 csv,
                 time: Some(time),
                 joints,
-                clock: None,
-                values: None,
-                topic: None,
-                speeds: None,
-                torques: None,
-                force: None,
-                coupling: Vec::new(),
+                ..RobotLogMapping::default()
             }))
         }
         (_, _, Some(xyz), _) => {

@@ -63,7 +63,7 @@ pub struct Coupling {
 pub type Columns = Vec<String>;
 
 /// How to read a robot log.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RobotLogMapping {
     /// Name of the clock that made the stamps.
@@ -93,6 +93,11 @@ pub struct RobotLogMapping {
 }
 
 impl RobotLogMapping {
+    /// The mapping if it names joints; otherwise joints and conversion are those of the robot's own log.
+    pub fn with_joints(&self) -> Option<&Self> {
+        (!self.joints.is_empty()).then_some(self)
+    }
+
     /// Values of the file in radians or metres to joint variables of the model.
     pub fn conversion(&self) -> LogConversion {
         let mut conversion = LogConversion::direct(AngleUnit::Rad, self.joints.len());

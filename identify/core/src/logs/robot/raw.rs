@@ -74,16 +74,13 @@ impl<'a> Meaning<'a> {
         Ok(Self { robot, unit: log.unit, conversion: JointConversion::new(log)?, names })
     }
 
-    /// The conversion that a mapping states for this robot, or that of its own log.
+    /// The conversion that a mapping with joints states for this robot.
     pub fn mapped(
         robot: &'a RobotConfig,
         mapping: &RobotLogMapping,
         names: Vec<String>,
         path: &Path,
     ) -> Result<Self, LogError> {
-        if mapping.joints.is_empty() {
-            return Self::own(robot, names);
-        }
         joints_of_robot(&mapping.joints, robot, path)?;
         Self::new(robot, &mapping.conversion(), names)
     }
@@ -102,7 +99,7 @@ impl<'a> Meaning<'a> {
         format: LogFormat,
         path: &Path,
     ) -> Result<(Self, f64), LogError> {
-        Ok(match mapping.filter(|mapping| !mapping.joints.is_empty()) {
+        Ok(match mapping.and_then(RobotLogMapping::with_joints) {
             Some(mapping) => (Self::mapped(robot, mapping, names, path)?, AngleUnit::Deg.to_rad()),
             None => (Self::of_controller(robot, AngleUnit::Deg, names, format, path)?, 1.0),
         })

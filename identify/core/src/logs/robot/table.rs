@@ -156,14 +156,9 @@ pub(in crate::logs) fn read_mapped(
     let path = source.path;
     let text = Text::new(source, mapping.csv.sheet.as_deref())?;
     let mut table = Table::mapped(text, &mapping.csv)?;
-    let mut columns = mapped_layout(&table, robot, path, mapping)?;
-    let names = match mapping.joints.as_slice() {
-        [] => own_columns(robot),
-        joints => joints.iter().map(|joint| joint.column.clone()).collect(),
-    };
-    let meaning = Meaning::mapped(robot, mapping, names, path)?;
+    let (mut layout, meaning) = mapped_layout(&table, robot, path, mapping)?;
     let mut raw = RawLog::new(path, "line");
-    read_rows(&mut table, &mut columns, &mut raw)?;
+    read_rows(&mut table, &mut layout, &mut raw)?;
     declare(&mut raw, &table);
     raw.clock = mapping.clock.clone().unwrap_or(raw.clock);
     raw.origin = mapping.values.unwrap_or(raw.origin);
@@ -175,26 +170,29 @@ fn seconds(column: Column) -> StampColumn {
     StampColumn::new(column, &TimeColumn::new("", TimeUnit::S))
 }
 
-fn mapped_layout(
+fn mapped_layout<'a>(
     table: &Table<'_>,
-    robot: &RobotConfig,
+    robot: &'a RobotConfig,
     path: &Path,
     mapping: &RobotLogMapping,
-) -> Result<Layout, LogError> {
+) -> Result<(Layout, Meaning<'a>), LogError> {
     let remedy = "Correct the name in the mapping file.";
     let time = TimeColumn::of_table(mapping.time.as_ref(), path)?;
+    let time = StampColumn::new(table.column(&time.column, remedy)?, time);
     let to_rad: Vec<f64> = mapping.joints.iter().map(|joint| joint.unit.to_si()).collect();
-    let joints: Columns = mapping.joints.iter().map(|joint| joint.column.clone()).collect();
-    let joints = if joints.is_empty() {
-        own_joints(table, path, robot)?
-    } else {
-        named(table, &joints, &to_rad, remedy)?
+    let (joints, meaning) = match mapping.with_joints() {
+        Some(mapping) => {
+            let names: Columns = mapping.joints.iter().map(|joint| joint.column.clone()).collect();
+            let joints = named(table, &names, &to_rad, remedy)?;
+            (joints, Meaning::mapped(robot, mapping, names, path)?)
+        }
+        None => (own_joints(table, path, robot)?, Meaning::own(robot, own_columns(robot))?),
     };
     let optional = |names: &Option<Columns>, factors: &[f64]| {
         names.as_ref().map(|names| named(table, names, factors, remedy)).transpose()
     };
-    Ok(Layout {
-        time: StampColumn::new(table.column(&time.column, remedy)?, time),
+    let layout = Layout {
+        time,
         joints,
         speeds: optional(&mapping.speeds, &to_rad)?,
         torques: optional(&mapping.torques, &vec![1.0; mapping.joints.len()])?,
@@ -203,7 +201,8 @@ fn mapped_layout(
             .as_ref()
             .and_then(|force| ForceLayout::find_named(table, force).transpose())
             .transpose()?,
-    })
+    };
+    Ok((layout, meaning))
 }
 
 fn named(

@@ -15,8 +15,7 @@ use crate::calibrate::{CalibrateError, RunInput};
 use crate::inspect::{self, curves};
 use crate::instrument::CostName;
 use crate::logs::{
-    self, BarLog, BarLogMapping, ForceLog, ForceLogMapping, LogFormat, LogOptions, RobotLog, RobotLogMapping,
-    is_recording,
+    self, BarLog, BarLogMapping, ForceLog, ForceLogMapping, LogFormat, LogOptions, RobotLog, is_recording,
 };
 use crate::prepare::{EncoderMapChoice, bar_angles};
 use crate::report::page::Source;
@@ -198,10 +197,11 @@ impl RunFiles<'_> {
 }
 
 /// Reads the runs of an experiment.
-pub(super) fn runs<'a>(experiment: &'a Experiment, robot: &RobotConfig) -> anyhow::Result<Vec<RunFiles<'a>>> {
-    let log_mapping: Option<RobotLogMapping> =
-        experiment.log_mapping.as_deref().map(config::load).transpose()?;
-    let log_options = LogOptions { format: experiment.log_format, mapping: log_mapping };
+pub(super) fn runs<'a>(
+    experiment: &'a Experiment,
+    robot: &RobotConfig,
+    logs: &LogOptions,
+) -> anyhow::Result<Vec<RunFiles<'a>>> {
     let bar_mapping: Option<BarLogMapping> =
         experiment.recording_mapping.as_deref().map(config::load).transpose()?;
     let force_mapping: Option<ForceLogMapping> =
@@ -212,7 +212,7 @@ pub(super) fn runs<'a>(experiment: &'a Experiment, robot: &RobotConfig) -> anyho
         let bar: BallBarConfig = config::load(&run.bar)?;
         let (recording, log) = both(
             || load_recording(&run.recording, &bar, bar_mapping.as_ref()),
-            || load_log(&run.robot_log, robot, &log_options),
+            || load_log(&run.robot_log, robot, logs),
         );
         let (mut log, recording) = (log?, recording?);
         log.force = if experiment.ignore_force { None } else { force.or(log.force) };

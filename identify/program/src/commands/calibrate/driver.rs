@@ -47,7 +47,11 @@ pub(super) fn calibrate(
     ensure_can_write(directory)?;
     let on_terminal = OnTerminal::all_or_nothing();
     let truth = truth.map(load_truth).transpose()?;
-    let (rows, beside) = rows_of(&experiment, robot, directory)?;
+    let logs = LogOptions {
+        format: experiment.log_format,
+        mapping: experiment.log_mapping.as_deref().map(config::load).transpose()?,
+    };
+    let (rows, beside) = rows_of(&experiment, robot, &logs, directory)?;
     experiment.state(&rows);
     let experiment = &experiment;
     let numbers = experiment.bars.len() + 1..;
@@ -57,7 +61,7 @@ pub(super) fn calibrate(
         .zip(numbers)
         .map(|(((kind, of), rows), number)| Others::read(kind, of, number, rows.seed(), robot));
     let others = others.collect::<anyhow::Result<Vec<Others<'_>>>>()?;
-    let (inputs, bars) = both(|| inputs(&experiment.files()), || bar::runs(experiment, robot));
+    let (inputs, bars) = both(|| inputs(&experiment.files()), || bar::runs(experiment, robot, &logs));
     let (mut bars, inputs) = (bars?, inputs?);
     experiment.ensure_distinct(&inputs)?;
     let calibration = bar::solved(experiment.split_at_changes, &mut bars, |inputs| {
@@ -92,7 +96,7 @@ pub(super) fn calibrate(
     let lines: Vec<&[u64]> = beside.iter().map(|beside| beside.lines.as_slice()).collect();
     let residuals = residuals_csv(&calibration, &lines)?;
     let bar = bars.first().map(|run| &run.bar);
-    let written = write_files(&file, &residuals, robot, bar, experiment, directory)?;
+    let written = write_files(&file, &residuals, robot, bar, (experiment, logs.mapping.as_ref()), directory)?;
     let page = Page {
         file: &file,
         calibration: &calibration,
@@ -116,10 +120,9 @@ pub(super) fn calibrate(
 fn rows_of(
     experiment: &Experiment,
     robot: &RobotConfig,
+    logs: &LogOptions,
     directory: &Path,
 ) -> anyhow::Result<(Vec<Rows>, Vec<Beside>)> {
-    let log_mapping = experiment.log_mapping.as_deref().map(config::load).transpose()?;
-    let logs = LogOptions { format: experiment.log_format, mapping: log_mapping };
     let with = WithLogs { robot, logs, options: &experiment.identify.prepare };
     let numbers = experiment.bars.len() + 1..;
     let read = experiment.rows().zip(numbers).map(|((kind, of), number)| rows::read(kind, of, number, &with));

@@ -2,11 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
-use shared::config::{self, BallBarConfig, RobotConfig};
+use shared::config::{BallBarConfig, RobotConfig};
 use shared::output::{say, show};
 
 use super::experiment::Experiment;
 use crate::calibrate::validation::deployment::Deployment;
+use crate::logs::RobotLogMapping;
 use crate::report::result::deployments::files;
 use crate::report::result::file::{CalibrationFile, replace};
 use crate::report::summary::wrapped;
@@ -20,7 +21,7 @@ pub(super) fn write_files(
     residuals: &str,
     robot: &RobotConfig,
     bar: Option<&BallBarConfig>,
-    experiment: &Experiment,
+    (experiment, log_mapping): (&Experiment, Option<&RobotLogMapping>),
     directory: &Path,
 ) -> anyhow::Result<Vec<PathBuf>> {
     let would_stay =
@@ -35,8 +36,7 @@ pub(super) fn write_files(
     }
     let mut written = vec![file.write(directory)?, replace(directory, "residuals.csv", residuals)?];
     if file.may_be_applied() {
-        let log_mapping = experiment.log_mapping.as_deref().map(config::load).transpose()?;
-        written.extend(file.write_robot(robot, bar, log_mapping.as_ref(), directory)?);
+        written.extend(file.write_robot(robot, bar, log_mapping, directory)?);
     }
     Ok(written)
 }

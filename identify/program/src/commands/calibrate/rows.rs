@@ -199,7 +199,7 @@ pub(super) struct Aligned {
 /// What the robot's logs are, and what aligns others with them.
 pub(super) struct WithLogs<'a> {
     pub(super) robot: &'a RobotConfig,
-    pub(super) logs: LogOptions,
+    pub(super) logs: &'a LogOptions,
     pub(super) options: &'a PrepareOptions,
 }
 
@@ -307,7 +307,7 @@ fn timed_poses(
     for remark in &read.remarks {
         tracing::warn!("{}: {remark}", of.file.display());
     }
-    let log = load_log(robot_log, with.robot, &with.logs)?;
+    let log = load_log(robot_log, with.robot, with.logs)?;
     let AlignedPoses { rows, states, moving, alignment, t_ref, left_out } =
         align_poses(&read, &log, &flange_chain(with.robot), with.options)
             .map_err(|error| CalibrateError::Align { data_set, error: Box::new(error) })?;

@@ -107,7 +107,7 @@ pub fn log_corrections(
         JointKind::Prismatic => (column, kind.si_symbol(), 1.0),
     };
     let (conversion, columns): (_, Vec<(String, &str, f64)>) = match mapping
-        .filter(|mapping| !mapping.joints.is_empty())
+        .and_then(RobotLogMapping::with_joints)
     {
         None => (
             JointConversion::of(robot)?,

@@ -56,7 +56,7 @@ pub(in crate::logs) fn read(
 ) -> Result<RobotLog, LogError> {
     let bag = Bag::open(bytes, path, format)?;
     let topic = mapping.and_then(|mapping| mapping.topic.as_deref());
-    let of_joints = mapping.filter(|mapping| !mapping.joints.is_empty());
+    let of_joints = mapping.and_then(RobotLogMapping::with_joints);
     let (topic, names) =
         bag.choose(path, topic, &JOINTS, |found| joints_among(found, robot.axes(), of_joints))?;
     let meaning = match of_joints {
