@@ -1,7 +1,8 @@
 //! `ballbard segment`: the simulated segment on a network interface, for any EtherCAT MainDevice. Faults are scheduled by
-//! `--fault`, or switched by lines on the standard input.
+//! `--fault`, or switched by lines on the standard input; the line `play` starts a replay.
 
 use std::io::{self, BufRead, Write};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
@@ -12,8 +13,11 @@ use shared::time::{MonoNs, NS_PER_S};
 
 use super::on_signal;
 use crate::clock::Clock;
+use crate::run::{open_replay, replaying_segment};
 use crate::segment::faults::{FaultHandle, FaultSwitch, FaultWindow, FaultySegment};
-use crate::segment::simulated::{Revision, SegmentConfig, SimulatedSegment, SmoothMotion};
+use crate::segment::simulated::{
+    EncoderSource, ReplayHandle, Revision, SegmentConfig, SimulatedSegment, SmoothMotion,
+};
 use crate::segment::{EthernetWire, FRAME_BYTES_MAX, Wire};
 
 #[derive(Debug, Args)]
@@ -21,6 +25,9 @@ pub struct SegmentArguments {
     /// Network interface to serve, such as one end of a veth pair
     #[arg(long, help_heading = "Connection")]
     interface: String,
+    /// Recording whose motion the encoders repeat, with its terminals, each time the line `play` is typed
+    #[arg(long, help_heading = "Simulation", value_name = "FILE", conflicts_with_all = ["terminals", "lines"])]
+    replay: Option<PathBuf>,
     /// Number of EL5021 terminals behind the EK1100
     #[arg(long, help_heading = "Simulation", default_value_t = SegmentConfig::default().terminals)]
     terminals: usize,
@@ -40,39 +47,59 @@ pub struct SegmentArguments {
 }
 
 pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
+    let (replayed, terminals) = match &arguments.replay {
+        Some(file) => {
+            let (recording, source, replay) = open_replay(file)?;
+            (Some((source, replay)), replaying_segment(&recording))
+        }
+        None => (None, SegmentConfig { terminals: arguments.terminals, ..SegmentConfig::default() }),
+    };
     let config = SegmentConfig {
-        terminals: arguments.terminals,
         seed: arguments.seed,
         revision: Revision::from_number(arguments.revision).unwrap_or_default(),
-        ..SegmentConfig::default()
+        ..terminals
     };
-    let motion = SmoothMotion::new(config.terminals, arguments.lines, config.seed);
-    let segment = SimulatedSegment::new(&config, Box::new(motion));
+    let (source, replay): (Box<dyn EncoderSource>, _) = match replayed {
+        Some((source, replay)) => (Box::new(source), Some(replay)),
+        None => (Box::new(SmoothMotion::new(config.terminals, arguments.lines, config.seed)), None),
+    };
+    let segment = SimulatedSegment::new(&config, source);
     let (mut segment, faults) = FaultySegment::new(segment, config.seed);
     segment.schedule(&arguments.faults);
     let wire = EthernetWire::open(&arguments.interface)?;
     let stop = Arc::new(AtomicBool::new(false));
     let serving = Arc::clone(&stop);
     say(format_args!("serving an EK1100 with {} EL5021 on {}", config.terminals, arguments.interface))?;
+    if let Some(file) = &arguments.replay {
+        say(format_args!("type `play` to start the motion of {}", file.display()))?;
+    }
     // The thread ends with its input or with this program, whichever is first.
-    thread::Builder::new().name("switches".into()).spawn(move || switch_by_lines(&faults))?;
+    thread::Builder::new().name("switches".into()).spawn(move || obey_lines(&faults, replay.as_ref()))?;
     let work = async { tokio::task::spawn_blocking(move || serve(segment, wire, &serving)).await? };
     on_signal(work, |_| stop.store(true, Ordering::Release))
 }
 
-/// Switches faults by lines such as `on gone:3`, `off gone:3`.
-fn switch_by_lines(faults: &FaultHandle) {
+/// Switches faults by lines such as `on gone:3`, `off gone:3`; `play` starts the replay from its beginning.
+fn obey_lines(faults: &FaultHandle, replay: Option<&ReplayHandle>) {
     for line in io::stdin().lock().lines().map_while(Result::ok).filter(|line| !line.trim().is_empty()) {
-        match line.parse() {
-            Ok(FaultSwitch { fault, on: true }) => faults.begin(fault),
-            Ok(FaultSwitch { fault, on: false }) => faults.end(fault),
-            Err(error) => {
-                tracing::warn!("{error}");
+        let line = line.trim();
+        match (line, replay) {
+            ("play", Some(replay)) => replay.start_at_next(),
+            ("play", None) => {
+                tracing::warn!("there is nothing to play; add --replay FILE");
                 continue;
             }
+            _ => match line.parse() {
+                Ok(FaultSwitch { fault, on: true }) => faults.begin(fault),
+                Ok(FaultSwitch { fault, on: false }) => faults.end(fault),
+                Err(error) => {
+                    tracing::warn!("{error}");
+                    continue;
+                }
+            },
         }
         // The output may be closed.
-        let _ = writeln!(io::stdout(), "{}", line.trim());
+        let _ = writeln!(io::stdout(), "{line}");
     }
 }
 

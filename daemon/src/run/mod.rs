@@ -26,6 +26,7 @@ pub(crate) use place::claim_directory;
 pub use place::finish_leftovers;
 pub use request::{About, BusChoice, RunDetails, RunRequest, check_text, name_by_time, typed_name};
 pub use session::{ActiveRun, Opening, Session};
+pub(crate) use source::{open_replay, replaying_segment};
 
 use self::cycle_thread::Pace;
 use crate::clock::Clock;

@@ -127,6 +127,22 @@ fn in_process(
     (Box::new(InProcessWire::with_faults(segment, clock.clone())), handle)
 }
 
+/// A recording with the source of encoders that follow it.
+pub fn open_replay(path: &Path) -> Result<(Recording, Replay, ReplayHandle), RunError> {
+    let recording = Recording::open(path)?;
+    let counts =
+        recording.cycles.iter().flat_map(|record| record.encoders().iter().map(|encoder| encoder.count));
+    let (source, handle) =
+        Replay::new(counts.collect(), recording.run.encoders.len(), recording.run.cycle_period_ns as i64)
+            .map_err(|error| RunError::ReplayContent { path: path.to_owned(), problem: error.to_string() })?;
+    Ok((recording, source, handle))
+}
+
+/// A simulated segment for a replay. Its bus clock does not drift, or the recording would be played too fast or too slow.
+pub fn replaying_segment(recording: &Recording) -> SegmentConfig {
+    SegmentConfig { terminals: recording.run.encoders.len(), drift_ppm: 0.0, ..SegmentConfig::default() }
+}
+
 /// A simulated bus whose encoders follow a recording; period and encoders are those of the recording.
 fn prepare_replay(
     path: &Path,
@@ -135,18 +151,11 @@ fn prepare_replay(
     bar: &BallBarConfig,
     faults: &[FaultWindow],
 ) -> Result<Prepared, RunError> {
-    let recording = Recording::open(path)?;
-    let unsuitable = |problem: String| RunError::ReplayContent { path: path.to_owned(), problem };
+    let (recording, source, handle) = open_replay(path)?;
     let encoders = &recording.run.encoders;
-    let counts =
-        recording.cycles.iter().flat_map(|record| record.encoders().iter().map(|encoder| encoder.count));
-    let (source, handle) =
-        Replay::new(counts.collect(), encoders.len(), recording.run.cycle_period_ns as i64)
-            .map_err(|error| unsuitable(error.to_string()))?;
-    let first = recording.cycles.first().ok_or_else(|| unsuitable("it has no cycles".into()))?;
-    // The bus' clock is the time base of a replay: with a drift the recording would be played too fast or too slow.
-    let config = SegmentConfig { terminals: encoders.len(), drift_ppm: 0.0, ..SegmentConfig::default() };
-    let (wire, _) = in_process(&config, Box::new(source), &clock, faults);
+    // A replay has at least one row.
+    let first = recording.cycles.first().map(|record| record.sample_time);
+    let (wire, _) = in_process(&replaying_segment(&recording), Box::new(source), &clock, faults);
     let mut prepared = Prepared::from_config(wire, clock, SIMULATED_BUS, daemon, bar);
     prepared.plan.encoders = encoders
         .iter()
@@ -162,7 +171,7 @@ fn prepare_replay(
     prepared.plan.sync0_shift = prepared.plan.cycle_period / 2;
     prepared.encoders.clone_from(encoders);
     prepared.replay_of = Some(recording.run.origin());
-    prepared.replay = Some((handle, first.sample_time));
+    prepared.replay = first.map(|first| (handle, first));
     prepared.cycles = Some(recording.cycles.len() as u64);
     Ok(prepared)
 }

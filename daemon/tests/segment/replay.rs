@@ -41,6 +41,25 @@ fn every_recorded_row_arrives_bit_for_bit_one_a_cycle_on_drifting_clocks() {
 }
 
 #[test]
+fn a_replay_that_starts_at_the_next_cycle_shows_every_row_and_can_be_repeated() {
+    const ROWS: usize = 20;
+    let counts = recording(ROWS, 5);
+    let (replay, handle) = Replay::new(counts.clone(), 5, PERIOD_NS).unwrap();
+    let mut bench = Bench::new(SimulatedSegment::new(&SegmentConfig::default(), Box::new(replay)));
+    let group = preop(&mut bench);
+    let group = operational(&mut bench, group);
+    for _ in 0..2 {
+        handle.start_at_next();
+        let mut shown = Vec::new();
+        while !handle.has_ended() {
+            cycle(&mut bench, &group);
+            shown.push((0..5).map(|terminal| inputs(&bench, &group, terminal).1).collect::<Vec<_>>());
+        }
+        assert!(shown.iter().map(Vec::as_slice).eq(counts.chunks(5)), "{shown:?}");
+    }
+}
+
+#[test]
 fn without_distributed_clocks_rows_follow_the_frames() {
     let counts = recording(20, 1);
     let (replay, handle) = Replay::new(counts.clone(), 1, PERIOD_NS).unwrap();

@@ -7,7 +7,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use shared::recording::Recording;
-use shared::recording::schema::flags;
+use shared::recording::schema::{CycleRecord, flags};
 
 use super::namespace::{Namespace, serve_segment};
 use crate::support::assert_bad_cycles_have_reasons;
@@ -117,6 +117,35 @@ fn faults_are_switched_by_lines_while_the_segment_is_served() {
     assert!(told("terminal 4 and all behind it do not answer"), "{:?}", recording.events);
     assert!(told("bus in operation again") && told("without power"), "{:?}", recording.events);
     assert_eq!(recording.cycles.last().unwrap().origin, 1);
+}
+
+#[test]
+#[ignore = "needs root and iproute2 for a network namespace"]
+fn a_recording_is_repeated_on_an_interface_when_play_is_typed() {
+    let namespace = Namespace::new("repeated");
+    let out = tempfile::tempdir().unwrap();
+    let mut made = namespace.ballbard();
+    made.args(["record", "--bus", "simulated", "--name", "made", "--duration", "3s", "--fast", "--out"]);
+    assert!(made.arg(out.path()).output().unwrap().status.success());
+    let file = out.path().join("made.mcap");
+    let mut segment = serve_segment(&namespace, &["--replay", file.to_str().unwrap()]);
+    let running = record(&namespace, out.path(), "6s").spawn().unwrap();
+    wait_until_begun(out.path());
+    segment.0.stdin.take().unwrap().write_all(b"play\n").unwrap();
+    assert!(running.wait_with_output().unwrap().status.success());
+
+    let counts = |file: &Path| -> Vec<(bool, Vec<u32>)> {
+        let cycles = Recording::open(file).unwrap().cycles;
+        let row = |cycle: &CycleRecord| cycle.encoders().iter().map(|encoder| encoder.count).collect();
+        cycles.iter().map(|cycle| (cycle.is_valid(), row(cycle))).collect()
+    };
+    let (made, repeated) = (counts(&file), counts(&out.path().join("veth.mcap")));
+    // The first row is shown until the replay starts, the last one after its end.
+    let moved = repeated.iter().position(|(valid, row)| *valid && *row != made[0].1).unwrap();
+    let at = made.iter().position(|(_, row)| *row == repeated[moved].1).unwrap();
+    let pairs = repeated[moved..].iter().zip(&made[at..]);
+    assert!(at < 100 && pairs.len() + at == made.len());
+    assert!(pairs.clone().all(|((valid, row), (_, expected))| !valid || row == expected));
 }
 
 #[test]

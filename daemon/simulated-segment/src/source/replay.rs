@@ -26,6 +26,8 @@ pub enum ReplayError {
 
 /// Start time before the start.
 const NOT_STARTED: i64 = i64::MAX;
+/// Start time until the next conversion, which starts the replay.
+const AT_NEXT: i64 = i64::MIN;
 
 #[derive(Debug)]
 struct Shared {
@@ -106,8 +108,12 @@ impl Replay {
 
     /// Row at a conversion; `None` before the start of the replay.
     fn row(&self, at: Conversion) -> Option<usize> {
-        let start_ns = self.shared.start_ns.load(Ordering::Acquire);
         let now_ns = at.system_time_ns.unwrap_or(at.true_time_ns);
+        let mut start_ns = self.shared.start_ns.load(Ordering::Acquire);
+        if start_ns == AT_NEXT {
+            start_ns = now_ns;
+            self.shared.start_ns.store(now_ns, Ordering::Release);
+        }
         let since_ns = now_ns.saturating_sub(start_ns).saturating_add(self.period_ns / 2);
         if start_ns == NOT_STARTED || since_ns < 0 {
             return None;
@@ -160,6 +166,11 @@ impl ReplayHandle {
             played.store(0, Ordering::Release);
         }
         self.0.start_ns.store(time_ns, Ordering::Release);
+    }
+
+    /// The next conversion plays the first row.
+    pub fn start_at_next(&self) {
+        self.start_at(AT_NEXT);
     }
 
     /// Number of rows in the recording.
