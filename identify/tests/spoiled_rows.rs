@@ -59,10 +59,10 @@ fn rows_as_they_were_measured_are_accepted() {
 #[test]
 #[ignore = "needs the whole measured data in the folder BALLBAR_DATA"]
 fn all_rows_of_the_real_ur10_are_accepted_in_each_of_twenty_parts() {
+    let Some(data) = crate::support::measured_data() else { return };
     let mapping: MeasuredPoseMapping =
         config::load(&crate::support::repository("config/measured_pose.toml")).unwrap();
-    let folder = std::path::PathBuf::from(std::env::var_os("BALLBAR_DATA").unwrap());
-    let rows = MeasuredPoses::load(&folder.join("ur10-tracker/grid_11911.csv"), &mapping).unwrap().rows;
+    let rows = MeasuredPoses::load(&data.join("ur10-tracker/grid_11911.csv"), &mapping).unwrap().rows;
     let rows: Vec<PoseRow> = rows.iter().map(PoseRow::from).collect();
     for part in rows.chunks_exact(rows.len() / 20) {
         calibrated(part, &ur10()).unwrap();
