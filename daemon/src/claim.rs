@@ -145,7 +145,8 @@ fn ask(name: &str) -> io::Result<Holder> {
     Ok(Holder { pid, user, doing })
 }
 
-fn name_of(user: Uid) -> String {
+/// Name of an account, or its number.
+pub(crate) fn name_of(user: Uid) -> String {
     User::from_uid(user).ok().flatten().map_or_else(|| user.to_string(), |known| known.name)
 }
 

@@ -166,6 +166,37 @@ fn what_a_reverse_proxy_passes_on_to_the_loopback_port_is_refused_with_the_remed
 }
 
 #[test]
+#[ignore = "needs root, to send requests as another account"]
+fn a_request_of_a_system_account_is_refused_with_the_remedy_but_for_the_metrics() {
+    let service = Running::start();
+    service.wait_for("waiting");
+    // A new nginx by default: HTTP/1.1 without headers of its own. The thread's sockets belong to the account.
+    let ask = |account: u32, path: &str| {
+        std::thread::scope(|scope| {
+            let asked = scope.spawn(|| {
+                nix::unistd::setfsuid(account.into());
+                let stream = TcpStream::connect(format!("127.0.0.1:{}", service.port)).unwrap();
+                let host = format!("Host: 127.0.0.1:{}", service.port);
+                passed_on(stream, &format!("GET {path} HTTP/1.1"), &[&host], "")
+            });
+            asked.join().unwrap()
+        })
+    };
+    for (account, path, expected) in [
+        (33, "/api/status", 403),
+        (33, "/", 403),
+        (65_534, "/api/status", 403),
+        (33, "/metrics", 200),
+        (1000, "/api/status", 200),
+        (0, "/api/status", 200),
+    ] {
+        let (code, answer) = ask(account, path);
+        assert_eq!(code, expected, "{account} {path}: {answer}");
+        assert!(code == 200 || answer.contains("account `") && answer.contains("--behind-proxy"), "{answer}");
+    }
+}
+
+#[test]
 fn a_socket_that_cannot_be_made_is_refused_with_the_remedy() {
     let directory = tempfile::tempdir().unwrap();
     let file = directory.path().join("file");

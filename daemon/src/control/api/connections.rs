@@ -11,11 +11,11 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use axum::Router;
 use axum::body::{Body, to_bytes};
 use axum::extract::Request;
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::Response;
-use axum::{Extension, Router};
 use hyper::body::Incoming;
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
@@ -29,8 +29,8 @@ use tokio::time::timeout;
 use tokio_rustls::TlsAcceptor;
 use tower::ServiceExt;
 
+use super::peer::Peer;
 use super::refusal;
-use super::remote::FromElsewhere;
 
 /// Connections at a time: enough for some people and programs, far below a process' limit of files.
 const CONNECTIONS_MAX: usize = 64;
@@ -49,7 +49,6 @@ const FAREWELL: Duration = Duration::from_secs(1);
 /// Open connections, the oldest first.
 pub(super) struct Connections {
     routes: Router,
-    routes_from_elsewhere: Router,
     open: Vec<Connection>,
 }
 
@@ -69,8 +68,7 @@ struct Connection {
 
 impl Connections {
     pub fn new(routes: Router) -> Self {
-        let routes_from_elsewhere = routes.clone().layer(Extension(FromElsewhere));
-        Self { routes, routes_from_elsewhere, open: Vec::new() }
+        Self { routes, open: Vec::new() }
     }
 
     /// Serves one more client. At the limit the oldest client without a complete request is dropped; if all have sent theirs,
@@ -88,16 +86,19 @@ impl Connections {
         }
         let has_asked = Arc::new(AtomicBool::new(false));
         let asked = Arc::clone(&has_asked);
-        let elsewhere = self.routes_from_elsewhere.clone();
+        let routes = self.routes.clone();
         let task = match client {
-            Client::Local(stream) => tokio::spawn(converse(stream, self.routes.clone(), asked)),
-            Client::Proxy(stream) => tokio::spawn(converse(stream, elsewhere, asked)),
+            Client::Local(stream) => {
+                let peer = Peer::of_loopback(&stream);
+                tokio::spawn(converse(stream, peer, routes, asked))
+            }
+            Client::Proxy(stream) => tokio::spawn(converse(stream, Peer::Elsewhere, routes, asked)),
             Client::Tls(stream, tls) => {
                 let tls = tls.clone();
                 tokio::spawn(async move {
                     // A client that does not complete the TLS handshake in time is dropped.
                     if let Ok(Ok(stream)) = timeout(REQUEST_TIMEOUT, tls.accept(stream)).await {
-                        converse(stream, elsewhere, asked).await;
+                        converse(stream, Peer::Elsewhere, routes, asked).await;
                     }
                 })
             }
@@ -121,10 +122,11 @@ impl Connections {
 
 async fn converse(
     stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static,
+    peer: Peer,
     routes: Router,
     asked: Arc<AtomicBool>,
 ) {
-    let service = service_fn(move |request| answer(request, routes.clone(), Arc::clone(&asked)));
+    let service = service_fn(move |request| answer(request, peer, routes.clone(), Arc::clone(&asked)));
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(REQUEST_TIMEOUT)
@@ -136,10 +138,12 @@ async fn converse(
 
 async fn answer(
     request: hyper::Request<Incoming>,
+    peer: Peer,
     routes: Router,
     has_asked: Arc<AtomicBool>,
 ) -> Result<Response, std::convert::Infallible> {
-    let (head, body) = request.into_parts();
+    let (mut head, body) = request.into_parts();
+    head.extensions.insert(peer);
     let mut response = match timeout(REQUEST_TIMEOUT, to_bytes(Body::new(body), BODY_BYTES_MAX)).await {
         Err(_) => refusal(StatusCode::REQUEST_TIMEOUT, "the request did not arrive within 5 seconds"),
         Ok(Err(_)) => refusal(StatusCode::PAYLOAD_TOO_LARGE, "the request is longer than 64 kB, or was cut"),

@@ -14,6 +14,8 @@ use crate::control::live::{Joint, Live};
 use crate::control::status::{ServiceState, Status, Totals};
 use crate::problem::{Level, Problem};
 
+/// Path of the metrics.
+pub(super) const PATH: &str = "/metrics";
 /// Media type of [`text`].
 pub(super) const MEDIA_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 

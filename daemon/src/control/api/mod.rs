@@ -13,6 +13,7 @@ mod foxglove;
 mod metrics;
 mod openapi;
 mod pairing;
+mod peer;
 mod remote;
 
 use std::convert::Infallible;
@@ -40,7 +41,8 @@ use self::downloads::{Download, Downloads};
 pub use self::fingerprint::Fingerprint;
 use self::openapi::Operation;
 use self::pairing::Pairing;
-use self::remote::{FromElsewhere, Gate};
+use self::peer::Peer;
+use self::remote::Gate;
 pub use self::remote::{Remote, RemoteError, RemoteSettings, token_in};
 use super::live::Live;
 use super::machine::Answer;
@@ -265,7 +267,7 @@ fn routes(service: Service, gate: Option<Gate>, remote: Option<String>) -> Route
     let api = api.route("/openapi.json", get(move || async move { Json(document) }));
     Router::new()
         .nest("/api", api)
-        .route("/metrics", get(prometheus))
+        .route(metrics::PATH, get(prometheus))
         .route(foxglove::PATH, get(foxglove::connect))
         .merge(page)
         .fallback(|| async {
@@ -608,7 +610,7 @@ struct Admission {
 /// Refuses requests of foreign web pages, and requests from other machines without the token.
 async fn admitted(State(admission): State<Arc<Admission>>, request: Request, next: Next) -> Response {
     let refused = match &admission.gate {
-        Some(gate) if request.extensions().get::<FromElsewhere>().is_some() => {
+        Some(gate) if matches!(request.extensions().get(), Some(Peer::Elsewhere)) => {
             gate.refuse(&request, admission.service.now())
         }
         _ => refused_on_loopback(&request, &admission.origins),
@@ -637,13 +639,19 @@ fn refused_on_loopback(request: &Request, origins: &[String]) -> Option<Response
     Some(refusal(StatusCode::FORBIDDEN, &error))
 }
 
-/// The sign that a reverse proxy forwarded the request: most add a header; nginx by default adds none, but uses HTTP/1.0,
-/// which programs and browsers do not use any more.
-fn sign_of_a_proxy(request: &Request) -> Option<&str> {
+/// The sign that a reverse proxy forwarded the request. Most add a header. nginx by default adds none: older ones use HTTP/1.0,
+/// which programs and browsers do not use any more, and all run as a system account. Such an account may read the metrics.
+fn sign_of_a_proxy(request: &Request) -> Option<String> {
     let adds =
         |name: &&str| ["forwarded", "via", "x-real-ip"].contains(name) || name.starts_with("x-forwarded-");
     let header = request.headers().keys().map(HeaderName::as_str).find(adds);
-    header.or((request.version() < Version::HTTP_11).then_some("HTTP/1.0"))
+    let version = || (request.version() < Version::HTTP_11).then_some("HTTP/1.0");
+    let account = || {
+        let may_read = request.uri().path() == metrics::PATH;
+        let peer = request.extensions().get::<Peer>().filter(|_| !may_read);
+        peer.and_then(|peer| peer.system_account()).map(|name| format!("account `{name}`"))
+    };
+    header.or_else(version).map(str::to_owned).or_else(account)
 }
 
 /// Whether a request comes from this machine or one of these origins, and names a loopback host.

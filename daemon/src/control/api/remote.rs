@@ -112,10 +112,6 @@ pub(super) struct ProxyDoor {
     path: PathBuf,
 }
 
-/// Marks a request that came over TLS or through a proxy; all others came to the loopback port.
-#[derive(Clone, Copy)]
-pub(super) struct FromElsewhere;
-
 impl Remote {
     /// Opens the listeners, with a token and a certificate that are created once in `state`.
     pub async fn open(settings: RemoteSettings, state: &Path) -> Result<Self, RemoteError> {
