@@ -59,6 +59,34 @@ fn an_encoder_without_signal_needs_a_reason_for_a_run_which_is_in_the_file() {
 }
 
 #[test]
+fn the_check_has_a_line_for_each_thing_and_a_remedy_for_each_problem() {
+    live_on_bus(&[], async |day| {
+        day.wait_for(ServiceState::Waiting).await;
+        sleep(Duration::from_millis(300)).await;
+        let (_, before) = day.get("/check").await;
+        for subject in ["bus", "encoders", "disk", "left-over files"] {
+            assert!(line(&before, subject)["remedy"].is_null(), "{before}");
+        }
+        for subject in ["real time", "clock"] {
+            // Its content depends on this machine; it must exist.
+            assert!(!line(&before, subject)["finding"].as_str().unwrap().is_empty());
+        }
+        // A file that appears while the service runs changes exactly its line.
+        std::fs::write(day.home().join("old.mcap.active"), "left").unwrap();
+        let (_, after) = day.get("/check").await;
+        for (before, after) in before.as_array().unwrap().iter().zip(after.as_array().unwrap()) {
+            if after["subject"] == "left-over files" {
+                assert!(after["remedy"].as_str().unwrap().contains("recover"), "{after}");
+                assert!(after["finding"].as_str().unwrap().contains("old.mcap.active"), "{after}");
+            } else {
+                assert_eq!(before["remedy"], after["remedy"]);
+            }
+        }
+        day.end().await;
+    });
+}
+
+#[test]
 fn a_bad_cable_is_in_status_and_check_before_it_costs_a_cycle() {
     live_on_bus(&["noise:3,0.05@1s"], async |day| {
         let has_cable = |status: &Status| !status.bad_cables.is_empty();

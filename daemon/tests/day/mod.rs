@@ -3,5 +3,6 @@
 
 mod bus;
 mod calls;
+mod codes;
 mod hangs;
 mod rig;

@@ -72,23 +72,29 @@ impl Day {
         Self { directory, wall, service, routes }
     }
 
-    async fn ask(&self, method: &str, path: &str, body: &Value) -> (u16, Value) {
-        let path = format!("/api{path}");
+    async fn ask(&self, method: &str, path: &str, body: &Value) -> (u16, String) {
         let request = Request::builder().method(method).uri(path).header(header::HOST, "127.0.0.1");
         let request = request.header(header::CONTENT_TYPE, "application/json");
         let request = request.body(Body::from(body.to_string())).unwrap();
         let response = self.routes.clone().oneshot(request).await.unwrap();
         let status = response.status().as_u16();
         let answer = to_bytes(response.into_body(), 1 << 20).await.unwrap();
-        (status, serde_json::from_slice(&answer).unwrap())
+        (status, String::from_utf8(answer.into()).unwrap())
+    }
+
+    /// Content of a path that need not be JSON.
+    pub async fn text(&self, path: &str) -> String {
+        self.ask("GET", path, &json!({})).await.1
     }
 
     pub async fn get(&self, path: &str) -> (u16, Value) {
-        self.ask("GET", path, &json!({})).await
+        let (status, answer) = self.ask("GET", &format!("/api{path}"), &json!({})).await;
+        (status, serde_json::from_str(&answer).unwrap())
     }
 
     pub async fn post(&self, path: &str, body: &Value) -> (u16, Value) {
-        self.ask("POST", path, body).await
+        let (status, answer) = self.ask("POST", &format!("/api{path}"), body).await;
+        (status, serde_json::from_str(&answer).unwrap())
     }
 
     /// Waits for the condition, or until the time-out.
