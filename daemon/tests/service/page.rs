@@ -110,7 +110,8 @@ fn clients_that_take_no_event_hold_up_nobody_and_leave_places_for_others() {
 
 #[test]
 fn a_recording_is_downloaded_as_it_is_and_as_a_table_and_deleted_by_its_name_alone() {
-    let service = Running::start();
+    let outside = tempfile::tempdir().unwrap();
+    let service = Running::in_directory(tempfile::tempdir_in(outside.path()).unwrap(), &shipped());
     service.wait_for("waiting");
     let about =
         json!({"name": "monday-1", "robot": "IRB 2400", "operator": "A", "bar": "short", "payload": "12 kg"});
@@ -132,7 +133,7 @@ fn a_recording_is_downloaded_as_it_is_and_as_a_table_and_deleted_by_its_name_alo
     let RunLine { robot, operator, bar, payload, .. } = &lines[0];
     assert_eq!([robot, operator, bar, payload], ["IRB 2400", "A", "short", "12 kg"]);
     // Files elsewhere are not its own.
-    let secret = service.directory.path().parent().unwrap().join("secret.mcap");
+    let secret = outside.path().join("secret.mcap");
     std::fs::write(&secret, "secret").unwrap();
     for name in [
         "..%2Fsecret",
@@ -154,7 +155,6 @@ fn a_recording_is_downloaded_as_it_is_and_as_a_table_and_deleted_by_its_name_alo
         assert_eq!(service.post("delete", &json!({"name": name})).0, 404, "{name}");
     }
     assert!(secret.exists());
-    std::fs::remove_file(secret).unwrap();
     assert_eq!(service.granted("delete", &json!({"name": "monday-1"})).answer, Granted::Deleted);
     assert_eq!(service.get::<Vec<RunLine>>("runs"), []);
 }
