@@ -1,7 +1,7 @@
 //! Changes during a run or a file of rows: an encoder slips, a joint offset steps, the bar or another instrument is moved, a
 //! clock steps, or one of them drifts. Other checks do not detect this: the fit distributes the change over links and terms,
 //! and held-out samples have the same error. All hypotheses are tested on the same residuals, those of the solution with its
-//! terms, at one false alarm rate ([`change_point`]).
+//! terms, at one false alarm rate ([`change_point`]). A large change refuses a ball-bar run; others are in the report.
 
 use std::fmt;
 
@@ -52,9 +52,9 @@ pub struct Changed {
 
 /// Refusal of the first run whose angles fit no geometry. It replaces the error of a solve that failed for this reason.
 pub(super) fn poor_fit(runs: &[Run]) -> Option<CalibrateError> {
-    let of_run = |run: &Run| Some(run.instrument.prepared()?.poor_fit.as_ref()?.refusal());
-    let found = runs.iter().enumerate().find_map(|(number, run)| Some((number, of_run(run)?)));
-    found.map(|(run, error)| CalibrateError::Prepare { run, error: Box::new(error) })
+    let refusal = |run: &Run| Some(run.instrument.prepared()?.poor_fit.as_ref()?.refusal());
+    let first = runs.iter().enumerate().find_map(|(number, run)| Some((number, refusal(run)?)));
+    first.map(|(run, error)| CalibrateError::Prepare { run, error: Box::new(error) })
 }
 
 /// Changes in data sets at their solution; `sigmas` are the residual standard deviations of each data set.
@@ -74,29 +74,31 @@ pub(super) fn checked(
 fn changes(runs: &[Run], sigmas: &[f64]) -> Result<Vec<Changed>, CalibrateError> {
     let mut all = Vec::new();
     for (data_set, (run, sigma)) in runs.iter().zip(sigmas).enumerate() {
-        all.extend(of_run(run, *sigma)?.map(|found| Changed { data_set, ..found }));
+        all.extend(change_of_run(run, *sigma)?.map(|found| Changed { data_set, ..found }));
     }
     Ok(all)
 }
 
-fn of_run(Run { instrument, model }: &Run, sigma: f64) -> Result<Option<Changed>, CalibrateError> {
+/// The most significant change in one data set; its index in the result is 0.
+fn change_of_run(Run { instrument, model }: &Run, sigma: f64) -> Result<Option<Changed>, CalibrateError> {
     // Parameters fixed at uncertain values are estimated as well, so that their errors are not reported as a change.
-    let model = &model.with_considered(|one, sigma| Some(Role::Prior { value: one.value, sigma }));
-    let known = |id: &ParameterId| instrument.identifies(*id) && model.parameter(*id).is_some();
+    let model =
+        &model.with_considered(|parameter, sigma| Some(Role::Prior { value: parameter.value, sigma }));
+    let can_change = |id: &ParameterId| instrument.identifies(*id) && model.parameter(*id).is_some();
     let joints = (0..model.axes()).map(Cause::Joint);
     let mut causes: Vec<Cause> = joints.chain(instrument.causes(&model.geometry(&[]))).collect();
-    causes.retain(|cause| cause.ids().iter().any(known));
-    let ids = |cause: &Cause| cause.ids().into_iter().filter(known).collect::<Vec<_>>();
+    causes.retain(|cause| cause.ids().iter().any(can_change));
+    let ids = |cause: &Cause| cause.ids().into_iter().filter(can_change).collect::<Vec<_>>();
     let mut with_causes = model.clone();
     for id in causes.iter().flat_map(ids) {
         if model.column_of(id).is_none() {
             with_causes.set_role(id, Role::Free)?;
         }
     }
-    let place = |id: ParameterId| with_causes.column_of(id);
+    let column = |id: ParameterId| with_causes.column_of(id);
     let alternatives: Vec<Vec<usize>> =
-        causes.iter().map(|cause| ids(cause).into_iter().filter_map(place).collect()).collect();
-    let estimated: Vec<usize> = model.columns().filter_map(|parameter| place(parameter.id)).collect();
+        causes.iter().map(|cause| ids(cause).into_iter().filter_map(column).collect()).collect();
+    let estimated: Vec<usize> = model.columns().filter_map(|parameter| column(parameter.id)).collect();
     let columns = SharedColumns::new([&with_causes], |_| false);
     let problem = DataSets::new(vec![instrument.data_set(&with_causes, sigma)?], &columns);
     let measured = || (0..problem.samples()).filter(|sample| !problem.is_known(*sample));
@@ -107,31 +109,33 @@ fn of_run(Run { instrument, model }: &Run, sigma: f64) -> Result<Option<Changed>
     let found = change_point(&problem, &x, loss, &samples, &estimated, &alternatives, FALSE_ALARMS);
     Ok(found.and_then(|Change { alternative, course, by, explained }| {
         let when = match course {
-            Course::Step(at) => when(instrument, &samples, at)?,
+            Course::Step(first_after) => time_of_step(instrument, &samples, first_after)?,
             Course::Drift => When::Drift,
         };
         Some(Changed { data_set: 0, cause: *causes.get(alternative)?, when, by, explained })
     }))
 }
 
-/// Time of a change that lies before the sample with index `at` among those tested.
-fn when(instrument: &Instrument, samples: &[usize], at: usize) -> Option<When> {
+/// Time of a step; `first_after` is the first sample after it, as an index into the tested `samples`.
+fn time_of_step(instrument: &Instrument, samples: &[usize], first_after: usize) -> Option<When> {
     let Some(first_s) = instrument.first_s() else {
-        return Some(When::After(at as f64 / samples.len() as f64));
+        return Some(When::After(first_after as f64 / samples.len() as f64));
     };
-    let time_s = |at: usize| instrument.time_s(*samples.get(at)?);
+    let time_s = |index: usize| instrument.time_s(*samples.get(index)?);
     // The middle of the interval between two samples, which may be long.
-    Some(When::At(0.5 * (time_s(at.checked_sub(1)?)? + time_s(at)?) - first_s))
+    Some(When::At(0.5 * (time_s(first_after.checked_sub(1)?)? + time_s(first_after)?) - first_s))
 }
 
 impl Changed {
     /// Magnitude of the change, SI; for a tracker the distance.
     pub fn size(&self) -> f64 {
-        let numbers = if matches!(self.cause, Cause::Tracker(_)) { 3 } else { self.by.len() };
-        self.by.iter().take(numbers).map(|by| by * by).sum::<f64>().sqrt()
+        // The other components of a tracker's change are rotations.
+        let components = if matches!(self.cause, Cause::Tracker(_)) { 3 } else { self.by.len() };
+        self.by.iter().take(components).map(|by| by * by).sum::<f64>().sqrt()
     }
 
-    fn only(&self) -> f64 {
+    /// Change of the first parameter: the only one of an encoder, a joint, a clock or a length offset.
+    fn first_component(&self) -> f64 {
         self.by.first().copied().unwrap_or_default()
     }
 
@@ -149,7 +153,7 @@ impl Changed {
         let When::At(at_s) = self.when else { return None };
         let slip_min_rad = options.slip_min_mrad * 1e-3;
         // The offset has the opposite sign of the error in the reported angle.
-        let by_mrad = -self.only() * 1e3;
+        let by_mrad = -self.first_component() * 1e3;
         let (error, least) = match self.cause {
             Cause::Encoder(joint) => {
                 (PrepareError::EncoderSlip { joint: joint as u8 + 1, at_s, by_mrad }, slip_min_rad)
@@ -160,7 +164,9 @@ impl Changed {
             Cause::Base => {
                 (PrepareError::BaseMoved { at_s, by_mm: self.size() * 1e3 }, LEVER_M * slip_min_rad)
             }
-            Cause::Clock => (PrepareError::ClockJump { at_s, by_ms: self.only() * 1e3 }, CLOCK_S_MIN),
+            Cause::Clock => {
+                (PrepareError::ClockJump { at_s, by_ms: self.first_component() * 1e3 }, CLOCK_S_MIN)
+            }
             _ => return None,
         };
         (self.size() > least).then_some(error)
@@ -173,8 +179,8 @@ fn refuse(runs: &[Run], changed: &[Changed], options: &PrepareOptions) -> Result
     for (run, Run { instrument, model }) in runs.iter().enumerate() {
         let Some(prepared) = instrument.prepared() else { continue };
         let poor_fit = prepared.poor_fit.as_ref();
-        let own = changed.iter().filter(|one| one.data_set == run && one.explained > EXPLAINED);
-        let error = own.filter_map(|one| one.refusal(options)).next();
+        let of_run = changed.iter().filter(|change| change.data_set == run && change.explained > EXPLAINED);
+        let error = of_run.filter_map(|change| change.refusal(options)).next();
         let error = error.map(|error| error.resting_on(Deviations::at(prepared, model.geometry(&[]))));
         if let Some(error) = error.or_else(|| poor_fit.map(PoorFit::refusal)) {
             return Err(CalibrateError::Prepare { run, error: Box::new(error) });
@@ -192,10 +198,14 @@ impl fmt::Display for Changed {
             if number == 0 { String::new() } else { format!("{what} {}", number + 1) }
         };
         let (what, by) = match cause {
-            Cause::Encoder(joint) => (format!("the encoder of joint {}", joint + 1), mrad(-self.only())),
-            Cause::Joint(joint) => (format!("the zero of joint {}", joint + 1), mrad(self.only())),
+            Cause::Encoder(joint) => {
+                (format!("the encoder of joint {}", joint + 1), mrad(-self.first_component()))
+            }
+            Cause::Joint(joint) => (format!("the zero of joint {}", joint + 1), mrad(self.first_component())),
             Cause::Base => ("the base of the bar".to_owned(), distance()),
-            Cause::Clock => ("the robot's clock".to_owned(), format!("by {:+.2} ms", self.only() * 1e3)),
+            Cause::Clock => {
+                ("the robot's clock".to_owned(), format!("by {:+.2} ms", self.first_component() * 1e3))
+            }
             Cause::Tracker(station) => {
                 (format!("the place of the tracker{}", which(" in station", *station)), distance())
             }
@@ -206,7 +216,7 @@ impl fmt::Display for Changed {
             Cause::Anchor(station) => (format!("the anchor{} of the wire", which("", *station)), distance()),
             Cause::Tip => ("the tip on the flange".to_owned(), distance()),
             Cause::LengthOffset => {
-                ("the zero of the wire".to_owned(), format!("by {:+.2} mm", self.only() * 1e3))
+                ("the zero of the wire".to_owned(), format!("by {:+.2} mm", self.first_component() * 1e3))
             }
         };
         match when {

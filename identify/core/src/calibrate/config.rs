@@ -1,4 +1,5 @@
-//! `config/identify.toml`: cost, free parameters, and the limits of the preparation.
+//! `config/identify.toml`: cost, free parameters, and the limits of the preparation. Sets the role of every parameter of a model
+//! (free, fixed, prior, considered) from selection, tolerances and the parameters that are given by name.
 
 use std::collections::BTreeMap;
 
@@ -17,7 +18,7 @@ use crate::solver::LossName;
 /// Prior of encoder offsets after the loss of a counter's origin \[rad\]. They start at the preparation's values, on nominal
 /// geometry. The prior is much wider than their error, so that the samples determine them. If a held-out segment contains all
 /// samples of an origin, its offsets stay at their start.
-const ZERO_SIGMA_RAD: f64 = 0.01;
+const LOST_ORIGIN_SIGMA_RAD: f64 = 0.01;
 /// Tilt of the bar's base if it is not estimated, for a set-up by eye, standard deviation \[rad\].
 const BASE_TILT_SIGMA_RAD: f64 = 5e-3;
 
@@ -160,7 +161,7 @@ impl Default for IdentifyConfig {
 }
 
 /// Whether a bar link parameter only defines the position of frames on the bar's base or on the robot's flange.
-const fn says_where_frames_are(id: ParameterId) -> bool {
+const fn only_defines_frames(id: ParameterId) -> bool {
     const LAST: usize = BAR_JOINTS - 1;
     matches!(
         id,
@@ -196,10 +197,9 @@ impl IdentifyConfig {
             None => model
                 .free_only(|id| identifiable.contains(&id) || id.group() == Group::Clock && identifies(id)),
         }
-        let zeros = model.ids().into_iter();
-        let zeros: Vec<ParameterId> =
-            zeros.filter(|id| matches!(id, ParameterId::EncoderOffset { .. }) && identifies(*id)).collect();
-        model.set_roles(zeros, Role::Prior { value: 0.0, sigma: ZERO_SIGMA_RAD })?;
+        let is_offset = |id: &ParameterId| matches!(id, ParameterId::EncoderOffset { .. }) && identifies(*id);
+        let offsets: Vec<ParameterId> = model.ids().into_iter().filter(is_offset).collect();
+        model.set_roles(offsets, Role::Prior { value: 0.0, sigma: LOST_ORIGIN_SIGMA_RAD })?;
         if self.selection != SelectionName::Thesis && self.encoder_harmonics_urad > 0.0 {
             let group = TermGroup::EncoderHarmonics;
             let harmonics = ParameterId::of_term(group).filter(|id| identifies(*id));
@@ -207,11 +207,11 @@ impl IdentifyConfig {
         }
         if self.selection == SelectionName::Cell {
             // The rod has a measured length, or is estimated without tolerance.
-            let of_bar = |id: &ParameterId| {
+            let has_tolerance = |id: &ParameterId| {
                 let is_link = id.owner() == Owner::BallBar && id.group() == Group::Link;
-                is_link && !says_where_frames_are(*id) && *id != ParameterId::ROD && identifies(*id)
+                is_link && !only_defines_frames(*id) && *id != ParameterId::ROD && identifies(*id)
             };
-            self.set_tolerances(model, model.ids().into_iter().filter(of_bar).collect())?;
+            self.set_tolerances(model, model.ids().into_iter().filter(has_tolerance).collect())?;
             self.set_link_roles(model)?;
         } else {
             self.set_named_roles(model)?;
@@ -238,10 +238,10 @@ impl IdentifyConfig {
         let free = link_ids(&model.geometry(&[]).robot);
         self.set_tolerances(model, free.clone())?;
         self.set_named_roles(model)?;
-        let fixed = |id: &ParameterId| {
-            free.contains(id) && model.parameter(*id).is_some_and(|one| one.role == Role::Fixed)
-        };
-        let fixed: Vec<ParameterId> = free.iter().copied().filter(fixed).collect();
+        // Links that are fixed by name.
+        let is_fixed =
+            |id: &ParameterId| model.parameter(*id).is_some_and(|parameter| parameter.role == Role::Fixed);
+        let fixed: Vec<ParameterId> = free.iter().copied().filter(is_fixed).collect();
         fixed.into_iter().try_for_each(|id| self.consider(model, id))
     }
 
@@ -322,16 +322,17 @@ impl IdentifyConfig {
         if let Some(sigma) = self.stated(id) {
             return Some(sigma);
         }
-        let is_made = match (self.selection, id) {
+        // Whether the link parameter is a dimension of a part; the others only define a frame.
+        let is_dimension = match (self.selection, id) {
             // Roles of the robot's links already contain this, except those of the last link.
             (SelectionName::Cell, ParameterId::Robot { link, .. }) => {
                 link + 1 == axes && id != ParameterId::plate(axes)
             }
-            (SelectionName::Cell, _) => !says_where_frames_are(id),
+            (SelectionName::Cell, _) => !only_defines_frames(id),
             _ => !THESIS_FIXED.contains(&name.as_str()),
         };
         match id.group() {
-            Group::Link if is_made => Some(self.tolerance()),
+            Group::Link if is_dimension => Some(self.tolerance()),
             Group::Term(group) if self.fix.contains(&name) => Some(self.sigma(group)),
             _ if matches!(id, ParameterId::BaseRotation { .. }) => Some(BASE_TILT_SIGMA_RAD),
             _ => None,
@@ -454,13 +455,13 @@ fn validate_preparation(prepare: &PrepareOptions) -> Result<(), Violation> {
 
 impl Validate for IdentifyConfig {
     fn validate(&self) -> Result<(), Violation> {
-        let known = |key: String, name: &String| {
+        let check_name = |key: String, name: &String| {
             let parsed = name.parse::<ParameterId>();
             parsed.map(drop).map_err(|error| Violation::new(key, error.to_string(), "correct the name"))
         };
         for (key, names) in [("free", &self.free), ("fix", &self.fix)] {
             for (index, name) in names.iter().enumerate() {
-                known(format!("{key}[{index}]"), name)?;
+                check_name(format!("{key}[{index}]"), name)?;
             }
         }
         if let Some((index, name)) = self.fix.iter().enumerate().find(|(_, name)| self.free.contains(name)) {
@@ -468,7 +469,7 @@ impl Validate for IdentifyConfig {
             return Err(Violation::new(format!("fix[{index}]"), problem, "leave it out of one"));
         }
         for (name, &sigma) in &self.priors {
-            known(format!("priors.{name}"), name)?;
+            check_name(format!("priors.{name}"), name)?;
             positive(format!("priors.{name}"), sigma)?;
         }
         positive("tolerance_mm_mrad".into(), self.tolerance_mm_mrad)?;

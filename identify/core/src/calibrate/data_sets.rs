@@ -1,4 +1,4 @@
-//! Measurements on one robot.
+//! Measurements on one robot: what a joint calibration takes, and the preparation of ball-bar runs for it.
 
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
@@ -52,7 +52,7 @@ impl<'a> RunInput<'a> {
         robot: &RobotConfig,
         options: &PrepareOptions,
     ) -> Result<Vec<BarRun<'a>>, CalibrateError> {
-        let prepared = |(run, input): (usize, &Self)| {
+        let prepare_one = |(run, input): (usize, &Self)| {
             let mut prepared = prepare(input.cycles, input.encoders, input.log, robot, input.bar, options)
                 .map_err(|error| CalibrateError::Prepare { run, error: Box::new(error) })?;
             if let Some(unwrapped) = input.unwrapped {
@@ -60,7 +60,7 @@ impl<'a> RunInput<'a> {
             }
             Ok(BarRun { prepared, bar: input.bar })
         };
-        inputs.iter().enumerate().map(prepared).collect()
+        inputs.iter().enumerate().map(prepare_one).collect()
     }
 }
 
@@ -77,24 +77,24 @@ impl DataSets<'_> {
         if !self.bars.is_empty() {
             return Ok(());
         }
-        let usual = IdentifyConfig::default();
-        let terms = (&config.joint_terms, &usual.joint_terms);
-        let follows_log = self.rows.iter().any(|rows| rows.instrument.first_s().is_some());
-        let of_bars = [
-            ("cost", config.cost != usual.cost),
-            ("encoder_harmonics_urad", config.encoder_harmonics_urad != usual.encoder_harmonics_urad),
-            ("bar_length_um", config.bar_length_um != usual.bar_length_um),
-            ("joint_terms.amplitude_urad", terms.0.amplitude_urad != terms.1.amplitude_urad),
-            ("joint_terms.ratio_ppm", terms.0.ratio_ppm != terms.1.ratio_ppm),
-            ("joint_terms.delay_ms", terms.0.delay_ms != terms.1.delay_ms),
+        let default = IdentifyConfig::default();
+        let (terms, default_terms) = (&config.joint_terms, &default.joint_terms);
+        let has_robot_log = self.rows.iter().any(|rows| rows.instrument.first_s().is_some());
+        let options_of_bars = [
+            ("cost", config.cost != default.cost),
+            ("encoder_harmonics_urad", config.encoder_harmonics_urad != default.encoder_harmonics_urad),
+            ("bar_length_um", config.bar_length_um != default.bar_length_um),
+            ("joint_terms.amplitude_urad", terms.amplitude_urad != default_terms.amplitude_urad),
+            ("joint_terms.ratio_ppm", terms.ratio_ppm != default_terms.ratio_ppm),
+            ("joint_terms.delay_ms", terms.delay_ms != default_terms.delay_ms),
             (
                 "joint_terms.compliance_urad_per_m",
-                terms.0.compliance_urad_per_m != terms.1.compliance_urad_per_m,
+                terms.compliance_urad_per_m != default_terms.compliance_urad_per_m,
             ),
-            ("noise", config.noise != usual.noise),
-            ("prepare", config.prepare != usual.prepare && !follows_log),
+            ("noise", config.noise != default.noise),
+            ("prepare", config.prepare != default.prepare && !has_robot_log),
         ];
-        match of_bars.into_iter().find(|(_, is_given)| *is_given) {
+        match options_of_bars.into_iter().find(|(_, is_given)| *is_given) {
             Some((option, _)) => Err(CalibrateError::NoEffect { option }),
             None => Ok(()),
         }

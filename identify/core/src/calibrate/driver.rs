@@ -1,5 +1,5 @@
-//! Calibration from one run, one file of rows, or any combination. All data sets share the robot; each is weighted by its own
-//! residuals.
+//! The calibration: from data sets and the nominal robot to a [`Calibration`]. All data sets share the robot; each is weighted by
+//! its own residuals. Called by the commands of `identify` and by the studies.
 
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
@@ -32,16 +32,16 @@ pub fn calibrate(
     watch: Option<&dyn Watch>,
 ) -> Result<Calibration, CalibrateError> {
     data.check(config)?;
-    let failed = match staged(data, robot, config, true, watch) {
+    let solve_error = match calibrate_in_stages(data, robot, config, true, watch) {
         Err(error) if error.is_of_solve() && !data.rows.is_empty() => error,
-        done => return done,
+        result => return result,
     };
     if let Some(likely) = rows::likely_of_all(&data.rows, &flange_chain(robot)) {
-        return Err(CalibrateError::Implausible { found: failed.to_string(), likely: Some(likely) });
+        return Err(CalibrateError::Implausible { found: solve_error.to_string(), likely: Some(likely) });
     }
-    let found = staged(data, robot, config, false, watch)?;
-    tracing::warn!("errors on held-out rows are not determined: {failed}");
-    Ok(found)
+    let calibration = calibrate_in_stages(data, robot, config, false, watch)?;
+    tracing::warn!("errors on held-out rows are not determined: {solve_error}");
+    Ok(calibration)
 }
 
 /// Prepares and solves one ball-bar run; `encoders` are those of the recording, in its order.
@@ -74,7 +74,7 @@ pub fn calibrate_runs(
 }
 
 /// The stages of a calibration; with `held_out`, a part of each file of rows is predicted before it is included.
-fn staged(
+fn calibrate_in_stages(
     data: &DataSets<'_>,
     robot: &RobotConfig,
     config: &IdentifyConfig,
@@ -82,33 +82,35 @@ fn staged(
     watch: Option<&dyn Watch>,
 ) -> Result<Calibration, CalibrateError> {
     let LaidOut { mut runs, mut rows, plan } = lay_out(data, robot, config, held_out, watch)?;
-    let bars = data.bars.len();
+    // The runs of the files of rows follow those of the ball-bars.
+    let first_of_rows = data.bars.len();
     if !rows.is_empty() {
         // Outlier rows and a drift are detected in the residuals of the best links.
-        let of_links =
+        let links_only =
             Plan { groups: Vec::new(), tolerances: Vec::new(), common: Vec::new(), ..plan.clone() };
-        let Solved { sigmas, .. } = estimate(&mut runs, &of_links)?;
-        let offsets = fitted(&runs, Deployment::Offsets, plan.loss, watch)?;
-        let offsets = offsets.map_or_else(Vec::new, |found| found.runs);
-        for (number, set) in (bars..).zip(&mut rows) {
+        let Solved { sigmas, .. } = estimate(&mut runs, &links_only)?;
+        let offsets_only = fitted(&runs, Deployment::Offsets, plan.loss, watch)?;
+        let offsets_runs = offsets_only.map_or_else(Vec::new, |fitted| fitted.runs);
+        for (number, set) in (first_of_rows..).zip(&mut rows) {
             let run = &mut runs[number];
-            set.judge_links(offsets.get(number).map(|run| &run.model), &run.model);
+            set.judge_links(offsets_runs.get(number).map(|run| &run.model), &run.model);
             set.screen(number + 1, run, sigmas[number])?;
         }
     }
     let mut solved = estimate(&mut runs, &plan)?;
     if !rows.is_empty() {
-        rows.iter_mut().zip(&runs[bars..]).for_each(|(set, run)| set.judge_joints(&run.model));
+        rows.iter_mut().zip(&runs[first_of_rows..]).for_each(|(set, run)| set.judge_joints(&run.model));
         rows::unless_implausible(&data.rows, &rows, &runs, &flange_chain(robot))?;
         // The errors of held-out rows are known now, so these rows can be included.
-        for (set, run) in rows.iter_mut().zip(&mut runs[bars..]) {
+        for (set, run) in rows.iter_mut().zip(&mut runs[first_of_rows..]) {
             set.leave_out_gross(&run.model);
             run.instrument = set.everything(&run.model)?;
         }
         let (columns, mut solution, sigmas) = refit(&mut runs, plan.loss, watch)?;
-        for ((number, set), run) in (bars..).zip(&rows).zip(&runs[bars..]) {
-            let times = set.widens(&run.model, sigmas[number])?;
-            solution.covariance = solution.covariance.widened(number, times);
+        // The covariance of the fit takes a drift of an instrument as known.
+        for ((number, set), run) in (first_of_rows..).zip(&rows).zip(&runs[first_of_rows..]) {
+            let factor = set.widens(&run.model, sigmas[number])?;
+            solution.covariance = solution.covariance.widened(number, factor);
         }
         solved = Solved { columns, solution, sigmas, ..solved };
     }

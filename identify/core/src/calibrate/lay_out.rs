@@ -1,4 +1,5 @@
-//! Model of each data set at the nominal robot: free parameters, and the pose of its instrument.
+//! Start of a calibration: from data sets, robot and configuration to a model of each data set at the nominal robot, with the
+//! roles of its parameters and the pose of its instrument, and the plan of the solve. Used by the driver.
 
 use std::collections::BTreeSet;
 
@@ -40,16 +41,16 @@ pub(super) fn lay_out<'w>(
     let flange = flange_chain(robot);
     let mut runs = bar_runs(&data.bars, robot, config)?;
     let mut sets = Vec::new();
-    let alone = data.bars.is_empty() && data.rows.len() == 1;
+    let is_only_file = data.bars.is_empty() && data.rows.len() == 1;
     for file in &data.rows {
         let data_set = runs.len() + 1;
-        let bad = |error| CalibrateError::Rows { data_set, error };
-        let contradicting = rows::checked(&file.instrument, alone, &flange).map_err(bad)?;
+        let contradicting = rows::checked(&file.instrument, is_only_file, &flange)
+            .map_err(|error| CalibrateError::Rows { data_set, error })?;
         let set = RowSet::new(file.grouped(&flange), contradicting, held_out);
         let model = file.instrument.at_nominal(&flange);
         let model = model.with_drives(DriveTrain::of(robot, &flange)).with(config.named());
         let mut run = Run { instrument: set.fitting(), model };
-        place(&mut run, &set, data_set, config, watch, &flange)?;
+        place_instrument(&mut run, &set, data_set, config, watch, &flange)?;
         runs.push(run);
         sets.push(set);
     }
@@ -65,7 +66,7 @@ pub(super) fn lay_out<'w>(
         }
     }
     config.require_known(runs.iter().map(|run| &run.model))?;
-    let groups = candidates(data, &mut runs, config)?;
+    let groups = candidate_groups(data, &mut runs, config)?;
     let tolerances = tolerances(&runs, config);
     let plan = Plan {
         loss: config.loss.unwrap_or(residual_unit_of(&runs).map_or(LossName::Huber, CostName::usual_loss)),
@@ -79,7 +80,7 @@ pub(super) fn lay_out<'w>(
 }
 
 /// Estimates the pose of an instrument from its rows and the nominal robot.
-fn place(
+fn place_instrument(
     run: &mut Run,
     set: &RowSet,
     data_set: usize,
@@ -102,8 +103,9 @@ fn place(
 
 /// The longest of the estimated link lengths.
 fn longest_length(model: &Model) -> Option<ParameterId> {
-    let is_length = |one: &&Parameter| {
-        matches!(one.id, ParameterId::Robot { .. }) && one.id.unit() == Unit::Metre && one.role.is_estimated()
+    let is_length = |parameter: &&Parameter| {
+        let id = parameter.id;
+        matches!(id, ParameterId::Robot { .. }) && id.unit() == Unit::Metre && parameter.role.is_estimated()
     };
     let lengths = model.parameters().iter().filter(is_length);
     let longest = lengths.max_by(|a, b| a.nominal.abs().total_cmp(&b.nominal.abs()))?;
@@ -112,7 +114,7 @@ fn longest_length(model: &Model) -> Option<ParameterId> {
 
 /// Groups of terms to try. Without a ball-bar the models receive waves of the robot's axes, up to an order limited by the
 /// number of rows.
-fn candidates(
+fn candidate_groups(
     data: &DataSets<'_>,
     runs: &mut [Run],
     config: &IdentifyConfig,
@@ -122,16 +124,17 @@ fn candidates(
         return Ok(config.groups(model, |id| instrument.identifies(id)));
     }
     let axes = model.axes();
-    let measured =
+    let values_of_run =
         |run: &Run| Ok(run.instrument.samples() * run.instrument.data_set(&run.model, 1.0)?.rows());
-    let measured = runs.iter().map(measured).sum::<Result<_, CalibrateError>>()?;
-    let asked = data.rows.iter().filter_map(|file| file.joint_waves).min();
-    let last = asked.unwrap_or_else(|| waves_per_turn(measured, axes));
+    let values = runs.iter().map(values_of_run).sum::<Result<_, CalibrateError>>()?;
+    let stated_order_max = data.rows.iter().filter_map(|file| file.joint_waves).min();
+    let order_max = stated_order_max.unwrap_or_else(|| waves_per_turn(values, axes));
     for run in &mut *runs {
-        run.model = run.model.clone().with(ParameterId::joint_waves(last));
+        run.model = run.model.clone().with(ParameterId::joint_waves(order_max));
     }
-    let known = |id: &ParameterId| runs.iter().any(|run| run.model.parameter(*id).is_some());
-    let mut groups = rows::groups(last, |id| known(id) && !config.named().any(|named| named == *id));
+    let in_a_model = |id: &ParameterId| runs.iter().any(|run| run.model.parameter(*id).is_some());
+    let mut groups =
+        rows::groups(order_max, |id| in_a_model(id) && !config.named().any(|named| named == *id));
     groups.retain(|group| config.joint_terms.candidates.contains(&group.group));
     Ok(groups)
 }
@@ -149,7 +152,7 @@ fn bar_runs(
 ) -> Result<Vec<Run>, CalibrateError> {
     let measured = measured(bars.iter().map(|run| &run.prepared));
     let cost = config.cost.unwrap_or_else(|| CostName::for_encoders(&measured));
-    let run = |BarRun { prepared, bar }: &BarRun<'_>| {
+    let start_run = |BarRun { prepared, bar }: &BarRun<'_>| {
         // There are hundreds of waves. A model has only those named in the configuration, and later those that are detected.
         let named = config.named().filter(|id| matches!(id, ParameterId::JointWave { .. }));
         let model = start_model(prepared, robot, bar)?.with(named);
@@ -158,20 +161,21 @@ fn bar_runs(
         let bar = BallBar { prepared, cost, configured: config.noise, estimated: None, measured, sigmas_m };
         Ok(Run { instrument: bar.into(), model })
     };
-    let mut runs = bars.iter().map(run).collect::<Result<Vec<_>, CalibrateError>>()?;
-    let identifiable = match (config.selection.fixed(), bars.first(), runs.first()) {
+    let mut runs = bars.iter().map(start_run).collect::<Result<Vec<_>, CalibrateError>>()?;
+    // Only a selection that depends on the poses needs this set.
+    let identifiable_ids = match (config.selection.fixed(), bars.first(), runs.first()) {
         (None, Some(BarRun { prepared, .. }), Some(Run { model, .. })) => {
             let Prepared { motion, observations, measured, .. } = prepared;
             identifiable(model, motion, observations, cost.unweighted(measured))?
         }
         _ => Vec::new(),
     };
-    let mut held = config.fixed();
+    let mut fixed = config.fixed();
     let plate = runs.first().map(|run| ParameterId::plate(run.model.axes()));
-    held.extend(plate.filter(|_| config.selection == SelectionName::Thesis));
+    fixed.extend(plate.filter(|_| config.selection == SelectionName::Thesis));
     for Run { instrument, model } in &mut runs {
-        config.set_roles(model, &identifiable, |id| instrument.identifies(id))?;
-        instrument.place(model, &held)?;
+        config.set_roles(model, &identifiable_ids, |id| instrument.identifies(id))?;
+        instrument.place(model, &fixed)?;
         if let Some(force) = instrument.prepared().and_then(|prepared| prepared.force.as_ref()) {
             config.free_for_force(model, force.parameter())?;
         }
@@ -181,14 +185,15 @@ fn bar_runs(
 
 /// Link parameters whose tolerances are widened if the samples require it; stated standard deviations are not changed.
 fn tolerances(runs: &[Run], config: &IdentifyConfig) -> Vec<ParameterId> {
-    let known = ParameterId::known_lengths(runs.first().map_or(0, |run| run.model.axes()));
-    let has_tolerance = |one: &&Parameter| {
-        let is_link = matches!(one.id.group(), Group::Link | Group::InPlaceOfAnother);
-        let is_stated = known.contains(&one.id) || config.priors.contains_key(&one.id.to_string());
-        is_link && matches!(one.role, Role::Prior { .. }) && !is_stated
+    let known_lengths = ParameterId::known_lengths(runs.first().map_or(0, |run| run.model.axes()));
+    let has_tolerance = |parameter: &&Parameter| {
+        let id = parameter.id;
+        let is_link = matches!(id.group(), Group::Link | Group::InPlaceOfAnother);
+        let is_stated = known_lengths.contains(&id) || config.priors.contains_key(&id.to_string());
+        is_link && matches!(parameter.role, Role::Prior { .. }) && !is_stated
     };
-    let of_runs = runs.iter().flat_map(|run| run.model.columns());
-    let ids: BTreeSet<ParameterId> = of_runs.filter(has_tolerance).map(|one| one.id).collect();
+    let columns = runs.iter().flat_map(|run| run.model.columns());
+    let ids: BTreeSet<ParameterId> = columns.filter(has_tolerance).map(|parameter| parameter.id).collect();
     ids.into_iter().collect()
 }
 
@@ -196,11 +201,11 @@ fn tolerances(runs: &[Run], config: &IdentifyConfig) -> Vec<ParameterId> {
 fn common_priors(runs: &[Run], tolerances: &[ParameterId], config: &IdentifyConfig) -> Vec<CommonPrior> {
     let is_zero = |id: &ParameterId| matches!(id, ParameterId::Robot { parameter: LinkParameter::Theta, .. });
     let zeros = tolerances.iter().copied().filter(is_zero);
-    let all = [
+    let priors = [
         CommonPrior::new(runs, config.harmonics(), CommonPrior::HARMONICS),
         CommonPrior::new(runs, zeros, CommonPrior::ZEROS),
     ];
-    all.into_iter().filter(|common| !common.sigmas.is_empty()).collect()
+    priors.into_iter().filter(|common| !common.sigmas.is_empty()).collect()
 }
 
 /// Nominal robot and bar, with the position and encoder offsets estimated by the preparation.

@@ -1,6 +1,9 @@
-//! The estimation of all parameters, for any combination of instruments on one robot. Solve until the weight of each data set
-//! agrees with its residuals, without its outliers; choose terms on left-out groups of samples; solve again; compute the
-//! covariance.
+//! The estimation: from runs with start models to the models at the solution, with covariance, for any instruments on one robot.
+//! Steps: solve until the weight of each data set agrees with its residuals, without its outliers; choose terms on left-out
+//! groups of samples; solve again; compute the covariance. Used for calibrations, their deployments and to place an instrument.
+//!
+//! Ball-bars alone share one unit of residuals, that of their cost, and one sigma (standard deviation of a residual). With any
+//! other instrument each data set has its own sigma, and the residuals of the solve are in standard deviations.
 
 use nalgebra::DMatrix;
 
@@ -29,6 +32,10 @@ const COST_TOLERANCE: f64 = 1e-6;
 /// Relative cost tolerance of the last solve. With ten thousand residuals every parameter is within a ten-thousandth of its
 /// standard deviation; a smaller tolerance is close to rounding.
 const COST_TOLERANCE_LAST: f64 = 1e-12;
+/// The weights have converged when the noise decreases by less than this fraction.
+const CONVERGED: f64 = 0.02;
+/// Maximum number of solves until the weights have converged.
+const ROUNDS_MAX: usize = 20;
 /// Number of groups of each data set that are held out in turn to choose terms.
 pub(super) const HELD_OUT: usize = 8;
 /// Number of groups of each data set that are left out in turn for the covariance.
@@ -84,8 +91,8 @@ pub struct Solved {
 }
 
 /// The prior that includes a considered term; `None` for other parameters.
-fn let_in(one: &Parameter, sigma: f64) -> Option<Role> {
-    one.id.term().map(|_| Role::Prior { value: one.value, sigma })
+fn prior_of_term(parameter: &Parameter, sigma: f64) -> Option<Role> {
+    parameter.id.term().map(|_| Role::Prior { value: parameter.value, sigma })
 }
 
 /// Standard deviation of a residual relative to priors; residuals of `pose` are already whitened.
@@ -117,7 +124,7 @@ pub(super) struct Solver<'a> {
     /// Standard deviation of a residual of each run.
     pub(super) sigmas: Vec<f64>,
     /// Those of rod and plate lengths that differ between runs.
-    differ: Vec<ParameterId>,
+    own_lengths: Vec<ParameterId>,
     /// Waves that were detected in residuals.
     pub(super) shown: Shown,
 }
@@ -128,49 +135,50 @@ pub(super) struct Solver<'a> {
 /// [`CalibrateError`] if the runs do not fit their residuals or do not determine all free parameters.
 pub fn estimate(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateError> {
     let poor_fit = change::poor_fit(runs);
-    estimated(runs, plan).map_err(|error| match poor_fit {
+    estimate_in_steps(runs, plan).map_err(|error| match poor_fit {
         // If angles fit no geometry, that error is more informative than the failed solve.
         Some(poor_fit) if error.is_of_solve() => poor_fit,
         _ => error,
     })
 }
 
-fn estimated(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateError> {
+fn estimate_in_steps(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateError> {
     let mut solver = Solver::new(runs, plan);
     solver.begins("links");
-    let (mut columns, mut solution) = solver.settle()?;
-    if solver.explains_by_play(solution.loss)? {
-        (columns, solution) = solver.settle()?;
+    let (mut columns, mut solution) = solver.solve_with_weights()?;
+    if solver.replaces_compliance_by_play(solution.loss)? {
+        (columns, solution) = solver.solve_with_weights()?;
     }
     let rms_start = solution.summary.residual_rms_start;
     let without_terms = solver.runs.iter().map(|run| run.model.clone()).collect();
     let mut candidates = Vec::new();
     let mut scale = 1.0;
-    let to_choose = !(plan.groups.is_empty() && plan.tolerances.is_empty() && plan.common.is_empty());
-    if to_choose && solution.summary.residual_rms > RESIDUAL_MIN * solver.unit() {
-        let finds_noise = solver.residual_unit_of().is_none_or(|cost| cost == CostName::Pose);
+    let has_choices = !(plan.groups.is_empty() && plan.tolerances.is_empty() && plan.common.is_empty());
+    if has_choices && solution.summary.residual_rms > RESIDUAL_MIN * solver.unit() {
+        // Of the costs of the ball-bar only `pose` has a noise model.
+        let estimates_noise = solver.residual_unit_of().is_none_or(|cost| cost == CostName::Pose);
         // Accepted terms reduce the noise: the second selection weights their priors with it.
-        let rounds = if finds_noise { 2 } else { 1 };
+        let rounds = if estimates_noise { 2 } else { 1 };
         for _ in 0..rounds {
-            let scaled;
-            (candidates, scaled) = solver.choose_terms(&solution)?;
-            scale *= scaled;
-            if finds_noise {
-                solution.loss = solver.descend(plan.loss)?;
+            let further_scale;
+            (candidates, further_scale) = solver.choose_terms(&solution)?;
+            scale *= further_scale;
+            if estimates_noise {
+                solution.loss = solver.minimise_whitened(plan.loss)?;
                 solver.learn_noise();
                 solver.fit_common_priors(solution.loss)?;
             }
             if solver.residual_unit_of().is_none() {
-                solver.weigh()?;
+                solver.estimate_sigmas()?;
             }
         }
-        if finds_noise || scale != 1.0 || candidates.iter().any(|candidate| candidate.accepted) {
+        if estimates_noise || scale != 1.0 || candidates.iter().any(|candidate| candidate.accepted) {
             (columns, solution) = if solver.residual_unit_of().is_some() {
                 // Accepted terms reduce the residuals, so the scale of the loss is estimated again.
-                solver.approach()?;
-                solver.solve()?
+                solver.minimise_bars()?;
+                solver.last_solve()?
             } else {
-                solver.settle()?
+                solver.solve_with_weights()?
             };
         }
     }
@@ -192,7 +200,7 @@ pub(super) fn refit(
 ) -> Result<(SharedColumns, Solution, Vec<f64>), CalibrateError> {
     let plan = Plan { watch, ..Plan::new(loss, Vec::new()) };
     let mut solver = Solver::new(runs, &plan);
-    let (columns, mut solution) = solver.settle()?;
+    let (columns, mut solution) = solver.solve_with_weights()?;
     solution.covariance = solver.covariance(&columns, &solution)?;
     Ok((columns, solution, solver.sigmas))
 }
@@ -211,21 +219,21 @@ pub(super) fn differ(runs: &[Run]) -> Vec<ParameterId> {
 
 /// Whether each data set has its own value. The robot is shared by all and the bar by all runs with one. Instruments are set
 /// up anew, and encoders have new offsets.
-pub(super) fn is_own(id: ParameterId, differ: &[ParameterId]) -> bool {
+pub(super) fn is_own(id: ParameterId, own_lengths: &[ParameterId]) -> bool {
     // A different bar has a different compliance.
     let length = if id.group() == Group::Force { ParameterId::ROD } else { id };
-    id.block().of_run || differ.contains(&length)
+    id.block().of_run || own_lengths.contains(&length)
 }
 
 impl<'a> Solver<'a> {
     fn new(runs: &'a mut [Run], plan: &'a Plan<'a>) -> Self {
-        let differ = differ(runs);
+        let own_lengths = differ(runs);
         let sigmas = vec![UNWEIGHTED; runs.len()];
-        Self { runs, plan, sigmas, differ, shown: Shown::default() }
+        Self { runs, plan, sigmas, own_lengths, shown: Shown::default() }
     }
 
     pub(super) fn columns(&self) -> SharedColumns {
-        SharedColumns::new(self.runs.iter().map(|run| &run.model), |id| is_own(id, &self.differ))
+        SharedColumns::new(self.runs.iter().map(|run| &run.model), |id| is_own(id, &self.own_lengths))
     }
 
     pub(super) fn start(&self, columns: &SharedColumns) -> Vec<f64> {
@@ -250,45 +258,50 @@ impl<'a> Solver<'a> {
     }
 
     /// Solves repeatedly until the weights of the residuals agree with their size.
-    fn settle(&mut self) -> Result<(SharedColumns, Solution), CalibrateError> {
-        /// Converged when the noise decreases by less than this fraction.
-        const SETTLED: f64 = 0.02;
-        const ROUNDS_MAX: usize = 20;
-        if let Some(cost) = self.residual_unit_of() {
-            self.sigmas.fill(UNWEIGHTED);
-            let first = self.approach()?;
-            self.learn_noise();
-            // Whitening, angles without encoder, and the weight of residuals against priors were computed at the nominal
-            // geometry; now they are computed at the solution. A weight that is too small keeps the solution near its priors,
-            // where residuals are large. Repeat until the weight no longer increases.
-            let mut sigma = residual_sigma(cost, &first);
-            for _ in 0..ROUNDS_MAX {
-                self.sigmas.fill(sigma);
-                let part = residual_sigma(cost, &self.approach()?);
-                if part > 1.0 - SETTLED {
-                    break;
-                }
-                sigma = (sigma * part).max(SIGMA_MIN);
-            }
-            let (columns, mut solution) = self.solve()?;
-            // Convert to the unit of the estimated noise.
-            let unit = solution.summary.residual_rms_start / first.residual_rms.max(SIGMA_MIN);
-            let unit = if cost == CostName::Pose { unit } else { UNWEIGHTED };
-            solution.summary.residual_rms_start = unit * first.residual_rms_start;
-            return Ok((columns, solution));
+    fn solve_with_weights(&mut self) -> Result<(SharedColumns, Solution), CalibrateError> {
+        match self.residual_unit_of() {
+            Some(cost) => self.solve_bars(cost),
+            None => self.solve_any_instruments(),
         }
-        let mut noise = self.weigh()?;
+    }
+
+    fn solve_bars(&mut self, cost: CostName) -> Result<(SharedColumns, Solution), CalibrateError> {
+        self.sigmas.fill(UNWEIGHTED);
+        let first = self.minimise_bars()?;
+        self.learn_noise();
+        // Whitening, angles without encoder, and the weight of residuals against priors were computed at the nominal
+        // geometry; now they are computed at the solution. A weight that is too small keeps the solution near its priors,
+        // where residuals are large. Repeat until the weight no longer increases.
+        let mut sigma = residual_sigma(cost, &first);
+        for _ in 0..ROUNDS_MAX {
+            self.sigmas.fill(sigma);
+            let decrease = residual_sigma(cost, &self.minimise_bars()?);
+            if decrease > 1.0 - CONVERGED {
+                break;
+            }
+            sigma = (sigma * decrease).max(SIGMA_MIN);
+        }
+        let (columns, mut solution) = self.last_solve()?;
+        // Convert to the unit of the estimated noise.
+        let unit = solution.summary.residual_rms_start / first.residual_rms.max(SIGMA_MIN);
+        let unit = if cost == CostName::Pose { unit } else { UNWEIGHTED };
+        solution.summary.residual_rms_start = unit * first.residual_rms_start;
+        Ok((columns, solution))
+    }
+
+    fn solve_any_instruments(&mut self) -> Result<(SharedColumns, Solution), CalibrateError> {
+        let mut noise = self.estimate_sigmas()?;
         for _ in 0..ROUNDS_MAX {
             // The Cauchy loss suppresses outliers during these iterations.
-            self.descend(LossName::Cauchy)?;
+            self.minimise_whitened(LossName::Cauchy)?;
             self.learn_noise();
             let screened = self.screen();
-            let before = std::mem::replace(&mut noise, self.weigh()?);
-            if !screened && noise.iter().zip(&before).all(|(now, before)| *now > (1.0 - SETTLED) * before) {
+            let before = std::mem::replace(&mut noise, self.estimate_sigmas()?);
+            if !screened && noise.iter().zip(&before).all(|(now, before)| *now > (1.0 - CONVERGED) * before) {
                 break;
             }
         }
-        self.solve()
+        self.last_solve()
     }
 
     /// Estimates the noise of the readings from the residuals of the current models.
@@ -307,49 +320,54 @@ impl<'a> Solver<'a> {
     /// Factor by which the errors of each data set exceed its residuals, because the fit adapts to them: `sqrt(n / (n - p))`,
     /// with `p` effective parameters for its `n` numbers. Without the factor, if terms are as many as numbers, residuals would
     /// decrease with each fit, down to zero.
-    fn bent(&self) -> Result<Vec<f64>, CostError> {
+    fn errors_per_residual(&self) -> Result<Vec<f64>, CostError> {
         let columns = self.columns();
         let all = problem(self.runs, &columns, &self.sigmas)?;
-        let of_run: Vec<Vec<usize>> = all.starts().windows(2).map(|run| (run[0]..run[1]).collect()).collect();
-        let normals = Normals::new(&all, &self.start(&columns), &Options::default(), &of_run).ok();
-        let taken = normals.and_then(|normals| {
+        let samples_of_runs: Vec<Vec<usize>> =
+            all.starts().windows(2).map(|run| (run[0]..run[1]).collect()).collect();
+        let normals = Normals::new(&all, &self.start(&columns), &Options::default(), &samples_of_runs).ok();
+        let factors = normals.and_then(|normals| {
             let rows = normals.of_folds().iter().map(|of_run| of_run.rows);
             Some(normals.taken()?.into_iter().zip(rows).map(|(p, n)| (n / (n - p).max(1.0)).sqrt()).collect())
         });
-        Ok(taken.unwrap_or_else(|| vec![UNWEIGHTED; self.runs.len()]))
+        Ok(factors.unwrap_or_else(|| vec![UNWEIGHTED; self.runs.len()]))
     }
 
-    /// Estimates the noise of each data set from its own residuals: variance components. Returns the noise of each in its own
+    /// Estimates the sigma of each data set from its own residuals (variance components). Returns the noise of each in its own
     /// unit.
-    fn weigh(&mut self) -> Result<Vec<f64>, CostError> {
-        let (several, mut all, bent) = (self.runs.len() > 1, Vec::new(), self.bent()?);
-        for ((Run { instrument, model }, sigma), bent) in self.runs.iter_mut().zip(&mut self.sigmas).zip(bent)
+    fn estimate_sigmas(&mut self) -> Result<Vec<f64>, CostError> {
+        let is_joint = self.runs.len() > 1;
+        let mut noise = Vec::new();
+        let factors = self.errors_per_residual()?;
+        for ((Run { instrument, model }, sigma), factor) in
+            self.runs.iter_mut().zip(&mut self.sigmas).zip(factors)
         {
-            let own = instrument.adapt(model);
+            // An instrument that estimates its noise gives residuals in standard deviations.
+            let own_noise = instrument.adapt(model);
             let columns = SharedColumns::new([&*model], |_| false);
             let alone = DataSets::new(vec![instrument.data_set(model, UNWEIGHTED)?], &columns);
-            *sigma = bent
-                * match own {
+            *sigma = factor
+                * match own_noise {
                     Some(_) => UNWEIGHTED,
                     None => GoodShare::HALF.spread_at(&alone, &model.start()).max(SIGMA_MIN),
                 };
-            if several {
+            if is_joint {
                 // Correlated errors carry less information than independent ones.
                 let groups = instrument.independent(LEFT_OUT);
                 let loss = LossName::Cauchy.for_spread(*sigma, alone.rows());
                 let options = Options { loss, ..Options::default() };
                 let normals = Normals::new(&alone, &model.start(), &options, &groups).ok();
-                let factor = normals.and_then(|normals| normals.overdispersion());
-                *sigma *= (factor.unwrap_or(1.0) / sigma.powi(2)).max(1.0).sqrt();
+                let dispersion = normals.and_then(|normals| normals.overdispersion());
+                *sigma *= (dispersion.unwrap_or(1.0) / sigma.powi(2)).max(1.0).sqrt();
             }
-            all.push(own.unwrap_or(1.0) * *sigma);
+            noise.push(own_noise.unwrap_or(1.0) * *sigma);
         }
-        Ok(all)
+        Ok(noise)
     }
 
     /// Improves the models, with residuals in standard deviations, without rank analysis and covariance: for hundreds of
     /// columns and for all solves except the last. Returns the loss.
-    fn descend(&mut self, loss: LossName) -> Result<Loss, CalibrateError> {
+    fn minimise_whitened(&mut self, loss: LossName) -> Result<Loss, CalibrateError> {
         let columns = self.columns();
         let problem = problem(self.runs, &columns, &self.sigmas)?;
         let loss = loss.for_spread(1.0, problem.rows());
@@ -362,7 +380,7 @@ impl<'a> Solver<'a> {
     }
 
     /// Recomputes the weights of ball-bar runs at the current models.
-    fn adapt(&mut self) {
+    fn adapt_instruments(&mut self) {
         for Run { instrument, model } in &mut *self.runs {
             instrument.adapt(model);
         }
@@ -374,9 +392,10 @@ impl<'a> Solver<'a> {
         }
     }
 
-    /// Moves the models of ball-bar runs near their solution, where the residuals determine the weights.
-    fn approach(&mut self) -> Result<Summary, CalibrateError> {
-        self.adapt();
+    /// Moves the models of ball-bar runs near their solution, where the residuals determine the weights. The scale of the loss is
+    /// estimated at the same time.
+    fn minimise_bars(&mut self) -> Result<Summary, CalibrateError> {
+        self.adapt_instruments();
         let columns = self.columns();
         let Plan { loss, watch, .. } = *self.plan;
         let options = Options { cost_tolerance: COST_TOLERANCE, watch, ..Options::default() };
@@ -388,10 +407,10 @@ impl<'a> Solver<'a> {
     }
 
     /// The last solve, from near the solution; sets the models to the solution.
-    fn solve(&mut self) -> Result<(SharedColumns, Solution), CalibrateError> {
+    fn last_solve(&mut self) -> Result<(SharedColumns, Solution), CalibrateError> {
         let of_bars = self.residual_unit_of().is_some();
         if of_bars {
-            self.adapt();
+            self.adapt_instruments();
         }
         let columns = self.columns();
         let start = self.start(&columns);
@@ -412,7 +431,7 @@ impl<'a> Solver<'a> {
     }
 
     /// The least-squares problem of all runs with other models.
-    fn with_models<'p>(
+    fn problem_with_models<'p>(
         &'p self,
         models: &'p [Model],
         columns: &'p SharedColumns,
@@ -431,7 +450,7 @@ impl<'a> Solver<'a> {
         loss: Loss,
         count: usize,
     ) -> Result<Option<(Normals, Vec<usize>)>, CostError> {
-        let problem = self.with_models(models, columns)?;
+        let problem = self.problem_with_models(models, columns)?;
         let (mut of_run, mut groups) = (Vec::new(), Vec::new());
         for (number, (run, start)) in self.runs.iter().zip(problem.starts()).enumerate() {
             for group in run.instrument.independent(count) {
@@ -466,11 +485,13 @@ impl<'a> Solver<'a> {
     fn covariance(&self, columns: &SharedColumns, solution: &Solution) -> Result<Covariance, CalibrateError> {
         self.begins("uncertainty");
         let mut covariance = solution.covariance.clone();
-        let models: Vec<Model> = self.runs.iter().map(|run| run.model.with_considered(let_in)).collect();
-        let all = SharedColumns::new(&models, |id| is_own(id, &self.differ));
-        let place = |name: &String| all.names().iter().position(|other| other == name);
-        let places: Vec<usize> = columns.names().iter().filter_map(place).collect();
-        let left_out: Vec<usize> = (0..all.names().len()).filter(|column| !places.contains(column)).collect();
+        let models: Vec<Model> =
+            self.runs.iter().map(|run| run.model.with_considered(prior_of_term)).collect();
+        let all = SharedColumns::new(&models, |id| is_own(id, &self.own_lengths));
+        let column_in_all = |name: &String| all.names().iter().position(|other| other == name);
+        let estimated: Vec<usize> = columns.names().iter().filter_map(column_in_all).collect();
+        let left_out: Vec<usize> =
+            (0..all.names().len()).filter(|column| !estimated.contains(column)).collect();
         if let Some((normals, of_run)) = self.normals(&models, &all, solution.loss, LEFT_OUT)?
             && let Some(mut spread) = normals.jackknife(|group| of_run[group])
         {
@@ -480,7 +501,7 @@ impl<'a> Solver<'a> {
                 spread.add(Source::LeftOut, &step);
             }
             let names = left_out.iter().map(|column| all.names()[*column].clone()).collect();
-            covariance = covariance.by_jackknife(spread.of(&places, &left_out), normals.folds(), names);
+            covariance = covariance.by_jackknife(spread.of(&estimated, &left_out), normals.folds(), names);
         }
         Ok(match self.considered(columns, solution.loss)? {
             Some(considered) => covariance.with_considered(considered),
@@ -490,16 +511,17 @@ impl<'a> Solver<'a> {
 
     /// Effect of the errors of [`Role::Considered`] parameters on the solution; `None` if there are none.
     fn considered(&self, columns: &SharedColumns, loss: Loss) -> Result<Option<Considered>, CalibrateError> {
-        let free = |one: &Parameter, _| one.id.term().is_none().then_some(Role::Free);
+        // `Self::covariance` includes considered terms with their priors.
+        let free = |parameter: &Parameter, _| parameter.id.term().is_none().then_some(Role::Free);
         let models: Vec<Model> = self.runs.iter().map(|run| run.model.with_considered(free)).collect();
-        let all = SharedColumns::new(&models, |id| is_own(id, &self.differ));
-        let place = |name: &String| columns.names().iter().position(|other| other == name);
-        let held: Vec<usize> =
-            (0..all.names().len()).filter(|column| place(&all.names()[*column]).is_none()).collect();
-        if held.is_empty() {
+        let all = SharedColumns::new(&models, |id| is_own(id, &self.own_lengths));
+        let column_of = |name: &String| columns.names().iter().position(|other| other == name);
+        let considered: Vec<usize> =
+            (0..all.names().len()).filter(|column| column_of(&all.names()[*column]).is_none()).collect();
+        if considered.is_empty() {
             return Ok(None);
         }
-        let sigma = |(model, run): (&Model, &Run)| -> Vec<f64> {
+        let sigmas_of_run = |(model, run): (&Model, &Run)| -> Vec<f64> {
             let role = |id| run.model.parameter(id).map(|parameter| parameter.role);
             let sigma = |id| match role(id) {
                 Some(Role::Considered { sigma }) => sigma,
@@ -507,47 +529,48 @@ impl<'a> Solver<'a> {
             };
             model.columns().map(|parameter| sigma(parameter.id)).collect()
         };
-        let sigmas = all.gather(&models.iter().zip(&*self.runs).map(sigma).collect::<Vec<_>>());
+        let sigmas = all.gather(&models.iter().zip(&*self.runs).map(sigmas_of_run).collect::<Vec<_>>());
         let start = all.gather(&models.iter().map(Model::start).collect::<Vec<_>>());
-        let problem = self.with_models(&models, &all)?;
-        let found = influence(&problem, &start, &held, &Options { loss, ..Options::default() })?;
-        let mut change = DMatrix::zeros(columns.names().len(), held.len());
+        let problem = self.problem_with_models(&models, &all)?;
+        let found = influence(&problem, &start, &considered, &Options { loss, ..Options::default() })?;
+        let mut change = DMatrix::zeros(columns.names().len(), considered.len());
         for (row, name) in found.estimated.iter().enumerate() {
-            if let Some(column) = place(name) {
+            if let Some(column) = column_of(name) {
                 change.row_mut(column).copy_from(&found.change.row(row));
             }
         }
-        let sigmas = held.iter().map(|column| sigmas[*column]).collect();
+        let sigmas = considered.iter().map(|column| sigmas[*column]).collect();
         Ok(Some(Considered { names: found.held, sigmas, change }))
     }
 
     /// An axial force elongates the bar as a spring, or takes up its play. If play predicts left-out groups better, it is freed
     /// instead of compliance.
-    fn explains_by_play(&mut self, loss: Loss) -> Result<bool, CalibrateError> {
-        const OTHERS: [ParameterId; 2] = [ParameterId::BarPlay, ParameterId::BarCompliance];
-        let is_open = |run: &Run| {
+    fn replaces_compliance_by_play(&mut self, loss: Loss) -> Result<bool, CalibrateError> {
+        const PLAY_OR_COMPLIANCE: [ParameterId; 2] = [ParameterId::BarPlay, ParameterId::BarCompliance];
+        let estimates_compliance = |run: &Run| {
             let role = |id| run.model.parameter(id).map(|parameter| parameter.role);
-            OTHERS.map(role) == [Some(Role::Fixed), Some(Role::Free)]
+            PLAY_OR_COMPLIANCE.map(role) == [Some(Role::Fixed), Some(Role::Free)]
         };
-        if !self.runs.iter().any(is_open) || self.plan.fix.contains(&ParameterId::BarPlay) {
+        if !self.runs.iter().any(estimates_compliance) || self.plan.fix.contains(&ParameterId::BarPlay) {
             return Ok(false);
         }
-        self.set_roles(&OTHERS, Role::Free)?;
+        self.set_roles(&PLAY_OR_COMPLIANCE, Role::Free)?;
         let (columns, ids, normals) = self.normals_here(loss, HELD_OUT)?;
-        let without = |other: ParameterId| {
-            let kept: Vec<usize> = (0..ids.len()).filter(|column| ids[*column] != other).collect();
+        let error_without = |excluded: ParameterId| {
+            let kept: Vec<usize> = (0..ids.len()).filter(|column| ids[*column] != excluded).collect();
             // Compliance has its estimated value; without compliance it is zero.
             let mut about = self.start(&columns);
-            about.iter_mut().zip(&ids).filter(|(_, id)| **id == other).for_each(|(value, _)| *value = 0.0);
+            about.iter_mut().zip(&ids).filter(|(_, id)| **id == excluded).for_each(|(value, _)| *value = 0.0);
             let normals = normals.as_ref()?.about(&about);
             normals.held_out(&kept, normals.priors()).map(|errors| mean(&errors))
         };
-        let [spring, play] = OTHERS.map(without);
-        let by_play = spring.zip(play).is_some_and(|(spring, play)| play < spring);
-        let left = OTHERS[usize::from(by_play)];
-        self.set_roles(&[left], Role::Fixed)?;
-        self.set_to_zero(&[left])?;
-        Ok(by_play)
+        let [with_compliance, with_play] = PLAY_OR_COMPLIANCE.map(error_without);
+        let play_is_better =
+            with_compliance.zip(with_play).is_some_and(|(compliance, play)| play < compliance);
+        let excluded = PLAY_OR_COMPLIANCE[usize::from(play_is_better)];
+        self.set_roles(&[excluded], Role::Fixed)?;
+        self.set_to_zero(&[excluded])?;
+        Ok(play_is_better)
     }
 
     fn ids(&self) -> Vec<Vec<ParameterId>> {

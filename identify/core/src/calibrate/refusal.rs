@@ -1,4 +1,4 @@
-//! Refusals in structured form, for reports that show more than the message on a terminal.
+//! Refusals in structured form, from a [`CalibrateError`], for reports that show more than the message on a terminal.
 
 use super::error::CalibrateError;
 use super::selection::structure::StructureError;
@@ -32,12 +32,15 @@ impl CalibrateError {
             Self::Align { .. } => true,
             Self::Unidentifiable(_) | Self::NotConverged { .. } => true,
         };
-        let of_all = of_data.then(|| of_all(self.to_string()))?;
+        let of_all_data = of_data.then(|| without_place(self.to_string()))?;
         Some(match self {
-            Self::Prepare { run, error } => {
-                Refusal { run: Some(*run), place: error.place(), deviations: error.deviations(), ..of_all }
-            }
-            _ => of_all,
+            Self::Prepare { run, error } => Refusal {
+                run: Some(*run),
+                place: error.place(),
+                deviations: error.deviations(),
+                ..of_all_data
+            },
+            _ => of_all_data,
         })
     }
 }
@@ -53,7 +56,7 @@ impl CalibrateError {
     }
 }
 
-fn of_all(message: String) -> Refusal<'static> {
+fn without_place(message: String) -> Refusal<'static> {
     Refusal { message, run: None, place: Place::default(), deviations: None }
 }
 

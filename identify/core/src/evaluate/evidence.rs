@@ -82,16 +82,16 @@ pub fn evidence(calibration: &Calibration, joint_limits: &[[f64; 2]]) -> Evidenc
         calibration.bar_runs().map(|(prepared, model)| RunEvidence::new(prepared, model)).collect();
     let measured = calibration.measured();
     let by_encoders = measured.contains(&true);
-    let all = |of: fn(&RunEvidence) -> &Vec<Closure>| runs.iter().flat_map(of);
+    let of_all_runs = |closures: fn(&RunEvidence) -> &Vec<Closure>| runs.iter().flat_map(closures);
     let (model, covariance) = (calibration.model(), &calibration.solution().covariance);
     let workspace =
         workspace_error(model, covariance, joint_limits).with_cube(model, covariance, joint_limits);
     Evidence {
         by_encoders,
         rotations: measured == [true; 5],
-        gap_before_m: gap_m(all(|run| &run.before), by_encoders),
-        gap_after_m: gap_m(all(|run| &run.after), by_encoders),
-        joints: joint_gaps(calibration.model().axes(), all(|run| &run.after)),
+        gap_before_m: gap_m(of_all_runs(|run| &run.before), by_encoders),
+        gap_after_m: gap_m(of_all_runs(|run| &run.after), by_encoders),
+        joints: joint_gaps(calibration.model().axes(), of_all_runs(|run| &run.after)),
         limits: limits(calibration, &workspace),
         spheres: SphereDeviation::all(calibration, &runs),
         runs,
@@ -118,15 +118,15 @@ impl Evidence {
         }
         let segments = without_each_segment(calibration, watch)?;
         let nominals = nominals(calibration, &segments);
-        let deployed = |deployment| {
-            let found = calibration.deployed(deployment, watch)?;
-            let told = |found: Calibration| {
-                let held_out = held_out(&found, &without_each_segment(&found, watch)?, &nominals);
-                Ok::<_, CalibrateError>((Deployed::new(deployment, found), held_out))
+        let deploy = |deployment| {
+            let fit = calibration.deployed(deployment, watch)?;
+            let with_prediction = |fit: Calibration| {
+                let held_out = held_out(&fit, &without_each_segment(&fit, watch)?, &nominals);
+                Ok::<_, CalibrateError>((Deployed::new(deployment, fit), held_out))
             };
-            found.map(told).transpose()
+            fit.map(with_prediction).transpose()
         };
-        let deployed = each(Deployment::PARTIAL.len(), |number| deployed(Deployment::PARTIAL[number]));
+        let deployed = each(Deployment::PARTIAL.len(), |number| deploy(Deployment::PARTIAL[number]));
         self.deployed = deployed.into_iter().filter_map(Result::transpose).collect::<Result<_, _>>()?;
         self.held_out = Some(held_out(calibration, &segments, &nominals));
         let (model, covariance) = (calibration.model(), &calibration.solution().covariance);

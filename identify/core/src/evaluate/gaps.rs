@@ -1,4 +1,5 @@
-//! Residuals by joint: the rotation of one robot joint that closes most of the gap between robot and bar.
+//! Residuals by joint: the rotation of one robot joint that closes most of the gap between robot and bar, `-J . e / |J|^2` with
+//! the position error `e` and its derivative `J` by the joint. For the figures by joint in the report.
 
 use crate::cost::Closure;
 
@@ -24,16 +25,16 @@ pub fn joint_gaps<'a>(
     /// Minimum lever arm \[m\].
     const LEVER_MIN_M: f64 = 0.1;
     let of_joint = |joint: usize| {
-        let seen = |closure: &Closure| {
-            let arm = closure.joint_twists[joint].linear;
-            let lever_m = arm.norm();
+        let gap = |closure: &Closure| {
+            let by_joint_m = closure.joint_twists[joint].linear;
+            let lever_m = by_joint_m.norm();
             (lever_m > LEVER_MIN_M).then(|| JointGap {
                 q_rad: closure.joints.q[joint],
                 qd_rad_s: closure.joints.qd[joint],
-                turn_rad: -arm.dot(&closure.position_error_m) / (lever_m * lever_m),
+                turn_rad: -by_joint_m.dot(&closure.position_error_m) / (lever_m * lever_m),
             })
         };
-        closures.clone().filter_map(seen).collect()
+        closures.clone().filter_map(gap).collect()
     };
     (0..axes).map(of_joint).collect()
 }

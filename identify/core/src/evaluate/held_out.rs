@@ -1,4 +1,5 @@
-//! Robot against bar on held-out segments of time, before and after calibration.
+//! Robot against bar on held-out segments of time, before and after calibration. The models come from
+//! `calibrate::validation::held_out`; the errors are the differences of the two ends.
 
 use super::nominal::bar_fitted;
 use super::{rms, uncalibrated};
@@ -31,8 +32,8 @@ pub struct PoseErrorRms {
 impl PoseErrorRms {
     fn of<'a>(samples: impl Iterator<Item = &'a PoseError> + Clone) -> Self {
         Self {
-            position_m: rms(samples.clone().map(|one| one.position_m)),
-            rotation_rad: rms(samples.map(|one| one.rotation_rad)),
+            position_m: rms(samples.clone().map(|error| error.position_m)),
+            rotation_rad: rms(samples.map(|error| error.rotation_rad)),
         }
     }
 }
@@ -54,8 +55,8 @@ pub struct HeldOutSegment {
 impl HeldOutSegment {
     /// Times of the first and last sample on the bar's clock, since the run's reference time \[s\].
     pub fn span_s(&self) -> [f64; 2] {
-        let at = |one: Option<&PoseError>| one.map_or(0.0, |one| one.t_s);
-        [at(self.fitted.first()), at(self.fitted.last())]
+        let time_s = |error: Option<&PoseError>| error.map_or(0.0, |error| error.t_s);
+        [time_s(self.fitted.first()), time_s(self.fitted.last())]
     }
 
     /// Root mean square errors: nominal, predicted, fitted.
@@ -76,9 +77,10 @@ pub struct HeldOut {
 impl HeldOut {
     /// Root mean square errors over all segments: nominal, predicted, fitted.
     pub fn rms(&self) -> [PoseErrorRms; 3] {
-        let all =
-            |of: fn(&HeldOutSegment) -> &Vec<PoseError>| PoseErrorRms::of(self.segments.iter().flat_map(of));
-        [all(|one| &one.nominal), all(|one| &one.predicted), all(|one| &one.fitted)]
+        let rms = |errors: fn(&HeldOutSegment) -> &Vec<PoseError>| {
+            PoseErrorRms::of(self.segments.iter().flat_map(errors))
+        };
+        [rms(|segment| &segment.nominal), rms(|segment| &segment.predicted), rms(|segment| &segment.fitted)]
     }
 }
 
@@ -106,7 +108,7 @@ pub fn held_out(calibration: &Calibration, segments: &[Segment], nominals: &[Opt
         if all_estimated { model.geometry(&[]) } else { bar_fitted(model.clone(), motion, observations) }
     };
     let runs: Vec<_> = calibration.bar_runs().collect();
-    let whole: Vec<Geometry> = runs
+    let full_fit: Vec<Geometry> = runs
         .iter()
         .map(|(prepared, model)| geometry(model, &prepared.motion, &prepared.observations))
         .collect();
@@ -116,24 +118,24 @@ pub fn held_out(calibration: &Calibration, segments: &[Segment], nominals: &[Opt
             all.undetermined += 1;
             continue;
         };
-        let (Some((prepared, _)), Some(whole)) = (runs.get(segment.run), whole.get(segment.run)) else {
+        let (Some((prepared, _)), Some(full_fit)) = (runs.get(segment.run), full_fit.get(segment.run)) else {
             continue;
         };
-        let at = |geometry: &Geometry| -> Vec<PoseError> {
-            let seen = loop_closures(geometry, &prepared.motion, &segment.seen_by_none);
-            seen.iter().map(|closure| apart(closure, by_encoders)).collect()
+        let errors_with = |geometry: &Geometry| -> Vec<PoseError> {
+            let closures = loop_closures(geometry, &prepared.motion, &segment.seen_by_none);
+            closures.iter().map(|closure| pose_error(closure, by_encoders)).collect()
         };
         all.segments.push(HeldOutSegment {
             run: segment.run,
-            nominal: at(nominal),
-            predicted: at(&geometry(model, &prepared.motion, &segment.others)),
-            fitted: at(whole),
+            nominal: errors_with(nominal),
+            predicted: errors_with(&geometry(model, &prepared.motion, &segment.others)),
+            fitted: errors_with(full_fit),
         });
     }
     all
 }
 
-fn apart(closure: &Closure, by_encoders: bool) -> PoseError {
+fn pose_error(closure: &Closure, by_encoders: bool) -> PoseError {
     PoseError {
         t_s: closure.t_s,
         position_m: closure.gap_m(by_encoders),

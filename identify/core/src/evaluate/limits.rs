@@ -1,4 +1,5 @@
-//! Limitations of a calibration, as sentences that suggest an action.
+//! Limitations of a calibration, as sentences that suggest an action: tests of the solution, its covariance and its residuals.
+//! Used for report and verdict.
 
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
@@ -69,8 +70,9 @@ pub fn limits(calibration: &Calibration, workspace: &WorkspaceError) -> Vec<Limi
     for (number, Run { instrument, model }) in calibration.runs.iter().enumerate() {
         let place = place(calibration, number);
         let doubts = instrument.doubts(&model.geometry(&[]));
-        limits
-            .extend(doubts.iter().map(|one| Limit { sentence: place.clone() + &doubt(one), serious: true }));
+        let doubtful =
+            |doubt: &Doubt| Limit { sentence: place.clone() + &describe_doubt(doubt), serious: true };
+        limits.extend(doubts.iter().map(doubtful));
     }
     let (model, solution) = (calibration.model(), calibration.solution());
     let reach_m = model.geometry(&[]).robot.reach_m();
@@ -110,11 +112,11 @@ fn little_travel(calibration: &Calibration) -> Vec<Limit> {
 fn outliers(solution: &Solution) -> Option<Limit> {
     let weights = &solution.sample_weights;
     // At its scale a loss has weight one half; Geman-McClure has the square of that.
-    let least = match solution.loss {
+    let weight_min = match solution.loss {
         Loss::GemanMcClure { .. } => WEIGHT_MIN.powi(2),
         _ => WEIGHT_MIN,
     };
-    let outliers = weights.iter().filter(|weight| **weight < least).count();
+    let outliers = weights.iter().filter(|weight| **weight < weight_min).count();
     (outliers * 20 > weights.len()).then(|| Limit {
         sentence: format!(
             "{outliers} of {} samples fit badly and count less: look for a loose joint, slip or collisions in the log.",
@@ -136,7 +138,7 @@ fn weakest(workspace: &WorkspaceError) -> Option<Limit> {
     })
 }
 
-const fn describe(scale: ScaleFrom) -> &'static str {
+const fn describe_scale(scale: ScaleFrom) -> &'static str {
     match scale {
         ScaleFrom::Plate => "plate_m fixes the scale: measure the plate, or increase plate_u_um",
         ScaleFrom::Tracker => {
@@ -157,16 +159,16 @@ const fn describe(scale: ScaleFrom) -> &'static str {
 
 /// Data sets that contradict each other.
 fn of_disagreement(runs: &[Run], sigmas: &[f64], loss: Loss) -> Option<Limit> {
-    let of = |Disagreement { data_set, times }: &Disagreement| {
+    let describe = |Disagreement { data_set, times }: &Disagreement| {
         let name = runs.get(*data_set).map_or("", |run| run.instrument.name());
         format!("{name} (data set {}): its residuals are {times:.2} times as large as alone", data_set + 1)
     };
-    let told: Vec<String> = disagreeing(runs, sigmas, loss).iter().map(of).collect();
-    (!told.is_empty()).then(|| Limit {
+    let disagreements: Vec<String> = disagreeing(runs, sigmas, loss).iter().map(describe).collect();
+    (!disagreements.is_empty()).then(|| Limit {
         sentence: format!(
             "The data sets contradict each other: {}. They are of different robots, the robot was changed in between, or one of \
              them has another scale: calibrate each alone and `identify compare` them.",
-            named(&told, NAMED)
+            named(&disagreements, NAMED)
         ),
         serious: true,
     })
@@ -174,11 +176,11 @@ fn of_disagreement(runs: &[Run], sigmas: &[f64], loss: Loss) -> Option<Limit> {
 
 /// Lengths that differ from the configured ones, for any instruments.
 fn of_lengths(model: &Model, solution: &Solution, scales: impl Iterator<Item = ScaleFrom>) -> Vec<Limit> {
-    let scale = scales.map(describe).fold(Vec::new(), |mut told: Vec<&str>, one| {
-        if !told.contains(&one) {
-            told.push(one);
+    let scale = scales.map(describe_scale).fold(Vec::new(), |mut distinct: Vec<&str>, text| {
+        if !distinct.contains(&text) {
+            distinct.push(text);
         }
-        told
+        distinct
     });
     other_lengths(model, solution, &scale.join(". "))
 }
@@ -193,7 +195,7 @@ fn of_changes(changed: &[Changed], reach_m: f64, known_m: f64) -> Option<Limit> 
              check the named parts, or calibrate from the data on one side of the change.",
             named(changed, NAMED)
         ),
-        serious: changed.iter().any(|one| one.moves_m(reach_m) > NEGLIGIBLE * known_m),
+        serious: changed.iter().any(|change| change.moves_m(reach_m) > NEGLIGIBLE * known_m),
     })
 }
 
@@ -204,17 +206,17 @@ fn place(calibration: &Calibration, run: usize) -> String {
 
 /// Runs whose residuals are larger than noise.
 fn lasting_errors(calibration: &Calibration) -> impl Iterator<Item = Limit> {
-    let found = calibration.runs.iter().map(|run| run.instrument.autocorrelation()).enumerate();
-    let lasting = found.filter_map(|(run, found)| {
-        let [lasts, sigma] = found?;
-        (lasts - BY_CHANCE * sigma > AUTOCORRELATION_MAX).then_some((run, lasts))
+    let of_runs = calibration.runs.iter().map(|run| run.instrument.autocorrelation()).enumerate();
+    let lasting = of_runs.filter_map(|(run, estimate)| {
+        let [autocorrelation, sigma] = estimate?;
+        (autocorrelation - BY_CHANCE * sigma > AUTOCORRELATION_MAX).then_some((run, autocorrelation))
     });
-    lasting.map(|(run, lasts)| Limit {
+    lasting.map(|(run, autocorrelation)| Limit {
         sentence: format!(
             "{}{:.0} % of the variance of the residuals is correlated from sample to sample, so it is not noise: errors that the model \
              does not contain (gears, bar, deflection) limit the result. The figures by joint show where.",
             place(calibration, run),
-            100.0 * lasts
+            100.0 * autocorrelation
         ),
         serious: false,
     })
@@ -222,9 +224,10 @@ fn lasting_errors(calibration: &Calibration) -> impl Iterator<Item = Limit> {
 
 /// Forces that do not explain the bar's length.
 fn forces_without_sign(calibration: &Calibration) -> impl Iterator<Item = Limit> {
-    let without =
-        Elongation::all(calibration).into_iter().filter(|one| one.positive == PositiveForce::NotDetermined);
-    without.map(|elongation| Limit {
+    let undetermined = Elongation::all(calibration)
+        .into_iter()
+        .filter(|elongation| elongation.positive == PositiveForce::NotDetermined);
+    undetermined.map(|elongation| Limit {
         sentence: format!(
             "{}The {} does not determine how far the bar deflects ({}); check its clock, column and place, or calibrate without it.",
             place(calibration, elongation.run),
@@ -238,35 +241,35 @@ fn forces_without_sign(calibration: &Calibration) -> impl Iterator<Item = Limit>
 /// Parameters whose estimates contradict their priors: the test of Evans and Moshonov (2006) for each of the `n` priors,
 /// with probability [`STRAINED_BY_CHANCE`] of a false report in all.
 ///
-/// A correct prior of `x0` with sigma `s0` shifts the estimate by `g` if it is off by `s0`. Then `x - x0` has the variance
-/// `(s0 - g)^2` ([`NONLINEAR`] of `g` is added as a tolerance) plus the variance of `x` from all other sources: samples, other
-/// priors, errors of fixed parameters. If the sources are not known separately, use that of independent noise, `s0^2 - s^2`.
+/// A correct prior of `x0` with sigma `s0` shifts the estimate `x` (sigma `s`) by `g` if it is off by `s0`. Then `x - x0` has the
+/// variance `(s0 - g)^2` ([`NONLINEAR`] of `g` is added as a tolerance) plus the variance of `x` from all other sources: samples,
+/// other priors, errors of fixed parameters. If the sources are unknown, use that of independent noise, `s0^2 - s^2`.
 fn strained_priors(model: &Model, solution: &Solution) -> Option<Limit> {
     let Solution { x, covariance, .. } = solution;
     let priors = model.columns().enumerate().filter_map(|(column, parameter)| match parameter.role {
-        Role::Prior { value, sigma: expected } => {
-            let sigma = covariance.sigma(column)?;
-            let (own, of_others) = covariance.by_prior(column).map_or_else(
-                || (sigma.powi(2) / expected, sigma.powi(2) * (1.0 - (sigma / expected).powi(2))),
-                |own| (own, sigma.powi(2) - own.powi(2)),
+        Role::Prior { value, sigma: s0 } => {
+            let s = covariance.sigma(column)?;
+            let (g, variance_of_others) = covariance.by_prior(column).map_or_else(
+                || (s.powi(2) / s0, s.powi(2) * (1.0 - (s / s0).powi(2))),
+                |g| (g, s.powi(2) - g.powi(2)),
             );
-            let spread = (of_others + (expected - own).powi(2) + (NONLINEAR * own).powi(2)).max(0.0).sqrt();
-            Some(Prior { id: parameter.id, off: x.get(column)? - value, expected, sigma, own, spread })
+            let spread = (variance_of_others + (s0 - g).powi(2) + (NONLINEAR * g).powi(2)).max(0.0).sqrt();
+            Some(Prior { id: parameter.id, off: x.get(column)? - value, s0, s, g, spread })
         }
         _ => None,
     });
     let priors: Vec<Prior> = priors.collect();
-    let most = covariance.sigmas_from.sigmas_within(STRAINED_BY_CHANCE / priors.len().max(1) as f64);
+    let sigmas_max = covariance.sigmas_from.sigmas_within(STRAINED_BY_CHANCE / priors.len().max(1) as f64);
     let mut strained: Vec<Strained> = Vec::new();
-    for Prior { id, off, expected, sigma, own, spread } in priors {
-        if spread > 0.0 && off.abs() > most * spread {
+    for Prior { id, off, s0, s, g, spread } in priors {
+        if spread > 0.0 && off.abs() > sigmas_max * spread {
             // Without the prior the estimate would differ more from the expected value.
-            let pulls = off.abs() * own > sigma * (expected - own);
+            let biases = off.abs() * g > s * (s0 - g);
             let (unit, times) = (id.unit(), off.abs() / spread);
-            let [off, expected] = [off, expected].map(|value| value * unit.display_factor());
+            let [off, expected] = [off, s0].map(|value| value * unit.display_factor());
             let sentence =
                 format!("{id} by {off:+.3} {} (expected within {expected:.3})", unit.display_symbol());
-            strained.push(Strained { sentence, pulls, times });
+            strained.push(Strained { sentence, biases, times });
         }
     }
     strained.sort_by(|a, b| b.times.total_cmp(&a.times));
@@ -277,7 +280,7 @@ fn strained_priors(model: &Model, solution: &Solution) -> Option<Limit> {
              biases the result.",
             named(&strained, NAMED)
         ),
-        serious: strained.iter().any(|one| one.pulls),
+        serious: strained.iter().any(|prior| prior.biases),
     })
 }
 
@@ -286,7 +289,7 @@ struct Strained {
     /// Name, deviation and expectation, as part of a sentence.
     sentence: String,
     /// Whether the prior biases the result by more than its uncertainty.
-    pulls: bool,
+    biases: bool,
     /// Deviation relative to its standard deviation if all priors are correct.
     times: f64,
 }
@@ -303,18 +306,19 @@ struct Prior {
     /// Estimated minus expected value.
     off: f64,
     /// Standard deviation of the prior.
-    expected: f64,
+    s0: f64,
     /// Standard deviation of the estimate.
-    sigma: f64,
+    s: f64,
     /// Shift of the estimate if the prior is off by its standard deviation.
-    own: f64,
+    g: f64,
     /// Standard deviation of `off` if all priors are correct.
     spread: f64,
 }
 
 /// Errors of gear ratios beyond manufacturing tolerances, and significant delays of single joints in the log.
 fn of_drives(model: &Model, solution: &Solution) -> Vec<Limit> {
-    let found = |wanted: JointTerm| -> Vec<(usize, f64, f64)> {
+    // Joint (from 1), estimate and its standard deviation.
+    let estimates = |wanted: JointTerm| -> Vec<(usize, f64, f64)> {
         let columns = model.columns().enumerate();
         let of_term = columns.filter_map(|(column, parameter)| match parameter.id {
             ParameterId::Joint { axis, term } if term == wanted => {
@@ -324,10 +328,10 @@ fn of_drives(model: &Model, solution: &Solution) -> Vec<Limit> {
         });
         of_term.collect()
     };
-    let is_certain = |off: f64, least: f64, sigma: f64| off.abs() > least + BY_CHANCE * sigma;
-    let ratios =
-        found(JointTerm::Ratio).into_iter().filter(|(_, off, sigma)| is_certain(*off, RATIO_OFF, *sigma));
-    let ratios = ratios.map(|(joint, off, _)| Limit {
+    let is_certain = |off: f64, off_min: f64, sigma: f64| off.abs() > off_min + BY_CHANCE * sigma;
+    let ratios = estimates(JointTerm::Ratio).into_iter();
+    let wrong_ratios = ratios.filter(|(_, off, sigma)| is_certain(*off, RATIO_OFF, *sigma));
+    let wrong_ratios = wrong_ratios.map(|(joint, off, _)| Limit {
         sentence: format!(
             "Joint {joint} turns by {:.2} % {} than its log says, more than gear manufacturing explains: correct its ratio \
              in the controller, or log.raw_to_joint in the robot's file.",
@@ -337,10 +341,10 @@ fn of_drives(model: &Model, solution: &Solution) -> Vec<Limit> {
         serious: true,
     });
     // A delay that all joints share belongs to the clocks.
-    let delays = found(JointTerm::Delay);
+    let delays = estimates(JointTerm::Delay);
     let mut all_s: Vec<f64> = delays.iter().map(|(_, delay_s, _)| *delay_s).collect();
-    let of_others_s = median(&mut all_s).unwrap_or_default();
-    let late = delays.into_iter().map(|(joint, delay_s, sigma)| (joint, delay_s - of_others_s, sigma));
+    let common_s = median(&mut all_s).unwrap_or_default();
+    let late = delays.into_iter().map(|(joint, delay_s, sigma)| (joint, delay_s - common_s, sigma));
     let late = late.filter(|(_, delay_s, sigma)| is_certain(*delay_s, DELAY_S, *sigma));
     let late: Vec<String> =
         late.map(|(joint, delay_s, _)| format!("joint {joint} by {:+.1} ms", 1e3 * delay_s)).collect();
@@ -352,7 +356,7 @@ fn of_drives(model: &Model, solution: &Solution) -> Vec<Limit> {
         ),
         serious: false,
     });
-    ratios.chain(late).collect()
+    wrong_ratios.chain(late).collect()
 }
 
 /// Rotation of the flange plate, or of the last joint's offset, about the flange's axis relative to the configuration.
@@ -433,11 +437,12 @@ fn other_scale(model: &Model, solution: &Solution, scale: &str) -> Option<String
         let estimated = covariance.between(lengths[row].column, lengths[column].column).unwrap_or(0.0);
         estimated + if row == column { LENGTH_SIGMA_M.powi(2) } else { 0.0 }
     });
-    let weighed = spread.cholesky()?.solve(&nominal_m);
-    let (along, information) = (weighed.dot(&off_m), weighed.dot(&nominal_m));
+    // With `C` the covariance: `s = (L' C^-1 off) / (L' C^-1 L)`.
+    let weighted = spread.cholesky()?.solve(&nominal_m);
+    let (along, information) = (weighted.dot(&off_m), weighted.dot(&nominal_m));
     let sigmas = along / information.sqrt();
-    let most = Normal::standard().inverse_cdf(1.0 - OTHER_SCALE_BY_CHANCE / 2.0);
-    (sigmas.abs() > most).then(|| {
+    let sigmas_max = Normal::standard().inverse_cdf(1.0 - OTHER_SCALE_BY_CHANCE / 2.0);
+    (sigmas.abs() > sigmas_max).then(|| {
         format!(
             "The robot's estimated lengths have a common scale error of {:+.1} per mille, {:.1} standard deviations for links of {:.0} mm \
              tolerance; positions may be wrong by the same ratio. {scale}.",
@@ -449,7 +454,7 @@ fn other_scale(model: &Model, solution: &Solution, scale: &str) -> Option<String
 }
 
 /// Reason why the result of a data set is questionable, as text.
-fn doubt(doubt: &Doubt) -> String {
+fn describe_doubt(doubt: &Doubt) -> String {
     match doubt {
         Doubt::OtherEncoders(used) => format!(
             "Joints or directions of the encoders differ from those in the recording. Used instead (recorded joint -> joint): {used}. \
@@ -470,11 +475,11 @@ fn doubt(doubt: &Doubt) -> String {
 fn travel_deg(calibration: &Calibration) -> Vec<(usize, f64)> {
     let poses: Vec<Joints> = calibration.poses().collect();
     let robot = calibration.model().geometry(&[]).robot;
-    let turned = |(joint, link): (usize, &DhLink)| {
+    let travel = |(joint, link): (usize, &DhLink)| {
         let [low, high] = extremes(poses.iter().map(|q| q[joint]));
         (link.joint == JointKind::Revolute).then(|| (joint, (high - low).max(0.0).to_degrees()))
     };
-    robot.links.iter().enumerate().filter_map(turned).collect()
+    robot.links.iter().enumerate().filter_map(travel).collect()
 }
 
 /// Statistics of the distances between robot and bar \[m\].

@@ -1,4 +1,5 @@
-//! Evaluation of a calibration: figures for the report, computed from a solution and not used by any solve.
+//! Evaluation of a calibration: figures for the report, computed from a solution and not used by any solve. All are in
+//! [`Evidence`].
 
 mod accuracy;
 mod evidence;

@@ -23,17 +23,17 @@ pub(super) fn bar_fitted(
     motion: &impl RobotMotion,
     observations: &[Observation],
 ) -> Geometry {
-    let five = observations.iter().all(|observation| observation.measured == [true; 5]);
-    let fitted = |id: ParameterId| match id {
+    let all_encoders = observations.iter().all(|observation| observation.measured == [true; 5]);
+    let is_fitted = |id: ParameterId| match id {
         ParameterId::Base { .. } | ParameterId::BaseRotation { .. } => true,
         ParameterId::Bar { link, parameter } => {
             // The first offset is the bar's rotation about z; offsets after the second joint matter only with five encoders.
-            parameter == crate::kinematics::LinkParameter::Theta && (five || link < 2)
+            parameter == crate::kinematics::LinkParameter::Theta && (all_encoders || link < 2)
         }
         _ => false,
     };
-    model.free_only(fitted);
-    let x = if five {
+    model.free_only(is_fitted);
+    let x = if all_encoders {
         fit(&model, motion, observations, Transform)
     } else {
         fit(&model, motion, observations, Position)

@@ -17,12 +17,12 @@ pub fn scale_sentence<'a>(
     budget: &Budget,
 ) -> String {
     const NAMED: usize = 3;
-    let mut told: Vec<String> = Vec::new();
+    let mut references: Vec<String> = Vec::new();
     let plates = bars.into_iter().map(|(bar, source)| plate(bar, &source));
-    let others = others.into_iter().filter_map(of_other).map(str::to_owned);
-    for one in plates.chain(others) {
-        if !told.contains(&one) {
-            told.push(one);
+    let others = others.into_iter().filter_map(other_reference).map(str::to_owned);
+    for reference in plates.chain(others) {
+        if !references.contains(&reference) {
+            references.push(reference);
         }
     }
     let moved = budget.moved_by_plate.map(|per_metre| {
@@ -32,7 +32,7 @@ pub fn scale_sentence<'a>(
             per_metre * LONGER_M * 1e3
         )
     });
-    named(&told, NAMED) + &moved.unwrap_or_default()
+    named(&references, NAMED) + &moved.unwrap_or_default()
 }
 
 fn plate(bar: &BallBarConfig, source: &Source) -> String {
@@ -47,10 +47,10 @@ fn plate(bar: &BallBarConfig, source: &Source) -> String {
         format!("the offset plate of {plate_mm:.3} mm, taken as exact")
     };
     // A stated value equal to the default has the same meaning as the default.
-    let calliper = bar.plate_u_um == BallBarConfig::PLATE_U_UM;
+    let is_default = bar.plate_u_um == BallBarConfig::PLATE_U_UM;
     let source = if matches!(source, Source::BuiltIn(..)) {
         "an example that is built in: write the lengths of your bar into ball_bar.toml".to_owned()
-    } else if calliper {
+    } else if is_default {
         format!("a calliper's unless {file} states another")
     } else {
         format!("as {file} states")
@@ -58,7 +58,7 @@ fn plate(bar: &BallBarConfig, source: &Source) -> String {
     format!("{plate}{}, {source}", rod.unwrap_or_default())
 }
 
-const fn of_other(from: ScaleFrom) -> Option<&'static str> {
+const fn other_reference(from: ScaleFrom) -> Option<&'static str> {
     match from {
         ScaleFrom::Plate => None,
         ScaleFrom::Tracker => Some("the positions of the tracker, whose own scale is taken as exact"),

@@ -9,19 +9,22 @@ use crate::solver::Solution;
 /// that the data do not determine. Lengths that were measured separately are excluded. The first columns of the solution are
 /// those of `model`.
 pub fn not_separated(model: &Model, solution: &Solution) -> Vec<Vec<ParameterId>> {
-    let known = ParameterId::known_lengths(model.axes());
-    let with_tolerance = model.columns().enumerate().filter(|(_, one)| {
-        let is_link = matches!(one.id.group(), Group::Link | Group::InPlaceOfAnother);
+    let known_lengths = ParameterId::known_lengths(model.axes());
+    let has_tolerance = |id: ParameterId, role: Role| {
+        let is_link = matches!(id.group(), Group::Link | Group::InPlaceOfAnother);
         is_link
-            && !known.contains(&one.id)
-            && matches!((one.id, one.role), (ParameterId::Robot { .. }, Role::Prior { .. }))
-    });
+            && !known_lengths.contains(&id)
+            && matches!((id, role), (ParameterId::Robot { .. }, Role::Prior { .. }))
+    };
+    let parameters = model.columns().enumerate();
+    let with_tolerance = parameters.filter(|(_, parameter)| has_tolerance(parameter.id, parameter.role));
     let (columns, ids): (Vec<usize>, Vec<ParameterId>) =
-        with_tolerance.map(|(column, one)| (column, one.id)).unzip();
-    let id = |column: usize| columns.iter().position(|one| *one == column).map(|place| ids[place]);
-    let of_data = solution.identifiability.by_priors(&columns).into_iter();
-    let of_data = of_data.map(|group| group.into_iter().filter_map(id).collect());
-    let is_free = |group: &Vec<ParameterId>| group.last().is_some_and(|sum| ids.contains(sum));
-    let of_axes = inseparable_offsets(&model.geometry(&[]).robot).into_iter().filter(is_free);
-    of_axes.chain(of_data).collect()
+        with_tolerance.map(|(column, parameter)| (column, parameter.id)).unzip();
+    let id_of = |column: usize| columns.iter().position(|other| *other == column).map(|index| ids[index]);
+    let by_priors = solution.identifiability.by_priors(&columns).into_iter();
+    let by_priors = by_priors.map(|group| group.into_iter().filter_map(id_of).collect());
+    // The last of a group has the sum.
+    let has_free_sum = |group: &Vec<ParameterId>| group.last().is_some_and(|sum| ids.contains(sum));
+    let parallel = inseparable_offsets(&model.geometry(&[]).robot).into_iter().filter(has_free_sum);
+    parallel.chain(by_priors).collect()
 }

@@ -33,12 +33,12 @@ pub fn shift_curve(
         let shift_s = reach_s * (step as f64 / steps as f64 - 1.0);
         let mut moved = geometry.clone();
         moved.clock.shift_s += shift_s;
-        let seen = loop_closures(&moved, motion, &sparse);
-        if seen.is_empty() {
+        let closures = loop_closures(&moved, motion, &sparse);
+        if closures.is_empty() {
             continue;
         }
         curve.shift_s.push(shift_s);
-        curve.rms_m.push(rms(seen.iter().map(|closure| closure.position_error_m.norm())));
+        curve.rms_m.push(rms(closures.iter().map(|closure| closure.position_error_m.norm())));
     }
     curve.minimum_s = minimum(&curve.shift_s, &curve.rms_m);
     curve
@@ -50,6 +50,6 @@ fn minimum(shift_s: &[f64], rms_m: &[f64]) -> Option<f64> {
     let square = |index: usize| rms_m.get(index).map(|rms| rms * rms);
     let (left, here, right) = (square(least.checked_sub(1)?)?, square(least)?, square(least + 1)?);
     let step_s = shift_s.get(least + 1)? - shift_s.get(least)?;
-    let bend = left - 2.0 * here + right;
-    (bend > 0.0).then(|| shift_s[least] + 0.5 * step_s * (left - right) / bend)
+    let curvature = left - 2.0 * here + right;
+    (curvature > 0.0).then(|| shift_s[least] + 0.5 * step_s * (left - right) / curvature)
 }

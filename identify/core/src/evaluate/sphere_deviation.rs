@@ -43,21 +43,22 @@ pub struct Deviation {
 
 impl Deviation {
     fn of(closures: &[Closure], of_signs: bool, by_encoders: bool) -> Self {
-        let out_m = |one: &Closure| {
-            if by_encoders { one.direction.dot(&one.position_error_m) } else { one.off_sphere_m }
+        let radial_m = |closure: &Closure| {
+            if by_encoders { closure.direction.dot(&closure.position_error_m) } else { closure.off_sphere_m }
         };
-        let sample = |one: &Closure| OffSphere {
-            t_s: one.t_s,
-            direction: one.direction,
-            off_m: out_m(one) + one.by_force_m,
-            unexplained_m: out_m(one),
-            force: if of_signs { one.force.side } else { one.force.along_n },
+        // The bar of a closure is elongated by the force, that of `off_m` is not.
+        let sample = |closure: &Closure| OffSphere {
+            t_s: closure.t_s,
+            direction: closure.direction,
+            off_m: radial_m(closure) + closure.by_force_m,
+            unexplained_m: radial_m(closure),
+            force: if of_signs { closure.force.side } else { closure.force.along_n },
         };
         let samples: Vec<OffSphere> = closures.iter().map(sample).collect();
         Self {
-            rms_m: rms(samples.iter().map(|one| one.off_m)),
-            size_m: Quantiles::of(samples.iter().map(|one| one.off_m.abs()).collect()),
-            unexplained_rms_m: rms(samples.iter().map(|one| one.unexplained_m)),
+            rms_m: rms(samples.iter().map(|sample| sample.off_m)),
+            size_m: Quantiles::of(samples.iter().map(|sample| sample.off_m.abs()).collect()),
+            unexplained_rms_m: rms(samples.iter().map(|sample| sample.unexplained_m)),
             samples,
         }
     }
@@ -107,20 +108,20 @@ impl Elongation {
         let Solved { columns, solution, .. } = &calibration.solved;
         let measured = prepared.force?;
         // The estimate frees the play instead of the compliance if it explains more.
-        let free = [ParameterId::BarCompliance, ParameterId::BarPlay].into_iter();
-        let mut free = free.filter(|id| model.column_of(*id).is_some());
-        let parameter = free.next().unwrap_or_else(|| measured.parameter());
-        let found = model.parameter(parameter)?;
-        let column = model.column_of(parameter).and_then(|own| columns.of_run(run).get(own));
+        let candidates = [ParameterId::BarCompliance, ParameterId::BarPlay].into_iter();
+        let mut estimated = candidates.filter(|id| model.column_of(*id).is_some());
+        let parameter = estimated.next().unwrap_or_else(|| measured.parameter());
+        let value = model.parameter(parameter)?.value;
+        let column = model.column_of(parameter).and_then(|of_model| columns.of_run(run).get(of_model));
         let sigma = column.and_then(|column| solution.covariance.sigma(*column));
         let of_95 = solution.covariance.sigmas_from.sigmas_of_95();
-        let told = sigma.is_none_or(|sigma| found.value.abs() > of_95 * sigma) && found.value != 0.0;
-        let positive = match told {
+        let is_significant = sigma.is_none_or(|sigma| value.abs() > of_95 * sigma) && value != 0.0;
+        let positive = match is_significant {
             false => PositiveForce::NotDetermined,
-            true if found.value > 0.0 => PositiveForce::Tension,
+            true if value > 0.0 => PositiveForce::Tension,
             true => PositiveForce::Compression,
         };
-        Some(Self { run, measured, parameter, value: found.value, sigma, positive })
+        Some(Self { run, measured, parameter, value, sigma, positive })
     }
 
     /// The result as one or two sentences.
@@ -165,10 +166,10 @@ impl SphereDeviation {
     /// Deviations of each run.
     pub fn all(calibration: &Calibration, runs: &[RunEvidence]) -> Vec<Self> {
         let [first, second, ..] = calibration.measured();
-        let of_run = |((run, seen), (prepared, model)): ((usize, &RunEvidence), (&Prepared, &Model))| {
+        let of_run = |((run, evidence), (prepared, model)): ((usize, &RunEvidence), (&Prepared, &Model))| {
             let elongation = Elongation::of_run(calibration, run, prepared, model);
             let of_signs = elongation.is_some_and(|elongation| elongation.parameter == ParameterId::BarPlay);
-            let [before, after] = [&seen.before, &seen.after]
+            let [before, after] = [&evidence.before, &evidence.after]
                 .map(|closures| Deviation::of(closures, of_signs, first && second));
             Self { before, after, elongation }
         };

@@ -2,11 +2,12 @@
 //!
 //! A wire that is rewound, slips or warms up changes its offset, so neighbouring rows have correlated errors. The drift is
 //! modelled as a stationary random walk (Ornstein and Uhlenbeck 1930) over the row number, with a standard deviation and a
-//! correlation length. The residuals are `r = f - l = g + e` with `g` drift and `e` white noise. The inverse covariance of `g`
-//! is tridiagonal. The best drift for given residuals therefore costs one sweep, and generalised least squares of the robot
-//! with the drift removed costs little more than without.
+//! correlation length. The residuals (model minus measured length) are `r = g + e` with `g` drift and `e` white noise. The
+//! inverse of the covariance `K` of `g` is tridiagonal. The best drift for given residuals therefore costs one sweep, and
+//! generalised least squares of the robot with the drift removed costs little more than without.
 //!
-//! Existence, size and memory of a drift are chosen by cross-validation over the fitting rows.
+//! Existence, size and memory of a drift are chosen by cross-validation over the fitting rows. [`super::RowSet`] removes the
+//! drift from the rows of the fit and widens the covariance of the robot.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -35,7 +36,7 @@ pub struct Drift {
 /// Number of folds of the cross-validation.
 const FOLDS: usize = 8;
 /// Size of a negligible drift, in standard deviations of a length.
-const NONE: f64 = 1e-6;
+const NO_DRIFT: f64 = 1e-6;
 /// Number of steps of generalised least squares; the third changes no printed digit.
 const STEPS: usize = 8;
 /// Residuals beyond this number of standard deviations have a constant influence.
@@ -59,7 +60,9 @@ fn candidates(sigma_m: f64) -> impl Iterator<Item = Drift> {
     })
 }
 
-/// Solves for the drift of all rows: `(K^-1 + W / s^2) g = W r / s^2`, factored once (Thomas 1949).
+/// Solves for the drift of all rows: `(K^-1 + W / s^2) g = W r / s^2`, factored once (Thomas 1949), with white noise `s` and
+/// weights `W`. `K^-1` has `1 + rho^2` on the diagonal, 1 at its ends and `-rho` beside it, all divided by
+/// `size^2 (1 - rho^2)`; `rho` is the correlation of neighbouring rows.
 struct Sweep {
     /// `W / s^2` of each row; zero for rows that are not used.
     weights: Vec<f64>,
@@ -69,16 +72,16 @@ struct Sweep {
 
 impl Sweep {
     fn new(drift: &Drift, weights: &[f64]) -> Self {
-        let memory = (-drift.memory_rows.recip()).exp();
-        let scale = (drift.size_m.powi(2) * (1.0 - memory * memory)).recip();
+        let rho = (-drift.memory_rows.recip()).exp();
+        let scale = (drift.size_m.powi(2) * (1.0 - rho * rho)).recip();
         let weights: Vec<f64> = weights.iter().map(|w| w / drift.white_m.powi(2)).collect();
-        let off_diagonal = -memory * scale;
+        let off_diagonal = -rho * scale;
         let last = weights.len().saturating_sub(1);
         let mut pivots: Vec<f64> = Vec::with_capacity(weights.len());
         for (row, weight) in weights.iter().enumerate() {
-            let inner = if row == 0 || row == last { scale } else { scale * (1.0 + memory * memory) };
-            let before = pivots.last().map_or(0.0, |pivot| off_diagonal * off_diagonal / pivot);
-            pivots.push(inner + weight - before);
+            let diagonal = if row == 0 || row == last { scale } else { scale * (1.0 + rho * rho) };
+            let eliminated = pivots.last().map_or(0.0, |pivot| off_diagonal * off_diagonal / pivot);
+            pivots.push(diagonal + weight - eliminated);
         }
         Self { weights, off_diagonal, pivots }
     }
@@ -103,7 +106,7 @@ impl Sweep {
     }
 }
 
-/// Residuals and Jacobian of the rows used \[m\], as vectors over all rows of the file.
+/// Residuals and Jacobian of the rows used \[m\], as vectors over all rows of the file; zero for other rows.
 struct Linear {
     residuals: Vec<f64>,
     /// Noise of each row relative to that of the median row.
@@ -115,24 +118,25 @@ struct Linear {
 }
 
 impl Linear {
-    fn at(model: &Model, all: &Instrument, chosen: &[usize]) -> Result<Option<Self>, CalibrateError> {
-        let (part, own) = (all.part(chosen), SharedColumns::new([model], |_| false));
-        let problem = DataSets::new(vec![part.data_set(model, 1.0)?], &own);
+    fn at(model: &Model, all: &Instrument, used: &[usize]) -> Result<Option<Self>, CalibrateError> {
+        let (part, columns) = (all.part(used), SharedColumns::new([model], |_| false));
+        let problem = DataSets::new(vec![part.data_set(model, 1.0)?], &columns);
         let Some((residual, jacobian)) = stacked(&problem, &model.start()) else { return Ok(None) };
-        let weighed_by = part.relative_noise();
-        let spread = |values: &mut dyn Iterator<Item = f64>| {
-            let mut of_file = vec![0.0; all.samples()];
-            for ((&row, value), noise) in chosen.iter().zip(values).zip(&weighed_by) {
-                of_file[row] = noise * value;
+        // The problem divides by the relative noise.
+        let divided_by = part.relative_noise();
+        let over_file = |values: &mut dyn Iterator<Item = f64>| {
+            let mut of_rows = vec![0.0; all.samples()];
+            for ((&row, value), noise) in used.iter().zip(values).zip(&divided_by) {
+                of_rows[row] = noise * value;
             }
-            of_file
+            of_rows
         };
         let start = model.start();
         let of_step = |prior: Prior| Prior { value: prior.value - start[prior.column], ..prior };
         Ok(Some(Self {
-            residuals: spread(&mut residual.iter().copied()),
+            residuals: over_file(&mut residual.iter().copied()),
             relative_noise: all.relative_noise(),
-            columns: jacobian.column_iter().map(|column| spread(&mut column.iter().copied())).collect(),
+            columns: jacobian.column_iter().map(|column| over_file(&mut column.iter().copied())).collect(),
             priors: model.priors().into_iter().map(of_step).collect(),
         }))
     }
@@ -147,12 +151,12 @@ impl Linear {
     fn normal(&self, sweep: &Sweep) -> Normal {
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let whitened: Vec<Vec<f64>> = self.columns.iter().map(|column| sweep.whitened(column)).collect();
-        let residual = sweep.whitened(&self.residuals);
+        let whitened_residuals = sweep.whitened(&self.residuals);
         let size = self.columns.len();
         let mut normal = Normal {
             matrix: DMatrix::from_fn(size, size, |i, j| dot(&self.columns[i], &whitened[j])),
-            gradient: DVector::from_fn(size, |i, _| dot(&self.columns[i], &residual)),
-            squared: dot(&self.residuals, &residual),
+            gradient: DVector::from_fn(size, |i, _| dot(&self.columns[i], &whitened_residuals)),
+            squared: dot(&self.residuals, &whitened_residuals),
             rows: self.residuals.len() as f64,
         };
         normal.add_priors(&self.priors, &vec![0.0; size]);
@@ -181,18 +185,18 @@ impl Linear {
 
     /// Mean squared error of each left-out fold, in the noise of the median row \[m^2\].
     fn left_out(&self, drift: &Drift, folds: &[Vec<usize>]) -> Option<Vec<f64>> {
-        let error = |fold: &Vec<usize>| {
+        let of_fold = |fold: &Vec<usize>| {
             let mut weights = vec![0.0; self.residuals.len()];
             let others = folds.iter().filter(|other| *other != fold).flatten();
             others.for_each(|&row| weights[row] = 1.0);
             let sweep = self.sweep(drift, &weights);
             let after = self.after(&self.step(&sweep)?);
-            let known = sweep.drift(&after);
-            let error = |&row: &usize| (after[row] - known[row]) / self.relative_noise[row];
+            let drift_m = sweep.drift(&after);
+            let error = |&row: &usize| (after[row] - drift_m[row]) / self.relative_noise[row];
             let squared: f64 = fold.iter().map(|row| error(row).powi(2)).sum();
             Some(squared / fold.len() as f64)
         };
-        folds.iter().map(error).collect()
+        folds.iter().map(of_fold).collect()
     }
 }
 
@@ -224,22 +228,22 @@ fn choose(
     sigma_m: f64,
 ) -> Result<Option<Drift>, CalibrateError> {
     let Some(linear) = Linear::at(model, all, fitting)? else { return Ok(None) };
-    let of_fold = |fold: &Vec<usize>| fold.iter().filter_map(|&place| fitting.get(place).copied()).collect();
-    let folds: Vec<Vec<usize>> = folds.iter().filter(|fold| !fold.is_empty()).map(of_fold).collect();
-    let none = Drift {
-        size_m: NONE * sigma_m,
+    let in_file = |fold: &Vec<usize>| fold.iter().filter_map(|&index| fitting.get(index).copied()).collect();
+    let folds: Vec<Vec<usize>> = folds.iter().filter(|fold| !fold.is_empty()).map(in_file).collect();
+    let no_drift = Drift {
+        size_m: NO_DRIFT * sigma_m,
         memory_rows: 1.0,
         white_m: sigma_m,
         rms_without_m: 0.0,
         rms_with_m: 0.0,
     };
-    let Some(without) = linear.left_out(&none, &folds) else { return Ok(None) };
+    let Some(without) = linear.left_out(&no_drift, &folds) else { return Ok(None) };
     let rms_without_m = mean(&without).sqrt();
-    let judged = candidates(sigma_m).filter_map(|drift| {
+    let tried = candidates(sigma_m).filter_map(|drift| {
         let with = linear.left_out(&drift, &folds)?;
         Some((Drift { rms_without_m, rms_with_m: mean(&with).sqrt(), ..drift }, with))
     });
-    let best = judged.min_by(|a, b| a.0.rms_with_m.total_cmp(&b.0.rms_with_m));
+    let best = tried.min_by(|a, b| a.0.rms_with_m.total_cmp(&b.0.rms_with_m));
     Ok(best.filter(|(_, with)| falls(&without, with)).map(|(best, _)| best))
 }
 
@@ -252,21 +256,21 @@ pub(super) fn fit(
 ) -> Result<Vec<f64>, CalibrateError> {
     let mut weights = vec![0.0; all.samples()];
     fitting.iter().for_each(|&row| weights[row] = 1.0);
-    let mut known = vec![0.0; all.samples()];
+    let mut drift_m = vec![0.0; all.samples()];
     for _ in 0..STEPS {
         let Some(linear) = Linear::at(model, all, fitting)? else { break };
         let sweep = linear.sweep(drift, &weights);
         let Some(step) = linear.step(&sweep) else { break };
         let after = linear.after(&step);
-        known = sweep.drift(&after);
+        drift_m = sweep.drift(&after);
         for &row in fitting {
             let white_m = drift.white_m * linear.relative_noise[row];
-            weights[row] = HUBER.weight(((after[row] - known[row]) / white_m).powi(2));
+            weights[row] = HUBER.weight(((after[row] - drift_m[row]) / white_m).powi(2));
         }
         let x: Vec<f64> = model.start().iter().zip(step.iter()).map(|(x, by)| x + by).collect();
         model.adopt(&x);
     }
-    Ok(known)
+    Ok(drift_m)
 }
 
 /// Factor by which the robot's standard deviations exceed those for a known drift with residuals `sigma_m` as the only error.
@@ -281,12 +285,12 @@ pub(super) fn widens(
     let Some(linear) = Linear::at(model, all, fitting)? else { return Ok(1.0) };
     let mut weights = vec![0.0; all.samples()];
     fitting.iter().for_each(|&row| weights[row] = 1.0);
-    let known = Drift { size_m: NONE * sigma_m, memory_rows: 1.0, white_m: sigma_m, ..*drift };
+    let no_drift = Drift { size_m: NO_DRIFT * sigma_m, memory_rows: 1.0, white_m: sigma_m, ..*drift };
     let variances = |drift: &Drift| linear.variances(&linear.sweep(drift, &weights));
-    let (Some(with), Some(without)) = (variances(drift), variances(&known)) else { return Ok(1.0) };
-    let robot = model.columns().map(|parameter| matches!(parameter.id, ParameterId::Robot { .. }));
-    let ratios = robot.zip(with.iter().zip(&without)).filter(|(of_robot, _)| *of_robot);
-    let ratios: Vec<f64> = ratios.map(|(_, (with, without))| with / without).collect();
+    let (Some(with), Some(without)) = (variances(drift), variances(&no_drift)) else { return Ok(1.0) };
+    let is_of_robot = model.columns().map(|parameter| matches!(parameter.id, ParameterId::Robot { .. }));
+    let of_robot = is_of_robot.zip(with.iter().zip(&without)).filter(|(of_robot, _)| *of_robot);
+    let ratios: Vec<f64> = of_robot.map(|(_, (with, without))| with / without).collect();
     Ok(mean(&ratios).sqrt().max(1.0))
 }
 

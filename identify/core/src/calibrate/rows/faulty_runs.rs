@@ -1,4 +1,5 @@
-//! Possible causes of a run of rows with a common error: hints for the repair of the data. The data are not changed here.
+//! Possible causes of a run (consecutive rows with a common error): hints in the report for the repair of the data, from the
+//! rejected rows and their residuals at the solution. A cause is tried by undoing it. The data are not changed here.
 
 use crate::instrument::{Instrument, Mistake, RejectedRow, Rejection};
 use crate::logs::JointMistake;
@@ -33,20 +34,23 @@ pub struct FaultyRun {
     pub cause: Option<RunCause>,
 }
 
+/// Median of the absolute residuals \[m\] if the offset of the instrument changed.
 fn zero_moved(residuals_m: &[f64]) -> (f64, RunCause) {
     let by_m = quantile(&mut residuals_m.to_vec(), 0.5);
     (median_size(residuals_m.iter().map(|r| r - by_m)), RunCause::ZeroMoved { by_m: -by_m })
 }
 
 /// Signed residuals, robot minus measurement \[m\].
-fn residuals_m(of: &Instrument, model: &Model) -> Vec<f64> {
-    let deviations = of.deviations(&model.geometry(&[])).into_iter();
+fn residuals_m(instrument: &Instrument, model: &Model) -> Vec<f64> {
+    let deviations = instrument.deviations(&model.geometry(&[])).into_iter();
     deviations.map(|deviation| deviation.signed_m()).collect()
 }
 
+/// Median of the absolute residuals \[m\] with the opposite sign of a joint.
 fn sign_reversed(model: &Model, rows: &Instrument, joint: usize) -> Option<(f64, RunCause)> {
-    let other = rows.undone(Mistake::Joints(JointMistake::Reversed(joint))).into_iter().next()?;
-    Some((median_size(residuals_m(&other, model).into_iter()), RunCause::SignReversed { joint: joint + 1 }))
+    let corrected = rows.undone(Mistake::Joints(JointMistake::Reversed(joint))).into_iter().next()?;
+    let median_m = median_size(residuals_m(&corrected, model).into_iter());
+    Some((median_m, RunCause::SignReversed { joint: joint + 1 }))
 }
 
 fn explain(model: &Model, rows: &Instrument, residuals_m: &[f64], median_m: f64) -> Option<RunCause> {
@@ -56,7 +60,7 @@ fn explain(model: &Model, rows: &Instrument, residuals_m: &[f64], median_m: f64)
         .filter_map(|joint| sign_reversed(model, rows, joint))
         .chain([zero_moved(residuals_m)])
         .min_by(|a, b| a.0.total_cmp(&b.0))
-        .filter(|(left, _)| *left <= PART_LEFT * median_m)
+        .filter(|(corrected_m, _)| *corrected_m <= PART_LEFT * median_m)
         .map(|(_, cause)| cause)
 }
 
@@ -68,9 +72,9 @@ pub(super) fn runs(model: &Model, all: &Instrument, rejected: &[RejectedRow]) ->
     let consecutive = faulty.chunk_by(|a, b| a + 1 == *b);
     let run = |members: &[usize]| {
         let (&first, &last) = (members.first()?, members.last()?);
-        let own = residuals_m.get(first..=last)?;
-        let median_m = median_size(own.iter().copied());
-        let cause = explain(model, &all.part(members), own, median_m);
+        let of_run_m = residuals_m.get(first..=last)?;
+        let median_m = median_size(of_run_m.iter().copied());
+        let cause = explain(model, &all.part(members), of_run_m, median_m);
         Some(FaultyRun { first, last, median_m, cause })
     };
     consecutive.filter_map(run).collect()

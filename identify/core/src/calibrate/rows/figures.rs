@@ -1,4 +1,5 @@
-//! Statistics of position, orientation and length errors.
+//! Statistics of position, orientation and length errors of rows, and tests whether a calibrated robot is better or worse than
+//! the nominal one for the same rows.
 
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, Normal};
@@ -65,8 +66,8 @@ const BETTER_BY_CHANCE: f64 = 0.05;
 pub fn is_surely_better(n: usize, position: [f64; 2], rotation: Option<[f64; 2]>) -> bool {
     let sigma = (n.max(1) as f64).sqrt().recip();
     let limit = (Normal::standard().inverse_cdf(BETTER_BY_CHANCE) * sigma).exp();
-    let [nominal, own] = position;
-    n > 0 && own < limit * nominal && rotation.is_none_or(|[nominal, own]| own < nominal)
+    let [nominal, calibrated] = position;
+    n > 0 && calibrated < limit * nominal && rotation.is_none_or(|[nominal, calibrated]| calibrated < nominal)
 }
 
 /// Probability that a calibration no worse than the nominal robot is classified as worse.
@@ -86,7 +87,7 @@ impl PoseFigures {
         is_surely_better(
             self.rows,
             [nominal.position_m.rms, self.position_m.rms],
-            rotations.map(|(nominal, own)| [nominal.rms, own.rms]),
+            rotations.map(|(nominal, calibrated)| [nominal.rms, calibrated.rms]),
         )
     }
 }

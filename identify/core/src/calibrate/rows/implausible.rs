@@ -1,7 +1,8 @@
 //! Refusal of rows that are not plausible for the configured robot, with the most likely mistake.
 //!
 //! A fit with priors always has a solution. A mistake is detected from the solution: corrections beyond the links' tolerances,
-//! no improvement on held-out rows, residuals beyond usual joint errors, or a step in time.
+//! no improvement on held-out rows, residuals beyond usual joint errors, or a step in time. The driver calls this after the
+//! last stage of a calibration; `likely` finds the mistake.
 
 use std::fmt;
 
@@ -9,7 +10,7 @@ use nalgebra::Vector3;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::likely::{likely, likely_of_all};
-use super::{RowSet, is_surely_worse};
+use super::{NOMINAL, RowSet, is_surely_worse};
 use crate::calibrate::CalibrateError;
 use crate::instrument::{Apart, Instrument, Mistake, PoseError, Rows, Run};
 use crate::kinematics::Chain;
@@ -128,10 +129,11 @@ pub(in crate::calibrate) fn unless_implausible(
 ) -> Result<(), CalibrateError> {
     let link = runs.first().and_then(|run| furthest_link(&run.model));
     let mut found: Vec<String> = link.iter().map(Reason::to_string).collect();
-    let first = runs.len() - sets.len();
-    for ((number, run), (file, set)) in runs.iter().enumerate().skip(first).zip(files.iter().zip(sets)) {
+    // Runs of ball-bars are first.
+    let bars = runs.len() - sets.len();
+    for ((number, run), (file, set)) in runs.iter().enumerate().skip(bars).zip(files.iter().zip(sets)) {
         let place = if runs.len() > 1 { format!("data set {}: ", number + 1) } else { String::new() };
-        let reasons = of_set(set, &file.instrument, &run.model, robot);
+        let reasons = reasons_of_set(set, &file.instrument, &run.model, robot);
         found.extend(reasons.iter().map(|reason| format!("{place}{reason}")));
     }
     if found.is_empty() {
@@ -140,12 +142,12 @@ pub(in crate::calibrate) fn unless_implausible(
     Err(CalibrateError::Implausible { found: found.join("; "), likely: likely_of_all(files, robot) })
 }
 
-fn of_set(set: &RowSet, instrument: &Instrument, model: &Model, robot: &Chain) -> Vec<Reason> {
-    let [.., errors] = &set.errors.stages;
+fn reasons_of_set(set: &RowSet, instrument: &Instrument, model: &Model, robot: &Chain) -> Vec<Reason> {
+    let [.., calibrated] = &set.errors.stages;
     let steps = [step(set.whole(), model), set.step];
     let step = steps.into_iter().flatten().find(|step| step.explains(instrument, robot));
-    let found = [turned(set), too_far(errors, robot), worse_than_nominal(set), step.map(Reason::Moved)];
-    found.into_iter().flatten().collect()
+    let reasons = [turned(set), too_far(calibrated, robot), worse_than_nominal(set), step.map(Reason::Moved)];
+    reasons.into_iter().flatten().collect()
 }
 
 /// Limit in standard deviations: one of 30 parameters exceeds it by chance once in 50 000 robots.
@@ -155,6 +157,7 @@ const LINK_M: f64 = 1e-2;
 /// Standard deviation of angle errors, including joint offsets \[rad\].
 const LINK_RAD: f64 = 2e-2;
 
+/// The link parameter with the largest correction in standard deviations, if it exceeds the limit.
 fn furthest_link(model: &Model) -> Option<Reason> {
     let link = |id: ParameterId| {
         let parameter = model.parameter(id)?;
@@ -174,11 +177,11 @@ fn turned(set: &RowSet) -> Option<Reason> {
     const WRONG_RAD: f64 = 0.1;
     /// Quantile of the orientation errors: one row in five may be an outlier.
     const PART: f64 = 0.78;
-    let nominal = || set.errors.fitted.iter().filter_map(|row| set.errors.stages[0].get(*row));
+    let nominal = || set.errors.fitted.iter().filter_map(|row| set.errors.stages[NOMINAL].get(*row));
     let mut turned_rad: Vec<f64> = nominal().map(|error| error.rotation_rad).collect::<Option<_>>()?;
     let turned_rad = quantile(&mut turned_rad, PART);
-    let fits = median_size(nominal().map(|error| error.position_m)) < SIGMAS_MAX * LINK_M;
-    (fits && turned_rad > WRONG_RAD).then_some(Reason::Turned { turned_rad })
+    let positions_fit = median_size(nominal().map(|error| error.position_m)) < SIGMAS_MAX * LINK_M;
+    (positions_fit && turned_rad > WRONG_RAD).then_some(Reason::Turned { turned_rad })
 }
 
 /// Maximum joint errors of industrial arms with known links: gears, resolvers, and commanded angles rounded to a tenth of a
@@ -205,11 +208,11 @@ const BLOCKS: usize = 40;
 fn blocks(errors_m: &[Vector3<f64>]) -> Vec<(usize, Vector3<f64>)> {
     let size = errors_m.len().div_ceil(BLOCKS).max(1);
     let median = |(number, block): (usize, &[Vector3<f64>])| {
-        let of_axis = |axis: usize| {
-            let mut of_axis: Vec<f64> = block.iter().map(|error| error[axis]).collect();
-            quantile(&mut of_axis, 0.5)
+        let median_of = |axis: usize| {
+            let mut errors_m: Vec<f64> = block.iter().map(|error| error[axis]).collect();
+            quantile(&mut errors_m, 0.5)
         };
-        (number * size, Vector3::new(of_axis(0), of_axis(1), of_axis(2)))
+        (number * size, Vector3::new(median_of(0), median_of(1), median_of(2)))
     };
     errors_m.chunks(size).enumerate().map(median).collect()
 }
@@ -224,6 +227,8 @@ pub(super) fn step(instrument: &Instrument, model: &Model) -> Option<Step> {
     const FALSE_ALARMS: f64 = 1e-4;
     /// Minimum number of blocks before and after a step.
     const BESIDE: usize = 3;
+    /// Columns of the regression: mean, drift, step.
+    const COEFFICIENTS: usize = 3;
     if !instrument.mistakes(0).iter().any(|mistake| matches!(mistake, Mistake::Moved(_))) {
         return None;
     }
@@ -234,12 +239,13 @@ pub(super) fn step(instrument: &Instrument, model: &Model) -> Option<Step> {
     });
     let blocks = blocks(&offsets_m.collect::<Vec<_>>());
     let count = blocks.len();
-    let freedom = count.checked_sub(3).filter(|freedom| *freedom > 2 * BESIDE)? as f64;
-    let places = BESIDE..=count - BESIDE;
-    let tests = 2.0 * 3.0 * places.clone().count() as f64;
-    let certain = StudentsT::new(0.0, 1.0, freedom).ok()?.inverse_cdf(1.0 - FALSE_ALARMS / tests);
-    let at = |place: usize| {
-        let design = nalgebra::DMatrix::from_fn(count, 3, |block, column| match column {
+    let freedom = count.checked_sub(COEFFICIENTS).filter(|freedom| *freedom > 2 * BESIDE)? as f64;
+    let first_after = BESIDE..=count - BESIDE;
+    // Both signs of three coordinates.
+    let tests = 2.0 * 3.0 * first_after.clone().count() as f64;
+    let limit = StudentsT::new(0.0, 1.0, freedom).ok()?.inverse_cdf(1.0 - FALSE_ALARMS / tests);
+    let step_before = |place: usize| {
+        let design = nalgebra::DMatrix::from_fn(count, COEFFICIENTS, |block, column| match column {
             0 => 1.0,
             1 => block as f64 / count as f64,
             _ => f64::from(u8::from(block >= place)),
@@ -250,13 +256,13 @@ pub(super) fn step(instrument: &Instrument, model: &Model) -> Option<Step> {
         for axis in 0..3 {
             let medians =
                 nalgebra::DVector::from_iterator(count, blocks.iter().map(|(_, median)| median[axis]));
-            let line = &inverse * design.tr_mul(&medians);
-            let left = (&medians - &design * &line).norm_squared() / freedom;
-            moved_m[axis] = line[2];
-            student = student.max(line[2].abs() / (left * inverse[(2, 2)]).sqrt().max(f64::MIN_POSITIVE));
+            let fit = &inverse * design.tr_mul(&medians);
+            let variance = (&medians - &design * &fit).norm_squared() / freedom;
+            moved_m[axis] = fit[2];
+            student = student.max(fit[2].abs() / (variance * inverse[(2, 2)]).sqrt().max(f64::MIN_POSITIVE));
         }
         Some((student, Step { row: blocks[place].0 + 1, moved_m: moved_m.norm() }))
     };
-    let (student, step) = places.filter_map(at).max_by(|a, b| a.0.total_cmp(&b.0))?;
-    (student > certain).then_some(step)
+    let (student, step) = first_after.filter_map(step_before).max_by(|a, b| a.0.total_cmp(&b.0))?;
+    (student > limit).then_some(step)
 }

@@ -1,4 +1,5 @@
-//! The mistake that explains rows that do not fit the nominal robot: without it, they fit.
+//! The mistake that explains rows that do not fit the nominal robot: each possible mistake is undone, the instrument is placed
+//! again, and the errors are compared. Used for refusals of calibrations and by `identify inspect`.
 
 use std::fmt;
 
@@ -55,9 +56,9 @@ pub fn misfit(instrument: &Instrument, robot: &Chain) -> Option<PoseFigures> {
 /// An evenly thinned part of the samples, large enough to distinguish robots, since a mistake affects all samples.
 pub fn some_of(instrument: &Instrument) -> Instrument {
     const TRIED: usize = 60;
-    let (all, some) = (instrument.samples(), TRIED.max(instrument.samples_min()));
-    let every = (all / some).max(1);
-    instrument.part(&(0..all).step_by(every).collect::<Vec<_>>())
+    let (samples, wanted) = (instrument.samples(), TRIED.max(instrument.samples_min()));
+    let every = (samples / wanted).max(1);
+    instrument.part(&(0..samples).step_by(every).collect::<Vec<_>>())
 }
 
 /// Root mean square error of a robot at the end of a tool \[m\].
@@ -69,17 +70,19 @@ fn misfit_m(instrument: &Instrument, robot: &Chain) -> Option<f64> {
 }
 
 /// Error of the nominal robot after correction of the mistake \[m\]; `None` if the instrument cannot be placed.
-fn undone_m(mistake: Mistake, instrument: &Instrument, robot: &Chain) -> Option<f64> {
+fn corrected_misfit_m(mistake: Mistake, instrument: &Instrument, robot: &Chain) -> Option<f64> {
     match mistake {
         Mistake::Moved(row) => {
             let count = instrument.samples();
-            let part = |samples: std::ops::Range<usize>| {
+            let sum_of_squares = |samples: std::ops::Range<usize>| {
                 let (rows, samples) = (samples.len() as f64, samples.collect::<Vec<_>>());
                 Some(misfit_m(&instrument.part(&samples), robot)?.powi(2) * rows)
             };
-            Some(((part(0..row.min(count))? + part(row.min(count)..count)?) / count as f64).sqrt())
+            let row = row.min(count);
+            Some(((sum_of_squares(0..row)? + sum_of_squares(row..count)?) / count as f64).sqrt())
         }
         Mistake::ModifiedTable => {
+            // In a table of modified DH parameters `a` and `alpha` are one row later.
             let mut read = robot.clone();
             let next = robot.links.iter().skip(1).map(|link| (link.a_m, link.alpha_rad));
             for (link, (a_m, alpha_rad)) in read.links.iter_mut().zip(next.chain([(0.0, 0.0)])) {
@@ -88,8 +91,8 @@ fn undone_m(mistake: Mistake, instrument: &Instrument, robot: &Chain) -> Option<
             misfit_m(instrument, &read)
         }
         _ => {
-            let ways = instrument.undone(mistake);
-            ways.iter().filter_map(|way| misfit_m(way, robot)).min_by(f64::total_cmp)
+            let corrected = instrument.undone(mistake);
+            corrected.iter().filter_map(|rows| misfit_m(rows, robot)).min_by(f64::total_cmp)
         }
     }
 }
@@ -101,21 +104,21 @@ const NEAR_M: f64 = 0.05;
 pub fn likely(instrument: &Instrument, robot: &Chain, mistakes: &[Mistake]) -> Option<Likely> {
     /// Maximum remaining fraction of the error after correction: the robot's own errors are millimetres, those of mistakes are
     /// centimetres.
-    const LEFT: f64 = 0.3;
+    const REMAINING_MAX: f64 = 0.3;
     // If the instrument cannot be placed at all, any placement is an improvement.
     let as_read_m = misfit_m(instrument, robot).unwrap_or(f64::INFINITY);
-    let of = |&mistake: &Mistake| {
-        Some(Likely { mistake, as_read_m, undone_m: undone_m(mistake, instrument, robot)? })
+    let corrected = |&mistake: &Mistake| {
+        Some(Likely { mistake, as_read_m, undone_m: corrected_misfit_m(mistake, instrument, robot)? })
     };
-    let best = mistakes.iter().filter_map(of).min_by(|a, b| a.undone_m.total_cmp(&b.undone_m))?;
-    (best.undone_m < NEAR_M.min(LEFT * as_read_m)).then_some(best)
+    let best = mistakes.iter().filter_map(corrected).min_by(|a, b| a.undone_m.total_cmp(&b.undone_m))?;
+    (best.undone_m < NEAR_M.min(REMAINING_MAX * as_read_m)).then_some(best)
 }
 
 /// The most likely of all mistakes, in the first of these files that has one.
 pub(in crate::calibrate) fn likely_of_all(files: &[Rows], robot: &Chain) -> Option<Likely> {
-    let of =
+    let likely_of =
         |Rows { instrument, .. }: &Rows| likely(instrument, robot, &instrument.mistakes(robot.links.len()));
-    files.iter().find_map(of)
+    files.iter().find_map(likely_of)
 }
 
 /// Refuses lengths in a different unit from that of the mapping. `nominal` has the nominal robot, with the instrument fitted to
@@ -135,23 +138,24 @@ pub(in crate::calibrate) fn unless_other_unit(
     if whole.lengths_m().is_empty() {
         return Ok(());
     }
-    let spread_m = |of: &Instrument| {
-        let lengths_m = of.lengths_m();
+    let variation_m = |rows: &Instrument| {
+        let lengths_m = rows.lengths_m();
         let mean_m = lengths_m.iter().sum::<f64>() / lengths_m.len().max(1) as f64;
         Sizes::of(lengths_m.iter().map(|length_m| length_m - mean_m)).rms
     };
-    let left_m = |of: &Instrument, model: &Model| {
-        median_size(of.errors(&model.geometry(&[])).iter().map(|error| error.position_m))
+    let misfit_m = |rows: &Instrument, model: &Model| {
+        median_size(rows.errors(&model.geometry(&[])).iter().map(|error| error.position_m))
     };
-    let (varies_m, as_read_m) = (spread_m(whole), left_m(whole, nominal));
+    let (varies_m, as_read_m) = (variation_m(whole), misfit_m(whole, nominal));
     if as_read_m < NEAR_M.min(UNEXPLAINED * varies_m) {
         return Ok(());
     }
     let in_unit = |mistake: Mistake| {
-        let other = whole.undone(mistake).into_iter().next()?;
-        let undone_m = left_m(&other, &placed(other.clone(), Model::alone(robot)).ok()??);
-        let part = undone_m / spread_m(&other);
-        (undone_m < NEAR_M && part < UNEXPLAINED).then_some((part, Likely { mistake, as_read_m, undone_m }))
+        let corrected = whole.undone(mistake).into_iter().next()?;
+        let undone_m = misfit_m(&corrected, &placed(corrected.clone(), Model::alone(robot)).ok()??);
+        let unexplained = undone_m / variation_m(&corrected);
+        (undone_m < NEAR_M && unexplained < UNEXPLAINED)
+            .then_some((unexplained, Likely { mistake, as_read_m, undone_m }))
     };
     let units = whole.mistakes(0).into_iter().filter(|mistake| matches!(mistake, Mistake::LengthUnit(_)));
     let best = units.filter_map(in_unit).min_by(|a, b| a.0.total_cmp(&b.0));

@@ -1,7 +1,8 @@
 //! The parts of a calibration that are specific to files of rows. Each row is a pose of the robot at rest with its measurement.
 //!
 //! A fifth of each file is held out. It is used neither for the choice of joint errors nor for the detection of outliers, and
-//! its errors are the result of the validation. The final result is a fit to all rows.
+//! its errors are the result of the validation. The final result is a fit to all rows. The driver calls the methods of
+//! [`RowSet`] in the order of its stages ([`Stages`]); each records the errors of all rows.
 
 mod drift;
 mod faulty_runs;
@@ -33,6 +34,12 @@ pub const WAVES_PER_TURN_MAX: u8 = 64;
 
 /// Number of parts of a file, of which one is held out.
 const PARTS: usize = 5;
+
+/// Indices of [`RowErrors::stages`].
+const NOMINAL: usize = 0;
+const OFFSETS: usize = 1;
+const LINKS: usize = 2;
+const JOINTS: usize = 3;
 
 /// Rows with contradictory data; all others are used. If the file is `alone`, the others must be sufficient for a fit.
 pub(super) fn checked(
@@ -71,12 +78,12 @@ pub struct RowSet {
 }
 
 impl RowSet {
-    /// All rows of a file except those `rejected`; with `judged`, a part is held out.
-    pub(super) fn new(whole: Instrument, rejected: Vec<RejectedRow>, judged: bool) -> Self {
-        let parts = if judged { whole.independent(PARTS) } else { Vec::new() };
+    /// All rows of a file except those `rejected`; with `hold_out`, a part is held out.
+    pub(super) fn new(whole: Instrument, rejected: Vec<RejectedRow>, hold_out: bool) -> Self {
+        let parts = if hold_out { whole.independent(PARTS) } else { Vec::new() };
         // With a single group of similar rows nothing can be held out.
-        let several = parts.len() > 1;
-        let mut held_out = parts.into_iter().next().filter(|_| several).unwrap_or_default();
+        let can_hold_out = parts.len() > 1;
+        let mut held_out = parts.into_iter().next().filter(|_| can_hold_out).unwrap_or_default();
         held_out.sort_unstable();
         let fitted = (0..whole.samples()).filter(|sample| held_out.binary_search(sample).is_err()).collect();
         let errors = RowErrors { fitted, held_out, ..RowErrors::default() };
@@ -104,19 +111,19 @@ impl RowSet {
 
     /// Records the errors of the nominal robot, with the instrument fitted to it.
     pub(super) fn judge_nominal(&mut self, model: &Model) {
-        self.errors.stages[0] = self.at(model);
+        self.errors.stages[NOMINAL] = self.errors_with(model);
         self.step = implausible::step(&self.whole, model);
     }
 
     /// Records the errors with the best joint offsets, and with the best links.
     pub(super) fn judge_links(&mut self, offsets: Option<&Model>, links: &Model) {
-        self.errors.stages[1] = offsets.map_or_else(Vec::new, |model| self.at(model));
-        self.errors.stages[2] = self.at(links);
+        self.errors.stages[OFFSETS] = offsets.map_or_else(Vec::new, |model| self.errors_with(model));
+        self.errors.stages[LINKS] = self.errors_with(links);
     }
 
     /// Records the errors with all accepted joint errors and the drift; rejects misplaced rows.
     pub(super) fn judge_joints(&mut self, model: &Model) {
-        self.errors.stages[3] = self.steady().errors(&model.geometry(&[]));
+        self.errors.stages[JOINTS] = self.without_drift().errors(&model.geometry(&[]));
         self.runs = faulty_runs::runs(model, &self.whole, &self.rejected);
         self.reject(&self.whole.misplaced(model));
     }
@@ -126,7 +133,7 @@ impl RowSet {
         self.errors.fitted = without(&self.errors.fitted, more);
         self.errors.held_out = without(&self.errors.held_out, more);
         self.rejected.extend(more);
-        self.rejected.sort_by_key(|one| one.row);
+        self.rejected.sort_by_key(|rejected| rejected.row);
     }
 
     /// Rejects rows that are far from both the nominal and the calibrated robot, fitted or held out: a broken beam, a wrong
@@ -145,14 +152,14 @@ impl RowSet {
         self.reject(&gross.collect::<Vec<_>>());
     }
 
-    fn at(&self, model: &Model) -> Vec<PoseError> {
+    fn errors_with(&self, model: &Model) -> Vec<PoseError> {
         self.whole.errors(&model.geometry(&[]))
     }
 
     /// The instrument with the drift of its offset removed.
-    fn steady(&self) -> Instrument {
-        let steady = self.drift.as_ref().and_then(|_| self.whole.longer_by(&self.drift_m));
-        steady.unwrap_or_else(|| self.whole.clone())
+    fn without_drift(&self) -> Instrument {
+        let corrected = self.drift.as_ref().and_then(|_| self.whole.longer_by(&self.drift_m));
+        corrected.unwrap_or_else(|| self.whole.clone())
     }
 
     /// Detects outliers among rows of lengths, and a drift of their offset, in a run at its best links with the fitting rows.
@@ -171,9 +178,10 @@ impl RowSet {
             return Ok(());
         }
         let fitting = without(&self.errors.fitted, &self.rejected);
-        let row_of = |one: &RejectedRow| RejectedRow { row: fitting[one.row], ..*one };
-        let seen = run.instrument.rejected().iter().map(row_of).collect::<Vec<_>>();
-        let kept = without(&fitting, &seen);
+        // The run counts its rows among the fitting ones.
+        let in_file = |rejected: &RejectedRow| RejectedRow { row: fitting[rejected.row], ..*rejected };
+        let rejected_by_fit = run.instrument.rejected().iter().map(in_file).collect::<Vec<_>>();
+        let kept = without(&fitting, &rejected_by_fit);
         self.whole.weigh_by(&run.model, &kept);
         let deviations = self.whole.deviations(&run.model.geometry(&[]));
         let residuals_m: Vec<f64> = deviations.iter().map(|deviation| deviation.signed_m()).collect();
@@ -183,41 +191,42 @@ impl RowSet {
             let error = RowError::TooManyRejected { kept: kept.len(), rows: fitting.len() };
             return Err(CalibrateError::Rows { data_set, error });
         }
-        let known: Vec<usize> = self.rejected.iter().map(|one| one.row).collect();
-        self.rejected.extend(faulty.iter().filter(|one| !known.contains(&one.row)));
-        self.rejected.sort_by_key(|one| one.row);
-        let fitting = self.beside_drift(&fitting);
+        let already_rejected: Vec<usize> = self.rejected.iter().map(|rejected| rejected.row).collect();
+        self.rejected.extend(faulty.iter().filter(|faulty| !already_rejected.contains(&faulty.row)));
+        self.rejected.sort_by_key(|rejected| rejected.row);
+        let fitting = self.usable_with_drift(&fitting);
         if let Some((drift, drift_m)) = drift::find(&mut run.model.clone(), &self.whole, &fitting, sigma_m)? {
             (self.drift, self.drift_m) = (Some(drift), drift_m);
-            run.instrument = self.steady().part(&fitting);
+            run.instrument = self.without_drift().part(&fitting);
         }
         Ok(())
     }
 
     /// Rows without those that are outliers even with a drift.
-    fn beside_drift(&self, rows: &[usize]) -> Vec<usize> {
+    fn usable_with_drift(&self, rows: &[usize]) -> Vec<usize> {
         without(rows, &self.rejected_where(|why| !matches!(why, Rejection::FaultyRun { .. })))
     }
 
     fn rejected_where(&self, wanted: impl Fn(Rejection) -> bool) -> Vec<RejectedRow> {
-        self.rejected.iter().filter(|one| wanted(one.why)).copied().collect()
+        self.rejected.iter().filter(|rejected| wanted(rejected.why)).copied().collect()
     }
 
     /// The instrument with all valid rows, including held-out ones, for the last fit.
     pub(super) fn everything(&mut self, model: &Model) -> Result<Instrument, CalibrateError> {
         let all: Vec<usize> = (0..self.whole.samples()).collect();
         if let Some(drift) = &self.drift {
-            self.given = self.beside_drift(&all);
+            self.given = self.usable_with_drift(&all);
             self.drift_m = drift::fit(&mut model.clone(), &self.whole, &self.given, drift)?;
-            return Ok(self.steady().part(&self.given));
+            return Ok(self.without_drift().part(&self.given));
         }
-        let judges_gross = self.whole.judges_gross();
-        let wrong = self.rejected_where(|why| match why {
+        // The last fit may use rows again that did not fit the best links, if it detects outliers itself.
+        let fit_detects_gross = self.whole.judges_gross();
+        let unusable = self.rejected_where(|why| match why {
             Rejection::FlangeContradicts { .. } => true,
-            Rejection::GrossResidual { .. } => !judges_gross,
+            Rejection::GrossResidual { .. } => !fit_detects_gross,
             Rejection::FaultyRun { .. } => false,
         });
-        self.given = without(&all, &wrong);
+        self.given = without(&all, &unusable);
         Ok(self.whole.part(&self.given))
     }
 
@@ -225,14 +234,14 @@ impl RowSet {
     /// set.
     pub fn deviations(&self, run: &Run) -> Vec<(Deviation, Option<Rejection>)> {
         let geometry = run.model.geometry(&[]);
-        let deviations = self.steady().deviations(&geometry);
+        let deviations = self.without_drift().deviations(&geometry);
         let mut all: Vec<_> = deviations.into_iter().map(|deviation| (deviation, None)).collect();
-        let not_given = |one: &&RejectedRow| self.given.binary_search(&one.row).is_err();
-        for one in self.rejected.iter().filter(not_given) {
-            all[one.row].1 = Some(one.why);
+        let not_given = |rejected: &&RejectedRow| self.given.binary_search(&rejected.row).is_err();
+        for rejected in self.rejected.iter().filter(not_given) {
+            all[rejected.row].1 = Some(rejected.why);
         }
-        for one in run.instrument.rejected() {
-            all[self.given[one.row]].1 = Some(one.why);
+        for rejected in run.instrument.rejected() {
+            all[self.given[rejected.row]].1 = Some(rejected.why);
         }
         all
     }

@@ -34,12 +34,12 @@ pub fn validate(
     calibrated: &Model,
     seed: u64,
 ) -> Result<Validated, CalibrateError> {
-    let bad = |error| CalibrateError::Rows { data_set: 1, error };
+    let rows_error = |error| CalibrateError::Rows { data_set: 1, error };
     let nominal = flange_chain(robot);
-    instrument.contradicting(&nominal).map_err(bad)?;
+    instrument.contradicting(&nominal).map_err(rows_error)?;
     let (rows, needed) = (instrument.samples(), instrument.samples_min() * FOLDS / (FOLDS - 1));
     if rows < needed {
-        return Err(bad(RowError::TooFewRows { rows, needed }));
+        return Err(rows_error(RowError::TooFewRows { rows, needed }));
     }
     let mut robot_only = calibrated.clone();
     robot_only.free_only(|_| false);
@@ -60,8 +60,8 @@ fn predicted(instrument: &Instrument, robot: &Model) -> Result<Vec<PoseError>, C
         let fitting: Vec<usize> = (0..instrument.samples()).filter(|row| !left_out.contains(row)).collect();
         let model = placed(instrument.part(&fitting), robot.clone())?;
         let model = model.ok_or(CalibrateError::NoPlace { data_set: 1 })?;
-        let found = instrument.errors(&model.geometry(&[]));
-        left_out.iter().for_each(|&row| errors[row] = found[row]);
+        let all = instrument.errors(&model.geometry(&[]));
+        left_out.iter().for_each(|&row| errors[row] = all[row]);
     }
     Ok(errors)
 }

@@ -1,4 +1,5 @@
-//! Choice of the error terms that a calibration contains, and of the widths of its priors.
+//! Choice of the error terms that a calibration contains, and of the widths of its priors. From the models near their solution it
+//! sets the roles of terms and the sigmas of priors; the tests on left-out data are in `terms`. Steps of `pipeline::estimate`.
 
 use std::collections::BTreeMap;
 
@@ -22,7 +23,7 @@ pub(in crate::calibrate) struct CommonPrior {
 impl CommonPrior {
     /// Harmonics of the bar's encoders.
     pub const HARMONICS: &'static [f64] = &[2.0, 1.0, 0.5, 0.2, 0.1, 0.05, 0.02];
-    /// Zeros of joints: within the tolerance of links, or off by hand, up to a degree on cobots.
+    /// Offsets of joints: within the tolerance of links, or off by hand, up to a degree on cobots.
     pub const ZEROS: &'static [f64] = &[1.0, 2.0, 5.0, 10.0, 20.0];
 
     /// The prior of those of these parameters that have one in any model.
@@ -37,7 +38,7 @@ impl CommonPrior {
     }
 }
 
-/// Normal equations without any offered term, and what they are offered.
+/// Normal equations without any of the offered terms, and the groups of terms to try.
 struct Offered {
     /// Identifiers of the columns.
     ids: Vec<ParameterId>,
@@ -63,14 +64,14 @@ impl Solver<'_> {
     ) -> Result<(Vec<Candidate>, f64), CalibrateError> {
         self.begins("errors of joints");
         let mut groups = self.plan.groups.clone();
-        let is_open =
+        let is_undetected =
             |group: &&mut CandidateGroup| group.group == TermGroup::LineSpectrum && group.ids.is_empty();
-        if let Some(open) = groups.iter_mut().find(is_open) {
-            self.offer_line_spectrum(&solution.sample_weights)?;
-            open.ids.clone_from(&self.shown.by_all);
-            if !open.ids.is_empty() {
+        if let Some(spectrum) = groups.iter_mut().find(is_undetected) {
+            self.detect_line_spectrum(&solution.sample_weights)?;
+            spectrum.ids.clone_from(&self.shown.by_all);
+            if !spectrum.ids.is_empty() {
                 // Waves detected in only a part of the samples are used for the prediction of single folds only.
-                self.set_roles(&self.shown.by_parts(), Role::Prior { value: 0.0, sigma: open.sigma })?;
+                self.set_roles(&self.shown.by_parts(), Role::Prior { value: 0.0, sigma: spectrum.sigma })?;
             }
         }
         let offered = self.offer(&mut groups, solution.loss, HELD_OUT)?;
@@ -80,11 +81,14 @@ impl Solver<'_> {
             .map_or_else(Vec::new, |normals| select(normals, &offered.always, &offered.offers));
         self.leave_out(&self.shown.by_parts())?;
         let mut report = Vec::new();
-        let mut accepted = self.take(&groups, &offered, &verdicts, &mut report)?;
+        let mut accepted = self.apply(&groups, &offered, &verdicts, &mut report)?;
         // The orders of a line spectrum were found in the same samples.
-        let rejected = verdicts.iter().filter(|one| !one.accepted).map(|one| &groups[one.offer]);
-        let rejected = rejected.filter(|group| group.group != TermGroup::LineSpectrum);
-        let rejected: Vec<&CandidateGroup> = rejected.collect();
+        let rejected: Vec<&CandidateGroup> = verdicts
+            .iter()
+            .filter(|verdict| !verdict.accepted)
+            .map(|verdict| &groups[verdict.offer])
+            .filter(|group| group.group != TermGroup::LineSpectrum)
+            .collect();
         let mut axes: Vec<CandidateGroup> = rejected.iter().flat_map(|group| group.by_axis()).collect();
         if !axes.is_empty() {
             let offered = self.offer(&mut axes, solution.loss, LEFT_OUT)?;
@@ -92,16 +96,16 @@ impl Solver<'_> {
                 .normals
                 .as_ref()
                 .map_or_else(Vec::new, |normals| select_axes(normals, &offered.always, &offered.offers));
-            accepted.extend(self.take(&axes, &offered, &verdicts, &mut report)?);
+            accepted.extend(self.apply(&axes, &offered, &verdicts, &mut report)?);
         }
         // Other terms than waves of high order resemble link errors. Their assumed size is the smallest usual one, since
         // left-out groups did not require more. Encoders of a bar separate terms from links: the stated uncertainty of ball-bar
         // runs is correct without them (95 % of 185 simulated runs).
         if self.residual_unit_of().is_none() {
             for group in rejected {
-                let is_left = |id: &ParameterId| !accepted.contains(id);
-                let left: Vec<ParameterId> = group.ids.iter().copied().filter(is_left).collect();
-                self.set_roles(&left, Role::Considered { sigma: group.sigma })?;
+                let is_excluded = |id: &ParameterId| !accepted.contains(id);
+                let excluded: Vec<ParameterId> = group.ids.iter().copied().filter(is_excluded).collect();
+                self.set_roles(&excluded, Role::Considered { sigma: group.sigma })?;
             }
         }
         let Some(normals) = offered.normals.as_ref().filter(|_| !self.plan.tolerances.is_empty()) else {
@@ -109,8 +113,8 @@ impl Solver<'_> {
         };
         // The scales of terms were chosen above; priors stated by the user are not changed.
         let kept: Vec<usize> = offered.always.iter().copied().chain(offered.columns_of(&accepted)).collect();
-        let tolerance = |column: usize| self.plan.tolerances.contains(&offered.ids[column]);
-        let scale = prior_scale(normals, &kept, tolerance);
+        let has_tolerance = |column: usize| self.plan.tolerances.contains(&offered.ids[column]);
+        let scale = prior_scale(normals, &kept, has_tolerance);
         let plan = self.plan;
         self.set_sigmas(|id, sigma| plan.tolerances.contains(&id).then_some(sigma * scale))?;
         Ok((report, scale))
@@ -130,7 +134,8 @@ impl Solver<'_> {
         let (columns, ids, normals) = self.normals_here(loss, count)?;
         let mut offered = Offered { ids, always: Vec::new(), offers: Vec::new(), normals: None };
         groups.retain(|group| offered.columns_of(&group.ids).next().is_some());
-        let offer = |group: &CandidateGroup| {
+        let offer_of = |group: &CandidateGroup| {
+            // The waves of each fold's prediction.
             let without = self.shown.without.iter().filter(|_| group.group == TermGroup::LineSpectrum);
             Offer {
                 columns: offered.columns_of(&group.ids).collect(),
@@ -138,18 +143,18 @@ impl Solver<'_> {
                 scales: group.scales.clone(),
             }
         };
-        let offers: Vec<Offer> = groups.iter().map(offer).collect();
-        let is_own = |column: &usize| offers.iter().any(|offer| offer.has(*column));
-        let (own, always): (Vec<usize>, Vec<usize>) = (0..offered.ids.len()).partition(is_own);
-        let mut without = self.start(&columns);
-        own.iter().for_each(|&column| without[column] = 0.0);
-        let normals = normals.map(|normals| normals.about(&without));
+        let offers: Vec<Offer> = groups.iter().map(offer_of).collect();
+        let is_offered = |column: &usize| offers.iter().any(|offer| offer.has(*column));
+        let (optional, always): (Vec<usize>, Vec<usize>) = (0..offered.ids.len()).partition(is_offered);
+        let mut x_without_terms = self.start(&columns);
+        optional.iter().for_each(|&column| x_without_terms[column] = 0.0);
+        let normals = normals.map(|normals| normals.about(&x_without_terms));
         (offered.always, offered.offers, offered.normals) = (always, offers, normals);
         Ok(offered)
     }
 
     /// Gives accepted terms their priors and leaves out the others. Returns the accepted ones.
-    fn take(
+    fn apply(
         &mut self,
         groups: &[CandidateGroup],
         offered: &Offered,
@@ -187,7 +192,7 @@ impl Solver<'_> {
     }
 
     /// Adds to all models the axis waves that are detected in the residuals.
-    fn offer_line_spectrum(&mut self, weights: &[f64]) -> Result<(), CalibrateError> {
+    fn detect_line_spectrum(&mut self, weights: &[f64]) -> Result<(), CalibrateError> {
         let mut spectrum = LineSpectrum::default();
         let columns = self.columns();
         let starts = problem(self.runs, &columns, &self.sigmas)?.starts().to_vec();
@@ -196,11 +201,11 @@ impl Solver<'_> {
             spectrum.add(run, *sigma, weights, &run.instrument.independent(HELD_OUT))?;
         }
         let mut shown = spectrum.shown();
-        let is_asked_for = |id: &ParameterId| {
+        let has_role = |id: &ParameterId| {
             let role = |run: &Run| run.model.parameter(*id).map(|parameter| parameter.role);
             self.runs.iter().any(|run| role(run).is_some_and(|role| role != Role::Fixed))
         };
-        shown.retain(|id| !self.plan.fix.contains(id) && !is_asked_for(id));
+        shown.retain(|id| !self.plan.fix.contains(id) && !has_role(id));
         for run in &mut *self.runs {
             run.model = run.model.clone().with(shown.ids());
         }
@@ -220,18 +225,18 @@ impl Solver<'_> {
         let Some(mut normals) = normals else { return Ok(()) };
         for CommonPrior { sigmas, scales } in &plan.common {
             let dispersion = normals.overdispersion().unwrap_or(1.0).max(1.0);
-            let priors = |scale: f64| -> Vec<Prior> {
-                let prior = |prior: &Prior| {
+            let priors_at = |scale: f64| -> Vec<Prior> {
+                let scaled = |prior: &Prior| {
                     let sigma = sigmas.get(&ids[prior.column]).map_or(prior.sigma, |sigma| sigma * scale);
                     Prior { sigma, ..*prior }
                 };
-                normals.priors().iter().map(prior).collect()
+                normals.priors().iter().map(scaled).collect()
             };
-            let evidence = |&scale: &f64| Some((scale, normals.evidence(&priors(scale), dispersion)?));
+            let evidence = |&scale: &f64| Some((scale, normals.evidence(&priors_at(scale), dispersion)?));
             let best = scales.iter().filter_map(evidence).max_by(|a, b| a.1.total_cmp(&b.1));
             let Some((scale, _)) = best else { continue };
-            let chosen = priors(scale);
-            normals = normals.with_priors(chosen);
+            let best_priors = priors_at(scale);
+            normals = normals.with_priors(best_priors);
             self.set_sigmas(|id, _| sigmas.get(&id).map(|sigma| sigma * scale))?;
         }
         Ok(())

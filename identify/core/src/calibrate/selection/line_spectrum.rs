@@ -1,6 +1,7 @@
-//! Detection of waves of the robot's axes in the residuals: teeth and lobes of gears whose numbers are unknown.
+//! Detection of waves of the robot's axes in the residuals: teeth and lobes of gears whose numbers are unknown. From residuals
+//! at the solution to the orders to try as terms; used by `choose`.
 //!
-//! An error `a sin(n g) + b cos(n g)` of a drive at angle `g` adds `(a sin(n g) + b cos(n g)) J` to a residual; `J` is the
+//! An error `a sin(n g) + b cos(n g)` of a drive at angle `g` adds `(a sin(n g) + b cos(n g)) J` to a residual `r`; `J` is the
 //! derivative of the residual by the drive's angle. The decrease of the sum of squares for the best `a` and `b`, over all
 //! orders `n`, is a periodogram of the residuals over the drive's angle (Lomb 1976, weighted with `J`). The strongest wave is
 //! fitted and subtracted, then the next one is detected (orthogonal matching pursuit, Pati 1993), because axes that move
@@ -24,25 +25,26 @@ use crate::statistics::extremes;
 
 /// Maximum number of samples of a run: a wave that needs more samples is too small to matter.
 const SAMPLES_MAX: usize = 3000;
-const FIRST: u8 = *Waves::OF_AXIS.start();
-const ORDERS: usize = (*Waves::OF_AXIS.end() - FIRST + 1) as usize;
+const ORDER_MIN: u8 = *Waves::OF_AXIS.start();
+const ORDERS: usize = (*Waves::OF_AXIS.end() - ORDER_MIN + 1) as usize;
 /// Detection limit, relative to the noise variance. The decrease due to one wave in white noise is chi-squared with two
 /// degrees of freedom. Some 700 tries exceed the limit by chance with a probability of one in ten thousand.
 const STANDS_OUT: f64 = 32.0;
 /// Median of the chi-squared distribution with two degrees of freedom.
-const MEDIAN: f64 = 1.386;
+const CHI_SQUARED_MEDIAN: f64 = 1.386;
 /// Highest order that is a separate term.
-const TWICE: f64 = 2.0;
+const SEPARATE_ORDER_MAX: f64 = 2.0;
 /// Maximum number of waves of one axis: the order itself, twice that, and another stage of the gear.
 const WAVES_MAX: usize = 3;
 
 /// A wave of an axis: axis from 0, order (waves per turn).
 type Wave = (usize, u8);
 
-/// Normal equations of one wave: `ss`, `sc`, `cc`.
+/// Sums of `J^T J` times `sin^2`, `sin cos` and `cos^2` of one wave.
 type Normal = [f64; 3];
 
-/// Cross products of sine and cosine of one wave with those of all waves, per axis and order.
+/// Sums of `J_a^T J_b` times the sine and cosine of all waves (axis `a`, order, phase) and those of one wave of axis `b`
+/// (last index: phase).
 type Cross = Vec<[[[f64; 2]; 2]; ORDERS]>;
 
 /// Detected waves, with sine and cosine parameters of each.
@@ -84,27 +86,28 @@ impl Shown {
     }
 }
 
-/// Products of one sample's residuals and derivatives by the drives' angles, multiplied by its weight.
+/// Products of one sample's residuals `r` and their derivatives `J` by the drives' angles, multiplied by its weight.
 #[derive(Debug)]
 struct Sample {
     fold: usize,
     /// Angle of each drive \[rad\].
     angles_rad: Joints,
     /// The matrix `J^T J`.
-    stiffness: Vec<Joints>,
+    jtj: Vec<Joints>,
     /// The vector `J^T r`.
-    pull: Joints,
+    jtr: Joints,
     /// The square `r^T r`.
     squared: f64,
     /// Number of entries of `r`.
     rows: f64,
 }
 
-/// Sums over the samples of some folds, for all waves.
+/// Sums over the samples of some folds, for all waves (axis, order).
 #[derive(Debug, Clone)]
 struct Sums {
     squared: f64,
     rows: f64,
+    /// Sums of `J^T r` times sine and cosine.
     gradients: Vec<[[f64; 2]; ORDERS]>,
     normals: Vec<[Normal; ORDERS]>,
 }
@@ -119,14 +122,14 @@ impl Sums {
         self.squared += sample.squared;
         self.rows += sample.rows;
         for (axis, (gradients, normals)) in self.gradients.iter_mut().zip(&mut self.normals).enumerate() {
-            let (pull, stiffness) = (sample.pull[axis], sample.stiffness[axis][axis]);
-            let of_orders = gradients.iter_mut().zip(normals).zip(waves(sample.angles_rad[axis]));
+            let (jtr, jtj) = (sample.jtr[axis], sample.jtj[axis][axis]);
+            let of_orders = gradients.iter_mut().zip(normals).zip(sin_cos_of_orders(sample.angles_rad[axis]));
             for ((gradient, normal), [sin, cos]) in of_orders {
-                gradient[0] += pull * sin;
-                gradient[1] += pull * cos;
-                normal[0] += stiffness * sin * sin;
-                normal[1] += stiffness * sin * cos;
-                normal[2] += stiffness * cos * cos;
+                gradient[0] += jtr * sin;
+                gradient[1] += jtr * cos;
+                normal[0] += jtj * sin * sin;
+                normal[1] += jtj * sin * cos;
+                normal[2] += jtj * cos * cos;
             }
         }
     }
@@ -134,16 +137,19 @@ impl Sums {
     fn add_all(&mut self, other: &Self) {
         self.squared += other.squared;
         self.rows += other.rows;
-        add(
+        add_each(
             self.gradients.as_flattened_mut().as_flattened_mut(),
             other.gradients.as_flattened().as_flattened(),
         );
-        add(self.normals.as_flattened_mut().as_flattened_mut(), other.normals.as_flattened().as_flattened());
+        add_each(
+            self.normals.as_flattened_mut().as_flattened_mut(),
+            other.normals.as_flattened().as_flattened(),
+        );
     }
 }
 
-fn add(to: &mut [f64], by: &[f64]) {
-    to.iter_mut().zip(by).for_each(|(to, by)| *to += by);
+fn add_each(sums: &mut [f64], values: &[f64]) {
+    sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
 }
 
 /// Samples of all runs, with their folds.
@@ -151,8 +157,8 @@ fn add(to: &mut [f64], by: &[f64]) {
 pub(in crate::calibrate) struct LineSpectrum {
     samples: Vec<Sample>,
     folds: usize,
-    /// Orders that are separate terms.
-    known: BTreeSet<Wave>,
+    /// Orders that are separate terms of the model.
+    separate: BTreeSet<Wave>,
 }
 
 impl LineSpectrum {
@@ -170,14 +176,14 @@ impl LineSpectrum {
     ) -> Result<(), CostError> {
         let geometry = model.geometry(&[]);
         let drives = &geometry.joints.drives;
-        self.known.extend(known(drives));
+        self.separate.extend(separate_terms(drives));
         let first_fold = self.folds;
         self.folds += folds.len();
-        let Some(of_joints) = joints_only(model) else { return Ok(()) };
-        let columns = SharedColumns::new([&of_joints], |_| false);
-        let problem = DataSets::new(vec![instrument.data_set(&of_joints, sigma)?], &columns);
-        // Samples without a value have weight zero.
+        let Some(joint_model) = joints_only(model) else { return Ok(()) };
+        let columns = SharedColumns::new([&joint_model], |_| false);
+        let problem = DataSets::new(vec![instrument.data_set(&joint_model, sigma)?], &columns);
         let every = problem.samples().div_ceil(SAMPLES_MAX).max(1);
+        // Sample, fold, weight and reported joints. Samples without a value have weight zero.
         let mut present: Vec<(usize, usize, f64, JointState)> = folds
             .iter()
             .enumerate()
@@ -190,28 +196,31 @@ impl LineSpectrum {
             .collect();
         present.sort_unstable_by_key(|(sample, ..)| *sample);
         let subset = Subset { of: &problem, samples: present.iter().map(|(sample, ..)| *sample).collect() };
-        let Some((residuals, jacobian)) = stacked(&subset, &of_joints.start()) else { return Ok(()) };
+        let Some((residuals, jacobian)) = stacked(&subset, &joint_model.start()) else { return Ok(()) };
         let per_sample = problem.rows();
         if residuals.len() != per_sample * present.len() {
             return Ok(());
         }
         for (number, (_, fold, weight, state)) in present.into_iter().enumerate() {
             let rows = number * per_sample..(number + 1) * per_sample;
+            // `J`, from the derivatives by the joints.
             let by_drive = |row: usize, axis: usize| -> f64 {
-                let by = jacobian.row(row);
-                drives.joint_from_drive[axis].iter().zip(&by).map(|(part, by_joint)| part * by_joint).sum()
+                let by_joints = jacobian.row(row);
+                let joint_from_drive = drives.joint_from_drive[axis].iter();
+                joint_from_drive.zip(&by_joints).map(|(part, by_joint)| part * by_joint).sum()
             };
-            let of_axes = |of: &dyn Fn(usize) -> f64| Joints::from_fn(drives.axes(), of);
-            let product = |a: usize, b: usize| -> f64 {
+            let for_axes = |value: &dyn Fn(usize) -> f64| Joints::from_fn(drives.axes(), value);
+            let jtj = |a: usize, b: usize| -> f64 {
                 weight * rows.clone().map(|row| by_drive(row, a) * by_drive(row, b)).sum::<f64>()
+            };
+            let jtr = |axis: usize| -> f64 {
+                weight * rows.clone().map(|row| by_drive(row, axis) * residuals[row]).sum::<f64>()
             };
             self.samples.push(Sample {
                 fold,
-                angles_rad: of_axes(&|axis| drives.of_drive(axis, &state.q)),
-                stiffness: (0..drives.axes()).map(|a| of_axes(&|b| product(a, b))).collect(),
-                pull: of_axes(&|axis| {
-                    weight * rows.clone().map(|row| by_drive(row, axis) * residuals[row]).sum::<f64>()
-                }),
+                angles_rad: for_axes(&|axis| drives.of_drive(axis, &state.q)),
+                jtj: (0..drives.axes()).map(|a| for_axes(&|b| jtj(a, b))).collect(),
+                jtr: for_axes(&jtr),
                 squared: weight * rows.clone().map(|row| residuals[row].powi(2)).sum::<f64>(),
                 rows: per_sample as f64,
             });
@@ -225,10 +234,10 @@ impl LineSpectrum {
         let mut folds = vec![Sums::zeros(axes); self.folds];
         self.samples.iter().for_each(|sample| folds[sample.fold].add(sample));
         let resolved = (0..axes).map(|axis| self.resolved(axis)).collect();
-        let mut search = Search { of: self, folds, resolved, crosses: BTreeMap::new() };
+        let mut search = Search { spectrum: self, folds, resolved, crosses: BTreeMap::new() };
         Shown {
-            by_all: search.found(None),
-            without: (0..self.folds).map(|fold| search.found(Some(fold))).collect(),
+            by_all: search.detect(None),
+            without: (0..self.folds).map(|fold| search.detect(Some(fold))).collect(),
         }
     }
 
@@ -245,11 +254,11 @@ impl LineSpectrum {
         for sample in &self.samples {
             let (sin, cos) = (f64::from(order) * sample.angles_rad[axis]).sin_cos();
             for (other, cross) in crosses[sample.fold].iter_mut().enumerate() {
-                let by = sample.stiffness[axis][other];
-                for (cross, wave) in cross.iter_mut().zip(waves(sample.angles_rad[other])) {
-                    for (cross, part) in cross.iter_mut().zip(wave) {
-                        cross[0] += by * part * sin;
-                        cross[1] += by * part * cos;
+                let jtj = sample.jtj[axis][other];
+                for (cross, sin_cos) in cross.iter_mut().zip(sin_cos_of_orders(sample.angles_rad[other])) {
+                    for (cross, other_phase) in cross.iter_mut().zip(sin_cos) {
+                        cross[0] += jtj * other_phase * sin;
+                        cross[1] += jtj * other_phase * cos;
                     }
                 }
             }
@@ -260,7 +269,7 @@ impl LineSpectrum {
 
 /// The detection in all folds, and in all folds except one.
 struct Search<'a> {
-    of: &'a LineSpectrum,
+    spectrum: &'a LineSpectrum,
     folds: Vec<Sums>,
     /// Minimum difference of distinguishable orders on each axis.
     resolved: Vec<f64>,
@@ -270,93 +279,102 @@ struct Search<'a> {
 
 impl Search<'_> {
     /// The waves detected in all folds, or in all folds except `without`.
-    fn found(&mut self, without: Option<usize>) -> Vec<ParameterId> {
-        let taken = |fold: &usize| Some(*fold) != without;
-        let folds: Vec<usize> = (0..self.folds.len()).filter(taken).collect();
+    fn detect(&mut self, without: Option<usize>) -> Vec<ParameterId> {
+        let is_used = |fold: &usize| Some(*fold) != without;
+        let folds: Vec<usize> = (0..self.folds.len()).filter(is_used).collect();
         let mut all = Sums::zeros(self.resolved.len());
         folds.iter().for_each(|fold| all.add_all(&self.folds[*fold]));
         let mut found: Vec<Wave> = Vec::new();
-        let mut left = all.clone();
-        while let Some(wave) = self.next(&left, &found) {
+        let mut residual = all.clone();
+        while let Some(wave) = self.strongest(&residual, &found) {
             found.push(wave);
-            self.crosses.entry(wave).or_insert_with(|| self.of.crosses(wave));
-            let Some(without) = self.left(&all, &found, &folds) else { break };
-            left = without;
+            self.crosses.entry(wave).or_insert_with(|| self.spectrum.crosses(wave));
+            let Some(remaining) = self.subtract(&all, &found, &folds) else { break };
+            residual = remaining;
         }
-        let new = found.into_iter().filter(|wave| !self.of.known.contains(wave));
+        let new = found.into_iter().filter(|wave| !self.spectrum.separate.contains(wave));
         new.flat_map(|(axis, order)| Phase::ALL.map(|phase| ParameterId::JointWave { axis, order, phase }))
             .collect()
     }
 
     /// The strongest wave in the residuals, if it is significant.
-    fn next(&self, left: &Sums, found: &[Wave]) -> Option<Wave> {
+    fn strongest(&self, residual: &Sums, found: &[Wave]) -> Option<Wave> {
         let is_new = |&(_, (axis, order)): &(f64, Wave)| {
             let of_axis = found.iter().filter(|wave| wave.0 == axis);
             // Over a part of a turn a wave resembles waves of neighbouring orders, which are excluded. Waves with one and two
             // periods per turn have the same effect: they are separate terms that may not have been fitted yet.
-            let mut apart = of_axis.clone().map(|wave| f64::from(wave.1.abs_diff(order)));
-            let slow = f64::from(order) <= TWICE + self.resolved[axis];
-            !slow && of_axis.clone().count() < WAVES_MAX && apart.all(|apart| apart > self.resolved[axis])
+            let mut distances = of_axis.clone().map(|wave| f64::from(wave.1.abs_diff(order)));
+            let is_slow = f64::from(order) <= SEPARATE_ORDER_MAX + self.resolved[axis];
+            !is_slow
+                && of_axis.clone().count() < WAVES_MAX
+                && distances.all(|distance| distance > self.resolved[axis])
         };
-        let variance = left.squared / left.rows.max(1.0);
-        let of_axes = left.gradients.iter().zip(&left.normals).enumerate();
-        let standing = of_axes.flat_map(|(axis, (gradients, normals))| {
-            standing(gradients, normals, variance).into_iter().map(move |(by, order)| (by, (axis, order)))
+        let variance = residual.squared / residual.rows.max(1.0);
+        let of_axes = residual.gradients.iter().zip(&residual.normals).enumerate();
+        // Ratio to the noise, and wave.
+        let significant = of_axes.flat_map(|(axis, (gradients, normals))| {
+            let orders = significant_orders(gradients, normals, variance).into_iter();
+            orders.map(move |(ratio, order)| (ratio, (axis, order)))
         });
-        standing.filter(is_new).max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, wave)| wave)
+        significant.filter(is_new).max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, wave)| wave)
     }
 
     /// Sums after a joint fit of these waves to the residuals of some folds; `None` if the waves are not separable.
-    fn left(&self, all: &Sums, waves: &[Wave], folds: &[usize]) -> Option<Sums> {
-        let crosses: Vec<Cross> = waves.iter().map(|wave| sum(&self.crosses[wave], folds)).collect();
-        let index = |order: u8| usize::from(order - FIRST);
+    fn subtract(&self, all: &Sums, waves: &[Wave], folds: &[usize]) -> Option<Sums> {
+        let crosses: Vec<Cross> = waves.iter().map(|wave| sum_over(&self.crosses[wave], folds)).collect();
+        let index = |order: u8| usize::from(order - ORDER_MIN);
         let count = 2 * waves.len();
         let matrix = DMatrix::from_fn(count, count, |row, column| {
             let (axis, order) = waves[row / 2];
             crosses[column / 2][axis][index(order)][row % 2][column % 2]
         });
-        let pull = DVector::from_fn(count, |row, _| {
+        let gradient = DVector::from_fn(count, |row, _| {
             let (axis, order) = waves[row / 2];
             all.gradients[axis][index(order)][row % 2]
         });
-        let amplitudes = matrix.cholesky()?.solve(&pull);
-        let mut left = all.clone();
-        left.squared -= amplitudes.dot(&pull);
-        for (cross, of_wave) in crosses.iter().zip(amplitudes.as_slice().chunks_exact(2)) {
-            let of_orders = left.gradients.as_flattened_mut().iter_mut().zip(cross.as_flattened());
+        let amplitudes = matrix.cholesky()?.solve(&gradient);
+        let mut residual = all.clone();
+        residual.squared -= amplitudes.dot(&gradient);
+        for (cross, amplitude) in crosses.iter().zip(amplitudes.as_slice().chunks_exact(2)) {
+            let of_orders = residual.gradients.as_flattened_mut().iter_mut().zip(cross.as_flattened());
             for (gradient, cross) in of_orders {
                 for (gradient, cross) in gradient.iter_mut().zip(cross) {
-                    *gradient -= cross[0] * of_wave[0] + cross[1] * of_wave[1];
+                    *gradient -= cross[0] * amplitude[0] + cross[1] * amplitude[1];
                 }
             }
         }
-        Some(left)
+        Some(residual)
     }
 }
 
-fn sum(crosses: &[Cross], folds: &[usize]) -> Cross {
+fn sum_over(crosses: &[Cross], folds: &[usize]) -> Cross {
     let mut sum = vec![[[[0.0; 2]; 2]; ORDERS]; crosses.first().map_or(0, Vec::len)];
     for fold in folds {
-        let own = crosses[*fold].as_flattened().as_flattened().as_flattened();
-        add(sum.as_flattened_mut().as_flattened_mut().as_flattened_mut(), own);
+        let of_fold = crosses[*fold].as_flattened().as_flattened().as_flattened();
+        add_each(sum.as_flattened_mut().as_flattened_mut().as_flattened_mut(), of_fold);
     }
     sum
 }
 
 /// Orders of an axis that are significant in residuals of this variance, with the ratio to the noise.
-fn standing(gradients: &[[f64; 2]; ORDERS], normals: &[Normal; ORDERS], variance: f64) -> Vec<(f64, u8)> {
-    let falls: [f64; ORDERS] = std::array::from_fn(|order| fall(gradients[order], normals[order]));
-    let mut sorted = falls;
+fn significant_orders(
+    gradients: &[[f64; 2]; ORDERS],
+    normals: &[Normal; ORDERS],
+    variance: f64,
+) -> Vec<(f64, u8)> {
+    let decreases: [f64; ORDERS] = std::array::from_fn(|order| decrease(gradients[order], normals[order]));
+    let mut sorted = decreases;
     sorted.sort_unstable_by(f64::total_cmp);
     // Other errors increase all orders; peaks must exceed this floor, too.
-    let floor = sorted[ORDERS / 2] / MEDIAN;
+    let floor = sorted[ORDERS / 2] / CHI_SQUARED_MEDIAN;
     let noise = floor.max(variance);
-    let standing = falls.into_iter().zip(FIRST..).filter(|(fall, _)| *fall > STANDS_OUT * noise);
-    standing.map(|(fall, order)| (fall / noise, order)).collect()
+    let orders = decreases.into_iter().zip(ORDER_MIN..);
+    let significant = orders.filter(|(decrease, _)| *decrease > STANDS_OUT * noise);
+    significant.map(|(decrease, order)| (decrease / noise, order)).collect()
 }
 
-/// Decrease of the sum of squares with one wave.
-fn fall([s, c]: [f64; 2], [ss, sc, cc]: Normal) -> f64 {
+/// Decrease of the sum of squares with one wave: `v^T N^-1 v` with gradient `v = (s, c)` and normal equations `N`.
+fn decrease([s, c]: [f64; 2], [ss, sc, cc]: Normal) -> f64 {
     let determinant = ss * cc - sc * sc;
     // The axis did not move, or sine and cosine are proportional over its travel.
     if determinant <= 1e-6 * ss * cc {
@@ -365,8 +383,8 @@ fn fall([s, c]: [f64; 2], [ss, sc, cc]: Normal) -> f64 {
     (s * s * cc - 2.0 * s * c * sc + c * c * ss) / determinant
 }
 
-/// Orders of other terms of the axes.
-fn known(drives: &DriveTrain) -> impl Iterator<Item = (usize, u8)> + '_ {
+/// Orders of cycloid lobes and motor turns, which other terms of the axes contain.
+fn separate_terms(drives: &DriveTrain) -> impl Iterator<Item = Wave> + '_ {
     let turns = [(Period::Cycloid, &drives.cycloid_lobes), (Period::Motor, &drives.motor_turns)];
     turns.into_iter().flat_map(move |(period, numbers)| {
         let has = move |axis: &usize| drives.has(*axis, JointTerm::Sine(period));
@@ -386,9 +404,9 @@ fn joints_only(model: &Model) -> Option<Model> {
 }
 
 /// Sine and cosine of all orders at a drive's angle.
-fn waves(angle_rad: f64) -> impl Iterator<Item = [f64; 2]> {
+fn sin_cos_of_orders(angle_rad: f64) -> impl Iterator<Item = [f64; 2]> {
     let step = Turn::of(angle_rad);
-    let turns = std::iter::successors(Some(step.times(FIRST)), move |turn| Some(turn.and(step)));
+    let turns = std::iter::successors(Some(step.times(ORDER_MIN)), move |turn| Some(turn.and(step)));
     turns.map(|Turn { sin, cos }| [sin, cos])
 }
 
@@ -413,11 +431,11 @@ mod tests {
                 let of_axis = waves.iter().filter(|((of, _), _)| *of == axis);
                 of_axis.map(|((_, order), by)| by[fold] * (f64::from(*order) * angles_rad[axis]).sin()).sum()
             };
-            let pull = Joints::from_fn(2, |axis| residual(axis) + random.sample::<f64, _>(StandardNormal));
-            let stiffness = (0..2).map(|a| Joints::from_fn(2, |b| f64::from(u8::from(a == b)))).collect();
-            Sample { fold, angles_rad, stiffness, squared: pull.iter().map(|r| r * r).sum(), pull, rows: 2.0 }
+            let jtr = Joints::from_fn(2, |axis| residual(axis) + random.sample::<f64, _>(StandardNormal));
+            let jtj = (0..2).map(|a| Joints::from_fn(2, |b| f64::from(u8::from(a == b)))).collect();
+            Sample { fold, angles_rad, jtj, squared: jtr.iter().map(|r| r * r).sum(), jtr, rows: 2.0 }
         };
-        LineSpectrum { samples: (0..2400).map(sample).collect(), folds: FOLDS, known: BTreeSet::new() }
+        LineSpectrum { samples: (0..2400).map(sample).collect(), folds: FOLDS, separate: BTreeSet::new() }
     }
 
     fn ids((axis, order): Wave) -> Vec<ParameterId> {

@@ -1,4 +1,5 @@
-//! The free link parameters of a robot, independent of the instrument at its end.
+//! The link parameters of a robot that are free in a calibration, from the directions of its nominal axes, independent of the
+//! instrument at its end. Also the offsets of which only a sum is observable.
 
 use nalgebra::Vector3;
 use shared::config::JointKind;
@@ -35,10 +36,11 @@ fn link_parameters(robot: &Chain, directions: &[Vector3<f64>], link: usize) -> V
     };
     let mut free = [first, &[Alpha]].concat();
     free.extend(parallel.then_some(Beta));
-    let turns_it =
-        |axis: &usize| !prismatic(*axis) && directions[*axis].cross(&directions[link]).norm() > PARALLEL;
-    let told = (0..link).any(|axis| turns_it(&axis)) && (link..directions.len()).any(|axis| turns_it(&axis));
-    free.retain(|parameter| *parameter != D || (told && !prismatic(link - 1)));
+    // `d` is observable if axes before and after it turn its direction.
+    let turns_direction =
+        |axis: usize| !prismatic(axis) && directions[axis].cross(&directions[link]).norm() > PARALLEL;
+    let d_is_observable = (0..link).any(turns_direction) && (link..directions.len()).any(turns_direction);
+    free.retain(|parameter| *parameter != D || (d_is_observable && !prismatic(link - 1)));
     free
 }
 
@@ -52,26 +54,27 @@ fn directions(robot: &Chain) -> Vec<Vector3<f64>> {
 /// The free parameters of all links.
 pub(in crate::calibrate) fn link_ids(robot: &Chain) -> Vec<ParameterId> {
     let directions = directions(robot);
-    let of = |link: usize| {
+    let ids_of = |link: usize| {
         let free = link_parameters(robot, &directions, link).into_iter();
         free.map(move |parameter| ParameterId::Robot { link, parameter })
     };
-    (0..robot.links.len()).flat_map(of).collect()
+    (0..robot.links.len()).flat_map(ids_of).collect()
 }
 
 /// Offsets along parallel axes, of which only the sum is observable. The last of each group is the free one.
 pub(crate) fn inseparable_offsets(robot: &Chain) -> Vec<Vec<ParameterId>> {
     let free = link_ids(robot);
     let offset = |link: usize| ParameterId::Robot { link, parameter: LinkParameter::D };
-    let is_carried = |link: &usize| {
-        let parallel = ParameterId::Robot { link: *link, parameter: LinkParameter::Beta };
-        free.contains(&parallel) && !free.contains(&offset(*link))
+    // A link with `beta` and without `d`: its offset is part of that of a later link.
+    let is_part_of_later = |link: &usize| {
+        let beta = ParameterId::Robot { link: *link, parameter: LinkParameter::Beta };
+        free.contains(&beta) && !free.contains(&offset(*link))
     };
     let last = robot.links.len().saturating_sub(1);
     let sums = (0..robot.links.len()).filter(|link| *link == last || free.contains(&offset(*link)));
     let group = |link: usize| -> Vec<ParameterId> {
-        let carried = (0..link).rev().take_while(is_carried).map(offset);
-        let mut group: Vec<ParameterId> = std::iter::once(offset(link)).chain(carried).collect();
+        let earlier = (0..link).rev().take_while(is_part_of_later).map(offset);
+        let mut group: Vec<ParameterId> = std::iter::once(offset(link)).chain(earlier).collect();
         group.reverse();
         group
     };

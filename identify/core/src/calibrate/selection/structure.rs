@@ -1,4 +1,5 @@
-//! The parameters that the poses of a run can identify, independent of noise.
+//! The parameters that the poses of a run can identify, independent of noise: rank analysis of the cost's Jacobian at poses that
+//! fit the nominal geometry exactly. Used for the selection `all_identifiable`; `identify examine` uses the same order of fixing.
 
 use crate::cost::{CostError, Length, LoopProblem, Position, PositionAngles, Residual, Transform, fill_in};
 use crate::kinematics::{LinkParameter, robot_inverse};
@@ -97,6 +98,7 @@ pub fn identifiable(
     }
 }
 
+/// Fixes redundant parameters until the poses determine all free ones, which are returned.
 fn reduce<R: Residual + Copy>(
     mut model: Model,
     joints: &PerObservation,
@@ -107,23 +109,23 @@ fn reduce<R: Residual + Copy>(
     loop {
         let free: Vec<ParameterId> = model.columns().map(|parameter| parameter.id).collect();
         let problem = LoopProblem::new(&model, joints, poses, residual, 1.0)?;
-        let found = identifiability(&problem, &model.start(), &Options::default())?;
-        let surplus = surplus(&found, &free);
-        if surplus.is_empty() {
+        let rank = identifiability(&problem, &model.start(), &Options::default())?;
+        let redundant = surplus(&rank, &free);
+        if redundant.is_empty() {
             return Ok(free);
         }
-        model.set_roles(surplus, Role::Fixed)?;
+        model.set_roles(redundant, Role::Fixed)?;
     }
 }
 
 /// The parameters to fix: those without effect, and the most suitable one of each dependent group of the `free` ones.
 pub fn surplus(found: &Identifiability, free: &[ParameterId]) -> Vec<ParameterId> {
-    let named = |columns: &[usize]| -> Vec<ParameterId> {
+    let ids_of = |columns: &[usize]| -> Vec<ParameterId> {
         columns.iter().filter_map(|column| free.get(*column).copied()).collect()
     };
     let of_groups = found
         .groups
         .iter()
-        .filter_map(|group| named(&group.columns).into_iter().min_by_key(|id| preference(*id)));
-    named(&found.zero_columns).into_iter().chain(of_groups).collect()
+        .filter_map(|group| ids_of(&group.columns).into_iter().min_by_key(|id| preference(*id)));
+    ids_of(&found.zero_columns).into_iter().chain(of_groups).collect()
 }

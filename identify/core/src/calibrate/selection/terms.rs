@@ -1,4 +1,5 @@
-//! Selection of optional terms: a group is accepted only if it improves the prediction of left-out folds.
+//! Selection of optional terms: a group is accepted only if it improves the prediction of left-out folds. Works on the normal
+//! equations of the folds, without a new solve: from columns to accept or reject to verdicts. `choose` applies these.
 
 use std::collections::BTreeSet;
 
@@ -105,9 +106,9 @@ pub struct Verdict {
 /// One-sided level of the test whether left-out folds are predicted better. Terms that fit only noise make predictions worse,
 /// so far fewer terms without real effect are accepted: in simulations 3 to 4 of 100 groups of one parameter and 1 to 4 of
 /// groups of twelve, for white noise and for noise correlated over ten samples.
-const LEVEL: f64 = 0.15;
+const SIGNIFICANCE_LEVEL: f64 = 0.15;
 /// A smaller relative decrease of the mean squared residual does not change any reported value.
-const TRIFLE: f64 = 1e-3;
+const DECREASE_MIN: f64 = 1e-3;
 /// Probability that any axis of a rejected group is accepted by chance.
 const AXIS_BY_CHANCE: f64 = 0.02;
 
@@ -117,39 +118,41 @@ pub(in crate::calibrate) fn mean(values: &[f64]) -> f64 {
 }
 
 /// Whether the errors of the folds decrease significantly (one-sided Student's t of the logarithms, since errors may differ
-/// much between folds), and their mean by more than `TRIFLE`.
+/// much between folds), and their mean by more than `DECREASE_MIN`.
 pub(in crate::calibrate) fn falls(before: &[f64], after: &[f64]) -> bool {
     let logarithm = |squared: f64| squared.max(f64::MIN_POSITIVE).ln();
-    let fall: Vec<f64> =
+    let decreases: Vec<f64> =
         before.iter().zip(after).map(|(before, after)| logarithm(*before) - logarithm(*after)).collect();
-    let by = mean(&fall);
-    let freedom = fall.len() as f64 - 1.0;
+    let mean_decrease = mean(&decreases);
+    let freedom = decreases.len() as f64 - 1.0;
     let Ok(student) = StudentsT::new(0.0, 1.0, freedom) else { return false };
-    let variance = fall.iter().map(|one| (one - by).powi(2)).sum::<f64>() / freedom;
-    let standard_error = (variance / fall.len() as f64).sqrt();
-    by > student.inverse_cdf(1.0 - LEVEL) * standard_error && mean(after) < (1.0 - TRIFLE) * mean(before)
+    let squares = decreases.iter().map(|decrease| (decrease - mean_decrease).powi(2));
+    let variance = squares.sum::<f64>() / freedom;
+    let standard_error = (variance / decreases.len() as f64).sqrt();
+    mean_decrease > student.inverse_cdf(1.0 - SIGNIFICANCE_LEVEL) * standard_error
+        && mean(after) < (1.0 - DECREASE_MIN) * mean(before)
 }
 
 /// Forward selection: accept the offer with which left-out folds are predicted best, then the best of the others in addition,
 /// until none improves the prediction. Then choose the scales of the accepted offers once more. The columns `always` are
 /// always included. The result contains accepted offers in the order of acceptance, then the rejected ones.
 pub fn select(normals: &Normals, always: &[usize], offers: &[Offer]) -> Vec<Verdict> {
-    let mut choice = Choice { normals, always, offers, taken: Vec::new() };
+    let mut choice = Choice { normals, always, offers, accepted: Vec::new() };
     let Some(mut before) = choice.predicted() else { return Vec::new() };
     loop {
         let tried = choice.open().into_iter().filter_map(|offer| {
-            let (verdict, after) = choice.with(offer, &before)?;
+            let (verdict, after) = choice.try_offer(offer, &before)?;
             Some((Verdict { accepted: falls(&before, &after), ..verdict }, after))
         });
         let mut tried: Vec<(Verdict, Vec<f64>)> = tried.collect();
         tried.sort_by(|a, b| a.0.after.total_cmp(&b.0.after));
         let Some(best) = tried.iter().position(|(verdict, _)| verdict.accepted) else {
             choice.rescale();
-            choice.taken.extend(tried.into_iter().map(|(verdict, _)| verdict));
-            return choice.taken;
+            choice.accepted.extend(tried.into_iter().map(|(verdict, _)| verdict));
+            return choice.accepted;
         };
         let (verdict, after) = tried.swap_remove(best);
-        choice.taken.push(verdict);
+        choice.accepted.push(verdict);
         before = after;
     }
 }
@@ -159,58 +162,59 @@ pub fn select(normals: &Normals, always: &[usize], offers: &[Offer]) -> Vec<Verd
 /// that is least probable by chance is accepted first, until none is left below its part of [`AXIS_BY_CHANCE`] (Bonferroni).
 /// The result contains the accepted offers.
 pub fn select_axes(normals: &Normals, always: &[usize], offers: &[Offer]) -> Vec<Verdict> {
-    let mut choice = Choice { normals, always, offers, taken: Vec::new() };
+    let mut choice = Choice { normals, always, offers, accepted: Vec::new() };
     let level = AXIS_BY_CHANCE / offers.len().max(1) as f64;
     while let Some(scores) = choice.scores() {
         let open = choice.open().into_iter();
         let chances = open.filter_map(|axis| Some((axis, scores.chance(&offers[axis].columns)?)));
         let least = chances.min_by(|a, b| a.1.total_cmp(&b.1)).filter(|(_, chance)| *chance < level);
         let Some((axis, _)) = least else { break };
-        let Some((verdict, _)) = choice.predicted().and_then(|before| choice.with(axis, &before)) else {
+        let Some((verdict, _)) = choice.predicted().and_then(|before| choice.try_offer(axis, &before)) else {
             break;
         };
-        choice.taken.push(Verdict { accepted: true, ..verdict });
+        choice.accepted.push(Verdict { accepted: true, ..verdict });
     }
-    choice.taken
+    choice.accepted
 }
 
-/// Offers that are accepted so far.
+/// Offers that are accepted so far; while an offer is tried, it is the last of them.
 struct Choice<'a> {
     normals: &'a Normals,
     /// Columns that are always included.
     always: &'a [usize],
     offers: &'a [Offer],
-    taken: Vec<Verdict>,
+    accepted: Vec<Verdict>,
 }
 
 impl Choice<'_> {
     /// Offers that are not accepted.
     fn open(&self) -> Vec<usize> {
-        let is_open = |offer: &usize| self.taken.iter().all(|one| one.offer != *offer);
+        let is_open = |offer: &usize| self.accepted.iter().all(|verdict| verdict.offer != *offer);
         (0..self.offers.len()).filter(is_open).collect()
     }
 
     /// Gradients of the folds at the solution with all accepted offers.
     fn scores(&self) -> Option<Scores> {
-        let of_taken = self.taken.iter().flat_map(|one| &self.offers[one.offer].columns);
-        let kept: Vec<usize> = self.always.iter().chain(of_taken).copied().collect();
+        let accepted = self.accepted.iter().flat_map(|verdict| &self.offers[verdict.offer].columns);
+        let kept: Vec<usize> = self.always.iter().chain(accepted).copied().collect();
         self.normals.scores(&kept, &self.priors())
     }
 
     /// The offer in addition, at the scale that predicts best, with the mean squared residual of each left-out fold. `None` if
     /// the folds do not determine the columns.
-    fn with(&mut self, offer: usize, before: &[f64]) -> Option<(Verdict, Vec<f64>)> {
-        self.taken.push(Verdict { offer, scale: 1.0, before: mean(before), after: 0.0, accepted: false });
-        let best = self.choose_scale();
-        Some((self.taken.pop()?, best?))
+    fn try_offer(&mut self, offer: usize, before: &[f64]) -> Option<(Verdict, Vec<f64>)> {
+        self.accepted.push(Verdict { offer, scale: 1.0, before: mean(before), after: 0.0, accepted: false });
+        let errors = self.choose_scale();
+        Some((self.accepted.pop()?, errors?))
     }
 
     /// Chooses the scale of each accepted offer again.
     fn rescale(&mut self) {
-        if self.taken.iter().any(|one| self.offers[one.offer].scales.len() > 1) {
-            for _ in 0..self.taken.len() {
-                let after = self.taken.remove(0);
-                self.taken.push(after);
+        if self.accepted.iter().any(|verdict| self.offers[verdict.offer].scales.len() > 1) {
+            for _ in 0..self.accepted.len() {
+                // `choose_scale` acts on the last offer: after all rotations the order is the same.
+                let first = self.accepted.remove(0);
+                self.accepted.push(first);
                 self.choose_scale();
             }
         }
@@ -219,30 +223,31 @@ impl Choice<'_> {
     /// Sets the scale of the last offer that predicts best; returns the squared residuals with it. `None` if the folds do not
     /// determine the columns.
     fn choose_scale(&mut self) -> Option<Vec<f64>> {
-        let (last, offers) = (self.taken.len().checked_sub(1)?, self.offers);
-        let scales = &offers[self.taken[last].offer].scales;
+        let (last, offers) = (self.accepted.len().checked_sub(1)?, self.offers);
+        let scales = &offers[self.accepted[last].offer].scales;
         let tried = scales.iter().filter_map(|&scale| {
-            self.taken[last].scale = scale;
+            self.accepted[last].scale = scale;
             Some((scale, self.predicted()?))
         });
         let (scale, errors) = tried.min_by(|a, b| mean(&a.1).total_cmp(&mean(&b.1)))?;
-        (self.taken[last].scale, self.taken[last].after) = (scale, mean(&errors));
+        (self.accepted[last].scale, self.accepted[last].after) = (scale, mean(&errors));
         Some(errors)
     }
 
     /// Mean squared residual of each left-out fold.
     fn predicted(&self) -> Option<Vec<f64>> {
         let columns = |fold: usize| -> Vec<usize> {
-            let own = |one: &Verdict| self.offers[one.offer].columns(fold).iter().copied();
-            self.always.iter().copied().chain(self.taken.iter().flat_map(own)).collect()
+            let of_offer = |verdict: &Verdict| self.offers[verdict.offer].columns(fold).iter().copied();
+            self.always.iter().copied().chain(self.accepted.iter().flat_map(of_offer)).collect()
         };
         self.normals.held_out_each(columns, &self.priors())
     }
 
     /// Priors at the scales of the accepted offers.
     fn priors(&self) -> Vec<Prior> {
-        let of = |column: usize| self.taken.iter().find(|one| self.offers[one.offer].has(column));
-        scaled(self.normals.priors(), |column| of(column).map_or(1.0, |one| one.scale))
+        let verdict_on =
+            |column: usize| self.accepted.iter().find(|verdict| self.offers[verdict.offer].has(column));
+        scaled(self.normals.priors(), |column| verdict_on(column).map_or(1.0, |verdict| verdict.scale))
     }
 }
 
@@ -255,13 +260,13 @@ fn scaled(priors: &[Prior], scale: impl Fn(usize) -> f64) -> Vec<Prior> {
 /// predicted best with narrow priors; this does not show that they are near nominal.
 pub fn prior_scale(normals: &Normals, columns: &[usize], of_scale: impl Fn(usize) -> bool) -> f64 {
     const GRID: [f64; 5] = [2.0, 5.0, 10.0, 30.0, 100.0];
-    let errors = |scale: f64| {
+    let errors_at = |scale: f64| {
         let priors = scaled(normals.priors(), |column| if of_scale(column) { scale } else { 1.0 });
         normals.held_out(columns, &priors)
     };
-    let Some(unscaled) = errors(1.0) else { return 1.0 };
+    let Some(unscaled) = errors_at(1.0) else { return 1.0 };
     let better = GRID.into_iter().filter_map(|scale| {
-        let errors = errors(scale).filter(|errors| falls(&unscaled, errors))?;
+        let errors = errors_at(scale).filter(|errors| falls(&unscaled, errors))?;
         Some((scale, mean(&errors)))
     });
     better.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(1.0, |(scale, _)| scale)

@@ -1,4 +1,4 @@
-//! Test whether data sets that were solved together agree about the robot.
+//! Test whether data sets that were solved together agree about the robot, for the limitations in the report.
 //!
 //! The solution of a single data set differs from the joint solution. Let `H` and `g` be its normal equations and their
 //! gradient at the joint solution, both with the priors. Its own solution reduces the sum of squares by `g' H^-1 g`. If all
@@ -32,26 +32,27 @@ pub fn disagreeing(runs: &[Run], sigmas: &[f64], loss: Loss) -> Vec<Disagreement
     if runs.len() < 2 {
         return Vec::new();
     }
-    let differ = differ(runs);
-    let one = |(data_set, (run, sigma)): (usize, (&Run, &f64))| {
+    let own_lengths = differ(runs);
+    let test = |(data_set, (run, sigma)): (usize, (&Run, &f64))| {
         let Run { instrument, model } = run;
         let columns = SharedColumns::new([model], |_| false);
         let alone = DataSets::new(vec![instrument.data_set(model, *sigma).ok()?], &columns);
         let (x, groups) = (model.start(), instrument.independent(LEFT_OUT));
-        let here = Normals::new(&alone, &x, &Options { loss, ..Options::default() }, &groups).ok()?;
-        let step = here.step()?;
-        let gained = -here.whole().gradient.dot(&step);
-        let there = here.about((DVector::from_vec(x) + step).as_slice());
-        let rows: f64 = there.of_folds().iter().map(|fold| fold.rows).sum();
-        let taken: f64 = there.taken()?.iter().sum();
-        let own = model.columns().filter(|parameter| is_own(parameter.id, &differ)).count();
-        let shared = (taken - own as f64).max(1.0);
-        let squared = there.whole().squared / (rows - taken).max(1.0);
-        let lasting = there.overdispersion()?.max(squared);
-        let fisher = FisherSnedecor::new(shared, there.folds() as f64 - 1.0).ok()?;
-        let chance = fisher.sf((gained / (shared * lasting)).max(0.0));
-        let times = (here.whole().squared / rows / squared).sqrt();
+        let at_joint = Normals::new(&alone, &x, &Options { loss, ..Options::default() }, &groups).ok()?;
+        // `-H^-1 g`, and the reduction `g' H^-1 g`.
+        let step = at_joint.step()?;
+        let reduction = -at_joint.whole().gradient.dot(&step);
+        let at_own = at_joint.about((DVector::from_vec(x) + step).as_slice());
+        let rows: f64 = at_own.of_folds().iter().map(|fold| fold.rows).sum();
+        let effective: f64 = at_own.taken()?.iter().sum();
+        let not_shared = model.columns().filter(|parameter| is_own(parameter.id, &own_lengths)).count();
+        let p = (effective - not_shared as f64).max(1.0);
+        let residual_variance = at_own.whole().squared / (rows - effective).max(1.0);
+        let s_squared = at_own.overdispersion()?.max(residual_variance);
+        let fisher = FisherSnedecor::new(p, at_own.folds() as f64 - 1.0).ok()?;
+        let chance = fisher.sf((reduction / (p * s_squared)).max(0.0));
+        let times = (at_joint.whole().squared / rows / residual_variance).sqrt();
         (chance * (runs.len() as f64) < DISAGREES_BY_CHANCE).then_some(Disagreement { data_set, times })
     };
-    runs.iter().zip(sigmas).enumerate().filter_map(one).collect()
+    runs.iter().zip(sigmas).enumerate().filter_map(test).collect()
 }

@@ -1,4 +1,5 @@
-//! Prediction of held-out segments of time: a validation on data that the fit did not use.
+//! Prediction of held-out segments of time of ball-bar runs: a validation on data that the fit did not use. Gives the models;
+//! `evaluate::held_out` computes their errors.
 
 use std::ops::Range;
 
@@ -13,6 +14,7 @@ use crate::solver::{Normals, Options, Watch};
 const SAMPLES_MAX: usize = 3000;
 /// Maximum number of segments of a run.
 const SEGMENTS: usize = 8;
+/// Maximum number of segments of all runs, except that each run has at least two.
 const SEGMENTS_OF_ALL: usize = 16;
 
 /// A held-out segment of one run, with the run's parameters from a fit to all other data.
@@ -49,10 +51,12 @@ pub fn without_each_segment(
     let folds: Vec<Vec<usize>> = segments.iter().map(|segment| segment.clone().collect()).collect();
     let options = Options { loss: solution.loss, watch, ..Options::default() };
     let without_each = Normals::new(&problem, &solution.x, &options, &folds)?.without_each();
-    let segment = |(left_out, x)| segment(&runs, columns, problem.starts(), left_out, x);
-    Ok(segments.iter().zip(without_each).filter_map(segment).collect())
+    let with_model = |(left_out, x)| segment(&runs, columns, problem.starts(), left_out, x);
+    Ok(segments.iter().zip(without_each).filter_map(with_model).collect())
 }
 
+/// The segment with these indices among the samples of all runs; `starts` are the first indices of the runs, and `x` is the
+/// solution without the segment.
 fn segment(
     runs: &[Run],
     columns: &SharedColumns,
@@ -69,7 +73,7 @@ fn segment(
     let model = x.map(|x| {
         let mut without = model.clone();
         without.adopt(&columns.values(number, &x));
-        keep_own_offsets(&mut without, model, &others);
+        keep_undetermined_offsets(&mut without, model, &others);
         without
     });
     Some(Segment { run: number, seen_by_none: observations.get(samples)?.to_vec(), others, model })
@@ -77,7 +81,7 @@ fn segment(
 
 /// Keeps the offsets of encoders that lost their origin, if no other sample determines them, at the values of the full fit:
 /// no fit could predict them.
-fn keep_own_offsets(model: &mut Model, whole: &Model, others: &[Observation]) {
+fn keep_undetermined_offsets(model: &mut Model, whole: &Model, others: &[Observation]) {
     for parameter in whole.columns() {
         if let ParameterId::EncoderOffset { origin, .. } = parameter.id
             && others.iter().all(|one| one.origin != origin)

@@ -1,4 +1,5 @@
-//! Uncertainty budget of positions, by contribution, as in the GUM (JCGM 100:2008).
+//! Uncertainty budget of positions, by contribution, as in the GUM (JCGM 100:2008): the covariance by source (samples, priors,
+//! considered parameters), propagated to random postures. Used for the report; the expanded uncertainty is its "known within".
 
 use serde::{Deserialize, Serialize};
 
@@ -65,14 +66,15 @@ impl Budget {
         let mut contributions: Vec<Contribution> = Vec::new();
         let (mut moved_by_plate, plate) = (None, ParameterId::plate(model.axes()));
         for (source, moved_m) in spread.sources.iter().zip(moved_m.column_iter()) {
-            let (name, u_m) = (named(*source, model, covariance), moved_m.norm() / (POSTURES as f64).sqrt());
+            let (name, u_m) =
+                (source_name(*source, model, covariance), moved_m.norm() / (POSTURES as f64).sqrt());
             if let Source::Prior { column } | Source::Considered { column } = *source
                 && covariance.name(column) == plate.to_string()
             {
                 moved_by_plate = stated_sigma(model, plate).map(|sigma| u_m / sigma);
             }
-            match contributions.iter_mut().find(|one| one.source == name) {
-                Some(one) => one.u_m = one.u_m.hypot(u_m),
+            match contributions.iter_mut().find(|contribution| contribution.source == name) {
+                Some(same) => same.u_m = same.u_m.hypot(u_m),
                 None => {
                     let statistical = source.is_statistical();
                     let evaluation = if statistical { Evaluation::Statistical } else { Evaluation::Stated };
@@ -81,11 +83,11 @@ impl Budget {
             }
         }
         contributions.sort_by(|a, b| b.u_m.total_cmp(&a.u_m));
-        let squared = |wanted: &dyn Fn(&Contribution) -> bool| -> f64 {
-            contributions.iter().filter(|one| wanted(one)).map(|one| one.u_m.powi(2)).sum()
+        let sum_of_squares = |is_wanted: &dyn Fn(&Contribution) -> bool| -> f64 {
+            contributions.iter().filter(|one| is_wanted(one)).map(|one| one.u_m.powi(2)).sum()
         };
-        let statistical = squared(&|one| one.evaluation == Evaluation::Statistical);
-        let variance = squared(&|_| true);
+        let statistical = sum_of_squares(&|one| one.evaluation == Evaluation::Statistical);
+        let variance = sum_of_squares(&|_| true);
         let freedom = covariance.sigmas_from.freedom().filter(|_| statistical > 0.0);
         Self {
             u_m: variance.sqrt(),
@@ -111,8 +113,8 @@ fn stated_sigma(model: &Model, id: ParameterId) -> Option<f64> {
     }
 }
 
-/// Name of a source for the report. Stated lengths are named one by one; other sources by type.
-fn named(source: Source, model: &Model, covariance: &Covariance) -> String {
+/// Name of a source for the report. Stated lengths and fixed parameters are named one by one; other sources by type.
+fn source_name(source: Source, model: &Model, covariance: &Covariance) -> String {
     let (column, how) = match source {
         Source::Together => return "errors of the samples, with all priors".into(),
         Source::Samples { data_set } => return format!("errors of the samples of data set {}", data_set + 1),
@@ -126,15 +128,15 @@ fn named(source: Source, model: &Model, covariance: &Covariance) -> String {
         return name.to_owned();
     };
     let sigma = stated_sigma(model, id);
-    let known = ParameterId::known_lengths(model.axes());
-    let alone = matches!(source, Source::Considered { .. }) || known.contains(&id);
+    let is_known_length = ParameterId::known_lengths(model.axes()).contains(&id);
+    let is_listed_alone = matches!(source, Source::Considered { .. }) || is_known_length;
     match (id.group(), sigma) {
-        (_, Some(sigma)) if known.contains(&id) => {
+        (_, Some(sigma)) if is_known_length => {
             let what =
                 if id == ParameterId::ROD { "length of the rod" } else { "length of the offset plate" };
             format!("{what} ({name}), stated within {}", id.unit().display(sigma))
         }
-        (_, Some(sigma)) if alone => {
+        (_, Some(sigma)) if is_listed_alone => {
             format!("{name}, {how} within {}", id.unit().display(sigma))
         }
         (Group::Term(group), _) => format!("what is expected of {}", group.name()),

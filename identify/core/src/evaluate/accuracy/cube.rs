@@ -41,14 +41,14 @@ impl Cube {
     pub(in crate::evaluate) fn largest(robot: &Chain, joint_limits: &[[f64; 2]]) -> Option<Self> {
         let centres: Vec<Joints> = random_postures(joint_limits).take(CENTRES).collect();
         EDGES_M.into_iter().find_map(|edge_m| {
-            let at = |q: &Joints| Self::at(robot, joint_limits, q, edge_m);
-            let (cube, _) = centres.iter().filter_map(at).min_by(|(_, a), (_, b)| a.total_cmp(b))?;
+            let centred_at = |q: &Joints| Self::centred_at(robot, joint_limits, q, edge_m);
+            let (cube, _) = centres.iter().filter_map(centred_at).min_by(|(_, a), (_, b)| a.total_cmp(b))?;
             Some(cube)
         })
     }
 
     /// The cube centred at the position of a posture, and the largest joint motion in it; `None` if not reachable.
-    fn at(robot: &Chain, joint_limits: &[[f64; 2]], q: &Joints, edge_m: f64) -> Option<(Self, f64)> {
+    fn centred_at(robot: &Chain, joint_limits: &[[f64; 2]], q: &Joints, edge_m: f64) -> Option<(Self, f64)> {
         let centre = robot.forward(q);
         let mut furthest: f64 = 0.0;
         let mut postures = vec![*q];
@@ -56,14 +56,14 @@ impl Cube {
             // In the plane through two opposite edges.
             let offset = 0.5 * edge_m * FROM_CENTRE * Vector3::new(along, across, along);
             let target = Pose::from_parts((centre.translation.vector + offset).into(), centre.rotation);
-            let there = robot_inverse(robot, &target, q).ok()?;
+            let corner_q = robot_inverse(robot, &target, q).ok()?;
             let within = |(joint, [low, high]): (&f64, &[f64; 2])| (low..=high).contains(&joint);
-            if !there.iter().zip(joint_limits).all(within) {
+            if !corner_q.iter().zip(joint_limits).all(within) {
                 return None;
             }
-            let apart = there.iter().zip(q.iter()).map(|(there, here)| (there - here).abs());
-            furthest = apart.fold(furthest, f64::max);
-            postures.push(there);
+            let motions = corner_q.iter().zip(q.iter()).map(|(corner, centre)| (corner - centre).abs());
+            furthest = motions.fold(furthest, f64::max);
+            postures.push(corner_q);
         }
         let cube = Self { edge_m, centre_m: centre.translation.vector, postures };
         (furthest <= APART_MAX).then_some((cube, furthest))

@@ -31,8 +31,9 @@ impl Validity {
         let of_joint = |joint: usize| {
             let mut values: Vec<f64> = poses.iter().map(|q| q[joint]).collect();
             values.sort_by(f64::total_cmp);
+            // A gap in which each value is near one of its ends is part of the interval.
             let intervals = values.chunk_by(|low, high| high - low <= 2.0 * BESIDE);
-            intervals.filter_map(|inside| Some([*inside.first()?, *inside.last()?])).collect()
+            intervals.filter_map(|values| Some([*values.first()?, *values.last()?])).collect()
         };
         let prismatic = (0..robot.links.len()).filter(is_prismatic).collect();
         Self { joints: (0..axes).map(of_joint).collect(), prismatic }
@@ -41,7 +42,8 @@ impl Validity {
     /// Joints (from 0) of a pose that are too far from all of their intervals.
     pub fn outside(&self, q: &Joints) -> Vec<usize> {
         let is_beside = |value: f64, [low, high]: &[f64; 2]| (low - BESIDE..=high + BESIDE).contains(&value);
-        let is_outside = |&joint: &usize| !self.joints[joint].iter().any(|own| is_beside(q[joint], own));
+        let is_outside =
+            |&joint: &usize| !self.joints[joint].iter().any(|interval| is_beside(q[joint], interval));
         (0..self.joints.len().min(q.len())).filter(is_outside).collect()
     }
 }
@@ -50,7 +52,7 @@ impl fmt::Display for Validity {
     /// `joint 1 -170..170, joint 2 -95..-20 and 10..40, joint 3 -60..80 in 7 parts`, in degrees; prismatic joints in mm.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         /// Maximum number of intervals that are listed one by one.
-        const PARTS_TOLD: usize = 3;
+        const LISTED_MAX: usize = 3;
         for (joint, intervals) in self.joints.iter().enumerate() {
             let (factor, unit) =
                 if self.prismatic.contains(&joint) { (1e3, " mm") } else { (1f64.to_degrees(), "") };
@@ -59,14 +61,14 @@ impl fmt::Display for Validity {
                 [low, high] if low == high => low + unit,
                 [low, high] => format!("{low}..{high}{unit}"),
             };
-            let told = match &intervals[..] {
-                [[low, _], .., [_, high]] if intervals.len() > PARTS_TOLD => {
+            let text = match &intervals[..] {
+                [[low, _], .., [_, high]] if intervals.len() > LISTED_MAX => {
                     format!("{} in {} parts", between(*low, *high), intervals.len())
                 }
                 few => few.iter().map(|[low, high]| between(*low, *high)).collect::<Vec<_>>().join(" and "),
             };
             let separator = if joint == 0 { "" } else { ", " };
-            write!(f, "{separator}joint {} {}", joint + 1, told)?;
+            write!(f, "{separator}joint {} {}", joint + 1, text)?;
         }
         Ok(())
     }

@@ -1,4 +1,5 @@
-//! Accuracy of the calibrated robot in its workspace: position error over the whole range of its joints.
+//! Accuracy of the calibrated robot in its workspace: position error over the whole range of its joints. Monte Carlo: robots are
+//! drawn from the covariance of the solution, `drawn error = J dp` in each of many random postures; used for the report.
 
 use std::collections::BTreeMap;
 
@@ -85,15 +86,15 @@ pub(in crate::evaluate) struct Postures {
 /// links fixed at uncertain values, and its joint errors, including excluded terms. All other parameters define the robot's
 /// base frame.
 pub fn workspace_error(model: &Model, covariance: &Covariance, joint_limits: &[[f64; 2]]) -> WorkspaceError {
-    let columns = of_robot(model, covariance);
+    let columns = robot_columns(model, covariance);
     let postures = Postures::new(model, &columns, random_postures(joint_limits));
-    let left_m = postures.left_m(covariance, &columns);
-    let [before, after] = postures.errors(&left_m);
+    let drawn_m = postures.draw_m(covariance, &columns);
+    let [before, after] = postures.errors(&drawn_m);
     WorkspaceError {
         before,
         after,
         deployed: BTreeMap::new(),
-        places: postures.places(&left_m),
+        places: postures.places(&drawn_m),
         weakest: weakest(&root(covariance, &columns), &postures.by_parameter, &columns),
         budget: Budget::new(model, covariance, &columns, &postures),
         cube: None,
@@ -110,11 +111,12 @@ impl WorkspaceError {
         joint_limits: &[[f64; 2]],
         deployed: impl Iterator<Item = &'a Deployed>,
     ) -> Self {
-        let columns = of_robot(model, covariance);
+        let columns = robot_columns(model, covariance);
         let postures = Postures::new(model, &columns, random_postures(joint_limits));
-        let left_m = postures.left_m(covariance, &columns);
-        let of_part = |part: &Deployed| (part.deployment, expected(&postures.apart_m(&part.model), &left_m));
-        self.deployed = deployed.map(of_part).collect();
+        let drawn_m = postures.draw_m(covariance, &columns);
+        let of_deployment =
+            |part: &Deployed| (part.deployment, expected(&postures.difference_m(&part.model), &drawn_m));
+        self.deployed = deployed.map(of_deployment).collect();
         self
     }
 
@@ -122,9 +124,9 @@ impl WorkspaceError {
     #[must_use]
     pub fn with_cube(mut self, model: &Model, covariance: &Covariance, joint_limits: &[[f64; 2]]) -> Self {
         self.cube = Cube::largest(&model.geometry(&model.start()).robot, joint_limits).map(|cube| {
-            let columns = of_robot(model, covariance);
+            let columns = robot_columns(model, covariance);
             let postures = Postures::new(model, &columns, cube.postures.into_iter());
-            let [before, after] = postures.errors(&postures.left_m(covariance, &columns));
+            let [before, after] = postures.errors(&postures.draw_m(covariance, &columns));
             CubeError { edge_m: cube.edge_m, centre_m: cube.centre_m.into(), before, after }
         });
         self
@@ -132,7 +134,7 @@ impl WorkspaceError {
 }
 
 /// Columns of the covariance that move the robot's end at standstill: of its links and joint errors.
-fn of_robot(model: &Model, covariance: &Covariance) -> Vec<(usize, ParameterId)> {
+fn robot_columns(model: &Model, covariance: &Covariance) -> Vec<(usize, ParameterId)> {
     model
         .columns()
         .enumerate()
@@ -144,7 +146,7 @@ fn of_robot(model: &Model, covariance: &Covariance) -> Vec<(usize, ParameterId)>
 }
 
 /// Errors of these parameters, one robot drawn from the covariance per column.
-fn drawn(covariance: &Covariance, columns: &[(usize, ParameterId)]) -> DMatrix<f64> {
+fn drawn_parameters(covariance: &Covariance, columns: &[(usize, ParameterId)]) -> DMatrix<f64> {
     let Spread { by_source, sources } = covariance.spread();
     let spread = by_source.select_rows(columns.iter().map(|(column, _)| column));
     let mut random = ChaCha8Rng::seed_from_u64(0);
@@ -156,7 +158,7 @@ fn drawn(covariance: &Covariance, columns: &[(usize, ParameterId)]) -> DMatrix<f
         for mut draw in drawn.column_iter_mut() {
             let scale = (freedom / chi_squared.sample(&mut random)).sqrt();
             let samples = draw.iter_mut().zip(sources).filter(|(_, source)| source.is_statistical());
-            samples.for_each(|(one, _)| *one *= scale);
+            samples.for_each(|(value, _)| *value *= scale);
         }
     }
     spread * drawn
@@ -198,58 +200,58 @@ impl Postures {
             let joints = geometry.at_rest(*reported);
             tracer.trace(&joints.corrected.q, &mut end);
             postures.positions_m.push(end.position_m());
-            let mut by = postures.by_parameter.rows_mut(3 * posture, 3);
-            for (mut column, (_, id)) in by.column_iter_mut().zip(columns) {
+            let mut rows = postures.by_parameter.rows_mut(3 * posture, 3);
+            for (mut column, (_, id)) in rows.column_iter_mut().zip(columns) {
                 if let Some(twist) = geometry.end_twist(&joints, &end, *id) {
                     column.copy_from(&twist.linear);
                 }
             }
         }
-        postures.corrected_m = postures.apart_m(&nominal);
+        postures.corrected_m = postures.difference_m(&nominal);
         postures
     }
 
     /// Position of the calibrated robot's end minus that of another model, per posture \[m\].
-    fn apart_m(&self, other: &Model) -> Vec<Vector3<f64>> {
+    fn difference_m(&self, other: &Model) -> Vec<Vector3<f64>> {
         let other = other.geometry(&other.start());
         let ends = self.states.iter().map(|state| other.robot_end(state).translation.vector);
-        self.positions_m.iter().zip(ends).map(|(here, there)| here - there).collect()
+        self.positions_m.iter().zip(ends).map(|(calibrated, other)| calibrated - other).collect()
     }
 
     /// Position errors of robots drawn from the covariance: three rows per posture, one draw per column \[m\].
-    fn left_m(&self, covariance: &Covariance, columns: &[(usize, ParameterId)]) -> DMatrix<f64> {
-        &self.by_parameter * drawn(covariance, columns)
+    fn draw_m(&self, covariance: &Covariance, columns: &[(usize, ParameterId)]) -> DMatrix<f64> {
+        &self.by_parameter * drawn_parameters(covariance, columns)
     }
 
     /// Errors of each posture over all draws, as in [`Self::errors`].
-    fn places(&self, left_m: &DMatrix<f64>) -> Vec<PlaceError> {
-        let of_posture = |(posture, (position_m, was)): (usize, (&Vector3<f64>, &Vector3<f64>))| {
-            let left = |draw| Vector3::from(left_m.fixed_view::<3, 1>(3 * posture, draw));
-            let draws = 0..left_m.ncols();
+    fn places(&self, drawn_m: &DMatrix<f64>) -> Vec<PlaceError> {
+        let of_posture = |(posture, (position_m, corrected_m)): (usize, (&Vector3<f64>, &Vector3<f64>))| {
+            let drawn = |draw| Vector3::from(drawn_m.fixed_view::<3, 1>(3 * posture, draw));
+            let draws = 0..drawn_m.ncols();
             PlaceError {
                 position_m: (*position_m).into(),
-                before_m: rms(draws.clone().map(|draw| (was + left(draw)).norm())),
-                after_m: rms(draws.map(|draw| left(draw).norm())),
+                before_m: rms(draws.clone().map(|draw| (corrected_m + drawn(draw)).norm())),
+                after_m: rms(draws.map(|draw| drawn(draw).norm())),
             }
         };
         self.positions_m.iter().zip(&self.corrected_m).enumerate().map(of_posture).collect()
     }
 
     /// Expected errors of the nominal and the calibrated robot.
-    fn errors(&self, left_m: &DMatrix<f64>) -> [Expected; 2] {
+    fn errors(&self, drawn_m: &DMatrix<f64>) -> [Expected; 2] {
         [&self.corrected_m, &vec![Vector3::zeros(); self.states.len()]]
-            .map(|apart_m| expected(apart_m, left_m))
+            .map(|difference_m| expected(difference_m, drawn_m))
     }
 }
 
-/// Expected error of a robot from which the calibrated one differs by `apart_m` in each posture. The true robot is the
-/// calibrated one with the drawn errors `left_m`.
-fn expected(apart_m: &[Vector3<f64>], left_m: &DMatrix<f64>) -> Expected {
+/// Expected error of a robot from which the calibrated one differs by `difference_m` in each posture. The true robot is the
+/// calibrated one with the drawn errors `drawn_m`.
+fn expected(difference_m: &[Vector3<f64>], drawn_m: &DMatrix<f64>) -> Expected {
     let of_draw = |draw: DVectorView<'_, f64>| -> Vec<f64> {
-        let left = |posture: usize| Vector3::from(draw.fixed_rows::<3>(3 * posture));
-        apart_m.iter().enumerate().map(|(posture, apart)| (apart + left(posture)).norm()).collect()
+        let drawn = |posture: usize| Vector3::from(draw.fixed_rows::<3>(3 * posture));
+        difference_m.iter().enumerate().map(|(posture, by_m)| (by_m + drawn(posture)).norm()).collect()
     };
-    let errors_m: Vec<Vec<f64>> = left_m.column_iter().map(of_draw).collect();
+    let errors_m: Vec<Vec<f64>> = drawn_m.column_iter().map(of_draw).collect();
     let mean = |errors: &Vec<f64>| errors.iter().sum::<f64>() / errors.len().max(1) as f64;
     let mut means: Vec<f64> = errors_m.iter().map(mean).collect();
     let mut p95s: Vec<f64> = errors_m.iter().map(|errors| quantile(&mut errors.clone(), 0.95)).collect();
@@ -276,11 +278,11 @@ fn weakest(
     if columns.is_empty() {
         return Vec::new();
     }
-    let worth = by_parameter.tr_mul(by_parameter);
-    let eigen = SymmetricEigen::new(root.transpose() * &worth * root);
+    let m = by_parameter.tr_mul(by_parameter);
+    let eigen = SymmetricEigen::new(root.transpose() * &m * root);
     let direction = root * eigen.eigenvectors.column(eigen.eigenvalues.imax());
     // The effect on positions makes metres and radians comparable.
-    let effect = |i: usize| direction[i] * direction[i] * worth[(i, i)];
+    let effect = |i: usize| direction[i] * direction[i] * m[(i, i)];
     let whole: f64 = (0..columns.len()).map(effect).sum();
     let mut parts: Vec<(String, f64)> = columns
         .iter()
