@@ -6,8 +6,8 @@ use super::scene::unit;
 use super::{Movement, Residual, Scene};
 use crate::model::{Owner, ParameterId};
 
-/// `R ball - socket` \[m\], entries in the robot's base; `R` is the robot's pose. Divide by the standard deviation of a
-/// coordinate.
+/// `R ball - socket` \[m\], entries in the robot's base; `R` is the robot's pose. The problem divides it by the standard
+/// deviation of a coordinate.
 #[derive(Debug, Clone, Copy)]
 pub struct SeatedBall<'a> {
     /// Socket of each sample, from 0.
@@ -31,19 +31,20 @@ impl Residual for SeatedBall<'_> {
         Some((socket, scene.robot.rotation() * scene.geometry.contact.ball_m))
     }
 
-    fn residual(&self, scene: &Scene<'_>, (socket, ball): &Self::Local, out: &mut [f64]) {
-        let socket_m = scene.geometry.contact.sockets_m.get(*socket);
+    fn residual(&self, scene: &Scene<'_>, (seated_in, flange_to_ball_m): &Self::Local, out: &mut [f64]) {
+        let socket_m = scene.geometry.contact.sockets_m.get(*seated_in);
         let socket_m = socket_m.copied().unwrap_or_else(|| Vector3::repeat(f64::NAN));
-        out.copy_from_slice((scene.robot.position_m() + ball - socket_m).as_slice());
+        out.copy_from_slice((scene.robot.position_m() + flange_to_ball_m - socket_m).as_slice());
     }
 
-    fn derivative(&self, scene: &Scene<'_>, (at, ball): &Self::Local, id: ParameterId, out: &mut [f64]) {
-        let by = match (id, scene.movement(id)) {
-            (_, Movement::Robot(twist)) => twist.linear + twist.angular.cross(ball),
+    fn derivative(&self, scene: &Scene<'_>, local: &Self::Local, id: ParameterId, out: &mut [f64]) {
+        let (seated_in, flange_to_ball_m) = local;
+        let derivative = match (id, scene.movement(id)) {
+            (_, Movement::Robot(twist)) => twist.linear + twist.angular.cross(flange_to_ball_m),
             (ParameterId::Ball { axis }, _) => scene.robot.rotation() * unit(axis),
-            (ParameterId::Socket { socket, axis }, _) if socket == *at => -unit(axis),
+            (ParameterId::Socket { socket, axis }, _) if socket == *seated_in => -unit(axis),
             _ => return,
         };
-        out.copy_from_slice(by.as_slice());
+        out.copy_from_slice(derivative.as_slice());
     }
 }

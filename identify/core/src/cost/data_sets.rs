@@ -1,72 +1,79 @@
-//! Data sets of one robot as one problem: different paths, bars, positions of the bar, or instruments.
+//! Data sets of one robot (different paths, bars, positions of the bar, or instruments) as one problem, for a calibration.
+//!
+//! Each data set (`run` is its index) has its own model. A parameter that two models share, such as a link of the robot, has
+//! one column in the combined problem; one that each run has for itself, such as the bar's position, has a column per run.
 
 use crate::model::{Model, ParameterId};
 use crate::solver::{Linearisation, Prior, Problem};
 
 /// Whitened samples of one instrument, independent of the type of residual.
 pub trait DataSet: Problem {
-    /// [`Problem::at`], with the derivatives by each parameter in a column that the caller chooses.
+    /// [`Problem::at`], with the derivatives by parameter `i` in column `columns[i]` of the caller's problem.
     fn at_into<'a>(&'a self, x: &[f64], columns: &'a [usize]) -> Linearisation<'a>;
 }
 
-/// Map from the columns of each run to the columns of the joint problem.
+/// Map from the columns of each run to the columns of the combined problem.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SharedColumns {
-    /// For each run, the joint column of each of its parameters.
-    of_run: Vec<Vec<usize>>,
+    /// For each run, the combined column of each of its parameters.
+    of_runs: Vec<Vec<usize>>,
     names: Vec<String>,
 }
 
 impl SharedColumns {
-    /// `own` returns true for parameters that each run has for itself; all others are shared with the first run that has them.
+    /// `is_own` is true for parameters that each run has for itself; all others are shared with the first run that has them.
     /// Columns of the first run are first, in its order. Parameters that belong to run `n` only are named `ox@n`.
-    pub fn new<'m>(models: impl IntoIterator<Item = &'m Model>, own: impl Fn(ParameterId) -> bool) -> Self {
+    pub fn new<'m>(
+        models: impl IntoIterator<Item = &'m Model>,
+        is_own: impl Fn(ParameterId) -> bool,
+    ) -> Self {
         let mut shared: Vec<(ParameterId, usize)> = Vec::new();
-        let mut columns = Self { of_run: Vec::new(), names: Vec::new() };
+        let mut combined = Self { of_runs: Vec::new(), names: Vec::new() };
         for (run, model) in models.into_iter().enumerate() {
             let column_of = |id: ParameterId| {
-                let own = own(id);
-                if let Some((_, column)) = shared.iter().find(|(other, _)| !own && *other == id) {
+                let is_own = is_own(id);
+                if let Some((_, column)) = shared.iter().find(|(other, _)| !is_own && *other == id) {
                     return *column;
                 }
-                let column = columns.names.len();
-                columns.names.push(if run > 0 && own { format!("{id}@{}", run + 1) } else { id.to_string() });
-                if !own {
+                let column = combined.names.len();
+                let name = if run > 0 && is_own { format!("{id}@{}", run + 1) } else { id.to_string() };
+                combined.names.push(name);
+                if !is_own {
                     shared.push((id, column));
                 }
                 column
             };
-            let of_run = model.columns().map(|parameter| parameter.id).map(column_of).collect();
-            columns.of_run.push(of_run);
+            let columns = model.columns().map(|parameter| parameter.id).map(column_of).collect();
+            combined.of_runs.push(columns);
         }
-        columns
+        combined
     }
 
-    /// Joint columns of one run, in the order of its model.
+    /// Combined columns of one run, in the order of its model.
     pub fn of_run(&self, run: usize) -> &[usize] {
-        self.of_run.get(run).map_or(&[], Vec::as_slice)
+        self.of_runs.get(run).map_or(&[], Vec::as_slice)
     }
 
-    /// Names of all joint columns.
+    /// Names of all combined columns.
     pub fn names(&self) -> &[String] {
         &self.names
     }
 
-    /// The parameter values of one run, from those of the joint problem.
+    /// The parameter values of one run, from those of the combined problem.
     pub fn values(&self, run: usize, x: &[f64]) -> Vec<f64> {
         self.of_run(run).iter().map(|&column| x.get(column).copied().unwrap_or_default()).collect()
     }
 
-    /// One value per joint column, from each run's own values. The first run that has a column provides its value.
-    pub fn gather<T: Clone>(&self, of_runs: &[Vec<T>]) -> Vec<T> {
-        let first = |column: usize| {
-            let of_run = |(columns, values): (&Vec<usize>, &Vec<T>)| {
-                let at = columns.iter().position(|own| *own == column)?;
-                values.get(at).cloned()
+    /// One value per combined column, from each run's own values. The first run that has a column provides its value.
+    pub fn gather<T: Clone>(&self, values_of_runs: &[Vec<T>]) -> Vec<T> {
+        let first_value = |column: usize| {
+            let value_in_run = |(columns, values): (&Vec<usize>, &Vec<T>)| {
+                let index = columns.iter().position(|combined| *combined == column)?;
+                values.get(index).cloned()
             };
-            self.of_run.iter().zip(of_runs).find_map(of_run)
+            self.of_runs.iter().zip(values_of_runs).find_map(value_in_run)
         };
-        (0..self.names.len()).filter_map(first).collect()
+        (0..self.names.len()).filter_map(first_value).collect()
     }
 }
 
@@ -74,6 +81,7 @@ impl SharedColumns {
 pub struct DataSets<'a> {
     sets: Vec<Box<dyn DataSet + 'a>>,
     columns: &'a SharedColumns,
+    /// Largest number of residuals of a sample.
     rows: usize,
     priors: Vec<Prior>,
     /// Index of the first sample of each set, then the total number of samples.
@@ -106,12 +114,14 @@ impl<'a> DataSets<'a> {
         &self.starts
     }
 
-    fn set_of(&self, sample: usize) -> usize {
+    /// Index of the set to which a sample belongs.
+    fn set_index(&self, sample: usize) -> usize {
         self.starts.partition_point(|start| *start <= sample).saturating_sub(1)
     }
 
-    fn in_set(&self, sample: usize) -> Option<(&(dyn DataSet + 'a), usize)> {
-        let set = self.set_of(sample);
+    /// The set to which a sample belongs, and the sample's index in it.
+    fn locate(&self, sample: usize) -> Option<(&(dyn DataSet + 'a), usize)> {
+        let set = self.set_index(sample);
         Some((self.sets.get(set)?.as_ref(), sample - self.starts[set]))
     }
 }
@@ -134,11 +144,11 @@ impl Problem for DataSets<'_> {
     }
 
     fn rows_of(&self, sample: usize) -> usize {
-        self.in_set(sample).map_or(0, |(set, sample)| set.rows_of(sample))
+        self.locate(sample).map_or(0, |(set, sample)| set.rows_of(sample))
     }
 
     fn is_known(&self, sample: usize) -> bool {
-        self.in_set(sample).is_some_and(|(set, sample)| set.is_known(sample))
+        self.locate(sample).is_some_and(|(set, sample)| set.is_known(sample))
     }
 
     fn priors(&self) -> &[Prior] {
@@ -146,13 +156,14 @@ impl Problem for DataSets<'_> {
     }
 
     fn at<'a>(&'a self, x: &[f64]) -> Linearisation<'a> {
-        let numbered = self.sets.iter().enumerate();
-        let mut of_sets: Vec<Linearisation<'a>> = numbered
+        let sets = self.sets.iter().enumerate();
+        let mut linearisations: Vec<Linearisation<'a>> = sets
             .map(|(run, set)| set.at_into(&self.columns.values(run, x), self.columns.of_run(run)))
             .collect();
         Box::new(move |sample, residual, block| {
-            let run = self.set_of(sample);
-            of_sets.get_mut(run).is_some_and(|set| set(sample - self.starts[run], residual, block))
+            let run = self.set_index(sample);
+            let linearise = linearisations.get_mut(run);
+            linearise.is_some_and(|linearise| linearise(sample - self.starts[run], residual, block))
         })
     }
 }

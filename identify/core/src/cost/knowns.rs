@@ -1,4 +1,5 @@
-//! Rows, followed by the known properties of an instrument's parts as additional samples.
+//! Rows of sockets or faces as samples, followed by one sample for each known property of the instrument ([`Knowns`], such as
+//! the distance between two sockets). A property has its own standard deviation, and derivatives by its own parameters.
 
 use super::{CostError, DataSet, LoopProblem, Residual};
 use crate::instrument::Knowns;
@@ -9,7 +10,7 @@ use crate::solver::{Linearisation, Prior, Problem};
 #[derive(Debug)]
 pub struct BesideKnowns<'a, R, M, K> {
     rows: LoopProblem<'a, R, M>,
-    known: &'a K,
+    knowns: &'a K,
 }
 
 impl<'a, R: Residual, M: RobotMotion, K: Knowns> BesideKnowns<'a, R, M, K> {
@@ -22,27 +23,27 @@ impl<'a, R: Residual, M: RobotMotion, K: Knowns> BesideKnowns<'a, R, M, K> {
         motion: &'a M,
         observations: &'a [Observation],
         residual: R,
-        known: &'a K,
+        knowns: &'a K,
         sigma: f64,
     ) -> Result<Self, CostError> {
-        Ok(Self { rows: LoopProblem::new(model, motion, observations, residual, sigma)?, known })
+        Ok(Self { rows: LoopProblem::new(model, motion, observations, residual, sigma)?, knowns })
     }
 }
 
 impl<R: Residual, M: RobotMotion, K: Knowns> DataSet for BesideKnowns<'_, R, M, K> {
     fn at_into<'a>(&'a self, x: &[f64], columns: &'a [usize]) -> Linearisation<'a> {
         let geometry = self.rows.model().geometry(x);
-        let mut rows = self.rows.linearised(geometry.clone(), columns);
+        let mut linearise_row = self.rows.linearised(geometry.clone(), columns);
         Box::new(move |sample, residual, block| {
             let Some(known) = sample.checked_sub(self.rows.samples()) else {
-                return rows(sample, residual, block);
+                return linearise_row(sample, residual, block);
             };
-            let Some((value, derivative)) = self.known.known(known, &geometry) else { return false };
+            let Some((value, derivatives)) = self.knowns.known(known, &geometry) else { return false };
             residual.copy_from_slice(value.as_slice());
             for (&column, id) in columns.iter().zip(self.rows.ids()) {
-                let Some(by) = self.known.column(*id) else { continue };
-                let by = derivative.column(by);
-                block.column_mut(column).iter_mut().zip(by.iter()).for_each(|(to, by)| *to = *by);
+                let Some(known_column) = self.knowns.column(*id) else { continue };
+                let derivative = derivatives.column(known_column);
+                block.column_mut(column).iter_mut().zip(derivative.iter()).for_each(|(to, from)| *to = *from);
             }
             true
         })
@@ -59,7 +60,7 @@ impl<R: Residual, M: RobotMotion, K: Knowns> Problem for BesideKnowns<'_, R, M, 
     }
 
     fn samples(&self) -> usize {
-        self.rows.samples() + self.known.knowns()
+        self.rows.samples() + self.knowns.knowns()
     }
 
     fn rows(&self) -> usize {
@@ -67,7 +68,7 @@ impl<R: Residual, M: RobotMotion, K: Knowns> Problem for BesideKnowns<'_, R, M, 
     }
 
     fn rows_of(&self, sample: usize) -> usize {
-        sample.checked_sub(self.rows.samples()).map_or(self.rows(), |known| self.known.rows_of(known))
+        sample.checked_sub(self.rows.samples()).map_or(self.rows(), |known| self.knowns.rows_of(known))
     }
 
     fn is_known(&self, sample: usize) -> bool {

@@ -6,7 +6,8 @@ use super::scene::unit;
 use super::{Movement, Residual, Scene};
 use crate::model::{Owner, ParameterId, SetUp};
 
-/// `|R attachment - anchor| + offset - measured` \[m\], divided by the sample's noise relative to that of the median sample.
+/// `|R attachment - anchor| + offset - measured` \[m\], divided by the sample's noise relative to that of the median sample. The
+/// problem divides it by the standard deviation of the median sample.
 #[derive(Debug, Clone, Copy)]
 pub struct MeasuredLength<'a> {
     /// Standard deviation of each sample relative to that of the median sample; a sample without entry is ignored.
@@ -20,10 +21,9 @@ pub struct MeasuredLength<'a> {
 pub struct Stretched {
     set_up: SetUp,
     relative_noise: f64,
-    /// Vector from the robot's end to the attachment \[m\].
-    attachment_m: Vector3<f64>,
-    /// Vector from anchor to attachment \[m\].
-    along_m: Vector3<f64>,
+    flange_to_attachment_m: Vector3<f64>,
+    /// From anchor to attachment.
+    wire_m: Vector3<f64>,
 }
 
 impl Residual for MeasuredLength<'_> {
@@ -39,26 +39,28 @@ impl Residual for MeasuredLength<'_> {
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<Stretched> {
-        let (set_up, relative_noise) =
-            (*self.set_ups.get(scene.sample)?, *self.relative_noise.get(scene.sample)?);
+        let set_up = *self.set_ups.get(scene.sample)?;
+        let relative_noise = *self.relative_noise.get(scene.sample)?;
         let (anchor_m, attachment_m) = scene.geometry.wire.at(set_up)?;
-        let attachment_m = scene.robot.rotation() * attachment_m;
-        let along_m = scene.robot.position_m() + attachment_m - anchor_m;
-        Some(Stretched { set_up, relative_noise, attachment_m, along_m })
+        let flange_to_attachment_m = scene.robot.rotation() * attachment_m;
+        let wire_m = scene.robot.position_m() + flange_to_attachment_m - anchor_m;
+        Some(Stretched { set_up, relative_noise, flange_to_attachment_m, wire_m })
     }
 
     fn residual(&self, scene: &Scene<'_>, wire: &Stretched, out: &mut [f64]) {
         let measured_m = scene.observation.length_m.unwrap_or(f64::NAN);
-        let residual_m = wire.along_m.norm() + scene.geometry.wire.offset_m - measured_m;
+        let residual_m = wire.wire_m.norm() + scene.geometry.wire.offset_m - measured_m;
         out[0] = residual_m / wire.relative_noise;
     }
 
     fn derivative(&self, scene: &Scene<'_>, wire: &Stretched, id: ParameterId, out: &mut [f64]) {
-        let Stretched { set_up, relative_noise, attachment_m, along_m } = wire;
+        let Stretched { set_up, relative_noise, flange_to_attachment_m, wire_m } = wire;
         // At zero length the direction is undefined; the derivative is taken as zero.
-        let direction = if along_m.norm() > 0.0 { along_m.normalize() } else { *along_m };
+        let direction = if wire_m.norm() > 0.0 { wire_m.normalize() } else { *wire_m };
         let derivative = match (id, scene.movement(id)) {
-            (_, Movement::Robot(twist)) => direction.dot(&(twist.linear + twist.angular.cross(attachment_m))),
+            (_, Movement::Robot(twist)) => {
+                direction.dot(&(twist.linear + twist.angular.cross(flange_to_attachment_m)))
+            }
             (ParameterId::Attachment { target, axis }, _) if target == set_up.target => {
                 direction.dot(&(scene.robot.rotation() * unit(axis)))
             }

@@ -17,8 +17,9 @@ pub struct PoseNoise {
     pub rotation_rad: f64,
 }
 
-/// `H = R probe` is the probe's pose by the robot, `S = T measured` that by the tracker. The residual is the position of `H`
-/// minus that of `S` in the robot's base, and the rotation vector of `S^-1 H`, each divided by its standard deviation.
+/// `H = R probe` is the probe's pose by the robot (`held`), `S = T measured` that by the tracker (`seen`), with the tracker's
+/// pose `T`. The residual is the position of `H` minus that of `S` in the robot's base, and the rotation vector of `S^-1 H`,
+/// each divided by its standard deviation.
 ///
 /// The observations only give the time. The measurements are a separate slice, in the same order, one per observation. A sample
 /// without measurement is ignored.
@@ -32,11 +33,13 @@ pub struct MeasuredPose<'a> {
     pub set_ups: &'a [SetUp],
 }
 
-/// Both poses of the probe, and the derivative of the rotation vector by their relative angular velocity.
+/// Both poses of the probe, and the rotation between them.
 #[derive(Debug, Clone, Copy)]
 pub struct TurnedSighting {
     sighting: Sighting,
+    /// Rotation vector of `S^-1 H` \[rad\].
     turn_rad: Vector3<f64>,
+    /// Derivative of `turn_rad` by the angular velocity of `H` minus that of `S`, in the robot's base.
     by_angular: Matrix3<f64>,
 }
 
@@ -54,9 +57,9 @@ impl Residual for MeasuredPose<'_> {
     fn local(&self, scene: &Scene<'_>) -> Option<TurnedSighting> {
         let (noise, set_up) = (*self.noise.get(scene.sample)?, *self.set_ups.get(scene.sample)?);
         let sighting = Sighting::new(scene, self.measured.get(scene.sample)?, noise, set_up)?;
-        let into_seen = sighting.seen.rotation.matrix().transpose();
-        let turn_rad = rotation_vector(&(into_seen * sighting.held.rotation.matrix()));
-        let by_angular = inverse_left_jacobian(&turn_rad) * into_seen;
+        let seen_from_root = sighting.seen.rotation.matrix().transpose();
+        let turn_rad = rotation_vector(&(seen_from_root * sighting.held.rotation.matrix()));
+        let by_angular = inverse_left_jacobian(&turn_rad) * seen_from_root;
         Some(TurnedSighting { sighting, turn_rad, by_angular })
     }
 

@@ -42,9 +42,10 @@ impl Sighting {
         noise: PoseNoise,
         set_up: SetUp,
     ) -> Option<Self> {
-        let (place, probe) = scene.geometry.tracker.at(set_up)?;
+        let (tracker, probe) = scene.geometry.tracker.at(set_up)?;
         let held = scene.robot.end() * probe.pose();
-        Some(Self { held, seen: place.pose() * tracker_from_probe, noise, set_up })
+        let seen = tracker.pose() * tracker_from_probe;
+        Some(Self { held, seen, noise, set_up })
     }
 
     /// Predicted minus observed position, in the robot's base \[m\].
@@ -55,7 +56,7 @@ impl Sighting {
     /// Twist of the predicted probe relative to the observed one, per unit rate of a parameter.
     pub(super) fn parting(&self, scene: &Scene<'_>, id: ParameterId) -> Option<Twist> {
         use Coordinate::{Position, Rotation};
-        let (place, probe) = scene.geometry.tracker.at(self.set_up)?;
+        let (tracker, probe) = scene.geometry.tracker.at(self.set_up)?;
         let robot = scene.robot;
         Some(match id {
             ParameterId::Tracker { station, .. } if station != self.set_up.station => return None,
@@ -63,7 +64,7 @@ impl Sighting {
             ParameterId::Tracker { coordinate: Position(axis), .. } => Twist::translation(-unit(axis)),
             ParameterId::Tracker { coordinate: Rotation(axis), .. } => {
                 let seen_m = self.seen.translation.vector;
-                Twist::rotation(place.turning(axis), place.position_m, seen_m).scaled(-1.0)
+                Twist::rotation(tracker.turning(axis), tracker.position_m, seen_m).scaled(-1.0)
             }
             ParameterId::Probe { coordinate: Position(axis), .. } => {
                 Twist::translation(robot.rotation() * unit(axis))
@@ -73,8 +74,9 @@ impl Sighting {
             }
             id => match scene.movement(id) {
                 Movement::Robot(twist) => {
-                    let arm = self.held.translation.vector - robot.position_m();
-                    Twist { angular: twist.angular, linear: twist.linear + twist.angular.cross(&arm) }
+                    let flange_to_probe_m = self.held.translation.vector - robot.position_m();
+                    let linear = twist.linear + twist.angular.cross(&flange_to_probe_m);
+                    Twist { angular: twist.angular, linear }
                 }
                 Movement::Bar(_) | Movement::None => return None,
             },

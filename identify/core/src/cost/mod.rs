@@ -1,7 +1,9 @@
-//! Residuals of the closed chain, and the least-squares problem for the solver.
+//! Costs: from parameter values and samples to residuals and Jacobian, for the solver. [`crate::instrument`] chooses the cost.
 //!
-//! A cost defines its residual and the residual's derivative by the twist of the robot's end or the bar's end. The twist per
-//! parameter is defined in one place, [`Scene`]. A new cost is a new [`Residual`].
+//! A parameter moves the end of the robot's chain or of the bar's chain by a twist, which [`Scene`] computes for all costs. A
+//! cost is a [`Residual`]: the residual of a sample, and its derivative from this twist. [`LoopProblem`] applies a cost to the
+//! samples of a data set, [`DataSets`] combines data sets. Letters as in the thesis: `R` and `B` are the poses of the end by
+//! robot and bar, `R_p` and `B_p` their positions, `o` the base of the bar, `L` its length, `b` its joints.
 
 mod bar;
 mod contact;

@@ -1,4 +1,8 @@
-//! Model, motion, observations and cost as a least-squares problem for the solver.
+//! [`LoopProblem`]: a cost over the samples of one data set, as a least-squares problem for the solver.
+//!
+//! At parameter values `x` the model gives the geometry. For each sample, [`LoopPoint`] reads the robot's joints at the
+//! sample's time and traces both chains into a [`Scene`]; from it the cost computes residual and derivatives, which are then
+//! divided by the residual's standard deviation.
 
 use nalgebra::Vector3;
 
@@ -53,9 +57,12 @@ pub struct LoopProblem<'a, R, M> {
     /// Sines and cosines of the bar's readings, which are constant in a solve.
     readings: Vec<[Turn; BAR_JOINTS]>,
     residual: R,
+    /// Parameter of each column.
     ids: Vec<ParameterId>,
+    /// `0, 1, 2 ..`: each parameter in its own column.
     own_columns: Vec<usize>,
     priors: Vec<Prior>,
+    /// One over the standard deviation of a residual entry.
     whitening: f64,
 }
 
@@ -78,11 +85,12 @@ impl<'a, R: Residual, M: RobotMotion> LoopProblem<'a, R, M> {
         observations
             .iter()
             .enumerate()
-            .try_for_each(|(sample, observation)| check::<R>(sample, observation))?;
+            .try_for_each(|(sample, observation)| check_observation::<R>(sample, observation))?;
         let readings = observations.iter().map(readings).collect();
         let ids = model.columns().map(|parameter| parameter.id).collect();
         let own_columns = (0..model.columns().len()).collect();
-        let (priors, whitening) = (model.priors(), sigma.recip());
+        let priors = model.priors();
+        let whitening = sigma.recip();
         Ok(Self { model, motion, observations, readings, residual, ids, own_columns, priors, whitening })
     }
 }
@@ -109,7 +117,8 @@ pub(super) fn readings(observation: &Observation) -> [Turn; BAR_JOINTS] {
     observation.bar_rad.map(Turn::of)
 }
 
-fn check<R: Residual>(sample: usize, observation: &Observation) -> Result<(), CostError> {
+/// Checks that the observation has finite values of all that the cost needs.
+fn check_observation<R: Residual>(sample: usize, observation: &Observation) -> Result<(), CostError> {
     for &joint in R::ENCODERS {
         if !observation.measured.get(joint).copied().unwrap_or(false) {
             return Err(CostError::NoEncoder { cost: R::NAME, joint: joint + 1, sample });
@@ -135,6 +144,7 @@ pub struct LoopPoint {
     robot_tracer: Tracer,
     bar_chain: Chain,
     bar_tracer: Tracer,
+    /// y axis of the bar's base after its rotation about x, in the root frame.
     base_y: Vector3<f64>,
     joints: MovingJoints,
     robot: Trace,
@@ -170,13 +180,15 @@ impl LoopPoint {
         let joints = &self.joints;
         let errors_rad = self.geometry.encoder_errors_rad(readings);
         let origin_offsets_rad = self.geometry.offsets_of_origin(observation.origin);
-        let added_rad: [f64; BAR_JOINTS] =
+        let correction_rad: [f64; BAR_JOINTS] =
             std::array::from_fn(|joint| origin_offsets_rad[joint] - errors_rad[joint]);
-        let bar_joints = readings.iter().zip(added_rad).map(|(reading, added)| reading.and(Turn::of(added)));
+        let bar_joints = readings.iter().zip(correction_rad).map(|(reading, rad)| reading.and(Turn::of(rad)));
         if let Some(rod) = self.geometry.bar_links.get(ROD_LINK) {
             let rod_m = rod.d_m + self.geometry.extension_m(&observation.force, readings);
             self.bar_tracer.set_d(ROD_LINK, rod_m);
-            self.bar_chain.links.iter_mut().skip(ROD_LINK).take(1).for_each(|rod| rod.d_m = rod_m);
+            if let Some(rod) = self.bar_chain.links.get_mut(ROD_LINK) {
+                rod.d_m = rod_m;
+            }
         }
         self.robot_tracer.trace(&joints.corrected.q, &mut self.robot);
         self.bar_tracer.trace_turns(bar_joints, &mut self.bar);
@@ -185,7 +197,7 @@ impl LoopPoint {
             sample,
             observation,
             readings,
-            bar_rad: std::array::from_fn(|joint| observation.bar_rad[joint] + added_rad[joint]),
+            bar_rad: std::array::from_fn(|joint| observation.bar_rad[joint] + correction_rad[joint]),
             bar_chain: &self.bar_chain,
             bar_tracer: &self.bar_tracer,
             joints,

@@ -1,4 +1,5 @@
-//! One sample with all quantities that residuals need.
+//! Both chains at one sample, and the twists of their ends by each parameter, for all residuals. [`super::LoopProblem`] fills
+//! the scene from the parameter values, the observation and the robot's motion at its time.
 
 use nalgebra::Vector3;
 
@@ -72,11 +73,9 @@ impl Scene<'_> {
                 let twist = self.bar.twist(joint, LinkParameter::Theta);
                 twist.filter(|_| origin == self.observation.origin).map_or(Movement::None, Movement::Bar)
             }
+            // Robot time is `t + shift + skew t`.
             ParameterId::ClockShift => Movement::Robot(self.robot_rate),
-            ParameterId::ClockSkew => {
-                let t_s = self.observation.t_s;
-                Movement::Robot(self.robot_rate.scaled(t_s))
-            }
+            ParameterId::ClockSkew => Movement::Robot(self.robot_rate.scaled(self.observation.t_s)),
             // Parameters of other instruments.
             _ => Movement::None,
         }

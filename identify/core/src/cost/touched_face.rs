@@ -7,8 +7,9 @@ use super::scene::unit;
 use super::{Movement, Residual, Scene};
 use crate::model::{FaceNumber, Owner, ParameterId};
 
-/// `(n.(p + R tip) - d) / |n| + reading` \[m\]: the face is the plane `n.x = d` in the robot's base, `n` points away from the
-/// material, `p` and `R` are the robot's pose. Divide by the standard deviation of a distance.
+/// `h + reading` \[m\] with the height `h = (n.x - d) / |n|` of the tip's centre `x = R_p + R tip` over the face. The face is
+/// the plane `n.x = d` in the robot's base, `n` points away from the material. The problem divides it by the standard
+/// deviation of a distance.
 #[derive(Debug, Clone, Copy)]
 pub struct TouchedFace<'a> {
     /// Face of each sample (from 0), and the displacement of the gauge's plunger \[m\], positive inwards.
@@ -20,12 +21,14 @@ pub struct TouchedFace<'a> {
 pub struct OverFace {
     face: usize,
     reading_m: f64,
-    normal: Vector3<f64>,
-    length: f64,
-    /// `stem_m`: vector from the flange to the tip, in the robot's base; `tip_m`: position of the tip \[m\].
-    stem_m: Vector3<f64>,
+    /// `n / |n|` and `|n|`.
+    unit_normal: Vector3<f64>,
+    normal_length: f64,
+    /// Vector from the flange to the tip, in the robot's base \[m\].
+    flange_to_tip_m: Vector3<f64>,
+    /// Position `x` of the tip's centre in the robot's base \[m\].
     tip_m: Vector3<f64>,
-    /// Distance of the tip from the face, along the normal \[m\].
+    /// Height `h` of the tip over the face \[m\].
     height_m: f64,
 }
 
@@ -42,26 +45,31 @@ impl Residual for TouchedFace<'_> {
 
     fn local(&self, scene: &Scene<'_>) -> Option<OverFace> {
         let (face, reading_m) = *self.touched.get(scene.sample)?;
-        let of = scene.geometry.touch.faces.get(face)?;
-        let stem_m = scene.robot.rotation() * scene.geometry.touch.tip_m;
-        let (normal, tip_m) = (of.normal, scene.robot.position_m() + stem_m);
-        let length = normal.norm();
-        let height_m = (normal.dot(&tip_m) - of.distance_m) / length;
-        Some(OverFace { face, reading_m, normal: normal / length, length, stem_m, tip_m, height_m })
+        let plane = scene.geometry.touch.faces.get(face)?;
+        let flange_to_tip_m = scene.robot.rotation() * scene.geometry.touch.tip_m;
+        let tip_m = scene.robot.position_m() + flange_to_tip_m;
+        let normal_length = plane.normal.norm();
+        let unit_normal = plane.normal / normal_length;
+        let height_m = (plane.normal.dot(&tip_m) - plane.distance_m) / normal_length;
+        Some(OverFace { face, reading_m, unit_normal, normal_length, flange_to_tip_m, tip_m, height_m })
     }
 
-    fn residual(&self, _: &Scene<'_>, over: &OverFace, out: &mut [f64]) {
-        out[0] = over.height_m + over.reading_m;
+    fn residual(&self, _: &Scene<'_>, touched: &OverFace, out: &mut [f64]) {
+        out[0] = touched.height_m + touched.reading_m;
     }
 
-    fn derivative(&self, scene: &Scene<'_>, over: &OverFace, id: ParameterId, out: &mut [f64]) {
-        let OverFace { normal, length, stem_m, tip_m, height_m, .. } = over;
+    fn derivative(&self, scene: &Scene<'_>, touched: &OverFace, id: ParameterId, out: &mut [f64]) {
+        let OverFace { unit_normal, normal_length, flange_to_tip_m, tip_m, height_m, .. } = touched;
         out[0] = match (id, scene.movement(id)) {
-            (_, Movement::Robot(twist)) => normal.dot(&(twist.linear + twist.angular.cross(stem_m))),
-            (ParameterId::Tip { axis }, _) => normal.dot(&(scene.robot.rotation() * unit(axis))),
-            (ParameterId::Face { face, number }, _) if face == over.face => match number {
-                FaceNumber::Normal(axis) => (tip_m[axis.index()] - height_m * normal[axis.index()]) / length,
-                FaceNumber::Distance => -length.recip(),
+            (_, Movement::Robot(twist)) => {
+                unit_normal.dot(&(twist.linear + twist.angular.cross(flange_to_tip_m)))
+            }
+            (ParameterId::Tip { axis }, _) => unit_normal.dot(&(scene.robot.rotation() * unit(axis))),
+            (ParameterId::Face { face, number }, _) if face == touched.face => match number {
+                FaceNumber::Normal(axis) => {
+                    (tip_m[axis.index()] - height_m * unit_normal[axis.index()]) / normal_length
+                }
+                FaceNumber::Distance => -normal_length.recip(),
             },
             _ => 0.0,
         };

@@ -1,4 +1,5 @@
-//! Inverse kinematics of the ball-bar: four named configurations, and how near a pose is to a singular one.
+//! Inverse kinematics of the ball-bar: its joints at a pose, in closed form for the nominal bar and refined for one with errors;
+//! its four configurations, and how near a pose is to a singular one.
 
 use std::f64::consts::PI;
 
@@ -102,9 +103,10 @@ pub fn ball_bar_inverse(
     chain: &Chain,
     target: &Pose,
 ) -> Result<[(Configuration, [f64; BAR_JOINTS]); 4], InverseError> {
-    let (one, turns_rad) = inverse_in_one(chain, target)?;
-    Ok(Configuration::ALL
-        .map(|configuration| (configuration, joints(chain, &configuration.carry_from(one, &turns_rad)))))
+    let (first, angles_rad) = inverse_in_first(chain, target)?;
+    Ok(Configuration::ALL.map(|configuration| {
+        (configuration, joints_from_angles(chain, &configuration.carry_from(first, &angles_rad)))
+    }))
 }
 
 /// [`ball_bar_inverse`] in the first of [`Configuration::ALL`].
@@ -112,31 +114,35 @@ pub fn ball_bar_inverse(
 /// # Errors
 /// As [`ball_bar_inverse`].
 pub fn first_ball_bar_inverse(chain: &Chain, target: &Pose) -> Result<[f64; BAR_JOINTS], InverseError> {
-    inverse_in_one(chain, target).map(|(_, turns_rad)| joints(chain, &turns_rad))
+    inverse_in_first(chain, target).map(|(_, angles_rad)| joints_from_angles(chain, &angles_rad))
 }
 
-/// Joints whose axes have turned so far.
-fn joints(chain: &Chain, turns_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
-    let mut joints = *turns_rad;
+/// Joint variables from the angles of the links: without the links' offsets `theta`.
+fn joints_from_angles(chain: &Chain, angles_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
+    let mut joints = *angles_rad;
     for (joint, link) in joints.iter_mut().zip(&chain.links) {
         *joint = wrapped(*joint - link.theta_rad);
     }
     joints
 }
 
-/// Turns of the axes in the first configuration \[rad\].
-fn inverse_in_one(chain: &Chain, target: &Pose) -> Result<(Configuration, [f64; BAR_JOINTS]), InverseError> {
+/// The first configuration, and the angles of the links in it (joint variable + theta) \[rad\].
+fn inverse_in_first(
+    chain: &Chain,
+    target: &Pose,
+) -> Result<(Configuration, [f64; BAR_JOINTS]), InverseError> {
     let configuration = Configuration::ALL[0];
     let [s1, s2, s3, s4] = twist_signs(chain)?;
     let after_joint5 = chain.links.last().map_or_else(Pose::identity, |link| link.after_joint());
     let base_from_end = chain.root_from_base.inverse() * target * after_joint5.inverse();
     let rod = base_from_end.translation.vector;
     let rod = if rod.norm() > 0.0 { rod.normalize() } else { rod };
-    let (first, second) = point_z(&rod, [s1, s2], configuration.gimbal.sign(), 0.0);
-    let base_from_rod = turn_and_twist(first, s1) * turn_and_twist(second, s2);
+    // Joints 1 and 2 point the rod at the end; joints 3 to 5 rotate the end like a wrist.
+    let (b1, b2) = point_z(&rod, [s1, s2], configuration.gimbal.sign(), 0.0);
+    let base_from_rod = turn_and_twist(b1, s1) * turn_and_twist(b2, s2);
     let rod_from_end = base_from_rod.transpose() * base_from_end.rotation.matrix();
-    let cardan = wrist_angles(&rod_from_end, [s3, s4], configuration.cardan.sign(), 0.0);
-    Ok((configuration, [first, second, cardan[0], cardan[1], cardan[2]]))
+    let [b3, b4, b5] = wrist_angles(&rod_from_end, [s3, s4], configuration.cardan.sign(), 0.0);
+    Ok((configuration, [b1, b2, b3, b4, b5]))
 }
 
 /// Joint angles \[rad\] that bring the end of `chain`, with whatever errors it has, closest to `target`; in the

@@ -11,16 +11,15 @@ pub type Pose = nalgebra::IsometryMatrix3<f64>;
 /// Longest link of a robot \[m\]: larger values are mostly millimetres.
 pub const LENGTH_M_MAX: f64 = 4.0;
 
-/// `R = Rz(yaw) Ry(pitch) Rx(roll)`, as in URDF. Roll is computed after yaw and pitch: at a pitch of a quarter turn,
-/// where only their sum is determined, the sum is still exact.
+/// Roll, pitch and yaw \[rad\] of `R = Rz(yaw) Ry(pitch) Rx(roll)`, as in URDF. At a pitch of a quarter turn only the sum of roll
+/// and yaw is determined: roll is computed last, from yaw and pitch, so that the sum is exact.
 pub fn roll_pitch_yaw(rotation: &Rotation3<f64>) -> [f64; 3] {
     let r = rotation.matrix();
     let across = r[(0, 0)].hypot(r[(1, 0)]);
-    // At a pitch of a quarter turn only the sum of yaw and roll is determined.
     let yaw = if across < 1e-12 { 0.0 } else { r[(1, 0)].atan2(r[(0, 0)]) };
     let pitch = (-r[(2, 0)]).atan2(across);
-    let rest = Rotation3::from_euler_angles(0.0, pitch, yaw).inverse() * rotation;
-    [rest[(2, 1)].atan2(rest[(1, 1)]), pitch, yaw]
+    let about_x = Rotation3::from_euler_angles(0.0, pitch, yaw).inverse() * rotation;
+    [about_x[(2, 1)].atan2(about_x[(1, 1)]), pitch, yaw]
 }
 
 /// One link, `Rz(theta + joint) Tz(d) Tx(a) Rx(alpha) Ry(beta)`, or with `d + joint` where its joint is prismatic.

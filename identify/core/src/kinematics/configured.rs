@@ -1,9 +1,9 @@
-//! Nominal chains from configuration.
+//! Nominal chains of robot and bar, from the robot's file and the bar's file.
 
 use nalgebra::{Rotation3, Vector3};
 use shared::config::{BallBarConfig, Convention, LinkConfig, RobotConfig, TransformConfig};
 
-use super::{Chain, DhLink, Pose};
+use super::{Chain, DhLink, Pose, ROD_LINK};
 
 fn link(config: &LinkConfig) -> DhLink {
     DhLink {
@@ -58,8 +58,6 @@ pub fn flange_chain(robot: &RobotConfig) -> Chain {
 
 /// The ball-bar with its length in `d` of link 3 and its base at the root's origin: a calibration estimates the base.
 pub fn ball_bar_chain(bar: &BallBarConfig) -> Chain {
-    /// The rod lies along z of frame 2.
-    const ROD_LINK: usize = 2;
     let mut chain = Chain::new(Pose::identity(), bar.links.iter().map(link).collect());
     if let Some(rod) = chain.links.get_mut(ROD_LINK) {
         rod.d_m += bar.length_m;

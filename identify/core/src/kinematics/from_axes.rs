@@ -1,4 +1,4 @@
-//! Denavit-Hartenberg links of an arm that is given by the lines of its axes, as in a URDF.
+//! Denavit-Hartenberg links of an arm that is given by the lines of its axes, as in a URDF; used by the import of URDFs.
 //!
 //! At joint zero an axis is a point and a direction. The motion of the arm depends only on these lines and on the pose of its
 //! end (product of exponentials, Brockett 1984), so links along the same lines move the end in the same way. Each link connects
@@ -26,7 +26,7 @@ pub struct AxisLine {
 const NEARLY_PARALLEL: f64 = 1e-3;
 /// For directions with a smaller sine, Hayati's link is used if the common normal is further away than the longest link.
 /// The plane across one axis intersects the other one within about the link's own length.
-const ASLANT: f64 = 0.5;
+const HAYATI_SINE_MAX: f64 = 0.5;
 /// Lengths \[m\] and angles \[rad\] below this are rounding errors.
 const ROUNDING: f64 = 1e-12;
 
@@ -36,30 +36,32 @@ impl Chain {
         let Some(first) = axes.first() else {
             return Self { last_from_end: *end, ..Self::new(Pose::identity(), vec![]) };
         };
-        let root_from_base = start(first);
-        let (mut at, mut links) = (root_from_base, Vec::with_capacity(axes.len()));
-        let last = AxisLine {
+        let root_from_base = base_frame(first);
+        let mut frame = root_from_base;
+        let mut links = Vec::with_capacity(axes.len());
+        let end_line = AxisLine {
             joint: JointKind::Revolute,
             point_m: end.translation.vector,
             direction: end.rotation * Vector3::z(),
         };
-        for (axis, next) in axes.iter().zip(axes.iter().skip(1).map(Some).chain([None])) {
-            // For parallel axes any plane is possible, except at the end.
-            let link = next.map_or_else(
-                || link_to(&at, &last, at.inverse_transform_point(&last.point_m.into()).z),
-                |next| link_to(&at, next, 0.0),
-            );
+        let next_axes = axes.iter().skip(1).map(Some).chain([None]);
+        for (axis, next) in axes.iter().zip(next_axes) {
+            // For parallel axes any plane is possible, except at the end: there it is that of the end's origin.
+            let link = match next {
+                Some(next) => link_to(&frame, next, 0.0),
+                None => {
+                    let end_height_m = frame.inverse_transform_point(&end_line.point_m.into()).z;
+                    link_to(&frame, &end_line, end_height_m)
+                }
+            };
             let link = DhLink { joint: axis.joint, ..link };
-            at *= link.transform(0.0);
+            frame *= link.transform(0.0);
             links.push(link);
         }
-        // The remaining transform is a rotation about the end's z and a shift along it; the last link cannot include either.
-        let rest = at.inverse() * end;
-        Self {
-            root_from_base,
-            links,
-            last_from_end: if is_identity(&rest) { Pose::identity() } else { rest },
-        }
+        // It is a rotation about the end's z and a shift along it; the last link cannot include either.
+        let last_from_end = frame.inverse() * end;
+        let last_from_end = if is_identity(&last_from_end) { Pose::identity() } else { last_from_end };
+        Self { root_from_base, links, last_from_end }
     }
 }
 
@@ -69,8 +71,8 @@ fn is_identity(pose: &Pose) -> bool {
         && pose.rotation.matrix().trace() > 0.0
 }
 
-/// z along the first axis, at its point nearest to the root; x as near to the root's as possible.
-fn start(first: &AxisLine) -> Pose {
+/// Frame with z along the first axis, at its point nearest to the root; x as near to the root's as possible.
+fn base_frame(first: &AxisLine) -> Pose {
     let z = first.direction;
     let origin_m = match first.joint {
         JointKind::Revolute => first.point_m - z * z.dot(&first.point_m),
@@ -84,13 +86,13 @@ fn start(first: &AxisLine) -> Pose {
     if is_identity(&pose) { Pose::identity() } else { pose }
 }
 
-/// The link from a frame, whose z is an axis, to the next axis; for nearly parallel axes to its intersection with the plane at
-/// this height.
-fn link_to(at: &Pose, next: &AxisLine, plane_m: f64) -> DhLink {
-    let u = at.rotation.inverse() * next.direction;
-    // The position of a prismatic axis is arbitrary.
+/// The link from a frame, whose z is an axis, to the next axis; for nearly parallel axes to the intersection of the next axis
+/// with the plane `z = plane_m` of the frame.
+fn link_to(frame: &Pose, next: &AxisLine, plane_m: f64) -> DhLink {
+    // Direction u and point p of the next axis in the frame. The position of a prismatic axis is arbitrary.
+    let u = frame.rotation.inverse() * next.direction;
     let p = match next.joint {
-        JointKind::Revolute => at.inverse_transform_point(&next.point_m.into()).coords,
+        JointKind::Revolute => frame.inverse_transform_point(&next.point_m.into()).coords,
         JointKind::Prismatic => Vector3::zeros(),
     };
     let sine = u.x.hypot(u.y);
@@ -98,17 +100,17 @@ fn link_to(at: &Pose, next: &AxisLine, plane_m: f64) -> DhLink {
     let angle = |y: f64, x: f64| snapped(y.atan2(x));
     // The foot of the common normal on the next axis.
     let foot = p - u * ((p.x * u.x + p.y * u.y) / (sine * sine));
-    if sine < NEARLY_PARALLEL || (sine < ASLANT && foot.z.abs() > LENGTH_M_MAX) {
+    if sine < NEARLY_PARALLEL || (sine < HAYATI_SINE_MAX && foot.z.abs() > LENGTH_M_MAX) {
         // Intersection of the next axis with the plane.
         let crossing = p - u * ((p.z - plane_m) / u.z);
         let a_m = snapped(crossing.x.hypot(crossing.y));
         let theta_rad = if a_m > 0.0 { angle(crossing.y, crossing.x) } else { 0.0 };
-        let seen = Rotation3::from_axis_angle(&Vector3::z_axis(), -theta_rad) * u;
-        // Rx(alpha) Ry(beta) z = (sin beta, -sin alpha cos beta, cos alpha cos beta)
-        let beta_rad = angle(seen.x, seen.y.hypot(seen.z));
+        // Rz(-theta) u = Rx(alpha) Ry(beta) z = (sin beta, -sin alpha cos beta, cos alpha cos beta)
+        let turned = Rotation3::from_axis_angle(&Vector3::z_axis(), -theta_rad) * u;
+        let beta_rad = angle(turned.x, turned.y.hypot(turned.z));
         return DhLink {
             a_m,
-            alpha_rad: angle(-seen.y, seen.z),
+            alpha_rad: angle(-turned.y, turned.z),
             d_m: plane_m,
             theta_rad,
             beta_rad,

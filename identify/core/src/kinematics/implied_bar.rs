@@ -1,8 +1,10 @@
-//! Joints of a bar with arbitrary errors at a given pose, and their derivatives.
+//! Joints of a bar with arbitrary errors at a given pose (`b^` in the thesis), and their derivatives; for the cost
+//! `position_angles`, and for joints without encoder.
 //!
 //! A pose has six degrees of freedom, the bar five. The rotation and both positions across the rod are met; the distance along
-//! the rod remains. These are five smooth equations `f(joints, bar, pose) = 0`, exact for every set of parameters,
-//! and the implicit function theorem gives `d joints = -(df/d joints)^-1 df` without symbolic expressions.
+//! the rod remains. These are five smooth equations `f(joints, bar, pose) = 0`, exact for every set of parameters: the rotation
+//! vector from the bar's end to the pose, and the components across the rod of their distance. They are solved by Newton's
+//! method; the implicit function theorem gives `d joints = -(df/d joints)^-1 df`.
 
 use nalgebra::{Matrix5, Vector3, Vector5};
 
@@ -25,7 +27,8 @@ pub struct ImpliedBar {
     pub joints_rad: [f64; BAR_JOINTS],
     /// The bar at these joints.
     pub trace: Trace,
-    by_condition: Matrix5<f64>,
+    /// Derivative of the joints by the five equations.
+    by_equations: Matrix5<f64>,
     rod: Rod,
 }
 
@@ -45,9 +48,11 @@ impl Rod {
         Self { along, across: [first, along.cross(&first)], beyond_m }
     }
 
-    /// Derivative of the five equations by a motion of the bar's end, and, if `turns`, of the rod.
-    fn conditions(&self, twist: &Twist, turns: bool) -> Vector5<f64> {
-        let turned = if turns { twist.angular.cross(&self.along) * self.beyond_m } else { Vector3::zeros() };
+    /// Change of the five equations if the bar's end moves by `twist`, and, if `rotates_rod`, the rod rotates with it: the
+    /// directions across the rod then change as well.
+    fn equations(&self, twist: &Twist, rotates_rod: bool) -> Vector5<f64> {
+        let turned =
+            if rotates_rod { twist.angular.cross(&self.along) * self.beyond_m } else { Vector3::zeros() };
         let linear = twist.linear + turned;
         let w = twist.angular;
         Vector5::new(w.x, w.y, w.z, self.across[0].dot(&linear), self.across[1].dot(&linear))
@@ -67,17 +72,17 @@ impl ImpliedBar {
         target: &Pose,
         near: &[Option<f64>; BAR_JOINTS],
     ) -> Result<Self, InverseError> {
-        let mut joints_rad = nearest(chain, target, near)?;
+        let mut joints_rad = nearest_closed_form(chain, target, near)?;
         let mut trace = Trace::default();
         let mut step_rad = f64::INFINITY;
         for _ in 0..ITERATIONS_MAX {
             tracer.trace(&joints_rad, &mut trace);
             let rod = Rod::new(&trace, target);
-            let Some(by_condition) = joint_conditions(&trace, &rod).try_inverse() else { break };
+            let Some(by_equations) = equations_by_joints(&trace, &rod).try_inverse() else { break };
             let error = pose_error(target, trace.end());
             let linear = Vector3::new(error[0], error[1], error[2]);
             let angular = Vector3::new(error[3], error[4], error[5]);
-            let step = by_condition * rod.conditions(&Twist { angular, linear }, false);
+            let step = by_equations * rod.equations(&Twist { angular, linear }, false);
             step_rad = step.amax();
             if !step_rad.is_finite() {
                 break;
@@ -87,7 +92,7 @@ impl ImpliedBar {
             }
             // The trace is that before this step, which is negligible at a nanometre.
             if step_rad < STEP_RAD_LAST {
-                return Ok(Self { joints_rad, trace, by_condition, rod });
+                return Ok(Self { joints_rad, trace, by_equations, rod });
             }
         }
         Err(InverseError::NotConverged { iterations: ITERATIONS_MAX, step_rad })
@@ -95,43 +100,43 @@ impl ImpliedBar {
 
     /// Derivative of the joints by a motion of the pose.
     pub fn by_pose(&self, twist: &Twist) -> Vector5<f64> {
-        self.by_condition * self.rod.conditions(twist, false)
+        self.by_equations * self.rod.equations(twist, false)
     }
 
     /// Derivative of the joints by a parameter of link `link` that moves the bar's end by `twist` at fixed joints; `None` is
     /// the base.
     pub fn by_bar(&self, link: Option<usize>, twist: &Twist) -> Vector5<f64> {
-        -(self.by_condition * self.rod.conditions(twist, turns_rod(link)))
+        -(self.by_equations * self.rod.equations(twist, rotates_rod(link)))
     }
 }
 
 /// Parameters before the rod rotate it.
-fn turns_rod(link: Option<usize>) -> bool {
+fn rotates_rod(link: Option<usize>) -> bool {
     link.is_none_or(|link| link < ROD_LINK)
 }
 
 /// Derivatives of the five equations by the joints, one column each.
-fn joint_conditions(trace: &Trace, rod: &Rod) -> Matrix5<f64> {
+fn equations_by_joints(trace: &Trace, rod: &Rod) -> Matrix5<f64> {
     let mut matrix = Matrix5::zeros();
     for (joint, twist) in trace.joint_twists().enumerate().take(BAR_JOINTS) {
-        matrix.set_column(joint, &rod.conditions(&twist, turns_rod(Some(joint))));
+        matrix.set_column(joint, &rod.equations(&twist, rotates_rod(Some(joint))));
     }
     matrix
 }
 
 /// Closed form of the nominal structure, in the configuration nearest to the measured joints.
-fn nearest(
+fn nearest_closed_form(
     chain: &Chain,
     target: &Pose,
     near: &[Option<f64>; BAR_JOINTS],
 ) -> Result<[f64; BAR_JOINTS], InverseError> {
-    let mut best = ([0.0; BAR_JOINTS], f64::INFINITY);
+    let (mut best, mut least) = ([0.0; BAR_JOINTS], f64::INFINITY);
     for (_, joints) in ball_bar_inverse(chain, target)? {
-        let given = joints.iter().zip(near).filter_map(|(joint, near)| near.map(|near| joint - near));
-        let distance: f64 = given.map(|difference| wrapped(difference).powi(2)).sum();
-        if distance < best.1 - TIE {
-            best = (joints, distance);
+        let differences = joints.iter().zip(near).filter_map(|(joint, near)| near.map(|near| joint - near));
+        let squares: f64 = differences.map(|difference| wrapped(difference).powi(2)).sum();
+        if squares < least - TIE {
+            (best, least) = (joints, squares);
         }
     }
-    Ok(best.0)
+    Ok(best)
 }

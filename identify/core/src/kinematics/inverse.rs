@@ -1,4 +1,5 @@
-//! Common parts of both inverse kinematics: right-angled twists, three-axis wrists, refinement on the true chain.
+//! Common parts of the inverse kinematics of robot and bar. Both solve a closed form on the nominal structure, whose twists are
+//! right angles, and then refine the joints on the true chain, which has errors in every parameter.
 
 use std::f64::consts::{PI, TAU};
 
@@ -76,28 +77,28 @@ const TWIST_TOLERANCE_RAD: f64 = 0.1;
 /// robots, and a tenth of the smallest designed offset of a wrist.
 const LENGTH_TOLERANCE_M: f64 = 5e-3;
 
-/// Checks that no axis is prismatic.
+/// Checks that all axes are revolute.
 pub(super) fn revolute(chain: &Chain) -> Result<(), InverseError> {
     let prismatic = chain.links.iter().position(|link| link.joint == JointKind::Prismatic);
     prismatic.map_or(Ok(()), |index| Err(InverseError::Prismatic { link: index + 1 }))
 }
 
-/// The sine of a twist of +-90 degrees.
+/// The sign of a twist of +-90 degrees; an error for another twist. `index` of the link is from 0.
 pub(super) fn right_angle(chain: &Chain, index: usize) -> Result<f64, InverseError> {
     let alpha_rad = twist_rad(chain, index);
     if alpha_rad.cos().abs() < TWIST_TOLERANCE_RAD {
         return Ok(alpha_rad.sin().signum());
     }
-    Err(other_twist(chain, index, "+-90"))
+    Err(wrong_twist(chain, index, "+-90"))
 }
 
-/// The cosine of a twist of 0 or 180 degrees.
+/// 1 for a twist of 0 degrees, -1 for one of 180 degrees; an error for another twist.
 pub(super) fn parallel(chain: &Chain, index: usize) -> Result<f64, InverseError> {
     let alpha_rad = twist_rad(chain, index);
     if alpha_rad.sin().abs() < TWIST_TOLERANCE_RAD {
         return Ok(alpha_rad.cos().signum());
     }
-    Err(other_twist(chain, index, "0 or 180"))
+    Err(wrong_twist(chain, index, "0 or 180"))
 }
 
 /// Checks that a length of a link (from 1) is zero up to errors.
@@ -112,7 +113,7 @@ fn twist_rad(chain: &Chain, index: usize) -> f64 {
     chain.links.get(index).map_or(f64::NAN, |link| link.alpha_rad)
 }
 
-fn other_twist(chain: &Chain, index: usize, expected: &'static str) -> InverseError {
+fn wrong_twist(chain: &Chain, index: usize, expected: &'static str) -> InverseError {
     let value = twist_rad(chain, index).to_degrees();
     InverseError::Structure { link: index + 1, key: "alpha_deg", value, expected }
 }
@@ -198,7 +199,7 @@ pub(super) fn refine<const N: usize>(
     /// Below this the next step would be a rounding error.
     const STEP_RAD_MIN: f64 = 1e-13;
     /// Accepted if rounding errors prevent a further decrease of the steps.
-    const STEP_RAD_SETTLED: f64 = 1e-10;
+    const STEP_RAD_ACCEPTED: f64 = 1e-10;
     const ITERATIONS_MAX: usize = 30;
     /// Largest step: far from the target the linearisation is not valid beyond it.
     const STEP_RAD_MAX: f64 = 0.5;
@@ -217,22 +218,24 @@ pub(super) fn refine<const N: usize>(
         let previous = step_rad;
         step_rad = step.amax();
         joints += step * (STEP_RAD_MAX / step_rad.max(STEP_RAD_MAX));
-        if step_rad < STEP_RAD_MIN || (step_rad < STEP_RAD_SETTLED && step_rad > 0.5 * previous) {
+        if step_rad < STEP_RAD_MIN || (step_rad < STEP_RAD_ACCEPTED && step_rad > 0.5 * previous) {
             return Ok(joints.into());
         }
         if !step_rad.is_finite() {
             break;
         }
     }
-    if step_rad < STEP_RAD_SETTLED {
+    if step_rad < STEP_RAD_ACCEPTED {
         return Ok(joints.into());
     }
     Err(InverseError::NotConverged { iterations: ITERATIONS_MAX, step_rad })
 }
 
 /// As [`refine`] for more axes than a pose needs: of all solutions around `start` the one nearest to the middle of the
-/// joints' limits, each relative to its range \[rad, m\]. It depends only on the pose, not on the path to it (Liegeois 1977;
-/// Newton's method on the constraint, half of a Gauss-Newton step along it).
+/// joints' limits, each relative to its range \[rad, m\]. It depends only on the pose, not on the path to it (Liegeois 1977).
+///
+/// With the Jacobian `J`, its pseudoinverse `J+`, the pose error `e` and the vector `m` to the middle, all for joints in parts
+/// of their range, a step is `J+ e + (m - J+ J m) / 2`: Newton's method on the pose, half of a Gauss-Newton step along it.
 pub(super) fn refine_centred<const N: usize>(
     chain: &Chain,
     target: &Pose,
@@ -240,11 +243,13 @@ pub(super) fn refine_centred<const N: usize>(
     limits: &[[f64; 2]],
 ) -> Result<[f64; N], InverseError> {
     /// Below this the joints have converged up to rounding errors \[parts of their range\].
-    const SETTLED: f64 = 1e-12;
+    const STEP_MIN: f64 = 1e-12;
+    /// Accepted after all iterations: the remaining motion is along the constraint, and below the resolution of a controller.
+    const STEP_ACCEPTED: f64 = 1e-9;
     const ITERATIONS_MAX: usize = 200;
     /// Along the constraint a Gauss-Newton step ignores the constraint's curvature: half of it converges if
     /// the curvature adds up to three times as much.
-    const PART: f64 = 0.5;
+    const STEP_SHARE: f64 = 0.5;
     /// Largest step \[parts of a range\].
     const STEP_MAX: f64 = 0.1;
 
@@ -255,36 +260,35 @@ pub(super) fn refine_centred<const N: usize>(
     let tracer = Tracer::new(chain);
     let mut trace = Trace::default();
     let mut joints = SVector::<f64, N>::from(start);
-    let mut largest = f64::INFINITY;
+    let mut largest_step = f64::INFINITY;
     for _ in 0..ITERATIONS_MAX {
         tracer.trace(joints.as_slice(), &mut trace);
         let mut jacobian = SMatrix::<f64, 6, N>::zeros();
         for (axis, (mut column, twist)) in jacobian.column_iter_mut().zip(trace.joint_twists()).enumerate() {
             column.copy_from(&(twist.column() * range[axis]));
         }
-        let off_centre = (middle - joints).component_div(&range);
+        let to_middle = (middle - joints).component_div(&range);
         let error = pose_error(target, trace.end());
         let Some(to_pose) = least_squares_step(jacobian, error) else { break };
-        let Some(undone) = least_squares_step(jacobian, jacobian * off_centre) else { break };
-        let step = to_pose + (off_centre - undone) * PART;
-        largest = step.amax();
-        joints += step.component_mul(&range) * (STEP_MAX / largest.max(STEP_MAX));
-        if largest < SETTLED {
+        let Some(off_pose) = least_squares_step(jacobian, jacobian * to_middle) else { break };
+        let step = to_pose + (to_middle - off_pose) * STEP_SHARE;
+        largest_step = step.amax();
+        joints += step.component_mul(&range) * (STEP_MAX / largest_step.max(STEP_MAX));
+        if largest_step < STEP_MIN {
             return Ok(joints.into());
         }
-        if !largest.is_finite() {
+        if !largest_step.is_finite() {
             break;
         }
     }
-    // The remaining motion is along the constraint, and below the resolution of a controller.
-    if largest < 1e-9 {
+    if largest_step < STEP_ACCEPTED {
         return Ok(joints.into());
     }
-    Err(InverseError::NotConverged { iterations: ITERATIONS_MAX, step_rad: largest * range.amax() })
+    Err(InverseError::NotConverged { iterations: ITERATIONS_MAX, step_rad: largest_step * range.amax() })
 }
 
-/// `argmin |J x - e|` by Householder QR of `[J e]`; for more than six joints the shortest `x` with `J x = e`; `None` if J
-/// is singular.
+/// `x = argmin |J x - e|` by Householder QR of `[J e]`; for more than six joints the shortest `x` with `J x = e`, that is
+/// `J' (J J')^-1 e`; `None` if J is singular.
 fn least_squares_step<const N: usize>(
     jacobian: SMatrix<f64, 6, N>,
     error: SVector<f64, 6>,
@@ -292,31 +296,31 @@ fn least_squares_step<const N: usize>(
     /// Smallest pivot that gives a usable step.
     const PIVOT_MIN: f64 = 1e-9;
     if N > 6 {
-        let squares = (jacobian * jacobian.transpose()).cholesky()?;
-        let regular = squares.l_dirty().diagonal().min() > PIVOT_MIN;
-        return regular.then(|| jacobian.tr_mul(&squares.solve(&error)));
+        let factor = (jacobian * jacobian.transpose()).cholesky()?;
+        let is_regular = factor.l_dirty().diagonal().min() > PIVOT_MIN;
+        return is_regular.then(|| jacobian.tr_mul(&factor.solve(&error)));
     }
     let mut triangle = jacobian;
     let mut rhs = error;
     for k in 0..N {
-        let mut axis = SVector::<f64, 6>::zeros();
-        axis.rows_mut(k, 6 - k).copy_from(&triangle.column(k).rows(k, 6 - k));
-        let pivot = -axis.norm().copysign(axis[k]);
+        let mut reflector = SVector::<f64, 6>::zeros();
+        reflector.rows_mut(k, 6 - k).copy_from(&triangle.column(k).rows(k, 6 - k));
+        let pivot = -reflector.norm().copysign(reflector[k]);
         if pivot.abs() < PIVOT_MIN {
             return None;
         }
-        axis[k] -= pivot;
-        let scale = 2.0 / axis.norm_squared();
+        reflector[k] -= pivot;
+        let scale = 2.0 / reflector.norm_squared();
         for mut column in triangle.column_iter_mut().skip(k) {
-            let along = scale * axis.dot(&column);
-            column -= axis * along;
+            let along = scale * reflector.dot(&column);
+            column -= reflector * along;
         }
-        rhs -= axis * (scale * axis.dot(&rhs));
+        rhs -= reflector * (scale * reflector.dot(&rhs));
     }
     let mut step = SVector::<f64, N>::zeros();
     for k in (0..N).rev() {
-        let known: f64 = (k + 1..N).map(|j| triangle[(k, j)] * step[j]).sum();
-        step[k] = (rhs[k] - known) / triangle[(k, k)];
+        let solved: f64 = (k + 1..N).map(|j| triangle[(k, j)] * step[j]).sum();
+        step[k] = (rhs[k] - solved) / triangle[(k, k)];
     }
     Some(step)
 }

@@ -37,19 +37,19 @@ impl Joints {
 
     /// From a function of the axis, from 0.
     #[inline]
-    pub fn from_fn(count: usize, of: impl FnMut(usize) -> f64) -> Self {
-        (0..count).map(of).collect()
+    pub fn from_fn(count: usize, value_of: impl FnMut(usize) -> f64) -> Self {
+        (0..count).map(value_of).collect()
     }
 
-    /// Any within limits, each number with the same probability.
+    /// Random numbers, uniform within limits.
     pub fn random(limits: &[[f64; 2]], random: &mut impl Rng) -> Self {
         limits.iter().map(|[low, high]| low + (high - low) * random.random::<f64>()).collect()
     }
 
     /// The same function of each number.
     #[must_use]
-    pub fn map(mut self, of: impl FnMut(f64) -> f64 + Copy) -> Self {
-        self.iter_mut().for_each(|value| *value = { of }(*value));
+    pub fn map(mut self, function: impl FnMut(f64) -> f64 + Copy) -> Self {
+        self.iter_mut().for_each(|value| *value = { function }(*value));
         self
     }
 }

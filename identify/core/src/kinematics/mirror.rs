@@ -1,4 +1,5 @@
-//! The mirror image of an arm: its joints with some signs reversed.
+//! The mirror image of an arm: its joints with some signs reversed. The alignment of two logs that fit only as mirror images
+//! reports these joints.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -6,8 +7,8 @@ use super::{Chain, Joints, Pose};
 
 /// Number of poses at which arm and mirror image are compared.
 const POSES: usize = 12;
-/// Largest distance between arm and mirror image, relative to the arm's reach.
-const APART_MAX: f64 = 0.02;
+/// Largest difference between arm and mirror image, of positions relative to the reach or of unit vectors.
+const DIFFERENCE_MAX: f64 = 0.02;
 
 /// Joints, from 0, with reversed signs in the mirror image of the arm in the plane of the base's x and z axes; `None`
 /// if the arm is not symmetric. Links out of that plane by less than 2 % of the reach count as in it.
@@ -16,27 +17,33 @@ const APART_MAX: f64 = 0.02;
 pub fn mirroring_joints(arm: &Chain) -> Option<Vec<usize>> {
     let mirror = Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, 1.0));
     let count = arm.links.len();
+    // Arbitrary, different in all joints.
     let poses: Vec<Joints> = (0..POSES)
         .map(|pose| Joints::from_fn(count, |joint| (1.3 * pose as f64 + 0.7 * joint as f64 + 0.4).sin()))
         .collect();
     let ends: Vec<_> = poses.iter().map(|joints| arm.forward(joints)).collect();
     let reach_m = ends.iter().map(|end| end.translation.vector.norm()).fold(0.0, f64::max);
-    // Two axes of the end's frame keep or reverse their direction, depending on its convention.
-    let apart = |reversed: usize| {
-        let of_pose = |(joints, end): (&Joints, &Pose)| {
-            let image = Joints::from_fn(count, |joint| {
-                if reversed >> joint & 1 == 1 { -joints[joint] } else { joints[joint] }
+    // Bit `joint` of a set is 1 if the sign of this joint is reversed.
+    let is_reversed = |reversed: usize, joint: usize| reversed >> joint & 1 == 1;
+    let largest_difference = |reversed: usize| {
+        let difference = |(joints, end): (&Joints, &Pose)| {
+            let image_joints = Joints::from_fn(count, |joint| {
+                if is_reversed(reversed, joint) { -joints[joint] } else { joints[joint] }
             });
-            let image = arm.forward(&image);
+            let image = arm.forward(&image_joints);
             let position = (image.translation.vector - mirror * end.translation.vector).norm() / reach_m;
-            let axes = (0..3).map(|axis| {
-                let [of_image, of_arm] = [&image, end].map(|pose| pose.rotation * Vector3::ith(axis, 1.0));
-                (of_image - mirror * of_arm).norm().min((of_image + mirror * of_arm).norm())
+            // Each axis of the end's frame keeps or reverses its direction, depending on the frame's convention.
+            let directions = (0..3).map(|axis| {
+                let [image_axis, arm_axis] =
+                    [&image, end].map(|pose| pose.rotation * Vector3::ith(axis, 1.0));
+                (image_axis - mirror * arm_axis).norm().min((image_axis + mirror * arm_axis).norm())
             });
-            axes.fold(position, f64::max)
+            directions.fold(position, f64::max)
         };
-        poses.iter().zip(&ends).map(of_pose).fold(0.0, f64::max)
+        poses.iter().zip(&ends).map(difference).fold(0.0, f64::max)
     };
-    let best = (1..1_usize << count).min_by(|one, other| apart(*one).total_cmp(&apart(*other)))?;
-    (apart(best) < APART_MAX).then(|| (0..count).filter(|joint| best >> joint & 1 == 1).collect())
+    let all_sets = 1..1_usize << count;
+    let best = all_sets.min_by(|a, b| largest_difference(*a).total_cmp(&largest_difference(*b)))?;
+    (largest_difference(best) < DIFFERENCE_MAX)
+        .then(|| (0..count).filter(|joint| is_reversed(best, *joint)).collect())
 }

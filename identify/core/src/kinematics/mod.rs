@@ -1,8 +1,8 @@
 //! Geometry of the robot and of the ball-bar: forward kinematics, derivatives by every parameter, and inverses.
 //!
 //! Both are chains of standard Denavit-Hartenberg links that end in the same frame: the robot's last link carries tool
-//! and offset plate, the bar's link 5 ends where the plate ends. A robot has two to eight axes, revolute or prismatic. Each link may carry Hayati's extra rotation about y
-//! for nearly parallel neighbours (Hayati and Mirmirani 1985).
+//! and offset plate, the bar's link 5 ends where the plate ends. A robot has two to eight axes, revolute or prismatic. Each link
+//! may have Hayati's extra rotation about y for nearly parallel axes (Hayati and Mirmirani 1985).
 
 mod ball_bar_inverse;
 mod chain;

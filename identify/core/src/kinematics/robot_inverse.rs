@@ -1,5 +1,7 @@
-//! Inverse kinematics: closed form for a six-axis arm with a spherical wrist, numerical for every other arm with at least six
-//! axes; also for arms with errors in every parameter.
+//! Inverse kinematics of robots with six to eight axes: joints at a pose, also for arms with errors in every parameter.
+//!
+//! A six-axis arm with a spherical wrist has a closed form on its nominal structure; its solutions are the start of Newton's
+//! method on the true chain. For other arms Newton's method starts at joints given by the caller.
 
 use nalgebra::Matrix3;
 
@@ -12,7 +14,8 @@ use super::{Chain, InverseError, Joints, Pose};
 /// Least number of axes for arbitrary poses.
 const AXES: usize = 6;
 
-/// Parameters of the closed form: twists rounded to right angles, without offsets that the structure does not have.
+/// Parameters of the closed form: twists rounded to right angles, without offsets that the structure does not have. The angle of
+/// link n, joint variable + theta, is `tn` below.
 struct Arm {
     /// Signs of the twists of links 1, 3, 4, 5, for an axis 3 in the direction of axis 2.
     signs: [f64; 4],
@@ -21,10 +24,11 @@ struct Arm {
     a1_m: f64,
     d1_m: f64,
     a2_m: f64,
+    /// Offset of the wrist along axis 2.
     shoulder_m: f64,
     a3_m: f64,
     d4_m: f64,
-    /// Joint variable = link angle - this.
+    /// Joint zeros: theta of each link.
     theta_rad: [f64; AXES],
 }
 
@@ -35,7 +39,7 @@ impl Arm {
         };
         revolute(chain)?;
         let sense = parallel(chain, 1)?;
-        let [first, third, fourth, fifth] =
+        let [sign1, sign3, sign4, sign5] =
             [right_angle(chain, 0)?, right_angle(chain, 2)?, right_angle(chain, 3)?, right_angle(chain, 4)?];
         // Axes 4, 5 and 6 meet in the wrist's centre.
         without_length(4, "a_m", l4.a_m)?;
@@ -43,7 +47,7 @@ impl Arm {
         without_length(5, "d_m", l5.d_m)?;
         Ok(Self {
             // Rx(180) Rz(theta3) Rx(alpha3) = Rz(-theta3) Rx(180 + alpha3)
-            signs: [first, sense * third, fourth, fifth],
+            signs: [sign1, sense * sign3, sign4, sign5],
             sense,
             a1_m: l1.a_m,
             d1_m: l1.d_m,
@@ -55,20 +59,21 @@ impl Arm {
         })
     }
 
-    /// First three link angles that move the wrist's centre to `wrist`: up to four solutions.
-    fn reach(&self, wrist: [f64; 3]) -> Vec<[f64; 3]> {
+    /// Angles `[t1, t2, t3]` that move the wrist's centre to `wrist_m`: up to four solutions.
+    fn angles_to_wrist(&self, wrist_m: [f64; 3]) -> Vec<[f64; 3]> {
         let [sign1, sign3, ..] = self.signs;
-        let [x, y, z] = wrist;
+        let [x, y, z] = wrist_m;
+        // Along axis 2 the wrist is at the shoulder's offset: x sin t1 - y cos t1 = sign1 shoulder.
         let Some(lean) = clamped(sign1 * self.shoulder_m / x.hypot(y)).map(f64::asin) else {
             return Vec::new();
         };
-        let towards = y.atan2(x);
-        let mut found = Vec::with_capacity(4);
-        for theta1 in [towards + lean, towards + std::f64::consts::PI - lean] {
-            // In the plane of the upper arm, seen from the shoulder.
-            let (s1, c1) = theta1.sin_cos();
+        let azimuth = y.atan2(x);
+        let mut solutions = Vec::with_capacity(4);
+        for t1 in [azimuth + lean, azimuth + std::f64::consts::PI - lean] {
+            // Wrist from axis 2, in the plane across that axis.
+            let (s1, c1) = t1.sin_cos();
             let (out, up) = (c1 * x + s1 * y - self.a1_m, sign1 * (z - self.d1_m));
-            // Forearm from elbow to wrist: a3 along x of link 3, d4 across it.
+            // Forearm from elbow to wrist: a3 along x of link 3, d4 across it. Upper arm and forearm form a triangle.
             let forearm_m = self.a3_m.hypot(self.d4_m);
             let bend = (-sign3 * self.d4_m).atan2(self.a3_m);
             let cos_elbow =
@@ -76,16 +81,16 @@ impl Arm {
             let Some(elbow) = clamped(cos_elbow).map(f64::acos) else { continue };
             for elbow in [elbow, -elbow] {
                 let (s, c) = elbow.sin_cos();
-                let theta2 = up.atan2(out) - (forearm_m * s).atan2(self.a2_m + forearm_m * c);
-                found.push([theta1, theta2, self.sense * (elbow - bend)]);
+                let t2 = up.atan2(out) - (forearm_m * s).atan2(self.a2_m + forearm_m * c);
+                solutions.push([t1, t2, self.sense * (elbow - bend)]);
             }
         }
-        found
+        solutions
     }
 
     /// Rotation of frame 3 in the base.
-    fn base_from_link3(&self, [theta1, theta2, theta3]: [f64; 3]) -> Matrix3<f64> {
-        turn_and_twist(theta1, self.signs[0]) * turn_and_twist(theta2 + self.sense * theta3, self.signs[1])
+    fn base_from_link3(&self, [t1, t2, t3]: [f64; 3]) -> Matrix3<f64> {
+        turn_and_twist(t1, self.signs[0]) * turn_and_twist(t2 + self.sense * t3, self.signs[1])
     }
 }
 
@@ -103,12 +108,12 @@ fn closed_form(chain: &Chain, target: &Pose, near: &[f64; AXES]) -> Result<Vec<[
         chain.root_from_base.inverse() * target * (after_joint6 * chain.last_from_end).inverse();
     let wrist_rotation = base_from_wrist.rotation.matrix();
     let mut solutions = Vec::with_capacity(8);
-    for reach in arm.reach(base_from_wrist.translation.vector.into()) {
-        let link3_from_wrist = arm.base_from_link3(reach).transpose() * wrist_rotation;
+    for [t1, t2, t3] in arm.angles_to_wrist(base_from_wrist.translation.vector.into()) {
+        let link3_from_wrist = arm.base_from_link3([t1, t2, t3]).transpose() * wrist_rotation;
         for side in [1.0, -1.0] {
             let signs = [arm.signs[2], arm.signs[3]];
-            let wrist = wrist_angles(&link3_from_wrist, signs, side, near[3] + arm.theta_rad[3]);
-            let angles = [reach[0], reach[1], reach[2], wrist[0], wrist[1], wrist[2]];
+            let [t4, t5, t6] = wrist_angles(&link3_from_wrist, signs, side, near[3] + arm.theta_rad[3]);
+            let angles = [t1, t2, t3, t4, t5, t6];
             solutions.push(std::array::from_fn(|i| nearest_turn(angles[i] - arm.theta_rad[i], near[i])));
         }
     }
@@ -191,7 +196,8 @@ fn six_axes(chain: &Chain, target: &Pose, near: &[f64]) -> Result<Joints, Invers
 /// All solutions of a six-axis arm with a spherical wrist, up to eight, each joint in (-pi, pi]; those that do not converge on
 /// the given chain are omitted.
 ///
-/// # Errors As [`robot_inverse`], where none is left; [`InverseError::Structure`], [`InverseError::Prismatic`] and
+/// # Errors
+/// As [`robot_inverse`], where none is left; [`InverseError::Structure`], [`InverseError::Prismatic`] and
 /// [`InverseError::Links`] for another kind of arm, which may have more solutions than can be listed.
 pub fn robot_inverse_all(chain: &Chain, target: &Pose) -> Result<Vec<Joints>, InverseError> {
     let mut failure = InverseError::unreachable(target);

@@ -1,4 +1,5 @@
-//! One forward pass that yields the end pose and its derivative by every parameter of every link.
+//! One forward pass along a [`Chain`] that yields the end pose ([`Trace`]) and its derivative by every parameter of every link,
+//! a [`Twist`]. All residuals and inverse kinematics use it.
 //!
 //! A parameter of link i moves everything after it as one rigid body, by a twist about an axis that the forward pass
 //! computes: `theta` and `d` about and along z of frame i-1, `alpha` and `a` about and along x of link i, `beta`
@@ -134,8 +135,10 @@ impl LinkParameter {
 #[derive(Debug, Clone, Copy)]
 struct LinkAxes {
     joint: JointKind,
+    /// Axis of the joint: z of frame i-1.
     z_before: Vector3<f64>,
     origin_before: Vector3<f64>,
+    /// x of link i: that of frame i before `Ry(beta)`.
     x: Vector3<f64>,
     y_after: Vector3<f64>,
     origin_after: Vector3<f64>,
@@ -186,32 +189,34 @@ impl Trace {
     /// Twist of the end frame by a parameter of link `link` (from 0); `None` after the last link.
     #[inline]
     pub fn twist(&self, link: usize, parameter: LinkParameter) -> Option<Twist> {
-        let at = self.axes.get(link)?;
+        let axes = self.axes.get(link)?;
         let end = self.position_m();
         Some(match parameter {
-            LinkParameter::A => Twist::translation(at.x),
-            LinkParameter::D => Twist::translation(at.z_before),
-            LinkParameter::Alpha => Twist::rotation(at.x, at.origin_after, end),
-            LinkParameter::Theta => Twist::rotation(at.z_before, at.origin_before, end),
-            LinkParameter::Beta => Twist::rotation(at.y_after, at.origin_after, end),
+            LinkParameter::A => Twist::translation(axes.x),
+            LinkParameter::D => Twist::translation(axes.z_before),
+            LinkParameter::Alpha => Twist::rotation(axes.x, axes.origin_after, end),
+            LinkParameter::Theta => Twist::rotation(axes.z_before, axes.origin_before, end),
+            LinkParameter::Beta => Twist::rotation(axes.y_after, axes.origin_after, end),
         })
     }
 
     /// A point on each joint's axis \[m\] and the axis' direction, base to end.
     pub fn joint_axes(&self) -> impl Iterator<Item = (Vector3<f64>, Vector3<f64>)> {
-        self.axes.iter().map(|at| (at.origin_before, at.z_before))
+        self.axes.iter().map(|axes| (axes.origin_before, axes.z_before))
     }
 
     /// Twists of a point carried by the first `joints` joints, by each of them.
     pub fn point_twists(&self, point: Vector3<f64>, joints: usize) -> impl Iterator<Item = Twist> {
-        self.axes.iter().take(joints).map(move |at| at.twist(point))
+        self.axes.iter().take(joints).map(move |axes| axes.twist(point))
     }
 
     /// Velocity of the end at joint rates, base to end.
     pub fn moved_by(&self, rates: &[f64]) -> Twist {
-        let rest = Twist { angular: Vector3::zeros(), linear: Vector3::zeros() };
-        self.joint_twists().zip(rates).filter(|(_, rate)| **rate != 0.0).fold(rest, |sum, (twist, &rate)| {
-            Twist { angular: sum.angular + twist.angular * rate, linear: sum.linear + twist.linear * rate }
+        let at_rest = Twist { angular: Vector3::zeros(), linear: Vector3::zeros() };
+        let moving = self.joint_twists().zip(rates).filter(|(_, rate)| **rate != 0.0);
+        moving.fold(at_rest, |sum, (twist, &rate)| Twist {
+            angular: sum.angular + twist.angular * rate,
+            linear: sum.linear + twist.linear * rate,
         })
     }
 
@@ -226,7 +231,7 @@ impl Trace {
 pub struct Tracer {
     root_from_base: Pose,
     links: Vec<PreparedLink>,
-    /// Base of the chain; `None` for the identity.
+    /// From the last link to the end; `None` for the identity.
     last_from_end: Option<Pose>,
 }
 

@@ -1,4 +1,6 @@
-//! The closed kinematic chain described by a set of parameter values.
+//! [`Geometry`]: the values of all parameters, by their meaning: chains of robot and bar, joint errors, clock, and the parts of
+//! the other instruments. It converts reported joints and encoder readings to true ones, for the residuals ([`crate::cost`]),
+//! for corrections of poses and for simulations. [`super::Model`] builds it from the columns of a solve.
 
 use std::cell::OnceCell;
 
@@ -204,8 +206,8 @@ impl Geometry {
             // The error of a drive moves every joint that this drive turns.
             ParameterId::Joint { axis, term } => {
                 let MovingJoints { reported, delayed, .. } = joints;
-                let of = if term == JointTerm::Delay { delayed } else { reported };
-                Some(end.moved_by(&self.joints.by_amplitude(axis, term, of, joints.drives(drives))))
+                let state = if term == JointTerm::Delay { delayed } else { reported };
+                Some(end.moved_by(&self.joints.by_amplitude(axis, term, state, joints.drives(drives))))
             }
             ParameterId::JointWave { axis, order, phase } => {
                 let wave =
@@ -229,7 +231,7 @@ impl Geometry {
     /// Joints with their errors added, for a robot at rest or a log that samples all joints at one instant.
     pub fn corrected(&self, reported: &JointState) -> JointState {
         let mut corrected = *reported;
-        self.take_errors(&mut corrected, reported, &OnceCell::new());
+        self.add_joint_errors(&mut corrected, reported, &OnceCell::new());
         corrected
     }
 
@@ -243,12 +245,17 @@ impl Geometry {
         joints.delayed = self.joints.delayed(&reported, motion, tau_s);
         joints.corrected = joints.delayed;
         joints.drives = OnceCell::new();
-        self.take_errors(&mut joints.corrected, &joints.reported, &joints.drives);
+        self.add_joint_errors(&mut joints.corrected, &joints.reported, &joints.drives);
         true
     }
 
     /// Adds joint errors and line spectrum to `corrected`; all states belong to one instant.
-    fn take_errors(&self, corrected: &mut JointState, reported: &JointState, drives: &OnceCell<DriveState>) {
+    fn add_joint_errors(
+        &self,
+        corrected: &mut JointState,
+        reported: &JointState,
+        drives: &OnceCell<DriveState>,
+    ) {
         // This test is cheaper than the sines and cosines of all drives.
         if !self.joints.any() && self.axis_waves.iter().all(Waves::is_none) {
             return;

@@ -1,4 +1,5 @@
-//! Conversion from reported joint angles to true joint angles.
+//! Conversion from reported joint angles to true joint angles, for [`super::Geometry`]: errors of gears, bearings and joint
+//! encoders, delays in the log, and compliance under gravity.
 //!
 //! Gear errors are periodic in the angle of the gear's output. This angle is not always a joint angle of the model: rods or
 //! bevel gears may couple drives. The drive angles are then `g = q C^-1` (row vector times matrix); row `i` of `C` is the
@@ -20,14 +21,15 @@ use super::{JointState, JointTerm, Load, Period, RobotMotion};
 use crate::kinematics::{AXES_MAX, Chain, Joints, Trace, Tracer, Turn, Twist};
 
 /// Drive speed scale of the backlash shape `tanh(rate / speed)` \[rad/s\]; at this speed the shape is about 0.76. It is lower
-/// than the speeds of calibration motions and higher than the residual speed of a noisy log at standstill. At standstill the
-/// shape is zero, although a real joint stays on the side from which it came.
+/// than the speeds of calibration motions and higher than the residual speed of a noisy log at standstill. At standstills in a
+/// log the shape is zero, although a real joint stays on the side from which it came. Where the robot stands still at every
+/// pose, `instrument::rows` gives each joint 1 rad/s in the direction of its last motion.
 pub const BACKLASH_SPEED_RAD_S: f64 = 0.01;
 
 /// Log columns that turn faster than the joint by this factor are taken as motor angles.
 const GEAR_RATIO_MIN: f64 = 2.0;
 
-fn rows(matrix: &DMatrix<f64>) -> Vec<Joints> {
+fn rows_of(matrix: &DMatrix<f64>) -> Vec<Joints> {
     matrix.row_iter().map(|row| row.iter().copied().collect()).collect()
 }
 
@@ -45,6 +47,7 @@ pub struct DriveTrain {
     /// Unit vector of gravity in the robot's base.
     pub gravity: Vector3<f64>,
     joints: Vec<JointKind>,
+    /// The nominal chain, for the lever arms of weights.
     arm: Tracer,
 }
 
@@ -53,7 +56,7 @@ impl DriveTrain {
     /// a few millimetres do not matter.
     pub fn direct(arm: &Chain) -> Self {
         let axes = arm.links.len();
-        let identity = rows(&DMatrix::identity(axes, axes));
+        let identity = rows_of(&DMatrix::identity(axes, axes));
         Self {
             joint_from_drive: identity.clone(),
             drive_from_joint: identity,
@@ -68,28 +71,29 @@ impl DriveTrain {
     /// Drive train from the robot's file. Couplings are those of its log (`raw_to_joint`, each row divided by its diagonal
     /// entry). If the log contains motor angles, the gear ratios come from it as well.
     pub fn of(robot: &RobotConfig, arm: &Chain) -> Self {
-        let table = &robot.log.raw_to_joint;
-        let axes = table.len();
-        let coupled = DMatrix::from_fn(axes, axes, |i, j| table[i][j] / table[i][i]);
+        let raw_to_joint = &robot.log.raw_to_joint;
+        let axes = raw_to_joint.len();
+        let joint_from_drive = DMatrix::from_fn(axes, axes, |i, j| raw_to_joint[i][j] / raw_to_joint[i][i]);
+        // Zero in the robot's file means unknown.
         let known = |numbers: &[f64], axis: usize| numbers.get(axis).copied().filter(|number| *number > 0.0);
-        let turns = |axis: usize| {
-            let of_log = table[axis][axis].abs().recip();
-            known(&robot.drives.motor_turns, axis).or(Some(of_log).filter(|turns| *turns > GEAR_RATIO_MIN))
+        let motor_turns = |axis: usize| {
+            let turns_in_log = raw_to_joint[axis][axis].abs().recip();
+            let of_log = Some(turns_in_log).filter(|turns| *turns > GEAR_RATIO_MIN);
+            known(&robot.drives.motor_turns, axis).or(of_log)
         };
         let mut drives = Self {
             cycloid_lobes: (0..axes).map(|axis| known(&robot.drives.cycloid_lobes, axis)).collect(),
-            motor_turns: (0..axes).map(turns).collect(),
+            motor_turns: (0..axes).map(motor_turns).collect(),
             ..Self::direct(arm)
         };
         if let Some(gravity) = robot.drives.gravity {
             drives.gravity = Vector3::from(gravity).normalize();
         }
         // If the columns are permuted, the matrix does not describe couplings.
-        if let Some(inverse) =
-            coupled.clone().try_inverse().filter(|m| m.iter().all(|entry| entry.is_finite()))
-        {
-            drives.joint_from_drive = rows(&coupled);
-            drives.drive_from_joint = rows(&inverse);
+        let inverse = joint_from_drive.clone().try_inverse();
+        if let Some(inverse) = inverse.filter(|inverse| inverse.iter().all(|entry| entry.is_finite())) {
+            drives.joint_from_drive = rows_of(&joint_from_drive);
+            drives.drive_from_joint = rows_of(&inverse);
         }
         drives
     }
@@ -105,6 +109,7 @@ impl DriveTrain {
         state
     }
 
+    /// Number of waves per turn; `None` if it is unknown, or if the axis cannot have such waves.
     fn waves_per_turn(&self, axis: usize, period: Period) -> Option<f64> {
         match period {
             Period::Once => Some(1.0),
@@ -124,7 +129,7 @@ impl DriveTrain {
     }
 
     /// Motion of each joint per radian of this error term.
-    fn moved_by(&self, axis: usize, term: JointTerm) -> Joints {
+    fn joint_motion(&self, axis: usize, term: JointTerm) -> Joints {
         if term.is_of_joint() {
             return Joints::from_fn(self.axes(), |joint| f64::from(u8::from(joint == axis)));
         }
@@ -206,28 +211,31 @@ impl DriveTrain {
         }
     }
 
-    /// Torque about an axis per newton of weight \[N m\], `z . ((p - o) x g)`, and its time derivative.
+    /// Torque about an axis per newton of weight \[N m\], `z . ((p - r) x u)`, and its time derivative. The axis has direction
+    /// `z` and point `r`, the load is at the point `p`, `u` is the direction of gravity.
     fn lever(&self, axis: usize, load: Load, reported: &JointState) -> (f64, f64) {
         let mut trace = Trace::default();
         self.arm.trace(&reported.q, &mut trace);
         let axes: Vec<(Vector3<f64>, Vector3<f64>)> = trace.joint_axes().collect();
-        let Some(&(origin, z)) = axes.get(axis) else { return (0.0, 0.0) };
-        // Point of the load, and the number of joints that move it.
-        let (point, before) = match load {
-            Load::Elbow => (axes.get(2).map(|at| at.0), 2),
-            Load::Wrist => (axes.get(4).map(|at| at.0), 4),
+        let point_of_axis = |axis: usize| axes.get(axis).map(|(point, _)| *point);
+        let Some(&(r, z)) = axes.get(axis) else { return (0.0, 0.0) };
+        let (p, joints_before_p) = match load {
+            Load::Elbow => (point_of_axis(2), 2),
+            Load::Wrist => (point_of_axis(4), 4),
             Load::Tool => (Some(trace.position_m()), axes.len()),
         };
-        let Some(point) = point else { return (0.0, 0.0) };
-        let moved = |point: Vector3<f64>, joints: usize, of: fn(&Twist) -> Vector3<f64>| {
+        let Some(p) = p else { return (0.0, 0.0) };
+        // Velocity of a point that these joints move.
+        let velocity = |point: Vector3<f64>, joints: usize, component: fn(&Twist) -> Vector3<f64>| {
             let twists = trace.point_twists(point, joints).zip(reported.qd);
-            twists.map(|(twist, rate)| of(&twist) * rate).sum::<Vector3<f64>>()
+            twists.map(|(twist, rate)| component(&twist) * rate).sum::<Vector3<f64>>()
         };
-        let turn = moved(origin, axis, |twist| twist.angular);
-        let arm = point - origin;
-        let arm_rate = moved(point, before, |twist| twist.linear) - moved(origin, axis, |twist| twist.linear);
-        let torque = arm.cross(&self.gravity);
-        (z.dot(&torque), turn.cross(&z).dot(&torque) + z.dot(&arm_rate.cross(&self.gravity)))
+        let angular_velocity = velocity(r, axis, |twist| twist.angular);
+        let p_rate = velocity(p, joints_before_p, |twist| twist.linear);
+        let r_rate = velocity(r, axis, |twist| twist.linear);
+        let torque = (p - r).cross(&self.gravity);
+        let z_rate = angular_velocity.cross(&z);
+        (z.dot(&torque), z_rate.dot(&torque) + z.dot(&(p_rate - r_rate).cross(&self.gravity)))
     }
 }
 
@@ -274,12 +282,12 @@ impl JointErrors {
         if !self.drives.has(axis, term) {
             return None;
         }
-        let sought = self.amplitudes.binary_search_by_key(&(axis, term), |&(axis, term, _)| (axis, term));
-        let place = sought.unwrap_or_else(|place| {
-            self.amplitudes.insert(place, (axis, term, 0.0));
-            place
+        let found = self.amplitudes.binary_search_by_key(&(axis, term), |&(axis, term, _)| (axis, term));
+        let index = found.unwrap_or_else(|index| {
+            self.amplitudes.insert(index, (axis, term, 0.0));
+            index
         });
-        Some(&mut self.amplitudes[place].2)
+        Some(&mut self.amplitudes[index].2)
     }
 
     /// Removes zero amplitudes, which would otherwise cost time in each sample.
@@ -297,9 +305,12 @@ impl JointErrors {
         state: &DriveState,
     ) -> Joints {
         let shape = self.drives.shape(axis, term, reported, state).0;
-        let row = self.drives.moved_by(axis, term);
-        let of_all = if term == JointTerm::Delay { (self.drives.axes() as f64).recip() } else { 0.0 };
-        Joints::from_fn(row.len(), |joint| row[joint] * shape - of_all * reported.qd[joint])
+        let joint_motion = self.drives.joint_motion(axis, term);
+        // The delay of one drive of n changes the mean of all delays, which is subtracted, by 1/n.
+        let mean_share = if term == JointTerm::Delay { (self.drives.axes() as f64).recip() } else { 0.0 };
+        Joints::from_fn(joint_motion.len(), |joint| {
+            joint_motion[joint] * shape - mean_share * reported.qd[joint]
+        })
     }
 
     /// Joints with the delay of each drive applied; near an end or a gap of the log by extrapolation from `reported`.
@@ -310,18 +321,25 @@ impl JointErrors {
             return delayed;
         }
         let axes = self.drives.axes();
-        let of_axis_s = |axis: usize| delays().find(|(of, _, _)| *of == axis).map_or(0.0, |(_, _, s)| *s);
-        let of_all_s = (0..axes).map(of_axis_s).sum::<f64>() / axes.max(1) as f64;
+        let delay_of_axis_s = |axis: usize| {
+            let delay = delays().find(|(delayed_axis, _, _)| *delayed_axis == axis);
+            delay.map_or(0.0, |(_, _, delay_s)| *delay_s)
+        };
+        let mean_delay_s = (0..axes).map(delay_of_axis_s).sum::<f64>() / axes.max(1) as f64;
         for axis in 0..axes {
-            let delay_s = of_axis_s(axis) - of_all_s;
+            let delay_s = delay_of_axis_s(axis) - mean_delay_s;
             if delay_s == 0.0 {
                 continue;
             }
             let later = motion.at(tau_s + delay_s).unwrap_or_else(|| reported.after(delay_s));
-            let by = |of: fn(&JointState) -> &Joints| {
-                self.drives.of_drive(axis, of(&later)) - self.drives.of_drive(axis, of(reported))
+            // `g_i(t + d_i - d) - g_i(t)`, and the same of its derivatives.
+            let drive_change = |joints_of: fn(&JointState) -> &Joints| {
+                self.drives.of_drive(axis, joints_of(&later))
+                    - self.drives.of_drive(axis, joints_of(reported))
             };
-            let (q, qd, qdd) = (by(|state| &state.q), by(|state| &state.qd), by(|state| &state.qdd));
+            let q = drive_change(|state| &state.q);
+            let qd = drive_change(|state| &state.qd);
+            let qdd = drive_change(|state| &state.qdd);
             for (joint, part) in self.drives.joint_from_drive[axis].iter().enumerate() {
                 delayed.q[joint] += part * q;
                 delayed.qd[joint] += part * qd;
@@ -333,27 +351,28 @@ impl JointErrors {
 
     /// Adds all errors except delays to joint positions and rates. Accelerations are not changed.
     pub(super) fn add_to(&self, corrected: &mut JointState, reported: &JointState, state: &DriveState) {
-        for of_axis in self.amplitudes.chunk_by(|one, next| one.0 == next.0) {
-            let axis = of_axis[0].0;
-            // Index 0: errors of the drive; index 1: errors of the joint.
+        for axis_amplitudes in self.amplitudes.chunk_by(|(axis, _, _), (next, _, _)| axis == next) {
+            let axis = axis_amplitudes[0].0;
+            // Error and its rate; index 0: of the drive, index 1: of the joint.
             let mut errors = [(0.0, 0.0); 2];
-            let terms = of_axis.iter().map(|(_, term, amplitude)| (*term, *amplitude));
+            let terms = axis_amplitudes.iter().map(|(_, term, amplitude)| (*term, *amplitude));
             for (term, amplitude) in terms.filter(|(term, _)| *term != JointTerm::Delay) {
-                let (shape, rate) = self.drives.shape(axis, term, reported, state);
-                let error = &mut errors[usize::from(term.is_of_joint())];
-                *error = (error.0 + amplitude * shape, error.1 + amplitude * rate);
+                let (shape, shape_rate) = self.drives.shape(axis, term, reported, state);
+                let (error, error_rate) = &mut errors[usize::from(term.is_of_joint())];
+                *error += amplitude * shape;
+                *error_rate += amplitude * shape_rate;
             }
-            let [of_drive, of_joint] = errors;
-            if of_joint != (0.0, 0.0) {
-                corrected.q[axis] += of_joint.0;
-                corrected.qd[axis] += of_joint.1;
+            let [(drive_error, drive_error_rate), (joint_error, joint_error_rate)] = errors;
+            if (joint_error, joint_error_rate) != (0.0, 0.0) {
+                corrected.q[axis] += joint_error;
+                corrected.qd[axis] += joint_error_rate;
             }
-            if of_drive == (0.0, 0.0) {
+            if (drive_error, drive_error_rate) == (0.0, 0.0) {
                 continue;
             }
             for (joint, part) in self.drives.joint_from_drive[axis].iter().enumerate() {
-                corrected.q[joint] += part * of_drive.0;
-                corrected.qd[joint] += part * of_drive.1;
+                corrected.q[joint] += part * drive_error;
+                corrected.qd[joint] += part * drive_error_rate;
             }
         }
     }

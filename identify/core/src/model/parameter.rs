@@ -1,6 +1,8 @@
-//! All parameters, in blocks. One row defines a block's name, owner, group, unit, and the place of its number in [`Geometry`].
+//! All parameters, in blocks: [`ParameterId`] names a parameter for files and reports, and finds its number in a [`Geometry`].
 //!
-//! A new term or instrument needs a new row here, and its twist where residuals are computed ([`crate::cost`]).
+//! One row of `parameters!` below defines a block: the indices of its parameters with their ranges, their names, the properties
+//! that they share (owner, group, unit), and the place of the number. The macro makes a variant of [`ParameterId`] from it. A
+//! new term or instrument needs a new row here, and its twist where residuals are computed ([`crate::cost`]).
 
 use std::collections::HashMap;
 use std::fmt;
@@ -9,7 +11,7 @@ use std::sync::LazyLock;
 
 use super::geometry::DIRECTION_JOINTS;
 use super::{Coordinate, Geometry, JointTerm, ModelError, Phase, TermGroup, Waves};
-use crate::kinematics::{AXES_MAX, BAR_JOINTS, DhLink, LinkParameter, ROD_LINK};
+use crate::kinematics::{AXES_MAX, BAR_JOINTS, LinkParameter, ROD_LINK};
 
 /// A coordinate axis of the root frame or of the flange.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -273,6 +275,7 @@ macro_rules! parameters {
             }
         }
     };
+    // Appends all parameters of a block to the list: one loop for each of its fields, the last one innermost.
     (each $all:ident $block:ident [$($field:ident)*]) => { $all.push(Self::$block { $($field),* }) };
     (each $all:ident $block:ident [$($done:ident)*] $field:ident = $values:expr; $($rest:tt)*) => {
         for $field in $values { parameters!(each $all $block [$($done)* $field] $($rest)*); }
@@ -289,7 +292,7 @@ parameters! {
     }
         called format!("r{}{}", parameter.name(), link + 1),
         is ParameterBlock::of_link(Owner::Robot, parameter),
-        at |geometry| geometry.robot.links.get_mut(link).map(|link| of_link(link, parameter));
+        at |geometry| geometry.robot.links.get_mut(link).map(|link| link.number_mut(parameter));
 
     /// Error of a robot axis beyond its link: `rsin1_1` (sine of drive 1's angle) .. `rtool_5`.
     Joint {
@@ -334,7 +337,7 @@ parameters! {
             }
             _ => ParameterBlock::of_link(Owner::BallBar, parameter),
         },
-        at |geometry| geometry.bar_links.get_mut(link).map(|link| of_link(link, parameter));
+        at |geometry| geometry.bar_links.get_mut(link).map(|link| link.number_mut(parameter));
 
     /// Position of the bar's base: `ox`, `oy`, `oz`.
     Base {
@@ -595,16 +598,6 @@ impl ParameterId {
     pub fn joint_waves(last: u8) -> impl Iterator<Item = Self> {
         Self::of_term(TermGroup::LineSpectrum)
             .filter(move |id| matches!(id, Self::JointWave { order, .. } if *order <= last))
-    }
-}
-
-fn of_link(link: &mut DhLink, parameter: LinkParameter) -> &mut f64 {
-    match parameter {
-        LinkParameter::A => &mut link.a_m,
-        LinkParameter::D => &mut link.d_m,
-        LinkParameter::Alpha => &mut link.alpha_rad,
-        LinkParameter::Theta => &mut link.theta_rad,
-        LinkParameter::Beta => &mut link.beta_rad,
     }
 }
 

@@ -1,4 +1,5 @@
-//! Roles of parameters (free, fixed, considered, with prior), and the map between names and columns.
+//! [`Model`]: the parameters of a calibration with their roles (free, fixed, considered, with prior). It maps them to the columns
+//! of the solve, and the columns' values to a [`Geometry`].
 
 use nalgebra::Vector3;
 
@@ -83,11 +84,11 @@ pub enum ModelError {
 fn ranges() -> String {
     let mut ranges: Vec<(String, [String; 2])> = Vec::new();
     for name in ParameterId::all().map(|id| id.to_string()) {
-        let letters: String = name.chars().filter(|one| !one.is_ascii_digit()).collect();
-        let kind = letters.trim_end_matches(['x', 'y', 'z']);
-        match ranges.iter_mut().find(|(of, _)| of == kind) {
+        let letters: String = name.chars().filter(|letter| !letter.is_ascii_digit()).collect();
+        let type_name = letters.trim_end_matches(['x', 'y', 'z']);
+        match ranges.iter_mut().find(|(other_type, _)| other_type == type_name) {
             Some((_, [_, last])) => *last = name,
-            None => ranges.push((kind.to_owned(), [name.clone(), name])),
+            None => ranges.push((type_name.to_owned(), [name.clone(), name])),
         }
     }
     let range = |(_, [first, last]): (String, [String; 2])| {
@@ -97,7 +98,7 @@ fn ranges() -> String {
 }
 
 /// A parameter fixed at its value in a geometry; `None` if the geometry does not have it.
-fn fixed(structure: &mut Geometry, id: ParameterId) -> Option<Parameter> {
+fn fixed_parameter(structure: &mut Geometry, id: ParameterId) -> Option<Parameter> {
     let value = *structure.parameter_mut(id)?;
     Some(Parameter { id, nominal: value, value, role: Role::Fixed })
 }
@@ -107,7 +108,9 @@ fn fixed(structure: &mut Geometry, id: ParameterId) -> Option<Parameter> {
 /// In a new model all parameters are fixed at their nominal values; select, free or set priors from there.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Model {
+    /// Has the right number of links, stations and so on; its numbers are replaced by those of `parameters`.
     structure: Geometry,
+    /// In the order of their identifiers.
     parameters: Vec<Parameter>,
     /// Index into `parameters` of each column.
     columns: Vec<usize>,
@@ -117,7 +120,7 @@ impl Model {
     /// A model of a geometry with the parameters of these owners.
     fn new(structure: Geometry, owners: &[Owner]) -> Self {
         let mut model = Self { structure, parameters: Vec::new(), columns: Vec::new() };
-        model.take_up(|id| owners.contains(&id.owner()));
+        model.replace_parameters(|id| owners.contains(&id.owner()));
         model
     }
 
@@ -134,26 +137,26 @@ impl Model {
     }
 
     /// Replaces the parameters that match `wanted` with those of the geometry, fixed at their values.
-    fn take_up(&mut self, wanted: impl Fn(ParameterId) -> bool) {
-        self.parameters.retain(|one| !wanted(one.id));
+    fn replace_parameters(&mut self, wanted: impl Fn(ParameterId) -> bool) {
+        self.parameters.retain(|parameter| !wanted(parameter.id));
         for id in ParameterId::all().filter(|id| !id.block().on_request && wanted(*id)) {
-            self.parameters.extend(fixed(&mut self.structure, id));
+            self.parameters.extend(fixed_parameter(&mut self.structure, id));
         }
-        self.put_in_order();
+        self.sort_parameters();
     }
 
     /// Sorts the parameters. Of duplicates the first is kept, which is the older one.
-    fn put_in_order(&mut self) {
-        self.parameters.sort_by_key(|one| one.id);
-        self.parameters.dedup_by_key(|one| one.id);
-        self.find_columns();
+    fn sort_parameters(&mut self) {
+        self.parameters.sort_by_key(|parameter| parameter.id);
+        self.parameters.dedup_by_key(|parameter| parameter.id);
+        self.update_columns();
     }
 
     /// The model with other drives than [`DriveTrain::direct`]; error terms that they can have are added, fixed at zero.
     #[must_use]
     pub fn with_drives(mut self, drives: DriveTrain) -> Self {
         self.structure.joints = JointErrors::none(drives);
-        self.take_up(|id| matches!(id, ParameterId::Joint { .. }));
+        self.replace_parameters(|id| matches!(id, ParameterId::Joint { .. }));
         self
     }
 
@@ -162,9 +165,9 @@ impl Model {
     #[must_use]
     pub fn with(mut self, more: impl IntoIterator<Item = ParameterId>) -> Self {
         for id in more.into_iter().filter(|id| id.block().on_request) {
-            self.parameters.extend(fixed(&mut self.structure, id));
+            self.parameters.extend(fixed_parameter(&mut self.structure, id));
         }
-        self.put_in_order();
+        self.sort_parameters();
         self
     }
 
@@ -183,7 +186,7 @@ impl Model {
             }
             _ => return self,
         }
-        self.take_up(|id| id.owner() == owner);
+        self.replace_parameters(|id| id.owner() == owner);
         self
     }
 
@@ -191,7 +194,7 @@ impl Model {
     #[must_use]
     pub fn with_sockets(mut self, sockets: usize) -> Self {
         self.structure.contact.sockets_m = vec![Vector3::zeros(); sockets];
-        self.take_up(|id| id.owner() == Owner::Contact);
+        self.replace_parameters(|id| id.owner() == Owner::Contact);
         self
     }
 
@@ -199,15 +202,15 @@ impl Model {
     #[must_use]
     pub fn with_faces(mut self, faces: usize) -> Self {
         self.structure.touch.faces = vec![Face::default(); faces];
-        self.take_up(|id| id.owner() == Owner::Touch);
+        self.replace_parameters(|id| id.owner() == Owner::Touch);
         self
     }
 
     /// The model without clock parameters, for measurements without time stamps.
     #[must_use]
     pub fn without_clocks(mut self) -> Self {
-        self.parameters.retain(|one| one.id.group() != Group::Clock);
-        self.find_columns();
+        self.parameters.retain(|parameter| parameter.id.group() != Group::Clock);
+        self.update_columns();
         self
     }
 
@@ -228,16 +231,16 @@ impl Model {
 
     /// A parameter by its identifier; `None` if the model does not have it.
     pub fn parameter(&self, id: ParameterId) -> Option<&Parameter> {
-        self.parameters.get(self.place_of(id)?)
+        self.parameters.get(self.index_of(id)?)
     }
 
-    fn place_of(&self, id: ParameterId) -> Option<usize> {
-        self.parameters.binary_search_by_key(&id, |one| one.id).ok()
+    fn index_of(&self, id: ParameterId) -> Option<usize> {
+        self.parameters.binary_search_by_key(&id, |parameter| parameter.id).ok()
     }
 
     fn parameter_mut(&mut self, id: ParameterId) -> Result<&mut Parameter, ModelError> {
-        let place = self.place_of(id).ok_or(ModelError::NotInModel { id })?;
-        Ok(&mut self.parameters[place])
+        let index = self.index_of(id).ok_or(ModelError::NotInModel { id })?;
+        Ok(&mut self.parameters[index])
     }
 
     /// Sets the start value or constant value of a parameter.
@@ -251,8 +254,8 @@ impl Model {
 
     /// Sets these parameters to their nominal values.
     pub fn reset_to_nominal(&mut self, is_reset: impl Fn(ParameterId) -> bool) {
-        for one in self.parameters.iter_mut().filter(|one| is_reset(one.id)) {
-            one.value = one.nominal;
+        for parameter in self.parameters.iter_mut().filter(|parameter| is_reset(parameter.id)) {
+            parameter.value = parameter.nominal;
         }
     }
 
@@ -273,13 +276,14 @@ impl Model {
             return Err(ModelError::BadPrior { id, value, sigma });
         }
         parameter.role = role;
-        self.find_columns();
+        self.update_columns();
         Ok(())
     }
 
-    fn find_columns(&mut self) {
-        let free = self.parameters.iter().enumerate().filter(|(_, one)| one.role.is_estimated());
-        self.columns = free.map(|(index, _)| index).collect();
+    fn update_columns(&mut self) {
+        let parameters = self.parameters.iter().enumerate();
+        let estimated = parameters.filter(|(_, parameter)| parameter.role.is_estimated());
+        self.columns = estimated.map(|(index, _)| index).collect();
     }
 
     /// The model with a new role for each [`Role::Considered`] parameter for which `role` (parameter, sigma) returns one.
@@ -291,7 +295,7 @@ impl Model {
                 parameter.role = role(parameter, sigma).unwrap_or(parameter.role);
             }
         }
-        model.find_columns();
+        model.update_columns();
         model
     }
 
@@ -309,10 +313,10 @@ impl Model {
 
     /// Frees some parameters and fixes all others.
     pub fn free_only(&mut self, is_free: impl Fn(ParameterId) -> bool) {
-        for one in &mut self.parameters {
-            one.role = if is_free(one.id) { Role::Free } else { Role::Fixed };
+        for parameter in &mut self.parameters {
+            parameter.role = if is_free(parameter.id) { Role::Free } else { Role::Fixed };
         }
-        self.find_columns();
+        self.update_columns();
     }
 
     /// The parameter of each column of the solve.
@@ -322,7 +326,7 @@ impl Model {
 
     /// Column of a parameter; `None` if it is not estimated or absent.
     pub fn column_of(&self, id: ParameterId) -> Option<usize> {
-        self.columns.binary_search(&self.place_of(id)?).ok()
+        self.columns.binary_search(&self.index_of(id)?).ok()
     }
 
     /// Start values of the columns.

@@ -82,7 +82,7 @@ impl Placement {
         let w = self.rotation_rad;
         let squared = w.norm_squared();
         // For small angles both quotients suffer cancellation; use their series.
-        let (once, twice) = if squared < 1e-4 {
+        let (first, second) = if squared < 1e-4 {
             (
                 0.5 - squared / 24.0 + squared * squared / 720.0,
                 1.0 / 6.0 - squared / 120.0 + squared * squared / 5040.0,
@@ -93,7 +93,7 @@ impl Placement {
         };
         let unit = Vector3::ith(axis.index(), 1.0);
         let across = w.cross(&unit);
-        unit + across * once + w.cross(&across) * twice
+        unit + across * first + w.cross(&across) * second
     }
 }
 
@@ -108,9 +108,9 @@ pub struct SetUp {
 
 impl SetUp {
     /// Number of stations and of targets in the rows of a file, at least one each.
-    pub fn counts(all: impl Iterator<Item = Self> + Clone) -> [usize; 2] {
-        let count = |of: fn(Self) -> usize| all.clone().map(of).max().map_or(1, |last| last + 1);
-        [count(|one| one.station), count(|one| one.target)]
+    pub fn counts(set_ups: impl Iterator<Item = Self> + Clone) -> [usize; 2] {
+        let count = |index: fn(Self) -> usize| set_ups.clone().map(index).max().map_or(1, |last| last + 1);
+        [count(|set_up| set_up.station), count(|set_up| set_up.target)]
     }
 }
 

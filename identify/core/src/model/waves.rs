@@ -71,23 +71,24 @@ impl Waves {
 
     /// Mutable amplitude; a missing order is inserted with zero.
     pub fn amplitude_mut(&mut self, order: u8, phase: Phase) -> &mut f64 {
-        let place =
-            self.of_orders.binary_search_by_key(&order, |(order, _)| *order).unwrap_or_else(|place| {
-                self.of_orders.insert(place, (order, [0.0; 2]));
-                place
-            });
-        &mut self.of_orders[place].1[phase as usize]
+        let found = self.of_orders.binary_search_by_key(&order, |(order, _)| *order);
+        let index = found.unwrap_or_else(|index| {
+            self.of_orders.insert(index, (order, [0.0; 2]));
+            index
+        });
+        &mut self.of_orders[index].1[phase as usize]
     }
 
     /// Value of the series at an angle, and its derivative with respect to the angle.
     #[inline]
     pub fn at(&self, angle: Turn) -> (f64, f64) {
-        let mut reached: Option<(u8, Turn)> = None;
+        // The angle times the previous order: of consecutive orders the next multiple is one sum of angles.
+        let mut previous: Option<(u8, Turn)> = None;
         let (mut sum, mut slope) = (0.0, 0.0);
         for &(order, [a, c]) in self.of_orders.iter().filter(|(_, amplitudes)| *amplitudes != [0.0; 2]) {
-            let before = reached.filter(|(before, _)| before + 1 == order);
-            let wave = before.map_or_else(|| angle.times(order), |(_, before)| before.and(angle));
-            reached = Some((order, wave));
+            let one_less = previous.filter(|(previous_order, _)| previous_order + 1 == order);
+            let wave = one_less.map_or_else(|| angle.times(order), |(_, multiple)| multiple.and(angle));
+            previous = Some((order, wave));
             sum += a * wave.sin + c * wave.cos;
             slope += f64::from(order) * (a * wave.cos - c * wave.sin);
         }

@@ -1,4 +1,5 @@
-//! Checks a robot's configuration: facts and probable mistakes.
+//! Checks a robot's file (`identify robot check`): facts such as the reach, probable mistakes such as radians in place of
+//! degrees, and points for a drawing. Reach and rank of the Jacobian are from random postures within the joint limits.
 
 use nalgebra::{Matrix6xX, Vector3, Vector6};
 use rand::Rng;
@@ -11,7 +12,7 @@ use crate::kinematics::{
 };
 use crate::statistics::extremes;
 
-/// Number of random postures within the limits for the reach.
+/// Number of random postures for the reach.
 const POSTURES: usize = 20_000;
 /// Number of postures for the rank of the Jacobian.
 const RANK_POSTURES: usize = 50;
@@ -20,7 +21,7 @@ const RANK_TOLERANCE: f64 = 1e-6;
 /// Usual numbers of decimals of a rounded right or straight angle in radians; in degrees it is exact.
 const RADIAN_DECIMALS: std::ops::RangeInclusive<i32> = 2..=5;
 /// Decimals of an angle in degrees that a conversion from radians keeps.
-const CONVERTED_DIGITS: usize = 9;
+const CONVERTED_DECIMALS: usize = 9;
 /// Angles in degrees this near to a simple part of a turn in radians were probably meant as radians \[deg\].
 const AS_RADIANS: f64 = 1e-3;
 /// Neighbouring axes closer than this \[m\] and parallel within this sine coincide: a calibration cannot separate them.
@@ -73,8 +74,8 @@ pub fn check(robot: &RobotConfig) -> RobotCheck {
         facts: facts(robot, &chain, &trace, &reached_m),
         suspicious: suspicious(robot, &chain, rank, &axes),
         postures: [
-            ("all joints at zero", arm(&chain, &zero)),
-            ("middle of all ranges", arm(&chain, &middle)),
+            ("all joints at zero", arm_points(&chain, &zero)),
+            ("middle of all ranges", arm_points(&chain, &middle)),
         ],
         axes,
         reached_m,
@@ -82,7 +83,7 @@ pub fn check(robot: &RobotConfig) -> RobotCheck {
 }
 
 /// Origins of the frames of all links and, between two, the corner where the common normal leaves the axis.
-fn arm(chain: &Chain, joints: &[f64]) -> Vec<Vector3<f64>> {
+fn arm_points(chain: &Chain, joints: &[f64]) -> Vec<Vector3<f64>> {
     let mut frame = chain.root_from_base;
     let mut points = vec![Vector3::zeros(), frame.translation.vector];
     for (link, joint) in chain.joined(joints) {
@@ -97,7 +98,7 @@ fn arm(chain: &Chain, joints: &[f64]) -> Vec<Vector3<f64>> {
     points
 }
 
-/// Metres and radians have equal weight.
+/// Number of independent directions in which the joints move the flange. Metres and radians have equal weight.
 fn jacobian_rank(trace: &Trace) -> usize {
     let columns: Vec<Vector6<f64>> = trace.joint_twists().map(|twist| twist.column()).collect();
     let values = Matrix6xX::from_columns(&columns).singular_values();
@@ -112,8 +113,8 @@ fn facts(
 ) -> Vec<(&'static str, String)> {
     let kinds: Vec<JointKind> = robot.joint_kinds().collect();
     let prismatic = kinds.iter().filter(|kind| **kind == JointKind::Prismatic).count();
-    let range = |of: fn(&Vector3<f64>) -> f64| {
-        let [low, high] = extremes(reached_m.iter().map(of));
+    let range = |distance_m: fn(&Vector3<f64>) -> f64| {
+        let [low, high] = extremes(reached_m.iter().map(distance_m));
         format!("{low:.3} to {high:.3} m")
     };
     let p = at_zero.position_m();
@@ -149,22 +150,22 @@ fn facts(
     facts
 }
 
-/// Rounding error of a multiple of a right angle in radians, and that multiple in degrees, if the angle agrees with it to the
-/// last digit, which is improbable for a measured or calibrated angle.
-fn rounded(degrees: f64) -> Option<(f64, f64)> {
+/// If an angle was probably converted from a rounded multiple of a right angle in radians: that number \[rad\] and the exact
+/// multiple \[deg\]. The angle agrees with it to the last digit, which is improbable for a measured or calibrated one.
+fn rounded_right_angle(degrees: f64) -> Option<(f64, f64)> {
     let exact_deg = (degrees / 90.0).round() * 90.0;
     if degrees == exact_deg {
         return None;
     }
     let written = degrees.to_string();
-    let digits = written.split_once('.').map_or(0, |(_, decimals)| decimals.len()).min(CONVERTED_DIGITS);
-    let as_written = |degrees: f64| (degrees * 10f64.powi(digits as i32)).round();
+    let decimals = written.split_once('.').map_or(0, |(_, decimals)| decimals.len()).min(CONVERTED_DECIMALS);
+    let as_written = |degrees: f64| (degrees * 10f64.powi(decimals as i32)).round();
     RADIAN_DECIMALS
-        .flat_map(|decimals| {
-            let in_rad = 10f64.powi(decimals);
-            let exact = exact_deg.to_radians() * in_rad;
+        .flat_map(|radian_decimals| {
+            let scale = 10f64.powi(radian_decimals);
+            let exact = exact_deg.to_radians() * scale;
             // Some files round, others truncate.
-            [exact.round(), exact.trunc()].map(|digits| digits / in_rad)
+            [exact.round(), exact.trunc()].map(|digits| digits / scale)
         })
         .find(|rounded_rad| as_written(rounded_rad.to_degrees()) == as_written(degrees))
         .map(|rounded_rad| (rounded_rad, exact_deg))
@@ -177,26 +178,28 @@ fn suspicious(
     axes: &[(JointKind, Vector3<f64>, Vector3<f64>)],
 ) -> Vec<String> {
     let mut found = Vec::new();
-    let mut tell = |sentence: String| found.push(sentence);
-    let wanted = robot.axes().min(6);
-    if rank < wanted {
-        tell(format!(
-            "the axes move the flange in {rank} independent directions, {wanted} are expected: two axes are one and the same \
+    let mut add = |sentence: String| found.push(sentence);
+    let expected = robot.axes().min(6);
+    if rank < expected {
+        add(format!(
+            "the axes move the flange in {rank} independent directions, {expected} are expected: two axes are one and the same \
              line, or more than three are parallel; check alpha_deg and a_m"
         ));
     }
     // The relation of neighbouring axes is the same in all postures.
-    for (((kind, point, along), (other, next, next_along)), number) in axes.iter().zip(&axes[1..]).zip(1..) {
+    for ((axis, next_axis), number) in axes.iter().zip(&axes[1..]).zip(1..) {
+        let (kind, point, along) = axis;
+        let (next_kind, next_point, next_along) = next_axis;
         let apart_m = match kind {
-            JointKind::Revolute => (next - point).cross(along).norm(),
+            JointKind::Revolute => (next_point - point).cross(along).norm(),
             JointKind::Prismatic => 0.0,
         };
-        if kind == other && along.cross(next_along).norm() < SAME_DIRECTION && apart_m < SAME_AXIS_M {
+        if kind == next_kind && along.cross(next_along).norm() < SAME_DIRECTION && apart_m < SAME_AXIS_M {
             let (does, line) = match kind {
                 JointKind::Revolute => ("rotate", "about the same line"),
                 JointKind::Prismatic => ("slide", "in the same direction"),
             };
-            tell(format!(
+            add(format!(
                 "axes {number} and {} {does} {line}: a calibration finds only what both do together; check alpha_deg and a_m",
                 number + 1
             ));
@@ -206,10 +209,10 @@ fn suspicious(
         for (key, degrees) in [("alpha_deg", link.alpha_deg), ("theta_deg", link.theta_deg)] {
             let quarters = degrees.abs() / std::f64::consts::FRAC_PI_2;
             if (0.5..2.5).contains(&quarters) && (quarters - quarters.round()).abs() < AS_RADIANS {
-                tell(format!("link {number}: {key} = {degrees} looks like radians; write degrees"));
+                add(format!("link {number}: {key} = {degrees} looks like radians; write degrees"));
             }
-            if let Some((rounded_rad, exact_deg)) = rounded(degrees) {
-                tell(format!(
+            if let Some((rounded_rad, exact_deg)) = rounded_right_angle(degrees) {
+                add(format!(
                     "link {number}: {key} = {degrees} may be {rounded_rad} rad, rounded from a whole right angle; if so, write \
                      {exact_deg}; if it was calibrated, leave it"
                 ));
@@ -217,9 +220,7 @@ fn suspicious(
         }
         for (key, length_m) in [("a_m", link.a_m), ("d_m", link.d_m)] {
             if length_m.abs() > LENGTH_M_MAX {
-                tell(format!(
-                    "link {number}: {key} = {length_m} m is longer than robots are; is it correct?"
-                ));
+                add(format!("link {number}: {key} = {length_m} m is longer than robots are; is it correct?"));
             }
         }
     }
@@ -227,16 +228,16 @@ fn suspicious(
         if kind == JointKind::Revolute {
             let (low, high) = (low.to_degrees(), high.to_degrees());
             if high - low > RANGE_DEG_MAX {
-                tell(format!("axis {number}: a range of {low:.0} to {high:.0} deg is more than four turns"));
+                add(format!("axis {number}: a range of {low:.0} to {high:.0} deg is more than four turns"));
             } else if high - low < 4.0 * std::f64::consts::PI && high - low > 1.0 {
-                tell(format!(
+                add(format!(
                     "axis {number}: limits of {low:.4} to {high:.4} look like radians; write degrees"
                 ));
             }
         }
     }
     if chain.links.iter().all(|link| link.a_m == 0.0 && link.d_m == 0.0) {
-        tell("all lengths are zero".into());
+        add("all lengths are zero".into());
     }
     found
 }

@@ -99,6 +99,8 @@ impl<'a> End<'a> {
     }
 }
 
+/// The link with the name of a flange. Else, if all ends are on one arm: the link with the name of a tool behind its last axis,
+/// or the only link there from which no other link continues.
 fn find_tip(urdf: &Urdf, base: Option<&str>, left_out: &mut Vec<String>) -> Result<String, ImportError> {
     let below_base = |link: &str| {
         let joints = urdf.joints_to(link);
@@ -113,7 +115,7 @@ fn find_tip(urdf: &Urdf, base: Option<&str>, left_out: &mut Vec<String>) -> Resu
         match called[..] {
             [] => {}
             [end] => return Ok(end.link.to_owned()),
-            _ => return Err(several(&called)),
+            _ => return Err(several_tips(&called)),
         }
     }
     let is_parent = |link: &str| urdf.joints.iter().any(|joint| joint.parent == link);
@@ -128,28 +130,29 @@ fn find_tip(urdf: &Urdf, base: Option<&str>, left_out: &mut Vec<String>) -> Resu
         return Err(ImportError::Gripper { tips: named(&tips, LISTED_MAX) });
     };
     if !ends.iter().all(|end| arm.continues(end)) {
-        return Err(several(&ends.iter().filter(|end| !is_parent(end.link)).collect::<Vec<_>>()));
+        return Err(several_tips(&ends.iter().filter(|end| !is_parent(end.link)).collect::<Vec<_>>()));
     }
-    let behind = ends.iter().filter(|end| end.axes.len() == arm.axes.len());
-    let (grippers, behind): (Vec<&End<'_>>, Vec<_>) = behind.partition(|end| end.gripper.is_some());
-    let leads_on = |link: &str| {
+    let after_last_axis = ends.iter().filter(|end| end.axes.len() == arm.axes.len());
+    let (grippers, candidates): (Vec<&End<'_>>, Vec<_>) =
+        after_last_axis.partition(|end| end.gripper.is_some());
+    let continues = |link: &str| {
         let mut joints = urdf.joints.iter().filter(|joint| joint.parent == link);
-        joints.any(|joint| behind.iter().any(|end| end.link == joint.child))
+        joints.any(|joint| candidates.iter().any(|end| end.link == joint.child))
     };
-    let tips: Vec<&End<'_>> = behind.iter().copied().filter(|end| !leads_on(end.link)).collect();
-    // Behind the last axis' own link.
-    let fixed = behind
+    let tips: Vec<&End<'_>> = candidates.iter().copied().filter(|end| !continues(end.link)).collect();
+    // Without the link of the last axis itself.
+    let fixed_links = candidates
         .iter()
         .copied()
         .filter(|end| urdf.joints.iter().any(|joint| joint.child == end.link && !joint.moves()));
-    let named = TOOLS.iter().find_map(|name| fixed.clone().find(|end| is_called(end.link, name)));
+    let named = TOOLS.iter().find_map(|name| fixed_links.clone().find(|end| is_called(end.link, name)));
     let tip = match (named, &tips[..]) {
         (Some(end), _) => end,
         (None, [tip]) => *tip,
-        (None, _) => return Err(several(&tips)),
+        (None, _) => return Err(several_tips(&tips)),
     };
-    let first = grippers.first();
-    if let Some((end, joint)) = first.and_then(|end| Some((end, end.gripper?))) {
+    let first_gripper = grippers.first();
+    if let Some((end, joint)) = first_gripper.and_then(|end| Some((end, end.gripper?))) {
         let (joint, link) = (&joint.name, end.link);
         left_out.push(format!("joint `{joint}` is taken for a gripper's; `--tip {link}` makes it an axis"));
     }
@@ -158,8 +161,8 @@ fn find_tip(urdf: &Urdf, base: Option<&str>, left_out: &mut Vec<String>) -> Resu
 
 /// The link named as a robot's base, or else the fixed link that carries the first axis.
 fn find_base(urdf: &Urdf, root: &str, joints: &[&Joint], left_out: &mut Vec<String>) -> String {
-    let fixed = joints.iter().position(|joint| joint.moves()).unwrap_or(0);
-    let children = joints[..fixed].iter().map(|joint| joint.child.as_str());
+    let fixed_count = joints.iter().position(|joint| joint.moves()).unwrap_or(0);
+    let children = joints[..fixed_count].iter().map(|joint| joint.child.as_str());
     let links: Vec<&str> = std::iter::once(root).chain(children).collect();
     let named = BASES.iter().find_map(|name| links.iter().rfind(|link| is_called(link, name)));
     let base = named.or(links.last()).map_or(root, |base| *base);
@@ -172,7 +175,7 @@ fn find_base(urdf: &Urdf, root: &str, joints: &[&Joint], left_out: &mut Vec<Stri
 }
 
 /// Ends by decreasing number of axes, those of grippers last.
-fn several(ends: &[&End<'_>]) -> ImportError {
+fn several_tips(ends: &[&End<'_>]) -> ImportError {
     let mut ends = ends.to_vec();
     ends.sort_by_key(|end| (end.gripper.is_some(), Reverse(end.axes.len())));
     let tips: Vec<String> = ends.iter().map(|end| format!("{} ({})", end.link, end.axes.len())).collect();

@@ -132,17 +132,19 @@ pub fn import(text: &str, base: Option<&str>, tip: Option<&str>) -> Result<Impor
     }
     let Ends { base, tip, joints, left_out } = Ends::of(&urdf, base, tip)?;
     let mut assumed = Vec::new();
-    let (mut pose, mut axes, mut names) = (Pose::identity(), Vec::new(), Vec::new());
+    let (mut axes, mut names) = (Vec::new(), Vec::new());
     let (mut limits_deg, mut limits_m) = (Vec::new(), Vec::new());
+    // Frame of a joint, then of the tip, with all joints at zero.
+    let mut base_from_joint = Pose::identity();
     for joint in joints {
-        pose *= origin(joint, &mut assumed)?;
+        base_from_joint *= origin(joint, &mut assumed)?;
         let Some(kind) = kind(joint)? else { continue };
         let direction = Unit::try_new(Vector3::from(joint.axis()?), 1e-6);
         let direction = direction.ok_or_else(|| problem(joint, "has an axis without direction"))?;
         axes.push(AxisLine {
             joint: kind,
-            point_m: pose.translation.vector,
-            direction: pose.rotation * direction.into_inner(),
+            point_m: base_from_joint.translation.vector,
+            direction: base_from_joint.rotation * direction.into_inner(),
         });
         names.push(joint.name.clone());
         match kind {
@@ -161,7 +163,7 @@ pub fn import(text: &str, base: Option<&str>, tip: Option<&str>) -> Result<Impor
     if !(AXES_MIN..=AXES_MAX).contains(&axes.len()) {
         return Err(ImportError::Axes { axes: axes.len(), base, tip });
     }
-    let chain = Chain::from_axes(&axes, &pose);
+    let chain = Chain::from_axes(&axes, &base_from_joint);
     let mut config = RobotConfig {
         name: urdf.name,
         convention: Convention::Standard,
@@ -250,16 +252,17 @@ fn origin(joint: &Joint, assumed: &mut Vec<String>) -> Result<Pose, ImportError>
     Ok(Pose::from_parts(Vector3::from(xyz_m).into(), rotation))
 }
 
-/// Lower and upper limit in the configuration's unit; `otherwise` to either side if the file has none.
+/// Lower and upper limit in the configuration's unit; `default` to either side if the file has none.
 fn limits(
     joint: &Joint,
-    otherwise: f64,
+    default: f64,
     unit: &str,
     read: fn(&str) -> Option<f64>,
     assumed: &mut Vec<String>,
 ) -> [f64; 2] {
     // A missing value is zero, as in the URDF specification.
     let limit = |key| joint.value("limit", key).map_or(Some(0.0), read).unwrap_or(f64::NAN);
+    // Without the rounding errors of the conversion to degrees.
     let limits = ["lower", "upper"].map(|key| (limit(key) * 1e9).round() / 1e9);
     let [low, high] = limits;
     let found = match joint.kind.as_str() {
@@ -269,8 +272,8 @@ fn limits(
         _ if low == 0.0 && high == 0.0 => "no limits in the file, or both are zero".to_owned(),
         _ => format!("limits of {low} to {high} {unit} in the file, which are not a range"),
     };
-    assumed.push(format!("joint `{}` has {found}: +-{otherwise} {unit} are taken", joint.name));
-    [-otherwise, otherwise]
+    assumed.push(format!("joint `{}` has {found}: +-{default} {unit} are taken", joint.name));
+    [-default, default]
 }
 
 /// A length rounded to the accuracy of files: rounding errors are smaller than manufacturing errors.
@@ -285,10 +288,11 @@ fn angle_deg(angle_rad: f64) -> f64 {
 
 /// The nearest number of six decimals if it differs by less than `rounding`; others keep all significant digits.
 fn without_rounding(value: f64, rounding: f64) -> f64 {
-    let to = |decimals: f64| (value * decimals).round() / decimals;
-    let (rounded, digits) = (to(1e6), to(1e3 / rounding));
+    let round_to = |scale: f64| (value * scale).round() / scale;
+    let six_decimals = round_to(1e6);
+    let significant = round_to(1e3 / rounding);
     // Minus zero is zero.
-    (if (value - rounded).abs() < rounding { rounded } else { digits }) + 0.0
+    (if (value - six_decimals).abs() < rounding { six_decimals } else { significant }) + 0.0
 }
 
 fn link(link: &DhLink) -> LinkConfig {

@@ -40,12 +40,12 @@ impl Urdf {
             match event {
                 Event::Start(tag) => {
                     is_begun = true;
-                    urdf.element(&open, &tag)?;
+                    urdf.add_element(&open, &tag)?;
                     open.push(tag.name().as_ref().to_owned());
                 }
                 Event::Empty(tag) => {
                     is_begun = true;
-                    urdf.element(&open, &tag)?;
+                    urdf.add_element(&open, &tag)?;
                 }
                 Event::End(_) => drop(open.pop()),
                 Event::Eof => break,
@@ -65,8 +65,8 @@ impl Urdf {
         Ok(urdf)
     }
 
-    /// Processes an element inside the open ones.
-    fn element(&mut self, open: &[String], tag: &BytesStart<'_>) -> Result<(), ImportError> {
+    /// Takes a link, a joint or an element of a joint from a start tag; `open` are the names of the elements around it.
+    fn add_element(&mut self, open: &[String], tag: &BytesStart<'_>) -> Result<(), ImportError> {
         let name = tag.name();
         let name = name.as_ref();
         if name.starts_with("xacro:") {
@@ -137,12 +137,12 @@ impl Joint {
         &self,
         element: &str,
         attribute: &str,
-        otherwise: Option<[f64; 3]>,
+        default: Option<[f64; 3]>,
         read: fn(&str) -> Option<f64>,
     ) -> Result<[f64; 3], ImportError> {
         let wrong = |what: String| ImportError::Wrong(format!("joint `{}` has {what}", self.name));
         let Some(text) = self.value(element, attribute) else {
-            return otherwise.ok_or_else(|| wrong(format!("an {element} without {attribute}")));
+            return default.ok_or_else(|| wrong(format!("an {element} without {attribute}")));
         };
         let numbers: Option<Vec<f64>> = text.split_whitespace().map(read).collect();
         let numbers = numbers.and_then(|numbers| <[f64; 3]>::try_from(numbers).ok());
@@ -162,13 +162,15 @@ pub(super) fn angle_rad(text: &str) -> Option<f64> {
     let written: f64 = text.parse().ok()?;
     let decimals = decimals(text).min(DECIMALS_MAX);
     let step = if decimals >= DECIMALS_FINE { PI / 12.0 } else { FRAC_PI_2 };
-    let (exact, unit) = ((written / step).round() * step, 10f64.powi(decimals as i32));
+    let exact = (written / step).round() * step;
+    // One over the value of the last digit.
+    let scale = 10f64.powi(decimals as i32);
     // Some files round, others truncate; a widespread one has 1.570796325.
-    let digits = [(exact * unit).round(), (exact * unit).trunc()];
+    let digits = [(exact * scale).round(), (exact * scale).trunc()];
     let is_exact = match decimals {
         0 | 1 => false,
-        2..6 => digits.contains(&(written * unit).round()),
-        _ => ((written - exact) * unit).abs() < 2.0,
+        2..6 => digits.contains(&(written * scale).round()),
+        _ => ((written - exact) * scale).abs() < 2.0,
     };
     Some(if is_exact { exact } else { written })
 }

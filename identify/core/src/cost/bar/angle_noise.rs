@@ -1,9 +1,11 @@
-//! Noise of the angles, estimated from the residuals of the poses that they give.
+//! Noise of the bar's encoders and of the robot's joints, estimated from the residuals of cost `pose`, for its weights.
 //!
 //! Encoders and joints move a pose in different directions, so the scatter of the poses separates both noises. The covariance
-//! of a sample is `V = s_e^2 E + s_r^2 R + K`: `E` and `R` are the pose covariances for angles of unit variance, `K` is the
-//! known rest. Both variances are maximum likelihood estimates, by Fisher scoring (Rao 1971 for the equations; they need no
-//! good start, since they are unbiased for any weights).
+//! of a residual `r` is `V = s_e^2 E + s_r^2 Q + K`: `E` and `Q` are its covariances for encoders and robot joints of unit
+//! variance, `K` is the known rest. Both variances are maximum likelihood estimates, by Fisher scoring: with `V_1 = E`,
+//! `V_2 = Q` and the weights `W = V^-1` of the step before, the new variances `s_l^2` solve, with sums over all samples,
+//! `sum_l tr(W V_k W V_l) s_l^2 = r' W V_k W r - tr(W V_k W K)` for `k` = 1, 2 (Rao 1971). These equations need no good start,
+//! since they are unbiased for any weights.
 
 use nalgebra::{Matrix6, Vector6};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
@@ -20,6 +22,7 @@ pub struct AngleNoise {
 }
 
 impl AngleNoise {
+    /// Variances of encoders and of robot joints \[rad^2\].
     fn variances(self) -> [f64; 2] {
         [self.encoder_rad.powi(2), self.robot_rad.powi(2)]
     }
@@ -55,10 +58,10 @@ pub(in crate::cost) struct NoisySample {
 impl NoisySample {
     /// Covariance of the residual for the given noise.
     pub fn covariance(&self, noise: AngleNoise) -> Matrix6<f64> {
-        self.at(noise.variances())
+        self.covariance_of(noise.variances())
     }
 
-    fn at(&self, [encoder, robot]: [f64; 2]) -> Matrix6<f64> {
+    fn covariance_of(&self, [encoder, robot]: [f64; 2]) -> Matrix6<f64> {
         self.by_angles[0] * encoder + self.by_angles[1] * robot + self.known
     }
 }
@@ -68,9 +71,9 @@ const ROWS: usize = 6;
 /// Maximum number of samples used: two variances do not need more.
 const SAMPLES_MAX: usize = 3000;
 /// Lower limit of the estimates, relative to the configured noise: below it, interpolation and rounding dominate.
-const BETTER_MAX: f64 = 0.1;
+const NOISE_MIN: f64 = 0.1;
 /// Probability that a good sample is rejected as an outlier.
-const CUT: f64 = 1e-3;
+const FALSE_REJECTION: f64 = 1e-3;
 
 impl FoundNoise {
     /// Noise estimated from samples in order of time (`None` where a sample has no value), after a fit of `columns` parameters.
@@ -81,23 +84,24 @@ impl FoundNoise {
         start: AngleNoise,
     ) -> Option<Self> {
         const STEPS_MAX: usize = 30;
-        const SETTLED: f64 = 1e-3;
+        /// Relative change of both variances at convergence.
+        const CHANGE_CONVERGED: f64 = 1e-3;
         let present: Vec<&NoisySample> = samples.iter().flatten().collect();
         let rows = ROWS * present.len();
         if rows < 2 * columns {
             return None;
         }
         // The fitted parameters reduce the residuals; this is the factor for their squares.
-        let freedom = (rows - columns) as f64 / rows as f64;
+        let reduction = (rows - columns) as f64 / rows as f64;
         let thinned: Vec<&NoisySample> =
             present.iter().step_by(present.len().div_ceil(SAMPLES_MAX).max(1)).copied().collect();
-        let least = start.variances().map(|variance| BETTER_MAX * BETTER_MAX * variance);
+        let lower_limits = start.variances().map(|variance| NOISE_MIN * NOISE_MIN * variance);
         let mut variances = start.variances();
         for _ in 0..STEPS_MAX {
             let before = variances;
-            variances = step(&thinned, before, least, freedom)?;
-            let change = variances.iter().zip(before).map(|(now, before)| (now / before - 1.0).abs());
-            if change.fold(0.0, f64::max) < SETTLED {
+            variances = scoring_step(&thinned, before, lower_limits, reduction)?;
+            let changes = variances.iter().zip(before).map(|(now, before)| (now / before - 1.0).abs());
+            if changes.fold(0.0, f64::max) < CHANGE_CONVERGED {
                 break;
             }
         }
@@ -107,69 +111,94 @@ impl FoundNoise {
     }
 }
 
-/// One scoring step: new variances from samples weighted with the variances `at`, limited from below by `least`.
-fn step(samples: &[&NoisySample], at: [f64; 2], least: [f64; 2], freedom: f64) -> Option<[f64; 2]> {
-    let weighed: Vec<(&NoisySample, Matrix6<f64>, Vector6<f64>)> = samples
+/// A sample with its weight `W`.
+struct Weighted<'a> {
+    sample: &'a NoisySample,
+    weight: Matrix6<f64>,
+    /// `W r`.
+    residual: Vector6<f64>,
+}
+
+impl Weighted<'_> {
+    /// `r' W r`, chi-squared distributed.
+    fn squared_norm(&self) -> f64 {
+        self.sample.residual.dot(&self.residual)
+    }
+}
+
+/// New variances from samples weighted with the variances `before`. Sums of squares are divided by `reduction`.
+fn scoring_step(
+    samples: &[&NoisySample],
+    before: [f64; 2],
+    lower_limits: [f64; 2],
+    reduction: f64,
+) -> Option<[f64; 2]> {
+    let weighted: Vec<Weighted<'_>> = samples
         .iter()
         .filter_map(|sample| {
-            let weight = sample.at(at).cholesky()?.inverse();
-            Some((*sample, weight, weight * sample.residual))
+            let weight = sample.covariance_of(before).cholesky()?.inverse();
+            Some(Weighted { sample, weight, residual: weight * sample.residual })
         })
         .collect();
-    let squared =
-        |(sample, _, pulled): &(&NoisySample, Matrix6<f64>, Vector6<f64>)| sample.residual.dot(pulled);
-    let limit = cut(weighed.iter().map(squared))?;
-    let (mut information, mut seen) = ([[0.0; 2]; 2], [0.0; 2]);
-    for one in weighed.iter().filter(|one| squared(one) <= limit) {
-        let (sample, weight, pulled) = one;
-        let by: [Matrix6<f64>; 2] = sample.by_angles.map(|by| weight * by);
+    let limit = squared_norm_limit(weighted.iter().map(Weighted::squared_norm))?;
+    let (mut information, mut right_side) = ([[0.0; 2]; 2], [0.0; 2]);
+    for good in weighted.iter().filter(|weighted| weighted.squared_norm() <= limit) {
+        let Weighted { sample, weight, residual } = good;
+        // `W V_k` and `W K`.
+        let by_angles: [Matrix6<f64>; 2] = sample.by_angles.map(|covariance| weight * covariance);
         let known = weight * sample.known;
         for k in 0..2 {
-            seen[k] += pulled.dot(&(sample.by_angles[k] * pulled)) / freedom - trace(&by[k], &known);
+            let square = residual.dot(&(sample.by_angles[k] * residual));
+            right_side[k] += square / reduction - trace_of_product(&by_angles[k], &known);
             for l in 0..2 {
-                information[k][l] += trace(&by[k], &by[l]);
+                information[k][l] += trace_of_product(&by_angles[k], &by_angles[l]);
             }
         }
     }
-    let [[a, b], [_, d]] = information;
-    let alone = |k: usize, other: f64| (seen[k] - b * other) / information[k][k];
-    let both = [(d * seen[0] - b * seen[1]) / (a * d - b * b), (a * seen[1] - b * seen[0]) / (a * d - b * b)];
-    let found = match [both[0] < least[0], both[1] < least[1]] {
+    let [[ee, er], [_, rr]] = information;
+    let determinant = ee * rr - er * er;
+    let [e, r] = right_side;
+    let both = [(rr * e - er * r) / determinant, (ee * r - er * e) / determinant];
+    // One variance, if the other is at its limit.
+    let single = |k: usize, other: f64| (right_side[k] - er * other) / information[k][k];
+    let [encoder_min, robot_min] = lower_limits;
+    let [encoder, robot] = match [both[0] < encoder_min, both[1] < robot_min] {
         [false, false] => both,
-        [true, false] => [least[0], alone(1, least[0])],
-        _ => [alone(0, least[1]), least[1]],
+        [true, false] => [encoder_min, single(1, encoder_min)],
+        _ => [single(0, robot_min), robot_min],
     };
-    let found = [found[0].max(least[0]), found[1].max(least[1])];
-    found.iter().all(|variance| variance.is_finite()).then_some(found)
+    let variances = [encoder.max(encoder_min), robot.max(robot_min)];
+    variances.iter().all(|variance| variance.is_finite()).then_some(variances)
 }
 
-/// Trace of the matrix product `a b`.
-fn trace(a: &Matrix6<f64>, b: &Matrix6<f64>) -> f64 {
+fn trace_of_product(a: &Matrix6<f64>, b: &Matrix6<f64>) -> f64 {
     a.component_mul(&b.transpose()).sum()
 }
 
 /// Limit of the squared norm beyond which a sample is an outlier, from the squared norms of all samples.
-fn cut(squared: impl Iterator<Item = f64>) -> Option<f64> {
-    let spread = GoodShare::HALF.spread(squared.map(|squared| (squared, ROWS)));
-    Some(spread.powi(2) * ChiSquared::new(ROWS as f64).ok()?.inverse_cdf(1.0 - CUT))
+fn squared_norm_limit(squared_norms: impl Iterator<Item = f64>) -> Option<f64> {
+    let spread = GoodShare::HALF.spread(squared_norms.map(|squared| (squared, ROWS)));
+    Some(spread.powi(2) * ChiSquared::new(ROWS as f64).ok()?.inverse_cdf(1.0 - FALSE_REJECTION))
 }
 
 /// Correlation of successive whitened residuals, and its standard deviation for white noise.
 fn autocorrelation(samples: &[Option<NoisySample>], variances: [f64; 2]) -> Option<(f64, f64)> {
-    let whitened =
-        |sample: &NoisySample| sample.at(variances).cholesky()?.l().solve_lower_triangular(&sample.residual);
-    let all: Vec<Option<Vector6<f64>>> =
-        samples.iter().map(|sample| sample.as_ref().and_then(whitened)).collect();
-    let limit = cut(all.iter().flatten().map(Vector6::norm_squared))?;
-    let good = |one: &Option<Vector6<f64>>| one.filter(|one| one.norm_squared() <= limit);
-    let (mut product, mut squared, mut pairs) = (0.0, 0.0, 0usize);
-    for pair in all.windows(2) {
-        let (Some(one), Some(next)) = (good(&pair[0]), good(&pair[1])) else { continue };
-        product += one.dot(&next);
-        squared += 0.5 * (one.norm_squared() + next.norm_squared());
+    let whiten = |sample: &NoisySample| {
+        let factor = sample.covariance_of(variances).cholesky()?;
+        factor.l().solve_lower_triangular(&sample.residual)
+    };
+    let whitened: Vec<Option<Vector6<f64>>> =
+        samples.iter().map(|sample| sample.as_ref().and_then(whiten)).collect();
+    let limit = squared_norm_limit(whitened.iter().flatten().map(Vector6::norm_squared))?;
+    let good = |residual: &Option<Vector6<f64>>| residual.filter(|residual| residual.norm_squared() <= limit);
+    let (mut products, mut squares, mut pairs) = (0.0, 0.0, 0usize);
+    for pair in whitened.windows(2) {
+        let (Some(residual), Some(next)) = (good(&pair[0]), good(&pair[1])) else { continue };
+        products += residual.dot(&next);
+        squares += 0.5 * (residual.norm_squared() + next.norm_squared());
         pairs += 1;
     }
-    (squared > 0.0).then(|| (product / squared, ((ROWS * pairs) as f64).sqrt().recip()))
+    (squares > 0.0).then(|| (products / squares, ((ROWS * pairs) as f64).sqrt().recip()))
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! Closure errors of the two chains, sample by sample, for the figures of reports.
+//! Closure errors (differences of the ends of both chains) of a fitted geometry, sample by sample, for [`crate::evaluate`].
 
 use nalgebra::Vector3;
 
@@ -47,10 +47,11 @@ pub fn loop_closures(
     observations: &[Observation],
 ) -> Vec<Closure> {
     let mut point = LoopPoint::new(geometry.clone());
-    let at = |(sample, observation): (usize, &Observation)| {
+    let closure = |(sample, observation): (usize, &Observation)| {
         let readings = readings(observation);
         let scene = point.scene(motion, sample, observation, &readings)?;
-        let out_m = scene.robot.position_m() - geometry.base.origin_m;
+        let base_to_end_m = scene.robot.position_m() - geometry.base.origin_m;
+        // Angles between the links, with the encoder offsets.
         let mut bar_rad = scene.bar_rad;
         for (angle, link) in bar_rad.iter_mut().zip(&geometry.bar_links) {
             *angle += link.theta_rad;
@@ -60,13 +61,13 @@ pub fn loop_closures(
             joints: scene.joints.reported,
             position_error_m: scene.robot.position_m() - scene.bar.position_m(),
             turned_rad: rotation_vector(&(scene.robot.rotation() * scene.bar.rotation().transpose())),
-            off_sphere_m: out_m.norm() - scene.rod_m(),
+            off_sphere_m: base_to_end_m.norm() - scene.rod_m(),
             by_force_m: geometry.elongation.extension_m(&observation.force),
             force: observation.force,
-            direction: out_m / out_m.norm().max(f64::MIN_POSITIVE),
+            direction: base_to_end_m / base_to_end_m.norm().max(f64::MIN_POSITIVE),
             margin_rad: singularity_margin_rad(&bar_rad),
             joint_twists: scene.robot.joint_twists().collect(),
         })
     };
-    observations.iter().enumerate().filter_map(at).collect()
+    observations.iter().enumerate().filter_map(closure).collect()
 }

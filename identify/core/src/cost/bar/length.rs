@@ -33,23 +33,23 @@ impl Residual for Length {
     fn identifies(id: ParameterId) -> bool {
         // The robot moves along the sphere, so the time of a sample affects the residual only through noise. Without encoders
         // the direction of the bar is unknown.
-        let of_clock = id.group() == Group::Clock;
-        let of_reading = matches!(id, ParameterId::BarWave { .. });
-        !of_clock && !of_reading && Self::depends_on(id)
+        let is_clock = id.group() == Group::Clock;
+        let needs_direction = matches!(id, ParameterId::BarWave { .. });
+        !is_clock && !needs_direction && Self::depends_on(id)
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<Vector3<f64>> {
         Some(scene.robot.position_m() - scene.geometry.base.origin_m)
     }
 
-    fn residual(&self, scene: &Scene<'_>, from_origin: &Vector3<f64>, out: &mut [f64]) {
-        out[0] = from_origin.norm_squared() - scene.rod_m().powi(2);
+    fn residual(&self, scene: &Scene<'_>, base_to_end_m: &Vector3<f64>, out: &mut [f64]) {
+        out[0] = base_to_end_m.norm_squared() - scene.rod_m().powi(2);
     }
 
-    fn derivative(&self, scene: &Scene<'_>, from_origin: &Vector3<f64>, id: ParameterId, out: &mut [f64]) {
+    fn derivative(&self, scene: &Scene<'_>, base_to_end_m: &Vector3<f64>, id: ParameterId, out: &mut [f64]) {
         out[0] = match (id, scene.movement(id)) {
-            (_, Movement::Robot(twist)) => 2.0 * from_origin.dot(&twist.linear),
-            (ParameterId::Base { axis }, _) => -2.0 * from_origin[axis.index()],
+            (_, Movement::Robot(twist)) => 2.0 * base_to_end_m.dot(&twist.linear),
+            (ParameterId::Base { axis }, _) => -2.0 * base_to_end_m[axis.index()],
             (id, _) => -2.0 * scene.rod_m() * scene.elongation(id),
         };
     }

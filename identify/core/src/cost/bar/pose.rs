@@ -1,4 +1,5 @@
-//! The whole pose, whitened by its covariance: with all five encoders, or with all except that of joint 3.
+//! The default cost: the pose `B^-1 R` of the robot's end relative to the bar's end, whitened by its covariance. It needs all
+//! five encoders, or all except that of joint 3.
 
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
@@ -6,7 +7,7 @@ use super::angle_noise::NoisySample;
 use crate::cost::problem::{LoopPoint, readings};
 use crate::cost::residual::{ALL_BUT_ROD_JOINT, ALL_ENCODERS, ROD_JOINT, encoders_suffice};
 use crate::cost::{AngleNoise, FoundNoise, Movement, Residual, Scene};
-use crate::kinematics::{LinkParameter, ROD_LINK, Trace, Twist, rotation_vector};
+use crate::kinematics::{LinkParameter, ROD_LINK, Trace, rotation_vector};
 use crate::model::{Geometry, Observation, Owner, ParameterId, RobotMotion};
 
 /// Standard deviation added in each direction \[m, rad\]. It limits the weight of directions that neither chain's noise
@@ -16,7 +17,8 @@ const FLOOR: f64 = 1e-7;
 /// the covariance can still be factorised.
 const UNKNOWN_RAD: f64 = 0.1;
 
-/// Position \[m\] and rotation vector \[rad\] of `B^-1 R`, whitened: six numbers with unit standard deviation.
+/// Position \[m\] and rotation vector \[rad\] of `B^-1 R`, whitened: multiplied by the inverse Cholesky factor of their
+/// covariance, which gives six numbers with unit standard deviation.
 ///
 /// The covariance of a sample is propagated from the noise of its eleven angles. It is computed once, on the geometry given
 /// to [`WhitenedPose::new`], and is constant in a solve, so that residual and derivative belong to one function. Errors of
@@ -47,11 +49,11 @@ impl<const ENCODER_3: bool> PoseByNoise<ENCODER_3> {
         observations: &[Observation],
         noise: AngleNoise,
     ) -> Self {
-        let whitening = Self::noisy(geometry, motion, observations).map(|sample| {
+        let whitening = Self::noisy_samples(geometry, motion, observations).map(|sample| {
             let lower = sample?.covariance(noise).cholesky()?.l();
             lower.solve_lower_triangular(&Matrix6::identity())
         });
-        Self { whitening: whitening.collect(), rod_m: rod_m(geometry) }
+        Self { whitening: whitening.collect(), rod_m: rod_length_m(geometry) }
     }
 
     /// Noise estimated from the observations on a geometry fitted with a number of `columns`, iterated from `start`; `None` if
@@ -63,11 +65,12 @@ impl<const ENCODER_3: bool> PoseByNoise<ENCODER_3> {
         columns: usize,
         start: AngleNoise,
     ) -> Option<FoundNoise> {
-        let samples: Vec<_> = Self::noisy(geometry, motion, observations).collect();
+        let samples: Vec<_> = Self::noisy_samples(geometry, motion, observations).collect();
         FoundNoise::of(&samples, columns, start)
     }
 
-    fn noisy(
+    /// For each observation the residual with its covariances; `None` outside the robot's log.
+    fn noisy_samples(
         geometry: &Geometry,
         motion: &impl RobotMotion,
         observations: &[Observation],
@@ -75,45 +78,47 @@ impl<const ENCODER_3: bool> PoseByNoise<ENCODER_3> {
         let mut point = LoopPoint::new(geometry.clone());
         observations.iter().enumerate().map(move |(sample, observation)| {
             let readings = readings(observation);
-            Some(noisy::<ENCODER_3>(&point.scene(motion, sample, observation, &readings)?))
+            Some(noisy_sample::<ENCODER_3>(&point.scene(motion, sample, observation, &readings)?))
         })
     }
 }
 
 /// Length of the rod, to which the weights of positions refer \[m\].
-fn rod_m(geometry: &Geometry) -> f64 {
+fn rod_length_m(geometry: &Geometry) -> f64 {
     geometry.bar_links.get(ROD_LINK).map_or(1.0, |rod| rod.d_m)
 }
 
-/// Pose of the robot's end relative to the bar's end, with its derivatives by the twists of both ends.
-struct Seen {
+/// Position and rotation vector of `B^-1 R`, with their derivatives by the twists (linear, then angular) of both ends.
+struct RelativePose {
     value: Vector6<f64>,
     by_robot: Matrix6<f64>,
     by_bar: Matrix6<f64>,
 }
 
-impl Seen {
+impl RelativePose {
     fn new(scene: &Scene<'_>) -> Self {
-        let into_bar = scene.bar.rotation().transpose();
-        let apart = scene.robot.position_m() - scene.bar.position_m();
-        let turn = rotation_vector(&(into_bar * scene.robot.rotation()));
-        let turned = inverse_left_jacobian(&turn) * into_bar;
+        let bar_from_root = scene.bar.rotation().transpose();
+        let difference_m = scene.robot.position_m() - scene.bar.position_m();
+        let turn_rad = rotation_vector(&(bar_from_root * scene.robot.rotation()));
+        let turn_by_angular = inverse_left_jacobian(&turn_rad) * bar_from_root;
         let mut value = Vector6::zeros();
-        value.fixed_rows_mut::<3>(0).copy_from(&(into_bar * apart));
-        value.fixed_rows_mut::<3>(3).copy_from(&turn);
+        value.fixed_rows_mut::<3>(0).copy_from(&(bar_from_root * difference_m));
+        value.fixed_rows_mut::<3>(3).copy_from(&turn_rad);
         let mut by_robot = Matrix6::zeros();
-        by_robot.fixed_view_mut::<3, 3>(0, 0).copy_from(&into_bar);
-        by_robot.fixed_view_mut::<3, 3>(3, 3).copy_from(&turned);
+        by_robot.fixed_view_mut::<3, 3>(0, 0).copy_from(&bar_from_root);
+        by_robot.fixed_view_mut::<3, 3>(3, 3).copy_from(&turn_by_angular);
+        // A rotation of the bar's end also rotates the frame in which the position is stated.
         let mut by_bar = -by_robot;
-        by_bar.fixed_view_mut::<3, 3>(0, 3).copy_from(&(into_bar * apart.cross_matrix()));
+        by_bar.fixed_view_mut::<3, 3>(0, 3).copy_from(&(bar_from_root * difference_m.cross_matrix()));
         Self { value, by_robot, by_bar }
     }
 }
 
-/// `d log(Q) = J dw` for `dQ = [dw] Q` at rotation vector `w`: `1 - [w]/2 + c [w]^2`.
+/// Derivative of the rotation vector `w` of a rotation `Q` by an angular velocity `v`, `dQ = [v] Q`: the matrix
+/// `1 - [w]/2 + c [w]^2` with `c = 1/t^2 - cot(t/2)/(2t)`, `t = |w|`.
 pub(in crate::cost) fn inverse_left_jacobian(w: &Vector3<f64>) -> Matrix3<f64> {
     let squared = w.norm_squared();
-    // For small angles 1/t^2 - cot(t/2)/(2t) suffers cancellation; use its series.
+    // For small angles c suffers cancellation; use its series.
     let c = if squared < 1e-2 {
         1.0 / 12.0 + squared * (1.0 / 720.0 + squared * (1.0 / 30240.0 + squared / 1_209_600.0))
     } else {
@@ -124,28 +129,26 @@ pub(in crate::cost) fn inverse_left_jacobian(w: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::identity() - cross * 0.5 + cross * cross * c
 }
 
-fn stacked(twist: &Twist) -> Vector6<f64> {
-    let (v, w) = (twist.linear, twist.angular);
-    Vector6::new(v.x, v.y, v.z, w.x, w.y, w.z)
-}
-
-fn noisy<const ENCODER_3: bool>(scene: &Scene<'_>) -> NoisySample {
-    let seen = Seen::new(scene);
-    let of = |chain: &Trace, by: &Matrix6<f64>, is_measured: fn(usize) -> bool| {
-        let twists = chain.joint_twists().enumerate().filter(|(joint, _)| is_measured(*joint));
+/// The residual of a sample, with its covariances for angles of unit variance.
+fn noisy_sample<const ENCODER_3: bool>(scene: &Scene<'_>) -> NoisySample {
+    let pose = RelativePose::new(scene);
+    let covariance = |chain: &Trace, by_twist: &Matrix6<f64>, is_included: fn(usize) -> bool| {
+        let twists = chain.joint_twists().enumerate().filter(|(joint, _)| is_included(*joint));
         twists.fold(Matrix6::zeros(), |sum, (_, twist)| {
-            let moved = by * stacked(&twist);
-            sum + moved * moved.transpose()
+            let by_joint = by_twist * twist.column();
+            sum + by_joint * by_joint.transpose()
         })
     };
     let mut known = Matrix6::identity() * (FLOOR * FLOOR);
     let mut is_measured: fn(usize) -> bool = |_| true;
     if !ENCODER_3 {
         is_measured = |joint| joint != ROD_JOINT;
-        known += of(scene.bar, &seen.by_bar, |joint| joint == ROD_JOINT) * (UNKNOWN_RAD * UNKNOWN_RAD);
+        known +=
+            covariance(scene.bar, &pose.by_bar, |joint| joint == ROD_JOINT) * (UNKNOWN_RAD * UNKNOWN_RAD);
     }
-    let by_angles = [of(scene.bar, &seen.by_bar, is_measured), of(scene.robot, &seen.by_robot, |_| true)];
-    NoisySample { residual: seen.value, by_angles, known }
+    let by_encoders = covariance(scene.bar, &pose.by_bar, is_measured);
+    let by_robot_joints = covariance(scene.robot, &pose.by_robot, |_| true);
+    NoisySample { residual: pose.value, by_angles: [by_encoders, by_robot_joints], known }
 }
 
 /// The whitened residual and its derivatives by the twists of both ends (linear, then angular).
@@ -171,15 +174,16 @@ impl<const ENCODER_3: bool> Residual for PoseByNoise<ENCODER_3> {
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<Whitened> {
-        let (mut whitening, rod_m) = (self.whitening.get(scene.sample).copied()??, rod_m(scene.geometry));
-        let mut of_positions = whitening.fixed_columns_mut::<3>(0);
-        of_positions *= self.rod_m / rod_m;
-        let seen = Seen::new(scene);
+        let mut whitening = self.whitening.get(scene.sample).copied()??;
+        let rod_m = rod_length_m(scene.geometry);
+        let mut weights_of_positions = whitening.fixed_columns_mut::<3>(0);
+        weights_of_positions *= self.rod_m / rod_m;
+        let pose = RelativePose::new(scene);
         Some(Whitened {
-            residual: whitening * seen.value,
-            by_robot: whitening * seen.by_robot,
-            by_bar: whitening * seen.by_bar,
-            by_scale: whitening.fixed_columns::<3>(0) * seen.value.fixed_rows::<3>(0) / -rod_m,
+            residual: whitening * pose.value,
+            by_robot: whitening * pose.by_robot,
+            by_bar: whitening * pose.by_bar,
+            by_scale: whitening.fixed_columns::<3>(0) * pose.value.fixed_rows::<3>(0) / -rod_m,
         })
     }
 
@@ -188,18 +192,18 @@ impl<const ENCODER_3: bool> Residual for PoseByNoise<ENCODER_3> {
     }
 
     fn derivative(&self, scene: &Scene<'_>, whitened: &Whitened, id: ParameterId, out: &mut [f64]) {
-        let (by, twist) = match scene.movement(id) {
+        let (by_twist, twist) = match scene.movement(id) {
             Movement::Robot(twist) => (&whitened.by_robot, twist),
             Movement::Bar(twist) => (&whitened.by_bar, twist),
             Movement::None => return,
         };
-        let mut moved = by.fixed_columns::<3>(0) * twist.linear;
+        let mut derivative = by_twist.fixed_columns::<3>(0) * twist.linear;
         if twist.angular != Vector3::zeros() {
-            moved += by.fixed_columns::<3>(3) * twist.angular;
+            derivative += by_twist.fixed_columns::<3>(3) * twist.angular;
         }
         if id == ParameterId::ROD {
-            moved += whitened.by_scale;
+            derivative += whitened.by_scale;
         }
-        out.copy_from_slice(moved.as_slice());
+        out.copy_from_slice(derivative.as_slice());
     }
 }

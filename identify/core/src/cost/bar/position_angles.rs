@@ -61,9 +61,10 @@ impl Residual for PositionAngles {
         let Compared { implied, differences } = compared;
         let (position, angles) = out.split_at_mut(3);
         position.copy_from_slice(derivative(scene, id).as_slice());
-        let joints = match (scene.movement(id), id) {
+        // Derivative of implied minus measured joints. Most parameters change the implied joints only.
+        let joints_derivative = match (scene.movement(id), id) {
             (Movement::Robot(twist), _) => implied.by_pose(&twist),
-            // The parameter changes the measured joint, not the implied one.
+            // Waves are subtracted from the measured joint, offsets are added to it.
             (_, ParameterId::EncoderWave { joint, order, phase }) => {
                 let wave = phase.wave(order, scene.readings[joint]);
                 Vector5::from_fn(|i, _| if i == joint { wave } else { 0.0 })
@@ -78,7 +79,7 @@ impl Residual for PositionAngles {
             (Movement::None, _) => return,
         };
         for ((out, joint), difference) in angles.iter_mut().zip(COMPARED).zip(differences) {
-            *out = joints[joint] * difference.cos;
+            *out = joints_derivative[joint] * difference.cos;
         }
     }
 }

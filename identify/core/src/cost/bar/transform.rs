@@ -12,19 +12,19 @@ use crate::model::{Owner, ParameterId};
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Transform;
 
-/// Entries of `dT` for a twist of a pose with this rotation: `sign ([w] R, v)`.
+/// Writes the derivative of a pose with this rotation by a twist (`w`, `v`): `sign ([w] rotation, v)`.
 #[inline(always)]
-fn moved(twist: &Twist, rotation: &Matrix3<f64>, sign: f64, out: &mut [f64]) {
+fn write_derivative(twist: &Twist, rotation: &Matrix3<f64>, sign: f64, out: &mut [f64]) {
     let Some(out) = out.first_chunk_mut::<12>() else { return };
     let w: Vector3<f64> = twist.angular * sign;
-    let (v, r) = (twist.linear * sign, rotation);
+    let v = twist.linear * sign;
     [out[9], out[10], out[11]] = v.into();
     // A translation does not rotate: the other entries stay zero.
     if w == Vector3::zeros() {
         return;
     }
     for column in 0..3 {
-        let (x, y, z) = (r[(0, column)], r[(1, column)], r[(2, column)]);
+        let (x, y, z) = (rotation[(0, column)], rotation[(1, column)], rotation[(2, column)]);
         out[3 * column] = w.y * z - w.z * y;
         out[3 * column + 1] = w.z * x - w.x * z;
         out[3 * column + 2] = w.x * y - w.y * x;
@@ -57,8 +57,8 @@ impl Residual for Transform {
     #[inline(always)]
     fn derivative(&self, scene: &Scene<'_>, (): &(), id: ParameterId, out: &mut [f64]) {
         match scene.movement(id) {
-            Movement::Robot(twist) => moved(&twist, scene.robot.rotation(), 1.0, out),
-            Movement::Bar(twist) => moved(&twist, scene.bar.rotation(), -1.0, out),
+            Movement::Robot(twist) => write_derivative(&twist, scene.robot.rotation(), 1.0, out),
+            Movement::Bar(twist) => write_derivative(&twist, scene.bar.rotation(), -1.0, out),
             Movement::None => {}
         }
     }
