@@ -1,4 +1,5 @@
-//! The sensed double ball-bar: a run with its cost.
+//! The sensed double ball-bar: the aligned logs of a run with one of five costs. The residuals (`cost/bar`) are the difference
+//! of robot's end and bar's end at each sample, as far as the cost's encoders determine it.
 
 use super::repetition::independent_segments;
 use super::{Cause, Deviation, Doubt, Instrument, Measures, Noise, ScaleFrom};
@@ -187,7 +188,8 @@ impl Measures for BallBar {
     fn deviations(&self, geometry: &Geometry) -> Vec<Deviation> {
         let Prepared { motion, observations, .. } = &self.prepared;
         let mut closures = loop_closures(geometry, motion, observations).into_iter().peekable();
-        let one = |observation: &Observation| {
+        let deviation = |observation: &Observation| {
+            // Samples outside the robot's log have no closure.
             let closure = closures.next_if(|closure| closure.t_s == observation.t_s);
             let Some(closure) = closure else { return Deviation::of_place(Vector3::repeat(f64::NAN)) };
             let position = Deviation::of_place(closure.position_error_m);
@@ -199,7 +201,7 @@ impl Measures for BallBar {
                 }
             }
         };
-        observations.iter().map(one).collect()
+        observations.iter().map(deviation).collect()
     }
 
     fn causes(&self, _: &Geometry) -> Vec<Cause> {

@@ -1,5 +1,6 @@
 //! A ball on the flange that is seated in one of several sockets. A row contains the robot's joints and the name of the socket.
-//! Poses with the ball in the same socket close a loop; known distances of the sockets fix the scale.
+//! Poses with the ball in the same socket close a loop: the residual is the position of the ball by the robot minus that of its
+//! socket ([`SeatedBall`]), where ball and sockets are estimated too. Known distances of the sockets fix the scale.
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
@@ -111,12 +112,13 @@ impl Contact {
         let mut all = Standing::new(rows, |row| row.joints_rad);
         let names = table.names();
         let mut visits = vec![0; names.len()];
-        for (row, one) in (1..).zip(&all.rows) {
-            if !one.joints_rad.iter().all(|joint| joint.is_finite()) {
-                return Err(ContactError::BadRow { row });
+        for (number, row) in (1..).zip(&all.rows) {
+            if !row.joints_rad.iter().all(|joint| joint.is_finite()) {
+                return Err(ContactError::BadRow { row: number });
             }
-            *visits.get_mut(one.socket).ok_or(ContactError::UnknownSocket { row })? += 1;
+            *visits.get_mut(row.socket).ok_or(ContactError::UnknownSocket { row: number })? += 1;
         }
+        // Sockets of the table that no row visits are left out, so the others are numbered anew.
         let visited: Vec<usize> = (0..names.len()).filter(|socket| visits[*socket] > 0).collect();
         for row in &mut all.rows {
             row.socket = visited.partition_point(|socket| *socket < row.socket);
@@ -137,10 +139,10 @@ impl Contact {
         if let Some(once) = visited.iter().position(|socket| visits[*socket] == 1) {
             return Err(ContactError::VisitedOnce { socket: names[once].to_owned() });
         }
-        Ok(Self::of(all, sockets, BALL_SIGMA_M))
+        Ok(Self::from_parts(all, sockets, BALL_SIGMA_M))
     }
 
-    fn of(all: Standing<ContactRow>, sockets: Sockets, noise_m: f64) -> Self {
+    fn from_parts(all: Standing<ContactRow>, sockets: Sockets, noise_m: f64) -> Self {
         let mut contact = Self {
             rows: Screened::new(all),
             sockets,
@@ -148,17 +150,17 @@ impl Contact {
             socket_of: Vec::new(),
             noise_m,
         };
-        contact.take_part();
+        contact.update_observations();
         contact
     }
 
     /// The same instrument with other rows in the same sockets.
     fn with_rows(&self, all: Standing<ContactRow>) -> Self {
-        Self::of(all, self.sockets.clone(), self.noise_m)
+        Self::from_parts(all, self.sockets.clone(), self.noise_m)
     }
 
-    /// Updates observations and sockets from the rows in use.
-    fn take_part(&mut self) {
+    /// Updates observations and their sockets from the rows in use.
+    fn update_observations(&mut self) {
         let rows = &self.rows.at.rows;
         let observation = |row| Observation::bar(PerObservation::time_s(row), Default::default());
         self.observations = (0..rows.len()).map(observation).collect();
@@ -167,14 +169,13 @@ impl Contact {
 
     /// Position of the ball predicted by the robot minus its socket, for every row, in use or not \[m\].
     fn errors_m(&self, geometry: &Geometry) -> Vec<Vector3<f64>> {
-        let of = &geometry.contact;
-        let one = |(row, state): (&ContactRow, &JointState)| {
-            let held_m = geometry.robot_end(state).transform_point(&of.ball_m.into()).coords;
-            of.sockets_m
-                .get(row.socket)
-                .map_or_else(|| Vector3::repeat(f64::NAN), |socket_m| held_m - socket_m)
+        let contact = &geometry.contact;
+        let error_m = |(row, state): (&ContactRow, &JointState)| {
+            let ball_m = geometry.robot_end(state).transform_point(&contact.ball_m.into()).coords;
+            let socket_m = contact.sockets_m.get(row.socket);
+            socket_m.map_or_else(|| Vector3::repeat(f64::NAN), |socket_m| ball_m - socket_m)
         };
-        self.rows.all.rows.iter().zip(&self.rows.all.states).map(one).collect()
+        self.rows.all.rows.iter().zip(&self.rows.all.states).map(error_m).collect()
     }
 }
 
@@ -223,11 +224,12 @@ impl Measures for Contact {
     fn remarks(&self, geometry: &Geometry) -> Vec<(usize, String)> {
         let (names, sockets_m) = (self.sockets.names(), &geometry.contact.sockets_m);
         let errors_m = self.errors_m(geometry);
-        let remark = |one: &RejectedRow| {
-            let own = self.rows.all.rows.get(one.row)?.socket;
-            let (own_m, error_m) = (sockets_m.get(own)?, errors_m.get(one.row)?);
-            let other = nearest(names, own, |socket| (own_m + error_m - sockets_m[socket]).norm());
-            Some((one.row, format!("not in its socket `{}`{other}", names[own])))
+        let remark = |rejected: &RejectedRow| {
+            let row = rejected.row;
+            let stated = self.rows.all.rows.get(row)?.socket;
+            let ball_m = sockets_m.get(stated)? + errors_m.get(row)?;
+            let other = nearest(names, stated, |socket| (ball_m - sockets_m[socket]).norm());
+            Some((row, format!("not in its socket `{}`{other}", names[stated])))
         };
         self.rows.rejected.iter().filter_map(remark).collect()
     }
@@ -237,35 +239,41 @@ impl Measures for Contact {
         robot.with_sockets(self.sockets.names().len()).without_clocks()
     }
 
-    /// Start values of ball and sockets: `p_k + R_k ball = socket` is linear in both.
+    /// Start values of ball and sockets by least squares: `p_k + R_k ball = socket` is linear in both, with the pose `(R_k, p_k)`
+    /// of the flange at row `k`.
     fn place(&self, model: &mut Model, fix: &[ParameterId]) -> Result<bool, ModelError> {
+        /// Error of a position that gives the weight of the ball's prior \[m\].
+        const ERROR_M: f64 = 1e-3;
         let geometry = model.geometry(&[]);
         let size = 3 * (1 + self.sockets.names().len());
         let (mut matrix, mut right) = (DMatrix::zeros(size, size), DVector::zeros(size));
-        let weak = self.samples() as f64 * (1e-3 / BALL_SIGMA_M).powi(2);
-        matrix.view_mut((0, 0), (3, 3)).fill_diagonal(weak);
+        let prior_weight = self.samples() as f64 * (ERROR_M / BALL_SIGMA_M).powi(2);
+        matrix.view_mut((0, 0), (3, 3)).fill_diagonal(prior_weight);
         for (row, state) in self.rows.at.rows.iter().zip(&self.rows.at.states) {
-            let (flange, at) = (geometry.robot_end(state), 3 * (1 + row.socket));
-            let (turn, from_m) = (flange.rotation.matrix(), flange.translation.vector);
-            let mut add = |place: (usize, usize), by: &Matrix3<f64>| {
+            let flange = geometry.robot_end(state);
+            let (r, p) = (flange.rotation.matrix(), flange.translation.vector);
+            // First entries of ball and socket among the unknowns.
+            let (ball, socket) = (0, 3 * (1 + row.socket));
+            let mut add_to_matrix = |place: (usize, usize), block: &Matrix3<f64>| {
                 let mut view = matrix.fixed_view_mut::<3, 3>(place.0, place.1);
-                view += by;
+                view += block;
             };
-            add((0, 0), &Matrix3::identity());
-            add((at, at), &Matrix3::identity());
-            add((0, at), &-turn.transpose());
-            add((at, 0), &-turn);
-            let mut add = |place: usize, by: Vector3<f64>| {
+            add_to_matrix((ball, ball), &Matrix3::identity());
+            add_to_matrix((socket, socket), &Matrix3::identity());
+            add_to_matrix((ball, socket), &-r.transpose());
+            add_to_matrix((socket, ball), &-r);
+            let mut add_to_right = |place: usize, block: Vector3<f64>| {
                 let mut view = right.fixed_rows_mut::<3>(place);
-                view += by;
+                view += block;
             };
-            add(0, -turn.transpose() * from_m);
-            add(at, from_m);
+            add_to_right(ball, -r.transpose() * p);
+            add_to_right(socket, p);
         }
-        let Some(found) = matrix.cholesky().map(|factor| factor.solve(&right)) else { return Ok(false) };
-        let own = model.ids().into_iter().filter(|id| id.owner() == Owner::Contact);
-        let placed: Vec<(ParameterId, &f64)> = own.zip(found.iter()).collect();
-        for (id, value) in placed.into_iter().filter(|(id, _)| !fix.contains(id)) {
+        let Some(solution) = matrix.cholesky().map(|factor| factor.solve(&right)) else { return Ok(false) };
+        // The model has the ball and the sockets in the order of the unknowns.
+        let ids = model.ids().into_iter().filter(|id| id.owner() == Owner::Contact);
+        let values: Vec<(ParameterId, &f64)> = ids.zip(solution.iter()).collect();
+        for (id, value) in values.into_iter().filter(|(id, _)| !fix.contains(id)) {
             let role = match id {
                 ParameterId::Ball { .. } => Role::Prior { value: 0.0, sigma: BALL_SIGMA_M },
                 _ => Role::Free,
@@ -300,8 +308,8 @@ impl Measures for Contact {
         /// Data without any noise still need a unit.
         const LEAST_M: f64 = 1e-9;
         let errors_m = self.errors_m(&model.geometry(&[]));
-        let usual_m = median_size(errors_m.iter().map(|error| error.norm()));
-        self.noise_m = (usual_m / MEDIAN_OF_THREE).max(LEAST_M);
+        let median_m = median_size(errors_m.iter().map(|error| error.norm()));
+        self.noise_m = (median_m / MEDIAN_OF_THREE).max(LEAST_M);
         Some(self.noise_m)
     }
 
@@ -310,14 +318,14 @@ impl Measures for Contact {
         let residuals_m: Vec<f64> =
             self.errors_m(&model.geometry(&[])).iter().map(|error| error.norm()).collect();
         let before = self.rows.clone();
-        let others = self.rows.screen(&residuals_m, &vec![1.0; residuals_m.len()]);
-        let visited = |socket: usize| self.rows.at.rows.iter().any(|row| row.socket == socket);
-        if !(0..self.sockets.names().len()).all(visited) {
+        let changed = self.rows.screen(&residuals_m, &vec![1.0; residuals_m.len()]);
+        let is_visited = |socket: usize| self.rows.at.rows.iter().any(|row| row.socket == socket);
+        if !(0..self.sockets.names().len()).all(is_visited) {
             self.rows = before;
             return false;
         }
-        self.take_part();
-        others
+        self.update_observations();
+        changed
     }
 
     fn independent(&self, count: usize) -> Vec<Vec<usize>> {

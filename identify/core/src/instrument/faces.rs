@@ -1,8 +1,9 @@
-//! Flat faces that a tip touches, and their known distances and angles.
+//! Flat faces that a tip touches, and their known distances and angles: the file's table, and its entries as residuals and
+//! derivatives beside the rows of [`super::Touch`]. A face is the plane `n.x = d`; `n` has any length.
 
 use std::collections::BTreeSet;
 
-use nalgebra::{DMatrix, DVector, RowDVector, RowVector3, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, RowDVector, RowVector3, Vector3};
 use serde::{Deserialize, Serialize};
 use shared::config::{Validate, Violation};
 
@@ -111,14 +112,13 @@ impl FaceTable {
 impl Validate for FaceTable {
     fn validate(&self) -> Result<(), Violation> {
         let bad = |key: String, problem: String, remedy: &str| Err(Violation::new(key, problem, remedy));
-        let own = |i: usize, kind: &str, key: &str, u: Option<f64>| (format!("{kind}[{i}].{key}"), u);
         let distances = self.distances.iter().enumerate();
         let angles = self.angles.iter().enumerate();
-        let of_all = [("u_um".to_owned(), Some(self.u_um)), ("u_urad".to_owned(), Some(self.u_urad))];
-        let uncertainties = of_all
-            .into_iter()
-            .chain(distances.clone().map(|(i, one)| own(i, "distance", "u_um", one.u_um)))
-            .chain(angles.clone().map(|(i, one)| own(i, "angle", "u_urad", one.u_urad)));
+        let of_distances =
+            distances.clone().map(|(i, distance)| (format!("distance[{i}].u_um"), distance.u_um));
+        let of_angles = angles.clone().map(|(i, angle)| (format!("angle[{i}].u_urad"), angle.u_urad));
+        let of_table = [("u_um".to_owned(), Some(self.u_um)), ("u_urad".to_owned(), Some(self.u_urad))];
+        let uncertainties = of_table.into_iter().chain(of_distances).chain(of_angles);
         for (key, u) in uncertainties {
             if let Some(u) = u.filter(|u| !(u.is_finite() && *u > 0.0)) {
                 return bad(key, format!("the uncertainty is {u}"), "give a number above zero");
@@ -133,27 +133,28 @@ impl Validate for FaceTable {
             let problem = format!("a coordinate is {at} mm");
             return bad("tip_mm".into(), problem, "give three numbers in millimetres");
         }
-        for (i, one) in distances {
-            if !(one.distance_mm > 0.0 && one.distance_mm <= SPAN_MM_MAX) {
-                let problem = format!("the distance is {} mm", one.distance_mm);
+        for (i, distance) in distances {
+            if !(distance.distance_mm > 0.0 && distance.distance_mm <= SPAN_MM_MAX) {
+                let problem = format!("the distance is {} mm", distance.distance_mm);
                 return bad(format!("distance[{i}].distance_mm"), problem, "give millimetres above zero");
             }
-            if one.touched == Touched::Inside && one.distance_mm <= self.tip_diameter_mm {
+            if distance.touched == Touched::Inside && distance.distance_mm <= self.tip_diameter_mm {
                 let problem = "the tip does not fit between these faces".to_owned();
                 return bad(format!("distance[{i}].distance_mm"), problem, "correct it, or tip_diameter_mm");
             }
         }
-        for (i, one) in angles {
-            if !(0.0..=90.0).contains(&one.angle_deg) {
-                let problem = format!("the angle is {}", one.angle_deg);
+        for (i, angle) in angles {
+            if !(0.0..=90.0).contains(&angle.angle_deg) {
+                let problem = format!("the angle is {}", angle.angle_deg);
                 return bad(format!("angle[{i}].angle_deg"), problem, "give degrees from 0 to 90");
             }
         }
-        let between = self.distances.iter().map(|one| &one.between).enumerate().map(|one| ("distance", one));
-        let angles = self.angles.iter().map(|one| &one.between).enumerate().map(|one| ("angle", one));
-        for (kind, (i, [one, other])) in between.chain(angles) {
-            if one == other {
-                let problem = format!("`{one}` is both of them");
+        let of_distances =
+            self.distances.iter().enumerate().map(|(i, distance)| ("distance", i, &distance.between));
+        let of_angles = self.angles.iter().enumerate().map(|(i, angle)| ("angle", i, &angle.between));
+        for (kind, i, [first, second]) in of_distances.chain(of_angles) {
+            if first == second {
+                let problem = format!("`{first}` is both of them");
                 return bad(format!("{kind}[{i}].between"), problem, "name two faces");
             }
         }
@@ -164,7 +165,8 @@ impl Validate for FaceTable {
 /// A known quantity of two faces.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Known {
-    /// Distance from the first face to the second at `at_m`, where the second is touched, for the centre of the tip \[m\].
+    /// Distance from the first face to the second at `at_m`, where the second is touched, for the centre of the tip \[m\]. The
+    /// estimated planes are not exactly parallel, so their distance is stated at a point.
     Distance { faces: [usize; 2], distance_m: f64, sigma_m: f64, at_m: Vector3<f64> },
     /// Angle of two planes that are not parallel.
     Angle { faces: [usize; 2], angle_rad: f64, sigma_rad: f64 },
@@ -179,11 +181,11 @@ pub struct Faces {
     known: Vec<Known>,
 }
 
-/// Unit normal of a face, and its derivative by the normal's parameters.
-fn unit_normal(face: &Face) -> (Vector3<f64>, nalgebra::Matrix3<f64>) {
+/// Unit normal of a face, and its (symmetric) derivative by the normal's parameters.
+fn unit_normal(face: &Face) -> (Vector3<f64>, Matrix3<f64>) {
     let length = face.normal.norm();
     let normal = face.normal / length;
-    (normal, (nalgebra::Matrix3::identity() - normal * normal.transpose()) / length)
+    (normal, (Matrix3::identity() - normal * normal.transpose()) / length)
 }
 
 impl Faces {
@@ -193,28 +195,28 @@ impl Faces {
         /// Below this angle planes count as parallel: the direction of their inclination is undefined \[deg\].
         const PARALLEL_DEG: f64 = 0.1;
         let number = |name: &String| names.iter().position(|other| other == name);
-        let pair = |between: &[String; 2]| {
-            let [one, other] = between.each_ref().map(number);
-            Some([one?, other?])
+        let numbers = |between: &[String; 2]| {
+            let [first, second] = between.each_ref().map(number);
+            Some([first?, second?])
         };
-        let distances = table.distances.iter().filter_map(|one| {
-            let faces = pair(&one.between)?;
-            let by_tip_mm = match one.touched {
+        let distances = table.distances.iter().filter_map(|spacing| {
+            let faces = numbers(&spacing.between)?;
+            let by_tip_mm = match spacing.touched {
                 Touched::Outside => table.tip_diameter_mm,
                 Touched::Inside => -table.tip_diameter_mm,
                 Touched::Step => 0.0,
             };
-            let distance_m = (one.distance_mm + by_tip_mm) * 1e-3;
-            let sigma_m = one.u_um.unwrap_or(table.u_um) * 1e-6;
+            let distance_m = (spacing.distance_mm + by_tip_mm) * 1e-3;
+            let sigma_m = spacing.u_um.unwrap_or(table.u_um) * 1e-6;
             Some(Known::Distance { faces, distance_m, sigma_m, at_m: *centre_m.get(faces[1])? })
         });
-        let angles = table.angles.iter().filter_map(|one| {
-            let faces = pair(&one.between)?;
-            let sigma_rad = one.u_urad.unwrap_or(table.u_urad) * 1e-6;
-            Some(if one.angle_deg < PARALLEL_DEG {
+        let angles = table.angles.iter().filter_map(|angle| {
+            let faces = numbers(&angle.between)?;
+            let sigma_rad = angle.u_urad.unwrap_or(table.u_urad) * 1e-6;
+            Some(if angle.angle_deg < PARALLEL_DEG {
                 Known::Parallel { faces, sigma_rad }
             } else {
-                Known::Angle { faces, angle_rad: one.angle_deg.to_radians(), sigma_rad }
+                Known::Angle { faces, angle_rad: angle.angle_deg.to_radians(), sigma_rad }
             })
         });
         Self { names: names.to_vec(), known: distances.chain(angles).collect() }
@@ -242,12 +244,12 @@ impl Knowns for Faces {
 
     fn name_of(&self, known: usize) -> String {
         let Some(known) = self.known.get(known) else { return String::new() };
-        let (what, [one, other]) = match known {
+        let (what, [first, second]) = match known {
             Known::Distance { faces, .. } => ("the distance between", faces),
             Known::Angle { faces, .. } | Known::Parallel { faces, .. } => ("the angle between", faces),
         };
         let name = |face: &usize| self.names.get(*face).map_or("", String::as_str);
-        format!("{what} faces `{}` and `{}`", name(one), name(other))
+        format!("{what} faces `{}` and `{}`", name(first), name(second))
     }
 
     fn sigma_of(&self, known: usize) -> (f64, Unit) {
@@ -262,58 +264,59 @@ impl Knowns for Faces {
 
     fn known(&self, known: usize, geometry: &Geometry) -> Option<(DVector<f64>, DMatrix<f64>)> {
         let faces = &geometry.touch.faces;
-        let columns = FaceNumber::ALL.len() * faces.len();
-        let set = |by: &mut RowDVector<f64>, face: usize, normal: RowVector3<f64>, distance: f64| {
-            let first = FaceNumber::ALL.len() * face;
-            by.columns_mut(first, 3).copy_from(&normal);
-            by[first + FaceNumber::Distance.index()] = distance;
+        let first_column = |face: usize| FaceNumber::ALL.len() * face;
+        let columns = first_column(faces.len());
+        let set = |row: &mut RowDVector<f64>, face: usize, by_normal: RowVector3<f64>, by_distance: f64| {
+            row.columns_mut(first_column(face), 3).copy_from(&by_normal);
+            row[first_column(face) + FaceNumber::Distance.index()] = by_distance;
         };
         match *self.known.get(known)? {
-            Known::Distance { faces: [one, other], distance_m, sigma_m, at_m } => {
-                let (first, second) = (faces.get(one)?, faces.get(other)?);
+            Known::Distance { faces: [first, second], distance_m, sigma_m, at_m } => {
+                let (face_1, face_2) = (faces.get(first)?, faces.get(second)?);
                 // Foot of the touched position on the second face, and its height above the first face.
-                let (length_1, squared_2) = (first.normal.norm(), second.normal.norm_squared());
-                let over_2 = second.normal.dot(&at_m) - second.distance_m;
-                let foot_m = at_m - second.normal * (over_2 / squared_2);
-                let height_m = (first.normal.dot(&foot_m) - first.distance_m) / length_1;
-                let (normal_1, _) = unit_normal(first);
-                // d foot / d n2 = -(over_2 I + n2 x^T) / n2^2 + 2 n2 n2^T over_2 / n2^4.
-                let by_normal_2 = -(normal_1 * over_2 + at_m * normal_1.dot(&second.normal)) / squared_2
-                    + second.normal * (2.0 * over_2 * normal_1.dot(&second.normal) / squared_2.powi(2));
-                let by_distance_2 = normal_1.dot(&second.normal) / squared_2;
+                let (length_1, squared_2) = (face_1.normal.norm(), face_2.normal.norm_squared());
+                let over_2 = face_2.normal.dot(&at_m) - face_2.distance_m;
+                let foot_m = at_m - face_2.normal * (over_2 / squared_2);
+                let height_m = (face_1.normal.dot(&foot_m) - face_1.distance_m) / length_1;
+                let (normal_1, _) = unit_normal(face_1);
+                // d foot / d n2 = -(over_2 I + n2 x^T) / n2^2 + 2 n2 n2^T over_2 / n2^4, with the touched position x.
+                let by_normal_2 = -(normal_1 * over_2 + at_m * normal_1.dot(&face_2.normal)) / squared_2
+                    + face_2.normal * (2.0 * over_2 * normal_1.dot(&face_2.normal) / squared_2.powi(2));
+                let by_distance_2 = normal_1.dot(&face_2.normal) / squared_2;
                 let by_normal_1 = (foot_m - normal_1 * height_m) / length_1;
-                let sign = if height_m < 0.0 { -1.0 } else { 1.0 } / sigma_m;
-                let mut by = RowDVector::zeros(columns);
-                set(&mut by, one, by_normal_1.transpose() * sign, -sign / length_1);
-                set(&mut by, other, by_normal_2.transpose() * sign, by_distance_2 * sign);
+                let sign = if height_m < 0.0 { -1.0 } else { 1.0 };
+                let scale = sign / sigma_m;
+                let mut derivative = RowDVector::zeros(columns);
+                set(&mut derivative, first, by_normal_1.transpose() * scale, -scale / length_1);
+                set(&mut derivative, second, by_normal_2.transpose() * scale, by_distance_2 * scale);
                 let residual = (height_m.abs() - distance_m) / sigma_m;
-                Some((DVector::from_element(1, residual), DMatrix::from_rows(&[by])))
+                Some((DVector::from_element(1, residual), DMatrix::from_rows(&[derivative])))
             }
-            Known::Angle { faces: [one, other], angle_rad, sigma_rad } => {
-                let (normal_1, by_1) = unit_normal(faces.get(one)?);
-                let (normal_2, by_2) = unit_normal(faces.get(other)?);
+            Known::Angle { faces: [first, second], angle_rad, sigma_rad } => {
+                let (normal_1, by_1) = unit_normal(faces.get(first)?);
+                let (normal_2, by_2) = unit_normal(faces.get(second)?);
                 let cosine = normal_1.dot(&normal_2);
                 // The angle of two planes does not depend on the signs of their normals.
                 let sign = if cosine < 0.0 { -1.0 } else { 1.0 };
-                let found_rad = (sign * cosine).clamp(-1.0, 1.0).acos();
-                let slope = -sign / (found_rad.sin().max(f64::MIN_POSITIVE) * sigma_rad);
-                let mut by = RowDVector::zeros(columns);
-                set(&mut by, one, (by_1 * normal_2).transpose() * slope, 0.0);
-                set(&mut by, other, (by_2 * normal_1).transpose() * slope, 0.0);
-                let residual = (found_rad - angle_rad) / sigma_rad;
-                Some((DVector::from_element(1, residual), DMatrix::from_rows(&[by])))
+                let estimated_rad = (sign * cosine).clamp(-1.0, 1.0).acos();
+                let slope = -sign / (estimated_rad.sin().max(f64::MIN_POSITIVE) * sigma_rad);
+                let mut derivative = RowDVector::zeros(columns);
+                set(&mut derivative, first, (by_1 * normal_2).transpose() * slope, 0.0);
+                set(&mut derivative, second, (by_2 * normal_1).transpose() * slope, 0.0);
+                let residual = (estimated_rad - angle_rad) / sigma_rad;
+                Some((DVector::from_element(1, residual), DMatrix::from_rows(&[derivative])))
             }
-            Known::Parallel { faces: [one, other], sigma_rad } => {
-                let (normal_1, by_1) = unit_normal(faces.get(one)?);
-                let (normal_2, by_2) = unit_normal(faces.get(other)?);
+            Known::Parallel { faces: [first, second], sigma_rad } => {
+                let (normal_1, by_1) = unit_normal(faces.get(first)?);
+                let (normal_2, by_2) = unit_normal(faces.get(second)?);
+                // The angle has no derivative at zero; the cross product of the normals has.
                 let cross = normal_1.cross(&normal_2) / sigma_rad;
-                let mut by = DMatrix::zeros(3, columns);
-                let first = |face: usize| FaceNumber::ALL.len() * face;
-                let of_first = -normal_2.cross_matrix() * by_1 / sigma_rad;
-                by.view_mut((0, first(one)), (3, 3)).copy_from(&of_first);
-                let of_second = normal_1.cross_matrix() * by_2 / sigma_rad;
-                by.view_mut((0, first(other)), (3, 3)).copy_from(&of_second);
-                Some((DVector::from_column_slice(cross.as_slice()), by))
+                let mut derivative = DMatrix::zeros(3, columns);
+                let by_first = -normal_2.cross_matrix() * by_1 / sigma_rad;
+                derivative.view_mut((0, first_column(first)), (3, 3)).copy_from(&by_first);
+                let by_second = normal_1.cross_matrix() * by_2 / sigma_rad;
+                derivative.view_mut((0, first_column(second)), (3, 3)).copy_from(&by_second);
+                Some((DVector::from_column_slice(cross.as_slice()), derivative))
             }
         }
     }

@@ -1,4 +1,5 @@
-//! Prior knowledge of an instrument's parts, such as distances of sockets: additional samples in the fit.
+//! Prior knowledge of an instrument's parts, such as distances of sockets: additional samples in the fit
+//! ([`crate::cost::BesideKnowns`]), and a test whether the other samples contradict it.
 
 use std::fmt;
 
@@ -37,15 +38,15 @@ pub trait Knowns: fmt::Debug + Sync {
     /// constrained to the known values, so the test is conservative.
     fn contradicted(&self, geometry: &Geometry) -> Vec<Contradiction> {
         let chance = CONTRADICTED_BY_CHANCE / self.knowns().max(1) as f64;
-        let one = |known: usize| {
+        let contradiction = |known: usize| {
             let (residual, _) = self.known(known, geometry)?;
-            let squared = ChiSquared::new(residual.len() as f64).ok()?;
+            let distribution = ChiSquared::new(residual.len() as f64).ok()?;
             let (sigma, unit) = self.sigma_of(known);
-            let contradicted = squared.sf(residual.norm_squared()) < chance;
+            let contradicted = distribution.sf(residual.norm_squared()) < chance;
             let off = residual.norm() * sigma;
             contradicted.then(|| Contradiction { name: self.name_of(known), off, sigma, unit })
         };
-        (0..self.knowns()).filter_map(one).collect()
+        (0..self.knowns()).filter_map(contradiction).collect()
     }
 }
 

@@ -1,5 +1,5 @@
-//! Instruments that measure the robot, one file each with its measurements and residuals. The robot model does not depend on
-//! instruments, and instruments do not depend on the estimator.
+//! Instruments that measure the robot, one file each with its measurements, residuals, start values and outliers. `calibrate`
+//! uses them as [`Measures`]. The robot model does not depend on instruments, and instruments do not depend on the estimator.
 
 mod ball_bar;
 mod cause;
@@ -297,9 +297,9 @@ impl Section {
 /// Text that names the other part which a sample fits best; `off_m` returns its distance from each part. Empty if its own is
 /// nearest.
 fn nearest(names: &[String], own: usize, off_m: impl Fn(usize) -> f64) -> String {
-    let near = (0..names.len()).min_by(|a, b| off_m(*a).total_cmp(&off_m(*b)));
-    near.filter(|near| *near != own).map_or_else(String::new, |near| {
-        format!(", {:.2} mm from `{}`: look for a wrong name", off_m(near) * 1e3, names[near])
+    let nearest = (0..names.len()).min_by(|a, b| off_m(*a).total_cmp(&off_m(*b)));
+    nearest.filter(|part| *part != own).map_or_else(String::new, |part| {
+        format!(", {:.2} mm from `{}`: look for a wrong name", off_m(part) * 1e3, names[part])
     })
 }
 

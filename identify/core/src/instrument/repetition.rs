@@ -1,5 +1,7 @@
-//! Motions that repeat within a run. Repetitions share the errors of gears and encoders, so a repetition that is held out
-//! is not independent of the fitted ones.
+//! Segments of a run whose errors are independent, also if its motion repeats; the bar's folds. Repetitions share the errors of
+//! gears and encoders, so a repetition that is held out is not independent of the fitted ones.
+//!
+//! The period is the most frequent time from a sample to the later sample with the most similar joints, refined by Gauss-Newton.
 
 use std::ops::Range;
 
@@ -19,8 +21,8 @@ const SAME_RAD: f64 = 2e-3;
 const BIN_S: f64 = 0.5;
 /// Lowest number of segments.
 const SEGMENTS_MIN: usize = 8;
-/// Part of the samples that must have a similar sample one period later.
-const SHARE: f64 = 0.4;
+/// Part of the samples that must belong to a repeated motion; half of those have a later repetition.
+const REPEATED_MIN: f64 = 0.4;
 
 /// Samples of each segment of a run measured at `times_s`: at most `count` segments. All repetitions of a motion are in one
 /// segment. A repeating run has fewer segments, so that each lasts as long as in a run without repetitions: errors of gears and
@@ -29,16 +31,16 @@ pub fn independent_segments(motion: &impl RobotMotion, times_s: &[f64], count: u
     let samples: Vec<usize> = (0..times_s.len()).collect();
     let span_s = times_s.last().zip(times_s.first()).map_or(0.0, |(last, first)| last - first);
     let (in_order, distinct_s) = match period_s(motion, times_s) {
-        Some(period_s) => (by_phase(samples, times_s, period_s), period_s.min(span_s)),
+        Some(period_s) => (sorted_by_phase(samples, times_s, period_s), period_s.min(span_s)),
         None => (samples, span_s),
     };
-    let distinct = if span_s > 0.0 { distinct_s / span_s } else { 1.0 };
-    let count = count.min(((count as f64 * distinct) as usize).max(SEGMENTS_MIN));
-    let parts = segments(&[0, in_order.len()], count);
-    parts.into_iter().map(|part: Range<usize>| in_order[part].to_vec()).collect()
+    let distinct_part = if span_s > 0.0 { distinct_s / span_s } else { 1.0 };
+    let count = count.min(((count as f64 * distinct_part) as usize).max(SEGMENTS_MIN));
+    let ranges = segments(&[0, in_order.len()], count);
+    ranges.into_iter().map(|range: Range<usize>| in_order[range].to_vec()).collect()
 }
 
-fn by_phase(mut samples: Vec<usize>, times_s: &[f64], period_s: f64) -> Vec<usize> {
+fn sorted_by_phase(mut samples: Vec<usize>, times_s: &[f64], period_s: f64) -> Vec<usize> {
     let Some(&begin_s) = times_s.first() else { return samples };
     let phase_s = |sample: usize| times_s.get(sample).map_or(0.0, |t_s| (t_s - begin_s).rem_euclid(period_s));
     samples.sort_by(|&a, &b| phase_s(a).total_cmp(&phase_s(b)));
@@ -51,47 +53,49 @@ pub fn period_s(motion: &impl RobotMotion, times_s: &[f64]) -> Option<f64> {
     let states: Vec<(f64, JointState)> =
         times_s.iter().step_by(every).filter_map(|&t_s| Some((t_s, motion.at(t_s)?))).collect();
     let mut bins: Vec<usize> = Vec::new();
-    for (at, (t_s, state)) in states.iter().enumerate() {
-        let later = states.iter().skip(at + 1).filter(|(later_s, _)| later_s - t_s > APART_S);
-        let alike = later.map(|(later_s, other)| (later_s - t_s, farthest_rad(state, other)));
-        let best = alike.min_by(|a, b| a.1.total_cmp(&b.1)).filter(|(_, rad)| *rad < ALIKE_RAD);
-        let Some((apart_s, _)) = best else { continue };
+    for (index, (t_s, state)) in states.iter().enumerate() {
+        let later = states.iter().skip(index + 1).filter(|(later_s, _)| later_s - t_s > APART_S);
+        let differences = later.map(|(later_s, other)| (later_s - t_s, largest_difference_rad(state, other)));
+        let most_similar = differences.min_by(|a, b| a.1.total_cmp(&b.1)).filter(|(_, rad)| *rad < ALIKE_RAD);
+        let Some((apart_s, _)) = most_similar else { continue };
         let bin = (apart_s / BIN_S) as usize;
         bins.resize(bins.len().max(bin + 1), 0);
         bins[bin] += 1;
     }
-    // At least half of the samples of two repetitions have a later one; the period lies in one bin or between two.
-    let needed = (0.5 * SHARE * states.len() as f64).max(10.0) as usize;
-    let found = bins.windows(2).position(|pair| pair[0] + pair[1] >= needed)?;
-    refined(motion, &states, (found + 1) as f64 * BIN_S)
+    // The period lies in one bin or between two. Fewer than ten samples could be similar by chance.
+    let needed = (0.5 * REPEATED_MIN * states.len() as f64).max(10.0) as usize;
+    let first_bin = bins.windows(2).position(|pair| pair[0] + pair[1] >= needed)?;
+    refine(motion, &states, (first_bin + 1) as f64 * BIN_S)
 }
 
-fn farthest_rad(a: &JointState, b: &JointState) -> f64 {
+fn largest_difference_rad(a: &JointState, b: &JointState) -> f64 {
     a.q.iter().zip(&b.q).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }
 
-/// Refines the period by Gauss-Newton: `q(t + period)` against `q(t)`. `None` if the joints then still differ.
-fn refined(motion: &impl RobotMotion, states: &[(f64, JointState)], start_s: f64) -> Option<f64> {
+/// Minimises `sum |q(t + period) - q(t)|^2` over the period by Gauss-Newton. `None` if the joints then still differ.
+fn refine(motion: &impl RobotMotion, states: &[(f64, JointState)], start_s: f64) -> Option<f64> {
     const STEPS: usize = 8;
     let mut period_s = start_s;
     for step in 0..=STEPS {
         let pairs: Vec<(JointState, JointState)> =
             states.iter().filter_map(|(t_s, state)| Some((*state, motion.at(t_s + period_s)?))).collect();
-        let (mut by_rate, mut rate_squared, mut squared) = (0.0, 0.0, 0.0);
-        for (state, again) in &pairs {
+        // Sums of rate times difference, of squared rates (the derivatives) and of squared differences.
+        let (mut gradient, mut curvature, mut squared) = (0.0, 0.0, 0.0);
+        for (state, repeated) in &pairs {
             for joint in 0..state.q.len() {
-                let off = again.q[joint] - state.q[joint];
-                by_rate += again.qd[joint] * off;
-                rate_squared += again.qd[joint].powi(2);
-                squared += off * off;
+                let difference = repeated.q[joint] - state.q[joint];
+                gradient += repeated.qd[joint] * difference;
+                curvature += repeated.qd[joint].powi(2);
+                squared += difference * difference;
             }
         }
-        let joints = pairs.first()?.0.q.len() * pairs.len();
+        let entries = pairs.first()?.0.q.len() * pairs.len();
         if step == STEPS {
-            let same = (squared / joints as f64).sqrt() < SAME_RAD;
-            return (same && pairs.len() as f64 >= 0.5 * SHARE * states.len() as f64).then_some(period_s);
+            let same = (squared / entries as f64).sqrt() < SAME_RAD;
+            return (same && pairs.len() as f64 >= 0.5 * REPEATED_MIN * states.len() as f64)
+                .then_some(period_s);
         }
-        period_s -= by_rate / rate_squared.max(f64::MIN_POSITIVE);
+        period_s -= gradient / curvature.max(f64::MIN_POSITIVE);
     }
     None
 }

@@ -1,4 +1,5 @@
-//! Sockets that hold the ball, and their known positions or distances.
+//! Sockets that hold the ball, and their known positions or distances: the file's table, and its entries as residuals and
+//! derivatives beside the rows of [`super::Contact`].
 
 use std::collections::BTreeSet;
 
@@ -56,13 +57,14 @@ const SPAN_MM_MAX: f64 = 20_000.0;
 impl Validate for SocketTable {
     fn validate(&self) -> Result<(), Violation> {
         let bad = |key: String, problem: String, remedy: &str| Err(Violation::new(key, problem, remedy));
-        let own =
-            self.sockets.iter().map(|one| one.u_um).enumerate().map(|(i, u)| (format!("socket[{i}]."), u));
-        let of_distances = self.distances.iter().map(|one| one.u_um).enumerate();
-        let of_distances = of_distances.map(|(i, u)| (format!("distance[{i}]."), u));
-        for (place, u_um) in [(String::new(), Some(self.u_um))].into_iter().chain(own).chain(of_distances) {
+        let mut uncertainties = vec![("u_um".to_owned(), Some(self.u_um))];
+        let of_sockets = self.sockets.iter().enumerate();
+        uncertainties.extend(of_sockets.map(|(i, socket)| (format!("socket[{i}].u_um"), socket.u_um)));
+        let of_distances = self.distances.iter().enumerate();
+        uncertainties
+            .extend(of_distances.map(|(i, distance)| (format!("distance[{i}].u_um"), distance.u_um)));
+        for (key, u_um) in uncertainties {
             if let Some(u_um) = u_um.filter(|u_um| !(u_um.is_finite() && *u_um > 0.0)) {
-                let key = format!("{place}u_um");
                 return bad(key, format!("{u_um} is no uncertainty"), "give micrometres above zero");
             }
         }
@@ -121,14 +123,30 @@ impl SocketTable {
     }
 }
 
-/// Sockets that rows visit, numbered as their parameters, and their known geometry \[m\].
+/// A socket with its position on the plate.
+#[derive(Debug, Clone, PartialEq)]
+struct Placed {
+    socket: usize,
+    position_m: Vector3<f64>,
+    /// Standard uncertainty of a coordinate.
+    sigma_m: f64,
+}
+
+/// Two sockets and their distance.
+#[derive(Debug, Clone, PartialEq)]
+struct Spaced {
+    sockets: [usize; 2],
+    distance_m: f64,
+    sigma_m: f64,
+}
+
+/// Sockets that rows visit, numbered as their parameters, and their known geometry.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sockets {
     names: Vec<String>,
-    /// Socket, position on the plate, and standard uncertainty of a coordinate.
-    placed: Vec<(usize, Vector3<f64>, f64)>,
-    /// Two sockets, their distance and its standard uncertainty.
-    distances: Vec<([usize; 2], f64, f64)>,
+    /// Known quantities: first the positions on the plate, then the distances.
+    placed: Vec<Placed>,
+    distances: Vec<Spaced>,
 }
 
 impl Sockets {
@@ -136,13 +154,15 @@ impl Sockets {
     pub fn new(table: &SocketTable, names: &[&str]) -> Self {
         let number = |name: &String| names.iter().position(|other| other == name);
         let sigma_m = |u_um: Option<f64>| u_um.unwrap_or(table.u_um) * 1e-6;
-        let placed = table.sockets.iter().filter_map(|one| {
-            Some((number(&one.name)?, Vector3::from(one.position_mm) * 1e-3, sigma_m(one.u_um)))
+        let placed = table.sockets.iter().filter_map(|PlacedSocket { name, position_mm, u_um }| {
+            let position_m = Vector3::from(*position_mm) * 1e-3;
+            Some(Placed { socket: number(name)?, position_m, sigma_m: sigma_m(*u_um) })
         });
-        let placed: Vec<_> = placed.collect();
-        let distances = table.distances.iter().filter_map(|one| {
-            let [from, to] = one.between.each_ref().map(number);
-            Some(([from?, to?], one.distance_mm * 1e-3, sigma_m(one.u_um)))
+        let placed: Vec<Placed> = placed.collect();
+        let distances = table.distances.iter().filter_map(|KnownDistance { between, distance_mm, u_um }| {
+            let [from, to] = between.each_ref().map(number);
+            let distance_m = distance_mm * 1e-3;
+            Some(Spaced { sockets: [from?, to?], distance_m, sigma_m: sigma_m(*u_um) })
         });
         Self {
             names: names.iter().map(ToString::to_string).collect(),
@@ -157,45 +177,52 @@ impl Sockets {
         &self.names
     }
 
-    /// `(s_j - T c_j) / u_j` of the sockets of the plate, with the pose `T` of the plate that fits them best, and the
-    /// derivatives by their positions. The pose is eliminated (variable projection, Golub and Pereyra 1973, in Kaufman's form).
-    fn of_plate(&self, sockets_m: &[Vector3<f64>]) -> Option<(DVector<f64>, DMatrix<f64>)> {
+    /// The known quantity if it is a distance.
+    fn distance(&self, known: usize) -> Option<&Spaced> {
+        self.distances.get(known.checked_sub(self.placed.len())?)
+    }
+
+    /// `(s_j - T c_j) / u_j` of the sockets of the plate, with estimated positions `s_j`, known positions `c_j`, uncertainties
+    /// `u_j` and the pose `T` of the plate that fits them best, and the derivatives by `s_j`. The pose is eliminated (variable
+    /// projection, Golub and Pereyra 1973, in Kaufman's form): with `D` of the `1 / u_j` and `M` the derivatives by the pose, the
+    /// derivative is `(I - M M^+) D`.
+    fn plate_residual(&self, sockets_m: &[Vector3<f64>]) -> Option<(DVector<f64>, DMatrix<f64>)> {
         /// Singular values below this part of the largest count as zero, such as a rotation about a line through all sockets.
-        const RANK: f64 = 1e-9;
+        const RANK_TOLERANCE: f64 = 1e-9;
         let size = 3 * self.placed.len();
-        let found: Vec<Vector3<f64>> =
-            self.placed.iter().map(|(socket, ..)| sockets_m.get(*socket).copied()).collect::<Option<_>>()?;
-        let known: Vec<Vector3<f64>> = self.placed.iter().map(|(_, at, _)| *at).collect();
-        let weights: Vec<f64> = self.placed.iter().map(|(.., sigma_m)| sigma_m.powi(-2)).collect();
+        let s: Vec<Vector3<f64>> =
+            self.placed.iter().map(|placed| sockets_m.get(placed.socket).copied()).collect::<Option<_>>()?;
+        let c: Vec<Vector3<f64>> = self.placed.iter().map(|placed| placed.position_m).collect();
+        let weights: Vec<f64> = self.placed.iter().map(|placed| placed.sigma_m.powi(-2)).collect();
         let centre = |points: &[Vector3<f64>]| {
             let sum: Vector3<f64> = points.iter().zip(&weights).map(|(point, weight)| point * *weight).sum();
             sum / weights.iter().sum::<f64>()
         };
-        let (of_found, of_known) = (centre(&found), centre(&known));
-        let products = found.iter().zip(&known).zip(&weights);
+        let (s_centre, c_centre) = (centre(&s), centre(&c));
+        let weighted = s.iter().zip(&c).zip(&weights);
         let products: Matrix3<f64> =
-            products.map(|((s, c), weight)| (s - of_found) * (c - of_known).transpose() * *weight).sum();
-        let turn: Rotation3<f64> = nearest_rotation(&products);
-        let (mut residual, mut moves) = (DVector::zeros(size), DMatrix::zeros(size, 6));
-        let mut scale = DVector::zeros(size);
-        for (place, ((s, c), weight)) in found.iter().zip(&known).zip(&weights).enumerate() {
-            let (arm, per_sigma) = (turn * (c - of_known), weight.sqrt());
-            residual.rows_mut(3 * place, 3).copy_from(&((s - of_found - arm) * per_sigma));
-            moves.view_mut((3 * place, 0), (3, 3)).fill_with_identity();
-            moves.view_mut((3 * place, 3), (3, 3)).copy_from(&-arm.cross_matrix());
-            scale.rows_mut(3 * place, 3).fill(per_sigma);
+            weighted.map(|((s, c), weight)| (s - s_centre) * (c - c_centre).transpose() * *weight).sum();
+        let rotation: Rotation3<f64> = nearest_rotation(&products);
+        let (mut residual, mut by_pose) = (DVector::zeros(size), DMatrix::zeros(size, 6));
+        let mut per_sigma = DVector::zeros(size);
+        for (place, ((s, c), weight)) in s.iter().zip(&c).zip(&weights).enumerate() {
+            let (arm, scale) = (rotation * (c - c_centre), weight.sqrt());
+            residual.rows_mut(3 * place, 3).copy_from(&((s - s_centre - arm) * scale));
+            by_pose.view_mut((3 * place, 0), (3, 3)).fill_with_identity();
+            by_pose.view_mut((3 * place, 3), (3, 3)).copy_from(&-arm.cross_matrix());
+            per_sigma.rows_mut(3 * place, 3).fill(scale);
         }
-        for (row, per_sigma) in scale.iter().enumerate() {
-            moves.row_mut(row).scale_mut(*per_sigma);
+        for (row, scale) in per_sigma.iter().enumerate() {
+            by_pose.row_mut(row).scale_mut(*scale);
         }
-        let svd = moves.svd(true, false);
+        let svd = by_pose.svd(true, false);
         let largest = svd.singular_values.max();
-        let mut derivative = DMatrix::from_diagonal(&scale);
-        for (column, _) in
-            svd.u?.column_iter().zip(&svd.singular_values).filter(|(_, s)| **s > RANK * largest)
-        {
-            let along = column.component_mul(&scale);
-            derivative.ger(-1.0, &column, &along, 1.0);
+        let mut derivative = DMatrix::from_diagonal(&per_sigma);
+        for (direction, singular_value) in svd.u?.column_iter().zip(&svd.singular_values) {
+            if *singular_value > RANK_TOLERANCE * largest {
+                let scaled = direction.component_mul(&per_sigma);
+                derivative.ger(-1.0, &direction, &scaled, 1.0);
+            }
         }
         Some((residual, derivative))
     }
@@ -213,18 +240,16 @@ impl Knowns for Sockets {
 
     fn name_of(&self, known: usize) -> String {
         let name = |socket: usize| self.names.get(socket).map_or("", String::as_str);
-        match (self.placed.get(known), known.checked_sub(self.placed.len())) {
-            (Some((socket, ..)), _) => format!("the place of socket `{}`", name(*socket)),
-            (None, at) => at.and_then(|at| self.distances.get(at)).map_or_else(String::new, |(ends, ..)| {
-                format!("the distance between sockets `{}` and `{}`", name(ends[0]), name(ends[1]))
-            }),
+        if let Some(placed) = self.placed.get(known) {
+            return format!("the place of socket `{}`", name(placed.socket));
         }
+        let Some(Spaced { sockets: [from, to], .. }) = self.distance(known) else { return String::new() };
+        format!("the distance between sockets `{}` and `{}`", name(*from), name(*to))
     }
 
     fn sigma_of(&self, known: usize) -> (f64, Unit) {
-        let placed = self.placed.get(known).map(|placed| placed.2);
-        let distance =
-            || self.distances.get(known.checked_sub(self.placed.len())?).map(|distance| distance.2);
+        let placed = self.placed.get(known).map(|placed| placed.sigma_m);
+        let distance = || self.distance(known).map(|distance| distance.sigma_m);
         (placed.or_else(distance).unwrap_or_default(), Unit::Metre)
     }
 
@@ -232,21 +257,22 @@ impl Knowns for Sockets {
         let sockets_m = &geometry.contact.sockets_m;
         let columns = 3 * sockets_m.len();
         if known < self.placed.len() {
-            let (residual, derivative) = self.of_plate(sockets_m)?;
-            let (rows, mut by) = (3 * known..3 * known + 3, DMatrix::zeros(3, columns));
-            for (place, (socket, ..)) in self.placed.iter().enumerate() {
-                by.columns_mut(3 * socket, 3).copy_from(&derivative.view((rows.start, 3 * place), (3, 3)));
+            let (residual, of_placed) = self.plate_residual(sockets_m)?;
+            let (first, mut derivative) = (3 * known, DMatrix::zeros(3, columns));
+            for (place, placed) in self.placed.iter().enumerate() {
+                let by_socket = of_placed.view((first, 3 * place), (3, 3));
+                derivative.columns_mut(3 * placed.socket, 3).copy_from(&by_socket);
             }
-            return Some((residual.rows(rows.start, 3).into_owned(), by));
+            return Some((residual.rows(first, 3).into_owned(), derivative));
         }
-        let ([from, to], distance_m, sigma_m) = *self.distances.get(known - self.placed.len())?;
-        let along = sockets_m.get(to)? - sockets_m.get(from)?;
-        let residual = DVector::from_element(1, (along.norm() - distance_m) / sigma_m);
-        let direction = along.try_normalize(0.0).unwrap_or_default() / sigma_m;
-        let mut by = DMatrix::zeros(1, columns);
-        by.columns_mut(3 * to, 3).copy_from(&direction.transpose());
-        by.columns_mut(3 * from, 3).copy_from(&-direction.transpose());
-        Some((residual, by))
+        let Spaced { sockets: [from, to], distance_m, sigma_m } = *self.distance(known)?;
+        let difference = sockets_m.get(to)? - sockets_m.get(from)?;
+        let residual = DVector::from_element(1, (difference.norm() - distance_m) / sigma_m);
+        let direction = difference.try_normalize(0.0).unwrap_or_default() / sigma_m;
+        let mut derivative = DMatrix::zeros(1, columns);
+        derivative.columns_mut(3 * to, 3).copy_from(&direction.transpose());
+        derivative.columns_mut(3 * from, 3).copy_from(&-direction.transpose());
+        Some((residual, derivative))
     }
 
     /// Three columns for each socket.

@@ -1,5 +1,6 @@
 //! A tip on the flange that touches flat faces. A row contains the robot's joints, the name of the face, and with a dial gauge
-//! the travel of its plunger. Faces have any orientation; known distances between them fix the scale.
+//! the travel of its plunger. The residual is the distance of the tip from the plane of its face ([`TouchedFace`]), where tip and
+//! planes are estimated too. Faces have any orientation; known distances between them fix the scale.
 
 use nalgebra::{DMatrix, DVector, Matrix3, SymmetricEigen, Vector3};
 
@@ -59,24 +60,24 @@ impl Touch {
         let all = Standing::new(rows, |row| row.joints_rad);
         let tip_m = Vector3::from(table.tip_mm.unwrap_or_default()) * 1e-3;
         let centre_m = |face: usize| {
-            let own = all.rows.iter().zip(&all.states).filter(|(row, _)| row.face == face);
-            let tips_m: Vec<Vector3<f64>> =
-                own.map(|(_, state)| robot.forward(&state.q).transform_point(&tip_m.into()).coords).collect();
+            let on_face = all.rows.iter().zip(&all.states).filter(|(row, _)| row.face == face);
+            let place = |state: &JointState| robot.forward(&state.q).transform_point(&tip_m.into()).coords;
+            let tips_m: Vec<Vector3<f64>> = on_face.map(|(_, state)| place(state)).collect();
             tips_m.iter().sum::<Vector3<f64>>() / tips_m.len().max(1) as f64
         };
         let centre_m: Vec<Vector3<f64>> = (0..names.len()).map(centre_m).collect();
         let faces = Faces::new(table, names, &centre_m);
-        Self::of(Screened::new(all), table.clone(), faces, TIP_SIGMA_M)
+        Self::from_parts(Screened::new(all), table.clone(), faces, TIP_SIGMA_M)
     }
 
-    fn of(rows: Screened<TouchRow>, table: FaceTable, faces: Faces, noise_m: f64) -> Self {
+    fn from_parts(rows: Screened<TouchRow>, table: FaceTable, faces: Faces, noise_m: f64) -> Self {
         let mut touch = Self { rows, table, faces, observations: Vec::new(), touched: Vec::new(), noise_m };
-        touch.take_part();
+        touch.update_observations();
         touch
     }
 
     /// Updates observations and faces from the rows in use.
-    fn take_part(&mut self) {
+    fn update_observations(&mut self) {
         let rows = &self.rows.at.rows;
         let observation = |row| Observation::bar(PerObservation::time_s(row), Default::default());
         self.observations = (0..rows.len()).map(observation).collect();
@@ -85,83 +86,93 @@ impl Touch {
 
     /// The same instrument with other rows on the same faces.
     fn with_rows(&self, all: Standing<TouchRow>) -> Self {
-        Self::of(Screened::new(all), self.table.clone(), self.faces.clone(), self.noise_m)
+        Self::from_parts(Screened::new(all), self.table.clone(), self.faces.clone(), self.noise_m)
     }
 
     /// Distance of the tip from the plane of a face, along its normal, plus the reading \[m\].
     fn residual_m(geometry: &Geometry, row: &TouchRow, state: &JointState, face: usize) -> f64 {
         let touch = &geometry.touch;
-        let Some(of) = touch.faces.get(face) else { return f64::NAN };
+        let Some(Face { normal, distance_m }) = touch.faces.get(face) else { return f64::NAN };
         let tip_m = geometry.robot_end(state).transform_point(&touch.tip_m.into()).coords;
-        (of.normal.dot(&tip_m) - of.distance_m) / of.normal.norm() + row.reading_m
+        (normal.dot(&tip_m) - distance_m) / normal.norm() + row.reading_m
     }
 
     /// Residual of every row to its own face, in use or not \[m\].
     fn residuals_m(&self, geometry: &Geometry) -> Vec<f64> {
         let all = &self.rows.all;
-        let one = |(row, state): (&TouchRow, &JointState)| Self::residual_m(geometry, row, state, row.face);
-        all.rows.iter().zip(&all.states).map(one).collect()
+        let touches = all.rows.iter().zip(&all.states);
+        touches.map(|(row, state)| Self::residual_m(geometry, row, state, row.face)).collect()
     }
 }
 
 /// Pose of the flange at each row, with the row.
 type Touches = Vec<(Pose, TouchRow)>;
 
-/// Fits tip and faces to poses of a robot, from a start value of the tip; also returns the root mean square residual \[m\].
+/// Tip and planes that fit the rows.
+struct Placed {
+    tip_m: Vector3<f64>,
+    planes: Vec<Face>,
+    /// Root mean square residual \[m\].
+    rms_m: f64,
+}
+
+/// Fits tip and planes of `faces` faces to poses of a robot, from a start value of the tip.
 ///
-/// Alternates two linear steps until they converge: planes for a known tip by least squares, then the tip for known normals.
-fn fitted(touches: &Touches, faces: usize, first_m: Vector3<f64>) -> Option<(Vector3<f64>, Vec<Face>, f64)> {
+/// Alternates two linear steps, often enough to converge: planes for a known tip by least squares, then the tip for known normals.
+fn fit_tip_and_planes(touches: &Touches, faces: usize, start_m: Vector3<f64>) -> Option<Placed> {
     const ROUNDS: usize = 60;
-    /// Keeps a tip near its start value if the poses do not determine it \[m\].
-    const WEAK_M: f64 = 1e-3;
-    let mut tip_m = first_m;
+    /// Error of a distance that gives the weight of the tip's prior about its last value: effective only if the poses do not
+    /// determine the tip \[m\].
+    const ERROR_M: f64 = 1e-3;
+    let mut tip_m = start_m;
     let mut planes = Vec::new();
     for _ in 0..ROUNDS {
-        planes = (0..faces).map(|face| plane(touches, face, tip_m)).collect::<Option<Vec<Face>>>()?;
-        // `n.(p + R t) - d + reading = 0`, linear in `t` and in the `d` of all faces.
+        planes = (0..faces).map(|face| fit_plane(touches, face, tip_m)).collect::<Option<Vec<Face>>>()?;
+        // `n.(p + R t) - d + reading = 0`, linear in the tip `t` and in the `d` of all faces.
         let size = 3 + faces;
         let (mut matrix, mut right) = (DMatrix::zeros(size, size), DVector::zeros(size));
-        let weak = touches.len() as f64 * (WEAK_M / TIP_SIGMA_M).powi(2);
-        matrix.view_mut((0, 0), (3, 3)).fill_diagonal(weak);
-        right.rows_mut(0, 3).copy_from(&(tip_m * weak));
+        let prior_weight = touches.len() as f64 * (ERROR_M / TIP_SIGMA_M).powi(2);
+        matrix.view_mut((0, 0), (3, 3)).fill_diagonal(prior_weight);
+        right.rows_mut(0, 3).copy_from(&(tip_m * prior_weight));
         for (flange, row) in touches {
             let normal = planes[row.face].normal;
-            let mut by = DVector::zeros(size);
-            by.rows_mut(0, 3).copy_from(&(flange.rotation.inverse() * normal));
-            by[3 + row.face] = -1.0;
-            let known = normal.dot(&flange.translation.vector) + row.reading_m;
-            matrix.ger(1.0, &by, &by, 1.0);
-            right.axpy(-known, &by, 1.0);
+            let mut coefficients = DVector::zeros(size);
+            coefficients.rows_mut(0, 3).copy_from(&(flange.rotation.inverse() * normal));
+            coefficients[3 + row.face] = -1.0;
+            let constant = normal.dot(&flange.translation.vector) + row.reading_m;
+            matrix.ger(1.0, &coefficients, &coefficients, 1.0);
+            right.axpy(-constant, &coefficients, 1.0);
         }
-        let found = matrix.cholesky()?.solve(&right);
-        tip_m = found.fixed_rows::<3>(0).into_owned();
-        planes.iter_mut().enumerate().for_each(|(face, plane)| plane.distance_m = found[3 + face]);
+        let solution = matrix.cholesky()?.solve(&right);
+        tip_m = solution.fixed_rows::<3>(0).into_owned();
+        planes.iter_mut().enumerate().for_each(|(face, plane)| plane.distance_m = solution[3 + face]);
     }
     let squared = touches.iter().map(|(flange, row)| {
         let tip_m = flange.transform_point(&tip_m.into()).coords;
         (planes[row.face].normal.dot(&tip_m) - planes[row.face].distance_m + row.reading_m).powi(2)
     });
     let rms_m = (squared.sum::<f64>() / touches.len().max(1) as f64).sqrt();
-    Some((tip_m, planes, rms_m))
+    Some(Placed { tip_m, planes, rms_m })
 }
 
-/// Plane through the tips of a face; its normal points to decreasing travel of a gauge's plunger.
-fn plane(touches: &Touches, face: usize, tip_m: Vector3<f64>) -> Option<Face> {
-    let own = || touches.iter().filter(|(_, row)| row.face == face);
+/// Plane through the tips of a face, at least three; its normal points to decreasing travel of a gauge's plunger.
+fn fit_plane(touches: &Touches, face: usize, tip_m: Vector3<f64>) -> Option<Face> {
+    let on_face = || touches.iter().filter(|(_, row)| row.face == face);
     let tips_m: Vec<Vector3<f64>> =
-        own().map(|(flange, _)| flange.transform_point(&tip_m.into()).coords).collect();
+        on_face().map(|(flange, _)| flange.transform_point(&tip_m.into()).coords).collect();
     let count = tips_m.len() as f64;
     let centre_m = tips_m.iter().sum::<Vector3<f64>>() / count.max(1.0);
     let scatter: Matrix3<f64> =
         tips_m.iter().map(|tip| (tip - centre_m) * (tip - centre_m).transpose()).sum();
     let eigen = SymmetricEigen::try_new(scatter, f64::EPSILON, 1000)?;
     let normal = eigen.eigenvectors.column(eigen.eigenvalues.imin()).into_owned();
-    let mean_m = own().map(|(_, row)| row.reading_m).sum::<f64>() / count.max(1.0);
-    let along: f64 = own()
+    let mean_m = on_face().map(|(_, row)| row.reading_m).sum::<f64>() / count.max(1.0);
+    // Covariance of height and reading, whose sum is constant on a plane.
+    let covariance: f64 = on_face()
         .zip(&tips_m)
         .map(|((_, row), tip)| normal.dot(&(tip - centre_m)) * (row.reading_m - mean_m))
         .sum();
-    let normal = if along > 0.0 { -normal } else { normal };
+    let normal = if covariance > 0.0 { -normal } else { normal };
     tips_m.len().ge(&3).then(|| Face { normal, distance_m: normal.dot(&centre_m) })
 }
 
@@ -203,10 +214,10 @@ impl Measures for Touch {
     /// Names the face that is nearest to the tip.
     fn remarks(&self, geometry: &Geometry) -> Vec<(usize, String)> {
         let (names, all) = (self.faces.names(), &self.rows.all);
-        let remark = |one: &RejectedRow| {
-            let (row, state) = (all.rows.get(one.row)?, all.states.get(one.row)?);
+        let remark = |rejected: &RejectedRow| {
+            let (row, state) = (all.rows.get(rejected.row)?, all.states.get(rejected.row)?);
             let other = nearest(names, row.face, |face| Self::residual_m(geometry, row, state, face).abs());
-            Some((one.row, format!("not on its face `{}`{other}", names[row.face])))
+            Some((rejected.row, format!("not on its face `{}`{other}", names[row.face])))
         };
         self.rows.rejected.iter().filter_map(remark).collect()
     }
@@ -216,19 +227,21 @@ impl Measures for Touch {
         robot.with_faces(self.faces.names().len()).without_clocks()
     }
 
-    /// Start values from the tip in the table, or from the best of several tips along the flange's axis.
+    /// Start values from the tip in the table, or from the best of several tips along the flange's axis. The largest coordinate of
+    /// each normal is fixed at 1 or -1, because a plane has three parameters.
     fn place(&self, model: &mut Model, fix: &[ParameterId]) -> Result<bool, ModelError> {
-        const TRIED_M: [f64; 5] = [0.0, 0.1, 0.2, 0.3, 0.4];
+        const STARTS_M: [f64; 5] = [0.0, 0.1, 0.2, 0.3, 0.4];
         let geometry = model.geometry(&[]);
-        let at = &self.rows.at;
-        let touches: Touches =
-            at.states.iter().zip(&at.rows).map(|(state, row)| (geometry.robot_end(state), *row)).collect();
+        let used = &self.rows.at;
+        let used = used.states.iter().zip(&used.rows);
+        let touches: Touches = used.map(|(state, row)| (geometry.robot_end(state), *row)).collect();
         let stated_m = self.table.tip_mm.map(|tip_mm| Vector3::from(tip_mm) * 1e-3);
-        let tried =
-            stated_m.map_or_else(|| TRIED_M.map(|z| Vector3::new(0.0, 0.0, z)).to_vec(), |tip| vec![tip]);
+        let starts_m =
+            stated_m.map_or_else(|| STARTS_M.map(|z| Vector3::new(0.0, 0.0, z)).to_vec(), |tip| vec![tip]);
         let faces = self.faces.names().len();
-        let found = tried.into_iter().filter_map(|tip_m| fitted(&touches, faces, tip_m));
-        let Some((tip_m, planes, _)) = found.min_by(|a, b| a.2.total_cmp(&b.2)) else { return Ok(false) };
+        let fits = starts_m.into_iter().filter_map(|start_m| fit_tip_and_planes(&touches, faces, start_m));
+        let best = fits.min_by(|a, b| a.rms_m.total_cmp(&b.rms_m));
+        let Some(Placed { tip_m, planes, .. }) = best else { return Ok(false) };
         let expected_m = stated_m.unwrap_or_default();
         let mut set = |id: ParameterId, value: f64, role: Role| {
             if fix.contains(&id) {
@@ -290,14 +303,14 @@ impl Measures for Touch {
     fn screen(&mut self, model: &Model) -> bool {
         let residuals_m = self.residuals_m(&model.geometry(&[]));
         let before = self.rows.clone();
-        let others = self.rows.screen(&residuals_m, &vec![1.0; residuals_m.len()]);
-        let rows = |face: usize| self.rows.at.rows.iter().filter(|row| row.face == face).count();
-        if (0..self.faces.names().len()).any(|face| rows(face) < FACE_ROWS_MIN / 2) {
+        let changed = self.rows.screen(&residuals_m, &vec![1.0; residuals_m.len()]);
+        let rows_of = |face: usize| self.rows.at.rows.iter().filter(|row| row.face == face).count();
+        if (0..self.faces.names().len()).any(|face| rows_of(face) < FACE_ROWS_MIN / 2) {
             self.rows = before;
             return false;
         }
-        self.take_part();
-        others
+        self.update_observations();
+        changed
     }
 
     fn independent(&self, count: usize) -> Vec<Vec<usize>> {
@@ -351,10 +364,10 @@ impl Measures for Touch {
 
     /// Without wrong units of the joints: an arm that hardly moves is consistent with any plane.
     fn mistakes(&self, axes: usize) -> Vec<Mistake> {
-        let of_unit = |mistake: &Mistake| {
+        let is_of_unit = |mistake: &Mistake| {
             matches!(mistake, Mistake::Joints(JointMistake::InRadians | JointMistake::InDegrees))
         };
-        let of_joints = Mistake::of_joints(axes).into_iter().filter(|mistake| !of_unit(mistake));
+        let of_joints = Mistake::of_joints(axes).into_iter().filter(|mistake| !is_of_unit(mistake));
         of_joints.chain([Mistake::ModifiedTable]).collect()
     }
 

@@ -1,5 +1,6 @@
 //! A tracker that measures positions or poses of targets on the flange, from one or several stations, while the robot stands or
-//! moves.
+//! moves. The residual is the target's pose by the robot minus the measured one ([`MeasuredPose`], [`MeasuredPosition`]), where
+//! the poses of stations (`places`) and targets (`probes`) are estimated too.
 
 use nalgebra::{Rotation3, Vector3};
 
@@ -51,10 +52,13 @@ const TARGET_ROWS_MIN: usize = 3;
 /// Rows of one set-up, and the noise of each.
 #[derive(Debug, Clone)]
 pub struct Tracker {
-    at: Standing<PoseRow>,
+    rows: Standing<PoseRow>,
+    /// Times of the rows and the robot's log; `None` for a robot at rest.
     moving: Option<Moving>,
+    /// Time, position, pose and set-up of each row.
     observations: Vec<Observation>,
     positions_m: Vec<Vector3<f64>>,
+    /// `None` if a row has no rotation.
     poses: Option<Vec<Pose>>,
     set_ups: Vec<SetUp>,
     /// Noise of each measurement, from the spread of the residuals and the stated uncertainties.
@@ -64,33 +68,33 @@ pub struct Tracker {
 impl Tracker {
     /// From rows at which the robot stood still, in the order in which it visited them.
     pub fn new(rows: &[PoseRow]) -> Self {
-        Self::of(Standing::new(rows, |row| row.joints_rad), None)
+        Self::from_parts(Standing::new(rows, |row| row.joints_rad), None)
     }
 
     /// From rows that were measured while the robot moved.
     pub fn of_moving(rows: &[PoseRow], moving: Moving) -> Self {
-        Self::of(Standing::new(rows, |row| row.joints_rad), Some(moving))
+        Self::from_parts(Standing::new(rows, |row| row.joints_rad), Some(moving))
     }
 
     /// Rows as of a robot at rest, with the joints of the first alignment.
-    fn at_rest(at: Standing<PoseRow>) -> Instrument {
-        Self::of(at, None).into()
+    fn at_rest(rows: Standing<PoseRow>) -> Instrument {
+        Self::from_parts(rows, None).into()
     }
 
-    fn of(at: Standing<PoseRow>, moving: Option<Moving>) -> Self {
+    fn from_parts(rows: Standing<PoseRow>, moving: Option<Moving>) -> Self {
         let pose = |row: &PoseRow| Some(Pose::from_parts(row.position_m.into(), row.rotation?));
         let observation = |row| {
-            let own_s = moving.as_ref().and_then(|moving| moving.t_s.get(row).copied());
-            Observation::bar(own_s.unwrap_or(PerObservation::time_s(row)), Default::default())
+            let measured_s = moving.as_ref().and_then(|moving| moving.t_s.get(row).copied());
+            Observation::bar(measured_s.unwrap_or(PerObservation::time_s(row)), Default::default())
         };
         Self {
-            observations: (0..at.rows.len()).map(observation).collect(),
-            positions_m: at.rows.iter().map(|row| row.position_m).collect(),
-            poses: at.rows.iter().map(pose).collect(),
-            set_ups: at.rows.iter().map(|row| row.set_up).collect(),
-            noise: vec![PoseNoise { position_m: 1.0, rotation_rad: 1.0 }; at.rows.len()],
+            observations: (0..rows.rows.len()).map(observation).collect(),
+            positions_m: rows.rows.iter().map(|row| row.position_m).collect(),
+            poses: rows.rows.iter().map(pose).collect(),
+            set_ups: rows.rows.iter().map(|row| row.set_up).collect(),
+            noise: vec![PoseNoise { position_m: 1.0, rotation_rad: 1.0 }; rows.rows.len()],
             moving,
-            at,
+            rows,
         }
     }
 
@@ -99,7 +103,7 @@ impl Tracker {
         let clock = geometry.clock;
         // The preparation keeps rows away from the ends of the log.
         let state = move |(row, state): (usize, &JointState)| self.reported(row, &clock).unwrap_or(*state);
-        self.at.states.iter().enumerate().map(state)
+        self.rows.states.iter().enumerate().map(state)
     }
 
     /// The tracker with some of the rows.
@@ -109,18 +113,20 @@ impl Tracker {
             ..moving.clone()
         });
         let noise = rows.iter().map(|&row| self.noise[row]).collect();
-        Self { noise, ..Self::of(self.at.chosen(rows), moving) }
+        Self { noise, ..Self::from_parts(self.rows.chosen(rows), moving) }
     }
 
-    /// Pose of the tracker and pose of the probe held by the robot, at each row; `None` for a set-up that the geometry lacks.
-    fn sighted(&self, geometry: &Geometry) -> impl Iterator<Item = (&PoseRow, Option<[Pose; 2]>)> {
+    /// Pose of the tracker and pose of the probe predicted by the robot, at each row; `None` for a set-up that the geometry lacks.
+    fn predicted(&self, geometry: &Geometry) -> impl Iterator<Item = (&PoseRow, Option<[Pose; 2]>)> {
         let tracker = &geometry.tracker;
         let stations: Vec<Pose> = tracker.places.iter().map(Placement::pose).collect();
         let targets: Vec<Pose> = tracker.probes.iter().map(Placement::pose).collect();
-        self.at.rows.iter().zip(self.states(geometry)).map(move |(row, state)| {
-            let place = stations.get(row.set_up.station).copied();
-            let probe = targets.get(row.set_up.target);
-            (row, place.zip(probe).map(|(place, probe)| [place, geometry.robot_end(&state) * probe]))
+        self.rows.rows.iter().zip(self.states(geometry)).map(move |(row, state)| {
+            let station = stations.get(row.set_up.station).copied();
+            let target = targets.get(row.set_up.target);
+            let poses =
+                station.zip(target).map(|(station, target)| [station, geometry.robot_end(&state) * target]);
+            (row, poses)
         })
     }
 
@@ -129,7 +135,8 @@ impl Tracker {
         median_size(self.noise.iter().map(|noise| noise.position_m))
     }
 
-    fn boxed<'a, R: Residual + 'a>(
+    /// The rows as a problem with this residual, divided by `sigma`.
+    fn loop_problem<'a, R: Residual + 'a>(
         &'a self,
         model: &'a Model,
         residual: R,
@@ -141,7 +148,7 @@ impl Tracker {
 
 impl RobotMotion for Tracker {
     fn at(&self, tau_s: f64) -> Option<JointState> {
-        self.moving.as_ref().map_or_else(|| self.at.at(tau_s), |moving| moving.log.at(tau_s))
+        self.moving.as_ref().map_or_else(|| self.rows.at(tau_s), |moving| moving.log.at(tau_s))
     }
 }
 
@@ -163,7 +170,7 @@ impl Measures for Tracker {
     }
 
     fn samples(&self) -> usize {
-        self.at.rows.len()
+        self.rows.rows.len()
     }
 
     fn parts(&self) -> &'static str {
@@ -185,19 +192,18 @@ impl Measures for Tracker {
             turn: row.rotation,
             set_up: row.set_up,
         };
-        let sighted: Vec<Sighted> = self.at.rows.iter().zip(self.states(&geometry)).map(sighted).collect();
-        let Some(found) = all_placements(&sighted) else { return Ok(false) };
+        let sighted: Vec<Sighted> = self.rows.rows.iter().zip(self.states(&geometry)).map(sighted).collect();
+        let Some(placements) = all_placements(&sighted) else { return Ok(false) };
         if let Some(moving) = &self.moving {
             for (id, value) in [(ParameterId::ClockShift, 0.0), (ParameterId::ClockSkew, moving.skew)] {
                 model.set_value(id, value)?;
                 model.set_role(id, if fix.contains(&id) { Role::Fixed } else { Role::Free })?;
             }
         }
-        let all = model.ids();
-        for id in all {
+        for id in model.ids() {
             let (placement, coordinate, role) = match id {
                 ParameterId::Tracker { station, coordinate } => {
-                    (found.places.get(&station), coordinate, Role::Free)
+                    (placements.places.get(&station), coordinate, Role::Free)
                 }
                 ParameterId::Probe { target, coordinate } => {
                     let role = match coordinate {
@@ -206,7 +212,7 @@ impl Measures for Tracker {
                         Coordinate::Rotation(_) if self.poses.is_none() => Role::Fixed,
                         Coordinate::Rotation(_) => Role::Free,
                     };
-                    (found.probes.get(&target), coordinate, role)
+                    (placements.probes.get(&target), coordinate, role)
                 }
                 _ => continue,
             };
@@ -224,15 +230,15 @@ impl Measures for Tracker {
     fn data_set<'a>(&'a self, model: &'a Model, sigma: f64) -> Result<Box<dyn DataSet + 'a>, CostError> {
         let Self { noise, set_ups, positions_m: measured_m, .. } = self;
         match &self.poses {
-            Some(measured) => self.boxed(model, MeasuredPose { measured, noise, set_ups }, sigma),
-            None => self.boxed(model, MeasuredPosition { measured_m, noise, set_ups }, sigma),
+            Some(measured) => self.loop_problem(model, MeasuredPose { measured, noise, set_ups }, sigma),
+            None => self.loop_problem(model, MeasuredPosition { measured_m, noise, set_ups }, sigma),
         }
     }
 
     fn reported(&self, sample: usize, clock: &Clock) -> Option<JointState> {
         match &self.moving {
             Some(moving) => moving.log.at(clock.robot_time_s(*moving.t_s.get(sample)?)),
-            None => self.at.states.get(sample).copied(),
+            None => self.rows.states.get(sample).copied(),
         }
     }
 
@@ -249,9 +255,10 @@ impl Measures for Tracker {
     /// coordinate of the median row.
     fn adapt(&mut self, model: &Model) -> Option<f64> {
         let errors = self.errors(&model.geometry(&[]));
-        let sigmas = |of: fn(&PoseError) -> f64, stated: fn(&PoseUncertainty) -> Option<f64>| {
-            let stated = || self.at.rows.iter().map(move |row| stated(&row.uncertainty));
-            let noise = RowNoise::behind(errors.iter().map(of).zip(stated()), MEDIAN_OF_THREE);
+        // Standard deviation of each row, for the position or the rotation.
+        let sigmas = |error: fn(&PoseError) -> f64, stated: fn(&PoseUncertainty) -> Option<f64>| {
+            let stated = || self.rows.rows.iter().map(move |row| stated(&row.uncertainty));
+            let noise = RowNoise::behind(errors.iter().map(error).zip(stated()), MEDIAN_OF_THREE);
             stated().map(|stated| noise.of(stated)).collect::<Vec<_>>()
         };
         let position_m = sigmas(|error| error.position_m, |stated| stated.position_m);
@@ -262,7 +269,7 @@ impl Measures for Tracker {
     }
 
     fn independent(&self, count: usize) -> Vec<Vec<usize>> {
-        self.at.independent(count, |row| row.set_up.station)
+        self.rows.independent(count, |row| row.set_up.station)
     }
 
     fn part(&self, samples: &[usize]) -> Instrument {
@@ -270,7 +277,7 @@ impl Measures for Tracker {
     }
 
     fn group(&mut self, groups: &[usize], seed: u64) {
-        self.at.group(groups, seed);
+        self.rows.group(groups, seed);
     }
 
     /// Single poses if there are several stations, because a region could contain all rows of one.
@@ -280,7 +287,7 @@ impl Measures for Tracker {
     }
 
     fn joints(&self) -> Vec<Joints> {
-        self.at.joints()
+        self.rows.joints()
     }
 
     fn samples_min(&self) -> usize {
@@ -288,12 +295,12 @@ impl Measures for Tracker {
     }
 
     fn contradicting(&self, _: &Chain) -> Result<Vec<RejectedRow>, RowError> {
-        self.at.ensure_finite(|row| {
+        self.rows.ensure_finite(|row| {
             let rotation = row.rotation.iter().flat_map(|rotation| rotation.matrix().iter());
             row.position_m.iter().chain(rotation).copied().collect::<Vec<_>>().into_iter()
         })?;
         let needed = [("station", STATION_ROWS_MIN), ("target", TARGET_ROWS_MIN)];
-        self.at.ensure_each_has_rows(|row| row.set_up, needed)?;
+        self.rows.ensure_each_has_rows(|row| row.set_up, needed)?;
         Ok(Vec::new())
     }
 
@@ -306,14 +313,14 @@ impl Measures for Tracker {
     }
 
     fn undone(&self, mistake: Mistake) -> Vec<Instrument> {
-        let at = &self.at;
+        let rows = &self.rows;
         match mistake {
             Mistake::Joints(mistake) => {
-                vec![Self::at_rest(at.with_joints(|joints_rad| mistake.undone(joints_rad)))]
+                vec![Self::at_rest(rows.with_joints(|joints_rad| mistake.undone(joints_rad)))]
             }
-            Mistake::RowsShifted => at.shifted().map(Self::at_rest).to_vec(),
+            Mistake::RowsShifted => rows.shifted().map(Self::at_rest).to_vec(),
             Mistake::Mirrored => {
-                let mut mirrored = at.clone();
+                let mut mirrored = rows.clone();
                 for row in &mut mirrored.rows {
                     row.position_m.z = -row.position_m.z;
                     row.rotation = None;
@@ -326,18 +333,18 @@ impl Measures for Tracker {
 
     /// Position of the probe predicted by the robot minus the measured position.
     fn deviations(&self, geometry: &Geometry) -> Vec<Deviation> {
-        let one = |(row, sighted): (&PoseRow, Option<[Pose; 2]>)| {
-            let Some([place, held]) = sighted else { return Deviation::of_place(Vector3::repeat(f64::NAN)) };
-            let seen_m = place.transform_point(&row.position_m.into()).coords;
+        let deviation = |(row, poses): (&PoseRow, Option<[Pose; 2]>)| {
+            let Some([station, probe]) = poses else { return Deviation::of_place(Vector3::repeat(f64::NAN)) };
+            let measured_m = station.transform_point(&row.position_m.into()).coords;
             let angle = |rotation: Rotation3<f64>| {
-                rotation_vector((held.rotation.inverse() * place.rotation * rotation).matrix()).norm()
+                rotation_vector((probe.rotation.inverse() * station.rotation * rotation).matrix()).norm()
             };
             Deviation {
                 rotation_rad: row.rotation.map(angle),
-                ..Deviation::of_place(held.translation.vector - seen_m)
+                ..Deviation::of_place(probe.translation.vector - measured_m)
             }
         };
-        self.sighted(geometry).map(one).collect()
+        self.predicted(geometry).map(deviation).collect()
     }
 
     fn causes(&self, Geometry { tracker, .. }: &Geometry) -> Vec<Cause> {
@@ -350,7 +357,7 @@ impl Measures for Tracker {
     }
 
     fn relative_noise(&self) -> Vec<f64> {
-        let usual_m = self.noise_m();
-        self.noise.iter().map(|noise| noise.position_m / usual_m).collect()
+        let median_m = self.noise_m();
+        self.noise.iter().map(|noise| noise.position_m / median_m).collect()
     }
 }

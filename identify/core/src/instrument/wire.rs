@@ -1,6 +1,8 @@
-//! A draw-wire or telescoping bar that measures one length at each pose. The errors of lengths have heavy tails (the wire sags,
-//! sticks or is read late). A zero that slipped, or a joint logged with the wrong sign, shifts whole runs of rows. Rows that
-//! contradict the others are left out; they are determined again after each solve.
+//! A draw-wire or telescoping bar that measures one length at each pose, from an anchor to an attachment on the flange. The
+//! residual is `|attachment - anchor| + offset - length` ([`MeasuredLength`]), where anchor, attachment and offset are estimated
+//! too. The errors of lengths have heavy tails (the wire sags, sticks or is read late). A step of the offset, or a joint logged
+//! with the wrong sign, shifts whole runs of rows. Rows that contradict the others are left out; they are determined again after
+//! each solve.
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
@@ -53,7 +55,7 @@ pub struct Wire {
     rows: Screened<LengthRow>,
     /// Estimated from the spread of the residuals and the stated uncertainties.
     noise: RowNoise,
-    /// Observations of the rows in use; below, their set-ups, and their noise relative to the median row.
+    /// Observations of the rows in use; below, their set-ups, and their noise relative to the median of them.
     observations: Vec<Observation>,
     set_ups: Vec<SetUp>,
     relative_noise: Vec<f64>,
@@ -62,10 +64,10 @@ pub struct Wire {
 impl Wire {
     /// From rows at which the robot stood still, in the order in which it visited them.
     pub fn new(rows: &[LengthRow]) -> Self {
-        Self::of(Screened::new(Standing::new(rows, |row| row.joints_rad)), RowNoise::ALIKE)
+        Self::from_parts(Screened::new(Standing::new(rows, |row| row.joints_rad)), RowNoise::ALIKE)
     }
 
-    fn of(rows: Screened<LengthRow>, noise: RowNoise) -> Self {
+    fn from_parts(rows: Screened<LengthRow>, noise: RowNoise) -> Self {
         let (observations, set_ups) = observations(&rows.at);
         let relative_noise = noise.relative(rows.at.rows.iter().map(|row| row.uncertainty_m));
         Self { rows, noise, observations, set_ups, relative_noise }
@@ -73,7 +75,7 @@ impl Wire {
 
     /// The same instrument with other rows and the same noise.
     fn with_rows(&self, all: Standing<LengthRow>) -> Self {
-        Self::of(Screened::new(all), self.noise)
+        Self::from_parts(Screened::new(all), self.noise)
     }
 
     /// The same with other lengths.
@@ -90,20 +92,20 @@ impl Wire {
 }
 
 /// Predicted minus measured lengths \[m\].
-fn residuals_m(at: &Standing<LengthRow>, geometry: &Geometry) -> Vec<f64> {
+fn residuals_m(rows: &Standing<LengthRow>, geometry: &Geometry) -> Vec<f64> {
     let wire = &geometry.wire;
     let residual = |(row, state): (&LengthRow, &JointState)| {
         let Some((anchor_m, attachment_m)) = wire.at(row.set_up) else { return f64::NAN };
         let attachment_m = geometry.robot_end(state).transform_point(&(*attachment_m).into()).coords;
         (attachment_m - anchor_m).norm() + wire.offset_m - row.length_m
     };
-    at.rows.iter().zip(&at.states).map(residual).collect()
+    rows.rows.iter().zip(&rows.states).map(residual).collect()
 }
 
 /// Noise that explains the residuals of some rows; `None` if no row states its uncertainty.
-fn noise(at: &Standing<LengthRow>, geometry: &Geometry) -> Option<RowNoise> {
-    let stated = || at.rows.iter().map(|row| row.uncertainty_m);
-    let errors_m = residuals_m(at, geometry).into_iter().map(f64::abs);
+fn estimate_noise(rows: &Standing<LengthRow>, geometry: &Geometry) -> Option<RowNoise> {
+    let stated = || rows.rows.iter().map(|row| row.uncertainty_m);
+    let errors_m = residuals_m(rows, geometry).into_iter().map(f64::abs);
     stated().any(|stated| stated.is_some()).then(|| RowNoise::behind(errors_m.zip(stated()), MEDIAN_OF_ONE))
 }
 
@@ -121,18 +123,19 @@ fn ensure_this_robot(contradicting: &[RejectedRow], rows: usize) -> Result<(), R
 }
 
 /// Observation and set-up of each row.
-fn observations(at: &Standing<LengthRow>) -> (Vec<Observation>, Vec<SetUp>) {
-    let of = |(index, row): (usize, &LengthRow)| {
+fn observations(rows: &Standing<LengthRow>) -> (Vec<Observation>, Vec<SetUp>) {
+    let observation = |(index, row): (usize, &LengthRow)| {
         (Observation::length(PerObservation::time_s(index), row.length_m), row.set_up)
     };
-    at.rows.iter().enumerate().map(of).unzip()
+    rows.rows.iter().enumerate().map(observation).unzip()
 }
 
 /// Start value of the anchor of a wire that is attached near the flange's origin, at `positions_m`; `None` if these lie in a
 /// plane.
 ///
-/// `|p - c|^2 = l^2` is linear in `c` and `|c|^2 - offset terms`: `2 p.c - k = |p|^2 - l^2`.
-fn anchor(positions_m: &[Vector3<f64>], lengths_m: &[f64]) -> Option<Vector3<f64>> {
+/// For the anchor `c`, `|p - c|^2 = l^2` is linear in `c` and `k = |c|^2`: `2 p.c - k = |p|^2 - l^2`. `k` is estimated as a
+/// fourth number, which also takes up a part of a constant offset of the lengths.
+fn start_anchor(positions_m: &[Vector3<f64>], lengths_m: &[f64]) -> Option<Vector3<f64>> {
     /// Singular values below this part of the largest mean that the positions do not span space.
     const FLATNESS: f64 = 1e-6;
     let rows = positions_m.len();
@@ -179,14 +182,15 @@ impl Measures for Wire {
         let rows = || self.rows.at.rows.iter().zip(&self.rows.at.states);
         let mut free = vec![ParameterId::LengthOffset];
         for station in 0..geometry.wire.anchors_m.len() {
-            let own = rows().filter(|(row, _)| row.set_up.station == station);
-            let (positions_m, lengths_m): (Vec<Vector3<f64>>, Vec<f64>) =
-                own.map(|(row, state)| (geometry.robot_end(state).translation.vector, row.length_m)).unzip();
+            let of_anchor = rows().filter(|(row, _)| row.set_up.station == station);
+            let (positions_m, lengths_m): (Vec<Vector3<f64>>, Vec<f64>) = of_anchor
+                .map(|(row, state)| (geometry.robot_end(state).translation.vector, row.length_m))
+                .unzip();
             // An anchor without rows cannot be estimated.
             if positions_m.is_empty() {
                 continue;
             }
-            let Some(anchor_m) = anchor(&positions_m, &lengths_m) else { return Ok(false) };
+            let Some(anchor_m) = start_anchor(&positions_m, &lengths_m) else { return Ok(false) };
             for axis in Axis::ALL {
                 let id = ParameterId::Anchor { station, axis };
                 model.set_value(id, anchor_m[axis.index()])?;
@@ -218,24 +222,24 @@ impl Measures for Wire {
     /// Updates the relative noise of the rows. Returns `None`: residuals stay in metres, and the solver estimates their common
     /// sigma.
     fn adapt(&mut self, model: &Model) -> Option<f64> {
-        if let Some(noise) = noise(&self.rows.at, &model.geometry(&[])) {
-            *self = Self::of(self.rows.clone(), noise);
+        if let Some(noise) = estimate_noise(&self.rows.at, &model.geometry(&[])) {
+            *self = Self::from_parts(self.rows.clone(), noise);
         }
         None
     }
 
     fn weigh_by(&mut self, model: &Model, samples: &[usize]) {
-        if let Some(noise) = noise(&self.rows.all.chosen(samples), &model.geometry(&[])) {
-            *self = Self::of(self.rows.clone(), noise);
+        if let Some(noise) = estimate_noise(&self.rows.all.chosen(samples), &model.geometry(&[])) {
+            *self = Self::from_parts(self.rows.clone(), noise);
         }
     }
 
     /// Leaves rows out if most rows agree with each other.
     fn screen(&mut self, model: &Model) -> bool {
         let residuals_m = self.residuals_m(&model.geometry(&[]));
-        let others = self.rows.screen(&residuals_m, &self.relative_noise());
-        *self = Self::of(self.rows.clone(), self.noise);
-        others
+        let changed = self.rows.screen(&residuals_m, &self.relative_noise());
+        *self = Self::from_parts(self.rows.clone(), self.noise);
+        changed
     }
 
     fn independent(&self, count: usize) -> Vec<Vec<usize>> {
@@ -269,16 +273,14 @@ impl Measures for Wire {
         }
         let needed = [("anchor", ANCHOR_ROWS_MIN), ("attachment", ATTACHMENT_ROWS_MIN)];
         all.ensure_each_has_rows(|row| row.set_up, needed)?;
-        let distance_m = |(row, state): (&LengthRow, &JointState)| {
-            let claimed_m = row.flange_m.map(Vector3::from)?;
-            Some((robot.forward(&state.q).translation.vector - claimed_m).norm())
-        };
-        let rejected = |(row, distance_m): (usize, Option<f64>)| {
-            let distance_m = distance_m.filter(|distance_m| *distance_m > TOLERANCE_M)?;
-            Some(RejectedRow { row, why: Rejection::FlangeContradicts { distance_m } })
-        };
-        let distances_m = all.rows.iter().zip(&all.states).map(distance_m);
-        let contradicting: Vec<RejectedRow> = distances_m.enumerate().filter_map(rejected).collect();
+        let mut contradicting: Vec<RejectedRow> = Vec::new();
+        for (row, (measured, state)) in all.rows.iter().zip(&all.states).enumerate() {
+            let Some(reported_m) = measured.flange_m.map(Vector3::from) else { continue };
+            let distance_m = (robot.forward(&state.q).translation.vector - reported_m).norm();
+            if distance_m > TOLERANCE_M {
+                contradicting.push(RejectedRow { row, why: Rejection::FlangeContradicts { distance_m } });
+            }
+        }
         ensure_this_robot(&contradicting, all.rows.len())?;
         Ok(contradicting)
     }
@@ -330,6 +332,7 @@ impl Measures for Wire {
         (0..wire.anchors_m.len()).map(Cause::Anchor).chain([Cause::LengthOffset]).collect()
     }
 
+    /// Of all rows, in use or not, relative to their median.
     fn relative_noise(&self) -> Vec<f64> {
         self.noise.relative(self.rows.all.rows.iter().map(|row| row.uncertainty_m))
     }

@@ -49,18 +49,18 @@ impl WithSimd for AddProducts<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Shape { stride, rows, columns } = self.shape;
-        let three = |first: usize| {
+        let tile_columns = |first: usize| {
             let column = |i: usize| S::as_simd_f64s(&self.panel[(first + i) * stride..][..rows]).0;
             [column(0), column(1), column(2)]
         };
         for right in (0..columns).step_by(TILE) {
-            let y = three(right);
+            let y = tile_columns(right);
             for left in (right..columns).step_by(TILE) {
-                let found = tile(simd, three(left), y);
-                for (j, found) in found.iter().enumerate() {
+                let products = tile_products(simd, tile_columns(left), y);
+                for (j, products) in products.iter().enumerate() {
                     let sums = &mut self.sums[(right + j) * columns + left..][..TILE];
-                    for (sum, found) in sums.iter_mut().zip(found) {
-                        *sum += found;
+                    for (sum, product) in sums.iter_mut().zip(products) {
+                        *sum += product;
                     }
                 }
             }
@@ -70,7 +70,7 @@ impl WithSimd for AddProducts<'_> {
 
 /// `x_i . y_j` as `[j][i]`.
 #[inline(always)]
-fn tile<S: Simd>(simd: S, x: [&[S::f64s]; TILE], y: [&[S::f64s]; TILE]) -> [[f64; TILE]; TILE] {
+fn tile_products<S: Simd>(simd: S, x: [&[S::f64s]; TILE], y: [&[S::f64s]; TILE]) -> [[f64; TILE]; TILE] {
     let mut sums = [[simd.splat_f64s(0.0); TILE]; TILE];
     let ([x0, x1, x2], [y0, y1, y2]) = (x, y);
     for (((((&x0, &x1), &x2), &y0), &y1), &y2) in x0.iter().zip(x1).zip(x2).zip(y0).zip(y1).zip(y2) {
@@ -115,20 +115,21 @@ impl WithSimd for FoldTriangle<'_> {
             if squared < SQUARE_MIN {
                 continue;
             }
-            // Golub and Van Loan, algorithm 5.1.1, for the vector (pivot, x).
+            // Golub and Van Loan, algorithm 5.1.1: `H = I - beta v v^T` maps (pivot, x) to (reflected, 0), with v = (v1, x).
             let pivot = self.triangle[k * columns + k];
             let reflected = -(pivot * pivot + squared).sqrt().copysign(pivot);
-            let head = pivot - reflected;
-            let scale = 2.0 / (head * head + squared);
+            let v1 = pivot - reflected;
+            let beta = 2.0 / (v1 * v1 + squared);
             self.triangle[k * columns + k] = reflected;
+            // `H` of each other column (top, y).
             for (j, column) in (k + 1..columns).zip(right.chunks_exact_mut(stride)) {
                 let y = S::as_mut_simd_f64s(&mut column[..rows]).0;
                 let top = &mut self.triangle[j * columns + k];
-                let along = scale * (head * *top + dot(simd, x, y));
-                *top -= along * head;
-                let minus = simd.splat_f64s(-along);
+                let factor = beta * (v1 * *top + dot(simd, x, y));
+                *top -= factor * v1;
+                let minus_factor = simd.splat_f64s(-factor);
                 for (y, &x) in y.iter_mut().zip(x) {
-                    *y = simd.mul_add_e_f64s(minus, x, *y);
+                    *y = simd.mul_add_e_f64s(minus_factor, x, *y);
                 }
             }
         }

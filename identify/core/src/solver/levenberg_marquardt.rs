@@ -1,4 +1,5 @@
-//! Levenberg-Marquardt with Marquardt's column scaling and Nielsen's damping.
+//! The minimum of a [`Problem`] by Levenberg-Marquardt: steps `(H + lambda D) step = -g` with `H = J^T W J` and `g = J^T W r`
+//! (robust weights `W`, priors added), `D` the largest diagonal of `H` so far, and Nielsen's rule for the damping `lambda`.
 //!
 //! References: Marquardt 1963; More 1978 (monotone scaling); Nielsen, IMM-REP-1999-05 (damping by the gain
 //! ratio); Madsen, Nielsen, Tingleff 2004.
@@ -20,16 +21,17 @@ fn quadratic_model(pass: &Pass<'_>) -> Result<QuadraticModel, PassError> {
     let Pass { problem, x, .. } = *pass;
     let (products, fits) = pass.run(|| Products::new(problem.columns()))?;
     let mut normal = products.normal(0.0);
-    let of_samples: f64 = fits.iter().map(|fit| fit.cost).sum();
-    let of_priors = normal.add_priors(problem.priors(), x);
-    Ok(QuadraticModel { cost: 0.5 * (of_samples + of_priors), normal, fits })
+    let cost_of_samples: f64 = fits.iter().map(|fit| fit.cost).sum();
+    let cost_of_priors = normal.add_priors(problem.priors(), x);
+    Ok(QuadraticModel { cost: 0.5 * (cost_of_samples + cost_of_priors), normal, fits })
 }
 
 /// Damping and scaling, updated after each step.
 struct Damping {
     lambda: f64,
+    /// Factor on `lambda` at the next refused step.
     growth: f64,
-    /// Squared column norms, the largest seen so far.
+    /// The diagonal `D`: squared column norms, the largest seen so far.
     scale_squared: DVector<f64>,
 }
 
@@ -41,16 +43,16 @@ impl Damping {
     }
 
     fn rescale(&mut self, normal: &Normal) {
-        for (scale, found) in self.scale_squared.iter_mut().zip(normal.matrix.diagonal().iter()) {
-            *scale = scale.max(*found);
+        for (largest, squared_norm) in self.scale_squared.iter_mut().zip(normal.matrix.diagonal().iter()) {
+            *largest = largest.max(*squared_norm);
         }
     }
 
     /// Step of `(H + lambda D) step = -g`, and the decrease of the cost that it predicts.
     ///
     /// A column without effect gets a step of zero, instead of a singular matrix: identifiability names it afterwards.
-    fn step(&self, at: &QuadraticModel, lambda: f64) -> Option<(DVector<f64>, f64)> {
-        let Normal { matrix, gradient, .. } = &at.normal;
+    fn step(&self, model: &QuadraticModel, lambda: f64) -> Option<(DVector<f64>, f64)> {
+        let Normal { matrix, gradient, .. } = &model.normal;
         let step = -ScaledCholesky::damped(matrix.clone(), &self.scale_squared, lambda)?.solve(gradient);
         let predicted = 0.5 * (lambda * self.scaled_norm(&step).powi(2) - step.dot(gradient));
         Some((step, predicted))
@@ -84,20 +86,21 @@ fn residual_rms(fits: &[SampleFit]) -> f64 {
 }
 
 /// Largest cosine between the residual and a column.
-fn gradient_cosine(at: &QuadraticModel) -> f64 {
-    let norm = (2.0 * at.cost).sqrt();
-    if norm == 0.0 {
+fn gradient_cosine(model: &QuadraticModel) -> f64 {
+    let residual_norm = (2.0 * model.cost).sqrt();
+    if residual_norm == 0.0 {
         return 0.0;
     }
-    let diagonal = at.normal.matrix.diagonal();
-    let cosines = at.normal.gradient.iter().zip(diagonal.iter()).filter(|(_, d)| **d > 0.0);
-    cosines.map(|(g, d)| (g / (d.sqrt() * norm)).abs()).fold(0.0, f64::max)
+    let squared_norms = model.normal.matrix.diagonal();
+    let columns = model.normal.gradient.iter().zip(squared_norms.iter()).filter(|(_, d)| **d > 0.0);
+    columns.map(|(g, d)| (g / (d.sqrt() * residual_norm)).abs()).fold(0.0, f64::max)
 }
 
 /// State of the iteration.
 struct Descent {
     x: DVector<f64>,
-    at: QuadraticModel,
+    /// The model at `x`.
+    model: QuadraticModel,
     termination: Termination,
     iterations: usize,
     evaluations: usize,
@@ -106,7 +109,7 @@ struct Descent {
 /// If no step lowers the cost, the solve counts as converged when the best step predicts a smaller decrease than this part of a
 /// residual's variance: every parameter is then within a thousandth of its standard deviation of the minimum, at the level of
 /// rounding errors.
-const NEGLIGIBLE: f64 = 1e-6;
+const NEGLIGIBLE_PART: f64 = 1e-6;
 
 /// Whether the current point is a minimum, tested with the step at the initial, small damping: a refused trial or heavy damping
 /// must not count as convergence. A step that predicts a decrease of at most `negligible` counts as zero.
@@ -116,17 +119,17 @@ fn at_minimum(
     options: &Options<'_>,
     negligible: f64,
 ) -> Option<Termination> {
-    if now.at.cost == 0.0 {
+    if now.model.cost == 0.0 {
         return Some(Termination::ZeroResidual);
     }
-    if gradient_cosine(&now.at) <= options.gradient_tolerance {
+    if gradient_cosine(&now.model) <= options.gradient_tolerance {
         return Some(Termination::SmallGradient);
     }
-    let (step, promised) = damping.step(&now.at, options.damping_start)?;
+    let (step, predicted) = damping.step(&now.model, options.damping_start)?;
     if damping.scaled_norm(&step) <= options.step_tolerance * damping.scaled_norm(&now.x) {
         return Some(Termination::SmallStep);
     }
-    (promised <= negligible).then_some(Termination::SmallDecrease)
+    (predicted <= negligible).then_some(Termination::SmallDecrease)
 }
 
 /// The iteration. It can end at a minimum only at the start or after an accepted step.
@@ -138,9 +141,9 @@ fn descend(
 ) -> Result<Descent, SolveError> {
     let mut damping = Damping::new(options.damping_start, &start.normal);
     let mut now =
-        Descent { x, at: start, termination: Termination::IterationLimit, iterations: 0, evaluations: 1 };
+        Descent { x, model: start, termination: Termination::IterationLimit, iterations: 0, evaluations: 1 };
     loop {
-        let negligible = options.cost_tolerance * now.at.cost;
+        let negligible = options.cost_tolerance * now.model.cost;
         if let Some(termination) = at_minimum(&now, &damping, options, negligible) {
             now.termination = termination;
             return Ok(now);
@@ -149,10 +152,10 @@ fn descend(
             return Ok(now);
         }
         if !accept_step(problem, &mut now, &mut damping, options)? {
-            let used: usize = now.at.fits.iter().map(|fit| fit.rows).sum();
-            let variance = 2.0 * now.at.cost / used.max(1) as f64;
-            now.termination =
-                at_minimum(&now, &damping, options, NEGLIGIBLE * variance).unwrap_or(Termination::NoDecrease);
+            let rows: usize = now.model.fits.iter().map(|fit| fit.rows).sum();
+            let variance = 2.0 * now.model.cost / rows.max(1) as f64;
+            now.termination = at_minimum(&now, &damping, options, NEGLIGIBLE_PART * variance)
+                .unwrap_or(Termination::NoDecrease);
             return Ok(now);
         }
     }
@@ -166,26 +169,26 @@ fn accept_step(
     options: &Options<'_>,
 ) -> Result<bool, SolveError> {
     while !damping.exhausted() {
-        let Some((step, predicted)) = damping.step(&now.at, damping.lambda) else {
+        let Some((step, predicted)) = damping.step(&now.model, damping.lambda) else {
             damping.refuse();
             continue;
         };
-        if predicted <= options.cost_tolerance * now.at.cost {
+        if predicted <= options.cost_tolerance * now.model.cost {
             // Shorter steps predict a decrease below the rounding error.
             return Ok(false);
         }
         let trial_x = &now.x + &step;
-        let mut pass = Pass::new(problem, trial_x.as_slice(), options, Taking::These(&now.at.fits));
-        pass.progress = (now.iterations, options.iterations_max, Some(now.at.cost));
+        let mut pass = Pass::new(problem, trial_x.as_slice(), options, Taking::These(&now.model.fits));
+        pass.progress = (now.iterations, options.iterations_max, Some(now.model.cost));
         let trial = quadratic_model(&pass);
         now.evaluations += 1;
         match trial {
             Err(PassError::Cancelled) => return Err(SolveError::Cancelled { iterations: now.iterations }),
-            Ok(trial) if trial.cost < now.at.cost => {
-                damping.accept((now.at.cost - trial.cost) / predicted);
+            Ok(trial) if trial.cost < now.model.cost => {
+                damping.accept((now.model.cost - trial.cost) / predicted);
                 damping.rescale(&trial.normal);
                 now.x = trial_x;
-                now.at = trial;
+                now.model = trial;
                 now.iterations += 1;
                 return Ok(true);
             }
@@ -204,11 +207,11 @@ pub fn minimise(
     start: &[f64],
     options: &Options<'_>,
 ) -> Result<(Vec<f64>, Summary), SolveError> {
-    descended(problem, start, options).map(|(x, summary, _)| (x.as_slice().to_vec(), summary))
+    find_minimum(problem, start, options).map(|(x, summary, _)| (x.as_slice().to_vec(), summary))
 }
 
 /// The minimum, its summary, and each sample's fit there.
-fn descended(
+fn find_minimum(
     problem: &dyn Problem,
     start: &[f64],
     options: &Options<'_>,
@@ -232,13 +235,13 @@ fn descended(
         iterations: end.iterations,
         evaluations: end.evaluations,
         cost_start,
-        cost_end: end.at.cost,
+        cost_end: end.model.cost,
         residual_rms_start,
-        residual_rms: residual_rms(&end.at.fits),
+        residual_rms: residual_rms(&end.model.fits),
         samples_used,
         samples_left_out: problem.samples() - samples_used,
     };
-    Ok((end.x, summary, end.at.fits))
+    Ok((end.x, summary, end.model.fits))
 }
 
 /// Minimises a problem from `start`, and evaluates identifiability and covariance at the minimum.
@@ -249,7 +252,7 @@ fn descended(
 /// # Errors
 /// [`SolveError`] if the solve cannot start or was cancelled.
 pub fn solve(problem: &dyn Problem, start: &[f64], options: &Options<'_>) -> Result<Solution, SolveError> {
-    let (x, summary, fits) = descended(problem, start, options)?;
+    let (x, summary, fits) = find_minimum(problem, start, options)?;
     let (identifiability, covariance) = at_solution(problem, x.as_slice(), options, &fits)?;
     let sample_weights = fits.iter().map(|fit| fit.weight).collect();
     let x = x.as_slice().to_vec();

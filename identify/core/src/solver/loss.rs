@@ -1,4 +1,5 @@
-//! Robust losses `rho(s)` of the squared residual norm `s = |r|^2` of a sample, and their weights `rho'(s)`.
+//! Robust losses `rho(s)` of the squared residual norm `s = |r|^2` of a sample, and their weights `rho'(s)` for iteratively
+//! reweighted least squares. Scales come from `robust`, weights are applied in each `pass`.
 
 use serde::{Deserialize, Serialize};
 
@@ -17,11 +18,12 @@ pub enum LossName {
     GemanMcclure,
 }
 
-/// Quantile of the squared norm of `rows` standard normal variables, from that of one variable (Wilson and Hilferty 1931).
-pub(super) fn squared_norm_quantile(rows: usize, normal: f64) -> f64 {
+/// Quantile of the squared norm of `n = rows` standard normal variables, `n (1 - v + z sqrt(v))^3` with `v = 2 / (9 n)` and `z`
+/// the quantile of one such variable (Wilson and Hilferty 1931).
+pub(super) fn squared_norm_quantile(rows: usize, z: f64) -> f64 {
     let n = rows as f64;
-    let ninth = 2.0 / (9.0 * n);
-    n * (1.0 - ninth + normal * ninth.sqrt()).powi(3)
+    let v = 2.0 / (9.0 * n);
+    n * (1.0 - v + z * v.sqrt()).powi(3)
 }
 
 /// Contribution of a sample's squared norm to the cost. Scales are in the residual's (whitened) unit.
@@ -74,8 +76,8 @@ impl Loss {
     /// is beyond its scale.
     pub(super) fn of_rows(self, rows: usize, usual: usize) -> Self {
         /// Standard normal quantile of 0.99.
-        const BEYOND: f64 = 2.326;
-        self.widened((squared_norm_quantile(rows, BEYOND) / squared_norm_quantile(usual, BEYOND)).sqrt())
+        const Z: f64 = 2.326;
+        self.widened((squared_norm_quantile(rows, Z) / squared_norm_quantile(usual, Z)).sqrt())
     }
 
     /// The loss with its scale multiplied by `factor`.

@@ -1,4 +1,5 @@
-//! Samples collected in a short panel of rows. A full panel is reduced to a normal matrix or a triangle.
+//! Residuals and Jacobians of samples, collected in a short panel of rows. A `pass` reduces each full panel to a normal matrix
+//! or a triangle, so that the Jacobian of all samples is never stored.
 
 use nalgebra::DMatrix;
 
@@ -10,8 +11,11 @@ const PANEL_ROWS: usize = 240;
 /// Jacobian of one sample: `rows` entries for each column.
 #[derive(Debug)]
 pub struct Block<'a> {
+    /// Jacobian of the panel that contains the sample, column-major.
     data: &'a mut [f64],
+    /// Distance between the starts of two columns.
     stride: usize,
+    /// First row of the sample.
     offset: usize,
     rows: usize,
 }
@@ -48,9 +52,11 @@ pub(super) struct Panel {
     stride: usize,
     /// Number of columns of the Jacobian.
     columns: usize,
+    /// Number of all columns: [`width`].
     width: usize,
     /// Largest number of rows of a sample.
     rows_max: usize,
+    /// Number of rows, and how many of them are in use.
     capacity: usize,
     used: usize,
     /// Number of each sample, and the end of its rows.
@@ -79,7 +85,7 @@ impl Panel {
         self.used = 0;
     }
 
-    /// Residual and Jacobian of the next sample, with `rows` rows of zeros. [`Panel::keep`] adds them to the rows in use.
+    /// Residual and Jacobian of the next sample, with `rows` rows of zeros.
     pub(super) fn next(&mut self, rows: usize) -> (&mut [f64], Block<'_>) {
         let offset = self.used;
         let (jacobian, rest) = self.data.split_at_mut(self.columns * self.stride);
@@ -87,6 +93,7 @@ impl Panel {
         (residual, Block { data: jacobian, stride: self.stride, offset, rows })
     }
 
+    /// Adds the rows of [`Panel::next`] to those in use.
     pub(super) fn keep(&mut self, sample: usize, rows: usize) {
         self.used += rows;
         self.samples.push((sample, self.used));

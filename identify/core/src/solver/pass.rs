@@ -1,4 +1,6 @@
-//! One pass over all samples, with one or several threads. The result does not depend on the number of threads.
+//! One pass over all samples of a problem at `x`, with one or several threads: residuals and Jacobians with their robust weights,
+//! reduced by a [`Fold`]. Every solve and every analysis of a solution uses it. The result does not depend on the number of
+//! threads.
 //!
 //! Samples are divided into parts whose size depends only on the number of samples. Each part is reduced separately, and the
 //! parts are merged in order. Memory: a few dozen normal matrices, and one small record for each sample.
@@ -212,15 +214,15 @@ impl<'a> Pass<'a> {
         let part_samples = samples.div_ceil(PARTS_MAX).max(PART_SAMPLES_MIN);
         let parts = samples.div_ceil(part_samples);
         let samples_done = AtomicUsize::new(0);
-        let done = on_threads(self.threads(parts), parts, |part| {
+        let reduced_parts = on_threads(self.thread_count(parts), parts, |part| {
             let range = part * part_samples..samples.min((part + 1) * part_samples);
-            let result = self.part(range.clone(), new())?;
-            self.report(&samples_done, range.len())?;
+            let result = self.reduce_part(range.clone(), new())?;
+            self.report_progress(&samples_done, range.len())?;
             Ok(result)
         })?;
         let mut whole: Option<F> = None;
         let mut fits = Vec::with_capacity(samples);
-        for (fold, part_fits) in done {
+        for (fold, part_fits) in reduced_parts {
             match &mut whole {
                 Some(whole) => whole.merge(fold),
                 None => whole = Some(fold),
@@ -230,11 +232,12 @@ impl<'a> Pass<'a> {
         Ok((whole.unwrap_or_else(new), fits))
     }
 
-    fn threads(&self, parts: usize) -> usize {
+    fn thread_count(&self, parts: usize) -> usize {
         self.threads.unwrap_or_else(|| threads_that_pay(self.problem)).clamp(1, parts.max(1))
     }
 
-    fn report(&self, samples_done: &AtomicUsize, samples: usize) -> Result<(), PassError> {
+    /// Reports that `samples` more samples are completed.
+    fn report_progress(&self, samples_done: &AtomicUsize, samples: usize) -> Result<(), PassError> {
         let Some(watch) = self.watch else { return Ok(()) };
         let (iteration, iterations_max, cost) = self.progress;
         let samples_done = samples_done.fetch_add(samples, Ordering::Relaxed) + samples;
@@ -244,12 +247,16 @@ impl<'a> Pass<'a> {
     }
 
     /// Reduces the samples of one part, in order.
-    fn part<F: Fold>(&self, samples: Range<usize>, mut fold: F) -> Result<(F, Vec<SampleFit>), PassError> {
+    fn reduce_part<F: Fold>(
+        &self,
+        samples: Range<usize>,
+        mut fold: F,
+    ) -> Result<(F, Vec<SampleFit>), PassError> {
         let mut linearisation = self.problem.at(self.x);
         let mut panel = Panel::new(self.problem.columns(), self.problem.rows());
         let mut fits = Vec::with_capacity(samples.len());
         for sample in samples {
-            fits.push(self.sample(&mut linearisation, sample, &mut panel)?);
+            fits.push(self.add_sample(&mut linearisation, sample, &mut panel)?);
             if panel.is_full() {
                 fold.fold(&mut panel)?;
                 panel.clear();
@@ -262,14 +269,14 @@ impl<'a> Pass<'a> {
     }
 
     /// Adds a weighted sample to the panel.
-    fn sample(
+    fn add_sample(
         &self,
         linearisation: &mut Linearisation<'_>,
         sample: usize,
         panel: &mut Panel,
     ) -> Result<SampleFit, PassError> {
-        if let Taking::These(these) = self.taking
-            && !these.get(sample).is_some_and(|fit| fit.present)
+        if let Taking::These(fits) = self.taking
+            && !fits.get(sample).is_some_and(|fit| fit.present)
         {
             return Ok(SampleFit::default());
         }
@@ -309,24 +316,25 @@ fn require_finite(panel: &Panel) -> Result<(), PassError> {
 
 /// Efficient number of threads for a pass over all samples of a problem.
 pub(super) fn threads_that_pay(problem: &dyn Problem) -> usize {
-    let pays = problem.samples() * problem.rows() * problem.columns() / ENTRIES_PER_THREAD;
-    if pays > 1 { threads_there().min(pays) } else { 1 }
+    let threads = problem.samples() * problem.rows() * problem.columns() / ENTRIES_PER_THREAD;
+    if threads > 1 { threads_there().min(threads) } else { 1 }
 }
 
-fn plain<'a>(problem: &'a dyn Problem, x: &'a [f64]) -> Pass<'a> {
+/// A pass without loss and observer.
+fn unweighted<'a>(problem: &'a dyn Problem, x: &'a [f64]) -> Pass<'a> {
     let taking = Taking::WhatIsThere;
     Pass { problem, x, loss: Loss::Squared, taking, threads: None, watch: None, progress: (0, 0, None) }
 }
 
 /// Fit of each sample at `x`, without loss. Empty if one is not finite.
 pub(super) fn fits(problem: &dyn Problem, x: &[f64]) -> Vec<SampleFit> {
-    plain(problem, x).run(|| ()).map(|((), fits)| fits).unwrap_or_default()
+    unweighted(problem, x).run(|| ()).map(|((), fits)| fits).unwrap_or_default()
 }
 
 /// Residuals and Jacobian of all samples that have a value at `x`, stacked, without loss and priors: for inspection and for
 /// other solvers. `None` if one of them is not finite.
 pub fn stacked(problem: &dyn Problem, x: &[f64]) -> Option<(DVector<f64>, DMatrix<f64>)> {
-    let (rows, _) = plain(problem, x).run(Rows::default).ok()?;
+    let (rows, _) = unweighted(problem, x).run(Rows::default).ok()?;
     let count = rows.residual.len();
     Some((
         DVector::from_vec(rows.residual),

@@ -1,4 +1,5 @@
-//! The robust schedule of all solves: a loss whose scale decreases with the spread of the residuals.
+//! The robust schedule of all solves: a loss whose scale decreases with the spread of the residuals. From a start and the name
+//! of a loss to the minimum with the scale of that loss estimated.
 //!
 //! At the start, residuals show errors of the model rather than outliers, and a narrow bounded loss has many local minima. The
 //! schedule uses a Cauchy loss at the scale of the residuals of most samples, and narrows it as these decrease (graduated
@@ -9,12 +10,12 @@ use super::pass::fits;
 use super::{Loss, LossName, Options, Problem, SolveError, Summary, minimise};
 
 /// Standard normal quantiles of 0.95 and 0.99, which define the scale of intermediate losses and of the last one.
-const ON_THE_WAY: f64 = 1.645;
-const LAST: f64 = 2.326;
+const INTERMEDIATE_QUANTILE: f64 = 1.645;
+const LAST_QUANTILE: f64 = 2.326;
 /// Accepted steps between two estimates of the spread.
 const STEPS_BETWEEN: usize = 2;
 /// The spread has converged when it decreases by less than this part.
-const SETTLED: f64 = 0.02;
+const DECREASE_MIN: f64 = 0.02;
 /// Residuals below this are rounding errors: no robust loss is needed.
 const SPREAD_MIN: f64 = 1e-12;
 
@@ -22,25 +23,25 @@ const SPREAD_MIN: f64 = 1e-12;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GoodShare {
     share: f64,
-    normal: f64,
+    quantile: f64,
 }
 
 impl GoodShare {
     /// Half of the samples: the others may be wrong.
-    pub const HALF: Self = Self { share: 0.5, normal: 0.0 };
+    pub const HALF: Self = Self { share: 0.5, quantile: 0.0 };
     /// Nine tenths of the samples: all except gross outliers.
-    pub const NINE_TENTHS: Self = Self { share: 0.9, normal: 1.2816 };
+    pub const NINE_TENTHS: Self = Self { share: 0.9, quantile: 1.2816 };
 
-    /// Standard deviation of a residual, from the squared norm and the number of residuals of each sample; zero without
-    /// samples.
+    /// Standard deviation of a residual, from the squared norm and the number of residuals of each sample, such that the share
+    /// of good samples is within its quantile; zero without samples.
     pub fn spread(self, samples: impl Iterator<Item = (f64, usize)>) -> f64 {
         let mut variances: Vec<f64> =
-            samples.map(|(squared, rows)| squared / squared_norm_quantile(rows, self.normal)).collect();
+            samples.map(|(squared, rows)| squared / squared_norm_quantile(rows, self.quantile)).collect();
         if variances.is_empty() {
             return 0.0;
         }
-        let last = ((variances.len() as f64 * self.share) as usize).min(variances.len() - 1);
-        variances.select_nth_unstable_by(last, f64::total_cmp).1.sqrt()
+        let rank = ((variances.len() as f64 * self.share) as usize).min(variances.len() - 1);
+        variances.select_nth_unstable_by(rank, f64::total_cmp).1.sqrt()
     }
 
     /// [`Self::spread`] of the samples that have a value at `x`.
@@ -85,17 +86,17 @@ impl Schedule {
                 break;
             }
             x = solve(&x, sigma)?;
-            let mut found = spread(&x, later);
-            if found > (1.0 - SETTLED) * sigma {
-                let Some(sharper) = self.sharper else { return Ok((x, found)) };
+            let mut new_sigma = spread(&x, later);
+            if new_sigma > (1.0 - DECREASE_MIN) * sigma {
+                let Some(sharper) = self.sharper else { return Ok((x, new_sigma)) };
                 let narrower = solve(&x, self.narrowing * sigma)?;
-                found = spread(&narrower, later);
-                if found > sharper * sigma {
+                new_sigma = spread(&narrower, later);
+                if new_sigma > sharper * sigma {
                     break;
                 }
                 x = narrower;
             }
-            sigma = found.max(self.narrowing * sigma);
+            sigma = new_sigma.max(self.narrowing * sigma);
         }
         Ok((x, sigma))
     }
@@ -104,14 +105,14 @@ impl Schedule {
 impl Loss {
     /// Intermediate loss of a schedule, for samples of `rows` residuals with this standard deviation.
     pub fn on_the_way(sigma: f64, rows: usize) -> Self {
-        Self::Cauchy { scale: sigma * squared_norm_quantile(rows, ON_THE_WAY).sqrt() }
+        Self::Cauchy { scale: sigma * squared_norm_quantile(rows, INTERMEDIATE_QUANTILE).sqrt() }
     }
 }
 
 impl LossName {
     /// Loss for samples of `rows` residuals with this standard deviation: one clean sample in a hundred is beyond its scale.
     pub fn for_spread(self, sigma: f64, rows: usize) -> Loss {
-        let scale = sigma * squared_norm_quantile(rows, LAST).sqrt();
+        let scale = sigma * squared_norm_quantile(rows, LAST_QUANTILE).sqrt();
         match self {
             _ if sigma <= SPREAD_MIN => Loss::Squared,
             Self::None => Loss::Squared,
@@ -145,12 +146,12 @@ pub fn minimise_robust(
     }
     let spread = |x: &[f64], good: GoodShare| good.spread_at(problem, x);
     let (x, sigma) = Schedule::USUAL.settle(start.to_vec(), spread, |x, sigma| {
-        let between = Options {
+        let intermediate = Options {
             loss: Loss::on_the_way(sigma, problem.rows()),
             iterations_max: STEPS_BETWEEN,
             ..*options
         };
-        Ok(minimise(problem, x, &between)?.0)
+        Ok(minimise(problem, x, &intermediate)?.0)
     })?;
     minimise(problem, &x, &Options { loss: loss.for_spread(sigma, problem.rows()), ..*options })
 }

@@ -33,19 +33,20 @@ impl RowNoise {
         const LEAST: f64 = 1e-9;
         const HALVINGS: usize = 40;
         let errors: Vec<(f64, f64)> = errors.map(|(error, stated)| (error, stated.unwrap_or(0.0))).collect();
-        let usual = |added: f64| {
+        // Standard deviation of the errors relative to the assumed one; decreases with `added`.
+        let relative_sigma = |added: f64| {
             median_size(errors.iter().map(|(error, stated)| error / stated.hypot(added))) / median
         };
-        let most = (median_size(errors.iter().map(|(error, _)| *error)) / median).max(LEAST);
-        let (mut low, mut high) = (0.0, most);
+        let sigma = (median_size(errors.iter().map(|(error, _)| *error)) / median).max(LEAST);
+        let (mut low, mut high) = (0.0, sigma);
         if errors.iter().all(|(_, stated)| *stated == 0.0) {
-            low = most;
-        } else if usual(LEAST) <= 1.0 {
-            return Self { factor: usual(LEAST).max(LEAST), added: LEAST };
+            low = sigma;
+        } else if relative_sigma(LEAST) <= 1.0 {
+            return Self { factor: relative_sigma(LEAST).max(LEAST), added: LEAST };
         }
         for _ in 0..HALVINGS {
             let middle = 0.5 * (low + high);
-            if usual(middle) > 1.0 { low = middle } else { high = middle }
+            if relative_sigma(middle) > 1.0 { low = middle } else { high = middle }
         }
         Self { factor: 1.0, added: high }
     }
@@ -57,8 +58,8 @@ impl RowNoise {
 
     /// Standard deviation of each row, relative to the median row.
     pub(in crate::instrument) fn relative(&self, stated: impl Iterator<Item = Option<f64>>) -> Vec<f64> {
-        let each: Vec<f64> = stated.map(|stated| self.of(stated)).collect();
-        let usual = median_size(each.iter().copied());
-        each.into_iter().map(|one| one / usual).collect()
+        let sigmas: Vec<f64> = stated.map(|stated| self.of(stated)).collect();
+        let median = median_size(sigmas.iter().copied());
+        sigmas.into_iter().map(|sigma| sigma / median).collect()
     }
 }

@@ -1,5 +1,5 @@
-//! Rows without outliers. Outliers are determined again after each solve: single rows with gross residuals, and runs of
-//! consecutive rows that are off together.
+//! Rows without outliers, from residuals at a solution and a robust standard deviation (median). Outliers are determined again
+//! after each solve: single rows with gross residuals, and runs of consecutive rows that are off together.
 
 use super::Standing;
 use crate::instrument::PoseError;
@@ -63,15 +63,15 @@ impl<R: Copy> Screened<R> {
     /// Determines the outliers from the residuals of all rows \[m\] and their noise relative to the median row. Nothing changes
     /// if more than half of the rows were outliers. Returns whether the set of rows in use has changed.
     pub(in crate::instrument) fn screen(&mut self, residuals_m: &[f64], relative_noise: &[f64]) -> bool {
-        let fitting: Vec<usize> = (0..residuals_m.len()).collect();
-        let kept = without(&fitting, &self.rejected);
-        let rejected = faulty(residuals_m, relative_noise, &fitting, &kept);
-        let row = |one: &RejectedRow| one.row;
-        let same = rejected.iter().map(row).eq(self.rejected.iter().map(row));
-        if same || 2 * rejected.len() > fitting.len() {
+        let all: Vec<usize> = (0..residuals_m.len()).collect();
+        let kept = without(&all, &self.rejected);
+        let rejected = faulty(residuals_m, relative_noise, &all, &kept);
+        let number = |rejected: &RejectedRow| rejected.row;
+        let same = rejected.iter().map(number).eq(self.rejected.iter().map(number));
+        if same || 2 * rejected.len() > all.len() {
             return false;
         }
-        self.at = self.all.chosen(&without(&fitting, &rejected));
+        self.at = self.all.chosen(&without(&all, &rejected));
         self.rejected = rejected;
         true
     }
@@ -90,23 +90,23 @@ pub(crate) fn faulty(
     /// million.
     const RUN: f64 = 3.0;
     // As if all rows were as uncertain as the median one.
-    let alike_m: Vec<f64> = residuals_m.iter().zip(relative_noise).map(|(r, noise)| r / noise).collect();
-    let sigma_m = robust_sigma(kept.iter().map(|&row| alike_m[row]));
+    let scaled_m: Vec<f64> = residuals_m.iter().zip(relative_noise).map(|(r, noise)| r / noise).collect();
+    let sigma_m = robust_sigma(kept.iter().map(|&row| scaled_m[row]));
     let single = |&row: &usize| {
-        let gross = alike_m[row].abs() > GROSS * sigma_m;
+        let is_gross = scaled_m[row].abs() > GROSS * sigma_m;
         let residual_m = residuals_m[row];
-        gross.then_some(RejectedRow { row, why: Rejection::GrossResidual { residual_m } })
+        is_gross.then_some(RejectedRow { row, why: Rejection::GrossResidual { residual_m } })
     };
     let in_run = |row: usize| {
-        let median_m = neighbours_m(&alike_m, fitting, row);
-        let faulty = median_m > RUN * sigma_m;
-        faulty.then_some(RejectedRow { row, why: Rejection::FaultyRun { median_m } })
+        let median_m = neighbour_median_m(&scaled_m, fitting, row);
+        let is_faulty = median_m > RUN * sigma_m;
+        is_faulty.then_some(RejectedRow { row, why: Rejection::FaultyRun { median_m } })
     };
-    let mut found: Vec<RejectedRow> = (0..alike_m.len()).filter_map(in_run).collect();
-    let alone: Vec<usize> = without(fitting, &found);
-    found.extend(alone.iter().filter_map(single));
-    found.sort_by_key(|rejected| rejected.row);
-    found
+    let mut rejected: Vec<RejectedRow> = (0..scaled_m.len()).filter_map(in_run).collect();
+    let outside_runs: Vec<usize> = without(fitting, &rejected);
+    rejected.extend(outside_runs.iter().filter_map(single));
+    rejected.sort_by_key(|rejected| rejected.row);
+    rejected
 }
 
 /// Rows that are far from both the nominal and the calibrated robot, from the errors of all rows and their noise relative to
@@ -118,19 +118,19 @@ pub(crate) fn gross_rows(
 ) -> Vec<bool> {
     /// Limit for the nominal robot, in robust standard deviations of distances: about seven of a single coordinate.
     const OF_NOMINAL: f64 = 3.0;
-    let far = [(nominal, OF_NOMINAL), (calibrated, GROSS)];
-    let far = far.map(|(errors, sigmas)| beyond(errors, relative_noise, sigmas));
-    far[0].iter().zip(&far[1]).map(|(nominal, calibrated)| *nominal && *calibrated).collect()
+    let far_from_nominal = beyond(nominal, relative_noise, OF_NOMINAL);
+    let far_from_calibrated = beyond(calibrated, relative_noise, GROSS);
+    far_from_nominal.iter().zip(&far_from_calibrated).map(|(a, b)| *a && *b).collect()
 }
 
 /// Errors of position or rotation that exceed this number of robust standard deviations.
 fn beyond(errors: &[PoseError], relative_noise: &[f64], sigmas: f64) -> Vec<bool> {
     // As if all rows were as uncertain as the median one.
-    let alike = |(error, noise): (&PoseError, &f64)| PoseError {
+    let scaled = |(error, noise): (&PoseError, &f64)| PoseError {
         position_m: error.position_m / noise,
         rotation_rad: error.rotation_rad.map(|angle| angle / noise),
     };
-    let errors: Vec<PoseError> = errors.iter().zip(relative_noise).map(alike).collect();
+    let errors: Vec<PoseError> = errors.iter().zip(relative_noise).map(scaled).collect();
     let sizes: [Vec<f64>; 2] = [
         errors.iter().map(|error| error.position_m).collect(),
         errors.iter().filter_map(|error| error.rotation_rad).collect(),
@@ -152,14 +152,15 @@ fn robust_sigma(residuals: impl Iterator<Item = f64>) -> f64 {
 
 /// Median size of the residuals of the fitting rows just before or just after a row, whichever is larger: a run ends
 /// sharply, and a row at its edge belongs to it.
-fn neighbours_m(residuals_m: &[f64], fitting: &[usize], row: usize) -> f64 {
+fn neighbour_median_m(residuals_m: &[f64], fitting: &[usize], row: usize) -> f64 {
     const ROWS_EACH_SIDE: usize = 5;
-    let at = fitting.partition_point(|&f| f < row);
-    let before = at + usize::from(fitting.get(at) == Some(&row));
-    let sides = [before.saturating_sub(ROWS_EACH_SIDE)..before, at..(at + ROWS_EACH_SIDE).min(fitting.len())];
+    // A fitting row belongs to both sides.
+    let begin = fitting.partition_point(|&fitting_row| fitting_row < row);
+    let end = begin + usize::from(fitting.get(begin) == Some(&row));
+    let sides = [end.saturating_sub(ROWS_EACH_SIDE)..end, begin..(begin + ROWS_EACH_SIDE).min(fitting.len())];
     // A side with few rows has no median to compare.
-    let whole = sides.into_iter().filter(|side| side.len() == ROWS_EACH_SIDE);
-    whole.map(|side| median_size(fitting[side].iter().map(|&row| residuals_m[row]))).fold(0.0, f64::max)
+    let complete = sides.into_iter().filter(|side| side.len() == ROWS_EACH_SIDE);
+    complete.map(|side| median_size(fitting[side].iter().map(|&row| residuals_m[row]))).fold(0.0, f64::max)
 }
 
 /// Rows that are not rejected.

@@ -1,4 +1,4 @@
-//! Assigns samples to groups that are held out together, and groups to folds.
+//! Assigns samples to groups that are held out together, and groups at random to folds of about equal size.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -51,18 +51,19 @@ fn groups(hold_out: HoldOut, poses: &[usize], positions_m: &[Vector3<f64>]) -> V
     }
 }
 
+/// Number of each position's box among those that contain a position.
 fn boxes(positions_m: &[Vector3<f64>]) -> Vec<usize> {
     let Some(first) = positions_m.first() else { return Vec::new() };
     let low = positions_m.iter().fold(*first, |low, p| low.inf(p));
     let high = positions_m.iter().fold(*first, |high, p| high.sup(p));
     let side_m = ((high - low).max() / BOXES).max(f64::MIN_POSITIVE);
-    let mut known: BTreeMap<[i64; 3], usize> = BTreeMap::new();
-    let numbered = positions_m.iter().map(|p| {
-        let cell = ((p - low) / side_m).map(|x| x.floor() as i64);
-        let next = known.len();
-        *known.entry(cell.into()).or_insert(next)
+    let mut numbers: BTreeMap<[i64; 3], usize> = BTreeMap::new();
+    let boxes = positions_m.iter().map(|p| {
+        let place = ((p - low) / side_m).map(|x| x.floor() as i64);
+        let next = numbers.len();
+        *numbers.entry(place.into()).or_insert(next)
     });
-    numbered.collect()
+    boxes.collect()
 }
 
 /// `count` segments of nearly equal length in each run; `starts` has the first sample of each run and the total number of
@@ -92,8 +93,8 @@ pub(super) fn folds(
     order.sort_by_key(|group| group.first().map(|&row| class(row)));
     let mut folds = vec![Vec::new(); count.max(1)];
     for group in order {
-        if let Some(least) = folds.iter_mut().min_by_key(|fold| fold.len()) {
-            least.extend(group);
+        if let Some(smallest) = folds.iter_mut().min_by_key(|fold| fold.len()) {
+            smallest.extend(group);
         }
     }
     folds.retain(|fold| !fold.is_empty());

@@ -1,4 +1,5 @@
-//! Poses at which the robot stood still during a measurement: common to tracker, wire and contact.
+//! Poses at which the robot stood still during a measurement: common to tracker, wire, contact and touch. Determines from the
+//! joints of consecutive rows the last direction of each joint, for backlash, and the rows that share a pose.
 
 use std::collections::BTreeMap;
 
@@ -12,37 +13,39 @@ const MOVED_RAD_MIN: f64 = 1e-3;
 /// State of the robot at each pose, in the order of the poses. The rate of a joint is the sign of its last motion, at one
 /// radian per second; 0 before its first motion.
 pub fn standing(joints_rad: impl Iterator<Item = Joints>) -> Vec<JointState> {
-    let mut ways = Joints::default();
-    let mut before: Option<Joints> = None;
-    let each = joints_rad.map(|q| {
+    let mut directions = Joints::default();
+    let mut previous: Option<Joints> = None;
+    let states = joints_rad.map(|q| {
         let at_rest = JointState::at_rest(q);
-        if let Some(before) = before.replace(q) {
-            for (joint, way) in ways.iter_mut().enumerate() {
-                let moved = q[joint] - before[joint];
+        if let Some(previous) = previous.replace(q) {
+            for (joint, direction) in directions.iter_mut().enumerate() {
+                let moved = q[joint] - previous[joint];
                 if moved.abs() > MOVED_RAD_MIN {
-                    *way = moved.signum();
+                    *direction = moved.signum();
                 }
             }
         } else {
-            ways = at_rest.qd;
+            directions = at_rest.qd;
         }
-        JointState { qd: ways, ..at_rest }
+        JointState { qd: directions, ..at_rest }
     });
-    each.collect()
+    states.collect()
 }
 
 /// Pose number of each row. Consecutive rows without a motion between them, such as those of several targets, are of one pose
 /// and share the robot's error.
 pub(super) fn poses(joints_rad: &[Joints]) -> Vec<usize> {
-    let (mut number, mut first) = (0, joints_rad.first());
-    let each = joints_rad.iter().map(|q| {
+    let mut pose = 0;
+    let mut first_of_pose = joints_rad.first();
+    let numbers = joints_rad.iter().map(|q| {
         let moved = |first: &Joints| first.iter().zip(q.iter()).any(|(a, b)| (a - b).abs() > MOVED_RAD_MIN);
-        if first.is_some_and(moved) {
-            (number, first) = (number + 1, Some(q));
+        if first_of_pose.is_some_and(moved) {
+            pose += 1;
+            first_of_pose = Some(q);
         }
-        number
+        pose
     });
-    each.collect()
+    numbers.collect()
 }
 
 /// Rows of one set-up, in the order in which the robot visited them; sample `i` has time `i`.
@@ -87,12 +90,16 @@ impl<R: Copy> Standing<R> {
     /// The measurements with the joints of the following row, then with those of the preceding row.
     pub(in crate::instrument) fn shifted(&self) -> [Self; 2] {
         let count = self.rows.len().saturating_sub(1);
-        let (first, last) = ((0..count).collect::<Vec<_>>(), (1..=count).collect::<Vec<_>>());
-        let of = |rows: &[usize], joints: &[usize]| Self {
+        if count == 0 {
+            return [self.clone(), self.clone()];
+        }
+        let without_last: Vec<usize> = (0..count).collect();
+        let without_first: Vec<usize> = (1..=count).collect();
+        let combined = |rows: &[usize], joints: &[usize]| Self {
             states: self.chosen(joints).states,
             ..self.chosen(rows)
         };
-        if count == 0 { [self.clone(), self.clone()] } else { [of(&first, &last), of(&last, &first)] }
+        [combined(&without_last, &without_first), combined(&without_first, &without_last)]
     }
 
     /// Checks that all joints, and the numbers that `numbers` returns for a row, are finite.
@@ -115,16 +122,16 @@ impl<R: Copy> Standing<R> {
         set_up: impl Fn(&R) -> SetUp,
         needed: [(&'static str, usize); 2],
     ) -> Result<(), RowError> {
-        let numbers: [fn(SetUp) -> usize; 2] = [|set_up| set_up.station, |set_up| set_up.target];
-        for (number, (what, needed)) in numbers.into_iter().zip(needed) {
+        let index_of: [fn(SetUp) -> usize; 2] = [|set_up| set_up.station, |set_up| set_up.target];
+        for (index_of, (what, needed)) in index_of.into_iter().zip(needed) {
             let mut counts = BTreeMap::<usize, usize>::new();
-            self.rows.iter().for_each(|row| *counts.entry(number(set_up(row))).or_default() += 1);
+            self.rows.iter().for_each(|row| *counts.entry(index_of(set_up(row))).or_default() += 1);
             let (count, most) = (counts.len(), ParameterId::SET_UPS_MAX);
             if count > most {
                 return Err(RowError::TooManySetUps { what, count, most });
             }
-            if let Some((number, rows)) = counts.iter().find(|(_, rows)| count > 1 && **rows < needed) {
-                return Err(RowError::TooFewOfSetUp { what, number: number + 1, rows: *rows, needed });
+            if let Some((index, rows)) = counts.iter().find(|(_, rows)| count > 1 && **rows < needed) {
+                return Err(RowError::TooFewOfSetUp { what, number: index + 1, rows: *rows, needed });
             }
         }
         Ok(())

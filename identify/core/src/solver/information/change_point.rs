@@ -1,11 +1,12 @@
-//! Changes during a run: a parameter with a step at an unknown instant, or with a drift.
+//! Changes during a run: a parameter with a step at an unknown instant, or with a drift. From residuals and Jacobian at a
+//! solution; used by `calibrate/change.rs`.
 //!
 //! A change adds columns to the problem: those of the parameters that change, each multiplied by its course in time, which is a
-//! step (zero before an instant, one after it) or a ramp. With `C` these columns, `J` those of the estimated parameters,
-//! `N = J'J` with the priors, `g = J'r`, `n = J'C`, `s = C'C` and `p = C'r`, the solution of the extended problem has the
-//! change `b = -S^-1 (p - n' N^-1 g)`, `S = s - n' N^-1 n`. Its sum of squares is lower by
-//! `(p - n' N^-1 g)' S^-1 (p - n' N^-1 g)` (score test, Rao 1948). The other parameters are estimated again with the change, so
-//! neither an uneven motion nor an early end of the solve is mistaken for a change.
+//! step (zero before an instant, one after it) or a ramp. With `C` these columns, `J` those of the estimated parameters, `r` the
+//! residuals, `N = J'J` and `g = J'r` (both with the priors), the extended problem has the score `q = C'r - (J'C)' N^-1 g`, the
+//! information `S = C'C - (J'C)' N^-1 J'C` (a Schur complement) and the solution `b = -S^-1 q` for the change. Its sum of
+//! squares is lower by `q' S^-1 q` (score test, Rao 1948). The other parameters are estimated again with the change, so neither
+//! an uneven motion nor an early end of the solve is mistaken for a change.
 //!
 //! A change is significant relative to its own uncertainty, and residuals are not independent: errors of gears and encoders are
 //! correlated over seconds. Their scatter is therefore estimated from sums over blocks of the run, in two ways. `pooled`: ratio
@@ -32,14 +33,14 @@ const SAMPLES_PER_BLOCK_MIN: usize = 2;
 const INSTANTS: usize = 32;
 /// Numbers of neighbouring blocks that form a group, for `pooled` and for `clustered`. Larger groups allow longer correlations,
 /// but have fewer degrees of freedom.
-const POOLED: [usize; 4] = [1, 2, 4, 8];
-const CLUSTERED: [usize; 2] = [1, 2];
+const POOLED_SIZES: [usize; 4] = [1, 2, 4, 8];
+const CLUSTERED_SIZES: [usize; 2] = [1, 2];
 /// Least number of groups: the mean of fewer is too uncertain.
 const GROUPS_MIN: usize = 15;
 /// Least number of degrees of freedom for any significance.
 const FREEDOM_MIN: f64 = 3.0;
 /// Least part of a column that must be independent of the other columns.
-const INDEPENDENT: f64 = 1e-4;
+const INDEPENDENT_MIN: f64 = 1e-4;
 
 /// Course of a change in time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -77,36 +78,37 @@ pub fn change_point(
 ) -> Option<Change> {
     let run = Run::new(problem, x, loss, samples, estimated)?;
     let instants: Vec<usize> = (1..INSTANTS).map(|part| part * samples.len() / INSTANTS).collect();
-    let reach = samples.len().div_ceil(INSTANTS);
+    let spacing = samples.len().div_ceil(INSTANTS);
     let tests = (alternatives.len() * (instants.len() + 1)) as f64;
-    let of_one = |alternative: usize| {
+    let best_change = |alternative: usize| {
         let columns = &alternatives[alternative];
         let mut best: Option<(f64, Change)> = None;
         // With a wrong instant, the samples between it and the right one would increase the scatter.
-        let near = |at: usize| -> Vec<usize> {
-            (at.saturating_sub(reach).max(1)..(at + reach).min(samples.len())).collect()
+        let near = |instant: usize| -> Vec<usize> {
+            (instant.saturating_sub(spacing).max(1)..(instant + spacing).min(samples.len())).collect()
         };
         let coarse = run.best_step(columns, &instants);
-        let step = coarse.and_then(|at| run.best_step(columns, &near(at))).map(Course::Step);
+        let step = coarse.and_then(|instant| run.best_step(columns, &near(instant))).map(Course::Step);
         for course in step.into_iter().chain([Course::Drift]) {
-            let Some(tried) = Tried::new(&run, columns, course) else { continue };
-            if tried.chance() * tests > false_alarms {
+            let Some(test) = ChangeTest::new(&run, columns, course) else { continue };
+            if test.chance() * tests > false_alarms {
                 continue;
             }
-            // Score by the reduction, for independent blocks; the instant counts as one more parameter (Schwarz 1978).
-            let groups = (run.blocks.len() / POOLED[POOLED.len() - 1]) as f64;
-            let numbers = columns.len() as f64 + if course == Course::Drift { 0.0 } else { 1.0 };
-            let left = (run.squared - tried.fall).max(f64::MIN_POSITIVE);
-            let score = groups * left.ln() + numbers * groups.ln();
-            if best.as_ref().is_none_or(|(least, _)| score < *least) {
-                let explained = tried.fall / run.squared.max(f64::MIN_POSITIVE);
-                let by = tried.by.iter().copied().collect();
-                best = Some((score, Change { alternative, course, by, explained }));
+            // Bayesian information criterion for independent groups of blocks; the instant counts as one more parameter
+            // (Schwarz 1978).
+            let groups = (run.blocks.len() / POOLED_SIZES[POOLED_SIZES.len() - 1]) as f64;
+            let parameters = columns.len() as f64 + if course == Course::Drift { 0.0 } else { 1.0 };
+            let remaining = (run.squared - test.reduction).max(f64::MIN_POSITIVE);
+            let criterion = groups * remaining.ln() + parameters * groups.ln();
+            if best.as_ref().is_none_or(|(least, _)| criterion < *least) {
+                let explained = test.reduction / run.squared.max(f64::MIN_POSITIVE);
+                let by = test.b.iter().copied().collect();
+                best = Some((criterion, Change { alternative, course, by, explained }));
             }
         }
         best
     };
-    let found = each(alternatives.len(), of_one).into_iter().flatten();
+    let found = each(alternatives.len(), best_change).into_iter().flatten();
     found.reduce(|best, other| if other.0 < best.0 { other } else { best }).map(|(_, change)| change)
 }
 
@@ -114,16 +116,17 @@ pub fn change_point(
 struct Run {
     r: DVector<f64>,
     /// Jacobian of all columns.
-    all: DMatrix<f64>,
-    /// Jacobian of the estimated columns.
+    jacobian: DMatrix<f64>,
+    /// `J`: Jacobian of the estimated columns.
     j: DMatrix<f64>,
     /// First row of each given sample, and the end of the last one; rows of prior knowledge follow.
-    first: Vec<usize>,
+    first_rows: Vec<usize>,
     /// Row range of each block.
     blocks: Vec<Range<usize>>,
-    factor: ScaledCholesky,
+    /// Cholesky factor of `N`.
+    n_factor: ScaledCholesky,
     /// `N^-1 g`
-    pulled: DVector<f64>,
+    n_inverse_g: DVector<f64>,
     /// Squared residuals of the given samples, for a solution without a change.
     squared: f64,
 }
@@ -141,51 +144,51 @@ impl Run {
             return None;
         }
         let known = (0..problem.samples()).filter(|sample| problem.is_known(*sample));
-        let shown: Vec<usize> = samples.iter().copied().chain(known).collect();
-        let rows: Vec<usize> = shown.iter().map(|sample| problem.rows_of(*sample)).collect();
-        let (mut r, mut all) = stacked(&Subset { of: problem, samples: shown }, x)?;
+        let with_known: Vec<usize> = samples.iter().copied().chain(known).collect();
+        let rows: Vec<usize> = with_known.iter().map(|sample| problem.rows_of(*sample)).collect();
+        let (mut r, mut jacobian) = stacked(&Subset { of: problem, samples: with_known }, x)?;
         // A sample without a value would shift all following rows.
         if r.len() != rows.iter().sum::<usize>() {
             return None;
         }
-        let mut first = vec![0];
+        let mut first_rows = vec![0];
         for (sample, rows) in rows.iter().enumerate() {
-            let begin = first[sample];
-            let weight =
-                loss.of_rows(*rows, problem.rows()).weight(r.rows(begin, *rows).norm_squared()).sqrt();
+            let begin = first_rows[sample];
+            let squared = r.rows(begin, *rows).norm_squared();
+            let weight = loss.of_rows(*rows, problem.rows()).weight(squared).sqrt();
             r.rows_mut(begin, *rows).scale_mut(weight);
-            all.rows_mut(begin, *rows).scale_mut(weight);
-            first.push(begin + rows);
+            jacobian.rows_mut(begin, *rows).scale_mut(weight);
+            first_rows.push(begin + rows);
         }
-        first.truncate(samples.len() + 1);
-        let border = |block: usize| first[block * samples.len() / count];
+        first_rows.truncate(samples.len() + 1);
+        let border = |block: usize| first_rows[block * samples.len() / count];
         let blocks = (0..count).map(|block| border(block)..border(block + 1)).collect();
-        let j = all.select_columns(estimated);
-        let (mut normal, mut gradient) = (j.tr_mul(&j), j.tr_mul(&r));
+        let j = jacobian.select_columns(estimated);
+        let (mut n, mut g) = (j.tr_mul(&j), j.tr_mul(&r));
         for prior in problem.priors() {
-            let Some(own) = estimated.iter().position(|column| *column == prior.column) else { continue };
+            let Some(place) = estimated.iter().position(|column| *column == prior.column) else { continue };
             let weight = prior.sigma.powi(-2);
-            normal[(own, own)] += weight;
-            gradient[own] += weight * (x[prior.column] - prior.value);
+            n[(place, place)] += weight;
+            g[place] += weight * (x[prior.column] - prior.value);
         }
-        let factor = ScaledCholesky::new(normal)?;
-        let pulled = factor.solve(&gradient);
-        let squared = r.rows(0, first[samples.len()]).norm_squared() - gradient.dot(&pulled);
-        Some(Self { r, all, j, first, blocks, factor, pulled, squared })
+        let n_factor = ScaledCholesky::new(n)?;
+        let n_inverse_g = n_factor.solve(&g);
+        let squared = r.rows(0, first_rows[samples.len()]).norm_squared() - g.dot(&n_inverse_g);
+        Some(Self { r, jacobian, j, first_rows, blocks, n_factor, n_inverse_g, squared })
     }
 
-    /// The changing columns multiplied by a course, one row for each residual.
-    fn changing(&self, columns: &[usize], course: Course) -> DMatrix<f64> {
+    /// `C`: the changing columns multiplied by a course, one row for each residual.
+    fn changing_columns(&self, columns: &[usize], course: Course) -> DMatrix<f64> {
         let mut c = DMatrix::zeros(self.r.len(), columns.len());
-        let samples = self.first.len() - 1;
-        for (sample, rows) in self.first.windows(2).enumerate() {
+        let samples = self.first_rows.len() - 1;
+        for (sample, rows) in self.first_rows.windows(2).enumerate() {
             let value = match course {
-                Course::Step(from) => f64::from(u8::from(sample >= from)),
+                Course::Step(instant) => f64::from(u8::from(sample >= instant)),
                 Course::Drift => (sample as f64 + 0.5) / samples as f64 - 0.5,
             };
-            for (own, &column) in columns.iter().enumerate() {
+            for (place, &column) in columns.iter().enumerate() {
                 for row in rows[0]..rows[1] {
-                    c[(row, own)] = value * self.all[(row, column)];
+                    c[(row, place)] = value * self.jacobian[(row, column)];
                 }
             }
         }
@@ -194,121 +197,131 @@ impl Run {
 
     /// The instant whose step reduces the squares most; `instants` ascend. `None` if other columns explain every step.
     fn best_step(&self, columns: &[usize], instants: &[usize]) -> Option<usize> {
-        let c = self.changing(columns, Course::Step(0));
-        let mut sums = Sums::zeros(self.j.ncols(), columns.len());
-        let mut end = *self.first.last()?;
+        // A step at an instant has these columns in the rows after it, so its sums grow from the last instant to the first.
+        let c = self.changing_columns(columns, Course::Step(0));
+        let mut sums = ChangeSums::zeros(self.j.ncols(), columns.len());
+        let mut end = *self.first_rows.last()?;
         let mut best: Option<(usize, f64)> = None;
-        for &at in instants.iter().rev() {
-            sums.add(self, &c, self.first[at]..end);
-            end = self.first[at];
-            let Some(Solved { fall, .. }) = sums.solved(self) else { continue };
-            if best.is_none_or(|(_, most)| fall > most) {
-                best = Some((at, fall));
+        for &instant in instants.iter().rev() {
+            sums.add(self, &c, self.first_rows[instant]..end);
+            end = self.first_rows[instant];
+            let Some(ChangeSolution { reduction, .. }) = sums.solve(self) else { continue };
+            if best.is_none_or(|(_, most)| reduction > most) {
+                best = Some((instant, reduction));
             }
         }
-        best.map(|(at, _)| at)
+        best.map(|(instant, _)| instant)
     }
 }
 
-/// Terms of a change in the normal equations.
-struct Sums {
-    n: DMatrix<f64>,
-    s: DMatrix<f64>,
-    p: DVector<f64>,
+/// Terms of a change in the normal equations: `J'C`, `C'C` and `C'r`.
+struct ChangeSums {
+    jc: DMatrix<f64>,
+    cc: DMatrix<f64>,
+    cr: DVector<f64>,
 }
 
-impl Sums {
+impl ChangeSums {
     fn zeros(estimated: usize, columns: usize) -> Self {
         Self {
-            n: DMatrix::zeros(estimated, columns),
-            s: DMatrix::zeros(columns, columns),
-            p: DVector::zeros(columns),
+            jc: DMatrix::zeros(estimated, columns),
+            cc: DMatrix::zeros(columns, columns),
+            cr: DVector::zeros(columns),
         }
     }
 
     fn add(&mut self, run: &Run, c: &DMatrix<f64>, rows: Range<usize>) {
         let (from, count) = (rows.start, rows.len());
         let c = c.rows(from, count);
-        self.n += run.j.rows(from, count).tr_mul(&c);
-        self.s += c.tr_mul(&c);
-        self.p += c.tr_mul(&run.r.rows(from, count));
+        self.jc += run.j.rows(from, count).tr_mul(&c);
+        self.cc += c.tr_mul(&c);
+        self.cr += c.tr_mul(&run.r.rows(from, count));
     }
 
     /// `None` if other columns explain the change.
-    fn solved(&self, run: &Run) -> Option<Solved> {
-        let mut taken = self.n.clone();
-        for mut column in taken.column_iter_mut() {
-            let solved = run.factor.solve(&column.clone_owned());
+    fn solve(&self, run: &Run) -> Option<ChangeSolution> {
+        let mut n_inverse_jc = self.jc.clone();
+        for mut column in n_inverse_jc.column_iter_mut() {
+            let solved = run.n_factor.solve(&column.clone_owned());
             column.copy_from(&solved);
         }
-        let stiffness = &self.s - self.n.tr_mul(&taken);
-        if !(0..stiffness.ncols()).all(|own| stiffness[(own, own)] > INDEPENDENT * self.s[(own, own)]) {
+        let information = &self.cc - self.jc.tr_mul(&n_inverse_jc);
+        let is_independent = |k: usize| information[(k, k)] > INDEPENDENT_MIN * self.cc[(k, k)];
+        if !(0..information.ncols()).all(is_independent) {
             return None;
         }
-        let pull = &self.p - self.n.tr_mul(&run.pulled);
-        let by = -ScaledCholesky::new(stiffness.clone())?.solve(&pull);
-        let fall = -pull.dot(&by);
-        Some(Solved { taken, stiffness, by, fall })
+        let score = &self.cr - self.jc.tr_mul(&run.n_inverse_g);
+        let b = -ScaledCholesky::new(information.clone())?.solve(&score);
+        let reduction = -score.dot(&b);
+        Some(ChangeSolution { n_inverse_jc, information, b, reduction })
     }
 }
 
 /// Solution of the problem with a change.
-struct Solved {
-    /// `N^-1 n`
-    taken: DMatrix<f64>,
+struct ChangeSolution {
+    /// `N^-1 J'C`
+    n_inverse_jc: DMatrix<f64>,
     /// `S`
-    stiffness: DMatrix<f64>,
-    /// `b`
-    by: DVector<f64>,
-    /// Reduction of the squared residuals.
-    fall: f64,
+    information: DMatrix<f64>,
+    /// Change of each column.
+    b: DVector<f64>,
+    /// Reduction of the squared residuals: `q' S^-1 q`.
+    reduction: f64,
 }
 
-/// A change, with the contribution of each block of the run.
-struct Tried {
-    by: DVector<f64>,
-    fall: f64,
-    stiffness: DMatrix<f64>,
-    /// Contribution of each block to score and stiffness of the change.
-    own: Vec<(DVector<f64>, DMatrix<f64>)>,
-    /// The same for the columns without a course in time.
-    along: Vec<(DVector<f64>, DMatrix<f64>)>,
+/// Contribution of one block of the run, or of a group of blocks.
+#[derive(Clone)]
+struct BlockSums {
+    score: DVector<f64>,
+    information: DMatrix<f64>,
 }
 
-impl Tried {
+/// Significance test of a change, from the contribution of each block of the run.
+struct ChangeTest {
+    b: DVector<f64>,
+    reduction: f64,
+    information: DMatrix<f64>,
+    /// Contribution of each block to score and information of the change, without the part that `J` explains.
+    of_change: Vec<BlockSums>,
+    /// The same for the columns without a course in time, with the part that `J` explains.
+    of_columns: Vec<BlockSums>,
+}
+
+impl ChangeTest {
     fn new(run: &Run, columns: &[usize], course: Course) -> Option<Self> {
-        let c = run.changing(columns, course);
-        let mut sums = Sums::zeros(run.j.ncols(), columns.len());
+        let c = run.changing_columns(columns, course);
+        let mut sums = ChangeSums::zeros(run.j.ncols(), columns.len());
         sums.add(run, &c, 0..run.r.len());
-        let Solved { taken, stiffness, by, fall } = sums.solved(run)?;
-        let after = &run.r + &c * &by - &run.j * (&run.pulled + &taken * &by);
-        let sums_of = |c: &DMatrix<f64>| {
+        let ChangeSolution { n_inverse_jc, information, b, reduction } = sums.solve(run)?;
+        let residuals = &run.r + &c * &b - &run.j * (&run.n_inverse_g + &n_inverse_jc * &b);
+        let block_sums = |c: &DMatrix<f64>| {
             let block = |rows: &Range<usize>| {
                 let c = c.rows(rows.start, rows.len());
-                (c.tr_mul(&after.rows(rows.start, rows.len())), c.tr_mul(&c))
+                let score = c.tr_mul(&residuals.rows(rows.start, rows.len()));
+                BlockSums { score, information: c.tr_mul(&c) }
             };
             run.blocks.iter().map(block).collect::<Vec<_>>()
         };
-        let own = sums_of(&(&c - &run.j * &taken));
-        let along = sums_of(&run.changing(columns, Course::Step(0)));
-        Some(Self { by, fall, stiffness, own, along })
+        let of_change = block_sums(&(&c - &run.j * &n_inverse_jc));
+        let of_columns = block_sums(&run.changing_columns(columns, Course::Step(0)));
+        Some(Self { b, reduction, information, of_change, of_columns })
     }
 
     /// Probability that a run without changes shows as much at this instant.
     fn chance(&self) -> f64 {
-        let pooled = POOLED.iter().filter_map(|together| self.pooled(*together));
-        let least_sure = pooled.reduce(f64::max).unwrap_or(1.0);
-        let enough = |together: &&usize| self.own.len() / **together >= GROUPS_MIN;
-        let clustered = CLUSTERED.iter().filter(enough).map(|together| self.clustered(*together));
-        clustered.fold(least_sure, f64::max)
+        let pooled = POOLED_SIZES.iter().filter_map(|group_size| self.pooled(*group_size));
+        let largest = pooled.reduce(f64::max).unwrap_or(1.0);
+        let enough_groups = |size: &&usize| self.of_change.len() / **size >= GROUPS_MIN;
+        let clustered = CLUSTERED_SIZES.iter().filter(enough_groups).map(|size| self.clustered(*size));
+        clustered.fold(largest, f64::max)
     }
 
     /// `None` if too few groups determine all numbers: two positions do not determine the rotation of an instrument.
-    fn pooled(&self, together: usize) -> Option<f64> {
-        let scatter: Vec<f64> = summed(&self.along, together)
+    fn pooled(&self, group_size: usize) -> Option<f64> {
+        let scatter: Vec<f64> = sum_groups(&self.of_columns, group_size)
             .into_iter()
-            .filter_map(|(score, stiffness)| {
-                let factor = ScaledCholesky::new(stiffness).filter(ScaledCholesky::is_complete)?;
+            .filter_map(|BlockSums { score, information }| {
+                let factor = ScaledCholesky::new(information).filter(ScaledCholesky::is_complete)?;
                 Some(score.dot(&factor.solve(&score)))
             })
             .collect();
@@ -316,44 +329,51 @@ impl Tried {
             return None;
         }
         let count = scatter.len() as f64;
-        let each = scatter.iter().sum::<f64>() / ((count - 1.0) * self.by.len() as f64);
-        Some(tail(self.fall / each, self.by.len(), count - 1.0))
+        // One for independent noise of variance one.
+        let overdispersion = scatter.iter().sum::<f64>() / ((count - 1.0) * self.b.len() as f64);
+        Some(hotelling_tail(self.reduction / overdispersion, self.b.len(), count - 1.0))
     }
 
-    fn clustered(&self, together: usize) -> f64 {
-        let Some(inverse) = ScaledCholesky::new(self.stiffness.clone()).map(|factor| factor.inverse()) else {
+    fn clustered(&self, group_size: usize) -> f64 {
+        let Some(inverse) = ScaledCholesky::new(self.information.clone()).map(|factor| factor.inverse())
+        else {
             return 1.0;
         };
-        let groups = summed(&self.own, together);
-        let (mut scatter, mut shares, mut squares) = (&inverse * 0.0, 0.0, 0.0);
-        for (score, stiffness) in &groups {
-            let share = (&inverse * stiffness).trace() / self.by.len() as f64;
-            scatter.ger((1.0 - share).max(INDEPENDENT).powi(-2), score, score, 1.0);
-            (shares, squares) = (shares + share, squares + share * share);
+        let groups = sum_groups(&self.of_change, group_size);
+        let (mut scatter, mut shares, mut squared_shares) = (&inverse * 0.0, 0.0, 0.0);
+        for BlockSums { score, information } in &groups {
+            let share = (&inverse * information).trace() / self.b.len() as f64;
+            scatter.ger((1.0 - share).max(INDEPENDENT_MIN).powi(-2), score, score, 1.0);
+            (shares, squared_shares) = (shares + share, squared_shares + share * share);
         }
-        let force = &self.stiffness * &self.by;
+        // `-q`, so that `q' scatter^-1 q` is Hotelling's T squared.
+        let score = &self.information * &self.b;
         let Some(factor) = ScaledCholesky::new(scatter) else { return 1.0 };
-        tail(force.dot(&factor.solve(&force)), self.by.len(), shares * shares / squares - 1.0)
+        let contributing = shares * shares / squared_shares;
+        hotelling_tail(score.dot(&factor.solve(&score)), self.b.len(), contributing - 1.0)
     }
 }
 
-/// Sums over groups of this number of neighbouring blocks.
-fn summed(blocks: &[(DVector<f64>, DMatrix<f64>)], together: usize) -> Vec<(DVector<f64>, DMatrix<f64>)> {
-    let sum = |group: &[(DVector<f64>, DMatrix<f64>)]| {
+/// Sums over groups of `group_size` neighbouring blocks.
+fn sum_groups(blocks: &[BlockSums], group_size: usize) -> Vec<BlockSums> {
+    let sum = |group: &[BlockSums]| {
         let mut group = group.iter().cloned();
         let first = group.next()?;
-        Some(group.fold(first, |(a, b), (c, d)| (a + c, b + d)))
+        Some(group.fold(first, |sum, block| BlockSums {
+            score: sum.score + block.score,
+            information: sum.information + block.information,
+        }))
     };
-    blocks.chunks(together).filter_map(sum).collect()
+    blocks.chunks(group_size).filter_map(sum).collect()
 }
 
-/// Probability that Hotelling's T squared of this number of variables exceeds `squared`.
-fn tail(squared: f64, numbers: usize, freedom: f64) -> f64 {
-    let numbers = numbers as f64;
-    let left = freedom - numbers + 1.0;
-    if left.is_nan() || left < FREEDOM_MIN || !squared.is_finite() {
+/// Probability that Hotelling's T squared of this number of variables exceeds `squared`, from its F distribution.
+fn hotelling_tail(squared: f64, variables: usize, freedom: f64) -> f64 {
+    let variables = variables as f64;
+    let f_freedom = freedom - variables + 1.0;
+    if f_freedom.is_nan() || f_freedom < FREEDOM_MIN || !squared.is_finite() {
         return 1.0;
     }
-    let Ok(fisher) = FisherSnedecor::new(numbers, left) else { return 1.0 };
-    fisher.sf(squared.max(0.0) * left / (freedom * numbers))
+    let Ok(fisher) = FisherSnedecor::new(variables, f_freedom) else { return 1.0 };
+    fisher.sf(squared.max(0.0) * f_freedom / (freedom * variables))
 }

@@ -1,4 +1,5 @@
-//! Uncertainty of the identified parameters.
+//! Uncertainty of the identified parameters, from the singular values of the Jacobian at the solution, or from the jackknife
+//! (`normals`).
 //!
 //! To first order: the covariance of least squares with independent noise of equal size on the (weighted) residual rows,
 //! `s^2 (J^T J)^-1`, from singular values, never from the inverted normal matrix. It does not include effects that the model
@@ -144,17 +145,17 @@ impl Spread {
     /// From the contributions of the sources, which have one row for each parameter.
     pub fn new(parameters: usize, columns: &[(Source, DVector<f64>)]) -> Self {
         let mut by_source = DMatrix::zeros(parameters, columns.len());
-        for (mut column, (_, one)) in by_source.column_iter_mut().zip(columns) {
-            column.copy_from(one);
+        for (mut column, (_, contribution)) in by_source.column_iter_mut().zip(columns) {
+            column.copy_from(contribution);
         }
         Self { by_source, sources: columns.iter().map(|(source, _)| *source).collect() }
     }
 
     /// Adds a source with the contribution of one standard deviation.
-    pub fn add(&mut self, source: Source, one: &DVector<f64>) {
-        let known = self.sources.len();
-        self.by_source.resize_horizontally_mut(known + 1, 0.0);
-        self.by_source.column_mut(known).copy_from(one);
+    pub fn add(&mut self, source: Source, contribution: &DVector<f64>) {
+        let count = self.sources.len();
+        self.by_source.resize_horizontally_mut(count + 1, 0.0);
+        self.by_source.column_mut(count).copy_from(contribution);
         self.sources.push(source);
     }
 
@@ -246,23 +247,24 @@ impl Covariance {
 
     /// The consider covariance (Schmidt 1966): with `x` estimated, `c` considered and `G = dx / dc`, it is
     /// `[[P_xx + G P_cc G^T, G P_cc], [P_cc G^T, P_cc]]`.
-    pub fn with_considered(mut self, of: Considered) -> Self {
-        let (rows, known) = self.spread.by_source.shape();
-        let count = of.names.len();
-        if of.change.shape() != (self.estimated, count) || of.sigmas.len() != count {
+    pub fn with_considered(mut self, considered: Considered) -> Self {
+        let Considered { names, sigmas, change } = considered;
+        let (rows, sources) = self.spread.by_source.shape();
+        let count = names.len();
+        if change.shape() != (self.estimated, count) || sigmas.len() != count {
             return self;
         }
-        let mut by_source = self.spread.by_source.resize(rows + count, known + count, 0.0);
-        by_source.view_mut((0, known), (self.estimated, count)).copy_from(&of.change);
-        for (index, sigma) in of.sigmas.into_iter().enumerate() {
-            by_source[(rows + index, known + index)] = 1.0;
-            by_source.column_mut(known + index).scale_mut(sigma);
+        let mut by_source = self.spread.by_source.resize(rows + count, sources + count, 0.0);
+        by_source.view_mut((0, sources), (self.estimated, count)).copy_from(&change);
+        for (index, sigma) in sigmas.into_iter().enumerate() {
+            by_source[(rows + index, sources + index)] = 1.0;
+            by_source.column_mut(sources + index).scale_mut(sigma);
             self.spread.sources.push(Source::Considered { column: rows + index });
         }
         self.spread.by_source = by_source;
         self.matrix = self.spread.covariance();
         self.determined.extend(std::iter::repeat_n(true, count));
-        self.names.extend(of.names);
+        self.names.extend(names);
         self
     }
 
@@ -283,8 +285,8 @@ impl Covariance {
     /// separated.
     pub fn by_prior(&self, column: usize) -> Option<f64> {
         let Spread { by_source, sources } = &self.spread;
-        let own = sources.iter().position(|source| *source == Source::Prior { column })?;
-        Some(by_source[(column, own)].abs())
+        let of_prior = sources.iter().position(|source| *source == Source::Prior { column })?;
+        Some(by_source[(column, of_prior)].abs())
     }
 
     /// Contributions of the sources.

@@ -1,10 +1,11 @@
-//! Identifiability of the free parameters, from an orthogonal factorisation of the Jacobian.
+//! Identifiability of the free parameters: rank, singular values and dependent groups, from an orthogonal factorisation of the
+//! Jacobian at a point. Part of each solve, and used alone for the selection of parameters and poses.
 //!
 //! A prior determines its parameter, however wide it is and however exact the samples are: the rank of `[J_f J_p; 0 P]` is the
-//! rank of `J_f`, the samples' columns without prior, plus the number of columns with a prior. Rank therefore depends neither
-//! on the noise nor on the number of samples; a parameter that the samples hardly determine has a large standard deviation.
-//! Columns are scaled to unit length first, so that metres, radians and seconds are comparable. The singular values show the
-//! rank and the size of its gap; the null space shows which parameters depend on each other.
+//! rank of `J_f`, the samples' columns without prior, plus the number of columns with a prior (`J_p`, with weights `P`). Rank
+//! therefore depends neither on the noise nor on the number of samples; a parameter that the samples hardly determine has a large
+//! standard deviation. Columns are scaled to unit length first, so that metres, radians and seconds are comparable. The singular
+//! values show the rank and the size of its gap; the null space shows which parameters depend on each other.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -68,13 +69,14 @@ pub struct Unidentifiable {
 /// Groups of columns that a projection `P` combines: `i` and `j` with an entry `P_ij` belong to one group.
 pub fn combined(projection: &DMatrix<f64>) -> Vec<Vec<usize>> {
     /// A column with a smaller component in the projection's directions counts as determined.
-    const PART: f64 = 0.1;
+    const COMPONENT_MIN: f64 = 0.1;
     let mut groups: Vec<Vec<usize>> = Vec::new();
-    for i in (0..projection.ncols()).filter(|i| projection[(*i, *i)] > PART) {
-        let is_joined = |group: &Vec<usize>| group.iter().any(|j| projection[(i, *j)].abs() > PART);
-        let (joined, apart): (Vec<_>, Vec<_>) = groups.into_iter().partition(is_joined);
-        groups = apart;
-        groups.push([joined.concat(), vec![i]].concat());
+    for i in (0..projection.ncols()).filter(|i| projection[(*i, *i)] > COMPONENT_MIN) {
+        let is_connected =
+            |group: &Vec<usize>| group.iter().any(|j| projection[(i, *j)].abs() > COMPONENT_MIN);
+        let (connected, others): (Vec<_>, Vec<_>) = groups.into_iter().partition(is_connected);
+        groups = others;
+        groups.push([connected.concat(), vec![i]].concat());
     }
     groups
 }
@@ -112,33 +114,33 @@ impl Identifiability {
     /// complement of the normal matrix. Directions with an eigenvalue of `S` below one follow the priors. `P` is the projection
     /// onto them, and columns `i` and `j` with an entry `P_ij` belong to one group.
     pub fn by_priors(&self, columns: &[usize]) -> Vec<Vec<usize>> {
-        let of_others: Vec<usize> =
-            (0..self.names.len()).filter(|column| !columns.contains(column)).collect();
+        let others: Vec<usize> = (0..self.names.len()).filter(|column| !columns.contains(column)).collect();
         let sigma = |column: &usize| self.prior_sigmas.get(*column).copied().flatten();
-        let priors = of_others
+        let priors_of_others = others
             .iter()
             .enumerate()
             .filter_map(|(place, column)| Some(Prior { column: place, value: 0.0, sigma: sigma(column)? }));
-        let priors: Vec<Prior> = priors.collect();
-        let order = [&of_others[..], columns].concat();
-        let mut rows = with_priors(priors.iter(), &self.triangle.select_columns(&order));
-        let own = of_others.len();
-        if rows.nrows() <= own {
+        let priors_of_others: Vec<Prior> = priors_of_others.collect();
+        // With the other columns first, the last rows of the triangle are a root of the Schur complement.
+        let order = [&others[..], columns].concat();
+        let mut triangle = with_priors(priors_of_others.iter(), &self.triangle.select_columns(&order));
+        let first = others.len();
+        if triangle.nrows() <= first {
             return if columns.is_empty() { Vec::new() } else { vec![columns.to_vec()] };
         }
         for (place, column) in columns.iter().enumerate() {
-            rows.column_mut(own + place).scale_mut(sigma(column).unwrap_or(1.0));
+            triangle.column_mut(first + place).scale_mut(sigma(column).unwrap_or(1.0));
         }
-        let left = rows.view_range(own.., own..).into_owned();
-        let eigen = (left.tr_mul(&left)).symmetric_eigen();
-        let mut by_prior = DMatrix::<f64>::zeros(columns.len(), columns.len());
+        let root = triangle.view_range(first.., first..).into_owned();
+        let eigen = (root.tr_mul(&root)).symmetric_eigen();
+        let mut projection = DMatrix::<f64>::zeros(columns.len(), columns.len());
         for (direction, information) in eigen.eigenvectors.column_iter().zip(eigen.eigenvalues.iter()) {
             if *information < 1.0 {
-                by_prior += direction * direction.transpose();
+                projection += direction * direction.transpose();
             }
         }
-        let named = |group: Vec<usize>| group.into_iter().map(|i| columns[i]).collect();
-        combined(&by_prior).into_iter().map(named).collect()
+        let numbered = |group: Vec<usize>| group.into_iter().map(|i| columns[i]).collect();
+        combined(&projection).into_iter().map(numbered).collect()
     }
 
     /// Columns that are not determined: zero or in a dependent group.
@@ -322,11 +324,9 @@ impl Open {
     }
 
     fn zero_columns(&self) -> Vec<usize> {
-        let of = |spectrum: &ScaledSpectrum| {
-            let places = self.columns.iter().zip(spectrum.lengths.iter());
-            places.filter(|(_, length)| **length == 0.0).map(|(column, _)| *column).collect()
-        };
-        self.spectrum.as_ref().map_or_else(Vec::new, of)
+        let Some(spectrum) = &self.spectrum else { return Vec::new() };
+        let with_lengths = self.columns.iter().zip(spectrum.lengths.iter());
+        with_lengths.filter(|(_, length)| **length == 0.0).map(|(column, _)| *column).collect()
     }
 
     fn groups(&self) -> Vec<DependentGroup> {
@@ -341,6 +341,7 @@ impl Open {
     }
 }
 
+/// Identifiability from the triangle of the samples' Jacobian, and the spectrum of samples and priors for the covariance.
 fn examine(
     problem: &dyn Problem,
     triangle: &DMatrix<f64>,
@@ -350,6 +351,7 @@ fn examine(
     let (columns, priors, tolerance) = (problem.columns(), problem.priors(), options.rank_tolerance);
     let open = Open::new(triangle, 0..columns, priors, tolerance);
     let mut spectrum = ScaledSpectrum::new(&with_priors(priors.iter(), triangle), tolerance);
+    // A prior determines its column even if its singular value is below the tolerance.
     spectrum.rank = columns - open.missing();
     let mut prior_sigmas = vec![None; columns];
     priors.iter().for_each(|prior| prior_sigmas[prior.column] = Some(prior.sigma));
@@ -401,7 +403,7 @@ pub(in crate::solver) fn at_solution(
         Err(PassError::Cancelled) => {
             return Err(SolveError::Cancelled { iterations: options.iterations_max });
         }
-        // Cannot occur: the same samples were finite at this point during the solve.
+        // The same samples were finite at this point during the solve; only squares of derivatives can overflow.
         Err(PassError::Lost | PassError::NotFinite(_)) => DMatrix::zeros(0, problem.columns()),
     };
     let (identifiability, spectrum) = examine(problem, &triangle, fits, options);

@@ -1,4 +1,5 @@
-//! Effect of an error in a fixed value on the estimated values.
+//! Effect of an error in a fixed value on the estimated values, to first order: `-J_e^+ J_h` with the columns `J_e` of estimated
+//! and `J_h` of fixed parameters. Used for considered parameters and by `identify examine`.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -36,15 +37,16 @@ pub fn influence(
     let (triangle, _) = sample_triangle(problem, x, options, Taking::WhatIsThere)
         .map_err(|error| error.at_start(problem.samples()))?;
     let estimated: Vec<usize> = (0..problem.columns()).filter(|column| !held.contains(column)).collect();
-    let all = estimated.iter().copied();
-    if Open::new(&triangle, all, problem.priors(), options.rank_tolerance).missing() > 0 {
+    let columns = estimated.iter().copied();
+    let without_prior = Open::new(&triangle, columns, problem.priors(), options.rank_tolerance);
+    if without_prior.missing() > 0 {
         return Err(SolveError::Dependent);
     }
     let priors = problem.priors().iter().filter(|prior| estimated.contains(&prior.column));
-    let rows = with_priors(priors, &triangle);
+    let triangle = with_priors(priors, &triangle);
     let names = |columns: &[usize]| columns.iter().map(|&column| problem.column_name(column)).collect();
-    let change = -least_squares(&rows.select_columns(&estimated), &rows.select_columns(held))
-        .ok_or(SolveError::Dependent)?;
+    let (j_e, j_h) = (triangle.select_columns(&estimated), triangle.select_columns(held));
+    let change = -least_squares(&j_e, &j_h).ok_or(SolveError::Dependent)?;
     Ok(Influence { estimated: names(&estimated), held: names(held), change })
 }
 

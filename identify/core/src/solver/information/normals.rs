@@ -1,9 +1,9 @@
-//! Normal equations by fold, linearised at a point.
+//! Normal equations by fold, linearised at a point `x`.
 //!
 //! `|r + J dx|^2 = r^T r + 2 (J^T r) dx + dx (J^T J) dx`: one pass over the samples gives the three sums of each fold, with
 //! the columns of all candidate terms. Steps, covariances, jackknife, selection of terms, scales of priors and predictions of
-//! held-out folds then need only small matrices, without another pass. Errors of gears and encoders are correlated over
-//! seconds, so folds of several seconds are nearly independent, while single samples are not.
+//! held-out folds then need only small matrices, without another pass; all of them are used by `calibrate`. Errors of gears and
+//! encoders are correlated over seconds, so folds of several seconds are nearly independent, while single samples are not.
 
 use std::num::NonZeroUsize;
 use std::ops::{Add, AddAssign, Sub};
@@ -111,10 +111,12 @@ impl Sub for &Normal {
 #[derive(Debug, Clone)]
 pub struct Normals {
     folds: Vec<Normal>,
+    /// Sum of all folds.
     total: Normal,
-    /// Samples of prior knowledge.
+    /// Samples of prior knowledge ([`Problem::is_known`]), which are in no fold.
     known: Normal,
     priors: Vec<Prior>,
+    /// Point of the linearisation.
     x: Vec<f64>,
 }
 
@@ -131,27 +133,27 @@ impl Normals {
         folds: &[Vec<usize>],
     ) -> Result<Self, SolveError> {
         let known: Vec<usize> = (0..problem.samples()).filter(|sample| problem.is_known(*sample)).collect();
-        let all: Vec<&Vec<usize>> = folds.iter().chain([&known]).collect();
+        // Prior knowledge is added up as one more set, the last.
+        let sets: Vec<&Vec<usize>> = folds.iter().chain([&known]).collect();
+        // Each set is summed by one thread, the sets in parallel.
         let one_thread = Options { threads: Some(NonZeroUsize::MIN), ..*options };
-        let of_samples = |fold: usize| {
-            let fold = Subset { of: problem, samples: all[fold].clone() };
-            let pass = Pass::new(&fold, x, &one_thread, Taking::WhatIsThere);
-            let (products, fits) = pass.run(|| Products::new(problem.columns()))?;
+        let sum = |set: usize| {
+            let subset = Subset { of: problem, samples: sets[set].clone() };
+            let pass = Pass::new(&subset, x, &one_thread, Taking::WhatIsThere);
+            let (products, fits) =
+                pass.run(|| Products::new(problem.columns())).map_err(|error| match error {
+                    PassError::NotFinite(place) => PassError::NotFinite(sets[set][place]),
+                    other => other,
+                })?;
             Ok(products.normal(weighed_rows(&fits)))
         };
-        let of_samples = |fold: usize| {
-            of_samples(fold).map_err(|error| match error {
-                PassError::NotFinite(place) => PassError::NotFinite(all[fold][place]),
-                other => other,
-            })
-        };
         let threads = options.threads.map_or_else(|| threads_that_pay(problem), usize::from);
-        let mut of_folds = on_threads(threads.min(all.len()), all.len(), of_samples)
-            .map_err(|error| error.at_start(problem.samples()))?;
-        let known = of_folds.pop().unwrap_or_else(|| Normal::zeros(problem.columns()));
+        let mut folds = on_threads(threads.min(sets.len()), sets.len(), sum)
+            .map_err(|error: PassError| error.at_start(problem.samples()))?;
+        let known = folds.pop().unwrap_or_else(|| Normal::zeros(problem.columns()));
         let mut total = Normal::zeros(problem.columns());
-        of_folds.iter().for_each(|fold| total += fold);
-        Ok(Self { folds: of_folds, total, known, priors: problem.priors().to_vec(), x: x.to_vec() })
+        folds.iter().for_each(|fold| total += fold);
+        Ok(Self { folds, total, known, priors: problem.priors().to_vec(), x: x.to_vec() })
     }
 
     /// Priors of the columns.
@@ -182,29 +184,29 @@ impl Normals {
     pub fn overdispersion(&self) -> Option<f64> {
         /// Avoids division by zero in directions that only other samples determine.
         const RIDGE: f64 = 1e-12;
-        let (whole, count) = (self.whole().matrix, self.folds() as f64);
+        let (matrix, count) = (self.whole().matrix, self.folds() as f64);
         if count < 2.0 {
             return None;
         }
-        let factor = ScaledCholesky::damped(whole.clone(), &whole.diagonal(), RIDGE)?;
+        let factor = ScaledCholesky::damped(matrix.clone(), &matrix.diagonal(), RIDGE)?;
         let scatter: f64 =
             self.folds.iter().map(|fold| fold.gradient.dot(&factor.solve(&fold.gradient))).sum();
         let expected = factor.inverse().dot(&self.total.matrix);
-        Some(scatter * count / ((count - 1.0) * expected)).filter(|found| found.is_finite())
+        Some(scatter * count / ((count - 1.0) * expected)).filter(|ratio| ratio.is_finite())
     }
 
     /// Logarithm of the evidence of the samples with these priors, up to a constant (MacKay 1992), for residuals with
     /// `dispersion` times the variance of independent ones. `None` if columns are linearly dependent.
     pub fn evidence(&self, priors: &[Prior], dispersion: f64) -> Option<f64> {
-        let mut all = &self.total + &self.known;
-        all.matrix /= dispersion;
-        all.gradient /= dispersion;
-        all.squared /= dispersion;
-        all.squared += all.add_priors(priors, &self.x);
-        let factor = ScaledCholesky::new(all.matrix.clone())?;
-        let step = -factor.solve(&all.gradient);
-        let of_priors: f64 = priors.iter().map(|prior| prior.sigma.ln()).sum();
-        Some(-0.5 * (all.after(&step) + factor.log_determinant()) - of_priors)
+        let mut posterior = &self.total + &self.known;
+        posterior.matrix /= dispersion;
+        posterior.gradient /= dispersion;
+        posterior.squared /= dispersion;
+        posterior.squared += posterior.add_priors(priors, &self.x);
+        let factor = ScaledCholesky::new(posterior.matrix.clone())?;
+        let step = -factor.solve(&posterior.gradient);
+        let log_sigmas: f64 = priors.iter().map(|prior| prior.sigma.ln()).sum();
+        Some(-0.5 * (posterior.after(&step) + factor.log_determinant()) - log_sigmas)
     }
 
     /// Gradients of the folds at the solution for `kept`, for tests of further columns. `None` if the columns are linearly
@@ -212,17 +214,17 @@ impl Normals {
     pub fn scores(&self, kept: &[usize], priors: &[Prior]) -> Option<Scores> {
         let priors = priors_among(priors, kept);
         let x: Vec<f64> = kept.iter().map(|&column| self.x[column]).collect();
-        let all = &self.total + &self.known;
-        let mut own = all.only(kept);
-        own.add_priors(&priors, &x);
-        let factor = ScaledCholesky::new(own.matrix).filter(ScaledCholesky::is_complete)?;
+        let samples = &self.total + &self.known;
+        let mut of_kept = samples.only(kept);
+        of_kept.add_priors(&priors, &x);
+        let factor = ScaledCholesky::new(of_kept.matrix).filter(ScaledCholesky::is_complete)?;
         let mut step = DVector::zeros(self.x.len());
-        for (column, by) in kept.iter().zip(&factor.solve(&own.gradient)) {
-            step[*column] = -by;
+        for (column, newton) in kept.iter().zip(&factor.solve(&of_kept.gradient)) {
+            step[*column] = -newton;
         }
         let folds = self.folds.iter().filter(|fold| fold.rows > 0.0);
         let gradients = folds.map(|fold| &fold.gradient + &fold.matrix * &step).collect();
-        Some(Scores { gradients, matrix: all.matrix, kept: kept.to_vec(), factor })
+        Some(Scores { gradients, matrix: samples.matrix, kept: kept.to_vec(), factor })
     }
 
     /// Effective number of parameters that each fold determines: `tr(H^-1 N)` with `H` of all data and `N` of the fold. Less
@@ -261,12 +263,12 @@ impl Normals {
     pub fn held_out_each(&self, columns: impl Fn(usize) -> Vec<usize>, priors: &[Prior]) -> Option<Vec<f64>> {
         let error = |(number, fold): (usize, &Normal)| {
             let columns = columns(number);
-            let known = priors_among(priors, &columns);
+            let priors = priors_among(priors, &columns);
             let x: Vec<f64> = columns.iter().map(|&column| self.x[column]).collect();
             let fold = fold.only(&columns);
             let mut others = &self.total.only(&columns) - &fold;
             others += &self.known.only(&columns);
-            others.add_priors(&known, &x);
+            others.add_priors(&priors, &x);
             let step = -ScaledCholesky::new(others.matrix)?.solve(&others.gradient);
             Some(fold.after(&step) / fold.rows)
         };
@@ -315,31 +317,36 @@ impl Normals {
             return None;
         }
         let (whole, factor) = self.factored()?;
-        let mut columns = Vec::new();
+        let mut contributions = Vec::new();
         for (number, fold) in self.folds.iter().enumerate().filter(|(_, fold)| fold.rows > 0.0) {
             let others = ScaledCholesky::new(&whole - &fold.matrix).filter(ScaledCholesky::is_complete)?;
-            let moved = others.solve(&fold.gradient) * ((count - 1.0) / count).sqrt();
-            columns.push((Source::Samples { data_set: data_set(number) }, moved));
+            // At the solution all gradients add up to zero, so that of the others is minus that of the fold.
+            let change = others.solve(&fold.gradient) * ((count - 1.0) / count).sqrt();
+            contributions.push((Source::Samples { data_set: data_set(number) }, change));
         }
         // `H^-1 P H^-1`, where the weights `P` of priors are diagonal; those of prior knowledge are not.
         let inverse = factor.inverse();
         for &Prior { column, sigma, .. } in &self.priors {
-            columns.push((Source::Prior { column }, inverse.column(column) / sigma));
+            contributions.push((Source::Prior { column }, inverse.column(column) / sigma));
         }
         let known = SymmetricEigen::new(self.known.matrix.clone());
-        let weighed = known.eigenvectors.column_iter().zip(&known.eigenvalues);
-        for (direction, weight) in weighed.filter(|(_, weight)| **weight > 0.0) {
-            columns.push((Source::Known, &inverse * direction * weight.sqrt()));
+        let weighted = known.eigenvectors.column_iter().zip(&known.eigenvalues);
+        for (direction, weight) in weighted.filter(|(_, weight)| **weight > 0.0) {
+            contributions.push((Source::Known, &inverse * direction * weight.sqrt()));
         }
-        Some(Spread::new(self.x.len(), &columns))
+        Some(Spread::new(self.x.len(), &contributions))
     }
 }
 
 /// Gradients of folds at the solution for some columns.
 pub struct Scores {
+    /// Gradient of each fold, for all columns.
     gradients: Vec<DVector<f64>>,
+    /// Normal matrix of all samples, for all columns.
     matrix: DMatrix<f64>,
+    /// Columns of the solution.
     kept: Vec<usize>,
+    /// Factor of the normal matrix of the kept columns, with priors.
     factor: ScaledCholesky,
 }
 
@@ -350,31 +357,28 @@ impl Scores {
     pub fn chance(&self, tried: &[usize]) -> Option<f64> {
         let (count, size) = (self.gradients.len(), tried.len());
         let fisher = FisherSnedecor::new(size as f64, count.checked_sub(size)? as f64).ok()?;
-        // Without the part that the kept columns can take up.
-        let taken: Vec<DVector<f64>> = tried
+        // Coefficients of the kept columns that explain a tried column; this part of its gradient is removed.
+        let coefficients: Vec<DVector<f64>> = tried
             .iter()
             .map(|&column| {
-                let with = DVector::from_iterator(
-                    self.kept.len(),
-                    self.kept.iter().map(|&row| self.matrix[(row, column)]),
-                );
-                self.factor.solve(&with)
+                let products = self.kept.iter().map(|&row| self.matrix[(row, column)]);
+                self.factor.solve(&DVector::from_iterator(self.kept.len(), products))
             })
             .collect();
-        let own = |gradient: &DVector<f64>| {
+        let score = |gradient: &DVector<f64>| {
             let kept = gradient.select_rows(&self.kept);
-            DVector::from_iterator(
-                size,
-                tried.iter().zip(&taken).map(|(&column, taken)| gradient[column] - taken.dot(&kept)),
-            )
+            let remaining =
+                tried.iter().zip(&coefficients).map(|(&column, by)| gradient[column] - by.dot(&kept));
+            DVector::from_iterator(size, remaining)
         };
-        let own: Vec<DVector<f64>> = self.gradients.iter().map(own).collect();
-        let mean = own.iter().sum::<DVector<f64>>() / count as f64;
-        let scatter: DMatrix<f64> = own.iter().map(|one| (one - &mean) * (one - &mean).transpose()).sum();
+        let scores: Vec<DVector<f64>> = self.gradients.iter().map(score).collect();
+        let mean = scores.iter().sum::<DVector<f64>>() / count as f64;
+        let scatter: DMatrix<f64> =
+            scores.iter().map(|score| (score - &mean) * (score - &mean).transpose()).sum();
         let covariance =
             ScaledCholesky::new(scatter / (count as f64 - 1.0)).filter(ScaledCholesky::is_complete)?;
-        let squared = count as f64 * mean.dot(&covariance.solve(&mean));
-        let f = squared * (count - size) as f64 / (size as f64 * (count as f64 - 1.0));
+        let t_squared = count as f64 * mean.dot(&covariance.solve(&mean));
+        let f = t_squared * (count - size) as f64 / (size as f64 * (count as f64 - 1.0));
         Some(fisher.sf(f))
     }
 }

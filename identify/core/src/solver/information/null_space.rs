@@ -1,4 +1,4 @@
-//! Groups of dependent parameters from a sparse basis of the null space.
+//! Groups of dependent parameters from a sparse basis of the Jacobian's null space, for messages of `identifiability`.
 //!
 //! All entries of an orthonormal basis are usually nonzero. Here the basis is reduced with pivots chosen such that a direction
 //! with many parameters (a common scale of all lengths) gets a vector of its own, and the other vectors become sparse: two
@@ -20,17 +20,17 @@ pub(in crate::solver) fn dependent_groups(
     for &column in zero_columns {
         basis.row_mut(column).fill(0.0);
     }
-    let mut supports: Vec<Vec<usize>> = sparse_basis(basis).iter().map(|v| support(v)).collect();
+    let mut supports: Vec<Vec<usize>> = sparse_basis(basis).iter().map(|vector| support(vector)).collect();
     supports.retain(|members| !members.is_empty());
     supports.sort_by_key(Vec::len);
-    let mut groups = gather(supports);
+    let mut groups = merge_overlapping(supports);
     // The order of columns decides, not small numerical differences.
     groups.sort_by(|a, b| (a.columns.len(), &a.columns).cmp(&(b.columns.len(), &b.columns)));
     groups
 }
 
 /// A support that overlaps one group extends it. A support that overlaps several groups becomes a group of its own.
-fn gather(supports: Vec<Vec<usize>>) -> Vec<DependentGroup> {
+fn merge_overlapping(supports: Vec<Vec<usize>>) -> Vec<DependentGroup> {
     let mut groups: Vec<DependentGroup> = Vec::new();
     for members in supports {
         let mut overlapping =
@@ -48,10 +48,11 @@ fn gather(supports: Vec<Vec<usize>>) -> Vec<DependentGroup> {
     groups
 }
 
+/// Columns whose entries of a null vector are not zero.
 fn support(vector: &[f64]) -> Vec<usize> {
     let largest = vector.iter().fold(0.0f64, |largest, v| largest.max(v.abs()));
-    let counts = |v: &f64| v.abs() > ENTRY_TOLERANCE * largest;
-    vector.iter().enumerate().filter(|(_, v)| counts(v)).map(|(i, _)| i).collect()
+    let is_nonzero = |v: &f64| v.abs() > ENTRY_TOLERANCE * largest;
+    vector.iter().enumerate().filter(|(_, v)| is_nonzero(v)).map(|(column, _)| column).collect()
 }
 
 /// Null vectors, each of which is zero at the pivots of the others.
@@ -77,20 +78,20 @@ fn sparse_basis(mut basis: DMatrix<f64>) -> Vec<Vec<f64>> {
 fn next_pivot(basis: &DMatrix<f64>) -> Option<usize> {
     let norms: Vec<f64> = basis.row_iter().map(|row| row.norm()).collect();
     let largest = norms.iter().copied().fold(0.0, f64::max);
-    let alive: Vec<usize> =
+    let nonzero: Vec<usize> =
         (0..basis.nrows()).filter(|&i| norms[i] > ENTRY_TOLERANCE * largest && largest > 1e-9).collect();
-    let companions = |i: usize| {
-        let parallel = |j: &&usize| {
+    let count_parallel = |i: usize| {
+        let is_parallel = |j: &&usize| {
             let cosine = basis.row(i).dot(&basis.row(**j)) / (norms[i] * norms[**j]);
             cosine.abs() > 1.0 - 1e-6
         };
-        alive.iter().filter(parallel).count()
+        nonzero.iter().filter(is_parallel).count()
     };
     // If several have the same number, the longest row is the best conditioned pivot.
-    alive
+    nonzero
         .iter()
         .copied()
-        .max_by(|&i, &j| companions(i).cmp(&companions(j)).then(norms[i].total_cmp(&norms[j])))
+        .max_by(|&i, &j| count_parallel(i).cmp(&count_parallel(j)).then(norms[i].total_cmp(&norms[j])))
 }
 
 /// Orthonormal basis of the vectors in the span of `basis` that are zero at `pivot`.

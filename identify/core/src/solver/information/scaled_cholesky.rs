@@ -1,4 +1,5 @@
-//! Factorisation of normal equations, with columns in metres, radians and seconds scaled to unit length first.
+//! Cholesky factorisation of a normal matrix `N`, with columns in metres, radians and seconds scaled to unit length first. Used
+//! for steps, fold covariances and tests; rank is decided elsewhere, from an orthogonal factorisation (`identifiability`).
 
 use nalgebra::linalg::Cholesky;
 use nalgebra::{DMatrix, DVector, Dyn};
@@ -14,13 +15,13 @@ pub struct ScaledCholesky {
 impl ScaledCholesky {
     /// Factor of a symmetric matrix. `None` if its columns are linearly dependent; zero columns are ignored.
     pub fn new(normal: DMatrix<f64>) -> Option<Self> {
-        let squared = normal.diagonal();
-        Self::damped(normal, &squared, 0.0)
+        let diagonal = normal.diagonal();
+        Self::damped(normal, &diagonal, 0.0)
     }
 
     /// Factor of `N + lambda D`, with columns scaled by the square root of the diagonal `D` (Marquardt 1963).
-    pub fn damped(mut normal: DMatrix<f64>, squared: &DVector<f64>, lambda: f64) -> Option<Self> {
-        let scale = squared.map(|squared| if squared > 0.0 { squared.sqrt().recip() } else { 0.0 });
+    pub fn damped(mut normal: DMatrix<f64>, d: &DVector<f64>, lambda: f64) -> Option<Self> {
+        let scale = d.map(|d| if d > 0.0 { d.sqrt().recip() } else { 0.0 });
         for (j, mut column) in normal.column_iter_mut().enumerate() {
             column.component_mul_assign(&scale);
             column *= scale[j];
@@ -32,9 +33,9 @@ impl ScaledCholesky {
     /// Whether every column is determined: each has a part of at least a millionth that is independent of the columns before
     /// it.
     pub fn is_complete(&self) -> bool {
-        const APART_MIN: f64 = 1e-6;
-        let apart = self.factor.l_dirty().diagonal();
-        self.scale.iter().zip(&apart).all(|(scale, apart)| *scale > 0.0 && *apart > APART_MIN)
+        const PIVOT_MIN: f64 = 1e-6;
+        let pivots = self.factor.l_dirty().diagonal();
+        self.scale.iter().zip(&pivots).all(|(scale, pivot)| *scale > 0.0 && *pivot > PIVOT_MIN)
     }
 
     /// `N^-1 b`
@@ -44,8 +45,9 @@ impl ScaledCholesky {
 
     /// `ln det N` of the columns that are not zero.
     pub fn log_determinant(&self) -> f64 {
-        let of_scale = self.scale.iter().filter(|scale| **scale > 0.0).map(|scale| scale.ln()).sum::<f64>();
-        2.0 * (self.factor.l_dirty().diagonal().iter().map(|pivot| pivot.ln()).sum::<f64>() - of_scale)
+        let log_scales = self.scale.iter().filter(|scale| **scale > 0.0).map(|scale| scale.ln()).sum::<f64>();
+        let log_pivots = self.factor.l_dirty().diagonal().iter().map(|pivot| pivot.ln()).sum::<f64>();
+        2.0 * (log_pivots - log_scales)
     }
 
     /// `N^-1`
