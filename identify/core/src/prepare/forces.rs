@@ -1,7 +1,8 @@
-//! The force on the bar at each sample.
+//! The force along the bar at each sample, from a force log: this force or its sign, a force in the axes of base or flange, or
+//! joint torques (`torque`). A solve estimates compliance or play of the bar from it.
 //!
-//! Forces change slowly beside the fractions of a millisecond by which a solve still moves the clocks, and their direction
-//! needs no more than nominal geometry: so they are taken once, on what the preparation has found.
+//! The force is computed once, with the clocks and the base of the preparation: it changes little in the fractions of a
+//! millisecond by which a solve still moves the clocks, and nominal geometry suffices for its direction.
 
 use nalgebra::Vector3;
 use serde::Serialize;
@@ -24,7 +25,7 @@ const FORCE_MAX_N: f64 = 20_000.0;
 const RATE_REACH_S: f64 = 0.02;
 /// Part of the samples that must have a force.
 const COVERED_MIN: f64 = 0.5;
-/// Part of the samples that must be on either side, where only the sign is known.
+/// Part of the samples that must be under tension, and under compression, where only the sign is known.
 const EITHER_SIDE_MIN: f64 = 0.02;
 
 /// The force on the bar in the samples of a run.
@@ -138,16 +139,16 @@ pub(super) fn put_on(
     log: &ForceLog,
     around: &Surroundings<'_>,
 ) -> Result<(BarForces, Vec<bool>), ForceError> {
-    let value = |observation: &Observation| log.values.at(around.log_time_s(log, observation.t_s));
-    let rows: Vec<Option<Joints>> = observations.iter().map(value).collect();
+    let row_at = |observation: &Observation| log.values.at(around.log_time_s(log, observation.t_s));
+    let rows: Vec<Option<Joints>> = observations.iter().map(row_at).collect();
     let covered = rows.iter().flatten().count();
     let samples = observations.len();
     if (covered as f64) < COVERED_MIN * samples as f64 {
         return Err(around.not_covered(log, observations, covered));
     }
     let has_force: Vec<bool> = rows.iter().map(Option::is_some).collect();
-    let mut given = has_force.iter();
-    observations.retain(|_| given.next().is_some_and(|has_force| *has_force));
+    let mut keep = has_force.iter();
+    observations.retain(|_| keep.next().is_some_and(|has_force| *has_force));
     let rows: Vec<Joints> = rows.into_iter().flatten().collect();
     let (along, torque_rms_nm) = around.along_bar(log.kind, observations, &rows)?;
     let range = check(log.kind, &along)?;
@@ -168,8 +169,8 @@ fn check(kind: ForceKind, along: &[f64]) -> Result<[f64; 2], ForceError> {
     let what = kind.describe();
     if kind == ForceKind::Sign {
         let least = EITHER_SIDE_MIN * along.len() as f64;
-        let many = |on: fn(&&f64) -> bool| along.iter().filter(on).count() as f64 >= least;
-        if many(|side| **side > 0.5) && many(|side| **side < -0.5) {
+        let enough = |is_on_side: fn(&&f64) -> bool| along.iter().filter(is_on_side).count() as f64 >= least;
+        if enough(|side| **side > 0.5) && enough(|side| **side < -0.5) {
             return Ok([low, high]);
         }
         return Err(ForceError::Flat { what, low, high, unit: "" });
@@ -197,15 +198,17 @@ impl Surroundings<'_> {
         since_first_s + rate * t_s
     }
 
-    /// The robot at a bar time since the reference. Rates are taken over a few hundredths of a second: from one row of its
-    /// log to the next they are mostly noise, which friction would take for changes of direction.
+    /// The robot at a bar time since the reference. Speeds are differences over a few hundredths of a second: from one row of
+    /// its log to the next they are mostly noise, and friction would change its sign with it.
     fn state(&self, t_s: f64) -> JointState {
-        let at = |by_s: f64| self.motion.at(t_s + self.alignment.skew * t_s + by_s);
-        let here = at(0.0).unwrap_or_default();
-        let (Some(before), Some(after)) = (at(-RATE_REACH_S), at(RATE_REACH_S)) else { return here };
-        let rate = |i: usize| (after.q[i] - before.q[i]) / (2.0 * RATE_REACH_S);
-        let bend = |i: usize| (after.q[i] - 2.0 * here.q[i] + before.q[i]) / (RATE_REACH_S * RATE_REACH_S);
-        JointState { q: here.q, qd: here.q.with_numbers(rate), qdd: here.q.with_numbers(bend) }
+        let state_later = |by_s: f64| self.motion.at(t_s + self.alignment.skew * t_s + by_s);
+        let here = state_later(0.0).unwrap_or_default();
+        let (before, after) = (state_later(-RATE_REACH_S), state_later(RATE_REACH_S));
+        let (Some(before), Some(after)) = (before, after) else { return here };
+        let speed = |i: usize| (after.q[i] - before.q[i]) / (2.0 * RATE_REACH_S);
+        let acceleration =
+            |i: usize| (after.q[i] - 2.0 * here.q[i] + before.q[i]) / (RATE_REACH_S * RATE_REACH_S);
+        JointState { q: here.q, qd: here.q.with_numbers(speed), qdd: here.q.with_numbers(acceleration) }
     }
 
     fn not_covered(&self, log: &ForceLog, observations: &[Observation], covered: usize) -> ForceError {
@@ -216,8 +219,8 @@ impl Surroundings<'_> {
             clock: log.clock.name(),
             from_s: -middle_s,
             to_s: log.values.duration_s() - middle_s,
-            first_s: observations.first().map_or(0.0, |one| one.t_s),
-            last_s: observations.last().map_or(0.0, |one| one.t_s),
+            first_s: observations.first().map_or(0.0, |sample| sample.t_s),
+            last_s: observations.last().map_or(0.0, |sample| sample.t_s),
         }
     }
 
@@ -230,21 +233,26 @@ impl Surroundings<'_> {
     ) -> Result<(Vec<f64>, Option<f64>), ForceError> {
         let samples = observations.iter().zip(rows);
         if kind == ForceKind::JointTorques {
-            let sample = |(observation, row): (&Observation, &Joints)| {
+            let torque_sample = |(observation, row): (&Observation, &Joints)| {
                 let state = self.state(observation.t_s);
                 TorqueSample::new(self.robot, self.base_m, self.gravity, &state, *row)
             };
-            let torques: Vec<TorqueSample> = samples.map(sample).collect();
+            let torques: Vec<TorqueSample> = samples.map(torque_sample).collect();
             let found = forces_from_torques(&torques).ok_or(ForceError::Torques)?;
             return Ok((found.along_n, Some(found.rms_nm)));
         }
-        let along = |(observation, row): (&Observation, &Joints)| {
+        let component = |(observation, row): (&Observation, &Joints)| {
+            // A row of one number is the component itself, or its sign.
             let &[x, y, z] = row.as_ref() else { return row[0] };
             let force = Vector3::new(x, y, z);
             let end = self.robot.forward(&self.state(observation.t_s).q);
-            let out = (end.translation.vector - self.base_m).normalize();
-            if kind == ForceKind::InFlange { out.dot(&(end.rotation * force)) } else { out.dot(&force) }
+            let direction = (end.translation.vector - self.base_m).normalize();
+            if kind == ForceKind::InFlange {
+                direction.dot(&(end.rotation * force))
+            } else {
+                direction.dot(&force)
+            }
         };
-        Ok((samples.map(along).collect(), None))
+        Ok((samples.map(component).collect(), None))
     }
 }

@@ -1,4 +1,8 @@
-//! The sphere that the robot's positions lie on: base and length of the bar without any encoder.
+//! The sphere that the robot's positions lie on: base (its centre `o`) and length `L` of the bar, from the robot's log alone.
+//!
+//! Random sample consensus finds a first sphere, least squares fit it to the positions near it, and the configured length is a
+//! prior of its radius. Positions on no sphere of the bar refuse the run: then likely mistakes in the joints of the log are
+//! tried, and one that puts the positions on such a sphere is named in the message.
 
 use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
 use rand::Rng;
@@ -56,8 +60,8 @@ pub(super) fn sphere_of_log(
     let reach_m = (robot.reach_m() + robot.last_from_end.translation.vector.norm()).max(1.0);
     let (tracer, mut trace, mut last_q) = (Tracer::new(robot), Trace::default(), None::<&Joints>);
     let is_near = |last: &Joints, q: &Joints| {
-        let travel: f64 = last.iter().zip(q.iter()).map(|(last, q)| (last - q).abs()).sum();
-        travel * reach_m < POSITIONS_APART_M
+        let travel_rad: f64 = last.iter().zip(q.iter()).map(|(last, q)| (last - q).abs()).sum();
+        travel_rad * reach_m < POSITIONS_APART_M
     };
     for q in log.q_rad.iter().step_by(log.q_rad.len().div_ceil(ROWS_MAX).max(1)) {
         if last_q.is_some_and(|last| is_near(last, q)) {
@@ -100,28 +104,28 @@ fn likely_mistake(
     options: &PrepareOptions,
 ) -> Option<String> {
     /// Share of the positions on the sphere: with a wrong joint it is a half, by chance and at standstills.
-    const ON_SPHERE: f64 = 0.8;
+    const ON_SPHERE_MIN: f64 = 0.8;
     /// Rounding of a column that never changes.
-    const STILL: f64 = 1e-9;
+    const CONSTANT: f64 = 1e-9;
     let joints = tried_joints(log);
     let conversion = JointConversion::of(config).ok().filter(|conversion| conversion.axes() == log.axes());
     let columns: Option<Vec<Joints>> =
         conversion.as_ref().map(|conversion| joints.iter().map(|q| conversion.to_raw(q)).collect());
-    let fitted = |joints: Vec<Joints>| {
+    let sphere_of_bar = |joints: Vec<Joints>| {
         let positions: Vec<_> = joints.iter().map(|q| robot.forward(q).translation.vector).collect();
         let sphere = fit_sphere(&positions, options.sphere_tolerance_mm * 1e-3)?;
-        let of_bar = (sphere.radius_m - length_m).abs() * 1e3 < options.length_tolerance_mm;
-        (of_bar && sphere.inliers > ON_SPHERE && !is_flat(&positions)).then_some(sphere)
+        let has_length = (sphere.radius_m - length_m).abs() * 1e3 < options.length_tolerance_mm;
+        (has_length && sphere.inliers > ON_SPHERE_MIN && !is_flat(&positions)).then_some(sphere)
     };
-    let tried = |mistake: JointMistake| {
-        let of_joints = joints.iter().map(|q| mistake.undone(q)).collect();
-        let of_columns = conversion.as_ref().zip(columns.as_ref()).map(|(conversion, columns)| {
+    let spheres_without = |mistake: JointMistake| {
+        let corrected_joints = joints.iter().map(|q| mistake.undone(q)).collect();
+        let corrected_columns = conversion.as_ref().zip(columns.as_ref()).map(|(conversion, columns)| {
             columns.iter().map(|raw| conversion.to_joint(&mistake.undone(raw))).collect()
         });
-        let spheres = [Some(of_joints), of_columns].into_iter().flatten().filter_map(fitted);
-        spheres.map(move |sphere| (mistake, sphere)).collect::<Vec<_>>()
+        let corrected = [Some(corrected_joints), corrected_columns].into_iter().flatten();
+        corrected.filter_map(sphere_of_bar).map(move |sphere| (mistake, sphere)).collect::<Vec<_>>()
     };
-    let found = JointMistake::all(log.axes()).into_iter().flat_map(tried);
+    let found = JointMistake::all(log.axes()).into_iter().flat_map(spheres_without);
     let best =
         found.max_by(|(_, a), (_, b)| a.inliers.total_cmp(&b.inliers).then(b.rms_m.total_cmp(&a.rms_m)));
     if let Some((mistake, sphere)) = best {
@@ -133,19 +137,21 @@ fn likely_mistake(
     if let Some(turned) = turned_plate(log, robot, length_m, options) {
         return Some(turned);
     }
-    let constant = |rows: &Vec<Joints>| ranges(rows).iter().position(|[low, high]| high - low < STILL);
-    let joint = constant(&joints).into_iter().chain(columns.as_ref().and_then(constant)).min()?;
+    let first_constant =
+        |rows: &Vec<Joints>| ranges(rows).iter().position(|[low, high]| high - low < CONSTANT);
+    let in_columns = columns.as_ref().and_then(first_constant);
+    let joint = first_constant(&joints).into_iter().chain(in_columns).min()?;
     Some(format!(
         "joint {} never moves in the log while others do: check what the logger reads for it",
         joint + 1
     ))
 }
 
-/// Joints at positions enough to distinguish one sphere from none.
+/// Joints in enough rows to distinguish positions on one sphere from others.
 fn tried_joints(log: &RobotLog) -> Vec<Joints> {
-    const TRIED: usize = 400;
-    let every = log.q_rad.len().div_ceil(TRIED).max(1);
-    log.q_rad.iter().step_by(every).copied().collect()
+    const ROWS: usize = 400;
+    let stride = log.q_rad.len().div_ceil(ROWS).max(1);
+    log.q_rad.iter().step_by(stride).copied().collect()
 }
 
 /// Describes a plate that is turned about the flange's axis against the configuration, if that brings the positions much nearer to
@@ -160,11 +166,11 @@ pub(super) fn turned_plate(
     /// by, and half a first step by less than the tolerance of a sphere.
     const STEP_DEG: f64 = 1.0;
     const FIRST_STEP_DEG: f64 = 3.0;
-    /// A turned plate leaves no more than this part of the distances from the sphere.
-    const PART_LEFT: f64 = 0.4;
+    /// The turn of a turned plate reduces the distances from the sphere to this part or less.
+    const REDUCED_TO: f64 = 0.4;
     let joints = tried_joints(log);
     let last = log.axes().checked_sub(1)?;
-    let turned = |by_deg: f64| {
+    let positions_after = |by_deg: f64| {
         let position = |q: &Joints| {
             let mut q = *q;
             q[last] += by_deg.to_radians();
@@ -172,30 +178,31 @@ pub(super) fn turned_plate(
         };
         joints.iter().map(position).collect::<Vec<_>>()
     };
-    let fitted = |by_deg: f64| {
-        let positions = turned(by_deg);
+    // The turn, the sphere after it, and the median distance of all positions from it.
+    let turned = |by_deg: f64| {
+        let positions = positions_after(by_deg);
         let sphere = fit_sphere(&positions, options.sphere_tolerance_mm * 1e-3)?;
         // Those that are not near it count as well: else a sphere through a few would be the best.
-        let mut away_m: Vec<f64> = positions.iter().map(|p| sphere.sphere().distance(p).abs()).collect();
-        Some((by_deg, sphere, median(&mut away_m)?))
+        let mut distances_m: Vec<f64> = positions.iter().map(|p| sphere.sphere().distance(p).abs()).collect();
+        Some((by_deg, sphere, median(&mut distances_m)?))
     };
-    let (_, _, usual_m) = fitted(0.0)?;
+    let (_, _, as_configured_m) = turned(0.0)?;
     let best = |from_deg: f64, to_deg: f64, step_deg: f64| {
         let steps = ((to_deg - from_deg) / step_deg) as u32;
-        let all = (0..=steps).filter_map(|step| fitted(from_deg + f64::from(step) * step_deg));
-        all.min_by(|a, b| a.2.total_cmp(&b.2))
+        let tried = (0..=steps).filter_map(|step| turned(from_deg + f64::from(step) * step_deg));
+        tried.min_by(|(.., a_m), (.., b_m)| a_m.total_cmp(b_m))
     };
     let (near_deg, ..) = best(-180.0, 180.0 - FIRST_STEP_DEG, FIRST_STEP_DEG)?;
-    let (by_deg, sphere, left_m) = best(near_deg - FIRST_STEP_DEG, near_deg + FIRST_STEP_DEG, STEP_DEG)?;
-    let of_bar = (sphere.radius_m - length_m).abs() * 1e3 < options.length_tolerance_mm;
-    (of_bar && by_deg != 0.0 && left_m < PART_LEFT * usual_m).then(|| {
+    let (by_deg, sphere, distance_m) = best(near_deg - FIRST_STEP_DEG, near_deg + FIRST_STEP_DEG, STEP_DEG)?;
+    let has_length = (sphere.radius_m - length_m).abs() * 1e3 < options.length_tolerance_mm;
+    (has_length && by_deg != 0.0 && distance_m < REDUCED_TO * as_configured_m).then(|| {
         format!(
             "the offset plate is rotated by about {by_deg:+.0} degrees on the flange, or the zero of joint {} is wrong by this angle: \
              with it half of the positions are within {:.1} mm of a sphere of the bar's length, without it within {:.1} mm. Add it to \
              theta_deg of the last link in the robot's file, or mount the plate as configured",
             last + 1,
-            left_m * 1e3,
-            usual_m * 1e3
+            distance_m * 1e3,
+            as_configured_m * 1e3
         )
     })
 }
@@ -213,16 +220,16 @@ fn is_flat(positions_m: &[Vector3<f64>]) -> bool {
 /// The sphere that most of `positions_m` lie on within `tolerance_m`; `None` if they span no sphere.
 ///
 /// Logs also hold the way to and from the bar: a first sphere through four positions that most others agree with
-/// (random sample consensus, Fischler and Bolles 1981, fixed seed) keeps those out. Then linear least squares on
-/// `|p|^2 = 2 p o + (L^2 - |o|^2)` and Gauss-Newton on the distances themselves.
+/// (random sample consensus, Fischler and Bolles 1981, fixed seed) keeps those out. Then linear least squares and
+/// Gauss-Newton on the distances, in turn with the selection of the positions near it.
 pub fn fit_sphere(positions_m: &[Vector3<f64>], tolerance_m: f64) -> Option<SphereFit> {
     let mut random = ChaCha8Rng::seed_from_u64(0);
     let mut best: Option<(usize, Sphere)> = None;
     for _ in 0..DRAWS {
-        let pick: [Vector3<f64>; 4] = [(); 4].map(|()| {
+        let draw: [Vector3<f64>; 4] = [(); 4].map(|()| {
             positions_m.get(random.random_range(0..positions_m.len().max(1))).copied().unwrap_or_default()
         });
-        let Some(sphere) = Sphere::linear(&pick) else { continue };
+        let Some(sphere) = Sphere::linear(&draw) else { continue };
         let agreeing = positions_m.iter().filter(|p| sphere.distance(p).abs() < tolerance_m).count();
         if best.is_none_or(|(most, _)| agreeing > most) {
             best = Some((agreeing, sphere));
@@ -251,10 +258,11 @@ impl SphereFit {
     /// fails.
     pub fn drawn_to_length(self, positions_m: &[Vector3<f64>], tolerance_m: f64, length_m: f64) -> Self {
         let sphere = self.sphere();
-        let on_it = sphere.near(positions_m, tolerance_m);
-        let weight = on_it.len() as f64 / POSITIONS_INDEPENDENT * (self.rms_m / LENGTH_SIGMA_M).powi(2);
-        let Some(drawn) = sphere.refined(&on_it, Some((length_m, weight))) else { return self };
-        Self { centre_m: drawn.centre_m, radius_m: drawn.radius_m, rms_m: drawn.rms(&on_it), ..self }
+        let inliers = sphere.near(positions_m, tolerance_m);
+        // The radius counts like `weight` positions: the ratio of variances, with the positions as fewer independent ones.
+        let weight = inliers.len() as f64 / POSITIONS_INDEPENDENT * (self.rms_m / LENGTH_SIGMA_M).powi(2);
+        let Some(sphere) = sphere.refined(&inliers, Some((length_m, weight))) else { return self };
+        Self { centre_m: sphere.centre_m, radius_m: sphere.radius_m, rms_m: sphere.rms(&inliers), ..self }
     }
 }
 
@@ -274,7 +282,7 @@ impl Sphere {
         positions_m.iter().filter(|p| self.distance(p).abs() < distance_m).copied().collect()
     }
 
-    /// Algebraic fit; `None` if the points lie in a plane.
+    /// Linear fit of `|p|^2 = 2 p o + (L^2 - |o|^2)`; `None` if the points lie in a plane.
     fn linear(positions_m: &[Vector3<f64>]) -> Option<Self> {
         /// Smallest ratio of singular values of points that span a sphere.
         const RATIO_MIN: f64 = 1e-3;

@@ -1,4 +1,4 @@
-//! The steps of the preparation in their order.
+//! The steps of the preparation in their order, as [`prepare`](super) numbers them, and the checks of both logs before them.
 
 use nalgebra::Vector3;
 use shared::config::{BallBarConfig, RobotConfig};
@@ -25,7 +25,7 @@ use crate::threads;
 
 /// Joints that travel less than this do not move \[deg\].
 const TRAVEL_DEG_MIN: f64 = 3.0;
-/// Longest log \[s\]. In a longer one mostly a clock was set.
+/// Longest log \[s\]: the usual cause of a longer one is a clock that was set.
 const DURATION_S_MAX: f64 = 24.0 * 3600.0;
 
 /// Largest number of changes of the counters' origin in one run: an hour of a bus that fails once a minute. Each has five parameters.
@@ -46,16 +46,15 @@ pub fn prepare(
     bar: &BallBarConfig,
     options: &PrepareOptions,
 ) -> Result<Prepared, PrepareError> {
-    let both = BothLogs::new(cycles, encoders, log, options)?;
-    let (angles, log) = (&both.angles, &*both.log);
+    let both_logs = BothLogs::new(cycles, encoders, log, options)?;
+    let (angles, log) = (&both_logs.angles, &*both_logs.log);
     check(angles, log, options)?;
     let (arm, bar_chain) = (robot_chain(robot, bar), ball_bar_chain(bar));
     let gravity = DriveTrain::of(robot, &arm).gravity;
-    let sphere = || sphere_of_log(log, &arm, robot, bar.length_m, options);
-    let (interpolated, sphere) = threads::both(|| log.spline(), sphere);
+    let fit_sphere = || sphere_of_log(log, &arm, robot, bar.length_m, options);
+    let (interpolated, sphere) = threads::both(|| log.spline(), fit_sphere);
     let (interpolated, sphere) = (interpolated?, sphere?);
-    let robot = arm;
-    let predictor = Predictor::new(&interpolated, &robot, &bar_chain, sphere.centre_m)?;
+    let predictor = Predictor::new(&interpolated, &arm, &bar_chain, sphere.centre_m)?;
     let recorded_joints: Vec<u8> = encoders.iter().map(|encoder| encoder.joint).collect();
     let search = Search {
         readings: &angles.readings,
@@ -64,39 +63,39 @@ pub fn prepare(
         log: &interpolated,
         log_duration_s: log.q_rad.duration_s(),
         predictor: &predictor,
-        chains: [&robot, &bar_chain],
+        chains: [&arm, &bar_chain],
         options,
     };
     let mut found = search.run().map_err(|error| match error {
         PrepareError::NoEncoderMap { recorded, limit_mrad, .. } => {
-            let likely = turned_plate(log, &robot, bar.length_m, options);
+            let likely = turned_plate(log, &arm, bar.length_m, options);
             PrepareError::NoEncoderMap { recorded, limit_mrad, likely }
         }
         error => error,
     })?;
     let (end_s, log_s) = (angles.readings.duration_s(), log.q_rad.duration_s());
-    let between = Reference::new(angles.first_time(), end_s, found.fit.clock, log_s);
-    let alignment = between.alignment(&found.matched, found.ambiguous, log);
-    let Reference { t_ref_s, t_ref, clock, .. } = between;
+    let reference_time = Reference::new(angles.first_time(), end_s, found.fit.clock, log_s);
+    let alignment = reference_time.alignment(&found.matched, found.ambiguous, log);
+    let Reference { t_ref_s, t_ref, clock, .. } = reference_time;
     let motion = AlignedLog::new(interpolated.clone(), clock.shift_s);
-    let (reference, origins) = join(&angles.readings, &mut found, t_ref_s);
+    let (reference_origin, origins) = join(&angles.readings, &mut found, t_ref_s);
     let numbers: Vec<usize> = origins.iter().map(|span| span.number).collect();
-    let mut sorted = sort(&angles.readings, &found, &motion, t_ref_s, reference, &numbers, options)?;
-    let offsets = offsets(&found, reference, &sorted);
-    let initial = initial(found.fit.geometry.base.origin_m, &sphere, clock, &offsets);
-    let mut statuses = statuses_of_all(angles, &sorted.statuses);
-    let around = Surroundings {
+    let mut sorted = sort(&angles.readings, &found, &motion, t_ref_s, reference_origin, &numbers, options)?;
+    let offsets = encoder_offsets(&found, reference_origin, &sorted);
+    let initial = initial_values(found.fit.geometry.base.origin_m, &sphere, clock, &offsets);
+    let mut statuses = statuses_of_cycles(angles, &sorted.statuses);
+    let surroundings = Surroundings {
         t_ref,
         alignment: &alignment,
         motion: &motion,
-        robot: &robot,
+        robot: &arm,
         base_m: initial.base_m,
         gravity,
     };
-    let force = with_force(&mut sorted.observations, &mut statuses, log, &around)?;
+    let force = with_force(&mut sorted.observations, &mut statuses, log, &surroundings)?;
     let run = Run {
         cycles,
-        both: &both,
+        both: &both_logs,
         t_ref,
         clock,
         statuses: &statuses,
@@ -130,10 +129,10 @@ fn with_force(
     observations: &mut Vec<Observation>,
     statuses: &mut [SampleStatus],
     log: &RobotLog,
-    around: &Surroundings<'_>,
+    surroundings: &Surroundings<'_>,
 ) -> Result<Option<BarForces>, PrepareError> {
     let Some(force) = &log.force else { return Ok(None) };
-    let (forces, has_force) = put_on(observations, force, around)?;
+    let (forces, has_force) = put_on(observations, force, surroundings)?;
     // Samples are in the order of their cycles.
     let kept = statuses.iter_mut().filter(|status| **status == SampleStatus::Kept);
     kept.zip(has_force)
@@ -142,7 +141,7 @@ fn with_force(
     Ok(Some(forces))
 }
 
-fn initial(
+fn initial_values(
     base_m: Vector3<f64>,
     sphere: &SphereFit,
     clock: Clock,
@@ -157,7 +156,7 @@ fn initial(
 }
 
 /// Offsets of the reference origin and their scatter.
-fn offsets(found: &Found, reference: usize, sorted: &Sorted) -> Vec<EncoderOffset> {
+fn encoder_offsets(found: &Found, reference: usize, sorted: &Sorted) -> Vec<EncoderOffset> {
     let offsets = found.offset_fit.of_origin(reference);
     let measured = found.encoder_map.used.measured();
     let offset = |joint: usize| EncoderOffset {
@@ -169,7 +168,7 @@ fn offsets(found: &Found, reference: usize, sorted: &Sorted) -> Vec<EncoderOffse
 }
 
 /// Status of every cycle of the recording.
-fn statuses_of_all(angles: &BarAngles, of_samples: &[SampleStatus]) -> Vec<SampleStatus> {
+fn statuses_of_cycles(angles: &BarAngles, of_samples: &[SampleStatus]) -> Vec<SampleStatus> {
     let mut statuses = angles.statuses.clone();
     for (reading, status) in angles.readings.iter().zip(of_samples) {
         if let Some(slot) = statuses.get_mut(reading.cycle) {
@@ -185,15 +184,15 @@ fn check(angles: &BarAngles, log: &RobotLog, options: &PrepareOptions) -> Result
     if readings.is_empty() {
         return Err(PrepareError::NoValidCycle { cycles: angles.statuses.len() });
     }
-    let origins = angles.origins().saturating_sub(1);
-    if origins > ORIGIN_CHANGES_MAX {
-        return Err(PrepareError::TooManyOrigins { origins, most: ORIGIN_CHANGES_MAX });
+    let origin_changes = angles.origins().saturating_sub(1);
+    if origin_changes > ORIGIN_CHANGES_MAX {
+        return Err(PrepareError::TooManyOrigins { origins: origin_changes, most: ORIGIN_CHANGES_MAX });
     }
-    if let Some(dead) = constant_encoder(readings, &angles.measured) {
-        return Err(dead);
+    if let Some(error) = constant_encoder(readings, &angles.measured) {
+        return Err(error);
     }
-    let of_bar = readings.chunk_by(|a, b| a.origin == b.origin).map(travel).fold(0.0, f64::max);
-    require_motion("the recording", of_bar)?;
+    let bar_travel_rad = readings.chunk_by(|a, b| a.origin == b.origin).map(travel).fold(0.0, f64::max);
+    require_motion("the recording", bar_travel_rad)?;
     require_motion("the robot log", travel(&log.q_rad))?;
     check_length(("the recording", readings.duration_s()), log.q_rad.duration_s(), options)
 }
@@ -210,12 +209,12 @@ pub(super) fn check_length(
     log_s: f64,
     options: &PrepareOptions,
 ) -> Result<(), PrepareError> {
-    let logs = [other, ("the robot log", log_s)];
-    if let Some((what, seconds)) = logs.into_iter().find(|(_, seconds)| *seconds > DURATION_S_MAX) {
+    let robot = ("the robot log", log_s);
+    if let Some((what, seconds)) = [other, robot].into_iter().find(|(_, seconds)| *seconds > DURATION_S_MAX) {
         let hours_max = DURATION_S_MAX / 3600.0;
         return Err(PrepareError::TooLong { what, hours: seconds / 3600.0, hours_max });
     }
-    let (what, seconds) = if other.1 < log_s { logs[0] } else { logs[1] };
+    let (what, seconds) = if other.1 < log_s { other } else { robot };
     if seconds < options.overlap_min_s {
         return Err(PrepareError::TooShort { what, seconds, needed: options.overlap_min_s });
     }

@@ -1,4 +1,5 @@
-//! Overview of a run for reports, thinned so that ten hours have a few thousand points.
+//! Overview of a run for reports, from its samples, the status of each cycle, and the angles that the robot's log implies;
+//! thinned so that ten hours have a few thousand points.
 
 use serde::Serialize;
 use shared::recording::schema::CycleRecord;
@@ -150,7 +151,7 @@ impl Run<'_> {
                 noteworthy.map(|(index, status)| self.point(chunk * cycles_per_point + index, *status))
             })
             .collect();
-        let (standstills, jitter) = standstills(&self.still(), &self.encoder_map.measured());
+        let (standstills, jitter) = standstills(&self.readings_at_standstill(), &self.encoder_map.measured());
         let averaged = self.both.averaged(self.t_ref, self.clock, self.encoder_map, &standstills);
         let [unwrapped_encoders, unwrapped_joints] = self.both.unwrapped.clone();
         Timeline {
@@ -208,8 +209,9 @@ impl Run<'_> {
         let here = self.samples.get(index)?;
         let near = |sample: &&Sample| (sample.t_s - here.t_s).abs() <= SPEED_REACH_S * 1.01;
         let from = index.saturating_sub(NEIGHBOURS);
-        let before = self.samples.get(from..index)?.iter().find(near)?;
         let to = (index + 1 + NEIGHBOURS).min(self.samples.len());
+        // The furthest ones that are near.
+        let before = self.samples.get(from..index)?.iter().find(near)?;
         let after = self.samples.get(index + 1..to)?.iter().rev().find(near)?;
         let time_s = after.t_s - before.t_s;
         Some(largest_difference(&after.bar_rad, &before.bar_rad) / time_s)
@@ -222,20 +224,18 @@ impl Run<'_> {
         Some(largest_difference(&after, &before) / (2.0 * SPEED_REACH_S))
     }
 
-    /// Samples at which neither robot nor bar moves.
-    fn still(&self) -> Vec<Readings> {
+    /// Readings of the samples at which neither robot nor bar moves.
+    fn readings_at_standstill(&self) -> Vec<Readings> {
         let slow = |speed: Option<f64>| speed.is_some_and(|speed| speed < MOVING_RAD_S);
         let tau_s = |index: usize| self.clock.robot_time_s(self.samples[index].t_s);
         let is_still = rows(self.samples.len(), |index| {
             slow(self.bar_speed_rad_s(index)) && slow(self.robot_speed_rad_s(tau_s(index)))
         });
-        let still = is_still.into_iter().zip(self.samples).enumerate().filter(|(_, (is_still, _))| *is_still);
-        still
-            .filter_map(|(index, (_, Sample { t_s, bar_rad, .. }))| {
-                let robot_rad = self.predictor.robot_at(tau_s(index))?;
-                Some(Readings { t_s: *t_s, bar_rad: *bar_rad, robot_rad })
-            })
-            .collect()
+        let reading = |index: usize| {
+            let Sample { t_s, bar_rad, .. } = self.samples[index];
+            Some(Readings { t_s, bar_rad, robot_rad: self.predictor.robot_at(tau_s(index))? })
+        };
+        (0..self.samples.len()).filter(|index| is_still[*index]).filter_map(reading).collect()
     }
 }
 

@@ -1,10 +1,10 @@
 //! The force along the bar from the torques of the robot's joints.
 //!
-//! Held by the bar the robot feels one unknown force `F` along it: `tau = n F + Y p`, with `n = J^T u` for the direction
+//! The bar exerts one unknown force `F` on the robot, along its own axis: `tau = n F + Y p`, with `n = J^T u` for the direction
 //! `u` of the bar. `Y p` is linear in few numbers `p` that hold for the whole run: mass and first moments of each link
 //! (gravity), and Coulomb friction, viscous friction and inertia of each axis. A sample has a torque for each axis and one force; its
 //! component across `n` gives `p` by least squares, then each sample gives its force. The torques may be those of
-//! the motors or external ones: then `p` is near zero.
+//! the motors, or external ones: then `p` is near zero. Used by `forces` for force logs of joint torques.
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
@@ -12,13 +12,12 @@ use crate::kinematics::{Chain, Joints, Trace, Tracer};
 use crate::model::{BACKLASH_SPEED_RAD_S, JointState};
 
 /// Mass and three first moments of each link.
-const OF_LINK: usize = 4;
+const TERMS_PER_LINK: usize = 4;
 /// Coulomb friction, viscous friction and inertia.
-const OF_AXIS: usize = 3;
+const TERMS_PER_AXIS: usize = 3;
 /// Weight of one kilogram \[N\].
 const STANDARD_GRAVITY: f64 = 9.806_65;
-/// Combinations of terms that do less than this part of the strongest, in squares, are none: links' masses are not determined
-/// apart one by one.
+/// Combinations of terms with a smaller part of the largest squared effect are set to zero: torques do not determine them.
 const RANK_TOLERANCE: f64 = 1e-10;
 /// Number of times that the axes are reweighted by their residuals.
 const ROUNDS: usize = 3;
@@ -29,9 +28,11 @@ const SAMPLES_PER_TERM: usize = 5;
 
 /// One sample as the solve needs it.
 pub(super) struct TorqueSample {
+    /// `tau`.
     torque_nm: DVector<f64>,
-    /// Torques of one newton along the bar.
+    /// `n`: torques of one newton along the bar.
     by_force: DVector<f64>,
+    /// `Y`: torques of one unit of each term.
     by_term: DMatrix<f64>,
 }
 
@@ -53,60 +54,63 @@ impl TorqueSample {
     ) -> Self {
         let mut trace = Trace::default();
         Tracer::new(robot).trace(&state.q, &mut trace);
-        let out = (trace.position_m() - base_m).normalize();
+        let bar_direction = (trace.position_m() - base_m).normalize();
         let axes = robot.links.len();
-        let by_force = trace.joint_twists().map(|twist| out.dot(&twist.linear));
+        let by_force = trace.joint_twists().map(|twist| bar_direction.dot(&twist.linear));
         let by_force = DVector::from_iterator(axes, by_force);
-        let mut by_term = DMatrix::zeros(axes, (OF_LINK + OF_AXIS) * axes);
+        let mut by_term = DMatrix::zeros(axes, (TERMS_PER_LINK + TERMS_PER_AXIS) * axes);
         let weight = gravity * STANDARD_GRAVITY;
         let mut frame = robot.root_from_base;
-        for (link, (of_link, joint)) in robot.joined(&state.q).enumerate() {
-            frame *= of_link.transform(joint);
+        for (link, (link_parameters, joint)) in robot.joined(&state.q).enumerate() {
+            frame *= link_parameters.transform(joint);
             // Motors hold against gravity; those beyond the link do not feel it.
             for (joint, twist) in trace.point_twists(frame.translation.vector, link + 1).enumerate() {
-                by_term[(joint, OF_LINK * link)] = -twist.linear.dot(&weight);
+                by_term[(joint, TERMS_PER_LINK * link)] = -twist.linear.dot(&weight);
                 for axis in 0..3 {
-                    let moment: Vector3<f64> = frame.rotation.matrix().column(axis).into();
-                    by_term[(joint, OF_LINK * link + 1 + axis)] = -twist.angular.dot(&moment.cross(&weight));
+                    // One kilogram at one metre from the frame's origin.
+                    let lever: Vector3<f64> = frame.rotation.matrix().column(axis).into();
+                    by_term[(joint, TERMS_PER_LINK * link + 1 + axis)] =
+                        -twist.angular.dot(&lever.cross(&weight));
                 }
             }
         }
         for axis in 0..axes {
             let terms = [(state.qd[axis] / BACKLASH_SPEED_RAD_S).tanh(), state.qd[axis], state.qdd[axis]];
             for (kind, term) in terms.into_iter().enumerate() {
-                by_term[(axis, OF_LINK * axes + OF_AXIS * axis + kind)] = term;
+                by_term[(axis, TERMS_PER_LINK * axes + TERMS_PER_AXIS * axis + kind)] = term;
             }
         }
         Self { torque_nm: DVector::from_iterator(axes, torque_nm), by_force, by_term }
     }
 
-    /// The force that fits best to residual torques, each axis with its weight.
-    fn force(&self, left_nm: &DVector<f64>, weights: &DVector<f64>) -> f64 {
-        let weighed = self.by_force.component_mul(weights);
-        weighed.dot(left_nm) / weighed.dot(&self.by_force).max(f64::MIN_POSITIVE)
+    /// The force that fits best to torques, each axis with its weight: `n W tau / n W n`.
+    fn force(&self, torque_nm: &DVector<f64>, weights: &DVector<f64>) -> f64 {
+        let weighted = self.by_force.component_mul(weights);
+        weighted.dot(torque_nm) / weighted.dot(&self.by_force).max(f64::MIN_POSITIVE)
     }
 
-    fn left_nm(&self, terms: &DVector<f64>) -> DVector<f64> {
+    /// Torques without those of the terms: `tau - Y p`.
+    fn without_terms_nm(&self, terms: &DVector<f64>) -> DVector<f64> {
         &self.torque_nm - &self.by_term * terms
     }
 }
 
 /// The force of each sample; `None` if the samples are too few or not finite.
 pub(super) fn forces_from_torques(samples: &[TorqueSample]) -> Option<FromTorques> {
-    let (axes, terms) = samples.first()?.by_term.shape();
-    if samples.len() < SAMPLES_PER_TERM * terms {
+    let (axes, term_count) = samples.first()?.by_term.shape();
+    if samples.len() < SAMPLES_PER_TERM * term_count {
         return None;
     }
     let mut weights = DVector::repeat(axes, 1.0);
-    let mut terms = DVector::zeros(terms);
+    let mut terms = DVector::zeros(term_count);
     let mut sigma_nm = DVector::zeros(axes);
     for _ in 0..ROUNDS {
-        terms = solved(samples, &weights)?;
+        terms = least_squares_terms(samples, &weights)?;
         sigma_nm = spread_nm(samples, &terms, &weights);
         weights = sigma_nm.map(|sigma| sigma.max(SIGMA_MIN_NM).powi(-2));
     }
     let along_n: Vec<f64> =
-        samples.iter().map(|sample| sample.force(&sample.left_nm(&terms), &weights)).collect();
+        samples.iter().map(|sample| sample.force(&sample.without_terms_nm(&terms), &weights)).collect();
     let rms_nm = (sigma_nm.norm_squared() / axes as f64).sqrt();
     along_n.iter().all(|force| force.is_finite()).then_some(FromTorques { along_n, rms_nm })
 }
@@ -115,9 +119,9 @@ pub(super) fn forces_from_torques(samples: &[TorqueSample]) -> Option<FromTorque
 fn spread_nm(samples: &[TorqueSample], terms: &DVector<f64>, weights: &DVector<f64>) -> DVector<f64> {
     let axes = weights.len();
     let squares = samples.iter().fold(DVector::zeros(axes), |sum: DVector<f64>, sample| {
-        let left = sample.left_nm(terms);
-        let rest = &left - &sample.by_force * sample.force(&left, weights);
-        sum + rest.component_mul(&rest)
+        let torque_nm = sample.without_terms_nm(terms);
+        let residual_nm = &torque_nm - &sample.by_force * sample.force(&torque_nm, weights);
+        sum + residual_nm.component_mul(&residual_nm)
     });
     // One of the torques went into the force.
     let count = samples.len() as f64 * (axes - 1) as f64 / axes as f64;
@@ -126,7 +130,7 @@ fn spread_nm(samples: &[TorqueSample], terms: &DVector<f64>, weights: &DVector<f
 
 /// Least squares across the force in each sample, of smallest norm where terms are not separated: those combinations do
 /// nothing to any torque of the run.
-fn solved(samples: &[TorqueSample], weights: &DVector<f64>) -> Option<DVector<f64>> {
+fn least_squares_terms(samples: &[TorqueSample], weights: &DVector<f64>) -> Option<DVector<f64>> {
     let terms = samples.first()?.by_term.ncols();
     let mut normal = DMatrix::zeros(terms, terms);
     let mut right = DVector::zeros(terms);
@@ -137,24 +141,25 @@ fn solved(samples: &[TorqueSample], weights: &DVector<f64>) -> Option<DVector<f6
             let column_force = sample.force(&column.clone_owned(), weights);
             column -= &sample.by_force * column_force;
         }
-        let torque = &sample.torque_nm - &sample.by_force * sample.force(&sample.torque_nm, weights);
-        let mut weighed = across.clone();
-        for mut column in weighed.column_iter_mut() {
+        let torque_across = &sample.torque_nm - &sample.by_force * sample.force(&sample.torque_nm, weights);
+        let mut weighted = across.clone();
+        for mut column in weighted.column_iter_mut() {
             column.component_mul_assign(weights);
         }
-        normal += weighed.tr_mul(&across);
-        right += weighed.tr_mul(&torque);
+        normal += weighted.tr_mul(&across);
+        right += weighted.tr_mul(&torque_across);
     }
+    // Terms of different units become comparable by the root of the diagonal.
     let scale = normal.diagonal().map(|entry: f64| if entry > 0.0 { entry.sqrt().recip() } else { 0.0 });
     let scaled = DMatrix::from_fn(terms, terms, |i, j| normal[(i, j)] * scale[i] * scale[j]);
     let eigen = scaled.symmetric_eigen();
-    let most = eigen.eigenvalues.max();
-    if !(most.is_finite() && most > 0.0) {
+    let largest = eigen.eigenvalues.max();
+    if !(largest.is_finite() && largest > 0.0) {
         return None;
     }
-    let mut turned = eigen.eigenvectors.tr_mul(&right.component_mul(&scale));
-    for (entry, value) in turned.iter_mut().zip(eigen.eigenvalues.iter()) {
-        *entry = if *value > RANK_TOLERANCE * most { *entry / value } else { 0.0 };
+    let mut by_eigenvector = eigen.eigenvectors.tr_mul(&right.component_mul(&scale));
+    for (entry, value) in by_eigenvector.iter_mut().zip(eigen.eigenvalues.iter()) {
+        *entry = if *value > RANK_TOLERANCE * largest { *entry / value } else { 0.0 };
     }
-    Some((eigen.eigenvectors * turned).component_mul(&scale))
+    Some((eigen.eigenvectors * by_eigenvector).component_mul(&scale))
 }

@@ -1,4 +1,5 @@
-//! The conditions of one experiment, by keys.
+//! The conditions of one experiment: errors, noise, number of points and encoders. From the keys of a series in the study's
+//! file and a size `x`: those under `with` are constant, those under `vary` are multiplied by `x`.
 
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;

@@ -1,4 +1,5 @@
-//! The file of a study: varied conditions, estimators, and questions about the result.
+//! The file of a study: figures with their varied conditions, estimators, and questions about the result; and its check. A
+//! figure has series; each size of a series is one point, with as many experiments as the study has seeds.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -231,7 +232,7 @@ pub struct UnknownFigure {
 impl StudyFile {
     /// An estimator by its name.
     pub fn estimator(&self, name: &str) -> Option<&Estimator> {
-        self.estimators.iter().find(|one| one.name == name)
+        self.estimators.iter().find(|estimator| estimator.name == name)
     }
 
     /// Removes all other figures and the questions about them; keeps all if none is named.
@@ -248,7 +249,8 @@ impl StudyFile {
         }
         self.figures.retain(|figure| ids.contains(&figure.id));
         let is_kept = |choice: &Choice| ids.contains(&choice.figure);
-        self.statements.retain(|one| is_kept(&one.of) && one.against.as_ref().is_none_or(is_kept));
+        self.statements
+            .retain(|statement| is_kept(&statement.of) && statement.against.as_ref().is_none_or(is_kept));
         Ok(())
     }
 
@@ -257,9 +259,9 @@ impl StudyFile {
         series.estimators.as_deref().unwrap_or(&figure.estimators)
     }
 
-    fn check_figure(&self, at: usize, figure: &Figure) -> Result<(), Violation> {
+    fn check_figure(&self, index: usize, figure: &Figure) -> Result<(), Violation> {
         for (number, series) in figure.series.iter().enumerate() {
-            let key = |name: &str| format!("figures[{at}].series[{number}].{name}");
+            let key = |name: &str| format!("figures[{index}].series[{number}].{name}");
             if series.x.is_empty() || series.x.iter().any(|x| !x.is_finite()) {
                 return Err(Violation::new(
                     key("x"),
@@ -300,13 +302,13 @@ impl StudyFile {
     }
 
     fn check_choice(&self, key: &str, choice: &Choice) -> Result<(), Violation> {
-        let known = |figure: &Figure| {
+        let has_curve = |figure: &Figure| {
             let named = |series: &&Series| choice.series.as_ref().is_none_or(|name| *name == series.name);
             let mut series = figure.series.iter().filter(named);
             figure.id == choice.figure
                 && series.any(|series| self.estimators_of(figure, series).contains(&choice.estimator))
         };
-        if self.figures.iter().any(known) {
+        if self.figures.iter().any(has_curve) {
             return Ok(());
         }
         let problem =

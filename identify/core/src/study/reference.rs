@@ -1,4 +1,5 @@
-//! The path of experiments before errors are added.
+//! The path of experiments before errors are added: random, planned, or from a log of a robot on the bar: the longest part in
+//! which the end of the nominal robot is on a sphere, with the joints of the bar by inverse kinematics.
 
 use nalgebra::{Translation3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -89,8 +90,8 @@ impl Driven {
             |row: usize| ((positions[row] - sphere.centre_m).norm() - sphere.radius_m).abs() < ON_SPHERE_M;
         let mut longest = 0..0;
         for part in rows.parts_within(GAP_S) {
-            let places: Vec<usize> = part.collect();
-            for run in places.chunk_by(|a, b| is_on(*a) == is_on(*b)).filter(|run| is_on(run[0])) {
+            let indices: Vec<usize> = part.collect();
+            for run in indices.chunk_by(|a, b| is_on(*a) == is_on(*b)).filter(|run| is_on(run[0])) {
                 if run.len() > longest.len() {
                     longest = run[0]..run[0] + run.len();
                 }
@@ -105,15 +106,17 @@ impl Driven {
         let mut bar_rad: Vec<[f64; BAR_JOINTS]> = Vec::new();
         for q_rad in driven.iter() {
             let first = first_ball_bar_inverse(&bar, &arm.forward(q_rad))?;
-            let near = bar_rad.last().copied().unwrap_or(first);
-            let all = Configuration::ALL.map(|configuration| {
+            let previous = bar_rad.last().copied().unwrap_or(first);
+            let in_configurations = Configuration::ALL.map(|configuration| {
                 let joints = configuration.carry(&first);
-                std::array::from_fn(|i| nearest_turn(joints[i], near[i]))
+                std::array::from_fn(|i| nearest_turn(joints[i], previous[i]))
             });
-            let far = |joints: &[f64; BAR_JOINTS]| {
-                joints.iter().zip(&near).map(|(a, b)| (a - b).powi(2)).sum::<f64>()
+            let squared_distance = |joints: &[f64; BAR_JOINTS]| {
+                joints.iter().zip(&previous).map(|(a, b)| (a - b).powi(2)).sum::<f64>()
             };
-            let nearest = all.into_iter().min_by(|a, b| far(a).total_cmp(&far(b)));
+            let nearest = in_configurations
+                .into_iter()
+                .min_by(|a, b| squared_distance(a).total_cmp(&squared_distance(b)));
             bar_rad.extend(nearest);
         }
         let start_rad = std::array::from_fn(|joint| start_rad[joint]);

@@ -1,7 +1,7 @@
-//! `trials.jsonl`: a first line with the study, then one line for each experiment, in any order.
+//! `trials.jsonl`: a first line with the study's definition, then one line for each experiment ([`TrialRows`]), in any order.
 //!
 //! Lines are only appended while a study runs, so a process that is killed loses at most the line being written. At the end the
-//! lines are sorted: the file then does not depend on which machine computed them.
+//! lines are sorted: the file then does not depend on which machine computed them. `summary` and `table` read the results.
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
@@ -125,39 +125,20 @@ pub struct TrialRows {
     pub rows: Vec<Row>,
 }
 
-/// A row with its place in the study.
-pub(super) struct Placed<'a> {
-    pub(super) trial: Trial<'a>,
-    pub(super) estimator: &'a str,
-    pub(super) row: &'a Row,
-}
-
-impl Results {
-    /// All rows in the order of the study's experiments.
-    pub(super) fn placed<'a>(&'a self, definition: &'a Definition) -> impl Iterator<Item = Placed<'a>> {
-        trials(definition).filter_map(|trial| Some((trial, self.done.get(&trial.number)?))).flat_map(
-            |(trial, found)| {
-                let names = definition.study.estimators_of(trial.figure, trial.series);
-                names.iter().zip(&found.rows).map(move |(estimator, row)| Placed { trial, estimator, row })
-            },
-        )
-    }
-}
-
-/// Every `of`-th experiment, starting with the `number`-th.
+/// Part `number` (from 1) of a study in `count` parts: every `count`-th experiment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Shard {
     number: usize,
-    of: usize,
+    count: usize,
 }
 
 impl Shard {
     /// All experiments in one shard.
-    pub const WHOLE: Self = Self { number: 1, of: 1 };
+    pub const WHOLE: Self = Self { number: 1, count: 1 };
 
     /// Whether the shard contains an experiment.
     pub const fn has(self, trial: usize) -> bool {
-        trial % self.of == self.number - 1
+        trial % self.count == self.number - 1
     }
 }
 
@@ -165,10 +146,11 @@ impl FromStr for Shard {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let parsed =
-            text.split_once('/').and_then(|(number, of)| Some((number.parse().ok()?, of.parse().ok()?)));
+        let parsed = text
+            .split_once('/')
+            .and_then(|(number, count)| Some((number.parse().ok()?, count.parse().ok()?)));
         match parsed {
-            Some((number, of)) if number >= 1 && number <= of => Ok(Self { number, of }),
+            Some((number, count)) if number >= 1 && number <= count => Ok(Self { number, count }),
             _ => Err(format!(
                 "`{text}` is not a shard; give K/N for part K of N parts, K from 1 to N, such as 3/16"
             )),
@@ -181,7 +163,9 @@ impl FromStr for Shard {
 pub struct Results {
     path: PathBuf,
     file: File,
+    /// First line of the file.
     header: String,
+    /// Results by number of the experiment.
     done: BTreeMap<usize, TrialRows>,
 }
 
@@ -197,14 +181,14 @@ impl Results {
         std::fs::create_dir_all(directory).map_err(io_error)?;
         let mut file =
             OpenOptions::new().read(true).append(true).create(true).open(&path).map_err(io_error)?;
-        let (whole_bytes, found) = read(&path, &file)?;
-        file.set_len(whole_bytes).map_err(io_error)?;
-        let done = match found {
+        let WholeLines { bytes, contents } = read(&path, &file)?;
+        file.set_len(bytes).map_err(io_error)?;
+        let done = match contents {
             None => {
                 file.write_all(format!("{header}\n").as_bytes()).map_err(io_error)?;
                 BTreeMap::new()
             }
-            Some((other, done)) if other == *definition => done,
+            Some((in_file, done)) if in_file == *definition => done,
             Some(_) => return Err(ResultsError::OtherStudy { path }),
         };
         Ok(Self { path, file, header, done })
@@ -255,6 +239,24 @@ impl Results {
     }
 }
 
+/// A row with its place in the study.
+pub(super) struct Placed<'a> {
+    pub(super) trial: Trial<'a>,
+    pub(super) estimator: &'a str,
+    pub(super) row: &'a Row,
+}
+
+impl Results {
+    /// All rows in the order of the study's experiments.
+    pub(super) fn placed<'a>(&'a self, definition: &'a Definition) -> impl Iterator<Item = Placed<'a>> {
+        let done = trials(definition).filter_map(|trial| Some((trial, self.done.get(&trial.number)?)));
+        done.flat_map(|(trial, results)| {
+            let names = definition.study.estimators_of(trial.figure, trial.series);
+            names.iter().zip(&results.rows).map(move |(estimator, row)| Placed { trial, estimator, row })
+        })
+    }
+}
+
 /// Merges the results of the directories `shards` of one study into `out`; returns the study and all results.
 ///
 /// # Errors
@@ -264,7 +266,7 @@ pub fn merge(shards: &[PathBuf], out: &Path) -> Result<(Definition, Results), Re
     for shard in shards {
         let path = shard.join(NAME);
         let file = File::open(&path).map_err(refused(&path))?;
-        let Some((definition, done)) = read(&path, &file)?.1 else {
+        let Some((definition, done)) = read(&path, &file)?.contents else {
             return Err(ResultsError::Malformed { path, line: 1, reason: "it has no study".into() });
         };
         match &mut all {
@@ -279,30 +281,35 @@ pub fn merge(shards: &[PathBuf], out: &Path) -> Result<(Definition, Results), Re
     Ok((definition, results))
 }
 
-/// Bytes that are whole lines, and what is in them; none of nothing.
-type Found = (u64, Option<(Definition, BTreeMap<usize, TrialRows>)>);
+/// The lines of a file, without an incomplete last one.
+struct WholeLines {
+    /// Length of these lines.
+    bytes: u64,
+    /// The study and its results by number of the experiment; `None` without a line.
+    contents: Option<(Definition, BTreeMap<usize, TrialRows>)>,
+}
 
-fn read(path: &Path, file: &File) -> Result<Found, ResultsError> {
+fn read(path: &Path, file: &File) -> Result<WholeLines, ResultsError> {
     let malformed = |line: usize, reason: &serde_json::Error| ResultsError::Malformed {
         path: path.to_owned(),
         line,
         reason: reason.to_string(),
     };
     let (mut lines, mut text) = (BufReader::new(file), Vec::new());
-    let (mut bytes, mut number) = (0, 0);
-    let mut found: Option<(Definition, BTreeMap<usize, TrialRows>)> = None;
+    let mut whole = WholeLines { bytes: 0, contents: None };
+    let mut number = 0;
     loop {
         text.clear();
-        let read = lines.read_until(b'\n', &mut text).map_err(refused(path))?;
+        let line_bytes = lines.read_until(b'\n', &mut text).map_err(refused(path))?;
         if text.last() != Some(&b'\n') {
-            return Ok((bytes, found));
+            return Ok(whole);
         }
         number += 1;
-        bytes += read as u64;
-        match &mut found {
+        whole.bytes += line_bytes as u64;
+        match &mut whole.contents {
             None => {
                 let definition = serde_json::from_slice(&text).map_err(|error| malformed(number, &error))?;
-                found = Some((definition, BTreeMap::new()));
+                whole.contents = Some((definition, BTreeMap::new()));
             }
             Some((_, done)) => {
                 let rows: TrialRows =

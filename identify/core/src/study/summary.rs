@@ -1,4 +1,5 @@
-//! Summary of the results: curves, tables, and answers.
+//! Summary of a study's results for page and terminal. A point of a curve has the quantiles over the seeds of one size; answers
+//! are means or ratios of the curves' medians, or the size at which a curve reaches the limit; tables are those of the thesis.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +11,7 @@ use crate::statistics::quantile;
 
 /// A parameter with a larger median error counts as affected (thesis 3.3) \[mm|mrad\].
 const AFFECTED_MM_MRAD: f64 = 0.05;
-/// Number of parameters in a row of table B.1.
+/// Number of parameters in a row of table B.1 of the thesis.
 const LARGEST: usize = 5;
 
 /// Quantiles of the errors of all experiments of one point.
@@ -28,8 +29,9 @@ pub struct Spread {
 
 impl Spread {
     fn of(mut values: Vec<f64>) -> Self {
-        let mut at = |part| quantile(&mut values, part);
-        Self { median: at(0.5), lower_quartile: at(0.25), upper_quartile: at(0.75), worst: at(1.0) }
+        let [median, lower_quartile, upper_quartile, worst] =
+            [0.5, 0.25, 0.75, 1.0].map(|part| quantile(&mut values, part));
+        Self { median, lower_quartile, upper_quartile, worst }
     }
 }
 
@@ -178,7 +180,9 @@ fn curves_of(definition: &Definition, figure: &Figure, of_figure: &[&Placed<'_>]
                 figure: figure.id.clone(),
                 series: series.name.clone(),
                 estimator: estimator.clone(),
-                label: study.estimator(estimator).map_or_else(String::new, |one| one.label.clone()),
+                label: study
+                    .estimator(estimator)
+                    .map_or_else(String::new, |estimator| estimator.label.clone()),
                 limit_at: reach(&medians, study.limit_mm_mrad),
                 points,
             });
@@ -211,9 +215,9 @@ fn reach(medians: &[(f64, f64)], limit: f64) -> Reach {
     let crossing = sorted.windows(2).find(|pair| (pair[0].1 <= limit) != (pair[1].1 <= limit));
     if let Some(&[(x0, y0), (x1, y1)]) = crossing {
         let logarithmic = x0 > 0.0 && y0 > 0.0 && y1 > 0.0;
-        let of = |value: f64| if logarithmic { value.ln() } else { value };
-        let part = (of(limit) - of(y0)) / (of(y1) - of(y0));
-        let x = of(x0) + part * (of(x1) - of(x0));
+        let scaled = |value: f64| if logarithmic { value.ln() } else { value };
+        let part = (scaled(limit) - scaled(y0)) / (scaled(y1) - scaled(y0));
+        let x = scaled(x0) + part * (scaled(x1) - scaled(x0));
         return Reach::At(if logarithmic { x.exp() } else { x });
     }
     match (sorted.first(), sorted.last()) {
@@ -225,16 +229,16 @@ fn reach(medians: &[(f64, f64)], limit: f64) -> Reach {
 
 /// Answers a question, or checks a claim, by the curves; `limit` is that of the study \[mm|mrad\].
 fn finding(statement: &Statement, curves: &[Curve], limit: f64) -> Finding {
-    let of = chosen(curves, &statement.of);
+    let points = points_of(curves, &statement.of);
     let (value, answer) = match &statement.against {
-        None if statement.reaches_limit => reached(&of, limit),
+        None if statement.reaches_limit => size_at_limit(&points, limit),
         None => {
-            let mean = mean_of(&of);
+            let mean = mean_median(&points);
             (mean, mean.map(|mean| format!("{} {}", short(mean), unit(statement.of.measure))))
         }
         Some(against) => {
-            let times = ratio(&of, &chosen(curves, against), &statement.of, against);
-            (times, times.map(|times| format!("{} times as large", short(times))))
+            let ratio = ratio(&points, &points_of(curves, against), [&statement.of, against]);
+            (ratio, ratio.map(|ratio| format!("{} times as large", short(ratio))))
         }
     };
     let Statement { at_least, at_most, .. } = *statement;
@@ -260,8 +264,8 @@ struct Point<'a> {
 }
 
 /// The points that a statement selects.
-fn chosen<'a>(curves: &'a [Curve], choice: &Choice) -> Vec<Point<'a>> {
-    let is_meant = |curve: &&Curve| {
+fn points_of<'a>(curves: &'a [Curve], choice: &Choice) -> Vec<Point<'a>> {
+    let is_chosen = |curve: &&Curve| {
         curve.figure == choice.figure
             && curve.estimator == choice.estimator
             && choice.series.as_ref().is_none_or(|series| *series == curve.series)
@@ -269,11 +273,11 @@ fn chosen<'a>(curves: &'a [Curve], choice: &Choice) -> Vec<Point<'a>> {
     let points = |curve: &'a Curve| {
         curve.medians(choice).map(|(x, median)| Point { series: &curve.series, x, median })
     };
-    curves.iter().filter(is_meant).flat_map(points).collect()
+    curves.iter().filter(is_chosen).flat_map(points).collect()
 }
 
-/// The size at which the points reach the limit, as a number if there is one, and as a sentence.
-fn reached(points: &[Point<'_>], limit: f64) -> (Option<f64>, Option<String>) {
+/// The size at which the medians reach the limit, as a number if there is one, and as a sentence.
+fn size_at_limit(points: &[Point<'_>], limit: f64) -> (Option<f64>, Option<String>) {
     let medians: Vec<(f64, f64)> = points.iter().map(|point| (point.x, point.median)).collect();
     match reach(&medians, limit) {
         Reach::At(x) => (Some(x), Some(format!("{} is reached at {}", short(limit), short(x)))),
@@ -285,12 +289,13 @@ fn reached(points: &[Point<'_>], limit: f64) -> (Option<f64>, Option<String>) {
 
 /// Geometric mean of the ratios at equal sizes; for choices with different ranges of sizes the ratio of the geometric means. Points
 /// are compared within one series if both choices select the same series, else across series.
-fn ratio(of: &[Point<'_>], against: &[Point<'_>], choice: &Choice, other: &Choice) -> Option<f64> {
-    if choice.between != other.between {
-        return Some(mean_of(of)? / mean_of(against)?);
+fn ratio(points: &[Point<'_>], against: &[Point<'_>], choices: [&Choice; 2]) -> Option<f64> {
+    let [choice, against_choice] = choices;
+    if choice.between != against_choice.between {
+        return Some(mean_median(points)? / mean_median(against)?);
     }
-    let same_series = choice.series == other.series;
-    let ratios = of.iter().filter_map(|point| {
+    let same_series = choice.series == against_choice.series;
+    let ratios = points.iter().filter_map(|point| {
         let is_comparable =
             |other: &&Point<'_>| other.x == point.x && (!same_series || other.series == point.series);
         against.iter().find(is_comparable).map(|other| point.median / other.median)
@@ -298,7 +303,7 @@ fn ratio(of: &[Point<'_>], against: &[Point<'_>], choice: &Choice, other: &Choic
     geometric_mean(ratios)
 }
 
-fn mean_of(points: &[Point<'_>]) -> Option<f64> {
+fn mean_median(points: &[Point<'_>]) -> Option<f64> {
     geometric_mean(points.iter().map(|point| point.median))
 }
 
@@ -340,8 +345,8 @@ fn levels_table(definition: &Definition, figure: &Figure, of_figure: &[&Placed<'
     let rows = curves_of(definition, figure, of_figure).into_iter().flat_map(|curve| {
         let Curve { series, label, points, .. } = curve;
         points.into_iter().map(move |point| {
-            let cell = |measure, of: fn(&Spread) -> f64| {
-                point.errors.get(&measure).map_or_else(|| "none".into(), |spread| short(of(spread)))
+            let cell = |measure, value: fn(&Spread) -> f64| {
+                point.errors.get(&measure).map_or_else(|| "none".into(), |spread| short(value(spread)))
             };
             vec![
                 series.clone(),
@@ -368,31 +373,32 @@ fn levels_table(definition: &Definition, figure: &Figure, of_figure: &[&Placed<'
 
 /// A row for each series and estimator: the parameters whose median error exceeds [`AFFECTED_MM_MRAD`].
 fn affected_table(of_figure: &[&Placed<'_>]) -> FigureTable {
-    // Errors of each parameter by series and estimator, in order of appearance; one value for each seed.
+    /// Errors by parameter; one value for each seed.
     type Errors<'a> = BTreeMap<&'a str, Vec<f64>>;
+    // Series and estimators in order of appearance, with their errors.
     let mut keys: Vec<(&str, &str)> = Vec::new();
-    let mut found: Vec<Errors<'_>> = Vec::new();
+    let mut errors_by_key: Vec<Errors<'_>> = Vec::new();
     for placed in of_figure {
         let key = (placed.trial.series.name.as_str(), placed.estimator);
-        let at = keys.iter().position(|known| *known == key).unwrap_or_else(|| {
+        let index = keys.iter().position(|known| *known == key).unwrap_or_else(|| {
             keys.push(key);
-            found.push(Errors::new());
+            errors_by_key.push(Errors::new());
             keys.len() - 1
         });
         for (name, error) in &placed.row.errors {
-            found[at].entry(name).or_default().push(error.abs());
+            errors_by_key[index].entry(name).or_default().push(error.abs());
         }
     }
-    let rows = keys.into_iter().zip(found).map(|((series, estimator), errors)| {
+    let rows = keys.into_iter().zip(errors_by_key).map(|((series, estimator), errors)| {
         let medians = errors.into_iter().map(|(name, values)| (name, Spread::of(values).median));
-        let mut off: Vec<(&str, f64)> = medians.filter(|(_, error)| *error > AFFECTED_MM_MRAD).collect();
-        off.sort_by(|a, b| b.1.total_cmp(&a.1));
-        let names = off.iter().map(|(name, error)| format!("{name} ({})", short(*error)));
+        let mut affected: Vec<(&str, f64)> = medians.filter(|(_, error)| *error > AFFECTED_MM_MRAD).collect();
+        affected.sort_by(|(_, a), (_, b)| b.total_cmp(a));
+        let names = affected.iter().map(|(name, error)| format!("{name} ({})", short(*error)));
         let names = names.collect::<Vec<_>>().join(", ");
         vec![
             series.into(),
             estimator.into(),
-            off.len().to_string(),
+            affected.len().to_string(),
             if names.is_empty() { "none".into() } else { names },
         ]
     });
@@ -401,20 +407,20 @@ fn affected_table(of_figure: &[&Placed<'_>]) -> FigureTable {
 
 /// A row for each parameter, a column for each estimator: errors of the first experiment.
 fn errors_table(of_figure: &[&Placed<'_>]) -> FigureTable {
-    let first: Vec<&&Placed<'_>> = of_figure.iter().filter(|placed| placed.trial.seed == 1).collect();
+    let experiment: Vec<&&Placed<'_>> = of_figure.iter().filter(|placed| placed.trial.seed == 1).collect();
     let mut names: Vec<&String> = Vec::new();
-    for name in first.iter().flat_map(|placed| placed.row.errors.keys()) {
+    for name in experiment.iter().flat_map(|placed| placed.row.errors.keys()) {
         if !names.contains(&name) {
             names.push(name);
         }
     }
     let head: Vec<&str> =
-        ["parameter"].into_iter().chain(first.iter().map(|placed| placed.estimator)).collect();
+        ["parameter"].into_iter().chain(experiment.iter().map(|placed| placed.estimator)).collect();
     let row = |name: &&String| {
         let cell = |placed: &&&Placed<'_>| {
             placed.row.errors.get(*name).map_or_else(|| "-".into(), |error| format!("{error:.4}"))
         };
-        std::iter::once((*name).clone()).chain(first.iter().map(cell)).collect()
+        std::iter::once((*name).clone()).chain(experiment.iter().map(cell)).collect()
     };
     table(&head, names.iter().map(row))
 }
@@ -424,7 +430,7 @@ fn largest_table(of_figure: &[&Placed<'_>]) -> FigureTable {
     let row = |placed: &&Placed<'_>| {
         let mut errors: Vec<(&String, f64)> =
             placed.row.errors.iter().map(|(name, error)| (name, error.abs())).collect();
-        errors.sort_by(|a, b| b.1.total_cmp(&a.1));
+        errors.sort_by(|(_, a), (_, b)| b.total_cmp(a));
         let names = errors.iter().take(LARGEST).map(|(name, error)| format!("{name} ({})", short(*error)));
         [placed.trial.seed.to_string(), placed.estimator.to_owned()].into_iter().chain(names).collect()
     };

@@ -1,4 +1,5 @@
-//! Every experiment as a row of `points.csv` and `points.parquet`.
+//! Writes the results of a study as tables, `points.csv` and `points.parquet`: a row for each estimator of each experiment.
+//! Both have the same columns, in the order whole numbers, texts, numbers.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -12,6 +13,7 @@ use parquet::schema::parser::parse_message_type;
 use super::results::{Placed, refused};
 use super::{Definition, Results, ResultsError, Row, Trial};
 
+/// Number of columns with texts, and with numbers.
 const TEXTS: usize = 4;
 const NUMBERS: usize = 5;
 
@@ -48,11 +50,11 @@ pub fn write_csv(
     let path = directory.join("points.csv");
     let mut writer = csv::Writer::from_path(&path)?;
     writer.write_record(Placed::WHOLE.iter().chain(&Placed::TEXT).chain(&Placed::NUMBER))?;
-    for line in results.placed(definition) {
-        let wholes = line.wholes().into_iter().map(|whole| whole.to_string());
-        let texts = line.texts().into_iter().map(str::to_owned);
+    for placed in results.placed(definition) {
+        let wholes = placed.wholes().into_iter().map(|whole| whole.to_string());
+        let texts = placed.texts().into_iter().map(str::to_owned);
         let numbers =
-            line.numbers().into_iter().map(|number| number.map_or_else(String::new, |x| x.to_string()));
+            placed.numbers().into_iter().map(|number| number.map_or_else(String::new, |x| x.to_string()));
         writer.write_record(wholes.chain(texts).chain(numbers))?;
     }
     writer.flush().map_err(refused(&path))?;
@@ -69,35 +71,34 @@ pub fn write_parquet(
     results: &Results,
 ) -> Result<PathBuf, ResultsError> {
     let path = directory.join("points.parquet");
-    let lines: Vec<Placed<'_>> = results.placed(definition).collect();
-    let column = |kind: &str, name: &&str| format!("{kind} {name};");
-    let columns: String = (Placed::WHOLE.iter().map(|name| column("required int64", name)))
-        .chain(Placed::TEXT.iter().map(|name| column("required binary", name).replace(';', " (UTF8);")))
-        .chain(Placed::NUMBER.iter().map(|name| column("optional double", name)))
+    let rows: Vec<Placed<'_>> = results.placed(definition).collect();
+    let columns: String = (Placed::WHOLE.iter().map(|name| format!("required int64 {name};")))
+        .chain(Placed::TEXT.iter().map(|name| format!("required binary {name} (UTF8);")))
+        .chain(Placed::NUMBER.iter().map(|name| format!("optional double {name};")))
         .collect();
     let schema = Arc::new(parse_message_type(&format!("message study {{ {columns} }}"))?);
     let file = File::create(&path).map_err(refused(&path))?;
     let mut writer = SerializedFileWriter::new(file, schema, Arc::new(WriterProperties::default()))?;
     let mut group = writer.next_row_group()?;
-    let mut at = 0;
+    let mut index = 0;
     while let Some(mut column) = group.next_column()? {
-        if at < Placed::WHOLE.len() {
-            let values: Vec<i64> = lines.iter().map(|line| line.wholes()[at]).collect();
+        if index < Placed::WHOLE.len() {
+            let values: Vec<i64> = rows.iter().map(|row| row.wholes()[index]).collect();
             column.typed::<Int64Type>().write_batch(&values, None, None)?;
-        } else if at < Placed::WHOLE.len() + TEXTS {
-            let text = at - Placed::WHOLE.len();
-            let values: Vec<ByteArray> =
-                lines.iter().map(|line| ByteArray::from(line.texts()[text])).collect();
+        } else if index < Placed::WHOLE.len() + TEXTS {
+            let text = index - Placed::WHOLE.len();
+            let values: Vec<ByteArray> = rows.iter().map(|row| ByteArray::from(row.texts()[text])).collect();
             column.typed::<ByteArrayType>().write_batch(&values, None, None)?;
         } else {
-            let number = at - Placed::WHOLE.len() - TEXTS;
-            let values: Vec<Option<f64>> = lines.iter().map(|line| line.numbers()[number]).collect();
-            let there: Vec<i16> = values.iter().map(|value| i16::from(value.is_some())).collect();
+            let number = index - Placed::WHOLE.len() - TEXTS;
+            let values: Vec<Option<f64>> = rows.iter().map(|row| row.numbers()[number]).collect();
+            // Parquet's definition level of an optional value: 1 if it is present.
+            let levels: Vec<i16> = values.iter().map(|value| i16::from(value.is_some())).collect();
             let values: Vec<f64> = values.into_iter().flatten().collect();
-            column.typed::<DoubleType>().write_batch(&values, Some(&there), None)?;
+            column.typed::<DoubleType>().write_batch(&values, Some(&levels), None)?;
         }
         column.close()?;
-        at += 1;
+        index += 1;
     }
     group.close()?;
     writer.close()?;

@@ -1,4 +1,5 @@
-//! One experiment of a study, and the result of every estimator.
+//! One experiment of a study: simulates it from the study's definition and its conditions, calibrates with every estimator of
+//! its figure, and compares with the simulated truth. The rows are a line of `results`.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -35,12 +36,13 @@ pub struct Trial<'a> {
 /// All experiments of a study, in order.
 pub fn trials(definition: &Definition) -> impl Iterator<Item = Trial<'_>> {
     let study = &definition.study;
-    let sizes = study.figures.iter().flat_map(|figure| {
-        figure.series.iter().flat_map(move |series| series.x.iter().map(move |&x| (figure, series, x)))
+    let all_series =
+        study.figures.iter().flat_map(|figure| figure.series.iter().map(move |series| (figure, series)));
+    let sizes = all_series.flat_map(|(figure, series)| series.x.iter().map(move |&x| (figure, series, x)));
+    let unnumbered = sizes.flat_map(|(figure, series, x)| {
+        (1..=study.seeds).map(move |seed| Trial { number: 0, figure, series, x, seed })
     });
-    let all =
-        sizes.flat_map(|(figure, series, x)| (1..=study.seeds).map(move |seed| (figure, series, x, seed)));
-    all.enumerate().map(|(number, (figure, series, x, seed))| Trial { number, figure, series, x, seed })
+    unnumbered.enumerate().map(|(number, trial)| Trial { number, ..trial })
 }
 
 /// Simulates one experiment and solves it with its estimators. A failed estimate is a row with its reason.
@@ -48,32 +50,35 @@ pub fn run(definition: &Definition, trial: &Trial<'_>) -> TrialRows {
     let study = &definition.study;
     let names = study.estimators_of(trial.figure, trial.series);
     let with_errors = trial.figure.kind != Kind::Curves;
-    let found = || -> Result<Vec<Row>, String> {
+    let solve_all = || -> Result<Vec<Row>, String> {
         let conditions = Conditions::of(study, trial.series, trial.x).map_err(|error| error.to_string())?;
         let estimators = || names.iter().map(|name| study.estimator(name));
-        let of_bar = |one: &Estimator| one.instrument == StudyInstrument::BallBar;
-        let bar = if estimators().flatten().any(of_bar) {
+        let uses_bar = |estimator: &Estimator| estimator.instrument == StudyInstrument::BallBar;
+        // All estimators with the bar solve the same readings.
+        let simulated = if estimators().flatten().any(uses_bar) {
             Some(simulate(definition, trial.seed, &conditions).map_err(|error| error.to_string())?)
         } else {
             None
         };
-        let row = |estimator: Option<&Estimator>| {
-            let row = match (estimator, &bar) {
+        let solve = |estimator: Option<&Estimator>| {
+            let row = match (estimator, &simulated) {
                 (Some(Estimator { instrument: StudyInstrument::Wire, .. }), _) => {
-                    by_wire(definition, trial.seed, &conditions)
+                    solve_wire(definition, trial.seed, &conditions)
                 }
-                (Some(estimator), Some(bar)) => by_bar(definition, bar, &estimator.config, with_errors),
+                (Some(estimator), Some(simulated)) => {
+                    solve_bar(definition, simulated, &estimator.config, with_errors)
+                }
                 _ => Err("there is no such estimator".into()),
             };
             row.unwrap_or_else(Row::failed)
         };
-        Ok(estimators().map(row).collect())
+        Ok(estimators().map(solve).collect())
     };
-    let rows = found().unwrap_or_else(|reason| vec![Row::failed(reason); names.len()]);
+    let rows = solve_all().unwrap_or_else(|reason| vec![Row::failed(reason); names.len()]);
     TrialRows { trial: trial.number, rows }
 }
 
-/// Readings of robot and bar, for each station.
+/// Readings of robot and bar for each station of the bar, with the true values, which all stations share.
 struct Simulated {
     stations: Vec<Prepared>,
     truth: Truth,
@@ -132,7 +137,8 @@ pub fn prepared(pairs: &Pairs, measured: [bool; 5], base_m: [f64; 3]) -> Result<
     Ok(Prepared::aligned(UtcNs(0), observations, motion, measured, base_m.into()))
 }
 
-fn by_bar(
+/// The errors of a calibration with the bar, on simulated readings.
+fn solve_bar(
     definition: &Definition,
     simulated: &Simulated,
     config: &IdentifyConfig,
@@ -143,16 +149,18 @@ fn by_bar(
     let data = DataSets { bars, rows: Vec::new() };
     let found = calibrate(&data, &definition.robot, config, None).map_err(|error| error.to_string())?;
     let compared = Comparison::new(&found, &simulated.truth).only(|id| Selection::Thesis.contains(id));
-    let errors = compared.parameters.iter().map(|one| (one.id.to_string(), one.error_displayed()));
+    let errors =
+        compared.parameters.iter().map(|parameter| (parameter.id.to_string(), parameter.error_displayed()));
     Ok(Row {
         euclidean_mm_mrad: Some(compared.euclidean_mm_mrad()),
         largest_mm_mrad: Some(compared.max_mm_mrad()),
         errors: if with_errors { errors.collect() } else { BTreeMap::new() },
-        ..position(found.model(), &simulated.truth, definition, [Vector3::zeros(); 2])
+        ..position_errors(found.model(), &simulated.truth, definition, [Vector3::zeros(); 2])
     })
 }
 
-fn by_wire(definition: &Definition, seed: u32, conditions: &Conditions) -> Result<Row, String> {
+/// The position errors of a calibration with a draw-wire, on rows simulated here.
+fn solve_wire(definition: &Definition, seed: u32, conditions: &Conditions) -> Result<Row, String> {
     let experiment = experiment(definition, seed, conditions);
     let (rows, truth) = wire_rows(&experiment, conditions.wire_rows, conditions.wire_noise_m)
         .map_err(|error| error.to_string())?;
@@ -160,10 +168,17 @@ fn by_wire(definition: &Definition, seed: u32, conditions: &Conditions) -> Resul
     let found = calibrate(&data, &definition.robot, &IdentifyConfig::default(), None);
     let found = found.map_err(|error| error.to_string())?;
     let model = &found.runs.first().ok_or("there is no data set")?.model;
-    Ok(position(model, &truth, definition, [model.geometry(&[]).wire.attachments_m[0], ATTACHMENT_M.into()]))
+    let estimated_m = model.geometry(&[]).wire.attachments_m[0];
+    Ok(position_errors(model, &truth, definition, [estimated_m, ATTACHMENT_M.into()]))
 }
 
-fn position(found: &Model, truth: &Truth, definition: &Definition, points_m: [Vector3<f64>; 2]) -> Row {
+/// A row with the errors of the position of a point on the flange; `points_m` is the point of the estimate and the true one.
+fn position_errors(
+    found: &Model,
+    truth: &Truth,
+    definition: &Definition,
+    points_m: [Vector3<f64>; 2],
+) -> Row {
     let (mean_m, p95_m) = position_errors_m(found, truth, &definition.robot, points_m);
     Row { position_mm: Some(mean_m * 1e3), position_p95_mm: Some(p95_m * 1e3), ..Row::default() }
 }

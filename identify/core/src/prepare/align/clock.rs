@@ -1,4 +1,4 @@
-//! Bar time to robot time, both from their own zero.
+//! The clock `tau = t + shift + skew t` from bar time `t` to robot time `tau`, each from its own zero: what is known in advance.
 
 use crate::model::Clock;
 
@@ -6,8 +6,8 @@ use crate::model::Clock;
 pub(in crate::prepare) const SHIFT_SIGMA_S: f64 = 0.05;
 /// Standard deviation of the relative rates of the clocks of controllers and instruments.
 pub(in crate::prepare) const SKEW_SIGMA: f64 = 100e-6;
-/// A step that takes a sample out of the robot's log is refused as a whole, so that a fit would end where the first sample
-/// reaches the end of the log. Samples that such a shift could take out are not used \[s\].
+/// Fits do not use samples nearer to an end of the robot's log \[s\]. A solver's step that takes a sample out of the log is
+/// refused as a whole, so the fit would end where the first sample reaches the end of the log.
 pub(in crate::prepare) const EDGE_S: f64 = 2.0 * SHIFT_SIGMA_S;
 
 impl Clock {

@@ -1,8 +1,13 @@
 //! The shift at which two sets of signals match best.
 //!
-//! Normalised cross-correlation where samples may be unknown (Padfield, "Masked object registration in the Fourier
-//! domain", IEEE Trans. Image Processing 21, 2012): at each shift only samples that both logs know are compared, with
-//! mean and variance of just these. So a log that covers ten times the other one, or holes, do not bias it.
+//! Normalised cross-correlation where samples may be unknown (Padfield, "Masked object registration in the Fourier domain",
+//! IEEE Trans. Image Processing 21, 2012): at each shift only the `n` samples that both logs know are compared, with mean and
+//! variance of just these. So a log that covers ten times the other one, or holes, do not bias it. With sums over these
+//! samples, and numerator and variances added over the channels:
+//!
+//! `r = (sum ab - sum a sum b / n) / sqrt((sum aa - (sum a)^2 / n) (sum bb - (sum b)^2 / n))`
+//!
+//! All sums at all shifts are products of Fourier transforms. Used for the clocks of recordings and trackers.
 
 use std::sync::Arc;
 
@@ -41,10 +46,10 @@ const TIE: f64 = 0.02;
 /// Finds the shift with the highest correlation of at least `overlap_min` points. `None` if no shift has as many, or nothing
 /// varies.
 pub fn correlate(first: &Channels, second: &Channels, overlap_min: usize) -> Option<Match> {
-    let mut found = candidates(first, second, overlap_min, usize::MAX);
-    let highest = found.first()?.correlation;
-    found.retain(|one| one.correlation >= highest - TIE);
-    longest_overlap(found, |one| one)
+    let mut matches = candidates(first, second, overlap_min, usize::MAX);
+    let highest = matches.first()?.correlation;
+    matches.retain(|matched| matched.correlation >= highest - TIE);
+    longest_overlap(matches, |matched| matched)
 }
 
 /// Of equally good matches that with the longest overlap: a tenth more counts as longer, otherwise the first one is taken.
@@ -62,24 +67,25 @@ pub fn candidates(first: &Channels, second: &Channels, overlap_min: usize, count
         .filter_map(|index| Some((index, scores[index].correlation?)))
         .collect();
     peaks.sort_by(|a, b| b.1.total_cmp(&a.1));
-    let mut apart: Vec<(usize, f64)> = Vec::new();
+    let mut distinct: Vec<(usize, f64)> = Vec::new();
     for (index, correlation) in peaks {
         let near = |other: usize| (scores[index].shift - scores[other].shift).abs() <= APART;
-        if !apart.iter().any(|&(other, _)| near(other)) {
-            apart.push((index, correlation));
+        if !distinct.iter().any(|&(other, _)| near(other)) {
+            distinct.push((index, correlation));
         }
-        if apart.len() > count {
+        // One more than asked for: the runner-up of a single match.
+        if distinct.len() > count {
             break;
         }
     }
-    let value = |place: usize| apart.get(place).map_or(0.0, |(_, correlation)| correlation.max(0.0));
-    let found = apart.iter().enumerate().take(count).map(|(place, &(index, correlation))| Match {
+    let correlation_of = |rank: usize| distinct.get(rank).map_or(0.0, |(_, value)| value.max(0.0));
+    let matches = distinct.iter().enumerate().take(count).map(|(rank, &(index, correlation))| Match {
         shift: scores[index].shift as f64 + vertex(&scores, index),
         correlation,
         overlap: scores[index].overlap,
-        runner_up: if place == 0 { value(1) } else { value(0) },
+        runner_up: if rank == 0 { correlation_of(1) } else { correlation_of(0) },
     });
-    found.collect()
+    matches.collect()
 }
 
 /// Correlations at all shifts of a short set of signals against a long one.
@@ -114,6 +120,7 @@ impl Correlations {
     }
 }
 
+/// Correlation at a shift in grid steps, over `overlap` grid points.
 #[derive(Clone, Copy)]
 struct Score {
     shift: i64,
@@ -133,10 +140,9 @@ fn is_peak(scores: &[Score], index: usize) -> bool {
 
 /// Where the parabola through a peak and its neighbours has its top, -0.5 to 0.5 steps from the peak.
 fn vertex(scores: &[Score], peak: usize) -> f64 {
-    let at =
-        |index: Option<usize>| index.and_then(|index| scores.get(index)).and_then(|score| score.correlation);
-    let (Some(left), Some(here), Some(right)) = (at(peak.checked_sub(1)), at(Some(peak)), at(Some(peak + 1)))
-    else {
+    let correlation = |index: usize| scores.get(index).and_then(|score| score.correlation);
+    let left = peak.checked_sub(1).and_then(correlation);
+    let (Some(left), Some(here), Some(right)) = (left, correlation(peak), correlation(peak + 1)) else {
         return 0.0;
     };
     let bend = left - 2.0 * here + right;
@@ -145,9 +151,9 @@ fn vertex(scores: &[Score], peak: usize) -> f64 {
 
 /// Correlation at every shift, in the order of the shifts.
 fn scores(first: &Channels, second: &Channels, overlap_min: usize) -> Vec<Score> {
-    let (n, m) = (first.known.len(), second.known.len());
-    let transform = Transform::new(n + m);
-    let masks = each(2, |place| transform.forward(&mask([first, second][place])));
+    let (first_len, second_len) = (first.known.len(), second.known.len());
+    let transform = Transform::new(first_len + second_len);
+    let masks = each(2, |number| transform.forward(&mask([first, second][number])));
     let overlaps = transform.product(&masks[0], &masks[1]);
     let mut covariance = vec![0.0; overlaps.len()];
     let mut variances = [vec![0.0; overlaps.len()], vec![0.0; overlaps.len()]];
@@ -157,7 +163,8 @@ fn scores(first: &Channels, second: &Channels, overlap_min: usize) -> Vec<Score>
         let (a, b) = (normalised(a, &first.known, scale), normalised(b, &second.known, scale));
         let squared = [&a, &b].map(|signal| signal.iter().map(|value| value * value).collect());
         let signals: [&Vec<f64>; 4] = [&a, &b, &squared[0], &squared[1]];
-        let spectra = each(signals.len(), |place| transform.forward(signals[place]));
+        let spectra = each(signals.len(), |number| transform.forward(signals[number]));
+        // A product with a mask is a sum over the points that the other log knows.
         let factors = [
             (&spectra[0], &spectra[1]),
             (&spectra[0], &masks[1]),
@@ -165,25 +172,26 @@ fn scores(first: &Channels, second: &Channels, overlap_min: usize) -> Vec<Score>
             (&spectra[2], &masks[1]),
             (&masks[0], &spectra[3]),
         ];
-        let sums = each(factors.len(), |place| transform.product(factors[place].0, factors[place].1));
+        let sums = each(factors.len(), |number| transform.product(factors[number].0, factors[number].1));
         for (index, overlap) in overlaps.iter().enumerate() {
-            let count = overlap.round().max(1.0);
-            let [ab, a, b, aa, bb] = std::array::from_fn(|place| sums[place][index]);
-            covariance[index] += ab - a * b / count;
-            variances[0][index] += aa - a.powi(2) / count;
-            variances[1][index] += bb - b.powi(2) / count;
+            let n = overlap.round().max(1.0);
+            let [sum_ab, sum_a, sum_b, sum_aa, sum_bb] = std::array::from_fn(|number| sums[number][index]);
+            covariance[index] += sum_ab - sum_a * sum_b / n;
+            variances[0][index] += sum_aa - sum_a.powi(2) / n;
+            variances[1][index] += sum_bb - sum_b.powi(2) / n;
         }
     }
-    // Shifts 1 - m .. n - 1; negative ones are at the upper end of the transform.
-    (1 - m as i64..n as i64)
+    // All shifts at which the sets overlap; negative ones are at the upper end of the transform.
+    (1 - second_len as i64..first_len as i64)
         .map(|shift| {
             let index = shift.rem_euclid(transform.length as i64) as usize;
             let overlap = overlaps[index].round().max(0.0) as usize;
-            let (va, vb) = (variances[0][index], variances[1][index]);
+            let (variance_a, variance_b) = (variances[0][index], variances[1][index]);
             // Channels of the second set have unit variance: far less than that in the overlap is standstill.
-            let still = 1e-3 * overlap as f64;
-            let usable = overlap >= overlap_min && va > still && vb > still;
-            let correlation = usable.then(|| (covariance[index] / (va * vb).sqrt()).clamp(-1.0, 1.0));
+            let standstill = 1e-3 * overlap as f64;
+            let usable = overlap >= overlap_min && variance_a > standstill && variance_b > standstill;
+            let correlation =
+                usable.then(|| (covariance[index] / (variance_a * variance_b).sqrt()).clamp(-1.0, 1.0));
             Score { shift, overlap, correlation }
         })
         .collect()

@@ -1,4 +1,8 @@
-//! Where in the robot's log the recording lies: candidates from the speeds, the best of them by the angles.
+//! The clocks, encoder map and offsets at which a recording fits a robot log: steps 4 to 6 of [`prepare`](crate::prepare).
+//!
+//! Candidates for rate and shift of the clocks are the peaks of the correlation of joint speeds over the window, the part of
+//! the recording with the most motion. At each, the angles give an encoder map and offsets: a hypothesis. The likely ones are
+//! refined. The fit with the smallest residuals is extended from the window to the whole recording.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -45,7 +49,7 @@ pub(in crate::prepare) struct Found {
     pub encoder_map: EncoderMapReport,
     /// Offsets by origin, refined, and configurations, on all samples.
     pub offset_fit: OffsetFit,
-    /// The fine fit; its times are those of the samples.
+    /// The refined fit; its clock is for times since the first reading.
     pub fit: Fit,
 }
 
@@ -62,8 +66,10 @@ const FIT_MAX: usize = 1500;
 const LONG_STRIDE: usize = 5;
 /// In a hole of this length the bar may pass a singular pose \[s\].
 const HOLE_S: f64 = 1.0;
+/// Grid steps within which two shifts are the same.
+const SAME_STEPS: f64 = 5.0;
 
-/// A shift, and how the angles fit there.
+/// A clock, with the encoder map and the offsets that the angles give at it, before refinement.
 pub(in crate::prepare) struct Hypothesis {
     matched: Match,
     clock: Clock,
@@ -86,49 +92,10 @@ impl Search<'_> {
     pub fn run(&self) -> Result<Found, PrepareError> {
         let step_s = grid_step_s(self.log_duration_s);
         let window = self.liveliest();
-        let shifts = self.shifts(&window, step_s)?;
-        let mut hypotheses = Vec::new();
-        let mut refusal = None;
-        for shift in shifts {
-            match self.hypothesis(&window, shift, step_s) {
-                Ok(hypothesis) => hypotheses.push(hypothesis),
-                Err(error) => {
-                    // A slip is the cause wherever it is found.
-                    let is_slip = matches!(error, PrepareError::EncoderSlip { .. });
-                    refusal = refusal.filter(|_| !is_slip).or(Some(error));
-                }
-            }
-        }
-        let best_rad = hypotheses.iter().map(Hypothesis::spread_rad).fold(f64::INFINITY, f64::min);
-        let closest = hypotheses.iter().map(|one| one.matched.correlation).fold(0.0, f64::max);
-        let is_closest = |one: &Hypothesis| one.matched.correlation >= closest;
-        hypotheses.retain(|one| is_closest(one) || one.spread_rad() <= NEAR_BEST * best_rad);
-        // The one whose speeds match best is always fitted: where laps are nearly alike, many fit nearly as well.
-        hypotheses.sort_by(|a, b| {
-            is_closest(b).cmp(&is_closest(a)).then(a.spread_rad().total_cmp(&b.spread_rad()))
-        });
-        // Several rates may lead to one clock, here and after a fit.
-        let mut distinct: Vec<Hypothesis> = Vec::new();
-        for hypothesis in hypotheses {
-            if !distinct.iter().any(|other| self.is_same(&window, other.clock, hypothesis.clock)) {
-                distinct.push(hypothesis);
-            }
-        }
-        distinct.truncate(FITTED_MAX);
-        let mut fitted: Vec<(Match, (EncoderMapReport, Fit))> = Vec::new();
-        for Hypothesis { matched, clock, encoder_map, offset_fit } in distinct {
-            let measured = encoder_map.used.measured();
-            let Some(fit) = self.refined(&offset_fit, &measured, clock, None) else { continue };
-            let mut others = fitted.iter_mut();
-            let same = others.find(|(_, (_, other))| self.is_same(&window, other.clock, fit.clock));
-            match same {
-                Some((_, (_, other))) if other.sigma_of_most_rad <= fit.sigma_of_most_rad => {}
-                Some(same) => *same = (matched, (encoder_map, fit)),
-                None => fitted.push((matched, (encoder_map, fit))),
-            }
-        }
+        let (hypotheses, refusal) = self.hypotheses(&window, step_s)?;
+        let fits = self.fits(&window, self.most_likely(&window, hypotheses));
         // By most of the samples, not by half: a wrong lap fits well wherever it is like the right one.
-        let best = best(fitted, |(_, fit)| fit.sigma_of_most_rad, |_, _| true);
+        let best = best(fits, |(_, fit)| fit.sigma_of_most_rad, |_, _| true);
         let Some(Best { matched, ambiguous, fit: (encoder_map, fit) }) = best else {
             let jump = self.jump_between_parts(&window, step_s);
             return Err(jump.or(refusal).unwrap_or(PrepareError::NothingToFit));
@@ -140,16 +107,79 @@ impl Search<'_> {
             return Err(jump);
         }
         let measured = encoder_map.used.measured();
-        let refit = |window: &Range<usize>, fit: &Fit| {
+        let fit_offsets_and_refine = |window: &Range<usize>, fit: &Fit| {
             let offset_fit = self.offset_fit(&self.pairs(window, fit.clock), &encoder_map.used);
             let fit = self.refined(&offset_fit, &measured, fit.clock, Some(fit))?;
             Some((offset_fit, fit))
         };
-        let first = refit(&window, &fit).ok_or(PrepareError::NothingToFit)?;
-        let refit = |window: &Range<usize>, (_, fit): &(_, Fit)| refit(window, fit);
-        let (mut offset_fit, fit) = extended(&self.readings.t_s, window, first, refit)?;
+        let in_window = fit_offsets_and_refine(&window, &fit).ok_or(PrepareError::NothingToFit)?;
+        let refit = |window: &Range<usize>, (_, fit): &(_, Fit)| fit_offsets_and_refine(window, fit);
+        let (mut offset_fit, fit) = extended(&self.readings.t_s, window, in_window, refit)?;
         offset_fit.correct(&fit.offsets_by_rad);
         Ok(Found { matched, ambiguous, encoder_map, offset_fit, fit })
+    }
+
+    /// A hypothesis for each candidate at which an encoder map fits, and the reason why another candidate has none.
+    fn hypotheses(
+        &self,
+        window: &Range<usize>,
+        step_s: f64,
+    ) -> Result<(Vec<Hypothesis>, Option<PrepareError>), PrepareError> {
+        let mut hypotheses = Vec::new();
+        let mut refusal = None;
+        for candidate in self.shifts(window, step_s)? {
+            match self.hypothesis(window, candidate, step_s) {
+                Ok(hypothesis) => hypotheses.push(hypothesis),
+                Err(error) => {
+                    // A slip is the cause wherever it is found.
+                    let is_slip = matches!(error, PrepareError::EncoderSlip { .. });
+                    refusal = refusal.filter(|_| !is_slip).or(Some(error));
+                }
+            }
+        }
+        Ok((hypotheses, refusal))
+    }
+
+    /// At most [`FITTED_MAX`] hypotheses with different clocks, the most likely first.
+    fn most_likely(&self, window: &Range<usize>, mut hypotheses: Vec<Hypothesis>) -> Vec<Hypothesis> {
+        let least_rad = hypotheses.iter().map(Hypothesis::spread_rad).fold(f64::INFINITY, f64::min);
+        let highest = hypotheses.iter().map(|other| other.matched.correlation).fold(0.0, f64::max);
+        // The one whose speeds match best is always fitted: where laps are nearly alike, many fit nearly as well.
+        let has_highest = |hypothesis: &Hypothesis| hypothesis.matched.correlation >= highest;
+        hypotheses.retain(|other| has_highest(other) || other.spread_rad() <= NEAR_BEST * least_rad);
+        hypotheses.sort_by(|a, b| {
+            has_highest(b).cmp(&has_highest(a)).then(a.spread_rad().total_cmp(&b.spread_rad()))
+        });
+        // Several rates may lead to one clock.
+        let mut distinct: Vec<Hypothesis> = Vec::new();
+        for hypothesis in hypotheses {
+            if !distinct.iter().any(|other| self.is_same(window, other.clock, hypothesis.clock)) {
+                distinct.push(hypothesis);
+            }
+        }
+        distinct.truncate(FITTED_MAX);
+        distinct
+    }
+
+    /// Refined fits of hypotheses; of those that end at the same clock only the best.
+    fn fits(
+        &self,
+        window: &Range<usize>,
+        hypotheses: Vec<Hypothesis>,
+    ) -> Vec<(Match, (EncoderMapReport, Fit))> {
+        let mut fits: Vec<(Match, (EncoderMapReport, Fit))> = Vec::new();
+        for Hypothesis { matched, clock, encoder_map, offset_fit } in hypotheses {
+            let measured = encoder_map.used.measured();
+            let Some(fit) = self.refined(&offset_fit, &measured, clock, None) else { continue };
+            let mut others = fits.iter_mut();
+            let same_clock = others.find(|(_, (_, other))| self.is_same(window, other.clock, fit.clock));
+            match same_clock {
+                Some((_, (_, other))) if other.sigma_of_most_rad <= fit.sigma_of_most_rad => {}
+                Some(worse) => *worse = (matched, (encoder_map, fit)),
+                None => fits.push((matched, (encoder_map, fit))),
+            }
+        }
+        fits
     }
 
     fn margin_rad(&self) -> f64 {
@@ -160,43 +190,50 @@ impl Search<'_> {
     fn liveliest(&self) -> Range<usize> {
         let travel_rad = |pair: [usize; 2]| {
             let [a, b] = pair.map(|sample| &self.readings[sample]);
-            let steps = a.recorded_rad.iter().zip(&b.recorded_rad).map(|(a, b)| (a - b).abs());
-            if a.origin == b.origin { steps.sum::<f64>() } else { 0.0 }
+            let differences = a.recorded_rad.iter().zip(&b.recorded_rad).map(|(a, b)| (a - b).abs());
+            if a.origin == b.origin { differences.sum::<f64>() } else { 0.0 }
         };
         liveliest(&self.readings.t_s, travel_rad)
     }
 
-    /// Since the first reading \[s\].
+    /// Time of a sample since the first one \[s\].
     fn time_s(&self, sample: usize) -> f64 {
         self.readings.t_s.get(sample).copied().unwrap_or_default()
     }
 
     /// Whether two clocks are the same throughout a window, by what the speeds resolve.
-    fn is_same(&self, window: &Range<usize>, one: Clock, other: Clock) -> bool {
+    fn is_same(&self, window: &Range<usize>, clock: Clock, other: Clock) -> bool {
         let ends_s = [window.start, window.end.saturating_sub(1)].map(|sample| self.time_s(sample));
-        ends_s.into_iter().all(|t_s| (one.robot_time_s(t_s) - other.robot_time_s(t_s)).abs() < SHIFT_SIGMA_S)
+        ends_s
+            .into_iter()
+            .all(|t_s| (clock.robot_time_s(t_s) - other.robot_time_s(t_s)).abs() < SHIFT_SIGMA_S)
     }
 
-    /// Rates less one at which the speeds are compared, and shifts at which they match there, for times since the window's first
-    /// sample, in grid steps.
+    /// Candidates: rates less one at which the speeds are compared, each with a shift at which they match. Shifts are for times
+    /// since the window's first sample, in grid steps.
     fn shifts(&self, window: &Range<usize>, step_s: f64) -> Result<Vec<(f64, Match)>, PrepareError> {
         let joints = self.joints();
-        let whole = |step_s| without_order(&self.predicted(step_s));
-        let part = |samples, step_s| {
+        let speeds_of_log = |step_s| without_order(&self.predicted(step_s));
+        let speeds_of_part = |samples, step_s| {
             without_order(&measured_speeds(&self.readings.slice(samples), &joints, step_s, 0.0))
         };
         let from_robot = self.predicted(step_s);
-        let (mut all, mut refusal) = (Vec::new(), None);
-        for rate in rates(&self.readings.t_s, window, self.log_duration_s, whole, part) {
+        let (mut candidates, mut refusal) = (Vec::new(), None);
+        for rate in rates(&self.readings.t_s, window, self.log_duration_s, speeds_of_log, speeds_of_part) {
             match self.candidates(window, &from_robot, rate, step_s) {
-                Ok(found) => all.extend(found.into_iter().map(|matched| (rate, matched))),
+                Ok(matches) => candidates.extend(matches.into_iter().map(|matched| (rate, matched))),
                 Err(error) => refusal = Some(error),
             }
         }
-        let refusal = refusal.filter(|_| all.is_empty());
-        refusal.map_or(Ok(all), |refusal| Err(self.jump_between_parts(window, step_s).unwrap_or(refusal)))
+        match refusal {
+            Some(refusal) if candidates.is_empty() => {
+                Err(self.jump_between_parts(window, step_s).unwrap_or(refusal))
+            }
+            _ => Ok(candidates),
+        }
     }
 
+    /// Matches at a rate: of the speeds joint by joint, and of those without order, for encoders recorded on wrong joints.
     fn candidates(
         &self,
         window: &Range<usize>,
@@ -209,26 +246,27 @@ impl Search<'_> {
         let needed_s = overlap_min_s(self.options, window_s, self.log_duration_s);
         let overlap_min = (needed_s / step_s) as usize;
         let from_bar = measured_speeds(&readings, &self.joints(), step_s, rate);
-        let from_robot = from_robot.clone();
-        let channels = [[&from_robot, &from_bar].map(without_order), [from_robot, from_bar]];
-        let found = each(channels.len(), |number| {
-            let [robot, bar] = &channels[number];
+        let by_joint = [from_robot.clone(), from_bar];
+        let unordered = by_joint.each_ref().map(without_order);
+        let compared = [unordered, by_joint];
+        let found = each(compared.len(), |number| {
+            let [robot, bar] = &compared[number];
             candidates(robot, bar, overlap_min, CANDIDATES)
         });
-        let [unordered, mut all]: [Vec<Match>; 2] = found.try_into().unwrap_or_default();
-        let highest = all.iter().chain(&unordered).max_by(|a, b| a.correlation.total_cmp(&b.correlation));
-        let highest = highest.map(|one| (one.correlation, one.overlap as f64 * step_s));
-        let high = |one: &Match| one.correlation >= self.options.correlation_min;
-        all.retain(high);
-        for one in unordered.into_iter().filter(high) {
-            if !all.iter().any(|other| (other.shift - one.shift).abs() < 5.0) {
-                all.push(one);
+        let [unordered, mut matches]: [Vec<Match>; 2] = found.try_into().unwrap_or_default();
+        let best = matches.iter().chain(&unordered).max_by(|a, b| a.correlation.total_cmp(&b.correlation));
+        let highest = best.map(|best| (best.correlation, best.overlap as f64 * step_s));
+        let is_high = |matched: &Match| matched.correlation >= self.options.correlation_min;
+        matches.retain(is_high);
+        for matched in unordered.into_iter().filter(is_high) {
+            if !matches.iter().any(|other| (other.shift - matched.shift).abs() < SAME_STEPS) {
+                matches.push(matched);
             }
         }
-        if all.is_empty() {
+        if matches.is_empty() {
             return Err(no_match("recording", highest, needed_s, self.options));
         }
-        Ok(all)
+        Ok(matches)
     }
 
     /// Recorded joints from 0.
@@ -247,12 +285,13 @@ impl Search<'_> {
         (skew, matched): (f64, Match),
         step_s: f64,
     ) -> Result<Hypothesis, PrepareError> {
-        let at_start = Clock { shift_s: matched.shift * step_s, skew };
-        let clock = at_start.counted_from(-self.time_s(window.start));
+        let since_window = Clock { shift_s: matched.shift * step_s, skew };
+        let clock = since_window.counted_from(-self.time_s(window.start));
         let pairs = self.pairs(window, clock);
         let slip = large_slip(&pairs, &self.readings.t_s, self.recorded_joints, self.options);
         let encoder_map = match (find_encoder_map(&pairs, self.recorded_joints, self.options), slip) {
             (Ok(_) | Err(PrepareError::NoEncoderMap { .. }), Some(slip)) => return Err(slip),
+            // The message also names the joints of the robot whose signs may be wrong instead.
             (Err(PrepareError::Mirrored { stated, .. }), _) => {
                 return Err(PrepareError::Mirrored { joints: mirroring_joints(self.chains[0]), stated });
             }
@@ -267,22 +306,22 @@ impl Search<'_> {
         let window_s = self.time_s(window.end.saturating_sub(1)) - self.time_s(window.start);
         let stride = if window_s > 1.1 * WINDOW_S { LONG_STRIDE } else { 1 };
         let mut pairs: Vec<AnglePair> = Vec::new();
-        let (mut segment, mut broken, mut before) = (0, false, None::<usize>);
+        let (mut segment, mut segment_ends, mut last_sample) = (0, false, None::<usize>);
         let within = window.start..window.end.min(self.readings.len());
-        let places: Vec<usize> = within.step_by(stride).collect();
-        let predicted = |place: usize| {
-            let bar = self.predictor.at(clock.robot_time_s(self.time_s(places[place])));
+        let samples: Vec<usize> = within.step_by(stride).collect();
+        let predicted = |index: usize| {
+            let bar = self.predictor.at(clock.robot_time_s(self.time_s(samples[index])));
             bar.filter(|bar| bar.margin_rad > self.margin_rad())
         };
-        for (&sample, bar) in places.iter().zip(rows(places.len(), predicted)) {
+        for (&sample, bar) in samples.iter().zip(rows(samples.len(), predicted)) {
             let (reading, t_s) = (&self.readings[sample], self.time_s(sample));
-            let parted = before.is_some_and(|before| {
-                self.readings[before].origin != reading.origin || t_s - self.time_s(before) > HOLE_S
+            let is_interrupted = last_sample.is_some_and(|last| {
+                self.readings[last].origin != reading.origin || t_s - self.time_s(last) > HOLE_S
             });
-            before = Some(sample);
-            broken |= parted || bar.is_none();
+            last_sample = Some(sample);
+            segment_ends |= is_interrupted || bar.is_none();
             let Some(bar) = bar else { continue };
-            if std::mem::take(&mut broken) {
+            if std::mem::take(&mut segment_ends) {
                 segment += 1;
             }
             let BarReading { origin, recorded_rad, .. } = *reading;
@@ -300,6 +339,7 @@ impl Search<'_> {
         fit_offsets(pairs, encoder_map, self.origins, limit_rad)
     }
 
+    /// [`refine`] on the samples of an offset fit, spread over the motion.
     fn refined(
         &self,
         offset_fit: &OffsetFit,

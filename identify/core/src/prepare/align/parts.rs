@@ -1,4 +1,5 @@
-//! A clock step so large that no single shift matches the whole run: found from parts of the run.
+//! A clock step so large that no single shift matches the whole run. The run is cut into parts, each is correlated with the
+//! robot's log, and the shifts have two levels. Used by `find` when no candidate fits, for the message of the refusal.
 
 use std::ops::Range;
 
@@ -12,7 +13,7 @@ const PARTS: usize = 6;
 /// Shifts that differ by this much are different \[s\].
 const DIFFERENT_S: f64 = 0.05;
 /// Share of a part that must lie in the robot's log.
-const OVERLAP: f64 = 0.6;
+const OVERLAP_MIN: f64 = 0.6;
 /// Smallest ratio of a step to the largest difference of neighbouring shifts on either side of it.
 const TIMES_SCATTER: f64 = 3.0;
 
@@ -37,17 +38,18 @@ impl Search<'_> {
     ) -> Option<PrepareError> {
         let parts = self.parts(window, step_s);
         let differ = |a: &Part, b: &Part| (a.shift_s - b.shift_s).abs() > DIFFERENT_S;
-        // A chance match of one part agrees with no other.
+        // Each side has two parts or more: a chance match of one part agrees with no other.
         let mut sides = parts.chunk_by(|a, b| !differ(a, b)).filter(|side| side.len() >= 2);
         let (before, after) = (sides.next()?, sides.next()?);
         if sides.next().is_some() || before.len() + after.len() + 1 < parts.len() {
             return None;
         }
         let by_s = after.first()?.shift_s - before.last()?.shift_s;
-        let sharp = by_s.abs() > DIFFERENT_S.max(TIMES_SCATTER * scatter_s(before).max(scatter_s(after)));
+        let is_step = by_s.abs() > DIFFERENT_S.max(TIMES_SCATTER * scatter_s(before).max(scatter_s(after)));
         let fits = |side: &[Part]| self.side_fits(side, step_s);
         let at_s = after.first()?.start_s;
-        (sharp && fits(before) && fits(after)).then_some(PrepareError::ClockJump { at_s, by_ms: 1e3 * by_s })
+        (is_step && fits(before) && fits(after))
+            .then_some(PrepareError::ClockJump { at_s, by_ms: 1e3 * by_s })
     }
 
     fn parts(&self, window: &Range<usize>, step_s: f64) -> Vec<Part> {
@@ -58,12 +60,12 @@ impl Search<'_> {
             let samples = start..(start + length).min(window.end);
             let start_s = *self.readings.t_s.get(start)?;
             let part = self.readings.slice(samples.clone());
-            let overlap_min = (OVERLAP * part.duration_s() / step_s) as usize;
+            let overlap_min = (OVERLAP_MIN * part.duration_s() / step_s) as usize;
             let from_bar = without_order(&measured_speeds(&part, &joints, step_s, 0.0));
             let matched = candidates(&from_robot, &from_bar, overlap_min, 1).pop()?;
-            let sure = matched.correlation >= self.options.correlation_min;
+            let is_high = matched.correlation >= self.options.correlation_min;
             let shift_s = matched.shift * step_s - start_s;
-            sure.then_some(Part { samples, start_s, matched, shift_s })
+            is_high.then_some(Part { samples, start_s, matched, shift_s })
         };
         window.clone().step_by(length).filter_map(part).collect()
     }

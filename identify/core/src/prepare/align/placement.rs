@@ -1,4 +1,8 @@
-//! Start values for the places of a tracker and its probe, for a robot whose poses are known.
+//! Start values for the places of a tracker and its probe, from observed positions at known poses of the robot. Used by the
+//! alignment of a tracker's log (`tracker`) and for the start of its solve (`instrument::tracker`).
+//!
+//! Row `k`: `T s_k = p_k + R_k y`, with the observed position `s_k`, the flange's position `p_k` and rotation `R_k`, and the
+//! unknown pose `T` of the tracker and position `y` of the probe on the flange.
 
 use std::collections::BTreeMap;
 
@@ -17,34 +21,34 @@ const FLATNESS: f64 = 1e-6;
 /// Places of tracker and probe for a robot at the poses `flanges`, without a first guess; `seen_m` is the probe in the tracker's
 /// frame at each, `turns` its `tracker_from_probe`, where that was measured. `None` if the positions lie on a line.
 ///
-/// `T s_k = p_k + R_k y`, alternating: for a known probe `y` the tracker's place `T` is the rigid motion between two
-/// clouds of points (Umeyama 1991), for a known `T` the probe is linear. It needs no turns between the poses, where
-/// closed forms for `A X = Z B` need turns about two axes; the probe's rotation is the mean over all poses.
+/// Alternating: for a known `y` the rotation of `T` is that between two clouds of points (Umeyama 1991), for a known rotation
+/// the position of `T` and `y` are linear. It needs no turns between the poses, where closed forms for `A X = Z B` need turns
+/// about two axes; the probe's rotation is the mean over all poses.
 pub fn placements(
     flanges: &[Pose],
     seen_m: &[Vector3<f64>],
     turns: impl Iterator<Item = Option<Rotation3<f64>>>,
 ) -> Option<[Placement; 2]> {
-    let mut place = Pose::identity();
+    let mut tracker = Pose::identity();
     let mut probe_m = Vector3::zeros();
     for _ in 0..ROUNDS {
-        let held: Vec<Vector3<f64>> =
+        let predicted_m: Vec<Vector3<f64>> =
             flanges.iter().map(|flange| flange.translation.vector + flange.rotation * probe_m).collect();
-        place.rotation = rotation_between(seen_m, &held)?;
-        let (position_m, offset_m) = positions(flanges, seen_m, &place.rotation);
-        place.translation = position_m.into();
-        probe_m = offset_m;
+        tracker.rotation = rotation_between(seen_m, &predicted_m)?;
+        let (tracker_m, fitted_probe_m) = positions(flanges, seen_m, &tracker.rotation);
+        tracker.translation = tracker_m.into();
+        probe_m = fitted_probe_m;
     }
-    let turns = turns.zip(flanges).filter_map(|(turn, flange)| Some((flange, &place, turn?)));
+    let turns = turns.zip(flanges).filter_map(|(turn, flange)| Some((flange, &tracker, turn?)));
     let probe = Pose::from_parts(probe_m.into(), mean_turn(turns));
-    Some([Placement::of(&place), Placement::of(&probe)])
+    Some([Placement::of(&tracker), Placement::of(&probe)])
 }
 
 /// Rotation of the probe on the flange: the mean over poses of the robot, places of the tracker and `tracker_from_probe`.
-fn mean_turn<'a>(seen: impl Iterator<Item = (&'a Pose, &'a Pose, Rotation3<f64>)>) -> Rotation3<f64> {
-    let turns =
-        seen.map(|(flange, place, turn)| *(flange.rotation.inverse() * place.rotation * turn).matrix());
-    nearest_rotation(&turns.sum())
+fn mean_turn<'a>(rows: impl Iterator<Item = (&'a Pose, &'a Pose, Rotation3<f64>)>) -> Rotation3<f64> {
+    let flange_from_probe =
+        rows.map(|(flange, tracker, turn)| *(flange.rotation.inverse() * tracker.rotation * turn).matrix());
+    nearest_rotation(&flange_from_probe.sum())
 }
 
 /// A target measured by a tracker at a pose of the robot.
@@ -69,64 +73,70 @@ pub struct Placements {
     pub probes: BTreeMap<usize, Placement>,
 }
 
-/// [`placements`] of all stations and targets. Rows of one set-up begin; each target then follows from the stations that are
-/// known, each station from the targets. `None` if the rows of a station lie on a line.
+/// [`placements`] of all stations and targets. The pair of station and target with the most rows begins; other targets then
+/// follow from known stations, other stations from known targets. `None` if the rows of a station lie on a line.
 pub fn all_placements(rows: &[Sighted]) -> Option<Placements> {
-    let mut open: BTreeMap<SetUp, Vec<Sighted>> = BTreeMap::new();
-    rows.iter().for_each(|row| open.entry(row.set_up).or_default().push(*row));
-    let mut open: Vec<Vec<Sighted>> = open.into_values().collect();
-    open.sort_by_key(|rows| std::cmp::Reverse(rows.len()));
+    let mut by_set_up: BTreeMap<SetUp, Vec<Sighted>> = BTreeMap::new();
+    rows.iter().for_each(|row| by_set_up.entry(row.set_up).or_default().push(*row));
+    let mut set_ups: Vec<Vec<Sighted>> = by_set_up.into_values().collect();
+    set_ups.sort_by_key(|rows| std::cmp::Reverse(rows.len()));
     let (mut places, mut probes) = (BTreeMap::<usize, Pose>::new(), BTreeMap::<usize, Pose>::new());
     loop {
-        let seen = |row: &Sighted| Some((*row, *places.get(&row.set_up.station)?));
-        let target = rows.iter().find(|row| !probes.contains_key(&row.set_up.target) && seen(row).is_some());
-        if let Some(Sighted { set_up: SetUp { target, .. }, .. }) = target {
-            let own = rows.iter().filter(|row| row.set_up.target == *target).filter_map(seen);
-            probes.insert(*target, probe(&own.collect::<Vec<_>>()));
+        // A row of a known station, with the pose of the tracker there.
+        let with_tracker = |row: &Sighted| Some((*row, *places.get(&row.set_up.station)?));
+        let new_target =
+            rows.iter().find(|row| !probes.contains_key(&row.set_up.target) && with_tracker(row).is_some());
+        if let Some(Sighted { set_up: SetUp { target, .. }, .. }) = new_target {
+            let of_target = rows.iter().filter(|row| row.set_up.target == *target).filter_map(with_tracker);
+            probes.insert(*target, probe(&of_target.collect::<Vec<_>>()));
             continue;
         }
-        let held = |row: &Sighted| Some((*row, row.flange * probes.get(&row.set_up.target)?));
-        let station =
-            rows.iter().find(|row| !places.contains_key(&row.set_up.station) && held(row).is_some());
-        if let Some(Sighted { set_up: SetUp { station, .. }, .. }) = station {
-            let own = rows.iter().filter(|row| row.set_up.station == *station).filter_map(held);
-            places.insert(*station, place(&own.collect::<Vec<_>>())?);
+        // A row of a known target, with the pose of the probe in the robot's frame.
+        let with_probe = |row: &Sighted| Some((*row, row.flange * probes.get(&row.set_up.target)?));
+        let new_station =
+            rows.iter().find(|row| !places.contains_key(&row.set_up.station) && with_probe(row).is_some());
+        if let Some(Sighted { set_up: SetUp { station, .. }, .. }) = new_station {
+            let of_station = rows.iter().filter(|row| row.set_up.station == *station).filter_map(with_probe);
+            places.insert(*station, place(&of_station.collect::<Vec<_>>())?);
             continue;
         }
-        let is_open = |rows: &&Vec<Sighted>| !places.contains_key(&rows[0].set_up.station);
-        let Some(own) = open.iter().find(is_open) else { break };
-        let flanges: Vec<Pose> = own.iter().map(|row| row.flange).collect();
-        let seen_m: Vec<Vector3<f64>> = own.iter().map(|row| row.seen_m).collect();
-        let [place, probe] = placements(&flanges, &seen_m, own.iter().map(|row| row.turn))?;
-        places.insert(own[0].set_up.station, place.pose());
-        probes.insert(own[0].set_up.target, probe.pose());
+        // Neither: the first set-up, or one that shares no station and target with those that are known.
+        let is_new = |rows: &&Vec<Sighted>| !places.contains_key(&rows[0].set_up.station);
+        let Some(largest) = set_ups.iter().find(is_new) else { break };
+        let flanges: Vec<Pose> = largest.iter().map(|row| row.flange).collect();
+        let seen_m: Vec<Vector3<f64>> = largest.iter().map(|row| row.seen_m).collect();
+        let [place, probe] = placements(&flanges, &seen_m, largest.iter().map(|row| row.turn))?;
+        places.insert(largest[0].set_up.station, place.pose());
+        probes.insert(largest[0].set_up.target, probe.pose());
     }
-    let all =
-        |of: BTreeMap<usize, Pose>| of.iter().map(|(number, at)| (*number, Placement::of(at))).collect();
-    Some(Placements { places: all(places), probes: all(probes) })
+    let as_placements = |poses: BTreeMap<usize, Pose>| {
+        poses.iter().map(|(number, pose)| (*number, Placement::of(pose))).collect()
+    };
+    Some(Placements { places: as_placements(places), probes: as_placements(probes) })
 }
 
 /// `flange_from_probe` of a target in rows from known places of the tracker: the mean over the rows.
 fn probe(rows: &[(Sighted, Pose)]) -> Pose {
-    let at_m = |(row, place): &(Sighted, Pose)| {
-        row.flange.inverse_transform_point(&place.transform_point(&row.seen_m.into())).coords
+    let on_flange_m = |(row, tracker): &(Sighted, Pose)| {
+        row.flange.inverse_transform_point(&tracker.transform_point(&row.seen_m.into())).coords
     };
-    let at_m: Vec<Vector3<f64>> = rows.iter().map(at_m).collect();
-    let turns = rows.iter().filter_map(|(row, place)| Some((&row.flange, place, row.turn?)));
-    Pose::from_parts(mean(&at_m).into(), mean_turn(turns))
+    let on_flange_m: Vec<Vector3<f64>> = rows.iter().map(on_flange_m).collect();
+    let turns = rows.iter().filter_map(|(row, tracker)| Some((&row.flange, tracker, row.turn?)));
+    Pose::from_parts(mean(&on_flange_m).into(), mean_turn(turns))
 }
 
-/// `root_from_tracker` of a station, from rows with the pose of the target in the robot's frame.
+/// `root_from_tracker` of a station, from rows with the pose of the probe in the robot's frame.
 fn place(rows: &[(Sighted, Pose)]) -> Option<Pose> {
     let seen_m: Vec<Vector3<f64>> = rows.iter().map(|(row, _)| row.seen_m).collect();
-    let held_m: Vec<Vector3<f64>> = rows.iter().map(|(_, held)| held.translation.vector).collect();
-    let turn = |(row, held): &(Sighted, Pose)| Some(*(held.rotation * row.turn?.inverse()).matrix());
-    let turns: Option<Vec<Matrix3<f64>>> = rows.iter().map(turn).collect();
-    let rotation = match turns {
-        Some(turns) => nearest_rotation(&turns.iter().sum()),
-        None => rotation_between(&seen_m, &held_m)?,
+    let probe_m: Vec<Vector3<f64>> = rows.iter().map(|(_, probe)| probe.translation.vector).collect();
+    let root_from_tracker =
+        |(row, probe): &(Sighted, Pose)| Some(*(probe.rotation * row.turn?.inverse()).matrix());
+    let rotations: Option<Vec<Matrix3<f64>>> = rows.iter().map(root_from_tracker).collect();
+    let rotation = match rotations {
+        Some(rotations) => nearest_rotation(&rotations.iter().sum()),
+        None => rotation_between(&seen_m, &probe_m)?,
     };
-    Some(Pose::from_parts((mean(&held_m) - rotation * mean(&seen_m)).into(), rotation))
+    Some(Pose::from_parts((mean(&probe_m) - rotation * mean(&seen_m)).into(), rotation))
 }
 
 fn mean(points: &[Vector3<f64>]) -> Vector3<f64> {
@@ -145,7 +155,7 @@ fn rotation_between(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> Option<Rotati
     Some(nearest_rotation(&sum))
 }
 
-/// The rotation nearest to a matrix; identity for one that points nowhere.
+/// The rotation nearest to a matrix, by its singular values; identity if these cannot be computed.
 pub(crate) fn nearest_rotation(matrix: &Matrix3<f64>) -> Rotation3<f64> {
     let svd = matrix.svd(true, true);
     let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else { return Rotation3::identity() };
@@ -153,7 +163,8 @@ pub(crate) fn nearest_rotation(matrix: &Matrix3<f64>) -> Rotation3<f64> {
     Rotation3::from_matrix_unchecked(u * flip * v_t)
 }
 
-/// Place of the tracker and of the probe for a known rotation of the tracker: linear.
+/// Positions `t` of the tracker and `y` of the probe for a known rotation `Q` of the tracker: least squares of
+/// `t - R_k y = p_k - Q s_k`.
 fn positions(
     flanges: &[Pose],
     seen_m: &[Vector3<f64>],
@@ -161,21 +172,24 @@ fn positions(
 ) -> (Vector3<f64>, Vector3<f64>) {
     let mut normal = DMatrix::<f64>::zeros(6, 6);
     let mut right = DVector::<f64>::zeros(6);
-    let weak = flanges.len() as f64 * (1e-3 / PROBE_SIGMA_M).powi(2);
+    // The prior of the probe, for positions with a standard deviation of 1 mm.
+    let prior_weight = flanges.len() as f64 * (1e-3 / PROBE_SIGMA_M).powi(2);
     for axis in 3..6 {
-        normal[(axis, axis)] = weak;
+        normal[(axis, axis)] = prior_weight;
     }
     for (flange, seen_m) in flanges.iter().zip(seen_m) {
-        let apart = flange.translation.vector - rotation * seen_m;
-        for i in 0..3 {
-            let turned = flange.rotation.matrix().row(i).transpose();
-            let unit = Vector3::ith(i, 1.0);
-            let line = SVector::<f64, 6>::from_iterator(unit.iter().chain((-turned).iter()).copied());
-            normal += line * line.transpose();
-            right += line * apart[i];
+        let difference = flange.translation.vector - rotation * seen_m;
+        for axis in 0..3 {
+            let rotation_row = flange.rotation.matrix().row(axis).transpose();
+            let unit = Vector3::ith(axis, 1.0);
+            let row = SVector::<f64, 6>::from_iterator(unit.iter().chain((-rotation_row).iter()).copied());
+            normal += row * row.transpose();
+            right += row * difference[axis];
         }
     }
-    let solved = normal.cholesky().map(|factor| factor.solve(&right));
-    let at = |i: usize| solved.as_ref().map_or(0.0, |x| x[i]);
-    (Vector3::new(at(0), at(1), at(2)), Vector3::new(at(3), at(4), at(5)))
+    let solution = normal.cholesky().map(|factor| factor.solve(&right));
+    let unknown = |index: usize| solution.as_ref().map_or(0.0, |solution| solution[index]);
+    let tracker_m = Vector3::new(unknown(0), unknown(1), unknown(2));
+    let probe_m = Vector3::new(unknown(3), unknown(4), unknown(5));
+    (tracker_m, probe_m)
 }

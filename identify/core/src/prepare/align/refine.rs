@@ -1,8 +1,9 @@
 //! Clocks, base and offsets from the angles: finer than the correlation of speeds, and right for runs of hours.
 //!
-//! The residual is the encoder angle minus the angle that the robot's pose implies, joint by joint. Nominal geometry is wrong by
-//! millimetres, which would hide the shift, the offsets of a new origin, or a slipped encoder. So all numbers of both chains may
-//! move within their tolerances (priors) in the same fit. The geometry of this fit is used only to classify the samples.
+//! The residual of a joint is `sin(margin) (b^ - b - offset)`: the angle `b^` that the robot's pose implies less the encoder's,
+//! weighted by the distance from singular poses. Nominal geometry is wrong by millimetres, which would hide the shift, the
+//! offsets of a new origin, or a slipped encoder. So all numbers of both chains may move within their tolerances (priors) in
+//! the same fit. Its geometry is used only to classify the samples ([`Residuals`]).
 
 use std::sync::Arc;
 
@@ -74,14 +75,14 @@ struct ImpliedAngles {
 struct Implied {
     bar: ImpliedBar,
     /// Weight of each joint.
-    trust: [f64; BAR_JOINTS],
+    weights: [f64; BAR_JOINTS],
 }
 
 impl ImpliedAngles {
     /// Weight of each joint at a posture.
-    fn trust(&self, bar_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
-        let trust = singularity_margin_rad(bar_rad).sin();
-        self.measured.map(|measured| if measured { trust } else { 0.0 })
+    fn weights(&self, bar_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
+        let weight = singularity_margin_rad(bar_rad).sin();
+        self.measured.map(|measured| if measured { weight } else { 0.0 })
     }
 }
 
@@ -93,35 +94,35 @@ impl Residual for ImpliedAngles {
     const ENCODERS: &'static [usize] = &[];
 
     fn depends_on(id: ParameterId) -> bool {
-        role(id).is_some()
+        prior_sigma(id).is_some()
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<Implied> {
         let (chain, tracer) = (scene.bar_chain, scene.bar_tracer);
         let measured_rad = &scene.observation.bar_rad;
-        let near = std::array::from_fn(|joint| self.measured[joint].then_some(measured_rad[joint]));
-        let bar = ImpliedBar::new(chain, tracer, scene.robot.end(), &near).ok()?;
-        Some(Implied { bar, trust: self.trust(measured_rad) })
+        let encoders_rad = std::array::from_fn(|joint| self.measured[joint].then_some(measured_rad[joint]));
+        let bar = ImpliedBar::new(chain, tracer, scene.robot.end(), &encoders_rad).ok()?;
+        Some(Implied { bar, weights: self.weights(measured_rad) })
     }
 
-    fn residual(&self, scene: &Scene<'_>, Implied { bar, trust }: &Implied, out: &mut [f64]) {
+    fn residual(&self, scene: &Scene<'_>, Implied { bar, weights }: &Implied, out: &mut [f64]) {
         for (joint, out) in out.iter_mut().enumerate() {
-            *out = trust[joint] * wrapped(bar.joints_rad[joint] - scene.bar_rad[joint]);
+            *out = weights[joint] * wrapped(bar.joints_rad[joint] - scene.bar_rad[joint]);
         }
     }
 
     fn derivative(
         &self,
         scene: &Scene<'_>,
-        Implied { bar, trust }: &Implied,
+        Implied { bar, weights }: &Implied,
         id: ParameterId,
         out: &mut [f64],
     ) {
         if let ParameterId::EncoderWave { joint, order, phase } = id {
-            out[joint] = trust[joint] * phase.wave(order, scene.readings[joint]);
+            out[joint] = weights[joint] * phase.wave(order, scene.readings[joint]);
             return;
         }
-        let joints = match (scene.movement(id), id) {
+        let implied = match (scene.movement(id), id) {
             (Movement::Robot(twist), _) => bar.by_pose(&twist),
             (Movement::Bar(_), _) => {
                 let link = if let ParameterId::Bar { link, .. } = id { Some(link) } else { None };
@@ -131,13 +132,13 @@ impl Residual for ImpliedAngles {
             (Movement::None, _) => return,
         };
         for (joint, out) in out.iter_mut().enumerate() {
-            *out = trust[joint] * joints[joint];
+            *out = weights[joint] * implied[joint];
         }
     }
 }
 
 /// Standard deviation of a parameter from its start value; `None` for fixed ones.
-fn role(id: ParameterId) -> Option<f64> {
+fn prior_sigma(id: ParameterId) -> Option<f64> {
     match id {
         // A link's theta is the same as the encoder's offset, which has its own column.
         ParameterId::Bar { parameter: LinkParameter::Theta, .. }
@@ -152,7 +153,7 @@ fn role(id: ParameterId) -> Option<f64> {
     }
 }
 
-/// The closed chain by its angles, with a column for each encoder's offset in each origin.
+/// The chain closed by robot and bar, by its angles, with a column for each encoder's offset in each origin.
 struct WithOffsets<'a> {
     chain: LoopProblem<'a, ImpliedAngles, AlignedLog>,
     residual: ImpliedAngles,
@@ -197,9 +198,9 @@ impl Problem for WithOffsets<'_> {
             if !chain(sample, residual, block) {
                 return false;
             }
-            let trust = self.residual.trust(&observation.bar_rad);
+            let weights = self.residual.weights(&observation.bar_rad);
             for joint in 0..BAR_JOINTS {
-                let slope = -trust[joint] / self.sigma_rad;
+                let slope = -weights[joint] / self.sigma_rad;
                 let offset = observation.origin * BAR_JOINTS + joint;
                 residual[joint] += slope * offsets.get(offset).copied().unwrap_or(0.0);
                 if let Some(entry) = block.column_mut(self.chain_columns + offset).get_mut(joint) {
@@ -231,19 +232,20 @@ pub(in crate::prepare) fn refine(
     let stays = |sample: &Observation| motion.covers((1.0 + coarse.skew) * sample.t_s, EDGE_S);
     let observations: Vec<Observation> = about_middle.filter(stays).collect();
     let origin_count = observations.iter().map(|sample| sample.origin + 1).max().unwrap_or(0);
-    let model = model(robot, bar, base_m, coarse.skew).ok()?;
+    let model = prior_model(robot, bar, base_m, coarse.skew).ok()?;
     let residual = ImpliedAngles { measured: *measured };
     let chain_columns = model.columns().len();
     let mut x = model.start();
     let ids = model.columns().map(|parameter| parameter.id);
-    if let Some(mut start) = start.map(|fit| fit.geometry.clone()) {
+    if let Some(mut geometry) = start.map(|fit| fit.geometry.clone()) {
+        // The clock starts from `coarse`, which counts from another instant than that of the earlier fit.
         for (x, id) in x.iter_mut().zip(ids).filter(|(_, id)| id.group() != Group::Clock) {
-            *x = start.parameter_mut(id).map_or(*x, |start| *start);
+            *x = geometry.parameter_mut(id).map_or(*x, |value| *value);
         }
     }
     x.resize(chain_columns + origin_count * BAR_JOINTS, 0.0);
     let spread_rad = |x: &[f64], good: GoodShare| {
-        spread_rad(&model, &motion, &observations, residual, x, good).max(SIGMA_MIN_RAD)
+        residual_sigma_rad(&model, &motion, &observations, residual, x, good).max(SIGMA_MIN_RAD)
     };
     let solve = |x: &[f64], sigma_rad: f64, cost_tolerance: f64| -> Option<(Vec<f64>, Summary)> {
         let problem = WithOffsets {
@@ -263,24 +265,26 @@ pub(in crate::prepare) fn refine(
     let (x, summary) = solve(&x, sigma_rad, LAST_TOLERANCE)?;
     let (chain, offsets) = x.split_at(chain_columns);
     let geometry = model.geometry(chain);
+    let by_joint = |of_origin: &[f64]| std::array::from_fn(|joint| of_origin[joint]);
     Some(Fit {
         clock: motion.solved(geometry.clock).counted_from(-middle_s),
         geometry,
-        offsets_by_rad: offsets.chunks_exact(BAR_JOINTS).map(|of| std::array::from_fn(|j| of[j])).collect(),
+        offsets_by_rad: offsets.chunks_exact(BAR_JOINTS).map(by_joint).collect(),
         sigma_rad,
         sigma_of_most_rad: spread_rad(&x, GoodShare::NINE_TENTHS),
         converged: summary.termination.converged(),
     })
 }
 
-fn model(robot: &Chain, bar: &Chain, base_m: Vector3<f64>, skew: f64) -> Result<Model, ModelError> {
+/// Nominal robot and bar, each parameter with its prior; the bar stands upright at `base_m`.
+fn prior_model(robot: &Chain, bar: &Chain, base_m: Vector3<f64>, skew: f64) -> Result<Model, ModelError> {
     let standing = Chain { root_from_base: nalgebra::Translation3::from(base_m).into(), ..bar.clone() };
     let mut model = Model::ball_bar(robot, &standing);
     model.set_value(ParameterId::ClockSkew, skew)?;
     let roles: Vec<(ParameterId, f64, f64)> = model
         .parameters()
         .iter()
-        .filter_map(|parameter| Some((parameter.id, parameter.value, role(parameter.id)?)))
+        .filter_map(|parameter| Some((parameter.id, parameter.value, prior_sigma(parameter.id)?)))
         .collect();
     for (id, value, sigma) in roles {
         model.set_role(id, Role::Prior { value, sigma })?;
@@ -299,7 +303,7 @@ fn priors(model: &Model, origin_count: usize) -> Vec<Prior> {
 }
 
 /// Standard deviation of a residual, from the good share of the samples that have one.
-fn spread_rad(
+fn residual_sigma_rad(
     model: &Model,
     motion: &AlignedLog,
     observations: &[Observation],
@@ -309,7 +313,7 @@ fn spread_rad(
 ) -> f64 {
     let (chain, offsets) = x.split_at(model.columns().len().min(x.len()));
     let residuals = Residuals::new(motion, model.geometry(chain), residual.measured);
-    let angles = residual.measured.iter().filter(|measured| **measured).count();
+    let encoders = residual.measured.iter().filter(|measured| **measured).count();
     let squared = rows(observations.len(), |sample| {
         let observation = &observations[sample];
         let mut bar_rad = observation.bar_rad;
@@ -317,9 +321,9 @@ fn spread_rad(
             *angle += offsets.get(observation.origin * BAR_JOINTS + joint).copied().unwrap_or(0.0);
         }
         let errors = residuals.errors(observation.t_s, &bar_rad)?;
-        let trust = residual.trust(&bar_rad);
-        let squared = errors.error_rad.iter().zip(trust).map(|(error, trust)| (trust * error).powi(2));
-        Some((squared.sum(), angles))
+        let weights = residual.weights(&bar_rad);
+        let squared = errors.error_rad.iter().zip(weights).map(|(error, weight)| (weight * error).powi(2));
+        Some((squared.sum(), encoders))
     });
     good.spread(squared.into_iter().flatten())
 }
@@ -363,15 +367,15 @@ impl<'a> Residuals<'a> {
         bar_rad: &[f64; BAR_JOINTS],
     ) -> Option<AngleErrors> {
         let errors = self.errors(t_s, bar_rad)?;
-        let trust = errors.margin_rad.sin();
+        let weight = errors.margin_rad.sin();
         let speed =
-            |joint: usize| if self.measured[joint] { errors.implied_rad_s[joint] * trust } else { 0.0 };
+            |joint: usize| if self.measured[joint] { errors.implied_rad_s[joint] * weight } else { 0.0 };
         Some(AngleErrors {
             sample,
             t_s,
             origin,
             margin_rad: errors.margin_rad,
-            error_rad: errors.error_rad.map(|error| error * trust),
+            error_rad: errors.error_rad.map(|error| error * weight),
             speed_rad_s: std::array::from_fn(speed),
         })
     }
@@ -386,12 +390,12 @@ impl<'a> Residuals<'a> {
         let state = self.motion.at(self.geometry.clock.robot_time_s(t_s))?;
         let mut robot = Trace::default();
         self.robot_tracer.trace(&self.geometry.corrected(&state).q, &mut robot);
-        let near = std::array::from_fn(|joint| self.measured[joint].then_some(bar_rad[joint]));
-        let implied = ImpliedBar::new(&self.bar, &self.bar_tracer, robot.end(), &near).ok()?;
-        let too_much_rad = self.geometry.encoder_errors_rad(&bar_rad.map(Turn::of));
+        let encoders_rad = std::array::from_fn(|joint| self.measured[joint].then_some(bar_rad[joint]));
+        let implied = ImpliedBar::new(&self.bar, &self.bar_tracer, robot.end(), &encoders_rad).ok()?;
+        let encoder_error_rad = self.geometry.encoder_errors_rad(&bar_rad.map(Turn::of));
         let error_rad = std::array::from_fn(|joint| {
             if self.measured[joint] {
-                wrapped(bar_rad[joint] - too_much_rad[joint] - implied.joints_rad[joint])
+                wrapped(bar_rad[joint] - encoder_error_rad[joint] - implied.joints_rad[joint])
             } else {
                 0.0
             }

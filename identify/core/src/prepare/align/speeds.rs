@@ -1,4 +1,5 @@
-//! Unsigned speeds on a uniform grid, by which two logs can be compared before offsets, signs and joints are known.
+//! Unsigned speeds on a uniform grid, `|x(t + h) - x(t - h)| / 2 h`, from the encoders (measured) or the robot's log (predicted).
+//! They do not depend on offsets and signs: two logs can be correlated (`correlate`) before these are known.
 
 use super::predict::Predictor;
 use crate::kinematics::{BAR_JOINTS, wrapped};
@@ -25,12 +26,12 @@ pub(in crate::prepare) fn measured_speeds(
     step_s: f64,
     rate: f64,
 ) -> Channels {
-    let own_s = step_s / (1.0 + rate);
-    let steps = if readings.is_empty() { 0 } else { (readings.duration_s() / own_s) as usize + 1 };
+    let bar_step_s = step_s / (1.0 + rate);
+    let steps = if readings.is_empty() { 0 } else { (readings.duration_s() / bar_step_s) as usize + 1 };
     let spline = readings.clone().spline();
-    let angle = |step: usize| Some(spline.as_ref()?.at(step as f64 * own_s)?.value.recorded_rad);
+    let angle = |step: usize| Some(spline.as_ref()?.at(step as f64 * bar_step_s)?.value.recorded_rad);
     let angles: Angles = (0..steps).map(angle).collect();
-    of_joints(&angles, joints, step_s)
+    speeds_of_joints(&angles, joints, step_s)
 }
 
 /// Step of the grid for a robot's log of this length \[s\].
@@ -52,33 +53,33 @@ pub(in crate::prepare) fn predicted_speeds(
         let bar = predictor.at(step as f64 * step_s);
         bar.filter(|bar| bar.margin_rad > margin_rad).map(|bar| bar.joints_rad)
     });
-    of_joints(&angles, joints, step_s)
+    speeds_of_joints(&angles, joints, step_s)
 }
 
-fn of_joints(angles: &Angles, joints: &[usize], step_s: f64) -> Channels {
-    let apart = |before: &[f64; BAR_JOINTS], after: &[f64; BAR_JOINTS], channel: usize| {
+fn speeds_of_joints(angles: &Angles, joints: &[usize], step_s: f64) -> Channels {
+    let turned = |before: &[f64; BAR_JOINTS], after: &[f64; BAR_JOINTS], channel: usize| {
         wrapped(after[joints[channel]] - before[joints[channel]]).abs()
     };
-    speeds(angles, joints.len(), REACH, step_s, SPEED_RAD_S_MAX, apart)
+    speeds(angles, joints.len(), REACH, step_s, SPEED_RAD_S_MAX, turned)
 }
 
-/// Speeds of points on a grid, in a number of channels, from `reach` steps before to as many after; `apart` is the distance of two
-/// points in a channel. A speed is unknown if one of its points is, or if it is more than `most`.
+/// Speeds of points on a grid, in a number of channels, from `reach` steps before to as many after; `distance` is that of two
+/// points in a channel. A speed is unknown if one of its points is, or if it is more than `speed_max`.
 pub(in crate::prepare) fn speeds<T>(
     points: &[Option<T>],
     channels: usize,
     reach: usize,
     step_s: f64,
-    most: f64,
-    apart: impl Fn(&T, &T, usize) -> f64,
+    speed_max: f64,
+    distance: impl Fn(&T, &T, usize) -> f64,
 ) -> Channels {
     let mut found =
         Channels { known: vec![false; points.len()], values: vec![vec![0.0; points.len()]; channels] };
     for step in reach..points.len().saturating_sub(reach) {
         let around = (&points[step - reach], &points[step + reach]);
         let (Some(before), Some(after)) = around else { continue };
-        let speed = |channel: usize| apart(before, after, channel) / (2.0 * reach as f64 * step_s);
-        if (0..channels).any(|channel| speed(channel) > most) {
+        let speed = |channel: usize| distance(before, after, channel) / (2.0 * reach as f64 * step_s);
+        if (0..channels).any(|channel| speed(channel) > speed_max) {
             continue;
         }
         found.known[step] = true;
@@ -91,6 +92,6 @@ pub(in crate::prepare) fn speeds<T>(
 
 /// All channels as one, the root of the sum of their squares: the same whichever encoder is called which.
 pub(in crate::prepare) fn without_order(channels: &Channels) -> Channels {
-    let sum = |step: usize| channels.values.iter().map(|values| values[step].powi(2)).sum::<f64>().sqrt();
-    Channels { known: channels.known.clone(), values: vec![(0..channels.known.len()).map(sum).collect()] }
+    let root = |step: usize| channels.values.iter().map(|values| values[step].powi(2)).sum::<f64>().sqrt();
+    Channels { known: channels.known.clone(), values: vec![(0..channels.known.len()).map(root).collect()] }
 }

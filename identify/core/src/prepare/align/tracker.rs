@@ -1,5 +1,6 @@
-//! Aligns a tracker's log with the robot's, each on its own clock: first by the speed of the target, which does not depend on the
-//! places of tracker and target, then by its positions on the nominal robot.
+//! Aligns a tracker's log with the robot's, each on its own clock: first by the speed of the target, which does not depend on
+//! the places of tracker and target, then by its positions. They are *observed* in the tracker's frame and *predicted* on the
+//! flange of the nominal robot; with its placement the tracker's frame becomes the robot's.
 //!
 //! If the robot moved, shift and rate of the clocks are start values of a solve that has them among its parameters. If it stood
 //! still at each row (rows are seconds apart), the alignment finds the standstill of each row, and rows get the joints of the robot
@@ -90,15 +91,16 @@ pub fn align_poses(
 ) -> Result<AlignedPoses, PrepareError> {
     let (rows_s, log_s) = (poses.rows.duration_s(), log.q_rad.duration_s());
     check_length(("the tracker's log", rows_s), log_s, options)?;
-    let (log, _) = unwrapped_log(log);
-    let log = &*log;
+    let (unwrapped, _) = unwrapped_log(log);
+    let log = &*unwrapped;
     require_motion("the robot log", travel(&log.q_rad))?;
     let interpolated = log.spline()?;
-    let seen_m = longest_view_m(&poses.rows);
-    let begins_s = (i128::from(seen_m.first_stamp_ns) - i128::from(poses.rows.first_stamp_ns)) as f64 * 1e-9;
+    let observed_m = longest_view_m(&poses.rows);
+    let begins_s =
+        (i128::from(observed_m.first_stamp_ns) - i128::from(poses.rows.first_stamp_ns)) as f64 * 1e-9;
     let search = Search {
-        period_s: seen_m.period_s(),
-        seen_m,
+        period_s: observed_m.period_s(),
+        observed_m,
         log: &interpolated,
         log_s,
         robot,
@@ -110,41 +112,52 @@ pub fn align_poses(
         return Err(PrepareError::TargetStands { extent_mm: extent_m * 1e3 });
     }
     let Best { matched, ambiguous, fit } = search.run()?;
-    let of_rows = fit.clock.counted_from(-begins_s);
-    let reference = Reference::new(UtcNs(poses.rows.first_stamp_ns), rows_s, of_rows, log_s);
+    let clock_of_rows = fit.clock.counted_from(-begins_s);
+    let reference = Reference::new(UtcNs(poses.rows.first_stamp_ns), rows_s, clock_of_rows, log_s);
     let alignment = reference.alignment(&matched, ambiguous, log);
     let Reference { t_ref_s, t_ref, clock, .. } = reference;
     let log = AlignedLog::new(interpolated.clone(), clock.shift_s);
-    let edge_s = if search.stands() { REST_S } else { EDGE_S };
-    let of_row = |row: usize| {
-        let t_s = poses.rows.t_s[row] - t_ref_s;
+    let edge_s = if search.stop_and_go() { REST_S } else { EDGE_S };
+    let covered_row = |index: usize| {
+        let t_s = poses.rows.t_s[index] - t_ref_s;
         let tau_s = (1.0 + clock.skew) * t_s;
-        log.covers(tau_s, edge_s).then_some((row, t_s, log.at(tau_s)?))
+        let state = log.at(tau_s)?;
+        log.covers(tau_s, edge_s).then_some(CoveredRow { index, t_s, state })
     };
-    let all = (0..poses.rows.len()).filter_map(of_row);
-    if search.stands() {
+    let covered = (0..poses.rows.len()).filter_map(covered_row);
+    if search.stop_and_go() {
         let resting = search.resting();
-        let rests = |row: usize| search.rests_at(&resting, of_rows.robot_time_s(poses.rows.t_s[row]));
-        let at_rest = all.filter(|(row, ..)| rests(*row) == Some(true));
+        let log_time_s = |row: &CoveredRow| clock_of_rows.robot_time_s(poses.rows.t_s[row.index]);
+        let rests = |row: &CoveredRow| search.rests_at(&resting, log_time_s(row)) == Some(true);
         let (rows, states): (Vec<_>, Vec<_>) =
-            at_rest.map(|(row, _, state)| (row, JointState::at_rest(state.q))).unzip();
+            covered.filter(rests).map(|row| (row.index, JointState::at_rest(row.state.q))).unzip();
         let left_out = poses.rows.len() - rows.len();
         return Ok(AlignedPoses { rows, states, moving: None, alignment, t_ref, left_out });
     }
-    let all: Vec<(usize, f64, JointState)> = all.collect();
-    let left_out = poses.rows.len() - all.len();
-    let joints: Vec<_> = all.iter().map(|(.., state)| state.q).collect();
+    let covered: Vec<CoveredRow> = covered.collect();
+    let left_out = poses.rows.len() - covered.len();
+    let joints: Vec<_> = covered.iter().map(|row| row.state.q).collect();
     let points_max = if options.points_max == 0 { usize::MAX } else { options.points_max };
-    let kept = select(&joints, options.motion_min_mrad * 1e-3, points_max);
-    let kept: Vec<(usize, f64, JointState)> = kept.into_iter().map(|place| all[place]).collect();
+    let selected = select(&joints, options.motion_min_mrad * 1e-3, points_max);
+    let kept: Vec<CoveredRow> = selected.into_iter().map(|place| covered[place]).collect();
     Ok(AlignedPoses {
-        rows: kept.iter().map(|(row, ..)| *row).collect(),
-        states: kept.iter().map(|(.., state)| *state).collect(),
-        moving: Some(Moving { t_s: kept.iter().map(|(_, t_s, _)| *t_s).collect(), log, skew: clock.skew }),
+        rows: kept.iter().map(|row| row.index).collect(),
+        states: kept.iter().map(|row| row.state).collect(),
+        moving: Some(Moving { t_s: kept.iter().map(|row| row.t_s).collect(), log, skew: clock.skew }),
         alignment,
         t_ref,
         left_out,
     })
+}
+
+/// A row at a time that the robot's log covers.
+#[derive(Clone, Copy)]
+struct CoveredRow {
+    /// Index in the tracker's log.
+    index: usize,
+    /// Tracker's time since the reference \[s\].
+    t_s: f64,
+    state: JointState,
 }
 
 /// Positions of the pair of station and target with the most rows, in the tracker's frame \[m\]: their motion determines the clocks
@@ -155,23 +168,25 @@ fn longest_view_m(rows: &Stream<TimedPose>) -> Stream<Vector3<f64>> {
         *counts.entry((row.station, row.target)).or_default() += 1;
     }
     let longest = counts.into_iter().max_by_key(|(_, count)| *count).map(|(view, _)| view);
-    let of_longest =
+    let position_in_longest =
         |_, row: &TimedPose| (Some((row.station, row.target)) == longest).then_some(row.position_m);
-    let seen_m = rows.filter_map(0..rows.len(), of_longest);
-    // Rows of other targets in between make none of its rows a gap.
-    Stream::new(seen_m.first_stamp_ns, seen_m.t_s, seen_m.rows)
+    let observed_m = rows.filter_map(0..rows.len(), position_in_longest);
+    // A new stream has a gap limit of its own: rows of other targets in between make no gap.
+    Stream::new(observed_m.first_stamp_ns, observed_m.t_s, observed_m.rows)
 }
 
 /// A tracker's log and the robot's log in which it is searched for.
 struct Search<'a> {
     /// One target in the tracker's frame, from one station \[m\].
-    seen_m: Stream<Vector3<f64>>,
+    observed_m: Stream<Vector3<f64>>,
     /// Usual distance of two rows \[s\].
     period_s: f64,
     log: &'a Arc<CubicSpline<Joints>>,
+    /// Duration of the robot's log \[s\].
     log_s: f64,
     /// Nominal, up to the flange.
     robot: &'a Chain,
+    /// Step of the grid on which speeds are compared \[s\].
     step_s: f64,
     options: &'a PrepareOptions,
 }
@@ -187,24 +202,26 @@ struct Fit {
 
 impl Search<'_> {
     fn run(&self) -> Result<Best<Fit>, PrepareError> {
-        let window = if self.stands() {
-            0..self.seen_m.len()
+        let window = if self.stop_and_go() {
+            0..self.observed_m.len()
         } else {
-            liveliest(&self.seen_m.t_s, |pair| (self.seen_m[pair[0]] - self.seen_m[pair[1]]).norm())
+            liveliest(&self.observed_m.t_s, |pair| {
+                (self.observed_m[pair[0]] - self.observed_m[pair[1]]).norm()
+            })
         };
         let overlap_min_s = overlap_min_s(self.options, self.duration_s(&window), self.log_s);
-        let refused = match self.matched(&window, overlap_min_s) {
+        let refused = match self.best_fit(&window, overlap_min_s) {
             Err(refused) => refused,
             Ok(best) => {
                 let refit = |window: &Range<usize>, fit: &Fit| self.fit(window, fit.clock);
-                return Ok(Best { fit: extended(&self.seen_m.t_s, window, best.fit, refit)?, ..best });
+                return Ok(Best { fit: extended(&self.observed_m.t_s, window, best.fit, refit)?, ..best });
             }
         };
-        /// Shorter overlaps would match by chance.
+        /// Part of the required overlap that is tried: shorter ones would match by chance.
         const SHORTER: f64 = 0.25;
-        /// And so would speeds that are less alike.
+        /// Speeds that are less alike would match by chance in a short overlap.
         const ALIKE: f64 = 0.95;
-        match self.matched(&window, SHORTER * overlap_min_s) {
+        match self.best_fit(&window, SHORTER * overlap_min_s) {
             Ok(Best { matched, .. }) if matched.correlation > ALIKE => Err(PrepareError::ShortOverlap {
                 overlap_s: matched.overlap as f64 * self.step_s,
                 needed_s: overlap_min_s,
@@ -214,93 +231,98 @@ impl Search<'_> {
     }
 
     /// The best fit of a part of the rows.
-    fn matched(&self, window: &Range<usize>, overlap_min_s: f64) -> Result<Best<Fit>, PrepareError> {
+    fn best_fit(&self, window: &Range<usize>, overlap_min_s: f64) -> Result<Best<Fit>, PrepareError> {
         let overlap_min = (overlap_min_s / self.step_s) as usize;
-        let measured = self.measured(window);
-        let shifts = candidates(&self.predicted(&Vector3::zeros()), &measured, overlap_min, CANDIDATES);
-        let first_s = self.seen_m.t_s.get(window.start).copied().unwrap_or_default();
+        let observed = self.observed_speeds(window);
+        // The place of the target on the flange is unknown so far.
+        let of_flange = self.predicted_speeds(&Vector3::zeros());
+        let shifts = candidates(&of_flange, &observed, overlap_min, CANDIDATES);
+        let first_s = self.observed_m.t_s.get(window.start).copied().unwrap_or_default();
         let clock = |shift: f64| Clock { shift_s: shift * self.step_s - first_s, skew: 0.0 };
-        let fits: Vec<Fit> = if self.stands() {
-            let standing = shifts.iter().flat_map(|one| self.standstills(window, clock(one.shift)));
-            standing.filter_map(|clock| self.standing_fit(window, clock)).collect()
+        let fits: Vec<Fit> = if self.stop_and_go() {
+            let clocks = shifts.iter().flat_map(|near| self.clocks_at_standstills(window, clock(near.shift)));
+            clocks.filter_map(|clock| self.fit_at_standstills(window, clock)).collect()
         } else {
-            shifts.iter().filter_map(|one| self.fit(window, clock(one.shift))).collect()
+            shifts.iter().filter_map(|coarse| self.fit(window, clock(coarse.shift))).collect()
         };
         let mut matching: Vec<(Match, Fit)> = Vec::new();
         for fit in fits {
             // The speeds of the target, at the place that the fit found.
-            let of_target = if self.stands() {
-                self.of_chords(window, &fit)
+            let match_of_target = if self.stop_and_go() {
+                self.match_of_distances(window, &fit)
             } else {
-                let found = candidates(&self.predicted(&fit.probe_m), &measured, overlap_min, CANDIDATES);
-                let at = fit.clock.robot_time_s(first_s) / self.step_s;
+                let of_target = self.predicted_speeds(&fit.probe_m);
+                let found = candidates(&of_target, &observed, overlap_min, CANDIDATES);
+                let fitted_shift = fit.clock.robot_time_s(first_s) / self.step_s;
                 /// Grid steps within which a shift is the same.
                 const SAME: f64 = 10.0;
-                found.into_iter().find(|one| (one.shift - at).abs() < SAME)
+                found.into_iter().find(|matched| (matched.shift - fitted_shift).abs() < SAME)
             };
-            matching.extend(of_target.map(|of_target| (of_target, fit)));
+            matching.extend(match_of_target.map(|matched| (matched, fit)));
         }
-        let closest = matching.iter().map(|(matched, _)| matched.correlation).fold(0.0, f64::max);
+        let highest = matching.iter().map(|(matched, _)| matched.correlation).fold(0.0, f64::max);
         matching.retain(|(matched, _)| matched.correlation >= self.options.correlation_min);
-        let are_apart = |one: &Fit, other: &Fit| (one.clock.shift_s - other.clock.shift_s).abs() > STANDING_S;
+        let are_apart = |fit: &Fit, other: &Fit| (fit.clock.shift_s - other.clock.shift_s).abs() > STANDING_S;
         best(matching, |fit| fit.spread_m, are_apart).ok_or_else(|| {
-            let highest = shifts.first().map(|best| (closest, best.overlap as f64 * self.step_s));
+            let highest = shifts.first().map(|best| (highest, best.overlap as f64 * self.step_s));
             no_match("tracker's log", highest, overlap_min_s, self.options)
         })
     }
 
     fn duration_s(&self, window: &Range<usize>) -> f64 {
-        let times_s = self.seen_m.t_s.get(window.clone()).unwrap_or_default();
+        let times_s = self.observed_m.t_s.get(window.clone()).unwrap_or_default();
         times_s.last().zip(times_s.first()).map_or(0.0, |(last, first)| last - first)
     }
 
     /// Whether each row was measured at a standstill of the robot.
-    fn stands(&self) -> bool {
+    fn stop_and_go(&self) -> bool {
         self.period_s > STANDING_S
     }
 
     /// Diagonal of the box that holds all positions \[m\].
     fn extent_m(&self) -> f64 {
-        let Some(first) = self.seen_m.first() else { return 0.0 };
-        let low = self.seen_m.iter().fold(*first, |low, p| low.inf(p));
-        let high = self.seen_m.iter().fold(*first, |high, p| high.sup(p));
+        let Some(first) = self.observed_m.first() else { return 0.0 };
+        let low = self.observed_m.iter().fold(*first, |low, p| low.inf(p));
+        let high = self.observed_m.iter().fold(*first, |high, p| high.sup(p));
         (high - low).norm()
     }
 
     /// Measured speed of the target, from the first row of the window on: between rows of standstills the mean one.
-    fn measured(&self, window: &Range<usize>) -> Channels {
-        let seen_m = self.seen_m.slice(window.clone());
-        let steps = if seen_m.len() < 2 { 0 } else { (seen_m.duration_s() / self.step_s) as usize + 1 };
+    fn observed_speeds(&self, window: &Range<usize>) -> Channels {
+        let observed_m = self.observed_m.slice(window.clone());
+        let steps =
+            if observed_m.len() < 2 { 0 } else { (observed_m.duration_s() / self.step_s) as usize + 1 };
         // Straight lines: where stamps jitter, a smoother curve through the rows swings.
-        if !self.stands() {
-            let at = |step: usize| seen_m.at(step as f64 * self.step_s);
-            return self.speeds(&(0..steps).map(at).collect::<Vec<_>>(), REACH);
+        if !self.stop_and_go() {
+            let position = |step: usize| observed_m.at(step as f64 * self.step_s);
+            return self.speeds(&(0..steps).map(position).collect::<Vec<_>>(), REACH);
         }
-        let mean = |step: usize| {
-            let after = seen_m.t_s.partition_point(|row_s| *row_s <= step as f64 * self.step_s);
-            let after = after.clamp(1, seen_m.len() - 1);
-            (seen_m[after] - seen_m[after - 1]).norm() / (seen_m.t_s[after] - seen_m.t_s[after - 1])
+        let mean_speed = |step: usize| {
+            let after = observed_m.t_s.partition_point(|row_s| *row_s <= step as f64 * self.step_s);
+            let after = after.clamp(1, observed_m.len() - 1);
+            (observed_m[after] - observed_m[after - 1]).norm()
+                / (observed_m.t_s[after] - observed_m.t_s[after - 1])
         };
-        Channels { known: vec![true; steps], values: vec![(0..steps).map(mean).collect()] }
+        Channels { known: vec![true; steps], values: vec![(0..steps).map(mean_speed).collect()] }
     }
 
     /// Speed of a target on the nominal robot, from the first stamp of its log on.
-    fn predicted(&self, probe_m: &Vector3<f64>) -> Channels {
+    fn predicted_speeds(&self, probe_m: &Vector3<f64>) -> Channels {
         let steps = (self.log_s / self.step_s) as usize + 1;
         let points: Vec<Option<Vector3<f64>>> =
-            (0..steps).map(|step| self.held_m(step as f64 * self.step_s, probe_m)).collect();
+            (0..steps).map(|step| self.predicted_m(step as f64 * self.step_s, probe_m)).collect();
         // From row to row, as a tracker sees it.
-        let reach = if self.stands() { (0.5 * self.period_s / self.step_s) as usize } else { REACH };
+        let reach = if self.stop_and_go() { (0.5 * self.period_s / self.step_s) as usize } else { REACH };
         self.speeds(&points, reach)
     }
 
     fn speeds(&self, points_m: &[Option<Vector3<f64>>], reach: usize) -> Channels {
-        let apart_m = |before: &Vector3<f64>, after: &Vector3<f64>, _| (after - before).norm();
-        speeds(points_m, 1, reach, self.step_s, SPEED_M_S_MAX, apart_m)
+        let distance_m = |before: &Vector3<f64>, after: &Vector3<f64>, _| (after - before).norm();
+        speeds(points_m, 1, reach, self.step_s, SPEED_M_S_MAX, distance_m)
     }
 
     /// Position of the target on the nominal robot \[m\]; `None` outside its log.
-    fn held_m(&self, tau_s: f64, probe_m: &Vector3<f64>) -> Option<Vector3<f64>> {
+    fn predicted_m(&self, tau_s: f64, probe_m: &Vector3<f64>) -> Option<Vector3<f64>> {
         Some(self.flange(tau_s)?.transform_point(&(*probe_m).into()).coords)
     }
 
@@ -309,32 +331,33 @@ impl Search<'_> {
     }
 
     /// Rows of a window that stay in the robot's log, spread over the motion.
-    fn fitting(&self, window: &Range<usize>, clock: Clock) -> Vec<usize> {
+    fn rows_to_fit(&self, window: &Range<usize>, clock: Clock) -> Vec<usize> {
         let log = AlignedLog::new(self.log.clone(), 0.0);
-        let stays = |row: &usize| log.covers(clock.robot_time_s(self.seen_m.t_s[*row]), EDGE_S);
-        let every = window.len().div_ceil(20 * FIT_MAX).max(1);
-        let rows: Vec<usize> = window.clone().step_by(every).filter(stays).collect();
-        let points: Vec<[f64; 3]> = rows.iter().map(|row| self.seen_m[*row].into()).collect();
+        let stays = |row: &usize| log.covers(clock.robot_time_s(self.observed_m.t_s[*row]), EDGE_S);
+        let stride = window.len().div_ceil(20 * FIT_MAX).max(1);
+        let rows: Vec<usize> = window.clone().step_by(stride).filter(stays).collect();
+        let points: Vec<[f64; 3]> = rows.iter().map(|row| self.observed_m[*row].into()).collect();
         select(&points, 0.0, FIT_MAX).into_iter().map(|place| rows[place]).collect()
     }
 
     /// Clock, station and target, starting from a coarse shift; `None` if the rows do not determine them.
     fn fit(&self, window: &Range<usize>, coarse: Clock) -> Option<Fit> {
-        let rows = self.fitting(window, coarse);
+        let rows = self.rows_to_fit(window, coarse);
         // Times about their middle: shift and skew are then nearly independent.
-        let middle_s = rows.iter().map(|row| self.seen_m.t_s[*row]).sum::<f64>() / rows.len().max(1) as f64;
+        let middle_s =
+            rows.iter().map(|row| self.observed_m.t_s[*row]).sum::<f64>() / rows.len().max(1) as f64;
         let motion = AlignedLog::new(self.log.clone(), coarse.robot_time_s(middle_s));
-        let seen_m: Vec<Vector3<f64>> = rows.iter().map(|row| self.seen_m[*row]).collect();
+        let observed_m: Vec<Vector3<f64>> = rows.iter().map(|row| self.observed_m[*row]).collect();
         let observation =
-            |row: &usize| Observation::bar(self.seen_m.t_s[*row] - middle_s, Default::default());
+            |row: &usize| Observation::bar(self.observed_m.t_s[*row] - middle_s, Default::default());
         let observations: Vec<Observation> = rows.iter().map(observation).collect();
-        let flange = |row: &usize| self.flange(coarse.robot_time_s(self.seen_m.t_s[*row]));
+        let flange = |row: &usize| self.flange(coarse.robot_time_s(self.observed_m.t_s[*row]));
         let flanges = rows.iter().map(flange).collect::<Option<Vec<Pose>>>()?;
-        let [place, probe] = placements(&flanges, &seen_m, std::iter::empty())?;
+        let [tracker, probe] = placements(&flanges, &observed_m, std::iter::empty())?;
         let mut model = Model::alone(self.robot).with_set_ups(Owner::Tracker, [1, 1]);
         for coordinate in Coordinate::ALL {
             let id = ParameterId::Tracker { station: 0, coordinate };
-            model.set_value(id, place.coordinate(coordinate)).ok()?;
+            model.set_value(id, tracker.coordinate(coordinate)).ok()?;
             model.set_role(id, Role::Free).ok()?;
         }
         for coordinate in Axis::ALL.map(Coordinate::Position) {
@@ -350,7 +373,7 @@ impl Search<'_> {
         }
         let sigma = PoseNoise { position_m: NOMINAL_SIGMA_M, rotation_rad: 1.0 };
         let (noise, set_ups) = (&vec![sigma; rows.len()], &vec![SetUp::default(); rows.len()]);
-        let residual = MeasuredPosition { measured_m: &seen_m, noise, set_ups };
+        let residual = MeasuredPosition { measured_m: &observed_m, noise, set_ups };
         let problem = LoopProblem::new(&model, &motion, &observations, residual, 1.0).ok()?;
         let start = model.start();
         let (x, _) = minimise_robust(&problem, &start, LossName::Huber, &Options::default()).ok()?;
@@ -383,17 +406,18 @@ impl Search<'_> {
 
     /// Clocks near a coarse shift at which the robot is at rest in most of the rows: the middle of each range of such shifts, at the
     /// rate at which most rows are in standstills for most shifts.
-    fn standstills(&self, window: &Range<usize>, coarse: Clock) -> Vec<Clock> {
+    fn clocks_at_standstills(&self, window: &Range<usize>, coarse: Clock) -> Vec<Clock> {
         let resting = self.resting();
-        let times_s = self.seen_m.t_s.get(window.clone()).unwrap_or_default();
+        let times_s = self.observed_m.t_s.get(window.clone()).unwrap_or_default();
         let middle_s = 0.5 * (times_s.first().unwrap_or(&0.0) + times_s.last().unwrap_or(&0.0));
         let reach = (0.5 * self.period_s / self.step_s) as i64;
         // Shifts are those of the middle: there a rate changes nothing.
-        let clock = |by: i64, skew: f64| Clock {
-            shift_s: coarse.shift_s + by as f64 * self.step_s - skew * middle_s,
+        let clock = |steps: i64, skew: f64| Clock {
+            shift_s: coarse.shift_s + steps as f64 * self.step_s - skew * middle_s,
             skew,
         };
-        let at_rest = |clock: &Clock| {
+        // Number of rows at which the robot is at rest; `None` if these are not nearly all that its log covers.
+        let rows_at_rest = |clock: &Clock| {
             let (mut covered, mut at_rest) = (0, 0);
             for rests in times_s.iter().filter_map(|t_s| self.rests_at(&resting, clock.robot_time_s(*t_s))) {
                 covered += 1;
@@ -401,52 +425,69 @@ impl Search<'_> {
             }
             (at_rest as f64 >= AT_REST_MIN * f64::from(covered.max(1))).then_some(at_rest)
         };
-        let with_rate = |place: i64| {
-            let skew = place as f64 * SKEW_STEP;
-            let standing = |by: i64| Some((by, at_rest(&clock(by, skew))?));
-            let all: Vec<(i64, usize)> = (-reach..=reach).filter_map(standing).collect();
-            (all.iter().map(|(_, at_rest)| at_rest).sum::<usize>(), skew, all)
+        /// Shifts at which nearly all rows are at rest, at one rate.
+        #[derive(Default)]
+        struct AtRest {
+            skew: f64,
+            shift_steps: Vec<i64>,
+            /// Number of rows, summed over these shifts.
+            rows: usize,
+        }
+        let at_rate = |number: i64| {
+            let mut found = AtRest { skew: number as f64 * SKEW_STEP, ..AtRest::default() };
+            for steps in -reach..=reach {
+                let Some(rows) = rows_at_rest(&clock(steps, found.skew)) else { continue };
+                found.shift_steps.push(steps);
+                found.rows += rows;
+            }
+            found
         };
         // Of equally good rates the one nearest to zero is the first.
-        let rates = (0..=SKEW_STEPS).flat_map(|place| [place, -place]);
-        let mut best = (0, 0.0, Vec::new());
-        for other in rates.map(with_rate) {
-            if other.0 > best.0 {
+        let rates = (0..=SKEW_STEPS).flat_map(|number| [number, -number]);
+        let mut best = AtRest::default();
+        for other in rates.map(at_rate) {
+            if other.rows > best.rows {
                 best = other;
             }
         }
-        let (_, skew, all) = best;
-        let middle = |alike: &[(i64, usize)]| alike.get(alike.len() / 2).map(|(by, _)| clock(*by, skew));
-        all.chunk_by(|a, b| b.0 - a.0 == 1).filter_map(middle).collect()
+        let middle = |range: &[i64]| range.get(range.len() / 2).map(|steps| clock(*steps, best.skew));
+        best.shift_steps.chunk_by(|a, b| b - a == 1).filter_map(middle).collect()
     }
 
     /// Station and target from rows at standstills; the clock is fixed.
-    fn standing_fit(&self, window: &Range<usize>, clock: Clock) -> Option<Fit> {
-        let of_row =
-            |row: usize| Some((self.flange(clock.robot_time_s(self.seen_m.t_s[row]))?, self.seen_m[row]));
-        let (flanges, seen_m): (Vec<Pose>, Vec<Vector3<f64>>) = window.clone().filter_map(of_row).unzip();
-        let [place, probe] = placements(&flanges, &seen_m, std::iter::empty())?;
-        let (place, probe_m) = (place.pose(), probe.position_m);
-        let apart = flanges.iter().zip(&seen_m).map(|(flange, seen_m)| {
-            let held = flange.transform_point(&probe_m.into());
-            ((held - place.transform_point(&(*seen_m).into())).norm_squared(), 3)
+    fn fit_at_standstills(&self, window: &Range<usize>, clock: Clock) -> Option<Fit> {
+        let flange_and_position = |row: usize| {
+            let flange = self.flange(clock.robot_time_s(self.observed_m.t_s[row]))?;
+            Some((flange, self.observed_m[row]))
+        };
+        let (flanges, observed_m): (Vec<Pose>, Vec<Vector3<f64>>) =
+            window.clone().filter_map(flange_and_position).unzip();
+        let [tracker, probe] = placements(&flanges, &observed_m, std::iter::empty())?;
+        let (tracker, probe_m) = (tracker.pose(), probe.position_m);
+        // The squared distance is that of three coordinates.
+        let squared = flanges.iter().zip(&observed_m).map(|(flange, observed_m)| {
+            let predicted = flange.transform_point(&probe_m.into());
+            ((predicted - tracker.transform_point(&(*observed_m).into())).norm_squared(), 3)
         });
-        Some(Fit { clock, probe_m, spread_m: GoodShare::NINE_TENTHS.spread(apart) })
+        Some(Fit { clock, probe_m, spread_m: GoodShare::NINE_TENTHS.spread(squared) })
     }
 
     /// Match of the measured and predicted distances from row to row.
-    fn of_chords(&self, window: &Range<usize>, fit: &Fit) -> Option<Match> {
-        let of_row = |row: usize| {
-            Some((self.held_m(fit.clock.robot_time_s(self.seen_m.t_s[row]), &fit.probe_m)?, self.seen_m[row]))
+    fn match_of_distances(&self, window: &Range<usize>, fit: &Fit) -> Option<Match> {
+        let both_positions = |row: usize| {
+            let tau_s = fit.clock.robot_time_s(self.observed_m.t_s[row]);
+            Some((self.predicted_m(tau_s, &fit.probe_m)?, self.observed_m[row]))
         };
-        let (held_m, seen_m): (Vec<Vector3<f64>>, Vec<_>) = window.clone().filter_map(of_row).unzip();
-        let chords = |points_m: &[Vector3<f64>]| {
+        let (predicted_m, observed_m): (Vec<Vector3<f64>>, Vec<_>) =
+            window.clone().filter_map(both_positions).unzip();
+        let distances = |points_m: &[Vector3<f64>]| {
             let lengths: Vec<f64> = points_m.windows(2).map(|pair| (pair[1] - pair[0]).norm()).collect();
             Channels { known: vec![true; lengths.len()], values: vec![lengths] }
         };
         // All of them overlap only without a shift.
-        let found = correlate(&chords(&held_m), &chords(&seen_m), held_m.len().checked_sub(1)?)?;
-        let covered_s = held_m.len() as f64 / window.len().max(1) as f64 * self.duration_s(window);
-        Some(Match { overlap: (covered_s / self.step_s) as usize, ..found })
+        let overlap_min = predicted_m.len().checked_sub(1)?;
+        let matched = correlate(&distances(&predicted_m), &distances(&observed_m), overlap_min)?;
+        let covered_s = predicted_m.len() as f64 / window.len().max(1) as f64 * self.duration_s(window);
+        Some(Match { overlap: (covered_s / self.step_s) as usize, ..matched })
     }
 }

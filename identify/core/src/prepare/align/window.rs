@@ -1,12 +1,12 @@
-//! What the search for the clock of a recording and that of a tracker's log share: the part of the log by which it is searched
-//! for, the choice among fits, and how a fit is extended to the whole log.
+//! What the search for the clock of a recording (`find`) and that of a tracker's log (`tracker`) share: the window, the part of
+//! the log that is compared first; the selection among fits; the extension of a fit to the whole log.
 
 use std::ops::Range;
 
 use super::correlate::{Match, longest_overlap};
 use crate::prepare::{PrepareError, PrepareOptions};
 
-/// Longest part of a log by which it is searched for \[s\]: over a longer one clocks of different rates drift apart.
+/// Longest window \[s\]: over a longer one clocks of different rates drift apart.
 pub(in crate::prepare) const WINDOW_S: f64 = 900.0;
 /// The window grows by this factor from fit to fit.
 const GROWTH: f64 = 4.0;
@@ -58,8 +58,9 @@ pub(in crate::prepare) fn best<F>(
 ) -> Option<Best<F>> {
     let least = fits.iter().map(|(_, fit)| spread(fit)).fold(f64::INFINITY, f64::min);
     fits.retain(|(_, fit)| spread(fit) <= TIE * least);
-    let differs = |at: usize| fits[..at].iter().any(|(_, other)| are_apart(&fits[at].1, other));
-    let ambiguous = (0..fits.len()).any(differs);
+    let differs_from_earlier =
+        |index: usize| fits[..index].iter().any(|(_, other)| are_apart(&fits[index].1, other));
+    let ambiguous = (0..fits.len()).any(differs_from_earlier);
     let (matched, fit) = longest_overlap(fits, |(matched, _)| matched)?;
     Some(Best { matched, ambiguous, fit })
 }
@@ -82,12 +83,13 @@ pub(in crate::prepare) fn extended<F>(
     Ok(fit)
 }
 
+/// The window, [`GROWTH`] times as long about the same middle.
 fn wider(t_s: &[f64], window: &Range<usize>) -> Range<usize> {
-    let at = |index: usize| t_s.get(index).copied().unwrap_or_default();
-    let (from_s, to_s) = (at(window.start), at(window.end.saturating_sub(1)));
-    let more_s = 0.5 * (GROWTH - 1.0) * (to_s - from_s).max(1.0);
-    let from = t_s.partition_point(|t_s| *t_s < from_s - more_s);
-    let to = t_s.partition_point(|t_s| *t_s <= to_s + more_s);
+    let time_s = |index: usize| t_s.get(index).copied().unwrap_or_default();
+    let (from_s, to_s) = (time_s(window.start), time_s(window.end.saturating_sub(1)));
+    let added_s = 0.5 * (GROWTH - 1.0) * (to_s - from_s).max(1.0);
+    let from = t_s.partition_point(|t_s| *t_s < from_s - added_s);
+    let to = t_s.partition_point(|t_s| *t_s <= to_s + added_s);
     from..to
 }
 

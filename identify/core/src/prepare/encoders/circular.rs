@@ -1,10 +1,10 @@
-//! Robust statistics of angles.
+//! Robust statistics of angles, for the differences of predicted and measured angles (`encoder_map`, `segments`, `slip`).
 
 use crate::kinematics::wrapped;
 use crate::statistics::median;
 
 /// A median deviation times this is the standard deviation of normal numbers.
-const NORMAL: f64 = 1.4826;
+const SIGMA_PER_MEDIAN: f64 = 1.4826;
 
 /// Median on the circle, about the mean direction \[rad\]; 0 of no angles.
 pub(in crate::prepare) fn circular_median(angles_rad: &[f64]) -> f64 {
@@ -20,7 +20,7 @@ pub(in crate::prepare) fn deviations(angles_rad: Vec<f64>) -> Vec<f64> {
     angles_rad.into_iter().map(|angle| wrapped(angle - middle).abs()).collect()
 }
 
-/// A standard deviation from distances to a middle.
+/// Robust standard deviation from the distances to a median; infinite without any.
 pub(in crate::prepare) fn spread_of(mut deviations: Vec<f64>) -> f64 {
-    NORMAL * median(&mut deviations).unwrap_or(f64::INFINITY)
+    SIGMA_PER_MEDIAN * median(&mut deviations).unwrap_or(f64::INFINITY)
 }

@@ -1,8 +1,8 @@
 //! Which encoder sits on which joint, and which way it counts: found from the angles.
 //!
 //! Each recorded encoder is compared with each predicted joint, counting either way. Where they are the same joint the
-//! difference is one constant; otherwise it varies with the motion. So a table of encoders by joints shows at once which
-//! orders and directions fit, and all of them are reported.
+//! difference is one constant; otherwise it varies with the motion. From a table of this spread by encoder, joint and direction
+//! all encoder maps (order and directions) follow in which every encoder fits. All are reported, one is used for the run.
 //!
 //! One thing no data can determine: an encoder on joint 2 (or 4) that counts the other way is the same as the gimbal (the
 //! cardan) in its other configuration. Both describe the same robot, so the recorded direction is kept there.
@@ -212,10 +212,10 @@ pub fn find_encoder_map(
             let option = |encoder_map: &EncoderMap| {
                 format!("\n  --encoders {} for {encoder_map}", encoder_map.stated())
             };
-            let equals: Vec<String> =
+            let options: Vec<String> =
                 fitting.iter().filter(|encoder_map| as_good(encoder_map)).map(option).collect();
-            if equals.len() > 1 {
-                return Err(PrepareError::AmbiguousEncoderMap { fits: equals.concat() });
+            if options.len() > 1 {
+                return Err(PrepareError::AmbiguousEncoderMap { fits: options.concat() });
             }
             if best.is_mirrored() {
                 return Err(PrepareError::Mirrored { joints: None, stated: best.stated() });
@@ -231,6 +231,7 @@ pub fn find_encoder_map(
 /// Spread of each recorded encoder against each joint, counting as recorded and the other way.
 struct Table<'a> {
     recorded_joints: &'a [u8],
+    /// By encoder, joint from 0, and direction: as recorded, reversed.
     spread_mrad: Vec<[[f64; 2]; BAR_JOINTS]>,
 }
 
@@ -245,27 +246,30 @@ impl<'a> Table<'a> {
                 segment.iter().map(|pair| pair.predicted_rad[joint] - sign * pair.recorded_rad[recorded]);
             deviations(differences.collect())
         };
+        // Spread over all segments, each about its own median.
         let spread_mrad = |of_segment: &dyn Fn(&[AnglePair]) -> Vec<f64>| {
             1e3 * spread_of(segments.iter().flat_map(|segment| of_segment(segment)).collect())
         };
-        let row = |recorded: &u8| {
-            let recorded = usize::from(*recorded) - 1;
+        let row = |recorded_joint: &u8| {
+            let recorded = usize::from(*recorded_joint) - 1;
             std::array::from_fn(|joint| {
-                let both = [1.0, -1.0];
+                let signs = [1.0, -1.0];
                 if joint == 1 || joint == 3 {
                     // On these the direction depends on the configuration, which may change between segments.
                     let better = |segment: &[AnglePair]| {
-                        let [one, other] = both.map(|sign| scatter(segment, recorded, joint, sign));
-                        if spread_of(one.clone()) <= spread_of(other.clone()) { one } else { other }
+                        let [forward, reversed] = signs.map(|sign| scatter(segment, recorded, joint, sign));
+                        let forward_fits = spread_of(forward.clone()) <= spread_of(reversed.clone());
+                        if forward_fits { forward } else { reversed }
                     };
                     return [spread_mrad(&better), f64::INFINITY];
                 }
-                both.map(|sign| spread_mrad(&|segment| scatter(segment, recorded, joint, sign)))
+                signs.map(|sign| spread_mrad(&|segment| scatter(segment, recorded, joint, sign)))
             })
         };
         Self { recorded_joints, spread_mrad: recorded_joints.iter().map(row).collect() }
     }
 
+    /// Encoder `index` on `joint` (from 0).
     fn place(&self, index: usize, joint: usize, reversed: bool) -> EncoderPlace {
         let spread_mrad =
             self.spread_mrad.get(index).map_or(f64::INFINITY, |row| row[joint][usize::from(reversed)]);
@@ -297,10 +301,10 @@ impl<'a> Table<'a> {
             });
         }
         let places = joints.iter().enumerate().map(|(index, joint)| {
-            let place = usize::from(joint.unsigned_abs()) - 1;
             let reversed = *joint < 0;
-            // On joints 2 and 4 the direction depends on the configuration.
-            EncoderPlace { reversed, ..self.place(index, place, reversed && place % 2 == 0) }
+            let joint = usize::from(joint.unsigned_abs()) - 1;
+            // On joints 2 and 4 (1 and 3 from 0) the direction depends on the configuration: the table has one spread.
+            EncoderPlace { reversed, ..self.place(index, joint, reversed && joint % 2 == 0) }
         });
         Ok(EncoderMap { encoders: places.collect() })
     }
@@ -313,6 +317,7 @@ impl<'a> Table<'a> {
         found
     }
 
+    /// Adds to `found` every map that begins with `places`, recursively encoder by encoder.
     fn extend(&self, places: &mut Vec<EncoderPlace>, limit_mrad: f64, found: &mut Vec<EncoderMap>) {
         if places.len() == self.recorded_joints.len() {
             found.push(EncoderMap { encoders: places.clone() });

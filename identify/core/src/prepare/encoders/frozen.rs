@@ -6,8 +6,8 @@ use crate::prepare::{BarReading, PrepareError};
 
 /// Shortest time of constant readings \[s\]; shorter ones are turning points.
 const FROZEN_S_MIN: f64 = 1.0;
-/// Constant readings at the end of the log are not followed by a step. The encoder is then dead only if it changes in at least this share
-/// of the other readings: a joint that rests through a motion does not.
+/// Constant readings at the end of the log are not followed by a step. They are then an error only if the encoder changes in at
+/// least this share of the other readings: that of a joint that rests through a motion does not.
 const CHANGES_MIN: f64 = 0.9;
 
 /// The error of the first encoder whose readings are constant while others move; `None` without one.
@@ -22,8 +22,8 @@ pub(in crate::prepare) fn constant_encoder(
         let changes = readings.windows(2).filter(differ).count();
         changes as f64 > CHANGES_MIN * (readings.len() - part.len()) as f64
     };
-    let by_joint = readings.constant_ranges(is_long, changes).into_iter().zip(measured).enumerate();
-    by_joint.filter(|(_, (_, measured))| **measured).find_map(|(joint, (part, _))| {
+    let constant_parts = readings.constant_ranges(is_long, changes);
+    constant_parts.into_iter().enumerate().filter(|(joint, _)| measured[*joint]).find_map(|(joint, part)| {
         let part = part?;
         let (from_s, to_s) = (readings.t_s[part.start], readings.t_s[part.end - 1]);
         Some(PrepareError::EncoderFrozen { joint: joint as u8 + 1, from_s, to_s })

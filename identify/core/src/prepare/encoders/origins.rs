@@ -1,4 +1,5 @@
-//! Offsets of the encoders after a change of the counters' origin.
+//! Offsets of the encoders after a change of the counters' origin: those that did not change significantly are made equal to
+//! those of the reference, the origin with the most pairs. Used by `steps` after the alignment, and for reports.
 
 use serde::Serialize;
 
@@ -44,12 +45,12 @@ pub(in crate::prepare) fn join(
     found: &mut Found,
     t_ref_s: f64,
 ) -> (usize, Vec<OriginSpan>) {
-    let pairs =
+    let pairs_of =
         |found: &Found, origin: usize| found.offset_fit.of_origin(origin).map_or(0, |offsets| offsets.pairs);
     let origins = found.offset_fit.origins();
-    let reference = (0..origins).max_by_key(|origin| pairs(found, *origin)).unwrap_or(0);
-    let sigma_rad = |found: &Found, origin: usize| {
-        found.fit.sigma_rad * (SAMPLES_ALIKE / pairs(found, origin).max(1) as f64).sqrt()
+    let reference = (0..origins).max_by_key(|origin| pairs_of(found, *origin)).unwrap_or(0);
+    let offset_sigma_rad = |found: &Found, origin: usize| {
+        found.fit.sigma_rad * (SAMPLES_ALIKE / pairs_of(found, origin).max(1) as f64).sqrt()
     };
     let of_reference = found.offset_fit.of_origin(reference);
     let mut spans = Vec::new();
@@ -57,8 +58,11 @@ pub(in crate::prepare) fn join(
     for origin in 0..origins {
         let begins = readings.partition_point(|reading| reading.origin < origin);
         let ends = readings.partition_point(|reading| reading.origin <= origin);
-        let own_rad = if origin == reference { 0.0 } else { sigma_rad(found, origin) };
-        let sigma_rad = own_rad.hypot(if origin == reference { 0.0 } else { sigma_rad(found, reference) });
+        let sigma_rad = if origin == reference {
+            0.0
+        } else {
+            offset_sigma_rad(found, origin).hypot(offset_sigma_rad(found, reference))
+        };
         let limit_rad = UNCHANGED_RAD.max(SIGMAS * sigma_rad);
         let mut shift_rad = [0.0; BAR_JOINTS];
         let mut offsets = found.offset_fit.of_origin_mut(origin);

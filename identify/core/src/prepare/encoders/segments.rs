@@ -14,7 +14,7 @@ use crate::statistics::median;
 pub(in crate::prepare) struct Offsets {
     /// Added to the encoders' angles \[rad\]; 0 for joints without encoder.
     pub offsets_rad: [f64; BAR_JOINTS],
-    /// Pairs that they rest on.
+    /// Number of pairs from which they follow.
     pub pairs: usize,
 }
 
@@ -68,7 +68,7 @@ pub(in crate::prepare) fn fit_offsets(
     limit_rad: f64,
 ) -> OffsetFit {
     let measured = &encoder_map.measured();
-    // From here on by the joints on which the encoders are.
+    // From here on `recorded_rad` is by the joints on which the encoders are.
     let by_joint =
         |pair: &AnglePair| AnglePair { recorded_rad: encoder_map.applied(&pair.recorded_rad), ..*pair };
     let pairs: Vec<AnglePair> = pairs.iter().map(by_joint).collect();
@@ -78,32 +78,33 @@ pub(in crate::prepare) fn fit_offsets(
         fitting: Vec::new(),
         spread_rad: [0.0; BAR_JOINTS],
     };
-    let mut longest = 0;
+    let mut longest_of_all = 0;
     let mut errors: [Vec<f64>; BAR_JOINTS] = Default::default();
     for of_origin in pairs.chunk_by(|a, b| a.origin == b.origin) {
         let mut segments: Vec<&[AnglePair]> = of_origin.chunk_by(|a, b| a.segment == b.segment).collect();
         segments.sort_by_key(|segment| std::cmp::Reverse(segment.len()));
-        let Some(first) = segments.first().filter(|segment| segment.len() >= PAIRS_MIN) else { continue };
-        let (configuration, offsets_rad) = configuration_and_offsets(first, measured);
-        if first.len() > longest {
-            (longest, fit.configuration) = (first.len(), configuration);
+        let Some(longest) = segments.first().filter(|segment| segment.len() >= PAIRS_MIN) else { continue };
+        let (configuration, offsets_rad) = configuration_and_offsets(longest, measured);
+        if longest.len() > longest_of_all {
+            (longest_of_all, fit.configuration) = (longest.len(), configuration);
         }
-        let mut chosen: Vec<(&[AnglePair], Configuration)> = Vec::new();
+        // Segments in the configuration that fits these offsets.
+        let mut fitting: Vec<(&[AnglePair], Configuration)> = Vec::new();
         for segment in &segments {
-            let fits =
-                |configuration: &Configuration| off_by(segment, *configuration, &offsets_rad, measured);
-            let best = Configuration::ALL.into_iter().min_by(|a, b| fits(a).total_cmp(&fits(b)));
-            chosen.extend(best.filter(|best| fits(best) <= limit_rad).map(|best| (*segment, best)));
+            let misfit_in =
+                |configuration: &Configuration| misfit_rad(segment, *configuration, &offsets_rad, measured);
+            let best = Configuration::ALL.into_iter().min_by(|a, b| misfit_in(a).total_cmp(&misfit_in(b)));
+            fitting.extend(best.filter(|best| misfit_in(best) <= limit_rad).map(|best| (*segment, best)));
         }
-        let offsets_rad = offsets_in(&chosen, measured);
-        let used = chosen.iter().map(|(segment, _)| segment.len()).sum();
-        if let Some(offsets) = fit.by_origin.get_mut(first[0].origin) {
+        let offsets_rad = offsets_in(&fitting, measured);
+        let used = fitting.iter().map(|(segment, _)| segment.len()).sum();
+        if let Some(offsets) = fit.by_origin.get_mut(longest[0].origin) {
             *offsets = Some(Offsets { offsets_rad, pairs: used });
         }
-        for (pair, configuration) in chosen
+        let pairs_with_configuration = fitting
             .iter()
-            .flat_map(|(segment, configuration)| segment.iter().map(|pair| (pair, *configuration)))
-        {
+            .flat_map(|(segment, configuration)| segment.iter().map(|pair| (pair, *configuration)));
+        for (pair, configuration) in pairs_with_configuration {
             let predicted = configuration.carry(&pair.predicted_rad);
             let joints: [f64; BAR_JOINTS] = std::array::from_fn(|joint| {
                 if measured[joint] { pair.recorded_rad[joint] + offsets_rad[joint] } else { predicted[joint] }
@@ -129,10 +130,10 @@ fn configuration_and_offsets(
     let mut best: Option<(f64, Configuration, [f64; BAR_JOINTS])> = None;
     for configuration in Configuration::ALL {
         let offsets_rad = offsets_in(&[(segment, configuration)], measured);
-        let off_by = off_by(segment, configuration, &offsets_rad, measured);
+        let misfit_rad = misfit_rad(segment, configuration, &offsets_rad, measured);
         // Clearly less: without some encoders two configurations fit alike, and rounding must not decide.
-        if best.is_none_or(|(least, _, _)| off_by < 0.99 * least) {
-            best = Some((off_by, configuration, offsets_rad));
+        if best.is_none_or(|(least, _, _)| misfit_rad < 0.99 * least) {
+            best = Some((misfit_rad, configuration, offsets_rad));
         }
     }
     best.map_or((Configuration::ALL[0], [0.0; BAR_JOINTS]), |(_, configuration, offsets)| {
@@ -158,7 +159,7 @@ fn offsets_in(
 }
 
 /// Median over the pairs of the largest difference of a joint \[rad\].
-fn off_by(
+fn misfit_rad(
     segment: &[AnglePair],
     configuration: Configuration,
     offsets_rad: &[f64; BAR_JOINTS],
@@ -169,9 +170,9 @@ fn off_by(
         .map(|pair| {
             let predicted = configuration.carry(&pair.predicted_rad);
             let joints = (0..BAR_JOINTS).filter(|joint| measured[*joint]);
-            let off = joints
+            let errors = joints
                 .map(|joint| wrapped(predicted[joint] - pair.recorded_rad[joint] - offsets_rad[joint]).abs());
-            off.fold(0.0, f64::max)
+            errors.fold(0.0, f64::max)
         })
         .collect();
     median(&mut largest).unwrap_or(f64::INFINITY)

@@ -10,18 +10,17 @@ const PAIRS_MIN: usize = 30;
 /// Before and after a slip the angles are within this part of the limit.
 const CLEARLY_WITHIN: f64 = 0.5;
 
-/// One encoder in one segment of the run.
-enum Fit {
+/// How one encoder fits in one segment of the run.
+enum EncoderFit {
     /// It fits some joint as it is.
     Whole,
-    /// It fits joint `joint` (from 0) but for one step.
+    /// It fits joint `joint` (from 0) before and after a step at pair `at`, where its readings change by `by_rad`.
     Stepped { joint: usize, at: usize, by_rad: f64 },
     /// It fits no joint.
     Nowhere,
 }
 
-/// The slip in a run in which most samples of an encoder, or too few, fit: in some segment between singular poses all
-/// encoders fit but one, and that one fits before and after a step.
+/// The slip, if in some segment between singular poses all encoders fit but one, and that one fits before and after a step.
 ///
 /// `pairs` are in the order of time; `t_s` are the times of all samples \[s\].
 pub(in crate::prepare) fn large_slip(
@@ -35,9 +34,11 @@ pub(in crate::prepare) fn large_slip(
     segments.filter(|segment| segment.len() >= 2 * PAIRS_MIN).find_map(|segment| {
         let mut slip = None;
         for joint in recorded_joints {
-            match fit(segment, usize::from(*joint) - 1, limit_rad) {
-                Fit::Whole => {}
-                Fit::Stepped { joint, at, by_rad } if slip.is_none() => slip = Some((joint, at, by_rad)),
+            match encoder_fit(segment, usize::from(*joint) - 1, limit_rad) {
+                EncoderFit::Whole => {}
+                EncoderFit::Stepped { joint, at, by_rad } if slip.is_none() => {
+                    slip = Some((joint, at, by_rad));
+                }
                 _ => return None,
             }
         }
@@ -48,24 +49,24 @@ pub(in crate::prepare) fn large_slip(
 }
 
 /// How the encoder of `recorded` (from 0) fits; its own joint is tried first.
-fn fit(segment: &[AnglePair], recorded: usize, limit_rad: f64) -> Fit {
-    let mut stepped = Fit::Nowhere;
+fn encoder_fit(segment: &[AnglePair], recorded: usize, limit_rad: f64) -> EncoderFit {
+    let mut stepped = EncoderFit::Nowhere;
     let joints = std::iter::once(recorded).chain((0..BAR_JOINTS).filter(|joint| *joint != recorded));
     for (joint, sign) in joints.flat_map(|joint| [(joint, 1.0), (joint, -1.0)]) {
         let difference = |pair: &AnglePair| pair.predicted_rad[joint] - sign * pair.recorded_rad[recorded];
         let differences: Vec<f64> = segment.iter().map(difference).collect();
-        // What the encoder reads jumps the other way than what it lacks.
-        let jumps = step(&differences, limit_rad).map(|(at, by_rad)| Fit::Stepped {
+        // The encoder's own step has the opposite sign of that in predicted minus recorded.
+        let with_step = step(&differences, limit_rad).map(|(at, by_rad)| EncoderFit::Stepped {
             joint,
             at,
             by_rad: -sign * by_rad,
         });
-        // Most of the samples fit, too, where it slips late.
+        // A step near the end leaves most samples fitting.
         if spread_of(deviations(differences)) <= limit_rad {
-            return jumps.unwrap_or(Fit::Whole);
+            return with_step.unwrap_or(EncoderFit::Whole);
         }
-        if let (Fit::Nowhere, Some(jumps)) = (&stepped, jumps) {
-            stepped = jumps;
+        if let (EncoderFit::Nowhere, Some(with_step)) = (&stepped, with_step) {
+            stepped = with_step;
         }
     }
     stepped
@@ -76,8 +77,8 @@ fn step(differences_rad: &[f64], limit_rad: f64) -> Option<(usize, f64)> {
     let change = |at: usize| wrapped(differences_rad[at] - differences_rad[at - 1]).abs();
     let at = (1..differences_rad.len()).max_by(|a, b| change(*a).total_cmp(&change(*b)))?;
     let (before, after) = differences_rad.split_at(at);
-    let constant = |part: &[f64]| spread_of(deviations(part.to_vec())) <= CLEARLY_WITHIN * limit_rad;
+    let is_constant = |part: &[f64]| spread_of(deviations(part.to_vec())) <= CLEARLY_WITHIN * limit_rad;
     let by_rad = wrapped(circular_median(after) - circular_median(before));
-    let lasts = before.len().min(after.len()) >= PAIRS_MIN && constant(before) && constant(after);
-    (lasts && by_rad.abs() > limit_rad).then_some((at, by_rad))
+    let is_step = before.len().min(after.len()) >= PAIRS_MIN && is_constant(before) && is_constant(after);
+    (is_step && by_rad.abs() > limit_rad).then_some((at, by_rad))
 }

@@ -137,22 +137,24 @@ impl Comparison {
         let t_s: Vec<f64> = rows.t_s.iter().map(|t_s| time_s(*t_s)).collect();
         for ((t_s, row), average) in t_s.iter().zip(rows.iter()).zip(&averages) {
             let Some(average) = average else { continue };
-            let next = standstills.partition_point(|one| one.to_s < *t_s);
-            let still = standstills.get(next).is_some_and(|one| one.from_s <= *t_s);
-            let sums = if still { &mut self.still } else { &mut self.moving };
-            for (squares, (logged, average)) in
-                sums.iter_mut().zip(row.numbers().iter().zip(average.numbers()))
-            {
-                squares.add(logged - average);
-            }
+            let next = standstills.partition_point(|standstill| standstill.to_s < *t_s);
+            let is_still = standstills.get(next).is_some_and(|standstill| standstill.from_s <= *t_s);
+            let sums = if is_still { &mut self.still } else { &mut self.moving };
+            let removed =
+                row.numbers().iter().zip(average.numbers()).map(|(logged, average)| logged - average);
+            sums.iter_mut().zip(removed).for_each(|(squares, removed)| squares.add(removed));
         }
         let joints = self.still.len();
         let point_at = |row: usize, joint: usize| point(&t_s, rows, &averages, row, joint);
-        let fastest = (1..averages.len().saturating_sub(1))
-            .flat_map(|row| (0..joints).map(move |joint| (row, joint)))
+        let rows_and_joints =
+            (1..averages.len().saturating_sub(1)).flat_map(|row| (0..joints).map(move |joint| (row, joint)));
+        let fastest = rows_and_joints
             .filter_map(|(row, joint)| Some((point_at(row, joint)?.averaged_rad_s.abs(), row, joint)))
-            .max_by(|a, b| a.0.total_cmp(&b.0));
-        let Some((rad_s, row, joint)) = fastest.filter(|one| one.0 > self.fastest_rad_s) else { return };
+            .max_by(|(a_rad_s, ..), (b_rad_s, ..)| a_rad_s.total_cmp(b_rad_s));
+        // Only if it is faster than in the parts so far.
+        let Some((rad_s, row, joint)) = fastest.filter(|(rad_s, ..)| *rad_s > self.fastest_rad_s) else {
+            return;
+        };
         let shown_s = SHOWN_S_MIN.max(SHOWN_WIDTHS * width_s);
         let from = t_s.partition_point(|t| *t < t_s[row] - shown_s).max(1);
         let to = t_s.partition_point(|t| *t <= t_s[row] + shown_s).min(averages.len() - 1);
@@ -181,13 +183,13 @@ fn point<R: Row>(
     joint: usize,
 ) -> Option<AveragedPoint> {
     let average = |row: usize| averages[row].map(|average| average.numbers()[joint]);
-    let (before, here, after) = (average(row - 1)?, average(row)?, average(row + 1)?);
+    let (average_before, average_here, average_after) = (average(row - 1)?, average(row)?, average(row + 1)?);
     let logged = |row: usize| rows[row].numbers()[joint];
     let time_s = t_s[row + 1] - t_s[row - 1];
     Some(AveragedPoint {
         t_s: t_s[row],
         speed_rad_s: (logged(row + 1) - logged(row - 1)) / time_s,
-        averaged_rad_s: (after - before) / time_s,
-        removed_rad: logged(row) - here,
+        averaged_rad_s: (average_after - average_before) / time_s,
+        removed_rad: logged(row) - average_here,
     })
 }

@@ -20,6 +20,7 @@ pub(in crate::prepare) struct BothLogs<'a> {
     pub log: Cow<'a, RobotLog>,
     /// Encoders of the bar and joints of the robot that wrapped.
     pub unwrapped: [Vec<Unwrapped>; 2],
+    /// Both logs before the average, if there is one.
     before: Option<BeforeAverage<'a>>,
 }
 
@@ -34,12 +35,12 @@ impl<'a> BothLogs<'a> {
         log: &'a RobotLog,
         options: &PrepareOptions,
     ) -> Result<Self, PrepareError> {
-        let of_bar = || {
+        let read_bar = || {
             let angles = bar_angles(cycles, encoders)?;
             Ok::<_, PrepareError>((unwrapped_counters(cycles, encoders, &angles), angles))
         };
-        let (of_bar, (mut log, of_robot)) = both(of_bar, || unwrapped_log(log));
-        let (of_bar, mut angles) = of_bar?;
+        let (bar, (mut log, unwrapped_joints)) = both(read_bar, || unwrapped_log(log));
+        let (unwrapped_encoders, mut angles) = bar?;
         let width_s = options.moving_average_ms * 1e-3;
         let before = (width_s > 0.0).then(|| {
             let readings = angles.average(width_s);
@@ -48,7 +49,7 @@ impl<'a> BothLogs<'a> {
             let averaged = RobotLog { q_rad: log.q_rad.averaged(width_s).into(), ..(*log).clone() };
             BeforeAverage { width_s, readings, log: std::mem::replace(&mut log, Cow::Owned(averaged)) }
         });
-        Ok(Self { angles, log, unwrapped: [of_bar, of_robot], before })
+        Ok(Self { angles, log, unwrapped: [unwrapped_encoders, unwrapped_joints], before })
     }
 
     /// Effect of the average; `None` if there is none. `clock` and the standstills are for times since `t_ref`.

@@ -1,4 +1,4 @@
-//! Standstills, and the jitter of the encoders' readings in them.
+//! Standstills, and the jitter of the encoders' readings in them, for reports.
 
 use serde::Serialize;
 
@@ -89,29 +89,35 @@ pub(in crate::prepare) fn standstills(
 #[derive(Debug, Clone, Copy, Default)]
 struct Spread {
     squares: f64,
-    freedoms: usize,
+    degrees_of_freedom: usize,
 }
 
 impl Spread {
-    /// Adds one standstill's readings, about their own line: a robot that comes to rest drifts.
+    /// Adds one standstill's times and angles `x`, about their own straight line: a robot that comes to rest drifts.
     fn add(&mut self, readings: impl Iterator<Item = (f64, f64)> + Clone) {
         let count = readings.clone().count();
         if count < READINGS_MIN {
             return;
         }
         let n = count as f64;
-        let (t_mean, v_mean) =
-            readings.clone().fold((0.0, 0.0), |(t_sum, v_sum), (t, v)| (t_sum + t / n, v_sum + v / n));
-        let (tt, tv, vv) = readings.fold((0.0, 0.0, 0.0), |(tt, tv, vv), (t, v)| {
-            let (t, v) = (t - t_mean, v - v_mean);
-            (tt + t * t, tv + t * v, vv + v * v)
-        });
-        self.squares += (vv - tv * tv / tt.max(f64::MIN_POSITIVE)).max(0.0);
-        self.freedoms += count - 2;
+        let (mut t_mean, mut x_mean) = (0.0, 0.0);
+        for (t, x) in readings.clone() {
+            t_mean += t / n;
+            x_mean += x / n;
+        }
+        let (mut sum_tt, mut sum_tx, mut sum_xx) = (0.0, 0.0, 0.0);
+        for (t, x) in readings {
+            let (t, x) = (t - t_mean, x - x_mean);
+            sum_tt += t * t;
+            sum_tx += t * x;
+            sum_xx += x * x;
+        }
+        self.squares += (sum_xx - sum_tx * sum_tx / sum_tt.max(f64::MIN_POSITIVE)).max(0.0);
+        self.degrees_of_freedom += count - 2;
     }
 
     /// Standard deviation \[urad\]; `None` without readings.
     fn deviation_urad(self) -> Option<f64> {
-        (self.freedoms > 0).then(|| (self.squares / self.freedoms as f64).sqrt() * 1e6)
+        (self.degrees_of_freedom > 0).then(|| (self.squares / self.degrees_of_freedom as f64).sqrt() * 1e6)
     }
 }

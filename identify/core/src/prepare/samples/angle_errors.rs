@@ -40,8 +40,8 @@ const PART_SAMPLES_MIN: usize = 20;
 
 /// Shift of each part of the run. Offsets are free in each, so that slow errors of the geometry do not look like a shift.
 pub(in crate::prepare) fn local_shifts(errors: &[AngleErrors]) -> Vec<LocalShift> {
-    let part = |one: &AngleErrors| (one.origin, (one.t_s / PART_S).floor());
-    errors.chunk_by(|a, b| part(a) == part(b)).filter_map(local_shift).collect()
+    let origin_and_part = |sample: &AngleErrors| (sample.origin, (sample.t_s / PART_S).floor());
+    errors.chunk_by(|a, b| origin_and_part(a) == origin_and_part(b)).filter_map(local_shift).collect()
 }
 
 /// Least squares of `error = constant + shift * speed` over all joints of a part.
@@ -52,24 +52,26 @@ fn local_shift(part: &[AngleErrors]) -> Option<LocalShift> {
     let n = part.len() as f64;
     let (mut products, mut squares) = (0.0, 0.0);
     for joint in 0..BAR_JOINTS {
-        let mean = |of: &dyn Fn(&AngleErrors) -> f64| part.iter().map(of).sum::<f64>() / n;
-        let error_mean = mean(&|one| one.error_rad[joint]);
-        let speed_mean = mean(&|one| one.speed_rad_s[joint]);
-        for one in part {
-            let speed = one.speed_rad_s[joint] - speed_mean;
-            products += speed * (one.error_rad[joint] - error_mean);
+        let mean = |value: &dyn Fn(&AngleErrors) -> f64| part.iter().map(value).sum::<f64>() / n;
+        let error_mean = mean(&|sample| sample.error_rad[joint]);
+        let speed_mean = mean(&|sample| sample.speed_rad_s[joint]);
+        for sample in part {
+            let speed = sample.speed_rad_s[joint] - speed_mean;
+            products += speed * (sample.error_rad[joint] - error_mean);
             squares += speed * speed;
         }
     }
     (squares > n * SPEED_SPREAD_MIN_RAD_S.powi(2)).then(|| LocalShift {
-        t_s: part.iter().map(|one| one.t_s).sum::<f64>() / n,
+        t_s: part.iter().map(|sample| sample.t_s).sum::<f64>() / n,
         shift_s: products / squares,
     })
 }
 
 /// Standard deviation of each joint's error, from the median \[rad\].
 pub(in crate::prepare) fn spreads_rad(errors: &[AngleErrors]) -> [f64; BAR_JOINTS] {
-    std::array::from_fn(|joint| spread_of(errors.iter().map(|one| one.error_rad[joint].abs()).collect()))
+    std::array::from_fn(|joint| {
+        spread_of(errors.iter().map(|sample| sample.error_rad[joint].abs()).collect())
+    })
 }
 
 /// Smallest error of an outlier, in standard deviations: noise exceeds it in none of a million runs.
@@ -81,10 +83,10 @@ const OUTLIER_SHARE_MAX: f64 = 0.05;
 
 /// Indices of the samples in which the error of a joint is an outlier; none if their share is above [`OUTLIER_SHARE_MAX`].
 pub(in crate::prepare) fn outliers(errors: &[AngleErrors], spreads_rad: &[f64; BAR_JOINTS]) -> Vec<usize> {
-    let is_outlier = |one: &&AngleErrors| {
-        let mut errors = one.error_rad.iter().zip(spreads_rad);
+    let is_outlier = |sample: &&AngleErrors| {
+        let mut errors = sample.error_rad.iter().zip(spreads_rad);
         errors.any(|(error, spread)| error.abs() > OUTLIER_RAD_MIN.max(OUTLIER_SIGMAS * spread))
     };
-    let found: Vec<usize> = errors.iter().filter(is_outlier).map(|one| one.sample).collect();
+    let found: Vec<usize> = errors.iter().filter(is_outlier).map(|sample| sample.sample).collect();
     if found.len() as f64 > OUTLIER_SHARE_MAX * errors.len() as f64 { Vec::new() } else { found }
 }

@@ -1,4 +1,5 @@
-//! Status of each sample once the logs are aligned.
+//! Status of each sample once the logs are aligned: which ones the solve uses, and why the others are left out. Residuals of the
+//! refined fit give outliers and a poor fit; of the usable samples some that move are kept, spread over the sphere.
 
 pub(super) mod angle_errors;
 pub(super) mod select;
@@ -24,7 +25,7 @@ const EDGE_S: f64 = 0.03;
 const KEPT_MIN: usize = 50;
 /// Largest number of samples of a long recording that are checked; the others are thinned unchecked. In a recording of a day these
 /// are still four per second: fewer would not show a clock step.
-const LOOKED_AT_MAX: usize = 400_000;
+const CHECKED_MAX: usize = 400_000;
 
 /// The samples after all decisions.
 pub(super) struct Sorted {
@@ -42,8 +43,8 @@ pub(super) struct Sorted {
     pub poor_fit: Option<PoorFit>,
 }
 
-/// Sorts the samples; `t_ref_s` is the reference time after the first, `reference` the origin whose offsets the
-/// observations have, `numbers` the number of each origin in them.
+/// Sorts the samples. `t_ref_s` is the reference time after the first sample. The angles of the observations have the offsets
+/// of all origins relative to those of the origin `reference`; `numbers` are the origins' numbers in the observations.
 ///
 /// # Errors
 /// [`PrepareError::NothingLeft`], [`PrepareError::LittleTravel`].
@@ -58,18 +59,18 @@ pub(super) fn sort(
 ) -> Result<Sorted, PrepareError> {
     let encoder_map = &found.encoder_map.used;
     let measured = encoder_map.measured();
-    let offsets = |origin: usize| found.offset_fit.of_origin(origin).map(|offsets| offsets.offsets_rad);
+    let offsets_of = |origin: usize| found.offset_fit.of_origin(origin).map(|offsets| offsets.offsets_rad);
     let joints: Vec<Sample> = readings
         .iter()
         .zip(&readings.t_s)
         .map(|(reading, t_s)| {
             let angles = encoder_map.applied(&reading.recorded_rad);
-            let offsets = offsets(reading.origin).unwrap_or_default();
+            let offsets = offsets_of(reading.origin).unwrap_or_default();
             let bar_rad = std::array::from_fn(|joint| angles[joint] + offsets[joint]);
             Sample { cycle: reading.cycle, t_s: t_s - t_ref_s, bar_rad }
         })
         .collect();
-    let (mut statuses, errors) = look_at_all(readings, &joints, found, motion, options);
+    let (mut statuses, errors) = check_all(readings, &joints, found, motion, options);
     let local_shifts = local_shifts(&errors);
     let spread_rad = spreads_rad(&errors);
     let is_poor = spread_rad.iter().any(|spread_rad| spread_rad * 1e3 > options.fit_max_mrad);
@@ -82,24 +83,23 @@ pub(super) fn sort(
     for sample in outliers(&errors, &spread_rad) {
         statuses[sample] = SampleStatus::Outlier;
     }
-    choose(&joints, &mut statuses, options)?;
+    select_kept(&joints, &mut statuses, options)?;
     check_travel(&joints, &statuses, &measured, options)?;
-    let reference_rad = offsets(reference).unwrap_or_default();
+    let reference_rad = offsets_of(reference).unwrap_or_default();
     let kept =
         readings.iter().zip(&joints).zip(&statuses).filter(|(_, status)| **status == SampleStatus::Kept);
-    let observations = kept.map(|((reading, sample), _)| Observation {
-        measured,
-        origin: numbers.get(reading.origin).copied().unwrap_or_default(),
-        ..Observation::bar(
-            sample.t_s,
-            std::array::from_fn(|j| if measured[j] { sample.bar_rad[j] - reference_rad[j] } else { 0.0 }),
-        )
+    let observations = kept.map(|((reading, sample), _)| {
+        let bar_rad =
+            std::array::from_fn(|j| if measured[j] { sample.bar_rad[j] - reference_rad[j] } else { 0.0 });
+        let origin = numbers.get(reading.origin).copied().unwrap_or_default();
+        Observation { measured, origin, ..Observation::bar(sample.t_s, bar_rad) }
     });
     Ok(Sorted { observations: observations.collect(), statuses, joints, local_shifts, spread_rad, poor_fit })
 }
 
-/// Usable samples are `Standstill` so far: those that move are found later.
-fn look_at_all(
+/// Status of each sample from its angles, and the errors of those that are usable. These are `Standstill` so far:
+/// [`select_kept`] finds the ones that move.
+fn check_all(
     readings: &Stream<BarReading>,
     joints: &[Sample],
     found: &Found,
@@ -112,27 +112,28 @@ fn look_at_all(
     let measured = found.encoder_map.used.measured();
     let residuals = Residuals::new(motion, geometry, measured);
     let margin_min_rad = options.singular_margin_deg.to_radians();
-    let stride = readings.len().div_ceil(LOOKED_AT_MAX).max(1);
+    let stride = readings.len().div_ceil(CHECKED_MAX).max(1);
     let mut statuses = vec![SampleStatus::Thinned; readings.len()];
     let has_offsets = |reading: &BarReading| found.offset_fit.of_origin(reading.origin).is_some();
-    let looked_at = rows(readings.len().div_ceil(stride), |place| {
-        let (reading, sample) = (&readings[place * stride], &joints[place * stride]);
+    let checked = rows(readings.len().div_ceil(stride), |number| {
+        let index = number * stride;
+        let (reading, sample) = (&readings[index], &joints[index]);
         if !has_offsets(reading) {
             return Err(SampleStatus::OtherOrigin);
         }
         if [-EDGE_S, 0.0, EDGE_S].iter().any(|by_s| !residuals.covers(sample.t_s + by_s)) {
             return Err(SampleStatus::Outside);
         }
-        let errors = residuals.of_sample(place * stride, reading.origin, sample.t_s, &sample.bar_rad);
+        let errors = residuals.of_sample(index, reading.origin, sample.t_s, &sample.bar_rad);
         errors.filter(|errors| errors.margin_rad > margin_min_rad).ok_or(SampleStatus::Singular)
     });
     for (_, status) in readings.iter().zip(&mut statuses).filter(|(reading, _)| !has_offsets(reading)) {
         *status = SampleStatus::OtherOrigin;
     }
-    for (one, status) in looked_at.iter().zip(statuses.iter_mut().step_by(stride)) {
-        *status = one.as_ref().err().copied().unwrap_or(SampleStatus::Standstill);
+    for (errors, status) in checked.iter().zip(statuses.iter_mut().step_by(stride)) {
+        *status = errors.as_ref().err().copied().unwrap_or(SampleStatus::Standstill);
     }
-    (statuses, looked_at.into_iter().flatten().collect())
+    (statuses, checked.into_iter().flatten().collect())
 }
 
 /// Every measured joint must move, or its offset cannot be separated from the robot's geometry.
@@ -146,7 +147,7 @@ fn check_travel(
         .iter()
         .zip(statuses)
         .filter(|(_, status)| **status == SampleStatus::Kept)
-        .map(|(one, _)| one)
+        .map(|(sample, _)| sample)
         .collect();
     for joint in (0..BAR_JOINTS).filter(|joint| measured[*joint]) {
         let [low, high] = extremes(kept.iter().map(|sample| sample.bar_rad[joint]));
@@ -160,7 +161,7 @@ fn check_travel(
 }
 
 /// Classifies the usable samples: standstill, thinned, kept.
-fn choose(
+fn select_kept(
     joints: &[Sample],
     statuses: &mut [SampleStatus],
     options: &PrepareOptions,
@@ -173,7 +174,8 @@ fn choose(
     for index in &moving {
         statuses[*index] = SampleStatus::Thinned;
     }
-    let directions: Vec<Vector3<f64>> = moving.iter().map(|index| rod(&joints[*index].bar_rad)).collect();
+    let directions: Vec<Vector3<f64>> =
+        moving.iter().map(|index| rod_direction(&joints[*index].bar_rad)).collect();
     let points_max = if options.points_max == 0 { usize::MAX } else { options.points_max };
     let kept = spread_over_sphere(&moving, &directions, points_max);
     for index in &kept {
@@ -192,7 +194,7 @@ fn choose(
 }
 
 /// Direction of the rod in the bar's base, up to the signs of its axes.
-fn rod(bar_rad: &[f64; BAR_JOINTS]) -> Vector3<f64> {
+fn rod_direction(bar_rad: &[f64; BAR_JOINTS]) -> Vector3<f64> {
     let ([sin1, cos1], [sin2, cos2]) =
         ([bar_rad[0].sin(), bar_rad[0].cos()], [bar_rad[1].sin(), bar_rad[1].cos()]);
     Vector3::new(cos1 * sin2, sin1 * sin2, cos2)

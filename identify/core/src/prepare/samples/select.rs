@@ -1,4 +1,4 @@
-//! Selects samples that are spread over the motion or over the sphere.
+//! Selects samples that are spread over the motion, for fits of the alignment, or over the sphere, for the solve.
 
 use std::f64::consts::PI;
 
@@ -16,7 +16,7 @@ pub fn select<R: AsRef<[f64]>>(angles_rad: &[R], motion_min_rad: f64, points_max
     if kept.len() <= points_max {
         return kept;
     }
-    // Any distance up to the whole travel may be the one.
+    // Bisection: the distance sought is at most the whole travel.
     let travel = angles_rad.windows(2).map(|pair| distance(&pair[0], &pair[1])).sum::<f64>();
     let (mut low, mut high) = (motion_min_rad, travel.max(motion_min_rad));
     for _ in 0..HALVINGS {
@@ -45,15 +45,17 @@ pub fn spread_over_sphere(samples: &[usize], directions: &[Vector3<f64>], points
     }
     cells.retain(|cell| !cell.is_empty());
     cells.sort_by_key(Vec::len);
-    let (mut left, mut chosen) = (points_max, Vec::with_capacity(points_max));
+    // From the smallest cell on: what it has less than its share is shared by the larger ones.
+    let (mut remaining, mut selected) = (points_max, Vec::with_capacity(points_max));
     let count = cells.len();
-    for (place, cell) in cells.iter().enumerate() {
-        let share = (left / (count - place)).min(cell.len());
-        left -= share;
-        chosen.extend((0..share).filter_map(|k| cell.get((2 * k + 1) * cell.len() / (2 * share))));
+    for (number, cell) in cells.iter().enumerate() {
+        let share = (remaining / (count - number)).min(cell.len());
+        remaining -= share;
+        // The middles of `share` equal parts.
+        selected.extend((0..share).filter_map(|k| cell.get((2 * k + 1) * cell.len() / (2 * share))));
     }
-    chosen.sort_unstable();
-    chosen
+    selected.sort_unstable();
+    selected
 }
 
 /// Cells of equal area on the sphere: rings of equal height, each cut into the same number.
@@ -62,9 +64,10 @@ const SECTORS: usize = 24;
 const CELLS: usize = RINGS * SECTORS;
 
 fn cell_of(direction: &Vector3<f64>) -> usize {
-    let of = |part: f64, count: usize| ((part * count as f64) as usize).min(count - 1);
-    let ring = of(0.5 * (1.0 + direction.z), RINGS);
-    ring * SECTORS + of(0.5 * (1.0 + direction.y.atan2(direction.x) / PI), SECTORS)
+    let interval = |part: f64, count: usize| ((part * count as f64) as usize).min(count - 1);
+    let ring = interval(0.5 * (1.0 + direction.z), RINGS);
+    let sector = interval(0.5 * (1.0 + direction.y.atan2(direction.x) / PI), SECTORS);
+    ring * SECTORS + sector
 }
 
 /// Indices of samples at least `step_rad` from the last one kept; the first is always kept.
