@@ -63,7 +63,7 @@ clock_instant! {
 }
 
 impl UtcNs {
-    /// The calendar date, or none outside the years that chrono can show.
+    /// The calendar date and time of this instant.
     pub fn to_datetime(self) -> DateTime<Utc> {
         DateTime::from_timestamp_nanos(self.0)
     }

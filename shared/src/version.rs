@@ -6,7 +6,7 @@ use chrono::DateTime;
 
 /// Digits of a commit's hash: enough for a repository a thousand times as large.
 const HASH_DIGITS: usize = 10;
-/// What `build.rs` calls a build that is none for release.
+/// What `build.rs` calls a build that is not a release.
 const DEBUG_BUILD: &str = "debug build";
 
 /// Such as `0.1.0 (56eed98a1b 2026-11-26)`, and in the brackets whether it is a debug build, or one of a modified checkout.

@@ -84,21 +84,21 @@ impl Source {
     pub fn find(given: &Path) -> Self {
         let is_file_name = given.extension().is_some_and(|ending| ending == ENDING);
         let is_meant = |found: &Self| !is_file_name || matches!(found, Self::File(_));
-        let named = || Self::named(name(given)?).filter(is_meant);
-        let is_file = given.is_file();
-        (!is_file).then(named).flatten().unwrap_or_else(|| Self::File(given.to_owned()))
+        let by_name = || Self::named(name(given)?).filter(is_meant);
+        let found = if given.is_file() { None } else { by_name() };
+        found.unwrap_or_else(|| Self::File(given.to_owned()))
     }
 
     /// The first configuration of a name, without `.toml`: in [`PLACES`], or built in.
     pub fn named(name: &str) -> Option<Self> {
         let file = format!("{name}.{ENDING}");
         let below = |place| [Path::new(place).join(&file), Path::new(place).join(ROBOTS).join(&file)];
-        let in_place = PLACES.into_iter().flat_map(below).find(|file| file.is_file()).map(Self::File);
+        let in_directory = PLACES.into_iter().flat_map(below).find(|file| file.is_file()).map(Self::File);
         let built_in = || {
             let (_, name, text) = BUILT_IN.into_iter().find(|(_, other, _)| *other == name)?;
             Some(Self::BuiltIn(name, text))
         };
-        in_place.or_else(built_in)
+        in_directory.or_else(built_in)
     }
 
     /// A path in a file of `directory`: relative to it, unless it is a name that is found elsewhere.
@@ -151,12 +151,12 @@ impl Source {
     }
 }
 
-fn not_utf8(path: &Path, bytes: &[u8], at: usize) -> ConfigError {
-    let before = bytes.get(..at).unwrap_or_default();
+fn not_utf8(path: &Path, bytes: &[u8], valid_to: usize) -> ConfigError {
+    let before = bytes.get(..valid_to).unwrap_or_default();
     let message = if bytes.contains(&0) {
         "this is a binary file, not TOML; give a configuration file".to_owned()
     } else {
-        let byte = bytes.get(at).copied().unwrap_or_default();
+        let byte = bytes.get(valid_to).copied().unwrap_or_default();
         format!(
             "byte 0x{byte:02X} is not UTF-8, in which TOML is written; save it as UTF-8, or\n\
              iconv -f latin1 -t utf-8 {} > NEW",
@@ -194,11 +194,13 @@ impl Kind {
 
     /// What messages call it.
     pub(super) fn noun(self) -> &'static str {
-        KINDS[self as usize].1
+        let (_, noun, ..) = KINDS[self as usize];
+        noun
     }
 
     /// The option that takes it.
     pub(super) fn option(self) -> &'static str {
-        KINDS[self as usize].2
+        let (_, _, option, _) = KINDS[self as usize];
+        option
     }
 }

@@ -38,15 +38,15 @@ pub(super) fn line_of(text: &str, key: &str) -> Option<usize> {
 /// The known name that was probably meant by a wrong one.
 pub fn nearest<'a>(wrong: &str, known: impl Iterator<Item = &'a str>) -> Option<&'a str> {
     let wrong = wrong.to_lowercase();
-    let alike = known.map(|name| (strsim::jaro_winkler(&wrong, &name.to_lowercase()), name));
-    let nearest = alike.max_by(|(one, _), (other, _)| one.total_cmp(other));
-    nearest.filter(|(alike, _)| *alike >= ALIKE).map(|(_, name)| name)
+    let similarities = known.map(|name| (strsim::jaro_winkler(&wrong, &name.to_lowercase()), name));
+    let nearest = similarities.max_by(|(a, _), (b, _)| a.total_cmp(b));
+    nearest.filter(|(similarity, _)| *similarity >= ALIKE).map(|(_, name)| name)
 }
 
-/// The sentence about `key`, its dotted path, from the messages of serde and toml.
-pub(super) fn message(key: Option<&str>, said: &str) -> String {
-    let Some(key) = key else { return format!("this is not TOML: {}", said.trim_end()) };
-    let named: Vec<&str> = said.split('`').skip(1).step_by(2).collect();
+/// The sentence about `key`, its dotted path, from a message of serde or toml, which puts names between backquotes.
+pub(super) fn message(key: Option<&str>, original: &str) -> String {
+    let Some(key) = key else { return format!("this is not TOML: {}", original.trim_end()) };
+    let named: Vec<&str> = original.split('`').skip(1).step_by(2).collect();
     let of_table = |name: &str| match key.rsplit_once('.') {
         Some((table, last)) if last == name => format!("`{table}.{name}`"),
         _ if matches!(key, "." | "") || key == name => format!("`{name}`"),
@@ -54,21 +54,21 @@ pub(super) fn message(key: Option<&str>, said: &str) -> String {
     };
     let meant = |wrong: &str, known: &[&str]| super::did_you_mean(wrong, known.iter().copied());
     match named.as_slice() {
-        [wrong, known @ ..] if said.starts_with("unknown field") => {
+        [wrong, known @ ..] if original.starts_with("unknown field") => {
             let (key, meant) = (of_table(wrong), meant(wrong, known));
             format!("unknown key {key}{meant} Keys here: {}", known.join(", "))
         }
-        [wrong, known @ ..] if said.starts_with("unknown variant") => {
+        [wrong, known @ ..] if original.starts_with("unknown variant") => {
             let meant = meant(wrong, known);
             format!("key `{key}` cannot be `{wrong}`{meant} It is one of: {}", known.join(", "))
         }
-        [missing] if said.starts_with("missing field") => {
+        [missing] if original.starts_with("missing field") => {
             format!("key {} is missing; add it", of_table(missing))
         }
         // The text of serde has a name of the program.
-        _ if said.starts_with("data did not match any variant") => format!(
+        _ if original.starts_with("data did not match any variant") => format!(
             "key `{key}`: its value has an unknown form; the comment above it in the shipped file (config/) lists the forms"
         ),
-        _ => format!("key `{key}`: {}", said.trim_end()),
+        _ => format!("key `{key}`: {}", original.trim_end()),
     }
 }

@@ -362,7 +362,7 @@ impl Validate for RobotConfig {
     }
 }
 
-/// Every number of every link is finite and every length is one of a robot, not of a field.
+/// Every number of every link is finite, and every length and angle is plausible for a robot.
 pub(super) fn validate_links(key: &str, links: &[LinkConfig]) -> Result<(), Violation> {
     for (index, link) in links.iter().enumerate() {
         let lengths = [("a_m", link.a_m), ("d_m", link.d_m)];

@@ -73,6 +73,7 @@ fn draw(pen: &mut Pen, bar: &BallBarConfig) {
     let (sin, cos) = TILT_DEG.to_radians().sin_cos();
     let px_per_m = WIDTH_PX / (bar.length_m * sin + bar.plate_m);
     let [length, plate, tool] = [bar.length_m, bar.plate_m, bar.tool_m].map(|length_m| length_m * px_per_m);
+    // Unit vectors along the rod, and across it in the plane of rod and plate.
     let (rod, across) = (X * sin + Z * cos, Z * sin - X * cos);
     let (gimbal, cardan) = (Vector([0.0; 3]), rod * length);
     let axis6 = cardan + X * plate;
@@ -149,6 +150,7 @@ fn fork_behind(pen: &mut Pen, centre: Vector, back: Vector) {
     pen.block("body", centre + back * 66.0, [Y * 41.0, back * 6.0, Y.cross(back) * 11.0]);
 }
 
+/// One arm of a fork from its pin, `end`, backwards.
 fn fork_arm(pen: &mut Pen, end: Vector, back: Vector) {
     pen.block("body", end + back * 23.0, [Y * 5.0, back * 37.0, Y.cross(back) * 11.0]);
 }

@@ -9,10 +9,10 @@ pub struct Vector(pub [f64; 3]);
 
 impl Vector {
     fn dot(self, other: Self) -> f64 {
-        self.0.iter().zip(other.0).map(|(one, two)| one * two).sum()
+        self.0.iter().zip(other.0).map(|(a, b)| a * b).sum()
     }
 
-    /// Outer product.
+    /// Cross product of two vectors, by the right-hand rule.
     pub fn cross(self, Self([x, y, z]): Self) -> Self {
         let Self([a, b, c]) = self;
         Self([b * z - c * y, c * x - a * z, a * y - b * x])
@@ -33,7 +33,7 @@ impl Add for Vector {
 impl Mul<f64> for Vector {
     type Output = Self;
     fn mul(self, factor: f64) -> Self {
-        Self(self.0.map(|one| one * factor))
+        Self(self.0.map(|value| value * factor))
     }
 }
 
@@ -60,6 +60,7 @@ fn px(value: f64) -> f64 {
     (value * 10.0).round() / 10.0 + 0.0
 }
 
+/// Unit vector from one point to another.
 fn unit(from: Place, to: Place) -> Place {
     let [x, y] = [to[0] - from[0], to[1] - from[1]];
     [x, y].map(|part| part / x.hypot(y).max(f64::MIN_POSITIVE))
@@ -81,8 +82,9 @@ impl Pen {
     /// For an observer in the direction of `-y`, turned about z, then raised \[deg\].
     pub fn new([azimuth_deg, elevation_deg]: [f64; 2]) -> Self {
         let (sin, cos) = azimuth_deg.to_radians().sin_cos();
-        let (rise, level) = elevation_deg.to_radians().sin_cos();
-        let (right, towards) = (Vector([cos, sin, 0.0]), Vector([sin * level, -cos * level, rise]));
+        let (sin_elevation, cos_elevation) = elevation_deg.to_radians().sin_cos();
+        let right = Vector([cos, sin, 0.0]);
+        let towards = Vector([sin * cos_elevation, -cos * cos_elevation, sin_elevation]);
         let (low, high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
         Self { right, up: towards.cross(right), towards, elements: String::new(), low, high }
     }
@@ -91,6 +93,7 @@ impl Pen {
         [point.dot(self.right), -point.dot(self.up)]
     }
 
+    /// Extends the bounds of the drawing to a point.
     fn include(&mut self, place: Place) {
         for (i, value) in place.into_iter().enumerate() {
             (self.low[i], self.high[i]) = (self.low[i].min(value), self.high[i].max(value));
@@ -101,12 +104,14 @@ impl Pen {
         _ = writeln!(self.elements, "<path class=\"{class}\" d=\"{data}\"/>");
     }
 
+    /// A path through corners; with `end` `Z` it is closed.
     fn corners(&mut self, class: &str, corners: &[Place], end: &str) {
         corners.iter().for_each(|corner| self.include(*corner));
         let points: Vec<String> = corners.iter().map(|[x, y]| format!("{} {}", px(*x), px(*y))).collect();
         self.path(class, &format!("M{}{end}", points.join("L")));
     }
 
+    /// The tip of an arrow at `to`.
     fn tip(&mut self, from: Place, to: Place) {
         let [x, y] = unit(from, to);
         let side = |half: f64| [to[0] - 10.0 * x - half * y, to[1] - 10.0 * y + half * x];
@@ -128,14 +133,16 @@ impl Pen {
 
     /// A cylinder between the centres of its ends: its outline, then the end that the observer sees.
     pub fn cylinder(&mut self, class: &str, ends: [Vector; 2], radius: f64) {
+        // Its ends are ellipses; this is the ratio of their axes.
         let towards = (ends[1] - ends[0]).unit().dot(self.towards);
         let [near, far] = if towards < 0.0 { ends } else { [ends[1], ends[0]] }.map(|end| self.project(end));
         let [x, y] = unit(far, near).map(|part| part * radius);
-        let arc = format!("A{radius} {} {} 0 1", px(radius * towards.abs()), px(x.atan2(-y).to_degrees()));
-        let [[right, left], [far_right, far_left]] = [near, far].map(|[at_x, at_y]| {
-            self.include([at_x - radius, at_y - radius]);
-            self.include([at_x + radius, at_y + radius]);
-            [1.0, -1.0].map(|side| format!("{} {}", px(at_x - side * y), px(at_y + side * x)))
+        let [minor, turned_deg] = [radius * towards.abs(), x.atan2(-y).to_degrees()].map(px);
+        let arc = format!("A{radius} {minor} {turned_deg} 0 1");
+        let [[right, left], [far_right, far_left]] = [near, far].map(|[centre_x, centre_y]| {
+            self.include([centre_x - radius, centre_y - radius]);
+            self.include([centre_x + radius, centre_y + radius]);
+            [1.0, -1.0].map(|side| format!("{} {}", px(centre_x - side * y), px(centre_y + side * x)))
         });
         self.path(class, &format!("M{far_right}{arc} {far_left}L{left}{arc} {right}Z"));
         self.path(class, &format!("M{right}{arc} {left}{arc} {right}Z"));
@@ -143,11 +150,12 @@ impl Pen {
 
     /// A block around its centre, by its half edges.
     pub fn block(&mut self, class: &str, centre: Vector, halves: [Vector; 3]) {
+        // The observer sees three faces: of each opposite pair the one that is nearer.
         for turn in 0..3 {
-            let [normal, one, two] = [0, 1, 2].map(|i| halves[(turn + i) % 3]);
-            let face = centre + normal * normal.dot(self.towards).signum();
-            let corners = [one + two, one - two, -one - two, two - one];
-            self.corners(class, &corners.map(|corner| self.project(face + corner)), "Z");
+            let [normal, a, b] = [0, 1, 2].map(|i| halves[(turn + i) % 3]);
+            let face_centre = centre + normal * normal.dot(self.towards).signum();
+            let corners = [a + b, a - b, -a - b, b - a];
+            self.corners(class, &corners.map(|corner| self.project(face_centre + corner)), "Z");
         }
     }
 
@@ -162,13 +170,13 @@ impl Pen {
     pub fn turn(&mut self, centre: Vector, axis: Vector, radius: f64) {
         let front = (self.towards - axis * self.towards.dot(axis)).unit();
         let side = axis.cross(front);
-        let at = |deg: i32| {
+        let point_at = |deg: i32| {
             let (sin, cos) = f64::from(deg).to_radians().sin_cos();
             centre + (front * cos + side * sin) * radius
         };
-        let points: Vec<Vector> = (-10..=10).map(|step| at(step * 10)).collect();
+        let points: Vec<Vector> = (-10..=10).map(|step| point_at(step * 10)).collect();
         self.line("turn", &points);
-        self.tip(self.project(at(100)), self.project(at(116)));
+        self.tip(self.project(point_at(100)), self.project(point_at(116)));
     }
 
     /// A dimension beside the line between two points, from left to right, with a text above it.
@@ -181,7 +189,8 @@ impl Pen {
         let [from, to] = ends.map(|end| self.project(end));
         self.tip(to, from);
         self.tip(from, to);
-        let ([right, down], [x, y]) = (unit(from, to), [0, 1].map(|i| px((from[i] + to[i]) / 2.0)));
+        let [right, down] = unit(from, to);
+        let [x, y] = [0, 1].map(|i| px((from[i] + to[i]) / 2.0));
         let place = format!("translate({x} {y}) rotate({})", px(down.atan2(right).to_degrees()));
         _ = writeln!(
             self.elements,
@@ -190,11 +199,11 @@ impl Pen {
     }
 
     /// A text beside a point: it begins at `beside` if that is to the right, and ends there otherwise.
-    pub fn label(&mut self, at: Vector, beside: Place, text: &str) {
+    pub fn label(&mut self, point: Vector, beside: Place, text: &str) {
         /// Width of a character, and height of a line.
         const CHARACTER_PX: Place = [7.5, 14.0];
-        let at = self.project(at);
-        let [x, y] = [0, 1].map(|i| px(at[i] + beside[i]));
+        let point = self.project(point);
+        let [x, y] = [0, 1].map(|i| px(point[i] + beside[i]));
         self.include([x + CHARACTER_PX[0] * text.len() as f64 * beside[0].signum(), y - CHARACTER_PX[1]]);
         self.include([x, y + 4.0]);
         let anchor = if beside[0] < 0.0 { "end" } else { "start" };

@@ -1,4 +1,5 @@
-//! From MCAP records to the content of a recording: metadata, cycles without a hole, events.
+//! From MCAP records to the content of a recording ([`Item`]): metadata with their own checksums, cycles, events. The reader and
+//! the recovery decode with it; the writer makes its metadata records here.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -117,7 +118,7 @@ pub(super) enum Item {
 
 /// A channel of ours.
 #[derive(Debug, Clone, Copy)]
-enum Ours {
+enum OurChannel {
     Cycles(CycleLayout),
     Events,
 }
@@ -128,7 +129,7 @@ pub(super) struct Decoder {
     /// Name of each schema, and how it marks a new origin of the counts.
     schemas: HashMap<u16, (String, CycleLayout)>,
     /// Every channel that is declared; none for those that are not ours (added by another tool).
-    channels: HashMap<u16, Option<Ours>>,
+    channels: HashMap<u16, Option<OurChannel>>,
     /// Messages may be on channels whose declaration is lost.
     beginning_may_be_lost: bool,
     origins: FlaggedOrigins,
@@ -139,7 +140,8 @@ impl Decoder {
     /// [`RecordingWriter`](super::RecordingWriter) gives them.
     pub fn with_usual_channels(layout: CycleLayout) -> Self {
         let [cycles, events] = USUAL_CHANNELS;
-        let channels = HashMap::from([(cycles, Some(Ours::Cycles(layout))), (events, Some(Ours::Events))]);
+        let channels =
+            HashMap::from([(cycles, Some(OurChannel::Cycles(layout))), (events, Some(OurChannel::Events))]);
         Self { channels, beginning_may_be_lost: true, ..Self::default() }
     }
 
@@ -174,8 +176,8 @@ impl Decoder {
     fn take_channel(&mut self, channel: &Channel) {
         let ours = self.schemas.get(&channel.schema_id).and_then(|(name, layout)| {
             let is = |topic: &messages::Topic| channel.topic == topic.topic && name == topic.schema_name;
-            let cycles = is(&messages::CYCLE).then_some(Ours::Cycles(*layout));
-            cycles.or_else(|| is(&messages::EVENT).then_some(Ours::Events))
+            let cycles = is(&messages::CYCLE).then_some(OurChannel::Cycles(*layout));
+            cycles.or_else(|| is(&messages::EVENT).then_some(OurChannel::Events))
         });
         self.channels.insert(channel.id, ours);
     }
@@ -196,11 +198,11 @@ impl Decoder {
         };
         let error = |topic, source| ReadErrorKind::Message { topic, sequence, source };
         Ok(Some(match ours {
-            Ours::Events => {
+            OurChannel::Events => {
                 let event = messages::decode_event(data);
                 Item::Event(event.map_err(|source| error(messages::EVENT.topic, source))?)
             }
-            Ours::Cycles(layout) => {
+            OurChannel::Cycles(layout) => {
                 let decoded = messages::decode_cycle(data, layout);
                 let record = decoded.map_err(|source| error(messages::CYCLE.topic, source))?;
                 Item::Cycle(match layout {
@@ -218,16 +220,17 @@ impl Decoder {
 struct FlaggedOrigins {
     origin: u32,
     next_cycle: u64,
-    lost: bool,
+    /// Whether a record was lost since the last whole one.
+    is_after_loss: bool,
 }
 
 impl FlaggedOrigins {
     fn number(&mut self, record: CycleRecord) -> CycleRecord {
-        self.lost |= record.cycle != self.next_cycle;
+        self.is_after_loss |= record.cycle != self.next_cycle;
         self.next_cycle = record.cycle.wrapping_add(1);
         if record.flags & flags::LOST != 0 {
-            self.lost = true;
-        } else if std::mem::take(&mut self.lost) || record.flags & flags::ORIGIN_CHANGED != 0 {
+            self.is_after_loss = true;
+        } else if std::mem::take(&mut self.is_after_loss) || record.flags & flags::ORIGIN_CHANGED != 0 {
             self.origin = self.origin.wrapping_add(1);
         }
         CycleRecord { origin: self.origin, flags: record.flags & !flags::ORIGIN_CHANGED, ..record }

@@ -36,11 +36,11 @@ pub struct Flagged {
     pub periods: u64,
 }
 
-/// Collects it while a run is written.
+/// Collects the summary while a run is written.
 #[derive(Debug, Default)]
 pub(super) struct Digest {
     marks: Vec<RunMark>,
-    /// With the last cycle of each.
+    /// Each with the number of its last cycle.
     flagged: Vec<(Flagged, u64)>,
 }
 
@@ -109,10 +109,10 @@ const FLAG_REASONS: [(u32, &str); 9] = [
 /// Bits of a whole bus: the status words of such a cycle may be old.
 const NO_STATUS: u32 = flags::LOST | flags::BUS_DOWN | flags::NO_REPLY;
 
-fn reason(encoder: Option<&EncoderSample>, set: u32) -> &'static str {
-    let status = encoder.filter(|_| set & NO_STATUS == 0).map_or(0, |encoder| encoder.status);
+fn reason(encoder: Option<&EncoderSample>, flags: u32) -> &'static str {
+    let status = encoder.filter(|_| flags & NO_STATUS == 0).map_or(0, |encoder| encoder.status);
     let by_status = STATUS_REASONS.iter().find(|(bit, _)| status & bit != 0).map(|(_, reason)| *reason);
-    let by_flags = || FLAG_REASONS.iter().find(|(bit, _)| set & bit != 0).map(|(_, reason)| *reason);
+    let by_flags = || FLAG_REASONS.iter().find(|(bit, _)| flags & bit != 0).map(|(_, reason)| *reason);
     by_status.or_else(by_flags).unwrap_or("not valid")
 }
 

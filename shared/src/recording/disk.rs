@@ -180,28 +180,28 @@ pub fn is_absent(error: &io::Error) -> bool {
 pub struct OpenFile<'a> {
     disk: &'a dyn Disk,
     file: &'a File,
-    at: u64,
+    position: u64,
 }
 
 impl<'a> OpenFile<'a> {
     /// An open file at its beginning.
     pub fn new(disk: &'a dyn Disk, file: &'a File) -> Self {
-        Self { disk, file, at: 0 }
+        Self { disk, file, position: 0 }
     }
 }
 
 impl Read for OpenFile<'_> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        let count = self.disk.read_at(self.file, buffer, self.at)?;
-        self.at += count as u64;
+        let count = self.disk.read_at(self.file, buffer, self.position)?;
+        self.position += count as u64;
         Ok(count)
     }
 }
 
 impl Write for OpenFile<'_> {
     fn write(&mut self, buffer: &[u8]) -> io::Result<usize> {
-        let count = self.disk.write_at(self.file, buffer, self.at)?;
-        self.at += count as u64;
+        let count = self.disk.write_at(self.file, buffer, self.position)?;
+        self.position += count as u64;
         Ok(count)
     }
 
@@ -214,12 +214,12 @@ impl Write for OpenFile<'_> {
 impl Seek for OpenFile<'_> {
     fn seek(&mut self, position: SeekFrom) -> io::Result<u64> {
         let (from, by) = match position {
-            SeekFrom::Start(at) => (at, 0),
-            SeekFrom::Current(by) => (self.at, by),
+            SeekFrom::Start(start) => (start, 0),
+            SeekFrom::Current(by) => (self.position, by),
             SeekFrom::End(by) => (self.disk.length(self.file)?, by),
         };
-        self.at = from.checked_add_signed(by).ok_or(io::ErrorKind::InvalidInput)?;
-        Ok(self.at)
+        self.position = from.checked_add_signed(by).ok_or(io::ErrorKind::InvalidInput)?;
+        Ok(self.position)
     }
 }
 

@@ -143,14 +143,9 @@ impl Outline {
         take: &mut dyn FnMut(CycleRecord) -> Result<(), E>,
     ) -> Result<Self, E> {
         let (mut decoder, mut content) = (Decoder::default(), Content::default());
-        for_each_record(source, &mut |record| match decoder
-            .decode(record)?
-            .map(|item| content.take(item))
-            .transpose()?
-            .flatten()
-        {
-            Some(cycle) => take(cycle),
-            None => Ok(()),
+        for_each_record(source, &mut |record| {
+            let Some(item) = decoder.decode(record)? else { return Ok(()) };
+            content.take(item)?.map_or(Ok(()), &mut *take)
         })?;
         Ok(content.finish()?)
     }

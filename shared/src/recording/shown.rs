@@ -14,7 +14,7 @@ const OK: u8 = 0;
 const WARN: u8 = 1;
 const ERROR: u8 = 2;
 
-/// Derives from one cycle after the other.
+/// What is derived from the cycles so far. [`RecordingWriter`](super::RecordingWriter) gives it each cycle.
 pub(super) struct Shown {
     encoders: Vec<EncoderInfo>,
     names: Vec<String>,
@@ -84,22 +84,23 @@ impl Shown {
         messages::encode_joint_state(record.sample_time, names, position_rad, velocity_rad_s)
     }
 
-    /// Counts since the cycle before, over the time on the bus' clock, which knows when both were sampled to some ns. Without
-    /// that clock, over a hole or from one origin to another they are unknown.
+    /// Counts since the cycle before, over the time on the bus' clock, which has both sampling times to some ns. Unknown (NaN)
+    /// without that clock, over a hole, or from one origin to another.
     fn velocities_rad_s(&self, record: &CycleRecord) -> Vec<f64> {
         let before = self.last.as_ref().filter(|last| {
             last.cycle + 1 == record.cycle && last.origin == record.origin && last.dc_time.0 != 0
         });
         let since_s = before.map(|last| record.dc_time.seconds_since(last.dc_time));
         let since_s = since_s.filter(|since_s| record.dc_time.0 != 0 && *since_s > 0.0);
-        let of = |(place, (encoder, sample)): (usize, (&EncoderInfo, &EncoderSample))| {
-            let earlier = before.and_then(|last| last.encoders().get(place)).filter(|earlier| earlier.valid);
-            earlier.zip(since_s).filter(|_| sample.valid).map_or(f64::NAN, |(earlier, since_s)| {
-                let turned = i64::from(sample.count.wrapping_sub(earlier.count) as i32);
-                (encoder.scale.direction.sign() * turned) as f64 * encoder.scale.rad_per_count() / since_s
-            })
+        let velocity_rad_s = |(index, (encoder, sample)): (usize, (&EncoderInfo, &EncoderSample))| {
+            let earlier = before.and_then(|last| last.encoders().get(index)).filter(|earlier| earlier.valid);
+            let (Some(earlier), Some(since_s), true) = (earlier, since_s, sample.valid) else {
+                return f64::NAN;
+            };
+            let turned = i64::from(sample.count.wrapping_sub(earlier.count) as i32);
+            (encoder.scale.direction.sign() * turned) as f64 * encoder.scale.rad_per_count() / since_s
         };
-        self.encoders.iter().zip(record.encoders()).enumerate().map(of).collect()
+        self.encoders.iter().zip(record.encoders()).enumerate().map(velocity_rad_s).collect()
     }
 
     /// How far each joint has turned, see `RunEnd`.
@@ -107,7 +108,7 @@ impl Shown {
         self.travels.iter().map(|travel| travel.widest_rad.to_degrees()).collect()
     }
 
-    /// After the last cycle of each second: how all of them were.
+    /// After the last cycle of each second: how many cycles and samples of it were valid, with the reasons why others were not.
     pub fn diagnostics(&mut self, record: &CycleRecord) -> Option<Result<Vec<u8>, MessageError>> {
         self.second.take(record);
         if self.second.cycles < self.cycles_per_second {
@@ -191,7 +192,7 @@ struct Travel {
 impl Travel {
     fn take(&mut self, origin: u32, angle_rad: f64) {
         let (low, high) = match self.range {
-            Some((of, low, high)) if of == origin => (low.min(angle_rad), high.max(angle_rad)),
+            Some((same, low, high)) if same == origin => (low.min(angle_rad), high.max(angle_rad)),
             _ => (angle_rad, angle_rad),
         };
         self.range = Some((origin, low, high));

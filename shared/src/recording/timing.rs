@@ -61,6 +61,7 @@ impl Bin {
     /// The limit of the bin that a duration falls into \[ns\]: 1, 1.5, 2, 3, 4, 6, 8, 12 .. us.
     pub fn limit_of(duration_ns: u64) -> u64 {
         let octave_ns = |shift: u32| 1000u64.checked_shl(shift).unwrap_or(u64::MAX);
+        // 64 bits of ns have 54 octaves above a microsecond.
         (0..54)
             .flat_map(|shift| [octave_ns(shift), octave_ns(shift) / 2 * 3])
             .find(|limit_ns| duration_ns <= *limit_ns)
@@ -107,8 +108,8 @@ impl fmt::Display for TimingSummary {
             "up to [us]", "wake-up late", "round trip", "duration"
         )?;
         for limit_ns in self.limits_ns() {
-            let count = |of: &Durations| {
-                of.histogram.iter().find(|bin| bin.up_to_ns == limit_ns).map_or(0, |bin| bin.cycles)
+            let count = |durations: &Durations| {
+                durations.histogram.iter().find(|bin| bin.up_to_ns == limit_ns).map_or(0, |bin| bin.cycles)
             };
             let limit_us = limit_ns as f64 * 1e-3;
             write!(

@@ -31,14 +31,14 @@ enum Part {
 /// # Errors
 /// [`McapError::UnexpectedEof`] if a length extends beyond the record, and errors of the library.
 pub fn parse_record(opcode: u8, data: &[u8]) -> Result<Record<'_>, McapError> {
-    pass(data, layout(opcode)).ok_or(McapError::UnexpectedEof)?;
+    after_parts(data, layout(opcode)).ok_or(McapError::UnexpectedEof)?;
     mcap::parse_record(opcode, data)
 }
 
 /// Whether a record ends with the last length in it, so that its own length is right, too. Of records that have fixed parts
 /// behind their lengths it is not.
 pub(in crate::recording) fn ends_with_its_content(opcode: u8, data: &[u8]) -> bool {
-    pass(data, layout(opcode)).is_some_and(<[u8]>::is_empty)
+    after_parts(data, layout(opcode)).is_some_and(<[u8]>::is_empty)
 }
 
 /// Whether the records of an uncompressed chunk end with it; the library would read on behind its end. It checks compressed ones
@@ -89,7 +89,7 @@ const fn layout(opcode: u8) -> &'static [Part] {
 }
 
 /// The bytes after these parts.
-fn pass<'a>(mut data: &'a [u8], parts: &[Part]) -> Option<&'a [u8]> {
+fn after_parts<'a>(mut data: &'a [u8], parts: &[Part]) -> Option<&'a [u8]> {
     for part in parts {
         match part {
             Part::Fixed(bytes) => data = data.get(*bytes..)?,

@@ -1,7 +1,8 @@
 //! Writes the undamaged parts of a recording that was cut short or damaged as a finished one.
 //!
-//! All records with a valid checksum are kept, wherever they are in the file. Cycles between them are marked as lost, so that
-//! numbers have no hole and no value is invented. Works on any source and sink; files are in `leftover`.
+//! All records with a valid checksum (*proven* records, see `resync`) are kept, wherever they are in the file. Cycles between
+//! them are marked as lost, so that numbers have no hole and no value is invented. Works on any source and sink; `leftover`
+//! applies it to files.
 
 mod leftover;
 mod resync;
@@ -186,7 +187,7 @@ struct Rewriting<W: Write + Seek> {
     run: RunMetadata,
     /// The last cycle that is whole.
     last: Option<CycleRecord>,
-    /// Damaged bytes before that cycle.
+    /// Number of damaged bytes before that cycle.
     damaged_bytes: u64,
 }
 
@@ -216,33 +217,32 @@ impl<W: Write + Seek> Rewriting<W> {
         if next.cycle == first && damage.bytes == self.damaged_bytes {
             return Ok(());
         }
-        let due_ns = |cycle: u64| match &self.last {
-            Some(last) => i128::from(last.sample_time.0) + self.cycles_ns(cycle - last.cycle),
-            None => i128::from(self.run.started.0) + self.cycles_ns(cycle),
-        };
         // Out of place: written twice, or by another run that had these blocks of the disk before.
         if next.cycle < first || next.cycle - first > self.hole_cycles_max(damage) {
             return Err(Refused::Damage);
         }
-        let since_ns = self.cycles_ns(next.cycle - self.last.map_or(0, |last| last.cycle));
-        let off_ns = (i128::from(next.sample_time.0) - due_ns(next.cycle)).abs();
+        let last = self.last;
+        let (last_cycle, last_ns) =
+            last.map_or((0, self.run.started.0), |last| (last.cycle, last.sample_time.0));
+        let (last_ns, next_ns) = (i128::from(last_ns), i128::from(next.sample_time.0));
+        let since_ns = self.cycles_ns(next.cycle - last_cycle);
+        let off_ns = (next_ns - (last_ns + since_ns)).abs();
         if off_ns > TIME_SLACK_NS + since_ns / TIME_SHARE_MAX {
             return Err(Refused::Damage);
         }
         if next.cycle == first {
             return Ok(());
         }
-        let (until_ns, last) = (i128::from(next.sample_time.0), self.last);
+        // Times of lost cycles are interpolated; before the first whole cycle they follow from the period.
         let period_ns = self.cycles_ns(1);
-        self.fill(first..next.cycle, last.as_ref().unwrap_or(next), |cycle| match &last {
-            Some(last) => {
-                let from_ns = i128::from(last.sample_time.0);
-                from_ns
-                    + (until_ns - from_ns) * i128::from(cycle - last.cycle)
-                        / i128::from(next.cycle - last.cycle)
+        let time_ns = |cycle: u64| match last {
+            Some(_) => {
+                let (passed, all) = (i128::from(cycle - last_cycle), i128::from(next.cycle - last_cycle));
+                last_ns + (next_ns - last_ns) * passed / all
             }
-            None => until_ns - period_ns * i128::from(next.cycle - cycle),
-        })
+            None => next_ns - period_ns * i128::from(next.cycle - cycle),
+        };
+        self.fill(first..next.cycle, last.as_ref().unwrap_or(next), time_ns)
     }
 
     /// Cycles that the run had behind the last whole one, by its end record.
@@ -253,6 +253,7 @@ impl<W: Write + Seek> Rewriting<W> {
             return Ok(());
         }
         let period_ns = self.cycles_ns(1);
+        // Nothing may follow the end record: it is put back afterwards.
         let end = self.seen.end.take();
         let filled = self.fill(missing, &last, |cycle| {
             i128::from(last.sample_time.0) + period_ns * i128::from(cycle - last.cycle)
@@ -261,6 +262,7 @@ impl<W: Write + Seek> Rewriting<W> {
         filled
     }
 
+    /// Writes `missing` cycles as lost, with encoders as in `near`, and an event that states their number.
     fn fill(
         &mut self,
         missing: std::ops::Range<u64>,

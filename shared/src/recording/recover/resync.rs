@@ -1,8 +1,8 @@
-//! Finds the undamaged records of an MCAP file.
+//! Finds the undamaged records of an MCAP file, for [`salvage`](super::salvage).
 //!
-//! Chunks, attachments and our metadata records have their own checksums, so they are valid at any byte. The other records only
-//! index them: they are skipped if they are as the writer writes them; otherwise the next record with a checksum is searched for
-//! byte by byte. Memory is bounded by the longest allowed record.
+//! Chunks, attachments and our metadata records have their own checksums: with a valid one a record is *proven*, at any byte. The
+//! other records only index them: they are skipped if they are as the writer writes them; otherwise the next record with a
+//! checksum is searched for byte by byte. Memory is bounded by the longest allowed record.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -81,25 +81,22 @@ pub(super) fn for_each_proven_record<E: From<io::Error>>(
         };
         let length = match proven {
             Some(length) => Some(length),
-            None => around.passed_over(&mut file)?,
+            None => around.unproven_length(&mut file)?,
         };
-        let Some(length) = length else {
-            if damaged_until != Some(file.at) {
-                damage.first_at = if damage.places == 0 { file.at } else { damage.first_at };
-                damage.places += 1;
-            }
-            let rest = file.peek(READ_BYTES)?;
-            let bytes = rest
-                .iter()
-                .skip(1)
-                .position(|byte| BEGINNINGS.contains(byte))
-                .map_or(rest.len(), |at| at + 1);
-            damage.bytes += bytes as u64;
-            file.skip(bytes);
-            damaged_until = Some(file.at);
+        if let Some(length) = length {
+            file.skip(length);
             continue;
-        };
-        file.skip(length);
+        }
+        if damaged_until != Some(file.at) {
+            damage.first_at = if damage.places == 0 { file.at } else { damage.first_at };
+            damage.places += 1;
+        }
+        let rest = file.peek(READ_BYTES)?;
+        let next = rest.iter().skip(1).position(|byte| BEGINNINGS.contains(byte));
+        let bytes = next.map_or(rest.len(), |skipped| skipped + 1);
+        damage.bytes += bytes as u64;
+        file.skip(bytes);
+        damaged_until = Some(file.at);
     }
     Ok(damage)
 }
@@ -110,9 +107,8 @@ fn proven_length(head: &[u8]) -> Option<usize> {
     let seems = length <= RECORD_LENGTH_BYTES_MAX
         && match opcode {
             op::CHUNK => chunk_length(content) == Some(length as u64),
-            op::METADATA => {
-                text(content).is_some_and(|name| OUR_METADATA.iter().any(|ours| ours.as_bytes() == name))
-            }
+            op::METADATA => leading_text(content)
+                .is_some_and(|name| OUR_METADATA.iter().any(|ours| ours.as_bytes() == name)),
             op::ATTACHMENT => true,
             _ => false,
         };
@@ -121,20 +117,20 @@ fn proven_length(head: &[u8]) -> Option<usize> {
 
 /// What a chunk's own lengths add up to.
 fn chunk_length(content: &[u8]) -> Option<u64> {
-    let compression = text(content.get(CHUNK_FIXED_BYTES..)?)?;
+    let compression = leading_text(content.get(CHUNK_FIXED_BYTES..)?)?;
     let before = CHUNK_FIXED_BYTES + size_of::<u32>() + compression.len();
-    let records = content.get(before..)?.first_chunk::<8>()?;
-    let all = u64::from_le_bytes(*records).checked_add((before + 8) as u64);
-    all.filter(|_| compression.len() <= COMPRESSION_NAME_BYTES_MAX)
+    let records_length = content.get(before..)?.first_chunk::<8>()?;
+    let length = u64::from_le_bytes(*records_length).checked_add((before + 8) as u64);
+    length.filter(|_| compression.len() <= COMPRESSION_NAME_BYTES_MAX)
 }
 
 /// The text that a record begins with.
-fn text(bytes: &[u8]) -> Option<&[u8]> {
+fn leading_text(bytes: &[u8]) -> Option<&[u8]> {
     let (length, rest) = bytes.split_first_chunk::<4>()?;
     rest.get(..usize::try_from(u32::from_le_bytes(*length)).ok()?)
 }
 
-/// Hands out a record if all of it is there and its checksum is right; its length then.
+/// Hands out a record if all of it is there and its checksum is right, and returns its length then.
 fn take_proven<E>(
     bytes: &[u8],
     length: usize,
@@ -146,11 +142,11 @@ fn take_proven<E>(
     if bytes.len() != length {
         return Ok(None);
     }
-    let mut listed = BTreeMap::new();
+    let mut messages = BTreeMap::new();
     let outcome = match opcode {
         op::CHUNK => open_chunk(content, &mut |record| {
             if let Record::Message { header, .. } = &record {
-                *listed.entry(header.channel_id).or_default() += 1;
+                *messages.entry(header.channel_id).or_default() += 1;
             }
             sink(record, damage)
         }),
@@ -166,7 +162,7 @@ fn take_proven<E>(
     };
     match outcome {
         Ok(()) => {
-            around.unlisted = listed;
+            around.unlisted = messages;
             Ok(Some(length))
         }
         Err(Refused::Damage) => Ok(None),
@@ -192,7 +188,7 @@ struct Surroundings {
 
 impl Surroundings {
     /// Length of a record without a checksum that is as the writer writes it.
-    fn passed_over<R: Read + Seek>(&mut self, file: &mut Window<R>) -> io::Result<Option<usize>> {
+    fn unproven_length<R: Read + Seek>(&mut self, file: &mut Window<R>) -> io::Result<Option<usize>> {
         if (file.at == 0 || self.after_footer) && file.peek(MAGIC.len())? == MAGIC {
             return Ok(Some(MAGIC.len()));
         }
@@ -251,8 +247,9 @@ struct Window<R> {
     source: R,
     source_bytes: u64,
     buffer: Vec<u8>,
+    /// Where in the buffer the window begins,
     start: usize,
-    /// Where in the source the window begins \[bytes\].
+    /// and where in the source \[bytes\].
     at: u64,
     /// Position at which the disk has failed once \[bytes\].
     refused_at: Option<u64>,

@@ -23,7 +23,7 @@ use super::source::Source;
 use super::{LogError, LogFormat, LogQuality, Unwrapped};
 
 /// Facts that a file may lack, with the assumption for each.
-const UNSAID: [(&str, &str); 5] = [
+const MISSING_FACTS: [(&str, &str); 5] = [
     ("how certain its times are", "they are taken as exact"),
     ("the times of a second clock", "a clock step is found only from the shifts of parts of the run"),
     (
@@ -165,7 +165,7 @@ impl OtherBarLog {
 
     /// Facts that the file lacks, with the assumption for each.
     pub fn unsaid(&self) -> impl Iterator<Item = (&'static str, &'static str)> {
-        UNSAID.into_iter().filter(|(what, _)| self.unknown.contains(what))
+        MISSING_FACTS.into_iter().filter(|(what, _)| self.unknown.contains(what))
     }
 
     /// Whether a text has the columns of the bar's encoders by their usual names, and so is not a robot's log.

@@ -1,4 +1,6 @@
-//! Checks the rows of a table or a bag as a whole and converts them to records of bus cycles.
+//! Checks the rows of a table or a bag of the bar as a whole and converts them to records of bus cycles, as recordings have them.
+//!
+//! Rows that cannot be used stay, but are not valid: excursions, repeated rows. A jump of two encoders begins a new origin.
 
 use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
@@ -10,7 +12,7 @@ use shared::recording::schema::{CycleRecord, EncoderInfo, EncoderSample, MAX_ENC
 use shared::time::UtcNs;
 
 use super::mapping::EncoderUnit;
-use super::{OtherBarLog, UNSAID};
+use super::{MISSING_FACTS, OtherBarLog};
 use crate::logs::time_series::excursions::{Excursions, Fastest, remark};
 use crate::logs::time_series::frozen::repeated_rows;
 use crate::logs::{LogError, LogQuality, ROWS_MIN, Unwrapped, UnwrappedPoint, since_first_s};
@@ -41,8 +43,14 @@ pub(super) struct Reading {
     pub info: EncoderInfo,
     unit: EncoderUnit,
     wraps_at: u64,
-    /// The last count as read, and unwrapped.
-    last: Option<(i64, i64)>,
+    last: Option<LastCount>,
+}
+
+/// A count as the file has it, and unwrapped.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct LastCount {
+    shown: i64,
+    unwrapped: i64,
 }
 
 impl Reading {
@@ -88,11 +96,11 @@ impl Reading {
         (turns.abs() * TAU <= ANGLE_RAD_MAX).then_some(counts.round() as i64)
     }
 
-    /// A counter of another width to 32 bits.
-    fn widened(&mut self, shown: i64) -> u32 {
-        let (before, unwrapped) = self.last.unwrap_or((shown, shown));
-        let unwrapped = unwrapped.wrapping_add(self.step(before, shown));
-        self.last = Some((shown, unwrapped));
+    /// The next count of a counter of any width, in 32 bits.
+    fn unwrap_to_32_bits(&mut self, shown: i64) -> u32 {
+        let last = self.last.unwrap_or(LastCount { shown, unwrapped: shown });
+        let unwrapped = last.unwrapped.wrapping_add(self.step(last.shown, shown));
+        self.last = Some(LastCount { shown, unwrapped });
         wrap(unwrapped)
     }
 
@@ -188,8 +196,8 @@ impl RawBarLog {
         if !self.kind.has_origins {
             self.mark_excursions()?;
         }
-        for place in 0..self.readings.len() {
-            self.check_wrap(place)?;
+        for encoder in 0..self.readings.len() {
+            self.check_wrap(encoder)?;
         }
         let mut cycles = self.cycles();
         if !self.kind.has_origins {
@@ -221,11 +229,12 @@ impl RawBarLog {
         for (row, cycle) in self.rows.iter().zip(0..) {
             origin += u32::from(row.flags & flags::ORIGIN_CHANGED != 0);
             let mut encoders = [EncoderSample::default(); MAX_ENCODERS];
-            for (place, (sample, reading)) in encoders.iter_mut().zip(&mut self.readings).enumerate() {
-                let shown = row.counts[place];
+            for (encoder, (sample, reading)) in encoders.iter_mut().zip(&mut self.readings).enumerate() {
+                let shown = row.counts[encoder];
                 sample.joint = reading.info.joint;
-                sample.valid = shown.is_some() && row.valid[place];
-                sample.count = shown.filter(|_| row.valid[place]).map_or(0, |shown| reading.widened(shown));
+                sample.valid = shown.is_some() && row.valid[encoder];
+                sample.count =
+                    shown.filter(|_| row.valid[encoder]).map_or(0, |shown| reading.unwrap_to_32_bits(shown));
             }
             cycles.push(CycleRecord {
                 cycle,
@@ -240,14 +249,13 @@ impl RawBarLog {
         cycles
     }
 
-    /// Largest step of an encoder from one cycle to another \[rad\], and of how many encoders the step is beyond `limit_rad`.
-    fn step(&self, before: &CycleRecord, after: &CycleRecord, limit_rad: f64) -> (f64, usize) {
+    /// Size of each encoder's step from one cycle to another \[rad\].
+    fn steps_rad(&self, before: &CycleRecord, after: &CycleRecord) -> impl Iterator<Item = f64> {
         let samples = before.encoders().iter().zip(after.encoders()).zip(&self.readings);
-        let steps = samples.map(|((before, after), reading)| {
+        samples.map(|((before, after), reading)| {
             let counts = after.count.wrapping_sub(before.count) as i32;
             (f64::from(counts) * reading.info.scale.rad_per_count()).abs()
-        });
-        steps.fold((0.0, 0), |(most, jumps), step| (step.max(most), jumps + usize::from(step > limit_rad)))
+        })
     }
 
     /// Rows of zeros, or of any other invalid reading: each would look like two restarts of the counters.
@@ -255,26 +263,28 @@ impl RawBarLog {
         let width = self.readings.len();
         let valid: Vec<usize> = (0..self.rows.len()).filter(|row| self.rows[*row].is_valid(width)).collect();
         let t_s = since_first_s(&valid.iter().map(|row| self.rows[*row].stamp_ns).collect::<Vec<_>>());
-        let shown = |row: usize, place: usize| self.rows[valid[row]].counts[place].unwrap_or_default();
-        let step = |from: usize, to: usize, place: usize| {
-            let reading = &self.readings[place];
-            let counts = reading.step(shown(from, place), shown(to, place));
+        let shown = |row: usize, encoder: usize| self.rows[valid[row]].counts[encoder].unwrap_or_default();
+        let step = |from: usize, to: usize, encoder: usize| {
+            let reading = &self.readings[encoder];
+            let counts = reading.step(shown(from, encoder), shown(to, encoder));
             counts as f64 * reading.info.scale.rad_per_count()
         };
-        let found = Excursions { t_s: &t_s, columns: width, fastest: FASTEST, step }.find();
-        let places: Vec<u64> = found.iter().map(|row| self.rows[valid[*row]].place).collect();
+        let excursions = Excursions { t_s: &t_s, columns: width, fastest: FASTEST, step }.find();
+        let places: Vec<u64> = excursions.iter().map(|row| self.rows[valid[*row]].place).collect();
         let remark =
             remark(&places, valid.len(), (&self.path, self.kind.row), "they are marked and not used")?;
         self.quality.remarks.extend(remark);
-        self.quality.excursions_dropped = found.len();
-        found.into_iter().for_each(|row| self.rows[valid[row]].valid = [false; MAX_ENCODERS]);
+        self.quality.excursions_dropped = excursions.len();
+        excursions.into_iter().for_each(|row| self.rows[valid[row]].valid = [false; MAX_ENCODERS]);
         Ok(())
     }
 
     /// Rows with the counts of the row before, in the middle of a motion, under a new stamp.
     fn mark_repeated(&mut self, cycles: &mut [CycleRecord]) {
         let valid = valid_cycles(cycles);
-        let step_rad = |from: usize, to: usize| self.step(&cycles[valid[from]], &cycles[valid[to]], 0.0).0;
+        let step_rad = |from: usize, to: usize| {
+            self.steps_rad(&cycles[valid[from]], &cycles[valid[to]]).fold(0.0, f64::max)
+        };
         let repeated = repeated_rows(valid.len(), usize::MAX, step_rad);
         self.quality.repeated_dropped += repeated.len();
         for index in repeated {
@@ -287,19 +297,20 @@ impl RawBarLog {
     /// A terminal that lost power restarts at some count, and so do all its neighbours. A single encoder that jumps has
     /// slipped, which is reported later.
     fn mark_origins(&mut self, cycles: &mut [CycleRecord]) {
-        let (mut places, mut begins) = (Vec::new(), vec![false; cycles.len()]);
+        let (mut places, mut begins_origin) = (Vec::new(), vec![false; cycles.len()]);
         for pair in valid_cycles(cycles).windows(2) {
             let (before, after) = (&cycles[pair[0]], &cycles[pair[1]]);
             let apart_s = after.sample_time.seconds_since(before.sample_time);
-            let (_, jumps) = self.step(before, after, JUMP_RAD_MIN.max(SPEED_RAD_S_MAX * apart_s));
+            let step_rad_max = JUMP_RAD_MIN.max(SPEED_RAD_S_MAX * apart_s);
+            let jumps = self.steps_rad(before, after).filter(|step_rad| *step_rad > step_rad_max).count();
             if jumps >= 2 {
                 places.push(self.rows[pair[1]].place);
-                begins[pair[1]] = true;
+                begins_origin[pair[1]] = true;
             }
         }
         let mut origin = 0;
-        for (cycle, begins) in cycles.iter_mut().zip(begins) {
-            origin += u32::from(begins);
+        for (cycle, begins_origin) in cycles.iter_mut().zip(begins_origin) {
+            origin += u32::from(begins_origin);
             cycle.origin = origin;
         }
         self.remark_origins(&places);
@@ -320,13 +331,13 @@ impl RawBarLog {
     }
 
     /// A counter with fewer bits than configured jumps by its whole width at a wrap.
-    fn check_wrap(&self, place: usize) -> Result<(), LogError> {
-        let Some(reading) = self.readings.get(place).filter(|reading| reading.is_counts()) else {
+    fn check_wrap(&self, encoder: usize) -> Result<(), LogError> {
+        let Some(reading) = self.readings.get(encoder).filter(|reading| reading.is_counts()) else {
             return Ok(());
         };
         let valid = self.rows.iter().filter(|row| row.is_valid(self.readings.len()));
         let shown: Vec<(u64, i128)> =
-            valid.filter_map(|row| Some((row.place, i128::from(row.counts[place]?)))).collect();
+            valid.filter_map(|row| Some((row.place, i128::from(row.counts[encoder]?)))).collect();
         let low = shown.iter().map(|(_, count)| *count).min().unwrap_or_default();
         let high = shown.iter().map(|(_, count)| *count).max().unwrap_or_default();
         for width in [1 << 16, i128::from(reading.info.scale.counts_per_revolution()), 1 << 24] {
@@ -352,20 +363,20 @@ impl RawBarLog {
 
     /// The encoders that wrapped, as the file shows them and as they were followed.
     fn unwrapped(&self, cycles: &[CycleRecord], stamps_s: &[f64]) -> Vec<Unwrapped> {
-        let of_place = |(place, reading): (usize, &Reading)| {
+        let of_encoder = |(encoder, reading): (usize, &Reading)| {
             let scale = &reading.info.scale;
             let period_rad =
                 if reading.is_counts() { reading.wraps_at as f64 * scale.rad_per_count() } else { TAU };
-            let part = |cycles: &[CycleRecord]| {
+            let of_part = |cycles: &[CycleRecord]| {
                 let (mut unwrapper, mut first) = (Unwrapper::default(), None);
                 let points = cycles.iter().filter(|cycle| cycle.is_valid()).filter_map(|cycle| {
                     let number = usize::try_from(cycle.cycle).ok()?;
                     let row = self.rows.get(number)?;
-                    let counts = unwrapper.next(cycle.encoders[place].count);
+                    let counts = unwrapper.next(cycle.encoders[encoder].count);
                     let from_first = counts - *first.get_or_insert(counts);
                     Some(UnwrappedPoint {
                         t_s: *stamps_s.get(number)?,
-                        shown_rad: row.counts[place]? as f64 * scale.rad_per_count(),
+                        shown_rad: row.counts[encoder]? as f64 * scale.rad_per_count(),
                         continuous_rad: (scale.direction.sign() * from_first) as f64 * scale.rad_per_count(),
                     })
                 });
@@ -373,10 +384,10 @@ impl RawBarLog {
                 Unwrapped::find(format!("b{}", reading.info.joint), period_rad, points.len(), |at| points[at])
             };
             // A counter that lost its origin has any count next.
-            let continues = |one: &CycleRecord, next: &CycleRecord| one.origin == next.origin;
-            Unwrapped::of_parts(cycles.chunk_by(continues).map(part))
+            let is_continued = |cycle: &CycleRecord, next: &CycleRecord| cycle.origin == next.origin;
+            Unwrapped::of_parts(cycles.chunk_by(is_continued).map(of_part))
         };
-        self.readings.iter().enumerate().filter_map(of_place).collect()
+        self.readings.iter().enumerate().filter_map(of_encoder).collect()
     }
 
     /// Since the first row \[s\].
@@ -397,7 +408,7 @@ impl RawBarLog {
 
     fn unknown(&self) -> Vec<&'static str> {
         let Kind { has_validity, has_origins, is_dated, .. } = self.kind;
-        let [certainty, other_clock, validity, origins, date] = UNSAID.map(|(what, _)| what);
+        let [certainty, other_clock, validity, origins, date] = MISSING_FACTS.map(|(what, _)| what);
         let mut unknown = vec![certainty, other_clock];
         for (known, what) in [(has_validity, validity), (has_origins, origins), (is_dated, date)] {
             if !known {

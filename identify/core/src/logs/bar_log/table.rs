@@ -91,8 +91,8 @@ pub(super) fn has_usual_columns(bytes: &[u8]) -> bool {
 
 /// The unit of a column that has a usual name for this joint's encoder.
 fn unit_of(name: &str, joint: usize) -> Option<EncoderUnit> {
-    let of = VALUES.iter().find(|(before, after, _)| name == format!("{before}{joint}{after}"));
-    of.map(|(.., unit)| *unit)
+    let usual = VALUES.iter().find(|(before, after, _)| name == format!("{before}{joint}{after}"));
+    usual.map(|(.., unit)| *unit)
 }
 
 /// Layout of a table without a mapping, whose columns have the usual names; encoders in the order of the columns.
@@ -180,7 +180,7 @@ impl Encoder {
             return Ok(None);
         }
         if self.reading.is_counts() {
-            return self.whole(table, row, text).map(Some);
+            return self.whole_number(table, row, text).map(Some);
         }
         let value = table.number(row, &self.value)?;
         let count = self.reading.count_of_angle(value).ok_or_else(|| {
@@ -190,7 +190,7 @@ impl Encoder {
         Ok(Some(count))
     }
 
-    fn whole(&self, table: &Table<'_>, row: &Row, text: &str) -> Result<i64, LogError> {
+    fn whole_number(&self, table: &Table<'_>, row: &Row, text: &str) -> Result<i64, LogError> {
         if let Ok(count) = text.parse::<i64>() {
             return Ok(count);
         }

@@ -19,9 +19,9 @@ pub struct JointConversion {
     joint_to_raw: Vec<Joints>,
 }
 
-/// Row vector times matrix.
-fn times(row: &[f64], matrix: &[Joints]) -> Joints {
-    Joints::from_fn(matrix.len(), |j| row.iter().zip(matrix).map(|(value, of_row)| value * of_row[j]).sum())
+fn row_times_matrix(row: &[f64], matrix: &[Joints]) -> Joints {
+    let column = |j: usize| row.iter().zip(matrix).map(|(value, matrix_row)| value * matrix_row[j]).sum();
+    Joints::from_fn(matrix.len(), column)
 }
 
 impl JointConversion {
@@ -80,25 +80,26 @@ impl JointConversion {
     pub(in crate::logs) fn to_joint_with_unit(&self, raw: &[f64], unit: AngleUnit) -> Joints {
         let mut from_offset = self.to_si(raw, unit);
         from_offset.iter_mut().zip(self.raw_offset).for_each(|(value, offset)| *value -= offset);
-        times(&from_offset, &self.raw_to_joint)
+        row_times_matrix(&from_offset, &self.raw_to_joint)
     }
 
     /// Speeds of one row, in the log's units per second, to joint rates \[rad/s, m/s\].
     pub fn to_joint_rate(&self, raw_per_s: &[f64]) -> Joints {
-        times(&self.to_si(raw_per_s, self.unit), &self.raw_to_joint)
+        row_times_matrix(&self.to_si(raw_per_s, self.unit), &self.raw_to_joint)
     }
 
-    /// Torques \[N m\] on the axes of one row of the log to torques of the joints: both do the same work.
+    /// Torques \[N m\] on the axes of one row of the log to torques of the joints. Both do the same work, so that those of the
+    /// joints are the inverse of `T` times the column vector of those of the log.
     pub fn to_joint_torque(&self, raw_nm: &[f64]) -> Joints {
         self.joint_to_raw
             .iter()
-            .map(|row| row.iter().zip(raw_nm).map(|(part, torque)| part * torque).sum())
+            .map(|row| row.iter().zip(raw_nm).map(|(factor, torque)| factor * torque).sum())
             .collect()
     }
 
     /// Joint variables \[rad, m\] to one row of the log, in the log's units.
     pub fn to_raw(&self, joint: &[f64]) -> Joints {
-        let mut raw = times(joint, &self.joint_to_raw);
+        let mut raw = row_times_matrix(joint, &self.joint_to_raw);
         for (axis, value) in raw.iter_mut().enumerate() {
             let factor = if self.prismatic[axis] { 1.0 } else { self.unit.to_rad() };
             *value = (*value + self.raw_offset[axis]) / factor;

@@ -83,7 +83,7 @@ pub(in crate::logs) fn read(
     let commanded = raw.origin == Origin::Commanded;
     let stamps_ns = match utc {
         Some(stamps_ns) => stamps_ns,
-        None => own_stamps(&messages, path)?,
+        None => controller_stamps(&messages, path)?,
     };
     for ((message, stamp_ns), number) in messages.iter().zip(stamps_ns).zip(1..) {
         let position = if commanded { &message.planned } else { &message.feed_back };
@@ -113,7 +113,7 @@ fn decode(bytes: &[u8], path: &Path) -> Result<Vec<EgmRobot>, LogError> {
 }
 
 /// Milliseconds of the controller, followed over their wrap.
-fn own_stamps(messages: &[EgmRobot], path: &Path) -> Result<Vec<i64>, LogError> {
+fn controller_stamps(messages: &[EgmRobot], path: &Path) -> Result<Vec<i64>, LogError> {
     let mut unwrapped_ms = 0i64;
     let mut last: Option<u32> = None;
     let mut stamps_ns = Vec::with_capacity(messages.len());

@@ -50,10 +50,10 @@ impl LogFormat {
         if text.trim_ascii_start().starts_with(b"<") {
             return Ok(Self::Rsi);
         }
-        // UTF-16 is text, too: the reader decodes it.
-        let binary = text.iter().take(4096).any(|byte| matches!(byte, 0..=8 | 14..=31))
-            && !text.starts_with(b"\xff\xfe");
-        if binary && !text.starts_with(b"\xfe\xff") {
+        // UTF-16, which begins with its byte order mark, is text, too: the reader decodes it.
+        let is_utf_16 = text.starts_with(b"\xff\xfe") || text.starts_with(b"\xfe\xff");
+        let has_control_bytes = text.iter().take(4096).any(|byte| matches!(byte, 0..=8 | 14..=31));
+        if has_control_bytes && !is_utf_16 {
             return Err(LogError::UnknownFormat { path: path.to_owned() });
         }
         let beginning = text.get(..HEADER_BYTES_MAX).unwrap_or(text);

@@ -101,15 +101,15 @@ impl RobotLogMapping {
     /// Values of the file in radians or metres to joint variables of the model.
     pub fn conversion(&self) -> LogConversion {
         let mut conversion = LogConversion::direct(AngleUnit::Rad, self.joints.len());
-        let coupled = &mut conversion.raw_to_joint;
+        let matrix = &mut conversion.raw_to_joint;
         for Coupling { joint, from, factor } in &self.coupling {
             if let Some(cell) =
-                coupled.get_mut(from.wrapping_sub(1)).and_then(|row| row.get_mut(joint.wrapping_sub(1)))
+                matrix.get_mut(from.wrapping_sub(1)).and_then(|row| row.get_mut(joint.wrapping_sub(1)))
             {
                 *cell += factor;
             }
         }
-        for ((row, offset), joint) in coupled.iter_mut().zip(&mut conversion.raw_offset_rad).zip(&self.joints)
+        for ((row, offset), joint) in matrix.iter_mut().zip(&mut conversion.raw_offset_rad).zip(&self.joints)
         {
             row.iter_mut().for_each(|cell| *cell *= joint.sign);
             *offset = joint.offset();
@@ -124,12 +124,15 @@ impl Validate for RobotLogMapping {
         self.time.as_ref().map_or(Ok(()), TimeColumn::check)?;
         let axes = self.joints.len();
         if axes == 0 {
-            let needing = [("speeds", self.speeds.is_some()), ("torques", self.torques.is_some())];
-            let needing = needing.into_iter().chain([("coupling", !self.coupling.is_empty())]);
-            return needing.into_iter().find(|(_, is_there)| *is_there).map_or_else(
-                || self.force.as_ref().map_or(Ok(()), ForceColumns::check),
-                |(key, _)| Err(Violation::new(key, "there are no [[joints]]", "write one for each joint")),
-            );
+            let need_joints = [
+                ("speeds", self.speeds.is_some()),
+                ("torques", self.torques.is_some()),
+                ("coupling", !self.coupling.is_empty()),
+            ];
+            if let Some((key, _)) = need_joints.into_iter().find(|(_, is_given)| *is_given) {
+                return Err(Violation::new(key, "there are no [[joints]]", "write one for each joint"));
+            }
+            return self.force.as_ref().map_or(Ok(()), ForceColumns::check);
         }
         check_joints(&self.joints)?;
         for (key, columns) in [("speeds", &self.speeds), ("torques", &self.torques)] {

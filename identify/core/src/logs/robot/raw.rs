@@ -1,4 +1,5 @@
-//! Rows of a log in the order of the file, then checked as a whole and converted to the model's joints.
+//! Rows of a log in the order of the file ([`RawLog`]), then checked as a whole and converted to the model's joints by their
+//! [`Meaning`]. The readers of all formats end here.
 
 use std::path::{Path, PathBuf};
 
@@ -168,7 +169,8 @@ impl RawLog {
         self.places.push(row.place);
         self.stamps_ns.push(row.stamp_ns);
         self.joints.push(row.joints);
-        self.more.iter_mut().zip([row.speeds, row.torques, row.force]).for_each(|(all, one)| all.extend(one));
+        let values = [row.speeds, row.torques, row.force];
+        self.more.iter_mut().zip(values).for_each(|(rows, value)| rows.extend(value));
         Ok(())
     }
 
@@ -186,7 +188,7 @@ impl RawLog {
     /// Checks and converts all rows.
     pub fn finish(mut self, meaning: &Meaning<'_>) -> Result<RobotLog, LogError> {
         let rows = self.joints.len();
-        self.more.iter_mut().filter(|all| all.len() < rows).for_each(Vec::clear);
+        self.more.iter_mut().filter(|values| values.len() < rows).for_each(Vec::clear);
         self.drop_excursions(meaning)?;
         self.drop_repeated(meaning.unit);
         if self.joints.len() < ROWS_MIN {
@@ -198,32 +200,32 @@ impl RawLog {
         let joints = std::mem::take(&mut self.joints);
         let (q_rad, stamps, is_kept) =
             Stream::from_stamps(std::mem::take(&mut self.stamps_ns), joints, |rows| rows.into());
-        self.more.iter_mut().for_each(|all| retain(all, &is_kept));
+        self.more.iter_mut().for_each(|values| retain(values, &is_kept));
         self.remark_equal(is_kept.iter().filter(|is_kept| !**is_kept).count());
         if q_rad.len() < ROWS_MIN {
             return Err(self.too_few(q_rad.len()));
         }
         self.quality.stamps = stamps;
-        let [speeds, torque, given] =
-            std::mem::take(&mut self.more).map(|all| (!all.is_empty()).then_some(all));
+        let [speeds, torque, force_columns] =
+            std::mem::take(&mut self.more).map(|values| (!values.is_empty()).then_some(values));
         let speed_rad_s =
             speeds.map(|speeds| speeds.iter().map(|row| meaning.conversion.to_joint_rate(row)).collect());
         let on_joints = |rows: &Vec<Joints>| -> Vec<Joints> {
             rows.iter().map(|row| meaning.conversion.to_joint_torque(row)).collect()
         };
-        let of_bar = self.force.and_then(|kind| {
+        let bar_force = self.force.and_then(|kind| {
             let values = match kind {
                 ForceKind::JointTorques => {
-                    let torques = given.or_else(|| torque.clone())?;
+                    let torques = force_columns.or_else(|| torque.clone())?;
                     let within = torques.iter().flatten().all(|torque| torque.abs() <= FORCE_MAX);
                     on_joints(within.then_some(&torques)?)
                 }
-                _ => given?,
+                _ => force_columns?,
             };
             let forces = Stream::new(q_rad.first_stamp_ns, q_rad.t_s.clone(), values);
             Some(ForceLog::new(ForceClock::Robot, kind, forces))
         });
-        if self.force.is_some() && of_bar.is_none() {
+        if self.force.is_some() && bar_force.is_none() {
             self.remarks.push(format!(
                 "the force on the bar is not used: some {}s have none where the mapping says, or one of more than 1e7 Nm; \
                  correct the mapping, or give the force in a table of its own with --force-log",
@@ -238,7 +240,7 @@ impl RawLog {
             q_rad: q_rad.into(),
             speed_rad_s,
             torque,
-            force: of_bar,
+            force: bar_force,
             quality,
         })
     }
@@ -256,19 +258,19 @@ impl RawLog {
 
     /// Invalid rows would be interpolated, and change the motion by which the clocks are compared.
     fn drop_excursions(&mut self, meaning: &Meaning<'_>) -> Result<(), LogError> {
-        let rows = threads::rows(self.joints.len(), |row| meaning.conversion.to_joint(&self.joints[row]));
+        let q = threads::rows(self.joints.len(), |row| meaning.conversion.to_joint(&self.joints[row]));
         let kinds: Vec<JointKind> = meaning.robot.joint_kinds().collect();
         let step = |from: usize, to: usize, joint: usize| {
-            let by = rows[to][joint] - rows[from][joint];
+            let change = q[to][joint] - q[from][joint];
             // Angles may wrap after a turn.
-            if kinds[joint] == JointKind::Prismatic { by } else { wrapped(by) }
+            if kinds[joint] == JointKind::Prismatic { change } else { wrapped(change) }
         };
         let t_s = since_first_s(&self.stamps_ns);
-        let found = Excursions { t_s: &t_s, columns: kinds.len(), fastest: FASTEST, step }.find();
-        let places: Vec<u64> = found.iter().map(|row| self.places[*row]).collect();
-        self.remarks.extend(remark(&places, rows.len(), (&self.path, self.what), "they are left out")?);
-        self.quality.excursions_dropped = found.len();
-        self.remove(&found);
+        let excursions = Excursions { t_s: &t_s, columns: kinds.len(), fastest: FASTEST, step }.find();
+        let places: Vec<u64> = excursions.iter().map(|row| self.places[*row]).collect();
+        self.remarks.extend(remark(&places, q.len(), (&self.path, self.what), "they are left out")?);
+        self.quality.excursions_dropped = excursions.len();
+        self.remove(&excursions);
         Ok(())
     }
 
@@ -277,7 +279,7 @@ impl RawLog {
         rows.iter().for_each(|row| is_kept[*row] = false);
         retain(&mut self.places, &is_kept);
         retain(&mut self.stamps_ns, &is_kept);
-        self.more.iter_mut().chain([&mut self.joints]).for_each(|all| retain(all, &is_kept));
+        self.more.iter_mut().chain([&mut self.joints]).for_each(|values| retain(values, &is_kept));
     }
 
     /// Adds a remark on rows that were dropped because they have the stamp of the one before.
@@ -304,8 +306,8 @@ impl RawLog {
 
     fn check_limits(&self, meaning: &Meaning<'_>) -> Result<(), LogError> {
         let limits = meaning.robot.joint_limits();
-        let beyond = self.joints.iter().zip(&self.places);
-        let beyond = beyond.filter_map(|(q, place)| Some((q, *place, beyond_limits(q, &limits)?)));
+        let rows = self.joints.iter().zip(&self.places);
+        let beyond = rows.filter_map(|(q, place)| Some((q, *place, beyond_limits(q, &limits)?)));
         let mut beyond = beyond.peekable();
         let Some((q, line, joint)) = beyond.peek().copied() else { return Ok(()) };
         let rows_beyond = beyond.count();

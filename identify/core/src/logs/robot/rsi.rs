@@ -91,10 +91,10 @@ fn parse(text: &str, path: &Path, element: &str) -> Result<Vec<Telegram>, LogErr
             remedy: "a log holds the <Rob> telegrams of RSI one after the other; was it cut short?",
         };
         match reader.read_event().map_err(|error| bad(error.to_string()))? {
-            Event::Start(tag) | Event::Empty(tag) if is(&tag, element) => {
+            Event::Start(tag) | Event::Empty(tag) if is_named(&tag, element) => {
                 current.joints_deg = Some(axes(&tag).map_err(bad)?);
             }
-            Event::Start(tag) => in_ipoc = is(&tag, "IPOC"),
+            Event::Start(tag) => in_ipoc = is_named(&tag, "IPOC"),
             Event::Text(content) if in_ipoc => {
                 let text = content.xml10_content().into_owned();
                 current.ipoc = Some(
@@ -115,7 +115,7 @@ fn parse(text: &str, path: &Path, element: &str) -> Result<Vec<Telegram>, LogErr
     }
 }
 
-fn is(tag: &BytesStart<'_>, name: &str) -> bool {
+fn is_named(tag: &BytesStart<'_>, name: &str) -> bool {
     tag.local_name().as_ref() == name
 }
 

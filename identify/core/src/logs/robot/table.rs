@@ -44,8 +44,9 @@ pub(in crate::logs) fn read_own(source: Source<'_>, robot: &RobotConfig) -> Resu
     let path = source.path;
     let meaning = Meaning::own(robot, own_columns(robot))?;
     let mut table = Table::open(Text::new(source, None)?)?;
+    let remedy = "Name the column of time stamps, in seconds, `t_s`, or assign the columns in a mapping (--log-mapping).";
     let mut layout = Layout {
-        time: seconds(table.column(TIME_COLUMN, "Name the column of time stamps, in seconds, `t_s`, or assign the columns in a mapping (--log-mapping).")?),
+        time: seconds_column(table.column(TIME_COLUMN, remedy)?),
         joints: own_joints(&table, path, robot)?,
         speeds: None,
         torques: None,
@@ -53,13 +54,13 @@ pub(in crate::logs) fn read_own(source: Source<'_>, robot: &RobotConfig) -> Resu
     };
     let mut raw = RawLog::new(path, "line");
     read_rows(&mut table, &mut layout, &mut raw)?;
-    declare(&mut raw, &table);
+    take_comments(&mut raw, &table);
     raw.force = layout.force.as_ref().map(|force| force.kind(&table));
-    in_seconds(raw.finish(&meaning)?, path)
+    refuse_if_not_seconds(raw.finish(&meaning)?, path)
 }
 
 /// The log, unless its `t_s` counts milliseconds or less: then rows are seconds apart, and no joint is as fast as a robot's.
-fn in_seconds(log: RobotLog, path: &Path) -> Result<RobotLog, LogError> {
+fn refuse_if_not_seconds(log: RobotLog, path: &Path) -> Result<RobotLog, LogError> {
     /// Logs with longer steps follow no motion \[s\].
     const PERIOD_S_MIN: f64 = 0.9;
     /// No motion is so slow throughout \[rad/s, m/s\].
@@ -130,12 +131,16 @@ pub(in crate::logs) fn read_rtde(source: Source<'_>, robot: &RobotConfig) -> Res
     let as_is = vec![1.0; robot.axes()];
     let remedy = "Record timestamp and actual_q; add actual_qd and actual_current if you like.";
     let optional = |names: &Columns| {
-        names.iter().all(|name| table.has(name)).then(|| named(table, names, &as_is, remedy)).transpose()
+        names
+            .iter()
+            .all(|name| table.has(name))
+            .then(|| find_columns(table, names, &as_is, remedy))
+            .transpose()
     };
     let meaning = Meaning::of_controller(robot, AngleUnit::Rad, columns("q"), LogFormat::UrRtde, path)?;
     let mut layout = Layout {
-        time: seconds(table.column("timestamp", remedy)?),
-        joints: named(table, &columns("q"), &as_is, remedy)?,
+        time: seconds_column(table.column("timestamp", remedy)?),
+        joints: find_columns(table, &columns("q"), &as_is, remedy)?,
         speeds: optional(&columns("qd"))?,
         torques: optional(&columns("current"))?,
         force: ForceLayout::find_usual(table, robot)?,
@@ -159,14 +164,14 @@ pub(in crate::logs) fn read_mapped(
     let (mut layout, meaning) = mapped_layout(&table, robot, path, mapping)?;
     let mut raw = RawLog::new(path, "line");
     read_rows(&mut table, &mut layout, &mut raw)?;
-    declare(&mut raw, &table);
+    take_comments(&mut raw, &table);
     raw.clock = mapping.clock.clone().unwrap_or(raw.clock);
     raw.origin = mapping.values.unwrap_or(raw.origin);
     raw.force = mapping.force.as_ref().map(ForceColumns::kind);
     raw.finish(&meaning)
 }
 
-fn seconds(column: Column) -> StampColumn {
+fn seconds_column(column: Column) -> StampColumn {
     StampColumn::new(column, &TimeColumn::new("", TimeUnit::S))
 }
 
@@ -179,22 +184,22 @@ fn mapped_layout<'a>(
     let remedy = "Correct the name in the mapping file.";
     let time = TimeColumn::of_table(mapping.time.as_ref(), path)?;
     let time = StampColumn::new(table.column(&time.column, remedy)?, time);
-    let to_rad: Vec<f64> = mapping.joints.iter().map(|joint| joint.unit.to_si()).collect();
+    let to_si: Vec<f64> = mapping.joints.iter().map(|joint| joint.unit.to_si()).collect();
     let (joints, meaning) = match mapping.with_joints() {
         Some(mapping) => {
             let names: Columns = mapping.joints.iter().map(|joint| joint.column.clone()).collect();
-            let joints = named(table, &names, &to_rad, remedy)?;
+            let joints = find_columns(table, &names, &to_si, remedy)?;
             (joints, Meaning::mapped(robot, mapping, names, path)?)
         }
         None => (own_joints(table, path, robot)?, Meaning::own(robot, own_columns(robot))?),
     };
     let optional = |names: &Option<Columns>, factors: &[f64]| {
-        names.as_ref().map(|names| named(table, names, factors, remedy)).transpose()
+        names.as_ref().map(|names| find_columns(table, names, factors, remedy)).transpose()
     };
     let layout = Layout {
         time,
         joints,
-        speeds: optional(&mapping.speeds, &to_rad)?,
+        speeds: optional(&mapping.speeds, &to_si)?,
         torques: optional(&mapping.torques, &vec![1.0; mapping.joints.len()])?,
         force: mapping
             .force
@@ -205,7 +210,7 @@ fn mapped_layout<'a>(
     Ok((layout, meaning))
 }
 
-fn named(
+fn find_columns(
     table: &Table<'_>,
     names: &Columns,
     factors: &[f64],
@@ -215,7 +220,7 @@ fn named(
 }
 
 /// Takes robot, clock and origin from comment lines.
-fn declare(raw: &mut RawLog, table: &Table<'_>) {
+fn take_comments(raw: &mut RawLog, table: &Table<'_>) {
     for (key, value) in table.comments() {
         match key.as_str() {
             "robot" => raw.robot = Some(value.clone()),
@@ -234,15 +239,15 @@ fn declare(raw: &mut RawLog, table: &Table<'_>) {
 fn read_rows(table: &mut Table<'_>, layout: &mut Layout, raw: &mut RawLog) -> Result<(), LogError> {
     let mut row = Row::default();
     while table.next_row(&mut row)? {
-        let all = |columns: &[(Column, f64)]| -> Result<Joints, LogError> {
+        let numbers = |columns: &[(Column, f64)]| -> Result<Joints, LogError> {
             columns.iter().map(|(column, factor)| Ok(table.number(&row, column)? * factor)).collect()
         };
         raw.push(RawRow {
             place: row.line,
             stamp_ns: layout.time.next_ns(table, &row)?,
-            joints: all(&layout.joints)?,
-            speeds: layout.speeds.as_deref().map(all).transpose()?,
-            torques: layout.torques.as_deref().map(all).transpose()?,
+            joints: numbers(&layout.joints)?,
+            speeds: layout.speeds.as_deref().map(numbers).transpose()?,
+            torques: layout.torques.as_deref().map(numbers).transpose()?,
             force: layout.force.as_ref().map(|force| force.row(table, &row)).transpose()?,
         })?;
     }

@@ -159,13 +159,14 @@ struct Columns<'a> {
 impl<'a> Columns<'a> {
     fn find(table: &Table<'_>, mapping: &'a MeasuredLengthMapping) -> Result<Self, LogError> {
         let column = |name: &str| mapped(table, name);
-        let flange = mapping.flange.as_ref().map(|of| {
-            let [x, y, z] = of.columns.each_ref().map(|name| column(name));
-            Ok(([x?, y?, z?], of.unit))
+        let flange = mapping.flange.as_ref().map(|flange| {
+            let [x, y, z] = flange.columns.each_ref().map(|name| column(name));
+            Ok(([x?, y?, z?], flange.unit))
         });
+        let uncertainty = mapping.uncertainty.as_ref().map(|uncertainty| &uncertainty.length_mm);
         Ok(Self {
             length: (column(&mapping.length.column)?, &mapping.length),
-            uncertainty: mapped_if_named(table, mapping.uncertainty.as_ref().map(|of| &of.length_mm))?,
+            uncertainty: mapped_if_named(table, uncertainty)?,
             anchor: mapped_if_named(table, mapping.anchor.as_ref())?,
             attachment: mapped_if_named(table, mapping.attachment.as_ref())?,
             joints: JointColumns::find(table, &mapping.joints)?,
@@ -174,8 +175,8 @@ impl<'a> Columns<'a> {
     }
 
     fn read(&self, table: &Table<'_>, row: &Row) -> Result<MeasuredLength, LogError> {
-        let (length, how) = &self.length;
-        let length_m = table.number(row, length)? * how.unit.to_m() - how.offset_mm * 1e-3;
+        let (length, format) = &self.length;
+        let length_m = table.number(row, length)? * format.unit.to_m() - format.offset_mm * 1e-3;
         if !(0.0..=LENGTH_M_MAX).contains(&length_m) {
             return Err(table.bad(
                 row,

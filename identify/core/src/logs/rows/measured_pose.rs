@@ -296,15 +296,15 @@ impl MeasuredPoses {
     /// As [`Self::load`].
     pub fn read(bytes: &[u8], path: &Path, mapping: &MeasuredPoseMapping) -> Result<Self, LogError> {
         let find = |table: &Table<'_>| {
-            Ok((SeenColumns::find(table, mapping)?, JointColumns::find(table, &mapping.joints)?))
+            Ok((PoseColumns::find(table, mapping)?, JointColumns::find(table, &mapping.joints)?))
         };
         let mut names = SetUpNames::default();
         let read =
-            |(seen, joints): &mut (SeenColumns<'_>, JointColumns<'_>), table: &Table<'_>, row: &Row| {
-                Ok(seen.read(table, row, &mut names)?.with_joints(joints.read(table, row)?))
+            |(pose, joints): &mut (PoseColumns<'_>, JointColumns<'_>), table: &Table<'_>, row: &Row| {
+                Ok(pose.read(table, row, &mut names)?.with_joints(joints.read(table, row)?))
             };
         let rows = rows(Source::in_memory(bytes, path), &mapping.csv, find, read)?;
-        let [stations, targets] = names.map(Names::in_order);
+        let [stations, targets] = [names.stations, names.targets].map(Names::in_order);
         Ok(Self { rows, stations, targets })
     }
 }
@@ -371,16 +371,17 @@ impl TimedPoses {
         let time = TimeColumn::of_table(mapping.time.as_ref(), path)?;
         let find = |table: &Table<'_>| {
             let stamps = StampColumn::new(mapped(table, &time.column)?, time);
-            Ok((SeenColumns::find(table, mapping)?, stamps))
+            Ok((PoseColumns::find(table, mapping)?, stamps))
         };
         let mut names = SetUpNames::default();
-        let read = |(seen, stamps): &mut (SeenColumns<'_>, StampColumn), table: &Table<'_>, row: &Row| {
-            let pose = seen.read(table, row, &mut names)?;
+        let read = |(columns, stamps): &mut (PoseColumns<'_>, StampColumn), table: &Table<'_>, row: &Row| {
+            let pose = columns.read(table, row, &mut names)?;
             Ok((stamps.next_ns(table, row)?, pose))
         };
         let mut rows = rows(Source::in_memory(bytes, path), &mapping.csv, find, read)?;
-        if let Some(pair) = rows.windows(2).find(|pair| pair[1].0 < pair[0].0) {
-            let [before, after] = [0, 1].map(|place| (pair[place].1.line, pair[place].0));
+        let not_increasing = rows.windows(2).find(|pair| pair[1].0 < pair[0].0);
+        if let Some([(before_ns, before), (after_ns, after)]) = not_increasing {
+            let (before, after) = ((before.line, *before_ns), (after.line, *after_ns));
             return Err(LogError::time_not_increasing(path, "line", before, after));
         }
         // Rows of two targets at one time are not duplicates.
@@ -393,7 +394,7 @@ impl TimedPoses {
         let (mut stamps_ns, mut rows): (_, Vec<TimedPose>) = rows.into_iter().unzip();
         let remarks = drop_excursions(&mut stamps_ns, &mut rows, path)?.into_iter().collect();
         let (rows, stamps, _) = Stream::from_stamps(stamps_ns, rows, |rows| motion(rows).into());
-        let [stations, targets] = names.map(Names::in_order);
+        let [stations, targets] = [names.stations, names.targets].map(Names::in_order);
         Ok(Self { rows, stations, targets, stamps, remarks })
     }
 }
@@ -404,6 +405,7 @@ fn drop_excursions(
     rows: &mut Vec<TimedPose>,
     path: &Path,
 ) -> Result<Option<String>, LogError> {
+    // The rows of each station and target.
     let mut views: BTreeMap<(usize, usize), Vec<usize>> = BTreeMap::new();
     for (place, row) in rows.iter().enumerate() {
         views.entry((row.station, row.target)).or_default().push(place);
@@ -413,8 +415,8 @@ fn drop_excursions(
         let t_s = since_first_s(&view.iter().map(|row| stamps_ns[*row]).collect::<Vec<_>>());
         let position_m = |row: usize, axis: usize| rows[view[row]].position_m[axis];
         let step = |from: usize, to: usize, axis: usize| position_m(to, axis) - position_m(from, axis);
-        let found = Excursions { t_s: &t_s, columns: 3, fastest: FASTEST, step }.find();
-        found.into_iter().for_each(|row| is_kept[view[row]] = false);
+        let excursions = Excursions { t_s: &t_s, columns: 3, fastest: FASTEST, step }.find();
+        excursions.into_iter().for_each(|row| is_kept[view[row]] = false);
     }
     let lines = rows.iter().zip(&is_kept).filter(|(_, is_kept)| !**is_kept).map(|(row, _)| row.line);
     let remark = remark(&lines.collect::<Vec<_>>(), rows.len(), (path, "line"), "they are left out")?;
@@ -426,22 +428,26 @@ fn drop_excursions(
 /// Motion of the target from row to row; none between rows of different targets or stations.
 fn motion(rows: &[TimedPose]) -> Vec<Joints> {
     let mut before: Option<&TimedPose> = None;
-    let mut stepped_m = Vector3::zeros();
-    let each = rows.iter().map(|row| {
+    let mut steps_between_targets_m = Vector3::zeros();
+    let positions = rows.iter().map(|row| {
         if let Some(before) = before.replace(row).filter(|before| !row.is_seen_as(before)) {
-            stepped_m += row.position_m - before.position_m;
+            steps_between_targets_m += row.position_m - before.position_m;
         }
-        let along_m = row.position_m - stepped_m;
-        Joints::from_fn(3, |axis| along_m[axis])
+        let position_m = row.position_m - steps_between_targets_m;
+        Joints::from_fn(3, |axis| position_m[axis])
     });
-    each.collect()
+    positions.collect()
 }
 
-/// Names of the stations and of the targets, in the order of the file.
-type SetUpNames = [Names; 2];
+/// Names in the order of the file.
+#[derive(Default)]
+struct SetUpNames {
+    stations: Names,
+    targets: Names,
+}
 
 /// Columns of the tracker's measurements in a file, by the mapping.
-struct SeenColumns<'a> {
+struct PoseColumns<'a> {
     position: (Vec<Column>, LengthUnit),
     rotation: Option<(Vec<Column>, &'a RotationColumns)>,
     /// Uncertainties of position and rotation, with metres or radians in their unit.
@@ -450,7 +456,7 @@ struct SeenColumns<'a> {
     target: Option<Column>,
 }
 
-/// Numbers of a row times `to_si`, none of them larger than `largest`.
+/// Numbers of a row times `to_si`, none of them larger than `largest`; `si` is the symbol of the SI unit.
 fn numbers(
     table: &Table<'_>,
     row: &Row,
@@ -470,17 +476,17 @@ fn numbers(
     columns.iter().map(number).collect()
 }
 
-impl<'a> SeenColumns<'a> {
+impl<'a> PoseColumns<'a> {
     fn find(table: &Table<'_>, mapping: &'a MeasuredPoseMapping) -> Result<Self, LogError> {
         let rotation =
             mapping.rotation.as_ref().map(|rotation| Ok((mapped_all(table, &rotation.columns)?, rotation)));
-        let column = |of: fn(&UncertaintyColumns) -> Option<&String>| {
-            mapped_if_named(table, mapping.uncertainty.as_ref().and_then(of))
-        };
+        let uncertainty = mapping.uncertainty.as_ref();
+        let position_u = uncertainty.and_then(|columns| columns.position_mm.as_ref());
+        let rotation_u = uncertainty.and_then(|columns| columns.rotation_mrad.as_ref());
         Ok(Self {
             position: (mapped_all(table, &mapping.position.columns)?, mapping.position.unit),
             rotation: rotation.transpose()?,
-            uncertainty: [column(|of| of.position_mm.as_ref())?, column(|of| of.rotation_mrad.as_ref())?],
+            uncertainty: [mapped_if_named(table, position_u)?, mapped_if_named(table, rotation_u)?],
             station: mapped_if_named(table, mapping.station.as_ref())?,
             target: mapped_if_named(table, mapping.target.as_ref())?,
         })
@@ -489,7 +495,7 @@ impl<'a> SeenColumns<'a> {
     fn read(&self, table: &Table<'_>, row: &Row, names: &mut SetUpNames) -> Result<TimedPose, LogError> {
         let (columns, unit) = &self.position;
         let position_m = numbers(table, row, columns, (unit.to_m(), "m"), POSITION_M_MAX)?;
-        let rotation = self.rotation.as_ref().map(|(columns, how)| rotation(table, row, columns, how));
+        let rotation = self.rotation.as_ref().map(|(columns, form)| rotation(table, row, columns, form));
         let [position_u, rotation_u] = self.uncertainty.each_ref();
         let uncertainty = |column: &Option<Column>| {
             column.as_ref().map(|column| uncertainty(table, row, column)).transpose()
@@ -502,8 +508,8 @@ impl<'a> SeenColumns<'a> {
                 position_m: uncertainty(position_u)?,
                 rotation_rad: uncertainty(rotation_u)?,
             },
-            station: names[0].place(table, row, self.station.as_ref())?,
-            target: names[1].place(table, row, self.target.as_ref())?,
+            station: names.stations.place(table, row, self.station.as_ref())?,
+            target: names.targets.place(table, row, self.target.as_ref())?,
         })
     }
 }
@@ -512,11 +518,11 @@ fn rotation(
     table: &Table<'_>,
     row: &Row,
     columns: &[Column],
-    how: &RotationColumns,
+    form: &RotationColumns,
 ) -> Result<Rotation3<f64>, LogError> {
-    let (to_si, largest) = how.scale();
+    let (to_si, largest) = form.scale();
     let values = numbers(table, row, columns, (to_si, "rad"), largest)?;
-    how.rotation(&values).ok_or_else(|| {
+    form.rotation(&values).ok_or_else(|| {
         let names: Vec<&str> = columns.iter().map(|column| column.name.as_str()).collect();
         let cell = Column { index: 0, name: names.join(", ") };
         let problem = format!("{values:.3?} is not a rotation");

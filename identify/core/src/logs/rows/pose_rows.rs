@@ -1,5 +1,5 @@
-//! Common parts of tables of single poses: joints by the columns that a mapping names, the layout of the text, and reading row
-//! by row.
+//! Common parts of the tables of single poses in this folder: joints by the columns that a mapping names, the layout of the text,
+//! and reading row by row.
 
 use std::collections::HashMap;
 use std::path::Path;

@@ -89,8 +89,8 @@ impl Touches {
     pub fn read(bytes: &[u8], path: &Path, mapping: &TouchMapping) -> Result<Self, LogError> {
         type Found<'a> = (Column, Option<(Column, LengthUnit)>, JointColumns<'a>);
         let find = |table: &Table<'_>| -> Result<Found<'_>, LogError> {
-            let reading = mapping.reading.as_ref();
-            let reading = reading.map(|of| Ok((mapped(table, &of.column)?, of.unit))).transpose()?;
+            let gauge = |gauge: &ReadingColumn| Ok((mapped(table, &gauge.column)?, gauge.unit));
+            let reading = mapping.reading.as_ref().map(gauge).transpose()?;
             Ok((mapped(table, &mapping.face)?, reading, JointColumns::find(table, &mapping.joints)?))
         };
         let mut names = Names::default();

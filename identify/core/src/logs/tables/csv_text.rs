@@ -1,4 +1,4 @@
-//! Header, rows and cells of text tables.
+//! Header, rows and cells of text tables, read row by row: every table of this module is a [`Table`].
 
 use std::path::Path;
 
@@ -77,7 +77,7 @@ impl<'a> Table<'a> {
             // A workbook has no delimiter of its own.
             (Some(delimiter), b'\t') if !header.contains(delimiter) => b'\t',
             (Some(delimiter), _) => delimiter as u8,
-            // Those commas are in numbers.
+            // Commas are in numbers, and cannot separate cells.
             (None, b',') if layout.decimal_comma => {
                 if header.contains('\t') {
                     b'\t'
@@ -224,16 +224,16 @@ impl<'a> Table<'a> {
 
 fn malformed(error: csv::Error, text: &mut Text<'_>) -> LogError {
     let byte = error.position().map_or(0, csv::Position::byte);
-    let said = error.to_string();
+    let message = error.to_string();
     let problem = match error.into_kind() {
         csv::ErrorKind::Io(error) => match error.downcast() {
-            Ok(of_text) => return of_text,
+            Ok(log_error) => return log_error,
             Err(source) => return LogError::Unreadable { path: text.path.to_owned(), source },
         },
         csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
             format!("{len} cells where the header has {expected_len}")
         }
-        _ => said,
+        _ => message,
     };
     LogError::Malformed { path: text.path.to_owned(), line: text.line_of_record(byte), problem }
 }

@@ -122,8 +122,9 @@ pub(in crate::logs) struct StampReader {
     unit_ns: f64,
     wraps_at_ns: Option<i64>,
     /// Time of the row before, as the file has it.
-    shown_ns: Option<i64>,
-    begun_anew_ns: i64,
+    before_ns: Option<i64>,
+    /// Sum of the wraps so far.
+    wrapped_ns: i64,
 }
 
 impl StampReader {
@@ -131,32 +132,32 @@ impl StampReader {
     pub(in crate::logs) fn new(time: &TimeColumn) -> Self {
         let unit_ns = time.unit_ns();
         let wraps_at_ns = time.wraps_at.map(|wraps_at| (wraps_at as f64 * unit_ns).round() as i64);
-        Self { unit: time.unit, unit_ns, wraps_at_ns, shown_ns: None, begun_anew_ns: 0 }
+        Self { unit: time.unit, unit_ns, wraps_at_ns, before_ns: None, wrapped_ns: 0 }
     }
 
     /// The stamp of a number of units; none beyond 292 years.
     pub(in crate::logs) fn of_units(&mut self, units: i64) -> Option<i64> {
-        let shown_ns = self.ns_of(units)?;
-        self.continued(shown_ns)
+        let shown_ns = self.units_to_ns(units)?;
+        self.unwrapped(shown_ns)
     }
 
-    /// Exactly, but for cycles, which may last any time.
-    fn ns_of(&self, units: i64) -> Option<i64> {
+    /// Exact, except for cycles, which may last any time.
+    fn units_to_ns(&self, units: i64) -> Option<i64> {
         match self.unit {
             TimeUnit::Cycles => within_range(units as f64 * self.unit_ns),
             _ => units.checked_mul(self.unit_ns as i64),
         }
     }
 
-    /// The time with the wraps before it added.
-    fn continued(&mut self, shown_ns: i64) -> Option<i64> {
-        let before_ns = self.shown_ns.replace(shown_ns);
+    /// The time as the file has it, with the wraps before it added. A wrap is a step back by more than half of its width.
+    fn unwrapped(&mut self, shown_ns: i64) -> Option<i64> {
+        let before_ns = self.before_ns.replace(shown_ns);
         if let Some((before_ns, wraps_at_ns)) = before_ns.zip(self.wraps_at_ns)
             && before_ns.checked_sub(shown_ns)? > wraps_at_ns / 2
         {
-            self.begun_anew_ns = self.begun_anew_ns.checked_add(wraps_at_ns)?;
+            self.wrapped_ns = self.wrapped_ns.checked_add(wraps_at_ns)?;
         }
-        shown_ns.checked_add(self.begun_anew_ns)
+        shown_ns.checked_add(self.wrapped_ns)
     }
 }
 
@@ -194,10 +195,10 @@ impl StampColumn {
         let zero = if stamps.unit == TimeUnit::Filetime { FILETIME_1970 } else { 0 };
         let exact = match stamps.unit {
             TimeUnit::S => decimal_to_ns(text),
-            _ => text.parse::<i64>().ok().and_then(|units| stamps.ns_of(units.checked_sub(zero)?)),
+            _ => text.parse::<i64>().ok().and_then(|units| stamps.units_to_ns(units.checked_sub(zero)?)),
         };
         let shown_ns = exact.or_else(|| within_range((number - zero as f64) * stamps.unit_ns));
-        shown_ns.and_then(|shown_ns| stamps.continued(shown_ns)).ok_or_else(|| {
+        shown_ns.and_then(|shown_ns| stamps.unwrapped(shown_ns)).ok_or_else(|| {
             table.bad(
                 row,
                 column,

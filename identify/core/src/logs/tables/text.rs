@@ -26,17 +26,17 @@ pub(in crate::logs) struct Text<'a> {
     decoder: Option<Decoder>,
     /// A line whose end was not read yet, in UTF-8 or Windows-1252.
     begun: Vec<u8>,
-    /// Whole lines, but for those that were read and counted.
+    /// Whole lines, but for those that were read and counted. They begin at `lines_at`; this and the other places are offsets in
+    /// the whole decoded text.
     lines: String,
-    /// Length of the text before [`Self::lines`]...
-    before: usize,
-    /// ...of that which was read...
-    read: usize,
-    /// ...of that before the table...
-    skipped: usize,
-    /// ...and of that whose lines were counted...
-    counted: usize,
-    /// ...as which the next one has this number.
+    lines_at: usize,
+    /// The text is read up to here,
+    read_to: usize,
+    /// the table begins here,
+    table_at: usize,
+    /// lines are counted up to here,
+    counted_to: usize,
+    /// and the next one has this number.
     line: u64,
     comments: Vec<(String, String)>,
     is_at_end: bool,
@@ -56,10 +56,10 @@ impl<'a> Text<'a> {
             decoder: None,
             begun: Vec::new(),
             lines: String::new(),
-            before: 0,
-            read: 0,
-            skipped: 0,
-            counted: 0,
+            lines_at: 0,
+            read_to: 0,
+            table_at: 0,
+            counted_to: 0,
             line: 1,
             comments: Vec::new(),
             is_at_end: false,
@@ -96,9 +96,9 @@ impl<'a> Text<'a> {
         for _ in 0..count {
             let is_end = |unread: &str| unread.find('\n').map(|end| end + 1);
             while is_end(self.unread()).is_none() && self.decode_more()? {}
-            self.read += is_end(self.unread()).unwrap_or(self.unread().len());
+            self.read_to += is_end(self.unread()).unwrap_or(self.unread().len());
         }
-        self.skipped = self.read;
+        self.table_at = self.read_to;
         Ok(())
     }
 
@@ -119,22 +119,24 @@ impl<'a> Text<'a> {
     /// Number of the line with a record, for records in the order in which they are read: `byte` is where one begins for the
     /// `csv` crate, before the comments, blank lines and line ends that precede it, so that its own line numbers are too small.
     pub fn line_of_record(&mut self, byte: u64) -> u64 {
-        self.count_lines(self.skipped + byte as usize);
+        self.count_lines(self.table_at + byte as usize);
         while let Some(length) = self.length_of_skipped_line() {
-            self.count_lines(self.counted + length);
+            self.count_lines(self.counted_to + length);
         }
         self.line
     }
 
+    /// Counts the lines that end before `until`.
     fn count_lines(&mut self, until: usize) {
-        let passed = self.lines.as_bytes().get(self.counted - self.before..until.saturating_sub(self.before));
+        let passed =
+            self.lines.as_bytes().get(self.counted_to - self.lines_at..until.saturating_sub(self.lines_at));
         self.line += passed.unwrap_or_default().iter().filter(|&&byte| byte == b'\n').count() as u64;
-        self.counted = self.counted.max(until);
+        self.counted_to = self.counted_to.max(until);
     }
 
     /// Length of the comment or blank line after those that were counted, with its line end.
     fn length_of_skipped_line(&self) -> Option<usize> {
-        let rest = self.lines.as_bytes().get(self.counted - self.before..)?;
+        let rest = self.lines.as_bytes().get(self.counted_to - self.lines_at..)?;
         if !matches!(rest.first()?, b'#' | b'\r' | b'\n') {
             return None;
         }
@@ -144,9 +146,9 @@ impl<'a> Text<'a> {
         skipped.then_some(end)
     }
 
-    /// Before the table is read.
+    /// The text that was decoded and not read yet.
     fn unread(&self) -> &str {
-        self.lines.get(self.read - self.before..).unwrap_or_default()
+        self.lines.get(self.read_to - self.lines_at..).unwrap_or_default()
     }
 
     /// Adds whole lines; false at the end.
@@ -171,13 +173,13 @@ impl<'a> Text<'a> {
             // The `csv` crate takes a comment without it for a row.
             lines.push('\n');
         }
-        // Records begin with a character.
-        let done = self.read.min(self.counted) - self.before;
+        let done = self.read_to.min(self.counted_to) - self.lines_at;
+        // A read may end within a character: then nothing is dropped yet.
         let done = if self.lines.is_char_boundary(done) { done } else { 0 };
         self.lines.drain(..done);
-        self.before += done;
-        if let Some((at, character)) = control_character(&lines) {
-            let offset = self.before + self.lines.len() + at;
+        self.lines_at += done;
+        if let Some((in_lines, character)) = control_character(&lines) {
+            let offset = self.lines_at + self.lines.len() + in_lines;
             return Err(self.bad(format!("character {character:?} at offset {offset}")));
         }
         self.comments.extend(comments(&lines));
@@ -213,10 +215,12 @@ impl<'a> Text<'a> {
 /// Errors are [`LogError`]s.
 impl Read for Text<'_> {
     fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
-        while self.read == self.before + self.lines.len() && self.decode_more().map_err(io::Error::other)? {}
-        let mut unread = self.lines.as_bytes().get(self.read - self.before..).unwrap_or_default();
+        while self.read_to == self.lines_at + self.lines.len()
+            && self.decode_more().map_err(io::Error::other)?
+        {}
+        let mut unread = self.lines.as_bytes().get(self.read_to - self.lines_at..).unwrap_or_default();
         let read = unread.read(into)?;
-        self.read += read;
+        self.read_to += read;
         Ok(read)
     }
 }
@@ -231,14 +235,14 @@ fn each_utf8_or_windows_1252(lines: &[u8]) -> String {
 
 /// The first character that is invalid in a table, and its position.
 fn control_character(text: &str) -> Option<(usize, char)> {
-    let control = |character: char| character.is_control() && !character.is_whitespace();
-    // Bytes that are none, in any of these encodings, are passed over first: texts are long.
+    let is_invalid = |character: char| character.is_control() && !character.is_whitespace();
+    // Blocks of ordinary ASCII are passed over first: texts are long.
     const BLOCK: usize = 64;
     let is_usual = |byte: &u8| matches!(byte, b'\t'..=b'\r' | b' '..=b'~');
     let are_usual = |block: &&[u8]| block.iter().fold(true, |usual, byte| usual & is_usual(byte));
     let usual = BLOCK * text.as_bytes().chunks_exact(BLOCK).take_while(are_usual).count();
-    let (at, character) = text[usual..].char_indices().find(|(_, character)| control(*character))?;
-    Some((usual + at, character))
+    let (offset, character) = text[usual..].char_indices().find(|(_, character)| is_invalid(*character))?;
+    Some((usual + offset, character))
 }
 
 /// The first line that is neither blank nor a comment.
@@ -248,14 +252,15 @@ pub(in crate::logs) fn header_line(text: &str) -> &str {
         .unwrap_or_default()
 }
 
+/// Key and value of each comment line `# key: value`.
 fn comments(lines: &str) -> impl Iterator<Item = (String, String)> {
-    let comment = |(at, _): (usize, &str)| {
-        let begin = lines[..at].rfind('\n').map_or(0, |end| end + 1);
-        let is_first = lines[begin..at].trim().is_empty();
-        is_first.then(|| lines[at + 1..].lines().next().unwrap_or_default())
+    let comment = |(hash, _): (usize, &str)| {
+        let line_start = lines[..hash].rfind('\n').map_or(0, |end| end + 1);
+        let begins_line = lines[line_start..hash].trim().is_empty();
+        begins_line.then(|| lines[hash + 1..].lines().next().unwrap_or_default())
     };
-    let all = lines.match_indices('#').filter_map(comment).filter_map(|comment| comment.split_once(':'));
-    all.map(|(key, value)| (key.trim().to_lowercase(), value.trim().to_owned()))
+    let pairs = lines.match_indices('#').filter_map(comment).filter_map(|comment| comment.split_once(':'));
+    pairs.map(|(key, value)| (key.trim().to_lowercase(), value.trim().to_owned()))
 }
 
 /// A table's text by lines and rows, for guessing its layout.

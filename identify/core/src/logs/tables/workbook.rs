@@ -1,4 +1,4 @@
-//! Tables in workbooks of Excel.
+//! Workbooks of Excel as text: the rows of a sheet become lines with tabs between the cells, for [`Text`](super::text::Text).
 
 use std::collections::BTreeMap;
 use std::io::Cursor;
@@ -40,7 +40,7 @@ pub(super) type Sheet = (String, Rows);
 /// The sheets of a workbook that have any cell.
 pub(super) fn sheets(bytes: &[u8]) -> Result<Vec<Sheet>, String> {
     // The parser does not verify what it unpacks: the checksums of the archive are checked first.
-    checked(bytes).map_err(|error| format!("a damaged workbook: {error}"))?;
+    check_archive(bytes).map_err(|error| format!("a damaged workbook: {error}"))?;
     let unreadable = |error: calamine::XlsxError| format!("a workbook that cannot be read: {error}");
     let mut workbook = Xlsx::new(Cursor::new(bytes)).map_err(unreadable)?;
     let names = workbook.sheet_names();
@@ -51,7 +51,7 @@ pub(super) fn sheets(bytes: &[u8]) -> Result<Vec<Sheet>, String> {
 }
 
 /// Checks the checksums of everything in an archive.
-fn checked(bytes: &[u8]) -> Result<(), zip::result::ZipError> {
+fn check_archive(bytes: &[u8]) -> Result<(), zip::result::ZipError> {
     let mut archive = ZipArchive::new(Cursor::new(bytes))?;
     for index in 0..archive.len() {
         std::io::copy(&mut archive.by_index(index)?, &mut std::io::sink())?;
@@ -69,7 +69,7 @@ fn rows(workbook: &mut Xlsx<Cursor<&[u8]>>, sheet: &str) -> Result<Rows, calamin
         let (row, column) = cell.get_position();
         let value = Data::from(cell.get_value().clone());
         if value != Data::Empty {
-            rows.entry(row).or_default().insert(column, shown(&value));
+            rows.entry(row).or_default().insert(column, cell_text(&value));
         }
     }
     Ok(rows)
@@ -96,7 +96,7 @@ fn lines(rows: &Rows) -> Result<String, String> {
 }
 
 /// A cell as a table would have it: numbers with all their digits, dates as text.
-fn shown(cell: &Data) -> String {
+fn cell_text(cell: &Data) -> String {
     match cell {
         Data::DateTime(date) => {
             date.as_datetime().map_or_else(|| cell.to_string(), |date| date.format("%FT%T%.f").to_string())

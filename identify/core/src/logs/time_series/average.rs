@@ -20,9 +20,9 @@ impl<R: Row> Stream<R> {
             let integral = Integral::new(&part);
             let average = |(row, t_s): (&R, &f64)| {
                 let integral = integral.as_ref()?;
-                let (mean, wider) = (integral.mean(*t_s, width_s)?, integral.mean(*t_s, 2.0 * width_s)?);
-                let (mean, wider) = (mean.numbers(), wider.numbers());
-                Some(row.with_numbers(|i| (4.0 * mean[i] - wider[i]) / 3.0))
+                let mean = integral.mean(*t_s, width_s)?;
+                let wider_mean = integral.mean(*t_s, 2.0 * width_s)?;
+                Some(row.with_numbers(|i| (4.0 * mean.numbers()[i] - wider_mean.numbers()[i]) / 3.0))
             };
             part.iter().zip(&part.t_s).map(average).collect::<Vec<_>>()
         };
@@ -43,7 +43,7 @@ struct Integral<'a, R> {
     /// Mean of each number over the rows.
     centre: R,
     /// Integral from the first row to each row.
-    until: Vec<R>,
+    until_row: Vec<R>,
 }
 
 impl<'a, R: Row> Integral<'a, R> {
@@ -53,24 +53,24 @@ impl<'a, R: Row> Integral<'a, R> {
         let centre = part.first()?.with_numbers(|i| part.iter().map(|r| r.numbers()[i]).sum::<f64>() / count);
         let spline = part.map(|row| row.with_numbers(|i| row.numbers()[i] - centre.numbers()[i])).spline()?;
         let mut sum = centre.with_numbers(|_| 0.0);
-        let mut until = vec![sum];
+        let mut until_row = vec![sum];
         for interval in 0..part.len() - 1 {
-            let by = spline.integral_within(interval, 1.0)?;
-            sum = sum.with_numbers(|i| sum.numbers()[i] + by.numbers()[i]);
-            until.push(sum);
+            let within = spline.integral_within(interval, 1.0)?;
+            sum = sum.with_numbers(|i| sum.numbers()[i] + within.numbers()[i]);
+            until_row.push(sum);
         }
-        Some(Self { t_s: &part.t_s, spline, centre, until })
+        Some(Self { t_s: &part.t_s, spline, centre, until_row })
     }
 
     /// Mean of the spline over `width_s` around `t_s`; `None` if that extends beyond an end.
     fn mean(&self, t_s: f64, width_s: f64) -> Option<R> {
-        let (before, after) = (self.at(t_s - 0.5 * width_s)?, self.at(t_s + 0.5 * width_s)?);
-        let (before, after) = (before.numbers(), after.numbers());
-        Some(self.centre.with_numbers(|i| (after[i] - before[i]) / width_s + self.centre.numbers()[i]))
+        let (until_start, until_end) = (self.until(t_s - 0.5 * width_s)?, self.until(t_s + 0.5 * width_s)?);
+        let (start, end) = (until_start.numbers(), until_end.numbers());
+        Some(self.centre.with_numbers(|i| (end[i] - start[i]) / width_s + self.centre.numbers()[i]))
     }
 
     /// Integral from the first row to `t_s`; `None` outside the part.
-    fn at(&self, t_s: f64) -> Option<R> {
+    fn until(&self, t_s: f64) -> Option<R> {
         /// Rounding error of stamps that were written as decimal numbers \[s\].
         const ROUNDING_S: f64 = 1e-9;
         if t_s < -ROUNDING_S || t_s > self.t_s.last()? + ROUNDING_S {
@@ -78,8 +78,8 @@ impl<'a, R: Row> Integral<'a, R> {
         }
         let after = self.t_s.partition_point(|stamp| *stamp <= t_s).clamp(1, self.t_s.len() - 1);
         let from = after - 1;
-        let u = (t_s - self.t_s[from]) / (self.t_s[after] - self.t_s[from]);
-        let (until, within) = (self.until[from], self.spline.integral_within(from, u)?);
-        Some(until.with_numbers(|i| until.numbers()[i] + within.numbers()[i]))
+        let fraction = (t_s - self.t_s[from]) / (self.t_s[after] - self.t_s[from]);
+        let (until_row, within) = (self.until_row[from], self.spline.integral_within(from, fraction)?);
+        Some(until_row.with_numbers(|i| until_row.numbers()[i] + within.numbers()[i]))
     }
 }

@@ -1,5 +1,5 @@
 //! Rows that jump away and back faster than any motion: no measurements, but values, mostly zeros, that a logger or an instrument
-//! writes in place of a missing one.
+//! writes in place of a missing one. Searched for in logs of robots, bars and trackers before anything else uses their rows.
 
 use std::path::Path;
 
@@ -9,16 +9,16 @@ use super::sampling::{STEPS_PART, trimmed_mean};
 use crate::logs::LogError;
 use crate::statistics::quantile;
 
-/// Largest number of successive excursions. If a share [`PART_MAX`] of the rows are independent excursions, longer runs begin at
+/// Largest number of successive excursions. If a share [`SHARE_MAX`] of the rows are independent excursions, longer runs begin at
 /// one row in a billion.
 const ROWS_MAX: usize = 8;
 /// An excursion exceeds this multiple of the lower quartile of the log's own second differences that are not zero: 9.4 standard
 /// deviations of noise beyond both neighbours, which one row in 10^14 is by chance, and twelve steps of a coarse resolution.
-const QUARTILES: f64 = 12.0;
+const NOISE_QUARTILES: f64 = 12.0;
 /// A log with a larger share of excursions is refused.
-const PART_MAX: f64 = 0.1;
+const SHARE_MAX: f64 = 0.1;
 /// Approximate number of rows of a long log from which its period and noise are estimated.
-const LOOKED_AT: usize = 100_000;
+const SAMPLED_ROWS: usize = 100_000;
 /// Largest number of places that a message names.
 const NAMED_MAX: usize = 5;
 
@@ -46,57 +46,58 @@ impl<S: Fn(usize, usize, usize) -> f64> Excursions<'_, S> {
     /// between them, by more than the noise of the log, and by more than the distance of the neighbours, which itself is no more than
     /// the fastest motion between them. Rows that could be motion are kept.
     pub fn find(&self) -> Vec<usize> {
-        let every = self.t_s.len().div_ceil(LOOKED_AT).max(1);
-        let looked_at: Vec<f64> = self.t_s.iter().step_by(every).copied().collect();
-        let steps_s = looked_at.windows(2).map(|pair| (pair[1] - pair[0]) / every as f64);
+        let every = self.t_s.len().div_ceil(SAMPLED_ROWS).max(1);
+        let sampled_s: Vec<f64> = self.t_s.iter().step_by(every).copied().collect();
+        let steps_s = sampled_s.windows(2).map(|pair| (pair[1] - pair[0]) / every as f64);
         let period_s = trimmed_mean(steps_s.collect(), STEPS_PART).unwrap_or_default();
         let noise: Vec<f64> =
-            (0..self.columns).map(|column| QUARTILES * self.second_difference(column, every)).collect();
-        let (mut found, mut before) = (Vec::new(), 0);
-        let (mut last, mut next) = (vec![0.0; self.columns], vec![0.0; self.columns]);
-        let steps = |from: usize, to: usize, by_row: &mut [f64]| {
-            for (column, by_row) in by_row.iter_mut().enumerate() {
-                *by_row = (self.step)(from, to, column) / (to - from) as f64;
+            (0..self.columns).map(|column| NOISE_QUARTILES * self.second_difference(column, every)).collect();
+        let (mut excursions, mut before) = (Vec::new(), 0);
+        let (mut last_step, mut next_step) = (vec![0.0; self.columns], vec![0.0; self.columns]);
+        let step_per_row = |from: usize, to: usize, per_row: &mut [f64]| {
+            for (column, per_row) in per_row.iter_mut().enumerate() {
+                *per_row = (self.step)(from, to, column) / (to - from) as f64;
             }
         };
         while before + 2 < self.t_s.len() {
-            steps(before, before + 1, &mut next);
+            step_per_row(before, before + 1, &mut next_step);
             // A row that continues the motion need not be checked: an excursion exceeds all motion from before it to after it.
-            let leaves =
-                (0..self.columns).any(|column| (next[column] - last[column]).abs() > 0.5 * noise[column]);
+            let leaves_motion = (0..self.columns)
+                .any(|column| (next_step[column] - last_step[column]).abs() > 0.5 * noise[column]);
             // The longest run first: of a shorter one, a row of the same excursion would be taken for the return.
             let run = (1..=ROWS_MAX)
                 .rev()
-                .filter(|_| leaves)
-                .find(|rows| self.is_out(before, *rows, period_s, &noise));
+                .filter(|_| leaves_motion)
+                .find(|rows| self.is_excursion(before, *rows, period_s, &noise));
             let after = before + 1 + run.unwrap_or_default();
             if run.is_some() {
-                steps(before, after, &mut next);
+                step_per_row(before, after, &mut next_step);
             }
-            std::mem::swap(&mut last, &mut next);
-            found.extend(before + 1..after);
+            std::mem::swap(&mut last_step, &mut next_step);
+            excursions.extend(before + 1..after);
             before = after;
         }
-        found
+        excursions
     }
 
-    /// Whether the `rows` after `before` are an excursion, from which the next row is back.
-    fn is_out(&self, before: usize, rows: usize, period_s: f64, noise: &[f64]) -> bool {
+    /// Whether the `rows` after `before` are an excursion, from which the next row is back. A motion of acceleration `a` that
+    /// turns back within the time `T` between both neighbours is beyond them by at most `a T^2 / 8`.
+    fn is_excursion(&self, before: usize, rows: usize, period_s: f64, noise: &[f64]) -> bool {
         let after = before + rows + 1;
         let Some(after_s) = self.t_s.get(after) else { return false };
         // Stamps may be late, or the same for several rows.
         let apart_s = (after_s - self.t_s[before]).max((rows + 1) as f64 * period_s);
-        let [within, turning] =
-            [self.fastest.speed * apart_s, self.fastest.acceleration * apart_s.powi(2) / 8.0];
-        let back = |column: usize| (self.step)(before, after, column);
-        let aside = (0..self.columns).map(|column| back(column).abs()).fold(0.0, f64::max);
+        let distance_max = self.fastest.speed * apart_s;
+        let turning_max = self.fastest.acceleration * apart_s.powi(2) / 8.0;
+        let to_after = |column: usize| (self.step)(before, after, column);
+        let distance = (0..self.columns).map(|column| to_after(column).abs()).fold(0.0, f64::max);
         let is_beyond = |row: usize, column: usize| {
-            let (here, back) = ((self.step)(before, row, column), back(column));
-            let by = (here - back.max(0.0)).max(back.min(0.0) - here);
-            // What follows may itself be out: then it is further away than the good row before it.
-            by > turning.max(noise[column]).max(aside)
+            let (to_row, to_after) = ((self.step)(before, row, column), to_after(column));
+            let beyond = (to_row - to_after.max(0.0)).max(to_after.min(0.0) - to_row);
+            // What follows may itself be an excursion: then it is further away than the good row before it.
+            beyond > turning_max.max(noise[column]).max(distance)
         };
-        aside <= within
+        distance <= distance_max
             && (before + 1..after).all(|row| (0..self.columns).any(|column| is_beyond(row, column)))
     }
 
@@ -126,7 +127,7 @@ pub(in crate::logs) fn remark(
     }
     let named = named(places, NAMED_MAX);
     let whose = "jump away from those before and after them, faster than anything moves";
-    if count as f64 > PART_MAX * rows as f64 {
+    if count as f64 > SHARE_MAX * rows as f64 {
         return Err(LogError::Content {
             path: path.to_owned(),
             problem: format!("{count} of {rows} {what}s {whose} ({what} {named})"),

@@ -1,14 +1,16 @@
-//! Numbers that are constant while others change, and rows that repeat in the middle of a motion.
+//! Numbers that are constant while others change (a value that was not read), and rows that repeat in the middle of a motion.
+//!
+//! `prepare` and `identify inspect` search for the first; logs of robots and bars are searched for the second when they are read.
 
 use std::ops::Range;
 
 use super::stream::{Row, Stream, ranges};
 
 /// While a number is constant, another one must change by more than this \[rad, m\].
-const OTHERS: f64 = 0.1;
+const OTHER_CHANGE_MIN: f64 = 0.1;
 /// A number that was not read changes by more than this when it is read again; one that rested continues from its value
 /// \[rad, m\].
-const LEAP: f64 = 0.02;
+const LEAP_MIN: f64 = 0.02;
 
 impl<R: Row> Stream<R> {
     /// For each number the first range of rows in which it is constant although another number changes. `is_long` decides
@@ -19,7 +21,7 @@ impl<R: Row> Stream<R> {
         at_end: impl Fn(usize, &Range<usize>) -> bool,
     ) -> Vec<Option<Range<usize>>> {
         let width = self.first().map_or(0, |row| row.numbers().len());
-        let (mut starts, mut found) = (vec![0; width], vec![None; width]);
+        let (mut starts, mut constant) = (vec![0; width], vec![None; width]);
         for row in 1..=self.len() {
             for column in 0..width {
                 let before = &self[row - 1];
@@ -27,20 +29,22 @@ impl<R: Row> Stream<R> {
                 if next.is_some_and(|next| next.numbers()[column] == before.numbers()[column]) {
                     continue;
                 }
-                let part = std::mem::replace(&mut starts[column], row)..row;
-                if found[column].is_some() || !is_long(&part) {
+                let range = std::mem::replace(&mut starts[column], row)..row;
+                if constant[column].is_some() || !is_long(&range) {
                     continue;
                 }
                 let leaps = match next {
-                    Some(next) => (next.numbers()[column] - before.numbers()[column]).abs() > LEAP,
-                    None => row == self.len() && at_end(column, &part),
+                    Some(next) => (next.numbers()[column] - before.numbers()[column]).abs() > LEAP_MIN,
+                    None => row == self.len() && at_end(column, &range),
                 };
-                let others = ranges(&self[part.clone()]).into_iter().enumerate();
-                let mut others = others.filter(|(other, _)| *other != column);
-                found[column] = (leaps && others.any(|(_, [low, high])| high - low > OTHERS)).then_some(part);
+                let mut others =
+                    (0..).zip(ranges(&self[range.clone()])).filter(|(other, _)| *other != column);
+                let others_change = |[low, high]: [f64; 2]| high - low > OTHER_CHANGE_MIN;
+                let is_fault = leaps && others.any(|(_, range)| others_change(range));
+                constant[column] = is_fault.then_some(range);
             }
         }
-        found
+        constant
     }
 }
 

@@ -1,10 +1,11 @@
-//! The regular clock behind the stamps of a log.
+//! The regular clock behind the stamps of a log: [`find_clock`] gives the times of the rows on it, for `Stream::from_stamps`.
 //!
 //! Controllers sample by a clock that is even to microseconds, and stamp by one that may be rounded, read late, or once for
-//! several rows. The stamp of row `k` is `offset + n_k period + steps + jitter`, rounded to a grid; the whole numbers `n_k`
-//! increase by more than one where rows are missing. The grid is estimated first: it is common to all stamps. While the robot
-//! moves evenly, the motion shows the number of periods between two rows better than the stamps do: a missing row leaves a step
-//! of twice the usual size. Then offset, period and steps are estimated by least squares with a robust loss.
+//! several rows. The stamp of row `k` is `t_k = offset + n_k period + steps + jitter`, rounded to a grid. The whole number `n_k`
+//! of a row increases by more than one where rows are missing. The grid is estimated first: it is common to all stamps. While
+//! the robot moves evenly, the motion shows the number of periods between two rows better than the stamps do: a missing row
+//! leaves a step of the joints of twice the usual size (`motion` has this number from each row to the next, `None` where it is
+//! unknown). Then the rest `t_k - n_k period` is fitted by a smooth curve with steps, by least squares with a robust loss.
 //!
 //! Stamps that are whole periods apart have several explanations: they are right and rows are missing, or they were rounded and no
 //! row is missing, or both. The explanation with the shortest description of the log is used (minimum description length,
@@ -51,18 +52,10 @@ pub struct StampStep {
 /// Stamps that scatter by less than this are taken as they are \[s\]: the fastest joint of a calibration turns by 5 urad in it,
 /// less than any encoder of it resolves.
 const EVEN_S: f64 = 5e-6;
-/// Smallest step of the clock that is searched for \[s\]: the fastest joint of a calibration turns by 0.1 mrad in it, as much as the
-/// errors of its gears.
-const STEP_S_MIN: f64 = 1e-4;
-/// Smallest step in standard deviations of the jitter: of means of [`BESIDE`] rows this is ten.
-const STEP_SIGMAS: f64 = 3.0;
 /// Smallest number of rows on either side of a step.
 const BESIDE: usize = 25;
 /// Shortest time on either side of a step \[s\]: delayed rows are late for a shorter time.
 const BESIDE_S: f64 = 0.5;
-/// A log with more steps has no regular clock: NTP steps a clock that it cannot slew at most once in five minutes (its step-out
-/// threshold), so that these are three hours of an unsynchronised clock.
-const STEPS_MAX: usize = 40;
 /// Number of rows on either side whose joint steps determine the usual step, that of one period.
 const NEIGHBOURS: usize = 6;
 /// A step is a multiple of the usual one if it differs by less than this fraction of the usual one, which changes by less.
@@ -71,33 +64,14 @@ const WHOLE: f64 = 0.2;
 const PERIODS_MAX: f64 = 4.0;
 /// Smallest number of neighbours with whole steps: steps from rounding alone reach it once in a thousand rows.
 const NEIGHBOURS_WHOLE: usize = 10;
-/// Smaller steps of all joints are standstill \[rad, m\].
-const STEP_RAD_MIN: f64 = 50e-6;
-/// Rows over which the period is measured at first, and the part of such segments at either end that has a step of the clock.
+/// Number of rows of the segments over which the period is measured at first.
 const LAG: usize = 32;
+/// Part of these segments at either end, in the order of their periods, that is left out: a step of the clock may be in them.
 pub(super) const STEPS_PART: f64 = 0.02;
-/// The rate of a clock follows temperature over minutes: it is free to change at this distance \[s\].
-const KNOTS_S: f64 = 60.0;
-/// Largest number of knots.
-const KNOTS_MAX: usize = 200;
-/// Rounded stamps are off by 0.29 of their grid, root mean square; where the clock keeps to the grid they are not off at all.
-const ROUNDED_SIGMA: f64 = 0.1;
-/// Finer grids come from the format \[s\].
-const GRID_S_MIN: f64 = 2e-4;
 /// Stamps are written to microseconds or better \[s\].
 const WRITTEN_S: f64 = 1.5e-6;
-/// Rounding moves two stamps by up to one grid against each other, and the phase of the clock is known to a quarter of it.
-const ROUNDED: f64 = 1.25;
-/// From one knot to the next the rate of a clock changes by this, one standard deviation: a quartz that warms up by 1 K.
-const RATE_CHANGE: f64 = 2e-6;
-/// A cubic follows joints for so long to either side \[s\].
-const CURVE_S: f64 = 0.1;
 /// Steps for each one that the motion miscounts (see [`NEIGHBOURS_WHOLE`]), and the odds that are needed to overrule it.
 const MISCOUNTED: f64 = 1000.0;
-/// Even times are right where they make the motion as smooth as the stamps do, but for this factor. Of 2400 simulated logs (50 to
-/// 1000 Hz, joints with 0.1 to 300 urad of noise, stamps off by 6 to 500 us) none whose clock is even comes above 1.001; where the
-/// stamps are right, even times come to 1.1 and more as soon as they move joints by half of their noise.
-const AS_SMOOTH: f64 = 1.1;
 
 /// Smallest scatter that is reported \[s\]: the fastest joint of a calibration turns by 50 urad in it.
 const SCATTER_S: f64 = 5e-5;
@@ -147,44 +121,53 @@ pub(in crate::logs) struct Sampling {
 
 /// The regular clock behind the stamps, which must not decrease; `None` if there is none.
 pub(in crate::logs) fn find_clock(stamps_s: Vec<f64>, rows: &[Joints]) -> Option<Sampling> {
+    /// A cubic follows joints for this time to either side \[s\].
+    const CURVE_S: f64 = 0.1;
+    /// Even times are right where they make the motion as smooth as the stamps do, but for this factor. Of 2400 simulated logs
+    /// (50 to 1000 Hz, joints with 0.1 to 300 urad of noise, stamps off by 6 to 500 us) none whose clock is even comes above
+    /// 1.001; where the stamps are right, even times come to 1.1 and more as soon as they move joints by half of their noise.
+    const AS_SMOOTH: f64 = 1.1;
     let t_s = &*stamps_s;
     // The motion is compared only where it decides: long logs have millions of rows.
     let even = already_even(t_s);
-    if let Some((stamps, _)) = even.as_ref().filter(|(stamps, _)| stamps.missing == 0) {
+    if let Some(EvenStamps { stamps, .. }) = even.as_ref().filter(|even| even.stamps.missing == 0) {
         return Some(Sampling { stamps: stamps.clone(), t_s: stamps_s });
     }
     let motion = periods_by_motion(rows);
     // Without motion stamps cannot be compared with anything.
     let moves = motion.iter().flatten().count() >= ROWS_MIN;
-    // Where the motion is unknown a row follows the one before it, or the stamps are right.
-    let closer = even.as_ref().map(|(stamps, periods)| {
-        let side = ((CURVE_S / stamps.period_s).round() as usize).min(BESIDE);
-        let (follows, _) = compare_motion(&motion, periods, (rows, side), |_| 1.0);
-        let (mut right, contradicted) = compare_motion(&motion, periods, (rows, side), |stamped| stamped);
-        right.iter_mut().zip(periods).for_each(|(shown, stamped)| *shown = shown.or(Some(*stamped)));
-        ([follows, right], contradicted)
-    });
-    let contradicted = closer.as_ref().map(|(_, contradicted)| *contradicted);
-    let explanations = closer.map_or_else(|| vec![motion.clone()], |(explanations, _)| explanations.into());
+    // An explanation is the number of periods from row to row. Where the motion is unknown, a row follows the one before it, or
+    // the stamps are right.
+    let (explanations, contradiction_nats) = match &even {
+        None => (vec![motion.clone()], None),
+        Some(EvenStamps { stamps, periods }) => {
+            let side = ((CURVE_S / stamps.period_s).round() as usize).min(BESIDE);
+            let (none_missing, _) = compare_motion(&motion, periods, rows, side, |_| 1.0);
+            let (mut as_stamped, nats) = compare_motion(&motion, periods, rows, side, |stamped| stamped);
+            as_stamped.iter_mut().zip(periods).for_each(|(shown, stamped)| *shown = shown.or(Some(*stamped)));
+            (vec![none_missing, as_stamped], Some(nats))
+        }
+    };
     let grid_s = find_grid(t_s);
     // Where joints rest, a row that is missing and a clock that passes from cell to cell look the same: they decide nothing.
     let known: Vec<bool> = explanations[0].iter().map(Option::is_some).collect();
-    let missing = even.as_ref().map_or(0, |(_, periods)| missing(periods.iter().copied(), &known));
-    let numbered = explanations.iter().filter(|_| moves).filter_map(|periods| {
+    let missing_by_stamps = even.as_ref().map_or(0, |even| missing(even.periods.iter().copied(), &known));
+    let candidates = explanations.iter().filter(|_| moves).filter_map(|periods| {
         let numbered = Numbered::new(t_s, periods, grid_s)?;
         // One explanation alone is compared with nothing.
-        let description = if even.is_some() { numbered.description(&known) } else { 0.0 };
-        Some((numbered, description))
+        let description_nats = if even.is_some() { numbered.description(&known) } else { 0.0 };
+        Some((numbered, description_nats))
     });
-    let shortest = numbered.min_by(|a, b| a.1.total_cmp(&b.1));
-    let right = even.zip(contradicted).filter(|((_, periods), contradicted)| {
-        let as_right = nats_of_places(missing, periods.len()) + contradicted;
-        shortest.as_ref().is_none_or(|(_, description)| as_right <= *description)
-    });
-    if let Some(((stamps, _), _)) = right {
-        return Some(Sampling { stamps, t_s: stamps_s });
+    let shortest = candidates.min_by(|(_, a_nats), (_, b_nats)| a_nats.total_cmp(b_nats));
+    // The third explanation: the stamps are right everywhere.
+    if let Some((EvenStamps { stamps, periods }, contradiction_nats)) = even.zip(contradiction_nats) {
+        let stamps_nats = nats_of_places(missing_by_stamps, periods.len()) + contradiction_nats;
+        if shortest.as_ref().is_none_or(|(_, description_nats)| stamps_nats <= *description_nats) {
+            return Some(Sampling { stamps, t_s: stamps_s });
+        }
     }
-    let (even_s, stamps) = shortest?.0.times(t_s, &motion);
+    let (numbered, _) = shortest?;
+    let (even_s, stamps) = numbered.times(t_s, &motion);
     if !stamps.evened {
         return Some(Sampling { stamps, t_s: stamps_s });
     }
@@ -198,70 +181,80 @@ fn missing(periods: impl Iterator<Item = f64>, known: &[bool]) -> usize {
     periods.zip(known).map(|(periods, known)| if *known { periods - 1.0 } else { 0.0 }).sum::<f64>() as usize
 }
 
-/// Length of the description of which `some` of the `rows` are meant \[nats\].
-fn nats_of_places(some: usize, rows: usize) -> f64 {
-    let (some, rows) = (some as f64, rows as f64);
-    if some > 0.0 { some * ((rows / some).ln() + 1.0) } else { 0.0 }
+/// Length of the description of which `count` of the `rows` are meant \[nats\]: about the logarithm of their combinations.
+fn nats_of_places(count: usize, rows: usize) -> f64 {
+    let (count, rows) = (count as f64, rows as f64);
+    if count > 0.0 { count * ((rows / count).ln() + 1.0) } else { 0.0 }
 }
 
 /// Periods from row to row by the motion, and how strongly it contradicts the `periods` of the stamps \[nats\]. Where the stamps
-/// have missing rows, a curve through `side` rows on either side decides; `silent` gives the periods where the motion is unknown.
+/// have missing rows, a curve through `side` rows on either side decides. `if_unknown` turns the periods of the stamps into those
+/// that are assumed where the motion is unknown.
 fn compare_motion(
     motion: &[Option<f64>],
     periods: &[f64],
-    (rows, side): (&[Joints], usize),
-    silent: impl Fn(f64) -> f64,
+    rows: &[Joints],
+    side: usize,
+    if_unknown: impl Fn(f64) -> f64,
 ) -> (Vec<Option<f64>>, f64) {
     let mut numbers = vec![0.0];
     for (shown, stamped) in motion.iter().zip(periods) {
         let before = numbers.last().copied().unwrap_or_default();
-        numbers.push(before + shown.unwrap_or_else(|| silent(*stamped)));
+        numbers.push(before + shown.unwrap_or_else(|| if_unknown(*stamped)));
     }
     let mut motion = motion.to_vec();
-    let mut nats = Vec::new();
+    let mut contradictions_nats = Vec::new();
     let mut tests = 0;
-    for (at, (shown, &stamped)) in motion.iter_mut().zip(periods).enumerate() {
+    for (row, (shown, &stamped)) in motion.iter_mut().zip(periods).enumerate() {
         if *shown == Some(stamped) {
             continue;
         }
         let is_open = stamped > 1.0 && stamped <= PERIODS_MAX;
         tests += usize::from(is_open);
-        let closer = if is_open { by_curve((rows, side), &numbers, at, stamped as usize) } else { None };
-        *shown = closer.map(|(periods, _)| periods).or(*shown);
+        let by_curve =
+            if is_open { periods_by_curve(rows, side, &numbers, row, stamped as usize) } else { None };
+        *shown = by_curve.map(|(periods, _)| periods).or(*shown);
         if shown.is_some_and(|shown| shown != stamped) {
-            nats.push(closer.map_or(MISCOUNTED.ln(), |(_, nats)| nats));
+            contradictions_nats.push(by_curve.map_or(MISCOUNTED.ln(), |(_, nats)| nats));
         }
     }
     // Among many places one contradicts by chance.
-    let by_chance = f64::ln(tests.max(1) as f64);
-    (motion, nats.iter().map(|nats| (nats - by_chance).max(0.0)).sum())
+    let by_chance_nats = f64::ln(tests.max(1) as f64);
+    (motion, contradictions_nats.iter().map(|nats| (nats - by_chance_nats).max(0.0)).sum())
 }
 
-/// Periods, 1 to `most`, from row `at` to the next one for which `side` rows on both sides are on the smoothest curve, with the
+/// Periods, 1 to `most`, from `row` to the next one for which `side` rows on both sides are on the smoothest curve, with the
 /// log-likelihood ratio to the second best; `None` if that is too small.
-fn by_curve((rows, side): (&[Joints], usize), numbers: &[f64], at: usize, most: usize) -> Option<(f64, f64)> {
+fn periods_by_curve(
+    rows: &[Joints],
+    side: usize,
+    numbers: &[f64],
+    row: usize,
+    most: usize,
+) -> Option<(f64, f64)> {
     /// Rows of each side that determine a cubic.
     const SIDE_MIN: usize = 8;
     const TERMS: usize = 4;
-    let first = (at + 1).saturating_sub(side);
-    let end = (at + 1 + side).min(rows.len());
-    if at + 1 < first + SIDE_MIN || end < at + 1 + SIDE_MIN {
+    let first = (row + 1).saturating_sub(side);
+    let end = (row + 1 + side).min(rows.len());
+    if row + 1 < first + SIDE_MIN || end < row + 1 + SIDE_MIN {
         return None;
     }
-    let (count, axes) = (end - first, rows[at].len());
-    let shown = DMatrix::from_fn(count, axes, |row, axis| rows[first + row][axis] - rows[at][axis]);
+    let (count, axes) = (end - first, rows[row].len());
+    let joints = DMatrix::from_fn(count, axes, |i, axis| rows[first + i][axis] - rows[row][axis]);
+    // Squared distances from the best cubic if this number of periods is between `row` and the next one.
     let squares = |periods: usize| {
-        let longer = periods as f64 - (numbers[at + 1] - numbers[at]);
-        let since = |row: usize| {
-            let since = numbers[first + row] - numbers[at];
-            (if first + row > at { since + longer } else { since }) / side as f64
+        let longer = periods as f64 - (numbers[row + 1] - numbers[row]);
+        let time = |i: usize| {
+            let since = numbers[first + i] - numbers[row];
+            (if first + i > row { since + longer } else { since }) / side as f64
         };
-        let powers = DMatrix::from_fn(count, TERMS, |row, power| since(row).powi(power as i32));
+        let powers = DMatrix::from_fn(count, TERMS, |i, power| time(i).powi(power as i32));
         let basis = powers.qr().q();
-        (&shown - &basis * (basis.transpose() * &shown)).norm_squared()
+        (&joints - &basis * (basis.transpose() * &joints)).norm_squared()
     };
     let mut fits: Vec<(usize, f64)> = (1..=most).map(|periods| (periods, squares(periods))).collect();
-    fits.sort_by(|a, b| a.1.total_cmp(&b.1));
+    fits.sort_by(|(_, a_squares), (_, b_squares)| a_squares.total_cmp(b_squares));
     let [(best, least), (_, second), ..] = fits[..] else { return None };
     let variance = least / (axes * (count - TERMS)) as f64;
     // Residuals of the cubic are correlated from row to row: two rows count as one.
@@ -285,18 +278,20 @@ struct Numbered {
 impl Numbered {
     /// Each row follows the one before it, unless the motion, or a deviation beyond rounding and jitter, shows otherwise.
     fn new(t_s: &[f64], motion: &[Option<f64>], grid_s: Option<f64>) -> Option<Self> {
-        let apart_s = ROUNDED * grid_s.unwrap_or_default();
+        /// Rounding moves two stamps by up to one grid against each other; the phase of the clock is known to a quarter of it.
+        const ROUNDED: f64 = 1.25;
+        let rounding_s = ROUNDED * grid_s.unwrap_or_default();
         let period_s = estimate_period(t_s, motion)?;
-        let mut numbers = number_rows(t_s, motion, period_s, apart_s);
-        let rest = |numbers: &[f64]| -> Vec<f64> {
+        let mut numbers = number_rows(t_s, motion, period_s, rounding_s);
+        let rests_s = |numbers: &[f64]| -> Vec<f64> {
             t_s.iter().zip(numbers).map(|(t_s, number)| t_s - period_s * number).collect()
         };
-        let mut rest_s = rest(&numbers);
-        let mut breaks_at = find_breaks(&rest_s, period_s, apart_s)?;
+        let mut rest_s = rests_s(&numbers);
+        let mut breaks_at = find_breaks(&rest_s, period_s, rounding_s)?;
         let mut fit = Fit::new(&rest_s, &numbers, period_s, &breaks_at, grid_s)?;
         if correct_numbers(&mut numbers, t_s, motion, &breaks_at, &fit.steps_s, period_s) {
-            rest_s = rest(&numbers);
-            breaks_at = find_breaks(&rest_s, period_s, apart_s)?;
+            rest_s = rests_s(&numbers);
+            breaks_at = find_breaks(&rest_s, period_s, rounding_s)?;
             fit = Fit::new(&rest_s, &numbers, period_s, &breaks_at, grid_s)?;
         }
         Some(Self { grid_s, period_s, numbers, rest_s, breaks_at, fit })
@@ -309,14 +304,14 @@ impl Numbered {
 
     /// Stamp minus time of the clock, of each row \[s\].
     fn late_s(&self) -> impl Iterator<Item = f64> {
-        self.rest_s.iter().zip(&self.fit.whole_s).map(|(rest_s, whole_s)| rest_s - whole_s)
+        self.rest_s.iter().zip(&self.fit.with_steps_s).map(|(rest_s, fitted_s)| rest_s - fitted_s)
     }
 
     /// Length of the description of the stamps \[nats\]: which rows are missing, where the clock was set and by how much, in which
     /// cell of the grid a stamp is if not in that of rounding, and phase and rate of the clock, which decide where it passes from
     /// cell to cell. Missing rows count where the motion is `known`.
     fn description(&self, known: &[bool]) -> f64 {
-        /// Differential entropy of a normal distribution of unit deviation, as a number of cells.
+        /// `sqrt(2 pi e)`: its logarithm is the differential entropy of a normal distribution of unit deviation, here in cells.
         const CELLS: f64 = 4.13;
         /// Largest deviation of a stamp by rounding: half a cell, and a tenth for the error of the fitted line.
         const HALF: f64 = 0.6;
@@ -324,37 +319,40 @@ impl Numbered {
         const PHASES: [f64; 7] = [-0.25, -0.15, -0.05, 0.0, 0.05, 0.15, 0.25];
         let rows = self.numbers.len() as f64;
         let cell_s = self.grid_s.unwrap_or(WRITTEN_S);
-        let beyond = |phase: f64| {
-            let off_s = self.late_s().map(|late_s| (late_s - phase * cell_s).abs() - HALF * cell_s);
-            rms(&off_s.map(|off_s| off_s.max(0.0)).collect::<Vec<_>>()) / cell_s
+        // What rounding does not explain of the deviations, in cells.
+        let excess = |phase: f64| {
+            let excess_s = self.late_s().map(|late_s| (late_s - phase * cell_s).abs() - HALF * cell_s);
+            rms(&excess_s.map(|excess_s| excess_s.max(0.0)).collect::<Vec<_>>()) / cell_s
         };
-        let least = PHASES.into_iter().map(beyond).fold(f64::INFINITY, f64::min);
-        let cells = rows * (1.0 + CELLS * least).ln();
+        let least_excess = PHASES.into_iter().map(excess).fold(f64::INFINITY, f64::min);
+        let cells_nats = rows * (1.0 + CELLS * least_excess).ln();
         let missing = missing(self.numbers.windows(2).map(|pair| pair[1] - pair[0]), known);
-        let clock = if self.breaks_at.is_empty() { 2 } else { 0 };
-        let once = (clock + 2 * self.breaks_at.len()) as f64 * rows.ln();
-        nats_of_places(missing, self.numbers.len()) + cells + once
+        let clock_parameters = if self.breaks_at.is_empty() { 2 } else { 0 };
+        let parameters = clock_parameters + 2 * self.breaks_at.len();
+        nats_of_places(missing, self.numbers.len()) + cells_nats + parameters as f64 * rows.ln()
     }
 
     /// Times of the clock for all rows, and the stamps against it. Steps at which the motion is unknown stay in the times.
     fn times(&self, t_s: &[f64], motion: &[Option<f64>]) -> (Vec<f64>, Stamps) {
+        /// Rounded stamps are off by 0.29 of their grid, root mean square; those of a clock that keeps to the grid are exact.
+        const ROUNDED_SIGMA: f64 = 0.1;
         let Self { grid_s, period_s, numbers, breaks_at, fit, .. } = self;
         // The place of a step is known to some rows only, and near a gap the motion is unknown.
-        let has_motion = |at: usize| {
-            let about = motion.get(at.saturating_sub(NEIGHBOURS)..at + NEIGHBOURS);
-            about.is_some_and(|about| about.iter().all(Option::is_some))
+        let has_motion = |row: usize| {
+            let near = motion.get(row.saturating_sub(NEIGHBOURS)..row + NEIGHBOURS);
+            near.is_some_and(|near| near.iter().all(Option::is_some))
         };
-        let (mut steps, mut stays_s) = (Vec::new(), vec![0.0; breaks_at.len()]);
-        for (place, (&at, &by_s)) in breaks_at.iter().zip(&fit.steps_s).enumerate() {
+        let (mut steps, mut kept_steps_s) = (Vec::new(), vec![0.0; breaks_at.len()]);
+        for ((&row, &by_s), kept_s) in breaks_at.iter().zip(&fit.steps_s).zip(&mut kept_steps_s) {
             // Only the stamps show how long the robot stands still.
-            if has_motion(at) { steps.push(StampStep { at_s: t_s[at], by_s }) } else { stays_s[place] = by_s }
+            if has_motion(row) { steps.push(StampStep { at_s: t_s[row], by_s }) } else { *kept_s = by_s }
         }
-        let even = |row: usize| {
-            let stays: f64 =
-                breaks_at.iter().zip(&stays_s).filter(|(at, _)| **at <= row).map(|(_, by_s)| by_s).sum();
-            period_s * numbers[row] + fit.smooth_s[row] + stays
+        let clock_time_s = |row: usize| {
+            let kept = breaks_at.iter().zip(&kept_steps_s).filter(|(first, _)| **first <= row);
+            let kept_s: f64 = kept.map(|(_, by_s)| by_s).sum();
+            period_s * numbers[row] + fit.without_steps_s[row] + kept_s
         };
-        let even_s: Vec<f64> = (0..t_s.len()).map(even).collect();
+        let even_s: Vec<f64> = (0..t_s.len()).map(clock_time_s).collect();
         let scatter_s: Vec<f64> = self.late_s().map(f64::abs).collect();
         let jitter_s = rms(&scatter_s);
         let equal = t_s.windows(2).filter(|pair| pair[1] <= pair[0]).count();
@@ -372,43 +370,53 @@ impl Numbered {
     }
 }
 
-/// If all distances of stamps are whole multiples of the usual one: the stamps, and these multiples.
-fn already_even(t_s: &[f64]) -> Option<(Stamps, Vec<f64>)> {
+/// Stamps whose distances are all whole multiples of the usual one.
+struct EvenStamps {
+    stamps: Stamps,
+    /// These multiples, from each row to the next.
+    periods: Vec<f64>,
+}
+
+/// The stamps, if they are those of a regular clock as they are.
+fn already_even(t_s: &[f64]) -> Option<EvenStamps> {
     let mut steps_s: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
     let usual_s = median(&mut steps_s)?;
     let pairs = t_s.windows(2).map(|pair| pair[1] - pair[0]);
     let periods: Vec<f64> = pairs.clone().map(|step_s| (step_s / usual_s).round()).collect();
-    steps_s.clear();
-    steps_s.extend(pairs.zip(&periods).map(|(step_s, periods)| (step_s - periods * usual_s).abs()));
-    let is_even =
-        periods.iter().all(|periods| *periods >= 1.0) && steps_s.iter().all(|off_s| *off_s <= EVEN_S);
+    let mut off_s = steps_s;
+    off_s.clear();
+    off_s.extend(pairs.zip(&periods).map(|(step_s, periods)| (step_s - periods * usual_s).abs()));
+    let is_even = periods.iter().all(|periods| *periods >= 1.0) && off_s.iter().all(|off_s| *off_s <= EVEN_S);
     let missing = periods.iter().map(|periods| periods - 1.0).sum::<f64>();
     // If most periods have no row, the usual distance is not the period of a clock.
     (is_even && missing < periods.len() as f64).then(|| {
-        let jitter_max_s = steps_s.iter().copied().fold(0.0, f64::max);
-        let (jitter_s, missing) = (rms(&steps_s), missing as usize);
-        (Stamps { period_s: usual_s, jitter_s, jitter_max_s, missing, ..Stamps::default() }, periods)
+        let jitter_max_s = off_s.iter().copied().fold(0.0, f64::max);
+        let (jitter_s, missing) = (rms(&off_s), missing as usize);
+        let stamps = Stamps { period_s: usual_s, jitter_s, jitter_max_s, missing, ..Stamps::default() };
+        EvenStamps { stamps, periods }
     })
 }
 
 /// The grid of the stamps \[s\]: all are whole multiples of it plus an offset, which changes only where the clock is set.
 fn find_grid(t_s: &[f64]) -> Option<f64> {
+    /// Finer grids come from the format \[s\].
+    const GRID_S_MIN: f64 = 2e-4;
     /// Largest number of cells in the smallest distance of stamps.
     const PARTS_MAX: u32 = 32;
     /// Grids are multiples of this \[s\], or whole parts of a second: a clock that is even is on no grid, but for a rare rate.
     const ROUND_S: f64 = 1e-5;
     /// Largest number of changes of the offset.
-    const SET_MAX: usize = 3;
+    const CHANGES_MAX: usize = 3;
     let steps_s = t_s.windows(2).map(|pair| pair[1] - pair[0]).filter(|step_s| *step_s > WRITTEN_S);
     let least_s = steps_s.fold(f64::INFINITY, f64::min);
     let is_grid = |grid_s: &f64| {
-        let (mut offset_s, mut set) = (t_s[0], 0);
+        let (mut offset_s, mut changes) = (t_s[0], 0);
         t_s.iter().all(|t_s| {
             let off_s = t_s - offset_s - ((t_s - offset_s) / grid_s).round() * grid_s;
             if off_s.abs() > WRITTEN_S {
-                (offset_s, set) = (*t_s, set + 1);
+                (offset_s, changes) = (*t_s, changes + 1);
             }
-            set <= SET_MAX
+            changes <= CHANGES_MAX
         })
     };
     let parts_s = (1..=PARTS_MAX).map(|part| least_s / f64::from(part));
@@ -438,37 +446,42 @@ fn difference(a: &Joints, b: &Joints) -> Joints {
 }
 
 fn norm_squared(step: &Joints) -> f64 {
-    step.iter().map(|one| one * one).sum()
+    step.iter().map(|value| value * value).sum()
 }
 
-/// Number of usual steps in step `at`; `periods` are the known numbers of periods of the steps around it, which define the usual one.
+/// Number of usual steps in the joint step `at`: the multiple `m` of `step = m usual`. The usual step is the mean of those of
+/// both sides, each the median of its steps divided by their `periods`, where these are known so far.
 fn periods_of_step(steps: &[Joints], periods: &[Option<f64>], at: usize) -> Option<f64> {
+    /// Smaller steps of all joints are standstill \[rad, m\].
+    const STEP_RAD_MIN: f64 = 50e-6;
     let sides = [at.checked_sub(NEIGHBOURS)?..at, at + 1..at + 1 + NEIGHBOURS];
-    let usual = |side: &Range<usize>| -> Option<Joints> {
+    let usual_on = |side: &Range<usize>| -> Option<Joints> {
         let known = steps.get(side.clone())?.iter().zip(&periods[side.clone()]);
         let known: Vec<(&Joints, f64)> =
             known.filter_map(|(step, periods)| Some((step, (*periods)?))).collect();
-        let of = |axis: usize| {
+        let usual_of_axis = |axis: usize| {
             median(&mut known.iter().map(|(step, periods)| step[axis] / periods).collect::<Vec<_>>())
         };
         (known.len() > NEIGHBOURS / 2)
-            .then(|| Joints::from_fn(steps[at].len(), |axis| of(axis).unwrap_or_default()))
+            .then(|| Joints::from_fn(steps[at].len(), |axis| usual_of_axis(axis).unwrap_or_default()))
     };
-    let [one, other] = [usual(&sides[0])?, usual(&sides[1])?];
-    let unit: Joints = one.iter().zip(&other).map(|(a, b)| 0.5 * (a + b)).collect();
-    let unit_squared = norm_squared(&unit);
-    let whole = |step: &Joints| {
-        let times = step.iter().zip(&unit).map(|(a, b)| a * b).sum::<f64>() / unit_squared;
-        let aside = norm_squared(&difference(step, &unit.map(|one| times * one)));
-        let is_whole =
-            (1.0 - WHOLE..PERIODS_MAX + WHOLE).contains(&times) && (times - times.round()).abs() < WHOLE;
-        (is_whole && aside < WHOLE * WHOLE * norm_squared(step)).then(|| times.round())
+    let [before, after] = [usual_on(&sides[0])?, usual_on(&sides[1])?];
+    let usual: Joints = before.iter().zip(&after).map(|(a, b)| 0.5 * (a + b)).collect();
+    let usual_squared = norm_squared(&usual);
+    let whole_multiple = |step: &Joints| {
+        let multiple = step.iter().zip(&usual).map(|(a, b)| a * b).sum::<f64>() / usual_squared;
+        let across_squared = norm_squared(&difference(step, &usual.map(|usual| multiple * usual)));
+        let is_whole = (1.0 - WHOLE..PERIODS_MAX + WHOLE).contains(&multiple)
+            && (multiple - multiple.round()).abs() < WHOLE;
+        (is_whole && across_squared < WHOLE * WHOLE * norm_squared(step)).then(|| multiple.round())
     };
-    let is_even = unit_squared > STEP_RAD_MIN.powi(2)
-        && norm_squared(&difference(&one, &other)) < WHOLE * WHOLE * unit_squared;
-    let neighbours =
-        || sides.iter().flat_map(|side| &steps[side.clone()]).filter(|step| whole(step).is_some()).count();
-    if is_even && neighbours() >= NEIGHBOURS_WHOLE { whole(&steps[at]) } else { None }
+    let is_even = usual_squared > STEP_RAD_MIN.powi(2)
+        && norm_squared(&difference(&before, &after)) < WHOLE * WHOLE * usual_squared;
+    let whole_neighbours = || {
+        let neighbours = sides.iter().flat_map(|side| &steps[side.clone()]);
+        neighbours.filter(|step| whole_multiple(step).is_some()).count()
+    };
+    if is_even && whole_neighbours() >= NEIGHBOURS_WHOLE { whole_multiple(&steps[at]) } else { None }
 }
 
 /// Mean of the values without this fraction of them at either end.
@@ -481,106 +494,118 @@ pub(super) fn trimmed_mean(mut values: Vec<f64>, part: f64) -> Option<f64> {
 
 /// The period \[s\], from segments in which the motion determines the number of periods; without motion from the stamps alone.
 fn estimate_period(t_s: &[f64], motion: &[Option<f64>]) -> Option<f64> {
-    let of = |from: usize| {
+    let by_motion = |from: usize| {
         let periods: Option<f64> = motion.get(from..from + LAG)?.iter().copied().sum();
         Some((t_s[from + LAG] - t_s[from]) / periods?)
     };
-    let sure: Vec<f64> = (0..t_s.len()).filter_map(of).collect();
-    let period_s = if sure.len() > LAG {
-        trimmed_mean(sure, STEPS_PART)
+    let by_motion: Vec<f64> = (0..t_s.len()).filter_map(by_motion).collect();
+    let period_s = if by_motion.len() > LAG {
+        trimmed_mean(by_motion, STEPS_PART)
     } else {
-        let each = median(&mut t_s.windows(2).map(|pair| pair[1] - pair[0]).collect::<Vec<_>>());
-        let over = |pair: &[f64]| (pair[LAG] - pair[0]) / LAG as f64;
-        each.filter(|each| *each > 0.0)
-            .or_else(|| trimmed_mean(t_s.windows(LAG + 1).map(over).collect(), STEPS_PART))
+        let usual_s = median(&mut t_s.windows(2).map(|pair| pair[1] - pair[0]).collect::<Vec<_>>());
+        let mean_s = |stamps_s: &[f64]| (stamps_s[LAG] - stamps_s[0]) / LAG as f64;
+        // If most rows have the stamp of the row before, the median is zero.
+        usual_s
+            .filter(|usual_s| *usual_s > 0.0)
+            .or_else(|| trimmed_mean(t_s.windows(LAG + 1).map(mean_s).collect(), STEPS_PART))
     };
     period_s.filter(|period_s| *period_s > 0.0)
 }
 
 /// Number of each row on the clock, from 0. Where the motion is unknown, the number is the next one, unless this row and those
-/// after it are later than jitter and rounding, by `apart_s`, explain. Where the motion is known, the clock was set there instead.
-fn number_rows(t_s: &[f64], motion: &[Option<f64>], period_s: f64, apart_s: f64) -> Vec<f64> {
+/// after it are later than jitter and rounding, up to `rounding_s`, explain. Where the motion is known, that is a clock step.
+fn number_rows(t_s: &[f64], motion: &[Option<f64>], period_s: f64, rounding_s: f64) -> Vec<f64> {
     /// Number of rows over which the phase follows the stamps: the period is known to a thousandth, so that it lags by less than half
     /// of one, and missing rows do not change it.
     const PHASE_ROWS: f64 = 200.0;
     /// A row is further away if three quarters of the rows in this time after it are, too \[s\]: delayed rows are late for a shorter
     /// time.
     const LASTS_S: f64 = 0.1;
-    let lasts = ((LASTS_S / period_s) as usize).max(5);
+    let lasting_rows = ((LASTS_S / period_s) as usize).max(5);
+    // Mean deviation of the stamps in a segment of known motion.
     let scatter_s = |from: usize| {
-        let mut at = 0.0;
-        let known = motion.get(from..from + LAG)?.iter().zip(&t_s[from + 1..]);
-        let rest: Option<Vec<f64>> = known
+        let mut number = 0.0;
+        let segment = motion.get(from..from + LAG)?.iter().zip(&t_s[from + 1..]);
+        let rest_s: Option<Vec<f64>> = segment
             .map(|(periods, t_s)| {
-                at += (*periods)?;
-                Some(t_s - period_s * at)
+                number += (*periods)?;
+                Some(t_s - period_s * number)
             })
             .collect();
-        let rest = rest?;
-        let mean = rest.iter().sum::<f64>() / rest.len() as f64;
-        Some(rest.iter().map(|rest| (rest - mean).abs()).sum::<f64>() / rest.len() as f64)
+        let rest_s = rest_s?;
+        let mean_s = rest_s.iter().sum::<f64>() / rest_s.len() as f64;
+        Some(rest_s.iter().map(|rest_s| (rest_s - mean_s).abs()).sum::<f64>() / rest_s.len() as f64)
     };
     let mut scatters: Vec<f64> = (0..t_s.len()).step_by(LAG).filter_map(scatter_s).collect();
     // Twice the standard deviation: of a normal distribution the mean size is 0.8 of it.
-    let beyond = (2.5 * median(&mut scatters).unwrap_or_default()).max(apart_s) / period_s;
-    let beyond = beyond.max(0.5);
-    let first = t_s.iter().take(lasts).zip(0..).map(|(t_s, number)| t_s - period_s * f64::from(number));
+    let explained_periods = (2.5 * median(&mut scatters).unwrap_or_default()).max(rounding_s) / period_s;
+    let explained_periods = explained_periods.max(0.5);
+    let first =
+        t_s.iter().take(lasting_rows).zip(0..).map(|(t_s, number)| t_s - period_s * f64::from(number));
     let mut phase_s = median(&mut first.collect::<Vec<_>>()).unwrap_or_default();
     let mut numbers = vec![0.0];
     for (row, motion) in (1..t_s.len()).zip(motion) {
         let before = numbers.last().copied().unwrap_or_default();
-        // By how many periods this row and those after it are late, where it has this number.
-        let lasting = |number: f64| {
-            let next = t_s[row..].iter().take(lasts).zip(0..);
-            let mut late: Vec<f64> =
+        // By how many periods this row and three quarters of those after it are late (negative: early) if it has this number.
+        let lasting_delay = |number: f64| {
+            let next = t_s[row..].iter().take(lasting_rows).zip(0..);
+            let mut delays: Vec<f64> =
                 next.map(|(t_s, after)| (t_s - phase_s) / period_s - number - f64::from(after)).collect();
-            if late.len() < lasts {
+            if delays.len() < lasting_rows {
                 return 0.0;
             }
-            let itself = late.first().copied().unwrap_or_default();
-            late.sort_by(f64::total_cmp);
-            let quartiles = [1, 3].map(|quarter| late[quarter * late.len() / 4]);
-            if itself > 0.0 { quartiles[0].clamp(0.0, itself) } else { quartiles[1].clamp(itself, 0.0) }
+            let of_row = delays.first().copied().unwrap_or_default();
+            delays.sort_by(f64::total_cmp);
+            let [lower, upper] = [1, 3].map(|quarter| delays[quarter * delays.len() / 4]);
+            if of_row > 0.0 { lower.clamp(0.0, of_row) } else { upper.clamp(of_row, 0.0) }
         };
         let number = match motion {
             Some(periods) => {
                 let number = before + periods;
                 // Too many rows to be missing in an even motion: the clock was set here. With fewer the motion may be wrong.
-                if ((t_s[row] - phase_s) / period_s - number).abs() > lasts as f64 {
-                    let late = lasting(number);
-                    phase_s += if late.abs() > lasts as f64 { late * period_s } else { 0.0 };
+                if ((t_s[row] - phase_s) / period_s - number).abs() > lasting_rows as f64 {
+                    let delay = lasting_delay(number);
+                    phase_s += if delay.abs() > lasting_rows as f64 { delay * period_s } else { 0.0 };
                 }
                 number
             }
             None => {
-                let late = lasting(before + 1.0);
-                before + 1.0 + if late > beyond { late.round() } else { 0.0 }
+                let delay = lasting_delay(before + 1.0);
+                before + 1.0 + if delay > explained_periods { delay.round() } else { 0.0 }
             }
         };
         let error_s = t_s[row] - phase_s - period_s * number;
-        phase_s += error_s.clamp(-beyond * period_s, beyond * period_s) / PHASE_ROWS;
+        phase_s += error_s.clamp(-explained_periods * period_s, explained_periods * period_s) / PHASE_ROWS;
         numbers.push(number);
     }
     numbers
 }
 
-/// First rows after the steps, of more than `apart_s`, of the stamps against a regular clock; `None` if there are too many.
-fn find_breaks(rest_s: &[f64], period_s: f64, apart_s: f64) -> Option<Vec<usize>> {
+/// First rows after the steps, of more than `rounding_s`, of the stamps against a regular clock; `None` if there are too many.
+fn find_breaks(rest_s: &[f64], period_s: f64, rounding_s: f64) -> Option<Vec<usize>> {
+    /// Smallest step of the clock that is searched for \[s\]: the fastest joint of a calibration turns by 0.1 mrad in it, as much
+    /// as the errors of its gears.
+    const STEP_S_MIN: f64 = 1e-4;
+    /// Smallest step in standard deviations of the jitter: of means of [`BESIDE`] rows this is ten.
+    const STEP_SIGMAS: f64 = 3.0;
+    /// A log with more steps has no regular clock: NTP steps a clock that it cannot slew at most once in five minutes (its
+    /// step-out threshold), so that these are three hours of an unsynchronised clock.
+    const STEPS_MAX: usize = 40;
     /// Part of the largest difference that places near the step have, too.
     const NEARLY: f64 = 0.9;
     let beside = BESIDE.max((BESIDE_S / period_s) as usize);
     // The mean of the middle half: a median of stamps that are rounded leaps from one multiple to the next.
-    let middle = |range: Range<usize>| trimmed_mean(rest_s[range].to_vec(), 0.25).unwrap_or_default();
-    let step_s = |at: usize| (middle(at..at + beside) - middle(at - beside..at)).abs();
-    let scatter = |from: usize| {
-        let middle_s = middle(from..from + beside);
+    let middle_s = |range: Range<usize>| trimmed_mean(rest_s[range].to_vec(), 0.25).unwrap_or_default();
+    let step_s = |at: usize| (middle_s(at..at + beside) - middle_s(at - beside..at)).abs();
+    let scatter_s = |from: usize| {
+        let middle_s = middle_s(from..from + beside);
         rest_s[from..from + beside].iter().map(|rest| (rest - middle_s).abs()).sum::<f64>() / beside as f64
     };
     let end = (rest_s.len() + 1).saturating_sub(beside);
-    let mut scatters: Vec<f64> = (0..end).step_by(beside).map(scatter).collect();
+    let mut scatters: Vec<f64> = (0..end).step_by(beside).map(scatter_s).collect();
     // Of a normal distribution the mean size is 0.8 standard deviations.
-    let limit_s = (STEP_SIGMAS * 1.25 * median(&mut scatters)?).max(STEP_S_MIN).max(apart_s);
-    let mut found: Vec<usize> = Vec::new();
+    let limit_s = (STEP_SIGMAS * 1.25 * median(&mut scatters)?).max(STEP_S_MIN).max(rounding_s);
+    let mut breaks: Vec<usize> = Vec::new();
     let mut at = beside;
     while at < end {
         if step_s(at) <= limit_s {
@@ -590,16 +615,16 @@ fn find_breaks(rest_s: &[f64], period_s: f64, apart_s: f64) -> Option<Vec<usize>
         let sizes: Vec<(usize, f64)> = (at..(at + 2 * beside).min(end)).map(|at| (at, step_s(at))).collect();
         let largest_s = sizes.iter().map(|(_, size_s)| *size_s).fold(0.0, f64::max);
         // Means of many rows give the place to a few rows only; the step itself is between two.
-        let sharp = |at: usize| (rest_s[at] - rest_s[at - 1]).abs();
+        let single_step_s = |at: usize| (rest_s[at] - rest_s[at - 1]).abs();
         let near = sizes.iter().filter(|(_, size_s)| *size_s > NEARLY * largest_s).map(|(at, _)| *at);
-        let best = near.max_by(|a, b| sharp(*a).total_cmp(&sharp(*b)))?;
-        found.push(best);
-        if found.len() > STEPS_MAX {
+        let best = near.max_by(|a, b| single_step_s(*a).total_cmp(&single_step_s(*b)))?;
+        breaks.push(best);
+        if breaks.len() > STEPS_MAX {
             return None;
         }
         at = best + beside;
     }
-    Some(found)
+    Some(breaks)
 }
 
 /// Corrects the numbers at steps of whole periods near rows with unknown motion: rows are missing there, or were wrongly taken as
@@ -613,37 +638,43 @@ fn correct_numbers(
     period_s: f64,
 ) -> bool {
     let near = BESIDE.max((BESIDE_S / period_s) as usize);
-    let mut any = false;
+    let mut is_changed = false;
     for (&at, step_s) in breaks.iter().zip(steps_s) {
-        let by = (step_s / period_s).round();
-        if by == 0.0 || (step_s / period_s - by).abs() > WHOLE {
+        let periods = (step_s / period_s).round();
+        if periods == 0.0 || (step_s / period_s - periods).abs() > WHOLE {
             continue;
         }
         // The stamps step where these rows are missing; a step elsewhere is one of the clock.
-        let steps = |row: usize| by <= PERIODS_MAX || t_s[row] - t_s[row - 1] > 0.5 * by * period_s;
-        let silent = (at.saturating_sub(near).max(1)..(at + near).min(numbers.len())).filter(|row| {
-            motion[row - 1].is_none() && numbers[*row] - numbers[row - 1] + by >= 1.0 && steps(*row)
+        let stamps_step =
+            |row: usize| periods <= PERIODS_MAX || t_s[row] - t_s[row - 1] > 0.5 * periods * period_s;
+        let possible = (at.saturating_sub(near).max(1)..(at + near).min(numbers.len())).filter(|row| {
+            let is_motion_unknown = motion[row - 1].is_none();
+            is_motion_unknown && numbers[*row] - numbers[row - 1] + periods >= 1.0 && stamps_step(*row)
         });
-        if let Some(row) = silent.min_by_key(|row| row.abs_diff(at)) {
-            numbers[row..].iter_mut().for_each(|number| *number += by);
-            any = true;
+        if let Some(nearest) = possible.min_by_key(|row| row.abs_diff(at)) {
+            numbers[nearest..].iter_mut().for_each(|number| *number += periods);
+            is_changed = true;
         }
     }
-    any
+    is_changed
 }
 
-/// A fit to stamp minus number times period: a line with a bend at each knot, and a step at each break.
+/// A fit to the rests `t_k - n_k period`: a line with a bend at each knot, and a step at each break.
 struct Fit {
-    /// Fit without and with the steps, row by row \[s\].
-    smooth_s: Vec<f64>,
-    whole_s: Vec<f64>,
+    /// The fit without the steps, row by row \[s\].
+    without_steps_s: Vec<f64>,
+    /// The fit with the steps, row by row \[s\].
+    with_steps_s: Vec<f64>,
+    /// The step at each break \[s\].
     steps_s: Vec<f64>,
     /// Estimated minus assumed period \[s\].
     slope_s: f64,
 }
 
 impl Fit {
-    /// The fit is robust, and smooth for rounded stamps: those of one cell of the grid share their error.
+    /// Minimises the Huber loss of the residuals plus `bend_weight` times the squared second differences at the knots, by
+    /// reweighted least squares. The unknowns `x` are the values at the knots, then the steps. Rounded stamps need a smooth fit:
+    /// those of one cell of the grid share their error.
     fn new(
         rest_s: &[f64],
         numbers: &[f64],
@@ -654,86 +685,103 @@ impl Fit {
         /// Limit of the Huber loss in standard deviations.
         const HUBER: f64 = 1.345;
         const ROUNDS: usize = 8;
+        /// The rate of a clock follows temperature over minutes: it is free to change at this distance \[s\].
+        const KNOTS_S: f64 = 60.0;
+        /// Largest number of pieces between knots.
+        const PIECES_MAX: usize = 200;
+        /// From one knot to the next the rate of a clock changes by this, one standard deviation: a quartz that warms up by 1 K.
+        const RATE_CHANGE: f64 = 2e-6;
+        /// Where a row is: the knot before it, the fraction of the way to the next one, and the number of steps so far.
+        #[derive(Clone, Copy)]
+        struct Place {
+            knot: usize,
+            fraction: f64,
+            steps: usize,
+        }
         // Steps may be an hour: only their remainder is fitted, in which rounding is small.
-        let middle = |range: Range<usize>| median(&mut rest_s.get(range)?.to_vec());
-        let beside = |at: usize| {
+        let middle_s = |range: Range<usize>| median(&mut rest_s.get(range)?.to_vec());
+        let rough_step_s = |at: usize| {
             let end = (at + BESIDE).min(rest_s.len());
-            Some(middle(at..end)? - middle(at.saturating_sub(BESIDE)..at)?)
+            Some(middle_s(at..end)? - middle_s(at.saturating_sub(BESIDE)..at)?)
         };
-        let rough_s: Vec<f64> = breaks.iter().map(|&at| beside(at).unwrap_or_default()).collect();
-        let stepped_s = |row: usize| -> f64 {
+        let rough_s: Vec<f64> = breaks.iter().map(|&at| rough_step_s(at).unwrap_or_default()).collect();
+        let roughly_stepped_s = |row: usize| -> f64 {
             breaks.iter().zip(&rough_s).filter(|(first, _)| **first <= row).map(|(_, by_s)| by_s).sum()
         };
-        let rest_s: Vec<f64> = rest_s.iter().enumerate().map(|(row, rest)| rest - stepped_s(row)).collect();
-        let last = numbers.last()?.max(1.0);
-        let pieces = ((last * period_s / KNOTS_S).ceil() as usize).clamp(1, KNOTS_MAX);
-        let columns = pieces + 1 + breaks.len();
-        let entries = |row: usize| {
-            let at = numbers[row] / last * pieces as f64;
-            let knot = (at as usize).min(pieces - 1);
-            let part = at - knot as f64;
-            let stepped = breaks.partition_point(|first| *first <= row);
-            (knot, part, stepped)
+        let rest_s: Vec<f64> =
+            rest_s.iter().enumerate().map(|(row, rest)| rest - roughly_stepped_s(row)).collect();
+        let last_number = numbers.last()?.max(1.0);
+        let pieces = ((last_number * period_s / KNOTS_S).ceil() as usize).clamp(1, PIECES_MAX);
+        let first_step = pieces + 1;
+        let unknowns = first_step + breaks.len();
+        let place_of = |row: usize| {
+            let along = numbers[row] / last_number * pieces as f64;
+            let knot = (along as usize).min(pieces - 1);
+            Place {
+                knot,
+                fraction: along - knot as f64,
+                steps: breaks.partition_point(|first| *first <= row),
+            }
         };
-        let mut x = DVector::<f64>::zeros(columns);
-        let value = |x: &DVector<f64>, row: usize| {
-            let (knot, part, stepped) = entries(row);
-            let smooth = (1.0 - part) * x[knot] + part * x[knot + 1];
-            (smooth, smooth + x.rows(pieces + 1, stepped).sum())
+        let without_steps = |x: &DVector<f64>, Place { knot, fraction, .. }: Place| {
+            (1.0 - fraction) * x[knot] + fraction * x[knot + 1]
         };
+        let with_steps =
+            |x: &DVector<f64>, place: Place| without_steps(x, place) + x.rows(first_step, place.steps).sum();
+        let mut x = DVector::<f64>::zeros(unknowns);
         let mut sigma_s = f64::INFINITY;
         for _ in 0..ROUNDS {
-            let (mut matrix, mut right) =
-                (DMatrix::<f64>::zeros(columns, columns), DVector::<f64>::zeros(columns));
+            let (mut matrix, mut right_side) =
+                (DMatrix::<f64>::zeros(unknowns, unknowns), DVector::<f64>::zeros(unknowns));
             for (row, rest) in rest_s.iter().enumerate() {
-                let weight = (HUBER * sigma_s / (rest - value(&x, row).1).abs()).min(1.0);
+                let place = place_of(row);
+                let weight = (HUBER * sigma_s / (rest - with_steps(&x, place)).abs()).min(1.0);
                 let weight = if weight.is_finite() { weight } else { 1.0 };
-                let (knot, part, stepped) = entries(row);
-                let mut all = vec![(knot, 1.0 - part), (knot + 1, part)];
-                all.extend((0..stepped).map(|step| (pieces + 1 + step, 1.0)));
-                for &(i, a) in &all {
-                    right[i] += weight * a * rest;
-                    all.iter().for_each(|&(j, b)| matrix[(i, j)] += weight * a * b);
+                let Place { knot, fraction, steps } = place;
+                let mut coefficients = vec![(knot, 1.0 - fraction), (knot + 1, fraction)];
+                coefficients.extend((0..steps).map(|step| (first_step + step, 1.0)));
+                for &(i, a) in &coefficients {
+                    right_side[i] += weight * a * rest;
+                    coefficients.iter().for_each(|&(j, b)| matrix[(i, j)] += weight * a * b);
                 }
             }
-            let together = grid_s.unwrap_or_default().powi(2) / 12.0 * rest_s.len() as f64 / pieces as f64;
-            let single = if sigma_s.is_finite() { sigma_s * sigma_s } else { 0.0 };
-            let bend_s = RATE_CHANGE * last * period_s / pieces as f64;
-            let straight = (single + together) / (bend_s * bend_s);
+            let rounding_variance =
+                grid_s.unwrap_or_default().powi(2) / 12.0 * rest_s.len() as f64 / pieces as f64;
+            let scatter_variance = if sigma_s.is_finite() { sigma_s * sigma_s } else { 0.0 };
+            let bend_s = RATE_CHANGE * last_number * period_s / pieces as f64;
+            let bend_weight = (scatter_variance + rounding_variance) / (bend_s * bend_s);
             for first in 0..pieces.saturating_sub(1) {
                 let bend = [(first, 1.0), (first + 1, -2.0), (first + 2, 1.0)];
                 for (i, a) in bend {
-                    bend.iter().for_each(|&(j, b)| matrix[(i, j)] += straight * a * b);
+                    bend.iter().for_each(|&(j, b)| matrix[(i, j)] += bend_weight * a * b);
                 }
             }
             // Makes the matrix regular for pieces without rows.
-            (0..columns).for_each(|i| matrix[(i, i)] += 1e-9 * (1.0 + matrix[(i, i)]));
-            x = matrix.cholesky()?.solve(&right);
-            let mut left: Vec<f64> =
-                rest_s.iter().enumerate().map(|(row, rest)| (rest - value(&x, row).1).abs()).collect();
-            sigma_s = (1.48 * median(&mut left)?).max(1e-9);
+            (0..unknowns).for_each(|i| matrix[(i, i)] += 1e-9 * (1.0 + matrix[(i, i)]));
+            x = matrix.cholesky()?.solve(&right_side);
+            let residual_s = |(row, rest): (usize, &f64)| (rest - with_steps(&x, place_of(row))).abs();
+            let mut residuals_s: Vec<f64> = rest_s.iter().enumerate().map(residual_s).collect();
+            // Of a normal distribution the median size is 0.675 standard deviations.
+            sigma_s = (1.48 * median(&mut residuals_s)?).max(1e-9);
         }
-        let with_steps = |row: usize| {
-            let (smooth, whole) = value(&x, row);
-            (smooth, whole + stepped_s(row))
-        };
-        let values: Vec<(f64, f64)> = (0..rest_s.len()).map(with_steps).collect();
-        let slope_s = (x[pieces] - x[0]) / last;
-        let steps_s =
-            x.rows(pieces + 1, breaks.len()).iter().zip(&rough_s).map(|(left, by_s)| left + by_s).collect();
-        let (smooth_s, whole_s) = values.into_iter().unzip();
-        Some(Self { smooth_s, whole_s, steps_s, slope_s })
+        let rows = 0..rest_s.len();
+        let steps = x.rows(first_step, breaks.len());
+        Some(Self {
+            without_steps_s: rows.clone().map(|row| without_steps(&x, place_of(row))).collect(),
+            with_steps_s: rows.map(|row| with_steps(&x, place_of(row)) + roughly_stepped_s(row)).collect(),
+            steps_s: steps.iter().zip(&rough_s).map(|(remainder, rough_s)| remainder + rough_s).collect(),
+            slope_s: (x[pieces] - x[0]) / last_number,
+        })
     }
 }
 
-/// How far rows are from the straight lines between their neighbours, root mean square over all that have some time between
-/// these.
+/// How far rows are from the straight lines between their neighbours, root mean square; at equal times from the middle.
 fn roughness(t_s: &[f64], rows: &[Joints]) -> f64 {
-    let off = |(t, q): (&[f64], &[Joints])| -> f64 {
+    let off_squared = |(t, q): (&[f64], &[Joints])| -> f64 {
         let span_s = t[2] - t[0];
         let part = if span_s > 0.0 { (t[1] - t[0]) / span_s } else { 0.5 };
         (0..q[0].len()).map(|axis| (q[1][axis] - (1.0 - part) * q[0][axis] - part * q[2][axis]).powi(2)).sum()
     };
-    let squares: Vec<f64> = t_s.windows(3).zip(rows.windows(3)).map(off).collect();
+    let squares: Vec<f64> = t_s.windows(3).zip(rows.windows(3)).map(off_squared).collect();
     (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt()
 }

@@ -3,12 +3,15 @@
 //! The alignment of two logs needs the speed as much as the value, and a least-squares solve needs both without
 //! kinks; linear interpolation has neither. Ends are "not-a-knot" (de Boor, A Practical Guide to Splines, ch. IV):
 //! the third derivative is continuous at the last inner knot, so that the ends are as accurate as the middle.
-
-/// Smallest number of samples of one continuous part: two inner knots for the not-a-knot ends.
-pub const KNOTS_MIN: usize = 4;
+//!
+//! With values `y`, second derivatives `m`, `h = t_(i+1) - t_i`, `u = (t - t_i) / h`, `w = 1 - u` the spline between two knots is
+//! `w y_i + u y_(i+1) + h^2 / 6 ((w^3 - w) m_i + (u^3 - u) m_(i+1))`.
 
 use super::shared::Shared;
 use super::stream::{Row, Stream};
+
+/// Smallest number of samples of one continuous part: two inner knots for the not-a-knot ends.
+pub const KNOTS_MIN: usize = 4;
 
 /// A cubic spline through the rows of a stream. It has no values in gaps, which separate its parts.
 #[derive(Debug, Clone, PartialEq)]
@@ -91,6 +94,7 @@ impl<R: Row> CubicSpline<R> {
     pub fn integral_within(&self, interval: usize, u: f64) -> Option<R> {
         let Interval { width_s, ends: [left, right], curvatures: [m_left, m_right] } =
             self.interval(interval)?;
+        // The integrals from 0 to u of w, u, h^2 / 6 (w^3 - w) and h^2 / 6 (u^3 - u).
         let (w2, u2) = ((1.0 - u) * (1.0 - u), u * u);
         let (of_left, of_right) = (0.5 * (1.0 - w2), 0.5 * u2);
         let h2 = width_s * width_s / 6.0;
@@ -124,8 +128,9 @@ fn row_length<R: Row>(rows: &[R]) -> usize {
     rows.first().map_or(0, |row| row.numbers().len())
 }
 
-/// Writes the second derivatives at the knots of one part (at least [`KNOTS_MIN`]) to `out`, knot by knot: the tridiagonal
-/// system of continuous first derivatives, solved by elimination without pivoting (it is diagonally dominant).
+/// Writes the second derivatives `m` at the knots of one part (at least [`KNOTS_MIN`]) to `out`, knot by knot. Continuous first
+/// derivatives require `h_(i-1) m_(i-1) + 2 (h_(i-1) + h_i) m_i + h_i m_(i+1) = 6 (slope_i - slope_(i-1))` at inner knots: a
+/// tridiagonal system, solved by elimination without pivoting (it is diagonally dominant).
 fn solve_curvatures<R: Row>(t_s: &[f64], values: &[R], out: &mut [f64]) {
     let (last, width) = (t_s.len() - 1, row_length(values));
     let h = |i: usize| t_s[i + 1] - t_s[i];
@@ -134,7 +139,7 @@ fn solve_curvatures<R: Row>(t_s: &[f64], values: &[R], out: &mut [f64]) {
     for i in 1..last {
         let (mut lower, mut diagonal, mut upper) = (h(i - 1), 2.0 * (h(i - 1) + h(i)), h(i));
         if i == 1 {
-            // The curvature at the first knot is the linear continuation of the next two.
+            // Not-a-knot: m_0 is the linear continuation of the next two, m_0 = m_1 + h_0 / h_1 (m_1 - m_2).
             diagonal += h(0) * (1.0 + h(0) / h(1));
             upper -= h(0) * h(0) / h(1);
             lower = 0.0;
@@ -156,12 +161,12 @@ fn solve_curvatures<R: Row>(t_s: &[f64], values: &[R], out: &mut [f64]) {
             out[i * width + n] -= upper_over_diagonal[i] * out[(i + 1) * width + n];
         }
     }
-    let mut end = |knot: usize, [inner, further]: [usize; 2], ratio: f64| {
+    let mut continue_to_end = |knot: usize, [inner, further]: [usize; 2], ratio: f64| {
         for n in 0..width {
             let (near, far) = (out[inner * width + n], out[further * width + n]);
             out[knot * width + n] = near + ratio * (near - far);
         }
     };
-    end(0, [1, 2], h(0) / h(1));
-    end(last, [last - 1, last - 2], h(last - 1) / h(last - 2));
+    continue_to_end(0, [1, 2], h(0) / h(1));
+    continue_to_end(last, [last - 1, last - 2], h(last - 1) / h(last - 2));
 }

@@ -18,8 +18,8 @@ pub trait Row: Copy {
     /// The numbers; each row of a stream has the same count.
     fn numbers(&self) -> &[f64];
 
-    /// A row of the same length and kind whose number `i` is `of(i)`.
-    fn with_numbers(&self, of: impl FnMut(usize) -> f64) -> Self;
+    /// A row of the same length and kind whose number `i` is `number(i)`.
+    fn with_numbers(&self, number: impl FnMut(usize) -> f64) -> Self;
 
     /// Whether the numbers continue those of the row before: counters that restarted do not.
     fn continues(&self, _before: &Self) -> bool {
@@ -34,8 +34,8 @@ impl<const N: usize> Row for [f64; N] {
     }
 
     #[inline]
-    fn with_numbers(&self, of: impl FnMut(usize) -> f64) -> Self {
-        std::array::from_fn(of)
+    fn with_numbers(&self, number: impl FnMut(usize) -> f64) -> Self {
+        std::array::from_fn(number)
     }
 }
 
@@ -46,8 +46,8 @@ impl Row for Joints {
     }
 
     #[inline]
-    fn with_numbers(&self, of: impl FnMut(usize) -> f64) -> Self {
-        Self::from_fn(self.len(), of)
+    fn with_numbers(&self, number: impl FnMut(usize) -> f64) -> Self {
+        Self::from_fn(self.len(), number)
     }
 }
 
@@ -56,8 +56,8 @@ impl Row for Vector3<f64> {
         self.as_slice()
     }
 
-    fn with_numbers(&self, mut of: impl FnMut(usize) -> f64) -> Self {
-        Self::from_fn(|axis, _| of(axis))
+    fn with_numbers(&self, mut number: impl FnMut(usize) -> f64) -> Self {
+        Self::from_fn(|axis, _| number(axis))
     }
 }
 
@@ -198,26 +198,26 @@ impl<R> Stream<R> {
         self.t_s.get(index).map(|t_s| later_ns(self.first_stamp_ns, *t_s))
     }
 
-    /// The results of `of` on each row, at the same times.
-    pub fn map<S>(&self, of: impl FnMut(&R) -> S) -> Stream<S> {
+    /// The results of `convert` on each row, at the same times.
+    pub fn map<S>(&self, convert: impl FnMut(&R) -> S) -> Stream<S> {
         Stream {
             first_stamp_ns: self.first_stamp_ns,
             t_s: self.t_s.clone(),
-            rows: self.rows.iter().map(of).collect(),
+            rows: self.rows.iter().map(convert).collect(),
             gap_limit_s: self.gap_limit_s,
         }
     }
 
-    /// Results of `of` on the rows with these indices, without rows for which it returns `None`.
+    /// Results of `convert` on the rows with these indices, without rows for which it returns `None`.
     pub fn filter_map<S>(
         &self,
         indices: Range<usize>,
-        mut of: impl FnMut(usize, &R) -> Option<S>,
+        mut convert: impl FnMut(usize, &R) -> Option<S>,
     ) -> Stream<S> {
         let mut kept = Stream { gap_limit_s: self.gap_limit_s, ..Stream::default() };
         let mut begins_s = 0.0;
         for index in indices.start..indices.end.min(self.rows.len()) {
-            let Some(row) = of(index, &self.rows[index]) else { continue };
+            let Some(row) = convert(index, &self.rows[index]) else { continue };
             if kept.rows.is_empty() {
                 begins_s = self.t_s[index];
                 kept.first_stamp_ns = later_ns(self.first_stamp_ns, begins_s);

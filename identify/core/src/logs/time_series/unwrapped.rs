@@ -48,35 +48,35 @@ impl Unwrapped {
         count: usize,
         reading: impl Fn(usize) -> UnwrappedPoint,
     ) -> Option<Self> {
-        let pair = |at: usize| (reading(at - 1), reading(at));
-        let is_wrap = |at: usize| {
-            let (before, after) = pair(at);
+        let pair = |index: usize| (reading(index - 1), reading(index));
+        let is_wrap = |index: usize| {
+            let (before, after) = pair(index);
             (after.shown_rad - before.shown_rad).abs() > 0.5 * period_rad
         };
-        let wraps: Vec<usize> = (1..count).filter(|at| is_wrap(*at)).collect();
-        let within = densest(&wraps)?;
-        let within = within.start..within.end.min(count);
-        let steps = (1..count).map(pair).map(|(a, b)| (b.continuous_rad - a.continuous_rad).abs());
-        let every = within.len().div_ceil(POINTS_MAX).max(1);
-        let is_shown = |at: &usize| {
-            let beside = [*at, at + 1].iter().any(|at| wraps.binary_search(at).is_ok());
-            (at - within.start).is_multiple_of(every) || beside
+        let wraps: Vec<usize> = (1..count).filter(|index| is_wrap(*index)).collect();
+        let range = range_of_most_wraps(&wraps)?;
+        let shown = range.start..range.end.min(count);
+        let steps_rad = (1..count).map(pair).map(|(a, b)| (b.continuous_rad - a.continuous_rad).abs());
+        let every = shown.len().div_ceil(POINTS_MAX).max(1);
+        let is_drawn = |index: &usize| {
+            let is_beside_wrap = [*index, index + 1].iter().any(|index| wraps.binary_search(index).is_ok());
+            (index - shown.start).is_multiple_of(every) || is_beside_wrap
         };
         Some(Self {
             name: name.into(),
             period_rad,
             wraps: wraps.len(),
-            step_part: 2.0 * steps.fold(0.0, f64::max) / period_rad,
-            points: within.clone().filter(is_shown).map(reading).collect(),
+            step_part: 2.0 * steps_rad.fold(0.0, f64::max) / period_rad,
+            points: shown.clone().filter(is_drawn).map(reading).collect(),
         })
     }
 
     /// Combines the parts of a log of one encoder; the part with the most wraps is shown. `None` without wraps.
     pub fn of_parts(parts: impl IntoIterator<Item = Option<Self>>) -> Option<Self> {
-        let found: Vec<Self> = parts.into_iter().flatten().collect();
-        let wraps = found.iter().map(|one| one.wraps).sum();
-        let step_part = found.iter().map(|one| one.step_part).fold(0.0, f64::max);
-        let shown = found.into_iter().max_by_key(|one| one.wraps)?;
+        let parts: Vec<Self> = parts.into_iter().flatten().collect();
+        let wraps = parts.iter().map(|part| part.wraps).sum();
+        let step_part = parts.iter().map(|part| part.step_part).fold(0.0, f64::max);
+        let shown = parts.into_iter().max_by_key(|part| part.wraps)?;
         Some(Self { wraps, step_part, ..shown })
     }
 }
@@ -104,18 +104,18 @@ impl<R: Row> Stream<R> {
     }
 }
 
-/// The range of readings with the most wraps that one picture can show.
-fn densest(wraps: &[usize]) -> Option<Range<usize>> {
-    let followers = |first: usize| {
+/// The range of readings with the most wraps that one picture can show; `wraps` are the readings after a wrap.
+fn range_of_most_wraps(wraps: &[usize]) -> Option<Range<usize>> {
+    let wraps_from = |first: usize| {
         let near = wraps[first..].iter().take(WRAPS_SHOWN);
-        near.take_while(|at| **at < wraps[first] + READINGS_SHOWN).count()
+        near.take_while(|wrap| **wrap < wraps[first] + READINGS_SHOWN).count()
     };
+    let span = |first: usize| wraps[first + wraps_from(first) - 1] - wraps[first];
     // Of ranges with the same number of wraps, the shortest.
-    let span = |first: usize| wraps[first + followers(first) - 1] - wraps[first];
-    let first = (0..wraps.len()).max_by_key(|&first| (followers(first), std::cmp::Reverse(span(first))))?;
-    let aside = match followers(first) {
+    let first = (0..wraps.len()).max_by_key(|&first| (wraps_from(first), std::cmp::Reverse(span(first))))?;
+    let margin = match wraps_from(first) {
         1 => READINGS_SHOWN / 2,
         several => (span(first) / (several - 1)).max(2),
     };
-    Some(wraps[first].saturating_sub(aside)..wraps[first] + span(first) + aside)
+    Some(wraps[first].saturating_sub(margin)..wraps[first] + span(first) + margin)
 }

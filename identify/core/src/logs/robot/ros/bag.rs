@@ -1,4 +1,4 @@
-//! Joint states of a bag, topic by topic.
+//! Joint states of a bag, topic by topic. Logs of robots and of bars look for their joints in it.
 
 use std::path::Path;
 use std::rc::Rc;
@@ -71,7 +71,7 @@ impl Bag {
             remedy: remedy.into(),
         };
         let topics: Vec<&Topic> =
-            self.topics.iter().filter(|one| topic.is_none_or(|topic| one.name == topic)).collect();
+            self.topics.iter().filter(|found| topic.is_none_or(|topic| found.name == topic)).collect();
         let mut with_joints: Vec<(&Topic, N)> =
             topics.iter().filter_map(|topic| Some((*topic, names_of(&topic.joint_names())?))).collect();
         if with_joints.len() > 1 {
@@ -79,8 +79,8 @@ impl Bag {
             let problem = format!("several topics have {}: {}", wanted.what, names.join(", "));
             return Err(content(problem, wanted.choose));
         }
-        if let Some(one) = with_joints.pop() {
-            return Ok(one);
+        if let Some(the_only) = with_joints.pop() {
+            return Ok(the_only);
         }
         if topics.is_empty() {
             let problem = match topic {

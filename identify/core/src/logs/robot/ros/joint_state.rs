@@ -42,10 +42,11 @@ pub(in crate::logs) struct JointState {
 impl JointState {
     /// Decodes a message; the error is what is wrong, in words.
     pub fn decode(bytes: &[u8], names_before: Option<&Rc<[String]>>) -> Result<Self, String> {
-        let Some((&[_, kind, _, _], body)) = bytes.split_first_chunk::<4>() else {
+        // The second of the four bytes before the message states how it is encoded.
+        let Some((&[_, encoding, _, _], body)) = bytes.split_first_chunk::<4>() else {
             return Err(format!("{} bytes are too short for a message", bytes.len()));
         };
-        let wire: Wire = match kind {
+        let wire: Wire = match encoding {
             0 => cdr_encoding::from_bytes::<Wire, BigEndian>(body),
             1 => cdr_encoding::from_bytes::<Wire, LittleEndian>(body),
             other => return Err(format!("encoding {other} is not plain CDR")),

@@ -56,10 +56,10 @@ pub(in crate::logs) fn read(
 ) -> Result<RobotLog, LogError> {
     let bag = Bag::open(bytes, path, format)?;
     let topic = mapping.and_then(|mapping| mapping.topic.as_deref());
-    let of_joints = mapping.and_then(RobotLogMapping::with_joints);
+    let joint_mapping = mapping.and_then(RobotLogMapping::with_joints);
     let (topic, names) =
-        bag.choose(path, topic, &JOINTS, |found| joints_among(found, robot.axes(), of_joints))?;
-    let meaning = match of_joints {
+        bag.choose(path, topic, &JOINTS, |found| joints_among(found, robot.axes(), joint_mapping))?;
+    let meaning = match joint_mapping {
         Some(mapping) => Meaning::mapped(robot, mapping, names.clone(), path)?,
         None => Meaning::of_controller(robot, AngleUnit::Rad, names.clone(), format, path)?,
     };
@@ -68,20 +68,20 @@ pub(in crate::logs) fn read(
     raw.remarks.clone_from(&bag.remarks);
     raw.force = mapping
         .and_then(|mapping| mapping.force.as_ref())
-        .map(|force| of_efforts(force, path))
+        .map(|force| kind_of_efforts(force, path))
         .transpose()?;
     if !stamped {
         raw.remarks.push(UNSTAMPED.into());
     }
-    let to_rad = units(of_joints, robot.axes());
+    let to_si = si_units(joint_mapping, robot.axes());
     for message in &topic.messages {
-        raw.push(row(message, &names, &to_rad, stamped))?;
+        raw.push(row(message, &names, &to_si, stamped))?;
     }
     raw.finish(&meaning)
 }
 
 /// A force is in a bag as efforts of the joints; columns are of tables.
-fn of_efforts(force: &ForceColumns, path: &Path) -> Result<ForceKind, LogError> {
+fn kind_of_efforts(force: &ForceColumns, path: &Path) -> Result<ForceKind, LogError> {
     if force.columns.is_empty() {
         return Ok(force.kind());
     }
@@ -95,26 +95,27 @@ fn of_efforts(force: &ForceColumns, path: &Path) -> Result<ForceKind, LogError> 
 }
 
 /// Factors of the joints' values: a mapping may state that they are degrees, against REP 103.
-fn units(mapping: Option<&RobotLogMapping>, axes: usize) -> Vec<f64> {
+fn si_units(mapping: Option<&RobotLogMapping>, axes: usize) -> Vec<f64> {
     mapping.map_or(vec![1.0; axes], |mapping| mapping.joints.iter().map(|joint| joint.unit.to_si()).collect())
 }
 
-fn row(message: &Message, names: &[String], to_rad: &[f64], stamped: bool) -> RawRow {
+fn row(message: &Message, names: &[String], to_si: &[f64], stamped: bool) -> RawRow {
     let state = &message.state;
-    let value = |name: &String, of: &[f64]| {
+    let value = |name: &String, numbers: &[f64]| {
         let place = state.names.iter().position(|other| other == name);
-        place.and_then(|place| of.get(place)).copied().unwrap_or(f64::NAN)
+        place.and_then(|place| numbers.get(place)).copied().unwrap_or(f64::NAN)
     };
-    let values = |of: &[f64]| -> Joints { names.iter().map(|name| value(name, of)).collect() };
-    let scaled =
-        |of: &[f64]| -> Joints { values(of).iter().zip(to_rad).map(|(value, unit)| value * unit).collect() };
-    let whole = |values: Joints| values.iter().all(|value| value.is_finite()).then_some(values);
+    let by_name = |numbers: &[f64]| -> Joints { names.iter().map(|name| value(name, numbers)).collect() };
+    let in_si = |numbers: &[f64]| -> Joints {
+        by_name(numbers).iter().zip(to_si).map(|(value, unit)| value * unit).collect()
+    };
+    let if_complete = |values: Joints| values.iter().all(|value| value.is_finite()).then_some(values);
     RawRow {
         place: message.number,
         stamp_ns: message.stamp_ns(stamped),
-        joints: scaled(&state.position),
-        speeds: whole(scaled(&state.velocity)),
-        torques: whole(values(&state.effort)),
+        joints: in_si(&state.position),
+        speeds: if_complete(in_si(&state.velocity)),
+        torques: if_complete(by_name(&state.effort)),
         force: None,
     }
 }
