@@ -1,5 +1,5 @@
 //! Checks a path given by the robot's joints: constraints at 1 kHz, the first violation of each, and the parameters that the
-//! path determines.
+//! path determines. `identify plan` checks its own paths and those of other programs with it.
 
 use crate::kinematics::{BAR_JOINTS, Joints, ball_bar_inverse_refined, singularity_margin_rad};
 use crate::logs::{CubicSpline, RobotLog};
@@ -121,7 +121,7 @@ pub fn check(
     let mut bar_rad: [f64; BAR_JOINTS] =
         design.bar_range_deg.map(|[low, high]| (0.5 * (low + high)).to_radians());
     let mut start_rad = None;
-    let mut before: Option<Joints> = None;
+    let mut last_acceleration: Option<Joints> = None;
     for step in 0..=(duration_s / CHECK_S).floor() as usize {
         let t_s = step as f64 * CHECK_S;
         let Some(point) = curve.at(t_s) else { return Err(CheckError::Gap { t_s }) };
@@ -129,8 +129,8 @@ pub fn check(
         bar_rad = ball_bar_inverse_refined(bar, &target, &bar_rad).map_err(|_| CheckError::NoBar { t_s })?;
         let start_rad = *start_rad.get_or_insert(bar_rad);
         let off_m = (bar.forward(&bar_rad).translation.vector - target.translation.vector).norm();
-        let mut violated = |obstacle: Obstacle, is: bool| {
-            if is {
+        let mut violated = |obstacle: Obstacle, is_violated: bool| {
+            if is_violated {
                 checked.count(obstacle, t_s);
             }
         };
@@ -142,7 +142,7 @@ pub fn check(
         if let Err(obstacle) = constraints.robot_is_comfortable(&point.value) {
             violated(obstacle, true);
         }
-        let most = |row: &Joints| row.iter().fold(0.0_f64, |most, one| most.max(one.abs()));
+        let most = |row: &Joints| row.iter().fold(0.0_f64, |most, value| most.max(value.abs()));
         violated(Obstacle::Speed, most(&point.rate) > design.robot_speed_rad_s);
         violated(Obstacle::Acceleration, most(&point.acceleration) > constraints.acceleration_rad_s2);
         let wound: [f64; BAR_JOINTS] = std::array::from_fn(|joint| bar_rad[joint] - start_rad[joint]);
@@ -165,12 +165,12 @@ pub fn check(
             checked.speed_rad_s[axis] = checked.speed_rad_s[axis].max(point.rate[axis].abs());
             let acceleration = point.acceleration[axis];
             checked.acceleration_rad_s2[axis] = checked.acceleration_rad_s2[axis].max(acceleration.abs());
-            if let Some(before) = before {
-                let jerk = (acceleration - before[axis]) / CHECK_S;
+            if let Some(last) = last_acceleration {
+                let jerk = (acceleration - last[axis]) / CHECK_S;
                 checked.jerk_rad_s3[axis] = checked.jerk_rad_s3[axis].max(jerk.abs());
             }
         }
-        before = Some(point.acceleration);
+        last_acceleration = Some(point.acceleration);
         if step % CHECKS_PER_POSE == 0 {
             checked.visited.bar_rad.push(bar_rad);
             checked.visited.robot.push(JointState {
@@ -186,7 +186,7 @@ pub fn check(
 
 impl Checked {
     fn count(&mut self, obstacle: Obstacle, t_s: f64) {
-        match self.violations.iter_mut().find(|one| one.obstacle == obstacle) {
+        match self.violations.iter_mut().find(|known| known.obstacle == obstacle) {
             Some(known) => known.duration_s += CHECK_S,
             None => self.violations.push(Violation { obstacle, first_s: t_s, duration_s: CHECK_S }),
         }

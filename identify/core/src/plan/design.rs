@@ -55,8 +55,8 @@ impl Design {
     /// Comau NJ 220-2.7 with a bar of 0.5 to 1.0 m.
     pub const NJ_220: Self = Self { base_m: [1.7, 0.05, 0.6], ..Self::IRB_2400 };
 
-    /// Range in which a posture of an arm with these limits is searched \[rad, m\]: the whole range for an arm with another
-    /// number of axes.
+    /// A posture near which the motion of an arm with these limits begins \[rad, m\]: that of the design, or a random one if
+    /// the number of axes differs.
     pub fn posture_rad(&self, limits: &[[f64; 2]], random: &mut impl Rng) -> Joints {
         if self.posture_deg.len() == limits.len() {
             return self.posture_deg.map(f64::to_radians);

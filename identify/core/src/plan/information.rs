@@ -1,4 +1,6 @@
-//! Information of a path: the normal equations of the parameters that a calibration would estimate, and a scalar criterion.
+//! Information of a path: the normal equations of the parameters that a calibration would estimate, and a scalar criterion, for
+//! every search of this module. With covariance `P`, and `W` the mean of `J^T J` of positions, the position error is
+//! `sqrt(tr(W P))`.
 //!
 //! Each pose contributes the whitened residual of the `pose` cost at the nominal geometry, for white noise and as many samples
 //! as a calibration keeps. Encoder harmonics and all terms of the robot's axes are included with their priors. A calibration
@@ -70,18 +72,18 @@ pub struct Information {
     /// Number of samples per second that a calibration keeps \[1/s\].
     samples_per_s: f64,
     /// Prior information about the columns, for every path.
-    known: Normal,
+    prior: Normal,
     /// Prior standard deviation of each column, SI; infinite without a prior.
-    expected: Vec<f64>,
+    prior_sigmas: Vec<f64>,
     /// Columns of the robot's links.
-    robot: Vec<usize>,
+    link_columns: Vec<usize>,
     /// Mean of `J^T J` of positions over the workspace, for the columns of the links \[m²\].
     weight: DMatrix<f64>,
     criterion: Criterion,
     /// Columns of errors of the robot's axes and of the bar's length.
-    terms: Vec<(TermGroup, usize)>,
+    term_columns: Vec<(TermGroup, usize)>,
     /// Column of the plate's length, which no path determines: the relative uncertainty of all lengths is that of the plate.
-    scale: Option<usize>,
+    plate_column: Option<usize>,
 }
 
 /// Poses of the bar and the robot.
@@ -98,6 +100,7 @@ pub(super) struct States<'a>(pub(super) &'a [JointState]);
 
 impl RobotMotion for States<'_> {
     fn at(&self, tau_s: f64) -> Option<JointState> {
+        // A time below -0.5 rounds to a negative index, which the cast would change to 0.
         (tau_s > -0.5).then(|| self.0.get(tau_s.round() as usize).copied()).flatten()
     }
 }
@@ -122,40 +125,42 @@ impl Information {
             terms.extend(group.ids.iter().map(|id| (group.group, *id)));
             model.set_roles(group.ids, Role::Prior { value: 0.0, sigma: group.sigma })?;
         }
-        // Every whole run determines it well.
+        // Every whole run determines the skew well.
         model.set_role(ParameterId::ClockSkew, Role::Fixed)?;
         let plate = ParameterId::plate(model.axes());
         if bar.plate_u_um > 0.0 {
             let value = model.parameter(plate).map_or(bar.plate_m, |plate| plate.nominal);
             model.set_role(plate, Role::Prior { value, sigma: bar.plate_u_um * 1e-6 })?;
         }
-        let robot_columns: Vec<(usize, ParameterId)> = model
+        let links: Vec<(usize, ParameterId)> = model
             .columns()
             .enumerate()
             .filter(|(_, parameter)| matches!(parameter.id, ParameterId::Robot { .. }))
             .map(|(column, parameter)| (column, parameter.id))
             .collect();
-        let weight = position_weight(arm, &robot_columns, &robot.joint_limits());
-        let robot_columns = robot_columns.into_iter().map(|(column, _)| column).collect();
-        let terms = terms.into_iter().filter_map(|(group, id)| Some((group, model.column_of(id)?))).collect();
-        let scale = model.column_of(plate);
-        let mut known = Normal::zeros(model.columns().len());
-        known.add_priors(&model.priors(), &model.start());
+        let weight = position_weight(arm, &links, &robot.joint_limits());
+        let link_columns = links.into_iter().map(|(column, _)| column).collect();
+        let term_columns =
+            terms.into_iter().filter_map(|(group, id)| Some((group, model.column_of(id)?))).collect();
+        let plate_column = model.column_of(plate);
+        let mut prior = Normal::zeros(model.columns().len());
+        prior.add_priors(&model.priors(), &model.start());
         let noise = config.noise.into();
         let kept = config.prepare.points_max as f64 / duration_s.max(1.0);
         let samples_per_s = if kept > 0.0 { kept.min(SAMPLES_PER_S) } else { SAMPLES_PER_S };
-        let expected = known.matrix.diagonal().iter().map(|information| information.sqrt().recip()).collect();
+        let prior_sigmas =
+            prior.matrix.diagonal().iter().map(|information| information.sqrt().recip()).collect();
         Ok(Self {
             model,
             noise,
             samples_per_s,
-            known,
-            expected,
-            robot: robot_columns,
+            prior,
+            prior_sigmas,
+            link_columns,
             weight,
             criterion,
-            terms,
-            scale,
+            term_columns,
+            plate_column,
         })
     }
 
@@ -165,14 +170,14 @@ impl Information {
     /// `None` if the calibration has none of the parameters, or the covariance is not positive definite.
     #[must_use]
     pub fn after(mut self, between: impl Fn(ParameterId, ParameterId) -> Option<f64>) -> Option<Self> {
-        let of_encoders = Some(TermGroup::EncoderHarmonics);
-        let lasts = |id: ParameterId| !id.block().of_run || id.term() == of_encoders;
+        let encoder_harmonics = Some(TermGroup::EncoderHarmonics);
+        let remains_valid = |id: ParameterId| !id.block().of_run || id.term() == encoder_harmonics;
         let columns: Vec<(usize, ParameterId)> = self
             .model
             .columns()
             .enumerate()
             .map(|(column, parameter)| (column, parameter.id))
-            .filter(|(_, id)| lasts(*id) && between(*id, *id).is_some_and(|variance| variance > 0.0))
+            .filter(|(_, id)| remains_valid(*id) && between(*id, *id).is_some_and(|variance| variance > 0.0))
             .collect();
         if columns.is_empty() {
             return None;
@@ -184,7 +189,7 @@ impl Information {
         for (i, (row, _)) in columns.iter().enumerate() {
             for (j, (column, _)) in columns.iter().enumerate() {
                 // The calibration already includes the priors.
-                self.known.matrix[(*row, *column)] = information[(i, j)];
+                self.prior.matrix[(*row, *column)] = information[(i, j)];
             }
         }
         Some(self)
@@ -201,7 +206,7 @@ impl Information {
     /// Normal equations of poses that are `period_s` apart; each represents all samples of its period.
     pub fn of(&self, poses: &Visited, period_s: f64) -> Normal {
         let folds = [(0..poses.bar_rad.len()).collect()];
-        let normal = self.solved(poses, |problem, start| {
+        let normal = self.with_problem(poses, |problem, start| {
             let normals = Normals::new(problem, start, &Options::default(), &folds).ok()?;
             normals.of_folds().first().cloned()
         });
@@ -210,35 +215,35 @@ impl Information {
         normal
     }
 
-    /// Result of `of` for the problem of these poses and its start values.
-    fn solved<T>(
+    /// Calls `evaluate` with the least-squares problem of these poses and its start values.
+    fn with_problem<T>(
         &self,
         poses: &Visited,
-        of: impl FnOnce(&LoopProblem<'_, WhitenedPose, States<'_>>, &[f64]) -> Option<T>,
+        evaluate: impl FnOnce(&LoopProblem<'_, WhitenedPose, States<'_>>, &[f64]) -> Option<T>,
     ) -> Option<T> {
         let motion = States(&poses.robot);
         let observations: Vec<Observation> =
             poses.bar_rad.iter().enumerate().map(|(i, bar)| Observation::bar(i as f64, *bar)).collect();
         let residual = WhitenedPose::new(&self.model.geometry(&[]), &motion, &observations, self.noise);
         let problem = LoopProblem::new(&self.model, &motion, &observations, residual, 1.0).ok()?;
-        of(&problem, &self.model.start())
+        evaluate(&problem, &self.model.start())
     }
 
     /// Optimal parts of time of these poses in a run of this length, without motion between them, for the mean squared position
     /// error over the workspace with all terms of the axes \[m²\]. `None` if they leave a parameter undetermined.
     pub fn optimum(&self, poses: &Visited, duration_s: f64) -> Option<Optimum> {
-        let (_, rows) = self.solved(poses, |problem, start| stacked(problem, start))?;
-        let mut known = self.known.matrix.clone();
-        if let Some(column) = self.scale {
-            known[(column, column)] += KNOWN_SIGMA.powi(-2);
+        let (_, rows) = self.with_problem(poses, |problem, start| stacked(problem, start))?;
+        let mut prior = self.prior.matrix.clone();
+        if let Some(column) = self.plate_column {
+            prior[(column, column)] += KNOWN_SIGMA.powi(-2);
         }
         let mut weight = DMatrix::zeros(self.columns(), self.columns());
-        for (i, &row) in self.robot.iter().enumerate() {
-            for (j, &column) in self.robot.iter().enumerate() {
+        for (i, &row) in self.link_columns.iter().enumerate() {
+            for (j, &column) in self.link_columns.iter().enumerate() {
                 weight[(row, column)] = self.weight[(i, j)];
             }
         }
-        optimum(&known, (&rows, WhitenedPose::ROWS), duration_s * self.samples_per_s, &weight)
+        optimum(&prior, (&rows, WhitenedPose::ROWS), duration_s * self.samples_per_s, &weight)
     }
 
     /// Number of columns of the normal equations.
@@ -251,11 +256,11 @@ impl Information {
     fn covariance<'c>(
         &self,
         normal: &Normal,
-        known: impl IntoIterator<Item = &'c usize>,
+        fixed: impl IntoIterator<Item = &'c usize>,
     ) -> Option<DMatrix<f64>> {
         let mut normal = normal.clone();
-        normal += &self.known;
-        for &column in known {
+        normal += &self.prior;
+        for &column in fixed {
             normal.matrix[(column, column)] += KNOWN_SIGMA.powi(-2);
         }
         let factor = ScaledCholesky::new(normal.matrix)?;
@@ -270,27 +275,28 @@ impl Information {
     /// Criterion of normal equations, smaller is better; infinite if a parameter is undetermined. The plate counts as known,
     /// because its contribution is the same for all paths.
     pub fn score(&self, normal: &Normal) -> f64 {
-        self.worth(normal, self.criterion, &self.scale)
+        self.criterion_value(normal, self.criterion, &self.plate_column)
     }
 
-    fn worth<'c>(
+    fn criterion_value<'c>(
         &self,
         normal: &Normal,
         criterion: Criterion,
-        known: impl IntoIterator<Item = &'c usize>,
+        fixed: impl IntoIterator<Item = &'c usize>,
     ) -> f64 {
-        let Some(covariance) = self.covariance(normal, known) else { return f64::INFINITY };
-        let of_robot = covariance.select_rows(&self.robot).select_columns(&self.robot);
+        let Some(covariance) = self.covariance(normal, fixed) else { return f64::INFINITY };
+        let of_links = covariance.select_rows(&self.link_columns).select_columns(&self.link_columns);
         match criterion {
-            Criterion::Position => (&self.weight * of_robot).trace().max(0.0).sqrt(),
+            Criterion::Position => (&self.weight * of_links).trace().max(0.0).sqrt(),
             Criterion::Determinant => {
-                let Some(factor) = of_robot.cholesky() else { return f64::INFINITY };
-                let log: f64 = factor.l().diagonal().iter().map(|one| one.ln()).sum();
-                (log / self.robot.len().max(1) as f64).exp()
+                // Half of the logarithm of the determinant: the geometric mean of the ellipsoid's axes.
+                let Some(factor) = of_links.cholesky() else { return f64::INFINITY };
+                let half_log: f64 = factor.l().diagonal().iter().map(|entry| entry.ln()).sum();
+                (half_log / self.link_columns.len().max(1) as f64).exp()
             }
             Criterion::Worst => {
-                let effect = |i: usize| (self.weight[(i, i)] * of_robot[(i, i)]).max(0.0).sqrt();
-                (0..self.robot.len()).map(effect).fold(0.0, f64::max)
+                let effect = |i: usize| (self.weight[(i, i)] * of_links[(i, i)]).max(0.0).sqrt();
+                (0..self.link_columns.len()).map(effect).fold(0.0, f64::max)
             }
         }
     }
@@ -299,20 +305,21 @@ impl Information {
     pub fn position(&self, normal: &Normal) -> ExpectedPosition {
         ExpectedPosition {
             axes_exact_m: self.position_with(normal, &[]),
-            with_terms_m: self.worth(normal, Criterion::Position, &self.scale),
-            with_plate_m: self.worth(normal, Criterion::Position, []),
+            with_terms_m: self.criterion_value(normal, Criterion::Position, &self.plate_column),
+            with_plate_m: self.criterion_value(normal, Criterion::Position, []),
         }
     }
 
     /// Expected RMS position error over the workspace after a calibration that estimates terms of these groups \[m\].
     pub fn position_with(&self, normal: &Normal, groups: &[TermGroup]) -> f64 {
-        let others = self.terms.iter().filter(|(group, _)| !groups.contains(group));
-        self.worth(normal, Criterion::Position, others.map(|(_, column)| column).chain(&self.scale))
+        let others = self.term_columns.iter().filter(|(group, _)| !groups.contains(group));
+        let fixed = others.map(|(_, column)| column).chain(&self.plate_column);
+        self.criterion_value(normal, Criterion::Position, fixed)
     }
 
-    /// The same for each candidate group alone.
+    /// [`Self::position_with`] for each candidate group alone.
     pub fn with_each(&self, normal: &Normal) -> Vec<WithTerms> {
-        let mut groups: Vec<TermGroup> = self.terms.iter().map(|(group, _)| *group).collect();
+        let mut groups: Vec<TermGroup> = self.term_columns.iter().map(|(group, _)| *group).collect();
         groups.dedup();
         let alone = |group| WithTerms { group, position_m: self.position_with(normal, &[group]) };
         groups.into_iter().map(alone).collect()
@@ -322,23 +329,24 @@ impl Information {
     /// with a combination that their priors determine better. A group of one is a parameter that the data do not determine.
     pub fn not_separated(&self, normal: &Normal) -> Vec<Vec<ParameterId>> {
         let Some(covariance) = self.covariance_of(normal) else { return Vec::new() };
-        // In units of the priors' standard deviations, more than half of the variance remains if the priors are more accurate.
-        let left = DMatrix::from_fn(self.robot.len(), self.robot.len(), |i, j| {
-            let [i, j] = [self.robot[i], self.robot[j]];
-            covariance[(i, j)] / (self.expected[i] * self.expected[j])
+        let links = self.link_columns.len();
+        let relative_covariance = DMatrix::from_fn(links, links, |i, j| {
+            let [row, column] = [self.link_columns[i], self.link_columns[j]];
+            covariance[(row, column)] / (self.prior_sigmas[row] * self.prior_sigmas[column])
         });
-        let eigen = left.symmetric_eigen();
-        let mut by_prior = DMatrix::<f64>::zeros(self.robot.len(), self.robot.len());
-        for (direction, left) in eigen.eigenvectors.column_iter().zip(eigen.eigenvalues.iter()) {
-            if *left > 0.5 {
+        let eigen = relative_covariance.symmetric_eigen();
+        // Projector on the directions that the priors determine: more than half of their prior variance remains.
+        let mut by_prior = DMatrix::<f64>::zeros(links, links);
+        for (direction, remaining) in eigen.eigenvectors.column_iter().zip(eigen.eigenvalues.iter()) {
+            if *remaining > 0.5 {
                 by_prior += direction * direction.transpose();
             }
         }
         let ids: Vec<ParameterId> = self.model.columns().map(|parameter| parameter.id).collect();
         let named = |group: Vec<usize>| -> Vec<ParameterId> {
-            let columns = group.into_iter().map(|row| self.robot[row]);
+            let columns = group.into_iter().map(|row| self.link_columns[row]);
             // The plate has its measured uncertainty for every path.
-            columns.filter(|column| Some(*column) != self.scale).map(|column| ids[column]).collect()
+            columns.filter(|column| Some(*column) != self.plate_column).map(|column| ids[column]).collect()
         };
         let of_data = combined(&by_prior).into_iter().map(named).filter(|group| !group.is_empty());
         inseparable_offsets(&self.model.geometry(&[]).robot).into_iter().chain(of_data).collect()
@@ -360,8 +368,8 @@ fn position_weight(arm: &Chain, columns: &[(usize, ParameterId)], joint_limits: 
     let mut rows = DMatrix::zeros(3 * POSTURES, columns.len());
     for posture in 0..POSTURES {
         tracer.trace(&Joints::random(joint_limits, &mut random), &mut trace);
-        let mut by = rows.rows_mut(3 * posture, 3);
-        for (mut column, (_, id)) in by.column_iter_mut().zip(columns) {
+        let mut jacobian = rows.rows_mut(3 * posture, 3);
+        for (mut column, (_, id)) in jacobian.column_iter_mut().zip(columns) {
             if let ParameterId::Robot { link, parameter } = *id
                 && let Some(twist) = trace.twist(link, parameter)
             {

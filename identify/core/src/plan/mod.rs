@@ -61,9 +61,9 @@ impl shared::config::Validate for PlannedPath {
         let moves = self.path.moves.iter();
         let moves = moves.flat_map(|step| step.by_rad.iter().chain(&step.from_rad).chain([&step.start_s]));
         let is_timed = |step: &Move| step.duration_s.is_finite() && step.duration_s > 0.0;
-        let length = self.path.duration_s.is_finite() && self.path.duration_s > 0.0;
+        let has_duration = self.path.duration_s.is_finite() && self.path.duration_s > 0.0;
         if numbers.chain(moves).all(|number| number.is_finite())
-            && length
+            && has_duration
             && self.path.moves.iter().all(is_timed)
         {
             return Ok(());

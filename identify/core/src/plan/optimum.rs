@@ -1,11 +1,11 @@
 //! Lower bound of the variance for freely chosen poses, with any repetition and without motion between them. Its ratio to the
-//! variance of a path or a selection of poses is their efficiency.
+//! variance of a path or a selection of poses is their efficiency. A search moves its path towards the poses of the optimum.
 //!
-//! Weights of poses as parts of a measurement are a design measure, and the variance is convex in it (Chaloner 1984 with
-//! priors). The multiplicative algorithm (Silvey, Titterington and Torsney 1978) finds the optimal weights. With covariance
-//! `P`, weight `W`, the largest decrease `d` of the variance `v` along any pose and the mean decrease `m`, no weights have a
-//! variance below `v^2 / (v + d - m)`. This is the bound of duality, from `tr(W P') >= 2 s tr(W P) - s^2 tr(P W P P'^-1)` for
-//! every covariance `P'` and number `s`.
+//! Pose `i` with whitened rows `J_i` has the part `w_i` of `n` measurements: `P = (prior + n sum w_i J_i^T J_i)^-1`. The
+//! variance `v = tr(W P)` is convex in the parts (Chaloner 1984 with priors); `d_i = n tr(J_i P W P J_i^T)` is its decrease with
+//! `w_i`. The multiplicative algorithm (Silvey, Titterington and Torsney 1978) repeats `w_i <- w_i sqrt(d_i)`, normalised. With
+//! `m = sum w_i d_i` no parts have a variance below `v^2 / (v + max d_i - m)`, by duality: `tr(W P') >= 2 s tr(W P) - s^2
+//! tr(P W P P'^-1)` for every covariance `P'` and number `s`.
 
 use nalgebra::{DMatrix, DVector};
 use rand::Rng;
@@ -19,7 +19,7 @@ use crate::solver::ScaledCholesky;
 
 /// Highest number of steps of the algorithm.
 const STEPS_MAX: usize = 300;
-/// The bound has converged if `(d - m) / v` is at most this.
+/// The bound has converged if `(max d_i - m) / v` is at most this.
 const GAP: f64 = 0.05;
 /// The bound is used if it exceeds this part of the variance of the best weights found.
 const TIGHT: f64 = 0.9;
@@ -52,9 +52,9 @@ pub(super) fn goals(
     let Ok((_, near_rad)) = start(constraints, random) else { return Vec::new() };
     let poses = random_poses(constraints, near_rad, RANDOM_POSES / 2, random);
     let Some(best) = information.optimum(&poses, constraints.design.duration_s) else { return Vec::new() };
-    let mut largest: Vec<usize> = (0..best.parts.len()).collect();
-    largest.sort_by(|a, b| best.parts[*b].total_cmp(&best.parts[*a]));
-    largest.into_iter().take(GOALS).map(|pose| poses.bar_rad[pose]).collect()
+    let mut by_part: Vec<usize> = (0..best.parts.len()).collect();
+    by_part.sort_by(|a, b| best.parts[*b].total_cmp(&best.parts[*a]));
+    by_part.into_iter().take(GOALS).map(|pose| poses.bar_rad[pose]).collect()
 }
 
 /// Lower bound of the RMS position error with all terms of the axes \[m\] for every run of a path's length with the same elbow
@@ -72,49 +72,51 @@ pub fn position_m_min(
     let visited = &checked.visited;
     let random = &mut ChaCha8Rng::seed_from_u64(1);
     let mut poses = random_poses(constraints, visited.robot.first()?.q, RANDOM_POSES, random);
-    let every = visited.robot.len().div_ceil(PATH_POSES_MAX).max(1);
-    poses.bar_rad.extend(visited.bar_rad.iter().step_by(every));
-    poses.robot.extend(visited.robot.iter().step_by(every));
+    let stride = visited.robot.len().div_ceil(PATH_POSES_MAX).max(1);
+    poses.bar_rad.extend(visited.bar_rad.iter().step_by(stride));
+    poses.robot.extend(visited.robot.iter().step_by(stride));
     let best = information.optimum(&poses, checked.duration_s)?;
     (best.variance_min > TIGHT * best.variance).then(|| best.variance_min.sqrt())
 }
 
 /// Optimal parts of poses, with any repetition, of `measurements` of them for the least `tr(weight covariance)`. `prior` is the
-/// information without measurements, `rows` has `of_pose` rows of each pose in standard deviations. `None` if the poses leave a
-/// parameter undetermined.
+/// information without measurements, `rows` has `rows_per_pose` rows of each pose in standard deviations. `None` if the poses
+/// leave a parameter undetermined.
 pub(super) fn optimum(
     prior: &DMatrix<f64>,
-    (rows, of_pose): (&DMatrix<f64>, usize),
+    (rows, rows_per_pose): (&DMatrix<f64>, usize),
     measurements: f64,
     weight: &DMatrix<f64>,
 ) -> Option<Optimum> {
-    let poses = rows.nrows() / of_pose;
+    let poses = rows.nrows() / rows_per_pose;
     if poses == 0 {
         return None;
     }
     let mut parts = vec![1.0 / poses as f64; poses];
-    let (mut least, mut step) = (0.0_f64, 0);
+    let (mut bound, mut step) = (0.0_f64, 0);
     loop {
-        let root = DVector::from_fn(rows.nrows(), |row, _| (measurements * parts[row / of_pose]).sqrt());
-        let mut counted = rows.clone();
-        counted.column_iter_mut().for_each(|mut column| column.component_mul_assign(&root));
-        let covariance = ScaledCholesky::new(prior + squared(&counted))?.inverse();
+        let root =
+            DVector::from_fn(rows.nrows(), |row, _| (measurements * parts[row / rows_per_pose]).sqrt());
+        let mut weighted_rows = rows.clone();
+        weighted_rows.column_iter_mut().for_each(|mut column| column.component_mul_assign(&root));
+        let covariance = ScaledCholesky::new(prior + squared(&weighted_rows))?.inverse();
         let variance = weight.dot(&covariance);
-        // Decrease of the variance with the part of each pose.
-        let worth = times(rows, &(&covariance * weight * &covariance));
-        let falls = |pose: usize| {
-            let [worth, own] = [&worth, rows].map(|all| all.rows(pose * of_pose, of_pose));
-            (measurements * worth.dot(&own)).max(0.0)
+        // J P W P
+        let jpwp = times(rows, &(&covariance * weight * &covariance));
+        let decrease = |pose: usize| {
+            let [jpwp_of_pose, rows_of_pose] =
+                [&jpwp, rows].map(|matrix| matrix.rows(pose * rows_per_pose, rows_per_pose));
+            (measurements * jpwp_of_pose.dot(&rows_of_pose)).max(0.0)
         };
-        let falls: Vec<f64> = (0..poses).map(falls).collect();
-        let mean: f64 = parts.iter().zip(&falls).map(|(part, falls)| part * falls).sum();
-        let gap = falls.iter().fold(0.0_f64, |most, one| most.max(*one)) - mean;
-        least = least.max(variance.powi(2) / (variance + gap));
+        let decreases: Vec<f64> = (0..poses).map(decrease).collect();
+        let mean: f64 = parts.iter().zip(&decreases).map(|(part, decrease)| part * decrease).sum();
+        let gap = decreases.iter().fold(0.0_f64, |largest, decrease| largest.max(*decrease)) - mean;
+        bound = bound.max(variance.powi(2) / (variance + gap));
         step += 1;
         if gap <= GAP * variance || step == STEPS_MAX {
-            return Some(Optimum { variance_min: least, variance, parts });
+            return Some(Optimum { variance_min: bound, variance, parts });
         }
-        parts.iter_mut().zip(&falls).for_each(|(part, falls)| *part *= falls.sqrt());
+        parts.iter_mut().zip(&decreases).for_each(|(part, decrease)| *part *= decrease.sqrt());
         let sum: f64 = parts.iter().sum();
         parts.iter_mut().for_each(|part| *part /= sum);
     }

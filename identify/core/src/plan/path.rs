@@ -102,11 +102,11 @@ impl Path {
 
     /// Bar joints at `t_s` \[rad\].
     pub fn at(&self, t_s: f64) -> [f64; 5] {
-        let begun = self.moves.partition_point(|step| step.start_s <= t_s);
+        let moves_begun = self.moves.partition_point(|step| step.start_s <= t_s);
         // All except the last two are complete: a path of ten hours is evaluated as fast as one of two minutes.
-        let going_on = self.moves.get(begun.saturating_sub(2)..begun).unwrap_or_default();
-        let mut joints = going_on.first().map_or(self.start_rad, |step| step.from_rad);
-        for step in going_on {
+        let last_two = self.moves.get(moves_begun.saturating_sub(2)..moves_begun).unwrap_or_default();
+        let mut joints = last_two.first().map_or(self.start_rad, |step| step.from_rad);
+        for step in last_two {
             let progress = step.progress(t_s);
             for (joint, by) in joints.iter_mut().zip(step.by_rad) {
                 *joint += progress * by;

@@ -1,5 +1,5 @@
-//! Position of the bar and length of its rod: positions that the robot reaches from many sides, ranked by the expected accuracy
-//! of a calibration there.
+//! Position of the bar and length of its rod, for `identify plan place`: random positions that the robot reaches, ranked by the
+//! expected accuracy of a calibration on the best of some random paths there.
 
 use std::f64::consts::PI;
 use std::time::{Duration, Instant};
@@ -101,16 +101,16 @@ pub fn places(
     let mut tried = 0;
     while begun.elapsed() < budget && !is_over(tried) {
         let length_m = request.lengths_m.get(tried % request.lengths_m.len().max(1)).copied();
-        let bar = request.bar_of(length_m.unwrap_or(request.bar.length_m));
+        let bar = request.bar_with_length(length_m.unwrap_or(request.bar.length_m));
         // A position in progress does not count as tried.
         let before = tried;
         let mut is_over = || begun.elapsed() >= budget || is_over(before);
         tried += 1;
-        let Some((base_m, posture_deg)) = request.somewhere(&bar, &mut random) else {
+        let Some((base_m, posture_deg)) = request.random_position(&bar, &mut random) else {
             places.without_path += 1;
             continue;
         };
-        match request.at(&bar, base_m, posture_deg, &mut random, &mut is_over)? {
+        match request.best_at(&bar, base_m, posture_deg, &mut random, &mut is_over)? {
             Some(place) => places.found.push(place),
             // An incomplete position is not counted.
             None if is_over() => {}
@@ -118,13 +118,13 @@ pub fn places(
         }
     }
     places.found.sort_by(|a, b| a.score.total_cmp(&b.score));
-    places.second = request.second(&places.found)?;
+    places.second = request.second_position(&places.found)?;
     Ok(places)
 }
 
 impl PlaceRequest<'_> {
     /// A posture of the robot, and a base from which the bar reaches its end within the design's ranges.
-    fn somewhere(&self, bar: &BallBarConfig, random: &mut ChaCha8Rng) -> Option<([f64; 3], Joints)> {
+    fn random_position(&self, bar: &BallBarConfig, random: &mut ChaCha8Rng) -> Option<([f64; 3], Joints)> {
         const TRIES: usize = 2000;
         let (arm, mut chain) = (robot_chain(self.robot, bar), ball_bar_chain(bar));
         let limits = self.robot.joint_limits();
@@ -133,13 +133,13 @@ impl PlaceRequest<'_> {
         for _ in 0..TRIES {
             let q = Joints::random(&ranges, random);
             let end = arm.forward(&q);
-            let towards: [f64; 3] = UnitSphere.sample(random);
-            let base = end.translation.vector - Vector3::from(towards) * bar.length_m;
-            let base_m: [f64; 3] = base.map(|x| (x / STEP_M).round() * STEP_M).into();
+            let rod_direction: [f64; 3] = UnitSphere.sample(random);
+            let exact_m = end.translation.vector - Vector3::from(rod_direction) * bar.length_m;
+            let base_m: [f64; 3] = exact_m.map(|x| (x / STEP_M).round() * STEP_M).into();
             let pedestal = arm.root_from_base.translation.vector;
-            let beside_m = (base_m[0] - pedestal.x).hypot(base_m[1] - pedestal.y);
-            let is_high = (self.height_m[0]..=self.height_m[1]).contains(&base_m[2]);
-            if !is_high || beside_m < PEDESTAL * arm.reach_m() {
+            let from_axis_m = (base_m[0] - pedestal.x).hypot(base_m[1] - pedestal.y);
+            let height_is_allowed = (self.height_m[0]..=self.height_m[1]).contains(&base_m[2]);
+            if !height_is_allowed || from_axis_m < PEDESTAL * arm.reach_m() {
                 continue;
             }
             chain.root_from_base.translation.vector = base_m.into();
@@ -154,7 +154,7 @@ impl PlaceRequest<'_> {
                 continue;
             };
             let constraints = self.constraints(&arm, &chain, &limits, self.design);
-            // The base was rounded to a position for mounting.
+            // The base was rounded, so the robot's joints change.
             if let Ok(q) = constraints.robot_at(bar_rad, &q) {
                 return Some((base_m, q.map(|angle| angle.to_degrees().round())));
             }
@@ -172,7 +172,7 @@ impl PlaceRequest<'_> {
         Constraints::new(arm, bar, limits, design).with(Some(self.bodies.clone()), self.acceleration_rad_s2)
     }
 
-    fn bar_of(&self, length_m: f64) -> BallBarConfig {
+    fn bar_with_length(&self, length_m: f64) -> BallBarConfig {
         BallBarConfig { length_m, ..self.bar.clone() }
     }
 
@@ -180,27 +180,28 @@ impl PlaceRequest<'_> {
         Information::new((self.robot, bar), chains, self.criterion, self.design.duration_s)
     }
 
-    /// The position after the first that improves its result most.
-    fn second(&self, found: &[Place]) -> Result<Option<Second>, ModelError> {
+    /// The position of a second run that improves the result of the first most, with the same rod.
+    fn second_position(&self, found: &[Place]) -> Result<Option<Second>, ModelError> {
         let Some((first, others)) = found.split_first() else { return Ok(None) };
-        let bar = self.bar_of(first.length_m);
+        let bar = self.bar_with_length(first.length_m);
         let information = self.information(&bar, (&robot_chain(self.robot, &bar), &ball_bar_chain(&bar)))?;
-        let Some(known) = information.after_run(&first.normal) else { return Ok(None) };
+        let Some(after_first) = information.after_run(&first.normal) else { return Ok(None) };
         let mut twice = first.normal.clone();
         twice += &first.normal;
         let best = others
             .iter()
             .filter(|place| place.length_m == first.length_m)
-            .map(|place| (known.score(&place.normal), place))
+            .map(|place| (after_first.score(&place.normal), place))
             .min_by(|a, b| a.0.total_cmp(&b.0));
         Ok(best.map(|(_, place)| Second {
             place: place.clone(),
-            expected: known.position(&place.normal),
+            expected: after_first.position(&place.normal),
             twice_as_long: information.position(&twice),
         }))
     }
 
-    fn at(
+    /// The position with the best of [`PATHS`] random paths; `None` if none is found.
+    fn best_at(
         &self,
         bar: &BallBarConfig,
         base_m: [f64; 3],

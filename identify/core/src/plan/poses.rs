@@ -1,4 +1,5 @@
-//! Selection of poses for a tracker or a wire: of many reachable poses, those with the least expected position error.
+//! Selection of poses for a tracker or a wire, for `identify plan poses`: of many reachable poses, those with the least expected
+//! position error, and their order with the moves between them.
 //!
 //! The criterion is Bayesian I-optimality (Chaloner and Verdinelli 1995): the mean variance of positions over all candidates,
 //! with errors of links, loads and gears as large as in the priors of a calibration. Harmonics of gears have hundreds of
@@ -235,16 +236,16 @@ pub fn poses(
     if count == 0 || count > candidates.len() {
         return Err(PosesError::TooFew { wanted: count, found: candidates.len() });
     }
-    let known = Known::new(request)?;
+    let known = PriorModel::new(request)?;
     let at_rest: Vec<JointState> = candidates.iter().map(|q| JointState::at_rest(*q)).collect();
-    let jacobian = known.measured(&at_rest)?;
+    let jacobian = known.measurement_rows(&at_rest)?;
     let weight = known.weight(&standing(candidates.iter().copied()))?;
-    let chosen = Choice::new(&known, &jacobian, &weight).best(count);
+    let chosen = Selection::new(&known, &jacobian, &weight).best(count);
 
     let arm = flange_chain(request.robot);
     let is_clear =
         |from: &Joints, to: &Joints| bodies.is_none_or(|bodies| bodies.is_way_clear(&arm, from, to));
-    let order = driven(&chosen, candidates, |a, b| is_clear(&candidates[a], &candidates[b]));
+    let order = short_tour(&chosen, candidates, |a, b| is_clear(&candidates[a], &candidates[b]));
     let range = request.robot.joint_limits();
     let turns: Vec<bool> = request.robot.joint_kinds().map(|kind| kind == JointKind::Revolute).collect();
     let mut random = ChaCha8Rng::seed_from_u64(seed);
@@ -257,22 +258,25 @@ pub fn poses(
         joints.push(to);
         ways.push(way);
     }
-    // The direction of motion before each pose, for backlash, follows from the order with straight moves.
-    let of = |poses: &mut dyn Iterator<Item = Joints>| -> Result<Option<DMatrix<f64>>, PosesError> {
-        Ok(known.covariance(&known.measured(&standing(poses))?))
-    };
+    // For backlash, the direction of motion before each pose follows from the order, with straight moves.
+    let covariance_of =
+        |poses: &mut dyn Iterator<Item = Joints>| -> Result<Option<DMatrix<f64>>, PosesError> {
+            Ok(known.covariance(&known.measurement_rows(&standing(poses))?))
+        };
     let position_m = |covariance: &DMatrix<f64>| weight.dot(covariance).max(0.0).sqrt();
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut random_m = Vec::new();
     for _ in 0..RANDOM_CHOICES {
-        let some = index::sample(&mut random, candidates.len(), count).into_vec();
-        random_m.extend(of(&mut some.iter().map(|&pose| candidates[pose]))?.as_ref().map(position_m));
+        let sample = index::sample(&mut random, candidates.len(), count).into_vec();
+        let covariance = covariance_of(&mut sample.iter().map(|&pose| candidates[pose]))?;
+        random_m.extend(covariance.as_ref().map(position_m));
     }
     // The selected candidates: a whole turn only changes the effect of an error of a gear's ratio.
-    let covariance = of(&mut order.iter().map(|&pose| candidates[pose]))?.ok_or(PosesError::NotFinite)?;
+    let covariance =
+        covariance_of(&mut order.iter().map(|&pose| candidates[pose]))?.ok_or(PosesError::NotFinite)?;
     Ok(PlannedPoses {
         joints,
-        before_m: known.robot_only(&weight).max(0.0).sqrt(),
+        before_m: known.robot_variance_before(&weight).max(0.0).sqrt(),
         position_m: position_m(&covariance),
         random_m: median(&mut random_m).unwrap_or(f64::INFINITY),
         determined: known.determined(&covariance),
@@ -291,17 +295,17 @@ pub fn poses_position_m_min(
     candidates: &[Joints],
     count: usize,
 ) -> Result<f64, PosesError> {
-    let known = Known::new(request)?;
+    let known = PriorModel::new(request)?;
     let at_rest: Vec<JointState> = candidates.iter().map(|q| JointState::at_rest(*q)).collect();
-    let (rows, of_pose) = (known.measured(&at_rest)?, request.measures.rows());
+    let (rows, rows_per_pose) = (known.measurement_rows(&at_rest)?, request.measures.rows());
     let weight = known.weight(&standing(candidates.iter().copied()))?;
     let prior = DMatrix::from_diagonal(&DVector::from_vec(known.prior.clone()).map(f64::recip));
-    let best = optimum(&prior, (&rows, of_pose), count as f64, &weight);
+    let best = optimum(&prior, (&rows, rows_per_pose), count as f64, &weight);
     best.map(|best| best.variance_min.sqrt()).ok_or(PosesError::NotFinite)
 }
 
 /// Parameters of a calibration with their priors.
-struct Known<'a> {
+struct PriorModel<'a> {
     request: &'a PoseRequest<'a>,
     model: Model,
     groups: Vec<CandidateGroup>,
@@ -310,7 +314,7 @@ struct Known<'a> {
     prior: Vec<f64>,
 }
 
-impl<'a> Known<'a> {
+impl<'a> PriorModel<'a> {
     /// Parameters of a calibration; all joint terms have the middle one of the candidate standard deviations.
     fn new(request: &'a PoseRequest<'a>) -> Result<Self, ModelError> {
         let flange = flange_chain(request.robot);
@@ -326,10 +330,10 @@ impl<'a> Known<'a> {
         };
         let turns_probe =
             |id: &ParameterId| matches!(id, ParameterId::Probe { coordinate: Coordinate::Rotation(_), .. });
-        let is_own = |id: &ParameterId| {
+        let is_of_instrument = |id: &ParameterId| {
             id.owner() == owner && (request.measures == Measures::Poses || !turns_probe(id))
         };
-        let own: Vec<ParameterId> = model.ids().into_iter().filter(is_own).collect();
+        let instrument: Vec<ParameterId> = model.ids().into_iter().filter(is_of_instrument).collect();
         let waves = ParameterId::joint_waves(WAVES_PER_TURN_MAX);
         let mut model = model.with_drives(DriveTrain::of(request.robot, &flange)).with(waves);
         IdentifyConfig::default().set_link_roles(&mut model)?;
@@ -343,7 +347,7 @@ impl<'a> Known<'a> {
                 _ => {}
             }
         }
-        for id in own {
+        for id in instrument {
             let value = model.parameter(id).map_or(0.0, |parameter| parameter.value);
             model.set_role(id, Role::Prior { value, sigma: PLACE_SIGMA })?;
         }
@@ -354,41 +358,49 @@ impl<'a> Known<'a> {
         }
         let ids: Vec<ParameterId> = model.columns().map(|parameter| parameter.id).collect();
         let mut prior = vec![PLACE_SIGMA.powi(2); ids.len()];
-        model.priors().iter().for_each(|one| prior[one.column] = one.sigma.powi(2));
+        model.priors().iter().for_each(|known| prior[known.column] = known.sigma.powi(2));
         Ok(Self { request, model, groups, ids, prior })
     }
 
     /// Rows of each pose, divided by their standard deviations.
-    fn measured(&self, states: &[JointState]) -> Result<DMatrix<f64>, PosesError> {
+    fn measurement_rows(&self, states: &[JointState]) -> Result<DMatrix<f64>, PosesError> {
         let (noise, set_ups) =
             (&vec![self.request.noise; states.len()], &vec![SetUp::default(); states.len()]);
         match self.request.measures {
-            Measures::Poses => {
-                self.rows(states, MeasuredPose { measured: &self.seen(states), noise, set_ups }, 1.0)
-            }
-            Measures::Positions => self.positions(states, self.request.noise),
+            Measures::Poses => self.whitened_rows(
+                states,
+                MeasuredPose { measured: &self.target_poses(states), noise, set_ups },
+                1.0,
+            ),
+            Measures::Positions => self.position_rows(states, self.request.noise),
             Measures::Lengths => {
                 let relative_noise = &vec![1.0; states.len()];
-                self.rows(states, MeasuredLength { relative_noise, set_ups }, self.request.noise.position_m)
+                self.whitened_rows(
+                    states,
+                    MeasuredLength { relative_noise, set_ups },
+                    self.request.noise.position_m,
+                )
             }
         }
     }
 
-    /// Measurement of a tracker in the robot's base.
-    fn seen(&self, states: &[JointState]) -> Vec<Pose> {
+    /// Poses that a tracker in the robot's base would measure.
+    fn target_poses(&self, states: &[JointState]) -> Vec<Pose> {
         let geometry = self.model.geometry(&[]);
         let probe = geometry.tracker.probes.first().map_or_else(Pose::identity, Placement::pose);
         states.iter().map(|state| geometry.robot_end(state) * probe).collect()
     }
 
-    fn positions(&self, states: &[JointState], noise: PoseNoise) -> Result<DMatrix<f64>, PosesError> {
+    /// Rows of the position of the target, divided by this noise.
+    fn position_rows(&self, states: &[JointState], noise: PoseNoise) -> Result<DMatrix<f64>, PosesError> {
         let measured_m: Vec<Vector3<f64>> =
-            self.seen(states).iter().map(|seen| seen.translation.vector).collect();
+            self.target_poses(states).iter().map(|target| target.translation.vector).collect();
         let (noise, set_ups) = (&vec![noise; states.len()], &vec![SetUp::default(); states.len()]);
-        self.rows(states, MeasuredPosition { measured_m: &measured_m, noise, set_ups }, 1.0)
+        self.whitened_rows(states, MeasuredPosition { measured_m: &measured_m, noise, set_ups }, 1.0)
     }
 
-    fn rows<R: Residual>(
+    /// Derivatives of the residual by all columns, one row for each measured number, divided by `sigma`.
+    fn whitened_rows<R: Residual>(
         &self,
         states: &[JointState],
         residual: R,
@@ -406,7 +418,7 @@ impl<'a> Known<'a> {
     /// Mean of `J^T J` of positions over these poses \[m²\].
     fn weight(&self, states: &[JointState]) -> Result<DMatrix<f64>, PosesError> {
         let unit = PoseNoise { position_m: 1.0, rotation_rad: 1.0 };
-        let rows = self.positions(states, unit)?;
+        let rows = self.position_rows(states, unit)?;
         Ok(squared(&rows) / states.len().max(1) as f64)
     }
 
@@ -425,7 +437,7 @@ impl<'a> Known<'a> {
     }
 
     /// Mean squared position error due to links, loads and gears before the measurements \[m²\].
-    fn robot_only(&self, weight: &DMatrix<f64>) -> f64 {
+    fn robot_variance_before(&self, weight: &DMatrix<f64>) -> f64 {
         let columns = self.ids.iter().zip(&self.prior).enumerate();
         let of_robot = columns.filter(|(_, (id, _))| Self::is_of_robot(**id));
         of_robot.map(|(column, (_, variance))| weight[(column, column)] * variance).sum()
@@ -439,13 +451,14 @@ impl<'a> Known<'a> {
             let columns: Vec<usize> =
                 (0..self.ids.len()).filter(|column| ids.contains(&self.ids[*column])).collect();
             let left = |&column: &usize| (covariance[(column, column)].max(0.0) / self.prior[column]).sqrt();
-            let mean = |of: &dyn Fn(usize) -> f64| {
-                (columns.iter().map(|&column| of(column)).sum::<f64>() / columns.len().max(1) as f64).sqrt()
+            let rms = |variance: &dyn Fn(usize) -> f64| {
+                let sum: f64 = columns.iter().map(|&column| variance(column)).sum();
+                (sum / columns.len().max(1) as f64).sqrt()
             };
             Determined {
                 left: columns.iter().map(left).collect(),
-                prior: mean(&|column| self.prior[column]),
-                sigma: mean(&|column| covariance[(column, column)]),
+                prior: rms(&|column| self.prior[column]),
+                sigma: rms(&|column| covariance[(column, column)]),
                 name,
                 ids: columns.iter().map(|&column| self.ids[column]).collect(),
             }
@@ -454,42 +467,40 @@ impl<'a> Known<'a> {
     }
 }
 
-/// Gain of each candidate in addition to the selected poses.
+/// The selected poses, and the gain of each candidate in addition to them.
 ///
 /// With covariance `P`, weight `W` and the whitened rows `J` of a pose, its selection reduces `tr(W P)` by
-/// `tr((I + J P J^T)^-1 J P W P J^T)`: both small matrices are stored for all candidates.
-struct Choice<'k> {
+/// `tr((I + J P J^T)^-1 J P W P J^T)`: both small matrices are stored for all candidates, and updated after each selection.
+struct Selection<'k> {
     jacobian: &'k DMatrix<f64>,
     weight: &'k DMatrix<f64>,
     covariance: DMatrix<f64>,
     /// Number of rows of a pose.
     rows: usize,
     /// `J P J^T` of each candidate, stacked.
-    spread: DMatrix<f64>,
-    /// `J P W P J^T`.
-    worth: DMatrix<f64>,
+    jpj: DMatrix<f64>,
+    /// `J P W P J^T` of each candidate, stacked.
+    jpwpj: DMatrix<f64>,
+    /// Whether each candidate is selected.
     taken: Vec<bool>,
 }
 
-impl<'k> Choice<'k> {
-    fn new(known: &Known<'_>, jacobian: &'k DMatrix<f64>, weight: &'k DMatrix<f64>) -> Self {
+impl<'k> Selection<'k> {
+    fn new(known: &PriorModel<'_>, jacobian: &'k DMatrix<f64>, weight: &'k DMatrix<f64>) -> Self {
         let rows = known.request.measures.rows();
         let covariance = DMatrix::from_diagonal(&known.prior.clone().into());
-        let mut by_covariance = jacobian.clone();
-        by_covariance
-            .column_iter_mut()
-            .zip(&known.prior)
-            .for_each(|(mut column, variance)| column *= *variance);
-        let by_weight = times(&by_covariance, weight);
-        let mut spread = DMatrix::zeros(jacobian.nrows(), rows);
-        let mut worth = spread.clone();
+        let mut jp = jacobian.clone();
+        jp.column_iter_mut().zip(&known.prior).for_each(|(mut column, variance)| column *= *variance);
+        let jpw = times(&jp, weight);
+        let mut jpj = DMatrix::zeros(jacobian.nrows(), rows);
+        let mut jpwpj = jpj.clone();
         for first in (0..jacobian.nrows()).step_by(rows) {
-            let own = by_covariance.rows(first, rows);
-            spread.rows_mut(first, rows).copy_from(&(own * jacobian.rows(first, rows).transpose()));
-            worth.rows_mut(first, rows).copy_from(&(by_weight.rows(first, rows) * own.transpose()));
+            let jp_of_pose = jp.rows(first, rows);
+            jpj.rows_mut(first, rows).copy_from(&(jp_of_pose * jacobian.rows(first, rows).transpose()));
+            jpwpj.rows_mut(first, rows).copy_from(&(jpw.rows(first, rows) * jp_of_pose.transpose()));
         }
         let taken = vec![false; jacobian.nrows() / rows];
-        Self { jacobian, weight, covariance, rows, spread, worth, taken }
+        Self { jacobian, weight, covariance, rows, jpj, jpwpj, taken }
     }
 
     /// Selects the best candidates one by one, then exchanges them.
@@ -512,45 +523,51 @@ impl<'k> Choice<'k> {
         chosen
     }
 
+    /// Selects the candidate with the largest gain; `None` if there is none, or rounding errors prevent it.
     fn take_best(&mut self) -> Option<usize> {
-        let open = (0..self.taken.len()).filter(|&pose| !self.taken[pose]);
-        let best = open.map(|pose| (pose, self.gain(pose))).max_by(|a, b| a.1.total_cmp(&b.1))?.0;
+        let unselected = (0..self.taken.len()).filter(|&pose| !self.taken[pose]);
+        let best = unselected.map(|pose| (pose, self.gain(pose))).max_by(|a, b| a.1.total_cmp(&b.1))?.0;
         self.change(best, 1.0).then_some(best)
     }
 
-    fn of<'m>(&self, all: &'m DMatrix<f64>, pose: usize) -> DMatrixView<'m, f64> {
-        all.rows(pose * self.rows, self.rows)
+    fn rows_of<'m>(&self, stacked: &'m DMatrix<f64>, pose: usize) -> DMatrixView<'m, f64> {
+        stacked.rows(pose * self.rows, self.rows)
     }
 
     fn gain(&self, pose: usize) -> f64 {
-        let spread = self.of(&self.spread, pose) + DMatrix::identity(self.rows, self.rows);
-        spread.cholesky().map_or(0.0, |factor| factor.solve(&self.of(&self.worth, pose).into_owned()).trace())
+        let jpwpj = self.rows_of(&self.jpwpj, pose).into_owned();
+        let sum = self.rows_of(&self.jpj, pose) + DMatrix::identity(self.rows, self.rows);
+        sum.cholesky().map_or(0.0, |factor| factor.solve(&jpwpj).trace())
     }
 
     /// Adds a pose (`sign` 1) or removes it (-1); false if rounding errors prevent it.
+    ///
+    /// With `C C^T = I + sign J P J^T` and `L = P J^T C^-T` for this pose, the new covariance is `P - sign L L^T`; from it follow
+    /// the changes of `J P J^T` and `J P W P J^T` of every candidate with its own `J`.
     fn change(&mut self, pose: usize, sign: f64) -> bool {
         let identity = DMatrix::<f64>::identity(self.rows, self.rows);
-        let Some(factor) = (identity + self.of(&self.spread, pose) * sign).cholesky() else { return false };
-        // P' = P - sign L L^T.
-        let across = self.of(self.jacobian, pose) * &self.covariance;
-        let Some(by) = factor.l().solve_lower_triangular(&across) else { return false };
-        let by = by.transpose();
-        let weighed = self.weight * &by;
-        let own = by.tr_mul(&weighed);
+        let Some(factor) = (identity + self.rows_of(&self.jpj, pose) * sign).cholesky() else { return false };
+        let jp = self.rows_of(self.jacobian, pose) * &self.covariance;
+        let Some(l_transposed) = factor.l().solve_lower_triangular(&jp) else { return false };
+        let l = l_transposed.transpose();
+        let wl = self.weight * &l;
+        let lwl = l.tr_mul(&wl);
         let rows = self.rows;
-        let mut both = DMatrix::zeros(by.nrows(), 2 * rows);
-        both.columns_mut(0, rows).copy_from(&by);
-        both.columns_mut(rows, rows).copy_from(&(&self.covariance * weighed));
-        let moved = times(self.jacobian, &both);
-        for first in (0..moved.nrows()).step_by(rows) {
-            let (a, b) = (moved.view((first, 0), (rows, rows)), moved.view((first, rows), (rows, rows)));
-            let mut spread = self.spread.rows_mut(first, self.rows);
-            spread -= sign * a * a.transpose();
-            let mut worth = self.worth.rows_mut(first, self.rows);
-            let mixed = a * b.transpose();
-            worth += a * &own * a.transpose() - (&mixed + mixed.transpose()) * sign;
+        // L and P W L side by side, for one product with all rows.
+        let mut both = DMatrix::zeros(l.nrows(), 2 * rows);
+        both.columns_mut(0, rows).copy_from(&l);
+        both.columns_mut(rows, rows).copy_from(&(&self.covariance * wl));
+        let products = times(self.jacobian, &both);
+        for first in (0..products.nrows()).step_by(rows) {
+            let jl = products.view((first, 0), (rows, rows));
+            let jpwl = products.view((first, rows), (rows, rows));
+            let mut jpj = self.jpj.rows_mut(first, self.rows);
+            jpj -= sign * jl * jl.transpose();
+            let mut jpwpj = self.jpwpj.rows_mut(first, self.rows);
+            let mixed = jl * jpwl.transpose();
+            jpwpj += jl * &lwl * jl.transpose() - (&mixed + mixed.transpose()) * sign;
         }
-        self.covariance -= &by * by.transpose() * sign;
+        self.covariance -= &l * l.transpose() * sign;
         self.taken[pose] = sign > 0.0;
         true
     }
@@ -559,12 +576,12 @@ impl<'k> Choice<'k> {
 /// Product with a tall matrix on the left, on all threads.
 pub(super) fn times(left: &DMatrix<f64>, right: &DMatrix<f64>) -> DMatrix<f64> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let share = left.nrows().div_ceil(threads).max(1);
-    let rows = |first: usize| left.rows(first, share.min(left.nrows() - first)) * right;
+    let rows_per_thread = left.nrows().div_ceil(threads).max(1);
+    let product_of = |first: usize| left.rows(first, rows_per_thread.min(left.nrows() - first)) * right;
     let mut product = DMatrix::zeros(left.nrows(), right.ncols());
     std::thread::scope(|scope| {
-        let parts: Vec<_> =
-            (0..left.nrows()).step_by(share).map(|first| (first, scope.spawn(move || rows(first)))).collect();
+        let firsts = (0..left.nrows()).step_by(rows_per_thread);
+        let parts: Vec<_> = firsts.map(|first| (first, scope.spawn(move || product_of(first)))).collect();
         for (first, part) in parts {
             match part.join() {
                 Ok(part) => product.rows_mut(first, part.nrows()).copy_from(&part),
@@ -587,20 +604,27 @@ pub(super) fn far(q: &Joints, other: &Joints) -> f64 {
 
 /// A short tour through poses from the one nearest to the joints' zeros: always to the nearest remaining pose, then shortened
 /// by reversing parts of it (2-opt, Croes 1958). The duration of a move is that of its largest joint motion.
-fn driven(chosen: &[usize], candidates: &[Joints], is_clear: impl Fn(usize, usize) -> bool) -> Vec<usize> {
+fn short_tour(
+    chosen: &[usize],
+    candidates: &[Joints],
+    is_clear: impl Fn(usize, usize) -> bool,
+) -> Vec<usize> {
     let zeros = candidates.first().map_or_else(Joints::default, |q| Joints::zeros(q.len()));
-    let way = |a: usize, b: usize| far(&candidates[a], &candidates[b]);
-    let mut left = chosen.to_vec();
-    left.sort_by(|a, b| far(&zeros, &candidates[*b]).total_cmp(&far(&zeros, &candidates[*a])));
-    let mut order: Vec<usize> = left.pop().into_iter().collect();
+    let distance = |a: usize, b: usize| far(&candidates[a], &candidates[b]);
+    // The nearest is the last, which can be removed at once.
+    let mut remaining = chosen.to_vec();
+    remaining.sort_by(|a, b| far(&zeros, &candidates[*b]).total_cmp(&far(&zeros, &candidates[*a])));
+    let mut order: Vec<usize> = remaining.pop().into_iter().collect();
     while let Some(&here) = order.last() {
-        left.sort_by(|a, b| way(here, *b).total_cmp(&way(here, *a)));
-        let next = left.iter().rposition(|&next| is_clear(here, next)).or(left.len().checked_sub(1));
-        let Some(next) = next else { break };
-        order.push(left.remove(next));
+        remaining.sort_by(|a, b| distance(here, *b).total_cmp(&distance(here, *a)));
+        let nearest_clear = remaining.iter().rposition(|&pose| is_clear(here, pose));
+        let Some(next) = nearest_clear.or(remaining.len().checked_sub(1)) else { break };
+        order.push(remaining.remove(next));
     }
-    let length = |from: Option<&usize>, to: Option<&usize>| from.zip(to).map_or(0.0, |(a, b)| way(*a, *b));
-    let may = |from: Option<&usize>, to: Option<&usize>| from.zip(to).is_none_or(|(a, b)| is_clear(*a, *b));
+    let length =
+        |from: Option<&usize>, to: Option<&usize>| from.zip(to).map_or(0.0, |(a, b)| distance(*a, *b));
+    let may_follow =
+        |from: Option<&usize>, to: Option<&usize>| from.zip(to).is_none_or(|(a, b)| is_clear(*a, *b));
     let mut shorter = true;
     while shorter {
         shorter = false;
@@ -610,7 +634,7 @@ fn driven(chosen: &[usize], candidates: &[Joints], is_clear: impl Fn(usize, usiz
                 let (begin, end) = (order.get(first), order.get(last));
                 let gain =
                     length(before, begin) + length(end, after) - length(before, end) - length(begin, after);
-                if gain > 1e-9 && may(before, end) && may(begin, after) {
+                if gain > 1e-9 && may_follow(before, end) && may_follow(begin, after) {
                     order[first..=last].reverse();
                     shorter = true;
                 }

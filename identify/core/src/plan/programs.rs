@@ -45,10 +45,10 @@ pub enum ProgramError {
     /// The path has gaps.
     #[error(transparent)]
     Path(#[from] CheckError),
-    /// Joints do not become the controller's numbers.
+    /// Joints cannot be converted to the controller's values.
     #[error(transparent)]
     Log(#[from] LogError),
-    /// The log has something else than what a controller takes.
+    /// The log has motor angles, which a controller does not accept.
     #[error(
         "how the controller of {robot} counts its joints is not known: `raw_to_joint` of its configuration has gear ratios, so \
          its log has motor angles; take the joints from the table, or configure a log of joint angles"
@@ -57,7 +57,7 @@ pub enum ProgramError {
         /// Name of the robot.
         robot: String,
     },
-    /// The language has six axes, others are additional axes somewhere else in its targets.
+    /// The targets of the languages have six axes; further axes are in another part of them.
     #[error("{robot} has {axes} axes, programs are written for six; take the joints from the table")]
     Axes {
         /// Name of the robot.
@@ -300,11 +300,12 @@ fn counts_from_horizontal(robot: &RobotConfig) -> Result<(), ProgramError> {
     let mut trace = Trace::default();
     Tracer::new(&flange_chain(robot)).trace(&Joints::zeros(robot.axes()), &mut trace);
     let axes: Vec<Vector3<f64>> = trace.joint_twists().map(|twist| twist.angular).collect();
-    let along = axes[1].dot(&axes[2]).round();
-    let stated = &robot.log.raw_to_joint[1];
-    let mut row = stated.clone();
-    row[2] = -along * row[1] + 0.0;
-    if row == *stated {
+    // 1 if axes 2 and 3 are parallel, -1 if antiparallel.
+    let axes_2_3 = axes[1].dot(&axes[2]).round();
+    let configured_row = &robot.log.raw_to_joint[1];
+    let mut row = configured_row.clone();
+    row[2] = -axes_2_3 * row[1] + 0.0;
+    if row == *configured_row {
         return Ok(());
     }
     Err(ProgramError::Coupling { robot: robot.name.clone(), row })
@@ -323,14 +324,15 @@ fn points(
     for period_s in PERIODS_S {
         off_sphere_m = off_sphere(language, &curve, period_s, constraints);
         if off_sphere_m <= OFF_SPHERE_M_MAX {
-            let at: Vec<_> = times(&curve, period_s).filter_map(|t_s| curve.at(t_s)).collect();
-            let raw_rad: Vec<Joints> = at.iter().map(|point| conversion.to_raw(&point.value)).collect();
-            let none = conversion.to_raw(&Joints::zeros(robot.axes()));
-            let rate = |rate: &Joints| {
-                let raw = conversion.to_raw(rate);
-                Joints::from_fn(raw.len(), |axis| raw[axis] - none[axis])
+            let on_path: Vec<_> = times(&curve, period_s).filter_map(|t_s| curve.at(t_s)).collect();
+            let raw_rad: Vec<Joints> = on_path.iter().map(|point| conversion.to_raw(&point.value)).collect();
+            // The conversion adds offsets, which rates do not have.
+            let offset_rad = conversion.to_raw(&Joints::zeros(robot.axes()));
+            let raw_rate = |rate: &Joints| {
+                let with_offset = conversion.to_raw(rate);
+                Joints::from_fn(with_offset.len(), |axis| with_offset[axis] - offset_rad[axis])
             };
-            let rate_rad_s = at.iter().map(|point| rate(&point.rate)).collect();
+            let rate_rad_s = on_path.iter().map(|point| raw_rate(&point.rate)).collect();
             return Ok((Points { period_s, raw_rad, rate_rad_s }, off_sphere_m));
         }
     }
@@ -343,7 +345,7 @@ fn times(curve: &CubicSpline<Joints>, period_s: f64) -> impl Iterator<Item = f64
     (0..=count).map(move |point| point as f64 * period_s)
 }
 
-/// Largest distance from the sphere between points \[m\].
+/// Largest distance from the sphere at quarters of the interval between points, as the controller interpolates \[m\].
 fn off_sphere(
     language: Language,
     curve: &CubicSpline<Joints>,
@@ -352,10 +354,10 @@ fn off_sphere(
 ) -> f64 {
     let gimbal = constraints.bar_chain().root_from_base.translation.vector;
     let radius_m = |q: &Joints| (constraints.robot().forward(q).translation.vector - gimbal).norm();
-    let at: Vec<_> = times(curve, period_s).filter_map(|t_s| curve.at(t_s)).collect();
-    let start_m = at.first().map_or(0.0, |point| radius_m(&point.value));
+    let points: Vec<_> = times(curve, period_s).filter_map(|t_s| curve.at(t_s)).collect();
+    let start_m = points.first().map_or(0.0, |point| radius_m(&point.value));
     let mut most_m = 0.0_f64;
-    for pair in at.windows(2) {
+    for pair in points.windows(2) {
         for part in [0.25, 0.5, 0.75] {
             let q = Joints::from_fn(pair[0].value.len(), |axis| {
                 let (a, b) = (pair[0].value[axis], pair[1].value[axis]);
@@ -371,7 +373,7 @@ fn off_sphere(
     most_m
 }
 
-/// Cubic from `a` to `b` with these slopes, at a part of the interval.
+/// Cubic Hermite polynomial from `a` to `b` with these slopes, at the part `u` of the interval.
 fn hermite(u: f64, [a, b]: [f64; 2], [slope_a, slope_b]: [f64; 2]) -> f64 {
     let (u2, u3) = (u * u, u * u * u);
     (2.0 * u3 - 3.0 * u2 + 1.0) * a

@@ -1,7 +1,7 @@
 //! Generates a path over the bar's sphere within all constraints: random points, each move checked before it is added.
 //!
-//! Random points in all five bar joints excite every direction of the pose, which manual paths seldom do; the
-//! seed selects another path of the same experiment.
+//! The path is the start of a search, and the path of simulated experiments. Random points in all five bar joints excite every
+//! direction of the pose, which manual paths seldom do.
 
 use std::collections::BTreeMap;
 
@@ -141,26 +141,26 @@ pub(super) fn random_poses(
     const TRIES_EACH: usize = 200;
     let design = constraints.design;
     let mut visited = Visited::default();
-    let bent = constraints.bent(&near_rad);
+    let configuration = constraints.bent(&near_rad);
     for _ in 0..TRIES_EACH * count {
         if visited.robot.len() == count {
             break;
         }
-        let [bar_rad, towards] = [(); 2].map(|()| point(design, random));
+        let [bar_rad, goal_rad] = [(); 2].map(|()| point(design, random));
         let Ok(q) = constraints.robot_at(&bar_rad, &near_rad) else { continue };
-        if constraints.bent(&q) != bent {
+        if constraints.bent(&q) != configuration {
             continue;
         }
-        let by: [f64; 5] = std::array::from_fn(|i| towards[i] - bar_rad[i]);
-        let largest = by.iter().fold(0.0_f64, |most, by| most.max(by.abs()));
-        let step = speed_rad_s(design, random) * STEP_S / largest.max(1e-9);
-        let next_rad: [f64; 5] = std::array::from_fn(|i| bar_rad[i] + step * by[i]);
+        let by_rad: [f64; 5] = std::array::from_fn(|i| goal_rad[i] - bar_rad[i]);
+        let farthest_rad = by_rad.iter().fold(0.0_f64, |most, by| most.max(by.abs()));
+        let part = speed_rad_s(design, random) * STEP_S / farthest_rad.max(1e-9);
+        let next_rad: [f64; 5] = std::array::from_fn(|i| bar_rad[i] + part * by_rad[i]);
         let Ok(next) = constraints.inverse(&constraints.bar_chain().forward(&next_rad), &q) else { continue };
         let qd = Joints::from_fn(q.len(), |i| (next[i] - q[i]) / STEP_S);
         let fastest = qd.iter().fold(0.0_f64, |most, qd| most.max(qd.abs()));
-        let slower = (design.robot_speed_rad_s / fastest.max(1e-9)).min(1.0);
+        let speed_factor = (design.robot_speed_rad_s / fastest.max(1e-9)).min(1.0);
         visited.bar_rad.push(bar_rad);
-        visited.robot.push(JointState { qd: qd.map(|qd| slower * qd), ..JointState::at_rest(q) });
+        visited.robot.push(JointState { qd: qd.map(|qd| speed_factor * qd), ..JointState::at_rest(q) });
         near_rad = q;
     }
     visited

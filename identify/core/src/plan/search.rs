@@ -2,7 +2,7 @@
 //!
 //! A point of the path is moved, sometimes towards the most informative poses, or the speed of its moves is changed. The
 //! information of two moves and their neighbours is computed again. A change is kept if it improves the criterion and the path
-//! still satisfies all constraints.
+//! still satisfies all constraints (random local search).
 
 use std::time::{Duration, Instant};
 
@@ -68,6 +68,7 @@ pub(super) struct Pieces {
     path: Path,
     /// Robot at the start of the path and at the start of each move.
     robot_rad: Vec<Joints>,
+    /// Information of each piece.
     normals: Vec<Normal>,
 }
 
@@ -89,7 +90,7 @@ pub fn search(
     let constraints = &tight;
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let (mut best, mut random_scores) = (None, Vec::new());
-    let mut refused = None;
+    let mut last_error = None;
     for _ in 0..STARTS {
         // The first path may use all of the time, the others only a part of it.
         let until = if best.is_none() { budget } else { budget / 4 };
@@ -103,7 +104,7 @@ pub fn search(
                     best = Some((score, pieces));
                 }
             }
-            Err(error) => refused = Some(error),
+            Err(error) => last_error = Some(error),
         }
         if is_over() {
             break;
@@ -111,7 +112,7 @@ pub fn search(
     }
     let Some((mut score, mut pieces)) = best else {
         let ended = PlanError::Ended { duration_s: constraints.design.duration_s };
-        return Err(refused.unwrap_or(ended));
+        return Err(last_error.unwrap_or(ended));
     };
     let mut progress = Progress { tried: 0, taken: 0, score };
     let mut total = pieces.total(information);
@@ -119,11 +120,11 @@ pub fn search(
     while begun.elapsed() < budget && !is_over(Some(&progress)) {
         progress.tried += 1;
         let goals = found_goals.get_or_insert_with(|| goals(constraints, information, &mut random));
-        let Some(change) = pieces.changed(constraints, information, goals, &mut random) else { continue };
-        let new = change.total(information);
-        let new_score = information.score(&new);
+        let Some(changed) = pieces.changed(constraints, information, goals, &mut random) else { continue };
+        let new_total = changed.total(information);
+        let new_score = information.score(&new_total);
         if new_score < score {
-            (score, total, pieces) = (new_score, new, change);
+            (score, total, pieces) = (new_score, new_total, changed);
             progress = Progress { taken: progress.taken + 1, score, ..progress };
         }
     }
@@ -153,6 +154,7 @@ pub(super) fn tightened<'a>(constraints: &Constraints<'a>, design: &'a Design) -
 }
 
 impl Pieces {
+    /// The pieces of a path with their information.
     pub(super) fn of(
         constraints: &Constraints<'_>,
         information: &Information,
@@ -206,6 +208,7 @@ impl Pieces {
         Ok(())
     }
 
+    /// Information of the path.
     pub(super) fn total(&self, information: &Information) -> Normal {
         let mut total = Normal::zeros(information.columns());
         self.normals.iter().for_each(|normal| total += normal);
@@ -222,19 +225,23 @@ impl Pieces {
     ) -> Option<Self> {
         let design = constraints.design;
         let count = self.path.moves.len();
-        // One after the last: an additional move.
+        // An index after the last one adds a move.
         let index = random.random_range(0..=count);
         let old_rad = self.path.moves.get(index).map_or_else(|| self.path.end_rad(), |step| step.end_rad());
         let to_rad = match random.random_range(0..4) {
+            // Only the speed changes.
             0 if index < count => old_rad,
+            // A part of the way to a random point.
             1 => {
                 let (goal, part) = (point(design, random), random.random_range(0.2..1.0));
                 std::array::from_fn(|i| old_rad[i] + part * (goal[i] - old_rad[i]))
             }
+            // All or a part of the way to an informative pose.
             2 if let Some(goal) = goals.choose(random) => {
                 let part = if random.random() { 1.0 } else { random.random_range(0.2..1.0) };
                 std::array::from_fn(|i| old_rad[i] + part * (goal[i] - old_rad[i]))
             }
+            // A random displacement.
             _ => std::array::from_fn(|i| {
                 let by: f64 = StandardNormal.sample(random);
                 let [low, high] = design.bar_range_deg[i].map(f64::to_radians);
@@ -244,8 +251,8 @@ impl Pieces {
         // Most points are unreachable, which is detected before anything else.
         constraints.robot_at(&to_rad, self.robot_rad.get(index + 1).or(self.robot_rad.last())?).ok()?;
         let mut path = Path::at_rest(self.path.start_rad, design);
-        for (at, step) in self.path.moves.iter().enumerate() {
-            let (to, speed) = if at == index {
+        for (position, step) in self.path.moves.iter().enumerate() {
+            let (to, speed) = if position == index {
                 (to_rad, speed_rad_s(design, random))
             } else {
                 (step.end_rad(), step.peak_speed_rad_s())
@@ -263,10 +270,10 @@ impl Pieces {
         let first = index.saturating_sub(1);
         let last = (index + 3).min(changed.path.moves.len());
         changed.redo(constraints, information, first..last).ok()?;
-        let same = |a: &Joints, b: &Joints| a.iter().zip(b.iter()).all(|(a, b)| (a - b).abs() < SAME_RAD);
-        let goes_on =
-            last == changed.path.moves.len() || same(changed.robot_rad.get(last)?, self.robot_rad.get(last)?);
-        goes_on.then_some(changed)
+        let is_same = |a: &Joints, b: &Joints| a.iter().zip(b.iter()).all(|(a, b)| (a - b).abs() < SAME_RAD);
+        let later_moves_are_unchanged = last == changed.path.moves.len()
+            || is_same(changed.robot_rad.get(last)?, self.robot_rad.get(last)?);
+        later_moves_are_unchanged.then_some(changed)
     }
 }
 

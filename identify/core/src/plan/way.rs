@@ -1,5 +1,6 @@
-//! Collision-free path of an arm: two trees of postures, one from each end, grow towards random postures and towards each
-//! other until they meet (RRT-Connect, Kuffner and LaValle 2000). Unnecessary postures are then removed.
+//! Collision-free path of an arm between two postures, for the moves between planned poses: two trees of postures, one from each
+//! end, grow towards random postures and towards each other until they meet (RRT-Connect, Kuffner and LaValle 2000). Unnecessary
+//! intermediate postures are then removed.
 
 use std::f64::consts::TAU;
 
@@ -31,10 +32,10 @@ impl Tree {
 
     /// One step from the nearest posture towards another one: the end of the step, if the motion is free of collisions.
     fn grow(&mut self, towards: &Joints, is_clear: impl Fn(&Joints, &Joints) -> bool) -> Option<Joints> {
-        let distance = |at: usize| far(&self.postures[at], towards);
+        let distance = |node: usize| far(&self.postures[node], towards);
         let nearest = (0..self.postures.len()).min_by(|a, b| distance(*a).total_cmp(&distance(*b)))?;
-        let (from, left) = (self.postures[nearest], distance(nearest));
-        let part = STEP / left;
+        let from = self.postures[nearest];
+        let part = STEP / distance(nearest);
         let to = match part < 1.0 {
             true => Joints::from_fn(from.len(), |axis| from[axis] + part * (towards[axis] - from[axis])),
             false => *towards,
@@ -49,11 +50,11 @@ impl Tree {
 
     /// Postures from the last one reached back to the first.
     fn branch(&self) -> Vec<Joints> {
-        let mut at = self.postures.len() - 1;
-        let mut branch = vec![self.postures[at]];
-        while at > 0 {
-            at = self.before[at];
-            branch.push(self.postures[at]);
+        let mut node = self.postures.len() - 1;
+        let mut branch = vec![self.postures[node]];
+        while node > 0 {
+            node = self.before[node];
+            branch.push(self.postures[node]);
         }
         branch
     }
@@ -68,20 +69,20 @@ pub(super) fn to_posture(
     is_clear: impl Fn(&Joints, &Joints) -> bool,
     random: &mut impl Rng,
 ) -> (Joints, Way) {
-    let mut reached = |to: &Joints, tries| match is_clear(&from, to) {
+    let mut way_to = |to: &Joints, tries| match is_clear(&from, to) {
         true => Some(Way::Straight),
-        false => round([from, *to], range, tries, &is_clear, random).map(Way::Through),
+        false => path_around([from, *to], range, tries, &is_clear, random).map(Way::Through),
     };
-    if let Some(way) = reached(&to, TRIES) {
+    if let Some(way) = way_to(&to, TRIES) {
         return (to, way);
     }
-    let few = |to: &Joints| Some((*to, reached(to, TRIES_TURNED)?));
-    turned(&from, &to, range, turns).iter().find_map(few).unwrap_or((to, Way::Blocked))
+    let found = |to: &Joints| Some((*to, way_to(to, TRIES_TURNED)?));
+    with_whole_turns(&from, &to, range, turns).iter().find_map(found).unwrap_or((to, Way::Blocked))
 }
 
 /// Postures with one or two joints a whole turn further, nearest first.
-fn turned(from: &Joints, to: &Joints, range: &[[f64; 2]], turns: &[bool]) -> Vec<Joints> {
-    let once = |posture: &Joints| {
+fn with_whole_turns(from: &Joints, to: &Joints, range: &[[f64; 2]], turns: &[bool]) -> Vec<Joints> {
+    let one_turn_away = |posture: &Joints| {
         let axes = (0..posture.len()).filter(|axis| turns[*axis]);
         let shifted = axes.flat_map(|axis| {
             [TAU, -TAU].map(|turn| {
@@ -93,26 +94,27 @@ fn turned(from: &Joints, to: &Joints, range: &[[f64; 2]], turns: &[bool]) -> Vec
         let is_within = |q: &Joints| q.iter().zip(range).all(|(q, [low, high])| (*low..=*high).contains(q));
         shifted.filter(is_within).collect::<Vec<_>>()
     };
-    let mut others = once(to);
-    others.extend(others.clone().iter().flat_map(once));
+    let mut others = one_turn_away(to);
+    others.extend(others.clone().iter().flat_map(one_turn_away));
     others.retain(|other| other != to);
-    others.sort_by(|one, other| far(from, one).total_cmp(&far(from, other)));
+    others.sort_by(|a, b| far(from, a).total_cmp(&far(from, b)));
     others.dedup();
     others
 }
 
 /// Postures between two others, connected by free straight lines in joint space; joints stay within `range`. `None` if none
 /// were found.
-fn round(
+fn path_around(
     [from, to]: [Joints; 2],
     range: &[[f64; 2]],
     tries: usize,
     is_clear: impl Fn(&Joints, &Joints) -> bool,
     random: &mut impl Rng,
 ) -> Option<Vec<Joints>> {
-    let [mut one, mut other] = [from, to].map(Tree::new);
+    let [mut growing, mut opposite] = [from, to].map(Tree::new);
     for attempt in 0..tries {
-        let somewhere = Joints::from_fn(from.len(), |axis| {
+        // The trees grow in turn. Of four attempts two draw near the ends, one for each tree.
+        let goal = Joints::from_fn(from.len(), |axis| {
             let [low, high] = range[axis];
             let (near_low, near_high) = (from[axis].min(to[axis]) - ROUND, from[axis].max(to[axis]) + ROUND);
             let [low, high] = match attempt % 4 < 2 {
@@ -121,10 +123,11 @@ fn round(
             };
             low + (high - low) * random.random::<f64>()
         });
-        if let Some(reached) = one.grow(&somewhere, &is_clear) {
-            while let Some(grown) = other.grow(&reached, &is_clear) {
+        if let Some(reached) = growing.grow(&goal, &is_clear) {
+            while let Some(grown) = opposite.grow(&reached, &is_clear) {
                 if grown == reached {
-                    let [mut first, mut second] = [one.branch(), other.branch()];
+                    let [mut first, mut second] = [growing.branch(), opposite.branch()];
+                    // In odd attempts the growing tree starts at `to`.
                     if attempt % 2 == 1 {
                         std::mem::swap(&mut first, &mut second);
                     }
@@ -134,7 +137,7 @@ fn round(
                 }
             }
         }
-        std::mem::swap(&mut one, &mut other);
+        std::mem::swap(&mut growing, &mut opposite);
     }
     None
 }

@@ -1,4 +1,5 @@
-//! A robot with random errors that moves a point of its flange to a given position, from above and within its limits.
+//! A robot with random errors that moves a point of its flange to a given position, from above and within its limits. Contacts
+//! and touches are simulated with it.
 
 use std::f64::consts::TAU;
 
@@ -132,26 +133,28 @@ impl Arm {
         (trace.position_m() + stem, -stem.z > STEM_COSINE_MIN * stem.norm())
     }
 
-    /// Joints near `start` for this position; `None` if they are outside the limits or not from above.
+    /// Joints near `start` for this position, by Newton steps of least norm, `J^T (J J^T)^-1 miss`; `None` if they are outside
+    /// the limits or not from above.
     fn joints_near(&self, start: Joints, there_m: Vector3<f64>) -> Option<Joints> {
         const STEPS: usize = 60;
+        /// Largest change of a joint in one step \[rad, m\].
         const STEP_MAX: f64 = 0.3;
         const MISS_M: f64 = 1e-12;
         let (mut joints, mut trace) = (start, Trace::default());
         for _ in 0..STEPS {
-            let (held_m, from_above) = self.point(&joints, &mut trace);
-            let miss = there_m - held_m;
+            let (reached_m, from_above) = self.point(&joints, &mut trace);
+            let miss = there_m - reached_m;
             if miss.norm() < MISS_M {
                 let within = joints.iter().zip(&self.limits).all(|(q, [low, high])| low <= q && q <= high);
                 return (within && from_above).then_some(joints);
             }
             let columns: Vec<Vector3<f64>> =
-                trace.point_twists(held_m, joints.len()).map(|twist| twist.linear).collect();
-            let square: Matrix3<f64> = columns.iter().map(|column| column * column.transpose()).sum();
-            let pull = (square + Matrix3::identity() * 1e-12).try_inverse()? * miss;
-            let longest = columns.iter().map(|column| column.dot(&pull).abs()).fold(0.0, f64::max);
+                trace.point_twists(reached_m, joints.len()).map(|twist| twist.linear).collect();
+            let jjt: Matrix3<f64> = columns.iter().map(|column| column * column.transpose()).sum();
+            let multiplier = (jjt + Matrix3::identity() * 1e-12).try_inverse()? * miss;
+            let longest = columns.iter().map(|column| column.dot(&multiplier).abs()).fold(0.0, f64::max);
             let part = (STEP_MAX / longest).min(1.0);
-            joints.iter_mut().zip(&columns).for_each(|(q, column)| *q += part * column.dot(&pull));
+            joints.iter_mut().zip(&columns).for_each(|(q, column)| *q += part * column.dot(&multiplier));
         }
         None
     }

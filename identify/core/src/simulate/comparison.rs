@@ -1,4 +1,5 @@
-//! Comparison of identified and true parameters of simulated experiments.
+//! Comparison of identified and true parameters of simulated experiments, for tests and studies: errors of single parameters,
+//! and of positions over the workspace.
 
 use nalgebra::{Point3, Vector3};
 use shared::config::RobotConfig;
@@ -53,7 +54,7 @@ impl Comparison {
             .map(|parameter| Compared {
                 id: parameter.id,
                 truth: true_value(truth, parameter.id, parameter.value)
-                    + carried_m(calibration.model(), truth, parameter.id),
+                    + carried_offset_m(calibration.model(), truth, parameter.id),
                 identified: parameter.value,
             })
             .collect();
@@ -108,7 +109,7 @@ pub fn position_errors_m(
     robot: &RobotConfig,
     points_m: [Vector3<f64>; 2],
 ) -> (f64, f64) {
-    /// Number of steps along each joint; coprime, so that every combination occurs.
+    /// Number of steps along each joint; coprime, so that the combinations do not repeat.
     const STEPS: [usize; 8] = [7, 11, 13, 17, 19, 23, 29, 31];
     const POSTURES: usize = 2000;
     let [identified, truth] = [found, &true_model(found, truth)].map(|model| model.geometry(&model.start()));
@@ -131,21 +132,21 @@ pub fn position_errors_m(
 
 /// Sum of the offsets along the parallel axes before that of a link \[m\]: data determine only the sum, which is identified as
 /// the last offset while the others keep their values.
-fn carried_m(found: &Model, truth: &Truth, id: ParameterId) -> f64 {
+fn carried_offset_m(found: &Model, truth: &Truth, id: ParameterId) -> f64 {
     let robot = found.geometry(&[]).robot;
     let Some(group) = inseparable_offsets(&robot).into_iter().find(|group| group.last() == Some(&id)) else {
         return 0.0;
     };
-    let stays = |id: &ParameterId| found.column_of(*id).is_none();
+    let is_fixed = |id: &ParameterId| found.column_of(*id).is_none();
     let mut sum_m = 0.0;
-    for one in group {
-        let ParameterId::Robot { link, .. } = one else { continue };
-        if one == id {
+    for offset in group {
+        let ParameterId::Robot { link, .. } = offset else { continue };
+        if offset == id {
             break;
         }
-        let value = found.parameter(one).map_or(0.0, |parameter| parameter.value);
-        if stays(&one) {
-            sum_m += truth.parameters.get(&one.to_string()).map_or(0.0, |truth| truth - value);
+        let value = found.parameter(offset).map_or(0.0, |parameter| parameter.value);
+        if is_fixed(&offset) {
+            sum_m += truth.parameters.get(&offset.to_string()).map_or(0.0, |truth| truth - value);
         }
         // Offsets of antiparallel axes have opposite signs.
         sum_m *= robot.links.get(link).map_or(1.0, |at| at.alpha_rad.cos().signum());

@@ -1,5 +1,5 @@
 //! A robot with known errors that seats the ball on its flange in the sockets of a plate: input and truth of a calibration by
-//! contact.
+//! contact, for `identify simulate contact`.
 
 use std::path::{Path, PathBuf};
 
@@ -86,12 +86,12 @@ fn usual_sockets(size_mm: f64) -> SocketTable {
 fn distances(table: &SocketTable) -> Vec<KnownDistance> {
     let pairs =
         table.sockets.iter().enumerate().flat_map(|(i, a)| table.sockets[..i].iter().map(move |b| (b, a)));
-    let of = |(a, b): (&PlacedSocket, &PlacedSocket)| KnownDistance {
+    let distance = |(a, b): (&PlacedSocket, &PlacedSocket)| KnownDistance {
         between: [a.name.clone(), b.name.clone()],
         distance_mm: (Vector3::from(a.position_mm) - Vector3::from(b.position_mm)).norm(),
         u_um: None,
     };
-    pairs.map(of).collect()
+    pairs.map(distance).collect()
 }
 
 /// Simulates an experiment.
@@ -102,59 +102,60 @@ pub fn run(experiment: &ContactExperiment<'_>) -> Result<SimulatedContacts, RowS
     let ContactExperiment { robot, seed, errors, seating_um, .. } = *experiment;
     check_sizes(&errors, &[("seating_um", seating_um)])?;
     let arm = Arm::new(robot, errors, BALL_M.into());
-    let mut poses = random(seed, Stream::Path);
-    let (places_m, reach_m) = arm.places(&mut poses);
+    let mut pose_random = random(seed, Stream::Path);
+    let (places_m, reach_m) = arm.places(&mut pose_random);
     /// Side of the plate, as a part of the robot's reach.
     const SIDE: f64 = 0.2;
     let table = experiment.sockets.clone().unwrap_or_else(|| usual_sockets(SIDE * reach_m * 1e3));
     if table.sockets.len() < 2 {
         return Err(RowSimulationError::NoPlaces);
     }
-    let centre_mm = table.sockets.iter().map(|one| Vector3::from(one.position_mm)).sum::<Vector3<f64>>()
-        / table.sockets.len() as f64;
-    let turn = Rotation3::from_euler_angles(0.02, -0.01, poses.random_range(-0.5..0.5));
+    let centre_mm =
+        table.sockets.iter().map(|socket| Vector3::from(socket.position_mm)).sum::<Vector3<f64>>()
+            / table.sockets.len() as f64;
+    let turn = Rotation3::from_euler_angles(0.02, -0.01, pose_random.random_range(-0.5..0.5));
     let origins_m = match experiment.place_m {
         Some(place_m) => vec![Vector3::from(place_m)],
         None => places_m.into_iter().take(PLACES).map(|at| at - turn * centre_mm * 1e-3).collect(),
     };
     let mut out_of_reach = None;
     let plate = origins_m.into_iter().map(|origin_m| Pose::from_parts(origin_m.into(), turn)).find(|plate| {
-        let there_m = |one: &PlacedSocket| {
-            plate.transform_point(&(Vector3::from(one.position_mm) * 1e-3).into()).coords
+        let in_base_m = |socket: &PlacedSocket| {
+            plate.transform_point(&(Vector3::from(socket.position_mm) * 1e-3).into()).coords
         };
         out_of_reach = table
             .sockets
             .iter()
-            .find(|one| arm.joints_at(there_m(one), TRIES / 10, &mut poses).is_none())
-            .map(|one| one.name.as_str());
+            .find(|socket| arm.joints_at(in_base_m(socket), TRIES / 10, &mut pose_random).is_none())
+            .map(|socket| socket.name.as_str());
         out_of_reach.is_none()
     });
     let unreachable =
         |name: &str| RowSimulationError::Unreachable { place: format!("socket `{name}`"), size: "plate" };
     let plate = plate.ok_or_else(|| unreachable(out_of_reach.unwrap_or_default()))?;
-    let mut effects = random(seed, Stream::RobotEffects);
-    let mut noise = |sigma: f64| -> f64 { sigma * 1e-6 * effects.sample::<f64, _>(StandardNormal) };
+    let mut noise_random = random(seed, Stream::RobotEffects);
+    let mut noise = |sigma: f64| -> f64 { sigma * 1e-6 * noise_random.sample::<f64, _>(StandardNormal) };
     let sockets_m: Vec<Vector3<f64>> = table
         .sockets
         .iter()
-        .map(|one| {
-            let off_m = Vector3::from_fn(|_, _| noise(one.u_um.unwrap_or(table.u_um)));
-            (plate * Point3::from(Vector3::from(one.position_mm) * 1e-3 + off_m)).coords
+        .map(|socket| {
+            let error_m = Vector3::from_fn(|_, _| noise(socket.u_um.unwrap_or(table.u_um)));
+            (plate * Point3::from(Vector3::from(socket.position_mm) * 1e-3 + error_m)).coords
         })
         .collect();
     let mut rows = Vec::with_capacity(experiment.rows);
     for row in 0..experiment.rows {
         let socket = row % sockets_m.len();
-        let there_m = sockets_m[socket] + Vector3::from_fn(|_, _| noise(seating_um));
-        let stands = arm.joints_at(there_m, TRIES, &mut poses);
-        let stands = stands.ok_or_else(|| unreachable(&table.sockets[socket].name))?;
-        rows.push(ContactRow { joints_rad: arm.reported(&stands, &mut noise), socket });
+        let ball_m = sockets_m[socket] + Vector3::from_fn(|_, _| noise(seating_um));
+        let joints = arm.joints_at(ball_m, TRIES, &mut pose_random);
+        let joints = joints.ok_or_else(|| unreachable(&table.sockets[socket].name))?;
+        rows.push(ContactRow { joints_rad: arm.reported(&joints, &mut noise), socket });
     }
     let model = Model::alone(&arm.chain).with_sockets(sockets_m.len()).without_clocks();
     let mut geometry = model.geometry(&[]);
     (geometry.contact.ball_m, geometry.contact.sockets_m) = (BALL_M.into(), sockets_m);
     let truth = RowTruth {
-        sockets: table.sockets.iter().map(|one| one.name.clone()).collect(),
+        sockets: table.sockets.iter().map(|socket| socket.name.clone()).collect(),
         ..RowTruth::new(robot, seed, &model, geometry, &arm)
     };
     let table = if experiment.distances {

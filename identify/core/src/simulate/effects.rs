@@ -1,4 +1,5 @@
-//! Errors of real measurements beyond the geometry. Each effect is one key and one function.
+//! Errors of real measurements beyond the geometry, from true angles to the readings of robot log and encoders: harmonics of
+//! gears and gratings, backlash, resolution and noise. Each effect is one key.
 
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -141,7 +142,7 @@ impl Wave {
 }
 
 /// Harmonics of one order on each joint, with independent phases.
-fn waves(amplitude_urad: f64, periods: &[f64], random: &mut ChaCha8Rng) -> Vec<Wave> {
+fn harmonics(amplitude_urad: f64, periods: &[f64], random: &mut ChaCha8Rng) -> Vec<Wave> {
     let wave = |&periods: &f64| Wave {
         amplitude_rad: if periods > 0.0 { amplitude_urad * 1e-6 } else { 0.0 },
         periods,
@@ -150,18 +151,19 @@ fn waves(amplitude_urad: f64, periods: &[f64], random: &mut ChaCha8Rng) -> Vec<W
     periods.iter().map(wave).collect()
 }
 
-/// Readings of one kind of angles, with their phases and noise.
-struct Noisy {
+/// Errors of the readings of some angles: harmonics and white noise.
+struct AngleErrors {
     /// Orders, each with one harmonic for every angle.
-    waves: Vec<Vec<Wave>>,
+    harmonics: Vec<Vec<Wave>>,
     noise_rad: f64,
     random: ChaCha8Rng,
 }
 
-impl Noisy {
-    /// Errors and noise of the angles.
-    fn off_rad(&mut self, angles_rad: &[f64]) -> Vec<(f64, f64)> {
-        let error = |(i, rad): (usize, &f64)| self.waves.iter().map(|wave| wave[i].at(*rad)).sum::<f64>();
+impl AngleErrors {
+    /// Error and noise of each angle.
+    fn errors_and_noise_rad(&mut self, angles_rad: &[f64]) -> Vec<(f64, f64)> {
+        let error =
+            |(i, rad): (usize, &f64)| self.harmonics.iter().map(|order| order[i].at(*rad)).sum::<f64>();
         let errors: Vec<f64> = angles_rad.iter().enumerate().map(error).collect();
         let noise = |error| {
             let noise: f64 = StandardNormal.sample(&mut self.random);
@@ -173,37 +175,42 @@ impl Noisy {
 
 /// Readings of the bar's encoders.
 pub(super) struct BarReading {
-    noisy: Noisy,
+    angle_errors: AngleErrors,
     step_rad: f64,
 }
 
 impl BarReading {
     /// `random` draws the properties of the encoders and, unless another generator is given, their noise.
     pub fn new(effects: &Effects, mut random: ChaCha8Rng, noise: Option<ChaCha8Rng>) -> Self {
-        let waves = vec![
-            waves(effects.encoder_eccentricity_urad, &[1.0; 5], &mut random),
-            waves(effects.encoder_ellipticity_urad, &[2.0; 5], &mut random),
+        let harmonics = vec![
+            harmonics(effects.encoder_eccentricity_urad, &[1.0; 5], &mut random),
+            harmonics(effects.encoder_ellipticity_urad, &[2.0; 5], &mut random),
         ];
         let random = noise.unwrap_or(random);
-        let noisy = Noisy { waves, noise_rad: effects.encoder_noise_urad * 1e-6, random };
-        Self { noisy, step_rad: effects.encoder_step_urad * 1e-6 }
+        let angle_errors = AngleErrors { harmonics, noise_rad: effects.encoder_noise_urad * 1e-6, random };
+        Self { angle_errors, step_rad: effects.encoder_step_urad * 1e-6 }
     }
 
     /// Readings at the true joints `true_rad`.
     pub fn of(&mut self, true_rad: &[f64; 5]) -> [f64; 5] {
-        let off = self.noisy.off_rad(true_rad);
-        let step = |rad: f64| {
+        let errors = self.angle_errors.errors_and_noise_rad(true_rad);
+        let quantised = |rad: f64| {
             if self.step_rad > 0.0 { ((rad / self.step_rad).floor() + 0.5) * self.step_rad } else { rad }
         };
-        std::array::from_fn(|i| step(true_rad[i] + off[i].0 + off[i].1))
+        std::array::from_fn(|i| {
+            let (error, noise) = errors[i];
+            quantised(true_rad[i] + error + noise)
+        })
     }
 }
 
 /// Readings of the robot's log. Gear errors depend on the angle of their output; rods and bevel gears pass them on to joints.
 pub(super) struct RobotReading {
-    noisy: Noisy,
+    angle_errors: AngleErrors,
+    /// Angles are row vectors: `joints = gears * joints_from_gears`.
     joints_from_gears: DMatrix<f64>,
     gears_from_joints: DMatrix<f64>,
+    /// Half of the backlash.
     play_rad: f64,
     /// Angle of each motor at its gear's output; `None` before the first reading.
     motors_rad: Option<Vec<f64>>,
@@ -225,26 +232,26 @@ impl RobotReading {
         let identity = || (DMatrix::identity(axes, axes), DMatrix::identity(axes, axes));
         let (joints_from_gears, gears_from_joints) =
             usable.map_or_else(identity, |inverse| (joints_from_gears, inverse));
-        let lobes = |waves: f64| -> Vec<f64> {
+        let cycloid_orders = |harmonic: f64| -> Vec<f64> {
             let lobes = (0..axes).map(|axis| robot.drives.cycloid_lobes.get(axis).copied().unwrap_or(0.0));
-            lobes.map(|lobes| waves * lobes).collect()
+            lobes.map(|lobes| harmonic * lobes).collect()
         };
-        let waves = vec![
-            waves(effects.gear_sine_urad, &vec![GEAR_PERIODS; axes], &mut random),
-            waves(effects.cycloid_urad, &lobes(1.0), &mut random),
-            waves(CYCLOID_SECOND * effects.cycloid_urad, &lobes(2.0), &mut random),
+        let harmonics = vec![
+            harmonics(effects.gear_sine_urad, &vec![GEAR_PERIODS; axes], &mut random),
+            harmonics(effects.cycloid_urad, &cycloid_orders(1.0), &mut random),
+            harmonics(CYCLOID_SECOND * effects.cycloid_urad, &cycloid_orders(2.0), &mut random),
         ];
         let random = noise.unwrap_or(random);
-        let noisy = Noisy { waves, noise_rad: effects.robot_noise_urad * 1e-6, random };
+        let angle_errors = AngleErrors { harmonics, noise_rad: effects.robot_noise_urad * 1e-6, random };
         let play_rad = effects.backlash_urad * 1e-6;
-        Self { noisy, joints_from_gears, gears_from_joints, play_rad, motors_rad: None }
+        Self { angle_errors, joints_from_gears, gears_from_joints, play_rad, motors_rad: None }
     }
 
     /// Errors of the gears as terms of a calibration, by name \[rad\].
     pub fn terms(&self) -> BTreeMap<String, f64> {
         let mut terms = BTreeMap::new();
-        for (kind, waves) in self.noisy.waves.iter().enumerate() {
-            for (drive, wave) in waves.iter().enumerate().filter(|(_, wave)| wave.amplitude_rad > 0.0) {
+        for (kind, harmonics) in self.angle_errors.harmonics.iter().enumerate() {
+            for (drive, wave) in harmonics.iter().enumerate().filter(|(_, wave)| wave.amplitude_rad > 0.0) {
                 let order = if kind == CYCLOID { "c".to_owned() } else { wave.periods.to_string() };
                 terms.extend(wave.terms(&order, drive));
             }
@@ -256,13 +263,17 @@ impl RobotReading {
     pub fn of(&mut self, true_rad: &Joints) -> Joints {
         let gears = RowDVector::from_row_slice(true_rad) * &self.gears_from_joints;
         let gears = gears.as_slice();
-        let play = |(before, gear): (&f64, &f64)| before.clamp(gear - self.play_rad, gear + self.play_rad);
+        // A motor moves only when the gear reaches an end of the backlash.
+        let moved = |(before, gear): (&f64, &f64)| before.clamp(gear - self.play_rad, gear + self.play_rad);
         let before = self.motors_rad.as_deref().unwrap_or(gears);
-        let motors: Vec<f64> = before.iter().zip(gears).map(play).collect();
-        let of_gears = self.noisy.off_rad(gears);
-        let off = RowDVector::from_fn(gears.len(), |_, i| motors[i] - gears[i] + of_gears[i].0);
-        let off = off * &self.joints_from_gears;
+        let motors: Vec<f64> = before.iter().zip(gears).map(moved).collect();
+        let errors = self.angle_errors.errors_and_noise_rad(gears);
+        let gear_errors = RowDVector::from_fn(gears.len(), |_, i| motors[i] - gears[i] + errors[i].0);
+        let joint_errors = gear_errors * &self.joints_from_gears;
         self.motors_rad = Some(motors);
-        Joints::from_fn(true_rad.len(), |i| true_rad[i] + off[i] + of_gears[i].1)
+        Joints::from_fn(true_rad.len(), |i| {
+            let (_, noise) = errors[i];
+            true_rad[i] + joint_errors[i] + noise
+        })
     }
 }

@@ -180,7 +180,7 @@ pub enum SimulateError {
     },
 }
 
-/// The size of an error or effect.
+/// Whether a number can be the size of an error or effect.
 fn is_size(value: f64) -> bool {
     value.is_finite() && value >= 0.0
 }
@@ -218,7 +218,7 @@ pub fn run(experiment: &Experiment<'_>) -> Result<Simulated, SimulateError> {
 }
 
 impl Experiment<'_> {
-    /// The path that is driven, and the nominal robot's joints at its start \[rad\].
+    /// The path of the experiment, and the nominal robot's joints at its start \[rad\].
     ///
     /// # Errors
     /// [`SimulateError::Plan`] where robot and bar do not allow a random one.
@@ -234,14 +234,14 @@ impl Experiment<'_> {
         Ok((path, robot_rad.first().copied().unwrap_or_default()))
     }
 
-    /// Robot and bar as their files have them, the bar on its base.
+    /// Chains of the nominal robot and of the nominal bar on its base.
     fn nominal(&self) -> [Chain; 2] {
         let mut bar = ball_bar_chain(self.bar);
         bar.root_from_base = nalgebra::Translation3::from(self.design.base_m).into();
         [robot_chain(self.robot, self.bar), bar]
     }
 
-    /// What is true, and how true bar and robot go along a path; the last makes the noise of the force.
+    /// The true parameters, the motion of the true bar and robot along a path, and the generator for the noise of the force.
     fn motion<P: BarPath>(
         &self,
         path: P,
@@ -264,22 +264,22 @@ impl Experiment<'_> {
     }
 
     fn robot_reading(&self) -> RobotReading {
-        let (phases, noise) = self.streams(Stream::RobotEffects);
+        let (phases, noise) = self.phases_and_noise(Stream::RobotEffects);
         RobotReading::new(self.robot, &self.effects, phases, noise)
     }
 
     fn bar_reading(&self) -> BarReading {
-        let (phases, noise) = self.streams(Stream::EncoderEffects);
+        let (phases, noise) = self.phases_and_noise(Stream::EncoderEffects);
         BarReading::new(&self.effects, phases, noise)
     }
 
-    /// What makes the phases of an instrument, and its noise where another seed does.
-    fn streams(&self, stream: Stream) -> (ChaCha8Rng, Option<ChaCha8Rng>) {
+    /// Generator for the phases of robot or encoders, and another for the noise if that has its own seed.
+    fn phases_and_noise(&self, stream: Stream) -> (ChaCha8Rng, Option<ChaCha8Rng>) {
         let robot_seed = self.robot_seed.unwrap_or(self.seed);
         (random(robot_seed, stream), (robot_seed != self.seed).then(|| random(self.seed, stream)))
     }
 
-    /// Before anything is simulated: arm and sizes are such that it can be.
+    /// Checks the number of axes and all sizes before the simulation.
     ///
     /// # Errors
     /// [`SimulateError`].

@@ -73,7 +73,7 @@ impl<P: BarPath> Motion<P> {
         let joints_rad = self.path.bar_rad(t_s);
         let Some(pull) = &self.pull else { return self.bar.forward(&joints_rad) };
         let mut bar = self.bar.clone();
-        for rod in bar.links.iter_mut().skip(ROD_LINK).take(1) {
+        if let Some(rod) = bar.links.get_mut(ROD_LINK) {
             rod.d_m += pull.extension_m(t_s, &joints_rad);
         }
         bar.forward(&joints_rad)
@@ -121,7 +121,7 @@ impl BarLoad {
 }
 
 /// Part of the force that depends on the posture, like that of errors of the robot's geometry; the rest depends on
-/// time, like that of following errors.
+/// time, like that of following errors of the drives.
 const BY_POSTURE: f64 = 0.6;
 /// Period of the part that depends on time \[s\].
 const PERIOD_S: f64 = 7.3;
@@ -143,8 +143,8 @@ impl Pull {
     pub fn force_n(&self, t_s: f64, joints_rad: &[f64; 5]) -> f64 {
         let [a, b, c] = self.phases;
         let posture = 0.5 * ((2.0 * joints_rad[0] + a).sin() + (3.0 * joints_rad[1] + b).sin());
-        let rest = (TAU * t_s / PERIOD_S + c).sin();
-        self.load.force_n * (BY_POSTURE * posture + (1.0 - BY_POSTURE) * rest)
+        let following = (TAU * t_s / PERIOD_S + c).sin();
+        self.load.force_n * (BY_POSTURE * posture + (1.0 - BY_POSTURE) * following)
     }
 
     /// Elongation of the bar \[m\].

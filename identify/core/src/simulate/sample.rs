@@ -1,4 +1,5 @@
-//! Sampling of a motion by the bar's encoders and the robot's log, each on its own clock.
+//! Samples a motion: rows of the robot's log and cycles of the bar's encoders, each on its own clock, with the effects of the
+//! experiment.
 
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
@@ -53,7 +54,7 @@ pub(super) fn robot_log(
         let force_n = motion.force_n(t_s) + experiment.load.noise_n * noise;
         forces.push([force_n].into());
     }
-    let of_bar = |_| {
+    let force_log = |_| {
         let forces = logs::Stream::new(first_stamp_ns, stamps_s.clone(), forces);
         ForceLog::new(ForceClock::Robot, ForceKind::Along, forces)
     };
@@ -61,7 +62,7 @@ pub(super) fn robot_log(
         robot: Some(experiment.robot.name.clone()),
         clock: "robot controller".into(),
         origin: Origin::Measured,
-        force: motion.pull.map(of_bar),
+        force: motion.pull.map(force_log),
         q_rad: logs::Stream::new(first_stamp_ns, stamps_s, q_rad).into(),
         ..RobotLog::default()
     })
@@ -82,12 +83,12 @@ pub(super) fn recording(
     let cycles = (motion.path.duration_s * 1e9 / CYCLE_NS as f64).round() as i64 + 1;
     let angles: Vec<[f64; 5]> =
         (0..cycles).map(|k| reading.of(&motion.path.at((k * CYCLE_NS) as f64 * 1e-9))).collect();
-    let mut zeros = random(experiment.seed, Stream::EncoderOffsets);
+    let mut first_counts = random(experiment.seed, Stream::EncoderOffsets);
     let truth: Vec<EncoderTruth> = encoders
         .iter()
         .map(|encoder| {
             let first = angles.first().map_or(0.0, |angles| angles[usize::from(encoder.joint) - 1]);
-            encoder_truth(encoder, first, zeros.random())
+            encoder_truth(encoder, first, first_counts.random())
         })
         .collect();
     let records = angles
@@ -98,10 +99,10 @@ pub(super) fn recording(
     (records, encoders, truth)
 }
 
-/// Offset of an encoder whose counter reads `shown` at the first sample: any of its 2^32 counts, interpreted as a signed number
-/// as in [`EncoderScale::unwrapper`].
-fn encoder_truth(encoder: &EncoderInfo, first_rad: f64, shown: i32) -> EncoderTruth {
-    let zero_counts = i64::from(shown) - encoder.scale.rad_to_counts(first_rad);
+/// Offset of an encoder whose counter reads `first_count` at the first sample: any of its 2^32 counts, as a
+/// signed number like in [`EncoderScale::unwrapper`].
+fn encoder_truth(encoder: &EncoderInfo, first_rad: f64, first_count: i32) -> EncoderTruth {
+    let zero_counts = i64::from(first_count) - encoder.scale.rad_to_counts(first_rad);
     let EncoderScale { direction, .. } = encoder.scale;
     // Whole turns are removed in integers, so that the angle is exact.
     let turns = (direction.sign() * zero_counts).rem_euclid(encoder.scale.counts_per_revolution());

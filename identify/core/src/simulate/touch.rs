@@ -1,5 +1,5 @@
 //! A robot with known errors that touches the faces of a block with a tip on its flange: input and truth of a calibration by
-//! touch.
+//! touch, for `identify simulate touch`.
 
 use std::path::{Path, PathBuf};
 
@@ -76,7 +76,7 @@ impl<'a> TouchExperiment<'a> {
 pub type SimulatedTouches = SimulatedRows<TouchRow, FaceTable>;
 
 /// Table of a block with these edges.
-fn known(block_mm: f64) -> FaceTable {
+fn block_table(block_mm: f64) -> FaceTable {
     let pair = |one: &str, other: &str| [one.to_owned(), other.to_owned()];
     let distance = |(one, other)| Spacing {
         between: pair(one, other),
@@ -112,14 +112,14 @@ pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, RowSimu
     let block_mm = experiment.block_mm.unwrap_or(1.0);
     check_sizes(&errors, &[("touch_um", touch_um), ("gauge_mm", gauge_mm), ("block_mm", block_mm)])?;
     let arm = Arm::new(robot, errors, TIP_M.into());
-    let mut poses = random(seed, Stream::Path);
-    let (places_m, reach_m) = arm.places(&mut poses);
+    let mut pose_random = random(seed, Stream::Path);
+    let (places_m, reach_m) = arm.places(&mut pose_random);
     /// Edges of the block to try, as parts of the robot's reach.
     const EDGES: [f64; 3] = [0.15, 0.1, 0.07];
     let edges_mm = experiment
         .block_mm
         .map_or_else(|| EDGES.map(|edge| (edge * reach_m * 1e3).round()).to_vec(), |block_mm| vec![block_mm]);
-    let turn = Rotation3::from_euler_angles(0.02, -0.01, poses.random_range(-0.5..0.5));
+    let turn = Rotation3::from_euler_angles(0.02, -0.01, pose_random.random_range(-0.5..0.5));
     let centres_m = match experiment.place_m {
         Some(place_m) => vec![Vector3::from(place_m)],
         None => places_m.into_iter().take(PLACES).collect(),
@@ -128,13 +128,13 @@ pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, RowSimu
     let blocks = edges_mm.iter().flat_map(|edge| centres_m.iter().map(move |centre| (*edge, *centre)));
     let found = blocks.map(|(block_mm, centre_m)| (block_mm, Pose::from_parts(centre_m.into(), turn))).find(
         |(block_mm, block)| {
-            let there_m = |normal: [f64; 3]| {
+            let centre_of_face_m = |normal: [f64; 3]| {
                 block.transform_point(&(Vector3::from(normal) * 0.5e-3 * *block_mm).into()).coords
             };
-            let found = FACES
-                .iter()
-                .find(|(_, normal)| arm.joints_at(there_m(*normal), TRIES / 10, &mut poses).is_none());
-            out_of_reach = found.map_or("", |(name, _)| *name);
+            let unreached = FACES.iter().find(|(_, normal)| {
+                arm.joints_at(centre_of_face_m(*normal), TRIES / 10, &mut pose_random).is_none()
+            });
+            out_of_reach = unreached.map_or("", |(name, _)| *name);
             out_of_reach.is_empty()
         },
     );
@@ -142,17 +142,17 @@ pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, RowSimu
         |face: &str| RowSimulationError::Unreachable { place: format!("face `{face}`"), size: "--block-mm" };
     let (block_mm, block) = found.ok_or_else(|| unreachable(out_of_reach))?;
     let half_m = 0.5e-3 * block_mm;
-    let table = known(block_mm);
-    let mut effects = random(seed, Stream::RobotEffects);
-    let mut noise = |sigma: f64| -> f64 { sigma * 1e-6 * effects.sample::<f64, _>(StandardNormal) };
+    let table = block_table(block_mm);
+    let mut noise_random = random(seed, Stream::RobotEffects);
+    let mut noise = |sigma: f64| -> f64 { sigma * 1e-6 * noise_random.sample::<f64, _>(StandardNormal) };
     let radius_m = 0.5e-3 * TIP_DIAMETER_MM;
-    // Each face deviates by the uncertainty of the table.
+    // Each of the two faces of a distance or angle has half of the variance that the table states.
     let faces: Vec<Face> = FACES
         .iter()
         .map(|(_, normal)| {
             let part = 0.5_f64.sqrt();
-            let lean = Vector3::from_fn(|_, _| noise(part * table.u_urad));
-            let normal = (turn * (Rotation3::new(lean) * Vector3::from(*normal))).normalize();
+            let tilt = Vector3::from_fn(|_, _| noise(part * table.u_urad));
+            let normal = (turn * (Rotation3::new(tilt) * Vector3::from(*normal))).normalize();
             let from_centre_m = half_m + noise(part * table.u_um) + radius_m;
             Face { normal, distance_m: normal.dot(&block.translation.vector) + from_centre_m }
         })
@@ -162,26 +162,26 @@ pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, RowSimu
         let number = row % FACES.len();
         let (face, (name, outward)) = (faces[number], FACES[number]);
         // A probe triggers too late or too early, a gauge reads too much or too little.
-        let off_m = noise(touch_um);
+        let error_m = noise(touch_um);
         let [out_m, reading_m] = if gauge_mm > 0.0 {
-            let pushed_m = 1e-3 * poses.random_range(0.0..gauge_mm);
-            [-pushed_m, pushed_m + off_m]
+            let pushed_m = 1e-3 * pose_random.random_range(0.0..gauge_mm);
+            [-pushed_m, pushed_m + error_m]
         } else {
-            [off_m, 0.0]
+            [error_m, 0.0]
         };
         // The robot may not reach every corner of a face that it reaches.
-        let stands = (0..PLACES).find_map(|_| {
+        let joints = (0..PLACES).find_map(|_| {
             // A position within nine tenths of the face, projected onto the plane of the tip's centre.
             let place = Vector3::from_fn(|axis, _| {
-                let along = poses.random_range(-0.9..0.9);
+                let along = pose_random.random_range(-0.9..0.9);
                 half_m * if outward[axis] == 0.0 { along } else { outward[axis] }
             });
             let place_m = block.transform_point(&place.into()).coords;
             let on_plane_m = place_m - face.normal * (face.normal.dot(&place_m) - face.distance_m);
-            arm.joints_at(on_plane_m + face.normal * out_m, TRIES / 10, &mut poses)
+            arm.joints_at(on_plane_m + face.normal * out_m, TRIES / 10, &mut pose_random)
         });
-        let stands = stands.ok_or_else(|| unreachable(name))?;
-        rows.push(TouchRow { joints_rad: arm.reported(&stands, &mut noise), face: number, reading_m });
+        let joints = joints.ok_or_else(|| unreachable(name))?;
+        rows.push(TouchRow { joints_rad: arm.reported(&joints, &mut noise), face: number, reading_m });
     }
     let model = Model::alone(&arm.chain).with_faces(faces.len()).without_clocks();
     let mut geometry = model.geometry(&[]);

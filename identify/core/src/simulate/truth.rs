@@ -1,4 +1,5 @@
-//! True parameters of simulated experiments.
+//! True parameters of simulated experiments: the nominal ones with static errors. They are written to `truth.toml`, with which
+//! `comparison` compares a calibration.
 
 use std::collections::BTreeMap;
 
@@ -71,6 +72,7 @@ impl StaticErrors {
             Self::Drawn { seed } => {
                 let mut random = random(seed, Stream::StaticErrors);
                 let plate = ParameterId::plate(axes).to_string();
+                // `or` is the prefix of the tilt of the base, which is an effect of its own.
                 parameter_names(axes)
                     .into_iter()
                     .filter(|name| !THESIS_FIXED.contains(&name.as_str()) && !name.starts_with("or"))

@@ -1,7 +1,8 @@
 //! Bodies that must not touch: the robot's links, the rod and the plate as capsules, boxes of the cell, the floor.
 //!
-//! Distances are computed by `parry3d`. Links are capsules between the frames of the Denavit-Hartenberg table, all with one
-//! radius, because data sheets have no more numbers. Adjacent links always touch and are not compared.
+//! Constraints of paths and of moves between poses need their smallest distance, which `parry3d` computes. Links are capsules
+//! between the frames of the Denavit-Hartenberg table, all with one radius, because data sheets have no more numbers. Adjacent
+//! links always touch and are not compared.
 
 use nalgebra::Vector3;
 use parry3d_f64::math::{Pose as Placement, Vector};
@@ -131,16 +132,16 @@ impl Bodies {
             |[before, corner, after]: &[Vector3<f64>; 3]| (corner - before).norm() + (after - corner).norm();
         let apart_m = 2.0 * self.link_radius_m + self.clearance_m_min;
         let mut clearance_m = f64::INFINITY;
-        for (first, one) in links.iter().enumerate() {
-            // Length of the chain from the end of `one` to the start of `other`.
-            let mut way_m = 0.0;
-            for (between, other) in links.iter().zip(links.iter().skip(1)).skip(first + 1) {
-                way_m += length_m(between);
-                if way_m <= apart_m || length_m(other) < 1e-6 {
+        for (index, link) in links.iter().enumerate() {
+            // Length of the chain from the end of `link` to the start of `later`: adjacent links are skipped.
+            let mut between_links_m = 0.0;
+            for (before_later, later) in links.iter().zip(links.iter().skip(1)).skip(index + 1) {
+                between_links_m += length_m(before_later);
+                if between_links_m <= apart_m || length_m(later) < 1e-6 {
                     continue;
                 }
-                for piece in self.pieces(one) {
-                    let nearest_m = self.pieces(other).map(|other_piece| between_m(&piece, &other_piece));
+                for piece in self.pieces(link) {
+                    let nearest_m = self.pieces(later).map(|later_piece| between_m(&piece, &later_piece));
                     clearance_m = nearest_m.fold(clearance_m, f64::min);
                 }
             }
@@ -157,8 +158,8 @@ impl Bodies {
         plate: Option<&Capsule>,
     ) -> f64 {
         let mut clearance_m = f64::INFINITY;
-        let mut compare = |one: &Capsule, block: &Cuboid, place: &Placement| {
-            if let Ok(found) = query::distance(&Placement::IDENTITY, one, place, block) {
+        let mut compare = |body: &Capsule, block: &Cuboid, place: &Placement| {
+            if let Ok(found) = query::distance(&Placement::IDENTITY, body, place, block) {
                 clearance_m = clearance_m.min(found.distance);
             }
         };
@@ -198,17 +199,17 @@ impl Bodies {
 
 /// Each link of a posture: its start, its corner (the point along its joint's axis), and its end \[m\]; and the arm's end.
 fn links(arm: &Chain, robot_rad: &[f64]) -> (Vec<[Vector3<f64>; 3]>, Pose) {
-    let mut at = arm.root_from_base;
+    let mut frame = arm.root_from_base;
     let mut links = Vec::with_capacity(arm.links.len());
     for (link, joint) in arm.links.iter().zip(robot_rad) {
-        let before = at.translation.vector;
+        let before = frame.translation.vector;
         let moved_m = if link.joint == JointKind::Prismatic { *joint } else { 0.0 };
         // Along the joint's axis first, then along the link.
-        let corner = before + at.rotation * Vector3::z() * (link.d_m + moved_m);
-        at *= link.transform(*joint);
-        links.push([before, corner, at.translation.vector]);
+        let corner = before + frame.rotation * Vector3::z() * (link.d_m + moved_m);
+        frame *= link.transform(*joint);
+        links.push([before, corner, frame.translation.vector]);
     }
-    (links, at * arm.last_from_end)
+    (links, frame * arm.last_from_end)
 }
 
 fn capsule([a, b]: [Vector3<f64>; 2], radius_m: f64) -> Capsule {

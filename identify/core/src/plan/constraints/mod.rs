@@ -1,4 +1,5 @@
-//! Constraints of a path: singular postures, joint limits, speed, acceleration, and collisions.
+//! Constraints of a path: singular postures, joint limits, speed, acceleration, and collisions. Every planner and the check of
+//! a path use them, with the robot's joints at each bar posture from the inverse kinematics.
 
 mod bodies;
 
@@ -62,13 +63,13 @@ pub struct Constraints<'a> {
     robot: &'a Chain,
     tracer: Tracer,
     bar: &'a Chain,
-    /// Joint limits of the robot \[rad\].
+    /// Joint limits of the robot \[rad, m\].
     pub limits: Vec<[f64; 2]>,
     /// Joint limits reduced by the design's margin.
-    limits_rad: Vec<[f64; 2]>,
+    limits_with_margin: Vec<[f64; 2]>,
     /// Margins and highest speeds.
     pub design: &'a Design,
-    /// Highest acceleration of a robot joint \[rad/s²\]; infinite for an unlimited one.
+    /// Highest acceleration of a robot joint \[rad/s²\]; infinite without a limit.
     pub acceleration_rad_s2: f64,
     /// Bodies that must not touch, if they are known.
     pub bodies: Option<Bodies>,
@@ -78,13 +79,14 @@ impl<'a> Constraints<'a> {
     /// Constraints by the margins and speeds of a design, for a bar at the design's position.
     pub fn new(robot: &'a Chain, bar: &'a Chain, limits: &[[f64; 2]], design: &'a Design) -> Self {
         let margin_rad = design.limit_margin_deg.to_radians();
-        let limits_rad = limits.iter().map(|[low, high]| [low + margin_rad, high - margin_rad]).collect();
+        let limits_with_margin =
+            limits.iter().map(|[low, high]| [low + margin_rad, high - margin_rad]).collect();
         Self {
             robot,
             tracer: Tracer::new(robot),
             bar,
             limits: limits.to_vec(),
-            limits_rad,
+            limits_with_margin,
             design,
             acceleration_rad_s2: f64::INFINITY,
             bodies: None,
@@ -133,7 +135,8 @@ impl<'a> Constraints<'a> {
     /// # Errors
     /// The violated constraint.
     pub fn robot_is_comfortable(&self, robot_rad: &Joints) -> Result<(), Obstacle> {
-        if !robot_rad.iter().zip(&self.limits_rad).all(|(q, [low, high])| (*low..=*high).contains(q)) {
+        if !robot_rad.iter().zip(&self.limits_with_margin).all(|(q, [low, high])| (*low..=*high).contains(q))
+        {
             return Err(Obstacle::JointLimit);
         }
         if !self.design.wrist_is_bent(robot_rad) {
@@ -160,8 +163,9 @@ impl<'a> Constraints<'a> {
         let columns: Vec<Vector6<f64>> = trace.joint_twists().map(|twist| twist.column()).collect();
         let jacobian = Matrix6::from_columns(&columns);
         let axes: Vec<(Vector3<f64>, Vector3<f64>)> = trace.joint_axes().collect();
-        let [(shoulder, along), (elbow, _), (wrist_m, _)] = [axes[1], axes[2], axes[4]];
-        let side = along.dot(&(elbow - shoulder).cross(&(wrist_m - elbow)));
+        // Each axis is a point on it and its direction.
+        let [(shoulder_m, shoulder_axis), (elbow_m, _), (wrist_m, _)] = [axes[1], axes[2], axes[4]];
+        let side = shoulder_axis.dot(&(elbow_m - shoulder_m).cross(&(wrist_m - elbow_m)));
         [wrist.sin() > 0.0, side > 0.0, jacobian.determinant() > 0.0]
     }
 
@@ -170,6 +174,7 @@ impl<'a> Constraints<'a> {
         let mut trace = Trace::default();
         self.tracer.trace(robot_rad, &mut trace);
         let columns = trace.joint_twists().map(|twist| twist.column());
+        // The singular values of J are the roots of the eigenvalues of J J^T.
         let squares: Matrix6<f64> = columns.map(|column| column * column.transpose()).sum();
         squares.symmetric_eigenvalues().min().max(0.0).sqrt()
     }
@@ -192,14 +197,14 @@ impl<'a> Constraints<'a> {
         for look in 1..=looks as usize {
             let before = robot[look - 1];
             let now = self.robot_at(&path.at(from_s + step_s * look as f64), &before)?;
-            let largest = |of: &dyn Fn(usize) -> f64| {
-                (0..now.len()).map(of).fold(0.0_f64, |most, one| most.max(one.abs()))
+            let largest = |of_joint: &dyn Fn(usize) -> f64| {
+                (0..now.len()).map(of_joint).fold(0.0_f64, |most, value| most.max(value.abs()))
             };
             if largest(&|i| now[i] - before[i]) > self.design.robot_speed_rad_s * step_s {
                 return Err(Obstacle::Speed);
             }
-            if let Some(first) = look.checked_sub(2).and_then(|first| robot.get(first))
-                && largest(&|i| now[i] - 2.0 * before[i] + first[i])
+            if let Some(earlier) = look.checked_sub(2).and_then(|earlier| robot.get(earlier))
+                && largest(&|i| now[i] - 2.0 * before[i] + earlier[i])
                     > self.acceleration_rad_s2 * step_s * step_s
             {
                 return Err(Obstacle::Acceleration);
