@@ -1,4 +1,4 @@
-//! EtherCAT frames and datagrams within an Ethernet frame (ETG.1000.4 section 5.3 and 5.4).
+//! EtherCAT frames and datagrams within an Ethernet frame, read and changed in place (ETG.1000.4 section 5.3 and 5.4).
 
 use std::ops::Range;
 

@@ -1,4 +1,5 @@
-//! A device on the segment: a chip and the behaviour of the device.
+//! A device on the segment: a slave controller (`chip`) and the behaviour of the device behind it ([`Device`]). Before each frame
+//! the segment advances every node to the time at which the frame arrives there.
 
 use super::chip::al::AlState;
 use super::chip::coe::{self, MAILBOX_MAX, ObjectDictionary};
@@ -90,7 +91,7 @@ impl Node {
         self.held_answer = None;
     }
 
-    /// Advances chip and device to the arrival of a frame.
+    /// Advances chip and device to the arrival of a frame, which returns from the devices behind at `back_ns`.
     pub fn advance(&mut self, now_ns: i64, back_ns: Option<i64>, source: &mut dyn EncoderSource) {
         self.esc.advance(now_ns, back_ns);
         self.device.synchronise(self.esc.sync_mode());

@@ -7,7 +7,7 @@ const NS_PER_BYTE: i64 = 80;
 const FRAME_MIN: usize = 60;
 /// Preamble and start delimiter precede each frame, a check sequence follows.
 const FRAME_OVERHEAD: usize = 8 + 4;
-/// Largest difference between terminals.
+/// Largest difference of the delay between terminals.
 const HOP_SPREAD_NS: i64 = 10;
 
 /// Line of devices; the first one is the coupler.
@@ -43,6 +43,8 @@ impl Wiring {
     /// DL status (0x0110) when frames reach `reach` devices: the ports with a link, and the closed ones.
     pub fn dl_status(&self, position: usize, reach: usize) -> u16 {
         let watchdog_ok = if position == 0 { 0 } else { 0x0002 };
+        // Bit 0: EEPROM loaded; 4 to 7: link of ports 0 to 3; from 8 on for each port: closed, in communication. Ports 2 and 3
+        // are always closed, port 1 behind the last device.
         let links = if position + 1 < reach { 0x5a31 } else { 0x5611 };
         links | watchdog_ok
     }

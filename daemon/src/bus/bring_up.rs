@@ -1,4 +1,5 @@
-//! From INIT to OP: discovery, check of the devices, interpolation, distributed clocks, states.
+//! Brings a segment from any state to OP, at the start and after an outage: discovery, check of the devices, interpolation,
+//! distributed clocks, then the states PRE-OP, SAFE-OP and OP.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Duration;

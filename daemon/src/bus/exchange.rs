@@ -1,4 +1,5 @@
-//! Send and receive around ethercrab's `PduTx` and `PduRx`, on the thread that waits for the reply.
+//! Send and receive around ethercrab's `PduTx` and `PduRx`, on the thread that waits for the reply: it polls a future of the
+//! stack, sends the frames that this produced, and gives the next reply to the stack, until the future is ready.
 //!
 //! The loops of ethercrab 0.7.1 end permanently on a late or duplicated reply (issue 293) or stall after a lost
 //! one. Here a bad reply is counted and the next one is read; an interface that goes down is a send error of this
@@ -96,7 +97,7 @@ impl Exchange {
     ) -> Result<T, EtherCatError> {
         let mut future = pin!(future);
         while !self.is_interrupted() {
-            if let Some(output) = self.turn(future.as_mut(), None, true) {
+            if let Some(output) = self.poll_and_exchange(future.as_mut(), None, true) {
                 return output;
             }
         }
@@ -112,7 +113,7 @@ impl Exchange {
             // Frames are sequential: while one waits for its reply, the stack can only offer the same frame again.
             let is_answered =
                 self.counters.handed_out() - before.handed_out() <= self.counters.received - before.received;
-            let output = self.turn(future.as_mut(), Some(deadline), is_answered);
+            let output = self.poll_and_exchange(future.as_mut(), Some(deadline), is_answered);
             if output.is_some() || self.clock.now() >= deadline {
                 return output;
             }
@@ -120,7 +121,7 @@ impl Exchange {
     }
 
     /// Polls once; if the future is not ready, sends pending frames and waits for one reply or the next timer.
-    fn turn<F: Future>(
+    fn poll_and_exchange<F: Future>(
         &mut self,
         future: Pin<&mut F>,
         deadline: Option<MonoNs>,

@@ -31,7 +31,7 @@ use crate::devices::el5021::{self, Input, Output};
 use crate::segment::Wire;
 use stack::Stack;
 
-/// More devices than a ball-bar has; ethercrab wants a power of two.
+/// More devices than a ball-bar has; ethercrab needs a power of two.
 pub const DEVICES_MAX: usize = 16;
 /// ethercrab assigns this station address to the first device and the following ones to those behind it.
 const STATION_ADDRESS_FIRST: u16 = 0x1000;
@@ -250,16 +250,16 @@ struct States {
 
 impl States {
     fn of(states: &[SubDeviceState]) -> Self {
-        let mask = |is: fn(&SubDeviceState) -> bool| {
+        let positions = |is_wanted: fn(&SubDeviceState) -> bool| {
             states
                 .iter()
                 .enumerate()
-                .filter(|(_, state)| is(state))
-                .fold(0, |mask, (position, _)| mask | 1 << position)
+                .filter(|(_, state)| is_wanted(state))
+                .fold(0, |bits, (position, _)| bits | 1 << position)
         };
         Self {
-            not_operational: mask(|state| *state != SubDeviceState::Op),
-            silent: mask(|state| *state == SubDeviceState::None),
+            not_operational: positions(|state| *state != SubDeviceState::Op),
+            silent: positions(|state| *state == SubDeviceState::None),
         }
     }
 }

@@ -1,4 +1,5 @@
-//! Detects whether counts continue or have a new origin.
+//! Detects whether counts continue or have a new origin, from consecutive valid records: a terminal that was without power
+//! counts from zero, and all its later angles have another offset.
 
 use shared::config::EncoderConfig;
 use shared::recording::schema::{CycleRecord, MAX_ENCODERS};
@@ -83,12 +84,12 @@ impl Continuity {
         let turns_from_zero = reset_at.map(turns_since);
         let pairs = last.encoders().iter().zip(record.encoders()).zip(&self.counts_per_rev);
         pairs.into_iter().find_map(|((before, now), counts_per_rev)| {
-            let reach = |turns: f64| turns * counts_per_rev + SLACK_COUNTS;
+            let counts_max = |turns: f64| turns * counts_per_rev + SLACK_COUNTS;
             let from_zero = f64::from(now.count as i32).abs();
             let turned = f64::from(now.count.wrapping_sub(before.count) as i32).abs();
-            if turned > reach(turns) {
+            if turned > counts_max(turns) {
                 Some(Origin::Jumped { joint: now.joint })
-            } else if turns_from_zero.is_some_and(|turns| from_zero <= reach(turns)) {
+            } else if turns_from_zero.is_some_and(|turns| from_zero <= counts_max(turns)) {
                 Some(Origin::NearZero { joint: now.joint })
             } else {
                 None

@@ -14,7 +14,9 @@ const READ_PERIOD_NS: i64 = NS_PER_S;
 /// Errors of all ports.
 #[derive(Debug, Clone)]
 pub struct Links {
+    /// Number of cycles until a device is read again.
     cycles_to_next: u64,
+    /// Position of that device.
     next: usize,
     /// Last reading of each device; `None` before the first.
     last: [Option<[PortCounters; PORTS]>; DEVICES_MAX],
@@ -75,29 +77,27 @@ impl Links {
         let Some(before) = self.last[position].replace(*now) else { return };
         for ((errors, before), now) in self.errors[position].iter_mut().zip(before).zip(now) {
             let risen = |before: u8, now: u8| u32::from(now.checked_sub(before).unwrap_or(now));
-            let all = errors.all();
+            let total_before = errors.all();
             errors.invalid_frames += risen(before.invalid_frames, now.invalid_frames);
             errors.receive_errors += risen(before.receive_errors, now.receive_errors);
             errors.lost_links += risen(before.lost_links, now.lost_links);
-            self.revision += u64::from(errors.all() != all);
+            self.revision += u64::from(errors.all() != total_before);
         }
     }
 
     /// A port with errors that the recorder has not received, and whether to report them as text: only if they have doubled
     /// since the last report, so that a bad cable does not fill the log.
     fn take_change(&mut self, position: usize) -> Option<(PortCounts, bool)> {
-        let ports =
-            self.errors[position].iter().zip(&mut self.delivered[position]).zip(&mut self.reported[position]);
-        let changed =
-            |(_, ((errors, delivered), _)): &(usize, ((&PortCounts, &mut PortCounts), &mut u32))| {
-                errors != delivered
-            };
-        ports.enumerate().find(changed).map(|(port, ((errors, delivered), reported))| {
-            *delivered = *errors;
-            let is_news = errors.all() >= 2 * *reported;
-            *reported = if is_news { errors.all() } else { *reported };
-            (PortCounts { position: position as u8, port: port as u8, ..*errors }, is_news)
-        })
+        let has_changed = |port: &usize| self.errors[position][*port] != self.delivered[position][*port];
+        let port = (0..PORTS).find(has_changed)?;
+        let errors = self.errors[position][port];
+        self.delivered[position][port] = errors;
+        let reported = &mut self.reported[position][port];
+        let is_news = errors.all() >= 2 * *reported;
+        if is_news {
+            *reported = errors.all();
+        }
+        Some((PortCounts { position: position as u8, port: port as u8, ..errors }, is_news))
     }
 }
 

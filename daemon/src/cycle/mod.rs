@@ -2,7 +2,8 @@
 //!
 //! [`Acquisition::next_cycle`] sleeps until the cycle's absolute deadline, exchanges one frame and gives one record for
 //! each cycle that was due to a sink, a bounded ring. It allocates nothing, takes no lock and writes no file. Only while
-//! the bus is down, when no deadline can be missed, may it do all of these: bringing up a bus takes long.
+//! the bus is down, when no deadline can be missed, may it do all of these: bringing up a bus takes long. Cycle `k` samples at
+//! `origin + k * period` on the bus' clock; the clock fit gives the host time of the sample and of its frame.
 
 mod clock_fit;
 mod continuity;
@@ -82,7 +83,7 @@ impl Acquisition {
         Ok(Self::on(bus, operational, plan, clock))
     }
 
-    /// For a bus in operation: cycles until the clock fit has converged. Call it on the thread that will cycle.
+    /// Takes over a bus in operation, and cycles until the clock fit has converged. Call it on the thread that will cycle.
     pub fn on(bus: Bus, operational: Operational, plan: &BusPlan, clock: Clock) -> Self {
         let joints = plan.encoders.iter().map(|encoder| encoder.joint);
         let mut acquisition = Self {

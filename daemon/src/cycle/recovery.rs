@@ -55,7 +55,7 @@ pub(super) struct Health {
     down: Option<Down>,
     /// Why the bus is still down.
     outage: Option<Fact>,
-    /// Increases with every change of the latter two.
+    /// Increases with every change of `down` and `outage`.
     outages: u32,
     /// Number of devices that answered when the bus was last incomplete.
     answering: Option<usize>,
@@ -88,7 +88,7 @@ pub enum BusState<'a> {
 pub struct Outage<'a> {
     /// Why the bus was given up.
     pub down: Option<Down>,
-    /// Error of the last attempt to bring it up; available later.
+    /// Why it cannot be brought up: missing devices, or the error of the last attempt; `None` just after it was given up.
     pub error: Option<&'a Fact>,
     /// Differs from one outage to the next.
     pub number: u32,
@@ -132,21 +132,21 @@ impl Acquisition {
             return;
         }
         // Bringing up the bus does not repair a broken signal.
-        let matter = record.flags & !(flags::TERMINAL_ERROR | flags::DEADLINE_MISSED);
-        if record.is_valid() || (matter & !self.sampler.flags_always()) == 0 {
+        let bus_flags = record.flags & !(flags::TERMINAL_ERROR | flags::DEADLINE_MISSED);
+        if record.is_valid() || (bus_flags & !self.sampler.flags_always()) == 0 {
             (self.health.bad, self.health.restoring, self.health.missing) = (0, None, None);
             return;
         }
         self.health.bad += 1;
         if reply.silent != 0 {
             if self.health.bad >= LOST_CYCLES {
-                let some_left = record.encoders().iter().any(|encoder| encoder.valid);
-                self.continue_without(reply.silent, some_left, exchange.received);
+                let others_are_valid = record.encoders().iter().any(|encoder| encoder.valid);
+                self.continue_without(reply.silent, others_are_valid, exchange.received);
             }
         } else if reply.not_operational != 0 {
             self.restore_to_op(reply, exchange.received);
         } else if self.health.bad >= BAD_CYCLES_MAX && !seen.is_some_and(is_misread) {
-            self.give_up(Down::Bad { flags: matter });
+            self.give_up(Down::Bad { flags: bus_flags });
         }
     }
 
@@ -179,18 +179,19 @@ impl Acquisition {
 
     /// Terminals are missing. The remaining ones stay in use; the bus is brought up again, which interrupts them, only when all
     /// devices answer.
-    fn continue_without(&mut self, silent: u32, some_left: bool, now: MonoNs) {
-        let checked = self.health.missing.map(|(_, checked)| checked);
-        if checked.is_some_and(|checked| some_left && now.ns_since(checked) < CHECK_PERIOD_NS) {
+    fn continue_without(&mut self, silent: u32, others_are_valid: bool, now: MonoNs) {
+        let last_check = self.health.missing.map(|(_, checked)| checked);
+        if last_check.is_some_and(|checked| others_are_valid && now.ns_since(checked) < CHECK_PERIOD_NS) {
             return;
         }
-        let all = self.devices.len();
-        if !some_left || self.bus.answering(all, now.plus_ns(self.period_ns / 4)) == all {
+        let devices = self.devices.len();
+        let until = now.plus_ns(self.period_ns / 4);
+        if !others_are_valid || self.bus.answering(devices, until) == devices {
             self.give_up(Down::DeviceLost);
             return;
         }
         let position = silent.trailing_zeros() as u8;
-        if checked.is_none() {
+        if last_check.is_none() {
             self.report(Happening::Missing { position });
         }
         self.health.missing = Some((position, now));
@@ -301,6 +302,7 @@ impl Acquisition {
         let lead_ns = self.bus_minus_monotonic_ns().wrapping_sub(difference_ns);
         self.bus_lead_ns = self.bus_lead_ns.wrapping_add(lead_ns);
         let sampled = self.cycle_sampled(&exchange);
+        // Cycles without a bus have their times from the fit before the outage.
         let after = std::mem::replace(&mut self.fit, before);
         while self.next_cycle < sampled {
             self.emit_down(self.next_cycle, exchange.sent, sink);

@@ -23,7 +23,9 @@ pub struct Sampler {
     joints: [u8; MAX_ENCODERS],
     encoder_count: usize,
     working_counter_expected: u16,
+    /// Flags of every record.
     always: u32,
+    /// Toggle bit of each encoder's last input, which changes with each new sample; `None` before the first.
     toggles: [Option<bool>; MAX_ENCODERS],
 }
 
@@ -142,6 +144,7 @@ impl Sampler {
     /// A short working counter does not show which terminal is missing, so it invalidates every count; unless it is short by
     /// exactly the share of terminals that do not answer: then all others were processed.
     fn invalidate_unproven(&self, record: &mut CycleRecord, reply: &Reply) {
+        // The coupler has position 0, and must answer.
         let absent = |index: usize| reply.silent >> (index + 1) & 1 == 1;
         let missing = (0..self.encoder_count).filter(|index| absent(*index)).count() as u16;
         let explained = missing > 0

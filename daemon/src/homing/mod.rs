@@ -1,6 +1,6 @@
 //! Homing: finds each encoder's reference mark while a person turns one joint at a time.
 //!
-//! An incremental encoder knows its angle only from its reference mark (C), where the terminal latches its counter.
+//! The angle of an incremental encoder is known only from its reference mark (C), where the terminal latches its counter.
 //! Turning one joint at a time also shows which terminal its encoder is connected to, and its direction. The mark is taken in
 //! the direction in which the joint is to be turned: it is one signal period wide (0.1 degrees at 3600 lines), so its two
 //! flanks differ.

@@ -1,4 +1,5 @@
-//! Search for the mark of one joint, record by record: a pure function of the records.
+//! Search for the mark of one joint from the records of the bus: the encoder that turns by 5 degrees is that of the joint, and
+//! its latch holds the count at the mark. [`Sequence`](super::Sequence) gives it one record after the other.
 
 use shared::config::EncoderConfig;
 use shared::recording::schema::{CycleRecord, MAX_ENCODERS};
@@ -25,6 +26,7 @@ pub(super) enum Seen {
     Found(Found),
 }
 
+/// First record of the search; its counts are those of the first valid one.
 #[derive(Debug, Clone, Copy)]
 struct Start {
     time: UtcNs,
@@ -36,8 +38,9 @@ struct Start {
 struct Track {
     /// Distance from the start \[counts\].
     moved: i64,
-    /// Smallest and largest distance \[counts\].
-    reach: (i64, i64),
+    /// Smallest and largest distance so far \[counts\].
+    lowest: i64,
+    highest: i64,
     /// Whether counts were increasing when the latch became valid; `None` without a valid latch.
     latched: Option<bool>,
 }
@@ -45,22 +48,25 @@ struct Track {
 pub(super) struct Search {
     encoders: Vec<EncoderConfig>,
     joint: u8,
-    before: Vec<Found>,
+    /// Encoders of the joints that are finished.
+    earlier: Vec<Found>,
     start: Option<Start>,
     tracks: [Track; MAX_ENCODERS],
     /// The encoder that moves, and whether its counts increase.
     mover: Option<(usize, bool)>,
+    /// Time since the first record \[s\].
     elapsed_s: f64,
+    /// The same at the last valid record; 0 before it.
     valid_last_s: f64,
 }
 
 impl Search {
-    /// Searches the mark of `joint`, after those in `before`. Terminals must have just been armed.
-    pub fn new(encoders: Vec<EncoderConfig>, joint: u8, before: Vec<Found>) -> Self {
+    /// Searches the mark of `joint`, after those in `earlier`. Terminals must have just been armed.
+    pub fn new(encoders: Vec<EncoderConfig>, joint: u8, earlier: Vec<Found>) -> Self {
         Self {
             encoders,
             joint,
-            before,
+            earlier,
             start: None,
             tracks: [Track::default(); MAX_ENCODERS],
             mover: None,
@@ -102,7 +108,7 @@ impl Search {
         self.follow(record);
         self.find_mover()?;
         if let Some((encoder, counts_rise)) = self.mover {
-            let seen = self.at_mark(record, encoder, counts_rise)?;
+            let seen = self.check_mark(record, encoder, counts_rise)?;
             if seen != Seen::Nothing {
                 return Ok(seen);
             }
@@ -119,7 +125,8 @@ impl Search {
         for ((track, encoder), start) in self.tracks.iter_mut().zip(record.encoders()).zip(start.counts) {
             let before = track.moved;
             track.moved = i64::from(encoder.count.wrapping_sub(start) as i32);
-            track.reach = (track.reach.0.min(track.moved), track.reach.1.max(track.moved));
+            track.lowest = track.lowest.min(track.moved);
+            track.highest = track.highest.max(track.moved);
             let is_latched = Status(encoder.status).latch_valid();
             let rising = track.moved > before;
             track.latched = is_latched.then(|| track.latched.unwrap_or(rising));
@@ -138,15 +145,15 @@ impl Search {
         if let Some(other) = self.farthest(Some(mover)).filter(|other| far(*other) > OTHERS_MAX_RAD) {
             return Err(HomingError::Together { asked: self.joint, terminals: [mover + 1, other + 1] });
         }
-        if let Some(earlier) = self.before.iter().find(|found| found.encoder == mover) {
-            let (asked, terminal, joint) = (self.joint, mover + 1, earlier.joint);
+        if let Some(finished) = self.earlier.iter().find(|found| found.encoder == mover) {
+            let (asked, terminal, joint) = (self.joint, mover + 1, finished.joint);
             return Err(HomingError::Again { asked, terminal, joint });
         }
         self.mover = Some((mover, self.turned_rad(mover) > 0.0));
         Ok(())
     }
 
-    fn at_mark(
+    fn check_mark(
         &mut self,
         record: &CycleRecord,
         encoder: usize,
@@ -169,10 +176,10 @@ impl Search {
     /// Whether the joint has passed this count, within one signal period.
     fn was_passed(&self, encoder: usize, count: u32) -> bool {
         let period = 1i64 << self.encoders[encoder].interpolation_bits;
-        let (low, high) = self.tracks[encoder].reach;
+        let Track { lowest, highest, .. } = self.tracks[encoder];
         let start = self.start.map_or(count, |start| start.counts[encoder]);
-        let way = i64::from(count.wrapping_sub(start) as i32);
-        (low - period..=high + period).contains(&way)
+        let distance = i64::from(count.wrapping_sub(start) as i32);
+        (lowest - period..=highest + period).contains(&distance)
     }
 
     /// Angle by which an encoder turned; positive if its counts increased.
@@ -180,6 +187,7 @@ impl Search {
         self.tracks[encoder].moved as f64 * self.encoders[encoder].scale().rad_per_count()
     }
 
+    /// The encoder that has turned farthest.
     fn farthest(&self, except: Option<usize>) -> Option<usize> {
         let others = (0..self.encoders.len().min(MAX_ENCODERS)).filter(|encoder| Some(*encoder) != except);
         others.max_by(|one, other| self.turned_rad(*one).abs().total_cmp(&self.turned_rad(*other).abs()))

@@ -1,4 +1,5 @@
-//! Homing in steps of one cycle: one joint after the other over its mark.
+//! Homing in steps of one cycle. For each joint all terminals are disarmed, so that they drop an earlier latch, then armed; the
+//! `Search` then receives the records while a person turns the joint. A mark passed backwards only re-arms its terminal.
 
 use std::ops::Range;
 
@@ -93,7 +94,7 @@ impl Sequence {
     }
 
     fn disarm(&mut self, acquisition: &mut Acquisition, terminals: Range<usize>) {
-        latch(acquisition, terminals.clone(), false);
+        set_latch(acquisition, terminals.clone(), false);
         self.state = State::Disarmed(terminals, DISARM_CYCLES);
     }
 
@@ -103,7 +104,7 @@ impl Sequence {
         terminals: Range<usize>,
         watch: &mut dyn FnMut(HomingStep),
     ) {
-        latch(acquisition, terminals, true);
+        set_latch(acquisition, terminals, true);
         self.state = State::Armed;
         let encoder = self.found.len();
         if let Some(EncoderConfig { joint, .. }) =
@@ -148,11 +149,11 @@ impl Sequence {
     }
 
     fn end(&mut self, acquisition: &mut Acquisition, outcome: Outcome) {
-        latch(acquisition, 0..self.encoders.len(), false);
+        set_latch(acquisition, 0..self.encoders.len(), false);
         self.state = State::Ending(outcome);
     }
 }
 
-fn latch(acquisition: &mut Acquisition, terminals: Range<usize>, enable_latch: bool) {
+fn set_latch(acquisition: &mut Acquisition, terminals: Range<usize>, enable_latch: bool) {
     terminals.for_each(|encoder| acquisition.set_output(encoder, Output { enable_latch }));
 }

@@ -1,4 +1,4 @@
-//! Compares a homing with `ball_bar.toml`: the encoder of each joint, and its direction.
+//! Compares a homing with `ball_bar.toml`: the encoder of each joint, and its direction. Marks are saved only if both agree.
 
 use std::fmt;
 
@@ -16,16 +16,16 @@ pub struct Miswired {
 
 /// The counts at the reference marks, in the order of the encoders; or the necessary changes of the configuration.
 pub fn verify(encoders: &[EncoderConfig], found: &[Found]) -> Result<Vec<u32>, Miswired> {
-    let on = |encoder: usize| found.iter().find(|found| found.encoder == encoder);
-    let there: Vec<(EncoderConfig, EncoderConfig)> = encoders
+    let found_on = |encoder: usize| found.iter().find(|found| found.encoder == encoder);
+    let compared: Vec<(EncoderConfig, EncoderConfig)> = encoders
         .iter()
         .enumerate()
-        .filter_map(|(encoder, config)| Some((config.clone(), as_found(config, on(encoder)?))))
+        .filter_map(|(encoder, config)| Some((config.clone(), as_found(config, found_on(encoder)?))))
         .collect();
-    if there.len() != encoders.len() || there.iter().any(|(config, found)| config != found) {
-        return Err(Miswired { encoders: there });
+    if compared.len() != encoders.len() || compared.iter().any(|(config, found)| config != found) {
+        return Err(Miswired { encoders: compared });
     }
-    Ok((0..encoders.len()).filter_map(|encoder| Some(on(encoder)?.reference_counts)).collect())
+    Ok((0..encoders.len()).filter_map(|encoder| Some(found_on(encoder)?.reference_counts)).collect())
 }
 
 fn as_found(config: &EncoderConfig, found: &Found) -> EncoderConfig {

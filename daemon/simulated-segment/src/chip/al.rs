@@ -1,4 +1,5 @@
-//! Application layer state machine (ETG.1000.6 section 6.4.1): INIT, PRE-OP, SAFE-OP, OP.
+//! Application layer (AL) state machine of a chip (ETG.1000.6 section 6.4.1): INIT, PRE-OP, SAFE-OP, OP. The master requests a
+//! state; some time later it is entered or refused, depending on the [`Readiness`] of the chip's units.
 
 /// State of the application layer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -77,10 +78,13 @@ const TRANSITION_NS: i64 = 2_000_000;
 /// How long a device waits for outputs and sync pulses before it refuses OP.
 const PATIENCE_NS: i64 = 2_000_000_000;
 
+/// A transition that the master has requested, and its times.
 #[derive(Clone, Copy)]
 struct Pending {
     target: AlState,
+    /// When it is decided first ...
     due_ns: i64,
+    /// ... and when it is refused, if its conditions are not met before.
     deadline_ns: i64,
 }
 
@@ -192,7 +196,7 @@ fn verdict(from: AlState, to: AlState, readiness: &Readiness) -> Verdict {
             (readiness.inputs, AlStatusCode::InvalidInputConfiguration),
             (readiness.sync != SyncReadiness::Invalid, AlStatusCode::InvalidDcSyncConfiguration),
         ]),
-        (AlState::SafeOp, AlState::Op) => op(readiness),
+        (AlState::SafeOp, AlState::Op) => verdict_on_op(readiness),
         _ => Verdict::Refuse(AlStatusCode::InvalidRequestedStateChange),
     }
 }
@@ -203,7 +207,7 @@ fn require(conditions: &[(bool, AlStatusCode)]) -> Verdict {
     failed.map_or(Verdict::Enter, |(_, code)| Verdict::Refuse(*code))
 }
 
-fn op(readiness: &Readiness) -> Verdict {
+fn verdict_on_op(readiness: &Readiness) -> Verdict {
     match readiness.sync {
         SyncReadiness::Invalid => Verdict::Refuse(AlStatusCode::InvalidDcSyncConfiguration),
         SyncReadiness::WrongSync1 => Verdict::Refuse(AlStatusCode::FatalSyncError),

@@ -1,5 +1,5 @@
-//! Mailbox protocol and CANopen over EtherCAT (ETG.1000.6 section 5.6): SDO upload and download, aborts, and the
-//! lists of objects.
+//! Mailbox protocol and CANopen over EtherCAT (CoE, ETG.1000.6 section 5.6), from a request to its answer: the master reads (SDO
+//! upload) and writes (download) objects of the device, or requests lists of them.
 
 /// Why an SDO access was refused (ETG.1000.6 table 41).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -98,7 +98,7 @@ impl Answer<'_> {
         true
     }
 
-    /// Starts a CoE answer.
+    /// Starts a CoE answer; the mailbox header before it follows in [`Self::finish`].
     fn begin(&mut self, service: u8) {
         self.len = MAILBOX_HEADER_LEN;
         self.push(&[0, service << 4]);

@@ -1,4 +1,6 @@
-//! Execution of each EtherCAT command by a slave controller, and its working counter (ETG.1000.4 section 5.4).
+//! Execution of each EtherCAT command by a slave controller, and its working counter (ETG.1000.4 section 5.4). Letters of the
+//! commands: addressed by position (AP), station address (FP), broadcast (B) or logically (L); RD read, WR write, RW both. ARMW
+//! and FRMW read from the addressed device and write to all others.
 
 use super::esc::{Esc, ReadMode};
 use crate::frame::Datagram;

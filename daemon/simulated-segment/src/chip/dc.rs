@@ -1,11 +1,12 @@
-//! Distributed clock (ETG.1000.4 section 6.8): a local clock that drifts, the copy of the system time on it, the
-//! loop that follows the reference clock, and the SYNC0 pulses.
+//! Distributed clock (ETG.1000.4 section 6.8): a local clock that drifts, the copy of the system time on it (local time plus an
+//! offset), the PI control loop that follows the reference clock, and the SYNC0 pulses.
 
 use super::al::SyncReadiness;
 
 /// A crystal with a rate error of some ppm, corrected by the control loop of the chip.
 #[derive(Debug, Clone)]
 pub struct LocalClock {
+    /// Instant of the last adjustment, in true and in local time.
     base_true_ns: i64,
     base_local_ns: i64,
     /// Fraction of a nanosecond beyond `base_local_ns`.
@@ -59,6 +60,7 @@ impl LocalClock {
         Self::new(now_ns, 0, self.drift * 1e6)
     }
 
+    /// Local seconds gained per true second.
     fn gain(&self) -> f64 {
         self.drift + self.correction
     }
@@ -93,8 +95,11 @@ pub struct DistributedClock {
     pub offset_ns: i64,
     /// Delay of the frame from the reference clock (0x0928).
     pub delay_ns: u32,
+    /// Logarithm to base 2 of the number of deviations in the mean.
     filter_depth: u8,
+    /// Mean deviation from the reference clock (0x092C).
     difference_ns: f64,
+    /// True time of the last correction.
     last_follow_ns: Option<i64>,
     /// Local time at which the latching frame arrived at each port (0x0900).
     pub port_times: [u32; 4],
@@ -104,7 +109,9 @@ pub struct DistributedClock {
     start_ns: i64,
     sync0_cycle_ns: u32,
     sync1_cycle_ns: u32,
+    /// System time of the next pulse.
     next_sync0_ns: Option<i64>,
+    /// Whether SYNC0 has pulsed since its activation.
     pulsed: bool,
 }
 
@@ -176,10 +183,10 @@ impl DistributedClock {
     ///
     /// With four bytes only the low half is known.
     pub fn follow(&mut self, received: &[u8], now_ns: i64) {
-        let own = self.system_ns(now_ns).wrapping_sub(i64::from(self.delay_ns));
+        let own_ns = self.system_ns(now_ns).wrapping_sub(i64::from(self.delay_ns));
         let deviation_ns = match (received.first_chunk::<8>(), received.first_chunk::<4>()) {
-            (Some(wide), _) => own.wrapping_sub(i64::from_le_bytes(*wide)) as f64,
-            (None, Some(low)) => f64::from((own as u32).wrapping_sub(u32::from_le_bytes(*low)) as i32),
+            (Some(wide), _) => own_ns.wrapping_sub(i64::from_le_bytes(*wide)) as f64,
+            (None, Some(low)) => f64::from((own_ns as u32).wrapping_sub(u32::from_le_bytes(*low)) as i32),
             (None, None) => return,
         };
         self.difference_ns += (deviation_ns - self.difference_ns) / f64::from(1u32 << self.filter_depth);

@@ -1,4 +1,5 @@
-//! Builds the content of an EEPROM: the slave information (SII) of a device (ETG.2010).
+//! Builds the content of an EEPROM: the slave information (SII) of a device (ETG.2010), a header and categories of bytes, from
+//! which the master reads identity, mailbox, sync managers and PDOs.
 
 /// Real terminals have 16 kbit.
 const SIZE: usize = 2048;

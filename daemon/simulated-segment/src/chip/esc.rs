@@ -1,4 +1,5 @@
-//! The chip: one memory, and the units behind some of its addresses.
+//! The chip: one memory, and the units behind some of its addresses. The master reads and writes it at addresses of the device or
+//! of the logical process image; the device takes sync events and mailbox requests from it, and gives inputs and answers.
 
 mod register_access;
 
@@ -69,6 +70,7 @@ pub enum ReadMode {
     Or,
 }
 
+/// A slave controller: its memory, its units, and the arrival of requests and outputs.
 pub struct Esc {
     memory: Box<[u8]>,
     sync_managers: [SyncManager; sync_manager::CHANNELS_MAX],
@@ -78,10 +80,13 @@ pub struct Esc {
     al: AlMachine,
     clock: DistributedClock,
     sii: Sii,
+    /// When the current mailbox request arrived.
     request_at_ns: Option<i64>,
     /// When outputs last arrived, for a conversion that has not started yet.
     outputs_at_ns: Option<i64>,
+    /// Outputs arrived since the last SYNC0 event.
     outputs_since_sync: bool,
+    /// Outputs arrived since PRE-OP.
     outputs_received: bool,
     /// When the current frame returns from the devices behind.
     back_ns: Option<i64>,
@@ -309,9 +314,9 @@ impl Esc {
         let (Some(bits), Some(byte)) = (mapped.bits, data.first_mut()) else {
             return self.read(mapped.physical, data, ReadMode::Replace, now_ns);
         };
-        let mut own = [0];
-        let read = self.read(mapped.physical, &mut own, ReadMode::Replace, now_ns);
-        *byte = if read { bits.to_logical(own[0], *byte) } else { *byte };
+        let mut in_device = [0];
+        let read = self.read(mapped.physical, &mut in_device, ReadMode::Replace, now_ns);
+        *byte = if read { bits.to_logical(in_device[0], *byte) } else { *byte };
         read
     }
 
@@ -333,8 +338,8 @@ impl Esc {
         let (Some(bits), Some(byte)) = (mapped.bits, data.first()) else {
             return self.write(mapped.physical, data, now_ns);
         };
-        let own = self.memory.get(usize::from(mapped.physical)).copied().unwrap_or(0);
-        self.write(mapped.physical, &[bits.to_physical(*byte, own)], now_ns)
+        let in_device = self.memory.get(usize::from(mapped.physical)).copied().unwrap_or(0);
+        self.write(mapped.physical, &[bits.to_physical(*byte, in_device)], now_ns)
     }
 
     /// A unit maps nothing while the sync manager behind it is off; registers can be mapped for reading.
@@ -349,6 +354,7 @@ impl Esc {
         let channels = reg::SYNC_MANAGER..reg::SYNC_MANAGER + self.channel_count() * reg::SYNC_MANAGER_LEN;
         address >= reg::PROCESS_MEMORY
             || fmmus.contains(&address)
+            // Status and device-side control of a sync manager are read-only.
             || (channels.contains(&address) && !matches!(address % reg::SYNC_MANAGER_LEN, 5 | 7))
             || reg::is_writable(address)
     }

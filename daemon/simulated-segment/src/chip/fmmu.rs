@@ -11,6 +11,7 @@ const READ: u8 = 0x01;
 const WRITE: u8 = 0x02;
 const ENABLE: u8 = 0x01;
 
+/// Registers of one unit: `length` bytes from `logical` on are those of the device from `physical` on.
 #[derive(Clone, Copy, Default)]
 pub struct Fmmu {
     logical: u32,
@@ -19,6 +20,7 @@ pub struct Fmmu {
     end_bit: u8,
     physical: u16,
     physical_bit: u8,
+    /// [`READ`], [`WRITE`], or both.
     kind: u8,
     enable: u8,
 }
@@ -53,6 +55,7 @@ impl Bits {
     }
 }
 
+/// Puts the lowest `count` bits of `source` into `target` at `shift`.
 fn insert(source: u8, target: u8, shift: u8, count: u8) -> u8 {
     let mask = (((1u16 << count) - 1) << shift) as u8;
     (target & !mask) | ((source << shift) & mask)
@@ -81,12 +84,13 @@ impl Fmmu {
             return None;
         }
         let (from, to) = (u64::from(logical), u64::from(logical) + len as u64);
-        let (own_from, own_to) = (u64::from(self.logical), u64::from(self.logical) + u64::from(self.length));
-        let (start, end) = (from.max(own_from), to.min(own_to));
+        let unit_from = u64::from(self.logical);
+        let unit_to = unit_from + u64::from(self.length);
+        let (start, end) = (from.max(unit_from), to.min(unit_to));
         if start >= end {
             return None;
         }
-        let physical = u16::try_from(u64::from(self.physical) + start - own_from).ok()?;
+        let physical = u16::try_from(u64::from(self.physical) + start - unit_from).ok()?;
         Some(Mapped { data: (start - from) as usize..(end - from) as usize, physical, bits: self.bits() })
     }
 

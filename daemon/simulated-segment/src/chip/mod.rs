@@ -1,6 +1,7 @@
-//! An EtherCAT slave controller (ESC): registers, sync managers, FMMUs, state machine, distributed clock, EEPROM
-//! interface and mailbox, according to ETG.1000.4 and ETG.1000.6. Its interface to frames is single reads and writes, and
-//! its interface to devices a process image.
+//! An EtherCAT slave controller (ESC), according to ETG.1000.4 and ETG.1000.6: registers, sync managers (access to process
+//! memory), FMMUs (fieldbus memory management units: logical to process memory), state machine of the application layer (AL),
+//! distributed clock, EEPROM interface (SII) and mailbox (CoE). Frames read and write its memory (`command`); the device behind
+//! it has a process image.
 
 pub mod al;
 pub mod coe;

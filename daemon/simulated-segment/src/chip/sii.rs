@@ -22,6 +22,7 @@ pub struct Sii {
     access: u8,
     capabilities: u16,
     errors: u16,
+    /// In words of two bytes.
     address: u32,
     data: [u8; 8],
     busy_until_ns: i64,

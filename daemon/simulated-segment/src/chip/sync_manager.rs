@@ -1,4 +1,5 @@
-//! Sync managers: access control of process memory (ETG.1000.4 section 6.7).
+//! Sync managers: access control of process memory (ETG.1000.4 section 6.7). Each channel lets the master write or read one area,
+//! as a mailbox (full until it is read) or as a buffer of process data.
 
 /// Number of channels that a chip can have.
 pub const CHANNELS_MAX: usize = 8;
@@ -52,13 +53,16 @@ pub struct ExpectedSyncManager {
     pub control: u8,
 }
 
+/// Settings and state of one channel.
 #[derive(Clone, Copy, Default)]
 pub struct SyncManager {
     start: u16,
     length: u16,
     control: u8,
     activate: u8,
+    /// A mailbox that has not been read.
     full: bool,
+    /// Status bit of a write by the master.
     event: bool,
     /// Switched off from the device's side.
     pub blocked: bool,
@@ -130,6 +134,7 @@ impl SyncManager {
         from < self.end() && usize::from(self.start) < to
     }
 
+    /// Whether the channel permits an access from the byte `from` to `to`; to a mailbox only from its start.
     fn admits(&self, from: usize, to: usize, direction: Direction) -> bool {
         let inside = usize::from(self.start) <= from && to <= self.end();
         let at_start = usize::from(self.start) == from;

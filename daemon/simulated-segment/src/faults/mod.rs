@@ -136,6 +136,7 @@ pub struct FaultySegment {
     schedule: Vec<(i64, FaultSwitch)>,
     first_frame_ns: Option<i64>,
     active: Vec<Fault>,
+    /// Reply of the segment, before its damage.
     scratch: Box<[u8; FRAME_BYTES_MAX]>,
     replies: Replies,
 }
@@ -146,7 +147,9 @@ struct Drawn {
     lost: bool,
     corrupted: bool,
     duplicated: bool,
+    /// Additional delay of the reply.
     late_ns: i64,
+    /// Missing part of the working counter.
     short_by: u16,
 }
 
@@ -196,11 +199,11 @@ impl FaultySegment {
             return;
         }
         let drawn = self.draw();
-        let on_the_way_there = self.random.random_bool(0.5);
-        if drawn.lost && on_the_way_there {
+        let hit_before_devices = self.random.random_bool(0.5);
+        if drawn.lost && hit_before_devices {
             return;
         }
-        if drawn.corrupted && on_the_way_there {
+        if drawn.corrupted && hit_before_devices {
             // The coupler counts it and forwards it marked as invalid.
             self.segment.change(0, |node| node.esc.count_invalid_frame());
             return;
@@ -238,6 +241,7 @@ impl FaultySegment {
         self.replies.take(now_ns, buffer)
     }
 
+    /// Draws the faults of a frame.
     fn draw(&mut self) -> Drawn {
         let Self { active, random, segment, .. } = self;
         let mut drawn = Drawn::default();
@@ -261,6 +265,7 @@ impl FaultySegment {
         drawn
     }
 
+    /// Begins and ends the faults that are scheduled until `now_ns`, and those that a handle has switched.
     fn switch(&mut self, now_ns: i64) {
         self.segment.power_up(now_ns);
         let since_ns = now_ns - *self.first_frame_ns.get_or_insert(now_ns);

@@ -1,10 +1,11 @@
-//! Queue of replies.
+//! Queue of the replies between segment and receiver, by time of arrival.
 
 use crate::FRAME_BYTES_MAX;
 
 /// More frames than a MainDevice has on the wire.
 const REPLIES_MAX: usize = 64;
 
+/// A reply that has not arrived.
 struct OnTheWay {
     due_ns: i64,
     length: usize,
@@ -32,10 +33,12 @@ impl Replies {
         self.on_the_way.push(OnTheWay { due_ns, length: reply.len(), bytes });
     }
 
+    /// Time of arrival of the next reply.
     pub fn next_due_ns(&self) -> Option<i64> {
         self.on_the_way.iter().map(|reply| reply.due_ns).min()
     }
 
+    /// Takes the next reply if it has arrived; returns its length.
     pub fn take(&mut self, now_ns: i64, buffer: &mut [u8; FRAME_BYTES_MAX]) -> Option<usize> {
         let due_ns = self.next_due_ns().filter(|due_ns| *due_ns <= now_ns)?;
         let index = self.on_the_way.iter().position(|reply| reply.due_ns == due_ns)?;

@@ -1,4 +1,4 @@
-//! Faults as text: `lost:0.01`, `gone:3@10s-15s`, `safe-op:2,0x001a@5s`.
+//! Faults as text, for the options of the command line: `lost:0.01`, `gone:3@10s-15s`, `safe-op:2,0x001a@5s`.
 
 use std::str::FromStr;
 use std::time::Duration;
@@ -62,41 +62,45 @@ impl FromStr for FaultSwitch {
 
 fn window(text: &str) -> Option<FaultWindow> {
     let (fault, times) = text.split_once('@').map_or((text, None), |(fault, times)| (fault, Some(times)));
-    let (from_ns, until_ns) = match times.map(|times| times.split_once('-').ok_or(times)) {
+    let (from_ns, until_ns) = match times {
         None => (0, None),
-        Some(Err(from)) => (time_ns(from)?, None),
-        Some(Ok((from, until))) => (time_ns(from)?, Some(time_ns(until)?)),
+        Some(times) => match times.split_once('-') {
+            None => (time_ns(times)?, None),
+            Some((from, until)) => (time_ns(from)?, Some(time_ns(until)?)),
+        },
     };
     if until_ns.is_some_and(|until_ns| until_ns <= from_ns) {
         return None;
     }
     let (name, values) = fault.split_once(':').unwrap_or((fault, ""));
     let values: Vec<&str> = values.split(',').filter(|value| !value.is_empty()).collect();
-    Some(FaultWindow { fault: named(name, &values)?, from_ns, until_ns })
+    Some(FaultWindow { fault: fault_named(name, &values)?, from_ns, until_ns })
 }
 
-fn named(name: &str, values: &[&str]) -> Option<Fault> {
+fn fault_named(name: &str, values: &[&str]) -> Option<Fault> {
     let fault = match (name, values) {
-        ("lost", [of]) => Fault::FrameLost { share: share(of)? },
-        ("late", [of, by]) => Fault::FrameLate { share: share(of)?, by_ns: time_ns(by)? },
-        ("duplicated", [of]) => Fault::FrameDuplicated { share: share(of)? },
-        ("corrupted", [of]) => Fault::FrameCorrupted { share: share(of)? },
-        ("short", [of, by]) => Fault::WorkingCounterShort { share: share(of)?, by: by.parse().ok()? },
-        ("noise", [position, of]) => {
-            Fault::NoisyCable { position: position.parse().ok()?, share: share(of)? }
+        ("lost", [probability]) => Fault::FrameLost { share: share(probability)? },
+        ("late", [probability, by]) => Fault::FrameLate { share: share(probability)?, by_ns: time_ns(by)? },
+        ("duplicated", [probability]) => Fault::FrameDuplicated { share: share(probability)? },
+        ("corrupted", [probability]) => Fault::FrameCorrupted { share: share(probability)? },
+        ("short", [probability, by]) => {
+            Fault::WorkingCounterShort { share: share(probability)?, by: by.parse().ok()? }
+        }
+        ("noise", [position, probability]) => {
+            Fault::NoisyCable { position: position.parse().ok()?, share: share(probability)? }
         }
         ("gone", [from]) => Fault::DevicesGone { from: from.parse().ok()? },
-        ("safe-op", [position, with]) => {
-            Fault::FallToSafeOp { position: position.parse().ok()?, code: code(with)?.try_into().ok()? }
+        ("safe-op", [position, status]) => {
+            Fault::FallToSafeOp { position: position.parse().ok()?, code: code(status)?.try_into().ok()? }
         }
         ("no-signal", [position]) => Fault::SignalLost { position: position.parse().ok()? },
         ("too-fast", [position]) => Fault::SignalTooFast { position: position.parse().ok()? },
-        ("abort", [position, with]) => {
-            Fault::MailboxAbort { position: position.parse().ok()?, code: code(with)? }
+        ("abort", [position, status]) => {
+            Fault::MailboxAbort { position: position.parse().ok()?, code: code(status)? }
         }
         ("silent", [position]) => Fault::MailboxSilent { position: position.parse().ok()? },
-        ("emergency", [position, with]) => {
-            Fault::MailboxEmergency { position: position.parse().ok()?, code: code(with)?.try_into().ok()? }
+        ("emergency", [position, status]) => {
+            Fault::MailboxEmergency { position: position.parse().ok()?, code: code(status)?.try_into().ok()? }
         }
         ("link-down", []) => Fault::LinkDown,
         ("clock-step", [by]) => match by.strip_prefix('-') {

@@ -8,10 +8,12 @@ use super::{Conversion, EncoderSource, Periods, Signal, SmoothMotion};
 
 /// Slow enough for the full resolution of the interpolation (below 750 Hz at 3600 lines and 12 bits).
 const SPEED_RAD_PER_S: f64 = 1.2;
+/// Commands of [`Hand`] besides the turning of a channel: the motion continues, or all joints are held.
 const LET_GO: i64 = 0;
 const HOLD: i64 = i64::MAX;
 
-/// Controls the simulated person, from any thread.
+/// Controls the simulated person, from any thread. The shared command is `LET_GO`, `HOLD`, or the channel to turn plus one,
+/// negative for decreasing counts.
 #[derive(Debug, Clone, Default)]
 pub struct Hand(Arc<AtomicI64>);
 
@@ -36,7 +38,7 @@ impl Hand {
         self.0.store(LET_GO, Ordering::Release);
     }
 
-    fn doing(&self) -> i64 {
+    fn command(&self) -> i64 {
         self.0.load(Ordering::Acquire)
     }
 }
@@ -45,6 +47,7 @@ impl Hand {
 struct Joint {
     /// Angle by which it was turned by hand.
     by_hand: Periods,
+    /// True time \[ns\] and position of the last conversion.
     last: Option<(i64, Periods)>,
 }
 
@@ -67,7 +70,7 @@ impl HandTurned {
         (Self { motion, hand: hand.clone(), joints, stopped_ns: 0, held_since_ns: None }, hand)
     }
 
-    /// The time of the motion.
+    /// The time of the motion, which stands still while it is held.
     fn motion_ns(&mut self, true_time_ns: i64, is_held: bool) -> i64 {
         if is_held {
             let since_ns = *self.held_since_ns.get_or_insert(true_time_ns);
@@ -82,18 +85,19 @@ impl HandTurned {
 
 impl EncoderSource for HandTurned {
     fn signal(&mut self, channel: usize, at: Conversion) -> Signal {
-        let doing = self.hand.doing();
-        let motion_ns = self.motion_ns(at.true_time_ns, doing != LET_GO);
+        let command = self.hand.command();
+        let motion_ns = self.motion_ns(at.true_time_ns, command != LET_GO);
         let Self { motion, joints, .. } = self;
         let Some((joint, mark)) = joints.get_mut(channel).zip(motion.mark(channel)) else {
             return Signal::NOT_CONNECTED;
         };
-        let by_hand = if doing.unsigned_abs() == channel as u64 + 1 { doing.signum() as f64 } else { 0.0 };
-        let mut periods_per_s = by_hand * SPEED_RAD_PER_S * f64::from(motion.lines()) / TAU;
+        let is_turned = command.unsigned_abs() == channel as u64 + 1;
+        let direction = if is_turned { command.signum() as f64 } else { 0.0 };
+        let mut periods_per_s = direction * SPEED_RAD_PER_S * f64::from(motion.lines()) / TAU;
         let elapsed_ns = joint.last.map_or(0, |(last_ns, _)| at.true_time_ns.saturating_sub(last_ns).max(0));
         let moved = Periods::from_f64(periods_per_s * elapsed_ns as f64 * 1e-9);
         joint.by_hand = Periods(joint.by_hand.0.wrapping_add(moved.0));
-        if doing == LET_GO {
+        if command == LET_GO {
             periods_per_s = motion.periods_per_s(channel, motion_ns);
         }
         let position = Periods(motion.position(channel, motion_ns).0.wrapping_add(joint.by_hand.0));

@@ -19,8 +19,8 @@ impl ReferenceMark {
 
     /// The mark between two positions less than a revolution apart.
     pub fn between(&self, from: Periods, to: Periods) -> Option<Periods> {
-        let turn = |at: Periods| at.0.wrapping_sub(self.at.0).div_euclid(self.revolution);
-        // Between two turns is the mark at the start of the upper one.
+        let turn = |position: Periods| position.0.wrapping_sub(self.at.0).div_euclid(self.revolution);
+        // Turns begin at marks: the mark between two turns is at the start of the upper one.
         let upper = turn(from).max(turn(to));
         (turn(from) != turn(to)).then(|| Periods(self.at.0.wrapping_add(upper.wrapping_mul(self.revolution))))
     }

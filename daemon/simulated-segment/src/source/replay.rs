@@ -24,9 +24,9 @@ pub enum ReplayError {
     Period(i64),
 }
 
-/// Start time before the start.
+/// Value of the start time before a start.
 const NOT_STARTED: i64 = i64::MAX;
-/// Start time until the next conversion, which starts the replay.
+/// Value of the start time while the next conversion starts the replay.
 const AT_NEXT: i64 = i64::MIN;
 
 #[derive(Debug)]
@@ -67,9 +67,9 @@ impl Pulses {
 
     /// Takes the next pulse into account.
     fn next(&mut self, apart_ns: i64) {
-        let moved_ns = self.apart_ns.map_or(0, |before_ns| apart_ns - before_ns);
-        if moved_ns.abs() > Self::SET_NS {
-            self.later_ns += moved_ns;
+        let change_ns = self.apart_ns.map_or(0, |before_ns| apart_ns - before_ns);
+        if change_ns.abs() > Self::SET_NS {
+            self.later_ns += change_ns;
         }
         self.apart_ns = Some(apart_ns);
     }
@@ -125,28 +125,28 @@ impl Replay {
     /// Count of a channel at this time after a row, linearly interpolated. A terminal beyond the recorded ones counts 0.
     fn count(&self, channel: usize, row: usize, later_ns: i64) -> u32 {
         let recorded = |row: usize| {
-            let in_row = self.counts.get(row * self.channels..)?.get(..self.channels)?;
-            in_row.get(channel).copied()
+            let counts_of_row = self.counts.get(row * self.channels..)?.get(..self.channels)?;
+            counts_of_row.get(channel).copied()
         };
         let rows_later =
             usize::try_from(later_ns.div_euclid(self.period_ns).unsigned_abs()).unwrap_or(usize::MAX);
         let row = if later_ns < 0 { row.saturating_sub(rows_later) } else { row.saturating_add(rows_later) };
-        let Some(here) = recorded(row.min(self.shared.rows - 1)) else { return 0 };
-        let Some(there) = recorded(row.saturating_add(1)) else { return here };
+        let Some(before) = recorded(row.min(self.shared.rows - 1)) else { return 0 };
+        let Some(after) = recorded(row.saturating_add(1)) else { return before };
         // Counters wrap: the difference is signed.
-        let step = f64::from(there.wrapping_sub(here) as i32);
+        let step = f64::from(after.wrapping_sub(before) as i32);
         let part = later_ns.rem_euclid(self.period_ns) as f64 / self.period_ns as f64;
-        here.wrapping_add((step * part).round() as i64 as u32)
+        before.wrapping_add((step * part).round() as i64 as u32)
     }
 }
 
 impl EncoderSource for Replay {
     fn signal(&mut self, channel: usize, at: Conversion) -> Signal {
-        let under_way = self.row(at);
-        if let (Some(row), Some(played)) = (under_way, self.shared.played.get(channel)) {
+        let row_now = self.row(at);
+        if let (Some(row), Some(played)) = (row_now, self.shared.played.get(channel)) {
             played.fetch_max(row + 1, Ordering::AcqRel);
         }
-        let pulses = self.pulses.get_mut(channel).filter(|_| under_way.is_some());
+        let pulses = self.pulses.get_mut(channel).filter(|_| row_now.is_some());
         let later_ns = match (pulses, at.system_time_ns) {
             (Some(pulses), Some(nominal_ns)) => {
                 pulses.next(at.true_time_ns.saturating_sub(nominal_ns));
@@ -154,7 +154,7 @@ impl EncoderSource for Replay {
             }
             _ => 0,
         };
-        Signal::Recorded { count: self.count(channel, under_way.unwrap_or_default(), later_ns) }
+        Signal::Recorded { count: self.count(channel, row_now.unwrap_or_default(), later_ns) }
     }
 }
 

@@ -1,4 +1,5 @@
-//! A motion without a recording: every joint swings slowly, as a sum of sines.
+//! A motion without a recording: every joint swings slowly, `angle = sum of A sin(2 pi t / T + phase)`. It is the source of the
+//! simulated bus by default.
 
 use std::f64::consts::TAU;
 
@@ -41,8 +42,10 @@ impl Sine {
 #[derive(Debug, Clone)]
 struct Joint {
     sines: [Sine; SINES],
+    /// Position of the encoder at angle zero.
     start: Periods,
     mark: ReferenceMark,
+    /// Position at the last conversion.
     last: Option<Periods>,
 }
 
@@ -114,6 +117,7 @@ impl Joint {
             sine.amplitude_rad *= scale;
         }
         let start = Periods(random.random_range(-START_PERIODS_MAX..START_PERIODS_MAX) * Periods::ONE);
+        // Within 9 degrees of angle zero, so that the motion passes it.
         let mark =
             Periods(start.0 + i64::from(lines) * random.random_range(-Periods::ONE / 40..Periods::ONE / 40));
         Self { sines, start, mark: ReferenceMark::new(mark, lines), last: None }

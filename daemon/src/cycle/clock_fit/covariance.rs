@@ -1,10 +1,13 @@
-//! Uncertainty of offset and drift between two clocks.
+//! Covariance `P` of offset and drift between two clocks, for the filter of the clock fit: propagation `F P F^T + Q` with `F = [1
+//! dt; 0 1]`, and update by a reading of the offset, `H = [1 0]`.
 
 /// Covariance of offset \[ns\] and drift \[ns/s\].
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Covariance {
+    /// \[ns^2\]
     pub offset: f64,
     pub cross: f64,
+    /// \[(ns/s)^2\]
     pub drift: f64,
 }
 
@@ -20,13 +23,14 @@ impl Covariance {
         self.drift += drift_wander * dt_s;
     }
 
-    /// Update by a reading of this variance with these gains, which need not be optimal (Joseph's form).
-    pub fn correct(&mut self, gain_offset: f64, gain_drift: f64, reading: f64) {
+    /// Update by a reading of this variance with these gains, which need not be optimal (Joseph's form):
+    /// `(I - K H) P (I - K H)^T + K r K^T`.
+    pub fn correct(&mut self, gain_offset: f64, gain_drift: f64, reading_variance: f64) {
         let Self { offset, cross, drift } = *self;
         let kept = 1.0 - gain_offset;
-        self.offset = kept * kept * offset + gain_offset * gain_offset * reading;
-        self.cross = kept * (cross - gain_drift * offset) + gain_offset * gain_drift * reading;
-        self.drift = drift - 2.0 * gain_drift * cross + gain_drift * gain_drift * (offset + reading);
+        self.offset = kept * kept * offset + gain_offset * gain_offset * reading_variance;
+        self.cross = kept * (cross - gain_drift * offset) + gain_offset * gain_drift * reading_variance;
+        self.drift = drift - 2.0 * gain_drift * cross + gain_drift * gain_drift * (offset + reading_variance);
     }
 
     /// Adds these to the standard deviations of offset and drift (in quadrature).

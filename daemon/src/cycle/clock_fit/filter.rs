@@ -1,4 +1,6 @@
-//! Kalman filter of offset and drift between two clocks, and the effect of delays on a reading.
+//! Kalman filter of the clock fit, with the state offset and drift: `bus time = t + base + offset + drift * (t - at)` for host
+//! time `t`. The inputs are readings of the offset, the results host times with their variance. A delay makes a reading less
+//! accurate: the time beyond the quickest round trip so far, or all of its bound while that is unknown.
 
 use shared::time::{DcNs, MonoNs};
 
@@ -48,16 +50,16 @@ pub(super) struct Filter {
     base_ns: i64,
     /// Offset beyond `base_ns` \[ns\].
     offset_ns: f64,
-    /// \[ns/s\]
+    /// Rate of the bus' clock relative to the host's, minus one \[ns/s\].
     drift: f64,
     /// Covariance for the gains. It treats readings as quick as the quickest as equally accurate, so that they are followed.
-    p: Covariance,
+    covariance: Covariance,
     /// Conservative covariance under those gains, if each delay may divide between the directions in any way; a random run
     /// of delays then looks like a rate.
     conservative: Covariance,
     /// Number of readings so far, up to [`START_READINGS`].
     readings: u32,
-    /// Half the width of the narrowest hard bound.
+    /// Half the width of the narrowest hard bound, which increases slowly \[ns\].
     quickest_half_ns: f64,
     /// Half widths of the hard bounds, weighted like the readings: the error of the offset if all delay was in one direction
     /// \[ns\].
@@ -82,7 +84,7 @@ impl Filter {
             base_ns: reading.offset_ns,
             offset_ns: 0.0,
             drift: known.map_or(0.0, |known| known.drift),
-            p: start(known.map(|known| known.p)),
+            covariance: start(known.map(|known| known.covariance)),
             conservative: start(known.map(|known| known.conservative)),
             readings: known.map_or(1, |known| known.readings),
             quickest_half_ns: known
@@ -100,11 +102,11 @@ impl Filter {
     /// Variance of the host time at `dc`: for delays that divide randomly, and for a constant asymmetry of the delay.
     pub fn variance_ns2(&self, dc: DcNs) -> f64 {
         let dt_s = (self.since_ns(dc) * 1e-9).abs();
-        let own = self.conservative.offset
+        let filter_variance = self.conservative.offset
             + dt_s * (2.0 * self.conservative.cross.abs() + dt_s * self.conservative.drift)
             + OFFSET_WANDER_NS2_PER_S * dt_s;
         // How the delay divides between the directions is unknown: uniform within the bounds.
-        own + self.asymmetry_ns.powi(2) / 3.0 + READING_SIGMA_NS.powi(2)
+        filter_variance + self.asymmetry_ns.powi(2) / 3.0 + READING_SIGMA_NS.powi(2)
     }
 
     /// `dc = monotonic + base + offset + drift * (monotonic - at)`, solved for `monotonic - at` \[ns\].
@@ -118,7 +120,7 @@ impl Filter {
         let dt_s = at.seconds_since(self.at).max(0.0);
         self.at = at;
         self.offset_ns += self.drift * dt_s;
-        self.p.predict(dt_s, OFFSET_WANDER_NS2_PER_S, DRIFT_WANDER);
+        self.covariance.predict(dt_s, OFFSET_WANDER_NS2_PER_S, DRIFT_WANDER);
         self.conservative.predict(dt_s, OFFSET_WANDER_NS2_PER_S, DRIFT_WANDER);
         self.quickest_half_ns *= 1.0 + QUICKEST_FORGOTTEN_PER_S * dt_s;
         dt_s
@@ -135,7 +137,7 @@ impl Filter {
             at: reading.at,
             by_ns: self.deviation_ns(reading),
             delayed_ns: (reading.half_ns - quickest_ns).abs(),
-            predicted_ns: fit_delayed_ns + SLACK_SIGMAS * self.p.offset.sqrt() + SLACK_NS,
+            predicted_ns: fit_delayed_ns + SLACK_SIGMAS * self.covariance.offset.sqrt() + SLACK_NS,
         }
     }
 
@@ -151,22 +153,23 @@ impl Filter {
     pub fn correct(&mut self, reading: &Reading, dt_s: f64) {
         self.quickest_half_ns = self.quickest_half_ns.min(reading.half_ns);
         let excess_ns = reading.half_ns - self.quickest_half_ns;
-        let unknown_ns = if self.is_starting() { reading.half_ns } else { excess_ns };
+        let possible_delay_ns = if self.is_starting() { reading.half_ns } else { excess_ns };
         self.readings = (self.readings + 1).min(START_READINGS);
         let deviation_ns = self.deviation_ns(reading);
-        self.watch_scatter(deviation_ns.abs() - unknown_ns, dt_s);
-        let delayed_ns = READING_SIGMA_NS + unknown_ns;
-        let reading_sigma_ns = delayed_ns + self.scatter_ns;
+        self.watch_scatter(deviation_ns.abs() - possible_delay_ns, dt_s);
+        let delayed_sigma_ns = READING_SIGMA_NS + possible_delay_ns;
+        let reading_sigma_ns = delayed_sigma_ns + self.scatter_ns;
         let variance = reading_sigma_ns * reading_sigma_ns;
-        let spread = self.p.offset + variance;
-        let (gain_offset, gain_drift) = (self.p.offset / spread, self.p.cross / spread);
+        let innovation_variance = self.covariance.offset + variance;
+        let gain_offset = self.covariance.offset / innovation_variance;
+        let gain_drift = self.covariance.cross / innovation_variance;
         self.offset_ns += gain_offset * deviation_ns;
         self.drift += gain_drift * deviation_ns;
-        self.p.correct(gain_offset, gain_drift, variance);
+        self.covariance.correct(gain_offset, gain_drift, variance);
         self.conservative.correct(gain_offset, gain_drift, variance.max(reading.half_ns.powi(2) / 12.0));
         self.asymmetry_ns += gain_offset * (reading.half_ns - self.asymmetry_ns);
         self.stay_within(reading);
-        self.watch_trend(deviation_ns, delayed_ns, dt_s);
+        self.watch_trend(deviation_ns, delayed_sigma_ns, dt_s);
     }
 
     /// Whether earlier readings deviated to the same side, which means a changed rate and not a step. Under load readings
@@ -179,14 +182,14 @@ impl Filter {
 
     /// Quick replies that contradict each other show that the shortest delay varies.
     fn watch_scatter(&mut self, unexplained_ns: f64, dt_s: f64) {
-        let scatter_ns = unexplained_ns - SCATTER_SIGMAS * self.p.offset.sqrt();
+        let scatter_ns = unexplained_ns - SCATTER_SIGMAS * self.covariance.offset.sqrt();
         let forgotten = 1.0 - SCATTER_FORGOTTEN_PER_S * dt_s.min(1.0);
         self.scatter_ns = (self.scatter_ns * forgotten).max(scatter_ns.min(SCATTER_NS_MAX));
     }
 
     /// Adds these to the standard deviations of offset and drift (in quadrature), and restarts the trend.
     pub fn inflate(&mut self, offset_ns: f64, rate: f64) {
-        self.p.inflate(offset_ns, rate);
+        self.covariance.inflate(offset_ns, rate);
         self.conservative.inflate(offset_ns, rate);
         self.trend = 0.0;
     }
@@ -200,9 +203,9 @@ impl Filter {
 
     /// Small deviations that keep their sign mean a changed rate: the covariance is increased to cover them. Only quick
     /// replies show this; a slow one deviates to one side anyway.
-    fn watch_trend(&mut self, deviation_ns: f64, delayed_ns: f64, dt_s: f64) {
-        let weight = (READING_SIGMA_NS / delayed_ns).powi(2) / TREND_READINGS;
-        self.trend += weight * (deviation_ns / delayed_ns - self.trend);
+    fn watch_trend(&mut self, deviation_ns: f64, sigma_ns: f64, dt_s: f64) {
+        let weight = (READING_SIGMA_NS / sigma_ns).powi(2) / TREND_READINGS;
+        self.trend += weight * (deviation_ns / sigma_ns - self.trend);
         if self.trend.abs() > TREND_SIGMAS && dt_s > 0.0 {
             self.inflate(deviation_ns, deviation_ns / (TREND_ONSET_READINGS * dt_s));
         }

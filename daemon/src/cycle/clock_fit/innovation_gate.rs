@@ -53,8 +53,11 @@ pub(super) struct InnovationGate {
     first: Deviation,
     /// Number of unexplained readings that agree with the first.
     agreeing: u32,
+    /// Number of readings that decided nothing.
     undecided: u32,
+    /// Number of readings that agreed neither with the fit nor with the first one.
     erratic: u32,
+    /// Largest unexplained deviation \[ns\].
     largest_ns: f64,
 }
 
@@ -84,10 +87,12 @@ impl InnovationGate {
     pub fn classify(mut self, reading: Deviation) -> Class {
         let noise_ns = reading.delayed_ns + self.first.delayed_ns + NOISE_NS;
         let grown_ns = reading.by_ns - self.first.by_ns;
+        // The deviation has disappeared: the first reading was misread.
         if reading.is_explained() && grown_ns.abs() > noise_ns {
             return Class::Accepted;
         }
         let signal_ns = reading.by_ns.abs().max(self.first.by_ns.abs());
+        // The reading fits with and without the step.
         if reading.is_explained() || noise_ns > signal_ns / SIGNAL_TO_NOISE {
             self.undecided += 1;
             if !reading.is_explained() && reading.delayed_ns < self.first.delayed_ns {

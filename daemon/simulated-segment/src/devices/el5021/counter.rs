@@ -10,11 +10,12 @@ pub const BITS: std::ops::RangeInclusive<u8> = 8..=13;
 const FREQUENCY_MAX_HZ: [f64; 6] = [250e3, 250e3, 250e3, 170e3, 80e3, 40e3];
 /// Frequency above which the resolution decreases, for each of [`BITS`] \[Hz\].
 const REDUCTION_START_HZ: [f64; 6] = [9000.0, 4500.0, 2500.0, 1500.0, 750.0, 650.0];
-/// Frequency above which the resolution decreases, for each of [`BITS`] \[Hz\].
+/// Bits of interpolation that remain at any frequency.
 const REMAINING_BITS: u8 = 6;
 /// The threshold of the amplitude error is not published.
 const AMPLITUDE_MIN: f64 = 0.5;
 
+/// Settings in the object dictionary.
 #[derive(Debug, Clone, Copy)]
 pub struct Settings {
     /// 0x8000:01, counter to zero on C.
@@ -57,13 +58,14 @@ impl Default for Settings {
 }
 
 impl Settings {
-    fn of(&self, table: [f64; 6]) -> f64 {
+    /// Entry of a table for each of [`BITS`].
+    fn for_bits(&self, table: [f64; 6]) -> f64 {
         table[usize::from(self.bits.clamp(*BITS.start(), *BITS.end()) - BITS.start())]
     }
 
     /// Number of constant bits at a frequency: one where reduction starts, and one more per octave.
     fn constant_bits(&self, frequency_hz: f64) -> u8 {
-        let start_hz = self.of(REDUCTION_START_HZ);
+        let start_hz = self.for_bits(REDUCTION_START_HZ);
         if frequency_hz < start_hz {
             return 0;
         }
@@ -113,8 +115,9 @@ impl Counter {
                 self.serve_latch(reference_mark, settings, outputs, inputs);
                 inputs.level_c = on_reference_mark;
                 inputs.frequency_error =
-                    settings.frequency_error && frequency_hz > settings.of(FREQUENCY_MAX_HZ);
+                    settings.frequency_error && frequency_hz > settings.for_bits(FREQUENCY_MAX_HZ);
                 inputs.amplitude_error = settings.amplitude_error && amplitude < AMPLITUDE_MIN;
+                // At high frequencies the lowest bits keep their last value.
                 let constant = (1 << settings.constant_bits(frequency_hz)) - 1;
                 let count = settings.count(self.shifted(directed));
                 inputs.counter = (count & !constant) | (inputs.counter & constant);
@@ -168,6 +171,7 @@ impl Counter {
     }
 }
 
+/// The position as the terminal counts it, backwards if that is set.
 fn directed(position: Periods, settings: &Settings) -> Periods {
     if settings.reversed { Periods(position.0.wrapping_neg()) } else { position }
 }

@@ -1,4 +1,5 @@
-//! EL5021, the SinCos terminal: one encoder, 32-bit counter.
+//! EL5021, the SinCos terminal: one encoder, 32-bit counter. At each sync event it samples the source (`counter`) and writes its
+//! inputs (`mapping`); the master changes settings through objects (`objects`).
 
 mod counter;
 mod mapping;
@@ -154,6 +155,7 @@ impl Device for El5021 {
             ],
         };
         let names = ["EL5021", "EL5021 1K. SinCos Encoder Interface 1Vpp", "MeasuringModules"];
+        // Type of the channel: 1 mailbox out, 2 mailbox in, 3 outputs, 4 inputs.
         let mut kind = 0;
         let sync_managers = SYNC_MANAGERS.map(|channel| {
             kind += 1;

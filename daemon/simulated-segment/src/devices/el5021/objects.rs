@@ -142,7 +142,7 @@ impl El5021 {
     }
 
     /// The value of an object, or why it has none.
-    fn existing(&self, index: u16, subindex: u8) -> Result<Value, Abort> {
+    fn value_or_abort(&self, index: u16, subindex: u8) -> Result<Value, Abort> {
         let is_object = || self.list(ObjectList::All).contains(&index);
         let missing = || if is_object() { Abort::NoSubindex } else { Abort::NoObject };
         self.value(index, subindex).ok_or_else(missing)
@@ -182,12 +182,12 @@ impl El5021 {
 
 impl ObjectDictionary for El5021 {
     fn upload(&self, index: u16, subindex: u8, target: &mut [u8]) -> Result<usize, Abort> {
-        self.existing(index, subindex)?.write(target)
+        self.value_or_abort(index, subindex)?.write(target)
     }
 
     fn download(&mut self, index: u16, subindex: u8, bytes: &[u8]) -> Result<(), Abort> {
         // A readable object has a known length.
-        let present = self.existing(index, subindex)?;
+        let present = self.value_or_abort(index, subindex)?;
         let mut value = [0; 4];
         if !matches!((index, subindex), (0x1011, 1) | (0x8000 | 0x8001, 1..)) {
             return Err(Abort::ReadOnly);
