@@ -1,4 +1,5 @@
-//! `identify calibrate`: one instrument, one set of options, so that none can be accepted and ignored.
+//! `identify calibrate`. Each instrument has a subcommand with its own options, so that none can be accepted and ignored. All
+//! of them make an [`Experiment`] of their options, which [`driver::calibrate`] calibrates.
 
 mod bar;
 mod driver;

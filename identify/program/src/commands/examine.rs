@@ -1,4 +1,4 @@
-//! `identify examine`.
+//! `identify examine`: prints for each cost which parameters of a nominal robot and bar it can identify ([`crate::examine`]).
 
 use std::path::PathBuf;
 

@@ -1,4 +1,5 @@
-//! `identify inspect`.
+//! `identify inspect`: reads each file as the kind that its content and the options determine, and prints its content and
+//! what is suspicious in it. With `--propose` it writes a mapping for a table instead.
 
 use std::fs::File;
 use std::io::{ErrorKind, Write};
@@ -65,7 +66,7 @@ struct Settings {
     rows: Option<RowMapping>,
 }
 
-/// Of rows of an instrument that has no format of its own.
+/// Mapping of rows of a tracker, a wire, or a touch probe.
 enum RowMapping {
     Poses(MeasuredPoseMapping),
     Lengths(MeasuredLengthMapping),
@@ -73,7 +74,7 @@ enum RowMapping {
 }
 
 impl RowMapping {
-    /// What has [length] is of a wire, what has a face is of a touch probe.
+    /// Recognises the instrument by the keys of the file: a wire has `length`, a touch probe `face`, a tracker neither.
     fn load(path: &Path) -> anyhow::Result<Self> {
         let table = match Source::find(path) {
             Source::BuiltIn(_, text) => text.parse::<toml::Table>(),
@@ -185,17 +186,17 @@ impl Settings {
             !begins("<!doctype html") && !begins("<html"),
             "it is a web page, not a log or recording; open it in a browser"
         );
-        let is_of_bar = OtherBarLog::is_usual_table(&bytes);
-        let of_bar = self.bar.as_ref().map(|bar| {
+        let has_bar_columns = OtherBarLog::is_usual_table(&bytes);
+        let as_bar_log = self.bar.as_ref().map(|bar| {
             let log = OtherBarLog::read(&bytes, path, bar, self.recording_mapping.as_ref());
             log.map(|log| inspect::bar_log(&log)).map_err(|error| format!("as the bar's: {error}"))
         });
-        let of_robot = self.robot.as_ref().filter(|_| !is_of_bar).map(|robot| {
+        let as_robot_log = self.robot.as_ref().filter(|_| !has_bar_columns).map(|robot| {
             let log = logs::read_with(&bytes, path, robot, &self.log_options);
             log.map(|log| inspect::robot_log(&log)).map_err(|error| format!("as the robot's: {error}"))
         });
         let (mut found, mut refusals) = (Vec::new(), Vec::new());
-        for result in [of_bar, of_robot].into_iter().flatten() {
+        for result in [as_bar_log, as_robot_log].into_iter().flatten() {
             match result {
                 Ok(inspection) => found.push(inspection),
                 Err(refusal) => refusals.push(refusal),
@@ -207,7 +208,7 @@ impl Settings {
                 "{}; for a table of another layout --propose FILE writes a mapping",
                 refusals.join("; ").trim_end_matches('.')
             ),
-            _ if is_of_bar => anyhow::bail!("it has counters of the bar; give its bar with --bar"),
+            _ if has_bar_columns => anyhow::bail!("it has counters of the bar; give its bar with --bar"),
             _ => anyhow::bail!(
                 "it is not a recording; if it is a log, give its robot with --robot, or its bar with --bar"
             ),

@@ -1,4 +1,5 @@
-//! The command line.
+//! The command line: [`Arguments::typed`] parses it, and [`run`] calls the module of the command. Each module reads files,
+//! calls `identify-core`, and prints and writes the result with [`crate::report`].
 
 mod calibrate;
 mod compare;
@@ -97,22 +98,22 @@ impl Arguments {
     }
 }
 
-/// Files can be made in this directory, which need not exist yet: tried before any work is done, and nothing is left there.
+/// Checks before any work that files can be created in a directory, or in its nearest parent if it does not exist yet.
 fn ensure_can_write(directory: &Path) -> anyhow::Result<()> {
-    let above = directory.ancestors();
-    let mut above = above.map(|path| if path.as_os_str().is_empty() { Path::new(".") } else { path });
-    let there = above.find(|path| path.exists()).unwrap_or(directory);
+    let parents = directory.ancestors();
+    let mut parents = parents.map(|path| if path.as_os_str().is_empty() { Path::new(".") } else { path });
+    let existing = parents.find(|path| path.exists()).unwrap_or(directory);
     anyhow::ensure!(
-        there.is_dir(),
+        existing.is_dir(),
         "--out {}: {} is a file; give a directory",
         directory.display(),
-        there.display()
+        existing.display()
     );
-    let trial = there.join(format!(".identify-{}", std::process::id()));
-    let tried = File::create_new(&trial).and_then(|_| std::fs::remove_file(&trial));
-    tried.with_context(|| {
-        let (out, there) = (directory.display(), there.display());
-        format!("--out {out}: cannot write in {there}; give another directory")
+    let trial = existing.join(format!(".identify-{}", std::process::id()));
+    let created = File::create_new(&trial).and_then(|_| std::fs::remove_file(&trial));
+    created.with_context(|| {
+        let (out, existing) = (directory.display(), existing.display());
+        format!("--out {out}: cannot write in {existing}; give another directory")
     })
 }
 

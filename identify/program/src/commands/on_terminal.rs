@@ -11,14 +11,14 @@ use crate::solver::{Progress, Watch};
 /// Ctrl-C was pressed.
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 static HANDLER: OnceLock<()> = OnceLock::new();
-/// The command that runs polls it and ends with what it has.
+/// The running command polls [`INTERRUPTED`] and keeps its partial result: the first Ctrl-C does not end the program.
 static POLLED: AtomicBool = AtomicBool::new(false);
 /// The visible bar, so that Ctrl-C leaves a clean line.
 static SHOWN: Mutex<Option<ProgressBar>> = Mutex::new(None);
 
 /// Exit code of a program that Ctrl-C ended, as shells have it.
 const EXIT_INTERRUPTED: i32 = 130;
-/// A shorter solve shows no progress.
+/// A solve that is shorter than this shows no progress.
 const PATIENCE: Duration = Duration::from_millis(500);
 
 /// Ends the running command, as Ctrl-C does, or lets the next one run.
@@ -38,15 +38,15 @@ pub struct OnTerminal {
 impl OnTerminal {
     /// For a command that polls for Ctrl-C and keeps what it has.
     pub fn new() -> Self {
-        Self::with(true)
+        Self::with_polling(true)
     }
 
     /// For a command that writes nothing before it has everything: Ctrl-C ends it from anywhere.
     pub fn all_or_nothing() -> Self {
-        Self::with(false)
+        Self::with_polling(false)
     }
 
-    fn with(polled: bool) -> Self {
+    fn with_polling(polled: bool) -> Self {
         HANDLER.get_or_init(|| {
             // Without a handler Ctrl-C ends the program, which writes no file either. A program that has one keeps it.
             let _ = ctrlc::try_set_handler(|| {

@@ -1,4 +1,5 @@
-//! `identify plan`.
+//! `identify plan`: searches a path for the bar, a place for the bar, or poses for a tracker or wire that give a calibration
+//! much information ([`crate::plan`]), or checks a path; prints the expected accuracy, and writes path, programs and page.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -101,7 +102,7 @@ fn above_zero(option: &str, value: f64) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// From the last axis, a place for a target that shows its turn \[m\].
+/// Distance from the last axis at which a message proposes the target, so that the turn of this axis can be measured \[m\].
 const OFF_AXIS_M: f64 = 0.1;
 /// Largest coordinate in a cell \[m\].
 const CELL_M_MAX: f64 = 100.0;
@@ -323,27 +324,27 @@ impl Loaded {
         let chains = (&self.arm, &self.bar_chain);
         let information = Information::new((&self.robot, &self.bar), chains, self.criterion, duration_s)?;
         let Some(file) = &self.calibration else { return Ok(information) };
-        let known = file.covariance.as_ref().and_then(|covariance| {
-            let place = |id: ParameterId| covariance.names.iter().position(|name| *name == id.to_string());
-            let between = |a, b| covariance.between(place(a)?, place(b)?);
-            information.after(between)
+        let updated = file.covariance.as_ref().and_then(|covariance| {
+            let index = |id: ParameterId| covariance.names.iter().position(|name| *name == id.to_string());
+            let covariance_of = |a, b| covariance.between(index(a)?, index(b)?);
+            information.after(covariance_of)
         });
-        known.context("the calibration has no covariance of the robot's parameters; give calibration.json or its directory")
+        updated.context("the calibration has no covariance of the robot's parameters; give calibration.json or its directory")
     }
 }
 
 pub fn run(arguments: &PlanArguments) -> anyhow::Result<()> {
     match &arguments.command {
-        PlanCommand::Path(arguments) => find(arguments),
-        PlanCommand::Place(arguments) => place(arguments),
-        PlanCommand::Poses(arguments) => poses(arguments),
-        PlanCommand::Check(arguments) => check(arguments),
+        PlanCommand::Path(arguments) => find_path(arguments),
+        PlanCommand::Place(arguments) => find_places(arguments),
+        PlanCommand::Poses(arguments) => select_poses(arguments),
+        PlanCommand::Check(arguments) => check_path(arguments),
     }
 }
 
-fn find(arguments: &PathArguments) -> anyhow::Result<()> {
+fn find_path(arguments: &PathArguments) -> anyhow::Result<()> {
     let mut loaded = arguments.cell.load(arguments.criterion)?;
-    can_be_written(&arguments.program, &loaded.robot)?;
+    ensure_programs_can_be_written(&arguments.program, &loaded.robot)?;
     ensure_can_write(&arguments.out)?;
     let (given, axes) = (arguments.posture.len(), loaded.robot.axes());
     anyhow::ensure!(
@@ -403,46 +404,46 @@ fn find(arguments: &PathArguments) -> anyhow::Result<()> {
         sigmas: &information.sigmas(&checked.normal),
     };
     say(page.write(out)?.display())?;
-    programs(&arguments.program, &loaded.robot, Task::Path, out, |language| {
+    write_programs(&arguments.program, &loaded.robot, Task::Path, out, |language| {
         plan::program(language, &robot_path, &loaded.robot, &constraints)
     })
 }
 
 /// Checks before the search that the programs can be written.
-fn can_be_written(asked: &[Language], robot: &RobotConfig) -> anyhow::Result<()> {
+fn ensure_programs_can_be_written(asked: &[Language], robot: &RobotConfig) -> anyhow::Result<()> {
     asked.iter().try_for_each(|language| plan::can_be_programmed(*language, robot)).context("--program")
 }
 
 /// Writes the requested programs, or that of the robot's maker. A requested one that cannot be written is an error; without a request
 /// the reason is printed.
-fn programs(
+fn write_programs(
     asked: &[Language],
     robot: &RobotConfig,
     task: Task,
     out: &Path,
     program: impl Fn(Language) -> Result<String, ProgramError>,
 ) -> anyhow::Result<()> {
-    let by_itself = Language::of(robot).filter(|_| asked.is_empty());
-    if asked.is_empty() && by_itself.is_none() {
+    let of_maker = Language::of(robot).filter(|_| asked.is_empty());
+    if asked.is_empty() && of_maker.is_none() {
         say(format_args!(
             "no program: the name `{}` has no maker whose language is known; choose one with --program",
             robot.name
         ))?;
     }
-    for &language in asked.iter().chain(&by_itself) {
+    for &language in asked.iter().chain(&of_maker) {
         match program(language) {
             Ok(text) => write(&out.join(language.file_name(task)), &text)?,
-            Err(error) if by_itself.is_some() => say(format_args!("no program: {error}"))?,
+            Err(error) if of_maker.is_some() => say(format_args!("no program: {error}"))?,
             Err(error) => return Err(error.into()),
         }
     }
     Ok(())
 }
 
-fn poses(arguments: &PosesArguments) -> anyhow::Result<()> {
+fn select_poses(arguments: &PosesArguments) -> anyhow::Result<()> {
     let PosesArguments { measures, out, count, anchor, noise_mm, noise_mrad, seed, .. } = arguments;
     let robot: RobotConfig = config::load(&arguments.robot)?;
-    can_be_written(&arguments.program, &robot)?;
+    ensure_programs_can_be_written(&arguments.program, &robot)?;
     ensure_can_write(out)?;
     above_zero("noise-mm", *noise_mm)?;
     above_zero("noise-mrad", noise_mrad.unwrap_or(1.0))?;
@@ -463,9 +464,9 @@ fn poses(arguments: &PosesArguments) -> anyhow::Result<()> {
     let bodies = arguments.around.bodies(flange_chain(&robot).reach_m())?;
     let (candidates, bodies) = match arguments.candidates.as_deref().zip(arguments.mapping.as_deref()) {
         Some((file, mapping)) => {
-            let of_table: JointTableMapping = config::load(mapping)?;
-            joints_of_robot(&of_table.joints, &robot, mapping)?;
-            (of_table.load(file)?, None)
+            let joint_mapping: JointTableMapping = config::load(mapping)?;
+            joints_of_robot(&joint_mapping.joints, &robot, mapping)?;
+            (joint_mapping.load(file)?, None)
         }
         None => {
             let margin_rad = Design::for_robot(&robot).limit_margin_deg.to_radians();
@@ -503,7 +504,7 @@ fn poses(arguments: &PosesArguments) -> anyhow::Result<()> {
         bodies,
     };
     say(page.write(out)?.display())?;
-    programs(&arguments.program, &robot, Task::Poses, out, |language| {
+    write_programs(&arguments.program, &robot, Task::Poses, out, |language| {
         plan::pose_program(language, &planned, &robot, arguments.stand.as_secs_f64())
     })?;
     let blocked = planned.blocked();
@@ -517,12 +518,13 @@ fn poses(arguments: &PosesArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Writes a file and prints its path.
 fn write(path: &Path, text: &str) -> anyhow::Result<()> {
     fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))?;
     Ok(say(path.display())?)
 }
 
-fn place(arguments: &PlaceArguments) -> anyhow::Result<()> {
+fn find_places(arguments: &PlaceArguments) -> anyhow::Result<()> {
     let Cell { base, calibration, .. } = &arguments.cell;
     anyhow::ensure!(base.is_none(), "--base is the result of this command; leave it out");
     anyhow::ensure!(
@@ -531,8 +533,8 @@ fn place(arguments: &PlaceArguments) -> anyhow::Result<()> {
     );
     let mut loaded = arguments.cell.load(arguments.criterion)?;
     loaded.design.duration_s = arguments.duration.as_secs_f64();
-    let own = [loaded.bar.length_m];
-    let lengths_m = if arguments.lengths.is_empty() { &own[..] } else { &arguments.lengths };
+    let length_of_bar = [loaded.bar.length_m];
+    let lengths_m = if arguments.lengths.is_empty() { &length_of_bar[..] } else { &arguments.lengths };
     if let Some(length_m) = lengths_m.iter().find(|length_m| !(0.01..=10.0).contains(*length_m)) {
         anyhow::bail!("--lengths has {length_m} m; give rods of 0.01 to 10 m");
     }
@@ -560,7 +562,7 @@ fn place(arguments: &PlaceArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn check(arguments: &CheckArguments) -> anyhow::Result<()> {
+fn check_path(arguments: &CheckArguments) -> anyhow::Result<()> {
     let loaded = arguments.cell.load(Criterion::default())?;
     let log = logs::load(&arguments.path, &loaded.robot)?;
     let information = loaded.information(log.q_rad.duration_s())?;

@@ -1,4 +1,4 @@
-//! `identify robot`: a robot's configuration before anything is measured.
+//! `identify robot`: makes a robot's configuration from a URDF, lists the known ones, or checks and draws one.
 
 use std::fs::File;
 use std::io::{ErrorKind, Write};
@@ -68,9 +68,9 @@ pub fn run(arguments: &RobotArguments) -> anyhow::Result<()> {
     }
 }
 
-/// What was asked for, or the name of a file with another ending, here.
-fn place(asked: Option<&PathBuf>, like: &Path, ending: &str) -> PathBuf {
-    asked
+/// The given path; default: the name of the file `like` with another ending, in the current directory.
+fn output_path(given: Option<&PathBuf>, like: &Path, ending: &str) -> PathBuf {
+    given
         .cloned()
         .unwrap_or_else(|| PathBuf::from(like.file_name().unwrap_or_default()).with_extension(ending))
 }
@@ -82,7 +82,7 @@ fn run_import(arguments: &ImportArguments) -> anyhow::Result<()> {
     let text = String::from_utf8_lossy(&text);
     let imported = import(&text, arguments.base.as_deref(), arguments.tip.as_deref())
         .with_context(|| urdf.display().to_string())?;
-    let out = place(arguments.out.as_ref(), urdf, "toml");
+    let out = output_path(arguments.out.as_ref(), urdf, "toml");
     let source = urdf.file_name().unwrap_or_default().to_string_lossy();
     let toml = imported.to_toml(&source);
     let file = if arguments.force { File::create(&out) } else { File::create_new(&out) };
@@ -131,7 +131,7 @@ fn run_check(arguments: &CheckArguments) -> anyhow::Result<()> {
     let robot: RobotConfig = config::load(&arguments.robot)?;
     let checked = check(&robot);
     show(robot_check(&robot, &checked))?;
-    let out = place(arguments.picture.as_ref(), &arguments.robot, "svg");
+    let out = output_path(arguments.picture.as_ref(), &arguments.robot, "svg");
     let picture = picture(&checked)?;
     std::fs::write(&out, picture).with_context(|| format!("cannot write {}", out.display()))?;
     say(format_args!("\npicture: {}", out.display()))?;

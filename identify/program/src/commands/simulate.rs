@@ -1,4 +1,5 @@
-//! `identify simulate`.
+//! `identify simulate`: writes measurements of a robot with known errors, and their true values, as the files that `identify
+//! calibrate` reads.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -231,10 +232,10 @@ pub(super) fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
 
 /// Largest difference of the rates of two clocks [ppm].
 const SKEW_PPM_MAX: f64 = 1e4;
-/// Clocks count nanoseconds since 1970 in 64 bits, up to the year 2262; a run of any length is to fit in [s].
+/// Clocks count nanoseconds since 1970 in 64 bits, which overflow at 9.2e9 s; this leaves room for a run of any length \[s\].
 const CLOCK_S_MAX: f64 = 9e9;
 
-fn within(option: &str, value: f64, limit: f64) -> anyhow::Result<()> {
+fn ensure_within(option: &str, value: f64, limit: f64) -> anyhow::Result<()> {
     // A range that contains the value: NaN fails too.
     anyhow::ensure!(
         (-limit..=limit).contains(&value),
@@ -246,9 +247,9 @@ fn within(option: &str, value: f64, limit: f64) -> anyhow::Result<()> {
 
 pub fn run(arguments: &SimulateArguments) -> anyhow::Result<()> {
     match &arguments.command {
-        SimulateCommand::Bar(arguments) => bar(arguments),
-        SimulateCommand::Contact(arguments) => contacts(arguments),
-        SimulateCommand::Touch(arguments) => touches(arguments),
+        SimulateCommand::Bar(arguments) => simulate_bar(arguments),
+        SimulateCommand::Contact(arguments) => simulate_contacts(arguments),
+        SimulateCommand::Touch(arguments) => simulate_touches(arguments),
     }
 }
 
@@ -257,7 +258,7 @@ fn at_least_one(rows: usize) -> anyhow::Result<usize> {
     Ok(rows)
 }
 
-fn contacts(
+fn simulate_contacts(
     ContactArguments { arm, sockets, distances, rows, seating_um }: &ContactArguments,
 ) -> anyhow::Result<()> {
     ensure_can_write(&arm.out)?;
@@ -275,7 +276,7 @@ fn contacts(
     contact::write(&arm.out, &simulated, &robot)?.iter().try_for_each(|path| Ok(say(path.display())?))
 }
 
-fn touches(
+fn simulate_touches(
     TouchArguments { arm, block_mm, unknown, rows, touch_um, gauge_mm }: &TouchArguments,
 ) -> anyhow::Result<()> {
     ensure_can_write(&arm.out)?;
@@ -294,7 +295,7 @@ fn touches(
     touch::write(&arm.out, &simulated, &robot)?.iter().try_for_each(|path| Ok(say(path.display())?))
 }
 
-fn bar(arguments: &BarArguments) -> anyhow::Result<()> {
+fn simulate_bar(arguments: &BarArguments) -> anyhow::Result<()> {
     ensure_can_write(&arguments.out)?;
     let robot: RobotConfig = config::load(&arguments.robot)?;
     let bar: BallBarConfig = config::load(&arguments.bar)?;
@@ -324,10 +325,10 @@ fn bar(arguments: &BarArguments) -> anyhow::Result<()> {
         experiment.design.duration_s = planned.path.duration_s;
         experiment.path = Some(planned);
     }
-    within("skew-ppm", arguments.skew_ppm, SKEW_PPM_MAX)?;
+    ensure_within("skew-ppm", arguments.skew_ppm, SKEW_PPM_MAX)?;
     experiment.clocks.skew = arguments.skew_ppm * 1e-6;
     if let Some(clock_s) = arguments.robot_clock_s {
-        within("robot-clock-s", clock_s, CLOCK_S_MAX)?;
+        ensure_within("robot-clock-s", clock_s, CLOCK_S_MAX)?;
         experiment.clocks.robot_at_bar_start_ns = (clock_s * 1e9).round() as i64;
     }
     let sizes = Effects {

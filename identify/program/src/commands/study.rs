@@ -1,4 +1,5 @@
-//! `identify study`.
+//! `identify study`: simulates the experiments of a study that have no stored result, on all processors, then writes tables
+//! and page of all results. With `--shard` it computes and stores a part of them; `merge` joins the parts.
 
 use std::io::IsTerminal;
 use std::num::NonZeroUsize;
@@ -15,7 +16,7 @@ use crate::report::page::StudyPage;
 use crate::simulate::Effects;
 use crate::study::{self, Definition, Results, Shard, Summary, Trial, TrialRows, trials};
 
-/// Lines of progress in the log of a batch job.
+/// Number of progress lines in the log of a batch job.
 const LINES: usize = 20;
 
 const EXAMPLE: &str = "Example: identify study thesis --figures 3.2 --seeds 3 --out study";
@@ -108,8 +109,8 @@ fn compute(
     threads: Option<NonZeroUsize>,
     results: &mut Results,
 ) -> anyhow::Result<()> {
-    let there = std::thread::available_parallelism().ok();
-    let threads = threads.or(there).map_or(1, NonZeroUsize::get).min(missing.len().max(1));
+    let processors = std::thread::available_parallelism().ok();
+    let threads = threads.or(processors).map_or(1, NonZeroUsize::get).min(missing.len().max(1));
     let on_terminal = OnTerminal::new();
     // The bar is on a terminal only; the log of a batch job gets lines.
     let (is_watched, begun) = (std::io::stderr().is_terminal(), Instant::now());
@@ -131,16 +132,16 @@ fn compute(
         let mut done = 0;
         for rows in receiver {
             done += 1;
-            let kept = results.add(rows);
+            let stored = results.add(rows);
             let goes_on = on_terminal.counts(done, missing.len(), "experiments");
             if !is_watched && done * LINES / missing.len() > (done - 1) * LINES / missing.len() {
                 let left_s = begun.elapsed().as_secs_f64() / done as f64 * (missing.len() - done) as f64;
                 tracing::info!("{done} of {} experiments, about {left_s:.0} s left", missing.len());
             }
-            if kept.is_err() || !goes_on {
+            if stored.is_err() || !goes_on {
                 stop.store(true, Ordering::Relaxed);
             }
-            kept?;
+            stored?;
         }
         on_terminal.finish();
         let left = missing.len() - done;

@@ -1,8 +1,8 @@
 //! What a cost can identify on a robot and a bar, before anything is measured.
 //!
-//! On random poses that robot and bar can take: which parameters are determined, which depend on each other, what an error
-//! in a parameter that is held fixed does to the others (thesis TFRT-6017, sections 3.2 and 3.3), and how well the poses
-//! show all that (observability indices).
+//! From the Jacobian of the cost at the nominal parameters, on random poses that robot and bar can take: its rank and dependent
+//! columns, the effect of an error in a fixed parameter on the estimated ones (thesis TFRT-6017, sections 3.2 and 3.3), and the
+//! observability indices of the poses. Used by `identify examine`.
 
 mod poses;
 
@@ -22,7 +22,7 @@ use crate::solver::{
     Identifiability, Influence, Observability, Options, SolveError, identifiability, influence,
 };
 
-/// Noise by which `pose` weighs; both kinds alike, since here only directions count.
+/// Noise by which the cost `pose` is weighted. Rank and dependence need no realistic values: both kinds are equal.
 const NOISE: AngleNoise = AngleNoise { encoder_rad: 1e-5, robot_rad: 1e-5 };
 
 /// Why a cost cannot be examined.
@@ -47,13 +47,13 @@ pub enum ExamineError {
 pub struct Examination {
     /// Name of the cost.
     pub cost: CostName,
-    /// With the 47 parameters of the thesis free: both chains and the place of the bar's base.
+    /// With the 47 parameters of the thesis free: both chains and the position of the bar's base.
     pub all: Identifiability,
-    /// And the two rotations of the base.
+    /// With these and the two rotations of the base free.
     pub tilted: Identifiability,
-    /// What has to be fixed beside the thesis' parameters, where this robot's depend on each other.
+    /// Parameters that must be fixed in addition to those of the thesis, because they depend on others on this robot.
     pub surplus: Vec<ParameterId>,
-    /// What the thesis' fixed parameters and these do to the free ones.
+    /// Effect on the free parameters of an error in a fixed one, of the thesis or of those above.
     pub influence: Influence,
     /// Of the thesis' free parameters, in mm and mrad.
     pub observability: Observability,
@@ -96,37 +96,39 @@ fn examine_with<R: Residual>(
     residual: R,
 ) -> Result<Examination, ExamineError> {
     let options = Options::default();
-    let identified = |model: &Model| -> Result<Identifiability, ExamineError> {
+    let identify = |model: &Model| -> Result<Identifiability, ExamineError> {
         let problem = LoopProblem::new(model, &poses.joints, &poses.observations, &residual, 1.0)?;
         Ok(identifiability(&problem, &model.start(), &options)?)
     };
-    // The 47 of the thesis: standard Denavit-Hartenberg parameters of both chains and the place of the base.
-    let leans = |id| matches!(id, ParameterId::BaseRotation { .. });
-    model.free_only(|id| is_geometry(id) && !leans(id));
-    let all = identified(&model)?;
+    let is_base_rotation = |id| matches!(id, ParameterId::BaseRotation { .. });
+    model.free_only(|id| is_geometry(id) && !is_base_rotation(id));
+    let all = identify(&model)?;
     model.free_only(is_geometry);
-    let tilted = identified(&model)?;
+    let tilted = identify(&model)?;
 
+    // From the thesis' selection, fix further parameters until the others are independent.
     model.select(Selection::Thesis, R::identifies);
-    let mut fixed = Vec::new();
+    let mut further_fixed = Vec::new();
     let independent = loop {
         let free: Vec<ParameterId> = model.columns().map(|parameter| parameter.id).collect();
-        let found = identified(&model)?;
-        let more = surplus(&found, &free);
-        if more.is_empty() {
-            break found;
+        let identifiability = identify(&model)?;
+        let dependent = surplus(&identifiability, &free);
+        if dependent.is_empty() {
+            break identifiability;
         }
-        model.set_roles(more.iter().copied(), Role::Fixed)?;
-        fixed.extend(more);
+        model.set_roles(dependent.iter().copied(), Role::Fixed)?;
+        further_fixed.extend(dependent);
     };
     let units: Vec<f64> = model.columns().map(|p| p.id.unit().display_factor().recip()).collect();
     let observability = independent.observability(&units);
-    let held = THESIS_FIXED.iter().map(|name| name.parse()).collect::<Result<Vec<ParameterId>, _>>()?;
-    let held = held.into_iter().chain(fixed.iter().copied());
-    let held: Vec<ParameterId> = held.filter(|id| R::depends_on(*id)).collect();
-    model.set_roles(held.iter().copied(), Role::Free)?;
-    let columns: Vec<usize> = held.iter().filter_map(|id| model.column_of(*id)).collect();
+    let thesis_fixed =
+        THESIS_FIXED.iter().map(|name| name.parse()).collect::<Result<Vec<ParameterId>, _>>()?;
+    let fixed = thesis_fixed.into_iter().chain(further_fixed.iter().copied());
+    let fixed: Vec<ParameterId> = fixed.filter(|id| R::depends_on(*id)).collect();
+    // Free, so that the Jacobian has their columns.
+    model.set_roles(fixed.iter().copied(), Role::Free)?;
+    let columns: Vec<usize> = fixed.iter().filter_map(|id| model.column_of(*id)).collect();
     let problem = LoopProblem::new(&model, &poses.joints, &poses.observations, &residual, 1.0)?;
     let influence = influence(&problem, &model.start(), &columns, &options)?;
-    Ok(Examination { cost, all, tilted, surplus: fixed, influence, observability })
+    Ok(Examination { cost, all, tilted, surplus: further_fixed, influence, observability })
 }

@@ -1,4 +1,4 @@
-//! Random poses that robot and bar can take together.
+//! Random poses that robot and bar can take together: random joints of the bar, and the robot's joints by inverse kinematics.
 
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;

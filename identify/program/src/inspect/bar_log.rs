@@ -1,4 +1,4 @@
-//! The bar's encoders as another program recorded them.
+//! Inspection of a recording of the bar's encoders that another program made.
 
 use super::recording::{encoders, motion, quality};
 use super::{Inspection, UNSAID, stamps, unwrapped};

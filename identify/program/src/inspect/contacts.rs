@@ -1,4 +1,5 @@
-//! Rows of a ball in sockets.
+//! Inspection of rows of a ball in sockets: visits of each socket, ranges and orientations, and how well the nominal robot
+//! seats the ball in the sockets that the rows name.
 
 use shared::config::{JointKind, RobotConfig};
 
@@ -17,14 +18,14 @@ pub fn contacts(rows: &[SeatedRow], table: &SocketTable, robot: &RobotConfig) ->
     let counted =
         table.names().into_iter().enumerate().map(|(socket, name)| format!("{name} {}", visits(socket)));
     inspection.fact("rows", format!("{}: {}", rows.len(), counted.collect::<Vec<_>>().join(", ")));
-    let known = [(table.sockets.len(), "places"), (table.distances.len(), "distances")];
-    let known = known.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}"));
+    let counts = [(table.sockets.len(), "places"), (table.distances.len(), "distances")];
+    let known = counts.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}"));
     inspection.fact("known of sockets", known.collect::<Vec<_>>().join(", "));
     ranges(&mut inspection, rows.iter().map(|row| row.q_rad), robot);
     let chain = flange_chain(robot);
     few_orientations(&mut inspection, rows, table, &chain);
-    let of_rows: Vec<ContactRow> = rows.iter().map(ContactRow::from).collect();
-    match Contact::new(&of_rows, table) {
+    let contact_rows: Vec<ContactRow> = rows.iter().map(ContactRow::from).collect();
+    match Contact::new(&contact_rows, table) {
         Ok(contact) => closure(&mut inspection, contact, &chain, rows),
         Err(error) => inspection.suspect(error.to_string()),
     }
@@ -55,7 +56,7 @@ pub(super) fn ranges(
 
 /// In one orientation only, a socket adds little information: the robot repeats the same error there.
 fn few_orientations(inspection: &mut Inspection, rows: &[SeatedRow], table: &SocketTable, chain: &Chain) {
-    /// \[rad\]
+    /// Largest angle to the first orientation in a socket, below which it is reported \[rad\].
     const TURN_MIN_RAD: f64 = 0.35;
     for (socket, name) in table.names().into_iter().enumerate() {
         let turns: Vec<_> = rows
@@ -74,9 +75,9 @@ fn few_orientations(inspection: &mut Inspection, rows: &[SeatedRow], table: &Soc
     }
 }
 
-/// How well the nominal robot puts the ball into each socket, where these are placed best for it.
+/// Reports the distances of ball and socket for the nominal robot, with the sockets placed by a fit to the rows.
 fn closure(inspection: &mut Inspection, mut contact: Contact, chain: &Chain, rows: &[SeatedRow]) {
-    /// Places without the rows that are left out, which leave out others in turn.
+    /// Placing the sockets and rejecting rows depend on each other: repeated at most this number of times.
     const ROUNDS: usize = 4;
     let mut model = contact.fitted_out(Model::alone(chain));
     for _ in 0..ROUNDS {
@@ -89,8 +90,8 @@ fn closure(inspection: &mut Inspection, mut contact: Contact, chain: &Chain, row
     }
     let geometry = model.geometry(&[]);
     let errors = contact.errors(&geometry);
-    let belongs = |row: usize| contact.rejected().iter().all(|rejected| rejected.row != row);
-    let sizes = Sizes::of((0..errors.len()).filter(|row| belongs(*row)).map(|row| errors[row].position_m));
+    let is_used = |row: usize| contact.rejected().iter().all(|rejected| rejected.row != row);
+    let sizes = Sizes::of((0..errors.len()).filter(|row| is_used(*row)).map(|row| errors[row].position_m));
     inspection.fact(
         "nominal robot",
         format!("ball {:.2} mm (RMS) from its socket, {:.2} mm at most", sizes.rms * 1e3, sizes.max * 1e3),

@@ -1,4 +1,4 @@
-//! Joints over time, thinned to what a figure shows.
+//! Joints over time, thinned to the points that a figure shows: for the page of a refusal.
 
 use std::ops::Range;
 
@@ -8,9 +8,9 @@ use crate::kinematics::BAR_JOINTS;
 use crate::logs::{RobotLog, Row, Stream};
 use crate::prepare::{BarAngles, bar_angles};
 
-/// Columns of a figure, about.
+/// Approximate number of pixel columns of a figure.
 const COLUMNS: f64 = 400.0;
-/// Rows further apart than this number of usual steps, and than a column, have a gap between them.
+/// Rows have a gap between them if they are further apart than a column and than this number of mean steps.
 const HOLE_STEPS: f64 = 10.0;
 
 /// One joint over time.
@@ -34,7 +34,7 @@ pub fn of_robot(log: &RobotLog) -> Vec<Curve> {
     curves('q', &log.q_rad, 0..log.axes())
 }
 
-/// Of each part without gaps the points that a figure needs.
+/// One curve for each joint, with the points that a figure needs of each part without gaps.
 fn curves<R: Row>(prefix: char, rows: &Stream<R>, joints: impl Iterator<Item = usize>) -> Vec<Curve> {
     let span_s = rows.duration_s();
     let column_s = (span_s / COLUMNS).max(f64::MIN_POSITIVE);
@@ -50,8 +50,9 @@ fn curves<R: Row>(prefix: char, rows: &Stream<R>, joints: impl Iterator<Item = u
     joints.map(curve).collect()
 }
 
-/// The first, lowest, highest and last of all points in each column (Jugel et al. 2014, "M4: a visualization-oriented time series data
-/// aggregation").
+/// The first, lowest, highest and last of all points in each column: a line through them looks like that through
+/// all points (Jugel et al. 2014, "M4: a visualization-oriented time series data aggregation"). Points of a column
+/// must follow each other.
 pub(crate) fn extremes_of_columns<P: Copy>(
     points: &[P],
     column: impl Fn(&P) -> i64,
@@ -65,7 +66,7 @@ pub(crate) fn extremes_of_columns<P: Copy>(
         let mut picked = [0, lowest, highest, within.len() - 1].to_vec();
         picked.sort_unstable();
         picked.dedup();
-        kept.extend(picked.into_iter().map(|at| within[at]));
+        kept.extend(picked.into_iter().map(|index| within[index]));
     }
     kept
 }

@@ -1,4 +1,5 @@
-//! Content of logs and recordings, and warnings, before anything is solved.
+//! Content of logs, recordings and tables as an [`Inspection`]: facts, ranges of the joints and warnings, before anything is
+//! solved. For `identify inspect`, and for the pages of a calibration or a refusal.
 
 mod bar_log;
 mod contacts;
@@ -23,7 +24,7 @@ pub const UNSAID: &str = "not in the file";
 /// Facts about a file, and warnings.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Inspection {
-    /// What it is, in the order in which people ask.
+    /// Name and value of each fact, in the order of display.
     pub facts: Vec<(String, String)>,
     /// One row per joint.
     pub joints: Vec<JointLine>,
@@ -54,7 +55,7 @@ impl Inspection {
     }
 }
 
-/// How far stamps of a log are apart, and what was done about those that repeat.
+/// Reports period and gaps of the time stamps of a log, and what was corrected in them.
 fn stamps(inspection: &mut Inspection, t_s: &[f64], quality: &LogQuality) {
     /// Longest distance of stamps without a gap, in periods.
     const GAP_PERIODS: f64 = 5.0;
@@ -80,7 +81,7 @@ fn stamps(inspection: &mut Inspection, t_s: &[f64], quality: &LogQuality) {
     }
 }
 
-/// What began anew and was made continuous.
+/// Reports the readings that wrapped and were unwrapped.
 fn unwrapped(inspection: &mut Inspection, all: &[Unwrapped]) {
     for Unwrapped { name, wraps, step_part, .. } in all {
         let times = if *wraps == 1 { "time" } else { "times" };
@@ -92,7 +93,7 @@ fn unwrapped(inspection: &mut Inspection, all: &[Unwrapped]) {
     }
 }
 
-/// Range and speed of each joint.
+/// Range and speed of each joint; joints are named by the prefix and their number.
 fn joint_lines<R: Row>(prefix: char, t_s: &[f64], rows: &[R]) -> Vec<JointLine> {
     let ranges_rad = ranges(rows);
     let mut fastest_rad_s = vec![0.0_f64; ranges_rad.len()];

@@ -1,4 +1,5 @@
-//! A recording of the ball-bar.
+//! Inspection of a recording of `ballbard`: its description and events, valid cycles, sample times, and the motion
+//! of the encoders.
 
 use shared::recording::Recording;
 use shared::recording::schema::{CycleRecord, EncoderInfo, EventKind, flags};
@@ -7,7 +8,7 @@ use super::{Inspection, joint_lines, suspect_still};
 use crate::prepare::{BarAngles, bar_angles};
 use crate::report::summary::SIMULATED;
 
-/// Faster than this no bar is moved by a robot; counts that jump are \[deg/s\].
+/// No robot moves a bar faster than this; counts that jump are faster \[deg/s\].
 const SPEED_MAX_DEG_S: f64 = 720.0;
 /// Sample times less certain than this reduce the accuracy of a calibration: 0.5 rad/s times 150 us is the whole budget of 75 urad.
 const UNCERTAINTY_MAX_NS: u32 = 150_000;
@@ -38,14 +39,14 @@ fn facts(inspection: &mut Inspection, recording: &Recording) {
         inspection.fact("origin", SIMULATED);
     }
     inspection.fact("run", run.name.clone());
-    let said = [
+    let noted = [
         ("operator", &run.operator),
         ("robot", &run.robot),
         ("bar", &run.bar),
         ("payload", &run.payload),
         ("note", &run.note),
     ];
-    for (what, value) in said {
+    for (what, value) in noted {
         if !value.is_empty() {
             inspection.fact(what, value.clone());
         }
@@ -122,17 +123,18 @@ fn times(inspection: &mut Inspection, recording: &Recording) {
     }
 }
 
-/// Range and speed of each joint, and what no bar does.
+/// Reports range and speed of each joint, speeds that no bar has, and joints that hardly move.
 pub(super) fn motion(inspection: &mut Inspection, cycles: &[CycleRecord], encoders: &[EncoderInfo]) {
     match bar_angles(cycles, encoders) {
-        Ok(angles) => of_angles(inspection, &angles),
+        Ok(angles) => motion_of(inspection, &angles),
         Err(error) => inspection.suspect(error.to_string()),
     }
 }
 
-fn of_angles(inspection: &mut Inspection, angles: &BarAngles) {
-    let of_origins = angles.readings.parts_within(f64::INFINITY);
-    let Some(longest) = of_origins.into_iter().max_by_key(std::ops::Range::len) else { return };
+fn motion_of(inspection: &mut Inspection, angles: &BarAngles) {
+    // Parts between two changes of the counters' origin: angles of different parts cannot be compared.
+    let parts = angles.readings.parts_within(f64::INFINITY);
+    let Some(longest) = parts.into_iter().max_by_key(std::ops::Range::len) else { return };
     let lines = joint_lines('b', &angles.readings.t_s[longest.clone()], &angles.readings[longest]);
     inspection.joints = lines
         .into_iter()

@@ -1,13 +1,15 @@
-//! A robot's own log.
+//! Inspection of a robot's own log: clock and stamps, repeated rows, and constant, still and impossibly fast joints.
+
+use std::ops::Range;
 
 use super::{Inspection, joint_lines, stamps, suspect_still, unwrapped};
 use crate::kinematics::Joints;
 use crate::logs::{Origin, RobotLog};
 use crate::prepare::unwrapped_log;
 
-/// Rows that repeat all joints while the log moves on either side are repeated rows, no standstill.
+/// This number of equal rows, after which a joint jumps, was not a standstill: the logger got no new values.
 const FROZEN_ROWS_MIN: usize = 3;
-/// A joint that moved by this much over a segment of repeated rows was moving \[rad\].
+/// A larger step of a joint after equal rows is a jump \[rad\].
 const FROZEN_STEP_RAD: f64 = 1e-3;
 
 /// What a robot's log holds.
@@ -39,8 +41,8 @@ pub fn robot_log(log: &RobotLog) -> Inspection {
     for remark in &quality.remarks {
         inspection.suspect(remark.clone());
     }
-    let (continuous, begun_anew) = unwrapped_log(log);
-    unwrapped(&mut inspection, &begun_anew);
+    let (continuous, wrapped) = unwrapped_log(log);
+    unwrapped(&mut inspection, &wrapped);
     inspection.joints = joint_lines('q', &continuous.q_rad.t_s, &continuous.q_rad);
     suspect_still(&mut inspection);
     suspect_constant_columns(&mut inspection, log);
@@ -51,7 +53,8 @@ pub fn robot_log(log: &RobotLog) -> Inspection {
 /// Reports joints that are constant while others move: they were not read.
 fn suspect_constant_columns(inspection: &mut Inspection, log: &RobotLog) {
     let rows = &log.q_rad;
-    let constant = rows.constant_ranges(|part| part.len() >= FROZEN_ROWS_MIN, |_, _| true);
+    let is_long = |part: &Range<usize>| part.len() >= FROZEN_ROWS_MIN;
+    let constant = rows.constant_ranges(is_long, |_, _| true);
     for (joint, part) in (1..).zip(constant).filter_map(|(joint, part)| Some((joint, part?))) {
         let (from_s, to_s) = (rows.t_s[part.start], rows.t_s[part.end - 1]);
         inspection.suspect(format!(
@@ -62,7 +65,7 @@ fn suspect_constant_columns(inspection: &mut Inspection, log: &RobotLog) {
 
 /// Reports joints that are faster than those of any robot: stamps or values are wrong.
 fn suspect_fast(inspection: &mut Inspection) {
-    /// Hands of small robots reach 1500 deg/s \[deg/s\].
+    /// Twice the speed of the last joint of small robots \[deg/s\].
     const SPEED_MAX_DEG_S: f64 = 3000.0;
     let fast: Vec<String> = inspection
         .joints

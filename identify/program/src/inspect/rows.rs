@@ -1,4 +1,5 @@
-//! Rows of a tracker, a wire or a touch probe.
+//! Inspection of rows of a tracker, a wire or a touch probe: extent of measurements and joints, and the residuals of the
+//! nominal robot when the instrument is fitted to it, with the mistake in the file that most likely explains large ones.
 
 use shared::config::RobotConfig;
 use shared::output::named;
@@ -12,12 +13,12 @@ use crate::logs::{LogQuality, MeasuredLengths, MeasuredPoses, TimedPoses, Touche
 use crate::report::rows::OTHER_ROBOT_M;
 use crate::statistics::extremes;
 
-/// Names of set-ups that are listed.
+/// Names of stations, targets or faces that are listed, at most.
 const NAMED: usize = 8;
 /// As [`OTHER_ROBOT_M`], of orientations \[rad\].
 const OTHER_ROBOT_RAD: f64 = 0.1;
 
-/// Rows of a tracker with the robot's joints, and how far the nominal robot is from them where tracker and probe are fitted to it.
+/// Rows of a tracker that have the robot's joints.
 pub fn poses(read: &MeasuredPoses, robot: &RobotConfig) -> Inspection {
     let mut inspection = Inspection::default();
     let rows: Vec<PoseRow> = read.rows.iter().map(PoseRow::from).collect();
@@ -31,20 +32,20 @@ pub fn poses(read: &MeasuredPoses, robot: &RobotConfig) -> Inspection {
     inspection
 }
 
-/// How far the nominal robot is from rows where the instrument is fitted to it, and what may be wrong if that is far.
+/// Reports the residuals of the nominal robot with the instrument fitted to it, and what may be wrong if they are large.
 fn nominal_robot(inspection: &mut Inspection, instrument: &Instrument, robot: &RobotConfig) {
     let chain = flange_chain(robot);
     if let Err(error) = instrument.contradicting(&chain) {
         inspection.suspect(error.to_string());
     }
-    let some = some_of(instrument);
-    let Some(figures) = misfit(&some, &chain) else { return };
+    let thinned = some_of(instrument);
+    let Some(figures) = misfit(&thinned, &chain) else { return };
     let (rms_m, rotation_rad) = (figures.position_m.rms, figures.rotation_rad.map(|sizes| sizes.rms));
     let rotation = rotation_rad.map(|rad| format!(" and {:.2} mrad", rad * 1e3)).unwrap_or_default();
     let fact = format!("{:.2} mm{rotation} (RMS) from the rows", rms_m * 1e3);
     inspection.fact("nominal robot", fact);
     let mut mistakes = instrument.mistakes(robot.axes());
-    // A calibration finds where something was moved.
+    // The calibration finds where an instrument or target was moved.
     mistakes.retain(|mistake| !matches!(mistake, Mistake::Moved(_)));
     if let Some(likely) = likely(instrument, &chain, &mistakes) {
         inspection.suspect(format!("most likely {likely}"));
@@ -68,7 +69,7 @@ pub fn timed_poses(read: &TimedPoses) -> Inspection {
     inspection
 }
 
-/// Rows of a wire, and what the nominal robot leaves of its lengths where the wire is fitted to it.
+/// Rows of a wire.
 pub fn lengths(read: &MeasuredLengths, robot: &RobotConfig) -> Inspection {
     let mut inspection = Inspection::default();
     let rows: Vec<LengthRow> = read.rows.iter().map(LengthRow::from).collect();
@@ -81,7 +82,7 @@ pub fn lengths(read: &MeasuredLengths, robot: &RobotConfig) -> Inspection {
     inspection
 }
 
-/// Touches of faces, and how far the nominal robot is from flat ones.
+/// Touches of flat faces.
 pub fn touches(read: &Touches, robot: &RobotConfig) -> Inspection {
     let mut inspection = Inspection::default();
     let rows: Vec<TouchRow> = read.rows.iter().map(TouchRow::from).collect();
@@ -97,8 +98,9 @@ pub fn touches(read: &Touches, robot: &RobotConfig) -> Inspection {
     inspection
 }
 
-fn set_ups(inspection: &mut Inspection, all: [(&str, &Vec<String>); 2]) {
-    for (what, names) in all.into_iter().filter(|(_, names)| !names.is_empty()) {
+/// Names of the stations and targets that the rows have.
+fn set_ups(inspection: &mut Inspection, lists: [(&str, &Vec<String>); 2]) {
+    for (what, names) in lists.into_iter().filter(|(_, names)| !names.is_empty()) {
         inspection.fact(what, format!("{}: {}", names.len(), named(names, NAMED)));
     }
 }

@@ -1,6 +1,7 @@
-//! A mapping for a table that none was written for: what its columns are by name, unit and range, tried on the robot.
-//!
-//! None of it is certain, so the mapping lists the reason of each choice for the user to check.
+//! Proposes a mapping for a table without one, for `identify inspect --propose`. From the bytes of a table and the robot's
+//! file: layout by counting numbers; joints, times, lengths and positions by names, units and ranges of the columns; then
+//! signs, order and orientation by the smallest residuals of the nominal robot. None of it is certain, so the mapping lists
+//! the reason of each choice.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -119,11 +120,11 @@ pub enum ProposeError {
 /// [`ProposeError`].
 pub fn propose(bytes: &[u8], path: &Path, robot: &RobotConfig) -> Result<Proposal, ProposeError> {
     let sheets = RowsAsText::sheets(bytes);
-    let tried = sheets.iter().map(|sheet| (sheet.as_str(), of_sheet(bytes, path, robot, Some(sheet))));
-    let (usable, others): (Vec<_>, Vec<_>) = tried.partition(|(_, tried)| tried.is_ok());
+    let proposals = sheets.iter().map(|sheet| (sheet.as_str(), for_sheet(bytes, path, robot, Some(sheet))));
+    let (usable, others): (Vec<_>, Vec<_>) = proposals.partition(|(_, proposal)| proposal.is_ok());
     let names: Vec<&str> = usable.iter().map(|(sheet, _)| *sheet).collect();
     let Some((_, first)) = usable.into_iter().chain(others).next() else {
-        return of_sheet(bytes, path, robot, None);
+        return for_sheet(bytes, path, robot, None);
     };
     let mut first = first?;
     if names.len() > 1 {
@@ -133,8 +134,8 @@ pub fn propose(bytes: &[u8], path: &Path, robot: &RobotConfig) -> Result<Proposa
     Ok(first)
 }
 
-/// The same of one sheet of a workbook, or of a file without any.
-fn of_sheet(
+/// Proposes a mapping for one sheet of a workbook, or for a text file.
+fn for_sheet(
     bytes: &[u8],
     path: &Path,
     robot: &RobotConfig,
@@ -148,22 +149,24 @@ fn of_sheet(
     let columns = columns(&text, &csv)?;
     let found = || columns.iter().map(|column| column.name.as_str()).collect::<Vec<_>>().join(", ");
     let mut notes = Notes::default();
-    let own = own_columns(robot);
-    let has_own = own.iter().all(|name| columns.iter().any(|column| column.name == *name));
-    let mut of_joints = Notes::default();
-    let joints = joints(&columns, robot, csv.header, &mut of_joints);
-    if joints.is_none() && !has_own {
+    // Columns of the robot's own log, as its file names them.
+    let log_columns = own_columns(robot);
+    let is_own_log = log_columns.iter().all(|name| columns.iter().any(|column| column.name == *name));
+    let mut joint_notes = Notes::default();
+    let joints = joints(&columns, robot, csv.header, &mut joint_notes);
+    if joints.is_none() && !is_own_log {
         return Err(ProposeError::NoJoints { path: shown, joints: robot.axes(), found: found() });
     }
     let joints = joints.unwrap_or_default();
     let is_joint = |column: &Column| joints.iter().any(|joint| joint.column == column.name);
-    let taken = |column: &Column| is_joint(column) || (has_own && own.contains(&column.name));
+    let taken = |column: &Column| is_joint(column) || (is_own_log && log_columns.contains(&column.name));
     let others: Vec<&Column> = columns.iter().filter(|column| !taken(column)).collect();
     let time = time(&others, &mut notes);
     let length = others.iter().find(|column| column.has_word(LENGTHS)).copied();
     let position = triple(&others, &["x", "y", "z"]);
     let of_tracker = position.is_some_and(|xyz| xyz[0].has_word(TRACKERS));
     let socket = others.iter().find(|column| column.has_word(SOCKETS));
+    // The most specific content decides: a log with times may also have the controller's own positions.
     let mapping = match (time, length, position, socket) {
         (_, _, _, Some(socket)) => {
             notes.reasons.push(format!(
@@ -173,14 +176,15 @@ fn of_sheet(
             Mapping::Contacts(ContactMapping { csv, socket: socket.name.clone(), joints })
         }
         (_, Some(length), _, _) => {
-            let unit = length.length_unit();
+            let (unit, why) = length.length_unit();
             notes.reasons.push(format!(
-                "`{}` is the measured length: inferred from the column's name; {}",
-                length.name, unit.1
+                "`{}` is the measured length: inferred from the column's name; {why}",
+                length.name
             ));
-            let length = LengthColumn { column: length.name.clone(), unit: unit.0, offset_mm: 0.0 };
-            let anchor = named(&others, "wire's anchor", &["anchor", "station"], &mut notes);
-            let attachment = named(&others, "place on the flange", &["attachment", "target"], &mut notes);
+            let length = LengthColumn { column: length.name.clone(), unit, offset_mm: 0.0 };
+            let anchor = label_column(&others, "wire's anchor", &["anchor", "station"], &mut notes);
+            let attachment =
+                label_column(&others, "place on the flange", &["attachment", "target"], &mut notes);
             Mapping::MeasuredLengths(MeasuredLengthMapping {
                 csv,
                 length,
@@ -192,9 +196,9 @@ fn of_sheet(
             })
         }
         (Some(time), _, _, _) if !of_tracker => {
-            let joints = if has_own {
-                let reason = format!("{} are the columns of the robot's own log", listed(&own));
-                of_joints = Notes { reasons: vec![reason], ..Notes::default() };
+            let joints = if is_own_log {
+                let reason = format!("{} are the columns of the robot's own log", listed(&log_columns));
+                joint_notes = Notes { reasons: vec![reason], ..Notes::default() };
                 Vec::new()
             } else {
                 joints
@@ -214,9 +218,9 @@ fn of_sheet(
                 listed(&names)
             ));
             let position = PositionColumns { columns: names, unit };
-            let station = named(&others, "tracker's station", &["station", "setup"], &mut notes);
+            let station = label_column(&others, "tracker's station", &["station", "setup"], &mut notes);
             let targets = ["target", "reflector", "smr"];
-            let target = named(&others, "target that was seen", &targets, &mut notes);
+            let target = label_column(&others, "target that was seen", &targets, &mut notes);
             let mapping = MeasuredPoseMapping {
                 csv,
                 position,
@@ -227,13 +231,13 @@ fn of_sheet(
                 time: None,
                 joints,
             };
-            let mapping = Trial { bytes, path, robot }.settled(mapping, &others, &mut notes);
+            let mapping = Trial { bytes, path, robot }.corrected(mapping, &others, &mut notes);
             Mapping::MeasuredPoses(mapping)
         }
         _ => return Err(ProposeError::NothingMeasured { path: shown, found: found() }),
     };
-    notes.reasons.splice(0..0, of_joints.reasons);
-    notes.doubts.splice(0..0, of_joints.doubts);
+    notes.reasons.splice(0..0, joint_notes.reasons);
+    notes.doubts.splice(0..0, joint_notes.doubts);
     Ok(Proposal { mapping, notes })
 }
 
@@ -255,7 +259,7 @@ const COMMANDED: &str = "cmd command commanded target soll desired ref reference
 /// Words of time stamps.
 const TIMES: &str = "t time timestamp stamp zeit clock ipoc utc date datetime tick ticks";
 
-/// One column of a table, with its numbers where they are some.
+/// One column of a table, with those of its cells that are numbers.
 struct Column {
     name: String,
     /// The name in lower case, without unit.
@@ -270,11 +274,11 @@ impl Column {
         self.plain.split(|character: char| !character.is_alphanumeric()).filter(|word| !word.is_empty())
     }
 
-    /// Has one of these words, which are between spaces, also with digits behind it.
+    /// Whether the name has one of these words, a list with spaces between them; digits at its end do not count.
     fn has_word(&self, words: &str) -> bool {
         self.words().any(|word| {
             let bare = word.trim_end_matches(|character: char| character.is_ascii_digit());
-            words.split(' ').any(|one| one == word || one == bare)
+            words.split(' ').any(|wanted| wanted == word || wanted == bare)
         })
     }
 
@@ -287,7 +291,7 @@ impl Column {
     }
 
     fn length_unit(&self) -> (LengthUnit, String) {
-        /// No arm reaches so far in metres, and none measures so little in millimetres.
+        /// No arm reaches so far in metres; its positions in millimetres are larger.
         const M_MAX: f64 = 20.0;
         match self.unit.as_deref() {
             Some("mm") => (LengthUnit::Mm, "from the header".into()),
@@ -298,7 +302,7 @@ impl Column {
     }
 }
 
-/// A cell as a number; dates are some too.
+/// A cell as a number.
 fn number(cell: &str, decimal_comma: bool) -> Option<f64> {
     let cell = if decimal_comma { cell.replace(',', ".") } else { cell.to_owned() };
     cell.parse::<f64>().ok().filter(|number| number.is_finite())
@@ -313,32 +317,34 @@ fn cells(line: &str, delimiter: char) -> Vec<&str> {
     line.split(delimiter).map(|cell| cell.trim().trim_matches('"')).collect()
 }
 
-/// How the rows of numbers are written: the delimiter and decimal sign that give most numbers in rows of equal length.
+/// Delimiter, decimal sign and header of a table: of all choices the one that gives most numbers in rows of equal width.
 fn layout(text: &RowsAsText<'_>, axes: usize) -> Option<CsvLayout> {
     let lines: Vec<&str> = text.lines().collect();
     let choices =
         [(';', false), (';', true), ('\t', false), ('\t', true), (',', false), ('|', false), (' ', false)];
-    // Of equals the first: what reads as numbers both ways has no decimal comma.
+    // `max_by_key` takes the last of equals, and the reversed order makes it the first: with equal counts no decimal comma.
     let best = choices.into_iter().rev().filter_map(|(delimiter, decimal_comma)| {
-        let numbers = |line: &str| {
+        // Of a row of numbers, which may have up to 30 % of other cells: the number of all cells, and of numbers or dates.
+        let row_size = |line: &str| {
             let cells = cells(line, delimiter);
             let numbers =
                 cells.iter().filter(|cell| number(cell, decimal_comma).is_some() || is_date(cell)).count();
             (numbers >= axes && 10 * numbers >= 7 * cells.len()).then_some((cells.len(), numbers))
         };
-        let first = lines.iter().position(|line| numbers(line).is_some())?;
-        let (width, _) = numbers(lines.get(first)?)?;
-        let rows = lines.iter().filter_map(|line| numbers(line)).filter(|(cells, _)| *cells == width);
+        let first = lines.iter().position(|line| row_size(line).is_some())?;
+        let (width, _) = row_size(lines.get(first)?)?;
+        let rows = lines.iter().filter_map(|line| row_size(line)).filter(|(cells, _)| *cells == width);
         let total: usize = rows.map(|(_, numbers)| numbers).sum();
         Some((total, delimiter, decimal_comma, first, width))
     });
     let (_, delimiter, decimal_comma, first, width) = best.max_by_key(|(total, ..)| *total)?;
-    // Above the numbers: a header, then lines of units.
+    // Lines of the same width above the numbers, from the lowest: lines of units, then a header.
     let above: Vec<usize> = (0..first)
         .rev()
         .filter(|&line| !lines[line].trim().is_empty() && !lines[line].starts_with('#'))
         .take_while(|&line| cells(lines[line], delimiter).len() == width)
         .collect();
+    // Mostly empty cells.
     let is_title = |line: &&usize| {
         cells(lines[**line], delimiter).iter().filter(|cell| cell.is_empty()).count() * 2 > width
     };
@@ -405,7 +411,7 @@ fn plain_and_unit(name: &str) -> (String, Option<String>) {
     (name, None)
 }
 
-/// The columns with their numbers, as the reader of such tables gives them.
+/// The columns with names, units and numbers, read in this layout.
 fn columns(text: &RowsAsText<'_>, csv: &CsvLayout) -> Result<Vec<Column>, LogError> {
     /// Enough to see ranges and steps.
     const ROWS_MAX: usize = 20_000;
@@ -429,16 +435,17 @@ const NAMED_JOINTS: &[[&str; 6]] = &[
     ["s", "l", "u", "r", "b", "t"],
 ];
 
-/// Columns whose names differ in nothing but the joint, `axes` of them.
+/// Candidates for the joints: each has `axes` columns whose names differ only in the number, or the usual name, of the joint.
 fn families(columns: &[Column], axes: usize) -> Vec<Vec<&Column>> {
+    // Pattern: a name with `#` in place of the joint. Its columns are keyed by the joint's number.
     let mut by_pattern: BTreeMap<String, BTreeMap<usize, &Column>> = BTreeMap::new();
     for column in columns.iter().filter(|column| column.is_number()) {
         let bytes = column.plain.as_bytes();
         for (at, byte) in bytes.iter().enumerate().filter(|(_, byte)| byte.is_ascii_digit()) {
-            let alone = |index: Option<usize>| {
-                !index.and_then(|index| bytes.get(index)).is_some_and(u8::is_ascii_digit)
+            let is_digit = |index: Option<usize>| {
+                index.and_then(|index| bytes.get(index)).is_some_and(u8::is_ascii_digit)
             };
-            if alone(at.checked_sub(1)) && alone(Some(at + 1)) {
+            if !is_digit(at.checked_sub(1)) && !is_digit(Some(at + 1)) {
                 let pattern = format!("{}#{}", &column.plain[..at], &column.plain[at + 1..]);
                 by_pattern.entry(pattern).or_default().entry(usize::from(byte - b'0')).or_insert(column);
             }
@@ -454,16 +461,16 @@ fn families(columns: &[Column], axes: usize) -> Vec<Vec<&Column>> {
             }
         }
     }
-    let consecutive = |of: &BTreeMap<usize, _>| {
-        // From 0 or from 1; what has 0 and 6 is numbered from 0.
-        let first = usize::from(!of.contains_key(&0));
-        (first..first + axes).map(|joint| of.get(&joint).copied()).collect::<Option<Vec<&Column>>>()
+    let consecutive = |by_number: &BTreeMap<usize, _>| {
+        // From 0 if there is a 0, otherwise from 1.
+        let first = usize::from(!by_number.contains_key(&0));
+        (first..first + axes).map(|number| by_number.get(&number).copied()).collect::<Option<Vec<&Column>>>()
     };
     by_pattern.values().filter_map(consecutive).collect()
 }
 
-/// Whether a joint's values are angles of it in this unit.
-fn within(column: &Column, limits_deg: [f64; 2], unit: AngleUnit) -> bool {
+/// Whether all values, taken in this unit, are within the limits of the joint.
+fn is_within(column: &Column, limits_deg: [f64; 2], unit: AngleUnit) -> bool {
     /// Zeros of controllers and models differ by quarter turns.
     const MARGIN_DEG: f64 = 190.0;
     let deg = |number: f64| (number * unit.to_rad()).to_degrees();
@@ -473,43 +480,45 @@ fn within(column: &Column, limits_deg: [f64; 2], unit: AngleUnit) -> bool {
         .all(|number| (limits_deg[0] - MARGIN_DEG..=limits_deg[1] + MARGIN_DEG).contains(&deg(*number)))
 }
 
-/// The joints' columns and their unit.
+/// The columns of the joints with their unit: of all candidates the one with the highest score.
 fn joints(
     columns: &[Column],
     robot: &RobotConfig,
     header: bool,
     notes: &mut Notes,
 ) -> Option<Vec<JointColumn>> {
-    // Names and ranges of lengths are those of anything.
+    // Only revolute joints have limits in degrees; columns of prismatic ones cannot be recognised by range.
     let axes = robot.joint_limits_deg.len();
     if axes < robot.axes() {
         return None;
     }
-    let suits = |family: &[&Column], unit| {
-        family.iter().zip(&robot.joint_limits_deg).all(|(column, limits)| within(column, *limits, unit))
+    let is_possible = |family: &[&Column], unit| {
+        family.iter().zip(&robot.joint_limits_deg).all(|(column, limits)| is_within(column, *limits, unit))
     };
+    // Empirical weights: a certain contradiction outweighs all favourable signs.
     let score = |family: &[&Column]| {
         let has = |words| i32::from(family.iter().any(|column| column.has_word(words)));
         let still = family.iter().all(|column| column.numbers.windows(2).all(|pair| pair[0] == pair[1]));
-        let rate = family
+        let has_other_unit = family
             .iter()
             .any(|column| column.unit.as_deref().is_some_and(|unit| !["deg", "rad"].contains(&unit)));
-        let angle =
-            i32::from(family.iter().all(|column| matches!(column.unit.as_deref(), Some("deg" | "rad"))));
-        let possible = suits(family, AngleUnit::Deg);
-        2 * angle
+        let has_angle_unit =
+            family.iter().all(|column| matches!(column.unit.as_deref(), Some("deg" | "rad")));
+        2 * i32::from(has_angle_unit)
             - has(COMMANDED)
             - 5 * has(NOT_ANGLES)
-            - 5 * i32::from(rate)
+            - 5 * i32::from(has_other_unit)
             - 3 * i32::from(still)
-            - 9 * i32::from(!possible)
+            - 9 * i32::from(!is_possible(family, AngleUnit::Deg))
     };
     let mut choices = families(columns, axes);
     if choices.is_empty() && !header {
         let numeric: Vec<&Column> = columns.iter().filter(|column| column.is_number()).collect();
         choices = numeric.windows(axes).map(<[&Column]>::to_vec).collect();
-        // As many in a row that are neither times nor millimetres; the first such.
-        choices.retain(|family| suits(family, AngleUnit::Deg) && !family.iter().any(|column| rises(column)));
+        // The first neighbouring columns that are neither times nor millimetres.
+        choices.retain(|family| {
+            is_possible(family, AngleUnit::Deg) && !family.iter().any(|column| rises(column))
+        });
         choices.truncate(1);
         if !choices.is_empty() {
             notes.doubts.push(format!(
@@ -517,11 +526,11 @@ fn joints(
             ));
         }
     }
-    // Of equals the first.
+    // The first of equals, see `layout`.
     let scored = choices.iter().rev().map(|family| (score(family), family));
     let (_, family) = scored.filter(|(score, _)| *score > -5).max_by_key(|(score, _)| *score)?;
     let unit = angle_unit(family, notes);
-    if !suits(family, unit) {
+    if !is_possible(family, unit) {
         notes.doubts.push(format!(
             "some joints leave the robot's limits by more than half a turn: is this a log of {}?",
             robot.name
@@ -538,39 +547,43 @@ fn joints(
         format!("{} are joints 1 to {axes}: inferred from the columns' names and ranges", listed(&names)),
     );
     let unit = if unit == AngleUnit::Deg { JointUnit::Deg } else { JointUnit::Rad };
-    let column = |column: &&Column| column.name.clone();
-    let joint =
-        |of: &&Column| JointColumn { column: column(of), unit, sign: 1.0, offset_deg: 0.0, offset_m: 0.0 };
+    let joint = |column: &&Column| JointColumn {
+        column: column.name.clone(),
+        unit,
+        sign: 1.0,
+        offset_deg: 0.0,
+        offset_m: 0.0,
+    };
     Some(family.iter().map(joint).collect())
 }
 
-/// The unit that header and values agree on.
+/// The unit by the size of the values; a note says whether the header agrees.
 fn angle_unit(family: &[&Column], notes: &mut Notes) -> AngleUnit {
-    /// A robot's joints turn by at most a turn and a bit either way, mostly less.
+    /// Joints of robots turn by little more than a turn either way.
     const RAD_MAX: f64 = 6.7;
-    let said = family.iter().find_map(|column| match column.unit.as_deref() {
+    let stated = family.iter().find_map(|column| match column.unit.as_deref() {
         Some("deg") => Some(AngleUnit::Deg),
         Some("rad") => Some(AngleUnit::Rad),
         _ => None,
     });
     let largest = family.iter().map(|column| column.largest()).fold(0.0, f64::max);
-    let seen = if largest > RAD_MAX { AngleUnit::Deg } else { AngleUnit::Rad };
-    match said {
-        Some(said) if said == seen => notes
+    let inferred = if largest > RAD_MAX { AngleUnit::Deg } else { AngleUnit::Rad };
+    match stated {
+        Some(stated) if stated == inferred => notes
             .reasons
-            .push(format!("angles in {}, from the header; they reach {largest:.1}", said.suffix())),
-        Some(said) => notes.doubts.push(format!(
+            .push(format!("angles in {}, from the header; they reach {largest:.1}", stated.suffix())),
+        Some(stated) => notes.doubts.push(format!(
             "the header has {}, but the angles reach {largest:.1}, as {} would; {} is written here",
-            said.suffix(),
-            seen.suffix(),
-            seen.suffix()
+            stated.suffix(),
+            inferred.suffix(),
+            inferred.suffix()
         )),
-        None => notes.reasons.push(format!("angles in {}: they reach {largest:.1}", seen.suffix())),
+        None => notes.reasons.push(format!("angles in {}: they reach {largest:.1}", inferred.suffix())),
     }
-    seen
+    inferred
 }
 
-/// Never falls, and mostly rises.
+/// Whether more than half of the steps are upwards, and at most 1 % downwards.
 fn rises(column: &Column) -> bool {
     let steps = column.numbers.windows(2).map(|pair| pair[1] - pair[0]);
     let (mut rising, mut falling, mut all) = (0, 0, 0);
@@ -603,13 +616,14 @@ fn time(columns: &[&Column], notes: &mut Notes) -> Option<TimeColumn> {
         return Some(TimeColumn::new(&column.name, TimeUnit::DateTime));
     }
     let rising: Vec<&&Column> = columns.iter().filter(|column| column.is_number() && rises(column)).collect();
-    let said = rising.iter().find(|column| matches!(column.unit.as_deref(), Some("s" | "ms" | "us" | "ns")));
-    let named = rising.iter().find(|column| column.has_word(TIMES));
-    let column = said.or(named)?;
+    let with_unit =
+        rising.iter().find(|column| matches!(column.unit.as_deref(), Some("s" | "ms" | "us" | "ns")));
+    let with_name = rising.iter().find(|column| column.has_word(TIMES));
+    let column = with_unit.or(with_name)?;
     let mut steps: Vec<f64> =
         column.numbers.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > 0.0).collect();
     let step = median(&mut steps)?;
-    /// FILETIME of the years 1980 to 2100.
+    /// Windows FILETIME, 100 ns since 1601, of the years 1980 to 2100.
     const FILETIME: std::ops::Range<f64> = 1.19e17..1.58e17;
     if column.numbers.iter().all(|number| is_date_in_digits(*number)) {
         notes
@@ -637,33 +651,34 @@ fn time(columns: &[&Column], notes: &mut Notes) -> Option<TimeColumn> {
     Some(TimeColumn::new(&column.name, unit))
 }
 
-/// Columns whose names differ in one word that is the wanted one; those of a tracker before others.
+/// One column for each of the words, with names that are otherwise equal, such as `tracker_x`, `tracker_y`, `tracker_z`;
+/// those of a tracker are preferred.
 fn group<'c>(columns: &[&'c Column], words: &[&str]) -> Option<Vec<&'c Column>> {
     let mut found: Vec<Vec<&Column>> = Vec::new();
     for first in columns.iter().filter(|column| column.is_number()) {
         for at in first.plain.match_indices(words[0]).map(|(at, _)| at) {
             let (before, after) = (&first.plain[..at], &first.plain[at + words[0].len()..]);
-            let ends = |text: Option<char>| !text.is_some_and(char::is_alphanumeric);
-            if !ends(before.chars().last()) || !ends(after.chars().next()) {
+            let is_inside_word = |neighbour: Option<char>| neighbour.is_some_and(char::is_alphanumeric);
+            if is_inside_word(before.chars().last()) || is_inside_word(after.chars().next()) {
                 continue;
             }
-            let named = |word: &&str| {
+            let with_word = |word: &&str| {
                 let name = format!("{before}{word}{after}");
                 columns.iter().find(|column| column.plain == name && column.is_number()).copied()
             };
-            found.extend(words.iter().map(named).collect::<Option<Vec<_>>>());
+            found.extend(words.iter().map(with_word).collect::<Option<Vec<_>>>());
         }
     }
-    let of_tracker = found.iter().position(|group| group[0].has_word(TRACKERS)).unwrap_or(0);
-    (of_tracker < found.len()).then(|| found.swap_remove(of_tracker))
+    let preferred = found.iter().position(|group| group[0].has_word(TRACKERS)).unwrap_or(0);
+    (preferred < found.len()).then(|| found.swap_remove(preferred))
 }
 
 fn triple<'c>(columns: &[&'c Column], words: &[&str; 3]) -> Option<[&'c Column; 3]> {
     group(columns, words).and_then(|group| group.try_into().ok())
 }
 
-/// The column that names what a row belongs to.
-fn named(columns: &[&Column], what: &str, words: &[&str], notes: &mut Notes) -> Option<String> {
+/// The column that names the station or target of each row.
+fn label_column(columns: &[&Column], what: &str, words: &[&str], notes: &mut Notes) -> Option<String> {
     let column = columns.iter().find(|column| words.contains(&column.plain.as_str()))?;
     notes
         .reasons
@@ -671,7 +686,7 @@ fn named(columns: &[&Column], what: &str, words: &[&str], notes: &mut Notes) -> 
     Some(column.name.clone())
 }
 
-/// Tests on the nominal robot what names alone do not determine.
+/// Determines by residuals of the nominal robot what the names of the columns leave open.
 struct Trial<'a> {
     bytes: &'a [u8],
     path: &'a Path,
@@ -679,32 +694,33 @@ struct Trial<'a> {
 }
 
 impl Trial<'_> {
-    /// The rows so read.
+    /// The rows as this mapping reads them.
     fn rows(&self, mapping: &MeasuredPoseMapping) -> Option<Instrument> {
         let read = MeasuredPoses::read(self.bytes, self.path, mapping).ok()?;
         Some(Tracker::new(&read.rows.iter().map(PoseRow::from).collect::<Vec<_>>()).into())
     }
 
-    /// Root mean squares of position \[m\] and rotation \[rad\] of the nominal robot against the rows so read.
+    /// RMS residuals of the nominal robot in position \[m\] and rotation \[rad\] with this mapping.
     fn misfit(&self, mapping: &MeasuredPoseMapping) -> Option<(f64, f64)> {
         let nominal = misfit(&some_of(&self.rows(mapping)?), &flange_chain(self.robot))?;
         Some((nominal.position_m.rms, nominal.rotation_rad.map_or(0.0, |sizes| sizes.rms)))
     }
 
-    /// The mapping whose signs, order and orientation fit the robot, with what was found.
-    fn settled(
+    /// The mapping with signs, order and unit of the joints corrected, and with the columns of the orientation, as they fit
+    /// the nominal robot best.
+    fn corrected(
         &self,
         mut mapping: MeasuredPoseMapping,
         others: &[&Column],
         notes: &mut Notes,
     ) -> MeasuredPoseMapping {
-        // A change that is right shows in the positions; what the orientation means is looked for after that.
+        // Positions alone show mistakes in the joints; the orientation is tried with corrected joints.
         if let Some(rows) = self.rows(&mapping) {
             let chain = flange_chain(self.robot);
             match likely(&rows, &chain, &Mistake::of_joints(mapping.joints.len())) {
                 Some(likely) => {
                     if let Mistake::Joints(mistake) = likely.mistake {
-                        mend(&mut mapping.joints, mistake);
+                        undo(&mut mapping.joints, mistake);
                     }
                     notes.doubts.push(format!("{likely}; it is written so"));
                 }
@@ -715,23 +731,23 @@ impl Trial<'_> {
         }
         let with =
             |rotation: RotationColumns| MeasuredPoseMapping { rotation: Some(rotation), ..mapping.clone() };
-        let tried = orientations(others).into_iter().filter_map(|rotation| {
+        let trials = orientations(others).into_iter().filter_map(|rotation| {
             let mapping = with(rotation);
             Some((self.misfit(&mapping)?.1, mapping))
         });
-        /// The nominal robot's orientation is better than this, any wrong order is worse \[rad\].
+        /// The nominal robot is within this of the right reading; any wrong one is further away \[rad\].
         const FITS_RAD: f64 = 0.1;
-        match tried.min_by(|a, b| a.0.total_cmp(&b.0)) {
-            Some((left, found)) if left < FITS_RAD => {
+        match trials.min_by(|a, b| a.0.total_cmp(&b.0)) {
+            Some((rms_rad, best)) if rms_rad < FITS_RAD => {
                 notes
                     .reasons
-                    .push(format!("the orientation is what fits the robot best, {:.1} mrad", left * 1e3));
-                found
+                    .push(format!("the orientation is what fits the robot best, {:.1} mrad", rms_rad * 1e3));
+                best
             }
-            Some((left, _)) => {
+            Some((rms_rad, _)) => {
                 notes.doubts.push(format!(
                     "no reading of the orientation fits the robot ({:.0} mrad at best): left out",
-                    left * 1e3
+                    rms_rad * 1e3
                 ));
                 mapping
             }
@@ -741,7 +757,7 @@ impl Trial<'_> {
 }
 
 /// Undoes a mistake in the columns of the joints.
-fn mend(joints: &mut [JointColumn], mistake: JointMistake) {
+fn undo(joints: &mut [JointColumn], mistake: JointMistake) {
     match mistake {
         JointMistake::Reversed(joint) => joints[joint].sign = -joints[joint].sign,
         JointMistake::Exchanged(one, other) => joints.swap(one, other),
@@ -753,7 +769,7 @@ fn mend(joints: &mut [JointColumn], mistake: JointMistake) {
     }
 }
 
-/// What columns named like an orientation can mean.
+/// All readings of the columns whose names are those of an orientation.
 fn orientations(columns: &[&Column]) -> Vec<RotationColumns> {
     const THREE: [[&str; 3]; 5] = [
         ["rx", "ry", "rz"],
@@ -766,7 +782,7 @@ fn orientations(columns: &[&Column]) -> Vec<RotationColumns> {
     const NINE: [&str; 9] = ["r11", "r12", "r13", "r21", "r22", "r23", "r31", "r32", "r33"];
     const ORDERS: [&str; 12] =
         ["xyz", "xzy", "yxz", "yzx", "zxy", "zyx", "xyx", "xzx", "yxy", "yzy", "zxz", "zyz"];
-    let of = |form, group: Vec<&Column>| RotationColumns {
+    let rotation = |form, group: Vec<&Column>| RotationColumns {
         form,
         columns: group.iter().map(|column| column.name.clone()).collect(),
         unit: None,
@@ -774,12 +790,12 @@ fn orientations(columns: &[&Column]) -> Vec<RotationColumns> {
         frame: None,
     };
     let mut all = Vec::new();
-    all.extend(group(columns, &NINE).map(|group| of(RotationForm::Matrix, group)));
+    all.extend(group(columns, &NINE).map(|group| rotation(RotationForm::Matrix, group)));
     let four = FOUR.iter().filter_map(|words| group(columns, words));
-    all.extend(four.map(|group| of(RotationForm::Quaternion, group)));
+    all.extend(four.map(|group| rotation(RotationForm::Quaternion, group)));
     for three in THREE.iter().filter_map(|words| group(columns, words)) {
         let unit = Some(angle_unit(&three, &mut Notes::default()));
-        let vector = RotationColumns { unit, ..of(RotationForm::RotationVector, three) };
+        let vector = RotationColumns { unit, ..rotation(RotationForm::RotationVector, three) };
         let euler = |order: &str, frame| RotationColumns {
             form: RotationForm::Euler,
             order: Some(order.to_owned()),

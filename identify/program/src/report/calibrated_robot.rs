@@ -1,4 +1,6 @@
-//! A calibrated robot: its pose at reported joints, the joints for a pose, and the covariance of both.
+//! A robot as a calibration file describes it: the pose of its end at reported joints, the reported joints for a pose, and the
+//! covariance of the pose, `J C J'` with the covariance `C` of the parameters and the derivatives `J` of the pose. For programs
+//! that use a calibration, and the Python package.
 
 use nalgebra::{DMatrix, Matrix6, Matrix6xX};
 use shared::config::{BallBarConfig, RobotConfig};
@@ -9,9 +11,9 @@ use crate::kinematics::{
 };
 use crate::model::{DriveTrain, Geometry, JointErrors, JointState, Owner, ParameterId};
 
-/// Joints have converged \[rad, m\]: a hundred times below what any encoder resolves.
-const SETTLED: f64 = 1e-10;
-/// Errors of joints shrink by their slope, a few thousandths, in each of these.
+/// Joints have converged if they change by less \[rad, m\]: a hundredth of the resolution of any encoder.
+const CONVERGED: f64 = 1e-10;
+/// Each iteration multiplies the error by the slope of the joint errors over the angle, a few thousandths.
 const ITERATIONS_MAX: usize = 20;
 
 /// Why a calibrated robot gives no pose, joints or covariance.
@@ -71,7 +73,7 @@ impl CalibratedRobot {
         let drives = DriveTrain::of(robot, &nominal);
         let mut geometry = Geometry { joints: JointErrors::none(drives), ..Geometry::new(nominal, None) };
         for entry in &file.parameters {
-            let Some(id) = of_robot(&entry.name) else { continue };
+            let Some(id) = robot_parameter(&entry.name) else { continue };
             *geometry.parameter_mut(id).ok_or_else(|| CalibratedRobotError::Parameter {
                 name: entry.name.clone(),
                 robot: robot.name.clone(),
@@ -80,7 +82,7 @@ impl CalibratedRobot {
         let covariance = file.covariance.as_ref().map(|all| {
             let names = all.names.iter().enumerate();
             let (columns, ids): (Vec<usize>, Vec<ParameterId>) =
-                names.filter_map(|(column, name)| Some((column, of_robot(name)?))).unzip();
+                names.filter_map(|(column, name)| Some((column, robot_parameter(name)?))).unzip();
             let between = |i: usize, j: usize| all.between(columns[i], columns[j]).unwrap_or(0.0);
             let matrix = DMatrix::from_fn(columns.len(), columns.len(), between);
             (ids, matrix)
@@ -106,20 +108,21 @@ impl CalibratedRobot {
     /// # Errors
     /// All but [`CalibratedRobotError::NoCovariance`].
     pub fn inverse(&self, target: &Pose, near: &[f64]) -> Result<Joints, CalibratedRobotError> {
+        // Joints without their errors; those reported follow by fixed-point iteration.
         let wanted = robot_inverse(&self.geometry.robot, target, &self.at_rest(near)?.q)?;
         let mut reported = wanted;
         for _ in 0..ITERATIONS_MAX {
-            let there = self.geometry.corrected(&JointState::at_rest(reported)).q;
-            let mut apart: f64 = 0.0;
-            for ((joint, wanted), there) in reported.iter_mut().zip(&wanted).zip(&there) {
-                *joint += wanted - there;
-                apart = apart.max((wanted - there).abs());
+            let corrected = self.geometry.corrected(&JointState::at_rest(reported)).q;
+            let mut largest_error: f64 = 0.0;
+            for ((reported, wanted), corrected) in reported.iter_mut().zip(&wanted).zip(&corrected) {
+                *reported += wanted - corrected;
+                largest_error = largest_error.max((wanted - corrected).abs());
             }
-            if apart < SETTLED {
+            if largest_error < CONVERGED {
                 return Ok(reported);
             }
         }
-        Err(InverseError::NotConverged { iterations: ITERATIONS_MAX, step_rad: SETTLED }.into())
+        Err(InverseError::NotConverged { iterations: ITERATIONS_MAX, step_rad: CONVERGED }.into())
     }
 
     /// Covariance of position \[m\] and rotation vector \[rad\] of the robot's end in its base frame, at rest at reported
@@ -134,30 +137,27 @@ impl CalibratedRobot {
         Tracer::new(&self.geometry.robot).trace(&self.geometry.corrected(&reported).q, &mut trace);
         let drives = &self.geometry.joints.drives;
         let state = drives.state(&reported);
-        let by_parameter = Matrix6xX::from_columns(
-            &ids.iter()
-                .map(|id| {
-                    let twist = match *id {
-                        ParameterId::Robot { link, parameter } => trace.twist(link, parameter),
-                        ParameterId::Joint { axis, term } => Some(
-                            trace.moved_by(&self.geometry.joints.by_amplitude(axis, term, &reported, &state)),
-                        ),
-                        ParameterId::JointWave { axis, order, phase } => {
-                            let wave = phase.wave(order, state.turn[axis]);
-                            drives
-                                .joint_from_drive
-                                .get(axis)
-                                .map(|row| trace.moved_by(&row.map(|part| part * wave)))
-                        }
-                        _ => None,
-                    };
-                    twist.map_or_else(Default::default, |twist: Twist| twist.column())
-                })
-                .collect::<Vec<_>>(),
-        );
-        Ok(&by_parameter * covariance * by_parameter.transpose())
+        let derivative = |id: &ParameterId| {
+            let twist = match *id {
+                ParameterId::Robot { link, parameter } => trace.twist(link, parameter),
+                ParameterId::Joint { axis, term } => {
+                    let joints = self.geometry.joints.by_amplitude(axis, term, &reported, &state);
+                    Some(trace.moved_by(&joints))
+                }
+                ParameterId::JointWave { axis, order, phase } => {
+                    let wave = phase.wave(order, state.turn[axis]);
+                    let row = drives.joint_from_drive.get(axis);
+                    row.map(|row| trace.moved_by(&row.map(|part| part * wave)))
+                }
+                _ => None,
+            };
+            twist.map_or_else(Default::default, |twist: Twist| twist.column())
+        };
+        let jacobian = Matrix6xX::from_columns(&ids.iter().map(derivative).collect::<Vec<_>>());
+        Ok(&jacobian * covariance * jacobian.transpose())
     }
 
+    /// The state of the joints at standstill; an error if their number is wrong or one is not finite.
     fn at_rest(&self, reported: &[f64]) -> Result<JointState, CalibratedRobotError> {
         if reported.len() != self.axes() {
             return Err(CalibratedRobotError::Joints { found: reported.len(), expected: self.axes() });
@@ -170,6 +170,6 @@ impl CalibratedRobot {
 }
 
 /// A parameter of the robot itself by its name; none for those of instruments and of other runs.
-fn of_robot(name: &str) -> Option<ParameterId> {
+fn robot_parameter(name: &str) -> Option<ParameterId> {
     name.parse().ok().filter(|id: &ParameterId| id.owner() == Owner::Robot)
 }

@@ -1,8 +1,9 @@
 //! Test whether several calibrations of one robot agree within their uncertainties.
 //!
-//! The thesis could only compare its paths, speeds and days by eye (its figures 5.12 to 5.17). Here every parameter of the
-//! robot gets a chi-square test of homogeneity over the calibrations, and the smallest p-value is corrected for the number
-//! of parameters (Holm 1979).
+//! The thesis could only compare its paths, speeds and days by eye (its figures 5.12 to 5.17). Here every parameter
+//! of the robot gets a chi-square test of homogeneity over its values `x_i` in the `n` calibrations: `sum ((x_i -
+//! mean) / sigma_i)^2` with `n - 1` degrees of freedom. The smallest p-value is multiplied by the number of tests
+//! (Holm 1979). For `identify compare`.
 
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
@@ -12,7 +13,7 @@ use crate::kinematics::{Chain, Joints, nearest_turn};
 use crate::model::{ParameterId, Unit};
 use crate::statistics::extremes;
 
-/// Agreement is refused below this probability.
+/// Agreement is rejected below this probability.
 pub const P_MIN: f64 = 0.01;
 /// Nominal values that differ by less are rounded differently \[m, rad\].
 const SAME_NOMINAL: f64 = 1e-9;
@@ -108,8 +109,9 @@ impl Consistency {
     }
 }
 
-/// How far two calibrations move the robot's end to different places: what each adds to its own nominal robot, so that a different
-/// plate on the flange does not count. Errors of joints beyond their links are not in it.
+/// Distances between the corrections of the robot's end by two calibrations, over random postures within the joint ranges of
+/// both. A correction is the calibrated minus the nominal position, so that a different plate on the flange does not count.
+/// Errors of joints beyond their links are not included.
 fn ends_apart(one: &CalibrationFile, other: &CalibrationFile) -> Option<Quantiles> {
     let ranges = one.validity.as_ref()?.joints.iter().zip(&other.validity.as_ref()?.joints);
     let common: Vec<[f64; 2]> = ranges
@@ -120,41 +122,45 @@ fn ends_apart(one: &CalibrationFile, other: &CalibrationFile) -> Option<Quantile
             (range[0] < range[1]).then_some(range)
         })
         .collect::<Option<_>>()?;
-    let moved = [one, other].map(|file| (file.links(|entry| entry.value), file.links(|entry| entry.nominal)));
+    let robots =
+        [one, other].map(|file| (file.links(|entry| entry.value), file.links(|entry| entry.nominal)));
     let position = |chain: &Chain, q: &Joints| chain.forward(q).translation.vector;
     let apart = random_postures(&common).map(|q| {
-        let [one, other] =
-            moved.each_ref().map(|(value, nominal)| position(value, &q) - position(nominal, &q));
-        (one - other).norm()
+        let [correction, other_correction] =
+            robots.each_ref().map(|(identified, nominal)| position(identified, &q) - position(nominal, &q));
+        (correction - other_correction).norm()
     });
     Some(Quantiles::of(apart.collect()))
 }
 
 fn compared(name: String, files: &[CalibrationFile]) -> Compared {
     let unit = name.parse::<ParameterId>().map_or(Unit::Ratio, ParameterId::unit);
-    let of = |file: &CalibrationFile| {
+    let value_and_sigma = |file: &CalibrationFile| {
         let entry = file.parameters.iter().find(|entry| entry.name == name)?;
-        let found = entry.status != Status::Fixed;
-        let sigma = entry.sigma.filter(|sigma| found && *sigma > 0.0 && sigma.is_finite())?;
+        let is_identified = entry.status != Status::Fixed;
+        let sigma = entry.sigma.filter(|sigma| is_identified && *sigma > 0.0 && sigma.is_finite())?;
         Some((entry.value, sigma))
     };
-    let mut values: Vec<Option<(f64, f64)>> = files.iter().map(of).collect();
-    // Half a turn one way is half a turn the other.
+    let mut values: Vec<Option<(f64, f64)>> = files.iter().map(value_and_sigma).collect();
+    // Angles that differ by whole turns are equal.
     if let (Unit::Radian, Some((first, _))) = (unit, values.iter().copied().flatten().next()) {
         values.iter_mut().flatten().for_each(|(value, _)| *value = nearest_turn(*value, first));
     }
-    let of_95 = |file: &CalibrationFile| {
+    let sigmas_of_95 = |file: &CalibrationFile| {
         let from = file.knowledge.as_ref().map(|knowledge| knowledge.sigmas_from).unwrap_or_default();
         from.sigmas_of_95()
     };
-    let half_widths =
-        values.iter().zip(files).map(|(one, file)| one.map(|(_, sigma)| of_95(file) * sigma)).collect();
+    let half_widths = values
+        .iter()
+        .zip(files)
+        .map(|(one, file)| one.map(|(_, sigma)| sigmas_of_95(file) * sigma))
+        .collect();
     let known: Vec<(f64, f64)> = values.iter().copied().flatten().collect();
     let weight: f64 = known.iter().map(|(_, sigma)| sigma.powi(-2)).sum();
     let mean = known.iter().map(|(value, sigma)| value * sigma.powi(-2)).sum::<f64>() / weight;
     let chi_squared: f64 = known.iter().map(|(value, sigma)| ((value - mean) / sigma).powi(2)).sum();
     let freedom = known.len().saturating_sub(1);
-    // Half of it must be more than zero there.
+    // The distribution halves its argument, and fails where half of a positive one rounds to zero.
     let chi_squared = if chi_squared < f64::MIN_POSITIVE { 0.0 } else { chi_squared };
     let p = ChiSquared::new(freedom as f64).ok().map(|distribution| distribution.sf(chi_squared));
     Compared { name, unit, values, half_widths, mean, p }

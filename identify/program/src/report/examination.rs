@@ -1,4 +1,4 @@
-//! What costs can identify, as text.
+//! Examinations of costs as text, for `identify examine`: ranks, dependent groups, influences and observability.
 
 use std::fmt::Write;
 
@@ -53,15 +53,16 @@ fn rank(text: &mut String, found: &Identifiability) {
     let zero = if found.zero_columns.is_empty() { "none".into() } else { names(&found.zero_columns, " ") };
     let _ = writeln!(text, "  without effect: {zero}");
     for (i, group) in found.groups.iter().enumerate() {
+        let earlier_groups = &found.groups[..i];
         let (shared, own): (Vec<usize>, Vec<usize>) = group
             .columns
             .iter()
-            .partition(|column| found.groups[..i].iter().any(|other| other.columns.contains(column)));
-        // Which member of another group depends on it is arbitrary: the groups are named.
-        let through: Vec<String> = found.groups[..i]
+            .partition(|column| earlier_groups.iter().any(|earlier| earlier.columns.contains(column)));
+        // Which member of an earlier group is in this one is arbitrary: the groups are named instead.
+        let through: Vec<String> = earlier_groups
             .iter()
-            .filter(|other| shared.iter().any(|column| other.columns.contains(column)))
-            .map(|other| names(&other.columns, "|"))
+            .filter(|earlier| shared.iter().any(|column| earlier.columns.contains(column)))
+            .map(|earlier| names(&earlier.columns, "|"))
             .collect();
         let through = if through.is_empty() {
             String::new()
@@ -72,14 +73,14 @@ fn rank(text: &mut String, found: &Identifiability) {
     }
 }
 
-/// Powers of ten only: the digits depend on the poses.
+/// The gap in the singular values after the rank, without digits where it is clear: they depend on the poses.
 fn gap(found: &Identifiability) -> String {
     found.gap().map_or_else(String::new, |gap| {
         if gap > 1e3 { ", clear gap above 1e3".into() } else { format!(", gap {gap:.0}") }
     })
 }
 
-/// Thesis table 3.4.
+/// For each fixed parameter the estimates that its error changes, as in table 3.4 of the thesis.
 fn influences(text: &mut String, influence: &Influence) {
     let _ =
         writeln!(text, "  an error of 1 mm|mrad in what is held fixed affects (by more than {AFFECTED}):");
@@ -90,7 +91,7 @@ fn influences(text: &mut String, influence: &Influence) {
             .iter()
             .map(String::as_str)
             .zip(changes.iter().copied())
-            // As it is shown: rounding of the last digits changes neither what is shown nor its order.
+            // Rounded as displayed, so that rounding errors change neither selection nor order.
             .map(|(name, change)| (name, (change * 100.0).round() / 100.0))
             .filter(|(_, change)| change.abs() > AFFECTED)
             .collect();

@@ -1,4 +1,5 @@
-//! What a path or poses do and determine, and where the bar might stand, for a terminal; poses as a table.
+//! Text for the terminal on a planned or checked path ([`summary`]), on places of the bar ([`places`]) and on chosen poses
+//! ([`poses`]): motion, margins and expected accuracy. Also the table of chosen poses with its mapping. For `identify plan`.
 
 use std::fmt::Write;
 
@@ -41,14 +42,14 @@ pub fn summary(
         mm(expected.with_terms_m),
         mm(expected.with_plate_m)
     );
-    for one in information.with_each(&checked.normal) {
-        let _ = writeln!(text, "  {:<33} {}", one.group.name(), mm(one.position_m));
+    for with_group in information.with_each(&checked.normal) {
+        let _ = writeln!(text, "  {:<33} {}", with_group.group.name(), mm(with_group.position_m));
     }
     let names =
         |group: &Vec<ParameterId>| group.iter().map(ToString::to_string).collect::<Vec<_>>().join("|");
-    let open: Vec<String> = information.not_separated(&checked.normal).iter().map(names).collect();
-    if !open.is_empty() {
-        let _ = writeln!(text, "not separated by the data of this path: {}", open.join(", "));
+    let not_separated: Vec<String> = information.not_separated(&checked.normal).iter().map(names).collect();
+    if !not_separated.is_empty() {
+        let _ = writeln!(text, "not separated by the data of this path: {}", not_separated.join(", "));
     }
     if let Some(least_m) = position_m_min(checked, constraints, information) {
         let _ = writeln!(
@@ -100,11 +101,11 @@ pub fn summary(
         checked.dexterity,
         mm(checked.off_sphere_m)
     );
-    for one in &checked.violations {
+    for violation in &checked.violations {
         let _ = writeln!(
             text,
             "violated: {}, first at {:.3} s, for {:.3} s in all",
-            one.obstacle, one.first_s, one.duration_s
+            violation.obstacle, violation.first_s, violation.duration_s
         );
     }
     if checked.violations.is_empty() {
@@ -113,14 +114,14 @@ pub fn summary(
     text
 }
 
-/// Whether the arm ends where it began, ended: another run from there needs the way back, which a bar that is attached does not
-/// let it take in a straight line.
+/// A line on whether the arm ends where it began. If not, the way back is not a straight line of the joints while
+/// the bar is attached.
 fn ends(checked: &Checked) -> String {
     const SAME_RAD: f64 = 1e-3;
     let states = &checked.visited.robot;
     let (Some(start), Some(end)) = (states.first(), states.last()) else { return String::new() };
-    let away = start.q.iter().zip(&*end.q).map(|(start, end)| (end - start).abs()).enumerate();
-    match away.max_by(|a, b| a.1.total_cmp(&b.1)) {
+    let distances_rad = start.q.iter().zip(&*end.q).map(|(start, end)| (end - start).abs()).enumerate();
+    match distances_rad.max_by(|a, b| a.1.total_cmp(&b.1)) {
         Some((joint, away_rad)) if away_rad > SAME_RAD => format!(
             "the path does not end where it begins: joint {} is {:.1} deg away; detach the bar before the arm drives back\n",
             joint + 1,
@@ -191,7 +192,7 @@ pub fn places(places: &Places, duration_s: f64) -> String {
     text
 }
 
-/// Parameters that chosen poses determine, out of this number of candidates.
+/// Lines on poses that were chosen out of this number of candidates, and on the parameters that they determine.
 pub fn poses(planned: &PlannedPoses, candidates: usize) -> String {
     let mut text = format!(
         "{} of {candidates} poses; RMS position error over all of them that is expected of a calibration:\n\
@@ -207,17 +208,17 @@ pub fn poses(planned: &PlannedPoses, candidates: usize) -> String {
         "after",
         "undetermined"
     );
-    for one in &planned.determined {
-        let undetermined: Vec<String> = one.undetermined().map(|id| id.to_string()).collect();
-        let size = |si: f64| one.ids.first().map_or_else(String::new, |id| id.unit().display(si));
+    for kind in &planned.determined {
+        let undetermined: Vec<String> = kind.undetermined().map(|id| id.to_string()).collect();
+        let size = |si: f64| kind.ids.first().map_or_else(String::new, |id| id.unit().display(si));
         // Writing to a string cannot fail.
         let _ = writeln!(
             text,
             "{:<36}{:>10}{:>16}{:>16}{:>14}",
-            one.name,
-            one.ids.len(),
-            size(one.prior),
-            size(one.sigma),
+            kind.name,
+            kind.ids.len(),
+            size(kind.prior),
+            size(kind.sigma),
             undetermined.len()
         );
         if (1..=NAMED).contains(&undetermined.len()) {
@@ -233,12 +234,12 @@ pub fn poses(planned: &PlannedPoses, candidates: usize) -> String {
 
 /// A sentence about the poses to which the straight way of the joints is not free, if there are any.
 pub fn ways(planned: &PlannedPoses) -> Option<String> {
-    let round = planned.ways.iter().filter(|way| matches!(way, Way::Through(_))).count();
+    let detours = planned.ways.iter().filter(|way| matches!(way, Way::Through(_))).count();
     let blocked: Vec<String> = planned.blocked().iter().map(usize::to_string).collect();
-    match (round, blocked.is_empty()) {
+    match (detours, blocked.is_empty()) {
         (0, true) => None,
         (_, true) => Some(format!(
-            "{round} moves avoid an obstacle by way of intermediate postures (column `way` of the table)"
+            "{detours} moves avoid an obstacle by way of intermediate postures (column `way` of the table)"
         )),
         _ => Some(format!(
             "no free way of the joints was found to pose {}: a program stops before it, jog there by hand",

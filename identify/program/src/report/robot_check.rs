@@ -1,4 +1,4 @@
-//! What a robot's configuration describes, for people.
+//! The check of a robot's configuration as text, for `identify robot check`.
 
 use std::fmt::Write;
 

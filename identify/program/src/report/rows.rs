@@ -1,4 +1,5 @@
-//! Tables of a calibration by rows of a tracker, a wire or a ball in sockets.
+//! Text on data sets of rows, for terminal and page: errors in each stage of the model, on fitted, held-out and other rows
+//! ([`table`]), rejected rows, files of `--validate` ([`Validation`]), and the largest waves of the joints.
 
 use std::fmt::Write;
 
@@ -11,31 +12,31 @@ use crate::kinematics::Joints;
 use crate::model::{Model, ParameterId, Phase, Waves};
 use crate::report::result::validation::ValidationEntry;
 
-/// The calibrated robot on another file.
+/// Errors of the nominal and the calibrated robot on another file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Validation {
     /// Path of the file.
     pub name: String,
     /// Figures of its rows.
     pub found: Validated,
-    /// Lines of rows that neither robot comes near.
+    /// Lines of rows that are gross errors for both robots and do not count.
     pub gross: Vec<u64>,
     /// Rows where the calibration is not supported: line of the file, and joints from 0 that were not measured there.
     pub outside: Vec<(u64, Vec<usize>)>,
 }
 
-/// Poses where a calibration is not supported, of a file's lines.
+/// The rows at which a calibration is not supported: line of the file, and the joints concerned, from 0.
 pub fn outside(
     validity: &Validity,
     joints: impl Iterator<Item = Joints>,
     lines: &[u64],
 ) -> Vec<(u64, Vec<usize>)> {
-    let outside = |(q, line): (Joints, &u64)| Some((*line, validity.outside(&q)));
-    joints.zip(lines).filter_map(outside).filter(|(_, joints)| !joints.is_empty()).collect()
+    let outside = |(q, line): (Joints, &u64)| (*line, validity.outside(&q));
+    joints.zip(lines).map(outside).filter(|(_, joints)| !joints.is_empty()).collect()
 }
 
 impl Validation {
-    /// For the file; `data_set` is that whose instrument measured it, from 1.
+    /// The entry of `calibration.toml`; `data_set` is the one with the same instrument, from 1.
     pub fn entry(&self, data_set: usize) -> ValidationEntry {
         let Self { name, found: Validated { figures: [nominal, calibrated], gross }, outside, .. } = self;
         ValidationEntry {
@@ -62,7 +63,7 @@ impl Validation {
         )
     }
 
-    /// Which rows are no measurements.
+    /// Clause on the rows with gross errors.
     fn left_out(&self) -> String {
         const NAMED: usize = 8;
         match self.gross.len() {
@@ -74,7 +75,7 @@ impl Validation {
         }
     }
 
-    /// Which rows lie outside of what was measured.
+    /// Clause on the rows at which the calibration is not supported.
     fn unsupported(&self) -> String {
         const NAMED: usize = 8;
         let (outside, rows) = (self.outside.len(), self.found.figures[0].rows + self.gross.len());
@@ -96,6 +97,7 @@ impl Validation {
     }
 }
 
+/// A line with number of rows and errors of one stage.
 fn line(text: &mut String, name: &str, figures: &PoseFigures) {
     let sizes = |sizes: &Sizes| {
         let Sizes { mean, rms, p95, max } = sizes;
@@ -106,19 +108,20 @@ fn line(text: &mut String, name: &str, figures: &PoseFigures) {
     let _ = writeln!(text, "{name:<44}{:>6} {}   {rotation}", figures.rows, sizes(&figures.position_m));
 }
 
-/// `what` was fitted to the nominal robot, and what comes last beside the links.
-fn stages(text: &mut String, name: &str, [what, last]: [&str; 2], stages: &Stages) {
+/// A line for each stage of the model. `instrument_parts` were fitted in all of them; `last` names what the last stage adds.
+fn stages(text: &mut String, name: &str, [instrument_parts, last]: [&str; 2], stages: &Stages) {
     let _ = writeln!(text, "{name}");
-    line(text, &format!("  nominal robot, {what} fitted"), &stages.nominal);
+    line(text, &format!("  nominal robot, {instrument_parts} fitted"), &stages.nominal);
     line(text, "  and joint offsets", &stages.offsets);
     line(text, "  and the other numbers of links", &stages.links);
     line(text, &format!("  and {last}"), &stages.joints);
 }
 
+/// Heading of the errors of a line.
 const FIGURES: &str = "    mean      RMS      p95      max";
 
-/// Errors of rows that the fit saw and of rows that it did not, in each stage, on other files, and of parts of the instrument; then
-/// the rejected rows. `lines` gives each row's line in its file.
+/// Errors of fitted and held-out rows in each stage, on other files, and by parts of the instrument; then the rejected rows.
+/// `lines` are the line numbers of the rows in their file.
 pub fn table(
     set: &RowSet,
     instrument: &Instrument,
@@ -136,11 +139,11 @@ pub fn table(
         format!("{:<44}{:>6} {FIGURES}\n", format!("{what} error [mm]"), "rows")
     };
     let last = if set.drift.is_some() { "joint errors and drift" } else { "joint errors" };
-    let named = [instrument.parts(), last];
-    stages(&mut text, "fitted", named, &fitted);
-    stages(&mut text, "held out", named, &held_out);
+    let names = [instrument.parts(), last];
+    stages(&mut text, "fitted", names, &fitted);
+    stages(&mut text, "held out", names, &held_out);
     if with_rejected.nominal.rows != held_out.nominal.rows {
-        stages(&mut text, "held out, with faulty rows", named, &with_rejected);
+        stages(&mut text, "held out, with faulty rows", names, &with_rejected);
     }
     for validation in validations {
         let Validation { name, found: Validated { figures: [nominal, calibrated], .. }, .. } = validation;
@@ -174,9 +177,9 @@ fn sections(set: &RowSet, instrument: &Instrument, errors: &[PoseError]) -> Stri
     if !sections.is_empty() {
         let _ = writeln!(text, "{:<12}{:<12}{:>6}{:>12}", "name", "parameters", "rows", "RMS [mm]");
     }
-    let takes_part = |row: &&usize| set.rejected.binary_search_by_key(*row, |one| one.row).is_err();
+    let is_used = |row: &&usize| set.rejected.binary_search_by_key(*row, |one| one.row).is_err();
     for Section { name, parameters, samples } in &sections {
-        let sizes_m = samples.iter().filter(takes_part).filter_map(|row| Some(errors.get(*row)?.position_m));
+        let sizes_m = samples.iter().filter(is_used).filter_map(|row| Some(errors.get(*row)?.position_m));
         let sizes_m: Vec<f64> = sizes_m.collect();
         let (rows, rms_m) = (sizes_m.len(), Sizes::of(sizes_m.into_iter()).rms);
         let _ = writeln!(text, "{name:<12}{parameters:<12}{rows:>6}{:>12.4}", rms_m * 1e3);
@@ -184,11 +187,11 @@ fn sections(set: &RowSet, instrument: &Instrument, errors: &[PoseError]) -> Stri
     text
 }
 
-fn rejected_rows(report: &RowSet, remarks: &[(usize, String)], lines: &[u64]) -> String {
+fn rejected_rows(set: &RowSet, remarks: &[(usize, String)], lines: &[u64]) -> String {
     let mut text = String::new();
     let line = |row: usize| lines.get(row).copied().unwrap_or_default();
-    let _ = writeln!(text, "{} of {} rows rejected:", report.rejected.len(), lines.len());
-    for rejected in &report.rejected {
+    let _ = writeln!(text, "{} of {} rows rejected:", set.rejected.len(), lines.len());
+    for rejected in &set.rejected {
         let remark = remarks.iter().find(|(row, _)| *row == rejected.row);
         let remark = remark.map_or_else(String::new, |(_, remark)| format!(", {remark}"));
         let _ = match rejected.why {
@@ -205,7 +208,7 @@ fn rejected_rows(report: &RowSet, remarks: &[(usize, String)], lines: &[u64]) ->
             Rejection::FaultyRun { .. } => Ok(()),
         };
     }
-    for run in &report.runs {
+    for run in &set.runs {
         let cause = match run.cause {
             Some(RunCause::ZeroMoved { by_m }) => {
                 format!("; a zero moved by {:+.1} mm would explain it", by_m * 1e3)
@@ -226,35 +229,37 @@ fn rejected_rows(report: &RowSet, remarks: &[(usize, String)], lines: &[u64]) ->
     text
 }
 
-/// What lengths of links are off at most in arms that were typed by hand: a nominal robot further from its rows is another one \[m\].
+/// Errors of link lengths that were typed by hand are smaller: a nominal robot further from its rows is another robot \[m\].
 pub(crate) const OTHER_ROBOT_M: f64 = 0.01;
 
-/// Rows that are rejected in the last solve, `name` being what the file is called; `lines` gives each row's line in it.
+/// The limit that rows of a data set are rejected, with their number by reason; `name` is the instrument with its data set,
+/// `lines` are the line numbers of the rows.
 pub fn left_out(set: &RowSet, run: &Run, [name, robot]: [&str; 2], lines: &[u64]) -> Option<Limit> {
     /// Named, at most.
     const NAMED: usize = 8;
-    /// Where more than this part of a file is wrong, the others may be, too.
+    /// If more than this part of a file is rejected, the other rows may be wrong, too.
     const SERIOUS: f64 = 0.05;
-    let (mut rejected, mut counts) = (Vec::new(), [0; 3]);
-    for ((_, why), line) in set.deviations(run).into_iter().zip(lines) {
-        let Some(why) = why else { continue };
+    let mut rejected = Vec::new();
+    let (mut gross, mut faulty_runs, mut contradicting) = (0, 0, 0);
+    for ((_, rejection), line) in set.deviations(run).into_iter().zip(lines) {
+        let Some(rejection) = rejection else { continue };
         rejected.push(*line);
-        counts[match why {
-            Rejection::GrossResidual { .. } => 0,
-            Rejection::FaultyRun { .. } => 1,
-            Rejection::FlangeContradicts { .. } => 2,
-        }] += 1;
+        *match rejection {
+            Rejection::GrossResidual { .. } => &mut gross,
+            Rejection::FaultyRun { .. } => &mut faulty_runs,
+            Rejection::FlangeContradicts { .. } => &mut contradicting,
+        } += 1;
     }
-    let whys = [
-        "deviate by more than errors of robot and instrument explain",
-        "deviate together with the rows around them",
-        "contradict the controller's own position",
+    let counts = [
+        (gross, "deviate by more than errors of robot and instrument explain"),
+        (faulty_runs, "deviate together with the rows around them"),
+        (contradicting, "contradict the controller's own position"),
     ];
-    let counted = counts.iter().zip(whys).filter(|(count, _)| **count > 0);
-    let whys: Vec<String> = counted.map(|(count, why)| format!("{count} {why}")).collect();
+    let counted = counts.iter().filter(|(count, _)| *count > 0);
+    let reasons: Vec<String> = counted.map(|(count, reason)| format!("{count} {reason}")).collect();
     let serious = rejected.len() as f64 > SERIOUS * lines.len() as f64;
     let nominal_m = set.fitted().nominal.position_m.rms;
-    // With enough terms any robot fits most rows of a wire.
+    // The nominal residuals: with enough terms the calibration of a wrong robot fits most rows of a wire.
     let advice = if serious && nominal_m > OTHER_ROBOT_M {
         format!(
             "The nominal robot is {:.1} mm (RMS) from the others, more than robots deviate: check that they are rows of {robot}, and \
@@ -270,7 +275,7 @@ pub fn left_out(set: &RowSet, run: &Run, [name, robot]: [&str; 2], lines: &[u64]
             rejected.len(),
             lines.len(),
             named(&rejected, NAMED),
-            whys.join(", ")
+            reasons.join(", ")
         ),
         serious,
     })
@@ -291,15 +296,15 @@ pub fn waves(model: &Model) -> String {
 /// The five largest waves of a joint with their amplitudes.
 fn strongest_waves(model: &Model, joint: usize) -> String {
     const SHOWN: usize = 5;
-    let amplitude = |order| {
+    let order_and_amplitude = |order| {
         let value = |phase| {
             model.parameter(ParameterId::JointWave { axis: joint, order, phase }).map_or(0.0, |one| one.value)
         };
         (order, f64::hypot(value(Phase::Sine), value(Phase::Cosine)))
     };
-    let mut waves: Vec<(u8, f64)> = Waves::OF_AXIS.map(amplitude).collect();
-    waves.retain(|wave| wave.1 > 0.0);
-    waves.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let mut waves: Vec<(u8, f64)> = Waves::OF_AXIS.map(order_and_amplitude).collect();
+    waves.retain(|(_, amplitude_rad)| *amplitude_rad > 0.0);
+    waves.sort_by(|(_, a_rad), (_, b_rad)| b_rad.total_cmp(a_rad));
     let shown =
         waves.iter().take(SHOWN).map(|(order, rad)| format!("{order} per turn {:.0} urad", rad * 1e6));
     shown.collect::<Vec<_>>().join(", ")

@@ -48,7 +48,7 @@ fn probability(p: Option<f64>) -> String {
     p.map_or_else(|| "-".into(), |p| if p < 1e-4 { "<0.0001".into() } else { format!("{p:.4}") })
 }
 
-/// Corrections of such calibrations cannot be compared, and what was fixed is not the same.
+/// A sentence on nominal values that differ between the calibrations: their corrections cannot be compared.
 fn other_nominals(consistency: &Consistency) -> Option<String> {
     let names = &consistency.other_nominals;
     (!names.is_empty()).then(|| {
@@ -59,7 +59,7 @@ fn other_nominals(consistency: &Consistency) -> Option<String> {
     })
 }
 
-/// How far each calibration puts the robot's end from where the first one does.
+/// A sentence for each calibration after the first: distance of its corrected robot's end from that of the first one.
 fn apart(consistency: &Consistency) -> Vec<String> {
     let sentence = |(number, apart): (usize, &Option<Quantiles>)| {
         let Some(apart) = apart else {
@@ -127,8 +127,9 @@ fn intervals(title: &str, unit: Unit, consistency: &Consistency, files: usize) -
     let factor = unit.display_factor();
     let mut series = Vec::new();
     for file in 0..files {
-        let (colour, aside) =
-            (COLOURS[file % COLOURS.len()], 0.6 * ((file as f64 + 0.5) / files as f64 - 0.5));
+        let colour = COLOURS[file % COLOURS.len()];
+        // Within 0.3 of the place of the name, so that the intervals do not hide each other.
+        let aside = 0.6 * ((file as f64 + 0.5) / files as f64 - 0.5);
         let (mut values, mut ends) = (Vec::new(), Vec::new());
         for (number, one) in parameters().enumerate() {
             if let (Some((value, _)), Some(half)) = (one.values[file], one.half_widths[file]) {

@@ -11,7 +11,7 @@ use crate::evaluate::WorkspaceError;
 /// Columns of a terminal.
 pub const COLUMNS: usize = 100;
 
-/// Text whose lines fit a terminal; what a line is continued with is set in.
+/// Text whose lines fit a terminal; continued lines are indented.
 pub fn wrapped(text: &str) -> String {
     let options = textwrap::Options::new(COLUMNS).subsequent_indent("  ").break_words(false);
     let line = |line: &str| {
@@ -21,7 +21,7 @@ pub fn wrapped(text: &str) -> String {
     lines.join("\n")
 }
 
-/// One line each, as far as they fit; `written` are the files beside the page.
+/// The summary, each item a paragraph that is wrapped to the terminal; `written` are the files beside the page.
 pub fn summary(
     file: &CalibrationFile,
     workspace: &WorkspaceError,
@@ -39,7 +39,7 @@ pub fn summary(
         .map(|budget| format!("; known within {} (k = {})", mm(budget.expanded_m), budget.coverage_factor));
     let deployed: String = file
         .deployments_expected(workspace)
-        .map(|(deployment, one)| format!(", {} with {}", mm(one.mean_m), what(deployment)))
+        .map(|(deployment, expected)| format!(", {} with {}", mm(expected.mean_m), what(deployment)))
         .collect();
     let parts = file.deployments_reported();
     let lines = [
@@ -61,7 +61,7 @@ pub fn summary(
     lines.into_iter().flatten().map(|line| wrapped(&line) + "\n").collect()
 }
 
-/// What stands above every result of simulated measurements.
+/// Heading of every result of simulated measurements.
 pub(crate) const SIMULATED: &str = "SIMULATED: no robot was measured";
 
 /// Numbers of the robot's links that the data determine in combination only, and those that they do not determine at all.

@@ -1,4 +1,5 @@
-//! Tables on a terminal.
+//! Tables for the terminal: a calibration with `--verbose`, its data sets, its comparison with the truth of a simulation, and
+//! the content of inspected files.
 
 use std::fmt::Write;
 
@@ -124,8 +125,9 @@ fn budget(file: &CalibrationFile) -> String {
         budget.expanded_m * 1e3,
         budget.coverage_factor,
     );
-    for one in budget.contributions.iter().filter(|one| budget.part(one) > PART_MIN) {
-        let _ = writeln!(text, "  {:>3.0} %  {}", 100.0 * budget.part(one), one.source);
+    for contribution in budget.contributions.iter().filter(|one| budget.part(one) > PART_MIN) {
+        let percent = 100.0 * budget.part(contribution);
+        let _ = writeln!(text, "  {percent:>3.0} %  {}", contribution.source);
     }
     text
 }
@@ -155,17 +157,17 @@ fn candidates(file: &CalibrationFile) -> String {
     text
 }
 
-/// What the numbers of the robot's links are for, and the sign of joint offsets.
+/// Sentences on the use of the robot's links that are printed, and on the sign of joint offsets.
 pub(in crate::report) fn about_links(file: &CalibrationFile) -> String {
-    let of = if file.serves(Deployment::Dh) {
+    let use_of_links = if file.serves(Deployment::Dh) {
         "Links as in corrections.csv, for a controller without the terms of joints (calibration.toml has those of the full model)"
     } else {
         "Links of the full model, of use together with its terms alone"
     };
-    format!("{of}. A joint's offset, rtheta, is added to {TO_JOINT}.")
+    format!("{use_of_links}. A joint's offset, rtheta, is added to {TO_JOINT}.")
 }
 
-/// True beside identified, with the thesis' two measures.
+/// True and identified parameters of a simulated experiment, with the two measures of error of the thesis.
 pub fn comparison(comparison: &Comparison) -> String {
     let mut text = String::new();
     let _ =

@@ -1,5 +1,7 @@
-//! The verdict on a calibration, by two questions: does it predict held-out data better than the nominal robot, in
-//! position and in rotation; and is the robot then as accurate as it must be?
+//! The verdict on a calibration, by two questions: does it predict held-out data better than the nominal robot, in position
+//! and in rotation; and is the robot then as accurate as it must be? Red if any data set is predicted significantly worse,
+//! amber if another condition does not hold, otherwise green. From RMS errors of held-out data and the error expected over
+//! the workspace; for terminal, page, and what may be written.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -70,14 +72,14 @@ impl fmt::Display for Verdict {
     }
 }
 
-/// Root mean square of held-out errors.
+/// RMS errors of one set of held-out data, in position \[m\] or rotation \[rad\].
 pub(super) struct Predicted {
     pub(super) what: String,
     pub(super) nominal: f64,
     pub(super) calibrated: f64,
-    /// Of the data of the fit.
+    /// Of the calibrated robot on the data of the fit.
     fitted: f64,
-    /// Independent numbers behind each of both.
+    /// Number of independent errors in each RMS.
     independent: usize,
     pub(super) unit: &'static str,
     is_position: bool,
@@ -88,17 +90,16 @@ impl Predicted {
         self.calibrated < self.nominal
     }
 
-    /// The logarithm of a root mean square of `n` normal errors has a variance of `1 / 2n`, the difference of two `1 / n` at
-    /// most: they are of the same rows.
+    /// Worse by more than the random scatter of two RMS of so few errors.
     fn is_worse_beyond_chance(&self) -> bool {
         is_surely_worse(self.independent, [self.nominal, self.calibrated])
     }
 
     /// The error is larger than that of the data of the fit, by more than chance and by more than the stated uncertainty.
     fn is_beyond(&self, expanded_m: f64) -> bool {
-        let more_m = (self.calibrated.powi(2) - self.fitted.powi(2)).max(0.0).sqrt();
+        let excess_m = (self.calibrated.powi(2) - self.fitted.powi(2)).max(0.0).sqrt();
         self.is_position
-            && more_m > expanded_m
+            && excess_m > expanded_m
             && is_surely_worse(self.independent, [self.fitted, self.calibrated])
     }
 
@@ -113,8 +114,8 @@ impl Predicted {
 }
 
 impl CalibrationFile {
-    /// Adds the verdict of what is in the file, of the error that is expected over the workspace, and of what limits it; and
-    /// what makes that error uncertain.
+    /// Adds the verdict on the held-out data in the file, on the error expected over the workspace and on the limits; also
+    /// the limits with the largest contribution to the uncertainty, and the expected errors.
     pub fn with_verdict(
         mut self,
         workspace: &WorkspaceError,
@@ -123,8 +124,8 @@ impl CalibrationFile {
     ) -> Self {
         self.budget = Some(workspace.budget.clone());
         self.limits = limits.to_vec();
-        let serious = limits.iter().rposition(|limit| limit.serious).map_or(0, |last| last + 1);
-        self.limits.splice(serious..serious, largest_contribution(workspace));
+        let after_serious = limits.iter().rposition(|limit| limit.serious).map_or(0, |last| last + 1);
+        self.limits.splice(after_serious..after_serious, largest_contribution(workspace));
         self.expected = Some(ExpectedEntry::of(workspace));
         let predicted = self.predicted();
         let better = (!predicted.is_empty()).then(|| predicted.iter().all(Predicted::is_better));
@@ -137,19 +138,24 @@ impl CalibrationFile {
             );
             (Grade::Red, Some(reason))
         } else {
-            let same = predicted.iter().find(|one| !one.is_better()).map(|same| {
+            let not_better = predicted.iter().find(|one| !one.is_better()).map(|not_better| {
                 format!(
                     "The calibrated robot predicts held-out data no better than the nominal robot: {}.",
-                    same.sentence()
+                    not_better.sentence()
                 )
             });
             let serious = || limits.iter().find(|limit| limit.serious).map(|limit| limit.sentence.clone());
-            let unknown = || better.is_none().then(|| "No data were held out to check it.".to_owned());
+            let untested = || better.is_none().then(|| "No data were held out to check it.".to_owned());
             let missed = || missed(workspace, &predicted, required_m);
             let beyond = || beyond(workspace, &predicted);
             let nowhere_else = || known_nowhere_else(workspace);
-            let reason =
-                same.or_else(missed).or_else(beyond).or_else(serious).or_else(nowhere_else).or_else(unknown);
+            // The first that applies is stated.
+            let reason = not_better
+                .or_else(missed)
+                .or_else(beyond)
+                .or_else(serious)
+                .or_else(nowhere_else)
+                .or_else(untested);
             (if reason.is_some() { Grade::Amber } else { Grade::Green }, reason)
         };
         self.verdict = Some(Verdict { grade, better, required_m, reason });
@@ -185,9 +191,10 @@ impl CalibrationFile {
         Earlier::in_directory(directory).map(Earlier::set_aside).transpose()
     }
 
-    /// Held-out errors of each data set.
+    /// Held-out errors of each data set, in position and, where it was measured, in rotation.
     pub(super) fn predicted(&self) -> Vec<Predicted> {
         let mut all = Vec::new();
+        // RMS errors of the nominal robot, the calibrated robot, and the calibrated robot on the data of the fit.
         let mut add = |what: &str, independent: usize, position: [f64; 3], rotation: Option<[f64; 3]>| {
             let position = (format!("Positions of {what}"), "mm", position, true);
             let rotation = rotation.map(|rotation| (format!("Rotations of {what}"), "mrad", rotation, false));
@@ -196,37 +203,44 @@ impl CalibrationFile {
                 all.push(Predicted { what, nominal, calibrated, fitted, independent, unit, is_position });
             }
         };
-        let of_rows = |figures: [&PoseFigures; 3]| {
-            let [Some(before), Some(after), Some(fitted)] = figures.map(|one| one.rotation_rad) else {
-                return (figures.map(|one| one.position_m.rms), None);
+        // Rotation only if all three have one.
+        let position_and_rotation = |figures: [&PoseFigures; 3]| {
+            let position = figures.map(|stage| stage.position_m.rms);
+            let rotation = match figures.map(|stage| stage.rotation_rad) {
+                [Some(nominal), Some(calibrated), Some(fitted)] => {
+                    Some([nominal.rms, calibrated.rms, fitted.rms])
+                }
+                _ => None,
             };
-            (figures.map(|one| one.position_m.rms), Some([before.rms, after.rms, fitted.rms]))
+            (position, rotation)
         };
         if let Some(held_out) = &self.held_out {
-            let all = [held_out.nominal, held_out.calibrated, held_out.fitted];
-            let rotation = match all.map(|one| one.rotation_rad) {
-                [Some(before), Some(after), Some(fitted)] => Some([before, after, fitted]),
+            let stages = [held_out.nominal, held_out.calibrated, held_out.fitted];
+            let rotation = match stages.map(|stage| stage.rotation_rad) {
+                [Some(nominal), Some(calibrated), Some(fitted)] => Some([nominal, calibrated, fitted]),
                 _ => None,
             };
             let independent = INDEPENDENT_OF_SEGMENT * held_out.segments;
-            add("held-out segments", independent, all.map(|one| one.position_m), rotation);
+            add("held-out segments", independent, stages.map(|stage| stage.position_m), rotation);
         }
         for rows in &self.rows {
-            let after = &rows.held_out.joints;
-            let (position, rotation) = of_rows([&rows.held_out.nominal, after, &rows.fitted.joints]);
-            add(&format!("held-out rows of data set {}", rows.data_set), after.rows, position, rotation);
+            let calibrated = &rows.held_out.joints;
+            let (position, rotation) =
+                position_and_rotation([&rows.held_out.nominal, calibrated, &rows.fitted.joints]);
+            let what = format!("held-out rows of data set {}", rows.data_set);
+            add(&what, calibrated.rows, position, rotation);
         }
         for ValidationEntry { name, data_set, nominal, calibrated, .. } in &self.validations {
             let rows = self.rows.iter().find(|rows| rows.data_set == *data_set);
             let fitted = rows.map_or(calibrated, |rows| &rows.fitted.joints);
-            let (position, rotation) = of_rows([nominal, calibrated, fitted]);
+            let (position, rotation) = position_and_rotation([nominal, calibrated, fitted]);
             add(&format!("the rows of {name}"), calibrated.rows, position, rotation);
         }
         all
     }
 }
 
-/// What makes positions uncertain most.
+/// The largest contribution to the uncertainty of positions, as a limit.
 fn largest_contribution(WorkspaceError { budget, .. }: &WorkspaceError) -> Option<Limit> {
     let most = budget.contributions.first().filter(|most| most.u_m > 0.0)?;
     let sentence =
@@ -234,7 +248,8 @@ fn largest_contribution(WorkspaceError { budget, .. }: &WorkspaceError) -> Optio
     Some(Limit { sentence, serious: false })
 }
 
-/// The geometry is more uncertain over the workspace than the nominal one is wrong: the measurements do not determine the rest.
+/// A reason if the calibrated robot is more uncertain over the workspace than the nominal robot is wrong: the measurements
+/// cover too little of it.
 fn known_nowhere_else(workspace: &WorkspaceError) -> Option<String> {
     let (expanded_m, before_m) = (workspace.budget.expanded_m, workspace.before.mean_m);
     (expanded_m > before_m).then(|| {
@@ -247,7 +262,7 @@ fn known_nowhere_else(workspace: &WorkspaceError) -> Option<String> {
     })
 }
 
-/// The error of held-out data is larger than stated uncertainty and residuals of the fit allow.
+/// A reason if the error of held-out data is larger than stated uncertainty and residuals of the fit allow.
 fn beyond(WorkspaceError { budget, .. }: &WorkspaceError, predicted: &[Predicted]) -> Option<String> {
     let one = predicted.iter().find(|one| one.is_beyond(budget.expanded_m))?;
     let [calibrated, fitted, expanded] = [one.calibrated, one.fitted, budget.expanded_m].map(|m| m * 1e3);
@@ -258,7 +273,7 @@ fn beyond(WorkspaceError { budget, .. }: &WorkspaceError, predicted: &[Predicted
     ))
 }
 
-/// Why the requirement is not met.
+/// A reason if the required accuracy is not met over the workspace or on held-out positions.
 fn missed(workspace: &WorkspaceError, predicted: &[Predicted], required_m: Option<f64>) -> Option<String> {
     let required_m = required_m?;
     let expected_m = workspace.after.p95_upper_m;
@@ -275,7 +290,7 @@ fn missed(workspace: &WorkspaceError, predicted: &[Predicted], required_m: Optio
     Some(format!("The required {} mm are not met: {missed}.", in_mm(required_m)))
 }
 
-/// As it was asked for, without what the conversion adds.
+/// Millimetres as the user gave them, without the rounding error of the conversion.
 fn in_mm(length_m: f64) -> f64 {
     (length_m * 1e9).round() / 1e6
 }

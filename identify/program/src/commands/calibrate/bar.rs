@@ -1,4 +1,5 @@
-//! `identify calibrate bar`: recordings of the ball-bar with the robot's logs.
+//! `identify calibrate bar`: makes an experiment of the options. For the `driver` of all calibrations it also reads the
+//! recordings of the ball-bar with the robot's logs ([`runs`]), and splits a run at a change point ([`solved`]).
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -92,13 +93,17 @@ fn experiment(arguments: &BarArguments) -> anyhow::Result<Experiment> {
         "{runs} recordings and {} force logs; give one --force-log for each --recording, in the same order, or none",
         force_log.len()
     );
-    let run = |(run, (recording, (robot_log, bar))): (usize, (&PathBuf, (&PathBuf, &PathBuf)))| BarRun {
-        recording: recording.clone(),
-        robot_log: robot_log.clone(),
-        bar: bar.clone(),
-        force_log: force_log.get(run).cloned(),
-    };
-    let bars = recording.iter().zip(robot_log.iter().zip(bar.iter().cycle()));
+    let mut bars = Vec::with_capacity(runs);
+    for (run, ((recording, robot_log), bar)) in
+        recording.iter().zip(robot_log).zip(bar.iter().cycle()).enumerate()
+    {
+        bars.push(BarRun {
+            recording: recording.clone(),
+            robot_log: robot_log.clone(),
+            bar: bar.clone(),
+            force_log: force_log.get(run).cloned(),
+        });
+    }
     let mut common = arguments.common.experiment()?;
     common.identify.cost = arguments.cost.or(common.identify.cost);
     if let Some(encoders) = &arguments.encoders {
@@ -111,7 +116,7 @@ fn experiment(arguments: &BarArguments) -> anyhow::Result<Experiment> {
         force_mapping: arguments.force_mapping.clone(),
         ignore_force: arguments.ignore_force,
         split_at_changes: arguments.split_at_changes,
-        bars: bars.enumerate().map(run).collect(),
+        bars,
         ..common
     })
 }
@@ -120,13 +125,13 @@ pub(super) fn run(arguments: &BarArguments) -> anyhow::Result<()> {
     calibrate(experiment(arguments)?, &arguments.common.result, arguments.truth.as_deref())
 }
 
-/// One run as it was read, or a part of it.
+/// The files of one run as they were read, or a part of the run; parts share the files.
 #[derive(Clone)]
 pub(super) struct RunFiles<'a> {
     pub(super) recording_path: &'a Path,
     pub(super) log_path: &'a Path,
     pub(super) recording: Arc<BarLog>,
-    /// Cycles of the recording that are its.
+    /// Cycles of the recording that belong to the part.
     cycles: Range<usize>,
     pub(super) log: Arc<RobotLog>,
     pub(super) bar: BallBarConfig,
@@ -149,15 +154,14 @@ impl RunFiles<'_> {
         self.recording.cycles().get(self.cycles.clone()).unwrap_or_default()
     }
 
-    /// The parts before and after an instant, since the first valid sample \[s\]; `None` if one of them is empty.
+    /// The parts before and after an instant, counted from the first valid sample \[s\]; `None` if one of them is empty.
     fn cut(&self, at_s: f64) -> Option<[Self; 2]> {
         let angles = bar_angles(self.cycles(), self.recording.encoders()).ok()?;
         let first = angles.first_time();
-        let before =
-            self.cycles().iter().take_while(|cycle| cycle.sample_time.seconds_since(first) < at_s).count();
-        let at = self.cycles.start + before;
+        let is_before = |cycle: &&CycleRecord| cycle.sample_time.seconds_since(first) < at_s;
+        let boundary = self.cycles.start + self.cycles().iter().take_while(is_before).count();
         let part = |cycles: Range<usize>| (!cycles.is_empty()).then(|| Self { cycles, ..self.clone() });
-        Some([part(self.cycles.start..at)?, part(at..self.cycles.end)?])
+        Some([part(self.cycles.start..boundary)?, part(boundary..self.cycles.end)?])
     }
 
     /// The recording's clock shows a date.
@@ -206,7 +210,7 @@ pub(super) fn runs<'a>(
         experiment.recording_mapping.as_deref().map(config::load).transpose()?;
     let force_mapping: Option<ForceLogMapping> =
         experiment.force_mapping.as_deref().map(config::load).transpose()?;
-    let read = |run: &'a BarRun| {
+    let read_run = |run: &'a BarRun| {
         let force = run.force_log.as_deref().map(|path| ForceLog::load(path, robot, force_mapping.as_ref()));
         let force = force.transpose()?;
         let bar: BallBarConfig = config::load(&run.bar)?;
@@ -226,7 +230,7 @@ pub(super) fn runs<'a>(
             log_path: &run.robot_log,
         })
     };
-    let files: Vec<RunFiles<'_>> = experiment.bars.iter().map(read).collect::<anyhow::Result<_>>()?;
+    let files: Vec<RunFiles<'_>> = experiment.bars.iter().map(read_run).collect::<anyhow::Result<_>>()?;
     let is_other = |run: &RunFiles<'_>| matches!(&*run.recording, BarLog::Other(_));
     anyhow::ensure!(
         bar_mapping.is_none() || files.iter().any(is_other),
@@ -270,7 +274,8 @@ pub(super) fn load_log(path: &Path, robot: &RobotConfig, options: &LogOptions) -
     Ok(log)
 }
 
-/// Solves; with `split_at_changes` a run is cut in two where it was refused for a change at a known instant.
+/// Solves; with `split_at_changes` it replaces a run that is refused for a change point at a known instant by its two
+/// parts, and solves again.
 pub(super) fn solved<T>(
     split_at_changes: bool,
     runs: &mut Vec<RunFiles<'_>>,
@@ -283,7 +288,7 @@ pub(super) fn solved<T>(
         let inputs: Vec<RunInput<'_>> = runs.iter().map(RunFiles::input).collect();
         let refused = match solve(&inputs) {
             Err(refused) if cuts > 0 => refused,
-            found => return found,
+            result => return result,
         };
         let CalibrateError::Prepare { run, error } = &refused else { return Err(refused) };
         let parts = error.parts_at_s().and_then(|at_s| Some((at_s, runs.get(*run)?.cut(at_s)?)));

@@ -1,4 +1,5 @@
-//! From an experiment to its files, its page and the terminal, for every calibration.
+//! Runs every calibration: reads the files of an experiment, solves, validates on held-out data, writes the results with their
+//! page, and prints the summary. Inconsistent or insufficient data give the page of a refusal instead.
 
 use std::path::Path;
 
@@ -27,7 +28,7 @@ use crate::report::result::force::ForceEntry;
 use crate::report::result::knowledge::NoiseEntry;
 use crate::report::result::residuals::residuals_csv;
 use crate::report::result::validation::{RowsEntry, ValidationEntry};
-use crate::report::rows as of_rows;
+use crate::report::rows as rows_report;
 use crate::report::summary::{summary, wrapped};
 use crate::report::table;
 use crate::simulate::{Comparison, Truth};
@@ -55,29 +56,28 @@ pub(super) fn calibrate(
     experiment.state(&rows);
     let experiment = &experiment;
     let numbers = experiment.bars.len() + 1..;
-    let others = experiment
-        .rows()
-        .zip(&rows)
-        .zip(numbers)
-        .map(|(((kind, of), rows), number)| Others::read(kind, of, number, rows.seed(), robot));
+    let read_others = |(((kind, file), rows), number): (((_, _), &Rows), usize)| {
+        Others::read(kind, file, number, rows.seed(), robot)
+    };
+    let others = experiment.rows().zip(&rows).zip(numbers).map(read_others);
     let others = others.collect::<anyhow::Result<Vec<Others<'_>>>>()?;
     let (inputs, bars) = both(|| inputs(&experiment.files()), || bar::runs(experiment, robot, &logs));
     let (mut bars, inputs) = (bars?, inputs?);
     experiment.ensure_distinct(&inputs)?;
-    let calibration = bar::solved(experiment.split_at_changes, &mut bars, |inputs| {
+    let solved = bar::solved(experiment.split_at_changes, &mut bars, |inputs| {
         experiment.identify.require_usual_selection()?;
         let bars = RunInput::prepare_all(inputs, robot, &experiment.identify.prepare)?;
         let data = DataSets { bars, rows: rows.clone() };
         calibrate::calibrate(&data, robot, &experiment.identify, Some(&on_terminal))
     });
-    let studied = calibration.and_then(|calibration| {
+    let validated = solved.and_then(|calibration| {
         let evidence = evidence(&calibration, &robot.joint_limits());
         let evidence = evidence.with_validation(&calibration, &robot.joint_limits(), Some(&on_terminal))?;
         Ok((calibration, evidence))
     });
     on_terminal.finish();
     let (calibration, evidence) =
-        studied.map_err(|error| refused(directory, robot, experiment, &bars, error))?;
+        validated.map_err(|error| refused(directory, robot, experiment, &bars, error))?;
 
     let mut file = calibration_file(inputs, robot, &bars, &beside, &calibration, &evidence);
     file.noise = NoiseEntry::all(&calibration.runs, experiment.identify.noise);
@@ -89,12 +89,12 @@ pub(super) fn calibrate(
     let limits = [tables.limits, evidence.limits.clone()].concat();
     let required_m = experiment.identify.require_mm.map(|mm| mm * 1e-3);
     let mut file = file.with_verdict(&evidence.workspace, &limits, required_m);
-    let plates = bars.iter().map(|run| (&run.bar, Source::find(run.bar_path)));
+    let bars_with_source = bars.iter().map(|run| (&run.bar, Source::find(run.bar_path)));
     let scales = calibration.runs.iter().map(|run| run.instrument.scale());
-    file.scale = Some(scale_sentence(plates, scales, &evidence.workspace.budget));
+    file.scale = Some(scale_sentence(bars_with_source, scales, &evidence.workspace.budget));
 
-    let lines: Vec<&[u64]> = beside.iter().map(|beside| beside.lines.as_slice()).collect();
-    let residuals = residuals_csv(&calibration, &lines)?;
+    let line_numbers: Vec<&[u64]> = beside.iter().map(|beside| beside.lines.as_slice()).collect();
+    let residuals = residuals_csv(&calibration, &line_numbers)?;
     let bar = bars.first().map(|run| &run.bar);
     let written = write_files(&file, &residuals, robot, bar, (experiment, logs.mapping.as_ref()), directory)?;
     let page = Page {
@@ -111,9 +111,9 @@ pub(super) fn calibrate(
     if let Some(truth) = &truth {
         show(wrapped(&(table::comparison(&Comparison::new(&calibration, truth)) + "\n")))?;
     }
-    show(wrapped(&tables.asked))?;
-    let all = result.verbose.then(|| table::calibration(&file) + "\n" + &tables.text + &limited(&file));
-    conclude(&file, all.as_deref(), &summary(&file, &evidence.workspace, &written, &page), &page)
+    show(wrapped(&tables.validation_lines))?;
+    let verbose = result.verbose.then(|| table::calibration(&file) + "\n" + &tables.text + &limited(&file));
+    conclude(&file, verbose.as_deref(), &summary(&file, &evidence.workspace, &written, &page), &page)
 }
 
 /// Reads every file of rows, with what it contains beside its rows.
@@ -123,9 +123,10 @@ fn rows_of(
     logs: &LogOptions,
     directory: &Path,
 ) -> anyhow::Result<(Vec<Rows>, Vec<Beside>)> {
-    let with = WithLogs { robot, logs, options: &experiment.identify.prepare };
+    let context = WithLogs { robot, logs, options: &experiment.identify.prepare };
     let numbers = experiment.bars.len() + 1..;
-    let read = experiment.rows().zip(numbers).map(|((kind, of), number)| rows::read(kind, of, number, &with));
+    let read =
+        experiment.rows().zip(numbers).map(|((kind, file), number)| rows::read(kind, file, number, &context));
     read.collect::<anyhow::Result<_>>().map_err(|error| match error.downcast() {
         Ok(error) => refused(directory, robot, experiment, &[], error),
         Err(error) => error,
@@ -142,13 +143,14 @@ fn calibration_file(
     evidence: &Evidence,
 ) -> CalibrationFile {
     let solution = calibration.solution();
-    let of_bars = bars.iter().zip(calibration.bar_runs()).enumerate();
-    let of_bars = of_bars.filter_map(|(run, (files, (prepared, _)))| {
+    let runs = bars.iter().zip(calibration.bar_runs()).enumerate();
+    let bar_clocks = runs.filter_map(|(run, (files, (prepared, _)))| {
         ClockEntry::solved(calibration, run, (prepared.t_ref, files.is_dated()), &prepared.alignment)
     });
-    let of_trackers = (bars.len()..).zip(beside);
-    let of_trackers =
-        of_trackers.filter_map(|(number, beside)| beside.aligned.as_ref()?.clock(number, calibration));
+    // Data sets of rows are numbered after the runs with a bar.
+    let tracker_clocks = (bars.len()..).zip(beside);
+    let tracker_clocks =
+        tracker_clocks.filter_map(|(number, beside)| beside.aligned.as_ref()?.clock(number, calibration));
     let mut file = CalibrationFile::new(
         &robot.name,
         &instruments(bars, &calibration.runs),
@@ -159,7 +161,7 @@ fn calibration_file(
     .with_knowledge(solution)
     .with_separation(calibration.model(), solution)
     .with_validation(evidence);
-    file.clocks = of_bars.chain(of_trackers).collect();
+    file.clocks = bar_clocks.chain(tracker_clocks).collect();
     file.forces = ForceEntry::all(&evidence.spheres);
     let tables = beside.iter().filter_map(|beside| MeasurementEntry::of_table(beside.simulated));
     file.measured = bars.iter().filter_map(RunFiles::measured).chain(tables).collect();
@@ -173,19 +175,19 @@ fn instruments(bars: &[RunFiles<'_>], runs: &[Run]) -> String {
         return first.bar.name.clone();
     }
     let names: Vec<&str> = runs.iter().map(|run| run.instrument.name()).collect();
-    let told = names.chunk_by(|one, other| one == other).map(|same| match same {
+    let counted = names.chunk_by(|name, next| name == next).map(|same| match same {
         [name] => (*name).to_owned(),
-        several => format!("{} times {}", several.len(), several[0]),
+        _ => format!("{} times {}", same.len(), same[0]),
     });
-    told.collect::<Vec<_>>().join(", ")
+    counted.collect::<Vec<_>>().join(", ")
 }
 
-/// Tables, limits and entries of the result for each data set.
+/// What the result reports of its data sets: for the terminal, the page and the files.
 struct Tables<'a> {
     /// For the page, and for the terminal where all is printed.
     text: String,
     /// Lines of the terminal about files of `--validate`.
-    asked: String,
+    validation_lines: String,
     entries: Vec<RowsEntry>,
     validations: Vec<ValidationEntry>,
     limits: Vec<Limit>,
@@ -204,7 +206,7 @@ impl<'a> Tables<'a> {
     ) -> anyhow::Result<Self> {
         let mut tables = Self {
             text: table::data_sets(calibration),
-            asked: String::new(),
+            validation_lines: String::new(),
             entries: Vec::new(),
             validations: Vec::new(),
             limits: Vec::new(),
@@ -219,12 +221,12 @@ impl<'a> Tables<'a> {
                 _ => format!("{} (data set {})", instrument.name(), number + 1),
             };
             let validations = others.judge(robot, validity, model)?;
-            tables.asked.extend(validations.iter().map(of_rows::Validation::line));
-            tables.validations.extend(validations.iter().map(|one| one.entry(number + 1)));
-            let table = of_rows::table(set, instrument, model, &beside.lines, &validations);
+            tables.validation_lines.extend(validations.iter().map(rows_report::Validation::line));
+            tables.validations.extend(validations.iter().map(|validation| validation.entry(number + 1)));
+            let table = rows_report::table(set, instrument, model, &beside.lines, &validations);
             tables.text += &format!("\n{name}\n{table}{}", beside.set_ups());
             tables.text.extend(beside.aligned.as_ref().map(Aligned::line));
-            tables.limits.extend(of_rows::left_out(
+            tables.limits.extend(rows_report::left_out(
                 set,
                 &calibration.runs[number],
                 [&name, &robot.name],
@@ -241,7 +243,7 @@ impl<'a> Tables<'a> {
             tables.errors.push((name, &set.errors));
         }
         if !rows.is_empty() {
-            tables.text += &of_rows::waves(calibration.model());
+            tables.text += &rows_report::waves(calibration.model());
         }
         Ok(tables)
     }

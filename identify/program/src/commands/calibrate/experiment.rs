@@ -1,5 +1,6 @@
-//! `identify calibrate --experiment FILE`: any mix of instruments on one robot. Such a file is written beside every result, so
-//! that one command repeats it.
+//! The [`Experiment`]: paths and settings of one calibration, with any mix of instruments on one robot. All subcommands
+//! of `identify calibrate` make one, and `--experiment FILE` reads it. It is written beside every result, so that one
+//! command repeats the calibration.
 
 use std::path::{Component, Path, PathBuf};
 
@@ -189,24 +190,24 @@ impl Experiment {
 
     /// All files of rows, in the order of their data sets.
     pub(super) fn rows(&self) -> impl Iterator<Item = (Kind, &RowFile)> {
-        self.kinds().into_iter().flat_map(|(kind, files)| files.iter().map(move |of| (kind, of)))
+        self.kinds().into_iter().flat_map(|(kind, files)| files.iter().map(move |file| (kind, file)))
     }
 
     /// Sets which rows of each file are held out, if this was left open: a later version may have other defaults.
     pub(super) fn state(&mut self, rows: &[Rows]) {
-        for (of, rows) in self.rows_mut().zip(rows) {
-            (of.hold_out, of.seed) = (Some(rows.hold_out()), Some(rows.seed()));
+        for (file, rows) in self.rows_mut().zip(rows) {
+            (file.hold_out, file.seed) = (Some(rows.hold_out()), Some(rows.seed()));
         }
     }
 
-    /// Every file that is read, with what it is, those of rows first.
+    /// Every file of the calibration with its role, those of rows first; files of `validate` are not included.
     pub(super) fn files(&self) -> Vec<(&'static str, &Path)> {
         let mut files: Vec<(&str, &Path)> = Vec::new();
-        for (kind, of) in self.rows() {
-            files.extend([(kind.role(), of.file.as_path()), ("mapping", &of.mapping)]);
-            files.extend(of.robot_log.as_deref().map(|log| ("robot log", log)));
-            files.extend(of.sockets.as_deref().map(|sockets| ("sockets", sockets)));
-            files.extend(of.faces.as_deref().map(|faces| ("faces", faces)));
+        for (kind, rows) in self.rows() {
+            files.extend([(kind.role(), rows.file.as_path()), ("mapping", &rows.mapping)]);
+            files.extend(rows.robot_log.as_deref().map(|log| ("robot log", log)));
+            files.extend(rows.sockets.as_deref().map(|sockets| ("sockets", sockets)));
+            files.extend(rows.faces.as_deref().map(|faces| ("faces", faces)));
         }
         files.push(("robot", &self.robot));
         for run in &self.bars {
@@ -244,18 +245,20 @@ impl Experiment {
         paths
     }
 
-    /// No data set is another one again: what is measured once would count twice, and intervals would be too narrow. `inputs` are
-    /// its files with their checksums.
+    /// Refuses a data set that is given twice: its measurements would count twice, and intervals would be too narrow.
+    /// `inputs` are the files of the experiment with their checksums.
     pub(super) fn ensure_distinct(&self, inputs: &[Input]) -> anyhow::Result<()> {
         let bars = self.bars.iter().map(|run| [&run.recording, &run.robot_log]);
-        let rows = self.rows().map(|(_, of)| [&of.file, &of.mapping]);
+        let rows = self.rows().map(|(_, rows)| [&rows.file, &rows.mapping]);
         let sets: Vec<[&PathBuf; 2]> = bars.chain(rows).collect();
-        let checksum = |path: &PathBuf| inputs.iter().find(|input| input.path == *path).map(|of| &of.sha256);
-        let content: Vec<Option<Vec<_>>> =
+        let checksum =
+            |path: &PathBuf| inputs.iter().find(|input| input.path == *path).map(|input| &input.sha256);
+        // `None` if one of the two files has no checksum.
+        let checksums: Vec<Option<Vec<_>>> =
             sets.iter().map(|set| set.map(checksum).into_iter().collect()).collect();
-        for (number, own) in content.iter().enumerate() {
-            let is_same = |other: &Option<Vec<_>>| own.is_some() && other == own;
-            if let Some(first) = content[..number].iter().position(is_same) {
+        for (number, pair) in checksums.iter().enumerate() {
+            let is_same = |other: &Option<Vec<_>>| pair.is_some() && other == pair;
+            if let Some(first) = checksums[..number].iter().position(is_same) {
                 anyhow::bail!(
                     "data sets {} and {} are the same measurements ({} and {}); leave one of them out",
                     first + 1,
@@ -268,12 +271,13 @@ impl Experiment {
         Ok(())
     }
 
-    /// Writes it beside a result, so that it can be repeated from anywhere, also where the folder that has the data and the result
-    /// is moved or copied; its text.
+    /// Writes it beside a result and returns its text. Its paths are relative to the directory, so that the folder with the
+    /// data and the result can be moved or copied.
     pub(super) fn write(&self, directory: &Path) -> anyhow::Result<String> {
         let mut moved = self.clone();
         // Without links, as `..` is resolved there.
-        let from = directory.canonicalize().with_context(|| directory.display().to_string())?;
+        let canonical_directory =
+            directory.canonicalize().with_context(|| directory.display().to_string())?;
         for path in moved.paths() {
             let file = match Source::find(path) {
                 // It is in the program.
@@ -283,25 +287,25 @@ impl Experiment {
             // A missing file is still named.
             let found = file.canonicalize().or_else(|_| std::path::absolute(&file));
             let found = found.with_context(|| path.display().to_string())?;
-            *path = relative(&found, &from).unwrap_or(found);
+            *path = relative(&found, &canonical_directory).unwrap_or(found);
         }
         let (to, text) = (directory.join(NAME), toml::to_string(&moved)?);
         std::fs::write(&to, &text).with_context(|| to.display().to_string())?;
         Ok(text)
     }
 
-    /// Takes the experiment of a calibration that was set aside to its place, so that it still repeats it. What the present run was
-    /// read from stays: it is its own.
+    /// Moves the experiment's file of an earlier calibration from `directory` to `place`, where its results are now, with
+    /// paths that are valid there. The file that the present experiment was read from stays.
     pub(super) fn set_aside(&self, directory: &Path, place: &Path) -> anyhow::Result<()> {
         let file = directory.join(NAME);
-        let own = self.read_from.as_ref();
-        let is_own = own.is_some_and(|own| own.canonicalize().ok() == file.canonicalize().ok());
-        if is_own || !file.exists() {
+        let present = self.read_from.as_ref();
+        let is_present = present.is_some_and(|path| path.canonicalize().ok() == file.canonicalize().ok());
+        if is_present || !file.exists() {
             return Ok(());
         }
         match Self::load(&file) {
             Ok(experiment) => experiment.write(place).map(drop)?,
-            // Of an older program, or edited: as it is.
+            // It cannot be read, because an older program wrote it or it was edited: copied unchanged.
             Err(_) => {
                 std::fs::copy(&file, place.join(NAME))
                     .map(drop)
@@ -324,15 +328,18 @@ impl Experiment {
 
 /// The relative path from a directory to a file, both without links; `None` if they are unrelated: their common folder is far above
 /// the directory, or a shared one such as `/tmp`.
-fn relative(to: &Path, from: &Path) -> Option<PathBuf> {
-    /// `project/results/monday/earlier` belongs with `project/data`.
+fn relative(file: &Path, directory: &Path) -> Option<PathBuf> {
+    /// Enough from `project/results/monday/earlier` to `project/data`.
     const UP_MAX: usize = 3;
+    /// `/tmp` is one folder.
     const COMMON_FOLDERS_MIN: usize = 2;
-    let common = to.components().zip(from.components()).take_while(|(one, other)| one == other).count();
-    let folders = to.components().take(common).filter(|part| matches!(part, Component::Normal(_))).count();
-    let up = from.components().skip(common).map(|_| Component::ParentDir);
+    let both = file.components().zip(directory.components());
+    let common = both.take_while(|(of_file, of_directory)| of_file == of_directory).count();
+    let common_parts = file.components().take(common);
+    let folders = common_parts.filter(|part| matches!(part, Component::Normal(_))).count();
+    let up = directory.components().skip(common).map(|_| Component::ParentDir);
     (folders >= COMMON_FOLDERS_MIN && up.clone().count() <= UP_MAX)
-        .then(|| up.chain(to.components().skip(common)).collect())
+        .then(|| up.chain(file.components().skip(common)).collect())
 }
 
 pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {

@@ -22,17 +22,17 @@ pub(super) fn refused(
     runs: &[RunFiles<'_>],
     error: CalibrateError,
 ) -> anyhow::Error {
-    let of_one = match &error {
+    let refused_run = match &error {
         CalibrateError::Prepare { run, .. } => runs.get(*run..=*run),
         _ => None,
     };
-    let names = match (of_one, experiment.rows().next()) {
+    let names = match (refused_run, experiment.rows().next()) {
         (None, Some((_, rows))) => rows.file.display().to_string(),
         _ => {
             let name = |run: &RunFiles<'_>| {
                 format!("{} with {}", run.recording_path.display(), run.log_path.display())
             };
-            of_one.unwrap_or(runs).iter().map(name).collect::<Vec<_>>().join(", ")
+            refused_run.unwrap_or(runs).iter().map(name).collect::<Vec<_>>().join(", ")
         }
     };
     let written = error.refusal().and_then(|refusal| {

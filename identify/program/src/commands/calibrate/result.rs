@@ -1,4 +1,4 @@
-//! Writes and prints a calibration.
+//! Writes the files of a calibration as far as its verdict allows, and prints its tables and summary.
 
 use std::path::{Path, PathBuf};
 
@@ -24,9 +24,10 @@ pub(super) fn write_files(
     (experiment, log_mapping): (&Experiment, Option<&RobotLogMapping>),
     directory: &Path,
 ) -> anyhow::Result<Vec<PathBuf>> {
-    let would_stay =
-        |part: Deployment| !file.serves(part) && files(part).iter().any(|name| directory.join(name).exists());
-    if (is_red(file) || Deployment::PARTIAL.into_iter().any(would_stay))
+    let has_stale_files = |deployment: Deployment| {
+        !file.serves(deployment) && files(deployment).iter().any(|name| directory.join(name).exists())
+    };
+    if (is_red(file) || Deployment::PARTIAL.into_iter().any(has_stale_files))
         && let Some(place) = file.set_earlier_aside(directory)?
     {
         experiment.set_aside(directory, &place)?;
@@ -51,15 +52,15 @@ pub(super) fn limited(file: &CalibrationFile) -> String {
     others.map(|limit| format!("{} {}\n", if limit.serious { '!' } else { '-' }, limit.sentence)).collect()
 }
 
-/// Prints the tables of --verbose and the summary.
+/// Prints the tables of --verbose and the summary; a red verdict is an error.
 pub(super) fn conclude(
     file: &CalibrationFile,
-    all: Option<&str>,
+    verbose: Option<&str>,
     summary: &str,
     page: &Path,
 ) -> anyhow::Result<()> {
-    if let Some(all) = all {
-        say(wrapped(all))?;
+    if let Some(tables) = verbose {
+        say(wrapped(tables))?;
     }
     anyhow::ensure!(
         !is_red(file),

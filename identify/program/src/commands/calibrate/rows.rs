@@ -1,11 +1,14 @@
-//! Files of rows, each a pose of the robot and what was measured there: `identify calibrate tracker`, `wire`, `contact` and
-//! `touch`.
+//! `identify calibrate tracker`, `wire`, `contact` and `touch`: instruments whose measurements are rows of a table,
+//! each a pose of the robot and what was measured there. Options of these commands, and for the `driver` the reading of
+//! such files to [`Rows`]: joints are in the rows, or follow from the robot's log by aligning the clocks. [`Others`]
+//! are files of `--validate`.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::Args;
+use serde::{Deserialize, Serialize};
 use shared::config::{self, RobotConfig};
 use shared::time::UtcNs;
 
@@ -26,8 +29,7 @@ use crate::logs::{
 use crate::model::{JointState, Model, Waves, further};
 use crate::prepare::{AlignedPoses, Alignment, PrepareOptions, align_poses};
 use crate::report::result::clocks::ClockEntry;
-use crate::report::rows as of_rows;
-use serde::{Deserialize, Serialize};
+use crate::report::rows as rows_report;
 
 /// Options of a calibration with a tracker.
 #[derive(Debug, Args)]
@@ -160,10 +162,10 @@ impl Kind {
 /// Content of a file beside its rows.
 #[derive(Default)]
 pub(super) struct Beside {
-    /// Of each row in its file.
+    /// Line number of each row.
     pub(super) lines: Vec<u64>,
-    /// What it calls the places of an instrument and those on the flange, each after the parameters that are theirs: `tracker` has
-    /// `tracker_x`, `tracker2_x` and so on.
+    /// Names that the file gives to stations of the instrument and to targets on the flange, by the prefix of their parameters:
+    /// `tracker` has `tracker_x` for the first name, `tracker2_x` for the second and so on.
     pub(super) names: BTreeMap<String, Vec<String>>,
     /// How its clock and the robot's were brought together, where rows have times.
     pub(super) aligned: Option<Aligned>,
@@ -172,12 +174,12 @@ pub(super) struct Beside {
 }
 
 impl Beside {
-    /// Which parameters are whose, where there are several.
+    /// Which parameters belong to which station or target, where there are several of a kind.
     pub(super) fn set_ups(&self) -> String {
-        let line = |(parameter, names): (&String, &Vec<String>)| {
-            let whose = |(place, name): (usize, &String)| format!("{parameter}{}_* {name}", further(place));
-            let whose: Vec<String> = names.iter().enumerate().map(whose).collect();
-            (names.len() > 1).then(|| whose.join(", ") + "\n")
+        let line = |(prefix, names): (&String, &Vec<String>)| {
+            let parameters = |(place, name): (usize, &String)| format!("{prefix}{}_* {name}", further(place));
+            let parameters: Vec<String> = names.iter().enumerate().map(parameters).collect();
+            (names.len() > 1).then(|| parameters.join(", ") + "\n")
         };
         self.names.iter().filter_map(line).collect()
     }
@@ -192,72 +194,73 @@ pub(super) struct Aligned {
     is_dated: bool,
     /// The robot stood still at each row: the clocks follow from the standstills, not from a solve.
     stood: bool,
-    /// Rows outside the robot's log, or taken while a robot moved that otherwise stood.
+    /// Number of rows outside the robot's log, or taken in motion where the others were taken at standstills.
     left_out: usize,
 }
 
-/// What the robot's logs are, and what aligns others with them.
+/// The robot, the format of its logs, and the options by which rows with times are aligned with a log.
 pub(super) struct WithLogs<'a> {
     pub(super) robot: &'a RobotConfig,
     pub(super) logs: &'a LogOptions,
     pub(super) options: &'a PrepareOptions,
 }
 
-/// The rows of a file, read by its mapping; `data_set` is its number.
+/// Reads the rows of a file by its mapping; `data_set` is its number in messages.
 pub(super) fn read(
     kind: Kind,
-    of: &RowFile,
+    options: &RowFile,
     data_set: usize,
     with: &WithLogs<'_>,
 ) -> anyhow::Result<(Rows, Beside)> {
-    let (instrument, beside) = match &of.robot_log {
-        Some(robot_log) => timed_poses(of, robot_log, data_set, with)?,
-        None => measured(kind, of, [&of.file, &of.mapping], data_set, with.robot)?,
+    let RowFile { file, mapping, hold_out, seed, joint_waves, .. } = options;
+    let (instrument, beside) = match &options.robot_log {
+        Some(robot_log) => timed_poses(options, robot_log, data_set, with)?,
+        None => rows_with_joints(kind, options, [file, mapping], data_set, with.robot)?,
     };
-    let simulated = is_simulated(&of.file)?;
-    let rows = Rows { instrument, hold_out: of.hold_out, seed: of.seed, joint_waves: of.joint_waves };
+    let simulated = is_simulated(file)?;
+    let rows = Rows { instrument, hold_out: *hold_out, seed: *seed, joint_waves: *joint_waves };
     Ok((rows, Beside { simulated, ..beside }))
 }
 
-/// A file whose rows have joints, read by a mapping.
-fn measured(
+/// Reads `file`, whose rows have joints, by the mapping in another file; `options` have the table of sockets or faces.
+fn rows_with_joints(
     kind: Kind,
-    of: &RowFile,
-    [file, mapping]: [&Path; 2],
+    options: &RowFile,
+    [file, mapping_file]: [&Path; 2],
     data_set: usize,
     robot: &RobotConfig,
 ) -> anyhow::Result<(Instrument, Beside)> {
     Ok(match kind {
         Kind::Tracker => {
-            let of_file: MeasuredPoseMapping = config::load(mapping)?;
+            let mapping: MeasuredPoseMapping = config::load(mapping_file)?;
             anyhow::ensure!(
-                of_file.time.is_none(),
+                mapping.time.is_none(),
                 "{}: rows with [time] have their joints in the robot's own log; give it (--robot-log, or robot_log in the [[tracker]] \
                  block)",
-                mapping.display()
+                mapping_file.display()
             );
-            joints_of_robot(&of_file.joints, robot, mapping)?;
-            let read = MeasuredPoses::load(file, &of_file)?;
+            joints_of_robot(&mapping.joints, robot, mapping_file)?;
+            let read = MeasuredPoses::load(file, &mapping)?;
             let (rows, lines): (Vec<PoseRow>, _) =
                 read.rows.iter().map(|row| (PoseRow::from(row), row.line)).unzip();
-            let names = of_set_ups([("tracker", read.stations), ("probe", read.targets)]);
+            let names = names_by_prefix([("tracker", read.stations), ("probe", read.targets)]);
             (Tracker::new(&rows).into(), Beside { lines, names, ..Beside::default() })
         }
         Kind::Wire => {
-            let of_file: MeasuredLengthMapping = config::load(mapping)?;
-            joints_of_robot(&of_file.joints, robot, mapping)?;
-            let read = MeasuredLengths::load(file, &of_file)?;
+            let mapping: MeasuredLengthMapping = config::load(mapping_file)?;
+            joints_of_robot(&mapping.joints, robot, mapping_file)?;
+            let read = MeasuredLengths::load(file, &mapping)?;
             let (rows, lines): (Vec<LengthRow>, _) =
                 read.rows.iter().map(|row| (LengthRow::from(row), row.line)).unzip();
-            let names = of_set_ups([("anchor", read.anchors), ("attachment", read.attachments)]);
+            let names = names_by_prefix([("anchor", read.anchors), ("attachment", read.attachments)]);
             (Wire::new(&rows).into(), Beside { lines, names, ..Beside::default() })
         }
         Kind::Contact => {
-            let sockets = of.sockets.as_deref().context("a table of sockets is missing")?;
+            let sockets = options.sockets.as_deref().context("a table of sockets is missing")?;
             let table: SocketTable = config::load(sockets)?;
-            let of_file: ContactMapping = config::load(mapping)?;
-            joints_of_robot(&of_file.joints, robot, mapping)?;
-            let read = Contacts::load(file, &of_file, &table.names())?;
+            let mapping: ContactMapping = config::load(mapping_file)?;
+            joints_of_robot(&mapping.joints, robot, mapping_file)?;
+            let read = Contacts::load(file, &mapping, &table.names())?;
             let (rows, lines): (Vec<ContactRow>, _) =
                 read.rows.iter().map(|row| (ContactRow::from(row), row.line)).unzip();
             let contact = Contact::new(&rows, &table)
@@ -265,13 +268,13 @@ fn measured(
             (contact.into(), Beside { lines, ..Beside::default() })
         }
         Kind::Touch => {
-            let table = of.faces.as_deref().map_or_else(|| Ok(FaceTable::default()), config::load)?;
-            let of_file: TouchMapping = config::load(mapping)?;
-            joints_of_robot(&of_file.joints, robot, mapping)?;
-            let read = Touches::load(file, &of_file)?;
+            let table = options.faces.as_deref().map_or_else(|| Ok(FaceTable::default()), config::load)?;
+            let mapping: TouchMapping = config::load(mapping_file)?;
+            joints_of_robot(&mapping.joints, robot, mapping_file)?;
+            let read = Touches::load(file, &mapping)?;
             let (rows, lines): (Vec<TouchRow>, _) =
                 read.rows.iter().map(|row| (TouchRow::from(row), row.line)).unzip();
-            if let (Some(path), Some(face)) = (&of.faces, table.untouched(&read.faces).first()) {
+            if let (Some(path), Some(face)) = (&options.faces, table.untouched(&read.faces).first()) {
                 tracing::warn!(
                     "{}: no row of {} touches face `{face}`, so its known distances and angles have no effect; check its name in both files",
                     path.display(),
@@ -284,54 +287,55 @@ fn measured(
     })
 }
 
-fn of_set_ups(names: [(&str, Vec<String>); 2]) -> BTreeMap<String, Vec<String>> {
-    let given = names.into_iter().filter(|(_, names)| !names.is_empty());
-    given.map(|(parameter, names)| (parameter.to_owned(), names)).collect()
+fn names_by_prefix(prefixes: [(&str, Vec<String>); 2]) -> BTreeMap<String, Vec<String>> {
+    let given = prefixes.into_iter().filter(|(_, names)| !names.is_empty());
+    given.map(|(prefix, names)| (prefix.to_owned(), names)).collect()
 }
 
-/// Rows with times in place of joints, brought together with the robot's own log.
+/// Reads rows of a tracker that have times in place of joints, and takes their joints from the robot's own log after an
+/// alignment of the clocks.
 fn timed_poses(
-    of: &RowFile,
+    options: &RowFile,
     robot_log: &Path,
     data_set: usize,
     with: &WithLogs<'_>,
 ) -> anyhow::Result<(Instrument, Beside)> {
-    let mapping: MeasuredPoseMapping = config::load(&of.mapping)?;
+    let mapping: MeasuredPoseMapping = config::load(&options.mapping)?;
     anyhow::ensure!(
         mapping.time.is_some(),
         "{}: beside a robot's log rows need times; name their column under [time] and take the [[joints]] out, or leave the robot's \
          log out",
-        of.mapping.display()
+        options.mapping.display()
     );
-    let read = TimedPoses::load(&of.file, &mapping)?;
+    let read = TimedPoses::load(&options.file, &mapping)?;
     for remark in &read.remarks {
-        tracing::warn!("{}: {remark}", of.file.display());
+        tracing::warn!("{}: {remark}", options.file.display());
     }
     let log = load_log(robot_log, with.robot, with.logs)?;
     let AlignedPoses { rows, states, moving, alignment, t_ref, left_out } =
         align_poses(&read, &log, &flange_chain(with.robot), with.options)
             .map_err(|error| CalibrateError::Align { data_set, error: Box::new(error) })?;
-    let row = |(&row, state): (&usize, &JointState)| {
-        let seen = read.rows[row];
-        (PoseRow::from(&seen.with_joints(state.q)), seen.line)
+    let with_joints = |(&row, state): (&usize, &JointState)| {
+        let timed = read.rows[row];
+        (PoseRow::from(&timed.with_joints(state.q)), timed.line)
     };
-    let (poses, lines): (Vec<PoseRow>, _) = rows.iter().zip(&states).map(row).unzip();
+    let (poses, lines): (Vec<PoseRow>, _) = rows.iter().zip(&states).map(with_joints).unzip();
     let stood = moving.is_none();
     let tracker = match moving {
         Some(moving) => Tracker::of_moving(&poses, moving),
         None => Tracker::new(&poses),
     };
     let is_dated = mapping.time.is_some_and(|time| time.unit.is_dated());
-    let names = of_set_ups([("tracker", read.stations), ("probe", read.targets)]);
+    let names = names_by_prefix([("tracker", read.stations), ("probe", read.targets)]);
     let aligned = Some(Aligned { alignment, t_ref, is_dated, stood, left_out });
     Ok((tracker.into(), Beside { lines, names, aligned, ..Beside::default() }))
 }
 
 impl Aligned {
-    /// The clocks at the solution of all data sets, of which the tracker's is number `run` from 0: as the solve found them, or as
-    /// far as standstills show.
-    pub(super) fn clock(&self, run: usize, found: &Calibration) -> Option<ClockEntry> {
-        let solved = ClockEntry::solved(found, run, (self.t_ref, self.is_dated), &self.alignment)?;
+    /// The clocks at the solution; `run` is the tracker's data set, from 0. At standstills the solve does not estimate the
+    /// skew, and that of the alignment is reported.
+    pub(super) fn clock(&self, run: usize, calibration: &Calibration) -> Option<ClockEntry> {
+        let solved = ClockEntry::solved(calibration, run, (self.t_ref, self.is_dated), &self.alignment)?;
         let skew_ppm = if self.stood { self.alignment.skew * 1e6 } else { solved.skew_ppm };
         Some(ClockEntry { skew_ppm, ..solved })
     }
@@ -342,7 +346,7 @@ impl Aligned {
     }
 }
 
-/// Other files of an instrument, each read by the mapping of the file that was calibrated from, or by their own.
+/// Files of `--validate` with the line numbers of their rows: the same instrument, but no data of the calibration.
 pub(super) struct Others<'a> {
     seed: u64,
     files: Vec<(&'a PathBuf, Instrument, Vec<u64>)>,
@@ -352,43 +356,44 @@ impl<'a> Others<'a> {
     /// Read before the fit, so that a missing file is reported immediately.
     pub(super) fn read(
         kind: Kind,
-        of: &'a RowFile,
+        options: &'a RowFile,
         data_set: usize,
         seed: u64,
         robot: &RobotConfig,
     ) -> anyhow::Result<Self> {
-        let mapping = of.validate_mapping.as_ref().unwrap_or(&of.mapping);
-        if kind == Kind::Tracker && !of.validate.is_empty() {
-            let read: MeasuredPoseMapping = config::load(mapping)?;
+        let mapping_file = options.validate_mapping.as_ref().unwrap_or(&options.mapping);
+        if kind == Kind::Tracker && !options.validate.is_empty() {
+            let mapping: MeasuredPoseMapping = config::load(mapping_file)?;
             anyhow::ensure!(
-                read.time.is_none(),
+                mapping.time.is_none(),
                 "{}: rows of --validate need the robot's joints, and the mapping has [time] instead; export them with the robot's \
                  joints in each row, and name their columns in a mapping of their own (--validate-mapping, or validate_mapping in \
                  the [[tracker]] block)",
-                mapping.display()
+                mapping_file.display()
             );
         }
-        let file = |path: &'a PathBuf| {
-            let (instrument, beside) = measured(kind, of, [path, mapping], data_set, robot)?;
+        let read_file = |path: &'a PathBuf| {
+            let (instrument, beside) =
+                rows_with_joints(kind, options, [path, mapping_file], data_set, robot)?;
             Ok((path, instrument, beside.lines))
         };
-        Ok(Self { seed, files: of.validate.iter().map(file).collect::<anyhow::Result<_>>()? })
+        Ok(Self { seed, files: options.validate.iter().map(read_file).collect::<anyhow::Result<_>>()? })
     }
 
-    /// The calibrated robot on them.
+    /// Errors of the nominal and the calibrated robot on each file.
     pub(super) fn judge(
         &self,
         robot: &RobotConfig,
         validity: &Validity,
         model: &Model,
-    ) -> anyhow::Result<Vec<of_rows::Validation>> {
-        let one = |(path, instrument, lines): &(&PathBuf, Instrument, Vec<u64>)| {
+    ) -> anyhow::Result<Vec<rows_report::Validation>> {
+        let validate_file = |(path, instrument, lines): &(&PathBuf, Instrument, Vec<u64>)| {
             let name = path.display().to_string();
             let found = validate(instrument, robot, model, self.seed).with_context(|| name.clone())?;
             let gross = found.gross.iter().filter_map(|row| lines.get(*row)).copied().collect();
-            let outside = of_rows::outside(validity, instrument.joints().into_iter(), lines);
-            Ok(of_rows::Validation { name, found, gross, outside })
+            let outside = rows_report::outside(validity, instrument.joints().into_iter(), lines);
+            Ok(rows_report::Validation { name, found, gross, outside })
         };
-        self.files.iter().map(one).collect()
+        self.files.iter().map(validate_file).collect()
     }
 }

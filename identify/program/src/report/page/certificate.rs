@@ -11,7 +11,7 @@ use crate::report::result::deployments::what;
 use crate::report::result::file::{CalibrationFile, MeasurementEntry, ParameterEntry};
 use crate::report::verdict::Grade;
 
-/// What is certified of a calibration, whatever it was measured with.
+/// The certificate: verdict, identity of robot and instrument, errors before and after, map, conditions and signature.
 ///
 /// # Errors
 /// [`PlotError`].
@@ -44,10 +44,10 @@ pub(super) fn sheet(simulated: bool, content: &Markup) -> Markup {
     }
 }
 
-/// When it was measured by the instrument's clock, for files without the time of a recording.
+/// Date of the measurement by the instrument's clock, for measurements whose recording has none.
 fn dated(file: &CalibrationFile) -> Option<String> {
     let mut dates = file.clocks.iter().map(|clock| to_the_second(&clock.reference_utc));
-    // Clocks without a date count from the epoch.
+    // Files of earlier versions have the time since 1970 of a clock without a date.
     dates.find(|date| !date.starts_with("1970"))
 }
 
@@ -77,7 +77,7 @@ fn verdict(file: &CalibrationFile, workspace: &WorkspaceError) -> Markup {
     } }
 }
 
-/// An instant of a file for a person.
+/// An RFC 3339 time without the parts of a second, for display.
 pub(super) fn to_the_second(utc: &str) -> String {
     utc.get(..19).map_or_else(|| utc.to_owned(), |second| format!("{} UTC", second.replace('T', " ")))
 }
@@ -91,25 +91,26 @@ pub(super) fn identity(
     required: Option<String>,
     dated: Option<String>,
 ) -> Markup {
-    let of = |what: fn(&MeasurementEntry) -> String| {
-        let mut all: Vec<String> = measured.iter().map(what).collect();
-        all.retain(|one| !one.is_empty());
-        all.dedup();
-        all.join("; ")
+    // The values of a field in all measurements.
+    let field = |value: fn(&MeasurementEntry) -> String| {
+        let mut values: Vec<String> = measured.iter().map(value).collect();
+        values.retain(|value| !value.is_empty());
+        values.dedup();
+        values.join("; ")
     };
     // A recording that only repeats the name has no serial number.
-    let number = |recorded: String, name: &str| {
+    let serial_number = |recorded: String, name: &str| {
         if recorded.eq_ignore_ascii_case(name) { String::new() } else { recorded }
     };
-    let started = Some(of(|one| to_the_second(&one.started))).filter(|started| !started.is_empty());
+    let started = Some(field(|one| to_the_second(&one.started))).filter(|started| !started.is_empty());
     let lines = [
         ("Robot", Some(robot.to_owned())),
-        ("Serial number of the robot", Some(number(of(|one| one.robot.clone()), robot))),
+        ("Serial number of the robot", Some(serial_number(field(|one| one.robot.clone()), robot))),
         ("Instrument", Some(instrument.to_owned())),
-        ("Serial number of the instrument", Some(number(of(|one| one.bar.clone()), instrument))),
+        ("Serial number of the instrument", Some(serial_number(field(|one| one.bar.clone()), instrument))),
         ("Measured", Some(started.or(dated).unwrap_or_default())),
-        ("Operator", Some(of(|one| one.operator.clone()))),
-        ("Payload", Some(of(|one| one.payload.clone()))),
+        ("Operator", Some(field(|one| one.operator.clone()))),
+        ("Payload", Some(field(|one| one.payload.clone()))),
         ("Required", required),
     ];
     html! { dl.identity { @for (what, value) in &lines { @if let Some(value) = value {

@@ -1,4 +1,4 @@
-//! What the calibration predicts where no fit has been.
+//! Held-out validation of runs with a bar: each segment as predicted by a fit to the others, in text, figures and a table.
 
 use maud::{Markup, html};
 use plotters::prelude::RGBColor;
@@ -57,7 +57,7 @@ fn rotation(rms: PoseErrorRms) -> String {
     format!("{:.4}", rms.rotation_rad * 1e3)
 }
 
-/// Position and rotation, nominal and predicted, segments in turns of colour.
+/// Figures of a run over time: errors in position and rotation, nominal and predicted.
 fn panels(held_out: &HeldOut, run: usize, rotations: bool) -> Result<Markup, PlotError> {
     let segments: Vec<&HeldOutSegment> =
         held_out.segments.iter().filter(|segment| segment.run == run).collect();
@@ -73,6 +73,7 @@ fn panels(held_out: &HeldOut, run: usize, rotations: bool) -> Result<Markup, Plo
     })
 }
 
+/// One figure; `calibrated` selects the prediction in place of the nominal robot.
 fn panel(
     title: &str,
     y: &str,
@@ -82,10 +83,11 @@ fn panel(
 ) -> Result<Markup, PlotError> {
     let time = TimeAxis::of(segments.iter().flat_map(|segment| segment.span_s()));
     let mut series = Vec::new();
-    for turn in 0..2 {
-        let samples = segments.iter().skip(turn).step_by(2).flat_map(|segment| shown(segment, calibrated));
+    // Two series, of even and odd segments, so that neighbours have different colours.
+    for parity in 0..2 {
+        let samples = segments.iter().skip(parity).step_by(2).flat_map(|segment| shown(segment, calibrated));
         let points = samples.map(|one| (time.at(one.t_s), value(one))).collect();
-        let colour = match (calibrated, turn) {
+        let colour = match (calibrated, parity) {
             (false, 0) => GREY,
             (false, _) => RGBColor(196, 202, 210),
             (true, 0) => BLUE,
@@ -93,18 +95,19 @@ fn panel(
         };
         series.push(dots("", colour, points));
     }
-    let level = |of: fn(&HeldOutSegment) -> &Vec<PoseError>| {
+    // A horizontal line over each segment at its RMS.
+    let rms_lines = |errors: fn(&HeldOutSegment) -> &Vec<PoseError>| {
         let ends = segments.iter().flat_map(|segment| {
-            let rms = crate::evaluate::rms(of(segment).iter().map(&value));
+            let rms = crate::evaluate::rms(errors(segment).iter().map(&value));
             segment.span_s().map(|t_s| (time.at(t_s), rms))
         });
         ends.collect::<Vec<(f64, f64)>>()
     };
     if calibrated {
-        series.push(Series::new("", RED, Mark::Segments, level(|segment| &segment.fitted)));
-        series.push(Series::new("", BLACK, Mark::Segments, level(|segment| &segment.predicted)));
+        series.push(Series::new("", RED, Mark::Segments, rms_lines(|segment| &segment.fitted)));
+        series.push(Series::new("", BLACK, Mark::Segments, rms_lines(|segment| &segment.predicted)));
     } else {
-        series.push(Series::new("", BLACK, Mark::Segments, level(|segment| &segment.nominal)));
+        series.push(Series::new("", BLACK, Mark::Segments, rms_lines(|segment| &segment.nominal)));
     }
     Panel::new(title, [&time.label(), y], HALF, series).with_zero().draw()
 }

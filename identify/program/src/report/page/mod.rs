@@ -1,4 +1,6 @@
-//! `report.html`: one file without scripts or links to anything else, that a browser shows and a printer prints.
+//! `report.html`: one file without scripts or links to anything else, that a browser shows and a printer prints. [`Page`]
+//! puts its sections in order; each submodule renders some of them from the result and its evidence. The pages of a refusal,
+//! of plans and of a study are here, too.
 
 mod certificate;
 pub(super) mod drawing;
@@ -48,7 +50,7 @@ pub struct Page<'a> {
     pub rows: &'a [(String, &'a RowErrors)],
     /// Tables of the rows' errors, as on the command line.
     pub tables: &'a str,
-    /// Contents of the logs of each run; may be empty.
+    /// Recording and robot log of each run; may be empty.
     pub sources: &'a [Source],
     /// The whole configuration that was used, as text.
     pub configuration: &'a str,
@@ -82,16 +84,16 @@ impl Page<'_> {
     pub fn render(&self) -> Result<Markup, PlotError> {
         let title = format!("Calibration of {}", self.file.robot);
         let has_bars = !self.evidence.runs.is_empty();
-        let of_rows = self.rows.iter().map(|(name, _)| name.clone());
+        let names_of_rows = self.rows.iter().map(|(name, _)| name.clone());
         // Headings for the tables of parameters that belong to one data set: that of the first, and those of the others.
         let (first_heading, other_headings): (_, Vec<String>) = match self.rows.first() {
-            Some((first, _)) if !has_bars => (first.as_str(), of_rows.skip(1).collect()),
+            Some((first, _)) if !has_bars => (first.as_str(), names_of_rows.skip(1).collect()),
             _ => {
-                let bars = runs::names(self).into_iter().skip(1).flatten();
-                ("Place of the bar, clocks", bars.chain(of_rows).collect())
+                let names_of_runs = runs::names(self).into_iter().skip(1).flatten();
+                ("Place of the bar, clocks", names_of_runs.chain(names_of_rows).collect())
             }
         };
-        let of_bars = |section: fn(&Self) -> Result<Markup, PlotError>| {
+        let if_bars = |section: fn(&Self) -> Result<Markup, PlotError>| {
             if has_bars { section(self) } else { Ok(html! {}) }
         };
         Ok(document(
@@ -102,15 +104,15 @@ impl Page<'_> {
                     (sections::numbers(self))
                     (held_out::section(self)?)
                     (rows::section(self)?)
-                    (of_bars(runs::gaps)?)
-                    (of_bars(sphere::section)?)
+                    (if_bars(runs::gaps)?)
+                    (if_bars(sphere::section)?)
                     (sections::bar(self))
                     (sections::parameters(self.file, first_heading, &other_headings))
                     (sections::budget(self.file))
                     (sections::candidates(self.file))
-                    (of_bars(sections::joints)?)
-                    (of_bars(sections::coverage)?)
-                    (of_bars(runs::alignments)?)
+                    (if_bars(sections::joints)?)
+                    (if_bars(sections::coverage)?)
+                    (if_bars(runs::alignments)?)
                     (sections::dependence(self.file))
                     (inputs::section(self.sources))
                     (sections::origin(self))

@@ -1,4 +1,4 @@
-//! Files of rows: errors row by row, and their tables as on the terminal.
+//! Section on files of rows: errors row by row, their tables as on the terminal, and the clocks of trackers.
 
 use maud::{Markup, html};
 
@@ -49,12 +49,14 @@ fn panels(errors: &RowErrors) -> Result<Markup, PlotError> {
     let position = |one: &PoseError| Some(one.position_m * 1e3);
     let rotation = |one: &PoseError| Some(one.rotation_rad? * 1e3);
     let panel = |title: &str, y: &str, stage: &[PoseError], value: &dyn Fn(&PoseError) -> Option<f64>| {
-        let of = |rows: &[usize]| {
+        let points = |rows: &[usize]| {
             rows.iter().filter_map(|&row| Some((row as f64 + 1.0, value(stage.get(row)?)?))).collect()
         };
-        let fitted = if std::ptr::eq(stage, nominal.as_slice()) { GREY } else { BLUE };
-        let series =
-            vec![dots("fitted", fitted, of(&errors.fitted)), dots("held out", ORANGE, of(&errors.held_out))];
+        let colour = if std::ptr::eq(stage, nominal.as_slice()) { GREY } else { BLUE };
+        let series = vec![
+            dots("fitted", colour, points(&errors.fitted)),
+            dots("held out", ORANGE, points(&errors.held_out)),
+        ];
         Panel::new(title, ["row", y], WIDE, series).with_zero().draw()
     };
     Ok(html! {

@@ -1,4 +1,5 @@
-//! The parts of the page in their order: verdict first, origin last.
+//! Sections of the page that have no module of their own, in their order: numbers, bar, parameters, budget, terms, residuals
+//! by joint, coverage, correlations, origin. Also the format of numbers on all pages.
 
 use maud::{Markup, PreEscaped, Render, html};
 use shared::config::BallBarConfig;
@@ -13,13 +14,13 @@ use crate::report::result::file::{CalibrationFile, Input, ParameterEntry, ReadIn
 use crate::report::summary::not_separated;
 use crate::report::table::about_links;
 
-/// mm with as many digits as mean something.
+/// A length in mm, to 1 um, below 0.1 mm to 0.1 um.
 pub(super) fn mm(metres: f64) -> String {
     let mm = metres * 1e3;
     if mm.abs() < 0.1 { format!("{mm:.4}") } else { format!("{mm:.3}") }
 }
 
-/// Four digits, whatever the size.
+/// A number with four digits after the point, or with an exponent if it is small or large.
 pub(super) fn figure(value: f64) -> String {
     if (0.01..1e4).contains(&value) { format!("{value:.4}") } else { format!("{value:.3e}") }
 }
@@ -38,11 +39,12 @@ fn expected(label: &str, Expected { mean_m, interval_m, p95_m, .. }: &Expected) 
     number(mm(*mean_m) + " mm", label)
 }
 
-/// What limits a calibration beside what its verdict names, as the terminal has it.
+/// List of the limits that the verdict does not name.
 pub(super) fn limits(file: &CalibrationFile) -> Markup {
     html! { @if file.other_limits().next().is_some() { ul { @for limit in file.other_limits() { li { (limit.sentence) } } } } }
 }
 
+/// Expected errors over the workspace, gaps between robot and bar, and errors of held-out rows, as large numbers.
 pub(super) fn numbers(page: &Page<'_>) -> Markup {
     let expected_errors = &page.evidence.workspace;
     let (before, after) = (&expected_errors.before, &expected_errors.after);
@@ -90,30 +92,31 @@ pub(super) fn bar(page: &Page<'_>) -> Markup {
     } }
 }
 
-/// Headings are those of the tables of parameters that belong to one data set: of the first, and of the others.
+/// Tables of all parameters; the headings are those of the tables that belong to one data set, the first and the others.
 pub(super) fn parameters(file: &CalibrationFile, first_heading: &str, other_headings: &[String]) -> Markup {
     let applied = file.applied();
     let (entries, waves) = applied.reported();
     let [exact, held] = ParameterEntry::fixed(entries.iter().copied());
-    // What a run after the first has for itself is called `ox@2`.
-    let own = |entry: &ParameterEntry, run: usize| match entry.name.split_once('@') {
+    // Parameters that a later run has for itself have its number: `ox@2`.
+    let is_of_run = |entry: &ParameterEntry, run: usize| match entry.name.split_once('@') {
         Some((_, number)) => number.parse() == Ok(run + 1),
         None => run == 0,
     };
-    let of = |wanted: &dyn Fn(&ParameterEntry) -> bool| -> Vec<&ParameterEntry> {
+    let select = |wanted: &dyn Fn(&ParameterEntry) -> bool| -> Vec<&ParameterEntry> {
         entries.iter().copied().filter(|entry| entry.status != Status::Fixed && wanted(entry)).collect()
     };
     let owner = |entry: &ParameterEntry| entry.id().map(ParameterId::owner);
+    // Names of the bar's links, joints and encoders begin with `b`, those of its base and clock do not.
     let is_bar = |entry: &ParameterEntry| entry.name.starts_with('b') && owner(entry) == Some(Owner::BallBar);
-    let is_place = |entry: &ParameterEntry| owner(entry) != Some(Owner::Robot) && !is_bar(entry);
+    let is_place_or_clock = |entry: &ParameterEntry| owner(entry) != Some(Owner::Robot) && !is_bar(entry);
     html! {
         h2 { "Parameters" }
         div.columns {
-            (table("Robot", &of(&|entry| owner(entry) == Some(Owner::Robot))))
-            (table("Ball-bar and encoders", &of(&|entry| is_bar(entry) && own(entry, 0))))
-            (table(first_heading, &of(&|entry| is_place(entry) && own(entry, 0))))
+            (table("Robot", &select(&|entry| owner(entry) == Some(Owner::Robot))))
+            (table("Ball-bar and encoders", &select(&|entry| is_bar(entry) && is_of_run(entry, 0))))
+            (table(first_heading, &select(&|entry| is_place_or_clock(entry) && is_of_run(entry, 0))))
             @for (run, name) in other_headings.iter().enumerate() {
-                (table(name, &of(&|entry| own(entry, run + 1))))
+                (table(name, &select(&|entry| is_of_run(entry, run + 1))))
             }
         }
         p.note {
@@ -127,9 +130,10 @@ pub(super) fn parameters(file: &CalibrationFile, first_heading: &str, other_head
     }
 }
 
-/// What makes positions uncertain, contribution by contribution.
+/// The contributions to the uncertainty of positions.
 pub(super) fn budget(file: &CalibrationFile) -> Markup {
-    let evaluation = |of: Evaluation| match of {
+    // Types of the GUM.
+    let evaluation = |evaluation: Evaluation| match evaluation {
         Evaluation::Statistical => "A",
         Evaluation::Stated => "B",
     };
@@ -268,7 +272,7 @@ pub(super) fn origin(page: &Page<'_>) -> Markup {
     repeated_with(&page.file.inputs, &page.file.software, page.configuration)
 }
 
-/// Everything that is needed to repeat it.
+/// Inputs with their checksums, program and configuration: all that is needed to repeat the calibration.
 pub(super) fn repeated_with(inputs: &[Input], software: &str, configuration: &str) -> Markup {
     html! {
         h2 { "To repeat it" }

@@ -1,4 +1,5 @@
-//! `study.html`: the figures of a study in their order with the statements of the thesis, and the answers.
+//! `study.html`: answers of a study, claims of the thesis as they were checked, and its figures: the median error of each
+//! estimator over a condition. For `identify study`.
 
 use std::path::{Path, PathBuf};
 
@@ -111,15 +112,16 @@ impl StudyPage<'_> {
             .fold(0.0, |most, (_, y)| y.max(most));
         let mut panels = Vec::new();
         for series in &figure.series {
-            let own = curves.iter().filter(|curve| curve.series == series.name);
-            let lines = own.map(|curve| {
+            let curves_of_series = curves.iter().filter(|curve| curve.series == series.name);
+            let lines = curves_of_series.map(|curve| {
                 Series::new("", colour(&curve.estimator), Mark::Line, medians(curve, figure.measure))
             });
-            // All series of a figure have one scale.
-            let most = series.x.first().map(|x| Series::new("", GREY, Mark::Line, vec![(*x, highest)]));
+            // A point at the largest value of all series, so that they have one scale.
+            let highest_point =
+                series.x.first().map(|x| Series::new("", GREY, Mark::Line, vec![(*x, highest)]));
             let title =
                 if series.name.is_empty() { format!("Figure {}", figure.id) } else { series.name.clone() };
-            panels.push(panel(figure, title, lines.chain(most).collect())?);
+            panels.push(panel(figure, title, lines.chain(highest_point).collect())?);
         }
         // A second picture where one curve hides what all others do near the limit.
         let near = NEAR * limit;
@@ -129,8 +131,9 @@ impl StudyPage<'_> {
                 let points = clipped(&medians(curve, figure.measure), near);
                 Series::new("", colour(&curve.estimator), Mark::Line, points)
             });
-            let all = sizes(&curves);
-            let ends = all.first().zip(all.last()).map(|(first, last)| vec![(*first, limit), (*last, limit)]);
+            let all_x = x_values(&curves);
+            let ends =
+                all_x.first().zip(all_x.last()).map(|(first, last)| vec![(*first, limit), (*last, limit)]);
             let line = ends.map(|ends| Series::new("limit", INK, Mark::Segments, ends));
             panels.push(panel(figure, "Near the limit".into(), lines.chain(line).collect())?);
         }
@@ -151,12 +154,12 @@ impl StudyPage<'_> {
             div.wide { table {
                 thead { tr {
                     th.text { (figure.x) }
-                    @for x in sizes(&curves) { th { (x) } }
+                    @for x in x_values(&curves) { th { (x) } }
                     @if figure.measure == Measure::Euclidean { th { "reaches " (short(limit)) " at" } }
                 } }
                 tbody { @for curve in &curves { tr {
-                    td.text { (name(curve)) }
-                    @for x in sizes(&curves) { (cell(curve, x, figure.measure)) }
+                    td.text { (row_name(curve)) }
+                    @for x in x_values(&curves) { (cell(curve, x, figure.measure)) }
                     @if figure.measure == Measure::Euclidean { td { (reached(curve.limit_at)) } }
                 } } }
             } }
@@ -201,16 +204,17 @@ fn findings(title: &str, [asked, found]: [&str; 2], findings: &[&Finding]) -> Ma
     }
 }
 
-fn name(curve: &Curve) -> String {
+fn row_name(curve: &Curve) -> String {
     if curve.series.is_empty() { curve.label.clone() } else { format!("{}, {}", curve.label, curve.series) }
 }
 
-fn sizes(curves: &[&Curve]) -> Vec<f64> {
-    let mut sizes: Vec<f64> =
+/// The values of the condition at which any curve has a point, ascending.
+fn x_values(curves: &[&Curve]) -> Vec<f64> {
+    let mut all_x: Vec<f64> =
         curves.iter().flat_map(|curve| curve.points.iter().map(|point| point.x)).collect();
-    sizes.sort_by(f64::total_cmp);
-    sizes.dedup();
-    sizes
+    all_x.sort_by(f64::total_cmp);
+    all_x.dedup();
+    all_x
 }
 
 fn cell(curve: &Curve, x: f64, measure: Measure) -> Markup {
@@ -220,8 +224,9 @@ fn cell(curve: &Curve, x: f64, measure: Measure) -> Markup {
     html! { td { (error.unwrap_or_default()) @if failed > 0 { " (" (failed) " failed)" } } }
 }
 
-fn reached(at: Reach) -> String {
-    match at {
+/// Where the median error reaches the limit.
+fn reached(limit_at: Reach) -> String {
+    match limit_at {
         Reach::At(x) => short(x),
         Reach::BetterUpTo(_) => "never".into(),
         Reach::WorseDownTo(_) => "always worse".into(),
@@ -243,12 +248,13 @@ fn panel(figure: &Figure, title: String, series: Vec<Series>) -> Result<Markup, 
 /// The curve up to where it leaves the picture.
 fn clipped(points: &[(f64, f64)], most: f64) -> Vec<(f64, f64)> {
     let mut clipped: Vec<(f64, f64)> = Vec::new();
-    for (at, &(x, y)) in points.iter().enumerate() {
+    for (index, &(x, y)) in points.iter().enumerate() {
         if y <= most {
             clipped.push((x, y));
-        } else if let Some(&(x0, y0)) = at.checked_sub(1).and_then(|before| points.get(before))
+        } else if let Some(&(x0, y0)) = index.checked_sub(1).and_then(|before| points.get(before))
             && y0 <= most
         {
+            // Where the straight line to this point crosses the upper edge.
             clipped.push((x0 + (most - y0) / (y - y0) * (x - x0), most));
         }
     }

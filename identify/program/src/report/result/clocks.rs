@@ -1,4 +1,5 @@
-//! The difference of the clocks of instrument and robot, for files, terminal and page.
+//! Difference and relative rate of the clocks of instrument and robot, as solved in a calibration: the entry of
+//! `calibration.toml`, and its sentences for terminal and page.
 
 use serde::{Deserialize, Serialize};
 use shared::time::UtcNs;
@@ -37,8 +38,8 @@ pub struct ClockEntry {
 }
 
 impl ClockEntry {
-    /// The clock of a data set at the solution of all, of which it is number `run` from 0. `reference` is on its own clock, which may be
-    /// dated; `alignment` was found before the solve.
+    /// The clock of data set `run`, from 0, at the solution. `reference` is on the instrument's clock, which may be dated;
+    /// `alignment` is that before the solve.
     pub fn solved(
         calibration: &Calibration,
         run: usize,

@@ -1,4 +1,5 @@
-//! What a robot engineer types into a controller or a program: corrections with unit, sign and place.
+//! `corrections.csv` and `offsets.csv`: the numbers that are added to parameters of the controller, with unit and sign, for one
+//! deployment; and `corrections_log.csv` and `offsets_log.csv`, the joint offsets in units and signs of the robot's log.
 
 use serde::{Deserialize, Serialize};
 use shared::config::{JointKind, RobotConfig};
@@ -41,16 +42,17 @@ fn rounded(value: f64, unit: &str) -> f64 {
         "deg" => 1e5,
         _ => 1e7,
     };
-    // Zero has no sign.
+    // Adding zero turns -0 into 0.
     (value * per_unit).round() / per_unit + 0.0
 }
 
-/// Makes the rows of one table, which are applied together.
+/// A function that makes the rows of one table: name, unit, number to add, what it is added to, sigma.
 fn row_of(
     file: &CalibrationFile,
     deployment: Deployment,
 ) -> impl Fn(String, &str, f64, &str, Option<f64>) -> Correction {
-    let held_out_mm = file.held_out_m(deployment).map(|[_, own_m]| rounded(own_m * 1e3, "mm"));
+    let held_out_mm =
+        file.held_out_m(deployment).map(|[_nominal_m, deployed_m]| rounded(deployed_m * 1e3, "mm"));
     move |what, unit, add, to, sigma| Correction {
         what,
         unit: unit.into(),
@@ -62,7 +64,7 @@ fn row_of(
     }
 }
 
-/// What a deployment takes: offsets of the model's joints, then every other correction of a link that is not zero.
+/// Corrections of a deployment: offsets of the model's joints, then every other correction of a link that is not zero.
 pub fn corrections(file: &CalibrationFile, deployment: Deployment) -> Vec<Correction> {
     let row = row_of(file, deployment);
     let (mut joints, mut links) = (Vec::new(), Vec::new());
@@ -82,8 +84,8 @@ pub fn corrections(file: &CalibrationFile, deployment: Deployment) -> Vec<Correc
 }
 
 /// The joint offsets of a deployment for the columns of the log, as a mapping or the robot's file names and converts them. These are
-/// a controller's joint values where the log has them: applied instead of those of the model's joints. With
-/// `q + offset = (raw + change - raw_offset) T` they are the changes.
+/// a controller's joint values where the log has them: applied instead of those of the model's joints. With the conversion
+/// `q = (raw - raw_offset) T` of the log they are the `change` in `q + offset = (raw + change - raw_offset) T`.
 ///
 /// # Errors
 /// [`LogError::SingularConversion`].
@@ -93,8 +95,8 @@ pub fn log_corrections(
     mapping: Option<&RobotLogMapping>,
     deployment: Deployment,
 ) -> Result<Vec<Correction>, LogError> {
-    let none = Joints::zeros(robot.axes());
-    let mut offsets = none;
+    let zeros = Joints::zeros(robot.axes());
+    let mut offsets = zeros;
     for entry in &file.deployed(deployment).parameters {
         if let Ok(ParameterId::Robot { link, parameter: LinkParameter::Theta }) = entry.name.parse()
             && let Some(offset) = offsets.get_mut(link)
@@ -102,23 +104,25 @@ pub fn log_corrections(
             *offset = entry.correction;
         }
     }
-    let own = |(column, kind): (String, JointKind)| match kind {
+    // Name, unit, and factor to rad or m of each column.
+    let column_of_robot = |(column, kind): (String, JointKind)| match kind {
         JointKind::Revolute => (column, robot.log.unit.suffix(), 1.0),
         JointKind::Prismatic => (column, kind.si_symbol(), 1.0),
     };
-    let (conversion, columns): (_, Vec<(String, &str, f64)>) = match mapping
-        .and_then(RobotLogMapping::with_joints)
-    {
-        None => (
-            JointConversion::of(robot)?,
-            own_columns(robot).into_iter().zip(robot.joint_kinds()).map(own).collect(),
-        ),
-        Some(mapping) => {
-            let of = |joint: &JointColumn| (joint.column.clone(), joint.unit.suffix(), joint.unit.to_si());
-            (JointConversion::new(&mapping.conversion())?, mapping.joints.iter().map(of).collect())
-        }
-    };
-    let [with, without] = [offsets, none].map(|joints| conversion.to_raw(&joints));
+    let (conversion, columns): (_, Vec<(String, &str, f64)>) =
+        match mapping.and_then(RobotLogMapping::with_joints) {
+            None => (
+                JointConversion::of(robot)?,
+                own_columns(robot).into_iter().zip(robot.joint_kinds()).map(column_of_robot).collect(),
+            ),
+            Some(mapping) => {
+                let column =
+                    |joint: &JointColumn| (joint.column.clone(), joint.unit.suffix(), joint.unit.to_si());
+                (JointConversion::new(&mapping.conversion())?, mapping.joints.iter().map(column).collect())
+            }
+        };
+    // The difference is the change, because the conversion is affine.
+    let [with, without] = [offsets, zeros].map(|joints| conversion.to_raw(&joints));
     let row = row_of(file, deployment);
     let changes = columns.into_iter().zip(with.iter().zip(&without));
     Ok(changes

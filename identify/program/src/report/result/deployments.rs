@@ -1,4 +1,5 @@
-//! Parts of a calibration for different controllers: geometry, held-out figures, files.
+//! Deployments, the parts of a calibration for controllers that cannot apply the full model: their own fit of the links, their
+//! held-out errors, and the rule which of their files are written ([`CalibrationFile::serves`]).
 
 use serde::{Deserialize, Serialize};
 
@@ -36,7 +37,7 @@ impl From<&Deployed> for DeploymentEntry {
     }
 }
 
-/// What is written of it, beside the full calibration.
+/// Files that are written for a deployment, in addition to the full calibration.
 pub const fn files(deployment: Deployment) -> &'static [&'static str] {
     match deployment {
         Deployment::Offsets => &["offsets.csv", "offsets_log.csv"],
@@ -45,7 +46,7 @@ pub const fn files(deployment: Deployment) -> &'static [&'static str] {
     }
 }
 
-/// What a deployment takes, for a person.
+/// Name of a deployment, for display.
 pub(in crate::report) const fn what(deployment: Deployment) -> &'static str {
     match deployment {
         Deployment::Offsets => "joint offsets alone",
@@ -54,6 +55,7 @@ pub(in crate::report) const fn what(deployment: Deployment) -> &'static str {
     }
 }
 
+/// The stage of the model that is a deployment.
 const fn stage(stages: &Stages, deployment: Deployment) -> &PoseFigures {
     match deployment {
         Deployment::Offsets => &stages.offsets,
@@ -67,17 +69,17 @@ impl CalibrationFile {
     #[must_use]
     pub fn deployed(&self, deployment: Deployment) -> Self {
         let mut file = self.clone();
-        for own in self.entry(deployment).map_or(&[][..], |entry| &entry.links) {
+        for link in self.entry(deployment).map_or(&[][..], |entry| &entry.links) {
             file.parameters
                 .iter_mut()
-                .filter(|other| other.name == own.name)
-                .for_each(|other| *other = own.clone());
+                .filter(|parameter| parameter.name == link.name)
+                .for_each(|parameter| *parameter = link.clone());
         }
         file
     }
 
-    /// The calibration with the links that `corrections.csv` has, where that is written: a joint then has one offset, wherever it is
-    /// printed.
+    /// The calibration with the links of `corrections.csv`, if that is written: the offset of a joint is then the same in all
+    /// files, on the page and on the terminal.
     pub(in crate::report) fn applied(&self) -> Self {
         if self.serves(Deployment::Dh) { self.deployed(Deployment::Dh) } else { self.clone() }
     }
@@ -86,47 +88,47 @@ impl CalibrationFile {
         self.deployments.iter().find(|entry| entry.deployment == deployment)
     }
 
-    /// Held-out data are predicted better than with the nominal robot by what a deployment takes, and surely so; true where none
-    /// were held out. It must also be expected to reduce the errors elsewhere in the workspace. A part of the full model differs
-    /// from a fit of that part.
+    /// Whether a deployment is written: it has a fit of its own that predicts held-out data significantly better than the
+    /// nominal robot, if data were held out, and is expected to reduce the mean error over the workspace.
     pub fn serves(&self, deployment: Deployment) -> bool {
         self.serves_held_out(deployment) && !self.is_worse_elsewhere(deployment)
     }
 
     fn is_worse_elsewhere(&self, deployment: Deployment) -> bool {
         let expected = self.entry(deployment).and_then(|entry| entry.expected_m);
-        expected.is_some_and(|[nominal_m, with_it_m]| with_it_m >= nominal_m)
+        expected.is_some_and(|[nominal_m, deployed_m]| deployed_m >= nominal_m)
     }
 
     fn serves_held_out(&self, deployment: Deployment) -> bool {
-        let rows = || self.rows.iter().map(|rows| &rows.held_out).filter(|of| of.nominal.rows > 0);
+        let rows = || self.rows.iter().map(|rows| &rows.held_out).filter(|stages| stages.nominal.rows > 0);
         self.may_be_applied()
             && self.entry(deployment).is_some_and(|entry| self.segments_are_better(entry))
-            && rows().all(|of| stage(of, deployment).are_surely_better_than(&of.nominal))
+            && rows().all(|stages| stage(stages, deployment).are_surely_better_than(&stages.nominal))
     }
 
     fn segments_are_better(&self, entry: &DeploymentEntry) -> bool {
         self.held_out.is_none_or(|all| {
-            entry.held_out.is_some_and(|own| {
-                let rotation = all.nominal.rotation_rad.zip(own.rotation_rad).map(<[f64; 2]>::from);
-                let position = [all.nominal.position_m, own.position_m];
+            entry.held_out.is_some_and(|deployed| {
+                let rotation = all.nominal.rotation_rad.zip(deployed.rotation_rad).map(<[f64; 2]>::from);
+                let position = [all.nominal.position_m, deployed.position_m];
                 is_surely_better(INDEPENDENT_OF_SEGMENT * all.segments, position, rotation)
             })
         })
     }
 
-    /// Root mean squares of the positions of held-out data, of the first data set that has some: with the nominal
-    /// robot, and with what a deployment takes \[m\].
+    /// RMS position errors of the nominal robot and of a deployment on held-out data: on the segments of all runs with a bar,
+    /// otherwise on the first file of rows \[m\].
     pub fn held_out_m(&self, deployment: Deployment) -> Option<[f64; 2]> {
-        let own = |all: HeldOutEntry| match deployment {
+        let deployed = |all: HeldOutEntry| match deployment {
             Deployment::Full => Some(all.calibrated),
             _ => self.entry(deployment)?.held_out,
         };
-        let segments = self.held_out.and_then(|all| Some([all.nominal.position_m, own(all)?.position_m]));
+        let segments =
+            self.held_out.and_then(|all| Some([all.nominal.position_m, deployed(all)?.position_m]));
         let rows = || {
             let held_out = &self.rows.first()?.held_out;
-            let own = stage(held_out, deployment);
-            (own.rows > 0).then_some([held_out.nominal.position_m.rms, own.position_m.rms])
+            let deployed = stage(held_out, deployment);
+            (deployed.rows > 0).then_some([held_out.nominal.position_m.rms, deployed.position_m.rms])
         };
         segments.or_else(rows)
     }
@@ -142,7 +144,7 @@ impl CalibrationFile {
 
     /// Held-out errors of each deployment that leaves terms out.
     pub(in crate::report) fn deployments_reported(&self) -> Vec<String> {
-        let told = |deployment: Deployment| {
+        let sentence = |deployment: Deployment| {
             let what = what(deployment);
             if self.entry(deployment).is_none() {
                 return Some(format!("no fit of {what} converges: they are not written"));
@@ -160,6 +162,6 @@ impl CalibrationFile {
             };
             Some(format!("{:.3} mm with {what}{files}", rms_m * 1e3))
         };
-        Deployment::PARTIAL.into_iter().filter_map(told).collect()
+        Deployment::PARTIAL.into_iter().filter_map(sentence).collect()
     }
 }

@@ -1,11 +1,12 @@
-//! Files of an earlier run in the directory of results.
+//! Files of an earlier calibration in the directory of results: they are moved to a folder `earlier`, so that files of two
+//! calibrations are never mixed.
 
 use std::path::{Path, PathBuf};
 
 use super::file::FileError;
 use crate::report::page::is_page;
 
-/// Everything that a calibration writes, what other programs read first.
+/// All files of a calibration but `experiment.toml`, those that other programs read first.
 const FILES: [&str; 10] = [
     "calibration.toml",
     "calibration.json",
@@ -61,8 +62,8 @@ impl<'d> Earlier<'d> {
     }
 }
 
-/// Takes the page of a refusal, or of an older calibration, out of a directory into which a calibration is written: until its
-/// own page is there, it would belie it. What another program calls so stays.
+/// Removes the page of a refusal or of an older calibration from a directory into which a calibration is written: it would
+/// contradict the new files until their page is written. A `report.html` of another program stays.
 ///
 /// # Errors
 /// [`FileError::Io`].

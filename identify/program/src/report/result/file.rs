@@ -1,4 +1,6 @@
-//! `calibration.toml`, `calibration.json` and `dh.csv`: identified parameters with their uncertainty, and everything needed to repeat it.
+//! [`CalibrationFile`], the content of `calibration.toml` and `calibration.json`: parameters with their uncertainty, figures
+//! of the solve, verdict, and the inputs with their checksums. Terminal, page and all other files of a result are made from
+//! it. Also `dh.csv`, the table of its links.
 
 use std::fs::File;
 use std::io;
@@ -132,7 +134,7 @@ impl ParameterEntry {
         Self::of_all(models, &calibration.solved.columns, &calibration.solution().covariance)
     }
 
-    /// Those of several models: all of the first one, then what no model before has.
+    /// Those of several models: all of the first one, then those that no model before has, named as in `ox@2`.
     pub fn of_all<'m>(
         models: impl IntoIterator<Item = &'m Model>,
         columns: &SharedColumns,
@@ -148,6 +150,7 @@ impl ParameterEntry {
             }
             for (parameter, &column) in model.columns().zip(columns_of) {
                 let Some(name) = columns.names().get(column) else { continue };
+                // An entry that was fixed in an earlier run is replaced by that of a run that identifies it.
                 if entries.iter().all(|entry| entry.name != *name || entry.status == Status::Fixed) {
                     entries.retain(|entry| entry.name != *name);
                     entries
@@ -158,14 +161,14 @@ impl ParameterEntry {
         entries
     }
 
-    /// A fixed one for a person: its name, and within what its value holds where that is not exact.
+    /// A fixed parameter as text: its name, with its uncertainty if it has one.
     pub(in crate::report) fn held(&self) -> String {
         let unit = self.id().map_or(Unit::Ratio, ParameterId::unit);
         let within = self.sigma.map(|sigma| format!(" within {}", unit.display(sigma)));
         self.name.clone() + &within.unwrap_or_default()
     }
 
-    /// Names of the fixed ones: exact ones, and those with an uncertainty.
+    /// Names of the fixed parameters: first the exact ones, then those with an uncertainty.
     pub(in crate::report) fn fixed<'e>(entries: impl IntoIterator<Item = &'e Self>) -> [Vec<String>; 2] {
         let mut names = [Vec::new(), Vec::new()];
         for entry in entries.into_iter().filter(|entry| entry.status == Status::Fixed) {
@@ -174,7 +177,7 @@ impl ParameterEntry {
         names
     }
 
-    /// How people read it: angles of the robot's links in degrees, as controllers have them.
+    /// Its unit for display: angles of the robot's links are in degrees, as controllers have them.
     pub(in crate::report) fn read_in(&self) -> ReadIn {
         let unit = self.id().map_or(Unit::Ratio, ParameterId::unit);
         match (self.id(), unit) {
@@ -185,34 +188,33 @@ impl ParameterEntry {
         }
     }
 
-    /// Which parameter it is, of whichever run; none for a name that is not known.
+    /// The parameter, without the number of the run; `None` for an unknown name.
     pub fn id(&self) -> Option<ParameterId> {
         self.name.split('@').next()?.parse().ok()
     }
 
-    /// All parameters of a model at its solution, in the model's order, but terms of the robot's axes, of forces and of
-    /// the bar's length that are left out.
+    /// All parameters of a model at its solution, in the model's order, except terms of joints, forces and the bar's length
+    /// that the calibration did not use.
     pub fn all(model: &Model, sigma: impl Fn(ParameterId) -> Option<f64>) -> Vec<Self> {
-        let left_out = |parameter: &&Parameter| {
-            let of_encoders = Group::Term(TermGroup::EncoderHarmonics);
+        let is_unused_term = |parameter: &&Parameter| {
             let group = parameter.id.group();
             matches!(group, Group::Term(_) | Group::Force)
-                && group != of_encoders
+                && group != Group::Term(TermGroup::EncoderHarmonics)
                 && !parameter.role.is_estimated()
                 && parameter.value == 0.0
         };
-        let told = model.parameters().iter().filter(|parameter| !left_out(parameter));
-        told.map(|parameter| Self::new(parameter, sigma(parameter.id))).collect()
+        let used = model.parameters().iter().filter(|parameter| !is_unused_term(parameter));
+        used.map(|parameter| Self::new(parameter, sigma(parameter.id))).collect()
     }
 }
 
-/// The unit in which people read a number.
+/// How a number is displayed.
 pub(in crate::report) struct ReadIn {
     /// Multiplies the SI value.
     pub factor: f64,
     /// Symbol of the unit, such as `deg`.
     pub unit: &'static str,
-    /// Digits after the point that mean something.
+    /// Significant digits after the point.
     pub decimals: usize,
 }
 
@@ -313,7 +315,7 @@ pub struct CalibrationFile {
     /// The verdict; files of earlier versions have none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub verdict: Option<Verdict>,
-    /// What limits it, the most important first; the verdict names the first that is serious.
+    /// Limits of its accuracy, the most important first; the verdict names the first that is serious.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub limits: Vec<Limit>,
     /// What the scale of all lengths rests on.
@@ -358,10 +360,10 @@ pub struct CalibrationFile {
     /// What makes positions uncertain.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget: Option<Budget>,
-    /// How well they are known together.
+    /// Rank, observability and correlations of the parameters.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub knowledge: Option<Knowledge>,
-    /// Covariance of the free ones and of those that were fixed at uncertain values; in `calibration.json` alone.
+    /// Covariance of the free parameters and of those that were fixed at uncertain values; in `calibration.json` alone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub covariance: Option<CovarianceEntry>,
 }
@@ -402,8 +404,7 @@ impl CalibrationFile {
         self
     }
 
-    /// Parameters for a person, and how many amplitudes of waves of the axes are not among them: more than forty would
-    /// fill a page.
+    /// Parameters for display, and the number of wave amplitudes that are left out: more than forty would fill a page.
     pub fn reported(&self) -> (Vec<&ParameterEntry>, usize) {
         const WAVES_MAX: usize = 40;
         let is_wave = |entry: &ParameterEntry| matches!(entry.id(), Some(ParameterId::JointWave { .. }));
@@ -412,10 +413,9 @@ impl CalibrationFile {
         (self.parameters.iter().filter(|entry| left_out == 0 || !is_wave(entry)).collect(), left_out)
     }
 
-    /// Writes `calibration.toml`, the same with the covariance as `calibration.json`, and, where links alone predict better than
-    /// the nominal robot, `dh.csv`
-    /// (see [`CalibrationFile::dh_csv`]) into the directory, each whole under its name or not at all. A `report.html` of ours that is there is removed. Returns the path
-    /// of the first.
+    /// Writes `calibration.toml`, the same with the covariance as `calibration.json`, and, if links alone predict better than
+    /// the nominal robot, `dh.csv` ([`CalibrationFile::dh_csv`]) into the directory, each whole or not at all. Removes a
+    /// `report.html` that this program wrote earlier. Returns the path of `calibration.toml`.
     ///
     /// # Errors
     /// [`FileError`].
@@ -440,7 +440,7 @@ impl CalibrationFile {
     pub fn dh_csv(&self) -> Result<String, FileError> {
         let mut rows = Vec::new();
         let deployment = Deployment::Dh;
-        let held_out_mm = self.held_out_m(deployment).map(|[_, own_m]| own_m * 1e3);
+        let held_out_mm = self.held_out_m(deployment).map(|[_nominal_m, links_m]| links_m * 1e3);
         for entry in &self.deployed(deployment).parameters {
             let (chain, link, parameter) = match entry.name.parse::<ParameterId>() {
                 Ok(ParameterId::Robot { link, parameter }) => ("robot", link, parameter),
@@ -489,7 +489,7 @@ pub struct DhRow {
     pub held_out_mm: Option<f64>,
 }
 
-/// When something is written.
+/// The present time, for files.
 pub(in crate::report) fn now() -> String {
     UtcNs::from_datetime(chrono::Utc::now()).to_string()
 }
@@ -499,7 +499,7 @@ pub(in crate::report) fn software() -> String {
     shared::version::software("identify")
 }
 
-/// Puts a file in place at once.
+/// Writes a file under another name and renames it, so that it is never incomplete under its own.
 pub(crate) fn replace(directory: &Path, name: &str, text: &str) -> Result<PathBuf, FileError> {
     let path = directory.join(name);
     let part = directory.join(format!("{name}.part"));

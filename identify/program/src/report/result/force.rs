@@ -1,4 +1,5 @@
-//! The effect of a force on the bar, for programs.
+//! The entry of `calibration.toml` and `calibration.json` on the force on the bar: its range, the identified elongation, and
+//! the deviation from the sphere with and without it.
 
 use serde::{Deserialize, Serialize};
 
@@ -14,7 +15,7 @@ pub struct ForceEntry {
     pub kind: ForceKind,
     /// Clock of the force log.
     pub clock: ForceClock,
-    /// `tension`, `compression` or `not determined`: which the log's positive force is.
+    /// Direction of the log's positive force: `tension`, `compression` or `not determined`.
     pub positive: String,
     /// `bcompliance` \[m/N\] or `bplay` \[m\]: positive where the log's positive force makes the bar longer.
     pub parameter: String,

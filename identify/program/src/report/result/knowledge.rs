@@ -1,4 +1,5 @@
-//! How well the identified parameters are known, apart from each one's sigma.
+//! Entries of `calibration.toml` and `calibration.json` on the solution: rank, observability, correlations and covariance of
+//! the parameters, noise of the angles, and expected position errors.
 
 use std::collections::BTreeMap;
 
@@ -13,12 +14,12 @@ use crate::instrument::{Noise, NoiseConfig, Run};
 use crate::model::ParameterId;
 use crate::solver::{Observability, SigmasFrom, Solution};
 
-/// Correlations above this are named.
+/// Correlations above this are listed.
 const NAMED_ABOVE: f64 = 0.8;
-/// Pairs that are named, at most.
+/// Pairs that are listed, at most.
 const NAMED_MAX: usize = 20;
 
-/// Parameters that are known by their prior alone: this many are named.
+/// Parameters that are known by their prior alone are named up to this number.
 const NAMED_BY_PRIOR: usize = 8;
 
 /// Above this part of its prior's sigma a parameter is known by the prior: the data contribute a tenth of the information.
@@ -65,7 +66,7 @@ pub struct Knowledge {
     pub rank_of_samples: usize,
     /// Singular values of the column-scaled Jacobian with priors, descending: a gap among them makes the rank uncertain.
     pub singular_values: Vec<f64>,
-    /// With columns in mm, mrad, ms and ppm; all zero where priors are needed.
+    /// With columns in mm, mrad, ms and ppm; all zero if the samples alone do not determine all parameters.
     pub observability: ObservabilityEntry,
     /// What sigmas and covariance rest on.
     #[serde(default)]
@@ -90,7 +91,7 @@ pub struct NoiseEntry {
     pub robot_rad: f64,
     /// Configured noise of the joints.
     pub robot_rad_configured: f64,
-    /// Correlation of the residuals of neighbouring samples: the part of their variance that is not white.
+    /// Correlation of the residuals of consecutive samples: the part of their variance that is not white.
     pub autocorrelation: f64,
 }
 
@@ -138,7 +139,7 @@ pub struct CovarianceEntry {
 }
 
 impl CovarianceEntry {
-    /// Of two parameters by their places; `None` if one is not identified.
+    /// Covariance of two parameters by their indices in `names`; `None` if one is not identified.
     pub fn between(&self, a: usize, b: usize) -> Option<f64> {
         self.rows.get(a.max(b))?.get(a.min(b)).copied().flatten()
     }
@@ -147,11 +148,11 @@ impl CovarianceEntry {
 impl CalibrationFile {
     /// Adds rank, observability, correlations and covariance of a solution. The covariance goes into `calibration.json` alone.
     pub fn with_knowledge(mut self, solution: &Solution) -> Self {
-        let found = &solution.identifiability;
+        let identifiability = &solution.identifiability;
         let name = |column: usize| solution.covariance.name(column).to_owned();
-        // Columns of other runs are called as those of the first, with the run's number.
+        // Columns of later runs have the run's number after the name: `ox@2`.
         let unit = |name: &String| name.split('@').next()?.parse::<ParameterId>().ok().map(ParameterId::unit);
-        let units: Vec<f64> = found
+        let from_display: Vec<f64> = identifiability
             .names
             .iter()
             .map(|name| unit(name).map_or(1.0, |unit| unit.display_factor().recip()))
@@ -163,12 +164,12 @@ impl CalibrationFile {
                 .zip(solution.covariance.sigma(*column))
                 .is_some_and(|(prior, sigma)| sigma > BY_PRIOR * prior)
         };
-        let by_prior = found.prior_sigmas.iter().enumerate().filter(is_by_prior);
+        let by_prior = identifiability.prior_sigmas.iter().enumerate().filter(is_by_prior);
         self.knowledge = Some(Knowledge {
-            rank: found.rank,
-            rank_of_samples: found.rank_of_samples,
-            singular_values: found.singular_values.clone(),
-            observability: found.observability(&units).into(),
+            rank: identifiability.rank,
+            rank_of_samples: identifiability.rank_of_samples,
+            singular_values: identifiability.singular_values.clone(),
+            observability: identifiability.observability(&from_display).into(),
             sigmas_from: solution.covariance.sigmas_from,
             by_prior: by_prior.map(|(column, _)| name(column)).collect(),
             correlations: strongest
@@ -187,7 +188,7 @@ impl CalibrationFile {
 }
 
 impl Knowledge {
-    /// Some lines for a person.
+    /// Lines for the terminal; `free` is the number of free parameters.
     pub(in crate::report) fn describe(&self, free: usize) -> String {
         use std::fmt::Write;
         let mut text = String::new();
@@ -232,9 +233,9 @@ impl Knowledge {
 pub struct ExpectedEntry {
     /// Over the workspace, with the nominal geometry.
     pub nominal: Expected,
-    /// With the calibrated one: links and errors of joints, compensated.
+    /// With the calibrated geometry: links and errors of joints.
     pub calibrated: Expected,
-    /// With what a controller takes of it, by deployment.
+    /// Over the workspace, with each deployment applied.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub deployed: BTreeMap<Deployment, Expected>,
     /// The same at the five poses of ISO 9283; absent where the robot reaches no such cube.

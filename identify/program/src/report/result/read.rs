@@ -1,4 +1,5 @@
-//! Calibrations read back from their files.
+//! Reads `calibration.json` or `calibration.toml` into a [`CalibrationFile`], also of schema 1, and refuses numbers that
+//! are out of range.
 
 use std::path::{Path, PathBuf};
 
@@ -8,7 +9,7 @@ use super::file::{CalibrationFile, SCHEMA};
 
 /// No parameter or its sigma is larger than this, in SI units; beyond are damaged files, whose numbers would overflow.
 const NUMBER_MAX: f64 = 1e12;
-/// And no sigma that is one is smaller.
+/// No sigma above zero is smaller, for the same reason.
 const SIGMA_MIN: f64 = 1e-30;
 
 /// Why a calibration cannot be read.
@@ -61,19 +62,20 @@ impl CalibrationFile {
 
     fn checked(text: &str, path: &Path) -> Result<Self, Kind> {
         let is_toml = path.extension().is_some_and(|ending| ending == "toml");
-        let of_schema: OfSchema = if is_toml { toml::from_str(text)? } else { serde_json::from_str(text)? };
-        let file: Self = match (of_schema.schema, is_toml) {
-            (1, true) => serde_json::from_value(of_schema_1(toml::from_str(text)?))?,
-            (1, false) => serde_json::from_value(of_schema_1(serde_json::from_str(text)?))?,
+        let only_schema: OnlySchema =
+            if is_toml { toml::from_str(text)? } else { serde_json::from_str(text)? };
+        let file: Self = match (only_schema.schema, is_toml) {
+            (1, true) => serde_json::from_value(upgraded_from_schema_1(toml::from_str(text)?))?,
+            (1, false) => serde_json::from_value(upgraded_from_schema_1(serde_json::from_str(text)?))?,
             (SCHEMA, true) => toml::from_str(text)?,
             (SCHEMA, false) => serde_json::from_str(text)?,
             (found, _) => return Err(Kind::Schema { found }),
         };
         for entry in &file.parameters {
-            let is_sigma = |sigma: f64| sigma == 0.0 || (SIGMA_MIN..=NUMBER_MAX).contains(&sigma);
+            let is_valid_sigma = |sigma: f64| sigma == 0.0 || (SIGMA_MIN..=NUMBER_MAX).contains(&sigma);
             let numbers = [entry.nominal, entry.value, entry.correction];
-            let odd = numbers.into_iter().find(|number| !(-NUMBER_MAX..=NUMBER_MAX).contains(number));
-            if let Some(value) = odd.or_else(|| entry.sigma.filter(|sigma| !is_sigma(*sigma))) {
+            let invalid = numbers.into_iter().find(|number| !(-NUMBER_MAX..=NUMBER_MAX).contains(number));
+            if let Some(value) = invalid.or_else(|| entry.sigma.filter(|sigma| !is_valid_sigma(*sigma))) {
                 return Err(Kind::Number { name: entry.name.clone(), value });
             }
         }
@@ -83,13 +85,13 @@ impl CalibrationFile {
 
 /// The key that every version has.
 #[derive(serde::Deserialize)]
-struct OfSchema {
+struct OnlySchema {
     schema: u32,
 }
 
 /// Converts a file of schema 1 to [`SCHEMA`]: it had the first clock and the first force under keys of their own, and the earliest
 /// files had no data set numbers and no instrument names.
-fn of_schema_1(mut file: Map<String, Value>) -> Value {
+fn upgraded_from_schema_1(mut file: Map<String, Value>) -> Value {
     file.insert("schema".into(), SCHEMA.into());
     for (first, others, all) in [("clock", "other_clocks", "clocks"), ("force", "other_forces", "forces")] {
         let mut entries: Vec<Value> =

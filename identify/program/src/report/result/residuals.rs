@@ -10,14 +10,14 @@ use crate::instrument::{Apart, Deviation, Rejection};
 /// One sample: robot minus measurement, along the axes of the robot's base.
 #[derive(Debug, Default, Serialize)]
 struct Row {
-    /// As in `calibration.toml`, from 1.
+    /// Number of the data set as in `calibration.toml`, from 1.
     data_set: usize,
     instrument: &'static str,
-    /// In its data set, from 1.
+    /// Number of the sample in its data set, from 1.
     sample: usize,
-    /// Of a file of rows.
+    /// Line number in a file of rows.
     line: Option<u64>,
-    /// On the instrument's clock, since its reference time; empty for a robot at rest.
+    /// Time since the reference time, on the instrument's clock; empty for a robot at rest.
     t_s: Option<String>,
     used: bool,
     /// The reason if it was not.
@@ -25,7 +25,7 @@ struct Row {
     x_mm: Option<String>,
     y_mm: Option<String>,
     z_mm: Option<String>,
-    /// Of a length in place of a position.
+    /// For an instrument that measures a length in place of a position.
     length_mm: Option<String>,
     rotation_mrad: Option<String>,
 }
@@ -62,15 +62,16 @@ pub fn residuals_csv(calibration: &Calibration, lines: &[&[u64]]) -> Result<Stri
     let bars = calibration.runs.len() - calibration.rows.len();
     let mut all = Vec::new();
     for (number, run) in calibration.runs.iter().enumerate() {
-        let rows = number.checked_sub(bars);
-        let deviations = match rows.and_then(|rows| calibration.rows.get(rows)) {
+        // Runs with a bar are first, then files of rows.
+        let row_file = number.checked_sub(bars);
+        let deviations = match row_file.and_then(|index| calibration.rows.get(index)) {
             Some(set) => set.deviations(run),
             None => {
                 let of_bar = run.instrument.deviations(&run.model.geometry(&[]));
                 of_bar.into_iter().map(|deviation| (deviation, None)).collect()
             }
         };
-        let lines = rows.and_then(|rows| lines.get(rows)).copied().unwrap_or_default();
+        let lines = row_file.and_then(|index| lines.get(index)).copied().unwrap_or_default();
         for (sample, (deviation, left_out)) in deviations.into_iter().enumerate() {
             let row = Row {
                 data_set: number + 1,

@@ -1,4 +1,5 @@
-//! Files about the identified robot for other programs, beside a calibration.
+//! `robot.urdf`, and which tables of corrections are written with it: the identified robot for controllers and other
+//! programs. Also the identified links as a kinematic chain.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -24,12 +25,14 @@ pub enum RobotFileError {
 }
 
 impl CalibrationFile {
-    /// The robot's links with one number of each parameter, standing at the root; kinds of joints are those of the validity range.
+    /// The robot's links from the root, with `number` of each entry, such as its value; kinds of joints are those
+    /// of the validity range.
     pub(crate) fn links(&self, number: impl Fn(&ParameterEntry) -> f64) -> Chain {
         let mut links: Vec<DhLink> = Vec::new();
         for entry in &self.parameters {
             let Ok(ParameterId::Robot { link, parameter }) = entry.name.parse() else { continue };
-            let is_prismatic = self.validity.as_ref().is_some_and(|of| of.prismatic.contains(&link));
+            let is_prismatic =
+                self.validity.as_ref().is_some_and(|validity| validity.prismatic.contains(&link));
             let joint = if is_prismatic { JointKind::Prismatic } else { JointKind::Revolute };
             if links.len() <= link {
                 links.resize_with(link + 1, DhLink::default);
@@ -51,9 +54,10 @@ impl CalibrationFile {
         chain
     }
 
-    /// Writes what a controller can take, as far as it predicts held-out data better than the nominal robot: `robot.urdf` and
-    /// `corrections.csv` for links without errors of joints, `offsets.csv` for joint offsets alone where these have a fit of
-    /// their own, and beside each its joints as the log has them. Each is written whole or not at all. Returns their paths.
+    /// Writes what a controller can take, as far as it predicts held-out data better than the nominal robot:
+    /// `robot.urdf` and `corrections.csv` for links without errors of joints, `offsets.csv` for joint offsets alone if
+    /// these have a fit of their own, and for each table its joint offsets in terms of the log. Each is written whole
+    /// or not at all. Returns their paths.
     ///
     /// # Errors
     /// [`RobotFileError`].
@@ -65,12 +69,14 @@ impl CalibrationFile {
         directory: &Path,
     ) -> Result<Vec<PathBuf>, RobotFileError> {
         let mut written = Vec::new();
-        for (name, part) in [("corrections", Deployment::Dh), ("offsets", Deployment::Offsets)] {
-            if !self.serves(part) {
+        for (name, deployment) in [("corrections", Deployment::Dh), ("offsets", Deployment::Offsets)] {
+            if !self.serves(deployment) {
                 continue;
             }
-            let tables =
-                [("", corrections(self, part)), ("_log", log_corrections(self, robot, log_mapping, part)?)];
+            let tables = [
+                ("", corrections(self, deployment)),
+                ("_log", log_corrections(self, robot, log_mapping, deployment)?),
+            ];
             for (ending, rows) in tables {
                 let text = csv(&rows).map_err(FileError::from)?;
                 written.push(replace(directory, &format!("{name}{ending}.csv"), &text)?);
@@ -78,10 +84,10 @@ impl CalibrationFile {
         }
         if self.serves(Deployment::Dh) {
             let links = self.deployed(Deployment::Dh).robot_chain(robot, bar);
-            let about = self.held_out_m(Deployment::Dh).map_or_else(String::new, |[nominal_m, own_m]| {
+            let about = self.held_out_m(Deployment::Dh).map_or_else(String::new, |[nominal_m, links_m]| {
                 format!(
                     " Links alone, without errors of joints: held-out positions {:.4} mm RMS, nominal {:.4}.",
-                    own_m * 1e3,
+                    links_m * 1e3,
                     nominal_m * 1e3
                 )
             });
@@ -91,9 +97,9 @@ impl CalibrationFile {
     }
 }
 
-/// Joints move about or along z of frames `axis_1`, `axis_2` and so on; joint variables are those of the model (see the
-/// robot's configuration for signs and zeros of the controller). `flange` is the robot's own, `ball_bar_end` where plate and
-/// tool of the bar end.
+/// The robot as URDF. Joints move about or along z of frames `axis_1`, `axis_2` and so on; joint variables are those of the
+/// model (see the robot's configuration for signs and zeros of the controller). `flange` is the robot's own, `ball_bar_end`
+/// where plate and tool of the bar end.
 ///
 /// `about` is written as a comment. Effort and velocity, which URDF demands, are not known to a calibration and are zero.
 pub fn urdf(robot: &RobotConfig, identified: &Chain, bar: Option<&BallBarConfig>, about: &str) -> String {
@@ -112,6 +118,7 @@ pub fn urdf(robot: &RobotConfig, identified: &Chain, bar: Option<&BallBarConfig>
         parent = child;
     }
     let end = from_parent * identified.last_from_end;
+    // Plate and tool of the bar, from the flange to its end.
     let behind_flange =
         |bar: &BallBarConfig| DhLink { a_m: bar.plate_m, d_m: bar.tool_m, ..DhLink::default() };
     let flange = bar.map_or(end, |bar| end * behind_flange(bar).transform(0.0).inverse());

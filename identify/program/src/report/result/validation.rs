@@ -1,4 +1,4 @@
-//! Held-out validation, as files and the terminal have it.
+//! Held-out validation as entries of `calibration.toml` and `calibration.json`, and its line for the terminal.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -34,7 +34,8 @@ pub struct HeldOutEntry {
     pub fitted: PoseErrorEntry,
 }
 
-/// Rows of a tracker or a wire, each a stage further: instrument alone, the robot's links, errors of its joints.
+/// Errors of a file of rows, fitted and held out, in stages of the model: instrument alone, the robot's links,
+/// errors of its joints.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RowsEntry {
     /// Number of the data set, from 1.
@@ -43,13 +44,13 @@ pub struct RowsEntry {
     pub hold_out: HoldOut,
     /// Seed that selected the rows.
     pub seed: u64,
-    /// What the file calls places of the instrument and on the flange, after the parameters that are theirs: `tracker` has
-    /// `tracker_x`, `tracker2_x` and so on.
+    /// Names that the file gives to stations of the instrument and to targets on the flange, by the prefix of their parameters:
+    /// `tracker` has `tracker_x` for the first name, `tracker2_x` for the second and so on.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub names: BTreeMap<String, Vec<String>>,
-    /// Rows that the fit saw, but those that were rejected.
+    /// Rows of the fit without the rejected ones.
     pub fitted: Stages,
-    /// Rows that it did not see.
+    /// Held-out rows.
     pub held_out: Stages,
 }
 
@@ -66,12 +67,12 @@ pub struct ValidationEntry {
     pub calibrated: PoseFigures,
     /// Rows where the calibration is not supported.
     pub unsupported: usize,
-    /// Rows that neither robot comes near, which are not in the figures.
+    /// Rows that are gross errors for both robots, which are not in the figures.
     pub left_out: usize,
 }
 
 impl CalibrationFile {
-    /// Adds what was validated.
+    /// Adds the held-out figures of the calibration and of each deployment.
     pub fn with_validation(mut self, evidence: &Evidence) -> Self {
         let entry = |rms: PoseErrorRms| PoseErrorEntry {
             position_m: rms.position_m,
@@ -86,10 +87,10 @@ impl CalibrationFile {
         let comparable =
             |held_out: &HeldOut| Some(held_out.segments.len()) == self.held_out.map(|all| all.segments);
         let deployed = evidence.deployed.iter().map(|(deployed, held_out)| {
-            let [_, predicted, _] = held_out.rms().map(entry);
+            let [_nominal, predicted, _fitted] = held_out.rms().map(entry);
             let held_out = comparable(held_out).then_some(predicted);
-            let with_it = evidence.workspace.deployed.get(&deployed.deployment);
-            let expected_m = with_it.map(|with_it| [evidence.workspace.before.mean_m, with_it.mean_m]);
+            let expected = evidence.workspace.deployed.get(&deployed.deployment);
+            let expected_m = expected.map(|expected| [evidence.workspace.before.mean_m, expected.mean_m]);
             DeploymentEntry { held_out, expected_m, ..DeploymentEntry::from(deployed) }
         });
         self.deployments = deployed.collect();

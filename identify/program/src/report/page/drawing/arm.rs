@@ -1,4 +1,5 @@
-//! An arm from the side and from above: its axes, two postures, and where its flange can be.
+//! Picture of a robot for `identify robot check`: from the side and from above its axes, two postures, and positions of the
+//! flange in random postures.
 
 use nalgebra::Vector3;
 use shared::config::JointKind;
@@ -9,7 +10,7 @@ use crate::statistics::extremes;
 
 /// Width of the picture without the labels of its axes \[px\].
 const WIDTH_PX: f64 = 620.0;
-/// What a panel has beside and above its axes \[px\].
+/// Width and height that the labels add to the axes of a panel \[px\].
 const LABELS_PX: (f64, f64) = (76.0, 100.0);
 /// An axis is drawn this long, as a part of the arm's reach.
 const AXIS_PART: f64 = 0.07;
@@ -19,9 +20,8 @@ const AXIS_PART: f64 = 0.07;
 /// # Errors
 /// [`PlotError`].
 pub fn picture(check: &RobotCheck) -> Result<String, PlotError> {
-    let side = view(check, "from the side", ["x [m]", "z [m]"], |p| (p.x, p.z))?;
-    let above = view(check, "from above", ["x [m]", "y [m]"], |p| (p.x, p.y))?;
-    let ((side, side_px), (above, above_px)) = (side, above);
+    let (side, side_px) = view(check, "from the side", ["x [m]", "z [m]"], |p| (p.x, p.z))?;
+    let (above, above_px) = view(check, "from above", ["x [m]", "y [m]"], |p| (p.x, p.y))?;
     let (width_px, height_px) = (side_px.0 + above_px.0, side_px.1.max(above_px.1));
     Ok(format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width_px}\" height=\"{height_px}\">\n\
@@ -38,6 +38,7 @@ fn placed(svg: &str, x_px: u32, (width_px, height_px): (u32, u32)) -> String {
     format!("<svg x=\"{x_px}\" width=\"{width_px}\" height=\"{height_px}\" viewBox=\"{view}\">{inner}")
 }
 
+/// One view as an SVG, with its width and height \[px\].
 fn view(
     check: &RobotCheck,
     from: &str,
@@ -61,9 +62,9 @@ fn view(
     };
     let lines = check.axes.iter().flat_map(ends);
     series.push(Series::new("axes at zero", ORANGE, Mark::Segments, lines.map(|p| project(&p)).collect()));
-    // A metre is as long across as up.
-    let span = |of: fn(&(f64, f64)) -> f64| {
-        let [low, high] = extremes(series.iter().flat_map(|one| &one.points).map(of));
+    // A metre has the same length on both axes.
+    let span = |coordinate: fn(&(f64, f64)) -> f64| {
+        let [low, high] = extremes(series.iter().flat_map(|one| &one.points).map(coordinate));
         (high - low).max(1e-3)
     };
     let (across_m, up_m) = (span(|p| p.0), span(|p| p.1));

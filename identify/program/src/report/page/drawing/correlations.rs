@@ -9,23 +9,23 @@ use super::plot::{BLUE, FONT, ORANGE};
 use crate::model::ParameterId;
 use crate::report::result::knowledge::CovarianceEntry;
 
-/// Weaker ones are left white.
+/// Weaker correlations are left white.
 const LEAST: f64 = 0.1;
-/// Strengths that are distinguished.
+/// Number of shades for each sign.
 const STEPS: i32 = 20;
-/// Side of a cell, and room for names.
+/// Side of a cell, and width of the names \[px\].
 const CELL: usize = 12;
 const NAMES: usize = 84;
 
-/// Of the free parameters of robot and first data set, but waves of axes, which are many and hang together with nothing: blue
-/// together, orange against each other.
+/// The matrix of the parameters of robot and first data set: blue positive, orange negative. Waves of the joints are left
+/// out: they are many, and correlated with nothing.
 pub(in crate::report::page) fn figure(covariance: &CovarianceEntry) -> Markup {
     let is_shown = |name: &String| name.parse().is_ok_and(|id| !matches!(id, ParameterId::JointWave { .. }));
     let shown = covariance.names.iter().enumerate().filter(|(_, name)| is_shown(name));
     let (columns, names): (Vec<usize>, Vec<&String>) = shown.unzip();
     let correlation = |a: usize, b: usize| {
-        let own = |a| covariance.between(a, a);
-        Some(covariance.between(a, b)? / (own(a)? * own(b)?).sqrt())
+        let variance = |a| covariance.between(a, a);
+        Some(covariance.between(a, b)? / (variance(a)? * variance(b)?).sqrt())
     };
     let row = |a: &usize| columns.iter().map(|b| correlation(*a, *b).unwrap_or(0.0)).collect();
     let rows: Vec<Vec<f64>> = columns.iter().map(row).collect();
@@ -63,12 +63,12 @@ pub(in crate::report::page) fn figure(covariance: &CovarianceEntry) -> Markup {
     PreEscaped(svg)
 }
 
-/// The cells of one strength, as a path.
+/// The cells of one shade, as a path.
 fn cells(rows: &[Vec<f64>], step: i32) -> String {
-    let is_one = |value: &f64| value.abs() > LEAST && (value * f64::from(STEPS)).round() as i32 == step;
+    let has_shade = |value: &f64| value.abs() > LEAST && (value * f64::from(STEPS)).round() as i32 == step;
     let mut path = String::new();
     for (row, values) in rows.iter().enumerate() {
-        for (column, _) in values.iter().enumerate().filter(|(_, value)| is_one(value)) {
+        for (column, _) in values.iter().enumerate().filter(|(_, value)| has_shade(value)) {
             let (x, y) = (NAMES + column * CELL, NAMES + row * CELL);
             // Writing to a string cannot fail.
             let _ = write!(path, "M{x} {y}h{CELL}v{CELL}h-{CELL}");

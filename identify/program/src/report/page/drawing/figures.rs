@@ -1,4 +1,5 @@
-//! Which figure shows what.
+//! The figures of `report.html` on runs with a bar, each from the evidence of a calibration, and what several pages use:
+//! sizes of figures, time axes, maps of directions.
 
 use maud::Markup;
 use nalgebra::Vector3;
@@ -13,7 +14,7 @@ use crate::statistics::extremes;
 pub(in crate::report::page) const WIDE: (u32, u32) = (920, 250);
 pub(in crate::report::page) const HALF: (u32, u32) = (450, 270);
 pub(in crate::report::page) const THIRD: (u32, u32) = (340, 230);
-/// Axes of equal length once the labels have their room.
+/// Square axes, with the room for the labels.
 pub(in crate::report::page) const ROUND: (u32, u32) = (450, 444);
 
 pub(in crate::report::page) fn dots(
@@ -105,7 +106,7 @@ pub(in crate::report::page) fn gap_over_time(
     ])
 }
 
-/// Components of the calibrated gap over time: position, and rotation where it means something.
+/// Components of the calibrated gap over time: position, and rotation if it was measured.
 pub(in crate::report::page) fn components_over_time(
     run: &RunEvidence,
     rotations: bool,
@@ -130,18 +131,18 @@ pub(in crate::report::page) fn components_over_time(
 /// The residual by each joint's angle and by its direction of motion.
 pub(in crate::report::page) fn by_joint(evidence: &Evidence) -> Result<Vec<Markup>, PlotError> {
     let panel = |joint: usize| {
-        let side = |name, colour, forward: bool| {
-            let seen = |gap: &&JointGap| (gap.qd_rad_s > 0.0) == forward;
+        let in_direction = |name, colour, forward: bool| {
+            let is_wanted = |gap: &&JointGap| (gap.qd_rad_s > 0.0) == forward;
             let point = |gap: &JointGap| (gap.q_rad.to_degrees(), gap.turn_rad * 1e6);
-            dots(name, colour, evidence.joints[joint].iter().filter(seen).map(point).collect())
+            dots(name, colour, evidence.joints[joint].iter().filter(is_wanted).map(point).collect())
         };
-        let series = vec![side("forward", BLUE, true), side("back", ORANGE, false)];
+        let series = vec![in_direction("forward", BLUE, true), in_direction("back", ORANGE, false)];
         Panel::new(format!("Joint {}", joint + 1), ["joint angle [deg]", "[µrad]"], THIRD, series).draw()
     };
     (0..evidence.joints.len()).map(panel).collect()
 }
 
-/// What becomes of the gap when one log is moved in time.
+/// The gap as a function of a time shift between the two logs.
 pub(in crate::report::page) fn shift(title: &str, curve: &ShiftCurve) -> Result<Markup, PlotError> {
     let points = curve.shift_s.iter().zip(&curve.rms_m).map(|(shift_s, rms_m)| (shift_s * 1e3, rms_m * 1e3));
     let series = vec![Series::new("", BLUE, Mark::Line, points.collect())];

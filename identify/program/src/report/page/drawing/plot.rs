@@ -1,4 +1,4 @@
-//! Figures as SVG text.
+//! Figures as SVG text: a [`Panel`] is one pair of axes with its [`Series`], and all figures of all pages are made of them.
 //!
 //! Axes and lines are drawn by `plotters`. Dots are one path for each set: as elements of their own they would take ten
 //! times the bytes, and a browser would be slow with them. The title and the names of the sets stand above the axes, where
@@ -86,10 +86,10 @@ const NAME_FONT_PX: u32 = 12;
 /// Room for the labels of the vertical axis \[px\].
 const LEFT_PX: u32 = 56;
 const MARGIN_PX: u32 = 6;
-/// Mean width of a letter over its height: only where the names begin depends on it.
+/// Mean width of a letter over its height; estimates the width of title and names.
 const LETTER: f64 = 0.56;
 
-/// One set as one path: strokes with round ends, those of dots of no length.
+/// One series as one SVG path of strokes with round ends; a dot is a stroke of length zero.
 struct Strokes {
     colour: RGBColor,
     path: String,
@@ -174,6 +174,7 @@ impl Panel {
         Ok(PreEscaped(text))
     }
 
+    /// Draws axes and lines, and returns the other series, which are added as text.
     fn onto(&self, area: &DrawingArea<SVGBackend<'_>, Shift>) -> Result<Vec<Strokes>, String> {
         let finite =
             || self.series.iter().flat_map(|one| &one.points).filter(|(x, y)| x.is_finite() && y.is_finite());
@@ -185,7 +186,7 @@ impl Panel {
             .x_label_area_size(36 * FINE)
             .y_label_area_size(LEFT_PX * FINE)
             .build_cartesian_2d(x.0..x.1, y.0..y.1)
-            .map_err(text)?;
+            .map_err(message)?;
         chart
             .configure_mesh()
             .x_desc(&self.x)
@@ -200,7 +201,7 @@ impl Panel {
             .x_label_formatter(&|value| self.x_label(*value, x.1 - x.0))
             .y_label_formatter(&|value| short(*value, y.1 - y.0))
             .draw()
-            .map_err(text)?;
+            .map_err(message)?;
         let mut strokes = Vec::new();
         for one in &self.series {
             let at = one.points.iter().filter(|(x, y)| x.is_finite() && y.is_finite());
@@ -210,7 +211,7 @@ impl Panel {
                 Mark::Segments => strokes.push(Strokes::segments(one.colour, &at)),
                 Mark::Line => {
                     let line = thin::line(&at, FINE as i32);
-                    area.draw(&PathElement::new(line, one.colour.stroke_width(2 * FINE))).map_err(text)?;
+                    area.draw(&PathElement::new(line, one.colour.stroke_width(2 * FINE))).map_err(message)?;
                 }
             }
         }
@@ -274,7 +275,7 @@ fn label(x: f64, y: f64, font_px: u32, text: &str) -> String {
     )
 }
 
-fn text(error: impl std::fmt::Display) -> String {
+fn message(error: impl std::fmt::Display) -> String {
     error.to_string()
 }
 

@@ -1,10 +1,11 @@
-//! Ten hours have a million points, a figure a thousand columns: what is drawn is what would be seen.
+//! Thins the points of a figure to those that can be distinguished, because ten hours have a million points, and a
+//! figure a thousand columns.
 
 use std::collections::HashSet;
 
 use crate::inspect::curves::extremes_of_columns;
 
-/// Where something is drawn, in steps of the figure's grid.
+/// Where something is drawn, in whole SVG units.
 pub(in crate::report::page) type Place = (i32, i32);
 
 /// Dots of one set, at most.
@@ -16,8 +17,8 @@ pub(in crate::report::page) fn line(points: &[Place], column: i32) -> Vec<Place>
     extremes_of_columns(points, |(x, _)| i64::from(x.div_euclid(column.max(1))), |(_, y)| f64::from(*y))
 }
 
-/// One dot for each cell that has any. Cells are as small as can be with so few dots that a page stays light, so that a
-/// dot that stands alone is drawn whatever the others are.
+/// One dot for each occupied cell of a grid, with the smallest cells that give at most [`DOTS_MAX`] dots. A single dot far
+/// from all others is always drawn.
 pub(in crate::report::page) fn dots(points: Vec<Place>) -> Vec<Place> {
     let mut cell = 1;
     loop {

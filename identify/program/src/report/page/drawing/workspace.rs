@@ -1,4 +1,4 @@
-//! Where in the workspace positions are how wrong, before and after.
+//! Maps of the expected position error over the workspace, nominal and calibrated, for the certificate.
 
 use maud::{Markup, html};
 use plotters::style::RGBColor;
@@ -17,7 +17,7 @@ const FIFTHS: [RGBColor; 5] = [
     RGBColor(180, 40, 60),
 ];
 
-/// Both maps side by side on the first sheet, which they share with what is signed \[px\].
+/// Size of one map; both are side by side on the certificate \[px\].
 const SHEET: (u32, u32) = (450, 300);
 
 /// Two maps: a place by its distance from the first axis and its height.
@@ -27,8 +27,8 @@ pub(in crate::report::page) fn map(workspace: &WorkspaceError) -> Result<Markup,
     }
     Ok(html! { figure {
         div.panels {
-            (of("Nominal robot", &workspace.places, |place| place.before_m)?)
-            (of("Calibrated robot", &workspace.places, |place| place.after_m)?)
+            (one_map("Nominal robot", &workspace.places, |place| place.before_m)?)
+            (one_map("Calibrated robot", &workspace.places, |place| place.after_m)?)
         }
         figcaption {
             "Position error that is expected by place, root mean square. Each dot is a posture within the joint limits, each colour a "
@@ -37,17 +37,18 @@ pub(in crate::report::page) fn map(workspace: &WorkspaceError) -> Result<Markup,
     } })
 }
 
-fn of(title: &str, places: &[PlaceError], error_m: fn(&PlaceError) -> f64) -> Result<Markup, PlotError> {
+fn one_map(title: &str, places: &[PlaceError], error_m: fn(&PlaceError) -> f64) -> Result<Markup, PlotError> {
     let mut sorted: Vec<&PlaceError> = places.iter().collect();
     sorted.sort_by(|a, b| error_m(a).total_cmp(&error_m(b)));
-    let at = |place: &&PlaceError| {
+    // Distance from the first axis and height.
+    let point = |place: &&PlaceError| {
         let [x, y, z] = place.position_m;
         (x.hypot(y) * 1e3, z * 1e3)
     };
     let fifths = sorted.chunks(sorted.len().div_ceil(FIFTHS.len())).zip(FIFTHS);
     let series = fifths.map(|(fifth, colour)| {
         let most_m = fifth.last().map_or(0.0, |place| error_m(place));
-        dots(mm(most_m), colour, fifth.iter().map(at).collect())
+        dots(mm(most_m), colour, fifth.iter().map(point).collect())
     });
     let axes = ["distance from axis 1 [mm]", "height [mm]"];
     Panel::new(format!("{title}, up to [mm]"), axes, SHEET, series.collect()).draw()

@@ -51,13 +51,13 @@ impl PathPage<'_> {
     /// [`PlotError`].
     pub fn render(&self) -> Result<Markup, PlotError> {
         let title = format!("Path for {}", self.robot);
-        let of_robot = |wanted: bool| {
-            self.sigmas.iter().filter(move |(id, _)| matches!(id, ParameterId::Robot { .. }) == wanted)
+        let sigmas_of = |is_robot: bool| {
+            self.sigmas.iter().filter(move |(id, _)| matches!(id, ParameterId::Robot { .. }) == is_robot)
         };
-        let table = |name: &str, wanted: bool| {
+        let table = |name: &str, is_robot: bool| {
             html! { table {
                 thead { tr { th { (name) } th { "sigma" } th.text { "" } } }
-                tbody { @for (id, sigma) in of_robot(wanted) { tr {
+                tbody { @for (id, sigma) in sigmas_of(is_robot) { tr {
                     td { (id) }
                     td { (format!("{:.4}", sigma * id.unit().display_factor())) }
                     td.unit { (id.unit().display_symbol()) }
@@ -119,6 +119,7 @@ impl PathPage<'_> {
         self.robot_path.q_rad.t_s.iter().enumerate().step_by(every).map(|(row, t_s)| (*t_s, row))
     }
 
+    /// A curve for each joint; `value` is given the time, the row of the robot's path, and the joint.
     fn by_joint(
         &self,
         name: &str,
@@ -144,8 +145,8 @@ impl PathPage<'_> {
         let log = self.robot_path;
         let series = self.by_joint("joint ", log.axes(), |_, row, joint| {
             let next = row + 1;
-            let by_rad = log.q_rad.get(next)?[joint] - log.q_rad.get(row)?[joint];
-            Some(by_rad / (log.q_rad.t_s.get(next)? - log.q_rad.t_s.get(row)?))
+            let change_rad = log.q_rad.get(next)?[joint] - log.q_rad.get(row)?[joint];
+            Some(change_rad / (log.q_rad.t_s.get(next)? - log.q_rad.t_s.get(row)?))
         });
         over_time("Their speeds", "[rad/s]", series)
     }

@@ -18,7 +18,7 @@ use crate::report::page::{PageError, document_with};
 use crate::report::path;
 use crate::report::result::file::replace;
 
-/// Poses of the animation from one chosen pose to the next.
+/// Frames of the animation from one chosen pose to the next.
 const FRAMES_PER_MOVE: usize = 12;
 /// The least determined parameters that are listed, at most.
 const WEAKEST: usize = 12;
@@ -30,7 +30,7 @@ pub struct PosesPage<'a> {
     pub robot: &'a str,
     /// Its nominal arm to the flange.
     pub arm: &'a Chain,
-    /// Its joints may go from here to there \[rad, m\].
+    /// Lower and upper limit of each joint \[rad, m\].
     pub limits: &'a [[f64; 2]],
     /// What is measured, in the flange's frame \[m\].
     pub target_m: [f64; 3],
@@ -96,13 +96,15 @@ impl PosesPage<'_> {
         ))
     }
 
+    /// Position of the target in the robot's base frame \[m\].
     fn target(&self, q: &Joints) -> Vector3<f64> {
         (self.arm.forward(q) * Point3::from(Vector3::from(self.target_m))).coords
     }
 
     fn view(&self) -> Markup {
         let joints = &self.planned.joints;
-        let between = |(move_number, postures): (usize, Vec<Joints>)| {
+        // Frames of a move through its postures, each of which takes the same time; time counts moves.
+        let frames_of_move = |(move_number, postures): (usize, Vec<Joints>)| {
             (0..FRAMES_PER_MOVE).map(move |frame| {
                 let part = frame as f64 / FRAMES_PER_MOVE as f64;
                 let along = part * (postures.len() - 1) as f64;
@@ -115,7 +117,7 @@ impl PosesPage<'_> {
         view(&View {
             arm: self.arm,
             carried: Carried::Target(self.target_m.into()),
-            motion: self.planned.moves().enumerate().flat_map(between).chain(last).collect(),
+            motion: self.planned.moves().enumerate().flat_map(frames_of_move).chain(last).collect(),
             frames_per_pose: Some(FRAMES_PER_MOVE),
             bodies: self.bodies,
         })
@@ -125,9 +127,9 @@ impl PosesPage<'_> {
         &self,
         title: &str,
         axes: [&str; 2],
-        of: fn(&Vector3<f64>) -> (f64, f64),
+        project: fn(&Vector3<f64>) -> (f64, f64),
     ) -> Result<Markup, PlotError> {
-        let places = self.planned.joints.iter().map(|q| of(&self.target(q))).collect();
+        let places = self.planned.joints.iter().map(|q| project(&self.target(q))).collect();
         Panel::new(title, axes, ROUND, vec![dots("", BLUE, places)]).draw()
     }
 
@@ -161,7 +163,7 @@ impl PosesPage<'_> {
         }
     }
 
-    /// By a joint on all moves together \[rad, m\].
+    /// Travel of a joint on all moves together \[rad, m\].
     fn travelled(&self, joint: usize) -> f64 {
         let of_move = |postures: Vec<Joints>| -> f64 {
             postures.windows(2).map(|pair| (pair[1][joint] - pair[0][joint]).abs()).sum()
@@ -215,12 +217,12 @@ impl PosesPage<'_> {
     }
 
     fn weakest(&self) -> Markup {
-        let all = self.planned.determined.iter().flat_map(|one| one.ids.iter().zip(&one.left));
-        let mut all: Vec<(&ParameterId, &f64)> = all.collect();
-        all.sort_by(|a, b| b.1.total_cmp(a.1));
+        let parts_left = self.planned.determined.iter().flat_map(|kind| kind.ids.iter().zip(&kind.left));
+        let mut parts_left: Vec<(&ParameterId, &f64)> = parts_left.collect();
+        parts_left.sort_by(|(_, a), (_, b)| b.total_cmp(a));
         html! { table.narrow {
             thead { tr { th { "Parameter" } th { "left of what is expected of it" } } }
-            tbody { @for (id, left) in all.into_iter().take(WEAKEST) { tr {
+            tbody { @for (id, left) in parts_left.into_iter().take(WEAKEST) { tr {
                 td { (id) }
                 td { (format!("{:.0} %", 100.0 * left)) }
             } } }

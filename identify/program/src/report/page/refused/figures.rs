@@ -1,4 +1,5 @@
-//! Joints over time, with the instant of the failure in red.
+//! Figures of a refusal: joints over time, and deviations of the encoders from the motion of the robot, with the instant of
+//! the change point in red.
 
 use maud::Markup;
 use plotters::prelude::RGBColor;
@@ -34,7 +35,7 @@ fn panel(
 
 /// One figure for each joint of a log.
 pub(super) fn joints(curves: &[Curve], at_s: Option<f64>) -> Result<Vec<Markup>, PlotError> {
-    let one = |curve: &Curve| {
+    let figure = |curve: &Curve| {
         let points = || curve.parts.iter().flatten();
         let time = TimeAxis::of(points().map(|(t_s, _)| *t_s));
         let at = |(t_s, deg): &(f64, f64)| (time.at(*t_s), *deg);
@@ -47,11 +48,11 @@ pub(super) fn joints(curves: &[Curve], at_s: Option<f64>) -> Result<Vec<Markup>,
         };
         panel(curve.name.clone(), "[deg]", &time, series, at_s)
     };
-    curves.iter().map(one).collect()
+    curves.iter().map(figure).collect()
 }
 
-/// Residuals of each encoder, and the alignment along the run. All are marked: a step of one encoder alone is a slip, steps of several
-/// at the same instant are a clock.
+/// Residuals of each encoder, and the alignment along the run. The instant is marked in all of them: a step of one encoder
+/// alone is a slip, steps of several at the same instant are a clock step.
 pub(super) fn deviations(deviations: &Deviations, at_s: Option<f64>) -> Result<Vec<Markup>, PlotError> {
     let samples = &deviations.samples;
     let time = TimeAxis::of(samples.iter().map(|(t_s, _)| *t_s));

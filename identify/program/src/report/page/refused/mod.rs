@@ -1,4 +1,5 @@
-//! The page of a refusal: what is wrong, where and what to do, then the content of the inputs.
+//! `report.html` of a refusal: what is wrong, where and what to do, then deviations of the encoders and the content
+//! of the inputs.
 
 mod figures;
 
@@ -106,7 +107,7 @@ impl RefusedPage<'_> {
         }
     }
 
-    /// Run, instant and joint, as far as they are known; empty where nothing is.
+    /// Run, joint and instant as text, as far as they are known.
     fn place(&self) -> String {
         let place = &self.refusal.place;
         let run = self.refusal.run.and_then(|run| self.runs.get(run).map(|found| (run, found)));
@@ -115,9 +116,9 @@ impl RefusedPage<'_> {
             if self.runs.len() > 1 { format!("{}, {files}", self.number(run)) } else { files }
         });
         let instant = place.bar_s.map(|bar_s| {
-            let of_log =
+            let in_robot_log =
                 place.robot_s.map(|robot_s| format!(", {robot_s:.2} s after that of the robot's log"));
-            format!("{bar_s:.2} s after the recording's first sample{}", of_log.unwrap_or_default())
+            format!("{bar_s:.2} s after the recording's first sample{}", in_robot_log.unwrap_or_default())
         });
         let joint = place.joint.map(|joint| format!("joint {joint} of the bar"));
         [files, joint, instant].into_iter().flatten().collect::<Vec<_>>().join("; ")
@@ -164,7 +165,7 @@ impl RefusedPage<'_> {
     }
 }
 
-/// One side of a run; `at_s` is marked.
+/// Content of one log of a run; the instant `at_s` is marked.
 fn log(what: &str, run: Option<&str>, log: &Source, at_s: Option<f64>) -> Result<Markup, PlotError> {
     let panels = figures::joints(&log.curves, at_s)?;
     let found = &log.inspection;
@@ -210,7 +211,8 @@ fn joints(found: &Inspection) -> Markup {
     }
 }
 
-/// What is wrong and what to do. Our messages end with the remedy, after the last semicolon, full stop or line break.
+/// Splits a message into what is wrong and what to do. Messages of this program end with the remedy, after the last
+/// semicolon, full stop or line break.
 fn parts(message: &str) -> (&str, Option<&str>) {
     let separators = ["; ", ". ", "\n"];
     let last = separators.iter().filter_map(|mark| Some((message.rfind(mark)?, mark.len()))).max();
@@ -220,7 +222,7 @@ fn parts(message: &str) -> (&str, Option<&str>) {
     }
 }
 
-/// A sentence of its own.
+/// The text as a sentence, with a capital and a full stop.
 fn capitalised(text: &str) -> String {
     let mut letters = text.chars();
     let first = letters.next().map(char::to_uppercase);

@@ -1,4 +1,4 @@
-//! Contents of the logs of a calibration, and missing information.
+//! Section on the content of recordings and robot logs, with missing information: tables of their inspections.
 
 use std::path::PathBuf;
 

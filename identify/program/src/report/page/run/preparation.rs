@@ -47,7 +47,7 @@ fn time_axis(timeline: &Timeline) -> TimeAxis {
 
 /// Fastest joint of either log over time.
 fn speeds(timeline: &Timeline) -> Result<Markup, PlotError> {
-    /// Points further apart belong to different motions \[s\].
+    /// If points are further apart than this in the mean, lines between them mean nothing, and dots are drawn \[s\].
     const APART_S: f64 = 1.0;
     let time = time_axis(timeline);
     let span_s = match timeline.points.as_slice() {
@@ -56,8 +56,8 @@ fn speeds(timeline: &Timeline) -> Result<Markup, PlotError> {
     };
     let still =
         timeline.standstills.iter().flat_map(|one| [one.from_s, one.to_s].map(|t_s| (time.at(t_s), 0.0)));
-    let far = span_s > APART_S * timeline.points.len() as f64;
-    let mark = if far { Mark::Dots } else { Mark::Line };
+    let is_sparse = span_s > APART_S * timeline.points.len() as f64;
+    let mark = if is_sparse { Mark::Dots } else { Mark::Line };
     let line = |name, colour, speed: fn(&TimelinePoint) -> Option<f64>| {
         let point = |point: &TimelinePoint| Some((time.at(point.t_s), speed(point)?.to_degrees()));
         Series::new(name, colour, mark, timeline.points.iter().filter_map(point).collect())
@@ -77,13 +77,13 @@ const fn is_usable(status: SampleStatus) -> bool {
 /// Angle of a bar joint over time: usable samples and those that were left out.
 fn angle_by_status(timeline: &Timeline, joint: usize) -> Result<Markup, PlotError> {
     let time = time_axis(timeline);
-    let of = |name, colour, usable: bool| {
+    let with_status = |name, colour, usable: bool| {
         let points = timeline.points.iter().filter(|point| is_usable(point.status) == usable);
         let angle =
             |point: &TimelinePoint| Some((time.at(point.t_s), point.measured_rad?[joint].to_degrees()));
         dots(name, colour, points.filter_map(angle).collect())
     };
-    let series = vec![of("left out", GREY, false), of("usable", BLUE, true)];
+    let series = vec![with_status("left out", GREY, false), with_status("usable", BLUE, true)];
     Panel::new(format!("b{}", joint + 1), [&time.label(), "[deg]"], THIRD, series).draw()
 }
 

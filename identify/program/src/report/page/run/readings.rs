@@ -1,4 +1,4 @@
-//! Readings made continuous, and averaged if this is configured.
+//! Part of the preparation of a run: readings that were unwrapped, and the effect of the moving average if it is configured.
 
 use std::f64::consts::TAU;
 
@@ -26,14 +26,14 @@ pub(in crate::report::page) fn unwrapping(timeline: &Timeline) -> Result<Markup,
     Ok(html! {
         p { b { "Unwrapping: " } "these readings wrapped during the run and were made continuous; the others did not wrap." }
         figure {
-            div.panels { @for one in &unwrapped { (pair(one)?) } }
+            div.panels { @for reading in &unwrapped { (pair(reading)?) } }
             figcaption {
                 "Left: as in the file. Right: as used. The section with the most wraps is shown. b: encoder of the bar by "
                 "the joint that its file states, q: joint in the robot's log. "
-                @for (index, one) in unwrapped.iter().enumerate() {
+                @for (index, reading) in unwrapped.iter().enumerate() {
                     @if index > 0 { "; " }
-                    (one.name) ": " (one.wraps) @if one.wraps == 1 { " time" } @else { " times" }
-                    ", largest step " (percent(one.step_part)) " of the largest that can be unwrapped"
+                    (reading.name) ": " (reading.wraps) @if reading.wraps == 1 { " time" } @else { " times" }
+                    ", largest step " (percent(reading.step_part)) " of the largest that can be unwrapped"
                 }
                 "."
             }
@@ -46,15 +46,15 @@ fn percent(part: f64) -> String {
 }
 
 /// The readings in the file beside the continuous ones, over time.
-fn pair(one: &Unwrapped) -> Result<Markup, PlotError> {
-    let time = TimeAxis::of(one.points.iter().map(|point| point.t_s));
-    let panel = |title: &str, unit: &str, scale: f64, colour, of: fn(&UnwrappedPoint) -> f64| {
-        let points = one.points.iter().map(|point| (time.at(point.t_s), of(point) * scale));
+fn pair(reading: &Unwrapped) -> Result<Markup, PlotError> {
+    let time = TimeAxis::of(reading.points.iter().map(|point| point.t_s));
+    let panel = |title: &str, unit: &str, scale: f64, colour, angle_rad: fn(&UnwrappedPoint) -> f64| {
+        let points = reading.points.iter().map(|point| (time.at(point.t_s), angle_rad(point) * scale));
         let series = vec![Series::new("", colour, Mark::Line, points.collect())];
-        Panel::new(format!("{} {title}", one.name), [&time.since_first(), unit], PAIR_SIZE, series).draw()
+        Panel::new(format!("{} {title}", reading.name), [&time.since_first(), unit], PAIR_SIZE, series).draw()
     };
     let degrees = 1f64.to_degrees();
-    let in_turns = one.period_rad > TURNS_MIN * TAU;
+    let in_turns = reading.period_rad > TURNS_MIN * TAU;
     let (unit, scale) = if in_turns { ("counter [turns]", TAU.recip()) } else { ("[deg]", degrees) };
     Ok(html! {
         (panel("in the file", unit, scale, GREY, |point| point.shown_rad)?)
@@ -102,7 +102,7 @@ fn excerpt(
 ) -> Result<Markup, PlotError> {
     let points = &joints.fastest;
     let time = TimeAxis::of(points.iter().map(|point| point.t_s));
-    let of = |value: fn(&AveragedPoint) -> f64| -> Vec<(f64, f64)> {
+    let curve = |value: fn(&AveragedPoint) -> f64| -> Vec<(f64, f64)> {
         points.iter().map(|point| (time.at(point.t_s), value(point))).collect()
     };
     let panel = |title: &str, y: &str, series| {
@@ -110,10 +110,10 @@ fn excerpt(
         Panel::new(title, [&time.label(), y], HALF, series).draw()
     };
     let speeds = vec![
-        dots("read", GREY, of(|point| point.speed_rad_s.to_degrees())),
-        Series::new("averaged", colour, Mark::Line, of(|point| point.averaged_rad_s.to_degrees())),
+        dots("read", GREY, curve(|point| point.speed_rad_s.to_degrees())),
+        Series::new("averaged", colour, Mark::Line, curve(|point| point.averaged_rad_s.to_degrees())),
     ];
-    let removed = vec![dots("", colour, of(|point| point.removed_rad * 1e6))];
+    let removed = vec![dots("", colour, curve(|point| point.removed_rad * 1e6))];
     Ok(html! { (panel("speed", "[deg/s]", speeds)?) (panel("reading minus average", "[µrad]", removed)?) })
 }
 

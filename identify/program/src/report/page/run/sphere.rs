@@ -1,4 +1,5 @@
-//! Deviation from the sphere, and the force on the bar: section 5.3 of the thesis.
+//! Section on the deviation of the robot's end from the sphere of a rigid bar, over time and by direction, and on the force
+//! on the bar: section 5.3 of the thesis.
 
 use maud::{Markup, html};
 use plotters::style::RGBColor;
@@ -103,8 +104,9 @@ fn force_text(elongation: &Elongation) -> Markup {
 /// Deviations of the nominal and the calibrated robot over time.
 fn deviation_over_time(sphere: &SphereDeviation) -> Result<Markup, PlotError> {
     let time = TimeAxis::of(sphere.after.samples.iter().map(|one| one.t_s));
-    let series = |name: &str, colour, deviation: &Deviation, of: fn(&OffSphere) -> f64| {
-        dots(name, colour, deviation.samples.iter().map(|one| (time.at(one.t_s), of(one) * 1e6)).collect())
+    let series = |name: &str, colour, deviation: &Deviation, off_m: fn(&OffSphere) -> f64| {
+        let point = |sample: &OffSphere| (time.at(sample.t_s), off_m(sample) * 1e6);
+        dots(name, colour, deviation.samples.iter().map(point).collect())
     };
     let panel =
         |title: &str, series| Panel::new(title, [&time.label(), "off the sphere [µm]"], WIDE, series).draw();
@@ -118,11 +120,12 @@ fn deviation_over_time(sphere: &SphereDeviation) -> Result<Markup, PlotError> {
 
 /// The force over time, and the deviation against it.
 fn forces(after: &Deviation, elongation: &Elongation) -> Result<Markup, PlotError> {
-    let of_signs = elongation.parameter == ParameterId::BarPlay;
-    let axis = if of_signs { "sign of the force" } else { "force along the bar [N]" };
+    // Play is identified from the sign of the force alone.
+    let has_only_signs = elongation.parameter == ParameterId::BarPlay;
+    let axis = if has_only_signs { "sign of the force" } else { "force along the bar [N]" };
     let samples = &after.samples;
     let time = TimeAxis::of(samples.iter().map(|one| one.t_s));
-    let [low, high] = if of_signs { [-1.0, 1.0] } else { elongation.measured.range };
+    let [low, high] = if has_only_signs { [-1.0, 1.0] } else { elongation.measured.range };
     let line = [low, high].map(|force| (force, elongation.value * force * 1e6));
     let force = dots("", ORANGE, samples.iter().map(|one| (time.at(one.t_s), one.force)).collect());
     let off = dots("samples", BLUE, samples.iter().map(|one| (one.force, one.off_m * 1e6)).collect());
@@ -142,11 +145,11 @@ fn sphere_map(title: &str, deviation: &Deviation) -> Result<Markup, PlotError> {
     let step_of = |sample: &OffSphere| (sample.off_m / full_m * f64::from(STEPS)).round() as i32;
     let series = |step: i32| {
         let shown = deviation.samples.iter().step_by(every);
-        let own = shown.filter(|sample| step_of(sample).clamp(-STEPS, STEPS) == step);
+        let of_step = shown.filter(|sample| step_of(sample).clamp(-STEPS, STEPS) == step);
         let sign = if step < 0 { "-" } else { "+" };
         let name = if step.abs() == STEPS { format!("{sign}{}", um(full_m)) } else { String::new() };
         let colour = colour(f64::from(step) / f64::from(STEPS));
-        dots(name, colour, own.map(|sample| from_above(&sample.direction)).collect())
+        dots(name, colour, of_step.map(|sample| from_above(&sample.direction)).collect())
     };
     // The strongest colours are drawn last, on top.
     sphere_from_above(title, (0..=STEPS).flat_map(|size| [-size, size]).skip(1).map(series))

@@ -1,4 +1,6 @@
-//! An arm and what it carries along a path or from pose to pose, to be turned by hand: the scene for `view.js`, which draws it with OGL.
+//! Animation of an arm with bar or target, along a path or from pose to pose, in three dimensions. Makes the
+//! [`Scene`] as JSON, points over time and capsules between them, which `view.js` draws with the library OGL. For
+//! `path.html` and `poses.html`.
 
 use maud::{Markup, PreEscaped, html};
 use nalgebra::{Point3, Vector3};
@@ -10,7 +12,7 @@ use crate::plan::{Bodies, Skeleton};
 /// Scripts in their order: OGL, then the view.
 pub(super) const SCRIPTS: &[&str] = &[include_str!("ogl/ogl.iife.min.js"), include_str!("view.js")];
 
-/// Poses of the animation; between two of them points move along lines.
+/// Frames of the animation of a path, at most; between two of them points move along lines.
 const FRAMES: usize = 1000;
 /// Shorter pieces of a link are not drawn \[m\].
 const PIECE_M_MIN: f64 = 1e-3;
@@ -47,9 +49,9 @@ struct Scene<'a> {
     times_s: Vec<f64>,
     /// Of each frame: x, y, z of each point \[m\].
     frames: Vec<Vec<f64>>,
-    /// From which point to which, in which colour, with which radius \[m\].
+    /// Indices of the two end points, colour, and radius \[m\].
     capsules: Vec<(usize, usize, &'static str, f64)>,
-    /// The point whose way is drawn.
+    /// Index of the point whose way is drawn: the end of the plate, or the target.
     ends: usize,
     frames_per_pose: Option<usize>,
     boxes_m: &'a [[[f64; 3]; 2]],
@@ -62,10 +64,12 @@ impl<'a> Scene<'a> {
         let arm = view.arm;
         let (times_s, skeletons): (Vec<f64>, Vec<Skeleton>) =
             view.motion.iter().map(|(t_s, q)| (*t_s, Skeleton::of(arm, q))).unzip();
+        // Of each point its positions in all frames; each capsule connects a point with the one before.
         let mut points: Vec<Vec<Vector3<f64>>> = Vec::new();
         let mut capsules = Vec::new();
-        let of_all = |of: &dyn Fn(&Skeleton) -> Vector3<f64>| skeletons.iter().map(of).collect::<Vec<_>>();
-        points.push(of_all(&|one| one.links.first().map_or_else(Vector3::zeros, |[before, ..]| *before)));
+        let in_frames =
+            |place: &dyn Fn(&Skeleton) -> Vector3<f64>| skeletons.iter().map(place).collect::<Vec<_>>();
+        points.push(in_frames(&|one| one.links.first().map_or_else(Vector3::zeros, |[before, ..]| *before)));
         let is_long = |from: &[Vector3<f64>], to: &[Vector3<f64>]| {
             from.iter().zip(to).any(|(from, to)| (to - from).norm() > PIECE_M_MIN)
         };
@@ -79,25 +83,25 @@ impl<'a> Scene<'a> {
         };
         for link in 0..links {
             let place =
-                |part: usize| of_all(&move |one| one.links.get(link).map_or(one.end, |link| link[part]));
+                |part: usize| in_frames(&move |one| one.links.get(link).map_or(one.end, |link| link[part]));
             add(place(1), "link", bodies.link_radius_m);
             if link + 1 < links {
                 add(place(2), "link", bodies.link_radius_m);
             }
         }
-        add(of_all(&|one| one.end), "plate", bodies.rod_radius_m);
-        let (beyond, is_way): (Vec<Vector3<f64>>, bool) = match view.carried {
+        add(in_frames(&|one| one.end), "plate", bodies.rod_radius_m);
+        let (far_end, is_target): (Vec<Vector3<f64>>, bool) = match view.carried {
             Carried::Bar(gimbal) => (vec![gimbal; times_s.len()], false),
             Carried::Target(target) => {
                 let place = |(_, q): &(f64, Joints)| (arm.forward(q) * Point3::from(target)).coords;
                 (view.motion.iter().map(place).collect(), true)
             }
         };
-        add(beyond, "rod", bodies.rod_radius_m);
-        let ends = points.len().saturating_sub(if is_way { 1 } else { 2 });
-        let millimetres = |x: f64| (x * 1e3).round() / 1e3;
+        add(far_end, "rod", bodies.rod_radius_m);
+        let ends = points.len().saturating_sub(if is_target { 1 } else { 2 });
+        let rounded_to_mm = |x_m: f64| (x_m * 1e3).round() / 1e3;
         let frame = |row: usize| {
-            points.iter().filter_map(|of| of.get(row)).flatten().map(|x| millimetres(*x)).collect()
+            points.iter().filter_map(|point| point.get(row)).flatten().map(|x| rounded_to_mm(*x)).collect()
         };
         Self {
             frames: (0..times_s.len()).map(frame).collect(),
@@ -114,8 +118,8 @@ impl<'a> Scene<'a> {
 
 /// The view with its controls.
 pub(super) fn view(view: &View<'_>) -> Markup {
-    let otherwise = Bodies::for_reach(view.arm.reach_m());
-    let scene = Scene::of(view, view.bodies.unwrap_or(&otherwise));
+    let default_bodies = Bodies::for_reach(view.arm.reach_m());
+    let scene = Scene::of(view, view.bodies.unwrap_or(&default_bodies));
     let (what, when, as_thick) = match view.carried {
         Carried::Bar(_) => {
             ("The robot and the bar along the path", "Time along the path", "Links, plate and rod")
