@@ -1,4 +1,5 @@
-//! Exclusive claims of interfaces and directories: a second process is refused, with the holder and its activity.
+//! Exclusive claims of network interfaces and of directories of recordings: a second process is refused, with the holder and
+//! its activity.
 //!
 //! A claim is a listening socket in the kernel's abstract namespace. It needs no file that every user may write, ends
 //! with its process however that ends, and lets others query the holder. It is valid in the network namespace, like
@@ -26,17 +27,19 @@ const ANSWER_BYTES_MAX: u64 = 300;
 /// Attempts, because a holder may end while it is queried.
 const ATTEMPTS: usize = 3;
 
-static DOING: Mutex<String> = Mutex::new(String::new());
+/// What this process is doing; empty between runs.
+static ACTIVITY: Mutex<String> = Mutex::new(String::new());
 
 /// Sets the activity of this process that others see, such as "records run `x`".
-pub fn set_activity(doing: impl Into<String>) {
-    *DOING.lock().unwrap_or_else(PoisonError::into_inner) = doing.into();
+pub fn set_activity(activity: impl Into<String>) {
+    *ACTIVITY.lock().unwrap_or_else(PoisonError::into_inner) = activity.into();
 }
 
-fn doing() -> String {
-    let doing = DOING.lock().unwrap_or_else(PoisonError::into_inner).clone();
+/// The answer of this process to a query.
+fn own_activity() -> String {
+    let activity = ACTIVITY.lock().unwrap_or_else(PoisonError::into_inner).clone();
     let command = std::env::args().nth(1).unwrap_or_default();
-    format!("`ballbard {command}`, {}", if doing.is_empty() { "between runs" } else { &doing })
+    format!("`ballbard {command}`, {}", if activity.is_empty() { "between runs" } else { &activity })
 }
 
 /// The process that has claimed something.
@@ -46,6 +49,7 @@ pub struct Holder {
     pub pid: Option<i32>,
     /// Its user, if it differs from that of this process: every user of the machine can claim a name.
     pub user: Option<String>,
+    /// Its command and activity.
     pub doing: String,
 }
 
@@ -72,42 +76,38 @@ pub struct Claim {
 impl Claim {
     /// Claims a network interface; `None`, with a line in the log, if the system does not support claims.
     pub fn interface(name: &str) -> Result<Option<Self>, Holder> {
-        Self::take(&format!("ballbard/interface/{name}"))
+        Self::claim_name(&format!("ballbard/interface/{name}"))
     }
 
     /// Claims an existing directory, independent of the path to it.
     pub fn directory(disk: &dyn Disk, path: &Path) -> Result<Option<Self>, Holder> {
         match disk.id_at(path) {
-            Ok(id) => Self::take(&format!("ballbard/directory/{id}")),
+            Ok(id) => Self::claim_name(&format!("ballbard/directory/{id}")),
             Err(error) => Ok(unclaimed(&path.display().to_string(), &error)),
         }
     }
 
-    fn take(name: &str) -> Result<Option<Self>, Holder> {
-        let mut problem = ErrorKind::AddrInUse.into();
+    fn claim_name(name: &str) -> Result<Option<Self>, Holder> {
+        let mut listen_error = ErrorKind::AddrInUse.into();
         for _ in 0..ATTEMPTS {
-            problem = match Self::listen(name) {
+            listen_error = match Self::listen(name) {
                 Ok(claim) => return Ok(Some(claim)),
                 Err(error) => error,
             };
-            if let Ok(holder) = ask(name) {
+            if let Ok(holder) = query_holder(name) {
                 return Err(holder);
             }
         }
-        Ok(unclaimed(name, &problem))
+        Ok(unclaimed(name, &listen_error))
     }
 
     fn listen(name: &str) -> io::Result<Self> {
-        Self::hold(UnixListener::bind_addr(&SocketAddr::from_abstract_name(name)?)?)
-    }
-
-    fn hold(listener: UnixListener) -> io::Result<Self> {
-        let listener = Arc::new(listener);
-        let asked = Arc::clone(&listener);
+        let listener = Arc::new(UnixListener::bind_addr(&SocketAddr::from_abstract_name(name)?)?);
+        let queried = Arc::clone(&listener);
         let answer = move || {
-            while let Ok((mut stream, _)) = asked.accept() {
+            while let Ok((mut stream, _)) = queried.accept() {
                 // The answer fits into any socket's buffer; the client may have gone.
-                let _ = stream.write_all(doing().as_bytes());
+                let _ = stream.write_all(own_activity().as_bytes());
             }
         };
         let answering = thread::Builder::new().name("claim".into()).spawn(answer)?;
@@ -130,7 +130,7 @@ fn unclaimed(name: &str, error: &io::Error) -> Option<Claim> {
     None
 }
 
-fn ask(name: &str) -> io::Result<Holder> {
+fn query_holder(name: &str) -> io::Result<Holder> {
     let stream = UnixStream::connect_addr(&SocketAddr::from_abstract_name(name)?)?;
     stream.set_read_timeout(Some(ANSWER_TIMEOUT))?;
     let peer = getsockopt(&stream, PeerCredentials).ok();

@@ -51,9 +51,9 @@ impl Clock {
     pub fn sleep_until(&self, deadline: MonoNs) {
         match self {
             Self::Real => {
-                let at = TimeSpec::new(deadline.0.div_euclid(NS_PER_S), deadline.0.rem_euclid(NS_PER_S));
+                let wake_up = TimeSpec::new(deadline.0.div_euclid(NS_PER_S), deadline.0.rem_euclid(NS_PER_S));
                 let absolute = ClockNanosleepFlags::TIMER_ABSTIME;
-                while clock_nanosleep(ClockId::CLOCK_MONOTONIC, absolute, &at) == Err(Errno::EINTR) {}
+                while clock_nanosleep(ClockId::CLOCK_MONOTONIC, absolute, &wake_up) == Err(Errno::EINTR) {}
             }
             Self::Virtual { now_ns, .. } => {
                 now_ns.fetch_max(deadline.0, Ordering::AcqRel);
@@ -61,7 +61,7 @@ impl Clock {
         }
     }
 
-    /// `UTC - monotonic` now \[ns\], read as the closest of a few bracketed pairs.
+    /// `UTC - monotonic` now \[ns\]. Of a few readings the one that took the least time.
     pub fn utc_minus_monotonic_ns(&self) -> i64 {
         match self {
             Self::Real => {
@@ -79,12 +79,13 @@ impl Clock {
     }
 }
 
-/// Width of the bracket and `UTC - monotonic` at its centre \[ns\].
+/// Reads UTC between two readings of the monotonic clock: their distance, and `UTC - monotonic` at their centre \[ns\].
 fn bracketed_pair() -> (i64, i64) {
-    let before = read_ns(ClockId::CLOCK_MONOTONIC);
-    let utc = read_ns(ClockId::CLOCK_REALTIME);
-    let after = read_ns(ClockId::CLOCK_MONOTONIC);
-    (after - before, utc - before - (after - before) / 2)
+    let before_ns = read_ns(ClockId::CLOCK_MONOTONIC);
+    let utc_ns = read_ns(ClockId::CLOCK_REALTIME);
+    let after_ns = read_ns(ClockId::CLOCK_MONOTONIC);
+    let width_ns = after_ns - before_ns;
+    (width_ns, utc_ns - before_ns - width_ns / 2)
 }
 
 fn read_ns(clock: ClockId) -> i64 {

@@ -1,4 +1,4 @@
-//! The log: lines on standard error that no thread waits for.
+//! The log: events of `tracing`, panics and the final error as lines on standard error that no thread waits for.
 //!
 //! A bounded queue takes the lines; one thread writes them. A standard error that is closed, full or not read costs
 //! lines, which are counted, and never a run. The thread has a file descriptor of its own: with the lock of
@@ -32,7 +32,7 @@ const FLUSH_TIMEOUT: Duration = Duration::from_millis(500);
 /// Retry period of a flush when the queue is full.
 const RETRY: Duration = Duration::from_millis(10);
 
-/// Limit of lines per call site and [`MINUTE`].
+/// Limit of the lines of one call site in a minute.
 const ALIKE_MAX: u32 = 20;
 const MINUTE: Duration = Duration::from_secs(60);
 
@@ -64,8 +64,8 @@ impl Log {
         let log = Self { lines: Lines::start(Arc::new(SystemDisk), stderr)?, is_journal };
         let _ = LINES_LOST.set(Arc::clone(&log.lines.lost));
         let sink = Sink { lines: log.lines.clone(), is_journal, alike: Mutex::default() };
-        let wanted = std::env::var("RUST_LOG").ok().and_then(|text| text.parse::<Targets>().ok());
-        let filter = wanted.unwrap_or_else(|| Targets::new().with_default(LevelFilter::INFO));
+        let user_filter = std::env::var("RUST_LOG").ok().and_then(|text| text.parse::<Targets>().ok());
+        let filter = user_filter.unwrap_or_else(|| Targets::new().with_default(LevelFilter::INFO));
         let colours = io::stderr().is_terminal();
         let layer = fmt::layer().with_target(false).with_ansi(colours).with_writer(sink);
         let layer = if is_journal { layer.without_time().with_level(false).boxed() } else { layer.boxed() };
@@ -119,6 +119,7 @@ fn with_priority(text: &str, level: Option<Level>) -> String {
 struct Sink {
     lines: Lines,
     is_journal: bool,
+    /// Lines of each call site.
     alike: Mutex<HashMap<Identifier, Alike>>,
 }
 
@@ -142,7 +143,9 @@ impl Alike {
 /// One event on its way through a [`Sink`].
 struct Event {
     lines: Lines,
+    /// Severity, if the journal needs it.
     priority: Option<Level>,
+    /// Lines of its call site in this minute, including this one; 0 if they could not be counted.
     alike: u32,
 }
 
@@ -240,7 +243,7 @@ struct Drain {
 
 impl Drain {
     fn run(&self, queue: &Receiver<Entry>) {
-        let mut reported = 0;
+        let mut reported_lost = 0;
         // A partly written line has no end yet.
         let mut is_torn = false;
         for entry in queue {
@@ -248,9 +251,9 @@ impl Drain {
                 Entry::Line(line) => {
                     let lost = self.lost.load(Ordering::Relaxed);
                     let end = if is_torn { "\n" } else { "" };
-                    let gap = format!("{end}({} lines of the log are missing here)\n", lost - reported);
-                    if lost > reported && self.write_all(gap.as_bytes()).is_ok() {
-                        (reported, is_torn) = (lost, false);
+                    let loss = format!("{end}({} lines of the log are missing here)\n", lost - reported_lost);
+                    if lost > reported_lost && self.write_all(loss.as_bytes()).is_ok() {
+                        (reported_lost, is_torn) = (lost, false);
                     }
                     if let Err(written) = self.write_all(&line) {
                         is_torn |= written > 0;

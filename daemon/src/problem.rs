@@ -1,6 +1,6 @@
 //! Problems of bus, disk, encoders, cables and host, as values.
 //!
-//! A [`Fact`] is made once, where it is detected. Its code, severity, text and remedy are derived here only; file, log,
+//! A [`Fact`] is created once, where it is detected. Its code, severity, text and remedy are derived here only; file, log,
 //! status, check, page, metrics and API show them. Codes are stable: `docs/src/reference/warnings.md` explains each.
 
 use std::fmt;
@@ -393,9 +393,10 @@ impl Fact {
         }
     }
 
-    /// Identifies the problem among those of the same time; does not depend on figures.
+    /// Code and place (joint or port), which identify the problem among those of the same time; independent of figures.
     pub fn key(&self) -> (&'static str, usize) {
         let place = match self {
+            // A device has at most four ports.
             Self::LinkErrors { position, port, .. } => 4 * position + port,
             Self::EncoderInvalid { joints, .. } => joints.first().copied().map_or(0, usize::from),
             Self::JointWound { joint, .. }
@@ -521,10 +522,10 @@ fn link(position: usize, port: usize) -> (String, String) {
         (0, 2..) => ("bad cable or plug at the OUT socket of the coupler".into(), cable.into()),
         _ => {
             let before = if port == 0 { position.saturating_sub(1) } else { position };
-            let (one, other) = (device(before), device(before + 1));
+            let (first, second) = (device(before), device(before + 1));
             (
-                format!("bad contact between {one} and {other}"),
-                format!("press {other} firmly onto {one}, and replace it if the errors continue"),
+                format!("bad contact between {first} and {second}"),
+                format!("press {second} firmly onto {first}, and replace it if the errors continue"),
             )
         }
     }

@@ -88,8 +88,8 @@ impl Scheduler for Threads {
 /// Calls `poll` once per period until it returns a value.
 pub async fn until<T>(scheduler: &dyn Scheduler, period: Duration, mut poll: impl FnMut() -> Option<T>) -> T {
     loop {
-        if let Some(given) = poll() {
-            return given;
+        if let Some(value) = poll() {
+            return value;
         }
         scheduler.sleep(period).await;
     }
@@ -119,8 +119,9 @@ impl<T: Send + 'static> Pending<T> {
         name: &str,
         step: impl FnMut() -> Option<T> + Send + 'static,
     ) -> Self {
-        let (done, result) = sync_channel(1);
-        let begin = Box::new(move || Box::new(Working { step, done }) as Box<dyn Stepper>);
+        let (sender, result) = sync_channel(1);
+        let work = PendingWork { step, result: sender };
+        let begin = Box::new(move || Box::new(work) as Box<dyn Stepper>);
         if let Err(error) = scheduler.start(name, begin) {
             tracing::error!("cannot start the thread {name}: {error}");
         }
@@ -142,19 +143,20 @@ impl<T: Send + 'static> Pending<T> {
     }
 }
 
-/// Pause between the steps of such work.
+/// Pause between the steps of [`Pending`] work.
 const WORK_PERIOD: Duration = Duration::from_millis(5);
 
-struct Working<W, T> {
+/// The stepper of [`Pending`] work.
+struct PendingWork<W, T> {
     step: W,
-    done: SyncSender<T>,
+    result: SyncSender<T>,
 }
 
-impl<W: FnMut() -> Option<T>, T> Stepper for Working<W, T> {
+impl<W: FnMut() -> Option<T>, T> Stepper for PendingWork<W, T> {
     fn poll(&mut self, _: MonoNs) -> Option<Duration> {
         let Some(result) = (self.step)() else { return Some(WORK_PERIOD) };
         // The receiver of the result may have ended.
-        let _ = self.done.send(result);
+        let _ = self.result.send(result);
         None
     }
 }

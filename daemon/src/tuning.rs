@@ -1,6 +1,7 @@
 //! Settings of a machine that delay the cycle, and commands that correct them.
 //!
-//! [`Machine::read`] collects the text of files and commands; [`findings`] only evaluates text.
+//! [`Machine::read`] collects the text of files and commands; [`findings`] only evaluates text. Used by `ballbard tune`, by the
+//! smoke test, and for the permissions of the cycle's thread.
 
 use std::fmt;
 use std::path::Path;
@@ -179,10 +180,10 @@ fn coalescing_of(interface: &str) -> Option<String> {
 
 /// All settings, by importance.
 pub fn findings(machine: &Machine) -> Vec<Finding> {
-    // The flag: a cycle with enough margin is not delayed.
+    // The flag: the delay is bounded by less than `KERNEL_DELAY`, so a cycle with enough margin is not late.
     let settings = [
         ("kernel", false, kernel(machine)),
-        ("isolated core", true, own_core(machine)),
+        ("isolated core", true, isolated_core(machine)),
         ("timer tick", true, tickless_core(machine)),
         ("hyper-threading", true, siblings(machine)),
         ("frequency", true, governor(machine)),
@@ -195,26 +196,30 @@ pub fn findings(machine: &Machine) -> Vec<Finding> {
         ("interrupt coalescing", true, coalescing(machine)),
     ];
     let has_time = machine.slack() > KERNEL_DELAY;
-    let finding = |(subject, is_bounded, (verdict, says, remedy))| {
+    let finding = |(subject, is_bounded, Found { verdict, says, remedy })| {
         let is_slight = verdict == Verdict::Problem && is_bounded && has_time;
         Finding { subject, verdict: if is_slight { Verdict::Slight } else { verdict }, says, remedy }
     };
     settings.into_iter().map(finding).collect()
 }
 
-/// Grade, description and command.
-type Found = (Verdict, String, String);
+/// A [`Finding`] without its subject.
+struct Found {
+    verdict: Verdict,
+    says: String,
+    remedy: String,
+}
 
 fn fine(says: impl Into<String>) -> Found {
-    (Verdict::Fine, says.into(), String::new())
+    Found { verdict: Verdict::Fine, says: says.into(), remedy: String::new() }
 }
 
 fn problem(says: impl Into<String>, remedy: impl Into<String>) -> Found {
-    (Verdict::Problem, says.into(), remedy.into())
+    Found { verdict: Verdict::Problem, says: says.into(), remedy: remedy.into() }
 }
 
 fn unknown(says: impl Into<String>, remedy: impl Into<String>) -> Found {
-    (Verdict::Unknown, says.into(), remedy.into())
+    Found { verdict: Verdict::Unknown, says: says.into(), remedy: remedy.into() }
 }
 
 /// Longest delay of a real-time thread by a kernel without PREEMPT_RT, in sections without preemption. Cores, clocks and
@@ -248,7 +253,7 @@ fn boot_option(options: &str) -> String {
     )
 }
 
-fn own_core(machine: &Machine) -> Found {
+fn isolated_core(machine: &Machine) -> Found {
     let Some(isolated) = machine.isolated.as_deref().map(cores) else {
         return unknown("cannot be read", "");
     };
@@ -256,10 +261,10 @@ fn own_core(machine: &Machine) -> Found {
         (Some(core), _) if isolated.contains(&core) => {
             return fine(format!("core {core} is isolated"));
         }
-        (None, Some(free)) => {
+        (None, Some(unused)) => {
             return problem(
-                format!("core {free} is isolated, but daemon.toml gives the cycle none"),
-                format!("write `core = {free}` under [realtime] in daemon.toml"),
+                format!("core {unused} is isolated, but daemon.toml gives the cycle none"),
+                format!("write `core = {unused}` under [realtime] in daemon.toml"),
             );
         }
         _ => {}
@@ -299,8 +304,8 @@ fn siblings(machine: &Machine) -> Found {
     let Some(siblings) = machine.siblings.as_deref().map(cores) else {
         return unknown("cannot be read", "");
     };
-    let other = machine.core.and_then(|core| Some((core, *siblings.iter().find(|one| **one != core)?)));
-    match other {
+    let shared = machine.core.and_then(|core| Some((core, *siblings.iter().find(|other| **other != core)?)));
+    match shared {
         Some((core, sibling)) => problem(
             format!("core {sibling} shares its execution units with core {core}"),
             format!("echo 0 | sudo tee /sys/devices/system/cpu/cpu{sibling}/online"),

@@ -73,7 +73,7 @@ pub fn run(arguments: &RecoverArguments) -> anyhow::Result<()> {
             say(format_args!("{}: was finished, {} cycles; renamed", file.display(), content.cycles))?;
         }
         Recovery::Recovered { file, torn, content } => {
-            say(format_args!("{}: {}", file.display(), kept(&content)))?;
+            say(format_args!("{}: {}", file.display(), salvaged_text(&content)))?;
             if let Some(timing) = &content.timing {
                 say(timing)?;
             }
@@ -88,16 +88,16 @@ pub fn run(arguments: &RecoverArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn kept(content: &Salvaged) -> String {
+fn salvaged_text(content: &Salvaged) -> String {
     match content.last_good {
         Some(last) => {
             let Salvaged { cycles, cycles_valid, cycles_lost, .. } = content;
-            let whole = cycles - cycles_lost;
+            let intact = cycles - cycles_lost;
             let lost = match cycles_lost {
                 0 => String::new(),
                 lost => format!("; {lost} cycles between them are lost"),
             };
-            format!("recovered {whole} cycles, {cycles_valid} valid, the last of {last}{lost}")
+            format!("recovered {intact} cycles, {cycles_valid} valid, the last of {last}{lost}")
         }
         None => "recovered, but without any intact cycle".into(),
     }

@@ -47,7 +47,7 @@ pub struct SegmentArguments {
 }
 
 pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
-    let (replayed, terminals) = match &arguments.replay {
+    let (replayed, base_config) = match &arguments.replay {
         Some(file) => {
             let (recording, source, replay) = open_replay(file)?;
             (Some((source, replay)), replaying_segment(&recording))
@@ -57,7 +57,7 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
     let config = SegmentConfig {
         seed: arguments.seed,
         revision: Revision::from_number(arguments.revision).unwrap_or_default(),
-        ..terminals
+        ..base_config
     };
     let (source, replay): (Box<dyn EncoderSource>, _) = match replayed {
         Some((source, replay)) => (Box::new(source), Some(replay)),
@@ -74,13 +74,13 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
         say(format_args!("type `play` to start the motion of {}", file.display()))?;
     }
     // The thread ends with its input or with this program, whichever is first.
-    thread::Builder::new().name("switches".into()).spawn(move || obey_lines(&faults, replay.as_ref()))?;
+    thread::Builder::new().name("switches".into()).spawn(move || handle_lines(&faults, replay.as_ref()))?;
     let work = async { tokio::task::spawn_blocking(move || serve(segment, wire, &serving)).await? };
     on_signal(work, |_| stop.store(true, Ordering::Release))
 }
 
 /// Switches faults by lines such as `on gone:3`, `off gone:3`; `play` starts the replay from its beginning.
-fn obey_lines(faults: &FaultHandle, replay: Option<&ReplayHandle>) {
+fn handle_lines(faults: &FaultHandle, replay: Option<&ReplayHandle>) {
     for line in io::stdin().lock().lines().map_while(Result::ok).filter(|line| !line.trim().is_empty()) {
         let line = line.trim();
         match (line, replay) {

@@ -1,4 +1,4 @@
-//! `ballbard run`: the acquisition service.
+//! `ballbard run`: starts the acquisition service with its listeners, and ends it on a signal, with the run's file finished.
 
 use std::future::Future;
 use std::net::SocketAddr;
@@ -22,10 +22,10 @@ use crate::run::BusChoice;
 use crate::scheduler::STACK_BYTES;
 use crate::segment::faults::FaultWindow;
 
-/// A longer end is explained in the log, and again after this time.
+/// An end of the service that takes longer is explained in the log, and again after each such time.
 const PATIENCE: Duration = Duration::from_secs(2);
-/// Threads that may wait for the disk: four for requests, two for downloads, one for the service's end, and one that is just
-/// done. Their memory is locked, so more of them would occupy it permanently.
+/// Threads of tokio for work that blocks: two for downloads, one for the line on standard output; the others are a reserve.
+/// Their memory is locked, so more of them would occupy it permanently.
 const BLOCKING_THREADS_MAX: usize = 8;
 
 #[derive(Debug, Args)]

@@ -17,19 +17,19 @@ const NOTIFICATIONS: u32 = 3;
 /// control and the cycle; if one hangs the service is restarted. The disk is not included.
 pub async fn notify(service: Service) {
     let period = sd_notify::watchdog_enabled().map(|within| within / NOTIFICATIONS);
-    let (mut statuses, mut notified_at, mut word) = (service.watch(), None::<MonoNs>, String::new());
+    let (mut statuses, mut notified_at, mut sent_headline) = (service.watch(), None::<MonoNs>, String::new());
     send(&NotifyState::Ready);
     // The control publishes a status in each step.
     while statuses.changed().await.is_ok() {
         let status = statuses.borrow_and_update().clone();
         let headline = status.headline().word;
-        if headline != word {
+        if headline != sent_headline {
             send(&NotifyState::Status(&headline));
-            word = headline;
+            sent_headline = headline;
         }
         let now = service.now();
-        let is_over = |period: Duration, at| now.ns_since(at) >= period.as_nanos() as i64;
-        let is_due = period.is_some_and(|period| notified_at.is_none_or(|at| is_over(period, at)));
+        let has_passed = |period: Duration, since| now.ns_since(since) >= period.as_nanos() as i64;
+        let is_due = period.is_some_and(|period| notified_at.is_none_or(|since| has_passed(period, since)));
         if is_due && cycle_lives(&status, now) {
             send(&NotifyState::Watchdog);
             notified_at = Some(now);

@@ -1,4 +1,5 @@
-//! The page's content ten times a second: angles, speeds, state and warnings, derived from each status.
+//! The page's content ten times a second: angles, speeds, state and warnings, derived from each status of the control. An angle
+//! is the difference of unwrapped counts to the reference mark or to the first sample; a speed is a mean over half a second.
 //!
 //! One stepper derives it, so the cost does not depend on the number of pages, and neither control nor cycle is involved.
 //! Pages receive the latest moment and may miss others: nothing is queued.
@@ -44,6 +45,7 @@ const DISK_HOURS_MIN: f64 = 4.0;
 const LINES_PER_S_MAX: f64 = 250_000.0;
 /// Cells of the sphere in each direction.
 const CELLS: usize = 36;
+/// Width of a cell, in joint 1 and in joint 2 \[deg\].
 const CELL_DEG: f64 = 360.0 / CELLS as f64;
 
 /// The page's content at one moment.
@@ -153,7 +155,7 @@ impl Minute {
         for (angles, joint) in self.angles_deg.iter_mut().zip(&live.joints) {
             angles.push_back(joint.angle_deg.map(|angle_deg| (angle_deg * 100.0).round() / 100.0));
         }
-        while self.at_ms.front().is_some_and(|begun| live.at_ms - begun > MINUTE_MS) {
+        while self.at_ms.front().is_some_and(|oldest_ms| live.at_ms - oldest_ms > MINUTE_MS) {
             self.at_ms.pop_front();
             for angles in &mut self.angles_deg {
                 angles.pop_front();
@@ -187,41 +189,42 @@ pub(super) fn watch(
     let (moments, latest) = watch::channel(Arc::default());
     let minute = Arc::<Mutex<Minute>>::default();
     let watched = Watched { latest, minute: Arc::clone(&minute) };
-    let reading = read(&**scheduler, &disk, &settings.marks);
+    let marks = start_reading_marks(&**scheduler, &disk, &settings.marks);
     let observer = Observer::new(&settings);
-    let next = scheduler.clock().now();
-    let on = Arc::clone(scheduler);
-    let show = Show {
+    let publisher = MomentPublisher {
         settings,
         disk,
-        scheduler: on,
+        scheduler: Arc::clone(scheduler),
         status,
         observer,
-        reading,
+        marks,
         was_homed: true,
-        next,
+        due: scheduler.clock().now(),
         minute,
         moments,
     };
-    scheduler.start("live", Box::new(|| Box::new(show)))?;
+    scheduler.start("live", Box::new(|| Box::new(publisher)))?;
     Ok(watched)
 }
 
-/// Derives one moment after the other.
-struct Show {
+/// Derives and publishes one moment after the other.
+struct MomentPublisher {
     settings: Arc<Settings>,
     disk: Arc<dyn Disk>,
     scheduler: Arc<dyn Scheduler>,
     status: watch::Receiver<Status>,
     observer: Observer,
-    reading: Pending<Option<HomingConfig>>,
+    /// Reference marks that are being read.
+    marks: Pending<Option<HomingConfig>>,
+    /// No homing was active at the previous moment.
     was_homed: bool,
-    next: MonoNs,
+    /// When the next moment is due.
+    due: MonoNs,
     minute: Arc<Mutex<Minute>>,
     moments: watch::Sender<Arc<Moment>>,
 }
 
-impl Stepper for Show {
+impl Stepper for MomentPublisher {
     fn poll(&mut self, now: MonoNs) -> Option<Duration> {
         if self.status.has_changed().is_err() {
             return None;
@@ -230,10 +233,10 @@ impl Stepper for Show {
         // Marks change only when a homing ends.
         let is_homed = status.homing.as_ref().is_none_or(|homing| homing.is_over);
         if is_homed && !self.was_homed {
-            self.reading = read(&*self.scheduler, &self.disk, &self.settings.marks);
+            self.marks = start_reading_marks(&*self.scheduler, &self.disk, &self.settings.marks);
         }
         self.was_homed = is_homed;
-        if let Some(Ok(marks)) = self.reading.poll() {
+        if let Some(Ok(marks)) = self.marks.poll() {
             self.observer.homing = marks;
         }
         let live = self.observer.next(&status, now);
@@ -242,8 +245,8 @@ impl Stepper for Show {
         if let Ok(json) = serde_json::to_string(&live) {
             self.moments.send_replace(Arc::new(Moment { live, json }));
         }
-        self.next = self.next.plus_ns(PERIOD.as_nanos() as i64).max(now);
-        Some(Duration::from_nanos(self.next.ns_since(now).unsigned_abs()))
+        self.due = self.due.plus_ns(PERIOD.as_nanos() as i64).max(now);
+        Some(Duration::from_nanos(self.due.ns_since(now).unsigned_abs()))
     }
 }
 
@@ -253,10 +256,12 @@ pub struct Observer {
     /// Reference marks, if they are known.
     pub homing: Option<HomingConfig>,
     rate_hz: u32,
+    /// Name of the current run.
     run: Option<String>,
-    begun: MonoNs,
+    run_begun: MonoNs,
+    /// Number of the counters' origin in the previous status.
     origin: u32,
-    coverage: Visited,
+    coverage: VisitedCells,
     restarted: Option<Restarted>,
 }
 
@@ -268,9 +273,9 @@ impl Observer {
             homing: None,
             rate_hz: settings.daemon.rate_hz,
             run: None,
-            begun: MonoNs(0),
+            run_begun: MonoNs(0),
             origin: 0,
-            coverage: Visited::default(),
+            coverage: VisitedCells::default(),
             restarted: None,
         }
     }
@@ -287,13 +292,13 @@ impl Observer {
         let mut has_restarted = false;
         for (index, track) in self.tracks.iter_mut().enumerate() {
             let sample = status.encoders.get(index).filter(|encoder| encoder.valid);
-            has_restarted |= track.take(sample, status.sampled, marks.get(index).copied().flatten());
+            has_restarted |= track.add_sample(sample, status.sampled, marks.get(index).copied().flatten());
         }
         if has_restarted {
-            self.restart(status.run.is_some(), now);
+            self.restart_coverage(status.run.is_some(), now);
         }
-        self.cover(now);
-        let run_s = status.run.is_some().then(|| now.seconds_since(self.begun));
+        self.visit_cell(now);
+        let run_s = status.run.is_some().then(|| now.seconds_since(self.run_begun));
         let joints: Vec<Joint> = self
             .tracks
             .iter()
@@ -302,31 +307,31 @@ impl Observer {
             .collect();
         let disk_hours =
             status.disk_usable_mb.map(|usable_mb| hours_left(usable_mb * 1_000_000, self.rate_hz));
-        let mut live =
-            Live {
-                at_ms: now.0 / 1_000_000,
-                headline: status.headline(),
-                warnings: Vec::new(),
-                disk_hours,
-                verdict: status.run.as_ref().zip(run_s).and_then(|(run, run_s)| {
-                    so_far(run, &joints, run_s, 1.0 / f64::from(self.rate_hz.max(1)))
-                }),
-                run_s,
-                coverage: self.coverage.to_coverage(run_s.map(|_| now), self.is_absolute()),
-                restarted: self.restarted,
-                joints,
-                status: without_histograms(status),
-            };
+        let period_s = 1.0 / f64::from(self.rate_hz.max(1));
+        let run = status.run.as_ref().zip(run_s);
+        let verdict = run.and_then(|(run, run_s)| verdict_so_far(run, &joints, run_s, period_s));
+        let mut live = Live {
+            at_ms: now.0 / 1_000_000,
+            headline: status.headline(),
+            warnings: Vec::new(),
+            disk_hours,
+            verdict,
+            run_s,
+            coverage: self.coverage.to_coverage(run_s.map(|_| now), self.is_absolute()),
+            restarted: self.restarted,
+            joints,
+            status: without_histograms(status),
+        };
         live.warnings = self.warnings(&live, now);
         live
     }
 
     /// Angles count from zero again, so the cells visited before cannot be compared with new ones.
-    fn restart(&mut self, in_run: bool, now: MonoNs) {
+    fn restart_coverage(&mut self, in_run: bool, now: MonoNs) {
         let before = self.restarted.map_or(0, |restarted| restarted.cells_before);
         let cells_before = before + self.coverage.count();
-        self.coverage = Visited::default();
-        let run_s = in_run.then(|| now.seconds_since(self.begun));
+        self.coverage = VisitedCells::default();
+        let run_s = in_run.then(|| now.seconds_since(self.run_begun));
         self.restarted = Some(Restarted { at_ms: now.0 / 1_000_000, run_s, cells_before });
     }
 
@@ -334,8 +339,8 @@ impl Observer {
     fn follow_run(&mut self, status: &Status, now: MonoNs) {
         let run = status.run.as_ref().map(|run| run.name.clone());
         if run != self.run && run.is_some() {
-            self.begun = now;
-            self.coverage = Visited::default();
+            self.run_begun = now;
+            self.coverage = VisitedCells::default();
             self.restarted = None;
             self.tracks.iter_mut().for_each(Track::begin_run);
         }
@@ -349,25 +354,27 @@ impl Observer {
         let mut infos: Vec<_> = self.tracks.iter().map(info).collect();
         let latches: Vec<_> = status.encoders.iter().map(|encoder| encoder.latch).collect();
         let stale = homing.apply(&mut infos, &latches);
-        let mark =
+        let valid_mark =
             |info: &EncoderInfo| Some(info.scale.reference_counts).filter(|_| !stale.contains(&info.joint));
-        infos.iter().map(mark).collect()
+        infos.iter().map(valid_mark).collect()
     }
 
     fn track(&self, joint: u8) -> Option<&Track> {
         self.tracks.iter().find(|track| track.config.joint == joint)
     }
 
+    /// See [`Coverage::absolute`].
     fn is_absolute(&self) -> bool {
         [1, 2].iter().all(|joint| self.track(*joint).is_some_and(|track| track.bar_angle_deg().is_some()))
     }
 
-    fn cover(&mut self, now: MonoNs) {
+    fn visit_cell(&mut self, now: MonoNs) {
         let angle = |joint| {
             let track = self.track(joint)?;
             track.bar_angle_deg().or(track.angle_deg).filter(|_| track.is_fresh(now))
         };
-        let here = angle(1).zip(angle(2)).map(|(one, two)| (cell(one), cell(two)));
+        let here =
+            angle(1).zip(angle(2)).map(|(angle1_deg, angle2_deg)| (cell(angle1_deg), cell(angle2_deg)));
         self.coverage.visit(here, now);
     }
 
@@ -380,8 +387,8 @@ impl Observer {
                 still.map(|joint| Fact::JointStill { joint: joint.joint, range_deg: joint.range_deg }),
             );
         }
-        let restarted = live.run_s.and(self.restarted).and_then(|restarted| restarted.run_s);
-        facts.extend(restarted.map(|since_s| Fact::AnglesRestarted { since_s }));
+        let restarted_s = live.run_s.and(self.restarted).and_then(|restarted| restarted.run_s);
+        facts.extend(restarted_s.map(|since_s| Fact::AnglesRestarted { since_s }));
         if self.homing.is_some() && !live.status.encoders.is_empty() {
             let stale = live.joints.iter().filter(|joint| !joint.from_mark && joint.angle_deg.is_some());
             let joints: Vec<u8> = stale.map(|joint| joint.joint).collect();
@@ -394,15 +401,19 @@ impl Observer {
 }
 
 /// Reads `homing.toml` in a task, because its disk may hang. The check reports a file that cannot be read.
-fn read(scheduler: &dyn Scheduler, disk: &Arc<dyn Disk>, marks: &MarksFile) -> Pending<Option<HomingConfig>> {
+fn start_reading_marks(
+    scheduler: &dyn Scheduler,
+    disk: &Arc<dyn Disk>,
+    marks: &MarksFile,
+) -> Pending<Option<HomingConfig>> {
     let (disk, marks) = (Arc::clone(disk), marks.clone());
     Pending::start(scheduler, "marks", move || marks.read(&*disk).ok().flatten())
 }
 
-/// `None` before anything is on disk; joints get time to move.
-fn so_far(run: &RunStatus, joints: &[Joint], run_s: f64, period_s: f64) -> Option<Verdict> {
+/// The grade if the run ended now; `None` before anything is on disk. Joints get time to move.
+fn verdict_so_far(run: &RunStatus, joints: &[Joint], run_s: f64, period_s: f64) -> Option<Verdict> {
     let has_had_time = run_s > MOVE_WITHIN_S;
-    let moved = joints.iter().filter(|_| has_had_time).map(|joint| (joint.joint, joint.range_deg));
+    let turned = joints.iter().filter(|_| has_had_time).map(|joint| (joint.joint, joint.range_deg));
     (run.cycles > 0).then(|| {
         Verdict::of(&Content {
             cycles: run.cycles,
@@ -410,7 +421,7 @@ fn so_far(run: &RunStatus, joints: &[Joint], run_s: f64, period_s: f64) -> Optio
             cycles_lost: run.cycles_lost,
             period_s,
             flagged: &run.flagged,
-            turned_deg: &moved.collect::<Vec<_>>(),
+            turned_deg: &turned.collect::<Vec<_>>(),
             ..Content::default()
         })
     })
@@ -436,11 +447,16 @@ struct Track {
     config: EncoderConfig,
     scale: EncoderScale,
     from_mark: bool,
+    /// Extends the counts over wraps of the counter; with the extended count of the first sample.
     counter: Option<(Unwrapper, i64)>,
-    taken: MonoNs,
+    /// Time of the latest sample.
+    sampled: MonoNs,
+    /// Angle at the latest sample.
     angle_deg: Option<f64>,
+    /// Times and angles \[deg\] of the samples within [`SPEED_NS`].
     recent: VecDeque<(MonoNs, f64)>,
-    range: Option<(f64, f64)>,
+    /// Lowest and highest angle since the run began, while the counter had one origin \[deg\].
+    range_deg: Option<(f64, f64)>,
     /// The largest range since the run began.
     widest_deg: f64,
 }
@@ -452,60 +468,63 @@ impl Track {
             scale: config.scale(),
             from_mark: false,
             counter: None,
-            taken: MonoNs(0),
+            sampled: MonoNs(0),
             angle_deg: None,
             recent: VecDeque::new(),
-            range: None,
+            range_deg: None,
             widest_deg: 0.0,
         }
     }
 
     fn begin_run(&mut self) {
-        (self.range, self.widest_deg) = (None, 0.0);
+        (self.range_deg, self.widest_deg) = (None, 0.0);
     }
 
-    /// Takes a sample; returns whether the angle counts from zero again although it was known before.
-    fn take(&mut self, sample: Option<&EncoderStatus>, at: MonoNs, mark: Option<u32>) -> bool {
-        let Some(sample) = sample.filter(|_| at.0 != 0 && at != self.taken) else { return false };
-        let is_followed = self.is_followed(sample.count, at);
-        let has_restarted = !is_followed && mark.is_none() && self.angle_deg.is_some();
-        if !is_followed || mark != self.mark() {
+    /// Takes a new valid sample; returns whether the angle counts from zero again although it was known before.
+    fn add_sample(&mut self, sample: Option<&EncoderStatus>, at: MonoNs, mark: Option<u32>) -> bool {
+        let Some(sample) = sample.filter(|_| at.0 != 0 && at != self.sampled) else { return false };
+        let is_continuous = self.is_continuous(sample.count, at);
+        let has_restarted = !is_continuous && mark.is_none() && self.angle_deg.is_some();
+        if !is_continuous || mark != self.mark() {
             self.restart(sample.count, mark);
         }
         let Some((unwrapper, first)) = &mut self.counter else { return has_restarted };
         let counts = unwrapper.next(sample.count);
-        let from = if self.from_mark { 0 } else { *first - i64::from(self.scale.reference_counts) };
-        let angle_deg = self.scale.counts_to_rad(counts - from).to_degrees();
-        (self.taken, self.angle_deg) = (at, Some(angle_deg));
+        // `counts_to_rad` subtracts the counts of the reference mark.
+        let zero_counts = if self.from_mark { 0 } else { *first - i64::from(self.scale.reference_counts) };
+        let angle_deg = self.scale.counts_to_rad(counts - zero_counts).to_degrees();
+        (self.sampled, self.angle_deg) = (at, Some(angle_deg));
         self.recent.push_back((at, angle_deg));
-        while self.recent.front().is_some_and(|(begun, _)| at.ns_since(*begun) > SPEED_NS) {
+        while self.recent.front().is_some_and(|(oldest, _)| at.ns_since(*oldest) > SPEED_NS) {
             self.recent.pop_front();
         }
-        let (low, high) = self.range.unwrap_or((angle_deg, angle_deg));
+        let (low, high) = self.range_deg.unwrap_or((angle_deg, angle_deg));
         let (low, high) = (low.min(angle_deg), high.max(angle_deg));
-        (self.range, self.widest_deg) = (Some((low, high)), self.widest_deg.max(high - low));
+        (self.range_deg, self.widest_deg) = (Some((low, high)), self.widest_deg.max(high - low));
         has_restarted
     }
 
     /// Whether the joint can have turned this far since the last sample; otherwise the counter has restarted.
-    fn is_followed(&self, count: u32, at: MonoNs) -> bool {
+    fn is_continuous(&self, count: u32, at: MonoNs) -> bool {
         let Some((unwrapper, _)) = &self.counter else { return false };
-        let turned = f64::from(unwrapper.distance(count).unsigned_abs());
-        let lines = turned / f64::from(1u32 << self.config.interpolation_bits);
-        lines <= LINES_PER_S_MAX * at.seconds_since(self.taken).max(0.0)
+        let turned_counts = f64::from(unwrapper.distance(count).unsigned_abs());
+        let lines = turned_counts / f64::from(1u32 << self.config.interpolation_bits);
+        lines <= LINES_PER_S_MAX * at.seconds_since(self.sampled).max(0.0)
     }
 
+    /// Counts from this sample on, relative to the mark if there is one.
     fn restart(&mut self, count: u32, mark: Option<u32>) {
         self.from_mark = mark.is_some();
         self.scale.reference_counts = mark.unwrap_or(0);
         let unwrapper = self.scale.unwrapper();
         let first = {
+            // On a copy: the caller takes this sample itself.
             let mut unwrapper = unwrapper;
             unwrapper.next(count)
         };
         self.counter = Some((unwrapper, first));
         self.recent.clear();
-        self.range = None;
+        self.range_deg = None;
     }
 
     /// The reference mark that its angle counts from.
@@ -514,13 +533,14 @@ impl Track {
     }
 
     fn is_fresh(&self, now: MonoNs) -> bool {
-        self.angle_deg.is_some() && now.ns_since(self.taken) <= STALE_NS
+        self.angle_deg.is_some() && now.ns_since(self.sampled) <= STALE_NS
     }
 
     fn speed_deg_per_s(&self) -> Option<f64> {
-        let ((begun, from), (ended, to)) = (*self.recent.front()?, *self.recent.back()?);
+        let (begun, first_deg) = *self.recent.front()?;
+        let (ended, last_deg) = *self.recent.back()?;
         let lasted_s = ended.seconds_since(begun);
-        (lasted_s > 0.0).then(|| (to - from) / lasted_s)
+        (lasted_s > 0.0).then(|| (last_deg - first_deg) / lasted_s)
     }
 
     /// The joint's angle in the bar's model, if it is known.
@@ -531,7 +551,7 @@ impl Track {
 
     fn joint(&self, sample: Option<&EncoderStatus>, now: MonoNs) -> Joint {
         let is_fresh = self.is_fresh(now);
-        let problem = if is_fresh { None } else { Some(silence(sample)) };
+        let problem = if is_fresh { None } else { Some(sample_problem(sample)) };
         Joint {
             joint: self.config.joint,
             name: bar_joint_name(self.config.joint).into(),
@@ -547,20 +567,23 @@ impl Track {
 
     fn warnings(&self) -> Vec<Fact> {
         let (joint, from_mark) = (self.config.joint, self.from_mark);
-        let wound = self.angle_deg.filter(|angle_deg| angle_deg.abs() > WOUND_DEG);
-        let wound = wound.map(|turned_deg| Fact::JointWound { joint, turned_deg, from_mark });
-        let distance_deg = self.bar_angle_deg().filter(|_| [2, 4].contains(&joint)).map(from_singular_deg);
-        let near = distance_deg.filter(|distance_deg| *distance_deg < SINGULAR_DEG);
-        let near = near.map(|distance_deg| Fact::JointSingular { joint, distance_deg });
+        let wound_deg = self.angle_deg.filter(|angle_deg| angle_deg.abs() > WOUND_DEG);
+        let wound = wound_deg.map(|turned_deg| Fact::JointWound { joint, turned_deg, from_mark });
+        // Singular is the rod along the first axis of the bar (sin b2 = 0) or along the last one (sin b4 = 0).
+        let distance_deg =
+            self.bar_angle_deg().filter(|_| [2, 4].contains(&joint)).map(singular_distance_deg);
+        let near_deg = distance_deg.filter(|distance_deg| *distance_deg < SINGULAR_DEG);
+        let near = near_deg.map(|distance_deg| Fact::JointSingular { joint, distance_deg });
         let limit_deg_per_s = full_resolution_deg_per_s(&self.config);
-        let fast = self.speed_deg_per_s().filter(|speed| speed.abs() > limit_deg_per_s);
-        let fast = fast.map(|speed_deg_per_s| Fact::JointFast { joint, speed_deg_per_s, limit_deg_per_s });
+        let fast_deg_per_s = self.speed_deg_per_s().filter(|speed| speed.abs() > limit_deg_per_s);
+        let fast =
+            fast_deg_per_s.map(|speed_deg_per_s| Fact::JointFast { joint, speed_deg_per_s, limit_deg_per_s });
         [wound, near, fast].into_iter().flatten().collect()
     }
 }
 
 /// Why an encoder gives no value, from the status word of its terminal.
-fn silence(sample: Option<&EncoderStatus>) -> String {
+fn sample_problem(sample: Option<&EncoderStatus>) -> String {
     let Some(sample) = sample else { return "no bus".into() };
     let status = el5021::Status(sample.status);
     let text = match (sample.valid, status.amplitude_error(), status.frequency_error()) {
@@ -573,7 +596,7 @@ fn silence(sample: Option<&EncoderStatus>) -> String {
 }
 
 /// Distance to the nearest multiple of half a turn, where sin = 0.
-fn from_singular_deg(angle_deg: f64) -> f64 {
+fn singular_distance_deg(angle_deg: f64) -> f64 {
     let within = angle_deg.rem_euclid(180.0);
     within.min(180.0 - within)
 }
@@ -591,24 +614,25 @@ fn full_resolution_deg_per_s(encoder: &EncoderConfig) -> f64 {
     360.0 * lines_per_s / f64::from(encoder.lines.max(1))
 }
 
+/// Row or column of an angle.
 fn cell(angle_deg: f64) -> usize {
     (((angle_deg + 180.0).rem_euclid(360.0) / CELL_DEG) as usize).min(CELLS - 1)
 }
 
-/// Visited cells of the sphere.
-struct Visited {
+/// Cells of the sphere that the rod has visited, by row (joint 2) and column (joint 1).
+struct VisitedCells {
     cells: Box<[[bool; CELLS]; CELLS]>,
     newest: Option<MonoNs>,
     here: Option<(usize, usize)>,
 }
 
-impl Default for Visited {
+impl Default for VisitedCells {
     fn default() -> Self {
         Self { cells: Box::new([[false; CELLS]; CELLS]), newest: None, here: None }
     }
 }
 
-impl Visited {
+impl VisitedCells {
     fn visit(&mut self, here: Option<(usize, usize)>, now: MonoNs) {
         self.here = here;
         let Some((column, row)) = here else { return };
@@ -621,10 +645,10 @@ impl Visited {
         self.cells.iter().flatten().filter(|visited| **visited).count()
     }
 
-    /// `now` in a run.
+    /// For the page; `now` only during a run.
     fn to_coverage(&self, now: Option<MonoNs>, absolute: bool) -> Coverage {
-        let digit = |four: &[bool]| {
-            let bits = four.iter().fold(0, |bits, visited| bits << 1 | u32::from(*visited));
+        let digit = |four_cells: &[bool]| {
+            let bits = four_cells.iter().fold(0, |bits, visited| bits << 1 | u32::from(*visited));
             char::from_digit(bits, 16).unwrap_or('0')
         };
         let flat: Vec<bool> = self.cells.iter().flatten().copied().collect();

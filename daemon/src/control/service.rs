@@ -1,4 +1,6 @@
-//! The interface of the service for other threads: requests go to the [`controller`](super::controller).
+//! The interface of the service for other threads: [`Service`] starts its steppers, sends requests to the
+//! [`controller`](super::controller) through a queue, and reads what needs the disk in tasks with a time limit. The API uses
+//! it.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
@@ -45,7 +47,7 @@ pub struct Service {
 const COMMANDS_MAX: usize = 64;
 /// Requests that may wait for the disk at the same time.
 const DISK_TASKS_MAX: usize = 4;
-/// How long each may; then the reply is made without the disk.
+/// How long each may wait; then the reply is made without the disk.
 const DISK_TIMEOUT: Duration = Duration::from_secs(1);
 /// The same for a list of hundreds of recordings.
 pub(super) const LIST_TIMEOUT: Duration = Duration::from_secs(10);
@@ -81,8 +83,8 @@ impl Service {
     ) -> Result<Self, ServiceError> {
         let (bus, faults) = (settings.bus.clone(), settings.faults.clone());
         let (daemon, bar) = (settings.daemon.clone(), settings.bar.clone());
-        let (places, on) = (storage.clone(), Arc::clone(&scheduler));
-        let connect = move || run::start_opening(&bus, &faults, &daemon, &bar, &places, &on);
+        let (run_storage, run_scheduler) = (storage.clone(), Arc::clone(&scheduler));
+        let connect = move || run::start_opening(&bus, &faults, &daemon, &bar, &run_storage, &run_scheduler);
         Self::start_with(scheduler, settings, storage, Arc::new(connect))
     }
 
@@ -211,13 +213,13 @@ impl Service {
     ) -> Option<T> {
         let (settings, disk) = (Arc::clone(&self.settings), Arc::clone(&self.disk));
         let found = async {
-            let place = Arc::clone(&self.disk_tasks).acquire_owned().await.ok()?;
+            let permit = Arc::clone(&self.disk_tasks).acquire_owned().await.ok()?;
             let (result, found) = oneshot::channel();
             let work = move || {
                 let _ = result.send(find(&settings, &*disk));
-                drop(place);
+                drop(permit);
             };
-            // Without a thread the result is missing.
+            // If no thread can be started, `result` is dropped and `found` fails.
             drop(Pending::start(&*self.scheduler, "disk request", work));
             found.await.ok()
         };
@@ -228,7 +230,7 @@ impl Service {
     pub(super) async fn within<T>(&self, time: Duration, future: impl Future<Output = T>) -> Option<T> {
         tokio::select! {
             biased;
-            given = future => Some(given),
+            output = future => Some(output),
             () = self.scheduler.sleep(time) => None,
         }
     }
@@ -238,11 +240,11 @@ impl Service {
         &self,
         future: impl Future<Output = T> + Send + 'static,
     ) -> oneshot::Receiver<T> {
-        let (result, given) = oneshot::channel();
+        let (result, output) = oneshot::channel();
         self.scheduler.spawn(Box::pin(async move {
             let _ = result.send(future.await);
         }));
-        given
+        output
     }
 
     /// Ends a current run with `cause` and finishes its file, then ends the service. Does not wait.
@@ -268,6 +270,7 @@ impl Service {
         let _ = self.commands.try_send(Command::Panic);
     }
 
+    /// Sends a command with a channel for its reply, and waits for that.
     async fn ask<T>(&self, command: impl FnOnce(oneshot::Sender<T>) -> Command) -> Result<T, Refusal> {
         let ended = || Refusal::from(Problem::from(Fact::ServiceEnding {}));
         let (reply, answer) = oneshot::channel();
@@ -284,6 +287,7 @@ struct Control {
     /// `None` once the service has ended.
     controller: Option<Controller>,
     commands: Receiver<Command>,
+    /// Commands for the next step.
     waiting: Vec<Command>,
     ended: SyncSender<Result<(), ServiceError>>,
 }
@@ -336,30 +340,30 @@ fn disk_silent() -> Answer {
 /// A longer duration is a typing error.
 const DURATION_MAX: Duration = Duration::from_secs(366 * 86_400);
 
+/// The run from a request, with the reference marks on disk.
 fn details(request: StartRequest, settings: &Settings, disk: &dyn Disk) -> Result<RunDetails, Refusal> {
     let Settings { daemon, marks, .. } = settings;
     let homing = marks
         .read(disk)
         .map_err(|error| Refusal::from(Problem::from(Fact::MarksUnreadable { error: error.to_string() })))?;
-    let duration = request
-        .duration_s
-        .map(|seconds| {
-            let possible = daemon.cycle_period()..=DURATION_MAX;
-            Duration::try_from_secs_f64(seconds).ok().filter(|duration| possible.contains(duration)).ok_or_else(|| {
-                let cycle_s = daemon.cycle_period().as_secs_f64();
-                let error = format!(
-                    "duration of {seconds:?} s: must be one cycle ({cycle_s} s) to a year; leave it out to record until \
-                     stopped"
-                );
-                Refusal::new(error)
-            })
-        })
-        .transpose()?;
+    let duration =
+        request.duration_s.map(|seconds| checked_duration(seconds, daemon.cycle_period())).transpose()?;
     let about = request.about();
     let automatic = || runs::automatic_name(disk, &daemon.directory, &about.robot, &about.bar);
     let name = request.name.map_or_else(|| Ok(automatic()), |typed| run::typed_name(&typed));
     let name = name.map_err(Refusal::new)?;
     Ok(RunDetails { name, about, duration, homing })
+}
+
+fn checked_duration(seconds: f64, cycle_period: Duration) -> Result<Duration, Refusal> {
+    let possible = cycle_period..=DURATION_MAX;
+    let duration = Duration::try_from_secs_f64(seconds).ok().filter(|duration| possible.contains(duration));
+    duration.ok_or_else(|| {
+        let cycle_s = cycle_period.as_secs_f64();
+        Refusal::new(format!(
+            "duration of {seconds:?} s: must be one cycle ({cycle_s} s) to a year; leave it out to record until stopped"
+        ))
+    })
 }
 
 fn name_reply(

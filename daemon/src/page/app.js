@@ -1,4 +1,4 @@
-// The page: shows each moment, sends requests.
+// The page: shows each moment (the `Live` of control/live.rs) and the lines of the check, and sends requests.
 
 import { $, ask, duration, el, listen, marked, text, verdict_word } from "./live.js";
 import { Strip, cover } from "./charts.js";
@@ -14,8 +14,10 @@ const FIELDS = ["robot", "operator", "bar", "payload", "note"];
 const strip = new Strip();
 const homing = new Homing();
 const form = $("run-form");
+// The latest moment; undefined while the service does not answer.
 let latest;
 let checks = [];
+// The state of the runs for which their list was loaded.
 let shown_list;
 
 // ---- display
@@ -55,8 +57,8 @@ function show_joints(joints) {
   });
 }
 
-// The run of this page's last moment; undefined before the first.
-let shown_run;
+// Whether a run was active at the previous moment; undefined before the first.
+let was_running;
 
 function show_state({ headline, status, run_s }) {
   const header = $("state");
@@ -72,14 +74,14 @@ function show_state({ headline, status, run_s }) {
   $("run-facts").hidden = !running;
   $("mark").hidden = $("note").hidden = $("stop").hidden = !running || status.state === "closing";
   text($("version"), status.version);
-  const at = document.activeElement;
-  const lost_focus = shown_run !== undefined && shown_run !== running
-    && (at === document.body || ["start", "preflight", "progress", "state"].some((id) => $(id).contains(at)));
+  const focused = document.activeElement;
+  const lost_focus = was_running !== undefined && was_running !== running
+    && (focused === document.body || ["start", "preflight", "progress", "state"].some((id) => $(id).contains(focused)));
   $("start").hidden = $("preflight").hidden = running;
   $("progress").hidden = !running;
   // The focused element is hidden now: focus the run, or its result.
   if (lost_focus) $(running ? "progress-title" : "runs-title").focus({ preventScroll: true });
-  shown_run = running;
+  was_running = running;
   if (!running) return;
   text($("run-name"), status.run.name);
   const until = status.run.duration_s === null ? "" : ` of ${duration(status.run.duration_s)}`;
@@ -134,21 +136,22 @@ function show_warnings(warnings) {
   }));
 }
 
-let drawn = 0;
+// Time of the moment whose coverage was drawn last [ms].
+let cover_ms = 0;
 // Arrival of the latest moment [ms], and the age of its values then [s].
-let came_ms = performance.now();
-let came_old_s = 0;
+let arrived_ms = performance.now();
+let age_on_arrival_s = 0;
 
 function show_age() {
-  const age_s = came_old_s + (performance.now() - came_ms) / 1000;
+  const age_s = age_on_arrival_s + (performance.now() - arrived_ms) / 1000;
   $("age").hidden = age_s < OLD_S;
   text($("age"), `The newest values are ${age_s < 10 ? age_s.toFixed(1) : Math.round(age_s)} s old.`);
 }
 
 function show(moment, age_s) {
   latest = moment;
-  came_ms = performance.now();
-  came_old_s = age_s + Math.max(0, moment.status.sample_age_ms ?? 0) / 1000;
+  arrived_ms = performance.now();
+  age_on_arrival_s = age_s + Math.max(0, moment.status.sample_age_ms ?? 0) / 1000;
   show_age();
   document.body.classList.remove("stale");
   show_state(moment);
@@ -157,8 +160,8 @@ function show(moment, age_s) {
   show_warnings(moment.warnings);
   homing.show(moment.status, moment.joints);
   strip.add(moment);
-  if (moment.at_ms - drawn > 500 || moment.at_ms < drawn) {
-    drawn = moment.at_ms;
+  if (moment.at_ms - cover_ms > 500 || moment.at_ms < cover_ms) {
+    cover_ms = moment.at_ms;
     text($("cover-text"), cover(moment.coverage, moment.restarted));
   }
   show_begin();
@@ -227,17 +230,17 @@ async function check() {
   show_begin();
 }
 
-const stopping = () => checks.filter((line) => line.stops);
+const stopping_lines = () => checks.filter((line) => line.stops);
 
 function show_begin() {
   const state = latest?.status.state;
-  const red = stopping();
+  const stopping = stopping_lines();
   const button = $("begin");
   button.disabled = state !== "waiting" || !checks.length;
-  button.classList.toggle("reluctant", red.length > 0);
-  text(button, red.length ? "Start anyway …" : "Start");
+  button.classList.toggle("reluctant", stopping.length > 0);
+  text(button, stopping.length ? "Start anyway …" : "Start");
   const why = state === undefined ? "no connection" : state !== "waiting" ? latest.headline.word.toLowerCase()
-    : red.length ? `stopped by: ${red.map((line) => line.subject).join(", ")}` : "";
+    : stopping.length ? `stopped by: ${stopping.map((line) => line.subject).join(", ")}` : "";
   text($("begin-why"), why);
   $("home").disabled = state !== "waiting";
 }
@@ -285,11 +288,11 @@ $("begin").addEventListener("click", async () => {
     form.elements.name.focus();
     return;
   }
-  const red = stopping();
-  if (red.length) {
+  const stopping = stopping_lines();
+  if (stopping.length) {
     const reason = await choose({
       title: "Start anyway?",
-      text: red.map((line) => `${line.subject}: ${line.finding}\n${line.remedy}`).join("\n\n"),
+      text: stopping.map((line) => `${line.subject}: ${line.finding}\n${line.remedy}`).join("\n\n"),
       label: "Reason, stored in the file", required: true, yes: "Start", danger: true,
     });
     if (!reason) return;

@@ -66,6 +66,7 @@ function options(joints, width, height, time) {
 }
 
 // A chart that fills its container, also after a change of size or colours.
+// `time` is its time axis: its range [s], the marks to be drawn, and whether the legend follows the cursor.
 function chart(place, joints, time) {
   let data = [[], ...joints.map(() => [])];
   let drawn;
@@ -86,6 +87,7 @@ function chart(place, joints, time) {
 }
 
 export class Strip {
+  // Angles of all joints, the oldest first.
   points = [];
   marks = [];
 
@@ -146,6 +148,7 @@ export function plot({ t_s, joints }, run_marks) {
   $("plot").addEventListener("close", () => drawn.close(), { once: true });
 }
 
+// Draws the covered part of the sphere (`Coverage` of control/live.rs); returns its description.
 export function cover({ cells, here, visited, newest_s, absolute }, restarted) {
   const canvas = $("cover");
   const context = canvas.getContext("2d");
@@ -175,6 +178,6 @@ export function cover({ cells, here, visited, newest_s, absolute }, restarted) {
     ? "Joint 1 across, joint 2 up, -180 to 180 degrees."
     : "Joint 1 across, joint 2 up; zero is unknown (home, and set mark_deg in ball_bar.toml).";
   const since = restarted?.run_s ?? null;
-  const anew = since === null ? "" : ` since the outage at ${duration(since)}; ${restarted.cells_before} before it`;
-  return `${visited} cells of 10 degrees${anew}. ${newest}\n${axes}`;
+  const restart_text = since === null ? "" : ` since the outage at ${duration(since)}; ${restarted.cells_before} before it`;
+  return `${visited} cells of 10 degrees${restart_text}. ${newest}\n${axes}`;
 }

@@ -1,4 +1,5 @@
-// Connection to the service: moments as they arrive, and requests.
+// Connection to the service: moments (`/api/events`, or `/api/live` each second) as they arrive, requests, and functions that
+// all modules of the page use.
 
 // Without a moment for this time the page is stale.
 const SILENT_MS = 1500;
@@ -7,6 +8,7 @@ const RETRY_EVENTS_MS = 15000;
 
 // Local time minus the service's. The quickest moment determines it; the additional delay of others is their age.
 let offset_ms = Infinity;
+// When a request last bounded the offset.
 let bounded_ms = -Infinity;
 const BOUND_EVERY_MS = 5000;
 const OLD_S = 2;
@@ -17,16 +19,16 @@ function age_s(at_ms) {
   const now = performance.now();
   offset_ms = Math.min(offset_ms, now - at_ms);
   const age = (now - at_ms - offset_ms) / 1000;
-  if (age > OLD_S && now - bounded_ms > BOUND_EVERY_MS) bound();
+  if (age > OLD_S && now - bounded_ms > BOUND_EVERY_MS) bound_offset();
   return age;
 }
 
 // A clock may have stopped, or have been replaced: a request bounds the service's time between two local times.
-async function bound() {
-  const asked = bounded_ms = performance.now();
+async function bound_offset() {
+  const asked_ms = bounded_ms = performance.now();
   try {
     const { at_ms } = await (await fetch("/api/live")).json();
-    offset_ms = Math.max(asked - PERIOD_MS - at_ms, Math.min(offset_ms, performance.now() - at_ms));
+    offset_ms = Math.max(asked_ms - PERIOD_MS - at_ms, Math.min(offset_ms, performance.now() - at_ms));
   } catch {
     // The silence is handled elsewhere.
   }
@@ -35,14 +37,14 @@ async function bound() {
 // Calls `on_minute` with the angles of the last minute, `on_moment` with each moment and its age [s], `on_silence` when none
 // has arrived for a while.
 export function listen(on_minute, on_moment, on_silence) {
-  let silence;
+  let silence_timer;
   const receive = (text) => {
-    clearTimeout(silence);
-    silence = setTimeout(on_silence, SILENT_MS);
+    clearTimeout(silence_timer);
+    silence_timer = setTimeout(on_silence, SILENT_MS);
     const moment = JSON.parse(text);
     on_moment(moment, age_s(moment.at_ms));
   };
-  silence = setTimeout(on_silence, SILENT_MS);
+  silence_timer = setTimeout(on_silence, SILENT_MS);
   let polling;
   const poll = async () => {
     try {
@@ -53,7 +55,7 @@ export function listen(on_minute, on_moment, on_silence) {
     }
   };
   const open = () => {
-    bound();
+    bound_offset();
     clearInterval(polling);
     polling = undefined;
     const events = new EventSource("/api/events");
@@ -74,32 +76,32 @@ export async function ask(path, body) {
   const request = body === undefined
     ? {}
     : { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) };
-  let answer;
+  let response;
   try {
-    answer = await fetch(`/api/${path}`, request);
+    response = await fetch(`/api/${path}`, request);
   } catch {
     throw new Error("the service does not answer; check that it is running: ballbard run");
   }
-  const said = await answer.json().catch(() => ({ error: `the service replied ${answer.status}` }));
-  if (!answer.ok) throw new Error(said.error);
-  return said;
+  const reply = await response.json().catch(() => ({ error: `the service replied ${response.status}` }));
+  if (!response.ok) throw new Error(reply.error);
+  return reply;
 }
 
 export const $ = (id) => document.getElementById(id);
 
 // An element with properties and children; text is never parsed as HTML.
 export function el(tag, properties = {}, ...children) {
-  const made = document.createElement(tag);
+  const element = document.createElement(tag);
   const { level, ...rest } = properties;
-  if (level) made.dataset.level = level;
-  Object.assign(made, rest);
-  made.append(...children.filter((child) => child !== null && child !== undefined));
-  return made;
+  if (level) element.dataset.level = level;
+  Object.assign(element, rest);
+  element.append(...children.filter((child) => child !== null && child !== undefined));
+  return element;
 }
 
 // Writes a text only if it changed, so that screen readers and selections are not disturbed.
-export function text(node, said) {
-  if (node.textContent !== said) node.textContent = said;
+export function text(node, content) {
+  if (node.textContent !== content) node.textContent = content;
 }
 
 export function duration(seconds) {

@@ -6,14 +6,16 @@ import { plot } from "./charts.js";
 
 const SHOWN_MAX = 100;
 let runs = [];
-let all = false;
+let shows_all = false;
 
+// Recordings in the bin.
 let deleted = [];
 // The run that ended last, since the service began; null during the next.
 let last = null;
 
-export async function refresh(of_service = last) {
-  last = of_service;
+// Loads the lists; `last_run` is that of the service's status.
+export async function refresh(last_run = last) {
+  last = last_run;
   try {
     [runs, deleted] = await Promise.all([ask("runs"), ask("bin")]);
   } catch (error) {
@@ -46,9 +48,9 @@ function facts(run) {
 const reasons = (run) => run.marks.filter(is_reason).map((mark) => mark.text).join("\n");
 const marks = (run) => run.marks.filter((mark) => !is_reason(mark)).map(marked).join(" · ");
 
-const with_note = (run) => [facts(run), run.note, reasons(run), marks(run)].filter(Boolean).join("\n");
+const description = (run) => [facts(run), run.note, reasons(run), marks(run)].filter(Boolean).join("\n");
 
-const why = (run) => run.verdict?.reasons.join("; ") || (run.verdict ? "" : run.cause);
+const grade_reasons = (run) => run.verdict?.reasons.join("; ") || (run.verdict ? "" : run.cause);
 
 // A request that changes the list.
 async function change(path, body) {
@@ -69,7 +71,7 @@ async function restore(name) {
 
 async function remove(run) {
   const yes = await choose({
-    title: `Delete ${run.name}?`, text: `${with_note(run)}\n\nIt goes into the bin, from which it can be restored.`, yes: "Delete",
+    title: `Delete ${run.name}?`, text: `${description(run)}\n\nIt goes into the bin, from which it can be restored.`, yes: "Delete",
     danger: true,
   });
   const reply = yes && await change("delete", { name: run.name });
@@ -94,11 +96,11 @@ async function note(run) {
   if (said !== null) await change("note", { name: run.name, note: said });
 }
 
-async function look(run) {
+async function show_plot(run) {
   try {
     const curves = await ask(`runs/${encodeURIComponent(run.name)}/plot`);
     text($("plot-title"), run.name);
-    text($("plot-text"), `Degrees from the first valid sample of each joint.\n${with_note(run)}`);
+    text($("plot-text"), `Degrees from the first valid sample of each joint.\n${description(run)}`);
     $("plot").showModal();
     plot(curves, run.marks);
   } catch (error) {
@@ -112,13 +114,13 @@ function row(run) {
     className: "button", href: `${path}/${file}`, download: "", textContent: kind, title: layout,
     ariaLabel: `Download ${run.name} as ${kind} ${layout}`.trim(),
   });
-  const tool = (label, act) => el("button", { type: "button", textContent: label, ariaLabel: `${label} ${run.name}`, onclick: () => act(run) });
-  const tools = run.verdict ? [tool("Plot", look), download("MCAP", "mcap"), download("CSV", "csv"),
+  const tool = (label, action) => el("button", { type: "button", textContent: label, ariaLabel: `${label} ${run.name}`, onclick: () => action(run) });
+  const tools = run.verdict ? [tool("Plot", show_plot), download("MCAP", "mcap"), download("CSV", "csv"),
     download("CSV;", "csv?excel=true", "for Excel: semicolons and decimal commas"), tool("Note", note), tool("Delete", remove)] : [];
   tools.at(-1)?.classList.add("apart");
   const item = el("li", { level: run.verdict?.level ?? "check" },
     el("span", { className: "verdict", textContent: verdict_word(run.verdict) || "…" }),
-    el("span", { className: "name" }, run.name, why(run) ? el("div", { className: "facts", textContent: why(run) }) : null),
+    el("span", { className: "name" }, run.name, grade_reasons(run) ? el("div", { className: "facts", textContent: grade_reasons(run) }) : null),
     el("span", { className: "facts" }, facts(run), run.note ? el("div", { className: "note", textContent: run.note }) : null,
       reasons(run) ? el("div", { className: "reason", textContent: reasons(run) }) : null,
       marks(run) ? el("div", { className: "marks", textContent: marks(run) }) : null),
@@ -131,15 +133,15 @@ function show() {
   const wanted = $("search").value.toLowerCase().split(/\s+/).filter(Boolean);
   const only = $("only").value;
   const found = runs.filter((run) => {
-    const said = `${run.name} ${with_note(run)} ${why(run)} ${verdict_word(run.verdict)}`.toLowerCase();
+    const said = `${run.name} ${description(run)} ${grade_reasons(run)} ${verdict_word(run.verdict)}`.toLowerCase();
     return (!only || verdict_word(run.verdict) === only) && wanted.every((word) => said.includes(word));
   });
-  const shown = all ? found : found.slice(0, SHOWN_MAX);
+  const shown = shows_all ? found : found.slice(0, SHOWN_MAX);
   $("runs").replaceChildren(...shown.map(row));
   const more = $("runs-more");
   text(more, runs.length ? (found.length ? "" : "No matching run.") : "No recordings yet.");
   if (shown.length < found.length) {
-    more.append(el("button", { type: "button", textContent: `Show all ${found.length}`, onclick: () => { all = true; show(); } }));
+    more.append(el("button", { type: "button", textContent: `Show all ${found.length}`, onclick: () => { shows_all = true; show(); } }));
   }
 }
 

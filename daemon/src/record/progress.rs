@@ -1,4 +1,6 @@
-//! Progress of a run for other threads, which never wait for the disk.
+//! Progress of a run for other threads, which never wait for the disk: cycles that were due, written and synchronised, the
+//! waits of recorder and synchroniser for the disk, and the problems that follow. The recorder updates it; status, page and
+//! storage read it.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -42,6 +44,7 @@ pub struct Limits {
     pub cycle_waits: bool,
 }
 
+/// What recorder and synchroniser have reported.
 #[derive(Debug)]
 struct OnDisk {
     written: u64,
@@ -49,8 +52,9 @@ struct OnDisk {
     written_lost: u64,
     synced: Synced,
     writing_since: Option<MonoNs>,
-    /// With the number of the synchroniser.
+    /// Number of the synchroniser that is working, and since when.
     syncing_since: Option<(u32, MonoNs)>,
+    /// The longest waits of completed calls, see [`OnDisk::longest_at`].
     longest: DiskTiming,
     /// Step before the run has its file.
     opening: Opening,
@@ -58,6 +62,7 @@ struct OnDisk {
     place: Option<RunPlace>,
     /// Why the file is not in its place, until the run is moved.
     lost: Option<String>,
+    /// Why the run was moved; `None` if it was not.
     moved: Option<String>,
     timing: Option<TimingSummary>,
     flagged: Vec<Flagged>,
@@ -165,7 +170,7 @@ impl Progress {
     /// The recorder is about to write.
     pub fn writing(&self) {
         let mut disk = self.disk();
-        let waiting_ns = self.ns_of(self.backlog(&disk));
+        let waiting_ns = self.ns_of(self.backlog_cycles(&disk));
         disk.longest.backlog_longest_ns = disk.longest.backlog_longest_ns.max(waiting_ns);
         disk.writing_since = Some(self.clock.now());
     }
@@ -186,7 +191,7 @@ impl Progress {
     /// A synchroniser has finished; `None` if the disk refused.
     pub fn synced(&self, number: u32, synced: Option<Synced>) {
         let mut disk = self.disk();
-        if disk.syncing_since.is_some_and(|(other, _)| other == number) {
+        if disk.syncing_since.is_some_and(|(syncing, _)| syncing == number) {
             disk.longest = disk.longest_at(self.clock.now());
             disk.syncing_since = None;
         }
@@ -218,7 +223,7 @@ impl Progress {
     /// The file is not in its place, which the recorder will check. Has no effect if the run's file is another one by now.
     pub fn set_lost(&self, place: &RunPlace, why: String) {
         let mut disk = self.disk();
-        if disk.place.as_ref().is_some_and(|own| own.is_same(place)) {
+        if disk.place.as_ref().is_some_and(|current| current.is_same(place)) {
             disk.lost = Some(why);
         }
     }
@@ -237,7 +242,7 @@ impl Progress {
         disk.moved = Some(why);
     }
 
-    fn backlog(&self, disk: &OnDisk) -> u64 {
+    fn backlog_cycles(&self, disk: &OnDisk) -> u64 {
         let (due, lost) = (self.handed.due.load(Ordering::Acquire), self.handed.lost.load(Ordering::Relaxed));
         // A lost cycle does not wait, and once its number is written it is among the written ones.
         let unwritten_lost = lost.saturating_sub(disk.written_lost);
@@ -255,14 +260,14 @@ impl Progress {
         let (taken, lost) =
             (self.handed.due.load(Ordering::Acquire), self.handed.lost.load(Ordering::Relaxed));
         // Nothing is safe in a file that is lost.
-        let is_there = disk.lost.is_none();
-        let (synced, written) = if is_there { (disk.synced, disk.written) } else { Default::default() };
+        let is_in_place = disk.lost.is_none();
+        let (synced, written) = if is_in_place { (disk.synced, disk.written) } else { Default::default() };
         let mut snapshot = Snapshot {
             synced,
             written,
             taken,
             lost,
-            backlog_s: seconds(self.backlog(&disk)),
+            backlog_s: seconds(self.backlog_cycles(&disk)),
             backlog_limit_s: seconds(self.limits.ring_cycles as u64),
             unsynced_s: seconds(taken.saturating_sub(synced.cycles)),
             sync_age: synced.at.map(|at| Duration::from_nanos(now.ns_since(at).max(0) as u64)),
@@ -278,12 +283,13 @@ impl Progress {
 }
 
 impl OnDisk {
-    /// The current call counts already: it will not become shorter.
+    /// The longest waits, including that of the current call, which will not become shorter.
     fn longest_at(&self, now: MonoNs) -> DiskTiming {
-        let since = |at: Option<MonoNs>| at.map_or(0, |at| now.ns_since(at).max(0) as u64);
+        let lasted_ns = |since: Option<MonoNs>| since.map_or(0, |since| now.ns_since(since).max(0) as u64);
+        let syncing_since = self.syncing_since.map(|(_, since)| since);
         DiskTiming {
-            sync_longest_ns: self.longest.sync_longest_ns.max(since(self.syncing_since.map(|(_, at)| at))),
-            write_longest_ns: self.longest.write_longest_ns.max(since(self.writing_since)),
+            sync_longest_ns: self.longest.sync_longest_ns.max(lasted_ns(syncing_since)),
+            write_longest_ns: self.longest.write_longest_ns.max(lasted_ns(self.writing_since)),
             ..self.longest
         }
     }
@@ -302,7 +308,7 @@ impl Snapshot {
         let is_late = since_s > OPENS_WITHIN.as_secs_f64() && !limits.cycle_waits;
         let pending = (is_late && disk.place.is_none())
             .then(|| Fact::FilePending { since_s, step: disk.opening.what.into() });
-        let gone = disk.lost.clone().map(|error| Fact::FileLost { error });
+        let displaced = disk.lost.clone().map(|error| Fact::FileLost { error });
         let moved = disk.moved.clone().map(|error| Fact::FileMoved { file: file.clone(), error });
         let lost = (*lost > 0).then_some(Fact::CyclesLost { cycles: *lost });
         let late = if limits.cycle_waits {
@@ -312,7 +318,7 @@ impl Snapshot {
         } else {
             (*unsynced_s > usual_s).then_some(Fact::DiskSlow { unsynced_s: *unsynced_s })
         };
-        [pending, gone, moved, lost, late].into_iter().flatten().map(Problem::from).collect()
+        [pending, displaced, moved, lost, late].into_iter().flatten().map(Problem::from).collect()
     }
 }
 

@@ -1,4 +1,7 @@
-//! From the ring to the file: a thread that may wait for the disk, so that the cycle never does.
+//! Takes cycles, events and timing of a run from the ring, and markers of people, and writes them to the run's file. It works
+//! in a thread that may wait for the disk, so that the cycle never does. Twice per synchronisation period it writes a chunk,
+//! which another thread synchronises. If the disk refuses the file, the run moves to another directory. `run::session` starts a
+//! recorder for each run.
 
 use std::collections::VecDeque;
 use std::path::PathBuf;
@@ -38,7 +41,7 @@ pub struct CycleSink {
     events: Producer<CycleEvent>,
     timing: TimingSink,
     handed: Arc<Handed>,
-    /// The cycle waits for the recorder; otherwise the loss is counted.
+    /// A full ring makes the cycle wait for the recorder; otherwise its record is lost and counted.
     waits: bool,
 }
 
@@ -63,7 +66,7 @@ pub struct RunSummary {
     pub cycles_lost: u64,
     /// Why the run ended.
     pub cause: String,
-    /// Origin of its counts.
+    /// Whether its counts are measured, simulated or replayed.
     pub provenance: Provenance,
     /// Timing of the cycle; `None` on virtual time.
     pub timing: Option<TimingSummary>,
@@ -183,8 +186,8 @@ pub struct Recorder {
     synchroniser: Synchroniser,
     clock: Clock,
     period: Duration,
-    /// Cycles that are written at once.
-    cut_cycles: u64,
+    /// Cycles of a chunk, which is written at once.
+    chunk_cycles: u64,
     /// `UTC - monotonic` of the run's sample times \[ns\].
     utc_minus_monotonic_ns: i64,
     /// `UTC - monotonic` of the host when it was last read \[ns\].
@@ -194,15 +197,20 @@ pub struct Recorder {
     names: BusNames,
     /// The longest wait for the disk that was recorded \[s\].
     noted_wait_s: f64,
-    lost: u64,
-    /// Cycles written when the timing was last recorded, and the longest synchronisation until then.
-    timed: (u64, u64),
-    /// Cycles written when the last chunk was cut, and when that was.
-    cut: (u64, MonoNs),
-    /// Events and markers that wait for the cycle before which they happened.
+    /// Cycles that the full ring dropped, and that are in the file as lost.
+    cycles_lost: u64,
+    /// Cycles written when the timing was last recorded.
+    timing_cycles: u64,
+    /// The longest synchronisation until then \[ns\].
+    timing_sync_ns: u64,
+    /// Cycles written up to the last chunk.
+    chunk_end_cycles: u64,
+    /// When the last chunk was written.
+    chunk_at: MonoNs,
+    /// Events and markers, by time, that wait for the cycle before which they happened.
     notes: Vec<Event>,
     /// Error counts of ports, with the cycle from which they apply.
-    counted: VecDeque<(u64, PortCounts)>,
+    port_counts: VecDeque<(u64, PortCounts)>,
     moves: u32,
     link: RunLink,
     /// The last cycle written.
@@ -222,27 +230,29 @@ impl Recorder {
     ) -> Self {
         let synchroniser = Synchroniser::new(&link.progress, &*link.scheduler);
         let clock = link.scheduler.clock().clone();
-        // The other half is a margin for a late disk or processor.
+        // Half of it: the other half is a margin for a late disk or processor.
         let period = link.progress.sync_period() / 2;
         Self {
             source,
             synchroniser,
             writer,
             host_offset_ns: clock.utc_minus_monotonic_ns(),
-            cut: (0, clock.now()),
+            chunk_end_cycles: 0,
+            chunk_at: clock.now(),
             clock,
             period,
             // On virtual time, and after a wait, a second of cycles arrives at once.
-            cut_cycles: (period.as_nanos() as u64 / run.cycle_period_ns.max(1)).max(1),
+            chunk_cycles: (period.as_nanos() as u64 / run.cycle_period_ns.max(1)).max(1),
             utc_minus_monotonic_ns: run.utc_minus_monotonic_ns,
             cycle_period_ns: run.cycle_period_ns as i64,
             provenance: run.provenance(),
             names: BusNames::new(run),
             noted_wait_s: 0.0,
-            lost: 0,
-            timed: (0, 0),
+            cycles_lost: 0,
+            timing_cycles: 0,
+            timing_sync_ns: 0,
             notes: Vec::new(),
-            counted: VecDeque::new(),
+            port_counts: VecDeque::new(),
             moves: 0,
             link,
             last: None,
@@ -258,17 +268,17 @@ impl Recorder {
         while let Ok(record) = self.source.ring.pop() {
             // Events were pushed before the cycle in which they happened.
             self.take_notes();
-            self.take(&record)?;
-            if self.writer.cycles() >= self.cut.0 + self.cut_cycles {
-                self.cut()?;
+            self.add_cycle(&record)?;
+            if self.writer.cycles() >= self.chunk_end_cycles + self.chunk_cycles {
+                self.write_chunk()?;
             }
         }
         self.source.timing.drain();
         if last_round {
             return Ok(false);
         }
-        if self.clock.now().ns_since(self.cut.1) >= self.period.as_nanos() as i64 {
-            self.cut()?;
+        if self.clock.now().ns_since(self.chunk_at) >= self.period.as_nanos() as i64 {
+            self.write_chunk()?;
         }
         if let Some(problem) = self.synchroniser.problem() {
             self.move_elsewhere(WriteError::Sink(problem))?;
@@ -281,21 +291,22 @@ impl Recorder {
         Ok(true)
     }
 
-    fn take(&mut self, record: &CycleRecord) -> Result<(), WriteError> {
+    /// Adds one cycle to the chunk, after the lost cycles and the notes that precede it.
+    fn add_cycle(&mut self, record: &CycleRecord) -> Result<(), WriteError> {
         self.fill_lost(record.cycle)?;
         self.write_notes(record.sample_time)?;
-        while let Some((cycle, counts)) = self.counted.front()
+        while let Some((cycle, counts)) = self.port_counts.front()
             && *cycle <= record.cycle
         {
             self.writer.set_port_counts(*counts);
-            self.counted.pop_front();
+            self.port_counts.pop_front();
         }
         let written = self.writer.write_cycle(record);
         self.last = Some(*record);
-        self.or_move(written)
+        self.move_if_refused(written)
     }
 
-    /// Records the cycles before `until` that the full ring dropped, by number and reason.
+    /// Adds the cycles before `until` that the full ring dropped, by number and reason.
     fn fill_lost(&mut self, until: u64) -> Result<(), WriteError> {
         let Some(last) = self.last else { return Ok(()) };
         let first = last.cycle + 1;
@@ -309,30 +320,33 @@ impl Recorder {
         };
         for cycle in first..until {
             let written = self.writer.write_cycle(&lost_at(cycle));
-            self.or_move(written)?;
+            self.move_if_refused(written)?;
         }
         let missing = until - first;
         let time = lost_at(first).sample_time;
-        self.lost += missing;
+        self.cycles_lost += missing;
         self.last = Some(lost_at(until - 1));
-        self.note(event(time, first, EventKind::Gap, Fact::CyclesLost { cycles: missing }));
+        self.note(event_of(time, first, EventKind::Gap, Fact::CyclesLost { cycles: missing }));
         Ok(())
     }
 
     /// Writes all cycles taken, and synchronises them unless the previous synchronisation is still running.
-    fn cut(&mut self) -> Result<(), WriteError> {
-        // Cycles that arrive while the disk works wait for the next time, so the period starts here.
-        self.cut = (self.writer.cycles(), self.clock.now());
+    fn write_chunk(&mut self) -> Result<(), WriteError> {
+        // Cycles that arrive while the disk works wait for the next chunk, so the period starts here.
+        self.chunk_end_cycles = self.writer.cycles();
+        self.chunk_at = self.clock.now();
         self.link.progress.writing();
         self.note_clock_step();
         self.write_notes(self.last.map_or(UtcNs(i64::MIN), |last| last.sample_time))?;
         self.write_timing_if_due()?;
         let written = self.writer.cut();
-        self.or_move(written)?;
+        self.move_if_refused(written)?;
         self.note_wait();
-        self.link.progress.wrote(self.writer.cycles(), self.lost);
+        self.link.progress.wrote(self.writer.cycles(), self.cycles_lost);
         let mut timing = self.source.timing.summary();
-        timing.iter_mut().for_each(|timing| timing.disk = self.link.progress.longest());
+        if let Some(timing) = &mut timing {
+            timing.disk = self.link.progress.longest();
+        }
         self.link.progress.set_timing(timing);
         self.link.progress.set_flagged(self.writer.flagged());
         self.synchroniser.begin(self.writer.sink().synchroniser(), self.as_synced());
@@ -365,7 +379,7 @@ impl Recorder {
     }
 
     /// Moves the run elsewhere if the disk refused its file.
-    fn or_move(&mut self, outcome: Result<(), WriteError>) -> Result<(), WriteError> {
+    fn move_if_refused(&mut self, outcome: Result<(), WriteError>) -> Result<(), WriteError> {
         match outcome {
             Err(error @ (WriteError::Sink(_) | WriteError::Io { .. } | WriteError::Lost(_))) => {
                 self.move_elsewhere(error)
@@ -384,17 +398,17 @@ impl Recorder {
         // Nothing is reported as safe until the run is moved.
         self.link.progress.set_lost(self.writer.sink().place(), why.to_string());
         let storage = &self.link.storage;
-        let (home, spare) = (storage.directory().to_owned(), storage.spare().to_owned());
-        let places = [matches!(why, WriteError::Lost(_)).then_some(home), Some(spare)];
-        for place in places.into_iter().flatten() {
-            if let Some(full) = storage.full(&place) {
+        let (directory, spare) = (storage.directory().to_owned(), storage.spare().to_owned());
+        let candidates = [matches!(why, WriteError::Lost(_)).then_some(directory), Some(spare)];
+        for candidate in candidates.into_iter().flatten() {
+            if let Some(full) = storage.full(&candidate) {
                 tracing::warn!("{why}; the run cannot continue elsewhere: {full}");
                 continue;
             }
-            let moved = self.writer.sink_mut().move_to(&place).and_then(|()| self.writer.write_out());
+            let moved = self.writer.sink_mut().move_to(&candidate).and_then(|()| self.writer.write_out());
             match moved {
                 Ok(()) => {
-                    self.has_moved(&why);
+                    self.continue_after_move(&why);
                     return Ok(());
                 }
                 Err(error) => tracing::warn!("{why}; the run cannot continue elsewhere: {error}"),
@@ -403,10 +417,10 @@ impl Recorder {
         Err(why)
     }
 
-    fn has_moved(&mut self, why: &WriteError) {
+    fn continue_after_move(&mut self, why: &WriteError) {
         let place = self.writer.sink().place().clone();
         let moved = Fact::FileMoved { file: place.path().to_owned(), error: why.to_string() };
-        // The previous one may hang on the lost disk.
+        // The previous synchroniser may hang on the lost disk.
         self.synchroniser = Synchroniser::new(&self.link.progress, &*self.link.scheduler);
         self.link.progress.moved(place, why.to_string());
         self.note_disk(moved);
@@ -417,12 +431,11 @@ impl Recorder {
     fn write_timing_if_due(&mut self) -> Result<(), WriteError> {
         let period_cycles = TIMING_PERIOD.as_nanos() as u64 / self.cycle_period_ns.max(1) as u64;
         let (cycles, sync_ns) = (self.writer.cycles(), self.link.progress.longest().sync_longest_ns);
-        let (timed_cycles, timed_sync_ns) = self.timed;
-        let is_slower = sync_ns > 2 * timed_sync_ns.max(SYNC_USUAL_NS);
-        if cycles - timed_cycles < timed_cycles.min(period_cycles) && !is_slower {
+        let is_slower = sync_ns > 2 * self.timing_sync_ns.max(SYNC_USUAL_NS);
+        if cycles - self.timing_cycles < self.timing_cycles.min(period_cycles) && !is_slower {
             return Ok(());
         }
-        self.timed = (cycles, sync_ns);
+        (self.timing_cycles, self.timing_sync_ns) = (cycles, sync_ns);
         self.write_timing().map(drop)
     }
 
@@ -431,14 +444,14 @@ impl Recorder {
         let Some(mut timing) = self.source.timing.summary() else { return Ok(None) };
         timing.disk = self.link.progress.longest();
         let written = self.writer.write_timing(&timing);
-        self.or_move(written)?;
+        self.move_if_refused(written)?;
         Ok(Some(timing))
     }
 
     /// Takes events of the bus and markers, each with its own time.
     fn take_notes(&mut self) {
         while let Ok(event) = self.source.events.pop() {
-            self.counted.extend(event.port_counts().map(|counts| (event.cycle, counts)));
+            self.port_counts.extend(event.port_counts().map(|counts| (event.cycle, counts)));
             if event.is_news() {
                 self.note(event.to_event(&self.names));
             }
@@ -453,19 +466,20 @@ impl Recorder {
     /// The cycle at `time`, assuming one cycle per period.
     fn cycle_at(&self, time: UtcNs) -> u64 {
         let Some(last) = self.last else { return 0 };
-        let since = time.ns_since(last.sample_time).div_euclid(self.cycle_period_ns.max(1));
-        last.cycle.saturating_add_signed(since)
+        let cycles_later = time.ns_since(last.sample_time).div_euclid(self.cycle_period_ns.max(1));
+        last.cycle.saturating_add_signed(cycles_later)
     }
 
+    /// Adds an event or marker to those that wait for their cycle.
     fn note(&mut self, event: Event) {
-        let at = self.notes.partition_point(|other| other.time <= event.time);
-        self.notes.insert(at, event);
+        let index = self.notes.partition_point(|other| other.time <= event.time);
+        self.notes.insert(index, event);
     }
 
     /// Records a problem of the disk at this moment.
     fn note_disk(&mut self, fact: Fact) {
         let time = UtcNs(self.clock.now().0 + self.utc_minus_monotonic_ns);
-        self.note(event(time, self.cycle_at(time), EventKind::Disk, fact));
+        self.note(event_of(time, self.cycle_at(time), EventKind::Disk, fact));
     }
 
     /// Writes events up to `until`, so that readers find each among the cycles of its time.
@@ -473,7 +487,7 @@ impl Recorder {
         while self.notes.first().is_some_and(|note| note.time <= until) {
             let note = self.notes.remove(0);
             let written = self.writer.write_event(&note);
-            self.or_move(written)?;
+            self.move_if_refused(written)?;
         }
         Ok(())
     }
@@ -487,7 +501,7 @@ impl Recorder {
         }
         self.host_offset_ns = offset_ns;
         let (cycle, time) = self.last.map_or((0, UtcNs(0)), |last| (last.cycle, last.sample_time));
-        self.note(event(time, cycle, EventKind::Clock, Fact::ClockStepped { by_ns: moved_ns }));
+        self.note(event_of(time, cycle, EventKind::Clock, Fact::ClockStepped { by_ns: moved_ns }));
     }
 
     /// Writes the remaining cycles and finishes the file.
@@ -502,16 +516,16 @@ impl Recorder {
         self.write_notes(UtcNs(i64::MAX))?;
         let timing = self.write_timing()?;
         let (cycles, cycles_valid, cycles_lost) =
-            (self.writer.cycles(), self.writer.cycles_valid(), self.lost);
+            (self.writer.cycles(), self.writer.cycles_valid(), self.cycles_lost);
         let ended = self.clock.now().plus_ns(self.utc_minus_monotonic_ns);
         self.link.progress.writing();
         let closed = self.writer.close(&cause, UtcNs(ended.0));
-        self.or_move(closed)?;
+        self.move_if_refused(closed)?;
         self.link.progress.wrote(cycles, cycles_lost);
         let path = loop {
             match self.writer.sink_mut().publish() {
                 Ok(path) => break path,
-                outcome => self.or_move(outcome.map(drop))?,
+                outcome => self.move_if_refused(outcome.map(drop))?,
             }
         };
         self.link.progress.synced(0, Some(self.as_synced()));
@@ -519,7 +533,7 @@ impl Recorder {
     }
 }
 
-fn event(time: UtcNs, cycle: u64, kind: EventKind, fact: Fact) -> Event {
+fn event_of(time: UtcNs, cycle: u64, kind: EventKind, fact: Fact) -> Event {
     let code = fact.code().to_owned();
     Event { time, cycle, kind, text: Problem::from(fact).text, code }
 }

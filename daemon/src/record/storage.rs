@@ -1,5 +1,6 @@
-//! The directories of recordings. One task checks the disk periodically, so that reading its state never waits for a disk that
-//! hangs; another task logs its problems, also while the first one hangs.
+//! The directories of recordings and the state of their disk: space, permissions, response time, and whether the file of the
+//! current run is in its place. One task checks the disk periodically, so that reading its state never waits for a disk that
+//! hangs; another task logs its problems, also while the first one hangs. A full disk ends the run.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
@@ -16,7 +17,8 @@ use crate::problem::{Fact, Problem};
 use crate::scheduler::{Scheduler, Stepper};
 
 const BYTES_PER_MB: u64 = 1_000_000;
-/// A check that takes longer is reported. More than half of the same second is left to a busy machine \[ns\].
+/// A check that takes longer is reported. A silent disk is to be reported within a second; the rest of it is a margin for a
+/// busy machine \[ns\].
 const ANSWERS_WITHIN_NS: i64 = 400_000_000;
 
 /// The directories of recordings, and their current state. Clones share it.
@@ -30,7 +32,7 @@ struct Shared {
     directory: PathBuf,
     spare: PathBuf,
     floor_bytes: u64,
-    seen: Mutex<Seen>,
+    last_check: Mutex<LastCheck>,
     run: Mutex<Option<WatchedRun>>,
 }
 
@@ -40,17 +42,19 @@ struct WatchedRun {
     stop: Stop,
 }
 
-/// Result of the last check.
+/// Result of the last check, and progress of the current one.
 #[derive(Debug)]
-struct Seen {
+struct LastCheck {
     begun: MonoNs,
     is_over: bool,
+    /// Free space above the floor.
     usable_bytes: Option<u64>,
     problem: Option<Problem>,
 }
 
 impl Storage {
-    /// Period of the checks. A loss is reported within a second: this period and those of the reporting tasks are a third of it.
+    /// Period of the checks. The loss of a file is reported within a second: this period and those of control and page, through
+    /// which it passes, add up to a third of that.
     const CHECK_PERIOD: Duration = Duration::from_millis(100);
 
     /// As configured, on the system's disk.
@@ -65,14 +69,14 @@ impl Storage {
         scheduler: &dyn Scheduler,
     ) -> std::io::Result<Self> {
         let clock = scheduler.clock().clone();
-        let seen = Seen { begun: clock.now(), is_over: false, usable_bytes: None, problem: None };
+        let last_check = LastCheck { begun: clock.now(), is_over: false, usable_bytes: None, problem: None };
         let storage = Self(Arc::new(Shared {
             disk,
             clock,
             directory: daemon.directory.clone(),
             spare: daemon.spare_directory.clone(),
             floor_bytes: u64::from(daemon.disk_floor_mb) * BYTES_PER_MB,
-            seen: Mutex::new(seen),
+            last_check: Mutex::new(last_check),
             run: Mutex::new(None),
         }));
         let mut logged = Vec::new();
@@ -115,17 +119,17 @@ impl Storage {
 
     /// Space that recordings may still use: free space above the floor; 0 at the floor, `None` if unknown \[bytes\].
     pub fn usable_bytes(&self) -> Option<u64> {
-        lock(&self.0.seen).usable_bytes
+        lock(&self.0.last_check).usable_bytes
     }
 
     /// Whether the first check has finished, or takes so long that this is its result.
     pub fn is_known(&self) -> bool {
-        lock(&self.0.seen).is_over || self.0.silence().is_some()
+        lock(&self.0.last_check).is_over || self.0.silent_problem().is_some()
     }
 
     /// Why nothing may be recorded now, and what to do; `None` if recording is possible.
     pub fn problem(&self) -> Option<Problem> {
-        self.0.silence().or_else(|| lock(&self.0.seen).problem.clone())
+        self.0.silent_problem().or_else(|| lock(&self.0.last_check).problem.clone())
     }
 
     /// Why there is not enough space for a run in `directory`, and what to do; `None` if there is. Calls the disk.
@@ -138,10 +142,10 @@ impl Storage {
 impl Shared {
     fn check(&self) {
         {
-            let mut seen = lock(&self.seen);
-            (seen.begun, seen.is_over) = (self.clock.now(), false);
+            let mut last_check = lock(&self.last_check);
+            (last_check.begun, last_check.is_over) = (self.clock.now(), false);
         }
-        let run = self.watched();
+        let run = self.watched_run();
         let place = run.as_ref().and_then(|(progress, _)| progress.place());
         let directory = place.as_ref().and_then(|place| place.path().parent()).unwrap_or(&self.directory);
         let space = self.disk.space(directory);
@@ -158,8 +162,8 @@ impl Shared {
                 stop.stop(&self.full(directory).to_string());
             }
         }
-        let mut seen = lock(&self.seen);
-        (seen.usable_bytes, seen.problem, seen.is_over) = (usable_bytes, problem, true);
+        let mut last_check = lock(&self.last_check);
+        (last_check.usable_bytes, last_check.problem, last_check.is_over) = (usable_bytes, problem, true);
     }
 
     fn problem_of(&self, directory: &Path, space: &std::io::Result<Space>) -> Option<Problem> {
@@ -183,24 +187,25 @@ impl Shared {
         Fact::DiskFull { directory: directory.to_owned(), floor_mb }.into()
     }
 
-    fn watched(&self) -> Option<(Arc<Progress>, Stop)> {
+    fn watched_run(&self) -> Option<(Arc<Progress>, Stop)> {
         lock(&self.run).as_ref().and_then(|run| Some((run.progress.upgrade()?, run.stop.clone())))
     }
 
     /// The problem while a check takes too long.
-    fn silence(&self) -> Option<Problem> {
-        let seen = lock(&self.seen);
+    fn silent_problem(&self) -> Option<Problem> {
+        let last_check = lock(&self.last_check);
         let now = self.clock.now();
-        let is_silent = !seen.is_over && now.ns_since(seen.begun) > ANSWERS_WITHIN_NS;
-        let (directory, silent_s) = (Some(self.directory.clone()), Some(now.seconds_since(seen.begun)));
+        let is_silent = !last_check.is_over && now.ns_since(last_check.begun) > ANSWERS_WITHIN_NS;
+        let (directory, silent_s) = (Some(self.directory.clone()), Some(now.seconds_since(last_check.begun)));
         is_silent.then(|| Fact::DiskSilent { directory, silent_s }.into())
     }
 
     /// Problems of the disk and of the current run. Does not call the disk.
     fn problems(&self) -> Vec<Problem> {
-        let problem = self.silence().or_else(|| lock(&self.seen).problem.clone());
-        let of_run = self.watched().map(|(progress, _)| progress.get().problems).unwrap_or_default();
-        problem.into_iter().chain(of_run).collect()
+        let problem = self.silent_problem().or_else(|| lock(&self.last_check).problem.clone());
+        let run_problems =
+            self.watched_run().map(|(progress, _)| progress.get().problems).unwrap_or_default();
+        problem.into_iter().chain(run_problems).collect()
     }
 
     /// Logs problems that are new; returns the codes of all.
@@ -226,6 +231,6 @@ impl<W: FnMut(&Shared)> Stepper for Repeated<W> {
     }
 }
 
-fn lock<T>(of: &Mutex<T>) -> MutexGuard<'_, T> {
-    of.lock().unwrap_or_else(PoisonError::into_inner)
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

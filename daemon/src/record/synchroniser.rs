@@ -1,4 +1,5 @@
-//! Synchronises what was written with the disk, while more is written.
+//! Synchronises the run's file with the disk (fsync) in a thread of its own, while the recorder writes more. The outcome goes
+//! to [`Progress`], which reports as safe only what is synchronised; a failure goes to the recorder.
 
 use std::io;
 use std::sync::Arc;
@@ -17,6 +18,7 @@ const RELEASE_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// The recorder's side: one synchronisation at a time.
 pub(super) struct Synchroniser {
+    /// The file, and the extent of it that a synchronisation covers.
     jobs: SyncSender<(RunSync, Synced)>,
     outcomes: Receiver<io::Result<()>>,
     is_busy: bool,
@@ -29,7 +31,9 @@ struct SyncWork {
     jobs: Receiver<(RunSync, Synced)>,
     outcomes: SyncSender<io::Result<()>>,
     progress: Arc<Progress>,
+    /// Distinguishes it from those of the run's earlier places, which may hang.
     number: u32,
+    /// Job that [`Stepper::wait`] has received.
     next: Option<(RunSync, Synced)>,
 }
 
@@ -39,7 +43,7 @@ const POLL_PERIOD: Duration = Duration::from_millis(1);
 impl Stepper for SyncWork {
     fn poll(&mut self, _: MonoNs) -> Option<Duration> {
         let is_needed = match self.next.take().map_or_else(|| self.jobs.try_recv(), Ok) {
-            Ok((file, covers)) => self.serve(file, covers),
+            Ok((file, covers)) => self.synchronise(file, covers),
             Err(TryRecvError::Empty) => true,
             Err(TryRecvError::Disconnected) => false,
         };
@@ -52,7 +56,8 @@ impl Stepper for SyncWork {
 }
 
 impl SyncWork {
-    fn serve(&self, file: RunSync, covers: Synced) -> bool {
+    /// Returns whether the recorder still needs it.
+    fn synchronise(&self, file: RunSync, covers: Synced) -> bool {
         self.progress.syncing(self.number);
         let synced = file.sync();
         self.progress.synced(self.number, synced.is_ok().then_some(covers));

@@ -1,4 +1,6 @@
-//! The real-time thread: brings the bus up, keeps it in operation, and executes one job after the other.
+//! The real-time thread of a [`Session`](super::Session): brings the bus up, keeps it in operation, and executes one job
+//! after the other, a run or a homing. Its cycles go to the job's ring and to [`Live`]. Without a job the cycle continues on
+//! real time, so that samples stay live.
 
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError};
@@ -95,10 +97,15 @@ struct OnBus {
 }
 
 impl CycleLoop {
-    /// Brings the bus into operation and reports the result to `ends.ready`; `None` if it fails.
-    pub fn start(prepared: Prepared, realtime: RealtimeRequest, pace: Pace, ends: Channels) -> Option<Self> {
+    /// Brings the bus into operation and reports the result to `channels.ready`; `None` if it fails.
+    pub fn start(
+        prepared: Prepared,
+        realtime: RealtimeRequest,
+        pace: Pace,
+        channels: Channels,
+    ) -> Option<Self> {
         let Prepared { wire, clock, plan, replay, hand, .. } = prepared;
-        let Channels { ready, jobs, live, opening, ending, over } = ends;
+        let Channels { ready, jobs, live, opening, ending, over } = channels;
         let realtime = clock.is_real().then(|| realtime.apply());
         let mut bus = Bus::new(wire, clock.clone(), plan.reply_timeout);
         bus.interrupt_by(opening.flag());
@@ -166,10 +173,11 @@ impl CycleLoop {
     }
 }
 
+/// `None` if the bus did not come up, and after the end.
 impl Stepper for Option<CycleLoop> {
     fn poll(&mut self, _: MonoNs) -> Option<Duration> {
-        let cycle = self.as_mut()?;
-        if !cycle.step() {
+        let cycle_loop = self.as_mut()?;
+        if !cycle_loop.step() {
             let CycleLoop { on_bus, over, .. } = self.take()?;
             // Release the interface before the end is reported.
             drop(on_bus);
@@ -177,9 +185,9 @@ impl Stepper for Option<CycleLoop> {
             return None;
         }
         // On real time the cycle sleeps itself, more precisely than a scheduler.
-        let OnBus { acquisition, clock, .. } = &cycle.on_bus;
-        let sleeps = clock.is_real() || cycle.pace == Pace::Fast;
-        let due_ns = if sleeps { 0 } else { acquisition.due().ns_since(clock.now()) };
+        let OnBus { acquisition, clock, .. } = &cycle_loop.on_bus;
+        let sleeps_itself = clock.is_real() || cycle_loop.pace == Pace::Fast;
+        let due_ns = if sleeps_itself { 0 } else { acquisition.due().ns_since(clock.now()) };
         Some(Duration::from_nanos(due_ns.max(0).unsigned_abs()))
     }
 
@@ -213,18 +221,20 @@ struct RunTask {
     // Dropped before the ring: the recorder must not finish the file without the cause.
     guard: PanicGuard,
     sink: CycleSink,
-    cycles: Option<(u64, &'static str)>,
+    /// Cycles after which the run ends, and the cause of that end.
+    cycle_limit: Option<(u64, &'static str)>,
     full_fault_cycles: u64,
     /// Number of cycles so far.
-    done: u64,
-    /// Consecutive cycles without a valid sample of any encoder, and all their flags.
-    invalid: u64,
-    flags: u32,
+    cycles: u64,
+    /// Consecutive cycles without a valid sample of any encoder.
+    invalid_cycles: u64,
+    /// All flags of these cycles.
+    invalid_flags: u32,
 }
 
 impl RunTask {
     fn begin(job: RunJob, on_bus: &mut OnBus) -> Self {
-        let RunJob { sink, stop, cycles, full_fault_cycles, utc_minus_monotonic_ns } = job;
+        let RunJob { sink, stop, cycles: cycle_limit, full_fault_cycles, utc_minus_monotonic_ns } = job;
         let OnBus { acquisition, replay, .. } = on_bus;
         acquisition.set_utc_minus_monotonic_ns(utc_minus_monotonic_ns);
         acquisition.begin_run(|first_sample| {
@@ -232,36 +242,48 @@ impl RunTask {
                 replay.start_at(first_sample.0);
             }
         });
-        Self { guard: PanicGuard(stop), sink, cycles, full_fault_cycles, done: 0, invalid: 0, flags: 0 }
+        Self {
+            guard: PanicGuard(stop),
+            sink,
+            cycle_limit,
+            full_fault_cycles,
+            cycles: 0,
+            invalid_cycles: 0,
+            invalid_flags: 0,
+        }
     }
 
     /// One cycle; false once the run is over.
     fn step(&mut self, on_bus: &mut OnBus) -> bool {
-        let Self { guard: PanicGuard(stop), sink, cycles, full_fault_cycles, done, invalid, flags } = self;
-        let cause = cycles.and_then(|(wanted, cause)| (*done >= wanted).then_some(cause));
+        let Self {
+            guard: PanicGuard(stop), sink, cycle_limit, cycles, invalid_cycles, invalid_flags, ..
+        } = self;
+        let cause = cycle_limit.and_then(|(limit, cause)| (*cycles >= limit).then_some(cause));
         if stop.is_stopped() || sink.is_abandoned() || cause.is_some() {
             self.end(cause);
             return false;
         }
         let live = &on_bus.live;
         on_bus.acquisition.next_cycle(&mut |record| {
-            if cycles.is_none_or(|(wanted, _)| record.cycle < wanted) {
+            // After missed deadlines one call gives several records, maybe more than the run may have.
+            if cycle_limit.is_none_or(|(limit, _)| record.cycle < limit) {
                 sink.push(record);
-                *done = record.cycle + 1;
+                *cycles = record.cycle + 1;
             }
             live.publish(record);
             if record.encoders().iter().any(|encoder| encoder.valid) {
-                (*invalid, *flags) = (0, 0);
+                (*invalid_cycles, *invalid_flags) = (0, 0);
             } else {
-                (*invalid, *flags) = (*invalid + 1, *flags | record.flags);
+                *invalid_cycles += 1;
+                *invalid_flags |= record.flags;
             }
         });
         on_bus.publish();
         if let Some(timing) = on_bus.acquisition.last_timing() {
             sink.push_timing(timing);
         }
-        if *invalid >= *full_fault_cycles {
-            stop.stop(&full_fault(*invalid, *flags));
+        if *invalid_cycles >= self.full_fault_cycles {
+            stop.stop(&full_fault(*invalid_cycles, *invalid_flags));
         }
         while let Some(event) = on_bus.acquisition.take_event() {
             sink.push_event(event);

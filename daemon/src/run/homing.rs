@@ -1,4 +1,5 @@
-//! Homing on a bus in operation, between two runs.
+//! Homing on a bus in operation, between two runs: the cycle's thread executes its steps, and an observer in another thread
+//! gets each step and the outcome (the marks found) through two queues. The method is in [`crate::homing`].
 
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 
@@ -23,7 +24,7 @@ const STEPS_MAX: usize = 64;
 pub(super) struct HomingJob {
     pub stop: Stop,
     steps: SyncSender<HomingStep>,
-    over: SyncSender<Outcome>,
+    outcome: SyncSender<Outcome>,
 }
 
 /// A homing in progress, for its observer.
@@ -31,7 +32,8 @@ pub struct ActiveHoming {
     /// Requests the end of the homing.
     pub stop: Stop,
     steps: Receiver<HomingStep>,
-    over: Receiver<Outcome>,
+    outcomes: Receiver<Outcome>,
+    /// The outcome until it is returned.
     outcome: Option<Outcome>,
     is_over: bool,
 }
@@ -40,9 +42,9 @@ pub struct ActiveHoming {
 pub(super) fn begin() -> (HomingJob, ActiveHoming) {
     let stop = Stop::default();
     let (steps_in, steps) = sync_channel(STEPS_MAX);
-    let (over_in, over) = sync_channel(1);
-    let active = ActiveHoming { stop: stop.clone(), steps, over, outcome: None, is_over: false };
-    (HomingJob { stop, steps: steps_in, over: over_in }, active)
+    let (outcomes_in, outcomes) = sync_channel(1);
+    let active = ActiveHoming { stop: stop.clone(), steps, outcomes, outcome: None, is_over: false };
+    (HomingJob { stop, steps: steps_in, outcome: outcomes_in }, active)
 }
 
 /// Homing in the cycle. Steps may allocate, because no run is recorded.
@@ -61,15 +63,17 @@ impl Homing {
         hand: Option<&Hand>,
     ) -> Self {
         // On the simulated bus the program turns the joints.
-        hand.iter().for_each(|hand| hand.hold());
+        if let Some(hand) = hand {
+            hand.hold();
+        }
         let directions = encoders.iter().map(|encoder| encoder.direction).collect();
         Self { job, sequence: Sequence::begin(acquisition, encoders), directions, hand: hand.cloned() }
     }
 
     /// One cycle; false once the homing is over.
     pub fn step(&mut self, acquisition: &mut Acquisition, live: &Live) -> bool {
-        let Self { job: HomingJob { stop, steps, over }, sequence, directions, hand } = self;
-        let mut watch = |step: HomingStep| {
+        let Self { job: HomingJob { stop, steps, outcome: outcomes }, sequence, directions, hand } = self;
+        let mut report = |step: HomingStep| {
             if let (HomingStep::Turn { encoder, .. }, Some(hand)) = (step, &hand) {
                 match directions.get(encoder) {
                     Some(Direction::Negative) => hand.turn_back(encoder),
@@ -78,11 +82,15 @@ impl Homing {
             }
             let _ = steps.try_send(step);
         };
-        let stopped = stop.is_stopped().then(|| stop.cause());
+        let stop_cause = stop.is_stopped().then(|| stop.cause());
         let mut sink = |record: &CycleRecord| live.publish(record);
-        let Some(outcome) = sequence.step(acquisition, &mut sink, &mut watch, stopped) else { return true };
-        hand.iter().for_each(Hand::let_go);
-        let _ = over.try_send(outcome);
+        let Some(outcome) = sequence.step(acquisition, &mut sink, &mut report, stop_cause) else {
+            return true;
+        };
+        if let Some(hand) = hand {
+            hand.let_go();
+        }
+        let _ = outcomes.try_send(outcome);
         false
     }
 }
@@ -92,7 +100,7 @@ impl ActiveHoming {
     pub fn take_step(&mut self) -> Option<HomingStep> {
         // The outcome is read before the steps: those before the end are still taken.
         if !self.is_over {
-            self.outcome = match self.over.try_recv() {
+            self.outcome = match self.outcomes.try_recv() {
                 Ok(outcome) => {
                     claim::set_activity("between runs");
                     Some(outcome)

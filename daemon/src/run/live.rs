@@ -1,4 +1,5 @@
-//! The latest samples and state of the bus for other threads, without making the cycle wait.
+//! The latest samples and state of the bus for other threads, without making the cycle wait: the cycle's thread writes each
+//! record into atomics, which status, check and homing read.
 
 use std::sync::atomic::{AtomicI64, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -23,14 +24,17 @@ pub struct Live {
     whole_at_ns: AtomicI64,
     /// Time of the latest valid sample of each encoder.
     valid_at_ns: [AtomicI64; MAX_ENCODERS],
-    /// Cycles so far, and the valid ones of each encoder.
-    counted: AtomicU64,
-    counted_valid: [AtomicU64; MAX_ENCODERS],
-    /// Cycles among them in which every encoder was valid, and those that missed their deadline.
-    counted_whole: AtomicU64,
-    counted_late: AtomicU64,
+    /// Number of cycles, valid or not.
+    cycles: AtomicU64,
+    /// Valid cycles of each encoder.
+    encoder_cycles_valid: [AtomicU64; MAX_ENCODERS],
+    /// Cycles in which every encoder was valid.
+    cycles_valid: AtomicU64,
+    /// Cycles that missed their deadline.
+    cycles_late: AtomicU64,
     flags: AtomicU64,
     origin: AtomicU32,
+    /// Bits 0 to 31: count; 32 to 47: status word; 48: valid. One word, so that they are of one cycle.
     encoders: [AtomicU64; MAX_ENCODERS],
     latches: [AtomicU32; MAX_ENCODERS],
     /// Position of the first missing device; 0 if none is missing, because the bus is down without the coupler (position 0).
@@ -56,21 +60,23 @@ pub struct LiveEncoder {
 impl Live {
     /// Publishes a record. Wait-free, for the real-time thread.
     pub fn publish(&self, record: &CycleRecord) {
-        for (place, encoder) in self.encoders.iter().zip(record.encoders()) {
+        for (slot, encoder) in self.encoders.iter().zip(record.encoders()) {
             let packed = u64::from(encoder.count)
                 | u64::from(encoder.status) << 32
                 | u64::from(u8::from(encoder.valid)) << 48;
-            place.store(packed, Ordering::Relaxed);
+            slot.store(packed, Ordering::Relaxed);
         }
-        let valid = self.valid_at_ns.iter().zip(&self.counted_valid).zip(record.encoders());
-        for ((at, counted), _) in valid.filter(|(_, encoder)| encoder.valid) {
-            at.store(record.send_time.0, Ordering::Relaxed);
-            counted.fetch_add(1, Ordering::Relaxed);
+        let slots = self.valid_at_ns.iter().zip(&self.encoder_cycles_valid);
+        for ((valid_at_ns, cycles_valid), encoder) in slots.zip(record.encoders()) {
+            if encoder.valid {
+                valid_at_ns.store(record.send_time.0, Ordering::Relaxed);
+                cycles_valid.fetch_add(1, Ordering::Relaxed);
+            }
         }
-        self.counted.fetch_add(1, Ordering::Relaxed);
+        self.cycles.fetch_add(1, Ordering::Relaxed);
         // A cycle without a frame of its own gives no evidence of the bus.
         if record.flags & flags::DEADLINE_MISSED != 0 {
-            self.counted_late.fetch_add(1, Ordering::Relaxed);
+            self.cycles_late.fetch_add(1, Ordering::Relaxed);
         } else {
             if record.flags & BUS_FLAGS == 0 {
                 self.whole_at_ns.store(record.send_time.0, Ordering::Relaxed);
@@ -78,9 +84,9 @@ impl Live {
             self.flags.store(record.flags.into(), Ordering::Relaxed);
         }
         if record.is_valid() {
-            self.counted_whole.fetch_add(1, Ordering::Relaxed);
-            for (place, encoder) in self.latches.iter().zip(record.encoders()) {
-                place.store(encoder.latch, Ordering::Relaxed);
+            self.cycles_valid.fetch_add(1, Ordering::Relaxed);
+            for (slot, encoder) in self.latches.iter().zip(record.encoders()) {
+                slot.store(encoder.latch, Ordering::Relaxed);
             }
         }
         self.origin.store(record.origin, Ordering::Relaxed);
@@ -96,7 +102,8 @@ impl Live {
         self.missing_from.store(missing_from, Ordering::Relaxed);
         if let BusState::Down(outage) = state {
             let mut published = self.outage.lock().unwrap_or_else(PoisonError::into_inner);
-            if published.0 != outage.number || published.1.is_none() {
+            let (number, fact) = &*published;
+            if *number != outage.number || fact.is_none() {
                 *published = (outage.number, outage.fact(bus));
             }
         }
@@ -107,9 +114,9 @@ impl Live {
         if self.links_revision.swap(links.revision(), Ordering::Relaxed) == links.revision() {
             return;
         }
-        for (place, errors) in self.links.iter().flatten().zip(links.errors().iter().flatten()) {
+        for (slots, errors) in self.links.iter().flatten().zip(links.errors().iter().flatten()) {
             let counts = [errors.invalid_frames, errors.receive_errors, errors.lost_links];
-            place.iter().zip(counts).for_each(|(place, count)| place.store(count, Ordering::Relaxed));
+            slots.iter().zip(counts).for_each(|(slot, count)| slot.store(count, Ordering::Relaxed));
         }
     }
 
@@ -134,7 +141,8 @@ impl Live {
     /// Why the bus is down; `None` if it is not.
     pub fn outage(&self) -> Option<Fact> {
         let is_down = self.flags() & flags::BUS_DOWN != 0;
-        self.outage.lock().unwrap_or_else(PoisonError::into_inner).1.clone().filter(|_| is_down)
+        let (_, fact) = &*self.outage.lock().unwrap_or_else(PoisonError::into_inner);
+        fact.clone().filter(|_| is_down)
     }
 
     /// Time of the latest cycle, 0 before the first.
@@ -154,13 +162,13 @@ impl Live {
 
     /// Cycles so far, and the valid ones of each encoder, in bus order.
     pub fn counted(&self) -> (u64, [u64; MAX_ENCODERS]) {
-        let valid = std::array::from_fn(|index| self.counted_valid[index].load(Ordering::Relaxed));
-        (self.counted.load(Ordering::Relaxed), valid)
+        let valid = std::array::from_fn(|index| self.encoder_cycles_valid[index].load(Ordering::Relaxed));
+        (self.cycles.load(Ordering::Relaxed), valid)
     }
 
     /// Cycles so far, those in which every encoder was valid, and those that missed their deadline.
     pub fn totals(&self) -> [u64; 3] {
-        [&self.counted, &self.counted_whole, &self.counted_late].map(|count| count.load(Ordering::Relaxed))
+        [&self.cycles, &self.cycles_valid, &self.cycles_late].map(|count| count.load(Ordering::Relaxed))
     }
 
     /// The terminals' latches in the latest cycle in which every encoder was valid, in bus order.

@@ -43,7 +43,8 @@ const SLOW_BUS: &str = "the bus is not in operation after 5 s: replies are late 
                         `reply_timeout_us` in daemon.toml";
 /// Period in which waiting tasks check whether they are to end.
 const STOP_PERIOD: Duration = Duration::from_millis(10);
-/// Longest wait for the disk after a request to end, so that the program ends within 2 s. The next start repeats the work.
+/// Longest wait for the disk after a request to end, so that the program ends within 2 s. The next start repeats what was not
+/// done: creation of files and recovery of earlier runs.
 pub(crate) const DISK_WAIT_AT_END: Duration = Duration::from_millis(1500);
 
 /// Begins to bring a bus into operation for several runs. `faults` are injected into a simulated one.
@@ -102,23 +103,24 @@ async fn record_in_session(
     stop: &Stop,
 ) -> Result<RunSummary, RunError> {
     let clock = scheduler.clock();
-    let mut stopped_at = None;
-    let mut is_too_late = || {
-        let since = stop.is_stopped().then(|| *stopped_at.get_or_insert_with(|| clock.now()));
-        since.is_some_and(|since| clock.now().ns_since(since) > DISK_WAIT_AT_END.as_nanos() as i64)
+    let mut first_stopped_at = None;
+    let mut disk_wait_is_over = || {
+        let stopped_at = stop.is_stopped().then(|| *first_stopped_at.get_or_insert_with(|| clock.now()));
+        stopped_at.is_some_and(|at| clock.now().ns_since(at) > DISK_WAIT_AT_END.as_nanos() as i64)
     };
-    let no_file = || {
+    let no_file_error = || {
         let silent = || Fact::DiskSilent { directory: None, silent_s: None }.into();
         RunError::NoFile { cause: stop.cause(), problem: storage.problem().unwrap_or_else(silent) }
     };
     // Only now: a run that does not begin creates no directory.
-    let place = storage.clone();
-    let claim_task = Pending::start(scheduler, "claim", move || claim_directory(&place));
-    let died = |_| Err(RunError::Thread("claim panicked; its cause is in the log".into()));
+    let claimed_storage = storage.clone();
+    let claim_task = Pending::start(scheduler, "claim", move || claim_directory(&claimed_storage));
+    let claim_died = |_| Err(RunError::Thread("claim panicked; its cause is in the log".into()));
+    // The run is refused if the disk has a problem, so its state must be known before.
     let poll_claim = || storage.is_known().then(|| claim_task.poll()).flatten();
     let _claim = until(scheduler, STOP_PERIOD, || match poll_claim() {
-        Some(claim) => Some(claim.unwrap_or_else(died)),
-        None => is_too_late().then(|| Err(no_file())),
+        Some(claim) => Some(claim.unwrap_or_else(claim_died)),
+        None => disk_wait_is_over().then(|| Err(no_file_error())),
     })
     .await?;
     // A stop of its own, which the run also sets when it is complete: only a request limits the wait for the disk.
@@ -127,8 +129,8 @@ async fn record_in_session(
         if stop.is_stopped() {
             run.stop.stop(&stop.cause());
         }
-        let is_given_up = is_too_late() && !run.progress.is_open();
-        run.outcome().or_else(|| is_given_up.then(|| Err(no_file())))
+        let is_given_up = disk_wait_is_over() && !run.progress.is_open();
+        run.outcome().or_else(|| is_given_up.then(|| Err(no_file_error())))
     })
     .await
 }
@@ -157,8 +159,9 @@ pub async fn open_with_retry(
             Ok(mut opening) => {
                 let slow_at = scheduler.clock().now().plus_ns(SLOW_AFTER.as_nanos() as i64);
                 let is_slow = || scheduler.clock().now() >= slow_at;
-                let opened = || opening.poll().map(Some).or_else(|| is_slow().then_some(None));
-                match until(&**scheduler, STOP_PERIOD, opened).await {
+                // `Some(None)` ends the first wait, for the warning.
+                let opened_or_slow = || opening.poll().map(Some).or_else(|| is_slow().then_some(None));
+                match until(&**scheduler, STOP_PERIOD, opened_or_slow).await {
                     Some(opened) => opened,
                     None => {
                         tracing::warn!("{SLOW_BUS}");
@@ -177,8 +180,8 @@ pub async fn open_with_retry(
             logged.clone_from(&problem);
         }
         let retry_at = scheduler.clock().now().plus_ns(RETRY_PERIOD.as_nanos() as i64);
-        let is_over = || (stop.is_stopped() || scheduler.clock().now() >= retry_at).then_some(());
-        until(&**scheduler, STOP_PERIOD, is_over).await;
+        let pause_is_over = || (stop.is_stopped() || scheduler.clock().now() >= retry_at).then_some(());
+        until(&**scheduler, STOP_PERIOD, pause_is_over).await;
         if stop.is_stopped() {
             return Err(RunError::Waiting { cause: stop.cause(), problem });
         }

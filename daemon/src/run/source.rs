@@ -1,4 +1,5 @@
-//! Derives wire, clock and plan from the request, and checks them, before a thread starts.
+//! Derives the wire (network interface, simulated or replaying segment), the clock and the plan of the bus from a request and
+//! the configuration, before a thread starts.
 
 use std::path::Path;
 use std::time::Duration;
@@ -154,7 +155,7 @@ fn prepare_replay(
     let (recording, source, handle) = open_replay(path)?;
     let encoders = &recording.run.encoders;
     // A replay has at least one row.
-    let first = recording.cycles.first().map(|record| record.sample_time);
+    let first_sample = recording.cycles.first().map(|record| record.sample_time);
     let (wire, _) = in_process(&replaying_segment(&recording), Box::new(source), &clock, faults);
     let mut prepared = Prepared::from_config(wire, clock, SIMULATED_BUS, daemon, bar);
     prepared.plan.encoders = encoders
@@ -171,7 +172,7 @@ fn prepare_replay(
     prepared.plan.sync0_shift = prepared.plan.cycle_period / 2;
     prepared.encoders.clone_from(encoders);
     prepared.replay_of = Some(recording.run.origin());
-    prepared.replay = first.map(|first| (handle, first));
+    prepared.replay = first_sample.map(|time| (handle, time));
     prepared.cycles = Some(recording.cycles.len() as u64);
     Ok(prepared)
 }

@@ -1,4 +1,5 @@
-//! The check of the cable between this PC and the coupler, which is pulled and plugged in again.
+//! The check of the cable between this PC and the coupler, which is pulled and plugged in again: the flags of the records show
+//! whether it is out, and whether the bus then returns to operation.
 
 use shared::recording::schema::{CycleRecord, flags};
 
@@ -53,14 +54,14 @@ impl<'a> Pull<'a> {
 
     /// Takes a cycle; false once the check is over.
     pub fn take(&mut self, record: &CycleRecord, print: &mut dyn FnMut(&str)) -> bool {
-        let (shows_next, for_s) = match self.state {
+        let (shows_next, wanted_s) = match self.state {
             Cable::In => (record.flags & (flags::NO_REPLY | flags::BUS_DOWN) != 0, OUT_S),
             Cable::Out => (record.flags & BUS_FLAGS == 0, BACK_S),
             Cable::Back => return false,
         };
         self.waited += 1;
         self.in_a_row = if shows_next { self.in_a_row + 1 } else { 0 };
-        if self.in_a_row >= for_s * self.cycles_per_s {
+        if self.in_a_row >= wanted_s * self.cycles_per_s {
             self.state = if self.state == Cable::In { Cable::Out } else { Cable::Back };
             (self.waited, self.in_a_row) = (0, 0);
             self.ask(print);

@@ -1,4 +1,6 @@
-//! Figures of cycles on a bus in operation, and the checks that follow from them.
+//! Figures of cycles on a bus in operation, and the checks that follow from them. The records and events of a session are
+//! counted by flag, working counter, status of the encoders and code; a check compares its count with the limit of
+//! `smoke.toml`. Used by the smoke test at each rate, and while the cable is pulled.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -53,15 +55,21 @@ pub struct Figures {
     pub realtime: Option<String>,
     #[serde(skip)]
     names: BusNames,
-    /// Cycles that are bad by [`CYCLE_FLAGS`], by [`DEVICE_FLAGS`], and those without a synchronised new sample.
+    /// Cycles that are bad by [`CYCLE_FLAGS`].
     #[serde(skip)]
-    bad: [u64; 3],
+    bad_cycles: u64,
+    /// Cycles that are bad by [`DEVICE_FLAGS`].
+    #[serde(skip)]
+    device_bad_cycles: u64,
+    /// Other cycles without a synchronised new sample.
+    #[serde(skip)]
+    unsynchronised_cycles: u64,
     /// The previous cycle was bad: a terminal that misses a frame reports it in the next.
     #[serde(skip)]
     was_bad: bool,
-    /// First and last sample.
+    /// Time of the first sample, on the bus' clock and in UTC.
     #[serde(skip)]
-    span: Option<[(DcNs, UtcNs); 2]>,
+    first_sample: Option<(DcNs, UtcNs)>,
 }
 
 /// Figures of one encoder's terminal.
@@ -77,7 +85,7 @@ pub struct EncoderFigures {
     pub frequency_errors: u64,
     /// Cycles with a synchronisation error.
     pub sync_errors: u64,
-    /// The last count, and its status word.
+    /// Count of the last cycle.
     pub count: u32,
     /// Status word of the last cycle.
     pub status: u16,
@@ -127,22 +135,22 @@ impl Figures {
         stop: &Stop,
         mut continues: impl FnMut(&CycleRecord) -> bool,
     ) {
-        let own = Stop::default();
-        let mut source = session.begin_watch(duration, &own);
+        let watch_stop = Stop::default();
+        let mut source = session.begin_watch(duration, &watch_stop);
         until(&*session.scheduler, PERIOD, || {
             if stop.is_stopped() {
-                own.stop(&stop.cause());
+                watch_stop.stop(&stop.cause());
             }
             // Read before emptying: cycles before the end are still taken.
             let is_last = source.is_over();
             while let Some(record) = source.take() {
-                self.take(&record);
+                self.add(&record);
                 if !continues(&record) {
-                    own.stop("nothing more to count");
+                    watch_stop.stop("nothing more to count");
                 }
             }
             while let Some(event) = source.take_event() {
-                self.take_event(&event);
+                self.add_event(&event);
             }
             // This empties the ring of the timing.
             self.timing = source.timing();
@@ -151,12 +159,12 @@ impl Figures {
         .await;
     }
 
-    fn take(&mut self, record: &CycleRecord) {
+    fn add(&mut self, record: &CycleRecord) {
         // Cycle numbers are consecutive: missing ones found the ring full.
         let lost = record.cycle.saturating_sub(self.cycles);
         if lost > 0 {
             *self.flags.entry("lost").or_default() += lost;
-            self.bad[0] += lost;
+            self.bad_cycles += lost;
         }
         self.cycles = record.cycle + 1;
         self.cycles_valid += u64::from(record.is_valid());
@@ -164,18 +172,20 @@ impl Figures {
             *self.flags.entry(name).or_default() += 1;
         }
         let is_bad = record.flags & CYCLE_FLAGS != 0;
-        let is_devices = record.flags & DEVICE_FLAGS != 0;
-        let follows_bad = std::mem::replace(&mut self.was_bad, is_bad || is_devices) || lost > 0;
+        let is_device_bad = record.flags & DEVICE_FLAGS != 0;
+        let follows_bad = std::mem::replace(&mut self.was_bad, is_bad || is_device_bad) || lost > 0;
         let is_sync_error = record.encoders().iter().any(|encoder| Status(encoder.status).sync_error());
         let is_unsynchronised = record.flags & flags::STALE_INPUT != 0 || is_sync_error;
-        let bad = [is_bad, is_devices, is_unsynchronised && !is_bad && !is_devices && !follows_bad];
-        self.bad.iter_mut().zip(bad).for_each(|(count, is_bad)| *count += u64::from(is_bad));
+        let has_other_cause = is_bad || is_device_bad || follows_bad;
+        self.bad_cycles += u64::from(is_bad);
+        self.device_bad_cycles += u64::from(is_device_bad);
+        self.unsynchronised_cycles += u64::from(is_unsynchronised && !has_other_cause);
         self.working_counter_expected = record.working_counter_expected;
         if is_bad {
             return;
         }
         *self.working_counters.entry(record.working_counter).or_default() += 1;
-        if is_devices {
+        if is_device_bad {
             // A terminal that is absent writes no inputs.
             return;
         }
@@ -189,14 +199,13 @@ impl Figures {
         }
         let clocks = &mut self.clocks;
         clocks.uncertainty_ns_max = clocks.uncertainty_ns_max.max(record.sample_time_uncertainty_ns);
-        let sample = (record.dc_time, record.sample_time);
-        let [first, _] = *self.span.get_or_insert([sample; 2]);
-        self.span = Some([first, sample]);
-        let (bus_ns, utc_ns) = (sample.0.ns_since(first.0), sample.1.ns_since(first.1));
+        let (dc_time, sample_time) = (record.dc_time, record.sample_time);
+        let (first_dc_time, first_sample_time) = *self.first_sample.get_or_insert((dc_time, sample_time));
+        let (bus_ns, utc_ns) = (dc_time.ns_since(first_dc_time), sample_time.ns_since(first_sample_time));
         clocks.host_rate_ppm = (bus_ns > 0).then(|| 1e6 * (utc_ns - bus_ns) as f64 / bus_ns as f64);
     }
 
-    fn take_event(&mut self, event: &CycleEvent) {
+    fn add_event(&mut self, event: &CycleEvent) {
         if let Some(counts) = event.port_counts() {
             self.ports.retain(|port| (port.position, port.port) != (counts.position, counts.port));
             self.ports.push(counts);
@@ -213,34 +222,34 @@ impl Figures {
     pub fn checks(
         &self,
         config: &SmokeConfig,
-        asked: CyclesConfig,
+        wanted: CyclesConfig,
         distributed_clocks: bool,
     ) -> [(Subject, Outcome); 5] {
-        let of_replies = |outcome: Outcome| match self.working_counters.is_empty() {
+        let needs_replies = |outcome: Outcome| match self.working_counters.is_empty() {
             true => Outcome::NotDone { because: Reason::After(Subject::Cycles) },
             false => outcome,
         };
-        let if_asked = |is_asked: bool, key, outcome: Outcome| match is_asked {
-            true => of_replies(outcome),
+        let if_enabled = |is_enabled: bool, key, outcome: Outcome| match is_enabled {
+            true => needs_replies(outcome),
             false => Outcome::NotDone { because: Reason::NotAsked(key) },
         };
-        let allowed = (config.bad_share_max * asked.cycles() as f64) as u64;
-        let clocks = if_asked(distributed_clocks, "distributed_clocks", self.clocks_outcome(allowed));
+        let allowed = (config.bad_share_max * wanted.cycles() as f64) as u64;
+        let clocks = if_enabled(distributed_clocks, "distributed_clocks", self.clocks_outcome(allowed));
         [
-            (Subject::Cycles, self.cycles_outcome(asked, allowed)),
-            (Subject::WorkingCounter, of_replies(self.devices_outcome())),
+            (Subject::Cycles, self.cycles_outcome(wanted, allowed)),
+            (Subject::WorkingCounter, needs_replies(self.devices_outcome())),
             (Subject::DistributedClocks, clocks),
-            (Subject::Signals, if_asked(config.signals, "signals", self.signals_outcome(allowed))),
-            (Subject::Cables, of_replies(self.cables_outcome())),
+            (Subject::Signals, if_enabled(config.signals, "signals", self.signals_outcome(allowed))),
+            (Subject::Cables, needs_replies(self.cables_outcome())),
         ]
     }
 
-    fn cycles_outcome(&self, asked: CyclesConfig, allowed: u64) -> Outcome {
-        let [bad, ..] = self.bad;
+    fn cycles_outcome(&self, wanted: CyclesConfig, allowed: u64) -> Outcome {
+        let bad = self.bad_cycles;
         let flagged: Vec<_> = self.flags.iter().map(|(name, count)| format!("{name} {count}")).collect();
         let found = format!("{} of {} cycles without reply, late or lost", bad, self.cycles);
         let found = if flagged.is_empty() { found } else { format!("{found} ({})", flagged.join(", ")) };
-        if bad <= allowed && self.cycles >= asked.cycles() {
+        if bad <= allowed && self.cycles >= wanted.cycles() {
             return Outcome::passed(found);
         }
         let problem = Problem::from(match self.flags.get("no_reply") {
@@ -251,12 +260,12 @@ impl Figures {
             true => problem.remedy.clone(),
             false => "run `ballbard tune`; if this PC is not late, replace the cable to the coupler".into(),
         };
-        let expected = format!("{} cycles, of which at most {allowed} are bad", asked.cycles());
+        let expected = format!("{} cycles, of which at most {allowed} are bad", wanted.cycles());
         Outcome::Failed { expected, found, remedy, code: Some(problem.code()) }
     }
 
     fn devices_outcome(&self) -> Outcome {
-        let [_, bad, _] = self.bad;
+        let bad = self.device_bad_cycles;
         let expected = self.working_counter_expected;
         if bad == 0 {
             return Outcome::passed(format!("{expected} in every reply"));
@@ -272,7 +281,7 @@ impl Figures {
     }
 
     fn clocks_outcome(&self, allowed: u64) -> Outcome {
-        let [.., unsynchronised] = self.bad;
+        let unsynchronised = self.unsynchronised_cycles;
         let jumps = self.flags.get("no_dc").copied().unwrap_or(0);
         let found = format!(
             "{unsynchronised} cycles stale or with a synchronisation error, {jumps} with a wrong bus time; host {:+.2} ppm, \

@@ -39,7 +39,7 @@ impl Host {
         let processors = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
         let model = processors.lines().find(|line| line.starts_with("model name"));
         Self {
-            kernel: line("/proc/sys/kernel/osrelease"),
+            kernel: trimmed_text("/proc/sys/kernel/osrelease"),
             kernel_version: machine.kernel_version.as_deref().map(|version| version.trim().to_owned()),
             processor: model.and_then(|line| Some(line.split_once(':')?.1.trim().to_owned())),
             interface: interface.map(Interface::read),
@@ -52,10 +52,10 @@ impl Interface {
     fn read(name: &str) -> Self {
         let driver = fs::read_link(format!("/sys/class/net/{name}/device/driver")).ok();
         let driver = driver.and_then(|path| Some(path.file_name()?.to_str()?.to_owned()));
-        Self { driver, speed_mbit_s: line(&format!("/sys/class/net/{name}/speed")) }
+        Self { driver, speed_mbit_s: trimmed_text(&format!("/sys/class/net/{name}/speed")) }
     }
 }
 
-fn line(path: &str) -> Option<String> {
+fn trimmed_text(path: &str) -> Option<String> {
     Some(fs::read_to_string(path).ok()?.trim().to_owned())
 }

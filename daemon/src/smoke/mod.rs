@@ -1,7 +1,8 @@
-//! Smoke test: the first minutes of a bus, check by check, with a report to send back.
+//! Smoke test (`ballbard smoke`): the first minutes of a bus, check by check, with a [`Report`] to send back.
 //!
 //! The simulated segment was written from documents; this test shows differences of real devices. Bring-up and cycles are
-//! those of every run. The records from the ring are counted instead of written.
+//! those of every run. The records from the ring are counted instead of written. A check that needs an earlier one to pass is
+//! reported as not done.
 
 mod cable;
 mod check;
@@ -79,11 +80,11 @@ pub async fn smoke(
     // A session watches the disk of its runs, although none is recorded.
     let storage = Storage::new(daemon, &**scheduler).map_err(|error| RunError::Thread(error.to_string()))?;
     let mut test = Test { scheduler, bench, report, storage, blocked: None, not_up: BTreeMap::new(), print };
-    for asked in &smoke.cycles {
-        test.cycles(*asked).await;
+    for wanted in &smoke.cycles {
+        test.check_cycles(*wanted).await;
     }
-    test.with_person(Subject::Homing, (smoke.homing, "homing"), Test::home).await;
-    test.with_person(Subject::PulledCable, (smoke.pulled_cable, "pulled_cable"), Test::pull).await;
+    test.check_with_person(Subject::Homing, smoke.homing, "homing", Test::home).await;
+    test.check_with_person(Subject::PulledCable, smoke.pulled_cable, "pulled_cable", Test::pull_cable).await;
     Ok(test.report)
 }
 
@@ -113,15 +114,15 @@ impl Test<'_> {
             return Err(reason.clone());
         }
         let Bench { daemon, bar, request, stop, .. } = *self.bench;
-        // A test does not end because no encoder gives samples.
-        let own = DaemonConfig {
+        // Another rate needs its own time for a reply. A test does not end because no encoder gives samples.
+        let test_daemon = DaemonConfig {
             rate_hz,
             reply_timeout_us: None,
             full_fault_s: u32::MAX,
             ring_s: RING_S,
             ..daemon.clone()
         };
-        match run::open_with_retry(self.scheduler, &self.storage, request, &own, bar, stop).await {
+        match run::open_with_retry(self.scheduler, &self.storage, request, &test_daemon, bar, stop).await {
             Ok(session) => {
                 self.identify(session.devices(), Outcome::passed(self.devices_expected()));
                 Ok(session)
@@ -130,6 +131,7 @@ impl Test<'_> {
         }
     }
 
+    /// Adds the failed check, and returns the reason for all that depend on it.
     fn not_connected(&mut self, rate_hz: u32, error: &RunError) -> Reason {
         let stop = self.bench.stop;
         if stop.is_stopped() {
@@ -169,6 +171,7 @@ impl Test<'_> {
         self.block(Reason::After(subject))
     }
 
+    /// Ends the test: no further check can be done.
     fn block(&mut self, because: Reason) -> Reason {
         self.blocked.insert(because).clone()
     }
@@ -191,13 +194,14 @@ impl Test<'_> {
         self.add(Subject::Interface, None, interface);
         self.add(Subject::Devices, None, outcome);
         if !devices.is_empty() {
-            let revisions = self.revisions(devices);
+            let revisions = self.revisions_outcome(devices);
             self.add(Subject::Revisions, None, revisions);
         }
     }
 
-    fn revisions(&self, devices: &[DeviceInfo]) -> Outcome {
+    fn revisions_outcome(&self, devices: &[DeviceInfo]) -> Outcome {
         let SmokeConfig { coupler_revisions, terminal_revisions, .. } = self.bench.smoke;
+        // The upper half of the number is the revision of Beckhoff's type designation.
         let revision = |device: &DeviceInfo| (device.revision >> 16) as u16;
         let is_known = |device: &&DeviceInfo| {
             let known = if device.position == 0 { coupler_revisions } else { terminal_revisions };
@@ -216,15 +220,16 @@ impl Test<'_> {
         }
     }
 
-    async fn cycles(&mut self, asked: CyclesConfig) {
-        let rate_hz = Some(asked.rate_hz);
-        let outcomes = match self.connect(asked.rate_hz).await {
+    /// Adds the checks of bring-up and cycles at one rate.
+    async fn check_cycles(&mut self, wanted: CyclesConfig) {
+        let rate_hz = Some(wanted.rate_hz);
+        let outcomes = match self.connect(wanted.rate_hz).await {
             Ok(session) => {
                 let off_ns = session.clocks().iter().map(|clock| clock.difference_ns.abs()).max();
                 let clocks = off_ns.map_or(String::new(), |off_ns| format!(", clocks within {off_ns} ns"));
                 let found = format!("every device in OP{clocks}");
                 self.add(Subject::BringUp, rate_hz, Outcome::passed(found));
-                self.outcomes(session, asked).await
+                self.cycle_outcomes(session, wanted).await
             }
             Err(because) => Err(because),
         };
@@ -232,20 +237,20 @@ impl Test<'_> {
             Ok(outcomes) => {
                 outcomes.into_iter().for_each(|(subject, outcome)| self.add(subject, rate_hz, outcome))
             }
-            Err(because) => self.not_done(asked.rate_hz, &because),
+            Err(because) => self.add_not_done(wanted.rate_hz, &because),
         }
     }
 
     /// Figures of cycles on a bus in operation, and their checks.
-    async fn outcomes(
+    async fn cycle_outcomes(
         &mut self,
         session: Session,
-        asked: CyclesConfig,
+        wanted: CyclesConfig,
     ) -> Result<[(Subject, Outcome); 5], Reason> {
         let Bench { smoke, daemon, stop, .. } = *self.bench;
-        let mut figures = Figures::new(&session, asked.rate_hz);
-        figures.count(&session, Some(asked.duration()), stop, |_| true).await;
-        let outcomes = figures.checks(smoke, asked, daemon.distributed_clocks);
+        let mut figures = Figures::new(&session, wanted.rate_hz);
+        figures.count(&session, Some(wanted.duration()), stop, |_| true).await;
+        let outcomes = figures.checks(smoke, wanted, daemon.distributed_clocks);
         self.report.cycles.push(figures);
         close(session).await;
         match stop.is_stopped() {
@@ -255,14 +260,14 @@ impl Test<'_> {
     }
 
     /// Adds the checks that cannot be done at a rate.
-    fn not_done(&mut self, rate_hz: u32, because: &Reason) {
+    fn add_not_done(&mut self, rate_hz: u32, because: &Reason) {
         use Subject::{
             BringUp, Cables, Cycles, Devices, DistributedClocks, Revisions, Signals, WorkingCounter,
         };
         let of_rate = [BringUp, Cycles, WorkingCounter, DistributedClocks, Signals, Cables];
-        let whole = [Subject::Interface, Devices, Revisions].map(|subject| (subject, None));
-        let all = whole.into_iter().chain(of_rate.map(|subject| (subject, Some(rate_hz))));
-        for (subject, rate_hz) in all {
+        let of_bus = [Subject::Interface, Devices, Revisions].map(|subject| (subject, None));
+        let checks = of_bus.into_iter().chain(of_rate.map(|subject| (subject, Some(rate_hz))));
+        for (subject, rate_hz) in checks {
             if !self.is_done(subject, rate_hz) {
                 self.add(subject, rate_hz, Outcome::NotDone { because: because.clone() });
             }
@@ -270,22 +275,24 @@ impl Test<'_> {
     }
 
     /// Rate of homing and of the pulled cable: the lowest.
-    fn rate_hz(&self) -> u32 {
-        self.bench.smoke.cycles.iter().map(|asked| asked.rate_hz).min().unwrap_or(self.bench.daemon.rate_hz)
+    fn lowest_rate_hz(&self) -> u32 {
+        self.bench.smoke.cycles.iter().map(|wanted| wanted.rate_hz).min().unwrap_or(self.bench.daemon.rate_hz)
     }
 
     /// Adds a check that needs a person, if it is enabled under `key` of the configuration.
-    async fn with_person(
+    async fn check_with_person(
         &mut self,
         subject: Subject,
-        (is_asked, key): (bool, &'static str),
+        is_enabled: bool,
+        key: &'static str,
         check: impl AsyncFnOnce(&mut Self, &Session) -> Outcome,
     ) {
-        let has_hands = self.bench.has_person || self.bench.request.bus == BusChoice::Simulated;
-        let session = match (is_asked, has_hands) {
+        // On the simulated bus the program turns the joints and pulls the cable.
+        let is_possible = self.bench.has_person || self.bench.request.bus == BusChoice::Simulated;
+        let session = match (is_enabled, is_possible) {
             (false, _) => Err(Reason::NotAsked(key)),
             (true, false) => Err(Reason::NoPerson),
-            (true, true) => self.connect(self.rate_hz()).await,
+            (true, true) => self.connect(self.lowest_rate_hz()).await,
         };
         let outcome = match session {
             Ok(session) => {
@@ -329,10 +336,10 @@ impl Test<'_> {
         }
     }
 
-    async fn pull(&mut self, session: &Session) -> Outcome {
+    async fn pull_cable(&mut self, session: &Session) -> Outcome {
         let stop = self.bench.stop;
-        let mut figures = Figures::new(session, self.rate_hz());
-        let mut pull = Pull::new(session, self.rate_hz().into());
+        let mut figures = Figures::new(session, self.lowest_rate_hz());
+        let mut pull = Pull::new(session, self.lowest_rate_hz().into());
         pull.ask(self.print);
         figures.count(session, None, stop, |record| pull.take(record, self.print)).await;
         self.report.pulled_cable = Some(figures);

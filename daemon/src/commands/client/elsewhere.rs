@@ -83,11 +83,11 @@ impl Elsewhere<'_> {
     pub fn agent(&self, config: ConfigBuilder<AgentScope>) -> anyhow::Result<ureq::Agent> {
         let mut bearer = HeaderValue::try_from(format!("Bearer {}", self.token()?))?;
         bearer.set_sensitive(true);
-        let show = move |mut request: Request<SendBody>, next: MiddlewareNext| {
+        let add_token = move |mut request: Request<SendBody>, next: MiddlewareNext| {
             request.headers_mut().insert(AUTHORIZATION, bearer.clone());
             next.handle(request)
         };
-        let config = config.https_only(true).max_redirects(0).middleware(show).build();
+        let config = config.https_only(true).max_redirects(0).middleware(add_token).build();
         let connector = ().chain(TcpConnector::default()).chain(Pinned(self.tls()?));
         Ok(ureq::Agent::with_parts(config, connector, DefaultResolver::default()))
     }
@@ -200,15 +200,15 @@ impl<In: Transport> Connector<In> for Pinned {
         chained: Option<In>,
     ) -> Result<Option<OverTls<In>>, ureq::Error> {
         let Some(transport) = chained else { return Ok(None) };
-        let other = |error: rustls::Error| ureq::Error::Other(refused(&error).into());
+        let tls_failed = |error: rustls::Error| ureq::Error::Other(tls_problem(&error).into());
         let host = details.uri.host().unwrap_or_default().trim_matches(['[', ']']).to_owned();
         let name = ServerName::try_from(host).map_err(|error| ureq::Error::Other(error.into()))?;
-        let mut connection = ClientConnection::new(Arc::clone(&self.0), name).map_err(other)?;
+        let mut connection = ClientConnection::new(Arc::clone(&self.0), name).map_err(tls_failed)?;
         let mut socket = TransportAdapter::new(transport, Arc::clone(&details.current_time));
         socket.set_timeout(details.timeout);
         connection.complete_io(&mut socket).map_err(|error| {
             match error.get_ref().and_then(|inner| inner.downcast_ref()) {
-                Some(inner) => ureq::Error::Other(refused(inner).into()),
+                Some(inner) => ureq::Error::Other(tls_problem(inner).into()),
                 None => error.into(),
             }
         })?;
@@ -219,7 +219,7 @@ impl<In: Transport> Connector<In> for Pinned {
 }
 
 /// Why the TLS connection failed.
-fn refused(error: &rustls::Error) -> String {
+fn tls_problem(error: &rustls::Error) -> String {
     match error {
         rustls::Error::General(text) => text.clone(),
         rustls::Error::InvalidMessage(_) => "the server does not use TLS; give the port of --listen".into(),

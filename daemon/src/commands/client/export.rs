@@ -39,8 +39,8 @@ pub struct ExportArguments {
 pub fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
     let ExportArguments { relative, excel, service, .. } = arguments;
     let layout = Layout { relative: *relative, excel: *excel };
-    let (source, beside) = find(&arguments.recording, service)?;
-    let out = arguments.out.clone().unwrap_or_else(|| beside.with_extension("csv"));
+    let (source, recording_path) = find(&arguments.recording, service)?;
+    let out = arguments.out.clone().unwrap_or_else(|| recording_path.with_extension("csv"));
     if out == Path::new("-") {
         if service.format.json {
             bail!(
@@ -50,8 +50,9 @@ pub fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
         let written = source.write_csv(layout, service, BufWriter::new(io::stdout().lock()));
         return match written.map_err(anyhow::Error::downcast::<io::Error>) {
             Ok(_) => Ok(()),
-            Err(Ok(error)) => Ok(unless_gone(Err(error))?),
-            Err(Err(error)) => Err(error),
+            // A reader of standard output that has closed it, such as `head`, is not an error.
+            Err(Ok(io_error)) => Ok(unless_gone(Err(io_error))?),
+            Err(Err(other)) => Err(other),
         };
     }
     if out.exists() && !arguments.force {
@@ -60,7 +61,7 @@ pub fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
     if let Some(directory) = out.parent().filter(|path| !path.as_os_str().is_empty() && !path.is_dir()) {
         bail!("--out: the directory {} does not exist; create it, or name another", directory.display());
     }
-    // Under its final name the table is complete.
+    // Renamed at the end: under its final name the table is complete.
     let part = out.with_extension("csv.part");
     let sink = File::create(&part).with_context(|| format!("cannot create {}", part.display()))?;
     let rows = source
@@ -114,8 +115,8 @@ fn find(recording: &Path, service: &ServiceArguments) -> anyhow::Result<(Source,
     else {
         bail!("no file and no finished run is called `{name}`; `ballbard runs` lists them")
     };
-    let beside = PathBuf::from(format!("{name}.mcap"));
+    let path_here = PathBuf::from(format!("{name}.mcap"));
     let source =
         if service.is_elsewhere() { Source::Elsewhere(Box::new(line)) } else { Source::File(line.file) };
-    Ok((source, beside))
+    Ok((source, path_here))
 }

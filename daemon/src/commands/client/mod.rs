@@ -1,4 +1,5 @@
-//! Commands that use a running service, of this machine or another.
+//! Commands that use a running service, of this machine over HTTP or of another over TLS ([`elsewhere`]): [`ServiceArguments`]
+//! has its address, sends a request and reads the reply or the refusal.
 
 mod elsewhere;
 pub mod export;
@@ -73,7 +74,7 @@ impl ServiceArguments {
 
     /// A request that changes nothing.
     pub fn get<T: DeserializeOwned>(&self, path: &str) -> anyhow::Result<T> {
-        self.answer(path, |agent, url| agent.get(url).call(), understood)
+        self.answer(path, |agent, url| agent.get(url).call(), read_json)
     }
 
     /// A file from the service of another machine; local files are read directly.
@@ -82,18 +83,18 @@ impl ServiceArguments {
         path: &str,
         read: impl FnOnce(&mut dyn Read) -> anyhow::Result<T>,
     ) -> anyhow::Result<T> {
-        let asked = |agent: &ureq::Agent, url: &str| {
+        let get = |agent: &ureq::Agent, url: &str| {
             // No limit of the total time, but of pauses.
             agent.get(url).config().timeout_global(None).timeout_per_read(Some(TIMEOUT)).build().call()
         };
-        self.answer(path, asked, |mut response| {
+        self.answer(path, get, |mut response| {
             read(&mut response.body_mut().with_config().limit(u64::MAX).reader())
         })
     }
 
     /// A request that changes something.
     pub fn post<T: DeserializeOwned>(&self, path: &str, body: &impl Serialize) -> anyhow::Result<T> {
-        self.answer(path, |agent, url| agent.post(url).send_json(body), understood)
+        self.answer(path, |agent, url| agent.post(url).send_json(body), read_json)
     }
 
     /// Whether the service is on another machine.
@@ -113,7 +114,7 @@ impl ServiceArguments {
         ask: impl FnOnce(&ureq::Agent, &str) -> Result<Response, ureq::Error>,
         read: impl FnOnce(Response) -> anyhow::Result<T>,
     ) -> anyhow::Result<T> {
-        let (agent, url) = self.reached(path)?;
+        let (agent, url) = self.agent_and_url(path)?;
         let mut response = match ask(&agent, &url) {
             Ok(response) => response,
             Err(ureq::Error::Other(why)) => bail!("{url}: {why}"),
@@ -133,7 +134,7 @@ impl ServiceArguments {
         }
     }
 
-    fn reached(&self, path: &str) -> anyhow::Result<(ureq::Agent, String)> {
+    fn agent_and_url(&self, path: &str) -> anyhow::Result<(ureq::Agent, String)> {
         let config = ureq::Agent::config_builder()
             .http_status_as_error(false)
             .proxy(None)
@@ -165,7 +166,7 @@ impl ServiceArguments {
 
 type Response = ureq::http::Response<ureq::Body>;
 
-fn understood<T: DeserializeOwned>(mut response: Response) -> anyhow::Result<T> {
+fn read_json<T: DeserializeOwned>(mut response: Response) -> anyhow::Result<T> {
     let answer = response.body_mut().read_json();
     answer.context("the service's reply is invalid; are both programs of the same version?")
 }

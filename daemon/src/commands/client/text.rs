@@ -54,6 +54,7 @@ pub fn ensure_usable(name: &str, verdict: Option<&Verdict>) -> anyhow::Result<()
     }
 }
 
+/// A run that is being recorded.
 pub fn running(run: &RunStatus) -> String {
     let age = run.sync_age_ms.map_or("nothing on disk yet".into(), |age| format!("all up to {age} ms ago"));
     format!(
@@ -71,6 +72,7 @@ pub fn running(run: &RunStatus) -> String {
     )
 }
 
+/// A run that has ended.
 pub fn last_run(last: &LastRun) -> String {
     let LastRun { name, file, cycles, cycles_valid, cycles_lost, cause, provenance, .. } = last;
     let flagged = cycles - cycles_valid.min(cycles);
@@ -86,15 +88,16 @@ pub fn next_step(name: &str, command: &str) -> String {
     format!("next: save the log of the robot's controller as {name}.csv, then type\n  {command}")
 }
 
+/// A recording as a line of the list.
 fn listed(line: &RunLine) -> String {
     let started = line.started.map_or(String::from("?"), |at| {
         at.to_datetime().with_timezone(&chrono::Local).format("%Y-%m-%d %H:%M:%S %:z").to_string()
     });
     let verdict = line.verdict.as_ref().map(ToString::to_string);
-    let verdict = verdict.into_iter().chain(Some(line.cause.clone()).filter(|cause| !cause.is_empty()));
-    let verdict = verdict.collect::<Vec<_>>().join("; ");
+    let cause = Some(line.cause.clone()).filter(|cause| !cause.is_empty());
+    let result = verdict.into_iter().chain(cause).collect::<Vec<_>>().join("; ");
     let mut text = format!(
-        "{:<28} {started:<26}  {:>8.1} s {:>8} cycles  {verdict}",
+        "{:<28} {started:<26}  {:>8.1} s {:>8} cycles  {result}",
         line.name, line.length_s, line.cycles
     );
     if !line.provenance.is_measured() {

@@ -1,4 +1,5 @@
-//! Connections of clients. No client can keep the service from its work or from its end.
+//! Connections of clients: each is served by a task that hands its request to the routes of the API and sends the reply. No
+//! client can keep the service from its work or from its end.
 //!
 //! Each connection has one request and limited time: a client has five seconds to send its request, is dropped before that
 //! if others need its place, and is disconnected if it stops reading its reply. Few connections are open at a time,
@@ -41,10 +42,10 @@ const REQUEST_TIMEOUT: Duration = Duration::from_secs(5);
 /// How long a reply may take to begin: longer than `stop` waits for the disk.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(40);
 /// A client that reads nothing of its reply for this time is disconnected \[ms\].
-const TAKES_NOTHING_MS: u32 = 10_000;
+const UNREAD_TIMEOUT_MS: u32 = 10_000;
 const CLOSE: HeaderValue = HeaderValue::from_static("close");
 /// How long the end of the service waits for replies that are being sent.
-const FAREWELL: Duration = Duration::from_secs(1);
+const FINISH_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Open connections, the oldest first.
 pub(super) struct Connections {
@@ -82,7 +83,7 @@ impl Connections {
         }
         if let Client::Local(stream) | Client::Tls(stream, _) = &client {
             // Sent data wait in the kernel, which alone knows whether the client reads. A stream without the option works, too.
-            let _ = setsockopt(stream, TcpUserTimeout, &TAKES_NOTHING_MS);
+            let _ = setsockopt(stream, TcpUserTimeout, &UNREAD_TIMEOUT_MS);
         }
         let has_asked = Arc::new(AtomicBool::new(false));
         let asked = Arc::clone(&has_asked);
@@ -116,10 +117,11 @@ impl Connections {
             }
         };
         // Replies that are not read within that time are lost; the tasks end with the runtime.
-        let _ = timeout(FAREWELL, answers).await;
+        let _ = timeout(FINISH_TIMEOUT, answers).await;
     }
 }
 
+/// Serves a connection until it is closed.
 async fn converse(
     stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static,
     peer: Peer,
@@ -136,6 +138,7 @@ async fn converse(
     let _ = connection.await;
 }
 
+/// The reply to a request, once its body is complete.
 async fn answer(
     request: hyper::Request<Incoming>,
     peer: Peer,

@@ -35,6 +35,8 @@ const ASKED_BYTES_MAX: usize = 16 * 1024;
 const PING_PERIOD: Duration = Duration::from_secs(5);
 /// Opcode of a message's data.
 const MESSAGE_DATA: u8 = 1;
+/// Opcode, subscription and time before the data \[bytes\].
+const HEADER_BYTES: usize = 1 + 4 + 8;
 
 /// Messages of clients (protocol, "op").
 #[derive(Debug, Deserialize)]
@@ -59,7 +61,7 @@ struct Subscription {
 
 /// Level of a status, in the protocol's numbers.
 #[derive(Clone, Copy)]
-enum Grave {
+enum StatusLevel {
     Warning = 1,
     Error = 2,
 }
@@ -88,19 +90,20 @@ pub(super) async fn connect(
     };
     upgrade.on_upgrade(async move |socket| {
         // A client that disconnects affects only itself.
-        let _ = show(socket, &tap, &service).await;
+        let _ = publish(socket, &tap, &service).await;
         drop(place);
     })
 }
 
 /// Sends until the client or the service ends. A client that reads too slowly misses messages and is informed of that.
-async fn show(mut socket: WebSocket, tap: &LiveTap, service: &Service) -> Result<(), axum::Error> {
+async fn publish(mut socket: WebSocket, tap: &LiveTap, service: &Service) -> Result<(), axum::Error> {
     let mut messages = tap.listen();
     let mut client = Client::default();
     let mut pings = tokio::time::interval(PING_PERIOD);
     pings.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    for hello in [json!({"op": "serverInfo", "name": "ballbard", "capabilities": []}), advertised()] {
-        socket.send(text(&hello)).await?;
+    let server_info = json!({"op": "serverInfo", "name": "ballbard", "capabilities": []});
+    for greeting in [server_info, advertised()] {
+        socket.send(text(&greeting)).await?;
     }
     loop {
         let answer = tokio::select! {
@@ -114,7 +117,7 @@ async fn show(mut socket: WebSocket, tap: &LiveTap, service: &Service) -> Result
             message = messages.recv() => match message {
                 Ok(message) => client.data(&message),
                 Err(RecvError::Lagged(missed)) => Some(status(
-                    Grave::Warning,
+                    StatusLevel::Warning,
                     &format!("{missed} messages were not sent: the client reads too slowly; the recording has them"),
                 )),
                 Err(RecvError::Closed) => return Ok(()),
@@ -129,7 +132,7 @@ async fn show(mut socket: WebSocket, tap: &LiveTap, service: &Service) -> Result
 /// Subscriptions of a client.
 #[derive(Debug, Default)]
 struct Client {
-    /// The client's numbers, by channel.
+    /// The numbers that the client has given to its subscriptions, by channel.
     subscriptions: BTreeMap<usize, u32>,
 }
 
@@ -138,26 +141,30 @@ impl Client {
     fn handle(&mut self, asked: &str) -> Option<ws::Message> {
         match serde_json::from_str(asked) {
             Ok(Asked::Subscribe { subscriptions }) => {
-                let refused =
-                    subscriptions.iter().filter(|one| !self.subscribe(one)).map(|one| one.id.to_string());
-                let refused: Vec<_> = refused.collect();
+                let mut refused = Vec::new();
+                for subscription in &subscriptions {
+                    if !self.subscribe(subscription) {
+                        refused.push(subscription.id.to_string());
+                    }
+                }
                 let problem = format!(
                     "subscription {} is ignored: no such channel, or already subscribed",
                     refused.join(", ")
                 );
-                (!refused.is_empty()).then(|| status(Grave::Error, &problem))
+                (!refused.is_empty()).then(|| status(StatusLevel::Error, &problem))
             }
             Ok(Asked::Unsubscribe { subscription_ids }) => {
                 self.subscriptions.retain(|_, id| !subscription_ids.contains(id));
                 None
             }
             Ok(Asked::Other) => {
-                Some(status(Grave::Error, "clients may subscribe and unsubscribe, nothing else"))
+                Some(status(StatusLevel::Error, "clients may subscribe and unsubscribe, nothing else"))
             }
-            Err(error) => Some(status(Grave::Error, &format!("invalid request: {error}"))),
+            Err(error) => Some(status(StatusLevel::Error, &format!("invalid request: {error}"))),
         }
     }
 
+    /// False if there is no such channel, or channel or number is in use.
     fn subscribe(&mut self, &Subscription { id, channel_id }: &Subscription) -> bool {
         let is_free = channel_id < TOPICS.len()
             && !self.subscriptions.contains_key(&channel_id)
@@ -172,7 +179,7 @@ impl Client {
     fn data(&self, message: &Arc<Message>) -> Option<ws::Message> {
         let channel = TOPICS.iter().position(|topic| *topic == message.topic)?;
         let id = self.subscriptions.get(&channel)?;
-        let mut bytes = Vec::with_capacity(13 + message.data.len());
+        let mut bytes = Vec::with_capacity(HEADER_BYTES + message.data.len());
         bytes.push(MESSAGE_DATA);
         bytes.extend(id.to_le_bytes());
         bytes.extend(message.log_time_ns.to_le_bytes());
@@ -200,8 +207,8 @@ fn advertised() -> Value {
     json!({"op": "advertise", "channels": channels})
 }
 
-fn status(grave: Grave, message: &str) -> ws::Message {
-    text(&json!({"op": "status", "level": grave as u8, "message": message}))
+fn status(level: StatusLevel, message: &str) -> ws::Message {
+    text(&json!({"op": "status", "level": level as u8, "message": message}))
 }
 
 fn text(value: &Value) -> ws::Message {

@@ -27,9 +27,9 @@ pub(super) fn text(live: &Live) -> Result<String, fmt::Error> {
         &mut registry,
         "recording",
         "A run's cycles reach the disk: 1, else 0",
-        is(status.state == ServiceState::Writing),
+        one_if(status.state == ServiceState::Writing),
     );
-    add(&mut registry, "ready", "A run can begin: 1, else 0", is(status.state == ServiceState::Waiting));
+    add(&mut registry, "ready", "A run can begin: 1, else 0", one_if(status.state == ServiceState::Waiting));
     add(&mut registry, "warnings", "Warnings on the page", warnings.len() as f64);
     if let Some(hours) = disk_hours {
         add(&mut registry, "disk_left_hours", "How long runs can last before the disk is full", *hours);
@@ -114,7 +114,7 @@ fn add_joints(registry: &mut Registry, joints: &[Joint]) {
     let (angle, good) = (OfJoint::default(), OfJoint::default());
     for joint in joints {
         let label = [("joint", joint.joint.to_string())];
-        good.get_or_create(&label).set(is(joint.level == Level::Good));
+        good.get_or_create(&label).set(one_if(joint.level == Level::Good));
         if let Some(angle_deg) = joint.angle_deg {
             angle.get_or_create(&label).set(angle_deg);
         }
@@ -127,6 +127,6 @@ fn add(registry: &mut Registry, name: &str, help: &str, value: f64) {
     registry.register(name, help, ConstGauge::new(value));
 }
 
-fn is(it: bool) -> f64 {
-    f64::from(u8::from(it))
+fn one_if(is_true: bool) -> f64 {
+    f64::from(u8::from(is_true))
 }

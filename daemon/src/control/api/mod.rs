@@ -87,19 +87,21 @@ pub async fn serve(
     loop {
         let over_tls = async {
             match &tls {
-                Some(door) => door.listener.accept().await.map(|(one, _)| Client::Tls(one, &door.acceptor)),
+                Some(door) => {
+                    door.listener.accept().await.map(|(stream, _)| Client::Tls(stream, &door.acceptor))
+                }
                 None => std::future::pending().await,
             }
         };
         let by_proxy = async {
             match &proxy {
-                Some(door) => door.listener.accept().await.map(|(one, _)| Client::Proxy(one)),
+                Some(door) => door.listener.accept().await.map(|(stream, _)| Client::Proxy(stream)),
                 None => std::future::pending().await,
             }
         };
         let accepted = tokio::select! {
             () = &mut end => break,
-            accepted = listener.accept() => accepted.map(|(one, _)| Client::Local(one)),
+            accepted = listener.accept() => accepted.map(|(stream, _)| Client::Local(stream)),
             accepted = over_tls => accepted,
             accepted = by_proxy => accepted,
         };
@@ -122,7 +124,9 @@ pub async fn serve(
 struct Shared {
     service: Service,
     downloads: Downloads,
+    /// Places for pages that receive every moment.
     viewers: Arc<Semaphore>,
+    /// Places for clients of Foxglove's WebSocket.
     foxgloves: Arc<Semaphore>,
     /// How other machines reach the service.
     remote: Option<String>,
@@ -285,8 +289,10 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Asked<T> {
     type Rejection = Response;
 
     async fn from_request(request: Request, state: &S) -> Result<Self, Response> {
-        let asked = Json::from_request(request, state).await;
-        asked.map(|Json(asked)| Self(asked)).map_err(|error| refusal(error.status(), &error.body_text()))
+        match Json::from_request(request, state).await {
+            Ok(Json(body)) => Ok(Self(body)),
+            Err(error) => Err(refusal(error.status(), &error.body_text())),
+        }
     }
 }
 
@@ -358,11 +364,10 @@ fn disk_silent() -> Response {
 
 /// A directory that does not exist yet has no runs.
 fn unless_missing<T: Default>(outcome: std::io::Result<T>) -> std::io::Result<T> {
-    outcome.or_else(
-        |error| {
-            if error.kind() == std::io::ErrorKind::NotFound { Ok(T::default()) } else { Err(error) }
-        },
-    )
+    match outcome {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(T::default()),
+        outcome => outcome,
+    }
 }
 
 async fn list_runs(State(service): State<Service>) -> Result<Json<Vec<RunLine>>, Response> {
@@ -435,7 +440,7 @@ async fn change_note(
 }
 
 /// Lines of the check that stop a run.
-async fn stopping(service: &Service) -> Result<Vec<CheckLine>, Refusal> {
+async fn stopping_lines(service: &Service) -> Result<Vec<CheckLine>, Refusal> {
     let lines = service.check().await?;
     Ok(lines.into_iter().filter(|line| line.stops).collect())
 }
@@ -451,32 +456,32 @@ async fn start(
     State(service): State<Service>,
     Asked(request): Asked<StartRequest>,
 ) -> Result<Response, Response> {
-    let checked = request.about().check();
-    checked.and(request.reason.as_deref().map_or(Ok(()), some_text)).map_err(unusable)?;
+    request.about().check().map_err(unusable)?;
+    request.reason.as_deref().map_or(Ok(()), check_some_text).map_err(unusable)?;
     let (named, reason) = (request.name.clone(), request.reason.clone());
     // In any other state the reply does not depend on the check: a run is active, or none can begin.
-    let problems = if service.status().state == ServiceState::Waiting {
-        stopping(&service).await.unwrap_or_default()
+    let stopping = if service.status().state == ServiceState::Waiting {
+        stopping_lines(&service).await.unwrap_or_default()
     } else {
         Vec::new()
     };
     let findings: Vec<_> =
-        problems.iter().map(|line| format!("{}: {}", line.subject, line.finding)).collect();
+        stopping.iter().map(|line| format!("{}: {}", line.subject, line.finding)).collect();
     let findings = findings.join("; ");
-    if !problems.is_empty() && reason.is_none() {
-        let remedies: Vec<_> = problems.iter().filter_map(|line| line.remedy.as_deref()).collect();
+    if !stopping.is_empty() && reason.is_none() {
+        let remedies: Vec<_> = stopping.iter().filter_map(|line| line.remedy.as_deref()).collect();
         let remedies = remedies.join("; ");
         let error = format!("{findings}; {remedies}, or give a `reason` (--reason) to begin regardless");
-        let problems = problems.into_iter().flat_map(|line| line.problems).collect();
+        let problems = stopping.into_iter().flat_map(|line| line.problems).collect();
         return Err(refused(StatusCode::CONFLICT, Refusal { error, problems }));
     }
-    let begins = service.clone();
+    let task_service = service.clone();
     // Continues if the client disconnects or the time is over, so that the file states why the run began.
     let begun = service.spawn(async move {
-        let answer = begins.begin(request).await;
+        let answer = task_service.begin(request).await;
         if let (Ok(Answer::Beginning), Some(reason)) = (&answer, reason) {
             let findings = if findings.is_empty() { "nothing that stops a run" } else { &findings };
-            let _ = begins.mark(Some(format!("{IN_SPITE_OF}: {findings}; reason: {reason}")), 0).await;
+            let _ = task_service.mark(Some(format!("{IN_SPITE_OF}: {findings}; reason: {reason}")), 0).await;
         }
         answer
     });
@@ -501,7 +506,7 @@ async fn stop(
     Asked(StopRequest { cause }): Asked<StopRequest>,
 ) -> Result<Response, Response> {
     let cause = cause.unwrap_or_else(|| "stopped".into());
-    some_text(&cause).map_err(unusable)?;
+    check_some_text(&cause).map_err(unusable)?;
     let late = |error: &str| refusal(StatusCode::GATEWAY_TIMEOUT, error);
     match service.stop(cause).await.map_err(unavailable)? {
         (Answer::Stopping(run), over) => {
@@ -554,7 +559,7 @@ async fn mark(
     State(service): State<Service>,
     Asked(MarkRequest { text, ago_ms }): Asked<MarkRequest>,
 ) -> Result<Response, Response> {
-    text.as_deref().map_or(Ok(()), some_text).map_err(unusable)?;
+    text.as_deref().map_or(Ok(()), check_some_text).map_err(unusable)?;
     if ago_ms > AGO_MS_MAX {
         return Err(unusable("`ago_ms` is more than 600000; mark it within ten minutes"));
     }
@@ -565,7 +570,8 @@ async fn mark(
     Ok(reply(&service, Reply { answer, run, mark, ..Reply::default() }))
 }
 
-fn some_text(text: &str) -> Result<(), &'static str> {
+/// Refuses an empty text, and one that a run may not have.
+fn check_some_text(text: &str) -> Result<(), &'static str> {
     if text.is_empty() { Err("the text is empty; write at least one character") } else { check_text(text) }
 }
 
@@ -574,8 +580,8 @@ async fn verdict(service: &Service, last: &LastRun) -> Option<Verdict> {
     let file = last.file.as_ref()?;
     let mut status = service.watch();
     let of_run = |status: &Status| status.last.clone().filter(|last| last.file.as_ref() == Some(file));
-    let is_read = |status: &Status| of_run(status).is_some_and(|last| last.verdict.is_some());
-    let wait = async { status.wait_for(is_read).await.ok().and_then(|status| of_run(&status)?.verdict) };
+    let has_verdict = |status: &Status| of_run(status).is_some_and(|last| last.verdict.is_some());
+    let wait = async { status.wait_for(has_verdict).await.ok().and_then(|status| of_run(&status)?.verdict) };
     service.within(LIST_TIMEOUT, wait).await.flatten()
 }
 
@@ -642,9 +648,9 @@ fn refused_on_loopback(request: &Request, origins: &[String]) -> Option<Response
 /// The sign that a reverse proxy forwarded the request. Most add a header. nginx by default adds none: older ones use HTTP/1.0,
 /// which programs and browsers do not use any more, and all run as a system account. Such an account may read the metrics.
 fn sign_of_a_proxy(request: &Request) -> Option<String> {
-    let adds =
+    let is_of_proxy =
         |name: &&str| ["forwarded", "via", "x-real-ip"].contains(name) || name.starts_with("x-forwarded-");
-    let header = request.headers().keys().map(HeaderName::as_str).find(adds);
+    let header = request.headers().keys().map(HeaderName::as_str).find(is_of_proxy);
     let version = || (request.version() < Version::HTTP_11).then_some("HTTP/1.0");
     let account = || {
         let may_read = request.uri().path() == metrics::PATH;
@@ -661,12 +667,12 @@ fn is_local(headers: &HeaderMap, origins: &[String]) -> bool {
         ["127.0.0.1", "localhost", "[::1]"].contains(&host)
     };
     // Of two headers some readers use the first, others the last: neither may be foreign.
-    let all = |name: HeaderName, is_ours: &dyn Fn(&str) -> bool| {
+    let all_are = |name: HeaderName, is_ours: &dyn Fn(&str) -> bool| {
         headers.get_all(name).iter().all(|value| value.to_str().is_ok_and(is_ours))
     };
     headers.contains_key(header::HOST)
-        && all(header::HOST, &loopback)
-        && all(header::ORIGIN, &|origin| {
+        && all_are(header::HOST, &loopback)
+        && all_are(header::ORIGIN, &|origin| {
             origin.strip_prefix("http://").is_some_and(loopback)
                 || origins.iter().any(|other| other == origin)
         })

@@ -54,6 +54,7 @@ pub(super) struct Operation {
     answer: Answer,
 }
 
+/// Gives the schema of a body or reply, and adds those that it refers to.
 type Describe = fn(&mut SchemaGenerator) -> Schema;
 
 enum Answer {
@@ -91,16 +92,16 @@ pub(super) fn document(operations: &[Operation]) -> Value {
     let settings =
         |settings: SchemaSettings| settings.with(|settings| settings.definitions_path = SCHEMAS.into());
     // Replies have every field; requests may leave some out.
-    let mut asked = settings(SchemaSettings::draft2020_12()).for_deserialize().into_generator();
-    let mut answered = settings(SchemaSettings::draft2020_12()).for_serialize().into_generator();
+    let mut request_schemas = settings(SchemaSettings::draft2020_12()).for_deserialize().into_generator();
+    let mut reply_schemas = settings(SchemaSettings::draft2020_12()).for_serialize().into_generator();
     let mut paths: BTreeMap<String, Map<String, Value>> = BTreeMap::new();
     for operation in operations {
         let Operation { path, summary, method, body, options, answer } = operation;
         let content = match answer {
-            Answer::Json(describe) => json!({"application/json": {"schema": describe(&mut answered)}}),
+            Answer::Json(describe) => json!({"application/json": {"schema": describe(&mut reply_schemas)}}),
             Answer::Other(media_type) => json!({*media_type: {}}),
         };
-        let refusal = answered.subschema_for::<Refusal>();
+        let refusal = reply_schemas.subschema_for::<Refusal>();
         let mut described = json!({
             "summary": summary,
             "responses": {
@@ -112,20 +113,23 @@ pub(super) fn document(operations: &[Operation]) -> Value {
             },
         });
         if let Some(describe) = body {
-            let schema = describe(&mut asked);
+            let schema = describe(&mut request_schemas);
             described["requestBody"] =
                 json!({"required": true, "content": {"application/json": {"schema": schema}}});
         }
         let names = path.split('/').filter_map(|part| part.strip_prefix('{')?.strip_suffix('}'));
         let parameter =
             |name| json!({"name": name, "in": "path", "required": true, "schema": {"type": "string"}});
-        let option = |(name, meaning): &(&str, &str)| json!({"name": name, "in": "query", "description": meaning, "schema": {"type": "boolean", "default": false}});
+        let option = |(name, meaning): &(&str, &str)| {
+            let schema = json!({"type": "boolean", "default": false});
+            json!({"name": name, "in": "query", "description": meaning, "schema": schema})
+        };
         described["parameters"] = names.map(parameter).chain(options.iter().map(option)).collect();
         paths.entry(format!("/api{path}")).or_default().insert((*method).to_owned(), described);
     }
     let refused = REFUSALS.map(|(code, reason)| (code.as_str().to_owned(), json!({"description": reason})));
-    let mut schemas = asked.take_definitions(true);
-    schemas.append(&mut answered.take_definitions(true));
+    let mut schemas = request_schemas.take_definitions(true);
+    schemas.append(&mut reply_schemas.take_definitions(true));
     json!({
         "openapi": "3.1.0",
         "info": {

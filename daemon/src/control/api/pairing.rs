@@ -1,4 +1,5 @@
-//! Pairs a phone: a QR code opens the page with a single-use code instead of the token.
+//! Pairs a phone: a QR code opens the page with a single-use code instead of the token. `pair` issues the code; the gate of
+//! [`remote`](super::remote) redeems it and stores the token in the phone's browser.
 
 use std::net::{IpAddr, SocketAddr};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -36,6 +37,7 @@ pub(super) struct Pairing(Arc<Inner>);
 struct Inner {
     address: SocketAddr,
     fingerprint: Fingerprint,
+    /// Codes and the times at which they were issued, the oldest first.
     codes: Mutex<Vec<(String, MonoNs)>>,
 }
 
@@ -48,12 +50,12 @@ impl Pairing {
     /// The codes that are valid at this time.
     fn codes(&self, now: MonoNs) -> MutexGuard<'_, Vec<(String, MonoNs)>> {
         let mut codes = self.0.codes.lock().unwrap_or_else(PoisonError::into_inner);
-        codes.retain(|(_, begun)| now.ns_since(*begun) < VALID.as_nanos() as i64);
+        codes.retain(|(_, issued)| now.ns_since(*issued) < VALID.as_nanos() as i64);
         codes
     }
 
     /// Issues a code that is valid from now on.
-    fn code(&self, now: MonoNs) -> String {
+    fn issue_code(&self, now: MonoNs) -> String {
         let bytes: [u8; CODE_BYTES] = rand::rng().random();
         let code = hex(&bytes, "");
         let mut codes = self.codes(now);
@@ -77,7 +79,7 @@ impl Pairing {
             return vec![self.0.address];
         }
         let port = self.0.address.port();
-        of_this_machine().into_iter().map(|ip| SocketAddr::new(ip, port)).collect()
+        machine_addresses().into_iter().map(|ip| SocketAddr::new(ip, port)).collect()
     }
 
     fn reply(&self, now: MonoNs) -> Result<PairReply, String> {
@@ -85,7 +87,7 @@ impl Pairing {
         if addresses.is_empty() {
             return Err("this machine has no network address; connect it to the network of the phone".into());
         }
-        let code = self.code(now);
+        let code = self.issue_code(now);
         let link = |address: &SocketAddr| {
             let url = format!("https://{address}/?pair={code}");
             let svg = QrCode::new(&url).map_err(|error| format!("cannot make a QR code: {error}"))?;
@@ -99,7 +101,7 @@ impl Pairing {
 }
 
 /// IPv4 addresses of the interfaces that are up, without loopback.
-fn of_this_machine() -> Vec<IpAddr> {
+fn machine_addresses() -> Vec<IpAddr> {
     let Ok(interfaces) = getifaddrs() else { return Vec::new() };
     let is_up = |flags: InterfaceFlags| {
         flags.contains(InterfaceFlags::IFF_UP) && !flags.contains(InterfaceFlags::IFF_LOOPBACK)
@@ -140,11 +142,11 @@ mod tests {
         assert!(address == "https://127.0.0.1:7312" && svg.contains("<svg"), "{links:?}");
         assert!(!pairing.redeem("", now) && !pairing.redeem(&code[1..], now));
         assert!(pairing.redeem(code, now) && !pairing.redeem(code, now));
-        let codes: Vec<_> = (0..=CODES_MAX).map(|_| pairing.code(now)).collect();
+        let codes: Vec<_> = (0..=CODES_MAX).map(|_| pairing.issue_code(now)).collect();
         let redeem = |code: &String| pairing.redeem(code, now);
         assert!(!redeem(&codes[0]) && codes[1..].iter().all(redeem));
         let after_s = |seconds: i64| now.plus_ns(seconds * NS_PER_S);
-        let [first, second] = [0, 1].map(|seconds| pairing.code(after_s(seconds)));
+        let [first, second] = [0, 1].map(|seconds| pairing.issue_code(after_s(seconds)));
         assert!(!pairing.redeem(&first, after_s(300)) && pairing.redeem(&second, after_s(300)));
     }
 }

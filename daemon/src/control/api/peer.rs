@@ -41,16 +41,17 @@ impl Peer {
 /// Owner of a socket of this machine, by its own address and that of its other end (`/proc/net/tcp`, proc(5)).
 fn owner(own: SocketAddr, other: SocketAddr) -> Option<Uid> {
     let (own, other) = (in_table(own)?, in_table(other)?);
-    let user = |line: &str| -> Option<Uid> {
+    let owner_in = |line: &str| -> Option<Uid> {
         let fields: Vec<&str> = line.split_ascii_whitespace().collect();
+        let (local, remote, user) = (fields.get(1)?, fields.get(2)?, fields.get(7)?);
         // An IPv6 socket has the IPv4 address at the end of its own.
-        let is_it = fields.get(1)?.ends_with(&own) && fields.get(2)?.ends_with(&other);
-        is_it.then(|| fields.get(7)?.parse().ok()).flatten().map(Uid::from_raw)
+        let is_socket = local.ends_with(&own) && remote.ends_with(&other);
+        if is_socket { user.parse().ok().map(Uid::from_raw) } else { None }
     };
     ["/proc/net/tcp", "/proc/net/tcp6"]
         .into_iter()
         .filter_map(|table| fs::read_to_string(table).ok())
-        .find_map(|table| table.lines().find_map(user))
+        .find_map(|table| table.lines().find_map(owner_in))
 }
 
 /// An IPv4 address as the kernel's table has it.

@@ -101,6 +101,7 @@ pub struct Remote {
     pub(super) words: String,
 }
 
+/// The listener for other machines, and the TLS configuration of its connections.
 pub(super) struct TlsDoor {
     pub listener: TcpListener,
     pub acceptor: TlsAcceptor,
@@ -180,9 +181,10 @@ impl Gate {
     /// The reply to a request that has a foreign origin or lacks the token, or that logs a browser in.
     pub fn refuse(&self, request: &Request, now: MonoNs) -> Option<Response> {
         let headers = request.headers();
-        let own = only(headers, header::HOST).map(|host| format!("https://{host}"));
-        let is_own = |origin: &HeaderValue| Some(origin.as_bytes()) == own.as_ref().map(String::as_bytes);
-        if own.is_none() || !headers.get_all(header::ORIGIN).iter().all(is_own) {
+        let own_origin = single_value(headers, header::HOST).map(|host| format!("https://{host}"));
+        let is_own =
+            |origin: &HeaderValue| Some(origin.as_bytes()) == own_origin.as_ref().map(String::as_bytes);
+        if own_origin.is_none() || !headers.get_all(header::ORIGIN).iter().all(is_own) {
             return Some(refusal(
                 StatusCode::FORBIDDEN,
                 "pages of other sites have no access; open the service's own page (a reverse proxy must pass on the browser's `Host`, \
@@ -221,18 +223,18 @@ impl Gate {
     }
 
     fn refused(&self, is_wrong: bool, asks_for_page: bool, now: MonoNs) -> Response {
-        const WHERE: &str = "it is in the file `token` of the service's state directory (`ballbard status` on its \
+        const TOKEN_PLACE: &str = "it is in the file `token` of the service's state directory (`ballbard status` on its \
              machine shows it); open the page with /?token=TOKEN, or send it as `Authorization: Bearer TOKEN`";
-        if is_wrong && self.too_many(now) {
+        if is_wrong && self.has_too_many_wrong(now) {
             return refusal(
                 StatusCode::TOO_MANY_REQUESTS,
                 &format!(
-                    "too many wrong tokens within a minute; wait for one, then send the right one: {WHERE}"
+                    "too many wrong tokens within a minute; wait for one, then send the right one: {TOKEN_PLACE}"
                 ),
             );
         }
         let error = if is_wrong { "the token is wrong" } else { "the token is missing" };
-        let mut response = refusal(StatusCode::UNAUTHORIZED, &format!("{error}; {WHERE}"));
+        let mut response = refusal(StatusCode::UNAUTHORIZED, &format!("{error}; {TOKEN_PLACE}"));
         if asks_for_page {
             // The response keeps its extensions for the log.
             let form = Html(FORM.replace("{error}", error)).into_response();
@@ -249,19 +251,20 @@ impl Gate {
         response
     }
 
-    fn too_many(&self, now: MonoNs) -> bool {
+    /// Counts a wrong token, unless too many were sent within [`WRONG_WITHIN`].
+    fn has_too_many_wrong(&self, now: MonoNs) -> bool {
         let mut wrong = self.wrong.lock().unwrap_or_else(PoisonError::into_inner);
         wrong.retain(|at| now.ns_since(*at) < WRONG_WITHIN.as_nanos() as i64);
-        let are = wrong.len() >= WRONG_MAX;
-        if !are {
+        let is_exceeded = wrong.len() >= WRONG_MAX;
+        if !is_exceeded {
             wrong.push(now);
         }
-        are
+        is_exceeded
     }
 }
 
 /// The value of a header that occurs exactly once.
-fn only(headers: &HeaderMap, name: HeaderName) -> Option<&str> {
+fn single_value(headers: &HeaderMap, name: HeaderName) -> Option<&str> {
     let mut values = headers.get_all(name).iter();
     let value = values.next()?.to_str().ok()?;
     values.next().is_none().then_some(value)
@@ -272,7 +275,7 @@ fn typed_token(query: &str) -> Option<&str> {
 }
 
 fn sent_token(headers: &HeaderMap) -> Option<&str> {
-    let bearer = only(headers, header::AUTHORIZATION).and_then(|value| value.split_once(' '));
+    let bearer = single_value(headers, header::AUTHORIZATION).and_then(|value| value.split_once(' '));
     let bearer = bearer.filter(|(scheme, _)| scheme.eq_ignore_ascii_case("bearer")).map(|(_, token)| token);
     let cookies = headers.get_all(header::COOKIE).iter().filter_map(|value| value.to_str().ok());
     let mut cookies =
@@ -285,7 +288,7 @@ fn token(file: &Path) -> Result<String, RemoteError> {
     let failed = |error| RemoteError::State(file.into(), error);
     if !file.try_exists().map_err(failed)? {
         let bytes: [u8; TOKEN_BYTES] = rand::rng().random();
-        private(file, &hex(&bytes, "")).map_err(failed)?;
+        write_private(file, &hex(&bytes, "")).map_err(failed)?;
     }
     token_in(file).map_err(failed)?.ok_or_else(|| RemoteError::Token(file.into()))
 }
@@ -333,27 +336,28 @@ fn own_certificate(state: &Path) -> Result<(PathBuf, PathBuf), RemoteError> {
     // The key is written first: if the certificate exists, so does the key.
     if !certificate.try_exists().map_err(failed(&certificate))? {
         let CertifiedKey { cert, signing_key } = generate_simple_self_signed(["ballbard".to_owned()])?;
-        private(&key, &signing_key.serialize_pem()).map_err(failed(&key))?;
-        private(&certificate, &cert.pem()).map_err(failed(&certificate))?;
+        write_private(&key, &signing_key.serialize_pem()).map_err(failed(&key))?;
+        write_private(&certificate, &cert.pem()).map_err(failed(&certificate))?;
     }
     Ok((certificate, key))
 }
 
 /// Writes a file that only its owner may read, completely or not at all.
-fn private(file: &Path, text: &str) -> io::Result<()> {
+fn write_private(file: &Path, text: &str) -> io::Result<()> {
     if let Some(directory) = file.parent() {
         fs::create_dir_all(directory)?;
     }
-    let begun = file.with_extension("new");
-    match fs::remove_file(&begun) {
+    let temporary = file.with_extension("new");
+    // An earlier start may have been killed while it wrote.
+    match fs::remove_file(&temporary) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
         _ => {}
     }
     let mut open = OpenOptions::new();
-    let mut written = open.write(true).create_new(true).mode(0o600).open(&begun)?;
+    let mut written = open.write(true).create_new(true).mode(0o600).open(&temporary)?;
     written.write_all(text.as_bytes())?;
     written.sync_all()?;
-    fs::rename(&begun, file)
+    fs::rename(&temporary, file)
 }
 
 #[cfg(test)]

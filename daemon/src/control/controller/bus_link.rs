@@ -1,4 +1,5 @@
-//! The bus, or the attempt to bring it into operation.
+//! The bus of the service, or the attempt to bring it into operation, which is repeated until it succeeds. Each poll gives the
+//! change of the bus' state as an event for the machine. The encoders are graded by their valid samples in the last second.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -43,37 +44,44 @@ enum State {
         attempt: Pending<Result<Session, RunError>>,
         pause: Duration,
     },
-    /// With the problem that was reported, while there is one.
     Up {
         session: Box<Session>,
+        /// The problem that was reported, while there is one.
         trouble: Option<Problem>,
-        recent: Recent,
+        recent: RecentCounts,
     },
 }
 
-/// Number of cycles, and of valid cycles of each encoder, at each poll of the last [`WINDOW_NS`].
+/// The counts at each poll of the last [`WINDOW_NS`].
 #[derive(Default)]
-struct Recent(VecDeque<(MonoNs, (u64, Counts))>);
+struct RecentCounts(VecDeque<Counts>);
 
-type Counts = [u64; MAX_ENCODERS];
+/// Counts of the bus in operation until one poll.
+struct Counts {
+    at: MonoNs,
+    cycles: u64,
+    /// Valid cycles of each encoder.
+    valid: [u64; MAX_ENCODERS],
+}
 
 /// An encoder is graded over this time before a run begins, because one sample proves nothing \[ns\].
 const WINDOW_NS: i64 = NS_PER_S;
 
-impl Recent {
-    fn add(&mut self, now: MonoNs, counted: (u64, Counts)) {
-        self.0.push_back((now, counted));
+impl RecentCounts {
+    fn add(&mut self, at: MonoNs, (cycles, valid): (u64, [u64; MAX_ENCODERS])) {
+        self.0.push_back(Counts { at, cycles, valid });
         // The poll before the window is its beginning.
-        while self.0.get(1).is_some_and(|(at, _)| now.ns_since(*at) >= WINDOW_NS) {
+        while self.0.get(1).is_some_and(|second| at.ns_since(second.at) >= WINDOW_NS) {
             self.0.pop_front();
         }
     }
 
     /// Share of valid cycles of each encoder; `None` before the first cycle.
     fn valid_shares(&self) -> Option<[f64; MAX_ENCODERS]> {
-        let ((_, (before, valid_before)), (_, (cycles, valid))) = (self.0.front()?, self.0.back()?);
-        let cycles = cycles.checked_sub(*before).filter(|cycles| *cycles > 0)?;
-        let share = |index: usize| valid[index].saturating_sub(valid_before[index]) as f64 / cycles as f64;
+        let (first, last) = (self.0.front()?, self.0.back()?);
+        let cycles = last.cycles.checked_sub(first.cycles).filter(|cycles| *cycles > 0)?;
+        let share =
+            |index: usize| last.valid[index].saturating_sub(first.valid[index]) as f64 / cycles as f64;
         Some(std::array::from_fn(share))
     }
 }
@@ -101,7 +109,7 @@ impl BusLink {
         }
     }
 
-    /// What has changed since the last poll.
+    /// The change of the bus' state since the last poll.
     pub fn poll(&mut self, now: MonoNs) -> Option<Event> {
         match &mut self.state {
             State::Down { retry_at, pause } => {
@@ -126,18 +134,17 @@ impl BusLink {
             }
             State::Up { session, trouble, recent } => {
                 recent.add(now, session.live.counted());
-                let found = trouble_of(session, now);
-                let is_same =
-                    found.as_ref().map(|problem| &problem.text) == trouble.as_ref().map(|was| &was.text);
-                if is_same {
+                let current = trouble_of(session, now);
+                let current_text = current.as_ref().map(|problem| &problem.text);
+                if current_text == trouble.as_ref().map(|reported| &reported.text) {
                     return None;
                 }
-                if found.is_none() {
-                    // What the bus did is not counted against the encoders.
-                    *recent = Recent::default();
+                if current.is_none() {
+                    // Cycles that the bus lost are not counted against the encoders.
+                    *recent = RecentCounts::default();
                 }
-                trouble.clone_from(&found);
-                Some(found.map_or(Event::BusUp, Event::BusTroubled))
+                trouble.clone_from(&current);
+                Some(current.map_or(Event::BusUp, Event::BusTroubled))
             }
         }
     }
@@ -155,6 +162,7 @@ impl BusLink {
         self.closing.as_ref().is_none_or(|closing| !matches!(closing.try_recv(), Err(TryRecvError::Empty)))
     }
 
+    /// Starts a task that brings the bus up.
     fn attempt(&self) -> Pending<Result<Session, RunError>> {
         let (connect, mut opening) = (Arc::clone(&self.connect), None::<Opening>);
         Pending::until(&*self.scheduler, "bus", move || match &mut opening {
@@ -174,7 +182,7 @@ impl BusLink {
             Ok(session) => {
                 session.log();
                 let session = Box::new(session);
-                self.state = State::Up { session, trouble: None, recent: Recent::default() };
+                self.state = State::Up { session, trouble: None, recent: RecentCounts::default() };
                 Event::BusUp
             }
             Err(error) => self.failed(error.problem(), pause, now),
@@ -200,18 +208,22 @@ fn trouble_of(session: &Session, now: MonoNs) -> Option<Problem> {
         return None;
     }
     let reasons = live.flags() & BUS_FLAGS;
-    let joints = session.encoders.iter().zip(live.encoders());
-    let silent: Vec<u8> = joints.filter(|(_, encoder)| !encoder.valid).map(|(info, _)| info.joint).collect();
-    let all = silent.is_empty() || silent.len() == session.encoders.len();
+    if reasons == 0 {
+        return None;
+    }
+    let readings = session.encoders.iter().zip(live.encoders());
+    let silent: Vec<u8> =
+        readings.filter(|(_, encoder)| !encoder.valid).map(|(info, _)| info.joint).collect();
+    let all_silent = silent.is_empty() || silent.len() == session.encoders.len();
     // The coupler is at position 0, the terminal of the first encoder at 1.
-    let first = live.encoders().iter().position(|encoder| !encoder.valid).map(|index| index + 1);
-    (reasons != 0).then(|| {
-        let of_flags = || Fact::of_flags(reasons, &session.bus, silent.clone(), first.filter(|_| !all));
-        let fact = session.outage().unwrap_or_else(of_flags);
-        Problem::from(fact).with_joints(silent, all)
-    })
+    let first_silent = live.encoders().iter().position(|encoder| !encoder.valid).map(|index| index + 1);
+    let position = first_silent.filter(|_| !all_silent);
+    let of_flags = || Fact::of_flags(reasons, &session.bus, silent.clone(), position);
+    let fact = session.outage().unwrap_or_else(of_flags);
+    Some(Problem::from(fact).with_joints(silent, all_silent))
 }
 
+/// Time without valid samples after which bus or encoder is silent.
 fn silent_ns(session: &Session) -> i64 {
     (session.period * SILENT_CYCLES).max(SILENT_MIN).as_nanos() as i64
 }
@@ -219,8 +231,8 @@ fn silent_ns(session: &Session) -> i64 {
 /// For each encoder, in bus order, whether it has given no valid sample for [`SILENT_CYCLES`].
 pub(super) fn are_silent(session: &Session) -> [bool; MAX_ENCODERS] {
     let live = &session.live;
-    let (at, silent_ns) = (live.at(), silent_ns(session));
-    live.valid_at().map(|valid_at| at.ns_since(valid_at) > silent_ns)
+    let (latest, silent_ns) = (live.at(), silent_ns(session));
+    live.valid_at().map(|valid_at| latest.ns_since(valid_at) > silent_ns)
 }
 
 /// A problem for each encoder that gives no valid sample although the bus works.
@@ -241,7 +253,7 @@ mod tests {
 
     #[test]
     fn shares_of_valid_cycles_are_those_of_the_last_second() {
-        let mut recent = Recent::default();
+        let mut recent = RecentCounts::default();
         assert_eq!(recent.valid_shares(), None);
         let mut at = |tenth: u32, cycles: u64, valid: u64| {
             recent.add(MonoNs(i64::from(tenth) * NS_PER_S / 10), (cycles, [valid; MAX_ENCODERS]));

@@ -17,8 +17,8 @@ pub struct Homing {
     disk: Arc<dyn Disk>,
     scheduler: Arc<dyn Scheduler>,
     status: HomingStatus,
-    /// The marks that were found are being written.
-    keeping: Option<Pending<Result<(), HomingError>>>,
+    /// Saves the marks that were found.
+    saving: Option<Pending<Result<(), HomingError>>>,
 }
 
 impl Homing {
@@ -29,7 +29,7 @@ impl Homing {
             disk: session.disk(),
             scheduler: Arc::clone(&session.scheduler),
             status: HomingStatus::default(),
-            keeping: None,
+            saving: None,
         }
     }
 
@@ -45,42 +45,41 @@ impl Homing {
 
     /// When the marks were handed to the disk, while they are being written.
     pub fn keeping_since(&self) -> Option<MonoNs> {
-        self.keeping.as_ref().map(Pending::since)
+        self.saving.as_ref().map(Pending::since)
     }
 
     /// Handles the steps since the last poll. Returns whether the homing has just ended; its status then has the outcome, and
     /// after a success the file `marks` is written.
     pub fn poll(&mut self, encoders: &[EncoderConfig], marks: &MarksFile) -> bool {
         while let Some(step) = self.active.take_step() {
-            note(&mut self.status, step);
+            show_step(&mut self.status, step);
         }
         match self.active.outcome() {
-            Some(Ok(found)) => self.keep(encoders.to_vec(), found, marks),
-            Some(Err(error)) => return self.over(marks, Err(error)),
+            Some(Ok(found)) => self.save(encoders.to_vec(), found, marks),
+            Some(Err(error)) => return self.finish(marks, Err(error)),
             None => {}
         }
-        let Some(kept) = self.keeping.as_ref().and_then(Pending::poll) else { return false };
+        let Some(saved) = self.saving.as_ref().and_then(Pending::poll) else { return false };
         let died = |_| Err(HomingError::NotKept("no thread writes them; see the log".into()));
-        self.over(marks, kept.unwrap_or_else(died))
+        self.finish(marks, saved.unwrap_or_else(died))
     }
 
-    fn keep(&mut self, encoders: Vec<EncoderConfig>, found: Vec<Found>, marks: &MarksFile) {
+    /// Verifies the marks and starts to write their file.
+    fn save(&mut self, encoders: Vec<EncoderConfig>, found: Vec<Found>, marks: &MarksFile) {
         (self.status.joint, self.status.turned_deg) = (None, None);
         let (disk, file) = (Arc::clone(&self.disk), marks.clone());
-        self.keeping = Some(Pending::start(&*self.scheduler, "homing", move || {
-            let marks = homing::verify(&encoders, &found).map_err(HomingError::from);
-            marks.and_then(|marks| {
-                let written = file.write(&*disk, &encoders, &marks);
-                written.map_err(|error| HomingError::NotKept(error.to_string()))
-            })
+        self.saving = Some(Pending::start(&*self.scheduler, "homing", move || {
+            let marks = homing::verify(&encoders, &found)?;
+            let written = file.write(&*disk, &encoders, &marks);
+            written.map_err(|error| HomingError::NotKept(error.to_string()))
         }));
     }
 
-    fn over(&mut self, marks: &MarksFile, kept: Result<(), HomingError>) -> bool {
-        self.keeping = None;
+    fn finish(&mut self, marks: &MarksFile, saved: Result<(), HomingError>) -> bool {
+        self.saving = None;
         self.status.is_over = true;
         (self.status.joint, self.status.turned_deg) = (None, None);
-        match kept {
+        match saved {
             Ok(()) => self.status.lines.push(format!(
                 "{}: runs count angles from these marks until the terminals lose power; then home again",
                 marks.path().display()
@@ -92,7 +91,7 @@ impl Homing {
     }
 }
 
-fn note(status: &mut HomingStatus, step: HomingStep) {
+fn show_step(status: &mut HomingStatus, step: HomingStep) {
     match step {
         HomingStep::Turn { joint, .. } => (status.joint, status.turned_deg) = (Some(joint), Some(0.0)),
         HomingStep::Turning { turned_rad, .. } => status.turned_deg = Some(turned_rad.to_degrees()),

@@ -1,5 +1,6 @@
-//! Does what the [`machine`](crate::control::machine) decides: bus, runs, homing, replies. It never waits for the disk. `view`
-//! derives the status.
+//! Executes what the [`machine`](crate::control::machine) decides: brings the bus up, begins and ends runs and homings, replies
+//! to clients. Each step takes the requests of clients, polls bus, run, homing and disk tasks, hands what has changed to the
+//! machine as events, and publishes the status, which `view` derives. It never waits for the disk. Its stepper is in `service`.
 
 mod bus_link;
 pub mod homing;
@@ -56,14 +57,16 @@ pub(super) enum Command {
     Panic,
 }
 
-/// The counts at the last poll.
+/// Counts of session and run that [`Totals`] includes already.
 #[derive(Debug, Default)]
 struct Counted {
+    /// All cycles, valid ones and late ones of the session.
     cycles: [u64; 3],
+    /// Lost cycles of the run.
     lost: u64,
 }
 
-/// Does what the machine decides. It never waits for the disk.
+/// Executes what the machine decides.
 pub(super) struct Controller {
     settings: Arc<Settings>,
     machine: Machine,
@@ -75,12 +78,13 @@ pub(super) struct Controller {
     duration: Option<Duration>,
     marks: Marks,
     /// Clients that wait for the file of the run that is being opened, each with the reply for a success.
-    asked: Vec<(oneshot::Sender<Answer>, Answer)>,
+    start_clients: Vec<(oneshot::Sender<Answer>, Answer)>,
     /// Clients that wait for the end of the run.
-    stopping: Vec<oneshot::Sender<LastRun>>,
-    /// Prepares the directory of the recordings.
+    stop_clients: Vec<oneshot::Sender<LastRun>>,
+    /// Claims the directory of the recordings and recovers earlier runs.
     preparing: Option<Pending<Result<Option<Claim>, RunError>>>,
     claim: Option<Claim>,
+    /// The run that has ended, until the machine reports its end.
     summary: Option<RunSummary>,
     /// Why the file of the run that ends could not be finished regularly.
     failure: Option<String>,
@@ -89,16 +93,17 @@ pub(super) struct Controller {
     grading: Option<Pending<Option<Verdict>>>,
     runs_over: u64,
     storage: Storage,
-    cycles_seen: u64,
+    /// Cycles of the run that were safe on disk at the last poll.
+    cycles_synced: u64,
     problems: ProblemLog,
     totals: Totals,
-    /// Counts of session and run that `totals` includes.
     counted: Counted,
     /// Requests the end of the service.
     ending: Stop,
-    exit: bool,
+    /// The machine permits the end of the service.
+    may_exit: bool,
     /// When the end of the service was requested.
-    leaving: Option<MonoNs>,
+    leaving_since: Option<MonoNs>,
     scheduler: Arc<dyn Scheduler>,
     /// Time of this step.
     now: MonoNs,
@@ -128,8 +133,8 @@ impl Controller {
             run: None,
             duration: None,
             marks: Marks::default(),
-            asked: Vec::new(),
-            stopping: Vec::new(),
+            start_clients: Vec::new(),
+            stop_clients: Vec::new(),
             preparing: None,
             claim: None,
             summary: None,
@@ -138,12 +143,12 @@ impl Controller {
             grading: None,
             runs_over: 0,
             storage,
-            cycles_seen: 0,
+            cycles_synced: 0,
             problems: ProblemLog::default(),
             totals: Totals::default(),
             counted: Counted::default(),
-            exit: false,
-            leaving: None,
+            may_exit: false,
+            leaving_since: None,
         }
     }
 
@@ -155,25 +160,25 @@ impl Controller {
             return (!self.bus.is_closed()).then_some(OPENING_POLL);
         }
         commands.into_iter().for_each(|command| self.execute(command));
-        if self.ending.is_stopped() && self.leaving.is_none() {
+        if self.ending.is_stopped() && self.leaving_since.is_none() {
             self.shutdown(&self.ending.cause());
         }
         if let Err(error) = self.poll_preparation() {
-            return self.end(Err(error));
+            return self.end_service(Err(error));
         }
         self.poll_bus();
         self.poll_homing();
         self.poll_run();
         self.poll_grading();
-        self.count();
+        self.update_totals();
         self.publish();
         if self.is_over() {
-            return self.end(Ok(()));
+            return self.end_service(Ok(()));
         }
         Some(if self.is_opening() { OPENING_POLL } else { POLL })
     }
 
-    fn end(&mut self, outcome: Result<(), RunError>) -> Option<Duration> {
+    fn end_service(&mut self, outcome: Result<(), RunError>) -> Option<Duration> {
         self.outcome = Some(outcome);
         self.bus.close();
         Some(Duration::ZERO)
@@ -192,17 +197,17 @@ impl Controller {
     /// The service ends after the file of a run is finished. It does not wait for what the next service repeats: a file that
     /// is not created yet, recovery of earlier runs, reference marks.
     fn is_over(&self) -> bool {
-        let Some(since) = self.leaving else { return false };
+        let Some(since) = self.leaving_since else { return false };
         let keeping = self.homing.as_ref().and_then(Homing::keeping_since);
         if self.preparing.is_none() && !self.is_opening() && keeping.is_none() {
-            return self.exit;
+            return self.may_exit;
         }
-        let is_over = self.now.ns_since(since) > DISK_WAIT_AT_END.as_nanos() as i64;
-        if is_over {
+        let has_waited_enough = self.now.ns_since(since) > DISK_WAIT_AT_END.as_nanos() as i64;
+        if has_waited_enough {
             let problems = self.disk_problems();
             tracing::warn!("the disk is not waited for: {}", Problem::line(&problems));
         }
-        is_over
+        has_waited_enough
     }
 
     fn is_opening(&self) -> bool {
@@ -210,7 +215,7 @@ impl Controller {
     }
 
     fn shutdown(&mut self, cause: &str) {
-        self.leaving.get_or_insert(self.now);
+        self.leaving_since.get_or_insert(self.now);
         self.handle(Event::Shutdown(cause.to_owned()));
     }
 
@@ -240,7 +245,7 @@ impl Controller {
                 let answer = self.handle(Event::Start { run: details, named }).unwrap_or(Answer::Idle);
                 self.publish();
                 if self.is_opening() && matches!(answer, Answer::Beginning | Answer::Running(_)) {
-                    self.asked.push((reply, answer));
+                    self.start_clients.push((reply, answer));
                 } else {
                     let _ = reply.send(answer);
                 }
@@ -249,7 +254,7 @@ impl Controller {
                 let answer = self.handle(Event::Stop(cause)).unwrap_or(Answer::Idle);
                 let (over, last) = oneshot::channel();
                 if matches!(answer, Answer::Stopping(_)) {
-                    self.stopping.push(over);
+                    self.stop_clients.push(over);
                 }
                 self.publish();
                 let _ = reply.send((answer, last));
@@ -280,19 +285,21 @@ impl Controller {
             match action {
                 Action::Answer(given) => answer = answer.or(Some(given)),
                 Action::Open(run) => {
-                    if let Err(problem) = self.open(&run) {
+                    if let Err(problem) = self.begin_run(&run) {
                         answer = Some(Answer::Refused(problem));
                     }
                 }
                 Action::End(cause) => {
-                    self.run.iter().for_each(|run| run.stop.stop(&cause));
+                    if let Some(run) = &self.run {
+                        run.stop.stop(&cause);
+                    }
                 }
-                Action::Finished { run, cause } => self.finished(run, cause),
+                Action::Finished { run, cause } => self.run_finished(run, cause),
                 Action::NotBegun { run, problem } => {
                     let cause = format!("it could not begin: {problem}");
                     tracing::info!(run, "{cause}");
                     let error = Some(cause.clone());
-                    self.notify_stopping(&LastRun { name: run, cause, error, ..LastRun::default() });
+                    self.answer_stops(&LastRun { name: run, cause, error, ..LastRun::default() });
                 }
                 // The link retries on its own whenever it is down.
                 Action::Connect => {}
@@ -303,9 +310,13 @@ impl Controller {
                         answer = Some(Answer::Refused(self.no_bus()));
                     }
                 },
-                Action::EndHoming(cause) => self.homing.iter().for_each(|homing| homing.stop(&cause)),
+                Action::EndHoming(cause) => {
+                    if let Some(homing) = &self.homing {
+                        homing.stop(&cause);
+                    }
+                }
                 Action::Recover => self.prepare_storage(),
-                Action::Exit => self.exit = true,
+                Action::Exit => self.may_exit = true,
             }
         }
         answer
@@ -313,8 +324,8 @@ impl Controller {
 
     /// Puts a marker into the run; returns the run and the marker's text.
     fn mark(&mut self, text: Option<String>, at: MonoNs) -> Result<Option<(String, String)>, String> {
-        let running = self.run.as_ref().filter(|run| !run.stop.is_stopped());
-        let Some((run, name)) = running.zip(self.machine.run()) else { return Ok(None) };
+        let current_run = self.run.as_ref().filter(|run| !run.stop.is_stopped());
+        let Some((run, name)) = current_run.zip(self.machine.run()) else { return Ok(None) };
         let (is_numbered, text) = (text.is_none(), self.marks.text(text));
         if !run.mark(at, text.clone()) {
             return Err("the disk takes no more markers: `ballbard status` shows its state".into());
@@ -328,7 +339,7 @@ impl Controller {
         self.machine.bus_fault().cloned().unwrap_or_else(|| Fact::BusStarting {}.into())
     }
 
-    fn open(&mut self, details: &RunDetails) -> Result<(), Problem> {
+    fn begin_run(&mut self, details: &RunDetails) -> Result<(), Problem> {
         let begun = match self.bus.session() {
             None => Err(self.no_bus()),
             Some(session) => {
@@ -341,7 +352,7 @@ impl Controller {
                 self.run = Some(run);
                 self.duration = details.duration;
                 self.marks = Marks::new(self.now);
-                (self.cycles_seen, self.counted.lost) = (0, 0);
+                (self.cycles_synced, self.counted.lost) = (0, 0);
                 Ok(())
             }
             Err(problem) => {
@@ -352,13 +363,13 @@ impl Controller {
     }
 
     /// Answers the clients that requested the run: it has its file, or gets none.
-    fn opened(&mut self, outcome: Result<(), Problem>) {
+    fn answer_starts(&mut self, outcome: Result<(), Problem>) {
         self.handle(match &outcome {
             Ok(()) => Event::Opened,
             Err(problem) => Event::OpenFailed(problem.clone()),
         });
         self.publish();
-        for (reply, answer) in std::mem::take(&mut self.asked) {
+        for (reply, answer) in std::mem::take(&mut self.start_clients) {
             let refused = outcome.as_ref().err().map(|problem| Answer::Refused(problem.clone()));
             let _ = reply.send(refused.unwrap_or(answer));
         }
@@ -386,12 +397,15 @@ impl Controller {
         Ok(())
     }
 
-    fn finished(&mut self, name: String, cause: String) {
+    /// Publishes a run that is over as the last one.
+    fn run_finished(&mut self, name: String, cause: String) {
         let summary = self.summary.take();
         let error = self.failure.take().or_else(|| summary.is_none().then(|| cause.clone()));
         // All clients get the cause that the file states.
-        let cause =
-            summary.as_ref().filter(|_| error.is_none()).map_or(cause, |summary| summary.cause.clone());
+        let cause = match &summary {
+            Some(summary) if error.is_none() => summary.cause.clone(),
+            _ => cause,
+        };
         self.runs_over += 1;
         tracing::info!(
             run = name,
@@ -403,7 +417,7 @@ impl Controller {
             Some(summary) => LastRun { cause, error, ..LastRun::of(name, summary) },
             None => LastRun { name, cause, error, ..LastRun::default() },
         };
-        self.notify_stopping(&last);
+        self.answer_stops(&last);
         self.grade(&last);
         self.last = Some(last);
     }
@@ -426,9 +440,9 @@ impl Controller {
     }
 
     /// Answers the clients that requested the end of the run.
-    fn notify_stopping(&mut self, run: &LastRun) {
-        for stopping in self.stopping.drain(..) {
-            let _ = stopping.send(run.clone());
+    fn answer_stops(&mut self, run: &LastRun) {
+        for client in self.stop_clients.drain(..) {
+            let _ = client.send(run.clone());
         }
     }
 
@@ -448,7 +462,7 @@ impl Controller {
     fn poll_run(&mut self) {
         if self.is_opening() && self.run.as_ref().is_some_and(|run| run.progress.is_open()) {
             tracing::info!(run = self.machine.run(), "run begins");
-            self.opened(Ok(()));
+            self.answer_starts(Ok(()));
         }
         let Some(run) = &self.run else { return };
         if let Some(outcome) = run.outcome() {
@@ -462,8 +476,8 @@ impl Controller {
         }
         let Snapshot { synced, sync_age, .. } = run.progress.get();
         let stalled_after = self.settings.daemon.sync_period() * STALLED_SYNC_PERIODS;
-        if synced.cycles > self.cycles_seen {
-            self.cycles_seen = synced.cycles;
+        if synced.cycles > self.cycles_synced {
+            self.cycles_synced = synced.cycles;
             self.handle(Event::Synced);
         } else if sync_age.is_none_or(|age| age > stalled_after) {
             self.handle(Event::Stalled);
@@ -471,13 +485,14 @@ impl Controller {
     }
 
     /// Adds the counts of session and run since the last time, and logs problems that began or ended.
-    fn count(&mut self) {
+    fn update_totals(&mut self) {
         if let Some(session) = self.bus.session() {
-            let now = session.live.totals();
-            let before = std::mem::replace(&mut self.counted.cycles, now);
+            let counts = session.live.totals();
+            let before = std::mem::replace(&mut self.counted.cycles, counts);
             // A new session counts from zero.
-            let [cycles, valid, late] =
-                std::array::from_fn(|index| now[index].checked_sub(before[index]).unwrap_or(now[index]));
+            let [cycles, valid, late] = std::array::from_fn(|index| {
+                counts[index].checked_sub(before[index]).unwrap_or(counts[index])
+            });
             self.totals.cycles += cycles;
             self.totals.cycles_valid += valid;
             self.totals.cycles_late += late;
@@ -505,7 +520,7 @@ impl Controller {
                 self.summary = Some(summary);
                 self.handle(Event::Closed);
             }
-            Err(error) if self.is_opening() => self.opened(Err(error.problem())),
+            Err(error) if self.is_opening() => self.answer_starts(Err(error.problem())),
             Err(error) => {
                 tracing::error!("recording failed: {error}");
                 let problem = error.problem();

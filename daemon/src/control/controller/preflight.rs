@@ -1,4 +1,5 @@
-//! Conditions of a run, each with its remedy if it does not hold.
+//! The pre-flight check: conditions of a run, each with its remedy if it does not hold. Its input is the status, the controller
+//! and what another thread found on disk. `ballbard check` and the page show it; `start` refuses a run that a line stops.
 
 use std::io;
 use std::path::PathBuf;
@@ -23,7 +24,7 @@ pub(in crate::control) struct Found {
     homing: Result<Option<HomingConfig>, String>,
     left_behind: Result<Vec<PathBuf>, io::Error>,
     /// Why the marks of a homing could not be saved.
-    unkept: Option<Problem>,
+    unsavable: Option<Problem>,
 }
 
 impl Found {
@@ -36,7 +37,7 @@ impl Found {
         Self {
             homing: settings.marks.read(disk).map_err(|error| error.to_string()),
             left_behind: left_behind(),
-            unkept: settings.marks.problem(disk),
+            unsavable: settings.marks.problem(disk),
         }
     }
 }
@@ -58,6 +59,7 @@ pub(super) fn check(controller: &Controller, status: &Status, found: Option<&Fou
     findings.into_iter().map(|(subject, finding)| line(subject, finding)).collect()
 }
 
+/// Subject of the line that stops a run whatever its severity.
 const DISK: &str = "disk";
 
 /// A text if all is well, otherwise the problems.
@@ -72,8 +74,8 @@ fn line(subject: &str, finding: Finding) -> CheckLine {
         }
         Err(problems) => problems,
     };
-    let joined = |of: fn(&Problem) -> &str| {
-        let mut parts: Vec<&str> = problems.iter().map(of).filter(|part| !part.is_empty()).collect();
+    let joined = |text_of: fn(&Problem) -> &str| {
+        let mut parts: Vec<&str> = problems.iter().map(text_of).filter(|part| !part.is_empty()).collect();
         parts.dedup();
         parts.join("; ")
     };
@@ -97,7 +99,7 @@ fn encoders(status: &Status) -> Finding {
     if status.sample_age_ms.is_none_or(|age| age > SAMPLE_AGE_MS_MAX) {
         return Err(vec![Fact::NoSamples {}.into()]);
     }
-    // The grade of a run like the last second; an encoder that is silent now has share 0.
+    // Shares and limits are those of the grade of a run; an encoder that is silent now has share 0.
     let share =
         |encoder: &EncoderStatus| if encoder.silent { 0.0 } else { encoder.valid_share.unwrap_or(1.0) };
     let problem = |encoder: &EncoderStatus| {
@@ -142,7 +144,7 @@ fn reference_marks(controller: &Controller, found: Option<&Found>) -> Finding {
 /// A homing takes a person minutes: this reports beforehand whether its result can be saved.
 fn state(controller: &Controller, found: Option<&Found>) -> Finding {
     let found = found.ok_or_else(unanswered)?;
-    match &found.unkept {
+    match &found.unsavable {
         None => Ok(format!("reference marks can be saved in {}", controller.settings.marks.path().display())),
         Some(problem) => Err(vec![problem.clone()]),
     }

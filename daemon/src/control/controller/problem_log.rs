@@ -10,6 +10,7 @@ use crate::problem::{Fact, Problem};
 /// Problems that hold now, and the number of beginnings of each code.
 #[derive(Debug, Default)]
 pub(super) struct ProblemLog {
+    /// Their [keys](Fact::key).
     active: Vec<(&'static str, usize)>,
     /// When bus and encoders stopped giving samples.
     outages: BTreeMap<String, MonoNs>,
@@ -25,12 +26,12 @@ impl ProblemLog {
         let problems: Vec<&Problem> = problems.filter(is_fault).collect();
         for problem in problems.iter().filter(|problem| !self.active.contains(&problem.fact.key())) {
             *self.began.entry(problem.code().to_owned()).or_default() += 1;
-            if let Some(subject) = subject(problem) {
+            if let Some(subject) = logged_subject(problem) {
                 tracing::warn!(code = problem.code(), "{subject}: {problem}");
             }
         }
         self.active = problems.iter().map(|problem| problem.fact.key()).collect();
-        let silent: Vec<String> = problems.iter().filter_map(|problem| silent(problem)).collect();
+        let silent: Vec<String> = problems.iter().filter_map(|problem| silent_subject(problem)).collect();
         self.outages.retain(|subject, since| {
             let is_silent = silent.contains(subject);
             if !is_silent {
@@ -39,9 +40,9 @@ impl ProblemLog {
             }
             is_silent
         });
-        silent.into_iter().for_each(|subject| {
+        for subject in silent {
             self.outages.entry(subject).or_insert(now);
-        });
+        }
     }
 
     /// How often each problem began, by its code.
@@ -50,15 +51,15 @@ impl ProblemLog {
     }
 }
 
-fn subject(problem: &Problem) -> Option<String> {
+fn logged_subject(problem: &Problem) -> Option<String> {
     match *problem.fact {
         Fact::LinkErrors { .. } => Some("link".into()),
-        _ => silent(problem),
+        _ => silent_subject(problem),
     }
 }
 
 /// The source of samples that the problem interrupts: its end is logged, too. Counted errors of a link have no end.
-fn silent(problem: &Problem) -> Option<String> {
+fn silent_subject(problem: &Problem) -> Option<String> {
     match &*problem.fact {
         Fact::EncoderInvalid { joints, .. } => {
             joints.first().map(|joint| format!("encoder of joint {joint}"))

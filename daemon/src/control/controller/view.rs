@@ -1,6 +1,6 @@
 //! The status of the service, derived from its parts.
 
-use shared::recording::schema::MAX_ENCODERS;
+use shared::recording::schema::{EncoderInfo, MAX_ENCODERS};
 use shared::time::MonoNs;
 use shared::version::software;
 
@@ -14,11 +14,11 @@ use crate::run::{BusChoice, Session};
 impl Controller {
     /// Problems of the disk that concern the current run or the next one.
     pub(super) fn disk_problems(&self) -> Vec<Problem> {
-        let of_run = self.run.as_ref().map(|run| run.progress.get().problems).unwrap_or_default();
+        let run_problems = self.run.as_ref().map(|run| run.progress.get().problems).unwrap_or_default();
         let recovering = self.preparing.as_ref().map(|preparing| {
             Fact::DiskRecovering { since_s: Some(self.now.seconds_since(preparing.since())) }.into()
         });
-        of_run.into_iter().chain(self.storage.problem()).chain(recovering).collect()
+        run_problems.into_iter().chain(self.storage.problem()).chain(recovering).collect()
     }
 
     /// Problems of the bus and the encoders; a run continues with them.
@@ -27,10 +27,10 @@ impl Controller {
             State::Fault => self.machine.fault(),
             _ => self.machine.bus_fault(),
         };
-        fault.map_or_else(
-            || self.bus.session().map(silent_encoders).unwrap_or_default(),
-            |problem| vec![problem.clone()],
-        )
+        match fault {
+            Some(problem) => vec![problem.clone()],
+            None => self.bus.session().map(silent_encoders).unwrap_or_default(),
+        }
     }
 
     /// The status, for programs and people.
@@ -41,17 +41,13 @@ impl Controller {
                 problems.push(problem);
             }
         }
-        let line = Some(Problem::line(&problems)).filter(|line| !line.is_empty());
+        let end_cause = self.machine.cause().map(str::to_owned);
+        let problem_line = Some(Problem::line(&problems)).filter(|line| !line.is_empty());
+        let reasons = end_cause.into_iter().chain(problem_line);
         let session = self.bus.session();
         let mut status = Status {
             state: self.machine.state(),
-            reason: self
-                .machine
-                .cause()
-                .map(str::to_owned)
-                .into_iter()
-                .chain(line)
-                .reduce(|one, other| format!("{one}; {other}")),
+            reason: reasons.reduce(|first, second| format!("{first}; {second}")),
             severity: problems.iter().map(|problem| problem.severity).max().unwrap_or_default(),
             problems,
             totals: self.totals.clone(),
@@ -99,28 +95,24 @@ impl Controller {
     }
 }
 
+/// Adds devices, links and encoders; `ball_bar.toml` has at most [`MAX_ENCODERS`].
 fn add_bus(status: &mut Status, session: &Session, valid_shares: Option<[f64; MAX_ENCODERS]>) {
     let live = &session.live;
     status.devices = session.devices().iter().map(|device| device.name.clone()).collect();
     status.sampled = live.at();
     status.origin = live.origin();
     status.bad_cables = live.bad_ports().into_iter().map(|counts| Fact::from(counts).into()).collect();
-    status.encoders = session
-        .encoders
-        .iter()
-        .zip(live.encoders().into_iter().zip(live.latches()))
-        .zip(are_silent(session))
-        .enumerate()
-        .map(|(index, ((info, (encoder, latch)), silent))| EncoderStatus {
-            joint: info.joint,
-            count: encoder.count,
-            latch,
-            status: encoder.status,
-            valid: encoder.valid,
-            silent,
-            valid_share: valid_shares.map(|shares| shares[index]),
-        })
-        .collect();
+    let (samples, latches, silent) = (live.encoders(), live.latches(), are_silent(session));
+    let encoder = |(index, info): (usize, &EncoderInfo)| EncoderStatus {
+        joint: info.joint,
+        count: samples[index].count,
+        latch: latches[index],
+        status: samples[index].status,
+        valid: samples[index].valid,
+        silent: silent[index],
+        valid_share: valid_shares.map(|shares| shares[index]),
+    };
+    status.encoders = session.encoders.iter().enumerate().map(encoder).collect();
 }
 
 /// Zero means "never".

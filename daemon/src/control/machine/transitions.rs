@@ -1,4 +1,4 @@
-//! Transitions of the state machine.
+//! Transitions of the state machine: one method per event, which gives the actions for the controller.
 
 use super::{Action, Answer, Event, State};
 use crate::problem::{Fact, Problem};
@@ -14,6 +14,7 @@ pub struct Machine {
     bus_fault: Option<Problem>,
     /// Why nothing can be recorded before the disk is ready.
     disk_fault: Option<Problem>,
+    /// The end of the service is requested.
     leaving: bool,
 }
 
@@ -66,8 +67,8 @@ impl Machine {
     /// nothing.
     pub fn handle(&mut self, event: Event) -> Vec<Action> {
         match event {
-            Event::BusUp => self.bus_is(None),
-            Event::BusDown(problem) => self.bus_is(Some(problem)),
+            Event::BusUp => self.set_bus_fault(None),
+            Event::BusDown(problem) => self.set_bus_fault(Some(problem)),
             Event::BusTroubled(problem) => self.bus_troubled(problem),
             Event::Home => self.home(),
             Event::HomingOver => self.homing_over(),
@@ -85,7 +86,7 @@ impl Machine {
         }
     }
 
-    fn bus_is(&mut self, fault: Option<Problem>) -> Vec<Action> {
+    fn set_bus_fault(&mut self, fault: Option<Problem>) -> Vec<Action> {
         let mut actions = Vec::new();
         if let Some(problem) = &fault {
             if !self.leaving {
@@ -96,14 +97,14 @@ impl Machine {
             actions.extend(self.end_run(&cause));
         }
         self.bus_fault = fault;
-        self.rest();
+        self.set_idle_state();
         actions
     }
 
     /// Nothing can begin; a current run or homing continues.
     fn bus_troubled(&mut self, problem: Problem) -> Vec<Action> {
         self.bus_fault = Some(problem);
-        self.rest();
+        self.set_idle_state();
         Vec::new()
     }
 
@@ -138,7 +139,7 @@ impl Machine {
             return Vec::new();
         }
         self.state = State::Waiting;
-        self.rest_or_exit().into_iter().collect()
+        self.idle_or_exit().into_iter().collect()
     }
 
     fn start(&mut self, details: Box<RunDetails>, named: bool) -> Vec<Action> {
@@ -171,7 +172,7 @@ impl Machine {
         };
         self.state = State::Waiting;
         let mut actions = vec![Action::NotBegun { run, problem }];
-        actions.extend(self.rest_or_exit());
+        actions.extend(self.idle_or_exit());
         actions
     }
 
@@ -228,13 +229,13 @@ impl Machine {
             self.disk_fault = failure;
             actions.push(Action::Recover);
         }
-        actions.extend(self.rest_or_exit());
+        actions.extend(self.idle_or_exit());
         actions
     }
 
     fn recovered(&mut self) -> Vec<Action> {
         self.disk_fault = None;
-        self.rest();
+        self.set_idle_state();
         Vec::new()
     }
 
@@ -242,24 +243,25 @@ impl Machine {
         self.leaving = true;
         let mut actions = self.end_run(cause);
         actions.extend(self.end_homing(cause));
-        actions.extend(self.rest_or_exit());
+        actions.extend(self.idle_or_exit());
         actions
     }
 
-    fn is_resting(&self) -> bool {
+    fn is_idle(&self) -> bool {
         matches!(self.state, State::Fault | State::Waiting)
     }
 
     /// Between runs a fault of bus or disk decides the state.
-    fn rest(&mut self) {
-        if self.is_resting() {
+    fn set_idle_state(&mut self) {
+        if self.is_idle() {
             self.state = if self.fault().is_some() { State::Fault } else { State::Waiting };
         }
     }
 
-    fn rest_or_exit(&mut self) -> Option<Action> {
-        self.rest();
-        (self.leaving && self.is_resting()).then_some(Action::Exit)
+    /// Exits if that is requested and nothing is active any more.
+    fn idle_or_exit(&mut self) -> Option<Action> {
+        self.set_idle_state();
+        (self.leaving && self.is_idle()).then_some(Action::Exit)
     }
 }
 

@@ -1,4 +1,4 @@
-//! The bin: a deleted recording is kept with its note in a subfolder until the bin is emptied.
+//! The bin: a deleted recording is kept with its note in the subfolder `.bin` until the bin is emptied.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -22,7 +22,8 @@ impl Places {
         Self([directory.to_owned(), spare.to_owned()])
     }
 
-    fn deleted(&self, disk: &dyn Disk) -> io::Result<Vec<PathBuf>> {
+    /// Files of the recordings in both bins.
+    fn deleted_files(&self, disk: &dyn Disk) -> io::Result<Vec<PathBuf>> {
         let mut files = Vec::new();
         for directory in &self.0 {
             files.extend(unless_absent(disk.list(&directory.join(FOLDER)))?);
@@ -33,21 +34,21 @@ impl Places {
 
     /// The recordings in the bin, the latest first.
     pub fn list(&self, disk: &dyn Disk) -> io::Result<Vec<RunLine>> {
-        Ok(runs::lines(disk, self.deleted(disk)?))
+        Ok(runs::lines(disk, self.deleted_files(disk)?))
     }
 
     /// Moves the recording of this name out of the bin; returns its new name, or `None` if the bin does not have it.
     pub fn restore(&self, disk: &dyn Disk, name: &str) -> io::Result<Option<String>> {
-        let files = self.deleted(disk)?;
+        let files = self.deleted_files(disk)?;
         let wanted = files.iter().find(|file| stem(file, FINISHED_ENDING).is_some_and(|stem| stem == name));
-        let home = |file: &PathBuf| file.parent().and_then(Path::parent).map(Path::to_owned);
-        let Some((file, home)) = wanted.and_then(|file| Some((file, home(file)?))) else { return Ok(None) };
-        moved(disk, file, &home).map(Some)
+        let Some(file) = wanted else { return Ok(None) };
+        let Some(directory) = file.parent().and_then(Path::parent) else { return Ok(None) };
+        move_to_free_name(disk, file, directory).map(Some)
     }
 
     /// Removes every recording in the bin from the disk, with its note; returns their number.
     pub fn empty(&self, disk: &dyn Disk) -> io::Result<u64> {
-        let files = self.deleted(disk)?;
+        let files = self.deleted_files(disk)?;
         for file in &files {
             disk.remove(file)?;
             note::remove(disk, file)?;
@@ -60,15 +61,15 @@ impl Places {
 pub fn put(disk: &dyn Disk, recording: &Path) -> io::Result<String> {
     let bin = recording.parent().unwrap_or(Path::new(".")).join(FOLDER);
     disk.make_directory(&bin)?;
-    moved(disk, recording, &bin)
+    move_to_free_name(disk, recording, &bin)
 }
 
 /// Moves a recording and its note to a free name. The note is moved last: it is found only beside its recording.
-fn moved(disk: &dyn Disk, file: &Path, directory: &Path) -> io::Result<String> {
+fn move_to_free_name(disk: &dyn Disk, file: &Path, directory: &Path) -> io::Result<String> {
     let name = free_name(disk, directory, &stem(file, FINISHED_ENDING).unwrap_or_default());
-    let to = directory.join(format!("{name}.{FINISHED_ENDING}"));
-    disk.rename(file, &to)?;
-    unless_absent(disk.replace(&note::beside(file), &note::beside(&to)))?;
+    let new_file = directory.join(format!("{name}.{FINISHED_ENDING}"));
+    disk.rename(file, &new_file)?;
+    unless_absent(disk.replace(&note::beside(file), &note::beside(&new_file)))?;
     disk.sync_directory(directory)?;
     disk.sync_directory(file.parent().unwrap_or(Path::new(".")))?;
     Ok(name)

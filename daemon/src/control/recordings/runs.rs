@@ -1,4 +1,5 @@
-//! The recordings of a directory: duration, grade, origin.
+//! The recordings of a directory: a list with duration, grade and provenance of each, names for new ones, and the angles of
+//! one for a plot. All of it is read from the files; nothing is cached. Used by API, page and commands.
 
 use std::io::{self, BufReader};
 use std::path::{Path, PathBuf};
@@ -80,7 +81,7 @@ pub fn list(disk: &dyn Disk, directory: &Path, spare: Option<&Path>) -> io::Resu
 /// The recordings among these files, sorted like [`list`].
 pub(in crate::control) fn lines(disk: &dyn Disk, files: Vec<PathBuf>) -> Vec<RunLine> {
     let mut lines: Vec<_> = files.into_iter().filter_map(|file| line(disk, file)).collect();
-    lines.sort_by(|one, other| other.started.cmp(&one.started).then_with(|| one.name.cmp(&other.name)));
+    lines.sort_by(|a, b| b.started.cmp(&a.started).then_with(|| a.name.cmp(&b.name)));
     lines
 }
 
@@ -110,8 +111,8 @@ pub(in crate::control) fn automatic_name(
 
 /// Whether a recording has this name. If the disk does not answer, creating the run's file fails if it exists.
 pub(in crate::control) fn is_taken(disk: &dyn Disk, directory: &Path, name: &str) -> bool {
-    let is_there = |ending| disk.has(&directory.join(format!("{name}.{ending}"))).unwrap_or(false);
-    [FINISHED_ENDING, ACTIVE_ENDING].into_iter().any(is_there)
+    let exists = |ending| disk.has(&directory.join(format!("{name}.{ending}"))).unwrap_or(false);
+    [FINISHED_ENDING, ACTIVE_ENDING].into_iter().any(exists)
 }
 
 /// The finished recording of this name. The name is compared with existing ones and never becomes part of a path.
@@ -121,8 +122,8 @@ pub fn find(
     spare: Option<&Path>,
     name: &str,
 ) -> io::Result<Option<PathBuf>> {
-    let is_it = |file: &PathBuf| stem(file, FINISHED_ENDING).is_some_and(|stem| stem == name);
-    Ok(files(disk, directory, spare)?.into_iter().find(is_it))
+    let has_name = |file: &PathBuf| stem(file, FINISHED_ENDING).is_some_and(|stem| stem == name);
+    Ok(files(disk, directory, spare)?.into_iter().find(has_name))
 }
 
 fn files(disk: &dyn Disk, directory: &Path, spare: Option<&Path>) -> io::Result<Vec<PathBuf>> {
@@ -145,11 +146,13 @@ pub fn left_behind(disk: &dyn Disk, directory: &Path) -> io::Result<Vec<PathBuf>
     Ok(files)
 }
 
+/// Name of a recording: that of its file without this ending; `None` for other files.
 pub(in crate::control) fn stem(path: &Path, ending: &str) -> Option<String> {
     let name = path.file_name()?.to_str()?;
     Some(name.strip_suffix(ending)?.strip_suffix('.')?.to_owned()).filter(|stem| !stem.is_empty())
 }
 
+/// The line of a recording, finished or not; `None` for other files.
 fn line(disk: &dyn Disk, file: PathBuf) -> Option<RunLine> {
     if let Some(name) = stem(&file, ACTIVE_ENDING) {
         let cause = match is_in_use(disk, &file) {
@@ -204,7 +207,7 @@ pub fn finished(disk: &dyn Disk, name: String, file: PathBuf) -> RunLine {
     }
 }
 
-/// Points of a plot.
+/// Largest number of points of a plot.
 const CURVE_POINTS: u64 = 1500;
 
 /// Angles of a whole run for a plot.
@@ -225,27 +228,28 @@ pub struct Curve {
     pub angle_deg: Vec<Option<f64>>,
 }
 
-/// Reads the file once and keeps at most `CURVE_POINTS` points per joint. A part of the run with any invalid cycle is a gap.
+/// Reads the file once and keeps at most `CURVE_POINTS` points per joint, the first of each interval of equally many cycles.
+/// An interval with any invalid cycle is a gap.
 pub fn curves(disk: &dyn Disk, path: &Path) -> Result<Curves, ReadError> {
     let RunOverview { run, end } = RunOverview::open_on(disk, path)?;
-    let each = end.cycles.div_ceil(CURVE_POINTS).max(1);
+    let interval_cycles = end.cycles.div_ceil(CURVE_POINTS).max(1);
     let mut curves = Curves::default();
     let mut joints: Vec<_> = run.encoders.iter().map(JointCurve::new).collect();
     let mut first_sample = None;
-    let mut take = |cycle: CycleRecord| {
-        let begins_part = cycle.cycle.is_multiple_of(each);
-        if begins_part {
+    let mut add_cycle = |cycle: CycleRecord| {
+        let begins_interval = cycle.cycle.is_multiple_of(interval_cycles);
+        if begins_interval {
             let first = *first_sample.get_or_insert(cycle.sample_time);
             curves.t_s.push(cycle.sample_time.seconds_since(first));
         }
-        for (place, joint) in joints.iter_mut().enumerate() {
-            joint.take(cycle.encoders().get(place).copied().unwrap_or_default(), begins_part);
+        for (index, joint) in joints.iter_mut().enumerate() {
+            joint.add(cycle.encoders().get(index).copied().unwrap_or_default(), begins_interval);
         }
         Ok(())
     };
     let error = |kind| ReadError { path: path.to_owned(), kind };
     let file = disk.open(path).map_err(|source| error(source.into()))?;
-    Outline::read(BufReader::new(OpenFile::new(disk, &file)), &mut take).map_err(error)?;
+    Outline::read(BufReader::new(OpenFile::new(disk, &file)), &mut add_cycle).map_err(error)?;
     curves.joints = joints.into_iter().map(|joint| joint.curve).collect();
     Ok(curves)
 }
@@ -266,14 +270,15 @@ impl JointCurve {
         Self { curve, scale, unwrapper: scale.unwrapper(), first: None }
     }
 
-    fn take(&mut self, sample: EncoderSample, begins_part: bool) {
+    /// Adds a point at the beginning of an interval, and removes it if a later sample of the interval is invalid.
+    fn add(&mut self, sample: EncoderSample, begins_interval: bool) {
         let angle_deg = sample.valid.then(|| {
             let counts = self.unwrapper.next(sample.count);
             let counts = counts - *self.first.get_or_insert(counts);
             (self.scale.direction.sign() * counts) as f64 * self.scale.rad_per_count().to_degrees()
         });
         match self.curve.angle_deg.last_mut() {
-            Some(part_deg) if !begins_part => *part_deg = part_deg.filter(|_| angle_deg.is_some()),
+            Some(point_deg) if !begins_interval => *point_deg = point_deg.filter(|_| angle_deg.is_some()),
             _ => self.curve.angle_deg.push(angle_deg),
         }
     }

@@ -1,4 +1,5 @@
-//! A recording as a table for spreadsheets and scripts.
+//! A recording as a table (CSV) for spreadsheets and scripts: one row per cycle. Used by `ballbard export`, the page and the
+//! API.
 
 use std::io::{self, BufReader, Write};
 use std::iter::Peekable;
@@ -47,11 +48,14 @@ struct Table<'a, W: Write> {
     rows: csv::Writer<W>,
     encoders: &'a [EncoderInfo],
     unwrappers: Vec<Unwrapper>,
+    /// Events that no row has yet.
     events: Peekable<slice::Iter<'a, Event>>,
-    /// For the event cell of the first row.
+    /// Texts that describe the run, for the event cell of the first row.
     about: Vec<String>,
     first_sample: Option<UtcNs>,
+    /// Number of the counters' origin in the previous row.
     origin: Option<u32>,
+    /// Cycles of the recording.
     cycles: u64,
 }
 
@@ -72,14 +76,14 @@ impl<'a, W: Write> Table<'a, W> {
         header.extend(["cycle", "flags", "event"].map(str::to_owned));
         let delimiter = if layout.excel { b';' } else { b',' };
         let mut rows = csv::WriterBuilder::new().delimiter(delimiter).from_writer(sink);
-        rows.write_record(&header).map_err(of_sink)?;
+        rows.write_record(&header).map_err(sink_error)?;
         Ok(Self {
             layout,
             rows,
             encoders,
             unwrappers: encoders.iter().map(|encoder| encoder.scale.unwrapper()).collect(),
             events: outline.events.iter().peekable(),
-            about: about(&outline.run),
+            about: run_texts(&outline.run),
             first_sample: None,
             origin: None,
             cycles: outline.end.cycles,
@@ -89,43 +93,46 @@ impl<'a, W: Write> Table<'a, W> {
     /// Writes the row of the next cycle.
     fn add(&mut self, record: &CycleRecord) -> io::Result<()> {
         let layout = self.layout;
-        let changed = self.origin.replace(record.origin).is_some_and(|before| before != record.origin);
+        let is_new_origin = self.origin.replace(record.origin).is_some_and(|before| before != record.origin);
         let has_counts = record.flags & (flags::LOST | flags::NO_REPLY | flags::DEADLINE_MISSED) == 0;
         let samples = record.encoders();
         let first_sample = *self.first_sample.get_or_insert(record.sample_time);
         let mut row = vec![layout.time(record.sample_time, first_sample)];
-        row.extend(
-            samples.iter().map(|sample| if has_counts { sample.count.to_string() } else { String::new() }),
-        );
-        row.extend(samples.iter().zip(self.encoders).zip(&mut self.unwrappers).map(
-            |((sample, encoder), unwrapper)| {
-                if sample.valid {
-                    layout.number(format!("{:.9}", encoder.scale.counts_to_rad(unwrapper.next(sample.count))))
-                } else {
-                    String::new()
-                }
-            },
-        ));
-        row.extend(samples.iter().map(|sample| u8::from(sample.valid).to_string()));
+        for sample in samples {
+            row.push(if has_counts { sample.count.to_string() } else { String::new() });
+        }
+        for ((sample, encoder), unwrapper) in samples.iter().zip(self.encoders).zip(&mut self.unwrappers) {
+            row.push(if sample.valid {
+                let angle_rad = encoder.scale.counts_to_rad(unwrapper.next(sample.count));
+                layout.number(format!("{angle_rad:.9}"))
+            } else {
+                String::new()
+            });
+        }
+        for sample in samples {
+            row.push(u8::from(sample.valid).to_string());
+        }
         let is_last = record.cycle + 1 == self.cycles;
         let mut texts = std::mem::take(&mut self.about);
+        // The last row also has the events after it.
         while let Some(Event { kind, text, .. }) =
             self.events.next_if(|event| event.cycle <= record.cycle || is_last)
         {
             texts.push(format!("{}: {text}", kind_name(*kind)));
         }
+        let shown_flags = record.flags | if is_new_origin { flags::ORIGIN_CHANGED } else { 0 };
         row.extend([
             record.cycle.to_string(),
-            flag_names(record.flags | if changed { flags::ORIGIN_CHANGED } else { 0 }).join(" "),
+            flag_names(shown_flags).join(" "),
             // One line of text per row, for readers that split at line ends.
             texts.join("; ").replace(char::is_control, " "),
         ]);
-        self.rows.write_record(&row).map_err(of_sink)
+        self.rows.write_record(&row).map_err(sink_error)
     }
 }
 
 /// The error of the sink itself, so that its kind shows whether the reader has closed it.
-fn of_sink(error: csv::Error) -> io::Error {
+fn sink_error(error: csv::Error) -> io::Error {
     match error.into_kind() {
         csv::ErrorKind::Io(error) => error,
         other => io::Error::other(format!("{other:?}")),
@@ -171,7 +178,7 @@ impl Layout {
 }
 
 /// Origin of the data, zero of the angles, and the texts that describe the run.
-fn about(run: &RunMetadata) -> Vec<String> {
+fn run_texts(run: &RunMetadata) -> Vec<String> {
     let RunMetadata { operator, robot, bar, payload, note, .. } = run;
     let texts =
         [("robot", robot), ("bar", bar), ("payload", payload), ("operator", operator), ("note", note)];
@@ -181,14 +188,15 @@ fn about(run: &RunMetadata) -> Vec<String> {
     provenance.into_iter().chain([angle_zeros(&run.encoders)]).chain(texts).collect()
 }
 
+/// Where the angles of which joints are zero.
 fn angle_zeros(encoders: &[EncoderInfo]) -> String {
     let (homed, others): (Vec<&EncoderInfo>, Vec<_>) =
         encoders.iter().partition(|encoder| encoder.scale.reference_counts != 0);
-    let zero = |what: &str, of: &[&EncoderInfo]| match of.len() {
+    let zero = |what: &str, with_it: &[&EncoderInfo]| match with_it.len() {
         0 => None,
         count if count == encoders.len() => Some(what.to_owned()),
         _ => {
-            let joints: Vec<_> = of.iter().map(|encoder| encoder.joint.to_string()).collect();
+            let joints: Vec<_> = with_it.iter().map(|encoder| encoder.joint.to_string()).collect();
             Some(format!("{what} (joint {})", joints.join(" ")))
         }
     };
@@ -196,7 +204,7 @@ fn angle_zeros(encoders: &[EncoderInfo]) -> String {
     format!("angles from: {}", zeros.into_iter().flatten().collect::<Vec<_>>().join(" and "))
 }
 
-/// Precedes each text, so that no spreadsheet reads one as a formula.
+/// Word before the text of an event, so that no spreadsheet reads one as a formula.
 fn kind_name(kind: EventKind) -> &'static str {
     match kind {
         EventKind::Marker => "mark",

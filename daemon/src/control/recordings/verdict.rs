@@ -1,4 +1,5 @@
-//! The grade of a run. Page, commands and API all use it.
+//! The grade of a run (GOOD, CHECK or BAD) with its reasons: from the shares of valid and lost cycles, the duration, and the
+//! angle by which each joint turned, with the limits of `identify calibrate`. Page, commands and API all use it.
 
 use std::fmt;
 
@@ -61,10 +62,11 @@ impl Verdict {
         if cycles_valid == 0 {
             return Self::bad(format!("none of the {cycles} cycles is valid{}", content.causes()));
         }
-        let (share, flagged) = (cycles_valid as f64 / cycles as f64, cycles.saturating_sub(cycles_valid));
-        if share < VALID_SHARE_GOOD {
-            let level = if share < VALID_SHARE_BAD { Level::Bad } else { Level::Check };
-            let percent = 100.0 * (1.0 - share);
+        let (valid_share, flagged) =
+            (cycles_valid as f64 / cycles as f64, cycles.saturating_sub(cycles_valid));
+        if valid_share < VALID_SHARE_GOOD {
+            let level = if valid_share < VALID_SHARE_BAD { Level::Bad } else { Level::Check };
+            let percent = 100.0 * (1.0 - valid_share);
             let causes = content.causes();
             verdict.add(level, format!("{flagged} of {cycles} cycles are flagged ({percent:.1} %){causes}"));
         }
@@ -135,8 +137,8 @@ impl Content<'_> {
     fn causes(&self) -> String {
         let mut flagged: Vec<_> = self.flagged.iter().collect();
         flagged.sort_by_key(|flagged| std::cmp::Reverse(flagged.cycles));
-        let more = flagged.len().saturating_sub(CAUSES_MAX);
-        let of = |flagged: &&Flagged| {
+        let unlisted = flagged.len().saturating_sub(CAUSES_MAX);
+        let describe = |flagged: &&Flagged| {
             let Flagged { joint, reason, first, cycles, periods } = flagged;
             let who = joint.map_or("all joints".to_owned(), |joint| format!("joint {joint}"));
             let lasted_s = *cycles as f64 * self.period_s;
@@ -144,9 +146,9 @@ impl Content<'_> {
             let times = if *periods > 1 { format!(" in {periods} periods") } else { String::new() };
             format!("{who} {reason} ({lasted_s:.1} s{times}, first at {begun})")
         };
-        let mut causes: Vec<_> = flagged.iter().take(CAUSES_MAX).map(of).collect();
-        if more > 0 {
-            causes.push(format!("{more} more cause{}", if more == 1 { "" } else { "s" }));
+        let mut causes: Vec<_> = flagged.iter().take(CAUSES_MAX).map(describe).collect();
+        if unlisted > 0 {
+            causes.push(format!("{unlisted} more cause{}", if unlisted == 1 { "" } else { "s" }));
         }
         if causes.is_empty() { String::new() } else { format!(": {}", causes.join(", ")) }
     }
