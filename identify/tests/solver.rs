@@ -414,6 +414,63 @@ impl Problem for Ragged<'_> {
     }
 }
 
+/// Rows `x_j - k` of measured samples, each for one of two columns, and after them one known sample of three rows.
+struct BesideKnown {
+    measured: usize,
+}
+
+impl Problem for BesideKnown {
+    fn columns(&self) -> usize {
+        2
+    }
+
+    fn column_name(&self, column: usize) -> String {
+        format!("x{column}")
+    }
+
+    fn samples(&self) -> usize {
+        self.measured + 1
+    }
+
+    fn rows(&self) -> usize {
+        1
+    }
+
+    fn rows_of(&self, sample: usize) -> usize {
+        if self.is_known(sample) { 3 } else { 1 }
+    }
+
+    fn is_known(&self, sample: usize) -> bool {
+        sample == self.measured
+    }
+
+    fn at<'a>(&'a self, x: &[f64]) -> Linearisation<'a> {
+        let x = x.to_vec();
+        Box::new(move |sample, residual, block| {
+            for (row, r) in residual.iter_mut().enumerate() {
+                let column = (sample + row) % 2;
+                *r = x[column] - (sample + row) as f64;
+                block.column_mut(column)[row] = 1.0;
+            }
+            true
+        })
+    }
+}
+
+/// Each column is the mean of its numbers, wherever the rows of the known sample are among those that are reduced at once.
+#[test]
+fn a_known_sample_with_more_rows_than_the_measured_ones_counts_whole() {
+    for measured in 230..=250 {
+        let numbers = |column: usize| (column..measured + 3).step_by(2).map(|number| number as f64);
+        let mean = |column: usize| numbers(column).sum::<f64>() / numbers(column).count() as f64;
+        let solution = solve(&BesideKnown { measured }, &[0.0; 2], &Options::default()).unwrap();
+        for column in 0..2 {
+            let error = solution.x[column] - mean(column);
+            assert!(error.abs() < 1e-9, "{measured} measured samples: x{column} is off by {error}");
+        }
+    }
+}
+
 #[test]
 fn samples_of_different_numbers_of_residuals_count_by_each_of_them() {
     let mut random = StdRng::seed_from_u64(17);

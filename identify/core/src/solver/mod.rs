@@ -56,7 +56,7 @@ pub trait Problem: Sync {
     /// Number of samples of the problem.
     fn samples(&self) -> usize;
 
-    /// Largest number of residual rows of a sample. Scales of losses are for samples with this number.
+    /// Largest number of residual rows of a measured sample; known ones may have more. Scales of losses are for this number.
     fn rows(&self) -> usize;
 
     /// Residual rows of one sample.

@@ -54,8 +54,6 @@ pub(super) struct Panel {
     columns: usize,
     /// Number of all columns: [`width`].
     width: usize,
-    /// Largest number of rows of a sample.
-    rows_max: usize,
     /// Number of rows, and how many of them are in use.
     capacity: usize,
     used: usize,
@@ -64,19 +62,20 @@ pub(super) struct Panel {
 }
 
 impl Panel {
-    pub(super) fn new(columns: usize, rows_max: usize) -> Self {
-        let capacity = PANEL_ROWS.max(rows_max);
+    /// For samples of `rows` rows; known properties may have some more.
+    pub(super) fn new(columns: usize, rows: usize) -> Self {
+        let capacity = PANEL_ROWS.max(rows);
         let (stride, width) = (capacity.next_multiple_of(ROW_STEP), width(columns));
         let data = vec![0.0; stride * width];
-        Self { data, stride, columns, width, rows_max, capacity, used: 0, samples: Vec::new() }
+        Self { data, stride, columns, width, capacity, used: 0, samples: Vec::new() }
     }
 
     pub(super) fn is_empty(&self) -> bool {
         self.samples.is_empty()
     }
 
-    pub(super) fn is_full(&self) -> bool {
-        self.used + self.rows_max > self.capacity
+    pub(super) fn has_room(&self, rows: usize) -> bool {
+        self.used + rows <= self.capacity
     }
 
     pub(super) fn clear(&mut self) {

@@ -256,11 +256,11 @@ impl<'a> Pass<'a> {
         let mut panel = Panel::new(self.problem.columns(), self.problem.rows());
         let mut fits = Vec::with_capacity(samples.len());
         for sample in samples {
-            fits.push(self.add_sample(&mut linearisation, sample, &mut panel)?);
-            if panel.is_full() {
+            if !panel.has_room(self.problem.rows_of(sample)) {
                 fold.fold(&mut panel)?;
                 panel.clear();
             }
+            fits.push(self.add_sample(&mut linearisation, sample, &mut panel)?);
         }
         if !panel.is_empty() {
             fold.fold(&mut panel)?;
