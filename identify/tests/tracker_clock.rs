@@ -200,6 +200,8 @@ fn the_command_takes_both_logs_and_what_it_writes_repeats_it() {
     assert!(out.contains("robot's clock minus tracker's: 4321.09") && out.contains("clock_skew"), "{out}");
     let page = std::fs::read_to_string(folder.path().join("result/report.html")).unwrap();
     assert!(page.contains("robot&#39;s clock minus tracker") || page.contains("robot's clock minus tracker"));
+    // The tracker's clock has no date: the certificate leaves it to be written by hand.
+    assert!(page.contains("<dt>Measured</dt><dd class=\"blank\"></dd>"), "{page:.2000}");
     let (done, _, err) = run(&["--experiment", "result/experiment.toml"], "again");
     assert!(done, "{err}");
     let found = |name: &str| CalibrationFile::open(&folder.path().join(name)).unwrap();

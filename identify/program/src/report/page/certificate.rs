@@ -1,5 +1,6 @@
 //! The first sheet of the page, which an engineer signs: one A4, results in the terms of ISO 9283 with uncertainties by the GUM.
 
+use chrono::{DateTime, Datelike};
 use maud::{Markup, html};
 
 use super::drawing::plot::PlotError;
@@ -46,9 +47,10 @@ pub(super) fn sheet(simulated: bool, content: &Markup) -> Markup {
 
 /// Date of the measurement by the instrument's clock, for measurements whose recording has none.
 fn dated(file: &CalibrationFile) -> Option<String> {
-    let mut dates = file.clocks.iter().map(|clock| to_the_second(&clock.reference_utc));
-    // Files of earlier versions have the time since 1970 of a clock without a date.
-    dates.find(|date| !date.starts_with("1970"))
+    let mut dates = file.clocks.iter().map(|clock| clock.reference_utc.as_str());
+    // A clock without a date has a number of seconds; in files of earlier versions it is a time of 1970.
+    let is_date = |text: &&str| DateTime::parse_from_rfc3339(text).is_ok_and(|date| date.year() > 1970);
+    dates.find(is_date).map(to_the_second)
 }
 
 /// Whether it is calibrated, and the one reason that limits the verdict.
