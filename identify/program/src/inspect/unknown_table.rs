@@ -557,7 +557,7 @@ fn joints(
     Some(family.iter().map(joint).collect())
 }
 
-/// The unit by the size of the values; a note says whether the header agrees.
+/// The unit by the size of the values; a note states whether the header agrees.
 fn angle_unit(family: &[&Column], notes: &mut Notes) -> AngleUnit {
     /// Joints of robots turn by little more than a turn either way.
     const RAD_MAX: f64 = 6.7;
