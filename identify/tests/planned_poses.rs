@@ -381,7 +381,7 @@ fn moves_go_round_a_wall_through_postures_that_are_clear() {
 
 /// Two walls with a gap narrower than the wrist: no path connects the two sides.
 #[test]
-#[ignore = "plans among obstacles: half a minute"]
+#[ignore = "plans among obstacles: a minute and a half"]
 fn poses_without_a_free_way_between_them_are_marked_everywhere_and_end_with_an_error() {
     let directory = tempfile::tempdir().unwrap();
     let out = directory.path();

@@ -12,10 +12,10 @@ use shared::config::JointKind;
 
 use crate::kinematics::{Chain, DhLink, Joints, Pose, ROD_LINK};
 
-/// Number of last links, which only rotate in place: the plate and the rod's end represent them.
+/// Number of links of the wrist, which only rotate in place: the plate and the rod's end represent them.
 const WRIST_LINKS: usize = 2;
-/// Shortest step between two checked postures of a move \[m\].
-const ADVANCE_M_MIN: f64 = 1e-3;
+/// Shortest step between two checked postures of a move \[m\]: between them the clearance is smaller by at most half of it.
+const ADVANCE_M_MIN: f64 = 5e-3;
 
 /// Sizes of the bodies.
 #[derive(Debug, Clone, PartialEq)]
@@ -103,10 +103,16 @@ impl Bodies {
         self.cell_clearance_m(&links, &[], None).min(self.own_clearance_m(&links))
     }
 
-    /// Whether [`Self::is_clear`] holds on the straight line in joint space between two postures. The joints' motion bounds the
-    /// change of all distances, so that a free posture remains free for a certain step (conservative advancement, Mirtich 1996).
+    /// Whether [`Self::is_clear`] holds on the straight line in joint space between two postures, but for [`ADVANCE_M_MIN`].
+    ///
+    /// No point of the arm moves further than `way_m`, so a posture whose clearance exceeds the smallest permitted one remains
+    /// clear until the arm has moved by the difference (conservative advancement, Mirtich 1996).
     pub fn is_way_clear(&self, arm: &Chain, from: &Joints, to: &Joints) -> bool {
-        let reach_m = arm.reach_m();
+        let extended_m = |((link, from), to): ((&DhLink, &f64), &f64)| match link.joint {
+            JointKind::Revolute => 0.0,
+            JointKind::Prismatic => from.abs().max(to.abs()),
+        };
+        let reach_m = arm.reach_m() + arm.links.iter().zip(from).zip(to).map(extended_m).sum::<f64>();
         let moved_m = |((link, from), to): ((&DhLink, &f64), &f64)| match link.joint {
             JointKind::Revolute => reach_m * (to - from).abs(),
             JointKind::Prismatic => (to - from).abs(),
@@ -122,7 +128,8 @@ impl Bodies {
             if part >= 1.0 {
                 return true;
             }
-            part = if way_m > 0.0 { (part + clearance_m.max(ADVANCE_M_MIN) / way_m).min(1.0) } else { 1.0 };
+            let advance_m = (clearance_m - self.clearance_m_min).max(ADVANCE_M_MIN);
+            part = if way_m > 0.0 { (part + advance_m / way_m).min(1.0) } else { 1.0 };
         }
     }
 
