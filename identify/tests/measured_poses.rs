@@ -139,6 +139,12 @@ fn a_workbook_is_read_as_a_table_with_its_own_row_numbers() {
 }
 
 #[test]
+fn a_sheet_with_a_chart_and_quotes_in_cells_do_not_matter() {
+    let alone = MeasuredPoses::load(&workbook("poses.xlsx"), &example()).unwrap();
+    assert_eq!(MeasuredPoses::load(&workbook("poses_and_chart.xlsx"), &example()).unwrap(), alone);
+}
+
+#[test]
 fn of_a_workbook_with_several_sheets_the_one_that_the_mapping_names_is_read() {
     let error = MeasuredPoses::load(&workbook("two_sheets.xlsx"), &example()).unwrap_err().to_string();
     assert!(

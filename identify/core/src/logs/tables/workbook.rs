@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::io::Cursor;
 
-use calamine::{Data, Reader, Xlsx};
+use calamine::{Data, Reader, SheetType, Xlsx};
 use zip::ZipArchive;
 
 /// An Excel workbook is a ZIP archive; no text begins so.
@@ -14,7 +14,7 @@ pub(in crate::logs) fn is_workbook(bytes: &[u8]) -> bool {
     bytes.starts_with(ZIP)
 }
 
-/// The rows of a sheet, as lines with the numbers of the rows.
+/// The rows of a sheet as lines: line n is row n, and a row without cells is a blank line.
 pub(super) fn text_of_sheet(bytes: &[u8], wanted: Option<&str>) -> Result<String, String> {
     let mut sheets = sheets(bytes)?;
     let list = |sheets: &[Sheet]| sheets.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>().join(", ");
@@ -43,7 +43,9 @@ pub(super) fn sheets(bytes: &[u8]) -> Result<Vec<Sheet>, String> {
     check_archive(bytes).map_err(|error| format!("a damaged workbook: {error}"))?;
     let unreadable = |error: calamine::XlsxError| format!("a workbook that cannot be read: {error}");
     let mut workbook = Xlsx::new(Cursor::new(bytes)).map_err(unreadable)?;
-    let names = workbook.sheet_names();
+    // Sheets of charts and macros have no cells.
+    let tables = workbook.sheets_metadata().iter().filter(|sheet| sheet.typ == SheetType::WorkSheet);
+    let names: Vec<String> = tables.map(|sheet| sheet.name.clone()).collect();
     let all = names.into_iter().map(|name| rows(&mut workbook, &name).map(|rows| (name, rows)));
     let mut all: Vec<Sheet> = all.collect::<Result<_, _>>().map_err(unreadable)?;
     all.retain(|(_, rows)| !rows.is_empty());
@@ -95,12 +97,14 @@ fn lines(rows: &Rows) -> Result<String, String> {
     Ok(text)
 }
 
-/// A cell as a table would have it: numbers with all their digits, dates as text.
+/// A cell as a table would have it: numbers with all their digits, dates as text, control characters as spaces,
+/// quotes as the reader of tables expects them.
 fn cell_text(cell: &Data) -> String {
-    match cell {
+    let text = match cell {
         Data::DateTime(date) => {
             date.as_datetime().map_or_else(|| cell.to_string(), |date| date.format("%FT%T%.f").to_string())
         }
         _ => cell.to_string().replace(char::is_control, " "),
-    }
+    };
+    if text.contains('"') { format!("\"{}\"", text.replace('"', "\"\"")) } else { text }
 }
