@@ -13,9 +13,11 @@
 //! | opening | file created; cannot be created | sampling; waiting |
 //! | sampling | a second of it is on disk | writing |
 //! | writing | nothing new on disk for three seconds | sampling |
-//! | opening, sampling, writing | stop, duration, disk floor, full fault, signal | closing |
-//! | closing | file finished; could not be | waiting; fault |
-//! | waiting, closing | bus not in operation | fault (a run keeps its state: its cycles state the fault) |
+//! | sampling, writing | stop, duration, disk too full, no sample for `full_fault_s`, signal, bus lost for good | closing |
+//! | closing | file finished; could not be | waiting, or fault if the bus is not in operation; fault |
+//! | waiting | bus gives no samples | fault |
+//!
+//! A run continues while the cycle restores the bus: its records state the fault. In opening the end of a run waits for its file.
 
 mod transitions;
 
@@ -58,13 +60,13 @@ pub enum Event {
     Stalled,
     /// The end of the run is requested, with the cause.
     Stop(String),
-    /// The run ends for a reason of its own: duration, disk floor, full fault.
+    /// The run ends for a reason of its own: its duration, a disk that is too full, no sample for `full_fault_s`.
     Ended(String),
     /// The run's file is finished.
     Closed,
     /// The run's file could not be finished regularly.
     CloseFailed(Problem),
-    /// The files of earlier runs are recovered: those before the service, or of one that failed.
+    /// The files of earlier runs are recovered: those from before the start of the service, or of a run that failed.
     Recovered,
     /// The end of the service is requested, with the cause.
     Shutdown(String),

@@ -130,8 +130,8 @@ pub fn position_errors_m(
     (distances_m.iter().sum::<f64>() / POSTURES as f64, quantile(&mut distances_m, 0.95))
 }
 
-/// Sum of the offsets along the parallel axes before that of a link \[m\]: data determine only the sum, which is identified as
-/// the last offset while the others keep their values.
+/// Errors (true minus kept value) of the fixed offsets along the parallel axes before that of a link, in its direction \[m\]: data
+/// determine only the sum of these offsets, so the last one takes up the errors of the others.
 fn carried_offset_m(found: &Model, truth: &Truth, id: ParameterId) -> f64 {
     let robot = found.geometry(&[]).robot;
     let Some(group) = inseparable_offsets(&robot).into_iter().find(|group| group.last() == Some(&id)) else {

@@ -281,7 +281,7 @@ pub(super) fn solved<T>(
     runs: &mut Vec<RunFiles<'_>>,
     solve: impl Fn(&[RunInput<'_>]) -> Result<T, CalibrateError>,
 ) -> Result<T, CalibrateError> {
-    /// A run with more changes is not usable.
+    /// Runs with more changes, all together, are not usable.
     const CUTS_MAX: usize = 8;
     let mut cuts = if split_at_changes { CUTS_MAX } else { 0 };
     loop {

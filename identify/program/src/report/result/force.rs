@@ -17,7 +17,7 @@ pub struct ForceEntry {
     pub clock: ForceClock,
     /// Direction of the log's positive force: `tension`, `compression` or `not determined`.
     pub positive: String,
-    /// `bcompliance` \[m/N\] or `bplay` \[m\]: positive where the log's positive force makes the bar longer.
+    /// `bcompliance` \[m/N\] or `bplay`, half of the play \[m\]: positive where the log's positive force makes the bar longer.
     pub parameter: String,
     /// Value at the solution.
     pub value: f64,
@@ -32,7 +32,7 @@ pub struct ForceEntry {
     pub off_sphere_rms_m: f64,
     /// The same without what the force explains \[m\].
     pub unexplained_rms_m: f64,
-    /// The same as a sentence.
+    /// Effect of the force on the bar's length, and the log's positive direction, as a sentence.
     pub sentence: String,
 }
 
