@@ -4,11 +4,12 @@ use std::io;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use ballbard::control::status::{ServiceState, Status};
+use ballbard::control::status::ServiceState;
 use serde_json::json;
 
 use super::rig::live_on_bus;
 use crate::support::world::sleep;
+use crate::support::{has_problem, is_in_metrics};
 
 /// The log of this thread.
 #[derive(Clone, Default)]
@@ -38,19 +39,14 @@ fn check(faults: &'static [&'static str], code: &'static str) {
     live_on_bus(faults, async move |day| {
         day.wait_for(ServiceState::Waiting).await;
         assert_eq!(day.post("/start", &json!({"name": "run", "reason": "a test"})).await.0, 200);
-        let has_code = |status: &Status| {
-            status.problems.iter().chain(&status.bad_cables).any(|problem| problem.code() == code)
-        };
-        let status = day.wait(Duration::from_secs(60), has_code).await;
-        assert!(has_code(&status), "{code} is not in the status: {status:?}");
+        let status = day.wait(Duration::from_secs(60), |status| has_problem(status, code)).await;
+        assert!(has_problem(&status, code), "{code} is not in the status: {status:?}");
         // The page is up to a tenth of a second behind the status.
         sleep(Duration::from_millis(200)).await;
         let page = day.text("/api/live").await;
         assert!(page.contains(&format!("\"code\":\"{code}\"")), "{code} is not on the page: {page}");
         let metrics = day.text("/metrics").await;
-        let gauge = format!("ballbard_problem{{code=\"{code}\"");
-        let counter = format!("ballbard_problems_total{{code=\"{code}\"}}");
-        assert!(metrics.contains(&gauge) && metrics.contains(&counter), "{code} is not in {metrics}");
+        assert!(is_in_metrics(&metrics, code), "{code} is not in {metrics}");
         assert!(log.text().contains(&format!("code=\"{code}\"")), "{code} is not in the log: {}", log.text());
         // Cycles without samples are written when samples return.
         day.wait(Duration::from_secs(60), |status| status.problems.is_empty()).await;

@@ -1,46 +1,23 @@
 //! Problem codes in the outputs of the program: status, log, metrics, page, API and file. `day/codes.rs` has each fault of the bus.
 
 use std::fs::File;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Duration;
 
-use ballbard::control::status::Status;
 use ballbard::problem::CODES;
 use serde_json::{Value, json};
 use shared::recording::Recording;
 
 use super::rig::{Running, agent, shipped};
-
-/// A service that logs into a file.
-struct Logging {
-    service: Running,
-    log: PathBuf,
-    _outside: tempfile::TempDir,
-}
-
-impl Logging {
-    fn start(faults: &[&str]) -> Self {
-        let outside = tempfile::tempdir().unwrap();
-        let log = outside.path().join("log");
-        let faults: Vec<_> = faults.iter().flat_map(|fault| ["--fault", fault]).collect();
-        let stderr = File::create(&log).unwrap().into();
-        let service = Running::logging_to(stderr, tempfile::tempdir().unwrap(), &shipped(), &faults);
-        Self { service, log, _outside: outside }
-    }
-}
+use crate::support::{has_problem, is_in_metrics};
 
 /// Waits until the status has the code, then checks all places except the file.
 pub fn assert_reported(service: &Running, log: &Path, code: &str) {
-    let has_code = |status: &Status| {
-        status.problems.iter().chain(&status.bad_cables).any(|problem| problem.code() == code)
-    };
-    service.wait_until(code, has_code);
+    service.wait_until(code, |status| has_problem(status, code));
     let page = || service.get::<Value>("live").to_string().contains(&format!("\"code\":\"{code}\""));
     let metrics = || {
         let url = format!("http://127.0.0.1:{}/metrics", service.port);
-        let text = agent().get(&url).call().unwrap().body_mut().read_to_string().unwrap();
-        text.contains(&format!("ballbard_problem{{code=\"{code}\""))
-            && text.contains(&format!("ballbard_problems_total{{code=\"{code}\"}}"))
+        is_in_metrics(&agent().get(&url).call().unwrap().body_mut().read_to_string().unwrap(), code)
     };
     let logged = || std::fs::read_to_string(log).unwrap().contains(&format!("code=\"{code}\""));
     // The page is behind the status, and the log has a queue.
@@ -64,7 +41,11 @@ pub fn is_in_file(recording: &Recording, code: &str) -> bool {
 
 #[test]
 fn a_fault_has_the_same_code_in_all_outputs_of_the_program() {
-    let Logging { service, log, _outside } = &Logging::start(&["noise:3,0.05@2s"]);
+    let outside = tempfile::tempdir().unwrap();
+    let log = &outside.path().join("log");
+    let stderr = File::create(log).unwrap().into();
+    let faults = ["--fault", "noise:3,0.05@2s"];
+    let service = &Running::logging_to(stderr, tempfile::tempdir().unwrap(), &shipped(), &faults);
     service.wait_for("waiting");
     service.granted("start", &json!({"name": "run", "reason": "a test"}));
     assert_reported(service, log, "link_errors");

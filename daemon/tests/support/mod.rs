@@ -11,9 +11,21 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use ballbard::bus::BusPlan;
+use ballbard::control::status::Status;
 use ballbard::segment::simulated::{Conversion, EncoderSource, Signal};
 use shared::config::EncoderConfig;
 use shared::recording::schema::CycleRecord;
+
+/// Whether the status has a problem of this code.
+pub fn has_problem(status: &Status, code: &str) -> bool {
+    status.problems.iter().chain(&status.bad_cables).any(|problem| problem.code() == code)
+}
+
+/// Whether the metrics have a problem of this code, now and in the total.
+pub fn is_in_metrics(text: &str, code: &str) -> bool {
+    text.contains(&format!("ballbard_problem{{code=\"{code}\""))
+        && text.contains(&format!("ballbard_problems_total{{code=\"{code}\"}}"))
+}
 
 /// Path of the built `ballbard`.
 pub const PROGRAM: &str = env!("CARGO_BIN_EXE_ballbard");
