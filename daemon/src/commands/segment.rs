@@ -47,20 +47,18 @@ pub struct SegmentArguments {
 }
 
 pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
-    let (replayed, base_config) = match &arguments.replay {
-        Some(file) => {
-            let (recording, source, replay) = open_replay(file)?;
-            (Some((source, replay)), replaying_segment(&recording))
-        }
-        None => (None, SegmentConfig { terminals: arguments.terminals, ..SegmentConfig::default() }),
-    };
-    let config = SegmentConfig {
+    let mut config = SegmentConfig {
+        terminals: arguments.terminals,
         seed: arguments.seed,
         revision: Revision::from_number(arguments.revision).unwrap_or_default(),
-        ..base_config
+        ..SegmentConfig::default()
     };
-    let (source, replay): (Box<dyn EncoderSource>, _) = match replayed {
-        Some((source, replay)) => (Box::new(source), Some(replay)),
+    let (source, replay): (Box<dyn EncoderSource>, _) = match &arguments.replay {
+        Some(file) => {
+            let (recording, source, replay) = open_replay(file)?;
+            config = replaying_segment(config, &recording);
+            (Box::new(source), Some(replay))
+        }
         None => (Box::new(SmoothMotion::new(config.terminals, arguments.lines, config.seed)), None),
     };
     let segment = SimulatedSegment::new(&config, source);

@@ -2,8 +2,9 @@
 //!
 //! [`Acquisition::next_cycle`] sleeps until the cycle's absolute deadline, exchanges one frame and gives one record for
 //! each cycle that was due to a sink, a bounded ring. It allocates nothing, takes no lock and writes no file. Only while
-//! the bus is down, when no deadline can be missed, may it do all of these: bringing up a bus takes long. Cycle `k` samples at
-//! `origin + k * period` on the bus' clock; the clock fit gives the host time of the sample and of its frame.
+//! the bus is down, when no deadline can be missed, may it do all of these: bringing up a bus takes long. With distributed
+//! clocks, cycle `k` samples at `origin + k * period` on the bus' clock; the clock fit gives the host time of the sample and of
+//! its frame.
 
 mod clock_fit;
 mod continuity;

@@ -1,6 +1,6 @@
 //! Progress of a run for other threads, which never wait for the disk: cycles that were due, written and synchronised, the
-//! waits of recorder and synchroniser for the disk, and the problems that follow. The recorder updates it; status, page and
-//! storage read it.
+//! waits of recorder and synchroniser for the disk, and the problems that follow. Recorder, synchroniser,
+//! storage and session update it; status, page and storage read it.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -44,7 +44,7 @@ pub struct Limits {
     pub cycle_waits: bool,
 }
 
-/// What recorder and synchroniser have reported.
+/// What the threads that use the disk have reported.
 #[derive(Debug)]
 struct OnDisk {
     written: u64,

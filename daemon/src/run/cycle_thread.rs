@@ -41,7 +41,7 @@ pub(super) struct RunJob {
     pub sink: CycleSink,
     pub stop: Stop,
     /// Cycles after which the run ends, and the cause of that end.
-    pub cycles: Option<(u64, &'static str)>,
+    pub cycle_limit: Option<(u64, &'static str)>,
     /// Number of cycles without a valid sample of any encoder that end the run (full fault).
     pub full_fault_cycles: u64,
     /// `UTC - monotonic` for the run's sample times \[ns\].
@@ -234,7 +234,7 @@ struct RunTask {
 
 impl RunTask {
     fn begin(job: RunJob, on_bus: &mut OnBus) -> Self {
-        let RunJob { sink, stop, cycles: cycle_limit, full_fault_cycles, utc_minus_monotonic_ns } = job;
+        let RunJob { sink, stop, cycle_limit, full_fault_cycles, utc_minus_monotonic_ns } = job;
         let OnBus { acquisition, replay, .. } = on_bus;
         acquisition.set_utc_minus_monotonic_ns(utc_minus_monotonic_ns);
         acquisition.begin_run(|first_sample| {
@@ -349,7 +349,7 @@ mod tests {
         let job = RunJob {
             sink,
             stop: stop.clone(),
-            cycles: Some((1, "duration reached")),
+            cycle_limit: Some((1, "duration reached")),
             full_fault_cycles: 1000,
             utc_minus_monotonic_ns: 0,
         };

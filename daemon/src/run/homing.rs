@@ -24,7 +24,7 @@ const STEPS_MAX: usize = 64;
 pub(super) struct HomingJob {
     pub stop: Stop,
     steps: SyncSender<HomingStep>,
-    outcome: SyncSender<Outcome>,
+    outcomes: SyncSender<Outcome>,
 }
 
 /// A homing in progress, for its observer.
@@ -44,7 +44,7 @@ pub(super) fn begin() -> (HomingJob, ActiveHoming) {
     let (steps_in, steps) = sync_channel(STEPS_MAX);
     let (outcomes_in, outcomes) = sync_channel(1);
     let active = ActiveHoming { stop: stop.clone(), steps, outcomes, outcome: None, is_over: false };
-    (HomingJob { stop, steps: steps_in, outcome: outcomes_in }, active)
+    (HomingJob { stop, steps: steps_in, outcomes: outcomes_in }, active)
 }
 
 /// Homing in the cycle. Steps may allocate, because no run is recorded.
@@ -72,7 +72,7 @@ impl Homing {
 
     /// One cycle; false once the homing is over.
     pub fn step(&mut self, acquisition: &mut Acquisition, live: &Live) -> bool {
-        let Self { job: HomingJob { stop, steps, outcome: outcomes }, sequence, directions, hand } = self;
+        let Self { job: HomingJob { stop, steps, outcomes }, sequence, directions, hand } = self;
         let mut report = |step: HomingStep| {
             if let (HomingStep::Turn { encoder, .. }, Some(hand)) = (step, &hand) {
                 match directions.get(encoder) {

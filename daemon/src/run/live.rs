@@ -1,5 +1,5 @@
 //! The latest samples and state of the bus for other threads, without making the cycle wait: the cycle's thread writes each
-//! record into atomics, which status, check and homing read.
+//! record into atomics, which status, check and the start of a run read.
 
 use std::sync::atomic::{AtomicI64, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};

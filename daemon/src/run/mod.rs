@@ -43,8 +43,8 @@ const SLOW_BUS: &str = "the bus is not in operation after 5 s: replies are late 
                         `reply_timeout_us` in daemon.toml";
 /// Period in which waiting tasks check whether they are to end.
 const STOP_PERIOD: Duration = Duration::from_millis(10);
-/// Longest wait for the disk after a request to end, so that the program ends within 2 s. The next start repeats what was not
-/// done: creation of files and recovery of earlier runs.
+/// Longest wait for the disk after a request to end, so that the program ends within 2 s: for the creation of a run's file,
+/// reference marks, and the recovery of earlier runs, which the next start repeats.
 pub(crate) const DISK_WAIT_AT_END: Duration = Duration::from_millis(1500);
 
 /// Begins to bring a bus into operation for several runs. `faults` are injected into a simulated one.

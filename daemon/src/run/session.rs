@@ -200,7 +200,7 @@ impl Session {
         RunJob {
             sink,
             stop: stop.clone(),
-            cycles: self.cycle_limit(duration),
+            cycle_limit: self.cycle_limit(duration),
             full_fault_cycles: self.whole_cycles_in(full_fault).max(1),
             utc_minus_monotonic_ns,
         }
@@ -274,8 +274,7 @@ impl Session {
 
     /// Logs the devices of the bus and the permissions of the cycle.
     pub fn log(&self) {
-        // The upper half of the number is the revision of Beckhoff's type designation.
-        let name = |device: &DeviceInfo| format!("{} r{}", device.name, device.revision >> 16);
+        let name = |device: &DeviceInfo| format!("{} r{}", device.name, device.type_revision());
         let devices: Vec<_> = self.ready.devices.iter().map(name).collect();
         tracing::info!(devices = devices.join(", "), "bus in operation");
         match &self.ready.realtime {

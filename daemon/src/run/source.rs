@@ -139,9 +139,9 @@ pub fn open_replay(path: &Path) -> Result<(Recording, Replay, ReplayHandle), Run
     Ok((recording, source, handle))
 }
 
-/// A simulated segment for a replay. Its bus clock does not drift, or the recording would be played too fast or too slow.
-pub fn replaying_segment(recording: &Recording) -> SegmentConfig {
-    SegmentConfig { terminals: recording.run.encoders.len(), drift_ppm: 0.0, ..SegmentConfig::default() }
+/// The segment for a replay. Its bus clock does not drift, or the recording would be played too fast or too slow.
+pub fn replaying_segment(segment: SegmentConfig, recording: &Recording) -> SegmentConfig {
+    SegmentConfig { terminals: recording.run.encoders.len(), drift_ppm: 0.0, ..segment }
 }
 
 /// A simulated bus whose encoders follow a recording; period and encoders are those of the recording.
@@ -156,7 +156,8 @@ fn prepare_replay(
     let encoders = &recording.run.encoders;
     // A replay has at least one row.
     let first_sample = recording.cycles.first().map(|record| record.sample_time);
-    let (wire, _) = in_process(&replaying_segment(&recording), Box::new(source), &clock, faults);
+    let segment = replaying_segment(SegmentConfig::default(), &recording);
+    let (wire, _) = in_process(&segment, Box::new(source), &clock, faults);
     let mut prepared = Prepared::from_config(wire, clock, SIMULATED_BUS, daemon, bar);
     prepared.plan.encoders = encoders
         .iter()

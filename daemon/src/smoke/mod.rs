@@ -201,13 +201,11 @@ impl Test<'_> {
 
     fn revisions_outcome(&self, devices: &[DeviceInfo]) -> Outcome {
         let SmokeConfig { coupler_revisions, terminal_revisions, .. } = self.bench.smoke;
-        // The upper half of the number is the revision of Beckhoff's type designation.
-        let revision = |device: &DeviceInfo| (device.revision >> 16) as u16;
         let is_known = |device: &&DeviceInfo| {
             let known = if device.position == 0 { coupler_revisions } else { terminal_revisions };
-            known.contains(&revision(device))
+            known.contains(&device.type_revision())
         };
-        let name = |device: &DeviceInfo| format!("{} r{}", device.name, revision(device));
+        let name = |device: &DeviceInfo| format!("{} r{}", device.name, device.type_revision());
         let unknown: Vec<_> = devices.iter().filter(|device| !is_known(device)).map(name).collect();
         if unknown.is_empty() {
             return Outcome::passed(devices.iter().map(name).collect::<Vec<_>>().join(", "));

@@ -192,6 +192,13 @@ pub struct DeviceInfo {
     pub serial: u32,
 }
 
+impl DeviceInfo {
+    /// Revision of Beckhoff's type designation: the upper half of the number.
+    pub fn type_revision(&self) -> u16 {
+        (self.revision >> 16) as u16
+    }
+}
+
 /// Names and settings of a run, written into the file before the first cycle.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RunMetadata {

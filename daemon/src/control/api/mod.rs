@@ -650,14 +650,17 @@ fn refused_on_loopback(request: &Request, origins: &[String]) -> Option<Response
 fn sign_of_a_proxy(request: &Request) -> Option<String> {
     let is_of_proxy =
         |name: &&str| ["forwarded", "via", "x-real-ip"].contains(name) || name.starts_with("x-forwarded-");
-    let header = request.headers().keys().map(HeaderName::as_str).find(is_of_proxy);
-    let version = || (request.version() < Version::HTTP_11).then_some("HTTP/1.0");
-    let account = || {
-        let may_read = request.uri().path() == metrics::PATH;
-        let peer = request.extensions().get::<Peer>().filter(|_| !may_read);
-        peer.and_then(|peer| peer.system_account()).map(|name| format!("account `{name}`"))
-    };
-    header.or_else(version).map(str::to_owned).or_else(account)
+    if let Some(header) = request.headers().keys().map(HeaderName::as_str).find(is_of_proxy) {
+        return Some(header.to_owned());
+    }
+    if request.version() < Version::HTTP_11 {
+        return Some("HTTP/1.0".into());
+    }
+    if request.uri().path() == metrics::PATH {
+        return None;
+    }
+    let account = request.extensions().get::<Peer>()?.system_account()?;
+    Some(format!("account `{account}`"))
 }
 
 /// Whether a request comes from this machine or one of these origins, and names a loopback host.

@@ -29,8 +29,7 @@ impl Peer {
         Self::Here(ends.ok().and_then(|(client, service)| owner(client, service)))
     }
 
-    /// Name of the system account that sends the request, as a reverse proxy does. Root and the account of the service do not
-    /// count.
+    /// Name of the system account that sends the request, as a reverse proxy does: neither root nor that of the service.
     pub fn system_account(self) -> Option<String> {
         let Self::Here(Some(user)) = self else { return None };
         let is_system = user.as_raw() < PERSONS_FROM || user.as_raw() == NOBODY;

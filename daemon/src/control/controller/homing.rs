@@ -44,7 +44,7 @@ impl Homing {
     }
 
     /// When the marks were handed to the disk, while they are being written.
-    pub fn keeping_since(&self) -> Option<MonoNs> {
+    pub fn saving_since(&self) -> Option<MonoNs> {
         self.saving.as_ref().map(Pending::since)
     }
 

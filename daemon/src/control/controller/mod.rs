@@ -198,8 +198,8 @@ impl Controller {
     /// is not created yet, recovery of earlier runs, reference marks.
     fn is_over(&self) -> bool {
         let Some(since) = self.leaving_since else { return false };
-        let keeping = self.homing.as_ref().and_then(Homing::keeping_since);
-        if self.preparing.is_none() && !self.is_opening() && keeping.is_none() {
+        let saving_since = self.homing.as_ref().and_then(Homing::saving_since);
+        if self.preparing.is_none() && !self.is_opening() && saving_since.is_none() {
             return self.may_exit;
         }
         let has_waited_enough = self.now.ns_since(since) > DISK_WAIT_AT_END.as_nanos() as i64;

@@ -1,5 +1,5 @@
-//! The grade of a run (GOOD, CHECK or BAD) with its reasons: from the shares of valid and lost cycles, the duration, and the
-//! angle by which each joint turned, with the limits of `identify calibrate`. Page, commands and API all use it.
+//! The grade of a run (GOOD, CHECK or BAD) with its reasons: shares of valid and lost cycles, duration and angle of each
+//! joint (with the limits of `identify`), recovery, and clocks of the devices. Page, commands and API all use it.
 
 use std::fmt;
 
