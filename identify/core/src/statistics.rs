@@ -1,5 +1,8 @@
 //! Order statistics of plain numbers.
 
+/// A median absolute deviation times this is the standard deviation of normal numbers.
+pub(crate) const SIGMA_PER_MEDIAN: f64 = 1.4826;
+
 /// The upper median of `values`, which it reorders; `None` if there are no values.
 pub fn median(values: &mut [f64]) -> Option<f64> {
     let middle = values.len() / 2;

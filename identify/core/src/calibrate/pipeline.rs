@@ -275,11 +275,11 @@ impl<'a> Solver<'a> {
         let mut sigma = residual_sigma(cost, &first);
         for _ in 0..ROUNDS_MAX {
             self.sigmas.fill(sigma);
-            let decrease = residual_sigma(cost, &self.minimise_bars()?);
-            if decrease > 1.0 - CONVERGED {
+            let remaining = residual_sigma(cost, &self.minimise_bars()?);
+            if remaining > 1.0 - CONVERGED {
                 break;
             }
-            sigma = (sigma * decrease).max(SIGMA_MIN);
+            sigma = (sigma * remaining).max(SIGMA_MIN);
         }
         let (columns, mut solution) = self.last_solve()?;
         // Convert to the unit of the estimated noise.
@@ -379,7 +379,7 @@ impl<'a> Solver<'a> {
         Ok(loss)
     }
 
-    /// Recomputes the weights of ball-bar runs at the current models.
+    /// Adapts each instrument to its current model, such as the angles of bar joints without encoder.
     fn adapt_instruments(&mut self) {
         for Run { instrument, model } in &mut *self.runs {
             instrument.adapt(model);

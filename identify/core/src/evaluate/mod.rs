@@ -1,4 +1,4 @@
-//! Evaluation of a calibration: figures for the report, computed from a solution and not used by any solve. All are in
+//! Evaluation of a calibration: figures for the report, computed from a solution and not used by any solve. Most are in
 //! [`Evidence`].
 
 mod accuracy;

@@ -1,7 +1,8 @@
 //! Segments of a run whose errors are independent, also if its motion repeats; the bar's folds. Repetitions share the errors of
 //! gears and encoders, so a repetition that is held out is not independent of the fitted ones.
 //!
-//! The period is the most frequent time from a sample to the later sample with the most similar joints, refined by Gauss-Newton.
+//! The period is the shortest time from samples to the later ones with the most similar joints that enough samples share
+//! ([`REPEATED_MIN`]), refined by Gauss-Newton.
 
 use std::ops::Range;
 

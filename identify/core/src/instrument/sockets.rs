@@ -57,13 +57,12 @@ const SPAN_MM_MAX: f64 = 20_000.0;
 impl Validate for SocketTable {
     fn validate(&self) -> Result<(), Violation> {
         let bad = |key: String, problem: String, remedy: &str| Err(Violation::new(key, problem, remedy));
-        let mut uncertainties = vec![("u_um".to_owned(), Some(self.u_um))];
-        let of_sockets = self.sockets.iter().enumerate();
-        uncertainties.extend(of_sockets.map(|(i, socket)| (format!("socket[{i}].u_um"), socket.u_um)));
-        let of_distances = self.distances.iter().enumerate();
-        uncertainties
-            .extend(of_distances.map(|(i, distance)| (format!("distance[{i}].u_um"), distance.u_um)));
-        for (key, u_um) in uncertainties {
+        let sockets = self.sockets.iter().enumerate();
+        let of_sockets = sockets.map(|(i, socket)| (format!("socket[{i}].u_um"), socket.u_um));
+        let distances = self.distances.iter().enumerate();
+        let of_distances = distances.map(|(i, distance)| (format!("distance[{i}].u_um"), distance.u_um));
+        let of_table = [("u_um".to_owned(), Some(self.u_um))];
+        for (key, u_um) in of_table.into_iter().chain(of_sockets).chain(of_distances) {
             if let Some(u_um) = u_um.filter(|u_um| !(u_um.is_finite() && *u_um > 0.0)) {
                 return bad(key, format!("{u_um} is no uncertainty"), "give micrometres above zero");
             }

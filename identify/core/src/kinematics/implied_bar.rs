@@ -1,5 +1,5 @@
 //! Joints of a bar with arbitrary errors at a given pose (`b^` in the thesis), and their derivatives; for the cost
-//! `position_angles`, and for joints without encoder.
+//! `position_angles`, joints without encoder, and the alignment of the logs.
 //!
 //! A pose has six degrees of freedom, the bar five. The rotation and both positions across the rod are met; the distance along
 //! the rod remains. These are five smooth equations `f(joints, bar, pose) = 0`, exact for every set of parameters: the rotation

@@ -1,5 +1,5 @@
-//! Common parts of the inverse kinematics of robot and bar. Both solve a closed form on the nominal structure, whose twists are
-//! right angles, and then refine the joints on the true chain, which has errors in every parameter.
+//! Common parts of the inverse kinematics of robot and bar: twists of nominal structures that have a closed form (multiples of
+//! a right angle), and refinement of joints on the true chain, which has errors in every parameter.
 
 use std::f64::consts::{PI, TAU};
 

@@ -2,7 +2,7 @@
 //!
 //! A fit with priors always has a solution. A mistake is detected from the solution: corrections beyond the links' tolerances,
 //! no improvement on held-out rows, residuals beyond usual joint errors, or a step in time. The driver calls this after the
-//! last stage of a calibration; `likely` finds the mistake.
+//! last stage of [`super::Stages`], before the fit to all rows; `likely` finds the mistake.
 
 use std::fmt;
 

@@ -143,16 +143,16 @@ pub(in crate::calibrate) fn unless_other_unit(
         let mean_m = lengths_m.iter().sum::<f64>() / lengths_m.len().max(1) as f64;
         Sizes::of(lengths_m.iter().map(|length_m| length_m - mean_m)).rms
     };
-    let misfit_m = |rows: &Instrument, model: &Model| {
+    let median_error_m = |rows: &Instrument, model: &Model| {
         median_size(rows.errors(&model.geometry(&[])).iter().map(|error| error.position_m))
     };
-    let (varies_m, as_read_m) = (variation_m(whole), misfit_m(whole, nominal));
+    let (varies_m, as_read_m) = (variation_m(whole), median_error_m(whole, nominal));
     if as_read_m < NEAR_M.min(UNEXPLAINED * varies_m) {
         return Ok(());
     }
     let in_unit = |mistake: Mistake| {
         let corrected = whole.undone(mistake).into_iter().next()?;
-        let undone_m = misfit_m(&corrected, &placed(corrected.clone(), Model::alone(robot)).ok()??);
+        let undone_m = median_error_m(&corrected, &placed(corrected.clone(), Model::alone(robot)).ok()??);
         let unexplained = undone_m / variation_m(&corrected);
         (undone_m < NEAR_M && unexplained < UNEXPLAINED)
             .then_some((unexplained, Likely { mistake, as_read_m, undone_m }))

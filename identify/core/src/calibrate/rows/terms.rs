@@ -14,7 +14,7 @@ pub(crate) fn groups(waves_last: u8, offered: impl Fn(&ParameterId) -> bool) -> 
     const RATIOS: &[f64] = &[20e-6, 100e-6, 500e-6];
     use TermGroup::{Backlash, Compliance, GearOnce, GearTwice, Joint, Ratio};
     let group = |groups: &[TermGroup], name: &str, sigmas: &[f64]| {
-        candidates(groups[0], name.into(), joint_terms(groups), sigmas)
+        candidate_group(groups[0], name.into(), joint_terms(groups), sigmas)
     };
     let mut groups = vec![
         group(&[GearOnce, GearTwice], "waves once and twice per turn", ANGLES_RAD),
@@ -40,10 +40,10 @@ fn waves_of_band(band: &std::ops::RangeInclusive<u8>, last: u8) -> Option<Candid
     let within = |id: &ParameterId| matches!(id, ParameterId::JointWave { order, .. } if *order >= first);
     let ids: Vec<ParameterId> = ParameterId::joint_waves(last).filter(within).collect();
     let name = format!("{first} to {last} waves per turn");
-    (!ids.is_empty()).then(|| candidates(TermGroup::LineSpectrum, name, ids, SIGMAS_RAD))
+    (!ids.is_empty()).then(|| candidate_group(TermGroup::LineSpectrum, name, ids, SIGMAS_RAD))
 }
 
-fn candidates(group: TermGroup, name: String, ids: Vec<ParameterId>, sigmas: &[f64]) -> CandidateGroup {
+fn candidate_group(group: TermGroup, name: String, ids: Vec<ParameterId>, sigmas: &[f64]) -> CandidateGroup {
     let first = sigmas.first().copied().unwrap_or(1.0);
     CandidateGroup {
         group,

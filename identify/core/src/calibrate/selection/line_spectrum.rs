@@ -32,8 +32,8 @@ const ORDERS: usize = (*Waves::OF_AXIS.end() - ORDER_MIN + 1) as usize;
 const STANDS_OUT: f64 = 32.0;
 /// Median of the chi-squared distribution with two degrees of freedom.
 const CHI_SQUARED_MEDIAN: f64 = 1.386;
-/// Highest order that is a separate term.
-const SEPARATE_ORDER_MAX: f64 = 2.0;
+/// Highest order of the waves once and twice per turn, which are terms of every axis.
+const SLOW_ORDER_MAX: f64 = 2.0;
 /// Maximum number of waves of one axis: the order itself, twice that, and another stage of the gear.
 const WAVES_MAX: usize = 3;
 
@@ -304,7 +304,7 @@ impl Search<'_> {
             // Over a part of a turn a wave resembles waves of neighbouring orders, which are excluded. Waves with one and two
             // periods per turn have the same effect: they are separate terms that may not have been fitted yet.
             let mut distances = of_axis.clone().map(|wave| f64::from(wave.1.abs_diff(order)));
-            let is_slow = f64::from(order) <= SEPARATE_ORDER_MAX + self.resolved[axis];
+            let is_slow = f64::from(order) <= SLOW_ORDER_MAX + self.resolved[axis];
             !is_slow
                 && of_axis.clone().count() < WAVES_MAX
                 && distances.all(|distance| distance > self.resolved[axis])

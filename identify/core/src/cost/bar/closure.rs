@@ -1,4 +1,5 @@
-//! Closure errors (differences of the ends of both chains) of a fitted geometry, sample by sample, for [`crate::evaluate`].
+//! Closure errors (differences of the ends of both chains) of a fitted geometry, sample by sample, for
+//! [`crate::evaluate`] and the deviations of a ball-bar run.
 
 use nalgebra::Vector3;
 

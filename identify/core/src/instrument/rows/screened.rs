@@ -3,7 +3,7 @@
 
 use super::Standing;
 use crate::instrument::PoseError;
-use crate::statistics::median_size;
+use crate::statistics::{SIGMA_PER_MEDIAN, median_size};
 
 /// Standard deviations beyond which a single row is gross: no row of a normal distribution, and few rows of a heavy-tailed one.
 const GROSS: f64 = 8.0;
@@ -144,8 +144,6 @@ fn beyond(errors: &[PoseError], relative_noise: &[f64], sigmas: f64) -> Vec<bool
 
 /// Standard deviation of mostly normal residuals, from their median size.
 fn robust_sigma(residuals: impl Iterator<Item = f64>) -> f64 {
-    /// Median absolute deviation from zero to standard deviation of a normal distribution.
-    const SIGMA_PER_MEDIAN: f64 = 1.4826;
     // Data without any noise still need a unit.
     (SIGMA_PER_MEDIAN * median_size(residuals)).max(1e-9)
 }

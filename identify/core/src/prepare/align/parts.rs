@@ -1,5 +1,6 @@
 //! A clock step so large that no single shift matches the whole run. The run is cut into parts, each is correlated with the
-//! robot's log, and the shifts have two levels. Used by `find` when no candidate fits, for the message of the refusal.
+//! robot's log, and the shifts have two levels. Used by `find` when no candidate fits, or the best one fits
+//! poorly, for the message of the refusal.
 
 use std::ops::Range;
 

@@ -170,10 +170,11 @@ fn positions(
     seen_m: &[Vector3<f64>],
     rotation: &Rotation3<f64>,
 ) -> (Vector3<f64>, Vector3<f64>) {
+    /// Error of a position that gives the weight of the probe's prior \[m\].
+    const ERROR_M: f64 = 1e-3;
     let mut normal = DMatrix::<f64>::zeros(6, 6);
     let mut right = DVector::<f64>::zeros(6);
-    // The prior of the probe, for positions with a standard deviation of 1 mm.
-    let prior_weight = flanges.len() as f64 * (1e-3 / PROBE_SIGMA_M).powi(2);
+    let prior_weight = flanges.len() as f64 * (ERROR_M / PROBE_SIGMA_M).powi(2);
     for axis in 3..6 {
         normal[(axis, axis)] = prior_weight;
     }

@@ -1,10 +1,8 @@
-//! Robust statistics of angles, for the differences of predicted and measured angles (`encoder_map`, `segments`, `slip`).
+//! Robust statistics of angles, for the differences of predicted and measured angles (`encoder_map`, `segments`, `slip`,
+//! `samples::angle_errors`).
 
 use crate::kinematics::wrapped;
-use crate::statistics::median;
-
-/// A median deviation times this is the standard deviation of normal numbers.
-const SIGMA_PER_MEDIAN: f64 = 1.4826;
+use crate::statistics::{SIGMA_PER_MEDIAN, median};
 
 /// Median on the circle, about the mean direction \[rad\]; 0 of no angles.
 pub(in crate::prepare) fn circular_median(angles_rad: &[f64]) -> f64 {

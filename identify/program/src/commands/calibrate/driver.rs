@@ -96,7 +96,7 @@ pub(super) fn calibrate(
     let line_numbers: Vec<&[u64]> = beside.iter().map(|beside| beside.lines.as_slice()).collect();
     let residuals = residuals_csv(&calibration, &line_numbers)?;
     let bar = bars.first().map(|run| &run.bar);
-    let written = write_files(&file, &residuals, robot, bar, (experiment, logs.mapping.as_ref()), directory)?;
+    let written = write_files(&file, &residuals, robot, bar, experiment, logs.mapping.as_ref(), directory)?;
     let page = Page {
         file: &file,
         calibration: &calibration,

@@ -21,7 +21,8 @@ pub(super) fn write_files(
     residuals: &str,
     robot: &RobotConfig,
     bar: Option<&BallBarConfig>,
-    (experiment, log_mapping): (&Experiment, Option<&RobotLogMapping>),
+    experiment: &Experiment,
+    log_mapping: Option<&RobotLogMapping>,
     directory: &Path,
 ) -> anyhow::Result<Vec<PathBuf>> {
     let has_stale_files = |deployment: Deployment| {

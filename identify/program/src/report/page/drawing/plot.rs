@@ -1,4 +1,4 @@
-//! Figures as SVG text: a [`Panel`] is one pair of axes with its [`Series`], and all figures of all pages are made of them.
+//! Figures with axes, as SVG text: a [`Panel`] is one pair of axes with its [`Series`].
 //!
 //! Axes and lines are drawn by `plotters`. Dots are one path for each set: as elements of their own they would take ten
 //! times the bytes, and a browser would be slow with them. The title and the names of the sets stand above the axes, where
