@@ -9,6 +9,10 @@ use crate::clock::Clock;
 use simulated_segment::SimulatedSegment;
 use simulated_segment::faults::FaultySegment;
 
+/// A moment this near is waited for awake: falling asleep and waking up takes several times as long as a frame on the wire, and
+/// bringing a bus up sends 14 000 of them one after the other.
+const AWAKE_NS: i64 = 50_000;
+
 /// A simulated segment answers the frames after the time that a wire would take. That includes the frame's own duration,
 /// also in real time, because the recording subtracts it.
 pub struct InProcessWire {
@@ -27,6 +31,15 @@ impl InProcessWire {
     pub fn with_faults(segment: FaultySegment, clock: Clock) -> Self {
         Self { segment, clock }
     }
+
+    fn wait_until(&self, moment: MonoNs) {
+        if !self.clock.is_real() || moment.0 - self.clock.now().0 > AWAKE_NS {
+            return self.clock.sleep_until(moment);
+        }
+        while self.clock.now() < moment {
+            std::hint::spin_loop();
+        }
+    }
 }
 
 impl Wire for InProcessWire {
@@ -43,7 +56,7 @@ impl Wire for InProcessWire {
 
     fn receive(&mut self, buffer: &mut [u8; FRAME_BYTES_MAX], until: MonoNs) -> io::Result<Option<usize>> {
         let due = self.segment.next_reply_ns().map(MonoNs).filter(|due| *due <= until);
-        self.clock.sleep_until(due.unwrap_or(until));
+        self.wait_until(due.unwrap_or(until));
         Ok(self.segment.take_reply(self.clock.now().0, buffer))
     }
 }
