@@ -63,7 +63,7 @@ impl MarksFile {
     ) -> io::Result<()> {
         let now = UtcNs::from_datetime(chrono::Utc::now());
         let homing = HomingConfig::new(now, encoders, reference_counts);
-        let text = toml::to_string(&homing).map_err(io::Error::other)?;
+        let text = config::to_toml(&homing).map_err(io::Error::other)?;
         whole_file::write(disk, &self.file, &format!("# Written by `ballbard home`.\n{text}"))
     }
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 use std::time::Duration;
 
-use shared::config::{BallBarConfig, DaemonConfig};
+use shared::config::{self, BallBarConfig, DaemonConfig};
 use shared::recording::schema::{DeviceInfo, EncoderInfo, Provenance, ReplayOrigin, RunMetadata};
 use shared::recording::{
     Disk, RecordingWriter, Recovery, RunFile, Salvaged, Tap, WriteError, recover_file_on,
@@ -496,5 +496,5 @@ fn start<S: Stepper + 'static>(
 }
 
 fn toml_text(config: &impl serde::Serialize) -> String {
-    toml::to_string(config).unwrap_or_else(|error| format!("# cannot be shown: {error}"))
+    config::to_toml(config).unwrap_or_else(|error| format!("# cannot be shown: {error}"))
 }

@@ -133,7 +133,7 @@ mod tests {
     #[test]
     fn what_is_written_is_what_is_read() {
         let homing = HomingConfig::new(UtcNs(1_800_000_000_000_000_000), &encoders(), &[1, u32::MAX, 3]);
-        let text = toml::to_string(&homing).unwrap();
+        let text = crate::config::to_toml(&homing).unwrap();
         assert_eq!(crate::config::parse::<HomingConfig>(&text, "homing.toml".as_ref()).unwrap(), homing);
         let broken = text.replace("joint = 2", "joint = 9");
         let error = crate::config::parse::<HomingConfig>(&broken, "homing.toml".as_ref()).unwrap_err();

@@ -5,12 +5,32 @@ use toml::de::{DeTable, DeValue};
 /// Similarity from which an unknown name is taken as a typing error (Jaro and Winkler; 1 is the same).
 const ALIKE: f64 = 0.8;
 
-/// The line of an error, from 1; `None` if it concerns the whole file.
-pub(super) fn line(text: &str, error: &toml::de::Error) -> Option<usize> {
-    let before = text.get(..error.span()?.start)?;
-    // What is absent is absent from a table, and the first one begins where the file does.
-    let absent = error.message().starts_with("missing field");
-    (!absent || !before.is_empty()).then(|| before.matches('\n').count() + 1)
+/// The line where a text stops being TOML, from 1.
+pub(super) fn line_of_syntax(text: &str, error: &toml::de::Error) -> Option<usize> {
+    Some(text.get(..error.span()?.start)?.matches('\n').count() + 1)
+}
+
+/// The line that a message of serde on `key` is about, from 1; `None` if it concerns the whole file. What is absent is absent from
+/// a table.
+pub(super) fn line(text: &str, key: &str, original: &str) -> Option<usize> {
+    match names(original)[..] {
+        [wrong, ..] if original.starts_with("unknown field") => line_of(text, &in_table(key, wrong)),
+        _ => line_of(text, key),
+    }
+}
+
+/// The names between backquotes in a message of serde.
+fn names(original: &str) -> Vec<&str> {
+    original.split('`').skip(1).step_by(2).collect()
+}
+
+/// The dotted path of a name in a message on `key`, which is the table of the name or the name itself.
+fn in_table(key: &str, name: &str) -> String {
+    match key.rsplit_once('.') {
+        Some((table, last)) if last == name => format!("{table}.{name}"),
+        _ if matches!(key, "." | "") || key == name => name.to_owned(),
+        _ => format!("{key}.{name}"),
+    }
 }
 
 /// The line of a key by its dotted path, from 1, or of the part of the path that is there; `None` if no part is.
@@ -44,26 +64,19 @@ pub fn nearest<'a>(wrong: &str, known: impl Iterator<Item = &'a str>) -> Option<
 }
 
 /// The sentence about `key`, its dotted path, from a message of serde or toml, which puts names between backquotes.
-pub(super) fn message(key: Option<&str>, original: &str) -> String {
-    let Some(key) = key else { return format!("this is not TOML: {}", original.trim_end()) };
-    let named: Vec<&str> = original.split('`').skip(1).step_by(2).collect();
-    let of_table = |name: &str| match key.rsplit_once('.') {
-        Some((table, last)) if last == name => format!("`{table}.{name}`"),
-        _ if matches!(key, "." | "") || key == name => format!("`{name}`"),
-        _ => format!("`{key}.{name}`"),
-    };
+pub(super) fn message(key: &str, original: &str) -> String {
     let meant = |wrong: &str, known: &[&str]| super::did_you_mean(wrong, known.iter().copied());
-    match named.as_slice() {
+    match names(original).as_slice() {
         [wrong, known @ ..] if original.starts_with("unknown field") => {
-            let (key, meant) = (of_table(wrong), meant(wrong, known));
-            format!("unknown key {key}{meant} Keys here: {}", known.join(", "))
+            let (key, meant) = (in_table(key, wrong), meant(wrong, known));
+            format!("unknown key `{key}`{meant} Keys here: {}", known.join(", "))
         }
         [wrong, known @ ..] if original.starts_with("unknown variant") => {
             let meant = meant(wrong, known);
             format!("key `{key}` cannot be `{wrong}`{meant} It is one of: {}", known.join(", "))
         }
         [missing] if original.starts_with("missing field") => {
-            format!("key {} is missing; add it", of_table(missing))
+            format!("key `{}` is missing; add it", in_table(key, missing))
         }
         // The text of serde has a name of the program.
         _ if original.starts_with("data did not match any variant") => format!(

@@ -12,6 +12,7 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use serde::de::DeserializeOwned;
+use serde_path_to_error::Track;
 
 pub use ball_bar::{BAR_JOINTS, BallBarConfig, EncoderConfig, bar_joint_name};
 pub use daemon::{DaemonConfig, RealtimeConfig};
@@ -157,19 +158,9 @@ fn did_you_mean<'a>(wrong: &str, known: impl Iterator<Item = &'a str>) -> String
 
 /// [`load`] on text already in memory; `path` is only named in errors.
 pub fn parse<T: DeserializeOwned + Validate>(text: &str, path: &Path) -> Result<T, ConfigError> {
-    let malformed = |key: Option<String>, error: &toml::de::Error| {
-        let (line, message) = match Kind::recognise(text).filter(|kind| T::KIND != Some(*kind)) {
-            Some(other) => {
-                let (noun, option) = (other.noun(), other.option());
-                (None, format!("this is the configuration of a {noun}; give it with {option}"))
-            }
-            None => (malformed::line(text, error), malformed::message(key.as_deref(), error.message())),
-        };
-        ConfigError::Malformed { path: path.to_owned(), line, message }
-    };
-    let deserializer = toml::Deserializer::parse(text).map_err(|error| malformed(None, &error))?;
-    let value: T = serde_path_to_error::deserialize(deserializer)
-        .map_err(|error| malformed(Some(error.path().to_string()), error.inner()))?;
+    let mut keys = Track::new();
+    let read: Result<T, _> = erased_serde::deserialize(&mut *reader(text, path, &mut keys)?);
+    let value = read.map_err(|error| malformed(text, path, T::KIND, &keys.path().to_string(), &error))?;
     value.validate().map_err(|Violation { key, problem, remedy }| ConfigError::Invalid {
         path: path.to_owned(),
         line: malformed::line_of(text, &key),
@@ -178,4 +169,50 @@ pub fn parse<T: DeserializeOwned + Validate>(text: &str, path: &Path) -> Result<
         remedy,
     })?;
     Ok(value)
+}
+
+/// Reader of TOML that is the same for every type, and follows the keys on the way.
+fn reader<'a>(
+    text: &'a str,
+    path: &Path,
+    keys: &'a mut Track,
+) -> Result<Box<dyn erased_serde::Deserializer<'a> + 'a>, ConfigError> {
+    let table = toml::de::DeTable::parse(text).map_err(|error| ConfigError::Malformed {
+        path: path.to_owned(),
+        line: malformed::line_of_syntax(text, &error),
+        message: format!("this is not TOML: {}", error.message().trim_end()),
+    })?;
+    // Without the text, which its errors would quote.
+    let toml = toml::Deserializer::from(table);
+    let following = serde_path_to_error::Deserializer::new(toml, keys);
+    Ok(Box::new(<dyn erased_serde::Deserializer>::erase(following)))
+}
+
+/// A configuration of one kind whose `key` cannot be read.
+fn malformed(
+    text: &str,
+    path: &Path,
+    kind: Option<Kind>,
+    key: &str,
+    error: &erased_serde::Error,
+) -> ConfigError {
+    // Further lines repeat the keys.
+    let error = error.to_string();
+    let original = error.lines().next().unwrap_or_default();
+    let (line, message) = match Kind::recognise(text).filter(|other| kind != Some(*other)) {
+        Some(other) => {
+            let (noun, option) = (other.noun(), other.option());
+            (None, format!("this is the configuration of a {noun}; give it with {option}"))
+        }
+        None => (malformed::line(text, key, original), malformed::message(key, original)),
+    };
+    ConfigError::Malformed { path: path.to_owned(), line, message }
+}
+
+/// The text of a file, from a writer of TOML that is the same for every type.
+///
+/// # Errors
+/// A value has a form that TOML does not have, such as a list of different types.
+pub fn to_toml(value: &dyn erased_serde::Serialize) -> Result<String, toml::ser::Error> {
+    toml::to_string(value)
 }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use nalgebra::{Point3, Rotation3, Vector3};
 use rand::Rng;
 use rand_distr::StandardNormal;
-use shared::config::RobotConfig;
+use shared::config::{self, RobotConfig};
 
 use super::arm::{Arm, ArmErrors};
 use super::rows::{RowSimulationError, RowTruth, SimulatedRows, check_sizes, rows_csv, write_texts};
@@ -183,9 +183,9 @@ pub fn write(
     });
     let files = [
         ("contacts.csv", table),
-        ("contact.toml", toml::to_string(&mapping)?),
-        ("sockets.toml", toml::to_string(&simulated.table)?),
-        ("truth.toml", toml::to_string(&simulated.truth)?),
+        ("contact.toml", config::to_toml(&mapping)?),
+        ("sockets.toml", config::to_toml(&simulated.table)?),
+        ("truth.toml", config::to_toml(&simulated.truth)?),
     ];
     write_texts(directory, files)
 }

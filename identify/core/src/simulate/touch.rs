@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use nalgebra::{Rotation3, Vector3};
 use rand::Rng;
 use rand_distr::StandardNormal;
-use shared::config::RobotConfig;
+use shared::config::{self, RobotConfig};
 
 use super::arm::{Arm, ArmErrors};
 use super::rows::{RowSimulationError, RowTruth, SimulatedRows, check_sizes, rows_csv, write_texts};
@@ -225,9 +225,9 @@ pub fn write(
     });
     let files = [
         ("touches.csv", table),
-        ("touch.toml", toml::to_string(&mapping)?),
-        ("faces.toml", toml::to_string(&simulated.table)?),
-        ("truth.toml", toml::to_string(&simulated.truth)?),
+        ("touch.toml", config::to_toml(&mapping)?),
+        ("faces.toml", config::to_toml(&simulated.table)?),
+        ("truth.toml", config::to_toml(&simulated.truth)?),
     ];
     write_texts(directory, files)
 }

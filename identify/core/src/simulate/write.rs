@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use shared::config::{BallBarConfig, RobotConfig};
+use shared::config::{self, BallBarConfig, RobotConfig};
 use shared::recording::RecordingWriter;
 use shared::recording::schema::{RunMetadata, SIMULATED_BUS};
 use shared::version::software;
@@ -52,7 +52,7 @@ pub fn write(
         robot_log: directory.join("robot_log.csv"),
         truth: directory.join("truth.toml"),
     };
-    let truth = toml::to_string(&simulated.truth)?;
+    let truth = config::to_toml(&simulated.truth)?;
     let mut writer = RecordingWriter::create(directory, &metadata(RECORDING, simulated, robot, bar)?)?;
     for cycle in &simulated.cycles {
         writer.write_cycle(cycle)?;
@@ -95,6 +95,6 @@ fn metadata(
         encoders: simulated.encoders.clone(),
         devices: Vec::new(),
         daemon_config: String::new(),
-        ball_bar_config: toml::to_string(bar)?,
+        ball_bar_config: config::to_toml(bar)?,
     })
 }

@@ -388,7 +388,7 @@ fn find_path(arguments: &PathArguments) -> anyhow::Result<()> {
         robot_start_rad: start,
         path: route.path.clone(),
     };
-    write(&out.join("path.toml"), &toml::to_string(&planned_path)?)?;
+    write(&out.join("path.toml"), &config::to_toml(&planned_path)?)?;
     let csv = out.join("robot_path.csv");
     let sink = fs::File::create(&csv).with_context(|| format!("cannot create {}", csv.display()))?;
     logs::write(&robot_path, &loaded.robot, sink)

@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use shared::config::{AngleUnit, RobotConfig};
+use shared::config::{self, AngleUnit, RobotConfig};
 
 use crate::calibrate::rows::{likely, misfit, some_of};
 use crate::instrument::{Instrument, Mistake, PoseRow, Tracker};
@@ -56,10 +56,10 @@ impl Proposal {
     /// Where a value cannot be written as TOML.
     pub fn to_toml(&self) -> Result<String, toml::ser::Error> {
         let body = match &self.mapping {
-            Mapping::RobotLog(mapping) => toml::to_string(mapping),
-            Mapping::MeasuredPoses(mapping) => toml::to_string(mapping),
-            Mapping::MeasuredLengths(mapping) => toml::to_string(mapping),
-            Mapping::Contacts(mapping) => toml::to_string(mapping),
+            Mapping::RobotLog(mapping) => config::to_toml(mapping),
+            Mapping::MeasuredPoses(mapping) => config::to_toml(mapping),
+            Mapping::MeasuredLengths(mapping) => config::to_toml(mapping),
+            Mapping::Contacts(mapping) => config::to_toml(mapping),
         }?;
         let what = match self.mapping {
             Mapping::RobotLog(_) => "a robot's log, for --log-mapping",

@@ -3,7 +3,7 @@
 
 use std::fmt::Write;
 
-use shared::config::{AngleUnit, RobotConfig};
+use shared::config::{self, AngleUnit, RobotConfig};
 
 use crate::kinematics::Joints;
 use crate::logs::{
@@ -286,7 +286,7 @@ pub fn pose_table(
     }
     let mapping = if measures == Measures::Lengths {
         let length = LengthColumn { column: "length_mm".into(), unit: LengthUnit::Mm, offset_mm: 0.0 };
-        toml::to_string(&MeasuredLengthMapping {
+        config::to_toml(&MeasuredLengthMapping {
             csv,
             length,
             joints,
@@ -303,7 +303,7 @@ pub fn pose_table(
             order: Some("xyz".into()),
             frame: Some(EulerFrame::Moving),
         };
-        toml::to_string(&MeasuredPoseMapping {
+        config::to_toml(&MeasuredPoseMapping {
             csv,
             position: PositionColumns { columns: position, unit: LengthUnit::Mm },
             rotation: (measures == Measures::Poses).then_some(turned),

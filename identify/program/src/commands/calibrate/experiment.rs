@@ -289,7 +289,7 @@ impl Experiment {
             let found = found.with_context(|| path.display().to_string())?;
             *path = relative(&found, &canonical_directory).unwrap_or(found);
         }
-        let (to, text) = (directory.join(NAME), toml::to_string(&moved)?);
+        let (to, text) = (directory.join(NAME), config::to_toml(&moved)?);
         std::fs::write(&to, &text).with_context(|| to.display().to_string())?;
         Ok(text)
     }

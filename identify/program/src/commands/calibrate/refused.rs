@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use anyhow::Context;
-use shared::config::RobotConfig;
+use shared::config::{self, RobotConfig};
 use shared::output::explained;
 
 use super::bar::RunFiles;
@@ -67,7 +67,7 @@ fn write_page(
         runs: &runs.iter().map(RunFiles::sources_with_curves).collect::<Vec<_>>(),
         inputs: &inputs(&experiment.files())?,
         // A page without its configuration is still useful.
-        configuration: &toml::to_string(experiment).unwrap_or_else(|error| error.to_string()),
+        configuration: &config::to_toml(experiment).unwrap_or_else(|error| error.to_string()),
     };
     let written = page.write(directory).with_context(|| directory.display().to_string())?;
     if let Some(place) = &written.set_aside {

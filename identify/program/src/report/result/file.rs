@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use shared::config::Source;
+use shared::config::{self, Source};
 use shared::recording::schema::RunMetadata;
 use shared::time::UtcNs;
 
@@ -420,7 +420,7 @@ impl CalibrationFile {
     /// # Errors
     /// [`FileError`].
     pub fn write(&self, directory: &Path) -> Result<PathBuf, FileError> {
-        let text = toml::to_string(&Self { covariance: None, ..self.clone() })?;
+        let text = config::to_toml(&Self { covariance: None, ..self.clone() })?;
         let json = serde_json::to_string(self)?;
         let table = self.dh_csv()?;
         remove_page(directory)?;

@@ -24,16 +24,12 @@ pub struct CalibrationReadError {
 enum Kind {
     #[error("cannot be read: {0}")]
     Io(#[from] std::io::Error),
-    #[error(
-        "is not a calibration.json: {0}; give the file that `identify calibrate` wrote, or its directory"
-    )]
+    #[error("is not a calibration: {0}; give the file that `identify calibrate` wrote, or its directory")]
     Json(#[from] serde_json::Error),
-    #[error(
-        "is not a calibration.toml: {0}; give the file that `identify calibrate` wrote, or its directory"
-    )]
+    #[error("is not a calibration: {0}; give the file that `identify calibrate` wrote, or its directory")]
     Toml(#[from] toml::de::Error),
     #[error("has schema {found}, this program knows {SCHEMA}; use the program that wrote it")]
-    Schema { found: u32 },
+    Schema { found: u64 },
     #[error(
         "has {value:e} for parameter `{name}`, which is out of range; it was damaged or edited, calibrate again"
     )]
@@ -62,14 +58,14 @@ impl CalibrationFile {
 
     fn checked(text: &str, path: &Path) -> Result<Self, Kind> {
         let is_toml = path.extension().is_some_and(|ending| ending == "toml");
-        let only_schema: OnlySchema =
+        let values: Map<String, Value> =
             if is_toml { toml::from_str(text)? } else { serde_json::from_str(text)? };
-        let file: Self = match (only_schema.schema, is_toml) {
-            (1, true) => serde_json::from_value(upgraded_from_schema_1(toml::from_str(text)?))?,
-            (1, false) => serde_json::from_value(upgraded_from_schema_1(serde_json::from_str(text)?))?,
-            (SCHEMA, true) => toml::from_str(text)?,
-            (SCHEMA, false) => serde_json::from_str(text)?,
-            (found, _) => return Err(Kind::Schema { found }),
+        let file: Self = match values.get("schema").and_then(Value::as_u64) {
+            Some(1) => serde_json::from_value(upgraded_from_schema_1(values))?,
+            Some(found) if found != u64::from(SCHEMA) => return Err(Kind::Schema { found }),
+            // TOML has infinite numbers, `Value` has none.
+            _ if is_toml => toml::from_str(text)?,
+            _ => serde_json::from_value(values.into())?,
         };
         for entry in &file.parameters {
             let is_valid_sigma = |sigma: f64| sigma == 0.0 || (SIGMA_MIN..=NUMBER_MAX).contains(&sigma);
@@ -81,12 +77,6 @@ impl CalibrationFile {
         }
         Ok(file)
     }
-}
-
-/// The key that every version has.
-#[derive(serde::Deserialize)]
-struct OnlySchema {
-    schema: u32,
 }
 
 /// Converts a file of schema 1 to [`SCHEMA`]: it had the first clock and the first force under keys of their own, and the earliest
