@@ -46,7 +46,7 @@ fn sixty_seconds_in_real_time_give_6000_whole_cycles() {
 
 #[test]
 fn at_any_configured_rate_every_cycle_that_was_due_is_in_the_file() {
-    for rate_hz in [250, 1000] {
+    let record_at = |rate_hz: u32| {
         let directory = tempfile::tempdir().unwrap();
         let daemon = DaemonConfig { rate_hz, ..daemon(directory.path()) };
         let request = request("rate", BusChoice::Simulated, Some(Duration::from_secs(5)), false);
@@ -63,5 +63,10 @@ fn at_any_configured_rate_every_cycle_that_was_due_is_in_the_file() {
         let timing = recording.timing.unwrap();
         println!("{rate_hz} Hz: {flagged} of {due} flagged\n{timing}");
         assert_eq!(Some(timing), summary.timing);
-    }
+    };
+    std::thread::scope(|scope| {
+        for rate_hz in [250, 1000] {
+            scope.spawn(move || record_at(rate_hz));
+        }
+    });
 }
