@@ -8,7 +8,7 @@ use std::process::Output;
 use std::sync::Arc;
 
 use ballbard::control::recordings::runs::RunLine;
-use ballbard::control::status::{Granted, Reply, ServiceState, Status};
+use ballbard::control::status::{Granted, Level, Reply, ServiceState, Status};
 use tokio_rustls::rustls::crypto::ring;
 use tokio_rustls::rustls::pki_types::pem::PemObject;
 use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
@@ -61,6 +61,8 @@ fn a_run_is_recorded_marked_noted_and_exported_on_another_machine() {
     let far = Far::new();
     let here = tempfile::tempdir().unwrap();
     let done = |arguments: &[&str]| far.done(here.path(), arguments);
+    // After a delay of a busy machine it takes a second.
+    far.service.wait_until("readiness", |status| status.severity == Level::Good);
     assert!(done(&["status"]).starts_with("READY"));
     let begun: Reply =
         serde_json::from_str(&done(&["start", "--name", "far", "--note", "before", "--json"])).unwrap();
