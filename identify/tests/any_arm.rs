@@ -8,6 +8,7 @@ use std::path::PathBuf;
 use std::process::Command;
 
 use identify::calibrate::{IdentifyConfig, JointTermsConfig, calibrate_run};
+use identify::evaluate::workspace_error;
 use identify::instrument::PoseRow;
 use identify::kinematics::{
     Chain, InverseError, Joints, LinkParameter, Pose, Trace, Tracer, flange_chain, robot_chain,
@@ -663,6 +664,46 @@ fn seven_axes_and_an_arm_on_a_track_are_calibrated_by_the_ball_bar() {
         println!("{}: {:.3} mm before, {:.3} mm after", arm.0, before_m * 1e3, after_m * 1e3);
         assert!(before_m > 1e-3 && after_m < 5e-5, "{}: {before_m} {after_m}", arm.0);
     }
+}
+
+/// A lift turns with whatever the first joint after it turns, as the tracker could stand turned.
+#[test]
+fn an_arm_on_a_lift_is_known_as_well_as_the_tracker_shows_it() {
+    let link = |joint: &str, [a_m, alpha_deg, d_m]: [f64; 3]| {
+        format!(
+            "[[links]]\njoint = \"{joint}\"\na_m = {a_m:?}\nalpha_deg = {alpha_deg:?}\nd_m = {d_m:?}\ntheta_deg = 0.0\n"
+        )
+    };
+    let links = [
+        link("prismatic", [0.0, 0.0, 0.5]),
+        link("revolute", [0.1, 90.0, 0.2]),
+        link("revolute", [0.6, 0.0, 0.0]),
+        link("revolute", [0.5, 0.0, 0.05]),
+    ];
+    let unit = |axis: usize| [0, 1, 2, 3].map(|other| if other == axis { 1.0 } else { 0.0 });
+    let robot = parsed(&format!(
+        "name = \"Lift\"\njoint_limits_deg = [[-170.0, 170.0], [-120.0, 120.0], [-150.0, 150.0]]\njoint_limits_m = [[0.0, 0.8]]\n\
+         {}[log]\ncolumn = \"joint\"\nunit = \"rad\"\nraw_offset_rad = [0.0, 0.0, 0.0, 0.0]\nraw_to_joint = {:?}\n",
+        links.concat(),
+        [0, 1, 2, 3].map(unit)
+    ));
+    let (rows, truth) = tracked(&robot, 300);
+    let found = Alone::quick().without_joint_errors().poses(&rows, &robot).unwrap();
+    let chain = found.model().geometry(&found.model().start()).robot;
+    let mut random = StdRng::seed_from_u64(8);
+    // Distances of two positions do not depend on the base: each has one of three coordinates of two position errors.
+    let off = (0..500).map(|_| {
+        let [one, other] = [0, 1].map(|_| random_joints(&robot, &mut random));
+        let distance_m = |chain: &Chain| {
+            (chain.forward(&one).translation.vector - chain.forward(&other).translation.vector).norm()
+        };
+        1.5 * (distance_m(&chain) - distance_m(&truth)).powi(2)
+    });
+    let error_m = (off.sum::<f64>() / 500.0).sqrt();
+    let covariance = &found.0.solved.solution.covariance;
+    let known_m = workspace_error(found.model(), covariance, &robot.joint_limits()).budget.expanded_m;
+    println!("error {:.4} mm, known within {:.4} mm (k = 2)", error_m * 1e3, known_m * 1e3);
+    assert!((1.0..8.0).contains(&(known_m / error_m)), "{error_m} {known_m}");
 }
 
 #[test]

@@ -1,9 +1,9 @@
 //! Uncertainty budget of positions, by contribution, as in the GUM (JCGM 100:2008): the covariance by source (samples, priors,
 //! considered parameters), propagated to random postures. Used for the report; the expanded uncertainty is its "known within".
 
+use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
-use super::workspace::{POSTURES, Postures};
 use crate::model::{Group, Model, ParameterId, Role};
 use crate::solver::{Covariance, Source};
 
@@ -53,21 +53,13 @@ pub struct Budget {
 const K: f64 = 2.0;
 
 impl Budget {
-    /// `columns` are the covariance columns that correspond to the columns of `postures.by_parameter`.
-    pub(in crate::evaluate) fn new(
-        model: &Model,
-        covariance: &Covariance,
-        columns: &[(usize, ParameterId)],
-        postures: &Postures,
-    ) -> Self {
-        let spread = covariance.spread();
-        let moved_m =
-            &postures.by_parameter * spread.by_source.select_rows(columns.iter().map(|(column, _)| column));
+    /// `moved_m` is the displacement of the robot's end by one standard deviation of each source: three rows per posture.
+    pub(in crate::evaluate) fn new(model: &Model, covariance: &Covariance, moved_m: &DMatrix<f64>) -> Self {
+        let postures = moved_m.nrows() as f64 / 3.0;
         let mut contributions: Vec<Contribution> = Vec::new();
         let (mut moved_by_plate, plate) = (None, ParameterId::plate(model.axes()));
-        for (source, moved_m) in spread.sources.iter().zip(moved_m.column_iter()) {
-            let (name, u_m) =
-                (source_name(*source, model, covariance), moved_m.norm() / (POSTURES as f64).sqrt());
+        for (source, moved_m) in covariance.spread().sources.iter().zip(moved_m.column_iter()) {
+            let (name, u_m) = (source_name(*source, model, covariance), moved_m.norm() / postures.sqrt());
             if let Source::Prior { column } | Source::Considered { column } = *source
                 && covariance.name(column) == plate.to_string()
             {

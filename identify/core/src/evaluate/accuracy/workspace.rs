@@ -1,5 +1,9 @@
 //! Accuracy of the calibrated robot in its workspace: position error over the whole range of its joints. Monte Carlo: robots are
 //! drawn from the covariance of the solution, `drawn error = J dp` in each of many random postures; used for the report.
+//!
+//! A motion of the whole robot in its base is no error where only tolerances of links leave it open: behind a lift, or behind
+//! parallel axes, a link turns or shifts everything after it as another place of the instrument would. No measurement tells one
+//! from the other.
 
 use std::collections::BTreeMap;
 
@@ -17,7 +21,7 @@ use crate::evaluate::rms;
 use crate::instrument::standing;
 use crate::kinematics::{Joints, Trace, Tracer};
 use crate::model::{JointState, Model, Owner, ParameterId, TermGroup};
-use crate::solver::{Covariance, Spread};
+use crate::solver::{Covariance, Source};
 use crate::statistics::quantile;
 
 /// Number of random postures, uniformly distributed over the joint limits.
@@ -88,15 +92,17 @@ pub(in crate::evaluate) struct Postures {
 pub fn workspace_error(model: &Model, covariance: &Covariance, joint_limits: &[[f64; 2]]) -> WorkspaceError {
     let columns = robot_columns(model, covariance);
     let postures = Postures::new(model, &columns, random_postures(joint_limits));
-    let drawn_m = postures.draw_m(covariance, &columns);
+    let spread = spread_of(covariance, &columns);
+    let moved_m = postures.moved_m(&spread, &postures.base_motions(&spread, covariance));
+    let drawn_m = &moved_m * drawn_sources(covariance);
     let [before, after] = postures.errors(&drawn_m);
     WorkspaceError {
         before,
         after,
         deployed: BTreeMap::new(),
         places: postures.places(&drawn_m),
-        weakest: weakest(&root(covariance, &columns), &postures.by_parameter, &columns),
-        budget: Budget::new(model, covariance, &columns, &postures),
+        weakest: weakest(&spread, &moved_m, &postures.by_parameter, &columns),
+        budget: Budget::new(model, covariance, &moved_m),
         cube: None,
     }
 }
@@ -113,7 +119,9 @@ impl WorkspaceError {
     ) -> Self {
         let columns = robot_columns(model, covariance);
         let postures = Postures::new(model, &columns, random_postures(joint_limits));
-        let drawn_m = postures.draw_m(covariance, &columns);
+        let spread = spread_of(covariance, &columns);
+        let drawn_m = postures.moved_m(&spread, &postures.base_motions(&spread, covariance))
+            * drawn_sources(covariance);
         let of_deployment =
             |part: &Deployed| (part.deployment, expected(&postures.difference_m(&part.model), &drawn_m));
         self.deployed = deployed.map(of_deployment).collect();
@@ -125,8 +133,12 @@ impl WorkspaceError {
     pub fn with_cube(mut self, model: &Model, covariance: &Covariance, joint_limits: &[[f64; 2]]) -> Self {
         self.cube = Cube::largest(&model.geometry(&model.start()).robot, joint_limits).map(|cube| {
             let columns = robot_columns(model, covariance);
+            let spread = spread_of(covariance, &columns);
+            let workspace = Postures::new(model, &columns, random_postures(joint_limits));
+            let base_motions = workspace.base_motions(&spread, covariance);
             let postures = Postures::new(model, &columns, cube.postures.into_iter());
-            let [before, after] = postures.errors(&postures.draw_m(covariance, &columns));
+            let [before, after] =
+                postures.errors(&(postures.moved_m(&spread, &base_motions) * drawn_sources(covariance)));
             CubeError { edge_m: cube.edge_m, centre_m: cube.centre_m.into(), before, after }
         });
         self
@@ -145,10 +157,14 @@ fn robot_columns(model: &Model, covariance: &Covariance) -> Vec<(usize, Paramete
         .collect()
 }
 
-/// Errors of these parameters, one robot drawn from the covariance per column.
-fn drawn_parameters(covariance: &Covariance, columns: &[(usize, ParameterId)]) -> DMatrix<f64> {
-    let Spread { by_source, sources } = covariance.spread();
-    let spread = by_source.select_rows(columns.iter().map(|(column, _)| column));
+/// Change of these parameters by one standard deviation of each source: one row per parameter, one column per source.
+fn spread_of(covariance: &Covariance, columns: &[(usize, ParameterId)]) -> DMatrix<f64> {
+    covariance.spread().by_source.select_rows(columns.iter().map(|(column, _)| column))
+}
+
+/// Errors of the sources in their standard deviations, one robot drawn from the covariance per column.
+fn drawn_sources(covariance: &Covariance) -> DMatrix<f64> {
+    let sources = &covariance.spread().sources;
     let mut random = ChaCha8Rng::seed_from_u64(0);
     let mut drawn = DMatrix::from_fn(sources.len(), DRAWS, |_, _| StandardNormal.sample(&mut random));
     // Standard deviations from a few folds are uncertain themselves: multivariate t (Kotz and Nadarajah 2004).
@@ -161,18 +177,14 @@ fn drawn_parameters(covariance: &Covariance, columns: &[(usize, ParameterId)]) -
             samples.for_each(|(value, _)| *value *= scale);
         }
     }
-    spread * drawn
+    drawn
 }
 
-/// A matrix `S` for which `S S^T` is the covariance of these columns.
-fn root(covariance: &Covariance, columns: &[(usize, ParameterId)]) -> DMatrix<f64> {
-    if columns.is_empty() {
-        // An empty matrix cannot be decomposed.
-        return DMatrix::zeros(0, 0);
-    }
-    let between = |i: usize, j: usize| covariance.between(columns[i].0, columns[j].0).unwrap_or(0.0);
-    let eigen = SymmetricEigen::new(DMatrix::from_fn(columns.len(), columns.len(), between));
-    &eigen.eigenvectors * DMatrix::from_diagonal(&eigen.eigenvalues.map(|value| value.max(0.0).sqrt()))
+/// Whether a source is the tolerance of a number of a link, estimated or fixed.
+fn is_tolerance_of_link(source: Source, covariance: &Covariance) -> bool {
+    let (Source::Prior { column } | Source::Considered { column }) = source else { return false };
+    let id = covariance.name(column).parse::<ParameterId>();
+    id.is_ok_and(|id| id.owner() == Owner::Robot && id.term().is_none())
 }
 
 /// Joint variables uniformly distributed over the limits \[rad, m\].
@@ -218,9 +230,36 @@ impl Postures {
         self.positions_m.iter().zip(ends).map(|(calibrated, other)| calibrated - other).collect()
     }
 
-    /// Position errors of robots drawn from the covariance: three rows per posture, one draw per column \[m\].
-    fn draw_m(&self, covariance: &Covariance, columns: &[(usize, ParameterId)]) -> DMatrix<f64> {
-        &self.by_parameter * drawn_parameters(covariance, columns)
+    /// Derivatives of the positions by a motion of the base, a translation and a rotation: three rows per posture, `[I, -[p]x]`.
+    fn by_base(&self) -> DMatrix<f64> {
+        let mut by_base = DMatrix::zeros(3 * self.states.len(), 6);
+        for (posture, position_m) in self.positions_m.iter().enumerate() {
+            by_base.fixed_view_mut::<3, 3>(3 * posture, 0).fill_with_identity();
+            by_base.fixed_view_mut::<3, 3>(3 * posture, 3).copy_from(&-position_m.cross_matrix());
+        }
+        by_base
+    }
+
+    /// The motion of the whole robot that is nearest to the effect of each source, for tolerances of links alone: one column per
+    /// source, six rows as the columns of [`Self::by_base`].
+    fn base_motions(&self, spread: &DMatrix<f64>, covariance: &Covariance) -> DMatrix<f64> {
+        /// The end of a robot that moves along a line does not show a rotation about it.
+        const SINGULAR: f64 = 1e-9;
+        let nearest = self.by_base().svd(true, true).pseudo_inverse(SINGULAR);
+        let nearest = nearest.unwrap_or_else(|_| DMatrix::zeros(6, 3 * self.states.len()));
+        let mut motions = nearest * (&self.by_parameter * spread);
+        for (mut motion, source) in motions.column_iter_mut().zip(&covariance.spread().sources) {
+            if !is_tolerance_of_link(*source, covariance) {
+                motion.fill(0.0);
+            }
+        }
+        motions
+    }
+
+    /// Displacement of the robot's end by one standard deviation of each source, without motions of the whole robot: three rows
+    /// per posture, one column per source \[m\].
+    fn moved_m(&self, spread: &DMatrix<f64>, base_motions: &DMatrix<f64>) -> DMatrix<f64> {
+        &self.by_parameter * spread - self.by_base() * base_motions
     }
 
     /// Errors of each posture over all draws, as in [`Self::errors`].
@@ -266,21 +305,22 @@ fn expected(difference_m: &[Vector3<f64>], drawn_m: &DMatrix<f64>) -> Expected {
     }
 }
 
-/// The parameter combination that contributes most to position errors: the largest eigenvector of `S^T M S`, where `S S^T`
-/// is the covariance and `M` is proportional to the mean of `J^T J` over the postures.
+/// The parameter combination that contributes most to position errors `K = J S`, without motions of the whole robot: `S v` with the
+/// largest eigenvector `v` of `K^T K`, where `S S^T` is the covariance.
 fn weakest(
-    root: &DMatrix<f64>,
+    spread: &DMatrix<f64>,
+    moved_m: &DMatrix<f64>,
     by_parameter: &DMatrix<f64>,
     columns: &[(usize, ParameterId)],
 ) -> Vec<(String, f64)> {
     /// Smaller fractions of the combination are not reported.
     const PART_MIN: f64 = 0.05;
-    if columns.is_empty() {
+    if spread.is_empty() {
         return Vec::new();
     }
     let m = by_parameter.tr_mul(by_parameter);
-    let eigen = SymmetricEigen::new(root.transpose() * &m * root);
-    let direction = root * eigen.eigenvectors.column(eigen.eigenvalues.imax());
+    let eigen = SymmetricEigen::new(moved_m.tr_mul(moved_m));
+    let direction = spread * eigen.eigenvectors.column(eigen.eigenvalues.imax());
     // The effect on positions makes metres and radians comparable.
     let effect = |i: usize| direction[i] * direction[i] * m[(i, i)];
     let whole: f64 = (0..columns.len()).map(effect).sum();
