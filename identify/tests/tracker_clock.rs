@@ -240,6 +240,10 @@ fn the_command_takes_both_logs_and_what_it_writes_repeats_it() {
     let judged = [&robot_log[..], &["other.csv", "--validate-mapping", "joints.toml"]].concat();
     let (done, out, err) = with(&judged, "judged");
     assert!(done && out.contains("other.csv"), "{out}{err}");
+    let inputs = found("judged").inputs;
+    let has =
+        |role: &str, path: &str| inputs.iter().any(|one| one.role == role && one.path == Path::new(path));
+    assert!(has("validation", "other.csv") && has("validation mapping", "joints.toml"), "{inputs:?}");
     let (done, out, err) = run(&["--experiment", "judged/experiment.toml"], "judged again");
     assert!(done && out.contains("other.csv"), "{out}{err}");
     let (done, _, err) = with(&[&robot_log[..], &["other.csv"]].concat(), "out");

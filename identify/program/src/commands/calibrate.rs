@@ -8,7 +8,7 @@ mod refused;
 mod result;
 mod rows;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::Context;
 use clap::{Args, Subcommand};
@@ -176,8 +176,8 @@ impl RowArguments {
 }
 
 /// The files of a calibration with their checksums.
-fn inputs(files: &[(&str, &Path)]) -> anyhow::Result<Vec<Input>> {
-    let input = |&(role, path): &(&str, &Path)| {
+fn inputs(files: &[(&str, PathBuf)]) -> anyhow::Result<Vec<Input>> {
+    let input = |(role, path): &(&str, PathBuf)| {
         Input::of(role, path).with_context(|| format!("cannot read {}", path.display()))
     };
     files.iter().map(input).collect()

@@ -200,49 +200,51 @@ impl Experiment {
         }
     }
 
-    /// Every file of the calibration with its role, those of rows first; files of `validate` are not included.
-    pub(super) fn files(&self) -> Vec<(&'static str, &Path)> {
-        let mut files: Vec<(&str, &Path)> = Vec::new();
-        for (kind, rows) in self.rows() {
-            files.extend([(kind.role(), rows.file.as_path()), ("mapping", &rows.mapping)]);
-            files.extend(rows.robot_log.as_deref().map(|log| ("robot log", log)));
-            files.extend(rows.sockets.as_deref().map(|sockets| ("sockets", sockets)));
-            files.extend(rows.faces.as_deref().map(|faces| ("faces", faces)));
-        }
-        files.push(("robot", &self.robot));
-        for run in &self.bars {
-            files.extend([("recording", &*run.recording), ("robot log", &run.robot_log), ("bar", &run.bar)]);
-        }
-        let mappings = [
-            ("recording mapping", &self.recording_mapping),
-            ("robot log mapping", &self.log_mapping),
-            ("force log mapping", &self.force_mapping),
-        ];
-        for (role, path) in mappings {
-            files.extend(path.as_deref().map(|path| (role, path)));
-        }
-        files.extend(self.bars.iter().filter_map(|run| Some(("force log", run.force_log.as_deref()?))));
-        files
+    /// Every file of the calibration with its role, those of rows first.
+    pub(super) fn files(&self) -> Vec<(&'static str, PathBuf)> {
+        self.clone().files_mut().into_iter().map(|(role, path)| (role, path.clone())).collect()
     }
 
-    /// All of its paths.
-    fn paths(&mut self) -> Vec<&mut PathBuf> {
+    /// The same files, to change their paths. There is one list, so that no file lacks its checksum or its path beside a result.
+    fn files_mut(&mut self) -> Vec<(&'static str, &mut PathBuf)> {
         let Self { robot, recording_mapping, log_mapping, force_mapping, bars, .. } = self;
         let Self { trackers, wires, contacts, touches, .. } = self;
-        let mut paths = vec![robot];
-        paths.extend([recording_mapping, log_mapping, force_mapping].into_iter().flatten());
+        let mut files: Vec<(&str, &mut PathBuf)> = Vec::new();
+        let kinds = [
+            (Kind::Tracker, trackers),
+            (Kind::Wire, wires),
+            (Kind::Contact, contacts),
+            (Kind::Touch, touches),
+        ];
+        for (kind, all) in kinds {
+            for rows in all {
+                files.extend([(kind.role(), &mut rows.file), ("mapping", &mut rows.mapping)]);
+                let others = [
+                    ("robot log", &mut rows.robot_log),
+                    ("sockets", &mut rows.sockets),
+                    ("faces", &mut rows.faces),
+                    ("validation mapping", &mut rows.validate_mapping),
+                ];
+                files.extend(others.into_iter().filter_map(|(role, path)| Some((role, path.as_mut()?))));
+                files.extend(rows.validate.iter_mut().map(|path| ("validation", path)));
+            }
+        }
+        files.push(("robot", robot));
         for run in bars {
-            paths.extend([&mut run.recording, &mut run.robot_log, &mut run.bar]);
-            paths.extend(&mut run.force_log);
+            files.extend([
+                ("recording", &mut run.recording),
+                ("robot log", &mut run.robot_log),
+                ("bar", &mut run.bar),
+            ]);
+            files.extend(run.force_log.as_mut().map(|path| ("force log", path)));
         }
-        for rows in trackers.iter_mut().chain(wires).chain(contacts).chain(touches) {
-            paths.extend([&mut rows.file, &mut rows.mapping]);
-            let others =
-                [&mut rows.robot_log, &mut rows.sockets, &mut rows.faces, &mut rows.validate_mapping];
-            paths.extend(others.into_iter().flatten());
-            paths.extend(&mut rows.validate);
-        }
-        paths
+        let mappings = [
+            ("recording mapping", recording_mapping),
+            ("robot log mapping", log_mapping),
+            ("force log mapping", force_mapping),
+        ];
+        files.extend(mappings.into_iter().filter_map(|(role, path)| Some((role, path.as_mut()?))));
+        files
     }
 
     /// Refuses a data set that is given twice: its measurements would count twice, and intervals would be too narrow.
@@ -278,7 +280,7 @@ impl Experiment {
         // Without links, as `..` is resolved there.
         let canonical_directory =
             directory.canonicalize().with_context(|| directory.display().to_string())?;
-        for path in moved.paths() {
+        for (_, path) in moved.files_mut() {
             let file = match Source::find(path) {
                 // It is in the program.
                 Source::BuiltIn(..) => continue,
@@ -318,7 +320,7 @@ impl Experiment {
     fn load(path: &Path) -> anyhow::Result<Self> {
         let mut experiment: Self = config::load(path)?;
         let directory = path.parent().unwrap_or(Path::new(""));
-        for path in experiment.paths() {
+        for (_, path) in experiment.files_mut() {
             *path = Source::beside(directory, path);
         }
         experiment.read_from = Some(path.to_owned());
@@ -346,4 +348,24 @@ pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
     let mut experiment = Experiment::load(&arguments.experiment)?;
     experiment.identify.require_mm = arguments.result.require.or(experiment.identify.require_mm);
     calibrate(experiment, &arguments.result, None)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_of_validate_and_their_mapping_are_among_the_inputs() {
+        let rows = RowFile {
+            validate: vec!["other.csv".into(), "third.csv".into()],
+            validate_mapping: Some("other.toml".into()),
+            ..RowFile::default()
+        };
+        let files = Experiment { trackers: vec![rows], ..Experiment::default() }.files();
+        for (role, path) in
+            [("validation", "other.csv"), ("validation", "third.csv"), ("validation mapping", "other.toml")]
+        {
+            assert!(files.contains(&(role, PathBuf::from(path))), "{path} is not among {files:?}");
+        }
+    }
 }
