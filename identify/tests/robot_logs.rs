@@ -117,6 +117,19 @@ fn byte_order_mark_crlf_semicolons_and_comments_between_rows_are_taken() {
     assert_eq!(parse(&commented, &irb()).unwrap(), expected);
 }
 
+/// The first column has no name and no cells; the second one is called `#` and has remarks.
+#[test]
+fn a_hash_after_a_blank_cell_begins_no_comment() {
+    let mut text =
+        String::from("\t#\tt_s\tjoint1_deg\tjoint2_deg\tjoint3_deg\tjoint4_deg\tjoint5_deg\tjoint6_deg\n");
+    for row in 0..60 {
+        let t_s = f64::from(row) * 0.004;
+        text += &format!("\t# robot: none\t{t_s:.3}\t{:.6}\t1\t2\t3\t4\t5\n", 10.0 * t_s.sin());
+    }
+    let log = parse(&text, &nj()).unwrap();
+    assert_eq!((log.q_rad.len(), log.robot), (60, None));
+}
+
 #[test]
 fn a_repeated_row_is_dropped_and_counted() {
     let text = text_of(&sample_log(), &irb());

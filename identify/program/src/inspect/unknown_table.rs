@@ -14,7 +14,7 @@ use crate::kinematics::flange_chain;
 use crate::logs::{
     ContactMapping, CsvLayout, EulerFrame, JointColumn, JointMistake, JointUnit, LengthColumn, LengthUnit,
     LogError, MeasuredLengthMapping, MeasuredPoseMapping, MeasuredPoses, PositionColumns, RobotLogMapping,
-    RotationColumns, RotationForm, RowsAsText, TimeColumn, TimeUnit, own_columns,
+    RotationColumns, RotationForm, RowsAsText, TimeColumn, TimeUnit, is_comment, own_columns,
 };
 use crate::statistics::median;
 
@@ -341,7 +341,7 @@ fn layout(text: &RowsAsText<'_>, axes: usize) -> Option<CsvLayout> {
     // Lines of the same width above the numbers, from the lowest: lines of units, then a header.
     let above: Vec<usize> = (0..first)
         .rev()
-        .filter(|&line| !lines[line].trim().is_empty() && !lines[line].starts_with('#'))
+        .filter(|&line| !lines[line].trim().is_empty() && !is_comment(lines[line]))
         .take_while(|&line| cells(lines[line], delimiter).len() == width)
         .collect();
     // Mostly empty cells.
@@ -351,7 +351,7 @@ fn layout(text: &RowsAsText<'_>, axes: usize) -> Option<CsvLayout> {
     let above: Vec<usize> = above.iter().take_while(|line| !is_title(line)).copied().collect();
     let header = above.last().copied();
     let begin = header.unwrap_or(first);
-    let skipped = lines.iter().take(begin).any(|line| !line.trim().is_empty() && !line.starts_with('#'));
+    let skipped = lines.iter().take(begin).any(|line| !line.trim().is_empty() && !is_comment(line));
     Some(CsvLayout {
         delimiter: (!text.is_workbook()).then_some(delimiter),
         decimal_comma,

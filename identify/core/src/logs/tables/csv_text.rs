@@ -4,7 +4,7 @@ use std::path::Path;
 
 use shared::output::named;
 
-use super::text::Text;
+use super::text::{COMMENT, Text};
 use crate::logs::source::Source;
 use crate::logs::{Cell, CsvLayout, LogError};
 
@@ -104,7 +104,7 @@ impl<'a> Table<'a> {
         let mut rows = csv::ReaderBuilder::new()
             .delimiter(format.delimiter)
             .has_headers(has_header)
-            .comment(Some(b'#'))
+            .comment(Some(COMMENT))
             // Cells are trimmed when they are read: the reader would copy each row for it.
             .trim(csv::Trim::Headers)
             .from_reader(text);

@@ -10,6 +10,8 @@ use super::workbook::{is_workbook, sheets, text_of_sheet};
 use crate::logs::source::Source;
 use crate::logs::{CsvLayout, LogError};
 
+/// The first character of a comment line.
+pub(super) const COMMENT: u8 = b'#';
 /// Size of the blocks that are decoded.
 const BLOCK_BYTES: u64 = 1 << 18;
 
@@ -137,12 +139,12 @@ impl<'a> Text<'a> {
     /// Length of the comment or blank line after those that were counted, with its line end.
     fn length_of_skipped_line(&self) -> Option<usize> {
         let rest = self.lines.as_bytes().get(self.counted_to - self.lines_at..)?;
-        if !matches!(rest.first()?, b'#' | b'\r' | b'\n') {
+        if !matches!(*rest.first()?, COMMENT | b'\r' | b'\n') {
             return None;
         }
         let end = rest.iter().position(|&byte| byte == b'\n').map_or(rest.len(), |end| end + 1);
         let line = rest.get(..end)?;
-        let skipped = line.first() == Some(&b'#') || line.iter().all(|byte| matches!(byte, b'\r' | b'\n'));
+        let skipped = is_comment(line) || line.iter().all(|byte| matches!(byte, b'\r' | b'\n'));
         skipped.then_some(end)
     }
 
@@ -245,21 +247,20 @@ fn control_character(text: &str) -> Option<(usize, char)> {
     Some((usual + offset, character))
 }
 
+/// Whether a line is a comment. As in the `csv` crate, `#` is its first character: after a blank cell, `#` begins another cell,
+/// such as `#N/A`.
+pub fn is_comment(line: impl AsRef<[u8]>) -> bool {
+    line.as_ref().first() == Some(&COMMENT)
+}
+
 /// The first line that is neither blank nor a comment.
 pub(in crate::logs) fn header_line(text: &str) -> &str {
-    text.lines()
-        .find(|line| !line.trim().is_empty() && !line.trim_start().starts_with('#'))
-        .unwrap_or_default()
+    text.lines().find(|line| !line.trim().is_empty() && !is_comment(line)).unwrap_or_default()
 }
 
 /// Key and value of each comment line `# key: value`.
 fn comments(lines: &str) -> impl Iterator<Item = (String, String)> {
-    let comment = |(hash, _): (usize, &str)| {
-        let line_start = lines[..hash].rfind('\n').map_or(0, |end| end + 1);
-        let begins_line = lines[line_start..hash].trim().is_empty();
-        begins_line.then(|| lines[hash + 1..].lines().next().unwrap_or_default())
-    };
-    let pairs = lines.match_indices('#').filter_map(comment).filter_map(|comment| comment.split_once(':'));
+    let pairs = lines.lines().filter(|line| is_comment(line)).filter_map(|line| line[1..].split_once(':'));
     pairs.map(|(key, value)| (key.trim().to_lowercase(), value.trim().to_owned()))
 }
 
