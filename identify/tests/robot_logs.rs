@@ -15,7 +15,7 @@ use proptest::prelude::*;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
-use shared::config::RobotConfig;
+use shared::config::{ConfigError, RobotConfig};
 
 /// A log of 60 rows at 4 ms with stamps of more digits than an f64 has.
 fn sample_log() -> RobotLog {
@@ -389,28 +389,30 @@ fn a_workbook_with_dates_and_units_is_a_log() {
     assert!((log.q_rad[100][2] - 7.0_f64.to_radians()).abs() < 1e-9, "{}", log.q_rad[100][2].to_degrees());
 }
 
-/// A controller's 16-bit counter of 4 ms cycles wraps after 262 s.
-#[test]
-fn cycles_of_a_controller_are_times_also_where_their_counter_begins_anew() {
+fn mapping_of_cycles(time: &str) -> Result<RobotLogMapping, ConfigError> {
     let joints: String =
         (1..=6).map(|joint| format!("[[joints]]\ncolumn = \"A{joint}\"\nunit = \"deg\"\n")).collect();
-    let mapping = |time: &str| {
-        let text = format!("[time]\ncolumn = \"cycle\"\n{time}\n{joints}");
-        shared::config::parse::<RobotLogMapping>(&text, Path::new("mapping.toml"))
-    };
-    let of = |row: u32| 65_400 + 5 * row;
-    let mut table = String::from("cycle,A1,A2,A3,A4,A5,A6\n");
-    for row in 0..200 {
-        table += &format!("{},{},0,0,0,0,0\n", of(row) % 65_536, 0.5 * f64::from(row));
-    }
-    let read = |time: &str| {
-        let options = LogOptions { mapping: Some(mapping(time).unwrap()), ..LogOptions::default() };
-        identify::logs::read_with(table.as_bytes(), Path::new("log.csv"), &irb(), &options)
-    };
-    let log = read("unit = \"cycles\"\nperiod_ms = 4\nwraps_at = 65536").unwrap();
+    shared::config::parse(&format!("[time]\ncolumn = \"cycle\"\n{time}\n{joints}"), Path::new("mapping.toml"))
+}
+
+/// 200 rows with a controller's 16-bit counter of 4 ms cycles, which wraps after 262 s: from line 29 to line 30.
+fn table_of_cycles() -> String {
+    let row = |row: u32| format!("{},{},0,0,0,0,0\n", (65_400 + 5 * row) % 65_536, 0.5 * f64::from(row));
+    "cycle,A1,A2,A3,A4,A5,A6\n".to_owned() + &(0..200).map(row).collect::<String>()
+}
+
+fn read_cycles(table: &str, time: &str) -> Result<RobotLog, LogError> {
+    let options = LogOptions { mapping: Some(mapping_of_cycles(time).unwrap()), ..LogOptions::default() };
+    identify::logs::read_with(table.as_bytes(), Path::new("log.csv"), &irb(), &options)
+}
+
+#[test]
+fn cycles_of_a_controller_are_times_also_where_their_counter_begins_anew() {
+    let table = table_of_cycles();
+    let log = read_cycles(&table, "unit = \"cycles\"\nperiod_ms = 4\nwraps_at = 65536").unwrap();
     assert_eq!((log.q_rad.len(), log.q_rad.first_stamp_ns), (200, 65_400 * 4_000_000));
     assert!(log.q_rad.t_s.iter().enumerate().all(|(row, t_s)| (t_s - 0.02 * row as f64).abs() < 1e-9));
-    let refusal = read("unit = \"cycles\"\nperiod_ms = 4").unwrap_err().to_string();
+    let refusal = message(read_cycles(&table, "unit = \"cycles\"\nperiod_ms = 4"));
     assert!(refusal.contains("line 30"), "{refusal}");
     for (time, key) in [
         ("unit = \"cycles\"", "period_ms"),
@@ -419,9 +421,19 @@ fn cycles_of_a_controller_are_times_also_where_their_counter_begins_anew() {
         ("unit = \"date_time\"\nwraps_at = 65536", "wraps_at"),
         ("unit = \"ms\"\nwraps_at = 0", "wraps_at"),
     ] {
-        let refusal = mapping(time).unwrap_err().to_string();
+        let refusal = mapping_of_cycles(time).unwrap_err().to_string();
         assert!(refusal.contains(key), "{refusal}");
     }
+}
+
+/// The last row before the wrap follows the first row after it. With another wrap the rest of the log would be 262 s late.
+#[test]
+fn a_step_back_over_the_wrap_of_a_counter_is_not_another_wrap() {
+    let table = table_of_cycles();
+    let mut lines: Vec<&str> = table.lines().collect();
+    lines.swap(28, 29);
+    let read = read_cycles(&lines.join("\n"), "unit = \"cycles\"\nperiod_ms = 4\nwraps_at = 65536");
+    assert!(matches!(read, Err(LogError::TimeNotIncreasing { line: 30, before_line: 29, .. })), "{read:?}");
 }
 
 #[test]

@@ -50,7 +50,7 @@ pub struct TimeColumn {
     /// How long one of the cycles lasts that the column counts \[ms\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub period_ms: Option<f64>,
-    /// The column has times modulo this number, in its unit; absent if it does not wrap.
+    /// The column has times modulo this number, in its unit, and rows are less than half of it apart; absent if it does not wrap.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub wraps_at: Option<u64>,
 }
@@ -123,7 +123,7 @@ pub(in crate::logs) struct StampReader {
     wraps_at_ns: Option<i64>,
     /// Time of the row before, as the file has it.
     before_ns: Option<i64>,
-    /// Sum of the wraps so far.
+    /// Sum of the wraps up to that row.
     wrapped_ns: i64,
 }
 
@@ -149,13 +149,15 @@ impl StampReader {
         }
     }
 
-    /// The time as the file has it, with the wraps before it added. A wrap is a step back by more than half of its width.
+    /// The time as the file has it, with the wraps before it added. A step by more than half of the width passes a wrap: a step
+    /// back passes the next one; a step forward is a small step of the time back over the last one, as in stamps with jitter.
     fn unwrapped(&mut self, shown_ns: i64) -> Option<i64> {
         let before_ns = self.before_ns.replace(shown_ns);
-        if let Some((before_ns, wraps_at_ns)) = before_ns.zip(self.wraps_at_ns)
-            && before_ns.checked_sub(shown_ns)? > wraps_at_ns / 2
-        {
-            self.wrapped_ns = self.wrapped_ns.checked_add(wraps_at_ns)?;
+        if let Some((before_ns, wraps_at_ns)) = before_ns.zip(self.wraps_at_ns) {
+            let step_ns = shown_ns.checked_sub(before_ns)?;
+            if step_ns.unsigned_abs() > wraps_at_ns.unsigned_abs() / 2 {
+                self.wrapped_ns = self.wrapped_ns.checked_sub(step_ns.signum() * wraps_at_ns)?;
+            }
         }
         shown_ns.checked_add(self.wrapped_ns)
     }
