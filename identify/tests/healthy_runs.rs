@@ -68,9 +68,8 @@ fn a_robot_log_that_is_shorter_than_the_recording_is_aligned_as_well() {
             let found =
                 prepare(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &PrepareOptions::default())
                     .unwrap();
-            let bar_ns = found.t_ref.0 as f64;
-            let truth_ns = run.truth.clock.robot_ns(found.t_ref) - bar_ns;
-            let error_ms = (found.alignment.clock_difference_ns as f64 - truth_ns) * 1e-6;
+            let truth_ns = run.truth.clock.robot_ns(found.t_ref) - found.t_ref.0;
+            let error_ms = (found.alignment.clock_difference_ns - truth_ns) as f64 * 1e-6;
             assert!(error_ms.abs() < 0.2, "{} {seed}: {error_ms} ms", robot.name);
             assert!(found.offsets.iter().all(|one| one.spread_rad < 50e-6), "{:?}", found.offsets);
         }

@@ -6,10 +6,13 @@ use identify::kinematics::{Configuration, ball_bar_chain, robot_chain, singulari
 use identify::logs;
 use identify::model::{DriveTrain, JointState, Model, ParameterId};
 use identify::robot::import;
-use identify::simulate::{self, Clocks, Design, Effects, Experiment, Simulated, StaticErrors, Truth};
+use identify::simulate::{
+    self, ClockTruth, Clocks, Design, Effects, Experiment, Simulated, StaticErrors, Truth,
+};
 use shared::config::RobotConfig;
 use shared::encoder::Unwrapper;
 use shared::recording::Recording;
+use shared::time::UtcNs;
 
 fn robots() -> [RobotConfig; 2] {
     [irb2400(), nj220()]
@@ -36,6 +39,19 @@ fn robot_and_bar_end_in_the_same_pose_at_every_row_of_the_log() {
             }
         }
     }
+}
+
+#[test]
+fn the_true_reading_of_a_robot_clock_that_shows_utc_is_exact_to_the_nanosecond() {
+    let start_ns = 1_780_000_000_000_000_001;
+    let clock = ClockTruth {
+        bar_start: UtcNs(start_ns),
+        robot_at_bar_start_ns: start_ns + 2,
+        shift_s: 2e-9,
+        skew: 1e-6,
+    };
+    let robot_ns = clock.robot_ns(UtcNs(start_ns + 10_000_000_000));
+    assert_eq!(robot_ns - start_ns, 10_000_010_002);
 }
 
 #[test]

@@ -61,9 +61,8 @@ impl Comparison {
         let value = |id| calibration.model().parameter(id).map_or(0.0, |parameter| parameter.value);
         let shift_error_ns = calibration.prepared().map(|prepared| {
             let identified_ns = prepared.clock_difference_ns(value(ParameterId::ClockShift));
-            // Both are differences of large numbers: subtract the integers first.
             let robot_ns = prepared.t_ref.0.saturating_add(identified_ns);
-            robot_ns as f64 - truth.clock.robot_ns(prepared.t_ref)
+            robot_ns.saturating_sub(truth.clock.robot_ns(prepared.t_ref)) as f64
         });
         Self {
             parameters,

@@ -110,10 +110,11 @@ pub struct ClockTruth {
 }
 
 impl ClockTruth {
-    /// Reading of the robot's clock when the bar's reads `bar` \[ns\].
-    pub fn robot_ns(&self, bar: UtcNs) -> f64 {
-        let passed = bar.ns_since(self.bar_start) as f64;
-        self.robot_at_bar_start_ns as f64 + passed * (1.0 + self.skew)
+    /// Reading of the robot's clock when the bar's reads `bar` \[ns\]. An `f64` has steps of 256 ns where the clock shows UTC.
+    pub fn robot_ns(&self, bar: UtcNs) -> i64 {
+        let passed_ns = bar.ns_since(self.bar_start);
+        let gained_ns = (passed_ns as f64 * self.skew).round() as i64;
+        self.robot_at_bar_start_ns.saturating_add(passed_ns).saturating_add(gained_ns)
     }
 }
 
