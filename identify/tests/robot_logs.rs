@@ -165,7 +165,7 @@ fn rows_that_jump_out_and_back_are_left_out_and_named_by_their_lines() {
             assert!((t_s - expected.q_rad.t_s[row]).abs() < 1e-9);
         }
         let lines: Vec<String> = bad.iter().map(|row| (row + 5).to_string()).collect();
-        let refusal = inspect::robot_log(&log).suspicious.join("\n");
+        let refusal = inspect::robot_log(&log, &irb()).suspicious.join("\n");
         assert!(refusal.contains(&format!("{} of 60 lines", bad.len())), "{refusal}");
         assert!(refusal.contains(&lines.join(", ")) && !refusal.contains("no robot is so fast"), "{refusal}");
     }

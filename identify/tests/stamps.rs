@@ -104,13 +104,13 @@ fn what_stamps_scatter_by_is_measured_and_said() {
     let mut random = ChaCha8Rng::seed_from_u64(3);
     let back = read_back(&log, jittered(&log.q_rad.t_s, 1e-3, &mut random));
     assert!((stamps(&back).jitter_s - 1e-3).abs() < 5e-5, "{:?}", stamps(&back));
-    let message = inspect::robot_log(&back).suspicious.join("\n");
+    let message = inspect::robot_log(&back, &irb2400()).suspicious.join("\n");
     assert!(
         message.contains("the stamps scatter by 1.0") || message.contains("the stamps scatter by 0.9"),
         "{message}"
     );
     let rounded: Vec<f64> = log.q_rad.t_s.iter().map(|t_s| (t_s * 1.00003 / 0.01).round() * 0.01).collect();
-    let message = inspect::robot_log(&read_back(&log, rounded)).suspicious.join("\n");
+    let message = inspect::robot_log(&read_back(&log, rounded), &irb2400()).suspicious.join("\n");
     assert!(
         message.contains("rounded to 10.0 ms") && message.contains("rows have the stamp of the one before"),
         "{message}"
@@ -118,7 +118,7 @@ fn what_stamps_scatter_by_is_measured_and_said() {
     // A sound log gets no remark.
     let perfect = read_back(&log, log.q_rad.t_s.clone());
     assert!(!stamps(&perfect).evened);
-    assert_eq!(inspect::robot_log(&perfect).suspicious, Vec::<String>::new());
+    assert_eq!(inspect::robot_log(&perfect, &irb2400()).suspicious, Vec::<String>::new());
 }
 
 #[test]
@@ -198,7 +198,7 @@ fn a_step_of_the_stamps_that_the_motion_does_not_share_is_taken_out_and_said() {
         assert!(apart_s(&back.q_rad.t_s, &log.q_rad.t_s) < 2e-5, "{by_s}: {:?}", stamps(&back));
         let step = stamps(&back).steps[0];
         assert!((step.by_s - by_s).abs() < 2e-5 && (step.at_s - 33.0).abs() < 0.1, "{step:?}");
-        assert!(inspect::robot_log(&back).suspicious.join("\n").contains("the stamps step by +"));
+        assert!(inspect::robot_log(&back, &irb2400()).suspicious.join("\n").contains("the stamps step by +"));
     }
 }
 
@@ -243,5 +243,5 @@ fn stamps_that_are_right_stay_as_they_are_even_if_rows_come_as_they_like() {
     }
     let back = read_back(&uneven, uneven.q_rad.t_s.clone());
     assert!(apart_s(&back.q_rad.t_s, &uneven.q_rad.t_s) < 2e-6, "{:?}", back.quality.stamps);
-    assert!(!inspect::robot_log(&back).suspicious.join("\n").contains("clock"));
+    assert!(!inspect::robot_log(&back, &irb2400()).suspicious.join("\n").contains("clock"));
 }

@@ -32,6 +32,22 @@ impl JointKind {
             Self::Prismatic => "m",
         }
     }
+
+    /// Symbol of the unit in which the joint variable is displayed.
+    pub const fn display_symbol(self) -> &'static str {
+        match self {
+            Self::Revolute => "deg",
+            Self::Prismatic => "mm",
+        }
+    }
+
+    /// Number of these units in the SI unit.
+    pub fn display_factor(self) -> f64 {
+        match self {
+            Self::Revolute => 1f64.to_degrees(),
+            Self::Prismatic => 1e3,
+        }
+    }
 }
 
 /// Which way the rows of a Denavit-Hartenberg table are read.

@@ -193,7 +193,7 @@ impl Settings {
         });
         let as_robot_log = self.robot.as_ref().filter(|_| !has_bar_columns).map(|robot| {
             let log = logs::read_with(&bytes, path, robot, &self.log_options);
-            log.map(|log| inspect::robot_log(&log)).map_err(|error| format!("as the robot's: {error}"))
+            log.map(|log| inspect::robot_log(&log, robot)).map_err(|error| format!("as the robot's: {error}"))
         });
         let (mut found, mut refusals) = (Vec::new(), Vec::new());
         for result in [as_bar_log, as_robot_log].into_iter().flatten() {

@@ -41,10 +41,8 @@ pub(super) fn ranges(
     /// A joint that turned less does not determine its link \[deg\].
     const TRAVEL_MIN_DEG: f64 = 5.0;
     for (joint, kind) in robot.joint_kinds().enumerate() {
-        let (name, unit) =
-            (format!("q{}", joint + 1), if kind == JointKind::Revolute { "deg" } else { "mm" });
-        let number = |q: f64| if kind == JointKind::Revolute { q.to_degrees() } else { q * 1e3 };
-        let [low, high] = extremes(rows.clone().map(|q| number(q[joint])));
+        let (name, unit) = (format!("q{}", joint + 1), kind.display_symbol());
+        let [low, high] = extremes(rows.clone().map(|q| q[joint] * kind.display_factor()));
         inspection.fact(&name, format!("{low:.1} to {high:.1} {unit}"));
         if kind == JointKind::Revolute && high - low < TRAVEL_MIN_DEG {
             inspection.suspect(format!(

@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 
+use shared::config::{JointKind, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 
 use crate::kinematics::BAR_JOINTS;
@@ -18,7 +19,9 @@ const HOLE_STEPS: f64 = 10.0;
 pub struct Curve {
     /// Such as `b1` or `q1`.
     pub name: String,
-    /// Parts without holes, in the order of time: time after the first row \[s\] and angle \[deg\].
+    /// Unit of its values, `deg` or `mm`.
+    pub unit: &'static str,
+    /// Parts without holes, in the order of time: time after the first row \[s\] and value.
     pub parts: Vec<Vec<(f64, f64)>>,
 }
 
@@ -26,26 +29,35 @@ pub struct Curve {
 /// where the cycles cannot be used at all; time counts from the first valid cycle.
 pub fn of_bar(cycles: &[CycleRecord], encoders: &[EncoderInfo]) -> Vec<Curve> {
     let Ok(BarAngles { measured, readings, .. }) = bar_angles(cycles, encoders) else { return Vec::new() };
-    curves('b', &readings, (0..BAR_JOINTS).filter(|joint| measured[*joint]))
+    let measured = (0..BAR_JOINTS).filter(|joint| measured[*joint]);
+    curves('b', &readings, measured.map(|joint| (joint, JointKind::Revolute)))
 }
 
 /// The joints of a robot's log; time counts from its first stamp.
-pub fn of_robot(log: &RobotLog) -> Vec<Curve> {
-    curves('q', &log.q_rad, 0..log.axes())
+pub fn of_robot(log: &RobotLog, robot: &RobotConfig) -> Vec<Curve> {
+    curves('q', &log.q_rad, (0..log.axes()).zip(robot.joint_kinds()))
 }
 
 /// One curve for each joint, with the points that a figure needs of each part without gaps.
-fn curves<R: Row>(prefix: char, rows: &Stream<R>, joints: impl Iterator<Item = usize>) -> Vec<Curve> {
+fn curves<R: Row>(
+    prefix: char,
+    rows: &Stream<R>,
+    joints: impl Iterator<Item = (usize, JointKind)>,
+) -> Vec<Curve> {
     let span_s = rows.duration_s();
     let column_s = (span_s / COLUMNS).max(f64::MIN_POSITIVE);
     let parts = rows.parts_within(column_s.max(HOLE_STEPS * span_s / rows.len().max(1) as f64));
-    let curve = |joint: usize| {
-        let point = |row: usize| (rows.t_s[row], rows[row].numbers()[joint].to_degrees());
+    let curve = |(joint, kind): (usize, JointKind)| {
+        let point = |row: usize| (rows.t_s[row], rows[row].numbers()[joint] * kind.display_factor());
         let thinned = |part: &Range<usize>| {
             let points: Vec<(f64, f64)> = part.clone().map(point).collect();
-            extremes_of_columns(&points, |(t_s, _)| (t_s / column_s) as i64, |(_, deg)| *deg)
+            extremes_of_columns(&points, |(t_s, _)| (t_s / column_s) as i64, |(_, value)| *value)
         };
-        Curve { name: format!("{prefix}{}", joint + 1), parts: parts.iter().map(thinned).collect() }
+        Curve {
+            name: format!("{prefix}{}", joint + 1),
+            unit: kind.display_symbol(),
+            parts: parts.iter().map(thinned).collect(),
+        }
     };
     joints.map(curve).collect()
 }

@@ -16,6 +16,8 @@ pub use robot_log::robot_log;
 pub use rows::{lengths, poses, timed_poses, touches};
 pub use unknown_table::{Mapping, Proposal, ProposeError, propose};
 
+use shared::config::JointKind;
+
 use crate::logs::{LogQuality, Row, Unwrapped, ranges, usual_and_longest_step_s};
 
 /// Name of a fact that is missing in the file.
@@ -37,10 +39,12 @@ pub struct Inspection {
 pub struct JointLine {
     /// Such as `b1` or `q1`.
     pub name: String,
-    /// Smallest and largest angle \[deg\].
-    pub range_deg: [f64; 2],
-    /// Fastest between two samples \[deg/s\].
-    pub speed_max_deg_s: f64,
+    /// Revolute or prismatic, which determines the unit.
+    pub kind: JointKind,
+    /// Smallest and largest value \[deg, mm\].
+    pub range: [f64; 2],
+    /// Fastest between two samples \[deg/s, mm/s\].
+    pub speed_max: f64,
 }
 
 impl Inspection {
@@ -52,6 +56,11 @@ impl Inspection {
 
     fn suspect(&mut self, sentence: impl Into<String>) {
         self.suspicious.push(sentence.into());
+    }
+
+    /// Its joints, neighbours of one unit together.
+    pub(crate) fn joints_by_unit(&self) -> impl Iterator<Item = &[JointLine]> {
+        self.joints.chunk_by(|joint, next| joint.kind == next.kind)
     }
 }
 
@@ -94,36 +103,41 @@ fn unwrapped(inspection: &mut Inspection, all: &[Unwrapped]) {
 }
 
 /// Range and speed of each joint; joints are named by the prefix and their number.
-fn joint_lines<R: Row>(prefix: char, t_s: &[f64], rows: &[R]) -> Vec<JointLine> {
-    let ranges_rad = ranges(rows);
-    let mut fastest_rad_s = vec![0.0_f64; ranges_rad.len()];
+fn joint_lines<R: Row>(
+    prefix: char,
+    kinds: impl Iterator<Item = JointKind>,
+    t_s: &[f64],
+    rows: &[R],
+) -> Vec<JointLine> {
+    let ranges_si = ranges(rows);
+    let mut fastest_si = vec![0.0_f64; ranges_si.len()];
     for (t_s, pair) in t_s.windows(2).zip(rows.windows(2)).filter(|(t_s, _)| t_s[1] > t_s[0]) {
         let ends = pair[0].numbers().iter().zip(pair[1].numbers());
-        for (fastest, (before, after)) in fastest_rad_s.iter_mut().zip(ends) {
+        for (fastest, (before, after)) in fastest_si.iter_mut().zip(ends) {
             *fastest = fastest.max((after - before).abs() / (t_s[1] - t_s[0]));
         }
     }
-    let line = |((joint, range_rad), fastest_rad_s): ((usize, [f64; 2]), f64)| JointLine {
-        name: format!("{prefix}{joint}"),
-        range_deg: range_rad.map(f64::to_degrees),
-        speed_max_deg_s: fastest_rad_s.to_degrees(),
+    let line = |(((joint, kind), range_si), fastest_si): (((usize, JointKind), [f64; 2]), f64)| {
+        let factor = kind.display_factor();
+        let (range, speed_max) = (range_si.map(|value| value * factor), fastest_si * factor);
+        JointLine { name: format!("{prefix}{joint}"), kind, range, speed_max }
     };
-    (1..).zip(ranges_rad).zip(fastest_rad_s).map(line).collect()
+    (1..).zip(kinds).zip(ranges_si).zip(fastest_si).map(line).collect()
 }
 
-/// A joint that hardly moves does not determine its link.
-fn suspect_still(inspection: &mut Inspection) {
+/// A revolute joint that hardly moves does not determine its link; `check` is what to do if it did move.
+fn suspect_still(inspection: &mut Inspection, check: &str) {
     /// \[deg\]
     const TRAVEL_MIN_DEG: f64 = 5.0;
     let still: Vec<String> = inspection
         .joints
         .iter()
-        .filter(|joint| joint.range_deg[1] - joint.range_deg[0] < TRAVEL_MIN_DEG)
+        .filter(|joint| joint.kind == JointKind::Revolute && joint.range[1] - joint.range[0] < TRAVEL_MIN_DEG)
         .map(|joint| joint.name.clone())
         .collect();
     if !still.is_empty() {
         inspection.suspect(format!(
-            "{} moved by less than {TRAVEL_MIN_DEG} degrees: check the plug, or choose a path that moves it",
+            "{} moved by less than {TRAVEL_MIN_DEG} degrees: {check}, or choose a path that moves it",
             still.join(", ")
         ));
     }

@@ -1,6 +1,7 @@
 //! Inspection of a recording of `ballbard`: its description and events, valid cycles, sample times, and the motion
 //! of the encoders.
 
+use shared::config::JointKind;
 use shared::recording::Recording;
 use shared::recording::schema::{CycleRecord, EncoderInfo, EventKind, flags};
 
@@ -135,7 +136,8 @@ fn motion_of(inspection: &mut Inspection, angles: &BarAngles) {
     // Parts between two changes of the counters' origin: angles of different parts cannot be compared.
     let parts = angles.readings.parts_within(f64::INFINITY);
     let Some(longest) = parts.into_iter().max_by_key(std::ops::Range::len) else { return };
-    let lines = joint_lines('b', &angles.readings.t_s[longest.clone()], &angles.readings[longest]);
+    let kinds = std::iter::repeat(JointKind::Revolute);
+    let lines = joint_lines('b', kinds, &angles.readings.t_s[longest.clone()], &angles.readings[longest]);
     inspection.joints = lines
         .into_iter()
         .zip(angles.measured)
@@ -145,8 +147,8 @@ fn motion_of(inspection: &mut Inspection, angles: &BarAngles) {
     let jumps: Vec<String> = inspection
         .joints
         .iter()
-        .filter(|joint| joint.speed_max_deg_s > SPEED_MAX_DEG_S)
-        .map(|joint| format!("{} ({:.0} deg/s)", joint.name, joint.speed_max_deg_s))
+        .filter(|joint| joint.speed_max > SPEED_MAX_DEG_S)
+        .map(|joint| format!("{} ({:.0} deg/s)", joint.name, joint.speed_max))
         .collect();
     if !jumps.is_empty() {
         inspection.suspect(format!(
@@ -154,5 +156,5 @@ fn motion_of(inspection: &mut Inspection, angles: &BarAngles) {
             jumps.join(", ")
         ));
     }
-    suspect_still(inspection);
+    suspect_still(inspection, "check the plug");
 }

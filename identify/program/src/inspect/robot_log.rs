@@ -2,7 +2,9 @@
 
 use std::ops::Range;
 
-use super::{Inspection, joint_lines, stamps, suspect_still, unwrapped};
+use shared::config::{JointKind, RobotConfig};
+
+use super::{Inspection, JointLine, joint_lines, stamps, suspect_still, unwrapped};
 use crate::kinematics::Joints;
 use crate::logs::{Origin, RobotLog};
 use crate::prepare::unwrapped_log;
@@ -13,10 +15,10 @@ const FROZEN_ROWS_MIN: usize = 3;
 const FROZEN_STEP_RAD: f64 = 1e-3;
 
 /// What a robot's log holds.
-pub fn robot_log(log: &RobotLog) -> Inspection {
+pub fn robot_log(log: &RobotLog, robot: &RobotConfig) -> Inspection {
     let mut inspection = Inspection::default();
-    if let Some(robot) = &log.robot {
-        inspection.fact("robot", robot.clone());
+    if let Some(name) = &log.robot {
+        inspection.fact("robot", name.clone());
     }
     inspection.fact("length", format!("{:.1} s, {} rows", log.q_rad.duration_s(), log.q_rad.len()));
     inspection.fact("clock", format!("{}, first stamp {} ns", log.clock, log.q_rad.first_stamp_ns));
@@ -43,8 +45,8 @@ pub fn robot_log(log: &RobotLog) -> Inspection {
     }
     let (continuous, wrapped) = unwrapped_log(log);
     unwrapped(&mut inspection, &wrapped);
-    inspection.joints = joint_lines('q', &continuous.q_rad.t_s, &continuous.q_rad);
-    suspect_still(&mut inspection);
+    inspection.joints = joint_lines('q', robot.joint_kinds(), &continuous.q_rad.t_s, &continuous.q_rad);
+    suspect_still(&mut inspection, "check what the logger reads for it");
     suspect_constant_columns(&mut inspection, log);
     suspect_fast(&mut inspection);
     inspection
@@ -67,15 +69,19 @@ fn suspect_constant_columns(inspection: &mut Inspection, log: &RobotLog) {
 fn suspect_fast(inspection: &mut Inspection) {
     /// Twice the speed of the last joint of small robots \[deg/s\].
     const SPEED_MAX_DEG_S: f64 = 3000.0;
-    let fast: Vec<String> = inspection
-        .joints
-        .iter()
-        .filter(|joint| joint.speed_max_deg_s > SPEED_MAX_DEG_S)
-        .map(|joint| format!("{} reaches {:.0} deg/s", joint.name, joint.speed_max_deg_s))
-        .collect();
+    /// Twice the speed of fast linear axes \[mm/s\].
+    const SPEED_MAX_MM_S: f64 = 10_000.0;
+    let is_fast = |joint: &&JointLine| match joint.kind {
+        JointKind::Revolute => joint.speed_max > SPEED_MAX_DEG_S,
+        JointKind::Prismatic => joint.speed_max > SPEED_MAX_MM_S,
+    };
+    let reached = |JointLine { name, kind, speed_max, .. }: &JointLine| {
+        format!("{name} reaches {speed_max:.0} {}/s", kind.display_symbol())
+    };
+    let fast: Vec<String> = inspection.joints.iter().filter(is_fast).map(reached).collect();
     if !fast.is_empty() {
         inspection.suspect(format!(
-            "{}: no robot is so fast; look for rows with a wrong stamp or a wrong angle",
+            "{}: no robot is so fast; look for rows with a wrong stamp or a wrong value",
             fast.join(", ")
         ));
     }

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use shared::config::{JointKind, RobotConfig};
+use shared::config::RobotConfig;
 
 use crate::robot::RobotCheck;
 
@@ -16,8 +16,7 @@ pub fn robot_check(robot: &RobotConfig, check: &RobotCheck) -> String {
     let _ = writeln!(text, "\naxis  kind       limits                  at zero: through [m]           along");
     for (((kind, point, along), [low, high]), number) in check.axes.iter().zip(robot.joint_limits()).zip(1..)
     {
-        let (factor, unit) =
-            if *kind == JointKind::Prismatic { (1e3, "mm") } else { (1f64.to_degrees(), "deg") };
+        let (factor, unit) = (kind.display_factor(), kind.display_symbol());
         let _ = writeln!(
             text,
             "{number:<4}  {:<9}  {:>8.1} to {:>6.1} {unit:<4} {:>8.4} {:>8.4} {:>8.4}   {:>6.3} {:>6.3} {:>6.3}",

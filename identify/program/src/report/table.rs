@@ -212,11 +212,13 @@ pub fn inspection(inspection: &Inspection) -> String {
     for (what, value) in &inspection.facts {
         let _ = writeln!(text, "  {what:<24}{value}");
     }
-    if !inspection.joints.is_empty() {
-        let _ = writeln!(text, "  {:<8}{:>10}{:>10}{:>12}", "joint", "from deg", "to deg", "most deg/s");
-    }
-    for JointLine { name, range_deg: [low, high], speed_max_deg_s } in &inspection.joints {
-        let _ = writeln!(text, "  {name:<8}{low:>10.2}{high:>10.2}{speed_max_deg_s:>12.2}");
+    for group in inspection.joints_by_unit() {
+        let unit = group.first().map_or("", |joint| joint.kind.display_symbol());
+        let [from, to, most] = [format!("from {unit}"), format!("to {unit}"), format!("most {unit}/s")];
+        let _ = writeln!(text, "  {:<8}{from:>10}{to:>10}{most:>12}", "joint");
+        for JointLine { name, range: [low, high], speed_max, .. } in group {
+            let _ = writeln!(text, "  {name:<8}{low:>10.2}{high:>10.2}{speed_max:>12.2}");
+        }
     }
     match inspection.suspicious.len() {
         0 => text.push_str("  nothing suspicious\n"),

@@ -170,12 +170,12 @@ impl RunFiles<'_> {
     }
 
     /// What is in the recording and in the robot's log.
-    pub(super) fn sources(&self) -> [Source; 2] {
+    pub(super) fn sources(&self, robot: &RobotConfig) -> [Source; 2] {
         let recording = || match &*self.recording {
             BarLog::Recording(recording) => inspect::recording(recording),
             BarLog::Other(other) => inspect::bar_log(other),
         };
-        let (recording, robot_log) = both(recording, || inspect::robot_log(&self.log));
+        let (recording, robot_log) = both(recording, || inspect::robot_log(&self.log, robot));
         let source = |role, path: &Path, inspection| {
             let path = path.to_owned();
             Source { role, path, inspection, curves: Vec::new() }
@@ -184,10 +184,10 @@ impl RunFiles<'_> {
     }
 
     /// The same with the joints over time.
-    pub(super) fn sources_with_curves(&self) -> [Source; 2] {
-        let [recording, robot_log] = self.sources();
+    pub(super) fn sources_with_curves(&self, robot: &RobotConfig) -> [Source; 2] {
+        let [recording, robot_log] = self.sources(robot);
         let of_bar = curves::of_bar(self.cycles(), self.recording.encoders());
-        let of_robot = curves::of_robot(&self.log);
+        let of_robot = curves::of_robot(&self.log, robot);
         [Source { curves: of_bar, ..recording }, Source { curves: of_robot, ..robot_log }]
     }
 

@@ -104,7 +104,7 @@ pub(super) fn calibrate(
         bar,
         rows: &tables.errors,
         tables: &tables.text,
-        sources: &bars.iter().flat_map(RunFiles::sources).collect::<Vec<_>>(),
+        sources: &bars.iter().flat_map(|run| run.sources(robot)).collect::<Vec<_>>(),
         configuration: &experiment.write(directory)?,
     };
     let page = page.write(directory).with_context(|| directory.display().to_string())?;

@@ -64,7 +64,7 @@ fn write_page(
         instrument: experiment.rows().next().map_or(bar, |(kind, _)| kind.role()),
         measured: &runs.iter().filter_map(RunFiles::measured).collect::<Vec<_>>(),
         refusal,
-        runs: &runs.iter().map(RunFiles::sources_with_curves).collect::<Vec<_>>(),
+        runs: &runs.iter().map(|run| run.sources_with_curves(robot)).collect::<Vec<_>>(),
         inputs: &inputs(&experiment.files())?,
         // A page without its configuration is still useful.
         configuration: &config::to_toml(experiment).unwrap_or_else(|error| error.to_string()),

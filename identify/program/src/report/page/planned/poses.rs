@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 
 use maud::{Markup, html};
 use nalgebra::{Point3, Vector3};
-use shared::config::JointKind;
 
 use super::path::collisions;
 use super::path_view::{self, Carried, View, view};
@@ -157,10 +156,8 @@ impl PosesPage<'_> {
 
     /// Factor from SI to the displayed unit of a joint, and that unit.
     fn unit(&self, joint: usize) -> (f64, &'static str) {
-        match self.arm.links.get(joint).map(|link| link.joint) {
-            Some(JointKind::Prismatic) => (1e3, "mm"),
-            _ => (1f64.to_degrees(), "deg"),
-        }
+        let kind = self.arm.links.get(joint).map(|link| link.joint).unwrap_or_default();
+        (kind.display_factor(), kind.display_symbol())
     }
 
     /// Travel of a joint on all moves together \[rad, m\].

@@ -38,7 +38,7 @@ pub(super) fn joints(curves: &[Curve], at_s: Option<f64>) -> Result<Vec<Markup>,
     let figure = |curve: &Curve| {
         let points = || curve.parts.iter().flatten();
         let time = TimeAxis::of(points().map(|(t_s, _)| *t_s));
-        let at = |(t_s, deg): &(f64, f64)| (time.at(*t_s), *deg);
+        let at = |(t_s, value): &(f64, f64)| (time.at(*t_s), *value);
         let series = if curve.parts.len() > PARTS_MAX {
             vec![dots("", BLUE, points().map(at).collect())]
         } else {
@@ -46,7 +46,7 @@ pub(super) fn joints(curves: &[Curve], at_s: Option<f64>) -> Result<Vec<Markup>,
                 |part: &Vec<(f64, f64)>| Series::new("", BLUE, Mark::Line, part.iter().map(at).collect());
             curve.parts.iter().map(line).collect()
         };
-        panel(curve.name.clone(), "[deg]", &time, series, at_s)
+        panel(curve.name.clone(), &format!("[{}]", curve.unit), &time, series, at_s)
     };
     curves.iter().map(figure).collect()
 }

@@ -13,7 +13,7 @@ use super::run::inputs::{Source, rows};
 use super::sections::repeated_with;
 use super::{PageError, document};
 use crate::calibrate::refusal::Refusal;
-use crate::inspect::Inspection;
+use crate::inspect::JointLine;
 use crate::report::result::earlier::Earlier;
 use crate::report::result::file::{Input, MeasurementEntry, now, replace, software};
 
@@ -181,7 +181,7 @@ fn log(what: &str, run: Option<&str>, log: &Source, at_s: Option<f64>) -> Result
             figure {
                 div.panels.three { @for panel in panels { (panel) } }
                 figcaption {
-                    "Angles by this log alone, on its own clock."
+                    "Joints by this log alone, on its own clock."
                     @if at_s.is_some() { " Red: where it is." }
                 }
             }
@@ -191,21 +191,25 @@ fn log(what: &str, run: Option<&str>, log: &Source, at_s: Option<f64>) -> Result
                 caption { "What is in it" }
                 tbody { (rows(&found.facts)) }
             }
-            @if !found.joints.is_empty() { (joints(found)) }
+            @for group in found.joints_by_unit() { (joints(group)) }
         }
     })
 }
 
-fn joints(found: &Inspection) -> Markup {
+/// Joints of one unit.
+fn joints(group: &[JointLine]) -> Markup {
+    let unit = group.first().map_or("", |joint| joint.kind.display_symbol());
     html! {
         table {
             caption { "Its joints" }
-            thead { tr { th { "joint" } th { "from [deg]" } th { "to [deg]" } th { "fastest [deg/s]" } } }
-            tbody { @for joint in &found.joints { tr {
+            thead { tr {
+                th { "joint" } th { "from [" (unit) "]" } th { "to [" (unit) "]" } th { "fastest [" (unit) "/s]" }
+            } }
+            tbody { @for joint in group { tr {
                 td { (joint.name) }
-                td { (format!("{:.2}", joint.range_deg[0])) }
-                td { (format!("{:.2}", joint.range_deg[1])) }
-                td { (format!("{:.2}", joint.speed_max_deg_s)) }
+                td { (format!("{:.2}", joint.range[0])) }
+                td { (format!("{:.2}", joint.range[1])) }
+                td { (format!("{:.2}", joint.speed_max)) }
             } } }
         }
     }
