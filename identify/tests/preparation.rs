@@ -8,7 +8,7 @@ use crate::support::{bar, irb2400, nj220};
 use identify::kinematics::{Configuration, Joints, Side};
 use identify::logs::{RobotLog, Stream};
 use identify::model::RobotMotion;
-use identify::prepare::{PrepareError, PrepareOptions, Prepared, prepare};
+use identify::prepare::{ComparedLog, PrepareError, PrepareOptions, Prepared, prepare};
 use identify::simulate::{self, Clocks, Design, Effects, Experiment, Simulated};
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::encoder::Direction;
@@ -281,6 +281,19 @@ fn logs_that_do_not_overlap_or_are_of_other_runs_are_refused() {
         println!("other run: {message}");
         assert!(message.contains("different runs"), "{message}");
     }
+}
+
+#[test]
+fn that_the_bar_came_off_is_a_cause_beside_a_recording_alone() {
+    let message =
+        |other| PrepareError::NoMatch { other, correlation: 0.3, overlap_s: 20.0, needed: 0.9 }.to_string();
+    let [recording, tracker] = [ComparedLog::Recording, ComparedLog::Tracker].map(message);
+    assert!(recording.starts_with("robot log and recording do not match"), "{recording}");
+    assert!(tracker.starts_with("robot log and tracker's log do not match"), "{tracker}");
+    assert!(
+        recording.contains("bar came off") && !tracker.contains("bar came off"),
+        "{recording}\n{tracker}"
+    );
 }
 
 #[test]

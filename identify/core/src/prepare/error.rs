@@ -1,8 +1,38 @@
 //! Errors of the alignment of recording and robot log.
 
+use std::fmt;
+
 use super::{Deviations, ForceError};
 use crate::kinematics::InverseError;
 use crate::logs::LogError;
+
+/// The log with which the robot's is aligned.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ComparedLog {
+    /// Of the bar.
+    Recording,
+    /// Of a tracker.
+    Tracker,
+}
+
+impl ComparedLog {
+    /// A cause of speeds that do not match which only this log has, as part of a list.
+    const fn own_cause(self) -> &'static str {
+        match self {
+            Self::Recording => "the bar came off during the run, ",
+            Self::Tracker => "",
+        }
+    }
+}
+
+impl fmt::Display for ComparedLog {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Recording => "recording",
+            Self::Tracker => "tracker's log",
+        })
+    }
+}
 
 /// Why logs cannot be aligned, and what to do.
 #[derive(Debug, thiserror::Error)]
@@ -124,11 +154,11 @@ pub enum PrepareError {
          {correlation:.2} (over {overlap_s:.0} s), at least {needed} is required. They do not overlap or are of \
          different runs, {}or noise or invalid rows hide the motion; give the log of this run, or compare both with \
          `identify inspect`",
-        bar_came_off(other)
+        other.own_cause()
     )]
     NoMatch {
         /// The log with which the robot's was compared.
-        other: &'static str,
+        other: ComparedLog,
         /// Highest correlation of the speeds.
         correlation: f64,
         /// Overlap there \[s\].
@@ -143,7 +173,7 @@ pub enum PrepareError {
     )]
     NoSpeeds {
         /// The log with which the robot's was compared.
-        other: &'static str,
+        other: ComparedLog,
         /// Shortest time with speeds in both logs \[s\].
         needed_s: f64,
     },
@@ -366,11 +396,6 @@ pub enum PrepareError {
         /// Number of samples without motion.
         standstill: usize,
     },
-}
-
-/// A cause that only a run with the bar has.
-fn bar_came_off(other: &str) -> &'static str {
-    if other == "recording" { "the bar came off during the run, " } else { "" }
 }
 
 /// `joints 1, 4 and 6`, from joints counted from 0.

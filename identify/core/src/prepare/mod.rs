@@ -47,7 +47,7 @@ pub use encoders::encoder_map::{
     AnglePair, EncoderMap, EncoderMapChoice, EncoderMapReport, EncoderPlace, find_encoder_map,
 };
 pub use encoders::origins::OriginSpan;
-pub use error::PrepareError;
+pub use error::{ComparedLog, PrepareError};
 pub use findings::{Deviations, Place, PoorFit};
 pub use forces::{BarForces, ForceError};
 pub use readings::averaged::{Averaged, AveragedJoints, AveragedPoint};

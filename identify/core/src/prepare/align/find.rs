@@ -20,7 +20,7 @@ use crate::prepare::encoders::encoder_map::{AnglePair, EncoderMap, EncoderMapRep
 use crate::prepare::encoders::segments::{OffsetFit, fit_offsets};
 use crate::prepare::encoders::slip::large_slip;
 use crate::prepare::samples::select::{select, spaced};
-use crate::prepare::{BarReading, Channels, Predictor, PrepareError, PrepareOptions};
+use crate::prepare::{BarReading, Channels, ComparedLog, Predictor, PrepareError, PrepareOptions};
 use crate::threads::{each, rows};
 
 /// A recording and the robot's log in which it is searched for.
@@ -264,7 +264,7 @@ impl Search<'_> {
             }
         }
         if matches.is_empty() {
-            return Err(no_match("recording", highest, needed_s, self.options));
+            return Err(no_match(ComparedLog::Recording, highest, needed_s, self.options));
         }
         Ok(matches)
     }

@@ -28,7 +28,7 @@ use crate::prepare::readings::standstill::MOVING_RAD_S;
 use crate::prepare::samples::select::select;
 use crate::prepare::steps::{check_length, require_motion};
 use crate::prepare::{
-    AlignedLog, Alignment, Channels, Match, PrepareError, PrepareOptions, candidates, correlate,
+    AlignedLog, Alignment, Channels, ComparedLog, Match, PrepareError, PrepareOptions, candidates, correlate,
     unwrapped_log,
 };
 use crate::solver::{GoodShare, LossName, Options, minimise_robust};
@@ -265,7 +265,7 @@ impl Search<'_> {
         let are_apart = |fit: &Fit, other: &Fit| (fit.clock.shift_s - other.clock.shift_s).abs() > STANDING_S;
         best(matching, |fit| fit.spread_m, are_apart).ok_or_else(|| {
             let highest = shifts.first().map(|best| (highest, best.overlap as f64 * self.step_s));
-            no_match("tracker's log", highest, overlap_min_s, self.options)
+            no_match(ComparedLog::Tracker, highest, overlap_min_s, self.options)
         })
     }
 

@@ -4,7 +4,7 @@
 use std::ops::Range;
 
 use super::correlate::{Match, longest_overlap};
-use crate::prepare::{PrepareError, PrepareOptions};
+use crate::prepare::{ComparedLog, PrepareError, PrepareOptions};
 
 /// Longest window \[s\]: over a longer one clocks of different rates drift apart.
 pub(in crate::prepare) const WINDOW_S: f64 = 900.0;
@@ -95,7 +95,7 @@ fn wider(t_s: &[f64], window: &Range<usize>) -> Range<usize> {
 
 /// The refusal of two logs whose speeds match nowhere: with the highest correlation that was found, and the overlap there \[s\].
 pub(in crate::prepare) fn no_match(
-    other: &'static str,
+    other: ComparedLog,
     highest: Option<(f64, f64)>,
     overlap_min_s: f64,
     options: &PrepareOptions,

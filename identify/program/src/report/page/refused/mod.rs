@@ -238,7 +238,7 @@ fn capitalised(text: &str) -> String {
 mod tests {
     use super::*;
     use crate::calibrate::CalibrateError;
-    use crate::prepare::PrepareError;
+    use crate::prepare::{ComparedLog, PrepareError};
     use crate::solver::Unidentifiable;
 
     #[test]
@@ -249,8 +249,13 @@ mod tests {
             (PrepareError::LittleMotion.to_string(), "insufficient excitation", "move the bar"),
             (PrepareError::AmbiguousEncoderMap { fits }.to_string(), "--encoders 2,1", "Check on the bar"),
             (
-                PrepareError::NoMatch { other: "recording", correlation: 0.3, overlap_s: 20.0, needed: 0.9 }
-                    .to_string(),
+                PrepareError::NoMatch {
+                    other: ComparedLog::Recording,
+                    correlation: 0.3,
+                    overlap_s: 20.0,
+                    needed: 0.9,
+                }
+                .to_string(),
                 "0.30",
                 "give the log of this run",
             ),
