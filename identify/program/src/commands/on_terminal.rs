@@ -96,9 +96,11 @@ impl OnTerminal {
             self.bar.set_style(style);
         }
     }
+}
 
-    /// Takes the bar off the terminal.
-    pub fn finish(&self) {
+/// Takes the bar off the terminal, also before the message of an error.
+impl Drop for OnTerminal {
+    fn drop(&mut self) {
         POLLED.store(false, Ordering::Relaxed);
         self.bar.finish_and_clear();
     }
@@ -120,5 +122,20 @@ impl Watch for OnTerminal {
             |cost| format!("{stage}: iteration {}, cost {cost:.3e}", progress.iteration + 1),
         ));
         !INTERRUPTED.load(Ordering::Relaxed)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// As a command that returns early with an error.
+    #[test]
+    fn the_bar_is_off_the_terminal_however_its_command_ends() {
+        let bar = {
+            let on_terminal = OnTerminal::new();
+            on_terminal.bar.clone()
+        };
+        assert!(bar.is_finished() && !POLLED.load(Ordering::Relaxed));
     }
 }

@@ -367,7 +367,7 @@ fn find_path(arguments: &PathArguments) -> anyhow::Result<()> {
             ),
         })
     });
-    terminal.finish();
+    drop(terminal);
     let found = found?;
     let robot_path = plan::robot_path(&loaded.robot.name, &constraints, &found.route)
         .map_err(|(t_s, error)| anyhow::anyhow!("the robot cannot follow the path at {t_s:.3} s: {error}"))?;
@@ -552,7 +552,7 @@ fn find_places(arguments: &PlaceArguments) -> anyhow::Result<()> {
     let places = plan::places(&request, arguments.seed, arguments.budget, |tried| {
         !terminal.says(|| format!("{tried} places tried; Ctrl-C shows the best so far"))
     });
-    terminal.finish();
+    drop(terminal);
     let places = places?;
     show(path::places(&places, loaded.design.duration_s))?;
     anyhow::ensure!(

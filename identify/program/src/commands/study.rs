@@ -143,7 +143,6 @@ fn compute(
             }
             stored?;
         }
-        on_terminal.finish();
         let left = missing.len() - done;
         anyhow::ensure!(left == 0, "stopped with {left} experiments to go; repeat the command to continue");
         Ok(())

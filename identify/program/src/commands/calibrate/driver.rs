@@ -75,7 +75,7 @@ pub(super) fn calibrate(
         let evidence = evidence.with_validation(&calibration, &robot.joint_limits(), Some(&on_terminal))?;
         Ok((calibration, evidence))
     });
-    on_terminal.finish();
+    drop(on_terminal);
     let (calibration, evidence) =
         validated.map_err(|error| refused(directory, robot, experiment, &bars, error))?;
 
