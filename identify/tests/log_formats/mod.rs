@@ -8,8 +8,11 @@ mod bar_log;
 
 use std::path::Path;
 
-use crate::support::irb2400;
-use identify::logs::{LogError, LogFormat, LogOptions, Origin, RobotLog, RobotLogMapping, read_with};
+use crate::support::{bar, irb2400};
+use identify::logs::{
+    ForceLog, LogError, LogFormat, LogOptions, MeasuredLengths, Origin, OtherBarLog, RobotLog,
+    RobotLogMapping, TimedPoses, Touches, read_with,
+};
 use shared::config::{self, RobotConfig};
 
 /// A robot whose controller reports the joints of the model.
@@ -81,6 +84,38 @@ fn an_error_in_a_mapped_table_names_the_line_of_the_file_and_the_column() {
     let message =
         read_as(&german_table(80).replace("J4", "axis4"), Some(shipped_mapping())).unwrap_err().to_string();
     assert!(message.contains("`J4` is missing") && message.contains("axis4"), "{message}");
+}
+
+/// The order is that in which the types of the mappings have their keys.
+#[test]
+fn of_several_columns_that_are_missing_the_first_of_the_mapping_is_named() {
+    let (text, path) = ("a,b\n1,2\n", Path::new("table.csv"));
+    let table = text.as_bytes();
+    let joints = |column: &str| format!("[[joints]]\ncolumn = \"{column}\"\nunit = \"deg\"\n").repeat(6);
+    let time = |column: &str| format!("[time]\ncolumn = \"{column}\"\n");
+    let robot_log = time("first") + &joints("later");
+    let bar_log = time("first") + "[[encoders]]\njoint = 1\ncolumn = \"later\"\n";
+    let force = time("first") + "[force]\ncolumns = [\"later\"]\nunit = \"N\"\n";
+    let touches =
+        "face = \"first\"\n[reading]\ncolumn = \"later\"\nunit = \"mm\"\n".to_owned() + &joints("later");
+    let lengths =
+        "anchor = \"later\"\n[length]\ncolumn = \"a\"\nunit = \"mm\"\n[uncertainty]\nlength_mm = \"later\"\n"
+            .to_owned()
+            + &joints("first");
+    let poses = "[position]\ncolumns = [\"first\", \"first\", \"first\"]\nunit = \"mm\"\n".to_owned()
+        + &time("later");
+    let refusals = [
+        read_as(text, Some(mapping(&robot_log))).map(drop),
+        OtherBarLog::read(table, path, &bar(), Some(&config::parse(&bar_log, path).unwrap())).map(drop),
+        ForceLog::read(table, path, &irb120(), Some(&config::parse(&force, path).unwrap())).map(drop),
+        Touches::read(table, path, &config::parse(&touches, path).unwrap()).map(drop),
+        MeasuredLengths::read(table, path, &config::parse(&lengths, path).unwrap()).map(drop),
+        TimedPoses::read(table, path, &config::parse(&poses, path).unwrap()).map(drop),
+    ];
+    for refusal in refusals {
+        let message = refusal.unwrap_err().to_string();
+        assert!(message.contains("`first` is missing"), "{message}");
+    }
 }
 
 #[test]

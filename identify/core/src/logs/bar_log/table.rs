@@ -146,8 +146,8 @@ impl Layout {
                 reading: Reading::new(*joint, unit, wraps_at, bar, (path, column))?,
             })
         };
-        let encoders = columns.iter().map(encoder).collect::<Result<_, LogError>>()?;
         let time = StampColumn::new(table.column(&time.column, remedy)?, time);
+        let encoders = columns.iter().map(encoder).collect::<Result<_, LogError>>()?;
         Ok(Self { time, encoders, flags: None, events: None })
     }
 

@@ -81,12 +81,16 @@ impl ForceLog {
         let path = source.path;
         let mut table = Table::of_mapping(source, mapping.map(|mapping| &mapping.csv))?;
         let own_time = TimeColumn::new(TIME_COLUMN, TimeUnit::S);
-        let (layout, time) = match mapping {
-            Some(mapping) => (ForceLayout::find_named(&table, &mapping.force)?, &mapping.time),
-            None => (ForceLayout::find_usual(&table, robot)?, &own_time),
+        let time = mapping.map_or(&own_time, |mapping| &mapping.time);
+        let remedy =
+            "Name the column of time stamps `t_s` (seconds), or name it in a mapping (--force-mapping).";
+        let stamps = StampColumn::new(table.column(&time.column, remedy)?, time);
+        let layout = match mapping {
+            Some(mapping) => ForceLayout::find_named(&table, &mapping.force)?,
+            None => ForceLayout::find_usual(&table, robot)?,
         };
         let layout = layout.ok_or_else(|| unknown(&table, path))?;
-        let forces = rows(&mut table, path, time, &layout)?;
+        let forces = rows(&mut table, path, stamps, &layout)?;
         let clock = mapping.map_or_else(|| declared_clock(&table, path), |mapping| Ok(mapping.clock))?;
         Self::new(clock, layout.kind(&table), forces).on_joints(robot)
     }
@@ -121,14 +125,9 @@ fn declared_clock(table: &Table<'_>, path: &Path) -> Result<ForceClock, LogError
 fn rows(
     table: &mut Table<'_>,
     path: &Path,
-    time: &TimeColumn,
+    mut stamps: StampColumn,
     layout: &ForceLayout,
 ) -> Result<Stream<Joints>, LogError> {
-    let column = table.column(
-        &time.column,
-        "Name the column of time stamps `t_s` (seconds), or name it in a mapping (--force-mapping).",
-    )?;
-    let mut stamps = StampColumn::new(column, time);
     let mut forces = Stream::default();
     let mut before: Option<(i64, u64)> = None;
     let mut row = Row::default();

@@ -166,11 +166,11 @@ impl<'a> Columns<'a> {
         let uncertainty = mapping.uncertainty.as_ref().map(|uncertainty| &uncertainty.length_mm);
         Ok(Self {
             length: (column(&mapping.length.column)?, &mapping.length),
+            joints: JointColumns::find(table, &mapping.joints)?,
+            flange: flange.transpose()?,
             uncertainty: mapped_if_named(table, uncertainty)?,
             anchor: mapped_if_named(table, mapping.anchor.as_ref())?,
             attachment: mapped_if_named(table, mapping.attachment.as_ref())?,
-            joints: JointColumns::find(table, &mapping.joints)?,
-            flange: flange.transpose()?,
         })
     }
 

@@ -370,8 +370,8 @@ impl TimedPoses {
     pub fn read(bytes: &[u8], path: &Path, mapping: &MeasuredPoseMapping) -> Result<Self, LogError> {
         let time = TimeColumn::of_table(mapping.time.as_ref(), path)?;
         let find = |table: &Table<'_>| {
-            let stamps = StampColumn::new(mapped(table, &time.column)?, time);
-            Ok((PoseColumns::find(table, mapping)?, stamps))
+            let columns = PoseColumns::find(table, mapping)?;
+            Ok((columns, StampColumn::new(mapped(table, &time.column)?, time)))
         };
         let mut names = SetUpNames::default();
         let read = |(columns, stamps): &mut (PoseColumns<'_>, StampColumn), table: &Table<'_>, row: &Row| {

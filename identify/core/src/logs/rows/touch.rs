@@ -89,9 +89,10 @@ impl Touches {
     pub fn read(bytes: &[u8], path: &Path, mapping: &TouchMapping) -> Result<Self, LogError> {
         type Found<'a> = (Column, Option<(Column, LengthUnit)>, JointColumns<'a>);
         let find = |table: &Table<'_>| -> Result<Found<'_>, LogError> {
+            let face = mapped(table, &mapping.face)?;
             let gauge = |gauge: &ReadingColumn| Ok((mapped(table, &gauge.column)?, gauge.unit));
             let reading = mapping.reading.as_ref().map(gauge).transpose()?;
-            Ok((mapped(table, &mapping.face)?, reading, JointColumns::find(table, &mapping.joints)?))
+            Ok((face, reading, JointColumns::find(table, &mapping.joints)?))
         };
         let mut names = Names::default();
         let read = |(face, reading, joints): &mut Found<'_>, table: &Table<'_>, row: &Row| {
