@@ -8,21 +8,25 @@ use std::path::PathBuf;
 use std::process::Command;
 
 use identify::calibrate::{IdentifyConfig, JointTermsConfig, calibrate_run};
+use identify::cost::{Length, LoopProblem, Position, Residual};
 use identify::evaluate::workspace_error;
 use identify::instrument::PoseRow;
 use identify::kinematics::{
-    Chain, InverseError, Joints, LinkParameter, Pose, Trace, Tracer, flange_chain, robot_chain,
-    robot_inverse, robot_inverse_all,
+    Chain, InverseError, Joints, LinkParameter, Pose, Trace, Tracer, ball_bar_chain, flange_chain,
+    robot_chain, robot_inverse, robot_inverse_all,
 };
-use identify::model::{DriveTrain, JointTerm, Load, Model, Owner, ParameterId, Period};
+use identify::model::{
+    DriveTrain, JointTerm, Load, Model, Observation, Owner, ParameterId, PerObservation, Period, Selection,
+};
 use identify::report::result::robot_files::urdf;
 use identify::robot::{ImportError, Imported, check, import};
 use identify::simulate::{self, Effects, Experiment, StaticErrors};
+use identify::solver::stacked;
 use nalgebra::{Rotation3, Vector3};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use rand_distr::StandardNormal;
-use shared::config::{self, JointKind, LinkConfig, RobotConfig, Validate};
+use shared::config::{self, JointKind, LinkConfig, RobotConfig, TransformConfig, Validate};
 
 use crate::support::independent::{Matrix, identity, product, shift, turn};
 use crate::support::repository;
@@ -524,6 +528,49 @@ fn twists_of_prismatic_axes_and_of_links_behind_them_are_the_derivatives() {
         });
         let twist = trace.twist(link, parameter).unwrap();
         assert!((twist.linear - linear).norm() < 1e-8 && (twist.angular - angular).norm() < 1e-8, "{link}");
+    }
+}
+
+/// Derivatives by the robot's links are zero exactly where the cost states that the link has no effect.
+fn depends_as_stated<R: Residual>(residual: R, arm: &Chain, poses: &[Joints]) {
+    let mut bar = ball_bar_chain(&crate::support::bar());
+    bar.root_from_base.translation.vector = Vector3::new(1.0, 0.05, 0.35);
+    let mut model = Model::ball_bar(arm, &bar);
+    model.free_only(|id| matches!(id, ParameterId::Robot { .. }));
+    let observation = |pose: usize| Observation::bar(PerObservation::time_s(pose), [0.3; 5]);
+    let observations: Vec<Observation> = (0..poses.len()).map(observation).collect();
+    let motion = PerObservation(poses.to_vec());
+    let problem = LoopProblem::new(&model, &motion, &observations, residual, 1.0).unwrap();
+    let (_, jacobian) = stacked(&problem, &model.start()).unwrap();
+    for (column, parameter) in model.columns().enumerate() {
+        let has_effect = jacobian.column(column).amax() > 1e-12;
+        let stated = R::depends_on(parameter.id, arm);
+        assert_eq!(has_effect, stated, "{} by {} of {} axes", R::NAME, parameter.id, model.axes());
+    }
+    // A rotation after the last joint moves the end as `d` and `theta` of its link do.
+    model.select(Selection::Cell, R::identifies);
+    let is_free =
+        |link: usize| model.column_of(ParameterId::Robot { link, parameter: LinkParameter::Alpha }).is_some();
+    let last = model.axes() - 1;
+    assert!(is_free(last - 1) && !is_free(last), "{} of {} axes", R::NAME, model.axes());
+}
+
+#[test]
+fn positions_depend_on_all_rotations_of_an_arm_except_those_of_the_link_at_whose_end_they_are() {
+    let (bar, mut random) = (crate::support::bar(), StdRng::seed_from_u64(9));
+    for arm in ARMS {
+        let mut robot = imported(arm).config;
+        // The offset plate is part of the last link, or follows a displaced flange.
+        robot.flange = TransformConfig::default();
+        robot.links.last_mut().unwrap().alpha_deg = 0.0;
+        let mut displaced = robot.clone();
+        displaced.flange.xyz_m = [0.0, 0.02, 0.1];
+        for robot in [robot, displaced] {
+            let chain = robot_chain(&robot, &bar);
+            let poses: Vec<Joints> = (0..20).map(|_| random_joints(&robot, &mut random)).collect();
+            depends_as_stated(Length, &chain, &poses);
+            depends_as_stated(Position, &chain, &poses);
+        }
     }
 }
 

@@ -156,7 +156,13 @@ fn agrees<R: Residual>(
                 largest = largest.max(expected.eps.abs());
             }
         }
-        assert_eq!(largest > 1e-12, R::depends_on(parameter.id), "{} sees {}", R::NAME, parameter.id);
+        assert_eq!(
+            largest > 1e-12,
+            R::depends_on(parameter.id, model.robot()),
+            "{} sees {}",
+            R::NAME,
+            parameter.id
+        );
     }
 }
 

@@ -61,7 +61,7 @@ impl Residual for Height<'_> {
     const ROWS: usize = 1;
     const ENCODERS: &'static [usize] = &[];
 
-    fn depends_on(id: ParameterId) -> bool {
+    fn depends_on(id: ParameterId, _: &Chain) -> bool {
         id.affects(Owner::Wire) && !matches!(id, ParameterId::Anchor { .. })
     }
 
@@ -124,8 +124,8 @@ impl Measures for Column {
         self.states.get(sample).copied()
     }
 
-    fn identifies(&self, id: ParameterId) -> bool {
-        Height::depends_on(id) && id.owner() != Owner::Clocks
+    fn identifies(&self, id: ParameterId, robot: &Chain) -> bool {
+        Height::depends_on(id, robot) && id.owner() != Owner::Clocks
     }
 
     fn causes(&self, _: &Geometry) -> Vec<Cause> {

@@ -157,7 +157,7 @@ fn agrees<R: Residual>(arm: &Chain, model: &Model, residual: R, independent: Ind
                 largest = largest.max(expected.eps.abs());
             }
         }
-        assert_eq!(largest > 1e-12, R::depends_on(parameter.id), "{} sees {}", R::NAME, parameter.id);
+        assert_eq!(largest > 1e-12, R::depends_on(parameter.id, arm), "{} sees {}", R::NAME, parameter.id);
     }
 }
 

@@ -84,7 +84,8 @@ fn change_of_run(Run { instrument, model }: &Run, sigma: f64) -> Result<Option<C
     // Parameters fixed at uncertain values are estimated as well, so that their errors are not reported as a change.
     let model =
         &model.with_considered(|parameter, sigma| Some(Role::Prior { value: parameter.value, sigma }));
-    let can_change = |id: &ParameterId| instrument.identifies(*id) && model.parameter(*id).is_some();
+    let can_change =
+        |id: &ParameterId| instrument.identifies(*id, model.robot()) && model.parameter(*id).is_some();
     let joints = (0..model.axes()).map(Cause::Joint);
     let mut causes: Vec<Cause> = joints.chain(instrument.causes(&model.geometry(&[]))).collect();
     causes.retain(|cause| cause.ids().iter().any(can_change));

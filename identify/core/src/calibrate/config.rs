@@ -10,7 +10,7 @@ use super::error::CalibrateError;
 use super::selection::links::link_ids;
 use super::selection::terms::CandidateGroup;
 use crate::instrument::{CostName, NoiseConfig};
-use crate::kinematics::{BAR_JOINTS, LinkParameter};
+use crate::kinematics::{BAR_JOINTS, Chain, LinkParameter};
 use crate::model::{Group, Model, ModelError, Owner, ParameterId, Role, Selection, THESIS_FIXED, TermGroup};
 use crate::prepare::PrepareOptions;
 use crate::solver::LossName;
@@ -190,10 +190,12 @@ impl IdentifyConfig {
         &self,
         model: &mut Model,
         identifiable: &[ParameterId],
-        identifies: impl Fn(ParameterId) -> bool,
+        identifies: impl Fn(ParameterId, &Chain) -> bool,
     ) -> Result<(), ModelError> {
+        let robot = model.robot().clone();
+        let identifies = |id| identifies(id, &robot);
         match self.selection.fixed() {
-            Some(selection) => model.select(selection, &identifies),
+            Some(selection) => model.select(selection, |id, _| identifies(id)),
             None => model
                 .free_only(|id| identifiable.contains(&id) || id.group() == Group::Clock && identifies(id)),
         }
@@ -383,12 +385,16 @@ impl IdentifyConfig {
     }
 
     /// [`Self::candidates`] with the model's parameters that its samples determine and that are not freed or fixed by name.
-    pub fn groups(&self, model: &Model, identifies: impl Fn(ParameterId) -> bool) -> Vec<CandidateGroup> {
+    pub fn groups(
+        &self,
+        model: &Model,
+        identifies: impl Fn(ParameterId, &Chain) -> bool,
+    ) -> Vec<CandidateGroup> {
         let group = |group: TermGroup| {
-            let open = model
-                .parameters()
-                .iter()
-                .filter(|one| one.id.term() == Some(group) && one.role == Role::Fixed && identifies(one.id));
+            let open = model.parameters().iter().filter(|one| {
+                let is_fixed_term = one.id.term() == Some(group) && one.role == Role::Fixed;
+                is_fixed_term && identifies(one.id, model.robot())
+            });
             let ids = open.map(|one| one.id).filter(|id| !self.fix.contains(&id.to_string())).collect();
             let scales = group.scales().to_vec();
             CandidateGroup { group, name: group.name().into(), ids, sigma: self.sigma(group), scales }

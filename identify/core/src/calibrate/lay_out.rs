@@ -121,7 +121,7 @@ fn candidate_groups(
 ) -> Result<Vec<CandidateGroup>, CalibrateError> {
     let Some(Run { instrument, model }) = runs.first() else { return Ok(Vec::new()) };
     if !data.bars.is_empty() {
-        return Ok(config.groups(model, |id| instrument.identifies(id)));
+        return Ok(config.groups(model, |id, robot| instrument.identifies(id, robot)));
     }
     let axes = model.axes();
     let values_of_run =
@@ -174,7 +174,7 @@ fn bar_runs(
     let plate = runs.first().map(|run| ParameterId::plate(run.model.axes()));
     fixed.extend(plate.filter(|_| config.selection == SelectionName::Thesis));
     for Run { instrument, model } in &mut runs {
-        config.set_roles(model, &identifiable_ids, |id| instrument.identifies(id))?;
+        config.set_roles(model, &identifiable_ids, |id, robot| instrument.identifies(id, robot))?;
         instrument.place(model, &fixed)?;
         if let Some(force) = instrument.prepared().and_then(|prepared| prepared.force.as_ref()) {
             config.free_for_force(model, force.parameter())?;

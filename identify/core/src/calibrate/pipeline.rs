@@ -580,8 +580,8 @@ impl<'a> Solver<'a> {
     /// Sets a role in every model that has the parameter and whose samples identify it.
     pub(super) fn set_roles(&mut self, ids: &[ParameterId], role: Role) -> Result<(), ModelError> {
         for Run { instrument, model } in &mut *self.runs {
-            for &id in ids.iter().filter(|id| instrument.identifies(**id)) {
-                if model.parameter(id).is_some() {
+            for &id in ids {
+                if model.parameter(id).is_some() && instrument.identifies(id, model.robot()) {
                     model.set_role(id, role)?;
                 }
             }

@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 
 use super::scene::unit;
 use super::{Movement, Residual, Scene};
+use crate::kinematics::Chain;
 use crate::model::{Owner, ParameterId};
 
 /// `R ball - socket` \[m\], entries in the robot's base; `R` is the robot's pose. The problem divides it by the standard
@@ -22,7 +23,7 @@ impl Residual for SeatedBall<'_> {
     const ROWS: usize = 3;
     const ENCODERS: &'static [usize] = &[];
 
-    fn depends_on(id: ParameterId) -> bool {
+    fn depends_on(id: ParameterId, _: &Chain) -> bool {
         id.affects(Owner::Contact)
     }
 

@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 
 use super::scene::unit;
 use super::{Movement, Residual, Scene};
+use crate::kinematics::Chain;
 use crate::model::{Owner, ParameterId, SetUp};
 
 /// `|R attachment - anchor| + offset - measured` \[m\], divided by the sample's noise relative to that of the median sample. The
@@ -34,7 +35,7 @@ impl Residual for MeasuredLength<'_> {
     const ENCODERS: &'static [usize] = &[];
     const NEEDS_LENGTH: bool = true;
 
-    fn depends_on(id: ParameterId) -> bool {
+    fn depends_on(id: ParameterId, _: &Chain) -> bool {
         id.affects(Owner::Wire)
     }
 

@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::bar::pose::inverse_left_jacobian;
 use super::measured_position::Sighting;
 use super::{Residual, Scene};
-use crate::kinematics::{Pose, rotation_vector};
+use crate::kinematics::{Chain, Pose, rotation_vector};
 use crate::model::{Owner, ParameterId, SetUp};
 
 /// Noise of a measured pose: standard deviation of each coordinate.
@@ -50,7 +50,7 @@ impl Residual for MeasuredPose<'_> {
     const ROWS: usize = 6;
     const ENCODERS: &'static [usize] = &[];
 
-    fn depends_on(id: ParameterId) -> bool {
+    fn depends_on(id: ParameterId, _: &Chain) -> bool {
         id.affects(Owner::Tracker)
     }
 

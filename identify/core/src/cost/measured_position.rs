@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use super::scene::unit;
 use super::{Movement, PoseNoise, Residual, Scene};
-use crate::kinematics::{Pose, Twist};
+use crate::kinematics::{Chain, Pose, Twist};
 use crate::model::{Coordinate, Owner, ParameterId, SetUp};
 
 /// `R probe - T measured`, entries in the robot's base, divided by the standard deviation of a coordinate: `R` is the robot's
@@ -91,7 +91,7 @@ impl Residual for MeasuredPosition<'_> {
     const ROWS: usize = 3;
     const ENCODERS: &'static [usize] = &[];
 
-    fn depends_on(id: ParameterId) -> bool {
+    fn depends_on(id: ParameterId, _: &Chain) -> bool {
         let turns_probe = matches!(id, ParameterId::Probe { coordinate: Coordinate::Rotation(_), .. });
         id.affects(Owner::Tracker) && !turns_probe
     }

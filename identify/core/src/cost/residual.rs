@@ -1,7 +1,7 @@
 //! What a cost function provides: a residual per sample, its derivatives, and the encoders that it requires.
 
 use super::scene::Scene;
-use crate::kinematics::ROD_LINK;
+use crate::kinematics::{Chain, ROD_LINK};
 use crate::model::ParameterId;
 
 /// Whether a cost with these encoders can depend on the parameter. Harmonics and offsets of an encoder, and waves over its
@@ -28,12 +28,12 @@ pub trait Residual: Sync {
     /// Whether a measured length is required.
     const NEEDS_LENGTH: bool = false;
 
-    /// Whether the parameter changes the residual. Other parameters need not be free.
-    fn depends_on(id: ParameterId) -> bool;
+    /// Whether the parameter changes the residual of this robot. Other parameters need not be free.
+    fn depends_on(id: ParameterId, robot: &Chain) -> bool;
 
     /// Whether named selections free the parameter with this cost: the residual distinguishes it from the others.
-    fn identifies(id: ParameterId) -> bool {
-        Self::depends_on(id)
+    fn identifies(id: ParameterId, robot: &Chain) -> bool {
+        Self::depends_on(id, robot)
     }
 
     /// Computes the intermediate results of a sample; `None` if the residual has no value there.
@@ -54,12 +54,12 @@ impl<R: Residual> Residual for &R {
     const ENCODERS: &'static [usize] = R::ENCODERS;
     const NEEDS_LENGTH: bool = R::NEEDS_LENGTH;
 
-    fn depends_on(id: ParameterId) -> bool {
-        R::depends_on(id)
+    fn depends_on(id: ParameterId, robot: &Chain) -> bool {
+        R::depends_on(id, robot)
     }
 
-    fn identifies(id: ParameterId) -> bool {
-        R::identifies(id)
+    fn identifies(id: ParameterId, robot: &Chain) -> bool {
+        R::identifies(id, robot)
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<R::Local> {

@@ -5,6 +5,7 @@ use nalgebra::Vector3;
 
 use super::scene::unit;
 use super::{Movement, Residual, Scene};
+use crate::kinematics::Chain;
 use crate::model::{FaceNumber, Owner, ParameterId};
 
 /// `h + reading` \[m\] with the height `h = (n.x - d) / |n|` of the tip's centre `x = R_p + R tip` over the face. The face is
@@ -39,7 +40,7 @@ impl Residual for TouchedFace<'_> {
     const ROWS: usize = 1;
     const ENCODERS: &'static [usize] = &[];
 
-    fn depends_on(id: ParameterId) -> bool {
+    fn depends_on(id: ParameterId, _: &Chain) -> bool {
         id.affects(Owner::Touch)
     }
 

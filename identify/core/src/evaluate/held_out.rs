@@ -100,8 +100,9 @@ pub fn held_out(calibration: &Calibration, segments: &[Segment], nominals: &[Opt
     let Some(cost) = calibration.cost() else { return HeldOut::default() };
     let measured = calibration.measured();
     let by_encoders = measured.contains(&true);
+    let robot = calibration.model().robot();
     let is_estimated =
-        |link| cost.identifies(&measured, ParameterId::Bar { link, parameter: LinkParameter::Theta });
+        |link| cost.identifies(&measured, ParameterId::Bar { link, parameter: LinkParameter::Theta }, robot);
     // A cost that does not use all encoders does not estimate their offsets. Then compare robots, each with its bar fitted.
     let all_estimated = measured.iter().enumerate().all(|(link, measured)| !measured || is_estimated(link));
     let geometry = |model: &Model, motion: &_, observations: &[Observation]| {

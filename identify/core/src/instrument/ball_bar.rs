@@ -10,7 +10,7 @@ use crate::cost::{
     AngleNoise, CostError, DataSet, FoundNoise, Length, LoopProblem, Position, PositionAngles, ROD_JOINT,
     Residual, Transform, WhitenedPose, WhitenedPoseOfFour, fill_in, loop_closures,
 };
-use crate::kinematics::BAR_JOINTS;
+use crate::kinematics::{BAR_JOINTS, Chain};
 use crate::model::{
     Clock, Geometry, JointState, Model, ModelError, Observation, Parameter, ParameterId, RobotMotion, Role,
 };
@@ -88,14 +88,14 @@ impl CostName {
     }
 
     /// [`Residual::identifies`] of the cost's residual, with the available encoders.
-    pub fn identifies(self, measured: &[bool; BAR_JOINTS], id: ParameterId) -> bool {
+    pub fn identifies(self, measured: &[bool; BAR_JOINTS], id: ParameterId, robot: &Chain) -> bool {
         match self {
-            Self::Pose if lacks_rod_encoder(measured) => WhitenedPoseOfFour::identifies(id),
-            Self::Pose => WhitenedPose::identifies(id),
-            Self::Transform => Transform::identifies(id),
-            Self::PositionAngles => PositionAngles::identifies(id),
-            Self::Position => Position::identifies(id),
-            Self::Length => Length::identifies(id),
+            Self::Pose if lacks_rod_encoder(measured) => WhitenedPoseOfFour::identifies(id, robot),
+            Self::Pose => WhitenedPose::identifies(id, robot),
+            Self::Transform => Transform::identifies(id, robot),
+            Self::PositionAngles => PositionAngles::identifies(id, robot),
+            Self::Position => Position::identifies(id, robot),
+            Self::Length => Length::identifies(id, robot),
         }
     }
 }
@@ -274,8 +274,8 @@ impl Measures for BallBar {
         self.prepared.motion.at(clock.robot_time_s(t_s))
     }
 
-    fn identifies(&self, id: ParameterId) -> bool {
-        self.cost.identifies(&self.measured, id)
+    fn identifies(&self, id: ParameterId, robot: &Chain) -> bool {
+        self.cost.identifies(&self.measured, id, robot)
     }
 
     /// Sets the angles of joints without encoder to those that the robot's pose implies. The noise is estimated elsewhere: `None`.

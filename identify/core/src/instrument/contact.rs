@@ -10,7 +10,7 @@ use super::{
     SocketTable, Sockets, nearest,
 };
 use crate::cost::{BesideKnowns, CostError, DataSet, Residual, SeatedBall};
-use crate::kinematics::Joints;
+use crate::kinematics::{Chain, Joints};
 use crate::logs;
 use crate::model::{
     Clock, Geometry, JointState, Model, ModelError, Observation, Owner, ParameterId, PerObservation, Role,
@@ -299,8 +299,8 @@ impl Measures for Contact {
         Vec::new()
     }
 
-    fn identifies(&self, id: ParameterId) -> bool {
-        SeatedBall::depends_on(id) && id.owner() != Owner::Clocks
+    fn identifies(&self, id: ParameterId, robot: &Chain) -> bool {
+        SeatedBall::depends_on(id, robot) && id.owner() != Owner::Clocks
     }
 
     /// Standard deviation of a coordinate, from the median of mostly normal errors.

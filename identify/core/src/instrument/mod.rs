@@ -79,8 +79,8 @@ pub trait Measures: Boxed + fmt::Debug + Send + Sync {
     /// State that the robot reports at a sample; `None` outside its log.
     fn reported(&self, sample: usize, clock: &Clock) -> Option<JointState>;
 
-    /// Whether the samples separate the parameter from the others that are usually free.
-    fn identifies(&self, id: ParameterId) -> bool;
+    /// Whether the samples separate the parameter of this robot from the others that are usually free.
+    fn identifies(&self, id: ParameterId, robot: &Chain) -> bool;
 
     /// Changes at one instant that can occur during a measurement.
     fn causes(&self, geometry: &Geometry) -> Vec<Cause>;

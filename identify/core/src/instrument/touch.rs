@@ -286,8 +286,8 @@ impl Measures for Touch {
         vec![Cause::Tip]
     }
 
-    fn identifies(&self, id: ParameterId) -> bool {
-        TouchedFace::depends_on(id) && id.owner() != Owner::Clocks
+    fn identifies(&self, id: ParameterId, robot: &Chain) -> bool {
+        TouchedFace::depends_on(id, robot) && id.owner() != Owner::Clocks
     }
 
     /// Standard deviation, from the median of mostly normal residuals.

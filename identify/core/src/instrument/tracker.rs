@@ -242,11 +242,11 @@ impl Measures for Tracker {
         }
     }
 
-    fn identifies(&self, id: ParameterId) -> bool {
+    fn identifies(&self, id: ParameterId, robot: &Chain) -> bool {
         let depends = if self.poses.is_some() {
-            MeasuredPose::depends_on(id)
+            MeasuredPose::depends_on(id, robot)
         } else {
-            MeasuredPosition::depends_on(id)
+            MeasuredPosition::depends_on(id, robot)
         };
         depends && (self.moving.is_some() || id.group() != Group::Clock)
     }

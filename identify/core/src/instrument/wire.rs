@@ -215,8 +215,8 @@ impl Measures for Wire {
         self.rows.at.states.get(sample).copied()
     }
 
-    fn identifies(&self, id: ParameterId) -> bool {
-        MeasuredLength::depends_on(id) && id.group() != Group::Clock
+    fn identifies(&self, id: ParameterId, robot: &Chain) -> bool {
+        MeasuredLength::depends_on(id, robot) && id.group() != Group::Clock
     }
 
     /// Updates the relative noise of the rows. Returns `None`: residuals stay in metres, and the solver estimates their common

@@ -89,6 +89,18 @@ impl Chain {
         Self { root_from_base, links, last_from_end: Pose::identity() }
     }
 
+    /// Whether a parameter of a link (from 0) is a rotation after the last joint. It moves the position of the end as `a`, `d` and
+    /// `theta` of this link do.
+    pub fn is_last_rotation(&self, link: usize, parameter: LinkParameter) -> bool {
+        link + 1 == self.links.len() && matches!(parameter, LinkParameter::Alpha | LinkParameter::Beta)
+    }
+
+    /// Whether a parameter of a link (from 0) rotates the end about its own origin only: a last rotation, if the chain ends at its
+    /// last link.
+    pub fn only_turns_end(&self, link: usize, parameter: LinkParameter) -> bool {
+        self.is_last_rotation(link, parameter) && self.last_from_end.translation.vector == Vector3::zeros()
+    }
+
     /// Upper bound of the reach: all links in a line \[m\].
     pub fn reach_m(&self) -> f64 {
         self.links.iter().map(|link| link.a_m.hypot(link.d_m)).sum()

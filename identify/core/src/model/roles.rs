@@ -214,6 +214,12 @@ impl Model {
         self
     }
 
+    /// Chain of the robot: number and kinds of its links, its base and its end. Numbers of links are those of the parameters only
+    /// in [`Self::geometry`].
+    pub fn robot(&self) -> &Chain {
+        &self.structure.robot
+    }
+
     /// Number of axes of the robot.
     pub fn axes(&self) -> usize {
         self.structure.robot.links.len()

@@ -1,7 +1,7 @@
 //! Named sets of free parameters.
 
 use super::{Group, Model, ParameterId};
-use crate::kinematics::LinkParameter;
+use crate::kinematics::{Chain, LinkParameter};
 
 /// Fixed in the thesis to make the remaining parameters identifiable (TFRT-6017 section 3.3): the offset plate, which defines
 /// the scale (`ra6`, `ba5`), and one parameter of each dependent pair.
@@ -41,8 +41,8 @@ impl Selection {
 impl Model {
     /// Frees the parameters that a selection contains and a cost identifies; fixes the rest. Pass
     /// [`crate::cost::Residual::identifies`] as `identifies`.
-    pub fn select(&mut self, selection: Selection, identifies: impl Fn(ParameterId) -> bool) {
-        let plate = ParameterId::plate(self.axes());
-        self.free_only(|id| selection.contains(id) && id != plate && identifies(id));
+    pub fn select(&mut self, selection: Selection, identifies: impl Fn(ParameterId, &Chain) -> bool) {
+        let (plate, robot) = (ParameterId::plate(self.axes()), self.robot().clone());
+        self.free_only(|id| selection.contains(id) && id != plate && identifies(id, &robot));
     }
 }

@@ -124,7 +124,7 @@ fn examine_with<R: Residual>(
     let thesis_fixed =
         THESIS_FIXED.iter().map(|name| name.parse()).collect::<Result<Vec<ParameterId>, _>>()?;
     let fixed = thesis_fixed.into_iter().chain(further_fixed.iter().copied());
-    let fixed: Vec<ParameterId> = fixed.filter(|id| R::depends_on(*id)).collect();
+    let fixed: Vec<ParameterId> = fixed.filter(|id| R::depends_on(*id, model.robot())).collect();
     // Free, so that the Jacobian has their columns.
     model.set_roles(fixed.iter().copied(), Role::Free)?;
     let columns: Vec<usize> = fixed.iter().filter_map(|id| model.column_of(*id)).collect();

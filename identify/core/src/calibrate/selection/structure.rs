@@ -105,7 +105,8 @@ fn reduce<R: Residual + Copy>(
     poses: &[Observation],
     residual: R,
 ) -> Result<Vec<ParameterId>, StructureError> {
-    model.free_only(|id| is_geometry(id) && R::depends_on(id));
+    let robot = model.robot().clone();
+    model.free_only(|id| is_geometry(id) && R::depends_on(id, &robot));
     loop {
         let free: Vec<ParameterId> = model.columns().map(|parameter| parameter.id).collect();
         let problem = LoopProblem::new(&model, joints, poses, residual, 1.0)?;

@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use crate::cost::{Movement, Residual, Scene};
-use crate::kinematics::LinkParameter;
+use crate::kinematics::Chain;
 use crate::model::{Group, Owner, ParameterId};
 
 /// `|R_p - o|^2 - L^2` (thesis eq. 2.1): the robot's end lies on the sphere of the bar \[m^2\]. `L` is `bd3` plus the
@@ -19,23 +19,22 @@ impl Residual for Length {
     const ROWS: usize = 1;
     const ENCODERS: &'static [usize] = &[];
 
-    fn depends_on(id: ParameterId) -> bool {
+    fn depends_on(id: ParameterId, robot: &Chain) -> bool {
         match id {
-            // The last rotation turns the end frame about its own origin.
-            ParameterId::Robot { link, parameter } => {
-                link != 5 || !matches!(parameter, LinkParameter::Alpha | LinkParameter::Beta)
-            }
+            ParameterId::Robot { link, parameter } => !robot.only_turns_end(link, parameter),
             ParameterId::Base { .. } | ParameterId::BarWave { .. } | ParameterId::ROD => true,
             id => matches!(id.owner(), Owner::Robot | Owner::Clocks) || id.group() == Group::Force,
         }
     }
 
-    fn identifies(id: ParameterId) -> bool {
+    fn identifies(id: ParameterId, robot: &Chain) -> bool {
         // The robot moves along the sphere, so the time of a sample affects the residual only through noise. Without encoders
         // the direction of the bar is unknown.
         let is_clock = id.group() == Group::Clock;
         let needs_direction = matches!(id, ParameterId::BarWave { .. });
-        !is_clock && !needs_direction && Self::depends_on(id)
+        let needs_rotation =
+            matches!(id, ParameterId::Robot { link, parameter } if robot.is_last_rotation(link, parameter));
+        !is_clock && !needs_direction && !needs_rotation && Self::depends_on(id, robot)
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<Vector3<f64>> {

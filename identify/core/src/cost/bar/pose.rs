@@ -7,7 +7,7 @@ use super::angle_noise::NoisySample;
 use crate::cost::problem::{LoopPoint, readings};
 use crate::cost::residual::{ALL_BUT_ROD_JOINT, ALL_ENCODERS, ROD_JOINT, encoders_suffice};
 use crate::cost::{AngleNoise, FoundNoise, Movement, Residual, Scene};
-use crate::kinematics::{LinkParameter, ROD_LINK, Trace, rotation_vector};
+use crate::kinematics::{Chain, LinkParameter, ROD_LINK, Trace, rotation_vector};
 use crate::model::{Geometry, Observation, Owner, ParameterId, RobotMotion};
 
 /// Standard deviation added in each direction \[m, rad\]. It limits the weight of directions that neither chain's noise
@@ -168,7 +168,7 @@ impl<const ENCODER_3: bool> Residual for PoseByNoise<ENCODER_3> {
     const ROWS: usize = 6;
     const ENCODERS: &'static [usize] = if ENCODER_3 { ALL_ENCODERS } else { ALL_BUT_ROD_JOINT };
 
-    fn depends_on(id: ParameterId) -> bool {
+    fn depends_on(id: ParameterId, _: &Chain) -> bool {
         let is_rod_rotation = id == ParameterId::Bar { link: ROD_JOINT, parameter: LinkParameter::Theta };
         id.affects(Owner::BallBar) && encoders_suffice(id, Self::ENCODERS) && (ENCODER_3 || !is_rod_rotation)
     }

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use crate::cost::residual::encoders_suffice;
 use crate::cost::{Movement, Residual, Scene};
-use crate::kinematics::LinkParameter;
+use crate::kinematics::{Chain, LinkParameter};
 use crate::model::{Owner, ParameterId};
 
 /// `R_p - B_p` \[m\] (thesis eq. 2.2).
@@ -36,13 +36,10 @@ impl Residual for Position {
     const ROWS: usize = 3;
     const ENCODERS: &'static [usize] = &[0, 1];
 
-    fn depends_on(id: ParameterId) -> bool {
+    fn depends_on(id: ParameterId, robot: &Chain) -> bool {
         match id {
-            // The last rotation turns the end frame about its own origin.
-            ParameterId::Robot { link: 5, parameter } => {
-                !matches!(parameter, LinkParameter::Alpha | LinkParameter::Beta)
-            }
-            // So do the angles of cardan and rod, if the lever arms are zero.
+            ParameterId::Robot { link, parameter } => !robot.only_turns_end(link, parameter),
+            // The angles of cardan and rod turn the bar's end about its own origin, if the lever arms are zero.
             ParameterId::Bar { link: 2..=4, parameter } => {
                 matches!(parameter, LinkParameter::A | LinkParameter::D)
             }
@@ -50,9 +47,14 @@ impl Residual for Position {
         }
     }
 
-    fn identifies(id: ParameterId) -> bool {
-        // `ba2` moves the rod's end sideways, as `btheta2` does: without the cardan's angles the two are not separable.
-        id != ParameterId::Bar { link: 1, parameter: LinkParameter::A } && Self::depends_on(id)
+    fn identifies(id: ParameterId, robot: &Chain) -> bool {
+        let is_separable = match id {
+            ParameterId::Robot { link, parameter } => !robot.is_last_rotation(link, parameter),
+            // It moves the rod's end sideways, as `btheta2` does: only the cardan's angles separate the two.
+            ParameterId::Bar { link: 1, parameter: LinkParameter::A } => false,
+            _ => true,
+        };
+        is_separable && Self::depends_on(id, robot)
     }
 
     fn local(&self, _: &Scene<'_>) -> Option<()> {

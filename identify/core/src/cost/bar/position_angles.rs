@@ -5,7 +5,7 @@ use nalgebra::Vector5;
 use super::position::{derivative, difference};
 use crate::cost::residual::{ALL_BUT_ROD_JOINT, ROD_JOINT, encoders_suffice};
 use crate::cost::{Movement, Residual, Scene};
-use crate::kinematics::{BAR_JOINTS, ImpliedBar, LinkParameter, Turn};
+use crate::kinematics::{BAR_JOINTS, Chain, ImpliedBar, LinkParameter, Turn};
 use crate::model::{Observation, Owner, ParameterId};
 
 /// `R_p - B_p` \[m\], `sin(b4^ - b4)` and `sin(b5^ - b5)` (thesis eq. 2.3); `b^` are the joints implied by the robot's
@@ -35,7 +35,7 @@ impl Residual for PositionAngles {
     const ROWS: usize = 5;
     const ENCODERS: &'static [usize] = ALL_BUT_ROD_JOINT;
 
-    fn depends_on(id: ParameterId) -> bool {
+    fn depends_on(id: ParameterId, _: &Chain) -> bool {
         // The residual does not contain joint 3: its offset changes the implied angle 3 only.
         id != ParameterId::Bar { link: ROD_JOINT, parameter: LinkParameter::Theta }
             && id.affects(Owner::BallBar)

@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::cost::residual::{ALL_ENCODERS, encoders_suffice};
 use crate::cost::{Movement, Residual, Scene};
-use crate::kinematics::Twist;
+use crate::kinematics::{Chain, Twist};
 use crate::model::{Owner, ParameterId};
 
 /// The twelve entries of `R - B` (thesis eq. 2.4): columns of the rotation, then the position \[m\]. As in the thesis,
@@ -38,7 +38,7 @@ impl Residual for Transform {
     const ROWS: usize = 12;
     const ENCODERS: &'static [usize] = ALL_ENCODERS;
 
-    fn depends_on(id: ParameterId) -> bool {
+    fn depends_on(id: ParameterId, _: &Chain) -> bool {
         id.affects(Owner::BallBar) && encoders_suffice(id, Self::ENCODERS)
     }
 

@@ -93,7 +93,7 @@ impl Residual for ImpliedAngles {
     const ROWS: usize = BAR_JOINTS;
     const ENCODERS: &'static [usize] = &[];
 
-    fn depends_on(id: ParameterId) -> bool {
+    fn depends_on(id: ParameterId, _: &Chain) -> bool {
         prior_sigma(id).is_some()
     }
 
