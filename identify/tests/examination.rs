@@ -7,6 +7,7 @@ use identify::examine::{Poses, examine};
 use identify::instrument::CostName;
 use identify::model::{ParameterId, Selection};
 use identify::report::examination::examinations;
+use identify::robot::import;
 use identify::simulate::Design;
 use identify::solver::{Options, minimise};
 
@@ -48,6 +49,16 @@ fn offsets_along_parallel_axes_are_named_and_do_not_end_the_examination() {
         assert!(one.surplus.iter().any(|id| ["rd2", "rd4"].contains(&id.to_string().as_str())), "{text}");
         assert!(one.observability.o1 > 0.0, "{text}");
     }
+}
+
+/// The plate is part of the last link: `ra6` of an arm with seven axes is a length of the arm.
+#[test]
+fn the_offset_plate_is_fixed_behind_the_last_axis_of_any_arm() {
+    let urdf = crate::support::repository("identify/tests/data/seven_axes.urdf");
+    let urdf = std::fs::read_to_string(urdf).unwrap();
+    let robot = import(&urdf, Some("base"), Some("flange")).unwrap().config;
+    let found = examine(&robot, &crate::support::bar(), CostName::Position, 60, 1).unwrap();
+    assert!(found.influence.held.contains(&"ra7".to_owned()), "{:?}", found.influence.held);
 }
 
 /// The method of the thesis: 1 mm|mrad of error in one fixed parameter, a solve, and the changes of the others.

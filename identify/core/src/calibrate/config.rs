@@ -11,7 +11,7 @@ use super::selection::links::link_ids;
 use super::selection::terms::CandidateGroup;
 use crate::instrument::{CostName, NoiseConfig};
 use crate::kinematics::{BAR_JOINTS, Chain, LinkParameter};
-use crate::model::{Group, Model, ModelError, Owner, ParameterId, Role, Selection, THESIS_FIXED, TermGroup};
+use crate::model::{Group, Model, ModelError, Owner, ParameterId, Role, Selection, TermGroup, thesis_fixed};
 use crate::prepare::PrepareOptions;
 use crate::solver::LossName;
 
@@ -331,7 +331,7 @@ impl IdentifyConfig {
                 link + 1 == axes && id != ParameterId::plate(axes)
             }
             (SelectionName::Cell, _) => !only_defines_frames(id),
-            _ => !THESIS_FIXED.contains(&name.as_str()),
+            _ => !thesis_fixed(axes).contains(&id),
         };
         match id.group() {
             Group::Link if is_dimension => Some(self.tolerance()),

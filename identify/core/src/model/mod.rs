@@ -19,7 +19,7 @@ pub use joint_term::{JointTerm, Load, Period};
 pub use observation::{BarForce, JointState, Observation, PerObservation, RobotMotion};
 pub use parameter::{Axis, FaceNumber, Group, Owner, ParameterBlock, ParameterId, Unit, further};
 pub use roles::{Model, ModelError, Parameter, Role};
-pub use selection::{Selection, THESIS_FIXED};
+pub use selection::{Selection, thesis_fixed};
 pub use term_group::TermGroup;
 pub use tracker::{Coordinate, Placement, SetUp, Tracker};
 pub use waves::{Phase, Waves};

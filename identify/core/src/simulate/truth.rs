@@ -10,7 +10,7 @@ use shared::time::UtcNs;
 
 use super::{BarLoad, Design, Effects, Experiment, Stream, random};
 use crate::kinematics::{Chain, LinkParameter, Pose};
-use crate::model::{ParameterId, THESIS_FIXED};
+use crate::model::thesis_fixed;
 
 /// Static errors of the simulations in the thesis (TFRT-6017 table 3.1) \[mm|mrad\]. Its first row is illegible; the
 /// values of `ra1`, `ralpha1`, `btheta1` and `ox` are ours.
@@ -71,12 +71,11 @@ impl StaticErrors {
             }
             Self::Drawn { seed } => {
                 let mut random = random(seed, Stream::StaticErrors);
-                let plate = ParameterId::plate(axes).to_string();
+                let fixed = thesis_fixed(axes).map(|id| id.to_string());
                 // `or` is the prefix of the tilt of the base, which is an effect of its own.
                 parameter_names(axes)
                     .into_iter()
-                    .filter(|name| !THESIS_FIXED.contains(&name.as_str()) && !name.starts_with("or"))
-                    .filter(|name| *name != plate)
+                    .filter(|name| !fixed.contains(name) && !name.starts_with("or"))
                     .map(|name| (name, 1e-3 * random.sample::<f64, _>(StandardNormal)))
                     .collect()
             }

@@ -148,7 +148,8 @@ fn solve_bar(
     let bars = simulated.stations.iter().map(|prepared| BarRun { prepared: prepared.clone(), bar }).collect();
     let data = DataSets { bars, rows: Vec::new() };
     let found = calibrate(&data, &definition.robot, config, None).map_err(|error| error.to_string())?;
-    let compared = Comparison::new(&found, &simulated.truth).only(|id| Selection::Thesis.contains(id));
+    let compared = Comparison::new(&found, &simulated.truth)
+        .only(|id| Selection::Thesis.contains(id, definition.robot.axes()));
     let errors =
         compared.parameters.iter().map(|parameter| (parameter.id.to_string(), parameter.error_displayed()));
     Ok(Row {

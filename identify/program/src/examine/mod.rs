@@ -16,7 +16,7 @@ use crate::cost::{
 };
 use crate::instrument::CostName;
 use crate::kinematics::{ball_bar_chain, robot_chain};
-use crate::model::{Model, ModelError, ParameterId, Role, Selection, THESIS_FIXED};
+use crate::model::{Model, ModelError, ParameterId, Role, Selection, thesis_fixed};
 use crate::simulate::Design;
 use crate::solver::{
     Identifiability, Influence, Observability, Options, SolveError, identifiability, influence,
@@ -112,7 +112,7 @@ fn examine_with<R: Residual>(
     let independent = loop {
         let free: Vec<ParameterId> = model.columns().map(|parameter| parameter.id).collect();
         let identifiability = identify(&model)?;
-        let dependent = surplus(&identifiability, &free);
+        let dependent = surplus(&identifiability, &free, model.axes());
         if dependent.is_empty() {
             break identifiability;
         }
@@ -121,9 +121,7 @@ fn examine_with<R: Residual>(
     };
     let units: Vec<f64> = model.columns().map(|p| p.id.unit().display_factor().recip()).collect();
     let observability = independent.observability(&units);
-    let thesis_fixed =
-        THESIS_FIXED.iter().map(|name| name.parse()).collect::<Result<Vec<ParameterId>, _>>()?;
-    let fixed = thesis_fixed.into_iter().chain(further_fixed.iter().copied());
+    let fixed = thesis_fixed(model.axes()).into_iter().chain(further_fixed.iter().copied());
     let fixed: Vec<ParameterId> = fixed.filter(|id| R::depends_on(*id, model.robot())).collect();
     // Free, so that the Jacobian has their columns.
     model.set_roles(fixed.iter().copied(), Role::Free)?;

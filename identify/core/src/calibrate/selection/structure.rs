@@ -4,7 +4,7 @@
 use crate::cost::{CostError, Length, LoopProblem, Position, PositionAngles, Residual, Transform, fill_in};
 use crate::kinematics::{LinkParameter, robot_inverse};
 use crate::model::{
-    Model, ModelError, Observation, ParameterId, PerObservation, RobotMotion, Role, THESIS_FIXED,
+    Model, ModelError, Observation, ParameterId, PerObservation, RobotMotion, Role, thesis_fixed,
 };
 use crate::solver::{Identifiability, Options, SolveError, identifiability};
 
@@ -29,13 +29,12 @@ pub enum StructureError {
 
 /// Order in which one of several dependent parameters is fixed: first the choice of the thesis (TFRT-6017 section 3.3), then
 /// the bar, whose parameters are not needed afterwards, then the robot, last the bar's base.
-fn preference(id: ParameterId) -> usize {
-    let name = id.to_string();
-    let of_thesis = THESIS_FIXED.iter().position(|fixed| *fixed == name);
-    of_thesis.unwrap_or(match id {
-        ParameterId::Bar { .. } => THESIS_FIXED.len(),
-        ParameterId::Robot { .. } => THESIS_FIXED.len() + 1,
-        _ => THESIS_FIXED.len() + 2,
+fn preference(id: ParameterId, axes: usize) -> usize {
+    let of_thesis = thesis_fixed(axes);
+    of_thesis.iter().position(|fixed| *fixed == id).unwrap_or(match id {
+        ParameterId::Bar { .. } => of_thesis.len(),
+        ParameterId::Robot { .. } => of_thesis.len() + 1,
+        _ => of_thesis.len() + 2,
     })
 }
 
@@ -111,7 +110,7 @@ fn reduce<R: Residual + Copy>(
         let free: Vec<ParameterId> = model.columns().map(|parameter| parameter.id).collect();
         let problem = LoopProblem::new(&model, joints, poses, residual, 1.0)?;
         let rank = identifiability(&problem, &model.start(), &Options::default())?;
-        let redundant = surplus(&rank, &free);
+        let redundant = surplus(&rank, &free, model.axes());
         if redundant.is_empty() {
             return Ok(free);
         }
@@ -119,14 +118,15 @@ fn reduce<R: Residual + Copy>(
     }
 }
 
-/// The parameters to fix: those without effect, and the most suitable one of each dependent group of the `free` ones.
-pub fn surplus(found: &Identifiability, free: &[ParameterId]) -> Vec<ParameterId> {
+/// The parameters to fix: those without effect, and the most suitable one of each dependent group of the `free` ones of a robot
+/// with `axes` axes.
+pub fn surplus(found: &Identifiability, free: &[ParameterId], axes: usize) -> Vec<ParameterId> {
     let ids_of = |columns: &[usize]| -> Vec<ParameterId> {
         columns.iter().filter_map(|column| free.get(*column).copied()).collect()
     };
     let of_groups = found
         .groups
         .iter()
-        .filter_map(|group| ids_of(&group.columns).into_iter().min_by_key(|id| preference(*id)));
+        .filter_map(|group| ids_of(&group.columns).into_iter().min_by_key(|id| preference(*id, axes)));
     ids_of(&found.zero_columns).into_iter().chain(of_groups).collect()
 }
