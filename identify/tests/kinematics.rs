@@ -86,6 +86,15 @@ fn a_pose_out_of_reach_and_a_chain_of_another_kind_are_errors() {
     assert!(matches!(robot_inverse_all(&skewed, &far), Err(InverseError::Structure { link: 3, .. })));
 }
 
+/// The arm is stretched where the joints are zero: a first step does not exist.
+#[test]
+fn joints_that_do_not_converge_state_the_iterations_that_were_made() {
+    let arm = flange_chain(&crate::support::ur10());
+    let target = arm.forward(&[0.3, -0.4, 0.5, 0.2, 0.6, 0.1]);
+    let error = robot_inverse(&arm, &target, &[0.0; 6]).unwrap_err();
+    assert!(matches!(error, InverseError::NotConverged { iterations: 0, .. }), "{error:?}");
+}
+
 fn angles<const N: usize>(limit: f64) -> impl Strategy<Value = [f64; N]> {
     prop::array::uniform(-limit..limit)
 }

@@ -74,11 +74,12 @@ impl ImpliedBar {
     ) -> Result<Self, InverseError> {
         let mut joints_rad = nearest_closed_form(chain, target, near)?;
         let mut trace = Trace::default();
-        let mut step_rad = f64::INFINITY;
-        for _ in 0..ITERATIONS_MAX {
+        let (mut iterations, mut step_rad) = (0, f64::INFINITY);
+        while iterations < ITERATIONS_MAX {
             tracer.trace(&joints_rad, &mut trace);
             let rod = Rod::new(&trace, target);
             let Some(by_equations) = equations_by_joints(&trace, &rod).try_inverse() else { break };
+            iterations += 1;
             let error = pose_error(target, trace.end());
             let linear = Vector3::new(error[0], error[1], error[2]);
             let angular = Vector3::new(error[3], error[4], error[5]);
@@ -95,7 +96,7 @@ impl ImpliedBar {
                 return Ok(Self { joints_rad, trace, by_equations, rod });
             }
         }
-        Err(InverseError::NotConverged { iterations: ITERATIONS_MAX, step_rad })
+        Err(InverseError::NotConverged { iterations, step_rad })
     }
 
     /// Derivative of the joints by a motion of the pose.

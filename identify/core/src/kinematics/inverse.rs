@@ -57,9 +57,9 @@ pub enum InverseError {
          move the pose away from a singularity or check the chain's parameters"
     )]
     NotConverged {
-        /// Number of iterations made.
+        /// Number of iterations made; fewer than allowed if the next step does not exist, as at a singularity.
         iterations: usize,
-        /// Largest joint motion of the last step.
+        /// Largest joint motion of the last step; infinite without any.
         step_rad: f64,
     },
 }
@@ -207,14 +207,15 @@ pub(super) fn refine<const N: usize>(
     let tracer = Tracer::new(chain);
     let mut trace = Trace::default();
     let mut joints = SVector::<f64, N>::from(start);
-    let mut step_rad = f64::INFINITY;
-    for _ in 0..ITERATIONS_MAX {
+    let (mut iterations, mut step_rad) = (0, f64::INFINITY);
+    while iterations < ITERATIONS_MAX {
         tracer.trace(joints.as_slice(), &mut trace);
         let mut jacobian = SMatrix::<f64, 6, N>::zeros();
         for (mut column, twist) in jacobian.column_iter_mut().zip(trace.joint_twists()) {
             column.copy_from(&twist.column());
         }
         let Some(step) = least_squares_step(jacobian, pose_error(target, trace.end())) else { break };
+        iterations += 1;
         let previous = step_rad;
         step_rad = step.amax();
         joints += step * (STEP_RAD_MAX / step_rad.max(STEP_RAD_MAX));
@@ -228,7 +229,7 @@ pub(super) fn refine<const N: usize>(
     if step_rad < STEP_RAD_ACCEPTED {
         return Ok(joints.into());
     }
-    Err(InverseError::NotConverged { iterations: ITERATIONS_MAX, step_rad })
+    Err(InverseError::NotConverged { iterations, step_rad })
 }
 
 /// As [`refine`] for more axes than a pose needs: of all solutions around `start` the one nearest to the middle of the
@@ -260,8 +261,8 @@ pub(super) fn refine_centred<const N: usize>(
     let tracer = Tracer::new(chain);
     let mut trace = Trace::default();
     let mut joints = SVector::<f64, N>::from(start);
-    let mut largest_step = f64::INFINITY;
-    for _ in 0..ITERATIONS_MAX {
+    let (mut iterations, mut largest_step) = (0, f64::INFINITY);
+    while iterations < ITERATIONS_MAX {
         tracer.trace(joints.as_slice(), &mut trace);
         let mut jacobian = SMatrix::<f64, 6, N>::zeros();
         for (axis, (mut column, twist)) in jacobian.column_iter_mut().zip(trace.joint_twists()).enumerate() {
@@ -271,6 +272,7 @@ pub(super) fn refine_centred<const N: usize>(
         let error = pose_error(target, trace.end());
         let Some(to_pose) = least_squares_step(jacobian, error) else { break };
         let Some(off_pose) = least_squares_step(jacobian, jacobian * to_middle) else { break };
+        iterations += 1;
         let step = to_pose + (to_middle - off_pose) * STEP_SHARE;
         largest_step = step.amax();
         joints += step.component_mul(&range) * (STEP_MAX / largest_step.max(STEP_MAX));
@@ -284,7 +286,7 @@ pub(super) fn refine_centred<const N: usize>(
     if largest_step < STEP_ACCEPTED {
         return Ok(joints.into());
     }
-    Err(InverseError::NotConverged { iterations: ITERATIONS_MAX, step_rad: largest_step * range.amax() })
+    Err(InverseError::NotConverged { iterations, step_rad: largest_step * range.amax() })
 }
 
 /// `x = argmin |J x - e|` by Householder QR of `[J e]`; for more than six joints the shortest `x` with `J x = e`, that is

@@ -110,10 +110,10 @@ impl CalibratedRobot {
     pub fn inverse(&self, target: &Pose, near: &[f64]) -> Result<Joints, CalibratedRobotError> {
         // Joints without their errors; those reported follow by fixed-point iteration.
         let wanted = robot_inverse(&self.geometry.robot, target, &self.at_rest(near)?.q)?;
-        let mut reported = wanted;
+        let (mut reported, mut largest_error) = (wanted, f64::INFINITY);
         for _ in 0..ITERATIONS_MAX {
             let corrected = self.geometry.corrected(&JointState::at_rest(reported)).q;
-            let mut largest_error: f64 = 0.0;
+            largest_error = 0.0;
             for ((reported, wanted), corrected) in reported.iter_mut().zip(&wanted).zip(&corrected) {
                 *reported += wanted - corrected;
                 largest_error = largest_error.max((wanted - corrected).abs());
@@ -122,7 +122,7 @@ impl CalibratedRobot {
                 return Ok(reported);
             }
         }
-        Err(InverseError::NotConverged { iterations: ITERATIONS_MAX, step_rad: CONVERGED }.into())
+        Err(InverseError::NotConverged { iterations: ITERATIONS_MAX, step_rad: largest_error }.into())
     }
 
     /// Covariance of position \[m\] and rotation vector \[rad\] of the robot's end in its base frame, at rest at reported
