@@ -88,3 +88,12 @@ fn a_solve_ends_when_it_is_told_to_and_says_so() {
         assert!(count.calls.into_inner() <= calls + 2);
     }
 }
+
+#[test]
+fn a_solve_that_is_cancelled_at_its_solution_states_the_iterations_made() {
+    let (solution, count) = watched(usize::MAX);
+    let (iterations, calls) = (solution.unwrap().summary.iterations, count.calls.into_inner());
+    // The last call is for the last part of the pass for identifiability.
+    let (result, _) = watched(calls);
+    assert_eq!(result.unwrap_err(), SolveError::Cancelled { iterations });
+}

@@ -253,7 +253,8 @@ fn find_minimum(
 /// [`SolveError`] if the solve cannot start or was cancelled.
 pub fn solve(problem: &dyn Problem, start: &[f64], options: &Options<'_>) -> Result<Solution, SolveError> {
     let (x, summary, fits) = find_minimum(problem, start, options)?;
-    let (identifiability, covariance) = at_solution(problem, x.as_slice(), options, &fits)?;
+    let (identifiability, covariance) =
+        at_solution(problem, x.as_slice(), options, &fits, summary.iterations)?;
     let sample_weights = fits.iter().map(|fit| fit.weight).collect();
     let x = x.as_slice().to_vec();
     Ok(Solution { x, summary, identifiability, covariance, loss: options.loss, sample_weights })

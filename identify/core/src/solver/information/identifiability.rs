@@ -391,18 +391,17 @@ pub fn identifiability(
     Ok(examine(problem, &triangle, &fits, options).0)
 }
 
-/// Identifiability and covariance at the end of a solve.
+/// Identifiability and covariance at the end of a solve of this number of iterations.
 pub(in crate::solver) fn at_solution(
     problem: &dyn Problem,
     x: &[f64],
     options: &Options<'_>,
     fits: &[SampleFit],
+    iterations: usize,
 ) -> Result<(Identifiability, Covariance), SolveError> {
     let triangle = match sample_triangle(problem, x, options, Taking::These(fits)) {
         Ok((triangle, _)) => triangle,
-        Err(PassError::Cancelled) => {
-            return Err(SolveError::Cancelled { iterations: options.iterations_max });
-        }
+        Err(PassError::Cancelled) => return Err(SolveError::Cancelled { iterations }),
         // The same samples were finite at this point during the solve; only squares of derivatives can overflow.
         Err(PassError::Lost | PassError::NotFinite(_)) => DMatrix::zeros(0, problem.columns()),
     };
