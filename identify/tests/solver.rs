@@ -246,7 +246,7 @@ fn known_noise_scales_the_covariance_and_estimated_noise_finds_it() {
     let problem = Rows::new(3, 40, &row);
     let with = |noise| solve(&problem, &[1.5, 0.1, 0.0], &Options { noise, ..Options::default() }).unwrap();
     let (known, estimated) = (with(Noise::Known), with(Noise::Estimated));
-    let factor = estimated.covariance.variance_factor;
+    let factor = estimated.covariance.variance_factor.unwrap();
     assert!((factor.sqrt() - 0.02).abs() < 0.005);
     close(
         &[estimated.covariance.sigma(0).unwrap()],
@@ -257,6 +257,21 @@ fn known_noise_scales_the_covariance_and_estimated_noise_finds_it() {
     let strongest = estimated.covariance.strongest_correlations(0.0);
     assert_eq!(strongest.len(), 3);
     assert!(strongest[0].2.abs() >= strongest[2].2.abs());
+}
+
+/// Two rows and two columns: no residual remains.
+#[test]
+fn without_a_degree_of_freedom_there_is_no_sigma_unless_the_noise_is_known() {
+    let solved = |noise| {
+        let options = Options { noise, ..Options::default() };
+        solve(&Rows::new(2, 2, &rosenbrock), &[-1.2, 1.0], &options).unwrap().identified().unwrap()
+    };
+    let estimated = solved(Noise::Estimated);
+    assert_eq!([0, 1].map(|column| estimated.covariance.sigma(column)), [None, None]);
+    let error = estimated.require_sigmas().unwrap_err().to_string();
+    assert!(error.contains("2 free parameters"), "{error}");
+    let known = solved(Noise::Known);
+    assert!(known.covariance.sigma(0).is_some() && known.require_sigmas().is_ok());
 }
 
 /// x0 + x1 and x2 are determined, x0 and x1 are not, x3 has no effect.

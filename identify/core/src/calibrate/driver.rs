@@ -24,7 +24,8 @@ use crate::solver::Watch;
 /// cancel it.
 ///
 /// # Errors
-/// [`CalibrateError`]: a calibration that is returned has converged, and each of its free parameters is identified.
+/// [`CalibrateError`]: a calibration that is returned has converged, and each of its free parameters is identified and has a
+/// standard deviation.
 pub fn calibrate(
     data: &DataSets<'_>,
     robot: &RobotConfig,
@@ -114,6 +115,7 @@ fn calibrate_in_stages(
         }
         solved = Solved { columns, solution, sigmas, ..solved };
     }
+    solved.solution.require_sigmas()?;
     let changed = change::checked(&runs, &solved.sigmas, &config.prepare)?;
     Ok(Calibration { runs, rows, solved, changed, loss: plan.loss })
 }

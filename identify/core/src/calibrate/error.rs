@@ -6,7 +6,7 @@ use crate::cost::CostError;
 use crate::instrument::RowError;
 use crate::model::ModelError;
 use crate::prepare::PrepareError;
-use crate::solver::{NotConverged, SolveError, Unidentifiable};
+use crate::solver::{NoFreedom, NotConverged, SolveError, Unidentifiable};
 
 /// Reason why a calibration failed.
 #[derive(Debug, thiserror::Error)]
@@ -88,4 +88,7 @@ pub enum CalibrateError {
     /// The solve did not converge to a minimum.
     #[error(transparent)]
     NotConverged(#[from] NotConverged),
+    /// The samples do not determine any uncertainty.
+    #[error(transparent)]
+    NoFreedom(#[from] NoFreedom),
 }

@@ -30,7 +30,7 @@ impl CalibrateError {
             Self::Solve(error) | Self::Structure(StructureError::Solve(error)) => solve_is_of_data(error),
             Self::NoPlace { .. } | Self::Rows { .. } | Self::Implausible { .. } => true,
             Self::Align { .. } => true,
-            Self::Unidentifiable(_) | Self::NotConverged { .. } => true,
+            Self::Unidentifiable(_) | Self::NotConverged(_) | Self::NoFreedom(_) => true,
         };
         let of_all_data = of_data.then(|| without_place(self.to_string()))?;
         Some(match self {

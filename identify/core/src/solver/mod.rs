@@ -27,7 +27,7 @@ pub use information::observability::Observability;
 pub use information::scaled_cholesky::ScaledCholesky;
 pub use levenberg_marquardt::{minimise, solve};
 pub use loss::{Loss, LossName};
-pub use outcome::{NotConverged, Options, Solution, Summary, Termination};
+pub use outcome::{NoFreedom, NotConverged, Options, Solution, Summary, Termination};
 pub use panel::Block;
 pub use pass::stacked;
 pub use robust::{GoodShare, Schedule, minimise_robust};

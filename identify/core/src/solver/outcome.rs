@@ -123,6 +123,17 @@ pub struct NotConverged {
     pub summary: Summary,
 }
 
+/// The samples leave no degree of freedom to estimate their noise from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "the samples have no more residuals, counted with robust weights, than the {columns} free parameters without prior: noise \
+     and uncertainties cannot be estimated; measure more poses, or fix parameters (`--fix`)"
+)]
+pub struct NoFreedom {
+    /// Number of free parameters without prior.
+    pub columns: usize,
+}
+
 impl Summary {
     /// Checks that the solve ended at a minimum.
     ///
@@ -158,5 +169,17 @@ impl Solution {
     pub fn identified(self) -> Result<Self, Unidentifiable> {
         self.identifiability.require_full()?;
         Ok(self)
+    }
+
+    /// Checks that the parameters have standard deviations.
+    ///
+    /// # Errors
+    /// [`NoFreedom`] if they have none.
+    pub fn require_sigmas(&self) -> Result<(), NoFreedom> {
+        if self.covariance.has_sigmas() {
+            return Ok(());
+        }
+        let columns = self.identifiability.prior_sigmas.iter().filter(|sigma| sigma.is_none()).count();
+        Err(NoFreedom { columns })
     }
 }

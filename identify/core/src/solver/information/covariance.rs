@@ -28,15 +28,15 @@ pub enum Noise {
 }
 
 impl Noise {
-    /// The factor `s^2`.
+    /// The factor `s^2`; `None` without a degree of freedom to estimate it from.
     pub(in crate::solver) fn variance_factor(
         self,
         problem: &dyn Problem,
         x: &[f64],
         fits: &[SampleFit],
-    ) -> f64 {
+    ) -> Option<f64> {
         match self {
-            Self::Known => 1.0,
+            Self::Known => Some(1.0),
             Self::Estimated => {
                 let priors = problem.priors();
                 let of_priors =
@@ -45,7 +45,7 @@ impl Noise {
                 let sum: f64 = of_samples.chain(of_priors).sum();
                 // A sample of weight w counts as w samples.
                 let freedom = weighed_rows(fits) + priors.len() as f64 - problem.columns() as f64;
-                if freedom > 0.0 { sum / freedom } else { f64::NAN }
+                (freedom > 0.0).then(|| sum / freedom)
             }
         }
     }
@@ -206,8 +206,9 @@ pub struct Covariance {
     left_out: usize,
     /// Assumption behind the standard deviations.
     pub sigmas_from: SigmasFrom,
-    /// Factor on the unit covariance: one for known noise, else the estimated variance of a residual row.
-    pub variance_factor: f64,
+    /// Factor on the unit covariance: one for known noise, else the estimated variance of a residual row; `None` without a
+    /// degree of freedom to estimate it from.
+    pub variance_factor: Option<f64>,
 }
 
 impl Covariance {
@@ -215,7 +216,7 @@ impl Covariance {
         spectrum: &ScaledSpectrum,
         names: Vec<String>,
         undetermined: &[usize],
-        variance_factor: f64,
+        variance_factor: Option<f64>,
     ) -> Self {
         let columns = spectrum.lengths.len();
         let mut factor = spectrum.v_transposed.rows(0, spectrum.rank).transpose();
@@ -225,8 +226,10 @@ impl Covariance {
         for (mut row, &length) in factor.row_iter_mut().zip(spectrum.lengths.iter()) {
             row *= if length > 0.0 { length.recip() } else { 0.0 };
         }
-        let matrix = &factor * factor.transpose() * variance_factor;
-        let by_source = factor * variance_factor.sqrt();
+        // Without standard deviations nothing of it is given out.
+        let variance = variance_factor.unwrap_or_default();
+        let matrix = &factor * factor.transpose() * variance;
+        let by_source = factor * variance.sqrt();
         let spread = Spread { sources: vec![Source::Together; by_source.ncols()], by_source };
         let determined = (0..columns).map(|column| !undetermined.contains(&column)).collect();
         let (sigmas_from, estimated) = (SigmasFrom::IndependentNoise, columns);
@@ -310,11 +313,16 @@ impl Covariance {
         self.names.get(column).map_or("?", String::as_str)
     }
 
-    fn is_determined(&self, column: usize) -> bool {
-        self.determined.get(column).copied().unwrap_or(false)
+    /// Whether there are standard deviations: not without a degree of freedom, except those of the jackknife.
+    pub fn has_sigmas(&self) -> bool {
+        self.variance_factor.is_some() || self.sigmas_from != SigmasFrom::IndependentNoise
     }
 
-    /// Covariance of two columns in their units; `None` if one is not identified.
+    fn is_determined(&self, column: usize) -> bool {
+        self.has_sigmas() && self.determined.get(column).copied().unwrap_or(false)
+    }
+
+    /// Covariance of two columns in their units; `None` if one is not identified, or without [`Self::has_sigmas`].
     pub fn between(&self, a: usize, b: usize) -> Option<f64> {
         (self.is_determined(a) && self.is_determined(b)).then(|| self.matrix[(a, b)])
     }
