@@ -108,6 +108,27 @@ fn the_uncertainty_grows_while_no_reply_comes() {
 }
 
 #[test]
+fn a_rate_found_from_random_delays_is_as_uncertain_as_stated() {
+    let mut beyond_two_sigmas = 0;
+    for seed in 0..100 {
+        let mut random = StdRng::seed_from_u64(seed);
+        let (mut fit, mut clocks) =
+            (ClockFit::default(), Clocks { period_ns: 1_000_000, ..Clocks::new(25.0) });
+        // Delays of 5 us in each direction, and up to 20 us more in one of them.
+        for _ in 0..600 {
+            fit.observe(clocks.next(-15_000, random.random_range(-15_000..5_000)).0);
+        }
+        // The error of the rate shows after 10 s without readings.
+        clocks.sent = clocks.sent.plus_ns(10_000_000_000);
+        clocks.dc_ns += 1e10 * (1.0 + 25e-6);
+        let pair = clocks.next(-15_000, -15_000);
+        let sigma_ns = f64::from(fit.uncertainty_ns(pair.0.dc));
+        beyond_two_sigmas += usize::from(error_ns(&fit, pair).abs() > 2.0 * sigma_ns);
+    }
+    assert!(beyond_two_sigmas <= 5, "{beyond_two_sigmas} of 100");
+}
+
+#[test]
 fn one_wrong_bus_time_is_left_out() {
     let (mut fit, mut clocks) = (ClockFit::default(), Clocks::new(25.0));
     for step in 0..2000 {
