@@ -281,23 +281,87 @@ pub(super) fn solved<T>(
     runs: &mut Vec<RunFiles<'_>>,
     solve: impl Fn(&[RunInput<'_>]) -> Result<T, CalibrateError>,
 ) -> Result<T, CalibrateError> {
-    /// Runs with more changes, all together, are not usable.
+    /// A run with more changes is not usable.
     const CUTS_MAX: usize = 8;
-    let mut cuts = if split_at_changes { CUTS_MAX } else { 0 };
     loop {
         let inputs: Vec<RunInput<'_>> = runs.iter().map(RunFiles::input).collect();
         let refused = match solve(&inputs) {
-            Err(refused) if cuts > 0 => refused,
+            Err(refused) if split_at_changes => refused,
             result => return result,
         };
         let CalibrateError::Prepare { run, error } = &refused else { return Err(refused) };
-        let parts = error.parts_at_s().and_then(|at_s| Some((at_s, runs.get(*run)?.cut(at_s)?)));
-        let Some((at_s, parts)) = parts else { return Err(refused) };
+        let cut = |at_s| {
+            let changed = runs.get(*run)?;
+            // The parts of a run share its recording.
+            let parts = runs.iter().filter(|part| Arc::ptr_eq(&part.recording, &changed.recording));
+            if parts.count() > CUTS_MAX { None } else { Some((at_s, changed.cut(at_s)?)) }
+        };
+        let Some((at_s, parts)) = error.parts_at_s().and_then(cut) else { return Err(refused) };
         tracing::warn!(
             "{}: calibrated in two parts, cut {at_s:.2} s after the first sample: {error}",
             parts[0].recording_path.display()
         );
         runs.splice(run..=run, parts);
-        cuts -= 1;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use shared::recording::schema::EncoderSample;
+    use shared::time::UtcNs;
+
+    use super::*;
+    use crate::logs::OtherBarLog;
+    use crate::prepare::PrepareError;
+
+    const CYCLES: usize = 60;
+
+    /// One cycle per second, of a bar at rest.
+    fn run() -> RunFiles<'static> {
+        let cycle = |second: i64| {
+            let sample_time = UtcNs(second * 1_000_000_000);
+            let mut cycle = CycleRecord { sample_time, encoder_count: 1, ..CycleRecord::default() };
+            cycle.encoders[0] = EncoderSample { valid: true, ..EncoderSample::default() };
+            cycle
+        };
+        let cycles = (0..CYCLES as i64).map(cycle).collect();
+        let path = Path::new("ball_bar");
+        RunFiles {
+            recording_path: path,
+            log_path: path,
+            recording: Arc::new(BarLog::Other(Box::new(OtherBarLog { cycles, ..OtherBarLog::default() }))),
+            cycles: 0..CYCLES,
+            log: Arc::default(),
+            bar: config::load(path).unwrap(),
+            bar_path: path,
+        }
+    }
+
+    fn clock_jump(run: usize, at_s: f64) -> CalibrateError {
+        CalibrateError::Prepare { run, error: Box::new(PrepareError::ClockJump { at_s, by_ms: 20.0 }) }
+    }
+
+    /// Refuses each run that was not cut. Returns the number of parts.
+    fn one_jump_each(inputs: &[RunInput<'_>]) -> Result<usize, CalibrateError> {
+        let whole = inputs.iter().position(|input| input.cycles.len() == CYCLES);
+        whole.map_or(Ok(inputs.len()), |run| Err(clock_jump(run, 30.0)))
+    }
+
+    fn always_a_jump(inputs: &[RunInput<'_>]) -> Result<usize, CalibrateError> {
+        Err(clock_jump(inputs.len() - 1, 1.0))
+    }
+
+    #[test]
+    fn each_run_may_be_cut_however_many_are_calibrated_together() {
+        let mut runs: Vec<_> = (0..9).map(|_| run()).collect();
+        assert_eq!(solved(true, &mut runs, one_jump_each).unwrap(), 18);
+        assert!(solved(false, &mut vec![run()], one_jump_each).is_err());
+    }
+
+    #[test]
+    fn a_run_that_changes_all_the_time_is_refused() {
+        let mut runs = vec![run()];
+        assert!(solved(true, &mut runs, always_a_jump).is_err());
+        assert_eq!(runs.len(), 9);
     }
 }
