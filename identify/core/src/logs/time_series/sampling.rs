@@ -307,9 +307,10 @@ impl Numbered {
         self.rest_s.iter().zip(&self.fit.with_steps_s).map(|(rest_s, fitted_s)| rest_s - fitted_s)
     }
 
-    /// Length of the description of the stamps \[nats\]: which rows are missing, where the clock was set and by how much, in which
-    /// cell of the grid a stamp is if not in that of rounding, and phase and rate of the clock, which decide where it passes from
-    /// cell to cell. Missing rows count where the motion is `known`.
+    /// Length of the description of even stamps \[nats\], beyond that of their own clock, which all explanations share: which rows
+    /// are missing, in which cell of the grid a stamp is if not in that of rounding, and either where the stamps' clock was set and
+    /// by how much, or phase and rate of another clock, which decide where it passes from cell to cell. Missing rows count where
+    /// the motion is `known`.
     fn description(&self, known: &[bool]) -> f64 {
         /// `sqrt(2 pi e)`: its logarithm is the differential entropy of a normal distribution of unit deviation, here in cells.
         const CELLS: f64 = 4.13;
@@ -327,8 +328,8 @@ impl Numbered {
         let least_excess = PHASES.into_iter().map(excess).fold(f64::INFINITY, f64::min);
         let cells_nats = rows * (1.0 + CELLS * least_excess).ln();
         let missing = missing(self.numbers.windows(2).map(|pair| pair[1] - pair[0]), known);
-        let clock_parameters = if self.breaks_at.is_empty() { 2 } else { 0 };
-        let parameters = clock_parameters + 2 * self.breaks_at.len();
+        // Of each step place and size; without steps phase and rate of another clock.
+        let parameters = 2 * self.breaks_at.len().max(1);
         nats_of_places(missing, self.numbers.len()) + cells_nats + parameters as f64 * rows.ln()
     }
 
