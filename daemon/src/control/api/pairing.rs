@@ -73,17 +73,22 @@ impl Pairing {
         known.map(|index| codes.remove(index)).is_some()
     }
 
-    /// Addresses for phones: the one that the service listens on, or those of this machine if it listens on all.
-    fn addresses(&self) -> Vec<SocketAddr> {
-        if !self.0.address.ip().is_unspecified() {
-            return vec![self.0.address];
+    /// Addresses for phones: the one that the service listens on, or those `of_machine` if it listens on all.
+    fn addresses(&self, of_machine: &[IpAddr]) -> Vec<SocketAddr> {
+        let own = self.0.address;
+        if !own.ip().is_unspecified() {
+            return vec![own];
         }
-        let port = self.0.address.port();
-        machine_addresses().into_iter().map(|ip| SocketAddr::new(ip, port)).collect()
+        let is_served = |ip: &&IpAddr| match ip {
+            IpAddr::V4(_) => true,
+            // A link-local address needs the name of the phone's interface, which no browser accepts.
+            IpAddr::V6(ip) => own.is_ipv6() && !ip.is_unicast_link_local(),
+        };
+        of_machine.iter().filter(is_served).map(|ip| SocketAddr::new(*ip, own.port())).collect()
     }
 
     fn reply(&self, now: MonoNs) -> Result<PairReply, String> {
-        let addresses = self.addresses();
+        let addresses = self.addresses(&machine_addresses());
         if addresses.is_empty() {
             return Err("this machine has no network address; connect it to the network of the phone".into());
         }
@@ -100,13 +105,17 @@ impl Pairing {
     }
 }
 
-/// IPv4 addresses of the interfaces that are up, without loopback.
+/// Addresses of the interfaces that are up, without loopback.
 fn machine_addresses() -> Vec<IpAddr> {
     let Ok(interfaces) = getifaddrs() else { return Vec::new() };
     let is_up = |flags: InterfaceFlags| {
         flags.contains(InterfaceFlags::IFF_UP) && !flags.contains(InterfaceFlags::IFF_LOOPBACK)
     };
-    let address = |address: SockaddrStorage| address.as_sockaddr_in().map(|known| IpAddr::V4(known.ip()));
+    let address = |address: SockaddrStorage| match (address.as_sockaddr_in(), address.as_sockaddr_in6()) {
+        (Some(known), _) => Some(IpAddr::V4(known.ip())),
+        (None, Some(known)) => Some(IpAddr::V6(known.ip())),
+        (None, None) => None,
+    };
     interfaces
         .filter(|interface| is_up(interface.flags))
         .filter_map(|interface| interface.address.and_then(address))
@@ -148,5 +157,17 @@ mod tests {
         let after_s = |seconds: i64| now.plus_ns(seconds * NS_PER_S);
         let [first, second] = [0, 1].map(|seconds| pairing.issue_code(after_s(seconds)));
         assert!(!pairing.redeem(&first, after_s(300)) && pairing.redeem(&second, after_s(300)));
+    }
+
+    #[test]
+    fn a_service_on_all_addresses_has_links_to_those_of_its_families() {
+        let of_machine = ["192.0.2.1", "2001:db8::1", "fe80::1"].map(|ip| ip.parse::<IpAddr>().unwrap());
+        let links = |listen: &str| {
+            let pairing = Pairing::new(listen.parse().unwrap(), Fingerprint::of(b"certificate"));
+            pairing.addresses(&of_machine).iter().map(SocketAddr::to_string).collect::<Vec<_>>()
+        };
+        assert_eq!(links("0.0.0.0:7312"), ["192.0.2.1:7312"]);
+        assert_eq!(links("[::]:7312"), ["192.0.2.1:7312", "[2001:db8::1]:7312"]);
+        assert_eq!(links("127.0.0.1:7312"), ["127.0.0.1:7312"]);
     }
 }
