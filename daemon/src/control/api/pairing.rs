@@ -1,6 +1,7 @@
 //! Pairs a phone: a QR code opens the page with a single-use code instead of the token. `pair` issues the code; the gate of
 //! [`remote`](super::remote) redeems it and stores the token in the phone's browser.
 
+use std::fmt::Display;
 use std::net::{IpAddr, SocketAddr};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -87,22 +88,30 @@ impl Pairing {
         of_machine.iter().filter(is_served).map(|ip| SocketAddr::new(*ip, own.port())).collect()
     }
 
-    fn reply(&self, now: MonoNs) -> Result<PairReply, String> {
+    /// Links with a new code; or the status and the reason why there are none.
+    fn reply(&self, now: MonoNs) -> Result<PairReply, (StatusCode, String)> {
         let addresses = self.addresses(&machine_addresses());
         if addresses.is_empty() {
-            return Err("this machine has no network address; connect it to the network of the phone".into());
+            let error = "this machine has no network address; connect it to the network of the phone";
+            return Err((StatusCode::CONFLICT, error.into()));
         }
         let code = self.issue_code(now);
-        let link = |address: &SocketAddr| {
-            let url = format!("https://{address}/?pair={code}");
-            let svg = QrCode::new(&url).map_err(|error| format!("cannot make a QR code: {error}"))?;
-            let svg = svg.render::<svg::Color<'_>>().min_dimensions(240, 240).build();
-            Ok::<_, String>(PairingLink { address: format!("https://{address}"), url, svg })
-        };
-        let links = addresses.iter().map(link).collect::<Result<_, _>>()?;
+        let links = addresses.iter().map(|address| link(address, &code)).collect::<Result<_, _>>()?;
         let fingerprint = self.0.fingerprint.to_string();
         Ok(PairReply { links, valid_s: VALID.as_secs(), fingerprint })
     }
+}
+
+/// The link to an address with this code, also as a QR code. A failure is ours: the state of the service is not the cause.
+fn link(address: impl Display, code: &str) -> Result<PairingLink, (StatusCode, String)> {
+    let address = format!("https://{address}");
+    let url = format!("{address}/?pair={code}");
+    let svg = QrCode::new(&url).map_err(|error| {
+        let error = format!("cannot make a QR code: {error}");
+        (StatusCode::INTERNAL_SERVER_ERROR, error)
+    })?;
+    let svg = svg.render::<svg::Color<'_>>().min_dimensions(240, 240).build();
+    Ok(PairingLink { address, url, svg })
 }
 
 /// Addresses of the interfaces that are up, without loopback.
@@ -132,7 +141,7 @@ pub(super) async fn pair(
             "phones have no access to this service; start it with `--listen ADDRESS:PORT`, such as --listen 0.0.0.0:7312",
         ));
     };
-    pairing.reply(service.now()).map(Json).map_err(|error| refusal(StatusCode::CONFLICT, &error))
+    pairing.reply(service.now()).map(Json).map_err(|(status, error)| refusal(status, &error))
 }
 
 #[cfg(test)]
@@ -169,5 +178,11 @@ mod tests {
         assert_eq!(links("0.0.0.0:7312"), ["192.0.2.1:7312"]);
         assert_eq!(links("[::]:7312"), ["192.0.2.1:7312", "[2001:db8::1]:7312"]);
         assert_eq!(links("127.0.0.1:7312"), ["127.0.0.1:7312"]);
+    }
+
+    #[test]
+    fn a_qr_code_that_cannot_be_made_is_an_error_of_the_service() {
+        let (status, error) = link("x".repeat(3000), "code").unwrap_err();
+        assert_eq!(status, StatusCode::INTERNAL_SERVER_ERROR, "{error}");
     }
 }
