@@ -41,8 +41,11 @@ pub struct ServiceArguments {
     pub format: Format,
 }
 
+/// Recordings of this directory, which must exist, and of the spare one.
 fn listed_in(directory: &Path, spare: Option<&Path>) -> anyhow::Result<Vec<RunLine>> {
-    runs::list(&SystemDisk, directory, spare)
+    let directories: Vec<_> = std::iter::once(directory).chain(spare).map(Path::to_owned).collect();
+    std::fs::read_dir(directory)
+        .and_then(|_| runs::list(&SystemDisk, &directories))
         .with_context(|| format!("cannot list recordings in {}", directory.display()))
 }
 

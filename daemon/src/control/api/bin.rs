@@ -5,20 +5,15 @@ use axum::extract::{self, State};
 use axum::http::StatusCode;
 use axum::response::Response;
 
-use super::{Asked, found, on_disk, places, refusal, reply};
-use crate::control::recordings::bin::{self, Places};
+use super::{Asked, directories, found, on_disk, refusal, reply};
+use crate::control::recordings::bin;
 use crate::control::recordings::runs::RunLine;
 use crate::control::service::Service;
 use crate::control::status::{DeleteRequest, EmptyBinRequest, Granted, Reply};
 
-fn bins(service: &Service) -> Places {
-    let (directory, spare) = places(service);
-    Places::new(&directory, &spare)
-}
-
 pub(super) async fn list(State(service): State<Service>) -> Result<Json<Vec<RunLine>>, Response> {
-    let bins = bins(&service);
-    on_disk(&service, move |disk| bins.list(disk)).await.map(Json)
+    let directories = directories(&service);
+    on_disk(&service, move |disk| bin::list(disk, &directories)).await.map(Json)
 }
 
 pub(super) async fn delete(
@@ -35,8 +30,8 @@ pub(super) async fn restore(
     State(service): State<Service>,
     Asked(DeleteRequest { name }): Asked<DeleteRequest>,
 ) -> Result<Response, Response> {
-    let bins = bins(&service);
-    match on_disk(&service, move |disk| bins.restore(disk, &name)).await? {
+    let directories = directories(&service);
+    match on_disk(&service, move |disk| bin::restore(disk, &directories, &name)).await? {
         Some(name) => {
             Ok(reply(&service, Reply { answer: Granted::Restored, run: Some(name), ..Reply::default() }))
         }
@@ -51,8 +46,8 @@ pub(super) async fn empty(
     State(service): State<Service>,
     Asked(EmptyBinRequest {}): Asked<EmptyBinRequest>,
 ) -> Result<Response, Response> {
-    let bins = bins(&service);
-    let removed = on_disk(&service, move |disk| bins.empty(disk)).await?;
+    let directories = directories(&service);
+    let removed = on_disk(&service, move |disk| bin::empty(disk, &directories)).await?;
     tracing::warn!(removed, "bin emptied on request");
     Ok(reply(&service, Reply { answer: Granted::Emptied, removed: Some(removed), ..Reply::default() }))
 }

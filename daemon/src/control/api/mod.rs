@@ -32,6 +32,7 @@ use axum::routing::{MethodRouter, get, post};
 use axum::{Extension, Json, Router};
 use futures_util::{StreamExt, stream};
 use serde::de::DeserializeOwned;
+use shared::config::DaemonConfig;
 use shared::recording::Disk;
 use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
@@ -338,9 +339,9 @@ async fn events(State(Shared { service, viewers, .. }): State<Shared>) -> Respon
 }
 
 /// The directory of the recordings and the spare one.
-fn places(service: &Service) -> (PathBuf, PathBuf) {
-    let daemon = &service.settings().daemon;
-    (daemon.directory.clone(), daemon.spare_directory.clone())
+fn directories(service: &Service) -> [PathBuf; 2] {
+    let DaemonConfig { directory, spare_directory, .. } = &service.settings().daemon;
+    [directory, spare_directory].map(PathBuf::clone)
 }
 
 /// Does work that may wait for the disk, and turns its failure into a reply.
@@ -362,17 +363,9 @@ fn disk_silent() -> Response {
     refusal(StatusCode::GATEWAY_TIMEOUT, "the disk does not answer; `ballbard status` shows its state")
 }
 
-/// A directory that does not exist yet has no runs.
-fn unless_missing<T: Default>(outcome: std::io::Result<T>) -> std::io::Result<T> {
-    match outcome {
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(T::default()),
-        outcome => outcome,
-    }
-}
-
 async fn list_runs(State(service): State<Service>) -> Result<Json<Vec<RunLine>>, Response> {
-    let (directory, spare) = places(&service);
-    on_disk(&service, move |disk| unless_missing(runs::list(disk, &directory, Some(&spare)))).await.map(Json)
+    let directories = directories(&service);
+    on_disk(&service, move |disk| runs::list(disk, &directories)).await.map(Json)
 }
 
 /// A run's name in a path.
@@ -383,10 +376,8 @@ async fn found(service: &Service, name: Name) -> Result<(PathBuf, String), Respo
     let unknown =
         || refusal(StatusCode::NOT_FOUND, "no finished recording of that name; `ballbard runs` lists all");
     let extract::Path(name) = name.map_err(|_| unknown())?;
-    let ((directory, spare), wanted) = (places(service), name.clone());
-    let file =
-        on_disk(service, move |disk| unless_missing(runs::find(disk, &directory, Some(&spare), &wanted)))
-            .await?;
+    let (directories, wanted) = (directories(service), name.clone());
+    let file = on_disk(service, move |disk| runs::find(disk, &directories, &wanted)).await?;
     file.map(|file| (file, name)).ok_or_else(unknown)
 }
 

@@ -31,12 +31,9 @@ impl Found {
     /// Reads the disk now.
     pub fn now(settings: &Settings, disk: &dyn Disk) -> Self {
         let DaemonConfig { directory, spare_directory, .. } = &settings.daemon;
-        let left_behind = || -> io::Result<_> {
-            Ok([runs::left_behind(disk, directory)?, runs::left_behind(disk, spare_directory)?].concat())
-        };
         Self {
             homing: settings.marks.read(disk).map_err(|error| error.to_string()),
-            left_behind: left_behind(),
+            left_behind: runs::left_behind(disk, &[directory, spare_directory].map(PathBuf::clone)),
             unsavable: settings.marks.problem(disk),
         }
     }

@@ -11,50 +11,32 @@ use super::{note, unless_absent};
 /// Folder of deleted recordings, in the directory of the others.
 const FOLDER: &str = ".bin";
 
-/// The directories of recordings: that of the service and the spare one. Each has its own bin, so that deleting and
-/// restoring are renames.
-#[derive(Debug, Clone)]
-pub struct Places([PathBuf; 2]);
+/// The bin of each directory: they are separate, so that deleting and restoring are renames.
+fn bins(directories: &[PathBuf]) -> Vec<PathBuf> {
+    directories.iter().map(|directory| directory.join(FOLDER)).collect()
+}
 
-impl Places {
-    /// For these two directories.
-    pub fn new(directory: &Path, spare: &Path) -> Self {
-        Self([directory.to_owned(), spare.to_owned()])
-    }
+/// The recordings in the bins of these directories, the latest first.
+pub fn list(disk: &dyn Disk, directories: &[PathBuf]) -> io::Result<Vec<RunLine>> {
+    runs::list(disk, &bins(directories))
+}
 
-    /// Files of the recordings in both bins.
-    fn deleted_files(&self, disk: &dyn Disk) -> io::Result<Vec<PathBuf>> {
-        let mut files = Vec::new();
-        for directory in &self.0 {
-            files.extend(unless_absent(disk.list(&directory.join(FOLDER)))?);
-        }
-        files.retain(|file| stem(file, FINISHED_ENDING).is_some());
-        Ok(files)
-    }
+/// Moves the recording of this name out of the bin; returns its new name, or `None` if no bin has it.
+pub fn restore(disk: &dyn Disk, directories: &[PathBuf], name: &str) -> io::Result<Option<String>> {
+    let Some(file) = runs::find(disk, &bins(directories), name)? else { return Ok(None) };
+    let Some(directory) = file.parent().and_then(Path::parent) else { return Ok(None) };
+    move_to_free_name(disk, &file, directory).map(Some)
+}
 
-    /// The recordings in the bin, the latest first.
-    pub fn list(&self, disk: &dyn Disk) -> io::Result<Vec<RunLine>> {
-        Ok(runs::lines(disk, self.deleted_files(disk)?))
+/// Removes every recording in the bins from the disk, with its note; returns their number.
+pub fn empty(disk: &dyn Disk, directories: &[PathBuf]) -> io::Result<u64> {
+    let mut files = runs::files(disk, &bins(directories))?;
+    files.retain(|file| stem(file, FINISHED_ENDING).is_some());
+    for file in &files {
+        disk.remove(file)?;
+        note::remove(disk, file)?;
     }
-
-    /// Moves the recording of this name out of the bin; returns its new name, or `None` if the bin does not have it.
-    pub fn restore(&self, disk: &dyn Disk, name: &str) -> io::Result<Option<String>> {
-        let files = self.deleted_files(disk)?;
-        let wanted = files.iter().find(|file| stem(file, FINISHED_ENDING).is_some_and(|stem| stem == name));
-        let Some(file) = wanted else { return Ok(None) };
-        let Some(directory) = file.parent().and_then(Path::parent) else { return Ok(None) };
-        move_to_free_name(disk, file, directory).map(Some)
-    }
-
-    /// Removes every recording in the bin from the disk, with its note; returns their number.
-    pub fn empty(&self, disk: &dyn Disk) -> io::Result<u64> {
-        let files = self.deleted_files(disk)?;
-        for file in &files {
-            disk.remove(file)?;
-            note::remove(disk, file)?;
-        }
-        Ok(files.len() as u64)
-    }
+    Ok(files.len() as u64)
 }
 
 /// Moves a finished recording into the bin of its directory; returns its name there.

@@ -72,17 +72,13 @@ pub struct RunLine {
     pub next: Option<String>,
 }
 
-/// Recordings of a directory, the latest first, with those of runs that had to continue in `spare`. Recordings without a
-/// start time come last.
-pub fn list(disk: &dyn Disk, directory: &Path, spare: Option<&Path>) -> io::Result<Vec<RunLine>> {
-    Ok(lines(disk, files(disk, directory, spare)?))
-}
-
-/// The recordings among these files, sorted like [`list`].
-pub(in crate::control) fn lines(disk: &dyn Disk, files: Vec<PathBuf>) -> Vec<RunLine> {
-    let mut lines: Vec<_> = files.into_iter().filter_map(|file| line(disk, file)).collect();
+/// Recordings of these directories, the latest first: a run may have continued in the spare one. Recordings without a start
+/// time come last.
+pub fn list(disk: &dyn Disk, directories: &[PathBuf]) -> io::Result<Vec<RunLine>> {
+    let files = files(disk, directories)?.into_iter();
+    let mut lines: Vec<_> = files.filter_map(|file| line(disk, file)).collect();
     lines.sort_by(|a, b| b.started.cmp(&a.started).then_with(|| a.name.cmp(&b.name)));
-    lines
+    Ok(lines)
 }
 
 /// `base`, or `base-2` and so on if a recording has that name.
@@ -116,27 +112,24 @@ pub(in crate::control) fn is_taken(disk: &dyn Disk, directory: &Path, name: &str
 }
 
 /// The finished recording of this name. The name is compared with existing ones and never becomes part of a path.
-pub fn find(
-    disk: &dyn Disk,
-    directory: &Path,
-    spare: Option<&Path>,
-    name: &str,
-) -> io::Result<Option<PathBuf>> {
+pub fn find(disk: &dyn Disk, directories: &[PathBuf], name: &str) -> io::Result<Option<PathBuf>> {
     let has_name = |file: &PathBuf| stem(file, FINISHED_ENDING).is_some_and(|stem| stem == name);
-    Ok(files(disk, directory, spare)?.into_iter().find(has_name))
+    Ok(files(disk, directories)?.into_iter().find(has_name))
 }
 
-fn files(disk: &dyn Disk, directory: &Path, spare: Option<&Path>) -> io::Result<Vec<PathBuf>> {
-    let mut files = disk.list(directory)?;
-    if let Some(spare) = spare {
-        files.extend(unless_absent(disk.list(spare))?);
+/// Content of these directories. One that does not exist has none: it is created when a run needs it. The same applies to a
+/// file of its name, which the status reports: recordings in the other directory stay accessible.
+pub(super) fn files(disk: &dyn Disk, directories: &[PathBuf]) -> io::Result<Vec<PathBuf>> {
+    let mut files = Vec::new();
+    for directory in directories {
+        files.extend(unless_absent(disk.list(directory))?);
     }
     Ok(files)
 }
 
 /// Files of runs that no living process writes.
-pub fn left_behind(disk: &dyn Disk, directory: &Path) -> io::Result<Vec<PathBuf>> {
-    let mut files = unless_absent(disk.list(directory))?;
+pub fn left_behind(disk: &dyn Disk, directories: &[PathBuf]) -> io::Result<Vec<PathBuf>> {
+    let mut files = files(disk, directories)?;
     files.retain(|path| stem(path, ACTIVE_ENDING).is_some());
     // A file that cannot be checked counts as left behind; one that has just been finished does not exist any more.
     files.retain(|path| match is_in_use(disk, path) {
@@ -281,5 +274,31 @@ impl JointCurve {
             Some(point_deg) if !begins_interval => *point_deg = point_deg.filter(|_| angle_deg.is_some()),
             _ => self.curve.angle_deg.push(angle_deg),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use shared::recording::SystemDisk;
+
+    use super::*;
+
+    #[test]
+    fn recordings_in_the_spare_directory_are_listed_while_the_other_is_missing_or_a_file() {
+        let home = tempfile::tempdir().unwrap();
+        let directories = ["runs", "spare"].map(|name| home.path().join(name));
+        let [runs, spare] = &directories;
+        fs::create_dir(spare).unwrap();
+        fs::write(spare.join("moved.mcap"), "").unwrap();
+        let check = || {
+            let lines = list(&SystemDisk, &directories).unwrap();
+            assert_eq!(lines.iter().map(|line| line.name.as_str()).collect::<Vec<_>>(), ["moved"]);
+            assert!(find(&SystemDisk, &directories, "moved").unwrap().is_some());
+        };
+        check();
+        fs::write(runs, "a file").unwrap();
+        check();
     }
 }
