@@ -23,13 +23,10 @@ pub(super) const MEDIA_TYPE: &str = "application/openmetrics-text; version=1.0.0
 pub(super) fn text(live: &Live) -> Result<String, fmt::Error> {
     let mut registry = Registry::with_prefix("ballbard");
     let Live { status, warnings, disk_hours, joints, .. } = live;
-    add(
-        &mut registry,
-        "recording",
-        "A run's cycles reach the disk: 1, else 0",
-        one_if(status.state == ServiceState::Writing),
-    );
-    add(&mut registry, "ready", "A run can begin: 1, else 0", one_if(status.state == ServiceState::Waiting));
+    let one_in = |state: ServiceState| one_if(status.state == state);
+    let (recording, ready) = (one_in(ServiceState::Writing), one_in(ServiceState::Waiting));
+    add(&mut registry, "recording", "A run's cycles reach the disk: 1, else 0", recording);
+    add(&mut registry, "ready", "A run can begin: 1, else 0", ready);
     add(&mut registry, "warnings", "Warnings on the page", warnings.len() as f64);
     if let Some(hours) = disk_hours {
         add(&mut registry, "disk_left_hours", "How long runs can last before the disk is full", *hours);
@@ -76,36 +73,22 @@ fn add_problems(registry: &mut Registry, status: &Status, warnings: &[Problem]) 
 
 fn add_run(registry: &mut Registry, status: &Status) {
     let Some(run) = &status.run else { return };
-    let counts = [
-        ("run_cycles_taken", "Cycles that were due", run.cycles_taken),
-        ("run_cycles_synced", "Cycles safe on disk", run.cycles),
-        ("run_cycles_valid", "Cycles among them in which every encoder is valid", run.cycles_valid),
-        ("run_cycles_lost", "Cycles lost between bus and file", run.cycles_lost),
-        ("run_file_bytes", "Length of the file", run.bytes),
+    let mut figures = vec![
+        ("run_cycles_taken", "Cycles that were due", run.cycles_taken as f64),
+        ("run_cycles_synced", "Cycles safe on disk", run.cycles as f64),
+        ("run_cycles_valid", "Cycles among them in which every encoder is valid", run.cycles_valid as f64),
+        ("run_cycles_lost", "Cycles lost between bus and file", run.cycles_lost as f64),
+        ("run_file_bytes", "Length of the file", run.bytes as f64),
+        ("run_unsynced_seconds", "Duration of cycles that a power failure would lose", run.unsynced_s),
     ];
-    for (name, help, count) in counts {
-        add(registry, name, help, count as f64);
-    }
-    add(
-        registry,
-        "run_unsynced_seconds",
-        "Duration of cycles that a power failure would lose",
-        run.unsynced_s,
-    );
     if let Some(timing) = &run.timing {
         let seconds = |ns: u64| ns as f64 * 1e-9;
-        add(
-            registry,
-            "run_late_p99_seconds",
-            "99th percentile of the lateness of wake-ups",
-            seconds(timing.lateness.p99_ns),
-        );
-        add(
-            registry,
-            "run_late_max_seconds",
-            "Largest lateness of a wake-up",
-            seconds(timing.lateness.max_ns),
-        );
+        let (p99_s, max_s) = (seconds(timing.lateness.p99_ns), seconds(timing.lateness.max_ns));
+        figures.push(("run_late_p99_seconds", "99th percentile of the lateness of wake-ups", p99_s));
+        figures.push(("run_late_max_seconds", "Largest lateness of a wake-up", max_s));
+    }
+    for (name, help, value) in figures {
+        add(registry, name, help, value);
     }
 }
 
