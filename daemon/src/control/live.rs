@@ -4,7 +4,7 @@
 //! One stepper derives it, so the cost does not depend on the number of pages, and neither control nor cycle is involved.
 //! Pages receive the latest moment and may miss others: nothing is queued.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -329,7 +329,7 @@ impl Observer {
     /// Angles count from zero again, so the cells visited before cannot be compared with new ones.
     fn restart_coverage(&mut self, in_run: bool, now: MonoNs) {
         let before = self.restarted.map_or(0, |restarted| restarted.cells_before);
-        let cells_before = before + self.coverage.count();
+        let cells_before = before + self.coverage.cells.len();
         self.coverage = VisitedCells::default();
         let run_s = in_run.then(|| now.seconds_since(self.run_begun));
         self.restarted = Some(Restarted { at_ms: now.0 / 1_000_000, run_s, cells_before });
@@ -619,42 +619,32 @@ fn cell(angle_deg: f64) -> usize {
     (((angle_deg + 180.0).rem_euclid(360.0) / CELL_DEG) as usize).min(CELLS - 1)
 }
 
-/// Cells of the sphere that the rod has visited, by row (joint 2) and column (joint 1).
+/// Cells of the sphere that the rod has visited.
+#[derive(Default)]
 struct VisitedCells {
-    cells: Box<[[bool; CELLS]; CELLS]>,
+    /// Row by row (joint 2), each with the columns of joint 1.
+    cells: BTreeSet<usize>,
     newest: Option<MonoNs>,
     here: Option<(usize, usize)>,
-}
-
-impl Default for VisitedCells {
-    fn default() -> Self {
-        Self { cells: Box::new([[false; CELLS]; CELLS]), newest: None, here: None }
-    }
 }
 
 impl VisitedCells {
     fn visit(&mut self, here: Option<(usize, usize)>, now: MonoNs) {
         self.here = here;
-        let Some((column, row)) = here else { return };
-        if !std::mem::replace(&mut self.cells[row][column], true) {
+        if here.is_some_and(|(column, row)| self.cells.insert(row * CELLS + column)) {
             self.newest = Some(now);
         }
     }
 
-    fn count(&self) -> usize {
-        self.cells.iter().flatten().filter(|visited| **visited).count()
-    }
-
     /// For the page; `now` only during a run.
     fn to_coverage(&self, now: Option<MonoNs>, absolute: bool) -> Coverage {
-        let digit = |four_cells: &[bool]| {
-            let bits = four_cells.iter().fold(0, |bits, visited| bits << 1 | u32::from(*visited));
-            char::from_digit(bits, 16).unwrap_or('0')
+        let digit = |first: usize| {
+            let visited = (first..first + 4).map(|cell| u32::from(self.cells.contains(&cell)));
+            char::from_digit(visited.fold(0, |bits, visited| bits << 1 | visited), 16).unwrap_or('0')
         };
-        let flat: Vec<bool> = self.cells.iter().flatten().copied().collect();
         Coverage {
-            cells: flat.chunks(4).map(digit).collect(),
-            visited: self.count(),
+            cells: (0..CELLS * CELLS).step_by(4).map(digit).collect(),
+            visited: self.cells.len(),
             newest_s: now.zip(self.newest).map(|(now, newest)| now.seconds_since(newest)),
             here: self.here,
             absolute,
