@@ -219,11 +219,8 @@ impl OnBus {
 /// A run that is being recorded.
 struct RunTask {
     // Dropped before the ring: the recorder must not finish the file without the cause.
-    guard: PanicGuard,
-    sink: CycleSink,
-    /// Cycles after which the run ends, and the cause of that end.
-    cycle_limit: Option<(u64, &'static str)>,
-    full_fault_cycles: u64,
+    _guard: PanicGuard,
+    job: RunJob,
     /// Number of cycles so far.
     cycles: u64,
     /// Consecutive cycles without a valid sample of any encoder.
@@ -234,30 +231,21 @@ struct RunTask {
 
 impl RunTask {
     fn begin(job: RunJob, on_bus: &mut OnBus) -> Self {
-        let RunJob { sink, stop, cycle_limit, full_fault_cycles, utc_minus_monotonic_ns } = job;
         let OnBus { acquisition, replay, .. } = on_bus;
-        acquisition.set_utc_minus_monotonic_ns(utc_minus_monotonic_ns);
+        acquisition.set_utc_minus_monotonic_ns(job.utc_minus_monotonic_ns);
         acquisition.begin_run(|first_sample| {
             if let Some((replay, _)) = replay {
                 replay.start_at(first_sample.0);
             }
         });
-        Self {
-            guard: PanicGuard(stop),
-            sink,
-            cycle_limit,
-            full_fault_cycles,
-            cycles: 0,
-            invalid_cycles: 0,
-            invalid_flags: 0,
-        }
+        let _guard = PanicGuard(job.stop.clone());
+        Self { _guard, job, cycles: 0, invalid_cycles: 0, invalid_flags: 0 }
     }
 
     /// One cycle; false once the run is over.
     fn step(&mut self, on_bus: &mut OnBus) -> bool {
-        let Self {
-            guard: PanicGuard(stop), sink, cycle_limit, cycles, invalid_cycles, invalid_flags, ..
-        } = self;
+        let Self { job, cycles, invalid_cycles, invalid_flags, .. } = self;
+        let RunJob { sink, stop, cycle_limit, full_fault_cycles, .. } = job;
         let cause = cycle_limit.and_then(|(limit, cause)| (*cycles >= limit).then_some(cause));
         if stop.is_stopped() || sink.is_abandoned() || cause.is_some() {
             self.end(cause);
@@ -282,7 +270,7 @@ impl RunTask {
         if let Some(timing) = on_bus.acquisition.last_timing() {
             sink.push_timing(timing);
         }
-        if *invalid_cycles >= self.full_fault_cycles {
+        if *invalid_cycles >= *full_fault_cycles {
             stop.stop(&full_fault(*invalid_cycles, *invalid_flags));
         }
         while let Some(event) = on_bus.acquisition.take_event() {
@@ -293,9 +281,10 @@ impl RunTask {
 
     /// Sets the cause of the end, if none is set.
     fn end(&self, cause: Option<&str>) {
-        self.guard.0.stop(cause.filter(|_| !self.sink.is_abandoned()).unwrap_or("the recorder has ended"));
+        let RunJob { sink, stop, .. } = &self.job;
+        stop.stop(cause.filter(|_| !sink.is_abandoned()).unwrap_or("the recorder has ended"));
         // The recorder ends first if the start was refused or the disk failed, which the service reports.
-        if !self.sink.is_abandoned() {
+        if !sink.is_abandoned() {
             tracing::info!("the last cycle of the run is recorded");
         }
     }
