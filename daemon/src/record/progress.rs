@@ -200,14 +200,10 @@ impl Progress {
         }
     }
 
-    /// Timing of the cycle so far.
-    pub fn set_timing(&self, timing: Option<TimingSummary>) {
-        self.disk().timing = timing;
-    }
-
-    /// Invalid cycles among those written.
-    pub fn set_flagged(&self, flagged: Vec<Flagged>) {
-        self.disk().flagged = flagged;
+    /// Timing of the cycle so far, and invalid cycles among those written.
+    pub fn set_figures(&self, timing: Option<TimingSummary>, flagged: Vec<Flagged>) {
+        let mut disk = self.disk();
+        (disk.timing, disk.flagged) = (timing, flagged);
     }
 
     /// How long the recorder waited for the disk so far.

@@ -343,12 +343,8 @@ impl Recorder {
         self.move_if_refused(written)?;
         self.note_wait();
         self.link.progress.wrote(self.writer.cycles(), self.cycles_lost);
-        let mut timing = self.source.timing.summary();
-        if let Some(timing) = &mut timing {
-            timing.disk = self.link.progress.longest();
-        }
-        self.link.progress.set_timing(timing);
-        self.link.progress.set_flagged(self.writer.flagged());
+        let timing = self.timing();
+        self.link.progress.set_figures(timing, self.writer.flagged());
         self.synchroniser.begin(self.writer.sink().synchroniser(), self.as_synced());
         Ok(())
     }
@@ -439,10 +435,14 @@ impl Recorder {
         self.write_timing().map(drop)
     }
 
+    /// Timing of cycle and disk so far; `None` on virtual time.
+    fn timing(&mut self) -> Option<TimingSummary> {
+        let disk = self.link.progress.longest();
+        self.source.timing().map(|timing| TimingSummary { disk, ..timing })
+    }
+
     fn write_timing(&mut self) -> Result<Option<TimingSummary>, WriteError> {
-        self.source.timing.drain();
-        let Some(mut timing) = self.source.timing.summary() else { return Ok(None) };
-        timing.disk = self.link.progress.longest();
+        let Some(timing) = self.timing() else { return Ok(None) };
         let written = self.writer.write_timing(&timing);
         self.move_if_refused(written)?;
         Ok(Some(timing))
