@@ -79,8 +79,10 @@ impl Downloads {
     }
 
     /// Sends a file as it is.
-    pub fn send_file(&self, disk: Arc<dyn Disk>, file: File, what: &Download, length: u64) -> Response {
-        self.send(what, move |mut sink| {
+    pub fn send_file(&self, disk: Arc<dyn Disk>, file: File, file_name: String, length: u64) -> Response {
+        let media_type = "application/octet-stream";
+        let what = Download { file_name, media_type, length: Some(length) };
+        self.send(&what, move |mut sink| {
             // Never more than the announced length, even if the file changes.
             let copied = io::copy(&mut io::Read::take(OpenFile::new(&*disk, &file), length), &mut sink)?;
             anyhow::ensure!(copied == length, "the file has become shorter");

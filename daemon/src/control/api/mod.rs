@@ -391,9 +391,7 @@ async fn download_mcap(
         Ok((disk.length(&opened)?, opened))
     };
     let (length, opened) = on_disk(&service, open).await?;
-    let (file_name, media_type) = (format!("{name}.mcap"), "application/octet-stream");
-    let what = Download { file_name, media_type, length: Some(length) };
-    Ok(downloads.send_file(service.disk(), opened, &what, length))
+    Ok(downloads.send_file(service.disk(), opened, format!("{name}.mcap"), length))
 }
 
 async fn download_csv(
