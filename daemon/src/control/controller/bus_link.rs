@@ -95,18 +95,14 @@ impl BusLink {
 
     /// The bus, while it is in operation.
     pub fn session(&self) -> Option<&Session> {
-        match &self.state {
-            State::Up { session, .. } => Some(session),
-            State::Down { .. } | State::Connecting { .. } => None,
-        }
+        let State::Up { session, .. } = &self.state else { return None };
+        Some(session)
     }
 
     /// Share of valid cycles of each encoder in the last second, in bus order; `None` before the first cycle.
     pub fn valid_shares(&self) -> Option<[f64; MAX_ENCODERS]> {
-        match &self.state {
-            State::Up { recent, .. } => recent.valid_shares(),
-            State::Down { .. } | State::Connecting { .. } => None,
-        }
+        let State::Up { recent, .. } = &self.state else { return None };
+        recent.valid_shares()
     }
 
     /// The change of the bus' state since the last poll.
