@@ -203,7 +203,10 @@ impl Lines {
 
     /// Sends a line, without its line end.
     pub fn line(&self, text: &str) {
-        self.send(format!("{text}\n").into_bytes());
+        let line = format!("{text}\n").into_bytes();
+        if self.entries.try_send(Entry::Line(line)).is_err() {
+            self.lost.fetch_add(1, Ordering::Relaxed);
+        }
     }
 
     /// Lines that the stream did not accept.
@@ -225,12 +228,6 @@ impl Lines {
         }
         // Lines that are not written by then are lost with the program.
         written.recv_timeout(until.saturating_duration_since(Instant::now())).is_ok()
-    }
-
-    fn send(&self, line: Vec<u8>) {
-        if self.entries.try_send(Entry::Line(line)).is_err() {
-            self.lost.fetch_add(1, Ordering::Relaxed);
-        }
     }
 }
 
