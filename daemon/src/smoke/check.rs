@@ -90,11 +90,7 @@ pub enum Reason {
 impl Check {
     /// Whether it passed or is disabled.
     pub fn is_good(&self) -> bool {
-        match &self.outcome {
-            Outcome::Passed { .. } => true,
-            Outcome::Failed { .. } => false,
-            Outcome::NotDone { because } => matches!(because, Reason::NotAsked(_)),
-        }
+        matches!(self.outcome, Outcome::Passed { .. } | Outcome::NotDone { because: Reason::NotAsked(_) })
     }
 }
 
