@@ -12,7 +12,7 @@ use crate::bus::{CyclicExchange, DEVICES_MAX, PORTS, PortCounters};
 const READ_PERIOD_NS: i64 = NS_PER_S;
 
 /// Errors of all ports.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct Links {
     /// Number of cycles until a device is read again.
     cycles_to_next: u64,
@@ -27,20 +27,6 @@ pub struct Links {
     reported: [[u32; PORTS]; DEVICES_MAX],
     /// Increases with every change of the counts.
     revision: u64,
-}
-
-impl Default for Links {
-    fn default() -> Self {
-        Self {
-            cycles_to_next: 0,
-            next: 0,
-            last: [None; DEVICES_MAX],
-            errors: Default::default(),
-            delivered: Default::default(),
-            reported: Default::default(),
-            revision: 0,
-        }
-    }
 }
 
 impl Links {
