@@ -4,7 +4,7 @@
 use super::al::SyncReadiness;
 
 /// A crystal with a rate error of some ppm, corrected by the control loop of the chip.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct LocalClock {
     /// Instant of the last adjustment, in true and in local time.
     base_true_ns: i64,
@@ -20,13 +20,7 @@ pub struct LocalClock {
 impl LocalClock {
     /// A clock that shows `start_ns` at true time `now_ns` and gains `drift_ppm`.
     pub fn new(now_ns: i64, start_ns: i64, drift_ppm: f64) -> Self {
-        Self {
-            base_true_ns: now_ns,
-            base_local_ns: start_ns,
-            base_fraction_ns: 0.0,
-            drift: drift_ppm * 1e-6,
-            correction: 0.0,
-        }
+        Self { base_true_ns: now_ns, base_local_ns: start_ns, drift: drift_ppm * 1e-6, ..Self::default() }
     }
 
     /// Local time at a true time.
@@ -89,6 +83,7 @@ pub struct Pulses {
 }
 
 /// The distributed clock unit of one chip.
+#[derive(Default)]
 pub struct DistributedClock {
     clock: LocalClock,
     /// System time minus local time (0x0920).
@@ -118,22 +113,7 @@ pub struct DistributedClock {
 impl DistributedClock {
     /// A unit that was just powered up.
     pub fn new(clock: LocalClock) -> Self {
-        Self {
-            clock,
-            offset_ns: 0,
-            delay_ns: 0,
-            filter_depth: 4,
-            difference_ns: 0.0,
-            last_follow_ns: None,
-            port_times: [0; 4],
-            receive_time: 0,
-            activation: 0,
-            start_ns: 0,
-            sync0_cycle_ns: 0,
-            sync1_cycle_ns: 0,
-            next_sync0_ns: None,
-            pulsed: false,
-        }
+        Self { clock, filter_depth: 4, ..Self::default() }
     }
 
     /// Copy of the system time (0x0910).

@@ -40,9 +40,10 @@ pub struct ChipProfile {
 }
 
 /// Synchronisation of a device.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum SyncMode {
     /// By frames with outputs.
+    #[default]
     SyncManager,
     /// By the SYNC0 pulses of its clock.
     DistributedClock,

@@ -91,6 +91,7 @@ struct Diagnosis {
 }
 
 /// A SinCos terminal with one encoder.
+#[derive(Default)]
 pub struct El5021 {
     channel: usize,
     revision: Revision,
@@ -106,17 +107,7 @@ pub struct El5021 {
 impl El5021 {
     /// A terminal that was just powered up, `channel` terminals behind the coupler.
     pub fn new(channel: usize, revision: Revision) -> Self {
-        Self {
-            channel,
-            revision,
-            settings: Settings::default(),
-            counter: Counter::default(),
-            sync_mode: SyncMode::SyncManager,
-            diagnosis: Diagnosis::default(),
-            signal_fault: None,
-            inputs: mapping::Inputs::default(),
-            outputs: mapping::Outputs::default(),
-        }
+        Self { channel, revision, ..Self::default() }
     }
 
     fn diagnose(&mut self, step: &Step<'_>) {
