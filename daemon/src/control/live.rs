@@ -251,6 +251,7 @@ impl Stepper for MomentPublisher {
 }
 
 /// Follows the counters from one status to the next.
+#[derive(Default)]
 pub struct Observer {
     tracks: Vec<Track>,
     /// Reference marks, if they are known.
@@ -268,16 +269,8 @@ pub struct Observer {
 impl Observer {
     /// For the encoders of a service.
     pub fn new(settings: &Settings) -> Self {
-        Self {
-            tracks: settings.bar.encoders.iter().map(Track::new).collect(),
-            homing: None,
-            rate_hz: settings.daemon.rate_hz,
-            run: None,
-            run_begun: MonoNs(0),
-            origin: 0,
-            coverage: VisitedCells::default(),
-            restarted: None,
-        }
+        let tracks = settings.bar.encoders.iter().map(Track::new).collect();
+        Self { tracks, rate_hz: settings.daemon.rate_hz, ..Self::default() }
     }
 
     /// The moment that follows from `status`.

@@ -45,6 +45,7 @@ struct Track {
     latched: Option<bool>,
 }
 
+#[derive(Default)]
 pub(super) struct Search {
     encoders: Vec<EncoderConfig>,
     joint: u8,
@@ -63,16 +64,7 @@ pub(super) struct Search {
 impl Search {
     /// Searches the mark of `joint`, after those in `earlier`. Terminals must have just been armed.
     pub fn new(encoders: Vec<EncoderConfig>, joint: u8, earlier: Vec<Found>) -> Self {
-        Self {
-            encoders,
-            joint,
-            earlier,
-            start: None,
-            tracks: [Track::default(); MAX_ENCODERS],
-            mover: None,
-            elapsed_s: 0.0,
-            valid_last_s: 0.0,
-        }
+        Self { encoders, joint, earlier, ..Self::default() }
     }
 
     /// Time since the first record \[s\].

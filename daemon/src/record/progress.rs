@@ -45,7 +45,7 @@ pub struct Limits {
 }
 
 /// What the threads that use the disk have reported.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct OnDisk {
     written: u64,
     /// Cycles among them that were lost between bus and file.
@@ -69,7 +69,7 @@ struct OnDisk {
 }
 
 /// The disk's current step before a run has its file.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct Opening {
     what: &'static str,
     since: MonoNs,
@@ -122,20 +122,8 @@ pub struct Snapshot {
 impl Progress {
     /// For a run that has no file yet.
     pub fn new(handed: Arc<Handed>, limits: Limits, clock: Clock) -> Self {
-        let disk = OnDisk {
-            written: 0,
-            written_lost: 0,
-            synced: Synced::default(),
-            writing_since: None,
-            syncing_since: None,
-            longest: DiskTiming::default(),
-            opening: Opening { what: "to begin with it", since: clock.now() },
-            place: None,
-            lost: None,
-            moved: None,
-            timing: None,
-            flagged: Vec::new(),
-        };
+        let opening = Opening { what: "to begin with it", since: clock.now() };
+        let disk = OnDisk { opening, ..OnDisk::default() };
         Self { handed, limits, clock, disk: Mutex::new(disk) }
     }
 
