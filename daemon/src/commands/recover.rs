@@ -61,28 +61,19 @@ impl<'a> Outcome<'a> {
 
 pub fn run(arguments: &RecoverArguments) -> anyhow::Result<()> {
     let recovery = recover_file(&arguments.file)?;
-    if arguments.format.prints(&Outcome::of(&recovery, &arguments.file))? {
+    let outcome = Outcome::of(&recovery, &arguments.file);
+    if arguments.format.prints(&outcome)? {
         return Ok(());
     }
-    match recovery {
-        Recovery::Whole { content } => {
-            let file = arguments.file.display();
-            say(format_args!("{file}: intact, {} cycles; nothing to recover", content.cycles))?;
-        }
-        Recovery::Renamed { file, content } => {
-            say(format_args!("{}: was finished, {} cycles; renamed", file.display(), content.cycles))?;
-        }
-        Recovery::Recovered { file, torn, content } => {
-            say(format_args!("{}: {}", file.display(), salvaged_text(&content)))?;
-            if let Some(timing) = &content.timing {
-                say(timing)?;
-            }
-            if let Some(damage) = content.damage {
-                say(damage)?;
-            }
-            if let Some(torn) = torn {
-                say(format_args!("the original is kept as {}", torn.display()))?;
-            }
+    let Outcome { file, torn, cycles, damage, timing, .. } = &outcome;
+    match &recovery {
+        Recovery::Whole { .. } => say(format_args!("{file}: intact, {cycles} cycles; nothing to recover"))?,
+        Recovery::Renamed { .. } => say(format_args!("{file}: was finished, {cycles} cycles; renamed"))?,
+        Recovery::Recovered { content, .. } => {
+            say(format_args!("{file}: {}", salvaged_text(content)))?;
+            timing.iter().try_for_each(say)?;
+            damage.iter().try_for_each(say)?;
+            torn.iter().try_for_each(|torn| say(format_args!("the original is kept as {torn}")))?;
         }
     }
     Ok(())
