@@ -287,28 +287,24 @@ impl FaultySegment {
         if on {
             self.active.push(fault);
         }
-        let mut change = |position: usize, change: &dyn Fn(&mut Node)| self.segment.change(position, change);
+        let signal = |fault| move |node: &mut Node| node.device.set_signal_fault(on.then_some(fault));
+        let mailbox = |fault| move |node: &mut Node| node.mailbox_fault = on.then_some(fault);
+        let segment = &mut self.segment;
         match (fault, on) {
-            (Fault::DevicesGone { from }, true) => self.segment.cut_from(from),
-            (Fault::DevicesGone { .. }, false) => self.segment.restore(now_ns),
+            (Fault::DevicesGone { from }, true) => segment.cut_from(from),
+            (Fault::DevicesGone { .. }, false) => segment.restore(now_ns),
             (Fault::FallToSafeOp { position, code }, true) => {
-                change(position, &|node| node.esc.fall_to_safe_op(code));
+                segment.change(position, |node| node.esc.fall_to_safe_op(code));
             }
-            (Fault::ClockStep { by_ns }, true) => self.segment.step_reference_clock(now_ns, by_ns),
-            (Fault::SignalLost { position }, _) => {
-                change(position, &|node| node.device.set_signal_fault(on.then_some(SignalFault::Lost)));
-            }
-            (Fault::SignalTooFast { position }, _) => {
-                change(position, &|node| node.device.set_signal_fault(on.then_some(SignalFault::TooFast)));
-            }
+            (Fault::ClockStep { by_ns }, true) => segment.step_reference_clock(now_ns, by_ns),
+            (Fault::SignalLost { position }, _) => segment.change(position, signal(SignalFault::Lost)),
+            (Fault::SignalTooFast { position }, _) => segment.change(position, signal(SignalFault::TooFast)),
             (Fault::MailboxAbort { position, code }, _) => {
-                change(position, &|node| node.mailbox_fault = on.then_some(MailboxFault::Abort(code)));
+                segment.change(position, mailbox(MailboxFault::Abort(code)));
             }
-            (Fault::MailboxSilent { position }, _) => {
-                change(position, &|node| node.mailbox_fault = on.then_some(MailboxFault::Silent));
-            }
+            (Fault::MailboxSilent { position }, _) => segment.change(position, mailbox(MailboxFault::Silent)),
             (Fault::MailboxEmergency { position, code }, true) => {
-                change(position, &|node| node.mailbox_fault = Some(MailboxFault::Emergency(code)));
+                segment.change(position, mailbox(MailboxFault::Emergency(code)));
             }
             _ => {}
         }
