@@ -44,15 +44,14 @@ pub struct PdoEntry {
 /// An EEPROM that is being filled.
 pub struct Image {
     bytes: Vec<u8>,
-    strings: Vec<&'static str>,
 }
 
 impl Image {
     /// An EEPROM with header and names: order code (string 1), long name (string 2), group (string 3).
     pub fn new(header: &Header, names: [&'static str; 3], general: &General) -> Self {
-        let mut image = Self { bytes: vec![0; CATEGORIES], strings: names.to_vec() };
+        let mut image = Self { bytes: vec![0; CATEGORIES] };
         image.header(header);
-        image.category(CATEGORY_STRINGS, &strings(&image.strings));
+        image.category(CATEGORY_STRINGS, &strings(&names));
         image.category(CATEGORY_GENERAL, &general_bytes(general));
         image
     }
