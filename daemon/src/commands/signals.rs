@@ -1,6 +1,7 @@
 //! The signals that end a program: Ctrl-C, SIGTERM, and SIGHUP of a closed terminal.
 
 use anyhow::Context;
+use futures_util::future::OptionFuture;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 
 pub(super) struct Signals {
@@ -23,16 +24,11 @@ impl Signals {
 
     /// The name of the next signal.
     pub async fn next(&mut self) -> &'static str {
-        let hangup = async {
-            match &mut self.hangup {
-                Some(hangup) => hangup.recv().await,
-                None => std::future::pending().await,
-            }
-        };
+        let hangup = OptionFuture::from(self.hangup.as_mut().map(Signal::recv));
         tokio::select! {
             _ = self.interrupt.recv() => "Ctrl-C",
             _ = self.terminate.recv() => "SIGTERM",
-            _ = hangup => "SIGHUP, a closed terminal",
+            Some(_) = hangup => "SIGHUP, a closed terminal",
         }
     }
 }

@@ -30,6 +30,7 @@ use axum::response::sse::{self, Sse};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodRouter, get, post};
 use axum::{Extension, Json, Router};
+use futures_util::future::OptionFuture;
 use futures_util::{StreamExt, stream};
 use serde::de::DeserializeOwned;
 use shared::config::DaemonConfig;
@@ -86,25 +87,15 @@ pub async fn serve(
     let mut connections = Connections::new(routes(service, gate, words));
     tokio::pin!(end);
     loop {
-        let over_tls = async {
-            match &tls {
-                Some(door) => {
-                    door.listener.accept().await.map(|(stream, _)| Client::Tls(stream, &door.acceptor))
-                }
-                None => std::future::pending().await,
-            }
-        };
-        let by_proxy = async {
-            match &proxy {
-                Some(door) => door.listener.accept().await.map(|(stream, _)| Client::Proxy(stream)),
-                None => std::future::pending().await,
-            }
-        };
+        let over_tls = OptionFuture::from(tls.as_ref().map(|door| async move {
+            door.listener.accept().await.map(|(stream, _)| Client::Tls(stream, &door.acceptor))
+        }));
+        let by_proxy = OptionFuture::from(proxy.as_ref().map(|door| door.listener.accept()));
         let accepted = tokio::select! {
             () = &mut end => break,
             accepted = listener.accept() => accepted.map(|(stream, _)| Client::Local(stream)),
-            accepted = over_tls => accepted,
-            accepted = by_proxy => accepted,
+            Some(accepted) = over_tls => accepted,
+            Some(accepted) = by_proxy => accepted.map(|(stream, _)| Client::Proxy(stream)),
         };
         match accepted {
             Ok(client) => connections.add(client),
