@@ -1,13 +1,13 @@
 //! A network interface as a wire: a raw AF_PACKET socket that carries EtherCAT frames only.
 
 use std::io;
-use std::os::fd::{AsFd, AsRawFd, FromRawFd, OwnedFd};
+use std::os::fd::{AsFd, AsRawFd, OwnedFd};
 use std::path::Path;
 
 use nix::errno::Errno;
 use nix::net::if_::if_nametoindex;
 use nix::poll::{PollFd, PollFlags, ppoll};
-use nix::sys::socket::{MsgFlags, recv, send};
+use nix::sys::socket::{AddressFamily, MsgFlags, SockFlag, SockType, recv, send, socket};
 use nix::sys::time::TimeSpec;
 use shared::time::{MonoNs, NS_PER_S};
 
@@ -167,15 +167,8 @@ pub fn interfaces() -> Vec<String> {
 
 /// A packet socket that receives nothing yet: with a protocol it would receive from every interface until it is bound, and
 /// keep those frames.
-#[allow(unsafe_code, reason = "nix makes no packet socket without a protocol")]
 fn unbound_socket() -> io::Result<OwnedFd> {
-    // SAFETY: plain system call; the descriptor is checked before it is owned.
-    let descriptor = unsafe { libc::socket(libc::AF_PACKET, libc::SOCK_RAW | libc::SOCK_CLOEXEC, 0) };
-    if descriptor < 0 {
-        return Err(io::Error::last_os_error());
-    }
-    // SAFETY: the descriptor was just created and has no other owner.
-    Ok(unsafe { OwnedFd::from_raw_fd(descriptor) })
+    Ok(socket(AddressFamily::Packet, SockType::Raw, SockFlag::SOCK_CLOEXEC, None)?)
 }
 
 /// Lets a packet socket receive EtherCAT frames of one interface.
