@@ -31,6 +31,8 @@ pub(super) struct BusLink {
     connect: Arc<Connect>,
     scheduler: Arc<dyn Scheduler>,
     state: State,
+    /// Pause after the next failed attempt.
+    pause: Duration,
     /// Connected until the cycle of a closed bus has ended.
     closing: Option<Receiver<()>>,
 }
@@ -38,12 +40,8 @@ pub(super) struct BusLink {
 enum State {
     Down {
         retry_at: MonoNs,
-        pause: Duration,
     },
-    Connecting {
-        attempt: Pending<Result<Session, RunError>>,
-        pause: Duration,
-    },
+    Connecting(Pending<Result<Session, RunError>>),
     Up {
         session: Box<Session>,
         /// The problem that was reported, while there is one.
@@ -89,8 +87,8 @@ impl RecentCounts {
 impl BusLink {
     /// The first attempt begins with the first poll.
     pub fn new(connect: Arc<Connect>, scheduler: Arc<dyn Scheduler>) -> Self {
-        let state = State::Down { retry_at: scheduler.clock().now(), pause: RETRY_FIRST };
-        Self { connect, scheduler, state, closing: None }
+        let state = State::Down { retry_at: scheduler.clock().now() };
+        Self { connect, scheduler, state, pause: RETRY_FIRST, closing: None }
     }
 
     /// The bus, while it is in operation.
@@ -108,25 +106,21 @@ impl BusLink {
     /// The change of the bus' state since the last poll.
     pub fn poll(&mut self, now: MonoNs) -> Option<Event> {
         match &mut self.state {
-            State::Down { retry_at, pause } => {
+            State::Down { retry_at } => {
                 if now >= *retry_at {
-                    let pause = *pause;
-                    self.state = State::Connecting { attempt: self.attempt(), pause };
+                    self.state = State::Connecting(self.attempt());
                 }
                 None
             }
-            State::Connecting { attempt, pause } => {
-                let pause = *pause;
+            State::Connecting(attempt) => {
                 let outcome = attempt.poll()?;
                 Some(match outcome {
-                    Ok(outcome) => self.connected(outcome, pause, now),
-                    Err(Died) => {
-                        self.failed(Fact::ThreadEnded { thread: "bring-up".into() }.into(), pause, now)
-                    }
+                    Ok(outcome) => self.connected(outcome, now),
+                    Err(Died) => self.failed(Fact::ThreadEnded { thread: "bring-up".into() }.into(), now),
                 })
             }
             State::Up { session, .. } if !session.is_alive() => {
-                Some(self.failed(Fact::ThreadEnded { thread: "cycle".into() }.into(), RETRY_FIRST, now))
+                Some(self.failed(Fact::ThreadEnded { thread: "cycle".into() }.into(), now))
             }
             State::Up { session, trouble, recent } => {
                 recent.add(now, session.live.counted());
@@ -147,7 +141,7 @@ impl BusLink {
 
     /// Requests the end of the cycle, see [`is_closed`](Self::is_closed).
     pub fn close(&mut self) {
-        let down = State::Down { retry_at: MonoNs(i64::MAX), pause: RETRY_FIRST };
+        let down = State::Down { retry_at: MonoNs(i64::MAX) };
         if let State::Up { session, .. } = std::mem::replace(&mut self.state, down) {
             self.closing = Some(session.begin_close());
         }
@@ -173,21 +167,22 @@ impl BusLink {
         })
     }
 
-    fn connected(&mut self, outcome: Result<Session, RunError>, pause: Duration, now: MonoNs) -> Event {
+    fn connected(&mut self, outcome: Result<Session, RunError>, now: MonoNs) -> Event {
         match outcome {
             Ok(session) => {
                 session.log();
+                self.pause = RETRY_FIRST;
                 let session = Box::new(session);
                 self.state = State::Up { session, trouble: None, recent: RecentCounts::default() };
                 Event::BusUp
             }
-            Err(error) => self.failed(error.problem(), pause, now),
+            Err(error) => self.failed(error.problem(), now),
         }
     }
 
-    fn failed(&mut self, problem: Problem, pause: Duration, now: MonoNs) -> Event {
-        let retry_at = now.plus_ns(pause.as_nanos() as i64);
-        self.state = State::Down { retry_at, pause: (pause * 2).min(RETRY_LONGEST) };
+    fn failed(&mut self, problem: Problem, now: MonoNs) -> Event {
+        self.state = State::Down { retry_at: now.plus_ns(self.pause.as_nanos() as i64) };
+        self.pause = (self.pause * 2).min(RETRY_LONGEST);
         Event::BusDown(problem)
     }
 }
