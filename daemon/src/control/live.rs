@@ -439,8 +439,9 @@ fn without_histograms(status: &Status) -> Status {
 struct Track {
     config: EncoderConfig,
     scale: EncoderScale,
-    from_mark: bool,
-    /// Extends the counts over wraps of the counter; with the extended count of the first sample.
+    /// The reference mark that its angle counts from; otherwise that is the first sample.
+    mark: Option<u32>,
+    /// Extends the counts over wraps of the counter; with the extended count at angle zero.
     counter: Option<(Unwrapper, i64)>,
     /// Time of the latest sample.
     sampled: MonoNs,
@@ -459,7 +460,7 @@ impl Track {
         Self {
             config: config.clone(),
             scale: config.scale(),
-            from_mark: false,
+            mark: None,
             counter: None,
             sampled: MonoNs(0),
             angle_deg: None,
@@ -478,14 +479,12 @@ impl Track {
         let Some(sample) = sample.filter(|_| at.0 != 0 && at != self.sampled) else { return false };
         let is_continuous = self.is_continuous(sample.count, at);
         let has_restarted = !is_continuous && mark.is_none() && self.angle_deg.is_some();
-        if !is_continuous || mark != self.mark() {
+        if !is_continuous || mark != self.mark {
             self.restart(sample.count, mark);
         }
-        let Some((unwrapper, first)) = &mut self.counter else { return has_restarted };
-        let counts = unwrapper.next(sample.count);
-        // `counts_to_rad` subtracts the counts of the reference mark.
-        let zero_counts = if self.from_mark { 0 } else { *first - i64::from(self.scale.reference_counts) };
-        let angle_deg = self.scale.counts_to_rad(counts - zero_counts).to_degrees();
+        let Some((unwrapper, zero)) = &mut self.counter else { return has_restarted };
+        let counts = unwrapper.next(sample.count) - *zero;
+        let angle_deg = self.scale.counts_to_rad(counts).to_degrees();
         (self.sampled, self.angle_deg) = (at, Some(angle_deg));
         self.recent.push_back((at, angle_deg));
         while self.recent.front().is_some_and(|(oldest, _)| at.ns_since(*oldest) > SPEED_NS) {
@@ -507,22 +506,14 @@ impl Track {
 
     /// Counts from this sample on, relative to the mark if there is one.
     fn restart(&mut self, count: u32, mark: Option<u32>) {
-        self.from_mark = mark.is_some();
-        self.scale.reference_counts = mark.unwrap_or(0);
-        let unwrapper = self.scale.unwrapper();
-        let first = {
-            // On a copy: the caller takes this sample itself.
-            let mut unwrapper = unwrapper;
-            unwrapper.next(count)
-        };
-        self.counter = Some((unwrapper, first));
+        self.mark = mark;
+        let unwrapper = EncoderScale { reference_counts: mark.unwrap_or(0), ..self.scale }.unwrapper();
+        // On a copy: the caller takes this sample itself.
+        let mut copy = unwrapper;
+        let first = copy.next(count);
+        self.counter = Some((unwrapper, mark.map_or(first, i64::from)));
         self.recent.clear();
         self.range_deg = None;
-    }
-
-    /// The reference mark that its angle counts from.
-    fn mark(&self) -> Option<u32> {
-        self.from_mark.then_some(self.scale.reference_counts)
     }
 
     fn is_fresh(&self, now: MonoNs) -> bool {
@@ -538,8 +529,8 @@ impl Track {
 
     /// The joint's angle in the bar's model, if it is known.
     fn bar_angle_deg(&self) -> Option<f64> {
-        let mark_deg = self.config.mark_deg.filter(|_| self.from_mark)?;
-        Some(self.angle_deg? + mark_deg)
+        self.mark?;
+        Some(self.angle_deg? + self.config.mark_deg?)
     }
 
     fn joint(&self, sample: Option<&EncoderStatus>, now: MonoNs) -> Joint {
@@ -549,7 +540,7 @@ impl Track {
             joint: self.config.joint,
             name: bar_joint_name(self.config.joint).into(),
             angle_deg: self.angle_deg.filter(|_| is_fresh),
-            from_mark: self.from_mark,
+            from_mark: self.mark.is_some(),
             speed_deg_per_s: self.speed_deg_per_s().filter(|_| is_fresh),
             level: if is_fresh { Level::Good } else { Level::Bad },
             problem,
@@ -559,7 +550,7 @@ impl Track {
     }
 
     fn warnings(&self) -> Vec<Fact> {
-        let (joint, from_mark) = (self.config.joint, self.from_mark);
+        let (joint, from_mark) = (self.config.joint, self.mark.is_some());
         let wound_deg = self.angle_deg.filter(|angle_deg| angle_deg.abs() > WOUND_DEG);
         let wound = wound_deg.map(|turned_deg| Fact::JointWound { joint, turned_deg, from_mark });
         // Singular is the rod along the first axis of the bar (sin b2 = 0) or along the last one (sin b4 = 0).
