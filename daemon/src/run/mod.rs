@@ -123,8 +123,8 @@ async fn record_in_session(
         None => disk_wait_is_over().then(|| Err(no_file_error())),
     })
     .await?;
-    // A stop of its own, which the run also sets when it is complete: only a request limits the wait for the disk.
-    let run = session.begin(details, &Stop::default(), None)?;
+    // Its stop, which it also sets when it is complete, is not `stop`: only a request limits the wait for the disk.
+    let run = session.begin(details, None)?;
     until(scheduler, STOP_PERIOD, || {
         if stop.is_stopped() {
             run.stop.stop(&stop.cause());

@@ -130,7 +130,7 @@ impl Session {
     /// Begins a run without waiting for the disk. Its recorder recovers crashed runs, then creates the run's file, while the
     /// cycles wait in the ring; [`Progress::is_open`] once it exists. One run at a time: the previous one must have been joined.
     /// `tap` receives the recorded messages.
-    pub fn begin(&self, details: &RunDetails, stop: &Stop, tap: Option<Tap>) -> Result<ActiveRun, RunError> {
+    pub fn begin(&self, details: &RunDetails, tap: Option<Tap>) -> Result<ActiveRun, RunError> {
         if let Some(problem) = self.storage.problem() {
             return Err(RunError::Disk(problem));
         }
@@ -150,14 +150,15 @@ impl Session {
             cycle_waits: self.pace == Pace::Fast,
         };
         let progress = Arc::new(Progress::new(Arc::clone(ring.handed()), limits, self.clock().clone()));
-        self.storage.watch(&progress, stop);
+        let stop = Stop::default();
+        self.storage.watch(&progress, &stop);
         let link = RunLink {
             marks: marks_rx,
             progress: Arc::clone(&progress),
             storage: self.storage.clone(),
             scheduler: Arc::clone(&self.scheduler),
         };
-        let job = self.run_job(sink, stop, details.duration, metadata.utc_minus_monotonic_ns);
+        let job = self.run_job(sink, &stop, details.duration, metadata.utc_minus_monotonic_ns);
         let (result, outcome) = sync_channel(1);
         let recording = RunRecording {
             pending: Some(PendingRun { ring, link, metadata, tap }),
@@ -171,7 +172,7 @@ impl Session {
         claim::set_activity(format!("recording run `{}`", details.name));
         // If the cycle does not take the job, the recorder finds the ring abandoned and finishes an empty file.
         let _ = self.jobs.try_send(Job::Run(job));
-        Ok(ActiveRun { stop: stop.clone(), progress, started, marks, outcome })
+        Ok(ActiveRun { stop, progress, started, marks, outcome })
     }
 
     /// Provides cycles, events and timing without a file, for this duration or until `stop`.

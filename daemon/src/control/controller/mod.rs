@@ -344,7 +344,7 @@ impl Controller {
             None => Err(self.no_bus()),
             Some(session) => {
                 let tap = self.settings.live_tap.as_ref().map(LiveTap::writer_end);
-                session.begin(details, &Stop::default(), tap).map_err(|error| error.problem())
+                session.begin(details, tap).map_err(|error| error.problem())
             }
         };
         match begun {
