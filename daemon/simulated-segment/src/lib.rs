@@ -53,22 +53,14 @@ pub struct SegmentConfig {
     pub seed: u64,
     /// Largest rate error of each device's clock \[ppm\].
     pub drift_ppm: f64,
-    /// Delay from one device to the next \[ns\].
-    pub hop_delay_ns: i64,
     /// Revision of the terminals.
     pub revision: Revision,
 }
 
 impl Default for SegmentConfig {
-    /// Five terminals, crystals within 20 ppm, 145 ns from device to device.
+    /// Five terminals, crystals within 20 ppm.
     fn default() -> Self {
-        Self {
-            terminals: TERMINALS,
-            seed: 1,
-            drift_ppm: 20.0,
-            hop_delay_ns: 145,
-            revision: Revision::default(),
-        }
+        Self { terminals: TERMINALS, seed: 1, drift_ppm: 20.0, revision: Revision::default() }
     }
 }
 
@@ -95,7 +87,7 @@ impl SimulatedSegment {
     pub fn new(config: &SegmentConfig, source: Box<dyn EncoderSource>) -> Self {
         let mut random = StdRng::seed_from_u64(config.seed);
         let terminals = config.terminals.min(TERMINALS_MAX);
-        let wiring = Wiring::new(1 + terminals, config.hop_delay_ns.clamp(1, 1_000_000), &mut random);
+        let wiring = Wiring::new(1 + terminals, &mut random);
         let drift_ppm = config.drift_ppm.abs().min(100.0);
         let coupler: Box<dyn Device> = Box::new(Ek1100);
         let encoders =

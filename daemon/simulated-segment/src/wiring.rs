@@ -7,6 +7,8 @@ const NS_PER_BYTE: i64 = 80;
 const FRAME_MIN: usize = 60;
 /// Preamble and start delimiter precede each frame, a check sequence follows.
 const FRAME_OVERHEAD: usize = 8 + 4;
+/// Delay from one device to the next, at least.
+const HOP_DELAY_NS: i64 = 145;
 /// Largest difference of the delay between terminals.
 const HOP_SPREAD_NS: i64 = 10;
 
@@ -17,13 +19,13 @@ pub struct Wiring {
 }
 
 impl Wiring {
-    /// A line of `devices` with about `hop_delay_ns` between neighbours.
-    pub fn new(devices: usize, hop_delay_ns: i64, random: &mut StdRng) -> Self {
+    /// A line of `devices`.
+    pub fn new(devices: usize, random: &mut StdRng) -> Self {
         let mut delay_ns = 0;
         let mut delays_ns = Vec::with_capacity(devices);
         for _ in 0..devices {
             delays_ns.push(delay_ns);
-            delay_ns += hop_delay_ns + random.random_range(0..=HOP_SPREAD_NS);
+            delay_ns += HOP_DELAY_NS + random.random_range(0..=HOP_SPREAD_NS);
         }
         Self { delays_ns }
     }
