@@ -6,9 +6,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use ballbard::bus;
 use ballbard::clock::Clock;
-use ballbard::cycle::{Acquisition, RealtimeRequest};
+use ballbard::cycle::{Acquisition, RealtimeReport};
 use ballbard::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
 use ballbard::segment::{EthernetWire, FRAME_BYTES_MAX, InProcessWire, Wire};
+use shared::config::RealtimeConfig;
 use shared::recording::schema::CycleRecord;
 
 use crate::support::{TrueInstants, plan};
@@ -86,9 +87,9 @@ pub enum Bus {
 
 /// Runs cycles on a thread with the scheduling of the daemon's.
 pub fn run_cycles(bus: Bus, rate_hz: u64, cycles: u64, priority: i32) -> Measured {
-    let realtime = RealtimeRequest { core: None, fifo_priority: priority };
+    let realtime = RealtimeConfig { core: None, fifo_priority: priority };
     std::thread::spawn(move || {
-        let _realtime = realtime.apply();
+        let _realtime = RealtimeReport::apply(realtime);
         cycle(&bus, rate_hz, cycles)
     })
     .join()

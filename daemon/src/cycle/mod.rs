@@ -27,7 +27,7 @@ pub use clock_fit::{ClockFit, ClockPair, Observation};
 pub use continuity::Continuity;
 pub use events::{BusNames, CycleEvent, Down, Happening, Origin};
 pub use links::Links;
-pub use realtime::{RealtimeReport, RealtimeRequest};
+pub use realtime::RealtimeReport;
 pub use recovery::{BusState, Outage};
 pub use sampler::{SampleTime, Sampler};
 pub use timing::{CycleTiming, TimingSink, TimingSource, Timings, timing_ring};

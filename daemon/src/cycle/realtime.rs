@@ -1,4 +1,4 @@
-//! Scheduling, core and memory of the cycle's thread: request and result.
+//! Scheduling, core and memory of the cycle's thread.
 
 use std::fmt;
 use std::fs::{File, OpenOptions};
@@ -7,23 +7,15 @@ use std::io::{self, Write};
 use nix::sched::{CpuSet, sched_setaffinity};
 use nix::sys::mman::{MlockAllFlags, mlockall};
 use nix::unistd::Pid;
+use shared::config::RealtimeConfig;
 
 use crate::tuning::Machine;
-
-/// Requested properties of the cycle's thread.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct RealtimeRequest {
-    /// Core that the thread is pinned to; `None` leaves it to the scheduler.
-    pub core: Option<usize>,
-    /// Priority under SCHED_FIFO, 1 to 99.
-    pub fifo_priority: i32,
-}
 
 /// Result of the request; kept for as long as the cycle runs. Acquisition continues without them, but its lateness then
 /// depends on the load of the machine.
 #[derive(Debug)]
 pub struct RealtimeReport {
-    request: RealtimeRequest,
+    request: RealtimeConfig,
     core: io::Result<()>,
     fifo: io::Result<()>,
     memory: io::Result<()>,
@@ -31,20 +23,18 @@ pub struct RealtimeReport {
     _awake: Option<File>,
 }
 
-impl RealtimeRequest {
-    /// Applies it to the calling thread (memory: to the process).
-    pub fn apply(self) -> RealtimeReport {
-        RealtimeReport {
-            request: self,
-            core: self.core.map_or(Ok(()), pin_to_core),
-            fifo: set_fifo(self.fifo_priority),
+impl RealtimeReport {
+    /// Applies the request to the calling thread (memory: to the process).
+    pub fn apply(request: RealtimeConfig) -> Self {
+        Self {
+            core: request.core.map_or(Ok(()), pin_to_core),
+            fifo: set_fifo(request.fifo_priority),
             memory: lock_memory(),
             _awake: stay_awake(),
+            request,
         }
     }
-}
 
-impl RealtimeReport {
     /// Whether everything was permitted.
     pub fn is_complete(&self) -> bool {
         self.core.is_ok() && self.fifo.is_ok() && self.memory.is_ok()

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError};
 use std::time::Duration;
 
+use shared::config::RealtimeConfig;
 use shared::recording::schema::DeviceInfo;
 use shared::time::{MonoNs, UtcNs};
 
@@ -15,7 +16,7 @@ use super::live::Live;
 use super::source::Prepared;
 use crate::bus::{Bus, BusPlan, DeviceClock};
 use crate::clock::Clock;
-use crate::cycle::{Acquisition, RealtimeReport, RealtimeRequest};
+use crate::cycle::{Acquisition, RealtimeReport};
 use crate::problem::flag_names;
 use crate::record::{CycleSink, Stop};
 use crate::scheduler::Stepper;
@@ -100,13 +101,13 @@ impl CycleLoop {
     /// Brings the bus into operation and reports the result to `channels.ready`; `None` if it fails.
     pub fn start(
         prepared: Prepared,
-        realtime: RealtimeRequest,
+        realtime: RealtimeConfig,
         pace: Pace,
         channels: Channels,
     ) -> Option<Self> {
         let Prepared { wire, clock, plan, replay, hand, .. } = prepared;
         let Channels { ready, jobs, live, opening, ending, over } = channels;
-        let realtime = clock.is_real().then(|| realtime.apply());
+        let realtime = clock.is_real().then(|| RealtimeReport::apply(realtime));
         let mut bus = Bus::new(wire, clock.clone(), plan.reply_timeout);
         bus.interrupt_by(opening.flag());
         let operational = match bus.bring_up(&plan) {

@@ -23,7 +23,7 @@ use super::source::Prepared;
 use crate::bus::{DeviceClock, absent};
 use crate::claim;
 use crate::clock::Clock;
-use crate::cycle::{RealtimeReport, RealtimeRequest};
+use crate::cycle::RealtimeReport;
 use crate::problem::{Fact, Problem};
 use crate::record::{
     self, CycleSink, CycleSource, FullRing, Limits, Mark, Progress, Recorder, RunLink, RunSummary, Stop,
@@ -119,8 +119,7 @@ impl Session {
             ending: ending.clone(),
             faults: prepared.faults.clone(),
         };
-        let realtime =
-            RealtimeRequest { core: daemon.realtime.core, fifo_priority: daemon.realtime.fifo_priority };
+        let realtime = daemon.realtime.clone();
         let channels =
             Channels { ready: ready_tx, jobs: jobs_rx, live, opening: opening.clone(), ending, over };
         start(&**scheduler, "cycle", move || CycleLoop::start(prepared, realtime, pace, channels))?;
