@@ -3,25 +3,20 @@
 
 use std::path::{Path, PathBuf};
 
-use nalgebra::{Point3, Rotation3, Vector3};
-use rand::Rng;
-use rand_distr::StandardNormal;
-use shared::config::{self, RobotConfig};
+use nalgebra::{Point3, Vector3};
+use shared::config::RobotConfig;
 
-use super::arm::{Arm, ArmErrors};
-use super::rows::{RowSimulationError, RowTruth, SimulatedRows, check_sizes, rows_csv, write_texts};
-use super::{Stream, WriteError, random};
+use super::WriteError;
+use super::arm::ArmErrors;
+use super::probing::{BALL_M, Probing, TRIES};
+use super::rows::{RowSimulationError, RowTruth, SimulatedRows, check_sizes, rows_csv};
 use crate::instrument::{ContactRow, KnownDistance, PlacedSocket, SocketTable};
 use crate::kinematics::Pose;
 use crate::logs::{ContactMapping, CsvLayout, joint_columns};
 use crate::model::Model;
 
-/// Centre of the ball in the flange frame \[m\].
-const BALL_M: [f64; 3] = [0.02, -0.03, 0.12];
-/// Number of start postures to try for a row.
-const TRIES: usize = 3000;
-/// Number of positions to try for the plate.
-const PLACES: usize = 20;
+/// Side of the plate, as a part of the robot's reach.
+const SIDE: f64 = 0.2;
 
 /// All inputs of a simulated experiment with a ball in sockets. Equal experiments give equal results.
 #[derive(Debug, Clone)]
@@ -101,69 +96,55 @@ fn distances(table: &SocketTable) -> Vec<KnownDistance> {
 pub fn run(experiment: &ContactExperiment<'_>) -> Result<SimulatedContacts, RowSimulationError> {
     let ContactExperiment { robot, seed, errors, seating_um, .. } = *experiment;
     check_sizes(&errors, &[("seating_um", seating_um)])?;
-    let arm = Arm::new(robot, errors, BALL_M.into());
-    let mut pose_random = random(seed, Stream::Path);
-    let (places_m, reach_m) = arm.places(&mut pose_random);
-    /// Side of the plate, as a part of the robot's reach.
-    const SIDE: f64 = 0.2;
-    let table = experiment.sockets.clone().unwrap_or_else(|| usual_sockets(SIDE * reach_m * 1e3));
+    let mut probing = Probing::new(robot, errors, seed);
+    let table = experiment.sockets.clone().unwrap_or_else(|| usual_sockets(SIDE * probing.reach_m * 1e3));
     if table.sockets.len() < 2 {
         return Err(RowSimulationError::NoPlaces);
     }
-    let centre_mm =
-        table.sockets.iter().map(|socket| Vector3::from(socket.position_mm)).sum::<Vector3<f64>>()
-            / table.sockets.len() as f64;
-    let turn = Rotation3::from_euler_angles(0.02, -0.01, pose_random.random_range(-0.5..0.5));
-    let origins_m = match experiment.place_m {
-        Some(place_m) => vec![Vector3::from(place_m)],
-        None => places_m.into_iter().take(PLACES).map(|at| at - turn * centre_mm * 1e-3).collect(),
+    let plate = place(&table, experiment.place_m, &mut probing)?;
+    let true_m = |socket: &PlacedSocket| {
+        let error_m = Vector3::from_fn(|_, _| probing.noise(socket.u_um.unwrap_or(table.u_um)));
+        (plate * Point3::from(Vector3::from(socket.position_mm) * 1e-3 + error_m)).coords
     };
-    let mut out_of_reach = None;
-    let plate = origins_m.into_iter().map(|origin_m| Pose::from_parts(origin_m.into(), turn)).find(|plate| {
-        let in_base_m = |socket: &PlacedSocket| {
-            plate.transform_point(&(Vector3::from(socket.position_mm) * 1e-3).into()).coords
-        };
-        out_of_reach = table
-            .sockets
-            .iter()
-            .find(|socket| arm.joints_at(in_base_m(socket), TRIES / 10, &mut pose_random).is_none())
-            .map(|socket| socket.name.as_str());
-        out_of_reach.is_none()
-    });
-    let unreachable =
-        |name: &str| RowSimulationError::Unreachable { place: format!("socket `{name}`"), size: "plate" };
-    let plate = plate.ok_or_else(|| unreachable(out_of_reach.unwrap_or_default()))?;
-    let mut noise_random = random(seed, Stream::RobotEffects);
-    let mut noise = |sigma: f64| -> f64 { sigma * 1e-6 * noise_random.sample::<f64, _>(StandardNormal) };
-    let sockets_m: Vec<Vector3<f64>> = table
-        .sockets
-        .iter()
-        .map(|socket| {
-            let error_m = Vector3::from_fn(|_, _| noise(socket.u_um.unwrap_or(table.u_um)));
-            (plate * Point3::from(Vector3::from(socket.position_mm) * 1e-3 + error_m)).coords
-        })
-        .collect();
-    let mut rows = Vec::with_capacity(experiment.rows);
-    for row in 0..experiment.rows {
+    let sockets_m: Vec<Vector3<f64>> = table.sockets.iter().map(true_m).collect();
+    let row = |row: usize| -> Result<ContactRow, RowSimulationError> {
         let socket = row % sockets_m.len();
-        let ball_m = sockets_m[socket] + Vector3::from_fn(|_, _| noise(seating_um));
-        let joints = arm.joints_at(ball_m, TRIES, &mut pose_random);
+        let ball_m = sockets_m[socket] + Vector3::from_fn(|_, _| probing.noise(seating_um));
+        let joints = probing.joints_at(ball_m, TRIES);
         let joints = joints.ok_or_else(|| unreachable(&table.sockets[socket].name))?;
-        rows.push(ContactRow { joints_rad: arm.reported(&joints, &mut noise), socket });
-    }
-    let model = Model::alone(&arm.chain).with_sockets(sockets_m.len()).without_clocks();
+        Ok(ContactRow { joints_rad: probing.reported(&joints), socket })
+    };
+    let rows = (0..experiment.rows).map(row).collect::<Result<Vec<_>, _>>()?;
+    let model = Model::alone(&probing.arm.chain).with_sockets(sockets_m.len()).without_clocks();
     let mut geometry = model.geometry(&[]);
     (geometry.contact.ball_m, geometry.contact.sockets_m) = (BALL_M.into(), sockets_m);
     let truth = RowTruth {
         sockets: table.sockets.iter().map(|socket| socket.name.clone()).collect(),
-        ..RowTruth::new(robot, seed, &model, geometry, &arm)
+        ..RowTruth::new(robot, seed, &model, geometry, &probing.arm)
     };
     let table = if experiment.distances {
         SocketTable { distances: distances(&table), sockets: Vec::new(), ..table }
     } else {
         table
     };
-    Ok(SimulatedRows { rows, table, truth, robot: arm.chain })
+    Ok(SimulatedRows { rows, table, truth, robot: probing.arm.chain })
+}
+
+fn unreachable(socket: &str) -> RowSimulationError {
+    RowSimulationError::Unreachable { place: format!("socket `{socket}`"), size: "plate" }
+}
+
+/// Pose of the plate in the robot's base, where the robot reaches all its sockets.
+fn place(
+    table: &SocketTable,
+    place_m: Option<[f64; 3]>,
+    probing: &mut Probing,
+) -> Result<Pose, RowSimulationError> {
+    let positions_mm = || table.sockets.iter().map(|socket| Vector3::from(socket.position_mm));
+    let centre_mm = positions_mm().sum::<Vector3<f64>>() / table.sockets.len() as f64;
+    let names = table.sockets.iter().map(|socket| socket.name.as_str());
+    let sockets_m: Vec<(&str, Vector3<f64>)> = names.zip(positions_mm().map(|at| at * 1e-3)).collect();
+    probing.place(place_m, centre_mm, &sockets_m).map_err(unreachable)
 }
 
 /// Writes `contacts.csv`, its mapping `contact.toml`, `sockets.toml` and `truth.toml` into `directory`, which is created if it
@@ -181,11 +162,5 @@ pub fn write(
     let table = rows_csv("contact", (&mapping.joints, "socket"), &simulated.rows, |row| {
         (&row.joints_rad, simulated.truth.sockets[row.socket].clone())
     });
-    let files = [
-        ("contacts.csv", table),
-        ("contact.toml", config::to_toml(&mapping)?),
-        ("sockets.toml", config::to_toml(&simulated.table)?),
-        ("truth.toml", config::to_toml(&simulated.truth)?),
-    ];
-    write_texts(directory, files)
+    simulated.write(directory, ["contacts.csv", "contact.toml", "sockets.toml"], table, &mapping)
 }

@@ -11,10 +11,12 @@ pub mod contact;
 mod effects;
 mod motion;
 mod pairs;
+mod probing;
 mod rows;
 mod sample;
 pub mod touch;
 mod truth;
+mod wire;
 mod write;
 
 pub use arm::ArmErrors;
@@ -23,8 +25,9 @@ pub use effects::Effects;
 use effects::{BarReading, RobotReading};
 pub use motion::{BarLoad, BarPath, Motion, Pull};
 pub use pairs::{LEAD_ROWS, Pairs, pairs};
-pub use rows::{ATTACHMENT_M, RowSimulationError, RowTruth, SimulatedRows, wire_rows};
+pub use rows::{RowSimulationError, RowTruth, SimulatedRows};
 pub use truth::{ClockTruth, EncoderTruth, StaticErrors, THESIS_ERRORS, Truth, parameter_names};
+pub use wire::{ATTACHMENT_M, wire_rows};
 pub use write::{SimulationFiles, WriteError, write};
 
 use std::collections::BTreeMap;

@@ -1,18 +1,14 @@
-//! Simulated rows: common parts of balls in sockets and touch probes, and the lengths of a draw-wire.
+//! Simulated rows of balls in sockets and of touch probes: result, truth, errors and files.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use nalgebra::{Point3, Vector3};
-use rand::Rng;
-use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
-use shared::config::RobotConfig;
+use shared::config::{self, RobotConfig};
 
 use super::arm::{Arm, ArmErrors};
-use super::{Experiment, SimulateError, Stream, Truth, WriteError, is_size, random};
-use crate::instrument::LengthRow;
-use crate::kinematics::{Chain, Joints, flange_chain};
+use super::{WriteError, is_size};
+use crate::kinematics::{Chain, Joints};
 use crate::logs::{JointColumn, LogError, SIMULATED};
 use crate::model::{Geometry, Model, ParameterId};
 
@@ -27,6 +23,32 @@ pub struct SimulatedRows<R, T> {
     pub truth: RowTruth,
     /// The robot with its errors.
     pub robot: Chain,
+}
+
+impl<R, T: Serialize> SimulatedRows<R, T> {
+    /// Writes the text of the rows, their mapping and the table to files of these names, and `truth.toml`, into `directory`, which is
+    /// created if it is missing; returns their paths.
+    pub(super) fn write(
+        &self,
+        directory: &Path,
+        [rows_file, mapping_file, table_file]: [&str; 3],
+        rows: String,
+        mapping: &impl Serialize,
+    ) -> Result<[PathBuf; 4], WriteError> {
+        let files = [
+            (rows_file, rows),
+            (mapping_file, config::to_toml(mapping)?),
+            (table_file, config::to_toml(&self.table)?),
+            ("truth.toml", config::to_toml(&self.truth)?),
+        ];
+        let unwritable = |path: PathBuf| move |source| LogError::Unwritable { path, source };
+        std::fs::create_dir_all(directory).map_err(unwritable(directory.to_owned()))?;
+        for (name, text) in &files {
+            let path = directory.join(name);
+            std::fs::write(&path, text).map_err(unwritable(path))?;
+        }
+        Ok(files.map(|(name, _)| directory.join(name)))
+    }
 }
 
 /// The true values of simulated rows.
@@ -117,53 +139,4 @@ pub(super) fn rows_csv<'r, R: 'r>(
         table += &format!("{cells}\n");
     }
     table
-}
-
-/// Writes texts to files of these names in `directory`, which is created if it is missing; returns their paths.
-pub(super) fn write_texts<const N: usize>(
-    directory: &Path,
-    files: [(&str, String); N],
-) -> Result<[PathBuf; N], WriteError> {
-    let unwritable = |path: PathBuf| move |source| LogError::Unwritable { path, source };
-    std::fs::create_dir_all(directory).map_err(unwritable(directory.to_owned()))?;
-    for (name, text) in &files {
-        let path = directory.join(name);
-        std::fs::write(&path, text).map_err(unwritable(path))?;
-    }
-    Ok(files.map(|(name, _)| directory.join(name)))
-}
-
-/// Attachment of the wire in the flange frame \[m\].
-pub const ATTACHMENT_M: [f64; 3] = [0.12, 0.03, 0.05];
-/// Anchor of the wire: its exit from the instrument, in the robot's base \[m\].
-const ANCHOR_M: [f64; 3] = [0.6, -1.1, 0.1];
-/// Reading of the instrument minus the length of the wire \[m\].
-const OFFSET_M: f64 = 0.15;
-
-/// `count` random postures within the joint limits, each with the length that an instrument with this noise \[m\] measures, and
-/// the true parameters up to the flange.
-///
-/// # Errors
-/// [`SimulateError`] if the experiment is invalid.
-pub fn wire_rows(
-    experiment: &Experiment<'_>,
-    count: usize,
-    noise_m: f64,
-) -> Result<(Vec<LengthRow>, Truth), SimulateError> {
-    experiment.check()?;
-    let (flange, [_, bar]) = (flange_chain(experiment.robot), experiment.nominal());
-    let truth = Truth::new(experiment, &flange, &bar);
-    let robot = truth.robot_chain(&flange);
-    let limits = experiment.robot.joint_limits();
-    let mut postures = random(experiment.seed, Stream::Postures);
-    let mut noise = random(experiment.seed, Stream::Wire);
-    let mut reading = experiment.robot_reading();
-    let row = |_| {
-        let q_rad = Joints::random(&limits, &mut postures);
-        let held: Vector3<f64> = (robot.forward(&q_rad) * Point3::from(ATTACHMENT_M)).coords;
-        let error_m = noise_m * noise.sample::<f64, _>(StandardNormal);
-        let length_m = (held - Vector3::from(ANCHOR_M)).norm() + OFFSET_M + error_m;
-        LengthRow { joints_rad: reading.of(&q_rad), length_m, ..LengthRow::default() }
-    };
-    Ok(((0..count).map(row).collect(), truth))
 }

@@ -5,23 +5,23 @@ use std::path::{Path, PathBuf};
 
 use nalgebra::{Rotation3, Vector3};
 use rand::Rng;
-use rand_distr::StandardNormal;
-use shared::config::{self, RobotConfig};
+use rand_chacha::ChaCha8Rng;
+use shared::config::RobotConfig;
 
-use super::arm::{Arm, ArmErrors};
-use super::rows::{RowSimulationError, RowTruth, SimulatedRows, check_sizes, rows_csv, write_texts};
-use super::{Stream, WriteError, random};
+use super::WriteError;
+use super::arm::ArmErrors;
+use super::probing::{BALL_M, Probing, TRIES_FEW};
+use super::rows::{RowSimulationError, RowTruth, SimulatedRows, check_sizes, rows_csv};
 use crate::instrument::{FaceTable, KnownAngle, Spacing, TouchRow, Touched};
 use crate::kinematics::Pose;
 use crate::logs::{CsvLayout, LengthUnit, ReadingColumn, TouchMapping, joint_columns};
 use crate::model::{Face, Model};
 
-/// Centre of the tip's ball in the flange frame \[m\], and the ball's diameter \[mm\].
-const TIP_M: [f64; 3] = [0.02, -0.03, 0.12];
+/// Diameter of the tip's ball, whose centre is at [`BALL_M`] \[mm\].
 const TIP_DIAMETER_MM: f64 = 4.0;
-/// Number of start postures to try for a row.
-const TRIES: usize = 3000;
-/// Number of positions to try for the block.
+/// Edges of the block to try, as parts of the robot's reach.
+const EDGES: [f64; 3] = [0.15, 0.1, 0.07];
+/// Number of positions on a face to try for a row.
 const PLACES: usize = 20;
 /// Faces of the block with their outward normals; the sixth is at the bottom.
 const FACES: [(&str, [f64; 3]); 5] = [
@@ -111,92 +111,101 @@ pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, RowSimu
     let TouchExperiment { robot, seed, errors, touch_um, gauge_mm, .. } = *experiment;
     let block_mm = experiment.block_mm.unwrap_or(1.0);
     check_sizes(&errors, &[("touch_um", touch_um), ("gauge_mm", gauge_mm), ("block_mm", block_mm)])?;
-    let arm = Arm::new(robot, errors, TIP_M.into());
-    let mut pose_random = random(seed, Stream::Path);
-    let (places_m, reach_m) = arm.places(&mut pose_random);
-    /// Edges of the block to try, as parts of the robot's reach.
-    const EDGES: [f64; 3] = [0.15, 0.1, 0.07];
-    let edges_mm = experiment
-        .block_mm
-        .map_or_else(|| EDGES.map(|edge| (edge * reach_m * 1e3).round()).to_vec(), |block_mm| vec![block_mm]);
-    let turn = Rotation3::from_euler_angles(0.02, -0.01, pose_random.random_range(-0.5..0.5));
-    let centres_m = match experiment.place_m {
-        Some(place_m) => vec![Vector3::from(place_m)],
-        None => places_m.into_iter().take(PLACES).collect(),
-    };
-    let mut out_of_reach = "";
-    let blocks = edges_mm.iter().flat_map(|edge| centres_m.iter().map(move |centre| (*edge, *centre)));
-    let found = blocks.map(|(block_mm, centre_m)| (block_mm, Pose::from_parts(centre_m.into(), turn))).find(
-        |(block_mm, block)| {
-            let centre_of_face_m = |normal: [f64; 3]| {
-                block.transform_point(&(Vector3::from(normal) * 0.5e-3 * *block_mm).into()).coords
-            };
-            let unreached = FACES.iter().find(|(_, normal)| {
-                arm.joints_at(centre_of_face_m(*normal), TRIES / 10, &mut pose_random).is_none()
-            });
-            out_of_reach = unreached.map_or("", |(name, _)| *name);
-            out_of_reach.is_empty()
-        },
-    );
-    let unreachable =
-        |face: &str| RowSimulationError::Unreachable { place: format!("face `{face}`"), size: "--block-mm" };
-    let (block_mm, block) = found.ok_or_else(|| unreachable(out_of_reach))?;
-    let half_m = 0.5e-3 * block_mm;
+    let mut probing = Probing::new(robot, errors, seed);
+    let (block_mm, pose) = place(experiment, &mut probing)?;
     let table = block_table(block_mm);
-    let mut noise_random = random(seed, Stream::RobotEffects);
-    let mut noise = |sigma: f64| -> f64 { sigma * 1e-6 * noise_random.sample::<f64, _>(StandardNormal) };
-    let radius_m = 0.5e-3 * TIP_DIAMETER_MM;
-    // Each of the two faces of a distance or angle has half of the variance that the table states.
-    let faces: Vec<Face> = FACES
-        .iter()
-        .map(|(_, normal)| {
-            let part = 0.5_f64.sqrt();
-            let tilt = Vector3::from_fn(|_, _| noise(part * table.u_urad));
-            let normal = (turn * (Rotation3::new(tilt) * Vector3::from(*normal))).normalize();
-            let from_centre_m = half_m + noise(part * table.u_um) + radius_m;
-            Face { normal, distance_m: normal.dot(&block.translation.vector) + from_centre_m }
-        })
-        .collect();
-    let mut rows = Vec::with_capacity(experiment.rows);
-    for row in 0..experiment.rows {
-        let number = row % FACES.len();
-        let (face, (name, outward)) = (faces[number], FACES[number]);
+    let block = Block::new(pose, block_mm, &table, &mut probing);
+    let row = |row: usize| -> Result<TouchRow, RowSimulationError> {
+        let face = row % FACES.len();
         // A probe triggers too late or too early, a gauge reads too much or too little.
-        let error_m = noise(touch_um);
+        let error_m = probing.noise(touch_um);
         let [out_m, reading_m] = if gauge_mm > 0.0 {
-            let pushed_m = 1e-3 * pose_random.random_range(0.0..gauge_mm);
+            let pushed_m = 1e-3 * probing.random.random_range(0.0..gauge_mm);
             [-pushed_m, pushed_m + error_m]
         } else {
             [error_m, 0.0]
         };
         // The robot may not reach every corner of a face that it reaches.
         let joints = (0..PLACES).find_map(|_| {
-            // A position within nine tenths of the face, projected onto the plane of the tip's centre.
-            let place = Vector3::from_fn(|axis, _| {
-                let along = pose_random.random_range(-0.9..0.9);
-                half_m * if outward[axis] == 0.0 { along } else { outward[axis] }
-            });
-            let place_m = block.transform_point(&place.into()).coords;
-            let on_plane_m = place_m - face.normal * (face.normal.dot(&place_m) - face.distance_m);
-            arm.joints_at(on_plane_m + face.normal * out_m, TRIES / 10, &mut pose_random)
+            let tip_m = block.random_tip_m(face, out_m, &mut probing.random);
+            probing.joints_at(tip_m, TRIES_FEW)
         });
-        let joints = joints.ok_or_else(|| unreachable(name))?;
-        rows.push(TouchRow { joints_rad: arm.reported(&joints, &mut noise), face: number, reading_m });
-    }
-    let model = Model::alone(&arm.chain).with_faces(faces.len()).without_clocks();
+        let joints = joints.ok_or_else(|| unreachable(FACES[face].0))?;
+        Ok(TouchRow { joints_rad: probing.reported(&joints), face, reading_m })
+    };
+    let rows = (0..experiment.rows).map(row).collect::<Result<Vec<_>, _>>()?;
+    let model = Model::alone(&probing.arm.chain).with_faces(block.faces.len()).without_clocks();
     let mut geometry = model.geometry(&[]);
-    geometry.touch.tip_m = TIP_M.into();
-    for (to, face) in geometry.touch.faces.iter_mut().zip(&faces) {
+    geometry.touch.tip_m = BALL_M.into();
+    for (to, face) in geometry.touch.faces.iter_mut().zip(&block.faces) {
         // Scaled as in a calibration: the largest component of a normal is one.
         let scale = face.normal.amax();
         *to = Face { normal: face.normal / scale, distance_m: face.distance_m / scale };
     }
     let truth = RowTruth {
         faces: FACES.map(|(name, _)| name.to_owned()).to_vec(),
-        ..RowTruth::new(robot, seed, &model, geometry, &arm)
+        ..RowTruth::new(robot, seed, &model, geometry, &probing.arm)
     };
     let table = if experiment.known { table } else { FaceTable::default() };
-    Ok(SimulatedRows { rows, table, truth, robot: arm.chain })
+    Ok(SimulatedRows { rows, table, truth, robot: probing.arm.chain })
+}
+
+fn unreachable(face: &str) -> RowSimulationError {
+    RowSimulationError::Unreachable { place: format!("face `{face}`"), size: "--block-mm" }
+}
+
+/// Edge of the block \[mm\] and its pose in the robot's base, where the robot reaches the centres of all faces.
+fn place(experiment: &TouchExperiment<'_>, probing: &mut Probing) -> Result<(f64, Pose), RowSimulationError> {
+    let scaled_mm = |edge: f64| (edge * probing.reach_m * 1e3).round();
+    let edges_mm =
+        experiment.block_mm.map_or_else(|| EDGES.map(scaled_mm).to_vec(), |block_mm| vec![block_mm]);
+    let mut out_of_reach = "";
+    for block_mm in edges_mm {
+        let faces_m = FACES.map(|(name, normal)| (name, Vector3::from(normal) * 0.5e-3 * block_mm));
+        match probing.place(experiment.place_m, Vector3::zeros(), &faces_m) {
+            Ok(block) => return Ok((block_mm, block)),
+            Err(face) => out_of_reach = face,
+        }
+    }
+    Err(unreachable(out_of_reach))
+}
+
+/// The block with the errors of its faces, in the robot's base.
+struct Block {
+    pose: Pose,
+    /// Half of its nominal edge \[m\].
+    half_m: f64,
+    /// Planes of the tip's centre when it touches.
+    faces: Vec<Face>,
+}
+
+impl Block {
+    fn new(pose: Pose, block_mm: f64, table: &FaceTable, probing: &mut Probing) -> Self {
+        let half_m = 0.5e-3 * block_mm;
+        let radius_m = 0.5e-3 * TIP_DIAMETER_MM;
+        // Each of the two faces of a distance or angle has half of the variance that the table states.
+        let part = 0.5_f64.sqrt();
+        let face = |(_, normal): (&str, [f64; 3])| {
+            let tilt = Vector3::from_fn(|_, _| probing.noise(part * table.u_urad));
+            let normal = (probing.turn * (Rotation3::new(tilt) * Vector3::from(normal))).normalize();
+            let from_centre_m = half_m + probing.noise(part * table.u_um) + radius_m;
+            Face { normal, distance_m: normal.dot(&pose.translation.vector) + from_centre_m }
+        };
+        let faces = FACES.map(face).to_vec();
+        Self { pose, half_m, faces }
+    }
+
+    /// A position of the tip's centre over nine tenths of a face, `out_m` outside of where it touches \[m\].
+    fn random_tip_m(&self, face: usize, out_m: f64, random: &mut ChaCha8Rng) -> Vector3<f64> {
+        let ((_, outward), face) = (FACES[face], self.faces[face]);
+        let place = Vector3::from_fn(|axis, _| {
+            let along = random.random_range(-0.9..0.9);
+            self.half_m * if outward[axis] == 0.0 { along } else { outward[axis] }
+        });
+        let place_m = self.pose.transform_point(&place.into()).coords;
+        let on_plane_m = place_m - face.normal * (face.normal.dot(&place_m) - face.distance_m);
+        on_plane_m + face.normal * out_m
+    }
 }
 
 /// Writes `touches.csv`, its mapping `touch.toml`, `faces.toml` and `truth.toml` into `directory`, which is created if it is
@@ -223,11 +232,5 @@ pub fn write(
         let reading = if with_readings { format!("{:.6},", row.reading_m * 1e3) } else { String::new() };
         (&row.joints_rad, reading + &simulated.truth.faces[row.face])
     });
-    let files = [
-        ("touches.csv", table),
-        ("touch.toml", config::to_toml(&mapping)?),
-        ("faces.toml", config::to_toml(&simulated.table)?),
-        ("truth.toml", config::to_toml(&simulated.truth)?),
-    ];
-    write_texts(directory, files)
+    simulated.write(directory, ["touches.csv", "touch.toml", "faces.toml"], table, &mapping)
 }

@@ -1,0 +1,96 @@
+//! What the experiments with a ball in sockets (`contact`) and with a touch probe (`touch`) share: a robot with known errors whose
+//! ball reaches the points of an object, the place of that object, and the random numbers of poses and noise.
+
+use nalgebra::{Rotation3, Vector3};
+use rand::Rng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+use shared::config::RobotConfig;
+
+use super::arm::{Arm, ArmErrors};
+use super::{Stream, random};
+use crate::kinematics::{Joints, Pose};
+
+/// Centre of the ball in the flange frame \[m\].
+pub(super) const BALL_M: [f64; 3] = [0.02, -0.03, 0.12];
+/// Number of start postures to try for a point.
+pub(super) const TRIES: usize = 3000;
+/// The same for a point in place of which another can be used.
+pub(super) const TRIES_FEW: usize = TRIES / 10;
+/// Number of positions to try for the object.
+const PLACES: usize = 20;
+
+/// A robot in front of an object.
+pub(super) struct Probing {
+    pub(super) arm: Arm,
+    /// Largest reach of the robot \[m\].
+    pub(super) reach_m: f64,
+    /// Rotation of the object in the robot's base.
+    pub(super) turn: Rotation3<f64>,
+    /// Random numbers of the poses.
+    pub(super) random: ChaCha8Rng,
+    /// Positions that the robot reaches, those with many neighbours first \[m\].
+    places_m: Vec<Vector3<f64>>,
+    noise: ChaCha8Rng,
+}
+
+impl Probing {
+    pub(super) fn new(robot: &RobotConfig, errors: ArmErrors, seed: u64) -> Self {
+        let arm = Arm::new(robot, errors, BALL_M.into());
+        let mut pose_random = random(seed, Stream::Path);
+        let (places_m, reach_m) = arm.places(&mut pose_random);
+        let turn = Rotation3::from_euler_angles(0.02, -0.01, pose_random.random_range(-0.5..0.5));
+        let noise = random(seed, Stream::RobotEffects);
+        Self { arm, reach_m, turn, random: pose_random, places_m, noise }
+    }
+
+    /// Pose of an object where the robot reaches all its points, which have names and are given in the object's frame \[m\]: at
+    /// `place_m`, or at the first position of its centre \[mm\] that allows it.
+    ///
+    /// # Errors
+    /// Name of the point that is out of reach at the last position.
+    pub(super) fn place<'n>(
+        &mut self,
+        place_m: Option<[f64; 3]>,
+        centre_mm: Vector3<f64>,
+        points_m: &[(&'n str, Vector3<f64>)],
+    ) -> Result<Pose, &'n str> {
+        let places_m: Vec<Vector3<f64>> = match place_m {
+            Some(place_m) => vec![place_m.into()],
+            None => self.places_m.iter().take(PLACES).map(|at| at - self.turn * centre_mm * 1e-3).collect(),
+        };
+        let mut out_of_reach = "";
+        for place_m in places_m {
+            let object = Pose::from_parts(place_m.into(), self.turn);
+            let unreached = points_m.iter().find(|(_, point_m)| {
+                let point_m = object.transform_point(&(*point_m).into()).coords;
+                self.joints_at(point_m, TRIES_FEW).is_none()
+            });
+            match unreached {
+                Some((name, _)) => out_of_reach = *name,
+                None => return Ok(object),
+            }
+        }
+        Err(out_of_reach)
+    }
+
+    /// True joints that bring the ball to a position.
+    pub(super) fn joints_at(&mut self, there_m: Vector3<f64>, tries: usize) -> Option<Joints> {
+        self.arm.joints_at(there_m, tries, &mut self.random)
+    }
+
+    /// Joints that the controller reports at these true joints.
+    pub(super) fn reported(&mut self, true_joints: &Joints) -> Joints {
+        let Self { arm, noise, .. } = self;
+        arm.reported(true_joints, |sigma| normal(noise, sigma))
+    }
+
+    /// A random error of this standard deviation \[um|urad\], in m or rad.
+    pub(super) fn noise(&mut self, sigma: f64) -> f64 {
+        normal(&mut self.noise, sigma)
+    }
+}
+
+fn normal(random: &mut ChaCha8Rng, sigma: f64) -> f64 {
+    sigma * 1e-6 * random.sample::<f64, _>(StandardNormal)
+}

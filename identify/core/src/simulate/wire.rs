@@ -1,0 +1,44 @@
+//! Lengths that a draw-wire measures at random postures of a robot with known errors.
+
+use nalgebra::{Point3, Vector3};
+use rand::Rng;
+use rand_distr::StandardNormal;
+
+use super::{Experiment, SimulateError, Stream, Truth, random};
+use crate::instrument::LengthRow;
+use crate::kinematics::{Joints, flange_chain};
+
+/// Attachment of the wire in the flange frame \[m\].
+pub const ATTACHMENT_M: [f64; 3] = [0.12, 0.03, 0.05];
+/// Anchor of the wire: its exit from the instrument, in the robot's base \[m\].
+const ANCHOR_M: [f64; 3] = [0.6, -1.1, 0.1];
+/// Reading of the instrument minus the length of the wire \[m\].
+const OFFSET_M: f64 = 0.15;
+
+/// `count` random postures within the joint limits, each with the length that an instrument with this noise \[m\] measures, and
+/// the true parameters up to the flange.
+///
+/// # Errors
+/// [`SimulateError`] if the experiment is invalid.
+pub fn wire_rows(
+    experiment: &Experiment<'_>,
+    count: usize,
+    noise_m: f64,
+) -> Result<(Vec<LengthRow>, Truth), SimulateError> {
+    experiment.check()?;
+    let (flange, [_, bar]) = (flange_chain(experiment.robot), experiment.nominal());
+    let truth = Truth::new(experiment, &flange, &bar);
+    let robot = truth.robot_chain(&flange);
+    let limits = experiment.robot.joint_limits();
+    let mut postures = random(experiment.seed, Stream::Postures);
+    let mut noise = random(experiment.seed, Stream::Wire);
+    let mut reading = experiment.robot_reading();
+    let row = |_| {
+        let q_rad = Joints::random(&limits, &mut postures);
+        let held: Vector3<f64> = (robot.forward(&q_rad) * Point3::from(ATTACHMENT_M)).coords;
+        let error_m = noise_m * noise.sample::<f64, _>(StandardNormal);
+        let length_m = (held - Vector3::from(ANCHOR_M)).norm() + OFFSET_M + error_m;
+        LengthRow { joints_rad: reading.of(&q_rad), length_m, ..LengthRow::default() }
+    };
+    Ok(((0..count).map(row).collect(), truth))
+}
