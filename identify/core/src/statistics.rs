@@ -30,3 +30,11 @@ pub(crate) fn quantile(values: &mut [f64], part: f64) -> f64 {
 pub(crate) fn median_size(values: impl Iterator<Item = f64>) -> f64 {
     quantile(&mut values.map(f64::abs).collect::<Vec<_>>(), 0.5)
 }
+
+/// Mean of the values without this fraction of them at either end.
+pub(crate) fn trimmed_mean(mut values: Vec<f64>, part: f64) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    let ends = (part * values.len() as f64) as usize;
+    let kept = values.get(ends..values.len() - ends).filter(|kept| !kept.is_empty())?;
+    Some(kept.iter().sum::<f64>() / kept.len() as f64)
+}

@@ -5,9 +5,9 @@ use std::path::Path;
 
 use shared::output::named;
 
-use super::sampling::{STEPS_PART, trimmed_mean};
+use super::sampling::STEPS_PART;
 use crate::logs::LogError;
-use crate::statistics::quantile;
+use crate::statistics::{quantile, trimmed_mean};
 
 /// Largest number of successive excursions. If a share [`SHARE_MAX`] of the rows are independent excursions, longer runs begin at
 /// one row in a billion.

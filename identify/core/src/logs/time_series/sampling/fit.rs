@@ -1,0 +1,167 @@
+//! A smooth curve with steps through the rests of the stamps.
+
+use std::ops::Range;
+
+use nalgebra::{DMatrix, DVector};
+
+use super::breaks::BESIDE;
+use crate::statistics::median;
+
+/// The rate of a clock follows temperature over minutes: it is free to change at this distance \[s\].
+const KNOTS_S: f64 = 60.0;
+/// Largest number of pieces between knots.
+const PIECES_MAX: usize = 200;
+/// From one knot to the next the rate of a clock changes by this, one standard deviation: a quartz that warms up by 1 K.
+const RATE_CHANGE: f64 = 2e-6;
+/// Limit of the Huber loss in standard deviations.
+const HUBER: f64 = 1.345;
+
+/// A fit to the rests `t_k - n_k period`: a line with a bend at each knot, and a step at each break.
+pub(super) struct Fit {
+    /// The fit without the steps, row by row \[s\].
+    pub(super) without_steps_s: Vec<f64>,
+    /// The fit with the steps, row by row \[s\].
+    pub(super) with_steps_s: Vec<f64>,
+    /// The step at each break \[s\].
+    pub(super) steps_s: Vec<f64>,
+    /// Estimated minus assumed period \[s\].
+    pub(super) slope_s: f64,
+}
+
+impl Fit {
+    /// Minimises the Huber loss of the residuals plus `bend_weight` times the squared second differences at the knots, by
+    /// reweighted least squares. Rounded stamps need a smooth fit: those of one cell of the grid share their error.
+    pub(super) fn new(
+        rest_s: &[f64],
+        numbers: &[f64],
+        period_s: f64,
+        breaks: &[usize],
+        grid_s: Option<f64>,
+    ) -> Option<Self> {
+        const ROUNDS: usize = 8;
+        // Steps may be an hour: only their remainder is fitted, in which rounding is small.
+        let rough_s: Vec<f64> =
+            breaks.iter().map(|&at| rough_step_s(rest_s, at).unwrap_or_default()).collect();
+        let roughly_stepped_s = |row: usize| -> f64 {
+            breaks.iter().zip(&rough_s).filter(|(first, _)| **first <= row).map(|(_, by_s)| by_s).sum()
+        };
+        let rest_s: Vec<f64> =
+            rest_s.iter().enumerate().map(|(row, rest)| rest - roughly_stepped_s(row)).collect();
+        let last_number = numbers.last()?.max(1.0);
+        let pieces = ((last_number * period_s / KNOTS_S).ceil() as usize).clamp(1, PIECES_MAX);
+        let curve = Curve { numbers, breaks, last_number, pieces };
+        let rounding_variance =
+            grid_s.unwrap_or_default().powi(2) / 12.0 * rest_s.len() as f64 / pieces as f64;
+        let bend_s = RATE_CHANGE * last_number * period_s / pieces as f64;
+        let mut x = DVector::<f64>::zeros(curve.unknowns());
+        let mut sigma_s = f64::INFINITY;
+        for _ in 0..ROUNDS {
+            let (mut matrix, right_side) = curve.normal_equations(&rest_s, &x, HUBER * sigma_s);
+            let scatter_variance = if sigma_s.is_finite() { sigma_s * sigma_s } else { 0.0 };
+            let bend_weight = (scatter_variance + rounding_variance) / (bend_s * bend_s);
+            curve.add_bends(&mut matrix, bend_weight);
+            // Makes the matrix regular for pieces without rows.
+            (0..curve.unknowns()).for_each(|i| matrix[(i, i)] += 1e-9 * (1.0 + matrix[(i, i)]));
+            x = matrix.cholesky()?.solve(&right_side);
+            let residual_s =
+                |(row, rest): (usize, &f64)| (rest - curve.with_steps(&x, curve.place(row))).abs();
+            let mut residuals_s: Vec<f64> = rest_s.iter().enumerate().map(residual_s).collect();
+            // Of a normal distribution the median size is 0.675 standard deviations.
+            sigma_s = (1.48 * median(&mut residuals_s)?).max(1e-9);
+        }
+        let places = (0..rest_s.len()).map(|row| (row, curve.place(row)));
+        let steps = x.rows(curve.first_step(), breaks.len());
+        Some(Self {
+            without_steps_s: places.clone().map(|(_, place)| curve.without_steps(&x, place)).collect(),
+            with_steps_s: places
+                .map(|(row, place)| curve.with_steps(&x, place) + roughly_stepped_s(row))
+                .collect(),
+            steps_s: steps.iter().zip(&rough_s).map(|(remainder, rough_s)| remainder + rough_s).collect(),
+            slope_s: (x[pieces] - x[0]) / last_number,
+        })
+    }
+}
+
+/// Difference of the medians on both sides of a break \[s\].
+fn rough_step_s(rest_s: &[f64], at: usize) -> Option<f64> {
+    let middle_s = |range: Range<usize>| median(&mut rest_s.get(range)?.to_vec());
+    let end = (at + BESIDE).min(rest_s.len());
+    Some(middle_s(at..end)? - middle_s(at.saturating_sub(BESIDE)..at)?)
+}
+
+/// The curve of a fit. Its unknowns `x` are the values at the knots, then the steps.
+struct Curve<'a> {
+    numbers: &'a [f64],
+    breaks: &'a [usize],
+    /// Number of the last row.
+    last_number: f64,
+    /// Number of pieces between knots.
+    pieces: usize,
+}
+
+/// Where a row is: the knot before it, the fraction of the way to the next one, and the number of steps so far.
+#[derive(Clone, Copy)]
+struct Place {
+    knot: usize,
+    fraction: f64,
+    steps: usize,
+}
+
+impl Curve<'_> {
+    fn first_step(&self) -> usize {
+        self.pieces + 1
+    }
+
+    fn unknowns(&self) -> usize {
+        self.first_step() + self.breaks.len()
+    }
+
+    fn place(&self, row: usize) -> Place {
+        let along = self.numbers[row] / self.last_number * self.pieces as f64;
+        let knot = (along as usize).min(self.pieces - 1);
+        let steps = self.breaks.partition_point(|first| *first <= row);
+        Place { knot, fraction: along - knot as f64, steps }
+    }
+
+    fn without_steps(&self, x: &DVector<f64>, Place { knot, fraction, .. }: Place) -> f64 {
+        (1.0 - fraction) * x[knot] + fraction * x[knot + 1]
+    }
+
+    fn with_steps(&self, x: &DVector<f64>, place: Place) -> f64 {
+        self.without_steps(x, place) + x.rows(self.first_step(), place.steps).sum()
+    }
+
+    /// Normal equations of all rows; those whose residuals at `x` are above `limit_s` have less weight.
+    fn normal_equations(
+        &self,
+        rest_s: &[f64],
+        x: &DVector<f64>,
+        limit_s: f64,
+    ) -> (DMatrix<f64>, DVector<f64>) {
+        let mut matrix = DMatrix::<f64>::zeros(self.unknowns(), self.unknowns());
+        let mut right_side = DVector::<f64>::zeros(self.unknowns());
+        for (row, rest) in rest_s.iter().enumerate() {
+            let place = self.place(row);
+            let weight = (limit_s / (rest - self.with_steps(x, place)).abs()).min(1.0);
+            let weight = if weight.is_finite() { weight } else { 1.0 };
+            let Place { knot, fraction, steps } = place;
+            let mut coefficients = vec![(knot, 1.0 - fraction), (knot + 1, fraction)];
+            coefficients.extend((0..steps).map(|step| (self.first_step() + step, 1.0)));
+            for &(i, a) in &coefficients {
+                right_side[i] += weight * a * rest;
+                coefficients.iter().for_each(|&(j, b)| matrix[(i, j)] += weight * a * b);
+            }
+        }
+        (matrix, right_side)
+    }
+
+    /// Adds the squared second differences at the knots.
+    fn add_bends(&self, matrix: &mut DMatrix<f64>, weight: f64) {
+        for first in 0..self.pieces.saturating_sub(1) {
+            let bend = [(first, 1.0), (first + 1, -2.0), (first + 2, 1.0)];
+            for (i, a) in bend {
+                bend.iter().for_each(|&(j, b)| matrix[(i, j)] += weight * a * b);
+            }
+        }
+    }
+}
