@@ -1,0 +1,167 @@
+//! The columns of a table by names, units and content, and groups of columns with related names.
+
+use super::Notes;
+use super::layout::{is_date, number};
+use crate::logs::{CsvLayout, LengthUnit, LogError, RowsAsText};
+
+/// Words by which positions are a tracker's and not the controller's own.
+pub(super) const TRACKERS: &str = "tracker meas measured measurement laser probe smr leica api faro";
+
+/// One column of a table, with those of its cells that are numbers.
+pub(super) struct Column {
+    pub(super) name: String,
+    /// The name in lower case, without unit.
+    pub(super) plain: String,
+    pub(super) unit: Option<String>,
+    pub(super) numbers: Vec<f64>,
+    pub(super) is_date: bool,
+}
+
+impl Column {
+    pub(super) fn words(&self) -> impl Iterator<Item = &str> {
+        self.plain.split(|character: char| !character.is_alphanumeric()).filter(|word| !word.is_empty())
+    }
+
+    /// Whether the name has one of these words, a list with spaces between them; digits at its end do not count.
+    pub(super) fn has_word(&self, words: &str) -> bool {
+        self.words().any(|word| {
+            let bare = word.trim_end_matches(|character: char| character.is_ascii_digit());
+            words.split(' ').any(|wanted| wanted == word || wanted == bare)
+        })
+    }
+
+    pub(super) fn largest(&self) -> f64 {
+        self.numbers.iter().fold(0.0, |most, number| most.max(number.abs()))
+    }
+
+    pub(super) fn is_number(&self) -> bool {
+        !self.numbers.is_empty() && !self.is_date
+    }
+
+    /// Whether more than half of the steps are upwards, and at most 1 % downwards.
+    pub(super) fn rises(&self) -> bool {
+        let steps = self.numbers.windows(2).map(|pair| pair[1] - pair[0]);
+        let (mut rising, mut falling, mut all) = (0, 0, 0);
+        for step in steps {
+            all += 1;
+            rising += usize::from(step > 0.0);
+            falling += usize::from(step < 0.0);
+        }
+        all > 0 && 2 * rising > all && 100 * falling <= all
+    }
+
+    pub(super) fn length_unit(&self) -> (LengthUnit, String) {
+        /// No arm reaches so far in metres; its positions in millimetres are larger.
+        const M_MAX: f64 = 20.0;
+        match self.unit.as_deref() {
+            Some("mm") => (LengthUnit::Mm, "from the header".into()),
+            Some("m") => (LengthUnit::M, "from the header".into()),
+            _ if self.largest() > M_MAX => (LengthUnit::Mm, format!("up to {:.0}, so mm", self.largest())),
+            _ => (LengthUnit::M, format!("up to {:.2}, so m", self.largest())),
+        }
+    }
+}
+
+/// Units, each with its other spellings.
+const UNITS: [&str; 13] = [
+    "deg degree degrees ° grad",
+    "rad radian radians",
+    "mm",
+    "m",
+    "s sec seconds",
+    "ms msec",
+    "us µs",
+    "ns",
+    "nm",
+    "a",
+    "n",
+    "deg/s",
+    "rad/s",
+];
+
+fn unit_named(text: &str) -> Option<String> {
+    let text = text.trim().trim_matches(['[', ']', '(', ')']).trim().to_lowercase().replace('μ', "µ");
+    let spellings = UNITS.iter().find(|spellings| spellings.split(' ').any(|one| one == text))?;
+    spellings.split(' ').next().map(str::to_owned)
+}
+
+/// A name in lower case without unit, and the unit: `J1 [deg]`, `q1_deg`, `x(mm)`.
+fn plain_and_unit(name: &str) -> (String, Option<String>) {
+    let spaced: String = name.chars().fold(String::new(), |mut out, character| {
+        // A capital after a small letter begins a word: TrackerX.
+        if character.is_uppercase() && out.chars().last().is_some_and(char::is_lowercase) {
+            out.push('_');
+        }
+        out.push(character);
+        out
+    });
+    let name = spaced.to_lowercase();
+    if let Some(open) = name.find(['[', '(']) {
+        let (before, unit) = name.split_at(open);
+        if let Some(unit) = unit_named(unit) {
+            return (before.trim().to_owned(), Some(unit));
+        }
+    }
+    if let Some((before, last)) = name.rsplit_once(['_', ' ', '.'])
+        && last.len() > 1
+        && let Some(unit) = unit_named(last)
+    {
+        return (before.trim().to_owned(), Some(unit));
+    }
+    (name, None)
+}
+
+/// The columns with names, units and numbers, read in this layout.
+pub(super) fn columns(text: &RowsAsText<'_>, csv: &CsvLayout) -> Result<Vec<Column>, LogError> {
+    /// Enough to see ranges and steps.
+    const ROWS_MAX: usize = 20_000;
+    let (header, units, rows) = text.rows(csv, ROWS_MAX)?;
+    let column = |(index, name): (usize, &String)| {
+        let (plain, unit) = plain_and_unit(name);
+        let cells = || rows.iter().filter_map(|row| row.get(index)).map(String::as_str);
+        let is_date = cells().next().is_some_and(is_date);
+        let unit = unit
+            .or_else(|| units.iter().filter_map(|line| line.get(index)).find_map(|unit| unit_named(unit)));
+        let numbers = cells().filter_map(|cell| number(cell, csv.decimal_comma)).collect();
+        Column { name: name.clone(), plain, unit, numbers, is_date }
+    };
+    Ok(header.iter().enumerate().map(column).collect())
+}
+
+/// One column for each of the words, with names that are otherwise equal, such as `tracker_x`, `tracker_y`, `tracker_z`;
+/// those of a tracker are preferred.
+pub(super) fn group<'c>(columns: &[&'c Column], words: &[&str]) -> Option<Vec<&'c Column>> {
+    let mut found: Vec<Vec<&Column>> = Vec::new();
+    for first in columns.iter().filter(|column| column.is_number()) {
+        for at in first.plain.match_indices(words[0]).map(|(at, _)| at) {
+            let (before, after) = (&first.plain[..at], &first.plain[at + words[0].len()..]);
+            let is_inside_word = |neighbour: Option<char>| neighbour.is_some_and(char::is_alphanumeric);
+            if is_inside_word(before.chars().last()) || is_inside_word(after.chars().next()) {
+                continue;
+            }
+            let with_word = |word: &&str| {
+                let name = format!("{before}{word}{after}");
+                columns.iter().find(|column| column.plain == name && column.is_number()).copied()
+            };
+            found.extend(words.iter().map(with_word).collect::<Option<Vec<_>>>());
+        }
+    }
+    let preferred = found.iter().position(|group| group[0].has_word(TRACKERS)).unwrap_or(0);
+    (preferred < found.len()).then(|| found.swap_remove(preferred))
+}
+
+pub(super) fn triple<'c>(columns: &[&'c Column], words: &[&str; 3]) -> Option<[&'c Column; 3]> {
+    group(columns, words).and_then(|group| group.try_into().ok())
+}
+
+/// The column that names the station or target of each row.
+pub(super) fn label_column(
+    columns: &[&Column],
+    what: &str,
+    words: &[&str],
+    notes: &mut Notes,
+) -> Option<String> {
+    let column = columns.iter().find(|column| words.contains(&column.plain.as_str()))?;
+    notes.reason(format!("`{}` has the name of the {what}: inferred from the column's name", column.name));
+    Some(column.name.clone())
+}

@@ -1,0 +1,170 @@
+//! The columns of the joints: candidates by their names, the best of them by names, units and ranges.
+
+use std::collections::BTreeMap;
+
+use shared::config::{AngleUnit, RobotConfig};
+
+use super::columns::Column;
+use super::{Notes, listed};
+use crate::logs::{JointColumn, JointUnit};
+
+/// Words of columns beside joints that are not joint angles.
+const NOT_ANGLES: &str = "vel velocity speed qd dq qdd acc tau torque moment effort current strom amp temp temperature force \
+                          error dev";
+/// Words of commanded angles.
+const COMMANDED: &str = "cmd command commanded target soll desired ref reference planned set";
+
+/// Names of joints that have no numbers.
+const NAMED_JOINTS: &[[&str; 6]] = &[
+    ["shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"],
+    ["base", "shoulder", "elbow", "wrist1", "wrist2", "wrist3"],
+    ["s", "l", "u", "r", "b", "t"],
+];
+
+/// Candidates for the joints: each has `axes` columns whose names differ only in the number, or the usual name, of the joint.
+fn families(columns: &[Column], axes: usize) -> Vec<Vec<&Column>> {
+    // Pattern: a name with `#` in place of the joint. Its columns are keyed by the joint's number.
+    let mut by_pattern: BTreeMap<String, BTreeMap<usize, &Column>> = BTreeMap::new();
+    for column in columns.iter().filter(|column| column.is_number()) {
+        let bytes = column.plain.as_bytes();
+        for (at, byte) in bytes.iter().enumerate().filter(|(_, byte)| byte.is_ascii_digit()) {
+            let is_digit = |index: Option<usize>| {
+                index.and_then(|index| bytes.get(index)).is_some_and(u8::is_ascii_digit)
+            };
+            if !is_digit(at.checked_sub(1)) && !is_digit(Some(at + 1)) {
+                let pattern = format!("{}#{}", &column.plain[..at], &column.plain[at + 1..]);
+                by_pattern.entry(pattern).or_default().entry(usize::from(byte - b'0')).or_insert(column);
+            }
+        }
+        for (set, names) in NAMED_JOINTS.iter().enumerate() {
+            for (joint, name) in names.iter().enumerate() {
+                let is_whole = name.len() > 1 || column.words().any(|word| word == *name);
+                if let (true, Some(at)) = (is_whole, column.plain.find(name)) {
+                    let pattern =
+                        format!("{set}{}#{}", &column.plain[..at], &column.plain[at + name.len()..]);
+                    by_pattern.entry(pattern).or_default().entry(joint + 1).or_insert(column);
+                }
+            }
+        }
+    }
+    let consecutive = |by_number: &BTreeMap<usize, _>| {
+        // From 0 if there is a 0, otherwise from 1.
+        let first = usize::from(!by_number.contains_key(&0));
+        (first..first + axes).map(|number| by_number.get(&number).copied()).collect::<Option<Vec<&Column>>>()
+    };
+    by_pattern.values().filter_map(consecutive).collect()
+}
+
+/// Whether all values, taken in this unit, are within the limits of the joint.
+fn is_within(column: &Column, limits_deg: [f64; 2], unit: AngleUnit) -> bool {
+    /// Zeros of controllers and models differ by quarter turns.
+    const MARGIN_DEG: f64 = 190.0;
+    let deg = |number: f64| (number * unit.to_rad()).to_degrees();
+    column
+        .numbers
+        .iter()
+        .all(|number| (limits_deg[0] - MARGIN_DEG..=limits_deg[1] + MARGIN_DEG).contains(&deg(*number)))
+}
+
+/// The columns of the joints with their unit: of all candidates the one with the highest score.
+pub(super) fn joints(
+    columns: &[Column],
+    robot: &RobotConfig,
+    header: bool,
+    notes: &mut Notes,
+) -> Option<Vec<JointColumn>> {
+    // Only revolute joints have limits in degrees; columns of prismatic ones cannot be recognised by range.
+    let axes = robot.joint_limits_deg.len();
+    if axes < robot.axes() {
+        return None;
+    }
+    let is_possible = |family: &[&Column], unit| {
+        family.iter().zip(&robot.joint_limits_deg).all(|(column, limits)| is_within(column, *limits, unit))
+    };
+    // Empirical weights: a certain contradiction outweighs all favourable signs.
+    let score = |family: &[&Column]| {
+        let has = |words| i32::from(family.iter().any(|column| column.has_word(words)));
+        let still = family.iter().all(|column| column.numbers.windows(2).all(|pair| pair[0] == pair[1]));
+        let has_other_unit = family
+            .iter()
+            .any(|column| column.unit.as_deref().is_some_and(|unit| !["deg", "rad"].contains(&unit)));
+        let has_angle_unit =
+            family.iter().all(|column| matches!(column.unit.as_deref(), Some("deg" | "rad")));
+        2 * i32::from(has_angle_unit)
+            - has(COMMANDED)
+            - 5 * has(NOT_ANGLES)
+            - 5 * i32::from(has_other_unit)
+            - 3 * i32::from(still)
+            - 9 * i32::from(!is_possible(family, AngleUnit::Deg))
+    };
+    let mut choices = families(columns, axes);
+    if choices.is_empty() && !header {
+        let numeric: Vec<&Column> = columns.iter().filter(|column| column.is_number()).collect();
+        choices = numeric.windows(axes).map(<[&Column]>::to_vec).collect();
+        // The first neighbouring columns that are neither times nor millimetres.
+        choices.retain(|family| {
+            is_possible(family, AngleUnit::Deg) && !family.iter().any(|column| column.rises())
+        });
+        choices.truncate(1);
+        if !choices.is_empty() {
+            notes.doubt(format!(
+                "the table has no header: the first {axes} columns that can be angles are taken for the joints"
+            ));
+        }
+    }
+    // The first of equals, see `layout`.
+    let scored = choices.iter().rev().map(|family| (score(family), family));
+    let (_, family) = scored.filter(|(score, _)| *score > -5).max_by_key(|(score, _)| *score)?;
+    let unit = angle_unit(family, notes);
+    if !is_possible(family, unit) {
+        notes.doubt(format!(
+            "some joints leave the robot's limits by more than half a turn: is this a log of {}?",
+            robot.name
+        ));
+    }
+    if family.iter().any(|column| column.has_word(COMMANDED)) {
+        notes.doubt(
+            "these are commanded angles, according to the columns' names; measured ones are better".into(),
+        );
+    }
+    let names: Vec<&str> = family.iter().map(|column| column.name.as_str()).collect();
+    notes.reasons.insert(
+        0,
+        format!("{} are joints 1 to {axes}: inferred from the columns' names and ranges", listed(&names)),
+    );
+    let unit = if unit == AngleUnit::Deg { JointUnit::Deg } else { JointUnit::Rad };
+    let joint = |column: &&Column| JointColumn {
+        column: column.name.clone(),
+        unit,
+        sign: 1.0,
+        offset_deg: 0.0,
+        offset_m: 0.0,
+    };
+    Some(family.iter().map(joint).collect())
+}
+
+/// The unit by the size of the values; a note states whether the header agrees.
+pub(super) fn angle_unit(family: &[&Column], notes: &mut Notes) -> AngleUnit {
+    /// Joints of robots turn by little more than a turn either way.
+    const RAD_MAX: f64 = 6.7;
+    let stated = family.iter().find_map(|column| match column.unit.as_deref() {
+        Some("deg") => Some(AngleUnit::Deg),
+        Some("rad") => Some(AngleUnit::Rad),
+        _ => None,
+    });
+    let largest = family.iter().map(|column| column.largest()).fold(0.0, f64::max);
+    let inferred = if largest > RAD_MAX { AngleUnit::Deg } else { AngleUnit::Rad };
+    match stated {
+        Some(stated) if stated == inferred => {
+            notes.reason(format!("angles in {}, from the header; they reach {largest:.1}", stated.suffix()))
+        }
+        Some(stated) => notes.doubt(format!(
+            "the header has {}, but the angles reach {largest:.1}, as {} would; {} is written here",
+            stated.suffix(),
+            inferred.suffix(),
+            inferred.suffix()
+        )),
+        None => notes.reason(format!("angles in {}: they reach {largest:.1}", inferred.suffix())),
+    }
+    inferred
+}

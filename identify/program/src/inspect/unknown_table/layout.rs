@@ -1,0 +1,63 @@
+//! Delimiter, decimal sign and header of a table, by counting numbers.
+
+use crate::logs::{CsvLayout, RowsAsText, is_comment};
+
+/// A cell as a number.
+pub(super) fn number(cell: &str, decimal_comma: bool) -> Option<f64> {
+    let cell = if decimal_comma { cell.replace(',', ".") } else { cell.to_owned() };
+    cell.parse::<f64>().ok().filter(|number| number.is_finite())
+}
+
+pub(super) fn is_date(cell: &str) -> bool {
+    let digits = cell.bytes().filter(u8::is_ascii_digit).count();
+    digits >= 12 && cell.contains(':') && cell.contains('-')
+}
+
+fn cells(line: &str, delimiter: char) -> Vec<&str> {
+    line.split(delimiter).map(|cell| cell.trim().trim_matches('"')).collect()
+}
+
+/// Delimiter, decimal sign and header of a table: of all choices the one that gives most numbers in rows of equal width.
+pub(super) fn layout(text: &RowsAsText<'_>, axes: usize) -> Option<CsvLayout> {
+    let lines: Vec<&str> = text.lines().collect();
+    let choices =
+        [(';', false), (';', true), ('\t', false), ('\t', true), (',', false), ('|', false), (' ', false)];
+    // `max_by_key` takes the last of equals, and the reversed order makes it the first: with equal counts no decimal comma.
+    let best = choices.into_iter().rev().filter_map(|(delimiter, decimal_comma)| {
+        // Of a row of numbers, which may have up to 30 % of other cells: the number of all cells, and of numbers or dates.
+        let row_size = |line: &str| {
+            let cells = cells(line, delimiter);
+            let numbers =
+                cells.iter().filter(|cell| number(cell, decimal_comma).is_some() || is_date(cell)).count();
+            (numbers >= axes && 10 * numbers >= 7 * cells.len()).then_some((cells.len(), numbers))
+        };
+        let first = lines.iter().position(|line| row_size(line).is_some())?;
+        let (width, _) = row_size(lines.get(first)?)?;
+        let rows = lines.iter().filter_map(|line| row_size(line)).filter(|(cells, _)| *cells == width);
+        let total: usize = rows.map(|(_, numbers)| numbers).sum();
+        Some((total, delimiter, decimal_comma, first, width))
+    });
+    let (_, delimiter, decimal_comma, first, width) = best.max_by_key(|(total, ..)| *total)?;
+    // Lines of the same width above the numbers, from the lowest: lines of units, then a header.
+    let above: Vec<usize> = (0..first)
+        .rev()
+        .filter(|&line| !lines[line].trim().is_empty() && !is_comment(lines[line]))
+        .take_while(|&line| cells(lines[line], delimiter).len() == width)
+        .collect();
+    // Mostly empty cells.
+    let is_title = |line: &&usize| {
+        cells(lines[**line], delimiter).iter().filter(|cell| cell.is_empty()).count() * 2 > width
+    };
+    let above: Vec<usize> = above.iter().take_while(|line| !is_title(line)).copied().collect();
+    let header = above.last().copied();
+    let begin = header.unwrap_or(first);
+    let skipped = lines.iter().take(begin).any(|line| !line.trim().is_empty() && !is_comment(line));
+    Some(CsvLayout {
+        delimiter: (!text.is_workbook()).then_some(delimiter),
+        decimal_comma,
+        skip_lines: if skipped || header.is_none() { begin } else { 0 },
+        header: header.is_some(),
+        unit_lines: above.len().saturating_sub(1),
+        sheet: None,
+    })
+}

@@ -1,0 +1,60 @@
+//! The column of the time stamps, and its unit.
+
+use super::Notes;
+use super::columns::Column;
+use crate::logs::{TimeColumn, TimeUnit};
+use crate::statistics::median;
+
+/// Words of time stamps.
+const TIMES: &str = "t time timestamp stamp zeit clock ipoc utc date datetime tick ticks";
+
+/// `20161122101500`: year, month, day, hours, minutes and seconds written as one number.
+fn is_date_in_digits(number: f64) -> bool {
+    let part = |divisor: f64, most: f64| (number / divisor).floor() % most;
+    let [year, month, day] = [part(1e10, 1e4), part(1e8, 100.0), part(1e6, 100.0)];
+    let time = [part(1e4, 100.0), part(1e2, 100.0), part(1.0, 100.0)];
+    number.fract() == 0.0
+        && number < 1e14
+        && (1980.0..2100.0).contains(&year)
+        && (1.0..=12.0).contains(&month)
+        && (1.0..=31.0).contains(&day)
+        && time.iter().zip([24.0, 60.0, 61.0]).all(|(part, most)| *part < most)
+}
+
+/// The time stamps, if there are some.
+pub(super) fn time(columns: &[&Column], notes: &mut Notes) -> Option<TimeColumn> {
+    let dated = columns.iter().find(|column| column.is_date && column.has_word(TIMES));
+    if let Some(column) = dated.or_else(|| columns.iter().find(|column| column.is_date)) {
+        notes.reason(format!("`{}` has dates", column.name));
+        return Some(TimeColumn::new(&column.name, TimeUnit::DateTime));
+    }
+    let rising: Vec<&&Column> =
+        columns.iter().filter(|column| column.is_number() && column.rises()).collect();
+    let with_unit =
+        rising.iter().find(|column| matches!(column.unit.as_deref(), Some("s" | "ms" | "us" | "ns")));
+    let with_name = rising.iter().find(|column| column.has_word(TIMES));
+    let column = with_unit.or(with_name)?;
+    let mut steps: Vec<f64> =
+        column.numbers.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > 0.0).collect();
+    let step = median(&mut steps)?;
+    /// Windows FILETIME, 100 ns since 1601, of the years 1980 to 2100.
+    const FILETIME: std::ops::Range<f64> = 1.19e17..1.58e17;
+    if column.numbers.iter().all(|number| is_date_in_digits(*number)) {
+        notes.reason(format!("`{}` has dates (YYYYMMDDhhmmss), too coarse for times of rows", column.name));
+        return None;
+    }
+    let (unit, why) = match column.unit.as_deref() {
+        Some("s") => (TimeUnit::S, "from the header".to_owned()),
+        Some("ms") => (TimeUnit::Ms, "from the header".into()),
+        Some("us") => (TimeUnit::Us, "from the header".into()),
+        Some("ns") => (TimeUnit::Ns, "from the header".into()),
+        _ if FILETIME.contains(&column.numbers[0]) => (TimeUnit::Filetime, "by its size".into()),
+        // Robots log at 1 Hz to 1 kHz and stamps hardly have more digits than that.
+        _ if step < 0.9 => (TimeUnit::S, format!("stamps are {step:.4} apart")),
+        _ if step < 900.0 => (TimeUnit::Ms, format!("stamps are {step:.1} apart")),
+        _ if step < 9e5 => (TimeUnit::Us, format!("stamps are {step:.0} apart")),
+        _ => (TimeUnit::Ns, format!("stamps are {step:.0} apart")),
+    };
+    notes.reason(format!("`{}` is the time in {}: {why}", column.name, format!("{unit:?}").to_lowercase()));
+    Some(TimeColumn::new(&column.name, unit))
+}

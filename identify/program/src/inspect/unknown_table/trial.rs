@@ -1,0 +1,141 @@
+//! What the names of the columns of a tracker leave open, by the residuals of the nominal robot: signs, order and unit of the joints,
+//! and the form of the orientation.
+
+use std::path::Path;
+
+use shared::config::RobotConfig;
+
+use super::Notes;
+use super::columns::{Column, group};
+use super::joints::angle_unit;
+use crate::calibrate::rows::{likely, misfit, some_of};
+use crate::instrument::{Instrument, Mistake, PoseRow, Tracker};
+use crate::kinematics::flange_chain;
+use crate::logs::{
+    EulerFrame, JointColumn, JointMistake, JointUnit, MeasuredPoseMapping, MeasuredPoses, RotationColumns,
+    RotationForm,
+};
+
+/// Determines by residuals of the nominal robot what the names of the columns leave open.
+pub(super) struct Trial<'a> {
+    pub(super) bytes: &'a [u8],
+    pub(super) path: &'a Path,
+    pub(super) robot: &'a RobotConfig,
+}
+
+impl Trial<'_> {
+    /// The rows as this mapping reads them.
+    fn rows(&self, mapping: &MeasuredPoseMapping) -> Option<Instrument> {
+        let read = MeasuredPoses::read(self.bytes, self.path, mapping).ok()?;
+        Some(Tracker::new(&read.rows.iter().map(PoseRow::from).collect::<Vec<_>>()).into())
+    }
+
+    /// RMS residuals of the nominal robot in position \[m\] and rotation \[rad\] with this mapping.
+    fn misfit(&self, mapping: &MeasuredPoseMapping) -> Option<(f64, f64)> {
+        let nominal = misfit(&some_of(&self.rows(mapping)?), &flange_chain(self.robot))?;
+        Some((nominal.position_m.rms, nominal.rotation_rad.map_or(0.0, |sizes| sizes.rms)))
+    }
+
+    /// The mapping with signs, order and unit of the joints corrected, and with the columns of the orientation, as they fit
+    /// the nominal robot best.
+    pub(super) fn corrected(
+        &self,
+        mut mapping: MeasuredPoseMapping,
+        others: &[&Column],
+        notes: &mut Notes,
+    ) -> MeasuredPoseMapping {
+        // Positions alone show mistakes in the joints; the orientation is tried with corrected joints.
+        if let Some(rows) = self.rows(&mapping) {
+            let chain = flange_chain(self.robot);
+            match likely(&rows, &chain, &Mistake::of_joints(mapping.joints.len())) {
+                Some(likely) => {
+                    if let Mistake::Joints(mistake) = likely.mistake {
+                        undo(&mut mapping.joints, mistake);
+                    }
+                    notes.doubt(format!("{likely}; it is written so"));
+                }
+                None => notes.reasons.extend(self.misfit(&mapping).map(|(position_m, _)| {
+                    format!("the nominal robot is {:.1} mm from the positions", position_m * 1e3)
+                })),
+            }
+        }
+        let with =
+            |rotation: RotationColumns| MeasuredPoseMapping { rotation: Some(rotation), ..mapping.clone() };
+        let trials = orientations(others).into_iter().filter_map(|rotation| {
+            let mapping = with(rotation);
+            Some((self.misfit(&mapping)?.1, mapping))
+        });
+        /// The nominal robot is within this of the right reading; any wrong one is further away \[rad\].
+        const FITS_RAD: f64 = 0.1;
+        match trials.min_by(|a, b| a.0.total_cmp(&b.0)) {
+            Some((rms_rad, best)) if rms_rad < FITS_RAD => {
+                notes.reason(format!(
+                    "the orientation is what fits the robot best, {:.1} mrad",
+                    rms_rad * 1e3
+                ));
+                best
+            }
+            Some((rms_rad, _)) => {
+                notes.doubt(format!(
+                    "no reading of the orientation fits the robot ({:.0} mrad at best): left out",
+                    rms_rad * 1e3
+                ));
+                mapping
+            }
+            None => mapping,
+        }
+    }
+}
+
+/// Undoes a mistake in the columns of the joints.
+fn undo(joints: &mut [JointColumn], mistake: JointMistake) {
+    match mistake {
+        JointMistake::Reversed(joint) => joints[joint].sign = -joints[joint].sign,
+        JointMistake::Exchanged(one, other) => joints.swap(one, other),
+        JointMistake::InRadians | JointMistake::InDegrees => {
+            for joint in joints {
+                joint.unit = if joint.unit == JointUnit::Deg { JointUnit::Rad } else { JointUnit::Deg };
+            }
+        }
+    }
+}
+
+/// All readings of the columns whose names are those of an orientation.
+fn orientations(columns: &[&Column]) -> Vec<RotationColumns> {
+    const THREE: [[&str; 3]; 5] = [
+        ["rx", "ry", "rz"],
+        ["roll", "pitch", "yaw"],
+        ["a", "b", "c"],
+        ["w", "p", "r"],
+        ["rotx", "roty", "rotz"],
+    ];
+    const FOUR: [[&str; 4]; 2] = [["qx", "qy", "qz", "qw"], ["q_x", "q_y", "q_z", "q_w"]];
+    const NINE: [&str; 9] = ["r11", "r12", "r13", "r21", "r22", "r23", "r31", "r32", "r33"];
+    const ORDERS: [&str; 12] =
+        ["xyz", "xzy", "yxz", "yzx", "zxy", "zyx", "xyx", "xzx", "yxy", "yzy", "zxz", "zyz"];
+    let rotation = |form, group: Vec<&Column>| RotationColumns {
+        form,
+        columns: group.iter().map(|column| column.name.clone()).collect(),
+        unit: None,
+        order: None,
+        frame: None,
+    };
+    let mut all = Vec::new();
+    all.extend(group(columns, &NINE).map(|group| rotation(RotationForm::Matrix, group)));
+    let four = FOUR.iter().filter_map(|words| group(columns, words));
+    all.extend(four.map(|group| rotation(RotationForm::Quaternion, group)));
+    for three in THREE.iter().filter_map(|words| group(columns, words)) {
+        let unit = Some(angle_unit(&three, &mut Notes::default()));
+        let vector = RotationColumns { unit, ..rotation(RotationForm::RotationVector, three) };
+        let euler = |order: &str, frame| RotationColumns {
+            form: RotationForm::Euler,
+            order: Some(order.to_owned()),
+            frame: Some(frame),
+            ..vector.clone()
+        };
+        let frames = [EulerFrame::Moving, EulerFrame::Fixed];
+        all.extend(ORDERS.iter().flat_map(|order| frames.map(|frame| euler(order, frame))));
+        all.push(vector);
+    }
+    all
+}
