@@ -2,7 +2,7 @@
 //! path determines. `identify plan` checks its own paths and those of other programs with it.
 
 use crate::kinematics::{BAR_JOINTS, Joints, ball_bar_inverse_refined, singularity_margin_rad};
-use crate::logs::{CubicSpline, RobotLog};
+use crate::logs::{CubicSpline, RobotLog, SplinePoint};
 use crate::model::JointState;
 use crate::solver::Normal;
 
@@ -128,60 +128,55 @@ pub fn check(
         let target = robot.forward(&point.value);
         bar_rad = ball_bar_inverse_refined(bar, &target, &bar_rad).map_err(|_| CheckError::NoBar { t_s })?;
         let start_rad = *start_rad.get_or_insert(bar_rad);
-        let off_m = (bar.forward(&bar_rad).translation.vector - target.translation.vector).norm();
-        let mut violated = |obstacle: Obstacle, is_violated: bool| {
-            if is_violated {
-                checked.count(obstacle, t_s);
-            }
+        let last = last_acceleration.replace(point.acceleration).unwrap_or(point.acceleration);
+        let instant = Instant {
+            off_sphere_m: (bar.forward(&bar_rad).translation.vector - target.translation.vector).norm(),
+            bar_margin_rad: singularity_margin_rad(&bar_rad),
+            wound_rad: std::array::from_fn(|joint| bar_rad[joint] - start_rad[joint]),
+            jerk_rad_s3: Joints::from_fn(axes, |axis| (point.acceleration[axis] - last[axis]) / CHECK_S),
+            point,
         };
-        violated(Obstacle::OffSphere, off_m > OFF_SPHERE_M_MAX);
-        violated(
-            Obstacle::BarSingularity,
-            singularity_margin_rad(&bar_rad) < design.bar_margin_deg.to_radians(),
-        );
-        if let Err(obstacle) = constraints.robot_is_comfortable(&point.value) {
-            violated(obstacle, true);
-        }
-        let most = |row: &Joints| row.iter().fold(0.0_f64, |most, value| most.max(value.abs()));
-        violated(Obstacle::Speed, most(&point.rate) > design.robot_speed_rad_s);
-        violated(Obstacle::Acceleration, most(&point.acceleration) > constraints.acceleration_rad_s2);
-        let wound: [f64; BAR_JOINTS] = std::array::from_fn(|joint| bar_rad[joint] - start_rad[joint]);
-        violated(Obstacle::Cable, wound.iter().any(|wound| wound.abs() > WINDING_RAD_MAX));
-
-        checked.off_sphere_m = checked.off_sphere_m.max(off_m);
-        checked.bar_margin_rad = checked.bar_margin_rad.min(singularity_margin_rad(&bar_rad));
-        checked.dexterity = checked.dexterity.min(constraints.dexterity(&point.value));
-        if let Some(bodies) = &constraints.bodies {
-            let clearance_m = bodies.clearance_m(robot, bar, &point.value);
-            checked.clearance_m =
-                Some(checked.clearance_m.map_or(clearance_m, |least| least.min(clearance_m)));
-        }
-        for ([low, high], wound) in checked.winding_rad.iter_mut().zip(wound) {
-            (*low, *high) = (low.min(wound), high.max(wound));
-        }
-        for axis in 0..axes {
-            let [low, high] = checked.joint_range_rad[axis];
-            checked.joint_range_rad[axis] = [low.min(point.value[axis]), high.max(point.value[axis])];
-            checked.speed_rad_s[axis] = checked.speed_rad_s[axis].max(point.rate[axis].abs());
-            let acceleration = point.acceleration[axis];
-            checked.acceleration_rad_s2[axis] = checked.acceleration_rad_s2[axis].max(acceleration.abs());
-            if let Some(last) = last_acceleration {
-                let jerk = (acceleration - last[axis]) / CHECK_S;
-                checked.jerk_rad_s3[axis] = checked.jerk_rad_s3[axis].max(jerk.abs());
-            }
-        }
-        last_acceleration = Some(point.acceleration);
+        instant.violated(constraints).for_each(|obstacle| checked.count(obstacle, t_s));
+        checked.include(&instant, constraints);
         if step % CHECKS_PER_POSE == 0 {
             checked.visited.bar_rad.push(bar_rad);
-            checked.visited.robot.push(JointState {
-                q: point.value,
-                qd: point.rate,
-                qdd: point.acceleration,
-            });
+            let SplinePoint { value: q, rate: qd, acceleration: qdd } = point;
+            checked.visited.robot.push(JointState { q, qd, qdd });
         }
     }
     checked.normal = information.of(&checked.visited, CHECK_S * CHECKS_PER_POSE as f64);
     Ok(checked)
+}
+
+/// Robot and bar at an instant of a path.
+struct Instant {
+    point: SplinePoint<Joints>,
+    jerk_rad_s3: Joints,
+    /// Rotation of the bar's joints since the start of the path \[rad\].
+    wound_rad: [f64; BAR_JOINTS],
+    bar_margin_rad: f64,
+    off_sphere_m: f64,
+}
+
+impl Instant {
+    /// The constraints that are violated.
+    fn violated(&self, constraints: &Constraints<'_>) -> impl Iterator<Item = Obstacle> {
+        let (point, design) = (&self.point, constraints.design);
+        let most = |row: &Joints| row.iter().fold(0.0_f64, |most, value| most.max(value.abs()));
+        let is_near_singular = self.bar_margin_rad < design.bar_margin_deg.to_radians();
+        let is_wound_up = self.wound_rad.iter().any(|wound| wound.abs() > WINDING_RAD_MAX);
+        let is_too_fast = most(&point.rate) > design.robot_speed_rad_s;
+        let accelerates_too_much = most(&point.acceleration) > constraints.acceleration_rad_s2;
+        let obstacles = [
+            (self.off_sphere_m > OFF_SPHERE_M_MAX).then_some(Obstacle::OffSphere),
+            is_near_singular.then_some(Obstacle::BarSingularity),
+            constraints.robot_is_comfortable(&point.value).err(),
+            is_too_fast.then_some(Obstacle::Speed),
+            accelerates_too_much.then_some(Obstacle::Acceleration),
+            is_wound_up.then_some(Obstacle::Cable),
+        ];
+        obstacles.into_iter().flatten()
+    }
 }
 
 impl Checked {
@@ -190,5 +185,31 @@ impl Checked {
             Some(known) => known.duration_s += CHECK_S,
             None => self.violations.push(Violation { obstacle, first_s: t_s, duration_s: CHECK_S }),
         }
+    }
+
+    /// Widens the extremes by those of an instant.
+    fn include(&mut self, instant: &Instant, constraints: &Constraints<'_>) {
+        let Instant { point, jerk_rad_s3, wound_rad, bar_margin_rad, off_sphere_m } = instant;
+        self.off_sphere_m = self.off_sphere_m.max(*off_sphere_m);
+        self.bar_margin_rad = self.bar_margin_rad.min(*bar_margin_rad);
+        self.dexterity = self.dexterity.min(constraints.dexterity(&point.value));
+        if let Some(bodies) = &constraints.bodies {
+            let clearance_m = bodies.clearance_m(constraints.robot(), constraints.bar_chain(), &point.value);
+            self.clearance_m = Some(self.clearance_m.map_or(clearance_m, |least| least.min(clearance_m)));
+        }
+        let ranges = self.winding_rad.iter_mut().zip(wound_rad);
+        for ([low, high], value) in ranges.chain(self.joint_range_rad.iter_mut().zip(point.value.iter())) {
+            (*low, *high) = (low.min(*value), high.max(*value));
+        }
+        raise(&mut self.speed_rad_s, &point.rate);
+        raise(&mut self.acceleration_rad_s2, &point.acceleration);
+        raise(&mut self.jerk_rad_s3, jerk_rad_s3);
+    }
+}
+
+/// Raises each maximum to the size of a value.
+fn raise(maxima: &mut Joints, values: &Joints) {
+    for (most, value) in maxima.iter_mut().zip(values.iter()) {
+        *most = most.max(value.abs());
     }
 }
