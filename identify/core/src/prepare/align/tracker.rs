@@ -3,8 +3,10 @@
 //! flange of the nominal robot; with its placement the tracker's frame becomes the robot's.
 //!
 //! If the robot moved, shift and rate of the clocks are start values of a solve that has them among its parameters. If it stood
-//! still at each row (rows are seconds apart), the alignment finds the standstill of each row, and rows get the joints of the robot
-//! there.
+//! still at each row (rows are seconds apart), the alignment finds the standstill of each row (`standstills`), and rows get the joints
+//! of the robot there.
+
+mod standstills;
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -22,16 +24,17 @@ use crate::cost::{LoopProblem, MeasuredPosition, PoseNoise};
 use crate::kinematics::{Chain, Joints, Pose};
 use crate::logs::{CubicSpline, RobotLog, SPEED_M_S_MAX, Stream, TimedPose, TimedPoses, travel};
 use crate::model::{
-    Axis, Clock, Coordinate, JointState, Model, Observation, Owner, ParameterId, RobotMotion, Role, SetUp,
+    Axis, Clock, Coordinate, JointState, Model, ModelError, Observation, Owner, ParameterId, Placement,
+    RobotMotion, Role, SetUp,
 };
-use crate::prepare::readings::standstill::MOVING_RAD_S;
 use crate::prepare::samples::select::select;
 use crate::prepare::steps::{check_length, require_motion};
 use crate::prepare::{
-    AlignedLog, Alignment, Channels, ComparedLog, Match, PrepareError, PrepareOptions, candidates, correlate,
+    AlignedLog, Alignment, Channels, ComparedLog, Match, PrepareError, PrepareOptions, candidates,
     unwrapped_log,
 };
 use crate::solver::{GoodShare, LossName, Options, minimise_robust};
+use standstills::REST_S;
 
 /// Rows further apart are taken at standstills \[s\]: a tracker that follows a moving target measures faster than once in this
 /// time, and waits longer for one that has to come to rest.
@@ -42,14 +45,6 @@ const EXTENT_M_MIN: f64 = 0.02;
 const FIT_MAX: usize = 500;
 /// Standard deviation of the nominal robot's position \[m\]: the unit of the residuals.
 const NOMINAL_SIGMA_M: f64 = 1e-3;
-/// Time to either side of a row over which a robot at rest is slower than [`MOVING_RAD_S`] \[s\].
-const REST_S: f64 = 0.05;
-/// Share of the rows of standstills at which the robot must have been at rest.
-const AT_REST_MIN: f64 = 0.9;
-/// Rates of clocks that are tried on standstills, up to two standard deviations either way: one step moves rows an hour from the
-/// middle by less than a robot rests.
-const SKEW_STEP: f64 = 0.1 * SKEW_SIGMA;
-const SKEW_STEPS: i64 = 20;
 
 /// Rows of a tracker with the robot at each.
 #[derive(Debug, Clone, PartialEq)]
@@ -125,29 +120,21 @@ pub fn align_poses(
         log.covers(tau_s, edge_s).then_some(CoveredRow { index, t_s, state })
     };
     let covered = (0..poses.rows.len()).filter_map(covered_row);
-    if search.stop_and_go() {
+    let usable: Vec<CoveredRow> = if search.stop_and_go() {
         let resting = search.resting();
         let log_time_s = |row: &CoveredRow| clock_of_rows.robot_time_s(poses.rows.t_s[row.index]);
         let rests = |row: &CoveredRow| search.rests_at(&resting, log_time_s(row)) == Some(true);
-        let (rows, states): (Vec<_>, Vec<_>) =
-            covered.filter(rests).map(|row| (row.index, JointState::at_rest(row.state.q))).unzip();
-        let left_out = poses.rows.len() - rows.len();
-        return Ok(AlignedPoses { rows, states, moving: None, alignment, t_ref, left_out });
-    }
-    let covered: Vec<CoveredRow> = covered.collect();
-    let left_out = poses.rows.len() - covered.len();
-    let joints: Vec<_> = covered.iter().map(|row| row.state.q).collect();
-    let points_max = if options.points_max == 0 { usize::MAX } else { options.points_max };
-    let selected = select(&joints, options.motion_min_mrad * 1e-3, points_max);
-    let kept: Vec<CoveredRow> = selected.into_iter().map(|place| covered[place]).collect();
-    Ok(AlignedPoses {
-        rows: kept.iter().map(|row| row.index).collect(),
-        states: kept.iter().map(|row| row.state).collect(),
-        moving: Some(Moving { t_s: kept.iter().map(|row| row.t_s).collect(), log, skew: clock.skew }),
-        alignment,
-        t_ref,
-        left_out,
-    })
+        let at_rest = |row: CoveredRow| CoveredRow { state: JointState::at_rest(row.state.q), ..row };
+        covered.filter(rests).map(at_rest).collect()
+    } else {
+        covered.collect()
+    };
+    let left_out = poses.rows.len() - usable.len();
+    let kept = if search.stop_and_go() { usable } else { thinned(&usable, options) };
+    let t_s: Vec<f64> = kept.iter().map(|row| row.t_s).collect();
+    let moving = (!search.stop_and_go()).then_some(Moving { t_s, log, skew: clock.skew });
+    let (rows, states) = kept.iter().map(|row| (row.index, row.state)).unzip();
+    Ok(AlignedPoses { rows, states, moving, alignment, t_ref, left_out })
 }
 
 /// A row at a time that the robot's log covers.
@@ -158,6 +145,14 @@ struct CoveredRow {
     /// Tracker's time since the reference \[s\].
     t_s: f64,
     state: JointState,
+}
+
+/// Rows that are spread over the motion of the robot.
+fn thinned(rows: &[CoveredRow], options: &PrepareOptions) -> Vec<CoveredRow> {
+    let joints: Vec<Joints> = rows.iter().map(|row| row.state.q).collect();
+    let points_max = if options.points_max == 0 { usize::MAX } else { options.points_max };
+    let selected = select(&joints, options.motion_min_mrad * 1e-3, points_max);
+    selected.into_iter().map(|place| rows[place]).collect()
 }
 
 /// Positions of the pair of station and target with the most rows, in the tracker's frame \[m\]: their motion determines the clocks
@@ -245,21 +240,20 @@ impl Search<'_> {
         } else {
             shifts.iter().filter_map(|coarse| self.fit(window, clock(coarse.shift))).collect()
         };
-        let mut matching: Vec<(Match, Fit)> = Vec::new();
-        for fit in fits {
-            // The speeds of the target, at the place that the fit found.
-            let match_of_target = if self.stop_and_go() {
-                self.match_of_distances(window, &fit)
-            } else {
-                let of_target = self.predicted_speeds(&fit.probe_m);
-                let found = candidates(&of_target, &observed, overlap_min, CANDIDATES);
-                let fitted_shift = fit.clock.robot_time_s(first_s) / self.step_s;
-                /// Grid steps within which a shift is the same.
-                const SAME: f64 = 10.0;
-                found.into_iter().find(|matched| (matched.shift - fitted_shift).abs() < SAME)
-            };
-            matching.extend(match_of_target.map(|matched| (matched, fit)));
-        }
+        // The speeds of the target, at the place that the fit found.
+        let match_of_target = |fit: &Fit| {
+            if self.stop_and_go() {
+                return self.match_of_distances(window, fit);
+            }
+            let of_target = self.predicted_speeds(&fit.probe_m);
+            let found = candidates(&of_target, &observed, overlap_min, CANDIDATES);
+            let fitted_shift = fit.clock.robot_time_s(first_s) / self.step_s;
+            /// Grid steps within which a shift is the same.
+            const SAME: f64 = 10.0;
+            found.into_iter().find(|matched| (matched.shift - fitted_shift).abs() < SAME)
+        };
+        let with_match = |fit: Fit| Some((match_of_target(&fit)?, fit));
+        let mut matching: Vec<(Match, Fit)> = fits.into_iter().filter_map(with_match).collect();
         let highest = matching.iter().map(|(matched, _)| matched.correlation).fold(0.0, f64::max);
         matching.retain(|(matched, _)| matched.correlation >= self.options.correlation_min);
         let are_apart = |fit: &Fit, other: &Fit| (fit.clock.shift_s - other.clock.shift_s).abs() > STANDING_S;
@@ -354,23 +348,7 @@ impl Search<'_> {
         let flange = |row: &usize| self.flange(coarse.robot_time_s(self.observed_m.t_s[*row]));
         let flanges = rows.iter().map(flange).collect::<Option<Vec<Pose>>>()?;
         let [tracker, probe] = placements(&flanges, &observed_m, std::iter::empty())?;
-        let mut model = Model::alone(self.robot).with_set_ups(Owner::Tracker, [1, 1]);
-        for coordinate in Coordinate::ALL {
-            let id = ParameterId::Tracker { station: 0, coordinate };
-            model.set_value(id, tracker.coordinate(coordinate)).ok()?;
-            model.set_role(id, Role::Free).ok()?;
-        }
-        for coordinate in Axis::ALL.map(Coordinate::Position) {
-            let id = ParameterId::Probe { target: 0, coordinate };
-            model.set_value(id, probe.coordinate(coordinate)).ok()?;
-            model.set_role(id, Role::Prior { value: 0.0, sigma: PROBE_SIGMA_M }).ok()?;
-        }
-        model.set_value(ParameterId::ClockSkew, coarse.skew).ok()?;
-        for (id, value, sigma) in
-            [(ParameterId::ClockShift, 0.0, SHIFT_SIGMA_S), (ParameterId::ClockSkew, coarse.skew, SKEW_SIGMA)]
-        {
-            model.set_role(id, Role::Prior { value, sigma }).ok()?;
-        }
+        let model = self.prior_model(&tracker, &probe, coarse.skew).ok()?;
         let sigma = PoseNoise { position_m: NOMINAL_SIGMA_M, rotation_rad: 1.0 };
         let (noise, set_ups) = (&vec![sigma; rows.len()], &vec![SetUp::default(); rows.len()]);
         let residual = MeasuredPosition { measured_m: &observed_m, noise, set_ups };
@@ -385,109 +363,22 @@ impl Search<'_> {
         })
     }
 
-    /// Whether the robot stands still, on the grid of its log.
-    fn resting(&self) -> Vec<bool> {
-        let steps = (self.log_s / self.step_s) as usize + 1;
-        let rests = |step: usize| {
-            let tau_s = step as f64 * self.step_s;
-            let around = [-REST_S, REST_S].map(|by_s| self.log.at(tau_s + by_s));
-            let [Some(before), Some(after)] = around else { return false };
-            let moved = before.value.iter().zip(after.value.iter()).map(|(a, b)| (a - b).abs());
-            moved.fold(0.0, f64::max) < 2.0 * REST_S * MOVING_RAD_S
-        };
-        (0..steps).map(rests).collect()
-    }
-
-    /// Whether the robot is at rest at a time of its log; `None` outside the log.
-    fn rests_at(&self, resting: &[bool], tau_s: f64) -> Option<bool> {
-        let place = (tau_s / self.step_s).round() as usize;
-        resting.get(place).copied().filter(|_| tau_s >= 0.0)
-    }
-
-    /// Clocks near a coarse shift at which the robot is at rest in most of the rows: the middle of each range of such shifts, at the
-    /// rate at which most rows are in standstills for most shifts.
-    fn clocks_at_standstills(&self, window: &Range<usize>, coarse: Clock) -> Vec<Clock> {
-        let resting = self.resting();
-        let times_s = self.observed_m.t_s.get(window.clone()).unwrap_or_default();
-        let middle_s = 0.5 * (times_s.first().unwrap_or(&0.0) + times_s.last().unwrap_or(&0.0));
-        let reach = (0.5 * self.period_s / self.step_s) as i64;
-        // Shifts are those of the middle: there a rate changes nothing.
-        let clock = |steps: i64, skew: f64| Clock {
-            shift_s: coarse.shift_s + steps as f64 * self.step_s - skew * middle_s,
-            skew,
-        };
-        // Number of rows at which the robot is at rest; `None` if these are not nearly all that its log covers.
-        let rows_at_rest = |clock: &Clock| {
-            let (mut covered, mut at_rest) = (0, 0);
-            for rests in times_s.iter().filter_map(|t_s| self.rests_at(&resting, clock.robot_time_s(*t_s))) {
-                covered += 1;
-                at_rest += usize::from(rests);
-            }
-            (at_rest as f64 >= AT_REST_MIN * f64::from(covered.max(1))).then_some(at_rest)
-        };
-        /// Shifts at which nearly all rows are at rest, at one rate.
-        #[derive(Default)]
-        struct AtRest {
-            skew: f64,
-            shift_steps: Vec<i64>,
-            /// Number of rows, summed over these shifts.
-            rows: usize,
+    /// The nominal robot with station and target at these start values.
+    fn prior_model(&self, tracker: &Placement, probe: &Placement, skew: f64) -> Result<Model, ModelError> {
+        let mut model = Model::alone(self.robot).with_set_ups(Owner::Tracker, [1, 1]);
+        for coordinate in Coordinate::ALL {
+            let id = ParameterId::Tracker { station: 0, coordinate };
+            model.set_value(id, tracker.coordinate(coordinate))?;
+            model.set_role(id, Role::Free)?;
         }
-        let at_rate = |number: i64| {
-            let mut found = AtRest { skew: number as f64 * SKEW_STEP, ..AtRest::default() };
-            for steps in -reach..=reach {
-                let Some(rows) = rows_at_rest(&clock(steps, found.skew)) else { continue };
-                found.shift_steps.push(steps);
-                found.rows += rows;
-            }
-            found
-        };
-        // Of equally good rates the one nearest to zero is the first.
-        let rates = (0..=SKEW_STEPS).flat_map(|number| [number, -number]);
-        let mut best = AtRest::default();
-        for other in rates.map(at_rate) {
-            if other.rows > best.rows {
-                best = other;
-            }
+        for coordinate in Axis::ALL.map(Coordinate::Position) {
+            let id = ParameterId::Probe { target: 0, coordinate };
+            model.set_value(id, probe.coordinate(coordinate))?;
+            model.set_role(id, Role::Prior { value: 0.0, sigma: PROBE_SIGMA_M })?;
         }
-        let middle = |range: &[i64]| range.get(range.len() / 2).map(|steps| clock(*steps, best.skew));
-        best.shift_steps.chunk_by(|a, b| b - a == 1).filter_map(middle).collect()
-    }
-
-    /// Station and target from rows at standstills; the clock is fixed.
-    fn fit_at_standstills(&self, window: &Range<usize>, clock: Clock) -> Option<Fit> {
-        let flange_and_position = |row: usize| {
-            let flange = self.flange(clock.robot_time_s(self.observed_m.t_s[row]))?;
-            Some((flange, self.observed_m[row]))
-        };
-        let (flanges, observed_m): (Vec<Pose>, Vec<Vector3<f64>>) =
-            window.clone().filter_map(flange_and_position).unzip();
-        let [tracker, probe] = placements(&flanges, &observed_m, std::iter::empty())?;
-        let (tracker, probe_m) = (tracker.pose(), probe.position_m);
-        // The squared distance is that of three coordinates.
-        let squared = flanges.iter().zip(&observed_m).map(|(flange, observed_m)| {
-            let predicted = flange.transform_point(&probe_m.into());
-            ((predicted - tracker.transform_point(&(*observed_m).into())).norm_squared(), 3)
-        });
-        Some(Fit { clock, probe_m, spread_m: GoodShare::NINE_TENTHS.spread(squared) })
-    }
-
-    /// Match of the measured and predicted distances from row to row.
-    fn match_of_distances(&self, window: &Range<usize>, fit: &Fit) -> Option<Match> {
-        let both_positions = |row: usize| {
-            let tau_s = fit.clock.robot_time_s(self.observed_m.t_s[row]);
-            Some((self.predicted_m(tau_s, &fit.probe_m)?, self.observed_m[row]))
-        };
-        let (predicted_m, observed_m): (Vec<Vector3<f64>>, Vec<_>) =
-            window.clone().filter_map(both_positions).unzip();
-        let distances = |points_m: &[Vector3<f64>]| {
-            let lengths: Vec<f64> = points_m.windows(2).map(|pair| (pair[1] - pair[0]).norm()).collect();
-            Channels { known: vec![true; lengths.len()], values: vec![lengths] }
-        };
-        // All of them overlap only without a shift.
-        let overlap_min = predicted_m.len().checked_sub(1)?;
-        let matched = correlate(&distances(&predicted_m), &distances(&observed_m), overlap_min)?;
-        let covered_s = predicted_m.len() as f64 / window.len().max(1) as f64 * self.duration_s(window);
-        Some(Match { overlap: (covered_s / self.step_s) as usize, ..matched })
+        model.set_value(ParameterId::ClockSkew, skew)?;
+        model.set_role(ParameterId::ClockShift, Role::Prior { value: 0.0, sigma: SHIFT_SIGMA_S })?;
+        model.set_role(ParameterId::ClockSkew, Role::Prior { value: skew, sigma: SKEW_SIGMA })?;
+        Ok(model)
     }
 }
