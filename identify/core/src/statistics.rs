@@ -15,6 +15,11 @@ pub fn extremes(values: impl IntoIterator<Item = f64>) -> [f64; 2] {
     values.into_iter().fold([f64::INFINITY, f64::NEG_INFINITY], wider)
 }
 
+/// Largest difference of two numbers at the same place.
+pub fn largest_difference(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+}
+
 /// Quantile `part` (0 to 1) of `values`, which it reorders; linear interpolation, zero without values.
 pub(crate) fn quantile(values: &mut [f64], part: f64) -> f64 {
     if values.is_empty() {

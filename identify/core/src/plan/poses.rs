@@ -27,7 +27,7 @@ use crate::model::{
     SetUp,
 };
 use crate::solver::{ScaledCholesky, stacked};
-use crate::statistics::median;
+use crate::statistics::{largest_difference, median};
 
 use super::information::States;
 use super::optimum::optimum;
@@ -597,11 +597,6 @@ pub(super) fn squared(rows: &DMatrix<f64>) -> DMatrix<f64> {
     times(&rows.transpose(), rows)
 }
 
-/// Largest change of a joint between two postures, which determines the duration of the move.
-pub(super) fn far(q: &Joints, other: &Joints) -> f64 {
-    q.iter().zip(other).fold(0.0_f64, |most, (a, b)| most.max((a - b).abs()))
-}
-
 /// A short tour through poses from the one nearest to the joints' zeros: always to the nearest remaining pose, then shortened
 /// by reversing parts of it (2-opt, Croes 1958). The duration of a move is that of its largest joint motion.
 fn short_tour(
@@ -610,10 +605,12 @@ fn short_tour(
     is_clear: impl Fn(usize, usize) -> bool,
 ) -> Vec<usize> {
     let zeros = candidates.first().map_or_else(Joints::default, |q| Joints::zeros(q.len()));
-    let distance = |a: usize, b: usize| far(&candidates[a], &candidates[b]);
+    let distance = |a: usize, b: usize| largest_difference(&candidates[a], &candidates[b]);
     // The nearest is the last, which can be removed at once.
     let mut remaining = chosen.to_vec();
-    remaining.sort_by(|a, b| far(&zeros, &candidates[*b]).total_cmp(&far(&zeros, &candidates[*a])));
+    remaining.sort_by(|a, b| {
+        largest_difference(&zeros, &candidates[*b]).total_cmp(&largest_difference(&zeros, &candidates[*a]))
+    });
     let mut order: Vec<usize> = remaining.pop().into_iter().collect();
     while let Some(&here) = order.last() {
         remaining.sort_by(|a, b| distance(here, *b).total_cmp(&distance(here, *a)));

@@ -6,8 +6,9 @@ use std::f64::consts::TAU;
 
 use rand::Rng;
 
-use super::poses::{Way, far};
+use super::poses::Way;
 use crate::kinematics::Joints;
+use crate::statistics::largest_difference;
 
 /// Highest number of random postures: without a path the search ends after some seconds.
 const TRIES: usize = 1500;
@@ -32,7 +33,7 @@ impl Tree {
 
     /// One step from the nearest posture towards another one: the end of the step, if the motion is free of collisions.
     fn grow(&mut self, towards: &Joints, is_clear: impl Fn(&Joints, &Joints) -> bool) -> Option<Joints> {
-        let distance = |node: usize| far(&self.postures[node], towards);
+        let distance = |node: usize| largest_difference(&self.postures[node], towards);
         let nearest = (0..self.postures.len()).min_by(|a, b| distance(*a).total_cmp(&distance(*b)))?;
         let from = self.postures[nearest];
         let part = STEP / distance(nearest);
@@ -97,7 +98,7 @@ fn with_whole_turns(from: &Joints, to: &Joints, range: &[[f64; 2]], turns: &[boo
     let mut others = one_turn_away(to);
     others.extend(others.clone().iter().flat_map(one_turn_away));
     others.retain(|other| other != to);
-    others.sort_by(|a, b| far(from, a).total_cmp(&far(from, b)));
+    others.sort_by(|a, b| largest_difference(from, a).total_cmp(&largest_difference(from, b)));
     others.dedup();
     others
 }

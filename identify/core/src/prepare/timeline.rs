@@ -11,6 +11,7 @@ use super::{Averaged, EncoderMap, Predictor};
 use crate::kinematics::{BAR_JOINTS, Configuration, Joints, wrapped};
 use crate::logs::Unwrapped;
 use crate::model::Clock;
+use crate::statistics::largest_difference;
 use crate::threads::rows;
 
 /// Status of a bus cycle.
@@ -237,8 +238,4 @@ impl Run<'_> {
         };
         (0..self.samples.len()).filter(|index| is_still[*index]).filter_map(reading).collect()
     }
-}
-
-fn largest_difference(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).fold(0.0, |most, (a, b)| most.max((a - b).abs()))
 }

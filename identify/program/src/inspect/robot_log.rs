@@ -8,6 +8,7 @@ use super::{Inspection, JointLine, joint_lines, stamps, suspect_still, unwrapped
 use crate::kinematics::Joints;
 use crate::logs::{Origin, RobotLog};
 use crate::prepare::unwrapped_log;
+use crate::statistics::largest_difference;
 
 /// This number of equal rows, after which a joint jumps, was not a standstill: the logger got no new values.
 const FROZEN_ROWS_MIN: usize = 3;
@@ -96,7 +97,7 @@ fn repeated_rows(rows: &[Joints]) -> usize {
             continue;
         }
         let repeated = index - 1 - start;
-        let step = rows[index].iter().zip(&rows[start]).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        let step = largest_difference(&rows[index], &rows[start]);
         if repeated >= FROZEN_ROWS_MIN && step > FROZEN_STEP_RAD {
             count += repeated;
         }

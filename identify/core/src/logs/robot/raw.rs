@@ -17,7 +17,7 @@ use crate::logs::{
     ForceClock, ForceKind, ForceLog, JointConversion, JointMistake, LogError, LogFormat, LogQuality, Origin,
     ROWS_MIN, RobotLog, Stream, since_first_s, travel,
 };
-use crate::statistics::extremes;
+use crate::statistics::{extremes, largest_difference};
 use crate::threads;
 
 /// Joint values may pass the nominal limits by this much before a log is refused \[deg\]: zero positions of real
@@ -247,10 +247,8 @@ impl RawLog {
 
     /// Single rows with the joints of the row before, in the middle of a motion, under a new stamp.
     fn drop_repeated(&mut self, unit: AngleUnit) {
-        let largest = |from: &Joints, to: &Joints| {
-            from.iter().zip(to).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max) * unit.to_rad()
-        };
-        let step_rad = |from: usize, to: usize| largest(&self.joints[from], &self.joints[to]);
+        let step_rad =
+            |from: usize, to: usize| largest_difference(&self.joints[from], &self.joints[to]) * unit.to_rad();
         let repeated = repeated_rows(self.joints.len(), 1, step_rad);
         self.quality.repeated_dropped = repeated.len();
         self.remove(&repeated);

@@ -13,6 +13,7 @@ use crate::logs::tables::csv_text::{Column, Row, Table};
 use crate::logs::tables::stamp::{StampColumn, TimeColumn, TimeUnit};
 use crate::logs::tables::text::Text;
 use crate::logs::{ForceColumns, LogError, LogFormat, Origin, RobotLog, usual_and_longest_step_s};
+use crate::statistics::largest_difference;
 
 /// Name of the column with time stamps \[s\].
 pub(in crate::logs) const TIME_COLUMN: &str = "t_s";
@@ -68,8 +69,7 @@ fn refuse_if_not_seconds(log: RobotLog, path: &Path) -> Result<RobotLog, LogErro
     let (t_s, rows) = (&log.q_rad.t_s, &log.q_rad);
     let [period_s, _] = usual_and_longest_step_s(t_s);
     let fastest = t_s.windows(2).zip(rows.windows(2)).fold(0.0_f64, |fastest, (t_s, q)| {
-        let moved = q[1].iter().zip(&q[0]).map(|(to, from)| (to - from).abs()).fold(0.0, f64::max);
-        fastest.max(moved / (t_s[1] - t_s[0]).max(f64::MIN_POSITIVE))
+        fastest.max(largest_difference(&q[1], &q[0]) / (t_s[1] - t_s[0]).max(f64::MIN_POSITIVE))
     });
     if period_s < PERIOD_S_MIN || fastest > SPEED_MIN {
         return Ok(log);

@@ -4,6 +4,8 @@ use std::f64::consts::PI;
 
 use nalgebra::Vector3;
 
+use crate::statistics::largest_difference;
+
 /// Rounds of halving the interval in which the distance between samples is sought.
 const HALVINGS: usize = 40;
 
@@ -17,7 +19,8 @@ pub fn select<R: AsRef<[f64]>>(angles_rad: &[R], motion_min_rad: f64, points_max
         return kept;
     }
     // Bisection: the distance sought is at most the whole travel.
-    let travel = angles_rad.windows(2).map(|pair| distance(&pair[0], &pair[1])).sum::<f64>();
+    let travel =
+        angles_rad.windows(2).map(|pair| largest_difference(pair[0].as_ref(), pair[1].as_ref())).sum::<f64>();
     let (mut low, mut high) = (motion_min_rad, travel.max(motion_min_rad));
     for _ in 0..HALVINGS {
         let middle = 0.5 * (low + high);
@@ -75,7 +78,7 @@ pub(in crate::prepare) fn spaced<R: AsRef<[f64]>>(angles_rad: &[R], step_rad: f6
     let mut kept: Vec<usize> = Vec::new();
     for (index, angles) in angles_rad.iter().enumerate() {
         let far_enough = match kept.last().and_then(|&last| angles_rad.get(last)) {
-            Some(last) => distance(last, angles) >= step_rad,
+            Some(last) => largest_difference(last.as_ref(), angles.as_ref()) >= step_rad,
             None => true,
         };
         if far_enough {
@@ -83,8 +86,4 @@ pub(in crate::prepare) fn spaced<R: AsRef<[f64]>>(angles_rad: &[R], step_rad: f6
         }
     }
     kept
-}
-
-fn distance<R: AsRef<[f64]>>(a: &R, b: &R) -> f64 {
-    a.as_ref().iter().zip(b.as_ref()).fold(0.0, |most, (a, b)| most.max((a - b).abs()))
 }

@@ -13,6 +13,7 @@ use crate::prepare::align::placement::placements;
 use crate::prepare::readings::standstill::MOVING_RAD_S;
 use crate::prepare::{Channels, Match, correlate};
 use crate::solver::GoodShare;
+use crate::statistics::largest_difference;
 
 /// Time to either side of a row over which a robot at rest is slower than [`MOVING_RAD_S`] \[s\].
 pub(super) const REST_S: f64 = 0.05;
@@ -40,8 +41,7 @@ impl Search<'_> {
             let tau_s = step as f64 * self.step_s;
             let around = [-REST_S, REST_S].map(|by_s| self.log.at(tau_s + by_s));
             let [Some(before), Some(after)] = around else { return false };
-            let moved = before.value.iter().zip(after.value.iter()).map(|(a, b)| (a - b).abs());
-            moved.fold(0.0, f64::max) < 2.0 * REST_S * MOVING_RAD_S
+            largest_difference(&before.value, &after.value) < 2.0 * REST_S * MOVING_RAD_S
         };
         (0..steps).map(rests).collect()
     }
