@@ -92,31 +92,47 @@ impl Search<'_> {
     pub fn run(&self) -> Result<Found, PrepareError> {
         let step_s = grid_step_s(self.log_duration_s);
         let window = self.liveliest();
-        let (hypotheses, refusal) = self.hypotheses(&window, step_s)?;
-        let fits = self.fits(&window, self.most_likely(&window, hypotheses));
+        let Best { matched, ambiguous, fit: (encoder_map, fit) } = self.best_fit(&window, step_s)?;
+        let (mut offset_fit, fit) = self.extended(window, &encoder_map.used, &fit)?;
+        offset_fit.correct(&fit.offsets_by_rad);
+        Ok(Found { matched, ambiguous, encoder_map, offset_fit, fit })
+    }
+
+    /// The best fit of the window.
+    fn best_fit(
+        &self,
+        window: &Range<usize>,
+        step_s: f64,
+    ) -> Result<Best<(EncoderMapReport, Fit)>, PrepareError> {
+        let (hypotheses, refusal) = self.hypotheses(window, step_s)?;
+        let fits = self.fits(window, self.most_likely(window, hypotheses));
         // By most of the samples, not by half: a wrong lap fits well wherever it is like the right one.
         let best = best(fits, |(_, fit)| fit.sigma_of_most_rad, |_, _| true);
-        let Some(Best { matched, ambiguous, fit: (encoder_map, fit) }) = best else {
-            let jump = self.jump_between_parts(&window, step_s);
-            return Err(jump.or(refusal).unwrap_or(PrepareError::NothingToFit));
-        };
+        let spread_max_rad = self.options.spread_max_mrad * 1e-3;
+        let fits_poorly = best.as_ref().is_none_or(|best| best.fit.1.sigma_of_most_rad > spread_max_rad);
         // One shift fits only one side of a large clock step.
-        if fit.sigma_of_most_rad > self.options.spread_max_mrad * 1e-3
-            && let Some(jump) = self.jump_between_parts(&window, step_s)
-        {
+        if fits_poorly && let Some(jump) = self.jump_between_parts(window, step_s) {
             return Err(jump);
         }
-        let measured = encoder_map.used.measured();
+        best.ok_or_else(|| refusal.unwrap_or(PrepareError::NothingToFit))
+    }
+
+    /// Offsets and fit of the window, extended to all samples.
+    fn extended(
+        &self,
+        window: Range<usize>,
+        encoder_map: &EncoderMap,
+        fit: &Fit,
+    ) -> Result<(OffsetFit, Fit), PrepareError> {
+        let measured = encoder_map.measured();
         let fit_offsets_and_refine = |window: &Range<usize>, fit: &Fit| {
-            let offset_fit = self.offset_fit(&self.pairs(window, fit.clock), &encoder_map.used);
+            let offset_fit = self.offset_fit(&self.pairs(window, fit.clock), encoder_map);
             let fit = self.refined(&offset_fit, &measured, fit.clock, Some(fit))?;
             Some((offset_fit, fit))
         };
-        let in_window = fit_offsets_and_refine(&window, &fit).ok_or(PrepareError::NothingToFit)?;
+        let in_window = fit_offsets_and_refine(&window, fit).ok_or(PrepareError::NothingToFit)?;
         let refit = |window: &Range<usize>, (_, fit): &(_, Fit)| fit_offsets_and_refine(window, fit);
-        let (mut offset_fit, fit) = extended(&self.readings.t_s, window, in_window, refit)?;
-        offset_fit.correct(&fit.offsets_by_rad);
-        Ok(Found { matched, ambiguous, encoder_map, offset_fit, fit })
+        extended(&self.readings.t_s, window, in_window, refit)
     }
 
     /// A hypothesis for each candidate at which an encoder map fits, and the reason why another candidate has none.
