@@ -95,6 +95,16 @@ impl Violation {
         Self { key: key.into(), problem: problem.into(), remedy: remedy.into() }
     }
 
+    /// A violation of `key` unless a rule holds.
+    pub fn unless(
+        holds: bool,
+        key: impl Into<String>,
+        problem: impl Into<String>,
+        remedy: impl Into<String>,
+    ) -> Result<(), Self> {
+        if holds { Ok(()) } else { Err(Self::new(key, problem, remedy)) }
+    }
+
     /// Refuses a value of `key` outside `[low, high]`, and one that is not a number.
     pub fn outside<N: PartialOrd + fmt::Display>(
         key: impl Into<String>,
@@ -102,10 +112,8 @@ impl Violation {
         [low, high]: [N; 2],
         remedy: &str,
     ) -> Result<(), Self> {
-        if (&low..=&high).contains(&&value) {
-            return Ok(());
-        }
-        Err(Self::new(key, format!("{value} is outside {low} to {high}"), remedy))
+        let is_within = (&low..=&high).contains(&&value);
+        Self::unless(is_within, key, format!("{value} is outside {low} to {high}"), remedy)
     }
 }
 

@@ -262,13 +262,9 @@ impl StudyFile {
     fn check_figure(&self, index: usize, figure: &Figure) -> Result<(), Violation> {
         for (number, series) in figure.series.iter().enumerate() {
             let key = |name: &str| format!("figures[{index}].series[{number}].{name}");
-            if series.x.is_empty() || series.x.iter().any(|x| !x.is_finite()) {
-                return Err(Violation::new(
-                    key("x"),
-                    "no sizes, or one that is not a finite number",
-                    "give finite numbers",
-                ));
-            }
+            let are_sizes = !series.x.is_empty() && series.x.iter().all(|x| x.is_finite());
+            let problem = "no sizes, or one that is not a finite number";
+            Violation::unless(are_sizes, key("x"), problem, "give finite numbers")?;
             for &x in &series.x {
                 let conditions = Conditions::of(self, series, x).map_err(|error| {
                     let named = error.key();
@@ -280,22 +276,20 @@ impl StudyFile {
                     Violation::new(place, error.to_string(), "correct the key or the number")
                 })?;
                 let one_path = self.path.planned.is_some() || self.path.log.is_some();
-                if conditions.stations > 1 && (self.second_base_m.is_none() || one_path) {
-                    return Err(Violation::new(
-                        key("with"),
-                        "stations = 2 needs another place and another path",
-                        "give second_base_m, and random paths",
-                    ));
-                }
+                Violation::unless(
+                    conditions.stations <= 1 || (self.second_base_m.is_some() && !one_path),
+                    key("with"),
+                    "stations = 2 needs another place and another path",
+                    "give second_base_m, and random paths",
+                )?;
             }
             for name in self.estimators_of(figure, series) {
-                if self.estimator(name).is_none() {
-                    return Err(Violation::new(
-                        key("estimators"),
-                        format!("no estimator is called `{name}`"),
-                        "give the name of one of [[estimators]]",
-                    ));
-                }
+                Violation::unless(
+                    self.estimator(name).is_some(),
+                    key("estimators"),
+                    format!("no estimator is called `{name}`"),
+                    "give the name of one of [[estimators]]",
+                )?;
             }
         }
         Ok(())
@@ -308,57 +302,45 @@ impl StudyFile {
             figure.id == choice.figure
                 && series.any(|series| self.estimators_of(figure, series).contains(&choice.estimator))
         };
-        if self.figures.iter().any(has_curve) {
-            return Ok(());
-        }
         let problem =
             format!("no series of figure `{}` is estimated by `{}`", choice.figure, choice.estimator);
-        Err(Violation::new(key, problem, "name a figure, a series of it and who estimates there"))
+        let remedy = "name a figure, a series of it and who estimates there";
+        Violation::unless(self.figures.iter().any(has_curve), key, problem, remedy)
     }
 }
 
 impl Validate for StudyFile {
     fn validate(&self) -> Result<(), Violation> {
-        if self.seeds == 0 {
-            return Err(Violation::new("seeds", "0", "give at least 1"));
-        }
+        Violation::unless(self.seeds > 0, "seeds", "0", "give at least 1")?;
         for (key, value) in [("duration_s", self.duration_s), ("limit_mm_mrad", self.limit_mm_mrad)] {
-            if !(value.is_finite() && value > 0.0) {
-                return Err(Violation::new(key, value.to_string(), "give a number above zero"));
-            }
+            let is_positive = value.is_finite() && value > 0.0;
+            Violation::unless(is_positive, key, value.to_string(), "give a number above zero")?;
         }
         let PathChoice { seed, planned, log } = &self.path;
-        if planned.is_none() && log.is_none() && self.duration_s < DURATION_S_MIN {
-            let problem = format!("{} s have no room for a random path", self.duration_s);
-            return Err(Violation::new("duration_s", problem, format!("give at least {DURATION_S_MIN}")));
-        }
-        if [seed.is_some(), planned.is_some(), log.is_some()].into_iter().filter(|given| *given).count() > 1 {
-            return Err(Violation::new("path", "more than one path", "give `seed`, `planned` or `log`"));
-        }
+        let has_path = planned.is_some() || log.is_some();
+        let problem = format!("{} s have no room for a random path", self.duration_s);
+        let remedy = format!("give at least {DURATION_S_MIN}");
+        Violation::unless(has_path || self.duration_s >= DURATION_S_MIN, "duration_s", problem, remedy)?;
+        let paths = [seed.is_some(), planned.is_some(), log.is_some()].map(usize::from).iter().sum::<usize>();
+        Violation::unless(paths <= 1, "path", "more than one path", "give `seed`, `planned` or `log`")?;
         for (at, estimator) in self.estimators.iter().enumerate() {
             estimator.config.validate().map_err(|violation| Violation {
                 key: format!("estimators[{at}].config.{}", violation.key),
                 ..violation
             })?;
-            if estimator.instrument == StudyInstrument::Wire && estimator.config != IdentifyConfig::default()
-            {
-                let problem = "a draw-wire is calibrated with its defaults";
-                return Err(Violation::new(format!("estimators[{at}].config"), problem, "leave it out"));
-            }
-            if self.estimators.iter().take(at).any(|other| other.name == estimator.name) {
-                let problem = format!("`{}` is there already", estimator.name);
-                return Err(Violation::new(
-                    format!("estimators[{at}].name"),
-                    problem,
-                    "give each its own name",
-                ));
-            }
+            let is_wire = estimator.instrument == StudyInstrument::Wire;
+            let key = |name: &str| format!("estimators[{at}].{name}");
+            let problem = "a draw-wire is calibrated with its defaults";
+            let is_usual = !is_wire || estimator.config == IdentifyConfig::default();
+            Violation::unless(is_usual, key("config"), problem, "leave it out")?;
+            let is_new = self.estimators.iter().take(at).all(|other| other.name != estimator.name);
+            let problem = format!("`{}` is there already", estimator.name);
+            Violation::unless(is_new, key("name"), problem, "give each its own name")?;
         }
         for (at, figure) in self.figures.iter().enumerate() {
-            if self.figures.iter().take(at).any(|other| other.id == figure.id) {
-                let problem = format!("`{}` is there already", figure.id);
-                return Err(Violation::new(format!("figures[{at}].id"), problem, "give each its own number"));
-            }
+            let is_new = self.figures.iter().take(at).all(|other| other.id != figure.id);
+            let problem = format!("`{}` is there already", figure.id);
+            Violation::unless(is_new, format!("figures[{at}].id"), problem, "give each its own number")?;
             self.check_figure(at, figure)?;
         }
         for (at, statement) in self.statements.iter().enumerate() {
@@ -366,14 +348,12 @@ impl Validate for StudyFile {
             if let Some(against) = &statement.against {
                 self.check_choice(&format!("statements[{at}].against"), against)?;
             }
-            if statement.reaches_limit && statement.against.is_some() {
-                let problem = "two curves have no common size at which they reach the limit";
-                return Err(Violation::new(
-                    format!("statements[{at}]"),
-                    problem,
-                    "leave out `against`, or `reaches_limit`",
-                ));
-            }
+            Violation::unless(
+                !statement.reaches_limit || statement.against.is_none(),
+                format!("statements[{at}]"),
+                "two curves have no common size at which they reach the limit",
+                "leave out `against`, or `reaches_limit`",
+            )?;
         }
         Ok(())
     }

@@ -66,24 +66,23 @@ impl Validate for BarLogMapping {
     fn validate(&self) -> Result<(), Violation> {
         self.csv.check()?;
         self.time.as_ref().map_or(Ok(()), TimeColumn::check)?;
-        if self.wraps_at < WRAPS_AT_MIN {
-            let found = format!("{} is not the width of a counter", self.wraps_at);
-            return Err(Violation::new("wraps_at", found, "give the number of its values, such as 65536"));
-        }
-        if self.encoders.is_empty() {
-            let remedy = "write one [[encoders]] block for each encoder of the file";
-            return Err(Violation::new("encoders", "there are none", remedy));
-        }
+        let found = format!("{} is not the width of a counter", self.wraps_at);
+        let remedy = "give the number of its values, such as 65536";
+        Violation::unless(self.wraps_at >= WRAPS_AT_MIN, "wraps_at", found, remedy)?;
+        let remedy = "write one [[encoders]] block for each encoder of the file";
+        Violation::unless(!self.encoders.is_empty(), "encoders", "there are none", remedy)?;
         for (index, encoder) in self.encoders.iter().enumerate() {
-            let key = format!("encoders[{index}].joint");
-            if !(1..=BAR_JOINTS as u8).contains(&encoder.joint) {
-                let found = format!("the bar has no joint {}", encoder.joint);
-                return Err(Violation::new(key, found, "use 1 to 3 for the gimbal, 4 and 5 for the cardan"));
-            }
-            if self.encoders[..index].iter().any(|other| other.joint == encoder.joint) {
-                let found = format!("joint {} has two encoders", encoder.joint);
-                return Err(Violation::new(key, found, "list each joint once"));
-            }
+            let (key, joint) = (format!("encoders[{index}].joint"), encoder.joint);
+            let is_of_bar = (1..=BAR_JOINTS as u8).contains(&joint);
+            let remedy = "use 1 to 3 for the gimbal, 4 and 5 for the cardan";
+            Violation::unless(is_of_bar, &key, format!("the bar has no joint {joint}"), remedy)?;
+            let is_first = self.encoders[..index].iter().all(|other| other.joint != joint);
+            Violation::unless(
+                is_first,
+                key,
+                format!("joint {joint} has two encoders"),
+                "list each joint once",
+            )?;
         }
         Ok(())
     }

@@ -92,15 +92,13 @@ impl ForceColumns {
             (3, unit) => unit != ForceUnit::Sign,
             _ => false,
         };
-        if fits {
-            return Ok(());
-        }
-        Err(Violation::new(
+        Violation::unless(
+            fits,
             "force",
             format!("{} columns in {:?} are not a force", self.columns.len(), self.unit),
             "write one column along the bar (N, kN, lbf or sign), three components (N, kN, lbf), or torques of all \
              joints (Nm)",
-        ))
+        )
     }
 }
 

@@ -39,11 +39,8 @@ impl Validate for ForceLogMapping {
         self.csv.check()?;
         self.time.check()?;
         self.force.check()?;
-        if self.force.columns.is_empty() {
-            let remedy = "name the columns of the force; without any it is read from a robot's log";
-            return Err(Violation::new("force.columns", "there are none", remedy));
-        }
-        Ok(())
+        let remedy = "name the columns of the force; without any it is read from a robot's log";
+        Violation::unless(!self.force.columns.is_empty(), "force.columns", "there are none", remedy)
     }
 }
 

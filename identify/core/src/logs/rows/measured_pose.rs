@@ -108,10 +108,9 @@ impl RotationColumns {
             Quaternion => 4,
             Matrix => 9,
         };
-        if self.columns.len() != columns {
-            let problem = format!("{} columns are given", self.columns.len());
-            return Err(Violation::new("rotation.columns", problem, format!("write {columns}")));
-        }
+        let (given, remedy) = (self.columns.len(), format!("write {columns}"));
+        let problem = format!("{given} columns are given");
+        Violation::unless(given == columns, "rotation.columns", problem, remedy)?;
         let has_angles = matches!(self.form, Euler | RotationVector);
         let is_euler = self.form == Euler;
         for (key, given, needed, example) in [

@@ -162,21 +162,18 @@ pub(in crate::logs) fn check_format(
     delimiter: char,
     decimal_comma: bool,
 ) -> Result<(), Violation> {
-    if !delimiter.is_ascii() || matches!(delimiter, '"' | '#' | '\n' | '\r') {
-        return Err(Violation::new(
-            key,
-            format!("`{}` cannot separate cells", delimiter.escape_default()),
-            "use \",\", \";\", \" \" or \"\\t\"",
-        ));
-    }
-    if decimal_comma && delimiter == ',' {
-        return Err(Violation::new(
-            key,
-            "a comma separates cells and decimals alike",
-            "files with decimal commas mostly have delimiter = \";\"",
-        ));
-    }
-    Ok(())
+    Violation::unless(
+        delimiter.is_ascii() && !matches!(delimiter, '"' | '#' | '\n' | '\r'),
+        key,
+        format!("`{}` cannot separate cells", delimiter.escape_default()),
+        "use \",\", \";\", \" \" or \"\\t\"",
+    )?;
+    Violation::unless(
+        !decimal_comma || delimiter != ',',
+        key,
+        "a comma separates cells and decimals alike",
+        "files with decimal commas mostly have delimiter = \";\"",
+    )
 }
 
 /// The joints of a mapping are those of the robot.
@@ -201,32 +198,23 @@ pub fn joints_of_robot(joints: &[JointColumn], robot: &RobotConfig, path: &Path)
 
 /// Checks the number of joints, their signs and offsets.
 pub(in crate::logs) fn check_joints(joints: &[JointColumn]) -> Result<(), Violation> {
-    if !(AXES_MIN..=AXES_MAX).contains(&joints.len()) {
-        return Err(Violation::new(
-            "joints",
-            format!("{} joints are given", joints.len()),
-            "write one [[joints]] block for each joint of the robot",
-        ));
-    }
+    let count = joints.len();
+    let remedy = "write one [[joints]] block for each joint of the robot";
+    let is_arm = (AXES_MIN..=AXES_MAX).contains(&count);
+    Violation::unless(is_arm, "joints", format!("{count} joints are given"), remedy)?;
     for (index, joint) in joints.iter().enumerate() {
-        if joint.sign.abs() != 1.0 {
-            return Err(Violation::new(
-                format!("joints[{index}].sign"),
-                format!("invalid sign {}", joint.sign),
-                "write 1 or -1",
-            ));
-        }
+        let (key, problem) = (format!("joints[{index}].sign"), format!("invalid sign {}", joint.sign));
+        Violation::unless(joint.sign.abs() == 1.0, key, problem, "write 1 or -1")?;
         let (offset, key) = match joint.unit.kind() {
             JointKind::Revolute => (joint.offset_m, "offset_m"),
             JointKind::Prismatic => (joint.offset_deg, "offset_deg"),
         };
-        if offset != 0.0 || !joint.offset_m.is_finite() {
-            return Err(Violation::new(
-                format!("joints[{index}].{key}"),
-                format!("{offset} does not go with the unit of the joint"),
-                "write offset_deg for angles, offset_m for lengths",
-            ));
-        }
+        Violation::unless(
+            offset == 0.0 && joint.offset_m.is_finite(),
+            format!("joints[{index}].{key}"),
+            format!("{offset} does not go with the unit of the joint"),
+            "write offset_deg for angles, offset_m for lengths",
+        )?;
         let key = format!("joints[{index}].offset_deg");
         Violation::outside(key, joint.offset_deg, [-360.0, 360.0], "offsets are in degrees")?;
     }

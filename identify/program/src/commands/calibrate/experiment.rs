@@ -94,22 +94,12 @@ pub struct Experiment {
 
 impl Validate for Experiment {
     fn validate(&self) -> Result<(), Violation> {
-        if self.data_sets() == 0 {
-            let what = "nothing was measured";
-            return Err(Violation::new(
-                "bar",
-                what,
-                "write a [[bar]], [[tracker]], [[wire]], [[contact]] or [[touch]] block for each file",
-            ));
-        }
+        let remedy = "write a [[bar]], [[tracker]], [[wire]], [[contact]] or [[touch]] block for each file";
+        Violation::unless(self.data_sets() > 0, "bar", "nothing was measured", remedy)?;
         let forces = self.bars.iter().filter(|run| run.force_log.is_some()).count();
-        if forces != 0 && forces != self.bars.len() {
-            return Err(Violation::new(
-                "bar",
-                "some runs have a force log",
-                "give one for each run, or for none",
-            ));
-        }
+        let all_or_none = forces == 0 || forces == self.bars.len();
+        let remedy = "give one for each run, or for none";
+        Violation::unless(all_or_none, "bar", "some runs have a force log", remedy)?;
         let (has_bar, has_force) = (!self.bars.is_empty(), forces > 0);
         let has_log = has_bar || self.trackers.iter().any(|rows| rows.robot_log.is_some());
         for (key, is_given, has_file, what) in [
@@ -120,44 +110,39 @@ impl Validate for Experiment {
             ("ignore_force", self.ignore_force, has_bar, "run with the ball-bar"),
             ("split_at_changes", self.split_at_changes, has_bar, "run with the ball-bar"),
         ] {
-            if is_given && !has_file {
-                return Err(Violation::new(
-                    key,
-                    format!("there is no {what} that it is for"),
-                    "leave it out",
-                ));
-            }
+            let problem = format!("there is no {what} that it is for");
+            Violation::unless(!is_given || has_file, key, problem, "leave it out")?;
         }
         for (kind, files) in self.kinds() {
             let key = kind.key();
             for (index, row) in files.iter().enumerate() {
-                if row.sockets.is_some() != (kind == Kind::Contact) {
-                    return Err(Violation::new(
-                        format!("{key}[{index}].sockets"),
+                for (is_right, name, problem, remedy) in [
+                    (
+                        row.sockets.is_some() == (kind == Kind::Contact),
+                        "sockets",
                         "a table of sockets goes with each [[contact]] block and with no other",
                         "write sockets = \"sockets.toml\" there, and there alone",
-                    ));
-                }
-                if row.faces.is_some() && kind != Kind::Touch {
-                    return Err(Violation::new(
-                        format!("{key}[{index}].faces"),
+                    ),
+                    (
+                        row.faces.is_none() || kind == Kind::Touch,
+                        "faces",
                         "a table of faces goes with a [[touch]] block",
                         "leave it out",
-                    ));
-                }
-                if row.robot_log.is_some() && kind != Kind::Tracker {
-                    return Err(Violation::new(
-                        format!("{key}[{index}].robot_log"),
+                    ),
+                    (
+                        row.robot_log.is_none() || kind == Kind::Tracker,
+                        "robot_log",
                         "it goes with a [[tracker]] block whose rows have times",
                         "leave it out",
-                    ));
-                }
-                if row.validate_mapping.is_some() && row.validate.is_empty() {
-                    return Err(Violation::new(
-                        format!("{key}[{index}].validate_mapping"),
+                    ),
+                    (
+                        row.validate_mapping.is_none() || !row.validate.is_empty(),
+                        "validate_mapping",
                         "it is the mapping of no file",
                         "name the files in validate, or leave it out",
-                    ));
+                    ),
+                ] {
+                    Violation::unless(is_right, format!("{key}[{index}].{name}"), problem, remedy)?;
                 }
             }
         }
