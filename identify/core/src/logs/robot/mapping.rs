@@ -22,7 +22,6 @@ pub struct CsvLayout {
     /// Lines between header and numbers, such as units.
     pub unit_lines: usize,
     /// Of a workbook with several sheets the one with the table.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub sheet: Option<String>,
 }
 

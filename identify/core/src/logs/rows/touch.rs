@@ -36,7 +36,6 @@ pub struct TouchMapping {
     /// The column with the face's name.
     pub face: String,
     /// Column of a dial gauge's reading.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reading: Option<ReadingColumn>,
     /// All joints, base to flange.
     pub joints: Vec<JointColumn>,

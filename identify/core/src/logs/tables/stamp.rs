@@ -48,10 +48,8 @@ pub struct TimeColumn {
     #[serde(default)]
     pub unit: TimeUnit,
     /// How long one of the cycles lasts that the column counts \[ms\].
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub period_ms: Option<f64>,
     /// The column has times modulo this number, in its unit, and rows are less than half of it apart; absent if it does not wrap.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub wraps_at: Option<u64>,
 }
 

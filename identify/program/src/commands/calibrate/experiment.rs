@@ -41,7 +41,6 @@ pub struct BarRun {
     /// The bar's configuration.
     pub bar: PathBuf,
     /// Force on the bar.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub force_log: Option<PathBuf>,
 }
 
@@ -52,16 +51,12 @@ pub struct Experiment {
     /// The robot's configuration.
     pub robot: PathBuf,
     /// Which column or joint of recordings of other programs is what.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub recording_mapping: Option<PathBuf>,
     /// Kind of the robot's logs; absent: recognised by their content.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub log_format: Option<LogFormat>,
     /// Which column or joint of the robot's logs is what.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub log_mapping: Option<PathBuf>,
     /// Which column of the force logs is what.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub force_mapping: Option<PathBuf>,
     /// Take the bar as rigid although the robot's log has a force.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]

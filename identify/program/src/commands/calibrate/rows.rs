@@ -80,29 +80,23 @@ pub struct RowFile {
     pub mapping: PathBuf,
     /// Of a tracker whose rows have times in place of joints: the robot's own log.
     #[arg(skip)]
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub robot_log: Option<PathBuf>,
     /// Of a ball in sockets, which needs it: the table of these.
     #[arg(skip)]
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sockets: Option<PathBuf>,
     /// Of a touch probe: what is known of the faces.
     #[arg(skip)]
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub faces: Option<PathBuf>,
     /// Which rows are held out together; default: regions of poses, otherwise single rows
     #[arg(long, help_heading = "Estimation", value_enum)]
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub hold_out: Option<HoldOut>,
     /// Seed that selects the held-out rows; default: 1042
     #[arg(long, help_heading = "Estimation")]
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seed: Option<u64>,
     /// Highest number of waves per turn that the errors of joints may have, 3 to 127; default: 64 with a tracker, otherwise by
     /// the number of rows. The lowest of all files counts
     #[arg(long, help_heading = "Estimation", value_name = "N",
           value_parser = clap::value_parser!(u8).range(i64::from(*Waves::OF_AXIS.start())..=i64::from(*Waves::OF_AXIS.end())))]
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub joint_waves: Option<u8>,
     /// Other files of the same instrument, which may have another position, to check the robot
     #[arg(long, help_heading = "Input", value_name = "FILES", value_delimiter = ',')]
@@ -110,7 +104,6 @@ pub struct RowFile {
     pub validate: Vec<PathBuf>,
     /// Mapping of the columns of these; default: that of --mapping. Their rows have joints, also if the others have times
     #[arg(long, help_heading = "Input", value_name = "FILE", requires = "validate")]
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub validate_mapping: Option<PathBuf>,
 }
 
