@@ -34,7 +34,6 @@ pub struct StudyFile {
     /// Length of a random path \[s\].
     pub duration_s: f64,
     /// Position of the bar in the second half of an experiment with two stations \[m\].
-    #[serde(default)]
     pub second_base_m: Option<[f64; 3]>,
     /// Largest acceptable error \[mm|mrad\].
     pub limit_mm_mrad: f64,
@@ -172,7 +171,6 @@ pub struct Series {
     #[serde(default)]
     pub with: BTreeMap<String, f64>,
     /// Names of the estimators of this series; absent: those of the figure.
-    #[serde(default)]
     pub estimators: Option<Vec<String>>,
 }
 
@@ -183,12 +181,10 @@ pub struct Choice {
     /// The figure's number.
     pub figure: String,
     /// The series' name; absent: all series.
-    #[serde(default)]
     pub series: Option<String>,
     /// The estimator's name.
     pub estimator: String,
     /// Range of sizes, from and to; absent: all sizes.
-    #[serde(default)]
     pub between: Option<[f64; 2]>,
     /// Measure of the error.
     #[serde(default)]
@@ -205,16 +201,13 @@ pub struct Statement {
     /// Curve of the question.
     pub of: Choice,
     /// Curve to compare with.
-    #[serde(default)]
     pub against: Option<Choice>,
     /// Whether the result is the size at which the curve reaches the study's limit.
     #[serde(default)]
     pub reaches_limit: bool,
     /// Lower bound of the claim.
-    #[serde(default)]
     pub at_least: Option<f64>,
     /// Upper bound of the claim.
-    #[serde(default)]
     pub at_most: Option<f64>,
     /// Explanation of the answer.
     #[serde(default)]
