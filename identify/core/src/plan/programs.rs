@@ -387,32 +387,29 @@ fn list(numbers: &[f64], factor: f64) -> String {
 }
 
 fn rapid(name: &str, about: &str, steps: &[Step]) -> String {
-    let mut text = format!("MODULE {name}\n  ! {about}\n  PROC {name}()\n");
     let target = |raw_rad: &Joints| {
         format!("MoveAbsJ [[{}],[9E9,9E9,9E9,9E9,9E9,9E9]]\\NoEOffs", list(raw_rad, 1f64.to_degrees()))
     };
-    for step in steps {
-        // Writing to a string cannot fail.
-        let _ = match step {
-            Step::Go(raw_rad) => writeln!(text, "    {},v50,fine,tool0;", target(raw_rad)),
-            Step::Wait(wait_s) => writeln!(text, "    WaitTime {wait_s};"),
-            Step::Halt { message, reason, jogged_to } => {
-                // After the operator has jogged the arm, it must not return to the previous position.
-                let stop = if jogged_to.is_some() { "Stop\\NoRegain" } else { "Stop" };
-                writeln!(text, "    ! {reason}\n    TPWrite \"{message}\";\n    {stop};")
-            }
-            Step::Stand(wait_s) => writeln!(text, "    WaitTime {wait_s:.3};"),
-            Step::Drive { period_s, raw_rad: points } => {
-                points.iter().enumerate().try_for_each(|(index, raw_rad)| {
-                    let zone = if index + 1 == points.len() { "fine" } else { "z1" };
-                    writeln!(text, "    {},v1000\\T:={period_s},{zone},tool0;", target(raw_rad))
-                })
-            }
-            Step::Servo(_) => Ok(()),
-        };
-    }
-    text.push_str("  ENDPROC\nENDMODULE\n");
-    text
+    let instruction = |step: &Step| match step {
+        Step::Go(raw_rad) => format!("    {},v50,fine,tool0;\n", target(raw_rad)),
+        Step::Wait(wait_s) => format!("    WaitTime {wait_s};\n"),
+        Step::Halt { message, reason, jogged_to } => {
+            // After the operator has jogged the arm, it must not return to the previous position.
+            let stop = if jogged_to.is_some() { "Stop\\NoRegain" } else { "Stop" };
+            format!("    ! {reason}\n    TPWrite \"{message}\";\n    {stop};\n")
+        }
+        Step::Stand(wait_s) => format!("    WaitTime {wait_s:.3};\n"),
+        Step::Drive { period_s, raw_rad: points } => {
+            let point = |(index, raw_rad): (usize, &Joints)| {
+                let zone = if index + 1 == points.len() { "fine" } else { "z1" };
+                format!("    {},v1000\\T:={period_s},{zone},tool0;\n", target(raw_rad))
+            };
+            points.iter().enumerate().map(point).collect()
+        }
+        Step::Servo(_) => String::new(),
+    };
+    let instructions: String = steps.iter().map(instruction).collect();
+    format!("MODULE {name}\n  ! {about}\n  PROC {name}()\n{instructions}  ENDPROC\nENDMODULE\n")
 }
 
 fn krl(name: &str, about: &str, steps: &[Step]) -> String {
@@ -422,89 +419,76 @@ fn krl(name: &str, about: &str, steps: &[Step]) -> String {
             axes.map(|(axis, angle)| format!("A{} {:.6}", axis + 1, angle.to_degrees())).collect();
         format!("{{{}}}", axes.join(","))
     };
+    let instruction = |step: &Step| match step {
+        Step::Go(raw_rad) => format!("PTP {}\n", target(raw_rad)),
+        Step::Wait(wait_s) => format!("WAIT SEC {wait_s}\n"),
+        Step::Halt { message, reason, .. } => format!("; {reason}\n; {message}\nHALT\n"),
+        Step::Stand(wait_s) => format!("WAIT SEC {wait_s:.3}\n"),
+        Step::Drive { period_s, raw_rad } => {
+            let spline = |block: &[Joints]| {
+                let points: Vec<String> =
+                    block.iter().map(|raw_rad| format!("  SPTP {}\n", target(raw_rad))).collect();
+                let block_s = period_s * block.len() as f64;
+                format!(
+                    "PTP_SPLINE\n  TIME_BLOCK START\n{}  TIME_BLOCK END = {block_s:.3}\nENDSPLINE\n",
+                    points.join("  TIME_BLOCK PART = 1\n")
+                )
+            };
+            raw_rad.chunks(BLOCK_POINTS_MAX).map(spline).collect()
+        }
+        Step::Servo(_) => String::new(),
+    };
+    let instructions: String = steps.iter().map(instruction).collect();
     // Targets are joint angles, independent of tool and base; but a controller without valid ones does not move.
-    let mut text = format!(
-        "&ACCESS RVP\nDEF {name}()\n; {about}\nBAS(#INITMOV,0)\nBAS(#VEL_PTP,10)\n$TOOL=$NULLFRAME\n$BASE=$NULLFRAME\n"
-    );
-    for step in steps {
-        let _ = match step {
-            Step::Go(raw_rad) => writeln!(text, "PTP {}", target(raw_rad)),
-            Step::Wait(wait_s) => writeln!(text, "WAIT SEC {wait_s}"),
-            Step::Halt { message, reason, .. } => writeln!(text, "; {reason}\n; {message}\nHALT"),
-            Step::Stand(wait_s) => writeln!(text, "WAIT SEC {wait_s:.3}"),
-            Step::Drive { period_s, raw_rad } => {
-                for block in raw_rad.chunks(BLOCK_POINTS_MAX) {
-                    let points: Vec<String> =
-                        block.iter().map(|raw_rad| format!("  SPTP {}\n", target(raw_rad))).collect();
-                    let block_s = period_s * block.len() as f64;
-                    let _ = write!(
-                        text,
-                        "PTP_SPLINE\n  TIME_BLOCK START\n{}  TIME_BLOCK END = {block_s:.3}\nENDSPLINE\n",
-                        points.join("  TIME_BLOCK PART = 1\n")
-                    );
-                }
-                Ok(())
-            }
-            Step::Servo(_) => Ok(()),
-        };
-    }
-    text.push_str("END\n");
-    text
+    format!(
+        "&ACCESS RVP\nDEF {name}()\n; {about}\nBAS(#INITMOV,0)\nBAS(#VEL_PTP,10)\n$TOOL=$NULLFRAME\n$BASE=$NULLFRAME\n\
+         {instructions}END\n"
+    )
 }
 
 fn ur_script(name: &str, about: &str, steps: &[Step]) -> String {
-    let mut text = format!("def {name}():\n  # {about}\n");
-    for step in steps {
-        let _ = match step {
-            Step::Go(raw_rad) => writeln!(text, "  movej([{}], a=0.3, v=0.2)", list(raw_rad, 1.0)),
-            Step::Wait(wait_s) => writeln!(text, "  sleep({wait_s})"),
-            Step::Halt { message, reason, jogged_to } => {
-                let _ = writeln!(text, "  # {reason}");
-                match jogged_to {
-                    None => writeln!(text, "  popup(\"{message}\", title=\"{name}\", blocking=True)"),
-                    // The arm cannot be jogged while a program runs.
-                    Some(to) => writeln!(
-                        text,
-                        "  # stop here, {message}, and start again without what is above, for poses {to} and following\n  \
-                         popup(\"{message}\", title=\"{name}\", warning=True)\n  halt"
-                    ),
-                }
-            }
-            Step::Servo(points) => write!(text, "{}", ur_script_path(points)),
-            Step::Stand(_) | Step::Drive { .. } => Ok(()),
-        };
-    }
-    let _ = write!(text, "end\n{name}()\n");
-    text
+    let instruction = |step: &Step| match step {
+        Step::Go(raw_rad) => format!("  movej([{}], a=0.3, v=0.2)\n", list(raw_rad, 1.0)),
+        Step::Wait(wait_s) => format!("  sleep({wait_s})\n"),
+        Step::Halt { message, reason, jogged_to: None } => {
+            format!("  # {reason}\n  popup(\"{message}\", title=\"{name}\", blocking=True)\n")
+        }
+        // The arm cannot be jogged while a program runs.
+        Step::Halt { message, reason, jogged_to: Some(to) } => format!(
+            "  # {reason}\n  \
+             # stop here, {message}, and start again without what is above, for poses {to} and following\n  \
+             popup(\"{message}\", title=\"{name}\", warning=True)\n  halt\n"
+        ),
+        Step::Servo(points) => ur_script_path(points),
+        Step::Stand(_) | Step::Drive { .. } => String::new(),
+    };
+    let instructions: String = steps.iter().map(instruction).collect();
+    format!("def {name}():\n  # {about}\n{instructions}end\n{name}()\n")
 }
 
 fn ur_script_path(points: &Points) -> String {
     let Some(first) = points.raw_rad.first() else { return String::new() };
     let axes = first.len();
-    let mut text = format!(
-        "  global q0 = [{}]\n  global v0 = [{}]\n  global t = 0\n",
-        list(first, 1.0),
-        list(&Joints::zeros(axes), 1.0)
-    );
-    // A cubic between two points with the path's speeds at both, evaluated at each step of the controller. The remaining time
-    // of a point is added to the next: 50 ms is not a multiple of 8 ms.
     let entries: Vec<String> =
         (0..axes).map(|i| format!("a*q0[{i}]+b*q1[{i}]+c*v0[{i}]+d*v1[{i}]")).collect();
-    let _ = write!(
-        text,
-        "  def go(q1, v1):\n    local dt = get_steptime()\n    while t + dt < {period} + 0.000001:\n      t = t + dt\n      \
+    let moves = points.raw_rad.iter().zip(&points.rate_rad_s).skip(1);
+    let moves: String = moves
+        .map(|(raw_rad, rate_rad_s)| format!("  go([{}], [{}])\n", list(raw_rad, 1.0), list(rate_rad_s, 1.0)))
+        .collect();
+    // A cubic between two points with the path's speeds at both, evaluated at each step of the controller. The remaining time
+    // of a point is added to the next: 50 ms is not a multiple of 8 ms.
+    format!(
+        "  global q0 = [{q0}]\n  global v0 = [{v0}]\n  global t = 0\n  \
+         def go(q1, v1):\n    local dt = get_steptime()\n    while t + dt < {period} + 0.000001:\n      t = t + dt\n      \
          local u = t / {period}\n      local a = 2*u*u*u - 3*u*u + 1\n      \
          local b = 3*u*u - 2*u*u*u\n      local c = (u*u*u - 2*u*u + u) * {period}\n      \
          local d = (u*u*u - u*u) * {period}\n      servoj([{entries}], t=dt, lookahead_time=0.03, gain=500)\n    end\n    \
-         q0 = q1\n    v0 = v1\n    t = t - {period}\n  end\n",
+         q0 = q1\n    v0 = v1\n    t = t - {period}\n  end\n{moves}  stopj(2)\n",
+        q0 = list(first, 1.0),
+        v0 = list(&Joints::zeros(axes), 1.0),
         period = points.period_s,
         entries = entries.join(", ")
-    );
-    for (raw_rad, rate_rad_s) in points.raw_rad.iter().zip(&points.rate_rad_s).skip(1) {
-        let _ = writeln!(text, "  go([{}], [{}])", list(raw_rad, 1.0), list(rate_rad_s, 1.0));
-    }
-    text.push_str("  stopj(2)\n");
-    text
+    )
 }
 
 /// Joint 3 is measured from the horizontal, by the coupling in `raw_to_joint` ([`counts_from_horizontal`]).
