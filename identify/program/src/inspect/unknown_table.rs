@@ -233,10 +233,9 @@ fn lengths(
         csv,
         length: LengthColumn { column: length.name.clone(), unit, offset_mm: 0.0 },
         joints,
-        flange: None,
-        uncertainty: None,
         anchor: label_column(others, "wire's anchor", &["anchor", "station"], notes),
         attachment: label_column(others, "place on the flange", &["attachment", "target"], notes),
+        ..MeasuredLengthMapping::default()
     })
 }
 
@@ -256,12 +255,10 @@ fn poses(
     MeasuredPoseMapping {
         csv,
         position: PositionColumns { columns, unit },
-        rotation: None,
-        uncertainty: None,
         station: label_column(others, "tracker's station", &["station", "setup"], notes),
         target: label_column(others, "target that was seen", &["target", "reflector", "smr"], notes),
-        time: None,
         joints,
+        ..MeasuredPoseMapping::default()
     }
 }
 

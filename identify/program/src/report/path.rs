@@ -7,8 +7,8 @@ use shared::config::{self, AngleUnit, RobotConfig};
 
 use crate::kinematics::Joints;
 use crate::logs::{
-    CsvLayout, EulerFrame, LengthColumn, LengthUnit, MeasuredLengthMapping, MeasuredPoseMapping,
-    PositionColumns, RotationColumns, RotationForm, joint_columns,
+    EulerFrame, LengthColumn, LengthUnit, MeasuredLengthMapping, MeasuredPoseMapping, PositionColumns,
+    RotationColumns, RotationForm, joint_columns,
 };
 use crate::model::ParameterId;
 use crate::plan::{
@@ -258,7 +258,7 @@ pub fn pose_table(
     robot: &RobotConfig,
     measures: Measures,
 ) -> Result<(String, String), toml::ser::Error> {
-    let (csv, joints) = (CsvLayout::default(), joint_columns(robot));
+    let joints = joint_columns(robot);
     let position = ["x_mm", "y_mm", "z_mm"].map(str::to_owned);
     let rotation = ["rx_deg", "ry_deg", "rz_deg"].map(str::to_owned);
     let mut columns: Vec<String> = joints.iter().map(|joint| joint.column.clone()).collect();
@@ -286,15 +286,7 @@ pub fn pose_table(
     }
     let mapping = if measures == Measures::Lengths {
         let length = LengthColumn { column: "length_mm".into(), unit: LengthUnit::Mm, offset_mm: 0.0 };
-        config::to_toml(&MeasuredLengthMapping {
-            csv,
-            length,
-            joints,
-            flange: None,
-            uncertainty: None,
-            anchor: None,
-            attachment: None,
-        })?
+        config::to_toml(&MeasuredLengthMapping { length, joints, ..MeasuredLengthMapping::default() })?
     } else {
         let turned = RotationColumns {
             form: RotationForm::Euler,
@@ -304,14 +296,10 @@ pub fn pose_table(
             frame: Some(EulerFrame::Moving),
         };
         config::to_toml(&MeasuredPoseMapping {
-            csv,
             position: PositionColumns { columns: position, unit: LengthUnit::Mm },
             rotation: (measures == Measures::Poses).then_some(turned),
-            uncertainty: None,
-            station: None,
-            target: None,
-            time: None,
             joints,
+            ..MeasuredPoseMapping::default()
         })?
     };
     Ok((table, mapping))

@@ -44,6 +44,7 @@ pub(in crate::logs) struct RawRow {
 
 /// Rows in the order of the file, stamps not decreasing. Column by column: ten hours have ten million rows, most logs neither
 /// speeds nor torques.
+#[derive(Default)]
 pub(in crate::logs) struct RawLog {
     path: PathBuf,
     /// Name of a row: `line`, `message` or `telegram`.
@@ -124,20 +125,7 @@ impl<'a> Meaning<'a> {
 
 impl RawLog {
     pub fn new(path: &Path, what: &'static str) -> Self {
-        Self {
-            path: path.to_owned(),
-            what,
-            places: Vec::new(),
-            stamps_ns: Vec::new(),
-            joints: Vec::new(),
-            more: Default::default(),
-            quality: LogQuality::default(),
-            robot: None,
-            clock: "unstated".into(),
-            origin: Origin::Unstated,
-            remarks: Vec::new(),
-            force: None,
-        }
+        Self { path: path.to_owned(), what, clock: "unstated".into(), ..Self::default() }
     }
 
     /// Default for a format with measured joints on a clock, unless a mapping states another.

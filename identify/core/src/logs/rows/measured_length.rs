@@ -21,7 +21,7 @@ const LENGTH_M_MAX: f64 = 20.0;
 const OFFSET_MM_MAX: f64 = 1e3 * LENGTH_M_MAX;
 
 /// The column of the measured length.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LengthColumn {
     /// Name in the header.
@@ -52,7 +52,7 @@ pub struct FlangeColumns {
 }
 
 /// Columns of a table of measured lengths.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MeasuredLengthMapping {
     /// Layout of the table.

@@ -30,7 +30,7 @@ const FASTEST: Fastest = Fastest { speed: SPEED_M_S_MAX, acceleration: 50.0 };
 const ANGLE_RAD_MAX: f64 = 2.0 * std::f64::consts::TAU;
 
 /// The columns of the measured position.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PositionColumns {
     /// Names in the header: x, y, z in the tracker's frame.
@@ -65,7 +65,7 @@ pub enum RotationForm {
 }
 
 /// The columns of the measured orientation.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RotationColumns {
     /// Meaning of the columns.
@@ -188,7 +188,7 @@ pub struct PoseUncertainty {
 }
 
 /// Columns of a tracker's table.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MeasuredPoseMapping {
     /// Layout of the table.

@@ -18,10 +18,11 @@ const ROWS_MIN: usize = 10;
 const JOINT_RAD_MAX: f64 = 4.0 * std::f64::consts::PI;
 
 /// Unit of a length column.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LengthUnit {
     /// Metres, the SI unit.
+    #[default]
     M,
     /// Millimetres, a thousandth of it.
     Mm,

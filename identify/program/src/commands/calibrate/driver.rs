@@ -183,6 +183,7 @@ fn instruments(bars: &[RunFiles<'_>], runs: &[Run]) -> String {
 }
 
 /// What the result reports of its data sets: for the terminal, the page and the files.
+#[derive(Default)]
 struct Tables<'a> {
     /// For the page, and for the terminal where all is printed.
     text: String,
@@ -204,14 +205,7 @@ impl<'a> Tables<'a> {
         robot: &RobotConfig,
         validity: &Validity,
     ) -> anyhow::Result<Self> {
-        let mut tables = Self {
-            text: table::data_sets(calibration),
-            validation_lines: String::new(),
-            entries: Vec::new(),
-            validations: Vec::new(),
-            limits: Vec::new(),
-            errors: Vec::new(),
-        };
+        let mut tables = Self { text: table::data_sets(calibration), ..Self::default() };
         let bars = calibration.runs.len() - rows.len();
         let sets = calibration.rows.iter().zip(rows).zip(beside.iter().zip(others));
         for (number, ((set, rows), (beside, others))) in (bars..).zip(sets) {

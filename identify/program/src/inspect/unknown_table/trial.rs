@@ -116,9 +116,7 @@ fn orientations(columns: &[&Column]) -> Vec<RotationColumns> {
     let rotation = |form, group: Vec<&Column>| RotationColumns {
         form,
         columns: group.iter().map(|column| column.name.clone()).collect(),
-        unit: None,
-        order: None,
-        frame: None,
+        ..RotationColumns::default()
     };
     let mut all = Vec::new();
     all.extend(group(columns, &NINE).map(|group| rotation(RotationForm::Matrix, group)));
