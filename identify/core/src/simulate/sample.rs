@@ -142,9 +142,8 @@ fn record(
         receive_time: send_time.plus_ns(ROUND_TRIP_NS),
         working_counter,
         working_counter_expected: working_counter,
-        flags: 0,
-        origin: 0,
         encoder_count: encoders.len() as u8,
         encoders: samples,
+        ..CycleRecord::default()
     }
 }

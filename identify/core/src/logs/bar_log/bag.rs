@@ -103,12 +103,8 @@ fn encoders_among(
     prefixes.dedup();
     // Of two bars in one topic a mapping must name one.
     let [prefix] = prefixes[..] else { return None };
-    let encoder = |joint: u8| EncoderColumn {
-        joint,
-        column: format!("{prefix}{USUAL}{joint}"),
-        unit: None,
-        valid: None,
-    };
+    let column = |joint: u8| format!("{prefix}{USUAL}{joint}");
+    let encoder = |joint: u8| EncoderColumn { joint, column: column(joint), ..EncoderColumn::default() };
     let encoders = bar.encoders.iter().map(|configured| encoder(configured.joint));
     encoders.map(|encoder| Some(encoder).filter(is_found)).collect()
 }

@@ -25,7 +25,7 @@ pub enum EncoderUnit {
 }
 
 /// Column or topic of the values of one encoder.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EncoderColumn {
     /// Bar joint that it measures, 1 to 5.

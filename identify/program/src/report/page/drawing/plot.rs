@@ -54,7 +54,7 @@ impl Series {
 }
 
 /// One pair of axes.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(in crate::report) struct Panel {
     title: String,
     x: String,
@@ -125,15 +125,7 @@ impl Strokes {
 impl Panel {
     /// `size` \[px\]; the axes reach as far as the points.
     pub fn new(title: impl Into<String>, [x, y]: [&str; 2], size: (u32, u32), series: Vec<Series>) -> Self {
-        Self {
-            title: title.into(),
-            x: x.into(),
-            y: y.into(),
-            size,
-            series,
-            with_zero: false,
-            names: Vec::new(),
-        }
+        Self { title: title.into(), x: x.into(), y: y.into(), size, series, ..Self::default() }
     }
 
     /// The same with a vertical axis that includes zero.
