@@ -742,7 +742,7 @@ fn an_arm_on_a_lift_is_known_as_well_as_the_tracker_shows_it() {
         d_m: last.d_m,
         theta_deg: last.theta_rad.to_degrees(),
         alpha_deg: last.alpha_rad.to_degrees(),
-        ..robot.links[3].clone()
+        ..robot.links[3]
     };
     let found = Alone::quick().without_joint_errors().poses(&rows, &robot).unwrap();
     let chain = found.model().geometry(&found.model().start()).robot;
