@@ -6,7 +6,6 @@
 use std::fmt;
 
 use crate::calibrate::CalibrateError;
-use crate::cost::{DataSets, SharedColumns};
 use crate::instrument::{Cause, Instrument, Run};
 use crate::model::{ParameterId, Role};
 use crate::prepare::{Deviations, PoorFit, PrepareError, PrepareOptions};
@@ -100,14 +99,13 @@ fn change_of_run(Run { instrument, model }: &Run, sigma: f64) -> Result<Option<C
     let alternatives: Vec<Vec<usize>> =
         causes.iter().map(|cause| ids(cause).into_iter().filter_map(column).collect()).collect();
     let estimated: Vec<usize> = model.columns().filter_map(|parameter| column(parameter.id)).collect();
-    let columns = SharedColumns::new([&with_causes], |_| false);
-    let problem = DataSets::new(vec![instrument.data_set(&with_causes, sigma)?], &columns);
+    let problem = instrument.data_set(&with_causes, sigma)?;
     let measured = || (0..problem.samples()).filter(|sample| !problem.is_known(*sample));
     let every = measured().count().div_ceil(SAMPLES_MAX).max(1);
     let samples: Vec<usize> = measured().step_by(every).collect();
     let loss = LossName::Huber.for_spread(1.0, problem.rows());
     let x = with_causes.start();
-    let found = change_point(&problem, &x, loss, &samples, &estimated, &alternatives, FALSE_ALARMS);
+    let found = change_point(&*problem, &x, loss, &samples, &estimated, &alternatives, FALSE_ALARMS);
     Ok(found.and_then(|Change { alternative, course, by, explained }| {
         let when = match course {
             Course::Step(first_after) => time_of_step(instrument, &samples, first_after)?,

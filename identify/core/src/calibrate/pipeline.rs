@@ -344,19 +344,18 @@ impl<'a> Solver<'a> {
         {
             // An instrument that estimates its noise gives residuals in standard deviations.
             let own_noise = instrument.adapt(model);
-            let columns = SharedColumns::new([&*model], |_| false);
-            let alone = DataSets::new(vec![instrument.data_set(model, UNWEIGHTED)?], &columns);
+            let alone = instrument.data_set(model, UNWEIGHTED)?;
             *sigma = factor
                 * match own_noise {
                     Some(_) => UNWEIGHTED,
-                    None => GoodShare::HALF.spread_at(&alone, &model.start()).max(SIGMA_MIN),
+                    None => GoodShare::HALF.spread_at(&*alone, &model.start()).max(SIGMA_MIN),
                 };
             if is_joint {
                 // Correlated errors carry less information than independent ones.
                 let groups = instrument.independent(LEFT_OUT);
                 let loss = LossName::Cauchy.for_spread(*sigma, alone.rows());
                 let options = Options { loss, ..Options::default() };
-                let normals = Normals::new(&alone, &model.start(), &options, &groups).ok();
+                let normals = Normals::new(&*alone, &model.start(), &options, &groups).ok();
                 let dispersion = normals.and_then(|normals| normals.overdispersion());
                 *sigma *= (dispersion.unwrap_or(1.0) / sigma.powi(2)).max(1.0).sqrt();
             }

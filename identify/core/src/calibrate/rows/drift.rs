@@ -13,7 +13,6 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::calibrate::CalibrateError;
 use crate::calibrate::selection::terms::{falls, mean};
-use crate::cost::{DataSets, SharedColumns};
 use crate::instrument::Instrument;
 use crate::model::{Model, ParameterId};
 use crate::solver::{Loss, Normal, Prior, ScaledCholesky, stacked};
@@ -119,9 +118,9 @@ struct Linear {
 
 impl Linear {
     fn at(model: &Model, all: &Instrument, used: &[usize]) -> Result<Option<Self>, CalibrateError> {
-        let (part, columns) = (all.part(used), SharedColumns::new([model], |_| false));
-        let problem = DataSets::new(vec![part.data_set(model, 1.0)?], &columns);
-        let Some((residual, jacobian)) = stacked(&problem, &model.start()) else { return Ok(None) };
+        let part = all.part(used);
+        let problem = part.data_set(model, 1.0)?;
+        let Some((residual, jacobian)) = stacked(&*problem, &model.start()) else { return Ok(None) };
         // The problem divides by the relative noise.
         let divided_by = part.relative_noise();
         let over_file = |values: &mut dyn Iterator<Item = f64>| {

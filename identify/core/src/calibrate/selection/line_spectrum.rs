@@ -16,7 +16,7 @@ use std::f64::consts::TAU;
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::cost::{CostError, DataSets, SharedColumns};
+use crate::cost::CostError;
 use crate::instrument::Run;
 use crate::kinematics::{Joints, LinkParameter, Turn};
 use crate::model::{DriveTrain, JointState, JointTerm, Model, ParameterId, Period, Phase, Waves};
@@ -180,8 +180,7 @@ impl LineSpectrum {
         let first_fold = self.folds;
         self.folds += folds.len();
         let Some(joint_model) = joints_only(model) else { return Ok(()) };
-        let columns = SharedColumns::new([&joint_model], |_| false);
-        let problem = DataSets::new(vec![instrument.data_set(&joint_model, sigma)?], &columns);
+        let problem = instrument.data_set(&joint_model, sigma)?;
         let every = problem.samples().div_ceil(SAMPLES_MAX).max(1);
         // Sample, fold, weight and reported joints. Samples without a value have weight zero.
         let mut present: Vec<(usize, usize, f64, JointState)> = folds
@@ -195,7 +194,7 @@ impl LineSpectrum {
             })
             .collect();
         present.sort_unstable_by_key(|(sample, ..)| *sample);
-        let subset = Subset { of: &problem, samples: present.iter().map(|(sample, ..)| *sample).collect() };
+        let subset = Subset { of: &*problem, samples: present.iter().map(|(sample, ..)| *sample).collect() };
         let Some((residuals, jacobian)) = stacked(&subset, &joint_model.start()) else { return Ok(()) };
         let per_sample = problem.rows();
         if residuals.len() != per_sample * present.len() {

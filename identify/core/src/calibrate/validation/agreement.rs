@@ -10,7 +10,6 @@ use nalgebra::DVector;
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 use crate::calibrate::pipeline::{LEFT_OUT, differ, is_own};
-use crate::cost::{DataSets, SharedColumns};
 use crate::instrument::Run;
 use crate::solver::{Loss, Normals, Options};
 
@@ -35,10 +34,9 @@ pub fn disagreeing(runs: &[Run], sigmas: &[f64], loss: Loss) -> Vec<Disagreement
     let own_lengths = differ(runs);
     let test = |(data_set, (run, sigma)): (usize, (&Run, &f64))| {
         let Run { instrument, model } = run;
-        let columns = SharedColumns::new([model], |_| false);
-        let alone = DataSets::new(vec![instrument.data_set(model, *sigma).ok()?], &columns);
+        let alone = instrument.data_set(model, *sigma).ok()?;
         let (x, groups) = (model.start(), instrument.independent(LEFT_OUT));
-        let at_joint = Normals::new(&alone, &x, &Options { loss, ..Options::default() }, &groups).ok()?;
+        let at_joint = Normals::new(&*alone, &x, &Options { loss, ..Options::default() }, &groups).ok()?;
         // `-H^-1 g`, and the reduction `g' H^-1 g`.
         let step = at_joint.step()?;
         let reduction = -at_joint.whole().gradient.dot(&step);
