@@ -4,7 +4,7 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
-use super::rows::{MEDIAN_OF_THREE, Screened, Standing};
+use super::rows::{MEDIAN_OF_THREE, Screened, Standing, sigma_by_median};
 use super::{
     Cause, Deviation, Doubt, Instrument, Knowns, Measures, Mistake, Noise, RejectedRow, ScaleFrom, Section,
     SocketTable, Sockets, nearest,
@@ -12,10 +12,7 @@ use super::{
 use crate::cost::{BesideKnowns, CostError, DataSet, Residual, SeatedBall};
 use crate::kinematics::{Chain, Joints};
 use crate::logs;
-use crate::model::{
-    Clock, Geometry, JointState, Model, ModelError, Observation, Owner, ParameterId, PerObservation, Role,
-};
-use crate::statistics::median_size;
+use crate::model::{Clock, Geometry, JointState, Model, ModelError, Observation, Owner, ParameterId, Role};
 
 /// A pose of the robot at which the ball is seated.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -161,10 +158,8 @@ impl Contact {
 
     /// Updates observations and their sockets from the rows in use.
     fn update_observations(&mut self) {
-        let rows = &self.rows.at.rows;
-        let observation = |row| Observation::bar(PerObservation::time_s(row), Default::default());
-        self.observations = (0..rows.len()).map(observation).collect();
-        self.socket_of = rows.iter().map(|row| row.socket).collect();
+        self.observations = self.rows.at.observations();
+        self.socket_of = self.rows.at.rows.iter().map(|row| row.socket).collect();
     }
 
     /// Position of the ball predicted by the robot minus its socket, for every row, in use or not \[m\].
@@ -305,11 +300,8 @@ impl Measures for Contact {
 
     /// Standard deviation of a coordinate, from the median of mostly normal errors.
     fn adapt(&mut self, model: &Model) -> Option<f64> {
-        /// Data without any noise still need a unit.
-        const LEAST_M: f64 = 1e-9;
         let errors_m = self.errors_m(&model.geometry(&[]));
-        let median_m = median_size(errors_m.iter().map(|error| error.norm()));
-        self.noise_m = (median_m / MEDIAN_OF_THREE).max(LEAST_M);
+        self.noise_m = sigma_by_median(errors_m.iter().map(|error| error.norm()), MEDIAN_OF_THREE);
         Some(self.noise_m)
     }
 
@@ -317,13 +309,10 @@ impl Measures for Contact {
     fn screen(&mut self, model: &Model) -> bool {
         let residuals_m: Vec<f64> =
             self.errors_m(&model.geometry(&[])).iter().map(|error| error.norm()).collect();
-        let before = self.rows.clone();
-        let changed = self.rows.screen(&residuals_m, &vec![1.0; residuals_m.len()]);
-        let is_visited = |socket: usize| self.rows.at.rows.iter().any(|row| row.socket == socket);
-        if !(0..self.sockets.names().len()).all(is_visited) {
-            self.rows = before;
-            return false;
-        }
+        let sockets = self.sockets.names().len();
+        let visit_all_sockets =
+            |rows: &[ContactRow]| (0..sockets).all(|socket| rows.iter().any(|row| row.socket == socket));
+        let changed = self.rows.screen(&residuals_m, &vec![1.0; residuals_m.len()], visit_all_sockets);
         self.update_observations();
         changed
     }
@@ -338,10 +327,6 @@ impl Measures for Contact {
 
     fn group(&mut self, groups: &[usize], seed: u64) {
         self.rows.group(groups, seed);
-    }
-
-    fn joints(&self) -> Vec<Joints> {
-        self.rows.all.joints()
     }
 
     /// Rows with the ball in another socket than stated, which no model can predict.

@@ -4,7 +4,7 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3, SymmetricEigen, Vector3};
 
-use super::rows::{MEDIAN_OF_ONE, Screened, Standing};
+use super::rows::{MEDIAN_OF_ONE, Screened, Standing, sigma_by_median};
 use super::{
     Cause, Deviation, Doubt, FaceTable, Faces, Instrument, Knowns, Measures, Mistake, Noise, RejectedRow,
     RowError, ScaleFrom, Section, nearest,
@@ -14,9 +14,8 @@ use crate::kinematics::{Chain, Joints, Pose};
 use crate::logs::{self, JointMistake};
 use crate::model::{
     Axis, Clock, Face, FaceNumber, Geometry, JointState, Model, ModelError, Observation, Owner, ParameterId,
-    PerObservation, Role, SetUp,
+    Role, SetUp,
 };
-use crate::statistics::median_size;
 
 /// A pose of the robot at which the tip touches a face.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -78,10 +77,8 @@ impl Touch {
 
     /// Updates observations and faces from the rows in use.
     fn update_observations(&mut self) {
-        let rows = &self.rows.at.rows;
-        let observation = |row| Observation::bar(PerObservation::time_s(row), Default::default());
-        self.observations = (0..rows.len()).map(observation).collect();
-        self.touched = rows.iter().map(|row| (row.face, row.reading_m)).collect();
+        self.observations = self.rows.at.observations();
+        self.touched = self.rows.at.rows.iter().map(|row| (row.face, row.reading_m)).collect();
     }
 
     /// The same instrument with other rows on the same faces.
@@ -292,23 +289,20 @@ impl Measures for Touch {
 
     /// Standard deviation, from the median of mostly normal residuals.
     fn adapt(&mut self, model: &Model) -> Option<f64> {
-        /// Data without any noise still need a unit.
-        const LEAST_M: f64 = 1e-9;
         let residuals_m = self.residuals_m(&model.geometry(&[]));
-        self.noise_m = (median_size(residuals_m.into_iter()) / MEDIAN_OF_ONE).max(LEAST_M);
+        self.noise_m = sigma_by_median(residuals_m.into_iter(), MEDIAN_OF_ONE);
         Some(self.noise_m)
     }
 
     /// Leaves rows out if most rows agree with each other and each face keeps enough.
     fn screen(&mut self, model: &Model) -> bool {
         let residuals_m = self.residuals_m(&model.geometry(&[]));
-        let before = self.rows.clone();
-        let changed = self.rows.screen(&residuals_m, &vec![1.0; residuals_m.len()]);
-        let rows_of = |face: usize| self.rows.at.rows.iter().filter(|row| row.face == face).count();
-        if (0..self.faces.names().len()).any(|face| rows_of(face) < FACE_ROWS_MIN / 2) {
-            self.rows = before;
-            return false;
-        }
+        let faces = self.faces.names().len();
+        let cover_all_faces = |rows: &[TouchRow]| {
+            let rows_of = |face: usize| rows.iter().filter(|row| row.face == face).count();
+            (0..faces).all(|face| rows_of(face) >= FACE_ROWS_MIN / 2)
+        };
+        let changed = self.rows.screen(&residuals_m, &vec![1.0; residuals_m.len()], cover_all_faces);
         self.update_observations();
         changed
     }
@@ -331,10 +325,6 @@ impl Measures for Touch {
 
     fn rejected(&self) -> &[RejectedRow] {
         &self.rows.rejected
-    }
-
-    fn joints(&self) -> Vec<Joints> {
-        self.rows.all.joints()
     }
 
     /// Twice the number of unknowns of tip, faces and links.

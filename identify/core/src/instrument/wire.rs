@@ -237,7 +237,7 @@ impl Measures for Wire {
     /// Leaves rows out if most rows agree with each other.
     fn screen(&mut self, model: &Model) -> bool {
         let residuals_m = self.residuals_m(&model.geometry(&[]));
-        let changed = self.rows.screen(&residuals_m, &self.relative_noise());
+        let changed = self.rows.screen(&residuals_m, &self.relative_noise(), |_| true);
         *self = Self::from_parts(self.rows.clone(), self.noise);
         changed
     }
@@ -252,10 +252,6 @@ impl Measures for Wire {
 
     fn group(&mut self, groups: &[usize], seed: u64) {
         self.rows.group(groups, seed);
-    }
-
-    fn joints(&self) -> Vec<Joints> {
-        self.rows.all.joints()
     }
 
     fn samples_min(&self) -> usize {

@@ -9,7 +9,7 @@ mod standing;
 
 pub use error::RowError;
 pub use mistake::Mistake;
-pub(super) use row_noise::{MEDIAN_OF_ONE, MEDIAN_OF_THREE, RowNoise};
+pub(super) use row_noise::{MEDIAN_OF_ONE, MEDIAN_OF_THREE, RowNoise, sigma_by_median};
 pub(super) use screened::Screened;
 pub use screened::{RejectedRow, Rejection};
 pub(crate) use screened::{faulty, gross_rows, without};

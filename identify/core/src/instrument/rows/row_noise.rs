@@ -7,6 +7,13 @@ use crate::statistics::median_size;
 pub(in crate::instrument) const MEDIAN_OF_ONE: f64 = 0.6745;
 /// Median norm of three independent standard normal variables.
 pub(in crate::instrument) const MEDIAN_OF_THREE: f64 = 1.538;
+/// Data without any noise still need a unit.
+const LEAST: f64 = 1e-9;
+
+/// Standard deviation of mostly normal errors. `median` is the median size of an error of standard deviation one.
+pub(in crate::instrument) fn sigma_by_median(errors: impl Iterator<Item = f64>, median: f64) -> f64 {
+    (median_size(errors) / median).max(LEAST)
+}
 
 /// Standard deviations of rows, in the unit of the stated uncertainty: `factor * sqrt(stated^2 + added^2)`.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -29,15 +36,13 @@ impl RowNoise {
         errors: impl Iterator<Item = (f64, Option<f64>)>,
         median: f64,
     ) -> Self {
-        /// Data without any noise still need a unit.
-        const LEAST: f64 = 1e-9;
         const HALVINGS: usize = 40;
         let errors: Vec<(f64, f64)> = errors.map(|(error, stated)| (error, stated.unwrap_or(0.0))).collect();
         // Standard deviation of the errors relative to the assumed one; decreases with `added`.
         let relative_sigma = |added: f64| {
             median_size(errors.iter().map(|(error, stated)| error / stated.hypot(added))) / median
         };
-        let sigma = (median_size(errors.iter().map(|(error, _)| *error)) / median).max(LEAST);
+        let sigma = sigma_by_median(errors.iter().map(|(error, _)| *error), median);
         let (mut low, mut high) = (0.0, sigma);
         if errors.iter().all(|(_, stated)| *stated == 0.0) {
             low = sigma;

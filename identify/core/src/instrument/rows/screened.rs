@@ -61,8 +61,14 @@ impl<R: Copy> Screened<R> {
     }
 
     /// Determines the outliers from the residuals of all rows \[m\] and their noise relative to the median row. Nothing changes
-    /// if more than half of the rows were outliers. Returns whether the set of rows in use has changed.
-    pub(in crate::instrument) fn screen(&mut self, residuals_m: &[f64], relative_noise: &[f64]) -> bool {
+    /// if more than half of the rows were outliers, or if the other rows would not be sufficient. Returns whether the set of
+    /// rows in use has changed.
+    pub(in crate::instrument) fn screen(
+        &mut self,
+        residuals_m: &[f64],
+        relative_noise: &[f64],
+        are_sufficient: impl Fn(&[R]) -> bool,
+    ) -> bool {
         let all: Vec<usize> = (0..residuals_m.len()).collect();
         let kept = without(&all, &self.rejected);
         let rejected = faulty(residuals_m, relative_noise, &all, &kept);
@@ -71,8 +77,11 @@ impl<R: Copy> Screened<R> {
         if same || 2 * rejected.len() > all.len() {
             return false;
         }
-        self.at = self.all.chosen(&without(&all, &rejected));
-        self.rejected = rejected;
+        let used = self.all.chosen(&without(&all, &rejected));
+        if !are_sufficient(&used.rows) {
+            return false;
+        }
+        (self.at, self.rejected) = (used, rejected);
         true
     }
 }

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use super::{RowError, split};
 use crate::kinematics::Joints;
-use crate::model::{JointState, ParameterId, RobotMotion, SetUp};
+use crate::model::{JointState, Observation, ParameterId, PerObservation, RobotMotion, SetUp};
 
 /// A joint that moved less than this since the previous pose keeps its direction of motion \[rad\].
 const MOVED_RAD_MIN: f64 = 1e-3;
@@ -80,6 +80,12 @@ impl<R: Copy> Standing<R> {
     /// The joints of each row.
     pub(in crate::instrument) fn joints(&self) -> Vec<Joints> {
         self.states.iter().map(|state| state.q).collect()
+    }
+
+    /// An observation of each row, which has the time only: the measurements are kept beside them.
+    pub(in crate::instrument) fn observations(&self) -> Vec<Observation> {
+        let observation = |row| Observation::bar(PerObservation::time_s(row), Default::default());
+        (0..self.rows.len()).map(observation).collect()
     }
 
     /// The same rows with other joints.
