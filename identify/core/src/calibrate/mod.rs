@@ -11,6 +11,7 @@ pub mod pipeline;
 pub mod refusal;
 pub mod rows;
 pub mod selection;
+mod uncertainty;
 pub mod validation;
 
 pub use calibration::Calibration;

@@ -5,20 +5,18 @@
 //! Ball-bars alone share one unit of residuals, that of their cost, and one sigma (standard deviation of a residual). With any
 //! other instrument each data set has its own sigma, and the residuals of the solve are in standard deviations.
 
-use nalgebra::DMatrix;
-
 use super::change;
 use super::error::CalibrateError;
 use super::rows::WAVES_PER_TURN_MAX;
 use super::selection::choose::CommonPrior;
 use super::selection::line_spectrum::Shown;
-use super::selection::terms::{Candidate, CandidateGroup, mean};
+use super::selection::terms::{Candidate, CandidateGroup};
 use crate::cost::{CostError, DataSets, SharedColumns};
 use crate::instrument::{CostName, Run, ScaleFrom};
-use crate::model::{Group, Model, ModelError, Parameter, ParameterId, Phase, Role};
+use crate::model::{Group, Model, ModelError, ParameterId, Phase, Role};
 use crate::solver::{
-    Considered, Covariance, GoodShare, Loss, LossName, Normals, Options, Problem, Solution, Source, Summary,
-    Watch, influence, minimise, minimise_robust, solve,
+    GoodShare, Loss, LossName, Normals, Options, Problem, Solution, Summary, Watch, minimise,
+    minimise_robust, solve,
 };
 
 /// Standard deviation one: residuals as defined in the thesis, or already whitened (`pose`).
@@ -90,11 +88,6 @@ pub struct Solved {
     pub sigmas: Vec<f64>,
 }
 
-/// The prior that includes a considered term; `None` for other parameters.
-fn prior_of_term(parameter: &Parameter, sigma: f64) -> Option<Role> {
-    parameter.id.term().map(|_| Role::Prior { value: parameter.value, sigma })
-}
-
 /// Standard deviation of a residual relative to priors; residuals of `pose` are already whitened.
 fn residual_sigma(cost: CostName, reached: &Summary) -> f64 {
     if cost == CostName::Pose { UNWEIGHTED } else { reached.residual_rms.max(SIGMA_MIN) }
@@ -106,8 +99,29 @@ pub(super) fn problem<'p>(
     columns: &'p SharedColumns,
     sigmas: &[f64],
 ) -> Result<DataSets<'p>, CostError> {
-    let sets = runs.iter().zip(sigmas).map(|(run, sigma)| run.instrument.data_set(&run.model, *sigma));
+    problem_with_models(runs, runs.iter().map(|run| &run.model), columns, sigmas)
+}
+
+/// The least-squares problem of all runs with these models, one for each run.
+pub(super) fn problem_with_models<'p>(
+    runs: &'p [Run],
+    models: impl IntoIterator<Item = &'p Model>,
+    columns: &'p SharedColumns,
+    sigmas: &[f64],
+) -> Result<DataSets<'p>, CostError> {
+    let sets = runs.iter().zip(models).zip(sigmas);
+    let sets = sets.map(|((run, model), sigma)| run.instrument.data_set(model, *sigma));
     Ok(DataSets::new(sets.collect::<Result<_, _>>()?, columns))
+}
+
+/// Factor of the `sigma` of one data set for the correlation of its errors: correlated errors carry less information than
+/// independent ones. `groups` are independent groups of its samples.
+fn correlation_factor(alone: &dyn Problem, model: &Model, groups: &[Vec<usize>], sigma: f64) -> f64 {
+    let loss = LossName::Cauchy.for_spread(sigma, alone.rows());
+    let options = Options { loss, ..Options::default() };
+    let normals = Normals::new(alone, &model.start(), &options, groups).ok();
+    let dispersion = normals.and_then(|normals| normals.overdispersion());
+    (dispersion.unwrap_or(1.0) / sigma.powi(2)).max(1.0).sqrt()
 }
 
 /// The cost that defines the unit of the residuals of all data sets; `None` if they differ.
@@ -124,7 +138,7 @@ pub(super) struct Solver<'a> {
     /// Standard deviation of a residual of each run.
     pub(super) sigmas: Vec<f64>,
     /// Those of rod and plate lengths that differ between runs.
-    own_lengths: Vec<ParameterId>,
+    pub(super) own_lengths: Vec<ParameterId>,
     /// Waves that were detected in residuals.
     pub(super) shown: Shown,
 }
@@ -145,47 +159,25 @@ pub fn estimate(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateEr
 fn estimate_in_steps(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateError> {
     let mut solver = Solver::new(runs, plan);
     solver.begins("links");
-    let (mut columns, mut solution) = solver.solve_with_weights()?;
-    if solver.replaces_compliance_by_play(solution.loss)? {
-        (columns, solution) = solver.solve_with_weights()?;
-    }
+    let (mut columns, mut solution) = solver.solve_links()?;
     let rms_start = solution.summary.residual_rms_start;
     let without_terms = solver.runs.iter().map(|run| run.model.clone()).collect();
-    let mut candidates = Vec::new();
-    let mut scale = 1.0;
-    let has_choices = !(plan.groups.is_empty() && plan.tolerances.is_empty() && plan.common.is_empty());
-    if has_choices && solution.summary.residual_rms > RESIDUAL_MIN * solver.unit() {
-        // Of the costs of the ball-bar only `pose` has a noise model.
-        let estimates_noise = solver.residual_unit_of().is_none_or(|cost| cost == CostName::Pose);
-        // Accepted terms reduce the noise: the second selection weights their priors with it.
-        let rounds = if estimates_noise { 2 } else { 1 };
-        for _ in 0..rounds {
-            let further_scale;
-            (candidates, further_scale) = solver.choose_terms(&solution)?;
-            scale *= further_scale;
-            if estimates_noise {
-                solution.loss = solver.minimise_whitened(plan.loss)?;
-                solver.learn_noise();
-                solver.fit_common_priors(solution.loss)?;
-            }
-            if solver.residual_unit_of().is_none() {
-                solver.estimate_sigmas()?;
-            }
-        }
-        if estimates_noise || scale != 1.0 || candidates.iter().any(|candidate| candidate.accepted) {
-            (columns, solution) = if solver.residual_unit_of().is_some() {
-                // Accepted terms reduce the residuals, so the scale of the loss is estimated again.
-                solver.minimise_bars()?;
-                solver.last_solve()?
-            } else {
-                solver.solve_with_weights()?
-            };
-        }
+    let Choice { candidates, prior_scale, needs_solve } = solver.choose(&mut solution)?;
+    if needs_solve {
+        (columns, solution) = solver.solve_with_terms()?;
     }
     solution.summary.residual_rms_start = rms_start;
     solution.covariance = solver.covariance(&columns, &solution)?;
     let sigmas = solver.sigmas;
-    Ok(Solved { columns, solution, without_terms, candidates, prior_scale: scale, sigmas })
+    Ok(Solved { columns, solution, without_terms, candidates, prior_scale, sigmas })
+}
+
+/// Terms that were tried, and the scale of the tolerances.
+struct Choice {
+    candidates: Vec<Candidate>,
+    prior_scale: f64,
+    /// Whether the solution without terms is no longer the minimum.
+    needs_solve: bool,
 }
 
 /// Solves for the free parameters from the current values, without trying other terms, and sets the models to the solution.
@@ -255,6 +247,58 @@ impl<'a> Solver<'a> {
     fn unit(&self) -> f64 {
         let first = self.sigmas.first().copied().unwrap_or(UNWEIGHTED);
         if self.residual_unit_of().is_some() { first } else { UNWEIGHTED }
+    }
+
+    /// Solves without the terms to choose from, with play or compliance of the bar.
+    fn solve_links(&mut self) -> Result<(SharedColumns, Solution), CalibrateError> {
+        let (columns, solution) = self.solve_with_weights()?;
+        if self.replaces_compliance_by_play(solution.loss)? {
+            return self.solve_with_weights();
+        }
+        Ok((columns, solution))
+    }
+
+    /// Chooses terms and widths of priors at the solution without terms, and sets roles and sigmas accordingly. The solution
+    /// receives the loss of the improved models.
+    fn choose(&mut self, solution: &mut Solution) -> Result<Choice, CalibrateError> {
+        let plan = self.plan;
+        let mut candidates = Vec::new();
+        let mut prior_scale = 1.0;
+        let has_choices = !(plan.groups.is_empty() && plan.tolerances.is_empty() && plan.common.is_empty());
+        let has_residuals = solution.summary.residual_rms > RESIDUAL_MIN * self.unit();
+        if !(has_choices && has_residuals) {
+            return Ok(Choice { candidates, prior_scale, needs_solve: false });
+        }
+        // Of the costs of the ball-bar only `pose` has a noise model.
+        let estimates_noise = self.residual_unit_of().is_none_or(|cost| cost == CostName::Pose);
+        // Accepted terms reduce the noise: the second selection weights their priors with it.
+        let rounds = if estimates_noise { 2 } else { 1 };
+        for _ in 0..rounds {
+            let further_scale;
+            (candidates, further_scale) = self.choose_terms(solution)?;
+            prior_scale *= further_scale;
+            if estimates_noise {
+                solution.loss = self.minimise_whitened(plan.loss)?;
+                self.learn_noise();
+                self.fit_common_priors(solution.loss)?;
+            }
+            if self.residual_unit_of().is_none() {
+                self.estimate_sigmas()?;
+            }
+        }
+        let has_accepted = candidates.iter().any(|candidate| candidate.accepted);
+        let needs_solve = estimates_noise || prior_scale != 1.0 || has_accepted;
+        Ok(Choice { candidates, prior_scale, needs_solve })
+    }
+
+    /// Solves again with the chosen terms.
+    fn solve_with_terms(&mut self) -> Result<(SharedColumns, Solution), CalibrateError> {
+        if self.residual_unit_of().is_none() {
+            return self.solve_with_weights();
+        }
+        // Accepted terms reduce the residuals, so the scale of the loss is estimated again.
+        self.minimise_bars()?;
+        self.last_solve()
     }
 
     /// Solves repeatedly until the weights of the residuals agree with their size.
@@ -351,13 +395,7 @@ impl<'a> Solver<'a> {
                     None => GoodShare::HALF.spread_at(&*alone, &model.start()).max(SIGMA_MIN),
                 };
             if is_joint {
-                // Correlated errors carry less information than independent ones.
-                let groups = instrument.independent(LEFT_OUT);
-                let loss = LossName::Cauchy.for_spread(*sigma, alone.rows());
-                let options = Options { loss, ..Options::default() };
-                let normals = Normals::new(&*alone, &model.start(), &options, &groups).ok();
-                let dispersion = normals.and_then(|normals| normals.overdispersion());
-                *sigma *= (dispersion.unwrap_or(1.0) / sigma.powi(2)).max(1.0).sqrt();
+                *sigma *= correlation_factor(&*alone, model, &instrument.independent(LEFT_OUT), *sigma);
             }
             noise.push(own_noise.unwrap_or(1.0) * *sigma);
         }
@@ -427,153 +465,6 @@ impl<'a> Solver<'a> {
         solution.summary.require_converged()?;
         self.adopt(&columns, &solution.x);
         Ok((columns, solution))
-    }
-
-    /// The least-squares problem of all runs with other models.
-    fn problem_with_models<'p>(
-        &'p self,
-        models: &'p [Model],
-        columns: &'p SharedColumns,
-    ) -> Result<DataSets<'p>, CostError> {
-        let sets = self.runs.iter().zip(models).zip(&self.sigmas);
-        let sets = sets.map(|((run, model), sigma)| run.instrument.data_set(model, *sigma));
-        Ok(DataSets::new(sets.collect::<Result<_, _>>()?, columns))
-    }
-
-    /// Normal equations of the independent groups of all runs at the models' values, and the run of each group; `None` if
-    /// residuals are not finite.
-    fn normals(
-        &self,
-        models: &[Model],
-        columns: &SharedColumns,
-        loss: Loss,
-        count: usize,
-    ) -> Result<Option<(Normals, Vec<usize>)>, CostError> {
-        let problem = self.problem_with_models(models, columns)?;
-        let (mut of_run, mut groups) = (Vec::new(), Vec::new());
-        for (number, (run, start)) in self.runs.iter().zip(problem.starts()).enumerate() {
-            for group in run.instrument.independent(count) {
-                of_run.push(number);
-                groups.push(group.into_iter().map(|sample| start + sample).collect());
-            }
-        }
-        let options = Options { loss, ..Options::default() };
-        let start = columns.gather(&models.iter().map(Model::start).collect::<Vec<_>>());
-        let normals = Normals::new(&problem, &start, &options, &groups).ok();
-        Ok(normals.map(|normals| (normals, of_run)))
-    }
-
-    /// The free columns, their parameters, and [`Self::normals`] at the current models.
-    pub(super) fn normals_here(
-        &self,
-        loss: Loss,
-        count: usize,
-    ) -> Result<(SharedColumns, Vec<ParameterId>, Option<Normals>), CostError> {
-        let columns = self.columns();
-        let models: Vec<Model> = self.runs.iter().map(|run| run.model.clone()).collect();
-        let normals = self.normals(&models, &columns, loss, count)?.map(|(normals, _)| normals);
-        let ids = columns.gather(&self.ids());
-        Ok((columns, ids, normals))
-    }
-
-    /// Covariance of the solution: by the jackknife if there are enough groups, with the contribution of parameters that are
-    /// fixed at uncertain values.
-    ///
-    /// It is unknown whether excluded terms exist. With these terms and their priors, both the covariance and the solution
-    /// differ, and both differences are included (the mean squared error of a solution without them, if they are as expected).
-    fn covariance(&self, columns: &SharedColumns, solution: &Solution) -> Result<Covariance, CalibrateError> {
-        self.begins("uncertainty");
-        let mut covariance = solution.covariance.clone();
-        let models: Vec<Model> =
-            self.runs.iter().map(|run| run.model.with_considered(prior_of_term)).collect();
-        let all = SharedColumns::new(&models, |id| is_own(id, &self.own_lengths));
-        let column_in_all = |name: &String| all.names().iter().position(|other| other == name);
-        let estimated: Vec<usize> = columns.names().iter().filter_map(column_in_all).collect();
-        let left_out: Vec<usize> =
-            (0..all.names().len()).filter(|column| !estimated.contains(column)).collect();
-        if let Some((normals, of_run)) = self.normals(&models, &all, solution.loss, LEFT_OUT)?
-            && let Some(mut spread) = normals.jackknife(|group| of_run[group])
-        {
-            if !left_out.is_empty()
-                && let Some(step) = normals.step()
-            {
-                spread.add(Source::LeftOut, &step);
-            }
-            let names = left_out.iter().map(|column| all.names()[*column].clone()).collect();
-            covariance = covariance.by_jackknife(spread.of(&estimated, &left_out), normals.folds(), names);
-        }
-        Ok(match self.considered(columns, solution.loss)? {
-            Some(considered) => covariance.with_considered(considered),
-            None => covariance,
-        })
-    }
-
-    /// Effect of the errors of [`Role::Considered`] parameters on the solution; `None` if there are none.
-    fn considered(&self, columns: &SharedColumns, loss: Loss) -> Result<Option<Considered>, CalibrateError> {
-        // `Self::covariance` includes considered terms with their priors.
-        let free = |parameter: &Parameter, _| parameter.id.term().is_none().then_some(Role::Free);
-        let models: Vec<Model> = self.runs.iter().map(|run| run.model.with_considered(free)).collect();
-        let all = SharedColumns::new(&models, |id| is_own(id, &self.own_lengths));
-        let column_of = |name: &String| columns.names().iter().position(|other| other == name);
-        let considered: Vec<usize> =
-            (0..all.names().len()).filter(|column| column_of(&all.names()[*column]).is_none()).collect();
-        if considered.is_empty() {
-            return Ok(None);
-        }
-        let sigmas_of_run = |(model, run): (&Model, &Run)| -> Vec<f64> {
-            let role = |id| run.model.parameter(id).map(|parameter| parameter.role);
-            let sigma = |id| match role(id) {
-                Some(Role::Considered { sigma }) => sigma,
-                _ => 0.0,
-            };
-            model.columns().map(|parameter| sigma(parameter.id)).collect()
-        };
-        let sigmas = all.gather(&models.iter().zip(&*self.runs).map(sigmas_of_run).collect::<Vec<_>>());
-        let start = all.gather(&models.iter().map(Model::start).collect::<Vec<_>>());
-        let problem = self.problem_with_models(&models, &all)?;
-        let found = influence(&problem, &start, &considered, &Options { loss, ..Options::default() })?;
-        let mut change = DMatrix::zeros(columns.names().len(), considered.len());
-        for (row, name) in found.estimated.iter().enumerate() {
-            if let Some(column) = column_of(name) {
-                change.row_mut(column).copy_from(&found.change.row(row));
-            }
-        }
-        let sigmas = considered.iter().map(|column| sigmas[*column]).collect();
-        Ok(Some(Considered { names: found.held, sigmas, change }))
-    }
-
-    /// An axial force elongates the bar as a spring, or takes up its play. If play predicts left-out groups better, it is freed
-    /// instead of compliance.
-    fn replaces_compliance_by_play(&mut self, loss: Loss) -> Result<bool, CalibrateError> {
-        const PLAY_OR_COMPLIANCE: [ParameterId; 2] = [ParameterId::BarPlay, ParameterId::BarCompliance];
-        let estimates_compliance = |run: &Run| {
-            let role = |id| run.model.parameter(id).map(|parameter| parameter.role);
-            PLAY_OR_COMPLIANCE.map(role) == [Some(Role::Fixed), Some(Role::Free)]
-        };
-        if !self.runs.iter().any(estimates_compliance) || self.plan.fix.contains(&ParameterId::BarPlay) {
-            return Ok(false);
-        }
-        self.set_roles(&PLAY_OR_COMPLIANCE, Role::Free)?;
-        let (columns, ids, normals) = self.normals_here(loss, HELD_OUT)?;
-        let error_without = |excluded: ParameterId| {
-            let kept: Vec<usize> = (0..ids.len()).filter(|column| ids[*column] != excluded).collect();
-            // Compliance has its estimated value; without compliance it is zero.
-            let mut about = self.start(&columns);
-            about.iter_mut().zip(&ids).filter(|(_, id)| **id == excluded).for_each(|(value, _)| *value = 0.0);
-            let normals = normals.as_ref()?.about(&about);
-            normals.held_out(&kept, normals.priors()).map(|errors| mean(&errors))
-        };
-        let [with_compliance, with_play] = PLAY_OR_COMPLIANCE.map(error_without);
-        let play_is_better =
-            with_compliance.zip(with_play).is_some_and(|(compliance, play)| play < compliance);
-        let excluded = PLAY_OR_COMPLIANCE[usize::from(play_is_better)];
-        self.set_roles(&[excluded], Role::Fixed)?;
-        self.set_to_zero(&[excluded])?;
-        Ok(play_is_better)
-    }
-
-    fn ids(&self) -> Vec<Vec<ParameterId>> {
-        self.runs.iter().map(|run| run.model.columns().map(|parameter| parameter.id).collect()).collect()
     }
 
     /// Sets a role in every model that has the parameter and whose samples identify it.

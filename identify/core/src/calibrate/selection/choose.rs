@@ -4,9 +4,9 @@
 use std::collections::BTreeMap;
 
 use super::line_spectrum::LineSpectrum;
-use super::terms::{Candidate, CandidateGroup, Offer, Verdict, prior_scale, select, select_axes};
+use super::terms::{Candidate, CandidateGroup, Offer, Verdict, mean, prior_scale, select, select_axes};
 use crate::calibrate::error::CalibrateError;
-use crate::calibrate::pipeline::{HELD_OUT, LEFT_OUT, Solver, problem};
+use crate::calibrate::pipeline::{HELD_OUT, LEFT_OUT, Plan, Solver, problem};
 use crate::instrument::Run;
 use crate::model::{ModelError, ParameterId, Role, TermGroup};
 use crate::solver::{Loss, Normals, Prior, Solution};
@@ -53,6 +53,12 @@ impl Offered {
     fn columns_of(&self, wanted: &[ParameterId]) -> impl Iterator<Item = usize> {
         (0..self.ids.len()).filter(|column| wanted.contains(&self.ids[*column]))
     }
+
+    /// Verdicts on the offers; empty if residuals are not finite.
+    fn verdicts(&self, select: fn(&Normals, &[usize], &[Offer]) -> Vec<Verdict>) -> Vec<Verdict> {
+        let normals = self.normals.as_ref();
+        normals.map_or_else(Vec::new, |normals| select(normals, &self.always, &self.offers))
+    }
 }
 
 impl Solver<'_> {
@@ -64,21 +70,9 @@ impl Solver<'_> {
     ) -> Result<(Vec<Candidate>, f64), CalibrateError> {
         self.begins("errors of joints");
         let mut groups = self.plan.groups.clone();
-        let is_undetected =
-            |group: &&mut CandidateGroup| group.group == TermGroup::LineSpectrum && group.ids.is_empty();
-        if let Some(spectrum) = groups.iter_mut().find(is_undetected) {
-            self.detect_line_spectrum(&solution.sample_weights)?;
-            spectrum.ids.clone_from(&self.shown.by_all);
-            if !spectrum.ids.is_empty() {
-                // Waves detected in only a part of the samples are used for the prediction of single folds only.
-                self.set_roles(&self.shown.by_parts(), Role::Prior { value: 0.0, sigma: spectrum.sigma })?;
-            }
-        }
+        self.add_detected_waves(&mut groups, &solution.sample_weights)?;
         let offered = self.offer(&mut groups, solution.loss, HELD_OUT)?;
-        let verdicts = offered
-            .normals
-            .as_ref()
-            .map_or_else(Vec::new, |normals| select(normals, &offered.always, &offered.offers));
+        let verdicts = offered.verdicts(select);
         self.leave_out(&self.shown.by_parts())?;
         let mut report = Vec::new();
         let mut accepted = self.apply(&groups, &offered, &verdicts, &mut report)?;
@@ -89,35 +83,110 @@ impl Solver<'_> {
             .map(|verdict| &groups[verdict.offer])
             .filter(|group| group.group != TermGroup::LineSpectrum)
             .collect();
-        let mut axes: Vec<CandidateGroup> = rejected.iter().flat_map(|group| group.by_axis()).collect();
-        if !axes.is_empty() {
-            let offered = self.offer(&mut axes, solution.loss, LEFT_OUT)?;
-            let verdicts = offered
-                .normals
-                .as_ref()
-                .map_or_else(Vec::new, |normals| select_axes(normals, &offered.always, &offered.offers));
-            accepted.extend(self.apply(&axes, &offered, &verdicts, &mut report)?);
-        }
-        // Other terms than waves of high order resemble link errors. Their assumed size is the smallest usual one, since
-        // left-out groups did not require more. Encoders of a bar separate terms from links: the stated uncertainty of ball-bar
-        // runs is correct without them (95 % of 185 simulated runs).
-        if self.residual_unit_of().is_none() {
-            for group in rejected {
-                let is_excluded = |id: &ParameterId| !accepted.contains(id);
-                let excluded: Vec<ParameterId> = group.ids.iter().copied().filter(is_excluded).collect();
-                self.set_roles(&excluded, Role::Considered { sigma: group.sigma })?;
-            }
-        }
-        let Some(normals) = offered.normals.as_ref().filter(|_| !self.plan.tolerances.is_empty()) else {
-            return Ok((report, 1.0));
-        };
-        // The scales of terms were chosen above; priors stated by the user are not changed.
-        let kept: Vec<usize> = offered.always.iter().copied().chain(offered.columns_of(&accepted)).collect();
-        let has_tolerance = |column: usize| self.plan.tolerances.contains(&offered.ids[column]);
-        let scale = prior_scale(normals, &kept, has_tolerance);
-        let plan = self.plan;
-        self.set_sigmas(|id, sigma| plan.tolerances.contains(&id).then_some(sigma * scale))?;
+        accepted.extend(self.choose_axes(&rejected, solution.loss, &mut report)?);
+        self.consider_rejected(&rejected, &accepted)?;
+        let scale = self.widen_tolerances(&offered, &accepted)?;
         Ok((report, scale))
+    }
+
+    /// Detects the waves of a line spectrum that is to be tried without parameters, and adds them to its group.
+    fn add_detected_waves(
+        &mut self,
+        groups: &mut [CandidateGroup],
+        weights: &[f64],
+    ) -> Result<(), CalibrateError> {
+        let is_undetected =
+            |group: &&mut CandidateGroup| group.group == TermGroup::LineSpectrum && group.ids.is_empty();
+        let Some(spectrum) = groups.iter_mut().find(is_undetected) else { return Ok(()) };
+        self.detect_line_spectrum(weights)?;
+        spectrum.ids.clone_from(&self.shown.by_all);
+        if !spectrum.ids.is_empty() {
+            // Waves detected in only a part of the samples are used for the prediction of single folds only.
+            self.set_roles(&self.shown.by_parts(), Role::Prior { value: 0.0, sigma: spectrum.sigma })?;
+        }
+        Ok(())
+    }
+
+    /// Tries the terms of single axes of rejected groups. Returns the accepted ones.
+    fn choose_axes(
+        &mut self,
+        rejected: &[&CandidateGroup],
+        loss: Loss,
+        report: &mut Vec<Candidate>,
+    ) -> Result<Vec<ParameterId>, CalibrateError> {
+        let mut axes: Vec<CandidateGroup> = rejected.iter().flat_map(|group| group.by_axis()).collect();
+        if axes.is_empty() {
+            return Ok(Vec::new());
+        }
+        let offered = self.offer(&mut axes, loss, LEFT_OUT)?;
+        self.apply(&axes, &offered, &offered.verdicts(select_axes), report)
+    }
+
+    /// Includes rejected terms in the uncertainty of solves with other instruments than ball-bars.
+    ///
+    /// Other terms than waves of high order resemble link errors. Their assumed size is the smallest usual one, since left-out
+    /// groups did not require more. Encoders of a bar separate terms from links: the stated uncertainty of ball-bar runs is
+    /// correct without them (95 % of 185 simulated runs).
+    fn consider_rejected(
+        &mut self,
+        rejected: &[&CandidateGroup],
+        accepted: &[ParameterId],
+    ) -> Result<(), ModelError> {
+        if self.residual_unit_of().is_some() {
+            return Ok(());
+        }
+        for group in rejected {
+            let is_excluded = |id: &ParameterId| !accepted.contains(id);
+            let excluded: Vec<ParameterId> = group.ids.iter().copied().filter(is_excluded).collect();
+            self.set_roles(&excluded, Role::Considered { sigma: group.sigma })?;
+        }
+        Ok(())
+    }
+
+    /// Scales the priors of tolerances by the factor at which left-out groups are predicted best, and returns it. The scales of
+    /// terms are chosen before; priors stated by the user are not changed.
+    fn widen_tolerances(&mut self, offered: &Offered, accepted: &[ParameterId]) -> Result<f64, ModelError> {
+        let Plan { tolerances, .. } = self.plan;
+        let Some(normals) = offered.normals.as_ref().filter(|_| !tolerances.is_empty()) else {
+            return Ok(1.0);
+        };
+        let kept: Vec<usize> = offered.always.iter().copied().chain(offered.columns_of(accepted)).collect();
+        let scale = prior_scale(normals, &kept, |column| tolerances.contains(&offered.ids[column]));
+        self.set_sigmas(|id, sigma| tolerances.contains(&id).then_some(sigma * scale))?;
+        Ok(scale)
+    }
+
+    /// An axial force elongates the bar as a spring, or takes up its play. If play predicts left-out groups better, it is freed
+    /// instead of compliance.
+    pub(in crate::calibrate) fn replaces_compliance_by_play(
+        &mut self,
+        loss: Loss,
+    ) -> Result<bool, CalibrateError> {
+        const PLAY_OR_COMPLIANCE: [ParameterId; 2] = [ParameterId::BarPlay, ParameterId::BarCompliance];
+        let estimates_compliance = |run: &Run| {
+            let role = |id| run.model.parameter(id).map(|parameter| parameter.role);
+            PLAY_OR_COMPLIANCE.map(role) == [Some(Role::Fixed), Some(Role::Free)]
+        };
+        if !self.runs.iter().any(estimates_compliance) || self.plan.fix.contains(&ParameterId::BarPlay) {
+            return Ok(false);
+        }
+        self.set_roles(&PLAY_OR_COMPLIANCE, Role::Free)?;
+        let (columns, ids, normals) = self.normals_here(loss, HELD_OUT)?;
+        let error_without = |excluded: ParameterId| {
+            let kept: Vec<usize> = (0..ids.len()).filter(|column| ids[*column] != excluded).collect();
+            // Compliance has its estimated value; without compliance it is zero.
+            let mut about = self.start(&columns);
+            about.iter_mut().zip(&ids).filter(|(_, id)| **id == excluded).for_each(|(value, _)| *value = 0.0);
+            let normals = normals.as_ref()?.about(&about);
+            normals.held_out(&kept, normals.priors()).map(|errors| mean(&errors))
+        };
+        let [with_compliance, with_play] = PLAY_OR_COMPLIANCE.map(error_without);
+        let play_is_better =
+            with_compliance.zip(with_play).is_some_and(|(compliance, play)| play < compliance);
+        let excluded = PLAY_OR_COMPLIANCE[usize::from(play_is_better)];
+        self.set_roles(&[excluded], Role::Fixed)?;
+        self.set_to_zero(&[excluded])?;
+        Ok(play_is_better)
     }
 
     /// Gives the terms of all groups their priors, and linearises at the models without any of them, at the current weights.
