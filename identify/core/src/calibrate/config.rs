@@ -199,30 +199,47 @@ impl IdentifyConfig {
             None => model
                 .free_only(|id| identifiable.contains(&id) || id.group() == Group::Clock && identifies(id)),
         }
-        let is_offset = |id: &ParameterId| matches!(id, ParameterId::EncoderOffset { .. }) && identifies(*id);
-        let offsets: Vec<ParameterId> = model.ids().into_iter().filter(is_offset).collect();
-        model.set_roles(offsets, Role::Prior { value: 0.0, sigma: LOST_ORIGIN_SIGMA_RAD })?;
-        if self.selection != SelectionName::Thesis && self.encoder_harmonics_urad > 0.0 {
-            let group = TermGroup::EncoderHarmonics;
-            let harmonics = ParameterId::of_term(group).filter(|id| identifies(*id));
-            model.set_roles(harmonics, Role::Prior { value: 0.0, sigma: self.sigma(group) })?;
-        }
+        self.set_encoder_priors(model, identifies)?;
         if self.selection == SelectionName::Cell {
             // The rod has a measured length, or is estimated without tolerance.
             let has_tolerance = |id: &ParameterId| {
                 let is_link = id.owner() == Owner::BallBar && id.group() == Group::Link;
                 is_link && !only_defines_frames(*id) && *id != ParameterId::ROD && identifies(*id)
             };
-            self.set_tolerances(model, model.ids().into_iter().filter(has_tolerance).collect())?;
+            self.set_tolerances(model, model.ids().into_iter().filter(has_tolerance))?;
             self.set_link_roles(model)?;
         } else {
             self.set_named_roles(model)?;
         }
-        let fixed = model.parameters().iter().filter(|parameter| parameter.role == Role::Fixed);
-        let fixed: Vec<ParameterId> = fixed.map(|parameter| parameter.id).collect();
+        self.consider_fixed(model)
+    }
+
+    /// Sets the priors of the encoders' offsets after the loss of an origin, and of their harmonics.
+    fn set_encoder_priors(
+        &self,
+        model: &mut Model,
+        identifies: impl Fn(ParameterId) -> bool,
+    ) -> Result<(), ModelError> {
+        let is_offset = |id: &ParameterId| matches!(id, ParameterId::EncoderOffset { .. }) && identifies(*id);
+        let prior_of_offset = Role::Prior { value: 0.0, sigma: LOST_ORIGIN_SIGMA_RAD };
+        model.set_roles(model.ids().into_iter().filter(is_offset), prior_of_offset)?;
+        if self.selection != SelectionName::Thesis && self.encoder_harmonics_urad > 0.0 {
+            let group = TermGroup::EncoderHarmonics;
+            let harmonics = ParameterId::of_term(group).filter(|id| identifies(*id));
+            model.set_roles(harmonics, Role::Prior { value: 0.0, sigma: self.sigma(group) })?;
+        }
+        Ok(())
+    }
+
+    /// Gives fixed parameters their uncertainty, if they have one.
+    fn consider_fixed(&self, model: &mut Model) -> Result<(), ModelError> {
         let axes = model.axes();
-        for (id, sigma) in fixed.into_iter().filter_map(|id| Some((id, self.uncertainty(id, axes)?))) {
-            model.set_role(id, Role::Considered { sigma })?;
+        for id in model.ids() {
+            if model.role(id) == Some(Role::Fixed)
+                && let Some(sigma) = self.uncertainty(id, axes)
+            {
+                model.set_role(id, Role::Considered { sigma })?;
+            }
         }
         Ok(())
     }
@@ -238,13 +255,15 @@ impl IdentifyConfig {
         let of_links = |id: &ParameterId| matches!(id, ParameterId::Robot { link, .. } if *link < last);
         model.set_roles(model.ids().into_iter().filter(of_links), Role::Fixed)?;
         let free = link_ids(&model.geometry(&[]).robot);
-        self.set_tolerances(model, free.clone())?;
+        self.set_tolerances(model, free.iter().copied())?;
         self.set_named_roles(model)?;
-        // Links that are fixed by name.
-        let is_fixed =
-            |id: &ParameterId| model.parameter(*id).is_some_and(|parameter| parameter.role == Role::Fixed);
-        let fixed: Vec<ParameterId> = free.iter().copied().filter(is_fixed).collect();
-        fixed.into_iter().try_for_each(|id| self.consider(model, id))
+        for id in free {
+            // Links that are fixed by name.
+            if model.role(id) == Some(Role::Fixed) {
+                self.consider(model, id)?;
+            }
+        }
+        Ok(())
     }
 
     /// Fixes a link parameter at its value, with its tolerance as uncertainty.
@@ -264,7 +283,11 @@ impl IdentifyConfig {
     }
 
     /// Sets priors at the nominal values with the tolerance.
-    fn set_tolerances(&self, model: &mut Model, ids: Vec<ParameterId>) -> Result<(), ModelError> {
+    fn set_tolerances(
+        &self,
+        model: &mut Model,
+        ids: impl Iterator<Item = ParameterId>,
+    ) -> Result<(), ModelError> {
         for id in ids {
             let Some(value) = model.parameter(id).map(|parameter| parameter.nominal) else { continue };
             model.set_role(id, Role::Prior { value, sigma: self.tolerance() })?;
@@ -461,6 +484,24 @@ fn validate_preparation(prepare: &PrepareOptions) -> Result<(), Violation> {
 
 impl Validate for IdentifyConfig {
     fn validate(&self) -> Result<(), Violation> {
+        self.validate_names()?;
+        self.validate_sigmas()?;
+        validate_preparation(&self.prepare)?;
+        for (key, sigma) in
+            [("encoder_harmonics_urad", self.encoder_harmonics_urad), ("bar_length_um", self.bar_length_um)]
+        {
+            if !(sigma.is_finite() && sigma >= 0.0) {
+                let found = format!("{sigma} is no standard deviation");
+                return Err(Violation::new(key, found, "give zero or a number above"));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl IdentifyConfig {
+    /// Names must be those of parameters, not both free and fixed, and priors by name need a standard deviation above zero.
+    fn validate_names(&self) -> Result<(), Violation> {
         let check_name = |key: String, name: &String| {
             let parsed = name.parse::<ParameterId>();
             parsed.map(drop).map_err(|error| Violation::new(key, error.to_string(), "correct the name"))
@@ -478,6 +519,11 @@ impl Validate for IdentifyConfig {
             check_name(format!("priors.{name}"), name)?;
             positive(format!("priors.{name}"), sigma)?;
         }
+        Ok(())
+    }
+
+    /// Standard deviations must be above zero, except those that exclude a group of terms, and so must the required error.
+    fn validate_sigmas(&self) -> Result<(), Violation> {
         positive("tolerance_mm_mrad".into(), self.tolerance_mm_mrad)?;
         if let Some(require_mm) =
             self.require_mm.filter(|require_mm| !(require_mm.is_finite() && *require_mm > 0.0))
@@ -494,16 +540,6 @@ impl Validate for IdentifyConfig {
         positive("joint_terms.delay_ms".into(), terms.delay_ms)?;
         positive("joint_terms.compliance_urad_per_m".into(), terms.compliance_urad_per_m)?;
         positive("noise.encoder_urad".into(), self.noise.encoder_urad)?;
-        positive("noise.robot_urad".into(), self.noise.robot_urad)?;
-        validate_preparation(&self.prepare)?;
-        for (key, sigma) in
-            [("encoder_harmonics_urad", self.encoder_harmonics_urad), ("bar_length_um", self.bar_length_um)]
-        {
-            if !(sigma.is_finite() && sigma >= 0.0) {
-                let found = format!("{sigma} is no standard deviation");
-                return Err(Violation::new(key, found, "give zero or a number above"));
-            }
-        }
-        Ok(())
+        positive("noise.robot_urad".into(), self.noise.robot_urad)
     }
 }

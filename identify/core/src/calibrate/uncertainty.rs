@@ -30,7 +30,7 @@ fn prior_of_term(parameter: &Parameter, sigma: f64) -> Option<Role> {
 
 /// For each column of `model` the standard deviation of its parameter, if the run has it as [`Role::Considered`]; otherwise zero.
 fn considered_sigmas(model: &Model, run: &Run) -> Vec<f64> {
-    let sigma = |column: &Parameter| match run.model.parameter(column.id).map(|parameter| parameter.role) {
+    let sigma = |column: &Parameter| match run.model.role(column.id) {
         Some(Role::Considered { sigma }) => sigma,
         _ => 0.0,
     };

@@ -240,6 +240,11 @@ impl Model {
         self.parameters.get(self.index_of(id)?)
     }
 
+    /// Role of a parameter; `None` if the model does not have it.
+    pub fn role(&self, id: ParameterId) -> Option<Role> {
+        Some(self.parameter(id)?.role)
+    }
+
     fn index_of(&self, id: ParameterId) -> Option<usize> {
         self.parameters.binary_search_by_key(&id, |parameter| parameter.id).ok()
     }

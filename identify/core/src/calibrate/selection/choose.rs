@@ -29,7 +29,7 @@ impl CommonPrior {
     /// The prior of those of these parameters that have one in any model.
     pub fn new(runs: &[Run], ids: impl Iterator<Item = ParameterId>, scales: &'static [f64]) -> Self {
         let sigma = |id: ParameterId| {
-            runs.iter().find_map(|run| match run.model.parameter(id)?.role {
+            runs.iter().find_map(|run| match run.model.role(id)? {
                 Role::Prior { sigma, .. } => Some((id, sigma)),
                 _ => None,
             })
@@ -164,8 +164,7 @@ impl Solver<'_> {
     ) -> Result<bool, CalibrateError> {
         const PLAY_OR_COMPLIANCE: [ParameterId; 2] = [ParameterId::BarPlay, ParameterId::BarCompliance];
         let estimates_compliance = |run: &Run| {
-            let role = |id| run.model.parameter(id).map(|parameter| parameter.role);
-            PLAY_OR_COMPLIANCE.map(role) == [Some(Role::Fixed), Some(Role::Free)]
+            PLAY_OR_COMPLIANCE.map(|id| run.model.role(id)) == [Some(Role::Fixed), Some(Role::Free)]
         };
         if !self.runs.iter().any(estimates_compliance) || self.plan.fix.contains(&ParameterId::BarPlay) {
             return Ok(false);
@@ -271,8 +270,7 @@ impl Solver<'_> {
         }
         let mut shown = spectrum.shown();
         let has_role = |id: &ParameterId| {
-            let role = |run: &Run| run.model.parameter(*id).map(|parameter| parameter.role);
-            self.runs.iter().any(|run| role(run).is_some_and(|role| role != Role::Fixed))
+            self.runs.iter().any(|run| run.model.role(*id).is_some_and(|role| role != Role::Fixed))
         };
         shown.retain(|id| !self.plan.fix.contains(id) && !has_role(id));
         for run in &mut *self.runs {

@@ -99,7 +99,7 @@ impl Budget {
 
 /// Stated standard deviation of a parameter, SI; `None` if it is free or fixed.
 fn stated_sigma(model: &Model, id: ParameterId) -> Option<f64> {
-    match model.parameter(id)?.role {
+    match model.role(id)? {
         Role::Prior { sigma, .. } | Role::Considered { sigma } => Some(sigma),
         Role::Free | Role::Fixed => None,
     }
