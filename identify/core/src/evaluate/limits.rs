@@ -14,7 +14,7 @@ use crate::calibrate::validation::agreement::{Disagreement, disagreeing};
 use crate::cost::Closure;
 use crate::instrument::{Doubt, Run, ScaleFrom};
 use crate::kinematics::{DhLink, Joints, LinkParameter};
-use crate::model::{JointTerm, Model, ParameterId, Role};
+use crate::model::{JointTerm, Model, Parameter, ParameterId, Role};
 use crate::solver::{Loss, Solution};
 use crate::statistics::{extremes, median};
 
@@ -66,19 +66,13 @@ pub struct Limit {
 
 /// Limitations of a calibration with any instruments, the most important first.
 pub fn limits(calibration: &Calibration, workspace: &WorkspaceError) -> Vec<Limit> {
-    let mut limits = Vec::new();
-    for (number, Run { instrument, model }) in calibration.runs.iter().enumerate() {
-        let place = place(calibration, number);
-        let doubts = instrument.doubts(&model.geometry(&[]));
-        let doubtful =
-            |doubt: &Doubt| Limit { sentence: place.clone() + &describe_doubt(doubt), serious: true };
-        limits.extend(doubts.iter().map(doubtful));
-    }
     let (model, solution) = (calibration.model(), calibration.solution());
     let reach_m = model.geometry(&[]).robot.reach_m();
     let scales = calibration.runs.iter().map(|run| run.instrument.scale());
+    let mut limits: Vec<Limit> = of_doubts(calibration).collect();
     limits.extend(of_changes(&calibration.changed, reach_m, workspace.budget.expanded_m));
-    limits.extend(of_drives(model, solution));
+    limits.extend(wrong_ratios(model, solution));
+    limits.extend(late_joints(model, solution));
     // With other instruments the rotation of the last link is part of the target's mounting.
     if scales.clone().any(|scale| scale == ScaleFrom::Plate) {
         limits.extend(turned_plate(model, solution));
@@ -93,6 +87,17 @@ pub fn limits(calibration: &Calibration, workspace: &WorkspaceError) -> Vec<Limi
     limits.extend(weakest(workspace));
     limits.extend(forces_without_sign(calibration));
     limits
+}
+
+/// Reasons of the instruments why the result may be wrong.
+fn of_doubts(calibration: &Calibration) -> impl Iterator<Item = Limit> {
+    calibration.runs.iter().enumerate().flat_map(move |(number, Run { instrument, model })| {
+        let doubts = instrument.doubts(&model.geometry(&[])).into_iter();
+        doubts.map(move |doubt| Limit {
+            sentence: place(calibration, number) + &describe_doubt(&doubt),
+            serious: true,
+        })
+    })
 }
 
 /// Joints with too little motion.
@@ -174,15 +179,18 @@ fn of_disagreement(runs: &[Run], sigmas: &[f64], loss: Loss) -> Option<Limit> {
     })
 }
 
-/// Lengths that differ from the configured ones, for any instruments.
+/// Lengths that differ from the configured ones, for any instruments: a different robot or bar, or a wrong scale of all lengths.
 fn of_lengths(model: &Model, solution: &Solution, scales: impl Iterator<Item = ScaleFrom>) -> Vec<Limit> {
-    let scale = scales.map(describe_scale).fold(Vec::new(), |mut distinct: Vec<&str>, text| {
-        if !distinct.contains(&text) {
-            distinct.push(text);
+    let mut sources: Vec<&str> = Vec::new();
+    for source in scales.map(describe_scale) {
+        if !sources.contains(&source) {
+            sources.push(source);
         }
-        distinct
-    });
-    other_lengths(model, solution, &scale.join(". "))
+    }
+    let scale = sources.join(". ");
+    let lengths = far_lengths(model, solution, &scale).into_iter();
+    let sentences = lengths.chain(other_scale(model, solution, &scale));
+    sentences.map(|sentence| Limit { sentence, serious: true }).collect()
 }
 
 /// Changes during the measurement. They are serious if the end of an arm of this reach moves by more than a negligible
@@ -240,38 +248,13 @@ fn forces_without_sign(calibration: &Calibration) -> impl Iterator<Item = Limit>
 
 /// Parameters whose estimates contradict their priors: the test of Evans and Moshonov (2006) for each of the `n` priors,
 /// with probability [`STRAINED_BY_CHANCE`] of a false report in all.
-///
-/// A correct prior of `x0` with sigma `s0` shifts the estimate `x` (sigma `s`) by `g` if it is off by `s0`. Then `x - x0` has the
-/// variance `(s0 - g)^2` ([`NONLINEAR`] of `g` is added as a tolerance) plus the variance of `x` from all other sources: samples,
-/// other priors, errors of fixed parameters. If the sources are unknown, use that of independent noise, `s0^2 - s^2`.
 fn strained_priors(model: &Model, solution: &Solution) -> Option<Limit> {
-    let Solution { x, covariance, .. } = solution;
-    let priors = model.columns().enumerate().filter_map(|(column, parameter)| match parameter.role {
-        Role::Prior { value, sigma: s0 } => {
-            let s = covariance.sigma(column)?;
-            let (g, variance_of_others) = covariance.by_prior(column).map_or_else(
-                || (s.powi(2) / s0, s.powi(2) * (1.0 - (s / s0).powi(2))),
-                |g| (g, s.powi(2) - g.powi(2)),
-            );
-            let spread = (variance_of_others + (s0 - g).powi(2) + (NONLINEAR * g).powi(2)).max(0.0).sqrt();
-            Some(Prior { id: parameter.id, off: x.get(column)? - value, s0, s, g, spread })
-        }
-        _ => None,
-    });
-    let priors: Vec<Prior> = priors.collect();
-    let sigmas_max = covariance.sigmas_from.sigmas_within(STRAINED_BY_CHANCE / priors.len().max(1) as f64);
-    let mut strained: Vec<Strained> = Vec::new();
-    for Prior { id, off, s0, s, g, spread } in priors {
-        if spread > 0.0 && off.abs() > sigmas_max * spread {
-            // Without the prior the estimate would differ more from the expected value.
-            let biases = off.abs() * g > s * (s0 - g);
-            let (unit, times) = (id.unit(), off.abs() / spread);
-            let [off, expected] = [off, s0].map(|value| value * unit.display_factor());
-            let sentence =
-                format!("{id} by {off:+.3} {} (expected within {expected:.3})", unit.display_symbol());
-            strained.push(Strained { sentence, biases, times });
-        }
-    }
+    let columns = model.columns().enumerate();
+    let priors: Vec<Prior> =
+        columns.filter_map(|(column, parameter)| Prior::new(column, parameter, solution)).collect();
+    let sigmas_from = &solution.covariance.sigmas_from;
+    let sigmas_max = sigmas_from.sigmas_within(STRAINED_BY_CHANCE / priors.len().max(1) as f64);
+    let mut strained: Vec<Strained> = priors.iter().filter_map(|prior| prior.strained(sigmas_max)).collect();
     strained.sort_by(|a, b| b.times.total_cmp(&a.times));
     (!strained.is_empty()).then(|| Limit {
         sentence: format!(
@@ -315,23 +298,64 @@ struct Prior {
     spread: f64,
 }
 
-/// Errors of gear ratios beyond manufacturing tolerances, and significant delays of single joints in the log.
-fn of_drives(model: &Model, solution: &Solution) -> Vec<Limit> {
-    // Joint (from 1), estimate and its standard deviation.
-    let estimates = |wanted: JointTerm| -> Vec<(usize, f64, f64)> {
-        let columns = model.columns().enumerate();
-        let of_term = columns.filter_map(|(column, parameter)| match parameter.id {
-            ParameterId::Joint { axis, term } if term == wanted => {
-                Some((axis + 1, *solution.x.get(column)?, solution.covariance.sigma(column)?))
+impl Prior {
+    /// The prior of a parameter; `None` if it has none.
+    ///
+    /// A correct prior of `x0` with sigma `s0` shifts the estimate `x` (sigma `s`) by `g` if it is off by `s0`. Then `x - x0` has
+    /// the variance `(s0 - g)^2` ([`NONLINEAR`] of `g` is added as a tolerance) plus the variance of `x` from all other sources:
+    /// samples, other priors, errors of fixed parameters. If the sources are unknown, use that of independent noise,
+    /// `s0^2 - s^2`.
+    fn new(column: usize, parameter: &Parameter, Solution { x, covariance, .. }: &Solution) -> Option<Self> {
+        let Role::Prior { value, sigma: s0 } = parameter.role else { return None };
+        let s = covariance.sigma(column)?;
+        let (g, variance_of_others) = covariance.by_prior(column).map_or_else(
+            || (s.powi(2) / s0, s.powi(2) * (1.0 - (s / s0).powi(2))),
+            |g| (g, s.powi(2) - g.powi(2)),
+        );
+        let spread = (variance_of_others + (s0 - g).powi(2) + (NONLINEAR * g).powi(2)).max(0.0).sqrt();
+        Some(Self { id: parameter.id, off: x.get(column)? - value, s0, s, g, spread })
+    }
+
+    /// The contradiction if the estimate is further than this number of standard deviations from its expected value.
+    fn strained(&self, sigmas_max: f64) -> Option<Strained> {
+        let Self { id, off, s0, s, g, spread } = *self;
+        let is_strained = spread > 0.0 && off.abs() > sigmas_max * spread;
+        is_strained.then(|| {
+            let unit = id.unit();
+            let [shown_off, expected] = [off, s0].map(|value| value * unit.display_factor());
+            let symbol = unit.display_symbol();
+            Strained {
+                sentence: format!("{id} by {shown_off:+.3} {symbol} (expected within {expected:.3})"),
+                // Without the prior the estimate would differ more from the expected value.
+                biases: off.abs() * g > s * (s0 - g),
+                times: off.abs() / spread,
             }
-            _ => None,
-        });
-        of_term.collect()
-    };
-    let is_certain = |off: f64, off_min: f64, sigma: f64| off.abs() > off_min + BY_CHANCE * sigma;
-    let ratios = estimates(JointTerm::Ratio).into_iter();
-    let wrong_ratios = ratios.filter(|(_, off, sigma)| is_certain(*off, RATIO_OFF, *sigma));
-    let wrong_ratios = wrong_ratios.map(|(joint, off, _)| Limit {
+        })
+    }
+}
+
+/// Estimates of an error term of the joints: joint (from 1), value and its standard deviation.
+fn estimates(model: &Model, solution: &Solution, wanted: JointTerm) -> Vec<(usize, f64, f64)> {
+    let columns = model.columns().enumerate();
+    let of_term = columns.filter_map(|(column, parameter)| match parameter.id {
+        ParameterId::Joint { axis, term } if term == wanted => {
+            Some((axis + 1, *solution.x.get(column)?, solution.covariance.sigma(column)?))
+        }
+        _ => None,
+    });
+    of_term.collect()
+}
+
+/// Whether an estimate with this standard deviation is significantly above a limit.
+fn is_certain(off: f64, off_min: f64, sigma: f64) -> bool {
+    off.abs() > off_min + BY_CHANCE * sigma
+}
+
+/// Errors of gear ratios beyond manufacturing tolerances.
+fn wrong_ratios(model: &Model, solution: &Solution) -> impl Iterator<Item = Limit> {
+    let ratios = estimates(model, solution, JointTerm::Ratio).into_iter();
+    let wrong = ratios.filter(|(_, off, sigma)| is_certain(*off, RATIO_OFF, *sigma));
+    wrong.map(|(joint, off, _)| Limit {
         sentence: format!(
             "Joint {joint} turns by {:.2} % {} than its log says, more than gear manufacturing explains: correct its ratio \
              in the controller, or log.raw_to_joint in the robot's file.",
@@ -339,24 +363,27 @@ fn of_drives(model: &Model, solution: &Solution) -> Vec<Limit> {
             if off > 0.0 { "more" } else { "less" }
         ),
         serious: true,
-    });
+    })
+}
+
+/// Significant delays of single joints in the log.
+fn late_joints(model: &Model, solution: &Solution) -> Option<Limit> {
     // A delay that all joints share belongs to the clocks.
-    let delays = estimates(JointTerm::Delay);
+    let delays = estimates(model, solution, JointTerm::Delay);
     let mut all_s: Vec<f64> = delays.iter().map(|(_, delay_s, _)| *delay_s).collect();
     let common_s = median(&mut all_s).unwrap_or_default();
     let late = delays.into_iter().map(|(joint, delay_s, sigma)| (joint, delay_s - common_s, sigma));
     let late = late.filter(|(_, delay_s, sigma)| is_certain(*delay_s, DELAY_S, *sigma));
     let late: Vec<String> =
         late.map(|(joint, delay_s, _)| format!("joint {joint} by {:+.1} ms", 1e3 * delay_s)).collect();
-    let late = (!late.is_empty()).then(|| Limit {
+    (!late.is_empty()).then(|| Limit {
         sentence: format!(
             "The log has joints later than the others: {}. Causes are servo lag of commanded values, or a filter. The delay is corrected \
              as far as it is the same at all speeds; if the controller can, log measured values, all of one instant.",
             late.join(", ")
         ),
         serious: false,
-    });
-    wrong_ratios.chain(late).collect()
+    })
 }
 
 /// Rotation of the flange plate, or of the last joint's offset, about the flange's axis relative to the configuration.
@@ -376,22 +403,18 @@ fn turned_plate(model: &Model, solution: &Solution) -> Option<Limit> {
     })
 }
 
-/// Lengths far from the configured ones: a different robot or bar, or a wrong scale of all lengths.
-fn other_lengths(model: &Model, solution: &Solution, scale: &str) -> Vec<Limit> {
+/// Lengths far from the configured ones.
+fn far_lengths(model: &Model, solution: &Solution, scale: &str) -> Option<String> {
     let mut off: Vec<Length> =
         lengths(model, solution).filter(|length| length.off_m.abs() > LENGTH_OFF_M).collect();
     off.sort_by(|a, b| b.off_m.abs().total_cmp(&a.off_m.abs()));
-    let off = (!off.is_empty()).then(|| {
+    (!off.is_empty()).then(|| {
         format!(
             "Estimated lengths are far from the configured ones: {}. If it is one or two, the robot's or the bar's file is not that \
              of the cell; if it is all of them by the same ratio, the scale is wrong, and all lengths with it. {scale}.",
             named(&off, NAMED)
         )
-    });
-    off.into_iter()
-        .chain(other_scale(model, solution, scale))
-        .map(|sentence| Limit { sentence, serious: true })
-        .collect()
+    })
 }
 
 /// An estimated length of robot or bar.
