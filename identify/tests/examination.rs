@@ -62,7 +62,7 @@ fn the_offset_plate_is_fixed_behind_the_last_axis_of_any_arm() {
 }
 
 /// The method of the thesis: 1 mm|mrad of error in one fixed parameter, a solve, and the changes of the others.
-fn solves_show_the_influence<R: Residual>(residual: R, cost: CostName) {
+fn solves_show_the_influence<R: Residual + Copy>(residual: R, cost: CostName) {
     let (robot, bar) = (crate::support::irb2400(), crate::support::bar());
     let examined = examine(&robot, &bar, cost, 300, 1).unwrap();
     let cell = Cell::irb2400();
@@ -75,7 +75,7 @@ fn solves_show_the_influence<R: Residual>(residual: R, cost: CostName) {
         let id: ParameterId = held.parse().unwrap();
         let nominal = model.parameter(id).unwrap().value;
         model.set_value(id, nominal + 1e-3).unwrap();
-        let problem = LoopProblem::new(&model, &poses.joints, &poses.observations, &residual, 1.0).unwrap();
+        let problem = LoopProblem::new(&model, &poses.joints, &poses.observations, residual, 1.0).unwrap();
         let (x, _) = minimise(&problem, &truth, &Options::default()).unwrap();
         for (row, (x, truth)) in x.iter().zip(&truth).enumerate() {
             let name = &examined.influence.estimated[row];

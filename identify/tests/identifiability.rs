@@ -118,12 +118,12 @@ fn surplus_parameters_are_an_error_with_their_names() {
     assert!(error.contains("rd1|bd1|oz (fix 2)"), "{error}");
 }
 
-fn selection_is_identified<R: Residual>(residual: R, columns: [usize; 2]) {
+fn selection_is_identified<R: Residual + Copy>(residual: R, columns: [usize; 2]) {
     let cell = Cell::irb2400();
     let (observations, joints) = spread_poses(&cell.robot, &cell.bar, 300, 8);
     let mut model = cell.model();
     let problem_of = |model: &Model| {
-        let problem = LoopProblem::new(model, &joints, &observations, &residual, 1.0).unwrap();
+        let problem = LoopProblem::new(model, &joints, &observations, residual, 1.0).unwrap();
         identifiability(&problem, &model.start(), &Options::default()).unwrap().require_full().unwrap();
     };
     for (selection, columns) in [Selection::Thesis, Selection::Cell].into_iter().zip(columns) {

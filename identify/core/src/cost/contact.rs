@@ -21,7 +21,6 @@ impl Residual for SeatedBall<'_> {
 
     const NAME: &'static str = "contact";
     const ROWS: usize = 3;
-    const ENCODERS: &'static [usize] = &[];
 
     fn depends_on(id: ParameterId, _: &Chain) -> bool {
         id.affects(Owner::Contact)

@@ -32,7 +32,6 @@ impl Residual for MeasuredLength<'_> {
 
     const NAME: &'static str = "measured_length";
     const ROWS: usize = 1;
-    const ENCODERS: &'static [usize] = &[];
     const NEEDS_LENGTH: bool = true;
 
     fn depends_on(id: ParameterId, _: &Chain) -> bool {

@@ -48,7 +48,6 @@ impl Residual for MeasuredPose<'_> {
 
     const NAME: &'static str = "measured_pose";
     const ROWS: usize = 6;
-    const ENCODERS: &'static [usize] = &[];
 
     fn depends_on(id: ParameterId, _: &Chain) -> bool {
         id.affects(Owner::Tracker)

@@ -89,7 +89,6 @@ impl Residual for MeasuredPosition<'_> {
 
     const NAME: &'static str = "measured_position";
     const ROWS: usize = 3;
-    const ENCODERS: &'static [usize] = &[];
 
     fn depends_on(id: ParameterId, _: &Chain) -> bool {
         let turns_probe = matches!(id, ParameterId::Probe { coordinate: Coordinate::Rotation(_), .. });

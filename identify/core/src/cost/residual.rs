@@ -24,7 +24,7 @@ pub trait Residual: Sync {
     /// Number of residual entries per sample.
     const ROWS: usize;
     /// Joints (from 0) whose encoders are required.
-    const ENCODERS: &'static [usize];
+    const ENCODERS: &'static [usize] = &[];
     /// Whether a measured length is required.
     const NEEDS_LENGTH: bool = false;
 
@@ -44,37 +44,6 @@ pub trait Residual: Sync {
 
     /// Writes the derivative by one parameter, `ROWS` entries that are zero on entry.
     fn derivative(&self, scene: &Scene<'_>, local: &Self::Local, id: ParameterId, out: &mut [f64]);
-}
-
-impl<R: Residual> Residual for &R {
-    type Local = R::Local;
-
-    const NAME: &'static str = R::NAME;
-    const ROWS: usize = R::ROWS;
-    const ENCODERS: &'static [usize] = R::ENCODERS;
-    const NEEDS_LENGTH: bool = R::NEEDS_LENGTH;
-
-    fn depends_on(id: ParameterId, robot: &Chain) -> bool {
-        R::depends_on(id, robot)
-    }
-
-    fn identifies(id: ParameterId, robot: &Chain) -> bool {
-        R::identifies(id, robot)
-    }
-
-    fn local(&self, scene: &Scene<'_>) -> Option<R::Local> {
-        R::local(self, scene)
-    }
-
-    #[inline]
-    fn residual(&self, scene: &Scene<'_>, local: &R::Local, out: &mut [f64]) {
-        R::residual(self, scene, local, out);
-    }
-
-    #[inline]
-    fn derivative(&self, scene: &Scene<'_>, local: &R::Local, id: ParameterId, out: &mut [f64]) {
-        R::derivative(self, scene, local, id, out);
-    }
 }
 
 /// Index (from 0) of the joint whose axis is the rod. Without its encoder only the rotation about the rod is unknown.

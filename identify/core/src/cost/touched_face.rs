@@ -38,7 +38,6 @@ impl Residual for TouchedFace<'_> {
 
     const NAME: &'static str = "touched_face";
     const ROWS: usize = 1;
-    const ENCODERS: &'static [usize] = &[];
 
     fn depends_on(id: ParameterId, _: &Chain) -> bool {
         id.affects(Owner::Touch)

@@ -89,7 +89,7 @@ pub fn examine(
     }
 }
 
-fn examine_with<R: Residual>(
+fn examine_with<R: Residual + Clone>(
     mut model: Model,
     poses: &Poses,
     cost: CostName,
@@ -97,7 +97,7 @@ fn examine_with<R: Residual>(
 ) -> Result<Examination, ExamineError> {
     let options = Options::default();
     let identify = |model: &Model| -> Result<Identifiability, ExamineError> {
-        let problem = LoopProblem::new(model, &poses.joints, &poses.observations, &residual, 1.0)?;
+        let problem = LoopProblem::new(model, &poses.joints, &poses.observations, residual.clone(), 1.0)?;
         Ok(identifiability(&problem, &model.start(), &options)?)
     };
     let is_base_rotation = |id| matches!(id, ParameterId::BaseRotation { .. });
@@ -126,7 +126,7 @@ fn examine_with<R: Residual>(
     // Free, so that the Jacobian has their columns.
     model.set_roles(fixed.iter().copied(), Role::Free)?;
     let columns: Vec<usize> = fixed.iter().filter_map(|id| model.column_of(*id)).collect();
-    let problem = LoopProblem::new(&model, &poses.joints, &poses.observations, &residual, 1.0)?;
+    let problem = LoopProblem::new(&model, &poses.joints, &poses.observations, residual, 1.0)?;
     let influence = influence(&problem, &model.start(), &columns, &options)?;
     Ok(Examination { cost, all, tilted, surplus: further_fixed, influence, observability })
 }
