@@ -4,10 +4,11 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
+use super::description::nearest;
 use super::rows::{MEDIAN_OF_THREE, Screened, Standing, sigma_by_median};
 use super::{
     Cause, Deviation, Doubt, Instrument, Knowns, Measures, Mistake, Noise, RejectedRow, ScaleFrom, Section,
-    SocketTable, Sockets, nearest,
+    SocketTable, Sockets,
 };
 use crate::cost::{BesideKnowns, CostError, DataSet, Residual, SeatedBall};
 use crate::kinematics::{Chain, Joints};

@@ -4,10 +4,11 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3, SymmetricEigen, Vector3};
 
+use super::description::nearest;
 use super::rows::{MEDIAN_OF_ONE, Screened, Standing, sigma_by_median};
 use super::{
     Cause, Deviation, Doubt, FaceTable, Faces, Instrument, Knowns, Measures, Mistake, Noise, RejectedRow,
-    RowError, ScaleFrom, Section, nearest,
+    RowError, ScaleFrom, Section,
 };
 use crate::cost::{BesideKnowns, CostError, DataSet, Residual, TouchedFace};
 use crate::kinematics::{Chain, Joints, Pose};
