@@ -11,8 +11,9 @@ use super::data_sets::{DataSets, RunInput};
 use super::error::CalibrateError;
 use super::lay_out::{LaidOut, lay_out};
 use super::pipeline::{Plan, Solved, estimate, refit};
-use super::rows;
+use super::rows::{self, RowSet};
 use super::validation::deployment::{Deployment, fitted};
+use crate::instrument::Run;
 use crate::kinematics::flange_chain;
 use crate::logs::RobotLog;
 use crate::solver::Watch;
@@ -83,39 +84,55 @@ fn calibrate_in_stages(
     watch: Option<&dyn Watch>,
 ) -> Result<Calibration, CalibrateError> {
     let LaidOut { mut runs, mut rows, plan } = lay_out(data, robot, config, held_out, watch)?;
-    // The runs of the files of rows follow those of the ball-bars.
-    let first_of_rows = data.bars.len();
     if !rows.is_empty() {
-        // Outlier rows and a drift are detected in the residuals of the best links.
-        let links_only =
-            Plan { groups: Vec::new(), tolerances: Vec::new(), common: Vec::new(), ..plan.clone() };
-        let Solved { sigmas, .. } = estimate(&mut runs, &links_only)?;
-        let offsets_only = fitted(&runs, Deployment::Offsets, plan.loss, watch)?;
-        let offsets_runs = offsets_only.map_or_else(Vec::new, |fitted| fitted.runs);
-        for (number, set) in (first_of_rows..).zip(&mut rows) {
-            let run = &mut runs[number];
-            set.judge_links(offsets_runs.get(number).map(|run| &run.model), &run.model);
-            set.screen(number + 1, run, sigmas[number])?;
-        }
+        screen_rows(&mut runs, &mut rows, &plan)?;
     }
     let mut solved = estimate(&mut runs, &plan)?;
     if !rows.is_empty() {
-        rows.iter_mut().zip(&runs[first_of_rows..]).for_each(|(set, run)| set.judge_joints(&run.model));
+        // The runs of the files of rows follow those of the ball-bars.
+        let runs_of_rows = &runs[data.bars.len()..];
+        rows.iter_mut().zip(runs_of_rows).for_each(|(set, run)| set.judge_joints(&run.model));
         rows::unless_implausible(&data.rows, &rows, &runs, &flange_chain(robot))?;
         // The errors of held-out rows are known now, so these rows can be included.
-        for (set, run) in rows.iter_mut().zip(&mut runs[first_of_rows..]) {
-            set.leave_out_gross(&run.model);
-            run.instrument = set.everything(&run.model)?;
-        }
-        let (columns, mut solution, sigmas) = refit(&mut runs, plan.loss, watch)?;
-        // The covariance of the fit takes a drift of an instrument as known.
-        for ((number, set), run) in (first_of_rows..).zip(&rows).zip(&runs[first_of_rows..]) {
-            let factor = set.widens(&run.model, sigmas[number])?;
-            solution.covariance = solution.covariance.widened(number, factor);
-        }
-        solved = Solved { columns, solution, sigmas, ..solved };
+        solved = fit_all_rows(&mut runs, &mut rows, &plan, solved)?;
     }
     solved.solution.require_sigmas()?;
     let changed = change::checked(&runs, &solved.sigmas, &config.prepare)?;
     Ok(Calibration { runs, rows, solved, changed, loss: plan.loss })
+}
+
+/// Detects outlier rows and a drift in the residuals of the best links. The runs of the files of rows are the last ones.
+fn screen_rows(runs: &mut [Run], rows: &mut [RowSet], plan: &Plan<'_>) -> Result<(), CalibrateError> {
+    let links_only = Plan { groups: Vec::new(), tolerances: Vec::new(), common: Vec::new(), ..plan.clone() };
+    let Solved { sigmas, .. } = estimate(runs, &links_only)?;
+    let offsets_only = fitted(runs, Deployment::Offsets, plan.loss, plan.watch)?;
+    let offsets_runs = offsets_only.map_or_else(Vec::new, |fitted| fitted.runs);
+    let first_of_rows = runs.len() - rows.len();
+    for (number, set) in (first_of_rows..).zip(rows) {
+        let run = &mut runs[number];
+        set.judge_links(offsets_runs.get(number).map(|run| &run.model), &run.model);
+        set.screen(number + 1, run, sigmas[number])?;
+    }
+    Ok(())
+}
+
+/// The fit to all valid rows, from the solution of a part of them.
+fn fit_all_rows(
+    runs: &mut [Run],
+    rows: &mut [RowSet],
+    plan: &Plan<'_>,
+    solved: Solved,
+) -> Result<Solved, CalibrateError> {
+    let first_of_rows = runs.len() - rows.len();
+    for (set, run) in rows.iter_mut().zip(&mut runs[first_of_rows..]) {
+        set.leave_out_gross(&run.model);
+        run.instrument = set.everything(&run.model)?;
+    }
+    let (columns, mut solution, sigmas) = refit(runs, plan.loss, plan.watch)?;
+    // The covariance of the fit takes a drift of an instrument as known.
+    for ((number, set), run) in (first_of_rows..).zip(rows).zip(&runs[first_of_rows..]) {
+        let factor = set.widens(&run.model, sigmas[number])?;
+        solution.covariance = solution.covariance.widened(number, factor);
+    }
+    Ok(Solved { columns, solution, sigmas, ..solved })
 }

@@ -41,7 +41,7 @@ fn zero_moved(residuals_m: &[f64]) -> (f64, RunCause) {
 }
 
 /// Signed residuals, robot minus measurement \[m\].
-fn residuals_m(instrument: &Instrument, model: &Model) -> Vec<f64> {
+pub(super) fn residuals_m(instrument: &Instrument, model: &Model) -> Vec<f64> {
     let deviations = instrument.deviations(&model.geometry(&[])).into_iter();
     deviations.map(|deviation| deviation.signed_m()).collect()
 }

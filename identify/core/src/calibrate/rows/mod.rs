@@ -178,26 +178,35 @@ impl RowSet {
             return Ok(());
         }
         let fitting = without(&self.errors.fitted, &self.rejected);
-        // The run counts its rows among the fitting ones.
-        let in_file = |rejected: &RejectedRow| RejectedRow { row: fitting[rejected.row], ..*rejected };
-        let rejected_by_fit = run.instrument.rejected().iter().map(in_file).collect::<Vec<_>>();
-        let kept = without(&fitting, &rejected_by_fit);
-        self.whole.weigh_by(&run.model, &kept);
-        let deviations = self.whole.deviations(&run.model.geometry(&[]));
-        let residuals_m: Vec<f64> = deviations.iter().map(|deviation| deviation.signed_m()).collect();
-        let faulty = faulty(&residuals_m, &self.whole.relative_noise(), &fitting, &kept);
-        let kept = without(&fitting, &faulty);
-        if kept.len() < fitting.len() / 2 {
-            let error = RowError::TooManyRejected { kept: kept.len(), rows: fitting.len() };
+        let faulty = self.faulty_rows(run, &fitting);
+        let kept = without(&fitting, &faulty).len();
+        if kept < fitting.len() / 2 {
+            let error = RowError::TooManyRejected { kept, rows: fitting.len() };
             return Err(CalibrateError::Rows { data_set, error });
         }
         let already_rejected: Vec<usize> = self.rejected.iter().map(|rejected| rejected.row).collect();
         self.rejected.extend(faulty.iter().filter(|faulty| !already_rejected.contains(&faulty.row)));
         self.rejected.sort_by_key(|rejected| rejected.row);
-        let fitting = self.usable_with_drift(&fitting);
-        if let Some((drift, drift_m)) = drift::find(&mut run.model.clone(), &self.whole, &fitting, sigma_m)? {
+        self.remove_drift(run, &self.usable_with_drift(&fitting), sigma_m)
+    }
+
+    /// Rows that contradict the others at the model of the run, whose rows are the `fitting` ones. Weights all rows by the noise of
+    /// those that its fit kept.
+    fn faulty_rows(&mut self, run: &Run, fitting: &[usize]) -> Vec<RejectedRow> {
+        // The run counts its rows among the fitting ones.
+        let in_file = |rejected: &RejectedRow| RejectedRow { row: fitting[rejected.row], ..*rejected };
+        let rejected_by_fit = run.instrument.rejected().iter().map(in_file).collect::<Vec<_>>();
+        let kept = without(fitting, &rejected_by_fit);
+        self.whole.weigh_by(&run.model, &kept);
+        let residuals_m = faulty_runs::residuals_m(&self.whole, &run.model);
+        faulty(&residuals_m, &self.whole.relative_noise(), fitting, &kept)
+    }
+
+    /// Removes a drift from the lengths of the run, if these rows show one; they are then its rows.
+    fn remove_drift(&mut self, run: &mut Run, rows: &[usize], sigma_m: f64) -> Result<(), CalibrateError> {
+        if let Some((drift, drift_m)) = drift::find(&mut run.model.clone(), &self.whole, rows, sigma_m)? {
             (self.drift, self.drift_m) = (Some(drift), drift_m);
-            run.instrument = self.without_drift().part(&fitting);
+            run.instrument = self.without_drift().part(rows);
         }
         Ok(())
     }
