@@ -1,7 +1,6 @@
 //! Errors of a calibration.
 
 use super::rows::Likely;
-use super::selection::structure::StructureError;
 use crate::cost::CostError;
 use crate::instrument::RowError;
 use crate::model::ModelError;
@@ -28,9 +27,6 @@ pub enum CalibrateError {
     /// The solve could not start, or was cancelled.
     #[error(transparent)]
     Solve(#[from] SolveError),
-    /// The identifiable parameters cannot be determined.
-    #[error(transparent)]
-    Structure(#[from] StructureError),
     /// There are no data.
     #[error("there is no run to calibrate from; give at least one recording with its robot log")]
     NoRun,

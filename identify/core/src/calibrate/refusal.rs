@@ -1,7 +1,6 @@
 //! Refusals in structured form, from a [`CalibrateError`], for reports that show more than the message on a terminal.
 
 use super::error::CalibrateError;
-use super::selection::structure::StructureError;
 use crate::cost::CostError;
 use crate::prepare::{Deviations, Place};
 use crate::solver::SolveError;
@@ -23,11 +22,10 @@ impl CalibrateError {
     /// The refusal; `None` for errors that are not due to the data, such as an invalid option or a cancelled solve.
     pub fn refusal(&self) -> Option<Refusal<'_>> {
         let of_data = match self {
-            Self::Model(_) | Self::Structure(StructureError::Model(_)) => false,
-            Self::NoRun | Self::Selection(_) | Self::NoEffect { .. } => false,
+            Self::Model(_) | Self::NoRun | Self::Selection(_) | Self::NoEffect { .. } => false,
             Self::Prepare { error, .. } => !error.is_mistyped(),
-            Self::Cost(error) | Self::Structure(StructureError::Cost(error)) => cost_is_of_data(error),
-            Self::Solve(error) | Self::Structure(StructureError::Solve(error)) => solve_is_of_data(error),
+            Self::Cost(error) => cost_is_of_data(error),
+            Self::Solve(error) => solve_is_of_data(error),
             Self::NoPlace { .. } | Self::Rows { .. } | Self::Implausible { .. } => true,
             Self::Align { .. } => true,
             Self::Unidentifiable(_) | Self::NotConverged(_) | Self::NoFreedom(_) => true,

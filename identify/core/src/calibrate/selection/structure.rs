@@ -1,31 +1,15 @@
 //! The parameters that the poses of a run can identify, independent of noise: rank analysis of the cost's Jacobian at poses that
 //! fit the nominal geometry exactly. Used for the selection `all_identifiable`; `identify examine` uses the same order of fixing.
 
-use crate::cost::{CostError, Length, LoopProblem, Position, PositionAngles, Residual, Transform, fill_in};
-use crate::kinematics::{LinkParameter, robot_inverse};
-use crate::model::{
-    Model, ModelError, Observation, ParameterId, PerObservation, RobotMotion, Role, thesis_fixed,
-};
-use crate::solver::{Identifiability, Options, SolveError, identifiability};
-
+use crate::calibrate::CalibrateError;
+use crate::cost::{Length, LoopProblem, Position, PositionAngles, Residual, Transform, fill_in};
 use crate::instrument::CostName;
+use crate::kinematics::{LinkParameter, robot_inverse};
+use crate::model::{Model, Observation, ParameterId, PerObservation, RobotMotion, Role, thesis_fixed};
+use crate::solver::{Identifiability, Options, identifiability};
 
 /// Maximum number of poses: a rank analysis does not need more.
 const POSES_MAX: usize = 300;
-
-/// Reason why the structure cannot be determined.
-#[derive(Debug, thiserror::Error)]
-pub enum StructureError {
-    /// A parameter does not exist.
-    #[error(transparent)]
-    Model(#[from] ModelError),
-    /// The samples do not fit the cost.
-    #[error(transparent)]
-    Cost(#[from] CostError),
-    /// No pose can be used.
-    #[error(transparent)]
-    Solve(#[from] SolveError),
-}
 
 /// Order in which one of several dependent parameters is fixed: first the choice of the thesis (TFRT-6017 section 3.3), then
 /// the bar, whose parameters are not needed afterwards, then the robot, last the bar's base.
@@ -76,13 +60,13 @@ pub fn is_geometry(id: ParameterId) -> bool {
 /// are excluded.
 ///
 /// # Errors
-/// [`StructureError`] if a parameter does not exist, or the poses cannot be used.
+/// [`CalibrateError`] if a parameter does not exist, or the poses cannot be used.
 pub fn identifiable(
     model: &Model,
     motion: &impl RobotMotion,
     observations: &[Observation],
     cost: CostName,
-) -> Result<Vec<ParameterId>, StructureError> {
+) -> Result<Vec<ParameterId>, CalibrateError> {
     let mut model = model.clone();
     let (poses, joints) = consistent_poses(&model, motion, observations);
     // These poses have no time.
@@ -103,7 +87,7 @@ fn reduce<R: Residual + Copy>(
     joints: &PerObservation,
     poses: &[Observation],
     residual: R,
-) -> Result<Vec<ParameterId>, StructureError> {
+) -> Result<Vec<ParameterId>, CalibrateError> {
     let robot = model.robot().clone();
     model.free_only(|id| is_geometry(id) && R::depends_on(id, &robot));
     loop {
