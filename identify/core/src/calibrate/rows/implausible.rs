@@ -17,76 +17,6 @@ use crate::kinematics::Chain;
 use crate::model::{Model, ParameterId, Role, Unit};
 use crate::statistics::{median_size, quantile};
 
-/// Reason why the rows are not plausible.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Reason {
-    /// A link parameter is further from nominal than tolerances allow.
-    Link {
-        /// Identifier of the link parameter.
-        id: ParameterId,
-        /// Deviation from nominal \[m, rad\].
-        correction: f64,
-        /// Assumed standard deviation of the parameter \[m, rad\].
-        sigma: f64,
-    },
-    /// The residuals of the robot are larger than joint errors can cause.
-    TooFar {
-        /// Median residual \[m\].
-        median_m: f64,
-        /// Maximum residual that joint errors of this arm can cause \[m\].
-        limit_m: f64,
-    },
-    /// Held-out rows have larger errors with the calibrated robot than with the nominal one.
-    WorseThanNominal {
-        /// Root mean square error with the nominal robot \[m\].
-        nominal_m: f64,
-        /// Root mean square error with the calibrated robot \[m\].
-        calibrated_m: f64,
-    },
-    /// Positions fit, but orientations differ more than those of any real robot.
-    Turned {
-        /// Angle between nominal and measured orientation \[rad\].
-        turned_rad: f64,
-    },
-    /// Tracker, probe or robot were moved during the measurement.
-    Moved(Step),
-}
-
-impl fmt::Display for Reason {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Link { id, correction, sigma } => {
-                let unit = id.unit();
-                write!(
-                    f,
-                    "{id} would be {:.1} {} from nominal, {:.0} times its tolerance",
-                    correction * unit.display_factor(),
-                    unit.display_symbol(),
-                    (correction / sigma).abs()
-                )
-            }
-            Self::TooFar { median_m, limit_m } => write!(
-                f,
-                "the calibrated robot is {:.1} mm from the rows in the median, errors of the joints explain {:.1} mm",
-                median_m * 1e3,
-                limit_m * 1e3
-            ),
-            Self::WorseThanNominal { nominal_m, calibrated_m } => write!(
-                f,
-                "held-out rows are {:.3} mm from the calibrated robot and {:.3} mm from the nominal one",
-                calibrated_m * 1e3,
-                nominal_m * 1e3
-            ),
-            Self::Turned { turned_rad } => write!(
-                f,
-                "the orientations are {turned_rad:.2} rad from those of the nominal robot, as if angles were in another order, frame \
-                 or unit than [rotation] of the mapping says, or it is another robot"
-            ),
-            Self::Moved(step) => write!(f, "{step}"),
-        }
-    }
-}
-
 /// A step of the observed positions.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Step {
@@ -128,7 +58,7 @@ pub(in crate::calibrate) fn unless_implausible(
     robot: &Chain,
 ) -> Result<(), CalibrateError> {
     let link = runs.first().and_then(|run| furthest_link(&run.model));
-    let mut found: Vec<String> = link.iter().map(Reason::to_string).collect();
+    let mut found: Vec<String> = link.into_iter().collect();
     // Runs of ball-bars are first.
     let bars = runs.len() - sets.len();
     for ((number, run), (file, set)) in runs.iter().enumerate().skip(bars).zip(files.iter().zip(sets)) {
@@ -142,11 +72,13 @@ pub(in crate::calibrate) fn unless_implausible(
     Err(CalibrateError::Implausible { found: found.join("; "), likely: likely_of_all(files, robot) })
 }
 
-fn reasons_of_set(set: &RowSet, instrument: &Instrument, model: &Model, robot: &Chain) -> Vec<Reason> {
+/// Reasons why the rows of a set are not plausible.
+fn reasons_of_set(set: &RowSet, instrument: &Instrument, model: &Model, robot: &Chain) -> Vec<String> {
     let [.., calibrated] = &set.errors.stages;
     let steps = [step(set.whole(), model), set.step];
     let step = steps.into_iter().flatten().find(|step| step.explains(instrument, robot));
-    let reasons = [turned(set), too_far(calibrated, robot), worse_than_nominal(set), step.map(Reason::Moved)];
+    let step = step.map(|step| step.to_string());
+    let reasons = [turned(set), too_far(calibrated, robot), worse_than_nominal(set), step];
     reasons.into_iter().flatten().collect()
 }
 
@@ -157,8 +89,8 @@ const LINK_M: f64 = 1e-2;
 /// Standard deviation of angle errors, including joint offsets \[rad\].
 const LINK_RAD: f64 = 2e-2;
 
-/// The link parameter with the largest correction in standard deviations, if it exceeds the limit.
-fn furthest_link(model: &Model) -> Option<Reason> {
+/// A link parameter is further from nominal than tolerances allow: the one with the largest correction in standard deviations.
+fn furthest_link(model: &Model) -> Option<String> {
     let link = |id: ParameterId| {
         let parameter = model.parameter(id)?;
         let Role::Prior { value, .. } = parameter.role else { return None };
@@ -169,10 +101,19 @@ fn furthest_link(model: &Model) -> Option<Reason> {
     let links = links.filter(|id| matches!(id, ParameterId::Robot { .. })).filter_map(link);
     let size = |(_, correction, sigma): &(ParameterId, f64, f64)| (correction / sigma).abs();
     let (id, correction, sigma) = links.max_by(|a, b| size(a).total_cmp(&size(b)))?;
-    (correction.abs() > SIGMAS_MAX * sigma).then_some(Reason::Link { id, correction, sigma })
+    let unit = id.unit();
+    (correction.abs() > SIGMAS_MAX * sigma).then(|| {
+        format!(
+            "{id} would be {:.1} {} from nominal, {:.0} times its tolerance",
+            correction * unit.display_factor(),
+            unit.display_symbol(),
+            (correction / sigma).abs()
+        )
+    })
 }
 
-fn turned(set: &RowSet) -> Option<Reason> {
+/// Positions fit, but orientations differ more than those of any real robot.
+fn turned(set: &RowSet) -> Option<String> {
     /// The nominal robot's orientation errors are smaller, those of a wrong angle convention are larger \[rad\].
     const WRONG_RAD: f64 = 0.1;
     /// Quantile of the orientation errors: one row in five may be an outlier.
@@ -181,24 +122,42 @@ fn turned(set: &RowSet) -> Option<Reason> {
     let mut turned_rad: Vec<f64> = nominal().map(|error| error.rotation_rad).collect::<Option<_>>()?;
     let turned_rad = quantile(&mut turned_rad, PART);
     let positions_fit = median_size(nominal().map(|error| error.position_m)) < SIGMAS_MAX * LINK_M;
-    (positions_fit && turned_rad > WRONG_RAD).then_some(Reason::Turned { turned_rad })
+    (positions_fit && turned_rad > WRONG_RAD).then(|| {
+        format!(
+            "the orientations are {turned_rad:.2} rad from those of the nominal robot, as if angles were in another order, frame \
+             or unit than [rotation] of the mapping says, or it is another robot"
+        )
+    })
 }
 
 /// Maximum joint errors of industrial arms with known links: gears, resolvers, and commanded angles rounded to a tenth of a
 /// degree \[rad\].
 const JOINT_ERROR_RAD_MAX: f64 = 2e-3;
 
-fn too_far(errors: &[PoseError], robot: &Chain) -> Option<Reason> {
+/// The residuals of the robot are larger than joint errors can cause.
+fn too_far(errors: &[PoseError], robot: &Chain) -> Option<String> {
     let limit_m = JOINT_ERROR_RAD_MAX * robot.reach_m();
     let median_m = median_size(errors.iter().map(|error| error.position_m));
-    (median_m > limit_m).then_some(Reason::TooFar { median_m, limit_m })
+    (median_m > limit_m).then(|| {
+        format!(
+            "the calibrated robot is {:.1} mm from the rows in the median, errors of the joints explain {:.1} mm",
+            median_m * 1e3,
+            limit_m * 1e3
+        )
+    })
 }
 
-fn worse_than_nominal(set: &RowSet) -> Option<Reason> {
+/// Held-out rows have larger errors with the calibrated robot than with the nominal one.
+fn worse_than_nominal(set: &RowSet) -> Option<String> {
     let held_out = set.held_out();
     let [nominal_m, calibrated_m] = [held_out.nominal.position_m.rms, held_out.joints.position_m.rms];
-    is_surely_worse(held_out.nominal.rows, [nominal_m, calibrated_m])
-        .then_some(Reason::WorseThanNominal { nominal_m, calibrated_m })
+    is_surely_worse(held_out.nominal.rows, [nominal_m, calibrated_m]).then(|| {
+        format!(
+            "held-out rows are {:.3} mm from the calibrated robot and {:.3} mm from the nominal one",
+            calibrated_m * 1e3,
+            nominal_m * 1e3
+        )
+    })
 }
 
 /// Number of blocks of consecutive rows.
