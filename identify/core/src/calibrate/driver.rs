@@ -104,14 +104,14 @@ fn calibrate_in_stages(
 /// Detects outlier rows and a drift in the residuals of the best links. The runs of the files of rows are the last ones.
 fn screen_rows(runs: &mut [Run], rows: &mut [RowSet], plan: &Plan<'_>) -> Result<(), CalibrateError> {
     let links_only = Plan { groups: Vec::new(), tolerances: Vec::new(), common: Vec::new(), ..plan.clone() };
-    let Solved { sigmas, .. } = estimate(runs, &links_only)?;
-    let offsets_only = fitted(runs, Deployment::Offsets, plan.loss, plan.watch)?;
-    let offsets_runs = offsets_only.map_or_else(Vec::new, |fitted| fitted.runs);
+    let links = estimate(runs, &links_only)?;
+    let offsets_only = fitted(runs, &links, Deployment::Offsets, plan.loss, plan.watch)?;
+    let offsets_runs = offsets_only.map_or_else(Vec::new, |(runs, _)| runs);
     let first_of_rows = runs.len() - rows.len();
     for (number, set) in (first_of_rows..).zip(rows) {
         let run = &mut runs[number];
         set.judge_links(offsets_runs.get(number).map(|run| &run.model), &run.model);
-        set.screen(number + 1, run, sigmas[number])?;
+        set.screen(number + 1, run, links.sigmas[number])?;
     }
     Ok(())
 }
@@ -128,11 +128,11 @@ fn fit_all_rows(
         set.leave_out_gross(&run.model);
         run.instrument = set.everything(&run.model)?;
     }
-    let (columns, mut solution, sigmas) = refit(runs, plan.loss, plan.watch)?;
+    let mut all = refit(runs, plan.loss, plan.watch, solved)?;
     // The covariance of the fit takes a drift of an instrument as known.
     for ((number, set), run) in (first_of_rows..).zip(rows).zip(&runs[first_of_rows..]) {
-        let factor = set.widens(&run.model, sigmas[number])?;
-        solution.covariance = solution.covariance.widened(number, factor);
+        let factor = set.widens(&run.model, all.sigmas[number])?;
+        all.solution.covariance = all.solution.covariance.widened(number, factor);
     }
-    Ok(Solved { columns, solution, sigmas, ..solved })
+    Ok(all)
 }

@@ -180,8 +180,8 @@ struct Choice {
     needs_solve: bool,
 }
 
-/// Solves for the free parameters from the current values, without trying other terms, and sets the models to the solution.
-/// Returns the column map, the solution, and the standard deviation of a residual of each run.
+/// Solves for the free parameters from the current values, without trying other terms, and sets the models to the solution. The
+/// terms were chosen in the solve `before`.
 ///
 /// # Errors
 /// As [`estimate`].
@@ -189,12 +189,13 @@ pub(super) fn refit(
     runs: &mut [Run],
     loss: LossName,
     watch: Option<&dyn Watch>,
-) -> Result<(SharedColumns, Solution, Vec<f64>), CalibrateError> {
+    before: Solved,
+) -> Result<Solved, CalibrateError> {
     let plan = Plan { watch, ..Plan::new(loss, Vec::new()) };
     let mut solver = Solver::new(runs, &plan);
     let (columns, mut solution) = solver.solve_with_weights()?;
     solution.covariance = solver.covariance(&columns, &solution)?;
-    Ok((columns, solution, solver.sigmas))
+    Ok(Solved { columns, solution, sigmas: solver.sigmas, ..before })
 }
 
 /// Those of rod and plate lengths that differ between the runs with a bar.

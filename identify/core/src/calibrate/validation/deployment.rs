@@ -8,7 +8,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::calibrate::pipeline::{Solved, refit};
 use crate::calibrate::{CalibrateError, Calibration};
-use crate::cost::SharedColumns;
 use crate::instrument::Run;
 use crate::kinematics::LinkParameter;
 use crate::model::{Model, ModelError, Owner, ParameterId, Role};
@@ -41,14 +40,8 @@ impl Deployment {
 
     /// Sets the parameters that the deployment does not apply to nominal and fixes them.
     fn restrict(self, model: &mut Model) -> Result<(), ModelError> {
-        let nominal = |id: &ParameterId| Some((*id, model.parameter(*id)?.nominal));
-        let ids = model.ids().into_iter();
-        let left_out: Vec<(ParameterId, f64)> =
-            ids.filter(|id| self.leaves_out(*id)).filter_map(|id| nominal(&id)).collect();
-        for &(id, value) in &left_out {
-            model.set_value(id, value)?;
-        }
-        model.set_roles(left_out.into_iter().map(|(id, _)| id), Role::Fixed)
+        model.reset_to_nominal(|id| self.leaves_out(id));
+        model.set_roles(model.ids().into_iter().filter(|id| self.leaves_out(*id)), Role::Fixed)
     }
 }
 
@@ -80,36 +73,27 @@ impl Calibration {
         deployment: Deployment,
         watch: Option<&dyn Watch>,
     ) -> Result<Option<Self>, CalibrateError> {
-        let found = fitted(&self.runs, deployment, self.loss, watch)?;
-        Ok(found.map(|Fitted { runs, columns, solution, sigmas }| {
-            let solved = Solved { columns, solution, sigmas, ..self.solved.clone() };
-            Self { runs, solved, ..self.clone() }
-        }))
+        let found = fitted(&self.runs, &self.solved, deployment, self.loss, watch)?;
+        Ok(found.map(|(runs, solved)| Self { runs, solved, ..self.clone() }))
     }
 }
 
-/// Runs at the best fit of the parameters that a deployment applies.
-pub(in crate::calibrate) struct Fitted {
-    pub(in crate::calibrate) runs: Vec<Run>,
-    columns: SharedColumns,
-    solution: Solution,
-    sigmas: Vec<f64>,
-}
-
-/// Fits the runs with the parameters that a deployment applies; `None` if the solve does not converge.
+/// The runs at the best fit of the parameters that a deployment applies, from their solution with all; `None` if the solve does
+/// not converge.
 ///
 /// # Errors
 /// [`CalibrateError`] if the solve fails for another reason.
 pub(in crate::calibrate) fn fitted(
     runs: &[Run],
+    solved: &Solved,
     deployment: Deployment,
     loss: LossName,
     watch: Option<&dyn Watch>,
-) -> Result<Option<Fitted>, CalibrateError> {
+) -> Result<Option<(Vec<Run>, Solved)>, CalibrateError> {
     let mut runs = runs.to_vec();
     runs.iter_mut().try_for_each(|run| deployment.restrict(&mut run.model))?;
-    match refit(&mut runs, loss, watch) {
-        Ok((columns, solution, sigmas)) => Ok(Some(Fitted { runs, columns, solution, sigmas })),
+    match refit(&mut runs, loss, watch, solved.clone()) {
+        Ok(solved) => Ok(Some((runs, solved))),
         Err(CalibrateError::NotConverged(_)) => Ok(None),
         Err(error) => Err(error),
     }
