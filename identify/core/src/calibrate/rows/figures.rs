@@ -60,24 +60,27 @@ impl PoseFigures {
 
 /// Probability that a geometry no better than the nominal one is classified as better.
 const BETTER_BY_CHANCE: f64 = 0.05;
-
-/// Whether the second of two root mean squares of `n` errors each is smaller: in position significantly, in rotation by any
-/// amount. The difference of their logarithms has a variance of at most `1 / n`.
-pub fn is_surely_better(n: usize, position: [f64; 2], rotation: Option<[f64; 2]>) -> bool {
-    let sigma = (n.max(1) as f64).sqrt().recip();
-    let limit = (Normal::standard().inverse_cdf(BETTER_BY_CHANCE) * sigma).exp();
-    let [nominal, calibrated] = position;
-    n > 0 && calibrated < limit * nominal && rotation.is_none_or(|[nominal, calibrated]| calibrated < nominal)
-}
-
 /// Probability that a calibration no worse than the nominal robot is classified as worse.
 const WORSE_BY_CHANCE: f64 = 1e-3;
 
-/// Whether the second of two root mean squares of `n` errors each is significantly larger. The difference of their logarithms
-/// has a variance of at most `1 / n`, since they are of the same rows.
-pub fn is_surely_worse(n: usize, [nominal, calibrated]: [f64; 2]) -> bool {
+/// Ratio of two root mean squares of `n` errors each that is below this with the given probability if the robots are equal. The
+/// difference of their logarithms has a variance of at most `1 / n`, since they are of the same rows.
+fn ratio_by_chance(n: usize, probability: f64) -> f64 {
     let sigma = (n.max(1) as f64).sqrt().recip();
-    calibrated > nominal * (Normal::standard().inverse_cdf(1.0 - WORSE_BY_CHANCE) * sigma).exp()
+    (Normal::standard().inverse_cdf(probability) * sigma).exp()
+}
+
+/// Whether the second of two root mean squares of `n` errors each is smaller: in position significantly, in rotation by any
+/// amount.
+pub fn is_surely_better(n: usize, position: [f64; 2], rotation: Option<[f64; 2]>) -> bool {
+    let [nominal, calibrated] = position;
+    let limit = ratio_by_chance(n, BETTER_BY_CHANCE);
+    n > 0 && calibrated < limit * nominal && rotation.is_none_or(|[nominal, calibrated]| calibrated < nominal)
+}
+
+/// Whether the second of two root mean squares of `n` errors each is significantly larger.
+pub fn is_surely_worse(n: usize, [nominal, calibrated]: [f64; 2]) -> bool {
+    calibrated > nominal * ratio_by_chance(n, 1.0 - WORSE_BY_CHANCE)
 }
 
 impl PoseFigures {
