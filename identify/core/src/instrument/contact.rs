@@ -346,13 +346,9 @@ impl Measures for Contact {
     }
 
     fn undone(&self, mistake: Mistake) -> Vec<Instrument> {
-        match mistake {
-            Mistake::Joints(mistake) => {
-                let other = self.rows.all.with_joints(|joints_rad| mistake.undone(joints_rad));
-                vec![self.with_rows(other).into()]
-            }
-            _ => Vec::new(),
-        }
+        let Mistake::Joints(mistake) = mistake else { return Vec::new() };
+        let other = self.rows.all.with_joints(|joints_rad| mistake.undone(joints_rad));
+        vec![self.with_rows(other).into()]
     }
 
     fn deviations(&self, geometry: &Geometry) -> Vec<Deviation> {

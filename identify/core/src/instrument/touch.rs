@@ -363,12 +363,8 @@ impl Measures for Touch {
     }
 
     fn undone(&self, mistake: Mistake) -> Vec<Instrument> {
-        match mistake {
-            Mistake::Joints(mistake) => {
-                let other = self.rows.all.with_joints(|joints_rad| mistake.undone(joints_rad));
-                vec![self.with_rows(other).into()]
-            }
-            _ => Vec::new(),
-        }
+        let Mistake::Joints(mistake) = mistake else { return Vec::new() };
+        let other = self.rows.all.with_joints(|joints_rad| mistake.undone(joints_rad));
+        vec![self.with_rows(other).into()]
     }
 }
