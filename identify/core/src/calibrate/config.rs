@@ -397,11 +397,11 @@ impl IdentifyConfig {
 
     /// Groups of terms that are tried in addition to the selection.
     pub fn candidates(&self) -> Vec<TermGroup> {
-        let mut groups = match self.selection {
-            SelectionName::Thesis => Vec::new(),
-            _ => self.joint_terms.candidates.clone(),
-        };
-        if self.selection != SelectionName::Thesis && self.bar_length_um > 0.0 {
+        if self.selection == SelectionName::Thesis {
+            return Vec::new();
+        }
+        let mut groups = self.joint_terms.candidates.clone();
+        if self.bar_length_um > 0.0 {
             groups.push(TermGroup::BarLength);
         }
         groups

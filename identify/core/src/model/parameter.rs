@@ -589,6 +589,12 @@ impl ParameterId {
         }
     }
 
+    /// The parameter of a column of a solution, by the column's name. If each data set has its own, the name ends with the number
+    /// of the data set: `ox@2`.
+    pub fn of_column(name: &str) -> Option<Self> {
+        name.split('@').next()?.parse().ok()
+    }
+
     /// All parameters of a group of error terms.
     pub fn of_term(group: TermGroup) -> impl Iterator<Item = Self> {
         Self::all().filter(move |id| id.term() == Some(group))

@@ -116,9 +116,7 @@ fn source_name(source: Source, model: &Model, covariance: &Covariance) -> String
         Source::Considered { column } => (column, "fixed"),
     };
     let name = covariance.name(column);
-    let Some(id) = name.split('@').next().and_then(|name| name.parse::<ParameterId>().ok()) else {
-        return name.to_owned();
-    };
+    let Some(id) = ParameterId::of_column(name) else { return name.to_owned() };
     let sigma = stated_sigma(model, id);
     let is_known_length = ParameterId::known_lengths(model.axes()).contains(&id);
     let is_listed_alone = matches!(source, Source::Considered { .. }) || is_known_length;

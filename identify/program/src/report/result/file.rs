@@ -190,7 +190,7 @@ impl ParameterEntry {
 
     /// The parameter, without the number of the run; `None` for an unknown name.
     pub fn id(&self) -> Option<ParameterId> {
-        self.name.split('@').next()?.parse().ok()
+        ParameterId::of_column(&self.name)
     }
 
     /// All parameters of a model at its solution, in the model's order, except terms of joints, forces and the bar's length

@@ -151,7 +151,7 @@ impl CalibrationFile {
         let identifiability = &solution.identifiability;
         let name = |column: usize| solution.covariance.name(column).to_owned();
         // Columns of later runs have the run's number after the name: `ox@2`.
-        let unit = |name: &String| name.split('@').next()?.parse::<ParameterId>().ok().map(ParameterId::unit);
+        let unit = |name: &String| ParameterId::of_column(name).map(ParameterId::unit);
         let from_display: Vec<f64> = identifiability
             .names
             .iter()
