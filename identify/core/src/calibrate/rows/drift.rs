@@ -18,7 +18,7 @@ use crate::model::{Model, ParameterId};
 use crate::solver::{Loss, Normal, Prior, ScaledCholesky, stacked};
 
 /// Size and memory of a drift, with the errors of the cross-validation.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Drift {
     /// Standard deviation of the offset \[m\].
     pub size_m: f64,
@@ -41,6 +41,13 @@ const STEPS: usize = 8;
 /// Residuals beyond this number of standard deviations have a constant influence.
 const HUBER: Loss = Loss::Huber { scale: 3.0 };
 
+impl Drift {
+    /// A negligible drift of lengths with the standard deviation `sigma_m`.
+    fn none(sigma_m: f64) -> Self {
+        Self { size_m: NO_DRIFT * sigma_m, memory_rows: 1.0, white_m: sigma_m, ..Self::default() }
+    }
+}
+
 /// Candidate sizes and memories; standard deviations are relative to `sigma_m`, that of a length in the fit without a drift.
 fn candidates(sigma_m: f64) -> impl Iterator<Item = Drift> {
     const WHITE: [f64; 3] = [0.3, 0.6, 1.0];
@@ -52,8 +59,7 @@ fn candidates(sigma_m: f64) -> impl Iterator<Item = Drift> {
                 size_m: size * sigma_m,
                 memory_rows,
                 white_m: white * sigma_m,
-                rms_without_m: 0.0,
-                rms_with_m: 0.0,
+                ..Drift::default()
             })
         })
     })
@@ -229,14 +235,7 @@ fn choose(
     let Some(linear) = Linear::at(model, all, fitting)? else { return Ok(None) };
     let in_file = |fold: &Vec<usize>| fold.iter().filter_map(|&index| fitting.get(index).copied()).collect();
     let folds: Vec<Vec<usize>> = folds.iter().filter(|fold| !fold.is_empty()).map(in_file).collect();
-    let no_drift = Drift {
-        size_m: NO_DRIFT * sigma_m,
-        memory_rows: 1.0,
-        white_m: sigma_m,
-        rms_without_m: 0.0,
-        rms_with_m: 0.0,
-    };
-    let Some(without) = linear.left_out(&no_drift, &folds) else { return Ok(None) };
+    let Some(without) = linear.left_out(&Drift::none(sigma_m), &folds) else { return Ok(None) };
     let rms_without_m = mean(&without).sqrt();
     let tried = candidates(sigma_m).filter_map(|drift| {
         let with = linear.left_out(&drift, &folds)?;
@@ -284,9 +283,10 @@ pub(super) fn widens(
     let Some(linear) = Linear::at(model, all, fitting)? else { return Ok(1.0) };
     let mut weights = vec![0.0; all.samples()];
     fitting.iter().for_each(|&row| weights[row] = 1.0);
-    let no_drift = Drift { size_m: NO_DRIFT * sigma_m, memory_rows: 1.0, white_m: sigma_m, ..*drift };
     let variances = |drift: &Drift| linear.variances(&linear.sweep(drift, &weights));
-    let (Some(with), Some(without)) = (variances(drift), variances(&no_drift)) else { return Ok(1.0) };
+    let (Some(with), Some(without)) = (variances(drift), variances(&Drift::none(sigma_m))) else {
+        return Ok(1.0);
+    };
     let is_of_robot = model.columns().map(|parameter| matches!(parameter.id, ParameterId::Robot { .. }));
     let of_robot = is_of_robot.zip(with.iter().zip(&without)).filter(|(of_robot, _)| *of_robot);
     let ratios: Vec<f64> = of_robot.map(|(_, (with, without))| with / without).collect();
