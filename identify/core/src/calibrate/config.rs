@@ -8,7 +8,6 @@ use shared::config::{BallBarConfig, Validate, Violation};
 
 use super::error::CalibrateError;
 use super::selection::links::link_ids;
-use super::selection::terms::CandidateGroup;
 use crate::instrument::{CostName, NoiseConfig};
 use crate::kinematics::{BAR_JOINTS, Chain, LinkParameter};
 use crate::model::{Group, Model, ModelError, Owner, ParameterId, Role, Selection, TermGroup, thesis_fixed};
@@ -395,42 +394,8 @@ impl IdentifyConfig {
         harmonics.filter(|id| !self.named().any(|named| named == *id))
     }
 
-    /// Groups of terms that are tried in addition to the selection.
-    pub fn candidates(&self) -> Vec<TermGroup> {
-        if self.selection == SelectionName::Thesis {
-            return Vec::new();
-        }
-        let mut groups = self.joint_terms.candidates.clone();
-        if self.bar_length_um > 0.0 {
-            groups.push(TermGroup::BarLength);
-        }
-        groups
-    }
-
-    /// [`Self::candidates`] with the model's parameters that its samples determine and that are not freed or fixed by name.
-    pub fn groups(
-        &self,
-        model: &Model,
-        identifies: impl Fn(ParameterId, &Chain) -> bool,
-    ) -> Vec<CandidateGroup> {
-        let group = |group: TermGroup| {
-            let open = model.parameters().iter().filter(|one| {
-                let is_fixed_term = one.id.term() == Some(group) && one.role == Role::Fixed;
-                is_fixed_term && identifies(one.id, model.robot())
-            });
-            let ids = open.map(|one| one.id).filter(|id| !self.fix.contains(&id.to_string())).collect();
-            let scales = group.scales().to_vec();
-            CandidateGroup { group, name: group.name().into(), ids, sigma: self.sigma(group), scales }
-        };
-        self.candidates()
-            .into_iter()
-            .map(group)
-            .filter(|group| group.group == TermGroup::LineSpectrum || !group.ids.is_empty())
-            .collect()
-    }
-
     /// Standard deviation of the prior of a term group, SI.
-    fn sigma(&self, group: TermGroup) -> f64 {
+    pub(super) fn sigma(&self, group: TermGroup) -> f64 {
         let terms = &self.joint_terms;
         1e-6 * match group {
             TermGroup::Ratio => terms.ratio_ppm,

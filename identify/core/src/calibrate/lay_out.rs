@@ -8,11 +8,11 @@ use shared::config::{BallBarConfig, RobotConfig};
 use super::config::{IdentifyConfig, SelectionName};
 use super::data_sets::{BarRun, DataSets};
 use super::error::CalibrateError;
-use super::pipeline::{Plan, estimate, residual_unit_of, waves_per_turn};
+use super::pipeline::{Plan, estimate, residual_unit_of};
 use super::rows::{self, RowSet};
+use super::selection::candidates::candidate_groups;
 use super::selection::choose::CommonPrior;
 use super::selection::structure::identifiable;
-use super::selection::terms::CandidateGroup;
 use crate::instrument::{BallBar, CostName, Run, ScaleFrom};
 use crate::kinematics::{BAR_JOINTS, Chain, LinkParameter, ball_bar_chain, flange_chain, robot_chain};
 use crate::model::{Axis, DriveTrain, Group, Model, ModelError, Parameter, ParameterId, Role, Unit};
@@ -110,33 +110,6 @@ fn longest_length(model: &Model) -> Option<ParameterId> {
     let lengths = model.parameters().iter().filter(is_length);
     let longest = lengths.max_by(|a, b| a.nominal.abs().total_cmp(&b.nominal.abs()))?;
     Some(longest.id)
-}
-
-/// Groups of terms to try. Without a ball-bar the models receive waves of the robot's axes, up to an order limited by the
-/// number of rows.
-fn candidate_groups(
-    data: &DataSets<'_>,
-    runs: &mut [Run],
-    config: &IdentifyConfig,
-) -> Result<Vec<CandidateGroup>, CalibrateError> {
-    let Some(Run { instrument, model }) = runs.first() else { return Ok(Vec::new()) };
-    if !data.bars.is_empty() {
-        return Ok(config.groups(model, |id, robot| instrument.identifies(id, robot)));
-    }
-    let axes = model.axes();
-    let values_of_run =
-        |run: &Run| Ok(run.instrument.samples() * run.instrument.data_set(&run.model, 1.0)?.rows());
-    let values = runs.iter().map(values_of_run).sum::<Result<_, CalibrateError>>()?;
-    let stated_order_max = data.rows.iter().filter_map(|file| file.joint_waves).min();
-    let order_max = stated_order_max.unwrap_or_else(|| waves_per_turn(values, axes));
-    for run in &mut *runs {
-        run.model = run.model.clone().with(ParameterId::joint_waves(order_max));
-    }
-    let in_a_model = |id: &ParameterId| runs.iter().any(|run| run.model.parameter(*id).is_some());
-    let mut groups =
-        rows::groups(order_max, |id| in_a_model(id) && !config.named().any(|named| named == *id));
-    groups.retain(|group| config.joint_terms.candidates.contains(&group.group));
-    Ok(groups)
 }
 
 /// Bar joints that have an encoder in all runs.

@@ -7,13 +7,12 @@
 
 use super::change;
 use super::error::CalibrateError;
-use super::rows::WAVES_PER_TURN_MAX;
 use super::selection::choose::CommonPrior;
 use super::selection::line_spectrum::Shown;
 use super::selection::terms::{Candidate, CandidateGroup};
 use crate::cost::{CostError, DataSets, SharedColumns};
 use crate::instrument::{CostName, Run, ScaleFrom};
-use crate::model::{Group, Model, ModelError, ParameterId, Phase, Role};
+use crate::model::{Group, Model, ModelError, ParameterId, Role};
 use crate::solver::{
     GoodShare, Loss, LossName, Normals, Options, Problem, Solution, Summary, Watch, minimise,
     minimise_robust, solve,
@@ -61,14 +60,6 @@ impl Plan<'_> {
     pub fn new(loss: LossName, groups: Vec<CandidateGroup>) -> Self {
         Plan { loss, groups, fix: Vec::new(), tolerances: Vec::new(), common: Vec::new(), watch: None }
     }
-}
-
-/// Highest order of joint waves to try: left-out groups could not support more than one amplitude per four measured values of
-/// each axis.
-pub(super) fn waves_per_turn(measured: usize, axes: usize) -> u8 {
-    const MEASURED_PER_WAVE: usize = 4;
-    let orders = measured / (MEASURED_PER_WAVE * Phase::ALL.len() * axes.max(1));
-    u8::try_from(orders).unwrap_or(u8::MAX).min(WAVES_PER_TURN_MAX)
 }
 
 /// A joint solve of all runs.

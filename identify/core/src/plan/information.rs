@@ -121,7 +121,7 @@ impl Information {
         let identifies = WhitenedPose::identifies;
         config.set_roles(&mut model, &[], identifies)?;
         let mut terms = Vec::new();
-        for group in config.groups(&model, identifies) {
+        for group in config.groups(&model, |id| identifies(id, arm)) {
             terms.extend(group.ids.iter().map(|id| (group.group, *id)));
             model.set_roles(group.ids, Role::Prior { value: 0.0, sigma: group.sigma })?;
         }

@@ -9,10 +9,10 @@ mod faulty_runs;
 mod figures;
 mod implausible;
 mod likely;
-mod terms;
 mod validate;
 
 use super::error::CalibrateError;
+pub(crate) use super::selection::candidates::groups;
 use crate::instrument::{
     Deviation, Instrument, PoseError, RejectedRow, Rejection, RowError, Run, faulty, gross_rows, without,
 };
@@ -26,7 +26,6 @@ use implausible::Step;
 pub(super) use implausible::unless_implausible;
 pub use likely::{Likely, likely, misfit, some_of};
 pub(super) use likely::{likely_of_all, unless_other_unit};
-pub(crate) use terms::groups;
 pub use validate::{Validated, validate};
 
 /// Default maximum order of joint waves: strain wave gears have no finer teeth near their output.

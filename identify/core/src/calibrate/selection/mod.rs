@@ -1,5 +1,6 @@
 //! Selection of free parameters: links that the poses determine, and terms that improve the prediction of left-out data.
 
+pub(in crate::calibrate) mod candidates;
 pub(in crate::calibrate) mod choose;
 pub(in crate::calibrate) mod line_spectrum;
 pub(crate) mod links;

@@ -2,8 +2,8 @@
 //! drawn from the covariance of the solution, `drawn error = J dp` in each of many random postures; used for the report.
 //!
 //! A motion of the whole robot in its base is no error where only tolerances of links leave it open: behind a lift, or behind
-//! parallel axes, a link turns or shifts everything after it as another place of the instrument would. No measurement tells one
-//! from the other.
+//! parallel axes, a link turns or shifts everything after it as another place of the instrument would. No measurement
+//! separates the two.
 
 use std::collections::BTreeMap;
 

@@ -1,0 +1,125 @@
+//! The groups of optional terms that a calibration tries: with a ball-bar those of the configuration, with files of rows, in which
+//! the robot is at rest in each pose, those of this file. `choose` tries them.
+
+use super::terms::CandidateGroup;
+use crate::calibrate::rows::WAVES_PER_TURN_MAX;
+use crate::calibrate::{CalibrateError, DataSets, IdentifyConfig, SelectionName};
+use crate::instrument::Run;
+use crate::model::{Model, ParameterId, Phase, Role, TermGroup, Waves};
+
+/// Groups of terms to try. Without a ball-bar the models receive waves of the robot's axes, up to an order limited by the
+/// number of rows.
+pub(in crate::calibrate) fn candidate_groups(
+    data: &DataSets<'_>,
+    runs: &mut [Run],
+    config: &IdentifyConfig,
+) -> Result<Vec<CandidateGroup>, CalibrateError> {
+    let Some(Run { instrument, model }) = runs.first() else { return Ok(Vec::new()) };
+    if !data.bars.is_empty() {
+        return Ok(config.groups(model, |id| instrument.identifies(id, model.robot())));
+    }
+    let axes = model.axes();
+    let values_of_run =
+        |run: &Run| Ok(run.instrument.samples() * run.instrument.data_set(&run.model, 1.0)?.rows());
+    let values = runs.iter().map(values_of_run).sum::<Result<_, CalibrateError>>()?;
+    let stated_order_max = data.rows.iter().filter_map(|file| file.joint_waves).min();
+    let order_max = stated_order_max.unwrap_or_else(|| waves_per_turn(values, axes));
+    for run in &mut *runs {
+        run.model = run.model.clone().with(ParameterId::joint_waves(order_max));
+    }
+    let in_a_model = |id: &ParameterId| runs.iter().any(|run| run.model.parameter(*id).is_some());
+    let mut groups = groups(order_max, |id| in_a_model(id) && !config.named().any(|named| named == *id));
+    groups.retain(|group| config.joint_terms.candidates.contains(&group.group));
+    Ok(groups)
+}
+
+/// Highest order of joint waves to try: left-out groups could not support more than one amplitude per four measured values of
+/// each axis.
+fn waves_per_turn(measured: usize, axes: usize) -> u8 {
+    const MEASURED_PER_WAVE: usize = 4;
+    let orders = measured / (MEASURED_PER_WAVE * Phase::ALL.len() * axes.max(1));
+    u8::try_from(orders).unwrap_or(u8::MAX).min(WAVES_PER_TURN_MAX)
+}
+
+impl IdentifyConfig {
+    /// Groups of terms that are tried in addition to the selection.
+    pub fn candidates(&self) -> Vec<TermGroup> {
+        if self.selection == SelectionName::Thesis {
+            return Vec::new();
+        }
+        let mut groups = self.joint_terms.candidates.clone();
+        if self.bar_length_um > 0.0 {
+            groups.push(TermGroup::BarLength);
+        }
+        groups
+    }
+
+    /// [`Self::candidates`] with the model's parameters that its samples determine and that are not freed or fixed by name.
+    pub fn groups(&self, model: &Model, identifies: impl Fn(ParameterId) -> bool) -> Vec<CandidateGroup> {
+        let group = |group: TermGroup| {
+            let open = model
+                .parameters()
+                .iter()
+                .filter(|one| one.id.term() == Some(group) && one.role == Role::Fixed && identifies(one.id));
+            let ids = open.map(|one| one.id).filter(|id| !self.fix.contains(&id.to_string())).collect();
+            let scales = group.scales().to_vec();
+            CandidateGroup { group, name: group.name().into(), ids, sigma: self.sigma(group), scales }
+        };
+        self.candidates()
+            .into_iter()
+            .map(group)
+            .filter(|group| group.group == TermGroup::LineSpectrum || !group.ids.is_empty())
+            .collect()
+    }
+}
+
+fn joint_terms(wanted: &[TermGroup]) -> Vec<ParameterId> {
+    ParameterId::all().filter(|id| id.term().is_some_and(|group| wanted.contains(&group))).collect()
+}
+
+/// Groups of joint errors without a ball-bar, restricted to the parameters for which `offered` is true. Each group has candidate
+/// standard deviations of its prior.
+pub(crate) fn groups(waves_last: u8, offered: impl Fn(&ParameterId) -> bool) -> Vec<CandidateGroup> {
+    const ANGLES_RAD: &[f64] = &[20e-6, 100e-6, 500e-6];
+    const RATIOS: &[f64] = &[20e-6, 100e-6, 500e-6];
+    use TermGroup::{Backlash, Compliance, GearOnce, GearTwice, Joint, Ratio};
+    let group = |groups: &[TermGroup], name: &str, sigmas: &[f64]| {
+        candidate_group(groups[0], name.into(), joint_terms(groups), sigmas)
+    };
+    let mut groups = vec![
+        group(&[GearOnce, GearTwice], "waves once and twice per turn", ANGLES_RAD),
+        group(&[Joint], "waves of joints beside their drives", ANGLES_RAD),
+        group(&[Backlash], "backlash by direction of approach", ANGLES_RAD),
+        group(&[Ratio], "transmission ratio", RATIOS),
+        group(&[Compliance], "compliance under gravity", &[100e-6, 1e-3, 1e-2]),
+    ];
+    groups.extend(BANDS.iter().filter_map(|band| waves_of_band(band, waves_last)));
+    groups.iter_mut().for_each(|group| group.ids.retain(&offered));
+    groups.retain(|group| !group.ids.is_empty());
+    groups
+}
+
+/// Bands of waves per turn that are tried together: eccentric gears, encoders and flexsplines, fine teeth.
+const BANDS: [std::ops::RangeInclusive<u8>; 3] =
+    [*Waves::OF_AXIS.start()..=10, 11..=30, 31..=*Waves::OF_AXIS.end()];
+
+/// The waves of a band up to order `last`; `None` if there are none.
+fn waves_of_band(band: &std::ops::RangeInclusive<u8>, last: u8) -> Option<CandidateGroup> {
+    const SIGMAS_RAD: &[f64] = &[10e-6, 20e-6, 50e-6, 100e-6];
+    let (first, last) = (*band.start(), last.min(*band.end()));
+    let within = |id: &ParameterId| matches!(id, ParameterId::JointWave { order, .. } if *order >= first);
+    let ids: Vec<ParameterId> = ParameterId::joint_waves(last).filter(within).collect();
+    let name = format!("{first} to {last} waves per turn");
+    (!ids.is_empty()).then(|| candidate_group(TermGroup::LineSpectrum, name, ids, SIGMAS_RAD))
+}
+
+fn candidate_group(group: TermGroup, name: String, ids: Vec<ParameterId>, sigmas: &[f64]) -> CandidateGroup {
+    let first = sigmas.first().copied().unwrap_or(1.0);
+    CandidateGroup {
+        group,
+        name,
+        ids,
+        sigma: first,
+        scales: sigmas.iter().map(|sigma| sigma / first).collect(),
+    }
+}
