@@ -9,7 +9,7 @@ use crate::calibrate::CalibrateError;
 use crate::instrument::{Cause, Instrument, Run};
 use crate::model::{ParameterId, Role};
 use crate::prepare::{Deviations, PoorFit, PrepareError, PrepareOptions};
-use crate::solver::{Change, Course, LossName, Problem, change_point};
+use crate::solver::{Change, Course, LossName, change_point};
 
 /// Probability of a false alarm in a data set without change.
 const FALSE_ALARMS: f64 = 1e-4;

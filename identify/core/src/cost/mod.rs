@@ -8,7 +8,6 @@
 mod bar;
 mod contact;
 mod data_sets;
-mod knowns;
 mod measured_length;
 mod measured_pose;
 mod measured_position;
@@ -27,7 +26,6 @@ pub use bar::position_angles::PositionAngles;
 pub use bar::transform::Transform;
 pub use contact::SeatedBall;
 pub use data_sets::{DataSet, DataSets, SharedColumns};
-pub use knowns::BesideKnowns;
 pub use measured_length::MeasuredLength;
 pub use measured_pose::{MeasuredPose, PoseNoise};
 pub use measured_position::MeasuredPosition;

@@ -2,11 +2,13 @@
 //!
 //! At parameter values `x` the model gives the geometry. For each sample, [`LoopPoint`] reads the robot's joints at the
 //! sample's time and traces both chains into a [`Scene`]; from it the cost computes residual and derivatives, which are then
-//! divided by the residual's standard deviation.
+//! divided by the residual's standard deviation. Known properties of an instrument ([`Knowns`], such as the distance between two
+//! sockets) follow as one sample each, with their own standard deviation and derivatives by their own parameters.
 
 use nalgebra::Vector3;
 
 use super::{DataSet, Residual, Scene};
+use crate::instrument::Knowns;
 use crate::kinematics::{BAR_JOINTS, Chain, ROD_LINK, Trace, Tracer, Turn};
 use crate::model::{Geometry, Model, MovingJoints, Observation, ParameterId, RobotMotion};
 use crate::solver::{Linearisation, Prior, Problem};
@@ -64,6 +66,8 @@ pub struct LoopProblem<'a, R, M> {
     priors: Vec<Prior>,
     /// One over the standard deviation of a residual entry.
     whitening: f64,
+    /// Known properties of the instrument.
+    knowns: Option<&'a dyn Knowns>,
 }
 
 impl<'a, R: Residual, M: RobotMotion> LoopProblem<'a, R, M> {
@@ -91,24 +95,24 @@ impl<'a, R: Residual, M: RobotMotion> LoopProblem<'a, R, M> {
         let own_columns = (0..model.columns().len()).collect();
         let priors = model.priors();
         let whitening = sigma.recip();
-        Ok(Self { model, motion, observations, readings, residual, ids, own_columns, priors, whitening })
+        Ok(Self {
+            model,
+            motion,
+            observations,
+            readings,
+            residual,
+            ids,
+            own_columns,
+            priors,
+            whitening,
+            knowns: None,
+        })
     }
-}
 
-impl<R, M> LoopProblem<'_, R, M> {
-    /// The model whose columns are estimated.
-    pub(super) fn model(&self) -> &Model {
-        self.model
-    }
-
-    /// The identity map: each parameter in its own column.
-    pub(super) fn own_columns(&self) -> &[usize] {
-        &self.own_columns
-    }
-
-    /// Parameter of each column.
-    pub(super) fn ids(&self) -> &[ParameterId] {
-        &self.ids
+    /// The problem with known properties of the instrument as further samples.
+    #[must_use]
+    pub fn with_knowns(self, knowns: &'a dyn Knowns) -> Self {
+        Self { knowns: Some(knowns), ..self }
     }
 }
 
@@ -210,8 +214,8 @@ impl LoopPoint {
 }
 
 impl<R: Residual, M: RobotMotion> LoopProblem<'_, R, M> {
-    /// [`DataSet::at_into`] for a geometry that was built from the parameters.
-    pub(super) fn linearised<'a>(&'a self, geometry: Geometry, columns: &'a [usize]) -> Linearisation<'a> {
+    /// The observations as samples, for a geometry that was built from the parameters.
+    fn linearised<'a>(&'a self, geometry: Geometry, columns: &'a [usize]) -> Linearisation<'a> {
         let mut point = LoopPoint::new(geometry);
         Box::new(move |sample, residual, block| {
             let (Some(observation), Some(readings)) =
@@ -236,7 +240,22 @@ impl<R: Residual, M: RobotMotion> LoopProblem<'_, R, M> {
 
 impl<R: Residual, M: RobotMotion> DataSet for LoopProblem<'_, R, M> {
     fn at_into<'a>(&'a self, x: &[f64], columns: &'a [usize]) -> Linearisation<'a> {
-        self.linearised(self.model.geometry(x), columns)
+        let geometry = self.model.geometry(x);
+        let Some(knowns) = self.knowns else { return self.linearised(geometry, columns) };
+        let mut linearise_observation = self.linearised(geometry.clone(), columns);
+        Box::new(move |sample, residual, block| {
+            let Some(known) = sample.checked_sub(self.observations.len()) else {
+                return linearise_observation(sample, residual, block);
+            };
+            let Some((value, derivatives)) = knowns.known(known, &geometry) else { return false };
+            residual.copy_from_slice(value.as_slice());
+            for (&column, id) in columns.iter().zip(&self.ids) {
+                let Some(known_column) = knowns.column(*id) else { continue };
+                let derivative = derivatives.column(known_column);
+                block.column_mut(column).iter_mut().zip(derivative.iter()).for_each(|(to, from)| *to = *from);
+            }
+            true
+        })
     }
 }
 
@@ -250,11 +269,20 @@ impl<R: Residual, M: RobotMotion> Problem for LoopProblem<'_, R, M> {
     }
 
     fn samples(&self) -> usize {
-        self.observations.len()
+        self.observations.len() + self.knowns.map_or(0, |knowns| knowns.knowns())
     }
 
     fn rows(&self) -> usize {
         R::ROWS
+    }
+
+    fn rows_of(&self, sample: usize) -> usize {
+        let known = self.knowns.zip(sample.checked_sub(self.observations.len()));
+        known.map_or(R::ROWS, |(knowns, known)| knowns.rows_of(known))
+    }
+
+    fn is_known(&self, sample: usize) -> bool {
+        sample >= self.observations.len()
     }
 
     fn priors(&self) -> &[Prior] {

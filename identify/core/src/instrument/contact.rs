@@ -10,7 +10,7 @@ use super::{
     Cause, Deviation, Doubt, Instrument, Knowns, Measures, Mistake, Noise, RejectedRow, ScaleFrom, Section,
     SocketTable, Sockets,
 };
-use crate::cost::{BesideKnowns, CostError, DataSet, Residual, SeatedBall};
+use crate::cost::{CostError, DataSet, LoopProblem, Residual, SeatedBall};
 use crate::kinematics::{Chain, Joints};
 use crate::logs;
 use crate::model::{Clock, Geometry, JointState, Model, ModelError, Observation, Owner, ParameterId, Role};
@@ -283,7 +283,8 @@ impl Measures for Contact {
     fn data_set<'a>(&'a self, model: &'a Model, sigma: f64) -> Result<Box<dyn DataSet + 'a>, CostError> {
         let Self { rows, observations, socket_of, sockets, noise_m } = self;
         let residual = SeatedBall { sockets: socket_of };
-        Ok(Box::new(BesideKnowns::new(model, &rows.at, observations, residual, sockets, sigma * noise_m)?))
+        let problem = LoopProblem::new(model, &rows.at, observations, residual, sigma * noise_m)?;
+        Ok(Box::new(problem.with_knowns(sockets)))
     }
 
     fn reported(&self, sample: usize, _: &Clock) -> Option<JointState> {

@@ -1,5 +1,5 @@
 //! Prior knowledge of an instrument's parts, such as distances of sockets: additional samples in the fit
-//! ([`crate::cost::BesideKnowns`]), and a test whether the other samples contradict it.
+//! ([`crate::cost::LoopProblem::with_knowns`]), and a test whether the other samples contradict it.
 
 use std::fmt;
 

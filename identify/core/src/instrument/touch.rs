@@ -10,7 +10,7 @@ use super::{
     Cause, Deviation, Doubt, FaceTable, Faces, Instrument, Knowns, Measures, Mistake, Noise, RejectedRow,
     RowError, ScaleFrom, Section,
 };
-use crate::cost::{BesideKnowns, CostError, DataSet, Residual, TouchedFace};
+use crate::cost::{CostError, DataSet, LoopProblem, Residual, TouchedFace};
 use crate::kinematics::{Chain, Joints, Pose};
 use crate::logs::{self, JointMistake};
 use crate::model::{
@@ -272,7 +272,8 @@ impl Measures for Touch {
     fn data_set<'a>(&'a self, model: &'a Model, sigma: f64) -> Result<Box<dyn DataSet + 'a>, CostError> {
         let Self { rows, observations, touched, faces, noise_m, .. } = self;
         let residual = TouchedFace { touched };
-        Ok(Box::new(BesideKnowns::new(model, &rows.at, observations, residual, faces, sigma * noise_m)?))
+        let problem = LoopProblem::new(model, &rows.at, observations, residual, sigma * noise_m)?;
+        Ok(Box::new(problem.with_knowns(faces)))
     }
 
     fn reported(&self, sample: usize, _: &Clock) -> Option<JointState> {

@@ -20,7 +20,7 @@ use crate::cost::CostError;
 use crate::instrument::Run;
 use crate::kinematics::{Joints, LinkParameter, Turn};
 use crate::model::{DriveTrain, JointState, JointTerm, Model, ParameterId, Period, Phase, Waves};
-use crate::solver::{Problem, Subset, stacked};
+use crate::solver::{Subset, stacked};
 use crate::statistics::extremes;
 
 /// Maximum number of samples of a run: a wave that needs more samples is too small to matter.
