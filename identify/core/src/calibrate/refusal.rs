@@ -24,26 +24,19 @@ impl CalibrateError {
         let of_data = match self {
             Self::Model(_) | Self::NoRun | Self::Selection(_) | Self::NoEffect { .. } => false,
             Self::Prepare { error, .. } => !error.is_mistyped(),
-            Self::Cost(error) => cost_is_of_data(error),
+            Self::Cost(error) => !matches!(error, CostError::BadSigma { .. }),
             Self::Solve(error) => solve_is_of_data(error),
             Self::NoPlace { .. } | Self::Rows { .. } | Self::Implausible { .. } => true,
             Self::Align { .. } => true,
             Self::Unidentifiable(_) | Self::NotConverged(_) | Self::NoFreedom(_) => true,
         };
-        let of_all_data = of_data.then(|| without_place(self.to_string()))?;
-        Some(match self {
-            Self::Prepare { run, error } => Refusal {
-                run: Some(*run),
-                place: error.place(),
-                deviations: error.deviations(),
-                ..of_all_data
-            },
-            _ => of_all_data,
-        })
+        let (run, place, deviations) = match self {
+            Self::Prepare { run, error } => (Some(*run), error.place(), error.deviations()),
+            _ => (None, Place::default(), None),
+        };
+        of_data.then(|| Refusal { message: self.to_string(), run, place, deviations })
     }
-}
 
-impl CalibrateError {
     /// Whether a solve failed because of the samples.
     pub(super) fn is_of_solve(&self) -> bool {
         match self {
@@ -52,14 +45,6 @@ impl CalibrateError {
             _ => false,
         }
     }
-}
-
-fn without_place(message: String) -> Refusal<'static> {
-    Refusal { message, run: None, place: Place::default(), deviations: None }
-}
-
-fn cost_is_of_data(error: &CostError) -> bool {
-    !matches!(error, CostError::BadSigma { .. })
 }
 
 /// False if no parameter was free or the solve was cancelled.
