@@ -167,8 +167,8 @@ impl Filter {
         self.drift += gain_drift * deviation_ns;
         self.covariance.correct(gain_offset, gain_drift, variance);
         // Uniform between the bounds, which are `half_ns` to either side.
-        let divided_variance = reading.half_ns.powi(2) / 3.0;
-        self.conservative.correct(gain_offset, gain_drift, variance.max(divided_variance));
+        let uniform_variance = reading.half_ns.powi(2) / 3.0;
+        self.conservative.correct(gain_offset, gain_drift, variance.max(uniform_variance));
         self.asymmetry_ns += gain_offset * (reading.half_ns - self.asymmetry_ns);
         self.stay_within(reading);
         self.watch_trend(deviation_ns, delayed_sigma_ns, dt_s);

@@ -9,9 +9,9 @@ use crate::logs::LogError;
 /// The log with which the robot's is aligned.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ComparedLog {
-    /// Of the bar.
+    /// The recording of the ball-bar.
     Recording,
-    /// Of a tracker.
+    /// The log of a tracker.
     Tracker,
 }
 

@@ -1,9 +1,9 @@
 //! Accuracy of the calibrated robot in its workspace: position error over the whole range of its joints. Monte Carlo: robots are
 //! drawn from the covariance of the solution, `drawn error = J dp` in each of many random postures; used for the report.
 //!
-//! A motion of the whole robot in its base is no error where only tolerances of links leave it open: behind a lift, or behind
-//! parallel axes, a link turns or shifts everything after it as another place of the instrument would. No measurement
-//! separates the two.
+//! A motion of the whole robot in its base does not count as an error where only tolerances of links leave it open: behind a
+//! lift, or behind parallel axes, a link turns or shifts everything after it as another place of the instrument would. No
+//! measurement separates the two.
 
 use std::collections::BTreeMap;
 
