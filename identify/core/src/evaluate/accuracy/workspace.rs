@@ -25,7 +25,7 @@ use crate::solver::{Covariance, Source};
 use crate::statistics::quantile;
 
 /// Number of random postures, uniformly distributed over the joint limits.
-pub(in crate::evaluate) const POSTURES: usize = 400;
+const POSTURES: usize = 400;
 /// Number of robots drawn from the covariance.
 const DRAWS: usize = 400;
 
@@ -74,14 +74,27 @@ pub struct WorkspaceError {
 }
 
 /// Postures with the error removed by calibration, and the derivatives of positions by the robot's parameters.
-pub(in crate::evaluate) struct Postures {
+struct Postures {
     states: Vec<JointState>,
     /// Positions of the calibrated robot's end.
     positions_m: Vec<Vector3<f64>>,
     /// Calibrated minus nominal position.
     corrected_m: Vec<Vector3<f64>>,
     /// Derivatives of the positions by parameters: three rows per posture.
-    pub(in crate::evaluate) by_parameter: DMatrix<f64>,
+    by_parameter: DMatrix<f64>,
+}
+
+/// Effects of uncertain parameters on the robot over its workspace.
+struct Workspace<'a> {
+    covariance: &'a Covariance,
+    /// Of the covariance, see [`robot_columns`].
+    columns: Vec<(usize, ParameterId)>,
+    /// Change of these parameters by one standard deviation of each source: one row per parameter, one column per source.
+    spread: DMatrix<f64>,
+    postures: Postures,
+    /// The motion of the whole robot that is nearest to the effect of each source, for tolerances of links alone: one column per
+    /// source, six rows as the columns of [`Postures::by_base`].
+    base_motions: DMatrix<f64>,
 }
 
 /// Expected position errors: nominal robot and calibrated robot, each against robots drawn from the solution's covariance.
@@ -90,18 +103,16 @@ pub(in crate::evaluate) struct Postures {
 /// links fixed at uncertain values, and its joint errors, including excluded terms. All other parameters define the robot's
 /// base frame.
 pub fn workspace_error(model: &Model, covariance: &Covariance, joint_limits: &[[f64; 2]]) -> WorkspaceError {
-    let columns = robot_columns(model, covariance);
-    let postures = Postures::new(model, &columns, random_postures(joint_limits));
-    let spread = spread_of(covariance, &columns);
-    let moved_m = postures.moved_m(&spread, &postures.base_motions(&spread, covariance));
+    let workspace = Workspace::new(model, covariance, joint_limits);
+    let moved_m = workspace.moved_m(&workspace.postures);
     let drawn_m = &moved_m * drawn_sources(covariance);
-    let [before, after] = postures.errors(&drawn_m);
+    let [before, after] = workspace.postures.errors(&drawn_m);
     WorkspaceError {
         before,
         after,
         deployed: BTreeMap::new(),
-        places: postures.places(&drawn_m),
-        weakest: weakest(&spread, &moved_m, &postures.by_parameter, &columns),
+        places: workspace.postures.places(&drawn_m),
+        weakest: workspace.weakest(&moved_m),
         budget: Budget::new(model, covariance, &moved_m),
         cube: None,
     }
@@ -117,13 +128,11 @@ impl WorkspaceError {
         joint_limits: &[[f64; 2]],
         deployed: impl Iterator<Item = &'a Deployed>,
     ) -> Self {
-        let columns = robot_columns(model, covariance);
-        let postures = Postures::new(model, &columns, random_postures(joint_limits));
-        let spread = spread_of(covariance, &columns);
-        let drawn_m = postures.moved_m(&spread, &postures.base_motions(&spread, covariance))
-            * drawn_sources(covariance);
-        let of_deployment =
-            |part: &Deployed| (part.deployment, expected(&postures.difference_m(&part.model), &drawn_m));
+        let workspace = Workspace::new(model, covariance, joint_limits);
+        let drawn_m = workspace.drawn_m(&workspace.postures);
+        let of_deployment = |part: &Deployed| {
+            (part.deployment, expected(&workspace.postures.difference_m(&part.model), &drawn_m))
+        };
         self.deployed = deployed.map(of_deployment).collect();
         self
     }
@@ -132,16 +141,67 @@ impl WorkspaceError {
     #[must_use]
     pub fn with_cube(mut self, model: &Model, covariance: &Covariance, joint_limits: &[[f64; 2]]) -> Self {
         self.cube = Cube::largest(&model.geometry(&model.start()).robot, joint_limits).map(|cube| {
-            let columns = robot_columns(model, covariance);
-            let spread = spread_of(covariance, &columns);
-            let workspace = Postures::new(model, &columns, random_postures(joint_limits));
-            let base_motions = workspace.base_motions(&spread, covariance);
-            let postures = Postures::new(model, &columns, cube.postures.into_iter());
-            let [before, after] =
-                postures.errors(&(postures.moved_m(&spread, &base_motions) * drawn_sources(covariance)));
+            let workspace = Workspace::new(model, covariance, joint_limits);
+            let postures = Postures::new(model, &workspace.columns, cube.postures.into_iter());
+            let [before, after] = postures.errors(&workspace.drawn_m(&postures));
             CubeError { edge_m: cube.edge_m, centre_m: cube.centre_m.into(), before, after }
         });
         self
+    }
+}
+
+impl<'a> Workspace<'a> {
+    fn new(model: &Model, covariance: &'a Covariance, joint_limits: &[[f64; 2]]) -> Self {
+        /// The end of a robot that moves along a line does not show a rotation about it.
+        const SINGULAR: f64 = 1e-9;
+        let columns = robot_columns(model, covariance);
+        let postures = Postures::new(model, &columns, random_postures(joint_limits));
+        let spread = covariance.spread().by_source.select_rows(columns.iter().map(|(column, _)| column));
+        let nearest = postures.by_base().svd(true, true).pseudo_inverse(SINGULAR);
+        let nearest = nearest.unwrap_or_else(|_| DMatrix::zeros(6, 3 * postures.states.len()));
+        let mut base_motions = nearest * (&postures.by_parameter * &spread);
+        for (mut motion, source) in base_motions.column_iter_mut().zip(&covariance.spread().sources) {
+            if !is_tolerance_of_link(*source, covariance) {
+                motion.fill(0.0);
+            }
+        }
+        Self { covariance, columns, spread, postures, base_motions }
+    }
+
+    /// Displacement of the robot's end by one standard deviation of each source, without motions of the whole robot: three rows
+    /// per posture, one column per source \[m\].
+    fn moved_m(&self, postures: &Postures) -> DMatrix<f64> {
+        &postures.by_parameter * &self.spread - postures.by_base() * &self.base_motions
+    }
+
+    /// Position errors of robots drawn from the covariance: three rows per posture, one draw per column \[m\].
+    fn drawn_m(&self, postures: &Postures) -> DMatrix<f64> {
+        self.moved_m(postures) * drawn_sources(self.covariance)
+    }
+
+    /// The parameter combination that contributes most to position errors `K = J S`, which are `moved_m`: `S v` with the largest
+    /// eigenvector `v` of `K^T K`, where `S S^T` is the covariance.
+    fn weakest(&self, moved_m: &DMatrix<f64>) -> Vec<(String, f64)> {
+        /// Smaller fractions of the combination are not reported.
+        const PART_MIN: f64 = 0.05;
+        let Self { columns, spread, postures: Postures { by_parameter, .. }, .. } = self;
+        if spread.is_empty() {
+            return Vec::new();
+        }
+        let m = by_parameter.tr_mul(by_parameter);
+        let eigen = SymmetricEigen::new(moved_m.tr_mul(moved_m));
+        let direction = spread * eigen.eigenvectors.column(eigen.eigenvalues.imax());
+        // The effect on positions makes metres and radians comparable.
+        let effect = |i: usize| direction[i] * direction[i] * m[(i, i)];
+        let whole: f64 = (0..columns.len()).map(effect).sum();
+        let mut parts: Vec<(String, f64)> = columns
+            .iter()
+            .enumerate()
+            .map(|(i, (_, id))| (id.to_string(), effect(i) / whole.max(f64::MIN_POSITIVE)))
+            .filter(|(_, part)| *part > PART_MIN)
+            .collect();
+        parts.sort_by(|a, b| b.1.total_cmp(&a.1));
+        parts
     }
 }
 
@@ -155,11 +215,6 @@ fn robot_columns(model: &Model, covariance: &Covariance) -> Vec<(usize, Paramete
         .chain(covariance.beside().filter_map(|(name, column)| Some((column, name.parse().ok()?))))
         .filter(|(_, id)| id.owner() == Owner::Robot && id.term() != Some(TermGroup::Delay))
         .collect()
-}
-
-/// Change of these parameters by one standard deviation of each source: one row per parameter, one column per source.
-fn spread_of(covariance: &Covariance, columns: &[(usize, ParameterId)]) -> DMatrix<f64> {
-    covariance.spread().by_source.select_rows(columns.iter().map(|(column, _)| column))
 }
 
 /// Errors of the sources in their standard deviations, one robot drawn from the covariance per column.
@@ -183,8 +238,8 @@ fn drawn_sources(covariance: &Covariance) -> DMatrix<f64> {
 /// Whether a source is the tolerance of a number of a link, estimated or fixed.
 fn is_tolerance_of_link(source: Source, covariance: &Covariance) -> bool {
     let (Source::Prior { column } | Source::Considered { column }) = source else { return false };
-    let id = covariance.name(column).parse::<ParameterId>();
-    id.is_ok_and(|id| id.owner() == Owner::Robot && id.term().is_none())
+    let id = ParameterId::of_column(covariance.name(column));
+    id.is_some_and(|id| id.owner() == Owner::Robot && id.term().is_none())
 }
 
 /// Joint variables uniformly distributed over the limits \[rad, m\].
@@ -240,28 +295,6 @@ impl Postures {
         by_base
     }
 
-    /// The motion of the whole robot that is nearest to the effect of each source, for tolerances of links alone: one column per
-    /// source, six rows as the columns of [`Self::by_base`].
-    fn base_motions(&self, spread: &DMatrix<f64>, covariance: &Covariance) -> DMatrix<f64> {
-        /// The end of a robot that moves along a line does not show a rotation about it.
-        const SINGULAR: f64 = 1e-9;
-        let nearest = self.by_base().svd(true, true).pseudo_inverse(SINGULAR);
-        let nearest = nearest.unwrap_or_else(|_| DMatrix::zeros(6, 3 * self.states.len()));
-        let mut motions = nearest * (&self.by_parameter * spread);
-        for (mut motion, source) in motions.column_iter_mut().zip(&covariance.spread().sources) {
-            if !is_tolerance_of_link(*source, covariance) {
-                motion.fill(0.0);
-            }
-        }
-        motions
-    }
-
-    /// Displacement of the robot's end by one standard deviation of each source, without motions of the whole robot: three rows
-    /// per posture, one column per source \[m\].
-    fn moved_m(&self, spread: &DMatrix<f64>, base_motions: &DMatrix<f64>) -> DMatrix<f64> {
-        &self.by_parameter * spread - self.by_base() * base_motions
-    }
-
     /// Errors of each posture over all draws, as in [`Self::errors`].
     fn places(&self, drawn_m: &DMatrix<f64>) -> Vec<PlaceError> {
         let of_posture = |(posture, (position_m, corrected_m)): (usize, (&Vector3<f64>, &Vector3<f64>))| {
@@ -303,33 +336,4 @@ fn expected(difference_m: &[Vector3<f64>], drawn_m: &DMatrix<f64>) -> Expected {
         p95_upper_m: quantile(&mut p95s, 0.975).max(p95_m),
         interval_m: [0.025, 0.975].map(|part| quantile(&mut means, part)),
     }
-}
-
-/// The parameter combination that contributes most to position errors `K = J S`, without motions of the whole robot: `S v` with the
-/// largest eigenvector `v` of `K^T K`, where `S S^T` is the covariance.
-fn weakest(
-    spread: &DMatrix<f64>,
-    moved_m: &DMatrix<f64>,
-    by_parameter: &DMatrix<f64>,
-    columns: &[(usize, ParameterId)],
-) -> Vec<(String, f64)> {
-    /// Smaller fractions of the combination are not reported.
-    const PART_MIN: f64 = 0.05;
-    if spread.is_empty() {
-        return Vec::new();
-    }
-    let m = by_parameter.tr_mul(by_parameter);
-    let eigen = SymmetricEigen::new(moved_m.tr_mul(moved_m));
-    let direction = spread * eigen.eigenvectors.column(eigen.eigenvalues.imax());
-    // The effect on positions makes metres and radians comparable.
-    let effect = |i: usize| direction[i] * direction[i] * m[(i, i)];
-    let whole: f64 = (0..columns.len()).map(effect).sum();
-    let mut parts: Vec<(String, f64)> = columns
-        .iter()
-        .enumerate()
-        .map(|(i, (_, id))| (id.to_string(), effect(i) / whole.max(f64::MIN_POSITIVE)))
-        .filter(|(_, part)| *part > PART_MIN)
-        .collect();
-    parts.sort_by(|a, b| b.1.total_cmp(&a.1));
-    parts
 }
