@@ -72,6 +72,11 @@ fn default_spare_directory() -> PathBuf {
 }
 
 impl DaemonConfig {
+    /// The directories in which recordings may be: that of the service, and the spare one.
+    pub fn directories(&self) -> [PathBuf; 2] {
+        [&self.directory, &self.spare_directory].map(PathBuf::clone)
+    }
+
     /// Time between two cycles.
     pub fn cycle_period(&self) -> Duration {
         Duration::from_nanos(1_000_000_000 / u64::from(self.rate_hz.max(1)))

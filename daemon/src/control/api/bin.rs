@@ -5,14 +5,14 @@ use axum::extract::{self, State};
 use axum::http::StatusCode;
 use axum::response::Response;
 
-use super::{Asked, directories, found, on_disk, refusal, reply};
+use super::{Asked, found, on_disk, refusal, reply};
 use crate::control::recordings::bin;
 use crate::control::recordings::runs::RunLine;
 use crate::control::service::Service;
 use crate::control::status::{DeleteRequest, EmptyBinRequest, Granted, Reply};
 
 pub(super) async fn list(State(service): State<Service>) -> Result<Json<Vec<RunLine>>, Response> {
-    let directories = directories(&service);
+    let directories = service.settings().daemon.directories();
     on_disk(&service, move |disk| bin::list(disk, &directories)).await.map(Json)
 }
 
@@ -30,7 +30,7 @@ pub(super) async fn restore(
     State(service): State<Service>,
     Asked(DeleteRequest { name }): Asked<DeleteRequest>,
 ) -> Result<Response, Response> {
-    let directories = directories(&service);
+    let directories = service.settings().daemon.directories();
     match on_disk(&service, move |disk| bin::restore(disk, &directories, &name)).await? {
         Some(name) => {
             Ok(reply(&service, Reply { answer: Granted::Restored, run: Some(name), ..Reply::default() }))
@@ -46,7 +46,7 @@ pub(super) async fn empty(
     State(service): State<Service>,
     Asked(EmptyBinRequest {}): Asked<EmptyBinRequest>,
 ) -> Result<Response, Response> {
-    let directories = directories(&service);
+    let directories = service.settings().daemon.directories();
     let removed = on_disk(&service, move |disk| bin::empty(disk, &directories)).await?;
     tracing::warn!(removed, "bin emptied on request");
     Ok(reply(&service, Reply { answer: Granted::Emptied, removed: Some(removed), ..Reply::default() }))

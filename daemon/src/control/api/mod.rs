@@ -33,7 +33,6 @@ use axum::{Extension, Json, Router};
 use futures_util::future::OptionFuture;
 use futures_util::{StreamExt, stream};
 use serde::de::DeserializeOwned;
-use shared::config::DaemonConfig;
 use shared::recording::Disk;
 use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
@@ -329,12 +328,6 @@ async fn events(State(Shared { service, viewers, .. }): State<Shared>) -> Respon
     Sse::new(minute.chain(moments)).into_response()
 }
 
-/// The directory of the recordings and the spare one.
-fn directories(service: &Service) -> [PathBuf; 2] {
-    let DaemonConfig { directory, spare_directory, .. } = &service.settings().daemon;
-    [directory, spare_directory].map(PathBuf::clone)
-}
-
 /// Does work that may wait for the disk, and turns its failure into a reply.
 async fn on_disk<T: Send + 'static>(
     service: &Service,
@@ -355,7 +348,7 @@ fn disk_silent() -> Response {
 }
 
 async fn list_runs(State(service): State<Service>) -> Result<Json<Vec<RunLine>>, Response> {
-    let directories = directories(&service);
+    let directories = service.settings().daemon.directories();
     on_disk(&service, move |disk| runs::list(disk, &directories)).await.map(Json)
 }
 
@@ -367,7 +360,7 @@ async fn found(service: &Service, name: Name) -> Result<(PathBuf, String), Respo
     let unknown =
         || refusal(StatusCode::NOT_FOUND, "no finished recording of that name; `ballbard runs` lists all");
     let extract::Path(name) = name.map_err(|_| unknown())?;
-    let (directories, wanted) = (directories(service), name.clone());
+    let (directories, wanted) = (service.settings().daemon.directories(), name.clone());
     let file = on_disk(service, move |disk| runs::find(disk, &directories, &wanted)).await?;
     file.map(|file| (file, name)).ok_or_else(unknown)
 }

@@ -4,7 +4,7 @@
 use std::io;
 use std::path::PathBuf;
 
-use shared::config::{DaemonConfig, HomingConfig};
+use shared::config::HomingConfig;
 use shared::recording::Disk;
 
 use super::Controller;
@@ -30,10 +30,9 @@ pub(in crate::control) struct Found {
 impl Found {
     /// Reads the disk now.
     pub fn now(settings: &Settings, disk: &dyn Disk) -> Self {
-        let DaemonConfig { directory, spare_directory, .. } = &settings.daemon;
         Self {
             homing: settings.marks.read(disk).map_err(|error| error.to_string()),
-            left_behind: runs::left_behind(disk, &[directory, spare_directory].map(PathBuf::clone)),
+            left_behind: runs::left_behind(disk, &settings.daemon.directories()),
             unsavable: settings.marks.problem(disk),
         }
     }
@@ -225,7 +224,7 @@ mod tests {
     use std::path::Path;
     use std::time::Duration;
 
-    use shared::config;
+    use shared::config::{self, DaemonConfig};
 
     use super::*;
     use crate::clock::Clock;
