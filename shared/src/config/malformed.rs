@@ -5,9 +5,14 @@ use toml::de::{DeTable, DeValue};
 /// Similarity from which an unknown name is taken as a typing error (Jaro and Winkler; 1 is the same).
 const ALIKE: f64 = 0.8;
 
+/// The line of a place in a text, from 1.
+fn line_at(text: &str, place: usize) -> Option<usize> {
+    Some(text.get(..place)?.matches('\n').count() + 1)
+}
+
 /// The line where a text stops being TOML, from 1.
 pub(super) fn line_of_syntax(text: &str, error: &toml::de::Error) -> Option<usize> {
-    Some(text.get(..error.span()?.start)?.matches('\n').count() + 1)
+    line_at(text, error.span()?.start)
 }
 
 /// The line that a message of serde on `key` is about, from 1; `None` if it concerns the whole file. What is absent is absent from
@@ -52,7 +57,7 @@ pub(super) fn line_of(text: &str, key: &str) -> Option<usize> {
         let Some((span, next)) = found else { break };
         (place, value) = (Some(span.start), next.get_ref());
     }
-    Some(text.get(..place?)?.matches('\n').count() + 1)
+    line_at(text, place?)
 }
 
 /// The known name that was probably meant by a wrong one.
