@@ -33,7 +33,7 @@ impl InProcessWire {
     }
 
     fn wait_until(&self, moment: MonoNs) {
-        if !self.clock.is_real() || moment.0 - self.clock.now().0 > AWAKE_NS {
+        if !self.clock.is_real() || moment.ns_since(self.clock.now()) > AWAKE_NS {
             return self.clock.sleep_until(moment);
         }
         while self.clock.now() < moment {
