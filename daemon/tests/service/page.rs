@@ -53,8 +53,6 @@ fn events_come_ten_times_a_second_with_what_moves_and_end_with_the_service() {
     let lasted_ms = moments[19].at_ms - moments[0].at_ms;
     assert!(lasted_ms >= 1_800, "20 events in {lasted_ms} ms");
     let (first, last) = (&moments[0], &moments[19]);
-    // CHECK where delays of a busy machine have just cost cycles.
-    assert!(["READY", "CHECK"].contains(&last.headline.word.as_str()), "{}", last.headline.word);
     assert_eq!(last.joints.len(), 5);
     for (before, after) in first.joints.iter().zip(&last.joints) {
         assert_ne!(before.angle_deg.unwrap(), after.angle_deg.unwrap());
@@ -68,6 +66,9 @@ fn events_come_ten_times_a_second_with_what_moves_and_end_with_the_service() {
     for (angles, joint) in angles_deg.iter().zip(&first.joints) {
         assert!((angles[place].unwrap() - joint.angle_deg.unwrap()).abs() < 0.006, "{joint:?}");
     }
+    // CHECK for a second after a delay of a busy machine that cost cycles.
+    let mut words = (0..100).map(|_| next::<Live>(&mut events).unwrap().headline.word);
+    assert!(words.any(|word| word == "READY"), "never READY in ten seconds");
     service.signal(nix::sys::signal::Signal::SIGTERM);
     assert!(service.ended(Duration::from_secs(20)).success());
     while next::<Live>(&mut events).is_some() {}
