@@ -8,6 +8,8 @@ use std::sync::OnceLock;
 use crate::support::command::identify;
 use crate::support::refused::states_the_verdict;
 use crate::support::{lengths, repository};
+use identify::robot::import;
+use shared::config::BallBarConfig;
 use shared::recording::schema::CycleRecord;
 use shared::recording::{Recording, RecordingWriter};
 use tempfile::TempDir;
@@ -541,6 +543,33 @@ fn an_experiment_is_simulated_where_the_bar_stands() {
     refused(&output, &["no pose of the robot holds the bar", "--base"], out.path());
     let (output, out) = at("1,2");
     refused(&output, &["2 numbers are given, 3 belong here"], out.path());
+}
+
+#[test]
+fn a_simulated_motion_begins_near_a_posture_with_a_number_for_each_axis() {
+    let directory = tempfile::tempdir().unwrap();
+    let urdf = std::fs::read_to_string(repository("identify/tests/data/seven_axes.urdf")).unwrap();
+    let robot = import(&urdf, Some("base"), Some("flange")).unwrap().config;
+    let bar = BallBarConfig { plate_m: 0.1, length_m: 0.4, ..crate::support::bar() };
+    let [arm, bar] =
+        [("arm.toml", toml::to_string(&robot)), ("bar.toml", toml::to_string(&bar))].map(|(name, text)| {
+            let path = directory.path().join(name);
+            std::fs::write(&path, text.unwrap()).unwrap();
+            path.to_str().unwrap().to_owned()
+        });
+    let simulated = |posture: &str, out: &Path| {
+        let place = ["--base", "0.2,-0.3,0.5", "--duration", "20s", "--posture", posture];
+        let exact = ["simulate", "bar", "--exact", "--errors", "none", "--bar", &bar];
+        identify(&[&exact[..], &place].concat(), &arm, out)
+    };
+    let out = directory.path().join("run");
+    let output = simulated("-124,26,7,-116,132,108,32", &out);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let truth: toml::Table = std::fs::read_to_string(out.join("truth.toml")).unwrap().parse().unwrap();
+    let posture = truth["design"]["posture_deg"].as_array().unwrap();
+    assert_eq!(posture.len(), 7);
+    let six = simulated("0,20,10,0,60,0", &directory.path().join("six"));
+    fails(&six, &["--posture has 6 numbers", "has 7 axes"]);
 }
 
 #[test]

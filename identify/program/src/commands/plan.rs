@@ -128,6 +128,20 @@ pub(super) fn in_metres(option: &str, numbers: &[f64], limit_m: f64) -> anyhow::
     Ok(())
 }
 
+/// Takes the posture as typed, if one is: a number for each axis.
+pub(super) fn set_posture(design: &mut Design, typed: &[f64], robot: &RobotConfig) -> anyhow::Result<()> {
+    let (given, axes) = (typed.len(), robot.axes());
+    anyhow::ensure!(
+        given == 0 || given == axes,
+        "--posture has {given} numbers, {} has {axes} axes; give one for each",
+        robot.name
+    );
+    if given > 0 {
+        design.posture_deg = typed.iter().copied().collect();
+    }
+    Ok(())
+}
+
 impl Around {
     fn bodies(&self, reach_m: f64) -> anyhow::Result<Bodies> {
         self.link_radius_mm.map_or(Ok(()), |radius_mm| above_zero("link-radius-mm", radius_mm))?;
@@ -346,15 +360,7 @@ fn find_path(arguments: &PathArguments) -> anyhow::Result<()> {
     let mut loaded = arguments.cell.load(arguments.criterion)?;
     ensure_programs_can_be_written(&arguments.program, &loaded.robot)?;
     ensure_can_write(&arguments.out)?;
-    let (given, axes) = (arguments.posture.len(), loaded.robot.axes());
-    anyhow::ensure!(
-        given == 0 || given == axes,
-        "--posture has {given} numbers, {} has {axes} axes; give one for each",
-        loaded.robot.name
-    );
-    if given > 0 {
-        loaded.design.posture_deg = arguments.posture.iter().copied().collect();
-    }
+    set_posture(&mut loaded.design, &arguments.posture, &loaded.robot)?;
     loaded.design.duration_s = arguments.duration.as_secs_f64();
     let (constraints, information) = (loaded.constraints(), loaded.information(loaded.design.duration_s)?);
 

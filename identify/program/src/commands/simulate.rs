@@ -10,7 +10,7 @@ use shared::output::say;
 use shared::time::parse_duration;
 
 use super::ensure_can_write;
-use super::plan::{REACH_M_MAX, in_metres};
+use super::plan::{REACH_M_MAX, in_metres, set_posture};
 use crate::plan::PlannedPath;
 use crate::simulate::ArmErrors;
 use crate::simulate::contact::{self, ContactExperiment};
@@ -154,10 +154,16 @@ struct BarArguments {
     /// than a metre
     #[arg(long, help_heading = "Simulation", value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
     base: Option<[f64; 3]>,
-    /// Posture of the robot near which the motion begins [deg]; it selects elbow and wrist; default:
-    /// 0,20,10,0,60,0
-    #[arg(long, help_heading = "Simulation", value_name = "Q1,..,Q6", value_parser = numbers::<6>, allow_hyphen_values = true)]
-    posture: Option<[f64; 6]>,
+    /// A posture of the robot near which the motion begins, one number for each axis [deg]; it selects elbow and wrist; default:
+    /// 0,20,10,0,60,0 of six axes, otherwise a random one
+    #[arg(
+        long,
+        help_heading = "Simulation",
+        value_name = "Q1,Q2,..",
+        value_delimiter = ',',
+        allow_hyphen_values = true
+    )]
+    posture: Vec<f64>,
     /// Length of the run, such as 90s or 2m; a plain number is seconds
     #[arg(long, help_heading = "Simulation", default_value = "2m", value_parser = parse_duration)]
     duration: Duration,
@@ -309,8 +315,7 @@ fn simulate_bar(arguments: &BarArguments) -> anyhow::Result<()> {
     };
     experiment.design.base_m = arguments.base.unwrap_or(experiment.design.base_m);
     in_metres("base", &experiment.design.base_m, REACH_M_MAX)?;
-    experiment.design.posture_deg =
-        arguments.posture.map_or(experiment.design.posture_deg, crate::kinematics::Joints::from);
+    set_posture(&mut experiment.design, &arguments.posture, &robot)?;
     experiment.design.duration_s = arguments.duration.as_secs_f64();
     if let Some(file) = &arguments.path {
         let planned: PlannedPath = config::load(file)?;
