@@ -18,6 +18,7 @@ use identify::kinematics::{
 use identify::model::{
     DriveTrain, JointTerm, Load, Model, Observation, Owner, ParameterId, PerObservation, Period, Selection,
 };
+use identify::plan::Design;
 use identify::report::result::robot_files::urdf;
 use identify::robot::{ImportError, Imported, check, import};
 use identify::simulate::{self, Effects, Experiment, StaticErrors};
@@ -711,6 +712,17 @@ fn seven_axes_and_an_arm_on_a_track_are_calibrated_by_the_ball_bar() {
         println!("{}: {:.3} mm before, {:.3} mm after", arm.0, before_m * 1e3, after_m * 1e3);
         assert!(before_m > 1e-3 && after_m < 5e-5, "{}: {before_m} {after_m}", arm.0);
     }
+}
+
+#[test]
+fn a_posture_has_millimetres_for_a_prismatic_axis() {
+    let robot = imported(ARMS[2]).config;
+    let (chain, limits) = (flange_chain(&robot), robot.joint_limits());
+    let mut posture_deg = Joints::zeros(limits.len());
+    (posture_deg[0], posture_deg[1]) = (500.0, 90.0);
+    let design = Design { posture_deg, ..Design::for_robot(&robot) };
+    let posture = design.posture_rad(&chain, &limits, &mut StdRng::seed_from_u64(1));
+    assert_eq!(posture[..2], [0.5, FRAC_PI_2]);
 }
 
 /// A lift turns with whatever the first joint after it turns, as the tracker could stand turned.

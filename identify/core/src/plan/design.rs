@@ -2,9 +2,9 @@
 
 use rand::Rng;
 use serde::{Deserialize, Serialize};
-use shared::config::RobotConfig;
+use shared::config::{JointKind, RobotConfig};
 
-use crate::kinematics::Joints;
+use crate::kinematics::{Chain, DhLink, Joints};
 
 /// Layout and motion of an experiment.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -57,9 +57,13 @@ impl Design {
 
     /// A posture near which the motion of an arm with these limits begins \[rad, m\]: that of the design, or a random one if
     /// the number of axes differs.
-    pub fn posture_rad(&self, limits: &[[f64; 2]], random: &mut impl Rng) -> Joints {
+    pub fn posture_rad(&self, robot: &Chain, limits: &[[f64; 2]], random: &mut impl Rng) -> Joints {
         if self.posture_deg.len() == limits.len() {
-            return self.posture_deg.map(f64::to_radians);
+            let si = |(number, link): (&f64, &DhLink)| match link.joint {
+                JointKind::Revolute => number.to_radians(),
+                JointKind::Prismatic => number * 1e-3,
+            };
+            return self.posture_deg.iter().zip(&robot.links).map(si).collect();
         }
         Joints::random(limits, random)
     }

@@ -32,7 +32,7 @@ pub struct Place {
     pub base_m: [f64; 3],
     /// Length of the rod \[m\].
     pub length_m: f64,
-    /// A posture of the robot on the sphere \[deg\].
+    /// A posture of the robot on the sphere \[deg, mm\].
     pub posture_deg: Joints,
     /// Value of the criterion, smaller is better.
     pub score: f64,
@@ -156,7 +156,8 @@ impl PlaceRequest<'_> {
             let constraints = self.constraints(&arm, &chain, &limits, self.design);
             // The base was rounded, so the robot's joints change.
             if let Ok(q) = constraints.robot_at(bar_rad, &q) {
-                return Some((base_m, q.map(|angle| angle.to_degrees().round())));
+                let shown = q.iter().zip(&arm.links).map(|(q, link)| q * link.joint.display_factor());
+                return Some((base_m, shown.map(f64::round).collect()));
             }
         }
         None

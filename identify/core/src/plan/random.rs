@@ -175,7 +175,8 @@ pub(super) fn start(
     let mut obstacles = Obstacles::default();
     for _ in 0..TRIES {
         let point = point(design, random);
-        match constraints.robot_at(&point, &design.posture_rad(&constraints.limits, random)) {
+        let near_rad = design.posture_rad(constraints.robot(), &constraints.limits, random);
+        match constraints.robot_at(&point, &near_rad) {
             Ok(robot) => return Ok((point, robot)),
             Err(obstacle) => *obstacles.entry(obstacle).or_default() += 1,
         }

@@ -165,8 +165,8 @@ struct PathArguments {
     /// Directory for the path: path.toml, robot_path.csv, path.html, a program for the robot's controller
     #[arg(long, help_heading = "Output", value_name = "DIR")]
     out: PathBuf,
-    /// A posture of the robot near which the motion begins, one number for each axis [deg]; it selects elbow and wrist; default:
-    /// 0,20,10,0,60,0 of six axes, otherwise a random one
+    /// A posture of the robot near which the motion begins, one number for each axis [deg, mm]; it selects elbow and wrist;
+    /// default: 0,20,10,0,60,0 of six axes, otherwise a random one
     #[arg(
         long,
         help_heading = "Planning",

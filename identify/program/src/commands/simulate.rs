@@ -154,8 +154,8 @@ struct BarArguments {
     /// than a metre
     #[arg(long, help_heading = "Simulation", value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
     base: Option<[f64; 3]>,
-    /// A posture of the robot near which the motion begins, one number for each axis [deg]; it selects elbow and wrist; default:
-    /// 0,20,10,0,60,0 of six axes, otherwise a random one
+    /// A posture of the robot near which the motion begins, one number for each axis [deg, mm]; it selects elbow and wrist;
+    /// default: 0,20,10,0,60,0 of six axes, otherwise a random one
     #[arg(
         long,
         help_heading = "Simulation",

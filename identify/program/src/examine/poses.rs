@@ -59,7 +59,7 @@ impl Poses {
             if singularity_margin_rad(&bar_rad) < design.bar_margin_deg.to_radians() {
                 continue;
             }
-            let near_rad = design.posture_rad(limits, &mut random);
+            let near_rad = design.posture_rad(robot, limits, &mut random);
             let Ok(q) = robot_inverse(robot, &bar.forward(&bar_rad), &near_rad) else { continue };
             if is_regular(&q, limits, design) {
                 let index = poses.joints.0.len();

@@ -149,7 +149,7 @@ pub fn places(places: &Places, duration_s: f64) -> String {
         "rod [m]",
         "[mm]",
         "[mm]",
-        "--posture [deg]"
+        "--posture [deg, mm]"
     );
     for place in places.found.iter().take(PLACES_SHOWN) {
         // Writing to a string cannot fail.
