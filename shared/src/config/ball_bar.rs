@@ -69,14 +69,14 @@ pub struct BallBarConfig {
     /// Standard uncertainty of `length_m`; absent: the length is found from the run alone \[um\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub length_u_um: Option<f64>,
-    /// Axis 6 of the robot to axis 5 of the bar, along the offset plate \[m\]; it is added to `a` of the robot's
-    /// link 6. It fixes the scale.
+    /// Last axis of the robot to axis 5 of the bar, along the offset plate \[m\]; it is added to `a` of the robot's last link.
+    /// It fixes the scale.
     pub plate_m: f64,
     /// Standard uncertainty of `plate_m`; 0 takes it as exact \[um\].
     #[serde(default = "plate_u_um")]
     pub plate_u_um: f64,
-    /// Face of the robot's flange to the centre of the cardan, along axis 6 \[m\]: tool changer, adapters, part of the plate and
-    /// the cardan; added to `d` of the robot's link 6.
+    /// Face of the robot's flange to the centre of the cardan, along the last axis \[m\]: tool changer, adapters, part of the
+    /// plate and the cardan; added to `d` of the robot's last link.
     pub tool_m: f64,
     /// Links 1 to 5, without `length_m`.
     pub links: Vec<LinkConfig>,

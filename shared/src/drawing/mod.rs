@@ -57,7 +57,7 @@ fn svg(bar: &BallBarConfig, style: &str) -> String {
         "<title id=\"bar-title\">The double ball-bar and its joints</title>\n<desc id=\"bar-desc\">A gimbal on the base has joints 1 \
          to 3: joint 1 turns about the axis of the base, joint 2 about an axis across the rod, joint 3 about the rod. A cardan, \
          {length} from the centre of the gimbal, has joints 4 and 5: joint 4 turns about an axis across the rod, joint 5 about an \
-         axis parallel to axis 6 of the robot. The offset plate keeps axis 5 at {plate} from axis 6. Arrows show the positive \
+         axis parallel to the last axis of the robot. The offset plate keeps axis 5 at {plate} from it. Arrows show the positive \
          directions. Lengths are to scale, joints are not.</desc>\n{style}"
     );
     pen.finish("class=\"bar-drawing\" role=\"img\" aria-labelledby=\"bar-title bar-desc\"", &head)
@@ -125,7 +125,7 @@ fn draw(pen: &mut Pen, bar: &BallBarConfig) {
     pen.cylinder("body", [flange, flange + Z * 14.0], 36.0);
     pen.cylinder("body", [flange + Z * 14.0, flange + Z * 62.0], 23.0);
     pen.label(flange + Z * 40.0, [34.0, 0.0], "robot's flange");
-    pen.label(axis6 + Z * top, [8.0, 0.0], "axis 6 of the robot");
+    pen.label(axis6 + Z * top, [8.0, 0.0], "last axis of the robot");
 
     // Cardan.
     pen.axis(cardan, cardan - X * 108.0, [-6.0, 5.0], "x5");
