@@ -300,6 +300,21 @@ fn the_line_is_right_after_comments_and_blank_lines() {
 }
 
 #[test]
+fn a_line_of_blanks_is_no_row() {
+    let plain = text_of(&sample_log(), &irb());
+    let expected = parse(&plain, &irb()).unwrap();
+    let spaced = |text: &str| {
+        let row = "1795000000.127456789";
+        format!("  \r\n{} \t\n\n", text.replacen(row, &format!("   \n\t\n{row}"), 1))
+    };
+    assert_eq!(parse(&spaced(&plain), &irb()).unwrap(), expected);
+    // The cells of a table with tabs are empty there.
+    assert_eq!(parse(&spaced(&plain.replace(',', "\t")), &irb()).unwrap(), expected);
+    let bad = spaced(&edited(7, |cells| cells[3] = "x".into()));
+    assert!(message(parse(&bad, &irb())).contains("line 15 "), "{}", message(parse(&bad, &irb())));
+}
+
+#[test]
 fn a_short_row_is_refused_with_its_line() {
     let text = edited(9, |cells| {
         cells.pop();

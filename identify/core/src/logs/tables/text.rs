@@ -1,5 +1,6 @@
 //! Bytes of a table as text, however the program that made it saves: UTF-8, UTF-16, Windows-1252 (Latin-1) or a spreadsheet.
 
+use std::borrow::Cow;
 use std::io::{self, Cursor, Read};
 use std::path::Path;
 
@@ -185,7 +186,7 @@ impl<'a> Text<'a> {
             return Err(self.bad(format!("character {character:?} at offset {offset}")));
         }
         self.comments.extend(comments(&lines));
-        self.lines += &lines;
+        self.lines += &without_blanks(&lines);
         Ok(true)
     }
 
@@ -233,6 +234,15 @@ fn each_utf8_or_windows_1252(lines: &[u8]) -> String {
         Err(_) => WINDOWS_1252.decode_without_bom_handling(line).0.into_owned(),
     };
     lines.split_inclusive(|&byte| byte == b'\n').map(line).collect()
+}
+
+/// The lines, those of blanks alone without them: the `csv` crate skips empty lines only.
+fn without_blanks(lines: &str) -> Cow<'_, str> {
+    let is_blank = |line: &str| line.trim().is_empty();
+    if !lines.split_inclusive('\n').any(is_blank) {
+        return lines.into();
+    }
+    lines.split_inclusive('\n').map(|line| if is_blank(line) { "\n" } else { line }).collect()
 }
 
 /// The first character that is invalid in a table, and its position.
