@@ -546,6 +546,29 @@ fn an_experiment_is_simulated_where_the_bar_stands() {
 }
 
 #[test]
+fn a_path_in_other_columns_is_checked_with_their_mapping() {
+    let directory = tempfile::tempdir().unwrap();
+    let file = |name: &str, text: &str| {
+        let path = directory.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        path
+    };
+    let log = std::fs::read_to_string(experiment().join("robot_log.csv")).unwrap();
+    let own: String = log.split_inclusive('\n').take(2000).collect();
+    let other = file("other.csv", &own.replacen("t_s", "Time", 1));
+    let mapping = file("mapping.toml", "[time]\ncolumn = \"Time\"\nunit = \"s\"\n");
+    let check = |log: &Path, more: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_identify"));
+        command.args(["plan", "check"]).arg(log).arg("--robot").arg(config("robots").join(IRB)).arg("--bar");
+        command.arg(config("ball_bar.toml")).args(more).output().unwrap()
+    };
+    let checked = check(&other, &["--log-mapping", mapping.to_str().unwrap()]);
+    assert!(!checked.stdout.is_empty(), "{}", String::from_utf8_lossy(&checked.stderr));
+    assert_eq!(checked.stdout, check(&file("own.csv", &own), &[]).stdout);
+    fails(&check(&other, &[]), &["--log-mapping"]);
+}
+
+#[test]
 fn a_simulated_motion_begins_near_a_posture_with_a_number_for_each_axis() {
     let directory = tempfile::tempdir().unwrap();
     let urdf = std::fs::read_to_string(repository("identify/tests/data/seven_axes.urdf")).unwrap();

@@ -16,7 +16,7 @@ use super::on_terminal::OnTerminal;
 use super::simulate::numbers;
 use crate::cost::PoseNoise;
 use crate::kinematics::{Chain, ball_bar_chain, flange_chain, robot_chain};
-use crate::logs::{self, JointTableMapping, joints_of_robot};
+use crate::logs::{self, JointTableMapping, LogOptions, joints_of_robot};
 use crate::model::ParameterId;
 use crate::plan::{
     self, Bodies, Constraints, Criterion, Design, Found, Information, Language, Measures, PlaceRequest,
@@ -270,6 +270,9 @@ struct CheckArguments {
     path: PathBuf,
     #[command(flatten)]
     cell: Cell,
+    /// Mapping of the columns or joints of the path, such as config/robot_log.toml; default: `[log]` of the robot's configuration
+    #[arg(long, help_heading = "Input", value_name = "FILE")]
+    log_mapping: Option<PathBuf>,
 }
 
 /// Robot, bar and obstacles, as configured.
@@ -570,7 +573,9 @@ fn find_places(arguments: &PlaceArguments) -> anyhow::Result<()> {
 
 fn check_path(arguments: &CheckArguments) -> anyhow::Result<()> {
     let loaded = arguments.cell.load(Criterion::default())?;
-    let log = logs::load(&arguments.path, &loaded.robot)?;
+    let mapping = arguments.log_mapping.as_deref().map(config::load).transpose()?;
+    let log =
+        logs::load_with(&arguments.path, &loaded.robot, &LogOptions { mapping, ..LogOptions::default() })?;
     let information = loaded.information(log.q_rad.duration_s())?;
     let constraints = loaded.constraints();
     let checked = plan::check(&log, &constraints, &information)?;
