@@ -38,7 +38,7 @@ fn claims(run: &Simulated, robot: &RobotConfig, bar: &BallBarConfig) -> Vec<(&'s
         calibrate_run(&run.cycles, &run.encoders, &run.robot_log, robot, bar, &IdentifyConfig::default())
             .unwrap();
     let limits = &robot.joint_limits();
-    let seen = evidence(&found, limits).with_validation(&found, limits, None).unwrap();
+    let seen = evidence(&found, limits).with_validation(&found, None).unwrap();
     let truth = true_model(found.model(), &run.truth);
     let postures = standing(random_postures(limits));
     let claim = |model: &Model, claimed: Expected| {

@@ -159,7 +159,7 @@ fn links_alone_are_a_fit_of_their_own_and_predict_better_than_the_links_of_a_cal
         let config = IdentifyConfig::default();
         let found = calibrated(&run, &robot, &bar(), &config);
         let limits = &robot.joint_limits();
-        let evidence = evidence(&found, limits).with_validation(&found, limits, None).unwrap();
+        let evidence = evidence(&found, limits).with_validation(&found, None).unwrap();
         let [nominal, full, _] = evidence.held_out.as_ref().unwrap().rms().map(|rms| rms.position_m);
         let of = |wanted| {
             let one = evidence.deployed.iter().find(|(deployed, _)| deployed.deployment == wanted);

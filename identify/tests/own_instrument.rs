@@ -218,8 +218,7 @@ fn an_instrument_of_ones_own_is_calibrated_and_told_of_as_any_other() {
     let [nominal_m, calibrated_m] = [held_out.nominal, held_out.joints].map(|stage| stage.position_m.rms);
     assert!(held_out.joints.rows >= 50 && calibrated_m < 5e-5, "{held_out:?}");
     assert!(calibrated_m < 0.05 * nominal_m, "{held_out:?}");
-    let seen =
-        evidence(&found, &robot.joint_limits()).with_validation(&found, &robot.joint_limits(), None).unwrap();
+    let seen = evidence(&found, &robot.joint_limits()).with_validation(&found, None).unwrap();
     assert!(!seen.deployed.is_empty() && !seen.limits.is_empty());
     let run = &found.runs[0];
     let lines: Vec<u64> = (2..).take(rows.len()).collect();

@@ -63,7 +63,7 @@ fn validated() -> &'static (Simulated, Calibration, Evidence) {
 fn evidence_of(found: &Calibration, robot: &RobotConfig) -> Evidence {
     let limits = &robot.joint_limits();
     let seen = evidence(found, limits);
-    seen.with_validation(found, limits, None).unwrap()
+    seen.with_validation(found, None).unwrap()
 }
 
 pub fn page_text(calibration: &Calibration, evidence: &Evidence, robot: &RobotConfig) -> String {

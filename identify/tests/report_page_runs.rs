@@ -124,7 +124,7 @@ fn a_calibration_of_the_bar_alone_expects_of_the_robot_what_it_was_before() {
     let found = calibrate_run(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar(), &config);
     let found = found.unwrap();
     let limits = &robot.joint_limits();
-    let evidence = evidence(&found, limits).with_validation(&found, limits, None).unwrap();
+    let evidence = evidence(&found, limits).with_validation(&found, None).unwrap();
     let WorkspaceError { before, after, .. } = evidence.workspace;
     // Millimetres, as every link may be wrong by its tolerance; equal but for rounding.
     let apart_m = (before.mean_m - after.mean_m).abs().max((before.p95_m - after.p95_m).abs());

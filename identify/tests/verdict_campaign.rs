@@ -60,7 +60,7 @@ pub fn judged(
     robot: &RobotConfig,
 ) -> Result<(WorkspaceError, Verdict, [f64; 2]), CalibrateError> {
     let limits = &robot.joint_limits();
-    let evidence = evidence(found, limits).with_validation(found, limits, None)?;
+    let evidence = evidence(found, limits).with_validation(found, None)?;
     let solution = found.solution();
     let solve = SolveEntry::new(found.cost_name(), &solution.summary, &solution.identifiability);
     let parameters = ParameterEntry::of_calibration(found);

@@ -1,9 +1,10 @@
 //! All data that the report of a calibration shows.
 
+use super::accuracy::workspace::Workspace;
 use super::limits::gap_m;
 use super::{
     HeldOut, JointGap, Limit, Quantiles, ShiftCurve, SphereDeviation, WorkspaceError, held_out, joint_gaps,
-    limits, nominals, shift_curve, uncalibrated, workspace_error,
+    limits, nominals, shift_curve, uncalibrated,
 };
 use crate::calibrate::validation::deployment::{Deployed, Deployment};
 use crate::calibrate::validation::held_out::without_each_segment;
@@ -67,6 +68,8 @@ pub struct Evidence {
     pub spheres: Vec<SphereDeviation>,
     /// Expected position error over the workspace.
     pub workspace: WorkspaceError,
+    /// What that error is computed from, also of each deployment.
+    uncertain: Workspace,
     /// Limitations of the result.
     pub limits: Vec<Limit>,
     /// Prediction of held-out segments; `None` if not requested.
@@ -84,8 +87,8 @@ pub fn evidence(calibration: &Calibration, joint_limits: &[[f64; 2]]) -> Evidenc
     let by_encoders = measured.contains(&true);
     let of_all_runs = |closures: fn(&RunEvidence) -> &Vec<Closure>| runs.iter().flat_map(closures);
     let (model, covariance) = (calibration.model(), &calibration.solution().covariance);
-    let workspace =
-        workspace_error(model, covariance, joint_limits).with_cube(model, covariance, joint_limits);
+    let uncertain = Workspace::new(model, covariance, joint_limits);
+    let workspace = uncertain.error(model, covariance, joint_limits);
     Evidence {
         by_encoders,
         rotations: measured == [true; 5],
@@ -96,6 +99,7 @@ pub fn evidence(calibration: &Calibration, joint_limits: &[[f64; 2]]) -> Evidenc
         spheres: SphereDeviation::all(calibration, &runs),
         runs,
         workspace,
+        uncertain,
         held_out: None,
         deployed: Vec::new(),
     }
@@ -103,14 +107,13 @@ pub fn evidence(calibration: &Calibration, joint_limits: &[[f64; 2]]) -> Evidenc
 
 impl Evidence {
     /// Adds the predictions of held-out ball-bar segments by the calibration and its deployments, and the expected error of
-    /// each deployment over the workspace. This needs more solves. `joint_limits` as for [`evidence`].
+    /// each deployment over the workspace. This needs more solves.
     ///
     /// # Errors
     /// [`CalibrateError`] if a solve fails or `watch` cancels it.
     pub fn with_validation(
         mut self,
         calibration: &Calibration,
-        joint_limits: &[[f64; 2]],
         watch: Option<&dyn Watch>,
     ) -> Result<Self, CalibrateError> {
         if let Some(watch) = watch {
@@ -129,9 +132,7 @@ impl Evidence {
         let deployed = each(Deployment::PARTIAL.len(), |number| deploy(Deployment::PARTIAL[number]));
         self.deployed = deployed.into_iter().filter_map(Result::transpose).collect::<Result<_, _>>()?;
         self.held_out = Some(held_out(calibration, &segments, &nominals));
-        let (model, covariance) = (calibration.model(), &calibration.solution().covariance);
-        let deployed = self.deployed.iter().map(|(deployed, _)| deployed);
-        self.workspace = self.workspace.with_deployed(model, covariance, joint_limits, deployed);
+        self.workspace.deployed = self.uncertain.deployed(self.deployed.iter().map(|(deployed, _)| deployed));
         Ok(self)
     }
 }

@@ -69,11 +69,12 @@ pub struct WorkspaceError {
     pub budget: Budget,
     /// Errors in each of the postures.
     pub places: Vec<PlaceError>,
-    /// Errors over the five poses of ISO 9283; `None` if not requested or if the robot reaches no cube.
+    /// Errors over the five poses of ISO 9283; `None` if the robot reaches no cube.
     pub cube: Option<CubeError>,
 }
 
 /// Postures with the error removed by calibration, and the derivatives of positions by the robot's parameters.
+#[derive(Debug, Clone)]
 struct Postures {
     states: Vec<JointState>,
     /// Positions of the calibrated robot's end.
@@ -85,12 +86,14 @@ struct Postures {
 }
 
 /// Effects of uncertain parameters on the robot over its workspace.
-struct Workspace<'a> {
-    covariance: &'a Covariance,
+#[derive(Debug, Clone)]
+pub(in crate::evaluate) struct Workspace {
     /// Of the covariance, see [`robot_columns`].
     columns: Vec<(usize, ParameterId)>,
     /// Change of these parameters by one standard deviation of each source: one row per parameter, one column per source.
     spread: DMatrix<f64>,
+    /// Errors of the sources in their standard deviations: one row per source, one robot drawn from the covariance per column.
+    drawn: DMatrix<f64>,
     postures: Postures,
     /// The motion of the whole robot that is nearest to the effect of each source, for tolerances of links alone: one column per
     /// source, six rows as the columns of [`Postures::by_base`].
@@ -103,55 +106,16 @@ struct Workspace<'a> {
 /// links fixed at uncertain values, and its joint errors, including excluded terms. All other parameters define the robot's
 /// base frame.
 pub fn workspace_error(model: &Model, covariance: &Covariance, joint_limits: &[[f64; 2]]) -> WorkspaceError {
-    let workspace = Workspace::new(model, covariance, joint_limits);
-    let moved_m = workspace.moved_m(&workspace.postures);
-    let drawn_m = &moved_m * drawn_sources(covariance);
-    let [before, after] = workspace.postures.errors(&drawn_m);
-    WorkspaceError {
-        before,
-        after,
-        deployed: BTreeMap::new(),
-        places: workspace.postures.places(&drawn_m),
-        weakest: workspace.weakest(&moved_m),
-        budget: Budget::new(model, covariance, &moved_m),
-        cube: None,
-    }
+    Workspace::new(model, covariance, joint_limits).error(model, covariance, joint_limits)
 }
 
-impl WorkspaceError {
-    /// Adds the expected errors with the parts of `model` that a controller applies; arguments as for [`workspace_error`].
-    #[must_use]
-    pub(in crate::evaluate) fn with_deployed<'a>(
-        mut self,
+impl Workspace {
+    /// Arguments as for [`workspace_error`].
+    pub(in crate::evaluate) fn new(
         model: &Model,
         covariance: &Covariance,
         joint_limits: &[[f64; 2]],
-        deployed: impl Iterator<Item = &'a Deployed>,
     ) -> Self {
-        let workspace = Workspace::new(model, covariance, joint_limits);
-        let drawn_m = workspace.drawn_m(&workspace.postures);
-        let of_deployment = |part: &Deployed| {
-            (part.deployment, expected(&workspace.postures.difference_m(&part.model), &drawn_m))
-        };
-        self.deployed = deployed.map(of_deployment).collect();
-        self
-    }
-
-    /// Adds the error over the poses of ISO 9283; arguments as for [`workspace_error`].
-    #[must_use]
-    pub fn with_cube(mut self, model: &Model, covariance: &Covariance, joint_limits: &[[f64; 2]]) -> Self {
-        self.cube = Cube::largest(&model.geometry(&model.start()).robot, joint_limits).map(|cube| {
-            let workspace = Workspace::new(model, covariance, joint_limits);
-            let postures = Postures::new(model, &workspace.columns, cube.postures.into_iter());
-            let [before, after] = postures.errors(&workspace.drawn_m(&postures));
-            CubeError { edge_m: cube.edge_m, centre_m: cube.centre_m.into(), before, after }
-        });
-        self
-    }
-}
-
-impl<'a> Workspace<'a> {
-    fn new(model: &Model, covariance: &'a Covariance, joint_limits: &[[f64; 2]]) -> Self {
         /// The end of a robot that moves along a line does not show a rotation about it.
         const SINGULAR: f64 = 1e-9;
         let columns = robot_columns(model, covariance);
@@ -165,18 +129,51 @@ impl<'a> Workspace<'a> {
                 motion.fill(0.0);
             }
         }
-        Self { covariance, columns, spread, postures, base_motions }
+        Self { columns, spread, drawn: drawn_sources(covariance), postures, base_motions }
+    }
+
+    /// Errors of the nominal and the calibrated robot; arguments as for [`Self::new`].
+    pub(in crate::evaluate) fn error(
+        &self,
+        model: &Model,
+        covariance: &Covariance,
+        joint_limits: &[[f64; 2]],
+    ) -> WorkspaceError {
+        let moved_m = self.moved_m(&self.postures);
+        let drawn_m = &moved_m * &self.drawn;
+        let [before, after] = self.postures.errors(&drawn_m);
+        WorkspaceError {
+            before,
+            after,
+            deployed: BTreeMap::new(),
+            places: self.postures.places(&drawn_m),
+            weakest: self.weakest(&moved_m),
+            budget: Budget::new(model, covariance, &moved_m),
+            cube: self.cube_error(model, joint_limits),
+        }
+    }
+
+    /// Errors with the parts of the model that a controller applies.
+    pub(in crate::evaluate) fn deployed<'a>(
+        &self,
+        parts: impl Iterator<Item = &'a Deployed>,
+    ) -> BTreeMap<Deployment, Expected> {
+        let drawn_m = self.moved_m(&self.postures) * &self.drawn;
+        let error = |part: &Deployed| expected(&self.postures.difference_m(&part.model), &drawn_m);
+        parts.map(|part| (part.deployment, error(part))).collect()
+    }
+
+    fn cube_error(&self, model: &Model, joint_limits: &[[f64; 2]]) -> Option<CubeError> {
+        let cube = Cube::largest(&model.geometry(&model.start()).robot, joint_limits)?;
+        let postures = Postures::new(model, &self.columns, cube.postures.into_iter());
+        let [before, after] = postures.errors(&(self.moved_m(&postures) * &self.drawn));
+        Some(CubeError { edge_m: cube.edge_m, centre_m: cube.centre_m.into(), before, after })
     }
 
     /// Displacement of the robot's end by one standard deviation of each source, without motions of the whole robot: three rows
     /// per posture, one column per source \[m\].
     fn moved_m(&self, postures: &Postures) -> DMatrix<f64> {
         &postures.by_parameter * &self.spread - postures.by_base() * &self.base_motions
-    }
-
-    /// Position errors of robots drawn from the covariance: three rows per posture, one draw per column \[m\].
-    fn drawn_m(&self, postures: &Postures) -> DMatrix<f64> {
-        self.moved_m(postures) * drawn_sources(self.covariance)
     }
 
     /// The parameter combination that contributes most to position errors `K = J S`, which are `moved_m`: `S v` with the largest

@@ -72,7 +72,7 @@ pub(super) fn calibrate(
     });
     let validated = solved.and_then(|calibration| {
         let evidence = evidence(&calibration, &robot.joint_limits());
-        let evidence = evidence.with_validation(&calibration, &robot.joint_limits(), Some(&on_terminal))?;
+        let evidence = evidence.with_validation(&calibration, Some(&on_terminal))?;
         Ok((calibration, evidence))
     });
     drop(on_terminal);
