@@ -365,7 +365,7 @@ fn joint_3_of_a_fanuc_controller_does_not_include_joint_2() {
     let coupling: Vec<f64> = imported.config.log.raw_to_joint.iter().map(|row| row[2]).collect();
     assert_eq!(coupling, [0.0, 1.0, 1.0, 0.0, 0.0, 0.0]);
     let written = imported.to_toml("x");
-    assert!(written.contains("# Please correct: the log has J1 to J6 of the FANUC controller"), "{written}");
+    assert!(written.contains("# Please correct: the log has J1 to J6 of a FANUC controller"), "{written}");
     let other = import(&fanuc_urdf().replace("fanuc_lrmate200id", "arm"), None, None).unwrap();
     assert_eq!(other.config.log.raw_to_joint[1][2], 0.0);
     assert_eq!(other.assumed, Vec::<String>::new());
@@ -373,6 +373,23 @@ fn joint_3_of_a_fanuc_controller_does_not_include_joint_2() {
     let along = import(&fanuc_urdf().replacen("0 -1 0", "0 1 0", 1), None, None).unwrap();
     assert_eq!(along.config.log.raw_to_joint[1][2], 0.0);
     assert!(along.assumed[0].contains("J3 of a FANUC controller does not include J2"), "{:?}", along.assumed);
+}
+
+/// The axes 2 and 3 of ABB's arms point to the same side.
+#[test]
+fn joint_3_of_an_abb_arm_with_a_parallel_rod_does_not_include_joint_2() {
+    let of = |name: &str| fanuc_urdf().replace("fanuc_lrmate200id", name).replacen("0 -1 0", "0 1 0", 1);
+    let imported = import(&of("abb_irb2400_12_155"), None, None).unwrap();
+    let coupling: Vec<f64> = imported.config.log.raw_to_joint.iter().map(|row| row[2]).collect();
+    assert_eq!(coupling, [0.0, -1.0, 1.0, 0.0, 0.0, 0.0]);
+    let written = imported.to_toml("x");
+    assert!(written.contains("# Please correct: the log has J1 to J6 of an ABB controller"), "{written}");
+    assert!(written.contains("joint 3 = J3 - J2"), "{written}");
+    for name in ["abb_irb4600_20_250", "abb_irb14000"] {
+        let without_rod = import(&of(name), None, None).unwrap();
+        assert_eq!(without_rod.config.log.raw_to_joint[1][2], 0.0, "{name}");
+        assert_eq!(without_rod.assumed, Vec::<String>::new(), "{name}");
+    }
 }
 
 #[test]

@@ -690,6 +690,11 @@ fn a_fanuc_program_is_refused_where_joint_3_of_the_robots_file_is_not_the_contro
     assert!(pose_program(Language::Krl, &poses, &robot, 1.0).is_ok());
     robot.log.raw_to_joint[1][2] = -1.0;
     assert!(pose_program(Language::Fanuc, &poses, &robot, 1.0).is_err());
+    // So does the controller of an ABB arm with a parallel rod count, but of no other.
+    for (name, is_written) in [("ABB IRB 120-3/0.6", true), ("ABB IRB 2400/16", false)] {
+        let robot = RobotConfig { name: name.into(), ..robot.clone() };
+        assert_eq!(pose_program(Language::Rapid, &poses, &robot, 1.0).is_ok(), is_written, "{name}");
+    }
     robot.log.raw_to_joint[1][2] = 1.0;
     let text = pose_program(Language::Fanuc, &poses, &robot, 1.0).unwrap();
     assert!(text.contains("J2= 46.053 deg") && text.contains("J3= -75.895 deg"), "{text}");

@@ -320,6 +320,20 @@ impl RobotConfig {
         Maker::in_name(&self.name)
     }
 
+    /// Whether the controller counts joint 3 from the horizontal, as its maker and model do: its value stays the same when joint 2
+    /// alone turns. FANUC counts so; on some arms of ABB a parallel rod keeps the direction of the forearm.
+    pub fn counts_joint_3_from_horizontal(&self) -> bool {
+        const WITH_PARALLEL_ROD: [&str; 7] = ["1400", "1410", "2400", "4400", "6400", "6660", "8700"];
+        match self.maker() {
+            Some(Maker::Fanuc) => true,
+            Some(Maker::Abb) => {
+                let mut numbers = self.name.split(|letter: char| !letter.is_ascii_digit());
+                numbers.any(|number| WITH_PARALLEL_ROD.contains(&number))
+            }
+            _ => false,
+        }
+    }
+
     /// How each axis moves.
     pub fn joint_kinds(&self) -> impl Iterator<Item = JointKind> + Clone + '_ {
         self.links.iter().map(|link| link.joint)

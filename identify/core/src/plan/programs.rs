@@ -67,7 +67,7 @@ pub enum ProgramError {
     },
     /// Joint 3 of the model is counted from another line than that of the controller.
     #[error(
-        "FANUC counts joint 3 from the horizontal, `raw_to_joint` of {robot} does not: joint 3 of the program would be wrong;\n\
+        "the controller counts joint 3 from the horizontal, `raw_to_joint` of {robot} does not: joint 3 of the program would be wrong;\n\
          write {row:?} as its second row, as its log needs it, too"
     )]
     Coupling {
@@ -288,14 +288,14 @@ fn conversion(language: Language, robot: &RobotConfig) -> Result<JointConversion
     if !robot.log.raw_to_joint.iter().flatten().all(is_joint) {
         return Err(ProgramError::Motors { robot: robot.name.clone() });
     }
-    if language == Language::Fanuc {
+    if language == Language::Fanuc || language == Language::Rapid && robot.counts_joint_3_from_horizontal() {
         counts_from_horizontal(robot)?;
     }
     Ok(JointConversion::new(&LogConversion { unit: AngleUnit::Rad, ..robot.log.clone() })?)
 }
 
-/// FANUC controllers measure joint 3 from the horizontal: its value does not change if joint 2 alone turns and the forearm
-/// keeps its direction. Robot descriptions often measure it from the upper arm, so that joint 2 is part of the model's joint 3.
+/// Checks that joint 3 of the log is measured from the horizontal: its value does not change if joint 2 alone turns and the
+/// forearm keeps its direction. Robot descriptions often measure it from the upper arm: then it includes joint 2.
 fn counts_from_horizontal(robot: &RobotConfig) -> Result<(), ProgramError> {
     let mut trace = Trace::default();
     Tracer::new(&flange_chain(robot)).trace(&Joints::zeros(robot.axes()), &mut trace);

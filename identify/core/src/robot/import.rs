@@ -175,7 +175,7 @@ pub fn import(text: &str, base: Option<&str>, tip: Option<&str>) -> Result<Impor
         log: LogConversion::direct(AngleUnit::Rad, axes.len()),
         drives: DrivesConfig::default(),
     };
-    if config.maker() == Some(Maker::Fanuc) {
+    if config.counts_joint_3_from_horizontal() {
         assumed.push(couple_joint_3(&mut config, &axes));
     }
     // A configuration that no other command accepts is not written.
@@ -187,26 +187,38 @@ pub fn import(text: &str, base: Option<&str>, tip: Option<&str>) -> Result<Impor
     Ok(Imported { config, base, tip, joints: names, assumed, left_out })
 }
 
-/// FANUC controllers measure joint 3 from the horizontal: it keeps its value when joint 2 turns. A URDF measures it from the
-/// upper arm, so that its joint 3 is J3 + J2, with axes 2 and 3 in opposite directions as in the files of ROS-Industrial.
+/// The controller measures joint 3 from the horizontal: it keeps its value when joint 2 turns. A URDF measures it from the upper
+/// arm, so that its joint 3 is J3 + J2 with axes 2 and 3 in opposite directions, as ROS-Industrial has them for FANUC, and
+/// J3 - J2 with both in one direction, as for ABB.
 fn couple_joint_3(config: &mut RobotConfig, axes: &[AxisLine]) -> String {
-    let opposite = match axes {
+    let (a_maker, factor, ros) = match config.maker() {
+        Some(Maker::Fanuc) => ("a FANUC", 1.0, "has joint 3 already and"),
+        _ => ("an ABB", -1.0, "may have joint 3 already and then"),
+    };
+    let is_usual = match axes {
         [_, second, third, ..] if config.joint_kinds().take(3).eq([JointKind::Revolute; 3]) => {
-            second.direction.dot(&third.direction) < -0.999
+            -factor * second.direction.dot(&third.direction) > 0.999
         }
         _ => false,
     };
     match config.log.raw_to_joint.get_mut(1).and_then(|row| row.get_mut(2)) {
-        Some(third) if opposite => {
-            *third = 1.0;
-            "the log has J1 to J6 of the FANUC controller, whose J3 does not include J2: joint 3 is J3 + J2 (raw_to_joint); \
-             a log of joint_states (ROS) has joint 3 already and needs a mapping without [[coupling]]"
+        Some(third) if is_usual => {
+            *third = factor;
+            format!(
+                "the log has J1 to J6 of {a_maker} controller, whose J3 does not include J2: joint 3 is {} (raw_to_joint); a log of \
+                 joint_states (ROS) {ros} needs a mapping without [[coupling]]",
+                joint_3(factor)
+            )
         }
-        _ => {
-            "J3 of a FANUC controller does not include J2, but joint 3 of this file may; raw_to_joint has no such coupling"
-        }
+        _ => format!(
+            "J3 of {a_maker} controller does not include J2, but joint 3 of this file may; raw_to_joint has no such coupling"
+        ),
     }
-    .to_owned()
+}
+
+/// Joint 3 of the model by those of the controller.
+fn joint_3(factor: f64) -> &'static str {
+    if factor < 0.0 { "J3 - J2" } else { "J3 + J2" }
 }
 
 /// A name that occurs more than once.
@@ -374,11 +386,11 @@ impl Imported {
                 let _ = writeln!(text, "{key} = {value:?}");
             }
         }
-        let coupled = config.log != LogConversion::direct(config.log.unit, joints.len());
-        let meaning = if coupled {
-            "J1, J2 .. of the controller (joint 3 = J3 + J2)"
+        let factor = config.log.raw_to_joint.get(1).and_then(|row| row.get(2)).copied().unwrap_or_default();
+        let meaning = if factor == 0.0 {
+            "the joint variables themselves".into()
         } else {
-            "the joint variables themselves"
+            format!("J1, J2 .. of the controller (joint 3 = {})", joint_3(factor))
         };
         let _ = write!(
             text,
