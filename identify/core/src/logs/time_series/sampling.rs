@@ -30,6 +30,7 @@ pub use stamps::{StampStep, Stamps};
 
 use crate::kinematics::Joints;
 use crate::logs::ROWS_MIN;
+use crate::statistics::median;
 
 /// The times of a log.
 pub(in crate::logs) struct Sampling {
@@ -152,9 +153,9 @@ impl Numbered {
     }
 
     /// Length of the description of even stamps \[nats\], beyond that of their own clock, which all explanations share: which rows
-    /// are missing, in which cell of the grid a stamp is if not in that of rounding, and either where the stamps' clock was set and
-    /// by how much, or phase and rate of another clock, which decide where it passes from cell to cell. Missing rows count where
-    /// the motion is `known`.
+    /// are missing, in which cell of the grid a stamp is if not in that of rounding, where the stamps' clock was set and by how
+    /// much, and phase and rate of another clock, if rows have one that passes from cell to cell. Missing rows count where the
+    /// motion is `known`.
     fn description(&self, known: &[bool]) -> f64 {
         /// `sqrt(2 pi e)`: its logarithm is the differential entropy of a normal distribution of unit deviation, here in cells.
         const CELLS: f64 = 4.13;
@@ -172,8 +173,9 @@ impl Numbered {
         let least_excess = PHASES.into_iter().map(excess).fold(f64::INFINITY, f64::min);
         let cells_nats = rows * (1.0 + CELLS * least_excess).ln();
         let missing = missing(self.numbers.windows(2).map(|pair| pair[1] - pair[0]), known);
-        // Of each step place and size; without steps phase and rate of another clock.
-        let parameters = 2 * self.breaks_at.len().max(1);
+        // Of each step place and size, of another clock phase and rate: rounding moves the stamps of one by a quarter of a cell.
+        let usual_late_s = median(&mut self.late_s().map(f64::abs).collect::<Vec<_>>()).unwrap_or_default();
+        let parameters = 2 * (self.breaks_at.len() + usize::from(usual_late_s > WRITTEN_S));
         nats_of_places(missing, self.numbers.len()) + cells_nats + parameters as f64 * rows.ln()
     }
 
@@ -228,4 +230,36 @@ fn roughness(t_s: &[f64], rows: &[Joints]) -> f64 {
     };
     let squares: Vec<f64> = t_s.windows(3).zip(rows.windows(3)).map(off_squared).collect();
     (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Stamps on a grid of 4 ms, of rows that are `period_s` apart, by a clock that is set by `step_s` in the middle.
+    fn description_nats(period_s: f64, step_s: f64) -> f64 {
+        const GRID_S: f64 = 0.004;
+        let stamp = |row: usize| {
+            let set_s = if row < ROWS / 2 { 0.0 } else { step_s };
+            (row as f64 * period_s / GRID_S).round() * GRID_S + set_s
+        };
+        let t_s: Vec<f64> = (0..ROWS).map(stamp).collect();
+        let Some(numbered) = Numbered::new(&t_s, &[Some(1.0); ROWS - 1], Some(GRID_S)) else {
+            panic!("no clock")
+        };
+        numbered.description(&[true; ROWS - 1])
+    }
+
+    const ROWS: usize = 5000;
+
+    #[test]
+    fn steps_of_a_clock_and_another_clock_each_have_two_numbers() {
+        let numbers = |period_s, step_s| description_nats(period_s, step_s) / (ROWS as f64).ln();
+        for ((period_s, step_s), expected) in
+            [((0.004, 0.0), 0.0), ((0.004, 0.04), 2.0), ((0.004_008, 0.0), 2.0), ((0.004_008, 0.04), 4.0)]
+        {
+            let numbers = numbers(period_s, step_s);
+            assert!((numbers - expected).abs() < 0.1, "{numbers} of {expected}");
+        }
+    }
 }
