@@ -312,9 +312,9 @@ pub struct StartRequest {
     pub name: Option<String>,
     /// Name of the person who records.
     pub operator: String,
-    /// Name of the robot.
+    /// Name or serial number of the robot.
     pub robot: String,
-    /// Bar and ball pair.
+    /// Name or serial number of the bar.
     pub bar: String,
     /// What the robot carries beside the bar.
     pub payload: String,

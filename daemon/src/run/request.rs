@@ -27,10 +27,10 @@ pub struct About {
     /// Name of the person who records
     #[arg(long, default_value = "", hide_default_value = true)]
     pub operator: String,
-    /// Name of the robot
+    /// Name or serial number of the robot
     #[arg(long, default_value = "", hide_default_value = true)]
     pub robot: String,
-    /// Bar and ball pair
+    /// Name or serial number of the bar
     #[arg(long, default_value = "", hide_default_value = true)]
     pub bar: String,
     /// Payload of the robot beside the bar

@@ -208,7 +208,7 @@ pub struct RunMetadata {
     pub operator: String,
     /// Name of the measured robot.
     pub robot: String,
-    /// Which bar and ball pair.
+    /// Name or serial number of the bar.
     #[serde(default)]
     pub bar: String,
     /// Payload of the robot beside the bar.

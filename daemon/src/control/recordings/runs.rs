@@ -53,9 +53,9 @@ pub struct RunLine {
     pub bytes: u64,
     /// Person who recorded it.
     pub operator: String,
-    /// Name of the robot.
+    /// Name or serial number of the robot.
     pub robot: String,
-    /// Bar and ball pair.
+    /// Name or serial number of the bar.
     pub bar: String,
     /// Payload of the robot beside the bar.
     pub payload: String,

@@ -262,9 +262,9 @@ pub struct MeasurementEntry {
     pub started: String,
     /// Name of the operator.
     pub operator: String,
-    /// Serial number of the robot.
+    /// Name or serial number of the robot.
     pub robot: String,
-    /// Which bar and ball pair.
+    /// Name or serial number of the bar.
     pub bar: String,
     /// What the robot carried beside the bar.
     pub payload: String,
