@@ -239,7 +239,7 @@ facts! {
     /// Less space than the floor.
     DiskFull = "disk_full", Bad { directory: PathBuf, floor_mb: u64 } =>
         format!("disk floor: less than {floor_mb} MB are free where {} is", directory.display()),
-        "delete or move recordings, or lower `disk_floor_mb` in daemon.toml";
+        "move recordings, or delete some and empty the bin, or lower `disk_floor_mb` in daemon.toml";
     /// A call to the disk failed.
     DiskError = "disk_error", Bad { place: String, error: String } =>
         format!("{place}: {error}"),

@@ -179,7 +179,7 @@ fn a_study_that_makes_no_sense_is_refused_by_key() {
     }
     fs::write(&file, text).unwrap();
     let refused = study(&[&file, "--out", out.to_str().unwrap(), "--figures", "3.2"]);
-    assert!(said(&refused).contains("no figure `3.2`; there are exact, noise"), "{}", said(&refused));
+    assert!(said(&refused).contains("no figure `3.2`; choose from exact, noise"), "{}", said(&refused));
 }
 
 #[test]

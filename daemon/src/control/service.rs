@@ -59,10 +59,10 @@ pub enum ServiceError {
     #[error(transparent)]
     Run(#[from] RunError),
     /// The system refused its thread.
-    #[error("cannot start the service's thread: {0}")]
+    #[error("cannot start the service's thread: {0}; end other programs, and start it again")]
     Thread(#[from] std::io::Error),
     /// One of its threads has died.
-    #[error("a thread of the service has ended; its cause is in the log")]
+    #[error("a thread of the service has ended; its cause is in the log; start the service again")]
     Died,
 }
 

@@ -83,7 +83,7 @@ pub enum RunError {
         problem: String,
     },
     /// The system refused a thread, or one died.
-    #[error("a thread of the acquisition failed: {0}")]
+    #[error("a thread of the acquisition failed: {0}; start again")]
     Thread(String),
 }
 

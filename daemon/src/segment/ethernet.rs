@@ -26,7 +26,7 @@ const REOPEN_PERIOD_NS: i64 = NS_PER_S / 10;
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
     /// There is none of that name.
-    #[error("network interface `{name}` not found; this machine has: {}", available.join(", "))]
+    #[error("network interface `{name}` not found; choose one of this machine: {}", available.join(", "))]
     NoSuchInterface {
         /// Name in the configuration.
         name: String,
@@ -51,7 +51,7 @@ pub enum OpenError {
         holder: Holder,
     },
     /// Any other error of the system.
-    #[error("cannot open network interface `{name}`: {source}; is it up (`ip link set {name} up`)?")]
+    #[error("cannot open network interface `{name}`: {source}; bring it up with `ip link set {name} up`")]
     System {
         /// Name of the interface.
         name: String,

@@ -39,7 +39,7 @@ pub enum ReadErrorKind {
     #[error("damaged: a chunk without a checksum; if a run was cut short, run `ballbard recover` on it")]
     NoChecksum,
     /// A record is where it cannot be.
-    #[error("damaged: {0}")]
+    #[error("damaged: {0}; if a run was cut short, run `ballbard recover` on it")]
     Misplaced(String),
     /// A message is broken though its chunk's checksum is right.
     #[error(
@@ -54,7 +54,7 @@ pub enum ReadErrorKind {
         source: MessageError,
     },
     /// It is an MCAP file, but not one of ours, or the metadata record is broken.
-    #[error("no valid `{name}` record ({problem}); is it a ball-bar recording?")]
+    #[error("no valid `{name}` record ({problem}); give a recording of `ballbard`")]
     Metadata {
         /// Name of the record.
         name: &'static str,
@@ -65,7 +65,7 @@ pub enum ReadErrorKind {
     #[error("the run was never finished (its end is missing); run `ballbard recover` on it")]
     Unfinished,
     /// Cycle numbers have a hole, or their count differs from that of the end record.
-    #[error("cycle {found} follows where {expected} should be; a part of the file is missing or damaged")]
+    #[error("cycle {found} follows where {expected} should be; run `ballbard recover` on it")]
     Hole {
         /// Cycle number that should come.
         expected: u64,

@@ -43,7 +43,7 @@ pub enum CostError {
         sample: usize,
     },
     /// The standard deviation of the residual must be positive.
-    #[error("a residual's standard deviation of {sigma} makes no sense; give a number above zero")]
+    #[error("the standard deviation of a residual is {sigma}; give a number above zero")]
     BadSigma {
         /// The standard deviation as given.
         sigma: f64,

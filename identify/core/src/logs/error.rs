@@ -41,7 +41,7 @@ pub enum LogError {
         source: std::io::Error,
     },
     /// The bytes are neither text nor a workbook with one table.
-    #[error("{}: no table of text ({problem}); save the table alone, as \"CSV UTF-8\"", path.display())]
+    #[error("{}: not a table ({problem}); save the table alone, as \"CSV UTF-8\"", path.display())]
     NotText {
         /// Path of the file concerned.
         path: PathBuf,
@@ -77,7 +77,7 @@ pub enum LogError {
         remedy: String,
     },
     /// Two columns have the same name.
-    #[error("{}: column `{column}` is there twice; remove or rename one", path.display())]
+    #[error("{}: column `{column}` occurs twice; remove or rename one", path.display())]
     RepeatedColumn {
         /// Path of the file concerned.
         path: PathBuf,
@@ -112,7 +112,7 @@ pub enum LogError {
         remedy: &'static str,
     },
     /// The log has too few rows.
-    #[error("{}: {rows} usable rows, at least {needed} are needed; was the export cut short?", path.display())]
+    #[error("{}: {rows} usable rows, at least {needed} are needed; export the log of the whole run", path.display())]
     TooFewRows {
         /// Path of the file concerned.
         path: PathBuf,
@@ -173,8 +173,8 @@ pub enum LogError {
     },
     /// The file has no data of the bar.
     #[error(
-        "{}: neither a recording, nor a table with counters of the bar, nor a ROS 2 bag with its joints; is it the file of \
-         the ball-bar?", path.display()
+        "{}: neither a recording, nor a table with counters of the bar, nor a ROS 2 bag with its joints; give the file of the \
+         ball-bar", path.display()
     )]
     NoBarLog {
         /// Path of the file concerned.

@@ -71,7 +71,9 @@ pub enum PrepareError {
         found: u8,
     },
     /// The recording declares encoders that a bar cannot have.
-    #[error("the recording declares an encoder on joint {joint}; each of the joints 1 to 5 may have one")]
+    #[error(
+        "the recording declares an encoder on joint {joint}, each of the joints 1 to 5 may have one; use the original file"
+    )]
     EncoderJoint {
         /// Joint that is invalid or has two encoders.
         joint: u8,
@@ -90,8 +92,8 @@ pub enum PrepareError {
     },
     /// One of the logs is too long, or has a time stamp far from the others.
     #[error(
-        "{what} covers {hours:.1} h, at most {hours_max} h can be matched; cut out the run, or was a clock set \
-         during it?"
+        "{what} covers {hours:.1} h, at most {hours_max} h can be matched; cut out the run, or the rows \
+         before a clock was set"
     )]
     TooLong {
         /// The log that is meant.
@@ -103,7 +105,7 @@ pub enum PrepareError {
     },
     /// No joint moves in one of the logs.
     #[error(
-        "{what} shows no motion (largest joint travel {travel_deg:.2} deg); is it the part with the motion?"
+        "{what} shows no motion (largest joint travel {travel_deg:.2} deg); give the part with the motion"
     )]
     NoMotion {
         /// The log that is meant.

@@ -35,7 +35,7 @@ pub enum ImportError {
         parent: String,
     },
     /// The link does not exist.
-    #[error("it has no link `{link}`; its links are {known}")]
+    #[error("it has no link `{link}`; choose one of its links: {known}")]
     UnknownLink {
         /// Name of the requested link.
         link: String,
@@ -43,7 +43,7 @@ pub enum ImportError {
         known: String,
     },
     /// The links are not connected by joints.
-    #[error("link `{tip}` is not below link `{base}`; the links above it are {above}")]
+    #[error("link `{tip}` is not below link `{base}`; choose --base from the links above it: {above}")]
     NotConnected {
         /// Name of the requested base.
         base: String,

@@ -171,7 +171,9 @@ pub enum SimulateError {
         value_urad: f64,
     },
     /// Too few points or rows.
-    #[error("there are too few points or rows of a path to simulate; give more")]
+    #[error(
+        "the path has too few points to interpolate; increase `points` of the study, or give a longer path"
+    )]
     Empty,
     /// A size of the force is negative or not finite.
     #[error("load.{name} is {value}; give a finite number that is not negative")]

@@ -216,7 +216,7 @@ pub struct Statement {
 
 /// A figure that the study does not contain.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("the study has no figure `{id}`; there are {known}")]
+#[error("the study has no figure `{id}`; choose from {known}")]
 pub struct UnknownFigure {
     id: String,
     known: String,

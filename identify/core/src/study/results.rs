@@ -63,10 +63,10 @@ pub enum ResultsError {
     #[error("a result cannot be written as JSON: {0}")]
     Json(#[from] serde_json::Error),
     /// A table cannot be written as CSV.
-    #[error("the table cannot be written as CSV: {0}")]
+    #[error("the table cannot be written as CSV: {0}; check the directory of --out and free space")]
     Csv(#[from] csv::Error),
     /// A table cannot be written as Parquet.
-    #[error("the table cannot be written as Parquet: {0}")]
+    #[error("the table cannot be written as Parquet: {0}; check the directory of --out and free space")]
     Parquet(#[from] ParquetError),
 }
 

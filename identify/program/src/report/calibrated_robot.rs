@@ -30,7 +30,7 @@ pub enum CalibratedRobotError {
         robot: String,
     },
     /// A posture has another number of joints.
-    #[error("a posture has {found} joints where the robot has {expected}")]
+    #[error("a posture has {found} joints, the robot has {expected}; give one number for each axis")]
     Joints {
         /// Joints in the posture.
         found: usize,
@@ -38,7 +38,7 @@ pub enum CalibratedRobotError {
         expected: usize,
     },
     /// A number is not finite.
-    #[error("joint {joint} of a posture is not a finite number")]
+    #[error("joint {joint} of a posture is not a finite number; correct it")]
     NotFinite {
         /// Number of the joint, from 1.
         joint: usize,
@@ -47,7 +47,9 @@ pub enum CalibratedRobotError {
     #[error(transparent)]
     Inverse(#[from] InverseError),
     /// The file has no covariance.
-    #[error("the calibration has no covariance: calibration.json has one, calibration.toml has not")]
+    #[error(
+        "the calibration has no covariance, as in calibration.toml; give calibration.json or its directory"
+    )]
     NoCovariance,
 }
 

@@ -94,7 +94,9 @@ pub enum SalvageError {
     #[error(transparent)]
     Write(#[from] WriteError),
     /// The written file does not read back as it was written.
-    #[error("the recovered file does not read back as it was written ({0}); the disk may be failing")]
+    #[error(
+        "the recovered file does not read back as it was written ({0}); check the disk, then recover again"
+    )]
     Verification(String),
 }
 

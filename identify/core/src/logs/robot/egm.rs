@@ -105,7 +105,7 @@ fn decode(bytes: &[u8], path: &Path) -> Result<Vec<EgmRobot>, LogError> {
             path: path.to_owned(),
             place: format!("message {} (byte {offset})", messages.len() + 1),
             problem: error.to_string(),
-            remedy: "a capture holds EgmRobot messages, each behind its length as a varint; was it cut short?",
+            remedy: "write each EgmRobot message after its length as a varint; remove an incomplete last one",
         })?;
         messages.push(message);
     }

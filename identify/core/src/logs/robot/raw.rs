@@ -353,8 +353,8 @@ impl RawLog {
         quality.remarks.extend(quality.stamps.iter().flat_map(Stamps::remarks).collect::<Vec<_>>());
         if travel(q_rad).to_degrees() < MOTION_DEG_MIN {
             quality.remarks.push(format!(
-                "no joint moves by {MOTION_DEG_MIN} deg in the whole log: radians in columns named as degrees, or the \
-                 wrong part of a log?"
+                "no joint moves by {MOTION_DEG_MIN} deg in the whole log; check that columns named as degrees are not \
+                 radians, and that the log has the motion"
             ));
         }
         quality.remark_counts(self.what, "the joints", "they are left out", "lack a joint");

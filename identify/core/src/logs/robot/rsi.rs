@@ -88,7 +88,7 @@ fn parse(text: &str, path: &Path, element: &str) -> Result<Vec<Telegram>, LogErr
             path: path.to_owned(),
             place: format!("telegram {}", telegrams.len() + 1),
             problem,
-            remedy: "a log holds the <Rob> telegrams of RSI one after the other; was it cut short?",
+            remedy: "write the <Rob> telegrams one after the other; remove an incomplete last one",
         };
         match reader.read_event().map_err(|error| bad(error.to_string()))? {
             Event::Start(tag) | Event::Empty(tag) if is_named(&tag, element) => {

@@ -22,7 +22,7 @@ pub struct CalibrationReadError {
 
 #[derive(Debug, thiserror::Error)]
 enum Kind {
-    #[error("cannot be read: {0}")]
+    #[error("cannot be read: {0}; check the path and its permissions")]
     Io(#[from] std::io::Error),
     #[error("is not a calibration: {0}; give the file that `identify calibrate` wrote, or its directory")]
     Json(#[from] serde_json::Error),
