@@ -5,11 +5,9 @@
 use std::path::Path;
 
 use identify::calibrate::{Calibration, DataSets, IdentifyConfig, calibrate};
-use identify::instrument::{
-    Contact, ContactRow, KnownDistance, Knowns as _, PlacedSocket, SocketTable, Sockets,
-};
+use identify::instrument::{Contact, KnownDistance, Knowns as _, PlacedSocket, SocketTable, Sockets};
 use identify::kinematics::{Chain, Pose, flange_chain};
-use identify::logs::ContactMapping;
+use identify::logs::{ContactMapping, TipRow};
 use identify::model::{DriveTrain, Geometry, JointState, Model, ParameterId};
 use identify::report::result::residuals::residuals_csv;
 use identify::robot::import;
@@ -33,7 +31,7 @@ fn simulated(robot: &RobotConfig, seed: u64) -> SimulatedContacts {
     contact::run(&ContactExperiment { errors, seed, ..ContactExperiment::new(robot) }).unwrap()
 }
 
-fn calibrated(robot: &RobotConfig, rows: &[ContactRow], table: &SocketTable) -> Calibration {
+fn calibrated(robot: &RobotConfig, rows: &[TipRow], table: &SocketTable) -> Calibration {
     let data = DataSets { rows: vec![Contact::new(rows, table).unwrap().into()], ..DataSets::default() };
     calibrate(&data, robot, &IdentifyConfig::default(), None).unwrap()
 }
@@ -129,7 +127,7 @@ fn rows_of_a_wrong_socket_take_no_part() {
     let robot = irb120();
     let SimulatedContacts { mut rows, table, robot: truth, .. } = simulated(&robot, 2);
     for row in [20, 77, 131] {
-        rows[row].socket = (rows[row].socket + 1) % 6;
+        rows[row].part = (rows[row].part + 1) % 6;
     }
     let found = calibrated(&robot, &rows, &table);
     assert_eq!(
@@ -404,7 +402,7 @@ fn gear_errors_of_the_truth_seat_the_ball() {
         for row in &made.rows {
             let end = geometry.robot_end(&JointState::at_rest(row.joints_rad));
             let ball = end * nalgebra::Point3::from(place("ball"));
-            let off_m = (ball.coords - place(&format!("socket{}", row.socket + 1))).norm();
+            let off_m = (ball.coords - place(&format!("socket{}", row.part + 1))).norm();
             assert!(off_m < 1e-7, "{off_m}");
         }
     }

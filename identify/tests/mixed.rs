@@ -6,10 +6,9 @@
 use identify::calibrate::validation::agreement::disagreeing;
 use identify::calibrate::{Calibration, DataSets, IdentifyConfig, RunInput, SelectionName, calibrate};
 use identify::evaluate::{WorkspaceError, limits};
-use identify::instrument::{
-    Contact, ContactRow, LengthRow, PlacedSocket, PoseRow, Rows, SocketTable, Tracker, Wire,
-};
+use identify::instrument::{Contact, LengthRow, PlacedSocket, PoseRow, Rows, SocketTable, Tracker, Wire};
 use identify::kinematics::{Chain, DhLink, Joints, Pose, flange_chain, robot_chain, robot_inverse};
+use identify::logs::TipRow;
 use identify::model::{DriveTrain, Model, ParameterId, Role};
 use identify::simulate::{Design, Simulated};
 use nalgebra::{Rotation3, Vector3};
@@ -30,7 +29,7 @@ struct Cell {
     run: Simulated,
     poses: Vec<PoseRow>,
     lengths: Vec<LengthRow>,
-    contacts: Vec<ContactRow>,
+    contacts: Vec<TipRow>,
     sockets: SocketTable,
     truth: Chain,
     /// The configured bar: its plate differs from the true one.
@@ -171,7 +170,7 @@ impl Cell {
 }
 
 /// A ball that the robot seats in four sockets from many sides, and the table of sockets.
-fn seated(truth: &Chain, gears: &Gears, random: &mut StdRng) -> (Vec<ContactRow>, SocketTable) {
+fn seated(truth: &Chain, gears: &Gears, random: &mut StdRng) -> (Vec<TipRow>, SocketTable) {
     let (robot, ball_m) = (irb2400(), Vector3::new(0.03, 0.01, 0.1));
     let places_mm =
         [[950.0, -250.0, 500.0], [1250.0, -200.0, 520.0], [1000.0, 200.0, 480.0], [1150.0, 50.0, 700.0]];
@@ -186,7 +185,7 @@ fn seated(truth: &Chain, gears: &Gears, random: &mut StdRng) -> (Vec<ContactRow>
         let error_rad = gears.error_rad(&stands);
         let mut noise = || 15e-6 * random.sample::<f64, _>(StandardNormal);
         let joints_rad = Joints::from_fn(6, |joint| stands[joint] + error_rad[joint] + noise());
-        rows.push(ContactRow { joints_rad, socket });
+        rows.push(TipRow { joints_rad, part: socket, ..TipRow::default() });
     }
     let socket = |(name, position_mm): (usize, [f64; 3])| PlacedSocket {
         name: name.to_string(),

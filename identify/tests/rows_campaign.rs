@@ -224,7 +224,7 @@ impl Rows {
                 }
                 Readings::Lengths(lengths) => writeln!(table, "{:.4}", lengths[row] * 1e3).unwrap(),
                 Readings::Contacts(of) => {
-                    writeln!(table, "{}", of.truth.sockets[of.rows[row].socket]).unwrap();
+                    writeln!(table, "{}", of.truth.sockets[of.rows[row].part]).unwrap();
                 }
             }
         }
@@ -318,7 +318,7 @@ impl Rows {
 
     fn sockets(&mut self, change: impl Fn(usize, &mut usize)) {
         if let Readings::Contacts(of) = &mut self.measured {
-            of.rows.iter_mut().enumerate().for_each(|(row, one)| change(row, &mut one.socket));
+            of.rows.iter_mut().enumerate().for_each(|(row, one)| change(row, &mut one.part));
         }
     }
 }

@@ -7,9 +7,9 @@ use std::process::Command;
 
 use identify::calibrate::{CalibrateError, Calibration, DataSets, IdentifyConfig, calibrate};
 use identify::evaluate::{limits, workspace_error};
-use identify::instrument::{FaceTable, Touch, TouchRow};
+use identify::instrument::{FaceTable, Touch};
 use identify::kinematics::flange_chain;
-use identify::logs::{JointMistake, TouchMapping};
+use identify::logs::{JointMistake, TipRow, TouchMapping};
 use identify::model::ParameterId;
 use identify::robot::import;
 use identify::simulate::ArmErrors;
@@ -32,7 +32,7 @@ fn usual(robot: &RobotConfig, seed: u64) -> TouchExperiment<'_> {
 
 fn try_calibrate(
     robot: &RobotConfig,
-    rows: &[TouchRow],
+    rows: &[TipRow],
     table: &FaceTable,
     made: &SimulatedTouches,
 ) -> Result<Calibration, CalibrateError> {
@@ -99,14 +99,14 @@ fn touches_of_another_face_take_no_part_and_joints_of_another_pose_are_refused_w
     let made = touch::run(&usual(&robot, 4)).unwrap();
     let mut rows = made.rows.clone();
     for row in [20, 77, 131] {
-        rows[row].face = (rows[row].face + 1) % 5;
+        rows[row].part = (rows[row].part + 1) % 5;
     }
     let found = try_calibrate(&robot, &rows, &made.table, &made).unwrap();
     let run = &found.runs[0];
     let rejected: Vec<usize> = run.instrument.rejected().iter().map(|one| one.row).collect();
     assert_eq!(rejected, [20, 77, 131]);
     let remarks = run.instrument.remarks(&run.model.geometry(&[]));
-    let right = &made.truth.faces[made.rows[20].face];
+    let right = &made.truth.faces[made.rows[20].part];
     assert!(remarks[0].1.contains(&format!("from `{right}`: look for a wrong name")), "{remarks:?}");
     let mut rows = made.rows.clone();
     for row in &mut rows {

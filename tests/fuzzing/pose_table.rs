@@ -5,8 +5,8 @@ use std::path::Path;
 use std::sync::LazyLock;
 
 use identify::logs::{
-    ContactMapping, Contacts, LengthUnit, MeasuredLengthMapping, MeasuredLengths, MeasuredPoseMapping,
-    MeasuredPoses, ReadingColumn, TouchMapping, Touches,
+    ContactMapping, LengthUnit, MeasuredLengthMapping, MeasuredLengths, MeasuredPoseMapping, MeasuredPoses,
+    ReadingColumn, TouchMapping, Touches,
 };
 use shared::config;
 
@@ -53,19 +53,19 @@ pub fn any_table(bytes: &[u8]) {
         }
         Err(error) => explained(&error),
     }
-    match Contacts::read(bytes, Path::new("contacts"), &SETTING.contacts, &["A", "B"]) {
-        Ok(contacts) => {
+    match SETTING.contacts.read(bytes, Path::new("contacts"), &["A", "B"]) {
+        Ok(rows) => {
             let usable =
-                |row: &identify::logs::SeatedRow| row.socket < 2 && row.q_rad.iter().all(|q| q.is_finite());
-            assert!(contacts.rows.iter().all(usable));
+                |row: &identify::logs::TipRow| row.part < 2 && row.joints_rad.iter().all(|q| q.is_finite());
+            assert!(rows.iter().all(usable));
         }
         Err(error) => explained(&error),
     }
     match Touches::read(bytes, Path::new("touches"), &SETTING.touches) {
         Ok(touches) => {
-            let usable = |row: &identify::logs::TouchedRow| {
-                row.face < touches.faces.len()
-                    && row.q_rad.iter().chain([&row.reading_m]).all(|q| q.is_finite())
+            let usable = |row: &identify::logs::TipRow| {
+                row.part < touches.faces.len()
+                    && row.joints_rad.iter().chain([&row.reading_m]).all(|q| q.is_finite())
             };
             assert!(touches.rows.iter().all(usable));
         }

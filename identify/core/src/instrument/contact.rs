@@ -11,24 +11,9 @@ use super::{
     SocketTable, Sockets,
 };
 use crate::cost::{CostError, DataSet, LoopProblem, Residual, SeatedBall};
-use crate::kinematics::{Chain, Joints};
-use crate::logs;
+use crate::kinematics::Chain;
+use crate::logs::TipRow;
 use crate::model::{Clock, Geometry, JointState, Model, ModelError, Observation, Owner, ParameterId, Role};
-
-/// A pose of the robot at which the ball is seated.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ContactRow {
-    /// Joint variables of the model \[rad, m\].
-    pub joints_rad: Joints,
-    /// Index of the socket in [`SocketTable::names`].
-    pub socket: usize,
-}
-
-impl From<&logs::SeatedRow> for ContactRow {
-    fn from(read: &logs::SeatedRow) -> Self {
-        Self { joints_rad: read.q_rad, socket: read.socket }
-    }
-}
 
 /// Why rows of a ball in sockets cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -92,7 +77,7 @@ const BALL_SIGMA_M: f64 = 1.0;
 /// Rows of one set-up, and the noise of the seated ball.
 #[derive(Debug, Clone)]
 pub struct Contact {
-    rows: Screened<ContactRow>,
+    rows: Screened<TipRow>,
     sockets: Sockets,
     /// Observations of the rows in use; below, the socket of each.
     observations: Vec<Observation>,
@@ -102,11 +87,11 @@ pub struct Contact {
 }
 
 impl Contact {
-    /// From rows at which the ball was seated, in the order in which the robot visited them.
+    /// From rows at which the ball was seated in the sockets of the table, in the order in which the robot visited them.
     ///
     /// # Errors
     /// [`ContactError`] if rows and table cannot calibrate a robot.
-    pub fn new(rows: &[ContactRow], table: &SocketTable) -> Result<Self, ContactError> {
+    pub fn new(rows: &[TipRow], table: &SocketTable) -> Result<Self, ContactError> {
         let mut all = Standing::new(rows, |row| row.joints_rad);
         let names = table.names();
         let mut visits = vec![0; names.len()];
@@ -114,12 +99,12 @@ impl Contact {
             if !row.joints_rad.iter().all(|joint| joint.is_finite()) {
                 return Err(ContactError::BadRow { row: number });
             }
-            *visits.get_mut(row.socket).ok_or(ContactError::UnknownSocket { row: number })? += 1;
+            *visits.get_mut(row.part).ok_or(ContactError::UnknownSocket { row: number })? += 1;
         }
         // Sockets of the table that no row visits are left out, so the others are numbered anew.
         let visited: Vec<usize> = (0..names.len()).filter(|socket| visits[*socket] > 0).collect();
         for row in &mut all.rows {
-            row.socket = visited.partition_point(|socket| *socket < row.socket);
+            row.part = visited.partition_point(|socket| *socket < row.part);
         }
         let names: Vec<&str> = visited.iter().map(|&socket| names[socket]).collect();
         let sockets = Sockets::new(table, &names);
@@ -140,7 +125,7 @@ impl Contact {
         Ok(Self::from_parts(all, sockets, BALL_SIGMA_M))
     }
 
-    fn from_parts(all: Standing<ContactRow>, sockets: Sockets, noise_m: f64) -> Self {
+    fn from_parts(all: Standing<TipRow>, sockets: Sockets, noise_m: f64) -> Self {
         let mut contact = Self {
             rows: Screened::new(all),
             sockets,
@@ -153,22 +138,22 @@ impl Contact {
     }
 
     /// The same instrument with other rows in the same sockets.
-    fn with_rows(&self, all: Standing<ContactRow>) -> Self {
+    fn with_rows(&self, all: Standing<TipRow>) -> Self {
         Self::from_parts(all, self.sockets.clone(), self.noise_m)
     }
 
     /// Updates observations and their sockets from the rows in use.
     fn update_observations(&mut self) {
         self.observations = self.rows.at.observations();
-        self.socket_of = self.rows.at.rows.iter().map(|row| row.socket).collect();
+        self.socket_of = self.rows.at.rows.iter().map(|row| row.part).collect();
     }
 
     /// Position of the ball predicted by the robot minus its socket, for every row, in use or not \[m\].
     fn errors_m(&self, geometry: &Geometry) -> Vec<Vector3<f64>> {
         let contact = &geometry.contact;
-        let error_m = |(row, state): (&ContactRow, &JointState)| {
+        let error_m = |(row, state): (&TipRow, &JointState)| {
             let ball_m = geometry.robot_end(state).transform_point(&contact.ball_m.into()).coords;
-            let socket_m = contact.sockets_m.get(row.socket);
+            let socket_m = contact.sockets_m.get(row.part);
             socket_m.map_or_else(|| Vector3::repeat(f64::NAN), |socket_m| ball_m - socket_m)
         };
         self.rows.all.rows.iter().zip(&self.rows.all.states).map(error_m).collect()
@@ -213,7 +198,7 @@ impl Measures for Contact {
 
     /// A section for each socket.
     fn sections(&self) -> Vec<Section> {
-        Section::each(self.sockets.names(), "socket", self.rows.all.rows.iter().map(|row| row.socket))
+        Section::each(self.sockets.names(), "socket", self.rows.all.rows.iter().map(|row| row.part))
     }
 
     /// Names the socket that is nearest to the ball.
@@ -222,7 +207,7 @@ impl Measures for Contact {
         let errors_m = self.errors_m(geometry);
         let remark = |rejected: &RejectedRow| {
             let row = rejected.row;
-            let stated = self.rows.all.rows.get(row)?.socket;
+            let stated = self.rows.all.rows.get(row)?.part;
             let ball_m = sockets_m.get(stated)? + errors_m.get(row)?;
             let other = nearest(names, stated, |socket| (ball_m - sockets_m[socket]).norm());
             Some((row, format!("not in its socket `{}`{other}", names[stated])))
@@ -249,7 +234,7 @@ impl Measures for Contact {
             let flange = geometry.robot_end(state);
             let (r, p) = (flange.rotation.matrix(), flange.translation.vector);
             // First entries of ball and socket among the unknowns.
-            let (ball, socket) = (0, 3 * (1 + row.socket));
+            let (ball, socket) = (0, 3 * (1 + row.part));
             let mut add_to_matrix = |place: (usize, usize), block: &Matrix3<f64>| {
                 let mut view = matrix.fixed_view_mut::<3, 3>(place.0, place.1);
                 view += block;
@@ -313,14 +298,14 @@ impl Measures for Contact {
             self.errors_m(&model.geometry(&[])).iter().map(|error| error.norm()).collect();
         let sockets = self.sockets.names().len();
         let visit_all_sockets =
-            |rows: &[ContactRow]| (0..sockets).all(|socket| rows.iter().any(|row| row.socket == socket));
+            |rows: &[TipRow]| (0..sockets).all(|socket| rows.iter().any(|row| row.part == socket));
         let changed = self.rows.screen(&residuals_m, &vec![1.0; residuals_m.len()], visit_all_sockets);
         self.update_observations();
         changed
     }
 
     fn independent(&self, count: usize) -> Vec<Vec<usize>> {
-        self.rows.at.independent(count, |row| row.socket)
+        self.rows.at.independent(count, |row| row.part)
     }
 
     fn part(&self, samples: &[usize]) -> Instrument {

@@ -20,7 +20,7 @@ use std::ops::{Deref, DerefMut};
 
 pub use ball_bar::{BallBar, CostName, NoiseConfig};
 pub use cause::Cause;
-pub use contact::{Contact, ContactError, ContactRow};
+pub use contact::{Contact, ContactError};
 pub use description::{Doubt, Noise, ScaleFrom, Section};
 pub use deviation::{Apart, Deviation, PoseError};
 pub use faces::{FaceTable, Faces, KnownAngle, Spacing, Touched};
@@ -29,7 +29,7 @@ pub use measures::Measures;
 pub use rows::{HoldOut, Mistake, RejectedRow, Rejection, RowError, Rows, SEED, standing};
 pub(crate) use rows::{faulty, gross_rows, segments, without};
 pub use sockets::{KnownDistance, PlacedSocket, SocketTable, Sockets};
-pub use touch::{Touch, TouchRow};
+pub use touch::Touch;
 pub use tracker::{PoseRow, Tracker};
 pub use wire::{LengthRow, Wire};
 

@@ -11,29 +11,12 @@ use super::{
     RowError, ScaleFrom, Section,
 };
 use crate::cost::{CostError, DataSet, LoopProblem, Residual, TouchedFace};
-use crate::kinematics::{Chain, Joints, Pose};
-use crate::logs::{self, JointMistake};
+use crate::kinematics::{Chain, Pose};
+use crate::logs::{JointMistake, TipRow};
 use crate::model::{
     Axis, Clock, Face, FaceNumber, Geometry, JointState, Model, ModelError, Observation, Owner, ParameterId,
     Role, SetUp,
 };
-
-/// A pose of the robot at which the tip touches a face.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct TouchRow {
-    /// Joint variables of the model \[rad, m\].
-    pub joints_rad: Joints,
-    /// Index of the face among the names.
-    pub face: usize,
-    /// Travel of a gauge's plunger along the face's normal \[m\]; zero for a probe without one.
-    pub reading_m: f64,
-}
-
-impl From<&logs::TouchedRow> for TouchRow {
-    fn from(read: &logs::TouchedRow) -> Self {
-        Self { joints_rad: read.q_rad, face: read.face, reading_m: read.reading_m }
-    }
-}
 
 /// Fewest rows of a face: twice the three unknowns of its plane.
 const FACE_ROWS_MIN: usize = 6;
@@ -43,7 +26,7 @@ const TIP_SIGMA_M: f64 = 1.0;
 /// Rows of one set-up, and the noise of the touched distances.
 #[derive(Debug, Clone)]
 pub struct Touch {
-    rows: Screened<TouchRow>,
+    rows: Screened<TipRow>,
     table: FaceTable,
     faces: Faces,
     /// Observations of the rows in use; below, the face and reading of each.
@@ -56,11 +39,11 @@ pub struct Touch {
 impl Touch {
     /// From rows in the order in which the robot visited them, the names of their faces, and the table of known geometry.
     /// `robot` is the nominal chain up to the flange.
-    pub fn new(rows: &[TouchRow], names: &[String], table: &FaceTable, robot: &Chain) -> Self {
+    pub fn new(rows: &[TipRow], names: &[String], table: &FaceTable, robot: &Chain) -> Self {
         let all = Standing::new(rows, |row| row.joints_rad);
         let tip_m = Vector3::from(table.tip_mm.unwrap_or_default()) * 1e-3;
         let centre_m = |face: usize| {
-            let on_face = all.rows.iter().zip(&all.states).filter(|(row, _)| row.face == face);
+            let on_face = all.rows.iter().zip(&all.states).filter(|(row, _)| row.part == face);
             let place = |state: &JointState| robot.forward(&state.q).transform_point(&tip_m.into()).coords;
             let tips_m: Vec<Vector3<f64>> = on_face.map(|(_, state)| place(state)).collect();
             tips_m.iter().sum::<Vector3<f64>>() / tips_m.len().max(1) as f64
@@ -70,7 +53,7 @@ impl Touch {
         Self::from_parts(Screened::new(all), table.clone(), faces, TIP_SIGMA_M)
     }
 
-    fn from_parts(rows: Screened<TouchRow>, table: FaceTable, faces: Faces, noise_m: f64) -> Self {
+    fn from_parts(rows: Screened<TipRow>, table: FaceTable, faces: Faces, noise_m: f64) -> Self {
         let mut touch = Self { rows, table, faces, observations: Vec::new(), touched: Vec::new(), noise_m };
         touch.update_observations();
         touch
@@ -79,16 +62,16 @@ impl Touch {
     /// Updates observations and faces from the rows in use.
     fn update_observations(&mut self) {
         self.observations = self.rows.at.observations();
-        self.touched = self.rows.at.rows.iter().map(|row| (row.face, row.reading_m)).collect();
+        self.touched = self.rows.at.rows.iter().map(|row| (row.part, row.reading_m)).collect();
     }
 
     /// The same instrument with other rows on the same faces.
-    fn with_rows(&self, all: Standing<TouchRow>) -> Self {
+    fn with_rows(&self, all: Standing<TipRow>) -> Self {
         Self::from_parts(Screened::new(all), self.table.clone(), self.faces.clone(), self.noise_m)
     }
 
     /// Distance of the tip from the plane of a face, along its normal, plus the reading \[m\].
-    fn residual_m(geometry: &Geometry, row: &TouchRow, state: &JointState, face: usize) -> f64 {
+    fn residual_m(geometry: &Geometry, row: &TipRow, state: &JointState, face: usize) -> f64 {
         let touch = &geometry.touch;
         let Some(Face { normal, distance_m }) = touch.faces.get(face) else { return f64::NAN };
         let tip_m = geometry.robot_end(state).transform_point(&touch.tip_m.into()).coords;
@@ -99,12 +82,12 @@ impl Touch {
     fn residuals_m(&self, geometry: &Geometry) -> Vec<f64> {
         let all = &self.rows.all;
         let touches = all.rows.iter().zip(&all.states);
-        touches.map(|(row, state)| Self::residual_m(geometry, row, state, row.face)).collect()
+        touches.map(|(row, state)| Self::residual_m(geometry, row, state, row.part)).collect()
     }
 }
 
 /// Pose of the flange at each row, with the row.
-type Touches = Vec<(Pose, TouchRow)>;
+type Touches = Vec<(Pose, TipRow)>;
 
 /// Tip and planes that fit the rows.
 struct Placed {
@@ -133,10 +116,10 @@ fn fit_tip_and_planes(touches: &Touches, faces: usize, start_m: Vector3<f64>) ->
         matrix.view_mut((0, 0), (3, 3)).fill_diagonal(prior_weight);
         right.rows_mut(0, 3).copy_from(&(tip_m * prior_weight));
         for (flange, row) in touches {
-            let normal = planes[row.face].normal;
+            let normal = planes[row.part].normal;
             let mut coefficients = DVector::zeros(size);
             coefficients.rows_mut(0, 3).copy_from(&(flange.rotation.inverse() * normal));
-            coefficients[3 + row.face] = -1.0;
+            coefficients[3 + row.part] = -1.0;
             let constant = normal.dot(&flange.translation.vector) + row.reading_m;
             matrix.ger(1.0, &coefficients, &coefficients, 1.0);
             right.axpy(-constant, &coefficients, 1.0);
@@ -147,7 +130,7 @@ fn fit_tip_and_planes(touches: &Touches, faces: usize, start_m: Vector3<f64>) ->
     }
     let squared = touches.iter().map(|(flange, row)| {
         let tip_m = flange.transform_point(&tip_m.into()).coords;
-        (planes[row.face].normal.dot(&tip_m) - planes[row.face].distance_m + row.reading_m).powi(2)
+        (planes[row.part].normal.dot(&tip_m) - planes[row.part].distance_m + row.reading_m).powi(2)
     });
     let rms_m = (squared.sum::<f64>() / touches.len().max(1) as f64).sqrt();
     Some(Placed { tip_m, planes, rms_m })
@@ -155,7 +138,7 @@ fn fit_tip_and_planes(touches: &Touches, faces: usize, start_m: Vector3<f64>) ->
 
 /// Plane through the tips of a face, at least three; its normal points to decreasing travel of a gauge's plunger.
 fn fit_plane(touches: &Touches, face: usize, tip_m: Vector3<f64>) -> Option<Face> {
-    let on_face = || touches.iter().filter(|(_, row)| row.face == face);
+    let on_face = || touches.iter().filter(|(_, row)| row.part == face);
     let tips_m: Vec<Vector3<f64>> =
         on_face().map(|(flange, _)| flange.transform_point(&tip_m.into()).coords).collect();
     let count = tips_m.len() as f64;
@@ -206,7 +189,7 @@ impl Measures for Touch {
 
     /// A section for each face.
     fn sections(&self) -> Vec<Section> {
-        Section::each(self.faces.names(), "face", self.rows.all.rows.iter().map(|row| row.face))
+        Section::each(self.faces.names(), "face", self.rows.all.rows.iter().map(|row| row.part))
     }
 
     /// Names the face that is nearest to the tip.
@@ -214,8 +197,8 @@ impl Measures for Touch {
         let (names, all) = (self.faces.names(), &self.rows.all);
         let remark = |rejected: &RejectedRow| {
             let (row, state) = (all.rows.get(rejected.row)?, all.states.get(rejected.row)?);
-            let other = nearest(names, row.face, |face| Self::residual_m(geometry, row, state, face).abs());
-            Some((rejected.row, format!("not on its face `{}`{other}", names[row.face])))
+            let other = nearest(names, row.part, |face| Self::residual_m(geometry, row, state, face).abs());
+            Some((rejected.row, format!("not on its face `{}`{other}", names[row.part])))
         };
         self.rows.rejected.iter().filter_map(remark).collect()
     }
@@ -300,8 +283,8 @@ impl Measures for Touch {
     fn screen(&mut self, model: &Model) -> bool {
         let residuals_m = self.residuals_m(&model.geometry(&[]));
         let faces = self.faces.names().len();
-        let cover_all_faces = |rows: &[TouchRow]| {
-            let rows_of = |face: usize| rows.iter().filter(|row| row.face == face).count();
+        let cover_all_faces = |rows: &[TipRow]| {
+            let rows_of = |face: usize| rows.iter().filter(|row| row.part == face).count();
             (0..faces).all(|face| rows_of(face) >= FACE_ROWS_MIN / 2)
         };
         let changed = self.rows.screen(&residuals_m, &vec![1.0; residuals_m.len()], cover_all_faces);
@@ -310,7 +293,7 @@ impl Measures for Touch {
     }
 
     fn independent(&self, count: usize) -> Vec<Vec<usize>> {
-        self.rows.at.independent(count, |row| row.face)
+        self.rows.at.independent(count, |row| row.part)
     }
 
     fn part(&self, samples: &[usize]) -> Instrument {
@@ -338,7 +321,7 @@ impl Measures for Touch {
 
     fn contradicting(&self, _: &Chain) -> Result<Vec<RejectedRow>, RowError> {
         self.rows.all.ensure_finite(|row| [row.reading_m].into_iter())?;
-        let face = |row: &TouchRow| SetUp { station: row.face, target: 0 };
+        let face = |row: &TipRow| SetUp { station: row.part, target: 0 };
         self.rows.all.ensure_each_has_rows(face, [("face", FACE_ROWS_MIN), ("tip", 0)])?;
         Ok(Vec::new())
     }

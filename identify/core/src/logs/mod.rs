@@ -32,7 +32,6 @@ pub use robot::mistake::JointMistake;
 pub use robot::reader::{LogOptions, load, load_with, read, read_with};
 pub use robot::table::own_columns;
 pub use robot::writer::write;
-pub use rows::contact::{ContactMapping, Contacts, SeatedRow};
 pub use rows::measured_length::{
     FlangeColumns, LengthColumn, LengthUncertaintyColumn, MeasuredLength, MeasuredLengthMapping,
     MeasuredLengths,
@@ -45,7 +44,7 @@ pub use rows::measured_pose::{
 pub use rows::pose_rows::{
     JointColumn, JointTableMapping, JointUnit, LengthUnit, joint_columns, joints_of_robot,
 };
-pub use rows::touch::{ReadingColumn, TouchMapping, TouchedRow, Touches};
+pub use rows::touch::{ContactMapping, ReadingColumn, TipRow, TouchMapping, Touches};
 pub use tables::stamp::{TimeColumn, TimeUnit};
 pub use tables::text::{Cells, RowsAsText, is_comment};
 pub use time_series::sampling::{StampStep, Stamps};

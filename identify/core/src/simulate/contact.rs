@@ -10,9 +10,9 @@ use super::WriteError;
 use super::arm::ArmErrors;
 use super::probing::{BALL_M, Probing, TRIES};
 use super::rows::{RowSimulationError, RowTruth, SimulatedRows, check_sizes, rows_csv};
-use crate::instrument::{ContactRow, KnownDistance, PlacedSocket, SocketTable};
+use crate::instrument::{KnownDistance, PlacedSocket, SocketTable};
 use crate::kinematics::Pose;
-use crate::logs::{ContactMapping, CsvLayout, joint_columns};
+use crate::logs::{ContactMapping, CsvLayout, TipRow, joint_columns};
 use crate::model::Model;
 
 /// Side of the plate, as a part of the robot's reach.
@@ -56,7 +56,7 @@ impl<'a> ContactExperiment<'a> {
 }
 
 /// Result of a simulated experiment.
-pub type SimulatedContacts = SimulatedRows<ContactRow, SocketTable>;
+pub type SimulatedContacts = SimulatedRows<SocketTable>;
 
 /// Six sockets on two levels.
 fn usual_sockets(size_mm: f64) -> SocketTable {
@@ -107,12 +107,12 @@ pub fn run(experiment: &ContactExperiment<'_>) -> Result<SimulatedContacts, RowS
         (plate * Point3::from(Vector3::from(socket.position_mm) * 1e-3 + error_m)).coords
     };
     let sockets_m: Vec<Vector3<f64>> = table.sockets.iter().map(true_m).collect();
-    let row = |row: usize| -> Result<ContactRow, RowSimulationError> {
-        let socket = row % sockets_m.len();
-        let ball_m = sockets_m[socket] + Vector3::from_fn(|_, _| probing.noise(seating_um));
+    let row = |row: usize| -> Result<TipRow, RowSimulationError> {
+        let part = row % sockets_m.len();
+        let ball_m = sockets_m[part] + Vector3::from_fn(|_, _| probing.noise(seating_um));
         let joints = probing.joints_at(ball_m, TRIES);
-        let joints = joints.ok_or_else(|| unreachable(&table.sockets[socket].name))?;
-        Ok(ContactRow { joints_rad: probing.reported(&joints), socket })
+        let joints = joints.ok_or_else(|| unreachable(&table.sockets[part].name))?;
+        Ok(TipRow { joints_rad: probing.reported(&joints), part, ..TipRow::default() })
     };
     let rows = (0..experiment.rows).map(row).collect::<Result<Vec<_>, _>>()?;
     let model = Model::alone(&probing.arm.chain).with_sockets(sockets_m.len()).without_clocks();
@@ -160,7 +160,7 @@ pub fn write(
     let mapping =
         ContactMapping { csv: CsvLayout::default(), socket: "socket".into(), joints: joint_columns(robot) };
     let table = rows_csv("contact", (&mapping.joints, "socket"), &simulated.rows, |row| {
-        (&row.joints_rad, simulated.truth.sockets[row.socket].clone())
+        simulated.truth.sockets[row.part].clone()
     });
     simulated.write(directory, ["contacts.csv", "contact.toml", "sockets.toml"], table, &mapping)
 }

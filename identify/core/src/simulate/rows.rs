@@ -8,15 +8,15 @@ use shared::config::{self, RobotConfig};
 
 use super::arm::{Arm, ArmErrors};
 use super::{WriteError, is_size};
-use crate::kinematics::{Chain, Joints};
-use crate::logs::{JointColumn, LogError, SIMULATED};
+use crate::kinematics::Chain;
+use crate::logs::{JointColumn, LogError, SIMULATED, TipRow};
 use crate::model::{Geometry, Model, ParameterId};
 
-/// Result of a simulated experiment: `R` is a row, `T` the table of sockets or faces.
+/// Result of a simulated experiment: `T` is the table of sockets or faces.
 #[derive(Debug, Clone)]
-pub struct SimulatedRows<R, T> {
+pub struct SimulatedRows<T> {
     /// Rows in the order of the robot's motion.
-    pub rows: Vec<R>,
+    pub rows: Vec<TipRow>,
     /// Table of the sockets or faces, with their known geometry.
     pub table: T,
     /// True parameters of robot and instrument.
@@ -25,7 +25,7 @@ pub struct SimulatedRows<R, T> {
     pub robot: Chain,
 }
 
-impl<R, T: Serialize> SimulatedRows<R, T> {
+impl<T: Serialize> SimulatedRows<T> {
     /// Writes the text of the rows, their mapping and the table to files of these names, and `truth.toml`, into `directory`, which is
     /// created if it is missing; returns their paths.
     pub(super) fn write(
@@ -121,22 +121,21 @@ pub(super) fn check_sizes(
     wrong.map_or(Ok(()), |(name, value)| Err(RowSimulationError::Size { name, value }))
 }
 
-/// Text of a file of simulated rows. `command` is named as its origin, `columns` follow the joints, `row` returns joints and
+/// Text of a file of simulated rows. `command` is named as its origin, `columns` follow the joints, `cells` returns
 /// the other cells.
-pub(super) fn rows_csv<'r, R: 'r>(
+pub(super) fn rows_csv(
     command: &str,
     (joints, columns): (&[JointColumn], &str),
-    rows: &'r [R],
-    row: impl Fn(&'r R) -> (&'r Joints, String),
+    rows: &[TipRow],
+    cells: impl Fn(&TipRow) -> String,
 ) -> String {
     let mut table = format!("# {SIMULATED}: identify simulate {command}\n");
     table.extend(joints.iter().map(|joint| format!("{},", joint.column)));
     table += &format!("{columns}\n");
-    for (joints_rad, cells) in rows.iter().map(row) {
-        table.extend(
-            joints_rad.iter().zip(joints).map(|(q, joint)| format!("{:.9},", q / joint.unit.to_si())),
-        );
-        table += &format!("{cells}\n");
+    for row in rows {
+        let joints = row.joints_rad.iter().zip(joints);
+        table.extend(joints.map(|(q, joint)| format!("{:.9},", q / joint.unit.to_si())));
+        table += &format!("{}\n", cells(row));
     }
     table
 }

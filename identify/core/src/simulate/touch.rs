@@ -12,9 +12,9 @@ use super::WriteError;
 use super::arm::ArmErrors;
 use super::probing::{BALL_M, Probing, TRIES_FEW};
 use super::rows::{RowSimulationError, RowTruth, SimulatedRows, check_sizes, rows_csv};
-use crate::instrument::{FaceTable, KnownAngle, Spacing, TouchRow, Touched};
+use crate::instrument::{FaceTable, KnownAngle, Spacing, Touched};
 use crate::kinematics::Pose;
-use crate::logs::{CsvLayout, LengthUnit, ReadingColumn, TouchMapping, joint_columns};
+use crate::logs::{CsvLayout, LengthUnit, ReadingColumn, TipRow, TouchMapping, joint_columns};
 use crate::model::{Face, Model};
 
 /// Diameter of the tip's ball, whose centre is at [`BALL_M`] \[mm\].
@@ -73,7 +73,7 @@ impl<'a> TouchExperiment<'a> {
 }
 
 /// Result of a simulated experiment.
-pub type SimulatedTouches = SimulatedRows<TouchRow, FaceTable>;
+pub type SimulatedTouches = SimulatedRows<FaceTable>;
 
 /// Table of a block with these edges.
 fn block_table(block_mm: f64) -> FaceTable {
@@ -115,8 +115,8 @@ pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, RowSimu
     let (block_mm, pose) = place(experiment, &mut probing)?;
     let table = block_table(block_mm);
     let block = Block::new(pose, block_mm, &table, &mut probing);
-    let row = |row: usize| -> Result<TouchRow, RowSimulationError> {
-        let face = row % FACES.len();
+    let row = |row: usize| -> Result<TipRow, RowSimulationError> {
+        let part = row % FACES.len();
         // A probe triggers too late or too early, a gauge reads too much or too little.
         let error_m = probing.noise(touch_um);
         let [out_m, reading_m] = if gauge_mm > 0.0 {
@@ -127,11 +127,11 @@ pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, RowSimu
         };
         // The robot may not reach every corner of a face that it reaches.
         let joints = (0..PLACES).find_map(|_| {
-            let tip_m = block.random_tip_m(face, out_m, &mut probing.random);
+            let tip_m = block.random_tip_m(part, out_m, &mut probing.random);
             probing.joints_at(tip_m, TRIES_FEW)
         });
-        let joints = joints.ok_or_else(|| unreachable(FACES[face].0))?;
-        Ok(TouchRow { joints_rad: probing.reported(&joints), face, reading_m })
+        let joints = joints.ok_or_else(|| unreachable(FACES[part].0))?;
+        Ok(TipRow { joints_rad: probing.reported(&joints), part, reading_m, ..TipRow::default() })
     };
     let rows = (0..experiment.rows).map(row).collect::<Result<Vec<_>, _>>()?;
     let model = Model::alone(&probing.arm.chain).with_faces(block.faces.len()).without_clocks();
@@ -230,7 +230,7 @@ pub fn write(
     let columns = if with_readings { "reading_mm,face" } else { "face" };
     let table = rows_csv("touch", (&mapping.joints, columns), &simulated.rows, |row| {
         let reading = if with_readings { format!("{:.6},", row.reading_m * 1e3) } else { String::new() };
-        (&row.joints_rad, reading + &simulated.truth.faces[row.face])
+        reading + &simulated.truth.faces[row.part]
     });
     simulated.write(directory, ["touches.csv", "touch.toml", "faces.toml"], table, &mapping)
 }

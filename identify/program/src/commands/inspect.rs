@@ -14,9 +14,8 @@ use shared::recording::Recording;
 use crate::inspect::{self, Inspection};
 use crate::instrument::SocketTable;
 use crate::logs::{
-    self, BarLogMapping, ContactMapping, Contacts, LogFormat, LogOptions, MeasuredLengthMapping,
-    MeasuredLengths, MeasuredPoseMapping, MeasuredPoses, OtherBarLog, TimedPoses, TouchMapping, Touches,
-    joints_of_robot,
+    self, BarLogMapping, ContactMapping, LogFormat, LogOptions, MeasuredLengthMapping, MeasuredLengths,
+    MeasuredPoseMapping, MeasuredPoses, OtherBarLog, TimedPoses, TouchMapping, Touches, joints_of_robot,
 };
 use crate::report::table;
 
@@ -171,8 +170,8 @@ impl Settings {
         }
         if let (Some((table, mapping)), Some(robot)) = (&self.contacts, &self.robot) {
             joints_of_robot(&mapping.joints, robot, path)?;
-            let contacts = Contacts::load(path, mapping, &table.names())?;
-            return Ok(vec![inspect::contacts(&contacts.rows, table, robot)]);
+            let rows = mapping.load(path, &table.names())?;
+            return Ok(vec![inspect::contacts(&rows, table, robot)]);
         }
         if logs::is_recording(path)? {
             return Ok(vec![inspect::recording(&Recording::open(path)?)]);

@@ -5,27 +5,26 @@ use shared::config::{JointKind, RobotConfig};
 
 use super::Inspection;
 use crate::calibrate::rows::Sizes;
-use crate::instrument::{Contact, ContactRow, Measures, SocketTable};
+use crate::instrument::{Contact, Measures, SocketTable};
 use crate::kinematics::{Chain, Joints, flange_chain};
-use crate::logs::SeatedRow;
+use crate::logs::TipRow;
 use crate::model::Model;
 use crate::statistics::extremes;
 
 /// What rows of a ball in sockets hold, and whether the nominal robot puts the ball into the sockets that they name.
-pub fn contacts(rows: &[SeatedRow], table: &SocketTable, robot: &RobotConfig) -> Inspection {
+pub fn contacts(rows: &[TipRow], table: &SocketTable, robot: &RobotConfig) -> Inspection {
     let mut inspection = Inspection::default();
-    let visits = |socket: usize| rows.iter().filter(|row| row.socket == socket).count();
+    let visits = |socket: usize| rows.iter().filter(|row| row.part == socket).count();
     let counted =
         table.names().into_iter().enumerate().map(|(socket, name)| format!("{name} {}", visits(socket)));
     inspection.fact("rows", format!("{}: {}", rows.len(), counted.collect::<Vec<_>>().join(", ")));
     let counts = [(table.sockets.len(), "places"), (table.distances.len(), "distances")];
     let known = counts.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}"));
     inspection.fact("known of sockets", known.collect::<Vec<_>>().join(", "));
-    ranges(&mut inspection, rows.iter().map(|row| row.q_rad), robot);
+    ranges(&mut inspection, rows.iter().map(|row| row.joints_rad), robot);
     let chain = flange_chain(robot);
     few_orientations(&mut inspection, rows, table, &chain);
-    let contact_rows: Vec<ContactRow> = rows.iter().map(ContactRow::from).collect();
-    match Contact::new(&contact_rows, table) {
+    match Contact::new(rows, table) {
         Ok(contact) => closure(&mut inspection, contact, &chain, rows),
         Err(error) => inspection.suspect(error.to_string()),
     }
@@ -53,14 +52,14 @@ pub(super) fn ranges(
 }
 
 /// In one orientation only, a socket adds little information: the robot repeats the same error there.
-fn few_orientations(inspection: &mut Inspection, rows: &[SeatedRow], table: &SocketTable, chain: &Chain) {
+fn few_orientations(inspection: &mut Inspection, rows: &[TipRow], table: &SocketTable, chain: &Chain) {
     /// Largest angle to the first orientation in a socket, below which it is reported \[rad\].
     const TURN_MIN_RAD: f64 = 0.35;
     for (socket, name) in table.names().into_iter().enumerate() {
         let turns: Vec<_> = rows
             .iter()
-            .filter(|row| row.socket == socket)
-            .map(|row| chain.forward(&row.q_rad).rotation)
+            .filter(|row| row.part == socket)
+            .map(|row| chain.forward(&row.joints_rad).rotation)
             .collect();
         let Some(first) = turns.first() else { continue };
         let most = turns.iter().map(|turn| turn.angle_to(first)).fold(0.0, f64::max);
@@ -74,7 +73,7 @@ fn few_orientations(inspection: &mut Inspection, rows: &[SeatedRow], table: &Soc
 }
 
 /// Reports the distances of ball and socket for the nominal robot, with the sockets placed by a fit to the rows.
-fn closure(inspection: &mut Inspection, mut contact: Contact, chain: &Chain, rows: &[SeatedRow]) {
+fn closure(inspection: &mut Inspection, mut contact: Contact, chain: &Chain, rows: &[TipRow]) {
     /// Placing the sockets and rejecting rows depend on each other: repeated at most this number of times.
     const ROUNDS: usize = 4;
     let mut model = contact.fitted_out(Model::alone(chain));

@@ -7,7 +7,7 @@ use shared::output::named;
 use super::contacts::ranges;
 use super::{Inspection, stamps};
 use crate::calibrate::rows::{likely, misfit, some_of};
-use crate::instrument::{FaceTable, Instrument, LengthRow, Mistake, PoseRow, Touch, TouchRow, Tracker, Wire};
+use crate::instrument::{FaceTable, Instrument, LengthRow, Mistake, PoseRow, Touch, Tracker, Wire};
 use crate::kinematics::flange_chain;
 use crate::logs::{LogQuality, MeasuredLengths, MeasuredPoses, TimedPoses, Touches};
 use crate::report::rows::OTHER_ROBOT_M;
@@ -85,7 +85,7 @@ pub fn lengths(read: &MeasuredLengths, robot: &RobotConfig) -> Inspection {
 /// Touches of flat faces.
 pub fn touches(read: &Touches, robot: &RobotConfig) -> Inspection {
     let mut inspection = Inspection::default();
-    let rows: Vec<TouchRow> = read.rows.iter().map(TouchRow::from).collect();
+    let rows = &read.rows;
     inspection.fact("rows", rows.len().to_string());
     let [low_m, high_m] = extremes(rows.iter().map(|row| row.reading_m));
     if low_m < high_m {
@@ -93,7 +93,7 @@ pub fn touches(read: &Touches, robot: &RobotConfig) -> Inspection {
     }
     inspection.fact("faces", format!("{}: {}", read.faces.len(), named(&read.faces, NAMED)));
     ranges(&mut inspection, rows.iter().map(|row| row.joints_rad), robot);
-    let touch = Touch::new(&rows, &read.faces, &FaceTable::default(), &flange_chain(robot));
+    let touch = Touch::new(rows, &read.faces, &FaceTable::default(), &flange_chain(robot));
     nominal_robot(&mut inspection, &touch.into(), robot);
     inspection
 }

@@ -1,6 +1,8 @@
-//! Poses at which a tip on the flange touches a flat face: joints and the name of the face, and with a dial gauge its reading.
+//! Poses at which a tip on the flange touches something fixed: joints and the name of what it touches. A ball is seated in a
+//! socket; a probe touches a flat face, with a dial gauge that has a reading.
 //!
-//! Files differ, so a mapping in TOML names the columns and their units; `config/touch.toml` explains each key.
+//! Files differ, so a mapping in TOML names the columns and their units; `config/contact.toml` and `config/touch.toml` explain
+//! each key.
 
 use std::path::Path;
 
@@ -15,6 +17,68 @@ use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError};
 
 /// Largest reading of a gauge \[m\]; more means a wrong unit.
 const READING_M_MAX: f64 = 0.2;
+
+/// A pose of the robot at which the tip touches a socket or a face.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct TipRow {
+    /// Joint variables of the model \[rad, m\].
+    pub joints_rad: Joints,
+    /// The socket or face, by its place among the names.
+    pub part: usize,
+    /// Travel of a gauge's plunger along the face's normal, positive inwards \[m\]; zero without a gauge.
+    pub reading_m: f64,
+    /// Line of the source file, so that a row can be found again.
+    pub line: u64,
+}
+
+/// Columns of a table of seated balls.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ContactMapping {
+    /// Layout of the table.
+    #[serde(default)]
+    pub csv: CsvLayout,
+    /// The column with the socket's name.
+    pub socket: String,
+    /// All joints, base to flange.
+    pub joints: Vec<JointColumn>,
+}
+
+impl Validate for ContactMapping {
+    const KIND: Option<Kind> = Some(Kind::ContactMapping);
+
+    fn validate(&self) -> Result<(), Violation> {
+        self.csv.check()?;
+        check_joints(&self.joints)
+    }
+}
+
+impl ContactMapping {
+    /// Reads the table at `path`, with these names of the sockets. Rows are in the order of the file, which is that of the
+    /// robot's motion: backlash depends on the previous pose.
+    ///
+    /// # Errors
+    /// Every way in which the file cannot be used, see [`LogError`].
+    pub fn load(&self, path: &Path, sockets: &[&str]) -> Result<Vec<TipRow>, LogError> {
+        self.read(&Source::open(path)?.whole()?, path, sockets)
+    }
+
+    /// [`Self::load`] on bytes in memory; `path` is only named in errors.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub fn read(&self, bytes: &[u8], path: &Path, sockets: &[&str]) -> Result<Vec<TipRow>, LogError> {
+        let socket = |table: &Table<'_>, row: &Row, column: &Column| {
+            let name = table.text(row, column);
+            sockets.iter().position(|known| *known == name).ok_or_else(|| {
+                let known = sockets.join(", ");
+                let problem = format!("no socket is called `{name}`; the table of sockets has {known}");
+                table.bad(row, column, problem, "correct the name here, or give the socket there")
+            })
+        };
+        tip_rows(Source::in_memory(bytes, path), &self.csv, (&*self.socket, None, &*self.joints), socket)
+    }
+}
 
 /// The column of a gauge.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -50,24 +114,11 @@ impl Validate for TouchMapping {
     }
 }
 
-/// One pose with the tip on a face.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct TouchedRow {
-    /// Joint variables of the model \[rad, m\].
-    pub q_rad: Joints,
-    /// The face, by its place in [`Touches::faces`].
-    pub face: usize,
-    /// How far the plunger is pushed in \[m\]; zero without a gauge.
-    pub reading_m: f64,
-    /// Line of the source file, so that a row can be found again.
-    pub line: u64,
-}
-
-/// The rows of a file.
+/// Rows of touched faces.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Touches {
     /// Rows in the order of the file, which is that of the robot's motion: backlash depends on the previous pose.
-    pub rows: Vec<TouchedRow>,
+    pub rows: Vec<TipRow>,
     /// Names of the faces, in the order in which the file names them.
     pub faces: Vec<String>,
 }
@@ -86,31 +137,39 @@ impl Touches {
     /// # Errors
     /// As [`Self::load`].
     pub fn read(bytes: &[u8], path: &Path, mapping: &TouchMapping) -> Result<Self, LogError> {
-        type Found<'a> = (Column, Option<(Column, LengthUnit)>, JointColumns<'a>);
-        let find = |table: &Table<'_>| -> Result<Found<'_>, LogError> {
-            let face = mapped(table, &mapping.face)?;
-            let gauge = |gauge: &ReadingColumn| Ok((mapped(table, &gauge.column)?, gauge.unit));
-            let reading = mapping.reading.as_ref().map(gauge).transpose()?;
-            Ok((face, reading, JointColumns::find(table, &mapping.joints)?))
-        };
         let mut names = Names::default();
-        let read = |(face, reading, joints): &mut Found<'_>, table: &Table<'_>, row: &Row| {
-            let face = names.place(table, row, Some(&*face))?;
-            let reading_m = match reading {
-                Some((column, unit)) => {
-                    let reading_m = table.number(row, column)? * unit.to_m();
-                    if reading_m.abs() > READING_M_MAX {
-                        let problem = format!("the gauge reads {reading_m} m");
-                        let remedy = "check the reading's unit in the mapping file";
-                        return Err(table.bad(row, column, problem, remedy));
-                    }
-                    reading_m
-                }
-                None => 0.0,
-            };
-            Ok(TouchedRow { q_rad: joints.read(table, row)?, face, reading_m, line: row.line })
-        };
-        let rows = rows(Source::in_memory(bytes, path), &mapping.csv, find, read)?;
+        let face = |table: &Table<'_>, row: &Row, column: &Column| names.place(table, row, Some(column));
+        let columns = (&*mapping.face, mapping.reading.as_ref(), &*mapping.joints);
+        let rows = tip_rows(Source::in_memory(bytes, path), &mapping.csv, columns, face)?;
         Ok(Self { rows, faces: names.in_order() })
     }
+}
+
+/// All rows of a table with columns of the part's name, of a gauge and of the joints; `part` reads the part of a row.
+fn tip_rows(
+    source: Source<'_>,
+    layout: &CsvLayout,
+    (name, gauge, joints): (&str, Option<&ReadingColumn>, &[JointColumn]),
+    mut part: impl FnMut(&Table<'_>, &Row, &Column) -> Result<usize, LogError>,
+) -> Result<Vec<TipRow>, LogError> {
+    type Found<'a> = (Column, Option<(Column, LengthUnit)>, JointColumns<'a>);
+    let find = |table: &Table<'_>| -> Result<Found<'_>, LogError> {
+        let name = mapped(table, name)?;
+        let gauge = gauge.map(|gauge| Ok((mapped(table, &gauge.column)?, gauge.unit))).transpose()?;
+        Ok((name, gauge, JointColumns::find(table, joints)?))
+    };
+    let read = |(name, gauge, joints): &mut Found<'_>, table: &Table<'_>, row: &Row| {
+        let part = part(table, row, name)?;
+        let mut reading_m = 0.0;
+        if let Some((column, unit)) = gauge {
+            reading_m = table.number(row, column)? * unit.to_m();
+            if reading_m.abs() > READING_M_MAX {
+                let problem = format!("the gauge reads {reading_m} m");
+                let remedy = "check the reading's unit in the mapping file";
+                return Err(table.bad(row, column, problem, remedy));
+            }
+        }
+        Ok(TipRow { joints_rad: joints.read(table, row)?, part, reading_m, line: row.line })
+    };
+    rows(source, layout, find, read)
 }

@@ -18,13 +18,12 @@ use crate::calibrate::rows::{WAVES_PER_TURN_MAX, validate};
 use crate::calibrate::{CalibrateError, Calibration};
 use crate::evaluate::Validity;
 use crate::instrument::{
-    Contact, ContactRow, FaceTable, HoldOut, Instrument, LengthRow, PoseRow, Rows, SocketTable, Touch,
-    TouchRow, Tracker, Wire,
+    Contact, FaceTable, HoldOut, Instrument, LengthRow, PoseRow, Rows, SocketTable, Touch, Tracker, Wire,
 };
 use crate::kinematics::flange_chain;
 use crate::logs::{
-    ContactMapping, Contacts, LogFormat, LogOptions, MeasuredLengthMapping, MeasuredLengths,
-    MeasuredPoseMapping, MeasuredPoses, TimedPoses, TouchMapping, Touches, is_simulated, joints_of_robot,
+    ContactMapping, LogFormat, LogOptions, MeasuredLengthMapping, MeasuredLengths, MeasuredPoseMapping,
+    MeasuredPoses, TimedPoses, TipRow, TouchMapping, Touches, is_simulated, joints_of_robot,
 };
 use crate::model::{JointState, Model, Waves, further};
 use crate::prepare::{AlignedPoses, Alignment, PrepareOptions, align_poses};
@@ -223,6 +222,7 @@ fn rows_with_joints(
     data_set: usize,
     robot: &RobotConfig,
 ) -> anyhow::Result<(Instrument, Beside)> {
+    let lines = |rows: &[TipRow]| rows.iter().map(|row| row.line).collect();
     Ok(match kind {
         Kind::Tracker => {
             let mapping: MeasuredPoseMapping = config::load(mapping_file)?;
@@ -253,20 +253,16 @@ fn rows_with_joints(
             let table: SocketTable = config::load(sockets)?;
             let mapping: ContactMapping = config::load(mapping_file)?;
             joints_of_robot(&mapping.joints, robot, mapping_file)?;
-            let read = Contacts::load(file, &mapping, &table.names())?;
-            let (rows, lines): (Vec<ContactRow>, _) =
-                read.rows.iter().map(|row| (ContactRow::from(row), row.line)).unzip();
+            let rows = mapping.load(file, &table.names())?;
             let contact = Contact::new(&rows, &table)
                 .map_err(|error| CalibrateError::Rows { data_set, error: error.into() })?;
-            (contact.into(), Beside { lines, ..Beside::default() })
+            (contact.into(), Beside { lines: lines(&rows), ..Beside::default() })
         }
         Kind::Touch => {
             let table = options.faces.as_deref().map_or_else(|| Ok(FaceTable::default()), config::load)?;
             let mapping: TouchMapping = config::load(mapping_file)?;
             joints_of_robot(&mapping.joints, robot, mapping_file)?;
             let read = Touches::load(file, &mapping)?;
-            let (rows, lines): (Vec<TouchRow>, _) =
-                read.rows.iter().map(|row| (TouchRow::from(row), row.line)).unzip();
             if let (Some(path), Some(face)) = (&options.faces, table.untouched(&read.faces).first()) {
                 tracing::warn!(
                     "{}: no row of {} touches face `{face}`, so its known distances and angles have no effect; check its name in both files",
@@ -274,8 +270,8 @@ fn rows_with_joints(
                     file.display()
                 );
             }
-            let touch = Touch::new(&rows, &read.faces, &table, &flange_chain(robot));
-            (touch.into(), Beside { lines, ..Beside::default() })
+            let touch = Touch::new(&read.rows, &read.faces, &table, &flange_chain(robot));
+            (touch.into(), Beside { lines: lines(&read.rows), ..Beside::default() })
         }
     })
 }
