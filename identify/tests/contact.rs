@@ -8,7 +8,7 @@ use identify::calibrate::{Calibration, DataSets, IdentifyConfig, calibrate};
 use identify::instrument::{Contact, KnownDistance, Knowns as _, PlacedSocket, SocketTable, Sockets};
 use identify::kinematics::{Chain, Pose, flange_chain};
 use identify::logs::{ContactMapping, TipRow};
-use identify::model::{DriveTrain, Geometry, JointState, Model, ParameterId};
+use identify::model::{DriveTrain, Geometry, JointState, Model, Owner, ParameterId};
 use identify::report::result::residuals::residuals_csv;
 use identify::robot::import;
 use identify::simulate::ArmErrors;
@@ -381,7 +381,7 @@ fn gear_errors_of_the_truth_seat_the_ball() {
         };
         let made = contact::run(&experiment).unwrap();
         let mut model = Model::alone(&made.robot)
-            .with_sockets(made.truth.sockets.len())
+            .with_set_ups(Owner::Contact, [made.truth.sockets.len(), 1])
             .without_clocks()
             .with_drives(DriveTrain::of(&robot, &made.robot));
         let mut terms = 0;

@@ -8,6 +8,7 @@ use identify::cost::{
     LoopProblem, MeasuredPose, MeasuredPosition, PoseNoise, Residual, SeatedBall, TouchedFace,
 };
 use identify::kinematics::{LinkParameter, Pose};
+use identify::logs::TipRow;
 use identify::model::{
     Axis, Coordinate, FaceNumber, JointState, Model, Observation, Owner, ParameterId, Phase, Placement,
     RobotMotion, Role, SetUp,
@@ -225,15 +226,19 @@ fn measured_position_and_pose_have_the_derivatives_of_tracker_and_robot() {
 #[test]
 fn a_ball_in_sockets_has_the_derivatives_of_ball_sockets_and_robot() {
     const SOCKETS: usize = 3;
-    let sockets: Vec<usize> = (0..times().count()).map(|row| row * 2 % SOCKETS).collect();
+    let row = |row: usize| TipRow { part: row * 2 % SOCKETS, ..TipRow::default() };
+    let rows: Vec<TipRow> = (0..times().count()).map(row).collect();
     for Cell { robot, .. } in [Cell::irb2400(), Cell::nj220()] {
-        let model = all_free(Model::alone(&robot).with_sockets(SOCKETS).without_clocks(), [0.0; 3]);
-        agrees(&model, SeatedBall { sockets: &sockets }, |by, row, t_s| {
+        let model = all_free(
+            Model::alone(&robot).with_set_ups(Owner::Contact, [SOCKETS, 1]).without_clocks(),
+            [0.0; 3],
+        );
+        agrees(&model, SeatedBall { rows: &rows }, |by, row, t_s| {
             let number = |id| dual(&model, by, id);
             let flange = flange(&model, by, t_s);
             let ball = Axis::ALL.map(|axis| number(ParameterId::Ball { axis }));
             let at = |i: usize| (0..3).map(|k| flange[i][k] * ball[k]).sum::<Dual64>() + flange[i][3];
-            let socket = |axis| number(ParameterId::Socket { socket: sockets[row], axis });
+            let socket = |axis| number(ParameterId::Socket { socket: rows[row].part, axis });
             Axis::ALL.map(|axis| at(axis.index()) - socket(axis)).to_vec()
         });
     }
@@ -242,20 +247,21 @@ fn a_ball_in_sockets_has_the_derivatives_of_ball_sockets_and_robot() {
 #[test]
 fn a_tip_on_faces_has_the_derivatives_of_tip_faces_and_robot() {
     const FACES: usize = 2;
-    let touched: Vec<(usize, f64)> =
-        times().enumerate().map(|(row, _)| (row % FACES, 1e-3 * row as f64)).collect();
+    let row = |row: usize| TipRow { part: row % FACES, reading_m: 1e-3 * row as f64, ..TipRow::default() };
+    let rows: Vec<TipRow> = (0..times().count()).map(row).collect();
     for Cell { robot, .. } in [Cell::irb2400(), Cell::nj220()] {
-        let mut model = all_free(Model::alone(&robot).with_faces(FACES).without_clocks(), [0.0; 3]);
+        let mut model =
+            all_free(Model::alone(&robot).with_set_ups(Owner::Touch, [FACES, 1]).without_clocks(), [0.0; 3]);
         for (face, normal) in [[1.0, 0.2, -0.1], [0.3, -1.0, 0.4]].into_iter().enumerate() {
             for (axis, value) in Axis::ALL.into_iter().zip(normal) {
                 model.set_value(ParameterId::Face { face, number: FaceNumber::Normal(axis) }, value).unwrap();
             }
         }
-        agrees(&model, TouchedFace { touched: &touched }, |by, row, t_s| {
+        agrees(&model, TouchedFace { rows: &rows }, |by, row, t_s| {
             let number = |id| dual(&model, by, id);
             let flange = flange(&model, by, t_s);
             let tip = Axis::ALL.map(|axis| number(ParameterId::Tip { axis }));
-            let (face, reading_m) = touched[row];
+            let TipRow { part: face, reading_m, .. } = rows[row];
             let normal =
                 Axis::ALL.map(|axis| number(ParameterId::Face { face, number: FaceNumber::Normal(axis) }));
             let at = |i: usize| (0..3).map(|k| flange[i][k] * tip[k]).sum::<Dual64>() + flange[i][3];

@@ -5,14 +5,15 @@ use nalgebra::Vector3;
 use super::scene::unit;
 use super::{Movement, Residual, Scene};
 use crate::kinematics::Chain;
+use crate::logs::TipRow;
 use crate::model::{Owner, ParameterId};
 
 /// `R ball - socket` \[m\], entries in the robot's base; `R` is the robot's pose. The problem divides it by the standard
 /// deviation of a coordinate.
 #[derive(Debug, Clone, Copy)]
 pub struct SeatedBall<'a> {
-    /// Socket of each sample, from 0.
-    pub sockets: &'a [usize],
+    /// Each sample with its socket.
+    pub rows: &'a [TipRow],
 }
 
 impl Residual for SeatedBall<'_> {
@@ -27,7 +28,7 @@ impl Residual for SeatedBall<'_> {
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<Self::Local> {
-        let socket = *self.sockets.get(scene.sample)?;
+        let socket = self.rows.get(scene.sample)?.part;
         Some((socket, scene.robot.rotation() * scene.geometry.contact.ball_m))
     }
 

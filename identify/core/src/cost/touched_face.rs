@@ -6,6 +6,7 @@ use nalgebra::Vector3;
 use super::scene::unit;
 use super::{Movement, Residual, Scene};
 use crate::kinematics::Chain;
+use crate::logs::TipRow;
 use crate::model::{FaceNumber, Owner, ParameterId};
 
 /// `h + reading` \[m\] with the height `h = (n.x - d) / |n|` of the tip's centre `x = R_p + R tip` over the face. The face is
@@ -13,8 +14,8 @@ use crate::model::{FaceNumber, Owner, ParameterId};
 /// deviation of a distance.
 #[derive(Debug, Clone, Copy)]
 pub struct TouchedFace<'a> {
-    /// Face of each sample (from 0), and the displacement of the gauge's plunger \[m\], positive inwards.
-    pub touched: &'a [(usize, f64)],
+    /// Each sample with its face and reading.
+    pub rows: &'a [TipRow],
 }
 
 /// The tip relative to a face.
@@ -44,7 +45,7 @@ impl Residual for TouchedFace<'_> {
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<OverFace> {
-        let (face, reading_m) = *self.touched.get(scene.sample)?;
+        let TipRow { part: face, reading_m, .. } = *self.rows.get(scene.sample)?;
         let plane = scene.geometry.touch.faces.get(face)?;
         let flange_to_tip_m = scene.robot.rotation() * scene.geometry.touch.tip_m;
         let tip_m = scene.robot.position_m() + flange_to_tip_m;

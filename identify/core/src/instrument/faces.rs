@@ -7,7 +7,7 @@ use nalgebra::{DMatrix, DVector, Matrix3, RowDVector, RowVector3, Vector3};
 use serde::{Deserialize, Serialize};
 use shared::config::{Validate, Violation};
 
-use super::Knowns;
+use super::known::{Knowns, SPAN_MM_MAX};
 use crate::model::{Face, FaceNumber, Geometry, ParameterId, Unit};
 
 /// Sides from which two parallel faces are touched.
@@ -97,9 +97,6 @@ impl Default for FaceTable {
     }
 }
 
-/// Largest distance \[mm\]: a larger one has a wrong unit.
-const SPAN_MM_MAX: f64 = 20_000.0;
-
 impl FaceTable {
     /// Names of faces with a known distance or angle that are not in `touched`, each once.
     pub fn untouched(&self, touched: &[String]) -> BTreeSet<&str> {
@@ -177,7 +174,10 @@ enum Known {
 /// Faces that rows touch, numbered as their parameters, and their known geometry.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Faces {
-    names: Vec<String>,
+    /// Names in the rows.
+    pub(super) names: Vec<String>,
+    /// Centre of the tip's ball in the flange frame, if known \[m\].
+    pub(super) tip_m: Option<Vector3<f64>>,
     known: Vec<Known>,
 }
 
@@ -219,12 +219,8 @@ impl Faces {
                 Known::Angle { faces, angle_rad: angle.angle_deg.to_radians(), sigma_rad }
             })
         });
-        Self { names: names.to_vec(), known: distances.chain(angles).collect() }
-    }
-
-    /// Names in the rows.
-    pub fn names(&self) -> &[String] {
-        &self.names
+        let tip_m = table.tip_mm.map(|tip_mm| Vector3::from(tip_mm) * 1e-3);
+        Self { names: names.to_vec(), tip_m, known: distances.chain(angles).collect() }
     }
 
     /// Whether a distance is known, which fixes the scale of the robot.

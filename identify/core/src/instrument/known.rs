@@ -11,6 +11,9 @@ use crate::model::{Geometry, ParameterId, Unit};
 /// Probability of a false alarm for a correct table.
 const CONTRADICTED_BY_CHANCE: f64 = 1e-3;
 
+/// Largest distance \[mm\]: a larger one has a wrong unit.
+pub(super) const SPAN_MM_MAX: f64 = 20_000.0;
+
 /// Known lengths, places and angles.
 pub trait Knowns: fmt::Debug + Sync {
     /// Number of known quantities.

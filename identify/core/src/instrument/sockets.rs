@@ -7,7 +7,7 @@ use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
 use serde::{Deserialize, Serialize};
 use shared::config::{Validate, Violation};
 
-use super::Knowns;
+use super::known::{Knowns, SPAN_MM_MAX};
 use crate::model::{Axis, Geometry, ParameterId, Unit};
 use crate::prepare::nearest_rotation;
 
@@ -50,9 +50,6 @@ pub struct SocketTable {
     #[serde(default, rename = "distance", skip_serializing_if = "Vec::is_empty")]
     pub distances: Vec<KnownDistance>,
 }
-
-/// Largest distance of sockets \[mm\]: a larger one has a wrong unit.
-const SPAN_MM_MAX: f64 = 20_000.0;
 
 impl Validate for SocketTable {
     fn validate(&self) -> Result<(), Violation> {
@@ -142,7 +139,8 @@ struct Spaced {
 /// Sockets that rows visit, numbered as their parameters, and their known geometry.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sockets {
-    names: Vec<String>,
+    /// Names in the rows.
+    pub(super) names: Vec<String>,
     /// Known quantities: first the positions on the plate, then the distances.
     placed: Vec<Placed>,
     distances: Vec<Spaced>,
@@ -169,11 +167,6 @@ impl Sockets {
             placed: if placed.len() > 1 { placed } else { Vec::new() },
             distances: distances.collect(),
         }
-    }
-
-    /// Names in the rows.
-    pub fn names(&self) -> &[String] {
-        &self.names
     }
 
     /// The known quantity if it is a distance.

@@ -171,10 +171,11 @@ impl Model {
         self
     }
 
-    /// The model with a number of stations and targets (tracker), or anchors and attachments (wire), all fixed at zero.
+    /// The model with a number of stations and targets (tracker), anchors and attachments (wire), or sockets or faces (one tip),
+    /// all fixed at zero.
     #[must_use]
     pub fn with_set_ups(mut self, owner: Owner, [stations, targets]: [usize; 2]) -> Self {
-        let Geometry { tracker, wire, .. } = &mut self.structure;
+        let Geometry { tracker, wire, contact, touch, .. } = &mut self.structure;
         match owner {
             Owner::Tracker => {
                 tracker.places = vec![Placement::default(); stations];
@@ -184,25 +185,11 @@ impl Model {
                 wire.anchors_m = vec![Vector3::zeros(); stations];
                 wire.attachments_m = vec![Vector3::zeros(); targets];
             }
+            Owner::Contact => contact.sockets_m = vec![Vector3::zeros(); stations],
+            Owner::Touch => touch.faces = vec![Face::default(); stations],
             _ => return self,
         }
         self.replace_parameters(|id| id.owner() == owner);
-        self
-    }
-
-    /// The model with a ball on the flange and a number of sockets, all fixed at zero.
-    #[must_use]
-    pub fn with_sockets(mut self, sockets: usize) -> Self {
-        self.structure.contact.sockets_m = vec![Vector3::zeros(); sockets];
-        self.replace_parameters(|id| id.owner() == Owner::Contact);
-        self
-    }
-
-    /// The model with a tip on the flange and a number of faces, all fixed at zero.
-    #[must_use]
-    pub fn with_faces(mut self, faces: usize) -> Self {
-        self.structure.touch.faces = vec![Face::default(); faces];
-        self.replace_parameters(|id| id.owner() == Owner::Touch);
         self
     }
 

@@ -13,7 +13,7 @@ use super::rows::{RowSimulationError, RowTruth, SimulatedRows, check_sizes, rows
 use crate::instrument::{KnownDistance, PlacedSocket, SocketTable};
 use crate::kinematics::Pose;
 use crate::logs::{ContactMapping, CsvLayout, TipRow, joint_columns};
-use crate::model::Model;
+use crate::model::{Model, Owner};
 
 /// Side of the plate, as a part of the robot's reach.
 const SIDE: f64 = 0.2;
@@ -115,7 +115,8 @@ pub fn run(experiment: &ContactExperiment<'_>) -> Result<SimulatedContacts, RowS
         Ok(TipRow { joints_rad: probing.reported(&joints), part, ..TipRow::default() })
     };
     let rows = (0..experiment.rows).map(row).collect::<Result<Vec<_>, _>>()?;
-    let model = Model::alone(&probing.arm.chain).with_sockets(sockets_m.len()).without_clocks();
+    let model =
+        Model::alone(&probing.arm.chain).with_set_ups(Owner::Contact, [sockets_m.len(), 1]).without_clocks();
     let mut geometry = model.geometry(&[]);
     (geometry.contact.ball_m, geometry.contact.sockets_m) = (BALL_M.into(), sockets_m);
     let truth = RowTruth {

@@ -15,7 +15,7 @@ use super::rows::{RowSimulationError, RowTruth, SimulatedRows, check_sizes, rows
 use crate::instrument::{FaceTable, KnownAngle, Spacing, Touched};
 use crate::kinematics::Pose;
 use crate::logs::{CsvLayout, LengthUnit, ReadingColumn, TipRow, TouchMapping, joint_columns};
-use crate::model::{Face, Model};
+use crate::model::{Face, Model, Owner};
 
 /// Diameter of the tip's ball, whose centre is at [`BALL_M`] \[mm\].
 const TIP_DIAMETER_MM: f64 = 4.0;
@@ -134,7 +134,8 @@ pub fn run(experiment: &TouchExperiment<'_>) -> Result<SimulatedTouches, RowSimu
         Ok(TipRow { joints_rad: probing.reported(&joints), part, reading_m, ..TipRow::default() })
     };
     let rows = (0..experiment.rows).map(row).collect::<Result<Vec<_>, _>>()?;
-    let model = Model::alone(&probing.arm.chain).with_faces(block.faces.len()).without_clocks();
+    let model =
+        Model::alone(&probing.arm.chain).with_set_ups(Owner::Touch, [block.faces.len(), 1]).without_clocks();
     let mut geometry = model.geometry(&[]);
     geometry.touch.tip_m = BALL_M.into();
     for (to, face) in geometry.touch.faces.iter_mut().zip(&block.faces) {

@@ -1,7 +1,5 @@
 //! Why measured rows cannot be used.
 
-use crate::instrument::ContactError;
-
 /// Why measured rows cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum RowError {
@@ -74,7 +72,49 @@ pub enum RowError {
         /// Rows that are fitted.
         rows: usize,
     },
-    /// Error of the rows of a ball in sockets.
-    #[error(transparent)]
-    Contact(#[from] ContactError),
+    /// The table does not contain the socket.
+    #[error("row {row} is of a socket that the table of sockets does not have; correct one of them")]
+    UnknownSocket {
+        /// Number of the row, from 1.
+        row: usize,
+    },
+    /// Only one socket was visited.
+    #[error(
+        "all rows are of socket `{socket}`: they do not determine the scale of the robot; seat the ball in at least two sockets whose \
+         distance is known"
+    )]
+    OneSocket {
+        /// Name of the only visited socket.
+        socket: String,
+    },
+    /// A socket was visited only once.
+    #[error(
+        "socket `{socket}` has one row, which closes no loop; seat the ball in it in at least two postures, or leave the row out"
+    )]
+    VisitedOnce {
+        /// Name of the socket with one row.
+        socket: String,
+    },
+    /// None of the visited sockets has a known distance.
+    #[error(
+        "no distance is known between the sockets of these rows ({}): they do not determine the scale of the robot; give places \
+         or distances of at least two of them",
+        .sockets.join(", ")
+    )]
+    NoDistance {
+        /// Names of the sockets that were visited.
+        sockets: Vec<String>,
+    },
+    /// Too few rows in sockets for the unknowns.
+    #[error(
+        "{rows} rows in {sockets} sockets are too few, at least {needed} are needed; seat the ball in more postures"
+    )]
+    TooFewInSockets {
+        /// Number of rows in the file.
+        rows: usize,
+        /// Number of visited sockets.
+        sockets: usize,
+        /// Least number of rows.
+        needed: usize,
+    },
 }

@@ -48,6 +48,10 @@ pub(super) fn poses(joints_rad: &[Joints]) -> Vec<usize> {
     numbers.collect()
 }
 
+fn observations(rows: usize) -> Vec<Observation> {
+    (0..rows).map(|row| Observation::bar(PerObservation::time_s(row), Default::default())).collect()
+}
+
 /// Rows of one set-up, in the order in which the robot visited them; sample `i` has time `i`.
 #[derive(Debug, Clone)]
 pub(in crate::instrument) struct Standing<R> {
@@ -55,6 +59,8 @@ pub(in crate::instrument) struct Standing<R> {
     pub(in crate::instrument) rows: Vec<R>,
     /// State of the robot at each row.
     pub(in crate::instrument) states: Vec<JointState>,
+    /// Observation of each row, which has the time only: the measurements are in `rows`.
+    pub(in crate::instrument) observations: Vec<Observation>,
     /// Group of each row: rows of one group are held out together.
     groups: Vec<usize>,
     seed: u64,
@@ -67,6 +73,7 @@ impl<R: Copy> Standing<R> {
         Self {
             rows: rows.to_vec(),
             states: standing(joints_rad.iter().copied()),
+            observations: observations(rows.len()),
             groups: poses(&joints_rad),
             seed: super::SEED,
         }
@@ -80,12 +87,6 @@ impl<R: Copy> Standing<R> {
     /// The joints of each row.
     pub(in crate::instrument) fn joints(&self) -> Vec<Joints> {
         self.states.iter().map(|state| state.q).collect()
-    }
-
-    /// An observation of each row, which has the time only: the measurements are kept beside them.
-    pub(in crate::instrument) fn observations(&self) -> Vec<Observation> {
-        let observation = |row| Observation::bar(PerObservation::time_s(row), Default::default());
-        (0..self.rows.len()).map(observation).collect()
     }
 
     /// The same rows with other joints.
@@ -148,6 +149,7 @@ impl<R: Copy> Standing<R> {
         Self {
             rows: rows.iter().map(|&row| self.rows[row]).collect(),
             states: rows.iter().map(|&row| self.states[row]).collect(),
+            observations: observations(rows.len()),
             groups: rows.iter().map(|&row| self.groups[row]).collect(),
             seed: self.seed,
         }

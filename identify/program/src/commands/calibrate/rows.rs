@@ -254,8 +254,8 @@ fn rows_with_joints(
             let mapping: ContactMapping = config::load(mapping_file)?;
             joints_of_robot(&mapping.joints, robot, mapping_file)?;
             let rows = mapping.load(file, &table.names())?;
-            let contact = Contact::new(&rows, &table)
-                .map_err(|error| CalibrateError::Rows { data_set, error: error.into() })?;
+            let contact =
+                Contact::new(&rows, &table).map_err(|error| CalibrateError::Rows { data_set, error })?;
             (contact.into(), Beside { lines: lines(&rows), ..Beside::default() })
         }
         Kind::Touch => {

@@ -1,0 +1,277 @@
+//! A tip on the flange that touches the parts of an artefact at an unknown place: a ball seated in the sockets of a plate
+//! ([`Sockets`](super::Sockets)), a probe or a dial gauge on the faces of a block ([`Faces`](super::Faces)). A row contains the
+//! robot's joints and the touched part. The residual is the difference between the tip and its part, where tip and parts are
+//! estimated too. Known quantities of the parts fix the scale.
+
+use nalgebra::Vector3;
+
+use super::description::nearest;
+use super::rows::{Screened, Standing, sigma_by_median};
+use super::{
+    Cause, Deviation, Doubt, Instrument, Knowns, Measures, Mistake, Noise, RejectedRow, RowError, ScaleFrom,
+    Section,
+};
+use crate::cost::{CostError, DataSet, LoopProblem, Residual};
+use crate::kinematics::{Chain, Pose};
+use crate::logs::TipRow;
+use crate::model::{Clock, Geometry, JointState, Model, ModelError, Owner, ParameterId, Role, SetUp};
+
+/// Prior of the tip's distance from the flange \[m\]: effective only if the poses do not determine the tip.
+pub(super) const TIP_SIGMA_M: f64 = 1.0;
+
+/// Weight of the tip's prior relative to the positions of this number of rows.
+pub(super) fn tip_weight(rows: usize) -> f64 {
+    /// Error of a position \[m\].
+    const ERROR_M: f64 = 1e-3;
+    rows as f64 * (ERROR_M / TIP_SIGMA_M).powi(2)
+}
+
+/// Twice the number of unknowns of tip, parts and links.
+pub(super) fn numbers_min(parts: usize, axes: usize) -> usize {
+    const NUMBERS_OF_LINK: usize = 4;
+    2 * (3 * (1 + parts) + NUMBERS_OF_LINK * axes)
+}
+
+/// Poses of the flange, each with its row.
+pub(super) type Touches = Vec<(Pose, TipRow)>;
+
+/// Parts of one rigid body that the tip touches, numbered as their parameters, and their known quantities.
+pub trait Artefact: Knowns + Clone + Send + 'static {
+    /// The cost of its rows.
+    type Cost<'a>: Residual + 'a;
+    /// Name of the instrument.
+    const NAME: &'static str;
+    /// Tip and parts, in tables.
+    const TIP_AND_PARTS: &'static str;
+    /// One part: begins the names of its parameters.
+    const PART: &'static str;
+    /// A tip elsewhere; the name of the part follows.
+    const ELSEWHERE: &'static str;
+    /// Owner of its parameters.
+    const OWNER: Owner;
+    /// Median size of an error of standard deviation one.
+    const MEDIAN: f64;
+    /// Fewest rows of each part; zero if they were checked before.
+    const PART_ROWS_MIN: usize;
+    /// Number of rows of each part that are never left out.
+    const PART_ROWS_KEPT: usize;
+
+    /// Names of the parts in the rows.
+    fn names(&self) -> &[String];
+
+    /// Source of the scale of all lengths.
+    fn scale(&self) -> ScaleFrom;
+
+    /// The cost of these rows.
+    fn cost(rows: &[TipRow]) -> Self::Cost<'_>;
+
+    /// Position of the tip on the flange \[m\].
+    fn tip_m(geometry: &Geometry) -> Vector3<f64>;
+
+    /// The tip at a position in the robot's base \[m\] minus a part; NaN for a part that the geometry lacks.
+    fn deviation(geometry: &Geometry, part: usize, tip_m: Vector3<f64>, reading_m: f64) -> Deviation;
+
+    /// Start values and roles of all its parameters; `None` if the rows do not determine them.
+    fn start(&self, touches: &Touches) -> Option<Vec<(ParameterId, f64, Role)>>;
+
+    /// Changes at one instant that can occur during a measurement.
+    fn causes() -> Vec<Cause> {
+        Vec::new()
+    }
+
+    /// Fewest rows of an arm with this number of axes, unless they were checked before.
+    fn samples_min(&self, _axes: usize) -> usize {
+        0
+    }
+
+    /// Whether rows contradict this mistake.
+    fn reveals(_: &Mistake) -> bool {
+        true
+    }
+}
+
+/// Rows of one set-up, and the noise of the tip.
+#[derive(Debug, Clone)]
+pub struct Tip<A> {
+    rows: Screened<TipRow>,
+    artefact: A,
+    /// Standard deviation of a coordinate or distance of the tip, estimated from the residuals \[m\].
+    noise_m: f64,
+}
+
+impl<A: Artefact> Tip<A> {
+    pub(super) fn of_rows(all: Standing<TipRow>, artefact: A) -> Self {
+        Self { rows: Screened::new(all), artefact, noise_m: TIP_SIGMA_M }
+    }
+
+    /// The same instrument with other rows of the same parts.
+    fn with_rows(&self, all: Standing<TipRow>) -> Instrument {
+        Self { rows: Screened::new(all), artefact: self.artefact.clone(), noise_m: self.noise_m }.into()
+    }
+
+    /// Difference between the tip of a row and a part.
+    fn deviation(geometry: &Geometry, row: &TipRow, state: &JointState, part: usize) -> Deviation {
+        let tip_m = geometry.robot_end(state).transform_point(&A::tip_m(geometry).into()).coords;
+        A::deviation(geometry, part, tip_m, row.reading_m)
+    }
+
+    /// Residual of every row to its own part, in use or not \[m\].
+    fn residuals_m(&self, model: &Model) -> Vec<f64> {
+        self.deviations(&model.geometry(&[])).iter().map(Deviation::signed_m).collect()
+    }
+}
+
+impl<A: Artefact> Measures for Tip<A> {
+    fn name(&self) -> &'static str {
+        A::NAME
+    }
+
+    fn cost(&self) -> &'static str {
+        <A::Cost<'_>>::NAME
+    }
+
+    fn doubts(&self, geometry: &Geometry) -> Vec<Doubt> {
+        let contradicted = self.artefact.contradicted(geometry);
+        if contradicted.is_empty() { Vec::new() } else { vec![Doubt::OtherTable(contradicted)] }
+    }
+
+    fn scale(&self) -> ScaleFrom {
+        self.artefact.scale()
+    }
+
+    fn noise(&self) -> Noise {
+        Noise::Length(self.noise_m)
+    }
+
+    fn samples(&self) -> usize {
+        self.rows.at.rows.len()
+    }
+
+    fn parts(&self) -> &'static str {
+        A::TIP_AND_PARTS
+    }
+
+    /// A section for each part.
+    fn sections(&self) -> Vec<Section> {
+        Section::each(self.artefact.names(), A::PART, self.rows.all.rows.iter().map(|row| row.part))
+    }
+
+    /// Names the part that is nearest to the tip.
+    fn remarks(&self, geometry: &Geometry) -> Vec<(usize, String)> {
+        let (names, all) = (self.artefact.names(), &self.rows.all);
+        let remark = |rejected: &RejectedRow| {
+            let (row, state) = (all.rows.get(rejected.row)?, all.states.get(rejected.row)?);
+            let off_m = |part| Self::deviation(geometry, row, state, part).signed_m().abs();
+            let other = nearest(names, row.part, off_m);
+            Some((rejected.row, format!("{} `{}`{other}", A::ELSEWHERE, names[row.part])))
+        };
+        self.rows.rejected.iter().filter_map(remark).collect()
+    }
+
+    /// Adds the touched parts.
+    fn fitted_out(&self, robot: Model) -> Model {
+        robot.with_set_ups(A::OWNER, [self.artefact.names().len(), 1]).without_clocks()
+    }
+
+    fn place(&self, model: &mut Model, fix: &[ParameterId]) -> Result<bool, ModelError> {
+        let geometry = model.geometry(&[]);
+        let used = self.rows.at.states.iter().zip(&self.rows.at.rows);
+        let touches: Touches = used.map(|(state, row)| (geometry.robot_end(state), *row)).collect();
+        let Some(start) = self.artefact.start(&touches) else { return Ok(false) };
+        for (id, value, role) in start.into_iter().filter(|(id, ..)| !fix.contains(id)) {
+            model.set_value(id, value)?;
+            model.set_role(id, role)?;
+        }
+        Ok(true)
+    }
+
+    fn data_set<'a>(&'a self, model: &'a Model, sigma: f64) -> Result<Box<dyn DataSet + 'a>, CostError> {
+        let Self { rows: Screened { at, .. }, artefact, noise_m } = self;
+        let cost = A::cost(&at.rows);
+        let problem = LoopProblem::new(model, at, &at.observations, cost, sigma * noise_m)?;
+        Ok(Box::new(problem.with_knowns(artefact)))
+    }
+
+    fn reported(&self, sample: usize, _: &Clock) -> Option<JointState> {
+        self.rows.at.states.get(sample).copied()
+    }
+
+    /// The parts cannot change: they are on one rigid body.
+    fn causes(&self, _: &Geometry) -> Vec<Cause> {
+        A::causes()
+    }
+
+    fn identifies(&self, id: ParameterId, robot: &Chain) -> bool {
+        <A::Cost<'_>>::depends_on(id, robot) && id.owner() != Owner::Clocks
+    }
+
+    /// Standard deviation, from the median of mostly normal residuals.
+    fn adapt(&mut self, model: &Model) -> Option<f64> {
+        self.noise_m = sigma_by_median(self.residuals_m(model).into_iter(), A::MEDIAN);
+        Some(self.noise_m)
+    }
+
+    /// Leaves rows out if most rows agree with each other and each part keeps enough.
+    fn screen(&mut self, model: &Model) -> bool {
+        let residuals_m = self.residuals_m(model);
+        let parts = self.artefact.names().len();
+        let cover_all_parts = |rows: &[TipRow]| {
+            let rows_of = |part: usize| rows.iter().filter(|row| row.part == part).count();
+            (0..parts).all(|part| rows_of(part) >= A::PART_ROWS_KEPT)
+        };
+        self.rows.screen(&residuals_m, &vec![1.0; residuals_m.len()], cover_all_parts)
+    }
+
+    fn independent(&self, count: usize) -> Vec<Vec<usize>> {
+        self.rows.at.independent(count, |row| row.part)
+    }
+
+    fn part(&self, samples: &[usize]) -> Instrument {
+        self.with_rows(self.rows.at.chosen(samples))
+    }
+
+    fn group(&mut self, groups: &[usize], seed: u64) {
+        self.rows.group(groups, seed);
+    }
+
+    fn deviations(&self, geometry: &Geometry) -> Vec<Deviation> {
+        let all = self.rows.all.rows.iter().zip(&self.rows.all.states);
+        all.map(|(row, state)| Self::deviation(geometry, row, state, row.part)).collect()
+    }
+
+    fn rejected(&self) -> &[RejectedRow] {
+        &self.rows.rejected
+    }
+
+    fn samples_min(&self) -> usize {
+        self.artefact.samples_min(self.rows.all.states.first().map_or(0, |state| state.q.len()))
+    }
+
+    fn contradicting(&self, _: &Chain) -> Result<Vec<RejectedRow>, RowError> {
+        self.rows.all.ensure_finite(|row| [row.reading_m].into_iter())?;
+        let part = |row: &TipRow| SetUp { station: row.part, target: 0 };
+        self.rows.all.ensure_each_has_rows(part, [(A::PART, A::PART_ROWS_MIN), ("tip", 0)])?;
+        Ok(Vec::new())
+    }
+
+    /// Rows with the tip on another part than stated, which no model can predict.
+    fn misplaced(&self, model: &Model) -> Vec<RejectedRow> {
+        let mut screened = self.clone();
+        screened.screen(model);
+        screened.rows.rejected
+    }
+
+    fn judges_gross(&self) -> bool {
+        true
+    }
+
+    fn mistakes(&self, axes: usize) -> Vec<Mistake> {
+        let all = Mistake::of_joints(axes).into_iter().chain([Mistake::ModifiedTable]);
+        all.filter(A::reveals).collect()
+    }
+
+    fn undone(&self, mistake: Mistake) -> Vec<Instrument> {
+        let Mistake::Joints(mistake) = mistake else { return Vec::new() };
+        vec![self.with_rows(self.rows.all.with_joints(|joints_rad| mistake.undone(joints_rad)))]
+    }
+}
