@@ -8,9 +8,9 @@ use std::process::{Command, Stdio};
 
 use identify::calibrate::{DataSets, IdentifyConfig, JointTermsConfig, calibrate};
 use identify::instrument::HoldOut;
-use identify::instrument::PoseRow;
 use identify::instrument::{Rows, Tracker};
 use identify::kinematics::{Chain, Joints, Pose, flange_chain};
+use identify::logs::PoseRow;
 use identify::report::result::robot_files::urdf;
 use identify::robot::import;
 use serde_json::{Value, json};

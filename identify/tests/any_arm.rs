@@ -10,11 +10,11 @@ use std::process::Command;
 use identify::calibrate::{IdentifyConfig, JointTermsConfig, calibrate_run};
 use identify::cost::{Length, LoopProblem, Position, Residual};
 use identify::evaluate::workspace_error;
-use identify::instrument::PoseRow;
 use identify::kinematics::{
     Chain, InverseError, Joints, LinkParameter, Pose, Trace, Tracer, ball_bar_chain, flange_chain,
     robot_chain, robot_inverse, robot_inverse_all,
 };
+use identify::logs::PoseRow;
 use identify::model::{
     DriveTrain, JointTerm, Load, Model, Observation, Owner, ParameterId, PerObservation, Period, Selection,
 };

@@ -6,8 +6,9 @@ use std::sync::Mutex;
 
 use identify::calibrate::rows::{PoseFigures, RunCause, Sizes};
 use identify::calibrate::{DataSets, IdentifyConfig, calibrate};
-use identify::instrument::{HoldOut, LengthRow, Measures as _, Rejection, Rows, Wire};
+use identify::instrument::{HoldOut, Measures as _, Rejection, Rows, Wire};
 use identify::kinematics::{Joints, flange_chain};
+use identify::logs::LengthRow;
 use identify::model::{Axis, ParameterId};
 use identify::solver::{Progress, Watch};
 use nalgebra::{Rotation3, Vector3};

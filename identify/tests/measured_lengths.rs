@@ -31,8 +31,8 @@ fn the_shipped_example_reads_degrees_and_millimetres() {
     assert_eq!(rows.len(), 12);
     assert_eq!(rows[0].line, 2);
     assert!((rows[3].length_m - 0.50919).abs() < 1e-12);
-    assert!((rows[3].q_rad[0] + 74.5_f64.to_radians()).abs() < 1e-12);
-    assert!((rows[3].q_rad[5] + 59.7_f64.to_radians()).abs() < 1e-12);
+    assert!((rows[3].joints_rad[0] + 74.5_f64.to_radians()).abs() < 1e-12);
+    assert!((rows[3].joints_rad[5] + 59.7_f64.to_radians()).abs() < 1e-12);
     assert_eq!(rows[3].flange_m, Some([1e-3, 2e-3, 3e-3]));
 }
 
@@ -50,7 +50,7 @@ fn semicolons_decimal_commas_signs_and_offsets_follow_the_mapping() {
     let csv = format!("j1;j2;j3;j4;j5;j6;L\n{}", "0,5;1;1;1;1;1;0,75\r\n".repeat(10));
     let row = read(&csv, &mapping).unwrap().rows[0];
     assert!((row.length_m - 0.75).abs() < 1e-12);
-    assert!((row.q_rad[0] - (std::f64::consts::FRAC_PI_2 - 0.5)).abs() < 1e-12);
+    assert!((row.joints_rad[0] - (std::f64::consts::FRAC_PI_2 - 0.5)).abs() < 1e-12);
     assert_eq!(row.flange_m, None);
 }
 
@@ -121,7 +121,7 @@ proptest! {
         let read = read(&format!("{HEADER}\n{rows}"), &example()).unwrap().rows;
         prop_assert_eq!(read.len(), values.len());
         for (row, (q, length)) in read.iter().zip(values) {
-            prop_assert!((row.q_rad[5] - q.to_radians()).abs() < 1e-12);
+            prop_assert!((row.joints_rad[5] - q.to_radians()).abs() < 1e-12);
             prop_assert!((row.length_m - length * 1e-3).abs() < 1e-12);
         }
     }

@@ -7,9 +7,9 @@ use std::path::Path;
 use identify::calibrate::rows::validate;
 use identify::calibrate::rows::{PoseFigures, Stages};
 use identify::calibrate::validation::deployment::Deployment;
-use identify::instrument::{Cause, HoldOut, Instrument, PoseRow, Tracker};
+use identify::instrument::{Cause, HoldOut, Instrument, Tracker};
 use identify::kinematics::{Chain, Pose, flange_chain};
-use identify::logs::{MeasuredPoseMapping, MeasuredPoses, PoseUncertainty};
+use identify::logs::{MeasuredPoseMapping, MeasuredPoses, PoseRow, PoseUncertainty};
 use identify::model::{JointState, Model, ParameterId};
 use identify::report::result::corrections::Correction;
 use identify::report::result::file::CalibrationFile;
@@ -30,7 +30,7 @@ pub fn fixture(name: &str) -> Vec<PoseRow> {
 fn real_rows(path: &Path) -> Vec<PoseRow> {
     let mapping: MeasuredPoseMapping =
         config::load(&crate::support::repository("config/measured_pose.toml")).unwrap();
-    MeasuredPoses::load(path, &mapping).unwrap().rows.iter().map(PoseRow::from).collect()
+    MeasuredPoses::load(path, &mapping).unwrap().rows
 }
 
 /// A robot with errors of some mm and mrad and a harmonic of order 17 on joint 2, measured by a tracker at a random position.

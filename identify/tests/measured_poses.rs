@@ -51,7 +51,7 @@ fn the_shipped_example_reads_millimetres_degrees_and_decimal_commas() {
         read(&table("1;0,5;-1,5;0;0;0;3,1;2361,9;-1368,5;119,4;-90,5;-60;10"), &example()).unwrap().rows;
     assert_eq!((rows.len(), rows[0].line), (12, 2));
     assert!((rows[3].position_m - Vector3::new(2.3619, -1.3685, 0.1194)).norm() < 1e-12);
-    assert_eq!(rows[3].q_rad, [0.5, -1.5, 0.0, 0.0, 0.0, 3.1]);
+    assert_eq!(rows[3].joints_rad, [0.5, -1.5, 0.0, 0.0, 0.0, 3.1]);
     let expected = about(0, -90.5) * about(1, -60.0) * about(2, 10.0);
     assert!((rows[3].rotation.unwrap().matrix() - expected).amax() < 1e-12);
 }
@@ -134,7 +134,7 @@ fn workbook(name: &str) -> PathBuf {
 fn a_workbook_is_read_as_a_table_with_its_own_row_numbers() {
     let rows = MeasuredPoses::load(&workbook("poses.xlsx"), &example()).unwrap().rows;
     assert_eq!((rows.len(), rows[0].line), (12, 4));
-    assert_eq!(rows[3].q_rad, [0.5, -1.5, 0.0, 0.0, 0.0, 3.103]);
+    assert_eq!(rows[3].joints_rad, [0.5, -1.5, 0.0, 0.0, 0.0, 3.103]);
     assert!((rows[3].position_m - Vector3::new(2.3619, -1.3685, 0.1194)).norm() < 1e-12);
 }
 
@@ -269,7 +269,7 @@ proptest! {
         let read = read(&format!("{HEADER}\n{rows}"), &example()).unwrap().rows;
         prop_assert_eq!(read.len(), values.len());
         for (row, (q, p, r)) in read.iter().zip(values) {
-            prop_assert_eq!(row.q_rad[5], q);
+            prop_assert_eq!(row.joints_rad[5], q);
             prop_assert!((row.position_m.z - p * 1e-3).abs() < 1e-12);
             prop_assert!((row.rotation.unwrap().matrix() - about(0, r) * about(1, r)).amax() < 1e-12);
         }

@@ -6,9 +6,9 @@
 use identify::calibrate::validation::agreement::disagreeing;
 use identify::calibrate::{Calibration, DataSets, IdentifyConfig, RunInput, SelectionName, calibrate};
 use identify::evaluate::{WorkspaceError, limits};
-use identify::instrument::{Contact, LengthRow, PlacedSocket, PoseRow, Rows, SocketTable, Tracker, Wire};
+use identify::instrument::{Contact, PlacedSocket, Rows, SocketTable, Tracker, Wire};
 use identify::kinematics::{Chain, DhLink, Joints, Pose, flange_chain, robot_chain, robot_inverse};
-use identify::logs::TipRow;
+use identify::logs::{LengthRow, PoseRow, TipRow};
 use identify::model::{DriveTrain, Model, ParameterId, Role};
 use identify::simulate::{Design, Simulated};
 use nalgebra::{Rotation3, Vector3};

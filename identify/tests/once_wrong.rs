@@ -5,8 +5,9 @@
 use identify::calibrate::rows::validate;
 use identify::calibrate::{Calibration, IdentifyConfig, JointTermsConfig, calibrate_run};
 use identify::evaluate::{Elongation, evidence};
-use identify::instrument::{CostName, PoseRow, Tracker};
+use identify::instrument::{CostName, Tracker};
 use identify::kinematics::{Joints, flange_chain};
+use identify::logs::PoseRow;
 use identify::model::ParameterId;
 use identify::report::verdict::Grade;
 use identify::simulate::Comparison;

@@ -6,9 +6,9 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use identify::cost::PoseNoise;
-use identify::instrument::{HoldOut, Measures as _, PoseRow, Tracker};
+use identify::instrument::{HoldOut, Measures as _, Tracker};
 use identify::kinematics::{Joints, flange_chain};
-use identify::logs::{JointTableMapping, MeasuredPoseMapping, MeasuredPoses};
+use identify::logs::{JointTableMapping, MeasuredPoseMapping, MeasuredPoses, PoseRow};
 use identify::plan::{
     Bodies, Language, Measures, PlannedPoses, PoseRequest, Way, pose_program, poses, poses_position_m_min,
     random_postures,
@@ -39,8 +39,7 @@ struct Rows {
 impl Rows {
     fn of(path: &Path, seed: u64, offered: usize, others: usize) -> Self {
         let mapping: MeasuredPoseMapping = config::load(&repository("config/measured_pose.toml")).unwrap();
-        let all: Vec<PoseRow> =
-            MeasuredPoses::load(path, &mapping).unwrap().rows.iter().map(PoseRow::from).collect();
+        let all: Vec<PoseRow> = MeasuredPoses::load(path, &mapping).unwrap().rows;
         let mixed =
             index::sample(&mut ChaCha8Rng::seed_from_u64(seed), all.len(), offered + others).into_vec();
         // In the order of the file, which is the order of the motion.

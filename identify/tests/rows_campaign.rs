@@ -9,8 +9,8 @@ use std::fmt::Write;
 use std::path::Path;
 use std::rc::Rc;
 
-use identify::instrument::PoseRow;
 use identify::kinematics::{Chain, Joints, Pose, Trace, Tracer, flange_chain};
+use identify::logs::PoseRow;
 use identify::model::DriveTrain;
 use identify::report::CalibratedRobot;
 use identify::report::result::file::CalibrationFile;

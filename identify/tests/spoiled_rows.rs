@@ -2,9 +2,8 @@
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
-use identify::instrument::PoseRow;
 use identify::kinematics::Joints;
-use identify::logs::{MeasuredPoseMapping, MeasuredPoses};
+use identify::logs::{MeasuredPoseMapping, MeasuredPoses, PoseRow};
 use nalgebra::{Rotation3, Vector3};
 use shared::config::{self, RobotConfig};
 
@@ -18,7 +17,7 @@ fn measured(name: &str) -> Vec<PoseRow> {
     let mapping: MeasuredPoseMapping =
         config::load(&crate::support::repository("config/measured_pose.toml")).unwrap();
     let path = crate::support::repository("identify/tests/data/ur10").join(name);
-    MeasuredPoses::load(&path, &mapping).unwrap().rows.iter().map(PoseRow::from).collect()
+    MeasuredPoses::load(&path, &mapping).unwrap().rows
 }
 
 /// Links alone: the fit then reveals the corruption.
@@ -63,7 +62,6 @@ fn all_rows_of_the_real_ur10_are_accepted_in_each_of_twenty_parts() {
     let mapping: MeasuredPoseMapping =
         config::load(&crate::support::repository("config/measured_pose.toml")).unwrap();
     let rows = MeasuredPoses::load(&data.join("ur10-tracker/grid_11911.csv"), &mapping).unwrap().rows;
-    let rows: Vec<PoseRow> = rows.iter().map(PoseRow::from).collect();
     for part in rows.chunks_exact(rows.len() / 20) {
         calibrated(part, &ur10()).unwrap();
     }

@@ -6,9 +6,8 @@ use std::fmt::Write;
 use std::path::Path;
 
 use identify::inspect::{Mapping, propose};
-use identify::instrument::PoseRow;
 use identify::kinematics::{Chain, Joints, Pose, flange_chain};
-use identify::logs::{LengthUnit, MeasuredPoseMapping, MeasuredPoses};
+use identify::logs::{LengthUnit, MeasuredPoseMapping, MeasuredPoses, PoseRow};
 use identify::model::SetUp;
 use identify::report::result::file::CalibrationFile;
 use nalgebra::{Rotation3, Vector3};
@@ -218,7 +217,7 @@ fn names_are_read_in_their_order_and_what_is_missing_is_said() {
         (found.stations, found.targets),
         (vec!["north".into(), "south".into()], vec!["C".into(), "A".into()])
     );
-    assert_eq!((found.rows[41].station, found.rows[41].target), (1, 1));
+    assert_eq!(found.rows[41].set_up, SetUp { station: 1, target: 1 });
     let proposal = propose(text.as_bytes(), Path::new("rows.csv"), &ur10()).unwrap();
     let Mapping::MeasuredPoses(proposed) = proposal.mapping else { panic!("{:?}", proposal.mapping) };
     assert_eq!([proposed.station, proposed.target], [Some("station".into()), Some("target".into())]);

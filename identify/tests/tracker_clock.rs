@@ -315,6 +315,6 @@ fn targets_that_are_seen_at_once_are_all_read_at_their_time() {
     for (t_s, row) in read.rows.t_s.iter().zip(read.rows.iter()) {
         let of_line = row.line as usize - 2;
         assert!((t_s - 1e-3 * stamp_ms(of_line / 3)).abs() < 1e-6, "line {}: {t_s}", row.line);
-        assert_eq!(row.target, usize::from(!of_line.is_multiple_of(3)));
+        assert_eq!(row.set_up.target, usize::from(!of_line.is_multiple_of(3)));
     }
 }

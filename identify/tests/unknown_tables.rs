@@ -263,7 +263,7 @@ fn ten_tables_of_a_tracker_are_read_through_the_mapping_proposed_for_them() {
         let poses = MeasuredPoses::read(&bytes, Path::new("table.txt"), &mapping).unwrap().rows;
         assert_eq!(poses.len(), ROWS);
         for (row, pose) in poses.iter().enumerate() {
-            same(&pose.q_rad, &joints_rad(row), number);
+            same(&pose.joints_rad, &joints_rad(row), number);
             same(pose.position_m.as_slice(), seen(row).translation.vector.as_slice(), number);
             same(pose.rotation.unwrap().matrix().as_slice(), seen(row).rotation.matrix().as_slice(), number);
         }
@@ -279,7 +279,7 @@ fn ten_tables_of_lengths_are_read_through_the_mapping_proposed_for_them() {
         let lengths = MeasuredLengths::read(&bytes, Path::new("table.txt"), &mapping).unwrap().rows;
         assert_eq!(lengths.len(), ROWS);
         for (row, length) in lengths.iter().enumerate() {
-            same(&length.q_rad, &joints_rad(row), number);
+            same(&length.joints_rad, &joints_rad(row), number);
             same(&[length.length_m], &[length_m(row)], number);
         }
     }
@@ -312,7 +312,7 @@ fn columns_that_are_exchanged_or_reversed_or_in_another_unit_are_named_by_trying
         );
         let Mapping::MeasuredPoses(mapping) = &proposal.mapping else { panic!("{:?}", proposal.mapping) };
         let rows = MeasuredPoses::read(text.as_bytes(), Path::new("table.txt"), mapping).unwrap().rows;
-        same(&rows[7].q_rad, &joints_rad(7), 0);
+        same(&rows[7].joints_rad, &joints_rad(7), 0);
     }
     let radians = Style { degrees: false, ..USUAL }.written(Beside::Tracker);
     let doubts = proposed(&radians).notes.doubts;

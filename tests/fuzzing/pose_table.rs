@@ -36,8 +36,8 @@ static SETTING: LazyLock<Setting> = LazyLock::new(|| {
 pub fn any_table(bytes: &[u8]) {
     match MeasuredLengths::read(bytes, Path::new("lengths"), &SETTING.lengths) {
         Ok(lengths) => {
-            let finite = |row: &identify::logs::MeasuredLength| {
-                row.q_rad.iter().chain([&row.length_m]).all(|value| value.is_finite())
+            let finite = |row: &identify::logs::LengthRow| {
+                row.joints_rad.iter().chain([&row.length_m]).all(|value| value.is_finite())
             };
             assert!(lengths.rows.iter().all(finite));
         }
@@ -45,9 +45,9 @@ pub fn any_table(bytes: &[u8]) {
     }
     match MeasuredPoses::read(bytes, Path::new("poses"), &SETTING.poses) {
         Ok(poses) => {
-            let finite = |row: &identify::logs::MeasuredPose| {
+            let finite = |row: &identify::logs::PoseRow| {
                 let turns = row.rotation.iter().flat_map(|rotation| rotation.matrix().iter().copied());
-                row.q_rad.iter().chain(&row.position_m).copied().chain(turns).all(f64::is_finite)
+                row.joints_rad.iter().chain(&row.position_m).copied().chain(turns).all(f64::is_finite)
             };
             assert!(poses.rows.iter().all(finite));
         }

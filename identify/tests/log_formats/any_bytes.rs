@@ -164,7 +164,7 @@ fn read_as_poses(bytes: &[u8]) -> bool {
     }
     let taken = lengths.is_ok() || poses.is_ok();
     match lengths {
-        Ok(lengths) => assert!(lengths.rows.iter().all(|row| row.q_rad.iter().all(|q| q.is_finite()))),
+        Ok(lengths) => assert!(lengths.rows.iter().all(|row| row.joints_rad.iter().all(|q| q.is_finite()))),
         Err(error) => assert!(error.to_string().len() > 10),
     }
     match poses {

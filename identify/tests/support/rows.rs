@@ -4,7 +4,8 @@ use identify::calibrate::rows::{RowSet, Stages};
 use identify::calibrate::{
     CalibrateError, Calibration, DataSets, IdentifyConfig, JointTermsConfig, calibrate,
 };
-use identify::instrument::{HoldOut, Instrument, LengthRow, PoseRow, Rows, Tracker, Wire};
+use identify::instrument::{HoldOut, Instrument, Rows, Tracker, Wire};
+use identify::logs::{LengthRow, PoseRow};
 use identify::model::{Model, ParameterId};
 use shared::config::RobotConfig;
 

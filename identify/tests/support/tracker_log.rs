@@ -3,9 +3,9 @@
 use std::f64::consts::TAU;
 use std::path::Path;
 
-use identify::instrument::{PoseRow, Tracker};
+use identify::instrument::Tracker;
 use identify::kinematics::{Chain, Joints, Pose, flange_chain};
-use identify::logs::{MeasuredPoseMapping, RobotLog, Stream, TimedPoses};
+use identify::logs::{MeasuredPoseMapping, PoseRow, RobotLog, Stream, TimedPoses};
 use identify::model::{Model, ParameterId, SetUp};
 use identify::prepare::{AlignedPoses, PrepareError, PrepareOptions, align_poses};
 use nalgebra::{Rotation3, Vector3};
@@ -229,7 +229,7 @@ impl Followed {
             .rows
             .iter()
             .zip(&aligned.states)
-            .map(|(row, state)| PoseRow::from(&poses.rows[*row].with_joints(state.q)))
+            .map(|(row, state)| PoseRow { joints_rad: state.q, ..poses.rows[*row] })
             .collect();
         match &aligned.moving {
             Some(moving) => Tracker::of_moving(&rows, moving.clone()),
@@ -244,7 +244,7 @@ impl Followed {
             // Rows with the stamp of the previous row may be dropped; the header is line 1.
             let joints = self.path.at(self.taken_s[poses.rows[*row].line as usize - 2]);
             let noisy = joints.iter().map(|q| q + NOISE_RAD * random.sample::<f64, _>(StandardNormal));
-            PoseRow::from(&poses.rows[*row].with_joints(noisy.collect()))
+            PoseRow { joints_rad: noisy.collect(), ..poses.rows[*row] }
         });
         rows.collect()
     }

@@ -32,8 +32,8 @@ pub(crate) use rows::{faulty, gross_rows, segments, without};
 pub use sockets::{KnownDistance, PlacedSocket, SocketTable, Sockets};
 pub use tip::{Artefact, Tip};
 pub use touch::Touch;
-pub use tracker::{PoseRow, Tracker};
-pub use wire::{LengthRow, Wire};
+pub use tracker::Tracker;
+pub use wire::Wire;
 
 use crate::kinematics::{Chain, Joints};
 use crate::model::Model;

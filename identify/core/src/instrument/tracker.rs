@@ -11,36 +11,13 @@ use super::{
 };
 use crate::cost::{CostError, DataSet, LoopProblem, MeasuredPose, MeasuredPosition, PoseNoise, Residual};
 use crate::kinematics::{Chain, Joints, Pose, rotation_vector};
-use crate::logs::{self, PoseUncertainty};
+use crate::logs::{PoseRow, PoseUncertainty};
 use crate::model::{
     Clock, Coordinate, Geometry, Group, JointState, Model, ModelError, Observation, Owner, ParameterId,
     PerObservation, Placement, RobotMotion, Role, SetUp,
 };
 use crate::prepare::{Moving, PROBE_SIGMA_M, Sighted, all_placements};
 use crate::statistics::median_size;
-
-/// Joints of one pose and the target measured there.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct PoseRow {
-    /// Joint variables of the model \[rad, m\]; for a moving robot those of the first alignment.
-    pub joints_rad: Joints,
-    /// Position of the probe in the tracker's frame \[m\].
-    pub position_m: Vector3<f64>,
-    /// `tracker_from_probe`; used if every row has one.
-    pub rotation: Option<Rotation3<f64>>,
-    /// Stated uncertainty of the measurement.
-    pub uncertainty: PoseUncertainty,
-    /// Station of the tracker and target.
-    pub set_up: SetUp,
-}
-
-impl From<&logs::MeasuredPose> for PoseRow {
-    fn from(read: &logs::MeasuredPose) -> Self {
-        let logs::MeasuredPose { q_rad, position_m, rotation, uncertainty, station, target, .. } = *read;
-        let set_up = SetUp { station, target };
-        Self { joints_rad: q_rad, position_m, rotation, uncertainty, set_up }
-    }
-}
 
 /// Fewest rows of a fit: twice as many measured numbers as unknowns of tracker, probe and links.
 const ROWS_MIN: usize = 20;
@@ -186,13 +163,9 @@ impl Measures for Tracker {
     /// Start values of stations and targets; false if the positions of a station lie on a line.
     fn place(&self, model: &mut Model, fix: &[ParameterId]) -> Result<bool, ModelError> {
         let geometry = model.geometry(&[]);
-        let sighted = |(row, state): (&PoseRow, JointState)| Sighted {
-            flange: geometry.robot_end(&state),
-            seen_m: row.position_m,
-            turn: row.rotation,
-            set_up: row.set_up,
-        };
-        let sighted: Vec<Sighted> = self.rows.rows.iter().zip(self.states(&geometry)).map(sighted).collect();
+        let rows = self.rows.rows.iter().zip(self.states(&geometry));
+        let sighted = rows.map(|(seen, state)| Sighted { flange: geometry.robot_end(&state), seen: *seen });
+        let sighted: Vec<Sighted> = sighted.collect();
         let Some(placements) = all_placements(&sighted) else { return Ok(false) };
         if let Some(moving) = &self.moving {
             for (id, value) in [(ParameterId::ClockShift, 0.0), (ParameterId::ClockSkew, moving.skew)] {

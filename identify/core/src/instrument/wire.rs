@@ -11,36 +11,13 @@ use super::{
     Cause, Deviation, Instrument, Measures, Mistake, Noise, RejectedRow, Rejection, RowError, ScaleFrom,
 };
 use crate::cost::{CostError, DataSet, LoopProblem, MeasuredLength, Residual};
-use crate::kinematics::{Chain, Joints};
-use crate::logs;
+use crate::kinematics::Chain;
+use crate::logs::LengthRow;
 use crate::model::{
     Axis, Clock, Geometry, Group, JointState, Model, ModelError, Observation, Owner, ParameterId,
     PerObservation, Role, SetUp,
 };
 use crate::statistics::median_size;
-
-/// Joints of one pose and the length measured there.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct LengthRow {
-    /// Joint variables of the model \[rad, m\].
-    pub joints_rad: Joints,
-    /// Measured length \[m\].
-    pub length_m: f64,
-    /// Flange position reported by the controller \[m\]; used to find rows whose columns contradict each other.
-    pub flange_m: Option<[f64; 3]>,
-    /// Standard uncertainty of the length \[m\]; `None` if the file states none.
-    pub uncertainty_m: Option<f64>,
-    /// Anchor (as station) and attachment (as target) of the wire.
-    pub set_up: SetUp,
-}
-
-impl From<&logs::MeasuredLength> for LengthRow {
-    fn from(read: &logs::MeasuredLength) -> Self {
-        let logs::MeasuredLength { q_rad, length_m, flange_m, uncertainty_m, anchor, attachment, .. } = *read;
-        let set_up = SetUp { station: anchor, target: attachment };
-        Self { joints_rad: q_rad, length_m, flange_m, uncertainty_m, set_up }
-    }
-}
 
 /// Fewest rows of a fit: twice the seven unknowns of the wire.
 const ROWS_MIN: usize = 14;

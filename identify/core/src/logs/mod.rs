@@ -33,13 +33,12 @@ pub use robot::reader::{LogOptions, load, load_with, read, read_with};
 pub use robot::table::own_columns;
 pub use robot::writer::write;
 pub use rows::measured_length::{
-    FlangeColumns, LengthColumn, LengthUncertaintyColumn, MeasuredLength, MeasuredLengthMapping,
-    MeasuredLengths,
+    FlangeColumns, LengthColumn, LengthRow, LengthUncertaintyColumn, MeasuredLengthMapping, MeasuredLengths,
 };
 pub(crate) use rows::measured_pose::SPEED_M_S_MAX;
 pub use rows::measured_pose::{
-    EulerFrame, MeasuredPose, MeasuredPoseMapping, MeasuredPoses, PoseUncertainty, PositionColumns,
-    RotationColumns, RotationForm, TimedPose, TimedPoses, UncertaintyColumns,
+    EulerFrame, MeasuredPoseMapping, MeasuredPoses, PoseRow, PoseUncertainty, PositionColumns,
+    RotationColumns, RotationForm, TimedPoses, UncertaintyColumns,
 };
 pub use rows::pose_rows::{
     JointColumn, JointTableMapping, JointUnit, LengthUnit, joint_columns, joints_of_robot,

@@ -5,8 +5,8 @@ use rand::Rng;
 use rand_distr::StandardNormal;
 
 use super::{Experiment, SimulateError, Stream, Truth, random};
-use crate::instrument::LengthRow;
 use crate::kinematics::{Joints, flange_chain};
+use crate::logs::LengthRow;
 
 /// Attachment of the wire in the flange frame \[m\].
 pub const ATTACHMENT_M: [f64; 3] = [0.12, 0.03, 0.05];

@@ -7,7 +7,7 @@ use shared::output::named;
 use super::contacts::ranges;
 use super::{Inspection, stamps};
 use crate::calibrate::rows::{likely, misfit, some_of};
-use crate::instrument::{FaceTable, Instrument, LengthRow, Mistake, PoseRow, Touch, Tracker, Wire};
+use crate::instrument::{FaceTable, Instrument, Mistake, Touch, Tracker, Wire};
 use crate::kinematics::flange_chain;
 use crate::logs::{LogQuality, MeasuredLengths, MeasuredPoses, TimedPoses, Touches};
 use crate::report::rows::OTHER_ROBOT_M;
@@ -21,14 +21,14 @@ const OTHER_ROBOT_RAD: f64 = 0.1;
 /// Rows of a tracker that have the robot's joints.
 pub fn poses(read: &MeasuredPoses, robot: &RobotConfig) -> Inspection {
     let mut inspection = Inspection::default();
-    let rows: Vec<PoseRow> = read.rows.iter().map(PoseRow::from).collect();
+    let rows = &read.rows;
     let turned = rows.iter().any(|row| row.rotation.is_some());
     let what = if turned { "positions with orientations" } else { "positions" };
     inspection.fact("rows", format!("{}, {what}", rows.len()));
     set_ups(&mut inspection, [("stations", &read.stations), ("targets", &read.targets)]);
     extent(&mut inspection, rows.iter().map(|row| row.position_m.into()));
     ranges(&mut inspection, rows.iter().map(|row| row.joints_rad), robot);
-    nominal_robot(&mut inspection, &Tracker::new(&rows).into(), robot);
+    nominal_robot(&mut inspection, &Tracker::new(rows).into(), robot);
     inspection
 }
 
@@ -72,13 +72,13 @@ pub fn timed_poses(read: &TimedPoses) -> Inspection {
 /// Rows of a wire.
 pub fn lengths(read: &MeasuredLengths, robot: &RobotConfig) -> Inspection {
     let mut inspection = Inspection::default();
-    let rows: Vec<LengthRow> = read.rows.iter().map(LengthRow::from).collect();
+    let rows = &read.rows;
     let [low_m, high_m] = extremes(rows.iter().map(|row| row.length_m));
     inspection
         .fact("rows", format!("{}, lengths of {:.2} to {:.2} mm", rows.len(), low_m * 1e3, high_m * 1e3));
     set_ups(&mut inspection, [("anchors", &read.anchors), ("attachments", &read.attachments)]);
     ranges(&mut inspection, rows.iter().map(|row| row.joints_rad), robot);
-    nominal_robot(&mut inspection, &Wire::new(&rows).into(), robot);
+    nominal_robot(&mut inspection, &Wire::new(rows).into(), robot);
     inspection
 }
 

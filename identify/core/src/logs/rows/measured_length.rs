@@ -8,12 +8,13 @@ use serde::{Deserialize, Serialize};
 use shared::config::{Kind, Validate, Violation};
 
 use super::pose_rows::{
-    JointColumns, Names, check_joints, is_zero, mapped, mapped_if_named, rows, uncertainty,
+    JointColumns, SetUpNames, check_joints, is_zero, mapped, mapped_if_named, rows, uncertainty,
 };
 use crate::kinematics::Joints;
 use crate::logs::source::Source;
 use crate::logs::tables::csv_text::{Column, Row, Table};
 use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError};
+use crate::model::SetUp;
 
 /// No wire or bar is longer \[m\]; more means a wrong unit.
 const LENGTH_M_MAX: f64 = 20.0;
@@ -89,20 +90,18 @@ impl Validate for MeasuredLengthMapping {
 }
 
 /// One pose and the length measured there.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct MeasuredLength {
-    /// Joint variables of the model \[rad\].
-    pub q_rad: Joints,
-    /// The measured length \[m\].
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct LengthRow {
+    /// Joint variables of the model \[rad, m\].
+    pub joints_rad: Joints,
+    /// Measured length \[m\].
     pub length_m: f64,
-    /// Position of the flange from the controller \[m\].
+    /// Flange position reported by the controller \[m\]; used to find rows whose columns contradict each other.
     pub flange_m: Option<[f64; 3]>,
-    /// Standard uncertainty of the length \[m\]; `None` if none is stated.
+    /// Standard uncertainty of the length \[m\]; `None` if the file states none.
     pub uncertainty_m: Option<f64>,
-    /// Index of the anchor in [`MeasuredLengths::anchors`]; 0 if anchors have no names.
-    pub anchor: usize,
-    /// Index of the attachment in [`MeasuredLengths::attachments`].
-    pub attachment: usize,
+    /// Anchor (as station) and attachment (as target), by their places in [`MeasuredLengths`]; 0 if the file does not name them.
+    pub set_up: SetUp,
     /// Line of the source file, so that a screened row can be found again.
     pub line: u64,
 }
@@ -111,7 +110,7 @@ pub struct MeasuredLength {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct MeasuredLengths {
     /// In the order of the file.
-    pub rows: Vec<MeasuredLength>,
+    pub rows: Vec<LengthRow>,
     /// Names of the anchors in the order of the file; empty if it does not name them.
     pub anchors: Vec<String>,
     /// And of the attachments.
@@ -133,16 +132,12 @@ impl MeasuredLengths {
     /// As [`Self::load`].
     pub fn read(bytes: &[u8], path: &Path, mapping: &MeasuredLengthMapping) -> Result<Self, LogError> {
         let find = |table: &Table<'_>| Columns::find(table, mapping);
-        let (mut anchors, mut attachments) = (Names::default(), Names::default());
-        let read = |columns: &mut Columns<'_>, table: &Table<'_>, row: &Row| {
-            Ok(MeasuredLength {
-                anchor: anchors.place(table, row, columns.anchor.as_ref())?,
-                attachment: attachments.place(table, row, columns.attachment.as_ref())?,
-                ..columns.read(table, row)?
-            })
-        };
+        let mut names = SetUpNames::default();
+        let read =
+            |columns: &mut Columns<'_>, table: &Table<'_>, row: &Row| columns.read(table, row, &mut names);
         let rows = rows(Source::in_memory(bytes, path), &mapping.csv, find, read)?;
-        Ok(Self { rows, anchors: anchors.in_order(), attachments: attachments.in_order() })
+        let [anchors, attachments] = names.in_order();
+        Ok(Self { rows, anchors, attachments })
     }
 }
 
@@ -150,8 +145,8 @@ impl MeasuredLengths {
 struct Columns<'a> {
     length: (Column, &'a LengthColumn),
     uncertainty: Option<Column>,
-    anchor: Option<Column>,
-    attachment: Option<Column>,
+    /// Names of anchor and attachment.
+    set_up: [Option<Column>; 2],
     joints: JointColumns<'a>,
     flange: Option<([Column; 3], LengthUnit)>,
 }
@@ -169,12 +164,15 @@ impl<'a> Columns<'a> {
             joints: JointColumns::find(table, &mapping.joints)?,
             flange: flange.transpose()?,
             uncertainty: mapped_if_named(table, uncertainty)?,
-            anchor: mapped_if_named(table, mapping.anchor.as_ref())?,
-            attachment: mapped_if_named(table, mapping.attachment.as_ref())?,
+            set_up: [
+                mapped_if_named(table, mapping.anchor.as_ref())?,
+                mapped_if_named(table, mapping.attachment.as_ref())?,
+            ],
         })
     }
 
-    fn read(&self, table: &Table<'_>, row: &Row) -> Result<MeasuredLength, LogError> {
+    fn read(&self, table: &Table<'_>, row: &Row, names: &mut SetUpNames) -> Result<LengthRow, LogError> {
+        let set_up = names.place(table, row, &self.set_up)?;
         let (length, format) = &self.length;
         let length_m = table.number(row, length)? * format.unit.to_m() - format.offset_mm * 1e-3;
         if !(0.0..=LENGTH_M_MAX).contains(&length_m) {
@@ -185,7 +183,7 @@ impl<'a> Columns<'a> {
                 "check the length's unit in the mapping file",
             ));
         }
-        let q_rad = self.joints.read(table, row)?;
+        let joints_rad = self.joints.read(table, row)?;
         let flange_m = match &self.flange {
             Some(([x, y, z], unit)) => {
                 let number_m = |column: &Column| Ok(table.number(row, column)? * unit.to_m());
@@ -195,14 +193,6 @@ impl<'a> Columns<'a> {
         };
         let stated = self.uncertainty.as_ref().map(|column| uncertainty(table, row, column));
         let uncertainty_m = stated.transpose()?;
-        Ok(MeasuredLength {
-            q_rad,
-            length_m,
-            flange_m,
-            uncertainty_m,
-            anchor: 0,
-            attachment: 0,
-            line: row.line,
-        })
+        Ok(LengthRow { joints_rad, length_m, flange_m, uncertainty_m, set_up, line: row.line })
     }
 }

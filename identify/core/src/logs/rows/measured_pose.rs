@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use shared::config::{AngleUnit, Kind, Validate, Violation};
 
 use super::pose_rows::{
-    JointColumns, Names, check_joints, mapped, mapped_all, mapped_if_named, rows, uncertainty,
+    JointColumns, SetUpNames, check_joints, mapped, mapped_all, mapped_if_named, rows, uncertainty,
 };
 use crate::kinematics::Joints;
 use crate::logs::source::Source;
@@ -20,6 +20,7 @@ use crate::logs::tables::stamp::{StampColumn, TimeColumn};
 use crate::logs::time_series::excursions::{Excursions, Fastest, remark};
 use crate::logs::time_series::stream::retain;
 use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError, Stamps, Stream, since_first_s};
+use crate::model::SetUp;
 
 /// Range of a tracker \[m\]; a larger number means a wrong unit.
 const POSITION_M_MAX: f64 = 100.0;
@@ -251,20 +252,18 @@ impl Validate for MeasuredPoseMapping {
 }
 
 /// A pose of the robot, and the measurement of the tracker there.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct MeasuredPose {
-    /// Joint variables of the model \[rad\].
-    pub q_rad: Joints,
-    /// Of the probe, in the tracker's frame \[m\].
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct PoseRow {
+    /// Joint variables of the model \[rad, m\]: of the row, or for rows with times those of the first alignment, none before it.
+    pub joints_rad: Joints,
+    /// Position of the probe in the tracker's frame \[m\].
     pub position_m: Vector3<f64>,
-    /// `tracker_from_probe`; `None` if the file has none.
+    /// `tracker_from_probe`; used if every row has one.
     pub rotation: Option<Rotation3<f64>>,
-    /// Uncertainties that the file states.
+    /// Stated uncertainty of the measurement.
     pub uncertainty: PoseUncertainty,
-    /// Index of the tracker's station in [`MeasuredPoses::stations`]; 0 if stations have no names.
-    pub station: usize,
-    /// Target, by its place among [`MeasuredPoses::targets`].
-    pub target: usize,
+    /// Station of the tracker and target, by their places among the names; 0 if the file does not name them.
+    pub set_up: SetUp,
     /// Line of the source file, so that a row can be found again.
     pub line: u64,
 }
@@ -273,7 +272,7 @@ pub struct MeasuredPose {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct MeasuredPoses {
     /// Rows in the order of the file, which is that of the robot's motion: backlash depends on the previous pose.
-    pub rows: Vec<MeasuredPose>,
+    pub rows: Vec<PoseRow>,
     /// Names of the stations in the order of the file; empty if it does not name them.
     pub stations: Vec<String>,
     /// And of the targets.
@@ -300,49 +299,20 @@ impl MeasuredPoses {
         let mut names = SetUpNames::default();
         let read =
             |(pose, joints): &mut (PoseColumns<'_>, JointColumns<'_>), table: &Table<'_>, row: &Row| {
-                Ok(pose.read(table, row, &mut names)?.with_joints(joints.read(table, row)?))
+                let measured = pose.read(table, row, &mut names)?;
+                Ok(PoseRow { joints_rad: joints.read(table, row)?, ..measured })
             };
         let rows = rows(Source::in_memory(bytes, path), &mapping.csv, find, read)?;
-        let [stations, targets] = [names.stations, names.targets].map(Names::in_order);
+        let [stations, targets] = names.in_order();
         Ok(Self { rows, stations, targets })
-    }
-}
-
-/// Measurement of the tracker at one time of its clock.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct TimedPose {
-    /// Of the probe, in the tracker's frame \[m\].
-    pub position_m: Vector3<f64>,
-    /// `tracker_from_probe`; `None` if the file has none.
-    pub rotation: Option<Rotation3<f64>>,
-    /// Uncertainties that the file states.
-    pub uncertainty: PoseUncertainty,
-    /// Index of the tracker's station in [`TimedPoses::stations`]; 0 if stations have no names.
-    pub station: usize,
-    /// Target, by its place among [`TimedPoses::targets`].
-    pub target: usize,
-    /// Line of the source file, so that a row can be found again.
-    pub line: u64,
-}
-
-impl TimedPose {
-    /// Whether both are of one target and station: only then their positions show a motion.
-    pub fn is_seen_as(&self, other: &Self) -> bool {
-        (self.station, self.target) == (other.station, other.target)
-    }
-
-    /// The same with the joints \[rad\] of a robot that held the target there.
-    pub fn with_joints(self, q_rad: Joints) -> MeasuredPose {
-        let Self { position_m, rotation, uncertainty, station, target, line } = self;
-        MeasuredPose { q_rad, position_m, rotation, uncertainty, station, target, line }
     }
 }
 
 /// A tracker's log on its own clock.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct TimedPoses {
-    /// Rows at the times of the regular clock behind the stamps, if there is one.
-    pub rows: Stream<TimedPose>,
+    /// Rows at the times of the regular clock behind the stamps, if there is one; they have no joints.
+    pub rows: Stream<PoseRow>,
     /// Names of the stations in the order of the file; empty if it does not name them.
     pub stations: Vec<String>,
     /// And of the targets.
@@ -387,13 +357,13 @@ impl TimedPoses {
         for row in 1..rows.len() {
             let (before_ns, before) = rows[row - 1];
             let (stamp_ns, pose) = &mut rows[row];
-            let is_other = i64::from(!pose.is_seen_as(&before));
+            let is_other = i64::from(pose.set_up != before.set_up);
             *stamp_ns = (*stamp_ns).max(before_ns.saturating_add(is_other));
         }
-        let (mut stamps_ns, mut rows): (_, Vec<TimedPose>) = rows.into_iter().unzip();
+        let (mut stamps_ns, mut rows): (_, Vec<PoseRow>) = rows.into_iter().unzip();
         let remarks = drop_excursions(&mut stamps_ns, &mut rows, path)?.into_iter().collect();
         let (rows, stamps, _) = Stream::from_stamps(stamps_ns, rows, |rows| motion(rows).into());
-        let [stations, targets] = [names.stations, names.targets].map(Names::in_order);
+        let [stations, targets] = names.in_order();
         Ok(Self { rows, stations, targets, stamps, remarks })
     }
 }
@@ -401,13 +371,13 @@ impl TimedPoses {
 /// Removes rows of a broken beam, for each target and station; returns a remark if there are any.
 fn drop_excursions(
     stamps_ns: &mut Vec<i64>,
-    rows: &mut Vec<TimedPose>,
+    rows: &mut Vec<PoseRow>,
     path: &Path,
 ) -> Result<Option<String>, LogError> {
     // The rows of each station and target.
-    let mut views: BTreeMap<(usize, usize), Vec<usize>> = BTreeMap::new();
+    let mut views: BTreeMap<SetUp, Vec<usize>> = BTreeMap::new();
     for (place, row) in rows.iter().enumerate() {
-        views.entry((row.station, row.target)).or_default().push(place);
+        views.entry(row.set_up).or_default().push(place);
     }
     let mut is_kept = vec![true; rows.len()];
     for view in views.values() {
@@ -425,11 +395,11 @@ fn drop_excursions(
 }
 
 /// Motion of the target from row to row; none between rows of different targets or stations.
-fn motion(rows: &[TimedPose]) -> Vec<Joints> {
-    let mut before: Option<&TimedPose> = None;
+fn motion(rows: &[PoseRow]) -> Vec<Joints> {
+    let mut before: Option<&PoseRow> = None;
     let mut steps_between_targets_m = Vector3::zeros();
     let positions = rows.iter().map(|row| {
-        if let Some(before) = before.replace(row).filter(|before| !row.is_seen_as(before)) {
+        if let Some(before) = before.replace(row).filter(|before| row.set_up != before.set_up) {
             steps_between_targets_m += row.position_m - before.position_m;
         }
         let position_m = row.position_m - steps_between_targets_m;
@@ -438,21 +408,14 @@ fn motion(rows: &[TimedPose]) -> Vec<Joints> {
     positions.collect()
 }
 
-/// Names in the order of the file.
-#[derive(Default)]
-struct SetUpNames {
-    stations: Names,
-    targets: Names,
-}
-
 /// Columns of the tracker's measurements in a file, by the mapping.
 struct PoseColumns<'a> {
     position: (Vec<Column>, LengthUnit),
     rotation: Option<(Vec<Column>, &'a RotationColumns)>,
     /// Uncertainties of position and rotation, with metres or radians in their unit.
     uncertainty: [Option<Column>; 2],
-    station: Option<Column>,
-    target: Option<Column>,
+    /// Names of station and target.
+    set_up: [Option<Column>; 2],
 }
 
 /// Numbers of a row times `to_si`, none of them larger than `largest`; `si` is the symbol of the SI unit.
@@ -486,12 +449,14 @@ impl<'a> PoseColumns<'a> {
             position: (mapped_all(table, &mapping.position.columns)?, mapping.position.unit),
             rotation: rotation.transpose()?,
             uncertainty: [mapped_if_named(table, position_u)?, mapped_if_named(table, rotation_u)?],
-            station: mapped_if_named(table, mapping.station.as_ref())?,
-            target: mapped_if_named(table, mapping.target.as_ref())?,
+            set_up: [
+                mapped_if_named(table, mapping.station.as_ref())?,
+                mapped_if_named(table, mapping.target.as_ref())?,
+            ],
         })
     }
 
-    fn read(&self, table: &Table<'_>, row: &Row, names: &mut SetUpNames) -> Result<TimedPose, LogError> {
+    fn read(&self, table: &Table<'_>, row: &Row, names: &mut SetUpNames) -> Result<PoseRow, LogError> {
         let (columns, unit) = &self.position;
         let position_m = numbers(table, row, columns, (unit.to_m(), "m"), POSITION_M_MAX)?;
         let rotation = self.rotation.as_ref().map(|(columns, form)| rotation(table, row, columns, form));
@@ -499,7 +464,8 @@ impl<'a> PoseColumns<'a> {
         let uncertainty = |column: &Option<Column>| {
             column.as_ref().map(|column| uncertainty(table, row, column)).transpose()
         };
-        Ok(TimedPose {
+        Ok(PoseRow {
+            joints_rad: Joints::default(),
             line: row.line,
             position_m: Vector3::from_iterator(position_m),
             rotation: rotation.transpose()?,
@@ -507,8 +473,7 @@ impl<'a> PoseColumns<'a> {
                 position_m: uncertainty(position_u)?,
                 rotation_rad: uncertainty(rotation_u)?,
             },
-            station: names.stations.place(table, row, self.station.as_ref())?,
-            target: names.targets.place(table, row, self.target.as_ref())?,
+            set_up: names.place(table, row, &self.set_up)?,
         })
     }
 }

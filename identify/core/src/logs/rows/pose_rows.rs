@@ -11,6 +11,7 @@ use crate::kinematics::Joints;
 use crate::logs::source::Source;
 use crate::logs::tables::csv_text::{Column, Row, Table};
 use crate::logs::{CsvLayout, LogError};
+use crate::model::SetUp;
 
 /// Smallest number of rows of a table.
 const ROWS_MIN: usize = 10;
@@ -267,6 +268,28 @@ impl Names {
         let mut names: Vec<(String, usize)> = self.0.into_iter().collect();
         names.sort_by_key(|(_, place)| *place);
         names.into_iter().map(|(name, _)| name).collect()
+    }
+}
+
+/// Names of stations and targets, or anchors and attachments.
+#[derive(Default)]
+pub(in crate::logs) struct SetUpNames([Names; 2]);
+
+impl SetUpNames {
+    /// The set-up of a row by the columns of its names, where the file has them.
+    pub(in crate::logs) fn place(
+        &mut self,
+        table: &Table<'_>,
+        row: &Row,
+        [station, target]: &[Option<Column>; 2],
+    ) -> Result<SetUp, LogError> {
+        let [stations, targets] = &mut self.0;
+        let station = stations.place(table, row, station.as_ref())?;
+        Ok(SetUp { station, target: targets.place(table, row, target.as_ref())? })
+    }
+
+    pub(in crate::logs) fn in_order(self) -> [Vec<String>; 2] {
+        self.0.map(Names::in_order)
     }
 }
 

@@ -9,6 +9,7 @@ use std::collections::BTreeMap;
 use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, SVector, Vector3};
 
 use crate::kinematics::Pose;
+use crate::logs::PoseRow;
 use crate::model::{Placement, SetUp};
 
 /// Standard deviation of the probe's distance from the flange \[m\]: it matters only if the poses do not determine the probe.
@@ -56,12 +57,8 @@ fn mean_turn<'a>(rows: impl Iterator<Item = (&'a Pose, &'a Pose, Rotation3<f64>)
 pub struct Sighted {
     /// Pose of the flange, from the robot's assumed geometry.
     pub flange: Pose,
-    /// Position of the target in the tracker's frame \[m\].
-    pub seen_m: Vector3<f64>,
-    /// `tracker_from_probe`, where that was measured.
-    pub turn: Option<Rotation3<f64>>,
-    /// Station of the tracker and target.
-    pub set_up: SetUp,
+    /// Measurement of the tracker.
+    pub seen: PoseRow,
 }
 
 /// Places of the stations and targets that have rows, by their numbers.
@@ -77,37 +74,41 @@ pub struct Placements {
 /// follow from known stations, other stations from known targets. `None` if the rows of a station lie on a line.
 pub fn all_placements(rows: &[Sighted]) -> Option<Placements> {
     let mut by_set_up: BTreeMap<SetUp, Vec<Sighted>> = BTreeMap::new();
-    rows.iter().for_each(|row| by_set_up.entry(row.set_up).or_default().push(*row));
+    rows.iter().for_each(|row| by_set_up.entry(row.seen.set_up).or_default().push(*row));
     let mut set_ups: Vec<Vec<Sighted>> = by_set_up.into_values().collect();
     set_ups.sort_by_key(|rows| std::cmp::Reverse(rows.len()));
     let (mut places, mut probes) = (BTreeMap::<usize, Pose>::new(), BTreeMap::<usize, Pose>::new());
     loop {
         // A row of a known station, with the pose of the tracker there.
-        let with_tracker = |row: &Sighted| Some((*row, *places.get(&row.set_up.station)?));
-        let new_target =
-            rows.iter().find(|row| !probes.contains_key(&row.set_up.target) && with_tracker(row).is_some());
-        if let Some(Sighted { set_up: SetUp { target, .. }, .. }) = new_target {
-            let of_target = rows.iter().filter(|row| row.set_up.target == *target).filter_map(with_tracker);
-            probes.insert(*target, probe(&of_target.collect::<Vec<_>>()));
+        let with_tracker = |row: &Sighted| Some((*row, *places.get(&row.seen.set_up.station)?));
+        let new_target = rows
+            .iter()
+            .find(|row| !probes.contains_key(&row.seen.set_up.target) && with_tracker(row).is_some());
+        if let Some(SetUp { target, .. }) = new_target.map(|row| row.seen.set_up) {
+            let of_target =
+                rows.iter().filter(|row| row.seen.set_up.target == target).filter_map(with_tracker);
+            probes.insert(target, probe(&of_target.collect::<Vec<_>>()));
             continue;
         }
         // A row of a known target, with the pose of the probe in the robot's frame.
-        let with_probe = |row: &Sighted| Some((*row, row.flange * probes.get(&row.set_up.target)?));
-        let new_station =
-            rows.iter().find(|row| !places.contains_key(&row.set_up.station) && with_probe(row).is_some());
-        if let Some(Sighted { set_up: SetUp { station, .. }, .. }) = new_station {
-            let of_station = rows.iter().filter(|row| row.set_up.station == *station).filter_map(with_probe);
-            places.insert(*station, place(&of_station.collect::<Vec<_>>())?);
+        let with_probe = |row: &Sighted| Some((*row, row.flange * probes.get(&row.seen.set_up.target)?));
+        let new_station = rows
+            .iter()
+            .find(|row| !places.contains_key(&row.seen.set_up.station) && with_probe(row).is_some());
+        if let Some(SetUp { station, .. }) = new_station.map(|row| row.seen.set_up) {
+            let of_station =
+                rows.iter().filter(|row| row.seen.set_up.station == station).filter_map(with_probe);
+            places.insert(station, place(&of_station.collect::<Vec<_>>())?);
             continue;
         }
         // Neither: the first set-up, or one that shares no station and target with those that are known.
-        let is_new = |rows: &&Vec<Sighted>| !places.contains_key(&rows[0].set_up.station);
+        let is_new = |rows: &&Vec<Sighted>| !places.contains_key(&rows[0].seen.set_up.station);
         let Some(largest) = set_ups.iter().find(is_new) else { break };
         let flanges: Vec<Pose> = largest.iter().map(|row| row.flange).collect();
-        let seen_m: Vec<Vector3<f64>> = largest.iter().map(|row| row.seen_m).collect();
-        let [place, probe] = placements(&flanges, &seen_m, largest.iter().map(|row| row.turn))?;
-        places.insert(largest[0].set_up.station, place.pose());
-        probes.insert(largest[0].set_up.target, probe.pose());
+        let seen_m: Vec<Vector3<f64>> = largest.iter().map(|row| row.seen.position_m).collect();
+        let [place, probe] = placements(&flanges, &seen_m, largest.iter().map(|row| row.seen.rotation))?;
+        places.insert(largest[0].seen.set_up.station, place.pose());
+        probes.insert(largest[0].seen.set_up.target, probe.pose());
     }
     let as_placements = |poses: BTreeMap<usize, Pose>| {
         poses.iter().map(|(number, pose)| (*number, Placement::of(pose))).collect()
@@ -118,19 +119,19 @@ pub fn all_placements(rows: &[Sighted]) -> Option<Placements> {
 /// `flange_from_probe` of a target in rows from known places of the tracker: the mean over the rows.
 fn probe(rows: &[(Sighted, Pose)]) -> Pose {
     let on_flange_m = |(row, tracker): &(Sighted, Pose)| {
-        row.flange.inverse_transform_point(&tracker.transform_point(&row.seen_m.into())).coords
+        row.flange.inverse_transform_point(&tracker.transform_point(&row.seen.position_m.into())).coords
     };
     let on_flange_m: Vec<Vector3<f64>> = rows.iter().map(on_flange_m).collect();
-    let turns = rows.iter().filter_map(|(row, tracker)| Some((&row.flange, tracker, row.turn?)));
+    let turns = rows.iter().filter_map(|(row, tracker)| Some((&row.flange, tracker, row.seen.rotation?)));
     Pose::from_parts(mean(&on_flange_m).into(), mean_turn(turns))
 }
 
 /// `root_from_tracker` of a station, from rows with the pose of the probe in the robot's frame.
 fn place(rows: &[(Sighted, Pose)]) -> Option<Pose> {
-    let seen_m: Vec<Vector3<f64>> = rows.iter().map(|(row, _)| row.seen_m).collect();
+    let seen_m: Vec<Vector3<f64>> = rows.iter().map(|(row, _)| row.seen.position_m).collect();
     let probe_m: Vec<Vector3<f64>> = rows.iter().map(|(_, probe)| probe.translation.vector).collect();
     let root_from_tracker =
-        |(row, probe): &(Sighted, Pose)| Some(*(probe.rotation * row.turn?.inverse()).matrix());
+        |(row, probe): &(Sighted, Pose)| Some(*(probe.rotation * row.seen.rotation?.inverse()).matrix());
     let rotations: Option<Vec<Matrix3<f64>>> = rows.iter().map(root_from_tracker).collect();
     let rotation = match rotations {
         Some(rotations) => nearest_rotation(&rotations.iter().sum()),

@@ -22,7 +22,7 @@ use super::speeds::{REACH, grid_step_s, speeds};
 use super::window::{Best, CANDIDATES, best, extended, liveliest, no_match, overlap_min_s};
 use crate::cost::{LoopProblem, MeasuredPosition, PoseNoise};
 use crate::kinematics::{Chain, Joints, Pose};
-use crate::logs::{CubicSpline, RobotLog, SPEED_M_S_MAX, Stream, TimedPose, TimedPoses, travel};
+use crate::logs::{CubicSpline, PoseRow, RobotLog, SPEED_M_S_MAX, Stream, TimedPoses, travel};
 use crate::model::{
     Axis, Clock, Coordinate, JointState, Model, ModelError, Observation, Owner, ParameterId, Placement,
     RobotMotion, Role, SetUp,
@@ -157,14 +157,13 @@ fn thinned(rows: &[CoveredRow], options: &PrepareOptions) -> Vec<CoveredRow> {
 
 /// Positions of the pair of station and target with the most rows, in the tracker's frame \[m\]: their motion determines the clocks
 /// of all rows.
-fn longest_view_m(rows: &Stream<TimedPose>) -> Stream<Vector3<f64>> {
-    let mut counts: BTreeMap<(usize, usize), usize> = BTreeMap::new();
+fn longest_view_m(rows: &Stream<PoseRow>) -> Stream<Vector3<f64>> {
+    let mut counts: BTreeMap<SetUp, usize> = BTreeMap::new();
     for row in rows.iter() {
-        *counts.entry((row.station, row.target)).or_default() += 1;
+        *counts.entry(row.set_up).or_default() += 1;
     }
     let longest = counts.into_iter().max_by_key(|(_, count)| *count).map(|(view, _)| view);
-    let position_in_longest =
-        |_, row: &TimedPose| (Some((row.station, row.target)) == longest).then_some(row.position_m);
+    let position_in_longest = |_, row: &PoseRow| (Some(row.set_up) == longest).then_some(row.position_m);
     let observed_m = rows.filter_map(0..rows.len(), position_in_longest);
     // A new stream has a gap limit of its own: rows of other targets in between make no gap.
     Stream::new(observed_m.first_stamp_ns, observed_m.t_s, observed_m.rows)

@@ -17,13 +17,11 @@ use super::bar::load_log;
 use crate::calibrate::rows::{WAVES_PER_TURN_MAX, validate};
 use crate::calibrate::{CalibrateError, Calibration};
 use crate::evaluate::Validity;
-use crate::instrument::{
-    Contact, FaceTable, HoldOut, Instrument, LengthRow, PoseRow, Rows, SocketTable, Touch, Tracker, Wire,
-};
+use crate::instrument::{Contact, FaceTable, HoldOut, Instrument, Rows, SocketTable, Touch, Tracker, Wire};
 use crate::kinematics::flange_chain;
 use crate::logs::{
     ContactMapping, LogFormat, LogOptions, MeasuredLengthMapping, MeasuredLengths, MeasuredPoseMapping,
-    MeasuredPoses, TimedPoses, TipRow, TouchMapping, Touches, is_simulated, joints_of_robot,
+    MeasuredPoses, PoseRow, TimedPoses, TipRow, TouchMapping, Touches, is_simulated, joints_of_robot,
 };
 use crate::model::{JointState, Model, Waves, further};
 use crate::prepare::{AlignedPoses, Alignment, PrepareOptions, align_poses};
@@ -234,19 +232,17 @@ fn rows_with_joints(
             );
             joints_of_robot(&mapping.joints, robot, mapping_file)?;
             let read = MeasuredPoses::load(file, &mapping)?;
-            let (rows, lines): (Vec<PoseRow>, _) =
-                read.rows.iter().map(|row| (PoseRow::from(row), row.line)).unzip();
+            let lines = read.rows.iter().map(|row| row.line).collect();
             let names = names_by_prefix([("tracker", read.stations), ("probe", read.targets)]);
-            (Tracker::new(&rows).into(), Beside { lines, names, ..Beside::default() })
+            (Tracker::new(&read.rows).into(), Beside { lines, names, ..Beside::default() })
         }
         Kind::Wire => {
             let mapping: MeasuredLengthMapping = config::load(mapping_file)?;
             joints_of_robot(&mapping.joints, robot, mapping_file)?;
             let read = MeasuredLengths::load(file, &mapping)?;
-            let (rows, lines): (Vec<LengthRow>, _) =
-                read.rows.iter().map(|row| (LengthRow::from(row), row.line)).unzip();
+            let lines = read.rows.iter().map(|row| row.line).collect();
             let names = names_by_prefix([("anchor", read.anchors), ("attachment", read.attachments)]);
-            (Wire::new(&rows).into(), Beside { lines, names, ..Beside::default() })
+            (Wire::new(&read.rows).into(), Beside { lines, names, ..Beside::default() })
         }
         Kind::Contact => {
             let sockets = options.sockets.as_deref().context("a table of sockets is missing")?;
@@ -304,11 +300,10 @@ fn timed_poses(
     let AlignedPoses { rows, states, moving, alignment, t_ref, left_out } =
         align_poses(&read, &log, &flange_chain(with.robot), with.options)
             .map_err(|error| CalibrateError::Align { data_set, error: Box::new(error) })?;
-    let with_joints = |(&row, state): (&usize, &JointState)| {
-        let timed = read.rows[row];
-        (PoseRow::from(&timed.with_joints(state.q)), timed.line)
-    };
-    let (poses, lines): (Vec<PoseRow>, _) = rows.iter().zip(&states).map(with_joints).unzip();
+    let with_joints =
+        |(&row, state): (&usize, &JointState)| PoseRow { joints_rad: state.q, ..read.rows[row] };
+    let poses: Vec<PoseRow> = rows.iter().zip(&states).map(with_joints).collect();
+    let lines = poses.iter().map(|row| row.line).collect();
     let stood = moving.is_none();
     let tracker = match moving {
         Some(moving) => Tracker::of_moving(&poses, moving),

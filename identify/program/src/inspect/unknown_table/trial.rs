@@ -9,7 +9,7 @@ use super::Notes;
 use super::columns::{Column, group};
 use super::joints::angle_unit;
 use crate::calibrate::rows::{likely, misfit, some_of};
-use crate::instrument::{Instrument, Mistake, PoseRow, Tracker};
+use crate::instrument::{Instrument, Mistake, Tracker};
 use crate::kinematics::flange_chain;
 use crate::logs::{
     EulerFrame, JointColumn, JointMistake, JointUnit, MeasuredPoseMapping, MeasuredPoses, RotationColumns,
@@ -27,7 +27,7 @@ impl Trial<'_> {
     /// The rows as this mapping reads them.
     fn rows(&self, mapping: &MeasuredPoseMapping) -> Option<Instrument> {
         let read = MeasuredPoses::read(self.bytes, self.path, mapping).ok()?;
-        Some(Tracker::new(&read.rows.iter().map(PoseRow::from).collect::<Vec<_>>()).into())
+        Some(Tracker::new(&read.rows).into())
     }
 
     /// RMS residuals of the nominal robot in position \[m\] and rotation \[rad\] with this mapping.
