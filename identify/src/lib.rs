@@ -3,6 +3,6 @@
 
 pub use identify_core::{
     calibrate, cost, evaluate, instrument, kinematics, logs, model, plan, prepare, robot, simulate, solver,
-    study,
+    statistics, study,
 };
 pub use identify_program::{commands, examine, inspect, report};

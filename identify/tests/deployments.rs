@@ -9,10 +9,10 @@ use std::process::{Command, Stdio};
 
 use identify::calibrate::rows::Stages;
 use identify::calibrate::validation::deployment::Deployment;
-use identify::evaluate::rms;
 use identify::kinematics::flange_chain;
 use identify::logs::PoseRow;
 use identify::model::Model;
+use identify::statistics::rms;
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use serde_json::json;

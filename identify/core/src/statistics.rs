@@ -1,7 +1,21 @@
-//! Order statistics of plain numbers.
+//! Statistics of plain numbers.
+
+use std::borrow::Borrow;
 
 /// A median absolute deviation times this is the standard deviation of normal numbers.
 pub(crate) const SIGMA_PER_MEDIAN: f64 = 1.4826;
+
+/// Arithmetic mean; zero without values.
+pub fn mean(values: impl IntoIterator<Item: Borrow<f64>>) -> f64 {
+    let add = |(count, sum): (usize, f64), value: f64| (count + 1, sum + value);
+    let (count, sum) = values.into_iter().map(|value| *value.borrow()).fold((0, 0.0), add);
+    sum / count.max(1) as f64
+}
+
+/// Root mean square; zero without values.
+pub fn rms(values: impl IntoIterator<Item: Borrow<f64>>) -> f64 {
+    mean(values.into_iter().map(|value| value.borrow().powi(2))).sqrt()
+}
 
 /// The upper median of `values`, which it reorders; `None` if there are no values.
 pub fn median(values: &mut [f64]) -> Option<f64> {

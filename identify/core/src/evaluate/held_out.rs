@@ -2,12 +2,13 @@
 //! `calibrate::validation::held_out`; the errors are the differences of the two ends.
 
 use super::nominal::bar_fitted;
-use super::{rms, uncalibrated};
+use super::uncalibrated;
 use crate::calibrate::Calibration;
 use crate::calibrate::validation::held_out::Segment;
 use crate::cost::{Closure, loop_closures};
 use crate::kinematics::LinkParameter;
 use crate::model::{Geometry, Model, Observation, ParameterId};
+use crate::statistics::rms;
 
 /// Difference between robot and bar at one sample.
 #[derive(Debug, Clone, Copy, PartialEq)]

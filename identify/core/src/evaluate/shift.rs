@@ -1,8 +1,8 @@
 //! The alignment as in figure 5.5 of the thesis: the gap when one log is shifted in time.
 
-use super::rms;
 use crate::cost::loop_closures;
 use crate::model::{Geometry, Observation, RobotMotion};
+use crate::statistics::rms;
 
 /// Gap between robot and bar as a function of an added time shift.
 #[derive(Debug, Clone, Default, PartialEq)]

@@ -5,13 +5,13 @@
 
 use nalgebra::Vector3;
 
-use super::figures::rms;
 use super::{Quantiles, RunEvidence};
 use crate::calibrate::Calibration;
 use crate::calibrate::pipeline::Solved;
 use crate::cost::Closure;
 use crate::model::{Model, ParameterId};
 use crate::prepare::{BarForces, Prepared};
+use crate::statistics::rms;
 
 /// Deviation of one sample from the sphere.
 #[derive(Debug, Clone, Copy, PartialEq)]

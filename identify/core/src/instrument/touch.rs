@@ -11,6 +11,7 @@ use crate::cost::TouchedFace;
 use crate::kinematics::Chain;
 use crate::logs::{JointMistake, TipRow};
 use crate::model::{Axis, Face, FaceNumber, Geometry, JointState, Owner, ParameterId, Role};
+use crate::statistics::rms;
 
 /// Fewest rows of a face: twice the three unknowns of its plane.
 const FACE_ROWS_MIN: usize = 6;
@@ -73,11 +74,10 @@ fn fit_tip_and_planes(touches: &Touches, faces: usize, start_m: Vector3<f64>) ->
         tip_m = solution.fixed_rows::<3>(0).into_owned();
         planes.iter_mut().enumerate().for_each(|(face, plane)| plane.distance_m = solution[3 + face]);
     }
-    let squared = touches.iter().map(|(flange, row)| {
+    let rms_m = rms(touches.iter().map(|(flange, row)| {
         let tip_m = flange.transform_point(&tip_m.into()).coords;
-        (planes[row.part].normal.dot(&tip_m) - planes[row.part].distance_m + row.reading_m).powi(2)
-    });
-    let rms_m = (squared.sum::<f64>() / touches.len().max(1) as f64).sqrt();
+        planes[row.part].normal.dot(&tip_m) - planes[row.part].distance_m + row.reading_m
+    }));
     Some(Placed { tip_m, planes, rms_m })
 }
 

@@ -19,6 +19,7 @@ use shared::config::{JointKind, RobotConfig};
 
 use super::{JointState, JointTerm, Load, Period, RobotMotion};
 use crate::kinematics::{AXES_MAX, Chain, Joints, Trace, Tracer, Turn, Twist};
+use crate::statistics::mean;
 
 /// Drive speed scale of the backlash shape `tanh(rate / speed)` \[rad/s\]; at this speed the shape is about 0.76. It is lower
 /// than the speeds of calibration motions and higher than the residual speed of a noisy log at standstill. At standstills in a
@@ -325,7 +326,7 @@ impl JointErrors {
             let delay = delays().find(|(delayed_axis, _, _)| *delayed_axis == axis);
             delay.map_or(0.0, |(_, _, delay_s)| *delay_s)
         };
-        let mean_delay_s = (0..axes).map(delay_of_axis_s).sum::<f64>() / axes.max(1) as f64;
+        let mean_delay_s = mean((0..axes).map(delay_of_axis_s));
         for axis in 0..axes {
             let delay_s = delay_of_axis_s(axis) - mean_delay_s;
             if delay_s == 0.0 {

@@ -27,7 +27,7 @@ use crate::model::{
     SetUp,
 };
 use crate::solver::{ScaledCholesky, stacked};
-use crate::statistics::{largest_difference, median};
+use crate::statistics::{largest_difference, mean, median};
 
 use super::information::States;
 use super::optimum::optimum;
@@ -451,10 +451,8 @@ impl<'a> PriorModel<'a> {
             let columns: Vec<usize> =
                 (0..self.ids.len()).filter(|column| ids.contains(&self.ids[*column])).collect();
             let left = |&column: &usize| (covariance[(column, column)].max(0.0) / self.prior[column]).sqrt();
-            let rms = |variance: &dyn Fn(usize) -> f64| {
-                let sum: f64 = columns.iter().map(|&column| variance(column)).sum();
-                (sum / columns.len().max(1) as f64).sqrt()
-            };
+            let rms =
+                |variance: &dyn Fn(usize) -> f64| mean(columns.iter().map(|&column| variance(column))).sqrt();
             Determined {
                 left: columns.iter().map(left).collect(),
                 prior: rms(&|column| self.prior[column]),

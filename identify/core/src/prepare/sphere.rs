@@ -13,7 +13,7 @@ use shared::config::RobotConfig;
 use super::{PrepareError, PrepareOptions};
 use crate::kinematics::{Chain, Joints, Trace, Tracer};
 use crate::logs::{JointConversion, JointMistake, RobotLog, ranges};
-use crate::statistics::median;
+use crate::statistics::{median, rms};
 
 /// A sphere through robot positions.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -311,8 +311,7 @@ impl Sphere {
     }
 
     fn rms(&self, positions_m: &[Vector3<f64>]) -> f64 {
-        let sum: f64 = positions_m.iter().map(|p| self.distance(p).powi(2)).sum();
-        (sum / positions_m.len().max(1) as f64).sqrt()
+        rms(positions_m.iter().map(|p| self.distance(p)))
     }
 
     /// Gauss-Newton on the distances, with an expected radius and its weight (one position has weight 1).

@@ -17,6 +17,7 @@ use crate::simulate::{
     ATTACHMENT_M, Design, Experiment, LEAD_ROWS, Pairs, SimulateError, Truth, pairs, wire_rows,
 };
 use crate::simulate::{Comparison, position_errors_m};
+use crate::statistics::mean;
 
 /// One experiment: a place in the study's list of figures, series, sizes and seeds.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -127,7 +128,7 @@ pub fn prepared(pairs: &Pairs, measured: [bool; 5], base_m: [f64; 3]) -> Result<
     let t_s = pairs.t_s.iter().map(|t_s| t_s - first_s).collect();
     let q_rad = Stream::new(0, t_s, pairs.robot_rad.clone()).with_gap_limit(f64::INFINITY);
     let motion = Arc::new(q_rad.spline().ok_or(SimulateError::Empty)?);
-    let middle_s = pairs.t_s.iter().sum::<f64>() / pairs.t_s.len().max(1) as f64;
+    let middle_s = mean(&pairs.t_s);
     let observation = |(t_s, bar_rad): (&f64, &[f64; 5])| Observation {
         measured,
         ..Observation::bar(t_s - middle_s, *bar_rad)

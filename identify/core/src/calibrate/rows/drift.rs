@@ -12,10 +12,11 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::calibrate::CalibrateError;
-use crate::calibrate::selection::terms::{falls, mean};
+use crate::calibrate::selection::terms::falls;
 use crate::instrument::Instrument;
 use crate::model::{Model, ParameterId};
 use crate::solver::{Loss, Normal, Prior, ScaledCholesky, stacked};
+use crate::statistics::mean;
 
 /// Size and memory of a drift, with the errors of the cross-validation.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, Normal};
 
 use crate::instrument::PoseError;
-use crate::statistics::quantile;
+use crate::statistics::{mean, quantile, rms};
 
 /// Statistics of error magnitudes over a number of rows, all in one unit.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
@@ -24,10 +24,9 @@ impl Sizes {
     /// Statistics of these magnitudes; zeros for an empty set.
     pub fn of(sizes: impl Iterator<Item = f64>) -> Self {
         let mut sizes: Vec<f64> = sizes.collect();
-        let count = sizes.len().max(1) as f64;
         Self {
-            mean: sizes.iter().sum::<f64>() / count,
-            rms: (sizes.iter().map(|e| e * e).sum::<f64>() / count).sqrt(),
+            mean: mean(&sizes),
+            rms: rms(&sizes),
             p95: quantile(&mut sizes, 0.95),
             max: quantile(&mut sizes, 1.0),
         }

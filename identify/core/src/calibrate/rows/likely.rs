@@ -3,14 +3,14 @@
 
 use std::fmt;
 
-use super::{PoseFigures, Sizes};
+use super::PoseFigures;
 use crate::calibrate::CalibrateError;
 use crate::calibrate::pipeline::{Plan, estimate};
 use crate::instrument::{Instrument, Mistake, Rows, Run};
 use crate::kinematics::Chain;
 use crate::model::Model;
 use crate::solver::LossName;
-use crate::statistics::median_size;
+use crate::statistics::{mean, median_size, rms};
 
 /// A mistake whose correction makes the rows fit the nominal robot.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -140,8 +140,8 @@ pub(in crate::calibrate) fn unless_other_unit(
     }
     let variation_m = |rows: &Instrument| {
         let lengths_m = rows.lengths_m();
-        let mean_m = lengths_m.iter().sum::<f64>() / lengths_m.len().max(1) as f64;
-        Sizes::of(lengths_m.iter().map(|length_m| length_m - mean_m)).rms
+        let mean_m = mean(&lengths_m);
+        rms(lengths_m.iter().map(|length_m| length_m - mean_m))
     };
     let median_error_m = |rows: &Instrument, model: &Model| {
         median_size(rows.errors(&model.geometry(&[])).iter().map(|error| error.position_m))

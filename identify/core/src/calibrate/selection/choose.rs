@@ -4,12 +4,13 @@
 use std::collections::BTreeMap;
 
 use super::line_spectrum::LineSpectrum;
-use super::terms::{Candidate, CandidateGroup, Offer, Verdict, mean, prior_scale, select, select_axes};
+use super::terms::{Candidate, CandidateGroup, Offer, Verdict, prior_scale, select, select_axes};
 use crate::calibrate::error::CalibrateError;
 use crate::calibrate::pipeline::{HELD_OUT, LEFT_OUT, Plan, Solver, problem};
 use crate::instrument::Run;
 use crate::model::{ModelError, ParameterId, Role, TermGroup};
 use crate::solver::{Loss, Normals, Prior, Solution};
+use crate::statistics::mean;
 
 /// Parameters whose priors have a common scale, which the samples determine.
 #[derive(Debug, Clone)]

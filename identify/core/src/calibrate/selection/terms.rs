@@ -8,6 +8,7 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use crate::model::{ParameterId, TermGroup};
 use crate::solver::{Normals, Prior, Scores};
+use crate::statistics::mean;
 
 /// Terms that are tried together: those of all axes, or of one.
 #[derive(Debug, Clone, PartialEq)]
@@ -111,11 +112,6 @@ const SIGNIFICANCE_LEVEL: f64 = 0.15;
 const DECREASE_MIN: f64 = 1e-3;
 /// Probability that any axis of a rejected group is accepted by chance.
 const AXIS_BY_CHANCE: f64 = 0.02;
-
-/// Arithmetic mean; zero for an empty slice.
-pub(in crate::calibrate) fn mean(values: &[f64]) -> f64 {
-    if values.is_empty() { 0.0 } else { values.iter().sum::<f64>() / values.len() as f64 }
-}
 
 /// Whether the errors of the folds decrease significantly (one-sided Student's t of the logarithms, since errors may differ
 /// much between folds), and their mean by more than `DECREASE_MIN`.

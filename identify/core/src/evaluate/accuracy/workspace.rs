@@ -17,12 +17,11 @@ use serde::{Deserialize, Serialize};
 use super::budget::Budget;
 use super::cube::{Cube, CubeError};
 use crate::calibrate::validation::deployment::{Deployed, Deployment};
-use crate::evaluate::rms;
 use crate::instrument::standing;
 use crate::kinematics::{Joints, Trace, Tracer};
 use crate::model::{JointState, Model, Owner, ParameterId, TermGroup};
 use crate::solver::{Covariance, Source};
-use crate::statistics::quantile;
+use crate::statistics::{mean, quantile, rms};
 
 /// Number of random postures, uniformly distributed over the joint limits.
 const POSTURES: usize = 400;
@@ -321,7 +320,6 @@ fn expected(difference_m: &[Vector3<f64>], drawn_m: &DMatrix<f64>) -> Expected {
         difference_m.iter().enumerate().map(|(posture, by_m)| (by_m + drawn(posture)).norm()).collect()
     };
     let errors_m: Vec<Vec<f64>> = drawn_m.column_iter().map(of_draw).collect();
-    let mean = |errors: &Vec<f64>| errors.iter().sum::<f64>() / errors.len().max(1) as f64;
     let mut means: Vec<f64> = errors_m.iter().map(mean).collect();
     let mut p95s: Vec<f64> = errors_m.iter().map(|errors| quantile(&mut errors.clone(), 0.95)).collect();
     let mut all: Vec<f64> = errors_m.into_iter().flatten().collect();

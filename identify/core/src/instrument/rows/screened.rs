@@ -1,9 +1,9 @@
 //! Rows without outliers, from residuals at a solution and a robust standard deviation (median). Outliers are determined again
 //! after each solve: single rows with gross residuals, and runs of consecutive rows that are off together.
 
-use super::Standing;
+use super::{MEDIAN_OF_ONE, Standing, sigma_by_median};
 use crate::instrument::PoseError;
-use crate::statistics::{SIGMA_PER_MEDIAN, median_size};
+use crate::statistics::median_size;
 
 /// Standard deviations beyond which a single row is gross: no row of a normal distribution, and few rows of a heavy-tailed one.
 const GROSS: f64 = 8.0;
@@ -100,7 +100,7 @@ pub(crate) fn faulty(
     const RUN: f64 = 3.0;
     // As if all rows were as uncertain as the median one.
     let scaled_m: Vec<f64> = residuals_m.iter().zip(relative_noise).map(|(r, noise)| r / noise).collect();
-    let sigma_m = robust_sigma(kept.iter().map(|&row| scaled_m[row]));
+    let sigma_m = sigma_by_median(kept.iter().map(|&row| scaled_m[row]), MEDIAN_OF_ONE);
     let single = |&row: &usize| {
         let is_gross = scaled_m[row].abs() > GROSS * sigma_m;
         let residual_m = residuals_m[row];
@@ -144,17 +144,11 @@ fn beyond(errors: &[PoseError], relative_noise: &[f64], sigmas: f64) -> Vec<bool
         errors.iter().map(|error| error.position_m).collect(),
         errors.iter().filter_map(|error| error.rotation_rad).collect(),
     ];
-    let limits = sizes.map(|sizes| sigmas * robust_sigma(sizes.into_iter()));
+    let limits = sizes.map(|sizes| sigmas * sigma_by_median(sizes.into_iter(), MEDIAN_OF_ONE));
     let is_beyond = |error: &PoseError| {
         error.position_m > limits[0] || error.rotation_rad.is_some_and(|angle| angle > limits[1])
     };
     errors.iter().map(is_beyond).collect()
-}
-
-/// Standard deviation of mostly normal residuals, from their median size.
-fn robust_sigma(residuals: impl Iterator<Item = f64>) -> f64 {
-    // Data without any noise still need a unit.
-    (SIGMA_PER_MEDIAN * median_size(residuals)).max(1e-9)
 }
 
 /// Median size of the residuals of the fitting rows just before or just after a row, whichever is larger: a run ends

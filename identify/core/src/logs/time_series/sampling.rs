@@ -30,7 +30,7 @@ pub use stamps::{StampStep, Stamps};
 
 use crate::kinematics::Joints;
 use crate::logs::ROWS_MIN;
-use crate::statistics::median;
+use crate::statistics::{mean, median, rms};
 
 /// The times of a log.
 pub(in crate::logs) struct Sampling {
@@ -168,7 +168,7 @@ impl Numbered {
         // What rounding does not explain of the deviations, in cells.
         let excess = |phase: f64| {
             let excess_s = self.late_s().map(|late_s| (late_s - phase * cell_s).abs() - HALF * cell_s);
-            rms(&excess_s.map(|excess_s| excess_s.max(0.0)).collect::<Vec<_>>()) / cell_s
+            rms(excess_s.map(|excess_s| excess_s.max(0.0))) / cell_s
         };
         let least_excess = PHASES.into_iter().map(excess).fold(f64::INFINITY, f64::min);
         let cells_nats = rows * (1.0 + CELLS * least_excess).ln();
@@ -217,10 +217,6 @@ impl Numbered {
     }
 }
 
-fn rms(values: &[f64]) -> f64 {
-    (values.iter().map(|value| value * value).sum::<f64>() / values.len().max(1) as f64).sqrt()
-}
-
 /// How far rows are from the straight lines between their neighbours, root mean square; at equal times from the middle.
 fn roughness(t_s: &[f64], rows: &[Joints]) -> f64 {
     let off_squared = |(t, q): (&[f64], &[Joints])| -> f64 {
@@ -228,8 +224,7 @@ fn roughness(t_s: &[f64], rows: &[Joints]) -> f64 {
         let part = if span_s > 0.0 { (t[1] - t[0]) / span_s } else { 0.5 };
         (0..q[0].len()).map(|axis| (q[1][axis] - (1.0 - part) * q[0][axis] - part * q[2][axis]).powi(2)).sum()
     };
-    let squares: Vec<f64> = t_s.windows(3).zip(rows.windows(3)).map(off_squared).collect();
-    (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt()
+    mean(t_s.windows(3).zip(rows.windows(3)).map(off_squared)).sqrt()
 }
 
 #[cfg(test)]

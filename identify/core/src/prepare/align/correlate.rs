@@ -14,6 +14,7 @@ use std::sync::Arc;
 use rustfft::num_complex::Complex;
 use rustfft::{Fft, FftPlanner};
 
+use crate::statistics::mean;
 use crate::threads::each;
 
 /// Signals on a common uniform grid.
@@ -203,11 +204,6 @@ fn mask(channels: &Channels) -> Vec<f64> {
 
 fn known<'a>(values: &'a [f64], known: &'a [bool]) -> impl Iterator<Item = f64> + 'a {
     values.iter().zip(known).filter(|(_, known)| **known).map(|(value, _)| *value)
-}
-
-fn mean(values: impl Iterator<Item = f64>) -> f64 {
-    let (count, sum) = values.fold((0usize, 0.0), |(count, sum), value| (count + 1, sum + value));
-    sum / count.max(1) as f64
 }
 
 /// One over the standard deviation of the known points: with it all channels count the same. 0 for a joint that does

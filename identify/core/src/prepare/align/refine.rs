@@ -20,6 +20,7 @@ use crate::model::{Clock, Geometry, Group, Model, ModelError, Observation, Param
 use crate::prepare::AlignedLog;
 use crate::prepare::samples::angle_errors::AngleErrors;
 use crate::solver::{GoodShare, Linearisation, Loss, Options, Prior, Problem, Schedule, Summary, minimise};
+use crate::statistics::mean;
 use crate::threads::rows;
 
 /// Standard deviation of the numbers of the nominal chains \[m, rad\].
@@ -226,7 +227,7 @@ pub(in crate::prepare) fn refine(
     start: Option<&Fit>,
 ) -> Option<Fit> {
     // Times about their middle: shift and skew are then nearly independent.
-    let middle_s = samples.iter().map(|sample| sample.t_s).sum::<f64>() / samples.len().max(1) as f64;
+    let middle_s = mean(samples.iter().map(|sample| sample.t_s));
     let motion = AlignedLog::new(log.clone(), coarse.robot_time_s(middle_s));
     let about_middle = samples.iter().map(|sample| Observation { t_s: sample.t_s - middle_s, ..*sample });
     let stays = |sample: &Observation| motion.covers((1.0 + coarse.skew) * sample.t_s, EDGE_S);

@@ -34,6 +34,7 @@ use crate::prepare::{
     unwrapped_log,
 };
 use crate::solver::{GoodShare, LossName, Options, minimise_robust};
+use crate::statistics::mean;
 use standstills::REST_S;
 
 /// Rows further apart are taken at standstills \[s\]: a tracker that follows a moving target measures faster than once in this
@@ -337,8 +338,7 @@ impl Search<'_> {
     fn fit(&self, window: &Range<usize>, coarse: Clock) -> Option<Fit> {
         let rows = self.rows_to_fit(window, coarse);
         // Times about their middle: shift and skew are then nearly independent.
-        let middle_s =
-            rows.iter().map(|row| self.observed_m.t_s[*row]).sum::<f64>() / rows.len().max(1) as f64;
+        let middle_s = mean(rows.iter().map(|row| self.observed_m.t_s[*row]));
         let motion = AlignedLog::new(self.log.clone(), coarse.robot_time_s(middle_s));
         let observed_m: Vec<Vector3<f64>> = rows.iter().map(|row| self.observed_m[*row]).collect();
         let observation =

@@ -18,6 +18,7 @@ use serde::{Deserialize, Serialize};
 use super::circular::{deviations, spread_of};
 use crate::kinematics::BAR_JOINTS;
 use crate::prepare::{PrepareError, PrepareOptions};
+use crate::statistics::rms;
 
 /// How order and directions of the encoders are determined.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -118,8 +119,7 @@ impl EncoderMap {
 
     /// Root mean square of the spreads \[mrad\].
     pub fn spread_mrad(&self) -> f64 {
-        let squares: f64 = self.encoders.iter().map(|place| place.spread_mrad.powi(2)).sum();
-        (squares / self.encoders.len().max(1) as f64).sqrt()
+        rms(self.encoders.iter().map(|place| place.spread_mrad))
     }
 }
 

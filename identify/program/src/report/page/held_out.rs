@@ -98,7 +98,7 @@ fn panel(
     // A horizontal line over each segment at its RMS.
     let rms_lines = |errors: fn(&HeldOutSegment) -> &Vec<PoseError>| {
         let ends = segments.iter().flat_map(|segment| {
-            let rms = crate::evaluate::rms(errors(segment).iter().map(&value));
+            let rms = crate::statistics::rms(errors(segment).iter().map(&value));
             segment.span_s().map(|t_s| (time.at(t_s), rms))
         });
         ends.collect::<Vec<(f64, f64)>>()

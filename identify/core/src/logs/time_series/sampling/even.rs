@@ -1,7 +1,7 @@
 //! Stamps that are those of a regular clock as they are.
 
-use super::{Stamps, rms};
-use crate::statistics::median;
+use super::Stamps;
+use crate::statistics::{median, rms};
 
 /// Stamps that scatter by less than this are taken as they are \[s\]: the fastest joint of a calibration turns by 5 urad in it,
 /// less than any encoder of it resolves.
