@@ -61,12 +61,12 @@ struct Settings {
     log_options: LogOptions,
     bar: Option<BallBarConfig>,
     recording_mapping: Option<BarLogMapping>,
-    contacts: Option<(SocketTable, ContactMapping)>,
     rows: Option<RowMapping>,
 }
 
-/// Mapping of rows of a tracker, a wire, or a touch probe.
+/// Mapping of rows of a tracker, a wire, a touch probe, or a ball in sockets with their table.
 enum RowMapping {
+    Contacts(SocketTable, ContactMapping),
     Poses(MeasuredPoseMapping),
     Lengths(MeasuredLengthMapping),
     Touches(TouchMapping),
@@ -91,6 +91,10 @@ impl RowMapping {
 
     fn inspected(&self, path: &Path, robot: &RobotConfig) -> anyhow::Result<Inspection> {
         Ok(match self {
+            Self::Contacts(table, mapping) => {
+                joints_of_robot(&mapping.joints, robot, path)?;
+                inspect::contacts(&mapping.load(path, &table.names())?, table, robot)
+            }
             Self::Lengths(mapping) => {
                 joints_of_robot(&mapping.joints, robot, path)?;
                 inspect::lengths(&MeasuredLengths::load(path, mapping)?, robot)
@@ -111,12 +115,14 @@ impl RowMapping {
 }
 
 pub fn run(arguments: &InspectArguments) -> anyhow::Result<()> {
-    let contacts = arguments.sockets.as_deref().zip(arguments.contact_mapping.as_deref());
+    let rows = match (&arguments.sockets, &arguments.contact_mapping) {
+        (Some(sockets), Some(mapping)) => {
+            Some(RowMapping::Contacts(config::load(sockets)?, config::load(mapping)?))
+        }
+        _ => arguments.mapping.as_deref().map(RowMapping::load).transpose()?,
+    };
     let settings = Settings {
-        contacts: contacts
-            .map(|(sockets, mapping)| anyhow::Ok((config::load(sockets)?, config::load(mapping)?)))
-            .transpose()?,
-        rows: arguments.mapping.as_deref().map(RowMapping::load).transpose()?,
+        rows,
         robot: arguments.robot.as_deref().map(config::load).transpose()?,
         log_options: LogOptions {
             format: arguments.log_format,
@@ -167,11 +173,6 @@ impl Settings {
     fn inspected(&self, path: &Path) -> anyhow::Result<Vec<Inspection>> {
         if let (Some(mapping), Some(robot)) = (&self.rows, &self.robot) {
             return Ok(vec![mapping.inspected(path, robot)?]);
-        }
-        if let (Some((table, mapping)), Some(robot)) = (&self.contacts, &self.robot) {
-            joints_of_robot(&mapping.joints, robot, path)?;
-            let rows = mapping.load(path, &table.names())?;
-            return Ok(vec![inspect::contacts(&rows, table, robot)]);
         }
         if logs::is_recording(path)? {
             return Ok(vec![inspect::recording(&Recording::open(path)?)]);

@@ -3,7 +3,7 @@
 
 use shared::config::{JointKind, RobotConfig};
 
-use super::Inspection;
+use super::{Inspection, TRAVEL_MIN_DEG};
 use crate::calibrate::rows::Sizes;
 use crate::instrument::{Contact, Measures, SocketTable};
 use crate::kinematics::{Chain, Joints, flange_chain};
@@ -37,8 +37,6 @@ pub(super) fn ranges(
     rows: impl Iterator<Item = Joints> + Clone,
     robot: &RobotConfig,
 ) {
-    /// A joint that turned less does not determine its link \[deg\].
-    const TRAVEL_MIN_DEG: f64 = 5.0;
     for (joint, kind) in robot.joint_kinds().enumerate() {
         let (name, unit) = (format!("q{}", joint + 1), kind.display_symbol());
         let [low, high] = extremes(rows.clone().map(|q| q[joint] * kind.display_factor()));

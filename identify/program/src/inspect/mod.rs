@@ -20,6 +20,8 @@ use shared::config::JointKind;
 
 use crate::logs::{LogQuality, Row, Unwrapped, ranges, usual_and_longest_step_s};
 
+/// A revolute joint that turned less does not determine its link \[deg\].
+const TRAVEL_MIN_DEG: f64 = 5.0;
 /// Name of a fact that is missing in the file.
 pub const UNSAID: &str = "not in the file";
 
@@ -56,6 +58,14 @@ impl Inspection {
 
     fn suspect(&mut self, sentence: impl Into<String>) {
         self.suspicious.push(sentence.into());
+    }
+
+    /// Reports in one sentence all joints for which `described` has a text; `of_all` follows.
+    fn suspect_joints(&mut self, described: impl Fn(&JointLine) -> Option<String>, of_all: &str) {
+        let found: Vec<String> = self.joints.iter().filter_map(described).collect();
+        if !found.is_empty() {
+            self.suspect(found.join(", ") + of_all);
+        }
     }
 
     /// Its joints, neighbours of one unit together.
@@ -127,18 +137,11 @@ fn joint_lines<R: Row>(
 
 /// A revolute joint that hardly moves does not determine its link; `check` is what to do if it did move.
 fn suspect_still(inspection: &mut Inspection, check: &str) {
-    /// \[deg\]
-    const TRAVEL_MIN_DEG: f64 = 5.0;
-    let still: Vec<String> = inspection
-        .joints
-        .iter()
-        .filter(|joint| joint.kind == JointKind::Revolute && joint.range[1] - joint.range[0] < TRAVEL_MIN_DEG)
-        .map(|joint| joint.name.clone())
-        .collect();
-    if !still.is_empty() {
-        inspection.suspect(format!(
-            "{} moved by less than {TRAVEL_MIN_DEG} degrees: {check}, or choose a path that moves it",
-            still.join(", ")
-        ));
-    }
+    let is_still = |JointLine { kind, range: [low, high], .. }: &JointLine| {
+        *kind == JointKind::Revolute && high - low < TRAVEL_MIN_DEG
+    };
+    inspection.suspect_joints(
+        |joint| is_still(joint).then(|| joint.name.clone()),
+        &format!(" moved by less than {TRAVEL_MIN_DEG} degrees: {check}, or choose a path that moves it"),
+    );
 }

@@ -5,7 +5,7 @@ use shared::config::JointKind;
 use shared::recording::Recording;
 use shared::recording::schema::{CycleRecord, EncoderInfo, EventKind, flags};
 
-use super::{Inspection, joint_lines, suspect_still};
+use super::{Inspection, JointLine, joint_lines, suspect_still};
 use crate::prepare::{BarAngles, bar_angles};
 use crate::report::summary::SIMULATED;
 
@@ -144,17 +144,12 @@ fn motion_of(inspection: &mut Inspection, angles: &BarAngles) {
         .filter(|(_, measured)| *measured)
         .map(|(line, _)| line)
         .collect();
-    let jumps: Vec<String> = inspection
-        .joints
-        .iter()
-        .filter(|joint| joint.speed_max > SPEED_MAX_DEG_S)
-        .map(|joint| format!("{} ({:.0} deg/s)", joint.name, joint.speed_max))
-        .collect();
-    if !jumps.is_empty() {
-        inspection.suspect(format!(
-            "{} moved faster than any bar does: the encoder slipped or lost counts; check its signal",
-            jumps.join(", ")
-        ));
-    }
+    let jumps = |JointLine { name, speed_max, .. }: &JointLine| {
+        (*speed_max > SPEED_MAX_DEG_S).then(|| format!("{name} ({speed_max:.0} deg/s)"))
+    };
+    inspection.suspect_joints(
+        jumps,
+        " moved faster than any bar does: the encoder slipped or lost counts; check its signal",
+    );
     suspect_still(inspection, "check the plug");
 }

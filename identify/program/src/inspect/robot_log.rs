@@ -72,20 +72,12 @@ fn suspect_fast(inspection: &mut Inspection) {
     const SPEED_MAX_DEG_S: f64 = 3000.0;
     /// Twice the speed of fast linear axes \[mm/s\].
     const SPEED_MAX_MM_S: f64 = 10_000.0;
-    let is_fast = |joint: &&JointLine| match joint.kind {
-        JointKind::Revolute => joint.speed_max > SPEED_MAX_DEG_S,
-        JointKind::Prismatic => joint.speed_max > SPEED_MAX_MM_S,
-    };
     let reached = |JointLine { name, kind, speed_max, .. }: &JointLine| {
-        format!("{name} reaches {speed_max:.0} {}/s", kind.display_symbol())
+        let limit = if *kind == JointKind::Revolute { SPEED_MAX_DEG_S } else { SPEED_MAX_MM_S };
+        (*speed_max > limit).then(|| format!("{name} reaches {speed_max:.0} {}/s", kind.display_symbol()))
     };
-    let fast: Vec<String> = inspection.joints.iter().filter(is_fast).map(reached).collect();
-    if !fast.is_empty() {
-        inspection.suspect(format!(
-            "{}: no robot is so fast; look for rows with a wrong stamp or a wrong value",
-            fast.join(", ")
-        ));
-    }
+    inspection
+        .suspect_joints(reached, ": no robot is so fast; look for rows with a wrong stamp or a wrong value");
 }
 
 /// Number of rows in segments in which all joints are constant, and after which a joint jumps.
