@@ -35,7 +35,7 @@ const REFUSALS: [(StatusCode, &str); 14] = [
     (StatusCode::TOO_MANY_REQUESTS, "too many wrong tokens in the last minute"),
     (
         StatusCode::INTERNAL_SERVER_ERROR,
-        "the disk reports an error, or the file of a run could not be finished",
+        "the disk reports an error, the file of a run could not be finished, or a QR code could not be made",
     ),
     (StatusCode::SERVICE_UNAVAILABLE, "the service is ending, or has too many requests or viewers"),
     (StatusCode::GATEWAY_TIMEOUT, "the disk, the file of a run or the service did not answer in time"),
