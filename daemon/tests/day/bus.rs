@@ -10,7 +10,8 @@ use super::rig::live_on_bus;
 use crate::support::assert_bad_cycles_have_reasons;
 use crate::support::world::{now, since, sleep};
 
-fn line<'a>(lines: &'a Value, subject: &str) -> &'a Value {
+/// The line of a check about this subject.
+pub fn line<'a>(lines: &'a Value, subject: &str) -> &'a Value {
     lines.as_array().unwrap().iter().find(|line| line["subject"] == subject).unwrap()
 }
 
@@ -29,6 +30,19 @@ fn terminals_that_are_gone_are_a_fault_at_once_and_no_run_begins() {
         assert!(line(&lines, "bus")["remedy"].is_string(), "{lines}");
         day.wait_for(ServiceState::Waiting).await;
         assert_eq!(day.service.status().last, None);
+        day.end().await;
+    });
+}
+
+#[test]
+fn a_terminal_that_refuses_its_settings_is_named_until_it_accepts_them() {
+    live_on_bus(&["gone:3@7s-8s", "abort:1,0x06090011@7s-9s"], async |day| {
+        day.wait_for(ServiceState::Waiting).await;
+        let refusing = day.wait_for_reason("terminal 1, while setting the interpolation").await;
+        assert_eq!(refusing.problems[0].code(), "bus_setting_refused");
+        let reason = refusing.reason.unwrap();
+        assert!(reason.starts_with("no samples from any encoder: terminal 1,"), "{reason}");
+        day.wait_for(ServiceState::Waiting).await;
         day.end().await;
     });
 }

@@ -77,6 +77,43 @@ fn a_run_whose_file_cannot_be_finished_is_no_success_for_who_stops_it() {
 }
 
 #[test]
+fn a_download_whose_file_the_disk_does_not_open_is_refused_and_holds_up_nobody_else() {
+    let cases = [Call::Open, Call::Length];
+    in_parallel(&cases, cases.len(), |call| {
+        let call = *call;
+        live(None, async move |day| {
+            day.begin_run().await;
+            day.granted("/stop", &json!({})).await;
+            day.start_run("next").await;
+            day.wall.strike_next(call, Fault::Hangs(Duration::from_secs(20)));
+            let asking = Rc::clone(&day);
+            let answered = Rc::<Cell<Option<u16>>>::default();
+            let told = Rc::clone(&answered);
+            World::here().unwrap().spawn(async move {
+                told.set(Some(asking.get("/runs/day/mcap").await.0));
+            });
+            day.wait_until_struck().await;
+            let (_, first) = day.get("/live").await;
+            sleep(Duration::from_millis(200)).await;
+            assert_ne!(day.get("/live").await.1["at_ms"], first["at_ms"], "the page stands still");
+            for (status, answer) in [
+                day.get("/check").await,
+                day.get("/runs").await,
+                day.post("/mark", &json!({"text": "meanwhile"})).await,
+            ] {
+                assert_eq!(status, 200, "{answer}");
+            }
+            let stopped = day.granted("/stop", &json!({})).await.last.unwrap();
+            assert_eq!(stopped.cycles_lost, 0);
+            assert_eq!(answered.get(), None, "the run waited for the download");
+            day.wait(Duration::from_secs(15), |_| answered.get().is_some()).await;
+            assert_eq!(answered.get(), Some(504));
+            day.end().await;
+        });
+    });
+}
+
+#[test]
 fn a_disk_that_does_not_take_reference_marks_holds_up_nobody() {
     live(None, async |day| {
         day.wait_for(ServiceState::Waiting).await;

@@ -4,5 +4,8 @@
 mod bus;
 mod calls;
 mod codes;
+mod disk;
 mod hangs;
+mod requests;
 mod rig;
+mod runs;

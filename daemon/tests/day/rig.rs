@@ -11,8 +11,9 @@ use axum::Router;
 use axum::body::{Body, to_bytes};
 use axum::http::{Request, header};
 use ballbard::control::api;
+use ballbard::control::recordings::runs::RunLine;
 use ballbard::control::service::Service;
-use ballbard::control::status::{ServiceState, Status};
+use ballbard::control::status::{Reply, ServiceState, Status};
 use ballbard::record::Storage;
 use serde_json::{Value, json};
 use shared::config::DaemonConfig;
@@ -97,6 +98,18 @@ impl Day {
         (status, serde_json::from_str(&answer).unwrap())
     }
 
+    /// The reply to a request that must be granted.
+    pub async fn granted(&self, path: &str, body: &Value) -> Reply {
+        let (status, reply) = self.post(path, body).await;
+        assert_eq!(status, 200, "{path}: {reply}");
+        serde_json::from_value(reply).unwrap()
+    }
+
+    /// The recordings, the latest first.
+    pub async fn runs(&self) -> Vec<RunLine> {
+        serde_json::from_value(self.get("/runs").await.1).unwrap()
+    }
+
     /// Waits for the condition, or until the time-out.
     pub async fn wait(&self, within: Duration, is_it: impl Fn(&Status) -> bool) -> Status {
         let begun = now();
@@ -150,6 +163,10 @@ impl Day {
         self.directory.path().join("runs")
     }
 
+    pub fn spare(&self) -> PathBuf {
+        self.directory.path().join("spare")
+    }
+
     /// Sends a request; returns the answer.
     pub async fn record(&self) -> Answers {
         let mut answers = BTreeMap::new();
@@ -171,6 +188,12 @@ impl Day {
         answers
     }
 
+    /// Starts a run of this name and waits until it is being written.
+    pub async fn start_run(&self, name: &str) {
+        self.granted("/start", &json!({"name": name})).await;
+        self.wait_for(ServiceState::Writing).await;
+    }
+
     /// Starts a run and waits until it is being written.
     pub async fn begin_run(&self) {
         self.wait_for(ServiceState::Waiting).await;
@@ -186,7 +209,7 @@ impl Day {
 
     /// A disk without faults recovers every leftover exactly once.
     pub fn check_files(&self) {
-        for place in [self.home(), self.directory.path().join("spare")] {
+        for place in [self.home(), self.spare()] {
             for leftover in recover_leftovers(&place) {
                 // A run has none if its disk died before the first bytes were complete.
                 let is_begun = leftover.file.file_stem().is_some_and(|name| name == "day.mcap");

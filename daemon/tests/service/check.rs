@@ -11,6 +11,9 @@ use super::rig::{Running, changed, shipped, text};
 #[test]
 fn check_fails_where_a_run_would_need_a_reason_to_begin_and_not_for_less() {
     let service = Running::start();
+    // Larger than any disk.
+    let config = changed("disk_floor_mb = 500", "disk_floor_mb = 4000000000");
+    let full = Running::in_directory(tempfile::tempdir().unwrap(), config.path(), &[]);
     service.wait_for("waiting");
     // Useless but harmless to a run.
     std::fs::write(service.directory.path().join("torn.mcap.active"), "no recording").unwrap();
@@ -23,14 +26,14 @@ fn check_fails_where_a_run_would_need_a_reason_to_begin_and_not_for_less() {
     assert_eq!(output.status.code(), Some(0), "{}", text(&output));
     assert!(text(&output).contains("warning  left-over files:"), "{}", text(&output));
     service.granted("start", &json!({"name": "begun", "duration_s": 0.2}));
-    // Larger than any disk.
-    let config = changed("disk_floor_mb = 500", "disk_floor_mb = 4000000000");
-    let full = Running::in_directory(tempfile::tempdir().unwrap(), config.path());
     full.wait_for("waiting");
     let output = full.command(&["check"]);
     assert_eq!(output.status.code(), Some(1), "{}", text(&output));
     assert!(text(&output).contains("PROBLEM  disk:"), "{}", text(&output));
-    assert_eq!(full.post("start", &json!({"name": "full"})).0, 409);
+    let (status, reply) = full.post("start", &json!({"name": "full"}));
+    assert_eq!(status, 409);
+    assert!(reply["error"].as_str().unwrap().contains("disk floor"), "{reply}");
+    assert_eq!(std::fs::read_dir(full.directory.path()).unwrap().count(), 0);
 }
 
 #[test]

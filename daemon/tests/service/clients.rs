@@ -6,12 +6,11 @@ use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use ballbard::control::status::{ServiceState, Status};
 use nix::sys::signal::Signal;
 use rand::{Rng, SeedableRng, rngs::StdRng};
 use serde_json::json;
 
-use super::rig::{Running, shipped};
+use super::rig::Running;
 use crate::support::assert_bad_cycles_have_reasons;
 
 /// Two seconds, and the delay of a busy machine.
@@ -66,7 +65,6 @@ fn half_a_request_keeps_no_service_from_its_end() {
 #[test]
 fn a_client_that_does_not_say_what_it_wants_is_sent_away() {
     let service = Running::start();
-    service.wait_for("waiting");
     let silent = [
         connect(&service),
         sent(&service, "GET /api/status HTTP/1.1\r\nHost: 127"),
@@ -82,7 +80,7 @@ fn a_client_that_does_not_say_what_it_wants_is_sent_away() {
     for stream in &silent {
         assert!(closed_after(stream) < Duration::from_secs(10));
     }
-    assert_eq!(service.get::<Status>("status").state, ServiceState::Waiting);
+    service.wait_for("waiting");
 }
 
 #[test]
@@ -103,9 +101,9 @@ fn more_clients_than_a_process_has_files_for_change_nothing_for_a_run() {
     let open = std::fs::read_dir(format!("/proc/{}/fd", service.child.id())).unwrap().count();
     assert!(open < 200, "{open} files are open");
     assert_eq!(service.granted("mark", &json!({"text": "crowded"})).run.as_deref(), Some("crowded"));
-    assert!(service.get::<Status>("status").run.is_some());
+    service.wait_for_cycles(50);
     let last = service.granted("stop", &json!({})).last.unwrap();
-    assert!(last.cycles > 50 && last.file.is_some(), "{last:?}");
+    assert!(last.cycles >= 50 && last.file.is_some(), "{last:?}");
     assert_eq!(service.recording("crowded").cycles.len() as u64, last.cycles);
     service.granted("start", &json!({"name": "next"}));
     service.wait_for("writing");
@@ -171,7 +169,7 @@ fn fifty_stuck_and_fifty_fast_clients_and_a_faulty_bus_cost_a_run_no_cycle_and_t
     let faults = faults(soak_s, 4.0..(WARM_UP + soak).as_secs_f64());
     let faults: Vec<&str> = faults.iter().map(String::as_str).collect();
     println!("{} faults", faults.len() / 2);
-    let mut service = Running::with(tempfile::tempdir().unwrap(), &shipped(), &faults);
+    let mut service = Running::given(&faults);
     service.wait_for("waiting");
     service.granted("start", &json!({"name": "soaked"}));
     service.wait_for("writing");

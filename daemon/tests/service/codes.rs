@@ -8,7 +8,7 @@ use ballbard::problem::CODES;
 use serde_json::{Value, json};
 use shared::recording::Recording;
 
-use super::rig::{Running, agent, shipped};
+use super::rig::{Running, agent};
 use crate::support::{has_problem, is_in_metrics};
 
 /// Waits until the status has the code, then checks all places except the file.
@@ -45,7 +45,7 @@ fn a_fault_has_the_same_code_in_all_outputs_of_the_program() {
     let log = &outside.path().join("log");
     let stderr = File::create(log).unwrap().into();
     let faults = ["--fault", "noise:3,0.05@2s"];
-    let service = &Running::logging_to(stderr, tempfile::tempdir().unwrap(), &shipped(), &faults);
+    let service = &Running::logging_to(stderr, &faults);
     service.wait_for("waiting");
     service.granted("start", &json!({"name": "run", "reason": "a test"}));
     assert_reported(service, log, "link_errors");

@@ -8,14 +8,14 @@ use std::process::Output;
 use std::sync::Arc;
 
 use ballbard::control::recordings::runs::RunLine;
-use ballbard::control::status::{Granted, Level, Reply, ServiceState, Status};
+use ballbard::control::status::{Granted, Reply, Status};
 use tokio_rustls::rustls::crypto::ring;
 use tokio_rustls::rustls::pki_types::pem::PemObject;
 use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use tokio_rustls::rustls::sign::{CertifiedKey, SingleCertAndKey};
 use tokio_rustls::rustls::{ServerConfig, ServerConnection};
 
-use super::rig::{Running, shipped, text};
+use super::rig::{Running, text};
 use crate::support::ballbard;
 
 /// A service that other machines reach, with its address, token and certificate.
@@ -27,8 +27,8 @@ struct Far {
 
 impl Far {
     fn new() -> Self {
-        let service = Running::with(tempfile::tempdir().unwrap(), &shipped(), &["--listen", "127.0.0.1:0"]);
-        let words = service.wait_for("waiting").remote.unwrap();
+        let service = Running::given(&["--listen", "127.0.0.1:0"]);
+        let words = service.get::<Status>("status").remote.unwrap();
         let (url, rest) = words.split_once(", certificate SHA-256 ").unwrap();
         let fingerprint = rest.split(';').next().unwrap().to_owned();
         Self { url: url.into(), fingerprint, service }
@@ -61,8 +61,7 @@ fn a_run_is_recorded_marked_noted_and_exported_on_another_machine() {
     let far = Far::new();
     let here = tempfile::tempdir().unwrap();
     let done = |arguments: &[&str]| far.done(here.path(), arguments);
-    // After a delay of a busy machine it takes a second.
-    far.service.wait_until("readiness", |status| status.severity == Level::Good);
+    far.service.wait_until_ready();
     assert!(done(&["status"]).starts_with("READY"));
     let begun: Reply =
         serde_json::from_str(&done(&["start", "--name", "far", "--note", "before", "--json"])).unwrap();
@@ -205,7 +204,7 @@ fn what_is_wrong_with_address_token_or_network_is_said_with_the_remedy() {
         assert_eq!(output.status.code(), Some(2), "{arguments:?}");
         assert!(text(&output).contains(told), "{arguments:?}: {}", text(&output));
     }
-    assert_eq!(far.service.get::<Status>("status").state, ServiceState::Waiting);
+    far.service.wait_for("waiting");
 }
 
 #[test]

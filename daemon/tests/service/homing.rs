@@ -28,7 +28,7 @@ fn recorded_marks(service: &Running, name: &str) -> Vec<u32> {
 #[ignore = "takes half a minute: every joint is turned"]
 fn marks_are_found_used_by_runs_and_forgotten_with_the_terminals_power() {
     let config = copied();
-    let service = Running::in_directory(tempfile::tempdir().unwrap(), config.path());
+    let service = Running::in_directory(tempfile::tempdir().unwrap(), config.path(), &[]);
     service.wait_for("waiting");
     assert!(marks_line(&service).finding.contains("not homed"));
     let output = service.command(&["home", "--json"]);
@@ -57,7 +57,7 @@ fn marks_are_found_used_by_runs_and_forgotten_with_the_terminals_power() {
     std::fs::copy(service.directory.path().join("homing.toml"), config.path().join("homing.toml")).unwrap();
     let directory = tempfile::tempdir().unwrap();
     drop(service);
-    let again = Running::in_directory(directory, config.path());
+    let again = Running::in_directory(directory, config.path(), &[]);
     again.wait_for("waiting");
     assert!(marks_line(&again).remedy.unwrap().contains("ballbard home"));
     assert_eq!(recorded_marks(&again, "not-homed"), [0; 5]);
@@ -65,8 +65,7 @@ fn marks_are_found_used_by_runs_and_forgotten_with_the_terminals_power() {
 
 #[test]
 fn homing_is_stopped_like_a_run_and_keeps_runs_out() {
-    let config = copied();
-    let service = Running::in_directory(tempfile::tempdir().unwrap(), config.path());
+    let service = Running::start();
     service.wait_for("waiting");
     assert_eq!(service.granted("home", &json!({})).answer, Granted::Begun);
     service.wait_for("homing");
@@ -99,8 +98,7 @@ fn a_homing_whose_marks_could_not_be_kept_is_refused_before_anybody_turns_a_join
     let file = elsewhere.path().join("file");
     std::fs::write(&file, "").unwrap();
     let state = file.join("state");
-    let service =
-        Running::with(tempfile::tempdir().unwrap(), &shipped(), &["--state", state.to_str().unwrap()]);
+    let service = Running::given(&["--state", state.to_str().unwrap()]);
     service.wait_for("waiting");
     let lines: Vec<CheckLine> = service.get("check");
     let line = lines.into_iter().find(|line| line.subject == "state").unwrap();

@@ -5,7 +5,6 @@
 mod check;
 mod clients;
 mod codes;
-mod disk;
 mod elsewhere;
 mod ends;
 mod foxglove;

@@ -56,7 +56,7 @@ fn without_journal() -> Log {
 fn a_log_that_cannot_be_written_costs_lines_and_nothing_else() {
     in_parallel(&BROKEN_LOGS, BROKEN_LOGS.len(), |(name, log)| {
         let (stderr, _reader) = log();
-        let mut service = Running::logging_to(stderr, tempfile::tempdir().unwrap(), &shipped(), &[]);
+        let mut service = Running::logging_to(stderr, &[]);
         service.wait_for("waiting");
         service.granted("start", &json!({"name": "logged"}));
         service.wait_for("writing");
@@ -99,12 +99,13 @@ fn a_run_is_recorded_whatever_becomes_of_the_log() {
 
 #[test]
 fn a_service_whose_standard_output_fails_serves() {
-    for (name, stdout) in [("full", full()), ("its reader gone", gone())] {
+    let outputs = [("full", full as fn() -> Stdio), ("its reader gone", gone)];
+    in_parallel(&outputs, outputs.len(), |(name, stdout)| {
         let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
         let directory = tempfile::tempdir().unwrap();
         let mut command = ballbard();
         command.args(["run", "--bus", "simulated", "--port", &port.to_string(), "--config"]).arg(shipped());
-        let command = command.arg("--out").arg(directory.path()).stdout(stdout).stderr(Stdio::null());
+        let command = command.arg("--out").arg(directory.path()).stdout(stdout()).stderr(Stdio::null());
         let mut service = Running { child: command.spawn().unwrap(), port: port.to_string(), directory };
         while std::net::TcpStream::connect(("127.0.0.1", port)).is_err() {
             assert!(service.child.try_wait().unwrap().is_none(), "{name}: the service has ended");
@@ -113,7 +114,7 @@ fn a_service_whose_standard_output_fails_serves() {
         service.wait_for("waiting");
         service.signal(Signal::SIGTERM);
         assert!(service.ended(Duration::from_secs(20)).success(), "{name}");
-    }
+    });
 }
 
 /// Every command that prints, with a service that records.

@@ -12,7 +12,7 @@ use ballbard::control::recordings::runs::{Curves, RunLine};
 use serde::de::DeserializeOwned;
 use serde_json::json;
 
-use super::rig::{Running, agent, shipped, text};
+use super::rig::{Running, agent, quick, text};
 
 /// Subscribes to the events.
 fn listen(service: &Running) -> BufReader<TcpStream> {
@@ -48,11 +48,11 @@ fn events_come_ten_times_a_second_with_what_moves_and_end_with_the_service() {
     let mut events = listen(&service);
     next::<Minute>(&mut events).unwrap();
     while next::<Live>(&mut events).unwrap().joints.iter().any(|joint| joint.speed_deg_per_s.is_none()) {}
-    let moments: Vec<Live> = (0..20).map(|_| next(&mut events).unwrap()).collect();
+    let moments: Vec<Live> = (0..10).map(|_| next(&mut events).unwrap()).collect();
+    let (first, last) = (&moments[0], &moments[9]);
     // A busy machine may take longer for them, but never less.
-    let lasted_ms = moments[19].at_ms - moments[0].at_ms;
-    assert!(lasted_ms >= 1_800, "20 events in {lasted_ms} ms");
-    let (first, last) = (&moments[0], &moments[19]);
+    let lasted_ms = last.at_ms - first.at_ms;
+    assert!(lasted_ms >= 800, "10 events in {lasted_ms} ms");
     assert_eq!(last.joints.len(), 5);
     for (before, after) in first.joints.iter().zip(&last.joints) {
         assert_ne!(before.angle_deg.unwrap(), after.angle_deg.unwrap());
@@ -114,13 +114,14 @@ fn clients_that_take_no_event_hold_up_nobody_and_leave_places_for_others() {
 #[test]
 fn a_recording_is_downloaded_as_it_is_and_as_a_table_and_deleted_by_its_name_alone() {
     let outside = tempfile::tempdir().unwrap();
-    let service = Running::in_directory(tempfile::tempdir_in(outside.path()).unwrap(), &shipped());
+    let service = Running::in_directory(tempfile::tempdir_in(outside.path()).unwrap(), quick().path(), &[]);
     service.wait_for("waiting");
     let about =
         json!({"name": "monday-1", "robot": "IRB 2400", "operator": "A", "bar": "short", "payload": "12 kg"});
     service.granted("start", &about);
     service.wait_for("writing");
     assert_eq!(fetch(&service, "runs/monday-1/mcap").0, 404, "the file of a running run is not offered");
+    service.wait_for_cycles(60);
     let last = service.granted("stop", &json!({})).last.unwrap();
     let (code, named, bytes) = fetch(&service, "runs/monday-1/mcap");
     assert_eq!((code, named.as_str()), (200, "attachment; filename=\"monday-1.mcap\""));
@@ -197,28 +198,9 @@ fn the_page_is_served_with_all_that_it_needs() {
 }
 
 #[test]
-fn prometheus_reads_what_the_page_shows() {
-    let service = Running::start();
-    service.wait_for("waiting");
-    service.granted("start", &json!({"name": "measured"}));
-    service.wait_for("writing");
-    std::thread::sleep(Duration::from_millis(300));
-    let url = format!("http://127.0.0.1:{}/metrics", service.port);
-    let text = agent().get(&url).call().unwrap().body_mut().read_to_string().unwrap();
-    let value = |name: &str| -> f64 {
-        let line = text.lines().find(|line| line.starts_with(name) && !line.starts_with('#'));
-        line.unwrap_or_else(|| panic!("no {name} in {text}")).rsplit(' ').next().unwrap().parse().unwrap()
-    };
-    assert_eq!((value("ballbard_recording "), value("ballbard_ready ")), (1.0, 0.0));
-    assert!(value("ballbard_run_cycles_synced ") > 0.0 && value("ballbard_run_cycles_lost ") == 0.0);
-    assert_eq!(value("ballbard_encoder_good{joint=\"3\"} "), 1.0);
-    assert!(value("ballbard_disk_left_hours ") > 0.0 && text.ends_with("# EOF\n"));
-}
-
-#[test]
 #[ignore = "needs Python with openapi-spec-validator and jsonschema: set BALLBAR_PYTHON"]
 fn every_answer_is_as_the_openapi_document_says_for_independent_validators() {
-    let service = Running::with(tempfile::tempdir().unwrap(), &shipped(), &["--listen", "127.0.0.1:0"]);
+    let service = Running::given(&["--listen", "127.0.0.1:0"]);
     service.wait_for("waiting");
     let python =
         std::env::var_os("BALLBAR_PYTHON").expect("BALLBAR_PYTHON: a Python with tests/requirements.txt");

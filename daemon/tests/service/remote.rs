@@ -11,11 +11,11 @@ use std::process::Command;
 use ballbard::control::status::{ServiceState, Status};
 use serde_json::json;
 
-use super::rig::{Running, shipped};
+use super::rig::{Running, quick, shipped};
 use crate::support::ballbard;
 
 fn open(arguments: &[&str]) -> Running {
-    Running::with(tempfile::tempdir().unwrap(), &shipped(), arguments)
+    Running::given(arguments)
 }
 
 fn token(service: &Running) -> String {
@@ -93,7 +93,7 @@ fn through_a_reverse_proxy_nothing_is_reached_without_the_token_whatever_host_it
     // The file as a killed service leaves it.
     drop(UnixListener::bind(&socket).unwrap());
     let arguments = ["--behind-proxy", socket.to_str().unwrap()];
-    let mut service = Running::with(directory, &shipped(), &arguments);
+    let mut service = Running::in_directory(directory, quick().path(), &arguments);
     service.wait_for("waiting");
     service.granted("start", &json!({"name": "kept", "duration_s": 0.2}));
     service.wait_until("the run", |status| status.last.is_some());
@@ -143,7 +143,6 @@ fn through_a_reverse_proxy_nothing_is_reached_without_the_token_whatever_host_it
 #[test]
 fn what_a_reverse_proxy_passes_on_to_the_loopback_port_is_refused_with_the_remedy() {
     let service = Running::start();
-    service.wait_for("waiting");
     let ask = |version: &str, header: &str| {
         let stream = TcpStream::connect(format!("127.0.0.1:{}", service.port)).unwrap();
         let headers = [&format!("Host: 127.0.0.1:{}", service.port), header];
@@ -229,7 +228,7 @@ fn token_and_key_are_made_once_for_their_owner_alone() {
     service.signal(nix::sys::signal::Signal::SIGTERM);
     assert!(service.ended(std::time::Duration::from_secs(10)).success());
     let directory = std::mem::replace(&mut service.directory, tempfile::tempdir().unwrap());
-    let again = Running::with(directory, &shipped(), &["--listen", "127.0.0.1:0"]);
+    let again = Running::in_directory(directory, &shipped(), &["--listen", "127.0.0.1:0"]);
     let status: Status = again.get("status");
     let second = (token(&again), status.remote.unwrap().split("SHA-256").nth(1).unwrap().to_owned());
     assert_eq!(first, second);

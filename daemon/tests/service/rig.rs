@@ -37,27 +37,25 @@ pub struct Running {
 
 impl Running {
     pub fn start() -> Self {
-        Self::in_directory(tempfile::tempdir().unwrap(), &shipped())
-    }
-
-    pub fn in_directory(directory: tempfile::TempDir, config: &Path) -> Self {
-        Self::with(directory, config, &[])
+        Self::given(&[])
     }
 
     /// With additional command-line arguments.
-    pub fn with(directory: tempfile::TempDir, config: &Path, arguments: &[&str]) -> Self {
-        Self::logging_to(Stdio::null(), directory, config, arguments)
+    pub fn given(arguments: &[&str]) -> Self {
+        Self::logging_to(Stdio::null(), arguments)
     }
 
     /// With a log whose output may fail.
-    pub fn logging_to(
-        stderr: Stdio,
-        directory: tempfile::TempDir,
-        config: &Path,
-        arguments: &[&str],
-    ) -> Self {
+    pub fn logging_to(stderr: Stdio, arguments: &[&str]) -> Self {
         let mut command = heeding_hangups(PROGRAM);
         command.stderr(stderr);
+        Self::by(command, tempfile::tempdir().unwrap(), quick().path(), arguments)
+    }
+
+    /// With its recordings and its state in this directory.
+    pub fn in_directory(directory: tempfile::TempDir, config: &Path, arguments: &[&str]) -> Self {
+        let mut command = heeding_hangups(PROGRAM);
+        command.stderr(Stdio::null());
         Self::by(command, directory, config, arguments)
     }
 
@@ -119,8 +117,19 @@ impl Running {
                 return status;
             }
             assert!(begun.elapsed() < Duration::from_secs(40), "{what} never came: {status:?}");
-            std::thread::sleep(Duration::from_millis(50));
+            std::thread::sleep(Duration::from_millis(20));
         }
+    }
+
+    /// Waits until a run can begin without a reason: after a delay of a busy machine that takes a second.
+    pub fn wait_until_ready(&self) {
+        self.wait_until("readiness", |status| status.headline().word == "READY");
+    }
+
+    /// Waits until the run has this number of cycles on disk.
+    pub fn wait_for_cycles(&self, cycles: u64) {
+        let has_them = |status: &Status| status.run.as_ref().is_some_and(|run| run.cycles >= cycles);
+        self.wait_until("enough cycles", has_them);
     }
 
     /// Runs a command of the program.
@@ -173,6 +182,11 @@ pub fn copied() -> tempfile::TempDir {
         std::fs::copy(shipped().join(name), config.path().join(name)).unwrap();
     }
     config
+}
+
+/// The shipped configuration with more frequent synchronisations: a run is being written sooner.
+pub fn quick() -> tempfile::TempDir {
+    changed("sync_period_ms = 1000", "sync_period_ms = 300")
 }
 
 /// The shipped configuration with a changed `daemon.toml`.

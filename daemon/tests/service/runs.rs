@@ -5,55 +5,10 @@ use std::time::Duration;
 use ballbard::control::recordings::runs::RunLine;
 use ballbard::control::status::{Granted, Status};
 use serde_json::json;
-use shared::recording::schema::EventKind;
 use shared::recording::{Recording, RunMark};
 
 use super::rig::{Running, agent, text};
-use crate::support::{assert_bad_cycles_have_reasons, ballbard};
-
-#[test]
-fn runs_are_recorded_one_after_the_other_from_one_bus() {
-    let service = Running::start();
-    service.wait_for("waiting");
-    for name in ["first", "second"] {
-        assert_eq!(service.granted("start", &json!({"name": name, "note": "n"})).answer, Granted::Begun);
-        let writing = service.wait_for("writing").run.unwrap();
-        assert!(writing.cycles > 0 && writing.bytes > 0, "{writing:?}");
-        assert_eq!(service.granted("mark", &json!({"text": "half way"})).run.as_deref(), Some(name));
-        let stopped = service.granted("stop", &json!({"cause": "enough"}));
-        assert_eq!((stopped.answer, stopped.run.as_deref()), (Granted::Stopped, Some(name)));
-        let recording = service.recording(name);
-        assert_eq!((recording.run.name.as_str(), recording.run.note.as_str()), (name, "n"));
-        assert_eq!(recording.end.cause, "enough");
-        assert_eq!(recording.cycles.len() as u64, stopped.last.unwrap().cycles);
-        let marks: Vec<_> = recording.events.iter().filter(|event| event.kind == EventKind::Marker).collect();
-        assert!(matches!(marks[..], [mark] if mark.text == "half way"), "{marks:?}");
-        assert_bad_cycles_have_reasons(&recording.cycles);
-    }
-    let lines: Vec<RunLine> = service.get("runs");
-    assert_eq!(lines.iter().map(|line| line.name.as_str()).collect::<Vec<_>>(), ["second", "first"]);
-}
-
-#[test]
-fn starting_and_stopping_twice_changes_nothing() {
-    let service = Running::start();
-    service.wait_for("waiting");
-    assert_eq!(service.granted("stop", &json!({})).answer, Granted::Idle);
-    assert_eq!(service.granted("start", &json!({"name": "one"})).answer, Granted::Begun);
-    for body in [json!({"name": "one"}), json!({})] {
-        let again = service.granted("start", &body);
-        assert_eq!((again.answer, again.run.as_deref()), (Granted::Running, Some("one")));
-    }
-    let (status, other) = service.post("start", &json!({"name": "two"}));
-    assert_eq!(status, 409);
-    assert!(other["error"].as_str().unwrap().contains("`one` is active"), "{other}");
-    assert_eq!(service.granted("stop", &json!({})).answer, Granted::Stopped);
-    assert_eq!(service.granted("stop", &json!({})).answer, Granted::Idle);
-    let (status, taken) = service.post("start", &json!({"name": "one"}));
-    assert_eq!(status, 409);
-    assert!(taken["error"].as_str().unwrap().contains("never overwritten"), "{taken}");
-    service.wait_for("waiting");
-}
+use crate::support::ballbard;
 
 #[test]
 fn many_clients_at_once_get_one_run_at_a_time_and_every_file_is_whole() {
@@ -90,17 +45,47 @@ fn many_clients_at_once_get_one_run_at_a_time_and_every_file_is_whole() {
     }
 }
 
-#[test]
-fn the_commands_say_what_they_did() {
+/// A service in operation. The parts of a test share it: its bring-up takes longer than they do.
+fn ready() -> Running {
     let service = Running::start();
     service.wait_for("waiting");
+    service
+}
+
+#[test]
+fn commands_say_what_they_did_and_what_the_service_knows() {
+    let service = ready();
+    the_commands_say_what_they_did(&service);
+    what_the_service_knows_is_asked_for_by_name_and_as_json(&service);
+    a_start_that_was_refused_is_no_run_for_status_and_stop(&service);
+}
+
+#[test]
+fn recordings_are_deleted_restored_noted_and_marked() {
+    let service = ready();
+    a_deleted_run_lies_in_the_bin_until_it_is_restored_or_the_bin_is_emptied(&service);
+    a_note_is_changed_after_the_run_and_the_recorded_file_is_not(&service);
+    marks_are_numbered_by_the_service_and_stand_in_status_list_and_file(&service);
+}
+
+fn the_commands_say_what_they_did(service: &Running) {
+    service.wait_until_ready();
     let begun = service.command(&["start", "--name", "typed", "--note", "by hand", "--operator", "A"]);
     assert!(begun.status.success() && text(&begun).contains("`typed` has begun"), "{}", text(&begun));
     assert!(text(&service.command(&["start", "--name", "typed"])).contains("was running already"));
     service.wait_for("writing");
     assert!(text(&service.command(&["mark", "a mark"])).contains("marked in run `typed`"));
     let status = service.command(&["status"]);
-    assert!(text(&status).contains("RECORDING") && text(&status).contains("`typed`"), "{}", text(&status));
+    let parts = [
+        "RECORDING",
+        "`typed`",
+        "cycles on disk",
+        "not safe on disk yet",
+        "not written yet (at 60 s cycles are lost)",
+    ];
+    for part in parts {
+        assert!(text(&status).contains(part), "`{part}` is missing in: {}", text(&status));
+    }
     let stopped = service.command(&["stop"]);
     assert!(text(&stopped).contains("typed.mcap"), "{}", text(&stopped));
     assert!(text(&service.command(&["stop"])).contains("no run is active"));
@@ -115,39 +100,36 @@ fn the_commands_say_what_they_did() {
     assert!(runs.contains(&started.format("%Y-%m-%d %H:%M:%S %:z").to_string()), "{runs}");
 }
 
-#[test]
-fn a_note_is_changed_after_the_run_and_the_recorded_file_is_not() {
-    let service = Running::start();
-    service.wait_for("waiting");
+fn a_note_is_changed_after_the_run_and_the_recorded_file_is_not(service: &Running) {
     let record = |note: &str| {
-        service.granted("start", &json!({"name": "one", "note": note}));
+        service.granted("start", &json!({"name": "noted", "note": note}));
         service.wait_for("writing");
-        let (status, refused) = service.post("note", &json!({"name": "one", "note": "too early"}));
+        let (status, refused) = service.post("note", &json!({"name": "noted", "note": "too early"}));
         assert_eq!(status, 404, "{refused}");
         service.granted("stop", &json!({}));
     };
     let listed = || service.get::<Vec<RunLine>>("runs").remove(0).note;
-    let table = || text(&service.command(&["export", "--csv", "one", "--out", "-"]));
+    let table = || text(&service.command(&["export", "--csv", "noted", "--out", "-"]));
     record("typed wrongly");
-    let file = service.directory.path().join("one.mcap");
+    let file = service.directory.path().join("noted.mcap");
     let recorded = std::fs::read(&file).unwrap();
 
-    let said = service.command(&["note", "one", "payload 12 kg"]);
-    assert!(said.status.success() && text(&said).contains("`one`"), "{}", text(&said));
+    let said = service.command(&["note", "noted", "payload 12 kg"]);
+    assert!(said.status.success() && text(&said).contains("`noted`"), "{}", text(&said));
     assert_eq!(listed(), "payload 12 kg");
-    let csv = agent().get(service.url("runs/one/csv")).call().unwrap().body_mut().read_to_string().unwrap();
+    let csv = agent().get(service.url("runs/noted/csv")).call().unwrap().body_mut().read_to_string().unwrap();
     for table in [table(), csv] {
         assert!(table.contains("note: payload 12 kg") && !table.contains("typed wrongly"), "{table:.300}");
     }
-    assert_eq!(service.granted("note", &json!({"name": "one", "note": ""})).answer, Granted::Noted);
+    assert_eq!(service.granted("note", &json!({"name": "noted", "note": ""})).answer, Granted::Noted);
     assert_eq!(listed(), "");
     assert_eq!(std::fs::read(&file).unwrap(), recorded);
 
     for (body, expected) in [
-        (json!({"name": "one", "note": "\u{1b}[2J"}), 422),
-        (json!({"name": "one", "note": "a".repeat(5000)}), 422),
-        (json!({"name": "../one", "note": "a"}), 404),
-        (json!({"name": "two", "note": "a"}), 404),
+        (json!({"name": "noted", "note": "\u{1b}[2J"}), 422),
+        (json!({"name": "noted", "note": "a".repeat(5000)}), 422),
+        (json!({"name": "../noted", "note": "a"}), 404),
+        (json!({"name": "unknown", "note": "a"}), 404),
     ] {
         let (status, refused) = service.post("note", &body);
         assert_eq!(status, expected, "{refused}");
@@ -155,9 +137,9 @@ fn a_note_is_changed_after_the_run_and_the_recorded_file_is_not() {
     assert_eq!(listed(), "");
 
     // A note follows its recording, and an orphaned note is not used for a new run of the same name.
-    let beside = service.directory.path().join("one.note.json");
+    let beside = service.directory.path().join("noted.note.json");
     let left = std::fs::read(&beside).unwrap();
-    service.granted("delete", &json!({"name": "one"}));
+    service.granted("delete", &json!({"name": "noted"}));
     assert!(!beside.exists());
     std::fs::write(&beside, left).unwrap();
     record("another");
@@ -166,10 +148,7 @@ fn a_note_is_changed_after_the_run_and_the_recorded_file_is_not() {
     assert!(listed().starts_with("another (a later note cannot be read"), "{}", listed());
 }
 
-#[test]
-fn a_deleted_run_lies_in_the_bin_until_it_is_restored_or_the_bin_is_emptied() {
-    let service = Running::start();
-    service.wait_for("waiting");
+fn a_deleted_run_lies_in_the_bin_until_it_is_restored_or_the_bin_is_emptied(service: &Running) {
     let record = |note: &str| {
         service.granted("start", &json!({"name": "one", "note": note}));
         service.wait_for("writing");
@@ -206,11 +185,8 @@ fn a_deleted_run_lies_in_the_bin_until_it_is_restored_or_the_bin_is_emptied() {
     assert!(text(&service.command(&["bin", "--empty"])).contains("recordings removed: 0"));
 }
 
-#[test]
-fn marks_are_numbered_by_the_service_and_stand_in_status_list_and_file() {
-    let service = Running::start();
-    service.wait_for("waiting");
-    let reason = json!({"name": "one", "reason": "the clock is known to be off"});
+fn marks_are_numbered_by_the_service_and_stand_in_status_list_and_file(service: &Running) {
+    let reason = json!({"name": "marked", "reason": "the clock is known to be off"});
     service.granted("start", &reason);
     service.wait_for("writing");
     // Page and command continue the same numbering.
@@ -225,13 +201,13 @@ fn marks_are_numbered_by_the_service_and_stand_in_status_list_and_file() {
     assert_eq!(told[1..], ["mark 1", "mark 2", "here", "mark 3"]);
     assert_eq!(run.started_ms, run.started.0 / 1_000_000);
     let last = service.granted("stop", &json!({})).last.unwrap();
-    assert!(last.next.unwrap().contains("--robot-log one.csv "));
+    assert!(last.next.unwrap().contains("--robot-log marked.csv "));
     let line = service.get::<Vec<RunLine>>("runs").remove(0);
     assert_eq!((texts(&line.marks), line.started_ms), (told, Some(run.started_ms)));
     assert!(line.marks.iter().zip(&run.marks).all(|(one, other)| (one.at_s - other.at_s).abs() < 0.5));
     let listed = text(&service.command(&["runs"]));
     assert!(listed.contains("the clock is known to be off") && listed.contains("[4 marks]"), "{listed}");
-    service.granted("start", &json!({"name": "two"}));
+    service.granted("start", &json!({"name": "marked-2"}));
     service.wait_for("writing");
     assert_eq!(
         service.granted("mark", &json!({})).mark.as_deref(),
@@ -243,33 +219,17 @@ fn marks_are_numbered_by_the_service_and_stand_in_status_list_and_file() {
 }
 
 #[test]
-fn a_run_that_is_cut_off_or_too_short_says_so_in_the_list() {
-    let mut service = Running::start();
-    service.wait_for("waiting");
-    service.granted("start", &json!({"name": "cut"}));
-    service.wait_for("writing");
-    service.signal(nix::sys::signal::Signal::SIGTERM);
-    assert!(service.ended(std::time::Duration::from_secs(10)).success());
-    let mut list = ballbard();
-    let listed = text(&list.arg("runs").arg(service.directory.path()).output().unwrap());
-    assert!(listed.contains("stopped by SIGTERM") && listed.contains("CHECK"), "{listed}");
-    assert!(listed.contains("record at least 11 s: `identify` needs 10 s of motion"), "{listed}");
-}
-
-#[test]
 fn without_a_service_the_commands_say_what_to_type() {
     let output = ballbard().args(["status", "--port", "1"]).output().unwrap();
     assert!(!output.status.success() && text(&output).contains("ballbard run"), "{}", text(&output));
 }
 
-#[test]
-fn what_the_service_knows_is_asked_for_by_name_and_as_json() {
-    let service = Running::start();
-    service.wait_for("waiting");
+fn what_the_service_knows_is_asked_for_by_name_and_as_json(service: &Running) {
     let json = |arguments: &[&str]| -> serde_json::Value {
         let output = service.command(&[arguments, &["--json"]].concat());
-        serde_json::from_slice(&output.stdout).unwrap_or_else(|_| panic!("{arguments:?}: {}", text(&output)))
+        serde_json::from_slice(&output.stdout).map_err(|_| text(&output)).unwrap()
     };
+    service.wait_until_ready();
     assert_eq!(json(&["start", "--name", "asked"])["answer"], "begun");
     service.wait_for("writing");
     let status = json(&["status"]);
@@ -302,4 +262,24 @@ fn what_the_service_knows_is_asked_for_by_name_and_as_json() {
     assert_eq!(fetched("xlsx").status(), 400);
     let unknown = service.command(&["export", "--csv", "unknown"]);
     assert!(!unknown.status.success() && text(&unknown).contains("`unknown`"), "{}", text(&unknown));
+}
+
+fn a_start_that_was_refused_is_no_run_for_status_and_stop(service: &Running) {
+    let over = service.get::<Status>("status").runs_over;
+    service.granted("start", &json!({"name": "before"}));
+    service.wait_for("writing");
+    let before = service.granted("stop", &json!({})).last;
+    let taken = service.directory.path().join("again.mcap");
+    std::fs::write(&taken, "another").unwrap();
+    assert_eq!(service.post("start", &json!({"name": "again"})).0, 409);
+    let status: Status = service.get("status");
+    assert_eq!((status.last, status.runs_over), (before, over + 1));
+    let printed = text(&service.command(&["status"]));
+    assert!(printed.contains("before.mcap") && !printed.contains("again"), "{printed}");
+    std::fs::remove_file(&taken).unwrap();
+    service.granted("start", &json!({"name": "again"}));
+    service.wait_for("writing");
+    let stopped = service.granted("stop", &json!({})).last.unwrap();
+    assert_eq!((stopped.file.as_deref(), stopped.error.as_ref()), (taken.to_str(), None));
+    assert!(stopped.cycles > 0 && taken.exists());
 }

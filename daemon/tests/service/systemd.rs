@@ -8,14 +8,14 @@ use std::time::{Duration, Instant};
 
 use serde_json::json;
 
-use super::rig::{Running, shipped};
+use super::rig::{Running, quick};
 use crate::support::ballbard;
 
 /// With the environment of systemd and this standard error.
 fn under_systemd(stderr: Stdio, environment: &[(&str, String)]) -> Running {
     let mut command = ballbard();
     command.stderr(stderr).envs(environment.iter().map(|(name, value)| (name, value)));
-    Running::by(command, tempfile::tempdir().unwrap(), &shipped(), &[])
+    Running::by(command, tempfile::tempdir().unwrap(), quick().path(), &[])
 }
 
 #[test]

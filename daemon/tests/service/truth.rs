@@ -5,7 +5,7 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use ballbard::control::recordings::runs::RunLine;
-use ballbard::control::status::{CheckLine, Level, ServiceState, Status};
+use ballbard::control::status::{Level, ServiceState, Status};
 use nix::sys::signal::Signal;
 use serde_json::json;
 
@@ -18,7 +18,7 @@ fn terminals_that_were_gone_are_in_the_log() {
     let log = directory.path().join("log");
     let stderr: Stdio = File::create(&log).unwrap().into();
     let faults = ["--fault", "gone:3@4s-6s"];
-    let service = Running::logging_to(stderr, tempfile::tempdir().unwrap(), &shipped(), &faults);
+    let service = Running::logging_to(stderr, &faults);
     service.wait_for("waiting");
     service.wait_for("fault");
     // Cycles that this PC misses give no evidence that the terminals are back.
@@ -38,8 +38,7 @@ fn terminals_that_were_gone_are_in_the_log() {
 
 #[test]
 fn an_encoder_without_signal_is_in_the_headline() {
-    let faults = ["--fault", "no-signal:2@4s"];
-    let service = Running::with(tempfile::tempdir().unwrap(), &shipped(), &faults);
+    let service = Running::given(&["--fault", "no-signal:2"]);
     let named = |status: &Status| {
         status.reason.as_ref().is_some_and(|reason| reason.contains("no valid sample from joint 2 "))
     };
@@ -74,7 +73,7 @@ fn a_run_without_a_valid_cycle_is_no_success() {
         text(&output)
     );
     assert!(out.path().join("blind.mcap").exists());
-    let service = Running::with(tempfile::tempdir().unwrap(), &shipped(), &faults);
+    let service = Running::given(&faults);
     service.wait_for("waiting");
     let refused = service.command(&["start", "--name", "blind"]);
     assert!(!refused.status.success() && text(&refused).contains("--reason"), "{}", text(&refused));
@@ -86,17 +85,6 @@ fn a_run_without_a_valid_cycle_is_no_success() {
     assert!(text(&output).contains("BAD: none of the"), "{}", text(&output));
     let lines: Vec<RunLine> = service.get("runs");
     assert_eq!(lines[0].verdict.as_ref().unwrap().level, Level::Bad);
-}
-
-#[test]
-fn a_terminal_that_is_closed_ends_a_service_with_its_run_finished() {
-    let mut service = Running::start();
-    service.wait_for("waiting");
-    service.granted("start", &json!({"name": "hangup"}));
-    service.wait_for("writing");
-    service.signal(Signal::SIGHUP);
-    assert!(service.ended(Duration::from_secs(20)).success());
-    assert!(service.recording("hangup").end.cause.contains("SIGHUP"));
 }
 
 /// The end of a run of two seconds whose terminal is closed after half a second.
@@ -118,10 +106,13 @@ fn cause_after_hangup(mut command: Command) -> String {
 
 #[test]
 fn a_terminal_that_is_closed_ends_a_recording_command_with_a_finished_file_unless_nohup_says_otherwise() {
-    assert!(cause_after_hangup(heeding_hangups(PROGRAM)).contains("SIGHUP"));
     let mut outliving = Command::new("nohup");
     outliving.arg(PROGRAM);
-    assert_eq!(cause_after_hangup(outliving), "duration reached");
+    std::thread::scope(|scope| {
+        let outlived = scope.spawn(|| cause_after_hangup(outliving));
+        assert!(cause_after_hangup(heeding_hangups(PROGRAM)).contains("SIGHUP"));
+        assert_eq!(outlived.join().unwrap(), "duration reached");
+    });
 }
 
 #[test]
@@ -152,21 +143,4 @@ fn a_second_process_in_a_directory_is_refused_with_who_has_it() {
     let output = command.output().unwrap();
     assert!(output.status.success(), "{}", text(&output));
     assert!(service.recording("first").end.recovered);
-}
-
-#[test]
-fn a_directory_that_is_a_file_is_a_problem_before_a_run() {
-    let mut service = Running::start();
-    service.wait_for("waiting");
-    let directory = service.directory.path().to_owned();
-    std::fs::remove_dir(&directory).unwrap();
-    std::fs::write(&directory, "a file").unwrap();
-    service.wait_until("the disk's problem", |_| {
-        let lines: Vec<CheckLine> = service.get("check");
-        let disk = lines.iter().find(|line| line.subject == "disk").unwrap();
-        disk.finding.contains("is not a directory") && disk.remedy.is_some()
-    });
-    std::fs::remove_file(&directory).unwrap();
-    service.signal(Signal::SIGTERM);
-    assert!(service.ended(Duration::from_secs(20)).success());
 }
