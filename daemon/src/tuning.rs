@@ -1,10 +1,10 @@
 //! Settings of a machine that delay the cycle, and commands that correct them.
 //!
-//! [`Machine::read`] collects the text of files and commands; [`findings`] only evaluates text. Used by `ballbard tune`, by the
-//! smoke test, and for the permissions of the cycle's thread.
+//! The kernel has them in files, whose text [`findings`] evaluates. Used by `ballbard tune`, by the smoke test, and for the
+//! permissions of the cycle's thread.
 
 use std::fmt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
@@ -37,41 +37,17 @@ pub struct Finding {
     pub remedy: String,
 }
 
-/// Settings of a machine: text of files and commands, `None` if there is no such file.
+/// A machine, and the cycle that is to run on it.
 #[derive(Debug, Clone, Default)]
 pub struct Machine {
+    /// Directory of its files: `/` outside of tests.
+    pub root: PathBuf,
     /// Core configured for the cycle's thread.
     pub core: Option<usize>,
     /// Time between two cycles.
     pub cycle_period: Duration,
     /// Network interface of the bus.
     pub interface: Option<String>,
-    /// `/sys/devices/system/cpu/isolated`
-    pub isolated: Option<String>,
-    /// `/sys/devices/system/cpu/nohz_full`
-    pub nohz_full: Option<String>,
-    /// `/sys/devices/system/cpu/online`
-    pub online: Option<String>,
-    /// `cpufreq/scaling_governor` of the core.
-    pub governor: Option<String>,
-    /// `topology/thread_siblings_list` of the core.
-    pub siblings: Option<String>,
-    /// `/sys/devices/system/cpu/cpuidle/current_driver`
-    pub idle_driver: Option<String>,
-    /// `/sys/kernel/realtime`
-    pub realtime: Option<String>,
-    /// `/proc/sys/kernel/version`, what `uname -v` prints.
-    pub kernel_version: Option<String>,
-    /// `/proc/sys/kernel/sched_rt_runtime_us`
-    pub rt_runtime_us: Option<String>,
-    /// `/proc/self/limits`
-    pub limits: Option<String>,
-    /// `/proc/self/status`
-    pub status: Option<String>,
-    /// `/proc/swaps`
-    pub swaps: Option<String>,
-    /// `/sys/devices/system/clocksource/clocksource0/current_clocksource`
-    pub clock_source: Option<String>,
     /// What `ethtool -c INTERFACE` prints.
     pub coalescing: Option<String>,
     /// The program is that of the Debian package, whose service has its rights from systemd.
@@ -79,36 +55,34 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// Reads this machine, for a cycle on this core and with this period; `root` is `/` outside of tests.
-    pub fn read(root: &Path, core: Option<usize>, cycle_period: Duration, interface: Option<&str>) -> Self {
-        let file = |path: &str| std::fs::read_to_string(root.join(path)).ok();
-        let of_core = |path: &str| file(&format!("sys/devices/system/cpu/cpu{}/{path}", core.unwrap_or(0)));
+    /// The machine with these files, for a cycle on this core and with this period.
+    pub fn at(root: &Path, core: Option<usize>, cycle_period: Duration, interface: Option<&str>) -> Self {
         Self {
+            root: root.to_owned(),
             core,
             cycle_period,
             interface: interface.map(str::to_owned),
-            isolated: file("sys/devices/system/cpu/isolated"),
-            nohz_full: file("sys/devices/system/cpu/nohz_full"),
-            online: file("sys/devices/system/cpu/online"),
-            governor: of_core("cpufreq/scaling_governor"),
-            siblings: of_core("topology/thread_siblings_list"),
-            idle_driver: file("sys/devices/system/cpu/cpuidle/current_driver"),
-            realtime: file("sys/kernel/realtime"),
-            kernel_version: file("proc/sys/kernel/version"),
-            rt_runtime_us: file("proc/sys/kernel/sched_rt_runtime_us"),
-            limits: file("proc/self/limits"),
-            status: file("proc/self/status"),
-            swaps: file("proc/swaps"),
-            clock_source: file("sys/devices/system/clocksource/clocksource0/current_clocksource"),
             coalescing: interface.and_then(coalescing_of),
             is_package: is_package(root),
         }
     }
 
-    /// Only the permissions of this process.
+    /// This machine, for the permissions of this process.
     pub fn of_process() -> Self {
-        let file = |name: &str| std::fs::read_to_string(format!("/proc/self/{name}")).ok();
-        Self { limits: file("limits"), status: file("status"), ..Self::default() }
+        Self { root: "/".into(), ..Self::default() }
+    }
+
+    /// Text of a file without space around it; `None` if it cannot be read.
+    pub fn text(&self, file: &str) -> Option<String> {
+        Some(std::fs::read_to_string(self.root.join(file)).ok()?.trim().to_owned())
+    }
+
+    fn of_cores(&self, file: &str) -> Option<String> {
+        self.text(&format!("sys/devices/system/cpu/{file}"))
+    }
+
+    fn of_core(&self, file: &str) -> Option<String> {
+        self.of_cores(&format!("cpu{}/{file}", self.core.unwrap_or(0)))
     }
 
     /// A frame that is late by less than half a period has no effect.
@@ -119,7 +93,7 @@ impl Machine {
     /// The core to isolate: that of daemon.toml, or the last one. Never core 0, which the kernel needs; `None` on a machine with
     /// one core.
     fn core_to_isolate(&self) -> Option<usize> {
-        let last = cores(self.online.as_deref().unwrap_or("")).last().copied();
+        let last = cores(&self.of_cores("online").unwrap_or_default()).last().copied();
         self.core.filter(|core| *core > 0).or(last).filter(|core| *core > 0)
     }
 
@@ -138,17 +112,21 @@ impl Machine {
     }
 
     fn has_capability(&self, bit: u32) -> bool {
-        let effective = self.status.as_deref().and_then(|text| {
-            let line = text.lines().find_map(|line| line.strip_prefix("CapEff:"))?;
-            u64::from_str_radix(line.trim(), 16).ok()
-        });
-        effective.is_some_and(|effective| effective >> bit & 1 == 1)
+        self.status_bits("CapEff") >> bit & 1 == 1
+    }
+
+    /// A bit mask of this process, by its name in `/proc/self/status`; 0 if it cannot be read.
+    pub fn status_bits(&self, name: &str) -> u64 {
+        let status = self.text("proc/self/status").unwrap_or_default();
+        let mask = status.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(':'));
+        mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0)
     }
 
     /// The soft limit of a line of `/proc/self/limits`.
-    fn limit(&self, name: &str) -> Option<&str> {
-        let line = self.limits.as_deref()?.lines().find_map(|line| line.strip_prefix(name))?;
-        line.split_whitespace().next()
+    fn limit(&self, name: &str) -> Option<String> {
+        let limits = self.text("proc/self/limits")?;
+        let line = limits.lines().find_map(|line| line.strip_prefix(name))?;
+        line.split_whitespace().next().map(str::to_owned)
     }
 }
 
@@ -196,39 +174,42 @@ pub fn findings(machine: &Machine) -> Vec<Finding> {
         ("interrupt coalescing", true, coalescing(machine)),
     ];
     let has_time = machine.slack() > KERNEL_DELAY;
-    let finding = |(subject, is_bounded, Found { verdict, says, remedy })| {
-        let is_slight = verdict == Verdict::Problem && is_bounded && has_time;
-        Finding { subject, verdict: if is_slight { Verdict::Slight } else { verdict }, says, remedy }
+    let named = |(subject, is_bounded, finding): (_, _, Finding)| {
+        let is_slight = finding.verdict == Verdict::Problem && is_bounded && has_time;
+        Finding { subject, verdict: if is_slight { Verdict::Slight } else { finding.verdict }, ..finding }
     };
-    settings.into_iter().map(finding).collect()
+    settings.into_iter().map(named).collect()
 }
 
-/// A [`Finding`] without its subject.
-struct Found {
-    verdict: Verdict,
-    says: String,
-    remedy: String,
+impl Finding {
+    /// A result that [`findings`] names.
+    fn new(verdict: Verdict, says: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self { subject: "", verdict, says: says.into(), remedy: remedy.into() }
+    }
 }
 
-fn fine(says: impl Into<String>) -> Found {
-    Found { verdict: Verdict::Fine, says: says.into(), remedy: String::new() }
+fn fine(says: impl Into<String>) -> Finding {
+    Finding::new(Verdict::Fine, says, "")
 }
 
-fn problem(says: impl Into<String>, remedy: impl Into<String>) -> Found {
-    Found { verdict: Verdict::Problem, says: says.into(), remedy: remedy.into() }
+fn problem(says: impl Into<String>, remedy: impl Into<String>) -> Finding {
+    Finding::new(Verdict::Problem, says, remedy)
 }
 
-fn unknown(says: impl Into<String>, remedy: impl Into<String>) -> Found {
-    Found { verdict: Verdict::Unknown, says: says.into(), remedy: remedy.into() }
+fn unknown(says: impl Into<String>, remedy: impl Into<String>) -> Finding {
+    Finding::new(Verdict::Unknown, says, remedy)
 }
 
 /// Longest delay of a real-time thread by a kernel without PREEMPT_RT, in sections without preemption. Cores, clocks and
 /// interrupts cost less.
 const KERNEL_DELAY: Duration = Duration::from_millis(2);
 
-fn kernel(machine: &Machine) -> Found {
-    let says_realtime = machine.realtime.as_deref().is_some_and(|text| text.trim() == "1");
-    let version = machine.kernel_version.as_deref().unwrap_or("").trim();
+/// What `uname -v` prints.
+pub const KERNEL_VERSION: &str = "proc/sys/kernel/version";
+
+fn kernel(machine: &Machine) -> Finding {
+    let says_realtime = machine.text("sys/kernel/realtime").is_some_and(|text| text == "1");
+    let version = machine.text(KERNEL_VERSION).unwrap_or_default();
     if says_realtime || version.contains("PREEMPT_RT") || version.contains("PREEMPT RT") {
         return fine("PREEMPT_RT");
     }
@@ -253,8 +234,8 @@ fn boot_option(options: &str) -> String {
     )
 }
 
-fn isolated_core(machine: &Machine) -> Found {
-    let Some(isolated) = machine.isolated.as_deref().map(cores) else {
+fn isolated_core(machine: &Machine) -> Finding {
+    let Some(isolated) = machine.of_cores("isolated").as_deref().map(cores) else {
         return unknown("cannot be read", "");
     };
     match (machine.core, isolated.first()) {
@@ -286,8 +267,8 @@ fn isolated_core(machine: &Machine) -> Found {
     )
 }
 
-fn tickless_core(machine: &Machine) -> Found {
-    let Some(tickless) = machine.nohz_full.as_deref().map(cores) else {
+fn tickless_core(machine: &Machine) -> Finding {
+    let Some(tickless) = machine.of_cores("nohz_full").as_deref().map(cores) else {
         return unknown("this kernel does not support nohz_full", "");
     };
     match machine.core_to_isolate() {
@@ -300,8 +281,8 @@ fn tickless_core(machine: &Machine) -> Found {
     }
 }
 
-fn siblings(machine: &Machine) -> Found {
-    let Some(siblings) = machine.siblings.as_deref().map(cores) else {
+fn siblings(machine: &Machine) -> Finding {
+    let Some(siblings) = machine.of_core("topology/thread_siblings_list").as_deref().map(cores) else {
         return unknown("cannot be read", "");
     };
     let shared = machine.core.and_then(|core| Some((core, *siblings.iter().find(|other| **other != core)?)));
@@ -318,8 +299,8 @@ fn siblings(machine: &Machine) -> Found {
     }
 }
 
-fn governor(machine: &Machine) -> Found {
-    match machine.governor.as_deref().map(str::trim) {
+fn governor(machine: &Machine) -> Finding {
+    match machine.of_core("cpufreq/scaling_governor").as_deref() {
         Some("performance") => fine("governor performance"),
         Some(other) => problem(
             format!("governor {other}: a core at low frequency wakes up slowly"),
@@ -329,8 +310,8 @@ fn governor(machine: &Machine) -> Found {
     }
 }
 
-fn idle_states(machine: &Machine) -> Found {
-    match machine.idle_driver.as_deref().map(str::trim) {
+fn idle_states(machine: &Machine) -> Finding {
+    match machine.of_cores("cpuidle/current_driver").as_deref() {
         Some("none") => fine("no idle driver, so no deep idle states"),
         Some(driver) => {
             fine(format!("{driver}; ballbard keeps /dev/cpu_dma_latency at 0, which prevents deep ones"))
@@ -339,8 +320,8 @@ fn idle_states(machine: &Machine) -> Found {
     }
 }
 
-fn clock_source(machine: &Machine) -> Found {
-    match machine.clock_source.as_deref().map(str::trim) {
+fn clock_source(machine: &Machine) -> Finding {
+    match machine.text("sys/devices/system/clocksource/clocksource0/current_clocksource").as_deref() {
         Some(source @ ("tsc" | "kvm-clock" | "arch_sys_counter")) => fine(source),
         Some(source) => problem(
             format!("{source}: reading the time takes microseconds"),
@@ -364,11 +345,11 @@ pub fn grant(is_package: bool) -> &'static str {
     }
 }
 
-fn priority(machine: &Machine) -> Found {
+fn priority(machine: &Machine) -> Finding {
     if machine.has_capability(CAP_SYS_NICE) {
         return fine("SCHED_FIFO is permitted (CAP_SYS_NICE)");
     }
-    match machine.limit("Max realtime priority").map(str::parse::<u32>) {
+    match machine.limit("Max realtime priority").map(|limit| limit.parse::<u32>()) {
         Some(Ok(0)) => {
             problem("SCHED_FIFO is not permitted: any program may delay the cycle", grant(machine.is_package))
         }
@@ -378,7 +359,7 @@ fn priority(machine: &Machine) -> Found {
     }
 }
 
-fn locked_memory(machine: &Machine) -> Found {
+fn locked_memory(machine: &Machine) -> Finding {
     match machine.may_lock_memory() {
         Ok(()) => fine("permitted"),
         Err(error @ LockError::Limited { .. }) => {
@@ -388,8 +369,8 @@ fn locked_memory(machine: &Machine) -> Found {
     }
 }
 
-fn throttling(machine: &Machine) -> Found {
-    match machine.rt_runtime_us.as_deref().map(|text| text.trim().parse::<i64>()) {
+fn throttling(machine: &Machine) -> Finding {
+    match machine.text("proc/sys/kernel/sched_rt_runtime_us").map(|text| text.parse::<i64>()) {
         Some(Ok(-1)) => fine("real-time threads are never throttled"),
         // The cycle sleeps most of the time: the default share for other threads does not affect it.
         Some(Ok(runtime_us)) if runtime_us >= 900_000 => {
@@ -403,15 +384,15 @@ fn throttling(machine: &Machine) -> Found {
     }
 }
 
-fn swap(machine: &Machine) -> Found {
-    match machine.swaps.as_deref().map(|text| text.lines().skip(1).count()) {
+fn swap(machine: &Machine) -> Finding {
+    match machine.text("proc/swaps").map(|text| text.lines().skip(1).count()) {
         Some(0) => fine("none"),
         Some(areas) => problem(format!("{areas} in use: other programs stall the disk"), "sudo swapoff -a"),
         None => unknown("cannot be read", ""),
     }
 }
 
-fn coalescing(machine: &Machine) -> Found {
+fn coalescing(machine: &Machine) -> Finding {
     let Some(interface) = machine.interface.as_deref() else {
         return unknown("no interface given", "ballbard tune --interface eth1");
     };

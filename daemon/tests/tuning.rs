@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::fs;
+use std::ops::Deref;
 use std::time::Duration;
 
 use ballbard::tuning::{Finding, Machine, Verdict, findings};
@@ -15,52 +16,84 @@ const COALESCING: &str = "Coalesce parameters for eth1:\nAdaptive RX: off  TX: o
 /// At the usual rate, where a frame may be late by 5 ms.
 const PERIOD: Duration = Duration::from_millis(10);
 
-/// A new machine without any setting, and a cycle without time reserve.
-fn untuned() -> Machine {
-    Machine {
-        core: None,
-        cycle_period: Duration::from_millis(1),
-        interface: Some("eth1".into()),
-        isolated: Some("\n".into()),
-        nohz_full: Some("(null)\n".into()),
-        online: Some("0-3\n".into()),
-        governor: Some("powersave\n".into()),
-        siblings: Some("0,2\n".into()),
-        idle_driver: Some("intel_idle\n".into()),
-        realtime: None,
-        kernel_version: Some("#1 SMP PREEMPT_DYNAMIC Debian 6.1.0\n".into()),
-        rt_runtime_us: Some("950000\n".into()),
-        limits: Some(LIMITS.into()),
-        status: Some("Name:\tballbard\nCapEff:\t0000000000000000\n".into()),
-        swaps: Some("Filename\tType\tSize\tUsed\tPriority\n/dev/sda2 partition 1 0 -2\n".into()),
-        clock_source: Some("hpet\n".into()),
-        coalescing: Some(COALESCING.into()),
-        is_package: false,
+/// A machine with these files.
+struct Recorded {
+    machine: Machine,
+    root: tempfile::TempDir,
+}
+
+impl Recorded {
+    fn new(core: Option<usize>, cycle_period: Duration, files: &[(&str, &str)]) -> Self {
+        let root = tempfile::tempdir().unwrap();
+        let (interface, coalescing) = (Some("eth1".into()), Some(COALESCING.into()));
+        let machine = Machine::at(root.path(), core, cycle_period, None);
+        Self { machine: Machine { interface, coalescing, ..machine }, root }.with(files)
+    }
+
+    /// With these files besides the others, or instead of them.
+    fn with(self, files: &[(&str, &str)]) -> Self {
+        for (file, text) in files {
+            let path = self.root.path().join(file);
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            fs::write(path, text).unwrap();
+        }
+        self
+    }
+
+    /// The same machine otherwise.
+    fn but(mut self, change: impl FnOnce(&mut Machine)) -> Self {
+        change(&mut self.machine);
+        self
     }
 }
 
-/// The same machine with all proposed settings.
-fn tuned() -> Machine {
-    Machine {
-        core: Some(3),
-        cycle_period: PERIOD,
-        interface: Some("eth1".into()),
-        isolated: Some("2-3\n".into()),
-        nohz_full: Some("3\n".into()),
-        online: Some("0-3\n".into()),
-        governor: Some("performance\n".into()),
-        siblings: Some("3\n".into()),
-        idle_driver: Some("intel_idle\n".into()),
-        realtime: Some("1\n".into()),
-        kernel_version: Some("#1 SMP PREEMPT_RT Debian 6.1.0\n".into()),
-        rt_runtime_us: Some("-1\n".into()),
-        limits: Some(LIMITS.into()),
-        status: Some("CapEff:\t0000000000806000\n".into()),
-        swaps: Some("Filename\tType\tSize\tUsed\tPriority\n".into()),
-        clock_source: Some("tsc\n".into()),
-        coalescing: Some(COALESCING.replace("rx-usecs: 3", "rx-usecs: 0")),
-        is_package: false,
+impl Deref for Recorded {
+    type Target = Machine;
+
+    fn deref(&self) -> &Machine {
+        &self.machine
     }
+}
+
+const LIMITS_FILE: &str = "proc/self/limits";
+
+/// A new machine without any setting, and a cycle without time reserve.
+fn untuned() -> Recorded {
+    let files = [
+        ("sys/devices/system/cpu/isolated", "\n"),
+        ("sys/devices/system/cpu/nohz_full", "(null)\n"),
+        ("sys/devices/system/cpu/online", "0-3\n"),
+        ("sys/devices/system/cpu/cpu0/cpufreq/scaling_governor", "powersave\n"),
+        ("sys/devices/system/cpu/cpu0/topology/thread_siblings_list", "0,2\n"),
+        ("sys/devices/system/cpu/cpuidle/current_driver", "intel_idle\n"),
+        ("sys/devices/system/clocksource/clocksource0/current_clocksource", "hpet\n"),
+        ("proc/sys/kernel/version", "#1 SMP PREEMPT_DYNAMIC Debian 6.1.0\n"),
+        ("proc/sys/kernel/sched_rt_runtime_us", "950000\n"),
+        (LIMITS_FILE, LIMITS),
+        ("proc/self/status", "Name:\tballbard\nCapEff:\t0000000000000000\n"),
+        ("proc/swaps", "Filename\tType\tSize\tUsed\tPriority\n/dev/sda2 partition 1 0 -2\n"),
+    ];
+    Recorded::new(None, Duration::from_millis(1), &files)
+}
+
+/// The same machine with all proposed settings.
+fn tuned() -> Recorded {
+    let files = [
+        ("sys/devices/system/cpu/isolated", "2-3\n"),
+        ("sys/devices/system/cpu/nohz_full", "3\n"),
+        ("sys/devices/system/cpu/cpu3/cpufreq/scaling_governor", "performance\n"),
+        ("sys/devices/system/cpu/cpu3/topology/thread_siblings_list", "3\n"),
+        ("sys/devices/system/clocksource/clocksource0/current_clocksource", "tsc\n"),
+        ("sys/kernel/realtime", "1\n"),
+        ("proc/sys/kernel/version", "#1 SMP PREEMPT_RT Debian 6.1.0\n"),
+        ("proc/sys/kernel/sched_rt_runtime_us", "-1\n"),
+        ("proc/self/status", "CapEff:\t0000000000806000\n"),
+        ("proc/swaps", "Filename\tType\tSize\tUsed\tPriority\n"),
+    ];
+    untuned().with(&files).but(|machine| {
+        (machine.core, machine.cycle_period) = (Some(3), PERIOD);
+        machine.coalescing = Some(COALESCING.replace("rx-usecs: 3", "rx-usecs: 0"));
+    })
 }
 
 fn find(machine: &Machine, subject: &str) -> Finding {
@@ -97,7 +130,7 @@ fn every_problem_of_an_untuned_machine_says_what_to_type() {
 /// The package's service runs with fewer capabilities than a program with these has, so it could not start.
 #[test]
 fn the_program_of_the_package_is_given_no_capabilities() {
-    let installed = Machine { is_package: true, ..untuned() };
+    let installed = untuned().but(|machine| machine.is_package = true);
     for subject in ["priority", "locked memory"] {
         let finding = find(&installed, subject);
         assert_eq!(finding.verdict, Verdict::Problem, "{finding}");
@@ -107,13 +140,13 @@ fn the_program_of_the_package_is_given_no_capabilities() {
 
 #[test]
 fn a_usual_kernel_is_good_enough_for_a_usual_cycle() {
-    let finding = find(&Machine { cycle_period: PERIOD, ..untuned() }, "kernel");
+    let finding = find(&untuned().but(|machine| machine.cycle_period = PERIOD), "kernel");
     assert_eq!((finding.verdict, finding.remedy.as_str()), (Verdict::Fine, ""), "{finding}");
 }
 
 #[test]
 fn what_costs_less_than_a_frame_may_be_late_is_no_problem_of_a_usual_cycle() {
-    let usual = Machine { cycle_period: PERIOD, ..untuned() };
+    let usual = untuned().but(|machine| machine.cycle_period = PERIOD);
     for finding in findings(&usual) {
         let unbounded = ["priority", "locked memory", "swap"].contains(&finding.subject);
         assert_eq!(finding.verdict == Verdict::Problem, unbounded, "{finding}");
@@ -124,14 +157,15 @@ fn what_costs_less_than_a_frame_may_be_late_is_no_problem_of_a_usual_cycle() {
 
 #[test]
 fn no_machine_is_told_to_isolate_its_only_core_or_its_first() {
-    let one = Machine { online: Some("0\n".into()), siblings: Some("0\n".into()), ..untuned() };
+    let mut one = untuned().with(&[("sys/devices/system/cpu/online", "0\n")]);
     for core in [None, Some(0)] {
+        one.machine.core = core;
         for subject in ["isolated core", "timer tick"] {
-            let finding = find(&Machine { core, ..one.clone() }, subject);
+            let finding = find(&one, subject);
             assert_eq!((finding.verdict, finding.remedy.as_str()), (Verdict::Fine, ""), "{finding}");
         }
     }
-    let first = Machine { core: Some(0), ..untuned() };
+    let first = untuned().but(|machine| machine.core = Some(0));
     for subject in ["isolated core", "timer tick"] {
         let finding = find(&first, subject);
         assert!(finding.remedy.contains("nohz_full=3"), "{finding}");
@@ -148,19 +182,20 @@ fn a_machine_that_says_nothing_is_unknown_not_fine() {
 
 #[test]
 fn a_core_of_the_configuration_is_checked_against_the_kernel() {
-    let elsewhere = Machine { core: Some(1), cycle_period: Duration::from_millis(1), ..tuned() };
+    let elsewhere =
+        tuned().but(|machine| (machine.core, machine.cycle_period) = (Some(1), Duration::from_millis(1)));
     let finding = find(&elsewhere, "isolated core");
     assert!(finding.verdict == Verdict::Problem && finding.remedy.contains("isolcpus=1"), "{finding}");
-    let unused = Machine { core: None, ..tuned() };
+    let unused = tuned().but(|machine| machine.core = None);
     assert!(find(&unused, "isolated core").remedy.contains("core = 2"));
-    let paired = Machine { siblings: Some("1,3\n".into()), ..tuned() };
+    let paired = tuned().with(&[("sys/devices/system/cpu/cpu3/topology/thread_siblings_list", "1,3\n")]);
     assert!(find(&paired, "hyper-threading").remedy.contains("cpu1/online"));
 }
 
 #[test]
 fn limits_without_capabilities_count() {
     let limits = LIMITS.replace("priority     0 ", "priority     95").replace("8388608  ", "unlimited");
-    let machine = Machine { limits: Some(limits), ..untuned() };
+    let machine = untuned().with(&[(LIMITS_FILE, &limits)]);
     assert_eq!(find(&machine, "priority").verdict, Verdict::Fine);
     assert_eq!(find(&machine, "locked memory").verdict, Verdict::Fine);
 }
@@ -168,36 +203,16 @@ fn limits_without_capabilities_count() {
 #[test]
 fn any_limit_of_locked_memory_is_too_low() {
     let limits = LIMITS.replace("8388608  ", "68719476736");
-    let finding = find(&Machine { limits: Some(limits), ..untuned() }, "locked memory");
+    let finding = find(&untuned().with(&[(LIMITS_FILE, &limits)]), "locked memory");
     assert!(finding.verdict == Verdict::Problem && finding.says.contains("65536 MiB"), "{finding}");
 }
 
 #[test]
 fn adaptive_coalescing_and_throttling_are_problems() {
     let adaptive = COALESCING.replace("RX: off", "RX: on").replace("rx-usecs: 3", "rx-usecs: 0");
-    let (coalescing, rt_runtime_us) = (Some(adaptive), Some("500000".into()));
-    let machine = Machine { coalescing, rt_runtime_us, cycle_period: Duration::from_millis(1), ..tuned() };
+    let machine = tuned().with(&[("proc/sys/kernel/sched_rt_runtime_us", "500000")]).but(|machine| {
+        (machine.coalescing, machine.cycle_period) = (Some(adaptive), Duration::from_millis(1));
+    });
     assert_eq!(find(&machine, "interrupt coalescing").verdict, Verdict::Problem);
     assert_eq!(find(&machine, "throttling").verdict, Verdict::Problem);
-}
-
-#[test]
-fn the_files_of_a_machine_are_read_where_the_kernel_has_them() {
-    let root = tempfile::tempdir().unwrap();
-    for (file, text) in [
-        ("sys/devices/system/cpu/isolated", "3\n"),
-        ("sys/devices/system/cpu/cpu3/cpufreq/scaling_governor", "performance\n"),
-        ("sys/devices/system/cpu/cpu3/topology/thread_siblings_list", "3\n"),
-        ("proc/sys/kernel/version", "#1 SMP PREEMPT_RT\n"),
-        ("proc/swaps", "Filename\n"),
-    ] {
-        let path = root.path().join(file);
-        fs::create_dir_all(path.parent().unwrap()).unwrap();
-        fs::write(path, text).unwrap();
-    }
-    let machine = Machine::read(root.path(), Some(3), PERIOD, None);
-    for subject in ["kernel", "isolated core", "hyper-threading", "frequency", "swap"] {
-        assert_eq!(find(&machine, subject).verdict, Verdict::Fine, "{subject}");
-    }
-    assert_eq!(find(&machine, "priority").verdict, Verdict::Unknown);
 }

@@ -4,6 +4,8 @@ use anyhow::Context;
 use futures_util::future::OptionFuture;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 
+use crate::tuning::Machine;
+
 pub(super) struct Signals {
     interrupt: Signal,
     terminate: Signal,
@@ -35,8 +37,5 @@ impl Signals {
 
 /// Whether the signal was ignored when the program started.
 fn is_ignored(kind: SignalKind) -> bool {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
-    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0);
-    mask >> (kind.as_raw_value() - 1) & 1 == 1
+    Machine::of_process().status_bits("SigIgn") >> (kind.as_raw_value() - 1) & 1 == 1
 }

@@ -26,7 +26,7 @@ pub fn run(arguments: &TuneArguments) -> anyhow::Result<()> {
     let daemon = arguments.configuration.daemon()?;
     let interface = arguments.interface.as_deref();
     interface.map(interface_index).transpose()?;
-    let machine = Machine::read(Path::new("/"), daemon.realtime.core, daemon.cycle_period(), interface);
+    let machine = Machine::at(Path::new("/"), daemon.realtime.core, daemon.cycle_period(), interface);
     let findings = tuning::findings(&machine);
     if !arguments.format.prints(&findings)? {
         findings.iter().try_for_each(say)?;

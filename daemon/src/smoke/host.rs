@@ -1,12 +1,11 @@
 //! Properties of the machine that affect the cycle.
 
-use std::fs;
 use std::path::Path;
 
 use serde::Serialize;
 use shared::config::DaemonConfig;
 
-use crate::tuning::{self, Finding, Machine};
+use crate::tuning::{self, Finding, KERNEL_VERSION, Machine};
 
 /// Kernel, processor, interface and settings.
 #[derive(Debug, Clone, Serialize)]
@@ -35,27 +34,23 @@ pub struct Interface {
 impl Host {
     /// This machine, with the interface of the bus.
     pub fn read(daemon: &DaemonConfig, interface: Option<&str>) -> Self {
-        let machine = Machine::read(Path::new("/"), daemon.realtime.core, daemon.cycle_period(), interface);
-        let processors = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+        let machine = Machine::at(Path::new("/"), daemon.realtime.core, daemon.cycle_period(), interface);
+        let processors = machine.text("proc/cpuinfo").unwrap_or_default();
         let model = processors.lines().find(|line| line.starts_with("model name"));
         Self {
-            kernel: trimmed_text("/proc/sys/kernel/osrelease"),
-            kernel_version: machine.kernel_version.as_deref().map(|version| version.trim().to_owned()),
+            kernel: machine.text("proc/sys/kernel/osrelease"),
+            kernel_version: machine.text(KERNEL_VERSION),
             processor: model.and_then(|line| Some(line.split_once(':')?.1.trim().to_owned())),
-            interface: interface.map(Interface::read),
+            interface: interface.map(|name| Interface::read(&machine, name)),
             settings: tuning::findings(&machine),
         }
     }
 }
 
 impl Interface {
-    fn read(name: &str) -> Self {
-        let driver = fs::read_link(format!("/sys/class/net/{name}/device/driver")).ok();
+    fn read(machine: &Machine, name: &str) -> Self {
+        let driver = std::fs::read_link(format!("/sys/class/net/{name}/device/driver")).ok();
         let driver = driver.and_then(|path| Some(path.file_name()?.to_str()?.to_owned()));
-        Self { driver, speed_mbit_s: trimmed_text(&format!("/sys/class/net/{name}/speed")) }
+        Self { driver, speed_mbit_s: machine.text(&format!("sys/class/net/{name}/speed")) }
     }
-}
-
-fn trimmed_text(path: &str) -> Option<String> {
-    Some(fs::read_to_string(path).ok()?.trim().to_owned())
 }
