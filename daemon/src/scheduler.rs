@@ -95,6 +95,15 @@ pub async fn until<T>(scheduler: &dyn Scheduler, period: Duration, mut poll: imp
     }
 }
 
+/// The next message of a queue whose other end may have died; `None` while there is none.
+pub fn received<T>(queue: &Receiver<T>) -> Option<Result<T, Died>> {
+    match queue.try_recv() {
+        Ok(message) => Some(Ok(message)),
+        Err(TryRecvError::Empty) => None,
+        Err(TryRecvError::Disconnected) => Some(Err(Died)),
+    }
+}
+
 /// The result of work that may wait for a disk.
 #[derive(Debug)]
 pub struct Pending<T> {
@@ -102,7 +111,7 @@ pub struct Pending<T> {
     since: MonoNs,
 }
 
-/// The work has ended without a result; its cause is in the log.
+/// The work has ended without a message; its cause is in the log.
 #[derive(Debug)]
 pub struct Died;
 
@@ -130,11 +139,7 @@ impl<T: Send + 'static> Pending<T> {
 
     /// The result, returned once; `None` while the work continues.
     pub fn poll(&self) -> Option<Result<T, Died>> {
-        match self.result.try_recv() {
-            Ok(result) => Some(Ok(result)),
-            Err(TryRecvError::Empty) => None,
-            Err(TryRecvError::Disconnected) => Some(Err(Died)),
-        }
+        received(&self.result)
     }
 
     /// When the work was started.

@@ -11,7 +11,7 @@ use shared::recording::RunSync;
 use shared::time::MonoNs;
 
 use super::progress::{Progress, Synced};
-use crate::scheduler::{Scheduler, Stepper};
+use crate::scheduler::{Died, Scheduler, Stepper, received};
 
 /// How long a recorder that ends waits for a current synchronisation.
 const RELEASE_TIMEOUT: Duration = Duration::from_secs(1);
@@ -94,13 +94,9 @@ impl Synchroniser {
         if !self.is_busy {
             return None;
         }
-        let outcome = match self.outcomes.try_recv() {
-            Ok(outcome) => outcome,
-            Err(TryRecvError::Empty) => return None,
-            Err(TryRecvError::Disconnected) => Err(io::Error::other("no thread to synchronise the file")),
-        };
+        let outcome = received(&self.outcomes)?;
         self.is_busy = false;
-        outcome.err()
+        outcome.unwrap_or_else(|Died| Err(io::Error::other("no thread to synchronise the file"))).err()
     }
 }
 

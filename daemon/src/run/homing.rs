@@ -1,7 +1,7 @@
 //! Homing on a bus in operation, between two runs: the cycle's thread executes its steps, and an observer in another thread
 //! gets each step and the outcome (the marks found) through two queues. The method is in [`crate::homing`].
 
-use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
 use shared::config::EncoderConfig;
 use shared::encoder::Direction;
@@ -12,6 +12,7 @@ use crate::claim;
 use crate::cycle::Acquisition;
 use crate::homing::{Found, HomingError, HomingStep, Outcome, Sequence};
 use crate::record::Stop;
+use crate::scheduler::{Died, received};
 use crate::segment::simulated::Hand;
 
 /// Cause of a homing's end if the cycle's thread has ended.
@@ -99,19 +100,15 @@ impl ActiveHoming {
     /// The next step, if there is one by now.
     pub fn take_step(&mut self) -> Option<HomingStep> {
         // The outcome is read before the steps: those before the end are still taken.
-        if !self.is_over {
-            self.outcome = match self.outcomes.try_recv() {
-                Ok(outcome) => {
-                    claim::set_activity("between runs");
-                    Some(outcome)
-                }
-                Err(TryRecvError::Disconnected) => {
-                    let cause = if self.stop.is_stopped() { self.stop.cause() } else { CYCLE_ENDED.into() };
-                    Some(Err(HomingError::Stopped(cause)))
-                }
-                Err(TryRecvError::Empty) => None,
-            };
-            self.is_over = self.outcome.is_some();
+        if !self.is_over
+            && let Some(outcome) = received(&self.outcomes)
+        {
+            self.is_over = true;
+            if outcome.is_ok() {
+                claim::set_activity("between runs");
+            }
+            let cause = || if self.stop.is_stopped() { self.stop.cause() } else { CYCLE_ENDED.into() };
+            self.outcome = Some(outcome.unwrap_or_else(|Died| Err(HomingError::Stopped(cause()))));
         }
         self.steps.try_recv().ok()
     }

@@ -3,7 +3,7 @@
 //! `run::record` opens a session for one run, the service keeps one.
 
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::Duration;
 
 use shared::config::{self, BallBarConfig, DaemonConfig};
@@ -29,7 +29,7 @@ use crate::record::{
     self, CycleSink, CycleSource, FullRing, Limits, Mark, Progress, Recorder, RunLink, RunSummary, Stop,
     Storage,
 };
-use crate::scheduler::{Scheduler, Stepper, until};
+use crate::scheduler::{Died, Scheduler, Stepper, received, until};
 use crate::segment::faults::FaultHandle;
 
 /// Largest number of queued jobs for the cycle; all but the last are those of ended runs.
@@ -233,7 +233,7 @@ impl Session {
 
     /// Whether the cycle is running.
     pub fn is_alive(&self) -> bool {
-        matches!(self.cycle_over.try_recv(), Err(TryRecvError::Empty))
+        received(&self.cycle_over).is_none()
     }
 
     fn clock(&self) -> &Clock {
@@ -288,14 +288,8 @@ impl Session {
     pub async fn close(self) -> Result<(), RunError> {
         let scheduler = Arc::clone(&self.scheduler);
         let cycle_over = self.begin_close();
-        until(&*scheduler, CLOSE_PERIOD, || match cycle_over.try_recv() {
-            Ok(()) => Some(Ok(())),
-            Err(TryRecvError::Empty) => None,
-            Err(TryRecvError::Disconnected) => {
-                Some(Err(RunError::Thread("the cycle panicked; its cause is in the log".into())))
-            }
-        })
-        .await
+        let over = until(&*scheduler, CLOSE_PERIOD, || received(&cycle_over)).await;
+        over.map_err(|Died| RunError::Thread("the cycle panicked; its cause is in the log".into()))
     }
 
     /// Ends the cycle; the receiver is connected until the cycle has ended.
@@ -355,11 +349,7 @@ impl ActiveRun {
 
     /// Result of the run, returned once: its finished file, or an error.
     pub fn outcome(&self) -> Option<Result<RunSummary, RunError>> {
-        let outcome = match self.outcome.try_recv() {
-            Ok(outcome) => outcome,
-            Err(TryRecvError::Empty) => return None,
-            Err(TryRecvError::Disconnected) => Err(recorder_panicked()),
-        };
+        let outcome = received(&self.outcome)?.unwrap_or_else(|Died| Err(recorder_panicked()));
         claim::set_activity("between runs");
         Some(outcome)
     }
@@ -378,11 +368,8 @@ impl Opening {
     /// The bus in operation, or an error; returned once.
     pub fn poll(&mut self) -> Option<Result<Session, RunError>> {
         let ended_early = "the cycle ended while the bus came up; its cause is in the log";
-        let ready = match self.ready.try_recv() {
-            Ok(ready) => ready,
-            Err(TryRecvError::Empty) => return None,
-            Err(TryRecvError::Disconnected) => Err(RunError::Thread(ended_early.into())),
-        };
+        let ready = received(&self.ready)?;
+        let ready = ready.unwrap_or_else(|Died| Err(RunError::Thread(ended_early.into())));
         let session = self.session.take()?;
         Some(ready.map(|ready| Session { ready, ..session }))
     }

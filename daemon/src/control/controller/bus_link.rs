@@ -3,7 +3,7 @@
 
 use std::collections::VecDeque;
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, TryRecvError};
+use std::sync::mpsc::Receiver;
 use std::time::Duration;
 
 use shared::recording::schema::MAX_ENCODERS;
@@ -13,7 +13,7 @@ use crate::control::machine::Event;
 use crate::control::settings::Connect;
 use crate::problem::{Fact, Problem};
 use crate::run::{BUS_FLAGS, Opening, RunError, Session};
-use crate::scheduler::{Died, Pending, Scheduler};
+use crate::scheduler::{Died, Pending, Scheduler, received};
 
 /// Pauses between attempts to bring the bus up.
 const RETRY_FIRST: Duration = Duration::from_secs(1);
@@ -149,7 +149,7 @@ impl BusLink {
 
     /// Whether the cycle has ended.
     pub fn is_closed(&self) -> bool {
-        self.closing.as_ref().is_none_or(|closing| !matches!(closing.try_recv(), Err(TryRecvError::Empty)))
+        self.closing.as_ref().is_none_or(|closing| received(closing).is_some())
     }
 
     /// Starts a task that brings the bus up.
