@@ -129,7 +129,7 @@ impl Measures for Column {
     }
 
     fn causes(&self, _: &Geometry) -> Vec<Cause> {
-        vec![Cause::LengthOffset]
+        vec![Cause::new("the zero of the column", [ParameterId::LengthOffset])]
     }
 
     fn adapt(&mut self, model: &Model) -> Option<f64> {
@@ -236,7 +236,9 @@ fn what_changes_while_an_instrument_of_ones_own_measures_is_named() {
     let found = calibrated(&rows);
     let changed: Vec<String> = found.changed.iter().map(ToString::to_string).collect();
     assert!(
-        changed.iter().any(|one| one.contains("steps by") && one.contains("67 % of the rows")),
+        changed
+            .iter()
+            .any(|one| one.contains("the zero of the column steps by") && one.contains("67 % of the rows")),
         "{changed:?}"
     );
 }

@@ -7,7 +7,7 @@ use std::fmt;
 
 use crate::calibrate::CalibrateError;
 use crate::instrument::{Cause, Instrument, Run};
-use crate::model::{ParameterId, Role};
+use crate::model::{ParameterId, Role, Unit};
 use crate::prepare::{Deviations, PoorFit, PrepareError, PrepareOptions};
 use crate::solver::{Change, Course, LossName, change_point};
 
@@ -43,7 +43,7 @@ pub struct Changed {
     pub cause: Cause,
     /// Time of the change.
     pub when: When,
-    /// Change of each parameter of the cause, SI.
+    /// Change of each parameter of the cause, in its order, SI.
     pub by: Vec<f64>,
     /// Fraction of the squared residuals that the change explains.
     pub explained: f64,
@@ -85,20 +85,20 @@ fn change_of_run(Run { instrument, model }: &Run, sigma: f64) -> Result<Option<C
         &model.with_considered(|parameter, sigma| Some(Role::Prior { value: parameter.value, sigma }));
     let can_change =
         |id: &ParameterId| instrument.identifies(*id, model.robot()) && model.parameter(*id).is_some();
-    let joints = (0..model.axes()).map(Cause::Joint);
+    let joints = (0..model.axes()).map(Cause::joint);
     let mut causes: Vec<Cause> = joints.chain(instrument.causes(&model.geometry(&[]))).collect();
-    causes.retain(|cause| cause.ids().iter().any(can_change));
-    let ids = |cause: &Cause| cause.ids().into_iter().filter(can_change).collect::<Vec<_>>();
+    causes.iter_mut().for_each(|cause| cause.ids.retain(can_change));
+    causes.retain(|cause| !cause.ids.is_empty());
     let mut with_causes = model.clone();
-    for id in causes.iter().flat_map(ids) {
+    for &id in causes.iter().flat_map(|cause| &cause.ids) {
         if model.column_of(id).is_none() {
             with_causes.set_role(id, Role::Free)?;
         }
     }
-    let column = |id: ParameterId| with_causes.column_of(id);
+    let column = |id: &ParameterId| with_causes.column_of(*id);
     let alternatives: Vec<Vec<usize>> =
-        causes.iter().map(|cause| ids(cause).into_iter().filter_map(column).collect()).collect();
-    let estimated: Vec<usize> = model.columns().filter_map(|parameter| column(parameter.id)).collect();
+        causes.iter().map(|cause| cause.ids.iter().filter_map(column).collect()).collect();
+    let estimated: Vec<usize> = model.columns().filter_map(|parameter| column(&parameter.id)).collect();
     let problem = instrument.data_set(&with_causes, sigma)?;
     let measured = || (0..problem.samples()).filter(|sample| !problem.is_known(*sample));
     let every = measured().count().div_ceil(SAMPLES_MAX).max(1);
@@ -111,7 +111,7 @@ fn change_of_run(Run { instrument, model }: &Run, sigma: f64) -> Result<Option<C
             Course::Step(first_after) => time_of_step(instrument, &samples, first_after)?,
             Course::Drift => When::Drift,
         };
-        Some(Changed { data_set: 0, cause: *causes.get(alternative)?, when, by, explained })
+        Some(Changed { data_set: 0, cause: causes.get(alternative)?.clone(), when, by, explained })
     }))
 }
 
@@ -128,9 +128,9 @@ fn time_of_step(instrument: &Instrument, samples: &[usize], first_after: usize) 
 impl Changed {
     /// Magnitude of the change, SI; for a tracker the distance.
     pub fn size(&self) -> f64 {
-        // The other components of a tracker's change are rotations.
-        let components = if matches!(self.cause, Cause::Tracker(_)) { 3 } else { self.by.len() };
-        self.by.iter().take(components).map(|by| by * by).sum::<f64>().sqrt()
+        let components = self.by.iter().zip(&self.cause.ids);
+        let of_unit = components.filter(|(_, id)| id.unit() == self.cause.unit());
+        of_unit.map(|(by, _)| by * by).sum::<f64>().sqrt()
     }
 
     /// Change of the first parameter: the only one of an encoder, a joint, a clock or a length offset.
@@ -140,9 +140,9 @@ impl Changed {
 
     /// Displacement of the end of an arm with this reach \[m\]; a clock does not change the geometry.
     pub fn moves_m(&self, reach_m: f64) -> f64 {
-        match self.cause {
-            Cause::Encoder(_) | Cause::Joint(_) => self.size() * reach_m,
-            Cause::Clock => 0.0,
+        match self.cause.unit() {
+            Unit::Radian => self.size() * reach_m,
+            Unit::Second => 0.0,
             _ => self.size(),
         }
     }
@@ -153,17 +153,17 @@ impl Changed {
         let slip_min_rad = options.slip_min_mrad * 1e-3;
         // The offset has the opposite sign of the error in the reported angle.
         let by_mrad = -self.first_component() * 1e3;
-        let (error, least) = match self.cause {
-            Cause::Encoder(joint) => {
-                (PrepareError::EncoderSlip { joint: joint as u8 + 1, at_s, by_mrad }, slip_min_rad)
+        let (error, least) = match self.cause.ids.first()? {
+            ParameterId::Bar { link, .. } => {
+                (PrepareError::EncoderSlip { joint: *link as u8 + 1, at_s, by_mrad }, slip_min_rad)
             }
-            Cause::Joint(joint) => {
-                (PrepareError::JointStep { joint: joint as u8 + 1, at_s, by_mrad }, slip_min_rad)
+            ParameterId::Robot { link, .. } => {
+                (PrepareError::JointStep { joint: *link as u8 + 1, at_s, by_mrad }, slip_min_rad)
             }
-            Cause::Base => {
+            ParameterId::Base { .. } => {
                 (PrepareError::BaseMoved { at_s, by_mm: self.size() * 1e3 }, LEVER_M * slip_min_rad)
             }
-            Cause::Clock => {
+            ParameterId::ClockShift => {
                 (PrepareError::ClockJump { at_s, by_ms: self.first_component() * 1e3 }, CLOCK_S_MIN)
             }
             _ => return None,
@@ -190,38 +190,19 @@ fn refuse(runs: &[Run], changed: &[Changed], options: &PrepareOptions) -> Result
 
 impl fmt::Display for Changed {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { cause, when, .. } = self;
-        let mrad = |by_rad: f64| format!("by {:+.2} mrad", by_rad * 1e3);
-        let distance = || format!("by {:.2} mm", self.size() * 1e3);
-        let which = |what: &str, number: usize| {
-            if number == 0 { String::new() } else { format!("{what} {}", number + 1) }
+        let Self { cause: Cause { name, ids }, when, .. } = self;
+        let unit = self.cause.unit();
+        let size = match ids[..] {
+            // The offset has the opposite sign of the error in the angle.
+            [ParameterId::Bar { .. }] => format!("{:+.2}", -self.first_component() * unit.display_factor()),
+            [_] => format!("{:+.2}", self.first_component() * unit.display_factor()),
+            _ => format!("{:.2}", self.size() * unit.display_factor()),
         };
-        let (what, by) = match cause {
-            Cause::Encoder(joint) => {
-                (format!("the encoder of joint {}", joint + 1), mrad(-self.first_component()))
-            }
-            Cause::Joint(joint) => (format!("the zero of joint {}", joint + 1), mrad(self.first_component())),
-            Cause::Base => ("the base of the bar".to_owned(), distance()),
-            Cause::Clock => {
-                ("the robot's clock".to_owned(), format!("by {:+.2} ms", self.first_component() * 1e3))
-            }
-            Cause::Tracker(station) => {
-                (format!("the place of the tracker{}", which(" in station", *station)), distance())
-            }
-            Cause::Probe(target) => {
-                let target = which("", *target);
-                (format!("the place of the tracker's target{target} on the flange"), distance())
-            }
-            Cause::Anchor(station) => (format!("the anchor{} of the wire", which("", *station)), distance()),
-            Cause::Tip => ("the tip on the flange".to_owned(), distance()),
-            Cause::LengthOffset => {
-                ("the zero of the wire".to_owned(), format!("by {:+.2} mm", self.first_component() * 1e3))
-            }
-        };
+        let by = format!("by {size} {}", unit.display_symbol());
         match when {
-            When::At(at_s) => write!(f, "{what} steps {by} {at_s:.1} s after the first sample"),
-            When::After(part) => write!(f, "{what} steps {by} after about {:.0} % of the rows", part * 100.0),
-            When::Drift => write!(f, "{what} drifts {by} from the first sample to the last"),
+            When::At(at_s) => write!(f, "{name} steps {by} {at_s:.1} s after the first sample"),
+            When::After(part) => write!(f, "{name} steps {by} after about {:.0} % of the rows", part * 100.0),
+            When::Drift => write!(f, "{name} drifts {by} from the first sample to the last"),
         }
     }
 }

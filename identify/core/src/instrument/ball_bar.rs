@@ -10,9 +10,10 @@ use crate::cost::{
     AngleNoise, CostError, DataSet, FoundNoise, Length, LoopProblem, Position, PositionAngles, ROD_JOINT,
     Residual, Transform, WhitenedPose, WhitenedPoseOfFour, fill_in, loop_closures,
 };
-use crate::kinematics::{BAR_JOINTS, Chain};
+use crate::kinematics::{BAR_JOINTS, Chain, LinkParameter};
 use crate::model::{
-    Clock, Geometry, JointState, Model, ModelError, Observation, Parameter, ParameterId, RobotMotion, Role,
+    Axis, Clock, Geometry, JointState, Model, ModelError, Observation, Parameter, ParameterId, RobotMotion,
+    Role,
 };
 use crate::prepare::Prepared;
 use crate::solver::LossName;
@@ -205,7 +206,12 @@ impl Measures for BallBar {
     }
 
     fn causes(&self, _: &Geometry) -> Vec<Cause> {
-        (0..BAR_JOINTS).map(Cause::Encoder).chain([Cause::Base, Cause::Clock]).collect()
+        let encoder = |link| {
+            let id = ParameterId::Bar { link, parameter: LinkParameter::Theta };
+            Cause::new(format!("the encoder of joint {}", link + 1), [id])
+        };
+        let base = Cause::new("the base of the bar", Axis::ALL.map(|axis| ParameterId::Base { axis }));
+        (0..BAR_JOINTS).map(encoder).chain([base, Cause::clock()]).collect()
     }
 
     fn time_s(&self, sample: usize) -> Option<f64> {

@@ -1,50 +1,41 @@
 //! Changes at one instant of an instrument, a robot or their clocks during a measurement.
 
 use crate::kinematics::LinkParameter;
-use crate::model::{Axis, Coordinate, ParameterId};
+use crate::model::{ParameterId, Unit};
 
-/// What can change during a measurement.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Cause {
-    /// Offset of the encoder of this bar joint, from 0.
-    Encoder(usize),
-    /// Zero position of this robot joint, from 0.
-    Joint(usize),
-    /// Position of the bar's base.
-    Base,
-    /// Time offset between the two logs.
-    Clock,
-    /// Pose of the tracker in this station, from 0.
-    Tracker(usize),
-    /// Position of this target on the flange, from 0.
-    Probe(usize),
-    /// Position of this anchor of the wire, from 0.
-    Anchor(usize),
-    /// Offset of the lengths.
-    LengthOffset,
-    /// Position of the tip on the flange.
-    Tip,
+/// What can change during a measurement. The part that owns the parameters names it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Cause {
+    /// Name of what changes, in messages.
+    pub name: String,
+    /// Parameters that change with it. Those in the unit of the first one are its size.
+    pub ids: Vec<ParameterId>,
 }
 
 impl Cause {
-    /// Parameters that change with this cause.
-    pub(crate) fn ids(self) -> Vec<ParameterId> {
-        let parameter = LinkParameter::Theta;
-        match self {
-            Self::Encoder(link) => vec![ParameterId::Bar { link, parameter }],
-            Self::Joint(link) => vec![ParameterId::Robot { link, parameter }],
-            Self::Base => Axis::ALL.map(|axis| ParameterId::Base { axis }).to_vec(),
-            Self::Clock => vec![ParameterId::ClockShift],
-            Self::Tracker(station) => {
-                Coordinate::ALL.map(|coordinate| ParameterId::Tracker { station, coordinate }).to_vec()
-            }
-            Self::Probe(target) => {
-                let position = Axis::ALL.map(Coordinate::Position);
-                position.map(|coordinate| ParameterId::Probe { target, coordinate }).to_vec()
-            }
-            Self::Anchor(station) => Axis::ALL.map(|axis| ParameterId::Anchor { station, axis }).to_vec(),
-            Self::LengthOffset => vec![ParameterId::LengthOffset],
-            Self::Tip => Axis::ALL.map(|axis| ParameterId::Tip { axis }).to_vec(),
-        }
+    /// A change of these parameters under a name for messages.
+    pub fn new(name: impl Into<String>, ids: impl Into<Vec<ParameterId>>) -> Self {
+        Self { name: name.into(), ids: ids.into() }
     }
+
+    /// Zero position of a robot joint, from 0.
+    pub(crate) fn joint(link: usize) -> Self {
+        let id = ParameterId::Robot { link, parameter: LinkParameter::Theta };
+        Self::new(format!("the zero of joint {}", link + 1), [id])
+    }
+
+    /// Time offset between the two logs.
+    pub(super) fn clock() -> Self {
+        Self::new("the robot's clock", [ParameterId::ClockShift])
+    }
+
+    /// Unit of its size.
+    pub(crate) fn unit(&self) -> Unit {
+        self.ids.first().map_or(Unit::Ratio, |id| id.unit())
+    }
+}
+
+/// Number of a part in a message, after its noun; empty for the first.
+pub(super) fn numbered(noun: &str, number: usize) -> String {
+    if number == 0 { String::new() } else { format!("{noun} {}", number + 1) }
 }

@@ -168,8 +168,9 @@ impl Artefact for Faces {
         Some(start)
     }
 
+    /// The tip alone: all faces are on one rigid body.
     fn causes() -> Vec<Cause> {
-        vec![Cause::Tip]
+        vec![Cause::new("the tip on the flange", Axis::ALL.map(|axis| ParameterId::Tip { axis }))]
     }
 
     fn samples_min(&self, axes: usize) -> usize {

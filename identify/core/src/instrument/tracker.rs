@@ -4,6 +4,7 @@
 
 use nalgebra::{Rotation3, Vector3};
 
+use super::cause::numbered;
 use super::rows::{MEDIAN_OF_THREE, RowNoise, Standing};
 use super::{
     Cause, Deviation, HoldOut, Instrument, Measures, Mistake, Noise, PoseError, RejectedRow, RowError,
@@ -13,7 +14,7 @@ use crate::cost::{CostError, DataSet, LoopProblem, MeasuredPose, MeasuredPositio
 use crate::kinematics::{Chain, Joints, Pose, rotation_vector};
 use crate::logs::{PoseRow, PoseUncertainty};
 use crate::model::{
-    Clock, Coordinate, Geometry, Group, JointState, Model, ModelError, Observation, Owner, ParameterId,
+    Axis, Clock, Coordinate, Geometry, Group, JointState, Model, ModelError, Observation, Owner, ParameterId,
     PerObservation, Placement, RobotMotion, Role, SetUp,
 };
 use crate::prepare::{Moving, PROBE_SIGMA_M, Sighted, all_placements};
@@ -321,8 +322,17 @@ impl Measures for Tracker {
     }
 
     fn causes(&self, Geometry { tracker, .. }: &Geometry) -> Vec<Cause> {
-        let stations = (0..tracker.places.len()).map(Cause::Tracker);
-        stations.chain((0..tracker.probes.len()).map(Cause::Probe)).chain([Cause::Clock]).collect()
+        let station = |station| {
+            let name = format!("the place of the tracker{}", numbered(" in station", station));
+            Cause::new(name, Coordinate::ALL.map(|coordinate| ParameterId::Tracker { station, coordinate }))
+        };
+        let target = |target| {
+            let name = format!("the place of the tracker's target{} on the flange", numbered("", target));
+            let position = Axis::ALL.map(Coordinate::Position);
+            Cause::new(name, position.map(|coordinate| ParameterId::Probe { target, coordinate }))
+        };
+        let stations = (0..tracker.places.len()).map(station);
+        stations.chain((0..tracker.probes.len()).map(target)).chain([Cause::clock()]).collect()
     }
 
     fn time_s(&self, sample: usize) -> Option<f64> {

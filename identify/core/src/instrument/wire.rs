@@ -6,6 +6,7 @@
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
+use super::cause::numbered;
 use super::rows::{MEDIAN_OF_ONE, RowNoise, Screened, Standing};
 use super::{
     Cause, Deviation, Instrument, Measures, Mistake, Noise, RejectedRow, Rejection, RowError, ScaleFrom,
@@ -302,7 +303,12 @@ impl Measures for Wire {
 
     /// Position of each anchor, and the offset of the lengths.
     fn causes(&self, Geometry { wire, .. }: &Geometry) -> Vec<Cause> {
-        (0..wire.anchors_m.len()).map(Cause::Anchor).chain([Cause::LengthOffset]).collect()
+        let anchor = |station| {
+            let name = format!("the anchor{} of the wire", numbered("", station));
+            Cause::new(name, Axis::ALL.map(|axis| ParameterId::Anchor { station, axis }))
+        };
+        let offset = Cause::new("the zero of the wire", [ParameterId::LengthOffset]);
+        (0..wire.anchors_m.len()).map(anchor).chain([offset]).collect()
     }
 
     /// Of all rows, in use or not, relative to their median.
