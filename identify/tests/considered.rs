@@ -21,7 +21,7 @@ use shared::config::{BallBarConfig, RobotConfig};
 /// Without terms, to save time.
 fn quick(fix: &[&str]) -> IdentifyConfig {
     IdentifyConfig {
-        fix: fix.iter().map(|&name| name.into()).collect(),
+        fix: fix.iter().map(|name| name.parse().unwrap()).collect(),
         bar_length_um: 0.0,
         joint_terms: JointTermsConfig { candidates: Vec::new(), ..JointTermsConfig::default() },
         ..IdentifyConfig::default()

@@ -116,7 +116,7 @@ fn a_calibration_of_the_bar_alone_expects_of_the_robot_what_it_was_before() {
     let (run, robot) = (simulated(1, BarLoad::default()), irb2400());
     let links = (1..=6).flat_map(|link| ["ra", "rd", "ralpha", "rtheta"].map(|name| format!("{name}{link}")));
     let config = IdentifyConfig {
-        fix: links.chain(["rbeta2".to_owned()]).collect(),
+        fix: links.chain(["rbeta2".to_owned()]).map(|name| name.parse().unwrap()).collect(),
         joint_terms: JointTermsConfig { candidates: Vec::new(), ..JointTermsConfig::default() },
         prepare: PrepareOptions { points_max: 300, ..PrepareOptions::default() },
         ..IdentifyConfig::default()

@@ -144,14 +144,13 @@ fn lobes_of_gears_that_nobody_has_counted_are_found() {
 
 #[test]
 fn waves_can_be_freed_and_fixed_by_name() {
-    let names = |names: [&str; 2]| names.map(str::to_owned).to_vec();
-    let free = names(["rsin31_2", "rcos31_2"]);
-    let fix = names(["rsin57_1", "rcos57_1"]);
+    let ids = |names: [&str; 2]| -> Vec<ParameterId> { names.map(|name| name.parse().unwrap()).to_vec() };
+    let free = ids(["rsin31_2", "rcos31_2"]);
+    let fix = ids(["rsin57_1", "rcos57_1"]);
     let found =
         with_lobes(&IdentifyConfig { free: free.clone(), fix: fix.clone(), ..IdentifyConfig::default() });
-    let [freed, fixed] = [free, fix].map(|names| {
-        let parameter = |name: &String| found.model().parameter(name.parse().unwrap()).unwrap();
-        let [sine, cosine] = [parameter(&names[0]), parameter(&names[1])];
+    let [freed, fixed] = [free, fix].map(|ids| {
+        let [sine, cosine] = [0, 1].map(|index| found.model().parameter(ids[index]).unwrap());
         assert_eq!(sine.role, cosine.role);
         (sine.role, sine.value.hypot(cosine.value) * 1e6)
     });

@@ -100,7 +100,7 @@ fn the_same_numbers_are_free_whichever_instrument_measures_the_robot() {
 #[test]
 fn only_what_is_fixed_by_name_is_fixed() {
     let robot = ur10();
-    let fix = ["rd2", "ra3", "balpha2"].map(str::to_owned).to_vec();
+    let fix = ["rd2", "ra3", "balpha2"].map(|name| name.parse().unwrap()).to_vec();
     let found = calibrated(&run(&robot), &robot, &IdentifyConfig { fix, ..quick() });
     let role = |name: &str| found.model().parameter(name.parse().unwrap()).unwrap().role;
     assert_eq!(role("rd2"), Role::Fixed);
@@ -140,10 +140,11 @@ fn what_the_data_do_not_determine_is_named_and_stays_near_nominal() {
 #[test]
 fn a_parameter_that_has_a_role_by_name_has_to_be_one_of_the_model() {
     let robot = irb2400();
+    let id: ParameterId = "probe_x".parse().unwrap();
     for config in [
-        IdentifyConfig { fix: vec!["probe_x".into()], ..quick() },
-        IdentifyConfig { free: vec!["probe_x".into()], ..quick() },
-        IdentifyConfig { priors: [("probe_x".to_owned(), 1.0)].into(), ..quick() },
+        IdentifyConfig { fix: vec![id], ..quick() },
+        IdentifyConfig { free: vec![id], ..quick() },
+        IdentifyConfig { priors: [(id, 1.0)].into(), ..quick() },
     ] {
         let run = run(&robot);
         let error =

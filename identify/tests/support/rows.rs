@@ -34,7 +34,7 @@ impl Alone {
     }
 
     pub fn with_fixed(mut self, ids: &[ParameterId]) -> Self {
-        self.config.fix = ids.iter().map(ToString::to_string).collect();
+        self.config.fix = ids.to_vec();
         self
     }
 

@@ -113,9 +113,9 @@ pub struct IdentifyConfig {
     /// Named set of free parameters.
     pub selection: SelectionName,
     /// Parameters freed on top of the selection.
-    pub free: Vec<String>,
+    pub free: Vec<ParameterId>,
     /// Parameters fixed in spite of the selection.
-    pub fix: Vec<String>,
+    pub fix: Vec<ParameterId>,
     /// Standard deviation of the prior at zero for each encoder harmonic \[urad\], with any selection except `thesis`. The
     /// samples may scale it for all of them; zero excludes them.
     pub encoder_harmonics_urad: f64,
@@ -131,7 +131,7 @@ pub struct IdentifyConfig {
     /// Required position error of the calibrated robot, an upper limit \[mm\]; absent: no requirement.
     pub require_mm: Option<f64>,
     /// Priors at the start value of parameters: standard deviations \[mm, mrad, ms or ppm\].
-    pub priors: BTreeMap<String, f64>,
+    pub priors: BTreeMap<ParameterId, f64>,
     /// Noise of encoder and robot angles.
     pub noise: NoiseConfig,
     /// Limits of the preparation.
@@ -184,7 +184,7 @@ impl IdentifyConfig {
     /// is true. `identifiable` is the set of a selection that depends on the poses. Candidate terms are not freed.
     ///
     /// # Errors
-    /// [`ModelError`] for an invalid name or standard deviation.
+    /// [`ModelError`] for an invalid standard deviation.
     pub fn set_roles(
         &self,
         model: &mut Model,
@@ -248,7 +248,7 @@ impl IdentifyConfig {
     /// define frames stay fixed. Then parameters that have a role by name receive it.
     ///
     /// # Errors
-    /// [`ModelError`] for an invalid name or standard deviation.
+    /// [`ModelError`] for an invalid standard deviation.
     pub(crate) fn set_link_roles(&self, model: &mut Model) -> Result<(), ModelError> {
         let last = model.axes().saturating_sub(1);
         let of_links = |id: &ParameterId| matches!(id, ParameterId::Robot { link, .. } if *link < last);
@@ -273,7 +273,7 @@ impl IdentifyConfig {
 
     /// Stated standard deviation of a parameter, by name, SI.
     fn stated(&self, id: ParameterId) -> Option<f64> {
-        Some(self.priors.get(&id.to_string())? / id.unit().display_factor())
+        Some(self.priors.get(&id)? / id.unit().display_factor())
     }
 
     /// Tolerance of link parameters, as standard deviation \[m, rad\].
@@ -296,18 +296,12 @@ impl IdentifyConfig {
 
     /// Sets the roles of parameters that have one by name.
     fn set_named_roles(&self, model: &mut Model) -> Result<(), ModelError> {
-        for (name, sigma) in &self.priors {
-            let id: ParameterId = name.parse()?;
+        for (&id, sigma) in &self.priors {
             let Some(value) = model.parameter(id).map(|parameter| parameter.value) else { continue };
             model.set_role(id, Role::Prior { value, sigma: sigma / id.unit().display_factor() })?;
         }
-        for (names, role) in [(&self.free, Role::Free), (&self.fix, Role::Fixed)] {
-            for name in names {
-                let id: ParameterId = name.parse()?;
-                if model.parameter(id).is_some() {
-                    model.set_role(id, role)?;
-                }
-            }
+        for (ids, role) in [(&self.free, Role::Free), (&self.fix, Role::Fixed)] {
+            model.set_roles(model.ids().into_iter().filter(|id| ids.contains(id)), role)?;
         }
         Ok(())
     }
@@ -320,8 +314,7 @@ impl IdentifyConfig {
         &self,
         models: impl Iterator<Item = &'m Model> + Clone,
     ) -> Result<(), ModelError> {
-        for name in self.priors.keys().chain(&self.free).chain(&self.fix) {
-            let id: ParameterId = name.parse()?;
+        for id in self.named() {
             let is_wave = matches!(id, ParameterId::JointWave { .. });
             if !is_wave && models.clone().all(|model| model.parameter(id).is_none()) {
                 return Err(ModelError::NotInModel { id });
@@ -334,15 +327,14 @@ impl IdentifyConfig {
     /// by name or have a prior.
     pub fn known_length_sigmas_m(&self, bar: &BallBarConfig, axes: usize) -> Vec<(ParameterId, f64)> {
         let u_um = |id| if id == ParameterId::ROD { bar.length_u_um } else { Some(bar.plate_u_um) };
-        let is_open = |name: String| !self.free.contains(&name) && !self.priors.contains_key(&name);
-        let known = ParameterId::known_lengths(axes).into_iter().filter(|id| is_open(id.to_string()));
+        let is_open = |id: &ParameterId| !self.free.contains(id) && !self.priors.contains_key(id);
+        let known = ParameterId::known_lengths(axes).into_iter().filter(is_open);
         known.filter_map(|id| Some((id, u_um(id).filter(|u_um| *u_um > 0.0)? * 1e-6))).collect()
     }
 
     /// Standard deviation of a fixed parameter, SI; `None` if it is not stated or if the value is arbitrary because it only
     /// defines a frame. The uncertainty of the plate is in the bar's configuration.
     fn uncertainty(&self, id: ParameterId, axes: usize) -> Option<f64> {
-        let name = id.to_string();
         if let Some(sigma) = self.stated(id) {
             return Some(sigma);
         }
@@ -357,7 +349,7 @@ impl IdentifyConfig {
         };
         match id.group() {
             Group::Link if is_dimension => Some(self.tolerance()),
-            Group::Term(group) if self.fix.contains(&name) => Some(self.sigma(group)),
+            Group::Term(group) if self.fix.contains(&id) => Some(self.sigma(group)),
             _ if matches!(id, ParameterId::BaseRotation { .. }) => Some(BASE_TILT_SIGMA_RAD),
             _ => None,
         }
@@ -370,22 +362,15 @@ impl IdentifyConfig {
     /// # Errors
     /// [`ModelError::NotInModel`].
     pub fn free_for_force(&self, model: &mut Model, id: ParameterId) -> Result<(), ModelError> {
-        let name = id.to_string();
-        if self.fix.contains(&name) || self.priors.contains_key(&name) {
+        if self.fix.contains(&id) || self.priors.contains_key(&id) {
             return Ok(());
         }
         model.set_role(id, Role::Free)
     }
 
-    /// Parameters that are freed, fixed or given a prior by name; unknown names are ignored.
+    /// Parameters that are freed, fixed or given a prior by name.
     pub fn named(&self) -> impl Iterator<Item = ParameterId> + '_ {
-        let names = self.priors.keys().chain(&self.free).chain(&self.fix);
-        names.filter_map(|name| name.parse().ok())
-    }
-
-    /// Parameters that are fixed by name; unknown names are ignored.
-    pub(crate) fn fixed(&self) -> Vec<ParameterId> {
-        self.fix.iter().filter_map(|name| name.parse().ok()).collect()
+        self.priors.keys().chain(&self.free).chain(&self.fix).copied()
     }
 
     /// Harmonics of the bar's encoders that have no role by name; they share one prior scale.
@@ -465,26 +450,13 @@ impl Validate for IdentifyConfig {
 }
 
 impl IdentifyConfig {
-    /// Names must be those of parameters, not both free and fixed, and priors by name need a standard deviation above zero.
+    /// Parameters must not be both free and fixed, and priors by name need a standard deviation above zero.
     fn validate_names(&self) -> Result<(), Violation> {
-        let check_name = |key: String, name: &String| {
-            let parsed = name.parse::<ParameterId>();
-            parsed.map(drop).map_err(|error| Violation::new(key, error.to_string(), "correct the name"))
-        };
-        for (key, names) in [("free", &self.free), ("fix", &self.fix)] {
-            for (index, name) in names.iter().enumerate() {
-                check_name(format!("{key}[{index}]"), name)?;
-            }
-        }
-        if let Some((index, name)) = self.fix.iter().enumerate().find(|(_, name)| self.free.contains(name)) {
-            let problem = format!("`{name}` is in free as well");
+        if let Some((index, id)) = self.fix.iter().enumerate().find(|(_, id)| self.free.contains(id)) {
+            let problem = format!("`{id}` is in free as well");
             return Err(Violation::new(format!("fix[{index}]"), problem, "leave it out of one"));
         }
-        for (name, &sigma) in &self.priors {
-            check_name(format!("priors.{name}"), name)?;
-            positive(format!("priors.{name}"), sigma)?;
-        }
-        Ok(())
+        self.priors.iter().try_for_each(|(id, sigma)| positive(format!("priors.{id}"), *sigma))
     }
 
     /// Standard deviations must be above zero, except those that exclude a group of terms, and so must the required error.

@@ -71,7 +71,7 @@ pub(super) fn lay_out<'w>(
     let plan = Plan {
         loss: config.loss.unwrap_or(residual_unit_of(&runs).map_or(LossName::Huber, CostName::usual_loss)),
         groups,
-        fix: config.fixed(),
+        fix: config.fix.clone(),
         common: common_priors(&runs, &tolerances, config),
         tolerances,
         watch,
@@ -88,7 +88,7 @@ fn place_instrument(
     watch: Option<&dyn Watch>,
     flange: &Chain,
 ) -> Result<(), CalibrateError> {
-    if !run.instrument.place(&mut run.model, &config.fixed())? {
+    if !run.instrument.place(&mut run.model, &config.fix)? {
         return Err(CalibrateError::NoPlace { data_set });
     }
     if run.model.columns().len() > 0 {
@@ -143,7 +143,7 @@ fn bar_runs(
         }
         _ => Vec::new(),
     };
-    let mut fixed = config.fixed();
+    let mut fixed = config.fix.clone();
     let plate = runs.first().map(|run| ParameterId::plate(run.model.axes()));
     fixed.extend(plate.filter(|_| config.selection == SelectionName::Thesis));
     for Run { instrument, model } in &mut runs {
@@ -162,7 +162,7 @@ fn tolerances(runs: &[Run], config: &IdentifyConfig) -> Vec<ParameterId> {
     let has_tolerance = |parameter: &&Parameter| {
         let id = parameter.id;
         let is_link = matches!(id.group(), Group::Link | Group::InPlaceOfAnother);
-        let is_stated = known_lengths.contains(&id) || config.priors.contains_key(&id.to_string());
+        let is_stated = known_lengths.contains(&id) || config.priors.contains_key(&id);
         is_link && matches!(parameter.role, Role::Prior { .. }) && !is_stated
     };
     let columns = runs.iter().flat_map(|run| run.model.columns());

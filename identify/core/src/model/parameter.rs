@@ -9,6 +9,9 @@ use std::fmt;
 use std::str::FromStr;
 use std::sync::LazyLock;
 
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
 use super::geometry::DIRECTION_JOINTS;
 use super::{Coordinate, Geometry, JointTerm, ModelError, Phase, TermGroup, Waves};
 use crate::kinematics::{AXES_MAX, BAR_JOINTS, LinkParameter, ROD_LINK};
@@ -629,5 +632,17 @@ impl FromStr for ParameterId {
             let nearest = shared::config::nearest(name, known.iter().map(String::as_str));
             ModelError::UnknownName { name: name.to_owned(), nearest: nearest.map(str::to_owned) }
         })
+    }
+}
+
+impl Serialize for ParameterId {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+impl<'de> Deserialize<'de> for ParameterId {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        String::deserialize(deserializer)?.parse().map_err(D::Error::custom)
     }
 }

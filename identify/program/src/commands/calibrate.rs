@@ -15,7 +15,7 @@ use clap::{Args, Subcommand};
 use shared::config;
 
 use crate::calibrate::IdentifyConfig;
-use crate::model::{ModelError, ParameterId};
+use crate::model::ParameterId;
 use crate::report::result::file::Input;
 use crate::solver::LossName;
 use experiment::Experiment;
@@ -80,18 +80,13 @@ pub struct CommonArguments {
     #[arg(long, help_heading = "Estimation")]
     loss: Option<LossName>,
     /// Also free these parameters, such as ra6,rd6: with commas, or --free several times
-    #[arg(long, help_heading = "Estimation", value_name = "NAMES", value_delimiter = ',', value_parser = parameter_name)]
-    free: Vec<String>,
+    #[arg(long, help_heading = "Estimation", value_name = "NAMES", value_delimiter = ',')]
+    free: Vec<ParameterId>,
     /// Fix these parameters, such as ra6,rd6: with commas, or --fix several times
-    #[arg(long, help_heading = "Estimation", value_name = "NAMES", value_delimiter = ',', value_parser = parameter_name)]
-    fix: Vec<String>,
+    #[arg(long, help_heading = "Estimation", value_name = "NAMES", value_delimiter = ',')]
+    fix: Vec<ParameterId>,
     #[command(flatten)]
     result: ResultArguments,
-}
-
-/// A name that exists in some model.
-fn parameter_name(name: &str) -> Result<String, ModelError> {
-    name.parse::<ParameterId>().map(|_| name.to_owned())
 }
 
 impl CommonArguments {
@@ -108,11 +103,11 @@ impl CommonArguments {
         config.loss = self.loss.or(config.loss);
         config.require_mm = self.result.require.or(config.require_mm);
         // Options override the file.
-        if let Some(both) = fix.iter().find(|name| free.contains(name)) {
+        if let Some(both) = fix.iter().find(|id| free.contains(id)) {
             anyhow::bail!("{both} is in --free and in --fix; leave it out of one");
         }
-        config.fix.retain(|name| !free.contains(name));
-        config.free.retain(|name| !fix.contains(name));
+        config.fix.retain(|id| !free.contains(id));
+        config.free.retain(|id| !fix.contains(id));
         config.free.extend_from_slice(free);
         config.fix.extend_from_slice(fix);
         Ok(config)

@@ -61,7 +61,7 @@ impl IdentifyConfig {
                 .parameters()
                 .iter()
                 .filter(|one| one.id.term() == Some(group) && one.role == Role::Fixed && identifies(one.id));
-            let ids = open.map(|one| one.id).filter(|id| !self.fix.contains(&id.to_string())).collect();
+            let ids = open.map(|one| one.id).filter(|id| !self.fix.contains(id)).collect();
             let scales = group.scales().to_vec();
             CandidateGroup { group, name: group.name().into(), ids, sigma: self.sigma(group), scales }
         };
