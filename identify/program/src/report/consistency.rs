@@ -7,7 +7,7 @@
 
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-use super::result::file::{CalibrationFile, ParameterEntry, Status};
+use super::result::file::{CalibrationFile, Status};
 use crate::evaluate::{Quantiles, random_postures};
 use crate::kinematics::{Chain, Joints, nearest_turn};
 use crate::model::{ParameterId, Unit};
@@ -21,10 +21,8 @@ const SAME_NOMINAL: f64 = 1e-9;
 /// One parameter in several calibrations.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Compared {
-    /// Such as `ra1`.
-    pub name: String,
-    /// Its unit for display.
-    pub unit: Unit,
+    /// Identifier of the compared parameter.
+    pub id: ParameterId,
     /// Identified value and sigma in each calibration, SI; `None` if it was fixed there. Angles are within half a turn of the first.
     pub values: Vec<Option<(f64, f64)>>,
     /// Half the width of the 95 % interval in each calibration, SI.
@@ -88,11 +86,11 @@ impl Consistency {
                 other: other.robot.clone(),
             });
         }
-        let (mut names, mut other_nominals): (Vec<String>, Vec<String>) = Default::default();
-        let of_robot = |entry: &&ParameterEntry| matches!(entry.name.parse(), Ok(ParameterId::Robot { .. }));
-        for entry in files.iter().flat_map(|file| &file.parameters).filter(of_robot) {
-            if entry.status != Status::Fixed && !names.contains(&entry.name) {
-                names.push(entry.name.clone());
+        let (mut ids, mut other_nominals): (Vec<ParameterId>, Vec<String>) = Default::default();
+        for entry in files.iter().flat_map(|file| &file.parameters) {
+            let Ok(id @ ParameterId::Robot { .. }) = entry.name.parse() else { continue };
+            if entry.status != Status::Fixed && !ids.contains(&id) {
+                ids.push(id);
             }
             let first = first.parameters.iter().find(|first| first.name == entry.name);
             let differs = first.is_some_and(|first| (entry.nominal - first.nominal).abs() > SAME_NOMINAL);
@@ -100,7 +98,7 @@ impl Consistency {
                 other_nominals.push(entry.name.clone());
             }
         }
-        let parameters: Vec<Compared> = names.into_iter().map(|name| compared(name, files)).collect();
+        let parameters: Vec<Compared> = ids.into_iter().map(|id| compared(id, files)).collect();
         let tested: Vec<f64> = parameters.iter().filter_map(|one| one.p).collect();
         let p_corrected =
             tested.iter().copied().min_by(f64::total_cmp).map(|p| (p * tested.len() as f64).min(1.0));
@@ -133,8 +131,8 @@ fn ends_apart(one: &CalibrationFile, other: &CalibrationFile) -> Option<Quantile
     Some(Quantiles::of(apart.collect()))
 }
 
-fn compared(name: String, files: &[CalibrationFile]) -> Compared {
-    let unit = name.parse::<ParameterId>().map_or(Unit::Ratio, ParameterId::unit);
+fn compared(id: ParameterId, files: &[CalibrationFile]) -> Compared {
+    let name = id.to_string();
     let value_and_sigma = |file: &CalibrationFile| {
         let entry = file.parameters.iter().find(|entry| entry.name == name)?;
         let is_identified = entry.status != Status::Fixed;
@@ -143,7 +141,7 @@ fn compared(name: String, files: &[CalibrationFile]) -> Compared {
     };
     let mut values: Vec<Option<(f64, f64)>> = files.iter().map(value_and_sigma).collect();
     // Angles that differ by whole turns are equal.
-    if let (Unit::Radian, Some((first, _))) = (unit, values.iter().copied().flatten().next()) {
+    if let (Unit::Radian, Some((first, _))) = (id.unit(), values.iter().copied().flatten().next()) {
         values.iter_mut().flatten().for_each(|(value, _)| *value = nearest_turn(*value, first));
     }
     let sigmas_of_95 = |file: &CalibrationFile| {
@@ -163,5 +161,5 @@ fn compared(name: String, files: &[CalibrationFile]) -> Compared {
     // The distribution halves its argument, and fails where half of a positive one rounds to zero.
     let chi_squared = if chi_squared < f64::MIN_POSITIVE { 0.0 } else { chi_squared };
     let p = ChiSquared::new(freedom as f64).ok().map(|distribution| distribution.sf(chi_squared));
-    Compared { name, unit, values, half_widths, mean, p }
+    Compared { id, values, half_widths, mean, p }
 }

@@ -24,12 +24,12 @@ pub fn table(consistency: &Consistency, names: &[String]) -> String {
     });
     let _ = writeln!(text, "{:>10}  unit", "p");
     for one in &consistency.parameters {
-        let factor = one.unit.display_factor();
-        let _ = write!(text, "{:<10}", one.name);
+        let unit = one.id.unit();
+        let _ = write!(text, "{:<10}", one.id.to_string());
         for value in &one.values {
-            let _ = write!(text, "{:>24}", shown(*value, factor));
+            let _ = write!(text, "{:>24}", shown(*value, unit.display_factor()));
         }
-        let _ = writeln!(text, "{:>10}  {}", probability(one.p), one.unit.display_symbol());
+        let _ = writeln!(text, "{:>10}  {}", probability(one.p), unit.display_symbol());
     }
     other_nominals(consistency).into_iter().for_each(|sentence| text += &format!("{sentence}\n"));
     let _ = writeln!(text, "{}", verdict(consistency));
@@ -123,7 +123,7 @@ pub fn page(consistency: &Consistency, robot: &str, names: &[String]) -> Result<
 
 /// How far each calibration is from the weighted means, with intervals; calibrations stand side by side at each name.
 fn intervals(title: &str, unit: Unit, consistency: &Consistency, files: usize) -> Result<Markup, PlotError> {
-    let parameters = || consistency.parameters.iter().filter(|one| one.unit == unit);
+    let parameters = || consistency.parameters.iter().filter(|one| one.id.unit() == unit);
     let factor = unit.display_factor();
     let mut series = Vec::new();
     for file in 0..files {
@@ -141,7 +141,7 @@ fn intervals(title: &str, unit: Unit, consistency: &Consistency, files: usize) -
         series.push(Series::new("", colour, Mark::Segments, ends));
         series.push(Series::new("", colour, Mark::Dots, values));
     }
-    let names = parameters().map(|one| one.name.clone()).collect();
+    let names = parameters().map(|one| one.id.to_string()).collect();
     let y = format!("from the mean [{}]", unit.display_symbol());
     Panel::new(title, ["", &y], (920, 260), series).with_names(names).draw()
 }
@@ -153,10 +153,10 @@ fn rows(consistency: &Consistency, files: usize) -> Markup {
             tbody {
                 @for one in &consistency.parameters {
                     tr {
-                        td { (one.name) }
-                        @for value in &one.values { td { (shown(*value, one.unit.display_factor())) } }
+                        td { (one.id) }
+                        @for value in &one.values { td { (shown(*value, one.id.unit().display_factor())) } }
                         td { (probability(one.p)) }
-                        td.text { (one.unit.display_symbol()) }
+                        td.text { (one.id.unit().display_symbol()) }
                     }
                 }
             }
