@@ -134,25 +134,11 @@ impl CalibratedRobot {
     /// [`CalibratedRobotError::Joints`], [`CalibratedRobotError::NotFinite`], [`CalibratedRobotError::NoCovariance`].
     pub fn covariance(&self, reported: &[f64]) -> Result<Matrix6<f64>, CalibratedRobotError> {
         let (ids, covariance) = self.covariance.as_ref().ok_or(CalibratedRobotError::NoCovariance)?;
-        let reported = self.at_rest(reported)?;
+        let joints = self.geometry.at_rest(self.at_rest(reported)?);
         let mut trace = Trace::default();
-        Tracer::new(&self.geometry.robot).trace(&self.geometry.corrected(&reported).q, &mut trace);
-        let drives = &self.geometry.joints.drives;
-        let state = drives.state(&reported);
+        Tracer::new(&self.geometry.robot).trace(&joints.corrected.q, &mut trace);
         let derivative = |id: &ParameterId| {
-            let twist = match *id {
-                ParameterId::Robot { link, parameter } => trace.twist(link, parameter),
-                ParameterId::Joint { axis, term } => {
-                    let joints = self.geometry.joints.by_amplitude(axis, term, &reported, &state);
-                    Some(trace.moved_by(&joints))
-                }
-                ParameterId::JointWave { axis, order, phase } => {
-                    let wave = phase.wave(order, state.turn[axis]);
-                    let row = drives.joint_from_drive.get(axis);
-                    row.map(|row| trace.moved_by(&row.map(|part| part * wave)))
-                }
-                _ => None,
-            };
+            let twist = self.geometry.end_twist(&joints, &trace, *id);
             twist.map_or_else(Default::default, |twist: Twist| twist.column())
         };
         let jacobian = Matrix6xX::from_columns(&ids.iter().map(derivative).collect::<Vec<_>>());
