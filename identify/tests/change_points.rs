@@ -21,10 +21,6 @@ impl Problem for Channels {
         COLUMNS
     }
 
-    fn column_name(&self, column: usize) -> String {
-        column.to_string()
-    }
-
     fn samples(&self) -> usize {
         self.y.len()
     }

@@ -276,7 +276,7 @@ fn all_rows_of_the_real_irb_120_predict_rows_that_no_fit_has_seen() {
     let report = Alone::default().lengths(&rows, &irb120()).unwrap();
     println!(
         "{} | {}",
-        report.0.solved.solution.summary.termination, report.0.solved.solution.identifiability
+        report.0.solved.solution.summary.termination, report.0.solved.solution.identifiability.rank
     );
     println!(
         "{} of {} rows rejected, sigma of a length {:.2} mm",

@@ -37,10 +37,6 @@ impl Problem for Rows<'_> {
         self.columns
     }
 
-    fn column_name(&self, column: usize) -> String {
-        format!("x{column}")
-    }
-
     fn samples(&self) -> usize {
         self.samples
     }
@@ -398,10 +394,6 @@ impl Problem for Ragged<'_> {
         2
     }
 
-    fn column_name(&self, column: usize) -> String {
-        format!("x{column}")
-    }
-
     fn samples(&self) -> usize {
         self.0.len() / 2
     }
@@ -437,10 +429,6 @@ struct BesideKnown {
 impl Problem for BesideKnown {
     fn columns(&self) -> usize {
         2
-    }
-
-    fn column_name(&self, column: usize) -> String {
-        format!("x{column}")
     }
 
     fn samples(&self) -> usize {

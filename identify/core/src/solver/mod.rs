@@ -51,7 +51,9 @@ pub trait Problem: Sync {
     fn columns(&self) -> usize;
 
     /// Name of a column, for messages and reports.
-    fn column_name(&self, column: usize) -> String;
+    fn column_name(&self, column: usize) -> String {
+        format!("x{column}")
+    }
 
     /// Number of samples of the problem.
     fn samples(&self) -> usize;

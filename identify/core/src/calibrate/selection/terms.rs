@@ -319,10 +319,6 @@ mod tests {
             4
         }
 
-        fn column_name(&self, column: usize) -> String {
-            column.to_string()
-        }
-
         fn samples(&self) -> usize {
             self.t.len()
         }

@@ -170,15 +170,6 @@ impl Problem for WithOffsets<'_> {
         self.chain_columns + self.origin_count * BAR_JOINTS
     }
 
-    fn column_name(&self, column: usize) -> String {
-        match column.checked_sub(self.chain_columns) {
-            Some(offset) => {
-                format!("offset of encoder {} in origin {}", offset % BAR_JOINTS + 1, offset / BAR_JOINTS)
-            }
-            None => self.chain.column_name(column),
-        }
-    }
-
     fn samples(&self) -> usize {
         self.chain.samples()
     }

@@ -8,7 +8,6 @@
 //! values show the rank and the size of its gap; the null space shows which parameters depend on each other.
 
 use std::collections::BTreeSet;
-use std::fmt;
 
 use nalgebra::{DMatrix, DVector};
 
@@ -186,16 +185,6 @@ impl Identifiability {
             parts.push(format!("dependent {} (fix {})", self.join(&group.columns, "|"), group.excess));
         }
         parts.join("; ")
-    }
-}
-
-impl fmt::Display for Identifiability {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "rank {} of {}", self.rank, self.names.len())?;
-        match self.gap() {
-            Some(gap) => write!(f, ", gap {gap:.0e}, {}", self.describe()),
-            None => write!(f, ", weakest direction {:.0e} of the strongest", self.weakest()),
-        }
     }
 }
 

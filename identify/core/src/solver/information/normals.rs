@@ -410,10 +410,6 @@ mod tests {
             2
         }
 
-        fn column_name(&self, column: usize) -> String {
-            column.to_string()
-        }
-
         fn samples(&self) -> usize {
             self.y.len() + usize::from(self.slope.is_some())
         }
