@@ -13,6 +13,7 @@ mod compare;
 mod configuration;
 mod considered;
 mod contact;
+mod contradicted;
 mod deployments;
 mod draw_wire;
 mod efficiency;

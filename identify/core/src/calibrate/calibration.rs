@@ -1,6 +1,7 @@
 //! The result of a calibration, for any instruments.
 
 use super::change::Changed;
+use super::contradicted::Contradicted;
 use super::lay_out::measured;
 use super::pipeline::Solved;
 use super::rows::RowSet;
@@ -20,6 +21,8 @@ pub struct Calibration {
     pub rows: Vec<RowSet>,
     /// The joint solve of all data sets.
     pub solved: Solved,
+    /// Priors, and the scale, that the samples contradict; the covariance of `solved` includes them.
+    pub contradicted: Contradicted,
     /// Changes during the measurement that are too small for a refusal.
     pub changed: Vec<Changed>,
     /// Robust loss, which reduces the weight of samples with large residuals.

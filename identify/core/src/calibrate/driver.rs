@@ -7,6 +7,7 @@ use shared::recording::schema::{CycleRecord, EncoderInfo};
 use super::calibration::Calibration;
 use super::change;
 use super::config::IdentifyConfig;
+use super::contradicted::Contradicted;
 use super::data_sets::{DataSets, RunInput};
 use super::error::CalibrateError;
 use super::lay_out::{LaidOut, lay_out};
@@ -97,8 +98,10 @@ fn calibrate_in_stages(
         solved = fit_all_rows(&mut runs, &mut rows, &plan, solved)?;
     }
     solved.solution.require_sigmas()?;
+    let contradicted = Contradicted::new(&runs[0].model, &solved.solution);
+    solved.solution.covariance = contradicted.widened(&runs[0].model, &solved.solution);
     let changed = change::checked(&runs, &solved.sigmas, &config.prepare)?;
-    Ok(Calibration { runs, rows, solved, changed, loss: plan.loss })
+    Ok(Calibration { runs, rows, solved, contradicted, changed, loss: plan.loss })
 }
 
 /// Detects outlier rows and a drift in the residuals of the best links. The runs of the files of rows are the last ones.

@@ -3,6 +3,7 @@
 mod calibration;
 pub mod change;
 mod config;
+pub mod contradicted;
 mod data_sets;
 mod driver;
 mod error;

@@ -1,20 +1,19 @@
 //! Limitations of a calibration, as sentences that suggest an action: tests of the solution, its covariance and its residuals.
 //! Used for report and verdict.
 
-use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 use shared::config::JointKind;
 use shared::output::named;
-use statrs::distribution::{ContinuousCDF, Normal};
 
 use super::{Elongation, PositiveForce, Quantiles, WorkspaceError};
 use crate::calibrate::Calibration;
 use crate::calibrate::change::Changed;
+use crate::calibrate::contradicted::{LENGTH_SIGMA_M, Length, Prior, lengths};
 use crate::calibrate::validation::agreement::{Disagreement, disagreeing};
 use crate::cost::Closure;
 use crate::instrument::{Doubt, Run, ScaleFrom};
 use crate::kinematics::{DhLink, Joints, LinkParameter};
-use crate::model::{JointTerm, Model, Parameter, ParameterId, Role};
+use crate::model::{JointTerm, Model, ParameterId};
 use crate::solver::{Loss, Solution};
 use crate::statistics::{extremes, median};
 
@@ -29,10 +28,6 @@ const WEIGHT_MIN: f64 = 0.5;
 
 /// Larger length errors are not manufacturing or measurement errors \[m\].
 const LENGTH_OFF_M: f64 = 5e-3;
-/// Standard deviation of a robot's length errors \[m\]: the default of `tolerance_mm_mrad`.
-const LENGTH_SIGMA_M: f64 = 1e-3;
-/// Probability of a false report of a wrong scale.
-const OTHER_SCALE_BY_CHANCE: f64 = 1e-3;
 
 /// Limit of the report \[rad\]: offsets of joints have smaller errors, mountings of plates may have larger ones.
 const TURNED_RAD: f64 = 17e-3;
@@ -42,12 +37,6 @@ const TURNED_RAD: f64 = 17e-3;
 const RATIO_OFF: f64 = 500e-6;
 /// Smaller delays of a joint are not reported \[s\]: at 1 rad/s this is an error of half a milliradian.
 const DELAY_S: f64 = 5e-4;
-
-/// Probability of a false report if all priors are correct.
-const STRAINED_BY_CHANCE: f64 = 1e-3;
-/// Relative nonlinearity of a prior's influence. The influence on a parameter that the samples do not determine is linear
-/// except for this part.
-const NONLINEAR: f64 = 0.1;
 
 /// A contribution below this fraction of an uncertainty adds less than 6 % to it.
 const NEGLIGIBLE: f64 = 1.0 / 3.0;
@@ -79,8 +68,8 @@ pub fn limits(calibration: &Calibration, workspace: &WorkspaceError) -> Vec<Limi
     }
     limits.extend(of_disagreement(&calibration.runs, &calibration.solved.sigmas, solution.loss));
     // A wrong scale contradicts the priors of all lengths as well.
-    limits.extend(of_lengths(model, solution, scales));
-    limits.extend(strained_priors(model, solution));
+    limits.extend(of_lengths(calibration, scales));
+    limits.extend(strained_priors(&calibration.contradicted.priors));
     limits.extend(lasting_errors(calibration));
     limits.extend(little_travel(calibration));
     limits.extend(outliers(solution));
@@ -180,7 +169,7 @@ fn of_disagreement(runs: &[Run], sigmas: &[f64], loss: Loss) -> Option<Limit> {
 }
 
 /// Lengths that differ from the configured ones, for any instruments: a different robot or bar, or a wrong scale of all lengths.
-fn of_lengths(model: &Model, solution: &Solution, scales: impl Iterator<Item = ScaleFrom>) -> Vec<Limit> {
+fn of_lengths(calibration: &Calibration, scales: impl Iterator<Item = ScaleFrom>) -> Vec<Limit> {
     let mut sources: Vec<&str> = Vec::new();
     for source in scales.map(describe_scale) {
         if !sources.contains(&source) {
@@ -188,8 +177,17 @@ fn of_lengths(model: &Model, solution: &Solution, scales: impl Iterator<Item = S
         }
     }
     let scale = sources.join(". ");
-    let lengths = far_lengths(model, solution, &scale).into_iter();
-    let sentences = lengths.chain(other_scale(model, solution, &scale));
+    let lengths = far_lengths(calibration.model(), calibration.solution(), &scale).into_iter();
+    let other = calibration.contradicted.scale.as_ref().map(|other| {
+        format!(
+            "The robot's estimated lengths have a common scale error of {:+.1} per mille, {:.1} standard deviations for links of {:.0} mm \
+             tolerance; positions may be wrong by the same ratio, which the stated uncertainty includes. {scale}.",
+            1e3 * other.relative,
+            other.sigmas,
+            1e3 * LENGTH_SIGMA_M
+        )
+    });
+    let sentences = lengths.chain(other);
     sentences.map(|sentence| Limit { sentence, serious: true }).collect()
 }
 
@@ -246,92 +244,17 @@ fn forces_without_sign(calibration: &Calibration) -> impl Iterator<Item = Limit>
     })
 }
 
-/// Parameters whose estimates contradict their priors: the test of Evans and Moshonov (2006) for each of the `n` priors,
-/// with probability [`STRAINED_BY_CHANCE`] of a false report in all.
-fn strained_priors(model: &Model, solution: &Solution) -> Option<Limit> {
-    let columns = model.columns().enumerate();
-    let priors: Vec<Prior> =
-        columns.filter_map(|(column, parameter)| Prior::new(column, parameter, solution)).collect();
-    let sigmas_from = &solution.covariance.sigmas_from;
-    let sigmas_max = sigmas_from.sigmas_within(STRAINED_BY_CHANCE / priors.len().max(1) as f64);
-    let mut strained: Vec<Strained> = priors.iter().filter_map(|prior| prior.strained(sigmas_max)).collect();
-    strained.sort_by(|a, b| b.times.total_cmp(&a.times));
+/// Parameters whose estimates contradict their priors.
+fn strained_priors(strained: &[Prior]) -> Option<Limit> {
     (!strained.is_empty()).then(|| Limit {
         sentence: format!(
             "The data contradict the prior of {}. Look for the cause (the ratio in the controller, a worn gear or grating, a plate or \
              rod of another length), or widen the prior under [priors] or [joint_terms] of the configuration: with this width it \
-             biases the result.",
-            named(&strained, NAMED)
+             biases the result. The stated uncertainty includes the change of the result without it.",
+            named(strained, NAMED)
         ),
-        serious: strained.iter().any(|prior| prior.biases),
+        serious: strained.iter().any(Prior::biases),
     })
-}
-
-/// A prior that the samples contradict.
-struct Strained {
-    /// Name, deviation and expectation, as part of a sentence.
-    sentence: String,
-    /// Whether the prior biases the result by more than its uncertainty.
-    biases: bool,
-    /// Deviation relative to its standard deviation if all priors are correct.
-    times: f64,
-}
-
-impl std::fmt::Display for Strained {
-    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        out.write_str(&self.sentence)
-    }
-}
-
-/// A parameter with a prior, in SI units.
-struct Prior {
-    id: ParameterId,
-    /// Estimated minus expected value.
-    off: f64,
-    /// Standard deviation of the prior.
-    s0: f64,
-    /// Standard deviation of the estimate.
-    s: f64,
-    /// Shift of the estimate if the prior is off by its standard deviation.
-    g: f64,
-    /// Standard deviation of `off` if all priors are correct.
-    spread: f64,
-}
-
-impl Prior {
-    /// The prior of a parameter; `None` if it has none.
-    ///
-    /// A correct prior of `x0` with sigma `s0` shifts the estimate `x` (sigma `s`) by `g` if it is off by `s0`. Then `x - x0` has
-    /// the variance `(s0 - g)^2` ([`NONLINEAR`] of `g` is added as a tolerance) plus the variance of `x` from all other sources:
-    /// samples, other priors, errors of fixed parameters. If the sources are unknown, use that of independent noise,
-    /// `s0^2 - s^2`.
-    fn new(column: usize, parameter: &Parameter, Solution { x, covariance, .. }: &Solution) -> Option<Self> {
-        let Role::Prior { value, sigma: s0 } = parameter.role else { return None };
-        let s = covariance.sigma(column)?;
-        let (g, variance_of_others) = covariance.by_prior(column).map_or_else(
-            || (s.powi(2) / s0, s.powi(2) * (1.0 - (s / s0).powi(2))),
-            |g| (g, s.powi(2) - g.powi(2)),
-        );
-        let spread = (variance_of_others + (s0 - g).powi(2) + (NONLINEAR * g).powi(2)).max(0.0).sqrt();
-        Some(Self { id: parameter.id, off: x.get(column)? - value, s0, s, g, spread })
-    }
-
-    /// The contradiction if the estimate is further than this number of standard deviations from its expected value.
-    fn strained(&self, sigmas_max: f64) -> Option<Strained> {
-        let Self { id, off, s0, s, g, spread } = *self;
-        let is_strained = spread > 0.0 && off.abs() > sigmas_max * spread;
-        is_strained.then(|| {
-            let unit = id.unit();
-            let [shown_off, expected] = [off, s0].map(|value| value * unit.display_factor());
-            let symbol = unit.display_symbol();
-            Strained {
-                sentence: format!("{id} by {shown_off:+.3} {symbol} (expected within {expected:.3})"),
-                // Without the prior the estimate would differ more from the expected value.
-                biases: off.abs() * g > s * (s0 - g),
-                times: off.abs() / spread,
-            }
-        })
-    }
 }
 
 /// Estimates of an error term of the joints: joint (from 1), value and its standard deviation.
@@ -417,63 +340,10 @@ fn far_lengths(model: &Model, solution: &Solution, scale: &str) -> Option<String
     })
 }
 
-/// An estimated length of robot or bar.
-struct Length {
-    id: ParameterId,
-    column: usize,
-    nominal_m: f64,
-    off_m: f64,
-}
-
 impl std::fmt::Display for Length {
     fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(out, "{} by {:+.1} mm", self.id, self.off_m * 1e3)
     }
-}
-
-fn lengths(model: &Model, solution: &Solution) -> impl Iterator<Item = Length> {
-    let solved = model.columns().zip(&solution.x).enumerate();
-    solved.filter_map(|(column, (parameter, x))| match parameter.id {
-        ParameterId::Robot { parameter: LinkParameter::A | LinkParameter::D, .. }
-        | ParameterId::Bar { parameter: LinkParameter::A | LinkParameter::D, .. } => {
-            let off_m = x - parameter.nominal;
-            Some(Length { id: parameter.id, column, nominal_m: parameter.nominal, off_m })
-        }
-        _ => None,
-    })
-}
-
-/// A common relative error `s` of all robot lengths, which is that of the scale: generalised least squares of `off = s L`
-/// with the covariance `(1 mm)^2 I + P`, from manufacturing and from the estimate. It is reported with probability
-/// [`OTHER_SCALE_BY_CHANCE`] if the scale is correct.
-fn other_scale(model: &Model, solution: &Solution, scale: &str) -> Option<String> {
-    let covariance = &solution.covariance;
-    let of_robot = |length: &Length| {
-        matches!(length.id, ParameterId::Robot { .. })
-            && length.id != ParameterId::plate(model.axes())
-            && covariance.sigma(length.column).is_some()
-    };
-    let lengths: Vec<Length> = lengths(model, solution).filter(of_robot).collect();
-    let nominal_m = DVector::from_iterator(lengths.len(), lengths.iter().map(|length| length.nominal_m));
-    let off_m = DVector::from_iterator(lengths.len(), lengths.iter().map(|length| length.off_m));
-    let spread = DMatrix::from_fn(lengths.len(), lengths.len(), |row, column| {
-        let estimated = covariance.between(lengths[row].column, lengths[column].column).unwrap_or(0.0);
-        estimated + if row == column { LENGTH_SIGMA_M.powi(2) } else { 0.0 }
-    });
-    // With `C` the covariance: `s = (L' C^-1 off) / (L' C^-1 L)`.
-    let weighted = spread.cholesky()?.solve(&nominal_m);
-    let (along, information) = (weighted.dot(&off_m), weighted.dot(&nominal_m));
-    let sigmas = along / information.sqrt();
-    let sigmas_max = Normal::standard().inverse_cdf(1.0 - OTHER_SCALE_BY_CHANCE / 2.0);
-    (sigmas.abs() > sigmas_max).then(|| {
-        format!(
-            "The robot's estimated lengths have a common scale error of {:+.1} per mille, {:.1} standard deviations for links of {:.0} mm \
-             tolerance; positions may be wrong by the same ratio. {scale}.",
-            1e3 * along / information,
-            sigmas.abs(),
-            1e3 * LENGTH_SIGMA_M
-        )
-    })
 }
 
 /// Reason why the result of a data set is questionable, as text.

@@ -112,6 +112,10 @@ fn source_name(source: Source, model: &Model, covariance: &Covariance) -> String
         Source::Samples { data_set } => return format!("errors of the samples of data set {}", data_set + 1),
         Source::Known => return "what is known of sockets or faces".into(),
         Source::LeftOut => return "errors of joints that the samples neither show nor exclude".into(),
+        Source::OtherScale => return "common scale error of the robot's lengths".into(),
+        Source::Contradicted { column } => {
+            return format!("{}, whose prior the data contradict", covariance.name(column));
+        }
         Source::Prior { column } => (column, "estimated, expected"),
         Source::Considered { column } => (column, "fixed"),
     };

@@ -233,7 +233,10 @@ fn drawn_sources(covariance: &Covariance) -> DMatrix<f64> {
 
 /// Whether a source is the tolerance of a number of a link, estimated or fixed.
 fn is_tolerance_of_link(source: Source, covariance: &Covariance) -> bool {
-    let (Source::Prior { column } | Source::Considered { column }) = source else { return false };
+    let (Source::Prior { column } | Source::Contradicted { column } | Source::Considered { column }) = source
+    else {
+        return false;
+    };
     let id = ParameterId::of_column(covariance.name(column));
     id.is_some_and(|id| id.owner() == Owner::Robot && id.term().is_none())
 }

@@ -118,6 +118,13 @@ pub enum Source {
     Known,
     /// Terms that were left out of the solution although they may be present.
     LeftOut,
+    /// The prior of a column, which the samples contradict: the change of the solution without it.
+    Contradicted {
+        /// Column with the prior.
+        column: usize,
+    },
+    /// A common error of all lengths, which the lengths of the links contradict.
+    OtherScale,
     /// The value of a considered parameter, which is not estimated.
     Considered {
         /// Column in the covariance, after those of the solution.
@@ -282,6 +289,22 @@ impl Covariance {
         }
         self.matrix = self.spread.covariance();
         self
+    }
+
+    /// Adds a source with the contribution of one standard deviation to each column.
+    #[must_use]
+    pub fn with_source(mut self, source: Source, contribution: &DVector<f64>) -> Self {
+        self.spread.add(source, contribution);
+        self.matrix = self.spread.covariance();
+        self
+    }
+
+    /// Change of all columns if the prior of a column is wrong by its standard deviation `sigma`.
+    pub fn by_prior_on_all(&self, column: usize, sigma: f64) -> DVector<f64> {
+        let Spread { by_source, sources } = &self.spread;
+        let of_prior = sources.iter().position(|source| *source == Source::Prior { column });
+        // Without separate sources the covariance is that of least squares.
+        of_prior.map_or_else(|| self.matrix.column(column) / sigma, |of| by_source.column(of).into_owned())
     }
 
     /// Change of the estimate of a column if its prior is wrong by one standard deviation; `None` if the sources are not
