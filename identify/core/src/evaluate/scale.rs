@@ -61,8 +61,12 @@ fn plate(bar: &BallBarConfig, source: &Source) -> String {
 const fn other_reference(from: ScaleFrom) -> Option<&'static str> {
     match from {
         ScaleFrom::Plate => None,
-        ScaleFrom::Tracker => Some("the positions of the tracker, whose own scale is taken as exact"),
-        ScaleFrom::Wire => Some("the lengths of the wire, whose own scale is taken as exact"),
+        ScaleFrom::Tracker => Some(
+            "the positions of the tracker, whose own scale is taken as exact: the uncertainty does not include its error",
+        ),
+        ScaleFrom::Wire => Some(
+            "the lengths of the wire, whose own scale is taken as exact: the uncertainty does not include its error",
+        ),
         ScaleFrom::Sockets => Some("the table of sockets, within the uncertainty that it states"),
         ScaleFrom::Faces => {
             Some("the distances between faces, within the uncertainty that their table states")
