@@ -4,13 +4,14 @@
 
 use std::sync::Mutex;
 
-use identify::calibrate::rows::{PoseFigures, RunCause, Sizes};
+use identify::calibrate::rows::{PoseFigures, RunCause};
 use identify::calibrate::{DataSets, IdentifyConfig, calibrate};
 use identify::instrument::{HoldOut, Measures as _, Rejection, Rows, Wire};
 use identify::kinematics::{Joints, flange_chain};
 use identify::logs::LengthRow;
 use identify::model::{Axis, ParameterId};
 use identify::solver::{Progress, Watch};
+use identify::statistics::Sizes;
 use nalgebra::{Rotation3, Vector3};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
@@ -35,7 +36,7 @@ fn real_rows() -> Option<Vec<LengthRow>> {
 }
 
 fn show(name: &str, figures: &PoseFigures) {
-    let Sizes { mean, rms, p95, max } = figures.position_m;
+    let Sizes { mean, rms, p95, max, .. } = figures.position_m;
     println!(
         "{name}: {} rows, mean {:.3}, RMS {:.3}, p95 {:.3}, max {:.2} mm",
         figures.rows,

@@ -182,5 +182,5 @@ fn how_the_length_of_the_bar_follows_its_direction_is_found() {
     }
     // None of these errors is caused by a force.
     let sphere = evidence(&found, &robot.joint_limits()).spheres.remove(0).after;
-    assert!(sphere.rms_m > 0.0 && sphere.rms_m == sphere.unexplained_rms_m, "{sphere:?}");
+    assert!(sphere.size_m.rms > 0.0 && sphere.size_m.rms == sphere.unexplained_rms_m, "{sphere:?}");
 }

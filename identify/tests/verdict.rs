@@ -6,12 +6,13 @@ use std::path::Path;
 
 use crate::support::command::identify;
 use crate::support::{irb2400, lengths, repository};
-use identify::calibrate::rows::{PoseFigures, Sizes, Stages};
+use identify::calibrate::rows::{PoseFigures, Stages};
 use identify::evaluate::{Budget, Expected, Limit, WorkspaceError};
 use identify::instrument::HoldOut;
 use identify::report::result::file::{CalibrationFile, SolveEntry};
 use identify::report::result::validation::{HeldOutEntry, PoseErrorEntry, RowsEntry, ValidationEntry};
 use identify::report::verdict::{Grade, Verdict};
+use identify::statistics::Sizes;
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;

@@ -2,6 +2,8 @@
 
 use std::borrow::Borrow;
 
+use serde::{Deserialize, Serialize};
+
 /// A median absolute deviation times this is the standard deviation of normal numbers.
 pub(crate) const SIGMA_PER_MEDIAN: f64 = 1.4826;
 
@@ -45,6 +47,32 @@ pub(crate) fn quantile(values: &mut [f64], part: f64) -> f64 {
     *below + place.fract() * (next - *below)
 }
 
+/// Statistics of the sizes of errors, all in one unit.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct Sizes {
+    /// Arithmetic mean of the sizes.
+    pub mean: f64,
+    /// Root of the mean square.
+    pub rms: f64,
+    /// 50 % quantile; files do not have it.
+    #[serde(skip)]
+    pub median: f64,
+    /// 95 % quantile.
+    pub p95: f64,
+    /// Largest of the sizes.
+    pub max: f64,
+}
+
+impl Sizes {
+    /// Statistics of these sizes; zeros for an empty set.
+    pub fn of(sizes: impl Iterator<Item = f64>) -> Self {
+        let mut sizes: Vec<f64> = sizes.collect();
+        let (mean, rms) = (mean(&sizes), rms(&sizes));
+        let [median, p95, max] = [0.5, 0.95, 1.0].map(|part| quantile(&mut sizes, part));
+        Self { mean, rms, median, p95, max }
+    }
+}
+
 /// Median of the absolute values; zero without values.
 pub(crate) fn median_size(values: impl Iterator<Item = f64>) -> f64 {
     quantile(&mut values.map(f64::abs).collect::<Vec<_>>(), 0.5)
@@ -55,5 +83,5 @@ pub(crate) fn trimmed_mean(mut values: Vec<f64>, part: f64) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     let ends = (part * values.len() as f64) as usize;
     let kept = values.get(ends..values.len() - ends).filter(|kept| !kept.is_empty())?;
-    Some(kept.iter().sum::<f64>() / kept.len() as f64)
+    Some(mean(kept))
 }

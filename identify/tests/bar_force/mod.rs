@@ -81,8 +81,8 @@ fn the_sign_of_the_logs_force_is_found_and_told() {
     assert_eq!(elongation.positive, PositiveForce::Compression);
     assert!(in_sigmas(&elongation, -0.17e-6).abs() < 1.96, "{elongation:?}");
     let sphere = evidence(&found, &irb2400().joint_limits()).spheres.remove(0);
-    assert!(sphere.before.rms_m > sphere.after.rms_m);
-    assert!(sphere.after.unexplained_rms_m < 0.8 * sphere.after.rms_m, "{sphere:?}");
+    assert!(sphere.before.size_m.rms > sphere.after.size_m.rms);
+    assert!(sphere.after.unexplained_rms_m < 0.8 * sphere.after.size_m.rms, "{sphere:?}");
 }
 
 #[test]

@@ -3,8 +3,8 @@
 use super::accuracy::workspace::Workspace;
 use super::limits::gap_m;
 use super::{
-    HeldOut, JointGap, Limit, Quantiles, ShiftCurve, SphereDeviation, WorkspaceError, held_out, joint_gaps,
-    limits, nominals, shift_curve, uncalibrated,
+    HeldOut, JointGap, Limit, ShiftCurve, SphereDeviation, WorkspaceError, held_out, joint_gaps, limits,
+    nominals, shift_curve, uncalibrated,
 };
 use crate::calibrate::validation::deployment::{Deployed, Deployment};
 use crate::calibrate::validation::held_out::without_each_segment;
@@ -13,6 +13,7 @@ use crate::cost::{Closure, loop_closures};
 use crate::model::Model;
 use crate::prepare::Prepared;
 use crate::solver::Watch;
+use crate::statistics::Sizes;
 use crate::threads::each;
 
 /// Results of one run of a calibration.
@@ -59,9 +60,9 @@ pub struct Evidence {
     /// Results of each run, in order.
     pub runs: Vec<RunEvidence>,
     /// Gap with the nominal robot, all runs \[m\].
-    pub gap_before_m: Quantiles,
+    pub gap_before_m: Sizes,
     /// Gap at the solution, all runs \[m\].
-    pub gap_after_m: Quantiles,
+    pub gap_after_m: Sizes,
     /// Residuals of all runs at the solution, per robot joint and sample.
     pub joints: Vec<Vec<JointGap>>,
     /// Deviation of the robot's end from the bar's sphere, per run.

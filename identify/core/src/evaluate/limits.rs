@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use shared::config::JointKind;
 use shared::output::named;
 
-use super::{Elongation, PositiveForce, Quantiles, WorkspaceError};
+use super::{Elongation, PositiveForce, WorkspaceError};
 use crate::calibrate::Calibration;
 use crate::calibrate::change::Changed;
 use crate::calibrate::contradicted::{LENGTH_SIGMA_M, Length, Prior, lengths};
@@ -15,7 +15,7 @@ use crate::instrument::{Doubt, Run, ScaleFrom};
 use crate::kinematics::{DhLink, Joints, LinkParameter};
 use crate::model::{JointTerm, Model, ParameterId};
 use crate::solver::{Loss, Solution};
-use crate::statistics::{extremes, median};
+use crate::statistics::{Sizes, extremes, median};
 
 /// A joint that moved by less determines the parameters of its link poorly \[deg\].
 const TRAVEL_MIN_DEG: f64 = 20.0;
@@ -376,6 +376,6 @@ fn travel_deg(calibration: &Calibration) -> Vec<(usize, f64)> {
 }
 
 /// Statistics of the distances between robot and bar \[m\].
-pub(super) fn gap_m<'a>(closures: impl Iterator<Item = &'a Closure>, by_encoders: bool) -> Quantiles {
-    Quantiles::of(closures.map(|closure| closure.gap_m(by_encoders)).collect())
+pub(super) fn gap_m<'a>(closures: impl Iterator<Item = &'a Closure>, by_encoders: bool) -> Sizes {
+    Sizes::of(closures.map(|closure| closure.gap_m(by_encoders)))
 }

@@ -3,7 +3,6 @@
 
 mod accuracy;
 mod evidence;
-mod figures;
 mod gaps;
 mod held_out;
 mod limits;
@@ -19,7 +18,6 @@ pub use accuracy::validity::Validity;
 pub use accuracy::workspace::random_postures;
 pub use accuracy::workspace::{Expected, PlaceError, WorkspaceError, workspace_error};
 pub use evidence::{Evidence, RunEvidence, evidence};
-pub use figures::Quantiles;
 pub use gaps::{JointGap, joint_gaps};
 pub use held_out::{HeldOut, HeldOutSegment, PoseError, PoseErrorRms, held_out, nominals};
 pub use limits::{Limit, limits};

@@ -5,13 +5,13 @@
 
 use nalgebra::Vector3;
 
-use super::{Quantiles, RunEvidence};
+use super::RunEvidence;
 use crate::calibrate::Calibration;
 use crate::calibrate::pipeline::Solved;
 use crate::cost::Closure;
 use crate::model::{Model, ParameterId};
 use crate::prepare::{BarForces, Prepared};
-use crate::statistics::rms;
+use crate::statistics::{Sizes, rms};
 
 /// Deviation of one sample from the sphere.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -33,10 +33,8 @@ pub struct OffSphere {
 pub struct Deviation {
     /// Samples in order of time.
     pub samples: Vec<OffSphere>,
-    /// Root mean square of [`OffSphere::off_m`] \[m\].
-    pub rms_m: f64,
     /// Statistics of the absolute values of [`OffSphere::off_m`] \[m\].
-    pub size_m: Quantiles,
+    pub size_m: Sizes,
     /// Root mean square of [`OffSphere::unexplained_m`] \[m\].
     pub unexplained_rms_m: f64,
 }
@@ -56,8 +54,7 @@ impl Deviation {
         };
         let samples: Vec<OffSphere> = closures.iter().map(sample).collect();
         Self {
-            rms_m: rms(samples.iter().map(|sample| sample.off_m)),
-            size_m: Quantiles::of(samples.iter().map(|sample| sample.off_m.abs()).collect()),
+            size_m: Sizes::of(samples.iter().map(|sample| sample.off_m.abs())),
             unexplained_rms_m: rms(samples.iter().map(|sample| sample.unexplained_m)),
             samples,
         }

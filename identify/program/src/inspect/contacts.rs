@@ -4,12 +4,11 @@
 use shared::config::{JointKind, RobotConfig};
 
 use super::{Inspection, TRAVEL_MIN_DEG};
-use crate::calibrate::rows::Sizes;
 use crate::instrument::{Contact, Measures, SocketTable};
 use crate::kinematics::{Chain, Joints, flange_chain};
 use crate::logs::TipRow;
 use crate::model::Model;
-use crate::statistics::extremes;
+use crate::statistics::{Sizes, extremes};
 
 /// What rows of a ball in sockets hold, and whether the nominal robot puts the ball into the sockets that they name.
 pub fn contacts(rows: &[TipRow], table: &SocketTable, robot: &RobotConfig) -> Inspection {

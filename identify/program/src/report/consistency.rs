@@ -8,10 +8,10 @@
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use super::result::file::{CalibrationFile, Status};
-use crate::evaluate::{Quantiles, random_postures};
+use crate::evaluate::random_postures;
 use crate::kinematics::{Chain, Joints, nearest_turn};
 use crate::model::{ParameterId, Unit};
-use crate::statistics::extremes;
+use crate::statistics::{Sizes, extremes};
 
 /// Agreement is rejected below this probability.
 pub const P_MIN: f64 = 0.01;
@@ -44,7 +44,7 @@ pub struct Consistency {
     pub p_corrected: Option<f64>,
     /// How far the ends of the robots with each calibration after the first are from that with the first, over the joints that
     /// both measured; `None` if these ranges do not overlap.
-    pub apart: Vec<Option<Quantiles>>,
+    pub apart: Vec<Option<Sizes>>,
 }
 
 /// Calibrations that cannot be compared.
@@ -110,7 +110,7 @@ impl Consistency {
 /// Distances between the corrections of the robot's end by two calibrations, over random postures within the joint ranges of
 /// both. A correction is the calibrated minus the nominal position, so that a different plate on the flange does not count.
 /// Errors of joints beyond their links are not included.
-fn ends_apart(one: &CalibrationFile, other: &CalibrationFile) -> Option<Quantiles> {
+fn ends_apart(one: &CalibrationFile, other: &CalibrationFile) -> Option<Sizes> {
     let ranges = one.validity.as_ref()?.joints.iter().zip(&other.validity.as_ref()?.joints);
     let common: Vec<[f64; 2]> = ranges
         .map(|(one, other)| {
@@ -128,7 +128,7 @@ fn ends_apart(one: &CalibrationFile, other: &CalibrationFile) -> Option<Quantile
             robots.each_ref().map(|(identified, nominal)| position(identified, &q) - position(nominal, &q));
         (correction - other_correction).norm()
     });
-    Some(Quantiles::of(apart.collect()))
+    Some(Sizes::of(apart))
 }
 
 fn compared(id: ParameterId, files: &[CalibrationFile]) -> Compared {

@@ -5,12 +5,13 @@ use std::fmt::Write;
 
 use shared::output::named;
 
-use crate::calibrate::rows::{PoseFigures, RowSet, RunCause, Sizes, Stages, Validated};
+use crate::calibrate::rows::{PoseFigures, RowSet, RunCause, Stages, Validated};
 use crate::evaluate::{Limit, Validity};
 use crate::instrument::{Instrument, PoseError, Rejection, Run, Section};
 use crate::kinematics::Joints;
 use crate::model::{Model, ParameterId, Phase, Waves};
 use crate::report::result::validation::ValidationEntry;
+use crate::statistics::Sizes;
 
 /// Errors of the nominal and the calibrated robot on another file.
 #[derive(Debug, Clone, PartialEq)]
@@ -99,8 +100,7 @@ impl Validation {
 
 /// A line with number of rows and errors of one stage.
 fn line(text: &mut String, name: &str, figures: &PoseFigures) {
-    let sizes = |sizes: &Sizes| {
-        let Sizes { mean, rms, p95, max } = sizes;
+    let sizes = |Sizes { mean, rms, p95, max, .. }: &Sizes| {
         format!("{:>8.3} {:>8.3} {:>8.3} {:>8.3}", mean * 1e3, rms * 1e3, p95 * 1e3, max * 1e3)
     };
     let rotation = figures.rotation_rad.as_ref().map(sizes).unwrap_or_default();

@@ -7,9 +7,9 @@ use maud::{Markup, html};
 use super::consistency::P_MIN;
 use super::page::document;
 use super::page::drawing::plot::{COLOURS, Mark, Panel, PlotError, Series};
-use crate::evaluate::Quantiles;
 use crate::model::Unit;
 use crate::report::Consistency;
+use crate::statistics::Sizes;
 
 /// The table on a terminal.
 pub fn table(consistency: &Consistency, names: &[String]) -> String {
@@ -61,7 +61,7 @@ fn other_nominals(consistency: &Consistency) -> Option<String> {
 
 /// A sentence for each calibration after the first: distance of its corrected robot's end from that of the first one.
 fn apart(consistency: &Consistency) -> Vec<String> {
-    let sentence = |(number, apart): (usize, &Option<Quantiles>)| {
+    let sentence = |(number, apart): (usize, &Option<Sizes>)| {
         let Some(apart) = apart else {
             return format!("the robot's end with [{number}] and with [1]: no joint ranges in common");
         };

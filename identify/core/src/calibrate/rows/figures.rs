@@ -5,33 +5,7 @@ use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, Normal};
 
 use crate::instrument::PoseError;
-use crate::statistics::{mean, quantile, rms};
-
-/// Statistics of error magnitudes over a number of rows, all in one unit.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
-pub struct Sizes {
-    /// Arithmetic mean of the magnitudes.
-    pub mean: f64,
-    /// Root of the mean square.
-    pub rms: f64,
-    /// 95 % quantile of the magnitudes.
-    pub p95: f64,
-    /// Largest of the magnitudes.
-    pub max: f64,
-}
-
-impl Sizes {
-    /// Statistics of these magnitudes; zeros for an empty set.
-    pub fn of(sizes: impl Iterator<Item = f64>) -> Self {
-        let mut sizes: Vec<f64> = sizes.collect();
-        Self {
-            mean: mean(&sizes),
-            rms: rms(&sizes),
-            p95: quantile(&mut sizes, 0.95),
-            max: quantile(&mut sizes, 1.0),
-        }
-    }
-}
+use crate::statistics::Sizes;
 
 /// Statistics of pose errors over a number of rows.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]

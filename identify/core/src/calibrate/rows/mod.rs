@@ -21,7 +21,7 @@ use crate::model::Model;
 
 pub use drift::Drift;
 pub use faulty_runs::{FaultyRun, RunCause};
-pub use figures::{PoseFigures, RowErrors, Sizes, Stages, is_surely_better, is_surely_worse};
+pub use figures::{PoseFigures, RowErrors, Stages, is_surely_better, is_surely_worse};
 use implausible::Step;
 pub(super) use implausible::unless_implausible;
 pub use likely::{Likely, likely, misfit, some_of};

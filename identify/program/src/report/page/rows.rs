@@ -6,8 +6,9 @@ use super::Page;
 use super::drawing::figures::{WIDE, dots};
 use super::drawing::plot::{BLUE, GREY, ORANGE, Panel, PlotError};
 use super::sections::{mm, number};
-use crate::calibrate::rows::{RowErrors, Sizes};
+use crate::calibrate::rows::RowErrors;
 use crate::instrument::PoseError;
+use crate::statistics::Sizes;
 
 /// Errors on held-out rows, nominal and calibrated, as large numbers.
 pub(super) fn numbers(page: &Page<'_>) -> Markup {

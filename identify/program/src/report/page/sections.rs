@@ -8,11 +8,12 @@ use shared::drawing::ball_bar;
 use super::drawing::plot::PlotError;
 use super::drawing::{correlations, figures};
 use super::{Page, rows};
-use crate::evaluate::{Evaluation, Expected, Quantiles};
+use crate::evaluate::{Evaluation, Expected};
 use crate::model::{Owner, ParameterId};
 use crate::report::result::file::{CalibrationFile, Input, ParameterEntry, ReadIn, Status};
 use crate::report::summary::not_separated;
 use crate::report::table::about_links;
+use crate::statistics::Sizes;
 
 /// A length in mm, to 1 um, below 0.1 mm to 0.1 um.
 pub(super) fn mm(metres: f64) -> String {
@@ -48,7 +49,7 @@ pub(super) fn limits(file: &CalibrationFile) -> Markup {
 pub(super) fn numbers(page: &Page<'_>) -> Markup {
     let expected_errors = &page.evidence.workspace;
     let (before, after) = (&expected_errors.before, &expected_errors.after);
-    let gap = |label: &str, gap: &Quantiles| {
+    let gap = |label: &str, gap: &Sizes| {
         let [median, p95, max] = [gap.median, gap.p95, gap.max].map(mm);
         let label = format!("robot against bar, {label}; median {median}, 95 % {p95}, largest {max} mm");
         number(mm(gap.mean) + " mm", label)

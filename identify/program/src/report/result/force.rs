@@ -59,7 +59,7 @@ impl ForceEntry {
             sigma: elongation.sigma,
             range: elongation.measured.range,
             uncovered: elongation.measured.uncovered,
-            off_sphere_rms_m: sphere.after.rms_m,
+            off_sphere_rms_m: sphere.after.size_m.rms,
             unexplained_rms_m: sphere.after.unexplained_rms_m,
             sentence: elongation.sentence(),
         })

@@ -5,12 +5,13 @@ use maud::{Markup, html};
 use plotters::style::RGBColor;
 
 use super::runs;
-use crate::evaluate::{Deviation, Elongation, OffSphere, Quantiles, SphereDeviation};
+use crate::evaluate::{Deviation, Elongation, OffSphere, SphereDeviation};
 use crate::model::ParameterId;
 use crate::report::page::Page;
 use crate::report::page::drawing::figures::{HALF, TimeAxis, WIDE, dots, from_above, sphere_from_above};
 use crate::report::page::drawing::plot::{BLUE, GREEN, GREY, Mark, ORANGE, Panel, PlotError, Series};
 use crate::report::page::sections::number;
+use crate::statistics::Sizes;
 
 /// Largest number of samples in a map.
 const DOTS_MAX: usize = 1500;
@@ -68,10 +69,10 @@ fn um(metres: f64) -> String {
 /// RMS and quantiles of the deviations as large numbers.
 fn error_numbers(sphere: &SphereDeviation) -> Markup {
     let row = |name: &str, deviation: &Deviation| {
-        let Quantiles { median, p95, max, .. } = deviation.size_m;
+        let Sizes { rms, median, p95, max, .. } = deviation.size_m;
         let [median, p95, max] = [median, p95, max].map(um);
         let label = format!("{name}, RMS; median {median}, 95 % below {p95}, largest {max}");
-        number(um(deviation.rms_m), label)
+        number(um(rms), label)
     };
     html! {
         div.numbers {
