@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::process::{Command, Stdio};
 
-use identify::calibrate::rows::Stages;
+use identify::calibrate::rows::{Stages, is_surely_better};
 use identify::calibrate::validation::deployment::Deployment;
 use identify::kinematics::flange_chain;
 use identify::logs::PoseRow;
@@ -72,7 +72,7 @@ fn by_direct_fit(name: &str, robot: &RobotConfig, rows: &[PoseRow]) -> [f64; 2] 
         let deployed = found.0.deployed(wanted, None).unwrap().unwrap();
         let (ours_m, direct_m, nominal_m) =
             (apart_m(deployed.model(), others), direct[word], direct["nominal"]);
-        let written = own.are_surely_better_than(&nominal);
+        let written = is_surely_better(own.rows, [nominal.rms(), own.rms()]);
         println!(
             "{name}, {word}: {} um, direct {}, nominal {}{}",
             um(ours_m),

@@ -8,9 +8,9 @@ use crate::support::command::identify;
 use crate::support::{irb2400, lengths, repository};
 use identify::calibrate::rows::{PoseFigures, Stages};
 use identify::evaluate::{Budget, Expected, Limit, WorkspaceError};
-use identify::instrument::HoldOut;
+use identify::instrument::{HoldOut, PoseError};
 use identify::report::result::file::{CalibrationFile, SolveEntry};
-use identify::report::result::validation::{HeldOutEntry, PoseErrorEntry, RowsEntry, ValidationEntry};
+use identify::report::result::validation::{HeldOutEntry, RowsEntry, ValidationEntry};
 use identify::report::verdict::{Grade, Verdict};
 use identify::statistics::Sizes;
 use rand::Rng;
@@ -46,10 +46,8 @@ fn file(expanded_m: f64, position: [f64; 2], rotation: [f64; 2]) -> (Calibration
         residual_rms: 1.0,
     };
     let mut file = CalibrationFile::new("robot", "bar", solve, Vec::new(), Vec::new());
-    let entry = |at: usize| PoseErrorEntry {
-        position_m: position[at] * 1e-3,
-        rotation_rad: Some(rotation[at] * 1e-3),
-    };
+    let entry =
+        |at: usize| PoseError { position_m: position[at] * 1e-3, rotation_rad: Some(rotation[at] * 1e-3) };
     file.held_out =
         Some(HeldOutEntry { segments: 8, nominal: entry(0), calibrated: entry(1), fitted: entry(1) });
     let after =

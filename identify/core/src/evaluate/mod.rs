@@ -19,7 +19,7 @@ pub use accuracy::workspace::random_postures;
 pub use accuracy::workspace::{Expected, PlaceError, WorkspaceError, workspace_error};
 pub use evidence::{Evidence, RunEvidence, evidence};
 pub use gaps::{JointGap, joint_gaps};
-pub use held_out::{HeldOut, HeldOutSegment, PoseError, PoseErrorRms, held_out, nominals};
+pub use held_out::{HeldOut, HeldOutSegment, held_out, nominals};
 pub use limits::{Limit, limits};
 pub use nominal::uncalibrated;
 pub use scale::scale_sentence;

@@ -1,6 +1,7 @@
 //! The difference between robot and measurement at a sample.
 
 use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
 
 /// Robot minus measurement at one sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -42,12 +43,13 @@ impl Deviation {
     }
 }
 
-/// The size of a [`Deviation`].
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+/// The size of a [`Deviation`], or the root mean square of several.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct PoseError {
     /// Distance of the positions, or size of the length difference \[m\].
     pub position_m: f64,
     /// Angle \[rad\]; `None` without a measured orientation.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rotation_rad: Option<f64>,
 }
 

@@ -7,7 +7,7 @@ use shared::output::named;
 use super::contacts::ranges;
 use super::{Inspection, stamps};
 use crate::calibrate::rows::{likely, misfit, some_of};
-use crate::instrument::{FaceTable, Instrument, Mistake, Touch, Tracker, Wire};
+use crate::instrument::{FaceTable, Instrument, Mistake, PoseError, Touch, Tracker, Wire};
 use crate::kinematics::flange_chain;
 use crate::logs::{LogQuality, MeasuredLengths, MeasuredPoses, TimedPoses, Touches};
 use crate::report::rows::OTHER_ROBOT_M;
@@ -39,17 +39,16 @@ fn nominal_robot(inspection: &mut Inspection, instrument: &Instrument, robot: &R
         inspection.suspect(error.to_string());
     }
     let thinned = some_of(instrument);
-    let Some(figures) = misfit(&thinned, &chain) else { return };
-    let (rms_m, rotation_rad) = (figures.position_m.rms, figures.rotation_rad.map(|sizes| sizes.rms));
+    let Some(PoseError { position_m, rotation_rad }) = misfit(&thinned, &chain) else { return };
     let rotation = rotation_rad.map(|rad| format!(" and {:.2} mrad", rad * 1e3)).unwrap_or_default();
-    let fact = format!("{:.2} mm{rotation} (RMS) from the rows", rms_m * 1e3);
+    let fact = format!("{:.2} mm{rotation} (RMS) from the rows", position_m * 1e3);
     inspection.fact("nominal robot", fact);
     let mut mistakes = instrument.mistakes(robot.axes());
     // The calibration finds where an instrument or target was moved.
     mistakes.retain(|mistake| !matches!(mistake, Mistake::Moved(_)));
     if let Some(likely) = likely(instrument, &chain, &mistakes) {
         inspection.suspect(format!("most likely {likely}"));
-    } else if rms_m > OTHER_ROBOT_M || rotation_rad.is_some_and(|rad| rad > OTHER_ROBOT_RAD) {
+    } else if position_m > OTHER_ROBOT_M || rotation_rad.is_some_and(|rad| rad > OTHER_ROBOT_RAD) {
         inspection.suspect(
             "the rows differ from the nominal robot by more than errors of a robot: check that the file is that of this robot, and \
              units, signs and frames of the measurement",

@@ -179,10 +179,9 @@ fn sections(set: &RowSet, instrument: &Instrument, errors: &[PoseError]) -> Stri
     }
     let is_used = |row: &&usize| set.rejected.binary_search_by_key(*row, |one| one.row).is_err();
     for Section { name, parameters, samples } in &sections {
-        let sizes_m = samples.iter().filter(is_used).filter_map(|row| Some(errors.get(*row)?.position_m));
-        let sizes_m: Vec<f64> = sizes_m.collect();
-        let (rows, rms_m) = (sizes_m.len(), Sizes::of(sizes_m.into_iter()).rms);
-        let _ = writeln!(text, "{name:<12}{parameters:<12}{rows:>6}{:>12.4}", rms_m * 1e3);
+        let used = samples.iter().filter(is_used).filter_map(|row| errors.get(*row).copied());
+        let PoseFigures { rows, position_m, .. } = PoseFigures::of(used);
+        let _ = writeln!(text, "{name:<12}{parameters:<12}{rows:>6}{:>12.4}", position_m.rms * 1e3);
     }
     text
 }

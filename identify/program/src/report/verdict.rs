@@ -11,13 +11,11 @@ use serde::{Deserialize, Serialize};
 use super::result::earlier::Earlier;
 use super::result::file::{CalibrationFile, FileError};
 use super::result::knowledge::ExpectedEntry;
-use super::result::validation::ValidationEntry;
-use crate::calibrate::rows::{PoseFigures, is_surely_worse};
+use super::result::validation::{HeldOutErrors, ValidationEntry};
+use crate::calibrate::rows::is_surely_worse;
 use crate::calibrate::validation::deployment::Deployment;
 use crate::evaluate::{Limit, WorkspaceError};
-
-/// Samples of a segment share their errors: it counts as one independent error along each axis.
-pub(super) const INDEPENDENT_OF_SEGMENT: usize = 3;
+use crate::instrument::PoseError;
 
 /// In the colours of a page.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -86,6 +84,20 @@ pub(super) struct Predicted {
 }
 
 impl Predicted {
+    /// In position and, if all three have one, in rotation.
+    fn of(errors: HeldOutErrors) -> Vec<Self> {
+        let HeldOutErrors { what, independent, nominal, calibrated, fitted } = errors;
+        let Some(calibrated) = calibrated else { return Vec::new() };
+        let predicted = |of: &str, unit, is_position, value: &dyn Fn(PoseError) -> Option<f64>| {
+            let (nominal, calibrated, fitted) = (value(nominal)?, value(calibrated)?, value(fitted)?);
+            let what = format!("{of} of {what}");
+            Some(Self { what, nominal, calibrated, fitted, independent, unit, is_position })
+        };
+        let position = predicted("Positions", "mm", true, &|error| Some(error.position_m));
+        let rotation = predicted("Rotations", "mrad", false, &|error| error.rotation_rad);
+        position.into_iter().chain(rotation).collect()
+    }
+
     fn is_better(&self) -> bool {
         self.calibrated < self.nominal
     }
@@ -193,50 +205,18 @@ impl CalibrationFile {
 
     /// Held-out errors of each data set, in position and, where it was measured, in rotation.
     pub(super) fn predicted(&self) -> Vec<Predicted> {
-        let mut all = Vec::new();
-        // RMS errors of the nominal robot, the calibrated robot, and the calibrated robot on the data of the fit.
-        let mut add = |what: &str, independent: usize, position: [f64; 3], rotation: Option<[f64; 3]>| {
-            let position = (format!("Positions of {what}"), "mm", position, true);
-            let rotation = rotation.map(|rotation| (format!("Rotations of {what}"), "mrad", rotation, false));
-            let both = std::iter::once(position).chain(rotation);
-            for (what, unit, [nominal, calibrated, fitted], is_position) in both {
-                all.push(Predicted { what, nominal, calibrated, fitted, independent, unit, is_position });
+        let of_file = |ValidationEntry { name, data_set, nominal, calibrated, .. }: &ValidationEntry| {
+            let rows = self.rows.iter().find(|rows| rows.data_set == *data_set);
+            HeldOutErrors {
+                what: format!("the rows of {name}"),
+                independent: calibrated.rows,
+                nominal: nominal.rms(),
+                calibrated: Some(calibrated.rms()),
+                fitted: rows.map_or(calibrated, |rows| &rows.fitted.joints).rms(),
             }
         };
-        // Rotation only if all three have one.
-        let position_and_rotation = |figures: [&PoseFigures; 3]| {
-            let position = figures.map(|stage| stage.position_m.rms);
-            let rotation = match figures.map(|stage| stage.rotation_rad) {
-                [Some(nominal), Some(calibrated), Some(fitted)] => {
-                    Some([nominal.rms, calibrated.rms, fitted.rms])
-                }
-                _ => None,
-            };
-            (position, rotation)
-        };
-        if let Some(held_out) = &self.held_out {
-            let stages = [held_out.nominal, held_out.calibrated, held_out.fitted];
-            let rotation = match stages.map(|stage| stage.rotation_rad) {
-                [Some(nominal), Some(calibrated), Some(fitted)] => Some([nominal, calibrated, fitted]),
-                _ => None,
-            };
-            let independent = INDEPENDENT_OF_SEGMENT * held_out.segments;
-            add("held-out segments", independent, stages.map(|stage| stage.position_m), rotation);
-        }
-        for rows in &self.rows {
-            let calibrated = &rows.held_out.joints;
-            let (position, rotation) =
-                position_and_rotation([&rows.held_out.nominal, calibrated, &rows.fitted.joints]);
-            let what = format!("held-out rows of data set {}", rows.data_set);
-            add(&what, calibrated.rows, position, rotation);
-        }
-        for ValidationEntry { name, data_set, nominal, calibrated, .. } in &self.validations {
-            let rows = self.rows.iter().find(|rows| rows.data_set == *data_set);
-            let fitted = rows.map_or(calibrated, |rows| &rows.fitted.joints);
-            let (position, rotation) = position_and_rotation([nominal, calibrated, fitted]);
-            add(&format!("the rows of {name}"), calibrated.rows, position, rotation);
-        }
-        all
+        let held_out = self.held_out_with(Deployment::Full).into_iter();
+        held_out.chain(self.validations.iter().map(of_file)).flat_map(Predicted::of).collect()
     }
 }
 

@@ -1,5 +1,5 @@
-//! Statistics of position, orientation and length errors of rows, and tests whether a calibrated robot is better or worse than
-//! the nominal one for the same rows.
+//! Statistics of pose errors of any instrument, tests whether a calibrated robot is better or worse than the nominal one for the
+//! same samples, and the errors of rows in each stage of a calibration.
 
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, Normal};
@@ -7,10 +7,10 @@ use statrs::distribution::{ContinuousCDF, Normal};
 use crate::instrument::PoseError;
 use crate::statistics::Sizes;
 
-/// Statistics of pose errors over a number of rows.
+/// Statistics of pose errors over a number of samples.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct PoseFigures {
-    /// Number of rows in the statistics.
+    /// Number of samples in the statistics.
     pub rows: usize,
     /// Position errors, or absolute errors of lengths \[m\].
     pub position_m: Sizes,
@@ -21,13 +21,20 @@ pub struct PoseFigures {
 
 impl PoseFigures {
     /// Statistics of these errors.
-    pub fn of(errors: &[PoseError]) -> Self {
+    pub fn of(errors: impl IntoIterator<Item = PoseError>) -> Self {
+        let errors: Vec<PoseError> = errors.into_iter().collect();
         let angles: Option<Vec<f64>> = errors.iter().map(|error| error.rotation_rad).collect();
         Self {
             rows: errors.len(),
             position_m: Sizes::of(errors.iter().map(|error| error.position_m)),
             rotation_rad: angles.filter(|a| !a.is_empty()).map(|angles| Sizes::of(angles.into_iter())),
         }
+    }
+
+    /// Root mean squares of position and rotation.
+    pub fn rms(&self) -> PoseError {
+        let rotation_rad = self.rotation_rad.map(|sizes| sizes.rms);
+        PoseError { position_m: self.position_m.rms, rotation_rad }
     }
 }
 
@@ -37,7 +44,7 @@ const BETTER_BY_CHANCE: f64 = 0.05;
 const WORSE_BY_CHANCE: f64 = 1e-3;
 
 /// Ratio of two root mean squares of `n` errors each that is below this with the given probability if the robots are equal. The
-/// difference of their logarithms has a variance of at most `1 / n`, since they are of the same rows.
+/// difference of their logarithms has a variance of at most `1 / n`, since they are of the same samples.
 fn ratio_by_chance(n: usize, probability: f64) -> f64 {
     let sigma = (n.max(1) as f64).sqrt().recip();
     (Normal::standard().inverse_cdf(probability) * sigma).exp()
@@ -45,27 +52,16 @@ fn ratio_by_chance(n: usize, probability: f64) -> f64 {
 
 /// Whether the second of two root mean squares of `n` errors each is smaller: in position significantly, in rotation by any
 /// amount.
-pub fn is_surely_better(n: usize, position: [f64; 2], rotation: Option<[f64; 2]>) -> bool {
-    let [nominal, calibrated] = position;
-    let limit = ratio_by_chance(n, BETTER_BY_CHANCE);
-    n > 0 && calibrated < limit * nominal && rotation.is_none_or(|[nominal, calibrated]| calibrated < nominal)
+pub fn is_surely_better(n: usize, [nominal, calibrated]: [PoseError; 2]) -> bool {
+    let limit_m = ratio_by_chance(n, BETTER_BY_CHANCE) * nominal.position_m;
+    let rotations = nominal.rotation_rad.zip(calibrated.rotation_rad);
+    let rotation_is_better = rotations.is_none_or(|(nominal, calibrated)| calibrated < nominal);
+    n > 0 && calibrated.position_m < limit_m && rotation_is_better
 }
 
 /// Whether the second of two root mean squares of `n` errors each is significantly larger.
 pub fn is_surely_worse(n: usize, [nominal, calibrated]: [f64; 2]) -> bool {
     calibrated > nominal * ratio_by_chance(n, 1.0 - WORSE_BY_CHANCE)
-}
-
-impl PoseFigures {
-    /// Whether the errors are smaller than those of the same rows with the nominal robot, by [`is_surely_better`].
-    pub fn are_surely_better_than(&self, nominal: &Self) -> bool {
-        let rotations = nominal.rotation_rad.zip(self.rotation_rad);
-        is_surely_better(
-            self.rows,
-            [nominal.position_m.rms, self.position_m.rms],
-            rotations.map(|(nominal, calibrated)| [nominal.rms, calibrated.rms]),
-        )
-    }
 }
 
 /// Errors of the same rows after successive fits to the fitting rows.
@@ -97,7 +93,7 @@ impl RowErrors {
     /// Statistics of the chosen rows, per stage.
     pub fn of(&self, chosen: &[usize]) -> Stages {
         let of_stage = |errors: &Vec<PoseError>| {
-            PoseFigures::of(&chosen.iter().filter_map(|&row| errors.get(row).copied()).collect::<Vec<_>>())
+            PoseFigures::of(chosen.iter().filter_map(|&row| errors.get(row).copied()))
         };
         let [nominal, offsets, links, joints] = self.stages.each_ref().map(of_stage);
         Stages { nominal, offsets, links, joints }

@@ -6,7 +6,7 @@ use std::fmt;
 use super::PoseFigures;
 use crate::calibrate::CalibrateError;
 use crate::calibrate::pipeline::{Plan, estimate};
-use crate::instrument::{Instrument, Mistake, Rows, Run};
+use crate::instrument::{Instrument, Mistake, PoseError, Rows, Run};
 use crate::kinematics::Chain;
 use crate::model::Model;
 use crate::solver::LossName;
@@ -46,11 +46,11 @@ pub(super) fn placed(instrument: Instrument, model: Model) -> Result<Option<Mode
     Ok(Some(run.model))
 }
 
-/// Errors of a robot for samples, with the instrument placed by the same samples; `None` if it cannot be placed.
-pub fn misfit(instrument: &Instrument, robot: &Chain) -> Option<PoseFigures> {
+/// Root mean square errors of a robot for samples, with the instrument placed by the same samples; `None` if it cannot be placed.
+pub fn misfit(instrument: &Instrument, robot: &Chain) -> Option<PoseError> {
     instrument.contradicting(robot).ok().filter(|_| instrument.samples() >= instrument.samples_min())?;
     let model = placed(instrument.clone(), Model::alone(robot)).ok()??;
-    Some(PoseFigures::of(&instrument.errors(&model.geometry(&[]))))
+    Some(PoseFigures::of(instrument.errors(&model.geometry(&[]))).rms())
 }
 
 /// An evenly thinned part of the samples, large enough to distinguish robots, since a mistake affects all samples.
@@ -65,8 +65,8 @@ pub fn some_of(instrument: &Instrument) -> Instrument {
 fn misfit_m(instrument: &Instrument, robot: &Chain) -> Option<f64> {
     /// Length of the tool, which converts orientation errors to positions \[m\].
     const TOOL_M: f64 = 0.1;
-    let figures = misfit(&some_of(instrument), robot)?;
-    Some(figures.position_m.rms.hypot(TOOL_M * figures.rotation_rad.map_or(0.0, |sizes| sizes.rms)))
+    let PoseError { position_m, rotation_rad } = misfit(&some_of(instrument), robot)?;
+    Some(position_m.hypot(TOOL_M * rotation_rad.unwrap_or(0.0)))
 }
 
 /// Error of the nominal robot after correction of the mistake \[m\]; `None` if the instrument cannot be placed.

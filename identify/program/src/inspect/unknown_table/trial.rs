@@ -9,7 +9,7 @@ use super::Notes;
 use super::columns::{Column, group};
 use super::joints::angle_unit;
 use crate::calibrate::rows::{likely, misfit, some_of};
-use crate::instrument::{Instrument, Mistake, Tracker};
+use crate::instrument::{Instrument, Mistake, PoseError, Tracker};
 use crate::kinematics::flange_chain;
 use crate::logs::{
     EulerFrame, JointColumn, JointMistake, JointUnit, MeasuredPoseMapping, MeasuredPoses, RotationColumns,
@@ -30,10 +30,9 @@ impl Trial<'_> {
         Some(Tracker::new(&read.rows).into())
     }
 
-    /// RMS residuals of the nominal robot in position \[m\] and rotation \[rad\] with this mapping.
-    fn misfit(&self, mapping: &MeasuredPoseMapping) -> Option<(f64, f64)> {
-        let nominal = misfit(&some_of(&self.rows(mapping)?), &flange_chain(self.robot))?;
-        Some((nominal.position_m.rms, nominal.rotation_rad.map_or(0.0, |sizes| sizes.rms)))
+    /// RMS residuals of the nominal robot with this mapping.
+    fn misfit(&self, mapping: &MeasuredPoseMapping) -> Option<PoseError> {
+        misfit(&some_of(&self.rows(mapping)?), &flange_chain(self.robot))
     }
 
     /// The mapping with signs, order and unit of the joints corrected, and with the columns of the orientation, as they fit
@@ -54,8 +53,8 @@ impl Trial<'_> {
                     }
                     notes.doubt(format!("{likely}; it is written so"));
                 }
-                None => notes.reasons.extend(self.misfit(&mapping).map(|(position_m, _)| {
-                    format!("the nominal robot is {:.1} mm from the positions", position_m * 1e3)
+                None => notes.reasons.extend(self.misfit(&mapping).map(|nominal| {
+                    format!("the nominal robot is {:.1} mm from the positions", nominal.position_m * 1e3)
                 })),
             }
         }
@@ -63,7 +62,7 @@ impl Trial<'_> {
             |rotation: RotationColumns| MeasuredPoseMapping { rotation: Some(rotation), ..mapping.clone() };
         let trials = orientations(others).into_iter().filter_map(|rotation| {
             let mapping = with(rotation);
-            Some((self.misfit(&mapping)?.1, mapping))
+            Some((self.misfit(&mapping)?.rotation_rad.unwrap_or(0.0), mapping))
         });
         /// The nominal robot is within this of the right reading; any wrong one is further away \[rad\].
         const FITS_RAD: f64 = 0.1;

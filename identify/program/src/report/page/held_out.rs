@@ -7,25 +7,35 @@ use super::Page;
 use super::drawing::figures::{HALF, TimeAxis, dots};
 use super::drawing::plot::{BLUE, COLOURS, GREEN, GREY, Mark, Panel, PlotError, Series};
 use super::run::runs;
-use crate::evaluate::{HeldOut, HeldOutSegment, PoseError, PoseErrorRms};
+use crate::evaluate::{HeldOut, HeldOutSegment};
+use crate::instrument::PoseError;
 
 const BLACK: RGBColor = RGBColor(30, 36, 44);
+const LIGHT_GREY: RGBColor = RGBColor(196, 202, 210);
 const RED: RGBColor = COLOURS[5];
+
+/// A number of a pose error, in the unit of figures and tables.
+pub(super) type Value = fn(&PoseError) -> Option<f64>;
+pub(super) const POSITION_MM: Value = |error| Some(error.position_m * 1e3);
+pub(super) const ROTATION_MRAD: Value = |error| error.rotation_rad.map(|rad| rad * 1e3);
 
 pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
     let Some(held_out) = page.evidence.held_out.as_ref().filter(|held_out| !held_out.segments.is_empty())
     else {
         return Ok(html! {});
     };
-    let [nominal, predicted, fitted] = held_out.rms();
+    let rms = held_out.rms();
     Ok(html! {
         h2 { "Held-out validation" }
         p {
             "Each of " (held_out.segments.len()) " segments of time was predicted from a fit to all others. Robot against bar "
-            "there, RMS: " (position(nominal)) " mm with the nominal robot, " b { (position(predicted)) " mm" }
-            " with the calibrated one (" (position(fitted)) " mm in the fit with this segment)"
-            @if page.evidence.rotations {
-                "; in rotation " (rotation(nominal)) " mrad, " b { (rotation(predicted)) " mrad" } " (" (rotation(fitted)) " mrad)"
+            "there, RMS: "
+            @if let [nominal, predicted, fitted] = &texts(&rms, POSITION_MM)[..] {
+                (nominal) " mm with the nominal robot, " b { (predicted) " mm" }
+                " with the calibrated one (" (fitted) " mm in the fit with this segment)"
+            }
+            @if let [nominal, predicted, fitted] = &texts(&rms, ROTATION_MRAD)[..] {
+                "; in rotation " (nominal) " mrad, " b { (predicted) " mrad" } " (" (fitted) " mrad)"
             }
             ". "
             @if held_out.undetermined > 0 {
@@ -37,7 +47,7 @@ pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
         @for (number, name) in runs::names(page).iter().enumerate() {
             figure {
                 @if let Some(name) = name { p.run { (name) } }
-                div.panels { (panels(held_out, number, page.evidence.rotations)?) }
+                div.panels { (panels(held_out, number)?) }
             }
         }
         p.note {
@@ -49,26 +59,22 @@ pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
     })
 }
 
-fn position(rms: PoseErrorRms) -> String {
-    format!("{:.4}", rms.position_m * 1e3)
-}
-
-fn rotation(rms: PoseErrorRms) -> String {
-    format!("{:.4}", rms.rotation_rad * 1e3)
+/// Root mean squares as text; empty without rotations.
+fn texts(rms: &[PoseError; 3], value: Value) -> Vec<String> {
+    rms.iter().filter_map(value).map(|value| format!("{value:.4}")).collect()
 }
 
 /// Figures of a run over time: errors in position and rotation, nominal and predicted.
-fn panels(held_out: &HeldOut, run: usize, rotations: bool) -> Result<Markup, PlotError> {
+fn panels(held_out: &HeldOut, run: usize) -> Result<Markup, PlotError> {
     let segments: Vec<&HeldOutSegment> =
         held_out.segments.iter().filter(|segment| segment.run == run).collect();
-    let position = |one: &PoseError| one.position_m * 1e3;
-    let rotation = |one: &PoseError| one.rotation_rad * 1e3;
+    let has_rotations = held_out.rms()[0].rotation_rad.is_some();
     Ok(html! {
-        (panel("Position, nominal", "[mm]", &segments, false, position)?)
-        (panel("Position, calibrated without the segment", "[mm]", &segments, true, position)?)
-        @if rotations {
-            (panel("Rotation, nominal", "[mrad]", &segments, false, rotation)?)
-            (panel("Rotation, calibrated without the segment", "[mrad]", &segments, true, rotation)?)
+        (panel("Position, nominal", "[mm]", &segments, false, POSITION_MM)?)
+        (panel("Position, calibrated without the segment", "[mm]", &segments, true, POSITION_MM)?)
+        @if has_rotations {
+            (panel("Rotation, nominal", "[mrad]", &segments, false, ROTATION_MRAD)?)
+            (panel("Rotation, calibrated without the segment", "[mrad]", &segments, true, ROTATION_MRAD)?)
         }
     })
 }
@@ -79,41 +85,26 @@ fn panel(
     y: &str,
     segments: &[&HeldOutSegment],
     calibrated: bool,
-    value: impl Fn(&PoseError) -> f64,
+    value: Value,
 ) -> Result<Markup, PlotError> {
     let time = TimeAxis::of(segments.iter().flat_map(|segment| segment.span_s()));
-    let mut series = Vec::new();
-    // Two series, of even and odd segments, so that neighbours have different colours.
-    for parity in 0..2 {
-        let samples = segments.iter().skip(parity).step_by(2).flat_map(|segment| shown(segment, calibrated));
-        let points = samples.map(|one| (time.at(one.t_s), value(one))).collect();
-        let colour = match (calibrated, parity) {
-            (false, 0) => GREY,
-            (false, _) => RGBColor(196, 202, 210),
-            (true, 0) => BLUE,
-            (true, _) => GREEN,
-        };
-        series.push(dots("", colour, points));
-    }
+    // Neighbours have different colours.
+    let (stage, colours) = if calibrated { (1, [BLUE, GREEN]) } else { (0, [GREY, LIGHT_GREY]) };
+    let alternate = (0..).zip(colours).map(|(first, colour)| {
+        let samples = segments.iter().skip(first).step_by(2).flat_map(|segment| &segment.stages[stage]);
+        dots("", colour, samples.filter_map(|(t_s, error)| Some((time.at(*t_s), value(error)?))).collect())
+    });
     // A horizontal line over each segment at its RMS.
-    let rms_lines = |errors: fn(&HeldOutSegment) -> &Vec<PoseError>| {
-        let ends = segments.iter().flat_map(|segment| {
-            let rms = crate::statistics::rms(errors(segment).iter().map(&value));
-            segment.span_s().map(|t_s| (time.at(t_s), rms))
+    let rms_lines = |(stage, colour): (usize, RGBColor)| {
+        let ends = segments.iter().filter_map(|segment| {
+            let rms = value(&segment.rms()[stage])?;
+            Some(segment.span_s().map(|t_s| (time.at(t_s), rms)))
         });
-        ends.collect::<Vec<(f64, f64)>>()
+        Series::new("", colour, Mark::Segments, ends.flatten().collect())
     };
-    if calibrated {
-        series.push(Series::new("", RED, Mark::Segments, rms_lines(|segment| &segment.fitted)));
-        series.push(Series::new("", BLACK, Mark::Segments, rms_lines(|segment| &segment.predicted)));
-    } else {
-        series.push(Series::new("", BLACK, Mark::Segments, rms_lines(|segment| &segment.nominal)));
-    }
+    let lines: &[(usize, RGBColor)] = if calibrated { &[(2, RED), (1, BLACK)] } else { &[(0, BLACK)] };
+    let series = alternate.chain(lines.iter().copied().map(rms_lines)).collect();
     Panel::new(title, [&time.label(), y], HALF, series).with_zero().draw()
-}
-
-fn shown(segment: &HeldOutSegment, calibrated: bool) -> &[PoseError] {
-    if calibrated { &segment.predicted } else { &segment.nominal }
 }
 
 fn table(page: &Page<'_>, held_out: &HeldOut) -> Markup {
@@ -131,12 +122,11 @@ fn table(page: &Page<'_>, held_out: &HeldOut) -> Markup {
             } }
             tbody { @for segment in &held_out.segments {
                 @let [from, to] = segment.span_s().map(|t_s| time.at(t_s));
-                @let figures = segment.rms();
+                @let rms = segment.rms();
                 tr {
                     @if several { td { (segment.run + 1) } }
-                    td { (format!("{from:.1}")) } td { (format!("{to:.1}")) } td { (segment.fitted.len()) }
-                    @for rms in figures { td { (position(rms)) } }
-                    @if page.evidence.rotations { @for rms in figures { td { (rotation(rms)) } } }
+                    td { (format!("{from:.1}")) } td { (format!("{to:.1}")) } td { (segment.stages[2].len()) }
+                    @for value in [POSITION_MM, ROTATION_MRAD] { @for text in texts(&rms, value) { td { (text) } } }
                 }
             } }
         }

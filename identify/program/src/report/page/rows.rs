@@ -5,6 +5,7 @@ use maud::{Markup, html};
 use super::Page;
 use super::drawing::figures::{WIDE, dots};
 use super::drawing::plot::{BLUE, GREY, ORANGE, Panel, PlotError};
+use super::held_out::{POSITION_MM, ROTATION_MRAD, Value};
 use super::sections::{mm, number};
 use crate::calibrate::rows::RowErrors;
 use crate::instrument::PoseError;
@@ -47,9 +48,7 @@ pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
 /// The errors of a file, nominal and calibrated.
 fn panels(errors: &RowErrors) -> Result<Markup, PlotError> {
     let [nominal, .., calibrated] = &errors.stages;
-    let position = |one: &PoseError| Some(one.position_m * 1e3);
-    let rotation = |one: &PoseError| Some(one.rotation_rad? * 1e3);
-    let panel = |title: &str, y: &str, stage: &[PoseError], value: &dyn Fn(&PoseError) -> Option<f64>| {
+    let panel = |title: &str, y: &str, stage: &[PoseError], value: Value| {
         let points = |rows: &[usize]| {
             rows.iter().filter_map(|&row| Some((row as f64 + 1.0, value(stage.get(row)?)?))).collect()
         };
@@ -61,11 +60,11 @@ fn panels(errors: &RowErrors) -> Result<Markup, PlotError> {
         Panel::new(title, ["row", y], WIDE, series).with_zero().draw()
     };
     Ok(html! {
-        (panel("Nominal robot", "[mm]", nominal, &position)?)
-        (panel("Calibrated robot", "[mm]", calibrated, &position)?)
+        (panel("Nominal robot", "[mm]", nominal, POSITION_MM)?)
+        (panel("Calibrated robot", "[mm]", calibrated, POSITION_MM)?)
         @if calibrated.iter().any(|one| one.rotation_rad.is_some()) {
-            (panel("Rotation, nominal", "[mrad]", nominal, &rotation)?)
-            (panel("Rotation, calibrated", "[mrad]", calibrated, &rotation)?)
+            (panel("Rotation, nominal", "[mrad]", nominal, ROTATION_MRAD)?)
+            (panel("Rotation, calibrated", "[mrad]", calibrated, ROTATION_MRAD)?)
         }
     })
 }

@@ -4,12 +4,12 @@
 use serde::{Deserialize, Serialize};
 
 use super::file::{CalibrationFile, ParameterEntry};
-use super::validation::{HeldOutEntry, PoseErrorEntry};
-use crate::calibrate::rows::{PoseFigures, Stages, is_surely_better};
+use super::validation::HeldOutErrors;
+use crate::calibrate::rows::is_surely_better;
 use crate::calibrate::validation::deployment::{Deployed, Deployment};
 use crate::evaluate::{Expected, WorkspaceError};
+use crate::instrument::PoseError;
 use crate::model::ParameterId;
-use crate::report::verdict::INDEPENDENT_OF_SEGMENT;
 
 /// The robot if only part of the model is applied.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -20,7 +20,7 @@ pub struct DeploymentEntry {
     pub links: Vec<ParameterEntry>,
     /// Held-out segments as predicted with it; those of rows have their own place.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub held_out: Option<PoseErrorEntry>,
+    pub held_out: Option<PoseError>,
     /// Expected position error over the workspace, mean \[m\]: of the nominal robot, and with it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub expected_m: Option<[f64; 2]>,
@@ -55,15 +55,6 @@ pub(in crate::report) const fn what(deployment: Deployment) -> &'static str {
     }
 }
 
-/// The stage of the model that is a deployment.
-const fn stage(stages: &Stages, deployment: Deployment) -> &PoseFigures {
-    match deployment {
-        Deployment::Offsets => &stages.offsets,
-        Deployment::Dh => &stages.links,
-        Deployment::Full => &stages.joints,
-    }
-}
-
 impl CalibrationFile {
     /// The same with the geometry of a deployment, where that has a fit of its own.
     #[must_use]
@@ -84,7 +75,7 @@ impl CalibrationFile {
         if self.serves(Deployment::Dh) { self.deployed(Deployment::Dh) } else { self.clone() }
     }
 
-    fn entry(&self, deployment: Deployment) -> Option<&DeploymentEntry> {
+    pub(super) fn entry(&self, deployment: Deployment) -> Option<&DeploymentEntry> {
         self.deployments.iter().find(|entry| entry.deployment == deployment)
     }
 
@@ -100,37 +91,21 @@ impl CalibrationFile {
     }
 
     fn serves_held_out(&self, deployment: Deployment) -> bool {
-        let rows = || self.rows.iter().map(|rows| &rows.held_out).filter(|stages| stages.nominal.rows > 0);
+        let is_better = |errors: &HeldOutErrors| {
+            let both = errors.calibrated.map(|calibrated| [errors.nominal, calibrated]);
+            both.is_some_and(|both| is_surely_better(errors.independent, both))
+        };
         self.may_be_applied()
-            && self.entry(deployment).is_some_and(|entry| self.segments_are_better(entry))
-            && rows().all(|stages| stage(stages, deployment).are_surely_better_than(&stages.nominal))
-    }
-
-    fn segments_are_better(&self, entry: &DeploymentEntry) -> bool {
-        self.held_out.is_none_or(|all| {
-            entry.held_out.is_some_and(|deployed| {
-                let rotation = all.nominal.rotation_rad.zip(deployed.rotation_rad).map(<[f64; 2]>::from);
-                let position = [all.nominal.position_m, deployed.position_m];
-                is_surely_better(INDEPENDENT_OF_SEGMENT * all.segments, position, rotation)
-            })
-        })
+            && self.entry(deployment).is_some()
+            && self.held_out_with(deployment).iter().all(is_better)
     }
 
     /// RMS position errors of the nominal robot and of a deployment on held-out data: on the segments of all runs with a bar,
     /// otherwise on the first file of rows \[m\].
     pub fn held_out_m(&self, deployment: Deployment) -> Option<[f64; 2]> {
-        let deployed = |all: HeldOutEntry| match deployment {
-            Deployment::Full => Some(all.calibrated),
-            _ => self.entry(deployment)?.held_out,
-        };
-        let segments =
-            self.held_out.and_then(|all| Some([all.nominal.position_m, deployed(all)?.position_m]));
-        let rows = || {
-            let held_out = &self.rows.first()?.held_out;
-            let deployed = stage(held_out, deployment);
-            (deployed.rows > 0).then_some([held_out.nominal.position_m.rms, deployed.position_m.rms])
-        };
-        segments.or_else(rows)
+        let both =
+            |errors: &HeldOutErrors| Some([errors.nominal, errors.calibrated?].map(|one| one.position_m));
+        self.held_out_with(deployment).iter().find_map(both)
     }
 
     /// Expected error over the workspace of each deployment that is written, the one that takes most first.

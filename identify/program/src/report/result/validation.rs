@@ -8,18 +8,9 @@ use serde::{Deserialize, Serialize};
 use super::deployments::DeploymentEntry;
 use super::file::CalibrationFile;
 use crate::calibrate::rows::{PoseFigures, Stages};
-use crate::evaluate::{Evidence, HeldOut, PoseErrorRms};
-use crate::instrument::HoldOut;
-
-/// Robot against bar, root mean square.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct PoseErrorEntry {
-    /// Distance of the two ends; without encoders the distance from the bar's sphere \[m\].
-    pub position_m: f64,
-    /// Angle between them; absent where a joint of the bar has no encoder \[rad\].
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub rotation_rad: Option<f64>,
-}
+use crate::calibrate::validation::deployment::Deployment;
+use crate::evaluate::{Evidence, HeldOut};
+use crate::instrument::{HoldOut, PoseError};
 
 /// Segments of time that were predicted from fits to all others.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -27,11 +18,11 @@ pub struct HeldOutEntry {
     /// Number of segments.
     pub segments: usize,
     /// The nominal robot, the bar fitted to it.
-    pub nominal: PoseErrorEntry,
+    pub nominal: PoseError,
     /// The calibrated robot as fitted without the segment.
-    pub calibrated: PoseErrorEntry,
+    pub calibrated: PoseError,
     /// The calibration, which has seen the segment.
-    pub fitted: PoseErrorEntry,
+    pub fitted: PoseError,
 }
 
 /// Errors of a file of rows, fitted and held out, in stages of the model: instrument alone, the robot's links,
@@ -74,20 +65,16 @@ pub struct ValidationEntry {
 impl CalibrationFile {
     /// Adds the held-out figures of the calibration and of each deployment.
     pub fn with_validation(mut self, evidence: &Evidence) -> Self {
-        let entry = |rms: PoseErrorRms| PoseErrorEntry {
-            position_m: rms.position_m,
-            rotation_rad: evidence.rotations.then_some(rms.rotation_rad),
-        };
         self.held_out =
             evidence.held_out.as_ref().filter(|held_out| !held_out.segments.is_empty()).map(|held_out| {
-                let [nominal, calibrated, fitted] = held_out.rms().map(entry);
+                let [nominal, calibrated, fitted] = held_out.rms();
                 HeldOutEntry { segments: held_out.segments.len(), nominal, calibrated, fitted }
             });
         // A deployment is compared on the same segments only.
         let comparable =
             |held_out: &HeldOut| Some(held_out.segments.len()) == self.held_out.map(|all| all.segments);
         let deployed = evidence.deployed.iter().map(|(deployed, held_out)| {
-            let [_nominal, predicted, _fitted] = held_out.rms().map(entry);
+            let [_nominal, predicted, _fitted] = held_out.rms();
             let held_out = comparable(held_out).then_some(predicted);
             let expected = evidence.workspace.deployed.get(&deployed.deployment);
             let expected_m = expected.map(|expected| [evidence.workspace.before.mean_m, expected.mean_m]);
@@ -96,6 +83,51 @@ impl CalibrationFile {
         self.deployments = deployed.collect();
         self
     }
+
+    /// Errors on the segments of all runs with a bar, then on the rows of each file, if this part of the model is applied.
+    pub(in crate::report) fn held_out_with(&self, deployment: Deployment) -> Vec<HeldOutErrors> {
+        let segments = self.held_out.map(|all| HeldOutErrors {
+            what: "held-out segments".to_owned(),
+            independent: INDEPENDENT_OF_SEGMENT * all.segments,
+            nominal: all.nominal,
+            calibrated: match deployment {
+                Deployment::Full => Some(all.calibrated),
+                _ => self.entry(deployment).and_then(|entry| entry.held_out),
+            },
+            fitted: all.fitted,
+        });
+        let rows = self.rows.iter().filter(|rows| rows.held_out.nominal.rows > 0).map(|rows| {
+            let Stages { nominal, offsets, links, joints } = &rows.held_out;
+            let calibrated = match deployment {
+                Deployment::Offsets => offsets,
+                Deployment::Dh => links,
+                Deployment::Full => joints,
+            };
+            HeldOutErrors {
+                what: format!("held-out rows of data set {}", rows.data_set),
+                independent: calibrated.rows,
+                nominal: nominal.rms(),
+                calibrated: (calibrated.rows > 0).then(|| calibrated.rms()),
+                fitted: rows.fitted.joints.rms(),
+            }
+        });
+        segments.into_iter().chain(rows).collect()
+    }
+}
+
+/// Samples of a segment share their errors: it counts as one independent error along each axis.
+const INDEPENDENT_OF_SEGMENT: usize = 3;
+
+/// Root mean square errors on held-out data of one kind.
+pub(in crate::report) struct HeldOutErrors {
+    pub what: String,
+    /// Number of independent errors in each root mean square.
+    pub independent: usize,
+    pub nominal: PoseError,
+    /// `None` if the fit did not converge or not on these data.
+    pub calibrated: Option<PoseError>,
+    /// Of the calibrated robot on the data of the fit.
+    pub fitted: PoseError,
 }
 
 /// Lines for a terminal.
@@ -103,7 +135,7 @@ pub(in crate::report) fn describe(file: &CalibrationFile) -> String {
     let mut text = String::new();
     // Writing to a string cannot fail.
     if let Some(HeldOutEntry { segments, nominal, calibrated, fitted }) = &file.held_out {
-        let mm = |entry: &PoseErrorEntry| entry.position_m * 1e3;
+        let mm = |error: &PoseError| error.position_m * 1e3;
         let _ = write!(
             text,
             "held out: {segments} segments predicted from the others, robot against bar {:.4} -> {:.4} mm RMS ({:.4} fitted)",
