@@ -242,7 +242,7 @@ fn a_zero_that_wanders_under_lengths_of_two_qualities_is_found() {
     let white_m = |rows: &[LengthRow]| {
         let report = Alone::default().without_joint_errors().lengths(rows, &irb120()).unwrap();
         println!("{:?}", report.rows().drift);
-        let after_m = report.rows().errors.stages[3].iter().step_by(2).map(|error| error.position_m);
+        let after_m = report.rows().errors.joints.iter().step_by(2).map(|error| error.position_m);
         let mut sizes_m: Vec<f64> = after_m.collect();
         sizes_m.sort_by(f64::total_cmp);
         (report.rows().drift.is_some(), sizes_m[sizes_m.len() / 2])

@@ -64,38 +64,16 @@ pub fn is_surely_worse(n: usize, [nominal, calibrated]: [f64; 2]) -> bool {
     calibrated > nominal * ratio_by_chance(n, 1.0 - WORSE_BY_CHANCE)
 }
 
-/// Errors of the same rows after successive fits to the fitting rows.
+/// Results for the same rows after successive fits to the fitting rows.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
-pub struct Stages {
+pub struct Stages<T = PoseFigures> {
     /// Fit of tracker and probe, or wire; robot nominal.
-    pub nominal: PoseFigures,
+    pub nominal: T,
     /// Fit that adds the robot's joint offsets.
     #[serde(default)]
-    pub offsets: PoseFigures,
+    pub offsets: T,
     /// Fit that adds the other link parameters.
-    pub links: PoseFigures,
+    pub links: T,
     /// Fit that adds joint errors, and the drift of the wire's offset.
-    pub joints: PoseFigures,
-}
-
-/// Errors of each row of a file in the stages of [`Stages`], with the rows that the fit used.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct RowErrors {
-    /// Errors of all rows, stage by stage.
-    pub stages: [Vec<PoseError>; 4],
-    /// Rows that the fit used.
-    pub fitted: Vec<usize>,
-    /// Rows that were held out.
-    pub held_out: Vec<usize>,
-}
-
-impl RowErrors {
-    /// Statistics of the chosen rows, per stage.
-    pub fn of(&self, chosen: &[usize]) -> Stages {
-        let of_stage = |errors: &Vec<PoseError>| {
-            PoseFigures::of(chosen.iter().filter_map(|&row| errors.get(row).copied()))
-        };
-        let [nominal, offsets, links, joints] = self.stages.each_ref().map(of_stage);
-        Stages { nominal, offsets, links, joints }
-    }
+    pub joints: T,
 }

@@ -10,7 +10,7 @@ use nalgebra::Vector3;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::likely::{likely, likely_of_all};
-use super::{NOMINAL, RowSet, is_surely_worse};
+use super::{RowSet, is_surely_worse};
 use crate::calibrate::CalibrateError;
 use crate::instrument::{Apart, Instrument, Mistake, PoseError, Rows, Run};
 use crate::kinematics::Chain;
@@ -74,11 +74,10 @@ pub(in crate::calibrate) fn unless_implausible(
 
 /// Reasons why the rows of a set are not plausible.
 fn reasons_of_set(set: &RowSet, instrument: &Instrument, model: &Model, robot: &Chain) -> Vec<String> {
-    let [.., calibrated] = &set.errors.stages;
     let steps = [step(set.whole(), model), set.step];
     let step = steps.into_iter().flatten().find(|step| step.explains(instrument, robot));
     let step = step.map(|step| step.to_string());
-    let reasons = [turned(set), too_far(calibrated, robot), worse_than_nominal(set), step];
+    let reasons = [turned(set), too_far(&set.errors.joints, robot), worse_than_nominal(set), step];
     reasons.into_iter().flatten().collect()
 }
 
@@ -118,7 +117,7 @@ fn turned(set: &RowSet) -> Option<String> {
     const WRONG_RAD: f64 = 0.1;
     /// Quantile of the orientation errors: one row in five may be an outlier.
     const PART: f64 = 0.78;
-    let nominal = || set.errors.fitted.iter().filter_map(|row| set.errors.stages[NOMINAL].get(*row));
+    let nominal = || set.fitted_rows.iter().filter_map(|row| set.errors.nominal.get(*row));
     let mut turned_rad: Vec<f64> = nominal().map(|error| error.rotation_rad).collect::<Option<_>>()?;
     let turned_rad = quantile(&mut turned_rad, PART);
     let positions_fit = median_size(nominal().map(|error| error.position_m)) < SIGMAS_MAX * LINK_M;

@@ -21,7 +21,7 @@ use crate::model::Model;
 
 pub use drift::Drift;
 pub use faulty_runs::{FaultyRun, RunCause};
-pub use figures::{PoseFigures, RowErrors, Stages, is_surely_better, is_surely_worse};
+pub use figures::{PoseFigures, Stages, is_surely_better, is_surely_worse};
 use implausible::Step;
 pub(super) use implausible::unless_implausible;
 pub use likely::{Likely, likely, misfit, some_of};
@@ -33,12 +33,6 @@ pub const WAVES_PER_TURN_MAX: u8 = 64;
 
 /// Number of parts of a file, of which one is held out.
 const PARTS: usize = 5;
-
-/// Indices of [`RowErrors::stages`].
-const NOMINAL: usize = 0;
-const OFFSETS: usize = 1;
-const LINKS: usize = 2;
-const JOINTS: usize = 3;
 
 /// Rows with contradictory data; all others are used. If the file is `alone`, the others must be sufficient for a fit.
 pub(super) fn checked(
@@ -61,7 +55,11 @@ pub struct RowSet {
     /// All rows of the file.
     whole: Instrument,
     /// Errors of all rows, including rejected ones.
-    pub errors: RowErrors,
+    pub errors: Stages<Vec<PoseError>>,
+    /// Rows that the fit of the stages uses.
+    pub fitted_rows: Vec<usize>,
+    /// Rows that are held out.
+    pub held_out_rows: Vec<usize>,
     /// Rejected rows, with the reason.
     pub rejected: Vec<RejectedRow>,
     /// Faulty runs of rows, with possible causes.
@@ -82,13 +80,14 @@ impl RowSet {
         let parts = if hold_out { whole.independent(PARTS) } else { Vec::new() };
         // With a single group of similar rows nothing can be held out.
         let can_hold_out = parts.len() > 1;
-        let mut held_out = parts.into_iter().next().filter(|_| can_hold_out).unwrap_or_default();
-        held_out.sort_unstable();
-        let fitted = (0..whole.samples()).filter(|sample| held_out.binary_search(sample).is_err()).collect();
-        let errors = RowErrors { fitted, held_out, ..RowErrors::default() };
+        let mut held_out_rows = parts.into_iter().next().filter(|_| can_hold_out).unwrap_or_default();
+        held_out_rows.sort_unstable();
+        let is_fitted = |row: &usize| held_out_rows.binary_search(row).is_err();
         Self {
+            fitted_rows: (0..whole.samples()).filter(is_fitted).collect(),
+            held_out_rows,
             whole,
-            errors,
+            errors: Stages::default(),
             rejected,
             runs: Vec::new(),
             drift: None,
@@ -105,32 +104,32 @@ impl RowSet {
 
     /// The instrument with the rows that a fit uses.
     pub(super) fn fitting(&self) -> Instrument {
-        self.whole.part(&without(&self.errors.fitted, &self.rejected))
+        self.whole.part(&without(&self.fitted_rows, &self.rejected))
     }
 
     /// Records the errors of the nominal robot, with the instrument fitted to it.
     pub(super) fn judge_nominal(&mut self, model: &Model) {
-        self.errors.stages[NOMINAL] = self.errors_with(model);
+        self.errors.nominal = self.errors_with(model);
         self.step = implausible::step(&self.whole, model);
     }
 
     /// Records the errors with the best joint offsets, and with the best links.
     pub(super) fn judge_links(&mut self, offsets: Option<&Model>, links: &Model) {
-        self.errors.stages[OFFSETS] = offsets.map_or_else(Vec::new, |model| self.errors_with(model));
-        self.errors.stages[LINKS] = self.errors_with(links);
+        self.errors.offsets = offsets.map_or_else(Vec::new, |model| self.errors_with(model));
+        self.errors.links = self.errors_with(links);
     }
 
     /// Records the errors with all accepted joint errors and the drift; rejects misplaced rows.
     pub(super) fn judge_joints(&mut self, model: &Model) {
-        self.errors.stages[JOINTS] = self.without_drift().errors(&model.geometry(&[]));
+        self.errors.joints = self.without_drift().errors(&model.geometry(&[]));
         self.runs = faulty_runs::runs(model, &self.whole, &self.rejected);
         self.reject(&self.whole.misplaced(model));
     }
 
     /// Rejects additional rows; `more` is in ascending order.
     fn reject(&mut self, more: &[RejectedRow]) {
-        self.errors.fitted = without(&self.errors.fitted, more);
-        self.errors.held_out = without(&self.errors.held_out, more);
+        self.fitted_rows = without(&self.fitted_rows, more);
+        self.held_out_rows = without(&self.held_out_rows, more);
         self.rejected.extend(more);
         self.rejected.sort_by_key(|rejected| rejected.row);
     }
@@ -141,7 +140,7 @@ impl RowSet {
     pub(super) fn leave_out_gross(&mut self, model: &Model) {
         let mut whole = self.whole.clone();
         whole.adapt(model);
-        let [nominal, .., joints] = &self.errors.stages;
+        let Stages { nominal, joints, .. } = &self.errors;
         let is_gross = gross_rows(nominal, joints, &whole.relative_noise());
         let rows = without(&(0..is_gross.len()).collect::<Vec<_>>(), &self.rejected);
         let gross = rows.into_iter().filter(|row| is_gross[*row]).map(|row| {
@@ -176,7 +175,7 @@ impl RowSet {
         if self.whole.lengths_m().is_empty() {
             return Ok(());
         }
-        let fitting = without(&self.errors.fitted, &self.rejected);
+        let fitting = without(&self.fitted_rows, &self.rejected);
         let faulty = self.faulty_rows(run, &fitting);
         let kept = without(&fitting, &faulty).len();
         if kept < fitting.len() / 2 {
@@ -260,18 +259,26 @@ impl RowSet {
         drift::widens(model, &self.whole, &self.given, drift, sigma_m)
     }
 
+    /// Statistics of the chosen rows, per stage.
+    fn figures(&self, chosen: &[usize]) -> Stages {
+        let of =
+            |errors: &[PoseError]| PoseFigures::of(chosen.iter().filter_map(|&row| errors.get(row).copied()));
+        let Stages { nominal, offsets, links, joints } = &self.errors;
+        Stages { nominal: of(nominal), offsets: of(offsets), links: of(links), joints: of(joints) }
+    }
+
     /// Errors of the rows that the fit used, without rejected ones.
     pub fn fitted(&self) -> Stages {
-        self.errors.of(&without(&self.errors.fitted, &self.rejected))
+        self.figures(&without(&self.fitted_rows, &self.rejected))
     }
 
     /// Errors of held-out rows, without rejected ones (contradictory data, faulty runs, gross or misplaced rows).
     pub fn held_out(&self) -> Stages {
-        self.errors.of(&without(&self.errors.held_out, &self.rejected))
+        self.figures(&without(&self.held_out_rows, &self.rejected))
     }
 
     /// Errors of all held-out rows.
     pub fn held_out_with_rejected(&self) -> Stages {
-        self.errors.of(&self.errors.held_out)
+        self.figures(&self.held_out_rows)
     }
 }

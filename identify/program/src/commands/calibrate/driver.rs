@@ -13,7 +13,6 @@ use super::refused::refused;
 use super::result::{conclude, limited, write_files};
 use super::rows::{self, Aligned, Beside, Others, WithLogs};
 use super::{ResultArguments, inputs};
-use crate::calibrate::rows::RowErrors;
 use crate::calibrate::{self, Calibration, DataSets, RunInput};
 use crate::commands::ensure_can_write;
 use crate::commands::on_terminal::OnTerminal;
@@ -102,7 +101,7 @@ pub(super) fn calibrate(
         calibration: &calibration,
         evidence: &evidence,
         bar,
-        rows: &tables.errors,
+        rows: &tables.names,
         tables: &tables.text,
         sources: &bars.iter().flat_map(|run| run.sources(robot)).collect::<Vec<_>>(),
         configuration: &experiment.write(directory)?,
@@ -184,7 +183,7 @@ fn instruments(bars: &[RunFiles<'_>], runs: &[Run]) -> String {
 
 /// What the result reports of its data sets: for the terminal, the page and the files.
 #[derive(Default)]
-struct Tables<'a> {
+struct Tables {
     /// For the page, and for the terminal where all is printed.
     text: String,
     /// Lines of the terminal about files of `--validate`.
@@ -192,13 +191,13 @@ struct Tables<'a> {
     entries: Vec<RowsEntry>,
     validations: Vec<ValidationEntry>,
     limits: Vec<Limit>,
-    /// Each file of rows with its name.
-    errors: Vec<(String, &'a RowErrors)>,
+    /// Name of each file of rows.
+    names: Vec<String>,
 }
 
-impl<'a> Tables<'a> {
+impl Tables {
     fn of_rows(
-        calibration: &'a Calibration,
+        calibration: &Calibration,
         rows: &[Rows],
         beside: &[Beside],
         others: &[Others<'_>],
@@ -226,7 +225,7 @@ impl<'a> Tables<'a> {
                 [&name, &robot.name],
                 &beside.lines,
             ));
-            tables.entries.extend((!set.errors.held_out.is_empty()).then(|| RowsEntry {
+            tables.entries.extend((!set.held_out_rows.is_empty()).then(|| RowsEntry {
                 data_set: number + 1,
                 hold_out: rows.hold_out(),
                 seed: rows.seed(),
@@ -234,7 +233,7 @@ impl<'a> Tables<'a> {
                 fitted: set.fitted(),
                 held_out: set.held_out_with_rejected(),
             }));
-            tables.errors.push((name, &set.errors));
+            tables.names.push(name);
         }
         if !rows.is_empty() {
             tables.text += &rows_report::waves(calibration.model());

@@ -21,7 +21,6 @@ use sha2::{Digest, Sha256};
 use shared::config::BallBarConfig;
 
 use crate::calibrate::Calibration;
-use crate::calibrate::rows::RowErrors;
 use crate::evaluate::Evidence;
 use crate::report::result::file::{CalibrationFile, FileError, replace};
 
@@ -46,8 +45,8 @@ pub struct Page<'a> {
     pub evidence: &'a Evidence,
     /// The bar of the first run, as configured.
     pub bar: Option<&'a BallBarConfig>,
-    /// Each file of rows with its name, in the order of the data sets.
-    pub rows: &'a [(String, &'a RowErrors)],
+    /// Name of each file of rows, in the order of the data sets.
+    pub rows: &'a [String],
     /// Tables of the rows' errors, as on the command line.
     pub tables: &'a str,
     /// Recording and robot log of each run; may be empty.
@@ -84,10 +83,10 @@ impl Page<'_> {
     pub fn render(&self) -> Result<Markup, PlotError> {
         let title = format!("Calibration of {}", self.file.robot);
         let has_bars = !self.evidence.runs.is_empty();
-        let names_of_rows = self.rows.iter().map(|(name, _)| name.clone());
+        let names_of_rows = self.rows.iter().cloned();
         // Headings for the tables of parameters that belong to one data set: that of the first, and those of the others.
         let (first_heading, other_headings): (_, Vec<String>) = match self.rows.first() {
-            Some((first, _)) if !has_bars => (first.as_str(), names_of_rows.skip(1).collect()),
+            Some(first) if !has_bars => (first.as_str(), names_of_rows.skip(1).collect()),
             _ => {
                 let names_of_runs = runs::names(self).into_iter().skip(1).flatten();
                 ("Place of the bar, clocks", names_of_runs.chain(names_of_rows).collect())

@@ -7,9 +7,13 @@ use super::drawing::figures::{WIDE, dots};
 use super::drawing::plot::{BLUE, GREY, ORANGE, Panel, PlotError};
 use super::held_out::{POSITION_MM, ROTATION_MRAD, Value};
 use super::sections::{mm, number};
-use crate::calibrate::rows::RowErrors;
+use crate::calibrate::rows::{RowSet, Stages};
 use crate::instrument::PoseError;
 use crate::statistics::Sizes;
+
+fn names_and_sets<'a>(page: &Page<'a>) -> impl Iterator<Item = (&'a String, &'a RowSet)> {
+    page.rows.iter().zip(&page.calibration.rows)
+}
 
 /// Errors on held-out rows, nominal and calibrated, as large numbers.
 pub(super) fn numbers(page: &Page<'_>) -> Markup {
@@ -17,8 +21,8 @@ pub(super) fn numbers(page: &Page<'_>) -> Markup {
         format!("mean {} mm, 95 % {} mm, largest {} mm", mm(mean), mm(p95), mm(max))
     };
     html! {
-        @for (name, errors) in page.rows.iter().filter(|(_, errors)| !errors.held_out.is_empty()) {
-            @let held_out = errors.of(&errors.held_out);
+        @for (name, set) in names_and_sets(page).filter(|(_, set)| !set.held_out_rows.is_empty()) {
+            @let held_out = set.held_out_with_rejected();
             @for (robot, figures) in [("nominal robot", held_out.nominal), ("calibrated", held_out.joints)] {
                 @let label = format!("{name}, {} held-out rows, {robot}, RMS; {}", figures.rows, sizes(figures.position_m));
                 (number(mm(figures.position_m.rms) + " mm", label))
@@ -35,9 +39,7 @@ pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
     Ok(html! {
         h2 { "Errors, row by row" }
         p.note { "Robot against measurement. The scales differ. Rejected rows are drawn, too." }
-        @for (name, errors) in page.rows {
-            @if !errors.stages[0].is_empty() { figure { p.run { (name) } (panels(errors)?) } }
-        }
+        @for (name, set) in names_and_sets(page) { figure { p.run { (name) } (panels(set)?) } }
         pre.table { (page.tables) }
         @for clock in page.file.clocks.iter().filter(|clock| clock.data_set > page.evidence.runs.len()) {
             p { "Clocks of data set " (clock.data_set) ": " (clock.sentence()) "." }
@@ -46,25 +48,24 @@ pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
 }
 
 /// The errors of a file, nominal and calibrated.
-fn panels(errors: &RowErrors) -> Result<Markup, PlotError> {
-    let [nominal, .., calibrated] = &errors.stages;
-    let panel = |title: &str, y: &str, stage: &[PoseError], value: Value| {
+fn panels(set: &RowSet) -> Result<Markup, PlotError> {
+    let Stages { nominal, joints, .. } = &set.errors;
+    let panel = |title: &str, y: &str, colour, stage: &[PoseError], value: Value| {
         let points = |rows: &[usize]| {
             rows.iter().filter_map(|&row| Some((row as f64 + 1.0, value(stage.get(row)?)?))).collect()
         };
-        let colour = if std::ptr::eq(stage, nominal.as_slice()) { GREY } else { BLUE };
         let series = vec![
-            dots("fitted", colour, points(&errors.fitted)),
-            dots("held out", ORANGE, points(&errors.held_out)),
+            dots("fitted", colour, points(&set.fitted_rows)),
+            dots("held out", ORANGE, points(&set.held_out_rows)),
         ];
         Panel::new(title, ["row", y], WIDE, series).with_zero().draw()
     };
     Ok(html! {
-        (panel("Nominal robot", "[mm]", nominal, POSITION_MM)?)
-        (panel("Calibrated robot", "[mm]", calibrated, POSITION_MM)?)
-        @if calibrated.iter().any(|one| one.rotation_rad.is_some()) {
-            (panel("Rotation, nominal", "[mrad]", nominal, ROTATION_MRAD)?)
-            (panel("Rotation, calibrated", "[mrad]", calibrated, ROTATION_MRAD)?)
+        (panel("Nominal robot", "[mm]", GREY, nominal, POSITION_MM)?)
+        (panel("Calibrated robot", "[mm]", BLUE, joints, POSITION_MM)?)
+        @if joints.iter().any(|error| error.rotation_rad.is_some()) {
+            (panel("Rotation, nominal", "[mrad]", GREY, nominal, ROTATION_MRAD)?)
+            (panel("Rotation, calibrated", "[mrad]", BLUE, joints, ROTATION_MRAD)?)
         }
     })
 }
