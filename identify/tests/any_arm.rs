@@ -787,8 +787,7 @@ fn an_arm_on_a_lift_is_known_as_well_as_the_tracker_shows_it() {
         1.5 * (distance_m(&chain) - distance_m(&truth)).powi(2)
     });
     let error_m = (off.sum::<f64>() / 500.0).sqrt();
-    let covariance = &found.0.solved.solution.covariance;
-    let known_m = workspace_error(found.model(), covariance, &robot.joint_limits()).budget.expanded_m;
+    let known_m = workspace_error(&found.0, &robot.joint_limits()).budget.expanded_m;
     println!("error {:.4} mm, known within {:.4} mm (k = 2)", error_m * 1e3, known_m * 1e3);
     assert!((1.0..8.0).contains(&(known_m / error_m)), "{error_m} {known_m}");
 }

@@ -49,7 +49,7 @@ fn with_the_bar(seed: u64, plate_u_um: f64, config: &IdentifyConfig) -> (f64, Ex
     let off: f64 = StdRng::seed_from_u64(seed).sample(StandardNormal);
     bar = BallBarConfig { plate_m: bar.plate_m + 1e-6 * plate_u_um * off, plate_u_um, ..bar };
     let found = calibrated(&run, &robot, &bar, config);
-    let claimed = workspace_error(found.model(), &found.solution().covariance, &robot.joint_limits()).after;
+    let claimed = workspace_error(&found, &robot.joint_limits()).after;
     (position_error_m(&run, &found, &robot), claimed)
 }
 
@@ -89,7 +89,7 @@ fn with_a_tracker(seed: u64) -> (f64, Expected) {
     let end = |chain: &identify::kinematics::Chain, q: &[f64; 6]| chain.forward(q).translation.vector;
     let errors_m = postures.iter().map(|q| (end(&identified, q) - end(&truth, q)).norm());
     let error_m = errors_m.sum::<f64>() / postures.len() as f64;
-    (error_m, workspace_error(found.model(), &found.0.solved.solution.covariance, &limits).after)
+    (error_m, workspace_error(&found.0, &limits).after)
 }
 
 /// Number of errors within their claimed 95 % interval, and number of errors below its upper end.
@@ -154,8 +154,7 @@ fn a_rod_that_is_known_gives_the_scale_where_the_plate_does_not() {
     let rod = BallBarConfig { length_u_um: Some(20.0), ..plate.clone() };
     let [by_plate, by_rod] = [&plate, &rod].map(|bar| {
         let found = calibrated(&run, &robot, bar, &quick(&[]));
-        let claimed =
-            workspace_error(found.model(), &found.solution().covariance, &robot.joint_limits()).after;
+        let claimed = workspace_error(&found, &robot.joint_limits()).after;
         (position_error_m(&run, &found, &robot) * 1e3, claimed.interval_m[1] * 1e3)
     });
     println!("error and claim [mm]: {by_plate:?} by the plate, {by_rod:?} by the rod");
@@ -182,7 +181,7 @@ fn each_contribution_of_the_budget_is_what_its_source_does_to_the_robot() {
     let (run, robot, bar) = (simulated(2), irb2400(), bar());
     let (bar, config) = (BallBarConfig { plate_u_um: 100.0, ..bar }, quick(&["ralpha3"]));
     let found = calibrated(&run, &robot, &bar, &config);
-    let claimed = workspace_error(found.model(), &found.solution().covariance, &robot.joint_limits());
+    let claimed = workspace_error(&found, &robot.joint_limits());
     let Budget { contributions, u_m, expanded_m, .. } = &claimed.budget;
     let of = |start: &str| {
         let found = contributions.iter().find(|one| one.source.starts_with(start));

@@ -36,7 +36,7 @@ fn calibrated(
     config: &IdentifyConfig,
 ) -> (Calibration, [f64; 2]) {
     let found = calibrate_run(&run.cycles, &run.encoders, &run.robot_log, robot, bar, config).unwrap();
-    let workspace = workspace_error(found.model(), &found.solution().covariance, &robot.joint_limits());
+    let workspace = workspace_error(&found, &robot.joint_limits());
     let (true_m, _) = position_errors_m(found.model(), &run.truth, robot, [Vector3::zeros(); 2]);
     (found, [workspace.budget.expanded_m, true_m])
 }

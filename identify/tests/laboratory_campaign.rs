@@ -47,7 +47,7 @@ fn calibrated(run: &Simulated, robot: &RobotConfig, bar: &BallBarConfig, config:
     let shifts: Vec<f64> = found.prepared().unwrap().local_shifts.chunks_exact(4).map(of_part).collect();
     let mean = shifts.iter().sum::<f64>() / shifts.len() as f64;
     let variance = shifts.iter().map(|shift| (shift - mean).powi(2)).sum::<f64>() / (shifts.len() - 1) as f64;
-    let expected = workspace_error(found.model(), &found.solution().covariance, &robot.joint_limits()).after;
+    let expected = workspace_error(&found, &robot.joint_limits()).after;
     Outcome {
         position_mm: position_errors_m(found.model(), &run.truth, robot, [Vector3::zeros(); 2]).0 * 1e3,
         expected_mm: expected.interval_m.map(|limit_m| limit_m * 1e3),

@@ -99,8 +99,7 @@ fn the_error_that_the_page_expects_is_the_error_that_the_robot_has() {
     const SEEDS: u64 = 8;
     for seed in 1..=SEEDS {
         let (run, found) = calibrated(&robot, seed, None);
-        let expected =
-            workspace_error(found.model(), &found.solution().covariance, &robot.joint_limits()).after;
+        let expected = workspace_error(&found, &robot.joint_limits()).after;
         let truth_m = position_error_m(&run, &found, &robot);
         println!(
             "seed {seed}: true {:.4} mm, expected {:.4} ({:.4} to {:.4})",

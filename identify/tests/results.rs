@@ -5,7 +5,7 @@ use crate::support::{Cell, noisy_poses};
 use identify::calibrate::validation::deployment::{Deployed, Deployment};
 use identify::cost::{LoopProblem, Residual, Transform};
 use identify::kinematics::{Chain, DhLink, Pose};
-use identify::model::{Model, Selection};
+use identify::model::{Column, Model, Selection};
 use identify::report::result::corrections::corrections;
 use identify::report::result::deployments::DeploymentEntry;
 use identify::report::result::file::{CalibrationFile, DhRow, ParameterEntry, SolveEntry};
@@ -26,8 +26,9 @@ fn solved() -> (Model, Solution) {
 fn file(model: &Model, solution: &Solution) -> CalibrationFile {
     let solve = SolveEntry::new("transform", &solution.summary, &solution.identifiability);
     let sigma = |id| model.column_of(id).and_then(|column| solution.covariance.sigma(column));
+    let columns: Vec<Column> = model.columns().map(|one| Column { id: one.id, data_set: 0 }).collect();
     CalibrationFile::new("robot", "bar", solve, Vec::new(), ParameterEntry::all(model, sigma))
-        .with_knowledge(solution)
+        .with_knowledge(solution, &columns)
 }
 
 /// Robot and bar (with its base at the root) from a table of links.

@@ -80,7 +80,7 @@ fn a_ur10_is_calibrated_with_the_ball_bar_and_what_its_parallel_axes_do_not_sepa
     let groups: Vec<String> =
         not_separated(found.model(), found.solution()).iter().map(|group| names(group)).collect();
     assert_eq!(groups, ["rd2|rd3|rd4"]);
-    let claimed = workspace_error(found.model(), &found.solution().covariance, &robot.joint_limits()).after;
+    let claimed = workspace_error(&found, &robot.joint_limits()).after;
     let error_m = position_error_m(&run, &found, &robot);
     println!("{:.3} mm, claimed up to {:.3} mm", error_m * 1e3, claimed.interval_m[1] * 1e3);
     assert!(error_m < 0.2e-3 && error_m < claimed.interval_m[1], "{error_m} {claimed:?}");
@@ -163,7 +163,7 @@ fn zeros_of_joints_half_a_degree_off_contradict_no_expectation() {
         link.theta_deg += 0.5 * sign;
     }
     let found = calibrated(&run, &file, &quick());
-    let workspace = workspace_error(found.model(), &found.solution().covariance, &robot.joint_limits());
+    let workspace = workspace_error(&found, &robot.joint_limits());
     let limits: Vec<String> = limits(&found, &workspace).into_iter().map(|one| one.sentence).collect();
     assert!(!limits.iter().any(|limit| limit.contains("contradict the prior of")), "{limits:#?}");
     let error_m = position_error_m(&run, &found, &robot);

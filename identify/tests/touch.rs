@@ -76,8 +76,7 @@ fn faces_of_which_nothing_is_known_leave_the_scale_to_the_robots_file_and_say_so
     let robot = irb2400();
     let made = touch::run(&TouchExperiment { known: false, ..usual(&robot, 3) }).unwrap();
     let found = calibrated(&robot, &made);
-    let (model, covariance) = (found.model(), &found.solution().covariance);
-    let workspace = workspace_error(model, covariance, &robot.joint_limits());
+    let workspace = workspace_error(&found, &robot.joint_limits());
     let scale = identify::evaluate::scale_sentence(
         [],
         found.runs.iter().map(|run| run.instrument.scale()),
@@ -88,7 +87,7 @@ fn faces_of_which_nothing_is_known_leave_the_scale_to_the_robots_file_and_say_so
     let limits = limits(&found, &workspace);
     assert!(limits.iter().all(|limit| !limit.sentence.contains("contradict")), "{limits:?}");
     // The uncertainty of known positions includes that of the scale.
-    let after_m = apart_m(&robot, &model.geometry(&[]).robot, &made.robot);
+    let after_m = apart_m(&robot, &found.model().geometry(&[]).robot, &made.robot);
     assert!(workspace.budget.expanded_m > 0.9e-3, "{}", workspace.budget.expanded_m);
     assert!(after_m < 1.5 * workspace.budget.expanded_m, "{after_m}");
 }

@@ -65,7 +65,7 @@ pub fn judged(
     let solve = SolveEntry::new(found.cost_name(), &solution.summary, &solution.identifiability);
     let parameters = ParameterEntry::of_calibration(found);
     let file = CalibrationFile::new(&robot.name, "bar", solve, Vec::new(), parameters);
-    let file = file.with_knowledge(solution).with_validation(&evidence);
+    let file = file.with_knowledge(solution, &found.solved.covariance_columns).with_validation(&evidence);
     let file = file.with_verdict(&evidence.workspace, &evidence.limits, None);
     let (mean_m, p95_m) = position_errors_m(found.model(), &run.truth, robot, [Vector3::zeros(); 2]);
     Ok((evidence.workspace, file.verdict.unwrap(), [mean_m, p95_m]))

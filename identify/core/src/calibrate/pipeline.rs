@@ -12,7 +12,7 @@ use super::selection::line_spectrum::Shown;
 use super::selection::terms::{Candidate, CandidateGroup};
 use crate::cost::{CostError, DataSets, SharedColumns};
 use crate::instrument::{CostName, Run, ScaleFrom};
-use crate::model::{Group, Model, ModelError, ParameterId, Role};
+use crate::model::{Column, Group, Model, ModelError, ParameterId, Role};
 use crate::solver::{
     GoodShare, Loss, LossName, Normals, Options, Problem, Solution, Summary, Watch, minimise,
     minimise_robust, solve,
@@ -69,6 +69,8 @@ pub struct Solved {
     pub columns: SharedColumns,
     /// Solution of the last solve.
     pub solution: Solution,
+    /// Columns of its covariance: those of the solution, then left-out terms and considered parameters.
+    pub covariance_columns: Vec<Column>,
     /// Models of the runs before any term was accepted.
     pub without_terms: Vec<Model>,
     /// Groups of terms that were tried, with the results.
@@ -158,9 +160,9 @@ fn estimate_in_steps(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, Calibr
         (columns, solution) = solver.solve_with_terms()?;
     }
     solution.summary.residual_rms_start = rms_start;
-    solution.covariance = solver.covariance(&columns, &solution)?;
+    let covariance_columns = solver.add_covariance(&columns, &mut solution)?;
     let sigmas = solver.sigmas;
-    Ok(Solved { columns, solution, without_terms, candidates, prior_scale, sigmas })
+    Ok(Solved { columns, solution, covariance_columns, without_terms, candidates, prior_scale, sigmas })
 }
 
 /// Terms that were tried, and the scale of the tolerances.
@@ -185,8 +187,8 @@ pub(super) fn refit(
     let plan = Plan { watch, ..Plan::new(loss, Vec::new()) };
     let mut solver = Solver::new(runs, &plan);
     let (columns, mut solution) = solver.solve_with_weights()?;
-    solution.covariance = solver.covariance(&columns, &solution)?;
-    Ok(Solved { columns, solution, sigmas: solver.sigmas, ..before })
+    let covariance_columns = solver.add_covariance(&columns, &mut solution)?;
+    Ok(Solved { columns, solution, covariance_columns, sigmas: solver.sigmas, ..before })
 }
 
 /// Those of rod and plate lengths that differ between the runs with a bar.

@@ -7,8 +7,8 @@ use super::error::CalibrateError;
 use super::pipeline::{LEFT_OUT, Solver, is_own, problem_with_models};
 use crate::cost::{CostError, SharedColumns};
 use crate::instrument::Run;
-use crate::model::{Model, Parameter, ParameterId, Role};
-use crate::solver::{Considered, Covariance, Loss, Normals, Options, Solution, Source, influence};
+use crate::model::{Column, Model, Parameter, ParameterId, Role};
+use crate::solver::{Considered, Loss, Normals, Options, Solution, Source, influence};
 
 /// Models of all runs, which may estimate more parameters than those of the solve, and the map of their columns.
 struct Models {
@@ -74,28 +74,26 @@ impl Solver<'_> {
     ) -> Result<(SharedColumns, Vec<ParameterId>, Option<Normals>), CostError> {
         let models = self.models(Model::clone);
         let normals = self.normals(&models, loss, count)?.map(|(normals, _)| normals);
-        let ids_of = |model: &Model| model.columns().map(|parameter| parameter.id).collect();
-        let ids: Vec<Vec<ParameterId>> = models.of_runs.iter().map(ids_of).collect();
-        let ids = models.columns.gather(&ids);
+        let ids = models.columns.all().iter().map(|column| column.id).collect();
         Ok((models.columns, ids, normals))
     }
 
-    /// Covariance of the solution: by the jackknife if there are enough groups, with the contribution of parameters that are
-    /// fixed at uncertain values.
+    /// Sets the covariance of the solution, by the jackknife if there are enough groups, with the contribution of parameters that
+    /// are fixed at uncertain values. Returns its columns.
     ///
     /// It is unknown whether excluded terms exist. With these terms and their priors, both the covariance and the solution
     /// differ, and both differences are included (the mean squared error of a solution without them, if they are as expected).
-    pub(super) fn covariance(
+    pub(super) fn add_covariance(
         &self,
         columns: &SharedColumns,
-        solution: &Solution,
-    ) -> Result<Covariance, CalibrateError> {
+        solution: &mut Solution,
+    ) -> Result<Vec<Column>, CalibrateError> {
         self.begins("uncertainty");
-        let mut covariance = solution.covariance.clone();
+        let mut of_covariance = columns.all().to_vec();
         let models = self.models(|model| model.with_considered(prior_of_term));
-        let all = models.columns.names();
-        let column_in_all = |name: &String| all.iter().position(|other| other == name);
-        let estimated: Vec<usize> = columns.names().iter().filter_map(column_in_all).collect();
+        let all = models.columns.all();
+        let column_in_all = |column: &Column| all.iter().position(|other| other == column);
+        let estimated: Vec<usize> = columns.all().iter().filter_map(column_in_all).collect();
         let left_out: Vec<usize> = (0..all.len()).filter(|column| !estimated.contains(column)).collect();
         if let Some((normals, of_run)) = self.normals(&models, solution.loss, LEFT_OUT)?
             && let Some(mut spread) = normals.jackknife(|group| of_run[group])
@@ -105,24 +103,29 @@ impl Solver<'_> {
             {
                 spread.add(Source::LeftOut, &step);
             }
-            let names = left_out.iter().map(|column| all[*column].clone()).collect();
-            covariance = covariance.by_jackknife(spread.of(&estimated, &left_out), normals.folds(), names);
+            of_covariance.extend(left_out.iter().map(|column| all[*column]));
+            let spread = spread.of(&estimated, &left_out);
+            solution.covariance.replace_by_jackknife(spread, normals.folds(), left_out.len());
         }
-        Ok(match self.considered(columns, solution.loss)? {
-            Some(considered) => covariance.with_considered(considered),
-            None => covariance,
-        })
+        if let Some((considered, of_considered)) = self.considered(columns, solution.loss)? {
+            of_covariance.extend(of_considered);
+            solution.covariance.add_considered(considered);
+        }
+        Ok(of_covariance)
     }
 
-    /// Effect of the errors of [`Role::Considered`] parameters on the solution; `None` if there are none.
-    fn considered(&self, columns: &SharedColumns, loss: Loss) -> Result<Option<Considered>, CalibrateError> {
-        // `Self::covariance` includes considered terms with their priors.
+    /// Effect of the errors of [`Role::Considered`] parameters on the solution, and their columns; `None` if there are none.
+    fn considered(
+        &self,
+        columns: &SharedColumns,
+        loss: Loss,
+    ) -> Result<Option<(Considered, Vec<Column>)>, CalibrateError> {
+        // `Self::add_covariance` includes considered terms with their priors.
         let free = |parameter: &Parameter, _| parameter.id.term().is_none().then_some(Role::Free);
         let models = self.models(|model| model.with_considered(free));
-        let all = models.columns.names();
-        let column_of = |name: &String| columns.names().iter().position(|other| other == name);
-        let considered: Vec<usize> =
-            (0..all.len()).filter(|column| column_of(&all[*column]).is_none()).collect();
+        let all = models.columns.all();
+        let estimated = |column: usize| columns.all().iter().position(|other| *other == all[column]);
+        let considered: Vec<usize> = (0..all.len()).filter(|column| estimated(*column).is_none()).collect();
         if considered.is_empty() {
             return Ok(None);
         }
@@ -131,13 +134,12 @@ impl Solver<'_> {
         let problem = problem_with_models(self.runs, &models.of_runs, &models.columns, &self.sigmas)?;
         let options = Options { loss, ..Options::default() };
         let found = influence(&problem, &models.start(), &considered, &options)?;
-        let mut change = DMatrix::zeros(columns.names().len(), considered.len());
-        for (row, name) in found.estimated.iter().enumerate() {
-            if let Some(column) = column_of(name) {
-                change.row_mut(column).copy_from(&found.change.row(row));
-            }
+        let mut change = DMatrix::zeros(columns.all().len(), considered.len());
+        for (row, column) in (0..all.len()).filter_map(estimated).enumerate() {
+            change.row_mut(column).copy_from(&found.change.row(row));
         }
         let sigmas = considered.iter().map(|column| sigmas[*column]).collect();
-        Ok(Some(Considered { names: found.held, sigmas, change }))
+        let considered = considered.iter().map(|column| all[*column]).collect();
+        Ok(Some((Considered { sigmas, change }, considered)))
     }
 }

@@ -3,7 +3,7 @@
 //! Each data set (`run` is its index) has its own model. A parameter that two models share, such as a link of the robot, has
 //! one column in the combined problem; one that each run has for itself, such as the bar's position, has a column per run.
 
-use crate::model::{Model, ParameterId};
+use crate::model::{Column, Model, ParameterId};
 use crate::solver::{Linearisation, Prior, Problem};
 
 /// Whitened samples of one instrument, independent of the type of residual.
@@ -17,27 +17,26 @@ pub trait DataSet: Problem {
 pub struct SharedColumns {
     /// For each run, the combined column of each of its parameters.
     of_runs: Vec<Vec<usize>>,
-    names: Vec<String>,
+    all: Vec<Column>,
 }
 
 impl SharedColumns {
     /// `is_own` is true for parameters that each run has for itself; all others are shared with the first run that has them.
-    /// Columns of the first run are first, in its order. Parameters that belong to run `n` only are named `ox@n`.
+    /// Columns of the first run are first, in its order.
     pub fn new<'m>(
         models: impl IntoIterator<Item = &'m Model>,
         is_own: impl Fn(ParameterId) -> bool,
     ) -> Self {
         let mut shared: Vec<(ParameterId, usize)> = Vec::new();
-        let mut combined = Self { of_runs: Vec::new(), names: Vec::new() };
+        let mut combined = Self { of_runs: Vec::new(), all: Vec::new() };
         for (run, model) in models.into_iter().enumerate() {
             let column_of = |id: ParameterId| {
                 let is_own = is_own(id);
                 if let Some((_, column)) = shared.iter().find(|(other, _)| !is_own && *other == id) {
                     return *column;
                 }
-                let column = combined.names.len();
-                let name = if run > 0 && is_own { format!("{id}@{}", run + 1) } else { id.to_string() };
-                combined.names.push(name);
+                let column = combined.all.len();
+                combined.all.push(Column { id, data_set: if is_own { run } else { 0 } });
                 if !is_own {
                     shared.push((id, column));
                 }
@@ -54,9 +53,9 @@ impl SharedColumns {
         self.of_runs.get(run).map_or(&[], Vec::as_slice)
     }
 
-    /// Names of all combined columns.
-    pub fn names(&self) -> &[String] {
-        &self.names
+    /// The combined columns, in the order of a solution.
+    pub fn all(&self) -> &[Column] {
+        &self.all
     }
 
     /// The parameter values of one run, from those of the combined problem.
@@ -73,7 +72,7 @@ impl SharedColumns {
             };
             self.of_runs.iter().zip(values_of_runs).find_map(value_in_run)
         };
-        (0..self.names.len()).filter_map(first_value).collect()
+        (0..self.all.len()).filter_map(first_value).collect()
     }
 }
 
@@ -128,11 +127,11 @@ impl<'a> DataSets<'a> {
 
 impl Problem for DataSets<'_> {
     fn columns(&self) -> usize {
-        self.columns.names().len()
+        self.columns.all().len()
     }
 
     fn column_name(&self, column: usize) -> String {
-        self.columns.names().get(column).cloned().unwrap_or_else(|| format!("column {column}"))
+        self.columns.all().get(column).map_or_else(|| format!("column {column}"), ToString::to_string)
     }
 
     fn samples(&self) -> usize {

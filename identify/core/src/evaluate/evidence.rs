@@ -87,9 +87,8 @@ pub fn evidence(calibration: &Calibration, joint_limits: &[[f64; 2]]) -> Evidenc
     let measured = calibration.measured();
     let by_encoders = measured.contains(&true);
     let of_all_runs = |closures: fn(&RunEvidence) -> &Vec<Closure>| runs.iter().flat_map(closures);
-    let (model, covariance) = (calibration.model(), &calibration.solution().covariance);
-    let uncertain = Workspace::new(model, covariance, joint_limits);
-    let workspace = uncertain.error(model, covariance, joint_limits);
+    let uncertain = Workspace::new(calibration, joint_limits);
+    let workspace = uncertain.error(calibration, joint_limits);
     Evidence {
         by_encoders,
         rotations: measured == [true; 5],

@@ -17,7 +17,7 @@ pub use geometry::{BarElongation, BasePlacement, Clock, Contact, Face, Geometry,
 pub use joint_errors::{BACKLASH_SPEED_RAD_S, DriveState, DriveTrain, JointErrors};
 pub use joint_term::{JointTerm, Load, Period};
 pub use observation::{BarForce, JointState, Observation, PerObservation, RobotMotion};
-pub use parameter::{Axis, FaceNumber, Group, Owner, ParameterBlock, ParameterId, Unit, further};
+pub use parameter::{Axis, Column, FaceNumber, Group, Owner, ParameterBlock, ParameterId, Unit, further};
 pub use roles::{Model, ModelError, Parameter, Role};
 pub use selection::{Selection, thesis_fixed};
 pub use term_group::TermGroup;

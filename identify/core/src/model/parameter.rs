@@ -592,12 +592,6 @@ impl ParameterId {
         }
     }
 
-    /// The parameter of a column of a solution, by the column's name. If each data set has its own, the name ends with the number
-    /// of the data set: `ox@2`.
-    pub fn of_column(name: &str) -> Option<Self> {
-        name.split('@').next()?.parse().ok()
-    }
-
     /// All parameters of a group of error terms.
     pub fn of_term(group: TermGroup) -> impl Iterator<Item = Self> {
         Self::all().filter(move |id| id.term() == Some(group))
@@ -607,6 +601,25 @@ impl ParameterId {
     pub fn joint_waves(last: u8) -> impl Iterator<Item = Self> {
         Self::of_term(TermGroup::LineSpectrum)
             .filter(move |id| matches!(id, Self::JointWave { order, .. } if *order <= last))
+    }
+}
+
+/// A column of a solution: its parameter, and the data set that has it for itself.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Column {
+    /// Parameter whose value the column has.
+    pub id: ParameterId,
+    /// Index of the data set, from 0; 0 for a parameter that the data sets share.
+    pub data_set: usize,
+}
+
+/// The name of the parameter; if the column belongs to a later data set, with its number: `ox@2`.
+impl fmt::Display for Column {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.data_set {
+            0 => write!(f, "{}", self.id),
+            later => write!(f, "{}@{}", self.id, later + 1),
+        }
     }
 }
 

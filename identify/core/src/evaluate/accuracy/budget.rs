@@ -4,8 +4,9 @@
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
-use crate::model::{Group, Model, ParameterId, Role};
-use crate::solver::{Covariance, Source};
+use crate::calibrate::Calibration;
+use crate::model::{Column, Group, Model, ParameterId, Role};
+use crate::solver::Source;
 
 /// Type of evaluation of a contribution (GUM 3.3.4).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -54,16 +55,17 @@ const K: f64 = 2.0;
 
 impl Budget {
     /// `moved_m` is the displacement of the robot's end by one standard deviation of each source: three rows per posture.
-    pub(in crate::evaluate) fn new(model: &Model, covariance: &Covariance, moved_m: &DMatrix<f64>) -> Self {
+    pub(in crate::evaluate) fn new(calibration: &Calibration, moved_m: &DMatrix<f64>) -> Self {
+        let (model, covariance) = (calibration.model(), &calibration.solution().covariance);
         let postures = moved_m.nrows() as f64 / 3.0;
         let mut contributions: Vec<Contribution> = Vec::new();
-        let (mut moved_by_plate, plate) = (None, ParameterId::plate(model.axes()));
+        let (mut moved_by_plate, id) = (None, ParameterId::plate(model.axes()));
         for (source, moved_m) in covariance.spread().sources.iter().zip(moved_m.column_iter()) {
-            let (name, u_m) = (source_name(*source, model, covariance), moved_m.norm() / postures.sqrt());
+            let (name, u_m) = (source_name(*source, calibration), moved_m.norm() / postures.sqrt());
             if let Source::Prior { column } | Source::Considered { column } = *source
-                && covariance.name(column) == plate.to_string()
+                && calibration.solved.covariance_columns[column] == (Column { id, data_set: 0 })
             {
-                moved_by_plate = stated_sigma(model, plate).map(|sigma| u_m / sigma);
+                moved_by_plate = stated_sigma(model, id).map(|sigma| u_m / sigma);
             }
             match contributions.iter_mut().find(|contribution| contribution.source == name) {
                 Some(same) => same.u_m = same.u_m.hypot(u_m),
@@ -106,7 +108,7 @@ fn stated_sigma(model: &Model, id: ParameterId) -> Option<f64> {
 }
 
 /// Name of a source for the report. Stated lengths and fixed parameters are named one by one; other sources by type.
-fn source_name(source: Source, model: &Model, covariance: &Covariance) -> String {
+fn source_name(source: Source, calibration: &Calibration) -> String {
     let (column, how) = match source {
         Source::Together => return "errors of the samples, with all priors".into(),
         Source::Samples { data_set } => return format!("errors of the samples of data set {}", data_set + 1),
@@ -114,13 +116,14 @@ fn source_name(source: Source, model: &Model, covariance: &Covariance) -> String
         Source::LeftOut => return "errors of joints that the samples neither show nor exclude".into(),
         Source::OtherScale => return "common scale error of the robot's lengths".into(),
         Source::Contradicted { column } => {
-            return format!("{}, whose prior the data contradict", covariance.name(column));
+            let name = calibration.solved.covariance_columns[column];
+            return format!("{name}, whose prior the data contradict");
         }
         Source::Prior { column } => (column, "estimated, expected"),
         Source::Considered { column } => (column, "fixed"),
     };
-    let name = covariance.name(column);
-    let Some(id) = ParameterId::of_column(name) else { return name.to_owned() };
+    let (model, name) = (calibration.model(), calibration.solved.covariance_columns[column]);
+    let id = name.id;
     let sigma = stated_sigma(model, id);
     let is_known_length = ParameterId::known_lengths(model.axes()).contains(&id);
     let is_listed_alone = matches!(source, Source::Considered { .. }) || is_known_length;

@@ -16,6 +16,7 @@ use serde::{Deserialize, Serialize};
 
 use super::budget::Budget;
 use super::cube::{Cube, CubeError};
+use crate::calibrate::Calibration;
 use crate::calibrate::validation::deployment::{Deployed, Deployment};
 use crate::instrument::standing;
 use crate::kinematics::{Joints, Trace, Tracer};
@@ -104,27 +105,24 @@ pub(in crate::evaluate) struct Workspace {
 /// `joint_limits` are those of the model's joints. The drawn errors are those of the robot itself: its links, including
 /// links fixed at uncertain values, and its joint errors, including excluded terms. All other parameters define the robot's
 /// base frame.
-pub fn workspace_error(model: &Model, covariance: &Covariance, joint_limits: &[[f64; 2]]) -> WorkspaceError {
-    Workspace::new(model, covariance, joint_limits).error(model, covariance, joint_limits)
+pub fn workspace_error(calibration: &Calibration, joint_limits: &[[f64; 2]]) -> WorkspaceError {
+    Workspace::new(calibration, joint_limits).error(calibration, joint_limits)
 }
 
 impl Workspace {
     /// Arguments as for [`workspace_error`].
-    pub(in crate::evaluate) fn new(
-        model: &Model,
-        covariance: &Covariance,
-        joint_limits: &[[f64; 2]],
-    ) -> Self {
+    pub(in crate::evaluate) fn new(calibration: &Calibration, joint_limits: &[[f64; 2]]) -> Self {
         /// The end of a robot that moves along a line does not show a rotation about it.
         const SINGULAR: f64 = 1e-9;
-        let columns = robot_columns(model, covariance);
-        let postures = Postures::new(model, &columns, random_postures(joint_limits));
+        let covariance = &calibration.solution().covariance;
+        let columns = robot_columns(calibration);
+        let postures = Postures::new(calibration.model(), &columns, random_postures(joint_limits));
         let spread = covariance.spread().by_source.select_rows(columns.iter().map(|(column, _)| column));
         let nearest = postures.by_base().svd(true, true).pseudo_inverse(SINGULAR);
         let nearest = nearest.unwrap_or_else(|_| DMatrix::zeros(6, 3 * postures.states.len()));
         let mut base_motions = nearest * (&postures.by_parameter * &spread);
         for (mut motion, source) in base_motions.column_iter_mut().zip(&covariance.spread().sources) {
-            if !is_tolerance_of_link(*source, covariance) {
+            if !is_tolerance_of_link(*source, calibration) {
                 motion.fill(0.0);
             }
         }
@@ -134,8 +132,7 @@ impl Workspace {
     /// Errors of the nominal and the calibrated robot; arguments as for [`Self::new`].
     pub(in crate::evaluate) fn error(
         &self,
-        model: &Model,
-        covariance: &Covariance,
+        calibration: &Calibration,
         joint_limits: &[[f64; 2]],
     ) -> WorkspaceError {
         let moved_m = self.moved_m(&self.postures);
@@ -147,8 +144,8 @@ impl Workspace {
             deployed: BTreeMap::new(),
             places: self.postures.places(&drawn_m),
             weakest: self.weakest(&moved_m),
-            budget: Budget::new(model, covariance, &moved_m),
-            cube: self.cube_error(model, joint_limits),
+            budget: Budget::new(calibration, &moved_m),
+            cube: self.cube_error(calibration.model(), joint_limits),
         }
     }
 
@@ -202,14 +199,15 @@ impl Workspace {
 }
 
 /// Columns of the covariance that move the robot's end at standstill: of its links and joint errors.
-fn robot_columns(model: &Model, covariance: &Covariance) -> Vec<(usize, ParameterId)> {
-    model
-        .columns()
-        .enumerate()
-        .filter(|(column, _)| covariance.sigma(*column).is_some())
-        .map(|(column, parameter)| (column, parameter.id))
-        .chain(covariance.beside().filter_map(|(name, column)| Some((column, name.parse().ok()?))))
-        .filter(|(_, id)| id.owner() == Owner::Robot && id.term() != Some(TermGroup::Delay))
+fn robot_columns(calibration: &Calibration) -> Vec<(usize, ParameterId)> {
+    let covariance = &calibration.solution().covariance;
+    (0..calibration.model().columns().len())
+        .filter(|column| covariance.sigma(*column).is_some())
+        .chain(covariance.beside())
+        .map(|index| (index, calibration.solved.covariance_columns[index]))
+        .filter(|(_, column)| column.data_set == 0 && column.id.owner() == Owner::Robot)
+        .filter(|(_, column)| column.id.term() != Some(TermGroup::Delay))
+        .map(|(index, column)| (index, column.id))
         .collect()
 }
 
@@ -232,13 +230,13 @@ fn drawn_sources(covariance: &Covariance) -> DMatrix<f64> {
 }
 
 /// Whether a source is the tolerance of a number of a link, estimated or fixed.
-fn is_tolerance_of_link(source: Source, covariance: &Covariance) -> bool {
+fn is_tolerance_of_link(source: Source, calibration: &Calibration) -> bool {
     let (Source::Prior { column } | Source::Contradicted { column } | Source::Considered { column }) = source
     else {
         return false;
     };
-    let id = ParameterId::of_column(covariance.name(column));
-    id.is_some_and(|id| id.owner() == Owner::Robot && id.term().is_none())
+    let id = calibration.solved.covariance_columns[column].id;
+    id.owner() == Owner::Robot && id.term().is_none()
 }
 
 /// Joint variables uniformly distributed over the limits \[rad, m\].

@@ -9,6 +9,7 @@
 //! errors of some samples, a prior, or the value of a parameter that was not estimated.
 
 use std::fmt;
+use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
@@ -192,8 +193,6 @@ impl Spread {
 /// Considered parameters: their values are uncertain but not estimated.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Considered {
-    /// Names of the parameters.
-    pub names: Vec<String>,
     /// Standard deviations of their values.
     pub sigmas: Vec<f64>,
     /// One row for each column of the solution, one column for each parameter: change of the estimate per error of the value.
@@ -205,7 +204,6 @@ pub struct Considered {
 pub struct Covariance {
     matrix: DMatrix<f64>,
     spread: Spread,
-    names: Vec<String>,
     determined: Vec<bool>,
     /// Number of estimated columns, which come first.
     estimated: usize,
@@ -221,7 +219,6 @@ pub struct Covariance {
 impl Covariance {
     pub(in crate::solver) fn new(
         spectrum: &ScaledSpectrum,
-        names: Vec<String>,
         undetermined: &[usize],
         variance_factor: Option<f64>,
     ) -> Self {
@@ -240,42 +237,37 @@ impl Covariance {
         let spread = Spread { sources: vec![Source::Together; by_source.ncols()], by_source };
         let determined = (0..columns).map(|column| !undetermined.contains(&column)).collect();
         let (sigmas_from, estimated) = (SigmasFrom::IndependentNoise, columns);
-        Self { matrix, spread, names, determined, estimated, left_out: 0, sigmas_from, variance_factor }
+        Self { matrix, spread, determined, estimated, left_out: 0, sigmas_from, variance_factor }
     }
 
     /// Replaces the covariance by that of the jackknife over `folds`, with additional columns for terms that were `left_out` of
     /// the solution with value zero and may be present.
-    pub fn by_jackknife(mut self, spread: Spread, folds: usize, left_out: Vec<String>) -> Self {
-        if spread.by_source.nrows() != self.determined.len() + left_out.len() {
-            return self;
+    pub fn replace_by_jackknife(&mut self, spread: Spread, folds: usize, left_out: usize) {
+        if spread.by_source.nrows() == self.determined.len() + left_out {
+            self.determined.extend(std::iter::repeat_n(true, left_out));
+            self.left_out = left_out;
+            self.sigmas_from = SigmasFrom::Jackknife { folds };
+            (self.matrix, self.spread) = (spread.covariance(), spread);
         }
-        self.determined.extend(std::iter::repeat_n(true, left_out.len()));
-        self.left_out = left_out.len();
-        self.names.extend(left_out);
-        Self { matrix: spread.covariance(), spread, sigmas_from: SigmasFrom::Jackknife { folds }, ..self }
     }
 
-    /// The consider covariance (Schmidt 1966): with `x` estimated, `c` considered and `G = dx / dc`, it is
+    /// Replaces it by the consider covariance (Schmidt 1966): with `x` estimated, `c` considered and `G = dx / dc`, it is
     /// `[[P_xx + G P_cc G^T, G P_cc], [P_cc G^T, P_cc]]`.
-    pub fn with_considered(mut self, considered: Considered) -> Self {
-        let Considered { names, sigmas, change } = considered;
-        let (rows, sources) = self.spread.by_source.shape();
-        let count = names.len();
-        if change.shape() != (self.estimated, count) || sigmas.len() != count {
-            return self;
+    pub fn add_considered(&mut self, Considered { sigmas, change }: Considered) {
+        let Spread { by_source, sources } = &mut self.spread;
+        let ((rows, columns), count) = (by_source.shape(), sigmas.len());
+        if change.shape() != (self.estimated, count) {
+            return;
         }
-        let mut by_source = self.spread.by_source.resize(rows + count, sources + count, 0.0);
-        by_source.view_mut((0, sources), (self.estimated, count)).copy_from(&change);
+        by_source.resize_mut(rows + count, columns + count, 0.0);
+        by_source.view_mut((0, columns), (self.estimated, count)).copy_from(&change);
         for (index, sigma) in sigmas.into_iter().enumerate() {
-            by_source[(rows + index, sources + index)] = 1.0;
-            by_source.column_mut(sources + index).scale_mut(sigma);
-            self.spread.sources.push(Source::Considered { column: rows + index });
+            by_source[(rows + index, columns + index)] = 1.0;
+            by_source.column_mut(columns + index).scale_mut(sigma);
+            sources.push(Source::Considered { column: rows + index });
         }
-        self.spread.by_source = by_source;
         self.matrix = self.spread.covariance();
         self.determined.extend(std::iter::repeat_n(true, count));
-        self.names.extend(names);
-        self
     }
 
     /// Multiplies the contribution of the samples of a data set by `times`, and that of [`Source::Together`].
@@ -320,20 +312,14 @@ impl Covariance {
         &self.spread
     }
 
-    /// Name and column of each uncertain parameter that was not estimated: considered parameters and left-out terms.
-    pub fn beside(&self) -> impl Iterator<Item = (&str, usize)> {
-        let all = self.names.iter().enumerate().skip(self.estimated);
-        all.map(|(column, name)| (name.as_str(), column))
+    /// Columns of the uncertain parameters that were not estimated: left-out terms, then considered parameters.
+    pub fn beside(&self) -> Range<usize> {
+        self.estimated..self.determined.len()
     }
 
     /// Columns of estimated and considered parameters, without left-out terms.
     pub fn stated(&self) -> Vec<usize> {
-        (0..self.estimated).chain(self.estimated + self.left_out..self.names.len()).collect()
-    }
-
-    /// Name of a column.
-    pub fn name(&self, column: usize) -> &str {
-        self.names.get(column).map_or("?", String::as_str)
+        (0..self.estimated).chain(self.estimated + self.left_out..self.determined.len()).collect()
     }
 
     /// Whether there are standard deviations: not without a degree of freedom, except those of the jackknife.

@@ -396,7 +396,6 @@ pub(in crate::solver) fn at_solution(
     };
     let (identifiability, spectrum) = examine(problem, &triangle, fits, options);
     let factor = options.noise.variance_factor(problem, x, fits);
-    let (names, undetermined) = (identifiability.names.clone(), identifiability.undetermined());
-    let covariance = Covariance::new(&spectrum, names, &undetermined, factor);
+    let covariance = Covariance::new(&spectrum, &identifiability.undetermined(), factor);
     Ok((identifiability, covariance))
 }

@@ -157,7 +157,7 @@ fn calibration_file(
         inputs,
         ParameterEntry::of_calibration(calibration),
     )
-    .with_knowledge(solution)
+    .with_knowledge(solution, &calibration.solved.covariance_columns)
     .with_separation(calibration.model(), solution)
     .with_validation(evidence);
     file.clocks = bar_clocks.chain(tracker_clocks).collect();

@@ -149,12 +149,11 @@ impl ParameterEntry {
                 continue;
             }
             for (parameter, &column) in model.columns().zip(columns_of) {
-                let Some(name) = columns.names().get(column) else { continue };
+                let Some(name) = columns.all().get(column).map(ToString::to_string) else { continue };
                 // An entry that was fixed in an earlier run is replaced by that of a run that identifies it.
-                if entries.iter().all(|entry| entry.name != *name || entry.status == Status::Fixed) {
-                    entries.retain(|entry| entry.name != *name);
-                    entries
-                        .push(Self { name: name.clone(), ..Self::new(parameter, covariance.sigma(column)) });
+                if entries.iter().all(|entry| entry.name != name || entry.status == Status::Fixed) {
+                    entries.retain(|entry| entry.name != name);
+                    entries.push(Self { name, ..Self::new(parameter, covariance.sigma(column)) });
                 }
             }
         }
@@ -190,7 +189,7 @@ impl ParameterEntry {
 
     /// The parameter, without the number of the run; `None` for an unknown name.
     pub fn id(&self) -> Option<ParameterId> {
-        ParameterId::of_column(&self.name)
+        self.name.split('@').next()?.parse().ok()
     }
 
     /// All parameters of a model at its solution, in the model's order, except terms of joints, forces and the bar's length

@@ -11,7 +11,7 @@ use crate::calibrate::validation::deployment::Deployment;
 use crate::cost::AngleNoise;
 use crate::evaluate::{CubeError, Expected, WorkspaceError};
 use crate::instrument::{Noise, NoiseConfig, Run};
-use crate::model::ParameterId;
+use crate::model::Column;
 use crate::solver::{Observability, SigmasFrom, Solution};
 
 /// Correlations above this are listed.
@@ -146,17 +146,14 @@ impl CovarianceEntry {
 }
 
 impl CalibrationFile {
-    /// Adds rank, observability, correlations and covariance of a solution. The covariance goes into `calibration.json` alone.
-    pub fn with_knowledge(mut self, solution: &Solution) -> Self {
+    /// Adds rank, observability, correlations and covariance of a solution; `all` are the columns of the covariance, which goes
+    /// into `calibration.json` alone.
+    pub fn with_knowledge(mut self, solution: &Solution, all: &[Column]) -> Self {
         let identifiability = &solution.identifiability;
-        let name = |column: usize| solution.covariance.name(column).to_owned();
-        // Columns of later runs have the run's number after the name: `ox@2`.
-        let unit = |name: &String| ParameterId::of_column(name).map(ParameterId::unit);
-        let from_display: Vec<f64> = identifiability
-            .names
-            .iter()
-            .map(|name| unit(name).map_or(1.0, |unit| unit.display_factor().recip()))
-            .collect();
+        let name = |column: usize| all[column].to_string();
+        let estimated = all.iter().take(solution.x.len());
+        let from_display: Vec<f64> =
+            estimated.map(|column| column.id.unit().display_factor().recip()).collect();
         let strongest = solution.covariance.strongest_correlations(NAMED_ABOVE);
         let strongest = strongest.into_iter().take(NAMED_MAX);
         let is_by_prior = |(column, prior): &(usize, &Option<f64>)| {
