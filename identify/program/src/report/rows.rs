@@ -5,7 +5,7 @@ use std::fmt::Write;
 
 use shared::output::named;
 
-use crate::calibrate::rows::{PoseFigures, RowSet, RunCause, Stages, Validated};
+use crate::calibrate::rows::{PoseFigures, RowSet, RunCause, Stages};
 use crate::evaluate::{Limit, Validity};
 use crate::instrument::{Instrument, PoseError, Rejection, Run, Section};
 use crate::kinematics::Joints;
@@ -16,10 +16,8 @@ use crate::statistics::Sizes;
 /// Errors of the nominal and the calibrated robot on another file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Validation {
-    /// Path of the file.
-    pub name: String,
-    /// Figures of its rows.
-    pub found: Validated,
+    /// Its figures, as in `calibration.toml`.
+    pub entry: ValidationEntry,
     /// Lines of rows that are gross errors for both robots and do not count.
     pub gross: Vec<u64>,
     /// Rows where the calibration is not supported: line of the file, and joints from 0 that were not measured there.
@@ -37,28 +35,13 @@ pub fn outside(
 }
 
 impl Validation {
-    /// The entry of `calibration.toml`; `data_set` is the one with the same instrument, from 1.
-    pub fn entry(&self, data_set: usize) -> ValidationEntry {
-        let Self { name, found: Validated { figures: [nominal, calibrated], gross }, outside, .. } = self;
-        ValidationEntry {
-            name: name.clone(),
-            data_set,
-            nominal: *nominal,
-            calibrated: *calibrated,
-            unsupported: outside.len(),
-            left_out: gross.len(),
-        }
-    }
-
     /// One line for a terminal.
     pub fn line(&self) -> String {
-        let [nominal, calibrated] = &self.found.figures;
-        let mm = |figures: &PoseFigures| figures.position_m.rms * 1e3;
-        let name = &self.name;
+        let ValidationEntry { name, nominal, calibrated, .. } = &self.entry;
         format!(
             "{name}: {:.4} mm RMS with the nominal robot, {:.4} mm calibrated{}{}\n",
-            mm(nominal),
-            mm(calibrated),
+            nominal.position_m.rms * 1e3,
+            calibrated.position_m.rms * 1e3,
             self.unsupported(),
             self.left_out(),
         )
@@ -79,7 +62,7 @@ impl Validation {
     /// Clause on the rows at which the calibration is not supported.
     fn unsupported(&self) -> String {
         const NAMED: usize = 8;
-        let (outside, rows) = (self.outside.len(), self.found.figures[0].rows + self.gross.len());
+        let (outside, rows) = (self.outside.len(), self.entry.nominal.rows + self.gross.len());
         if outside == 0 {
             return String::new();
         }
@@ -146,7 +129,7 @@ pub fn table(
         stages(&mut text, "held out, with faulty rows", names, &with_rejected);
     }
     for validation in validations {
-        let Validation { name, found: Validated { figures: [nominal, calibrated], .. }, .. } = validation;
+        let ValidationEntry { name, nominal, calibrated, .. } = &validation.entry;
         let beside = validation.unsupported() + &validation.left_out();
         let _ = writeln!(text, "{name}, {} fitted to other rows of it{beside}", instrument.parts());
         line(&mut text, "  nominal robot", nominal);

@@ -213,9 +213,9 @@ impl Tables {
                 1 => instrument.name().to_owned(),
                 _ => format!("{} (data set {})", instrument.name(), number + 1),
             };
-            let validations = others.judge(robot, validity, model)?;
+            let validations = others.judge(number + 1, robot, validity, model)?;
             tables.validation_lines.extend(validations.iter().map(rows_report::Validation::line));
-            tables.validations.extend(validations.iter().map(|validation| validation.entry(number + 1)));
+            tables.validations.extend(validations.iter().map(|validation| validation.entry.clone()));
             let table = rows_report::table(set, instrument, model, &beside.lines, &validations);
             tables.text += &format!("\n{name}\n{table}{}", beside.set_ups());
             tables.text.extend(beside.aligned.as_ref().map(Aligned::line));

@@ -14,7 +14,7 @@ use shared::time::UtcNs;
 
 use super::RowArguments;
 use super::bar::load_log;
-use crate::calibrate::rows::{WAVES_PER_TURN_MAX, validate};
+use crate::calibrate::rows::{Validated, WAVES_PER_TURN_MAX, validate};
 use crate::calibrate::{CalibrateError, Calibration};
 use crate::evaluate::Validity;
 use crate::instrument::{Contact, FaceTable, HoldOut, Instrument, Rows, SocketTable, Touch, Tracker, Wire};
@@ -26,6 +26,7 @@ use crate::logs::{
 use crate::model::{JointState, Model, Waves, further};
 use crate::prepare::{AlignedPoses, Alignment, PrepareOptions, align_poses};
 use crate::report::result::clocks::ClockEntry;
+use crate::report::result::validation::ValidationEntry;
 use crate::report::rows as rows_report;
 
 /// Options of a calibration with a tracker.
@@ -364,19 +365,23 @@ impl<'a> Others<'a> {
         Ok(Self { seed, files: options.validate.iter().map(read_file).collect::<anyhow::Result<_>>()? })
     }
 
-    /// Errors of the nominal and the calibrated robot on each file.
+    /// Errors of the nominal and the calibrated robot on each file; `data_set` is the one with the same instrument, from 1.
     pub(super) fn judge(
         &self,
+        data_set: usize,
         robot: &RobotConfig,
         validity: &Validity,
         model: &Model,
     ) -> anyhow::Result<Vec<rows_report::Validation>> {
         let validate_file = |(path, instrument, lines): &(&PathBuf, Instrument, Vec<u64>)| {
             let name = path.display().to_string();
-            let found = validate(instrument, robot, model, self.seed).with_context(|| name.clone())?;
-            let gross = found.gross.iter().filter_map(|row| lines.get(*row)).copied().collect();
+            let Validated { figures: [nominal, calibrated], gross } =
+                validate(instrument, robot, model, self.seed).with_context(|| name.clone())?;
             let outside = rows_report::outside(validity, instrument.joints().into_iter(), lines);
-            Ok(rows_report::Validation { name, found, gross, outside })
+            let (unsupported, left_out) = (outside.len(), gross.len());
+            let entry = ValidationEntry { name, data_set, nominal, calibrated, unsupported, left_out };
+            let gross = gross.iter().filter_map(|row| lines.get(*row)).copied().collect();
+            Ok(rows_report::Validation { entry, gross, outside })
         };
         self.files.iter().map(validate_file).collect()
     }
