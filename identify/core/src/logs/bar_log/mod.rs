@@ -81,7 +81,7 @@ pub struct OtherBarLog {
 }
 
 impl BarLog {
-    /// Reads the file at `path`, recognised by its content. `bar` converts counts to angles.
+    /// Reads the file at `path`, recognised by its content. `bar` has the counts per revolution of each encoder.
     ///
     /// # Errors
     /// Every way in which the file cannot be used.
@@ -105,7 +105,8 @@ impl BarLog {
         }
     }
 
-    /// Counters and angles that wrapped, in a file of another program: its records have the counts of a terminal's counter.
+    /// Counters and angles that wrapped, in a file of another program: its records do not show it, since their counts wrap as
+    /// those of a terminal. `None` for a recording.
     pub fn unwrapped(&self) -> Option<&[Unwrapped]> {
         match self {
             Self::Recording(_) => None,

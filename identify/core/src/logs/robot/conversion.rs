@@ -12,7 +12,7 @@ use crate::logs::LogError;
 #[derive(Debug, Clone, PartialEq)]
 pub struct JointConversion {
     unit: AngleUnit,
-    /// Columns in metres: the unit of angles is not theirs.
+    /// Whether a column is in metres; the others are in `unit`.
     prismatic: [bool; AXES_MAX],
     raw_offset: Joints,
     raw_to_joint: Vec<Joints>,
@@ -32,6 +32,7 @@ impl JointConversion {
     pub fn new(config: &LogConversion) -> Result<Self, LogError> {
         let axes = config.raw_to_joint.len();
         let square = config.raw_to_joint.iter().all(|row| row.len() == axes) && axes <= AXES_MAX;
+        // A matrix that is not square becomes zero, and therefore singular.
         let matrix = DMatrix::from_fn(axes, axes, |i, j| {
             config.raw_to_joint[i].get(j).copied().filter(|_| square).unwrap_or_default()
         });

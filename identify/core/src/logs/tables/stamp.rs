@@ -1,4 +1,4 @@
-//! Time stamps of files, in whatever unit, to integer ns.
+//! Time stamps of files, in whatever unit, to integer ns: since 1970 if they have a date, otherwise since the file's own zero.
 
 use std::path::Path;
 
@@ -47,7 +47,7 @@ pub struct TimeColumn {
     /// Unit of its values; for RSI the unit of `IPOC`.
     #[serde(default)]
     pub unit: TimeUnit,
-    /// How long one of the cycles lasts that the column counts \[ms\].
+    /// Duration of a cycle \[ms\]; given only with [`TimeUnit::Cycles`].
     pub period_ms: Option<f64>,
     /// The column has times modulo this number, in its unit, and rows are less than half of it apart; absent if it does not wrap.
     pub wraps_at: Option<u64>,
@@ -147,8 +147,8 @@ impl StampReader {
         }
     }
 
-    /// The time as the file has it, with the wraps before it added. A step by more than half of the width passes a wrap: a step
-    /// back passes the next one; a step forward is a small step of the time back over the last one, as in stamps with jitter.
+    /// The time as the file has it, with the wraps before it added. A step by more than half of `wraps_at` passes a wrap: a step
+    /// back, the next one; a step forward, the last one, by jitter of the stamps that sets the time back a little.
     fn unwrapped(&mut self, shown_ns: i64) -> Option<i64> {
         let before_ns = self.before_ns.replace(shown_ns);
         if let Some((before_ns, wraps_at_ns)) = before_ns.zip(self.wraps_at_ns) {

@@ -1,4 +1,4 @@
-//! Joint states of a bag, topic by topic. Logs of robots and of bars look for their joints in it.
+//! Joint states of a ROS 2 bag, topic by topic; robot and ball-bar are found by the names of their joints.
 
 use std::path::Path;
 use std::rc::Rc;
@@ -136,7 +136,7 @@ impl Topic {
 }
 
 impl Message {
-    /// The publisher's stamp, or when the recorder received it \[ns\].
+    /// The publisher's stamp; without `stamped` ([`Topic::is_stamped`]), when the recorder received it \[ns\].
     pub fn stamp_ns(&self, stamped: bool) -> i64 {
         if stamped { self.state.stamp_ns } else { self.recorded_ns }
     }
