@@ -89,8 +89,8 @@ impl Chain {
         Self { root_from_base, links, last_from_end: Pose::identity() }
     }
 
-    /// Whether a parameter of a link (from 0) is a rotation after the last joint. It moves the position of the end as `a`, `d` and
-    /// `theta` of this link do.
+    /// Whether a parameter of a link (from 0) is a rotation after the last joint: positions of the end do not separate it from
+    /// `a`, `d` and `theta` of this link.
     pub fn is_last_rotation(&self, link: usize, parameter: LinkParameter) -> bool {
         link + 1 == self.links.len() && matches!(parameter, LinkParameter::Alpha | LinkParameter::Beta)
     }

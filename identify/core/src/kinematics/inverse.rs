@@ -236,7 +236,8 @@ pub(super) fn refine<const N: usize>(
 /// joints' limits, each relative to its range \[rad, m\]. It depends only on the pose, not on the path to it (Liegeois 1977).
 ///
 /// With the Jacobian `J`, its pseudoinverse `J+`, the pose error `e` and the vector `m` to the middle, all for joints in parts
-/// of their range, a step is `J+ e + (m - J+ J m) / 2`: Newton's method on the pose, half of a Gauss-Newton step along it.
+/// of their range, a step is `J+ e + (m - J+ J m) / 2`: Newton's method to the pose, and half of a Gauss-Newton step to the middle
+/// by motions that do not change the pose.
 pub(super) fn refine_centred<const N: usize>(
     chain: &Chain,
     target: &Pose,
@@ -255,6 +256,7 @@ pub(super) fn refine_centred<const N: usize>(
     const STEP_MAX: f64 = 0.1;
 
     let limit = |axis: usize| limits.get(axis).copied().unwrap_or([-PI, PI]);
+    // The range is a divisor, and finite also without limits.
     let range =
         SVector::<f64, N>::from_fn(|axis, _| (limit(axis)[1] - limit(axis)[0]).clamp(1e-3, 2.0 * TAU));
     let middle = SVector::<f64, N>::from_fn(|axis, _| 0.5 * (limit(axis)[0] + limit(axis)[1]));

@@ -12,7 +12,7 @@ use super::{Chain, Pose};
 
 /// Velocity of the end frame when one parameter moves at unit speed, in root coordinates.
 ///
-/// With `R`, `p` the end pose: `dR = [angular] R`, `dp = linear`.
+/// With `R`, `p` the end pose and `[w]` the matrix of the cross product: `dR = [angular] R`, `dp = linear`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Twist {
     /// Angular velocity of the frame.
@@ -22,7 +22,7 @@ pub struct Twist {
 }
 
 impl Twist {
-    /// A rotation about `axis` through `point`, at `end`.
+    /// Twist of a frame with its origin at `end` by a rotation about `axis` through `point`.
     #[inline]
     pub fn rotation(axis: Vector3<f64>, point: Vector3<f64>, end: Vector3<f64>) -> Self {
         Self { angular: axis, linear: axis.cross(&(end - point)) }
