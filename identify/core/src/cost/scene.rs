@@ -28,11 +28,11 @@ pub struct Scene<'a> {
     pub observation: &'a Observation,
     /// Sines and cosines of the bar's readings.
     pub readings: &'a [Turn; BAR_JOINTS],
-    /// Bar joints corrected for encoder harmonics and counter origin \[rad\]; offsets (`btheta`) not yet added.
+    /// Bar joints corrected for encoder harmonics and offset of the counter origin \[rad\]; offsets (`btheta`) not yet added.
     pub bar_rad: [f64; BAR_JOINTS],
     /// The bar on its base, its rod elongated by this sample's force and direction.
     pub bar_chain: &'a Chain,
-    /// Forward passes of the bar.
+    /// Forward passes of the bar at other angles, such as those that the robot's pose implies.
     pub bar_tracer: &'a Tracer,
     /// Joint states of the robot.
     pub joints: &'a MovingJoints,
@@ -69,6 +69,7 @@ impl Scene<'_> {
                     _ => Movement::None,
                 }
             }
+            // It applies only to the samples of its counter origin.
             ParameterId::EncoderOffset { origin, joint } => {
                 let twist = self.bar.twist(joint, LinkParameter::Theta);
                 twist.filter(|_| origin == self.observation.origin).map_or(Movement::None, Movement::Bar)
