@@ -143,7 +143,7 @@ pub trait Measures: Boxed + fmt::Debug + Send + Sync {
     fn weigh_by(&mut self, _model: &Model, _samples: &[usize]) {}
 
     /// Lag-one autocorrelation of the residuals, as of the last [`Measures::learn_noise`], and its standard deviation for white
-    /// noise. Above zero by the part of the variance that is correlated.
+    /// noise: approximately the part of the variance that is correlated.
     fn autocorrelation(&self) -> Option<[f64; 2]> {
         None
     }

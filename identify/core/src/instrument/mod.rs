@@ -1,5 +1,6 @@
-//! Instruments that measure the robot, one file each with its measurements, residuals, start values and outliers. `calibrate`
-//! uses them as [`Measures`]. The robot model does not depend on instruments, and instruments do not depend on the estimator.
+//! Instruments that measure the robot (ball-bar, contact, touch, tracker, wire), one file each with its measurements, residuals,
+//! start values and outliers. `calibrate` uses them as [`Measures`]. The robot model does not depend on instruments, and
+//! instruments do not depend on the estimator.
 
 mod ball_bar;
 mod cause;
@@ -38,7 +39,7 @@ pub use wire::Wire;
 use crate::kinematics::{Chain, Joints};
 use crate::model::Model;
 
-/// Copies an instrument of any kind.
+/// Copies an instrument of any kind: `dyn Measures` cannot be `Clone`.
 pub trait Boxed {
     /// A copy with all its samples.
     fn boxed(&self) -> Instrument;

@@ -27,15 +27,17 @@ const ANCHOR_ROWS_MIN: usize = 8;
 /// Fewest rows of each of several attachments: twice its three coordinates.
 const ATTACHMENT_ROWS_MIN: usize = 6;
 
-/// Rows of one set-up, and the noise of their lengths.
+/// Rows of one file, and the noise of their lengths.
 #[derive(Debug, Clone)]
 pub struct Wire {
     rows: Screened<LengthRow>,
     /// Estimated from the spread of the residuals and the stated uncertainties.
     noise: RowNoise,
-    /// Observations of the rows in use; below, their set-ups, and their noise relative to the median of them.
+    /// Observations of the rows in use.
     observations: Vec<Observation>,
+    /// Anchor and attachment of each row in use.
     set_ups: Vec<SetUp>,
+    /// Noise of each row in use, relative to the median row.
     relative_noise: Vec<f64>,
 }
 
@@ -264,7 +266,7 @@ impl Measures for Wire {
     }
 
     fn mistakes(&self, axes: usize) -> Vec<Mistake> {
-        /// Wrong units: m read as mm, cm as mm, inches as mm or as m, and each the other way round \[1/1000\].
+        /// True length over the length as read \[1/1000\]: m read as mm, cm as mm, inches as mm, and each the other way round.
         const THOUSANDTHS: [u32; 6] = [1_000_000, 10_000, 25_400, 100, 39, 1];
         let units = THOUSANDTHS.into_iter().map(Mistake::LengthUnit);
         Mistake::of_joints(axes).into_iter().chain([Mistake::ModifiedTable]).chain(units).collect()

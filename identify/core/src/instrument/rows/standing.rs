@@ -25,6 +25,7 @@ pub fn standing(joints_rad: impl Iterator<Item = Joints>) -> Vec<JointState> {
                 }
             }
         } else {
+            // Zero for each joint.
             directions = at_rest.qd;
         }
         JointState { qd: directions, ..at_rest }
@@ -48,11 +49,12 @@ pub(super) fn poses(joints_rad: &[Joints]) -> Vec<usize> {
     numbers.collect()
 }
 
+/// Observations that have the time only, see [`Standing::observations`].
 fn observations(rows: usize) -> Vec<Observation> {
     (0..rows).map(|row| Observation::bar(PerObservation::time_s(row), Default::default())).collect()
 }
 
-/// Rows of one set-up, in the order in which the robot visited them; sample `i` has time `i`.
+/// Rows of one file, in the order in which the robot visited them; row `i` has time `i`.
 #[derive(Debug, Clone)]
 pub(in crate::instrument) struct Standing<R> {
     /// Measurement of each row.
@@ -122,8 +124,8 @@ impl<R: Copy> Standing<R> {
         Ok(())
     }
 
-    /// Checks the number of stations and targets, and that each of several has enough rows to be located with any part of the
-    /// file held out; `needed` has their names and least numbers of rows.
+    /// Checks the number of stations and targets, and, if there is more than one, that each has enough rows to be located with
+    /// any part of the file held out. `needed` has name and least number of rows of a station, then of a target.
     pub(in crate::instrument) fn ensure_each_has_rows(
         &self,
         set_up: impl Fn(&R) -> SetUp,
