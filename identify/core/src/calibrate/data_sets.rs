@@ -34,7 +34,7 @@ pub struct RunInput<'a> {
     pub cycles: &'a [CycleRecord],
     /// Encoders of the recording, in its order.
     pub encoders: &'a [EncoderInfo],
-    /// Encoders that the recording's reader unwrapped itself; the records then contain values that no counter showed.
+    /// Encoders that wrapped in a file of another program, whose records do not show it; `None` for a recording.
     pub unwrapped: Option<&'a [Unwrapped]>,
     /// The robot's own log.
     pub log: &'a RobotLog,
@@ -65,7 +65,7 @@ impl<'a> RunInput<'a> {
 }
 
 impl DataSets<'_> {
-    /// Checks that there are data and that every given option affects them.
+    /// Checks that there are data and that every option which differs from its default affects them.
     ///
     /// # Errors
     /// [`CalibrateError::NoRun`], [`CalibrateError::Selection`], or [`CalibrateError::NoEffect`] with the option.

@@ -1,5 +1,5 @@
 //! Start of a calibration: from data sets, robot and configuration to a model of each data set at the nominal robot, with the
-//! roles of its parameters and the pose of its instrument, and the plan of the solve. Used by the driver.
+//! roles of its parameters (free, fixed, prior) and the pose of its instrument, and the plan of the solve.
 
 use std::collections::BTreeSet;
 
@@ -58,7 +58,8 @@ pub(super) fn lay_out<'w>(
         set.judge_nominal(model);
         config.set_link_roles(model)?;
     }
-    // Without a known length, the scale of robot and face distances is free: fix the length of the longest link.
+    // Without a known length, the scale of robot and face distances is free: fix the length of the longest link. Its tolerance
+    // remains in the covariance.
     if !runs.is_empty() && runs.iter().all(|run| run.instrument.scale() == ScaleFrom::Robot) {
         let longest = longest_length(&runs[0].model);
         for Run { model, .. } in &mut runs {
@@ -170,7 +171,7 @@ fn tolerances(runs: &[Run], config: &IdentifyConfig) -> Vec<ParameterId> {
     ids.into_iter().collect()
 }
 
-/// Priors of the encoders' harmonics and of the joints' zeros.
+/// Priors of the encoders' harmonics and of the joints' zeros; the samples determine one scale for each of the two.
 fn common_priors(runs: &[Run], tolerances: &[ParameterId], config: &IdentifyConfig) -> Vec<CommonPrior> {
     let is_zero = |id: &ParameterId| matches!(id, ParameterId::Robot { parameter: LinkParameter::Theta, .. });
     let zeros = tolerances.iter().copied().filter(is_zero);
@@ -201,7 +202,7 @@ fn start_model(prepared: &Prepared, robot: &RobotConfig, bar: &BallBarConfig) ->
     Ok(model)
 }
 
-/// Offsets of encoders whose counters lost their origin, if there are samples after it.
+/// Additional offsets of encoders after their counters lost their origin, if there are samples after the loss.
 fn changed_offsets(prepared: &Prepared) -> impl Iterator<Item = ParameterId> {
     let has_samples = |number: usize| prepared.observations.iter().any(|one| one.origin == number);
     let spans = prepared.origins.iter().filter(move |span| {

@@ -37,7 +37,7 @@ pub struct Drift {
 const FOLDS: usize = 8;
 /// Size of a negligible drift, in standard deviations of a length.
 const NO_DRIFT: f64 = 1e-6;
-/// Number of steps of generalised least squares; the third changes no printed digit.
+/// Number of reweighted steps of generalised least squares, with a margin: the third changes no printed digit.
 const STEPS: usize = 8;
 /// Residuals beyond this number of standard deviations have a constant influence.
 const HUBER: Loss = Loss::Huber { scale: 3.0 };
@@ -105,8 +105,8 @@ impl Sweep {
         g
     }
 
-    /// Residuals minus drift, divided by the white variance: the product of the inverse covariance and the residuals.
-    fn whitened(&self, residuals: &[f64]) -> Vec<f64> {
+    /// Product of the inverse covariance of `g + e` and the residuals: `(K + s^2 W^-1)^-1 r = W (r - g) / s^2`.
+    fn by_inverse_covariance(&self, residuals: &[f64]) -> Vec<f64> {
         let drift = self.drift(residuals);
         residuals.iter().zip(drift).zip(&self.weights).map(|((r, g), w)| w * (r - g)).collect()
     }
@@ -156,13 +156,14 @@ impl Linear {
     /// Normal equations of generalised least squares, including the priors.
     fn normal(&self, sweep: &Sweep) -> Normal {
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-        let whitened: Vec<Vec<f64>> = self.columns.iter().map(|column| sweep.whitened(column)).collect();
-        let whitened_residuals = sweep.whitened(&self.residuals);
+        let weighted: Vec<Vec<f64>> =
+            self.columns.iter().map(|column| sweep.by_inverse_covariance(column)).collect();
+        let weighted_residuals = sweep.by_inverse_covariance(&self.residuals);
         let size = self.columns.len();
         let mut normal = Normal {
-            matrix: DMatrix::from_fn(size, size, |i, j| dot(&self.columns[i], &whitened[j])),
-            gradient: DVector::from_fn(size, |i, _| dot(&self.columns[i], &whitened_residuals)),
-            squared: dot(&self.residuals, &whitened_residuals),
+            matrix: DMatrix::from_fn(size, size, |i, j| dot(&self.columns[i], &weighted[j])),
+            gradient: DVector::from_fn(size, |i, _| dot(&self.columns[i], &weighted_residuals)),
+            squared: dot(&self.residuals, &weighted_residuals),
             rows: self.residuals.len() as f64,
         };
         normal.add_priors(&self.priors, &vec![0.0; size]);
@@ -189,7 +190,7 @@ impl Linear {
         after
     }
 
-    /// Mean squared error of each left-out fold, in the noise of the median row \[m^2\].
+    /// Mean squared error of each left-out fold \[m^2\]; errors are divided by the relative noise of their rows.
     fn left_out(&self, drift: &Drift, folds: &[Vec<usize>]) -> Option<Vec<f64>> {
         let of_fold = |fold: &Vec<usize>| {
             let mut weights = vec![0.0; self.residuals.len()];
@@ -207,8 +208,8 @@ impl Linear {
 }
 
 /// Chooses a drift if it improves the prediction of left-out fitting rows. Returns it with its value at every row \[m\]; rows
-/// that were not used receive the value predicted from their neighbours. The model must be at its fit without drift; afterwards
-/// it is at the fit with drift.
+/// that were not used receive the value predicted from their neighbours. The model must be at its fit without drift, in which a
+/// length has the standard deviation `sigma_m`; afterwards it is at the fit with drift.
 ///
 /// # Errors
 /// [`CalibrateError::Cost`] if the data do not fit the cost.
@@ -272,8 +273,8 @@ pub(super) fn fit(
     Ok(drift_m)
 }
 
-/// Factor by which the robot's standard deviations exceed those for a known drift with residuals `sigma_m` as the only error.
-/// The drift absorbs a part of the information, and neighbouring lengths are correlated.
+/// Ratio of the robot's standard deviations (root mean square over its columns, at least 1): with the drift, to those for white
+/// noise `sigma_m` alone. The drift absorbs a part of the information, and neighbouring lengths are correlated.
 pub(super) fn widens(
     model: &Model,
     all: &Instrument,

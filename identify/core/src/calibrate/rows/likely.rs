@@ -35,7 +35,7 @@ impl fmt::Display for Likely {
     }
 }
 
-/// The model with the instrument placed for its robot, which is not changed; `None` if it cannot be placed.
+/// The model with the instrument placed; its robot is not changed. `None` if the instrument cannot be placed.
 pub(super) fn placed(instrument: Instrument, model: Model) -> Result<Option<Model>, CalibrateError> {
     let model = instrument.fitted_out(model);
     let mut run = Run { instrument, model };
@@ -61,7 +61,7 @@ pub fn some_of(instrument: &Instrument) -> Instrument {
     instrument.part(&(0..samples).step_by(every).collect::<Vec<_>>())
 }
 
-/// Root mean square error of a robot at the end of a tool \[m\].
+/// Root mean square error of a robot at the end of a tool, for some of the samples \[m\].
 fn misfit_m(instrument: &Instrument, robot: &Chain) -> Option<f64> {
     /// Length of the tool, which converts orientation errors to positions \[m\].
     const TOOL_M: f64 = 0.1;
@@ -73,6 +73,7 @@ fn misfit_m(instrument: &Instrument, robot: &Chain) -> Option<f64> {
 fn corrected_misfit_m(mistake: Mistake, instrument: &Instrument, robot: &Chain) -> Option<f64> {
     match mistake {
         Mistake::Moved(row) => {
+            // The instrument is placed separately for the samples before and after the displacement.
             let count = instrument.samples();
             let sum_of_squares = |samples: std::ops::Range<usize>| {
                 let (rows, samples) = (samples.len() as f64, samples.collect::<Vec<_>>());

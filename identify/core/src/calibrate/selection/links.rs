@@ -28,7 +28,7 @@ fn link_parameters(robot: &Chain, directions: &[Vector3<f64>], link: usize) -> V
     let first: &[LinkParameter] = match (link, prismatic(link)) {
         (0, true) => &[],
         (0, false) => &[A],
-        // If the next axis is parallel to a prismatic axis, rotations about both and translations along both coincide.
+        // A rotation about a prismatic axis is equal to one about a parallel next axis, which has its own `theta`.
         (_, true) if parallel => &[D],
         (_, true) => &[D, Theta],
         (_, false) if parallel => &[A, Theta],
@@ -61,7 +61,8 @@ pub(in crate::calibrate) fn link_ids(robot: &Chain) -> Vec<ParameterId> {
     (0..robot.links.len()).flat_map(ids_of).collect()
 }
 
-/// Offsets along parallel axes, of which only the sum is observable. The last of each group is the free one.
+/// Offsets along parallel axes, of which only the sum is observable. The last of each group represents the sum: it is free, or
+/// part of the mounting.
 pub(crate) fn inseparable_offsets(robot: &Chain) -> Vec<Vec<ParameterId>> {
     let free = link_ids(robot);
     let offset = |link: usize| ParameterId::Robot { link, parameter: LinkParameter::D };
