@@ -1,4 +1,5 @@
-//! All data that the report of a calibration shows.
+//! All data that the report of a calibration shows. A gap is the distance of the robot's end from the bar's; without encoders,
+//! from the bar's sphere.
 
 use super::accuracy::workspace::Workspace;
 use super::limits::gap_m;
@@ -53,9 +54,9 @@ impl RunEvidence {
 /// Results of a calibration.
 #[derive(Debug, Clone)]
 pub struct Evidence {
-    /// Whether any bar joint has an encoder; without encoders only the distance from the sphere is known.
+    /// Whether any bar joint has an encoder.
     pub by_encoders: bool,
-    /// Whether rotations are known, which needs all five encoders.
+    /// Whether the bar's rotation is measured, which needs all five encoders.
     pub rotations: bool,
     /// Results of each run, in order.
     pub runs: Vec<RunEvidence>,
@@ -69,7 +70,7 @@ pub struct Evidence {
     pub spheres: Vec<SphereDeviation>,
     /// Expected position error over the workspace.
     pub workspace: WorkspaceError,
-    /// What that error is computed from, also of each deployment.
+    /// Basis of `workspace`, kept for the errors of the deployments.
     uncertain: Workspace,
     /// Limitations of the result.
     pub limits: Vec<Limit>,

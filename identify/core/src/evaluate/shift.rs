@@ -18,7 +18,7 @@ pub struct ShiftCurve {
 /// Maximum number of samples of a curve; more do not change it visibly.
 const SAMPLES_MAX: usize = 300;
 
-/// The curve over `-reach_s .. reach_s`; all parameters except the shift as in `geometry`.
+/// The curve over `-reach_s ..= reach_s` at `2 steps + 1` shifts; all parameters except the shift as in `geometry`.
 pub fn shift_curve(
     geometry: &Geometry,
     motion: &impl RobotMotion,

@@ -1,9 +1,9 @@
 //! Accuracy of the calibrated robot in its workspace: position error over the whole range of its joints. Monte Carlo: robots are
 //! drawn from the covariance of the solution, `drawn error = J dp` in each of many random postures; used for the report.
 //!
-//! A motion of the whole robot in its base does not count as an error where only tolerances of links leave it open: behind a
-//! lift, or behind parallel axes, a link turns or shifts everything after it as another place of the instrument would. No
-//! measurement separates the two.
+//! The part of a link's tolerance that moves the whole robot in its base does not count as an error: behind a lift, or behind
+//! parallel axes, a link turns or shifts everything after it as another place of the instrument would. No measurement separates
+//! the two.
 
 use std::collections::BTreeMap;
 
@@ -85,7 +85,8 @@ struct Postures {
     by_parameter: DMatrix<f64>,
 }
 
-/// Effects of uncertain parameters on the robot over its workspace.
+/// Effects of uncertain parameters on the robot over its workspace. A source is an independent cause of uncertainty
+/// ([`Source`]), such as the errors of the samples or a prior.
 #[derive(Debug, Clone)]
 pub(in crate::evaluate) struct Workspace {
     /// Of the covariance, see [`robot_columns`].
@@ -118,9 +119,10 @@ impl Workspace {
         let columns = robot_columns(calibration);
         let postures = Postures::new(calibration.model(), &columns, random_postures(joint_limits));
         let spread = covariance.spread().by_source.select_rows(columns.iter().map(|(column, _)| column));
-        let nearest = postures.by_base().svd(true, true).pseudo_inverse(SINGULAR);
-        let nearest = nearest.unwrap_or_else(|_| DMatrix::zeros(6, 3 * postures.states.len()));
-        let mut base_motions = nearest * (&postures.by_parameter * &spread);
+        let base_from_positions = postures.by_base().svd(true, true).pseudo_inverse(SINGULAR);
+        let base_from_positions =
+            base_from_positions.unwrap_or_else(|_| DMatrix::zeros(6, 3 * postures.states.len()));
+        let mut base_motions = base_from_positions * (&postures.by_parameter * &spread);
         for (mut motion, source) in base_motions.column_iter_mut().zip(&covariance.spread().sources) {
             if !is_tolerance_of_link(*source, calibration) {
                 motion.fill(0.0);
@@ -181,11 +183,11 @@ impl Workspace {
         if spread.is_empty() {
             return Vec::new();
         }
-        let m = by_parameter.tr_mul(by_parameter);
+        let by_parameter_squared = by_parameter.tr_mul(by_parameter);
         let eigen = SymmetricEigen::new(moved_m.tr_mul(moved_m));
         let direction = spread * eigen.eigenvectors.column(eigen.eigenvalues.imax());
         // The effect on positions makes metres and radians comparable.
-        let effect = |i: usize| direction[i] * direction[i] * m[(i, i)];
+        let effect = |i: usize| direction[i] * direction[i] * by_parameter_squared[(i, i)];
         let whole: f64 = (0..columns.len()).map(effect).sum();
         let mut parts: Vec<(String, f64)> = columns
             .iter()
