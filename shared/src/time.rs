@@ -15,8 +15,9 @@ pub const NS_PER_S: i64 = 1_000_000_000;
 /// # Errors
 /// A sentence that lists the units.
 pub fn parse_duration(text: &str) -> Result<Duration, String> {
-    let seconds = text.trim().parse::<f64>().ok().map(|seconds| Duration::try_from_secs_f64(seconds).ok());
-    seconds.unwrap_or_else(|| humantime::parse_duration(text).ok()).ok_or_else(|| {
+    let without_unit =
+        text.trim().parse::<f64>().ok().map(|seconds| Duration::try_from_secs_f64(seconds).ok());
+    without_unit.unwrap_or_else(|| humantime::parse_duration(text).ok()).ok_or_else(|| {
         format!(
             "`{text}` is not a duration; give seconds, or a number with ms, s, m or h, such as 90s or 1h 30m"
         )
