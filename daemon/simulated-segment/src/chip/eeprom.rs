@@ -25,6 +25,7 @@ pub struct Header {
     pub mailbox: [u16; 5],
 }
 
+/// Content of the category "general".
 pub struct General {
     pub coe_details: u8,
     /// E-bus current \[mA\]; negative for a device that feeds it.
@@ -91,20 +92,20 @@ impl Image {
         self
     }
 
-    /// Adds the PDO of the inputs.
-    pub fn tx_pdo(self, index: u16, channel: u8, entries: &[PdoEntry]) -> Self {
-        self.pdo(CATEGORY_TX_PDO, index, channel, entries)
+    /// Adds the PDO of the inputs, with its sync manager.
+    pub fn tx_pdo(self, index: u16, sync_manager: u8, entries: &[PdoEntry]) -> Self {
+        self.pdo(CATEGORY_TX_PDO, index, sync_manager, entries)
     }
 
-    /// Adds the PDO of the outputs.
-    pub fn rx_pdo(self, index: u16, channel: u8, entries: &[PdoEntry]) -> Self {
-        self.pdo(CATEGORY_RX_PDO, index, channel, entries)
+    /// Adds the PDO of the outputs, with its sync manager.
+    pub fn rx_pdo(self, index: u16, sync_manager: u8, entries: &[PdoEntry]) -> Self {
+        self.pdo(CATEGORY_RX_PDO, index, sync_manager, entries)
     }
 
-    fn pdo(mut self, category: u16, index: u16, channel: u8, entries: &[PdoEntry]) -> Self {
+    fn pdo(mut self, category: u16, index: u16, sync_manager: u8, entries: &[PdoEntry]) -> Self {
         let mut content = index.to_le_bytes().to_vec();
         // Entries, sync manager, no distributed clock, no name, fixed content and mandatory.
-        content.extend([entries.len() as u8, channel, 0, 0, 0x11, 0]);
+        content.extend([entries.len() as u8, sync_manager, 0, 0, 0x11, 0]);
         for entry in entries {
             content.extend(entry.object.0.to_le_bytes());
             content.extend([entry.object.1, 0, data_type(entry.bits), entry.bits, 0, 0]);
@@ -146,6 +147,7 @@ fn strings(strings: &[&str]) -> Vec<u8> {
 
 fn general_bytes(general: &General) -> [u8; 32] {
     let mut content = [0; 32];
+    // Numbers of the strings, see [`Image::new`]; the group is there twice.
     let (group, order, name) = (3, 1, 2);
     [content[0], content[2], content[3], content[5]] = [group, order, name, general.coe_details];
     content[12..14].copy_from_slice(&general.e_bus_current_ma.to_le_bytes());

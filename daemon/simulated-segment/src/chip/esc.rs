@@ -15,6 +15,9 @@ const MAILBOX_OUT: usize = 0;
 const MAILBOX_IN: usize = 1;
 const OUTPUTS: usize = 2;
 const INPUTS: usize = 3;
+/// Registers with the number of FMMUs and of channels, from [`ChipProfile::information`].
+const FMMU_COUNT: usize = 0x0004;
+const CHANNEL_COUNT: usize = 0x0005;
 /// Time after which the processor behind the chip answers a mailbox request.
 const MAILBOX_ANSWER_NS: i64 = 300_000;
 
@@ -56,7 +59,7 @@ pub struct SyncEvent {
     pub count: u64,
     /// Events without new outputs.
     pub missed: u64,
-    /// True time of the last.
+    /// True time of the last one.
     pub true_ns: i64,
     /// Its nominal system time if SYNC0 caused it.
     pub system_ns: Option<i64>,
@@ -168,7 +171,7 @@ impl Esc {
         self.put(reg::DL_STATUS, &dl_status.to_le_bytes());
     }
 
-    /// Computes the events since the previous frame.
+    /// Makes a change of AL state that is due. `back_ns`: when the current frame returns from the devices behind.
     pub fn advance(&mut self, now_ns: i64, back_ns: Option<i64>) {
         self.back_ns = back_ns;
         if self.al.is_due(now_ns) {
@@ -259,7 +262,7 @@ impl Esc {
         if matches!(permit, Permit::Denied) || data.is_empty() {
             return false;
         }
-        self.refresh(address, data.len(), now_ns);
+        self.refresh_registers(address, data.len(), now_ns);
         let start = usize::from(address);
         let Some(memory) = self.memory.get(start..start + data.len()) else { return false };
         match mode {
@@ -267,7 +270,7 @@ impl Esc {
             ReadMode::Or => data.iter_mut().zip(memory).for_each(|(byte, own)| *byte |= own),
         }
         if let Permit::Through(index) = permit {
-            sync_manager::book(&mut self.sync_managers, index, address, data.len());
+            sync_manager::finish_access(&mut self.sync_managers, index, address, data.len());
         }
         true
     }
@@ -288,10 +291,10 @@ impl Esc {
             }
         }
         if address < reg::PROCESS_MEMORY {
-            self.apply(address, data, now_ns);
+            self.apply_registers(address, data, now_ns);
         }
         if let Permit::Through(index) = permit {
-            let completion = sync_manager::book(&mut self.sync_managers, index, address, data.len());
+            let completion = sync_manager::finish_access(&mut self.sync_managers, index, address, data.len());
             self.complete(completion, now_ns);
         }
         written
@@ -361,11 +364,11 @@ impl Esc {
     }
 
     fn fmmu_count(&self) -> u16 {
-        u16::from(self.memory[4]).min(fmmu::UNITS_MAX as u16)
+        u16::from(self.memory[FMMU_COUNT]).min(fmmu::UNITS_MAX as u16)
     }
 
     fn channel_count(&self) -> u16 {
-        u16::from(self.memory[5]).min(sync_manager::CHANNELS_MAX as u16)
+        u16::from(self.memory[CHANNEL_COUNT]).min(sync_manager::CHANNELS_MAX as u16)
     }
 
     fn complete(&mut self, completion: Completion, now_ns: i64) {

@@ -4,15 +4,19 @@
 /// Number of channels that a chip can have.
 pub const CHANNELS_MAX: usize = 8;
 
+// Register 4, control.
 const MODE_MASK: u8 = 0x03;
 const MODE_MAILBOX: u8 = 0x02;
 const WRITTEN_BY_MASTER: u8 = 0x04;
-/// Whether a configuration is correct does not depend on interrupt enables.
+/// Mode and direction; whether a configuration is correct does not depend on the interrupt enables.
 const FUNCTION_MASK: u8 = 0x0f;
-const ENABLE: u8 = 0x01;
-const REPEAT: u8 = 0x02;
+// Register 5, status.
 const STATUS_EVENT: u8 = 0x01;
 const STATUS_FULL: u8 = 0x08;
+// Register 6, activation.
+const ENABLE: u8 = 0x01;
+const REPEAT: u8 = 0x02;
+// Register 7, control by the device (PDI).
 const PDI_DISABLED: u8 = 0x01;
 
 /// Direction of an access by the master.
@@ -88,6 +92,7 @@ impl SyncManager {
     pub fn status(&self) -> [u8; 3] {
         let event = if self.event { STATUS_EVENT } else { 0 };
         let full = if self.full { STATUS_FULL } else { 0 };
+        // By its own repeat bit the device acknowledges a repeat request.
         let device_side = if self.blocked { PDI_DISABLED } else { 0 } | (self.activate & REPEAT);
         [event | full, self.activate, device_side]
     }
@@ -171,7 +176,7 @@ pub fn permit(channels: &[SyncManager], address: u16, len: usize, direction: Dir
 }
 
 /// Completes an access that was permitted; a buffer is exchanged when its last byte is accessed.
-pub fn book(channels: &mut [SyncManager], index: usize, address: u16, len: usize) -> Completion {
+pub fn finish_access(channels: &mut [SyncManager], index: usize, address: u16, len: usize) -> Completion {
     match channels.get_mut(index) {
         Some(channel) if usize::from(address) + len == channel.end() => channel.complete(),
         _ => Completion::Nothing,

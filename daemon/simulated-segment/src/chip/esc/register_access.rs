@@ -4,7 +4,7 @@ use super::{Esc, reg};
 
 impl Esc {
     /// Updates the registers in a range before a master reads them.
-    pub(super) fn refresh(&mut self, address: u16, len: usize, now_ns: i64) {
+    pub(super) fn refresh_registers(&mut self, address: u16, len: usize, now_ns: i64) {
         if address >= reg::PROCESS_MEMORY {
             return;
         }
@@ -40,7 +40,7 @@ impl Esc {
     }
 
     /// Applies a write to registers.
-    pub(super) fn apply(&mut self, address: u16, data: &[u8], now_ns: i64) {
+    pub(super) fn apply_registers(&mut self, address: u16, data: &[u8], now_ns: i64) {
         let touches = |register, size| reg::touches(address, data.len(), register, size);
         if touches(reg::AL_CONTROL, 1) {
             self.al.request(self.memory[usize::from(reg::AL_CONTROL)], now_ns);

@@ -23,11 +23,12 @@ const CONFIGURATION: [u16; 4] = [0x0c05, 0x0c8c, 0x0000, 0x0000];
 /// SDO and SDO information; PDO assignment and configuration are fixed.
 const GENERAL: General = General { coe_details: 0x03, e_bus_current_ma: 130, ports: 0x0033 };
 const COE_AND_FOE: u16 = 0x000c;
+/// Outputs, inputs, mailbox state.
 const FMMU_USES: [u8; 3] = [1, 2, 3];
 
 const OUTPUTS_LEN: u16 = 6;
 const INPUTS_LEN: u16 = 10;
-/// Addresses and control bytes of other encoder terminals in this family.
+/// Mailbox out, mailbox in, outputs, inputs: addresses and control bytes of other encoder terminals in this family.
 const SYNC_MANAGERS: [ExpectedSyncManager; 4] = [
     ExpectedSyncManager { start: 0x1000, length: 128, control: 0x26 },
     ExpectedSyncManager { start: 0x1080, length: 128, control: 0x22 },
@@ -152,11 +153,12 @@ impl Device for El5021 {
             kind += 1;
             (channel.start, channel.length, channel.control, 1, kind)
         });
+        let (outputs_channel, inputs_channel) = (2, 3);
         let image = Image::new(&header, names, &GENERAL)
             .fmmus(&FMMU_USES)
             .sync_managers(&sync_managers)
-            .tx_pdo(mapping::TX_PDO, 3, &mapping::tx_entries(self.revision))
-            .rx_pdo(mapping::RX_PDO, 2, &mapping::rx_entries());
+            .tx_pdo(mapping::TX_PDO, inputs_channel, &mapping::tx_entries(self.revision))
+            .rx_pdo(mapping::RX_PDO, outputs_channel, &mapping::rx_entries());
         ChipProfile {
             information: INFORMATION,
             eeprom: image.finish(),
