@@ -45,8 +45,8 @@ impl Continuity {
         self.powered_off = true;
     }
 
-    /// The bus goes through INIT.
-    pub fn resets(&mut self, at: UtcNs) {
+    /// The bus goes through INIT, which may set counts to zero.
+    pub fn bus_reset(&mut self, at: UtcNs) {
         self.reset_at.get_or_insert(at);
     }
 
@@ -176,7 +176,7 @@ mod tests {
         let mut continuity = continuity();
         continuity.check(&mut record(0, [FAR, 3000], true));
         assert_eq!(continuity.check(&mut record(10, [FAR, 2000], true)), None);
-        continuity.resets(UtcNs(20_000_000));
+        continuity.bus_reset(UtcNs(20_000_000));
         let near = Origin::NearZero { joint: 2 };
         assert_eq!(continuity.check(&mut record(700, [FAR, 1000], true)), Some(near));
         assert_eq!(continuity.check(&mut record(710, [FAR, 0], true)), None);

@@ -30,7 +30,7 @@ pub enum Happening {
         cause: u32,
         /// Flags of all of them.
         flags: u32,
-        /// Bit of each encoder, in bus order, that was invalid in the first.
+        /// Encoders that were invalid in the first, as bits in bus order.
         invalid: u8,
     },
     /// Terminals from a position on do not answer; those before it stay in use.
@@ -125,6 +125,7 @@ impl CycleEvent {
             Happening::ClockStep { .. } => EventKind::Clock,
             _ => EventKind::Bus,
         };
+        // Its own text would have to be allocated in the real-time thread.
         if let Happening::StaysDown { code } = self.what {
             let text = "an attempt to bring the bus up failed; the log has the details".into();
             return Event { time: self.time, cycle: self.cycle, kind, text, code: code.into() };
@@ -174,6 +175,7 @@ impl Happening {
             }
             Self::Missing { position } => absent(bus, devices, position.into()),
             Self::Down(why) => why.fact(bus),
+            // Not used: `to_event` needs no fact for it.
             Self::StaysDown { .. } => Fact::BusStarting {},
             Self::Up { attempts } => Fact::BusRestored { attempts },
             Self::FellToSafeOp { position, code } => {

@@ -15,9 +15,9 @@ use crate::problem::Fact;
 
 /// A terminal without a reply counts as lost after this number of cycles.
 const LOST_CYCLES: u32 = 2;
-/// A bus time with a larger unexplained error does not identify its sample \[ns\].
+/// A bus time with a larger unexplained error does not show which cycle was sampled \[ns\].
 const MISREAD_NS: u64 = 100_000;
-/// Number of other bad cycles in a row after which the bus is brought up again.
+/// Number of bad cycles in a row, although all terminals reply in OP, after which the bus is brought up again.
 const BAD_CYCLES_MAX: u32 = 10;
 /// Time limit for restoring a terminal to OP \[ns\] ...
 const RESTORE_TIMEOUT_NS: i64 = NS_PER_S / 2;
@@ -145,6 +145,7 @@ impl Acquisition {
             }
         } else if reply.not_operational != 0 {
             self.restore_to_op(reply, exchange.received);
+        // A misread time is left to the clock fit, which reports a step if it persists.
         } else if self.health.bad >= BAD_CYCLES_MAX && !seen.is_some_and(is_misread) {
             self.give_up(Down::Bad { flags: bus_flags });
         }
@@ -161,11 +162,12 @@ impl Acquisition {
             return;
         }
         self.health.restoring = Some((first, now));
+        let is_first_request = last < first;
         let until = now.plus_ns(self.period_ns / 4);
         for position in (0..u32::BITS as usize).filter(|position| reply.not_operational >> position & 1 == 1)
         {
             match self.bus.restore_to_op(position, until) {
-                RestoreToOp::Requested(code) if last < first => {
+                RestoreToOp::Requested(code) if is_first_request => {
                     self.report(Happening::FellToSafeOp { position: position as u8, code });
                 }
                 RestoreToOp::Requested(_) | RestoreToOp::Operational | RestoreToOp::Unknown => {}
@@ -177,8 +179,8 @@ impl Acquisition {
         }
     }
 
-    /// Terminals are missing. The remaining ones stay in use; the bus is brought up again, which interrupts them, only when all
-    /// devices answer.
+    /// Terminals are missing. While one of the others is valid they stay in use; the bus is brought up again, which interrupts
+    /// them, only when all devices answer.
     fn continue_without(&mut self, silent: u32, others_are_valid: bool, now: MonoNs) {
         let last_check = self.health.missing.map(|(_, checked)| checked);
         if last_check.is_some_and(|checked| others_are_valid && now.ns_since(checked) < CHECK_PERIOD_NS) {
@@ -252,7 +254,7 @@ impl Acquisition {
         if self.bus.was_powered_off(self.devices.len())? {
             self.continuity.powered_off();
         }
-        self.continuity.resets(self.sample_time(self.next_cycle).utc);
+        self.continuity.bus_reset(self.sample_time(self.next_cycle).utc);
         if self.distributed_clocks {
             self.bus.set_bus_minus_monotonic(self.bus_minus_monotonic_ns().wrapping_sub(self.bus_lead_ns));
         }

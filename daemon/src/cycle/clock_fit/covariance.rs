@@ -6,6 +6,7 @@
 pub(super) struct Covariance {
     /// \[ns^2\]
     pub offset: f64,
+    /// \[ns^2/s\]
     pub cross: f64,
     /// \[(ns/s)^2\]
     pub drift: f64,
@@ -16,14 +17,14 @@ impl Covariance {
         Self { offset: offset_sigma_ns.powi(2), cross: 0.0, drift: drift_sigma.powi(2) }
     }
 
-    /// Propagates by `dt_s`; offset and drift wander by these variances per second.
+    /// Propagates by `dt_s`; offset and drift wander by these variances per second (`Q`).
     pub fn predict(&mut self, dt_s: f64, offset_wander: f64, drift_wander: f64) {
         self.offset += dt_s * (2.0 * self.cross + dt_s * self.drift) + offset_wander * dt_s;
         self.cross += dt_s * self.drift;
         self.drift += drift_wander * dt_s;
     }
 
-    /// Update by a reading of this variance with these gains, which need not be optimal (Joseph's form):
+    /// Update by a reading of variance `r` with gains `K`, which need not be optimal (Joseph's form):
     /// `(I - K H) P (I - K H)^T + K r K^T`.
     pub fn correct(&mut self, gain_offset: f64, gain_drift: f64, reading_variance: f64) {
         let Self { offset, cross, drift } = *self;
@@ -34,8 +35,8 @@ impl Covariance {
     }
 
     /// Adds these to the standard deviations of offset and drift (in quadrature).
-    pub fn inflate(&mut self, offset_ns: f64, rate: f64) {
-        self.offset += offset_ns.powi(2);
-        self.drift += rate.powi(2);
+    pub fn inflate(&mut self, offset_sigma_ns: f64, drift_sigma: f64) {
+        self.offset += offset_sigma_ns.powi(2);
+        self.drift += drift_sigma.powi(2);
     }
 }
