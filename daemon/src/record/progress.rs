@@ -13,7 +13,7 @@ use shared::time::MonoNs;
 use crate::clock::Clock;
 use crate::problem::{Fact, Problem};
 
-/// Counts of the cycle's thread, which alone writes them.
+/// Counts of the cycles that the cycle's thread has handed to the ring. It alone writes them.
 #[derive(Debug, Default)]
 pub struct Handed {
     /// Cycles that were due so far.
@@ -61,7 +61,7 @@ struct OnDisk {
     /// `None` before the run has its file.
     place: Option<RunPlace>,
     /// Why the file is not in its place, until the run is moved.
-    lost: Option<String>,
+    file_lost: Option<String>,
     /// Why the run was moved; `None` if it was not.
     moved: Option<String>,
     timing: Option<TimingSummary>,
@@ -107,7 +107,7 @@ pub struct Snapshot {
     pub unsynced_s: f64,
     /// Age of the last complete synchronisation; `None` before the first.
     pub sync_age: Option<Duration>,
-    /// How long the recorder waited for the disk, including the current call.
+    /// Longest waits for the disk, including that of a current call.
     pub longest: DiskTiming,
     /// Where the run is written; empty until its file is there.
     pub file: PathBuf,
@@ -163,7 +163,7 @@ impl Progress {
         disk.writing_since = Some(self.clock.now());
     }
 
-    /// Number of cycles written so far, fewer if the disk refused, and of lost ones among them.
+    /// The recorder has written: the number of cycles so far, fewer if the disk refused, and of lost ones among them.
     pub fn wrote(&self, cycles: u64, lost: u64) {
         let mut disk = self.disk();
         disk.longest = disk.longest_at(self.clock.now());
@@ -176,7 +176,7 @@ impl Progress {
         self.disk().syncing_since = Some((number, self.clock.now()));
     }
 
-    /// A synchroniser has finished; `None` if the disk refused.
+    /// A synchroniser has finished; `None` if the disk refused. That of an earlier place may finish late.
     pub fn synced(&self, number: u32, synced: Option<Synced>) {
         let mut disk = self.disk();
         if disk.syncing_since.is_some_and(|(syncing, _)| syncing == number) {
@@ -188,13 +188,13 @@ impl Progress {
         }
     }
 
-    /// Timing of the cycle so far, and invalid cycles among those written.
+    /// Sets the timing of the cycle so far, and the invalid cycles among those written.
     pub fn set_figures(&self, timing: Option<TimingSummary>, flagged: Vec<Flagged>) {
         let mut disk = self.disk();
         (disk.timing, disk.flagged) = (timing, flagged);
     }
 
-    /// How long the recorder waited for the disk so far.
+    /// Longest waits for the disk so far, including that of a current call.
     pub fn longest(&self) -> DiskTiming {
         self.disk().longest_at(self.clock.now())
     }
@@ -208,13 +208,13 @@ impl Progress {
     pub fn set_lost(&self, place: &RunPlace, why: String) {
         let mut disk = self.disk();
         if disk.place.as_ref().is_some_and(|current| current.is_same(place)) {
-            disk.lost = Some(why);
+            disk.file_lost = Some(why);
         }
     }
 
-    /// Why the file is not in its place.
+    /// Why the file is not in its place; lost cycles are in [`Snapshot`].
     pub fn lost(&self) -> Option<String> {
-        self.disk().lost.clone()
+        self.disk().file_lost.clone()
     }
 
     /// The run continues in another place.
@@ -222,7 +222,7 @@ impl Progress {
         let mut disk = self.disk();
         disk.place = Some(place);
         disk.syncing_since = None;
-        disk.lost = None;
+        disk.file_lost = None;
         disk.moved = Some(why);
     }
 
@@ -244,7 +244,7 @@ impl Progress {
         let (taken, lost) =
             (self.handed.due.load(Ordering::Acquire), self.handed.lost.load(Ordering::Relaxed));
         // Nothing is safe in a file that is lost.
-        let is_in_place = disk.lost.is_none();
+        let is_in_place = disk.file_lost.is_none();
         let (synced, written) = if is_in_place { (disk.synced, disk.written) } else { Default::default() };
         let mut snapshot = Snapshot {
             synced,
@@ -292,7 +292,7 @@ impl Snapshot {
         let is_late = since_s > OPENS_WITHIN.as_secs_f64() && !limits.cycle_waits;
         let pending = (is_late && disk.place.is_none())
             .then(|| Fact::FilePending { since_s, step: disk.opening.what.into() });
-        let displaced = disk.lost.clone().map(|error| Fact::FileLost { error });
+        let displaced = disk.file_lost.clone().map(|error| Fact::FileLost { error });
         let moved = disk.moved.clone().map(|error| Fact::FileMoved { file: file.clone(), error });
         let lost = (*lost > 0).then_some(Fact::CyclesLost { cycles: *lost });
         let late = if limits.cycle_waits {

@@ -28,7 +28,7 @@ use crate::scheduler::Scheduler;
 const EVENTS_MAX: usize = 1024;
 /// Moves of a run to another place before it is given up.
 const MOVES_MAX: u32 = 8;
-/// A shorter synchronisation is not recorded on its own \[ns\].
+/// A synchronisation below twice this is not recorded on its own \[ns\].
 const SYNC_USUAL_NS: u64 = 100_000_000;
 /// The cycle's timing is recorded at least this often, for a run that is killed.
 const TIMING_PERIOD: Duration = Duration::from_secs(60);
@@ -98,7 +98,7 @@ pub fn ring(capacity: usize, full: FullRing) -> (CycleSink, CycleSource) {
 }
 
 impl CycleSource {
-    /// Counts of cycles, whether they were taken or not.
+    /// Counts of the cycles that were due and of those that were lost.
     pub fn handed(&self) -> &Arc<Handed> {
         &self.handed
     }
@@ -186,7 +186,7 @@ pub struct Recorder {
     synchroniser: Synchroniser,
     clock: Clock,
     period: Duration,
-    /// Cycles of a chunk, which is written at once.
+    /// A chunk with this number of cycles is written before its period is over.
     chunk_cycles: u64,
     /// `UTC - monotonic` of the run's sample times \[ns\].
     utc_minus_monotonic_ns: i64,
@@ -283,6 +283,7 @@ impl Recorder {
         if let Some(problem) = self.synchroniser.problem() {
             self.move_elsewhere(WriteError::Sink(problem))?;
         }
+        // Another thread has missed the file; it may be in its place again.
         if self.link.progress.lost().is_some()
             && let Err(lost) = self.writer.sink().place().check()
         {
@@ -528,6 +529,7 @@ impl Recorder {
                 outcome => self.move_if_refused(outcome.map(drop))?,
             }
         };
+        // `publish` has synchronised the file; 0 is the number of no synchroniser.
         self.link.progress.synced(0, Some(self.as_synced()));
         Ok(RunSummary { path, cycles, cycles_valid, cycles_lost, cause, provenance: self.provenance, timing })
     }
