@@ -149,7 +149,7 @@ impl Service {
         &self.settings
     }
 
-    /// Completes when the run's file is created, or refused.
+    /// Begins a run; completes when its file is created, or refused.
     pub(super) async fn begin(&self, request: StartRequest) -> Result<Answer, Refusal> {
         let named = request.name.is_some();
         let details =
@@ -161,12 +161,12 @@ impl Service {
         self.ask(|reply| Command::Start(details, named, reply)).await
     }
 
-    /// Also returns a channel that receives the run once it is over.
+    /// Ends the run; also returns a channel that receives it once it is over.
     pub(super) async fn stop(&self, cause: String) -> Result<(Answer, oneshot::Receiver<LastRun>), Refusal> {
         self.ask(|reply| Command::Stop(cause, reply)).await
     }
 
-    /// Refused if the marks could not be saved, so that joints are not turned in vain.
+    /// Begins a homing; refused if the marks could not be saved, so that joints are not turned in vain.
     pub(super) async fn home(&self) -> Result<Answer, Refusal> {
         match self.ask_disk(DISK_TIMEOUT, |settings, disk| settings.marks.problem(disk)).await {
             Some(None) => self.ask(Command::Home).await,
@@ -175,7 +175,7 @@ impl Service {
         }
     }
 
-    /// Returns run and text of the marker; `None` between runs.
+    /// Sets a marker; returns its run and text, `None` between runs.
     pub(super) async fn mark(
         &self,
         text: Option<String>,
@@ -450,9 +450,9 @@ pub(crate) mod tests {
 
     impl Disk for FullDisk {
         fn write_at(&self, file: &File, bytes: &[u8], offset: u64) -> io::Result<usize> {
-            let is_full = |left: u32| left.checked_sub(1);
+            let one_less = |writes: u32| writes.checked_sub(1);
             let refuses = thread::current().name() == Some("recorder")
-                && self.0.fetch_update(Ordering::AcqRel, Ordering::Acquire, is_full).is_ok();
+                && self.0.fetch_update(Ordering::AcqRel, Ordering::Acquire, one_less).is_ok();
             if refuses {
                 return Err(io::Error::from_raw_os_error(libc::ENOSPC));
             }
@@ -464,7 +464,7 @@ pub(crate) mod tests {
     fn a_run_that_no_disk_takes_any_more_says_why_and_how_much_of_it_is_saved() {
         let directory = tempfile::tempdir().unwrap();
         let disk = Arc::new(FullDisk::default());
-        let (service, _) = simulated_after(directory.path(), disk.clone(), || {});
+        let (service, _) = simulated_with(directory.path(), disk.clone(), || {});
         record(&service, "full");
         // Once in the run's place, once in the spare one.
         disk.0.store(2, Ordering::Release);
@@ -500,13 +500,14 @@ pub(crate) mod tests {
 
     /// A service on the simulated bus in `directory`; setting the flag ends the cycle's thread.
     pub(crate) fn simulated(directory: &Path) -> (Service, Arc<AtomicBool>) {
-        simulated_after(directory, Arc::new(SystemDisk), || {})
+        simulated_with(directory, Arc::new(SystemDisk), || {})
     }
 
-    fn simulated_after(
+    /// [`simulated`] on this disk; `on_connect` is called whenever the bus is brought up.
+    fn simulated_with(
         directory: &Path,
         disk: Arc<dyn Disk>,
-        first: impl Fn() + Send + Sync + 'static,
+        on_connect: impl Fn() + Send + Sync + 'static,
     ) -> (Service, Arc<AtomicBool>) {
         let settings = settings(directory);
         let deadly = Arc::new(AtomicBool::new(false));
@@ -515,7 +516,7 @@ pub(crate) mod tests {
         let places = storage.clone();
         let (armed, on_daemon, on_bar) = (Arc::clone(&deadly), settings.daemon.clone(), settings.bar.clone());
         let connect = move || {
-            first();
+            on_connect();
             let motion = SmoothMotion::new(on_bar.encoders.len(), 3600, 1);
             let segment = SimulatedSegment::new(&SegmentConfig::default(), Box::new(motion));
             let wire = Deadly(InProcessWire::new(segment, Clock::Real), Arc::clone(&armed));
@@ -584,7 +585,7 @@ pub(crate) mod tests {
     fn a_recorder_that_dies_leaves_what_is_on_disk_finished_and_the_service_ready() {
         let directory = tempfile::tempdir().unwrap();
         let disk = Arc::new(DeadlyDisk::default());
-        let (service, _) = simulated_after(directory.path(), disk.clone(), || {});
+        let (service, _) = simulated_with(directory.path(), disk.clone(), || {});
         record(&service, "cut");
         disk.0.store(true, Ordering::Release);
         let last = wait_until(&service, "its end", |status| status.last.is_some()).last.unwrap();
@@ -600,8 +601,8 @@ pub(crate) mod tests {
     fn a_thread_that_dies_bringing_the_bus_up_is_followed_by_another() {
         let directory = tempfile::tempdir().unwrap();
         let died = AtomicBool::new(false);
-        let first = move || assert!(died.swap(true, Ordering::AcqRel), "the test ends this thread");
-        let (service, _) = simulated_after(directory.path(), Arc::new(SystemDisk), first);
+        let die_once = move || assert!(died.swap(true, Ordering::AcqRel), "the test ends this thread");
+        let (service, _) = simulated_with(directory.path(), Arc::new(SystemDisk), die_once);
         wait_until(&service, "the fault", |status| {
             status
                 .reason

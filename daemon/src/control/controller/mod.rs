@@ -34,7 +34,7 @@ use problem_log::ProblemLog;
 
 /// How often bus and recorder are polled when no command arrives.
 const POLL: Duration = Duration::from_millis(100);
-/// The same while a client waits for the file of a run.
+/// The same while a client waits for the file of a run, or while the bus is closed at the end of the service.
 const OPENING_POLL: Duration = Duration::from_millis(5);
 /// Cause of a run's end when the control's thread has ended.
 const CONTROL_DIED: &str = "full fault: the thread of the control has ended; its cause is in the log";
@@ -484,6 +484,30 @@ impl Controller {
         }
     }
 
+    /// Passes the recorder's outcome to the machine, which then has the run published by [`Self::run_finished`].
+    fn run_is_over(&mut self, outcome: Result<RunSummary, RunError>) {
+        if let Some(run) = self.run.take() {
+            self.count_lost(run.progress.get().lost);
+        }
+        match outcome {
+            Ok(summary) => {
+                self.handle(Event::Ended(summary.cause.clone()));
+                self.summary = Some(summary);
+                self.handle(Event::Closed);
+            }
+            Err(error) if self.is_opening() => self.answer_starts(Err(error.problem())),
+            Err(error) => {
+                tracing::error!("recording failed: {error}");
+                let problem = error.problem();
+                if let RunError::Broken { content, .. } = error {
+                    self.summary = content.map(|summary| *summary);
+                }
+                self.failure = Some(problem.text.clone());
+                self.handle(Event::CloseFailed(problem));
+            }
+        }
+    }
+
     /// Adds the counts of session and run since the last time, and logs problems that began or ended.
     fn update_totals(&mut self) {
         if let Some(session) = self.bus.session() {
@@ -508,29 +532,6 @@ impl Controller {
     fn count_lost(&mut self, lost: u64) {
         self.totals.cycles_lost += lost.saturating_sub(self.counted.lost);
         self.counted.lost = lost;
-    }
-
-    fn run_is_over(&mut self, outcome: Result<RunSummary, RunError>) {
-        if let Some(run) = self.run.take() {
-            self.count_lost(run.progress.get().lost);
-        }
-        match outcome {
-            Ok(summary) => {
-                self.handle(Event::Ended(summary.cause.clone()));
-                self.summary = Some(summary);
-                self.handle(Event::Closed);
-            }
-            Err(error) if self.is_opening() => self.answer_starts(Err(error.problem())),
-            Err(error) => {
-                tracing::error!("recording failed: {error}");
-                let problem = error.problem();
-                if let RunError::Broken { content, .. } = error {
-                    self.summary = content.map(|summary| *summary);
-                }
-                self.failure = Some(problem.text.clone());
-                self.handle(Event::CloseFailed(problem));
-            }
-        }
     }
 
     fn publish(&self) {

@@ -1,5 +1,5 @@
 //! The pre-flight check: conditions of a run, each with its remedy if it does not hold. Its input is the status, the controller
-//! and what another thread found on disk. `ballbard check` and the page show it; `start` refuses a run that a line stops.
+//! and what another thread found on disk. `ballbard check` and the page show it; a line can stop `ballbard start`.
 
 use std::io;
 use std::path::PathBuf;
@@ -16,7 +16,7 @@ use crate::log;
 use crate::problem::{Fact, Level, Problem};
 use crate::run::Session;
 
-/// A live sample older than this is not live \[ms\].
+/// An older sample does not show the present state of the encoders \[ms\].
 const SAMPLE_AGE_MS_MAX: i64 = 1000;
 
 /// Findings on disk, collected by a thread that may wait for it.
@@ -55,13 +55,13 @@ pub(super) fn check(controller: &Controller, status: &Status, found: Option<&Fou
     findings.into_iter().map(|(subject, finding)| line(subject, finding)).collect()
 }
 
-/// Subject of the line that stops a run whatever its severity.
+/// Subject of the line that stops a run whatever the severity of its problems.
 const DISK: &str = "disk";
 
 /// A text if all is well, otherwise the problems.
 type Finding = Result<String, Vec<Problem>>;
 
-/// A line stops a run if its problem would cost the run; a slow disk does, too.
+/// A line stops a run if one of its problems is [`Level::Bad`]. That of the disk always does: a slow disk can cost the run.
 fn line(subject: &str, finding: Finding) -> CheckLine {
     let problems = match finding {
         Ok(finding) => {
@@ -130,6 +130,7 @@ fn reference_marks(controller: &Controller, found: Option<&Found>) -> Finding {
     let Some(session) = controller.bus.session() else {
         return Ok("known when the bus is in operation".into());
     };
+    // On a copy, because only the result is of interest.
     let stale = homing.apply(&mut session.encoders.clone(), &session.live.latches());
     if stale.is_empty() {
         return Ok(format!("of all joints, homed {}", homing.homed));

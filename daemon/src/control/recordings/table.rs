@@ -23,10 +23,10 @@ pub struct Layout {
     pub excel: bool,
 }
 
-/// One row per cycle: `time_utc` (or `t_s`), a `count` per encoder (the thesis' columns), an unwrapped `angle` \[rad\] per
-/// encoder, relative to the encoder's own zero, `valid` per encoder, the cycle number, the reasons of flagged cycles, and the
-/// events of the cycle. The first row also has the texts that describe the run. Counts and angles are empty without a
-/// sample. Returns the number of rows.
+/// One row per cycle: `time_utc` (or `t_s`), a `count` per encoder, an unwrapped `angle` \[rad\] per encoder, from its
+/// reference mark or else from count 0, `valid` per encoder, the cycle number, the reasons of flagged cycles, and the events of
+/// the cycle. The first row also has the texts that describe the run. Counts are empty without a sample, angles also if it is
+/// invalid. Returns the number of rows.
 ///
 /// Memory does not grow with the number of cycles. The file is read twice, because an event may follow many later cycles, for
 /// example a mark whose text took a while to type. The first pass collects the events and verifies the whole recording.
