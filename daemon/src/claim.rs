@@ -1,10 +1,9 @@
 //! Exclusive claims of network interfaces and of directories of recordings: a second process is refused, with the holder and
 //! its activity.
 //!
-//! A claim is a listening socket in the kernel's abstract namespace. It needs no file that every user may write, ends
-//! with its process however that ends, and lets others query the holder. It is valid in the network namespace, like
-//! interface names. It is advisory: other MainDevices do not check it. A lock file would need a directory that every user
-//! may write, and could not state the holder's activity.
+//! A claim is a listening socket in the kernel's abstract namespace. It ends with its process however that ends, and lets
+//! others query the holder. It is valid in the network namespace, like interface names. It is advisory: other MainDevices do
+//! not check it. A lock file would need a directory that every user may write, and could not state the holder's activity.
 
 use std::fmt;
 use std::io::{self, ErrorKind, Read, Write};

@@ -66,14 +66,14 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
     segment.schedule(&arguments.faults);
     let wire = EthernetWire::open(&arguments.interface)?;
     let stop = Arc::new(AtomicBool::new(false));
-    let serving = Arc::clone(&stop);
+    let stop_serving = Arc::clone(&stop);
     say(format_args!("serving an EK1100 with {} EL5021 on {}", config.terminals, arguments.interface))?;
     if let Some(file) = &arguments.replay {
         say(format_args!("type `play` to start the motion of {}", file.display()))?;
     }
     // The thread ends with its input or with this program, whichever is first.
     thread::Builder::new().name("switches".into()).spawn(move || handle_lines(&faults, replay.as_ref()))?;
-    let work = async { tokio::task::spawn_blocking(move || serve(segment, wire, &serving)).await? };
+    let work = async { tokio::task::spawn_blocking(move || serve(segment, wire, &stop_serving)).await? };
     on_signal(work, |_| stop.store(true, Ordering::Release))
 }
 
@@ -109,6 +109,7 @@ fn serve(mut segment: FaultySegment, mut wire: EthernetWire, stop: &AtomicBool) 
         let idle_until = clock.now().plus_ns(NS_PER_S / 10);
         let until = segment.next_reply_ns().map_or(idle_until, |due_ns| idle_until.min(MonoNs(due_ns)));
         match wire.receive(&mut frame, until) {
+            // No simulated way back: the real wire has its own delay.
             Ok(Some(length)) => segment.exchange(clock.now().0, 0, &frame[..length]),
             Ok(None) => {}
             Err(_) => clock.sleep_until(until),

@@ -18,7 +18,8 @@ pub const INTERPOLATION_OBJECT: (u16, u8) = (0x8001, 0x11);
 /// 0x002C (linuxcnc-ethercat).
 pub const SYNC1_SHIFT: Duration = Duration::from_micros(25);
 /// Data of a SYNC0 is ready for the frame after this time \[ns\]: the ESI shifts SYNC0 by -30 600 ns against the frame, rounded
-/// up. One terminal needed 65 000 ns (linuxcnc-ethercat); a frame follows half a period later, at 1 kHz 500 000 ns.
+/// up. One terminal needed 65 000 ns (linuxcnc-ethercat); both are early enough for the frame, which follows half a period
+/// later, at 1 kHz 500 000 ns.
 pub const DATA_READY_NS: i64 = 31_000;
 
 /// Status word of the TxPDO.
@@ -33,7 +34,7 @@ impl Status {
     const TXPDO_STATE: u16 = 1 << 14;
     const TOGGLE: u16 = 1 << 15;
 
-    /// The count cannot be trusted: frequency, amplitude or synchronisation error.
+    /// The count cannot be trusted: frequency, amplitude or synchronisation error, or invalid inputs (TxPDO state).
     pub const fn has_error(self) -> bool {
         self.0 & (Self::FREQUENCY_ERROR | Self::AMPLITUDE_ERROR | Self::SYNC_ERROR | Self::TXPDO_STATE) != 0
     }
@@ -83,7 +84,7 @@ impl Output {
 pub struct Input {
     pub status: Status,
     pub count: u32,
-    /// Counter at the last C pulse.
+    /// Count at the last reference mark (C).
     pub latch: u32,
 }
 

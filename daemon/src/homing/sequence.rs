@@ -23,7 +23,7 @@ pub type Outcome = Result<Vec<Found>, HomingError>;
 pub struct Sequence {
     encoders: Vec<EncoderConfig>,
     found: Vec<Found>,
-    /// For the current joint.
+    /// For the current joint; `None` until its terminals are armed.
     search: Option<Search>,
     progress_due_s: f64,
     state: State,
@@ -106,6 +106,7 @@ impl Sequence {
     ) {
         set_latch(acquisition, terminals, true);
         self.state = State::Armed;
+        // After a mark that was passed backwards the search continues.
         let encoder = self.found.len();
         if let Some(EncoderConfig { joint, .. }) =
             self.encoders.get(encoder).filter(|_| self.search.is_none())
