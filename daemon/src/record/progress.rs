@@ -217,6 +217,11 @@ impl Progress {
         self.disk().file_lost.clone()
     }
 
+    /// The file is in its place again.
+    pub fn found_again(&self) {
+        self.disk().file_lost = None;
+    }
+
     /// The run continues in another place.
     pub fn moved(&self, place: RunPlace, why: String) {
         let mut disk = self.disk();

@@ -284,10 +284,11 @@ impl Recorder {
             self.move_elsewhere(WriteError::Sink(problem))?;
         }
         // Another thread has missed the file; it may be in its place again.
-        if self.link.progress.lost().is_some()
-            && let Err(lost) = self.writer.sink().place().check()
-        {
-            self.move_elsewhere(lost)?;
+        if self.link.progress.lost().is_some() {
+            match self.writer.sink().place().check() {
+                Ok(()) => self.link.progress.found_again(),
+                Err(lost) => self.move_elsewhere(lost)?,
+            }
         }
         Ok(true)
     }

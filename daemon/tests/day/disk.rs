@@ -32,6 +32,24 @@ fn a_directory_removed_in_mid_run_is_reported_and_stop_names_a_file_that_is_ther
 }
 
 #[test]
+fn a_file_that_was_missed_once_is_safe_again_when_it_is_in_its_place() {
+    live(None, async |day| {
+        day.wait_for(ServiceState::Waiting).await;
+        day.start_run("missed").await;
+        // The storage's next look at the file fails; the recorder's own does not.
+        day.wall.strike_next(Call::IdAt, Fault::Fails);
+        day.wait_until_struck().await;
+        sleep(Duration::from_secs(3)).await;
+        let status = day.service.status();
+        let run = status.run.unwrap();
+        assert!(run.cycles > 0 && Path::new(&run.file).starts_with(day.home()), "{run:?}");
+        day.granted("/stop", &json!({})).await;
+        assert_eq!(day.recording("missed").cycles.len() as u64, day.service.status().last.unwrap().cycles);
+        day.end().await;
+    });
+}
+
+#[test]
 fn a_run_that_has_no_place_left_is_no_success_for_whoever_stops_it() {
     live(None, async |day| {
         day.wait_for(ServiceState::Waiting).await;
