@@ -46,6 +46,15 @@ fn a_parameter_is_free_or_fixed_and_not_both() {
     assert!(error.contains("`fix[1]`") && error.contains("`rd3` is in free as well"), "{error}");
 }
 
+#[test]
+fn an_unknown_parameter_is_refused_where_the_file_names_it() {
+    for (text, key) in [("free = [\"rd33x\"]\n", "free[0]"), ("[priors]\nrd33x = 1.0\n", "priors.rd33x")] {
+        let error =
+            config::parse::<IdentifyConfig>(text, Path::new("identify.toml")).unwrap_err().to_string();
+        assert!(error.contains(key) && error.contains("no parameter is called `rd33x`"), "{error}");
+    }
+}
+
 /// Keys of `all` that are missing in `said`.
 fn unsaid(all: &toml::Table, said: &toml::Table) -> Vec<String> {
     let absent = |(key, value): (&String, &toml::Value)| match (value, said.get(key)) {

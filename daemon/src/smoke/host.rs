@@ -49,7 +49,8 @@ impl Host {
 
 impl Interface {
     fn read(machine: &Machine, name: &str) -> Self {
-        let driver = std::fs::read_link(format!("/sys/class/net/{name}/device/driver")).ok();
+        let driver =
+            std::fs::read_link(machine.root.join(format!("sys/class/net/{name}/device/driver"))).ok();
         let driver = driver.and_then(|path| Some(path.file_name()?.to_str()?.to_owned()));
         Self { driver, speed_mbit_s: machine.text(&format!("sys/class/net/{name}/speed")) }
     }

@@ -4,6 +4,8 @@ use std::io::{Read, Write};
 use std::net::{Shutdown, TcpStream};
 use std::time::Duration;
 
+use ballbard::control::status::{ServiceState, Status};
+
 use super::rig::Running;
 
 /// A connection on which these bytes were sent.
@@ -37,6 +39,7 @@ fn raw_post(port: &str, headers: &str, body: &str) -> String {
 #[test]
 fn what_a_foreign_web_page_could_send_is_refused() {
     let service = Running::start();
+    service.wait_for("waiting");
     let port = &service.port;
     let json = "Content-Type: application/json\r\n";
     for headers in [
@@ -70,5 +73,5 @@ fn what_a_foreign_web_page_could_send_is_refused() {
         let answer = status_line(stream);
         assert!(answer.is_empty() || answer.contains(" 4") || answer.contains(" 5"), "{answer}");
     }
-    service.wait_for("waiting");
+    assert_eq!(service.get::<Status>("status").state, ServiceState::Waiting);
 }

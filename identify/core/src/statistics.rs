@@ -4,9 +4,6 @@ use std::borrow::Borrow;
 
 use serde::{Deserialize, Serialize};
 
-/// A median absolute deviation times this is the standard deviation of normal numbers.
-pub(crate) const SIGMA_PER_MEDIAN: f64 = 1.4826;
-
 /// Arithmetic mean; zero without values.
 pub fn mean(values: impl IntoIterator<Item: Borrow<f64>>) -> f64 {
     let add = |(count, sum): (usize, f64), value: f64| (count + 1, sum + value);
@@ -54,7 +51,7 @@ pub struct Sizes {
     pub mean: f64,
     /// Root of the mean square.
     pub rms: f64,
-    /// 50 % quantile; files do not have it.
+    /// 50 % quantile; files do not have it, and figures read from a file have zero.
     #[serde(skip)]
     pub median: f64,
     /// 95 % quantile.

@@ -27,7 +27,7 @@ const REMAINING_MIN: f64 = 0.01;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Contradicted {
     /// Priors, the most contradicted first.
-    pub priors: Vec<Prior>,
+    pub priors: Vec<ContradictedPrior>,
     /// The scale of all lengths.
     pub scale: Option<OtherScale>,
 }
@@ -38,12 +38,14 @@ impl Contradicted {
         Self { priors: strained_priors(model, solution), scale: other_scale(model, solution) }
     }
 
-    /// The covariance with a source for each contradiction, of the size of the contradiction.
-    pub(super) fn widened(&self, model: &Model, solution: &Solution) -> Covariance {
+    /// The covariance of a solution with a source for each contradiction, of the size of the contradiction. The solution may be
+    /// another fit to the same samples; its first columns are those of `model`.
+    pub(super) fn added_to(&self, solution: &Solution, model: &Model) -> Covariance {
         let mut covariance = solution.covariance.clone();
         for prior in &self.priors {
-            let shift = covariance.by_prior_on_all(prior.column, prior.s0) * prior.times_without();
-            covariance = covariance.with_source(Source::Contradicted { column: prior.column }, &shift);
+            let Some(column) = model.column_of(prior.id) else { continue };
+            let shift = solution.covariance.by_prior_on_all(column, prior.s0) * prior.times_without();
+            covariance = covariance.with_source(Source::Contradicted { column }, &shift);
         }
         if let Some(OtherScale { relative, .. }) = self.scale {
             let mut shift = DVector::zeros(covariance.spread().by_source.nrows());
@@ -56,10 +58,11 @@ impl Contradicted {
 
 /// Contradicted priors, the most contradicted first: the test of Evans and Moshonov (2006) for each of the `n` priors, with
 /// probability [`STRAINED_BY_CHANCE`] of a false report in all.
-fn strained_priors(model: &Model, solution: &Solution) -> Vec<Prior> {
+fn strained_priors(model: &Model, solution: &Solution) -> Vec<ContradictedPrior> {
     let columns = model.columns().enumerate();
-    let mut priors: Vec<Prior> =
-        columns.filter_map(|(column, parameter)| Prior::new(column, parameter, solution)).collect();
+    let mut priors: Vec<ContradictedPrior> = columns
+        .filter_map(|(column, parameter)| ContradictedPrior::new(column, parameter, solution))
+        .collect();
     let sigmas_from = &solution.covariance.sigmas_from;
     let sigmas_max = sigmas_from.sigmas_within(STRAINED_BY_CHANCE / priors.len().max(1) as f64);
     priors.retain(|prior| prior.spread > 0.0 && prior.times() > sigmas_max);
@@ -69,9 +72,8 @@ fn strained_priors(model: &Model, solution: &Solution) -> Vec<Prior> {
 
 /// A parameter with a prior, in SI units.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Prior {
+pub struct ContradictedPrior {
     id: ParameterId,
-    column: usize,
     /// Estimated minus expected value.
     off: f64,
     /// Standard deviation of the prior.
@@ -84,7 +86,7 @@ pub struct Prior {
     spread: f64,
 }
 
-impl Prior {
+impl ContradictedPrior {
     /// The prior of a parameter; `None` if it has none.
     ///
     /// A correct prior of `x0` with sigma `s0` shifts the estimate `x` (sigma `s`) by `g` if it is off by `s0`. Then `x - x0` has
@@ -99,7 +101,7 @@ impl Prior {
             |g| (g, s.powi(2) - g.powi(2)),
         );
         let spread = (variance_of_others + (s0 - g).powi(2) + (NONLINEAR * g).powi(2)).max(0.0).sqrt();
-        Some(Self { id: parameter.id, column, off: x.get(column)? - value, s0, s, g, spread })
+        Some(Self { id: parameter.id, off: x.get(column)? - value, s0, s, g, spread })
     }
 
     /// Whether it biases the result by more than the uncertainty: without it the estimate would differ more from the expected value.
@@ -118,7 +120,7 @@ impl Prior {
     }
 }
 
-impl fmt::Display for Prior {
+impl fmt::Display for ContradictedPrior {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { id, off, s0, .. } = self;
         let (factor, symbol) = (id.unit().display_factor(), id.unit().display_symbol());
@@ -132,6 +134,12 @@ pub(crate) struct Length {
     column: usize,
     nominal_m: f64,
     pub(crate) off_m: f64,
+}
+
+impl fmt::Display for Length {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "{} by {:+.1} mm", self.id, self.off_m * 1e3)
+    }
 }
 
 pub(crate) fn lengths(model: &Model, solution: &Solution) -> impl Iterator<Item = Length> {

@@ -99,7 +99,7 @@ fn calibrate_in_stages(
     }
     solved.solution.require_sigmas()?;
     let contradicted = Contradicted::new(&runs[0].model, &solved.solution);
-    solved.solution.covariance = contradicted.widened(&runs[0].model, &solved.solution);
+    solved.solution.covariance = contradicted.added_to(&solved.solution, &runs[0].model);
     let changed = change::checked(&runs, &solved.sigmas, &config.prepare)?;
     Ok(Calibration { runs, rows, solved, contradicted, changed, loss: plan.loss })
 }

@@ -8,7 +8,7 @@ use shared::output::named;
 use super::{Elongation, PositiveForce, WorkspaceError};
 use crate::calibrate::Calibration;
 use crate::calibrate::change::Changed;
-use crate::calibrate::contradicted::{LENGTH_SIGMA_M, Length, Prior, lengths};
+use crate::calibrate::contradicted::{ContradictedPrior, LENGTH_SIGMA_M, Length, lengths};
 use crate::calibrate::validation::agreement::{Disagreement, disagreeing};
 use crate::cost::Closure;
 use crate::instrument::{Doubt, Run, ScaleFrom};
@@ -49,7 +49,7 @@ const NAMED: usize = 3;
 pub struct Limit {
     /// The limitation as text for the report.
     pub sentence: String,
-    /// Whether the limitation invalidates the reported accuracy.
+    /// Whether the limitation invalidates the reported accuracy, or shows that a stated input is wrong.
     pub serious: bool,
 }
 
@@ -245,7 +245,7 @@ fn forces_without_sign(calibration: &Calibration) -> impl Iterator<Item = Limit>
 }
 
 /// Parameters whose estimates contradict their priors.
-fn strained_priors(strained: &[Prior]) -> Option<Limit> {
+fn strained_priors(strained: &[ContradictedPrior]) -> Option<Limit> {
     (!strained.is_empty()).then(|| Limit {
         sentence: format!(
             "The data contradict the prior of {}. Look for the cause (the ratio in the controller, a worn gear or grating, a plate or \
@@ -253,7 +253,7 @@ fn strained_priors(strained: &[Prior]) -> Option<Limit> {
              biases the result. The stated uncertainty includes the change of the result without it.",
             named(strained, NAMED)
         ),
-        serious: strained.iter().any(Prior::biases),
+        serious: strained.iter().any(ContradictedPrior::biases),
     })
 }
 
@@ -338,12 +338,6 @@ fn far_lengths(model: &Model, solution: &Solution, scale: &str) -> Option<String
             named(&off, NAMED)
         )
     })
-}
-
-impl std::fmt::Display for Length {
-    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(out, "{} by {:+.1} mm", self.id, self.off_m * 1e3)
-    }
 }
 
 /// Reason why the result of a data set is questionable, as text.

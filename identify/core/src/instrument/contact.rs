@@ -5,7 +5,7 @@
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use super::rows::{MEDIAN_OF_THREE, Standing};
-use super::tip::{Artefact, TIP_SIGMA_M, Tip, Touches, numbers_min, tip_weight};
+use super::tip::{Artefact, TIP_SIGMA_M, Tip, TouchedPoses, numbers_min, tip_weight};
 use super::{Deviation, Knowns, RowError, ScaleFrom, SocketTable, Sockets};
 use crate::cost::{Residual, SeatedBall};
 use crate::logs::TipRow;
@@ -88,7 +88,7 @@ impl Artefact for Sockets {
 
     /// Ball and sockets by least squares: `p_k + R_k ball = socket` is linear in both, with the pose `(R_k, p_k)` of the flange at
     /// row `k`.
-    fn start(&self, touches: &Touches) -> Option<Vec<(ParameterId, f64, Role)>> {
+    fn start(&self, touches: &TouchedPoses) -> Option<Vec<(ParameterId, f64, Role)>> {
         let sockets = self.names.len();
         let size = 3 * (1 + sockets);
         let (mut matrix, mut right) = (DMatrix::zeros(size, size), DVector::zeros(size));

@@ -33,7 +33,7 @@ pub(super) fn numbers_min(parts: usize, axes: usize) -> usize {
 }
 
 /// Poses of the flange, each with its row.
-pub(super) type Touches = Vec<(Pose, TipRow)>;
+pub(super) type TouchedPoses = Vec<(Pose, TipRow)>;
 
 /// Parts of one rigid body that the tip touches, numbered as their parameters, and their known quantities.
 pub trait Artefact: Knowns + Clone + Send + 'static {
@@ -72,7 +72,7 @@ pub trait Artefact: Knowns + Clone + Send + 'static {
     fn deviation(geometry: &Geometry, part: usize, tip_m: Vector3<f64>, reading_m: f64) -> Deviation;
 
     /// Start values and roles of all its parameters; `None` if the rows do not determine them.
-    fn start(&self, touches: &Touches) -> Option<Vec<(ParameterId, f64, Role)>>;
+    fn start(&self, touches: &TouchedPoses) -> Option<Vec<(ParameterId, f64, Role)>>;
 
     /// Changes at one instant that can occur during a measurement.
     fn causes() -> Vec<Cause> {
@@ -176,7 +176,7 @@ impl<A: Artefact> Measures for Tip<A> {
     fn place(&self, model: &mut Model, fix: &[ParameterId]) -> Result<bool, ModelError> {
         let geometry = model.geometry(&[]);
         let used = self.rows.at.states.iter().zip(&self.rows.at.rows);
-        let touches: Touches = used.map(|(state, row)| (geometry.robot_end(state), *row)).collect();
+        let touches: TouchedPoses = used.map(|(state, row)| (geometry.robot_end(state), *row)).collect();
         let Some(start) = self.artefact.start(&touches) else { return Ok(false) };
         for (id, value, role) in start.into_iter().filter(|(id, ..)| !fix.contains(id)) {
             model.set_value(id, value)?;

@@ -5,7 +5,7 @@
 use nalgebra::{DMatrix, DVector, Matrix3, SymmetricEigen, Vector3};
 
 use super::rows::{MEDIAN_OF_ONE, Standing};
-use super::tip::{Artefact, TIP_SIGMA_M, Tip, Touches, numbers_min, tip_weight};
+use super::tip::{Artefact, TIP_SIGMA_M, Tip, TouchedPoses, numbers_min, tip_weight};
 use super::{Cause, Deviation, FaceTable, Faces, Mistake, ScaleFrom};
 use crate::cost::TouchedFace;
 use crate::kinematics::Chain;
@@ -48,7 +48,7 @@ struct Placed {
 /// Fits tip and planes of `faces` faces to poses of a robot, from a start value of the tip.
 ///
 /// Alternates two linear steps, often enough to converge: planes for a known tip by least squares, then the tip for known normals.
-fn fit_tip_and_planes(touches: &Touches, faces: usize, start_m: Vector3<f64>) -> Option<Placed> {
+fn fit_tip_and_planes(touches: &TouchedPoses, faces: usize, start_m: Vector3<f64>) -> Option<Placed> {
     const ROUNDS: usize = 60;
     let mut tip_m = start_m;
     let mut planes = Vec::new();
@@ -82,7 +82,7 @@ fn fit_tip_and_planes(touches: &Touches, faces: usize, start_m: Vector3<f64>) ->
 }
 
 /// Plane through the tips of a face, at least three; its normal points to decreasing travel of a gauge's plunger.
-fn fit_plane(touches: &Touches, face: usize, tip_m: Vector3<f64>) -> Option<Face> {
+fn fit_plane(touches: &TouchedPoses, face: usize, tip_m: Vector3<f64>) -> Option<Face> {
     let on_face = || touches.iter().filter(|(_, row)| row.part == face);
     let tips_m: Vec<Vector3<f64>> =
         on_face().map(|(flange, _)| flange.transform_point(&tip_m.into()).coords).collect();
@@ -138,7 +138,7 @@ impl Artefact for Faces {
 
     /// From the tip in the table, or from the best of several tips along the flange's axis. The largest coordinate of each normal
     /// is fixed at 1 or -1, because a plane has three parameters.
-    fn start(&self, touches: &Touches) -> Option<Vec<(ParameterId, f64, Role)>> {
+    fn start(&self, touches: &TouchedPoses) -> Option<Vec<(ParameterId, f64, Role)>> {
         const STARTS_M: [f64; 5] = [0.0, 0.1, 0.2, 0.3, 0.4];
         let starts_m =
             self.tip_m.map_or_else(|| STARTS_M.map(|z| Vector3::new(0.0, 0.0, z)).to_vec(), |tip| vec![tip]);

@@ -53,7 +53,7 @@ pub struct Parameter {
 pub enum ModelError {
     /// No parameter has this name.
     #[error("no parameter is called `{name}`; {}", nearest.as_ref().map_or_else(
-        || format!("there are {}", ranges()),
+        || format!("choose from {}", ranges()),
         |nearest| format!("did you mean `{nearest}`?")
     ))]
     UnknownName {

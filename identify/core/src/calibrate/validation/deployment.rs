@@ -74,7 +74,10 @@ impl Calibration {
         watch: Option<&dyn Watch>,
     ) -> Result<Option<Self>, CalibrateError> {
         let found = fitted(&self.runs, &self.solved, deployment, self.loss, watch)?;
-        Ok(found.map(|(runs, solved)| Self { runs, solved, ..self.clone() }))
+        Ok(found.map(|(runs, mut solved)| {
+            solved.solution.covariance = self.contradicted.added_to(&solved.solution, &runs[0].model);
+            Self { runs, solved, ..self.clone() }
+        }))
     }
 }
 

@@ -238,7 +238,7 @@ fn each_utf8_or_windows_1252(lines: &[u8]) -> String {
 
 /// The lines, those of blanks alone without them: the `csv` crate skips empty lines only.
 fn without_blanks(lines: &str) -> Cow<'_, str> {
-    let is_blank = |line: &str| line.trim().is_empty();
+    let is_blank = |line: &str| line != "\n" && line.trim().is_empty();
     if !lines.split_inclusive('\n').any(is_blank) {
         return lines.into();
     }

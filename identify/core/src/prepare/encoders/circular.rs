@@ -2,7 +2,7 @@
 //! `samples::angle_errors`).
 
 use crate::kinematics::wrapped;
-use crate::statistics::{SIGMA_PER_MEDIAN, median};
+use crate::statistics::median;
 
 /// Median on the circle, about the mean direction \[rad\]; 0 of no angles.
 pub(in crate::prepare) fn circular_median(angles_rad: &[f64]) -> f64 {
@@ -20,5 +20,7 @@ pub(in crate::prepare) fn deviations(angles_rad: Vec<f64>) -> Vec<f64> {
 
 /// Robust standard deviation from the distances to a median; infinite without any.
 pub(in crate::prepare) fn spread_of(mut deviations: Vec<f64>) -> f64 {
+    /// A median absolute deviation times this is the standard deviation of normal numbers.
+    const SIGMA_PER_MEDIAN: f64 = 1.4826;
     SIGMA_PER_MEDIAN * median(&mut deviations).unwrap_or(f64::INFINITY)
 }

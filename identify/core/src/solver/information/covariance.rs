@@ -243,12 +243,11 @@ impl Covariance {
     /// Replaces the covariance by that of the jackknife over `folds`, with additional columns for terms that were `left_out` of
     /// the solution with value zero and may be present.
     pub fn replace_by_jackknife(&mut self, spread: Spread, folds: usize, left_out: usize) {
-        if spread.by_source.nrows() == self.determined.len() + left_out {
-            self.determined.extend(std::iter::repeat_n(true, left_out));
-            self.left_out = left_out;
-            self.sigmas_from = SigmasFrom::Jackknife { folds };
-            (self.matrix, self.spread) = (spread.covariance(), spread);
-        }
+        assert_eq!(spread.by_source.nrows(), self.determined.len() + left_out);
+        self.determined.extend(std::iter::repeat_n(true, left_out));
+        self.left_out = left_out;
+        self.sigmas_from = SigmasFrom::Jackknife { folds };
+        (self.matrix, self.spread) = (spread.covariance(), spread);
     }
 
     /// Replaces it by the consider covariance (Schmidt 1966): with `x` estimated, `c` considered and `G = dx / dc`, it is
@@ -256,9 +255,7 @@ impl Covariance {
     pub fn add_considered(&mut self, Considered { sigmas, change }: Considered) {
         let Spread { by_source, sources } = &mut self.spread;
         let ((rows, columns), count) = (by_source.shape(), sigmas.len());
-        if change.shape() != (self.estimated, count) {
-            return;
-        }
+        assert_eq!(change.shape(), (self.estimated, count));
         by_source.resize_mut(rows + count, columns + count, 0.0);
         by_source.view_mut((0, columns), (self.estimated, count)).copy_from(&change);
         for (index, sigma) in sigmas.into_iter().enumerate() {
@@ -285,14 +282,14 @@ impl Covariance {
 
     /// Adds a source with the contribution of one standard deviation to each column.
     #[must_use]
-    pub fn with_source(mut self, source: Source, contribution: &DVector<f64>) -> Self {
+    pub(crate) fn with_source(mut self, source: Source, contribution: &DVector<f64>) -> Self {
         self.spread.add(source, contribution);
         self.matrix = self.spread.covariance();
         self
     }
 
     /// Change of all columns if the prior of a column is wrong by its standard deviation `sigma`.
-    pub fn by_prior_on_all(&self, column: usize, sigma: f64) -> DVector<f64> {
+    pub(crate) fn by_prior_on_all(&self, column: usize, sigma: f64) -> DVector<f64> {
         let Spread { by_source, sources } = &self.spread;
         let of_prior = sources.iter().position(|source| *source == Source::Prior { column });
         // Without separate sources the covariance is that of least squares.
@@ -339,6 +336,15 @@ impl Covariance {
     /// Standard deviation of a column; `None` if it is not identified.
     pub fn sigma(&self, column: usize) -> Option<f64> {
         self.between(column, column).map(f64::sqrt)
+    }
+
+    /// As [`Self::sigma`], without the sources of contradictions.
+    pub fn sigma_before_contradictions(&self, column: usize) -> Option<f64> {
+        let Spread { by_source, sources } = &self.spread;
+        let is_added = |source: &Source| matches!(source, Source::Contradicted { .. } | Source::OtherScale);
+        let added = sources.iter().enumerate().filter(|(_, source)| is_added(source));
+        let added: f64 = added.map(|(index, _)| by_source[(column, index)].powi(2)).sum();
+        Some((self.between(column, column)? - added).max(0.0).sqrt())
     }
 
     /// Correlation of two columns, -1 to 1; `None` if one is not identified.

@@ -101,7 +101,7 @@ impl CalibrationFile {
     }
 
     /// RMS position errors of the nominal robot and of a deployment on held-out data: on the segments of all runs with a bar,
-    /// otherwise on the first file of rows \[m\].
+    /// otherwise on the first file of rows that has both \[m\].
     pub fn held_out_m(&self, deployment: Deployment) -> Option<[f64; 2]> {
         let both =
             |errors: &HeldOutErrors| Some([errors.nominal, errors.calibrated?].map(|one| one.position_m));

@@ -158,7 +158,7 @@ impl CalibrationFile {
         let strongest = strongest.into_iter().take(NAMED_MAX);
         let is_by_prior = |(column, prior): &(usize, &Option<f64>)| {
             prior
-                .zip(solution.covariance.sigma(*column))
+                .zip(solution.covariance.sigma_before_contradictions(*column))
                 .is_some_and(|(prior, sigma)| sigma > BY_PRIOR * prior)
         };
         let by_prior = identifiability.prior_sigmas.iter().enumerate().filter(is_by_prior);
