@@ -14,9 +14,9 @@ use crate::model::{Group, Model, ModelError, Owner, ParameterId, Role, Selection
 use crate::prepare::PrepareOptions;
 use crate::solver::LossName;
 
-/// Prior of encoder offsets after the loss of a counter's origin \[rad\]. They start at the preparation's values, on nominal
-/// geometry. The prior is much wider than their error, so that the samples determine them. If a held-out segment contains all
-/// samples of an origin, its offsets stay at their start.
+/// Prior of encoder offsets after the loss of a counter's origin \[rad\]. They correct the preparation's offsets, which are for
+/// the nominal geometry, so they are zero at the start. The prior is much wider than their error, so that the samples determine
+/// them. If a held-out segment contains all samples of an origin, its offsets stay at their start.
 const LOST_ORIGIN_SIGMA_RAD: f64 = 0.01;
 /// Tilt of the bar's base if it is not estimated, for a set-up by eye, standard deviation \[rad\].
 const BASE_TILT_SIGMA_RAD: f64 = 5e-3;
@@ -181,7 +181,7 @@ impl IdentifyConfig {
     }
 
     /// Sets the role of every parameter of a ball-bar model, for a cost that identifies the parameters for which `identifies`
-    /// is true. `identifiable` is the set of a selection that depends on the poses. Candidate terms are not freed.
+    /// is true. `identifiable` is the selection, if that depends on the poses. Candidate terms are not freed.
     ///
     /// # Errors
     /// [`ModelError`] for an invalid standard deviation.
@@ -315,6 +315,7 @@ impl IdentifyConfig {
         models: impl Iterator<Item = &'m Model> + Clone,
     ) -> Result<(), ModelError> {
         for id in self.named() {
+            // Models without a ball-bar receive their waves later.
             let is_wave = matches!(id, ParameterId::JointWave { .. });
             if !is_wave && models.clone().all(|model| model.parameter(id).is_none()) {
                 return Err(ModelError::NotInModel { id });

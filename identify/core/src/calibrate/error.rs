@@ -48,13 +48,13 @@ pub enum CalibrateError {
          in a point; measure poses further apart"
     )]
     NoPlace {
-        /// Number of the data set, from 1: ball-bars, trackers, wires, contacts, each in their order.
+        /// Number of the data set, from 1: ball-bars, trackers, wires, contacts, touches, each in their order.
         data_set: usize,
     },
     /// The logs of a tracker and of the robot cannot be aligned.
     #[error("data set {data_set}: {error}")]
     Align {
-        /// Number of the data set, from 1: ball-bars, trackers, wires, contacts, each in their order.
+        /// Number of the data set, from 1: ball-bars, trackers, wires, contacts, touches, each in their order.
         data_set: usize,
         /// Error of the alignment.
         error: Box<PrepareError>,
@@ -62,7 +62,7 @@ pub enum CalibrateError {
     /// Rows that are insufficient or invalid.
     #[error("data set {data_set}: {error}")]
     Rows {
-        /// Number of the data set, from 1: ball-bars, trackers, wires, contacts, each in their order.
+        /// Number of the data set, from 1: ball-bars, trackers, wires, contacts, touches, each in their order.
         data_set: usize,
         /// Error of the rows.
         error: RowError,

@@ -108,7 +108,8 @@ pub(super) fn problem_with_models<'p>(
 }
 
 /// Factor of the `sigma` of one data set for the correlation of its errors: correlated errors carry less information than
-/// independent ones. `groups` are independent groups of its samples.
+/// independent ones. `alone` has residuals in their own unit, so its dispersion has to be divided by `sigma^2`. `groups` are
+/// independent groups of its samples.
 fn correlation_factor(alone: &dyn Problem, model: &Model, groups: &[Vec<usize>], sigma: f64) -> f64 {
     let loss = LossName::Cauchy.for_spread(sigma, alone.rows());
     let options = Options { loss, ..Options::default() };
@@ -130,7 +131,7 @@ pub(super) struct Solver<'a> {
     pub(super) plan: &'a Plan<'a>,
     /// Standard deviation of a residual of each run.
     pub(super) sigmas: Vec<f64>,
-    /// Those of rod and plate lengths that differ between runs.
+    /// Rod and plate lengths that differ between runs.
     pub(super) own_lengths: Vec<ParameterId>,
     /// Waves that were detected in residuals.
     pub(super) shown: Shown,
@@ -139,7 +140,7 @@ pub(super) struct Solver<'a> {
 /// Solves, chooses terms, solves again, and sets the models to the solution.
 ///
 /// # Errors
-/// [`CalibrateError`] if the runs do not fit their residuals or do not determine all free parameters.
+/// [`CalibrateError`] if samples lack what their cost needs, or do not determine all free parameters.
 pub fn estimate(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateError> {
     let poor_fit = change::poor_fit(runs);
     estimate_in_steps(runs, plan).map_err(|error| match poor_fit {
@@ -191,7 +192,7 @@ pub(super) fn refit(
     Ok(Solved { columns, solution, covariance_columns, sigmas: solver.sigmas, ..before })
 }
 
-/// Those of rod and plate lengths that differ between the runs with a bar.
+/// Rod and plate lengths that differ between the runs with a bar.
 pub(super) fn differ(runs: &[Run]) -> Vec<ParameterId> {
     let differs = |id: &ParameterId| {
         let bars = runs.iter().filter(|run| run.instrument.scale() == ScaleFrom::Plate);
@@ -320,7 +321,8 @@ impl<'a> Solver<'a> {
             sigma = (sigma * remaining).max(SIGMA_MIN);
         }
         let (columns, mut solution) = self.last_solve()?;
-        // Convert to the unit of the estimated noise.
+        // The first solve was whitened with the noise before this estimate. The last starts near the same solution, so the
+        // ratio of the rms there converts that of the first start.
         let unit = solution.summary.residual_rms_start / first.residual_rms.max(SIGMA_MIN);
         let unit = if cost == CostName::Pose { unit } else { UNWEIGHTED };
         solution.summary.residual_rms_start = unit * first.residual_rms_start;
@@ -356,8 +358,8 @@ impl<'a> Solver<'a> {
     }
 
     /// Factor by which the errors of each data set exceed its residuals, because the fit adapts to them: `sqrt(n / (n - p))`,
-    /// with `p` effective parameters for its `n` numbers. Without the factor, if terms are as many as numbers, residuals would
-    /// decrease with each fit, down to zero.
+    /// with `p` effective parameters for its `n` residuals. Without the factor, if there are as many terms as residuals, these
+    /// would decrease with each fit, down to zero.
     fn errors_per_residual(&self) -> Result<Vec<f64>, CostError> {
         let columns = self.columns();
         let all = problem(self.runs, &columns, &self.sigmas)?;

@@ -134,6 +134,7 @@ impl Solver<'_> {
         let problem = problem_with_models(self.runs, &models.of_runs, &models.columns, &self.sigmas)?;
         let options = Options { loss, ..Options::default() };
         let found = influence(&problem, &models.start(), &considered, &options)?;
+        // `found.change` has a row for each column that is not considered; the solution may have these in another order.
         let mut change = DMatrix::zeros(columns.all().len(), considered.len());
         for (row, column) in (0..all.len()).filter_map(estimated).enumerate() {
             change.row_mut(column).copy_from(&found.change.row(row));

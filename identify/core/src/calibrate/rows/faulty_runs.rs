@@ -34,7 +34,8 @@ pub struct FaultyRun {
     pub cause: Option<RunCause>,
 }
 
-/// Median of the absolute residuals \[m\] if the offset of the instrument changed.
+/// Median of the absolute residuals \[m\] if the offset of the instrument changed. Residuals are robot minus measurement, so
+/// their median is minus the change.
 fn zero_moved(residuals_m: &[f64]) -> (f64, RunCause) {
     let by_m = quantile(&mut residuals_m.to_vec(), 0.5);
     (median_size(residuals_m.iter().map(|r| r - by_m)), RunCause::ZeroMoved { by_m: -by_m })

@@ -187,6 +187,7 @@ pub(super) fn step(instrument: &Instrument, model: &Model) -> Option<Step> {
     const BESIDE: usize = 3;
     /// Columns of the regression: mean, drift, step.
     const COEFFICIENTS: usize = 3;
+    // Only a tracker, which measures positions, can have this mistake.
     if !instrument.mistakes(0).iter().any(|mistake| matches!(mistake, Mistake::Moved(_))) {
         return None;
     }

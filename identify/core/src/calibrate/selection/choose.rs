@@ -22,9 +22,9 @@ pub(in crate::calibrate) struct CommonPrior {
 }
 
 impl CommonPrior {
-    /// Harmonics of the bar's encoders.
+    /// Factors for the harmonics of the bar's encoders.
     pub const HARMONICS: &'static [f64] = &[2.0, 1.0, 0.5, 0.2, 0.1, 0.05, 0.02];
-    /// Offsets of joints: within the tolerance of links, or off by hand, up to a degree on cobots.
+    /// Factors for the offsets of joints: within the tolerance of links, or set by hand with errors up to a degree (cobots).
     pub const ZEROS: &'static [f64] = &[1.0, 2.0, 5.0, 10.0, 20.0];
 
     /// The prior of those of these parameters that have one in any model.
@@ -77,7 +77,7 @@ impl Solver<'_> {
         self.leave_out(&self.shown.by_parts())?;
         let mut report = Vec::new();
         let mut accepted = self.apply(&groups, &offered, &verdicts, &mut report)?;
-        // The orders of a line spectrum were found in the same samples.
+        // The orders of a line spectrum were detected in these samples: no test of the same samples can confirm them.
         let rejected: Vec<&CandidateGroup> = verdicts
             .iter()
             .filter(|verdict| !verdict.accepted)

@@ -110,7 +110,7 @@ pub struct Verdict {
 const SIGNIFICANCE_LEVEL: f64 = 0.15;
 /// A smaller relative decrease of the mean squared residual does not change any reported value.
 const DECREASE_MIN: f64 = 1e-3;
-/// Probability that any axis of a rejected group is accepted by chance.
+/// Probability that in a calibration any axis of the rejected groups is accepted by chance.
 const AXIS_BY_CHANCE: f64 = 0.02;
 
 /// Whether the errors of the folds decrease significantly (one-sided Student's t of the logarithms, since errors may differ
