@@ -9,9 +9,9 @@ use crate::kinematics::Chain;
 use crate::logs::TipRow;
 use crate::model::{FaceNumber, Owner, ParameterId};
 
-/// `h + reading` \[m\] with the height `h = (n.x - d) / |n|` of the tip's centre `x = R_p + R tip` over the face. The face is
-/// the plane `n.x = d` in the robot's base, `n` points away from the material. The problem divides it by the standard
-/// deviation of a distance.
+/// `h + reading` \[m\] with the height `h = (n.x - d) / |n|` of the tip's centre `x = R_p + R tip`. The plane `n.x = d` in the
+/// robot's base is the face displaced by the tip's radius along `n`, which points away from the material. The problem divides
+/// the residual by the standard deviation of a distance.
 #[derive(Debug, Clone, Copy)]
 pub struct TouchedFace<'a> {
     /// Each sample with its face and reading.
