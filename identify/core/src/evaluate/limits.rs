@@ -29,7 +29,7 @@ const WEIGHT_MIN: f64 = 0.5;
 /// Larger length errors are not manufacturing or measurement errors \[m\].
 const LENGTH_OFF_M: f64 = 5e-3;
 
-/// Limit of the report \[rad\]: offsets of joints have smaller errors, mountings of plates may have larger ones.
+/// A plate rotated by more is reported \[rad\]: offsets of joints have smaller errors, mountings of plates may have larger ones.
 const TURNED_RAD: f64 = 17e-3;
 
 /// Gear ratios are ratios of tooth numbers, so a larger relative error is a wrong configuration. Elastic parts of a drive
@@ -102,7 +102,7 @@ fn little_travel(calibration: &Calibration) -> Vec<Limit> {
     travel.filter(|(_, travel_deg)| *travel_deg < TRAVEL_MIN_DEG).map(little).collect()
 }
 
-/// Samples with a low weight in the robust loss.
+/// Samples with a low weight in the robust loss, if they are more than one in twenty.
 fn outliers(solution: &Solution) -> Option<Limit> {
     let weights = &solution.sample_weights;
     // At its scale a loss has weight one half; Geman-McClure has the square of that.
@@ -192,16 +192,16 @@ fn of_lengths(calibration: &Calibration, scales: impl Iterator<Item = ScaleFrom>
 }
 
 /// Changes during the measurement. They are serious if the end of an arm of this reach moves by more than a negligible
-/// fraction of the stated uncertainty. The fraction is small because a change also increases that uncertainty: the samples
+/// fraction of the expanded uncertainty. The fraction is small because a change also increases that uncertainty: the samples
 /// contradict each other.
-fn of_changes(changed: &[Changed], reach_m: f64, known_m: f64) -> Option<Limit> {
+fn of_changes(changed: &[Changed], reach_m: f64, expanded_m: f64) -> Option<Limit> {
     (!changed.is_empty()).then(|| Limit {
         sentence: format!(
             "Something changed during the measurement: {}. The result is a mean of the states before and after: let the robot warm up, \
              check the named parts, or calibrate from the data on one side of the change.",
             named(changed, NAMED)
         ),
-        serious: changed.iter().any(|change| change.moves_m(reach_m) > NEGLIGIBLE * known_m),
+        serious: changed.iter().any(|change| change.moves_m(reach_m) > NEGLIGIBLE * expanded_m),
     })
 }
 
