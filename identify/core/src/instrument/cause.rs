@@ -1,4 +1,4 @@
-//! Changes at one instant of an instrument, a robot or their clocks during a measurement.
+//! Causes of a change (a step or a drift) during a measurement: a part of an instrument or of the robot, or a clock.
 
 use crate::kinematics::LinkParameter;
 use crate::model::{ParameterId, Unit};

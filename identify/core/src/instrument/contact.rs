@@ -87,7 +87,7 @@ impl Artefact for Sockets {
     }
 
     /// Ball and sockets by least squares: `p_k + R_k ball = socket` is linear in both, with the pose `(R_k, p_k)` of the flange at
-    /// row `k`.
+    /// row `k`. A weak prior of the ball at zero is effective only if the poses do not determine it.
     fn start(&self, touches: &TouchedPoses) -> Option<Vec<(ParameterId, f64, Role)>> {
         let sockets = self.names.len();
         let size = 3 * (1 + sockets);

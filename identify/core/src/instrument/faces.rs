@@ -1,5 +1,6 @@
 //! Flat faces that a tip touches, and their known distances and angles: the file's table, and its entries as residuals and
-//! derivatives beside the rows of [`super::Touch`]. A face is the plane `n.x = d`; `n` has any length.
+//! derivatives beside the rows of [`super::Touch`]. A face is the plane `n.x = d` of the centre of the touching tip; `n` has any
+//! length.
 
 use std::collections::BTreeSet;
 
@@ -162,8 +163,9 @@ impl Validate for FaceTable {
 /// A known quantity of two faces.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Known {
-    /// Distance from the first face to the second at `at_m`, where the second is touched, for the centre of the tip \[m\]. The
-    /// estimated planes are not exactly parallel, so their distance is stated at a point.
+    /// Distance of the planes on which the centre of the tip lies: the stated distance corrected for the tip's diameter \[m\]. The
+    /// estimated planes are not exactly parallel, so the distance from the first is that of the point of the second nearest to
+    /// `at_m`, where the second is touched.
     Distance { faces: [usize; 2], distance_m: f64, sigma_m: f64, at_m: Vector3<f64> },
     /// Angle of two planes that are not parallel.
     Angle { faces: [usize; 2], angle_rad: f64, sigma_rad: f64 },
