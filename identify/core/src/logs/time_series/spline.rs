@@ -71,11 +71,13 @@ impl<R: Row> CubicSpline<R> {
             self.interval(interval)?;
         let u = (t_s - self.knots.t_s[interval]) / width_s;
         let w = 1.0 - u;
-        let h2 = width_s * width_s / 6.0;
+        let h2_over_6 = width_s * width_s / 6.0;
         let row = &self.knots[interval];
         Some(SplinePoint {
             value: row.with_numbers(|i| {
-                w * left[i] + u * right[i] + h2 * ((w * w * w - w) * m_left[i] + (u * u * u - u) * m_right[i])
+                w * left[i]
+                    + u * right[i]
+                    + h2_over_6 * ((w * w * w - w) * m_left[i] + (u * u * u - u) * m_right[i])
             }),
             rate: row.with_numbers(|i| {
                 (right[i] - left[i]) / width_s
@@ -97,9 +99,9 @@ impl<R: Row> CubicSpline<R> {
         // The integrals from 0 to u of w, u, h^2 / 6 (w^3 - w) and h^2 / 6 (u^3 - u).
         let (w2, u2) = ((1.0 - u) * (1.0 - u), u * u);
         let (of_left, of_right) = (0.5 * (1.0 - w2), 0.5 * u2);
-        let h2 = width_s * width_s / 6.0;
+        let h2_over_6 = width_s * width_s / 6.0;
         let (of_m_left, of_m_right) =
-            (h2 * (0.25 * (1.0 - w2 * w2) - of_left), h2 * (0.25 * u2 * u2 - of_right));
+            (h2_over_6 * (0.25 * (1.0 - w2 * w2) - of_left), h2_over_6 * (0.25 * u2 * u2 - of_right));
         Some(self.knots[interval].with_numbers(|i| {
             width_s
                 * (of_left * left[i] + of_right * right[i] + of_m_left * m_left[i] + of_m_right * m_right[i])

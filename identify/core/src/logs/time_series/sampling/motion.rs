@@ -10,7 +10,8 @@ use crate::statistics::median;
 
 /// Number of rows on either side whose joint steps determine the usual step, that of one period.
 pub(super) const NEIGHBOURS: usize = 6;
-/// A step is a multiple of the usual one if it differs by less than this fraction of the usual one, which changes by less.
+/// A step is a multiple of the usual one if it differs by less than this fraction of the usual one; the usual steps on both
+/// sides must differ by less than it, too.
 pub(super) const WHOLE: f64 = 0.2;
 /// Largest number of periods between two rows that the motion determines.
 pub(super) const PERIODS_MAX: f64 = 4.0;
@@ -96,10 +97,10 @@ pub(super) fn compare_motion(
         if *shown == Some(stamped) {
             continue;
         }
-        let is_open = stamped > 1.0 && stamped <= PERIODS_MAX;
-        tests += usize::from(is_open);
+        let rows_missing = stamped > 1.0 && stamped <= PERIODS_MAX;
+        tests += usize::from(rows_missing);
         let by_curve =
-            if is_open { periods_by_curve(rows, side, &numbers, row, stamped as usize) } else { None };
+            if rows_missing { periods_by_curve(rows, side, &numbers, row, stamped as usize) } else { None };
         *shown = by_curve.map(|(periods, _)| periods).or(*shown);
         if shown.is_some_and(|shown| shown != stamped) {
             contradictions_nats.push(by_curve.map_or(MISCOUNTED.ln(), |(_, nats)| nats));
@@ -110,8 +111,8 @@ pub(super) fn compare_motion(
     (motion, contradictions_nats.iter().map(|nats| (nats - by_chance_nats).max(0.0)).sum())
 }
 
-/// Periods, 1 to `most`, from `row` to the next one for which `side` rows on both sides are on the smoothest curve, with the
-/// log-likelihood ratio to the second best; `None` if that is too small.
+/// Periods, 1 to `most`, from `row` to the next one for which `side` rows on both sides are nearest to a cubic, with the
+/// log-likelihood ratio to the second best; `None` if that is too small. `numbers` are the numbers of the rows on the clock.
 fn periods_by_curve(
     rows: &[Joints],
     side: usize,

@@ -53,14 +53,14 @@ fn jitter_s(t_s: &[f64], motion: &[Option<f64>], period_s: f64) -> f64 {
 /// Number of each row on the clock, from 0. Where the motion is unknown, the number is the next one, unless this row and those
 /// after it are later than jitter and rounding, up to `rounding_s`, explain. Where the motion is known, that is a clock step.
 pub(super) fn number_rows(t_s: &[f64], motion: &[Option<f64>], period_s: f64, rounding_s: f64) -> Vec<f64> {
-    /// Number of rows over which the phase follows the stamps: the period is known to a thousandth, so that it lags by less than half
-    /// of one, and missing rows do not change it.
+    /// Number of rows over which the phase follows the stamps: the period is known to a thousandth, so that the phase lags by less
+    /// than half a period, and missing rows do not change it.
     const PHASE_ROWS: f64 = 200.0;
-    /// A row is further away if three quarters of the rows in this time after it are, too \[s\]: delayed rows are late for a shorter
-    /// time.
+    /// Time after a row in which three quarters of the rows must be late for it to have a later number \[s\]. Delays are shorter.
     const LASTS_S: f64 = 0.1;
     let lasting_rows = ((LASTS_S / period_s) as usize).max(5);
     let explained_periods = (jitter_s(t_s, motion, period_s).max(rounding_s) / period_s).max(0.5);
+    // The phase is the time of number 0.
     let first =
         t_s.iter().take(lasting_rows).zip(0..).map(|(t_s, number)| t_s - period_s * f64::from(number));
     let mut phase_s = median(&mut first.collect::<Vec<_>>()).unwrap_or_default();
@@ -102,8 +102,8 @@ pub(super) fn number_rows(t_s: &[f64], motion: &[Option<f64>], period_s: f64, ro
     numbers
 }
 
-/// Corrects the numbers at steps of whole periods near rows with unknown motion: rows are missing there, or were wrongly taken as
-/// missing. Returns whether a number changed.
+/// Corrects the numbers where the stamps step against the clock (`steps_s` at the rows `breaks`) by whole periods near rows with
+/// unknown motion: rows are missing there, or were wrongly taken as missing. Returns whether a number changed.
 pub(super) fn correct_numbers(
     numbers: &mut [f64],
     t_s: &[f64],
