@@ -65,7 +65,7 @@ pub struct BarElongation {
 }
 
 impl BarElongation {
-    /// Elongation of the bar under a force, `c F + h s` \[m\].
+    /// Elongation of the bar under a force \[m\]: compliance times force plus half of the play times its side.
     #[inline]
     pub fn extension_m(&self, force: &BarForce) -> f64 {
         self.compliance_m_per_n * force.along_n + self.play_m * force.side

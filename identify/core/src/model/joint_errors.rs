@@ -212,8 +212,8 @@ impl DriveTrain {
         }
     }
 
-    /// Torque about an axis per newton of weight \[N m\], `z . ((p - r) x u)`, and its time derivative. The axis has direction
-    /// `z` and point `r`, the load is at the point `p`, `u` is the direction of gravity.
+    /// Torque about an axis per newton of weight \[m\], `z . ((p - r) x u)`, and its time derivative \[m/s\]. The axis has
+    /// direction `z` and point `r`, the load is at the point `p`, `u` is the direction of gravity.
     fn lever(&self, axis: usize, load: Load, reported: &JointState) -> (f64, f64) {
         let mut trace = Trace::default();
         self.arm.trace(&reported.q, &mut trace);
@@ -226,7 +226,7 @@ impl DriveTrain {
             Load::Tool => (Some(trace.position_m()), axes.len()),
         };
         let Some(p) = p else { return (0.0, 0.0) };
-        // Velocity of a point that these joints move.
+        // Velocity of a point that these joints move, or its angular velocity.
         let velocity = |point: Vector3<f64>, joints: usize, component: fn(&Twist) -> Vector3<f64>| {
             let twists = trace.point_twists(point, joints).zip(reported.qd);
             twists.map(|(twist, rate)| component(&twist) * rate).sum::<Vector3<f64>>()
