@@ -195,7 +195,8 @@ impl Information {
         Some(self)
     }
 
-    /// The information after a run with the bar at another position. `None` if it leaves a parameter undetermined.
+    /// The information for another run, with the bar at another position, after a run with these normal equations. `None` if that
+    /// leaves a parameter undetermined.
     #[must_use]
     pub fn after_run(&self, normal: &Normal) -> Option<Self> {
         let covariance = self.covariance_of(normal)?;

@@ -57,15 +57,15 @@ pub(super) fn goals(
     by_part.into_iter().take(GOALS).map(|pose| poses.bar_rad[pose]).collect()
 }
 
-/// Lower bound of the RMS position error with all terms of the axes \[m\] for every run of a path's length with the same elbow
-/// and wrist, from its poses and random ones. `None` if they leave a parameter undetermined, if the bound did not converge, and
-/// for arms with more than six axes.
+/// Lower bound of the RMS position error with all terms of the axes \[m\] for every run of a path's length in the same
+/// configuration of shoulder, elbow and wrist, from its poses and random ones. `None` if they leave a parameter undetermined, if
+/// the bound did not converge, and for arms without exactly six axes.
 pub fn position_m_min(
     checked: &Checked,
     constraints: &Constraints<'_>,
     information: &Information,
 ) -> Option<f64> {
-    // The configuration of elbow and wrist is only known for six axes: with a free one the bound is far below any path.
+    // The configuration is only known for six axes: with a free one the bound is far below any path.
     if constraints.limits.len() != 6 {
         return None;
     }

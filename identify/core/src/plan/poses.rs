@@ -179,7 +179,7 @@ impl PlannedPoses {
     }
 }
 
-/// A target (in the flange's frame \[m\]) on the axis of the last joint does not move when that joint turns.
+/// Whether a target (in the flange's frame \[m\]) is on the axis of the last joint: then it does not move when that joint turns.
 pub fn is_on_last_axis(robot: &RobotConfig, target_m: &[f64; 3]) -> bool {
     const NEAR_M: f64 = 1e-3;
     let (mut trace, axes) = (Trace::default(), robot.axes());
@@ -271,7 +271,7 @@ pub fn poses(
         let covariance = covariance_of(&mut sample.iter().map(|&pose| candidates[pose]))?;
         random_m.extend(covariance.as_ref().map(position_m));
     }
-    // The selected candidates: a whole turn only changes the effect of an error of a gear's ratio.
+    // Of the candidates, not of `joints`: a whole turn only changes the effect of an error of a gear's ratio.
     let covariance =
         covariance_of(&mut order.iter().map(|&pose| candidates[pose]))?.ok_or(PosesError::NotFinite)?;
     Ok(PlannedPoses {

@@ -294,8 +294,8 @@ fn conversion(language: Language, robot: &RobotConfig) -> Result<JointConversion
     Ok(JointConversion::new(&LogConversion { unit: AngleUnit::Rad, ..robot.log.clone() })?)
 }
 
-/// Checks that joint 3 of the log is measured from the horizontal: its value does not change if joint 2 alone turns and the
-/// forearm keeps its direction. Robot descriptions often measure it from the upper arm: then it includes joint 2.
+/// Checks that joint 3 of the log is measured from the horizontal: the forearm keeps its direction if joint 2 of the log alone
+/// turns. Joint 3 of the model is measured from the upper arm and then turns back: entry (2, 3) of `raw_to_joint`.
 fn counts_from_horizontal(robot: &RobotConfig) -> Result<(), ProgramError> {
     let mut trace = Trace::default();
     Tracer::new(&flange_chain(robot)).trace(&Joints::zeros(robot.axes()), &mut trace);
@@ -304,6 +304,7 @@ fn counts_from_horizontal(robot: &RobotConfig) -> Result<(), ProgramError> {
     let axes_2_3 = axes[1].dot(&axes[2]).round();
     let configured_row = &robot.log.raw_to_joint[1];
     let mut row = configured_row.clone();
+    // The sum turns -0.0, which the message would show, into 0.0.
     row[2] = -axes_2_3 * row[1] + 0.0;
     if row == *configured_row {
         return Ok(());

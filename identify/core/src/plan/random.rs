@@ -90,7 +90,8 @@ fn most_frequent(obstacles: &Obstacles) -> Obstacle {
 pub struct Route {
     /// Path of the bar.
     pub path: Path,
-    /// The robot's joints at its start and after each move \[rad\].
+    /// The robot's joints at its start, and at the end of each move of a random path or at the start of the next move of a searched
+    /// one \[rad\].
     pub robot_rad: Vec<Joints>,
 }
 

@@ -30,7 +30,7 @@ const LOOKS_PER_POSE: usize = 2;
 const SAME_RAD: f64 = 1e-3;
 
 /// Between two evaluated poses, [`LOOK_S`] apart, an extreme exceeds both by at most the acceleration times `LOOK_S^2 / 8`:
-/// 2 mrad at 5 rad/s², 3 mm at the end of an arm. The search keeps this additional distance.
+/// 2 mrad at 5 rad/s², 3 mm at the end of an arm. The search keeps this additional distance, and part of the other limits.
 ///
 /// [`LOOK_S`]: super::constraints::LOOK_S
 const ANGLE_ROOM_DEG: f64 = 0.2;
@@ -66,7 +66,7 @@ pub struct Found {
 /// A path divided into pieces, from the start of each move to that of the next.
 pub(super) struct Pieces {
     path: Path,
-    /// Robot at the start of the path and at the start of each move.
+    /// Robot at the start of each piece and at the end of the path.
     robot_rad: Vec<Joints>,
     /// Information of each piece.
     normals: Vec<Normal>,

@@ -103,7 +103,7 @@ impl Bodies {
         self.cell_clearance_m(&links, &[], None).min(self.own_clearance_m(&links))
     }
 
-    /// Whether [`Self::is_clear`] holds on the straight line in joint space between two postures, but for [`ADVANCE_M_MIN`].
+    /// Whether [`Self::is_clear`] holds on the straight line in joint space between two postures, to half of [`ADVANCE_M_MIN`].
     ///
     /// No point of the arm moves further than `way_m`, so a posture whose clearance exceeds the smallest permitted one remains
     /// clear until the arm has moved by the difference (conservative advancement, Mirtich 1996).
