@@ -113,8 +113,8 @@ impl PrepareError {
         }
     }
 
-    /// The instant at which a run can be cut in two, each with its own clocks, base and offsets, where these are what changes
-    /// \[s\] since the first valid sample.
+    /// If clocks, base or offsets change: the instant, since the first valid sample \[s\], at which the run can be cut into two
+    /// parts, each with its own.
     pub fn parts_at_s(&self) -> Option<f64> {
         match self {
             Self::ClockJump { at_s, .. } | Self::EncoderSlip { at_s, .. } | Self::BaseMoved { at_s, .. } => {

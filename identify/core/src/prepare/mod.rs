@@ -106,7 +106,7 @@ pub struct PrepareOptions {
     pub slip_min_mrad: f64,
 }
 
-/// Difference of a joint's angle and its encoder's.
+/// Angle of a joint minus that of its encoder.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EncoderOffset {
     /// Bar joint, 1 to 5.

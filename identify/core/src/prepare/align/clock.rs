@@ -11,7 +11,7 @@ pub(in crate::prepare) const SKEW_SIGMA: f64 = 100e-6;
 pub(in crate::prepare) const EDGE_S: f64 = 2.0 * SHIFT_SIGMA_S;
 
 impl Clock {
-    /// The same clock for bar times that count from `by_s` later.
+    /// The same clock for bar times that count from `by_s` later; robot times keep their zero.
     pub(in crate::prepare) fn counted_from(&self, by_s: f64) -> Self {
         Self { shift_s: self.robot_time_s(by_s), skew: self.skew }
     }

@@ -57,8 +57,9 @@ pub(in crate::prepare) struct Found {
 const FITTED_MAX: usize = 4;
 /// On nominal geometry, candidates within this factor of the best may turn out to be the better one.
 const NEAR_BEST: f64 = 2.0;
-/// Travel between samples that are compared \[rad\], and how many there are at most.
+/// Travel between samples that are compared \[rad\].
 const PAIRS_APART_RAD: f64 = 0.01;
+/// Largest number of samples that are compared.
 const PAIRS_MAX: usize = 3000;
 /// Samples of a refinement at most.
 const FIT_MAX: usize = 1500;

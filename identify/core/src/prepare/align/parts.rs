@@ -21,10 +21,10 @@ const TIMES_SCATTER: f64 = 3.0;
 /// A part of the recording that matches the robot's log.
 struct Part {
     samples: Range<usize>,
-    /// First sample, bar time \[s\].
+    /// Time of its first sample since the first reading \[s\].
     start_s: f64,
     matched: Match,
-    /// Robot time less bar time \[s\].
+    /// Time since the first stamp of the robot's log less time since the first reading \[s\].
     shift_s: f64,
 }
 

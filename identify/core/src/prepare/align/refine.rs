@@ -52,7 +52,7 @@ const SIGMA_MIN_RAD: f64 = 1e-7;
 /// Clock, geometry and offsets that fit the two logs.
 #[derive(Debug, Clone, PartialEq)]
 pub(in crate::prepare) struct Fit {
-    /// The clocks, for bar times as the samples had them.
+    /// From bar times as the samples had them to times after the first stamp of the robot's log.
     pub clock: Clock,
     /// Both chains and the base of the fit.
     pub geometry: Geometry,

@@ -92,7 +92,7 @@ pub fn align_poses(
     require_motion("the robot log", travel(&log.q_rad))?;
     let interpolated = log.spline()?;
     let observed_m = longest_view_m(&poses.rows);
-    let begins_s =
+    let view_begins_s =
         (i128::from(observed_m.first_stamp_ns) - i128::from(poses.rows.first_stamp_ns)) as f64 * 1e-9;
     let search = Search {
         period_s: observed_m.period_s(),
@@ -108,7 +108,7 @@ pub fn align_poses(
         return Err(PrepareError::TargetStands { extent_mm: extent_m * 1e3 });
     }
     let Best { matched, ambiguous, fit } = search.run()?;
-    let clock_of_rows = fit.clock.counted_from(-begins_s);
+    let clock_of_rows = fit.clock.counted_from(-view_begins_s);
     let reference = Reference::new(UtcNs(poses.rows.first_stamp_ns), rows_s, clock_of_rows, log_s);
     let alignment = reference.alignment(&matched, ambiguous, log);
     let Reference { t_ref_s, t_ref, clock, .. } = reference;
@@ -320,6 +320,7 @@ impl Search<'_> {
         Some(self.flange(tau_s)?.transform_point(&(*probe_m).into()).coords)
     }
 
+    /// Pose of the nominal robot's flange at a time of its log; `None` outside it.
     fn flange(&self, tau_s: f64) -> Option<Pose> {
         Some(self.robot.forward(&self.log.at(tau_s)?.value))
     }

@@ -124,7 +124,7 @@ impl EncoderMap {
 }
 
 impl fmt::Display for EncoderMap {
-    /// `1 -> 1, 2 -> 4 (reversed)`
+    /// `1 -> 1, 2 -> 4 reversed (spread 3.1 mrad)`
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for (index, place) in self.encoders.iter().enumerate() {
             let separator = if index == 0 { "" } else { ", " };
@@ -182,7 +182,7 @@ pub fn find_encoder_map(
     let mut fitting = table.fitting(options.spread_max_mrad);
     if let EncoderMapChoice::Stated(joints) = &options.encoders {
         let used = table.stated(joints)?;
-        // Where nothing fits the bar's singular poses or its configuration are the reason, and the stated one is tried.
+        // If nothing fits, singular poses of the bar or its configuration are the reason: the stated map is tried.
         if let Some(best) = fitting.first().filter(|best| {
             used.spread_mrad() > options.spread_max_mrad.max(CLEARLY_WORSE * best.spread_mrad())
         }) {

@@ -158,7 +158,7 @@ fn offsets_in(
     differences.map(|differences| circular_median(&differences))
 }
 
-/// Median over the pairs of the largest difference of a joint \[rad\].
+/// Median over the pairs of the largest error among the measured joints \[rad\].
 fn misfit_rad(
     segment: &[AnglePair],
     configuration: Configuration,
