@@ -78,7 +78,8 @@ pub struct SimulatedSegment {
 /// A device before the first frame.
 struct Unpowered {
     device: Box<dyn Device>,
-    on_since_ns: i64,
+    /// Time since its power-up, which its local clock shows.
+    on_for_ns: i64,
     drift_ppm: f64,
 }
 
@@ -94,7 +95,7 @@ impl SimulatedSegment {
             (0..terminals).map(|channel| Box::new(El5021::new(channel, config.revision)) as Box<dyn Device>);
         let unpowered = std::iter::once(coupler).chain(encoders).map(|device| Unpowered {
             device,
-            on_since_ns: random.random_range(0..POWERED_UP_NS),
+            on_for_ns: random.random_range(0..POWERED_UP_NS),
             drift_ppm: random.random_range(-drift_ppm..=drift_ppm),
         });
         let reach = 1 + terminals;
@@ -183,7 +184,7 @@ impl SimulatedSegment {
     /// Powers up devices that are off, which the first frame does, too.
     pub fn power_up(&mut self, now_ns: i64) {
         for (position, off) in self.unpowered.drain(..).enumerate() {
-            let clock = LocalClock::new(now_ns, off.on_since_ns, off.drift_ppm);
+            let clock = LocalClock::new(now_ns, off.on_for_ns, off.drift_ppm);
             self.nodes.push(Node::new(off.device, clock, self.wiring.dl_status(position, self.reach)));
         }
     }

@@ -162,7 +162,7 @@ impl AlMachine {
         self.pending.is_some_and(|pending| pending.due_ns <= now_ns)
     }
 
-    /// Decides the transition that is due.
+    /// Decides the requested transition; called once it [is due](Self::is_due).
     pub fn decide(&mut self, now_ns: i64, readiness: &Readiness) {
         let Some(pending) = self.pending else { return };
         match verdict(self.state, pending.target, readiness) {

@@ -139,7 +139,7 @@ pub fn answer(
     Some(answer.finish(TYPE_COE, request))
 }
 
-/// Refuses any SDO request with this code; `None` for other requests.
+/// Refuses a CoE request as an SDO with this code; `None` if it is too short for one.
 pub fn abort_with(request: &[u8], mailbox: &mut [u8; MAILBOX_MAX], code: u32) -> Option<usize> {
     let sdo = request.get(MAILBOX_HEADER_LEN + COE_HEADER_LEN..)?;
     let &[_, i0, i1, subindex] = sdo.first_chunk::<4>()?;

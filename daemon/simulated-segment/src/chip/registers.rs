@@ -43,17 +43,17 @@ pub const DC_SYNC1_CYCLE: u16 = 0x09a4;
 /// Registers that a master may write, besides FMMUs, sync managers and process memory.
 const WRITABLE: [Range<u16>; 19] = [
     0x0010..0x0012, // station address
-    0x0020..0x0022, // register write enable
-    0x0030..0x0032,
+    0x0020..0x0022, // register write enable and protection
+    0x0030..0x0032, // ESC write enable and protection
     0x0040..0x0042, // reset
     0x0100..0x0104, // DL control
     0x0120..0x0122, // AL control
     0x0200..0x0202, // event mask
     0x0300..0x0314, // error counters: cleared
-    0x0400..0x0402, // watchdogs
-    0x0410..0x0412,
-    0x0420..0x0422,
-    0x0442..0x0444,
+    0x0400..0x0402, // watchdog divider
+    0x0410..0x0412, // watchdog time of the PDI
+    0x0420..0x0422, // watchdog time of process data
+    0x0442..0x0444, // watchdog counters: cleared
     0x0500..0x0510, // EEPROM interface
     0x0900..0x0904, // latch of the port times
     0x0910..0x0918, // system time: control loop

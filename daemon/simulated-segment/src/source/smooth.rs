@@ -18,7 +18,7 @@ const SPEED_MAX_RAD_PER_S: f64 = 0.4;
 const PERIOD_NS: std::ops::Range<i64> = 11_000_000_000..37_000_000_000;
 /// Encoders with more lines do not exist.
 const LINES_MAX: u32 = 1 << 20;
-/// Terminals count from their power-up.
+/// Largest position at angle zero \[signal periods\]: terminals count from their power-up.
 const START_PERIODS_MAX: i64 = 10_000;
 
 #[derive(Debug, Clone, Copy)]

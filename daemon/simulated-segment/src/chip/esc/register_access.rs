@@ -67,7 +67,7 @@ impl Esc {
         }
     }
 
-    /// Registers that the master did not write keep their values.
+    /// Registers that the master did not write keep their values, except the control: only a written command is executed.
     fn apply_sii(&mut self, address: u16, data: &[u8], now_ns: i64) {
         let mut registers = self.sii.registers(now_ns);
         registers[2..4].fill(0);

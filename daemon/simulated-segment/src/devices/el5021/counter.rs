@@ -32,9 +32,9 @@ pub struct Settings {
     pub denominator: u32,
     /// 0x8000:1F, frequency filter.
     pub filter: u16,
-    /// 0x8001:01.
+    /// 0x8001:01, frequency errors are reported.
     pub frequency_error: bool,
-    /// 0x8001:02.
+    /// 0x8001:02, amplitude errors are reported.
     pub amplitude_error: bool,
     /// 0x8001:11, bits per signal period, one of [`BITS`].
     pub bits: u8,
@@ -78,6 +78,7 @@ impl Settings {
         (position.0 as u64 >> (32 - self.bits)) as u32
     }
 
+    /// Inverse of [`Self::count`].
     fn position(&self, count: u32) -> Periods {
         Periods(i64::from(count) << (32 - self.bits))
     }
@@ -101,6 +102,7 @@ impl Counter {
         Self { begins_at_zero: true, ..Self::default() }
     }
 
+    /// One conversion: from the encoder's signal and the master's requests to the inputs.
     pub fn convert(&mut self, signal: Signal, settings: &Settings, outputs: &Outputs, inputs: &mut Inputs) {
         match signal {
             Signal::Recorded { count } => inputs.counter = count,

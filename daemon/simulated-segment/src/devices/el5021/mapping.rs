@@ -23,7 +23,7 @@ pub struct Outputs {
 }
 
 impl Outputs {
-    /// From six bytes; missing ones are zero.
+    /// From six bytes, a control word and the value; missing bytes are zero.
     pub fn decode(bytes: &[u8]) -> Self {
         let control = bytes.first().copied().unwrap_or(0);
         let value = bytes.get(2..).and_then(|rest| rest.first_chunk()).copied().unwrap_or_default();
@@ -62,6 +62,7 @@ impl Inputs {
         self.frequency_error || self.amplitude_error
     }
 
+    /// Status word; its bits are those of [`tx_entries`].
     pub fn status(&self) -> u16 {
         let bits = [
             (0, self.latch_valid),
