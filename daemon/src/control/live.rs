@@ -35,13 +35,15 @@ const STALE_NS: i64 = NS_PER_S;
 const SPEED_NS: i64 = NS_PER_S / 2;
 /// Beyond this angle from its start a joint winds up its cable \[deg\].
 const WOUND_DEG: f64 = 360.0;
-/// Closer to a singular pose, errors of two joints act as errors of the pose, magnified at least six times \[deg\].
+/// Closer to a singular pose, errors of two joints act as errors of the pose, magnified by more than 1 / sin(10 degrees) = 5.8
+/// \[deg\].
 const SINGULAR_DEG: f64 = 10.0;
 /// A joint that does not move within this time of a run causes a warning \[s\].
 const MOVE_WITHIN_S: f64 = 15.0;
 /// Space for a shorter time causes a warning \[h\].
 const DISK_HOURS_MIN: f64 = 4.0;
-/// Frequency limit of an EL5021, beyond which it loses count: a larger step means another origin \[1/s\].
+/// Highest frequency at which an EL5021 counts (8 to 10 bits; with more bits the limit is lower): a larger step means another
+/// origin \[1/s\].
 const LINES_PER_S_MAX: f64 = 250_000.0;
 /// Cells of the sphere in each direction.
 const CELLS: usize = 36;
@@ -438,6 +440,7 @@ fn without_histograms(status: &Status) -> Status {
 /// One encoder's counter.
 struct Track {
     config: EncoderConfig,
+    /// Without reference mark and offset, both zero: angles are those of count differences.
     scale: EncoderScale,
     /// The reference mark that its angle counts from; otherwise that is the first sample.
     mark: Option<u32>,

@@ -219,7 +219,7 @@ fn silent_ns(session: &Session) -> i64 {
     (session.period * SILENT_CYCLES).max(SILENT_MIN).as_nanos() as i64
 }
 
-/// For each encoder, in bus order, whether it has given no valid sample for [`SILENT_CYCLES`].
+/// For each encoder, in bus order, whether it has given no valid sample for [`SILENT_CYCLES`] and [`SILENT_MIN`].
 pub(super) fn are_silent(session: &Session) -> [bool; MAX_ENCODERS] {
     let live = &session.live;
     let (latest, silent_ns) = (live.at(), silent_ns(session));

@@ -73,7 +73,7 @@ impl Verdict {
         if cycles_lost > 0 {
             verdict.add(Level::Check, format!("{cycles_lost} cycles were lost between bus and disk"));
         }
-        // Rounded down: at most 0.1 s too short, and never equal to the length that is required.
+        // Rounded down to 0.1 s, so that a run that is too short is not displayed with the required length.
         let length_s = (10.0 * cycles as f64 * content.period_s + 1e-6).floor() / 10.0;
         let length_s_min = OVERLAP_MIN_S + LENGTH_MARGIN_S;
         if length_s < length_s_min {
