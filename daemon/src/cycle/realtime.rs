@@ -11,8 +11,8 @@ use shared::config::RealtimeConfig;
 
 use crate::tuning::Machine;
 
-/// Result of the request; kept for as long as the cycle runs. Acquisition continues without them, but its lateness then
-/// depends on the load of the machine.
+/// Whether core, priority and locked memory were granted; kept for as long as the cycle runs. Acquisition continues without
+/// them, but its lateness then depends on the load of the machine.
 #[derive(Debug)]
 pub struct RealtimeReport {
     request: RealtimeConfig,

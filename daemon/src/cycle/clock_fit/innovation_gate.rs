@@ -18,7 +18,7 @@ const NOISE_NS: f64 = 1_000.0;
 const SIGNAL_TO_NOISE: f64 = 6.0;
 /// A deviation grows if it has grown by this part of the first one ...
 const GROWTH: f64 = 1.0 / 3.0;
-/// ... or by this much, whichever is less \[ns\].
+/// ... or by this much, whichever is less; beyond [`JUMP_NS`] only the part counts \[ns\].
 const GROWTH_NS: f64 = 10_000.0;
 /// No changed rate causes a larger deviation within one reading \[ns\].
 const JUMP_NS: f64 = 1_000_000.0;
