@@ -19,6 +19,7 @@ pub const BUS_FLAGS: u32 =
 /// may be of different cycles.
 #[derive(Debug, Default)]
 pub struct Live {
+    /// Time of the latest cycle: when its frame was sent, as in the two times below.
     at_ns: AtomicI64,
     /// Time of the latest cycle without any of [`BUS_FLAGS`].
     whole_at_ns: AtomicI64,
@@ -37,7 +38,7 @@ pub struct Live {
     /// Bits 0 to 31: count; 32 to 47: status word; 48: valid. One word, so that they are of one cycle.
     encoders: [AtomicU64; MAX_ENCODERS],
     latches: [AtomicU32; MAX_ENCODERS],
-    /// Position of the first missing device; 0 if none is missing, because the bus is down without the coupler (position 0).
+    /// Position of the first missing device; 0 if none is missing: without the coupler, at position 0, the bus is down.
     missing_from: AtomicU32,
     /// Outage of the bus while it is down, with its number.
     outage: Mutex<(u32, Option<Fact>)>,
