@@ -90,7 +90,8 @@ impl Exchange {
         self.halves.take()
     }
 
-    /// Runs a future of the EtherCAT stack to its end and exchanges its frames. An interruption is an error of its own.
+    /// Runs a future of the EtherCAT stack to its end and exchanges its frames. An interruption gives an internal error, which
+    /// [`is_interrupted`](Self::is_interrupted) explains.
     pub fn run<T>(
         &mut self,
         future: impl Future<Output = Result<T, EtherCatError>>,
