@@ -418,7 +418,7 @@ impl From<PortCounts> for Fact {
 }
 
 impl Problem {
-    /// The joints give no valid samples because of it; `all` if no other joint does.
+    /// These joints give no valid samples because of it; `all`: no joint of the bar does.
     pub fn with_joints(self, joints: Vec<u8>, all: bool) -> Self {
         let subject = if all { "any encoder".into() } else { format!("joint {}", numbers(&joints)) };
         Self {
@@ -514,7 +514,8 @@ fn compared(expected: &[String], found: &[String]) -> String {
     format!("expected [{}], found [{}]", list(expected), list(found))
 }
 
-/// Name of a link, and its remedy: a cable leads to the coupler; terminals touch each other.
+/// Name of the link at a port, and its remedy. Port 0 leads to the device before, port 1 to the terminal behind, port 2 of the
+/// coupler to its OUT socket. A cable leads to the coupler; terminals touch each other.
 fn link(position: usize, port: usize) -> (String, String) {
     let cable = "push the plug in, or replace the cable";
     match (position, port) {

@@ -1,7 +1,7 @@
 //! Settings of a machine that delay the cycle, and commands that correct them.
 //!
-//! The kernel has them in files, whose text [`findings`] evaluates. Used by `ballbard tune`, by the smoke test, and for the
-//! permissions of the cycle's thread.
+//! The kernel has them in files, and `ethtool` prints those of an interface; [`findings`] evaluates the text. Used by
+//! `ballbard tune`, by the smoke test, and for the permissions of the cycle's thread.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
