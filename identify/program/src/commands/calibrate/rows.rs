@@ -179,7 +179,7 @@ impl Beside {
 /// Clocks of a tracker and the robot.
 pub(super) struct Aligned {
     alignment: Alignment,
-    /// Its reference time on the tracker's clock.
+    /// Reference time of the alignment, on the tracker's clock.
     t_ref: UtcNs,
     /// The tracker's times have a date.
     is_dated: bool,
