@@ -15,8 +15,8 @@ use nix::fcntl::{AT_FDCWD, Flock, FlockArg, RenameFlags, renameat2};
 use nix::sys::statvfs::statvfs;
 use nix::unistd::{AccessFlags, access, write};
 
-/// Device, inode and when it was made: which file it is, whatever its name. The number of one that is removed goes to the
-/// next that is made.
+/// Device, inode and time of creation: which file it is, whatever its name. The time is needed because a new file may get the
+/// inode of a removed one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FileId {
     device: u64,

@@ -23,7 +23,7 @@ pub const TORN_ENDING: &str = "mcap.torn";
 const NAME_BYTES_MAX: usize = 120;
 /// Bytes that are copied at once.
 const COPY_BYTES: usize = 1 << 20;
-/// Names that are tried for the copy of a run in another directory.
+/// The copy of a run in another directory gets the first free name, with a number below this.
 const COPY_NAMES: u32 = 100;
 
 /// A run's file on disk, `.mcap.active` until it is finished. Its owner has the lock on the file, which
@@ -145,7 +145,7 @@ impl RunFile {
         disk.sync(&self.file).map_err(io_error(&self.place.path))?;
         self.place.check()?;
         disk.rename(&self.place.path, &self.finished).map_err(exists_or_io(&self.finished))?;
-        // From here on a move of the run starts from there.
+        // A later `move_to` looks for the old file under this name.
         self.place.path.clone_from(&self.finished);
         sync_parent(&*disk, &self.finished)?;
         self.place.check()?;
@@ -181,7 +181,7 @@ impl RunPlace {
 
     /// Removes the file: nothing of it is needed.
     pub(super) fn remove(&self) {
-        // What led here is reported; an empty file more or less changes nothing.
+        // What led here is reported; a superfluous file more or less changes nothing.
         let _ = self.disk.remove(&self.path);
     }
 }

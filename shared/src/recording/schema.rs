@@ -45,7 +45,7 @@ pub mod flags {
     pub const BUS_DOWN: u32 = 1 << 6;
     /// No distributed clock: the sample's age is only bounded.
     pub const NO_DC: u32 = 1 << 7;
-    /// The cycle was lost between bus and file (ring overflow); only its number is known.
+    /// The cycle was lost between bus and file (ring overflow) or in a damaged file; only its number is known.
     pub const LOST: u32 = 1 << 8;
     /// Counters may have a new origin since the cycle before: in tables, and in files whose records had no number of their
     /// origin. A [`CycleRecord`](super::CycleRecord) never has it.
@@ -320,7 +320,7 @@ pub struct PortCounts {
     pub port: u8,
     /// Frames with a wrong check sequence.
     pub invalid_frames: u32,
-    /// Symbols that were none, inside frames or between them.
+    /// Invalid symbols, inside frames or between them.
     pub receive_errors: u32,
     /// How often the link was lost.
     pub lost_links: u32,
@@ -344,7 +344,7 @@ pub struct RunEnd {
     pub cycles: u64,
     /// Cycles in which every encoder is valid.
     pub cycles_valid: u64,
-    /// Cycles that never reached the file with their content (ring overflow).
+    /// Cycles that are in the file without their content: [`flags::LOST`].
     pub cycles_lost: u64,
     /// The run was cut short, and this file holds what was whole of it.
     #[serde(default)]

@@ -84,8 +84,8 @@ impl Shown {
         messages::encode_joint_state(record.sample_time, names, position_rad, velocity_rad_s)
     }
 
-    /// Counts since the cycle before, over the time on the bus' clock, which has both sampling times to some ns. Unknown (NaN)
-    /// without that clock, over a hole, or from one origin to another.
+    /// Speed of each joint: counts since the cycle before, over the time on the bus' clock, which has both sampling times to some
+    /// ns. Unknown (NaN) without that clock, over a hole, or from one origin to another.
     fn velocities_rad_s(&self, record: &CycleRecord) -> Vec<f64> {
         let before = self.last.as_ref().filter(|last| {
             last.cycle + 1 == record.cycle && last.origin == record.origin && last.dc_time.0 != 0

@@ -1,4 +1,5 @@
-//! Writes a recording so that a kill loses at most what came since the last [`RecordingWriter::sync`].
+//! Writes a recording so that a kill loses at most what came since the last [`RecordingWriter::cut`], and a power cut what came
+//! since the last [`RecordingWriter::sync`].
 //!
 //! Each chunk is built in memory and appended in one go with a right header (`disable_seeking`): a file that
 //! was cut ends at a chunk's border or in a torn chunk, never in a record of bogus length. Bytes that a sink refuses stay
@@ -112,6 +113,7 @@ pub struct RecordingWriter<W: Write> {
     cycles_valid: u64,
     cycles_lost: u64,
     events: u32,
+    /// Latest time of a message.
     time_last: UtcNs,
     /// The run's metadata until they are in the file a second time.
     run_again: Option<Metadata>,
@@ -259,7 +261,7 @@ impl<W: Write> RecordingWriter<W> {
         &mut self.sink
     }
 
-    /// Behind the first cycles, so that damage in one place leaves one of the two or nothing to keep.
+    /// Writes the run's metadata again behind the first cycles: damage in one place leaves one of the two, or nothing to keep.
     fn repeat_run(&mut self) -> Result<(), WriteError> {
         Ok(self.run_again.take().map_or(Ok(()), |run| self.writer.write_metadata(&run))?)
     }

@@ -154,8 +154,8 @@ pub fn recover_leftovers_on(disk: &dyn Disk, directory: &Path) -> Vec<Leftover> 
         .inspect(|leftover| {
             if let Err(RecoverError::Salvage { source: SalvageError::NothingWhole(_), .. }) = leftover.outcome
             {
-                // Its outcome is reported; that it keeps its name would only be tried again. There may be nothing in it after
-                // all, which the disk did not report before.
+                // If neither succeeds, the next start only tries it again. It may be empty after all, which the disk did not
+                // report before.
                 let _ = remove_if_empty(disk, &leftover.file) || set_aside(disk, &leftover.file).is_ok();
             }
         })
@@ -220,7 +220,7 @@ fn replace(
         Some(torn)
     } else {
         rename(disk, recovering, finished)?;
-        // Of a run that had ended something is not as it was written, or it would be whole.
+        // A run that had ended and is not whole lost something, even if no byte was skipped.
         if content.damage.is_some() || content.end.is_some() {
             Some(set_aside(disk, path)?)
         } else {

@@ -32,12 +32,13 @@ use resync::{Refused, for_each_proven_record};
 const CYCLE_BYTES_MIN: u64 = 16;
 /// Code of the event that states which cycles were in a damaged part of the file.
 const DAMAGED_CODE: &str = "file_damaged";
-/// As many cycles may be missing though no byte is damaged: a write that never reached the disk left no trace.
+/// Most cycles that may be missing though no byte is damaged: a write that never reached the disk left no trace.
 const UNTRACED_CYCLES_MAX: u64 = 100_000;
-/// What follows a hole was sampled at the time of its number, except for this \[ns\] ...
+/// A cycle behind a hole was sampled when its number and the period predict, within this \[ns\] plus a part of the time since
+/// the last whole cycle. Old blocks of another run's file do not pass.
 const TIME_SLACK_NS: i128 = 10 * NS_PER_S as i128;
-/// ... and this share of the time between: crystals differ by less. Old blocks of another run's file do not pass.
-const TIME_SHARE_MAX: i128 = 1000;
+/// That part is one in this number: rates of crystals differ by less.
+const TIME_SLACK_PARTS: i128 = 1000;
 
 /// Content of a recovered recording.
 #[derive(Debug, Clone, PartialEq)]
@@ -128,7 +129,7 @@ pub fn salvage<W: Write + Seek>(
 
 /// Metadata of the run that `source` is about: the first that are whole.
 pub(super) fn find_run(source: impl Read + Seek) -> Result<(RunMetadata, CycleLayout), SalvageError> {
-    /// Not an error: reading on makes no sense.
+    /// What ends the search.
     enum Found {
         Run(Box<(RunMetadata, CycleLayout)>),
         Io(io::Error),
@@ -213,7 +214,7 @@ impl<W: Write + Seek> Rewriting<W> {
         written.map_err(|error| Refused::Stop(error.into()))
     }
 
-    /// Cycles between the last whole one and `next`, if this belongs there, were in a part of the file that is not whole.
+    /// Writes the cycles between the last whole one and `next` as lost. Refuses a `next` whose number or time does not fit.
     fn fill_hole_before(&mut self, next: &CycleRecord, damage: &Damage) -> Result<(), Refused<SalvageError>> {
         let first = self.seen.cycles;
         if next.cycle == first && damage.bytes == self.damaged_bytes {
@@ -229,7 +230,7 @@ impl<W: Write + Seek> Rewriting<W> {
         let (last_ns, next_ns) = (i128::from(last_ns), i128::from(next.sample_time.0));
         let since_ns = self.cycles_ns(next.cycle - last_cycle);
         let off_ns = (next_ns - (last_ns + since_ns)).abs();
-        if off_ns > TIME_SLACK_NS + since_ns / TIME_SHARE_MAX {
+        if off_ns > TIME_SLACK_NS + since_ns / TIME_SLACK_PARTS {
             return Err(Refused::Damage);
         }
         if next.cycle == first {
@@ -247,7 +248,7 @@ impl<W: Write + Seek> Rewriting<W> {
         self.fill(first..next.cycle, last.as_ref().unwrap_or(next), time_ns)
     }
 
-    /// Cycles that the run had behind the last whole one, by its end record.
+    /// Writes cycles behind the last whole one as lost, up to the number in the end record.
     fn fill_to_end(&mut self, damage: &Damage) -> Result<(), Refused<SalvageError>> {
         let (Some(last), Some(end)) = (self.last, &self.seen.end) else { return Ok(()) };
         let missing = self.seen.cycles..end.cycles;
@@ -281,7 +282,7 @@ impl<W: Write + Seek> Rewriting<W> {
         self.put(Item::Event(Event { time, cycle, kind: EventKind::Gap, text, code }))
     }
 
-    /// More cannot have been in what was damaged since the last whole cycle.
+    /// Most cycles that can have been in the damaged bytes since the last whole cycle.
     fn hole_cycles_max(&self, damage: &Damage) -> u64 {
         UNTRACED_CYCLES_MAX.max((damage.bytes - self.damaged_bytes) / CYCLE_BYTES_MIN)
     }

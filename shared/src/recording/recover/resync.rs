@@ -262,7 +262,7 @@ impl<R: Read + Seek> Window<R> {
         Ok(Self { source, source_bytes, buffer: Vec::new(), start: 0, at: 0, refused_at: None })
     }
 
-    /// The next bytes: as many, or all that are left.
+    /// The next `bytes` bytes, or all that are left if these are fewer.
     fn peek(&mut self, bytes: usize) -> io::Result<&[u8]> {
         while self.buffer.len() - self.start < bytes {
             if self.start > READ_BYTES {
@@ -287,7 +287,8 @@ impl<R: Read + Seek> Window<R> {
         Ok(&self.buffer[self.start..end])
     }
 
-    /// Replaces a sector that the disk cannot read by zeros; false if it is the last one. A disk may fail once and then read it.
+    /// Replaces a sector that the disk cannot read by zeros; false at the end of the source. At the first failure it only
+    /// seeks there again, because a disk may fail once and then read it.
     fn pass_bad_sector(&mut self) -> io::Result<bool> {
         let at = self.at + (self.buffer.len() - self.start) as u64;
         if self.refused_at.replace(at) != Some(at) {
