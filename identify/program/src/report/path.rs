@@ -30,8 +30,8 @@ pub fn summary(
 ) -> String {
     let mut text = String::new();
     let mm = |m: f64| format!("{:.4} mm", m * 1e3);
-    // Writing to a string cannot fail.
     let expected = information.position(&checked.normal);
+    // Writing to a string cannot fail.
     let _ = writeln!(
         text,
         "{:.1} s; expected RMS position error over the workspace after a calibration, from white noise:\n\

@@ -12,7 +12,7 @@ use crate::instrument::{Noise, Run};
 use crate::model::ParameterId;
 use crate::simulate::Comparison;
 
-/// How the solve went, and every identified parameter: nominal, correction and sigma in mm and mrad.
+/// How the solve went, and every identified parameter: nominal, correction and sigma in its unit for display, such as mm or deg.
 pub fn calibration(file: &CalibrationFile) -> String {
     let mut text = String::new();
     let solve = &file.solve;

@@ -107,7 +107,7 @@ impl Predicted {
         is_surely_worse(self.independent, [self.nominal, self.calibrated])
     }
 
-    /// The error is larger than that of the data of the fit, by more than chance and by more than the stated uncertainty.
+    /// The position error exceeds that of the data of the fit by more than chance, and in quadrature by more than `expanded_m`.
     fn is_beyond(&self, expanded_m: f64) -> bool {
         let excess_m = (self.calibrated.powi(2) - self.fitted.powi(2)).max(0.0).sqrt();
         self.is_position

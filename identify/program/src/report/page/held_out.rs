@@ -88,7 +88,7 @@ fn panel(
     value: Value,
 ) -> Result<Markup, PlotError> {
     let time = TimeAxis::of(segments.iter().flat_map(|segment| segment.span_s()));
-    // Neighbours have different colours.
+    // Stages: 0 nominal, 1 predicted without the segment, 2 fitted with it. Neighbouring segments have different colours.
     let (stage, colours) = if calibrated { (1, [BLUE, GREEN]) } else { (0, [GREY, LIGHT_GREY]) };
     let alternate = (0..).zip(colours).map(|(first, colour)| {
         let samples = segments.iter().skip(first).step_by(2).flat_map(|segment| &segment.stages[stage]);

@@ -15,7 +15,7 @@ use crate::model::ParameterId;
 pub struct Correction {
     /// What is corrected: `joint 2`, `link 3 alpha`, `motor2_rad` of the log.
     pub what: String,
-    /// `deg`, `rad` or `mm`.
+    /// `deg`, `rad`, `mm` or, in a log, `m`.
     pub unit: String,
     /// The number to add, in digits that controllers take: 0.0001 mm, 0.00001 deg.
     pub add: f64,

@@ -160,7 +160,7 @@ impl ParameterEntry {
         entries
     }
 
-    /// A fixed parameter as text: its name, with its uncertainty if it has one.
+    /// The name of a fixed parameter, followed by its sigma if it has one.
     pub(in crate::report) fn held(&self) -> String {
         let unit = self.id().map_or(Unit::Ratio, ParameterId::unit);
         let within = self.sigma.map(|sigma| format!(" within {}", unit.display(sigma)));
@@ -193,7 +193,7 @@ impl ParameterEntry {
     }
 
     /// All parameters of a model at its solution, in the model's order, except terms of joints, forces and the bar's length
-    /// that the calibration did not use.
+    /// that the calibration did not use. Harmonics of the bar's encoders always stay.
     pub fn all(model: &Model, sigma: impl Fn(ParameterId) -> Option<f64>) -> Vec<Self> {
         let is_unused_term = |parameter: &&Parameter| {
             let group = parameter.id.group();
@@ -213,7 +213,7 @@ pub(in crate::report) struct ReadIn {
     pub factor: f64,
     /// Symbol of the unit, such as `deg`.
     pub unit: &'static str,
-    /// Significant digits after the point.
+    /// Digits after the point.
     pub decimals: usize,
 }
 

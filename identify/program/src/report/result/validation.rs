@@ -25,8 +25,8 @@ pub struct HeldOutEntry {
     pub fitted: PoseError,
 }
 
-/// Errors of a file of rows, fitted and held out, in stages of the model: instrument alone, the robot's links,
-/// errors of its joints.
+/// Errors of a file of rows, fitted and held out, in stages of the model: instrument alone, joint offsets, the other numbers of
+/// links, errors of joints.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RowsEntry {
     /// Number of the data set, from 1.

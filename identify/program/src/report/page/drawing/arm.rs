@@ -12,7 +12,7 @@ use crate::statistics::extremes;
 const WIDTH_PX: f64 = 620.0;
 /// Width and height that the labels add to the axes of a panel \[px\].
 const LABELS_PX: (f64, f64) = (76.0, 100.0);
-/// An axis is drawn this long, as a part of the arm's reach.
+/// A revolute axis is drawn this far to both sides of its point, a prismatic one to one side, as a part of the arm's reach.
 const AXIS_PART: f64 = 0.07;
 
 /// Both views as one SVG.

@@ -76,7 +76,7 @@ pub(in crate::report::page) const INK: RGBColor = RGBColor(70, 80, 92);
 const MESH: RGBColor = RGBColor(230, 234, 239);
 pub(in crate::report::page) const FONT: &str = "system-ui, sans-serif";
 
-/// SVG coordinates of the library are whole numbers: drawn larger, curves are smooth.
+/// SVG units in a pixel: the library rounds coordinates to whole units, and one in a pixel is too coarse for smooth curves.
 pub(in crate::report::page) const FINE: u32 = 3;
 
 /// Height of the line with title and names of sets \[px\].
@@ -93,6 +93,7 @@ const LETTER: f64 = 0.56;
 struct Strokes {
     colour: RGBColor,
     path: String,
+    /// In SVG units, see [`FINE`].
     width: u32,
     opacity: f64,
 }

@@ -84,6 +84,7 @@ impl<'a> Scene<'a> {
         for link in 0..links {
             let place =
                 |part: usize| in_frames(&move |one| one.links.get(link).map_or(one.end, |link| link[part]));
+            // Each link goes along its joint's axis to its corner (1), then to its end (2).
             add(place(1), "link", bodies.link_radius_m);
             if link + 1 < links {
                 add(place(2), "link", bodies.link_radius_m);
