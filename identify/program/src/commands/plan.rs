@@ -337,6 +337,7 @@ impl Loaded {
             .with(Some(self.bodies.clone()), self.acceleration_rad_s2)
     }
 
+    /// Information of a run of this length, in addition to that of an earlier calibration if one is given.
     fn information(&self, duration_s: f64) -> anyhow::Result<Information> {
         let chains = (&self.arm, &self.bar_chain);
         let information = Information::new((&self.robot, &self.bar), chains, self.criterion, duration_s)?;
@@ -471,6 +472,7 @@ fn select_poses(arguments: &PosesArguments) -> anyhow::Result<()> {
     in_metres("target", &arguments.target, REACH_M_MAX)?;
     in_metres("anchor", anchor.as_ref().map_or(&[], |anchor| anchor), CELL_M_MAX)?;
     let bodies = arguments.around.bodies(flange_chain(&robot).reach_m())?;
+    // Poses of a table are taken as reachable: only those that are drawn here are checked for collisions.
     let (candidates, bodies) = match arguments.candidates.as_deref().zip(arguments.mapping.as_deref()) {
         Some((file, mapping)) => {
             let joint_mapping: JointTableMapping = config::load(mapping)?;

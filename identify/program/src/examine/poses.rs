@@ -75,6 +75,7 @@ impl Poses {
     }
 }
 
+/// Whether the robot's joints are inside their limits by the design's margin, and its wrist is away from its singular pose.
 fn is_regular(q: &[f64], limits: &[[f64; 2]], design: &Design) -> bool {
     let margin = design.limit_margin_deg.to_radians();
     let within = |(q, [low, high]): (&f64, &[f64; 2])| (low + margin..high - margin).contains(q);

@@ -139,6 +139,7 @@ pub enum ProposeError {
 /// # Errors
 /// [`ProposeError`].
 pub fn propose(bytes: &[u8], path: &Path, robot: &RobotConfig) -> Result<Proposal, ProposeError> {
+    // Empty unless the file is a workbook with several sheets.
     let sheets = RowsAsText::sheets(bytes);
     let proposals = sheets.iter().map(|sheet| (sheet.as_str(), for_sheet(bytes, path, robot, Some(sheet))));
     let (usable, others): (Vec<_>, Vec<_>) = proposals.partition(|(_, proposal)| proposal.is_ok());

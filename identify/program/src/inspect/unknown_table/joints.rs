@@ -112,7 +112,7 @@ pub(super) fn joints(
             ));
         }
     }
-    // The first of equals, see `layout`.
+    // `max_by_key` takes the last of equals, and the reversed order makes it the first.
     let scored = choices.iter().rev().map(|family| (score(family), family));
     let (_, family) = scored.filter(|(score, _)| *score > -5).max_by_key(|(score, _)| *score)?;
     let unit = angle_unit(family, notes);

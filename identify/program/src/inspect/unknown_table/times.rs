@@ -49,7 +49,7 @@ pub(super) fn time(columns: &[&Column], notes: &mut Notes) -> Option<TimeColumn>
         Some("us") => (TimeUnit::Us, "from the header".into()),
         Some("ns") => (TimeUnit::Ns, "from the header".into()),
         _ if FILETIME.contains(&column.numbers[0]) => (TimeUnit::Filetime, "by its size".into()),
-        // Robots log at 1 Hz to 1 kHz and stamps hardly have more digits than that.
+        // Robots log faster than 1 Hz, up to 1 kHz: a step of one is a millisecond, of a thousand a microsecond.
         _ if step < 0.9 => (TimeUnit::S, format!("stamps are {step:.4} apart")),
         _ if step < 900.0 => (TimeUnit::Ms, format!("stamps are {step:.1} apart")),
         _ if step < 9e5 => (TimeUnit::Us, format!("stamps are {step:.0} apart")),
