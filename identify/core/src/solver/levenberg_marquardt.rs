@@ -48,7 +48,7 @@ impl Damping {
         }
     }
 
-    /// Step of `(H + lambda D) step = -g`, and the decrease of the cost that it predicts.
+    /// Step of `(H + lambda D) step = -g`, and the decrease of the cost that it predicts, `(lambda step^T D step - step^T g) / 2`.
     ///
     /// A column without effect gets a step of zero, instead of a singular matrix: identifiability names it afterwards.
     fn step(&self, model: &QuadraticModel, lambda: f64) -> Option<(DVector<f64>, f64)> {
@@ -59,7 +59,7 @@ impl Damping {
     }
 
     fn accept(&mut self, gain: f64) {
-        // Nielsen's rule, with a faster decrease of the damping if the prediction was accurate.
+        // Nielsen's rule, with a faster decrease (0.1 in place of 1/3) of the damping if the prediction was accurate.
         self.lambda *= (1.0 - (2.0 * gain - 1.0).powi(3)).max(0.1);
         self.growth = 2.0;
     }

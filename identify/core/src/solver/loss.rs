@@ -75,7 +75,7 @@ impl Loss {
     /// The loss for samples of `rows` residuals if this one is for samples of `usual` residuals: the same part of clean samples
     /// is beyond its scale.
     pub(super) fn of_rows(self, rows: usize, usual: usize) -> Self {
-        /// Standard normal quantile of 0.99.
+        /// Standard normal quantile of 0.99, by which `robust` defines scales.
         const Z: f64 = 2.326;
         self.widened((squared_norm_quantile(rows, Z) / squared_norm_quantile(usual, Z)).sqrt())
     }

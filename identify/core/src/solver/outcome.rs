@@ -60,7 +60,7 @@ pub enum Termination {
     SmallDecrease,
     /// Residual and columns are orthogonal.
     SmallGradient,
-    /// Every residual is zero to rounding.
+    /// The cost is exactly zero.
     ZeroResidual,
     /// The limit of iterations was reached first.
     IterationLimit,

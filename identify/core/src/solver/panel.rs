@@ -62,7 +62,7 @@ pub(super) struct Panel {
 }
 
 impl Panel {
-    /// For samples of `rows` rows; known properties may have some more.
+    /// For samples of `rows` rows; those of prior knowledge may have more, up to [`PANEL_ROWS`].
     pub(super) fn new(columns: usize, rows: usize) -> Self {
         let capacity = PANEL_ROWS.max(rows);
         let (stride, width) = (capacity.next_multiple_of(ROW_STEP), width(columns));
@@ -139,7 +139,7 @@ pub(super) fn width(columns: usize) -> usize {
     (columns + 1).next_multiple_of(COLUMN_STEP)
 }
 
-/// Adds one triangle (upper, square, column-major) to another of the same size.
+/// Replaces `into` by the triangle of `[into; from]`: two upper triangles of the same size, column-major.
 pub(super) fn fold_triangles(from: &DMatrix<f64>, into: &mut DMatrix<f64>) {
     let columns = into.ncols();
     let stride = columns.next_multiple_of(ROW_STEP);

@@ -32,8 +32,8 @@ impl GoodShare {
     /// Nine tenths of the samples: all except gross outliers.
     pub const NINE_TENTHS: Self = Self { share: 0.9, quantile: 1.2816 };
 
-    /// Standard deviation of a residual, from the squared norm and the number of residuals of each sample, such that the share
-    /// of good samples is within its quantile; zero without samples.
+    /// Standard deviation of a residual, from the squared norm and the number `n` of residuals of each sample: root of the `share`
+    /// quantile of `squared norm / q(n)`, with `q(n)` the same quantile for `n` standard normal variables; zero without samples.
     pub fn spread(self, samples: impl Iterator<Item = (f64, usize)>) -> f64 {
         let mut variances: Vec<f64> =
             samples.map(|(squared, rows)| squared / squared_norm_quantile(rows, self.quantile)).collect();

@@ -39,7 +39,7 @@ const CLUSTERED_SIZES: [usize; 2] = [1, 2];
 const GROUPS_MIN: usize = 15;
 /// Least number of degrees of freedom for any significance.
 const FREEDOM_MIN: f64 = 3.0;
-/// Least part of a column that must be independent of the other columns.
+/// Least part of a column's sum of squares that must be independent of the other columns.
 const INDEPENDENT_MIN: f64 = 1e-4;
 
 /// Course of a change in time.
@@ -316,7 +316,8 @@ impl ChangeTest {
         clustered.fold(largest, f64::max)
     }
 
-    /// `None` if too few groups determine all numbers: two positions do not determine the rotation of an instrument.
+    /// Significance by the ratio of the groups' scatter to that of independent noise (`pooled` above). `None` if too few groups
+    /// determine all numbers: two positions do not determine the rotation of an instrument.
     fn pooled(&self, group_size: usize) -> Option<f64> {
         let scatter: Vec<f64> = sum_groups(&self.of_columns, group_size)
             .into_iter()
@@ -334,6 +335,7 @@ impl ChangeTest {
         Some(hotelling_tail(self.reduction / overdispersion, self.b.len(), count - 1.0))
     }
 
+    /// Significance by the scatter of the groups' contributions to this change (`clustered` above).
     fn clustered(&self, group_size: usize) -> f64 {
         let Some(inverse) = ScaledCholesky::new(self.information.clone()).map(|factor| factor.inverse())
         else {
@@ -349,8 +351,8 @@ impl ChangeTest {
         // `-q`, so that `q' scatter^-1 q` is Hotelling's T squared.
         let score = &self.information * &self.b;
         let Some(factor) = ScaledCholesky::new(scatter) else { return 1.0 };
-        let contributing = shares * shares / squared_shares;
-        hotelling_tail(score.dot(&factor.solve(&score)), self.b.len(), contributing - 1.0)
+        let effective_groups = shares * shares / squared_shares;
+        hotelling_tail(score.dot(&factor.solve(&score)), self.b.len(), effective_groups - 1.0)
     }
 }
 

@@ -124,7 +124,7 @@ pub enum Source {
         /// Column with the prior.
         column: usize,
     },
-    /// A common error of all lengths, which the lengths of the links contradict.
+    /// A common relative error of all lengths of the robot, estimated from their deviations from the nominal ones.
     OtherScale,
     /// The value of a considered parameter, which is not estimated.
     Considered {
@@ -217,6 +217,8 @@ pub struct Covariance {
 }
 
 impl Covariance {
+    /// `s^2 D^-1 V Sigma^-2 V^T D^-1` with the variance factor `s^2`, the column lengths `D`, and the singular values `Sigma` and
+    /// right singular vectors `V` of the scaled Jacobian, up to its rank.
     pub(in crate::solver) fn new(
         spectrum: &ScaledSpectrum,
         undetermined: &[usize],
@@ -230,7 +232,7 @@ impl Covariance {
         for (mut row, &length) in factor.row_iter_mut().zip(spectrum.lengths.iter()) {
             row *= if length > 0.0 { length.recip() } else { 0.0 };
         }
-        // Without standard deviations nothing of it is given out.
+        // Without a variance factor `has_sigmas` is false, and no entry is returned.
         let variance = variance_factor.unwrap_or_default();
         let matrix = &factor * factor.transpose() * variance;
         let by_source = factor * variance.sqrt();

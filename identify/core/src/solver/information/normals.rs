@@ -179,8 +179,9 @@ impl Normals {
         whole
     }
 
-    /// Variance of the folds' gradients relative to that for independent noise of variance one, averaged over all directions:
-    /// 1 if errors are not correlated within a fold (design effect, Kish 1965). `None` for fewer than two folds.
+    /// Variance of the gradients `g_k` of the `n` folds relative to that for independent noise of variance one, averaged over all
+    /// directions: `n / (n - 1) sum g_k^T H^-1 g_k / tr(H^-1 N)`, with `H` of all data and priors, and `N` of all folds. It is 1
+    /// if errors are not correlated within a fold (design effect, Kish 1965). `None` for fewer than two folds.
     pub fn overdispersion(&self) -> Option<f64> {
         /// Avoids division by zero in directions that only other samples determine.
         const RIDGE: f64 = 1e-12;

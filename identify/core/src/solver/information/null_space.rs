@@ -29,7 +29,7 @@ pub(in crate::solver) fn dependent_groups(
     groups
 }
 
-/// A support that overlaps one group extends it. A support that overlaps several groups becomes a group of its own.
+/// A support that overlaps exactly one group extends it. One that overlaps none or several becomes a group of its own.
 fn merge_overlapping(supports: Vec<Vec<usize>>) -> Vec<DependentGroup> {
     let mut groups: Vec<DependentGroup> = Vec::new();
     for members in supports {
