@@ -22,7 +22,7 @@ const RANK_TOLERANCE: f64 = 1e-6;
 const RADIAN_DECIMALS: std::ops::RangeInclusive<i32> = 2..=5;
 /// Decimals of an angle in degrees that a conversion from radians keeps.
 const CONVERTED_DECIMALS: usize = 9;
-/// Angles in degrees this near to a simple part of a turn in radians were probably meant as radians \[deg\].
+/// An angle in degrees whose number is one or two times pi / 2, within this part of pi / 2, was probably meant as radians.
 const AS_RADIANS: f64 = 1e-3;
 /// Neighbouring axes closer than this \[m\] and parallel within this sine coincide: a calibration cannot separate them.
 const SAME_AXIS_M: f64 = 1e-3;

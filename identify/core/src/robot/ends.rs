@@ -135,18 +135,19 @@ fn find_tip(urdf: &Urdf, base: Option<&str>, left_out: &mut Vec<String>) -> Resu
     let after_last_axis = ends.iter().filter(|end| end.axes.len() == arm.axes.len());
     let (grippers, candidates): (Vec<&End<'_>>, Vec<_>) =
         after_last_axis.partition(|end| end.gripper.is_some());
-    let continues = |link: &str| {
+    let has_candidate_child = |link: &str| {
         let mut joints = urdf.joints.iter().filter(|joint| joint.parent == link);
         joints.any(|joint| candidates.iter().any(|end| end.link == joint.child))
     };
-    let tips: Vec<&End<'_>> = candidates.iter().copied().filter(|end| !continues(end.link)).collect();
+    let tips: Vec<&End<'_>> =
+        candidates.iter().copied().filter(|end| !has_candidate_child(end.link)).collect();
     // Without the link of the last axis itself.
     let fixed_links = candidates
         .iter()
         .copied()
         .filter(|end| urdf.joints.iter().any(|joint| joint.child == end.link && !joint.moves()));
-    let named = TOOLS.iter().find_map(|name| fixed_links.clone().find(|end| is_called(end.link, name)));
-    let tip = match (named, &tips[..]) {
+    let named_tool = TOOLS.iter().find_map(|name| fixed_links.clone().find(|end| is_called(end.link, name)));
+    let tip = match (named_tool, &tips[..]) {
         (Some(end), _) => end,
         (None, [tip]) => *tip,
         (None, _) => return Err(several_tips(&tips)),

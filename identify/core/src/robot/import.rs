@@ -231,7 +231,7 @@ fn problem(joint: &Joint, problem: impl Into<String>) -> ImportError {
     ImportError::Joint { joint: joint.name.clone(), problem: problem.into() }
 }
 
-/// Kind of its motion; `None` for a fixed joint.
+/// Kind of a joint's motion; `None` for a fixed joint.
 fn kind(joint: &Joint) -> Result<Option<JointKind>, ImportError> {
     if let Some(other) = joint.value("mimic", "joint") {
         return Err(problem(
@@ -247,7 +247,8 @@ fn kind(joint: &Joint) -> Result<Option<JointKind>, ImportError> {
     }
 }
 
-/// `T(xyz) Rz(yaw) Ry(pitch) Rx(roll)`.
+/// Pose of a joint in its parent link at zero, `T(xyz) Rz(yaw) Ry(pitch) Rx(roll)`. Angles with few decimals that are replaced by
+/// exact ones are added to `assumed`.
 fn origin(joint: &Joint, assumed: &mut Vec<String>) -> Result<Pose, ImportError> {
     let [xyz_m, rpy_rad] = joint.origin()?;
     let written = joint.value("origin", "rpy").unwrap_or_default().split_whitespace();
@@ -288,12 +289,12 @@ fn limits(
     [-default, default]
 }
 
-/// A length rounded to the accuracy of files: rounding errors are smaller than manufacturing errors.
+/// A length without the rounding errors of the conversion \[m\].
 fn length_m(length_m: f64) -> f64 {
     without_rounding(length_m, 1e-12)
 }
 
-/// As [`length_m`].
+/// An angle in degrees without the rounding errors of the conversion.
 fn angle_deg(angle_rad: f64) -> f64 {
     without_rounding(angle_rad.to_degrees(), 1e-9)
 }
@@ -406,7 +407,7 @@ impl Imported {
     }
 }
 
-/// A comment ends with its line.
+/// The text without line ends: a comment ends with its line.
 fn one_line(text: &str) -> String {
     text.replace(|letter: char| letter.is_control(), " ")
 }

@@ -154,6 +154,9 @@ impl Joint {
     }
 }
 
+/// An angle with fewer decimals changes by more than the repeatability of a robot if it is replaced by the exact one.
+pub(super) const DECIMALS_FINE: usize = 4;
+
 /// An angle \[rad\]. Files contain right angles with some decimals: an angle that equals a multiple of a right angle to its
 /// last digit, or of 15 degrees if it has [`DECIMALS_FINE`] decimals, is replaced by the exact one.
 pub(super) fn angle_rad(text: &str) -> Option<f64> {
@@ -174,9 +177,6 @@ pub(super) fn angle_rad(text: &str) -> Option<f64> {
     };
     Some(if is_exact { exact } else { written })
 }
-
-/// With fewer decimals the replacement would exceed the repeatability of a robot.
-pub(super) const DECIMALS_FINE: usize = 4;
 
 /// Digits after the point.
 pub(super) fn decimals(text: &str) -> usize {
