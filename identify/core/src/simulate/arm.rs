@@ -58,11 +58,11 @@ pub(super) struct Arm {
     gears: Vec<Wave>,
     tracer: Tracer,
     limits: Vec<[f64; 2]>,
+    /// Position of the point in the flange frame.
     point_m: Vector3<f64>,
 }
 
 impl Arm {
-    /// `point_m` is a position in the flange frame.
     pub(super) fn new(robot: &RobotConfig, errors: ArmErrors, point_m: Vector3<f64>) -> Self {
         let mut drawn = random(errors.robot_seed, Stream::StaticErrors);
         let sigma = errors.errors_mm_mrad * 1e-3;
@@ -118,6 +118,7 @@ impl Arm {
         self.turning().flat_map(|(drive, gear)| gear.terms(&gear.periods.to_string(), drive)).collect()
     }
 
+    /// Joints evenly distributed over the middle [`TRAVEL`] of their limits.
     fn random(&self, random: &mut ChaCha8Rng) -> Joints {
         let joint = |[low, high]: &[f64; 2]| {
             let (middle, half) = (0.5 * (low + high), 0.5 * TRAVEL * (high - low));
@@ -162,6 +163,7 @@ impl Arm {
     /// Positions of the point in random postures, those with many neighbours first, and the largest reach.
     pub(super) fn places(&self, random: &mut ChaCha8Rng) -> (Vec<Vector3<f64>>, f64) {
         const POSTURES: usize = 600;
+        /// Positions within this distance are neighbours \[parts of the reach\].
         const NEAR: f64 = 0.2;
         /// Positions closer to the first axis are excluded, because the robot occupies them \[parts of the reach\].
         const BESIDE: f64 = 0.45;

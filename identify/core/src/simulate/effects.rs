@@ -133,7 +133,8 @@ impl Wave {
         self.amplitude_rad * (self.periods * angle_rad + self.phase_rad).sin()
     }
 
-    /// Terms of a calibration that correct the error of a drive's reading (from 0), named after `order` \[rad\].
+    /// Terms of a calibration that cancel this error of a drive's reading: `-amplitude sin(periods q + phase)` as coefficients of
+    /// `sin(periods q)` and `cos(periods q)` \[rad\], named after `order` and the drive, which counts from 0.
     pub fn terms(&self, order: &str, drive: usize) -> [(String, f64); 2] {
         let (sin, cos) = self.phase_rad.sin_cos();
         [("sin", cos), ("cos", sin)]
@@ -141,7 +142,7 @@ impl Wave {
     }
 }
 
-/// Harmonics of one order on each joint, with independent phases.
+/// One harmonic for each angle, given its `periods` per turn, with independent phases; its amplitude is zero without periods.
 fn harmonics(amplitude_urad: f64, periods: &[f64], random: &mut ChaCha8Rng) -> Vec<Wave> {
     let wave = |&periods: &f64| Wave {
         amplitude_rad: if periods > 0.0 { amplitude_urad * 1e-6 } else { 0.0 },

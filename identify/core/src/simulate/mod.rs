@@ -162,7 +162,7 @@ pub enum SimulateError {
         /// Error of the inverse kinematics.
         source: InverseError,
     },
-    /// The noise cannot be drawn.
+    /// A size of an effect is negative or not finite.
     #[error("effects.{name} is {value_urad} urad; give a finite number that is not negative")]
     Effect {
         /// Key of the effect.

@@ -185,11 +185,11 @@ impl Block {
         let half_m = 0.5e-3 * block_mm;
         let radius_m = 0.5e-3 * TIP_DIAMETER_MM;
         // Each of the two faces of a distance or angle has half of the variance that the table states.
-        let part = 0.5_f64.sqrt();
+        let sigma_part = 0.5_f64.sqrt();
         let face = |(_, normal): (&str, [f64; 3])| {
-            let tilt = Vector3::from_fn(|_, _| probing.noise(part * table.u_urad));
+            let tilt = Vector3::from_fn(|_, _| probing.noise(sigma_part * table.u_urad));
             let normal = (probing.turn * (Rotation3::new(tilt) * Vector3::from(normal))).normalize();
-            let from_centre_m = half_m + probing.noise(part * table.u_um) + radius_m;
+            let from_centre_m = half_m + probing.noise(sigma_part * table.u_um) + radius_m;
             Face { normal, distance_m: normal.dot(&pose.translation.vector) + from_centre_m }
         };
         let faces = FACES.map(face).to_vec();

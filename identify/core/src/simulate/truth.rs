@@ -157,6 +157,7 @@ pub struct Truth {
 }
 
 impl Truth {
+    /// `robot` and `bar` are the nominal chains.
     pub(super) fn new(experiment: &Experiment<'_>, robot: &Chain, bar: &Chain) -> Self {
         let mut errors = experiment.errors.by_name(robot.links.len());
         let mut nominal = nominal(robot, bar);
@@ -224,6 +225,7 @@ impl Truth {
         Chain { root_from_base, ..self.with_errors(nominal, 'b') }
     }
 
+    /// The nominal chain with the errors of the parameters whose names begin with `chain`.
     fn with_errors(&self, nominal: &Chain, chain: char) -> Chain {
         let mut moved = nominal.clone();
         for (index, link) in moved.links.iter_mut().enumerate() {
@@ -236,6 +238,7 @@ impl Truth {
     }
 }
 
+/// Nominal parameters by name, as in [`parameter_names`] \[m|rad\].
 fn nominal(robot: &Chain, bar: &Chain) -> BTreeMap<String, f64> {
     let links = [('r', robot), ('b', bar)].into_iter().flat_map(|(letter, chain)| {
         chain.links.iter().enumerate().flat_map(move |(index, link)| {

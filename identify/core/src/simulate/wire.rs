@@ -35,9 +35,9 @@ pub fn wire_rows(
     let mut reading = experiment.robot_reading();
     let row = |_| {
         let q_rad = Joints::random(&limits, &mut postures);
-        let held: Vector3<f64> = (robot.forward(&q_rad) * Point3::from(ATTACHMENT_M)).coords;
+        let attachment_m: Vector3<f64> = (robot.forward(&q_rad) * Point3::from(ATTACHMENT_M)).coords;
         let error_m = noise_m * noise.sample::<f64, _>(StandardNormal);
-        let length_m = (held - Vector3::from(ANCHOR_M)).norm() + OFFSET_M + error_m;
+        let length_m = (attachment_m - Vector3::from(ANCHOR_M)).norm() + OFFSET_M + error_m;
         LengthRow { joints_rad: reading.of(&q_rad), length_m, ..LengthRow::default() }
     };
     Ok(((0..count).map(row).collect(), truth))
