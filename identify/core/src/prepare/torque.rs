@@ -1,10 +1,11 @@
 //! The force along the bar from the torques of the robot's joints.
 //!
 //! The bar exerts one unknown force `F` on the robot, along its own axis: `tau = n F + Y p`, with `n = J^T u` for the direction
-//! `u` of the bar. `Y p` is linear in few numbers `p` that hold for the whole run: mass and first moments of each link
-//! (gravity), and Coulomb friction, viscous friction and inertia of each axis. A sample has a torque for each axis and one force; its
-//! component across `n` gives `p` by least squares, then each sample gives its force. The torques may be those of
-//! the motors, or external ones: then `p` is near zero. Used by `forces` for force logs of joint torques.
+//! `u` of the bar from its base; with torques of motors `F` is positive under tension. `Y p` is linear in few numbers `p` that
+//! hold for the whole run: mass and first moments of each link (gravity), and Coulomb friction, viscous friction and inertia of
+//! each axis. A sample has a torque for each axis and one force; its component across `n` gives `p` by least squares, then each
+//! sample gives its force. The torques may be those of the motors, or external ones: then `p` is near zero. Used by `forces`
+//! for force logs of joint torques.
 
 use nalgebra::{DMatrix, DVector, Vector3};
 

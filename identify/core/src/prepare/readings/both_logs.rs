@@ -61,7 +61,8 @@ impl<'a> BothLogs<'a> {
         standstills: &[Standstill],
     ) -> Option<Averaged> {
         let before = self.before.as_ref()?;
-        // The averaged log begins later than the log: its first rows have no average.
+        // Robot time counts from the first row of a log, and the averaged log, for which `clock` is, begins later: the first rows
+        // have no average.
         let first_ns = before.log.q_rad.first_stamp_ns;
         let begins_s = self.log.q_rad.first_stamp_ns.saturating_sub(first_ns) as f64 * 1e-9;
         let bar_time_s = |tau_s| (tau_s - begins_s - clock.shift_s) / (1.0 + clock.skew);
