@@ -2,8 +2,8 @@
 //!
 //! A `file` defines the varied errors and the estimators of each figure. It is one flat, numbered list of [`Trial`]s: each adds errors
 //! to a path (`conditions`, `reference`), solves with every estimator of its figure, and is a line of `results`, which are only
-//! appended to. So a study that was killed continues where it stopped, machines share it by numbers, and their files are merged by
-//! concatenation. `summary` has curves, tables and answers; nothing in it depends on the order.
+//! appended to. So a study that was killed continues where it stopped, machines share it by numbers, and their results are merged by
+//! number. `summary` has curves, tables and answers; nothing in it depends on the order.
 
 mod conditions;
 mod definition;
