@@ -75,7 +75,7 @@ pub(crate) fn median_size(values: impl Iterator<Item = f64>) -> f64 {
     quantile(&mut values.map(f64::abs).collect::<Vec<_>>(), 0.5)
 }
 
-/// Mean of the values without this fraction of them at either end.
+/// Mean of the values without this fraction of them at either end; `None` if none remain.
 pub(crate) fn trimmed_mean(mut values: Vec<f64>, part: f64) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     let ends = (part * values.len() as f64) as usize;
