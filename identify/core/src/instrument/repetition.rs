@@ -1,8 +1,8 @@
 //! Segments of a run whose errors are independent, also if its motion repeats; the bar's folds. Repetitions share the errors of
 //! gears and encoders, so a repetition that is held out is not independent of the fitted ones.
 //!
-//! The period is the shortest time from samples to the later ones with the most similar joints that enough samples share
-//! ([`REPEATED_MIN`]), refined by Gauss-Newton.
+//! The period is estimated from the time between each sample and the later one with the most similar joints: the shortest time
+//! that enough samples share ([`REPEATED_MIN`]), refined by Gauss-Newton.
 
 use std::ops::Range;
 

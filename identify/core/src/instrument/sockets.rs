@@ -141,7 +141,7 @@ struct Spaced {
 pub struct Sockets {
     /// Names in the rows.
     pub(super) names: Vec<String>,
-    /// Known quantities: first the positions on the plate, then the distances.
+    /// Known quantities, numbered in this order: the positions on the plate, then the distances.
     placed: Vec<Placed>,
     distances: Vec<Spaced>,
 }
@@ -174,10 +174,10 @@ impl Sockets {
         self.distances.get(known.checked_sub(self.placed.len())?)
     }
 
-    /// `(s_j - T c_j) / u_j` of the sockets of the plate, with estimated positions `s_j`, known positions `c_j`, uncertainties
-    /// `u_j` and the pose `T` of the plate that fits them best, and the derivatives by `s_j`. The pose is eliminated (variable
-    /// projection, Golub and Pereyra 1973, in Kaufman's form): with `D` of the `1 / u_j` and `M` the derivatives by the pose, the
-    /// derivative is `(I - M M^+) D`.
+    /// `(s_j - T c_j) / u_j` of the sockets of the plate, with positions `s_j` estimated in the robot's base, known positions
+    /// `c_j`, uncertainties `u_j` and the pose `T` of the plate that fits them best, and the derivatives by `s_j`. The pose is
+    /// eliminated (variable projection, Golub and Pereyra 1973, in Kaufman's form): with `D` of the `1 / u_j` and `M` the
+    /// derivatives by the pose, the derivative is `(I - M M^+) D`.
     fn plate_residual(&self, sockets_m: &[Vector3<f64>]) -> Option<(DVector<f64>, DMatrix<f64>)> {
         /// Singular values below this part of the largest count as zero, such as a rotation about a line through all sockets.
         const RANK_TOLERANCE: f64 = 1e-9;

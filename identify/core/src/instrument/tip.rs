@@ -19,7 +19,7 @@ use crate::model::{Clock, Geometry, JointState, Model, ModelError, Owner, Parame
 /// Prior of the tip's distance from the flange \[m\]: effective only if the poses do not determine the tip.
 pub(super) const TIP_SIGMA_M: f64 = 1.0;
 
-/// Weight of the tip's prior relative to the positions of this number of rows.
+/// Weight of the tip's prior in normal equations that sum this number of rows with weight one.
 pub(super) fn tip_weight(rows: usize) -> f64 {
     /// Error of a position \[m\].
     const ERROR_M: f64 = 1e-3;

@@ -1,6 +1,6 @@
-//! A tip on the flange that touches flat faces, with a dial gauge that has the travel of its plunger in each row. The residual is
-//! the distance of the tip from the plane of its face ([`TouchedFace`]). Faces have any orientation; known distances between
-//! them fix the scale.
+//! A tip on the flange that touches flat faces. The residual is the distance of the tip from the plane of its face plus the
+//! reading of a dial gauge, the travel of its plunger, or zero ([`TouchedFace`]). Faces have any orientation; known distances
+//! between them fix the scale.
 
 use nalgebra::{DMatrix, DVector, Matrix3, SymmetricEigen, Vector3};
 
@@ -81,7 +81,8 @@ fn fit_tip_and_planes(touches: &TouchedPoses, faces: usize, start_m: Vector3<f64
     Some(Placed { tip_m, planes, rms_m })
 }
 
-/// Plane through the tips of a face, at least three; its normal points to decreasing travel of a gauge's plunger.
+/// Plane through the tips of a face, at least three. Readings determine only the sign of its normal, which points to decreasing
+/// travel of the gauge's plunger.
 fn fit_plane(touches: &TouchedPoses, face: usize, tip_m: Vector3<f64>) -> Option<Face> {
     let on_face = || touches.iter().filter(|(_, row)| row.part == face);
     let tips_m: Vec<Vector3<f64>> =

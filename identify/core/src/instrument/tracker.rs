@@ -294,6 +294,7 @@ impl Measures for Tracker {
             }
             Mistake::RowsShifted => rows.shifted().map(Self::at_rest).to_vec(),
             Mistake::Mirrored => {
+                // Any mirror image is this one in another pose of the tracker.
                 let mut mirrored = rows.clone();
                 for row in &mut mirrored.rows {
                     row.position_m.z = -row.position_m.z;
@@ -301,6 +302,7 @@ impl Measures for Tracker {
                 }
                 vec![Self::at_rest(mirrored)]
             }
+            // Displacements and other tables are not corrected in the rows.
             _ => Vec::new(),
         }
     }

@@ -86,9 +86,9 @@ impl<R: Copy> Screened<R> {
     }
 }
 
-/// Rows that a fit must not use: single fitting rows with gross residuals, and every row, fitting or not, inside a run whose
-/// fitting rows are mostly off. `residuals_m` are of all rows \[m\], `relative_noise` is relative to the median row; the scale
-/// is the spread of the `kept` rows.
+/// Rows that a fit must not use: single rows of the fit (`fitting`) with gross residuals, and every row, also a held-out one,
+/// inside a run in which most rows of the fit are off. `residuals_m` are of all rows \[m\], `relative_noise` is relative to the
+/// median row; the standard deviation is that of the `kept` rows.
 pub(crate) fn faulty(
     residuals_m: &[f64],
     relative_noise: &[f64],

@@ -39,7 +39,7 @@ impl HoldOut {
     }
 }
 
-/// Group of each row; rows of one group are held out together.
+/// Group of each row, from the number of its pose (ascending) and the nominal position of the robot's end.
 fn groups(hold_out: HoldOut, poses: &[usize], positions_m: &[Vector3<f64>]) -> Vec<usize> {
     match hold_out {
         HoldOut::Rows => poses.to_vec(),
