@@ -94,7 +94,7 @@ fn twist_signs(chain: &Chain) -> Result<[f64; 4], InverseError> {
 /// Joint angles \[rad\] of the nominal bar for a pose, in each configuration, in the order of [`Configuration::ALL`].
 ///
 /// The bar has five joints, a pose six freedoms: direction of the rod and rotation of the end frame are met, the
-/// distance from the gimbal is not looked at. Errors of the chain enter only by its joint offsets; see
+/// distance from the gimbal is ignored. Errors of the chain enter only by its joint offsets; see
 /// [`ball_bar_inverse_refined`].
 ///
 /// # Errors
