@@ -86,7 +86,7 @@ impl Reading {
         self.unit == EncoderUnit::Counts
     }
 
-    /// Count of a terminal's counter for an angle in the file's unit; `None` for an invalid angle.
+    /// An angle in the file's unit as counts of [`ANGLE_SCALE`]; `None` for an invalid angle.
     pub fn count_of_angle(&self, value: f64) -> Option<i64> {
         let turns = match self.unit {
             EncoderUnit::Deg => value / 360.0,
@@ -258,7 +258,7 @@ impl RawBarLog {
         })
     }
 
-    /// Rows of zeros, or of any other invalid reading: each would look like two restarts of the counters.
+    /// Marks rows of zeros, or of any other invalid reading: each would look like two restarts of the counters.
     fn mark_excursions(&mut self) -> Result<(), LogError> {
         let width = self.readings.len();
         let valid: Vec<usize> = (0..self.rows.len()).filter(|row| self.rows[*row].is_valid(width)).collect();
@@ -279,7 +279,7 @@ impl RawBarLog {
         Ok(())
     }
 
-    /// Rows with the counts of the row before, in the middle of a motion, under a new stamp.
+    /// Marks rows with the counts of the row before, in the middle of a motion, under a new stamp.
     fn mark_repeated(&mut self, cycles: &mut [CycleRecord]) {
         let valid = valid_cycles(cycles);
         let step_rad = |from: usize, to: usize| {
@@ -294,8 +294,8 @@ impl RawBarLog {
         }
     }
 
-    /// A terminal that lost power restarts at some count, and so do all its neighbours. A single encoder that jumps has
-    /// slipped, which is reported later.
+    /// Begins a new origin where two or more encoders jump: a terminal that lost power restarts at some count, and so do all
+    /// its neighbours. A single encoder that jumps has slipped, which is reported later.
     fn mark_origins(&mut self, cycles: &mut [CycleRecord]) {
         let (mut places, mut begins_origin) = (Vec::new(), vec![false; cycles.len()]);
         for pair in valid_cycles(cycles).windows(2) {
@@ -330,7 +330,7 @@ impl RawBarLog {
         ));
     }
 
-    /// A counter with fewer bits than configured jumps by its whole width at a wrap.
+    /// Refuses a counter with fewer bits than configured: its counts fill three quarters of a smaller width and jump at a wrap.
     fn check_wrap(&self, encoder: usize) -> Result<(), LogError> {
         let Some(reading) = self.readings.get(encoder).filter(|reading| reading.is_counts()) else {
             return Ok(());
@@ -406,6 +406,7 @@ impl RawBarLog {
         self.quality.remark_counts(self.kind.row, "the counts", done, "lack a value of an encoder");
     }
 
+    /// The facts, by their names in `MISSING_FACTS`, that the file does not have.
     fn unknown(&self) -> Vec<&'static str> {
         let Kind { has_validity, has_origins, is_dated, .. } = self.kind;
         let [certainty, other_clock, validity, origins, date] = MISSING_FACTS.map(|(what, _)| what);

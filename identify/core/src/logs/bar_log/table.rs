@@ -1,4 +1,4 @@
-//! Encoders of the bar from a text table: output of `ballbard export --csv`, the thesis' counters, or columns of a mapping.
+//! Encoders of the bar from a text table: columns with the names of `ballbard export --csv`, or those of a mapping.
 
 use std::path::Path;
 
