@@ -112,7 +112,7 @@ fn decode(bytes: &[u8], path: &Path) -> Result<Vec<EgmRobot>, LogError> {
     Ok(messages)
 }
 
-/// Milliseconds of the controller, followed over their wrap.
+/// Stamps \[ns\] from the controller's milliseconds, followed over their wrap.
 fn controller_stamps(messages: &[EgmRobot], path: &Path) -> Result<Vec<i64>, LogError> {
     let mut unwrapped_ms = 0i64;
     let mut last: Option<u32> = None;

@@ -92,8 +92,8 @@ impl<'a> Meaning<'a> {
         Ok(Self { conversion: JointConversion::of(robot)?, ..Self::new(robot, &robot.log, names)? })
     }
 
-    /// Angles of a format in degrees: as a mapping converts them, or the robot's configuration. Also what they are multiplied
-    /// by first.
+    /// For joints in degrees: the conversion of a mapping with joints, or of the robot's configuration. Also the factor of the
+    /// values before it: a mapping converts from radians.
     pub fn of_degrees(
         robot: &'a RobotConfig,
         mapping: Option<&RobotLogMapping>,
@@ -184,6 +184,7 @@ impl RawLog {
         }
         self.joints.iter_mut().for_each(|row| *row = meaning.conversion.to_joint(row));
         self.check_limits(meaning)?;
+        // Not needed any more, and as long as the log.
         self.places = Vec::new();
         let joints = std::mem::take(&mut self.joints);
         let (q_rad, stamps, is_kept) =

@@ -1,7 +1,7 @@
 //! Reads a robot's joint log of any supported format.
 //!
-//! The robot's own CSV has a header row with `t_s` and the six columns that the robot's configuration names,
-//! `{column}{1..6}_{rad|deg}`; other columns are ignored. Lines `# key: value` before or between rows declare `robot`,
+//! The robot's own CSV has a header row with `t_s` and a column for each axis, `{column}{1..}_{rad|deg|m}`, as the robot's
+//! configuration names them; other columns are ignored. Lines `# key: value` before or between rows declare `robot`,
 //! `clock` and `values` (measured or commanded). Comma, semicolon or tab between cells, decimal point, byte order mark and
 //! CRLF allowed. Other tables need a [`RobotLogMapping`].
 
