@@ -24,8 +24,9 @@ use crate::model::SetUp;
 
 /// Range of a tracker \[m\]; a larger number means a wrong unit.
 const POSITION_M_MAX: f64 = 100.0;
-/// No robot moves its end faster \[m/s\], nor reverses it by more than 5 g: no target would stay in its nest.
+/// No robot moves its end faster \[m/s\].
 pub const SPEED_M_S_MAX: f64 = 10.0;
+/// At a higher acceleration than 5 g no target would stay in its nest.
 const FASTEST: Fastest = Fastest { speed: SPEED_M_S_MAX, acceleration: 50.0 };
 /// No angle of an orientation is larger \[rad\]; more means a wrong unit.
 const ANGLE_RAD_MAX: f64 = 2.0 * std::f64::consts::TAU;
@@ -136,7 +137,7 @@ impl RotationColumns {
         }
     }
 
-    /// Radians in a unit of the columns, and the largest value that makes sense.
+    /// Factor of the columns' values (to radians; 1 for quaternion and matrix), and their largest size after it.
     fn scale(&self) -> (f64, f64) {
         self.unit.map_or((1.0, 1.0 + NOT_A_ROTATION), |unit| (unit.to_rad(), ANGLE_RAD_MAX))
     }
@@ -353,7 +354,7 @@ impl TimedPoses {
             let (before, after) = ((before.line, *before_ns), (after.line, *after_ns));
             return Err(LogError::time_not_increasing(path, "line", before, after));
         }
-        // Rows of two targets at one time are not duplicates.
+        // Rows of two targets at one time are not duplicates: the later one gets the next nanosecond.
         for row in 1..rows.len() {
             let (before_ns, before) = rows[row - 1];
             let (stamp_ns, pose) = &mut rows[row];
@@ -394,7 +395,7 @@ fn drop_excursions(
     Ok(remark)
 }
 
-/// Motion of the target from row to row; none between rows of different targets or stations.
+/// Positions of the rows \[m\] without the steps from one target or station to another: the robot does not make them.
 fn motion(rows: &[PoseRow]) -> Vec<Joints> {
     let mut before: Option<&PoseRow> = None;
     let mut steps_between_targets_m = Vector3::zeros();
@@ -412,7 +413,7 @@ fn motion(rows: &[PoseRow]) -> Vec<Joints> {
 struct PoseColumns<'a> {
     position: (Vec<Column>, LengthUnit),
     rotation: Option<(Vec<Column>, &'a RotationColumns)>,
-    /// Uncertainties of position and rotation, with metres or radians in their unit.
+    /// Standard uncertainties of position \[mm\] and rotation \[mrad\].
     uncertainty: [Option<Column>; 2],
     /// Names of station and target.
     set_up: [Option<Column>; 2],
