@@ -74,7 +74,7 @@ impl<'a> Table<'a> {
         text.skip_lines(layout.skip_lines)?;
         let header = text.header_line()?;
         let delimiter = match (layout.delimiter, delimiter_of(header)) {
-            // A workbook has no delimiter of its own.
+            // A workbook was converted to cells between tabs: the mapping's delimiter is not in it.
             (Some(delimiter), b'\t') if !header.contains(delimiter) => b'\t',
             (Some(delimiter), _) => delimiter as u8,
             // Commas are in numbers, and cannot separate cells.

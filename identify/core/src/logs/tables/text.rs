@@ -1,4 +1,4 @@
-//! Bytes of a table as text, however the program that made it saves: UTF-8, UTF-16, Windows-1252 (Latin-1) or a spreadsheet.
+//! Text of a table from the bytes of its file: UTF-8, UTF-16, Windows-1252 (Latin-1) or a workbook.
 
 use std::borrow::Cow;
 use std::io::{self, Cursor, Read};
@@ -16,8 +16,8 @@ pub(super) const COMMENT: u8 = b'#';
 /// Size of the blocks that are decoded.
 const BLOCK_BYTES: u64 = 1 << 18;
 
-/// The text of a file without byte order mark, decoded as far as it is read: ten hours of a robot's log are a gigabyte. Of a
-/// workbook the named sheet, or its only one, one line for each row, cells between tabs.
+/// The text of a file without its byte order mark, decoded block by block as it is read: ten hours of a robot's log are a
+/// gigabyte. Of a workbook it is the named sheet, or the only one, with a line for each row and tabs between the cells.
 ///
 /// A line that is not UTF-8, in a file without byte order mark, is Windows-1252, as instruments export a micro or degree sign;
 /// a damaged digit is not a digit in any of these encodings.
@@ -97,9 +97,9 @@ impl<'a> Text<'a> {
     /// As [`Self::new`].
     pub fn skip_lines(&mut self, count: usize) -> Result<(), LogError> {
         for _ in 0..count {
-            let is_end = |unread: &str| unread.find('\n').map(|end| end + 1);
-            while is_end(self.unread()).is_none() && self.decode_more()? {}
-            self.read_to += is_end(self.unread()).unwrap_or(self.unread().len());
+            let line_length = |unread: &str| unread.find('\n').map(|end| end + 1);
+            while line_length(self.unread()).is_none() && self.decode_more()? {}
+            self.read_to += line_length(self.unread()).unwrap_or(self.unread().len());
         }
         self.table_at = self.read_to;
         Ok(())

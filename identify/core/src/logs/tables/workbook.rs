@@ -9,7 +9,7 @@ use zip::ZipArchive;
 /// An Excel workbook is a ZIP archive; no text begins so.
 const ZIP: &[u8] = b"PK\x03\x04";
 
-/// Whether the bytes are a workbook, which only looks binary.
+/// Whether the bytes are a workbook.
 pub(in crate::logs) fn is_workbook(bytes: &[u8]) -> bool {
     bytes.starts_with(ZIP)
 }
