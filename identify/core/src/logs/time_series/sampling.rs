@@ -56,16 +56,17 @@ pub(in crate::logs) fn find_clock(stamps_s: Vec<f64>, rows: &[Joints]) -> Option
     let motion = periods_by_motion(rows);
     // Without motion stamps cannot be compared with anything.
     let moves = motion.iter().flatten().count() >= ROWS_MIN;
-    // An explanation is the number of periods from row to row. Where the motion is unknown, a row follows the one before it, or
-    // the stamps are right.
+    // An explanation is the number of periods from row to row, by the motion where it is known. Elsewhere each row follows the
+    // one before it (the first explanation), or the stamps are right (the second).
     let (explanations, contradiction_nats) = match &even {
         None => (vec![motion.clone()], None),
         Some(EvenStamps { stamps, periods }) => {
             let side = ((CURVE_S / stamps.period_s).round() as usize).min(BESIDE);
             let (none_missing, _) = compare_motion(&motion, periods, rows, side, |_| 1.0);
-            let (mut as_stamped, nats) = compare_motion(&motion, periods, rows, side, |stamped| stamped);
+            let (mut as_stamped, contradiction_nats) =
+                compare_motion(&motion, periods, rows, side, |stamped| stamped);
             as_stamped.iter_mut().zip(periods).for_each(|(shown, stamped)| *shown = shown.or(Some(*stamped)));
-            (vec![none_missing, as_stamped], Some(nats))
+            (vec![none_missing, as_stamped], Some(contradiction_nats))
         }
     };
     let grid_s = find_grid(t_s);

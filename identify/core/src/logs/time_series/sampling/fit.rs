@@ -52,6 +52,7 @@ impl Fit {
         let curve = Curve { numbers, breaks, last_number, pieces };
         let rounding_variance =
             grid_s.unwrap_or_default().powi(2) / 12.0 * rest_s.len() as f64 / pieces as f64;
+        // Standard deviation of a second difference at the knots.
         let bend_s = RATE_CHANGE * last_number * period_s / pieces as f64;
         let mut x = DVector::<f64>::zeros(curve.unknowns());
         let mut sigma_s = f64::INFINITY;
