@@ -1,15 +1,15 @@
 //! Reads logs of robots, bars and other instruments from files.
 //!
-//! A robot log ends up as one table, [`RobotLog`]: time stamps of the robot's own clock and joint variables of the model in
-//! radians. Everything robot-specific (motors or joints, units, signs, coupled axes) is converted here by [`JointConversion`];
+//! A robot log ends up as one table, [`RobotLog`]: time stamps of the robot's own clock and joint variables of the model
+//! \[rad, m\]. Everything robot-specific (motors or joints, units, signs, coupled axes) is converted here by [`JointConversion`];
 //! later steps never see it. The clock is named but not relied on: logs of many controllers count from their own start, so the
 //! relation to the bar's clock is found from the motion (`prepare`).
 //!
 //! [`BarLog`] is the other side of a run: the bar's encoders in a recording or in the file of another program.
 //!
-//! [`MeasuredLengths`] and [`MeasuredPoses`] are the other kinds of input: single poses of the robot with a measured length
-//! (draw-wire, telescoping bar) or with a measured position or pose (tracker); [`TimedPoses`] is a tracker's log with times
-//! instead of joints, beside a [`RobotLog`].
+//! The other kinds of input are single poses of the robot with a measured length (draw-wire, telescoping bar:
+//! [`MeasuredLengths`]), with a measured position or pose (tracker: [`MeasuredPoses`]), or with a touched socket or face
+//! ([`TipRow`]). [`TimedPoses`] is a tracker's log with times instead of joints, beside a [`RobotLog`].
 
 mod bar_log;
 mod error;
@@ -153,7 +153,7 @@ pub struct RobotLog {
 }
 
 impl RobotLog {
-    /// Joints of each row.
+    /// Number of joints of each row.
     pub fn axes(&self) -> usize {
         self.q_rad.first().map_or(0, |q| q.len())
     }
