@@ -463,12 +463,15 @@ fn salvage(source: WriteError, progress: &Progress, disk: &dyn Disk, cause: Stri
             return RunError::Broken { source, saved, content: None };
         }
     };
-    let lost = progress.get().taken.saturating_sub(content.cycles);
-    let saved = format!("{} cycles are saved in {}, the last {lost} are not", content.cycles, file.display());
-    let Salvaged { run, cycles, cycles_valid, timing, .. } = *content;
-    let provenance = run.provenance();
-    let summary =
-        RunSummary { path: file, cycles, cycles_valid, cycles_lost: lost, cause, provenance, timing };
+    let Salvaged { run, cycles, cycles_valid, cycles_lost, timing, .. } = *content;
+    let unsaved = progress.get().taken.saturating_sub(cycles);
+    let saved = format!(
+        "{} cycles are saved in {}, the last {unsaved} are not",
+        cycles - cycles_lost,
+        file.display()
+    );
+    let (cycles_lost, provenance) = (cycles_lost + unsaved, run.provenance());
+    let summary = RunSummary { path: file, cycles, cycles_valid, cycles_lost, cause, provenance, timing };
     RunError::Broken { source, saved, content: Some(Box::new(summary)) }
 }
 
