@@ -259,6 +259,7 @@ pub struct Observer {
     /// Reference marks, if they are known.
     pub homing: Option<HomingConfig>,
     rate_hz: u32,
+    without_clocks: bool,
     /// Name of the current run.
     run: Option<String>,
     run_begun: MonoNs,
@@ -272,7 +273,8 @@ impl Observer {
     /// For the encoders of a service.
     pub fn new(settings: &Settings) -> Self {
         let tracks = settings.bar.encoders.iter().map(Track::new).collect();
-        Self { tracks, rate_hz: settings.daemon.rate_hz, ..Self::default() }
+        let without_clocks = !settings.daemon.distributed_clocks;
+        Self { tracks, rate_hz: settings.daemon.rate_hz, without_clocks, ..Self::default() }
     }
 
     /// The moment that follows from `status`.
@@ -302,9 +304,8 @@ impl Observer {
             .collect();
         let disk_hours =
             status.disk_usable_mb.map(|usable_mb| hours_left(usable_mb * 1_000_000, self.rate_hz));
-        let period_s = 1.0 / f64::from(self.rate_hz.max(1));
         let run = status.run.as_ref().zip(run_s);
-        let verdict = run.and_then(|(run, run_s)| verdict_so_far(run, &joints, run_s, period_s));
+        let verdict = run.and_then(|(run, run_s)| self.verdict_so_far(run, &joints, run_s));
         let mut live = Live {
             at_ms: now.0 / 1_000_000,
             headline: status.headline(),
@@ -319,6 +320,24 @@ impl Observer {
         };
         live.warnings = self.warnings(&live, now);
         live
+    }
+
+    /// The grade if the run ended now; `None` before anything is on disk. Joints get time to move.
+    fn verdict_so_far(&self, run: &RunStatus, joints: &[Joint], run_s: f64) -> Option<Verdict> {
+        let has_had_time = run_s > MOVE_WITHIN_S;
+        let turned = joints.iter().filter(|_| has_had_time).map(|joint| (joint.joint, joint.range_deg));
+        (run.cycles > 0).then(|| {
+            Verdict::of(&Content {
+                cycles: run.cycles,
+                cycles_valid: run.cycles_valid,
+                cycles_lost: run.cycles_lost,
+                period_s: 1.0 / f64::from(self.rate_hz.max(1)),
+                flagged: &run.flagged,
+                recovered: false,
+                without_clocks: self.without_clocks,
+                turned_deg: &turned.collect::<Vec<_>>(),
+            })
+        })
     }
 
     /// Angles count from zero again, so the cells visited before cannot be compared with new ones.
@@ -403,23 +422,6 @@ fn start_reading_marks(
 ) -> Pending<Option<HomingConfig>> {
     let (disk, marks) = (Arc::clone(disk), marks.clone());
     Pending::start(scheduler, "marks", move || marks.read(&*disk).ok().flatten())
-}
-
-/// The grade if the run ended now; `None` before anything is on disk. Joints get time to move.
-fn verdict_so_far(run: &RunStatus, joints: &[Joint], run_s: f64, period_s: f64) -> Option<Verdict> {
-    let has_had_time = run_s > MOVE_WITHIN_S;
-    let turned = joints.iter().filter(|_| has_had_time).map(|joint| (joint.joint, joint.range_deg));
-    (run.cycles > 0).then(|| {
-        Verdict::of(&Content {
-            cycles: run.cycles,
-            cycles_valid: run.cycles_valid,
-            cycles_lost: run.cycles_lost,
-            period_s,
-            flagged: &run.flagged,
-            turned_deg: &turned.collect::<Vec<_>>(),
-            ..Content::default()
-        })
-    })
 }
 
 /// Histograms are long, and a page does not need them ten times a second.
@@ -779,6 +781,15 @@ mod tests {
         bench.origin = 0;
         let live = bench.at([Some(1010.0); 5], Some("one"));
         assert!((live.joints[0].angle_deg.unwrap() - 10.0).abs() < 1e-3, "{live:?}");
+    }
+
+    #[test]
+    fn a_run_without_distributed_clocks_has_the_grade_of_its_file() {
+        let level = |distributed_clocks| {
+            let mut bench = Bench::new(|settings| settings.daemon.distributed_clocks = distributed_clocks);
+            bench.at([Some(1.0); 5], Some("one")).verdict.unwrap().level
+        };
+        assert_eq!([true, false].map(level), [Level::Good, Level::Check]);
     }
 
     #[test]
