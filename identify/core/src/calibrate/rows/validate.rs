@@ -37,7 +37,7 @@ pub fn validate(
     let rows_error = |error| CalibrateError::Rows { data_set: 1, error };
     let nominal = flange_chain(robot);
     instrument.contradicting(&nominal).map_err(rows_error)?;
-    let (rows, needed) = (instrument.samples(), instrument.samples_min() * FOLDS / (FOLDS - 1));
+    let (rows, needed) = (instrument.samples(), (instrument.samples_min() * FOLDS).div_ceil(FOLDS - 1));
     if rows < needed {
         return Err(rows_error(RowError::TooFewRows { rows, needed }));
     }
