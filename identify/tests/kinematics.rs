@@ -68,10 +68,17 @@ fn a_joint_that_is_not_given_stands_at_zero() {
 #[test]
 fn a_singular_bar_is_told_by_its_margin() {
     use std::f64::consts::PI;
-    assert!(singularity_margin_rad(&[0.3, 0.0, 0.1, 1.0, 0.2]) < 1e-12);
-    assert!(singularity_margin_rad(&[0.3, 1.0, 0.1, PI, 0.2]) < 1e-12);
-    assert!((singularity_margin_rad(&[0.3, 1.2, 0.1, PI - 0.05, 0.2]) - 0.05).abs() < 1e-12);
-    assert!((singularity_margin_rad(&[0.3, -0.2, 0.1, -1.0, 0.2]) - 0.2).abs() < 1e-12);
+    let [.., mut bar] = nominal();
+    let margin_rad = |bar: &Chain, bar_rad| singularity_margin_rad(&bar.links, &bar_rad);
+    assert!(margin_rad(&bar, [0.3, 0.0, 0.1, 1.0, 0.2]) < 1e-12);
+    assert!(margin_rad(&bar, [0.3, 1.0, 0.1, PI, 0.2]) < 1e-12);
+    assert!((margin_rad(&bar, [0.3, 1.2, 0.1, PI - 0.05, 0.2]) - 0.05).abs() < 1e-12);
+    assert!((margin_rad(&bar, [0.3, -0.2, 0.1, -1.0, 0.2]) - 0.2).abs() < 1e-12);
+    // Joints that count from another zero: the margin is that of the angles between the links.
+    bar.links[1].theta_rad = 0.5 * PI;
+    bar.links[3].theta_rad = -0.5 * PI;
+    assert!((margin_rad(&bar, [0.3, 0.0, 0.1, 0.2, 0.2]) - (0.5 * PI - 0.2)).abs() < 1e-12);
+    assert!(margin_rad(&bar, [0.3, 0.5 * PI, 0.1, 0.2, 0.2]) < 1e-12);
 }
 
 #[test]

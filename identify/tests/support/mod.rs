@@ -102,7 +102,7 @@ pub fn spread_poses(
     let home = [0.0, 0.2, 0.2, 0.0, 0.8, 0.0];
     while observations.len() < count {
         let b: [f64; 5] = std::array::from_fn(|_| random.random_range(-3.1..3.1));
-        if singularity_margin_rad(&b) < 0.2 {
+        if singularity_margin_rad(&bar.links, &b) < 0.2 {
             continue;
         }
         let Ok(q) = robot_inverse(robot, &bar.forward(&b), &home) else { continue };

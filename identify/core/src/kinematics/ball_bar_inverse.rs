@@ -6,7 +6,7 @@ use std::f64::consts::PI;
 use super::inverse::{
     distance_squared, nearest_turn, point_z, refine, right_angle, turn_and_twist, wrapped, wrist_angles,
 };
-use super::{Chain, InverseError, Pose};
+use super::{Chain, DhLink, InverseError, Pose};
 
 /// Joints of the bar: three of the gimbal at the base, two of the cardan at the flange.
 pub const BAR_JOINTS: usize = 5;
@@ -78,9 +78,14 @@ impl Configuration {
 
 /// Distance to the nearest singular pose \[rad\]: rod along the base axis (sin b2 = 0) or along the last axis
 /// (sin b4 = 0). There one joint is undetermined and encoder errors are amplified by the inverse of this number.
-pub fn singularity_margin_rad(bar_rad: &[f64; BAR_JOINTS]) -> f64 {
-    let to_multiple_of_pi = |angle: f64| (angle - PI * (angle / PI).round()).abs();
-    to_multiple_of_pi(bar_rad[1]).min(to_multiple_of_pi(bar_rad[3]))
+///
+/// `bar_rad` are joint variables: the links' offsets `theta` are added here.
+pub fn singularity_margin_rad(bar_links: &[DhLink], bar_rad: &[f64; BAR_JOINTS]) -> f64 {
+    let to_multiple_of_pi = |joint: usize| {
+        let angle = bar_rad[joint] + bar_links.get(joint).map_or(0.0, |link| link.theta_rad);
+        (angle - PI * (angle / PI).round()).abs()
+    };
+    to_multiple_of_pi(1).min(to_multiple_of_pi(3))
 }
 
 /// Signs of the twists of links 1 to 4.

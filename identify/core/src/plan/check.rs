@@ -131,7 +131,7 @@ pub fn check(
         let last = last_acceleration.replace(point.acceleration).unwrap_or(point.acceleration);
         let instant = Instant {
             off_sphere_m: (bar.forward(&bar_rad).translation.vector - target.translation.vector).norm(),
-            bar_margin_rad: singularity_margin_rad(&bar_rad),
+            bar_margin_rad: singularity_margin_rad(&bar.links, &bar_rad),
             wound_rad: std::array::from_fn(|joint| bar_rad[joint] - start_rad[joint]),
             jerk_rad_s3: Joints::from_fn(axes, |axis| (point.acceleration[axis] - last[axis]) / CHECK_S),
             point,

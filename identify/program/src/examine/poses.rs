@@ -56,7 +56,7 @@ impl Poses {
             }
             let bar_rad: [f64; BAR_JOINTS] =
                 std::array::from_fn(|_| random.random_range(-std::f64::consts::PI..std::f64::consts::PI));
-            if singularity_margin_rad(&bar_rad) < design.bar_margin_deg.to_radians() {
+            if singularity_margin_rad(&bar.links, &bar_rad) < design.bar_margin_deg.to_radians() {
                 continue;
             }
             let near_rad = design.posture_rad(robot, limits, &mut random);

@@ -52,11 +52,6 @@ pub fn loop_closures(
         let readings = readings(observation);
         let scene = point.scene(motion, sample, observation, &readings)?;
         let base_to_end_m = scene.robot.position_m() - geometry.base.origin_m;
-        // Angles between the links, with the encoder offsets.
-        let mut bar_rad = scene.bar_rad;
-        for (angle, link) in bar_rad.iter_mut().zip(&geometry.bar_links) {
-            *angle += link.theta_rad;
-        }
         Some(Closure {
             t_s: observation.t_s,
             joints: scene.joints.reported,
@@ -66,7 +61,7 @@ pub fn loop_closures(
             by_force_m: geometry.elongation.extension_m(&observation.force),
             force: observation.force,
             direction: base_to_end_m / base_to_end_m.norm().max(f64::MIN_POSITIVE),
-            margin_rad: singularity_margin_rad(&bar_rad),
+            margin_rad: singularity_margin_rad(&geometry.bar_links, &scene.bar_rad),
             joint_twists: scene.robot.joint_twists().collect(),
         })
     };

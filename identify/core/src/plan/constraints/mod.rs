@@ -114,7 +114,7 @@ impl<'a> Constraints<'a> {
     /// # Errors
     /// The violated constraint.
     pub fn robot_at(&self, bar_rad: &[f64; 5], near_rad: &[f64]) -> Result<Joints, Obstacle> {
-        if singularity_margin_rad(bar_rad) < self.design.bar_margin_deg.to_radians() {
+        if singularity_margin_rad(&self.bar.links, bar_rad) < self.design.bar_margin_deg.to_radians() {
             return Err(Obstacle::BarSingularity);
         }
         let robot = self.inverse(&self.bar.forward(bar_rad), near_rad).map_err(|_| Obstacle::Reach)?;

@@ -58,7 +58,8 @@ impl<'a> Predictor<'a> {
         let mut trace = Trace::default();
         self.robot.trace(&joints.value, &mut trace);
         let joints_rad = first_ball_bar_inverse(&self.bar, trace.end()).ok()?;
-        Some(PredictedBar { joints_rad, margin_rad: singularity_margin_rad(&joints_rad) })
+        let margin_rad = singularity_margin_rad(&self.bar.links, &joints_rad);
+        Some(PredictedBar { joints_rad, margin_rad })
     }
 
     /// The robot's joints at `tau_s` \[rad\].

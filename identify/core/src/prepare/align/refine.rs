@@ -12,8 +12,8 @@ use nalgebra::{Vector3, Vector5};
 use super::clock::{EDGE_S, SHIFT_SIGMA_S, SKEW_SIGMA};
 use crate::cost::{LoopProblem, Movement, Residual, Scene};
 use crate::kinematics::{
-    BAR_JOINTS, Chain, ImpliedBar, Joints, LinkParameter, Trace, Tracer, Turn, singularity_margin_rad,
-    wrapped,
+    BAR_JOINTS, Chain, DhLink, ImpliedBar, Joints, LinkParameter, Trace, Tracer, Turn,
+    singularity_margin_rad, wrapped,
 };
 use crate::logs::CubicSpline;
 use crate::model::{Clock, Geometry, Group, Model, ModelError, Observation, ParameterId, RobotMotion, Role};
@@ -81,8 +81,8 @@ struct Implied {
 
 impl ImpliedAngles {
     /// Weight of each joint at a posture.
-    fn weights(&self, bar_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
-        let weight = singularity_margin_rad(bar_rad).sin();
+    fn weights(&self, bar_links: &[DhLink], bar_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
+        let weight = singularity_margin_rad(bar_links, bar_rad).sin();
         self.measured.map(|measured| if measured { weight } else { 0.0 })
     }
 }
@@ -103,7 +103,7 @@ impl Residual for ImpliedAngles {
         let measured_rad = &scene.observation.bar_rad;
         let encoders_rad = std::array::from_fn(|joint| self.measured[joint].then_some(measured_rad[joint]));
         let bar = ImpliedBar::new(chain, tracer, scene.robot.end(), &encoders_rad).ok()?;
-        Some(Implied { bar, weights: self.weights(measured_rad) })
+        Some(Implied { bar, weights: self.weights(&chain.links, measured_rad) })
     }
 
     fn residual(&self, scene: &Scene<'_>, Implied { bar, weights }: &Implied, out: &mut [f64]) {
@@ -158,6 +158,8 @@ fn prior_sigma(id: ParameterId) -> Option<f64> {
 struct WithOffsets<'a> {
     chain: LoopProblem<'a, ImpliedAngles, AlignedLog>,
     residual: ImpliedAngles,
+    /// Nominal: `theta` has no column.
+    bar_links: &'a [DhLink],
     observations: &'a [Observation],
     chain_columns: usize,
     origin_count: usize,
@@ -190,7 +192,7 @@ impl Problem for WithOffsets<'_> {
             if !chain(sample, residual, block) {
                 return false;
             }
-            let weights = self.residual.weights(&observation.bar_rad);
+            let weights = self.residual.weights(self.bar_links, &observation.bar_rad);
             for joint in 0..BAR_JOINTS {
                 let slope = -weights[joint] / self.sigma_rad;
                 let offset = observation.origin * BAR_JOINTS + joint;
@@ -243,6 +245,7 @@ pub(in crate::prepare) fn refine(
         let problem = WithOffsets {
             chain: LoopProblem::new(&model, &motion, &observations, residual, sigma_rad).ok()?,
             residual,
+            bar_links: &bar.links,
             observations: &observations,
             chain_columns,
             origin_count,
@@ -313,7 +316,7 @@ fn residual_sigma_rad(
             *angle += offsets.get(observation.origin * BAR_JOINTS + joint).copied().unwrap_or(0.0);
         }
         let errors = residuals.errors(observation.t_s, &bar_rad)?;
-        let weights = residual.weights(&bar_rad);
+        let weights = residual.weights(&residuals.bar.links, &bar_rad);
         let squared = errors.error_rad.iter().zip(weights).map(|(error, weight)| (weight * error).powi(2));
         Some((squared.sum(), encoders))
     });
@@ -394,9 +397,7 @@ impl<'a> Residuals<'a> {
         });
         let rates = robot.joint_twists().zip(state.qd).map(|(twist, qd)| implied.by_pose(&twist) * qd);
         let implied_rad_s = rates.fold(Vector5::zeros(), |sum, rate| sum + rate).into();
-        let turned_rad =
-            std::array::from_fn(|joint| implied.joints_rad[joint] + self.bar.links[joint].theta_rad);
-        let margin_rad = singularity_margin_rad(&turned_rad);
+        let margin_rad = singularity_margin_rad(&self.bar.links, &implied.joints_rad);
         Some(Errors { error_rad, implied_rad: implied.joints_rad, implied_rad_s, margin_rad })
     }
 }

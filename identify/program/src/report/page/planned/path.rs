@@ -172,7 +172,9 @@ impl PathPage<'_> {
     }
 
     fn margin(&self) -> Result<Markup, PlotError> {
-        let margin = |t_s: f64| crate::kinematics::singularity_margin_rad(&self.path.at(t_s)).to_degrees();
+        let bar_links = &self.constraints.bar_chain().links;
+        let margin =
+            |t_s: f64| crate::kinematics::singularity_margin_rad(bar_links, &self.path.at(t_s)).to_degrees();
         let series =
             vec![Series::new("", BLUE, Mark::Line, self.rows().map(|(t_s, _)| (t_s, margin(t_s))).collect())];
         let title = "Distance of the bar from a singular pose";
