@@ -136,6 +136,11 @@ fn a_mapping_of_a_robot_log_names_the_force_or_takes_the_torques() {
     assert!(none.force.is_none() && none.quality.remarks.iter().any(|remark| remark.contains("not used")));
     let told = mapped("force = { columns = [\"Force\"], unit = \"N\" }").unwrap_err().to_string();
     assert!(told.contains("`Force` is missing") && told.contains("[force]"), "{told}");
+    let five = (1..=5).map(|_| "\"Load\"").collect::<Vec<_>>().join(", ");
+    let told = mapped(&format!("force = {{ columns = [{five}], unit = \"Nm\" }}")).unwrap_err().to_string();
+    assert!(told.contains("5 torques under [force]") && told.contains("has 6 axes"), "{told}");
+    let all = mapped(&format!("force = {{ columns = [{six}], unit = \"Nm\" }}")).unwrap();
+    assert_eq!(all.force.unwrap().kind, ForceKind::JointTorques);
 }
 
 #[test]

@@ -112,7 +112,23 @@ pub(in crate::logs) struct ForceLayout {
 
 impl ForceLayout {
     /// Columns that a mapping names; `None` if the force is in the log's own torques.
-    pub fn find_named(table: &Table<'_>, force: &ForceColumns) -> Result<Option<Self>, LogError> {
+    pub fn find_named(
+        table: &Table<'_>,
+        path: &Path,
+        force: &ForceColumns,
+        robot: &RobotConfig,
+    ) -> Result<Option<Self>, LogError> {
+        let (columns, axes) = (force.columns.len(), robot.axes());
+        if force.kind() == ForceKind::JointTorques && columns != 0 && columns != axes {
+            return Err(LogError::Content {
+                path: path.to_owned(),
+                problem: format!(
+                    "the mapping names {columns} torques under [force], {} has {axes} axes",
+                    robot.name
+                ),
+                remedy: "name one column for each axis, base to flange".into(),
+            });
+        }
         let remedy = "Correct the name under [force] in the mapping file.";
         let column = |name: &String| Ok((table.column(name, remedy)?, force.unit.to_si()));
         let columns = force.columns.iter().map(column).collect::<Result<Vec<_>, LogError>>()?;

@@ -83,7 +83,7 @@ impl ForceLog {
             "Name the column of time stamps `t_s` (seconds), or name it in a mapping (--force-mapping).";
         let stamps = StampColumn::new(table.column(&time.column, remedy)?, time);
         let layout = match mapping {
-            Some(mapping) => ForceLayout::find_named(&table, &mapping.force)?,
+            Some(mapping) => ForceLayout::find_named(&table, path, &mapping.force, robot)?,
             None => ForceLayout::find_usual(&table, robot)?,
         };
         let layout = layout.ok_or_else(|| unknown(&table, path))?;

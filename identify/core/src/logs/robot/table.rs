@@ -204,7 +204,7 @@ fn mapped_layout<'a>(
         force: mapping
             .force
             .as_ref()
-            .and_then(|force| ForceLayout::find_named(table, force).transpose())
+            .and_then(|force| ForceLayout::find_named(table, path, force, robot).transpose())
             .transpose()?,
     };
     Ok((layout, meaning))
