@@ -154,6 +154,21 @@ fn a_narrow_counter_is_refused_with_what_to_write_and_then_followed() {
 }
 
 #[test]
+fn the_width_of_counters_does_not_apply_to_angles_beside_them() {
+    let text = table(|row, joint| match joint {
+        1 | 2 => counts(row, joint).rem_euclid(1 << 24).to_string(),
+        _ => angle_rad(row, joint).to_degrees().to_string(),
+    });
+    let columns: String = [(1, "counts"), (2, "counts"), (4, "deg"), (5, "deg")]
+        .map(|(joint, unit)| {
+            format!("[[encoders]]\njoint = {joint}\ncolumn = \"count{joint}\"\nunit = \"{unit}\"\n")
+        })
+        .concat();
+    let mixed = mapping(&format!("wraps_at = 16777216\n[time]\ncolumn = \"t_s\"\n{columns}"));
+    assert_follows(&read(text.as_bytes(), Some(&mixed)).unwrap(), 1e-6);
+}
+
+#[test]
 fn missing_frozen_and_repeated_rows_are_marked_and_told() {
     let text = table(|row, joint| match (row, joint) {
         (40, 2) => String::new(),

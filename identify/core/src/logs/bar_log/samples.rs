@@ -65,18 +65,22 @@ impl Reading {
         bar: &BallBarConfig,
         (path, place): (&Path, &str),
     ) -> Result<Self, LogError> {
-        let scale = match unit {
+        let (scale, wraps_at) = match unit {
             EncoderUnit::Counts => {
                 let configured = bar.encoders.iter().find(|encoder| encoder.joint == joint);
                 let scale = configured.map(shared::config::EncoderConfig::scale);
-                scale.ok_or_else(|| LogError::Content {
+                let scale = scale.ok_or_else(|| LogError::Content {
                     path: path.to_owned(),
                     problem: format!("`{place}` has counts of joint {joint}, and the bar's configuration no encoder there"),
                     remedy: "give it an [[encoders]] block with lines and interpolation_bits, or leave the column out"
                         .into(),
-                })?
+                })?;
+                (scale, wraps_at)
             }
-            EncoderUnit::Rad | EncoderUnit::Deg => ANGLE_SCALE,
+            // An angle does not wrap like a counter: each step is the shorter way around.
+            EncoderUnit::Rad | EncoderUnit::Deg => {
+                (ANGLE_SCALE, ANGLE_SCALE.counts_per_revolution().unsigned_abs())
+            }
         };
         Ok(Self { info: EncoderInfo { joint, scale }, unit, wraps_at, last: None })
     }
