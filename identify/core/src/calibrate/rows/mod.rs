@@ -143,8 +143,9 @@ impl RowSet {
         let Stages { nominal, joints, .. } = &self.errors;
         let is_gross = gross_rows(nominal, joints, &whole.relative_noise());
         let rows = without(&(0..is_gross.len()).collect::<Vec<_>>(), &self.rejected);
+        let residuals_m = faulty_runs::residuals_m(&self.without_drift(), model);
         let gross = rows.into_iter().filter(|row| is_gross[*row]).map(|row| {
-            let residual_m = joints[row].position_m;
+            let residual_m = residuals_m[row];
             RejectedRow { row, why: Rejection::GrossResidual { residual_m } }
         });
         self.reject(&gross.collect::<Vec<_>>());

@@ -18,7 +18,7 @@ pub enum Rejection {
     },
     /// The measurement is far from the prediction of all other rows.
     GrossResidual {
-        /// Predicted minus measured \[m\].
+        /// Predicted minus measured length, or distance of the two positions \[m\].
         residual_m: f64,
     },
     /// The row is in a run of rows that are off together.
