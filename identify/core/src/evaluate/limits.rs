@@ -291,14 +291,7 @@ fn wrong_ratios(model: &Model, solution: &Solution) -> impl Iterator<Item = Limi
 
 /// Significant delays of single joints in the log.
 fn late_joints(model: &Model, solution: &Solution) -> Option<Limit> {
-    // A delay that all joints share belongs to the clocks.
-    let delays = estimates(model, solution, JointTerm::Delay);
-    let mut all_s: Vec<f64> = delays.iter().map(|(_, delay_s, _)| *delay_s).collect();
-    let common_s = median(&mut all_s).unwrap_or_default();
-    let late = delays.into_iter().map(|(joint, delay_s, sigma)| (joint, delay_s - common_s, sigma));
-    let late = late.filter(|(_, delay_s, sigma)| is_certain(*delay_s, DELAY_S, *sigma));
-    let late: Vec<String> =
-        late.map(|(joint, delay_s, _)| format!("joint {joint} by {:+.1} ms", 1e3 * delay_s)).collect();
+    let late = later_than_others(&estimates(model, solution, JointTerm::Delay), model.axes());
     (!late.is_empty()).then(|| Limit {
         sentence: format!(
             "The log has joints later than the others: {}. Causes are servo lag of commanded values, or a filter. The delay is corrected \
@@ -307,6 +300,16 @@ fn late_joints(model: &Model, solution: &Solution) -> Option<Limit> {
         ),
         serious: false,
     })
+}
+
+/// Joints with a significant difference from the median delay, which belongs to the clocks; joints without an estimate have none.
+fn later_than_others(delays: &[(usize, f64, f64)], axes: usize) -> Vec<String> {
+    let mut all_s: Vec<f64> = delays.iter().map(|(_, delay_s, _)| *delay_s).collect();
+    all_s.resize(axes, 0.0);
+    let common_s = median(&mut all_s).unwrap_or_default();
+    let late = delays.iter().map(|&(joint, delay_s, sigma)| (joint, delay_s - common_s, sigma));
+    let late = late.filter(|(_, delay_s, sigma)| is_certain(*delay_s, DELAY_S, *sigma));
+    late.map(|(joint, delay_s, _)| format!("joint {joint} by {:+.1} ms", 1e3 * delay_s)).collect()
 }
 
 /// Rotation of the flange plate, or of the last joint's offset, about the flange's axis relative to the configuration.
@@ -372,4 +375,17 @@ fn travel_deg(calibration: &Calibration) -> Vec<(usize, f64)> {
 /// Statistics of the distances between robot and bar \[m\].
 pub(super) fn gap_m<'a>(closures: impl Iterator<Item = &'a Closure>, by_encoders: bool) -> Sizes {
     Sizes::of(closures.map(|closure| closure.gap_m(by_encoders)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_single_estimated_delay_is_late_and_one_of_all_joints_is_not() {
+        assert_eq!(later_than_others(&[(5, 8e-3, 1e-4)], 6), ["joint 5 by +8.0 ms"]);
+        let all: Vec<(usize, f64, f64)> = (1..=6).map(|joint| (joint, 8e-3, 1e-4)).collect();
+        assert!(later_than_others(&all, 6).is_empty());
+        assert!(later_than_others(&[(2, 6e-4, 1e-4)], 6).is_empty());
+    }
 }
