@@ -92,12 +92,15 @@ impl ContradictedPrior {
     /// A correct prior of `x0` with sigma `s0` shifts the estimate `x` (sigma `s`) by `g` if it is off by `s0`. Then `x - x0` has
     /// the variance `(s0 - g)^2` ([`NONLINEAR`] of `g` is added as a tolerance) plus the variance of `x` from all other sources:
     /// samples, other priors, errors of fixed parameters. If the sources are unknown, use that of independent noise,
-    /// `s0^2 - s^2`.
+    /// `s^2 (1 - g / s0)`: `s0^2 - s^2` in all if the noise is known.
     fn new(column: usize, parameter: &Parameter, Solution { x, covariance, .. }: &Solution) -> Option<Self> {
         let Role::Prior { value, sigma: s0 } = parameter.role else { return None };
         let s = covariance.sigma(column)?;
         let (g, variance_of_others) = covariance.by_prior(column).map_or_else(
-            || (s.powi(2) / s0, s.powi(2) * (1.0 - (s / s0).powi(2))),
+            || {
+                let g = covariance.by_prior_on_all(column, s0)[column];
+                (g, s.powi(2) * (1.0 - g / s0))
+            },
             |g| (g, s.powi(2) - g.powi(2)),
         );
         let spread = (variance_of_others + (s0 - g).powi(2) + (NONLINEAR * g).powi(2)).max(0.0).sqrt();

@@ -294,8 +294,13 @@ impl Covariance {
     pub(crate) fn by_prior_on_all(&self, column: usize, sigma: f64) -> DVector<f64> {
         let Spread { by_source, sources } = &self.spread;
         let of_prior = sources.iter().position(|source| *source == Source::Prior { column });
-        // Without separate sources the covariance is that of least squares.
-        of_prior.map_or_else(|| self.matrix.column(column) / sigma, |of| by_source.column(of).into_owned())
+        // Without separate sources the covariance is that of least squares. A shift of a row by one has the effect of the unit
+        // covariance, whatever the noise of the rows.
+        let unit = self.variance_factor.filter(|factor| *factor > 0.0).unwrap_or(1.0);
+        of_prior.map_or_else(
+            || self.matrix.column(column) / (unit * sigma),
+            |of| by_source.column(of).into_owned(),
+        )
     }
 
     /// Change of the estimate of a column if its prior is wrong by one standard deviation; `None` if the sources are not
@@ -371,6 +376,26 @@ impl Covariance {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Two columns with `J^T J = [[2, 1], [1, 2]]`; the first has a prior of sigma one.
+    #[test]
+    fn a_wrong_prior_changes_the_solution_alike_for_known_and_estimated_noise() {
+        let unit = DMatrix::from_row_slice(2, 2, &[2.0, -1.0, -1.0, 2.0]) / 3.0;
+        let change = |factor: f64| {
+            let covariance = Covariance {
+                matrix: &unit * factor,
+                spread: Spread::new(2, &[]),
+                determined: vec![true; 2],
+                estimated: 2,
+                left_out: 0,
+                sigmas_from: SigmasFrom::IndependentNoise,
+                variance_factor: Some(factor),
+            };
+            covariance.by_prior_on_all(0, 1.0)
+        };
+        let expected = DVector::from_vec(vec![2.0, -1.0]) / 3.0;
+        assert!((change(1.0) - &expected).amax() < 1e-12 && (change(4.0) - &expected).amax() < 1e-12);
+    }
 
     #[test]
     fn of_some_parameters_the_priors_of_the_others_are_those_of_what_was_left_out() {
