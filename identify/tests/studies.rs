@@ -13,8 +13,9 @@ use identify::simulate::{Effects, Experiment, LEAD_ROWS, pairs};
 use identify::study::{Definition, Results, THESIS, prepared, run, trials};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
+use shared::config::JointKind;
 
-use crate::support::repository;
+use crate::support::{irb2400, repository};
 
 /// Two estimators, two series, three seeds: 12 experiments.
 fn small(directory: &Path, path: &str) -> String {
@@ -207,14 +208,21 @@ fn an_arm_that_is_not_simulated_is_refused_before_the_first_experiment() {
     let arm = room.path().join("arm.toml");
     let urdf = fs::read_to_string(repository("identify/tests/data/seven_axes.urdf")).unwrap();
     let imported = import(&urdf, Some("base"), Some("flange")).unwrap().config;
-    fs::write(&arm, toml::to_string(&imported).unwrap()).unwrap();
+    // Six axes, of which the first is a track.
+    let mut on_track = irb2400();
+    on_track.links[0].joint = JointKind::Prismatic;
+    on_track.joint_limits_deg.remove(0);
+    on_track.joint_limits_m.push([0.0, 1.0]);
     let text = fs::read_to_string(&file).unwrap();
     let shipped = text.lines().find(|line| line.starts_with("robot = ")).unwrap();
     fs::write(&file, text.replace(shipped, &format!("robot = {arm:?}"))).unwrap();
     let out = room.path().join("out");
-    let refused = study(&[&file, "--out", out.to_str().unwrap()]);
-    assert!(!refused.status.success() && !out.exists());
-    assert!(said(&refused).contains("is not an arm of six revolute axes"), "{}", said(&refused));
+    for robot in [imported, on_track] {
+        fs::write(&arm, toml::to_string(&robot).unwrap()).unwrap();
+        let refused = study(&[&file, "--out", out.to_str().unwrap()]);
+        assert!(!refused.status.success() && !out.exists());
+        assert!(said(&refused).contains("is not an arm of six revolute axes"), "{}", said(&refused));
+    }
 }
 
 #[test]

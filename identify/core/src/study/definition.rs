@@ -4,11 +4,10 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use shared::config::{self, BallBarConfig, ConfigError, Kind, RobotConfig, Source};
+use shared::config::{self, BallBarConfig, ConfigError, JointKind, Kind, RobotConfig, Source};
 
 use super::{Driven, PathChoice, Reference, ReferenceError, StudyFile};
 use crate::logs::{self, LogError};
-use crate::simulate::Experiment;
 
 /// Name of the built-in study of chapter 3 of the thesis.
 pub const THESIS: &str = "thesis";
@@ -72,7 +71,9 @@ impl Definition {
         let study: StudyFile = config::load(path)?;
         let robot: RobotConfig = config::load(&beside(&study.robot))?;
         let bar: BallBarConfig = config::load(&beside(&study.bar))?;
-        Experiment::new(&robot, &bar).check().map_err(|_| LoadError::Arm { robot: robot.name.clone() })?;
+        if robot.joint_kinds().ne([JointKind::Revolute; 6]) {
+            return Err(LoadError::Arm { robot: robot.name });
+        }
         let reference = match &study.path {
             PathChoice { seed: Some(seed), .. } => Reference::Same(*seed),
             PathChoice { planned: Some(file), .. } => Reference::Planned(config::load(&beside(file))?),
