@@ -2,7 +2,7 @@
 //! end, grow towards random postures and towards each other until they meet (RRT-Connect, Kuffner and LaValle 2000). Unnecessary
 //! intermediate postures are then removed.
 
-use std::f64::consts::TAU;
+use std::f64::consts::{PI, TAU};
 
 use rand::Rng;
 
@@ -95,11 +95,16 @@ fn with_whole_turns(from: &Joints, to: &Joints, range: &[[f64; 2]], turns: &[boo
         let is_within = |q: &Joints| q.iter().zip(range).all(|(q, [low, high])| (*low..=*high).contains(q));
         shifted.filter(is_within).collect::<Vec<_>>()
     };
-    let mut others = one_turn_away(to);
-    others.extend(others.clone().iter().flat_map(one_turn_away));
-    others.retain(|other| other != to);
+    let once = one_turn_away(to);
+    let mut others: Vec<Joints> = Vec::new();
+    for other in once.iter().copied().chain(once.iter().flat_map(one_turn_away)) {
+        // A turn and back, and turns in another order, differ by rounding.
+        let is_same = |known: &Joints| largest_difference(known, &other) < PI;
+        if !is_same(to) && !others.iter().any(is_same) {
+            others.push(other);
+        }
+    }
     others.sort_by(|a, b| largest_difference(from, a).total_cmp(&largest_difference(from, b)));
-    others.dedup();
     others
 }
 
@@ -154,4 +159,21 @@ fn shortened(way: &[Joints], is_clear: impl Fn(&Joints, &Joints) -> bool) -> Vec
     }
     needed.pop();
     needed
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn postures_that_differ_by_whole_turns_are_each_tried_once() {
+        // Rounding: adding a turn and subtracting it does not give these angles back.
+        let to = Joints::from_fn(6, |axis| 0.1 + 0.3 * axis as f64);
+        let others = with_whole_turns(&Joints::zeros(6), &to, &[[-10.0, 10.0]; 6], &[true; 6]);
+        // One turn of each of six joints, and of each of the 15 pairs, in either direction.
+        assert_eq!(others.len(), 6 * 2 + 15 * 4);
+        for (index, other) in others.iter().enumerate() {
+            assert!(others[..index].iter().chain([&to]).all(|known| largest_difference(known, other) > PI));
+        }
+    }
 }
