@@ -227,6 +227,16 @@ fn bad_cells_are_refused_with_line_and_column() {
 }
 
 #[test]
+fn a_number_that_no_quaternion_has_is_refused_without_a_unit() {
+    let block = "as = \"quaternion\"\ncolumns = [\"a\", \"b\", \"c\", \"d\"]";
+    let header = HEADER.replace(";measurement_rx;measurement_ry;measurement_rz", ";a;b;c;d");
+    let text = format!("{header}\n{}", "1;0;0;0;0;0;0;1;2;3;0;0;90;1\n".repeat(10));
+    let error = read(&text, &with_rotation(block)).unwrap_err().to_string();
+    assert!(error.contains("column `c`") && error.contains("90.000 is too large"), "{error}");
+    assert!(!error.contains("rad") && !error.contains("unit"), "{error}");
+}
+
+#[test]
 fn a_mapping_that_cannot_work_is_refused_by_key() {
     for (from, to, key) in [
         ("delimiter = \";\"", "delimiter = \",\"", "delimiter"),

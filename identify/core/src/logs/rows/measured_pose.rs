@@ -432,6 +432,10 @@ fn numbers(
         if value.abs() <= largest {
             return Ok(value);
         }
+        if si.is_empty() {
+            let problem = format!("{value:.3} is too large for a number of a rotation");
+            return Err(table.bad(row, column, problem, "check `as` and the columns in the mapping file"));
+        }
         let problem =
             format!("{value:.3} {si} is more than anything measured here (at most {largest:.1} {si})");
         Err(table.bad(row, column, problem, "check the column's unit in the mapping file"))
@@ -486,7 +490,8 @@ fn rotation(
     form: &RotationColumns,
 ) -> Result<Rotation3<f64>, LogError> {
     let (to_si, largest) = form.scale();
-    let values = numbers(table, row, columns, (to_si, "rad"), largest)?;
+    let si = if form.unit.is_some() { "rad" } else { "" };
+    let values = numbers(table, row, columns, (to_si, si), largest)?;
     form.rotation(&values).ok_or_else(|| {
         let names: Vec<&str> = columns.iter().map(|column| column.name.as_str()).collect();
         let cell = Column { index: 0, name: names.join(", ") };
