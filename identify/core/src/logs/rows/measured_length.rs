@@ -61,7 +61,7 @@ pub struct MeasuredLengthMapping {
     pub csv: CsvLayout,
     /// Column of the measured length.
     pub length: LengthColumn,
-    /// Joints 1 to 6, in this order.
+    /// All joints, base to flange.
     pub joints: Vec<JointColumn>,
     /// Columns of the controller's own position, by which rows that contradict their joint angles are found.
     pub flange: Option<FlangeColumns>,
