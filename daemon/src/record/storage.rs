@@ -46,6 +46,8 @@ struct WatchedRun {
 #[derive(Debug)]
 struct LastCheck {
     begun: MonoNs,
+    /// What it looks at: the place of the run, or of the next one.
+    directory: PathBuf,
     is_over: bool,
     /// Free space above the floor.
     usable_bytes: Option<u64>,
@@ -69,7 +71,13 @@ impl Storage {
         scheduler: &dyn Scheduler,
     ) -> std::io::Result<Self> {
         let clock = scheduler.clock().clone();
-        let last_check = LastCheck { begun: clock.now(), is_over: false, usable_bytes: None, problem: None };
+        let last_check = LastCheck {
+            begun: clock.now(),
+            directory: daemon.directory.clone(),
+            is_over: false,
+            usable_bytes: None,
+            problem: None,
+        };
         let storage = Self(Arc::new(Shared {
             disk,
             clock,
@@ -141,13 +149,14 @@ impl Storage {
 
 impl Shared {
     fn check(&self) {
-        {
-            let mut last_check = lock(&self.last_check);
-            (last_check.begun, last_check.is_over) = (self.clock.now(), false);
-        }
         let run = self.watched_run();
         let place = run.as_ref().and_then(|(progress, _)| progress.place());
         let directory = place.as_ref().and_then(|place| place.path().parent()).unwrap_or(&self.directory);
+        {
+            let mut last_check = lock(&self.last_check);
+            (last_check.begun, last_check.is_over) = (self.clock.now(), false);
+            directory.clone_into(&mut last_check.directory);
+        }
         let space = self.disk.space(directory);
         let problem = self.problem_of(directory, &space);
         // A file system that does not report its space is trusted.
@@ -196,7 +205,8 @@ impl Shared {
         let last_check = lock(&self.last_check);
         let now = self.clock.now();
         let is_silent = !last_check.is_over && now.ns_since(last_check.begun) > ANSWERS_WITHIN_NS;
-        let (directory, silent_s) = (Some(self.directory.clone()), Some(now.seconds_since(last_check.begun)));
+        let (directory, silent_s) =
+            (Some(last_check.directory.clone()), Some(now.seconds_since(last_check.begun)));
         is_silent.then(|| Fact::DiskSilent { directory, silent_s }.into())
     }
 

@@ -7,14 +7,14 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use ballbard::control::status::{ServiceState, Status};
-use ballbard::record::Storage;
+use ballbard::record::{self, Limits, Progress, Stop, Storage};
 use serde_json::{Value, json};
 use shared::config::DaemonConfig;
-use shared::recording::Recording;
+use shared::recording::{Recording, RecordingWriter};
 use shared::time::UtcNs;
 
 use super::rig::{Day, live};
-use crate::support::runs::in_parallel;
+use crate::support::runs::{daemon_in, in_parallel, metadata};
 use crate::support::wall::{Call, Fault, Wall};
 use crate::support::world::{World, now, since, sleep};
 
@@ -241,6 +241,37 @@ fn a_disk_that_does_not_answer_is_reported_within_a_second_to_who_asks_and_in_th
             assert!(since(struck) < Duration::from_secs(1), "not reported");
             sleep(Duration::from_millis(5)).await;
         }
+    });
+}
+
+#[test]
+fn while_a_run_is_at_its_spare_place_the_disk_of_that_one_does_not_answer() {
+    World::live(async move {
+        let directory = tempfile::tempdir().unwrap();
+        let daemon = daemon_in(directory.path());
+        let wall = Arc::new(Wall::new(&daemon.directory, None));
+        let world = World::here().unwrap();
+        let storage = Storage::on(wall.clone(), &daemon, &*world.scheduler()).unwrap();
+        let period = Duration::from_millis(10);
+        let writer = RecordingWriter::create_on(storage.disk(), storage.spare(), &metadata(period)).unwrap();
+        let (_sink, source) = record::ring(100, record::FullRing::Drops);
+        let limits = Limits {
+            cycle_period: period,
+            sync_period: daemon.sync_period(),
+            ring_cycles: 100,
+            cycle_waits: false,
+        };
+        let progress = Arc::new(Progress::new(Arc::clone(source.handed()), limits, world.clock.clone()));
+        progress.opened(writer.sink().place().clone());
+        storage.watch(&progress, &Stop::default());
+        wall.strike_next(Call::Space, Fault::Hangs(HANG));
+        while wall.struck_at().is_none() {
+            sleep(Duration::from_millis(5)).await;
+        }
+        sleep(Duration::from_secs(1)).await;
+        let text = storage.problem().unwrap().text;
+        let expected = format!("the disk of {} has not answered for", storage.spare().display());
+        assert!(text.contains(&expected), "{text}");
     });
 }
 
