@@ -4,6 +4,7 @@
 //! `ballbard tune`, by the smoke test, and for the permissions of the cycle's thread.
 
 use std::fmt;
+use std::fs::OpenOptions;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
@@ -165,7 +166,7 @@ pub fn findings(machine: &Machine) -> Vec<Finding> {
         ("timer tick", true, tickless_core(machine)),
         ("hyper-threading", true, siblings(machine)),
         ("frequency", true, governor(machine)),
-        ("idle states", false, idle_states(machine)),
+        ("idle states", true, idle_states(machine)),
         ("clock source", true, clock_source(machine)),
         ("priority", false, priority(machine)),
         ("locked memory", false, locked_memory(machine)),
@@ -313,9 +314,18 @@ fn governor(machine: &Machine) -> Finding {
 fn idle_states(machine: &Machine) -> Finding {
     match machine.of_cores("cpuidle/current_driver").as_deref() {
         Some("none") => fine("no idle driver, so no deep idle states"),
-        Some(driver) => {
-            fine(format!("{driver}; ballbard keeps /dev/cpu_dma_latency at 0, which prevents deep ones"))
-        }
+        // The cycle writes a limit to it (`stay_awake`); without a limit, opening it has no effect.
+        Some(driver) => match OpenOptions::new().write(true).open(machine.root.join("dev/cpu_dma_latency")) {
+            Ok(_) => {
+                fine(format!("{driver}; ballbard keeps /dev/cpu_dma_latency at 0, which prevents deep ones"))
+            }
+            Err(error) => problem(
+                format!(
+                    "{driver}; deep ones delay the cycle, because /dev/cpu_dma_latency cannot be opened ({error})"
+                ),
+                if machine.is_package { grant(true) } else { "sudo chown \"$USER\" /dev/cpu_dma_latency" },
+            ),
+        },
         None => unknown("not under this kernel's control (virtual machine or firmware)", ""),
     }
 }
