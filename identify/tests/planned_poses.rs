@@ -162,6 +162,17 @@ fn a_browser_draws_the_arm_from_pose_to_pose_and_asks_nobody_else() {
     assert_eq!(shown.foreign, Vec::<String>::new());
 }
 
+#[test]
+fn poses_are_drawn_over_the_whole_of_a_track() {
+    let track = std::fs::read_to_string(repository("identify/tests/data/on_a_track.urdf")).unwrap();
+    let mut robot = import(&track, Some("cell"), Some("tool")).unwrap().config;
+    robot.joint_limits_m = vec![[0.0, 8.0]];
+    // The margin is 3 mm on the track.
+    let drawn = random_postures(&robot, &Bodies::for_reach(1.3), 3f64.to_radians(), 200, 1).unwrap();
+    assert!(drawn.iter().all(|q| (0.002..7.998).contains(&q[0])));
+    assert!(drawn.iter().any(|q| q[0] > 7.0) && drawn.iter().any(|q| q[0] < 1.0));
+}
+
 /// Largest motion of any joint between consecutive poses.
 fn moves(joints: &[Joints]) -> impl Iterator<Item = f64> + '_ {
     let far =

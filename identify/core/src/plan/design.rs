@@ -29,7 +29,7 @@ pub struct Design {
     pub bar_margin_deg: f64,
     /// Distance of robot joint 5 from the straight wrist \[deg\].
     pub wrist_margin_deg: f64,
-    /// Distance of the robot's joints from their limits \[deg\].
+    /// Distance of the robot's joints from their limits \[deg\]; of prismatic axes as many millimetres.
     pub limit_margin_deg: f64,
     /// Smallest singular value of the robot's Jacobian (m and rad alike): excludes the stretched elbow and all other postures
     /// in which small errors of the geometry cause large joint motions.
@@ -59,13 +59,23 @@ impl Design {
     /// the number of axes differs.
     pub fn posture_rad(&self, robot: &Chain, limits: &[[f64; 2]], random: &mut impl Rng) -> Joints {
         if self.posture_deg.len() == limits.len() {
-            let si = |(number, link): (&f64, &DhLink)| match link.joint {
-                JointKind::Revolute => number.to_radians(),
-                JointKind::Prismatic => number * 1e-3,
-            };
-            return self.posture_deg.iter().zip(&robot.links).map(si).collect();
+            return self
+                .posture_deg
+                .iter()
+                .zip(&robot.links)
+                .map(|(number, link)| si(*number, link))
+                .collect();
         }
         Joints::random(limits, random)
+    }
+
+    /// Limits of an arm's joints \[rad, m\] reduced by the margin.
+    pub fn limits_with_margin(&self, robot: &Chain, limits: &[[f64; 2]]) -> Vec<[f64; 2]> {
+        let reduced = |([low, high], link): (&[f64; 2], &DhLink)| {
+            let margin = si(self.limit_margin_deg, link);
+            [low + margin, high - margin]
+        };
+        limits.iter().zip(&robot.links).map(reduced).collect()
     }
 
     /// For six axes the posture keeps its distance from the straight wrist.
@@ -78,5 +88,30 @@ impl Design {
     pub fn for_robot(robot: &RobotConfig) -> Self {
         let upper_arm_m = robot.links.get(1).map_or(0.0, |link| link.a_m);
         if upper_arm_m > 1.0 { Self::NJ_220 } else { Self::IRB_2400 }
+    }
+}
+
+/// A number of a joint in degrees or millimetres \[rad, m\].
+fn si(number: f64, link: &DhLink) -> f64 {
+    match link.joint {
+        JointKind::Revolute => number.to_radians(),
+        JointKind::Prismatic => number * 1e-3,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kinematics::Pose;
+
+    #[test]
+    fn the_margin_of_a_prismatic_axis_is_in_millimetres() {
+        let kinds = [JointKind::Prismatic, JointKind::Revolute];
+        let links = kinds.map(|joint| DhLink { joint, ..DhLink::default() }).to_vec();
+        let design = Design { limit_margin_deg: 3.0, ..Design::IRB_2400 };
+        let limits =
+            design.limits_with_margin(&Chain::new(Pose::identity(), links), &[[0.0, 0.05], [-1.0, 1.0]]);
+        let margin_rad = 3f64.to_radians();
+        assert_eq!(limits, [[0.003, 0.05 - 0.003], [-1.0 + margin_rad, 1.0 - margin_rad]]);
     }
 }

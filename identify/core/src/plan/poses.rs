@@ -190,7 +190,8 @@ pub fn is_on_last_axis(robot: &RobotConfig, target_m: &[f64; 3]) -> bool {
     turned.is_some_and(|twist| twist.linear.norm() < NEAR_M)
 }
 
-/// Random postures free of collisions, within half a turn of each joint and `margin_rad` inside its limits.
+/// Random postures free of collisions, within half a turn of each revolute joint and `margin_rad` inside the limits; of
+/// prismatic ones as many millimetres as that has degrees.
 ///
 /// # Errors
 /// [`PosesError::NoRoom`].
@@ -203,8 +204,15 @@ pub fn random_postures(
 ) -> Result<Vec<Joints>, PosesError> {
     const TRIES_EACH: usize = 100;
     let (arm, mut random) = (flange_chain(robot), ChaCha8Rng::seed_from_u64(seed));
-    let range = |[low, high]: [f64; 2]| [(low + margin_rad).max(-PI), (high - margin_rad).min(PI)];
-    let ranges: Vec<[f64; 2]> = robot.joint_limits().into_iter().map(range).collect();
+    let range = |([low, high], kind): ([f64; 2], JointKind)| match kind {
+        JointKind::Revolute => [(low + margin_rad).max(-PI), (high - margin_rad).min(PI)],
+        JointKind::Prismatic => {
+            let margin_m = margin_rad.to_degrees() * 1e-3;
+            [low + margin_m, high - margin_m]
+        }
+    };
+    let ranges: Vec<[f64; 2]> =
+        robot.joint_limits().into_iter().zip(robot.joint_kinds()).map(range).collect();
     let mut found = Vec::with_capacity(count);
     let mut tried = 0;
     while found.len() < count {

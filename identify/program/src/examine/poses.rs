@@ -49,6 +49,7 @@ impl Poses {
         seed: u64,
     ) -> Result<Self, PoseError> {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let limits_with_margin = design.limits_with_margin(robot, limits);
         let mut poses = Self { observations: Vec::with_capacity(count), joints: PerObservation(Vec::new()) };
         for _ in 0..count * TRIES_PER_POSE {
             if poses.observations.len() == count {
@@ -61,7 +62,7 @@ impl Poses {
             }
             let near_rad = design.posture_rad(robot, limits, &mut random);
             let Ok(q) = robot_inverse(robot, &bar.forward(&bar_rad), &near_rad) else { continue };
-            if is_regular(&q, limits, design) {
+            if is_regular(&q, &limits_with_margin, design) {
                 let index = poses.joints.0.len();
                 poses.observations.push(Observation::bar(PerObservation::time_s(index), bar_rad));
                 poses.joints.0.push(q);
@@ -75,9 +76,8 @@ impl Poses {
     }
 }
 
-/// Whether the robot's joints are inside their limits by the design's margin, and its wrist is away from its singular pose.
+/// Whether the robot's joints are inside these limits, and its wrist is away from its singular pose.
 fn is_regular(q: &[f64], limits: &[[f64; 2]], design: &Design) -> bool {
-    let margin = design.limit_margin_deg.to_radians();
-    let within = |(q, [low, high]): (&f64, &[f64; 2])| (low + margin..high - margin).contains(q);
+    let within = |(q, [low, high]): (&f64, &[f64; 2])| (*low..*high).contains(q);
     q.iter().zip(limits).all(within) && design.wrist_is_bent(q)
 }

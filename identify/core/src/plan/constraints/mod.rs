@@ -78,15 +78,12 @@ pub struct Constraints<'a> {
 impl<'a> Constraints<'a> {
     /// Constraints by the margins and speeds of a design, for a bar at the design's position.
     pub fn new(robot: &'a Chain, bar: &'a Chain, limits: &[[f64; 2]], design: &'a Design) -> Self {
-        let margin_rad = design.limit_margin_deg.to_radians();
-        let limits_with_margin =
-            limits.iter().map(|[low, high]| [low + margin_rad, high - margin_rad]).collect();
         Self {
             robot,
             tracer: Tracer::new(robot),
             bar,
             limits: limits.to_vec(),
-            limits_with_margin,
+            limits_with_margin: design.limits_with_margin(robot, limits),
             design,
             acceleration_rad_s2: f64::INFINITY,
             bodies: None,
