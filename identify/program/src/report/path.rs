@@ -3,9 +3,9 @@
 
 use std::fmt::Write;
 
-use shared::config::{self, AngleUnit, RobotConfig};
+use shared::config::{self, AngleUnit, JointKind, RobotConfig};
 
-use crate::kinematics::Joints;
+use crate::kinematics::{Chain, Joints};
 use crate::logs::{
     EulerFrame, LengthColumn, LengthUnit, MeasuredLengthMapping, MeasuredPoseMapping, PositionColumns,
     RotationColumns, RotationForm, joint_columns,
@@ -76,19 +76,12 @@ pub fn summary(
         text,
         "centre of the bar's gimbal in the robot's base frame: {x:.3}, {y:.3}, {z:.3} m (--base)"
     );
-    text.push_str(&ends(checked));
-    let row = |name: &str, values: Vec<f64>, digits: usize| {
-        let values: String = values.iter().map(|value| format!("{:>9.digits$}", value + 0.0)).collect();
-        format!("{name:<28}{values}\n")
-    };
-    let degrees = |values: &mut dyn Iterator<Item = f64>| values.map(f64::to_degrees).collect::<Vec<_>>();
-    let range = |end: usize| degrees(&mut checked.joint_range_rad.iter().map(|range| range[end]));
-    text.push_str(&row("robot joint, lowest [deg]", range(0), 1));
-    text.push_str(&row("  highest [deg]", range(1), 1));
-    text.push_str(&row("  speed [rad/s]", checked.speed_rad_s.to_vec(), 2));
-    text.push_str(&row("  acceleration [rad/s2]", checked.acceleration_rad_s2.to_vec(), 2));
-    text.push_str(&row("  jerk [rad/s3]", checked.jerk_rad_s3.to_vec(), 0));
-    let winding = |end: usize| degrees(&mut checked.winding_rad.iter().map(|range| range[end]));
+    let arm = constraints.robot();
+    text.push_str(&ends(checked, arm));
+    let rates = [&checked.speed_rad_s, &checked.acceleration_rad_s2, &checked.jerk_rad_s3];
+    text.push_str(&joint_rows(&checked.joint_range_rad, rates, arm));
+    let winding =
+        |end: usize| checked.winding_rad.iter().map(|range| range[end].to_degrees()).collect::<Vec<_>>();
     text.push_str(&row("bar joint from start [deg]", winding(0), 1));
     text.push_str(&row("", winding(1), 1));
     let clearance =
@@ -114,18 +107,52 @@ pub fn summary(
     text
 }
 
+fn row(name: &str, values: Vec<f64>, digits: usize) -> String {
+    let values: String = values.iter().map(|value| format!("{:>9.digits$}", value + 0.0)).collect();
+    format!("{name:<28}{values}\n")
+}
+
+/// Whether an arm has an axis in metres.
+pub fn has_prismatic(arm: &Chain) -> bool {
+    arm.links.iter().any(|link| link.joint == JointKind::Prismatic)
+}
+
+/// Extremes of the robot's joints and their speeds, accelerations and jerks, each in the unit of its axis.
+fn joint_rows(ranges: &[[f64; 2]], [speed, acceleration, jerk]: [&Joints; 3], arm: &Chain) -> String {
+    let range = |end: usize| {
+        let shown =
+            ranges.iter().zip(&arm.links).map(|(range, link)| range[end] * link.joint.display_factor());
+        shown.collect::<Vec<_>>()
+    };
+    let units = match has_prismatic(arm) {
+        true => ["deg,mm", "rad/s,m/s", "rad/s2,m/s2", "rad/s3,m/s3"],
+        false => ["deg", "rad/s", "rad/s2", "rad/s3"],
+    };
+    [
+        row(&format!("robot joint, lowest [{}]", units[0]), range(0), 1),
+        row(&format!("  highest [{}]", units[0]), range(1), 1),
+        row(&format!("  speed [{}]", units[1]), speed.to_vec(), 2),
+        row(&format!("  acceleration [{}]", units[2]), acceleration.to_vec(), 2),
+        row(&format!("  jerk [{}]", units[3]), jerk.to_vec(), 0),
+    ]
+    .concat()
+}
+
 /// A line on whether the arm ends where it began. If not, the way back is not a straight line of the joints while
 /// the bar is attached.
-fn ends(checked: &Checked) -> String {
-    const SAME_RAD: f64 = 1e-3;
+fn ends(checked: &Checked, arm: &Chain) -> String {
+    /// \[rad, m\]
+    const SAME: f64 = 1e-3;
     let states = &checked.visited.robot;
     let (Some(start), Some(end)) = (states.first(), states.last()) else { return String::new() };
-    let distances_rad = start.q.iter().zip(&*end.q).map(|(start, end)| (end - start).abs()).enumerate();
-    match distances_rad.max_by(|a, b| a.1.total_cmp(&b.1)) {
-        Some((joint, away_rad)) if away_rad > SAME_RAD => format!(
-            "the path does not end where it begins: joint {} is {:.1} deg away; detach the bar before the arm drives back\n",
+    let distances = start.q.iter().zip(&*end.q).map(|(start, end)| (end - start).abs());
+    let of_joints = distances.zip(&arm.links).enumerate();
+    match of_joints.max_by(|(_, (a, _)), (_, (b, _))| a.total_cmp(b)) {
+        Some((joint, (away, link))) if away > SAME => format!(
+            "the path does not end where it begins: joint {} is {:.1} {} away; detach the bar before the arm drives back\n",
             joint + 1,
-            away_rad.to_degrees()
+            away * link.joint.display_factor(),
+            link.joint.display_symbol()
         ),
         _ => "the path ends where it begins\n".into(),
     }
@@ -303,4 +330,23 @@ pub fn pose_table(
         })?
     };
     Ok((table, mapping))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kinematics::{DhLink, Pose};
+
+    #[test]
+    fn a_prismatic_axis_is_shown_in_its_own_unit() {
+        let kinds = [JointKind::Prismatic, JointKind::Revolute];
+        let links = kinds.map(|joint| DhLink { joint, ..DhLink::default() }).to_vec();
+        let arm = Chain::new(Pose::identity(), links);
+        let rates = Joints::of([0.5, 1.25]);
+        let text = joint_rows(&[[1.0, 1.5], [-1.0, 0.5]], [&rates; 3], &arm);
+        let lines: Vec<&str> = text.lines().collect();
+        assert_eq!(lines[0], "robot joint, lowest [deg,mm]   1000.0    -57.3");
+        assert_eq!(lines[1], "  highest [deg,mm]             1500.0     28.6");
+        assert_eq!(lines[2], "  speed [rad/s,m/s]              0.50     1.25");
+    }
 }

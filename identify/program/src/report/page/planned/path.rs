@@ -11,6 +11,7 @@ use crate::plan::{Bodies, Checked, Constraints, Path as BarPath};
 use crate::report::page::drawing::figures::{ROUND, WIDE, dots, from_above, sphere_from_above};
 use crate::report::page::drawing::plot::{BLUE, COLOURS, GREY, Mark, Panel, PlotError, Series};
 use crate::report::page::{PageError, document_with};
+use crate::report::path::has_prismatic;
 use crate::report::result::file::replace;
 
 /// Points of a curve on the page.
@@ -135,10 +136,11 @@ impl PathPage<'_> {
     }
 
     fn angles(&self) -> Result<Markup, PlotError> {
+        let arm = self.constraints.robot();
         let series = self.by_joint("joint ", self.robot_path.axes(), |_, row, joint| {
-            Some(self.robot_path.q_rad.get(row)?[joint].to_degrees())
+            Some(self.robot_path.q_rad.get(row)?[joint] * arm.links.get(joint)?.joint.display_factor())
         });
-        over_time("Robot joints", "[deg]", series)
+        over_time("Robot joints", if has_prismatic(arm) { "[deg, mm]" } else { "[deg]" }, series)
     }
 
     fn speeds(&self) -> Result<Markup, PlotError> {
@@ -148,7 +150,8 @@ impl PathPage<'_> {
             let change_rad = log.q_rad.get(next)?[joint] - log.q_rad.get(row)?[joint];
             Some(change_rad / (log.q_rad.t_s.get(next)? - log.q_rad.t_s.get(row)?))
         });
-        over_time("Their speeds", "[rad/s]", series)
+        let y = if has_prismatic(self.constraints.robot()) { "[rad/s, m/s]" } else { "[rad/s]" };
+        over_time("Their speeds", y, series)
     }
 
     fn winding(&self) -> Result<Markup, PlotError> {
