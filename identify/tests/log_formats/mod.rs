@@ -13,7 +13,7 @@ use identify::logs::{
     ForceLog, LogError, LogFormat, LogOptions, MeasuredLengths, Origin, OtherBarLog, RobotLog,
     RobotLogMapping, TimedPoses, Touches, read_with,
 };
-use shared::config::{self, RobotConfig};
+use shared::config::{self, AngleUnit, JointKind, RobotConfig};
 
 /// A robot whose controller reports the joints of the model.
 fn irb120() -> RobotConfig {
@@ -73,6 +73,45 @@ fn the_shipped_mapping_reads_decimal_commas_units_and_the_coupling_of_a_fanuc() 
     });
     assert!((log.q_rad.period_s() - 0.008).abs() < 1e-12);
     assert_eq!((log.clock.as_str(), log.origin), ("controller", Origin::Measured));
+}
+
+/// Such a robot with a slide as its third axis.
+fn with_slide() -> RobotConfig {
+    let mut robot = irb120();
+    robot.links[2].joint = JointKind::Prismatic;
+    robot.joint_limits_deg.remove(2);
+    robot.joint_limits_m = vec![[-1.0, 1.0]];
+    robot.log.unit = AngleUnit::Deg;
+    robot
+}
+
+#[test]
+fn a_slide_in_telegrams_is_in_millimetres() {
+    let joint = |unit: &str| format!("[[joints]]\ncolumn = \"A\"\nunit = \"{unit}\"\n");
+    let mapped = mapping(&["deg", "deg", "mm", "deg", "deg", "deg"].map(joint).concat());
+    for mapping in [None, Some(mapped)] {
+        let options = LogOptions { format: None, mapping };
+        let log =
+            read_with(telegrams(60, 4).as_bytes(), Path::new("log.xml"), &with_slide(), &options).unwrap();
+        for (row, q) in log.q_rad.iter().enumerate() {
+            assert!((q[2] - angle_deg(row, 2) * 1e-3).abs() < 1e-9, "row {row}: {} m", q[2]);
+            assert!((q[3] - angle_deg(row, 3).to_radians()).abs() < 1e-9, "row {row}: {} rad", q[3]);
+        }
+    }
+}
+
+#[test]
+fn a_row_that_repeats_the_one_before_while_only_a_slide_moves_is_dropped() {
+    let row = |row: usize| {
+        // Row 30 repeats row 29; the slide moves by 0.4 mm in 4 ms.
+        let moved = if row == 30 { 29 } else { row };
+        format!("{:.3},0,0,{:.4},0,0,0\n", 0.004 * row as f64, 4e-4 * moved as f64)
+    };
+    let header = "t_s,joint1_deg,joint2_deg,joint3_m,joint4_deg,joint5_deg,joint6_deg\n";
+    let text = header.to_owned() + &(0..60).map(row).collect::<String>();
+    let log =
+        read_with(text.as_bytes(), Path::new("log.csv"), &with_slide(), &LogOptions::default()).unwrap();
+    assert_eq!((log.q_rad.len(), log.quality.repeated_dropped), (59, 1));
 }
 
 #[test]

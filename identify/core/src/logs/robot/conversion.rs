@@ -55,11 +55,16 @@ impl JointConversion {
     /// # Errors
     /// As [`Self::new`].
     pub fn of(robot: &RobotConfig) -> Result<Self, LogError> {
-        let mut conversion = Self::new(&robot.log)?;
-        for (prismatic, kind) in conversion.prismatic.iter_mut().zip(robot.joint_kinds()) {
+        Ok(Self::new(&robot.log)?.with_prismatic(robot))
+    }
+
+    /// With the columns of the robot's prismatic axes in metres.
+    #[must_use]
+    pub(in crate::logs) fn with_prismatic(mut self, robot: &RobotConfig) -> Self {
+        for (prismatic, kind) in self.prismatic.iter_mut().zip(robot.joint_kinds()) {
             *prismatic = kind == JointKind::Prismatic;
         }
-        Ok(conversion)
+        self
     }
 
     /// Number of columns and of axes.

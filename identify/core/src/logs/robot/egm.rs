@@ -89,7 +89,7 @@ pub(in crate::logs) fn read(
         let position = if commanded { &message.planned } else { &message.feed_back };
         let joints = position.as_ref().and_then(|position| position.joints.as_ref());
         let values = joints.map_or(&[][..], |joints| &joints.joints);
-        let value = |joint: usize| values.get(joint).map_or(f64::NAN, |value| value * to_unit);
+        let value = |joint: usize| values.get(joint).map_or(f64::NAN, |value| value * to_unit[joint]);
         let joints = Joints::from_fn(robot.axes(), value);
         raw.push(RawRow { place: number, stamp_ns, joints, ..RawRow::default() })?;
     }

@@ -92,22 +92,34 @@ impl<'a> Meaning<'a> {
         Ok(Self { conversion: JointConversion::of(robot)?, ..Self::new(robot, &robot.log, names)? })
     }
 
-    /// For joints in degrees: the conversion of a mapping with joints, or of the robot's configuration. Also the factor of the
-    /// values before it: a mapping converts from radians.
+    /// For joints in degrees, prismatic ones in millimetres or as a mapping states: the conversion of a mapping with joints, or
+    /// of the robot's configuration. Also the factors of the values before it: a mapping converts from radians and metres.
     pub fn of_degrees(
         robot: &'a RobotConfig,
         mapping: Option<&RobotLogMapping>,
         names: Vec<String>,
         format: LogFormat,
         path: &Path,
-    ) -> Result<(Self, f64), LogError> {
+    ) -> Result<(Self, Joints), LogError> {
         Ok(match mapping.and_then(RobotLogMapping::with_joints) {
-            Some(mapping) => (Self::mapped(robot, mapping, names, path)?, AngleUnit::Deg.to_rad()),
-            None => (Self::of_controller(robot, AngleUnit::Deg, names, format, path)?, 1.0),
+            Some(mapping) => {
+                let factors = mapping.joints.iter().map(|joint| match joint.unit.kind() {
+                    JointKind::Revolute => AngleUnit::Deg.to_rad(),
+                    JointKind::Prismatic => joint.unit.to_si(),
+                });
+                (Self::mapped(robot, mapping, names, path)?, factors.collect())
+            }
+            None => {
+                let factors = robot.joint_kinds().map(|kind| match kind {
+                    JointKind::Revolute => 1.0,
+                    JointKind::Prismatic => 1e-3,
+                });
+                (Self::of_controller(robot, AngleUnit::Deg, names, format, path)?, factors.collect())
+            }
         })
     }
 
-    /// Joint angles of the controller, as the robot's configuration converts them, in the unit that the format has.
+    /// Joints of the controller, as the robot's configuration converts them, angles in the unit that the format has.
     pub fn of_controller(
         robot: &'a RobotConfig,
         unit: AngleUnit,
@@ -119,7 +131,8 @@ impl<'a> Meaning<'a> {
             let robot = robot.name.clone();
             return Err(LogError::NeedsMapping { path: path.to_owned(), format: format.name(), robot });
         }
-        Self::new(robot, &LogConversion { unit, ..robot.log.clone() }, names)
+        let meaning = Self::new(robot, &LogConversion { unit, ..robot.log.clone() }, names)?;
+        Ok(Self { conversion: meaning.conversion.with_prismatic(robot), ..meaning })
     }
 }
 
@@ -178,7 +191,7 @@ impl RawLog {
         let rows = self.joints.len();
         self.more.iter_mut().filter(|values| values.len() < rows).for_each(Vec::clear);
         self.drop_excursions(meaning)?;
-        self.drop_repeated(meaning.unit);
+        self.drop_repeated(meaning);
         if self.joints.len() < ROWS_MIN {
             return Err(self.too_few(self.joints.len()));
         }
@@ -235,10 +248,10 @@ impl RawLog {
     }
 
     /// Single rows with the joints of the row before, in the middle of a motion, under a new stamp.
-    fn drop_repeated(&mut self, unit: AngleUnit) {
-        let step_rad =
-            |from: usize, to: usize| largest_difference(&self.joints[from], &self.joints[to]) * unit.to_rad();
-        let repeated = repeated_rows(self.joints.len(), 1, step_rad);
+    fn drop_repeated(&mut self, meaning: &Meaning<'_>) {
+        let joint = |row: usize| meaning.conversion.to_joint(&self.joints[row]);
+        let step = |from: usize, to: usize| largest_difference(&joint(from), &joint(to));
+        let repeated = repeated_rows(self.joints.len(), 1, step);
         self.quality.repeated_dropped = repeated.len();
         self.remove(&repeated);
     }

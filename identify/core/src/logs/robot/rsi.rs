@@ -55,7 +55,7 @@ pub(in crate::logs) fn read(
             })?;
         // An axis that telegrams do not have is missing in every row.
         let joints_deg = telegram.joints_deg.unwrap_or([f64::NAN; AXES.len()]);
-        let joint = |axis: usize| joints_deg.get(axis).map_or(f64::NAN, |value| value * to_unit);
+        let joint = |axis: usize| joints_deg.get(axis).map_or(f64::NAN, |value| value * to_unit[axis]);
         let joints = Joints::from_fn(robot.axes(), joint);
         raw.push(RawRow { place: number, stamp_ns: ipoc, joints, ..RawRow::default() })?;
     }

@@ -73,7 +73,7 @@ impl JointUnit {
         }
     }
 
-    const fn kind(self) -> JointKind {
+    pub(in crate::logs) const fn kind(self) -> JointKind {
         match self {
             Self::Rad | Self::Deg => JointKind::Revolute,
             Self::M | Self::Mm => JointKind::Prismatic,

@@ -48,7 +48,7 @@ impl<R: Row> Stream<R> {
     }
 }
 
-/// Largest step before and after repeated rows of a standstill \[rad\]; larger ones are a motion.
+/// Largest step before and after repeated rows of a standstill \[rad, m\]; larger ones are a motion.
 const REPEATED_STEP_RAD: f64 = 1e-4;
 
 /// Rows that repeat the one before them in the middle of a motion, in runs of at most `run_max`: loggers that read faster than
