@@ -10,8 +10,8 @@ use identify::instrument::{HoldOut, Measures as _, Tracker};
 use identify::kinematics::{Joints, flange_chain};
 use identify::logs::{JointTableMapping, MeasuredPoseMapping, MeasuredPoses, PoseRow};
 use identify::plan::{
-    Bodies, Language, Measures, PlannedPoses, PoseRequest, Way, pose_program, poses, poses_position_m_min,
-    random_postures,
+    Bodies, Design, Language, Measures, PlannedPoses, PoseRequest, Way, pose_program, poses,
+    poses_position_m_min, random_postures,
 };
 use identify::robot::import;
 use nalgebra::{Point3, Vector3};
@@ -123,7 +123,8 @@ fn all_rows_of_the_real_grid_offer_poses_that_do_the_work_of_twice_as_many_rando
 fn fifty_poses_cannot_be_expected_to_do_the_work_of_two_hundred_random_ones() {
     let robot = ur10();
     for measures in [Measures::Poses, Measures::Positions] {
-        let candidates = random_postures(&robot, &Bodies::for_reach(1.3), 0.05, 1500, 1).unwrap();
+        let candidates =
+            random_postures(&robot, &Bodies::for_reach(1.3), &design(0.05f64.to_degrees()), 1500, 1).unwrap();
         let request = request(&robot, measures);
         let [few, many] = [50, 200].map(|count| poses(&request, &candidates, count, None, 1).unwrap());
         let least_m = poses_position_m_min(&request, &candidates, 50).unwrap();
@@ -168,9 +169,14 @@ fn poses_are_drawn_over_the_whole_of_a_track() {
     let mut robot = import(&track, Some("cell"), Some("tool")).unwrap().config;
     robot.joint_limits_m = vec![[0.0, 8.0]];
     // The margin is 3 mm on the track.
-    let drawn = random_postures(&robot, &Bodies::for_reach(1.3), 3f64.to_radians(), 200, 1).unwrap();
+    let drawn = random_postures(&robot, &Bodies::for_reach(1.3), &design(3.0), 200, 1).unwrap();
     assert!(drawn.iter().all(|q| (0.002..7.998).contains(&q[0])));
     assert!(drawn.iter().any(|q| q[0] > 7.0) && drawn.iter().any(|q| q[0] < 1.0));
+}
+
+/// With joints at this distance from their limits.
+fn design(margin_deg: f64) -> Design {
+    Design { limit_margin_deg: margin_deg, ..Design::IRB_2400 }
 }
 
 /// Largest motion of any joint between consecutive poses.
@@ -181,7 +187,7 @@ fn moves(joints: &[Joints]) -> impl Iterator<Item = f64> + '_ {
 }
 
 fn planned(robot: &RobotConfig, measures: Measures, bodies: &Bodies, count: usize) -> PlannedPoses {
-    let candidates = random_postures(robot, bodies, 0.05, 300, 1).unwrap();
+    let candidates = random_postures(robot, bodies, &design(0.05f64.to_degrees()), 300, 1).unwrap();
     poses(&request(robot, measures), &candidates, count, Some(bodies), 1).unwrap()
 }
 

@@ -15,7 +15,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use shared::config::{JointKind, RobotConfig};
 
-use super::{Bodies, way};
+use super::{Bodies, Design, way};
 use crate::calibrate::IdentifyConfig;
 use crate::calibrate::rows::{WAVES_PER_TURN_MAX, groups};
 use crate::calibrate::selection::terms::CandidateGroup;
@@ -190,29 +190,25 @@ pub fn is_on_last_axis(robot: &RobotConfig, target_m: &[f64; 3]) -> bool {
     turned.is_some_and(|twist| twist.linear.norm() < NEAR_M)
 }
 
-/// Random postures free of collisions, within half a turn of each revolute joint and `margin_rad` inside the limits; of
-/// prismatic ones as many millimetres as that has degrees.
+/// Random postures free of collisions, within half a turn of each revolute joint and inside the limits by the design's margin.
 ///
 /// # Errors
 /// [`PosesError::NoRoom`].
 pub fn random_postures(
     robot: &RobotConfig,
     bodies: &Bodies,
-    margin_rad: f64,
+    design: &Design,
     count: usize,
     seed: u64,
 ) -> Result<Vec<Joints>, PosesError> {
     const TRIES_EACH: usize = 100;
     let (arm, mut random) = (flange_chain(robot), ChaCha8Rng::seed_from_u64(seed));
-    let range = |([low, high], kind): ([f64; 2], JointKind)| match kind {
-        JointKind::Revolute => [(low + margin_rad).max(-PI), (high - margin_rad).min(PI)],
-        JointKind::Prismatic => {
-            let margin_m = margin_rad.to_degrees() * 1e-3;
-            [low + margin_m, high - margin_m]
+    let mut ranges = design.limits_with_margin(&arm, &robot.joint_limits());
+    for ([low, high], kind) in ranges.iter_mut().zip(robot.joint_kinds()) {
+        if kind == JointKind::Revolute {
+            (*low, *high) = (low.max(-PI), high.min(PI));
         }
-    };
-    let ranges: Vec<[f64; 2]> =
-        robot.joint_limits().into_iter().zip(robot.joint_kinds()).map(range).collect();
+    }
     let mut found = Vec::with_capacity(count);
     let mut tried = 0;
     while found.len() < count {

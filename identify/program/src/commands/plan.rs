@@ -480,8 +480,8 @@ fn select_poses(arguments: &PosesArguments) -> anyhow::Result<()> {
             (joint_mapping.load(file)?, None)
         }
         None => {
-            let margin_rad = Design::for_robot(&robot).limit_margin_deg.to_radians();
-            (plan::random_postures(&robot, &bodies, margin_rad, arguments.draw, *seed)?, Some(&bodies))
+            let design = Design::for_robot(&robot);
+            (plan::random_postures(&robot, &bodies, &design, arguments.draw, *seed)?, Some(&bodies))
         }
     };
     let request = PoseRequest {
