@@ -1,20 +1,15 @@
-//! Instruments that measure the robot (ball-bar, contact, touch, tracker, wire), one file each with its measurements, residuals,
-//! start values and outliers. `calibrate` uses them as [`Measures`]. The robot model does not depend on instruments, and
-//! instruments do not depend on the estimator.
+//! Instruments that measure the robot (ball-bar, tracker, wire, and a tip in sockets or on faces), one file each with its
+//! residuals, start values and outliers; their rows are those of `logs`. `calibrate` uses them as [`Measures`]. The robot model
+//! does not depend on instruments, and instruments do not depend on the estimator.
 
 mod ball_bar;
 mod cause;
-mod contact;
 mod description;
 mod deviation;
-mod faces;
-mod known;
 mod measures;
 mod repetition;
 mod rows;
-mod sockets;
 mod tip;
-mod touch;
 mod tracker;
 mod wire;
 
@@ -22,17 +17,15 @@ use std::ops::{Deref, DerefMut};
 
 pub use ball_bar::{BallBar, CostName, NoiseConfig};
 pub use cause::Cause;
-pub use contact::Contact;
 pub use description::{Doubt, Noise, ScaleFrom, Section};
 pub use deviation::{Apart, Deviation, PoseError};
-pub use faces::{FaceTable, Faces, KnownAngle, Spacing, Touched};
-pub use known::{Contradiction, Knowns};
 pub use measures::Measures;
 pub use rows::{HoldOut, Mistake, RejectedRow, Rejection, RowError, Rows, SEED, standing};
 pub(crate) use rows::{faulty, gross_rows, segments, without};
-pub use sockets::{KnownDistance, PlacedSocket, SocketTable, Sockets};
-pub use tip::{Artefact, Tip};
-pub use touch::Touch;
+pub use tip::{
+    Artefact, Contact, Contradiction, FaceTable, Faces, KnownAngle, KnownDistance, Knowns, PlacedSocket,
+    SocketTable, Sockets, Spacing, Tip, Touch, Touched,
+};
 pub use tracker::Tracker;
 pub use wire::Wire;
 

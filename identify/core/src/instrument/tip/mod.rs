@@ -1,15 +1,26 @@
 //! A tip on the flange that touches the parts of an artefact at an unknown place: a ball seated in the sockets of a plate
-//! ([`Sockets`](super::Sockets)), a probe or a dial gauge on the faces of a block ([`Faces`](super::Faces)). A row contains the
+//! ([`Sockets`]), a probe or a dial gauge on the faces of a block ([`Faces`]). A row contains the
 //! robot's joints and the touched part. The residual is the difference between the tip and its part, where tip and parts are
 //! estimated too. Known quantities of the parts fix the scale.
 
+mod contact;
+mod faces;
+mod known;
+mod sockets;
+mod touch;
+
 use nalgebra::Vector3;
+
+pub use contact::Contact;
+pub use faces::{FaceTable, Faces, KnownAngle, Spacing, Touched};
+pub use known::{Contradiction, Knowns};
+pub use sockets::{KnownDistance, PlacedSocket, SocketTable, Sockets};
+pub use touch::Touch;
 
 use super::description::nearest;
 use super::rows::{Screened, Standing, sigma_by_median};
 use super::{
-    Cause, Deviation, Doubt, Instrument, Knowns, Measures, Mistake, Noise, RejectedRow, RowError, ScaleFrom,
-    Section,
+    Cause, Deviation, Doubt, Instrument, Measures, Mistake, Noise, RejectedRow, RowError, ScaleFrom, Section,
 };
 use crate::cost::{CostError, DataSet, LoopProblem, Residual};
 use crate::kinematics::{Chain, Pose};
@@ -17,23 +28,23 @@ use crate::logs::TipRow;
 use crate::model::{Clock, Geometry, JointState, Model, ModelError, Owner, ParameterId, Role, SetUp};
 
 /// Prior of the tip's distance from the flange \[m\]: effective only if the poses do not determine the tip.
-pub(super) const TIP_SIGMA_M: f64 = 1.0;
+const TIP_SIGMA_M: f64 = 1.0;
 
 /// Weight of the tip's prior in normal equations that sum this number of rows with weight one.
-pub(super) fn tip_weight(rows: usize) -> f64 {
+fn tip_weight(rows: usize) -> f64 {
     /// Error of a position \[m\].
     const ERROR_M: f64 = 1e-3;
     rows as f64 * (ERROR_M / TIP_SIGMA_M).powi(2)
 }
 
 /// Twice the number of unknowns of tip, parts and links.
-pub(super) fn numbers_min(parts: usize, axes: usize) -> usize {
+fn numbers_min(parts: usize, axes: usize) -> usize {
     const NUMBERS_OF_LINK: usize = 4;
     2 * (3 * (1 + parts) + NUMBERS_OF_LINK * axes)
 }
 
 /// Poses of the flange, each with its row.
-pub(super) type TouchedPoses = Vec<(Pose, TipRow)>;
+type TouchedPoses = Vec<(Pose, TipRow)>;
 
 /// Parts of one rigid body that the tip touches, numbered as their parameters, and their known quantities.
 pub trait Artefact: Knowns + Clone + Send + 'static {
@@ -100,7 +111,7 @@ pub struct Tip<A> {
 }
 
 impl<A: Artefact> Tip<A> {
-    pub(super) fn of_rows(all: Standing<TipRow>, artefact: A) -> Self {
+    fn of_rows(all: Standing<TipRow>, artefact: A) -> Self {
         Self { rows: Screened::new(all), artefact, noise_m: TIP_SIGMA_M }
     }
 

@@ -4,10 +4,10 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3, SymmetricEigen, Vector3};
 
-use super::rows::{MEDIAN_OF_ONE, Standing};
-use super::tip::{Artefact, TIP_SIGMA_M, Tip, TouchedPoses, numbers_min, tip_weight};
-use super::{Cause, Deviation, FaceTable, Faces, Mistake, ScaleFrom};
+use super::{Artefact, FaceTable, Faces, TIP_SIGMA_M, Tip, TouchedPoses, numbers_min, tip_weight};
 use crate::cost::TouchedFace;
+use crate::instrument::rows::{MEDIAN_OF_ONE, Standing};
+use crate::instrument::{Cause, Deviation, Mistake, ScaleFrom};
 use crate::kinematics::Chain;
 use crate::logs::{JointMistake, TipRow};
 use crate::model::{Axis, Face, FaceNumber, Geometry, JointState, Owner, ParameterId, Role};

@@ -4,10 +4,12 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
-use super::rows::{MEDIAN_OF_THREE, Standing};
-use super::tip::{Artefact, TIP_SIGMA_M, Tip, TouchedPoses, numbers_min, tip_weight};
-use super::{Deviation, Knowns, RowError, ScaleFrom, SocketTable, Sockets};
+use super::{
+    Artefact, Knowns, SocketTable, Sockets, TIP_SIGMA_M, Tip, TouchedPoses, numbers_min, tip_weight,
+};
 use crate::cost::{Residual, SeatedBall};
+use crate::instrument::rows::{MEDIAN_OF_THREE, Standing};
+use crate::instrument::{Deviation, RowError, ScaleFrom};
 use crate::logs::TipRow;
 use crate::model::{Axis, Geometry, Owner, ParameterId, Role};
 
