@@ -4,6 +4,8 @@
 
 use std::path::Path;
 
+use identify::calibrate::rows::PoseFigures;
+use identify::calibrate::validation::unseen::{UnseenPart, unseen_parts};
 use identify::calibrate::{Calibration, DataSets, IdentifyConfig, calibrate};
 use identify::instrument::{Contact, KnownDistance, Knowns as _, PlacedSocket, SocketTable, Sockets};
 use identify::kinematics::{Chain, Pose, flange_chain};
@@ -18,7 +20,7 @@ use shared::config::{self, RobotConfig, Validate};
 
 use crate::support::campaign::{is_full, size};
 use crate::support::command::identify;
-use crate::support::truth::{apart_m, pulls};
+use crate::support::truth::{apart_m, pulls, rigid_motion};
 use crate::support::{irb120, irb2400, repository};
 
 fn seven_axes() -> RobotConfig {
@@ -69,6 +71,66 @@ fn distances_serve_as_well_as_places_and_two_sockets_are_enough() {
     let two = after_mm(&ContactExperiment { sockets: Some(bar), distances: true, ..usual });
     println!("places {places:.4}, distances {distances:.4}, two sockets {two:.4} mm");
     assert!(places < 0.1 && distances < 0.1 && two < 0.2, "{places} {distances} {two}");
+}
+
+/// The fit without a socket's rows is a step on the normal equations: compare it with a calibration of the other rows, and the place
+/// of the socket by the plate.
+#[test]
+fn rows_at_an_unseen_socket_are_predicted_as_by_a_calibration_without_them() {
+    let robot = irb2400();
+    let SimulatedContacts { rows, table, .. } = simulated(&robot, 1);
+    let found = unseen_parts(&calibrated(&robot, &rows, &table));
+    assert_eq!(
+        found.iter().map(|part| part.name.as_str()).collect::<Vec<_>>(),
+        ["A", "B", "C", "D", "E", "F"]
+    );
+    for part in &found {
+        let left_out = table.names().iter().position(|name| *name == part.name).unwrap();
+        let others: Vec<TipRow> = rows.iter().filter(|row| row.part != left_out).copied().collect();
+        let calibration = calibrated(&robot, &others, &table);
+        let geometry = calibration.runs[0].model.geometry(&[]);
+        let ball_m = |row: &TipRow| {
+            let state = JointState::at_rest(row.joints_rad);
+            geometry.robot_end(&state).transform_point(&geometry.contact.ball_m.into()).coords
+        };
+        // The other sockets place the plate.
+        let mut placed = table.sockets.clone();
+        let socket_m = Vector3::from(placed.remove(left_out).position_mm) * 1e-3;
+        let known_m = placed.iter().map(|one| Vector3::from(one.position_mm) * 1e-3);
+        let pairs: Vec<_> =
+            geometry.contact.sockets_m.iter().zip(known_m).map(|(at, known)| [*at, known]).collect();
+        let there_m = rigid_motion(&pairs).transform_point(&socket_m.into()).coords;
+        let squares =
+            rows.iter().filter(|row| row.part == left_out).map(|row| (ball_m(row) - there_m).norm_squared());
+        let squares: Vec<f64> = squares.collect();
+        let refitted_mm = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt() * 1e3;
+        let [predicted_mm, fitted_mm] = [part.predicted, part.fitted].map(|one| one.position_m.rms * 1e3);
+        println!("{}: {fitted_mm:.4} fitted, {predicted_mm:.4} by the step, {refitted_mm:.4} mm", part.name);
+        // The calibration of the other rows chooses widths of priors and terms anew.
+        assert!((predicted_mm / refitted_mm).ln().abs() < 0.3, "{predicted_mm} {refitted_mm}");
+    }
+}
+
+/// An error of joint 2 that depends on two joints together, which no term describes: the socket's own place hides it.
+#[test]
+fn an_error_that_no_term_describes_is_larger_at_unseen_sockets_than_in_the_fit() {
+    let robot = irb2400();
+    let SimulatedContacts { rows, table, .. } = simulated(&robot, 1);
+    let unseen_to_fitted = |rows: &[TipRow]| {
+        let found = unseen_parts(&calibrated(&robot, rows, &table));
+        let rms = |errors: fn(&UnseenPart) -> &PoseFigures| {
+            let squares = found.iter().map(|part| errors(part).position_m.rms.powi(2));
+            (squares.sum::<f64>() / found.len() as f64).sqrt()
+        };
+        rms(|part| &part.predicted) / rms(|part| &part.fitted)
+    };
+    let mut coupled = rows.clone();
+    for TipRow { joints_rad: q, .. } in &mut coupled {
+        q[1] += 4e-4 * q[0].sin() * q[2].sin();
+    }
+    let ratios = [&rows, &coupled].map(|rows| unseen_to_fitted(rows));
+    println!("{ratios:.2?}");
+    assert!(ratios[0] < 1.5 && ratios[1] > 1.8, "{ratios:?}");
 }
 
 /// Derivatives of the known positions and distances of sockets against finite differences.

@@ -222,7 +222,7 @@ fn an_instrument_of_ones_own_is_calibrated_and_told_of_as_any_other() {
     assert!(!seen.deployed.is_empty() && !seen.limits.is_empty());
     let run = &found.runs[0];
     let lines: Vec<u64> = (2..).take(rows.len()).collect();
-    let text = table(&found.rows[0], &run.instrument, &run.model, &lines, &[]);
+    let text = table(&found.rows[0], run, &lines, &[], &[]);
     assert!(text.contains("nominal robot, column fitted"), "{text}");
     let residuals = residuals_csv(&found, &[&lines]).unwrap();
     assert_eq!(residuals.lines().count(), 1 + rows.len());

@@ -10,7 +10,7 @@ use identify::calibrate::rows::{PoseFigures, Stages};
 use identify::evaluate::{Budget, Expected, Limit, WorkspaceError};
 use identify::instrument::{HoldOut, PoseError};
 use identify::report::result::file::{CalibrationFile, SolveEntry};
-use identify::report::result::validation::{HeldOutEntry, RowsEntry, ValidationEntry};
+use identify::report::result::validation::{HeldOutEntry, RowsEntry, UnseenPartEntry, ValidationEntry};
 use identify::report::verdict::{Grade, Verdict};
 use identify::statistics::Sizes;
 use rand::Rng;
@@ -57,30 +57,35 @@ fn file(expanded_m: f64, position: [f64; 2], rotation: [f64; 2]) -> (Calibration
     (file, WorkspaceError { before, after, budget, ..WorkspaceError::default() })
 }
 
+fn figures(rows: usize, mm: f64) -> PoseFigures {
+    PoseFigures { rows, position_m: Sizes { rms: mm * 1e-3, ..Sizes::default() }, rotation_rad: None }
+}
+
+/// Rows with these errors of the nominal and of the calibrated robot \[mm\].
+fn rows_entry(rows: usize, [nominal_mm, calibrated_mm]: [f64; 2]) -> RowsEntry {
+    let nominal = figures(rows, nominal_mm);
+    let stages = Stages { nominal, joints: figures(rows, calibrated_mm), ..Stages::default() };
+    RowsEntry {
+        data_set: 1,
+        hold_out: HoldOut::Rows,
+        seed: 1,
+        names: BTreeMap::new(),
+        fitted: stages,
+        held_out: stages,
+    }
+}
+
 #[test]
 fn green_needs_unseen_data_within_the_claim_beyond_chance() {
     // Rows of another file, and residuals of the fitted file [mm].
     let verdict = |rows: usize, calibrated_mm: f64, fitted_mm: f64| {
         let (mut file, workspace) = file(0.1e-3, [1.0, 0.05], [1.0, 0.1]);
-        let figures = |mm: f64| PoseFigures {
-            rows,
-            position_m: Sizes { rms: mm * 1e-3, ..Sizes::default() },
-            rotation_rad: None,
-        };
-        let stages = |mm| Stages { nominal: figures(1.0), joints: figures(mm), ..Stages::default() };
-        file.rows.push(RowsEntry {
-            data_set: 1,
-            hold_out: HoldOut::Rows,
-            seed: 1,
-            names: BTreeMap::new(),
-            fitted: stages(fitted_mm),
-            held_out: stages(fitted_mm),
-        });
+        file.rows.push(rows_entry(rows, [1.0, fitted_mm]));
         file.validations.push(ValidationEntry {
             name: "other.csv".into(),
             data_set: 1,
-            nominal: figures(1.0),
-            calibrated: figures(calibrated_mm),
+            nominal: figures(rows, 1.0),
+            calibrated: figures(rows, calibrated_mm),
             unsupported: 0,
             left_out: 0,
         });
@@ -99,6 +104,29 @@ fn green_needs_unseen_data_within_the_claim_beyond_chance() {
     assert_eq!(verdict(100, 0.42, 0.41).grade, Grade::Green);
     assert_eq!(verdict(3, 0.2, 0.15).grade, Grade::Green);
     assert_eq!(verdict(100, 1.5, 0.05).grade, Grade::Red);
+}
+
+#[test]
+fn green_needs_unseen_parts_within_the_claim_beyond_chance() {
+    let verdict = |predicted_mm: f64, fitted_mm: f64| {
+        let (mut file, workspace) = file(0.3e-3, [1.0, 0.05], [1.0, 0.1]);
+        file.rows.push(rows_entry(30, [2.0, fitted_mm]));
+        file.unseen = ["A", "B", "C", "D"]
+            .map(|name| UnseenPartEntry {
+                data_set: 1,
+                name: name.into(),
+                predicted: figures(30, predicted_mm),
+                fitted: figures(30, fitted_mm),
+            })
+            .to_vec();
+        file.with_verdict(&workspace, &[], None).verdict.unwrap()
+    };
+    let amber = verdict(1.05, 0.24);
+    let reason = amber.reason.unwrap();
+    assert_eq!(amber.grade, Grade::Amber);
+    assert!(reason.contains("rows at unseen parts of data set 1 are 1.050 mm off"), "{reason}");
+    assert_eq!(verdict(0.38, 0.24).grade, Grade::Green);
+    assert_eq!(verdict(5.0, 0.24).grade, Grade::Red);
 }
 
 #[test]

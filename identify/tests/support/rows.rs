@@ -77,6 +77,6 @@ impl Found {
     /// Output of the command for a user.
     pub fn table(&self) -> String {
         let run = &self.0.runs[0];
-        identify::report::rows::table(self.rows(), &run.instrument, &run.model, &[], &[])
+        identify::report::rows::table(self.rows(), run, &[], &[], &[])
     }
 }

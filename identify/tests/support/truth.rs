@@ -3,11 +3,11 @@
 use std::collections::BTreeMap;
 
 use identify::calibrate::Calibration;
-use identify::kinematics::{Chain, DhLink, Joints, LinkParameter};
+use identify::kinematics::{Chain, DhLink, Joints, LinkParameter, Pose};
 use identify::model::{Parameter, ParameterId};
 use identify::simulate::Simulated;
 use identify::simulate::position_errors_m;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Rotation3, Vector3};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use shared::config::RobotConfig;
@@ -51,12 +51,20 @@ pub fn wrists_apart_m(
             [one(&q), other(&q)]
         })
         .collect();
-    let centre = |which: usize| pairs.iter().map(|pair| pair[which]).sum::<Vector3<f64>>() / POSTURES as f64;
+    let motion = rigid_motion(&pairs);
+    pairs.iter().map(|[p, q]| (p - motion.transform_point(&(*q).into()).coords).norm()).sum::<f64>()
+        / POSTURES as f64
+}
+
+/// The rigid motion of the second of each pair that brings it nearest to the first.
+pub fn rigid_motion(pairs: &[[Vector3<f64>; 2]]) -> Pose {
+    let centre =
+        |which: usize| pairs.iter().map(|pair| pair[which]).sum::<Vector3<f64>>() / pairs.len() as f64;
     let (a, b) = (centre(0), centre(1));
     let sum: Matrix3<f64> = pairs.iter().map(|[p, q]| (p - a) * (q - b).transpose()).sum();
     let svd = sum.svd(true, true);
-    let turn = svd.u.unwrap() * svd.v_t.unwrap();
-    pairs.iter().map(|[p, q]| (p - a - turn * (q - b)).norm()).sum::<f64>() / POSTURES as f64
+    let turn = Rotation3::from_matrix_unchecked(svd.u.unwrap() * svd.v_t.unwrap());
+    Pose::from_parts((a - turn * b).into(), turn)
 }
 
 /// Normalised errors of link parameters: estimate minus truth over the 95 % interval; of `d` of nearly parallel axes the sum

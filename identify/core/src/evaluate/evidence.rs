@@ -9,6 +9,7 @@ use super::{
 };
 use crate::calibrate::validation::deployment::{Deployed, Deployment};
 use crate::calibrate::validation::held_out::without_each_segment;
+use crate::calibrate::validation::unseen::{UnseenPart, unseen_parts};
 use crate::calibrate::{CalibrateError, Calibration};
 use crate::cost::{Closure, loop_closures};
 use crate::model::Model;
@@ -72,6 +73,8 @@ pub struct Evidence {
     pub workspace: WorkspaceError,
     /// Basis of `workspace`, kept for the errors of the deployments.
     uncertain: Workspace,
+    /// Rows at each part of an instrument, predicted by all other data.
+    pub unseen: Vec<UnseenPart>,
     /// Limitations of the result.
     pub limits: Vec<Limit>,
     /// Prediction of held-out segments; `None` if not requested.
@@ -97,6 +100,7 @@ pub fn evidence(calibration: &Calibration, joint_limits: &[[f64; 2]]) -> Evidenc
         gap_after_m: gap_m(of_all_runs(|run| &run.after), by_encoders),
         joints: joint_gaps(calibration.model().axes(), of_all_runs(|run| &run.after)),
         limits: limits(calibration, &workspace),
+        unseen: unseen_parts(calibration),
         spheres: SphereDeviation::all(calibration, &runs),
         runs,
         workspace,

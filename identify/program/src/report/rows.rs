@@ -6,6 +6,7 @@ use std::fmt::Write;
 use shared::output::named;
 
 use crate::calibrate::rows::{PoseFigures, RowSet, RunCause, Stages};
+use crate::calibrate::validation::unseen::UnseenPart;
 use crate::evaluate::{Limit, Validity};
 use crate::instrument::{Instrument, PoseError, Rejection, Run, Section};
 use crate::kinematics::Joints;
@@ -103,14 +104,14 @@ fn stages(text: &mut String, name: &str, [instrument_parts, last]: [&str; 2], st
 /// Heading of the errors of a line.
 const FIGURES: &str = "    mean      RMS      p95      max";
 
-/// Errors of fitted and held-out rows in each stage, on other files, and by parts of the instrument; then the rejected rows.
-/// `lines` are the line numbers of the rows in their file.
+/// Errors of fitted and held-out rows in each stage, on other files, and by parts of the instrument, with the predictions of these
+/// parts (`unseen`); then the rejected rows. `lines` are the line numbers of the rows in their file.
 pub fn table(
     set: &RowSet,
-    instrument: &Instrument,
-    model: &Model,
+    Run { instrument, model }: &Run,
     lines: &[u64],
     validations: &[Validation],
+    unseen: &[&UnseenPart],
 ) -> String {
     let (fitted, held_out, with_rejected) = (set.fitted(), set.held_out(), set.held_out_with_rejected());
     let mut text = if fitted.nominal.rotation_rad.is_some() {
@@ -148,23 +149,30 @@ pub fn table(
         );
     }
     let geometry = model.geometry(&[]);
-    text.push_str(&sections(set, instrument, &instrument.errors(&geometry)));
+    text.push_str(&sections(set, instrument, &instrument.errors(&geometry), unseen));
     text.push_str(&rejected_rows(set, &instrument.remarks(&geometry), lines));
     text
 }
 
-/// Parts of an instrument, such as sockets, by their names and parameters.
-fn sections(set: &RowSet, instrument: &Instrument, errors: &[PoseError]) -> String {
+/// Parts of an instrument, such as sockets, by their names and parameters, with the errors of their rows in the fit, and in a fit to
+/// all other data where these determine the part.
+fn sections(set: &RowSet, instrument: &Instrument, errors: &[PoseError], unseen: &[&UnseenPart]) -> String {
     let sections = instrument.sections();
     let mut text = String::new();
     if !sections.is_empty() {
-        let _ = writeln!(text, "{:<12}{:<12}{:>6}{:>12}", "name", "parameters", "rows", "RMS [mm]");
+        let predicted = if unseen.is_empty() { "" } else { "   by a fit without them" };
+        let _ =
+            writeln!(text, "{:<12}{:<12}{:>6}{:>12}{predicted}", "name", "parameters", "rows", "RMS [mm]");
     }
     let is_used = |row: &&usize| set.rejected.binary_search_by_key(*row, |one| one.row).is_err();
     for Section { name, parameters, samples } in &sections {
         let used = samples.iter().filter(is_used).filter_map(|row| errors.get(*row).copied());
         let PoseFigures { rows, position_m, .. } = PoseFigures::of(used);
-        let _ = writeln!(text, "{name:<12}{parameters:<12}{rows:>6}{:>12.4}", position_m.rms * 1e3);
+        let predicted = unseen.iter().find(|part| part.name == *name);
+        let predicted = predicted.map(|part| format!("{:>24.4}", part.predicted.position_m.rms * 1e3));
+        let predicted = predicted.unwrap_or_default();
+        let _ =
+            writeln!(text, "{name:<12}{parameters:<12}{rows:>6}{:>12.4}{predicted}", position_m.rms * 1e3);
     }
     text
 }

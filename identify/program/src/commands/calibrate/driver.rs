@@ -13,6 +13,7 @@ use super::refused::refused;
 use super::result::{conclude, limited, write_files};
 use super::rows::{self, Aligned, Beside, Others, WithLogs};
 use super::{ResultArguments, inputs};
+use crate::calibrate::validation::unseen::UnseenPart;
 use crate::calibrate::{self, Calibration, DataSets, RunInput};
 use crate::commands::ensure_can_write;
 use crate::commands::on_terminal::OnTerminal;
@@ -81,7 +82,7 @@ pub(super) fn calibrate(
     let mut file = calibration_file(inputs, robot, &bars, &beside, &calibration, &evidence);
     file.noise = NoiseEntry::all(&calibration.runs, experiment.identify.noise);
     let validity = Validity::of(calibration.poses(), &flange_chain(robot));
-    let tables = Tables::of_rows(&calibration, &rows, &beside, &others, robot, &validity)?;
+    let tables = Tables::of_rows(&calibration, &evidence.unseen, &rows, &beside, &others, robot, &validity)?;
     file.rows = tables.entries;
     file.validations = tables.validations;
     file.validity = Some(validity);
@@ -198,6 +199,7 @@ struct Tables {
 impl Tables {
     fn of_rows(
         calibration: &Calibration,
+        unseen: &[UnseenPart],
         rows: &[Rows],
         beside: &[Beside],
         others: &[Others<'_>],
@@ -208,7 +210,8 @@ impl Tables {
         let bars = calibration.runs.len() - rows.len();
         let sets = calibration.rows.iter().zip(rows).zip(beside.iter().zip(others));
         for (number, ((set, rows), (beside, others))) in (bars..).zip(sets) {
-            let Run { instrument, model } = &calibration.runs[number];
+            let run = &calibration.runs[number];
+            let Run { instrument, model } = run;
             let name = match calibration.runs.len() {
                 1 => instrument.name().to_owned(),
                 _ => format!("{} (data set {})", instrument.name(), number + 1),
@@ -216,15 +219,11 @@ impl Tables {
             let validations = others.judge(number + 1, robot, validity, model)?;
             tables.validation_lines.extend(validations.iter().map(rows_report::Validation::line));
             tables.validations.extend(validations.iter().map(|validation| validation.entry.clone()));
-            let table = rows_report::table(set, instrument, model, &beside.lines, &validations);
+            let unseen: Vec<&UnseenPart> = unseen.iter().filter(|part| part.data_set == number).collect();
+            let table = rows_report::table(set, run, &beside.lines, &validations, &unseen);
             tables.text += &format!("\n{name}\n{table}{}", beside.set_ups());
             tables.text.extend(beside.aligned.as_ref().map(Aligned::line));
-            tables.limits.extend(rows_report::left_out(
-                set,
-                &calibration.runs[number],
-                [&name, &robot.name],
-                &beside.lines,
-            ));
+            tables.limits.extend(rows_report::left_out(set, run, [&name, &robot.name], &beside.lines));
             tables.entries.extend((!set.held_out_rows.is_empty()).then(|| RowsEntry {
                 data_set: number + 1,
                 hold_out: rows.hold_out(),

@@ -18,7 +18,7 @@ use super::deployments::DeploymentEntry;
 use super::earlier::remove_page;
 use super::force::ForceEntry;
 use super::knowledge::{CovarianceEntry, ExpectedEntry, Knowledge, NoiseEntry};
-use super::validation::{HeldOutEntry, RowsEntry, ValidationEntry};
+use super::validation::{HeldOutEntry, RowsEntry, UnseenPartEntry, ValidationEntry};
 use crate::calibrate::Calibration;
 use crate::calibrate::selection::terms::Candidate;
 use crate::calibrate::validation::deployment::Deployment;
@@ -342,6 +342,9 @@ pub struct CalibrationFile {
     /// How well rows of trackers and wires were predicted that the fit did not see.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub rows: Vec<RowsEntry>,
+    /// How well rows at each part of an instrument were predicted by all other data.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub unseen: Vec<UnseenPartEntry>,
     /// How well rows of other files were predicted.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub validations: Vec<ValidationEntry>,

@@ -9,6 +9,7 @@ use super::deployments::DeploymentEntry;
 use super::file::CalibrationFile;
 use crate::calibrate::rows::{PoseFigures, Stages};
 use crate::calibrate::validation::deployment::Deployment;
+use crate::calibrate::validation::unseen::UnseenPart;
 use crate::evaluate::{Evidence, HeldOut};
 use crate::instrument::{HoldOut, PoseError};
 
@@ -45,6 +46,25 @@ pub struct RowsEntry {
     pub held_out: Stages,
 }
 
+/// Rows at one part of an instrument, such as a socket, predicted by the fit to all other data.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct UnseenPartEntry {
+    /// Number of the data set, from 1.
+    pub data_set: usize,
+    /// Name of the part.
+    pub name: String,
+    /// Errors by the fit to all other data.
+    pub predicted: PoseFigures,
+    /// Errors by the calibration, which includes these rows.
+    pub fitted: PoseFigures,
+}
+
+impl From<&UnseenPart> for UnseenPartEntry {
+    fn from(UnseenPart { data_set, name, predicted, fitted }: &UnseenPart) -> Self {
+        Self { data_set: data_set + 1, name: name.clone(), predicted: *predicted, fitted: *fitted }
+    }
+}
+
 /// Rows of a file that took no part in the calibration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ValidationEntry {
@@ -63,13 +83,14 @@ pub struct ValidationEntry {
 }
 
 impl CalibrationFile {
-    /// Adds the held-out figures of the calibration and of each deployment.
+    /// Adds the held-out figures of the calibration, of each part of an instrument and of each deployment.
     pub fn with_validation(mut self, evidence: &Evidence) -> Self {
         self.held_out =
             evidence.held_out.as_ref().filter(|held_out| !held_out.segments.is_empty()).map(|held_out| {
                 let [nominal, calibrated, fitted] = held_out.rms();
                 HeldOutEntry { segments: held_out.segments.len(), nominal, calibrated, fitted }
             });
+        self.unseen = evidence.unseen.iter().map(UnseenPartEntry::from).collect();
         // A deployment is compared on the same segments only.
         let comparable =
             |held_out: &HeldOut| Some(held_out.segments.len()) == self.held_out.map(|all| all.segments);
@@ -111,12 +132,40 @@ impl CalibrationFile {
                 fitted: rows.fitted.joints.rms(),
             }
         });
-        segments.into_iter().chain(rows).collect()
+        let unseen = self.rows.iter().filter(|_| deployment == Deployment::Full);
+        let unseen = unseen.filter_map(|rows| self.at_unseen_parts(rows));
+        segments.into_iter().chain(rows).chain(unseen).collect()
+    }
+
+    /// Errors of the rows of a data set at its parts, each predicted by the fit to all other data.
+    fn at_unseen_parts(&self, rows: &RowsEntry) -> Option<HeldOutErrors> {
+        let parts = || self.unseen.iter().filter(|part| part.data_set == rows.data_set);
+        let rms = |errors: fn(&UnseenPartEntry) -> &PoseFigures| {
+            let position_m =
+                pooled_rms(parts().map(errors).map(|figures| (figures.rows, figures.position_m.rms)));
+            PoseError { position_m, rotation_rad: None }
+        };
+        let independent = INDEPENDENT_OF_SEGMENT * parts().count();
+        (independent > 0).then(|| HeldOutErrors {
+            what: format!("rows at unseen parts of data set {}", rows.data_set),
+            independent,
+            nominal: rows.held_out.nominal.rms(),
+            calibrated: Some(rms(|part| &part.predicted)),
+            fitted: rms(|part| &part.fitted),
+        })
     }
 }
 
-/// Samples of a segment share their errors: it counts as one independent error along each axis.
+/// Samples of a segment or part share their errors: it counts as one independent error along each axis.
 const INDEPENDENT_OF_SEGMENT: usize = 3;
+
+/// Root mean square of groups with these numbers of errors and root mean squares.
+fn pooled_rms(groups: impl Iterator<Item = (usize, f64)>) -> f64 {
+    let sums = groups.fold([0.0, 0.0], |[count, squares], (number, rms)| {
+        [count + number as f64, squares + number as f64 * rms.powi(2)]
+    });
+    (sums[1] / sums[0]).sqrt()
+}
 
 /// Root mean square errors on held-out data of one kind.
 pub(in crate::report) struct HeldOutErrors {

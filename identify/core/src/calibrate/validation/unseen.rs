@@ -1,0 +1,84 @@
+//! Prediction of the rows at each part of an instrument, such as a socket, by a fit to all other rows: a validation at places that
+//! no fit has seen. It needs parts whose places follow from the other parts and their known geometry, such as the sockets of a
+//! plate.
+
+use crate::calibrate::Calibration;
+use crate::calibrate::pipeline::{Solved, problem};
+use crate::calibrate::rows::PoseFigures;
+use crate::instrument::{Run, Section, without};
+use crate::model::Model;
+use crate::solver::{Normals, Options, Problem};
+
+/// Rows at one part of an instrument, predicted by the fit to all other data.
+#[derive(Debug, Clone, PartialEq)]
+pub struct UnseenPart {
+    /// Index of the data set, from 0.
+    pub data_set: usize,
+    /// Name of the part.
+    pub name: String,
+    /// Errors by the fit to all other data.
+    pub predicted: PoseFigures,
+    /// Errors by the calibration, which includes these rows.
+    pub fitted: PoseFigures,
+}
+
+/// Rows in use that are left out together.
+struct Part {
+    data_set: usize,
+    name: String,
+    /// Numbers of the rows in their file.
+    rows: Vec<usize>,
+    /// Their samples in the problem of all data sets.
+    samples: Vec<usize>,
+}
+
+/// The parts of one data set, whose first sample in the problem of all data sets is `first`.
+fn parts((data_set, run): (usize, &Run), first: usize) -> Vec<Part> {
+    let sections = run.instrument.sections();
+    let mut all: Vec<usize> = sections.iter().flat_map(|section| section.samples.iter().copied()).collect();
+    all.sort_unstable();
+    let used = without(&all, run.instrument.rejected());
+    let part = |section: Section| {
+        let places =
+            section.samples.iter().filter_map(|row| Some((*row, first + used.binary_search(row).ok()?)));
+        let (rows, samples) = places.unzip();
+        Part { data_set, name: section.name, rows, samples }
+    };
+    sections.into_iter().map(part).collect()
+}
+
+/// Predicts the rows at each part of each instrument by one step on the normal equations of all other data, starting at the
+/// calibration. Parts that the other data do not determine are omitted.
+pub fn unseen_parts(calibration: &Calibration) -> Vec<UnseenPart> {
+    let Calibration { runs, solved: Solved { columns, solution, sigmas, .. }, .. } = calibration;
+    let Ok(problem) = problem(runs, columns, sigmas) else { return Vec::new() };
+    let parts: Vec<Part> =
+        runs.iter().enumerate().zip(problem.starts()).flat_map(|(run, first)| parts(run, *first)).collect();
+    if parts.is_empty() {
+        return Vec::new();
+    }
+    let mut folds: Vec<Vec<usize>> = parts.iter().map(|part| part.samples.clone()).collect();
+    // The rest is one more fold, which is always part of the fit.
+    let is_rest = |sample: &usize| {
+        !problem.is_known(*sample) && parts.iter().all(|part| !part.samples.contains(sample))
+    };
+    folds.push((0..problem.samples()).filter(is_rest).collect());
+    let options = Options { loss: solution.loss, ..Options::default() };
+    let Ok(normals) = Normals::new(&problem, &solution.x, &options, &folds) else { return Vec::new() };
+    let predicted = |(part, x): (Part, Option<Vec<f64>>)| {
+        let Run { instrument, model } = &runs[part.data_set];
+        let mut without_part = model.clone();
+        without_part.adopt(&columns.values(part.data_set, &x?));
+        let figures = |model: &Model| {
+            let errors = instrument.errors(&model.geometry(&[]));
+            PoseFigures::of(part.rows.iter().filter_map(|row| errors.get(*row).copied()))
+        };
+        Some(UnseenPart {
+            data_set: part.data_set,
+            predicted: figures(&without_part),
+            fitted: figures(model),
+            name: part.name,
+        })
+    };
+    parts.into_iter().zip(normals.without_each()).filter_map(predicted).collect()
+}
