@@ -40,8 +40,8 @@ pub const FRAME_BYTES_MAX: usize = 1518;
 const TERMINALS: usize = 5;
 /// More than the coupler can supply.
 const TERMINALS_MAX: usize = 16;
-/// Devices were powered up within this time before the first frame. A port time of 32 bits wraps after 4.3 s, so that does
-/// not happen while a bus is brought up at once.
+/// Devices were powered up within this time before the first frame. Port times, 32 bits of the local time, wrap 4.3 s after
+/// power-up: not while a bus is brought up at once.
 const POWERED_UP_NS: i64 = 1_500_000_000;
 
 /// Composition of the simulated bus.

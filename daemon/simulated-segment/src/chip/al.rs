@@ -97,7 +97,7 @@ enum Verdict {
 
 /// State machine of one chip.
 pub struct AlMachine {
-    /// Without a processor behind the chip, AL status mirrors AL control.
+    /// AL status of a chip without a processor, which mirrors AL control; `None` with a processor.
     emulated: Option<u8>,
     state: AlState,
     /// AL status code while the error bit is set.

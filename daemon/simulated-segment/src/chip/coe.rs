@@ -157,7 +157,7 @@ pub fn emergency(mailbox: &mut [u8; MAILBOX_MAX], code: u16) -> usize {
     answer.finish(TYPE_COE, &[])
 }
 
-/// Mailbox error reply (ETG.1000.4 table 30).
+/// Mailbox error reply (ETG.1000.4 table 30): type 1 and the error code `detail`.
 fn refuse(mut answer: Answer<'_>, detail: u16, request: &[u8]) -> usize {
     answer.push(&[1, 0]);
     answer.push(&detail.to_le_bytes());

@@ -60,12 +60,14 @@ impl LocalClock {
     }
 }
 
-/// Share of a deviation that is corrected at once, and share that changes the rate; critically damped in combination.
-/// Real chips count in steps of 9 or 11 ns instead, with the same result some thousand frames later.
+/// Gains of the loop: each received time steps the clock by `-PROPORTIONAL * deviation`, and changes its rate by
+/// `-INTEGRAL * deviation / time since the last one`. `INTEGRAL = PROPORTIONAL^2 / 4` is critical damping. Real chips count in
+/// steps of 9 or 11 ns instead, with the same result some thousand frames later.
 const PROPORTIONAL: f64 = 1.0 / 16.0;
 const INTEGRAL: f64 = PROPORTIONAL * PROPORTIONAL / 4.0;
-/// A chip slews its clock instead of stepping it.
+/// Larger deviations are corrected as this one, because a chip slews its clock instead of stepping it.
 const DEVIATION_LIMIT_NS: f64 = 10_000.0;
+/// Largest relative correction of the rate.
 const CORRECTION_LIMIT: f64 = 200e-6;
 
 const SYNC_ENABLE: u8 = 0x01;
@@ -92,7 +94,7 @@ pub struct DistributedClock {
     pub delay_ns: u32,
     /// Logarithm to base 2 of the number of deviations in the mean.
     filter_depth: u8,
-    /// Mean deviation from the reference clock (0x092C).
+    /// Mean deviation from the reference clock (0x092C), positive if this clock is ahead.
     difference_ns: f64,
     /// True time of the last correction.
     last_follow_ns: Option<i64>,
@@ -159,9 +161,8 @@ impl DistributedClock {
         self.last_follow_ns = None;
     }
 
-    /// Follows the system time of the reference clock (write to 0x0910).
-    ///
-    /// With four bytes only the low half is known.
+    /// Follows the system time of the reference clock (write to 0x0910): deviation = own time - delay - received time. With
+    /// four bytes only the low half is known.
     pub fn follow(&mut self, received: &[u8], now_ns: i64) {
         let own_ns = self.system_ns(now_ns).wrapping_sub(i64::from(self.delay_ns));
         let deviation_ns = match (received.first_chunk::<8>(), received.first_chunk::<4>()) {

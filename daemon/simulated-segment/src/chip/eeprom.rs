@@ -1,6 +1,8 @@
 //! Builds the content of an EEPROM: the slave information (SII) of a device (ETG.2010), a header and categories of bytes, from
 //! which the master reads identity, mailbox, sync managers and PDOs.
 
+use super::sync_manager::ExpectedSyncManager;
+
 /// Real terminals have 16 kbit.
 const SIZE: usize = 2048;
 /// Byte offset of the first category.
@@ -80,13 +82,14 @@ impl Image {
         self
     }
 
-    /// Adds sync managers: start, length, control, enable, type.
-    pub fn sync_managers(mut self, channels: &[(u16, u16, u8, u8, u8)]) -> Self {
+    /// Adds the sync managers: start, length, control, status 0, enable 1, and type (1 mailbox out, 2 mailbox in, 3 outputs,
+    /// 4 inputs).
+    pub fn sync_managers(mut self, channels: &[ExpectedSyncManager; 4]) -> Self {
         let mut content = Vec::new();
-        for (start, length, control, enable, kind) in channels {
-            content.extend(start.to_le_bytes());
-            content.extend(length.to_le_bytes());
-            content.extend([*control, 0, *enable, *kind]);
+        for (channel, kind) in channels.iter().zip(1..) {
+            content.extend(channel.start.to_le_bytes());
+            content.extend(channel.length.to_le_bytes());
+            content.extend([channel.control, 0, 1, kind]);
         }
         self.category(CATEGORY_SYNC_MANAGER, &content);
         self

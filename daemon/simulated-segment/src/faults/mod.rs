@@ -181,7 +181,7 @@ impl FaultySegment {
         self.schedule.sort_by_key(|&(at_ns, _)| std::cmp::Reverse(at_ns));
     }
 
-    /// Whether the cable is plugged in: without it nothing can be sent.
+    /// Whether the cable is plugged in, after the switches due at `now_ns`: without it nothing can be sent.
     pub fn has_link(&mut self, now_ns: i64) -> bool {
         self.switch(now_ns);
         !self.active.contains(&Fault::LinkDown)

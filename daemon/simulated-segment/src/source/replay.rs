@@ -56,9 +56,9 @@ pub struct Replay {
 #[derive(Debug, Clone, Copy, Default)]
 struct Pulses {
     /// True minus nominal time of the last one \[ns\].
-    apart_ns: Option<i64>,
-    /// Delay of pulses since the clock of the bus was set \[ns\].
-    later_ns: i64,
+    true_minus_nominal_ns: Option<i64>,
+    /// Sum of the changes of that difference by which the clock of the bus was set \[ns\].
+    delay_ns: i64,
 }
 
 impl Pulses {
@@ -66,12 +66,12 @@ impl Pulses {
     const SET_NS: i64 = 20_000;
 
     /// Takes the next pulse into account.
-    fn next(&mut self, apart_ns: i64) {
-        let change_ns = self.apart_ns.map_or(0, |before_ns| apart_ns - before_ns);
+    fn next(&mut self, true_minus_nominal_ns: i64) {
+        let change_ns = self.true_minus_nominal_ns.map_or(0, |before_ns| true_minus_nominal_ns - before_ns);
         if change_ns.abs() > Self::SET_NS {
-            self.later_ns += change_ns;
+            self.delay_ns += change_ns;
         }
-        self.apart_ns = Some(apart_ns);
+        self.true_minus_nominal_ns = Some(true_minus_nominal_ns);
     }
 }
 
@@ -122,20 +122,20 @@ impl Replay {
         Some(row.min(self.shared.rows - 1))
     }
 
-    /// Count of a channel at this time after a row, linearly interpolated. A terminal beyond the recorded ones counts 0.
-    fn count(&self, channel: usize, row: usize, later_ns: i64) -> u32 {
+    /// Count of a channel `after_ns` after the time of a row, linearly interpolated; 0 for a terminal that was not recorded.
+    fn count(&self, channel: usize, row: usize, after_ns: i64) -> u32 {
         let recorded = |row: usize| {
             let counts_of_row = self.counts.get(row * self.channels..)?.get(..self.channels)?;
             counts_of_row.get(channel).copied()
         };
         let rows_later =
-            usize::try_from(later_ns.div_euclid(self.period_ns).unsigned_abs()).unwrap_or(usize::MAX);
-        let row = if later_ns < 0 { row.saturating_sub(rows_later) } else { row.saturating_add(rows_later) };
+            usize::try_from(after_ns.div_euclid(self.period_ns).unsigned_abs()).unwrap_or(usize::MAX);
+        let row = if after_ns < 0 { row.saturating_sub(rows_later) } else { row.saturating_add(rows_later) };
         let Some(before) = recorded(row.min(self.shared.rows - 1)) else { return 0 };
         let Some(after) = recorded(row.saturating_add(1)) else { return before };
         // Counters wrap: the difference is signed.
         let step = f64::from(after.wrapping_sub(before) as i32);
-        let part = later_ns.rem_euclid(self.period_ns) as f64 / self.period_ns as f64;
+        let part = after_ns.rem_euclid(self.period_ns) as f64 / self.period_ns as f64;
         before.wrapping_add((step * part).round() as i64 as u32)
     }
 }
@@ -147,14 +147,14 @@ impl EncoderSource for Replay {
             played.fetch_max(row + 1, Ordering::AcqRel);
         }
         let pulses = self.pulses.get_mut(channel).filter(|_| row_now.is_some());
-        let later_ns = match (pulses, at.system_time_ns) {
+        let delay_ns = match (pulses, at.system_time_ns) {
             (Some(pulses), Some(nominal_ns)) => {
                 pulses.next(at.true_time_ns.saturating_sub(nominal_ns));
-                pulses.later_ns
+                pulses.delay_ns
             }
             _ => 0,
         };
-        Signal::Recorded { count: self.count(channel, row_now.unwrap_or_default(), later_ns) }
+        Signal::Recorded { count: self.count(channel, row_now.unwrap_or_default(), delay_ns) }
     }
 }
 

@@ -1,5 +1,5 @@
-//! The counter of the EL5021: period counting and interpolation, latch, reset, set, and errors at high speed. Behaviour
-//! and limits according to the terminal's documentation.
+//! The counter of the EL5021: period counting and interpolation, latch, reset, set, and errors at high speed. C is the input of
+//! the reference mark. Behaviour and limits according to the terminal's documentation.
 
 use super::mapping::{Inputs, Outputs};
 use crate::source::{Periods, Signal};
@@ -12,7 +12,7 @@ const FREQUENCY_MAX_HZ: [f64; 6] = [250e3, 250e3, 250e3, 170e3, 80e3, 40e3];
 const REDUCTION_START_HZ: [f64; 6] = [9000.0, 4500.0, 2500.0, 1500.0, 750.0, 650.0];
 /// Bits of interpolation that remain at any frequency.
 const REMAINING_BITS: u8 = 6;
-/// The threshold of the amplitude error is not published.
+/// Threshold of the amplitude error as a fraction of 1 Vpp, an assumption: it is not published.
 const AMPLITUDE_MIN: f64 = 0.5;
 
 /// Settings in the object dictionary.
@@ -89,7 +89,7 @@ impl Settings {
 pub struct Counter {
     /// Added to the encoder's position; in periods, so that it remains valid when the bits change.
     offset: Periods,
-    /// Counts start at the period of the first conversion.
+    /// The next conversion sets the number of whole periods to zero.
     begins_at_zero: bool,
     latch_armed: bool,
     latch_was_enabled: bool,

@@ -147,16 +147,10 @@ impl Device for El5021 {
             ],
         };
         let names = ["EL5021", "EL5021 1K. SinCos Encoder Interface 1Vpp", "MeasuringModules"];
-        // Type of the channel: 1 mailbox out, 2 mailbox in, 3 outputs, 4 inputs.
-        let mut kind = 0;
-        let sync_managers = SYNC_MANAGERS.map(|channel| {
-            kind += 1;
-            (channel.start, channel.length, channel.control, 1, kind)
-        });
         let (outputs_channel, inputs_channel) = (2, 3);
         let image = Image::new(&header, names, &GENERAL)
             .fmmus(&FMMU_USES)
-            .sync_managers(&sync_managers)
+            .sync_managers(&SYNC_MANAGERS)
             .tx_pdo(mapping::TX_PDO, inputs_channel, &mapping::tx_entries(self.revision))
             .rx_pdo(mapping::RX_PDO, outputs_channel, &mapping::rx_entries());
         ChipProfile {
