@@ -231,7 +231,8 @@ impl Bus {
         Ok(())
     }
 
-    /// Cycles in step with SYNC0 until every device is in OP: devices need process data to reach it.
+    /// Cycles until every device is in OP, which devices reach only with process data. Each frame follows SYNC0, which pulses at
+    /// multiples of the period on the bus time, by `sync0_shift`.
     fn wait_operational(&mut self, operational: &Operational, plan: &BusPlan) -> Result<(), BusError> {
         let period_ns = plan.cycle_period.as_nanos() as i64;
         let deadline = self.clock.now().plus_ns(OPERATIONAL_TIMEOUT_NS);

@@ -48,8 +48,8 @@ impl Stack {
         // Splitting fails only the second time; a storage made here was never split.
         #[allow(clippy::expect_used, reason = "the storage was made one line above")]
         let (tx, rx, pdu_loop) = storage.try_split().expect("fresh storage");
-        // Retries are for bringing the bus up: `Exchange::run_until` sends none. Devices that are polled until they are
-        // ready are polled with frames that may be repeated themselves.
+        // Retries are for bringing the bus up: `Exchange::run_until` sends none. EEPROM and mailbox are polled until they are
+        // ready, so their time-outs include the retries of a poll.
         let repeated = pdu_timeout * (BRING_UP_RETRIES as u32 + 1);
         let usual = Timeouts::default();
         let timeouts = Timeouts {
