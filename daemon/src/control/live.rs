@@ -200,7 +200,7 @@ pub(super) fn watch(
         status,
         observer,
         marks,
-        was_homed: true,
+        was_homing: false,
         due: scheduler.clock().now(),
         minute,
         moments,
@@ -218,8 +218,8 @@ struct MomentPublisher {
     observer: Observer,
     /// Reference marks that are being read.
     marks: Pending<Option<HomingConfig>>,
-    /// No homing was active at the previous moment.
-    was_homed: bool,
+    /// A homing was active at the previous moment.
+    was_homing: bool,
     /// When the next moment is due.
     due: MonoNs,
     minute: Arc<Mutex<Minute>>,
@@ -233,11 +233,11 @@ impl Stepper for MomentPublisher {
         }
         let status = self.status.borrow().clone();
         // Marks change only when a homing ends.
-        let is_homed = status.homing.as_ref().is_none_or(|homing| homing.is_over);
-        if is_homed && !self.was_homed {
+        let is_homing = status.homing.as_ref().is_some_and(|homing| !homing.is_over);
+        if self.was_homing && !is_homing {
             self.marks = start_reading_marks(&*self.scheduler, &self.disk, &self.settings.marks);
         }
-        self.was_homed = is_homed;
+        self.was_homing = is_homing;
         if let Some(Ok(marks)) = self.marks.poll() {
             self.observer.homing = marks;
         }
@@ -442,7 +442,7 @@ fn without_histograms(status: &Status) -> Status {
 /// One encoder's counter.
 struct Track {
     config: EncoderConfig,
-    /// Without reference mark and offset, both zero: angles are those of count differences.
+    /// From counts to radians; with reference mark and offset zero, so that it converts differences of counts.
     scale: EncoderScale,
     /// The reference mark that its angle counts from; otherwise that is the first sample.
     mark: Option<u32>,

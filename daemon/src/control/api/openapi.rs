@@ -85,6 +85,39 @@ impl Operation {
         let body = Some(SchemaGenerator::subschema_for::<B> as Describe);
         Self { method: "post", body, ..Self::get::<A>(path, summary) }
     }
+
+    /// Its description in the document; the schemas that it refers to are added to the generators.
+    fn describe(&self, request_schemas: &mut SchemaGenerator, reply_schemas: &mut SchemaGenerator) -> Value {
+        let content = match &self.answer {
+            Answer::Json(describe) => json!({"application/json": {"schema": describe(reply_schemas)}}),
+            Answer::Other(media_type) => json!({*media_type: {}}),
+        };
+        let refusal = reply_schemas.subschema_for::<Refusal>();
+        let mut described = json!({
+            "summary": self.summary,
+            "responses": {
+                StatusCode::OK.as_str(): {"description": "result", "content": content},
+                "default": {
+                    "description": "reason of the refusal, and what to do",
+                    "content": {"application/json": {"schema": refusal}},
+                },
+            },
+        });
+        if let Some(describe) = self.body {
+            let schema = describe(request_schemas);
+            described["requestBody"] =
+                json!({"required": true, "content": {"application/json": {"schema": schema}}});
+        }
+        let names = self.path.split('/').filter_map(|part| part.strip_prefix('{')?.strip_suffix('}'));
+        let parameter =
+            |name| json!({"name": name, "in": "path", "required": true, "schema": {"type": "string"}});
+        let option = |(name, meaning): &(&str, &str)| {
+            let schema = json!({"type": "boolean", "default": false});
+            json!({"name": name, "in": "query", "description": meaning, "schema": schema})
+        };
+        described["parameters"] = names.map(parameter).chain(self.options.iter().map(option)).collect();
+        described
+    }
 }
 
 /// The document, as JSON.
@@ -96,36 +129,9 @@ pub(super) fn document(operations: &[Operation]) -> Value {
     let mut reply_schemas = settings(SchemaSettings::draft2020_12()).for_serialize().into_generator();
     let mut paths: BTreeMap<String, Map<String, Value>> = BTreeMap::new();
     for operation in operations {
-        let Operation { path, summary, method, body, options, answer } = operation;
-        let content = match answer {
-            Answer::Json(describe) => json!({"application/json": {"schema": describe(&mut reply_schemas)}}),
-            Answer::Other(media_type) => json!({*media_type: {}}),
-        };
-        let refusal = reply_schemas.subschema_for::<Refusal>();
-        let mut described = json!({
-            "summary": summary,
-            "responses": {
-                StatusCode::OK.as_str(): {"description": "result", "content": content},
-                "default": {
-                    "description": "reason of the refusal, and what to do",
-                    "content": {"application/json": {"schema": refusal}},
-                },
-            },
-        });
-        if let Some(describe) = body {
-            let schema = describe(&mut request_schemas);
-            described["requestBody"] =
-                json!({"required": true, "content": {"application/json": {"schema": schema}}});
-        }
-        let names = path.split('/').filter_map(|part| part.strip_prefix('{')?.strip_suffix('}'));
-        let parameter =
-            |name| json!({"name": name, "in": "path", "required": true, "schema": {"type": "string"}});
-        let option = |(name, meaning): &(&str, &str)| {
-            let schema = json!({"type": "boolean", "default": false});
-            json!({"name": name, "in": "query", "description": meaning, "schema": schema})
-        };
-        described["parameters"] = names.map(parameter).chain(options.iter().map(option)).collect();
-        paths.entry(format!("/api{path}")).or_default().insert((*method).to_owned(), described);
+        let described = operation.describe(&mut request_schemas, &mut reply_schemas);
+        let of_path = paths.entry(format!("/api{}", operation.path)).or_default();
+        of_path.insert(operation.method.into(), described);
     }
     let refused = REFUSALS.map(|(code, reason)| (code.as_str().to_owned(), json!({"description": reason})));
     let mut schemas = request_schemas.take_definitions(true);

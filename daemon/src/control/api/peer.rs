@@ -53,7 +53,7 @@ fn owner(own: SocketAddr, other: SocketAddr) -> Option<Uid> {
         .find_map(|table| table.lines().find_map(owner_in))
 }
 
-/// An IPv4 address as the kernel's table has it.
+/// An IPv4 address and port as the kernel's table has them: hexadecimal, the address in the byte order of the machine.
 fn in_table(address: SocketAddr) -> Option<String> {
     let SocketAddr::V4(address) = address else { return None };
     Some(format!("{:08X}:{:04X}", u32::from_ne_bytes(address.ip().octets()), address.port()))

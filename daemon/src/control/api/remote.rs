@@ -222,6 +222,7 @@ impl Gate {
         (headers, Html("<a href=\"/\">The page</a>")).into_response()
     }
 
+    /// Refuses a request whose token is wrong or else missing; a browser that requests the page gets a form for the token.
     fn refused(&self, is_wrong: bool, asks_for_page: bool, now: MonoNs) -> Response {
         const TOKEN_PLACE: &str = "it is in the file `token` of the service's state directory (`ballbard status` on its \
              machine shows it); open the page with /?token=TOKEN, or send it as `Authorization: Bearer TOKEN`";

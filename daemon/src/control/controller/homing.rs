@@ -75,6 +75,7 @@ impl Homing {
         }));
     }
 
+    /// Ends the homing with this outcome; returns true, as [`Self::poll`] does at the end.
     fn finish(&mut self, marks: &MarksFile, saved: Result<(), HomingError>) -> bool {
         self.saving = None;
         self.status.is_over = true;
