@@ -59,11 +59,12 @@ impl Configuration {
         Self { gimbal: Side::of(bar_rad[1]), cardan: Side::of(bar_rad[3]) }
     }
 
-    /// The same pose in this configuration, each joint in (-pi, pi].
+    /// The angles of the same pose in this configuration, each in (-pi, pi].
     pub fn carry(self, bar_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
         self.carry_from(Self::of(bar_rad), bar_rad).map(wrapped)
     }
 
+    /// As [`Self::carry`], but from a known configuration, and with whole turns left in the angles.
     fn carry_from(self, from: Self, bar_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
         let mut b = *bar_rad;
         if from.gimbal != self.gimbal {
@@ -131,7 +132,7 @@ fn joints_from_angles(chain: &Chain, angles_rad: &[f64; BAR_JOINTS]) -> [f64; BA
     joints
 }
 
-/// The first configuration, and the angles of the links in it (joint variable + theta) \[rad\].
+/// The first of [`Configuration::ALL`], and the angles of the links in it (joint variable + theta) \[rad\].
 fn inverse_in_first(
     chain: &Chain,
     target: &Pose,

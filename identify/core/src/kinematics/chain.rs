@@ -15,9 +15,9 @@ pub const LENGTH_M_MAX: f64 = 4.0;
 /// and yaw is determined: roll is computed last, from yaw and pitch, so that the sum is exact.
 pub fn roll_pitch_yaw(rotation: &Rotation3<f64>) -> [f64; 3] {
     let r = rotation.matrix();
-    let across = r[(0, 0)].hypot(r[(1, 0)]);
-    let yaw = if across < 1e-12 { 0.0 } else { r[(1, 0)].atan2(r[(0, 0)]) };
-    let pitch = (-r[(2, 0)]).atan2(across);
+    let cos_pitch = r[(0, 0)].hypot(r[(1, 0)]);
+    let yaw = if cos_pitch < 1e-12 { 0.0 } else { r[(1, 0)].atan2(r[(0, 0)]) };
+    let pitch = (-r[(2, 0)]).atan2(cos_pitch);
     let about_x = Rotation3::from_euler_angles(0.0, pitch, yaw).inverse() * rotation;
     [about_x[(2, 1)].atan2(about_x[(1, 1)]), pitch, yaw]
 }

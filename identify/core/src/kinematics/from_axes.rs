@@ -21,8 +21,8 @@ pub struct AxisLine {
     pub direction: Vector3<f64>,
 }
 
-/// Directions with a smaller sine are parallel up to calibration and rounding: the position of their common normal is
-/// arbitrary.
+/// Directions with a smaller sine of the angle between them are parallel up to errors of calibration and rounding: the position
+/// of their common normal is arbitrary.
 const NEARLY_PARALLEL: f64 = 1e-3;
 /// For directions with a smaller sine, Hayati's link is used if the common normal is further away than the longest link.
 /// The plane across one axis intersects the other one within about the link's own length.
@@ -58,13 +58,14 @@ impl Chain {
             frame *= link.transform(0.0);
             links.push(link);
         }
-        // It is a rotation about the end's z and a shift along it; the last link cannot include either.
+        // The remainder is a rotation about the end's z and a shift along it; the last link cannot include either.
         let last_from_end = frame.inverse() * end;
         let last_from_end = if is_identity(&last_from_end) { Pose::identity() } else { last_from_end };
         Self { root_from_base, links, last_from_end }
     }
 }
 
+/// Whether a pose is the identity up to rounding. The trace excludes half a turn, whose rotation vector is zero as well.
 fn is_identity(pose: &Pose) -> bool {
     pose.translation.vector.norm() < ROUNDING
         && rotation_vector(pose.rotation.matrix()).norm() < ROUNDING
@@ -117,7 +118,8 @@ fn link_to(frame: &Pose, next: &AxisLine, plane_m: f64) -> DhLink {
             ..DhLink::default()
         };
     }
-    // The common normal is along x. For two intersecting lines, x with the smaller rotation.
+    // The common normal is along x. For two intersecting lines, x with the smaller rotation about z.
+    // In the axes (x, z cross x, z) the direction u is (0, -sin alpha, cos alpha).
     let normal = Vector3::new(-u.y, u.x, 0.0) / sine;
     let length = normal.dot(&foot);
     let x = match snapped(length) {

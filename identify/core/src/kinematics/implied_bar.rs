@@ -17,7 +17,8 @@ pub const ROD_LINK: usize = 2;
 /// After a step this short the next one is a rounding error: convergence is quadratic.
 const STEP_RAD_LAST: f64 = 1e-9;
 const ITERATIONS_MAX: usize = 20;
-/// Of configurations that fit the measured joints equally well the first one is selected, independent of rounding errors.
+/// Sums of squared differences \[rad^2\] closer than this are equal: of configurations that fit the measured joints equally well
+/// the first one is selected, independent of rounding errors.
 const TIE: f64 = 1e-6;
 
 /// Joints of the bar at a pose, and their derivatives.

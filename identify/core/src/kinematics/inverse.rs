@@ -141,7 +141,8 @@ pub(super) fn point_z(
     (first, second)
 }
 
-/// Angles of three perpendicular axes: `Rz(t0) Rx(signs0 90) Rz(t1) Rx(signs1 90) Rz(t2) = rotation`.
+/// Angles of three perpendicular axes: `Rz(t0) Rx(signs0 90) Rz(t1) Rx(signs1 90) Rz(t2) = rotation`; `side` and
+/// `first_if_free` as in [`point_z`].
 pub(super) fn wrist_angles(
     rotation: &Matrix3<f64>,
     signs: [f64; 2],
@@ -189,8 +190,8 @@ pub fn rotation_vector(rotation: &Matrix3<f64>) -> Vector3<f64> {
     if sine < 1e-9 { 0.5 * twice_sine } else { twice_sine * (0.5 * angle / sine) }
 }
 
-/// Gauss-Newton on the given chain: Newton's method for six joints; for more joints the step of least norm. Metres and radians
-/// have equal weight.
+/// Joint variables \[rad, m\] at which the end of `chain` is closest to `target`, by Gauss-Newton from `start`: Newton's method
+/// for six joints; for more joints the step of least norm. Metres and radians have equal weight.
 pub(super) fn refine<const N: usize>(
     chain: &Chain,
     target: &Pose,

@@ -48,8 +48,8 @@ impl Joints {
 
     /// The same function of each number.
     #[must_use]
-    pub fn map(mut self, function: impl FnMut(f64) -> f64 + Copy) -> Self {
-        self.iter_mut().for_each(|value| *value = { function }(*value));
+    pub fn map(mut self, mut function: impl FnMut(f64) -> f64) -> Self {
+        self.iter_mut().for_each(|value| *value = function(*value));
         self
     }
 }

@@ -64,12 +64,12 @@ impl Arm {
         let [sign1, sign3, ..] = self.signs;
         let [x, y, z] = wrist_m;
         // Along axis 2 the wrist is at the shoulder's offset: x sin t1 - y cos t1 = sign1 shoulder.
-        let Some(lean) = clamped(sign1 * self.shoulder_m / x.hypot(y)).map(f64::asin) else {
+        let Some(from_azimuth) = clamped(sign1 * self.shoulder_m / x.hypot(y)).map(f64::asin) else {
             return Vec::new();
         };
         let azimuth = y.atan2(x);
         let mut solutions = Vec::with_capacity(4);
-        for t1 in [azimuth + lean, azimuth + std::f64::consts::PI - lean] {
+        for t1 in [azimuth + from_azimuth, azimuth + std::f64::consts::PI - from_azimuth] {
             // Wrist from axis 2, in the plane across that axis.
             let (s1, c1) = t1.sin_cos();
             let (out, up) = (c1 * x + s1 * y - self.a1_m, sign1 * (z - self.d1_m));
@@ -197,7 +197,7 @@ fn six_axes(chain: &Chain, target: &Pose, near: &[f64]) -> Result<Joints, Invers
 /// the given chain are omitted.
 ///
 /// # Errors
-/// As [`robot_inverse`], where none is left; [`InverseError::Structure`], [`InverseError::Prismatic`] and
+/// As [`robot_inverse`], if no solution converges; [`InverseError::Structure`], [`InverseError::Prismatic`] and
 /// [`InverseError::Links`] for another kind of arm, which may have more solutions than can be listed.
 pub fn robot_inverse_all(chain: &Chain, target: &Pose) -> Result<Vec<Joints>, InverseError> {
     let mut failure = InverseError::unreachable(target);

@@ -293,7 +293,7 @@ impl Tracer {
         self.pass(trace, joints, |link, joint| (link.theta.and(joint), link.d_m));
     }
 
-    /// `about_z` returns rotation and offset of a link at its joint variable.
+    /// Forward pass along all links; `about_z` returns a link's rotation about z and offset along z \[m\] at its joint variable.
     #[inline]
     fn pass<J>(
         &self,
