@@ -75,7 +75,7 @@ pub(super) fn read(
     raw.finish(clock.unwrap_or_else(|| clock_name(stamped).into()))
 }
 
-/// `None` for anything but a count or an angle: drivers publish NaN for missing values.
+/// A position of a joint as a count: as it is, or from an angle. `None` if it is neither: drivers publish NaN for missing values.
 fn count_of(value: f64, reading: &Reading) -> Option<i64> {
     /// Whole numbers are exact up to here.
     const EXACT: f64 = 9_007_199_254_740_992.0;

@@ -208,25 +208,24 @@ impl RawBarLog {
             self.mark_repeated(&mut cycles);
             self.mark_origins(&mut cycles);
         }
-        let stamps_s = self.stamps_s();
+        let stamps_s = since_first_s(&self.rows.iter().map(|row| row.stamp_ns).collect::<Vec<_>>());
         self.remark_counts();
-        let Kind { name, is_dated, .. } = self.kind;
         let (unknown, unwrapped) = (self.unknown(), self.unwrapped(&cycles, &stamps_s));
         let encoders = self.readings.iter().map(|reading| reading.info).collect();
-        let quality = self.quality;
         Ok(OtherBarLog {
-            kind: name,
+            kind: self.kind.name,
             clock,
-            is_dated,
+            is_dated: self.kind.is_dated,
             encoders,
             cycles,
-            quality,
+            quality: self.quality,
             unwrapped,
             unknown,
             simulated: false,
         })
     }
 
+    /// One record for each row, with counts that wrap at 32 bits.
     fn cycles(&mut self) -> Vec<CycleRecord> {
         let mut cycles = Vec::with_capacity(self.rows.len());
         let mut origin = 0;
@@ -367,36 +366,35 @@ impl RawBarLog {
 
     /// The encoders that wrapped, as the file shows them and as they were followed.
     fn unwrapped(&self, cycles: &[CycleRecord], stamps_s: &[f64]) -> Vec<Unwrapped> {
-        let of_encoder = |(encoder, reading): (usize, &Reading)| {
-            let scale = &reading.info.scale;
-            let period_rad =
-                if reading.is_counts() { reading.wraps_at as f64 * scale.rad_per_count() } else { TAU };
-            let of_part = |cycles: &[CycleRecord]| {
-                let (mut unwrapper, mut first) = (Unwrapper::default(), None);
-                let points = cycles.iter().filter(|cycle| cycle.is_valid()).filter_map(|cycle| {
-                    let number = usize::try_from(cycle.cycle).ok()?;
-                    let row = self.rows.get(number)?;
-                    let counts = unwrapper.next(cycle.encoders[encoder].count);
-                    let from_first = counts - *first.get_or_insert(counts);
-                    Some(UnwrappedPoint {
-                        t_s: *stamps_s.get(number)?,
-                        shown_rad: row.counts[encoder]? as f64 * scale.rad_per_count(),
-                        continuous_rad: (scale.direction.sign() * from_first) as f64 * scale.rad_per_count(),
-                    })
-                });
-                let points: Vec<UnwrappedPoint> = points.collect();
-                Unwrapped::find(format!("b{}", reading.info.joint), period_rad, points.len(), |at| points[at])
-            };
-            // A counter that lost its origin has any count next.
-            let is_continued = |cycle: &CycleRecord, next: &CycleRecord| cycle.origin == next.origin;
-            Unwrapped::of_parts(cycles.chunk_by(is_continued).map(of_part))
+        // A counter that lost its origin has any count next.
+        let is_continued = |cycle: &CycleRecord, next: &CycleRecord| cycle.origin == next.origin;
+        let of_encoder = |encoder: usize| {
+            let parts = cycles.chunk_by(is_continued);
+            Unwrapped::of_parts(parts.map(|part| self.unwrapped_part(encoder, part, stamps_s)))
         };
-        self.readings.iter().enumerate().filter_map(of_encoder).collect()
+        (0..self.readings.len()).filter_map(of_encoder).collect()
     }
 
-    /// Since the first row \[s\].
-    fn stamps_s(&self) -> Vec<f64> {
-        since_first_s(&self.rows.iter().map(|row| row.stamp_ns).collect::<Vec<_>>())
+    /// One encoder in cycles with one origin, if it wrapped in them.
+    fn unwrapped_part(&self, encoder: usize, cycles: &[CycleRecord], stamps_s: &[f64]) -> Option<Unwrapped> {
+        let reading = self.readings.get(encoder)?;
+        let scale = &reading.info.scale;
+        let period_rad =
+            if reading.is_counts() { reading.wraps_at as f64 * scale.rad_per_count() } else { TAU };
+        let (mut unwrapper, mut first) = (Unwrapper::default(), None);
+        let points = cycles.iter().filter(|cycle| cycle.is_valid()).filter_map(|cycle| {
+            let number = usize::try_from(cycle.cycle).ok()?;
+            let row = self.rows.get(number)?;
+            let counts = unwrapper.next(cycle.encoders[encoder].count);
+            let from_first = counts - *first.get_or_insert(counts);
+            Some(UnwrappedPoint {
+                t_s: *stamps_s.get(number)?,
+                shown_rad: row.counts[encoder]? as f64 * scale.rad_per_count(),
+                continuous_rad: (scale.direction.sign() * from_first) as f64 * scale.rad_per_count(),
+            })
+        });
+        let points: Vec<UnwrappedPoint> = points.collect();
+        Unwrapped::find(format!("b{}", reading.info.joint), period_rad, points.len(), |at| points[at])
     }
 
     fn remark_counts(&mut self) {

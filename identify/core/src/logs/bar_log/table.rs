@@ -220,7 +220,7 @@ fn is_true(table: &Table<'_>, row: &Row, column: &Column) -> Result<bool, LogErr
     }
 }
 
-/// Names of flags as `ballbard export` writes them.
+/// Bits of the flags that a cell names, separated by blanks, as `ballbard export` writes them.
 fn flags_of(table: &Table<'_>, row: &Row, column: &Column) -> Result<u32, LogError> {
     let mut bits = 0;
     for word in table.text(row, column).split_whitespace() {

@@ -36,6 +36,7 @@ pub enum ForceUnit {
 }
 
 impl ForceUnit {
+    /// Factor to newtons or newton metres.
     const fn to_si(self) -> f64 {
         match self {
             Self::N | Self::Nm | Self::Sign => 1.0,
@@ -84,7 +85,7 @@ impl ForceColumns {
         }
     }
 
-    /// Number of columns and unit go together.
+    /// Checks that number of columns and unit go together.
     pub(in crate::logs) fn check(&self) -> Result<(), Violation> {
         let fits = match (self.columns.len(), self.unit) {
             (columns, ForceUnit::Nm) => columns == 0 || (AXES_MIN..=AXES_MAX).contains(&columns),
@@ -105,6 +106,7 @@ impl ForceColumns {
 /// The columns of an open table.
 pub(in crate::logs) struct ForceLayout {
     kind: ForceKind,
+    /// Each with its factor to newtons or newton metres.
     columns: Vec<(Column, f64)>,
     /// Whether a comment may state that the axes are those of the base.
     frame_in_comment: bool,

@@ -119,6 +119,7 @@ fn declared_clock(table: &Table<'_>, path: &Path) -> Result<ForceClock, LogError
     })
 }
 
+/// All rows of the table \[N or N m\]; a repetition of the row before is left out.
 fn rows(
     table: &mut Table<'_>,
     path: &Path,

@@ -79,7 +79,7 @@ pub struct ForceLog {
 }
 
 impl ForceLog {
-    /// A force whose rows are interpolated over gaps of up to 0.1 s (`GAP_S_MIN` for joints), or 3.5 periods of a slower log.
+    /// A force whose rows are interpolated over gaps of up to 0.1 s, twice as long as for joints, or 3.5 periods of a slower log.
     pub fn new(clock: ForceClock, kind: ForceKind, values: Stream<Joints>) -> Self {
         let gap_limit_s = (3.5 * values.period_s()).max(0.1);
         Self { clock, kind, values: values.with_gap_limit(gap_limit_s) }

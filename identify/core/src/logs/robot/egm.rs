@@ -57,6 +57,7 @@ struct EgmRobot {
 }
 
 impl EgmRobot {
+    /// `feedBack.time`, since 1970; `None` if the controller does not set it.
     fn utc_ns(&self) -> Option<i64> {
         let EgmClock { sec, usec } = self.feed_back.as_ref()?.time.filter(|time| time.sec > 0)?;
         i64::try_from(sec)

@@ -21,14 +21,14 @@ use crate::statistics::{extremes, largest_difference};
 use crate::threads;
 
 /// Joint values may pass the nominal limits by this much before a log is refused \[deg\]: zero positions of real
-/// robots differ a little from the data sheet. Prismatic axes by as much times one metre.
+/// robots differ a little from the data sheet. Prismatic axes by 35 mm, its value in radians as metres.
 const LIMIT_SLACK_DEG: f64 = 2.0;
 /// Least motion of some joint for a log that can identify anything \[deg\].
 const MOTION_DEG_MIN: f64 = 5.0;
 /// Wrists of small robots reach 1500 deg/s, within 0.13 s.
 const FASTEST: Fastest = Fastest { speed: 30.0, acceleration: 200.0 };
 
-/// One row of a log in the file's own units.
+/// One row of a log, in the units that its [`Meaning`] converts.
 #[derive(Debug, Clone, Default)]
 pub(in crate::logs) struct RawRow {
     /// Line or number in the file.
@@ -59,7 +59,7 @@ pub(in crate::logs) struct RawLog {
     pub clock: String,
     pub origin: Origin,
     pub remarks: Vec<String>,
-    /// Kind of the rows' force, if they have one; missing joint torques are taken from the torques.
+    /// Kind of the rows' force on the bar, if they have one. Joint torques without columns of their own are the rows' torques.
     pub force: Option<ForceKind>,
 }
 
@@ -93,7 +93,8 @@ impl<'a> Meaning<'a> {
     }
 
     /// For joints in degrees, prismatic ones in millimetres or as a mapping states: the conversion of a mapping with joints, or
-    /// of the robot's configuration. Also the factors of the values before it: a mapping converts from radians and metres.
+    /// of the robot's configuration. Returns also the factors by which values are multiplied before: the conversion of a mapping
+    /// is from radians and metres.
     pub fn of_degrees(
         robot: &'a RobotConfig,
         mapping: Option<&RobotLogMapping>,
@@ -212,28 +213,7 @@ impl RawLog {
             std::mem::take(&mut self.more).map(|values| (!values.is_empty()).then_some(values));
         let speed_rad_s =
             speeds.map(|speeds| speeds.iter().map(|row| meaning.conversion.to_joint_rate(row)).collect());
-        let on_joints = |rows: &Vec<Joints>| -> Vec<Joints> {
-            rows.iter().map(|row| meaning.conversion.to_joint_torque(row)).collect()
-        };
-        let bar_force = self.force.and_then(|kind| {
-            let values = match kind {
-                ForceKind::JointTorques => {
-                    let torques = force_columns.or_else(|| torque.clone())?;
-                    let within = torques.iter().flatten().all(|torque| torque.abs() <= FORCE_MAX);
-                    on_joints(within.then_some(&torques)?)
-                }
-                _ => force_columns?,
-            };
-            let forces = Stream::new(q_rad.first_stamp_ns, q_rad.t_s.clone(), values);
-            Some(ForceLog::new(ForceClock::Robot, kind, forces))
-        });
-        if self.force.is_some() && bar_force.is_none() {
-            self.remarks.push(format!(
-                "the force on the bar is not used: some {}s have none where the mapping says, or one of more than 1e7 Nm; \
-                 correct the mapping, or give the force in a table of its own with --force-log",
-                self.what
-            ));
-        }
+        let force = self.bar_force(force_columns, torque.as_deref(), meaning, &q_rad);
         let quality = self.quality(&q_rad);
         Ok(RobotLog {
             robot: self.robot,
@@ -242,12 +222,39 @@ impl RawLog {
             q_rad: q_rad.into(),
             speed_rad_s,
             torque,
-            force: bar_force,
+            force,
             quality,
         })
     }
 
-    /// Single rows with the joints of the row before, in the middle of a motion, under a new stamp.
+    /// The force on the bar at the stamps of the joints; a remark if the log should have one but lacks it.
+    fn bar_force(
+        &mut self,
+        columns: Option<Vec<Joints>>,
+        torque: Option<&[Joints]>,
+        meaning: &Meaning<'_>,
+        q_rad: &Stream<Joints>,
+    ) -> Option<ForceLog> {
+        let kind = self.force?;
+        let values: Option<Vec<Joints>> = match kind {
+            ForceKind::JointTorques => columns.as_deref().or(torque).and_then(|torques| {
+                let within = torques.iter().flatten().all(|torque| torque.abs() <= FORCE_MAX);
+                within.then(|| torques.iter().map(|row| meaning.conversion.to_joint_torque(row)).collect())
+            }),
+            _ => columns,
+        };
+        if values.is_none() {
+            self.remarks.push(format!(
+                "the force on the bar is not used: some {}s have none where the mapping says, or one of more than 1e7 Nm; \
+                 correct the mapping, or give the force in a table of its own with --force-log",
+                self.what
+            ));
+        }
+        let forces = Stream::new(q_rad.first_stamp_ns, q_rad.t_s.clone(), values?);
+        Some(ForceLog::new(ForceClock::Robot, kind, forces))
+    }
+
+    /// Removes single rows with the joints of the row before, in the middle of a motion, under a new stamp.
     fn drop_repeated(&mut self, meaning: &Meaning<'_>) {
         let joint = |row: usize| meaning.conversion.to_joint(&self.joints[row]);
         let step = |from: usize, to: usize| largest_difference(&joint(from), &joint(to));
@@ -256,7 +263,7 @@ impl RawLog {
         self.remove(&repeated);
     }
 
-    /// Invalid rows would be interpolated, and change the motion by which the clocks are compared.
+    /// Removes rows that jump away and back: they would be interpolated, and change the motion by which the clocks are compared.
     fn drop_excursions(&mut self, meaning: &Meaning<'_>) -> Result<(), LogError> {
         let q = threads::rows(self.joints.len(), |row| meaning.conversion.to_joint(&self.joints[row]));
         let kinds: Vec<JointKind> = meaning.robot.joint_kinds().collect();
@@ -361,6 +368,7 @@ impl RawLog {
             .into()
     }
 
+    /// The log's quality with all remarks, at the end of the checks.
     fn quality(&mut self, q_rad: &[Joints]) -> LogQuality {
         let mut quality = std::mem::take(&mut self.quality);
         quality.remarks.append(&mut self.remarks);

@@ -46,7 +46,7 @@ pub(in crate::logs) fn read(
     let telegrams = parse(text, path, element)?;
     check_counter(&telegrams, path, mapping.is_some_and(|mapping| mapping.time.is_some()))?;
     for (telegram, number) in telegrams.iter().zip(1u64..) {
-        let ipoc =
+        let stamp_ns =
             telegram.ipoc.and_then(|ipoc| stamps.of_units(ipoc)).ok_or_else(|| LogError::BadRecord {
                 path: path.to_owned(),
                 place: format!("telegram {number}"),
@@ -57,7 +57,7 @@ pub(in crate::logs) fn read(
         let joints_deg = telegram.joints_deg.unwrap_or([f64::NAN; AXES.len()]);
         let joint = |axis: usize| joints_deg.get(axis).map_or(f64::NAN, |value| value * to_unit[axis]);
         let joints = Joints::from_fn(robot.axes(), joint);
-        raw.push(RawRow { place: number, stamp_ns: ipoc, joints, ..RawRow::default() })?;
+        raw.push(RawRow { place: number, stamp_ns, joints, ..RawRow::default() })?;
     }
     raw.finish(&meaning)
 }
@@ -77,6 +77,7 @@ fn check_counter(telegrams: &[Telegram], path: &Path, unit_is_given: bool) -> Re
     }
 }
 
+/// The joints in `element` and the counters of all telegrams.
 fn parse(text: &str, path: &Path, element: &str) -> Result<Vec<Telegram>, LogError> {
     let mut reader = Reader::from_str(text);
     reader.config_mut().check_end_names = false;

@@ -131,11 +131,8 @@ pub(in crate::logs) fn read_rtde(source: Source<'_>, robot: &RobotConfig) -> Res
     let as_is = vec![1.0; robot.axes()];
     let remedy = "Record timestamp and actual_q; add actual_qd and actual_current if you like.";
     let optional = |names: &Columns| {
-        names
-            .iter()
-            .all(|name| table.has(name))
-            .then(|| find_columns(table, names, &as_is, remedy))
-            .transpose()
+        let are_all_there = names.iter().all(|name| table.has(name));
+        are_all_there.then(|| find_columns(table, names, &as_is, remedy)).transpose()
     };
     let meaning = Meaning::of_controller(robot, AngleUnit::Rad, columns("q"), LogFormat::UrRtde, path)?;
     let mut layout = Layout {

@@ -48,6 +48,7 @@ pub(super) fn read(bytes: &[u8], path: &Path) -> Result<Bag, LogError> {
     Ok(bag)
 }
 
+/// Adds a remark that the bag breaks off here; an error if no joint states are before.
 fn broken_off(bag: &mut Bag, error: &McapError, path: &Path) -> Result<(), LogError> {
     let messages: usize = bag.topics.iter().map(|topic| topic.messages.len()).sum();
     if messages == 0 {

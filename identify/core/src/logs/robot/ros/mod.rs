@@ -80,7 +80,7 @@ pub(in crate::logs) fn read(
     raw.finish(&meaning)
 }
 
-/// A force is in a bag as efforts of the joints; columns are of tables.
+/// Kind of the force that a mapping states. A bag has it as efforts of the joints only: an error if the mapping names columns.
 fn kind_of_efforts(force: &ForceColumns, path: &Path) -> Result<ForceKind, LogError> {
     if force.columns.is_empty() {
         return Ok(force.kind());
