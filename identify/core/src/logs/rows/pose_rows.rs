@@ -158,7 +158,7 @@ impl JointTableMapping {
     }
 }
 
-/// A delimiter that can separate the cells; `key` is where it was written.
+/// Checks that the delimiter can separate cells and is not the decimal comma; `key` is its key in the mapping.
 pub(in crate::logs) fn check_format(
     key: &str,
     delimiter: char,
@@ -178,7 +178,7 @@ pub(in crate::logs) fn check_format(
     )
 }
 
-/// The joints of a mapping are those of the robot.
+/// Checks that the joints of a mapping are the axes of the robot.
 ///
 /// # Errors
 /// [`LogError::Content`] if their number or kinds differ.

@@ -29,17 +29,17 @@ pub(in crate::logs) struct Text<'a> {
     decoder: Option<Decoder>,
     /// A line whose end was not read yet, in UTF-8 or Windows-1252.
     begun: Vec<u8>,
-    /// Whole lines, but for those that were read and counted. They begin at `lines_at`; this and the other places are offsets in
-    /// the whole decoded text.
+    /// Decoded whole lines, without those that were both read and counted. They begin at `lines_at`; this and the next three
+    /// numbers are offsets in the whole decoded text.
     lines: String,
     lines_at: usize,
-    /// The text is read up to here,
+    /// The text is read up to this offset.
     read_to: usize,
-    /// the table begins here,
+    /// The table begins at this offset.
     table_at: usize,
-    /// lines are counted up to here,
+    /// Lines are counted up to this offset.
     counted_to: usize,
-    /// and the next one has this number.
+    /// Number of the line at `counted_to`, from 1.
     line: u64,
     comments: Vec<(String, String)>,
     is_at_end: bool,

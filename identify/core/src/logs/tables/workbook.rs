@@ -9,6 +9,12 @@ use zip::ZipArchive;
 /// An Excel workbook is a ZIP archive; no text begins so.
 const ZIP: &[u8] = b"PK\x03\x04";
 
+/// Cells by row and column, from 0.
+pub(super) type Rows = BTreeMap<u32, BTreeMap<u32, String>>;
+
+/// A sheet's name and cells.
+pub(super) type Sheet = (String, Rows);
+
 /// Whether the bytes are a workbook.
 pub(in crate::logs) fn is_workbook(bytes: &[u8]) -> bool {
     bytes.starts_with(ZIP)
@@ -34,9 +40,6 @@ pub(super) fn text_of_sheet(bytes: &[u8], wanted: Option<&str>) -> Result<String
     }
 }
 
-/// A sheet's name and cells.
-pub(super) type Sheet = (String, Rows);
-
 /// The sheets of a workbook that have any cell.
 pub(super) fn sheets(bytes: &[u8]) -> Result<Vec<Sheet>, String> {
     // The parser does not verify what it unpacks: the checksums of the archive are checked first.
@@ -60,9 +63,6 @@ fn check_archive(bytes: &[u8]) -> Result<(), zip::result::ZipError> {
     }
     Ok(())
 }
-
-/// Cells by row and column, from 0.
-pub(super) type Rows = BTreeMap<u32, BTreeMap<u32, String>>;
 
 fn rows(workbook: &mut Xlsx<Cursor<&[u8]>>, sheet: &str) -> Result<Rows, calamine::XlsxError> {
     let mut rows = Rows::new();

@@ -53,6 +53,7 @@ impl<S: Fn(usize, usize, usize) -> f64> Excursions<'_, S> {
         let noise: Vec<f64> =
             (0..self.columns).map(|column| NOISE_QUARTILES * self.second_difference(column, every)).collect();
         let (mut excursions, mut before) = (Vec::new(), 0);
+        // Change of each value per row, up to the row `before` and from it.
         let (mut last_step, mut next_step) = (vec![0.0; self.columns], vec![0.0; self.columns]);
         let step_per_row = |from: usize, to: usize, per_row: &mut [f64]| {
             for (column, per_row) in per_row.iter_mut().enumerate() {

@@ -48,7 +48,7 @@ pub(in crate::logs) fn find_clock(stamps_s: Vec<f64>, rows: &[Joints]) -> Option
     /// 1.001; where the stamps are right, even times come to 1.1 and more as soon as they move joints by half of their noise.
     const AS_SMOOTH: f64 = 1.1;
     let t_s = &*stamps_s;
-    // The motion is compared only where it decides: long logs have millions of rows.
+    // Even stamps without missing rows need no comparison with the motion, which takes long for millions of rows.
     let even = already_even(t_s);
     if let Some(EvenStamps { stamps, .. }) = even.as_ref().filter(|even| even.stamps.missing == 0) {
         return Some(Sampling { stamps: stamps.clone(), t_s: stamps_s });
@@ -70,7 +70,8 @@ pub(in crate::logs) fn find_clock(stamps_s: Vec<f64>, rows: &[Joints]) -> Option
         }
     };
     let grid_s = find_grid(t_s);
-    // Where joints rest, a row that is missing and a clock that passes from cell to cell look the same: they decide nothing.
+    // Where joints rest, a missing row and a clock that passes from one cell of the grid to the next look the same: they decide
+    // nothing.
     let known: Vec<bool> = explanations[0].iter().map(Option::is_some).collect();
     let missing_by_stamps = even.as_ref().map_or(0, |even| missing(even.periods.iter().copied(), &known));
     let candidates = explanations.iter().filter(|_| moves).filter_map(|periods| {
@@ -122,7 +123,8 @@ struct Numbered {
 }
 
 impl Numbered {
-    /// Each row follows the one before it, unless the motion, or a deviation beyond rounding and jitter, shows otherwise.
+    /// Numbers the rows and fits the clock. Each row follows the one before it, unless the motion, or a deviation beyond rounding
+    /// and jitter, shows otherwise. `None` if no clock fits.
     fn new(t_s: &[f64], motion: &[Option<f64>], grid_s: Option<f64>) -> Option<Self> {
         /// Rounding moves two stamps by up to one grid against each other; the phase of the clock is known to a quarter of it.
         const ROUNDED: f64 = 1.25;
@@ -154,9 +156,9 @@ impl Numbered {
     }
 
     /// Length of the description of even stamps \[nats\], beyond that of their own clock, which all explanations share: which rows
-    /// are missing, in which cell of the grid a stamp is if not in that of rounding, where the stamps' clock was set and by how
-    /// much, and phase and rate of another clock, if rows have one that passes from cell to cell. Missing rows count where the
-    /// motion is `known`.
+    /// are missing, in which cell of the grid a stamp is where rounding does not explain it, where the stamps' clock was set and by
+    /// how much, and phase and rate of another clock, if rows have one that passes from cell to cell. Missing rows count where
+    /// the motion is `known`.
     fn description(&self, known: &[bool]) -> f64 {
         /// `sqrt(2 pi e)`: its logarithm is the differential entropy of a normal distribution of unit deviation, here in cells.
         const CELLS: f64 = 4.13;

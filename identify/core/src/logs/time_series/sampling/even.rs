@@ -20,6 +20,7 @@ pub(super) fn already_even(t_s: &[f64]) -> Option<EvenStamps> {
     let usual_s = median(&mut steps_s)?;
     let pairs = t_s.windows(2).map(|pair| pair[1] - pair[0]);
     let periods: Vec<f64> = pairs.clone().map(|step_s| (step_s / usual_s).round()).collect();
+    // The memory is used again: logs have millions of rows.
     let mut off_s = steps_s;
     off_s.clear();
     off_s.extend(pairs.zip(&periods).map(|(step_s, periods)| (step_s - periods * usual_s).abs()));

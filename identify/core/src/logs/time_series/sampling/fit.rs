@@ -50,6 +50,7 @@ impl Fit {
         let last_number = numbers.last()?.max(1.0);
         let pieces = ((last_number * period_s / KNOTS_S).ceil() as usize).clamp(1, PIECES_MAX);
         let curve = Curve { numbers, breaks, last_number, pieces };
+        // As if all rows of a piece had the same rounding error.
         let rounding_variance =
             grid_s.unwrap_or_default().powi(2) / 12.0 * rest_s.len() as f64 / pieces as f64;
         // Standard deviation of a second difference at the knots.

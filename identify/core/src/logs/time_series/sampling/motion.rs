@@ -17,7 +17,7 @@ pub(super) const WHOLE: f64 = 0.2;
 pub(super) const PERIODS_MAX: f64 = 4.0;
 /// Smallest number of neighbours with whole steps: steps from rounding alone reach it once in a thousand rows.
 const NEIGHBOURS_WHOLE: usize = 10;
-/// Steps for each one that the motion miscounts (see [`NEIGHBOURS_WHOLE`]), and the odds that are needed to overrule it.
+/// The motion miscounts one step in this number (see [`NEIGHBOURS_WHOLE`]); to overrule it, a curve needs these odds.
 const MISCOUNTED: f64 = 1000.0;
 
 /// Number of periods from each row to the next, where the motion determines it.
