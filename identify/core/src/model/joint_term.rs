@@ -51,7 +51,7 @@ impl Load {
     pub const ALL: [Self; 3] = [Self::Elbow, Self::Wrist, Self::Tool];
 
     /// Axes (from 0) of a six-axis arm whose compliance under this load can be identified: those that raise and lower it in
-    /// most postures. Axis 1 is vertical; axis 4 points along the forearm, axis 6 along the tool.
+    /// most postures. Of the others the first is vertical, the fourth points along the forearm, the sixth along the tool.
     pub const fn acts_on(self, axis: usize) -> bool {
         matches!((self, axis), (Self::Elbow, 1) | (Self::Wrist, 1 | 2) | (Self::Tool, 1 | 2 | 4))
     }
