@@ -180,6 +180,7 @@ impl Instant {
 }
 
 impl Checked {
+    /// Adds one checked pose that violates a constraint.
     fn count(&mut self, obstacle: Obstacle, t_s: f64) {
         match self.violations.iter_mut().find(|known| known.obstacle == obstacle) {
             Some(known) => known.duration_s += CHECK_S,

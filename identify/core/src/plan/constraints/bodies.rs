@@ -156,8 +156,8 @@ impl Bodies {
         clearance_m
     }
 
-    /// Smallest distance of all links except the first, and of their load, from boxes, and of links and `plate` from the floor
-    /// \[m\].
+    /// Smallest distance of all links except the first, and of the bodies that they carry, from boxes, and of these links and
+    /// `plate` from the floor \[m\].
     fn cell_clearance_m(
         &self,
         links: &[[Vector3<f64>; 3]],
@@ -199,6 +199,7 @@ impl Bodies {
             .map(move |ends| capsule(ends, radius_m))
     }
 
+    /// Capsule with the radius of rod and plate.
     fn rod(&self, ends: [Vector3<f64>; 2]) -> Capsule {
         capsule(ends, self.rod_radius_m)
     }
